@@ -1,0 +1,48 @@
+"""HuePose: live 6D object poses from an RGB-D camera and textured CAD models.
+
+The front door. Everything is imported when it is first used, so that importing this package is instant.
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from huepose.estimation import Estimator, ObjectQuery, PoseEstimate
+    from huepose.geometry import Box, Camera, RgbdFrame
+    from huepose.model import ReferenceModel, load_models
+    from huepose.tracking import Tracker
+
+__version__ = "0.1.0"
+
+_HOMES = {
+    "Box": "huepose.geometry",
+    "Camera": "huepose.geometry",
+    "Estimator": "huepose.estimation",
+    "ObjectQuery": "huepose.estimation",
+    "PoseEstimate": "huepose.estimation",
+    "ReferenceModel": "huepose.model",
+    "RgbdFrame": "huepose.geometry",
+    "Tracker": "huepose.tracking",
+    "load_models": "huepose.model",
+}
+
+__all__ = [
+    "Box",
+    "Camera",
+    "Estimator",
+    "ObjectQuery",
+    "PoseEstimate",
+    "ReferenceModel",
+    "RgbdFrame",
+    "Tracker",
+    "load_models",
+]
+
+
+def __getattr__(name: str) -> Any:
+    if name in _HOMES:
+        import importlib
+
+        return getattr(importlib.import_module(_HOMES[name]), name)
+    raise AttributeError(f"module 'huepose' has no attribute {name!r}")

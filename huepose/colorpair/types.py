@@ -1,0 +1,41 @@
+"""The colour pair: the two colours on both sides of a texture edge (paper, section III-A, III-B)."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from huepose.geometry.arrays import Float32
+
+
+@dataclass(frozen=True, eq=False)
+class ColorPairs:
+    """N colour pairs of one image.
+
+    pixels (N, 2) float32: sub-pixel position of the ridge point (u, v); directions (N,) float32 radians:
+    angle of the image direction that crosses the edge from side 0 to side 1; widths (N,) float32: edge
+    thickness in pixels; colors (N, 2, 3) float32: CIELAB (L 0..100) of side 0 and side 1.
+    """
+
+    pixels: Float32
+    directions: Float32
+    widths: Float32
+    colors: Float32
+
+    def __len__(self) -> int:
+        return len(self.pixels)
+
+    def __getitem__(self, index: object) -> ColorPairs:
+        return ColorPairs(
+            self.pixels[index],
+            self.directions[index],
+            self.widths[index],
+            self.colors[index],  # type: ignore[index]
+        )
+
+    @staticmethod
+    def empty() -> ColorPairs:
+        """No pairs."""
+        z = np.zeros
+        return ColorPairs(z((0, 2), np.float32), z(0, np.float32), z(0, np.float32), z((0, 2, 3), np.float32))

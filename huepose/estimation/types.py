@@ -1,0 +1,62 @@
+"""What the estimator is asked and what it answers."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from huepose.geometry.arrays import Bool, Float64
+from huepose.geometry.box import Box
+
+
+@dataclass(frozen=True, eq=False)
+class PosePrior:
+    """A tracked pose of the object predicted to the frame's stamp: refined and scored like any hypothesis.
+
+    T_cam_obj (4, 4); covariance (6, 6) or None (order tx ty tz rx ry rz, metres and radians, camera axes).
+    """
+
+    T_cam_obj: Float64
+    covariance: Float64 | None = None
+
+
+@dataclass(frozen=True, eq=False)
+class ObjectQuery:
+    """One object to look for: in a box, or in given candidate masks (H, W), with an optional prior.
+
+    With neither box nor masks the prior's outline is used; with nothing at all InputError is raised.
+    `instance` is handed through.
+    """
+
+    object: str
+    box: Box | None = None
+    masks: tuple[Bool, ...] = ()
+    prior: PosePrior | None = None
+    instance: int = 0
+
+
+@dataclass(frozen=True, eq=False)
+class PoseEstimate:
+    """The answer for one query.
+
+    found is False when nothing was there to estimate; then T_cam_obj, covariance and mask are None.
+    score: the dense score of the pose, comparable between poses on the same pixels; prior_score: that of
+    the refined prior, None without one; prior_T_cam_obj: the refined prior. margin: score above the best
+    clearly different pose. quality: calibrated probability that the pose is right. state: "TRACKING" over the
+    acquisition level, else "SUSPECT"; "LOST" when not found. alternatives: other poses and their probabilities.
+    """
+
+    object: str
+    instance: int
+    found: bool
+    T_cam_obj: Float64 | None
+    quality: float
+    state: str
+    score: float
+    margin: float
+    covariance: Float64 | None
+    mask: Bool | None
+    box: Box | None
+    prior_score: float | None
+    prior_T_cam_obj: Float64 | None
+    alternatives: tuple[tuple[Float64, float], ...]
+    seconds: float

@@ -1,0 +1,43 @@
+"""The RGB-D frame: what every source yields and every method reads."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from huepose.geometry.arrays import Float32, UInt8
+from huepose.geometry.camera import Camera
+from huepose.support.errors import InputError
+
+
+@dataclass(frozen=True, eq=False)
+class RgbdFrame:
+    """One rectified colour image with depth in its pixels.
+
+    color (H, W, 3) uint8 RGB; depth (H, W) float32 metres, 0 where there is no reading;
+    frame_id counts within a camera epoch; stamp_ns is the capture time, monotonic clock.
+    Raises InputError when sizes differ.
+    """
+
+    color: UInt8
+    depth: Float32
+    camera: Camera
+    frame_id: int = 0
+    stamp_ns: int = 0
+    epoch: int = 0
+
+    def __post_init__(self) -> None:
+        size = (self.camera.height, self.camera.width)
+        if self.color.shape != (*size, 3) or self.color.dtype.name != "uint8":
+            raise InputError(
+                "colour image",
+                found=f"{self.color.shape} {self.color.dtype}",
+                expected=f"{(*size, 3)} uint8, the size in the intrinsics",
+                fix="Check that the image and the camera file belong together.",
+            )
+        if self.depth.shape != size or self.depth.dtype.name != "float32":
+            raise InputError(
+                "depth image",
+                found=f"{self.depth.shape} {self.depth.dtype}",
+                expected=f"{size} float32 metres, aligned to the colour image",
+                fix="Align depth to colour in the camera driver, or check the file.",
+            )

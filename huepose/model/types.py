@@ -1,0 +1,118 @@
+"""The reference model of an object: all that estimation and tracking know of it, built once from a mesh.
+
+Lengths in metres, in the object's own frame. Colours are CIELAB (L 0..100), float32.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from huepose.geometry.arrays import Float32, Float64, Int32, UInt8
+from huepose.geometry.mesh import Mesh
+
+
+@dataclass(frozen=True, eq=False)
+class Surface:
+    """Samples of the surface, in random order: any prefix is a sparser, even sample.
+
+    points, normals (N, 3) float32; lab (2, N, 3) float32: texture averaged over about 1 mm and 3.5 mm.
+    directions (V, 3) float32: unit vectors from the object to cameras; from direction v the samples
+    `visible[offsets[v]:offsets[v + 1]]` are seen (self-occlusion included), in increasing order.
+    """
+
+    points: Float32
+    normals: Float32
+    lab: Float32
+    directions: Float32
+    visible: Int32
+    offsets: Int32
+
+
+@dataclass(frozen=True, eq=False)
+class DistanceGrid:
+    """Nearest surface sample of every cell: `nearest[i, j, k]` (int16) is an index into Surface.points for
+    the cell centred at `origin + step * (i, j, k)`; the grid reaches 3 cm beyond the object."""
+
+    origin: Float64
+    step: float
+    nearest: np.ndarray
+
+
+@dataclass(frozen=True, eq=False)
+class ViewTemplates:
+    """Small pictures of the object at metric scale.
+
+    directions (V, 3) float32 as in Surface; planes (V, R, 5, S, S) float16: L, a, b, depth relative to the
+    median visible depth in metres, coverage 0..1 (the first four are 0 where coverage is 0); R rolls of
+    2 pi / R about the optical axis. The window spans `span` diameters at the median visible depth, centred on
+    the silhouette's centroid; origins (V, 3) float32: the object's origin as seen from that centroid point
+    at median depth, in camera axes at roll 0.
+    """
+
+    directions: Float32
+    planes: np.ndarray
+    origins: Float32
+    span: float
+
+
+@dataclass(frozen=True, eq=False)
+class PairReference:
+    """The colour-pair side of a model (paper, section III-C).
+
+    points (N, 3), normals (N, 3) float32: ridge points lifted to the surface; tangents (N, 3): unit direction
+    in the surface that crosses the edge from side 0 to side 1; colors (N, 2, 3): CIELAB of both sides;
+    views (N,) int32: index of the view it came from.
+    centers (K, 3): the semantic classes, as CIELAB prototypes of side colours; side_classes (N, 2) uint8.
+    cloud_points, cloud_normals (M, 3), cloud_classes (M,) uint8, cloud_weights (M,): the classified cloud.
+    triangle_keys (T,) int64 sorted; triangles (T, 3) int32: indices into the cloud, in canonical class order.
+    ppf_keys (Q,) int64 sorted; ppf (Q, 2) int32: indices into the cloud; ppf_alpha (Q,) float32 radians.
+    parameters: the bin sizes and so on that the tables were built with, by name.
+    """
+
+    points: Float32
+    normals: Float32
+    tangents: Float32
+    colors: Float32
+    views: Int32
+    centers: Float32
+    side_classes: UInt8
+    cloud_points: Float32
+    cloud_normals: Float32
+    cloud_classes: UInt8
+    cloud_weights: Float32
+    triangle_keys: np.ndarray
+    triangles: Int32
+    ppf_keys: np.ndarray
+    ppf: Int32
+    ppf_alpha: Float32
+    parameters: dict[str, float] = field(default_factory=dict)
+
+
+@dataclass(frozen=True, eq=False)
+class ReferenceModel:
+    """One object.
+
+    mesh: for drawing and tracking (texture at most 1024 px); eval_points (P, 3) float32: at most 20,000
+    vertices at a fixed stride, as errors are measured; diameter_m: the largest distance of two points.
+    symmetries (S, 4, 4): declared turns of the *shape* (identity first; continuous ones sampled);
+    turns (M, 4, 4): near-symmetric turns found on the geometry, as hypotheses only (identity first);
+    equivalents (E, 4, 4): turns under which shape *and print* look the same (identity first).
+    T = T_cam_obj @ turn is another pose in each case.
+    frame_offset_m: translation that takes a point of the PoseCNN/YCB-Video frame to this one, or None.
+    """
+
+    name: str
+    object_id: int | None
+    mesh: Mesh
+    eval_points: Float32
+    diameter_m: float
+    symmetries: Float64
+    turns: Float64
+    equivalents: Float64
+    frame_offset_m: Float64 | None
+    surface: Surface
+    grid: DistanceGrid
+    templates: ViewTemplates
+    pairs: PairReference

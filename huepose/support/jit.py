@@ -1,0 +1,29 @@
+"""The one way to compile a numeric kernel: numba, cached on disk where a cache folder can be written.
+
+Where neither site-packages nor the home folder is writable (a hardened service), numba refuses at
+import to cache; such a kernel is compiled without a cache then, and a warning names the variable to set.
+"""
+
+from __future__ import annotations
+
+import warnings
+from collections.abc import Callable
+from typing import Any, TypeVar, cast
+
+import numba
+
+F = TypeVar("F", bound=Callable[..., Any])
+
+
+def jit(function: F) -> F:
+    """Compile `function` in nopython mode, releasing the interpreter lock, with fast floating point."""
+    options: dict[str, Any] = {"nogil": True, "fastmath": {"contract", "arcp", "nsz", "reassoc"}}
+    try:
+        return cast(F, numba.njit(cache=True, **options)(function))
+    except RuntimeError as error:
+        if "no locator available" not in str(error):
+            raise
+        warnings.warn(
+            "compiled kernels are not cached: no writable folder; set NUMBA_CACHE_DIR", stacklevel=2
+        )
+        return cast(F, numba.njit(**options)(function))

@@ -1,0 +1,77 @@
+"""What the tracker publishes, and the corrections it takes."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from enum import Enum
+
+from huepose.geometry.arrays import Bool, Float64
+
+
+class State(str, Enum):
+    """What may be believed of an object's pose."""
+
+    SEARCHING = "SEARCHING"
+    """Not seen yet."""
+    TRACKING = "TRACKING"
+    """The pose may be acted on."""
+    SUSPECT = "SUSPECT"
+    """A pose is published; do not act on it."""
+    LOST = "LOST"
+    """No pose."""
+
+
+class Verdict(str, Enum):
+    """What the judge of the re-initialisation loop made of an estimate."""
+
+    AGREE = "agree"
+    CORRECT = "correct"
+    ACQUIRE = "acquire"
+    REJECT = "reject"
+
+
+@dataclass(frozen=True, eq=False)
+class TrackedPose:
+    """One object at one frame. T_cam_obj (4, 4), covariance (6, 6) and velocity (6,) are None without a pose.
+
+    Covariance: order tx ty tz rx ry rz, metres and radians, about the object's origin, camera axes; velocity
+    in the same order per second. stamp_ns is the frame's capture time.
+    """
+
+    object: str
+    instance: int
+    epoch: int
+    frame_id: int
+    stamp_ns: int
+    state: State
+    T_cam_obj: Float64 | None
+    velocity: Float64 | None
+    quality: float
+    covariance: Float64 | None
+    applied_correction_seq: int
+
+
+@dataclass(frozen=True, eq=False)
+class Correction:
+    """A verdict on one instance at one (past) frame. `seq` counts per instance; mask (H, W) at that frame."""
+
+    object: str
+    instance: int
+    epoch: int
+    frame_id: int
+    stamp_ns: int
+    T_cam_obj: Float64
+    quality: float
+    verdict: Verdict
+    seq: int
+    mask: Bool | None = None
+
+
+class Applied(str, Enum):
+    """What became of a correction."""
+
+    APPLIED = "applied"
+    CATCHING_UP = "catching_up"
+    REPEATED = "repeated"
+    REFUSED_OLD = "refused_old"
+    REFUSED_EPOCH = "refused_epoch"

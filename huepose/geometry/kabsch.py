@@ -1,0 +1,78 @@
+"""Rigid registration of corresponding points: Kabsch with weights, and a robust version.
+
+Kabsch 1976 (doi 10.1107/S0567739476001873); the robust fit is RANSAC over three pairs, followed by
+iteratively reweighted least squares with Tukey's biweight.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from huepose.geometry import se3
+from huepose.geometry.arrays import Bool, Float, Float64
+
+
+def fit(source: Float, target: Float, weights: Float | None = None) -> Float64:
+    """Least-squares rigid T_target_source (4, 4) of paired points (N, 3), N >= 3, weights (N,) >= 0.
+
+    Raises ValueError with fewer than three pairs or when the weights are all zero.
+    """
+    p, q = np.asarray(source, np.float64), np.asarray(target, np.float64)
+    w = np.ones(len(p)) if weights is None else np.asarray(weights, np.float64)
+    total = float(w.sum())
+    if len(p) < 3 or total <= 0:
+        raise ValueError(f"a rigid fit needs three weighted pairs; got {len(p)} with total weight {total:g}")
+    p0, q0 = w @ p / total, w @ q / total
+    U, _, Vt = np.linalg.svd((p - p0).T @ ((q - q0) * w[:, None]))
+    sign = np.sign(np.linalg.det(Vt.T @ U.T))
+    R = Vt.T @ np.diag([1.0, 1.0, sign]) @ U.T
+    return se3.make(R, q0 - R @ p0)
+
+
+def robust_fit(
+    source: Float,
+    target: Float,
+    weights: Float | None = None,
+    *,
+    inlier_m: float,
+    rng: np.random.Generator,
+    trials: int = 100,
+    refinements: int = 5,
+) -> tuple[Float64, Bool, Float64]:
+    """Rigid fit of paired points (N, 3) with wrong pairs among them.
+
+    Returns T_target_source (4, 4), the inliers (N,) bool (residual under `inlier_m`, metres), and the final
+    weights (N,). Triples are drawn in proportion to `weights`. With fewer than three pairs the result is the
+    identity with no inlier.
+    """
+    p, q = np.asarray(source, np.float64), np.asarray(target, np.float64)
+    n = len(p)
+    w0 = np.ones(n) if weights is None else np.asarray(weights, np.float64)
+    if n < 3 or np.count_nonzero(w0) < 3:
+        return np.eye(4), np.zeros(n, bool), np.zeros(n)
+    draws = rng.choice(n, (trials, 3), p=w0 / w0.sum())
+    R, t = _fit_triples(p[draws], q[draws])
+    errors = np.linalg.norm(np.einsum("kij,nj->kni", R, p) + t[:, None] - q, axis=2)
+    support = (np.maximum(1.0 - (errors / inlier_m) ** 2, 0.0) * w0).sum(1)
+    best = int(np.argmax(support))
+    T = se3.make(R[best], t[best])
+    w = w0
+    for _ in range(refinements):
+        e = np.linalg.norm(se3.apply(T, p) - q, axis=1)
+        w = w0 * np.maximum(1.0 - (e / inlier_m) ** 2, 0.0) ** 2
+        if np.count_nonzero(w) < 3:
+            break
+        T = fit(p, q, w)
+    e = np.linalg.norm(se3.apply(T, p) - q, axis=1)
+    return T, e < inlier_m, w
+
+
+def _fit_triples(p: Float64, q: Float64) -> tuple[Float64, Float64]:
+    """Rigid fits of many triples at once: p, q (K, 3, 3) points by rows; returns R (K, 3, 3), t (K, 3)."""
+    p0, q0 = p.mean(1), q.mean(1)
+    H = np.einsum("kni,knj->kij", p - p0[:, None], q - q0[:, None])
+    U, _, Vt = np.linalg.svd(H)
+    V = np.swapaxes(Vt, 1, 2)
+    V[:, :, 2] *= np.sign(np.linalg.det(V @ np.swapaxes(U, 1, 2)))[:, None]
+    R = V @ np.swapaxes(U, 1, 2)
+    return R, q0 - np.einsum("kij,kj->ki", R, p0)

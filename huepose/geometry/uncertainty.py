@@ -1,0 +1,32 @@
+"""Covariances of poses: order tx ty tz rx ry rz (metres, radians), a small translation and a small rotation
+about the object's origin, both along camera axes."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from huepose.geometry import se3
+from huepose.geometry.arrays import Float, Float64
+
+
+def mahalanobis(T_a: Float, T_b: Float, covariance: Float) -> float:
+    """Distance of two poses in standard deviations of `covariance` (6, 6), positive definite."""
+    delta = se3.difference(np.asarray(T_a), np.asarray(T_b))
+    return float(np.sqrt(max(0.0, delta @ np.linalg.solve(np.asarray(covariance), delta))))
+
+
+def predicted(T_cam_obj: Float, velocity: Float, seconds: float) -> Float64:
+    """The pose after `seconds` at a constant velocity (6,) per second, in camera axes."""
+    return se3.perturb(np.asarray(T_cam_obj), np.asarray(velocity) * seconds)
+
+
+def grown(covariance: Float, seconds: float, accel_m_s2: float = 4.0, accel_rad_s2: float = 20.0) -> Float64:
+    """`covariance` (6, 6) after `seconds` without a measurement: white acceleration of the given RMS."""
+    s = 0.5 * np.array([accel_m_s2] * 3 + [accel_rad_s2] * 3) * seconds**2
+    return np.asarray(covariance, np.float64) + np.diag(s**2)
+
+
+def moved_point_covariance(covariance: Float, lever_cam: Float) -> Float64:
+    """Covariance (3, 3) of a point at `lever_cam` (3,) from the object's origin, camera axes."""
+    J = np.hstack([np.eye(3), -se3.hat(np.asarray(lever_cam))])
+    return np.asarray(J @ np.asarray(covariance) @ J.T)

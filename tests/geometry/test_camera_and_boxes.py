@@ -1,0 +1,51 @@
+import numpy as np
+import pytest
+
+from huepose.geometry import Box, Camera, RgbdFrame
+from huepose.support.errors import InputError
+
+CAMERA = Camera(600.0, 610.0, 319.5, 239.5, 640, 480)
+
+
+def test_projection_and_back():
+    points = np.array([[0.1, -0.05, 0.8], [0.0, 0.0, 1.0]])
+    pixels = CAMERA.project(points)
+    np.testing.assert_allclose(pixels[1], [319.5, 239.5])
+    np.testing.assert_allclose(pixels[0], [600 * 0.125 + 319.5, -610 * 0.0625 + 239.5])
+    np.testing.assert_allclose(CAMERA.backproject(pixels, points[:, 2]), points, atol=1e-12)
+
+
+def test_behind_the_camera_is_nan():
+    assert np.isnan(CAMERA.project(np.array([0.0, 0.0, -1.0]))).all()
+
+
+def test_crop_moves_pixels_by_its_corner():
+    point = np.array([0.1, 0.1, 0.7])
+    np.testing.assert_allclose(
+        CAMERA.cropped(20, 30, 50, 60).project(point), CAMERA.project(point) - [20, 30]
+    )
+
+
+def test_scaling_keeps_pixel_areas():
+    """The outer corner of the image, half a pixel outside the first centre, stays the outer corner."""
+    corner = CAMERA.rays(np.array([-0.5, -0.5]))
+    np.testing.assert_allclose(CAMERA.scaled(0.5).project(corner), [-0.5, -0.5], atol=1e-12)
+
+
+def test_box_iou_and_mask_bounds():
+    assert Box(0, 0, 2, 2).iou(Box(1, 0, 2, 2)) == pytest.approx(1 / 3)
+    assert Box(0, 0, 1, 1).iou(Box(5, 5, 1, 1)) == 0
+    mask = np.zeros((10, 12), bool)
+    mask[2:5, 7:9] = True
+    assert Box.of_mask(mask) == Box(7, 2, 2, 3)
+    assert Box.of_mask(np.zeros((3, 3), bool)) is None
+    assert Box(-5, 2, 10, 100).clipped(640, 50) == Box(0, 2, 5, 48)
+
+
+def test_box_of_pixels_covers_their_centres():
+    assert Box.of_pixels(np.array([[3.0, 4.0], [5.0, 4.0]])) == Box(3, 4, 3, 1)
+
+
+def test_depth_of_another_size_is_refused_by_name():
+    with pytest.raises(InputError, match="depth image: found \\(240, 320\\)"):
+        RgbdFrame(np.zeros((480, 640, 3), np.uint8), np.zeros((240, 320), np.float32), CAMERA)

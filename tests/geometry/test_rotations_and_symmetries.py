@@ -1,0 +1,82 @@
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+from huepose.geometry import rotations, se3, symmetry, uncertainty
+from huepose.geometry.icosphere import directions, look_at
+
+
+def test_mean_agrees_with_scipy():
+    R = Rotation.random(20, random_state=3)
+    w = np.random.default_rng(0).uniform(0.1, 1, 20)
+    np.testing.assert_allclose(rotations.mean_rotation(R.as_matrix(), w), R.mean(w).as_matrix(), atol=1e-9)
+
+
+def test_mean_of_opposite_tilts_is_between_them():
+    poses = np.stack([se3.exp(np.array([s, 0, 0, 0, 0, s])) for s in (-0.5, 0.5)])
+    np.testing.assert_allclose(rotations.mean_pose(poses)[:3, :3], np.eye(3), atol=1e-12)
+    np.testing.assert_allclose(rotations.angles_to(poses[:, :3, :3], np.eye(3)), [0.5, 0.5])
+
+
+@pytest.mark.parametrize(("level", "count"), [(0, 12), (1, 42), (2, 162), (3, 642)])
+def test_icosphere_is_even(level, count):
+    d = directions(level)
+    assert d.shape == (count, 3)
+    np.testing.assert_allclose(np.linalg.norm(d, axis=1), 1)
+    np.testing.assert_allclose(d.mean(0), 0, atol=1e-12)
+    nearest = np.sort(d @ d.T, axis=1)[:, -2]
+    assert np.degrees(np.arccos(nearest)).max() / np.degrees(np.arccos(nearest)).min() < 1.3
+
+
+def test_camera_in_a_direction_sees_it_towards_itself():
+    for d in directions(1):
+        R = look_at(d)
+        assert se3.is_rigid(se3.make(R, np.zeros(3)))
+        np.testing.assert_allclose(R @ d, [0, 0, -1], atol=1e-12)
+
+
+def test_continuous_symmetry_about_an_offset_axis():
+    turns = symmetry.sampled(
+        {"symmetries_continuous": [{"axis": [0, 0, 1], "offset": [10, 0, 0]}]}, step_rad=np.pi / 2
+    )
+    assert len(turns) == 4
+    np.testing.assert_allclose(se3.apply(turns[1], np.array([0.02, 0, 0.3])), [0.01, 0.01, 0.3], atol=1e-12)
+
+
+def test_discrete_symmetries_compose_with_continuous_ones():
+    entry = {
+        "symmetries_discrete": [np.diag([1.0, -1, -1, 1]).ravel().tolist()],
+        "symmetries_continuous": [{"axis": [0, 0, 1], "offset": [0, 0, 0]}],
+    }
+    turns = symmetry.sampled(entry, step_rad=np.pi / 4)
+    assert len(turns) == 16
+    np.testing.assert_array_equal(turns[0], np.eye(4))
+
+
+def test_nearest_equivalent_undoes_a_turn():
+    turns = symmetry.sampled({"symmetries_continuous": [{"axis": [0, 0, 1], "offset": [0, 0, 0]}]})
+    T = se3.exp(np.array([0, 0, 1, 0.1, 0.2, 0.3]))
+    np.testing.assert_allclose(symmetry.nearest_equivalent(T @ turns[7], turns, T), T, atol=1e-12)
+
+
+def test_mahalanobis_counts_standard_deviations():
+    cov = np.diag([0.01**2] * 3 + [0.1**2] * 3)
+    T = se3.exp(np.array([0, 0, 1, 0.1, 0.2, 0.3]))
+    assert uncertainty.mahalanobis(T, se3.perturb(T, np.array([0.02, 0, 0, 0, 0, 0])), cov) == pytest.approx(
+        2
+    )
+    assert uncertainty.mahalanobis(T, se3.perturb(T, np.array([0, 0, 0, 0.3, 0, 0])), cov) == pytest.approx(3)
+
+
+def test_prediction_and_its_uncertainty():
+    T = uncertainty.predicted(np.eye(4), np.array([1.0, 0, 0, 0, 0, 2.0]), 0.1)
+    np.testing.assert_allclose(se3.difference(np.eye(4), T), [0.1, 0, 0, 0, 0, 0.2], atol=1e-12)
+    grown = uncertainty.grown(np.zeros((6, 6)), 0.1, accel_m_s2=2.0, accel_rad_s2=4.0)
+    np.testing.assert_allclose(np.sqrt(np.diag(grown)), [0.01] * 3 + [0.02] * 3)
+
+
+def test_a_lever_turns_rotation_into_translation():
+    cov = np.zeros((6, 6))
+    cov[5, 5] = 0.01**2
+    point = uncertainty.moved_point_covariance(cov, np.array([0.5, 0, 0]))
+    np.testing.assert_allclose(np.sqrt(np.diag(point)), [0, 0.005, 0], atol=1e-12)

@@ -12,7 +12,8 @@ from huepose.geometry.arrays import Float, Float64
 def mahalanobis(T_a: Float, T_b: Float, covariance: Float) -> float:
     """Distance of two poses in standard deviations of `covariance` (6, 6), positive definite."""
     delta = se3.difference(np.asarray(T_a), np.asarray(T_b))
-    return float(np.sqrt(max(0.0, delta @ np.linalg.solve(np.asarray(covariance), delta))))
+    squared = float(delta @ np.linalg.solve(np.asarray(covariance), delta))
+    return float(np.sqrt(max(0.0, squared)))
 
 
 def predicted(T_cam_obj: Float, velocity: Float, seconds: float) -> Float64:

@@ -1,0 +1,119 @@
+"""What the re-initialisation loop asks for, what comes back, and what it says about the objects it seeks.
+
+Times are CLOCK_MONOTONIC nanoseconds. Poses are `T_cam_obj` (4, 4) in metres; twists and covariances have
+the order tx ty tz rx ry rz along camera axes about the object's origin.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from huepose.estimation.types import PoseEstimate
+from huepose.geometry import se3
+from huepose.geometry.arrays import Float64
+from huepose.support.errors import InputError
+
+
+@dataclass(frozen=True)
+class ObjectSlot:
+    """An object to look for, and how many of it there may be."""
+
+    object: str
+    max_instances: int = 1
+
+    def __post_init__(self) -> None:
+        if self.max_instances < 1:
+            raise InputError(
+                f"max_instances of object '{self.object}'",
+                found=str(self.max_instances),
+                expected="1 or more",
+                fix="Leave the object out of the list instead.",
+            )
+
+
+@dataclass(frozen=True, eq=False)
+class Prior:
+    """A tracked pose as the tracker last published it: T_cam_obj (4, 4), velocity (6,) per second or None,
+    covariance (6, 6) or None, and the capture stamp that it belongs to."""
+
+    T_cam_obj: Float64
+    velocity: Float64 | None
+    covariance: Float64 | None
+    stamp_ns: int
+
+    def predicted(self, stamp_ns: int, max_ahead_s: float = 0.5) -> Float64:
+        """The pose at another stamp if the velocity held; extrapolated by `max_ahead_s` at most."""
+        if self.velocity is None:
+            return self.T_cam_obj
+        dt = float(np.clip((stamp_ns - self.stamp_ns) * 1e-9, -max_ahead_s, max_ahead_s))
+        return se3.perturb(self.T_cam_obj, self.velocity * dt)
+
+
+@dataclass(frozen=True, eq=False)
+class RequestedObject:
+    """One object of a request. With an instance the tracked one is looked at again, and has a prior; with
+    None the object is looked for anywhere, up to `wanted` instances that are not yet tracked."""
+
+    object: str
+    instance: int | None
+    prior: Prior | None = None
+    wanted: int = 1
+
+
+@dataclass(frozen=True, eq=False)
+class Request:
+    """What perception shall look at next. `number` counts requests; an answer repeats it.
+
+    epoch is that of the newest tracked frame, None before the first. The chain has until `deadline_ns`."""
+
+    number: int
+    epoch: int | None
+    issued_ns: int
+    deadline_ns: int
+    objects: tuple[RequestedObject, ...]
+
+
+@dataclass(frozen=True, eq=False)
+class PerceptionResult:
+    """The answer of the chain: the frame that it was computed on, and one estimate per looked-at candidate.
+
+    An estimate's `instance` is that of the RequestedObject, or -1 where the object was looked for anywhere:
+    then the loop decides which instance it is. request is the number of the Request."""
+
+    request: int
+    epoch: int
+    frame_id: int
+    stamp_ns: int
+    estimates: tuple[PoseEstimate, ...]
+
+
+@dataclass(frozen=True)
+class Searching:
+    """An object of which `missing` instances are still looked for (state SEARCHING: never seen yet)."""
+
+    object: str
+    missing: int
+
+
+@dataclass(frozen=True)
+class Counters:
+    """What happened since the start, for health."""
+
+    requests: int = 0
+    answers: int = 0
+    expired: int = 0
+    """Requests whose deadline passed without an answer."""
+    late: int = 0
+    """Answers to a request that had expired or was never made."""
+    wrong_epoch: int = 0
+    agreed: int = 0
+    corrected: int = 0
+    acquired: int = 0
+    rejected: int = 0
+    unconfirmed: int = 0
+    """Acquisitions held back until a second estimate agrees."""
+    resent: int = 0
+    given_up: int = 0
+    """Corrections that were never acknowledged in time."""

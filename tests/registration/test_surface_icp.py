@@ -104,6 +104,8 @@ def test_information_predicts_the_spread(model: tuple[Surface, DistanceGrid]) ->
         in_object = np.abs(se3.apply(se3.inverse(TRUE_POSE), points) - CENTRE) / SIZE
         normals = TRUE_POSE[:3, :3].T[np.argmax(in_object, axis=1)]
         points = points + normals * rng.normal(0, sigma, (len(points), 1))
+        # Next to an edge the nearest sample may lie on the other face: another source of error.
+        points = points[np.sort(in_object, axis=1)[:, 1] < 0.46]
         result = align(*model, points, TRUE_POSE, 0.02, 0.02, 20)
         delta = se3.difference(TRUE_POSE, result.T_cam_obj)
         squares.append(delta @ result.information @ delta / sigma**2)

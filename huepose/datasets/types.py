@@ -1,0 +1,54 @@
+"""What every data set yields: frames, and the truth about them."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, field
+
+from huepose.geometry.arrays import Bool, Float64
+from huepose.geometry.box import Box
+from huepose.geometry.frame import RgbdFrame
+
+
+@dataclass(frozen=True, eq=False)
+class GroundTruth:
+    """One labelled object of one frame.
+
+    object_id: the BOP id, None where the set has names only; object: the reference model's name, None where
+    the set has ids only; instance: index among the labels of the frame (BOP: in `scene_gt.json`).
+    T_cam_obj (4, 4) metres, in the reference model's frame, None where the pose is not labelled;
+    visib_fract: visible share of the silhouette, 0..1, None where unknown; box_visib: bounds of the visible
+    pixels as the set states them; mask_loader: reads the visible mask (H, W) when it is asked for.
+    """
+
+    instance: int
+    T_cam_obj: Float64 | None
+    object_id: int | None = None
+    object: str | None = None
+    visib_fract: float | None = None
+    box_visib: Box | None = None
+    mask_loader: Callable[[], Bool] | None = field(default=None, repr=False)
+
+    def mask(self) -> Bool | None:
+        """The visible mask (H, W), or None where the set has none. Raises InputError on a broken file."""
+        return None if self.mask_loader is None else self.mask_loader()
+
+    @property
+    def visible(self) -> bool:
+        """At least 30 % is visible; unknown counts as visible."""
+        return self.visib_fract is None or self.visib_fract >= 0.3
+
+    @property
+    def gone(self) -> bool:
+        """Less than 10 % is visible."""
+        return self.visib_fract is not None and self.visib_fract < 0.1
+
+
+@dataclass(frozen=True, eq=False)
+class Sample:
+    """One frame with its labels. scene: the folder's name; image: the number in the file name."""
+
+    frame: RgbdFrame
+    truths: tuple[GroundTruth, ...]
+    scene: str
+    image: int

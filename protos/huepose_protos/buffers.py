@@ -1,0 +1,63 @@
+"""Messages with pixels: the payload is the buffers back to back, the header goes beside it as attachment."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from huepose_protos.errors import WireError
+from huepose_protos.messages import BufferSpec, FrameHeader
+
+MAX_PAYLOAD = 64 * 1024 * 1024
+Array = NDArray[Any]
+
+
+def pack(arrays: Mapping[str, Array]) -> tuple[list[BufferSpec], bytes]:
+    """Specs and payload of named arrays (uint8, uint16, int32 or float32), in their order."""
+    specs: list[BufferSpec] = []
+    parts: list[bytes] = []
+    offset = 0
+    for name, array in arrays.items():
+        little = np.ascontiguousarray(array, dtype=array.dtype.newbyteorder("<"))
+        specs.append(
+            BufferSpec(name=name, dtype=array.dtype.name, shape=list(array.shape), offset=offset)  # type: ignore[arg-type]
+        )
+        parts.append(little.tobytes())
+        offset += little.nbytes
+    if offset > MAX_PAYLOAD:
+        raise WireError(f"payload of {offset} bytes is over {MAX_PAYLOAD}")
+    return specs, b"".join(parts)
+
+
+def unpack(specs: Sequence[BufferSpec], payload: bytes) -> dict[str, Array]:
+    """Read-only arrays on a payload. Raises WireError unless they fill it exactly, back to back."""
+    if len(payload) > MAX_PAYLOAD:
+        raise WireError(f"payload of {len(payload)} bytes is over {MAX_PAYLOAD}")
+    arrays: dict[str, Array] = {}
+    at = 0
+    for spec in specs:
+        dtype = np.dtype(spec.dtype).newbyteorder("<")
+        size = math.prod(spec.shape) * dtype.itemsize
+        if spec.offset != at or at + size > len(payload) or spec.name in arrays:
+            raise WireError(f"buffer {spec.name}: offset {spec.offset} and {size} bytes do not fit")
+        arrays[spec.name] = np.frombuffer(payload, dtype, math.prod(spec.shape), at).reshape(spec.shape)
+        at += size
+    if at != len(payload):
+        raise WireError(f"payload of {len(payload)} bytes, the buffers describe {at}")
+    return arrays
+
+
+def frame_images(header: FrameHeader, payload: bytes) -> tuple[Array, Array]:
+    """color (H, W, 3) uint8 and depth (H, W) uint16 of a frame. Raises WireError where they do not fit."""
+    arrays = unpack(header.buffers, payload)
+    size = (header.intrinsics.height, header.intrinsics.width)
+    for name, shape, dtype in (("color", (*size, 3), "uint8"), ("depth", size, "uint16")):
+        if name not in arrays:
+            raise WireError(f"frame without the buffer {name}")
+        if arrays[name].shape != shape or arrays[name].dtype.name != dtype:
+            raise WireError(f"{name} is {arrays[name].shape} {arrays[name].dtype}, not {shape} {dtype}")
+    return arrays["color"], arrays["depth"]

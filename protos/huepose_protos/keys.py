@@ -1,0 +1,92 @@
+"""Key expressions: `huepose/SITE/CAMERA/...`. A site and a camera are names of `[a-z0-9_-]{1,64}`."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from huepose_protos.errors import WireError
+from huepose_protos.fields import is_name
+
+ROOT = "huepose"
+
+
+@dataclass(frozen=True)
+class Keys:
+    """The keys of one camera. `*` as site or camera makes them expressions that match any.
+
+    >>> Keys("lab", "cam0").pose("mustard", 1)
+    'huepose/lab/cam0/pose/mustard/1'
+    """
+
+    site: str
+    camera: str
+
+    def __post_init__(self) -> None:
+        for name in (self.site, self.camera):
+            if name != "*" and not is_name(name):
+                raise WireError(f"site or camera {name!r} is not a name of a-z, 0-9, _ and -")
+
+    def _key(self, tail: str) -> str:
+        return f"{ROOT}/{self.site}/{self.camera}/{tail}"
+
+    @property
+    def frame(self) -> str:
+        """Frames with pixels: FrameHeader."""
+        return self._key("frame")
+
+    @property
+    def request(self) -> str:
+        """PerceptionRequest."""
+        return self._key("perception/request")
+
+    @property
+    def detections(self) -> str:
+        """Detections with the pixels that they were found in."""
+        return self._key("perception/detections")
+
+    @property
+    def masks(self) -> str:
+        """Masks with the pixels that they were found in."""
+        return self._key("perception/masks")
+
+    @property
+    def estimates(self) -> str:
+        """Estimates."""
+        return self._key("perception/estimates")
+
+    @property
+    def correction(self) -> str:
+        """CorrectionMessage."""
+        return self._key("correction")
+
+    @property
+    def objects(self) -> str:
+        """ObjectsMessage."""
+        return self._key("objects")
+
+    @property
+    def truth(self) -> str:
+        """TruthMessage, from sources that know it and are told to say it."""
+        return self._key("truth")
+
+    @property
+    def poses(self) -> str:
+        """All poses."""
+        return self._key("pose/**")
+
+    def pose(self, object_name: str, instance: int) -> str:
+        """PoseMessage of one instance of an object."""
+        return self._key(f"pose/{object_name}/{instance}")
+
+    def health(self, worker: str = "*") -> str:
+        """HealthMessage of a worker."""
+        return self._key(f"health/{worker}")
+
+    def live(self, worker: str = "*") -> str:
+        """Liveliness token of a worker: there while the worker is."""
+        return self._key(f"live/{worker}")
+
+
+def last(key: str) -> str:
+    """The last chunk of a key: the worker of a health or live key, the instance of a pose."""
+    return key.rsplit("/", 1)[-1]

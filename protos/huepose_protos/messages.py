@@ -1,0 +1,353 @@
+"""The messages. The types are the schema: what a type cannot say is checked when a message is made,
+so by the sender as well as by the receiver. Readers ignore fields that they do not know; within a major
+version fields are only added, with defaults.
+"""
+
+from __future__ import annotations
+
+from typing import Annotated, ClassVar, Literal
+
+from msgspec import Meta, Struct
+
+from huepose_protos.fields import (
+    VERSION,
+    BoxXYWH,
+    Count,
+    Covariance,
+    Epoch,
+    Fraction,
+    Index,
+    Name,
+    Positive,
+    Quaternion,
+    Size,
+    Stamp,
+    StateName,
+    Text,
+    Vector3,
+    VerdictName,
+    Version,
+    check_box,
+    check_covariance,
+    check_finite,
+    check_pose,
+)
+
+KIB = 1024
+
+
+class Message(Struct, frozen=True, kw_only=True):
+    """What every message on a key has. `max_bytes` is refused above, before anything is decoded."""
+
+    max_bytes: ClassVar[int] = 64 * KIB
+    version: Version = VERSION
+    publish_ns: Stamp
+
+
+class MaskRuns(Struct, frozen=True, kw_only=True):
+    """A mask of the size of its image: runs of pixels row by row, the first of them outside, then in turn."""
+
+    width: Size
+    height: Size
+    runs: Annotated[list[Index], Meta(max_length=200_000)]
+
+    def __post_init__(self) -> None:
+        if sum(self.runs) != self.width * self.height:
+            raise ValueError("mask runs do not add up to width x height")
+
+
+class BufferSpec(Struct, frozen=True, kw_only=True):
+    """One array of the payload, row by row, little-endian, at a byte offset."""
+
+    name: Annotated[str, Meta(pattern=r"^[a-z_]{1,32}$")]
+    dtype: Literal["uint8", "uint16", "int32", "float32"]
+    shape: Annotated[list[Annotated[int, Meta(ge=0, le=2**24)]], Meta(min_length=1, max_length=4)]
+    offset: Count
+
+
+class Intrinsics(Struct, frozen=True, kw_only=True):
+    """A pinhole camera in pixels; an integer coordinate is the centre of a pixel. Images are rectified."""
+
+    fx: Positive
+    fy: Positive
+    cx: float
+    cy: float
+    width: Size
+    height: Size
+    depth_scale_m: Positive
+    distortion_model: Literal["none"] = "none"
+    distortion: Annotated[list[float], Meta(max_length=0)] = []
+
+    def __post_init__(self) -> None:
+        check_finite(fx=self.fx, fy=self.fy, cx=self.cx, cy=self.cy, depth_scale_m=self.depth_scale_m)
+
+
+class Clock(Struct, frozen=True, kw_only=True):
+    """Which machine's monotonic clock the stamps are of; add realtime_offset_ns to get Unix time."""
+
+    clock_id: Annotated[str, Meta(min_length=1, max_length=64)]
+    realtime_offset_ns: Annotated[int, Meta(ge=-(2**63), le=2**63 - 1)]
+
+
+class FrameHeader(Message, frozen=True, kw_only=True):
+    """Attachment of a frame. Buffers `color` (H, W, 3) uint8 RGB and `depth` (H, W) uint16: times
+    depth_scale_m metres, 0 for no reading, in the pixels of the colour image."""
+
+    camera_epoch: Epoch
+    frame_id: Count
+    capture_ns: Stamp
+    clock: Clock
+    frame: Annotated[str, Meta(max_length=64, description="name of the camera's coordinate frame")]
+    intrinsics: Intrinsics
+    buffers: Annotated[list[BufferSpec], Meta(max_length=8)]
+
+
+class Prior(Struct, frozen=True, kw_only=True):
+    """A tracked pose at a stamp, to be predicted to the frame that is looked at.
+
+    Velocity: linear of the object's origin in m/s, angular in rad/s, along the camera's axes."""
+
+    stamp_ns: Stamp
+    translation: Vector3
+    quaternion: Quaternion
+    velocity_linear: Vector3 | None = None
+    velocity_angular: Vector3 | None = None
+    covariance: Covariance | None = None
+
+    def __post_init__(self) -> None:
+        check_pose(self.translation, self.quaternion)
+        check_finite(velocity_linear=self.velocity_linear, velocity_angular=self.velocity_angular)
+        check_covariance(self.covariance)
+
+
+class RequestedObject(Struct, frozen=True, kw_only=True):
+    """An object to look at: a known instance (with its prior), or, with instance null, up to `wanted` new
+    ones anywhere in the image."""
+
+    object: Name
+    instance: Index | None
+    prior: Prior | None = None
+    wanted: Annotated[int, Meta(ge=1, le=64)] = 1
+
+
+class PerceptionRequest(Message, frozen=True, kw_only=True):
+    """Which objects to look at in the newest frame. `seq` counts requests; camera_epoch is that of the
+    newest tracked frame, null before the first. An answer after deadline_ns is not waited for."""
+
+    seq: Count
+    camera_epoch: Epoch | None
+    deadline_ns: Stamp
+    objects: Annotated[list[RequestedObject], Meta(max_length=64)]
+
+
+class DetectedObject(Struct, frozen=True, kw_only=True):
+    """A requested object and the box to look for it in."""
+
+    request: RequestedObject
+    box: BoxXYWH
+    score: Fraction
+
+    def __post_init__(self) -> None:
+        check_box(self.box)
+
+
+class Detections(Message, frozen=True, kw_only=True):
+    """Boxes in one frame; the payload is that frame's. `request_ns`: when the request was published."""
+
+    max_bytes: ClassVar[int] = 64 * KIB
+    request_seq: Count
+    request_ns: Stamp
+    frame: FrameHeader
+    objects: Annotated[list[DetectedObject], Meta(max_length=64)]
+
+
+class MaskedObject(Struct, frozen=True, kw_only=True):
+    """A detected object and its candidate outlines, most likely first; none where there was nothing."""
+
+    detection: DetectedObject
+    masks: Annotated[list[MaskRuns], Meta(max_length=8)]
+
+
+class Masks(Message, frozen=True, kw_only=True):
+    """Masks in one frame; the payload is that frame's."""
+
+    request_seq: Count
+    request_ns: Stamp
+    frame: FrameHeader
+    objects: Annotated[list[MaskedObject], Meta(max_length=64)]
+
+
+class EstimatedObject(Struct, frozen=True, kw_only=True):
+    """The estimator's answer for one requested object; instance as it was requested.
+
+    score judges the pose, prior_score the refined prior on the same pixels; prior_translation and
+    prior_quaternion are that refined prior. quality: the probability that the pose is right."""
+
+    object: Name
+    instance: Index | None
+    found: bool
+    state: StateName
+    quality: Fraction
+    score: float
+    margin: float
+    translation: Vector3 | None = None
+    quaternion: Quaternion | None = None
+    covariance: Covariance | None = None
+    prior_score: float | None = None
+    prior_translation: Vector3 | None = None
+    prior_quaternion: Quaternion | None = None
+    box: BoxXYWH | None = None
+    mask: MaskRuns | None = None
+    seconds: Annotated[float, Meta(ge=0.0)] = 0.0
+
+    def __post_init__(self) -> None:
+        check_pose(self.translation, self.quaternion)
+        check_pose(self.prior_translation, self.prior_quaternion, "prior_")
+        if self.found != (self.translation is not None):
+            raise ValueError("found must say whether there is a pose")
+        check_finite(score=self.score, margin=self.margin, prior_score=self.prior_score, seconds=self.seconds)
+        check_covariance(self.covariance)
+        check_box(self.box)
+
+
+class Estimates(Message, frozen=True, kw_only=True):
+    """Answers to one request, all computed on one frame."""
+
+    max_bytes: ClassVar[int] = 1024 * KIB
+    request_seq: Count
+    camera_epoch: Epoch
+    frame_id: Count
+    capture_ns: Stamp
+    estimates: Annotated[list[EstimatedObject], Meta(max_length=64)]
+
+
+class CorrectionMessage(Message, frozen=True, kw_only=True):
+    """A verdict of the re-initialisation loop on one instance at one past frame; `seq` counts for each."""
+
+    max_bytes: ClassVar[int] = 256 * KIB
+    object: Name
+    instance: Index
+    camera_epoch: Epoch
+    frame_id: Count
+    capture_ns: Stamp
+    translation: Vector3
+    quaternion: Quaternion
+    quality: Fraction
+    verdict: VerdictName
+    seq: Count
+    mask: MaskRuns | None = None
+
+    def __post_init__(self) -> None:
+        check_pose(self.translation, self.quaternion)
+
+
+class PoseMessage(Message, frozen=True, kw_only=True):
+    """One object at one frame. Pose, velocity and covariance are null while SEARCHING or LOST."""
+
+    max_bytes: ClassVar[int] = 4 * KIB
+    object: Name
+    instance: Index
+    camera_epoch: Epoch
+    frame_id: Count
+    capture_ns: Stamp
+    frame: Annotated[str, Meta(max_length=64)]
+    clock_id: Annotated[str, Meta(min_length=1, max_length=64)]
+    realtime_offset_ns: Annotated[int, Meta(ge=-(2**63), le=2**63 - 1)]
+    state: StateName
+    quality: Fraction
+    translation: Vector3 | None
+    quaternion: Quaternion | None
+    velocity_linear: Vector3 | None
+    velocity_angular: Vector3 | None
+    covariance: Covariance | None
+    applied_correction_seq: Count
+
+    def __post_init__(self) -> None:
+        check_pose(self.translation, self.quaternion)
+        if (self.translation is None) != (self.state in ("SEARCHING", "LOST")):
+            raise ValueError(f"a pose does not go with the state {self.state}")
+        check_finite(velocity_linear=self.velocity_linear, velocity_angular=self.velocity_angular)
+        check_covariance(self.covariance)
+
+
+class ObjectEntry(Struct, frozen=True, kw_only=True):
+    """An object that the pipeline looks for; `searching`: how many of its instances were never seen yet."""
+
+    object: Name
+    max_instances: Annotated[int, Meta(ge=1, le=64)]
+    searching: Count
+
+
+class ObjectsMessage(Message, frozen=True, kw_only=True):
+    """The objects that the pipeline looks for, once a second."""
+
+    objects: Annotated[list[ObjectEntry], Meta(max_length=256)]
+
+
+class HealthMessage(Message, frozen=True, kw_only=True):
+    """How a worker is, once a second.
+
+    rate_hz: work done a second; frame_id: the last frame that it had, null before the first;
+    work_ms and age_ms: median and 99th percentile over the last seconds of the time for one piece of work and
+    of the time from capture to its end; shared_memory: whether the last frame came that way, null before
+    the first; counters only grow."""
+
+    worker: Name
+    pid: Count
+    state: Literal["starting", "ready", "waiting", "ended", "stopping"]
+    clock: Clock
+    uptime_s: Annotated[float, Meta(ge=0.0)]
+    rate_hz: Annotated[float, Meta(ge=0.0)]
+    cpu_percent: Annotated[float, Meta(ge=0.0)]
+    memory_mib: Annotated[float, Meta(ge=0.0)]
+    camera_epoch: Epoch | None
+    frame_id: Count | None
+    work_ms: tuple[float, float] | None
+    age_ms: tuple[float, float] | None
+    shared_memory: bool | None
+    counters: dict[str, Count]
+    warnings: Annotated[list[Text], Meta(max_length=32)]
+
+    def __post_init__(self) -> None:
+        check_finite(work_ms=self.work_ms, age_ms=self.age_ms)
+
+
+class TruthObject(Struct, frozen=True, kw_only=True):
+    """An object as the source knows it; null where it does not. `visib_fract`: visible part, 0..1."""
+
+    object: Name | None
+    object_id: Index | None
+    instance: Index
+    translation: Vector3 | None
+    quaternion: Quaternion | None
+    visib_fract: Fraction | None
+    box: BoxXYWH | None
+
+    def __post_init__(self) -> None:
+        check_pose(self.translation, self.quaternion)
+        check_box(self.box)
+
+
+class TruthMessage(Message, frozen=True, kw_only=True):
+    """Ground truth of one frame. Only the demo's score and the detector named `truth` read it."""
+
+    camera_epoch: Epoch
+    frame_id: Count
+    capture_ns: Stamp
+    scene: Annotated[str, Meta(max_length=128)]
+    image: Annotated[int, Meta(ge=0, description="number of the image in its data set")]
+    objects: Annotated[list[TruthObject], Meta(max_length=256)]
+
+
+MESSAGES: tuple[type[Message], ...] = (
+    FrameHeader,
+    PerceptionRequest,
+    Detections,
+    Masks,
+    Estimates,
+    CorrectionMessage,
+    PoseMessage,
+    ObjectsMessage,
+    HealthMessage,
+    TruthMessage,
+)

@@ -1,0 +1,184 @@
+"""Bad bytes give WireError with a reason, and nothing else."""
+
+import math
+
+import msgspec
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from huepose_protos import WireError, decode, encode
+from huepose_protos.buffers import frame_images, pack, unpack
+from huepose_protos.examples import images, messages
+from huepose_protos.keys import Keys
+from huepose_protos.messages import MESSAGES, FrameHeader, MaskRuns, PoseMessage
+from huepose_protos.runlength import mask_of, runs_of
+
+EXAMPLES = {type(m): m for m in messages()}
+POSE = EXAMPLES[PoseMessage]
+
+
+def _altered(message, **changes):
+    return msgspec.msgpack.encode({**msgspec.to_builtins(message), **changes})
+
+
+@settings(max_examples=300, deadline=None)
+@given(st.binary(max_size=300), st.sampled_from(MESSAGES))
+def test_garbage_is_a_wire_error(data, kind):
+    with pytest.raises(WireError):
+        decode(data, kind)
+
+
+@settings(max_examples=300, deadline=None)
+@given(st.data(), st.sampled_from(MESSAGES))
+def test_truncated_bytes_are_a_wire_error(data, kind):
+    whole = encode(EXAMPLES[kind])
+    cut = data.draw(st.integers(0, len(whole) - 1))
+    with pytest.raises(WireError):
+        decode(whole[:cut], kind)
+
+
+@settings(max_examples=500, deadline=None)
+@given(st.data(), st.sampled_from(MESSAGES))
+def test_flipped_bytes_decode_or_are_a_wire_error(data, kind):
+    whole = bytearray(encode(EXAMPLES[kind]))
+    for _ in range(data.draw(st.integers(1, 4))):
+        whole[data.draw(st.integers(0, len(whole) - 1))] = data.draw(st.integers(0, 255))
+    try:
+        message = decode(bytes(whole), kind)
+    except WireError:
+        return
+    assert decode(encode(message), kind) == message
+
+
+@pytest.mark.parametrize("byte", [b"\x91", b"\x81\xa1x", b"\xdd\xff\xff\xff\xff", b"\xdf\xff\xff\xff\xff"])
+def test_deep_nesting_and_huge_lengths_are_wire_errors(byte):
+    for kind in MESSAGES:
+        with pytest.raises(WireError):
+            decode(b"\x81\xa3foo" + byte * (kind.max_bytes // len(byte) // 2), kind)
+
+
+@pytest.mark.parametrize(
+    ("changes", "reason"),
+    [
+        ({"translation": [math.nan, 0.0, 1.0]}, "not finite"),
+        ({"translation": [0.0, 0.0, math.inf]}, "not finite"),
+        ({"quaternion": [0.0, 0.0, 0.0, 0.9]}, "unit length"),
+        ({"quaternion": [0.0, 0.0, 0.0, 0.0]}, "unit length"),
+        ({"quaternion": [0.0, 0.0, 1.0]}, "quaternion"),
+        ({"quaternion": None}, "together"),
+        ({"translation": None, "quaternion": None}, "does not go with the state TRACKING"),
+        ({"state": "LOST"}, "does not go with the state LOST"),
+        ({"state": "tracking"}, "$.state"),
+        ({"covariance": [0.0] * 35}, "$.covariance"),
+        ({"covariance": [-1.0] + [0.0] * 35}, "negative variance"),
+        ({"covariance": [math.nan] * 36}, "not finite"),
+        ({"quality": 1.5}, "$.quality"),
+        ({"quality": math.nan}, "quality"),
+        ({"object": "Mustard Bottle"}, "$.object"),
+        ({"frame_id": -1}, "$.frame_id"),
+        ({"capture_ns": 2**63}, "$.capture_ns"),
+        ({"version": "2.0"}, "foreign version 2.0"),
+        ({"version": "2.0", "translation": "elsewhere"}, "foreign version 2.0"),
+        ({"version": 1}, "$.version"),
+    ],
+)
+def test_a_bad_pose_is_refused_with_its_reason(changes, reason):
+    with pytest.raises(WireError) as error:
+        decode(_altered(POSE, **changes), PoseMessage)
+    assert reason in error.value.reason
+
+
+def test_nan_is_refused_everywhere():
+    def poisoned(value):
+        """Every way to replace one float inside by NaN."""
+        if isinstance(value, float):
+            yield math.nan
+        elif isinstance(value, dict):
+            for key, inner in value.items():
+                for bad in poisoned(inner):
+                    yield {**value, key: bad}
+        elif isinstance(value, list | tuple):
+            for i, inner in enumerate(value):
+                for bad in poisoned(inner):
+                    yield [*value[:i], bad, *value[i + 1 :]]
+
+    tried = 0
+    for kind, example in EXAMPLES.items():
+        for bad in poisoned(msgspec.to_builtins(example)):
+            tried += 1
+            with pytest.raises(WireError):
+                decode(msgspec.msgpack.encode(bad), kind)
+    assert tried > 100
+
+
+def test_a_newer_minor_version_with_more_fields_is_read():
+    assert decode(_altered(POSE, version="1.9", colour="yellow"), PoseMessage).translation == POSE.translation
+
+
+def test_a_message_over_its_cap_is_refused_both_ways():
+    with pytest.raises(WireError, match="over 4096"):
+        decode(encode(POSE) + b"\0" * 5000, PoseMessage)
+    with pytest.raises(WireError, match="over 65536"):
+        encode(msgspec.structs.replace(EXAMPLES[FrameHeader], buffers=[], frame="x" * 70_000))
+
+
+@pytest.mark.parametrize("site", ["", "a/b", "**", "Lab", "x" * 65])
+def test_a_key_is_made_of_names(site):
+    with pytest.raises(WireError):
+        Keys(site, "cam0")
+
+
+@given(st.integers(1, 12), st.integers(1, 12), st.data())
+def test_run_lengths_give_the_mask_back(height, width, data):
+    bits = data.draw(st.lists(st.booleans(), min_size=height * width, max_size=height * width))
+    mask = np.array(bits).reshape(height, width)
+    assert (mask_of(runs_of(mask)) == mask).all()
+
+
+def test_run_lengths_that_do_not_fit_are_refused():
+    with pytest.raises(ValueError, match="add up"):
+        MaskRuns(width=4, height=2, runs=[9])
+
+
+class TestBuffers:
+    header = EXAMPLES[FrameHeader]
+
+    def test_arrays_come_back(self):
+        arrays = {
+            "a": np.arange(6, dtype=np.float32).reshape(2, 3),
+            "b": np.zeros((0, 4), np.uint8),
+            "c": np.arange(5, dtype=">u2"),
+        }
+        back = unpack(*pack(arrays))
+        assert list(back) == list(arrays)
+        for name, array in arrays.items():
+            assert (back[name] == array).all()
+            assert back[name].dtype.itemsize == array.dtype.itemsize
+
+    @pytest.mark.parametrize("payload", [b"", b"x", pack(images())[1][:-1], pack(images())[1] + b"x"])
+    def test_a_payload_of_the_wrong_size_is_refused(self, payload):
+        with pytest.raises(WireError):
+            frame_images(self.header, payload)
+
+    @pytest.mark.parametrize(
+        "arrays",
+        [
+            {"color": images()["color"]},
+            {"color": images()["color"], "depth": images()["depth"].T},
+            {"color": images()["color"], "depth": images()["depth"].astype(np.float32)},
+            {"color": images()["depth"], "depth": images()["depth"]},
+        ],
+    )
+    def test_images_that_do_not_fit_the_intrinsics_are_refused(self, arrays):
+        specs, payload = pack(arrays)
+        with pytest.raises(WireError):
+            frame_images(msgspec.structs.replace(self.header, buffers=specs), payload)
+
+    @pytest.mark.parametrize("offset", [1, 2**40])
+    def test_overlapping_or_far_buffers_are_refused(self, offset):
+        specs, payload = pack(images())
+        moved = [specs[0], msgspec.structs.replace(specs[1], offset=offset)]
+        with pytest.raises(WireError):
+            unpack(moved, payload)

@@ -1,0 +1,226 @@
+"""The renderer against analytic planes, ray casting, and itself."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from huepose.geometry import Camera, Mesh, se3
+from huepose.geometry.arrays import Float32
+from huepose.rendering import render, render_depth
+
+CAMERA = Camera(600.0, 602.5, 312.9869, 241.3109, 640, 480)
+
+
+def quad(half: float = 0.5, texture: np.ndarray | None = None) -> Mesh:
+    """A square in z = 0, side 2 * half, facing -z; texture u along x, v along y."""
+    vertices = np.array([[-1, -1, 0], [1, -1, 0], [1, 1, 0], [-1, 1, 0]], np.float32) * half
+    faces = np.array([[0, 2, 1], [0, 3, 2]], np.int32)
+    uv = ((vertices[:, :2] / half + 1) / 2)[faces].astype(np.float32)
+    if texture is None:
+        texture = np.full((4, 4, 3), 200, np.uint8)
+    return Mesh(vertices, faces, uv, texture)
+
+
+def blob(n: int = 40) -> Mesh:
+    """A closed bumpy ball of 2 n (n - 1) triangles, about 0.1 m, with a random texture."""
+    rng = np.random.default_rng(0)
+    theta, phi = np.meshgrid(
+        np.linspace(0, np.pi, n), np.linspace(0, 2 * np.pi, n, endpoint=False), indexing="ij"
+    )
+    radius = 0.05 + 0.008 * np.sin(3 * phi) * np.sin(theta) ** 2 + 0.004 * np.cos(5 * theta)
+    vertices = np.stack(
+        [
+            radius * np.sin(theta) * np.cos(phi),
+            radius * np.sin(theta) * np.sin(phi),
+            radius * np.cos(theta),
+        ],
+        -1,
+    )
+    i, j = np.meshgrid(np.arange(n - 1), np.arange(n), indexing="ij")
+    a, b = i * n + j, i * n + (j + 1) % n
+    faces = np.concatenate(
+        [np.stack([a, a + n, b], -1).reshape(-1, 3), np.stack([b, a + n, b + n], -1).reshape(-1, 3)]
+    )
+    uv = np.stack([phi / (2 * np.pi), theta / np.pi], -1).reshape(-1, 2)[faces]
+    texture = rng.integers(0, 256, (64, 64, 3), dtype=np.uint8)
+    return Mesh(
+        vertices.reshape(-1, 3).astype(np.float32), faces.astype(np.int32), uv.astype(np.float32), texture
+    )
+
+
+def rays() -> np.ndarray:
+    v, u = np.mgrid[: CAMERA.height, : CAMERA.width]
+    return CAMERA.rays(np.stack([u, v], -1))
+
+
+def test_tilted_plane_has_its_analytic_depth_and_points() -> None:
+    T = se3.make(se3.rotation_exp(np.array([0.7, -0.4, 0.2])), np.array([0.02, -0.01, 0.8]))
+    drawn = render([(quad(), T)], CAMERA, points=True, normals=True)
+    normal, r = T[:3, 2], rays()
+    depth = (normal @ T[:3, 3]) / (r @ normal)
+    hit = (r * depth[..., None] - T[:3, 3]) @ T[:3, :3]
+    inside = (np.abs(hit[..., :2]) <= 0.5).all(-1) & (depth > 0)
+    assert np.array_equal(drawn.depth > 0, inside)
+    assert 20_000 < inside.sum() < 300_000
+    np.testing.assert_allclose(drawn.depth[inside], depth[inside], rtol=1e-6)
+    np.testing.assert_allclose(drawn.points_obj[inside], hit[inside], atol=1e-6)
+    np.testing.assert_allclose(
+        drawn.normals_cam[inside], np.broadcast_to(-normal, hit.shape)[inside], atol=1e-6
+    )
+    assert (drawn.points_obj[~inside] == 0).all()
+
+
+def test_colour_is_the_bilinear_texture_at_the_analytic_uv() -> None:
+    ramp = np.zeros((256, 256, 3), np.uint8)
+    ramp[..., 0], ramp[..., 1] = np.arange(256)[None], np.arange(256)[:, None]
+    T = se3.make(se3.rotation_exp(np.array([0.5, 0.3, 0.0])), np.array([0.0, 0.0, 0.9]))
+    drawn = render([(quad(texture=ramp), T)], CAMERA, points=True)
+    texel = (drawn.points_obj[..., :2] + 0.5) * 256 - 0.5
+    middle = (drawn.depth > 0) & ((texel > 3) & (texel < 252)).all(-1)
+    assert middle.sum() > 30_000
+    error = np.abs(drawn.color[..., :2][middle] - texel[middle])
+    assert error.max() <= 0.51
+
+
+def test_fine_print_turns_grey_instead_of_aliasing() -> None:
+    checker = np.zeros((1024, 1024, 3), np.uint8)
+    checker[::2, ::2] = checker[1::2, 1::2] = 255
+    drawn = render([(quad(texture=checker), se3.make(np.eye(3), np.array([0, 0, 3.0])))], CAMERA)
+    inside = drawn.depth > 0
+    assert np.abs(drawn.color[inside].astype(int) - 128).max() <= 4
+
+
+def test_blank_between_charts_does_not_bleed_into_the_print() -> None:
+    texture = np.zeros((512, 512, 3), np.uint8)
+    texture[201:311, 201:311] = (250, 120, 30)
+    mesh = quad(texture=texture)
+    chart = Mesh(mesh.vertices, mesh.faces, ((mesh.uv * 109 + 201.5) / 512).astype(np.float32), texture)
+    drawn = render([(chart, se3.make(np.eye(3), np.array([0, 0, 15.0])))], CAMERA)
+    seen = drawn.color[drawn.depth > 0].astype(int)
+    assert len(seen) > 500
+    assert np.abs(seen - (250, 120, 30)).max() <= 2
+
+
+def test_agrees_with_ray_casting() -> None:
+    o3d = pytest.importorskip("open3d")
+    mesh = blob(90)
+    T = se3.make(se3.rotation_exp(np.array([1.2, 0.4, 0.3])), np.array([0.03, -0.02, 0.5]))
+    scene = o3d.t.geometry.RaycastingScene()
+    scene.add_triangles(
+        o3d.core.Tensor(se3.apply(T, mesh.vertices).astype(np.float32)),
+        o3d.core.Tensor(mesh.faces.astype(np.uint32)),
+    )
+    lines = np.concatenate([np.zeros((480, 640, 3)), rays()], -1).astype(np.float32)
+    cast = scene.cast_rays(o3d.core.Tensor(lines))["t_hit"].numpy()
+    depth = render_depth(mesh, T, CAMERA)
+    both = np.isfinite(cast) & (depth > 0)
+    assert both.sum() > 8000
+    assert (np.isfinite(cast) ^ (depth > 0)).sum() <= 4
+    assert np.median(np.abs(cast - depth)[both]) < 1e-5
+
+
+def test_points_and_depth_are_the_same_surface() -> None:
+    mesh, T = blob(), se3.make(se3.rotation_exp(np.array([0.1, 2.0, 0.3])), np.array([-0.05, 0.03, 0.4]))
+    drawn = render([(mesh, T)], CAMERA, color=False, points=True)
+    seen = drawn.depth > 0
+    points_cam = se3.apply(T, drawn.points_obj[seen])
+    np.testing.assert_allclose(points_cam[:, 2], drawn.depth[seen], atol=2e-7)
+    np.testing.assert_allclose(CAMERA.project(points_cam), np.argwhere(seen)[:, ::-1], atol=2e-4)
+
+
+def test_smooth_normals_of_a_ball_and_sharp_normals_of_a_crease() -> None:
+    n = 48
+    mesh = blob(n)
+    ball = Mesh(
+        (0.05 * mesh.vertices / np.linalg.norm(mesh.vertices, axis=1, keepdims=True)).astype(np.float32),
+        mesh.faces,
+        mesh.uv,
+        mesh.texture,
+    )
+    T = se3.make(se3.rotation_exp(np.array([1.0, 0.5, 0.0])), np.array([0, 0, 0.4]))
+    drawn = render([(ball, T)], CAMERA, normals=True, points=True)
+    seen = drawn.depth > 0
+    radial = drawn.points_obj[seen] @ T[:3, :3].T
+    radial /= np.linalg.norm(radial, axis=1, keepdims=True)
+    cos = (radial * drawn.normals_cam[seen]).sum(1)
+    assert np.median(np.degrees(np.arccos(np.clip(cos, -1, 1)))) < 0.5
+
+    roof = Mesh(
+        np.array([[-1, 0, 0], [1, 0, 0], [1, 1, 1], [-1, 1, 1], [1, -1, 1], [-1, -1, 1]], np.float32) * 0.1,
+        np.array([[0, 2, 1], [0, 3, 2], [0, 1, 4], [0, 4, 5]], np.int32),
+        np.zeros((4, 3, 2), np.float32),
+        ball.texture,
+    )
+    drawn = render([(roof, se3.make(np.eye(3), np.array([0, 0, 0.4])))], CAMERA, normals=True)
+    normals = np.unique(np.round(drawn.normals_cam[drawn.depth > 0], 4), axis=0)
+    s = np.round(np.sqrt(0.5), 4)
+    np.testing.assert_allclose(normals, [[0, -s, -s], [0, s, -s]], atol=2e-4)
+
+
+@pytest.mark.parametrize("window", [(240, 100, 160, 160), (313, 200, 77, 91), (-20, 300, 400, 250)])
+def test_crop_is_the_sub_image(window: tuple[int, int, int, int]) -> None:
+    scene = [
+        (blob(), se3.make(se3.rotation_exp(np.array([0.3, 0.2, 0.9])), np.array([0.03, 0.02, 0.35]))),
+        (quad(), se3.make(se3.rotation_exp(np.array([1.0, 0.1, 0.0])), np.array([0, 0, 0.7]))),
+    ]
+    x0, y0, width, height = window
+    whole = render(scene, CAMERA, normals=True, points=True)
+    part = render(scene, CAMERA.cropped(*window), normals=True, points=True)
+    rows, columns = slice(max(0, y0), min(480, y0 + height)), slice(max(0, x0), min(640, x0 + width))
+    inner = (slice(rows.start - y0, rows.stop - y0), slice(columns.start - x0, columns.stop - x0))
+    for name in ("depth", "color", "normals_cam", "points_obj", "object_index", "face"):
+        assert np.array_equal(getattr(part, name)[inner], getattr(whole, name)[rows, columns]), name
+    assert set(np.unique(part.object_index)) >= {0, 1}
+
+
+def test_several_meshes_share_one_depth_buffer() -> None:
+    mesh = quad(0.1)
+    near, far = se3.make(np.eye(3), np.array([0, 0, 0.5])), se3.make(np.eye(3), np.array([0.05, 0, 0.6]))
+    drawn = render([(mesh, far), (mesh, near)], CAMERA)
+    alone = [render_depth(mesh, far, CAMERA), render_depth(mesh, near, CAMERA)]
+    assert np.array_equal(drawn.object_index == 1, alone[1] > 0)
+    assert np.array_equal(drawn.object_index == 0, (alone[0] > 0) & (alone[1] == 0))
+    assert np.array_equal(drawn.depth, np.where(alone[1] > 0, alone[1], alone[0]))
+    assert np.array_equal(drawn.face >= 0, drawn.depth > 0)
+
+
+def test_floor_that_passes_under_the_camera_is_clipped_at_the_near_plane() -> None:
+    T = se3.make(se3.rotation_exp(np.array([np.pi / 2 - 0.2, 0, 0])), np.array([0, 0.1, 0.3]))
+    drawn = render([(quad(5.0), T)], CAMERA, points=True)
+    normal, r = T[:3, 2], rays()
+    depth = (normal @ T[:3, 3]) / (r @ normal)
+    hit = (r * depth[..., None] - T[:3, 3]) @ T[:3, :3]
+    inside = (np.abs(hit[..., :2]) <= 5.0).all(-1) & (depth > 0.05)
+    assert (inside ^ (drawn.depth > 0)).sum() <= 2
+    both = inside & (drawn.depth > 0)
+    np.testing.assert_allclose(drawn.depth[both], depth[both], rtol=1e-5)
+    np.testing.assert_allclose(drawn.points_obj[both], hit[both], rtol=1e-4, atol=1e-5)
+
+
+def test_behind_the_camera_and_outside_the_image_is_nothing() -> None:
+    mesh = blob()
+    for t in ([0, 0, -0.5], [3.0, 0, 0.5], [0, -2.0, 0.5]):
+        drawn = render([(mesh, se3.make(np.eye(3), np.array(t, float)))], CAMERA)
+        assert not drawn.depth.any()
+        assert (drawn.object_index == -1).all()
+        assert not drawn.color.any()
+
+
+def test_shared_edges_leave_no_cracks() -> None:
+    """A fan of thin triangles over a square: every pixel of the square is covered, at its depth."""
+    rng = np.random.default_rng(3)
+    angles = np.sort(rng.uniform(0, 2 * np.pi, 400))
+    rim: Float32 = np.stack([np.cos(angles), np.sin(angles), np.zeros(400)], -1).astype(np.float32)
+    vertices = np.concatenate([np.zeros((1, 3), np.float32), rim])
+    k = np.arange(400)
+    faces = np.stack([np.zeros(400, int), k + 1, (k + 1) % 400 + 1], -1).astype(np.int32)
+    fan = Mesh(vertices, faces, np.zeros((400, 3, 2), np.float32), np.zeros((2, 2, 3), np.uint8))
+    T = se3.make(se3.rotation_exp(np.array([0.2, 0.3, 0.1])), np.array([0, 0, 1.2]))
+    assert (render_depth(fan, T, CAMERA)[60:420, 120:500] > 0).all()
+
+
+def test_only_asked_channels_are_there() -> None:
+    drawn = render([(quad(), se3.make(np.eye(3), np.array([0, 0, 1.0])))], CAMERA, color=False)
+    assert drawn.color.size == drawn.normals_cam.size == drawn.points_obj.size == 0
+    assert drawn.depth.shape == (480, 640)

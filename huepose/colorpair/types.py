@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from huepose.geometry.arrays import Float32
+from huepose.geometry.arrays import Bool, Float32, Int
 
 
 @dataclass(frozen=True, eq=False)
@@ -26,13 +26,8 @@ class ColorPairs:
     def __len__(self) -> int:
         return len(self.pixels)
 
-    def __getitem__(self, index: object) -> ColorPairs:
-        return ColorPairs(
-            self.pixels[index],
-            self.directions[index],
-            self.widths[index],
-            self.colors[index],  # type: ignore[index]
-        )
+    def __getitem__(self, index: Int | Bool | slice) -> ColorPairs:
+        return ColorPairs(self.pixels[index], self.directions[index], self.widths[index], self.colors[index])
 
     @staticmethod
     def empty() -> ColorPairs:

@@ -1,0 +1,119 @@
+"""Colour pairs of an image, from pixels to two colours per edge point (paper, section III-B, all of it)."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+
+from huepose.colorpair.denoise import DenoiseConfig, denoise
+from huepose.colorpair.gradient import unified_gradient
+from huepose.colorpair.ridges import RidgeConfig, Ridges, find_ridges
+from huepose.colorpair.sampling import SamplingConfig, sample_sides
+from huepose.colorpair.types import ColorPairs
+from huepose.geometry.arrays import Bool, Float32, UInt8
+from huepose.support.jit import jit
+
+
+@dataclass(frozen=True)
+class ExtractionConfig:
+    """spacing: smallest distance of two ridge points in pixels, made larger until at most `max_pairs` remain;
+    min_contrast: smallest CIELAB distance of the two colours of a pair."""
+
+    denoise: DenoiseConfig = field(default_factory=DenoiseConfig)
+    ridges: RidgeConfig = field(default_factory=RidgeConfig)
+    sampling: SamplingConfig = field(default_factory=SamplingConfig)
+    spacing: float = 2.0
+    max_pairs: int = 1500
+    min_contrast: float = 6.0
+
+
+def extract(color: UInt8, mask: Bool | None = None, config: ExtractionConfig | None = None) -> ColorPairs:
+    """Colour pairs of an sRGB image (H, W, 3) uint8 RGB, strongest edges first.
+
+    With a mask (H, W) only its surroundings are looked at, and both sides of every pair lie inside it.
+    """
+    config = config or ExtractionConfig()
+    x0, y0, x1, y1 = _bounds(mask, color.shape[:2], margin=8)
+    if x1 - x0 < 8 or y1 - y0 < 8:
+        return ColorPairs.empty()
+    lab = denoise(color[y0:y1, x0:x1], config.denoise)
+    pairs = extract_from_lab(lab, None if mask is None else mask[y0:y1, x0:x1], config)
+    return replace(pairs, pixels=pairs.pixels + np.array([x0, y0], np.float32))
+
+
+def extract_from_lab(lab: Float32, mask: Bool | None, config: ExtractionConfig) -> ColorPairs:
+    """The same on a denoised CIELAB image (H, W, 3) float32, all of it."""
+    ridges = find_ridges(unified_gradient(lab), mask, config.ridges)
+    order = np.argsort(-ridges.strengths, kind="stable")
+    ridges = _take(ridges, order)
+    colors, valid = sample_sides(lab, ridges, mask, config.sampling)
+    contrast = np.linalg.norm(colors[:, 1] - colors[:, 0], axis=1)
+    valid &= contrast >= config.min_contrast
+    ridges, colors = _take(ridges, valid), colors[valid]
+    kept = thinned(ridges.pixels, lab.shape[0], lab.shape[1], config.spacing, config.max_pairs)
+    ridges, colors = _take(ridges, kept), colors[kept]
+    angles = np.arctan2(ridges.directions[:, 1], ridges.directions[:, 0])
+    return ColorPairs(ridges.pixels, angles.astype(np.float32), ridges.widths, colors)
+
+
+def thinned(pixels: Float32, height: int, width: int, spacing: float, limit: int) -> Bool:
+    """Which of the points (N, 2), best first, to keep so that none is nearer than `spacing` to a better one.
+
+    When more than `limit` are left, the spacing is made larger by a quarter until they are not.
+    """
+    while True:
+        kept = _thin(pixels, height, width, spacing)
+        if int(kept.sum()) <= limit:
+            return kept
+        spacing *= 1.25
+
+
+def _bounds(mask: Bool | None, shape: tuple[int, ...], margin: int) -> tuple[int, int, int, int]:
+    height, width = shape
+    if mask is None:
+        return 0, 0, width, height
+    rows, columns = np.flatnonzero(mask.any(1)), np.flatnonzero(mask.any(0))
+    if not len(rows):
+        return 0, 0, 0, 0
+    return (
+        max(int(columns[0]) - margin, 0),
+        max(int(rows[0]) - margin, 0),
+        min(int(columns[-1]) + 1 + margin, width),
+        min(int(rows[-1]) + 1 + margin, height),
+    )
+
+
+def _take(ridges: Ridges, index: np.ndarray) -> Ridges:
+    return Ridges(
+        ridges.cells[index],
+        ridges.pixels[index],
+        ridges.directions[index],
+        ridges.strengths[index],
+        ridges.widths[index],
+    )
+
+
+@jit
+def _thin(pixels, height, width, spacing):  # type: ignore[no-untyped-def]
+    cell = spacing
+    rows, columns = int(height / cell) + 2, int(width / cell) + 2
+    head = np.full((rows, columns), -1, np.int32)
+    follow = np.full(pixels.shape[0], -1, np.int32)
+    kept = np.zeros(pixels.shape[0], np.bool_)
+    for i in range(pixels.shape[0]):
+        r, c = int(pixels[i, 1] / cell), int(pixels[i, 0] / cell)
+        free = True
+        for y in range(max(r - 1, 0), min(r + 2, rows)):
+            for x in range(max(c - 1, 0), min(c + 2, columns)):
+                j = head[y, x]
+                while j >= 0 and free:
+                    du, dv = pixels[i, 0] - pixels[j, 0], pixels[i, 1] - pixels[j, 1]
+                    if du * du + dv * dv < spacing * spacing:
+                        free = False
+                    j = follow[j]
+        if free:
+            kept[i] = True
+            follow[i] = head[r, c]
+            head[r, c] = i
+    return kept

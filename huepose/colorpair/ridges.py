@@ -1,0 +1,205 @@
+"""Centrelines of edges with sub-pixel position and thickness (paper, section III-B, edge localisation).
+
+Non-maximum suppression along the gradient leaves lines one pixel wide. Thickness is measured by
+association: every pixel of a gradient region points to its strongest neighbour, the pointers are followed
+until they end on a ridge, and the number of pixels that end on a ridge point is the local thickness.
+Only pixels with a fixed share of their ridge's strength count, so that thickness means sharpness, not
+contrast: a step blurred by a Gaussian of `s` pixels is about 3 s wide.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+
+from huepose.colorpair.gradient import Gradient
+from huepose.geometry.arrays import Bool, Float32, Int32
+from huepose.support.jit import jit
+
+
+@dataclass(frozen=True)
+class RidgeConfig:
+    """threshold: smallest magnitude of a ridge, CIELAB units per pixel, on a clean image; on a noisy one it
+    is `noise_factor` times the magnitude that a fifth of the pixels stay under, at most `max_threshold`.
+    min_length: fewest connected ridge pixels; member_share: share of the ridge's magnitude that a pixel needs
+    to count for its thickness; smoothing: radius in pixels within which the thickness of neighbouring ridge
+    points is averaged."""
+
+    threshold: float = 2.0
+    noise_factor: float = 3.0
+    max_threshold: float = 8.0
+    min_length: int = 5
+    member_share: float = 0.3
+    smoothing: int = 2
+
+
+@dataclass(frozen=True, eq=False)
+class Ridges:
+    """cells (N, 2) int32: row and column; pixels (N, 2) float32: sub-pixel position (u, v); directions (N, 2)
+    float32: unit vector across the edge; strengths (N,): magnitude; widths (N,): thickness in pixels."""
+
+    cells: Int32
+    pixels: Float32
+    directions: Float32
+    strengths: Float32
+    widths: Float32
+
+    def __len__(self) -> int:
+        return len(self.pixels)
+
+
+def find_ridges(gradient: Gradient, mask: Bool | None = None, config: RidgeConfig | None = None) -> Ridges:
+    """Ridge points of a gradient field, inside `mask` (H, W) where it is given; the outermost pixels have
+    none."""
+    config = config or RidgeConfig()
+    allowed = np.ones(gradient.magnitude.shape, np.bool_) if mask is None else np.ascontiguousarray(mask)
+    threshold = noise_threshold(gradient.magnitude[allowed], config)
+    offsets = suppress(gradient, allowed, threshold)
+    is_ridge = long_enough(~np.isnan(offsets), config.min_length)
+    counts = associate(gradient.magnitude, is_ridge, threshold, config.member_share)
+    cells = np.argwhere(is_ridge).astype(np.int32)
+    v, u = cells[:, 0], cells[:, 1]
+    directions = gradient.direction[v, u]
+    pixels = np.stack([u, v], 1).astype(np.float32) + offsets[v, u][:, None] * directions
+    # a diagonal line has fewer ridge pixels to a length: each stands for more of the region
+    widths = _local_mean(counts, cells, config.smoothing) * np.abs(directions).max(1)
+    return Ridges(cells, pixels, directions, gradient.magnitude[v, u], widths)
+
+
+def noise_threshold(magnitudes: Float32, config: RidgeConfig) -> float:
+    """The magnitude over which a ridge counts, from the magnitudes (N,) of the region: most pixels of a
+    region are not edges, so the lower fifth of them tells the noise."""
+    if not len(magnitudes):
+        return config.threshold
+    k = len(magnitudes) // 5
+    level = float(np.partition(magnitudes, k)[k])
+    return float(np.clip(config.noise_factor * level, config.threshold, config.max_threshold))
+
+
+def long_enough(is_ridge: Bool, min_length: int) -> Bool:
+    """The ridge pixels (H, W) in 8-connected lines of at least `min_length`: noise makes short ones."""
+    _, labels, stats, _ = cv2.connectedComponentsWithStats(is_ridge.astype(np.uint8), connectivity=8)
+    keep = stats[:, cv2.CC_STAT_AREA] >= min_length
+    keep[0] = False
+    return np.asarray(keep[labels])
+
+
+def suppress(gradient: Gradient, allowed: Bool, threshold: float) -> Float32:
+    """(H, W) float32: sub-pixel offset along the direction (-0.7..0.7) at ridge points, nan elsewhere."""
+    return _suppress(gradient.magnitude, gradient.direction, allowed, np.float32(threshold))
+
+
+def associate(magnitude: Float32, is_ridge: Bool, threshold: float, member_share: float) -> Int32:
+    """(H, W) int32: how many pixels end on each ridge point, itself included; 0 elsewhere."""
+    return _associate(magnitude, is_ridge, np.float32(threshold), np.float32(member_share))
+
+
+@jit
+def _suppress(magnitude, direction, allowed, threshold):  # type: ignore[no-untyped-def]
+    height, width = magnitude.shape
+    out = np.full((height, width), np.nan, np.float32)
+    for v in range(2, height - 2):
+        for u in range(2, width - 2):
+            m = magnitude[v, u]
+            if m < threshold or not allowed[v, u]:
+                continue
+            du, dv = direction[v, u, 0], direction[v, u, 1]
+            # values one step along the direction, on the line between the two neighbours that it passes
+            if abs(du) >= abs(dv):
+                step = 1 if du > 0 else -1
+                t = dv / du * step
+                lean = 1 if t > 0 else -1
+                f = abs(t)
+                ahead = (1 - f) * magnitude[v, u + step] + f * magnitude[v + lean, u + step]
+                behind = (1 - f) * magnitude[v, u - step] + f * magnitude[v - lean, u - step]
+            else:
+                step = 1 if dv > 0 else -1
+                t = du / dv * step
+                lean = 1 if t > 0 else -1
+                f = abs(t)
+                ahead = (1 - f) * magnitude[v + step, u] + f * magnitude[v + step, u + lean]
+                behind = (1 - f) * magnitude[v - step, u] + f * magnitude[v - step, u - lean]
+            # equal neighbours (a step exactly between two pixels): the one in reading order keeps the ridge
+            first = dv > 0 or (dv == 0 and du > 0)
+            if first:
+                kept = m >= ahead and m > behind
+            else:
+                kept = m > ahead and m >= behind
+            if not kept:
+                continue
+            curvature = ahead - 2 * m + behind
+            offset = np.float32(0.0)
+            if curvature < 0:
+                reach = np.sqrt(1 + f * f)
+                offset = np.float32(0.5 * (behind - ahead) / curvature * reach)
+            out[v, u] = min(max(offset, np.float32(-0.7)), np.float32(0.7))
+    return out
+
+
+@jit
+def _associate(magnitude, is_ridge, threshold, member_share):  # type: ignore[no-untyped-def]
+    height, width = magnitude.shape
+    floor = threshold * member_share
+    target = np.full(height * width, -1, np.int32)
+    for v in range(1, height - 1):
+        for u in range(1, width - 1):
+            m = magnitude[v, u]
+            i = v * width + u
+            if is_ridge[v, u]:
+                target[i] = i
+                continue
+            if m < floor:
+                continue
+            # a ridge beside the pixel takes it; else the strongest neighbour does
+            best = m
+            best_ridge = np.float32(-1.0)
+            at_ridge = -1
+            at = -1
+            for y in range(v - 1, v + 2):
+                for x in range(u - 1, u + 2):
+                    n = magnitude[y, x]
+                    if is_ridge[y, x]:
+                        if n > best_ridge and n >= m:
+                            best_ridge = n
+                            at_ridge = y * width + x
+                    elif n > best:
+                        best = n
+                        at = y * width + x
+            if at_ridge >= 0 and best_ridge >= best:
+                target[i] = at_ridge
+            elif at >= 0:
+                target[i] = at
+            elif at_ridge >= 0:
+                target[i] = at_ridge
+    counts = np.zeros((height, width), np.int32)
+    for i in range(height * width):
+        j = target[i]
+        if j < 0:
+            continue
+        while j >= 0 and target[j] != j:
+            j = target[j]
+        if j < 0:
+            continue
+        y, x = j // width, j % width
+        if magnitude[i // width, i % width] >= member_share * magnitude[y, x]:
+            counts[y, x] += 1
+    return counts
+
+
+@jit
+def _local_mean(counts, cells, radius):  # type: ignore[no-untyped-def]
+    """Thickness at each cell: the mean count of the ridge points around it (counts are whole numbers)."""
+    height, width = counts.shape
+    out = np.empty(cells.shape[0], np.float32)
+    for k in range(cells.shape[0]):
+        total = 0
+        n = 0
+        for y in range(max(cells[k, 0] - radius, 0), min(cells[k, 0] + radius + 1, height)):
+            for x in range(max(cells[k, 1] - radius, 0), min(cells[k, 1] + radius + 1, width)):
+                if counts[y, x] > 0:
+                    total += counts[y, x]
+                    n += 1
+        out[k] = total / n if n else 1.0
+    return out

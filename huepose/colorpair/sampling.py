@@ -1,0 +1,171 @@
+"""The two colours of an edge, sampled as far out as the edge is thick (paper, section III-B, colour-pair
+sampling).
+
+On each side a profile of candidates is read at distances proportional to the thickness. Their common
+covariance whitens the local colour distribution; in the whitened space the axis between the two sides'
+medians is the transition, and candidates that lie too far along it from their own side, or too far off it,
+are rejected: they sit on the slope, on the next edge or on a speck. The median of the rest is the colour.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from huepose.colorpair.ridges import Ridges
+from huepose.geometry.arrays import Bool, Float32
+from huepose.support.jit import jit
+
+
+@dataclass(frozen=True)
+class SamplingConfig:
+    """distances: of the candidates, in units of the thickness; min_width, max_width: bounds of the
+    thickness used, pixels; gate_along: share of the distance between the two sides that a candidate may be
+    off its side's median; gate_across: distance from the axis in whitened units; floor: standard deviation
+    added to the covariance, CIELAB units; min_candidates: fewest candidates inside the mask on each side."""
+
+    distances: tuple[float, ...] = (0.6, 0.8, 1.0, 1.2, 1.4)
+    min_width: float = 2.0
+    max_width: float = 7.0
+    gate_along: float = 0.35
+    gate_across: float = 2.0
+    floor: float = 1.5
+    min_candidates: int = 3
+
+
+def sample_sides(
+    lab: Float32, ridges: Ridges, mask: Bool | None = None, config: SamplingConfig | None = None
+) -> tuple[Float32, Bool]:
+    """Colours (N, 2, 3) float32 of the sides against and along each ridge's direction, and which are valid
+    (N,).
+
+    `lab` (H, W, 3) float32 CIELAB; candidates outside the image or `mask` (H, W) are not used.
+    """
+    config = config or SamplingConfig()
+    allowed = np.ones(lab.shape[:2], np.bool_) if mask is None else np.ascontiguousarray(mask)
+    widths = np.clip(ridges.widths, config.min_width, config.max_width).astype(np.float32)
+    return _sample(
+        np.ascontiguousarray(lab, np.float32),
+        allowed,
+        ridges.pixels,
+        ridges.directions,
+        widths,
+        np.asarray(config.distances, np.float32),
+        config.gate_along,
+        config.gate_across,
+        config.floor,
+        config.min_candidates,
+    )
+
+
+@jit
+def _median(values, n):  # type: ignore[no-untyped-def]
+    """Median of the first n values, sorted in place."""
+    for i in range(1, n):
+        x = values[i]
+        j = i - 1
+        while j >= 0 and values[j] > x:
+            values[j + 1] = values[j]
+            j -= 1
+        values[j + 1] = x
+    return 0.5 * (values[(n - 1) // 2] + values[n // 2])
+
+
+@jit
+def _whiten(cov, x, y, z):  # type: ignore[no-untyped-def]
+    """Solve L w = (x, y, z) for the Cholesky factor L of a 3x3 covariance: the whitened vector."""
+    l00 = np.sqrt(cov[0, 0])
+    l10 = cov[1, 0] / l00
+    l20 = cov[2, 0] / l00
+    l11 = np.sqrt(cov[1, 1] - l10 * l10)
+    l21 = (cov[2, 1] - l20 * l10) / l11
+    l22 = np.sqrt(cov[2, 2] - l20 * l20 - l21 * l21)
+    w0 = x / l00
+    w1 = (y - l10 * w0) / l11
+    w2 = (z - l20 * w0 - l21 * w1) / l22
+    return w0, w1, w2
+
+
+@jit
+def _sample(  # type: ignore[no-untyped-def]
+    lab, allowed, pixels, directions, widths, distances, gate_along, gate_across, floor, min_candidates
+):
+    height, width = allowed.shape
+    count, reach = pixels.shape[0], distances.shape[0]
+    colors = np.zeros((count, 2, 3), np.float32)
+    valid = np.zeros(count, np.bool_)
+    c = np.empty((2, reach, 3))
+    n = np.zeros(2, np.int64)
+    scratch = np.empty(2 * reach)
+    medians = np.empty((2, 3))
+    mean = np.empty(3)
+    cov = np.empty((3, 3))
+    along = np.empty((2, reach))
+    across = np.empty((2, reach))
+    for i in range(count):
+        usable = True
+        for side in range(2):
+            sign = -1.0 if side == 0 else 1.0
+            n[side] = 0
+            for k in range(reach):
+                x = pixels[i, 0] + sign * distances[k] * widths[i] * directions[i, 0]
+                y = pixels[i, 1] + sign * distances[k] * widths[i] * directions[i, 1]
+                u, v = int(np.floor(x)), int(np.floor(y))
+                if u < 0 or v < 0 or u > width - 2 or v > height - 2:
+                    break
+                if not allowed[int(y + 0.5), int(x + 0.5)]:
+                    break  # beyond the outline: what lies farther out is another surface too
+                fu, fv = x - u, y - v
+                for q in range(3):
+                    top = lab[v, u, q] * (1 - fu) + lab[v, u + 1, q] * fu
+                    low = lab[v + 1, u, q] * (1 - fu) + lab[v + 1, u + 1, q] * fu
+                    c[side, n[side], q] = top * (1 - fv) + low * fv
+                n[side] += 1
+            if n[side] < min_candidates:
+                usable = False
+                break
+        if not usable:
+            continue
+        total = n[0] + n[1]
+        for q in range(3):
+            mean[q] = 0.0
+            for side in range(2):
+                for k in range(n[side]):
+                    scratch[k] = c[side, k, q]
+                    mean[q] += c[side, k, q] / total
+                medians[side, q] = _median(scratch, n[side])
+        for p in range(3):
+            for q in range(p + 1):
+                s = 0.0
+                for side in range(2):
+                    for k in range(n[side]):
+                        s += (c[side, k, p] - mean[p]) * (c[side, k, q] - mean[q])
+                cov[p, q] = s / total + (floor * floor if p == q else 0.0)
+        a0, a1, a2 = _whiten(
+            cov, medians[1, 0] - medians[0, 0], medians[1, 1] - medians[0, 1], medians[1, 2] - medians[0, 2]
+        )
+        separation = np.sqrt(a0 * a0 + a1 * a1 + a2 * a2)
+        if separation < 1e-6:
+            continue
+        for side in range(2):
+            for k in range(n[side]):
+                # relative to the side's own median: 0 along the axis means "as the side is"
+                w0, w1, w2 = _whiten(
+                    cov,
+                    c[side, k, 0] - medians[side, 0],
+                    c[side, k, 1] - medians[side, 1],
+                    c[side, k, 2] - medians[side, 2],
+                )
+                t = (w0 * a0 + w1 * a1 + w2 * a2) / separation
+                along[side, k] = abs(t) / separation
+                across[side, k] = np.sqrt(max(w0 * w0 + w1 * w1 + w2 * w2 - t * t, 0.0))
+            for q in range(3):
+                kept = 0
+                for k in range(n[side]):
+                    if along[side, k] <= gate_along and across[side, k] <= gate_across:
+                        scratch[kept] = c[side, k, q]
+                        kept += 1
+                colors[i, side, q] = _median(scratch, kept) if kept else medians[side, q]
+        valid[i] = True
+    return colors, valid

@@ -1,0 +1,108 @@
+"""How alike two colour pairs are, whatever the light (paper, section III-A).
+
+A pair is a triangle in CIELAB whose third corner is the origin of light. Where the exposure changes by a gain
+in linear light, XYZ scales, and so do the cube roots of which CIELAB is made: L + 16, a and b grow by one
+common factor. With the origin at L = -16 the triangle is therefore scaled and keeps its shape exactly (for
+all but the darkest colours, where CIELAB is linear). Three factors compare the shapes of two triangles:
+
+- directional alignment of the sides from the origin, lightness down-weighted;
+- internal contrast: the direction of the third side, lightness down-weighted, relative to the triangle's
+size,   with a floor under which a contrast is too small to have a direction;
+- relative luminance: the ratio of the two lightnesses.
+
+The comparison is made with the second pair as it is and swapped; the larger value counts.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from huepose.geometry.arrays import Float32
+from huepose.support.jit import jit
+
+L_ORIGIN = 16.0
+"""CIELAB's offset: L + 16 = 116 cbrt(Y), so that gains scale (L + 16, a, b)."""
+
+
+@dataclass(frozen=True)
+class SimilarityConfig:
+    """lightness: weight of L in both directions; direction, contrast: how fast those factors fall with
+    1 - cosine; contrast_floor: contrast relative to the triangle's size under which its direction fades;
+    luminance: standard deviation of the logarithm of the lightness ratio."""
+
+    lightness: float = 0.4
+    direction: float = 12.0
+    contrast: float = 1.0
+    contrast_floor: float = 0.08
+    luminance: float = 0.2
+
+
+def similarity(a: Float32, b: Float32, config: SimilarityConfig | None = None) -> Float32:
+    """Similarities (N, M) float32 in 0..1 of colour pairs `a` (N, 2, 3) and `b` (M, 2, 3), CIELAB.
+
+    1 for equal pairs; symmetric; the same when the two colours of a pair change places.
+    """
+    x, y = shapes(a, config), shapes(b, config)
+    return _all(x, y, *_parameters(config))
+
+
+def paired_similarity(a: Float32, b: Float32, config: SimilarityConfig | None = None) -> Float32:
+    """Similarities (N,) float32 of `a` (N, 2, 3) with `b` (N, 2, 3), row by row."""
+    return _paired(shapes(a, config), shapes(b, config), *_parameters(config))
+
+
+def shapes(pairs: Float32, config: SimilarityConfig | None = None) -> Float32:
+    """What is compared, (N, 11) float32: unit directions of both sides, the contrast with its floor as a unit
+    vector in four dimensions, the logarithm of the lightness ratio. Swapping negates [6:9] and [10]."""
+    c = config or SimilarityConfig()
+    p = np.asarray(pairs, np.float32).reshape(-1, 2, 3) + np.array([L_ORIGIN, 0, 0], np.float32)
+    p[..., 0] = np.maximum(p[..., 0], 1.0)
+    ratio = np.log(p[:, 1, 0] / p[:, 0, 0])
+    p[..., 0] *= c.lightness
+    length = np.linalg.norm(p, axis=2)
+    contrast = (p[:, 1] - p[:, 0]) / length.mean(1)[:, None]
+    floor = np.full((len(p), 1), c.contrast_floor, np.float32)
+    contrast = np.concatenate([contrast, floor], 1)
+    contrast /= np.linalg.norm(contrast, axis=1, keepdims=True)
+    sides = (p / length[..., None]).reshape(-1, 6)
+    return np.concatenate([sides, contrast, ratio[:, None]], 1).astype(np.float32)
+
+
+def _parameters(config: SimilarityConfig | None) -> tuple[np.float32, np.float32, np.float32]:
+    c = config or SimilarityConfig()
+    return np.float32(c.direction), np.float32(c.contrast), np.float32(0.5 / c.luminance**2)
+
+
+@jit
+def score(x, y, direction, contrast, luminance):  # type: ignore[no-untyped-def]
+    """Similarity of two shapes (11,), for use in compiled loops; parameters as `_parameters` gives them."""
+    d00 = x[0] * y[0] + x[1] * y[1] + x[2] * y[2]
+    d11 = x[3] * y[3] + x[4] * y[4] + x[5] * y[5]
+    d01 = x[0] * y[3] + x[1] * y[4] + x[2] * y[5]
+    d10 = x[3] * y[0] + x[4] * y[1] + x[5] * y[2]
+    chroma = x[6] * y[6] + x[7] * y[7] + x[8] * y[8]
+    floor = x[9] * y[9]
+    same = x[10] - y[10]
+    swapped = x[10] + y[10]
+    straight = direction * (2 - d00 - d11) + contrast * (1 - chroma - floor) + luminance * same * same
+    crossed = direction * (2 - d01 - d10) + contrast * (1 + chroma - floor) + luminance * swapped * swapped
+    return np.exp(-max(min(straight, crossed), np.float32(0.0)))
+
+
+@jit
+def _all(x, y, direction, contrast, luminance):  # type: ignore[no-untyped-def]
+    out = np.empty((x.shape[0], y.shape[0]), np.float32)
+    for i in range(x.shape[0]):
+        for j in range(y.shape[0]):
+            out[i, j] = score(x[i], y[j], direction, contrast, luminance)
+    return out
+
+
+@jit
+def _paired(x, y, direction, contrast, luminance):  # type: ignore[no-untyped-def]
+    out = np.empty(x.shape[0], np.float32)
+    for i in range(x.shape[0]):
+        out[i] = score(x[i], y[i], direction, contrast, luminance)
+    return out

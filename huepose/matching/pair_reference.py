@@ -1,0 +1,242 @@
+"""Offline: the reference database of colour pairs of a model, from rendered views (paper, section III-C).
+
+Pairs are extracted from every view, lifted onto the surface and merged over views: a pair that many views
+agree on is one row, with the number of views as its weight. Side colours are clustered into soft classes;
+each side's point enters the classified cloud, from which the tables of triangles and point pairs are built.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from huepose.colorpair.extract import ExtractionConfig, extract
+from huepose.colorpair.similarity import paired_similarity
+from huepose.geometry import icosphere, se3
+from huepose.geometry.arrays import Float32, Float64, Int32, UInt8
+from huepose.geometry.camera import Camera
+from huepose.matching.cloud import color_classes, decoupled, nearest_class, sparse
+from huepose.matching.lifting import SurfacePairs, lift
+from huepose.matching.ppf import PpfConfig, build_ppf
+from huepose.matching.triangles import TriangleConfig, build_triangles
+from huepose.model.types import PairReference
+from huepose.support.errors import InputError
+from huepose.support.jit import jit
+
+
+@dataclass(frozen=True, eq=False)
+class PairView:
+    """One rendered view: color (H, W, 3) uint8 RGB; depth (H, W) float32 metres, 0 = nothing; points_obj,
+    normals_obj (H, W, 3) float32 in the object's frame; T_cam_obj (4, 4)."""
+
+    color: UInt8
+    depth: Float32
+    points_obj: Float32
+    normals_obj: Float32
+    camera: Camera
+    T_cam_obj: Float64
+
+
+@dataclass(frozen=True)
+class ReferenceConfig:
+    """level: of the icosphere of views; pixels_per_mm, min_pixels, max_pixels: size of the object in the
+    views, as cameras see it at work; max_pairs: rows of the database; merge: distance within which pairs of
+    different views are one, in diameters; classes: most soft colour classes; side_offset: of the classified
+    points from the edge, in diameters; cloud_spacing: of points of one class, in diameters."""
+
+    level: int = 1
+    pixels_per_mm: float = 1.2
+    min_pixels: float = 140.0
+    max_pixels: float = 340.0
+    max_pairs: int = 12_000
+    merge: float = 0.012
+    classes: int = 8
+    side_offset: float = 0.012
+    cloud_spacing: float = 0.02
+    extraction: ExtractionConfig = field(default_factory=lambda: ExtractionConfig(max_pairs=4000))
+    triangles: TriangleConfig = field(default_factory=TriangleConfig)
+    ppf: PpfConfig | None = field(default_factory=PpfConfig)
+
+
+def reference_cameras(
+    diameter_m: float, config: ReferenceConfig | None = None
+) -> list[tuple[Camera, Float64]]:
+    """The views that the database is made of: cameras and poses `T_cam_obj` of an object centred on its
+    origin.
+
+    For an object with its centre elsewhere, compose with the translation that centres it.
+    """
+    config = config or ReferenceConfig()
+    pixels = float(np.clip(diameter_m * 1000 * config.pixels_per_mm, config.min_pixels, config.max_pixels))
+    distance = 4.0 * diameter_m
+    side = int(np.ceil(pixels * 1.1)) + 8
+    focal = pixels * distance / diameter_m
+    camera = Camera(focal, focal, (side - 1) / 2, (side - 1) / 2, side, side)
+    t = np.array([0.0, 0.0, distance])
+    return [(camera, se3.make(icosphere.look_at(d), t)) for d in icosphere.directions(config.level)]
+
+
+def build_pair_reference(
+    views: Sequence[PairView], diameter_m: float, config: ReferenceConfig | None = None
+) -> PairReference:
+    """The colour-pair side of a reference model.
+
+    An object without texture has few pairs and empty tables. Raises InputError without views.
+    """
+    config = config or ReferenceConfig()
+    if not views:
+        raise InputError("colour pairs of a model", found="no views", expected="at least one rendered view")
+    pairs, owners = _all_pairs(views, config)
+    pairs, owners, seen = merged(pairs, owners, config.merge * diameter_m, config.max_pairs)
+    if len(pairs):
+        centers = color_classes(pairs.colors.reshape(-1, 3), config.classes)
+    else:
+        centers = np.zeros((1, 3), np.float32)
+    classes = nearest_class(pairs.colors, centers)
+    share = np.minimum(seen / 3.0, 1.0).astype(np.float32)
+    contrast = np.linalg.norm(pairs.colors[:, 1] - pairs.colors[:, 0], axis=1)
+    weights = share * np.minimum(contrast / 25.0, 1.0)
+    offset = config.side_offset * diameter_m
+    cloud = decoupled(
+        pairs.points, pairs.normals, pairs.tangents, classes, np.stack([weights, weights], 1), offset
+    )
+    cloud = cloud[sparse(cloud, config.cloud_spacing * diameter_m)]
+    triangle_keys, triangles = build_triangles(cloud, diameter_m, config.triangles)
+    if config.ppf is not None:
+        ppf_keys, ppf, ppf_alpha = build_ppf(cloud, diameter_m, config.ppf)
+    else:
+        ppf_keys, ppf, ppf_alpha = np.zeros(0, np.int64), np.zeros((0, 2), np.int32), np.zeros(0, np.float32)
+    return PairReference(
+        points=pairs.points,
+        normals=pairs.normals,
+        tangents=pairs.tangents,
+        colors=pairs.colors,
+        views=owners,
+        centers=centers,
+        side_classes=classes,
+        cloud_points=cloud.points,
+        cloud_normals=cloud.normals,
+        cloud_classes=cloud.classes,
+        cloud_weights=cloud.weights,
+        triangle_keys=triangle_keys,
+        triangles=triangles,
+        ppf_keys=ppf_keys,
+        ppf=ppf,
+        ppf_alpha=ppf_alpha,
+        parameters={
+            "side_offset_m": offset,
+            "triangle_bin_m": config.triangles.bin * diameter_m,
+            "ppf_bin_m": (config.ppf or PpfConfig()).bin * diameter_m,
+            "ppf_angles": float((config.ppf or PpfConfig()).angles),
+        },
+    )
+
+
+def _all_pairs(views: Sequence[PairView], config: ReferenceConfig) -> tuple[SurfacePairs, Int32]:
+    """Pairs of all views in the object's frame, and the view that each came from."""
+    parts, owners = [], []
+    for index, view in enumerate(views):
+        R = view.T_cam_obj[:3, :3].astype(np.float32)
+        seen = view.depth > 0
+        pairs = extract(view.color, seen, config.extraction)
+        points_cam = np.where(seen[..., None], view.points_obj @ R.T + view.T_cam_obj[:3, 3], 0.0)
+        lifted, _ = lift(
+            pairs, points_cam.astype(np.float32), view.normals_obj @ R.T, view.camera, min_facing=0.35
+        )
+        points = (lifted.points - view.T_cam_obj[:3, 3].astype(np.float32)) @ R
+        parts.append(
+            SurfacePairs(points, lifted.normals @ R, lifted.tangents @ R, lifted.colors, lifted.widths)
+        )
+        owners.append(np.full(len(lifted), index, np.int32))
+    joined = SurfacePairs(
+        *(
+            np.concatenate([getattr(p, name) for p in parts]).astype(np.float32)
+            for name in ("points", "normals", "tangents", "colors", "widths")
+        )
+    )
+    return joined, np.concatenate(owners)
+
+
+def merged(
+    pairs: SurfacePairs, owners: Int32, radius_m: float, limit: int
+) -> tuple[SurfacePairs, Int32, Int32]:
+    """Pairs of one place, one direction and like colours made one: the one of the sharpest edge stays, with
+    the mean colours of all. Also returns the owner of each, and the number of views that saw it; the pairs
+    seen by most views come first, and at most `limit` stay."""
+    if not len(pairs):
+        return pairs, owners, np.zeros(0, np.int32)
+    contrast = np.linalg.norm(pairs.colors[:, 1] - pairs.colors[:, 0], axis=1)
+    order = np.argsort(-contrast / np.maximum(pairs.widths, 1.0), kind="stable")
+    pairs, owners = pairs[order], owners[order]
+    leader = _leaders(pairs.points, pairs.normals, pairs.tangents, pairs.colors, radius_m)
+    swapped = (pairs.tangents * pairs.tangents[leader]).sum(1) < 0
+    colors = np.where(swapped[:, None, None], pairs.colors[:, ::-1], pairs.colors)
+    alike = paired_similarity(colors, pairs.colors[leader])
+    total = np.zeros((len(pairs), 2, 3))
+    weight = np.zeros(len(pairs))
+    np.add.at(total, leader, colors * alike[:, None, None])
+    np.add.at(weight, leader, alike)
+    seen = np.zeros(len(pairs), np.int32)
+    distinct = np.unique(leader.astype(np.int64) * (int(owners.max()) + 1) + owners)
+    np.add.at(seen, distinct // (int(owners.max()) + 1), 1)
+    heads = np.flatnonzero(leader == np.arange(len(pairs)))
+    heads = heads[np.argsort(-seen[heads], kind="stable")][:limit]
+    mean = (total[heads] / weight[heads][:, None, None]).astype(np.float32)
+    chosen = pairs[heads]
+    return (
+        SurfacePairs(chosen.points, chosen.normals, chosen.tangents, mean, chosen.widths),
+        owners[heads],
+        seen[heads],
+    )
+
+
+@jit
+def _leaders(points, normals, tangents, colors, radius):  # type: ignore[no-untyped-def]
+    """Index of the first pair near each: within the radius, facing alike, across alike, coloured alike."""
+    n = points.shape[0]
+    low = np.empty(3)
+    size = np.empty(3, np.int64)
+    for a in range(3):
+        low[a] = points[:, a].min()
+        size[a] = int((points[:, a].max() - low[a]) / radius) + 1
+    head = np.full((size[0], size[1], size[2]), -1, np.int32)
+    follow = np.full(n, -1, np.int32)
+    leader = np.arange(n).astype(np.int32)
+    cell = np.empty(3, np.int64)
+    for i in range(n):
+        for a in range(3):
+            cell[a] = int((points[i, a] - low[a]) / radius)
+        best = radius * radius
+        found = -1
+        for x in range(max(cell[0] - 1, 0), min(cell[0] + 2, size[0])):
+            for y in range(max(cell[1] - 1, 0), min(cell[1] + 2, size[1])):
+                for z in range(max(cell[2] - 1, 0), min(cell[2] + 2, size[2])):
+                    j = head[x, y, z]
+                    while j >= 0:
+                        d = 0.0
+                        facing = 0.0
+                        across = 0.0
+                        for a in range(3):
+                            d += (points[i, a] - points[j, a]) ** 2
+                            facing += normals[i, a] * normals[j, a]
+                            across += tangents[i, a] * tangents[j, a]
+                        if d < best and facing > 0.7 and abs(across) > 0.8:
+                            apart = 0.0
+                            for side in range(2):
+                                other = side if across > 0 else 1 - side
+                                e = 0.0
+                                for c in range(3):
+                                    e += (colors[i, side, c] - colors[j, other, c]) ** 2
+                                apart = max(apart, e)
+                            if apart < 400.0:
+                                best = d
+                                found = j
+                        j = follow[j]
+        if found >= 0:
+            leader[i] = found
+        else:
+            follow[i] = head[cell[0], cell[1], cell[2]]
+            head[cell[0], cell[1], cell[2]] = i
+    return leader

@@ -1,0 +1,55 @@
+"""Where the time goes: named stages that cost nothing until somebody listens.
+
+    with listening() as clock:
+        estimator.estimate(frame, queries)
+    clock.totals()   # {"masks": (wall_s, cpu_s), ...} of everything that ran in this thread meanwhile
+
+Wall time and the CPU time of the calling thread; the compiled kernels are single-threaded, so that is theirs.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+from contextvars import ContextVar
+
+
+class StageClock:
+    """Seconds by stage: `spans[name]` is a list of (wall, cpu) in order."""
+
+    def __init__(self) -> None:
+        self.spans: dict[str, list[tuple[float, float]]] = {}
+
+    def totals(self) -> dict[str, tuple[float, float]]:
+        """Sum of wall and CPU seconds by stage, in order of first appearance."""
+        return {name: (sum(w for w, _ in s), sum(c for _, c in s)) for name, s in self.spans.items()}
+
+
+_listener: ContextVar[StageClock | None] = ContextVar("stage_clock", default=None)
+
+
+@contextmanager
+def listening() -> Iterator[StageClock]:
+    """Collect the stages that run in this context."""
+    clock = StageClock()
+    token = _listener.set(clock)
+    try:
+        yield clock
+    finally:
+        _listener.reset(token)
+
+
+@contextmanager
+def stage(name: str) -> Iterator[None]:
+    """Name what runs inside; without a listener this is a variable look-up."""
+    clock = _listener.get()
+    if clock is None:
+        yield
+        return
+    wall, cpu = time.perf_counter(), time.thread_time()
+    try:
+        yield
+    finally:
+        span = (time.perf_counter() - wall, time.thread_time() - cpu)
+        clock.spans.setdefault(name, []).append(span)

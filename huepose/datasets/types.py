@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, field
+from typing import Protocol
 
 from huepose.geometry.arrays import Bool, Float64
 from huepose.geometry.box import Box
@@ -52,3 +53,33 @@ class Sample:
     truths: tuple[GroundTruth, ...]
     scene: str
     image: int
+
+
+class Scene(Protocol):
+    """What readers of recorded scenes have in common. `image` is always the number in the file name."""
+
+    @property
+    def name(self) -> str:
+        """The folder's name."""
+        ...
+
+    @property
+    def image_ids(self) -> tuple[int, ...]:
+        """Numbers of the images on disk, ascending."""
+        ...
+
+    def stamp_ns(self, image: int) -> int:
+        """Capture time: the set's own, else the image number at 30 Hz."""
+        ...
+
+    def frame(self, image: int) -> RgbdFrame:
+        """Colour and depth, read from disk. Raises InputError, naming the file, where they are broken."""
+        ...
+
+    def truths(self, image: int) -> tuple[GroundTruth, ...]:
+        """The labels, without reading any picture."""
+        ...
+
+    def sample(self, image: int) -> Sample:
+        """Frame and labels."""
+        ...

@@ -1,0 +1,135 @@
+"""Scenes in the layout of the BOP benchmark: `rgb/`, `depth/`, `mask_visib/`, `scene_*.json`.
+
+https://github.com/thodan/bop_toolkit/blob/master/docs/bop_datasets_format.md: translations are millimetres,
+`depth_scale` takes a depth value to millimetres, `cam_K` is per image. Beyond the format, `timestamp_ns`
+in `scene_camera.json` is the capture time. Scenes without labels, label details or masks can be read, too.
+"""
+
+from __future__ import annotations
+
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+from huepose.datasets import files
+from huepose.datasets.types import GroundTruth, Sample
+from huepose.geometry.arrays import Bool
+from huepose.geometry.box import Box
+from huepose.geometry.camera import Camera
+from huepose.geometry.frame import RgbdFrame
+from huepose.support.errors import InputError
+
+
+class BopScene:
+    """One scene folder. `image_ids`: the images on disk, in numeric order; `name`: the folder's name."""
+
+    def __init__(self, path: Path | str) -> None:
+        self.path = Path(path)
+        if not self.path.is_dir():
+            raise InputError(self.path, found="no such folder", expected="a BOP scene folder")
+        self.name = self.path.resolve().name
+        self._colors = files.numbered_files(self.path / "rgb")
+        self._cameras = files.read_json(self.path / "scene_camera.json", "Give the folder of a scene.")
+        self._labels = self._optional("scene_gt.json")
+        self._details = self._optional("scene_gt_info.json")
+        if not self._colors:
+            raise InputError(
+                self.path / "rgb", found="no image named by a number", expected="000000.png or .jpg"
+            )
+
+    def _optional(self, name: str) -> dict[str, Any]:
+        path = self.path / name
+        return files.read_json(path) if path.exists() else {}
+
+    @property
+    def image_ids(self) -> tuple[int, ...]:
+        """Numbers of the images on disk, ascending."""
+        return tuple(self._colors)
+
+    @property
+    def labelled(self) -> bool:
+        """The scene has ground truth."""
+        return bool(self._labels)
+
+    def _camera_record(self, image: int) -> tuple[dict[str, Any], str]:
+        path = self.path / "scene_camera.json"
+        return files.field(self._cameras, str(image), path), f"{path}, image {image}"
+
+    def stamp_ns(self, image: int) -> int:
+        """`timestamp_ns` where the scene has it, else the image number at 30 Hz."""
+        record, where = self._camera_record(image)
+        if "timestamp_ns" not in record:
+            return files.stamp_at_30_hz(image)
+        stamp = record["timestamp_ns"]
+        if not isinstance(stamp, int):
+            raise InputError(where, found=f"timestamp_ns {stamp!r}", expected="whole nanoseconds")
+        return stamp
+
+    def frame(self, image: int) -> RgbdFrame:
+        """Colour and depth of an image. Raises InputError, naming the file."""
+        record, where = self._camera_record(image)
+        if image not in self._colors:
+            raise InputError(self.path / "rgb", found=f"no image {image}", expected="a number in `image_ids`")
+        color_path = self._colors[image]
+        depth_path = self.path / "depth" / f"{color_path.stem}.png"
+        color = files.read_color(color_path)
+        depth = files.read_depth(depth_path, files.positive(record, "depth_scale", where) / 1000.0)
+        files.same_size(color, color_path, depth, depth_path)
+        K = files.numbers(record, "cam_K", (3, 3), where)
+        camera = Camera.from_matrix(K, color.shape[1], color.shape[0])
+        return RgbdFrame(color, depth, camera, frame_id=image, stamp_ns=self.stamp_ns(image))
+
+    def truths(self, image: int) -> tuple[GroundTruth, ...]:
+        """The labels of an image; none where the scene has none for it."""
+        labels = self._entries(self._labels, image, "scene_gt.json")
+        details = self._entries(self._details, image, "scene_gt_info.json")
+        if details and len(details) != len(labels):
+            raise InputError(
+                self.path / "scene_gt_info.json",
+                found=f"{len(details)} entries for image {image}",
+                expected=f"{len(labels)} as in scene_gt.json",
+                fix="Both files must come from the same scene.",
+            )
+        return tuple(
+            self._truth(image, i, label, details[i] if details else {}) for i, label in enumerate(labels)
+        )
+
+    def _entries(self, records: dict[str, Any], image: int, name: str) -> list[dict[str, Any]]:
+        entries = records.get(str(image), [])
+        if not isinstance(entries, list) or not all(isinstance(entry, dict) for entry in entries):
+            raise InputError(
+                f"{self.path / name}, image {image}", found=repr(entries)[:60], expected="a list of objects"
+            )
+        return entries
+
+    def _truth(self, image: int, instance: int, label: dict[str, Any], detail: dict[str, Any]) -> GroundTruth:
+        where = f"{self.path / 'scene_gt.json'}, image {image}, instance {instance}"
+        R = files.numbers(label, "cam_R_m2c", (3, 3), where)
+        t_m = files.numbers(label, "cam_t_m2c", (3,), where) / 1000.0
+        where_detail = f"{self.path / 'scene_gt_info.json'}, image {image}, instance {instance}"
+        visib, box = None, None
+        if detail.get("visib_fract") is not None:
+            visib = float(files.numbers(detail, "visib_fract", (), where_detail))
+        if detail.get("bbox_visib") is not None:
+            box = Box(*(float(v) for v in files.numbers(detail, "bbox_visib", (4,), where_detail)))
+        has_mask = self._mask_path(image, instance).exists()
+        return GroundTruth(
+            instance=instance,
+            T_cam_obj=files.rigid(R, t_m, where),
+            object_id=int(files.numbers(label, "obj_id", (), where)),
+            visib_fract=visib,
+            box_visib=box if box is not None and box.w > 0 and box.h > 0 else None,
+            mask_loader=partial(self.mask, image, instance) if has_mask else None,
+        )
+
+    def _mask_path(self, image: int, instance: int) -> Path:
+        return self.path / "mask_visib" / f"{image:06d}_{instance:06d}.png"
+
+    def mask(self, image: int, instance: int) -> Bool:
+        """The visible mask (H, W) of a label. Raises InputError where it is missing or of another size."""
+        path = self._mask_path(image, instance)
+        return files.read_mask(path, "Masks of the visible parts are needed here.")
+
+    def sample(self, image: int) -> Sample:
+        """Frame and labels of an image."""
+        return Sample(self.frame(image), self.truths(image), self.name, image)

@@ -1,0 +1,171 @@
+"""Sequences of the Fast-YCB data set (ROFT, doi 10.48557/G2QJDM) in the layout in which it is published.
+
+`rgb/N.png`, `depth/N.float`, `masks/gt/OBJECT_N.png`, `gt/poses_ycb.txt` (for each frame a row
+`x y z ax ay az angle`, metres, PoseCNN's model frame), `cam_K.json`, `data.txt` (for each frame a line
+that begins with its time stamp in seconds). The object is named as the folder, less a trailing `_real`.
+"""
+
+from __future__ import annotations
+
+import re
+from functools import partial
+from pathlib import Path
+
+import numpy as np
+
+from huepose.datasets import files
+from huepose.datasets.types import GroundTruth, Sample
+from huepose.geometry import se3
+from huepose.geometry.arrays import Bool, Float, Float64
+from huepose.geometry.camera import Camera
+from huepose.geometry.frame import RgbdFrame
+from huepose.support.errors import InputError
+
+_UNPACK = "The packed form must be unpacked first: rgb/N.png, depth/N.float, masks/gt/OBJECT_N.png."
+
+
+def object_of(path: Path | str) -> str:
+    """Name of the object that a sequence folder shows.
+
+    >>> object_of("fast/006_mustard_bottle_real")
+    '006_mustard_bottle'
+    """
+    return Path(path).resolve().name.removesuffix("_real")
+
+
+def axis_angle_poses(path: Path) -> Float64:
+    """Poses (N, 4, 4) of rows `x y z ax ay az angle`; a row of zeros, as for a missing pose, gives nan.
+
+    Raises InputError when a row has other than seven finite numbers or an axis without length."""
+    poses = []
+    for line, text in enumerate(files.read_bytes(path).decode("utf-8", "replace").splitlines(), 1):
+        if not text.strip():
+            continue
+        row = _numbers_of(text)
+        if row is None or len(row) != 7:
+            raise InputError(f"{path}, line {line}", found=text.strip()[:60], expected="x y z ax ay az angle")
+        if not row.any():
+            poses.append(np.full((4, 4), np.nan))
+            continue
+        length = float(np.linalg.norm(row[3:6]))
+        if length < 1e-9 and abs(row[6]) > 1e-9:
+            raise InputError(
+                f"{path}, line {line}", found="a rotation axis of length 0", expected="a unit axis"
+            )
+        axis = row[3:6] / length if length > 0 else np.zeros(3)
+        poses.append(se3.make(se3.rotation_exp(axis * row[6]), row[:3]))
+    return np.asarray(poses).reshape(-1, 4, 4)
+
+
+def _numbers_of(text: str) -> Float64 | None:
+    try:
+        row = np.array([float(word) for word in text.replace(",", " ").split()])
+    except ValueError:
+        return None
+    return row if np.isfinite(row).all() else None
+
+
+class FastYcbSequence:
+    """One sequence. frame_offset_m (3,): takes a point of the PoseCNN frame to the reference model's (its
+    `frame_offset_m`); None where that is not known: then the labels have no pose."""
+
+    def __init__(self, path: Path | str, frame_offset_m: Float | None) -> None:
+        self.path = Path(path)
+        if not self.path.is_dir():
+            raise InputError(self.path, found="no such folder", expected="a Fast-YCB sequence")
+        self.name = self.path.resolve().name
+        self.object = object_of(path)
+        self._offset = None if frame_offset_m is None else np.asarray(frame_offset_m, dtype=np.float64)
+        self._colors = files.numbered_files(self.path / "rgb")
+        if not self._colors:
+            raise InputError(
+                self.path / "rgb", found="no image named by a number", expected="0.png and so on"
+            )
+        self._stamps = self._read_stamps()
+        self._camera = self._read_camera()
+        poses_path = self.path / "gt" / "poses_ycb.txt"
+        self._poses = axis_angle_poses(poses_path) if poses_path.exists() else np.empty((0, 4, 4))
+        if len(self._poses) and self.image_ids[-1] >= len(self._poses):
+            raise InputError(
+                poses_path,
+                found=f"{len(self._poses)} poses",
+                expected=f"one for each frame up to {self.image_ids[-1]}",
+            )
+        self._masks = self._find_masks()
+
+    @property
+    def image_ids(self) -> tuple[int, ...]:
+        """Numbers of the images on disk, ascending."""
+        return tuple(self._colors)
+
+    @property
+    def labelled(self) -> bool:
+        """The sequence has ground truth, in a frame that is known."""
+        return len(self._poses) > 0 and self._offset is not None
+
+    def _read_stamps(self) -> Float64 | None:
+        """Seconds by frame number; None where `data.txt` has none that increase, or only counts."""
+        lines = files.read_bytes(self.path / "data.txt").decode("utf-8", "replace").splitlines()
+        rows = [_numbers_of(text) for text in lines if text.strip()]
+        first = np.array([row[0] if row is not None and len(row) else np.nan for row in rows])
+        counts = np.array_equal(first, np.arange(len(first)))
+        if len(first) <= self.image_ids[-1] or counts or not (np.diff(first) > 0).all():
+            return None
+        return first
+
+    def _read_camera(self) -> Camera:
+        path = self.path / "cam_K.json"
+        record = files.read_json(path)
+        fx, fy = files.positive(record, "fx", path), files.positive(record, "fy", path)
+        cx, cy = (float(files.numbers(record, key, (), path)) for key in ("cx", "cy"))
+        width, height = (int(files.positive(record, key, path)) for key in ("width", "height"))
+        return Camera(fx, fy, cx, cy, width, height)
+
+    def _find_masks(self) -> dict[int, Path]:
+        pattern = re.compile(re.escape(self.object) + r"(?:_real)?_(\d+)")
+        found = {}
+        for path in sorted((self.path / "masks" / "gt").glob("*.png")):
+            match = pattern.fullmatch(path.stem)
+            if match:
+                found[int(match.group(1))] = path
+        return found
+
+    def stamp_ns(self, image: int) -> int:
+        """The time stamp of `data.txt`, else the frame number at 30 Hz."""
+        return files.stamp_at_30_hz(image) if self._stamps is None else round(self._stamps[image] * 1e9)
+
+    def frame(self, image: int) -> RgbdFrame:
+        """Colour and depth of a frame. Raises InputError, naming the file."""
+        if image not in self._colors:
+            raise InputError(self.path / "rgb", found=f"no image {image}", expected="a number in `image_ids`")
+        color_path, depth_path = self._colors[image], self.path / "depth" / f"{image}.float"
+        color = files.read_color(color_path)
+        depth = files.read_float_depth(depth_path, _UNPACK)
+        files.same_size(color, color_path, depth, depth_path)
+        if color.shape[:2] != (self._camera.height, self._camera.width):
+            raise InputError(
+                self.path / "cam_K.json",
+                found=f"{self._camera.width} x {self._camera.height} pixels",
+                expected=f"{color.shape[1]} x {color.shape[0]} as in {color_path}",
+            )
+        return RgbdFrame(color, depth, self._camera, frame_id=image, stamp_ns=self.stamp_ns(image))
+
+    def truths(self, image: int) -> tuple[GroundTruth, ...]:
+        """The one label of a frame; its pose is None in a sequence that is not labelled."""
+        T_cam_obj = None
+        if self._offset is not None and len(self._poses) and np.isfinite(self._poses[image]).all():
+            T_cam_obj = se3.compose(self._poses[image], se3.make(np.eye(3), -self._offset))
+        loader = partial(files.read_mask, self._masks[image]) if image in self._masks else None
+        return (GroundTruth(0, T_cam_obj, object=self.object, mask_loader=loader),)
+
+    def mask(self, image: int, instance: int = 0) -> Bool:
+        """The visible mask (H, W). Raises InputError where there is none."""
+        if image not in self._masks or instance != 0:
+            raise InputError(
+                self.path / "masks" / "gt", found=f"no mask {image}", expected=f"{self.object}_{image}.png"
+            )
+        return files.read_mask(self._masks[image])
+
+    def sample(self, image: int) -> Sample:
+        """Frame and label."""
+        return Sample(self.frame(image), self.truths(image), self.name, image)

@@ -1,0 +1,168 @@
+"""Reading pictures and JSON from disk, so that whatever is broken is named together with its fix."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+
+from huepose.geometry import se3
+from huepose.geometry.arrays import Bool, Float32, Float64, UInt8
+from huepose.support.errors import InputError
+
+_COLOR_SUFFIXES = (".png", ".jpg", ".jpeg")
+_FRAME_NS = 1e9 / 30.0
+
+
+def stamp_at_30_hz(number: int) -> int:
+    """Nanoseconds of frame `number` of a 30 Hz recording without time stamps."""
+    return round(number * _FRAME_NS)
+
+
+def read_bytes(path: Path, fix: str = "") -> bytes:
+    """All of a file. Raises InputError when it is missing or cannot be read."""
+    try:
+        return path.read_bytes()
+    except FileNotFoundError:
+        raise InputError(path, found="no such file", fix=fix) from None
+    except OSError as error:
+        raise InputError(path, found=error.strerror or str(error), expected="a readable file") from None
+
+
+def read_json(path: Path, fix: str = "") -> dict[str, Any]:
+    """A JSON object. Raises InputError when the file is missing, is not JSON, or holds something else."""
+    try:
+        value = json.loads(read_bytes(path, fix))
+    except (json.JSONDecodeError, UnicodeDecodeError) as error:
+        raise InputError(path, found=f"no valid JSON ({error})", fix="Write the file again.") from None
+    if not isinstance(value, dict):
+        raise InputError(path, found=f"a JSON {type(value).__name__}", expected="a JSON object")
+    return value
+
+
+def field(record: dict[str, Any], key: str, where: object) -> Any:
+    """`record[key]`. Raises InputError naming `where` when it is not there."""
+    if not isinstance(record, dict) or key not in record:
+        found = f"keys {', '.join(sorted(record)) or 'none'}" if isinstance(record, dict) else f"{record!r}"
+        raise InputError(where, found=found, expected=f"the key '{key}'")
+    return record[key]
+
+
+def numbers(record: dict[str, Any], key: str, shape: tuple[int, ...], where: object) -> Float64:
+    """`record[key]` as finite float64 numbers in that shape (() is one number). Raises InputError."""
+    value = field(record, key, where)
+    count = int(np.prod(shape))
+    try:
+        array = np.asarray(value, dtype=np.float64)
+    except (TypeError, ValueError):
+        array = np.empty(0)
+    if array.size != count or not np.isfinite(array).all():
+        shown = repr(value) if len(repr(value)) < 60 else f"{repr(value)[:56]} ..."
+        raise InputError(
+            where, found=f"'{key}': {shown}", expected=f"{count} finite number{'s'[: count > 1]}"
+        )
+    return array.reshape(shape)
+
+
+def positive(record: dict[str, Any], key: str, where: object) -> float:
+    """`record[key]` as a number over 0. Raises InputError."""
+    value = float(numbers(record, key, (), where))
+    if value <= 0:
+        raise InputError(where, found=f"'{key}': {value}", expected="a number over 0")
+    return value
+
+
+def rigid(R: Float64, t_m: Float64, where: object) -> Float64:
+    """T (4, 4) of a rotation as a file holds it, its rounding removed. Raises InputError when it is none."""
+    if not np.allclose(R.T @ R, np.eye(3), atol=1e-2) or np.linalg.det(R) < 0:
+        raise InputError(
+            where, found="a matrix that is no rotation", expected="orthonormal rows, determinant 1"
+        )
+    return se3.orthonormalised(se3.make(R, t_m))
+
+
+def _decode(path: Path, flags: int, fix: str) -> np.ndarray:
+    data = np.frombuffer(read_bytes(path, fix), dtype=np.uint8)
+    image = cv2.imdecode(data, flags) if data.size else None
+    if image is None:
+        raise InputError(path, found="no picture that can be decoded", fix="Copy or export the file again.")
+    return image
+
+
+def read_color(path: Path, fix: str = "") -> UInt8:
+    """Colour picture (H, W, 3) uint8 RGB; grey ones are spread, alpha is dropped. Raises InputError."""
+    flags = cv2.IMREAD_COLOR | cv2.IMREAD_IGNORE_ORIENTATION
+    return np.ascontiguousarray(_decode(path, flags, fix)[..., ::-1], dtype=np.uint8)
+
+
+def read_depth(path: Path, scale_m: float, fix: str = "") -> Float32:
+    """Depth picture (H, W) float32 metres from 16 bit values times `scale_m`; 0 = no reading."""
+    image = _decode(path, cv2.IMREAD_UNCHANGED, fix)
+    if image.ndim != 2 or image.dtype != np.uint16:
+        raise InputError(
+            path,
+            found=f"{image.dtype} values in {1 if image.ndim == 2 else image.shape[2]} channels",
+            expected="one channel of 16 bit values",
+            fix="Save the depth values themselves, not a coloured picture of them.",
+        )
+    return np.asarray(image * np.float32(scale_m), dtype=np.float32)
+
+
+def read_float_depth(path: Path, fix: str = "") -> Float32:
+    """Fast-YCB's `.float`: width and height as little-endian uint64, then float32 metres row by row.
+
+    Values that are not finite or not over 0 become 0. Raises InputError when the size does not fit."""
+    data = read_bytes(path, fix)
+    width, height = (int(v) for v in np.frombuffer(data[:16], "<u8")) if len(data) >= 16 else (0, 0)
+    if width * height == 0 or len(data) != 16 + 4 * width * height:
+        raise InputError(
+            path,
+            found=f"{len(data)} bytes for {width} x {height} pixels",
+            expected="16 bytes of size, then 4 bytes a pixel",
+            fix="Copy the file again.",
+        )
+    depth = np.frombuffer(data, "<f4", offset=16).reshape(height, width)
+    return np.where(np.isfinite(depth) & (depth > 0), depth, 0).astype(np.float32)
+
+
+def read_mask(path: Path, fix: str = "") -> Bool:
+    """Mask (H, W): pixels over 0. Raises InputError."""
+    image = _decode(path, cv2.IMREAD_UNCHANGED, fix)
+    return np.asarray((image if image.ndim == 2 else image[..., :3].max(2)) > 0)
+
+
+def read_labels(path: Path, fix: str = "") -> UInt8:
+    """Picture of class numbers (H, W) uint8. Raises InputError."""
+    image = _decode(path, cv2.IMREAD_UNCHANGED, fix)
+    if image.ndim != 2 or image.dtype != np.uint8:
+        raise InputError(path, found=f"{image.shape} {image.dtype}", expected="one channel of 8 bit numbers")
+    return np.asarray(image)
+
+
+def same_size(color: UInt8, color_path: Path, other: np.ndarray, other_path: Path) -> None:
+    """Raises InputError when two pictures of one frame differ in size."""
+    if color.shape[:2] != other.shape[:2]:
+        raise InputError(
+            other_path,
+            found=f"{other.shape[1]} x {other.shape[0]} pixels",
+            expected=f"{color.shape[1]} x {color.shape[0]} as in {color_path}",
+            fix="Align depth to colour when recording, or check that the files belong together.",
+        )
+
+
+def numbered_files(folder: Path, suffix_after_number: str = "") -> dict[int, Path]:
+    """Pictures named by a number (then `suffix_after_number`), by number, ascending. Raises InputError."""
+    if not folder.is_dir():
+        raise InputError(folder, found="no such folder", fix="Check the path of the scene.")
+    found: dict[int, Path] = {}
+    for path in sorted(folder.iterdir()):
+        stem = path.stem
+        if path.suffix.lower() not in _COLOR_SUFFIXES or not stem.endswith(suffix_after_number):
+            continue
+        digits = stem[: len(stem) - len(suffix_after_number)]
+        if digits.isascii() and digits.isdigit():
+            found.setdefault(int(digits), path)
+    return dict(sorted(found.items()))

@@ -1,0 +1,114 @@
+"""One frame from three files: a colour picture, a depth picture, and a JSON with the camera's intrinsics.
+
+Forms of the JSON: `fx fy cx cy` with `width height`, `depth_scale_m` (metres a depth value) and optionally
+`distortion_model`, `distortion`; BOP's `camera.json` with `depth_scale` (millimetres a depth value); `cam_K`
+(nine numbers) with `depth_scale`; BOP's `scene_camera.json`, of which the entry of the image number counts.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from huepose.datasets import files
+from huepose.datasets.rectify import Rectifier, checked_coefficients
+from huepose.geometry.arrays import Float64
+from huepose.geometry.camera import Camera
+from huepose.geometry.frame import RgbdFrame
+from huepose.support.errors import InputError
+
+
+@dataclass(frozen=True, eq=False)
+class CameraFile:
+    """Intrinsics as a file states them. width, height, depth_scale_m: None where it does not say;
+    distortion: OpenCV's coefficients, empty for a pinhole camera."""
+
+    path: Path
+    K: Float64
+    width: int | None
+    height: int | None
+    depth_scale_m: float | None
+    distortion: Float64
+
+    def camera(self, width: int, height: int, image: Path) -> Camera:
+        """The camera of a picture of that size. Raises InputError when the file speaks of another size."""
+        if (self.width or width, self.height or height) != (width, height):
+            raise InputError(
+                image,
+                found=f"{width} x {height} pixels",
+                expected=f"{self.width} x {self.height} as in {self.path}",
+                fix="Use the intrinsics of this resolution.",
+            )
+        return Camera.from_matrix(self.K, width, height)
+
+
+def read_camera(path: Path | str, image: int | None = None) -> CameraFile:
+    """Intrinsics in any of the forms above; `image` picks the entry of a `scene_camera.json`.
+
+    Raises InputError that names the file and the key."""
+    path = Path(path)
+    record = files.read_json(
+        path, "Write the camera's intrinsics to it: fx, fy, cx, cy, width, height, depth_scale_m."
+    )
+    where = str(path)
+    if record and all(key.isdigit() and isinstance(value, dict) for key, value in record.items()):
+        if str(image) not in record:
+            raise InputError(path, found=f"no entry for image {image}", expected="the number of the image")
+        record, where = record[str(image)], f"{path}, image {image}"
+    return CameraFile(
+        path,
+        _matrix(record, where),
+        _size(record, "width", where),
+        _size(record, "height", where),
+        _depth_scale_m(record, where),
+        checked_coefficients(record.get("distortion_model", "none"), record.get("distortion", []), where),
+    )
+
+
+def _matrix(record: dict[str, Any], where: str) -> Float64:
+    if "cam_K" in record:
+        K = files.numbers(record, "cam_K", (3, 3), where)
+    else:
+        fx, fy = files.positive(record, "fx", where), files.positive(record, "fy", where)
+        cx, cy = (float(files.numbers(record, key, (), where)) for key in ("cx", "cy"))
+        K = Camera(fx, fy, cx, cy, 1, 1).K
+    if K[0, 0] <= 0 or K[1, 1] <= 0:
+        raise InputError(where, found=f"focal lengths {K[0, 0]}, {K[1, 1]}", expected="numbers over 0")
+    return K
+
+
+def _size(record: dict[str, Any], key: str, where: str) -> int | None:
+    return int(files.positive(record, key, where)) if key in record else None
+
+
+def _depth_scale_m(record: dict[str, Any], where: str) -> float | None:
+    if "depth_scale_m" in record:
+        return files.positive(record, "depth_scale_m", where)
+    return files.positive(record, "depth_scale", where) / 1000.0 if "depth_scale" in record else None
+
+
+def read_frame(color: Path | str, depth: Path | str, camera: Path | str) -> RgbdFrame:
+    """The frame of three files, rectified. frame_id is the number in the colour file's name, else 0.
+
+    depth: 16 bit picture, or Fast-YCB's `.float`. Raises InputError, naming the file and what to do."""
+    color_path, depth_path = Path(color), Path(depth)
+    digits = "".join(ch for ch in color_path.stem if ch.isdigit())
+    number = int(digits) if digits and digits == color_path.stem else 0
+    intrinsics = read_camera(camera, number)
+    image = files.read_color(color_path)
+    if depth_path.suffix == ".float":
+        depth_m = files.read_float_depth(depth_path)
+    elif intrinsics.depth_scale_m is None:
+        raise InputError(
+            intrinsics.path,
+            found="no depth scale",
+            expected="'depth_scale_m', metres a depth value",
+            fix="A RealSense writes 0.001: 16 bit values are millimetres then.",
+        )
+    else:
+        depth_m = files.read_depth(depth_path, intrinsics.depth_scale_m)
+    files.same_size(image, color_path, depth_m, depth_path)
+    pinhole = intrinsics.camera(image.shape[1], image.shape[0], color_path)
+    rectifier = Rectifier(pinhole, intrinsics.distortion)
+    return RgbdFrame(rectifier.color(image), rectifier.depth(depth_m), pinhole, frame_id=number)

@@ -1,0 +1,63 @@
+"""Removing lens distortion: colour bilinearly, depth by the nearest reading, once, at the edge.
+
+Models as in OpenCV: `brown_conrady` has k1 k2 p1 p2 [k3], `rational` has k1 k2 p1 p2 k3 k4 k5 k6. The
+rectified picture has the same intrinsics and size; where it looks past the original it is black, depth 0.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import cv2
+import numpy as np
+
+from huepose.geometry.arrays import Float32, Float64, UInt8
+from huepose.geometry.camera import Camera
+from huepose.support.errors import InputError
+
+COEFFICIENTS = {"none": (0,), "brown_conrady": (4, 5), "rational": (8,)}
+
+
+def checked_coefficients(model: str, coefficients: Sequence[float], where: object) -> Float64:
+    """The coefficients (N,) in OpenCV's order; empty for no distortion. Raises InputError, naming `where`."""
+    if model not in COEFFICIENTS:
+        raise InputError(
+            where, found=f"distortion_model '{model}'", expected="one of " + ", ".join(COEFFICIENTS)
+        )
+    try:
+        values = np.asarray(coefficients, dtype=np.float64).ravel()
+    except (TypeError, ValueError):
+        values = np.array([np.nan])
+    if model == "none" and not values.any():
+        return np.empty(0)
+    if len(values) not in COEFFICIENTS[model] or not np.isfinite(values).all():
+        counts = " or ".join(str(n) for n in COEFFICIENTS[model])
+        raise InputError(
+            where, found=f"distortion {list(coefficients)!r:.60}", expected=f"{counts} numbers for '{model}'"
+        )
+    return values if values.any() else np.empty(0)
+
+
+class Rectifier:
+    """Maps from a distorted camera to the pinhole `camera` (same intrinsics), computed once."""
+
+    def __init__(self, camera: Camera, coefficients: Float64) -> None:
+        self._maps: tuple[np.ndarray, np.ndarray] | None = None
+        if len(coefficients):
+            size = (camera.width, camera.height)
+            maps = cv2.initUndistortRectifyMap(
+                camera.K, coefficients, np.eye(3), camera.K, size, cv2.CV_32FC1
+            )
+            self._maps = (np.asarray(maps[0]), np.asarray(maps[1]))
+
+    def color(self, image: UInt8) -> UInt8:
+        """The rectified colour picture (H, W, 3)."""
+        if self._maps is None:
+            return image
+        return np.asarray(cv2.remap(image, *self._maps, cv2.INTER_LINEAR), dtype=np.uint8)
+
+    def depth(self, depth: Float32) -> Float32:
+        """The rectified depth (H, W): readings are moved, never mixed."""
+        if self._maps is None:
+            return depth
+        return np.asarray(cv2.remap(depth, *self._maps, cv2.INTER_NEAREST), dtype=np.float32)

@@ -1,0 +1,141 @@
+"""BOP scenes: what was written is read; what is broken is named."""
+
+from __future__ import annotations
+
+import json
+import shutil
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+
+from huepose.datasets.bop import BopScene
+from huepose.geometry import Box
+from huepose.support.errors import InputError
+
+from .conftest import color_of, depth_of, mask_of, pose_of
+
+
+def edit(path: Path, change) -> None:
+    record = json.loads(path.read_text())
+    change(record)
+    path.write_text(json.dumps(record))
+
+
+def test_images_are_listed_in_numeric_order_and_only_those_on_disk(bop_scene: Path) -> None:
+    scene = BopScene(bop_scene)
+    assert scene.image_ids == (2, 10, 100)
+    assert scene.name == "000003"
+
+
+def test_a_frame_is_what_was_written(bop_scene: Path) -> None:
+    sample = BopScene(bop_scene).sample(10)
+    np.testing.assert_array_equal(sample.frame.color, color_of(10))
+    np.testing.assert_allclose(sample.frame.depth, depth_of(10) * 1e-4, atol=1e-7)
+    assert sample.frame.depth[0, 0] == 0
+    assert sample.frame.depth.dtype == np.float32
+    assert (sample.frame.camera.fx, sample.frame.camera.fy) == (30.0, 21.0)
+    assert (sample.scene, sample.image, sample.frame.frame_id) == ("000003", 10, 10)
+
+
+def test_labels_are_in_metres_with_their_masks(bop_scene: Path) -> None:
+    truths = BopScene(bop_scene).truths(2)
+    assert [t.object_id for t in truths] == [5, 7]
+    for i, truth in enumerate(truths):
+        np.testing.assert_allclose(truth.T_cam_obj, pose_of(2, i), atol=1e-9)
+        np.testing.assert_array_equal(truth.mask(), mask_of(i) > 0)
+        assert truth.box_visib == Box(3 + i, 2, 5, 4)
+        assert truth.visib_fract == pytest.approx(0.5 + 0.1 * i)
+        assert truth.visible
+        assert not truth.gone
+
+
+def test_time_stamps_are_the_scenes_own_else_30_hz(bop_scene: Path) -> None:
+    assert BopScene(bop_scene).stamp_ns(2) == round(2e9 / 30)
+    stamp = 1581120424148532296  # more digits than a double holds
+    edit(bop_scene / "scene_camera.json", lambda r: r["10"].update(timestamp_ns=stamp))
+    assert BopScene(bop_scene).sample(10).frame.stamp_ns == stamp
+
+
+def test_jpeg_images_and_scenes_without_details_or_masks(bop_scene: Path) -> None:
+    path = bop_scene / "rgb" / "000002.png"
+    cv2.imwrite(str(path.with_suffix(".jpg")), cv2.imread(str(path)), [cv2.IMWRITE_JPEG_QUALITY, 100])
+    path.unlink()
+    (bop_scene / "scene_gt_info.json").unlink()
+    shutil.rmtree(bop_scene / "mask_visib")
+    sample = BopScene(bop_scene).sample(2)
+    assert np.abs(sample.frame.color.astype(int) - color_of(2)).mean() < 6
+    assert sample.truths[0].box_visib is None
+    assert sample.truths[0].visible
+    assert sample.truths[0].mask() is None
+
+
+def test_a_scene_without_labels_still_has_frames(bop_scene: Path) -> None:
+    (bop_scene / "scene_gt.json").unlink()
+    (bop_scene / "scene_gt_info.json").unlink()
+    scene = BopScene(bop_scene)
+    assert not scene.labelled
+    assert scene.sample(2).truths == ()
+
+
+def test_an_invisible_object_has_no_box(bop_scene: Path) -> None:
+    gone = {"bbox_visib": [-1, -1, -1, -1], "visib_fract": 0.0}
+    edit(bop_scene / "scene_gt_info.json", lambda r: r["2"].__setitem__(0, gone))
+    truth = BopScene(bop_scene).truths(2)[0]
+    assert truth.gone
+    assert truth.box_visib is None
+
+
+def remove(name: str):
+    return lambda scene: (scene / name).unlink()
+
+
+def overwrite(name: str, data: bytes):
+    return lambda scene: (scene / name).write_bytes(data)
+
+
+def edited(name: str, change):
+    return lambda scene: edit(scene / name, change)
+
+
+def smaller_depth(scene: Path) -> None:
+    cv2.imwrite(str(scene / "depth/000002.png"), np.ones((3, 4), np.uint16))
+
+
+def depth_of_8_bits(scene: Path) -> None:
+    cv2.imwrite(str(scene / "depth/000002.png"), np.ones((12, 16), np.uint8))
+
+
+@pytest.mark.parametrize(
+    ("breakage", "named"),
+    [
+        (remove("scene_camera.json"), "scene_camera.json"),
+        (remove("depth/000002.png"), "depth/000002.png"),
+        (overwrite("depth/000002.png", b"not a picture"), "depth/000002.png"),
+        (overwrite("rgb/000002.png", b""), "rgb/000002.png"),
+        (overwrite("scene_gt.json", b"{"), "scene_gt.json"),
+        (overwrite("scene_gt.json", b"[]"), "scene_gt.json"),
+        (smaller_depth, "depth/000002.png"),
+        (depth_of_8_bits, "depth/000002.png"),
+        (edited("scene_camera.json", lambda r: r.pop("2")), "scene_camera.json"),
+        (edited("scene_camera.json", lambda r: r["2"].pop("cam_K")), "cam_K"),
+        (edited("scene_camera.json", lambda r: r["2"].update(cam_K=[1, 2])), "cam_K"),
+        (edited("scene_camera.json", lambda r: r["2"].update(depth_scale="x")), "depth_scale"),
+        (edited("scene_camera.json", lambda r: r["2"].update(depth_scale=0)), "depth_scale"),
+        (edited("scene_camera.json", lambda r: r["2"].update(timestamp_ns=1.5)), "timestamp_ns"),
+        (edited("scene_gt.json", lambda r: r["2"][0].update(cam_R_m2c=[1] * 9)), "scene_gt.json"),
+        (edited("scene_gt.json", lambda r: r["2"][0].pop("obj_id")), "obj_id"),
+        (edited("scene_gt.json", lambda r: r["2"].append("x")), "scene_gt.json"),
+        (edited("scene_gt_info.json", lambda r: r["2"].pop()), "scene_gt_info.json"),
+    ],
+)
+def test_what_is_broken_is_named(bop_scene: Path, breakage, named: str) -> None:
+    breakage(bop_scene)
+    with pytest.raises(InputError, match=named.replace(".", r"\.")):
+        BopScene(bop_scene).sample(2)
+
+
+def test_a_missing_folder_is_named(tmp_path: Path) -> None:
+    with pytest.raises(InputError, match="nowhere"):
+        BopScene(tmp_path / "nowhere")

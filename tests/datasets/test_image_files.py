@@ -1,0 +1,126 @@
+"""One frame from files: the forms of the camera's JSON, rectification, broken input."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+
+from huepose.datasets.image_files import read_camera, read_frame
+from huepose.datasets.rectify import Rectifier, checked_coefficients
+from huepose.geometry import Camera
+from huepose.support.errors import InputError
+
+from .conftest import HEIGHT, WIDTH, color_of, depth_of, write
+
+OWN = {
+    "fx": 20.0,
+    "fy": 21.0,
+    "cx": 7.5,
+    "cy": 5.5,
+    "width": WIDTH,
+    "height": HEIGHT,
+    "depth_scale_m": 0.0001,
+}
+BOP = {"fx": 20.0, "fy": 21.0, "cx": 7.5, "cy": 5.5, "width": WIDTH, "height": HEIGHT, "depth_scale": 0.1}
+MATRIX = {"cam_K": [20.0, 0, 7.5, 0, 21.0, 5.5, 0, 0, 1], "depth_scale": 0.1}
+
+
+@pytest.fixture
+def files(tmp_path: Path) -> tuple[Path, Path, Path]:
+    color, depth, camera = tmp_path / "000004.png", tmp_path / "depth.png", tmp_path / "camera.json"
+    write(color, color_of(4))
+    write(depth, depth_of(4))
+    camera.write_text(json.dumps(OWN))
+    return color, depth, camera
+
+
+@pytest.mark.parametrize(
+    "form", [OWN, BOP, MATRIX, {"3": {}, "4": MATRIX}, {**OWN, "distortion_model": "none"}]
+)
+def test_every_form_of_intrinsics_gives_the_same_frame(files, form: dict) -> None:
+    color, depth, camera = files
+    camera.write_text(json.dumps(form))
+    frame = read_frame(color, depth, camera)
+    assert frame.camera == Camera(20.0, 21.0, 7.5, 5.5, WIDTH, HEIGHT)
+    np.testing.assert_array_equal(frame.color, color_of(4))
+    np.testing.assert_allclose(frame.depth, depth_of(4) * 1e-4, atol=1e-7)
+    assert frame.frame_id == 4
+
+
+@pytest.mark.parametrize(
+    ("form", "named"),
+    [
+        ({k: v for k, v in OWN.items() if k != "fy"}, "fy"),
+        ({k: v for k, v in OWN.items() if k != "depth_scale_m"}, "depth_scale_m"),
+        ({**OWN, "width": 640}, "640 x 12"),
+        ({**OWN, "fx": "wide"}, "fx"),
+        ({**OWN, "fx": -1.0}, "fx"),
+        ({**OWN, "distortion_model": "fisheye", "distortion": [1]}, "fisheye"),
+        ({**OWN, "distortion_model": "rational", "distortion": [0.1] * 5}, "8 numbers"),
+        ({**OWN, "distortion_model": "none", "distortion": [0.1]}, "none"),
+        ({"9": MATRIX}, "image 4"),
+        ({}, "fx"),
+    ],
+)
+def test_a_wrong_camera_file_is_named_with_its_key(files, form: dict, named: str) -> None:
+    color, depth, camera = files
+    camera.write_text(json.dumps(form))
+    with pytest.raises(InputError, match=named):
+        read_frame(color, depth, camera)
+
+
+def test_missing_and_mismatched_pictures_are_named(files, tmp_path: Path) -> None:
+    color, depth, camera = files
+    with pytest.raises(InputError, match=r"gone\.png"):
+        read_frame(tmp_path / "gone.png", depth, camera)
+    cv2.imwrite(str(depth), np.ones((5, 5), np.uint16))
+    with pytest.raises(InputError, match=r"depth\.png.*5 x 5.*16 x 12"):
+        read_frame(color, depth, camera)
+
+
+@pytest.mark.parametrize(
+    ("model", "coefficients"),
+    [
+        ("brown_conrady", [-0.25, 0.08, 1e-3, -2e-3, 0.01]),
+        ("rational", [0.3, 0.1, 1e-3, -1e-3, 0.02, 0.5, 0.2, 0.05]),
+    ],
+)
+def test_rectified_pixels_lie_on_the_pinhole_rays(model: str, coefficients: list[float]) -> None:
+    """Spots drawn where the distorted lens would show points of space land where the pinhole shows them."""
+    camera = Camera(200.0, 210.0, 159.5, 119.5, 320, 240)
+    points = np.array([[x, y, 1.0] for x in (-0.5, 0.0, 0.5) for y in (-0.35, 0.0, 0.35)])
+    seen, _ = cv2.projectPoints(points, np.zeros(3), np.zeros(3), camera.K, np.array(coefficients))
+    v, u = np.mgrid[:240, :320]
+    image, depth = np.zeros((240, 320, 3)), np.zeros((240, 320), np.float32)
+    for k, (x, y) in enumerate(seen[:, 0]):
+        distance = np.hypot(u - x, v - y)
+        image[..., 0] += 255 * np.exp(-((distance / 2.5) ** 2))
+        depth[distance < 4] = 0.5 + 0.1 * k
+    rectifier = Rectifier(camera, checked_coefficients(model, coefficients, "test"))
+    color, moved = rectifier.color(np.clip(image, 0, 255).astype(np.uint8)), rectifier.depth(depth)
+    assert set(np.unique(moved)) <= set(np.unique(depth))  # readings are moved, never mixed
+    for k, (x, y) in enumerate(camera.project(points)):
+        weight = color[..., 0] * (np.hypot(u - x, v - y) < 10)
+        centre = [(weight * u).sum() / weight.sum(), (weight * v).sum() / weight.sum()]
+        np.testing.assert_allclose(centre, [x, y], atol=0.25)
+        assert moved[round(y), round(x)] == pytest.approx(0.5 + 0.1 * k)
+
+
+def test_distorted_files_are_rectified(files) -> None:
+    color, depth, camera = files
+    coefficients = [0.2, 0.05, 0.0, 0.0]
+    camera.write_text(json.dumps({**OWN, "distortion_model": "brown_conrady", "distortion": coefficients}))
+    frame = read_frame(color, depth, camera)
+    rectifier = Rectifier(frame.camera, np.array(coefficients))
+    np.testing.assert_array_equal(frame.color, rectifier.color(color_of(4)))
+    assert not np.array_equal(frame.color, color_of(4))
+
+
+def test_a_file_with_its_size_missing_takes_that_of_the_picture(files) -> None:
+    camera = files[2]
+    camera.write_text(json.dumps(MATRIX))
+    assert read_camera(camera).camera(32, 20, files[0]).width == 32

@@ -1,0 +1,74 @@
+"""View templates: what an object looks like from all around, small, at metric scale (built once, offline).
+
+The poses they stand for: `T_cam_obj` of direction v at roll r has the rotation Rz(2 pi r / R) look_at(v) when
+the object is on the optical axis, Rz being the turn about the optical axis from x to y (clockwise in the
+picture), and the origin lies at Rz(2 pi r / R) `origins[v]` from the point on the axis at the median depth.
+"""
+
+from __future__ import annotations
+
+import cv2
+import numpy as np
+
+from huepose.geometry import icosphere, se3
+from huepose.geometry.arrays import Float32
+from huepose.geometry.camera import Camera
+from huepose.geometry.mesh import Mesh
+from huepose.model.types import ViewTemplates
+from huepose.rendering.render import render
+
+LEVEL = 2  # 162 directions, 16 degrees apart
+ROLLS = 24
+SIDE = 16
+SPAN = 1.1
+_OVERSAMPLING = 6
+_DISTANCE_M = 0.85
+_DISTANCE_DIAMETERS = 2.5  # at least, so that the perspective of large objects stays mild
+
+
+def build_templates(
+    mesh: Mesh, diameter_m: float, *, level: int = LEVEL, rolls: int = ROLLS, side: int = SIDE
+) -> ViewTemplates:
+    """Templates of a mesh seen from the directions of an icosphere, at `rolls` rolls each."""
+    directions = icosphere.directions(level)
+    planes = np.empty((len(directions), rolls, 5, side, side), np.float16)
+    origins = np.empty((len(directions), 3), np.float32)
+    window = side * _OVERSAMPLING
+    distance = max(_DISTANCE_M, _DISTANCE_DIAMETERS * diameter_m)
+    focal = window * distance / (SPAN * diameter_m)
+    camera = Camera(focal, focal, window - 0.5, window - 0.5, 2 * window, 2 * window)
+    for v, direction in enumerate(directions):
+        R = icosphere.look_at(direction)
+        T_cam_obj = se3.make(R, [0.0, 0.0, distance] - R @ mesh.centre)
+        rendering = render([(mesh, T_cam_obj)], camera)
+        covered = rendering.depth > 0
+        rows, columns = np.nonzero(covered)
+        centroid = np.array([columns.mean(), rows.mean()])
+        median = float(np.median(rendering.depth[covered]))
+        origins[v] = T_cam_obj[:3, 3] - camera.backproject(centroid, np.array(median))
+        picture = np.zeros((*covered.shape, 5), np.float32)
+        lab = cv2.cvtColor(rendering.color.astype(np.float32) / 255.0, cv2.COLOR_RGB2Lab)
+        picture[..., :3] = lab * covered[..., None]
+        picture[..., 3] = (rendering.depth - median) * covered
+        picture[..., 4] = covered
+        for r in range(rolls):
+            small = _turned(picture, centroid, 2 * np.pi * r / rolls, distance / median, window, side)
+            planes[v, r] = small.transpose(2, 0, 1)
+    return ViewTemplates(directions.astype(np.float32), planes, origins, SPAN)
+
+
+def _turned(
+    picture: Float32, centroid: np.ndarray, angle: float, scale: float, window: int, side: int
+) -> Float32:
+    """The window about `centroid`, its content turned by `angle`, box-averaged to (side, side, 5); `scale`:
+    pixels of the picture per pixel of the window. All but coverage are divided by coverage."""
+    c, s = np.cos(angle), np.sin(angle)
+    A = np.array([[c, s], [-s, c]]) * scale  # from the turned window back to the picture
+    offset = centroid - A @ np.full(2, (window - 1) / 2.0)
+    flags = cv2.INTER_LINEAR | cv2.WARP_INVERSE_MAP
+    large = cv2.warpAffine(picture, np.column_stack([A, offset]), (window, window), flags=flags)
+    small = cv2.resize(large, (side, side), interpolation=cv2.INTER_AREA)
+    known = small[..., 4:] > 1e-3
+    small[..., :4] = np.where(known, small[..., :4] / np.maximum(small[..., 4:], 1e-3), 0.0)
+    small[..., 4:] *= known
+    return np.asarray(small, np.float32)

@@ -1,0 +1,170 @@
+"""Reference models on disk: `BUNDLES/<name>.huepose`, a zip of plain arrays that loads in milliseconds."""
+
+from __future__ import annotations
+
+import json
+import os
+import re
+import zipfile
+from collections.abc import Iterable
+from dataclasses import fields
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+
+from huepose.geometry.mesh import Mesh
+from huepose.model.types import DistanceGrid, PairReference, ReferenceModel, Surface, ViewTemplates
+from huepose.support.errors import InputError
+
+SUFFIX = ".huepose"
+VERSION = 1
+_FORMAT = "huepose reference model"
+_AGAIN = "Onboard the object again with `huepose onboard` or `huepose onboard-bop`."
+_EPOCH = (1980, 1, 1, 0, 0, 0)  # no clock in the file: the same model gives the same bytes
+
+
+def check_name(name: str) -> str:
+    """The name itself; raises InputError unless it is of [a-z0-9_-]{1,64}."""
+    if not re.fullmatch(r"[a-z0-9_-]{1,64}", name):
+        raise InputError(
+            f"object name '{name}'",
+            expected="1 to 64 of a-z, 0-9, _ and -",
+            fix="Give another --name.",
+        )
+    return name
+
+
+def model_path(bundles_dir: Path | str, name: str) -> Path:
+    """Where the reference model of that name lives."""
+    return Path(bundles_dir) / f"{name}{SUFFIX}"
+
+
+def save_model(model: ReferenceModel, path: Path | str) -> None:
+    """Write a reference model; the file appears whole or not at all. Equal models give equal bytes."""
+    path = Path(path)
+    path.parent.mkdir(parents=True, exist_ok=True)
+    ok, png = cv2.imencode(".png", model.mesh.texture[..., ::-1])
+    if not ok:
+        raise InputError(path, found="a texture that cannot be encoded", fix="Is the texture empty?")
+    header = {
+        "format": _FORMAT,
+        "version": VERSION,
+        "name": check_name(model.name),
+        "object_id": model.object_id,
+        "diameter_m": model.diameter_m,
+        "grid_step": model.grid.step,
+        "template_span": model.templates.span,
+        "pair_parameters": model.pairs.parameters,
+    }
+    arrays: dict[str, Any] = {
+        "mesh.vertices": model.mesh.vertices,
+        "mesh.faces": model.mesh.faces,
+        "mesh.uv": model.mesh.uv,
+        "mesh.texture_png": np.asarray(png, np.uint8).reshape(-1),
+        "eval_points": model.eval_points,
+        "symmetries": model.symmetries,
+        "turns": model.turns,
+        "equivalents": model.equivalents,
+        "grid.origin": model.grid.origin,
+        "grid.nearest": model.grid.nearest,
+    }
+    if model.frame_offset_m is not None:
+        arrays["frame_offset_m"] = model.frame_offset_m
+    for room in ("surface", "templates", "pairs"):
+        part = getattr(model, room)
+        for name in _array_fields(type(part)):
+            arrays[f"{room}.{name}"] = getattr(part, name)
+    temporary = path.with_name(f".{path.name}.{os.getpid()}.part")
+    try:
+        with zipfile.ZipFile(temporary, "w", zipfile.ZIP_STORED) as archive:
+            archive.writestr(zipfile.ZipInfo("header.json", _EPOCH), json.dumps(header, sort_keys=True))
+            for name, array in arrays.items():
+                with archive.open(zipfile.ZipInfo(f"{name}.npy", _EPOCH), "w", force_zip64=True) as entry:
+                    np.lib.format.write_array(entry, np.ascontiguousarray(array), allow_pickle=False)
+        os.replace(temporary, path)
+    finally:
+        temporary.unlink(missing_ok=True)
+
+
+def load_model(path: Path | str) -> ReferenceModel:
+    """Read a reference model. Raises InputError for a missing, damaged or foreign file and for another
+    version of the format."""
+    path = Path(path)
+    try:
+        with zipfile.ZipFile(path) as archive:
+            header = json.loads(archive.read("header.json"))
+            if header.get("format") != _FORMAT or header.get("version") != VERSION:
+                raise InputError(
+                    path,
+                    found=f"{header.get('format')} of version {header.get('version')}",
+                    expected=f"{_FORMAT} of version {VERSION}",
+                    fix=_AGAIN,
+                )
+            arrays = {n[:-4]: _read(archive, n) for n in archive.namelist() if n.endswith(".npy")}
+        return _assembled(header, arrays)
+    except FileNotFoundError:
+        raise InputError(path, found="no such file", expected="a reference model", fix=_AGAIN) from None
+    except (zipfile.BadZipFile, KeyError, ValueError, TypeError, OSError, AttributeError) as error:
+        if isinstance(error, InputError):
+            raise
+        raise InputError(
+            path, found=f"a damaged or foreign file ({error})", expected="a reference model", fix=_AGAIN
+        ) from None
+
+
+def load_models(bundles_dir: Path | str, names: Iterable[str] | None = None) -> dict[str, ReferenceModel]:
+    """Reference models of a folder by name: all of them in alphabetical order, or the named ones.
+
+    Raises InputError for a folder without models, and for an unknown name, listing the known ones.
+    """
+    folder = Path(bundles_dir)
+    known = sorted(p.name[: -len(SUFFIX)] for p in folder.glob(f"*{SUFFIX}") if not p.name.startswith("."))
+    if not known:
+        found = "no such folder" if not folder.is_dir() else "no reference models"
+        raise InputError(folder, found=found, expected=f"files *{SUFFIX}", fix=_AGAIN)
+    wanted = known if names is None else list(dict.fromkeys(names))
+    unknown = [n for n in wanted if n not in known]
+    if unknown:
+        raise InputError(
+            f"object '{unknown[0]}'",
+            found=f"no such reference model in {folder}",
+            expected=f"one of {', '.join(known)}",
+            fix="Correct the name, or onboard the object.",
+        )
+    return {name: load_model(model_path(folder, name)) for name in wanted}
+
+
+def _array_fields(kind: type) -> list[str]:
+    return [f.name for f in fields(kind) if f.name not in ("span", "step", "parameters")]
+
+
+def _read(archive: zipfile.ZipFile, name: str) -> np.ndarray:
+    with archive.open(name) as entry:
+        return np.lib.format.read_array(entry, allow_pickle=False)
+
+
+def _assembled(header: dict[str, Any], arrays: dict[str, Any]) -> ReferenceModel:
+    def part(room: str, kind: type) -> dict[str, Any]:
+        return {name: arrays[f"{room}.{name}"] for name in _array_fields(kind)}
+
+    texture = cv2.imdecode(arrays["mesh.texture_png"], cv2.IMREAD_COLOR)
+    if texture is None:
+        raise ValueError("its texture is damaged")
+    picture = np.ascontiguousarray(texture[..., ::-1]).astype(np.uint8)
+    return ReferenceModel(
+        name=header["name"],
+        object_id=header["object_id"],
+        mesh=Mesh(arrays["mesh.vertices"], arrays["mesh.faces"], arrays["mesh.uv"], picture),
+        eval_points=arrays["eval_points"],
+        diameter_m=header["diameter_m"],
+        symmetries=arrays["symmetries"],
+        turns=arrays["turns"],
+        equivalents=arrays["equivalents"],
+        frame_offset_m=arrays.get("frame_offset_m"),
+        surface=Surface(**part("surface", Surface)),
+        grid=DistanceGrid(arrays["grid.origin"], header["grid_step"], arrays["grid.nearest"]),
+        templates=ViewTemplates(**part("templates", ViewTemplates), span=header["template_span"]),
+        pairs=PairReference(**part("pairs", PairReference), parameters=header["pair_parameters"]),
+    )

@@ -1,0 +1,101 @@
+"""Mesh files to `geometry.Mesh`: OBJ, PLY, GLB and glTF; units settled, one texture, faces outwards."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Literal
+
+import numpy as np
+
+from huepose.geometry.arrays import Float32, Float64, Int32
+from huepose.geometry.mesh import Mesh
+from huepose.onboarding.gltf import read_gltf
+from huepose.onboarding.obj import read_obj
+from huepose.onboarding.ply import read_ply
+from huepose.onboarding.raw_mesh import RawMesh
+from huepose.onboarding.texture import single_texture
+from huepose.support.errors import InputError
+
+Unit = Literal["mm", "m"]
+
+SMALLEST_M, LARGEST_M = 0.01, 2.0
+_READERS = {".obj": read_obj, ".ply": read_ply, ".glb": read_gltf, ".gltf": read_gltf}
+
+
+def read_mesh(path: Path | str, unit: Unit | None = None) -> Mesh:
+    """Mesh of a file, in metres, axes as in the file.
+
+    unit: the file's unit of length. Without it glTF is taken as metres (its standard), OBJ and PLY as the one
+    of metres and millimetres that gives a largest side of 1 cm to 2 m. Raises InputError naming the file,
+    what was found and what to do; for implausible sizes it shows both.
+    """
+    path = Path(path)
+    reader = _READERS.get(path.suffix.lower())
+    if reader is None:
+        raise InputError(
+            path,
+            found=f"a file of type '{path.suffix}'",
+            expected=", ".join(_READERS),
+            fix="Convert the mesh, for example to GLB.",
+        )
+    if path.is_dir():
+        raise InputError(path, found="a folder", expected="a mesh file")
+    raw = reader(path)
+    standard: Unit | None = "m" if reader is read_gltf else None
+    vertices, faces = _referenced(raw)
+    scale = _metres_per_unit(vertices, unit or standard, unit is not None, path)
+    metric = (vertices * scale).astype(np.float32)
+    uv, texture = single_texture(raw, path)
+    if _is_inside_out(metric, faces):
+        faces, uv = faces[:, ::-1], uv[:, ::-1]
+    return Mesh(metric, np.ascontiguousarray(faces), np.ascontiguousarray(uv), texture)
+
+
+def _referenced(raw: RawMesh) -> tuple[Float64, Int32]:
+    """Vertices that a face uses, in their order, and faces renumbered."""
+    used = np.zeros(len(raw.vertices), bool)
+    used[raw.faces] = True
+    numbers = np.cumsum(used) - 1
+    return raw.vertices[used], numbers[raw.faces].astype(np.int32)
+
+
+def _metres_per_unit(vertices: Float64, unit: Unit | None, was_told: bool, path: Path) -> float:
+    extent = float((vertices.max(0) - vertices.min(0)).max())
+    scales = {"m": 1.0, "mm": 0.001}
+    plausible = [u for u, s in scales.items() if SMALLEST_M <= extent * s <= LARGEST_M]
+    if unit is not None and unit in plausible:
+        return scales[unit]
+    if unit is None and len(plausible) == 1:
+        return scales[plausible[0]]
+    sizes = " or ".join(f"{_length(extent * s)} if it is in {u}" for u, s in scales.items())
+    if plausible and unit is not None:
+        other = plausible[0]
+        how = f"Give --unit {other}" if not was_told else f"Did you mean --unit {other}?"
+        fix = how if how.endswith("?") else how + "."
+    else:
+        fix = "Scale the mesh to metres or millimetres, then say which with --unit mm|m."
+    taken = f" (taken as {unit})" if unit else ""
+    raise InputError(
+        path,
+        found=f"a largest side of {extent:.4g} units{taken}: {sizes}",
+        expected=f"an object of {_length(SMALLEST_M)} to {_length(LARGEST_M)}",
+        fix=fix,
+    )
+
+
+def _length(metres: float) -> str:
+    if metres >= 1.0:
+        return f"{metres:.4g} m"
+    return f"{metres * 100:.4g} cm" if metres >= 0.01 else f"{metres * 1000:.4g} mm"
+
+
+def _is_inside_out(vertices: Float32, faces: Int32) -> bool:
+    """True for a closed mesh whose faces turn clockwise seen from outside (a mirrored export)."""
+    edges = np.concatenate([faces[:, [0, 1]], faces[:, [1, 2]], faces[:, [2, 0]]]).astype(np.int64)
+    count = len(vertices)
+    forward = np.unique(edges[:, 0] * count + edges[:, 1])
+    backward = np.unique(edges[:, 1] * count + edges[:, 0])
+    if len(forward) != len(edges) or not np.array_equal(forward, backward):
+        return False
+    v = vertices.astype(np.float64) - vertices.mean(0)
+    return float(np.einsum("fi,fi->", v[faces[:, 0]], np.cross(v[faces[:, 1]], v[faces[:, 2]]))) < 0.0

@@ -1,0 +1,105 @@
+"""Surfels: some two thousand evenly spaced samples of what can be seen of an object.
+
+Evenly spaced by sample elimination (Yuksel 2015, "Sample Elimination for Generating Poisson Disk Sample
+Sets"), carried on below the wanted number so that the samples come in an order whose every prefix is even.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from huepose.geometry.arrays import Float, Int32, Int64
+from huepose.model.types import Surface
+from huepose.onboarding.cloud import Cloud, averaged_lab, smoothed_normals
+from huepose.onboarding.visibility import DepthViews, seen
+from huepose.support.jit import jit
+
+COUNT = 2000
+NORMAL_RADIUS_M = 0.003
+COLOR_SIGMAS_M = (0.0010, 0.0035)
+_CANDIDATES = 8  # for each sample that stays
+
+
+def build_surface(cloud: Cloud, views: DepthViews, count: int = COUNT) -> Surface:
+    """Surfels of a cloud, and which of them each view sees."""
+    candidates = min(len(cloud.points), _CANDIDATES * count)
+    points, normals = cloud.points[:candidates], cloud.normals[:candidates]
+    chosen = even_order(points, normals, cloud.area_m2, min(count, candidates))
+    points = points[chosen]
+    normals = smoothed_normals(cloud, points, normals[chosen], NORMAL_RADIUS_M)
+    lab = np.stack([averaged_lab(cloud, points, normals, sigma) for sigma in COLOR_SIGMAS_M])
+    mask = seen(views, points, normals)
+    return Surface(
+        points=points.astype(np.float32),
+        normals=normals.astype(np.float32),
+        lab=lab,
+        directions=views.directions.astype(np.float32),
+        visible=np.nonzero(mask)[1].astype(np.int32),
+        offsets=np.concatenate([[0], np.cumsum(mask.sum(1))]).astype(np.int32),
+    )
+
+
+def even_order(points: Float, normals: Float, area_m2: float, count: int) -> Int64:
+    """Indices (count,) of evenly spaced points, ordered so that every prefix is evenly spaced too.
+
+    points, normals (M, 3), random and dense on a surface of `area_m2`. Points of opposite sides of a thin
+    wall do not count as neighbours.
+    """
+    alive = np.arange(len(points))
+    tail: list[Int64] = []
+    target = count
+    while True:
+        removed = _eliminated(points[alive], normals[alive], area_m2, target)
+        if target < count:
+            tail.append(alive[removed[::-1]])
+        alive = np.delete(alive, removed)
+        if target <= 4:
+            break
+        target //= 2
+    return np.concatenate([alive, *tail[::-1]]).astype(np.int64)
+
+
+def _eliminated(points: Float, normals: Float, area_m2: float, target: int) -> Int64:
+    """Indices of the points that go, in the order in which they go, until `target` are left."""
+    from scipy.spatial import cKDTree
+
+    count = len(points)
+    if target >= count:
+        return np.empty(0, np.int64)
+    radius = np.sqrt(area_m2 / (2 * np.sqrt(3) * target))
+    pairs = cKDTree(points).query_pairs(2 * radius, output_type="ndarray")
+    same_side = np.einsum("nd,nd->n", normals[pairs[:, 0]], normals[pairs[:, 1]]) > -0.3
+    pairs = pairs[same_side]
+    distance = np.linalg.norm(points[pairs[:, 0]] - points[pairs[:, 1]], axis=1)
+    # The floor keeps clumps of the random input from deciding everything (section 3 of the paper).
+    floor = radius * (1 - (target / count) ** 1.5) * 0.65
+    weight = (1 - np.maximum(distance, 2 * floor) / (2 * radius)) ** 8
+    ends = np.concatenate([pairs[:, 0], pairs[:, 1]])
+    order = np.argsort(ends, kind="stable")
+    neighbours = np.concatenate([pairs[:, 1], pairs[:, 0]])[order].astype(np.int32)
+    offsets = np.searchsorted(ends[order], np.arange(count + 1)).astype(np.int32)
+    return _eliminate(neighbours, offsets, np.concatenate([weight, weight])[order], count - target)
+
+
+@jit
+def _eliminate(neighbours: Int32, offsets: Int32, weights: Float, removals: int) -> Int64:
+    count = offsets.shape[0] - 1
+    total = np.zeros(count)
+    for i in range(count):
+        for k in range(offsets[i], offsets[i + 1]):
+            total[i] += weights[k]
+    out = np.empty(removals, np.int64)
+    for step in range(removals):
+        worst = 0
+        most = -1.0
+        for i in range(count):
+            if total[i] > most:
+                most = total[i]
+                worst = i
+        out[step] = worst
+        total[worst] = -2.0
+        for k in range(offsets[worst], offsets[worst + 1]):
+            j = neighbours[k]
+            if total[j] > -1.0:
+                total[j] = max(total[j] - weights[k], 0.0)
+    return out

@@ -1,0 +1,171 @@
+"""One texture for one mesh: whatever a file says of colours becomes a single picture of at most 1024 texels.
+
+Colours per vertex are baked into a small patch of texels for every triangle, several materials are packed
+into an atlas, textures that repeat are unrolled, used texels are grown over the seams so that no background
+bleeds in, and large pictures are reduced with an area filter.
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import cv2
+import numpy as np
+
+from huepose.geometry.arrays import Float32, Float64, Int32, UInt8
+from huepose.onboarding.raw_mesh import RawMesh
+from huepose.support.errors import InputError
+
+LARGEST = 1024
+_MOST_REPEATS = 8
+_PATCH = 16  # texels of a material without texture
+_MARGIN = 4  # texels between the materials of an atlas
+
+
+def single_texture(raw: RawMesh, path: Path) -> tuple[Float32, UInt8]:
+    """(uv (F, 3, 2), texture (H, W, 3) uint8 RGB) as in geometry.Mesh, of a mesh as its file has it."""
+    textured = any(m.texture is not None for m in raw.materials)
+    if raw.colors is not None and not textured:
+        return bake_corner_colors(raw.colors, path)
+    uv = np.zeros((len(raw.faces), 3, 2), np.float32) if raw.uv is None else raw.uv.copy()
+    if not np.isfinite(uv).all():
+        raise InputError(path, found="texture coordinates that are not numbers", fix="Export the mesh again.")
+    pictures: list[UInt8] = []
+    for i, material in enumerate(raw.materials):
+        mine = raw.face_materials == i
+        if material.texture is None:
+            pictures.append(np.full((_PATCH, _PATCH, 3), material.color, np.uint8))
+            uv[mine] = 0.5
+            continue
+        uv[mine], picture = _unrolled(uv[mine], material.texture, path)
+        pictures.append(reduced(picture, used_texels(uv[mine], *picture.shape[:2])))
+    if len(pictures) == 1:
+        return uv, pictures[0]
+    return _atlas(uv, raw.face_materials, pictures)
+
+
+def used_texels(uv: Float32, height: int, width: int) -> UInt8:
+    """Mask (H, W) uint8 of the texels that triangles (F, 3, 2) touch."""
+    used = np.zeros((height, width), np.uint8)
+    corners = np.round((uv * [width, height] - 0.5) * 16).astype(np.int32)
+    for triangle in corners:
+        cv2.fillConvexPoly(used, triangle, 1, shift=4)
+    return used
+
+
+def reduced(texture: UInt8, used: UInt8, largest: int = LARGEST) -> UInt8:
+    """The texture at no more than `largest` texels a side, unused texels filled from their neighbours."""
+    height, width = texture.shape[:2]
+    scale = min(1.0, largest / max(height, width))
+    if scale == 1.0 and used.all():
+        return texture
+    size = (max(1, round(width * scale)), max(1, round(height * scale)))
+    weight = cv2.resize(used.astype(np.float32), size, interpolation=cv2.INTER_AREA)
+    planes = []
+    for k in range(3):  # one at a time: a texture of 8192 texels would need gigabytes at once
+        plane = texture[..., k].astype(np.float32) * used
+        planes.append(cv2.resize(plane, size, interpolation=cv2.INTER_AREA))
+    colors = np.stack(planes, -1).reshape(size[1], size[0], 3)
+    filled = _filled(colors.astype(np.float64), weight.reshape(size[1], size[0]).astype(np.float64))
+    return np.clip(np.round(filled), 0, 255).astype(np.uint8)
+
+
+def _filled(premultiplied: Float64, weight: Float64) -> Float64:
+    """Colours (H, W, 3) where weight is not zero, elsewhere those of ever larger neighbourhoods."""
+    height, width = weight.shape
+    known = weight > 1e-3
+    own = premultiplied / np.maximum(weight, 1e-3)[..., None]
+    if known.all() or not known.any() or max(height, width) == 1:
+        return own
+    half = ((width + 1) // 2, (height + 1) // 2)
+    even = np.zeros((half[1] * 2, half[0] * 2, 4))
+    even[:height, :width, :3] = own * known[..., None]
+    even[:height, :width, 3] = known
+    sums = even.reshape(half[1], 2, half[0], 2, 4).sum((1, 3))
+    coarse = _filled(sums[..., :3], sums[..., 3])
+    smooth = cv2.resize(coarse, (half[0] * 2, half[1] * 2), interpolation=cv2.INTER_LINEAR)
+    return np.where(known[..., None], own, smooth[:height, :width])
+
+
+def bake_corner_colors(colors: UInt8, path: Path) -> tuple[Float32, UInt8]:
+    """Corner colours (F, 3, 3) uint8 to (uv, texture): each triangle gets a square patch whose texel centres
+    reproduce its linear colours exactly under bilinear lookup. Raises InputError over a million triangles."""
+    count = len(colors)
+    columns = int(np.ceil(np.sqrt(count)))
+    side = min(8, LARGEST // columns)
+    if side == 0:
+        raise InputError(
+            path, found=f"{count} coloured triangles", expected="at most 1,000,000", fix="Simplify the mesh."
+        )
+    last = side - 1
+    c = colors.astype(np.float64)
+    s = np.arange(side) / max(last, 1)
+    if side == 1:
+        patches = c.mean(1)[:, None, None]
+    else:
+        x, y = (a[None, ..., None] for a in np.meshgrid(s, s))
+        a, b, d = (c[:, k, None, None] for k in range(3))
+        patches = a + x * (b - a) + y * (d - a)
+    rows = -(-count // columns)
+    cells = np.zeros((rows * columns, side, side, 3))
+    cells[:count] = np.clip(patches, 0, 255)
+    picture = cells.reshape(rows, columns, side, side, 3).transpose(0, 2, 1, 3, 4)
+    texture = np.round(picture.reshape(rows * side, columns * side, 3)).astype(np.uint8)
+    corner = np.stack(np.divmod(np.arange(count), columns)[::-1], -1)[:, None] * side + 0.5
+    offsets = np.array([[0, 0], [last, 0], [0, last]], np.float64)
+    uv = (corner + offsets) / [columns * side, rows * side]
+    return uv.astype(np.float32), np.ascontiguousarray(texture)
+
+
+def _unrolled(uv: Float32, texture: UInt8, path: Path) -> tuple[Float32, UInt8]:
+    """uv within 0..1: triangles outside are moved by whole tiles, those that cross tiles get more tiles."""
+    slack = 1.0 / min(texture.shape[:2])
+    outside = ((uv < -slack) | (uv > 1 + slack)).any((1, 2))
+    if not outside.any():
+        return np.clip(uv, 0.0, 1.0), texture
+    uv = uv.copy()
+    uv[outside] -= np.floor(uv[outside].min(1, keepdims=True) + slack)
+    tiles = np.maximum(1, np.ceil(uv.max((0, 1)) - slack)).astype(int)
+    if tiles.max() > _MOST_REPEATS:
+        raise InputError(
+            path,
+            found=f"a texture that repeats {tiles.max()} times across one triangle",
+            expected=f"at most {_MOST_REPEATS}",
+            fix="Bake the texture in the modelling program and export again.",
+        )
+    return np.clip(uv / tiles, 0.0, 1.0).astype(np.float32), np.tile(texture, (tiles[1], tiles[0], 1))
+
+
+def _atlas(uv: Float32, face_materials: Int32, pictures: list[UInt8]) -> tuple[Float32, UInt8]:
+    """Pack pictures on shelves, tallest first, shrinking all of them until the whole is small enough."""
+    scale = 1.0
+    while True:
+        sizes = [tuple(max(2, round(s * scale)) for s in p.shape[:2]) for p in pictures]
+        places, width, height = _shelves(sizes)
+        if max(width, height) <= LARGEST:
+            break
+        scale *= 0.95
+    texture = np.zeros((height, width, 3), np.uint8)
+    out = uv.copy()
+    for i, (picture, (h, w), (x, y)) in enumerate(zip(pictures, sizes, places, strict=True)):
+        small = cv2.resize(picture, (w, h), interpolation=cv2.INTER_AREA)
+        framed = cv2.copyMakeBorder(small, _MARGIN, _MARGIN, _MARGIN, _MARGIN, cv2.BORDER_REPLICATE)
+        texture[y : y + h + 2 * _MARGIN, x : x + w + 2 * _MARGIN] = framed
+        mine = face_materials == i
+        out[mine] = (uv[mine] * [w, h] + [x + _MARGIN, y + _MARGIN]) / [width, height]
+    return out.astype(np.float32), texture
+
+
+def _shelves(sizes: list[tuple[int, ...]]) -> tuple[list[tuple[int, int]], int, int]:
+    """Top-left places (x, y) of framed pictures (h, w), and the width and height of the whole."""
+    framed = [(h + 2 * _MARGIN, w + 2 * _MARGIN) for h, w in sizes]
+    limit = max(max(w for _, w in framed), int(np.sqrt(sum(h * w for h, w in framed))) + 1)
+    places = [(0, 0)] * len(sizes)
+    x = y = shelf = width = 0
+    for i in sorted(range(len(sizes)), key=lambda i: (-framed[i][0], i)):
+        h, w = framed[i]
+        if x + w > limit:
+            x, y, shelf = 0, y + shelf, 0
+        places[i] = (x, y)
+        x, shelf, width = x + w, max(shelf, h), max(width, x + w)
+    return places, width, y + shelf

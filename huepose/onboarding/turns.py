@@ -1,0 +1,219 @@
+"""Turns that bring a shape nearly onto itself: where a depth image alone cannot tell poses apart.
+
+Starts all over SO(3) are fitted to the object's own surface; what ends close to it is a near-symmetry.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from huepose.geometry import se3
+from huepose.geometry.arrays import Float, Float64
+from huepose.geometry.symmetry import turn_about
+from huepose.model.types import DistanceGrid, Surface
+from huepose.support.jit import jit
+
+NEAR = 0.03  # mean distance to the own surface over the diameter: loose, for a turn too many costs little
+NEAR_ABOUT_AXIS = 0.025
+STEP_RAD = np.radians(15.0)  # of turns about an axis
+DISTINCT_RAD = np.radians(8.0)
+MOST = 64
+_STARTS = 1500
+_POINTS = 400
+_ITERATIONS = 25
+_SAME_AXIS = np.cos(np.radians(7.0))
+
+
+@dataclass(frozen=True, eq=False)
+class NearSymmetries:
+    """turns (M, 4, 4), identity first; errors (M,): mean distance to the own surface over the diameter;
+    axis, offset (3,): of the axis of revolution, or None; flip (4, 4): a turn that reverses it, or None."""
+
+    turns: Float64
+    errors: Float64
+    axis: Float64 | None = None
+    offset: Float64 | None = None
+    flip: Float64 | None = None
+
+
+def near_symmetries(surface: Surface, grid: DistanceGrid, diameter_m: float) -> NearSymmetries:
+    """Near-symmetric turns of a surface, at most `MOST`; about an axis of revolution every 15 degrees."""
+    centre = (surface.points.min(0) + surface.points.max(0)) / 2.0
+    turns = np.stack([se3.make(R, centre - R @ centre) for R in even_rotations(_STARTS)])
+    turns, errors = fitted(turns, surface, grid, diameter_m, _ITERATIONS)
+    near = errors < NEAR
+    order = np.argsort(errors[near], kind="stable")
+    turns, errors = turns[near][order], errors[near][order]
+    axis = axis_of_revolution(turns, errors, surface, grid, diameter_m)
+    if axis is None:
+        kept = distinct(turns, MOST)
+        return NearSymmetries(
+            np.concatenate([np.eye(4)[None], turns[kept]]), np.concatenate([[0.0], errors[kept]])
+        )
+    direction, offset = axis
+    about = turns_about(direction, offset, STEP_RAD)
+    reversing = turns[:, :3, :3] @ direction @ direction < -_SAME_AXIS
+    flip = turns[reversing][0] if reversing.any() else None
+    every = about if flip is None else np.concatenate([about, flip @ about])
+    return NearSymmetries(every, fitted(every, surface, grid, diameter_m, 0)[1], direction, offset, flip)
+
+
+def turns_about(axis: Float, offset: Float, step_rad: float) -> Float64:
+    """Turns (S, 4, 4) about a line, identity first, the whole circle round."""
+    count = round(2 * np.pi / step_rad)
+    return np.stack([turn_about(axis, 2 * np.pi * k / count, offset) for k in range(count)])
+
+
+def distinct(turns: Float64, most: int) -> list[int]:
+    """Indices of turns that differ by 8 degrees from the identity and from those before them."""
+    kept: list[int] = []
+    rotations = [np.eye(3)]
+    for i, T in enumerate(turns):
+        traces = np.einsum("kij,ij->k", np.stack(rotations), T[:3, :3])
+        if (traces < 1 + 2 * np.cos(DISTINCT_RAD)).all():
+            kept.append(i)
+            rotations.append(T[:3, :3])
+        if len(kept) == most - 1:
+            break
+    return kept
+
+
+def axis_of_revolution(
+    turns: Float64, errors: Float64, surface: Surface, grid: DistanceGrid, diameter_m: float
+) -> tuple[Float64, Float64] | None:
+    """(direction, a point on it) of the axis about which every turn is a near-symmetry, or None.
+
+    A ball has no single axis: its best one is taken.
+    """
+    vectors = np.stack([se3.rotation_log(T[:3, :3]) for T in turns]) if len(turns) else np.zeros((0, 3))
+    angles = np.linalg.norm(vectors, axis=1)
+    usable = (angles > np.radians(20)) & (angles < np.radians(170))
+    axes = vectors[usable] / angles[usable, None]
+    best: tuple[float, Float64, Float64] | None = None
+    tried: list[Float64] = []
+    for seed in axes:
+        if any(abs(seed @ t) > _SAME_AXIS for t in tried) or len(tried) == 12:
+            continue
+        tried.append(seed)
+        same = np.abs(axes @ seed) > _SAME_AXIS
+        if same.sum() < 6:
+            continue
+        direction = np.linalg.eigh(axes[same].T @ axes[same])[1][:, 2]
+        direction = direction * np.sign(direction[int(np.argmax(np.abs(direction)))])
+        # Points that the turns leave in place: (I - R) p = t for each, and the point nearest to the centre.
+        members = turns[usable][same]
+        A = np.concatenate([np.eye(3) - T[:3, :3] for T in members] + [1e-3 * np.eye(3)])
+        centre = (surface.points.min(0) + surface.points.max(0)) / 2.0
+        b = np.concatenate([T[:3, 3] for T in members] + [1e-3 * centre])
+        offset = np.linalg.lstsq(A, b, rcond=None)[0]
+        about = turns_about(direction, offset, STEP_RAD)
+        error = fitted(about, surface, grid, diameter_m, 0)[1]
+        if error.max() < NEAR_ABOUT_AXIS and (best is None or error.mean() < best[0]):
+            best = (float(error.mean()), direction, offset)
+    return None if best is None else best[1:]
+
+
+def even_rotations(count: int) -> Float64:
+    """Rotations (count, 3, 3) spread evenly over SO(3): super-Fibonacci spirals (Alexa, CVPR 2022)."""
+    phi, psi = np.sqrt(2.0), 1.533751168755204288118041
+    s = np.arange(count) + 0.5
+    r, R = np.sqrt(s / count), np.sqrt(1 - s / count)
+    a, b = 2 * np.pi * s / phi, 2 * np.pi * s / psi
+    quaternions = np.stack([r * np.sin(a), r * np.cos(a), R * np.sin(b), R * np.cos(b)], 1)
+    return np.stack([se3.rotation_from_quaternion(q) for q in quaternions])
+
+
+def fitted(
+    turns: Float64, surface: Surface, grid: DistanceGrid, diameter_m: float, iterations: int
+) -> tuple[Float64, Float64]:
+    """Turns (M, 4, 4) after point-to-plane fits of the surface onto itself, and their mean error (M,) over
+    the diameter. A surfel that lands where the surface faces elsewhere counts with a twentieth of a diameter
+    at least."""
+    out = np.ascontiguousarray(turns, np.float64).copy()
+    errors = np.empty(len(out))
+    points = surface.points[:_POINTS].astype(np.float64)
+    normals = surface.normals[:_POINTS].astype(np.float64)
+    _fit_all(
+        out,
+        errors,
+        points,
+        normals,
+        surface.points.astype(np.float64),
+        surface.normals.astype(np.float64),
+        grid.origin,
+        grid.step,
+        grid.nearest,
+        float(diameter_m),
+        iterations,
+    )
+    return np.stack([se3.orthonormalised(T) for T in out]), errors
+
+
+@jit
+def _fit_all(
+    turns: Float64,
+    errors: Float64,
+    points: Float64,
+    normals: Float64,
+    surface: Float64,
+    surface_normals: Float64,
+    low: Float64,
+    step: float,
+    nearest: np.ndarray,
+    d: float,
+    iterations: int,
+) -> None:
+    J = np.empty(6)
+    for m in range(turns.shape[0]):
+        T = turns[m]
+        for it in range(iterations + 1):
+            scale = d * (0.10 + (0.03 - 0.10) * min(1.0, it / max(1.0, 0.6 * iterations)))
+            A = np.zeros((6, 6))
+            b = np.zeros(6)
+            error = 0.0
+            for i in range(points.shape[0]):
+                p, n = points[i], normals[i]
+                q0 = T[0, 0] * p[0] + T[0, 1] * p[1] + T[0, 2] * p[2] + T[0, 3]
+                q1 = T[1, 0] * p[0] + T[1, 1] * p[1] + T[1, 2] * p[2] + T[1, 3]
+                q2 = T[2, 0] * p[0] + T[2, 1] * p[1] + T[2, 2] * p[2] + T[2, 3]
+                a0 = min(max(int((q0 - low[0]) / step + 0.5), 0), nearest.shape[0] - 1)
+                a1 = min(max(int((q1 - low[1]) / step + 0.5), 0), nearest.shape[1] - 1)
+                a2 = min(max(int((q2 - low[2]) / step + 0.5), 0), nearest.shape[2] - 1)
+                j = nearest[a0, a1, a2]
+                s, sn = surface[j], surface_normals[j]
+                e0, e1, e2 = q0 - s[0], q1 - s[1], q2 - s[2]
+                r = e0 * sn[0] + e1 * sn[1] + e2 * sn[2]
+                distance = np.sqrt(e0 * e0 + e1 * e1 + e2 * e2)
+                facing = 0.0
+                for k in range(3):
+                    facing += (T[k, 0] * n[0] + T[k, 1] * n[1] + T[k, 2] * n[2]) * sn[k]
+                error += abs(r) if facing > 0.5 else max(abs(r), 0.05 * d)
+                w = max(facing, 0.05) / (1.0 + (distance / scale) ** 2)
+                J[0] = q1 * sn[2] - q2 * sn[1]
+                J[1] = q2 * sn[0] - q0 * sn[2]
+                J[2] = q0 * sn[1] - q1 * sn[0]
+                J[3], J[4], J[5] = sn[0], sn[1], sn[2]
+                for a in range(6):
+                    b[a] -= w * r * J[a]
+                    for c in range(6):
+                        A[a, c] += w * J[a] * J[c]
+            errors[m] = error / (points.shape[0] * d)
+            if it == iterations:
+                break
+            for a in range(3):  # slides along what the surface does not fix are damped away
+                A[a, a] += 2e-4 * d * d * points.shape[0]
+                A[a + 3, a + 3] += 2e-3 * points.shape[0]
+            x = np.linalg.solve(A, b)
+            angle = np.sqrt(x[0] ** 2 + x[1] ** 2 + x[2] ** 2)
+            R = np.eye(3)
+            if angle > 1e-12:
+                k0, k1, k2 = x[0] / angle, x[1] / angle, x[2] / angle
+                K = np.array([[0.0, -k2, k1], [k2, 0.0, -k0], [-k1, k0, 0.0]])
+                R = np.eye(3) + np.sin(angle) * K + (1 - np.cos(angle)) * (K @ K)
+            moved = R @ np.ascontiguousarray(T[:3, :])
+            T[:3, :] = moved
+            T[0, 3] += x[3]
+            T[1, 3] += x[4]
+            T[2, 3] += x[5]

@@ -1,0 +1,146 @@
+"""Which points of a surface can be seen from where, by depth pictures from all around."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from huepose.geometry import icosphere, se3
+from huepose.geometry.arrays import Bool, Float, Float32, Float64
+from huepose.geometry.camera import Camera
+from huepose.geometry.mesh import Mesh
+from huepose.rendering.render import render_depth
+from huepose.support.jit import jit
+
+LEVEL = 3  # 642 directions, 8 degrees apart
+_PIXELS = 128
+_ACROSS = 110.0  # pixels that the diameter spans
+_DISTANCE = 6.0  # diameters: nearly parallel rays
+_GRAZING = 0.12  # cosine under which a surface is not counted as seen
+_SLACK_M = 0.0015
+
+
+@dataclass(frozen=True, eq=False)
+class DepthViews:
+    """Depth pictures of an object from `directions` (V, 3), each at `T_cam_obj` (V, 4, 4); depths
+    (V, H, W) float32 metres, 0 = nothing; pixel_m: size of a pixel at the object."""
+
+    directions: Float64
+    T_cam_obj: Float64
+    depths: Float32
+    camera: Camera
+    pixel_m: float
+
+
+def depth_views(mesh: Mesh, diameter_m: float, level: int = LEVEL) -> DepthViews:
+    """Pictures of the mesh from all directions of an icosphere, about its centre."""
+    directions = icosphere.directions(level)
+    distance = _DISTANCE * diameter_m
+    focal = _ACROSS * distance / diameter_m
+    middle = (_PIXELS - 1) / 2.0
+    camera = Camera(focal, focal, middle, middle, _PIXELS, _PIXELS)
+    poses = np.stack([pose_from(d, mesh.centre, distance) for d in directions])
+    depths = np.stack([render_depth(mesh, T, camera, near_m=diameter_m) for T in poses])
+    return DepthViews(directions, poses, depths, camera, diameter_m / _ACROSS)
+
+
+def pose_from(direction: Float, centre: Float, distance_m: float) -> Float64:
+    """T_cam_obj (4, 4) of a camera in `direction` (3,) of the object that looks at `centre` (3,)."""
+    R = icosphere.look_at(direction)
+    return se3.make(R, np.array([0.0, 0.0, distance_m]) - R @ centre)
+
+
+def seen(views: DepthViews, points: Float, normals: Float) -> Bool:
+    """Mask (V, N): point faces the direction and nothing is in front of it.
+
+    points, normals (N, 3) in the object's frame. Depth is compared with the slack that the pixel's size and
+    the slope of the surface ask for.
+    """
+    out = np.zeros((len(views.directions), len(points)), np.bool_)
+    _seen(*_arrays(views, points, normals), out)
+    return out
+
+
+def sides_seen(views: DepthViews, points: Float, normals: Float) -> np.ndarray:
+    """For each point (N,) int8: 1 seen on the side of its normal, -1 on the other side only, 0 never."""
+    out = np.zeros(len(points), np.int8)
+    _first_seen(*_arrays(views, points, normals), 1.0, out)
+    _first_seen(*_arrays(views, points, normals), -1.0, out)
+    return out
+
+
+def _arrays(
+    views: DepthViews, points: Float, normals: Float
+) -> tuple[Float64, Float64, Float32, float, float, float, Float64, Float64]:
+    return (
+        np.ascontiguousarray(views.directions),
+        np.ascontiguousarray(views.T_cam_obj[:, :3]),
+        views.depths,
+        views.camera.fx,
+        views.camera.cx,
+        views.pixel_m,
+        np.ascontiguousarray(points, np.float64),
+        np.ascontiguousarray(normals, np.float64),
+    )
+
+
+@jit
+def _is_seen(
+    d: Float, T: Float, depth: Float, focal: float, middle: float, pixel: float, p: Float, cosine: float
+) -> bool:
+    if cosine < _GRAZING:
+        return False
+    x = T[0, 0] * p[0] + T[0, 1] * p[1] + T[0, 2] * p[2] + T[0, 3]
+    y = T[1, 0] * p[0] + T[1, 1] * p[1] + T[1, 2] * p[2] + T[1, 3]
+    z = T[2, 0] * p[0] + T[2, 1] * p[1] + T[2, 2] * p[2] + T[2, 3]
+    u = int(x / z * focal + middle + 0.5)
+    v = int(y / z * focal + middle + 0.5)
+    if u < 0 or v < 0 or v >= depth.shape[0] or u >= depth.shape[1]:
+        return False
+    surface = depth[v, u]
+    slope = min(np.sqrt(1.0 - min(cosine, 1.0) ** 2) / cosine, 3.0)
+    return bool(surface == 0.0 or z < surface + _SLACK_M + 0.75 * pixel * slope)
+
+
+@jit
+def _seen(
+    directions: Float,
+    T: Float,
+    depths: Float,
+    focal: float,
+    middle: float,
+    pixel: float,
+    points: Float,
+    normals: Float,
+    out: Bool,
+) -> None:
+    for k in range(directions.shape[0]):
+        d = directions[k]
+        for i in range(points.shape[0]):
+            cosine = d[0] * normals[i, 0] + d[1] * normals[i, 1] + d[2] * normals[i, 2]
+            out[k, i] = _is_seen(d, T[k], depths[k], focal, middle, pixel, points[i], cosine)
+
+
+@jit
+def _first_seen(
+    directions: Float,
+    T: Float,
+    depths: Float,
+    focal: float,
+    middle: float,
+    pixel: float,
+    points: Float,
+    normals: Float,
+    side: float,
+    out: np.ndarray,
+) -> None:
+    for i in range(points.shape[0]):
+        if out[i] != 0:
+            continue
+        for k in range(directions.shape[0]):
+            d = directions[k]
+            cosine = side * (d[0] * normals[i, 0] + d[1] * normals[i, 1] + d[2] * normals[i, 2])
+            if _is_seen(d, T[k], depths[k], focal, middle, pixel, points[i], cosine):
+                out[i] = 1 if side > 0 else -1
+                break

@@ -1,0 +1,35 @@
+"""`huepose run WORKER`: one worker in this process."""
+
+from __future__ import annotations
+
+import argparse
+import os
+from pathlib import Path
+from typing import Any
+
+
+def add_parser(subparsers: Any) -> None:
+    """Add the verb."""
+    parser = subparsers.add_parser("run", help="run one worker of a pipeline in this process")
+    parser.add_argument("worker", metavar="WORKER", help="camera, tracker, reinit, detector, segmenter ...")
+    parser.add_argument("config", nargs="?", type=Path, default=Path("pipeline.yaml"), metavar="PIPELINE")
+    parser.set_defaults(call=call)
+
+
+def call(arguments: argparse.Namespace) -> int:
+    """Run until told to stop."""
+    from huepose.support.errors import InputError
+    from huepose_services.runtime.config import WORKERS, load
+
+    config = load(arguments.config)
+    if arguments.worker not in WORKERS:
+        raise InputError(
+            f"worker '{arguments.worker}'", found="no such worker", expected=f"one of {', '.join(WORKERS)}"
+        )
+    # Before numpy and OpenCV are imported: one thread a worker, so that six fit on two cores.
+    threads = str(config.estimator.threads if arguments.worker == "estimator" else 1)
+    for variable in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "NUMBA_NUM_THREADS"):
+        os.environ.setdefault(variable, threads)
+    from huepose_services.runtime.worker import run_worker
+
+    return run_worker(arguments.worker, config)

@@ -1,0 +1,42 @@
+"""`huepose up`: all workers of a pipeline, until Ctrl-C or the end of a recording."""
+
+from __future__ import annotations
+
+import argparse
+import signal
+from pathlib import Path
+from types import FrameType
+from typing import Any
+
+
+def add_parser(subparsers: Any) -> None:
+    """Add the verb."""
+    parser = subparsers.add_parser("up", help="run a whole pipeline")
+    parser.add_argument("config", nargs="?", type=Path, default=Path("pipeline.yaml"), metavar="PIPELINE")
+    parser.set_defaults(call=call)
+
+
+def call(arguments: argparse.Namespace) -> int:
+    """Run until it ends or is interrupted."""
+    from huepose_services.runtime.config import load
+    from huepose_services.runtime.prepare import prepare
+    from huepose_services.runtime.supervisor import Supervisor
+
+    config = load(arguments.config)
+    prepare(config)
+    stopping = False
+
+    def stop(number: int, frame: FrameType | None) -> None:
+        nonlocal stopping
+        stopping = True
+
+    signal.signal(signal.SIGTERM, stop)
+    signal.signal(signal.SIGINT, stop)
+    supervisor = Supervisor(config, arguments.config)
+    supervisor.start()
+    try:
+        while supervisor.exit_code is None and not stopping:
+            supervisor.poll()
+    finally:
+        supervisor.stop()
+    return supervisor.exit_code or 0

@@ -1,0 +1,1 @@
+"""What every worker stands on: configuration, zenoh session, loop, health, supervisor."""

@@ -1,0 +1,194 @@
+"""pipeline.yaml as typed, frozen values. Read and checked once, when a process starts."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated, Any, Literal
+
+import msgspec
+import yaml
+from msgspec import Meta, Struct
+
+from huepose.support.errors import InputError
+from huepose_protos.fields import Name
+from huepose_protos.keys import Keys
+from huepose_services.runtime.config_errors import explain
+
+DEFAULT_FILE = "pipeline.yaml"
+
+WorkerName = Literal["camera", "tracker", "reinit", "detector", "segmenter", "estimator"]
+# The order gives each worker its port: base_port plus its place. New workers go to the end.
+WORKERS: tuple[WorkerName, ...] = ("camera", "tracker", "reinit", "detector", "segmenter", "estimator")
+Rate = Annotated[float, Meta(gt=0.0, le=240.0)]
+Seconds = Annotated[float, Meta(ge=0.0, le=60.0)]
+Side = Annotated[float, Meta(ge=0.0, le=16384.0)]
+
+
+class Section(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    """A part of pipeline.yaml: no other keys than these."""
+
+
+class ObjectConfig(Section, frozen=True, kw_only=True):
+    """An object to look for, by the name of its reference model."""
+
+    name: Name
+    max_instances: Annotated[int, Meta(ge=1, le=16)] = 1
+
+
+class CameraConfig(Section, frozen=True, kw_only=True):
+    """Where frames come from, and when."""
+
+    name: Name = "cam0"
+    source: Literal["synthetic", "bop", "fast_ycb"] = "synthetic"
+    path: str | None = None
+    seed: Annotated[int, Meta(ge=0)] = 0
+    rate: Rate | Literal["recorded"] = 30.0
+    once: bool = False
+    first_frame_s: Seconds = 2.0
+    truth: bool = False
+    depth_scale_m: Annotated[float, Meta(gt=0.0, le=0.01)] = 0.0001
+
+
+class DetectorConfig(Section, frozen=True, kw_only=True):
+    """How boxes are found."""
+
+    kind: Literal["truth", "first_box"] = "truth"
+    boxes: dict[Name, tuple[Side, Side, Side, Side]] = {}
+    seed: Annotated[int, Meta(ge=0)] = 0
+
+
+class SegmenterConfig(Section, frozen=True, kw_only=True):
+    """How objects are outlined in their boxes."""
+
+    kind: Literal["depth"] = "depth"
+
+
+class EstimatorConfig(Section, frozen=True, kw_only=True):
+    """How poses are found in a single frame."""
+
+    method: Literal["full", "colorpair"] = "full"
+    threads: Annotated[int, Meta(ge=1, le=64)] = 2
+
+
+class ReinitConfig(Section, frozen=True, kw_only=True):
+    """How often objects are looked at anew."""
+
+    rate_hz: Annotated[float, Meta(gt=0.0, le=30.0)] = 5.0
+    objects_per_tick: Annotated[int, Meta(ge=1, le=16)] = 2
+    deadline_ms: Annotated[int, Meta(ge=50, le=10_000)] = 600
+
+
+class BusConfig(Section, frozen=True, kw_only=True):
+    """How the workers reach each other, on this machine only."""
+
+    base_port: Annotated[int, Meta(ge=1024, le=65_000)] = 17447
+    frame_pool_mib: Annotated[float, Meta(ge=0.0, le=1024.0)] = 6.0
+
+
+class RestartConfig(Section, frozen=True, kw_only=True):
+    """How often a worker that died is started again."""
+
+    limit: Annotated[int, Meta(ge=0, le=1000)] = 5
+    window_s: Annotated[float, Meta(gt=0.0, le=86_400.0)] = 60.0
+
+
+class Config(Section, frozen=True, kw_only=True):
+    """A whole deployment. `folder` is that of the file: relative paths start there."""
+
+    site: Name = "local"
+    workers: tuple[WorkerName, ...] = WORKERS
+    bundles: str | None = None
+    objects: list[ObjectConfig] = []
+    camera: CameraConfig = CameraConfig()
+    detector: DetectorConfig = DetectorConfig()
+    segmenter: SegmenterConfig = SegmenterConfig()
+    estimator: EstimatorConfig = EstimatorConfig()
+    reinit: ReinitConfig = ReinitConfig()
+    bus: BusConfig = BusConfig()
+    restarts: RestartConfig = RestartConfig()
+
+    @property
+    def keys(self) -> Keys:
+        """The keys of this deployment."""
+        return Keys(self.site, self.camera.name)
+
+    def port(self, worker: str) -> int:
+        """The loopback port that a worker listens on."""
+        return self.bus.base_port + WORKERS.index(worker)
+
+    def endpoint(self, worker: str) -> str:
+        """The zenoh endpoint of a worker."""
+        return f"tcp/127.0.0.1:{self.port(worker)}"
+
+
+def load(path: Path) -> Config:
+    """The configuration of a file. Raises InputError that names the key, the value and what is allowed."""
+    try:
+        text = path.read_text(encoding="utf-8")
+    except (OSError, UnicodeDecodeError) as error:
+        raise InputError(
+            f"configuration {path}",
+            found=getattr(error, "strerror", None) or "no text",
+            expected="a YAML file that describes a pipeline",
+            fix="Give the path of one: huepose up PIPELINE.yaml.",
+        ) from None
+    return parse(text, path)
+
+
+def parse(text: str, path: Path) -> Config:
+    """The configuration in a text; `path` names it in errors and is where relative paths start."""
+    try:
+        data: Any = yaml.safe_load(text)
+    except yaml.YAMLError as error:
+        raise InputError(
+            f"configuration {path}", found=" ".join(str(error).split()), expected="YAML"
+        ) from None
+    try:
+        config = msgspec.convert(data if data is not None else {}, Config)
+    except msgspec.ValidationError as error:
+        raise explain(error, data, Config, path) from None
+    config = _absolute(config, path.absolute().parent)
+    _check(config, path)
+    return config
+
+
+def _absolute(config: Config, folder: Path) -> Config:
+    def absolute(text: str | None) -> str | None:
+        return None if text is None else str(folder / Path(text).expanduser())
+
+    return msgspec.structs.replace(
+        config,
+        bundles=absolute(config.bundles),
+        camera=msgspec.structs.replace(config.camera, path=absolute(config.camera.path)),
+    )
+
+
+def _check(config: Config, path: Path) -> None:
+    """What one key alone cannot tell."""
+    names = [o.name for o in config.objects]
+    camera, detector = config.camera, config.detector
+
+    def refuse(key: str, found: str, expected: str, fix: str) -> None:
+        raise InputError(f"{path}: {key}", found=found, expected=expected, fix=fix)
+
+    if len(set(names)) != len(names):
+        refuse("objects", ", ".join(names), "every name once", "Use max_instances for several of a kind.")
+    if len(set(config.workers)) != len(config.workers) or not config.workers:
+        refuse("workers", ", ".join(config.workers) or "none", "each worker at most once", "Name each once.")
+    if camera.source == "synthetic" and camera.path is not None:
+        refuse("camera.path", camera.path, "no path with the synthetic source", "Set it to null.")
+    if camera.source != "synthetic" and camera.path is None:
+        refuse("camera.path", "null", "the folder of the recording", "Set it to the scene's folder.")
+    if camera.source != "synthetic" and config.bundles is None and config.objects:
+        refuse("bundles", "null", "the folder of the reference models", "Make them by huepose onboard.")
+    if camera.source == "synthetic" and camera.rate == "recorded":
+        refuse("camera.rate", "recorded", "frames per second with the synthetic source", "Set it to 30.")
+    if detector.kind == "truth" and "detector" in config.workers and not camera.truth:
+        refuse("detector.kind", "truth", "camera.truth: true beside it", "Set camera.truth to true.")
+    if detector.kind == "first_box" and not detector.boxes and "detector" in config.workers:
+        refuse("detector.boxes", "none", "a box [x, y, w, h] by object", "Give each object's first box.")
+    for name, box in detector.boxes.items():
+        if name not in names:
+            refuse("detector.boxes", name, f"one of objects: {', '.join(names)}", "Correct the name.")
+        if box[2] < 1 or box[3] < 1:
+            refuse(f"detector.boxes.{name}", f"{list(box)}", "[x, y, w, h] with w, h >= 1", "Correct it.")

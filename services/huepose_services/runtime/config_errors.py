@@ -1,0 +1,98 @@
+"""From a validation error of msgspec to a sentence: path, value, what is allowed, hint."""
+
+from __future__ import annotations
+
+import difflib
+import re
+import types
+import typing
+from pathlib import Path
+from typing import Any
+
+import msgspec
+
+from huepose.support.errors import InputError
+
+_AT = re.compile(r"^(?P<text>.*?)(?: - at `(?P<at>[^`]*)`)?$", re.DOTALL)
+_UNKNOWN = re.compile(r"Object contains unknown field `(?P<key>.*)`")
+_MISSING = re.compile(r"Object missing required field `(?P<key>.*)`")
+
+
+def explain(error: msgspec.ValidationError, data: Any, config: type, path: Path) -> InputError:
+    """The error for a person; `data` is what the file says, `config` the type that it should be."""
+    match = _AT.match(str(error))
+    assert match is not None
+    text, at = match["text"], (match["at"] or "$").removeprefix("$").lstrip(".")
+    unknown, missing = _UNKNOWN.match(text), _MISSING.match(text)
+    if unknown or missing:
+        key = (unknown or missing)["key"]  # type: ignore[index]
+        allowed = [f.name for f in msgspec.structs.fields(_type(config, at))]
+        close = difflib.get_close_matches(key, allowed, 1)
+        return InputError(
+            f"{path}: {at}.{key}".replace(": .", ": "),
+            found="a key that is not known" if unknown else "nothing",
+            expected=f"one of {', '.join(allowed)}" if unknown else "a value",
+            fix=f"Did you mean '{close[0]}'?" if unknown and close else "",
+        )
+    return InputError(
+        f"{path}: {at or 'the whole file'}",
+        found=_shown(_value(data, at)),
+        expected=_allowed(text, _type(config, at)),
+        fix="The comments in the default pipeline.yaml say what each key means.",
+    )
+
+
+def _allowed(text: str, kind: Any) -> str:
+    """`Expected X, got Y` without the part that is said elsewhere; names are listed."""
+    names = [str(name) for name in _literals(kind)]
+    if text.startswith("Invalid enum value"):
+        text = f"Expected one of {', '.join(names)}" + (", or a number" if float in _parts(kind) else "")
+    expected = re.sub(r", got .*$", "", text).removeprefix("Expected ").replace("`", "")
+    return expected.replace("object", "keys with values").replace("array", "a list")
+
+
+def _parts(kind: Any) -> list[Any]:
+    """The members of a union, without their annotations."""
+    if typing.get_origin(kind) is typing.Annotated:
+        return _parts(typing.get_args(kind)[0])
+    if typing.get_origin(kind) in (typing.Union, types.UnionType):
+        return [part for member in typing.get_args(kind) for part in _parts(member)]
+    return [kind]
+
+
+def _literals(kind: Any) -> list[Any]:
+    parts = [p for p in _parts(kind) if typing.get_origin(p) is typing.Literal]
+    return [name for part in parts for name in typing.get_args(part)]
+
+
+def _steps(at: str) -> list[str]:
+    return [s for s in re.split(r"\.|(\[[^\]]*\])", at) if s]
+
+
+def _value(data: Any, at: str) -> Any:
+    """What stands at a path; a step `[...]`, any value of a map, ends the search."""
+    for step in _steps(at):
+        if step.startswith("["):
+            if not step[1:-1].isdigit() or not isinstance(data, list):
+                return data
+            data = data[int(step[1:-1])]
+        elif isinstance(data, dict):
+            data = data.get(step)
+    return data
+
+
+def _shown(value: Any) -> str:
+    text = "null" if value is None else repr(value) if isinstance(value, str) else str(value)
+    return text if len(text) <= 80 else text[:77] + "..."
+
+
+def _type(config: type, at: str) -> Any:
+    """The type of what belongs at a path."""
+    kind: Any = config
+    for step in _steps(at):
+        if step.startswith("["):
+            arguments = typing.get_args(kind)
+            kind = arguments[1] if typing.get_origin(kind) is dict else arguments[0]
+        else:
+            kind = typing.get_type_hints(kind, include_extras=True)[step]
+    return kind

@@ -1,0 +1,87 @@
+"""What a worker knows of itself: how much it does, how long that takes, how old its results are."""
+
+from __future__ import annotations
+
+import os
+import time
+from collections import deque
+from pathlib import Path
+from typing import Literal
+
+import numpy as np
+
+from huepose_protos.messages import HealthMessage
+from huepose_services.runtime.clock import SECOND, now_ns, this_clock
+
+HealthState = Literal["starting", "ready", "waiting", "ended", "stopping"]
+_WINDOW_S = 5.0
+
+
+class Health:
+    """Counters and timings of a worker; `message()` is what it says once a second."""
+
+    def __init__(self, worker: str) -> None:
+        self.worker = worker
+        self.state: HealthState = "starting"
+        self.warnings: list[str] = []
+        self.counters: dict[str, int] = {}
+        self.shared_memory: bool | None = None
+        self.camera_epoch: int | None = None
+        self.frame_id: int | None = None
+        self._work: deque[tuple[int, float, float | None]] = deque()
+        self._start_ns = self._cpu_from_ns = now_ns()
+        self._cpu_from = time.process_time()
+
+    def count(self, name: str, by: int = 1) -> None:
+        """Add to a counter."""
+        self.counters[name] = self.counters.get(name, 0) + by
+
+    def worked(self, started_ns: int, capture_ns: int | None = None) -> None:
+        """A piece of work that began then is done now, on pixels captured then."""
+        now = now_ns()
+        age = None if capture_ns is None else (now - capture_ns) * 1e-6
+        self._work.append((now, (now - started_ns) * 1e-6, age))
+        while self._work and now - self._work[0][0] > _WINDOW_S * SECOND:
+            self._work.popleft()
+
+    def message(self) -> HealthMessage:
+        """The state of the worker now."""
+        now = now_ns()
+        recent = [w for w in self._work if now - w[0] <= _WINDOW_S * SECOND]
+        cpu = time.process_time()
+        percent = 100.0 * (cpu - self._cpu_from) / max((now - self._cpu_from_ns) * 1e-9, 1e-3)
+        self._cpu_from, self._cpu_from_ns = cpu, now
+        uptime_s = (now - self._start_ns) * 1e-9
+        return HealthMessage(
+            publish_ns=now,
+            worker=self.worker,
+            pid=os.getpid(),
+            state=self.state,
+            clock=this_clock(),
+            uptime_s=uptime_s,
+            rate_hz=len(recent) / max(min(uptime_s, _WINDOW_S), 0.1),
+            cpu_percent=max(percent, 0.0),
+            memory_mib=_resident_mib(),
+            camera_epoch=self.camera_epoch,
+            frame_id=self.frame_id,
+            work_ms=_median_and_p99([w[1] for w in recent]),
+            age_ms=_median_and_p99([w[2] for w in recent if w[2] is not None]),
+            shared_memory=self.shared_memory,
+            counters=dict(self.counters),
+            warnings=self.warnings[-32:],
+        )
+
+
+def _median_and_p99(values: list[float]) -> tuple[float, float] | None:
+    if not values:
+        return None
+    median, high = np.percentile(values, [50, 99])
+    return float(median), float(high)
+
+
+def _resident_mib() -> float:
+    try:
+        pages = int(Path("/proc/self/statm").read_text().split()[1])
+    except (OSError, IndexError, ValueError):
+        return 0.0
+    return pages * os.sysconf("SC_PAGE_SIZE") / (1024 * 1024)

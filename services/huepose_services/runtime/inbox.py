@@ -1,0 +1,128 @@
+"""What arrives, for a loop with one thread: rings of one for frames, queues for what must not be lost.
+
+A thread for each subscription moves samples from zenoh's channel to a place that the loop looks at, and
+wakes the loop. A newer frame replaces the one that lies there: the age of what the loop takes is bounded by
+its own work, never by a queue.
+"""
+
+from __future__ import annotations
+
+import threading
+from collections import deque
+from typing import Any
+
+import zenoh
+
+_QUEUE_CAPACITY = 4096
+
+
+class Ring:
+    """The newest sample of a subscription; `skipped` counts those that it replaced."""
+
+    def __init__(self, ready: threading.Condition, wakes: bool = True) -> None:
+        self._ready = ready
+        self._wakes = wakes
+        self._sample: zenoh.Sample | None = None
+        self.skipped = 0
+
+    def _put(self, sample: zenoh.Sample) -> None:
+        with self._ready:
+            self.skipped += self._sample is not None
+            self._sample = sample
+            if self._wakes:
+                self._ready.notify()
+
+    def take(self) -> zenoh.Sample | None:
+        """The newest sample, once; None when there is no new one. Copy it out and drop it."""
+        with self._ready:
+            sample, self._sample = self._sample, None
+            return sample
+
+    def __bool__(self) -> bool:
+        """Whether the loop should look at it now."""
+        return self._wakes and self._sample is not None
+
+
+class Queue:
+    """All samples of a subscription in order; `lost` counts what a stuck loop made it drop."""
+
+    def __init__(self, ready: threading.Condition) -> None:
+        self._ready = ready
+        self._samples: deque[zenoh.Sample] = deque()
+        self.lost = 0
+
+    def _put(self, sample: zenoh.Sample) -> None:
+        with self._ready:
+            if len(self._samples) >= _QUEUE_CAPACITY:
+                self._samples.popleft()
+                self.lost += 1
+            self._samples.append(sample)
+            self._ready.notify()
+
+    def take(self) -> zenoh.Sample | None:
+        """The oldest sample; None when there is none."""
+        with self._ready:
+            return self._samples.popleft() if self._samples else None
+
+    def __bool__(self) -> bool:
+        return bool(self._samples)
+
+
+class Inbox:
+    """All subscriptions of a loop."""
+
+    def __init__(self, session: zenoh.Session) -> None:
+        self._session = session
+        self._ready = threading.Condition()
+        self._places: list[Ring | Queue] = []
+        self._subscribers: list[Any] = []
+        self._threads: list[threading.Thread] = []
+
+    def ring(self, key: str, wakes: bool = True) -> Ring:
+        """Subscribe for the newest only; `wakes` False: the loop need not look at it when it arrives."""
+        ring = Ring(self._ready, wakes)
+        self._start(self._session.declare_subscriber(key, zenoh.handlers.RingChannel(1)), ring)
+        return ring
+
+    def queue(self, key: str) -> Queue:
+        """Subscribe for everything."""
+        queue = Queue(self._ready)
+        self._start(self._session.declare_subscriber(key, zenoh.handlers.FifoChannel(256)), queue)
+        return queue
+
+    def liveliness(self, key: str) -> Queue:
+        """Subscribe to liveliness tokens, those that are there already first."""
+        queue = Queue(self._ready)
+        tokens = self._session.liveliness()
+        self._start(tokens.declare_subscriber(key, zenoh.handlers.FifoChannel(256), history=True), queue)
+        return queue
+
+    def _start(self, subscriber: Any, place: Ring | Queue) -> None:
+        self._places.append(place)
+        self._subscribers.append(subscriber)
+        # The thread holds the channel only: a subscriber that is waited on cannot be undeclared.
+        thread = threading.Thread(target=self._move, args=(subscriber.handler, place), daemon=True)
+        thread.start()
+        self._threads.append(thread)
+
+    @staticmethod
+    def _move(channel: Any, place: Ring | Queue) -> None:
+        while True:
+            try:
+                place._put(channel.recv())
+            except zenoh.ZError:
+                return  # the subscription has ended
+
+    def wait(self, timeout_s: float) -> None:
+        """Until something is there to take, at most so long."""
+        with self._ready:
+            if timeout_s > 0 and not any(self._places):
+                self._ready.wait(timeout_s)
+
+    def close(self) -> None:
+        """End all subscriptions."""
+        for subscriber in self._subscribers:
+            subscriber.undeclare()
+        for thread in self._threads:
+            thread.join(1.0)
+        self._subscribers.clear()

@@ -1,0 +1,54 @@
+"""What must hold before workers are started: the objects are there, the source opens, the ports are free."""
+
+from __future__ import annotations
+
+import errno
+import socket
+from importlib import import_module
+
+from huepose.support.errors import InputError
+from huepose_services.builtin import builtin_bundles
+from huepose_services.runtime.config import Config
+
+
+def prepare(config: Config) -> None:
+    """Check it all, and make what the built-in scene needs at its first use. Raises InputError."""
+    check(config)
+    if config.bundles is None:
+        builtin_bundles(config.camera.seed)
+    check_ports(config)
+
+
+def check(config: Config) -> None:
+    """Whether a configuration can be started; changes nothing."""
+    from huepose.model.io import model_path
+
+    if config.bundles is not None:
+        for item in config.objects:
+            if not model_path(config.bundles, item.name).is_file():
+                _unknown(config, item.name)
+    if config.camera.source != "synthetic" and "camera" in config.workers:
+        import_module(f"huepose_services.camera.{config.camera.source}").open_source(config)
+
+
+def _unknown(config: Config, name: str) -> None:
+    from huepose.model import load_models
+
+    assert config.bundles is not None
+    load_models(config.bundles, [name])  # says which ones there are
+
+
+def check_ports(config: Config) -> None:
+    """Raises InputError when a worker's port is taken."""
+    for worker in config.workers:
+        with socket.socket() as probe:
+            probe.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+            try:
+                probe.bind(("127.0.0.1", config.port(worker)))
+            except OSError as error:
+                raise InputError(
+                    f"port {config.port(worker)} of worker {worker}",
+                    found="another program there" if error.errno == errno.EADDRINUSE else str(error),
+                    expected="a free port on 127.0.0.1",
+                    fix="Stop the other pipeline, or set bus.base_port in the configuration.",
+                ) from None

@@ -1,0 +1,111 @@
+"""The zenoh session of a worker: peers on loopback, explicit endpoints, shared memory where it is safe.
+
+A worker listens on its own port and connects to the workers before it in the list, so there is one link
+for each pair and each may start, die and come back at any time. Only the camera makes a pool of shared
+memory; a reader that may not lock that pool would lose frames silently, so it turns shared memory off.
+"""
+
+from __future__ import annotations
+
+import json
+import resource
+from collections.abc import Sequence
+from pathlib import Path
+
+import zenoh
+
+from huepose.support.errors import InputError
+from huepose_services.runtime.config import WORKERS, Config
+
+MIB = 1024 * 1024
+# What zenoh locks beside a pool, and for the links (measured with zenoh 1.10).
+_POOL_OVERHEAD = 1280 * 1024
+_LINK_OVERHEAD = 24 * 1024
+FRAME_WORKERS = ("camera", "tracker", "detector")
+
+
+def lock_limit() -> int | None:
+    """Bytes of memory that this process may lock; None without a limit (or with CAP_IPC_LOCK)."""
+    soft, _ = resource.getrlimit(resource.RLIMIT_MEMLOCK)
+    if soft == resource.RLIM_INFINITY or _may_lock_anything():
+        return None
+    return soft
+
+
+def _may_lock_anything() -> bool:
+    cap_ipc_lock = 14
+    try:
+        status = Path("/proc/self/status").read_text()
+    except OSError:
+        return False
+    effective = next((line.split()[1] for line in status.splitlines() if line.startswith("CapEff")), "0")
+    return bool(int(effective, 16) >> cap_ipc_lock & 1)
+
+
+def pool_fits(pool_bytes: int, limit: int | None) -> bool:
+    """Whether a process with that limit can lock one pool of frames."""
+    return limit is None or pool_bytes + _POOL_OVERHEAD + _LINK_OVERHEAD <= limit
+
+
+def zenoh_config(
+    listen: Sequence[str], connect: Sequence[str], *, shared_memory: bool = False, pool_bytes: int = 0
+) -> zenoh.Config:
+    """A peer that reaches exactly the given endpoints. pool_bytes > 0: large puts go by shared memory."""
+    settings: dict[str, object] = {
+        "mode": "peer",
+        "scouting/multicast/enabled": False,
+        "scouting/gossip/enabled": False,
+        "listen/endpoints": list(listen),
+        "connect/endpoints": list(connect),
+        "connect/timeout_ms": -1,
+        "connect/exit_on_failure": False,
+        "connect/retry": {
+            "period_init_ms": 50,
+            "period_max_ms": 400,
+            "period_increase_factor": 1.5,
+        },
+        "transport/link/rx/max_message_size": 64 * MIB,
+        "transport/shared_memory/enabled": shared_memory,
+        "transport/shared_memory/transport_optimization/enabled": pool_bytes > 0,
+    }
+    if pool_bytes > 0:
+        settings["transport/shared_memory/transport_optimization/pool_size"] = pool_bytes
+    config = zenoh.Config()
+    for key, value in settings.items():
+        config.insert_json5(key, json.dumps(value))
+    return config
+
+
+def open_worker_session(config: Config, worker: str) -> tuple[zenoh.Session, list[str]]:
+    """The session of a worker, and warnings for its health. Raises InputError when its port is taken."""
+    warnings: list[str] = []
+    pool = int(config.bus.frame_pool_mib * MIB)
+    shared = pool > 0 and worker in FRAME_WORKERS
+    limit = lock_limit()
+    if shared and not pool_fits(pool, limit):
+        shared = False
+        warnings.append(
+            f"shared memory is off: frames need {(pool + _POOL_OVERHEAD) // 1024} KiB of locked memory, "
+            f"the limit (ulimit -l) is {(limit or 0) // 1024} KiB; frames go by TCP"
+        )
+    before = WORKERS[: WORKERS.index(worker)]  # type: ignore[arg-type]
+    settings = zenoh_config(
+        [config.endpoint(worker)],
+        [config.endpoint(other) for other in before if other in config.workers],
+        shared_memory=shared,
+        pool_bytes=pool if shared and worker == "camera" else 0,
+    )
+    try:
+        return zenoh.open(settings), warnings
+    except zenoh.ZError as error:
+        raise InputError(
+            f"port {config.port(worker)} of worker {worker}",
+            found="another program there" if "in use" in str(error) else " ".join(str(error).split())[:200],
+            expected="a free port on 127.0.0.1",
+            fix="Stop the other pipeline, or set bus.base_port in the configuration.",
+        ) from None
+
+
+def open_reader_session(endpoints: Sequence[str]) -> zenoh.Session:
+    """A session that only looks: it listens nowhere and takes no shared memory."""
+    return zenoh.open(zenoh_config([], endpoints))

@@ -1,0 +1,279 @@
+"""Single-frame accuracy: the estimator on all labelled frames, in disturbed true boxes or a detector's."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Literal, Protocol
+
+import numpy as np
+
+from huepose.datasets.types import GroundTruth, Sample, Scene
+from huepose.estimation.types import ObjectQuery, PoseEstimate
+from huepose.evaluation.boxes import Disturbance, disturbed, projected_box, truth_box
+from huepose.evaluation.equivalents import Key
+from huepose.evaluation.estimate_rows import EstimateResult, EstimateRow, FalsePose
+from huepose.evaluation.targets import Targets, object_number
+from huepose.geometry.arrays import Bool, Float64
+from huepose.geometry.box import Box
+from huepose.geometry.frame import RgbdFrame
+from huepose.model.types import ReferenceModel
+from huepose.perception.types import Detector
+from huepose.support.errors import InputError
+from huepose.support.progress import progress
+
+ASSIGNMENT_IOU = 0.3
+
+
+class PoseEstimator(Protocol):
+    """What is evaluated."""
+
+    def estimate(self, frame: RgbdFrame, queries: Sequence[ObjectQuery]) -> list[PoseEstimate]:
+        """One answer for each query."""
+        ...
+
+
+@dataclass(frozen=True)
+class EstimateOptions:
+    """boxes `detect` asks a detector for all objects in every image; masks `gt` gives the true visible mask.
+
+    Labels under `min_visib` are left out; those of unknown visibility are kept."""
+
+    boxes: Disturbance | Literal["detect"] = "perturbed"
+    masks: Literal["auto", "gt"] = "auto"
+    min_visib: float = 0.0
+    seeds: tuple[int, ...] = (0,)
+
+    def __post_init__(self) -> None:
+        if self.boxes == "detect" and self.masks == "gt":
+            raise InputError(
+                "--boxes detect with --masks gt",
+                found="true masks for boxes that belong to no label",
+                fix="Use --masks auto.",
+            )
+
+
+@dataclass(frozen=True, eq=False)
+class _Label:
+    """A label that is evaluated (`counted`), or that only takes its poses away from the false ones."""
+
+    truth: GroundTruth
+    model: ReferenceModel
+    T_cam_obj: Float64
+    counted: bool
+
+
+def evaluate_estimates(
+    scenes: Sequence[Scene],
+    targets: Targets,
+    estimator: PoseEstimator,
+    options: EstimateOptions,
+    *,
+    equivalents: Mapping[Key, Sequence[Float64]] | None = None,
+    detector: Detector | None = None,
+    on_frame: Callable[[Sample, list[EstimateRow]], None] | None = None,
+) -> EstimateResult:
+    """Run the estimator over all labelled images of the scenes. `on_frame` sees each frame with its rows.
+
+    Raises InputError when nothing is labelled, or `boxes` is `detect` without a detector."""
+    if options.boxes == "detect" and detector is None:
+        raise InputError("--boxes detect", found="no detector", fix="Give one, or use --boxes perturbed.")
+    rows: list[EstimateRow] = []
+    false: list[FalsePose] = []
+    skipped = 0
+    images = [(scene, image) for scene in scenes for image in scene.image_ids]
+    for scene, image in progress(images, "frames"):
+        truths = scene.truths(image)
+        labels, without_model = _labels(truths, targets, options.min_visib)
+        skipped += without_model
+        if not labels and options.boxes != "detect":
+            continue
+        sample = Sample(scene.frame(image), truths, scene.name, image)
+        for seed in options.seeds:
+            run = _FrameRun(sample, labels, targets, options, seed, equivalents or {})
+            if detector is not None and options.boxes == "detect":
+                new, wrong = run.detected(estimator, detector)
+                false += wrong
+            else:
+                new = run.boxed(estimator)
+            rows += new
+            if on_frame is not None:
+                on_frame(sample, new)
+    if not rows:
+        raise InputError(
+            "scenes " + ", ".join(scene.name for scene in scenes),
+            found=f"no label of an onboarded object ({skipped} of others)",
+            expected="labels in scene_gt.json of objects that have a reference model",
+            fix="Onboard the objects, or check --objects, --bundles and --min-visib.",
+        )
+    rows.sort(key=lambda r: options.seeds.index(r.seed))
+    return EstimateResult(rows, false, skipped, options.boxes, options.masks, options.seeds)
+
+
+def _labels(truths: Sequence[GroundTruth], targets: Targets, min_visib: float) -> tuple[list[_Label], int]:
+    """Labels that have a model and a pose, and the number of wanted ones that have no model."""
+    labels, without_model = [], 0
+    for truth in truths:
+        if not targets.wants(truth) or truth.T_cam_obj is None:
+            continue
+        counted = truth.visib_fract is None or truth.visib_fract >= min_visib
+        model = targets.model_of(truth)
+        if model is not None:
+            labels.append(_Label(truth, model, truth.T_cam_obj, counted))
+        elif counted:
+            without_model += 1
+    return labels, without_model
+
+
+@dataclass(frozen=True, eq=False)
+class _FrameRun:
+    """One frame under one seed."""
+
+    sample: Sample
+    labels: Sequence[_Label]
+    targets: Targets
+    options: EstimateOptions
+    seed: int
+    equivalents: Mapping[Key, Sequence[Float64]]
+
+    def boxed(self, estimator: PoseEstimator) -> list[EstimateRow]:
+        """One query for each label."""
+        queries: dict[int, ObjectQuery] = {}
+        for label in self.labels:
+            if label.counted:
+                query = self._query(label)
+                if query is not None:
+                    queries[label.truth.instance] = query
+        start = time.perf_counter()
+        answers = estimator.estimate(self.sample.frame, list(queries.values())) if queries else []
+        seconds = time.perf_counter() - start
+        found = {answer.instance: answer for answer in answers}
+        return [
+            self._row(label, found.get(label.truth.instance), seconds, queries.get(label.truth.instance))
+            for label in self.labels
+            if label.counted
+        ]
+
+    def _query(self, label: _Label) -> ObjectQuery | None:
+        """None where the true mask or the box is empty: nothing of the object is in the image."""
+        camera, truth = self.sample.frame.camera, label.truth
+        masks: tuple[Bool, ...] = ()
+        if self.options.masks == "gt":
+            mask = truth.mask()
+            if mask is None:
+                raise InputError(
+                    f"scene {self.sample.scene}, image {self.sample.image}, instance {truth.instance}",
+                    found="no visible mask",
+                    expected="mask_visib/IMAGE_INSTANCE.png for --masks gt",
+                    fix="Use --masks auto.",
+                )
+            if not mask.any():
+                return None
+            masks = (mask,)
+        kind = "gt" if self.options.boxes == "detect" else self.options.boxes
+        true_box = truth_box(truth, label.model, camera)
+        if true_box is None:
+            return None
+        box = disturbed(
+            true_box,
+            kind,
+            self.seed,
+            self.sample.scene,
+            self.sample.image,
+            truth.instance,
+            camera.width,
+            camera.height,
+        )
+        if box.area == 0:
+            return None
+        return ObjectQuery(label.model.name, box=box, masks=masks, instance=truth.instance)
+
+    def detected(
+        self, estimator: PoseEstimator, detector: Detector
+    ) -> tuple[list[EstimateRow], list[FalsePose]]:
+        """Every object is asked for; poses are matched to the labels of their object afterwards."""
+        start = time.perf_counter()
+        names = [model.name for model in self.targets.models]
+        detections = detector.detect(self.sample.frame, names)
+        queries = [ObjectQuery(d.object, box=d.box, instance=i) for i, d in enumerate(detections)]
+        answers = estimator.estimate(self.sample.frame, queries) if queries else []
+        seconds = time.perf_counter() - start
+        taken, spare = assigned(answers, self.labels, self._box_of)
+        rows = [
+            self._row(label, taken.get(i), seconds, queries[taken[i].instance] if i in taken else None)
+            for i, label in enumerate(self.labels)
+            if label.counted
+        ]
+        return rows, [self._false(answer, T) for answer, T in spare]
+
+    def _box_of(self, name: str, T_cam_obj: Float64) -> Box | None:
+        model = self.targets.named(name)
+        return None if model is None else projected_box(model, T_cam_obj, self.sample.frame.camera)
+
+    def _false(self, answer: PoseEstimate, T_cam_obj: Float64) -> FalsePose:
+        model = self.targets.named(answer.object)
+        return FalsePose(
+            self.sample.scene,
+            self.sample.image,
+            answer.object if model is None else object_number(model),
+            T_cam_obj,
+            answer.quality,
+            answer.state,
+            self.seed,
+        )
+
+    def _row(
+        self, label: _Label, answer: PoseEstimate | None, seconds: float, query: ObjectQuery | None
+    ) -> EstimateRow:
+        T_cam_obj = answer.T_cam_obj if answer is not None and answer.found else None
+        truth = label.truth
+        key = (self.sample.scene, self.sample.image, truth.instance)
+        error = self.targets.error(label.model, T_cam_obj, label.T_cam_obj, self.equivalents.get(key, ()))
+        return EstimateRow(
+            scene=self.sample.scene,
+            image=self.sample.image,
+            instance=truth.instance,
+            object=object_number(label.model),
+            visib_fract=truth.visib_fract,
+            T_cam_obj=None if T_cam_obj is None else np.asarray(T_cam_obj, dtype=np.float64),
+            error=error,
+            diameter_m=label.model.diameter_m,
+            quality=answer.quality if answer is not None else 0.0,
+            state=answer.state if answer is not None else "LOST",
+            seconds=seconds,
+            seed=self.seed,
+            box=None if query is None else query.box,
+        )
+
+
+def assigned(
+    answers: Sequence[PoseEstimate],
+    labels: Sequence[_Label],
+    box_of: Callable[[str, Float64], Box | None],
+) -> tuple[dict[int, PoseEstimate], list[tuple[PoseEstimate, Float64]]]:
+    """Poses to labels of their object, one to one, the surest pose first, each to the label whose projected
+    box it overlaps most, by IoU 0.3 at least. Returns answers by index of the label, and the spare poses."""
+    taken: dict[int, PoseEstimate] = {}
+    spare = []
+    boxes = [box_of(label.model.name, label.T_cam_obj) for label in labels]
+    for answer, T_cam_obj in sorted(_found(answers), key=lambda item: -item[0].quality):
+        box = box_of(answer.object, T_cam_obj)
+        overlaps = [
+            box.iou(other)
+            if box is not None and other is not None and i not in taken and label.model.name == answer.object
+            else 0.0
+            for i, (label, other) in enumerate(zip(labels, boxes, strict=True))
+        ]
+        best = int(np.argmax(overlaps)) if overlaps else 0
+        if overlaps and overlaps[best] >= ASSIGNMENT_IOU:
+            taken[best] = answer
+        else:
+            spare.append((answer, T_cam_obj))
+    return taken, spare
+
+
+def _found(answers: Sequence[PoseEstimate]) -> Iterator[tuple[PoseEstimate, Float64]]:
+    for answer in answers:
+        if answer.found and answer.T_cam_obj is not None:
+            yield answer, answer.T_cam_obj

@@ -1,0 +1,89 @@
+"""Files of poses that were made elsewhere: our CSV, and DOPE's `poses.txt` in NVIDIA's model frame.
+
+CSV: `frame,object,x,y,z,qx,qy,qz,qw`, metres, the reference model's frame; object is a name or a BOP id.
+DOPE: row i is frame i, `x y z ax ay az angle`, zeros where nothing was found; points of its frame are
+p_nvdu = R p_posecnn + t, and p_bop = p_posecnn + offset.
+"""
+
+from __future__ import annotations
+
+import csv
+import io
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from huepose.datasets import files
+from huepose.datasets.fast_ycb import axis_angle_poses
+from huepose.geometry import se3
+from huepose.geometry.arrays import Float, Float64
+from huepose.support.errors import InputError
+
+COLUMNS = ("frame", "object", "x", "y", "z", "qx", "qy", "qz", "qw")
+
+
+@dataclass(frozen=True, eq=False)
+class PoseTable:
+    """T_cam_obj (4, 4) by (frame, object as the file calls it); a missing pose is not in it."""
+
+    poses: Mapping[tuple[int, str], Float64]
+
+    def pose(self, frame: int, name: str, object_id: int | None) -> Float64 | None:
+        """The pose of an object, by name or by id."""
+        found = self.poses.get((frame, name))
+        return found if found is not None or object_id is None else self.poses.get((frame, str(object_id)))
+
+
+def read_pose_csv(path: Path | str) -> PoseTable:
+    """Read our CSV, with or without its header; rows with nan are missing poses. Raises InputError."""
+    text = files.read_bytes(Path(path)).decode("utf-8", "replace")
+    poses: dict[tuple[int, str], Float64] = {}
+    for line, row in enumerate(csv.reader(io.StringIO(text)), 1):
+        cells = [cell.strip() for cell in row]
+        if not any(cells) or (line == 1 and cells[0] == COLUMNS[0]):
+            continue
+        try:
+            frame, values = int(cells[0]), np.array([float(cell) for cell in cells[2:]])
+        except (ValueError, IndexError):
+            frame, values = 0, np.empty(0)
+        if len(values) != 7:
+            raise InputError(f"{path}, line {line}", found=",".join(row)[:60], expected=",".join(COLUMNS))
+        if not np.isfinite(values).all():
+            continue
+        if abs(np.linalg.norm(values[3:]) - 1.0) > 0.05:
+            raise InputError(f"{path}, line {line}", found=f"quaternion {values[3:]}", expected="length 1")
+        poses[frame, cells[1]] = se3.make(se3.rotation_from_quaternion(values[3:]), values[:3])
+    if not poses:
+        raise InputError(path, found="no pose", expected=",".join(COLUMNS))
+    return PoseTable(poses)
+
+
+def read_dope_poses(
+    path: Path | str, name: str, R_nvdu_posecnn: Float, t_nvdu_posecnn_m: Float, frame_offset_m: Float
+) -> PoseTable:
+    """Read DOPE's poses of one object into the reference model's frame.
+
+    R_nvdu_posecnn (3, 3), t_nvdu_posecnn_m (3,): from the PoseCNN to the NVDU frame; frame_offset_m (3,):
+    from the PoseCNN to the reference model's frame. Raises InputError."""
+    T_nvdu_posecnn = se3.make(R_nvdu_posecnn, t_nvdu_posecnn_m)
+    T_posecnn_obj = se3.make(np.eye(3), -np.asarray(frame_offset_m, dtype=np.float64))
+    return PoseTable(
+        {
+            (frame, name): se3.compose(T_cam_nvdu, T_nvdu_posecnn, T_posecnn_obj)
+            for frame, T_cam_nvdu in enumerate(axis_angle_poses(Path(path)))
+            if np.isfinite(T_cam_nvdu).all()
+        }
+    )
+
+
+def read_nvdu_frames(path: Path | str) -> dict[str, tuple[Float64, Float64]]:
+    """By object name: `posecnn_to_dope_R` (3, 3) and `posecnn_to_dope_t_m` (3,). Raises InputError."""
+    frames = {}
+    for name, entry in files.read_json(Path(path)).items():
+        where = f"{path}, '{name}'"
+        R = files.numbers(entry, "posecnn_to_dope_R", (3, 3), where)
+        t_m = files.numbers(entry, "posecnn_to_dope_t_m", (3,), where)
+        frames[name] = (files.rigid(R, t_m, where)[:3, :3], t_m)
+    return frames

@@ -1,0 +1,119 @@
+"""Which reference model a label means, and how far a pose is from that label."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.spatial import cKDTree
+
+from huepose.datasets.types import GroundTruth
+from huepose.evaluation import metrics
+from huepose.geometry.arrays import Float, Float64
+from huepose.model.types import ReferenceModel
+from huepose.support.errors import InputError
+
+
+@dataclass(frozen=True)
+class PoseError:
+    """Distance of a pose from a label, metres; inf without a pose.
+
+    add_m: the nearest of the labelled pose and those that were declared as good; official_add_m: the labelled
+    pose alone; adds_m: ADD-S; right: ADD under a tenth of the diameter to any of these, or to a turn under
+    which the object's shape and print look the same."""
+
+    add_m: float
+    adds_m: float
+    official_add_m: float
+    right: bool
+
+    @staticmethod
+    def missing() -> PoseError:
+        """No pose."""
+        return PoseError(np.inf, np.inf, np.inf, False)
+
+
+class Targets:
+    """The reference models of an evaluation, found by BOP id or name; errors are measured here."""
+
+    def __init__(
+        self, models: Mapping[str, ReferenceModel], objects: Sequence[str | int] | None = None
+    ) -> None:
+        """objects: ids or names to which the evaluation is limited. Raises InputError on an unknown name."""
+        self._by_name = dict(models)
+        self._by_id = {m.object_id: m for m in models.values() if m.object_id is not None}
+        self._trees: dict[str, cKDTree] = {}
+        self._wanted = None if objects is None else {self._checked(o) for o in objects}
+
+    def _checked(self, wanted: str | int) -> str | int:
+        text = str(wanted)
+        if text.isdigit():
+            return int(text)
+        if text not in self._by_name:
+            raise InputError(
+                f"object '{text}'",
+                found="no reference model of that name",
+                expected=f"an id or one of {', '.join(sorted(self._by_name)) or 'none'}",
+            )
+        return text
+
+    def wants(self, truth: GroundTruth) -> bool:
+        """The evaluation is about this label, whether there is a model or not."""
+        if self._wanted is None:
+            return True
+        model = self.model_of(truth)
+        names = {truth.object_id, truth.object} | ({model.object_id, model.name} if model else set())
+        return bool((names - {None}) & self._wanted)
+
+    def model_of(self, truth: GroundTruth) -> ReferenceModel | None:
+        """The reference model of a label, by name first; None where there is none."""
+        if truth.object is not None and truth.object in self._by_name:
+            return self._by_name[truth.object]
+        return None if truth.object_id is None else self._by_id.get(truth.object_id)
+
+    def named(self, name_or_id: str | int) -> ReferenceModel | None:
+        """The reference model with that name or id."""
+        text = str(name_or_id)
+        model = self._by_name.get(text)
+        return model if model is not None or not text.isdigit() else self._by_id.get(int(text))
+
+    @property
+    def models(self) -> tuple[ReferenceModel, ...]:
+        """The models that the evaluation asks for, by name."""
+        chosen = [
+            m
+            for m in self._by_name.values()
+            if self._wanted is None or m.object_id in self._wanted or m.name in self._wanted
+        ]
+        return tuple(sorted(chosen, key=lambda m: m.name))
+
+    def error(
+        self,
+        model: ReferenceModel,
+        T_estimate: Float | None,
+        T_truth: Float,
+        equivalents: Iterable[Float64] = (),
+    ) -> PoseError:
+        """Errors of a pose (4, 4), or of None. equivalents: the `T_obj_obj` (4, 4) that count as well."""
+        if T_estimate is None:
+            return PoseError.missing()
+        if model.name not in self._trees:
+            self._trees[model.name] = cKDTree(model.eval_points)
+        points = model.eval_points
+        official = metrics.add(points, T_estimate, T_truth)
+        declared = [T_truth @ T for T in equivalents]
+        nearest = min([official, *(metrics.add(points, T_estimate, T) for T in declared)])
+        limit = metrics.RECALL_FRACTION * model.diameter_m
+        right = nearest < limit or any(
+            metrics.add(points, T_estimate, T @ turn) < limit
+            for T in (T_truth, *declared)
+            for turn in model.equivalents[1:]
+        )
+        adds = metrics.adds(points, T_estimate, T_truth, self._trees[model.name])
+        return PoseError(nearest, adds, official, bool(right))
+
+
+def object_number(model: ReferenceModel) -> int | str:
+    """How results call an object: its BOP id, or its name where it has none."""
+    return model.name if model.object_id is None else model.object_id

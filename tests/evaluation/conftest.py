@@ -1,0 +1,153 @@
+"""Reference models to measure errors on, scenes in memory, an estimator that returns given poses."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+import pytest
+
+from huepose.datasets.types import GroundTruth, Sample
+from huepose.estimation.types import ObjectQuery, PoseEstimate
+from huepose.geometry import Box, Camera, Mesh, RgbdFrame, se3
+from huepose.model.types import (
+    DistanceGrid,
+    PairReference,
+    ReferenceModel,
+    Surface,
+    ViewTemplates,
+)
+
+CAMERA = Camera(120.0, 120.0, 79.5, 59.5, 160, 120)
+HALF_TURN = se3.make(se3.rotation_exp([0, 0, np.pi]), [0, 0, 0])
+
+
+def box_mesh(size: Sequence[float]) -> Mesh:
+    """A closed box, untextured."""
+    corners = np.array([[x, y, z] for x in (-0.5, 0.5) for y in (-0.5, 0.5) for z in (-0.5, 0.5)])
+    quads = [(0, 1, 3, 2), (4, 6, 7, 5), (0, 4, 5, 1), (2, 3, 7, 6), (0, 2, 6, 4), (1, 5, 7, 3)]
+    faces = [t for a, b, c, d in quads for t in ((a, b, c), (a, c, d))]
+    return Mesh(
+        (corners * size).astype(np.float32),
+        np.array(faces, np.int32),
+        np.zeros((len(faces), 3, 2), np.float32),
+        np.full((2, 2, 3), 128, np.uint8),
+    )
+
+
+def reference_model(
+    name: str,
+    object_id: int | None,
+    size: Sequence[float] = (0.06, 0.1, 0.16),
+    equivalents: Sequence[np.ndarray] = (),
+) -> ReferenceModel:
+    """A box with points spread over its faces; the tables of estimation are empty."""
+    mesh = box_mesh(size)
+    grid = np.linspace(-0.5, 0.5, 12)
+    faces = [
+        np.insert([a, b], axis, side) for axis in range(3) for side in (-0.5, 0.5) for a in grid for b in grid
+    ]
+    points = (np.unique(np.array(faces), axis=0) * size).astype(np.float32)
+    z = np.zeros
+    none3, none_i = z((0, 3), np.float32), z(0, np.int32)
+    turns = np.stack([np.eye(4), *equivalents])
+    return ReferenceModel(
+        name=name,
+        object_id=object_id,
+        mesh=mesh,
+        eval_points=points,
+        diameter_m=float(np.linalg.norm(size)),
+        symmetries=np.eye(4)[None],
+        turns=np.eye(4)[None],
+        equivalents=turns,
+        frame_offset_m=np.zeros(3),
+        surface=Surface(none3, none3, z((2, 0, 3), np.float32), none3, none_i, none_i),
+        grid=DistanceGrid(np.zeros(3), 0.01, z((1, 1, 1), np.int16)),
+        templates=ViewTemplates(none3, z((0, 1, 5, 1, 1), np.float16), none3, 1.2),
+        pairs=PairReference(
+            none3, none3, none3, z((0, 2, 3), np.float32), none_i, none3, z((0, 2), np.uint8), none3, none3,
+            z(0, np.uint8), z(0, np.float32), z(0, np.int64), z((0, 3), np.int32), z(0, np.int64),
+            z((0, 2), np.int32), z(0, np.float32),
+        ),
+    )  # fmt: skip
+
+
+@dataclass(frozen=True, eq=False)
+class MemoryScene:
+    """A scene whose labels are given; its pictures are empty."""
+
+    name: str
+    labels: Mapping[int, tuple[GroundTruth, ...]]
+    stamps_ns: Mapping[int, int] = field(default_factory=dict)
+
+    @property
+    def image_ids(self) -> tuple[int, ...]:
+        return tuple(sorted(self.labels))
+
+    def stamp_ns(self, image: int) -> int:
+        return self.stamps_ns.get(image, round(image * 1e9 / 30))
+
+    def frame(self, image: int) -> RgbdFrame:
+        return RgbdFrame(
+            np.zeros((120, 160, 3), np.uint8),
+            np.ones((120, 160), np.float32),
+            CAMERA,
+            image,
+            self.stamp_ns(image),
+        )
+
+    def truths(self, image: int) -> tuple[GroundTruth, ...]:
+        return self.labels[image]
+
+    def sample(self, image: int) -> Sample:
+        return Sample(self.frame(image), self.truths(image), self.name, image)
+
+
+def estimate_of(
+    query: ObjectQuery, T: np.ndarray | None, quality: float = 0.9, score: float = 0.8
+) -> PoseEstimate:
+    """An answer with that pose."""
+    state = "LOST" if T is None else "TRACKING" if quality > 0.8 else "SUSPECT"
+    return PoseEstimate(
+        query.object, query.instance, T is not None, T, quality, state, score, 0.2, None, None, query.box,
+        None, None, (), 0.0,
+    )  # fmt: skip
+
+
+@dataclass(eq=False)
+class ScriptedEstimator:
+    """Answers each query by a function of frame and query, and remembers what it was asked."""
+
+    answer: Callable[[RgbdFrame, ObjectQuery], PoseEstimate]
+    asked: list[tuple[int, ObjectQuery]] = field(default_factory=list)
+
+    def estimate(self, frame: RgbdFrame, queries: Sequence[ObjectQuery]) -> list[PoseEstimate]:
+        self.asked += [(frame.frame_id, query) for query in queries]
+        return [self.answer(frame, query) for query in queries]
+
+
+@pytest.fixture
+def models() -> dict[str, ReferenceModel]:
+    """A box with id 5 and a smaller one with id 7 that looks the same after a half turn."""
+    return {
+        "box": reference_model("box", 5),
+        "brick": reference_model("brick", 7, (0.05, 0.08, 0.1), [HALF_TURN]),
+    }
+
+
+def truth(
+    instance: int,
+    object_id: int,
+    T: np.ndarray,
+    visib: float | None = None,
+    box: Box | None = None,
+    **more: object,
+) -> GroundTruth:
+    """A label."""
+    return GroundTruth(instance, T, object_id=object_id, visib_fract=visib, box_visib=box, **more)
+
+
+def pose_at(x: float, y: float = 0.0, z: float = 0.6, turn: float = 0.3) -> np.ndarray:
+    """A pose before the camera."""
+    return se3.make(se3.rotation_exp([0.4, turn, -0.2]), [x, y, z])

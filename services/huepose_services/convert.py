@@ -5,9 +5,11 @@ from __future__ import annotations
 import numpy as np
 
 from huepose.geometry import Box, Camera, RgbdFrame, se3
-from huepose.geometry.arrays import Float, Float64, UInt8, UInt16
+from huepose.geometry.arrays import Float, Float64, UInt16
+from huepose.reinit.types import Prior
 from huepose_protos.buffers import frame_images
 from huepose_protos.messages import FrameHeader, Intrinsics, PoseMessage
+from huepose_protos.messages import Prior as WirePrior
 
 Vector = tuple[float, float, float]
 Quaternion = tuple[float, float, float, float]
@@ -61,9 +63,9 @@ def covariance_from_wire(numbers: list[float] | None) -> Float64 | None:
     return None if numbers is None else np.array(numbers).reshape(6, 6)
 
 
-def box_to_wire(box: Box | None) -> BoxTuple | None:
+def box_to_wire(box: Box) -> BoxTuple:
     """x, y, width, height."""
-    return None if box is None else (float(box.x), float(box.y), float(box.w), float(box.h))
+    return float(box.x), float(box.y), float(box.w), float(box.h)
 
 
 def box_from_wire(box: BoxTuple) -> Box:
@@ -95,15 +97,28 @@ def intrinsics_to_wire(camera: Camera, depth_scale_m: float) -> Intrinsics:
     )
 
 
+def camera_from_wire(i: Intrinsics) -> Camera:
+    """The pinhole camera."""
+    return Camera(i.fx, i.fy, i.cx, i.cy, i.width, i.height)
+
+
+def prior_from_wire(prior: WirePrior) -> Prior:
+    """A tracked pose that can be predicted to another stamp."""
+    return Prior(
+        T_cam_obj=pose_from_wire(prior.translation, prior.quaternion),
+        velocity=twist_from_wire(prior.velocity_linear, prior.velocity_angular),
+        covariance=covariance_from_wire(prior.covariance),
+        stamp_ns=prior.stamp_ns,
+    )
+
+
 def frame_from_wire(header: FrameHeader, payload: bytes) -> RgbdFrame:
     """The frame of a header and its payload. Raises WireError where they do not fit together."""
     color, depth = frame_images(header, payload)
-    i = header.intrinsics
-    pixels: UInt8 = color
     return RgbdFrame(
-        color=pixels,
-        depth=depth.astype(np.float32) * np.float32(i.depth_scale_m),
-        camera=Camera(i.fx, i.fy, i.cx, i.cy, i.width, i.height),
+        color=color,
+        depth=depth.astype(np.float32) * np.float32(header.intrinsics.depth_scale_m),
+        camera=camera_from_wire(header.intrinsics),
         frame_id=header.frame_id,
         stamp_ns=header.capture_ns,
         epoch=header.camera_epoch,

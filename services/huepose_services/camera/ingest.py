@@ -115,7 +115,7 @@ class Ingest:
         self._schedule: Schedule | None = None
         self._made_ns = now_ns()
         self._ended_ns: int | None = None
-        others: set[str] = set(config.workers) - {"camera"}
+        others = {str(worker) for worker in config.workers if worker != "camera"}
         self._missing: set[str] = others if self._camera.once else set()
         self._live = bus.inbox.liveliness(config.keys.live()) if self._missing else None
         reader = "tracker" if "tracker" in others else None
@@ -197,7 +197,7 @@ class Ingest:
                     translation=translation,
                     quaternion=quaternion,
                     visib_fract=truth.visib_fract,
-                    box=box_to_wire(truth.box_visib),
+                    box=None if truth.box_visib is None else box_to_wire(truth.box_visib),
                 )
             )
         return TruthMessage(

@@ -1,2 +1,1 @@
-def add_parser(s):
-    s.add_parser("demo")
+"""`huepose demo`."""

@@ -29,11 +29,17 @@ class Bus:
     def take(self, place: Place, kind: type[M]) -> M | None:
         """The next good message there, or None."""
         while (sample := place.take()) is not None:
-            try:
-                return decode(sample.payload.to_bytes(), kind)
-            except WireError as error:
-                self.refuse(str(sample.key_expr), error)
+            message = self._decoded(str(sample.key_expr), sample.payload.to_bytes(), kind)
+            if message is not None:
+                return message
         return None
+
+    def _decoded(self, key: str, data: bytes, kind: type[M]) -> M | None:
+        try:
+            return decode(data, kind)
+        except WireError as error:
+            self.refuse(key, error)
+            return None
 
     def take_with_payload(self, place: Place, kind: type[M]) -> tuple[M, bytes] | None:
         """The next good header there, with its payload copied out; the sample is dropped at once."""
@@ -43,10 +49,8 @@ class Bus:
             shared = sample.payload.as_shm() is not None
             payload = sample.payload.to_bytes()
             del sample
-            try:
-                message = decode(header, kind)
-            except WireError as error:
-                self.refuse(key, error)
+            message = self._decoded(key, header, kind)
+            if message is None:
                 continue
             if key == self.keys.frame:
                 self.health.shared_memory = shared
@@ -61,9 +65,8 @@ class Bus:
 
     def put(self, key: str, message: Message) -> None:
         """Publish a message that may be lost on a reader that does not read, but waits for nobody."""
-        self._publisher(key, zenoh.CongestionControl.DROP, zenoh.Priority.REAL_TIME, True).put(
-            encode(message)
-        )
+        drop = zenoh.CongestionControl.DROP
+        self._publisher(key, drop, zenoh.Priority.REAL_TIME, True).put(encode(message))
 
     def put_control(self, key: str, message: Message) -> None:
         """Publish a message that must arrive, before all others."""
@@ -86,5 +89,5 @@ class Bus:
         """End all subscriptions and publishers."""
         self.inbox.close()
         for publisher in self._publishers.values():
-            publisher.undeclare()
+            publisher.undeclare()  # type: ignore[no-untyped-call]
         self._publishers.clear()

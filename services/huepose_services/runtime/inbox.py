@@ -17,7 +17,7 @@ _QUEUE_CAPACITY = 4096
 
 
 class Ring:
-    """The newest sample of a subscription; `skipped` counts those that it replaced."""
+    """The newest sample of a subscription; it replaced at least `skipped` others."""
 
     def __init__(self, ready: threading.Condition, wakes: bool = True) -> None:
         self._ready = ready
@@ -107,11 +107,11 @@ class Inbox:
 
     @staticmethod
     def _move(channel: Any, place: Ring | Queue) -> None:
-        while True:
-            try:
+        try:
+            while True:
                 place._put(channel.recv())
-            except zenoh.ZError:
-                return  # the subscription has ended
+        except zenoh.ZError:
+            return  # the subscription has ended
 
     def wait(self, timeout_s: float) -> None:
         """Until something is there to take, at most so long."""

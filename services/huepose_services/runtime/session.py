@@ -88,7 +88,7 @@ def open_worker_session(config: Config, worker: str) -> tuple[zenoh.Session, lis
             f"shared memory is off: frames need {(pool + _POOL_OVERHEAD) // 1024} KiB of locked memory, "
             f"the limit (ulimit -l) is {(limit or 0) // 1024} KiB; frames go by TCP"
         )
-    before = WORKERS[: WORKERS.index(worker)]  # type: ignore[arg-type]
+    before = WORKERS[: WORKERS.index(worker)]
     settings = zenoh_config(
         [config.endpoint(worker)],
         [config.endpoint(other) for other in before if other in config.workers],

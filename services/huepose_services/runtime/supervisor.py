@@ -56,7 +56,7 @@ class Supervisor:
         self._out = out or sys.stderr
         self._log = Log("huepose")
         self._children: dict[str, _Child] = {}
-        self._records = {worker: _Record() for worker in config.workers}
+        self._records: dict[str, _Record] = {worker: _Record() for worker in config.workers}
         self.exit_code: int | None = None
         """Set by poll when the pipeline has come to its end: 0, 1 or 2."""
         self._drain_until: float | None = None

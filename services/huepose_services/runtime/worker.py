@@ -1,4 +1,4 @@
-"""One worker process: open the session, make the work, then wait, step, and say how it is, until told to stop.
+"""One worker process: open the session, make the work, then wait, step and say how it is, until told to stop.
 
 A worker under a supervisor finds two variables: HUEPOSE_READY_FD, a pipe on which one line says that it
 is ready, and HUEPOSE_SUPERVISOR, the process that it must not outlive.
@@ -94,7 +94,7 @@ def run_worker(worker: str, config: Config) -> int:
         _loop(bus, work, stop)
         health.state = "ended" if work.finished else "stopping"
         bus.put(config.keys.health(worker), health.message())
-        token.undeclare()
+        token.undeclare()  # type: ignore[no-untyped-call]
     except Stopped:
         log.say("stopped in the middle of its work")
     finally:
@@ -136,4 +136,4 @@ def _tell_supervisor() -> None:
 
 def _close(bus: Bus, session: zenoh.Session) -> None:
     bus.close()
-    session.close()
+    session.close()  # type: ignore[no-untyped-call]

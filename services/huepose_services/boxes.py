@@ -1,0 +1,149 @@
+"""Where to look: boxes for requested objects, from the truth or from where an object was before.
+
+`truth` stands for a perfect detector with an honest one's errors; `first_box` needs a box once and then
+follows the tracker's own prediction, so it needs no detector at all.
+"""
+
+from __future__ import annotations
+
+from collections import deque
+from collections.abc import Mapping
+from typing import Protocol
+
+from huepose.evaluation.boxes import disturbed
+from huepose.geometry import Box, Camera
+from huepose_protos.messages import (
+    DetectedObject,
+    FrameHeader,
+    PerceptionRequest,
+    RequestedObject,
+    TruthMessage,
+    TruthObject,
+)
+from huepose_services.convert import (
+    box_from_wire,
+    box_to_wire,
+    camera_from_wire,
+    optional_pose_from_wire,
+    prior_from_wire,
+)
+from huepose_services.models import Outline
+
+_TRUTHS_KEPT = 90
+_SAME_BOX = 0.5
+_VISIBLE = 0.1
+# A prediction is trusted for so long; then the last box grows, and at last it is the image.
+_TRUST_S, _FORGET_S, _GROWTH_PER_S = 0.5, 3.0, 0.5
+_MARGIN = 0.08
+
+
+class BoxFinder(Protocol):
+    """Answers a request with boxes in one frame; an object that is not there gets none."""
+
+    def find(self, header: FrameHeader, request: PerceptionRequest) -> list[DetectedObject]:
+        """Boxes, in the request's order."""
+        ...
+
+
+class TruthBoxes:
+    """Boxes of the true objects, shifted by up to 10 % of their size and scaled by up to 10 %."""
+
+    def __init__(self, outlines: Mapping[str, Outline], seed: int) -> None:
+        self._outlines, self._seed = outlines, seed
+        self._truths: deque[TruthMessage] = deque(maxlen=_TRUTHS_KEPT)
+
+    def learn(self, truth: TruthMessage) -> None:
+        """Remember the truth of a frame."""
+        self._truths.append(truth)
+
+    def find(self, header: FrameHeader, request: PerceptionRequest) -> list[DetectedObject]:
+        """Boxes, in the request's order."""
+        truth = next(
+            (t for t in reversed(self._truths) if (t.camera_epoch, t.frame_id) == _frame_of(header)), None
+        )
+        if truth is None:
+            return []
+        camera = camera_from_wire(header.intrinsics)
+        boxes = [(self._name(t), self._box(t, truth, camera)) for t in truth.objects]
+        found = []
+        known = [b for r in request.objects if (b := self._prior_box(r, header, camera)) is not None]
+        for wanted in request.objects:
+            mine = [box for name, box in boxes if name == wanted.object and box is not None]
+            if wanted.instance is None:
+                new = [box for box in mine if all(box.iou(other) < _SAME_BOX for other in known)]
+                found += [_detected(wanted, box) for box in new[: wanted.wanted]]
+            elif mine:
+                prior = self._prior_box(wanted, header, camera)
+                best = mine[0] if prior is None else max(mine, key=prior.iou)
+                found.append(_detected(wanted, best))
+        return found
+
+    def _name(self, truth: TruthObject) -> str | None:
+        if truth.object is not None:
+            return truth.object
+        known = (o.name for o in self._outlines.values() if o.object_id == truth.object_id)
+        return next(known, None) if truth.object_id is not None else None
+
+    def _box(self, truth: TruthObject, message: TruthMessage, camera: Camera) -> Box | None:
+        if truth.visib_fract is not None and truth.visib_fract < _VISIBLE:
+            return None
+        box = None if truth.box is None else box_from_wire(truth.box)
+        T_cam_obj = optional_pose_from_wire(truth.translation, truth.quaternion)
+        outline = self._outlines.get(self._name(truth) or "")
+        if box is None and T_cam_obj is not None and outline is not None:
+            box = outline.box(T_cam_obj, camera)
+        if box is None:
+            return None
+        size = (camera.width, camera.height)
+        return disturbed(box, "perturbed", self._seed, message.scene, message.image, truth.instance, *size)
+
+    def _prior_box(self, wanted: RequestedObject, header: FrameHeader, camera: Camera) -> Box | None:
+        outline = self._outlines.get(wanted.object)
+        if wanted.prior is None or outline is None:
+            return None
+        return outline.box(prior_from_wire(wanted.prior).predicted(header.capture_ns), camera)
+
+
+class FirstBoxes:
+    """A box that was given once, then the prediction; after a loss the last box, growing to the image."""
+
+    def __init__(self, outlines: Mapping[str, Outline], boxes: Mapping[str, Box]) -> None:
+        self._outlines = outlines
+        self._given = dict(boxes)
+        self._acquired: set[str] = set()
+        self._last: dict[str, tuple[Box, int]] = {}
+
+    def find(self, header: FrameHeader, request: PerceptionRequest) -> list[DetectedObject]:
+        """Boxes, in the request's order."""
+        camera = camera_from_wire(header.intrinsics)
+        found = []
+        for wanted in request.objects:
+            box = self._look(wanted, header, camera)
+            if box is not None:
+                found.append(_detected(wanted, box.clipped(camera.width, camera.height)))
+        return [d for d in found if d.box[2] >= 1.0 and d.box[3] >= 1.0]
+
+    def _look(self, wanted: RequestedObject, header: FrameHeader, camera: Camera) -> Box | None:
+        name, outline = wanted.object, self._outlines.get(wanted.object)
+        if wanted.prior is not None and outline is not None:
+            self._acquired.add(name)
+            age_s = (header.capture_ns - wanted.prior.stamp_ns) * 1e-9
+            box = outline.box(prior_from_wire(wanted.prior).predicted(header.capture_ns), camera)
+            if box is not None and age_s <= _TRUST_S:
+                box = box.grown(_MARGIN)
+                self._last[name] = (box, header.capture_ns)
+                return box
+        if name not in self._acquired:
+            return self._given.get(name)
+        image = Box(0.0, 0.0, float(camera.width), float(camera.height))
+        box, seen_ns = self._last.get(name, (image, 0))
+        lost_s = (header.capture_ns - seen_ns) * 1e-9
+        return image if lost_s > _FORGET_S else box.grown(_GROWTH_PER_S * max(lost_s, 0.0))
+
+
+def _frame_of(header: FrameHeader) -> tuple[int, int]:
+    return header.camera_epoch, header.frame_id
+
+
+def _detected(wanted: RequestedObject, box: Box) -> DetectedObject:
+    return DetectedObject(request=wanted, box=box_to_wire(box), score=1.0)

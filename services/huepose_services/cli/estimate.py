@@ -1,0 +1,97 @@
+"""`huepose estimate`: one frame, one answer, and a picture of it."""
+
+from __future__ import annotations
+
+import argparse
+import json
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from huepose.estimation import PoseEstimate
+
+
+def add_parser(subparsers: Any) -> None:
+    """Add the verb."""
+    parser = subparsers.add_parser(
+        "estimate",
+        help="poses of known objects in one frame",
+        description="Find objects in one RGB-D frame. Exit code 0 when answered, also with found: false.",
+    )
+    parser.add_argument("--color", type=Path, required=True, metavar="FILE", help="colour picture")
+    parser.add_argument(
+        "--depth", type=Path, required=True, metavar="FILE", help="16 bit depth, aligned to it"
+    )
+    parser.add_argument(
+        "--camera", type=Path, required=True, metavar="FILE.json", help="intrinsics, depth scale"
+    )
+    parser.add_argument(
+        "--bundles", type=Path, required=True, metavar="DIR", help="folder of reference models"
+    )
+    parser.add_argument("--object", nargs="+", default=None, metavar="NAME", help="all of the folder without")
+    parser.add_argument("--method", choices=("full", "colorpair"), default="full")
+    parser.add_argument("--box", nargs=4, type=float, default=None, metavar=("X", "Y", "W", "H"))
+    parser.add_argument("--json", type=Path, default=None, metavar="FILE", help="standard output without")
+    parser.add_argument(
+        "--image", type=Path, default=None, metavar="OUT.png", help="the poses drawn over the picture"
+    )
+    parser.add_argument("--explain", type=Path, default=None, metavar="DIR", help="what led to each answer")
+    parser.set_defaults(call=call)
+
+
+def call(arguments: argparse.Namespace) -> int:
+    """Estimate, write, draw."""
+    from huepose.datasets.image_files import read_frame
+    from huepose.estimation import Estimator, EstimatorConfig, ObjectQuery
+    from huepose.geometry import Box
+    from huepose.model import load_models
+    from huepose.support.errors import InputError
+
+    if arguments.box is None:
+        raise InputError(
+            "no box",
+            found="nothing that says where to look",
+            expected="--box X Y W H in pixels",
+            fix="Give the box of the object; no detector is configured for single frames.",
+        )
+    box = Box(*arguments.box)
+    if box.w <= 0 or box.h <= 0:
+        raise InputError("--box", found=f"{box.w:g} x {box.h:g}", expected="a width and a height over 0")
+    frame = read_frame(arguments.color, arguments.depth, arguments.camera)
+    models = load_models(arguments.bundles, arguments.object)
+    estimator = Estimator(models, EstimatorConfig(method=arguments.method))
+    answers = []
+    for name in arguments.object or sorted(models):
+        answer, explanation = estimator.explain(frame, ObjectQuery(name, box))
+        answers.append(answer)
+        if arguments.explain:
+            from huepose_services.cli.explain import write_explanation
+
+            write_explanation(arguments.explain, frame, models[name], answer, explanation)
+    text = json.dumps({"poses": [as_record(a) for a in answers]}, indent=2)
+    if arguments.json:
+        arguments.json.parent.mkdir(parents=True, exist_ok=True)
+        arguments.json.write_text(text + "\n")
+        for a in answers:
+            print(f"{a.object}: {a.state}, quality {a.quality:.2f}, {1000 * a.seconds:.0f} ms")
+    else:
+        print(text)
+    if arguments.image:
+        from huepose_services.cli.explain import draw_answers, write_picture
+
+        write_picture(arguments.image, draw_answers(frame, models, answers))
+    return 0
+
+
+def as_record(answer: PoseEstimate) -> dict[str, Any]:
+    """An estimate in the form of the JSON file: metres, T_cam_obj as 4x4, box as x y w h."""
+    return {
+        "object": answer.object,
+        "found": answer.found,
+        "T_cam_obj": None if answer.T_cam_obj is None else answer.T_cam_obj.tolist(),
+        "quality": answer.quality,
+        "covariance": None if answer.covariance is None else answer.covariance.tolist(),
+        "state": answer.state,
+        "box": None if answer.box is None else [float(x) for x in answer.box],
+        "seconds": answer.seconds,
+    }

@@ -1,0 +1,71 @@
+"""The detector worker: a request comes, the newest frame is taken, boxes and pixels go on together."""
+
+from __future__ import annotations
+
+from huepose.geometry import Box
+from huepose_protos.messages import Detections, FrameHeader, PerceptionRequest, TruthMessage
+from huepose_services import models
+from huepose_services.boxes import BoxFinder, FirstBoxes, TruthBoxes
+from huepose_services.runtime.bus import Bus
+from huepose_services.runtime.clock import now_ns
+from huepose_services.runtime.config import Config
+
+
+def make(bus: Bus, config: Config) -> DetectorWork:
+    """The detector worker's work."""
+    outlines = models.outlines(config)
+    if config.detector.kind == "truth":
+        return DetectorWork(bus, TruthBoxes(outlines, config.detector.seed))
+    boxes = {name: Box(*box) for name, box in config.detector.boxes.items()}
+    return DetectorWork(bus, FirstBoxes(outlines, boxes))
+
+
+class DetectorWork:
+    """Keeps the newest frame, which a request may look at again when the camera stands still."""
+
+    finished = False
+
+    def __init__(self, bus: Bus, finder: BoxFinder) -> None:
+        self._bus, self._finder = bus, finder
+        keys = bus.keys
+        self._requests = bus.inbox.queue(keys.request)
+        self._frames = bus.inbox.ring(keys.frame, wakes=False)
+        self._truths = bus.inbox.queue(keys.truth) if isinstance(finder, TruthBoxes) else None
+        self._frame: tuple[FrameHeader, bytes] | None = None
+
+    def due_ns(self) -> int | None:
+        """Only requests matter."""
+        return None
+
+    def step(self) -> None:
+        """Answer the newest request."""
+        if self._truths is not None and isinstance(self._finder, TruthBoxes):
+            while (truth := self._bus.take(self._truths, TruthMessage)) is not None:
+                self._finder.learn(truth)
+        request = None
+        while (newer := self._bus.take(self._requests, PerceptionRequest)) is not None:
+            request = newer
+        if request is not None:
+            self._answer(request)
+
+    def _answer(self, request: PerceptionRequest) -> None:
+        started = now_ns()
+        health = self._bus.health
+        self._frame = self._bus.take_with_payload(self._frames, FrameHeader) or self._frame
+        if self._frame is None:
+            health.count("requests_without_a_frame")
+            return
+        header, payload = self._frame
+        found = self._finder.find(header, request)
+        message = Detections(
+            publish_ns=now_ns(),
+            request_seq=request.seq,
+            request_ns=request.publish_ns,
+            frame=header,
+            objects=found,
+        )
+        self._bus.put_pixels(self._bus.keys.detections, message, payload)
+        health.camera_epoch, health.frame_id = header.camera_epoch, header.frame_id
+        health.count("requests")
+        health.count("boxes", len(found))
+        health.worked(started, header.capture_ns)

@@ -1,0 +1,119 @@
+"""The estimator worker: poses of the objects whose masks and pixels arrive."""
+
+from __future__ import annotations
+
+from huepose.estimation import Estimator, ObjectQuery, PoseEstimate
+from huepose.estimation.config import EstimatorConfig
+from huepose.estimation.types import PosePrior
+from huepose_protos import WireError
+from huepose_protos.messages import EstimatedObject, Estimates, MaskedObject, Masks
+from huepose_protos.runlength import mask_of, runs_of
+from huepose_services import models
+from huepose_services.convert import (
+    box_from_wire,
+    box_to_wire,
+    covariance_to_wire,
+    frame_from_wire,
+    optional_pose_to_wire,
+    prior_from_wire,
+)
+from huepose_services.runtime.bus import Bus
+from huepose_services.runtime.clock import now_ns
+from huepose_services.runtime.config import Config
+
+
+def make(bus: Bus, config: Config) -> EstimatorWork:
+    """The estimator worker's work, with its kernels compiled."""
+    settings = EstimatorConfig(method=config.estimator.method, threads=config.estimator.threads)
+    estimator = Estimator(models.load(config), settings)
+    estimator.warm_up()
+    return EstimatorWork(bus, estimator)
+
+
+class EstimatorWork:
+    """Answers the newest masks."""
+
+    finished = False
+
+    def __init__(self, bus: Bus, estimator: Estimator) -> None:
+        self._bus, self._estimator = bus, estimator
+        self._masks = bus.inbox.ring(bus.keys.masks)
+
+    def due_ns(self) -> int | None:
+        """Only masks matter."""
+        return None
+
+    def step(self) -> None:
+        """Estimate what is in the newest masks."""
+        taken = self._bus.take_with_payload(self._masks, Masks)
+        if taken is None:
+            return
+        started = now_ns()
+        message, payload = taken
+        try:
+            frame = frame_from_wire(message.frame, payload)
+            queries = [self._query(item, frame.stamp_ns, frame.depth.shape) for item in message.objects]
+        except WireError as error:
+            self._bus.refuse(self._bus.keys.masks, error)
+            return
+        answers = self._estimator.estimate(frame, queries)
+        estimates = [
+            _to_wire(answer, item.detection.request.instance)
+            for answer, item in zip(answers, message.objects, strict=True)
+        ]
+        self._bus.put_control(
+            self._bus.keys.estimates,
+            Estimates(
+                publish_ns=now_ns(),
+                request_seq=message.request_seq,
+                camera_epoch=frame.epoch,
+                frame_id=frame.frame_id,
+                capture_ns=frame.stamp_ns,
+                estimates=estimates,
+            ),
+        )
+        health = self._bus.health
+        health.camera_epoch, health.frame_id = frame.epoch, frame.frame_id
+        health.count("estimates", len(estimates))
+        health.count("found", sum(e.found for e in estimates))
+        health.worked(started, frame.stamp_ns)
+
+    def _query(self, item: MaskedObject, stamp_ns: int, shape: tuple[int, ...]) -> ObjectQuery:
+        request = item.detection.request
+        prior = None
+        if request.prior is not None:
+            tracked = prior_from_wire(request.prior)
+            prior = PosePrior(tracked.predicted(stamp_ns), tracked.covariance)
+        masks = tuple(mask_of(runs) for runs in item.masks)
+        if any(mask.shape != shape for mask in masks):
+            raise WireError(f"a mask of {request.object} has not the size of its frame")
+        return ObjectQuery(
+            request.object,
+            box=box_from_wire(item.detection.box),
+            masks=masks,
+            prior=prior,
+            instance=-1 if request.instance is None else request.instance,
+        )
+
+
+def _to_wire(answer: PoseEstimate, instance: int | None) -> EstimatedObject:
+    translation, quaternion = optional_pose_to_wire(answer.T_cam_obj)
+    prior_translation, prior_quaternion = optional_pose_to_wire(answer.prior_T_cam_obj)
+    return EstimatedObject(
+        object=answer.object,
+        instance=instance,
+        found=answer.found,
+        state=answer.state,  # type: ignore[arg-type]
+        quality=answer.quality,
+        score=answer.score,
+        margin=answer.margin,
+        translation=translation,
+        quaternion=quaternion,
+        covariance=covariance_to_wire(answer.covariance),
+        prior_score=answer.prior_score,
+        prior_translation=prior_translation,
+        prior_quaternion=prior_quaternion,
+        box=None if answer.box is None else box_to_wire(answer.box),
+        mask=None if answer.mask is None else runs_of(answer.mask),
+        seconds=answer.seconds,
+    )

@@ -1,0 +1,57 @@
+"""The reference models of a deployment, whole or only what a worker needs of them."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from huepose.geometry import Box, Camera, se3
+from huepose.geometry.arrays import Float, Float32
+from huepose.model import ReferenceModel, load_models
+from huepose_services.builtin import builtin_bundles
+from huepose_services.runtime.config import Config, ObjectConfig
+
+_OUTLINE_POINTS = 1500
+
+
+@dataclass(frozen=True, eq=False)
+class Outline:
+    """What detector and segmenter know of an object: points (N, 3) float32 of its surface, its diameter."""
+
+    name: str
+    object_id: int | None
+    points_obj: Float32
+    diameter_m: float
+
+    def box(self, T_cam_obj: Float, camera: Camera) -> Box | None:
+        """Bounds of the object at a pose, cut to the image; None where it is outside or behind."""
+        pixels = camera.project(se3.apply(T_cam_obj, self.points_obj))
+        if np.isnan(pixels).any():
+            return None
+        box = Box.of_pixels(pixels).clipped(camera.width, camera.height)
+        return box if box.w >= 1.0 and box.h >= 1.0 else None
+
+
+def bundles_folder(config: Config) -> Path:
+    """Where the reference models are."""
+    return builtin_bundles(config.camera.seed) if config.bundles is None else Path(config.bundles)
+
+
+def load(config: Config) -> dict[str, ReferenceModel]:
+    """The models of the objects that are looked for; of all in the folder when none is named."""
+    return load_models(bundles_folder(config), [item.name for item in config.objects] or None)
+
+
+def outlines(config: Config) -> dict[str, Outline]:
+    """The outlines of the same objects; the rest of the models is let go."""
+    return {
+        name: Outline(name, model.object_id, model.surface.points[:_OUTLINE_POINTS].copy(), model.diameter_m)
+        for name, model in load(config).items()
+    }
+
+
+def objects(config: Config, names: list[str]) -> list[ObjectConfig]:
+    """The objects that are looked for: as configured, else one of each."""
+    return list(config.objects) or [ObjectConfig(name=name) for name in names]

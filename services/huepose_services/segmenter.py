@@ -1,0 +1,87 @@
+"""The segmenter worker: candidate masks in the detector's boxes; the pixels go on with them."""
+
+from __future__ import annotations
+
+import msgspec
+
+from huepose.geometry import RgbdFrame
+from huepose.perception.embedded import DepthSegmenter
+from huepose_protos import WireError
+from huepose_protos.messages import DetectedObject, Detections, MaskedObject, Masks
+from huepose_protos.runlength import runs_of
+from huepose_services import models
+from huepose_services.convert import box_from_wire, frame_from_wire
+from huepose_services.models import Outline
+from huepose_services.runtime.bus import Bus
+from huepose_services.runtime.clock import now_ns
+from huepose_services.runtime.config import Config
+
+# A ragged mask has so many runs that it would crowd the others out of the header.
+_MAX_RUNS = 6000
+
+
+def make(bus: Bus, config: Config) -> SegmenterWork:
+    """The segmenter worker's work."""
+    return SegmenterWork(bus, models.outlines(config))
+
+
+class SegmenterWork:
+    """Outlines every object of the newest detections."""
+
+    finished = False
+
+    def __init__(self, bus: Bus, outlines: dict[str, Outline]) -> None:
+        self._bus, self._outlines = bus, outlines
+        self._segmenter = DepthSegmenter()
+        self._detections = bus.inbox.ring(bus.keys.detections)
+
+    def due_ns(self) -> int | None:
+        """Only detections matter."""
+        return None
+
+    def step(self) -> None:
+        """Outline what is in the newest detections."""
+        taken = self._bus.take_with_payload(self._detections, Detections)
+        if taken is None:
+            return
+        started = now_ns()
+        message, payload = taken
+        try:
+            frame = frame_from_wire(message.frame, payload)
+        except WireError as error:
+            self._bus.refuse(self._bus.keys.detections, error)
+            return
+        masked = [self._outline(frame, detection) for detection in message.objects]
+        self._publish(message, masked, payload)
+        health = self._bus.health
+        health.camera_epoch, health.frame_id = frame.epoch, frame.frame_id
+        health.count("boxes", len(masked))
+        health.count("masks", sum(len(m.masks) for m in masked))
+        health.worked(started, frame.stamp_ns)
+
+    def _outline(self, frame: RgbdFrame, detection: DetectedObject) -> MaskedObject:
+        outline = self._outlines.get(detection.request.object)
+        if outline is None:
+            self._bus.health.count("unknown_objects")
+            return MaskedObject(detection=detection, masks=[])
+        masks = self._segmenter.segment(frame, box_from_wire(detection.box), outline.diameter_m)
+        runs = [runs_of(mask) for mask in masks if mask.any()]
+        return MaskedObject(detection=detection, masks=[m for m in runs if len(m.runs) <= _MAX_RUNS][:8])
+
+    def _publish(self, detections: Detections, masked: list[MaskedObject], payload: bytes) -> None:
+        message = Masks(
+            publish_ns=now_ns(),
+            request_seq=detections.request_seq,
+            request_ns=detections.request_ns,
+            frame=detections.frame,
+            objects=masked,
+        )
+        try:
+            self._bus.put_pixels(self._bus.keys.masks, message, payload)
+        except WireError:
+            # Too many runs for one header: the likeliest mask of each is enough.
+            self._bus.health.count("masks_left_out")
+            first = [msgspec.structs.replace(m, masks=m.masks[:1]) for m in masked]
+            self._bus.put_pixels(
+                self._bus.keys.masks, msgspec.structs.replace(message, objects=first), payload
+            )

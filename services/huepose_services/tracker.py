@@ -1,0 +1,122 @@
+"""The tracker worker: the newest frame in, poses out, corrections in between."""
+
+from __future__ import annotations
+
+import cv2
+
+from huepose.support.errors import InputError
+from huepose.tracking import Tracker
+from huepose.tracking.types import Applied, Correction, TrackedPose, Verdict
+from huepose_protos import WireError
+from huepose_protos.messages import CorrectionMessage, FrameHeader, PoseMessage
+from huepose_protos.runlength import mask_of
+from huepose_services import models
+from huepose_services.convert import (
+    covariance_to_wire,
+    frame_from_wire,
+    optional_pose_to_wire,
+    pose_from_wire,
+    twist_to_wire,
+)
+from huepose_services.runtime.bus import Bus
+from huepose_services.runtime.clock import now_ns
+from huepose_services.runtime.config import Config
+
+
+def make(bus: Bus, config: Config) -> TrackerWork:
+    """The tracker worker's work, with its kernels compiled."""
+    cv2.setNumThreads(1)
+    tracker = Tracker(models.load(config))
+    tracker.warm_up()
+    return TrackerWork(bus, tracker)
+
+
+class TrackerWork:
+    """Steps on each newest frame and publishes right after; no correction is dropped."""
+
+    finished = False
+
+    def __init__(self, bus: Bus, tracker: Tracker) -> None:
+        self._bus, self._tracker = bus, tracker
+        self._corrections = bus.inbox.queue(bus.keys.correction)
+        self._frames = bus.inbox.ring(bus.keys.frame)
+
+    def due_ns(self) -> int | None:
+        """Only arrivals matter."""
+        return None
+
+    def step(self) -> None:
+        """Apply what arrived, then track the newest frame."""
+        while (message := self._bus.take(self._corrections, CorrectionMessage)) is not None:
+            self._correct(message)
+        taken = self._bus.take_with_payload(self._frames, FrameHeader)
+        if taken is not None:
+            self._track(*taken)
+
+    def _correct(self, message: CorrectionMessage) -> None:
+        try:
+            applied = self._tracker.correct(correction_from_wire(message))
+        except InputError as error:
+            self._bus.refuse(self._bus.keys.correction, WireError(str(error)))
+            return
+        self._bus.health.count(f"corrections_{applied.value}")
+        if applied in (Applied.REFUSED_OLD, Applied.REFUSED_EPOCH):
+            name = f"{message.object}/{message.instance}"
+            self._bus.log.seldom("refused", f"correction {message.seq} of {name} {applied.value}")
+
+    def _track(self, header: FrameHeader, payload: bytes) -> None:
+        started = now_ns()
+        health = self._bus.health
+        try:
+            frame = frame_from_wire(header, payload)
+        except WireError as error:
+            self._bus.refuse(self._bus.keys.frame, error)
+            return
+        for pose in self._tracker.step(frame):
+            self._bus.put(self._bus.keys.pose(pose.object, pose.instance), pose_to_wire(pose, header))
+            health.count(f"poses_{pose.state.value.lower()}")
+        health.camera_epoch, health.frame_id = header.camera_epoch, header.frame_id
+        health.counters["frames_skipped"] = self._frames.skipped
+        health.count("frames")
+        health.worked(started, header.capture_ns)
+
+
+def correction_from_wire(message: CorrectionMessage) -> Correction:
+    """The correction of a message."""
+    return Correction(
+        object=message.object,
+        instance=message.instance,
+        epoch=message.camera_epoch,
+        frame_id=message.frame_id,
+        stamp_ns=message.capture_ns,
+        T_cam_obj=pose_from_wire(message.translation, message.quaternion),
+        quality=message.quality,
+        verdict=Verdict(message.verdict),
+        seq=message.seq,
+        mask=None if message.mask is None else mask_of(message.mask),
+    )
+
+
+def pose_to_wire(pose: TrackedPose, header: FrameHeader) -> PoseMessage:
+    """The message of a tracked pose; the header names the camera's frame and clock."""
+    translation, quaternion = optional_pose_to_wire(pose.T_cam_obj)
+    linear, angular = twist_to_wire(pose.velocity)
+    return PoseMessage(
+        publish_ns=now_ns(),
+        object=pose.object,
+        instance=pose.instance,
+        camera_epoch=pose.epoch,
+        frame_id=pose.frame_id,
+        capture_ns=pose.stamp_ns,
+        frame=header.frame,
+        clock_id=header.clock.clock_id,
+        realtime_offset_ns=header.clock.realtime_offset_ns,
+        state=pose.state.value,
+        quality=pose.quality,
+        translation=translation,
+        quaternion=quaternion,
+        velocity_linear=linear,
+        velocity_angular=angular,
+        covariance=covariance_to_wire(pose.covariance),
+        applied_correction_seq=pose.applied_correction_seq,
+    )

@@ -1,0 +1,109 @@
+"""A tiny recorded scene, free ports, and pipelines as files."""
+
+import json
+import socket
+import subprocess
+import sys
+import time
+
+import cv2
+import numpy as np
+import pytest
+
+FRAMES = 12
+STAMPS_NS = [1_000_000_000 + i * 30_000_000 + (i % 3) * 5_000_000 for i in range(FRAMES)]
+
+
+@pytest.fixture
+def scene(tmp_path):
+    """A BOP scene of 12 frames of 64 x 48 pixels with uneven stamps and one label; image 5 is red."""
+    folder = tmp_path / "scene"
+    (folder / "rgb").mkdir(parents=True)
+    (folder / "depth").mkdir()
+    cameras, labels = {}, {}
+    for i in range(FRAMES):
+        color = np.full((48, 64, 3), i, np.uint8)
+        if i == 5:
+            color[:] = (0, 0, 255)  # BGR
+        cv2.imwrite(str(folder / "rgb" / f"{i + 3:06d}.png"), color)
+        cv2.imwrite(str(folder / "depth" / f"{i + 3:06d}.png"), np.full((48, 64), 500 + i, np.uint16))
+        K = [60.0, 0.0, 31.5, 0.0, 60.0, 23.5, 0.0, 0.0, 1.0]
+        cameras[str(i + 3)] = {"cam_K": K, "depth_scale": 1.0, "timestamp_ns": STAMPS_NS[i]}
+        R = [1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0]
+        labels[str(i + 3)] = [{"cam_R_m2c": R, "cam_t_m2c": [0.0, 0.0, 500.0 + i], "obj_id": 5}]
+    (folder / "scene_camera.json").write_text(json.dumps(cameras))
+    (folder / "scene_gt.json").write_text(json.dumps(labels))
+    return folder
+
+
+def _free_port_range(count: int) -> int:
+    """The first of some ports in a row that are free now."""
+    rng = np.random.default_rng()
+    while True:
+        base = int(rng.integers(20_000, 60_000))
+        probes = [socket.socket() for _ in range(count)]
+        try:
+            for offset, probe in enumerate(probes):
+                probe.bind(("127.0.0.1", base + offset))
+            return base
+        except OSError:
+            continue
+        finally:
+            for probe in probes:
+                probe.close()
+
+
+@pytest.fixture
+def base_port():
+    return _free_port_range(8)
+
+
+@pytest.fixture
+def pipeline(tmp_path, scene, base_port):
+    """Writes a pipeline.yaml with the camera alone; keyword arguments go into its camera section."""
+
+    def write(**camera):
+        settings = {"source": "bop", "path": str(scene), "rate": "recorded", "once": True, "truth": True}
+        settings |= {"first_frame_s": 0.2, **camera}
+        path = tmp_path / "pipeline.yaml"
+        data = {"workers": ["camera"], "camera": settings, "bus": {"base_port": base_port}}
+        path.write_text(json.dumps(data))  # JSON is YAML
+        return path
+
+    return write
+
+
+@pytest.fixture
+def huepose():
+    """Starts `huepose` processes and ends those that a test left behind."""
+    processes = []
+
+    def start(*arguments):
+        command = [sys.executable, "-m", "huepose_services.cli.main", *map(str, arguments)]
+        process = subprocess.Popen(
+            command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, bufsize=1
+        )
+        processes.append(process)
+        return process
+
+    yield start
+    for process in processes:
+        if process.poll() is None:
+            process.terminate()
+            try:
+                process.wait(5.0)
+            except subprocess.TimeoutExpired:
+                process.kill()
+        process.communicate()
+
+
+def _wait_until(condition, timeout_s=10.0):
+    deadline = time.monotonic() + timeout_s
+    while not condition():
+        assert time.monotonic() < deadline, "it did not come about in time"
+        time.sleep(0.02)
+
+
+@pytest.fixture
+def wait_until():
+    return _wait_until

@@ -1,0 +1,157 @@
+"""Rings of one, queues, bad bytes: with real sessions."""
+
+import threading
+import time
+
+import msgspec
+import numpy as np
+import pytest
+
+from huepose_protos import encode
+from huepose_protos.buffers import frame_images, pack
+from huepose_protos.examples import images, messages
+from huepose_protos.messages import FrameHeader, PoseMessage
+from huepose_services.runtime.bus import Bus
+from huepose_services.runtime.config import BusConfig, Config
+from huepose_services.runtime.health import Health
+from huepose_services.runtime.log import Log
+from huepose_services.runtime.session import MIB, lock_limit, open_worker_session, pool_fits
+
+POSE = next(m for m in messages() if isinstance(m, PoseMessage))
+HEADER = next(m for m in messages() if isinstance(m, FrameHeader))
+
+
+@pytest.fixture
+def buses(base_port):
+    """Camera and tracker ends of a bus."""
+    config = Config(bus=BusConfig(base_port=base_port))
+    before = threading.active_count()
+    opened = []
+    for worker in ("camera", "tracker"):
+        session, _ = open_worker_session(config, worker)
+        opened.append((Bus(session, config.keys, worker, Log(worker), Health(worker)), session))
+    yield [bus for bus, _ in opened]
+    for bus, session in opened:
+        bus.close()
+        session.close()
+    assert threading.active_count() <= before + 1, "threads of closed subscriptions are left"
+
+
+def _numbered(i):
+    return msgspec.structs.replace(POSE, frame_id=i)
+
+
+def _until_heard(publish, place, bus):
+    """Publish until the subscription has been seen by the publisher, then empty the place."""
+    deadline = time.monotonic() + 5.0
+    while not place:
+        assert time.monotonic() < deadline
+        publish(_numbered(0))
+        bus.inbox.wait(0.05)
+    time.sleep(0.1)
+    while place.take() is not None:
+        pass
+
+
+def test_a_slow_reader_of_a_ring_sees_the_newest(buses):
+    camera, tracker = buses
+    ring = tracker.inbox.ring("t/ring")
+    _until_heard(lambda m: camera.put("t/ring", m), ring, tracker)
+    skipped = ring.skipped
+    for i in range(1, 51):
+        camera.put("t/ring", _numbered(i))
+    time.sleep(0.3)
+    assert tracker.take(ring, PoseMessage).frame_id == 50
+    assert tracker.take(ring, PoseMessage) is None
+    assert ring.skipped > skipped
+
+
+def test_a_queue_keeps_everything_in_order(buses):
+    camera, tracker = buses
+    queue = tracker.inbox.queue("t/queue")
+    _until_heard(lambda m: camera.put_control("t/queue", m), queue, tracker)
+    for i in range(1000):
+        camera.put_control("t/queue", _numbered(i))
+    got = []
+    deadline = time.monotonic() + 5.0
+    while len(got) < 1000 and time.monotonic() < deadline:
+        tracker.inbox.wait(0.1)
+        while (message := tracker.take(queue, PoseMessage)) is not None:
+            got.append(message.frame_id)
+    assert got == list(range(1000))
+    assert queue.lost == 0
+
+
+def test_bad_bytes_are_counted_and_the_next_good_message_is_read(buses, capfd):
+    camera, tracker = buses
+    queue = tracker.inbox.queue("t/bad")
+    _until_heard(lambda m: camera.put("t/bad", m), queue, tracker)
+    good = encode(_numbered(7))
+    for data in [b"", b"\xc1", good[:-1], good + b"x" * 5000, b"\xff" * 100]:
+        camera.session.put("t/bad", data)
+    camera.session.put("t/bad", good)
+    deadline = time.monotonic() + 5.0
+    message = None
+    while message is None and time.monotonic() < deadline:
+        tracker.inbox.wait(0.1)
+        message = tracker.take(queue, PoseMessage)
+    assert message.frame_id == 7
+    assert tracker.health.counters["wire_errors"] == 5
+    assert capfd.readouterr().err.count("dropped a message on t/bad") == 1
+
+
+def test_pixels_arrive_with_their_header_and_by_shared_memory(buses):
+    camera, tracker = buses
+    if not pool_fits(6 * MIB, lock_limit()):
+        pytest.skip("the limit of locked memory is too low for a pool of frames")
+    key = tracker.keys.frame
+    ring = tracker.inbox.ring(key)
+    rng = np.random.default_rng(0)
+    color = rng.integers(0, 255, (480, 640, 3), dtype=np.uint8)
+    depth = rng.integers(0, 65535, (480, 640), dtype=np.uint16)
+    specs, payload = pack({"color": color, "depth": depth})
+    size = msgspec.structs.replace(HEADER.intrinsics, width=640, height=480)
+    header = msgspec.structs.replace(HEADER, buffers=specs, intrinsics=size)
+    deadline = time.monotonic() + 5.0
+    # The first frames, before the pool is made, go by TCP.
+    while tracker.health.counters.get("frames_by_shared_memory", 0) < 5:
+        assert time.monotonic() < deadline
+        camera.put_pixels(key, header, payload)
+        tracker.inbox.wait(0.1)
+        taken = tracker.take_with_payload(ring, FrameHeader)
+    got_color, got_depth = frame_images(*taken)
+    assert (got_color == color).all()
+    assert (got_depth == depth).all()
+    assert tracker.health.shared_memory is True
+
+
+def test_a_payload_without_a_header_is_refused(buses):
+    camera, tracker = buses
+    ring = tracker.inbox.ring(tracker.keys.frame)
+    deadline = time.monotonic() + 5.0
+    while not ring:
+        assert time.monotonic() < deadline
+        camera.session.put(tracker.keys.frame, pack(images())[1])
+        tracker.inbox.wait(0.05)
+    assert tracker.take_with_payload(ring, FrameHeader) is None
+    assert tracker.health.counters["wire_errors"] == 1
+
+
+def test_a_ring_that_does_not_wake_leaves_the_loop_asleep(buses):
+    camera, tracker = buses
+    ring = tracker.inbox.ring("t/quiet", wakes=False)
+    deadline = time.monotonic() + 5.0
+    while ring._sample is None and time.monotonic() < deadline:
+        camera.put("t/quiet", POSE)
+        time.sleep(0.02)
+    start = time.monotonic()
+    tracker.inbox.wait(0.2)
+    assert time.monotonic() - start >= 0.19
+    assert tracker.take(ring, PoseMessage) == POSE
+
+
+@pytest.mark.parametrize(
+    ("limit_kib", "pool_mib", "fits"), [(8192, 6, True), (8192, 7, False), (64, 1, False), (None, 999, True)]
+)
+def test_a_pool_must_fit_the_limit_of_locked_memory(limit_kib, pool_mib, fits):
+    assert pool_fits(pool_mib * MIB, None if limit_kib is None else limit_kib * 1024) is fits

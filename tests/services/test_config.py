@@ -1,0 +1,64 @@
+"""pipeline.yaml: what is wrong is named by path, value and what is allowed."""
+
+from pathlib import Path
+
+import pytest
+
+from huepose.support.errors import InputError
+from huepose_services.runtime.config import WORKERS, load, parse
+
+GOOD = "camera: {truth: true}\n"
+
+
+@pytest.mark.parametrize(
+    ("text", "parts"),
+    [
+        ("camera: {rte: 3}", ["camera.rte", "not known", "Did you mean 'rate'?"]),
+        ("camera: {rate: fast}", ["camera.rate", "'fast'", "recorded, or a number"]),
+        ("camera: {rate: 0}", ["camera.rate", "found 0", "> 0.0"]),
+        ("objects: [{nme: a}]", ["objects[0].nme", "name, max_instances"]),
+        ("objects: [{}]", ["objects[0].name", "found nothing"]),
+        ("objects: [{name: A B}]", ["objects[0].name", "'A B'"]),
+        ("objects: [{name: a}, {name: a}]", ["objects", "every name once"]),
+        ("workers: [cam]", ["workers[0]", "'cam'", "camera, tracker"]),
+        ("workers: []", ["workers", "none"]),
+        ("camera: {source: webcam}", ["camera.source", "'webcam'", "synthetic, bop, fast_ycb"]),
+        ("camera: {source: bop}", ["camera.path", "null", "folder of the recording"]),
+        ("camera: {source: bop, path: x}\nobjects: [{name: a}]", ["bundles", "null"]),
+        ("camera: {rate: recorded, truth: true}", ["camera.rate", "recorded"]),
+        ("camera: {truth: maybe}", ["camera.truth", "'maybe'", "bool"]),
+        ("camera: 7", ["camera", "found 7", "keys with values"]),
+        ("detector: {kind: truth}", ["detector.kind", "camera.truth: true"]),
+        ("detector: {kind: first_box}", ["detector.boxes", "none"]),
+        ("detector: {kind: first_box, boxes: {a: [1, 2, 3]}}", ["detector.boxes", "length 4"]),
+        ("detector: {kind: first_box, boxes: {a: [1, 2, 3, 4]}}", ["detector.boxes", "found a"]),
+        ("bus: {base_port: 80}", ["bus.base_port", "found 80", ">= 1024"]),
+        ("- 1", ["the whole file", "found [1]"]),
+        ("camera: [", ["YAML", "line 1"]),
+    ],
+)
+def test_an_error_names_path_value_and_what_is_allowed(text, parts):
+    with pytest.raises(InputError) as error:
+        parse(text, Path("deploy.yaml"))
+    message = str(error.value)
+    assert message.count("\n") == 0
+    assert all(part in message for part in ["deploy.yaml", *parts]), message
+
+
+def test_relative_paths_start_at_the_file(tmp_path):
+    path = tmp_path / "p.yaml"
+    path.write_text("bundles: models\ncamera: {source: bop, path: ../scene, truth: true}\n")
+    config = load(path)
+    assert config.bundles == str(tmp_path / "models")
+    assert Path(config.camera.path).resolve() == tmp_path.parent / "scene"
+
+
+@pytest.mark.parametrize("name", ["missing.yaml", ""])
+def test_a_file_that_cannot_be_read_is_named(tmp_path, name):
+    with pytest.raises(InputError, match="configuration"):
+        load(tmp_path / name)
+
+
+def test_every_worker_has_its_own_port():
+    config = parse(GOOD, Path("p.yaml"))
+    assert len({config.endpoint(worker) for worker in WORKERS}) == len(WORKERS)

@@ -1,0 +1,41 @@
+"""What can be set about a tracker; the defaults are what was measured."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from huepose.support.errors import InputError
+
+
+@dataclass(frozen=True)
+class TrackerConfig:
+    """history_frames: frames and poses that are kept for late corrections.
+    tracking_quality, suspect_quality: a pose over the first goes to TRACKING, one under the second to SUSPECT.
+    lost_quality: under it a frame gives no support; lost_after such frames in a row make an object LOST.
+    search: whether the tracker may look for an object on its own when the step was too large.
+    max_search_m_s, max_search_rad_s: the fastest motion that the search covers.
+    catch_up_stride: most frames skipped at once while catching up.
+    """
+
+    history_frames: int = 20
+    tracking_quality: float = 0.6
+    suspect_quality: float = 0.5
+    lost_quality: float = 0.25
+    lost_after: int = 4
+    search: bool = True
+    max_search_m_s: float = 0.8
+    max_search_rad_s: float = 7.0
+    catch_up_stride: int = 5
+
+    def __post_init__(self) -> None:
+        if not self.history_frames >= 2:
+            raise InputError(
+                "tracker: history_frames", found=str(self.history_frames), expected="2 or more", fix="Use 20."
+            )
+        if not 0 <= self.lost_quality <= self.suspect_quality <= self.tracking_quality <= 1:
+            raise InputError(
+                "tracker: qualities",
+                found=f"{self.lost_quality}, {self.suspect_quality}, {self.tracking_quality}",
+                expected="0 <= lost_quality <= suspect_quality <= tracking_quality <= 1",
+                fix="Leave them at their defaults.",
+            )

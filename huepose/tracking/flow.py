@@ -1,0 +1,90 @@
+"""Dense optical flow between two frames, on the object's region only, checked forward and backward.
+
+DIS flow (Kroeger et al. 2016, OpenCV) needs no network and costs about a millisecond on 240 x 240 pixels; its
+patches are normalised for brightness. A learned flow can stand behind the same `Flow`.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+
+from huepose.geometry.arrays import Bool, Float, Float32, Float64, UInt8
+from huepose.geometry.box import Box
+
+MIN_SIDE = 32
+"""DIS needs a few patches at its coarsest scale."""
+
+MAX_ERROR_PX = 1.0
+MAX_ERROR_SHARE = 0.05
+"""A flow is consistent when going there and back misses by less than this and this share of its length."""
+
+
+@dataclass(frozen=True, eq=False)
+class Flow:
+    """Flow in a window of two frames whose corner is pixel (x0, y0).
+
+    forward (H, W, 2) float32: where pixels of the first frame go (du, dv); backward (H, W, 2): where pixels of
+    the second came from; consistent (H, W) bool: forward flow that the backward flow confirms.
+    """
+
+    forward: Float32
+    backward: Float32
+    consistent: Bool
+    x0: int
+    y0: int
+
+    def at(self, pixels: Float) -> tuple[Float64, Bool]:
+        """Flow (N, 2) of frame pixels (N, 2), bilinear, and whether it is consistent there (N,)."""
+        local = np.asarray(pixels, np.float32) - np.array([self.x0, self.y0], np.float32)
+        h, w = self.consistent.shape
+        u, v = local[:, 0], local[:, 1]
+        inside = (u >= 0) & (v >= 0) & (u <= w - 1) & (v <= h - 1)
+        moved = sampled(self.forward, local)
+        columns, rows = np.clip(np.rint(u), 0, w - 1).astype(int), np.clip(np.rint(v), 0, h - 1).astype(int)
+        return moved.astype(np.float64), inside & self.consistent[rows, columns]
+
+
+def sampled(image: Float32, pixels: Float) -> Float32:
+    """Bilinear values (N, C) of a float32 image (H, W, C) at pixels (N, 2); the border continues outwards."""
+    p = np.asarray(pixels, np.float32).reshape(1, -1, 2)
+    if p.shape[1] == 0:
+        return np.zeros((0, image.shape[2]), np.float32)
+    # cv2.remap takes at most 32767 columns.
+    parts = [
+        cv2.remap(image, q[..., 0], q[..., 1], cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
+        for q in np.array_split(p, p.shape[1] // 30000 + 1, axis=1)
+    ]
+    return np.concatenate(parts, 1).reshape(-1, image.shape[2])
+
+
+def compute(
+    color_a: UInt8, color_b: UInt8, box: Box, preset: int = cv2.DISOPTICAL_FLOW_PRESET_FAST
+) -> Flow | None:
+    """Flow from one colour image (H, W, 3) uint8 RGB to another inside `box` (clipped to the image); None when
+    less than 32 pixels a side are left."""
+    rows, columns = box.slices(color_a.shape[1], color_a.shape[0])
+    if rows.stop - rows.start < MIN_SIDE or columns.stop - columns.start < MIN_SIDE:
+        return None
+    a = cv2.cvtColor(color_a[rows, columns], cv2.COLOR_RGB2GRAY)
+    b = cv2.cvtColor(color_b[rows, columns], cv2.COLOR_RGB2GRAY)
+    dis = cv2.DISOpticalFlow_create(preset)
+    forward = dis.calc(a, b, None)
+    backward = dis.calc(b, a, None)
+    return Flow(forward, backward, _consistent(forward, backward), columns.start, rows.start)
+
+
+def _consistent(forward: Float32, backward: Float32) -> Bool:
+    """Where going forward and back returns to the start."""
+    h, w = forward.shape[:2]
+    grid = np.stack(np.meshgrid(np.arange(w, dtype=np.float32), np.arange(h, dtype=np.float32)), -1)
+    there = grid + forward
+    back = cv2.remap(
+        backward, there[..., 0], there[..., 1], cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE
+    )
+    error = np.linalg.norm(forward + back, axis=2)
+    inside = (there[..., 0] >= 0) & (there[..., 1] >= 0) & (there[..., 0] <= w - 1) & (there[..., 1] <= h - 1)
+    allowed = MAX_ERROR_PX + MAX_ERROR_SHARE * np.linalg.norm(forward, axis=2)
+    return np.asarray(inside & (error < allowed))

@@ -1,0 +1,182 @@
+"""One step: from where an object was in one frame to where it is in another. Pure; everything is passed in.
+
+Starts are tried from cheap to dear, and each is believed only when the image agrees: where it was, where its
+velocity takes it, where optical flow takes it (paper, section III-F), and at last the tracker's own search. What
+is usual for this object in this light decides when a result is doubtful.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from huepose.geometry import se3
+from huepose.geometry.arrays import Bool, Float64
+from huepose.geometry.box import Box
+from huepose.geometry.frame import RgbdFrame
+from huepose.geometry.mesh import Mesh
+from huepose.tracking import flow as optical_flow
+from huepose.tracking.config import TrackerConfig
+from huepose.tracking.correspondences import match
+from huepose.tracking.motion import MAX_AHEAD_S, predicted
+from huepose.tracking.refinement import refine
+from huepose.tracking.region import prepare
+from huepose.tracking.relative_pose import RelativePose, RobustKabsch, lift_matches
+from huepose.tracking.scoring import NOTHING, Fit, score
+from huepose.tracking.search import Reach, search
+from huepose.tracking.silhouette import visible_mask
+from huepose.tracking.surface import TrackedSurface
+
+START_SAMPLES = 150
+DOUBT = 0.25
+"""A score this much under the usual one is looked into."""
+
+DOUBTFUL_TOTAL = 0.9
+"""So is any score under this one."""
+
+OCCLUDED = 0.6
+"""With this share hidden there is nothing to search for: the object is behind something, and stays there."""
+
+MARGIN_M = 0.012
+"""The refinement may move the object by this much out of its start's window."""
+
+FLOW_MAX_S = 0.12
+"""Over longer gaps flow finds too little to be worth its time."""
+
+FLOW_GROWTH = 0.3
+SEARCH_SLACK_M, SEARCH_SLACK_RAD = 0.02, np.radians(10.0)
+SEARCH_MAX_M, SEARCH_MAX_RAD = 0.25, np.radians(75.0)
+TRUSTED_VELOCITY = 0.5
+"""A known velocity halves the reach: the object's acceleration is left to be found."""
+
+
+@dataclass(frozen=True, eq=False)
+class Subject:
+    """The object: its prepared surface and its mesh."""
+
+    surface: TrackedSurface
+    mesh: Mesh
+
+
+@dataclass(frozen=True, eq=False)
+class Anchor:
+    """Where an object was last: pose, velocity (6,) or None, the frame, the score that is usual for it or None, and
+    its mask (H, W) in that frame where one is known better than by rendering."""
+
+    T_cam_obj: Float64
+    velocity: Float64 | None
+    frame: RgbdFrame
+    usual: float | None
+    mask: Bool | None = None
+
+
+@dataclass(frozen=True, eq=False)
+class Step:
+    """Where it is now: pose, what that explains of the frame, information (6, 6) of the refinement, and which start
+    led there ("still", "velocity", "flow", "search")."""
+
+    T_cam_obj: Float64
+    fit: Fit
+    information: Float64
+    start: str
+
+
+def advance(
+    subject: Subject,
+    anchor: Anchor,
+    frame: RgbdFrame,
+    config: TrackerConfig,
+    relative_pose: RelativePose | None = None,
+) -> Step:
+    """Find the object of `anchor` in a later frame."""
+    seconds = (frame.stamp_ns - anchor.frame.stamp_ns) * 1e-9
+    expected = predicted(anchor.T_cam_obj, anchor.velocity, seconds)
+    starts = [(anchor.T_cam_obj, "still")]
+    if expected is not anchor.T_cam_obj:
+        starts.append((expected, "velocity"))
+    best = _best_of(subject.surface, frame, starts)
+    if _convincing(best, anchor.usual):
+        return best
+    if 0.0 < seconds <= FLOW_MAX_S:
+        T_flow = flow_start(subject, anchor, frame, expected, relative_pose or RobustKabsch())
+        if T_flow is not None:
+            best = _better(best, _refined(subject.surface, frame, T_flow, "flow"))
+    if config.search and not _convincing(best, anchor.usual) and best.fit.hidden < OCCLUDED:
+        found = search(subject.surface, frame, _reach(subject.surface, anchor, expected, seconds, config))
+        if found is not None:
+            best = _better(best, _refined(subject.surface, frame, found[0], "search"))
+    return best
+
+
+def flow_start(
+    subject: Subject,
+    anchor: Anchor,
+    frame: RgbdFrame,
+    expected: Float64,
+    relative_pose: RelativePose,
+    use_pairs: bool = True,
+) -> Float64 | None:
+    """The pose that optical flow from the anchor's frame gives: flow on the region of the old and the expected
+    outline, matches filtered by mask and colour pairs, lifted, and a relative pose. None where it fails."""
+    surface, camera = subject.surface, frame.camera
+    old, new = surface.box(anchor.T_cam_obj, camera), surface.box(expected, camera)
+    if old is None or new is None:
+        return None
+    flow = optical_flow.compute(anchor.frame.color, frame.color, _union(old, new).grown(FLOW_GROWTH, 8.0))
+    if flow is None:
+        return None
+    mask = anchor.mask
+    if mask is None:
+        mask = visible_mask(subject.mesh, anchor.T_cam_obj, anchor.frame, old)
+    matches = match(anchor.frame.color, frame.color, mask, flow, use_pairs)
+    motion = relative_pose.estimate(lift_matches(anchor.frame, frame, matches))
+    return None if motion is None else se3.compose(motion.T_b_a, anchor.T_cam_obj)
+
+
+def _best_of(surface: TrackedSurface, frame: RgbdFrame, starts: list[tuple[Float64, str]]) -> Step:
+    """Refine the start that explains the image best before refinement."""
+    boxes = [b for b in (surface.box(T, frame.camera) for T, _ in starts) if b is not None]
+    region = None
+    if boxes:
+        z = float(surface.centre_cam(starts[-1][0])[2])
+        region = prepare(frame, _with_margin(_union(*boxes), frame, z), z)
+    if region is None:
+        return Step(starts[-1][0], NOTHING, np.zeros((6, 6)), starts[-1][1])
+    totals = [score(surface, region, T, 2, START_SAMPLES).total for T, _ in starts]
+    T, name = starts[int(np.argmax(totals))]
+    refined = refine(surface, region, T)
+    return Step(refined.T_cam_obj, score(surface, region, refined.T_cam_obj), refined.information, name)
+
+
+def _refined(surface: TrackedSurface, frame: RgbdFrame, T: Float64, name: str) -> Step:
+    return _best_of(surface, frame, [(T, name)])
+
+
+def _better(a: Step, b: Step) -> Step:
+    return b if b.fit.total > a.fit.total else a
+
+
+def _convincing(step: Step, usual: float | None) -> bool:
+    total = step.fit.total
+    return total >= DOUBTFUL_TOTAL and (usual is None or total >= usual - DOUBT)
+
+
+def _reach(
+    surface: TrackedSurface, anchor: Anchor, expected: Float64, seconds: float, config: TrackerConfig
+) -> Reach:
+    """How far the object can have come since the anchor."""
+    share = 1.0 if anchor.velocity is None or seconds > MAX_AHEAD_S else TRUSTED_VELOCITY
+    metres = min(SEARCH_SLACK_M + share * config.max_search_m_s * seconds, SEARCH_MAX_M)
+    radians = min(SEARCH_SLACK_RAD + share * config.max_search_rad_s * seconds, SEARCH_MAX_RAD)
+    return Reach(surface.centre_cam(expected), (expected[:3, :3],), metres, float(radians))
+
+
+def _union(*boxes: Box) -> Box:
+    x0, y0 = min(b.x for b in boxes), min(b.y for b in boxes)
+    x1, y1 = max(b.x1 for b in boxes), max(b.y1 for b in boxes)
+    return Box(x0, y0, x1 - x0, y1 - y0)
+
+
+def _with_margin(box: Box, frame: RgbdFrame, z: float) -> Box:
+    return box.grown(0.0, max(8.0, MARGIN_M / max(z, 0.05) * frame.camera.fx))

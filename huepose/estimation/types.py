@@ -38,11 +38,12 @@ class ObjectQuery:
 class PoseEstimate:
     """The answer for one query.
 
-    found is False when nothing was there to estimate; then T_cam_obj, covariance and mask are None.
-    score: the dense score of the pose, comparable between poses on the same pixels; prior_score: that of
-    the refined prior, None without one; prior_T_cam_obj: the refined prior. margin: score above the best
-    clearly different pose. quality: calibrated probability that the pose is right. state: "TRACKING" over the
-    acquisition level, else "SUSPECT"; "LOST" when not found. alternatives: other poses and their probabilities.
+    found is False when nothing was there to estimate; then T_cam_obj, covariance and mask are None. score:
+    the dense score of the pose, comparable between poses on the same pixels; prior_score: that of the
+    refined prior, None without one; prior_T_cam_obj: the refined prior. margin: score above the best clearly
+    different pose. quality: calibrated probability that the pose is right. state: "TRACKING" over the
+    acquisition level, else "SUSPECT"; "LOST" when not found. alternatives: other poses and their
+    probabilities.
     """
 
     object: str

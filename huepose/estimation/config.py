@@ -1,0 +1,53 @@
+"""What can be chosen about the estimator; defaults are what was measured best."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import Literal, get_args
+
+from huepose.support.errors import InputError
+
+Method = Literal["full", "colorpair"]
+
+
+@dataclass(frozen=True)
+class FullPathConfig:
+    """How much the full method tries. retrieved: views a mask; kept: of them after ICP; turned: those whose
+    near-symmetric turns are tried; searched: poses a mask that are searched; judged: poses judged by all
+    masks; finished: poses searched finely; alternatives: different poses that are returned."""
+
+    retrieved: int = 30
+    kept: int = 8
+    turned: int = 5
+    searched: int = 18
+    judged: int = 40
+    finished: int = 5
+    alternatives: int = 6
+
+
+@dataclass(frozen=True)
+class EstimatorConfig:
+    """method: "full" (the best that there is) or "colorpair" (the paper's path alone); seed: of all random
+    choices; threads: objects of a frame that are estimated at the same time; acquisition_level: the quality
+    over which a pose is TRACKING; found_score: a best total under this is "nothing there"."""
+
+    method: Method = "full"
+    seed: int = 0
+    threads: int = 1
+    acquisition_level: float = 0.9
+    found_score: float = 0.45
+    full: FullPathConfig = field(default_factory=FullPathConfig)
+
+    def __post_init__(self) -> None:
+        if self.method not in get_args(Method):
+            raise InputError(
+                "method", found=f"'{self.method}'", expected=" or ".join(f"'{m}'" for m in get_args(Method))
+            )
+        if self.threads < 1:
+            raise InputError("threads", found=str(self.threads), expected="1 or more")
+        if not 0.0 < self.acquisition_level < 1.0:
+            raise InputError(
+                "acquisition_level",
+                found=str(self.acquisition_level),
+                expected="a probability between 0 and 1",
+            )

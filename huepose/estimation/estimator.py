@@ -1,0 +1,229 @@
+"""The estimator: where is each of these objects in this frame, how sure, and how exact?
+
+Queries are independent of each other: every answer depends on the frame, the query and the seed alone, not
+on the order or on the thread that it ran in.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Mapping, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from contextvars import copy_context
+from dataclasses import dataclass, replace
+from zlib import crc32
+
+import numpy as np
+
+from huepose.estimation.config import EstimatorConfig
+from huepose.estimation.full_path import estimate_full, judge, prepare_regions, refine_prior
+from huepose.estimation.outline import projected_box, visible_mask
+from huepose.estimation.prepared import PreparedModels
+from huepose.estimation.quality import MAX_MARGIN, covariance, quality
+from huepose.estimation.types import ObjectQuery, PoseEstimate
+from huepose.geometry import se3
+from huepose.geometry.arrays import Bool, Float64
+from huepose.geometry.box import Box
+from huepose.geometry.camera import Camera
+from huepose.geometry.frame import RgbdFrame
+from huepose.model.types import ReferenceModel
+from huepose.perception.embedded import DepthSegmenter
+from huepose.perception.types import Segmenter
+from huepose.registration.surface_icp import align
+from huepose.support.errors import InputError
+from huepose.support.stages import stage
+from huepose.verification.region import Region
+
+ALTERNATIVE_SHARPNESS = 10.0
+
+
+@dataclass(frozen=True, eq=False)
+class Explanation:
+    """What led to an answer: the box, the candidate masks (H, W), the regions that judged, and the different
+    poses (K, 4, 4) with their totals (K,), best first."""
+
+    box: Box
+    masks: tuple[Bool, ...]
+    regions: tuple[Region, ...]
+    poses: Float64
+    totals: Float64
+
+
+class Estimator:
+    """Poses of known objects in single frames.
+
+    models: by name; segmenter: outlines an object in a box (the embedded depth segmenter by default).
+    Thread-safe; kernels are compiled at the first call, or by `warm_up`.
+    """
+
+    def __init__(
+        self,
+        models: Mapping[str, ReferenceModel],
+        config: EstimatorConfig | None = None,
+        segmenter: Segmenter | None = None,
+    ) -> None:
+        self.config = config or EstimatorConfig()
+        self._models = PreparedModels(models)
+        self._segmenter: Segmenter = segmenter or DepthSegmenter()
+
+    def estimate(self, frame: RgbdFrame, queries: Sequence[ObjectQuery]) -> list[PoseEstimate]:
+        """One answer a query, in their order. Raises InputError for an unknown object or an empty query."""
+        for query in queries:
+            self._models.model(query.object)
+        workers = min(self.config.threads, len(queries))
+        if workers <= 1:
+            return [self.explain(frame, query)[0] for query in queries]
+        contexts = [copy_context() for _ in queries]
+        with ThreadPoolExecutor(workers) as pool:
+            answers = pool.map(lambda c, q: c.run(self.explain, frame, q)[0], contexts, queries)
+            return list(answers)
+
+    def explain(self, frame: RgbdFrame, query: ObjectQuery) -> tuple[PoseEstimate, Explanation]:
+        """The answer to one query, and what led to it."""
+        start = time.perf_counter()
+        prepared = self._models.prepared(query.object)
+        model = prepared.model
+        box, masks = self._box_and_masks(frame, query, model)
+        with stage("regions"):
+            regions = prepare_regions(frame, masks, box, model.diameter_m)
+        poses, totals = np.zeros((0, 4, 4)), np.zeros(0)
+        prior: Float64 | None = None
+        prior_score: float | None = None
+        if regions:
+            if query.prior is not None:
+                with stage("prior"):
+                    prior = refine_prior(model, regions, query.prior.T_cam_obj)
+                    prior_score = float(judge(model, regions, prior[None])[0])
+            if self.config.method == "full":
+                extra = np.zeros((0, 4, 4)) if prior is None else prior[None]
+                poses, totals = estimate_full(model, prepared.table, regions, self.config.full, extra)
+            else:
+                poses, totals = self._by_pairs(model, frame, masks, regions, query)
+        explanation = Explanation(box, tuple(masks), tuple(regions), poses, totals)
+        found = len(poses) > 0 and totals[0] >= self.config.found_score
+        with stage("answer"):
+            answer = self._answer(frame, query, model, explanation, found, prior, prior_score)
+        return _timed(answer, time.perf_counter() - start), explanation
+
+    def warm_up(self, names: Sequence[str] | None = None) -> None:
+        """Prepare models (all by default) and compile the kernels on an artificial view of the first."""
+        from huepose.rendering.render import render
+
+        names = self._models.names if names is None else list(names)
+        for name in names:
+            self._models.prepared(name)
+        if not names:
+            return
+        model = self._models.model(names[0])
+        camera = Camera(320.0, 320.0, 159.5, 119.5, 320, 240)
+        T = se3.make(np.eye(3), np.array([0.0, 0.0, 3.0 * model.diameter_m]) - model.mesh.centre)
+        picture = render([(model.mesh, T)], camera)
+        frame = RgbdFrame(picture.color, picture.depth, camera)
+        box = projected_box(model, frame, T)
+        if box is not None:
+            self.explain(frame, ObjectQuery(names[0], box))
+
+    def _box_and_masks(
+        self, frame: RgbdFrame, query: ObjectQuery, model: ReferenceModel
+    ) -> tuple[Box, list[Bool]]:
+        """Box and candidate masks of a query: what it gives, else what the segmenter or its prior says."""
+        box, masks = query.box, [np.asarray(m, dtype=bool) for m in query.masks]
+        for mask in masks:
+            if mask.shape != frame.depth.shape:
+                raise InputError(
+                    f"mask of '{query.object}'",
+                    found=f"{mask.shape}",
+                    expected=f"{frame.depth.shape}, the size of the frame",
+                )
+        if box is None and masks:
+            box = Box.of_mask(np.any(masks, axis=0))
+        if box is None and query.prior is not None:
+            box = projected_box(model, frame, query.prior.T_cam_obj)
+        if box is None:
+            if query.prior is None and not masks:
+                raise InputError(
+                    f"query for '{query.object}'",
+                    found="neither box, masks nor prior",
+                    expected="at least one of them",
+                    fix="Ask a detector for a box first.",
+                )
+            return Box(0.0, 0.0, 0.0, 0.0), masks
+        if not masks:
+            with stage("masks"):
+                masks = self._segmenter.segment(frame, box, model.diameter_m)
+        return box, masks
+
+    def _by_pairs(
+        self,
+        model: ReferenceModel,
+        frame: RgbdFrame,
+        masks: list[Bool],
+        regions: list[Region],
+        query: ObjectQuery,
+    ) -> tuple[Float64, Float64]:
+        from huepose.estimation.colorpair_path import estimate_by_pairs
+
+        rng = np.random.default_rng([self.config.seed, crc32(query.object.encode()), _content_seed(frame)])
+        scored = estimate_by_pairs(model, frame, masks, self.config, rng)
+        if not scored:
+            return np.zeros((0, 4, 4)), np.zeros(0)
+        return np.array([T for _, T in scored]), np.array([s for s, _ in scored])
+
+    def _answer(
+        self,
+        frame: RgbdFrame,
+        query: ObjectQuery,
+        model: ReferenceModel,
+        explanation: Explanation,
+        found: bool,
+        prior: Float64 | None,
+        prior_score: float | None,
+    ) -> PoseEstimate:
+        poses, totals = explanation.poses, explanation.totals
+        score = float(totals[0]) if len(totals) else 0.0
+        margin = float(totals[0] - totals[1]) if len(totals) > 1 else MAX_MARGIN
+        if not found:
+            return PoseEstimate(
+                query.object, query.instance, False, None, 0.0, "LOST", score, 0.0, None, None,
+                query.box, prior_score, prior, (), 0.0,
+            )  # fmt: skip
+        T = se3.orthonormalised(poses[0])
+        region = max(explanation.regions, key=lambda r: float(judge(model, [r], T[None])[0]))
+        fit = align(model.surface, model.grid, region.points_cam, T, 0.012, 0.012, 0)
+        q = quality(score, margin)
+        mask = visible_mask(model, frame, T, 1.5 * region.tolerance_m)
+        return PoseEstimate(
+            query.object,
+            query.instance,
+            True,
+            T,
+            q,
+            "TRACKING" if q >= self.config.acquisition_level else "SUSPECT",
+            score,
+            margin,
+            covariance(fit),
+            mask,
+            projected_box(model, frame, T),
+            prior_score,
+            prior,
+            _alternatives(poses, totals, q),
+            0.0,
+        )
+
+
+def _alternatives(poses: Float64, totals: Float64, q: float) -> tuple[tuple[Float64, float], ...]:
+    """The other poses; they share what is left of the probability by their totals."""
+    if len(poses) < 2:
+        return ()
+    weight = np.exp(ALTERNATIVE_SHARPNESS * (totals[1:] - totals[1]))
+    share = (1.0 - q) * weight / weight.sum()
+    return tuple((se3.orthonormalised(T), float(p)) for T, p in zip(poses[1:], share, strict=True))
+
+
+def _timed(answer: PoseEstimate, seconds: float) -> PoseEstimate:
+    return replace(answer, seconds=seconds)
+
+
+def _content_seed(frame: RgbdFrame) -> int:
+    """A number that depends on what the frame shows."""
+    return crc32(np.ascontiguousarray(frame.depth[::8, ::8]).tobytes())

@@ -1,0 +1,52 @@
+"""Models with what the estimator derives from them: built when first needed, once, from any thread."""
+
+from __future__ import annotations
+
+import threading
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+from huepose.matching.retrieval import TemplateTable, build_table
+from huepose.model.types import ReferenceModel
+from huepose.support.errors import InputError
+
+
+@dataclass(frozen=True, eq=False)
+class PreparedModel:
+    """A model and its templates laid out for products (about 20 MB)."""
+
+    model: ReferenceModel
+    table: TemplateTable
+
+
+class PreparedModels:
+    """Models by name. Raises InputError for a name that is not there."""
+
+    def __init__(self, models: Mapping[str, ReferenceModel]) -> None:
+        self._models = dict(models)
+        self._prepared: dict[str, PreparedModel] = {}
+        self._lock = threading.Lock()
+
+    @property
+    def names(self) -> list[str]:
+        """All names, sorted."""
+        return sorted(self._models)
+
+    def model(self, name: str) -> ReferenceModel:
+        """The model of that name."""
+        if name not in self._models:
+            raise InputError(
+                f"object '{name}'",
+                found="no reference model of that name",
+                expected=f"one of {', '.join(self.names) or 'no objects at all'}",
+                fix="Onboard it with `huepose onboard`, or check the spelling.",
+            )
+        return self._models[name]
+
+    def prepared(self, name: str) -> PreparedModel:
+        """The model of that name, prepared."""
+        model = self.model(name)
+        with self._lock:
+            if name not in self._prepared:
+                self._prepared[name] = PreparedModel(model, build_table(model.templates, model.diameter_m))
+            return self._prepared[name]

@@ -1,0 +1,144 @@
+"""Pieces of depth: connected pixels without a step in depth between them, and how they make up an object.
+
+An object shows as one piece, or as several where something thin crosses it; the pieces that together fit the
+box best are the object. A piece that fits badly may be the wrong one, then a second answer is given.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+
+from huepose.geometry.arrays import Bool, Float32, Float64, Int
+from huepose.geometry.box import Box
+
+MIN_PIXELS = 15
+MIN_MASK_PIXELS = 25
+
+
+@dataclass(frozen=True, eq=False)
+class Pieces:
+    """Pieces of a window, numbered from 0. labels (h, w) int32: piece of each pixel, -1 for none; bounds (n,
+    4): left, top, right, bottom (exclusive); share (n,): part of the piece inside the box; weight (n,):
+    pixels, weighted by their nearness to the box's centre; depth (n,): median, metres."""
+
+    labels: Int
+    bounds: Float64
+    share: Float64
+    weight: Float64
+    depth: Float64
+
+
+def cut_pieces(depth: Float32, candidate: Bool, box: Box) -> Pieces:
+    """Cut the candidate pixels (h, w) of a window at depth steps; `box` is in the window's pixels."""
+    free = candidate & ~_steps(depth)
+    count, labels, stats, _ = cv2.connectedComponentsWithStats(free.astype(np.uint8), connectivity=4)
+    flat = labels.ravel()
+    v, u = np.arange(depth.shape[0])[:, None], np.arange(depth.shape[1])[None, :]
+    inside = (u >= box.x) & (u < box.x1) & (v >= box.y) & (v < box.y1)
+    near = np.exp(
+        -0.5
+        * (((u - box.x - box.w / 2) / (0.45 * box.w)) ** 2 + ((v - box.y - box.h / 2) / (0.45 * box.h)) ** 2)
+    )
+    size = stats[:, 4].astype(np.float64)
+    share = np.bincount(flat, inside.ravel(), count) / np.maximum(size, 1)
+    weight = np.bincount(flat, near.ravel(), count)
+    keep = np.flatnonzero((size >= MIN_PIXELS) & (np.arange(count) > 0))
+    number = np.full(count, -1, np.int32)
+    number[keep] = np.arange(len(keep))
+    labels = number[labels]
+    left, top = stats[keep, 0], stats[keep, 1]
+    bounds = np.stack([left, top, left + stats[keep, 2], top + stats[keep, 3]], -1).astype(np.float64)
+    return Pieces(
+        labels, bounds, share[keep], weight[keep].astype(np.float64), _medians(depth, labels, len(keep))
+    )
+
+
+def _steps(depth: Float32) -> Bool:
+    """The far side of every depth step: rims of near things stay whole."""
+    smooth = cv2.medianBlur(np.ascontiguousarray(depth), 3)
+    limit = 0.006 + 0.004 * depth
+    step = np.zeros(depth.shape, bool)
+    for a, b in (
+        ((slice(None), slice(None, -1)), (slice(None), slice(1, None))),
+        ((slice(None, -1), slice(None)), (slice(1, None), slice(None))),
+    ):
+        jump = smooth[a] - smooth[b]
+        step[a] |= jump > limit[a]
+        step[b] |= jump < -limit[a]
+    return step
+
+
+def _medians(depth: Float32, labels: Int, count: int) -> Float64:
+    """Median depth of each piece."""
+    inside = labels >= 0
+    values, owner = depth[inside], labels[inside]
+    order = np.lexsort((values, owner))
+    sizes = np.bincount(owner, minlength=count)
+    middle = np.concatenate([[0], np.cumsum(sizes)[:-1]]) + sizes // 2
+    return values[order][middle.astype(int)].astype(np.float64) if count else np.zeros(0)
+
+
+def join_pieces(depth: Float32, candidate: Bool, pieces: Pieces, box: Box, diameter_m: float) -> list[Bool]:
+    """One or two masks (h, w), best first: the likeliest piece with those that belong to it, and the same
+    for the runner-up where the first fits the box badly. Empty when no piece touches the box."""
+    if not len(pieces.weight):
+        return []
+    merit = pieces.weight * (0.2 + _ious(pieces.bounds, box)) * pieces.share
+    ranked = np.argsort(-merit, kind="stable")
+    masks: list[Bool] = []
+    fit = 0.0
+    for main in ranked[:2]:
+        if merit[main] <= 0 or (masks and (merit[main] < 0.15 * merit[ranked[0]] or fit > 0.65)):
+            break
+        mask, bounds = _joined(pieces, int(main), box, diameter_m)
+        mask, fit = _finished(mask, bounds, depth, candidate, box, diameter_m)
+        if mask.sum() >= MIN_MASK_PIXELS:
+            masks.append(mask)
+        elif not masks:
+            fit = 0.0
+    return masks
+
+
+def _joined(pieces: Pieces, main: int, box: Box, diameter_m: float) -> tuple[Bool, Float64]:
+    """A piece with every other that lies in the box, is about as deep, and does not worsen the fit."""
+    members = np.zeros(len(pieces.weight) + 1, bool)
+    members[main] = True
+    bounds = pieces.bounds[main]
+    for k in np.argsort(-pieces.weight, kind="stable"):
+        if k == main or pieces.share[k] < 0.85:
+            continue
+        if abs(pieces.depth[k] - pieces.depth[main]) > 0.6 * diameter_m:
+            continue
+        union = np.concatenate(
+            [np.minimum(bounds[:2], pieces.bounds[k, :2]), np.maximum(bounds[2:], pieces.bounds[k, 2:])]
+        )
+        if _ious(union[None], box)[0] >= _ious(bounds[None], box)[0] - 0.02:
+            members[k], bounds = True, union
+    return members[pieces.labels], bounds  # label -1 reads the last entry, which is never a member
+
+
+def _finished(
+    mask: Bool, bounds: Float64, depth: Float32, candidate: Bool, box: Box, diameter_m: float
+) -> tuple[Bool, float]:
+    """Rims put back, far-off depth and what lies beside the box cut off; the mask and how well it fits the
+    box."""
+    near = np.abs(depth - np.median(depth[mask])) < 0.75 * diameter_m
+    grown = cv2.dilate((mask & near).astype(np.uint8), np.ones((3, 3), np.uint8)) > 0
+    mask = grown & candidate & near
+    v, u = np.arange(depth.shape[0])[:, None], np.arange(depth.shape[1])[None, :]
+    wide = box.grown(0.08)
+    inside = mask & (u >= wide.x) & (u < wide.x1) & (v >= wide.y) & (v < wide.y1)
+    kept = inside.sum() / max(int(mask.sum()), 1)
+    return inside, float(_ious(bounds[None], box)[0] * min(1.0, kept + 0.1))
+
+
+def _ious(bounds: Float64, box: Box) -> Float64:
+    """Intersection over union of bounds (n, 4) with a box."""
+    w = np.minimum(bounds[:, 2], box.x1) - np.maximum(bounds[:, 0], box.x)
+    h = np.minimum(bounds[:, 3], box.y1) - np.maximum(bounds[:, 1], box.y)
+    shared = np.maximum(w, 0) * np.maximum(h, 0)
+    area = (bounds[:, 2] - bounds[:, 0]) * (bounds[:, 3] - bounds[:, 1])
+    return np.asarray(shared / np.maximum(area + box.area - shared, 1e-9))

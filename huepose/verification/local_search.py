@@ -1,0 +1,120 @@
+"""Coordinate search on the dense score: what depth alone cannot fix (a can's turn, a slide along a face) is
+found by small turns and shifts that the print likes better."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from huepose.geometry.arrays import Float, Float64
+from huepose.geometry.kernels import rotation_exp_into
+from huepose.model.types import ReferenceModel
+from huepose.support.jit import jit
+from huepose.verification.dense import (
+    DEFAULT_WEIGHTS,
+    TERMS,
+    ModelArrays,
+    RegionArrays,
+    ScoreWeights,
+    model_arrays,
+    region_arrays,
+    score_kernel,
+    weight_array,
+)
+from huepose.verification.region import Region
+
+SHIFT_PER_RADIAN = 0.4
+"""A step of one radian goes with a shift of 0.4 diameters: both move the surface about as far."""
+
+REPETITIONS = 2
+STRIDES = 3
+WORTH = 1e-4
+
+
+def search(
+    model: ReferenceModel,
+    region: Region,
+    poses: Float,
+    steps_deg: Sequence[float],
+    samples: int,
+    weights: ScoreWeights = DEFAULT_WEIGHTS,
+) -> tuple[Float64, Float64]:
+    """Improve poses (M, 4, 4) by turns about the object's centre and shifts, along the object's axes, with
+    steps of `steps_deg` one after the other; returns poses (M, 4, 4) and their totals (M,)."""
+    out = np.array(poses, dtype=np.float64)
+    totals = np.zeros(len(out))
+    _search_all(
+        out,
+        model_arrays(model),
+        region_arrays(region),
+        model.mesh.centre,
+        model.diameter_m * SHIFT_PER_RADIAN,
+        np.radians(np.asarray(steps_deg, dtype=np.float64)),
+        samples,
+        weight_array(weights),
+        totals,
+    )
+    return out, totals
+
+
+@jit
+def _search_all(
+    poses: Float64,
+    model: ModelArrays,
+    region: RegionArrays,
+    centre: Float64,
+    shift_per_radian: float,
+    steps: Float64,
+    samples: int,
+    weights: Float64,
+    totals: Float64,
+) -> None:
+    moments, terms = np.empty((6, 5)), np.empty(TERMS)
+    turn, trial = np.empty((3, 3)), np.empty((4, 4))
+    for m in range(poses.shape[0]):
+        T = poses[m]
+        best = score_kernel(T, model, region, samples, weights, moments, terms)
+        for level in range(steps.shape[0]):
+            for _ in range(REPETITIONS):
+                moved = False
+                for axis in range(6):
+                    for sign in (-1.0, 1.0):
+                        for _stride in range(STRIDES):
+                            _stepped(T, axis, sign * steps[level], centre, shift_per_radian, turn, trial)
+                            total = score_kernel(trial, model, region, samples, weights, moments, terms)
+                            if total <= best + WORTH:
+                                break
+                            best = total
+                            T[:] = trial
+                            moved = True
+                if not moved:
+                    break
+        totals[m] = best
+
+
+@jit
+def _stepped(
+    T: Float64,
+    axis: int,
+    step: float,
+    centre: Float64,
+    shift_per_radian: float,
+    turn: Float64,
+    out: Float64,
+) -> None:
+    """Pose `T` after a turn by `step` about object axis 0..2 through `centre`, or a shift along axis 3..5."""
+    out[:] = T
+    if axis >= 3:
+        for r in range(3):
+            out[r, 3] += T[r, axis - 3] * step * shift_per_radian
+        return
+    rotation_exp_into(
+        step if axis == 0 else 0.0, step if axis == 1 else 0.0, step if axis == 2 else 0.0, turn
+    )
+    for r in range(3):
+        a, b, c = T[r, 0], T[r, 1], T[r, 2]
+        for k in range(3):
+            out[r, k] = a * turn[0, k] + b * turn[1, k] + c * turn[2, k]
+        for k in range(3):
+            out[r, 3] += (T[r, k] - out[r, k]) * centre[k]

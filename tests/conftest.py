@@ -1,0 +1,70 @@
+"""A reference model and a way to take pictures of it, shared by the tests of several rooms."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+import pytest
+
+from huepose.datasets.shapes import demo_objects
+from huepose.geometry import Camera, Mesh, RgbdFrame, se3
+from huepose.model.types import ReferenceModel
+from huepose.onboarding.onboard import onboard_mesh
+from huepose.rendering.render import render
+
+CAMERA = Camera(600.0, 605.0, 318.5, 241.0, 640, 480)
+
+TakePicture = Callable[..., RgbdFrame]
+
+
+@pytest.fixture(scope="session")
+def tea_box() -> ReferenceModel:
+    """A printed box of 9 x 6 x 15 cm."""
+    return onboard_mesh(demo_objects(0)["tea_box"], "tea_box")
+
+
+@pytest.fixture(scope="session")
+def take_picture() -> TakePicture:
+    """A function of [(mesh, T_cam_obj), ...] and `light` (3,): the frame of a camera that looks down on a
+    table of wood at these objects, every channel multiplied by its light."""
+    table, T_cam_table = _table()
+
+    def take(
+        scene: list[tuple[Mesh, np.ndarray]],
+        light: tuple[float, float, float] = (1.0, 1.0, 1.0),
+        with_table: bool = True,
+        frame_id: int = 0,
+    ) -> RgbdFrame:
+        things = [(table, T_cam_table), *scene] if with_table else scene
+        picture = render(things, CAMERA)
+        color = np.clip(np.round(picture.color * np.array(light)), 0, 255).astype(np.uint8)
+        return RgbdFrame(color, picture.depth, CAMERA, frame_id)
+
+    return take
+
+
+@pytest.fixture(scope="session")
+def standing() -> np.ndarray:
+    """T_cam_obj of the tea box standing turned on the table, 0.7 m away."""
+    return standing_pose(np.radians(35.0), 0.0, 0.0)
+
+
+def standing_pose(yaw: float, x: float, y: float) -> np.ndarray:
+    """T_cam_obj of the tea box that stands at (x, y) of the table."""
+    up = 0.075
+    on_table = se3.make(se3.rotation_exp(np.array([0.0, 0.0, yaw])), np.array([x, y, up]))
+    return se3.compose(_table()[1], on_table)
+
+
+def _table() -> tuple[Mesh, np.ndarray]:
+    """A table top of 1.2 m with grain, z up, and where the camera sees it: 35 degrees from above."""
+    rng = np.random.default_rng(5)
+    grain = np.cumsum(rng.normal(0, 3, (64, 256)), axis=0)
+    grain = 120 + 25 * (grain - grain.mean()) / grain.std()
+    texture = np.clip(grain[..., None] * np.array([1.1, 0.9, 0.65]), 0, 255).astype(np.uint8)
+    corners = np.array([[-0.6, -0.6, 0], [0.6, -0.6, 0], [0.6, 0.6, 0], [-0.6, 0.6, 0]], np.float32)
+    faces = np.array([[0, 1, 2], [0, 2, 3]], np.int32)
+    uv = np.array([[0, 0], [1, 0], [1, 1], [0, 1]], np.float32)[faces]
+    look_down = se3.rotation_exp(np.array([np.radians(90.0 + 35.0), 0.0, 0.0]))
+    return Mesh(corners, faces, uv, texture), se3.make(look_down, np.array([0.0, 0.03, 0.7]))

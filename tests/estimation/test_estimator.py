@@ -1,0 +1,189 @@
+"""The estimator: a printed box is found where it is; answers do not depend on order, threads or
+repetition."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from huepose.datasets.shapes import demo_objects
+from huepose.estimation import (
+    Estimator,
+    EstimatorConfig,
+    ObjectQuery,
+    PoseEstimate,
+    PosePrior,
+)
+from huepose.geometry import Box, RgbdFrame, se3
+from huepose.model.types import ReferenceModel
+from huepose.rendering.render import render_depth
+from huepose.support.errors import InputError
+
+TakePicture = Callable[..., RgbdFrame]
+
+
+@pytest.fixture(scope="module")
+def estimator(tea_box: ReferenceModel) -> Estimator:
+    return Estimator({"tea_box": tea_box})
+
+
+def box_of(frame: RgbdFrame, model: ReferenceModel, T: np.ndarray) -> Box:
+    box = Box.of_mask(render_depth(model.mesh, T, frame.camera) > 0)
+    assert box is not None
+    return box
+
+
+def same(a: PoseEstimate, b: PoseEstimate) -> bool:
+    assert a.T_cam_obj is not None
+    assert b.T_cam_obj is not None
+    return np.array_equal(a.T_cam_obj, b.T_cam_obj) and (a.score, a.quality) == (b.score, b.quality)
+
+
+def test_a_box_on_a_table_is_found_to_the_millimetre(
+    estimator: Estimator, tea_box: ReferenceModel, take_picture: TakePicture, standing: np.ndarray
+) -> None:
+    frame = take_picture([(tea_box.mesh, standing)], light=(0.8, 0.7, 0.5))
+    box = box_of(frame, tea_box, standing)
+    loose = Box(box.x - 6, box.y + 8, box.w * 1.05, box.h * 0.95)
+    (answer,) = estimator.estimate(frame, [ObjectQuery("tea_box", loose, instance=7)])
+    assert answer.found
+    assert answer.instance == 7
+    assert answer.T_cam_obj is not None
+    assert answer.mask is not None
+    assert np.linalg.norm(answer.T_cam_obj[:3, 3] - standing[:3, 3]) < 0.001
+    assert se3.rotation_angle(answer.T_cam_obj, standing) < np.radians(0.5)
+    assert answer.state == "TRACKING"
+    assert answer.quality > 0.95
+    assert answer.margin > 0.2
+    truth = render_depth(tea_box.mesh, standing, frame.camera) > 0
+    assert (answer.mask & truth).sum() / (answer.mask | truth).sum() > 0.95
+    assert answer.box is not None
+    assert answer.box.iou(box) > 0.95
+    assert sum(p for _, p in answer.alternatives) == pytest.approx(1 - answer.quality)
+
+
+def test_the_covariance_is_one(
+    estimator: Estimator, tea_box: ReferenceModel, take_picture: TakePicture, standing: np.ndarray
+) -> None:
+    frame = take_picture([(tea_box.mesh, standing)])
+    (answer,) = estimator.estimate(frame, [ObjectQuery("tea_box", box_of(frame, tea_box, standing))])
+    assert answer.covariance is not None
+    sigma = np.sqrt(np.diag(answer.covariance))
+    assert np.array_equal(answer.covariance, answer.covariance.T) or np.allclose(
+        answer.covariance, answer.covariance.T
+    )
+    assert (np.linalg.eigvalsh(answer.covariance) > 0).all()
+    assert (sigma[:3] < 0.005).all()
+    assert (sigma[3:] < np.radians(4)).all()
+
+
+def test_given_masks_are_used(
+    estimator: Estimator, tea_box: ReferenceModel, take_picture: TakePicture, standing: np.ndarray
+) -> None:
+    frame = take_picture([(tea_box.mesh, standing)])
+    truth = render_depth(tea_box.mesh, standing, frame.camera) > 0
+    (answer,) = estimator.estimate(frame, [ObjectQuery("tea_box", masks=(truth,))])
+    assert answer.T_cam_obj is not None
+    assert np.linalg.norm(answer.T_cam_obj[:3, 3] - standing[:3, 3]) < 0.001
+
+
+def test_another_print_is_doubted(
+    estimator: Estimator, tea_box: ReferenceModel, take_picture: TakePicture, standing: np.ndarray
+) -> None:
+    """The same shape with other colours: found with a lower score and less trust."""
+    right = take_picture([(tea_box.mesh, standing)])
+    wrong = take_picture([(demo_objects(1)["tea_box"], standing)])
+    query = ObjectQuery("tea_box", box_of(right, tea_box, standing))
+    (good,), (bad,) = estimator.estimate(right, [query]), estimator.estimate(wrong, [query])
+    assert bad.score < good.score - 0.3
+    assert bad.quality < good.quality - 0.05
+
+
+def test_results_repeat_in_any_order_and_with_threads(
+    estimator: Estimator, tea_box: ReferenceModel, take_picture: TakePicture, standing: np.ndarray
+) -> None:
+    beside = se3.compose(se3.make(np.eye(3), np.array([0.16, 0.0, 0.0])), standing)
+    frame = take_picture([(tea_box.mesh, standing), (tea_box.mesh, beside)])
+    queries = [
+        ObjectQuery("tea_box", box_of(frame, tea_box, T), instance=k)
+        for k, T in enumerate((standing, beside))
+    ]
+    first = estimator.estimate(frame, queries)
+    again = estimator.estimate(frame, queries)
+    turned = estimator.estimate(frame, queries[::-1])[::-1]
+    threaded = Estimator({"tea_box": tea_box}, EstimatorConfig(threads=2)).estimate(frame, queries)
+    for answers in (again, turned, threaded):
+        assert [a.instance for a in answers] == [0, 1]
+        assert all(same(a, b) for a, b in zip(first, answers, strict=True))
+
+
+def test_a_prior_is_refined_and_scored_on_the_same_pixels(
+    estimator: Estimator, tea_box: ReferenceModel, take_picture: TakePicture, standing: np.ndarray
+) -> None:
+    frame = take_picture([(tea_box.mesh, standing)])
+    box = box_of(frame, tea_box, standing)
+    near = PosePrior(se3.perturb(standing, np.array([0.008, -0.006, 0.01, 0.08, -0.06, 0.05])))
+    upside_down = PosePrior(se3.compose(standing, se3.make(np.diag([1.0, -1.0, -1.0]), np.zeros(3))))
+    (good,) = estimator.estimate(frame, [ObjectQuery("tea_box", box, prior=near)])
+    (bad,) = estimator.estimate(frame, [ObjectQuery("tea_box", box, prior=upside_down)])
+    assert good.prior_score is not None
+    assert bad.prior_score is not None
+    assert good.prior_T_cam_obj is not None
+    assert np.linalg.norm(good.prior_T_cam_obj[:3, 3] - standing[:3, 3]) < 0.003
+    assert good.prior_score > good.score - 0.05
+    assert bad.prior_score < bad.score - 0.3
+    assert bad.T_cam_obj is not None
+    assert se3.rotation_angle(bad.T_cam_obj, standing) < np.radians(1.0)
+
+
+def test_a_prior_alone_says_where_to_look(
+    estimator: Estimator, tea_box: ReferenceModel, take_picture: TakePicture, standing: np.ndarray
+) -> None:
+    frame = take_picture([(tea_box.mesh, standing)])
+    prior = PosePrior(se3.perturb(standing, np.array([0.01, 0.0, 0.0, 0.0, 0.1, 0.0])))
+    (answer,) = estimator.estimate(frame, [ObjectQuery("tea_box", prior=prior)])
+    assert answer.T_cam_obj is not None
+    assert np.linalg.norm(answer.T_cam_obj[:3, 3] - standing[:3, 3]) < 0.001
+
+
+def test_nothing_there_is_not_found(
+    estimator: Estimator, tea_box: ReferenceModel, take_picture: TakePicture, standing: np.ndarray
+) -> None:
+    frame = take_picture([(tea_box.mesh, standing)])
+    blind = replace(frame, depth=np.zeros_like(frame.depth))
+    box = box_of(frame, tea_box, standing)
+    behind = PosePrior(se3.make(np.eye(3), np.array([0.0, 0.0, -1.0])))
+    for picture, query in (
+        (blind, ObjectQuery("tea_box", box)),
+        (blind, ObjectQuery("tea_box", box, prior=PosePrior(standing))),
+        (frame, ObjectQuery("tea_box", Box(-50, -50, 20, 20))),
+        (frame, ObjectQuery("tea_box", prior=behind)),
+    ):
+        (answer,) = estimator.estimate(picture, [query])
+        assert not answer.found
+        assert (answer.T_cam_obj, answer.covariance, answer.mask) == (None, None, None)
+        assert (answer.state, answer.quality) == ("LOST", 0.0)
+
+
+def test_wrong_queries_say_what_to_do(
+    estimator: Estimator, tea_box: ReferenceModel, take_picture: TakePicture, standing: np.ndarray
+) -> None:
+    frame = take_picture([(tea_box.mesh, standing)])
+    with pytest.raises(InputError, match="one of tea_box"):
+        estimator.estimate(frame, [ObjectQuery("teabox", Box(0, 0, 9, 9))])
+    with pytest.raises(InputError, match="neither box, masks nor prior"):
+        estimator.estimate(frame, [ObjectQuery("tea_box")])
+    with pytest.raises(InputError, match="size of the frame"):
+        estimator.estimate(frame, [ObjectQuery("tea_box", masks=(np.ones((4, 4), bool),))])
+    with pytest.raises(InputError, match="colorpair"):
+        EstimatorConfig(method="best")  # type: ignore[arg-type]
+
+
+def test_warm_up_prepares_everything(tea_box: ReferenceModel) -> None:
+    estimator = Estimator({"tea_box": tea_box})
+    estimator.warm_up()
+    assert Estimator({}).estimate is not None
+    Estimator({}).warm_up()

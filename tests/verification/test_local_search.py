@@ -1,0 +1,40 @@
+"""The coordinate search climbs: from a nearby pose it finds the truth that depth alone would not."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+
+from huepose.geometry import Box, RgbdFrame, se3
+from huepose.model.types import ReferenceModel
+from huepose.rendering.render import render_depth
+from huepose.verification.dense import score_many
+from huepose.verification.local_search import search
+from huepose.verification.region import prepare_region
+
+
+def test_search_climbs_to_the_truth(
+    tea_box: ReferenceModel, take_picture: Callable[..., RgbdFrame], standing: np.ndarray
+) -> None:
+    frame = take_picture([(tea_box.mesh, standing)])
+    mask = render_depth(tea_box.mesh, standing, frame.camera) > 0
+    box = Box.of_mask(mask)
+    assert box is not None
+    region = prepare_region(frame, mask, box, tea_box.diameter_m)
+    assert region is not None
+    rng = np.random.default_rng(1)
+    offsets = rng.normal(size=(6, 6))
+    offsets[:, :3] *= 0.006 / np.linalg.norm(offsets[:, :3], axis=1, keepdims=True)
+    offsets[:, 3:] *= np.radians(6) / np.linalg.norm(offsets[:, 3:], axis=1, keepdims=True)
+    starts = np.array([se3.perturb(standing, o) for o in offsets])
+    found, totals = search(tea_box, region, starts, (4.0, 2.0, 1.0, 0.5), 800)
+    before = score_many(tea_box, region, starts)[:, 0]
+    assert (totals > before).all()
+    assert np.allclose(totals, score_many(tea_box, region, found)[:, 0])
+    for T in found:
+        assert se3.is_rigid(T)
+        assert np.linalg.norm(T[:3, 3] - standing[:3, 3]) < 0.0025
+        assert se3.rotation_angle(T, standing) < np.radians(1.8)
+    again, _ = search(tea_box, region, starts, (4.0, 2.0, 1.0, 0.5), 800)
+    assert np.array_equal(found, again)

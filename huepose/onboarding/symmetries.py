@@ -1,7 +1,8 @@
-"""Turns under which shape *and print* look the same, found on geometry and texture, or declared.
+"""Turns under which shape *and print* look the same, found on geometry and texture.
 
-Near-symmetries of the shape alone are hypotheses (turns.py). Here each of them is tried on the print: the
-colours of the surface at where the surfels land must be those of the surfels, nearly everywhere.
+Near-symmetries of the shape alone are hypotheses (turns.py). Here each of them is held against the surface
+closely, and tried on the print: the colours at the places where the surfels land must be those of the
+surfels, nearly everywhere, both coarse and fine.
 """
 
 from __future__ import annotations
@@ -9,51 +10,69 @@ from __future__ import annotations
 import numpy as np
 
 from huepose.geometry import se3
-from huepose.geometry.arrays import Float64
+from huepose.geometry.arrays import Bool, Float64
 from huepose.model.types import Surface
 from huepose.onboarding.cloud import Cloud, averaged_lab
+from huepose.onboarding.sided import SidedSurface
+from huepose.onboarding.surface import COLOR_SIGMAS_M
 from huepose.onboarding.turns import NearSymmetries, turns_about
 
 EQUIVALENT_STEP_RAD = np.radians(5.0)
-SAME_SHAPE = 0.012  # mean distance to the own surface over the diameter
-_POINTS = 1000
+_CLOSE = 0.006  # mean distance to the own surface over the diameter
+_FAR = 0.03  # a surfel this far from it stands for a handle, a spout, a hole
+_FAR_SHARE = 0.03
+_MEAN_COLOR, _OTHER_COLOR, _OTHER_SHARE = 3.0, 12.0, 0.03  # distances in (L / 2, a, b)
+_POINTS = 800
+_GLANCE = 150  # points that settle most cases
 
 
 def equivalent_turns(surface: Surface, cloud: Cloud, near: NearSymmetries, diameter_m: float) -> Float64:
     """Turns (E, 4, 4), identity first, under which shape and print look the same.
 
-    About an axis of revolution every 5 degrees where all of the tried turns look the same.
+    About an axis of revolution every 5 degrees where all of the tried turns look the same, else the largest
+    set of equal steps that do.
     """
-    same = np.array(
-        [
-            k == 0 or (near.errors[k] < SAME_SHAPE and looks_the_same(surface, cloud, T))
-            for k, T in enumerate(near.turns)
-        ]
-    )
+    sided = SidedSurface.of(cloud.points, cloud.normals, diameter_m)
+    same = np.array([k == 0 or looks_the_same(surface, cloud, sided, T) for k, T in enumerate(near.turns)])
     if near.axis is None or near.offset is None:
         return np.asarray(near.turns[same])
-    half = len(near.turns) if near.flip is None else len(near.turns) // 2
-    if not same[:half].all():
-        return np.asarray(near.turns[same])
+    steps = len(near.turns) if near.flip is None else len(near.turns) // 2
+    order = _order_of_subgroup(same[:steps])
     about = turns_about(near.axis, near.offset, EQUIVALENT_STEP_RAD)
-    if near.flip is None or not same[half:].all():
-        return about
+    if order < steps:
+        about = near.turns[: steps : steps // order]
+    if near.flip is None or not same[steps :: steps // order].all():
+        return np.asarray(about)
     return np.concatenate([about, near.flip @ about])
 
 
-def looks_the_same(surface: Surface, cloud: Cloud, turn: Float64) -> bool:
-    """True when the turned print cannot be told from the print."""
-    difference = print_difference(surface, cloud, turn)
-    return bool(np.mean(difference) < 4.0 and np.mean(difference > 12.0) < 0.01)
+def _order_of_subgroup(same: Bool) -> int:
+    """The most equal steps of a circle, all of which look the same; same (n,): for n equal steps."""
+    count = len(same)
+    return max(n for n in range(1, count + 1) if count % n == 0 and same[:: count // n].all())
 
 
-def print_difference(surface: Surface, cloud: Cloud, turn: Float64) -> Float64:
-    """Distance in (L / 2, a, b) of surfels' coarse colours (N,) to those of the places where a turn takes
-    them; 0 where the turned surfel lands off the surface or on its other side."""
-    points = se3.apply(turn, surface.points[:_POINTS])
-    normals = surface.normals[:_POINTS] @ turn[:3, :3].T
-    there = averaged_lab(cloud, points, normals, 0.0035)
-    delta = (there - surface.lab[1, :_POINTS]) * [0.5, 1.0, 1.0]
-    nearest = cloud.tree.query(points)[1]
-    faces = np.einsum("nd,nd->n", cloud.normals[nearest], normals) > 0.7
-    return np.asarray(np.linalg.norm(delta, axis=1) * faces)
+def looks_the_same(surface: Surface, cloud: Cloud, sided: SidedSurface, turn: Float64) -> bool:
+    """True when neither the turned shape nor the turned print can be told from the object."""
+    for count in (_GLANCE, _POINTS):
+        # At a glance only what is clearly different is turned away.
+        slack = 2.5 if count == _GLANCE else 1.0
+        points = surface.points[:count].astype(np.float64)
+        plane, distance = sided.offsets(turn, points, surface.normals[:count].astype(np.float64))
+        if plane.mean() > slack * _CLOSE or (distance > _FAR).mean() > slack * _FAR_SHARE:
+            return False
+        for scale in (1, 0):
+            difference = print_difference(surface, cloud, turn, scale, count)
+            other = (difference > _OTHER_COLOR).mean() > slack * _OTHER_SHARE
+            if other or (scale == 1 and difference.mean() > slack * _MEAN_COLOR):
+                return False
+    return True
+
+
+def print_difference(surface: Surface, cloud: Cloud, turn: Float64, scale: int, count: int) -> Float64:
+    """Distance in (L / 2, a, b) of the colours of `count` surfels, at one of the two scales of `Surface.lab`,
+    to those of the places where a turn takes them (count,)."""
+    points = se3.apply(turn, surface.points[:count])
+    normals = surface.normals[:count] @ turn[:3, :3].T
+    there = averaged_lab(cloud, points, normals, COLOR_SIGMAS_M[scale])
+    return np.asarray(np.linalg.norm((there - surface.lab[scale, :count]) * [0.5, 1.0, 1.0], axis=1))

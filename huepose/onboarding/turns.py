@@ -5,6 +5,7 @@ Starts all over SO(3) are fitted to the object's own surface; what ends close to
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -13,16 +14,18 @@ from huepose.geometry import se3
 from huepose.geometry.arrays import Float, Float64
 from huepose.geometry.symmetry import turn_about
 from huepose.model.types import DistanceGrid, Surface
+from huepose.onboarding.sided import SidedSurface
 from huepose.support.jit import jit
 
 NEAR = 0.03  # mean distance to the own surface over the diameter: loose, for a turn too many costs little
 NEAR_ABOUT_AXIS = 0.025
 STEP_RAD = np.radians(15.0)  # of turns about an axis
-DISTINCT_RAD = np.radians(8.0)
+DISTINCT_RAD = np.radians(20.0)  # of other turns: what is closer, a fit reaches by itself
 MOST = 64
 _STARTS = 1500
 _POINTS = 400
 _ITERATIONS = 25
+_WORTH_A_LOOK = 0.06  # of the fits on the grid, which does not tell the sides of a wall apart
 _SAME_AXIS = np.cos(np.radians(7.0))
 
 
@@ -40,24 +43,43 @@ class NearSymmetries:
 
 def near_symmetries(surface: Surface, grid: DistanceGrid, diameter_m: float) -> NearSymmetries:
     """Near-symmetric turns of a surface, at most `MOST`; about an axis of revolution every 15 degrees."""
+    sided = SidedSurface.of(surface.points, surface.normals, diameter_m)
+    points = surface.points[:_POINTS].astype(np.float64)
+    normals = surface.normals[:_POINTS].astype(np.float64)
+
+    def error(T: Float64) -> float:
+        return float(sided.offsets(T, points, normals)[0].mean())
+
     centre = (surface.points.min(0) + surface.points.max(0)) / 2.0
-    turns = np.stack([se3.make(R, centre - R @ centre) for R in even_rotations(_STARTS)])
-    turns, errors = fitted(turns, surface, grid, diameter_m, _ITERATIONS)
-    near = errors < NEAR
-    order = np.argsort(errors[near], kind="stable")
-    turns, errors = turns[near][order], errors[near][order]
-    axis = axis_of_revolution(turns, errors, surface, grid, diameter_m)
+    starts = np.stack([se3.make(R, centre - R @ centre) for R in even_rotations(_STARTS)])
+    fits, rough = fitted(starts, surface, grid, diameter_m)
+    order = np.argsort(rough, kind="stable")
+    order = order[rough[order] < _WORTH_A_LOOK]
+    order = order[distinct(fits[order], np.radians(8.0), 4 * MOST)]
+    turns, errors = _nearest_first(fits[order], error)
+    axis = axis_of_revolution(turns, centre, error)
     if axis is None:
-        kept = distinct(turns, MOST)
-        return NearSymmetries(
-            np.concatenate([np.eye(4)[None], turns[kept]]), np.concatenate([[0.0], errors[kept]])
-        )
+        kept = turns[distinct(turns, DISTINCT_RAD, MOST - 1)]
+        polished = np.array([sided.polished(T, points, normals) for T in kept])
+        turns, errors = _nearest_first(polished, error)
+        last = distinct(turns, DISTINCT_RAD, MOST - 1)
+        with_identity = np.concatenate([np.eye(4)[None], turns[last]])
+        return NearSymmetries(with_identity, np.concatenate([[0.0], errors[last]]))
     direction, offset = axis
     about = turns_about(direction, offset, STEP_RAD)
-    reversing = turns[:, :3, :3] @ direction @ direction < -_SAME_AXIS
-    flip = turns[reversing][0] if reversing.any() else None
+    reversing = [T for T in turns if T[:3, :3] @ direction @ direction < -_SAME_AXIS]
+    flip = sided.polished(reversing[0], points, normals) if reversing else None
     every = about if flip is None else np.concatenate([about, flip @ about])
-    return NearSymmetries(every, fitted(every, surface, grid, diameter_m, 0)[1], direction, offset, flip)
+    return NearSymmetries(every, np.array([error(T) for T in every]), direction, offset, flip)
+
+
+def _nearest_first(turns: Float64, error: Callable[[Float64], float]) -> tuple[Float64, Float64]:
+    """The turns of small error, best first, and their errors."""
+    turns = turns.reshape(-1, 4, 4)
+    errors = np.array([error(T) for T in turns]).reshape(-1)
+    order = np.argsort(errors, kind="stable")
+    order = order[errors[order] < NEAR]
+    return turns[order], errors[order]
 
 
 def turns_about(axis: Float, offset: Float, step_rad: float) -> Float64:
@@ -66,31 +88,31 @@ def turns_about(axis: Float, offset: Float, step_rad: float) -> Float64:
     return np.stack([turn_about(axis, 2 * np.pi * k / count, offset) for k in range(count)])
 
 
-def distinct(turns: Float64, most: int) -> list[int]:
-    """Indices of turns that differ by 8 degrees from the identity and from those before them."""
+def distinct(turns: Float64, apart_rad: float, most: int) -> list[int]:
+    """Indices of turns that differ by `apart_rad` from the identity and from those before them."""
     kept: list[int] = []
     rotations = [np.eye(3)]
     for i, T in enumerate(turns):
         traces = np.einsum("kij,ij->k", np.stack(rotations), T[:3, :3])
-        if (traces < 1 + 2 * np.cos(DISTINCT_RAD)).all():
+        if (traces < 1 + 2 * np.cos(apart_rad)).all():
             kept.append(i)
             rotations.append(T[:3, :3])
-        if len(kept) == most - 1:
+        if len(kept) == most:
             break
     return kept
 
 
 def axis_of_revolution(
-    turns: Float64, errors: Float64, surface: Surface, grid: DistanceGrid, diameter_m: float
+    turns: Float64, centre: Float, error: Callable[[Float64], float]
 ) -> tuple[Float64, Float64] | None:
     """(direction, a point on it) of the axis about which every turn is a near-symmetry, or None.
 
-    A ball has no single axis: its best one is taken.
+    turns (N, 4, 4): near-symmetries, best first. A ball has no single axis: its best one is taken.
     """
-    vectors = np.stack([se3.rotation_log(T[:3, :3]) for T in turns]) if len(turns) else np.zeros((0, 3))
+    vectors = np.array([se3.rotation_log(T[:3, :3]) for T in turns]).reshape(-1, 3)
     angles = np.linalg.norm(vectors, axis=1)
     usable = (angles > np.radians(20)) & (angles < np.radians(170))
-    axes = vectors[usable] / angles[usable, None]
+    axes, members = vectors[usable] / angles[usable, None], turns[usable]
     best: tuple[float, Float64, Float64] | None = None
     tried: list[Float64] = []
     for seed in axes:
@@ -102,16 +124,13 @@ def axis_of_revolution(
             continue
         direction = np.linalg.eigh(axes[same].T @ axes[same])[1][:, 2]
         direction = direction * np.sign(direction[int(np.argmax(np.abs(direction)))])
-        # Points that the turns leave in place: (I - R) p = t for each, and the point nearest to the centre.
-        members = turns[usable][same]
-        A = np.concatenate([np.eye(3) - T[:3, :3] for T in members] + [1e-3 * np.eye(3)])
-        centre = (surface.points.min(0) + surface.points.max(0)) / 2.0
-        b = np.concatenate([T[:3, 3] for T in members] + [1e-3 * centre])
+        # Points that the turns leave in place: (I - R) p = t for each; of those the nearest to the centre.
+        A = np.concatenate([np.eye(3) - T[:3, :3] for T in members[same]] + [1e-3 * np.eye(3)])
+        b = np.concatenate([T[:3, 3] for T in members[same]] + [1e-3 * centre])
         offset = np.linalg.lstsq(A, b, rcond=None)[0]
-        about = turns_about(direction, offset, STEP_RAD)
-        error = fitted(about, surface, grid, diameter_m, 0)[1]
-        if error.max() < NEAR_ABOUT_AXIS and (best is None or error.mean() < best[0]):
-            best = (float(error.mean()), direction, offset)
+        errors = np.array([error(T) for T in turns_about(direction, offset, STEP_RAD)])
+        if errors.max() < NEAR_ABOUT_AXIS and (best is None or errors.mean() < best[0]):
+            best = (float(errors.mean()), direction, offset)
     return None if best is None else best[1:]
 
 
@@ -126,7 +145,7 @@ def even_rotations(count: int) -> Float64:
 
 
 def fitted(
-    turns: Float64, surface: Surface, grid: DistanceGrid, diameter_m: float, iterations: int
+    turns: Float64, surface: Surface, grid: DistanceGrid, diameter_m: float
 ) -> tuple[Float64, Float64]:
     """Turns (M, 4, 4) after point-to-plane fits of the surface onto itself, and their mean error (M,) over
     the diameter. A surfel that lands where the surface faces elsewhere counts with a twentieth of a diameter
@@ -146,7 +165,7 @@ def fitted(
         grid.step,
         grid.nearest,
         float(diameter_m),
-        iterations,
+        _ITERATIONS,
     )
     return np.stack([se3.orthonormalised(T) for T in out]), errors
 

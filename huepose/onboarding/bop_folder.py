@@ -1,0 +1,99 @@
+"""A BOP models folder as a list of things to onboard: meshes, names, symmetries, frame offsets."""
+
+from __future__ import annotations
+
+import json
+import re
+from collections.abc import Collection, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from huepose.geometry.arrays import Float64
+from huepose.support.errors import InputError
+
+
+@dataclass(frozen=True, eq=False)
+class BopModel:
+    """mesh_path: in millimetres, as BOP has it; info: the object's entry of models_info.json; frame_offset_m
+    (3,): takes points of the PoseCNN/YCB-Video frame to the mesh's frame, or None."""
+
+    object_id: int
+    name: str
+    mesh_path: Path
+    info: Mapping[str, Any]
+    frame_offset_m: Float64 | None
+
+
+def bop_models(folder: Path | str, ids: Collection[int] | None = None) -> list[BopModel]:
+    """The objects `obj_NNNNNN.ply` or `.obj` of a folder, by id; `ids`: only these.
+
+    Names come from frame_offsets.json, else from models_info.json, else they are `obj_NNNNNN`. Raises
+    InputError for a folder without meshes, a missing id, a broken file, and names that are not unique.
+    """
+    folder = Path(folder)
+    if not folder.is_dir():
+        raise InputError(folder, found="no such folder", expected="a BOP models folder")
+    meshes: dict[int, Path] = {}
+    for suffix in (".ply", ".obj"):  # where there are both, the OBJ: it has its texture with it
+        for path in sorted(folder.glob(f"obj_*{suffix}")):
+            if number := re.fullmatch(r"obj_(\d+)", path.stem):
+                meshes[int(number[1])] = path
+    if not meshes:
+        raise InputError(
+            folder,
+            found="no obj_NNNNNN.ply or .obj",
+            expected="a BOP models folder",
+            fix="For a single mesh use `huepose onboard MESH --name NAME`.",
+        )
+    infos = _read(folder / "models_info.json")
+    offsets = _read(folder / "frame_offsets.json")
+    missing = sorted(set(ids or ()) - meshes.keys())
+    if missing:
+        raise InputError(
+            folder,
+            found=f"no mesh of object {missing[0]}",
+            expected=f"one of {', '.join(str(i) for i in sorted(meshes))}",
+            fix="Correct --ids.",
+        )
+    out = [_entry(i, meshes[i], infos, offsets) for i in sorted(meshes) if not ids or i in ids]
+    names = [m.name for m in out]
+    twice = next((n for n in names if names.count(n) > 1), None)
+    if twice:
+        raise InputError(folder, found=f"two objects named {twice}", expected="unique names")
+    return out
+
+
+def safe_name(text: str) -> str:
+    """A name of [a-z0-9_-]{1,64} from any text, '' where nothing is left.
+
+    >>> safe_name("Mustard Bottle (006)")
+    'mustard_bottle_006'
+    """
+    return re.sub(r"[^a-z0-9_-]+", "_", text.lower()).strip("_")[:64]
+
+
+def _entry(i: int, path: Path, infos: Mapping[str, Any], offsets: Mapping[str, Any]) -> BopModel:
+    info = infos.get(str(i), {})
+    key = next((k for k, v in offsets.items() if isinstance(v, dict) and v.get("bop_obj_id") == i), None)
+    offset = None
+    if key is not None and "posecnn_to_bop_t_mm" in offsets[key]:
+        offset = np.asarray(offsets[key]["posecnn_to_bop_t_mm"], np.float64) / 1000.0
+    name = safe_name(key or "") or safe_name(str(info.get("name", ""))) or f"obj_{i:06d}"
+    return BopModel(i, name, path, info, offset)
+
+
+def _read(path: Path) -> dict[str, Any]:
+    if not path.exists():
+        return {}
+    try:
+        tree = json.loads(path.read_text())
+    except ValueError as error:
+        raise InputError(path, found=f"broken JSON ({error})", fix="Download the file again.") from None
+    if not isinstance(tree, dict):
+        raise InputError(
+            path, found=f"a {type(tree).__name__}", expected="an object with one entry per object"
+        )
+    return tree

@@ -1,1 +1,60 @@
-"""`huepose demo`."""
+"""`huepose demo`: the whole pipeline on the built-in scene, with accuracy and latency at the end."""
+
+from __future__ import annotations
+
+import argparse
+import signal
+from pathlib import Path
+from types import FrameType
+from typing import Any
+
+
+def add_parser(subparsers: Any) -> None:
+    """Add the verb."""
+    parser = subparsers.add_parser("demo", help="the whole pipeline on a built-in scene, with its accuracy")
+    parser.add_argument("--seconds", type=float, default=25.0, metavar="S", help="how long (default: 25)")
+    parser.add_argument("--seed", type=int, default=0, metavar="N", help="which scene (default: 0)")
+    parser.add_argument("--headless", action="store_true", help="no live table")
+    parser.add_argument("--json", type=Path, metavar="FILE", help="write the summary to a file as well")
+    parser.set_defaults(call=call)
+
+
+def call(arguments: argparse.Namespace) -> int:
+    """Run, judge, print."""
+    import json
+    import sys
+
+    from huepose.support.errors import InputError
+
+    if arguments.seconds < 5.0 or arguments.seed < 0:
+        raise InputError(
+            "demo",
+            found=f"--seconds {arguments.seconds:g} --seed {arguments.seed}",
+            expected="5 seconds or more and a seed of 0 or more",
+        )
+    if arguments.json is not None and not arguments.json.absolute().parent.is_dir():
+        raise InputError(arguments.json, found="no such folder", expected="a file that can be written")
+    from huepose_services.demo.run import DemoError, run_demo
+    from huepose_services.demo.score import good
+
+    interrupted = False
+
+    def stop(number: int, frame: FrameType | None) -> None:
+        nonlocal interrupted
+        interrupted = True
+
+    signal.signal(signal.SIGTERM, stop)
+    signal.signal(signal.SIGINT, stop)
+    try:
+        result = run_demo(arguments.seconds, arguments.seed, not arguments.headless, lambda: interrupted)
+    except DemoError as error:
+        print(f"huepose demo: {error}", file=sys.stderr)
+        return 1
+    if interrupted:
+        print("huepose demo: interrupted", file=sys.stderr)
+        return 130
+    text = json.dumps(result, indent=2)
+    if arguments.json is not None:
+        arguments.json.write_text(text + "\n")
+    print(text)
+    return 0 if good(result["summary"]) else 1

@@ -1,0 +1,116 @@
+"""The light client: a subscriber to any machine's messages with nothing but zenoh, msgspec and numpy.
+
+>>> with Reader(["tcp/127.0.0.1:17448"], "huepose/*/*/pose/**") as reader:    # doctest: +SKIP
+...     while (message := reader.next(1.0)) is not None:
+...         print(message.object, message.state, message.translation)
+"""
+
+from __future__ import annotations
+
+import json
+import queue
+from collections.abc import Sequence
+from types import TracebackType
+
+import zenoh
+
+from huepose_protos.codec import decode
+from huepose_protos.errors import WireError
+from huepose_protos.messages import (
+    CorrectionMessage,
+    Estimates,
+    HealthMessage,
+    Message,
+    ObjectsMessage,
+    PerceptionRequest,
+    PoseMessage,
+    TruthMessage,
+)
+
+_KINDS: dict[str, type[Message]] = {
+    "pose": PoseMessage,
+    "health": HealthMessage,
+    "objects": ObjectsMessage,
+    "truth": TruthMessage,
+    "correction": CorrectionMessage,
+    "perception/request": PerceptionRequest,
+    "perception/estimates": Estimates,
+}
+
+
+def kind_of(key: str) -> type[Message] | None:
+    """The message that a key carries; None for keys with pixels and unknown ones."""
+    tail = "/".join(key.split("/")[3:])
+    return next((kind for head, kind in _KINDS.items() if tail == head or tail.startswith(head + "/")), None)
+
+
+class Reader:
+    """Messages on key expressions from workers at the given endpoints, as soon as these are there.
+
+    `seen`: a worker was there since the start; `live`: keys of the workers that are there now;
+    `refused`: how many messages could not be read."""
+
+    def __init__(self, endpoints: Sequence[str], *keys: str) -> None:
+        settings: dict[str, object] = {
+            "mode": "peer",
+            "scouting/multicast/enabled": False,
+            "scouting/gossip/enabled": False,
+            "listen/endpoints": [],
+            "connect/endpoints": list(endpoints),
+            "connect/timeout_ms": -1,
+            "connect/exit_on_failure": False,
+            "connect/retry": {"period_init_ms": 50, "period_max_ms": 400, "period_increase_factor": 1.5},
+            "transport/shared_memory/enabled": False,
+        }
+        config = zenoh.Config()
+        for name, value in settings.items():
+            config.insert_json5(name, json.dumps(value))
+        self.refused = 0
+        self.seen = False
+        self.live: set[str] = set()
+        # Unbounded, so that a slow printer never blocks the bus: messages are small.
+        self._messages: queue.SimpleQueue[tuple[str, bytes]] = queue.SimpleQueue()
+        self._session = zenoh.open(config)
+        self._session.liveliness().declare_subscriber("huepose/*/*/live/*", self._on_token, history=True)
+        for key in keys:
+            self._session.declare_subscriber(key, self._on_sample)
+
+    def _on_token(self, sample: zenoh.Sample) -> None:
+        if sample.kind == zenoh.SampleKind.PUT:
+            self.live.add(str(sample.key_expr))
+            self.seen = True
+        else:
+            self.live.discard(str(sample.key_expr))
+
+    def _on_sample(self, sample: zenoh.Sample) -> None:
+        if sample.attachment is None:  # messages with pixels have their header there
+            self._messages.put((str(sample.key_expr), sample.payload.to_bytes()))
+
+    def next(self, timeout_s: float | None = None) -> Message | None:
+        """The next message that can be read, or None after the timeout; None waits for ever."""
+        while True:
+            try:
+                key, data = self._messages.get(timeout_s != 0.0, timeout_s)
+            except queue.Empty:
+                return None
+            kind = kind_of(key)
+            try:
+                if kind is not None:
+                    return decode(data, kind)
+            except WireError:
+                self.refused += 1
+
+    def close(self) -> None:
+        """Leave the bus."""
+        self._session.close()  # type: ignore[no-untyped-call]
+
+    def __enter__(self) -> Reader:
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
+        self.close()

@@ -1,0 +1,1 @@
+"""The built-in scene as a camera."""

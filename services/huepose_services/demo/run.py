@@ -1,0 +1,169 @@
+"""Runs the real pipeline in a private folder, listens to it as anyone could, and judges what it published."""
+
+from __future__ import annotations
+
+import os
+import shutil
+import socket
+import sys
+import tempfile
+import time
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any, TextIO
+
+import yaml
+
+from huepose.model import load_models
+from huepose.support.errors import InputError
+from huepose_protos.client import Reader
+from huepose_protos.messages import HealthMessage, Message, PoseMessage, TruthMessage
+from huepose_services.builtin import builtin_bundles
+from huepose_services.demo.score import Score, Yardstick
+from huepose_services.demo.table import Table
+from huepose_services.runtime.clock import SECOND
+from huepose_services.runtime.config import WORKERS, Config, load
+from huepose_services.runtime.supervisor import Supervisor
+
+_READY_WITHIN_S = 300.0
+_FIRST_FRAME_WITHIN_S = 30.0
+# The last frames of a run are still being worked on when it ends.
+_LEFT_OUT_NS = SECOND // 2
+
+
+class DemoError(RuntimeError):
+    """The pipeline did not run; the text says where its log is."""
+
+
+def run_demo(seconds: float, seed: int, live: bool, stopping: Callable[[], bool]) -> dict[str, Any]:
+    """The summary of a run of so many seconds, with the health of each worker at its end.
+
+    Raises InputError when the pipeline cannot start, DemoError when it breaks."""
+    bundles = builtin_bundles(seed)
+    _prepare_scene(seed)
+    folder = Path(tempfile.mkdtemp(prefix="huepose-demo-"))
+    path = folder / "pipeline.yaml"
+    path.write_text(yaml.safe_dump(_pipeline(seed)))
+    config = load(path)
+    yardsticks = {
+        name: Yardstick.of(model.eval_points, model.diameter_m)
+        for name, model in load_models(bundles).items()
+    }
+    score = Score(yardsticks)
+    log_path = folder / "huepose.log"
+    try:
+        with log_path.open("w") as log:
+            health = _observe(config, path, log, score, seconds, live, stopping)
+    except DemoError as error:
+        raise DemoError(f"{error}; the log is {log_path}") from None
+    except InputError:
+        sys.stderr.write(log_path.read_text())
+        raise
+    shutil.rmtree(folder)
+    summary = score.summary(score.last_ns - _LEFT_OUT_NS)
+    return {"summary": summary, "workers": {name: _brief(message) for name, message in health.items()}}
+
+
+def _prepare_scene(seed: int) -> None:
+    from huepose_services.camera.synthetic import open_scene
+
+    open_scene(seed)
+
+
+def _pipeline(seed: int) -> dict[str, Any]:
+    return {
+        "site": "demo",
+        "camera": {"source": "synthetic", "seed": seed, "truth": True},
+        "detector": {"kind": "truth", "seed": seed},
+        "bus": {"base_port": _free_ports(len(WORKERS))},
+    }
+
+
+def _free_ports(count: int) -> int:
+    """The first of some ports in a row that nobody listens on, so that a demo can run beside a pipeline."""
+    start = 20_000 + os.getpid() % 1000 * 16
+    for base in range(start, 60_000, 16):
+        if all(_is_free(base + i) for i in range(count)):
+            return base
+    raise InputError("ports 20000 to 60000", found="all taken", expected=f"{count} free ones in a row")
+
+
+def _is_free(port: int) -> bool:
+    with socket.socket() as probe:
+        try:
+            probe.bind(("127.0.0.1", port))
+        except OSError:
+            return False
+        return True
+
+
+def _observe(
+    config: Config,
+    path: Path,
+    log: TextIO,
+    score: Score,
+    seconds: float,
+    live: bool,
+    stopping: Callable[[], bool],
+) -> dict[str, HealthMessage]:
+    """Run the workers, collect what they publish; returns the last health of each."""
+    supervisor = Supervisor(config, path, log)
+    endpoints = [config.endpoint(worker) for worker in config.workers]
+    health: dict[str, HealthMessage] = {}
+    table = Table(sys.stdout) if live else None
+    supervisor.start()
+    try:
+        with Reader(endpoints, config.keys.poses, config.keys.truth, config.keys.health()) as reader:
+            _wait_until_ready(supervisor, stopping)
+            started = time.monotonic()
+            while not stopping():
+                supervisor.poll(0.0)
+                if supervisor.exit_code is not None:
+                    raise DemoError("the pipeline has ended early")
+                _take(reader, score, health)
+                if table is not None:
+                    table.show(score.latest(), score.last_ns)
+                elapsed_ns = 0 if score.first_ns is None else score.last_ns - score.first_ns
+                if elapsed_ns >= seconds * SECOND:
+                    break
+                if score.first_ns is None and time.monotonic() - started > _FIRST_FRAME_WITHIN_S:
+                    raise DemoError("the camera gives no frames")
+    finally:
+        supervisor.stop()
+    return health
+
+
+def _wait_until_ready(supervisor: Supervisor, stopping: Callable[[], bool]) -> None:
+    print("starting the workers", file=sys.stderr, flush=True)
+    started = time.monotonic()
+    while not supervisor.ready and not stopping():
+        supervisor.poll()
+        if supervisor.exit_code is not None:
+            raise DemoError("a worker could not start")
+        if time.monotonic() - started > _READY_WITHIN_S:
+            raise DemoError("the workers are not ready in time")
+
+
+def _take(reader: Reader, score: Score, health: dict[str, HealthMessage]) -> None:
+    """Everything that has arrived; waits a little for the first."""
+    message: Message | None = reader.next(0.1)
+    while message is not None:
+        if isinstance(message, PoseMessage):
+            score.add_pose(message)
+        elif isinstance(message, TruthMessage):
+            score.add_truth(message)
+        elif isinstance(message, HealthMessage):
+            health[message.worker] = message
+        message = reader.next(0.0)
+
+
+def _brief(message: HealthMessage) -> dict[str, Any]:
+    return {
+        "cpu_percent": round(message.cpu_percent, 1),
+        "memory_mib": round(message.memory_mib),
+        "rate_hz": round(message.rate_hz, 1),
+        "work_ms": message.work_ms,
+        "shared_memory": message.shared_memory,
+        "counters": message.counters,
+        "warnings": message.warnings,
+    }

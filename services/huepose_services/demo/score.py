@@ -1,0 +1,172 @@
+"""What a live run was worth: published poses against the truth of the same frames."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+from scipy.spatial import cKDTree
+
+from huepose.evaluation.metrics import RECALL_FRACTION, add, adds, four_figures
+from huepose.evaluation.states import Moment, StateReport, combined, report
+from huepose.geometry.arrays import Float32, Float64
+from huepose_protos.messages import PoseMessage, TruthMessage
+from huepose_services.convert import optional_pose_from_wire, pose_of
+
+_VISIBLE, _GONE = 0.3, 0.1
+_MIN_RECALL = 90.0
+
+
+@dataclass(frozen=True, eq=False)
+class Yardstick:
+    """points (N, 3) that errors are measured on, and the diameter of the object."""
+
+    points_obj: Float32
+    diameter_m: float
+    tree: cKDTree = field(repr=False)
+
+    @staticmethod
+    def of(points_obj: Float32, diameter_m: float, at_most: int = 2000) -> Yardstick:
+        """Every k-th of the points, at most so many."""
+        points = points_obj[:: max(1, -(-len(points_obj) // at_most))]
+        return Yardstick(points, diameter_m, cKDTree(points))
+
+
+@dataclass(frozen=True, eq=False)
+class _Label:
+    stamp_ns: int
+    T_cam_obj: Float64
+    visib_fract: float | None
+
+
+@dataclass(frozen=True)
+class Latest:
+    """How an object stands now, for the table. error_m: ADD of the last pose whose truth is known."""
+
+    state: str = "SEARCHING"
+    error_m: float | None = None
+    rate_hz: float = 0.0
+    age_ms: float | None = None
+
+
+class Score:
+    """Collects messages, and judges them when asked. One instance of each object."""
+
+    def __init__(self, yardsticks: Mapping[str, Yardstick]) -> None:
+        self._yardsticks = dict(yardsticks)
+        self._labels: dict[str, dict[int, _Label]] = {name: {} for name in yardsticks}
+        self._poses: dict[str, dict[int, PoseMessage]] = {name: {} for name in yardsticks}
+        self.first_ns: int | None = None
+        self.last_ns = 0
+
+    def add_truth(self, truth: TruthMessage) -> None:
+        """Remember where everything was at a frame."""
+        self.first_ns = truth.capture_ns if self.first_ns is None else self.first_ns
+        self.last_ns = max(self.last_ns, truth.capture_ns)
+        for item in truth.objects:
+            T_cam_obj = optional_pose_from_wire(item.translation, item.quaternion)
+            if item.object in self._labels and T_cam_obj is not None:
+                label = _Label(truth.capture_ns, T_cam_obj, item.visib_fract)
+                self._labels[item.object][truth.frame_id] = label
+
+    def add_pose(self, pose: PoseMessage) -> None:
+        """Remember what was published; of several tracks of an object the surest counts."""
+        mine = self._poses.get(pose.object)
+        if mine is not None and (pose.frame_id not in mine or mine[pose.frame_id].quality < pose.quality):
+            mine[pose.frame_id] = pose
+
+    def latest(self) -> dict[str, Latest]:
+        """The table."""
+        return {name: self._latest_of(name) for name in self._yardsticks}
+
+    def _latest_of(self, name: str) -> Latest:
+        poses = list(self._poses[name].values())[-45:]
+        if not poses:
+            return Latest()
+        last = poses[-1]
+        recent = [p for p in poses if last.capture_ns - p.capture_ns < 1_000_000_000]
+        age_ms = (last.publish_ns - last.capture_ns) * 1e-6
+        return Latest(last.state, self._error(name, last), float(len(recent)), age_ms)
+
+    def _error(self, name: str, pose: PoseMessage) -> float | None:
+        label, T_cam_obj = self._labels[name].get(pose.frame_id), pose_of(pose)
+        if label is None or T_cam_obj is None:
+            return None
+        return add(self._yardsticks[name].points_obj, T_cam_obj, label.T_cam_obj)
+
+    def summary(self, until_ns: int) -> dict[str, Any]:
+        """The demo's figures, over the frames captured until then, by the words of the evaluation.
+
+        Percent, seconds, milliseconds; a figure that cannot be told is null. `per_object` names the same."""
+        reports, errors = {}, {}
+        for name in self._yardsticks:
+            reports[name], errors[name] = self._judge(name, until_ns)
+        total = combined(list(reports.values()))
+        rows = np.concatenate(list(errors.values())) if errors else np.zeros((0, 3))
+        ages = [
+            (p.publish_ns - p.capture_ns) * 1e-6
+            for poses in self._poses.values()
+            for p in poses.values()
+            if p.capture_ns <= until_ns
+        ]
+        acquired = all(r.acquired_after_s is not None or not r.visible_frames for r in reports.values())
+        figures = four_figures(rows[:, 0], rows[:, 1], rows[:, 2])
+        return {
+            "recall_add": figures["recall_add"],
+            "recall_adds": figures["recall_adds"],
+            "auc_add": figures["auc_add"],
+            "acquired_after_s": total.acquired_after_s if acquired else None,
+            "confirmed_after_s": None if total.never_confirmed else total.confirmed_after_s,
+            "false_tracking_frames": total.false_tracking_frames,
+            "coverage_tracking": total.coverage_tracking,
+            "latency_ms_p50": float(np.percentile(ages, 50)) if ages else None,
+            "latency_ms_p99": float(np.percentile(ages, 99)) if ages else None,
+            "frames": max((r.frames for r in reports.values()), default=0),
+            "objects": len(self._yardsticks),
+            "per_object": {
+                name: _one(reports[name], errors[name], self._yardsticks[name]) for name in self._yardsticks
+            },
+        }
+
+    def _judge(self, name: str, until_ns: int) -> tuple[StateReport, Float64]:
+        """The report of an object, and rows (ADD, ADD-S, diameter) of its frames that count."""
+        yardstick, moments, rows = self._yardsticks[name], [], []
+        appeared = False
+        for frame_id, label in sorted(self._labels[name].items(), key=lambda item: item[1].stamp_ns):
+            if label.stamp_ns > until_ns:
+                continue
+            pose = self._poses[name].get(frame_id)
+            T_cam_obj = None if pose is None else pose_of(pose)
+            error = error_s = np.inf
+            if T_cam_obj is not None:
+                error = add(yardstick.points_obj, T_cam_obj, label.T_cam_obj)
+                error_s = adds(yardstick.points_obj, T_cam_obj, label.T_cam_obj, yardstick.tree)
+            visible = label.visib_fract is None or label.visib_fract >= _VISIBLE
+            gone = label.visib_fract is not None and label.visib_fract < _GONE
+            right = error < RECALL_FRACTION * yardstick.diameter_m
+            state = None if pose is None else pose.state
+            moments.append(Moment(label.stamp_ns, visible, gone, state, bool(right)))
+            appeared = appeared or visible
+            if appeared and not gone:
+                rows.append((error, error_s, yardstick.diameter_m))
+        return report(moments), np.array(rows).reshape(-1, 3)
+
+
+def _one(states: StateReport, errors: Float64, yardstick: Yardstick) -> dict[str, Any]:
+    figures = four_figures(errors[:, 0], errors[:, 1], errors[:, 2])
+    tracked = errors[np.isfinite(errors[:, 0]), 0]
+    return {
+        **{name: figures[name] for name in ("recall_add", "recall_adds", "auc_add")},
+        "add_mm_p50": float(np.median(tracked) * 1000.0) if len(tracked) else None,
+        "acquired_after_s": states.acquired_after_s,
+        "confirmed_after_s": states.confirmed_after_s,
+        "false_tracking_frames": states.false_tracking_frames,
+        "coverage_tracking": states.coverage_tracking,
+    }
+
+
+def good(summary: Mapping[str, Any]) -> bool:
+    """Whether the demo has shown what it should: every object acquired, nine poses of ten right."""
+    return summary["acquired_after_s"] is not None and (summary["recall_add"] or 0.0) >= _MIN_RECALL

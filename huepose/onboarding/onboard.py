@@ -103,7 +103,7 @@ def onboard_mesh(
         mesh=mesh,
         eval_points=np.ascontiguousarray(mesh.vertices[:: -(-len(mesh.vertices) // EVAL_POINTS)]),
         diameter_m=diameter,
-        symmetries=sampled(info or {}, _STEP_RAD),
+        symmetries=sampled(info or symmetric or {}, _STEP_RAD),
         turns=near.turns,
         equivalents=equivalents,
         frame_offset_m=None if frame_offset_m is None else np.asarray(frame_offset_m, np.float64),

@@ -1,0 +1,163 @@
+"""Onboarding many objects in worker processes: events while it runs, and nothing half-written if it stops."""
+
+from __future__ import annotations
+
+import multiprocessing
+import os
+import signal
+import time
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from concurrent.futures import Future, ProcessPoolExecutor
+from concurrent.futures.process import BrokenProcessPool
+from dataclasses import dataclass
+from pathlib import Path
+from queue import Empty
+from typing import Any
+
+import numpy as np
+
+from huepose.geometry.arrays import Float64
+from huepose.model.io import model_path, save_model
+from huepose.onboarding.meshes import Unit
+from huepose.onboarding.onboard import onboard
+from huepose.support.errors import InputError
+
+
+@dataclass(frozen=True, eq=False)
+class Job:
+    """One object to onboard; the fields are those of `onboard`."""
+
+    mesh_path: Path
+    name: str
+    object_id: int | None = None
+    unit: Unit | None = None
+    info: Mapping[str, Any] | None = None
+    symmetric: Mapping[str, Any] | None = None
+    frame_offset_m: Float64 | None = None
+
+
+@dataclass(frozen=True)
+class Onboarded:
+    """What became of an object: its file, extents (x, y, z) and diameter in metres, and counts."""
+
+    name: str
+    path: Path
+    size_m: tuple[float, float, float]
+    diameter_m: float
+    turns: int
+    equivalents: int
+    file_bytes: int
+    seconds: float
+
+
+@dataclass(frozen=True)
+class Failed:
+    """An object whose mesh could not be used, and why."""
+
+    name: str
+    reason: str
+
+
+@dataclass(frozen=True)
+class StageBegun:
+    """The object `name` enters a stage (one of `onboard.STAGES`)."""
+
+    name: str
+    stage: str
+
+
+Event = StageBegun | Onboarded | Failed
+
+
+class _StoppedError(Exception):
+    pass
+
+
+def onboard_one(job: Job, bundles_dir: Path, report: Callable[[str], None]) -> Onboarded:
+    """Onboard an object in this process and save its model."""
+    start = time.monotonic()
+    model = onboard(
+        job.mesh_path,
+        job.name,
+        object_id=job.object_id,
+        unit=job.unit,
+        info=job.info,
+        symmetric=job.symmetric,
+        frame_offset_m=job.frame_offset_m,
+        report=report,
+    )
+    path = model_path(bundles_dir, job.name)
+    save_model(model, path)
+    x, y, z = (float(e) for e in np.ptp(model.mesh.vertices, axis=0))
+    return Onboarded(
+        job.name,
+        path,
+        (x, y, z),
+        model.diameter_m,
+        len(model.turns),
+        len(model.equivalents),
+        path.stat().st_size,
+        time.monotonic() - start,
+    )
+
+
+def onboard_many(jobs: Sequence[Job], bundles_dir: Path, processes: int = 2) -> Iterator[Event]:
+    """Onboard objects in worker processes, yielding what happens.
+
+    A mesh that cannot be used is a `Failed` event; the others go on. When the consumer stops early (Ctrl-C
+    included), workers stop at their next stage and leave no file. Raises RuntimeError when a worker dies.
+    """
+    context = multiprocessing.get_context("spawn")  # a fork after numba or OpenCV started threads may hang
+    events, stop = context.Queue(), context.Event()
+    os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+    pool = ProcessPoolExecutor(processes, context, _prepare_worker, (events, stop))
+    futures: list[Future[None]] = []
+    try:
+        futures = [pool.submit(_work, job, bundles_dir) for job in jobs]
+        left = len(jobs)
+        while left:
+            try:
+                event = events.get(timeout=0.2)
+            except Empty:
+                _raise_if_broken(futures)
+                continue
+            left -= not isinstance(event, StageBegun)
+            yield event
+    finally:
+        stop.set()
+        pool.shutdown(wait=True, cancel_futures=True)
+
+
+def _raise_if_broken(futures: Sequence[Future[None]]) -> None:
+    for future in futures:
+        if future.done() and not future.cancelled() and (error := future.exception()) is not None:
+            if isinstance(error, BrokenProcessPool):
+                raise RuntimeError("an onboarding process died: is there enough memory?") from error
+            raise error
+
+
+_events: Any = None
+_stop: Any = None
+
+
+def _prepare_worker(events: Any, stop: Any) -> None:
+    import cv2
+
+    global _events, _stop
+    _events, _stop = events, stop
+    signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C reaches all processes; the first one decides
+    cv2.setNumThreads(1)
+
+
+def _work(job: Job, bundles_dir: Path) -> None:
+    def report(stage: str) -> None:
+        if _stop.is_set():
+            raise _StoppedError
+        _events.put(StageBegun(job.name, stage))
+
+    try:
+        _events.put(onboard_one(job, bundles_dir, report))
+    except InputError as error:
+        _events.put(Failed(job.name, str(error)))
+    except _StoppedError:
+        pass

@@ -1,0 +1,59 @@
+"""Symmetries that a user declares in a file, in the form of BOP's models_info.json."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from huepose.geometry import se3
+from huepose.support.errors import InputError
+
+_FORM = (
+    '{"symmetries_discrete": [[16 numbers, row by row], ...], '
+    '"symmetries_continuous": [{"axis": [x, y, z], "offset": [x, y, z]}, ...]}, in millimetres'
+)
+
+
+def read_symmetries(path: Path | str) -> dict[str, Any]:
+    """Entry with `symmetries_discrete` and `symmetries_continuous` (millimetres), checked.
+
+    Raises InputError for a missing or broken file, and for anything that is not a turn or an axis.
+    """
+    path = Path(path)
+    try:
+        tree = json.loads(path.read_text())
+    except FileNotFoundError:
+        raise InputError(path, found="no such file", expected="a file of symmetries") from None
+    except ValueError as error:
+        raise InputError(path, found=f"broken JSON ({error})", expected=_FORM) from None
+    names = ("symmetries_discrete", "symmetries_continuous")
+    if not isinstance(tree, dict) or not any(n in tree for n in names):
+        raise InputError(path, found="neither of the two lists", expected=_FORM)
+    entry = {n: tree.get(n, []) for n in names}
+    for k, row in enumerate(entry["symmetries_discrete"]):
+        T = _numbers(row, 16)
+        if T is None or not se3.is_rigid(T.reshape(4, 4), tolerance=1e-2):
+            raise InputError(
+                f"{path} symmetries_discrete[{k}]", found=str(row)[:80], expected="a rigid 4x4 turn"
+            )
+    for k, item in enumerate(entry["symmetries_continuous"]):
+        axis = _numbers(item.get("axis"), 3) if isinstance(item, dict) else None
+        offset = _numbers(item.get("offset", [0, 0, 0]), 3) if isinstance(item, dict) else None
+        if axis is None or offset is None or np.linalg.norm(axis) < 1e-6:
+            raise InputError(
+                f"{path} symmetries_continuous[{k}]",
+                found=str(item)[:80],
+                expected='{"axis": [x, y, z], "offset": [x, y, z]}',
+            )
+    return entry
+
+
+def _numbers(value: Any, count: int) -> np.ndarray | None:
+    try:
+        array = np.array(value, np.float64).reshape(-1)
+    except (TypeError, ValueError):
+        return None
+    return array if len(array) == count and np.isfinite(array).all() else None

@@ -1,0 +1,138 @@
+"""`huepose onboard` and `huepose onboard-bop`: meshes to reference models."""
+
+from __future__ import annotations
+
+import argparse
+import os
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from huepose.onboarding.batch import Onboarded
+
+
+def add_parser(subparsers: Any) -> None:
+    """Add both verbs."""
+    one = subparsers.add_parser(
+        "onboard",
+        help="make a reference model from a textured mesh",
+        description="Make a reference model from a textured mesh (OBJ, PLY, GLB or glTF).",
+    )
+    one.add_argument("mesh", type=Path, metavar="MESH", help="mesh file")
+    one.add_argument("--name", required=True, help="the object's name: 1 to 64 of a-z, 0-9, _ and -")
+    one.add_argument(
+        "--id", type=int, default=None, metavar="N", help="the object's number in a BOP data set"
+    )
+    one.add_argument(
+        "--unit", choices=("mm", "m"), default=None, help="the mesh's unit, where its size leaves it open"
+    )
+    one.add_argument(
+        "--symmetric",
+        type=Path,
+        default=None,
+        metavar="FILE",
+        help="JSON with symmetries of shape and print: symmetries_discrete and symmetries_continuous as in "
+        "BOP's models_info.json, millimetres",
+    )
+    one.add_argument("--out", type=Path, required=True, metavar="BUNDLES", help="folder of reference models")
+    one.set_defaults(call=call)
+
+    many = subparsers.add_parser(
+        "onboard-bop",
+        help="make reference models from a BOP models folder",
+        description="Make reference models from a BOP models folder (obj_NNNNNN.ply or .obj, millimetres).",
+    )
+    many.add_argument("models_dir", type=Path, metavar="MODELS_DIR", help="BOP models folder")
+    many.add_argument("--out", type=Path, required=True, metavar="BUNDLES", help="folder of reference models")
+    many.add_argument("--ids", type=int, nargs="+", default=None, metavar="N", help="only these objects")
+    many.add_argument("--processes", type=int, default=2, metavar="N", help="worker processes (2)")
+    many.set_defaults(call=call_bop)
+
+
+def call(arguments: argparse.Namespace) -> int:
+    """Onboard one mesh."""
+    os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # small matrices: threads only cost
+    from huepose.model.io import check_name
+    from huepose.onboarding.batch import Job, onboard_one
+    from huepose.onboarding.declared import read_symmetries
+    from huepose.onboarding.onboard import STAGES
+    from huepose.support.progress import progress
+
+    check_name(arguments.name)
+    symmetric = read_symmetries(arguments.symmetric) if arguments.symmetric else None
+    job = Job(arguments.mesh, arguments.name, arguments.id, arguments.unit, symmetric=symmetric)
+    steps = progress(range(len(STAGES) + 1), f"onboarding {job.name}")
+    try:
+        result = onboard_one(job, arguments.out, lambda stage: _advance(steps))
+        for _ in steps:
+            pass
+    finally:
+        _close(steps)
+    print(_line(result))
+    return 0
+
+
+def call_bop(arguments: argparse.Namespace) -> int:
+    """Onboard a folder; an object that fails is reported and the others go on."""
+    from huepose.onboarding.batch import Job, Onboarded, StageBegun, onboard_many
+    from huepose.onboarding.bop_folder import bop_models
+    from huepose.onboarding.onboard import STAGES
+    from huepose.support.progress import progress
+
+    jobs = [
+        Job(m.mesh_path, m.name, m.object_id, "mm", info=m.info, frame_offset_m=m.frame_offset_m)
+        for m in bop_models(arguments.models_dir, arguments.ids)
+    ]
+    events = onboard_many(jobs, arguments.out, max(1, min(arguments.processes, len(jobs))))
+    steps = progress(range(len(jobs) * (len(STAGES) + 1)), f"onboarding {len(jobs)} objects")
+    failures = []
+    try:
+        for event in events:
+            if isinstance(event, Onboarded):
+                _say(_line(event))
+            elif not isinstance(event, StageBegun):
+                failures.append(event)
+                _say(f"{event.name:28s} failed: {event.reason}")
+            _advance(steps)
+        for _ in steps:
+            pass
+    finally:
+        _close(events)
+        _close(steps)
+    if failures:
+        names = ", ".join(f.name for f in failures)
+        print(f"huepose onboard-bop: {len(failures)} of {len(jobs)} failed: {names}", file=sys.stderr)
+        return 2
+    return 0
+
+
+def _advance(steps: Iterator[int]) -> None:
+    next(steps, None)
+
+
+def _close(generator: Iterator[Any]) -> None:
+    close = getattr(generator, "close", None)
+    if close is not None:
+        close()
+
+
+def _say(line: str) -> None:
+    if sys.stderr.isatty():
+        sys.stderr.write("\r\x1b[K")  # the progress bar makes room
+        sys.stderr.flush()
+    print(line, flush=True)
+
+
+def _line(result: Onboarded) -> str:
+    size = " x ".join(f"{s * 100:.1f}" for s in result.size_m)
+    same = f"{result.equivalents} look the same" if result.equivalents > 1 else "the print tells all apart"
+    if result.turns == 1:
+        shape = "no near-symmetry"
+    else:
+        shape = f"{result.turns} turns of like shape, {same}"
+    return (
+        f"{result.name:28s} {size} cm, diameter {result.diameter_m * 100:.1f} cm; {shape}; "
+        f"{result.file_bytes / 1e6:.1f} MB, {result.seconds:.1f} s"
+    )

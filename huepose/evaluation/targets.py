@@ -79,6 +79,11 @@ class Targets:
         return model if model is not None or not text.isdigit() else self._by_id.get(int(text))
 
     @property
+    def models_by_name(self) -> Mapping[str, ReferenceModel]:
+        """All reference models."""
+        return self._by_name
+
+    @property
     def models(self) -> tuple[ReferenceModel, ...]:
         """The models that the evaluation asks for, by name."""
         chosen = [

@@ -1,0 +1,114 @@
+"""Which published pose is judged against which label, where an object may be there several times.
+
+An instance of an object is the k-th of its labels in a frame. Poses go to labels by least total ADD; poses
+that are left take the places of instances without a label in this frame, and the rest are phantoms.
+"""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.optimize import linear_sum_assignment
+
+from huepose.datasets.types import GroundTruth, Scene
+from huepose.evaluation import metrics
+from huepose.evaluation.targets import Targets
+from huepose.geometry.arrays import Float64
+from huepose.model.types import ReferenceModel
+
+_FAR_M = 10.0
+
+
+@dataclass(frozen=True, eq=False)
+class PublishedPose:
+    """What a tracker said of one track at one frame; T_cam_obj (4, 4) or None."""
+
+    object: str
+    track: int
+    T_cam_obj: Float64 | None
+    state: str | None
+    quality: float
+
+
+@dataclass(frozen=True, eq=False)
+class Place:
+    """An instance of an object in one frame; truth is None where this frame has no label of it."""
+
+    model: ReferenceModel
+    ordinal: int
+    truth: GroundTruth | None
+
+
+def instance_counts(scene: Scene, images: Iterable[int], targets: Targets) -> dict[str, int]:
+    """By model name: the most labels of an object that one of the images has. Onboarded, wanted ones only."""
+    counts: dict[str, int] = {}
+    for image in images:
+        here = Counter(model.name for model, _ in labelled(scene.truths(image), targets))
+        counts = {name: max(counts.get(name, 0), here[name]) for name in {*counts, *here}}
+    return dict(sorted(counts.items()))
+
+
+def labelled(truths: Sequence[GroundTruth], targets: Targets) -> list[tuple[ReferenceModel, GroundTruth]]:
+    """The labels that have a pose and a model and are wanted."""
+    found = []
+    for truth in truths:
+        model = targets.model_of(truth)
+        if model is not None and truth.T_cam_obj is not None and targets.wants(truth):
+            found.append((model, truth))
+    return found
+
+
+def places(truths: Sequence[GroundTruth], targets: Targets, counts: Mapping[str, int]) -> list[Place]:
+    """All instances of the sequence as they are in one frame, by object and ordinal."""
+    by_name: dict[str, list[GroundTruth]] = {}
+    for model, truth in labelled(truths, targets):
+        by_name.setdefault(model.name, []).append(truth)
+    result = []
+    for name, count in counts.items():
+        model = targets.models_by_name[name]
+        here = by_name.get(name, [])
+        result += [Place(model, k, here[k] if k < len(here) else None) for k in range(count)]
+    return result
+
+
+def match(
+    all_places: Sequence[Place], published: Sequence[PublishedPose]
+) -> tuple[list[PublishedPose | None], list[PublishedPose]]:
+    """A published pose, or None, for each place; and the phantoms, which are poses without a place."""
+    chosen: list[PublishedPose | None] = [None] * len(all_places)
+    phantoms: list[PublishedPose] = []
+    names = {place.model.name for place in all_places} | {pose.object for pose in published}
+    for name in sorted(names):
+        indices = [i for i, place in enumerate(all_places) if place.model.name == name]
+        tracks = sorted((p for p in published if p.object == name), key=lambda p: p.track)
+        with_pose = [p for p in tracks if p.T_cam_obj is not None]
+        with_truth = [i for i in indices if all_places[i].truth is not None]
+        pairs = _nearest([all_places[i] for i in with_truth], with_pose)
+        for label, nearest in pairs:
+            chosen[with_truth[label]] = with_pose[nearest]
+        used = {id(with_pose[nearest]) for _, nearest in pairs}
+        left = sorted((p for p in tracks if id(p) not in used), key=lambda p: p.T_cam_obj is not None)
+        free = [i for i in indices if chosen[i] is None]
+        # A track without a pose speaks for an instance that has none; then spare poses for absent ones.
+        free.sort(key=lambda i: all_places[i].truth is None)
+        for pose in left:
+            if not free:
+                phantoms += [pose] if pose.T_cam_obj is not None else []
+                continue
+            chosen[free.pop(0 if pose.T_cam_obj is None else -1)] = pose
+    return chosen, phantoms
+
+
+def _nearest(labels: Sequence[Place], poses: Sequence[PublishedPose]) -> list[tuple[int, int]]:
+    """Pairs (label, pose) of least total ADD; far ones count as 10 m, so that no outlier decides."""
+    cost = np.full((len(labels), len(poses)), _FAR_M)
+    for i, label in enumerate(labels):
+        for j, pose in enumerate(poses):
+            if label.truth is not None and label.truth.T_cam_obj is not None and pose.T_cam_obj is not None:
+                distance = metrics.add(label.model.eval_points, pose.T_cam_obj, label.truth.T_cam_obj)
+                cost[i, j] = min(_FAR_M, distance)
+    rows, columns = linear_sum_assignment(cost)
+    return list(zip(rows.tolist(), columns.tolist(), strict=True))

@@ -1,0 +1,158 @@
+"""What a live pipeline published, scored against the scene that it was played.
+
+The input is what `huepose poses --json` prints: one pose message a line. A source that plays a scene gives
+its first pass the numbers of the images as frame ids; what comes after the first pass does not count, and
+times are those of the scene.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from huepose.datasets import files
+from huepose.datasets.types import Scene
+from huepose.evaluation.instances import PublishedPose, instance_counts, match, places
+from huepose.evaluation.summary import grouped
+from huepose.evaluation.targets import Targets
+from huepose.evaluation.track_rows import TrackResult, TrackRow, row_of
+from huepose.geometry import se3
+from huepose.geometry.arrays import Float64
+from huepose.support.errors import InputError
+from huepose.tracking.types import State
+
+_STATES = {state.value for state in State}
+
+
+@dataclass(frozen=True, eq=False)
+class LivePose:
+    """One pose message."""
+
+    pose: PublishedPose
+    epoch: int
+    frame_id: int
+    capture_ns: int
+    publish_ns: int
+
+
+def read_messages(path: Path | str) -> list[LivePose]:
+    """The pose messages of a file, one JSON object a line; messages of other kinds are passed over.
+
+    A last line that is cut short, as when the recording was stopped, is passed over as well.
+    Raises InputError, naming the line."""
+    text = files.read_bytes(Path(path)).decode("utf-8", "replace")
+    lines = text.splitlines()
+    messages = []
+    for number, line in enumerate(lines, 1):
+        if not line.strip():
+            continue
+        where = f"{path}, line {number}"
+        try:
+            record = json.loads(line)
+        except json.JSONDecodeError:
+            if number == len(lines) and not text.endswith("\n"):
+                continue
+            raise InputError(
+                where, found=line[:60], expected="one JSON message a line, as `huepose poses --json` prints"
+            ) from None
+        if isinstance(record, dict) and {"object", "instance", "state"} <= record.keys():
+            messages.append(_message(record, where))
+    if not messages:
+        raise InputError(
+            path, found="no pose message", fix="Record one with `huepose poses --json > POSES.jsonl`."
+        )
+    return messages
+
+
+def _message(record: dict[str, Any], where: str) -> LivePose:
+    state = record["state"]
+    if state not in _STATES:
+        raise InputError(where, found=f"state {state!r}", expected=", ".join(sorted(_STATES)))
+    T_cam_obj: Float64 | None = None
+    if record.get("translation") is not None:
+        q = files.numbers(record, "quaternion", (4,), where)
+        if abs(np.linalg.norm(q) - 1.0) > 0.01:
+            raise InputError(where, found=f"quaternion {q.tolist()}", expected="length 1, order xyzw")
+        t_m = files.numbers(record, "translation", (3,), where)
+        T_cam_obj = se3.make(se3.rotation_from_quaternion(q), t_m)
+    counts = {}
+    for key in ("camera_epoch", "frame_id", "capture_ns", "publish_ns", "instance"):
+        value = files.field(record, key, where)
+        if not isinstance(value, int):
+            raise InputError(where, found=f"'{key}': {value!r}", expected="a whole number")
+        counts[key] = value
+    quality = float(files.numbers(record, "quality", (), where))
+    return LivePose(
+        PublishedPose(str(record["object"]), counts["instance"], T_cam_obj, state, quality),
+        counts["camera_epoch"],
+        counts["frame_id"],
+        counts["capture_ns"],
+        counts["publish_ns"],
+    )
+
+
+def first_pass(messages: Sequence[LivePose], image_ids: Sequence[int]) -> list[LivePose]:
+    """The messages about the scene's images, by capture time, of the first camera epoch, until the frame
+    numbers start again; of several about the same track and frame the one published first."""
+    ordered = sorted(messages, key=lambda m: (m.capture_ns, m.publish_ns))
+    images = set(image_ids)
+    kept: dict[tuple[str, int, int], LivePose] = {}
+    newest = -1
+    for message in ordered:
+        if message.epoch != ordered[0].epoch or message.frame_id < newest:
+            break
+        newest = message.frame_id
+        if message.frame_id in images:
+            kept.setdefault((message.pose.object, message.pose.track, message.frame_id), message)
+    return list(kept.values())
+
+
+def evaluate_poses(messages: Sequence[LivePose], scene: Scene, targets: Targets) -> TrackResult:
+    """Score published poses like those of a tracker; an image without a message has no pose.
+
+    Raises InputError when no message is about the scene, or the scene has no label of an onboarded object."""
+    counts = instance_counts(scene, scene.image_ids, targets)
+    if not counts:
+        raise InputError(f"scene {scene.name}", found="no labelled pose of an onboarded object")
+    kept = first_pass(messages, scene.image_ids)
+    if not kept:
+        raise InputError(
+            f"scene {scene.name}",
+            found="no message about any of its images",
+            expected="frame ids that are image numbers of this scene",
+            fix="Score the poses against the scene that the pipeline was played.",
+        )
+    by_image = grouped(kept, lambda m: m.frame_id)
+    rows: list[TrackRow] = []
+    phantoms = 0
+    for image in scene.image_ids:
+        here = places(scene.truths(image), targets, counts)
+        published = [m.pose for m in by_image.get(image, []) if m.pose.object in targets.models_by_name]
+        chosen, spare = match(here, published)
+        phantoms += sum(pose.state == State.TRACKING.value for pose in spare)
+        stamp_ns = scene.stamp_ns(image)
+        rows += [
+            row_of(scene.name, image, stamp_ns, place, pose, targets, None, 0)
+            for place, pose in zip(here, chosen, strict=True)
+        ]
+    due = [row for row in rows if not row.gone]
+    with_pose = sum(row.T_cam_obj is not None for row in due)
+    measured = {"poses_for_frames": 100.0 * with_pose / len(due) if due else None, **_times(kept)}
+    return TrackResult(rows, {(scene.name, 0): phantoms}, {"frames": len(scene.image_ids)}, measured)
+
+
+def _times(kept: Sequence[LivePose]) -> dict[str, Any]:
+    """Rate of the frames with a message, and latency from capture to publication."""
+    captures = np.array(sorted({m.capture_ns for m in kept}))
+    latencies_ms = np.array([(m.publish_ns - m.capture_ns) * 1e-6 for m in kept])
+    took_s = (captures[-1] - captures[0]) * 1e-9
+    return {
+        "fps": float((len(captures) - 1) / took_s) if took_s > 0 else None,
+        "latency_ms_p50": float(np.percentile(latencies_ms, 50)),
+        "latency_ms_p99": float(np.percentile(latencies_ms, 99)),
+    }

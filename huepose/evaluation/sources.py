@@ -1,0 +1,121 @@
+"""Where a tracker's first pose and its late results come from: our estimator, the labels, or a file."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import Protocol
+
+from huepose.datasets.types import GroundTruth, Sample
+from huepose.estimation.types import ObjectQuery, PoseEstimate, PosePrior
+from huepose.evaluation.boxes import disturbed, truth_box
+from huepose.evaluation.estimate_protocol import PoseEstimator
+from huepose.evaluation.instances import Place
+from huepose.evaluation.pose_files import PoseTable
+from huepose.geometry.arrays import Bool, Float64
+
+
+@dataclass(frozen=True, eq=False)
+class SourcedPose:
+    """A pose of one instance at the frame that was looked at. estimate: what it was taken from, if it was."""
+
+    place: Place
+    T_cam_obj: Float64
+    quality: float
+    mask: Bool | None = None
+    estimate: PoseEstimate | None = None
+
+
+class PoseSource(Protocol):
+    """Gives poses for one frame; what it cannot give is missing from the answer."""
+
+    def poses(
+        self, sample: Sample, places: Sequence[Place], priors: Mapping[tuple[str, int], PosePrior]
+    ) -> list[SourcedPose]:
+        """Poses of the instances that have a label in the frame, by (object, ordinal) in `priors` where one
+        is tracked."""
+        ...
+
+
+class TruthSource:
+    """The labels, with their masks."""
+
+    def poses(
+        self, sample: Sample, places: Sequence[Place], priors: Mapping[tuple[str, int], PosePrior]
+    ) -> list[SourcedPose]:
+        """The labelled poses of the instances that are not gone."""
+        return [
+            SourcedPose(place, truth.T_cam_obj, 1.0, truth.mask())
+            for place, truth in _present(places)
+            if truth.T_cam_obj is not None
+        ]
+
+
+@dataclass(eq=False)
+class EstimatorSource:
+    """Our estimator in the perturbed box of each instance; the answer to a frame is remembered."""
+
+    estimator: PoseEstimator
+    seed: int
+    _answers: dict[tuple[str, int], list[SourcedPose]] = field(default_factory=dict)
+
+    def poses(
+        self, sample: Sample, places: Sequence[Place], priors: Mapping[tuple[str, int], PosePrior]
+    ) -> list[SourcedPose]:
+        """What was found."""
+        key = (sample.scene, sample.image)
+        if key not in self._answers:
+            self._answers[key] = self._estimate(sample, places, priors)
+        return self._answers[key]
+
+    def _estimate(
+        self, sample: Sample, places: Sequence[Place], priors: Mapping[tuple[str, int], PosePrior]
+    ) -> list[SourcedPose]:
+        camera = sample.frame.camera
+        asked: dict[int, Place] = {}
+        queries = []
+        for place, truth in _present(places):
+            box = truth_box(truth, place.model, camera)
+            if box is None:
+                continue
+            box = disturbed(
+                box,
+                "perturbed",
+                self.seed,
+                sample.scene,
+                sample.image,
+                truth.instance,
+                camera.width,
+                camera.height,
+            )
+            prior = priors.get((place.model.name, place.ordinal))
+            queries.append(ObjectQuery(place.model.name, box=box, prior=prior, instance=truth.instance))
+            asked[truth.instance] = place
+        answers = self.estimator.estimate(sample.frame, queries) if queries else []
+        return [
+            SourcedPose(asked[a.instance], a.T_cam_obj, a.quality, a.mask, a)
+            for a in answers
+            if a.found and a.T_cam_obj is not None
+        ]
+
+
+@dataclass(frozen=True, eq=False)
+class FileSource:
+    """Poses made elsewhere; they carry no mask. Of several instances of an object the first is meant."""
+
+    table: PoseTable
+
+    def poses(
+        self, sample: Sample, places: Sequence[Place], priors: Mapping[tuple[str, int], PosePrior]
+    ) -> list[SourcedPose]:
+        """The poses that the file has for this frame."""
+        found = []
+        for place in places:
+            T_cam_obj = self.table.pose(sample.image, place.model.name, place.model.object_id)
+            if T_cam_obj is not None and place.ordinal == 0:
+                found.append(SourcedPose(place, T_cam_obj, 1.0))
+        return found
+
+
+def _present(places: Sequence[Place]) -> list[tuple[Place, GroundTruth]]:
+    return [(p, p.truth) for p in places if p.truth is not None and not p.truth.gone]

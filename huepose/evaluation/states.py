@@ -1,0 +1,221 @@
+"""What the states of a tracked object were worth: coverage, false TRACKING, declaring, (re)acquiring.
+
+The words as this module measures them, on the frames of one object instance:
+right: the pose is within a tenth of the diameter of the label. Visible: 30 % or more, or unknown; gone:
+under 10 %. Losing support: the first gone frame, or the first of a run of frames without a right pose,
+after a right one. Declared: the first frame from there on that is not TRACKING (suspect), or that has no pose
+(lost). Acquired, reacquired: the first right pose; confirmed: the first right pose as TRACKING.
+Coverage: TRACKING frames over visible frames, counted from a confirmation until the object is gone, so
+that waiting for an object to appear is not held against the tracker but losing a visible one is.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+from huepose.evaluation.summary import largest
+
+LOST_WITHIN_FRAMES = 5
+SUSPECT_WITHIN_FRAMES = 2
+_NO_POSE = ("LOST", "SEARCHING")
+
+
+@dataclass(frozen=True)
+class Moment:
+    """One frame of one instance. state: as published, None where nothing was published for the frame."""
+
+    stamp_ns: int
+    visible: bool
+    gone: bool
+    state: str | None
+    right: bool
+
+    @property
+    def supported(self) -> bool:
+        """There is something to track, and the published pose is right."""
+        return not self.gone and self.right
+
+
+@dataclass(frozen=True)
+class Loss:
+    """Support was lost at frame `start` and came back at `end` (None: not before the end)."""
+
+    start: int
+    end: int | None
+
+
+@dataclass(frozen=True)
+class StateReport:
+    """Counts and times of one instance, or summed over several (times: the largest).
+
+    undeclared_losses: losses of more than 5 frames during which LOST was never published;
+    never_confirmed, never_reacquired: how often it did not happen though the object was visible."""
+
+    frames: int
+    false_tracking_frames: int
+    lost_frames: int
+    tracking_frames: int
+    coverable_frames: int
+    visible_frames: int
+    declared_suspect_after_frames: int | None
+    declared_lost_after_frames: int | None
+    undeclared_losses: int
+    acquired_after_s: float | None
+    confirmed_after_s: float | None
+    reacquired_after_s: float | None
+    never_confirmed: int
+    never_reacquired: int
+
+    @property
+    def coverage_tracking(self) -> float | None:
+        """Percent; 0 for an object that was visible and never confirmed, None for one never visible."""
+        if self.coverable_frames:
+            return 100.0 * self.tracking_frames / self.coverable_frames
+        return 0.0 if self.visible_frames else None
+
+    @property
+    def false_tracking_rate(self) -> float:
+        """Percent of all frames."""
+        return 100.0 * self.false_tracking_frames / self.frames if self.frames else 0.0
+
+
+def report(moments: Sequence[Moment]) -> StateReport:
+    """Judge the frames of one instance, in order."""
+    losses = find_losses(moments)
+    suspect = [_declared(moments, loss, not_tracking=True) for loss in losses]
+    lost = [_declared(moments, loss, not_tracking=False) for loss in losses]
+    tracking, coverable = _coverage(moments)
+    appeared = next((i for i, m in enumerate(moments) if m.visible), None)
+    acquired = _first_right(moments, appeared)
+    confirmed = _first_right(moments, appeared, confirmed=True)
+    reacquired = [_reacquired(moments, loss) for loss in losses]
+    return StateReport(
+        frames=len(moments),
+        false_tracking_frames=_false_tracking(moments),
+        lost_frames=sum(not m.gone and m.state == "LOST" for m in moments),
+        tracking_frames=tracking,
+        coverable_frames=coverable,
+        visible_frames=sum(m.visible for m in moments),
+        declared_suspect_after_frames=_worst(suspect, SUSPECT_WITHIN_FRAMES),
+        declared_lost_after_frames=_worst(lost, LOST_WITHIN_FRAMES),
+        undeclared_losses=sum(not d.declared and d.frames > LOST_WITHIN_FRAMES for d in lost),
+        acquired_after_s=_seconds(moments, appeared, acquired),
+        confirmed_after_s=_seconds(moments, appeared, confirmed),
+        reacquired_after_s=largest(seconds for _, seconds in reacquired),
+        never_confirmed=int(appeared is not None and confirmed is None),
+        never_reacquired=sum(visible and seconds is None for visible, seconds in reacquired),
+    )
+
+
+def combined(reports: Sequence[StateReport]) -> StateReport:
+    """Counts summed, times and delays the largest."""
+    total = {name: sum(getattr(r, name) for r in reports) for name in _COUNTS}
+    worst = {name: largest(getattr(r, name) for r in reports) for name in _TIMES}
+    return StateReport(**total, **worst)  # type: ignore[arg-type]
+
+
+_COUNTS = (
+    "frames",
+    "false_tracking_frames",
+    "lost_frames",
+    "tracking_frames",
+    "coverable_frames",
+    "visible_frames",
+    "undeclared_losses",
+    "never_confirmed",
+    "never_reacquired",
+)
+_TIMES = (
+    "declared_suspect_after_frames",
+    "declared_lost_after_frames",
+    "acquired_after_s",
+    "confirmed_after_s",
+    "reacquired_after_s",
+)
+
+
+def find_losses(moments: Sequence[Moment]) -> list[Loss]:
+    """The times at which support was lost. A frame for which nothing was published decides nothing."""
+    losses: list[Loss] = []
+    start, had_support = None, False
+    for i, moment in enumerate(moments):
+        if moment.supported:
+            if start is not None:
+                losses.append(Loss(start, i))
+            start, had_support = None, True
+        elif had_support and (moment.gone or moment.state is not None):
+            start, had_support = i, False
+    if start is not None:
+        losses.append(Loss(start, None))
+    return losses
+
+
+@dataclass(frozen=True)
+class _Declaration:
+    """`frames` after the loss it was declared; undeclared, `frames` is how long the loss lasted."""
+
+    declared: bool
+    frames: int
+
+
+def _declared(moments: Sequence[Moment], loss: Loss, *, not_tracking: bool) -> _Declaration:
+    end = len(moments) if loss.end is None else loss.end
+    for i in range(loss.start, end):
+        state = moments[i].state
+        if state in _NO_POSE or (not_tracking and state == "SUSPECT"):
+            return _Declaration(True, i - loss.start)
+    return _Declaration(False, end - loss.start)
+
+
+def _worst(declarations: Sequence[_Declaration], within: int) -> int | None:
+    """The largest delay. A loss that passed within its time needed no declaration; a longer one that was
+    never declared counts with its length."""
+    delays = [d.frames for d in declarations if d.declared or d.frames > within]
+    return max(delays) if delays else None
+
+
+def _false_tracking(moments: Sequence[Moment]) -> int:
+    count = gone_for = 0
+    for moment in moments:
+        gone_for = gone_for + 1 if moment.gone else 0
+        if moment.state == "TRACKING" and (gone_for > LOST_WITHIN_FRAMES or not moment.right):
+            count += 1
+    return count
+
+
+def _coverage(moments: Sequence[Moment]) -> tuple[int, int]:
+    """TRACKING frames and visible frames between a confirmation and the object's disappearance."""
+    tracking = coverable = 0
+    counting = False
+    for moment in moments:
+        if moment.gone:
+            counting = False
+        elif moment.right and moment.state == "TRACKING":
+            counting = True
+        if counting and moment.visible:
+            coverable += 1
+            tracking += moment.state == "TRACKING"
+    return tracking, coverable
+
+
+def _first_right(moments: Sequence[Moment], start: int | None, *, confirmed: bool = False) -> int | None:
+    if start is None:
+        return None
+    for i in range(start, len(moments)):
+        if moments[i].supported and (not confirmed or moments[i].state == "TRACKING"):
+            return i
+    return None
+
+
+def _reacquired(moments: Sequence[Moment], loss: Loss) -> tuple[bool, float | None]:
+    """Whether the object was visible again, and the seconds from then to its next right pose."""
+    end = len(moments) if loss.end is None else loss.end + 1
+    visible = next((i for i in range(loss.start, end) if moments[i].visible), None)
+    return visible is not None, _seconds(moments, visible, loss.end)
+
+
+def _seconds(moments: Sequence[Moment], start: int | None, end: int | None) -> float | None:
+    if start is None or end is None:
+        return None
+    return (moments[end].stamp_ns - moments[start].stamp_ns) * 1e-9

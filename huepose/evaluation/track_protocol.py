@@ -1,0 +1,237 @@
+"""Tracking accuracy: a tracker is started once (`free`), or fed late results as ROFT evaluates (`roft`).
+
+REFERENCE for roft: Piga et al. 2022, simulated perception at 5 Hz with one period of delay.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from itertools import pairwise
+from typing import Literal, Protocol
+
+from huepose.datasets.types import Sample, Scene
+from huepose.estimation.types import PosePrior
+from huepose.evaluation.instances import Place, PublishedPose, instance_counts, match, places
+from huepose.evaluation.schedule import Delivery, fed_images, late_deliveries
+from huepose.evaluation.sources import PoseSource, SourcedPose
+from huepose.evaluation.targets import Targets
+from huepose.evaluation.track_rows import TrackResult, TrackRow, row_of
+from huepose.geometry.frame import RgbdFrame
+from huepose.model.types import ReferenceModel
+from huepose.support.errors import InputError
+from huepose.support.progress import progress
+from huepose.tracking.types import Applied, Correction, State, TrackedPose, Verdict
+
+
+class TrackerLike(Protocol):
+    """What is evaluated. A correction may be about a frame that comes with the next `step`."""
+
+    def correct(self, correction: Correction) -> Applied:
+        """Take a pose for a past frame."""
+        ...
+
+    def step(self, frame: RgbdFrame) -> Sequence[TrackedPose]:
+        """Track one frame; the poses as they are published."""
+        ...
+
+
+TrackerFactory = Callable[[Mapping[str, ReferenceModel]], TrackerLike]
+Judge = Callable[[SourcedPose, TrackedPose | None], Verdict]
+
+
+@dataclass(frozen=True)
+class TrackOptions:
+    """every: of the frames every N-th is fed and scored, as if the others had never been."""
+
+    protocol: Literal["free", "roft"] = "free"
+    every: int = 1
+    seeds: tuple[int, ...] = (0,)
+
+
+@dataclass(frozen=True)
+class SourceNames:
+    """What the results call the sources of the first pose and of the late ones."""
+
+    init: str
+    delayed: str | None = None
+
+
+@dataclass(frozen=True, eq=False)
+class Sources:
+    """Where the first pose and, in roft, the late ones come from."""
+
+    init: PoseSource
+    delayed: PoseSource | None = None
+
+
+def evaluate_tracking(
+    scenes: Sequence[Scene],
+    targets: Targets,
+    tracker_for: TrackerFactory,
+    sources_for: Callable[[Scene, int], Sources],
+    options: TrackOptions,
+    names: SourceNames,
+    *,
+    judge: Judge | None = None,
+    on_frame: Callable[[Sample, list[TrackRow]], None] | None = None,
+) -> TrackResult:
+    """Track every sequence, under every seed, with a new tracker that knows the objects of the sequence.
+
+    sources_for: (sequence, seed) to sources; judge: decides what a late pose means (default: it corrects).
+    Raises InputError for sequences without labels of onboarded objects, or of the same name."""
+    _check_names(scenes)
+    rows: list[TrackRow] = []
+    phantoms: dict[tuple[str, int], int] = {}
+    for seed in options.seeds:
+        for scene in scenes:
+            run = _Run(scene, targets, tracker_for, sources_for(scene, seed), options, seed, judge)
+            for sample, new, spare in run.frames():
+                rows += new
+                phantoms[scene.name, seed] = phantoms.get((scene.name, seed), 0) + spare
+                if on_frame is not None:
+                    on_frame(sample, new)
+    settings = {
+        "protocol": options.protocol,
+        "every": options.every,
+        "init": names.init,
+        "delayed": names.delayed,
+    }
+    return TrackResult(rows, phantoms, settings)
+
+
+def _check_names(scenes: Sequence[Scene]) -> None:
+    names = [scene.name for scene in scenes]
+    for name in names:
+        if names.count(name) > 1:
+            raise InputError(
+                f"sequence '{name}'",
+                found="two folders of this name",
+                fix="Evaluate them one at a time: results are listed by the folder's name.",
+            )
+
+
+class _Run:
+    """One tracker on one sequence. Tracks are numbered as the instances: the k-th label of an object is k."""
+
+    def __init__(
+        self,
+        scene: Scene,
+        targets: Targets,
+        tracker_for: TrackerFactory,
+        sources: Sources,
+        options: TrackOptions,
+        seed: int,
+        judge: Judge | None,
+    ) -> None:
+        self.scene, self.targets, self.sources = scene, targets, sources
+        self.options, self.seed, self.judge = options, seed, judge
+        self.images = fed_images(scene.image_ids, options.every)
+        self.counts = instance_counts(scene, self.images, targets)
+        if not self.counts:
+            raise InputError(
+                f"sequence {scene.name}",
+                found="no labelled pose of an onboarded object",
+                fix="Onboard the object that the sequence shows, or choose another sequence.",
+            )
+        self.stamps_ns = [scene.stamp_ns(image) for image in self.images]
+        for before, after in pairwise(range(len(self.images))):
+            if self.stamps_ns[after] <= self.stamps_ns[before]:
+                raise InputError(
+                    f"sequence {scene.name}, image {self.images[after]}",
+                    found=f"time stamp {self.stamps_ns[after]} ns",
+                    expected=f"one later than {self.stamps_ns[before]} ns",
+                )
+        self.tracker = tracker_for({name: targets.models_by_name[name] for name in self.counts})
+        self.asked_for: set[tuple[str, int]] = set()
+        self.correction_counts: dict[tuple[str, int], int] = {}
+
+    def frames(self) -> Iterator[tuple[Sample, list[TrackRow], int]]:
+        """Each fed frame with its rows and its number of phantom poses as TRACKING."""
+        roft = self.options.protocol == "roft"
+        by_looked_at = {d.looked_at: d for d in late_deliveries(self.stamps_ns)} if roft else {}
+        due: dict[int, list[Correction]] = {}
+        for i in progress(range(len(self.images)), f"track {self.scene.name}"):
+            sample = self.scene.sample(self.images[i])
+            here = places(sample.truths, self.targets, self.counts)
+            corrections = due.pop(i, [])
+            if i == 0 or not roft:
+                corrections += self._first_poses(sample, here)
+            start = time.perf_counter()
+            for correction in corrections:
+                self.tracker.correct(correction)
+            tracked = self.tracker.step(sample.frame)
+            seconds = time.perf_counter() - start
+            if i in by_looked_at:
+                self._look(by_looked_at[i], sample, here, tracked, due)
+            yield sample, *self._judge(sample, here, tracked, seconds)
+
+    def _first_poses(self, sample: Sample, here: Sequence[Place]) -> list[Correction]:
+        """Each instance is asked for once: in the first fed frame that shows it."""
+        new = [
+            p
+            for p in here
+            if p.truth is not None and not p.truth.gone and (p.model.name, p.ordinal) not in self.asked_for
+        ]
+        self.asked_for |= {(p.model.name, p.ordinal) for p in new}
+        found = self.sources.init.poses(sample, new, {}) if new else []
+        return [self._correction(sample.frame, pose, Verdict.ACQUIRE) for pose in found]
+
+    def _look(
+        self,
+        delivery: Delivery,
+        sample: Sample,
+        here: Sequence[Place],
+        tracked: Sequence[TrackedPose],
+        due: dict[int, list[Correction]],
+    ) -> None:
+        """Ask the late source about this frame, and keep what it says until it is due."""
+        if self.sources.delayed is None or delivery.delivered is None:
+            return
+        known = {(t.object, t.instance): t for t in tracked if t.T_cam_obj is not None}
+        priors = {}
+        if self.judge is not None and delivery.looked_at > 0:
+            priors = {
+                key: PosePrior(t.T_cam_obj, t.covariance)
+                for key, t in known.items()
+                if t.T_cam_obj is not None
+            }
+        for pose in self.sources.delayed.poses(sample, here, priors):
+            before = known.get((pose.place.model.name, pose.place.ordinal))
+            verdict = Verdict.ACQUIRE if before is None else Verdict.CORRECT
+            if self.judge is not None:
+                verdict = self.judge(pose, before)
+            if verdict is not Verdict.REJECT:
+                correction = self._correction(sample.frame, pose, verdict)
+                due.setdefault(delivery.delivered, []).append(correction)
+
+    def _correction(self, frame: RgbdFrame, pose: SourcedPose, verdict: Verdict) -> Correction:
+        key = (pose.place.model.name, pose.place.ordinal)
+        self.correction_counts[key] = self.correction_counts.get(key, 0) + 1
+        return Correction(
+            object=key[0],
+            instance=key[1],
+            epoch=frame.epoch,
+            frame_id=frame.frame_id,
+            stamp_ns=frame.stamp_ns,
+            T_cam_obj=pose.T_cam_obj,
+            quality=pose.quality,
+            verdict=verdict,
+            seq=self.correction_counts[key],
+            mask=pose.mask,
+        )
+
+    def _judge(
+        self, sample: Sample, here: Sequence[Place], tracked: Sequence[TrackedPose], seconds: float
+    ) -> tuple[list[TrackRow], int]:
+        published = [
+            PublishedPose(t.object, t.instance, t.T_cam_obj, t.state.value, t.quality) for t in tracked
+        ]
+        chosen, phantoms = match(here, published)
+        stamp_ns = sample.frame.stamp_ns
+        rows = [
+            row_of(self.scene.name, sample.image, stamp_ns, place, pose, self.targets, seconds, self.seed)
+            for place, pose in zip(here, chosen, strict=True)
+        ]
+        return rows, sum(p.state == State.TRACKING.value for p in phantoms)

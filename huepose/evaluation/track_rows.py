@@ -1,0 +1,241 @@
+"""The rows of a tracking evaluation, and their summary: a mean for each sequence, then over sequences."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+
+from huepose.evaluation import metrics
+from huepose.evaluation.instances import Place, PublishedPose
+from huepose.evaluation.states import Moment, StateReport, combined, report
+from huepose.evaluation.summary import Figures, grouped, largest, mean_figures
+from huepose.evaluation.targets import PoseError, Targets, object_number
+from huepose.geometry.arrays import Float64
+
+_WORST = (
+    "declared_suspect_after_frames",
+    "declared_lost_after_frames",
+    "acquired_after_s",
+    "confirmed_after_s",
+    "reacquired_after_s",
+)
+
+
+@dataclass(frozen=True, eq=False)
+class TrackRow:
+    """One instance of an object in one frame, and what was published for it.
+
+    error and gt_instance are None where the frame has no label of it; seconds: the frame's wall time, all
+    objects, None where not known."""
+
+    sequence: str
+    frame: int
+    stamp_ns: int
+    object: int | str
+    ordinal: int
+    gt_instance: int | None
+    track: int | None
+    T_cam_obj: Float64 | None
+    error: PoseError | None
+    diameter_m: float
+    visible: bool
+    gone: bool
+    visib_fract: float | None
+    state: str | None
+    quality: float
+    seconds: float | None
+    seed: int
+
+    @property
+    def scored(self) -> bool:
+        """It counts in recall and AUC: labelled and not gone."""
+        return self.error is not None and not self.gone
+
+    @property
+    def moment(self) -> Moment:
+        """The row as the states are judged by. Where the object is gone without a label nothing says that a
+        pose is wrong before it has been gone for long."""
+        right = self.error is None or self.error.right
+        return Moment(self.stamp_ns, self.visible, self.gone, self.state, right)
+
+    def as_json(self) -> dict[str, Any]:
+        """The row in its file form."""
+        return {
+            "sequence": self.sequence,
+            "frame": self.frame,
+            "object": self.object,
+            "gt_instance": self.gt_instance,
+            "track": self.track,
+            "T_cam_obj": self.T_cam_obj,
+            "add_m": None if self.error is None else self.error.add_m,
+            "adds_m": None if self.error is None else self.error.adds_m,
+            "diameter_m": self.diameter_m,
+            "visib_fract": self.visib_fract,
+            "state": self.state,
+            "right": None if self.error is None else self.error.right,
+            "quality": self.quality,
+            "seconds": self.seconds,
+            "stamp_ns": self.stamp_ns,
+            "seed": self.seed,
+        }
+
+
+def row_of(
+    sequence: str,
+    image: int,
+    stamp_ns: int,
+    place: Place,
+    pose: PublishedPose | None,
+    targets: Targets,
+    seconds: float | None,
+    seed: int,
+) -> TrackRow:
+    """Judge one published pose against one label."""
+    truth, model = place.truth, place.model
+    T_cam_obj = None if pose is None else pose.T_cam_obj
+    error = None
+    if truth is not None and truth.T_cam_obj is not None:
+        error = targets.error(model, T_cam_obj, truth.T_cam_obj)
+    return TrackRow(
+        sequence=sequence,
+        frame=image,
+        stamp_ns=stamp_ns,
+        object=object_number(model),
+        ordinal=place.ordinal,
+        gt_instance=None if truth is None else truth.instance,
+        track=None if pose is None else pose.track,
+        T_cam_obj=T_cam_obj,
+        error=error,
+        diameter_m=model.diameter_m,
+        visible=truth is not None and truth.visible,
+        gone=truth is None or truth.gone,
+        visib_fract=None if truth is None else truth.visib_fract,
+        state=None if pose is None else pose.state,
+        quality=0.0 if pose is None else pose.quality,
+        seconds=seconds,
+        seed=seed,
+    )
+
+
+@dataclass(frozen=True, eq=False)
+class TrackResult:
+    """All rows. phantoms: by (sequence, seed), poses published as TRACKING that belong to no instance;
+    settings: how it was run; measured: further figures of the whole run."""
+
+    rows: Sequence[TrackRow]
+    phantoms: Mapping[tuple[str, int], int]
+    settings: Mapping[str, Any]
+    measured: Mapping[str, Any] = field(default_factory=dict)
+
+    def summary(self) -> dict[str, Any]:
+        """Figures in percent, times in seconds; of several seeds the mean, for worst cases the worst."""
+        seeds = list(grouped(self.rows, lambda r: r.seed))
+        blocks = {seed: self._of_seed(seed) for seed in seeds}
+        flat = [{k: v for k, v in b.items() if not isinstance(v, dict)} for b in blocks.values()]
+        names = list(blocks[seeds[0]]["sequences"])
+        return {
+            **self.settings,
+            "seed": seeds[0] if len(seeds) == 1 else seeds,
+            **_counts_as_whole(mean_figures(flat)),
+            **{key: largest(block[key] for block in flat) for key in _WORST},
+            "min_auc_add": min(
+                (b["min_auc_add"] for b in flat if b["min_auc_add"] is not None), default=None
+            ),
+            **self.measured,
+            "frame_weighted": mean_figures(block["frame_weighted"] for block in blocks.values()),
+            "sequences": {
+                name: _counts_as_whole(mean_figures(block["sequences"][name] for block in blocks.values()))
+                for name in names
+            },
+            "by_seed": {seed: {k: v for k, v in b.items() if k != "sequences"} for seed, b in blocks.items()},
+        }
+
+    def _of_seed(self, seed: int) -> dict[str, Any]:
+        rows = [row for row in self.rows if row.seed == seed]
+        sequences, reports = {}, []
+        for name, own in grouped(rows, lambda r: r.sequence).items():
+            states = [
+                report([row.moment for row in instance])
+                for instance in grouped(own, lambda r: (r.object, r.ordinal)).values()
+            ]
+            reports += states
+            phantoms = self.phantoms.get((name, seed), 0)
+            sequences[name] = {
+                **_pose_figures(own),
+                **_state_figures(combined(states), phantoms),
+                **_fps(own),
+            }
+        total = _state_figures(combined(reports), sum(n for (_, s), n in self.phantoms.items() if s == seed))
+        figures = mean_figures({key: block[key] for key in _MEANS} for block in sequences.values())
+        areas = [block["auc_add"] for block in sequences.values() if block["auc_add"] is not None]
+        return {
+            **figures,
+            **{key: value for key, value in total.items() if key not in _MEANS},
+            "instances": float(sum(row.scored for row in rows)),
+            "min_auc_add": min(areas, default=None),
+            **_fps(rows),
+            "frame_weighted": _pose_figures(rows),
+            "sequences": sequences,
+        }
+
+    def as_json(self) -> dict[str, Any]:
+        """The result file."""
+        return {"summary": self.summary(), "rows": [row.as_json() for row in self.rows]}
+
+
+_COUNTS = (
+    "instances",
+    "lost_frames",
+    "false_tracking_frames",
+    "undeclared_losses",
+    "never_confirmed",
+    "never_reacquired",
+    "declared_suspect_after_frames",
+    "declared_lost_after_frames",
+)
+_MEANS = ("recall_add", "recall_adds", "auc_add", "auc_adds", "auc_voc_add", "coverage_tracking")
+
+
+def _counts_as_whole(figures: Figures) -> Figures:
+    """Counts without a fraction as integers; a mean over seeds may keep one."""
+    return {
+        key: int(value) if value is not None and key in _COUNTS and value == int(value) else value
+        for key, value in figures.items()
+    }
+
+
+def _pose_figures(rows: Sequence[TrackRow]) -> Figures:
+    errors = [(row.error, row.diameter_m) for row in rows if row.scored and row.error is not None]
+    add = np.array([error.add_m for error, _ in errors])
+    adds = np.array([error.adds_m for error, _ in errors])
+    diameters = np.array([diameter for _, diameter in errors])
+    voc = metrics.auc_voc(add) if len(add) else None
+    return {**metrics.four_figures(add, adds, diameters), "auc_voc_add": voc, "instances": float(len(add))}
+
+
+def _state_figures(states: StateReport, phantoms: int) -> Figures:
+    false = states.false_tracking_frames + phantoms
+    return {
+        "coverage_tracking": states.coverage_tracking,
+        "lost_frames": float(states.lost_frames),
+        "false_tracking_frames": float(false),
+        "false_tracking_rate": 100.0 * false / states.frames if states.frames else 0.0,
+        "declared_suspect_after_frames": states.declared_suspect_after_frames,
+        "declared_lost_after_frames": states.declared_lost_after_frames,
+        "undeclared_losses": float(states.undeclared_losses),
+        "acquired_after_s": states.acquired_after_s,
+        "confirmed_after_s": states.confirmed_after_s,
+        "reacquired_after_s": states.reacquired_after_s,
+        "never_confirmed": float(states.never_confirmed),
+        "never_reacquired": float(states.never_reacquired),
+    }
+
+
+def _fps(rows: Sequence[TrackRow]) -> Figures:
+    """Frames over the sum of their times; None where no frame was timed."""
+    seconds = {(row.sequence, row.frame): row.seconds for row in rows if row.seconds is not None}
+    total = sum(seconds.values())
+    return {"fps": len(seconds) / total if total > 0 else None}

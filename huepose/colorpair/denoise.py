@@ -12,7 +12,7 @@ from dataclasses import dataclass
 import cv2
 import numpy as np
 
-from huepose.geometry.arrays import Float32, UInt8
+from huepose.geometry.arrays import Float32, Int, UInt8
 from huepose.support.jit import jit
 
 
@@ -40,7 +40,7 @@ def denoise(color: UInt8, config: DenoiseConfig | None = None) -> Float32:
     config = config or DenoiseConfig()
     smooth = np.ascontiguousarray(color)
     for sigma in config.sigma_color:
-        smooth = cv2.bilateralFilter(smooth, config.window, sigma, config.sigma_space)
+        smooth = np.asarray(cv2.bilateralFilter(smooth, config.window, sigma, config.sigma_space), np.uint8)
     return joint_bilateral(to_lab(smooth), config.window // 2, config.sigma_space, config.sigma_guide)
 
 
@@ -57,12 +57,12 @@ def joint_bilateral(lab: Float32, radius: int, sigma_space: float, sigma_guide: 
     steps = np.arange(256, dtype=np.float32) * (3.0 * sigma_guide / 255.0)
     table = np.exp(-(steps**2) / (2.0 * sigma_guide**2)).astype(np.float32)
     table[-1] = 0.0
-    scale = np.float32(255.0 / (3.0 * sigma_guide))
+    scale = 255.0 / (3.0 * sigma_guide)
     return _joint_bilateral(np.ascontiguousarray(lab, np.float32), du, dv, space, table, scale)
 
 
 @jit
-def _joint_bilateral(lab, du, dv, space, table, scale):  # type: ignore[no-untyped-def]
+def _joint_bilateral(lab: Float32, du: Int, dv: Int, space: Float32, table: Float32, scale: float) -> Float32:
     height, width = lab.shape[0], lab.shape[1]
     out = np.empty_like(lab)
     for v in range(height):

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field, replace
 
+import cv2
 import numpy as np
 
 from huepose.colorpair.denoise import DenoiseConfig, denoise
@@ -28,18 +29,27 @@ class ExtractionConfig:
     min_contrast: float = 6.0
 
 
-def extract(color: UInt8, mask: Bool | None = None, config: ExtractionConfig | None = None) -> ColorPairs:
+def extract(
+    color: UInt8, mask: Bool | None = None, config: ExtractionConfig | None = None, scale: float = 1.0
+) -> ColorPairs:
     """Colour pairs of an sRGB image (H, W, 3) uint8 RGB, strongest edges first.
 
     With a mask (H, W) only its surroundings are looked at, and both sides of every pair lie inside it.
+    With a `scale` under 1 the image is made smaller by that factor first, so that an object has edges of
+    the same kind near and far; positions and widths are given in pixels of `color` all the same.
     """
     config = config or ExtractionConfig()
     x0, y0, x1, y1 = _bounds(mask, color.shape[:2], margin=8)
     if x1 - x0 < 8 or y1 - y0 < 8:
         return ColorPairs.empty()
-    lab = denoise(color[y0:y1, x0:x1], config.denoise)
-    pairs = extract_from_lab(lab, None if mask is None else mask[y0:y1, x0:x1], config)
-    return replace(pairs, pixels=pairs.pixels + np.array([x0, y0], np.float32))
+    region = color[y0:y1, x0:x1]
+    inside = np.ones(region.shape[:2], np.bool_) if mask is None else mask[y0:y1, x0:x1]
+    if scale < 1.0:
+        region, inside = _reduced(region, inside, scale)
+    fx, fy = (x1 - x0) / region.shape[1], (y1 - y0) / region.shape[0]
+    pairs = extract_from_lab(denoise(region, config.denoise), inside, config)
+    pixels = (pairs.pixels + 0.5) * np.array([fx, fy], np.float32) - 0.5 + np.array([x0, y0], np.float32)
+    return replace(pairs, pixels=pixels.astype(np.float32), widths=pairs.widths * np.float32(fx))
 
 
 def extract_from_lab(lab: Float32, mask: Bool | None, config: ExtractionConfig) -> ColorPairs:
@@ -69,6 +79,15 @@ def thinned(pixels: Float32, height: int, width: int, spacing: float, limit: int
         spacing *= 1.25
 
 
+def _reduced(color: UInt8, mask: Bool, scale: float) -> tuple[UInt8, Bool]:
+    """The smaller picture, and its pixels that lie in the mask with nearly all of their area."""
+    height, width = mask.shape
+    size = (max(round(width * scale), 8), max(round(height * scale), 8))
+    small = cv2.resize(color, size, interpolation=cv2.INTER_AREA)
+    share = cv2.resize(mask.astype(np.uint8) * np.uint8(255), size, interpolation=cv2.INTER_AREA)
+    return np.asarray(small, np.uint8), np.asarray(share > 200)
+
+
 def _bounds(mask: Bool | None, shape: tuple[int, ...], margin: int) -> tuple[int, int, int, int]:
     height, width = shape
     if mask is None:
@@ -95,7 +114,7 @@ def _take(ridges: Ridges, index: np.ndarray) -> Ridges:
 
 
 @jit
-def _thin(pixels, height, width, spacing):  # type: ignore[no-untyped-def]
+def _thin(pixels: Float32, height: int, width: int, spacing: float) -> Bool:
     cell = spacing
     rows, columns = int(height / cell) + 2, int(width / cell) + 2
     head = np.full((rows, columns), -1, np.int32)

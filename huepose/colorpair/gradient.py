@@ -28,13 +28,13 @@ def unified_gradient(lab: Float32) -> Gradient:
     On a linear ramp of s units per pixel in each of k channels the magnitude is s sqrt(k). A colour ramp
     whose channels run in opposite directions keeps its energy: only the direction is taken from one channel.
     """
-    du = cv2.Scharr(lab, cv2.CV_32F, 1, 0, scale=1 / 32)
-    dv = cv2.Scharr(lab, cv2.CV_32F, 0, 1, scale=1 / 32)
+    du = np.asarray(cv2.Scharr(lab, cv2.CV_32F, 1, 0, scale=1 / 32), np.float32)
+    dv = np.asarray(cv2.Scharr(lab, cv2.CV_32F, 0, 1, scale=1 / 32), np.float32)
     return Gradient(*_combine(du, dv))
 
 
 @jit
-def _combine(du, dv):  # type: ignore[no-untyped-def]
+def _combine(du: Float32, dv: Float32) -> tuple[Float32, Float32]:
     height, width = du.shape[0], du.shape[1]
     magnitude = np.zeros((height, width), np.float32)
     direction = np.zeros((height, width, 2), np.float32)

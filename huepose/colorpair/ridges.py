@@ -88,16 +88,16 @@ def long_enough(is_ridge: Bool, min_length: int) -> Bool:
 
 def suppress(gradient: Gradient, allowed: Bool, threshold: float) -> Float32:
     """(H, W) float32: sub-pixel offset along the direction (-0.7..0.7) at ridge points, nan elsewhere."""
-    return _suppress(gradient.magnitude, gradient.direction, allowed, np.float32(threshold))
+    return _suppress(gradient.magnitude, gradient.direction, allowed, threshold)
 
 
 def associate(magnitude: Float32, is_ridge: Bool, threshold: float, member_share: float) -> Int32:
     """(H, W) int32: how many pixels end on each ridge point, itself included; 0 elsewhere."""
-    return _associate(magnitude, is_ridge, np.float32(threshold), np.float32(member_share))
+    return _associate(magnitude, is_ridge, threshold, member_share)
 
 
 @jit
-def _suppress(magnitude, direction, allowed, threshold):  # type: ignore[no-untyped-def]
+def _suppress(magnitude: Float32, direction: Float32, allowed: Bool, threshold: float) -> Float32:
     height, width = magnitude.shape
     out = np.full((height, width), np.nan, np.float32)
     for v in range(2, height - 2):
@@ -139,7 +139,7 @@ def _suppress(magnitude, direction, allowed, threshold):  # type: ignore[no-unty
 
 
 @jit
-def _associate(magnitude, is_ridge, threshold, member_share):  # type: ignore[no-untyped-def]
+def _associate(magnitude: Float32, is_ridge: Bool, threshold: float, member_share: float) -> Int32:
     height, width = magnitude.shape
     floor = threshold * member_share
     target = np.full(height * width, -1, np.int32)
@@ -189,7 +189,7 @@ def _associate(magnitude, is_ridge, threshold, member_share):  # type: ignore[no
 
 
 @jit
-def _local_mean(counts, cells, radius):  # type: ignore[no-untyped-def]
+def _local_mean(counts: Int32, cells: Int32, radius: int) -> Float32:
     """Thickness at each cell: the mean count of the ridge points around it (counts are whole numbers)."""
     height, width = counts.shape
     out = np.empty(cells.shape[0], np.float32)

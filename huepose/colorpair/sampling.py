@@ -14,7 +14,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from huepose.colorpair.ridges import Ridges
-from huepose.geometry.arrays import Bool, Float32
+from huepose.geometry.arrays import Bool, Float32, Float64
 from huepose.support.jit import jit
 
 
@@ -60,7 +60,7 @@ def sample_sides(
 
 
 @jit
-def _median(values, n):  # type: ignore[no-untyped-def]
+def _median(values: Float64, n: int) -> float:
     """Median of the first n values, sorted in place."""
     for i in range(1, n):
         x = values[i]
@@ -69,11 +69,11 @@ def _median(values, n):  # type: ignore[no-untyped-def]
             values[j + 1] = values[j]
             j -= 1
         values[j + 1] = x
-    return 0.5 * (values[(n - 1) // 2] + values[n // 2])
+    return float(0.5 * (values[(n - 1) // 2] + values[n // 2]))
 
 
 @jit
-def _whiten(cov, x, y, z):  # type: ignore[no-untyped-def]
+def _whiten(cov: Float64, x: float, y: float, z: float) -> tuple[float, float, float]:
     """Solve L w = (x, y, z) for the Cholesky factor L of a 3x3 covariance: the whitened vector."""
     l00 = np.sqrt(cov[0, 0])
     l10 = cov[1, 0] / l00
@@ -88,9 +88,18 @@ def _whiten(cov, x, y, z):  # type: ignore[no-untyped-def]
 
 
 @jit
-def _sample(  # type: ignore[no-untyped-def]
-    lab, allowed, pixels, directions, widths, distances, gate_along, gate_across, floor, min_candidates
-):
+def _sample(
+    lab: Float32,
+    allowed: Bool,
+    pixels: Float32,
+    directions: Float32,
+    widths: Float32,
+    distances: Float32,
+    gate_along: float,
+    gate_across: float,
+    floor: float,
+    min_candidates: int,
+) -> tuple[Float32, Bool]:
     height, width = allowed.shape
     count, reach = pixels.shape[0], distances.shape[0]
     colors = np.zeros((count, 2, 3), np.float32)

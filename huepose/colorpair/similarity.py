@@ -45,12 +45,12 @@ def similarity(a: Float32, b: Float32, config: SimilarityConfig | None = None) -
     1 for equal pairs; symmetric; the same when the two colours of a pair change places.
     """
     x, y = shapes(a, config), shapes(b, config)
-    return _all(x, y, *_parameters(config))
+    return _all(x, y, *parameters(config))
 
 
 def paired_similarity(a: Float32, b: Float32, config: SimilarityConfig | None = None) -> Float32:
     """Similarities (N,) float32 of `a` (N, 2, 3) with `b` (N, 2, 3), row by row."""
-    return _paired(shapes(a, config), shapes(b, config), *_parameters(config))
+    return _paired(shapes(a, config), shapes(b, config), *parameters(config))
 
 
 def shapes(pairs: Float32, config: SimilarityConfig | None = None) -> Float32:
@@ -70,14 +70,15 @@ def shapes(pairs: Float32, config: SimilarityConfig | None = None) -> Float32:
     return np.concatenate([sides, contrast, ratio[:, None]], 1).astype(np.float32)
 
 
-def _parameters(config: SimilarityConfig | None) -> tuple[np.float32, np.float32, np.float32]:
+def parameters(config: SimilarityConfig | None = None) -> tuple[float, float, float]:
+    """Factors of the three terms as compiled loops take them."""
     c = config or SimilarityConfig()
-    return np.float32(c.direction), np.float32(c.contrast), np.float32(0.5 / c.luminance**2)
+    return c.direction, c.contrast, 0.5 / c.luminance**2
 
 
 @jit
-def score(x, y, direction, contrast, luminance):  # type: ignore[no-untyped-def]
-    """Similarity of two shapes (11,), for use in compiled loops; parameters as `_parameters` gives them."""
+def score(x: Float32, y: Float32, direction: float, contrast: float, luminance: float) -> float:
+    """Similarity of two shapes (11,), for use in compiled loops; parameters as `parameters` gives them."""
     d00 = x[0] * y[0] + x[1] * y[1] + x[2] * y[2]
     d11 = x[3] * y[3] + x[4] * y[4] + x[5] * y[5]
     d01 = x[0] * y[3] + x[1] * y[4] + x[2] * y[5]
@@ -88,11 +89,11 @@ def score(x, y, direction, contrast, luminance):  # type: ignore[no-untyped-def]
     swapped = x[10] + y[10]
     straight = direction * (2 - d00 - d11) + contrast * (1 - chroma - floor) + luminance * same * same
     crossed = direction * (2 - d01 - d10) + contrast * (1 + chroma - floor) + luminance * swapped * swapped
-    return np.exp(-max(min(straight, crossed), np.float32(0.0)))
+    return float(np.exp(-max(min(straight, crossed), 0.0)))
 
 
 @jit
-def _all(x, y, direction, contrast, luminance):  # type: ignore[no-untyped-def]
+def _all(x: Float32, y: Float32, direction: float, contrast: float, luminance: float) -> Float32:
     out = np.empty((x.shape[0], y.shape[0]), np.float32)
     for i in range(x.shape[0]):
         for j in range(y.shape[0]):
@@ -101,7 +102,7 @@ def _all(x, y, direction, contrast, luminance):  # type: ignore[no-untyped-def]
 
 
 @jit
-def _paired(x, y, direction, contrast, luminance):  # type: ignore[no-untyped-def]
+def _paired(x: Float32, y: Float32, direction: float, contrast: float, luminance: float) -> Float32:
     out = np.empty(x.shape[0], np.float32)
     for i in range(x.shape[0]):
         out[i] = score(x[i], y[i], direction, contrast, luminance)

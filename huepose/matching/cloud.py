@@ -90,7 +90,7 @@ def sparse(cloud: ClassifiedCloud, spacing_m: float) -> Int:
 
 
 @jit
-def _thin(points, normals, classes, spacing):  # type: ignore[no-untyped-def]
+def _thin(points: Float32, normals: Float32, classes: UInt8, spacing: float) -> Bool:
     n = points.shape[0]
     low = np.empty(3)
     size = np.empty(3, np.int64)

@@ -13,12 +13,13 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from huepose.colorpair.extract import ExtractionConfig, extract
+from huepose.colorpair.lifting import lift
 from huepose.colorpair.similarity import paired_similarity
+from huepose.colorpair.types import SurfacePairs
 from huepose.geometry import icosphere, se3
 from huepose.geometry.arrays import Float32, Float64, Int32, UInt8
 from huepose.geometry.camera import Camera
 from huepose.matching.cloud import color_classes, decoupled, nearest_class, sparse
-from huepose.matching.lifting import SurfacePairs, lift
 from huepose.matching.ppf import PpfConfig, build_ppf
 from huepose.matching.triangles import TriangleConfig, build_triangles
 from huepose.model.types import PairReference
@@ -47,9 +48,10 @@ class ReferenceConfig:
     points from the edge, in diameters; cloud_spacing: of points of one class, in diameters."""
 
     level: int = 1
-    pixels_per_mm: float = 1.2
-    min_pixels: float = 140.0
-    max_pixels: float = 340.0
+    pixels_per_mm: float = 0.6
+    min_pixels: float = 80.0
+    max_pixels: float = 170.0
+    min_facing: float = 0.35
     max_pairs: int = 12_000
     merge: float = 0.012
     classes: int = 8
@@ -69,13 +71,18 @@ def reference_cameras(
     For an object with its centre elsewhere, compose with the translation that centres it.
     """
     config = config or ReferenceConfig()
-    pixels = float(np.clip(diameter_m * 1000 * config.pixels_per_mm, config.min_pixels, config.max_pixels))
+    pixels = reference_pixels(diameter_m, config)
     distance = 4.0 * diameter_m
     side = int(np.ceil(pixels * 1.1)) + 8
     focal = pixels * distance / diameter_m
     camera = Camera(focal, focal, (side - 1) / 2, (side - 1) / 2, side, side)
     t = np.array([0.0, 0.0, distance])
     return [(camera, se3.make(icosphere.look_at(d), t)) for d in icosphere.directions(config.level)]
+
+
+def reference_pixels(diameter_m: float, config: ReferenceConfig) -> float:
+    """Pixels that the diameter spans in the reference views; pictures are brought to this scale too."""
+    return float(np.clip(diameter_m * 1000 * config.pixels_per_mm, config.min_pixels, config.max_pixels))
 
 
 def build_pair_reference(
@@ -126,6 +133,7 @@ def build_pair_reference(
         ppf=ppf,
         ppf_alpha=ppf_alpha,
         parameters={
+            "pixels_per_m": reference_pixels(diameter_m, config) / diameter_m,
             "side_offset_m": offset,
             "triangle_bin_m": config.triangles.bin * diameter_m,
             "ppf_bin_m": (config.ppf or PpfConfig()).bin * diameter_m,
@@ -138,25 +146,14 @@ def _all_pairs(views: Sequence[PairView], config: ReferenceConfig) -> tuple[Surf
     """Pairs of all views in the object's frame, and the view that each came from."""
     parts, owners = [], []
     for index, view in enumerate(views):
-        R = view.T_cam_obj[:3, :3].astype(np.float32)
         seen = view.depth > 0
         pairs = extract(view.color, seen, config.extraction)
-        points_cam = np.where(seen[..., None], view.points_obj @ R.T + view.T_cam_obj[:3, 3], 0.0)
         lifted, _ = lift(
-            pairs, points_cam.astype(np.float32), view.normals_obj @ R.T, view.camera, min_facing=0.35
+            pairs, view.depth, seen, view.camera, radius_px=2, gate_m=0.02, min_facing=config.min_facing
         )
-        points = (lifted.points - view.T_cam_obj[:3, 3].astype(np.float32)) @ R
-        parts.append(
-            SurfacePairs(points, lifted.normals @ R, lifted.tangents @ R, lifted.colors, lifted.widths)
-        )
+        parts.append(lifted.transformed(se3.inverse(view.T_cam_obj)))
         owners.append(np.full(len(lifted), index, np.int32))
-    joined = SurfacePairs(
-        *(
-            np.concatenate([getattr(p, name) for p in parts]).astype(np.float32)
-            for name in ("points", "normals", "tangents", "colors", "widths")
-        )
-    )
-    return joined, np.concatenate(owners)
+    return SurfacePairs.joined(parts), np.concatenate(owners)
 
 
 def merged(
@@ -168,7 +165,7 @@ def merged(
     if not len(pairs):
         return pairs, owners, np.zeros(0, np.int32)
     contrast = np.linalg.norm(pairs.colors[:, 1] - pairs.colors[:, 0], axis=1)
-    order = np.argsort(-contrast / np.maximum(pairs.widths, 1.0), kind="stable")
+    order = np.argsort(-contrast, kind="stable")
     pairs, owners = pairs[order], owners[order]
     leader = _leaders(pairs.points, pairs.normals, pairs.tangents, pairs.colors, radius_m)
     swapped = (pairs.tangents * pairs.tangents[leader]).sum(1) < 0
@@ -186,14 +183,14 @@ def merged(
     mean = (total[heads] / weight[heads][:, None, None]).astype(np.float32)
     chosen = pairs[heads]
     return (
-        SurfacePairs(chosen.points, chosen.normals, chosen.tangents, mean, chosen.widths),
+        SurfacePairs(chosen.points, chosen.normals, chosen.tangents, mean),
         owners[heads],
         seen[heads],
     )
 
 
 @jit
-def _leaders(points, normals, tangents, colors, radius):  # type: ignore[no-untyped-def]
+def _leaders(points: Float32, normals: Float32, tangents: Float32, colors: Float32, radius: float) -> Int32:
     """Index of the first pair near each: within the radius, facing alike, across alike, coloured alike."""
     n = points.shape[0]
     low = np.empty(3)

@@ -14,7 +14,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from huepose.geometry.arrays import Float32, Float64, Int32, Int64
+from huepose.geometry.arrays import Float, Float32, Float64, Int, Int32, Int64, UInt8
 from huepose.matching.cloud import ClassifiedCloud, sparse
 from huepose.matching.types import Votes
 from huepose.support.jit import jit
@@ -49,7 +49,7 @@ def build_ppf(
     """
     rng = np.random.default_rng(seed)
     spacing = 0.03
-    chosen = np.arange(len(cloud))
+    chosen: Int = np.arange(len(cloud))
     while len(chosen) > config.points:
         chosen = sparse(cloud, spacing * diameter_m)
         spacing *= 1.2
@@ -63,12 +63,12 @@ def build_ppf(
     rows = np.flatnonzero(usable)
     if len(rows) > config.rows:
         rows = np.sort(rng.choice(rows, config.rows, replace=False))
-    i, j = i[rows].astype(np.int32), j[rows].astype(np.int32)
+    first, second = i[rows].astype(np.int32), j[rows].astype(np.int32)
     keys, alpha = _features(
-        cloud.points, cloud.normals, cloud.classes, i, j, config.bin * diameter_m, config.angles
+        cloud.points, cloud.normals, cloud.classes, first, second, config.bin * diameter_m, config.angles
     )
     order = np.argsort(keys, kind="stable")
-    return keys[order], np.stack([i, j], 1)[order], alpha[order]
+    return keys[order], np.stack([first, second], 1)[order].astype(np.int32), alpha[order]
 
 
 def ppf_votes(
@@ -118,7 +118,7 @@ def frame_of(normal: Float64) -> Float64:
 
 
 @jit
-def _frame(x, y, z, R):  # type: ignore[no-untyped-def]
+def _frame(x: float, y: float, z: float, R: Float64) -> None:
     if x < -0.999999:
         R[:] = 0.0
         R[0, 0], R[1, 1], R[2, 2] = -1.0, -1.0, 1.0
@@ -130,13 +130,15 @@ def _frame(x, y, z, R):  # type: ignore[no-untyped-def]
 
 
 @jit
-def _angle(a, b):  # type: ignore[no-untyped-def]
+def _angle(a: Float, b: Float) -> float:
     c = a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
-    return np.arccos(min(max(c, -1.0), 1.0))
+    return float(np.arccos(min(max(c, -1.0), 1.0)))
 
 
 @jit
-def _feature(points, normals, i, j, R, d, out):  # type: ignore[no-untyped-def]
+def _feature(
+    points: Float32, normals: Float32, i: int, j: int, R: Float64, d: Float64, out: Float64
+) -> float:
     """Distance and three angles of a pair into `out` (4,); returns alpha. R (3, 3), d (3,) are scratch."""
     for a in range(3):
         d[a] = points[j, a] - points[i, a]
@@ -150,11 +152,19 @@ def _feature(points, normals, i, j, R, d, out):  # type: ignore[no-untyped-def]
     out[1] = _angle(normals[i], d)
     out[2] = _angle(normals[j], d)
     out[3] = _angle(normals[i], normals[j])
-    return np.arctan2(z, y)
+    return float(np.arctan2(z, y))
 
 
 @jit
-def _features(points, normals, classes, first, second, bin_m, angles):  # type: ignore[no-untyped-def]
+def _features(
+    points: Float32,
+    normals: Float32,
+    classes: UInt8,
+    first: Int32,
+    second: Int32,
+    bin_m: float,
+    angles: int,
+) -> tuple[Int64, Float32]:
     keys = np.empty(first.shape[0], np.int64)
     alpha = np.empty(first.shape[0], np.float32)
     R = np.empty((3, 3))
@@ -172,24 +182,24 @@ def _features(points, normals, classes, first, second, bin_m, angles):  # type: 
 
 
 @jit
-def _vote(  # type: ignore[no-untyped-def]
-    points,
-    normals,
-    classes,
-    weights,
-    references,
-    partners,
-    model_points,
-    model_normals,
-    keys,
-    pairs,
-    alpha,
-    bin_m,
-    angles,
-    min_distance,
-    max_distance,
-    peaks,
-):
+def _vote(
+    points: Float32,
+    normals: Float32,
+    classes: UInt8,
+    weights: Float32,
+    references: Int32,
+    partners: Int32,
+    model_points: Float32,
+    model_normals: Float32,
+    keys: Int64,
+    pairs: Int32,
+    alpha: Float32,
+    bin_m: float,
+    angles: int,
+    min_distance: float,
+    max_distance: float,
+    peaks: float,
+) -> tuple[Float32, Float32, Float32, Int32]:
     turns = 24
     votes = np.zeros((model_points.shape[0], turns), np.float32)
     touched = np.empty(1 << 18, np.int32)

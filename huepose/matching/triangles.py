@@ -15,7 +15,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from huepose.geometry.arrays import Int32, Int64
+from huepose.geometry.arrays import Float32, Float64, Int32, Int64, UInt8
 from huepose.matching.cloud import ClassifiedCloud
 from huepose.matching.types import Votes
 from huepose.support.jit import jit
@@ -131,7 +131,7 @@ def triangle_votes(
 
 
 @jit
-def _fit(p, q, R, t):  # type: ignore[no-untyped-def]
+def _fit(p: Float64, q: Float64, R: Float64, t: Float64) -> None:
     """Kabsch's rotation and translation from triangle p (3, 3 by rows) to q, in closed form: both are planar,
     so the best rotation lays plane on plane and turns within it."""
     pc = np.zeros(3)
@@ -177,23 +177,23 @@ def _fit(p, q, R, t):  # type: ignore[no-untyped-def]
 
 
 @jit
-def _look_up(  # type: ignore[no-untyped-def]
-    points,
-    normals,
-    classes,
-    weights,
-    triples,
-    model_points,
-    model_normals,
-    keys,
-    triangles,
-    bin_m,
-    min_height,
-    limit,
-    per_key,
-    tolerance,
-    facing,
-):
+def _look_up(
+    points: Float32,
+    normals: Float32,
+    classes: UInt8,
+    weights: Float32,
+    triples: Int32,
+    model_points: Float32,
+    model_normals: Float32,
+    keys: Int64,
+    triangles: Int32,
+    bin_m: float,
+    min_height: float,
+    limit: int,
+    per_key: int,
+    tolerance: float,
+    facing: float,
+) -> tuple[Float32, Float32, Float32, Int32]:
     room = 1 << 16
     out_R = np.empty((room, 3, 3), np.float32)
     out_t = np.empty((room, 3), np.float32)

@@ -1,0 +1,144 @@
+"""Under which light would the scene's colour pairs be pairs of the model?
+
+Without a pose nobody knows which scene pair is which model pair, but the whole set of scene pairs must look
+like some of the model's. So the gains of the light (see `colorpair.light`) are searched on a coarse grid
+and refined by iterated matching, for the largest share of scene pairs that have a like model pair. More
+than one light can explain a set: the best few different ones are returned, and poses found under them are
+judged later.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from huepose.colorpair.light import cube_roots
+from huepose.geometry.arrays import Float32, Float64
+from huepose.support.jit import jit
+
+
+@dataclass(frozen=True)
+class LightConfig:
+    """exposures, reds, blues: the grid, as gains of all, of X and of Z; scene_pairs, model_pairs: most that
+    are compared; sigma: distance of alike pairs, CIELAB units, L weighted by `lightness`; starts: refined;
+    rounds: of refinement; prior: pull towards the start, per pair; distinct: difference of two lights in any
+    log gain; lights: returned."""
+
+    exposures: tuple[float, ...] = (0.6, 0.7, 0.82, 0.95, 1.1, 1.28, 1.5)
+    reds: tuple[float, ...] = (0.97, 1.03)
+    blues: tuple[float, ...] = (0.88, 1.0, 1.12)
+    scene_pairs: int = 120
+    model_pairs: int = 200
+    sigma: float = 8.0
+    lightness: float = 0.6
+    starts: int = 6
+    rounds: int = 6
+    prior: float = 0.02
+    distinct: float = 0.12
+    lights: int = 2
+
+
+def lights_of(
+    scene: Float32, model: Float32, rng: np.random.Generator, config: LightConfig | None = None
+) -> list[tuple[Float64, float]]:
+    """Lights as gains (3,) on the cube roots of XYZ, from model to scene, and the share of pairs explained
+    (0..1).
+
+    scene (N, 2, 3), model (M, 2, 3) CIELAB. Best first; no light change when either is empty.
+    """
+    config = config or LightConfig()
+    if not len(scene) or not len(model):
+        return [(np.ones(3), 0.0)]
+    s = cube_roots(scene[_some(len(scene), config.scene_pairs, rng)])
+    m = _coordinates(cube_roots(model[_some(len(model), config.model_pairs, rng)]), config.lightness)
+    grid = [np.array([e * r, e, e * b]) for e in config.exposures for r in config.reds for b in config.blues]
+    coarse = [_fit(s, m, g, config.sigma, config.lightness, 0, 0.0)[0] for g in grid]
+    fine = []
+    for k in np.argsort(coarse)[::-1][: config.starts]:
+        share, gain = _fit(s, m, grid[k], config.sigma, config.lightness, config.rounds, config.prior)
+        fine.append((gain, float(share)))
+    fine.sort(key=lambda light: -light[1])
+    kept: list[tuple[Float64, float]] = []
+    for gain, share in fine:
+        if all(np.abs(np.log(gain / other)).max() > config.distinct for other, _ in kept):
+            kept.append((gain, share))
+    return kept[: config.lights]
+
+
+def _some(count: int, limit: int, rng: np.random.Generator) -> np.ndarray:
+    return rng.permutation(count)[:limit]
+
+
+def _coordinates(roots: Float64, lightness: float) -> Float64:
+    """Pairs (M, 6) in weighted CIELAB axes without the offset of L: what `_fit` compares."""
+    x, y, z = roots[..., 0], roots[..., 1], roots[..., 2]
+    out = np.stack([116.0 * lightness * y, 500.0 * (x - y), 200.0 * (y - z)], -1)
+    return np.ascontiguousarray(out.reshape(-1, 6))
+
+
+@jit
+def _fit(
+    scene: Float64,
+    model: Float64,
+    start: Float64,
+    sigma: float,
+    lightness: float,
+    rounds: int,
+    prior: float,
+) -> tuple[float, Float64]:
+    """Share of scene pairs (N, 2, 3 cube roots) that a light explains, and the light after some rounds."""
+    gain = start.copy()
+    x = np.empty(6)
+    share = 0.0
+    for turn in range(rounds + 1):
+        num = np.zeros(3)
+        den = np.zeros(3)
+        share = 0.0
+        for i in range(scene.shape[0]):
+            for side in range(2):
+                fx, fy, fz = (
+                    scene[i, side, 0] / gain[0],
+                    scene[i, side, 1] / gain[1],
+                    scene[i, side, 2] / gain[2],
+                )
+                x[3 * side] = 116.0 * lightness * fy
+                x[3 * side + 1] = 500.0 * (fx - fy)
+                x[3 * side + 2] = 200.0 * (fy - fz)
+            best = np.inf
+            at = 0
+            swapped = 0
+            for j in range(model.shape[0]):
+                straight = 0.0
+                crossed = 0.0
+                for c in range(6):
+                    e = x[c] - model[j, c]
+                    straight += e * e
+                    e = x[c] - model[j, (c + 3) % 6]
+                    crossed += e * e
+                if straight < best:
+                    best = straight
+                    at = j
+                    swapped = 0
+                if crossed < best:
+                    best = crossed
+                    at = j
+                    swapped = 1
+            k = np.exp(-0.5 * best / (sigma * sigma))
+            share += k / scene.shape[0]
+            for side in range(2):
+                o = 3 * (side ^ swapped)
+                fy = model[at, o] / (116.0 * lightness)
+                fx = fy + model[at, o + 1] / 500.0
+                fz = fy - model[at, o + 2] / 200.0
+                num[0] += k * scene[i, side, 0] * fx
+                den[0] += k * fx * fx
+                num[1] += k * scene[i, side, 1] * fy
+                den[1] += k * fy * fy
+                num[2] += k * scene[i, side, 2] * fz
+                den[2] += k * fz * fz
+        if turn < rounds:
+            pull = prior * scene.shape[0]
+            for c in range(3):
+                gain[c] = (num[c] + pull * start[c]) / (den[c] + pull)
+    return share, gain

@@ -17,9 +17,10 @@ import numpy as np
 
 from huepose.estimation.config import EstimatorConfig
 from huepose.estimation.full_path import estimate_full, judge, prepare_regions, refine_prior
-from huepose.estimation.outline import projected_box, visible_mask
+from huepose.estimation.outline import projected_box
 from huepose.estimation.prepared import PreparedModels
 from huepose.estimation.quality import MAX_MARGIN, covariance, quality
+from huepose.estimation.settle import settle
 from huepose.estimation.types import ObjectQuery, PoseEstimate
 from huepose.geometry import se3
 from huepose.geometry.arrays import Bool, Float64
@@ -29,7 +30,6 @@ from huepose.geometry.frame import RgbdFrame
 from huepose.model.types import ReferenceModel
 from huepose.perception.embedded import DepthSegmenter
 from huepose.perception.types import Segmenter
-from huepose.registration.surface_icp import align
 from huepose.support.errors import InputError
 from huepose.support.stages import stage
 from huepose.verification.region import Region
@@ -188,10 +188,8 @@ class Estimator:
                 query.box, prior_score, prior, (), 0.0,
             )  # fmt: skip
         T = se3.orthonormalised(poses[0])
-        region = max(explanation.regions, key=lambda r: float(judge(model, [r], T[None])[0]))
-        fit = align(model.surface, model.grid, region.points_cam, T, 0.012, 0.012, 0)
+        T, fit, mask = settle(model, frame, list(explanation.regions), T)
         q = quality(score, margin)
-        mask = visible_mask(model, frame, T, 1.5 * region.tolerance_m)
         return PoseEstimate(
             query.object,
             query.instance,

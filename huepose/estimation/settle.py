@@ -1,0 +1,46 @@
+"""The last step: the winning pose settles on the depth of the pixels that show the object.
+
+The search on the score leaves a pose a millimetre from the best fit of the surface, because print pulls it
+along; where depth fixes a direction, depth is the better judge.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from huepose.estimation.full_path import judge
+from huepose.estimation.outline import visible_mask
+from huepose.geometry.arrays import Bool, Float64
+from huepose.geometry.frame import RgbdFrame
+from huepose.model.types import ReferenceModel
+from huepose.registration.surface_icp import Alignment, align
+from huepose.verification.region import Region
+
+GATE_M = 0.008
+ITERATIONS = 8
+POINTS = 1000
+WORTH = 0.1
+"""A settled pose may lose this much of the score; one that loses more has slid off the print."""
+
+
+def settle(
+    model: ReferenceModel, frame: RgbdFrame, regions: list[Region], T_cam_obj: Float64
+) -> tuple[Float64, Alignment, Bool]:
+    """The pose (4, 4) after a last robust fit to the depth of its own visible pixels, how that fit went, and
+    the mask (H, W) of these pixels. The pose comes back unchanged when the print objects."""
+    tolerance = max(region.tolerance_m for region in regions) * 1.5
+    mask = visible_mask(model, frame, T_cam_obj, tolerance)
+    points = _points(frame, mask)
+    fit = align(model.surface, model.grid, points, T_cam_obj, GATE_M, GATE_M, ITERATIONS)
+    before, after = judge(model, regions, np.stack([T_cam_obj, fit.T_cam_obj]))
+    if after < before - WORTH:
+        return T_cam_obj, align(model.surface, model.grid, points, T_cam_obj, GATE_M, GATE_M, 0), mask
+    return fit.T_cam_obj, fit, visible_mask(model, frame, fit.T_cam_obj, tolerance)
+
+
+def _points(frame: RgbdFrame, mask: Bool) -> Float64:
+    """At most POINTS evenly strided points (N, 3), camera axes, of mask pixels that have depth."""
+    rows, columns = np.nonzero(mask & (frame.depth > 0))
+    stride = max(1, -(-len(rows) // POINTS))
+    rows, columns = rows[::stride], columns[::stride]
+    return frame.camera.backproject(np.stack([columns, rows], -1), frame.depth[rows, columns])

@@ -7,22 +7,17 @@ never meets models of an old one.
 from __future__ import annotations
 
 import hashlib
-import os
 from functools import cache
 from importlib.util import find_spec
 from pathlib import Path
 
 from huepose.datasets.shapes import demo_objects
+from huepose.datasets.synthetic_store import cache_folder
 from huepose.geometry.mesh import Mesh
 from huepose.model.io import model_path, save_model
 from huepose.support.progress import progress
 
 _MAKERS = ("colorpair", "geometry", "matching", "model", "onboarding", "rendering")
-
-
-def cache_folder() -> Path:
-    """Where things are kept that can be made again: $XDG_CACHE_HOME/huepose, else ~/.cache/huepose."""
-    return Path(os.environ.get("XDG_CACHE_HOME") or "~/.cache").expanduser() / "huepose"
 
 
 @cache

@@ -73,12 +73,22 @@ class TrackerWork:
             self._bus.refuse(self._bus.keys.frame, error)
             return
         for pose in self._tracker.step(frame):
-            self._bus.put(self._bus.keys.pose(pose.object, pose.instance), pose_to_wire(pose, header))
-            health.count(f"poses_{pose.state.value.lower()}")
+            self._publish(pose, header)
         health.camera_epoch, health.frame_id = header.camera_epoch, header.frame_id
         health.counters["frames_skipped"] = self._frames.skipped
         health.count("frames")
         health.worked(started, header.capture_ns)
+
+    def _publish(self, pose: TrackedPose, header: FrameHeader) -> None:
+        try:
+            message = pose_to_wire(pose, header)
+        except ValueError as error:
+            # Not a number, not a rotation: nobody must see it, and the other objects go on.
+            self._bus.health.count("poses_refused")
+            self._bus.log.seldom("refused pose", f"pose of {pose.object}/{pose.instance}: {error}")
+            return
+        self._bus.put(self._bus.keys.pose(pose.object, pose.instance), message)
+        self._bus.health.count(f"poses_{pose.state.value.lower()}")
 
 
 def correction_from_wire(message: CorrectionMessage) -> Correction:

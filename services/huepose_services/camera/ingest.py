@@ -4,8 +4,9 @@ Deadlines are absolute: a late frame does not move the ones after it. A stamp is
 was due, so the intervals between stamps are exactly the source's. Falling behind by more than a tenth of a
 second moves the schedule instead of publishing a burst.
 
-A recording that is played once starts when the other workers are there, stands on its first frame for
-`first_frame_s` so that objects can be acquired in it, and ends when its last frame has been read.
+It starts when the other workers are there, or after a while without them. A recording that is played once
+stands on its first frame for `first_frame_s`, so that objects can be acquired in it, and ends when its last
+frame has been read.
 """
 
 from __future__ import annotations
@@ -38,7 +39,7 @@ from huepose_services.runtime.clock import SECOND, now_ns, this_clock
 from huepose_services.runtime.config import CameraConfig, Config
 
 _BEHIND_NS = SECOND // 10
-_WAIT_FOR_WORKERS_NS = 120 * SECOND
+_WAIT_TO_PLAY_ONCE_NS, _WAIT_TO_LOOP_NS = 120 * SECOND, 20 * SECOND
 _WAIT_FOR_READERS_NS = int(2.5 * SECOND)
 _LONGEST_GAP_NS = 10 * SECOND
 
@@ -116,7 +117,7 @@ class Ingest:
         self._made_ns = now_ns()
         self._ended_ns: int | None = None
         others = {str(worker) for worker in config.workers if worker != "camera"}
-        self._missing: set[str] = others if self._camera.once else set()
+        self._missing = others
         self._live = bus.inbox.liveliness(config.keys.live()) if self._missing else None
         reader = "tracker" if "tracker" in others else None
         self._reader = bus.inbox.queue(config.keys.health(reader)) if reader and self._camera.once else None
@@ -148,8 +149,10 @@ class Ingest:
             self._schedule.postpone(now - due)
             due = now
         self._publish(self._schedule.frame_id(self._index), due)
-        if self._index == 0 and self._camera.once:
-            self._schedule.postpone(int(self._camera.first_frame_s * SECOND))
+        if self._index == 0:
+            # The first frame takes long: zenoh makes the pool of shared memory for it.
+            stand_ns = int(self._camera.first_frame_s * SECOND) if self._camera.once else 0
+            self._schedule.postpone(now_ns() - due + stand_ns)
         self._index += 1
         image = self._schedule.image(self._index)
         if image is None:
@@ -213,7 +216,8 @@ class Ingest:
     def _others_are_there(self, now: int) -> bool:
         while self._live is not None and (sample := self._live.take()) is not None:
             self._missing.discard(last(str(sample.key_expr)))
-        if self._missing and now - self._made_ns > _WAIT_FOR_WORKERS_NS:
+        patience_ns = _WAIT_TO_PLAY_ONCE_NS if self._camera.once else _WAIT_TO_LOOP_NS
+        if self._missing and now - self._made_ns > patience_ns:
             self._bus.log.say(f"playing without {', '.join(sorted(self._missing))}")
             self._missing = set()
         return not self._missing

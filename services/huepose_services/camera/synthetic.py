@@ -1,1 +1,38 @@
-"""The built-in scene as a camera."""
+"""The built-in scene as a camera: its loop, played for ever."""
+
+from __future__ import annotations
+
+from huepose.datasets.synthetic import SyntheticScene
+from huepose.datasets.types import GroundTruth, Sample, Scene
+from huepose.geometry import RgbdFrame
+from huepose_services.runtime.config import Config
+
+
+def open_source(config: Config) -> Scene:
+    """The scene of `camera.seed`, computed first where it is not in the cache folder."""
+    return Synthetic(SyntheticScene(config.camera.seed))
+
+
+class Synthetic:
+    """The loop as the readers of recordings give theirs."""
+
+    def __init__(self, scene: SyntheticScene) -> None:
+        self._scene = scene
+        self.name = f"synthetic-{scene.seed}"
+        self.image_ids = tuple(range(len(scene)))
+
+    def stamp_ns(self, image: int) -> int:
+        """When it was captured, from the start of the loop."""
+        return self._scene.frame(image).stamp_ns
+
+    def frame(self, image: int) -> RgbdFrame:
+        """Colour and depth."""
+        return self._scene.frame(image)
+
+    def truths(self, image: int) -> tuple[GroundTruth, ...]:
+        """Where everything is."""
+        return tuple(self._scene.truth(image))
+
+    def sample(self, image: int) -> Sample:
+        """Frame and truth."""
+        return self._scene.sample(image)

@@ -14,6 +14,7 @@ from typing import Any, TextIO
 
 import yaml
 
+from huepose.datasets.synthetic import SyntheticScene
 from huepose.model import load_models
 from huepose.support.errors import InputError
 from huepose_protos.client import Reader
@@ -40,7 +41,7 @@ def run_demo(seconds: float, seed: int, live: bool, stopping: Callable[[], bool]
 
     Raises InputError when the pipeline cannot start, DemoError when it breaks."""
     bundles = builtin_bundles(seed)
-    _prepare_scene(seed)
+    SyntheticScene(seed)  # computed here, with progress, where it is not in the cache folder
     folder = Path(tempfile.mkdtemp(prefix="huepose-demo-"))
     path = folder / "pipeline.yaml"
     path.write_text(yaml.safe_dump(_pipeline(seed)))
@@ -62,12 +63,6 @@ def run_demo(seconds: float, seed: int, live: bool, stopping: Callable[[], bool]
     shutil.rmtree(folder)
     summary = score.summary(score.last_ns - _LEFT_OUT_NS)
     return {"summary": summary, "workers": {name: _brief(message) for name, message in health.items()}}
-
-
-def _prepare_scene(seed: int) -> None:
-    from huepose_services.camera.synthetic import open_scene
-
-    open_scene(seed)
 
 
 def _pipeline(seed: int) -> dict[str, Any]:

@@ -14,9 +14,11 @@ from huepose_services.runtime.config import Config
 def prepare(config: Config) -> None:
     """Check it all, and make what the built-in scene needs at its first use. Raises InputError."""
     check(config)
-    if config.bundles is None:
-        builtin_bundles(config.camera.seed)
     check_ports(config)
+    if config.bundles is None and set(config.workers) != {"camera"}:
+        builtin_bundles(config.camera.seed)
+    if config.camera.source == "synthetic" and "camera" in config.workers:
+        import_module("huepose_services.camera.synthetic").open_source(config)
 
 
 def check(config: Config) -> None:

@@ -33,6 +33,9 @@ _HOMES = {
     "segmenter": "huepose_services.segmenter",
     "estimator": "huepose_services.estimator",
 }
+# Frames and tracking come first where the cores do not suffice for all.
+_NICENESS = {"camera": 0, "tracker": 0, "reinit": 2}
+_NICENESS_OF_OTHERS = 5
 _LONGEST_WAIT_S = 0.1
 _FORCED_STOP_AFTER_S = 1.0
 _ERRORS_IN_A_ROW = 10
@@ -79,6 +82,7 @@ def run_worker(worker: str, config: Config) -> int:
 
     Raises InputError for what the configuration names and is not there, or a port that is taken."""
     stop = _Stop()
+    os.nice(_NICENESS.get(worker, _NICENESS_OF_OTHERS))
     log, health = Log(worker), Health(worker)
     session, health.warnings = open_worker_session(config, worker)
     for warning in health.warnings:

@@ -29,13 +29,11 @@ from huepose.support.jit import jit
 
 @dataclass(frozen=True, eq=False)
 class PairView:
-    """One rendered view: color (H, W, 3) uint8 RGB; depth (H, W) float32 metres, 0 = nothing; points_obj,
-    normals_obj (H, W, 3) float32 in the object's frame; T_cam_obj (4, 4)."""
+    """One rendered view: color (H, W, 3) uint8 RGB; depth (H, W) float32 metres, 0 = nothing; T_cam_obj (4,
+    4)."""
 
     color: UInt8
     depth: Float32
-    points_obj: Float32
-    normals_obj: Float32
     camera: Camera
     T_cam_obj: Float64
 

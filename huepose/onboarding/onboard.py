@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from huepose.geometry import se3
-from huepose.geometry.arrays import Float32, Float64
+from huepose.geometry.arrays import Float64
 from huepose.geometry.mesh import Mesh
 from huepose.geometry.symmetry import sampled
 from huepose.matching.pair_reference import PairView, build_pair_reference, reference_cameras
@@ -134,7 +134,6 @@ def _pair_reference(mesh: Mesh, diameter_m: float) -> PairReference:
     views = []
     for camera, T_cam_centred in reference_cameras(diameter_m):
         T_cam_obj = T_cam_centred @ centring
-        r = render([(mesh, T_cam_obj)], camera, normals=True, points=True)
-        normals: Float32 = (r.normals_cam @ T_cam_obj[:3, :3]).astype(np.float32)
-        views.append(PairView(r.color, r.depth, r.points_obj, normals, camera, T_cam_obj))
+        r = render([(mesh, T_cam_obj)], camera)
+        views.append(PairView(r.color, r.depth, camera, T_cam_obj))
     return build_pair_reference(views, diameter_m)

@@ -1,0 +1,101 @@
+"""`huepose eval`: accuracy on labelled data, as numbers, tables and pictures."""
+
+from __future__ import annotations
+
+import argparse
+from importlib import import_module
+from pathlib import Path
+from typing import Any
+
+
+def add_parser(subparsers: Any) -> None:
+    """Add the verb and its sub-verbs."""
+    parser = subparsers.add_parser("eval", help="measure accuracy on labelled data")
+    verbs = parser.add_subparsers(dest="eval_verb", required=True, metavar="WHAT")
+    _add_estimate(verbs)
+    _add_poses(verbs)
+    parser.set_defaults(call=call)
+
+
+def call(arguments: argparse.Namespace) -> int:
+    """Run a sub-verb: each is a module of its own, imported now."""
+    module = import_module(f"huepose_services.cli.evaluate_{arguments.eval_verb}")
+    code: int = module.call(arguments)
+    return code
+
+
+def _common(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument(
+        "--bundles", type=Path, required=True, metavar="DIR", help="folder of reference models"
+    )
+    parser.add_argument("--json", type=Path, required=True, metavar="FILE", help="result file")
+
+
+def _seeds(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument(
+        "--seed",
+        type=int,
+        nargs="+",
+        default=[0],
+        metavar="N",
+        help="of the perturbed boxes; results average",
+    )
+
+
+def _objects(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument(
+        "--objects", nargs="+", default=None, metavar="ID", help="only these BOP ids or names (default: all)"
+    )
+
+
+def _add_estimate(verbs: Any) -> None:
+    parser = verbs.add_parser(
+        "estimate",
+        help="single frames",
+        description="Single-frame accuracy; one row for each labelled instance of an onboarded object.",
+    )
+    parser.add_argument("--bop", type=Path, nargs="+", required=True, metavar="SCENE_DIR")
+    _common(parser)
+    parser.add_argument("--method", choices=("full", "colorpair"), default="full")
+    parser.add_argument("--boxes", choices=("perturbed", "paper", "gt", "detect"), default="perturbed")
+    parser.add_argument("--masks", choices=("auto", "gt"), default="auto", help="gt: the true visible mask")
+    _objects(parser)
+    parser.add_argument(
+        "--min-visib",
+        type=float,
+        default=0.0,
+        metavar="F",
+        help="leave out labels less visible than this (0)",
+    )
+    parser.add_argument(
+        "--equivalent",
+        type=Path,
+        default=None,
+        metavar="FILE",
+        help="poses that count as the labelled one does",
+    )
+    _seeds(parser)
+    parser.add_argument(
+        "--threads",
+        type=int,
+        default=2,
+        metavar="N",
+        help="objects estimated at the same time (2, as when live)",
+    )
+    parser.add_argument(
+        "--csv", type=Path, default=None, metavar="BOP19.csv", help="poses for the BOP toolkit"
+    )
+    parser.add_argument("--plots", type=Path, default=None, metavar="DIR", help="curves and pictures")
+
+
+def _add_poses(verbs: Any) -> None:
+    parser = verbs.add_parser(
+        "poses",
+        help="what a live run published",
+        description="Score what `huepose poses --json` printed against the scene that was played.",
+    )
+    parser.add_argument("poses", type=Path, metavar="POSES.jsonl")
+    source = parser.add_mutually_exclusive_group(required=True)
+    source.add_argument("--fast-ycb", type=Path, metavar="SEQ_DIR")
+    source.add_argument("--bop", type=Path, metavar="SCENE_DIR")
+    _common(parser)

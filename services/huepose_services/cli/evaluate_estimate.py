@@ -1,0 +1,70 @@
+"""`huepose eval estimate`: single-frame accuracy."""
+
+from __future__ import annotations
+
+import argparse
+from typing import Any
+
+from huepose.estimation import Estimator, EstimatorConfig
+from huepose.evaluation.bop_csv import BopResult, write_bop_csv
+from huepose.evaluation.equivalents import read_equivalents
+from huepose.evaluation.estimate_protocol import EstimateOptions, evaluate_estimates
+from huepose.evaluation.estimate_rows import EstimateResult
+from huepose.evaluation.result_files import write_json
+from huepose.evaluation.targets import Targets
+from huepose.model import load_models
+from huepose.support.errors import InputError
+from huepose_services.cli.evaluate_scenes import figure_table, open_bop, shown
+
+
+def call(arguments: argparse.Namespace) -> int:
+    """Evaluate, write, print a table."""
+    scenes = open_bop(arguments.bop)
+    equivalents = read_equivalents(arguments.equivalent) if arguments.equivalent else {}
+    if arguments.boxes == "detect":
+        raise InputError(
+            "--boxes detect",
+            found="no detector that looks for objects in single frames",
+            expected="perturbed, paper or gt",
+            fix="Use --boxes perturbed.",
+        )
+    options = EstimateOptions(arguments.boxes, arguments.masks, arguments.min_visib, tuple(arguments.seed))
+    models = load_models(arguments.bundles)
+    targets = Targets(models, arguments.objects)
+    estimator = Estimator(models, EstimatorConfig(method=arguments.method, threads=arguments.threads))
+    estimator.warm_up(shown(scenes, targets))
+    result = evaluate_estimates(scenes, targets, estimator, options, equivalents=equivalents)
+    record = result.as_json()
+    record["summary"]["method"] = arguments.method
+    write_json(arguments.json, record)
+    if arguments.csv:
+        write_bop_csv(arguments.csv, _bop_results(result))
+    print(_report(record["summary"]))
+    return 0
+
+
+def _bop_results(result: EstimateResult) -> list[BopResult]:
+    """The poses of the first seed of objects that have a BOP id."""
+    return [
+        BopResult(row.scene, row.image, row.object, row.quality, row.T_cam_obj, row.seconds)
+        for row in result.rows
+        if row.seed == result.seeds[0] and row.T_cam_obj is not None and isinstance(row.object, int)
+    ]
+
+
+def _report(summary: dict[str, Any]) -> str:
+    """The table that is printed at the end."""
+    blocks = {**summary["per_object"], "all": summary}
+    lines = [figure_table("object", blocks, {"instances": "n"})]
+    if summary["recall_add_official"] != summary["recall_add"]:
+        official = f"{summary['recall_add_official']:.1f}, AUC {summary['auc_add_official']:.1f}"
+        lines.append(f"against the labels as they are: ADD {official}")
+    if summary["boxes"] == "detect":
+        lines.append(f"poses that belong to no label: {summary['false_poses']:g}")
+    ece = "-" if summary["ece"] is None else f"{summary['ece']:.3f}"
+    lines.append(
+        f"{summary['method']}, boxes {summary['boxes']}, masks {summary['masks']}, seed {summary['seed']}; "
+        f"calibration error {ece}; {summary['seconds_per_frame_p50']:.2f} s a frame; "
+        f"{summary['skipped_no_bundle']} labels without reference model skipped"
+    )
+    return "\n".join(lines)

@@ -1,0 +1,35 @@
+"""`huepose eval poses`: what a live run published, scored."""
+
+from __future__ import annotations
+
+import argparse
+from typing import Any
+
+from huepose.evaluation.poses_protocol import evaluate_poses, read_messages
+from huepose.evaluation.result_files import write_json
+from huepose.evaluation.targets import Targets
+from huepose_services.cli.evaluate_scenes import figure_table, open_scenes, states_line
+
+
+def call(arguments: argparse.Namespace) -> int:
+    """Score, write, print a table."""
+    messages = read_messages(arguments.poses)
+    fast_ycb = [arguments.fast_ycb] if arguments.fast_ycb else None
+    bop = [arguments.bop] if arguments.bop else None
+    (scene,), models = open_scenes(fast_ycb, bop, arguments.bundles)
+    record = evaluate_poses(messages, scene, Targets(models)).as_json()
+    write_json(arguments.json, record)
+    print(_report(record["summary"]))
+    return 0
+
+
+def _report(summary: dict[str, Any]) -> str:
+    fps = "-" if summary["fps"] is None else f"{summary['fps']:.1f}"
+    return "\n".join(
+        [
+            figure_table("scene", summary["sequences"], {"instances": "n"}),
+            states_line(summary),
+            f"poses for {summary['poses_for_frames']:.1f} % of frames, {fps} frames/s, capture to pose "
+            f"{summary['latency_ms_p50']:.1f} ms (p99 {summary['latency_ms_p99']:.1f} ms)",
+        ]
+    )

@@ -1,0 +1,135 @@
+"""`huepose eval` from the command line, on a scene of two frames."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+
+from huepose.geometry import Mesh, se3
+from huepose.model import save_model
+from huepose.model.types import DistanceGrid, PairReference, ReferenceModel, Surface, ViewTemplates
+from huepose_services.cli.main import main
+
+T_CAM_OBJ = se3.make(se3.rotation_exp([0.3, 0.2, 0.1]), [0.02, 0.01, 0.6])
+
+
+def small_model(name: str, object_id: int) -> ReferenceModel:
+    """A tetrahedron with nothing to estimate it by."""
+    vertices = np.array([[0, 0, 0], [0.1, 0, 0], [0, 0.1, 0], [0, 0, 0.1]], np.float32)
+    faces = np.array([[0, 2, 1], [0, 1, 3], [1, 2, 3], [0, 3, 2]], np.int32)
+    z = np.zeros
+    none3, none_i, unit = z((0, 3), np.float32), z(0, np.int32), np.eye(4)[None]
+    return ReferenceModel(
+        name,
+        object_id,
+        Mesh(vertices, faces, z((4, 3, 2), np.float32), z((2, 2, 3), np.uint8)),
+        vertices,
+        0.1 * 2**0.5,
+        unit,
+        unit,
+        unit,
+        np.array([0.0, 0.0, 0.01]),
+        Surface(none3, none3, z((2, 0, 3), np.float32), none3, none_i, none_i),
+        DistanceGrid(z(3), 0.01, z((1, 1, 1), np.int16)),
+        ViewTemplates(none3, z((0, 1, 5, 1, 1), np.float16), none3, 1.2),
+        PairReference(
+            none3, none3, none3, z((0, 2, 3), np.float32), none_i, none3, z((0, 2), np.uint8), none3, none3,
+            z(0, np.uint8), z(0, np.float32), z(0, np.int64), z((0, 3), np.int32), z(0, np.int64),
+            z((0, 2), np.int32), z(0, np.float32),
+        ),
+    )  # fmt: skip
+
+
+@pytest.fixture
+def bundles(tmp_path: Path) -> Path:
+    folder = tmp_path / "bundles"
+    folder.mkdir()
+    save_model(small_model("wedge", 5), folder / "wedge.huepose")
+    return folder
+
+
+@pytest.fixture
+def scene(tmp_path: Path) -> Path:
+    folder = tmp_path / "000009"
+    label = {
+        "cam_R_m2c": T_CAM_OBJ[:3, :3].ravel().tolist(),
+        "cam_t_m2c": (1000 * T_CAM_OBJ[:3, 3]).tolist(),
+        "obj_id": 5,
+    }
+    for kind, image in (
+        ("rgb", np.zeros((48, 64, 3), np.uint8)),
+        ("depth", np.full((48, 64), 900, np.uint16)),
+    ):
+        (folder / kind).mkdir(parents=True)
+        for n in range(2):
+            cv2.imwrite(str(folder / kind / f"{n:06d}.png"), image)
+    camera = {"cam_K": [60, 0, 31.5, 0, 60, 23.5, 0, 0, 1], "depth_scale": 1.0}
+    (folder / "scene_camera.json").write_text(json.dumps({0: camera, 1: camera}))
+    (folder / "scene_gt.json").write_text(json.dumps({0: [label], 1: [label]}))
+    return folder
+
+
+def test_poses_of_a_live_run_are_scored(bundles: Path, scene: Path, tmp_path: Path, capsys) -> None:
+    message = {
+        "object": "wedge", "instance": 0, "camera_epoch": 1, "frame_id": 1, "capture_ns": 10,
+        "publish_ns": 5_000_010, "state": "TRACKING", "quality": 0.9,
+        "translation": (T_CAM_OBJ[:3, 3] + [0.01, 0, 0]).tolist(),
+        "quaternion": se3.quaternion_from_rotation(T_CAM_OBJ[:3, :3]).tolist(),
+    }  # fmt: skip
+    poses, result = tmp_path / "poses.jsonl", tmp_path / "result.json"
+    poses.write_text(json.dumps(message) + "\n")
+    command = [
+        "eval",
+        "poses",
+        str(poses),
+        "--bop",
+        str(scene),
+        "--bundles",
+        str(bundles),
+        "--json",
+        str(result),
+    ]
+    assert main(command) == 0
+    record = json.loads(result.read_text())
+    assert record["summary"]["recall_add"] == 50.0
+    assert record["rows"][1]["add_m"] == pytest.approx(0.01)
+    assert record["rows"][0]["T_cam_obj"] is None
+    assert "50.0 % of frames" in capsys.readouterr().out
+
+
+@pytest.mark.parametrize(
+    ("extra", "named"),
+    [
+        (["--boxes", "detect"], "detect"),
+        (["--objects", "7"], "Onboard"),
+        (["--equivalent", "nowhere.json"], "nowhere.json"),
+    ],
+)
+def test_wrong_input_ends_with_2_and_says_what_to_do(
+    bundles: Path, scene: Path, tmp_path: Path, capsys, extra: list[str], named: str
+) -> None:
+    result = tmp_path / "result.json"
+    command = ["eval", "estimate", "--bop", str(scene), "--bundles", str(bundles), "--json", str(result)]
+    assert main([*command, *extra]) == 2
+    assert named in capsys.readouterr().err
+    assert not result.exists()
+
+
+def test_a_scene_without_labels_is_named(bundles: Path, scene: Path, tmp_path: Path, capsys) -> None:
+    (scene / "scene_gt.json").unlink()
+    command = [
+        "eval",
+        "estimate",
+        "--bop",
+        str(scene),
+        "--bundles",
+        str(bundles),
+        "--json",
+        str(tmp_path / "r"),
+    ]
+    assert main(command) == 2
+    assert "scene_gt.json" in capsys.readouterr().err

@@ -237,7 +237,7 @@ def _texture_entry(tree: dict[str, Any], material: int) -> dict[str, Any]:
 
 def _material(asset: _Asset, index: int) -> Material:
     if index < 0:
-        return Material("")
+        return Material("", (255, 255, 255))
     entry = asset.tree["materials"][index]
     factor = np.array(entry.get("pbrMetallicRoughness", {}).get("baseColorFactor", [1, 1, 1, 1])[:3], float)
     r, g, b = (int(x) for x in _srgb(factor))

@@ -79,12 +79,12 @@ def _missing_fix(role: str, named_in: Path | None) -> str:
 def read_texture(path: Path, named_in: Path) -> UInt8:
     """Image file named in a mesh or material file, as (H, W, 3) uint8 RGB.
 
-    Windows separators, and names that differ in case only, are forgiven.
+    Names that differ in case only are forgiven, and folders of the machine that exported the mesh.
     """
     if not path.exists():
-        same = [p for p in _listing(path.parent) if p.name.lower() == path.name.lower()]
-        beside = named_in.parent / path.name
-        path = same[0] if same else beside if beside.exists() else path
+        places = [path.parent, named_in.parent]
+        alike = [p for folder in places for p in _listing(folder) if p.name.lower() == path.name.lower()]
+        path = alike[0] if alike else path
     return decode_texture(read_bytes(path, "texture", named_in), str(path))
 
 

@@ -35,6 +35,17 @@ class PoseTable:
         found = self.poses.get((frame, name))
         return found if found is not None or object_id is None else self.poses.get((frame, str(object_id)))
 
+    def moved(self, T_theirs_obj: Mapping[str, Float64]) -> PoseTable:
+        """The poses in other model frames: by object as the file calls it, `T_theirs_obj` (4, 4) takes points
+        of the reference model to the file's frame. Poses of other objects are left out."""
+        return PoseTable(
+            {
+                (frame, name): se3.compose(T, T_theirs_obj[name])
+                for (frame, name), T in self.poses.items()
+                if name in T_theirs_obj
+            }
+        )
+
 
 def read_pose_csv(path: Path | str) -> PoseTable:
     """Read our CSV, with or without its header; rows with nan are missing poses. Raises InputError."""
@@ -60,22 +71,24 @@ def read_pose_csv(path: Path | str) -> PoseTable:
     return PoseTable(poses)
 
 
-def read_dope_poses(
-    path: Path | str, name: str, R_nvdu_posecnn: Float, t_nvdu_posecnn_m: Float, frame_offset_m: Float
-) -> PoseTable:
-    """Read DOPE's poses of one object into the reference model's frame.
-
-    R_nvdu_posecnn (3, 3), t_nvdu_posecnn_m (3,): from the PoseCNN to the NVDU frame; frame_offset_m (3,):
-    from the PoseCNN to the reference model's frame. Raises InputError."""
-    T_nvdu_posecnn = se3.make(R_nvdu_posecnn, t_nvdu_posecnn_m)
-    T_posecnn_obj = se3.make(np.eye(3), -np.asarray(frame_offset_m, dtype=np.float64))
+def read_dope_poses(path: Path | str, name: str) -> PoseTable:
+    """Read DOPE's poses of one object, as they are, in its own model frame. Raises InputError."""
     return PoseTable(
         {
-            (frame, name): se3.compose(T_cam_nvdu, T_nvdu_posecnn, T_posecnn_obj)
+            (frame, name): T_cam_nvdu
             for frame, T_cam_nvdu in enumerate(axis_angle_poses(Path(path)))
             if np.isfinite(T_cam_nvdu).all()
         }
     )
+
+
+def nvdu_from_reference(R_nvdu_posecnn: Float, t_nvdu_posecnn_m: Float, frame_offset_m: Float) -> Float64:
+    """`T_nvdu_obj` (4, 4), from the reference model's frame to NVIDIA's.
+
+    R_nvdu_posecnn (3, 3), t_nvdu_posecnn_m (3,): from the PoseCNN to the NVDU frame; frame_offset_m (3,):
+    from the PoseCNN to the reference model's frame."""
+    T_posecnn_obj = se3.make(np.eye(3), -np.asarray(frame_offset_m, dtype=np.float64))
+    return se3.compose(se3.make(R_nvdu_posecnn, t_nvdu_posecnn_m), T_posecnn_obj)
 
 
 def read_nvdu_frames(path: Path | str) -> dict[str, tuple[Float64, Float64]]:

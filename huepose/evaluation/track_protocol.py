@@ -15,7 +15,7 @@ from huepose.datasets.types import Sample, Scene
 from huepose.estimation.types import PosePrior
 from huepose.evaluation.instances import Place, PublishedPose, instance_counts, match, places
 from huepose.evaluation.schedule import Delivery, fed_images, late_deliveries
-from huepose.evaluation.sources import PoseSource, SourcedPose
+from huepose.evaluation.sources import FileSource, PoseSource, SourcedPose
 from huepose.evaluation.targets import Targets
 from huepose.evaluation.track_rows import TrackResult, TrackRow, row_of
 from huepose.geometry.frame import RgbdFrame
@@ -176,6 +176,12 @@ class _Run:
         ]
         self.asked_for |= {(p.model.name, p.ordinal) for p in new}
         found = self.sources.init.poses(sample, new, {}) if new else []
+        if new and not found and self.options.protocol == "free" and isinstance(self.sources.init, FileSource):
+            raise InputError(
+                f"poses for sequence {self.scene.name}",
+                found=f"none of {', '.join(p.model.name for p in new)} at frame {sample.image}",
+                expected="the pose of the first frame that is fed",
+            )
         return [self._correction(sample.frame, pose, Verdict.ACQUIRE) for pose in found]
 
     def _look(

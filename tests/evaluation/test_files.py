@@ -10,7 +10,12 @@ import pytest
 
 from huepose.evaluation.bop_csv import BopResult, read_bop_csv, write_bop_csv
 from huepose.evaluation.equivalents import read_equivalents
-from huepose.evaluation.pose_files import read_dope_poses, read_nvdu_frames, read_pose_csv
+from huepose.evaluation.pose_files import (
+    nvdu_from_reference,
+    read_dope_poses,
+    read_nvdu_frames,
+    read_pose_csv,
+)
 from huepose.evaluation.result_files import plain, write_json
 from huepose.geometry import se3
 from huepose.support.errors import InputError
@@ -116,7 +121,7 @@ def test_dope_poses_are_taken_through_both_frames(tmp_path: Path) -> None:
     path = tmp_path / "poses.txt"
     row = " ".join(f"{v:.12f}" for v in (*T[:3, 3], *(w / angle), angle))
     path.write_text(f"0 0 0 0 0 0 0\n{row}\n")
-    table = read_dope_poses(path, "box", R, t, offset)
+    table = read_dope_poses(path, "box").moved({"box": nvdu_from_reference(R, t, offset)})
     assert table.pose(0, "box", None) is None
     point_posecnn = np.array([0.03, -0.01, 0.05])
     expected = se3.apply(T, R @ point_posecnn + t)

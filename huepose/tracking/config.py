@@ -10,9 +10,10 @@ from huepose.support.errors import InputError
 @dataclass(frozen=True)
 class TrackerConfig:
     """history_frames: frames and poses that are kept for late corrections.
-    tracking_quality, suspect_quality: a pose over the first goes to TRACKING, one under the second to SUSPECT.
-    lost_quality: under it a frame gives no support; lost_after such frames in a row make an object LOST.
-    search: whether the tracker may look for an object on its own when the step was too large.
+    tracking_quality, suspect_quality: a pose over the first goes to TRACKING, one under the second to
+    SUSPECT. confirmed_identity: how sure it must be that an acquired pose is the right one before it is
+    TRACKING. lost_quality: under it a frame gives no support; lost_after such frames in a row make an object
+    LOST. search: whether the tracker may look for an object on its own when the step was too large.
     max_search_m_s, max_search_rad_s: the fastest motion that the search covers.
     catch_up_stride: most frames skipped at once while catching up.
     """
@@ -21,6 +22,7 @@ class TrackerConfig:
     tracking_quality: float = 0.6
     suspect_quality: float = 0.5
     lost_quality: float = 0.25
+    confirmed_identity: float = 0.9
     lost_after: int = 4
     search: bool = True
     max_search_m_s: float = 0.8

@@ -1,8 +1,8 @@
 """Which pixels of the object are where in the next frame (paper, section III-F, first step).
 
 Candidates are the ridge points of the object's colour pairs, where flow is best determined, and a sparse grid
-that keeps even faces from being forgotten. A match is believed when flow confirms it in both directions, when it
-ends on the propagated mask, and when the two colours beside it are still the same pair.
+that keeps even faces from being forgotten. A match is believed when flow confirms it in both directions,
+when it ends on the propagated mask, and when the two colours beside it are still the same pair.
 """
 
 from __future__ import annotations
@@ -29,8 +29,8 @@ SIDE_PX = 3.0
 
 @dataclass(frozen=True, eq=False)
 class Correspondences:
-    """pixels_a, pixels_b (N, 2): the same surface points in two frames; weights (N,) in 0..1; similarity (N,):
-    of their colour pairs."""
+    """pixels_a, pixels_b (N, 2): the same surface points in two frames; weights (N,) in 0..1; similarity
+    (N,): of their colour pairs."""
 
     pixels_a: Float64
     pixels_b: Float64

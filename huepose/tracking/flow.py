@@ -26,8 +26,8 @@ MAX_ERROR_SHARE = 0.05
 class Flow:
     """Flow in a window of two frames whose corner is pixel (x0, y0).
 
-    forward (H, W, 2) float32: where pixels of the first frame go (du, dv); backward (H, W, 2): where pixels of
-    the second came from; consistent (H, W) bool: forward flow that the backward flow confirms.
+    forward (H, W, 2) float32: where pixels of the first frame go (du, dv); backward (H, W, 2): where pixels
+    of the second came from; consistent (H, W) bool: forward flow that the backward flow confirms.
     """
 
     forward: Float32
@@ -57,22 +57,22 @@ def sampled(image: Float32, pixels: Float) -> Float32:
         cv2.remap(image, q[..., 0], q[..., 1], cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
         for q in np.array_split(p, p.shape[1] // 30000 + 1, axis=1)
     ]
-    return np.concatenate(parts, 1).reshape(-1, image.shape[2])
+    return np.asarray(np.concatenate(parts, 1).reshape(-1, image.shape[2]), np.float32)
 
 
 def compute(
     color_a: UInt8, color_b: UInt8, box: Box, preset: int = cv2.DISOPTICAL_FLOW_PRESET_FAST
 ) -> Flow | None:
-    """Flow from one colour image (H, W, 3) uint8 RGB to another inside `box` (clipped to the image); None when
-    less than 32 pixels a side are left."""
+    """Flow from one colour image (H, W, 3) uint8 RGB to another inside `box` (clipped to the image); None
+    when less than 32 pixels a side are left."""
     rows, columns = box.slices(color_a.shape[1], color_a.shape[0])
     if rows.stop - rows.start < MIN_SIDE or columns.stop - columns.start < MIN_SIDE:
         return None
     a = cv2.cvtColor(color_a[rows, columns], cv2.COLOR_RGB2GRAY)
     b = cv2.cvtColor(color_b[rows, columns], cv2.COLOR_RGB2GRAY)
-    dis = cv2.DISOpticalFlow_create(preset)
-    forward = dis.calc(a, b, None)
-    backward = dis.calc(b, a, None)
+    dis = cv2.DISOpticalFlow.create(preset)
+    forward = np.asarray(dis.calc(a, b, None), np.float32)  # type: ignore[call-overload]
+    backward = np.asarray(dis.calc(b, a, None), np.float32)  # type: ignore[call-overload]
     return Flow(forward, backward, _consistent(forward, backward), columns.start, rows.start)
 
 

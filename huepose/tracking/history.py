@@ -1,9 +1,9 @@
 """What a tracker remembers, so that a late result can still be of use: frames, and poses at their frames.
 
-ROFT (Piga et al. 2022) buffers velocities and replays them on a late pose; here the increments between buffered
-poses are replayed, which is the same without integrating anything. An increment is a motion of the scene in
-camera axes, `T_j inverse(T_i)`: it stays right when the pose that it was measured on was wrong by a turn of the
-object in itself.
+ROFT (Piga et al. 2022) buffers velocities and replays them on a late pose; here the increments between
+buffered poses are replayed, which is the same without integrating anything. An increment is a motion of the
+scene in camera axes, `T_j inverse(T_i)`: it stays right when the pose that it was measured on was wrong by a
+turn of the object in itself.
 """
 
 from __future__ import annotations
@@ -54,8 +54,8 @@ class PoseHistory:
         return bool(self._entries) and self._entries[0].stamp_ns <= stamp_ns <= self._entries[-1].stamp_ns
 
     def at(self, stamp_ns: int) -> Float64 | None:
-        """The pose at a stamp: that of its frame, or, where that frame was skipped, interpolated on SE(3) between
-        its neighbours. None outside of the history, and where a needed pose is missing."""
+        """The pose at a stamp: that of its frame, or, where that frame was skipped, interpolated on SE(3)
+        between its neighbours. None outside of the history, and where a needed pose is missing."""
         before: Entry | None = None
         for entry in self._entries:
             if entry.stamp_ns == stamp_ns:
@@ -73,8 +73,8 @@ class PoseHistory:
         return all(e.T_cam_obj is not None for e in self._entries if e.stamp_ns >= stamp_ns)
 
     def replay(self, stamp_ns: int, T_cam_obj: Float64) -> Float64:
-        """Replace the pose at a stamp and carry the correction to now by the buffered increments; the kept poses
-        since then are replaced as well. Returns the newest pose.
+        """Replace the pose at a stamp and carry the correction to now by the buffered increments; the kept
+        poses since then are replaced as well. Returns the newest pose.
 
         Raises ValueError where `at` gives nothing or the history since is broken.
         """

@@ -17,8 +17,9 @@ surfaces."""
 def lift(depth: Float32, camera: Camera, pixels: Float) -> tuple[Float64, Bool]:
     """Points (N, 3), camera axes, of pixels (N, 2) on a depth image (H, W), and which of them are known (N,).
 
-    Depth is bilinear where the four readings belong to one surface. At an edge the reading of the nearest pixel
-    counts if a second one of the four confirms it; otherwise, without a reading or outside, it is unknown.
+    Depth is bilinear where the four readings belong to one surface. At an edge the reading of the nearest
+    pixel counts if a second one of the four confirms it; otherwise, without a reading or outside, it is
+    unknown.
     """
     p = np.asarray(pixels, np.float64)
     height, width = depth.shape

@@ -1,8 +1,8 @@
 """What the light does to a texture, fitted robustly to the samples in view (compiled).
 
-Image colour = gain * texture + offset per CIELAB channel, and for lightness also a slope over the direction that
-the surface faces, which is what a distant lamp does to a matt surface. So neither the colour of the light nor
-its side moves a pose.
+Image colour = gain * texture + offset per CIELAB channel, and for lightness also a slope over the direction
+that the surface faces, which is what a distant lamp does to a matt surface. So neither the colour of the
+light nor its side moves a pose.
 """
 
 from __future__ import annotations
@@ -63,7 +63,7 @@ def fit_light(
                 w = weight[k] * trust[k]
                 if w <= 0.0:
                     continue
-                f[0], f[1] = reference[samples.index[k], c], 1.0
+                f[0], f[1] = reference[samples.which[k], c], 1.0
                 # Visible normals point at the camera: -0.7 in z on average.
                 f[2], f[3], f[4] = samples.normals[k, 0], samples.normals[k, 1], samples.normals[k, 2] + 0.7
                 for i in range(m):
@@ -85,7 +85,7 @@ def fit_light(
                     continue
                 lit = x[2] * samples.normals[k, 0] + x[3] * samples.normals[k, 1]
                 lit += x[4] * (samples.normals[k, 2] + 0.7)
-                residual[k, c] = colour[k, c] - gain[c] * reference[samples.index[k], c] - x[1] - lit
+                residual[k, c] = colour[k, c] - gain[c] * reference[samples.which[k], c] - x[1] - lit
                 square += weight[k] * trust[k] * residual[k, c] ** 2
             rms[c] = np.sqrt(square / total)
         for k in range(n):
@@ -103,7 +103,7 @@ def fit_light(
             w = weight[k]
             if w <= 0.0:
                 continue
-            texture = reference[samples.index[k], c]
+            texture = reference[samples.which[k], c]
             image = residual[k, c] + gain[c] * texture
             total += w
             sx += w * texture

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
-
 import cv2
 import numpy as np
 
@@ -28,10 +26,3 @@ def propagate(mask: Bool, flow: Flow) -> Bool:
     out = np.zeros_like(mask)
     out[window] = came > 0
     return out
-
-
-def carry(mask: Bool, flows: Iterable[Flow]) -> Bool:
-    """The mask after several frames: `propagate` along consecutive flows."""
-    for flow in flows:
-        mask = propagate(mask, flow)
-    return mask

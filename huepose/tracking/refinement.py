@@ -47,8 +47,8 @@ STILL_M = 2e-5
 
 @dataclass(frozen=True)
 class Schedule:
-    """Iterations of a refinement: the texture level (0 fine, 2 coarse) and the depth gate in metres of each, and
-    the number of samples."""
+    """Iterations of a refinement: the texture level (0 fine, 2 coarse) and the depth gate in metres of each,
+    and the number of samples."""
 
     levels: tuple[int, ...]
     gates_m: tuple[float, ...]
@@ -71,8 +71,8 @@ FINE = Schedule((1, 1, 1, 0, 0, 0, 0), (0.012, 0.012, 0.012, 0.01, 0.01, 0.008, 
 
 @dataclass(frozen=True, eq=False)
 class Refined:
-    """T_cam_obj (4, 4) and information (6, 6) of it with respect to `se3.perturb`, as if the residuals' errors
-    were independent (`uncertainty` says what that is worth); iterations done."""
+    """T_cam_obj (4, 4) and information (6, 6) of it with respect to `se3.perturb`, as if the residuals'
+    errors were independent (`uncertainty` says what that is worth); iterations done."""
 
     T_cam_obj: Float64
     information: Float64
@@ -109,7 +109,8 @@ def refine(surface: TrackedSurface, region: Region, T_cam_obj: Float, schedule: 
 
 
 def _about_origin(A: Float64, surface: TrackedSurface, T: Float64) -> Float64:
-    """Information about [translation, radius * rotation about the centre] as information about `se3.perturb`."""
+    """Information about [translation, radius * rotation about the centre] as information about
+    `se3.perturb`."""
     lever = T[:3, :3] @ surface.arrays.centre
     to_step = np.eye(6)
     # Turning about the origin also carries the centre along.
@@ -220,8 +221,8 @@ def _add_depth(
     A: Float64,
     b: Float64,
 ) -> None:
-    """Add point-to-plane residuals (Tukey's biweight) to the lower triangle of the normal equations of the step
-    [translation, radius * rotation about the centre] of the object, camera axes."""
+    """Add point-to-plane residuals (Tukey's biweight) to the lower triangle of the normal equations of the
+    step [translation, radius * rotation about the centre] of the object, camera axes."""
     J = np.empty(6)
     for k in range(n):
         e = samples.offset[k]
@@ -253,7 +254,8 @@ def _add_colour(
     A: Float64,
     b: Float64,
 ) -> None:
-    """Add the photometric residuals, image at the projected sample minus lit texture, to the same equations."""
+    """Add the photometric residuals, image at the projected sample minus lit texture, to the same
+    equations."""
     J = np.empty(6)
     for k in range(n):
         if weight[k] <= 0.0:

@@ -30,8 +30,8 @@ MIN_SIDE = 16
 
 
 class RegionArrays(NamedTuple):
-    """What compiled loops read: depth (H, W) float32 metres, 0 = none; usable (H, W) uint8, 0 where a channel is
-    saturated; fine, middle, coarse: Lab bytes at STEPS; the window's intrinsics."""
+    """What compiled loops read: depth (H, W) float32 metres, 0 = none; usable (H, W) uint8, 0 where a
+    channel is saturated; fine, middle, coarse: Lab bytes at STEPS; the window's intrinsics."""
 
     depth: Float32
     usable: UInt8
@@ -55,8 +55,8 @@ class Region:
 
 
 def window(box: Box, width: int, height: int) -> tuple[int, int, int, int] | None:
-    """x0, y0, width, height of a box inside an image of that size, in whole multiples of the coarsest step; None
-    when less than 16 pixels a side are left."""
+    """x0, y0, width, height of a box inside an image of that size, in whole multiples of the coarsest step;
+    None when less than 16 pixels a side are left."""
     rows, columns = box.slices(width, height)
     step = STEPS[-1]
     w, h = (columns.stop - columns.start) // step * step, (rows.stop - rows.start) // step * step
@@ -64,7 +64,8 @@ def window(box: Box, width: int, height: int) -> tuple[int, int, int, int] | Non
 
 
 def prepare(frame: RgbdFrame, box: Box, distance_m: float) -> Region | None:
-    """Cut `box` out of a frame for an object at that distance; None where (almost) nothing of it is inside."""
+    """Cut `box` out of a frame for an object at that distance; None where (almost) nothing of it is
+    inside."""
     cut = window(box, frame.camera.width, frame.camera.height)
     if cut is None:
         return None
@@ -80,7 +81,7 @@ def prepare(frame: RgbdFrame, box: Box, distance_m: float) -> Region | None:
         image = lab if step == 1 else cv2.resize(lab, (w // step, h // step), interpolation=cv2.INTER_AREA)
         # About half a sample of blur is there already, from the lens and from averaging areas.
         sigma = float(np.sqrt(max((scale_m * px_per_m / step) ** 2 - 0.25, 0.16)))
-        levels.append(cv2.GaussianBlur(image, (0, 0), sigma))
+        levels.append(np.asarray(cv2.GaussianBlur(image, (0, 0), sigma), np.uint8))
     usable = (cv2.inRange(color, (0, 0, 0), (SATURATED,) * 3) > 0).view(np.uint8)
     camera = frame.camera.cropped(x0, y0, w, h)
     arrays = RegionArrays(

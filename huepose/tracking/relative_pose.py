@@ -35,7 +35,8 @@ class LiftedMatches:
 
 @dataclass(frozen=True, eq=False)
 class Motion:
-    """T_b_a (4, 4): moves points of the first moment to the second, both in camera axes; inliers of `matches`."""
+    """T_b_a (4, 4): moves points of the first moment to the second, both in camera axes; inliers of
+    `matches`."""
 
     T_b_a: Float64
     inliers: int

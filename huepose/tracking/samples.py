@@ -1,4 +1,5 @@
-"""Compiled loops over the surface samples that a pose shows: where they fall, what depth and colour are there."""
+"""Compiled loops over the surface samples that a pose shows: where they fall, what depth and colour are
+there."""
 
 from __future__ import annotations
 
@@ -26,13 +27,13 @@ gates."""
 class Samples(NamedTuple):
     """Buffers for up to M samples.
 
-    index into the surface; points, normals (M, 3) camera axes; cosine of the viewing angle; pixels (M, 2);
-    offset: metres of the depth point from the tangent plane, positive outside, 0 without depth; inside 0..1:
-    how well the depth around continues that plane (0 at the object's outline and on what is not its surface);
-    kind: see above.
+    which: index into the surface; points, normals (M, 3) camera axes; cosine of the viewing angle; pixels
+    (M, 2); offset: metres of the depth point from the tangent plane, positive outside, 0 without depth;
+    inside 0..1: how well the depth around continues that plane (0 at the object's outline and on what is not
+    its surface); kind: see above.
     """
 
-    index: Int32
+    which: Int32
     points: Float64
     normals: Float64
     cosine: Float64
@@ -121,7 +122,7 @@ def project(
         if cosine < MIN_COSINE:
             continue
         u, v = x / z * fx + cx, y / z * fy + cy
-        out.index[n] = i
+        out.which[n] = i
         out.points[n, 0], out.points[n, 1], out.points[n, 2] = x, y, z
         out.normals[n, 0], out.normals[n, 1], out.normals[n, 2] = n0, n1, n2
         out.cosine[n] = cosine

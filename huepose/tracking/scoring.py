@@ -1,4 +1,5 @@
-"""What a pose explains of a frame: the evidence behind every published pose, and a score to compare starts by.
+"""What a pose explains of a frame: the evidence behind every published pose, and a score to compare starts
+by.
 
 Unlike the dense score of `verification`, which judges hypotheses inside a mask, this one needs no mask: a
 tracker knows where the object should be, and asks what is there.
@@ -33,11 +34,11 @@ TERMS = 9
 class Fit:
     """What a pose explains; shares are of the visible surface, weighted by how squarely it is seen.
 
-    total: the score, about 0 for nonsense, 1 to 1.9 for a right pose; depth_fit 0..1: agreement of the depth that
-    speaks; behind: seen through (free space violated); hidden: something is in front; seen: agrees in depth;
-    outside: out of the image; no_depth; colour -1..1: correlation of image and texture, light taken out, lowered
-    where there is little texture; residual_m: rms distance of agreeing depth along the normals; texture: Lab
-    units of contrast in view.
+    total: the score, about 0 for nonsense, 1 to 1.9 for a right pose; depth_fit 0..1: agreement of the depth
+    that speaks; behind: seen through (free space violated); hidden: something is in front; seen: agrees in
+    depth; outside: out of the image; no_depth; colour -1..1: correlation of image and texture, light taken
+    out, lowered where there is little texture; residual_m: rms distance of agreeing depth along the normals;
+    texture: Lab units of contrast in view.
     """
 
     total: float
@@ -168,14 +169,17 @@ def _score(
     out[4] = agree / total
     out[5] = np.sqrt(square / agree) if agree > 0.0 else 0.0
     out[6], out[7], out[8] = outside / total, no_depth / total, contrast
-    return FIT_WEIGHT * out[0] - BEHIND_WEIGHT * out[1] + COLOUR_WEIGHT * out[2] - HIDDEN_WEIGHT * out[3]
+    return float(
+        FIT_WEIGHT * out[0] - BEHIND_WEIGHT * out[1] + COLOUR_WEIGHT * out[2] - HIDDEN_WEIGHT * out[3]
+    )
 
 
 @jit
 def _add_moments(
     moments: Float64, g: float, reference: Float64, i: int, image: UInt8, y0: int, x0: int, a: float, b: float
 ) -> None:
-    """Add one sample's texture and bilinear image colour to the moments (3, 5) of their joint distribution."""
+    """Add one sample's texture and bilinear image colour to the moments (3, 5) of their joint
+    distribution."""
     for q in range(3):
         p = (decoded(image, y0, x0, q) * (1 - a) + decoded(image, y0, x0 + 1, q) * a) * (1 - b)
         p += (decoded(image, y0 + 1, x0, q) * (1 - a) + decoded(image, y0 + 1, x0 + 1, q) * a) * b

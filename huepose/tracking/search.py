@@ -2,8 +2,9 @@
 
 At every fifth frame of a fast hand an object turns by up to 60 degrees and moves by its own length: nothing
 of the last frame's pixels is where it was, but the model's colours and the depth are. Positions come first (a
-grid over the image, at the depth that is there, for a few rotations), then rotations at the best positions, then
-short refinements of the best poses; each stage is sorted by the score of few samples at a coarse texture level.
+grid over the image, at the depth that is there, for a few rotations), then rotations at the best positions,
+then short refinements of the best poses; each stage is sorted by the score of few samples at a coarse
+texture level.
 """
 
 from __future__ import annotations
@@ -46,7 +47,8 @@ class Reach:
 
 
 def search(surface: TrackedSurface, frame: RgbdFrame, reach: Reach) -> tuple[Float64, float] | None:
-    """The best pose (4, 4) within reach and its score at the middle texture level; None when no depth is there."""
+    """The best pose (4, 4) within reach and its score at the middle texture level; None when no depth is
+    there."""
     region = _region(surface, frame, reach)
     if region is None:
         return None

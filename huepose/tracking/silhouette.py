@@ -12,7 +12,8 @@ from huepose.geometry.mesh import Mesh
 from huepose.rendering.render import render_depth
 
 VISIBLE_M = 0.01
-"""Depth may lie this far from the rendered surface, and this share of the distance, and still be the object."""
+"""Depth may lie this far from the rendered surface, and this share of the distance, and still be the
+object."""
 
 VISIBLE_SHARE = 0.005
 COMPARED_PX = 96

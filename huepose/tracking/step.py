@@ -1,13 +1,13 @@
 """One step: from where an object was in one frame to where it is in another. Pure; everything is passed in.
 
 Starts are tried from cheap to dear, and each is believed only when the image agrees: where it was, where its
-velocity takes it, where optical flow takes it (paper, section III-F), and at last the tracker's own search. What
-is usual for this object in this light decides when a result is doubtful.
+velocity takes it, where optical flow takes it (paper, section III-F), and at last the tracker's own search.
+What is usual for this object in this light decides when a result is doubtful.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -16,6 +16,7 @@ from huepose.geometry.arrays import Bool, Float64
 from huepose.geometry.box import Box
 from huepose.geometry.frame import RgbdFrame
 from huepose.geometry.mesh import Mesh
+from huepose.model.types import ReferenceModel
 from huepose.tracking import flow as optical_flow
 from huepose.tracking.config import TrackerConfig
 from huepose.tracking.correspondences import match
@@ -35,14 +36,24 @@ DOUBT = 0.25
 DOUBTFUL_TOTAL = 0.9
 """So is any score under this one."""
 
-OCCLUDED = 0.6
-"""With this share hidden there is nothing to search for: the object is behind something, and stays there."""
-
 MARGIN_M = 0.012
 """The refinement may move the object by this much out of its start's window."""
 
-FLOW_MAX_S = 0.12
-"""Over longer gaps flow finds too little to be worth its time."""
+SETTLED_M = 0.004
+MORE_PASSES = 3
+"""A refinement that moved the object's rim by more than this is repeated, a few times."""
+
+LONG_STEP_S = 0.1
+"""After a longer time flow finds too little to be worth its own, and there is time for a search: it is made
+unless the result is close to the usual score and near to where the object was expected."""
+
+LONG_DOUBT = 0.1
+SURPRISING_M = 0.03
+RIVAL_MARGIN = 0.1
+"""The pose before a correction must explain the image this much better to be taken back."""
+
+TURN_MARGIN = 0.1
+"""A near-symmetric turn of the object must explain the image this much better before it is believed."""
 
 FLOW_GROWTH = 0.3
 SEARCH_SLACK_M, SEARCH_SLACK_RAD = 0.02, np.radians(10.0)
@@ -53,33 +64,45 @@ TRUSTED_VELOCITY = 0.5
 
 @dataclass(frozen=True, eq=False)
 class Subject:
-    """The object: its prepared surface and its mesh."""
+    """The object: its prepared surface, its mesh, and the turns (M, 4, 4) that nearly map its shape to
+    itself, without the identity."""
 
     surface: TrackedSurface
     mesh: Mesh
+    turns: Float64
+
+    @staticmethod
+    def of(model: ReferenceModel) -> Subject:
+        """Prepare a reference model for tracking."""
+        return Subject(TrackedSurface.of(model), model.mesh, np.asarray(model.turns[1:], np.float64))
 
 
 @dataclass(frozen=True, eq=False)
 class Anchor:
-    """Where an object was last: pose, velocity (6,) or None, the frame, the score that is usual for it or None, and
-    its mask (H, W) in that frame where one is known better than by rendering."""
+    """Where an object was last: pose, velocity (6,) or None, the frame, the score that is usual for it or
+    None; its mask (H, W) in that frame where one is known better than by rendering; a rival of the pose that
+    has just been corrected away; and whether a search is worth its time."""
 
     T_cam_obj: Float64
     velocity: Float64 | None
     frame: RgbdFrame
     usual: float | None
     mask: Bool | None = None
+    rival: Float64 | None = None
+    may_search: bool = True
 
 
 @dataclass(frozen=True, eq=False)
 class Step:
-    """Where it is now: pose, what that explains of the frame, information (6, 6) of the refinement, and which start
-    led there ("still", "velocity", "flow", "search")."""
+    """Where it is now: pose, what that explains of the frame, information (6, 6) of the refinement, and
+    which start led there ("still", "velocity", "flow", "search", "turn"); searched: whether a search was
+    made."""
 
     T_cam_obj: Float64
     fit: Fit
     information: Float64
     start: str
+    searched: bool = False
 
 
 def advance(
@@ -90,22 +113,32 @@ def advance(
     relative_pose: RelativePose | None = None,
 ) -> Step:
     """Find the object of `anchor` in a later frame."""
+    surface = subject.surface
     seconds = (frame.stamp_ns - anchor.frame.stamp_ns) * 1e-9
     expected = predicted(anchor.T_cam_obj, anchor.velocity, seconds)
     starts = [(anchor.T_cam_obj, "still")]
     if expected is not anchor.T_cam_obj:
         starts.append((expected, "velocity"))
-    best = _best_of(subject.surface, frame, starts)
-    if _convincing(best, anchor.usual):
+    best = best_of(surface, frame, starts)
+    if anchor.rival is not None:
+        best = _better(best, best_of(surface, frame, [(anchor.rival, "rival")]), by=RIVAL_MARGIN)
+    long = seconds > LONG_STEP_S
+    doubt = LONG_DOUBT if long else DOUBT
+    surprising = long and _moved_m(surface, best.T_cam_obj, expected) > SURPRISING_M
+    if _convincing(best, anchor.usual, doubt) and not surprising:
         return best
-    if 0.0 < seconds <= FLOW_MAX_S:
+    if 0.0 < seconds <= LONG_STEP_S:
         T_flow = flow_start(subject, anchor, frame, expected, relative_pose or RobustKabsch())
         if T_flow is not None:
-            best = _better(best, _refined(subject.surface, frame, T_flow, "flow"))
-    if config.search and not _convincing(best, anchor.usual) and best.fit.hidden < OCCLUDED:
-        found = search(subject.surface, frame, _reach(subject.surface, anchor, expected, seconds, config))
+            best = _better(best, best_of(surface, frame, [(T_flow, "flow")]))
+    if config.search and anchor.may_search and (surprising or not _convincing(best, anchor.usual, doubt)):
+        found = search(surface, frame, _reach(surface, anchor, expected, seconds, config))
         if found is not None:
-            best = _better(best, _refined(subject.surface, frame, found[0], "search"))
+            best = _better(best, best_of(surface, frame, [(found[0], "search")]))
+        if len(subject.turns):
+            turned = [(best.T_cam_obj @ turn, "turn") for turn in subject.turns]
+            best = _better(best, best_of(surface, frame, turned), by=TURN_MARGIN)
+        best = replace(best, searched=True)
     return best
 
 
@@ -117,8 +150,9 @@ def flow_start(
     relative_pose: RelativePose,
     use_pairs: bool = True,
 ) -> Float64 | None:
-    """The pose that optical flow from the anchor's frame gives: flow on the region of the old and the expected
-    outline, matches filtered by mask and colour pairs, lifted, and a relative pose. None where it fails."""
+    """The pose that optical flow from the anchor's frame gives: flow on the region of the old and the
+    expected outline, matches filtered by mask and colour pairs, lifted, and a relative pose. None where it
+    fails."""
     surface, camera = subject.surface, frame.camera
     old, new = surface.box(anchor.T_cam_obj, camera), surface.box(expected, camera)
     if old is None or new is None:
@@ -134,7 +168,7 @@ def flow_start(
     return None if motion is None else se3.compose(motion.T_b_a, anchor.T_cam_obj)
 
 
-def _best_of(surface: TrackedSurface, frame: RgbdFrame, starts: list[tuple[Float64, str]]) -> Step:
+def best_of(surface: TrackedSurface, frame: RgbdFrame, starts: list[tuple[Float64, str]]) -> Step:
     """Refine the start that explains the image best before refinement."""
     boxes = [b for b in (surface.box(T, frame.camera) for T, _ in starts) if b is not None]
     region = None
@@ -146,20 +180,27 @@ def _best_of(surface: TrackedSurface, frame: RgbdFrame, starts: list[tuple[Float
     totals = [score(surface, region, T, 2, START_SAMPLES).total for T, _ in starts]
     T, name = starts[int(np.argmax(totals))]
     refined = refine(surface, region, T)
-    return Step(refined.T_cam_obj, score(surface, region, refined.T_cam_obj), refined.information, name)
+    for _ in range(MORE_PASSES):
+        if _moved_m(surface, T, refined.T_cam_obj) < SETTLED_M:
+            break
+        T = refined.T_cam_obj
+        refined = refine(surface, region, T)
+    return Step(refined.T_cam_obj, score(surface, region, refined.T_cam_obj, 0), refined.information, name)
 
 
-def _refined(surface: TrackedSurface, frame: RgbdFrame, T: Float64, name: str) -> Step:
-    return _best_of(surface, frame, [(T, name)])
+def _moved_m(surface: TrackedSurface, T_a: Float64, T_b: Float64) -> float:
+    """How far the object's centre and rim moved at most."""
+    shift = float(np.linalg.norm(surface.centre_cam(T_a) - surface.centre_cam(T_b)))
+    return shift + surface.radius_m * se3.rotation_angle(T_a, T_b)
 
 
-def _better(a: Step, b: Step) -> Step:
-    return b if b.fit.total > a.fit.total else a
+def _better(a: Step, b: Step, by: float = 0.0) -> Step:
+    return b if b.fit.total > a.fit.total + by else a
 
 
-def _convincing(step: Step, usual: float | None) -> bool:
+def _convincing(step: Step, usual: float | None, doubt: float) -> bool:
     total = step.fit.total
-    return total >= DOUBTFUL_TOTAL and (usual is None or total >= usual - DOUBT)
+    return total >= DOUBTFUL_TOTAL and (usual is None or total >= usual - doubt)
 
 
 def _reach(

@@ -22,9 +22,9 @@ SCALES_M = (0.001, 0.0035, 0.008)
 
 
 class SurfaceArrays(NamedTuple):
-    """What compiled loops read. points, normals (N, 3) float32, object frame; lab (3, N, 3) float32 at SCALES_M;
-    directions (V, 3), visible, offsets as in model.types.Surface; centre (3,) of the samples' bounds; radius:
-    largest distance of a sample from it, metres."""
+    """What compiled loops read. points, normals (N, 3) float32, object frame; lab (3, N, 3) float32 at
+    SCALES_M; directions (V, 3), visible, offsets as in model.types.Surface; centre (3,) of the samples'
+    bounds; radius: largest distance of a sample from it, metres."""
 
     points: Float32
     normals: Float32
@@ -73,8 +73,8 @@ class TrackedSurface:
         return np.asarray(T_cam_obj[:3, :3] @ self.arrays.centre + T_cam_obj[:3, 3], np.float64)
 
     def box(self, T_cam_obj: Float, camera: Camera) -> Box | None:
-        """Bounds of the object in the image, from every fourth sample; None when it reaches behind the camera.
-        Not clipped to the image."""
+        """Bounds of the object in the image, from every fourth sample; None when it reaches behind the
+        camera. Not clipped to the image."""
         p = self.arrays.points[::4] @ np.asarray(T_cam_obj[:3, :3], np.float32).T
         p += np.asarray(T_cam_obj[:3, 3], np.float32)
         if float(p[:, 2].min()) < 0.02:
@@ -85,7 +85,8 @@ class TrackedSurface:
 
 
 def _averaged(points: Float32, normals: Float32, lab: Float32, have_m: float, want_m: float) -> Float32:
-    """Colours (N, 3) averaged further over neighbours that face the same way, from one sigma to a larger one."""
+    """Colours (N, 3) averaged further over neighbours that face the same way, from one sigma to a larger
+    one."""
     sigma = float(np.sqrt(want_m**2 - have_m**2))
     pairs = cKDTree(points).query_pairs(2.5 * sigma, output_type="ndarray")
     own = np.arange(len(points))

@@ -1,0 +1,70 @@
+"""One surface, one pose: tracked objects compete for the depth pixels of a frame.
+
+Two instances of one object that slid onto the same one, or an object that took its neighbour's surface,
+explain the same readings. The pose that explains them worse loses its claim to them.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from huepose.geometry.arrays import Float32, Float64, Int64
+from huepose.geometry.camera import Camera
+from huepose.tracking.scoring import tolerance_m
+from huepose.tracking.surface import TrackedSurface
+
+CELL_PX = 6
+"""Claims are compared in cells of this size: about the spacing of the samples on a near object."""
+
+CLAIM_SAMPLES = 200
+CONTESTED = 0.5
+"""The weaker of two poses that share this much of its surface loses."""
+
+
+@dataclass(frozen=True, eq=False)
+class Claim:
+    """A pose and how well it explains its readings."""
+
+    surface: TrackedSurface
+    T_cam_obj: Float64
+    total: float
+
+
+def losers(claims: Sequence[Claim], depth: Float32, camera: Camera) -> list[int]:
+    """Indices of the claims that others hold with better right; earlier ones win ties."""
+    if len(claims) < 2:
+        return []
+    cells = [_cells(c, depth, camera) for c in claims]
+    order = sorted(range(len(claims)), key=lambda i: (-claims[i].total, i))
+    out: list[int] = []
+    for k, i in enumerate(order):
+        for j in order[:k]:
+            if j in out or not len(cells[i]):
+                continue
+            if len(np.intersect1d(cells[i], cells[j], assume_unique=True)) > CONTESTED * len(cells[i]):
+                out.append(i)
+                break
+    return sorted(out)
+
+
+def _cells(claim: Claim, depth: Float32, camera: Camera) -> Int64:
+    """Sorted numbers of the image cells in which depth agrees with the object's surface."""
+    surface, T = claim.surface, claim.T_cam_obj
+    a = surface.arrays
+    view = T[:3, :3].T @ -surface.centre_cam(T)
+    nearest = int(np.argmax(a.directions @ view))
+    index = a.visible[a.offsets[nearest] : a.offsets[nearest + 1]][:CLAIM_SAMPLES]
+    p = a.points[index] @ T[:3, :3].T + T[:3, 3]
+    z = p[:, 2]
+    ahead = z > 0.02
+    u = np.where(ahead, p[:, 0] / np.where(ahead, z, 1.0) * camera.fx + camera.cx, -1.0)
+    v = np.where(ahead, p[:, 1] / np.where(ahead, z, 1.0) * camera.fy + camera.cy, -1.0)
+    columns, rows = np.rint(u).astype(np.int64), np.rint(v).astype(np.int64)
+    inside = (columns >= 0) & (rows >= 0) & (columns < camera.width) & (rows < camera.height)
+    columns, rows, z = columns[inside], rows[inside], z[inside]
+    tau = 2.0 * tolerance_m(surface.diameter_m, float(surface.centre_cam(T)[2]))
+    agrees = np.abs(depth[rows, columns] - z) < tau
+    return np.unique(rows[agrees] // CELL_PX * 100_000 + columns[agrees] // CELL_PX)

@@ -1,0 +1,83 @@
+"""From what a pose explains of one frame to a quality, and from qualities to a state.
+
+The quality is a probability that the pose is right. It is a logistic function of agreement in depth,
+violation of free space and agreement of texture, fitted on refined poses of labelled frames, half of them
+wrong; to that comes what is known beforehand: a pose that was right one frame ago is likely to be right
+still, and one that suddenly explains the image worse than usual for this object in this light is not.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from huepose.tracking.config import TrackerConfig
+from huepose.tracking.scoring import Fit
+from huepose.tracking.types import State
+
+CONSTANT, PER_DEPTH_FIT, PER_BEHIND, PER_COLOUR = -5.67, 5.82, -5.23, 6.67
+CARRIED = 1.5
+"""Log-odds that a pose gains from having been right in the last frame."""
+
+USUAL_SLACK = 0.3
+PER_DROP = 6.0
+"""Log-odds lost per score under the usual one, beyond the slack."""
+
+USUAL_SHARE = 0.1
+"""Weight of a new score in what is usual."""
+
+RETURNED_AFTER = 2
+"""Supported frames in a row after which a SUSPECT object is TRACKING again."""
+
+
+def quality(fit: Fit, usual: float | None, was_right: float) -> float:
+    """Probability in 0..1 that the pose is right; was_right: the quality one frame ago.
+
+    >>> from huepose.tracking.scoring import NOTHING
+    >>> quality(NOTHING, None, 0.0) < 0.01
+    True
+    """
+    x = CONSTANT + PER_DEPTH_FIT * fit.depth_fit + PER_BEHIND * fit.behind + PER_COLOUR * fit.colour
+    x += CARRIED * was_right
+    if usual is not None:
+        x -= PER_DROP * max(0.0, usual - fit.total - USUAL_SLACK)
+    return float(1.0 / (1.0 + np.exp(-x)))
+
+
+def usual_after(usual: float | None, total: float) -> float:
+    """What score is usual after a supported frame."""
+    return total if usual is None else usual + USUAL_SHARE * (total - usual)
+
+
+@dataclass(frozen=True)
+class Standing:
+    """A state, and for how many frames in a row support was missing or good."""
+
+    state: State
+    unsupported: int = 0
+    supported: int = 0
+
+
+def next_standing(before: Standing, quality: float, confirmed: bool, config: TrackerConfig) -> Standing:
+    """The state after a frame of that quality; confirmed: the pose was the right one to begin with.
+
+    Down at once, on the tracker's own evidence: SUSPECT under `suspect_quality`, LOST after `lost_after`
+    frames under `lost_quality`. Up to TRACKING by returning evidence while SUSPECT, if confirmed; never up
+    from LOST or SEARCHING.
+    """
+    if before.state in (State.LOST, State.SEARCHING):
+        return before
+    unsupported = before.unsupported + 1 if quality < config.lost_quality else 0
+    supported = before.supported + 1 if quality >= config.tracking_quality else 0
+    if unsupported >= config.lost_after:
+        state = State.LOST
+    elif (
+        quality < config.suspect_quality
+        or not confirmed
+        or (before.state is State.SUSPECT and supported < RETURNED_AFTER)
+    ):
+        state = State.SUSPECT
+    else:
+        state = State.TRACKING
+    return Standing(state, unsupported, supported)

@@ -1,0 +1,50 @@
+"""How sure it is that the pose that is followed was the right one to begin with.
+
+What one frame shows cannot settle everything: a can whose print repeats, a box seen on a blank side. So the
+quality of the estimate that started a track stays with it, and doubt shrinks when perception agrees on its
+own, or when the object has been carried to another viewpoint and its print still agrees.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from huepose.geometry.arrays import Float64
+from huepose.tracking.scoring import Fit
+
+TURN = np.radians(25.0)
+"""From a viewpoint this much different the print is new evidence."""
+
+COLOUR = 0.45
+"""Agreement of the print that counts."""
+
+DOUBT_LEFT = 0.5
+"""Share of the doubt that a new viewpoint leaves."""
+
+LARGEST = 0.995
+
+
+@dataclass(frozen=True, eq=False)
+class Identity:
+    """value: probability in 0..1; view (3,): direction from the object to the camera, object axes, from which
+    it was last learnt."""
+
+    value: float
+    view: Float64
+
+    @staticmethod
+    def of(quality: float, view: Float64) -> Identity:
+        """Of a pose that perception is that sure of."""
+        return Identity(min(max(quality, 0.0), LARGEST), view)
+
+    def agreed(self, quality: float, view: Float64) -> Identity:
+        """After perception found the same pose by itself, being that sure of it."""
+        return Identity.of(1.0 - (1.0 - self.value) * (1.0 - quality), view)
+
+    def carried(self, fit: Fit, view: Float64) -> Identity:
+        """After a frame that supports the pose, seen from `view`."""
+        if fit.colour < COLOUR or float(view @ self.view) > np.cos(TURN):
+            return self
+        return Identity.of(1.0 - (1.0 - self.value) * DOUBT_LEFT, view)

@@ -1,0 +1,164 @@
+"""One tracked instance: what is known of it, and what a frame or a correction changes about that."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from huepose.geometry.arrays import Float64
+from huepose.geometry.frame import RgbdFrame
+from huepose.tracking import evidence
+from huepose.tracking.config import TrackerConfig
+from huepose.tracking.evidence import Standing, next_standing, usual_after
+from huepose.tracking.history import PoseHistory
+from huepose.tracking.identity import Identity
+from huepose.tracking.motion import filtered, increment_velocity, predicted
+from huepose.tracking.relative_pose import RelativePose
+from huepose.tracking.scoring import NOTHING, Fit
+from huepose.tracking.step import Anchor, Step, Subject, advance
+from huepose.tracking.types import State, TrackedPose
+from huepose.tracking.uncertainty import covariance, unseen
+
+COASTING_SEEN = 0.15
+"""With less of the surface confirmed, the prediction is better than what was refined on it."""
+
+COASTING_DAMPING = 0.5
+"""Factor of the velocity in every frame without support: hands stop."""
+
+MAX_SEARCHES = 3
+"""Without success, in a row: what is not found by then will not be."""
+
+
+class Track:
+    """The state of one instance. Every live frame it is first `look`ed for, then `settle`d."""
+
+    def __init__(self, subject: Subject, object_name: str, instance: int, config: TrackerConfig) -> None:
+        self.subject, self.object, self.instance = subject, object_name, instance
+        self.history = PoseHistory(config.history_frames)
+        self.state = State.SEARCHING
+        self.T_cam_obj: Float64 | None = None
+        self.velocity: Float64 | None = None
+        self.covariance: Float64 | None = None
+        self.fit: Fit = NOTHING
+        self.quality = 0.0
+        self.start = ""
+        self.applied_seq = 0
+        self._config = config
+        self._standing = Standing(State.SEARCHING)
+        self._identity: Identity | None = None
+        self._evidence = 0.0
+        self._usual: float | None = None
+        self._frame: RgbdFrame | None = None
+        self._searches = 0
+        self._rival: Float64 | None = None
+
+    def look(self, frame: RgbdFrame, relative_pose: RelativePose | None = None) -> None:
+        """Find the object in the next frame, if it has a pose."""
+        if self.T_cam_obj is None or self._frame is None:
+            return
+        may_search = self._searches < MAX_SEARCHES
+        anchor = Anchor(
+            self.T_cam_obj, self.velocity, self._frame, self._usual, None, self._rival, may_search
+        )
+        self._rival = None
+        step = advance(self.subject, anchor, frame, self._config, relative_pose)
+        seconds = (frame.stamp_ns - self._frame.stamp_ns) * 1e-9
+        self.fit, self.start, self._frame = step.fit, step.start, frame
+        self._evidence = evidence.quality(step.fit, self._usual, self._evidence)
+        if self._evidence >= self._config.suspect_quality:
+            measured = increment_velocity(self.T_cam_obj, step.T_cam_obj, seconds)
+            self.velocity = filtered(self.velocity, measured, seconds)
+            self.T_cam_obj, self.covariance = step.T_cam_obj, self._covariance(step)
+            self._searches = 0
+        else:
+            self._coast(step, seconds)
+            self._searches += step.searched
+
+    def settle(self, frame: RgbdFrame, contested: bool = False) -> None:
+        """Judge what `look` found; contested: another pose holds the same surface with better right."""
+        if self.T_cam_obj is not None:
+            if contested:
+                self._evidence = 0.0
+            elif self._evidence >= self._config.suspect_quality:
+                self._usual = usual_after(self._usual, self.fit.total)
+                if self._identity is not None and self._evidence >= self._config.tracking_quality:
+                    self._identity = self._identity.carried(self.fit, self._view())
+            self._judge()
+        self.history.append(frame.frame_id, frame.stamp_ns, self.T_cam_obj)
+
+    def place(self, step: Step, frame: RgbdFrame, identity: float, velocity: Float64 | None) -> None:
+        """Start, or start again, with a pose that was verified on `frame`. Only a correction does this."""
+        self.T_cam_obj, self.fit, self.start, self._frame = step.T_cam_obj, step.fit, step.start, frame
+        self.velocity, self.covariance = velocity, self._covariance(step)
+        self._identity = Identity.of(identity, self._view())
+        self._usual, self._searches, self._rival = None, 0, None
+        self._evidence = evidence.quality(step.fit, None, 1.0)
+        if self._evidence >= self._config.suspect_quality:
+            self._usual = usual_after(None, step.fit.total)
+        # A verified pose may be TRACKING at once.
+        self._standing = Standing(State.TRACKING)
+        self._judge()
+
+    def replay(self, stamp_ns: int, T_cam_obj: Float64, quality: float) -> None:
+        """Take a correction of a kept pose: the increments since then carry it to now.
+
+        Raises ValueError where the history does not reach back unbroken."""
+        moved = self.history.replay(stamp_ns, T_cam_obj)
+        if self.velocity is not None and self.T_cam_obj is not None:
+            # The same motion, about an origin that has moved.
+            lever = moved[:3, 3] - self.T_cam_obj[:3, 3]
+            self.velocity = np.concatenate(
+                [self.velocity[:3] + np.cross(self.velocity[3:], lever), self.velocity[3:]]
+            )
+        # What was there before may come back if the next frame says so.
+        self._rival, self.T_cam_obj = self.T_cam_obj, moved
+        self._identity = Identity.of(quality, self._view())
+
+    def agree(self, quality: float) -> None:
+        """Perception found the same pose by itself."""
+        if self._identity is not None and self.T_cam_obj is not None:
+            self._identity = self._identity.agreed(quality, self._view())
+
+    def published(self, frame: RgbdFrame) -> TrackedPose:
+        """What is said of it about that frame."""
+        return TrackedPose(
+            self.object,
+            self.instance,
+            frame.epoch,
+            frame.frame_id,
+            frame.stamp_ns,
+            self.state,
+            self.T_cam_obj,
+            self.velocity,
+            self.quality,
+            self.covariance,
+            self.applied_seq,
+        )
+
+    def _coast(self, step: Step, seconds: float) -> None:
+        """A frame that does not confirm the pose: keep to the prediction where hardly anything is seen."""
+        assert self.T_cam_obj is not None
+        hardly = step.fit.seen < COASTING_SEEN
+        self.T_cam_obj = predicted(self.T_cam_obj, self.velocity, seconds) if hardly else step.T_cam_obj
+        if self.velocity is not None:
+            self.velocity = self.velocity * COASTING_DAMPING
+        if self.covariance is not None:
+            self.covariance = unseen(self.covariance, seconds)
+
+    def _judge(self) -> None:
+        identity = 0.0 if self._identity is None else self._identity.value
+        self.quality = self._evidence * identity
+        confirmed = identity >= self._config.confirmed_identity
+        self._standing = next_standing(self._standing, self._evidence, confirmed, self._config)
+        self.state = self._standing.state
+        if self.state is State.LOST:
+            self.T_cam_obj = self.velocity = self.covariance = None
+            self.quality = 0.0
+
+    def _view(self) -> Float64:
+        """Direction (3,) from the object to the camera, object axes."""
+        assert self.T_cam_obj is not None
+        eye = -self.T_cam_obj[:3, :3].T @ self.subject.surface.centre_cam(self.T_cam_obj)
+        return np.asarray(eye / max(float(np.linalg.norm(eye)), 1e-9))
+
+    def _covariance(self, step: Step) -> Float64:
+        return covariance(step.information, float(self.subject.surface.centre_cam(step.T_cam_obj)[2]))

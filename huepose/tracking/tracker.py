@@ -1,0 +1,251 @@
+"""The tracker: frames in, poses out; late corrections in between."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+from huepose.geometry.frame import RgbdFrame
+from huepose.model.types import ReferenceModel
+from huepose.support.errors import InputError
+from huepose.support.stages import stage
+from huepose.tracking.catching_up import Pursuit, pursue, supported
+from huepose.tracking.competition import Claim, losers
+from huepose.tracking.config import TrackerConfig
+from huepose.tracking.history import FrameHistory
+from huepose.tracking.relative_pose import RelativePose
+from huepose.tracking.silhouette import overlap
+from huepose.tracking.step import Subject
+from huepose.tracking.track import Track
+from huepose.tracking.types import Applied, Correction, TrackedPose, Verdict
+from huepose.tracking.warm_up import warm_up
+
+SAME_SURFACE_IOU = 0.5
+"""Increments measured on an outline that overlaps the corrected one by more than this carry a correction."""
+
+Key = tuple[str, int]
+
+
+class Tracker:
+    """Tracks instances of known objects through the frames of one camera. Deterministic; owns their states.
+
+    Instances come into being by a correction of verdict ACQUIRE and keep their number for a camera epoch.
+
+        tracker = Tracker(load_models("bundles"))
+        tracker.correct(first_pose)
+        for frame in camera:
+            for pose in tracker.step(frame):
+                ...
+    """
+
+    def __init__(
+        self,
+        models: Mapping[str, ReferenceModel],
+        config: TrackerConfig | None = None,
+        relative_pose: RelativePose | None = None,
+    ) -> None:
+        self.config = config or TrackerConfig()
+        self._relative_pose = relative_pose
+        self._subjects: dict[str, Subject] = {}
+        self._tracks: dict[Key, Track] = {}
+        self._pursuits: dict[Key, Pursuit] = {}
+        self._seen_seq: dict[Key, int] = {}
+        self._waiting: list[Correction] = []
+        self._frames = FrameHistory(self.config.history_frames)
+        for model in models.values():
+            self.add_object(model)
+
+    def add_object(self, model: ReferenceModel) -> None:
+        """Know one more object; a known one of that name is replaced, and its instances are forgotten."""
+        self.remove_object(model.name)
+        self._subjects[model.name] = Subject.of(model)
+
+    def remove_object(self, name: str) -> None:
+        """Forget an object and its instances; nothing happens when it is not known."""
+        self._subjects.pop(name, None)
+        for key in [k for k in self._seen_seq if k[0] == name]:
+            self.remove_instance(*key)
+        self._waiting = [c for c in self._waiting if c.object != name]
+
+    def remove_instance(self, name: str, instance: int) -> None:
+        """Forget one instance."""
+        for known in (self._tracks, self._pursuits, self._seen_seq):
+            known.pop((name, instance), None)
+
+    @property
+    def objects(self) -> tuple[str, ...]:
+        """Names of the known objects."""
+        return tuple(self._subjects)
+
+    @property
+    def instances(self) -> tuple[Key, ...]:
+        """(object, instance) of everything that is or was tracked in this epoch."""
+        return tuple(sorted(self._tracks))
+
+    def warm_up(self) -> None:
+        """Compile what will be needed (some seconds when nothing is cached), so that no frame waits for
+        it."""
+        for subject in list(self._subjects.values())[:1]:
+            warm_up(subject, self.config)
+
+    def poses(self) -> list[TrackedPose]:
+        """What is known at the newest frame, corrections included."""
+        frame = self._frames.newest
+        if frame is None:
+            return []
+        return [self._tracks[key].published(frame) for key in self.instances]
+
+    def step(self, frame: RgbdFrame) -> list[TrackedPose]:
+        """Track everything to a new frame and say how it stands there.
+
+        A frame of another epoch starts afresh: all instances are forgotten. A frame that is not newer than
+        the last one is not looked at, and nothing is said about it.
+        """
+        newest = self._frames.newest
+        if newest is not None and frame.epoch != newest.epoch:
+            self._forget()
+        elif newest is not None and frame.stamp_ns <= newest.stamp_ns:
+            return []
+        self._frames.append(frame)
+        with stage("follow"):
+            for track in self._tracks.values():
+                track.look(frame, self._relative_pose)
+            contested = self._contested(frame)
+            for key, track in self._tracks.items():
+                track.settle(frame, key in contested)
+        self._apply_waiting(frame)
+        with stage("catch up"):
+            self._catch_up()
+        return self.poses()
+
+    def correct(self, correction: Correction) -> Applied:
+        """Take a verdict on a past frame, or on the one that comes next. Raises InputError for an unknown
+        object.
+
+        AGREE keeps the pose and removes doubt. Otherwise the pose replaces the one at its frame: carried to
+        now by the increments where these were measured on the same surface, caught up where not. Idempotent
+        by `seq`.
+        """
+        key = (correction.object, correction.instance)
+        if correction.object not in self._subjects:
+            raise InputError(
+                f"correction {correction.seq}",
+                found=f"object '{correction.object}'",
+                expected=f"one of {', '.join(self._subjects) or 'no objects at all'}",
+                fix="Add the object to the tracker's models.",
+            )
+        newest = self._frames.newest
+        if newest is not None and correction.epoch != newest.epoch:
+            return Applied.REFUSED_EPOCH
+        if correction.seq <= self._seen_seq.get(key, 0):
+            return Applied.REPEATED
+        if newest is None or correction.stamp_ns > newest.stamp_ns:
+            self._seen_seq[key] = correction.seq
+            self._waiting = [c for c in self._waiting if (c.object, c.instance) != key] + [correction]
+            return Applied.CATCHING_UP
+        if not self._frames.covers(correction.stamp_ns):
+            return Applied.REFUSED_OLD
+        self._seen_seq[key] = correction.seq
+        return self._apply(key, correction)
+
+    def _apply_waiting(self, frame: RgbdFrame) -> None:
+        """Corrections that came before their frame."""
+        due = [c for c in self._waiting if c.stamp_ns <= frame.stamp_ns]
+        self._waiting = [c for c in self._waiting if c.stamp_ns > frame.stamp_ns]
+        for correction in due:
+            if correction.epoch == frame.epoch:
+                self._apply((correction.object, correction.instance), correction)
+
+    def _apply(self, key: Key, correction: Correction) -> Applied:
+        track = self._tracks.get(key)
+        if correction.verdict in (Verdict.AGREE, Verdict.REJECT):
+            if track is None:
+                return Applied.REFUSED_OLD
+            if correction.verdict is Verdict.AGREE:
+                track.agree(correction.quality)
+        elif track is None or not self._same_surface(track, correction):
+            self._pursuits[key] = Pursuit.of(correction)
+            newest = self._frames.newest
+            if newest is None or correction.stamp_ns < newest.stamp_ns:
+                return Applied.CATCHING_UP
+            self._pursue(key)
+            return Applied.APPLIED
+        else:
+            track.replay(correction.stamp_ns, correction.T_cam_obj, correction.quality)
+            self._pursuits.pop(key, None)
+        track.applied_seq = max(track.applied_seq, correction.seq)
+        return Applied.APPLIED
+
+    def _same_surface(self, track: Track, correction: Correction) -> bool:
+        """Whether the buffered increments may carry the correction."""
+        old, frame = track.history.at(correction.stamp_ns), self._frames.newest
+        if old is None or track.T_cam_obj is None or frame is None:
+            return False
+        if not track.history.unbroken_since(correction.stamp_ns):
+            return False
+        surface, camera = track.subject.surface, frame.camera
+        new = correction.T_cam_obj
+        shared = overlap(
+            track.subject.mesh, old, new, surface.box(old, camera), surface.box(new, camera), camera
+        )
+        return shared > SAME_SURFACE_IOU
+
+    def _catch_up(self) -> None:
+        """A step for every pursuit whose object has no pose of its own, and one more for the oldest."""
+        if not self._pursuits:
+            return
+        oldest = min(self._pursuits, key=lambda k: self._pursuits[k].correction.stamp_ns)
+        for key in list(self._pursuits):
+            track = self._tracks.get(key)
+            if track is None or track.T_cam_obj is None:
+                self._pursue(key)
+        if oldest in self._pursuits:
+            self._pursue(oldest)
+
+    def _pursue(self, key: Key) -> None:
+        """One step of catching up; on arrival the pose is verified and taken, or dropped."""
+        newest, pursuit = self._frames.newest, self._pursuits[key]
+        assert newest is not None
+        since = pursuit.correction.stamp_ns if pursuit.reached is None else pursuit.reached.stamp_ns
+        pursuit = pursue(
+            pursuit, self._subjects[key[0]], self._frames.since(since), self.config, self._relative_pose
+        )
+        self._pursuits[key] = pursuit
+        if not pursuit.arrived(newest):
+            return
+        del self._pursuits[key]
+        self._arrive(key, pursuit, newest)
+
+    def _arrive(self, key: Key, pursuit: Pursuit, frame: RgbdFrame) -> None:
+        """Verify a pose that has reached now against the frame, and against the pose that is there."""
+        correction, step = pursuit.correction, pursuit.step
+        track = self._tracks.get(key)
+        if step is None or not supported(pursuit, self.config):
+            return
+        if track is None:
+            track = Track(self._subjects[key[0]], *key, self.config)
+            self._tracks[key] = track
+            track.history.append(frame.frame_id, frame.stamp_ns, None)
+        elif track.T_cam_obj is not None and track.fit.total > step.fit.total:
+            return
+        track.place(step, frame, correction.quality, pursuit.velocity)
+        for stamp_ns, T in pursuit.poses:
+            track.history.put(stamp_ns, T)
+        track.applied_seq = max(track.applied_seq, correction.seq)
+
+    def _contested(self, frame: RgbdFrame) -> set[Key]:
+        """Instances whose surface another one holds with better right."""
+        keys = [k for k, t in self._tracks.items() if t.T_cam_obj is not None]
+        claims = []
+        for key in keys:
+            track = self._tracks[key]
+            assert track.T_cam_obj is not None
+            claims.append(Claim(track.subject.surface, track.T_cam_obj, track.fit.total))
+        return {keys[i] for i in losers(claims, frame.depth, frame.camera)}
+
+    def _forget(self) -> None:
+        """A new camera epoch: nothing that was known of places and numbers holds."""
+        self._frames.clear()
+        self._tracks.clear()
+        self._pursuits.clear()
+        self._seen_seq.clear()
+        self._waiting.clear()

@@ -1,0 +1,38 @@
+"""The covariance that is published with a tracked pose.
+
+Order tx ty tz rx ry rz, metres and radians, about the object's origin, camera axes. The refinement's
+information counts residuals as if their errors were independent; those of neighbouring pixels are not, and a
+sensor and a scanned model err alike everywhere, which no number of samples averages away.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from huepose.geometry.arrays import Float64
+from huepose.geometry.uncertainty import grown
+from huepose.tracking.refinement import depth_noise_m
+
+RESIDUALS_PER_READING = 12.0
+"""This many residuals are worth one independent one."""
+
+FLOOR_SIGMA = np.array([0.0003, 0.0003, 0.0005, 0.004, 0.004, 0.004])
+BIAS_SHARE = 0.15
+"""Of the depth sensor's noise: what its errors have in common over an object."""
+
+WEAK_SIGMA = np.array([0.05, 0.05, 0.05, 0.5, 0.5, 0.5])
+"""What is known even where nothing was measured: the object was tracked a moment ago."""
+
+
+def covariance(information: Float64, distance_m: float) -> Float64:
+    """Covariance (6, 6) of a refined pose at that distance."""
+    weak = np.diag(1.0 / WEAK_SIGMA**2)
+    independent = np.linalg.inv(information / RESIDUALS_PER_READING + weak)
+    bias = BIAS_SHARE * depth_noise_m(distance_m)
+    floor = FLOOR_SIGMA**2 + np.array([0.0, 0.0, bias**2, 0.0, 0.0, 0.0])
+    return np.asarray(independent + np.diag(floor))
+
+
+def unseen(before: Float64, seconds: float) -> Float64:
+    """Covariance of a pose that was only predicted over an interval."""
+    return grown(before, seconds)

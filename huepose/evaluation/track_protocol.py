@@ -176,7 +176,8 @@ class _Run:
         ]
         self.asked_for |= {(p.model.name, p.ordinal) for p in new}
         found = self.sources.init.poses(sample, new, {}) if new else []
-        if new and not found and self.options.protocol == "free" and isinstance(self.sources.init, FileSource):
+        alone = self.options.protocol == "free"
+        if new and not found and alone and isinstance(self.sources.init, FileSource):
             raise InputError(
                 f"poses for sequence {self.scene.name}",
                 found=f"none of {', '.join(p.model.name for p in new)} at frame {sample.image}",

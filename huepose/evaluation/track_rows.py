@@ -145,7 +145,9 @@ class TrackResult:
                 (b["min_auc_add"] for b in flat if b["min_auc_add"] is not None), default=None
             ),
             **self.measured,
-            "frame_weighted": mean_figures(block["frame_weighted"] for block in blocks.values()),
+            "frame_weighted": _counts_as_whole(
+                mean_figures(block["frame_weighted"] for block in blocks.values())
+            ),
             "sequences": {
                 name: _counts_as_whole(mean_figures(block["sequences"][name] for block in blocks.values()))
                 for name in names

@@ -13,6 +13,7 @@ def add_parser(subparsers: Any) -> None:
     parser = subparsers.add_parser("eval", help="measure accuracy on labelled data")
     verbs = parser.add_subparsers(dest="eval_verb", required=True, metavar="WHAT")
     _add_estimate(verbs)
+    _add_track(verbs)
     _add_poses(verbs)
     parser.set_defaults(call=call)
 
@@ -85,6 +86,42 @@ def _add_estimate(verbs: Any) -> None:
     parser.add_argument(
         "--csv", type=Path, default=None, metavar="BOP19.csv", help="poses for the BOP toolkit"
     )
+    parser.add_argument("--plots", type=Path, default=None, metavar="DIR", help="curves and pictures")
+
+
+def _add_track(verbs: Any) -> None:
+    parser = verbs.add_parser("track", help="sequences", description="Tracking accuracy on sequences.")
+    source = parser.add_mutually_exclusive_group(required=True)
+    source.add_argument("--fast-ycb", type=Path, nargs="+", metavar="SEQ_DIR")
+    source.add_argument("--bop", type=Path, nargs="+", metavar="SCENE_DIR")
+    _common(parser)
+    parser.add_argument(
+        "--protocol",
+        choices=("free", "roft"),
+        default="free",
+        help="free: started once, then alone; roft: results at 5 Hz, one period late",
+    )
+    parser.add_argument(
+        "--every", type=int, default=1, metavar="N", help="feed and score every N-th frame (1)"
+    )
+    parser.add_argument(
+        "--init", default=None, metavar="estimate|gt|FILE", help="the first pose (default: as --delayed)"
+    )
+    parser.add_argument(
+        "--delayed", default=None, metavar="estimate|gt|DIR", help="the late results of roft (estimate)"
+    )
+    parser.add_argument(
+        "--frame", choices=("bop", "nvdu"), default="bop", help="model frame of the files of poses (bop)"
+    )
+    parser.add_argument(
+        "--nvdu-frames",
+        type=Path,
+        default=None,
+        metavar="FILE",
+        help="JSON of NVDU model frames, for --frame nvdu",
+    )
+    _objects(parser)
+    _seeds(parser)
     parser.add_argument("--plots", type=Path, default=None, metavar="DIR", help="curves and pictures")
 
 

@@ -1,0 +1,86 @@
+"""`huepose eval track`: tracking accuracy on sequences."""
+
+from __future__ import annotations
+
+import argparse
+from collections.abc import Mapping
+from typing import Any
+
+from huepose.datasets.types import Scene
+from huepose.estimation import Estimator, EstimatorConfig
+from huepose.evaluation.result_files import write_json
+from huepose.evaluation.sources import EstimatorSource, FileSource, PoseSource, TruthSource
+from huepose.evaluation.targets import Targets
+from huepose.evaluation.track_protocol import SourceNames, Sources, TrackOptions, evaluate_tracking
+from huepose.model import ReferenceModel
+from huepose.support.errors import InputError
+from huepose.tracking import Tracker
+from huepose_services.cli.evaluate_scenes import figure_table, open_scenes, shown, states_line
+from huepose_services.cli.pose_tables import PoseTables
+
+
+def call(arguments: argparse.Namespace) -> int:
+    """Evaluate, write, print a table."""
+    import cv2
+
+    cv2.setNumThreads(1)  # as the tracker's worker does
+    names = _source_names(arguments)
+    scenes, models = open_scenes(arguments.fast_ycb, arguments.bop, arguments.bundles)
+    targets = Targets(models, arguments.objects)
+    used = {name: models[name] for name in shown(scenes, targets)}
+    estimator = Estimator(used, EstimatorConfig())
+    if "estimate" in (names.init, names.delayed):
+        estimator.warm_up()
+    tables = PoseTables(arguments.frame, arguments.nvdu_frames, used)
+
+    def source(kind: str, scene: Scene, seed: int) -> PoseSource:
+        if kind == "gt":
+            return TruthSource()
+        if kind == "estimate":
+            return EstimatorSource(estimator, seed)
+        return FileSource(tables.of(kind, scene.name))
+
+    def sources(scene: Scene, seed: int) -> Sources:
+        first = source(names.init, scene, seed)
+        if names.delayed is None:
+            return Sources(first)
+        return Sources(first, first if names.delayed == names.init else source(names.delayed, scene, seed))
+
+    options = TrackOptions(arguments.protocol, arguments.every, tuple(arguments.seed))
+    result = evaluate_tracking(scenes, targets, _tracker, sources, options, names)
+    record = result.as_json()
+    write_json(arguments.json, record)
+    print(_report(record["summary"]))
+    return 0
+
+
+def _tracker(models: Mapping[str, ReferenceModel]) -> Tracker:
+    tracker = Tracker(models)
+    tracker.warm_up()
+    return tracker
+
+
+def _source_names(arguments: argparse.Namespace) -> SourceNames:
+    if arguments.protocol == "free":
+        if arguments.delayed is not None:
+            raise InputError(
+                "--delayed", found="it with --protocol free", fix="Use --protocol roft, or --init alone."
+            )
+        return SourceNames(arguments.init or "estimate")
+    delayed = arguments.delayed or "estimate"
+    return SourceNames(arguments.init or delayed, delayed)
+
+
+def _report(summary: dict[str, Any]) -> str:
+    blocks = {**summary["sequences"], "mean": summary, "all frames": summary["frame_weighted"]}
+    more = {"instances": "n", "coverage_tracking": "TRACKING", "false_tracking_frames": "false"}
+    fps = "-" if summary["fps"] is None else f"{summary['fps']:.1f}"
+    delayed = f", late results {summary['delayed']}" if summary["delayed"] else ""
+    return "\n".join(
+        [
+            figure_table("sequence", blocks, more),
+            states_line(summary),
+            f"{summary['protocol']}, every {summary['every']}, first pose {summary['init']}{delayed}, "
+            f"seed {summary['seed']}; {fps} frames/s",
+        ]
+    )

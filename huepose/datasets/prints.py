@@ -87,9 +87,10 @@ def clouds(rng: Rng, height: int, width: int, cell: float, octaves: int = 4) -> 
 
 
 def mixed(a: Colour, b: Colour, share: Float32) -> UInt8:
-    """Colours from `a` (share 0) to `b` (share 1), share (H, W)."""
-    pair = np.array([a, b], np.float32)
-    return np.asarray(np.rint(pair[0] + share[..., None] * (pair[1] - pair[0])), np.uint8)
+    """Colours from `a` (share 0) to `b` (share 1) in 255 steps, share (H, W)."""
+    steps = np.linspace(0.0, 1.0, 256)[:, None]
+    table = np.rint(np.array(a) + steps * (np.array(b) - np.array(a))).astype(np.uint8)
+    return np.asarray(table[(np.clip(share, 0.0, 1.0) * 255.0 + 0.5).astype(np.uint8)], np.uint8)
 
 
 def write(

@@ -101,11 +101,13 @@ def parts_tray(p: Palette, rng: Rng) -> Mesh:
     return printed(charts, [prints.sticker(word, k) for k, word in enumerate(words)], p, rng)
 
 
-def printed(charts: Sequence[Chart], arts: Sequence[Art], p: Palette, rng: Rng) -> Mesh:
-    """The mesh of charts, each with its own art, all in one texture of `TEXTURE_PX`."""
+def printed(
+    charts: Sequence[Chart], arts: Sequence[Art], p: Palette, rng: Rng, texture_px: int = TEXTURE_PX
+) -> Mesh:
+    """The mesh of charts, each with its own art, all in one square texture."""
     sizes = np.array([chart.size for chart in charts])
-    density, places = _packed(sizes)
-    texture = np.zeros((TEXTURE_PX, TEXTURE_PX, 3), np.uint8)
+    density, places = _packed(sizes, texture_px)
+    texture = np.zeros((texture_px, texture_px, 3), np.uint8)
     half = GAP_PX // 2
     uv = []
     for chart, art, (x, y) in zip(charts, arts, places, strict=True):
@@ -115,7 +117,7 @@ def printed(charts: Sequence[Chart], arts: Sequence[Art], p: Palette, rng: Rng) 
         ).astype(np.uint8)
         texture[y : y + height + 2 * half, x : x + width + 2 * half] = picture
         scale = np.array([width, height]) / chart.size
-        uv.append((chart.flat * scale + (x + half, y + half)) / TEXTURE_PX)
+        uv.append((chart.flat * scale + (x + half, y + half)) / texture_px)
     corners = np.concatenate([chart.corners for chart in charts]).reshape(-1, 3)
     vertices, index = np.unique(np.round(corners, 7) + 0.0, axis=0, return_inverse=True)
     return Mesh(
@@ -126,24 +128,24 @@ def printed(charts: Sequence[Chart], arts: Sequence[Art], p: Palette, rng: Rng) 
     )
 
 
-def _packed(sizes: Float64) -> tuple[float, list[tuple[int, int]]]:
+def _packed(sizes: Float64, texture_px: int) -> tuple[float, list[tuple[int, int]]]:
     """The most pixels per metre at which charts (N, 2) fit on shelves, and their top-left corners in px."""
     low, high = 100.0, 8000.0
     while high - low > 10.0:
         middle = (low + high) / 2
-        low, high = (middle, high) if _shelves(sizes, middle) else (low, middle)
-    return low, _shelves(sizes, low) or []
+        low, high = (middle, high) if _shelves(sizes, middle, texture_px) else (low, middle)
+    return low, _shelves(sizes, low, texture_px) or []
 
 
-def _shelves(sizes: Float64, density: float) -> list[tuple[int, int]] | None:
+def _shelves(sizes: Float64, density: float, texture_px: int) -> list[tuple[int, int]] | None:
     pixels = np.maximum(8, (sizes * density).astype(int)) + GAP_PX
     places = [(0, 0)] * len(sizes)
     x = y = shelf = 0
     for k in np.argsort(-pixels[:, 1], kind="stable"):
         width, height = int(pixels[k, 0]), int(pixels[k, 1])
-        if x + width > TEXTURE_PX:
+        if x + width > texture_px:
             x, y, shelf = 0, y + shelf, 0
-        if x + width > TEXTURE_PX or y + height > TEXTURE_PX:
+        if x + width > texture_px or y + height > texture_px:
             return None
         places[int(k)] = (x, y)
         x, shelf = x + width, max(shelf, height)

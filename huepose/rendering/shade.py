@@ -2,7 +2,7 @@
 
 Over the camera-frame corners v0 v1 v2 of a triangle, a viewing ray r has barycentric coordinates
 proportional to r.(v1 x v2), r.(v2 x v0), r.(v0 x v1) (homogeneous rasterisation, Olano and Greer 1997): right
-also where the triangle passes behind the camera.
+also where the triangle passes behind the camera. So an attribute is (r.n) / (r.d), with n and d per triangle.
 """
 
 from __future__ import annotations
@@ -16,43 +16,41 @@ from huepose.support.jit import jit
 
 
 @jit
-def _barycentric(points: Float64, face: Int32, x: float, y: float, weights: Float64) -> tuple[float, float]:
-    """Weights (3) of the corners for the ray (x, y, 1); returns their first sum and det[v0 v1 v2]."""
-    a, b, c = points[face[0]], points[face[1]], points[face[2]]
-    weights[0] = x * (b[1] * c[2] - b[2] * c[1]) + y * (b[2] * c[0] - b[0] * c[2]) + b[0] * c[1] - b[1] * c[0]
-    weights[1] = x * (c[1] * a[2] - c[2] * a[1]) + y * (c[2] * a[0] - c[0] * a[2]) + c[0] * a[1] - c[1] * a[0]
-    weights[2] = x * (a[1] * b[2] - a[2] * b[1]) + y * (a[2] * b[0] - a[0] * b[2]) + a[0] * b[1] - a[1] * b[0]
-    total = weights[0] + weights[1] + weights[2]
-    volume = (
-        a[0] * (b[1] * c[2] - b[2] * c[1])
-        + a[1] * (b[2] * c[0] - b[0] * c[2])
-        + a[2] * (b[0] * c[1] - b[1] * c[0])
-    )
-    # Rounding can leave a pixel on an edge a trace outside: kept inside, so that nothing is extrapolated.
-    sign = 1.0 if total >= 0 else -1.0
-    clipped = 0.0
+def _edges(points: Float64, face: Int32, m: Float64) -> float:
+    """The three cross products (3, 3) of a triangle's corners, and their sum in m[3]; returns det[v0 v1 v2],
+    which is positive for a triangle seen from behind."""
     for k in range(3):
-        weights[k] = max(sign * weights[k], 0.0)
-        clipped += weights[k]
-    for k in range(3):
-        weights[k] = weights[k] / clipped if clipped > 0 else 1.0 / 3.0
-    return total, volume
+        a, b = points[face[(k + 1) % 3]], points[face[(k + 2) % 3]]
+        m[k, 0] = a[1] * b[2] - a[2] * b[1]
+        m[k, 1] = a[2] * b[0] - a[0] * b[2]
+        m[k, 2] = a[0] * b[1] - a[1] * b[0]
+    for c in range(3):
+        m[3, c] = m[0, c] + m[1, c] + m[2, c]
+    first = points[face[0]]
+    volume: float = first[0] * m[0, 0] + first[1] * m[0, 1] + first[2] * m[0, 2]
+    return volume
 
 
 @jit
-def _texel(texels: UInt8, levels: Int64, level: int, s: float, t: float, weight: float, out: Float64) -> None:
-    """Add `weight` times the bilinear colour at texture coordinates (s, t) of one level to `out` (3)."""
-    offset, height, width = levels[level, 0], levels[level, 1], levels[level, 2]
+def _texel(
+    texels: UInt8, offset: int, height: int, width: int, s: float, t: float
+) -> tuple[float, float, float]:
+    """Bilinear colour at texture coordinates (s, t) in 0..1 of the level that begins at `offset`."""
     x = min(max(s * width - 0.5, 0.0), width - 1.0)
     y = min(max(t * height - 0.5, 0.0), height - 1.0)
     x0, y0 = int(x), int(y)
-    x1, y1 = min(x0 + 1, width - 1), min(y0 + 1, height - 1)
-    fx, fy = x - x0, y - y0
-    top, bottom = offset + y0 * width, offset + y1 * width
-    for k in range(3):
-        upper = texels[top + x0, k] * (1.0 - fx) + texels[top + x1, k] * fx
-        lower = texels[bottom + x0, k] * (1.0 - fx) + texels[bottom + x1, k] * fx
-        out[k] += weight * (upper * (1.0 - fy) + lower * fy)
+    a = offset + y0 * width + x0
+    b = a + (1 if x0 + 1 < width else 0)
+    down = width if y0 + 1 < height else 0
+    c, d = a + down, b + down
+    fx, fy = np.float32(x - x0), np.float32(y - y0)
+    w11 = fx * fy
+    w10, w01 = fy - w11, fx - w11
+    w00 = np.float32(1.0) - fx - w10
+    red = w00 * texels[a, 0] + w01 * texels[b, 0] + w10 * texels[c, 0] + w11 * texels[d, 0]
+    green = w00 * texels[a, 1] + w01 * texels[b, 1] + w10 * texels[c, 1] + w11 * texels[d, 1]
+    blue = w00 * texels[a, 2] + w01 * texels[b, 2] + w10 * texels[c, 2] + w11 * texels[d, 2]
+    return red, green, blue
 
 
 @jit
@@ -76,35 +74,53 @@ def paint(
     the image to the texture, per pixel.
     """
     left, top, right, bottom = bounds
-    weights, value = np.empty(3), np.empty(3)
-    height, width = levels[0, 1], levels[0, 2]
-    scale = height * width / (focal[0] * focal[1])
+    m, s_of, t_of = np.empty((4, 3)), np.empty(3), np.empty(3)
+    scale = levels[0, 1] * levels[0, 2] / (focal[0] * focal[1])
+    last, top_level, base = -1, levels.shape[0] - 1, 0.0
+    low_s, high_s, low_t, high_t = 0.0, 1.0, 0.0, 1.0
     for row in range(top, bottom + 1):
         y = (row - centre[1]) / focal[1]
         for column in range(left, right + 1):
             if owner[row, column] != index:
                 continue
             f = faces_at[row, column]
-            total, volume = _barycentric(points, faces[f], (column - centre[0]) / focal[0], y, weights)
-            s = weights[0] * uv[f, 0, 0] + weights[1] * uv[f, 1, 0] + weights[2] * uv[f, 2, 0]
-            t = weights[0] * uv[f, 0, 1] + weights[1] * uv[f, 1, 1] + weights[2] * uv[f, 2, 1]
+            if f != last:
+                last = f
+                volume = _edges(points, faces[f], m)
+                s0, s1, s2 = np.float64(uv[f, 0, 0]), np.float64(uv[f, 1, 0]), np.float64(uv[f, 2, 0])
+                t0, t1, t2 = np.float64(uv[f, 0, 1]), np.float64(uv[f, 1, 1]), np.float64(uv[f, 2, 1])
+                for k in range(3):
+                    s_of[k] = s0 * m[0, k] + s1 * m[1, k] + s2 * m[2, k]
+                    t_of[k] = t0 * m[0, k] + t1 * m[1, k] + t2 * m[2, k]
+                area = (s1 - s0) * (t2 - t0) - (t1 - t0) * (s2 - s0)
+                base = 0.5 * math.log2(max(abs(area * scale * volume * volume), 1e-300))
+                low_s, high_s = min(s0, s1, s2), max(s0, s1, s2)
+                low_t, high_t = min(t0, t1, t2), max(t0, t1, t2)
+            x = (column - centre[0]) / focal[0]
+            total = x * m[3, 0] + y * m[3, 1] + m[3, 2]
+            if total == 0.0:
+                total = 1e-300
+            s = min(max((x * s_of[0] + y * s_of[1] + s_of[2]) / total, low_s), high_s)
+            t = min(max((x * t_of[0] + y * t_of[1] + t_of[2]) / total, low_t), high_t)
             if s < 0 or s > 1:
                 s -= math.floor(s)
             if t < 0 or t > 1:
                 t -= math.floor(t)
-            area = (uv[f, 1, 0] - uv[f, 0, 0]) * (uv[f, 2, 1] - uv[f, 0, 1]) - (uv[f, 1, 1] - uv[f, 0, 1]) * (
-                uv[f, 2, 0] - uv[f, 0, 0]
-            )
-            stretch = abs(area * scale * volume * volume / (total * total * total)) if total != 0 else 1.0
-            depth = min(max(0.5 * math.log2(max(stretch, 1e-12)), 0.0), levels.shape[0] - 1.0)
-            level = int(depth)
-            part = depth - level
-            value[:] = 0.0
-            _texel(texels, levels, level, s, t, 1.0 - part, value)
-            if part > 0:
-                _texel(texels, levels, level + 1, s, t, part, value)
-            for k in range(3):
-                color[row, column, k] = np.uint8(min(value[k] + 0.5, 255.0))
+            where = min(max(base - 1.5 * math.log2(abs(total)), 0.0), float(top_level))
+            level = int(where)
+            part = where - level
+            red, green, blue = _texel(texels, levels[level, 0], levels[level, 1], levels[level, 2], s, t)
+            if level < top_level and part > 0.0:
+                up = level + 1
+                r, g, b = _texel(texels, levels[up, 0], levels[up, 1], levels[up, 2], s, t)
+                red, green, blue = (
+                    red + part * (r - red),
+                    green + part * (g - green),
+                    blue + part * (b - blue),
+                )
+            color[row, column, 0] = np.uint8(red + 0.5)
+            color[row, column, 1] = np.uint8(green + 0.5)
+            color[row, column, 2] = np.uint8(blue + 0.5)
 
 
 @jit
@@ -122,20 +138,28 @@ def locate(
 ) -> None:
     """Interpolate values at face corners (F, 3, 3) over the pixels owned by `index` into out (H, W, 3)."""
     left, top, right, bottom = bounds
-    weights = np.empty(3)
+    m, of, low, high = np.empty((4, 3)), np.empty((3, 3)), np.empty(3), np.empty(3)
+    last = -1
     for row in range(top, bottom + 1):
         y = (row - centre[1]) / focal[1]
         for column in range(left, right + 1):
             if owner[row, column] != index:
                 continue
             f = faces_at[row, column]
-            _barycentric(points, faces[f], (column - centre[0]) / focal[0], y, weights)
+            if f != last:
+                last = f
+                _edges(points, faces[f], m)
+                for k in range(3):
+                    a, b, c = corner_values[f, 0, k], corner_values[f, 1, k], corner_values[f, 2, k]
+                    low[k], high[k] = min(a, b, c), max(a, b, c)
+                    for e in range(3):
+                        of[k, e] = a * m[0, e] + b * m[1, e] + c * m[2, e]
+            x = (column - centre[0]) / focal[0]
+            total = x * m[3, 0] + y * m[3, 1] + m[3, 2]
+            inverse = 1.0 / total if total != 0.0 else 0.0
             for k in range(3):
-                out[row, column, k] = (
-                    weights[0] * corner_values[f, 0, k]
-                    + weights[1] * corner_values[f, 1, k]
-                    + weights[2] * corner_values[f, 2, k]
-                )
+                value = (x * of[k, 0] + y * of[k, 1] + of[k, 2]) * inverse
+                out[row, column, k] = min(max(value, low[k]), high[k])
 
 
 @jit
@@ -152,21 +176,19 @@ def turn_normals(
     """Model-frame normals of the pixels owned by `index` into the camera frame, unit length, in place;
     negated where the back of a face is seen."""
     left, top, right, bottom = bounds
+    m = np.empty((4, 3))
+    last, side = -1, 1.0
     for row in range(top, bottom + 1):
         for column in range(left, right + 1):
             if owner[row, column] != index:
                 continue
-            face = faces[faces_at[row, column]]
-            a, b, c = points[face[0]], points[face[1]], points[face[2]]
-            volume = (
-                a[0] * (b[1] * c[2] - b[2] * c[1])
-                + a[1] * (b[2] * c[0] - b[0] * c[2])
-                + a[2] * (b[0] * c[1] - b[1] * c[0])
-            )
+            f = faces_at[row, column]
+            if f != last:
+                last = f
+                side = -1.0 if _edges(points, faces[f], m) > 0 else 1.0
             x = np.float64(normals[row, column, 0])
             y = np.float64(normals[row, column, 1])
             z = np.float64(normals[row, column, 2])
-            # det[a b c] is the face normal (twice the area) times a point of the face: positive from behind.
-            scale = (-1.0 if volume > 0 else 1.0) / max(math.sqrt(x * x + y * y + z * z), 1e-12)
+            scale = side / max(math.sqrt(x * x + y * y + z * z), 1e-12)
             for k in range(3):
                 normals[row, column, k] = scale * (R[k, 0] * x + R[k, 1] * y + R[k, 2] * z)

@@ -1,0 +1,210 @@
+"""How things move in the synthetic scene: closed paths that are smooth twice over, also where they wrap.
+
+A path is a cyclic cubic B-spline, for rotations in its cumulative form (Kim, Kim and Shin 1995). The tempo is
+calm where the loop begins and lively after, as when someone picks objects up one by one. Positions are in the
+frame `room`: the camera's at rest (x right, y down, z forward).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from huepose.geometry.arrays import Bool, Float, Float64
+from huepose.geometry.camera import Camera
+
+Rng = np.random.Generator
+
+CALM_S = 1.5  # at the beginning of the loop: slow, and nobody hides anybody
+PITCH = np.radians(35.0)  # how far the camera looks down
+UP_ROOM = np.array([0.0, -np.cos(PITCH), -np.sin(PITCH)])
+TABLE_M = 0.78  # height of the camera over the table
+NEAREST_M, FARTHEST_M = 0.57, 1.0  # of the centres of labelled objects
+
+
+@dataclass(frozen=True, eq=False)
+class Timing:
+    """The frames of a loop. phase (N,) in 0..1: how far along its path everything is in each frame, smooth
+    and slow at both ends; calm (N,) bool: the frames of the calm beginning and the last half second."""
+
+    rate_hz: float
+    phase: Float64
+    calm: Bool
+
+    @staticmethod
+    def of(n_frames: int, rate_hz: float = 30.0) -> Timing:
+        """The timing of a loop of `n_frames`."""
+        t = np.arange(n_frames) / rate_hz
+        length = n_frames / rate_hz
+        fine = np.linspace(0.0, length, 4096)
+        rise = _smooth_step((fine - 0.8) / 1.4) * (1 - _smooth_step((fine - length + 0.9) / 0.9))
+        speed = 0.22 + 0.78 * rise
+        way = np.concatenate([[0.0], np.cumsum((speed[1:] + speed[:-1]) / 2)])
+        phase = np.interp(t, fine, way / way[-1])
+        return Timing(rate_hz, phase, (t < CALM_S) | (t >= length - 0.5))
+
+    @property
+    def length_s(self) -> float:
+        """Seconds until the loop begins again."""
+        return len(self.phase) / self.rate_hz
+
+
+def _smooth_step(x: Float) -> Float64:
+    """0 below 0, 1 above 1, with two continuous derivatives."""
+    s = np.clip(x, 0.0, 1.0)
+    return np.asarray(s**3 * (10 - 15 * s + 6 * s**2), np.float64)
+
+
+def positions(control: Float, phase: Float) -> Float64:
+    """Points (N, D) at phases (N,) of the cyclic cubic B-spline with control points (K, D)."""
+    index, weights = _cubic(len(control), phase)
+    return np.asarray((weights[..., None] * control[index]).sum(1), np.float64)
+
+
+def rotations(control: Float, phase: Float) -> Float64:
+    """Rotations (N, 3, 3) at phases (N,) of the cyclic spline with control rotations (K, 3, 3)."""
+    index, weights = _cubic(len(control), phase)
+    at = Rotation.from_matrix(control)
+    steps = (at[np.arange(len(control)) - 1].inv() * at).as_rotvec()  # from each one's predecessor
+    total = at[index[:, 0]]
+    for k in (1, 2, 3):
+        share = weights[:, k:].sum(1)
+        total = total * Rotation.from_rotvec(share[:, None] * steps[index[:, k]])
+    return np.asarray(total.as_matrix(), np.float64)
+
+
+def _cubic(n: int, phase: Float) -> tuple[np.ndarray, Float64]:
+    """Indices (N, 4) and weights (N, 4) of the control points that act at each phase."""
+    where = np.asarray(phase, np.float64) % 1.0 * n
+    first = np.floor(where).astype(np.int64)
+    u = where - first
+    weights = (
+        np.stack([(1 - u) ** 3, 3 * u**3 - 6 * u**2 + 4, -3 * u**3 + 3 * u**2 + 3 * u + 1, u**3], -1) / 6.0
+    )
+    return (first[:, None] + np.arange(-1, 3)) % n, weights
+
+
+def speeds(poses: Float, rate_hz: float) -> tuple[Float64, Float64]:
+    """Linear (m/s) and angular (rad/s) speeds (N,) of a closed row of poses (N, 4, 4), the wrap included."""
+    following = np.roll(poses, -1, axis=0)
+    linear = np.linalg.norm(following[:, :3, 3] - poses[:, :3, 3], axis=1)
+    turn = Rotation.from_matrix(np.swapaxes(poses[:, :3, :3], 1, 2) @ following[:, :3, :3])
+    return np.asarray(linear * rate_hz), np.asarray(turn.magnitude() * rate_hz)
+
+
+def object_paths(radii: Float, camera: Camera, timing: Timing, rng: Rng) -> Float64:
+    """Poses T_room_obj (objects, N, 4, 4) of objects with bounding radii (objects,) m about their origins.
+
+    They stay in view, over the table, apart from each other in space, and mostly apart in the image. Peaks of
+    0.35 to 0.6 m/s and 150 to 370 degrees a second.
+    """
+    for _ in range(200):
+        tracks: list[Float64] = []
+        for radius in radii:
+            track = _place(float(radius), radii[: len(tracks)], tracks, camera, timing, rng)
+            if track is None:
+                break
+            tracks.append(track)
+        if len(tracks) == len(radii):
+            poses = np.tile(np.eye(4), (len(radii), len(timing.phase), 1, 1))
+            poses[:, :, :3, 3] = tracks
+            for k in range(len(radii)):
+                poses[k, :, :3, :3] = _tumble(timing, rng)
+            return poses
+    raise RuntimeError(f"no room in view for {len(radii)} objects")
+
+
+def _controls(timing: Timing) -> int:
+    return max(5, round(timing.length_s / 0.55))
+
+
+def _place(
+    radius: float, radii: Float, others: list[Float64], camera: Camera, timing: Timing, rng: Rng
+) -> Float64 | None:
+    """Positions (N, 3) of one more object that keep clear of the others', or None when no draw does."""
+    n, k = 192, _controls(timing)
+    depth = rng.uniform(NEAREST_M + 0.06, FARTHEST_M - 0.04, n)
+    pixel = rng.uniform(0.16, 0.84, (n, 2)) * (camera.width, camera.height)
+    wander = rng.normal(0, 1, (n, k, 3)) * (0.8, 0.7, 1.0)
+    paths = positions(np.eye(k), timing.phase) @ wander
+    fastest = np.linalg.norm(np.roll(paths, -1, 1) - paths, axis=2).max(1) * timing.rate_hz
+    amplitude = rng.uniform(0.35, 0.6, n) / fastest
+    paths = (paths - paths.mean(1, keepdims=True)) * amplitude[:, None, None]
+    paths += camera.backproject(pixel, depth)[:, None]
+    paths = paths[
+        (paths[..., 2] > NEAREST_M).all(1)
+        & (paths[..., 2] < FARTHEST_M).all(1)
+        & (paths @ UP_ROOM > radius + 0.01 - TABLE_M).all(1)
+    ]
+    for other, r in zip(others, radii, strict=True):
+        paths = paths[(np.linalg.norm(paths - other, axis=2) > radius + r).all(1)]
+
+    focal = (camera.fx + camera.fy) / 2
+    seen, disc = camera.project(paths), 0.8 * focal * radius / paths[..., 2]
+    inside = (seen > disc[..., None] - 4) & (
+        seen < np.array([camera.width, camera.height]) - disc[..., None] + 4
+    )
+    good = inside.all((1, 2))
+    for other, r in zip(others, radii, strict=True):
+        # No two hide each other altogether, or meet in the image at all while things are calm.
+        share = np.linalg.norm(seen - camera.project(other), axis=2) / (disc + 0.8 * focal * r / other[:, 2])
+        good &= (share > 0.5).all(1) & (share[:, timing.calm] > 1.05).all(1)
+        good &= (share < 0.8).mean(1) < 0.12
+    found = np.flatnonzero(good)
+    return np.asarray(paths[found[0]], np.float64) if len(found) else None
+
+
+def _tumble(timing: Timing, rng: Rng) -> Float64:
+    """Rotations (N, 3, 3) about a nearly upright stand: whole turns about the vertical, and a wobble that is
+    scaled until the fastest moment is between 150 and 370 degrees a second."""
+    n = _controls(timing)
+    stand = upright(rng.uniform(0, 2 * np.pi))
+    turns = int(rng.integers(-1, 2))
+    spin = Rotation.from_rotvec(np.outer(np.arange(n) * (2 * np.pi * turns / n), UP_ROOM)).as_matrix()
+    wobble = rng.normal(0, 1, (n, 3))
+    fastest = np.radians(rng.uniform(150, 370))
+    amplitude = 0.5
+    poses = np.tile(np.eye(4), (len(timing.phase), 1, 1))
+    for _ in range(6):
+        control = Rotation.from_rotvec(amplitude * wobble).as_matrix() @ spin @ stand
+        poses[:, :3, :3] = rotations(control, timing.phase)
+        amplitude = min(amplitude * float(fastest / speeds(poses, timing.rate_hz)[1].max()), 1.1)
+    return np.asarray(poses[:, :3, :3])
+
+
+def upright(yaw: float) -> Float64:
+    """Rotation R_room_obj (3, 3) of an object that stands on the table, z up, turned by `yaw`."""
+    right = np.array([1.0, 0.0, 0.0])
+    table = np.stack([right, np.cross(UP_ROOM, right), UP_ROOM], -1)
+    return np.asarray(table @ Rotation.from_rotvec([0, 0, yaw]).as_matrix(), np.float64)
+
+
+def camera_sway(timing: Timing, rng: Rng) -> Float64:
+    """Poses T_cam_room (N, 4, 4) of a camera in a calm hand: about 1 cm and half a degree to each side."""
+    n = max(4, round(timing.length_s / 1.3))
+    poses = np.tile(np.eye(4), (len(timing.phase), 1, 1))
+    when = np.arange(len(timing.phase)) / len(timing.phase)
+    turns = Rotation.from_rotvec(rng.normal(0, np.radians(0.6), (n, 3))).as_matrix()
+    poses[:, :3, :3] = rotations(turns, when)
+    poses[:, :3, 3] = positions(rng.normal(0, 0.008, (n, 3)), when)
+    return poses
+
+
+def passing(timing: Timing, rng: Rng, distance_m: float, reach_m: float) -> Float64:
+    """Poses T_room_obj (N, 4, 4) of a thing that passes between camera and objects, to one side and later
+    back, and waits out of view `reach_m` beside the optical axis meanwhile. It hangs down along y."""
+    t = np.arange(len(timing.phase)) / timing.rate_hz
+    length = timing.length_s
+    there, back = 0.24 * length + rng.uniform(0, 0.05 * length), 0.6 * length + rng.uniform(0, 0.05 * length)
+    takes = min(2.8, 0.3 * length)
+    side = _smooth_step((t - there) / takes) - _smooth_step((t - back) / takes)
+    sign = rng.choice([-1.0, 1.0])
+    poses = np.tile(np.eye(4), (len(t), 1, 1))
+    tilt = sign * (0.25 - 0.5 * side)
+    poses[:, :3, :3] = Rotation.from_rotvec(np.outer(tilt, [0, 0, 1.0])).as_matrix()
+    poses[:, 0, 3] = sign * reach_m * (2 * side - 1)
+    poses[:, 1, 3] = rng.uniform(-0.04, 0.04) + 0.03 * np.sin(2 * np.pi * side)
+    poses[:, 2, 3] = distance_m
+    return poses

@@ -1,0 +1,27 @@
+"""Re-initialisation: when perception looks at which object, and what its answers mean."""
+
+from huepose.reinit.config import ReinitConfig
+from huepose.reinit.judge import judge_tracked
+from huepose.reinit.loop import ReinitLoop
+from huepose.reinit.types import (
+    Counters,
+    ObjectSlot,
+    PerceptionResult,
+    Prior,
+    Request,
+    RequestedObject,
+    Searching,
+)
+
+__all__ = [
+    "Counters",
+    "ObjectSlot",
+    "PerceptionResult",
+    "Prior",
+    "ReinitConfig",
+    "ReinitLoop",
+    "Request",
+    "RequestedObject",
+    "Searching",
+    "judge_tracked",
+]

@@ -6,7 +6,7 @@ the order tx ty tz rx ry rz along camera axes about the object's origin.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 
@@ -18,10 +18,15 @@ from huepose.support.errors import InputError
 
 @dataclass(frozen=True)
 class ObjectSlot:
-    """An object to look for, and how many of it there may be."""
+    """An object to look for, and how many of it there may be.
+
+    diameter_m: of its model; what counts as the same pose scales with it. equivalents: turns (4, 4) under
+    which shape and print look the same; poses that differ by one of them are the same."""
 
     object: str
     max_instances: int = 1
+    diameter_m: float = 0.15
+    equivalents: tuple[Float64, ...] = field(default=(), compare=False)
 
     def __post_init__(self) -> None:
         if self.max_instances < 1:
@@ -97,7 +102,7 @@ class Searching:
     missing: int
 
 
-@dataclass(frozen=True)
+@dataclass
 class Counters:
     """What happened since the start, for health."""
 

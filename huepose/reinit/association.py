@@ -1,0 +1,67 @@
+"""Which estimate is which instance: optimal assignment on the distance of poses, gated by covariance."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+from scipy.optimize import linear_sum_assignment
+
+from huepose.geometry import se3
+from huepose.geometry.arrays import Float64
+from huepose.geometry.uncertainty import grown
+from huepose.reinit.types import ObjectSlot, Prior
+
+GATE_SIGMAS = 3.0
+GATE_DIAMETERS = 0.5
+"""Whatever the covariance says, an estimate this near to an instance can be it, and one two diameters away
+cannot be."""
+
+TURN_SHARE = 0.1
+"""Turns decide between instances at equal distance: half a turn counts as a third of a diameter."""
+
+
+def displacement_m(T_a: Float64, T_b: Float64, slot: ObjectSlot) -> float:
+    """About how far the surface lies apart at two poses, in metres; the nearest of the object's
+    equivalents."""
+    turns = slot.equivalents or (np.eye(4),)
+    return min(_displacement(T_a, T_b @ turn, slot.diameter_m) for turn in turns)
+
+
+def _displacement(T_a: Float64, T_b: Float64, diameter_m: float) -> float:
+    shift = float(np.linalg.norm(T_a[:3, 3] - T_b[:3, 3]))
+    return shift + 0.25 * diameter_m * se3.rotation_angle(T_a, T_b)
+
+
+def assign(
+    estimates: Sequence[Float64], priors: Sequence[Prior], stamp_ns: int, slot: ObjectSlot
+) -> list[int | None]:
+    """For each estimated pose the index of the instance that it is of, or None.
+
+    Every instance is predicted to the estimates' stamp. The sum of distances is least over all assignments
+    that keep to the gates, as many as possible being assigned.
+    """
+    out: list[int | None] = [None] * len(estimates)
+    if not estimates or not priors:
+        return out
+    cost = np.empty((len(estimates), len(priors)))
+    for j, prior in enumerate(priors):
+        expected, gate = prior.predicted(stamp_ns), _gate_m(prior, stamp_ns, slot)
+        for i, T in enumerate(estimates):
+            shift = float(np.linalg.norm(T[:3, 3] - expected[:3, 3]))
+            turn = min(se3.rotation_angle(T @ turn, expected) for turn in slot.equivalents or (np.eye(4),))
+            outside = shift > gate
+            cost[i, j] = 1e3 if outside else shift + TURN_SHARE * slot.diameter_m * turn
+    for i, j in zip(*linear_sum_assignment(cost), strict=True):
+        if cost[i, j] < 1e3:
+            out[i] = int(j)
+    return out
+
+
+def _gate_m(prior: Prior, stamp_ns: int, slot: ObjectSlot) -> float:
+    least, most = GATE_DIAMETERS * slot.diameter_m, 2.0 * slot.diameter_m
+    if prior.covariance is None:
+        return most
+    covariance = grown(prior.covariance, abs(stamp_ns - prior.stamp_ns) * 1e-9)
+    sigma = float(np.sqrt(max(np.linalg.eigvalsh(covariance[:3, :3])[-1], 0.0)))
+    return min(max(least, GATE_SIGMAS * sigma), most)

@@ -1,0 +1,296 @@
+"""The re-initialisation loop: a scheduler and a judge, as a pure state machine on a clock that is passed in.
+
+    request = loop.tick(now_ns, tracks)          # at least at the period; None: nothing to ask
+    for c in loop.repeats(now_ns): ...           # corrections that were not acknowledged yet
+    for c in loop.answer(now_ns, result): ...    # when perception answers
+
+`tracks` are the newest published poses. The loop publishes nothing of its own but corrections; what it still
+looks for is in `searching`.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+
+from huepose.estimation.types import PoseEstimate
+from huepose.geometry.arrays import Float64
+from huepose.reinit.association import assign, displacement_m
+from huepose.reinit.config import ReinitConfig
+from huepose.reinit.judge import SAME_POSE, acquires, judge_tracked, same_sight, usable
+from huepose.reinit.outbox import Key, Outbox
+from huepose.reinit.schedule import candidates, choose
+from huepose.reinit.types import Counters, ObjectSlot, PerceptionResult, Prior, Request, Searching
+from huepose.tracking.types import Correction, TrackedPose, Verdict
+
+SIGHTING_S = 1.0
+"""A first sighting waits this long for a second one."""
+
+
+@dataclass(frozen=True, eq=False)
+class _Sighting:
+    """An estimate that was not sure enough alone."""
+
+    estimate: PoseEstimate
+    stamp_ns: int
+
+
+class ReinitLoop:
+    """Decides what perception looks at, and what its answers mean for the tracks."""
+
+    def __init__(
+        self, config: ReinitConfig | None = None, objects: Iterable[ObjectSlot | tuple[str, int]] = ()
+    ) -> None:
+        self.config = config or ReinitConfig()
+        self.counters = Counters()
+        self._slots: dict[str, ObjectSlot] = {}
+        self._tracks: dict[Key, TrackedPose] = {}
+        self._outbox = Outbox()
+        self._sightings: dict[str, list[_Sighting]] = {}
+        self._last_instance: dict[str, int] = {}
+        self._judged_ns: dict[str, int] = {}
+        self._looked_ns: dict[tuple[str, int | None], int] = {}
+        self._in_flight: Request | None = None
+        self._next_ns = 0
+        self._epoch: int | None = None
+        self._epoch_ns = 0
+        for slot in objects:
+            self.add(slot if isinstance(slot, ObjectSlot) else ObjectSlot(*slot))
+
+    def add(self, slot: ObjectSlot) -> None:
+        """Look for an object, or change how many of it are looked for."""
+        self._slots[slot.object] = slot
+
+    def remove(self, name: str) -> None:
+        """Look for an object no longer."""
+        self._slots.pop(name, None)
+        self._sightings.pop(name, None)
+
+    def searching(self) -> list[Searching]:
+        """Objects of which instances were never seen in this epoch."""
+        out = []
+        for slot in self._slots.values():
+            missing = slot.max_instances - sum(key[0] == slot.object for key in self._tracks)
+            if missing > 0:
+                out.append(Searching(slot.object, missing))
+        return out
+
+    def tick(self, now_ns: int, tracks: Sequence[TrackedPose]) -> Request | None:
+        """Take note of the newest published poses; the next request when one is due and none is in flight."""
+        self._observe(tracks)
+        self._outbox.acknowledge(self._tracks)
+        self.counters.given_up += self._outbox.give_up(now_ns, self.config.give_up_ms * 1e6)
+        if self._in_flight is not None and now_ns >= self._in_flight.deadline_ns:
+            self.counters.expired += 1
+            self._in_flight = None
+        if self._in_flight is not None or now_ns < self._next_ns:
+            return None
+        options = candidates(list(self._slots.values()), self._tracks, self._arriving(), self._looked_ns)
+        chosen = choose(now_ns, options, self.config)
+        if not chosen:
+            return None
+        for asked in chosen:
+            self._looked_ns[asked.object, asked.instance] = now_ns
+        self._next_ns = now_ns + round(self.config.period_ms * 1e6)
+        self.counters.requests += 1
+        deadline_ns = now_ns + round(self.config.deadline_ms * 1e6)
+        self._in_flight = Request(self.counters.requests, self._epoch, now_ns, deadline_ns, tuple(chosen))
+        return self._in_flight
+
+    def repeats(self, now_ns: int) -> list[Correction]:
+        """Corrections that no pose has acknowledged for a period: to be sent once more."""
+        out = self._outbox.due(now_ns, self.config.period_ms * 1e6)
+        self.counters.resent += len(out)
+        return out
+
+    def answer(self, now_ns: int, result: PerceptionResult) -> list[Correction]:
+        """Judge an answer; the corrections to send now. An answer to an expired request is still used if
+        nothing newer was judged meanwhile; one of another epoch is not."""
+        self.counters.answers += 1
+        if self._in_flight is not None and result.request == self._in_flight.number:
+            self._in_flight = None
+        else:
+            self.counters.late += 1
+        self._observe_epoch(result.epoch, result.stamp_ns)
+        if result.epoch != self._epoch:
+            self.counters.wrong_epoch += 1
+            return []
+        out = []
+        for name in dict.fromkeys(e.object for e in result.estimates):
+            slot = self._slots.get(name)
+            if slot is None or result.stamp_ns < self._judged_ns.get(name, 0):
+                continue
+            self._judged_ns[name] = result.stamp_ns
+            estimates = [e for e in result.estimates if e.object == name]
+            out += self._judge(slot, estimates, result)
+        for correction in out:
+            self._outbox.send(correction, now_ns)
+        return out
+
+    def _judge(
+        self, slot: ObjectSlot, estimates: list[PoseEstimate], result: PerceptionResult
+    ) -> list[Correction]:
+        """Verdicts on all estimates of one object."""
+        found = [e for e in estimates if usable(e, self.config)]
+        self.counters.rejected += len(estimates) - len(found)
+        tracked = [t for t in self._tracks.values() if t.object == slot.object and t.T_cam_obj is not None]
+        priors = [_prior(t) for t in tracked]
+        poses = [_pose(e) for e in found]
+        assigned = assign(poses, priors, result.stamp_ns, slot)
+        out = []
+        for estimate, which in zip(found, assigned, strict=True):
+            if which is not None:
+                track = tracked[which]
+                expected = priors[which].predicted(result.stamp_ns)
+                verdict = judge_tracked(estimate, expected, track.state, slot, self.config)
+                self._count(verdict)
+                if verdict is not Verdict.REJECT:
+                    key = (slot.object, track.instance)
+                    out.append(self._correction(key, estimate, result, verdict, estimate.quality))
+            elif any(_near(_pose(estimate), p.predicted(result.stamp_ns), slot) for p in priors):
+                # A second estimate of an instance that already has one.
+                self._count(Verdict.REJECT)
+            else:
+                correction = self._acquire(slot, estimate, result, out)
+                if correction is not None:
+                    out.append(correction)
+        return out
+
+    def _acquire(
+        self,
+        slot: ObjectSlot,
+        estimate: PoseEstimate,
+        result: PerceptionResult,
+        before: Sequence[Correction],
+    ) -> Correction | None:
+        """An estimate of no tracked instance: of a lost one, or of one never seen; None while it is held
+        back."""
+        T = _pose(estimate)
+        taken = [c for c in before if c.verdict is Verdict.ACQUIRE]
+        if any(displacement_m(T, c.T_cam_obj, slot) < slot.diameter_m * SAME_POSE * 3 for c in taken):
+            self._count(Verdict.REJECT)
+            return None
+        key = self._free_instance(slot, {(c.object, c.instance) for c in taken})
+        if key is None:
+            self._count(Verdict.REJECT)
+            return None
+        quality = estimate.quality
+        if not acquires(estimate, self.config):
+            first = self._confirming(slot, estimate, result.stamp_ns)
+            if first is None:
+                self.counters.unconfirmed += 1
+                return None
+            quality = 1.0 - (1.0 - quality) * (1.0 - first.estimate.quality)
+        self._sightings[slot.object] = []
+        self._last_instance[slot.object] = max(self._last_instance.get(slot.object, -1), key[1])
+        self._count(Verdict.ACQUIRE)
+        return self._correction(key, estimate, result, Verdict.ACQUIRE, quality)
+
+    def _free_instance(self, slot: ObjectSlot, taken: set[Key]) -> Key | None:
+        """The instance that a new pose is of: one that is lost, the most recent first, else a new number
+        while there may be more; None where all are tracked or on their way."""
+        mine = [t for t in self._tracks.values() if t.object == slot.object]
+        lost = [
+            t
+            for t in mine
+            if t.T_cam_obj is None
+            and (slot.object, t.instance) not in taken
+            and not self._outbox.on_its_way((slot.object, t.instance))
+        ]
+        if lost:
+            return (slot.object, max(lost, key=lambda t: (t.stamp_ns, -t.instance)).instance)
+        arriving = [k for k in (*self._outbox.instances, *taken) if k[0] == slot.object]
+        known = {(t.object, t.instance) for t in mine} | set(arriving)
+        if len(known) >= slot.max_instances:
+            return None
+        numbers = [k[1] for k in known] + [self._last_instance.get(slot.object, -1)]
+        return (slot.object, max(numbers) + 1)
+
+    def _confirming(self, slot: ObjectSlot, estimate: PoseEstimate, stamp_ns: int) -> _Sighting | None:
+        """An earlier sighting that this one agrees with; without one it is kept as a sighting itself."""
+        kept = [
+            s for s in self._sightings.get(slot.object, []) if abs(stamp_ns - s.stamp_ns) <= SIGHTING_S * 1e9
+        ]
+        agreeing = [
+            s
+            for s in kept
+            if s.stamp_ns != stamp_ns
+            and same_sight(_pose(s.estimate), _pose(estimate), (stamp_ns - s.stamp_ns) * 1e-9, slot)
+        ]
+        self._sightings[slot.object] = [*kept, _Sighting(estimate, stamp_ns)]
+        return max(agreeing, key=lambda s: s.estimate.quality) if agreeing else None
+
+    def _correction(
+        self, key: Key, estimate: PoseEstimate, result: PerceptionResult, verdict: Verdict, quality: float
+    ) -> Correction:
+        track = self._tracks.get(key)
+        seq = self._outbox.next_seq(key, 0 if track is None else track.applied_correction_seq)
+        return Correction(
+            key[0],
+            key[1],
+            result.epoch,
+            result.frame_id,
+            result.stamp_ns,
+            _pose(estimate),
+            quality,
+            verdict,
+            seq,
+            estimate.mask,
+        )
+
+    def _arriving(self) -> dict[str, int]:
+        """How many instances of each object are acquired but have no published pose yet."""
+        out: dict[str, int] = {}
+        for key in self._outbox.instances:
+            track = self._tracks.get(key)
+            if track is None or track.T_cam_obj is None:
+                out[key[0]] = out.get(key[0], 0) + 1
+        return out
+
+    def _observe(self, tracks: Sequence[TrackedPose]) -> None:
+        """Take over the published poses of the newest epoch; what is no longer published is no longer
+        tracked."""
+        if tracks:
+            newest = max(tracks, key=lambda t: t.stamp_ns)
+            self._observe_epoch(newest.epoch, newest.stamp_ns)
+        self._tracks = {(t.object, t.instance): t for t in tracks if t.epoch == self._epoch}
+        for name, instance in self._tracks:
+            self._last_instance[name] = max(self._last_instance.get(name, -1), instance)
+
+    def _observe_epoch(self, epoch: int, stamp_ns: int) -> None:
+        """A newer epoch makes everything void that was about the older one."""
+        if epoch != self._epoch and (self._epoch is None or stamp_ns > self._epoch_ns):
+            self._epoch = epoch
+            self._tracks.clear()
+            self._outbox.clear()
+            self._sightings.clear()
+            self._last_instance.clear()
+            self._judged_ns.clear()
+            self._looked_ns.clear()
+        if epoch == self._epoch:
+            self._epoch_ns = max(self._epoch_ns, stamp_ns)
+
+    def _count(self, verdict: Verdict) -> None:
+        c = self.counters
+        c.agreed += verdict is Verdict.AGREE
+        c.corrected += verdict is Verdict.CORRECT
+        c.acquired += verdict is Verdict.ACQUIRE
+        c.rejected += verdict is Verdict.REJECT
+
+
+def _pose(estimate: PoseEstimate) -> Float64:
+    if estimate.T_cam_obj is None:
+        raise ValueError(f"an estimate of {estimate.object} that was found has no pose")
+    return estimate.T_cam_obj
+
+
+def _prior(track: TrackedPose) -> Prior:
+    if track.T_cam_obj is None:
+        raise ValueError(f"{track.object}/{track.instance} has no pose")
+    return Prior(track.T_cam_obj, track.velocity, track.covariance, track.stamp_ns)
+
+
+def _near(T: Float64, T_tracked: Float64, slot: ObjectSlot) -> bool:
+    """Whether a pose lies on the object that is tracked there."""
+    shift = T[:3, 3] - T_tracked[:3, 3]
+    return float(shift @ shift) < (0.5 * slot.diameter_m) ** 2

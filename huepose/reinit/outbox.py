@@ -1,0 +1,71 @@
+"""Corrections on their way: numbered per instance, repeated until a pose shows that they were applied."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+from huepose.tracking.types import Correction, TrackedPose
+
+Key = tuple[str, int]
+
+
+@dataclass
+class _Sent:
+    correction: Correction
+    first_ns: int
+    last_ns: int
+
+
+class Outbox:
+    """At most one correction per instance is on its way: a newer one takes the place of an older one."""
+
+    def __init__(self) -> None:
+        self._sent: dict[Key, _Sent] = {}
+        self._seq: dict[Key, int] = {}
+
+    def next_seq(self, key: Key, applied_seq: int) -> int:
+        """The next number of an instance: above all that were used, also by a loop before this one."""
+        self._seq[key] = max(self._seq.get(key, 0), applied_seq) + 1
+        return self._seq[key]
+
+    def send(self, correction: Correction, now_ns: int) -> None:
+        """Remember a correction that goes out now."""
+        self._sent[correction.object, correction.instance] = _Sent(correction, now_ns, now_ns)
+
+    def acknowledge(self, tracks: Mapping[Key, TrackedPose]) -> None:
+        """Drop what poses show to be applied."""
+        for key in list(self._sent):
+            track = tracks.get(key)
+            if track is not None and track.applied_correction_seq >= self._sent[key].correction.seq:
+                del self._sent[key]
+
+    def give_up(self, now_ns: int, after_ns: float) -> int:
+        """Drop what was sent for too long; returns how many."""
+        old = [key for key, sent in self._sent.items() if now_ns - sent.first_ns > after_ns]
+        for key in old:
+            del self._sent[key]
+        return len(old)
+
+    def due(self, now_ns: int, period_ns: float) -> list[Correction]:
+        """What shall be sent again now."""
+        out = []
+        for sent in self._sent.values():
+            if now_ns - sent.last_ns >= period_ns:
+                sent.last_ns = now_ns
+                out.append(sent.correction)
+        return out
+
+    def on_its_way(self, key: Key) -> bool:
+        """Whether a correction of that instance is not acknowledged yet."""
+        return key in self._sent
+
+    @property
+    def instances(self) -> tuple[Key, ...]:
+        """Instances with a correction on its way."""
+        return tuple(self._sent)
+
+    def clear(self) -> None:
+        """Forget all: a new epoch, whose instances are others."""
+        self._sent.clear()
+        self._seq.clear()

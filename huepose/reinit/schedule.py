@@ -1,0 +1,64 @@
+"""Which objects the next request is about."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+from huepose.reinit.config import ReinitConfig
+from huepose.reinit.types import ObjectSlot, Prior, RequestedObject
+from huepose.tracking.types import State, TrackedPose
+
+
+@dataclass(frozen=True)
+class Candidate:
+    """Something that could be asked for. rank: 0 lost or never seen, 1 doubtful, 2 tracked; looked_ns: when
+    it was last asked for (0: never)."""
+
+    rank: int
+    looked_ns: int
+    requested: RequestedObject
+
+
+def candidates(
+    slots: Sequence[ObjectSlot],
+    tracks: Mapping[tuple[str, int], TrackedPose],
+    arriving: Mapping[str, int],
+    looked_ns: Mapping[tuple[str, int | None], int],
+) -> list[Candidate]:
+    """All that could be asked for. arriving: how many instances of an object are acquired but not yet
+    tracked."""
+    out = []
+    for slot in slots:
+        known = [t for key, t in tracks.items() if key[0] == slot.object]
+        lost = sum(t.T_cam_obj is None for t in known)
+        wanted = lost + max(0, slot.max_instances - len(known)) - arriving.get(slot.object, 0)
+        if wanted > 0:
+            asked = RequestedObject(slot.object, None, None, wanted)
+            out.append(Candidate(0, looked_ns.get((slot.object, None), 0), asked))
+        for t in known:
+            if t.T_cam_obj is None:
+                continue
+            prior = Prior(t.T_cam_obj, t.velocity, t.covariance, t.stamp_ns)
+            rank = 1 if t.state is State.SUSPECT else 2
+            asked = RequestedObject(slot.object, t.instance, prior)
+            out.append(Candidate(rank, looked_ns.get((slot.object, t.instance), 0), asked))
+    return out
+
+
+def choose(now_ns: int, options: Sequence[Candidate], config: ReinitConfig) -> list[RequestedObject]:
+    """Lost ones first, then doubtful ones, then the stalest; among equals who waited longest.
+
+    Objects that are nowhere to be found do not starve the others: one that was not looked at for `stale_ms`
+    takes the last place.
+    """
+    order = sorted(
+        options, key=lambda c: (c.rank, c.looked_ns, c.requested.object, c.requested.instance or 0)
+    )
+    chosen = order[: config.objects_per_request]
+    starving = [
+        c for c in order if c.rank > 0 and c not in chosen and now_ns - c.looked_ns >= config.stale_ms * 1e6
+    ]
+    if starving and chosen and chosen[-1].rank == 0 and len(chosen) > 1:
+        chosen[-1] = min(starving, key=lambda c: (c.looked_ns, c.rank))
+    return [c.requested for c in chosen]

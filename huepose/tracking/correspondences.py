@@ -12,7 +12,7 @@ from dataclasses import dataclass
 import cv2
 import numpy as np
 
-from huepose.colorpair.extract import ExtractionConfig, extract_from_lab
+from huepose.colorpair.extract import ExtractionConfig, extract
 from huepose.colorpair.similarity import paired_similarity
 from huepose.colorpair.types import ColorPairs
 from huepose.geometry.arrays import Bool, Float32, Float64, UInt8
@@ -70,7 +70,7 @@ def match(
     elif pairs is not None:
         ridge = ColorPairs(pairs.pixels - corner, pairs.directions, pairs.widths, pairs.colors)
     else:
-        ridge = extract_from_lab(lab_a, mask, ExtractionConfig(spacing=3.0, max_pairs=MAX_PAIRS))
+        ridge = extract(color_a[window], mask, ExtractionConfig(spacing=3.0, max_pairs=MAX_PAIRS))
     pixels = np.concatenate([ridge.pixels, grid]).astype(np.float32)
     if not len(pixels):
         none = np.zeros((0, 2))

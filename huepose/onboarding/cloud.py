@@ -11,10 +11,12 @@ import numpy as np
 
 from huepose.geometry.arrays import Float, Float32, Float64
 from huepose.geometry.mesh import Mesh
-from huepose.onboarding.visibility import DepthViews, sides_seen
+from huepose.onboarding.neighbourhoods import Cells
+from huepose.onboarding.visibility import DepthViews, votes
+from huepose.onboarding.winding import outward_sign
 
 _PER_SQUARE_MM = 2.0
-_FEWEST, _MOST = 60_000, 300_000
+_FEWEST, _MOST = 40_000, 300_000
 
 
 @dataclass(frozen=True, eq=False)
@@ -33,11 +35,22 @@ class Cloud:
 
         return cKDTree(self.points)
 
+    def cells(self, radius_m: float) -> Cells:
+        """The samples, sorted for averages over a radius."""
+        if radius_m not in self._cells:
+            self._cells[radius_m] = Cells.of(self.points, self.normals, self.lab, radius_m)
+        return self._cells[radius_m]
+
+    @cached_property
+    def _cells(self) -> dict[float, Cells]:
+        return {}
+
 
 def visible_cloud(mesh: Mesh, views: DepthViews, seed: int = 0) -> Cloud:
     """Evenly random samples of the surface that some view sees.
 
-    Hidden inner walls are left out; where only the back of a face is ever seen, its normal is turned round.
+    Hidden inner walls are left out. Normals point out of a closed mesh; in one that is open, or whose faces
+    disagree, to the side that more views see.
     """
     rng = np.random.default_rng(seed)
     face_normals, areas = mesh.face_normals()
@@ -50,14 +63,20 @@ def visible_cloud(mesh: Mesh, views: DepthViews, seed: int = 0) -> Cloud:
     a, b = np.where(inside_out, 1 - a, a), np.where(inside_out, 1 - b, b)
     weights = np.stack([1 - a - b, a, b], 1)
     points = np.einsum("nk,nkd->nd", weights, mesh.vertices.astype(np.float64)[mesh.faces[face]])
-    side = sides_seen(views, points, face_normals[face])
+    normals = face_normals[face]
+    sign = outward_sign(mesh.vertices, mesh.faces)
+    if sign != 0:
+        normals = normals * sign
+        is_seen = votes(views, points, normals) > 0
+    else:
+        front, back = votes(views, points, normals), votes(views, points, -normals)
+        normals = np.where((back > front)[:, None], -normals, normals)
+        is_seen = np.maximum(front, back) > 0
     order = rng.permutation(count)
-    order = order[side[order] != 0]
-    if len(order) < count // 100:  # a surface so small or thin that no view resolves it
-        order, side = rng.permutation(count), np.ones(count, np.int8)
+    if is_seen.mean() > 0.01:  # else so small or thin that no view resolves it
+        order = order[is_seen[order]]
     uv = np.einsum("nk,nkd->nd", weights[order], mesh.uv[face[order]].astype(np.float64))
-    normals = face_normals[face[order]] * side[order, None]
-    return Cloud(points[order], normals, _texels(lab_texture(mesh), uv), total * len(order) / count)
+    return Cloud(points[order], normals[order], _texels(lab_texture(mesh), uv), total * len(order) / count)
 
 
 def lab_texture(mesh: Mesh) -> Float32:
@@ -74,24 +93,16 @@ def _texels(picture: Float32, uv: Float64) -> Float32:
 
 def smoothed_normals(cloud: Cloud, points: Float, normals: Float, radius_m: float) -> Float64:
     """Mean normals (N, 3) of the cloud within a radius, of the same side as `normals`."""
-    out = np.array(normals, np.float64)
-    for i, near in enumerate(cloud.tree.query_ball_point(points, radius_m)):
-        others = cloud.normals[near]
-        mean = others[others @ out[i] > 0.5].sum(0)
-        length = np.linalg.norm(mean)
-        if length > 1e-9:
-            out[i] = mean / length
-    return out
+    total = cloud.cells(radius_m).facing_sum(points, normals, least_cosine=0.5)
+    length = np.linalg.norm(total, axis=1, keepdims=True)
+    return np.where(length > 1e-9, total / np.maximum(length, 1e-9), normals)
 
 
 def averaged_lab(cloud: Cloud, points: Float, normals: Float, sigma_m: float) -> Float32:
     """Lab colours (N, 3) of the surface at `points`, Gaussian-weighted over `sigma_m` of what faces alike;
     where no sample is within reach, that of the nearest."""
-    out = np.empty((len(points), 3), np.float32)
-    nearest = cloud.tree.query(points)[1]
-    for i, near in enumerate(cloud.tree.query_ball_point(points, 2.5 * sigma_m)):
-        square = ((cloud.points[near] - points[i]) ** 2).sum(1)
-        weight = np.exp(-square / (2 * sigma_m**2)) * np.maximum(cloud.normals[near] @ normals[i], 0.0)
-        total = weight.sum()
-        out[i] = weight @ cloud.lab[near] / total if total > 1e-6 else cloud.lab[nearest[i]]
-    return out
+    mean, weight = cloud.cells(2.5 * sigma_m).gaussian(points, normals, sigma_m)
+    lonely = weight < 1e-6
+    if lonely.any():
+        mean[lonely] = cloud.lab[cloud.tree.query(np.asarray(points)[lonely])[1]]
+    return mean.astype(np.float32)

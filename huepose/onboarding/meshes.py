@@ -7,13 +7,14 @@ from typing import Literal
 
 import numpy as np
 
-from huepose.geometry.arrays import Float32, Float64, Int32
+from huepose.geometry.arrays import Float64, Int32
 from huepose.geometry.mesh import Mesh
 from huepose.onboarding.gltf import read_gltf
 from huepose.onboarding.obj import read_obj
 from huepose.onboarding.ply import read_ply
 from huepose.onboarding.raw_mesh import RawMesh
 from huepose.onboarding.texture import single_texture
+from huepose.onboarding.winding import outward_sign
 from huepose.support.errors import InputError
 
 Unit = Literal["mm", "m"]
@@ -46,7 +47,7 @@ def read_mesh(path: Path | str, unit: Unit | None = None) -> Mesh:
     scale = _metres_per_unit(vertices, unit or standard, unit is not None, path)
     metric = (vertices * scale).astype(np.float32)
     uv, texture = single_texture(raw, path)
-    if _is_inside_out(metric, faces):
+    if outward_sign(metric, faces) < 0:
         faces, uv = faces[:, ::-1], uv[:, ::-1]
     return Mesh(metric, np.ascontiguousarray(faces), np.ascontiguousarray(uv), texture)
 
@@ -87,15 +88,3 @@ def _length(metres: float) -> str:
     if metres >= 1.0:
         return f"{metres:.4g} m"
     return f"{metres * 100:.4g} cm" if metres >= 0.01 else f"{metres * 1000:.4g} mm"
-
-
-def _is_inside_out(vertices: Float32, faces: Int32) -> bool:
-    """True for a closed mesh whose faces turn clockwise seen from outside (a mirrored export)."""
-    edges = np.concatenate([faces[:, [0, 1]], faces[:, [1, 2]], faces[:, [2, 0]]]).astype(np.int64)
-    count = len(vertices)
-    forward = np.unique(edges[:, 0] * count + edges[:, 1])
-    backward = np.unique(edges[:, 1] * count + edges[:, 0])
-    if len(forward) != len(edges) or not np.array_equal(forward, backward):
-        return False
-    v = vertices.astype(np.float64) - vertices.mean(0)
-    return float(np.einsum("fi,fi->", v[faces[:, 0]], np.cross(v[faces[:, 1]], v[faces[:, 2]]))) < 0.0

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from huepose.geometry import icosphere, se3
-from huepose.geometry.arrays import Bool, Float, Float32, Float64
+from huepose.geometry.arrays import Bool, Float, Float32, Float64, Int32
 from huepose.geometry.camera import Camera
 from huepose.geometry.mesh import Mesh
 from huepose.rendering.render import render_depth
@@ -62,11 +62,16 @@ def seen(views: DepthViews, points: Float, normals: Float) -> Bool:
     return out
 
 
-def sides_seen(views: DepthViews, points: Float, normals: Float) -> np.ndarray:
-    """For each point (N,) int8: 1 seen on the side of its normal, -1 on the other side only, 0 never."""
-    out = np.zeros(len(points), np.int8)
-    _first_seen(*_arrays(views, points, normals), 1.0, out)
-    _first_seen(*_arrays(views, points, normals), -1.0, out)
+def votes(views: DepthViews, points: Float, normals: Float) -> Int32:
+    """Number of views (N,) that see each point on the side of its normal: out of every fourth view, or, for
+    points that none of those sees, out of all."""
+    out = np.zeros(len(points), np.int32)
+    coarse = icosphere.directions(LEVEL - 1).shape[0]  # the finer sphere begins with the coarser one
+    _count_seen(*_arrays(views, points, normals), coarse, out)
+    unseen = np.flatnonzero(out == 0)
+    again = np.zeros(len(unseen), np.int32)
+    _count_seen(*_arrays(views, points[unseen], normals[unseen]), len(views.directions), again)
+    out[unseen] = again
     return out
 
 
@@ -123,7 +128,7 @@ def _seen(
 
 
 @jit
-def _first_seen(
+def _count_seen(
     directions: Float,
     T: Float,
     depths: Float,
@@ -132,15 +137,12 @@ def _first_seen(
     pixel: float,
     points: Float,
     normals: Float,
-    side: float,
-    out: np.ndarray,
+    views: int,
+    out: Int32,
 ) -> None:
     for i in range(points.shape[0]):
-        if out[i] != 0:
-            continue
-        for k in range(directions.shape[0]):
+        for k in range(min(views, directions.shape[0])):
             d = directions[k]
-            cosine = side * (d[0] * normals[i, 0] + d[1] * normals[i, 1] + d[2] * normals[i, 2])
+            cosine = d[0] * normals[i, 0] + d[1] * normals[i, 1] + d[2] * normals[i, 2]
             if _is_seen(d, T[k], depths[k], focal, middle, pixel, points[i], cosine):
-                out[i] = 1 if side > 0 else -1
-                break
+                out[i] += 1

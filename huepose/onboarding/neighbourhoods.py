@@ -1,0 +1,149 @@
+"""Averages over all samples within a radius, by cells sorted in memory: no lists of neighbours are made."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from huepose.geometry.arrays import Float, Float64, Int64
+from huepose.support.jit import jit
+
+
+@dataclass(frozen=True, eq=False)
+class Cells:
+    """Samples sorted by cubic cells of side `size`; keys (M,): the cell of each."""
+
+    points: Float64
+    normals: Float64
+    values: Float64
+    keys: Int64
+    low: Float64
+    size: float
+    shape: Int64
+
+    @staticmethod
+    def of(points: Float, normals: Float, values: Float, radius: float) -> Cells:
+        """Sort samples (M, 3) with normals (M, 3) and values (M, C) for searches within `radius`."""
+        p = np.asarray(points, np.float64)
+        low = p.min(0) - radius
+        cell = ((p - low) / radius).astype(np.int64)
+        shape = cell.max(0) + 2
+        keys = (cell[:, 0] * shape[1] + cell[:, 1]) * shape[2] + cell[:, 2]
+        order = np.argsort(keys, kind="stable")
+        return Cells(
+            p[order],
+            np.asarray(normals, np.float64)[order],
+            np.asarray(values, np.float64)[order],
+            keys[order],
+            low,
+            radius,
+            shape,
+        )
+
+    def gaussian(self, points: Float, normals: Float, sigma: float) -> tuple[Float64, Float64]:
+        """Means (N, C) of the values about oriented points (N, 3), and their total weights (N,): Gaussian in
+        the distance, within the radius, times the cosine to the sample's normal; none for facing away."""
+        out = np.zeros((len(points), self.values.shape[1]))
+        weights = np.zeros(len(points))
+        _gaussian(*self._arrays(), _columns(points), _columns(normals), sigma, out, weights)
+        return out, weights
+
+    def facing_sum(self, points: Float, normals: Float, least_cosine: float) -> Float64:
+        """Sums (N, 3) of the normals within the radius whose cosine to `normals` (N, 3) is large enough."""
+        out = np.zeros((len(points), 3))
+        _facing_sum(*self._arrays(), _columns(points), _columns(normals), least_cosine, out)
+        return out
+
+    def _arrays(self) -> tuple[Float64, Float64, Float64, Int64, Float64, float, Int64]:
+        return self.points, self.normals, self.values, self.keys, self.low, self.size, self.shape
+
+
+def _columns(a: Float) -> Float64:
+    return np.ascontiguousarray(a, np.float64)
+
+
+@jit
+def _row(keys: Int64, shape: Int64, i: int, j: int, k: int) -> tuple[int, int]:
+    """Samples of the three cells (i, j, k - 1 .. k + 1), which lie side by side: [first, last)."""
+    if i < 0 or j < 0 or i >= shape[0] or j >= shape[1]:
+        return 0, 0
+    base = (i * shape[1] + j) * shape[2]
+    low, high = max(k - 1, 0), min(k + 1, shape[2] - 1)
+    if high < low:
+        return 0, 0
+    return np.searchsorted(keys, base + low), np.searchsorted(keys, base + high, side="right")
+
+
+@jit
+def _gaussian(
+    points: Float64,
+    normals: Float64,
+    values: Float64,
+    keys: Int64,
+    low: Float64,
+    size: float,
+    shape: Int64,
+    at: Float64,
+    facing: Float64,
+    sigma: float,
+    out: Float64,
+    weights: Float64,
+) -> None:
+    for q in range(at.shape[0]):
+        c0 = int(np.floor((at[q, 0] - low[0]) / size))
+        c1 = int(np.floor((at[q, 1] - low[1]) / size))
+        c2 = int(np.floor((at[q, 2] - low[2]) / size))
+        for i in range(c0 - 1, c0 + 2):
+            for j in range(c1 - 1, c1 + 2):
+                first, last = _row(keys, shape, i, j, c2)
+                for m in range(first, last):
+                    d0, d1, d2 = points[m, 0] - at[q, 0], points[m, 1] - at[q, 1], points[m, 2] - at[q, 2]
+                    square = d0 * d0 + d1 * d1 + d2 * d2
+                    cosine = (
+                        normals[m, 0] * facing[q, 0]
+                        + normals[m, 1] * facing[q, 1]
+                        + normals[m, 2] * facing[q, 2]
+                    )
+                    if square > size * size or cosine <= 0.0:
+                        continue
+                    w = np.exp(-square / (2.0 * sigma * sigma)) * cosine
+                    weights[q] += w
+                    for k in range(values.shape[1]):
+                        out[q, k] += w * values[m, k]
+        if weights[q] > 0.0:
+            for k in range(values.shape[1]):
+                out[q, k] /= weights[q]
+
+
+@jit
+def _facing_sum(
+    points: Float64,
+    normals: Float64,
+    values: Float64,
+    keys: Int64,
+    low: Float64,
+    size: float,
+    shape: Int64,
+    at: Float64,
+    facing: Float64,
+    least: float,
+    out: Float64,
+) -> None:
+    for q in range(at.shape[0]):
+        c0 = int(np.floor((at[q, 0] - low[0]) / size))
+        c1 = int(np.floor((at[q, 1] - low[1]) / size))
+        c2 = int(np.floor((at[q, 2] - low[2]) / size))
+        for i in range(c0 - 1, c0 + 2):
+            for j in range(c1 - 1, c1 + 2):
+                first, last = _row(keys, shape, i, j, c2)
+                for m in range(first, last):
+                    d0, d1, d2 = points[m, 0] - at[q, 0], points[m, 1] - at[q, 1], points[m, 2] - at[q, 2]
+                    cosine = (
+                        normals[m, 0] * facing[q, 0]
+                        + normals[m, 1] * facing[q, 1]
+                        + normals[m, 2] * facing[q, 2]
+                    )
+                    if d0 * d0 + d1 * d1 + d2 * d2 <= size * size and cosine > least:
+                        for k in range(3):
+                            out[q, k] += normals[m, k]

@@ -15,6 +15,12 @@ from huepose.colorpair.types import ColorPairs
 from huepose.geometry.arrays import Bool, Float32, UInt8
 from huepose.support.jit import jit
 
+MARGIN = 8
+"""Pixels round a mask that filters may look at."""
+
+MASK_SHARE = 200
+"""Of 255: a pixel of a smaller picture belongs to the mask when nearly all of its area does."""
+
 
 @dataclass(frozen=True)
 class ExtractionConfig:
@@ -29,6 +35,26 @@ class ExtractionConfig:
     min_contrast: float = 6.0
 
 
+@dataclass(frozen=True, eq=False)
+class Picture:
+    """A part of an image, denoised and at the scale of extraction.
+
+    lab (h, w, 3) float32 CIELAB. Pixel (u, v) of it is ((u + 0.5) sx - 0.5 + x0, (v + 0.5) sy - 0.5 + y0)
+    of the image; width, height: of the part, in pixels of the image.
+    """
+
+    lab: Float32
+    x0: int
+    y0: int
+    width: int
+    height: int
+
+    @property
+    def steps(self) -> tuple[float, float]:
+        """sx, sy: pixels of the image for one of the picture."""
+        return self.width / self.lab.shape[1], self.height / self.lab.shape[0]
+
+
 def extract(
     color: UInt8, mask: Bool | None = None, config: ExtractionConfig | None = None, scale: float = 1.0
 ) -> ColorPairs:
@@ -39,21 +65,51 @@ def extract(
     the same kind near and far; positions and widths are given in pixels of `color` all the same.
     """
     config = config or ExtractionConfig()
-    x0, y0, x1, y1 = _bounds(mask, color.shape[:2], margin=8)
-    if x1 - x0 < 8 or y1 - y0 < 8:
+    window = (0, 0, color.shape[1], color.shape[0]) if mask is None else bounds(mask, MARGIN)
+    picture = prepare_picture(color, window, scale, config)
+    return extract_pairs(picture, mask, config)
+
+
+def prepare_picture(
+    color: UInt8, window: tuple[int, int, int, int], scale: float, config: ExtractionConfig | None = None
+) -> Picture:
+    """Cut the window (left, top, right, bottom) out of an image, make it smaller by `scale`, and denoise
+    it."""
+    x0, y0, x1, y1 = window
+    part = color[y0:y1, x0:x1]
+    if scale < 1.0 and part.size:
+        size = (max(round((x1 - x0) * scale), 8), max(round((y1 - y0) * scale), 8))
+        part = np.asarray(cv2.resize(part, size, interpolation=cv2.INTER_AREA), np.uint8)
+    if not part.size:
+        return Picture(np.zeros((0, 0, 3), np.float32), x0, y0, 0, 0)
+    return Picture(denoise(part, (config or ExtractionConfig()).denoise), x0, y0, x1 - x0, y1 - y0)
+
+
+def extract_pairs(
+    picture: Picture, mask: Bool | None = None, config: ExtractionConfig | None = None
+) -> ColorPairs:
+    """Colour pairs of a picture, inside a mask (H, W) of the whole image; see `extract`."""
+    config = config or ExtractionConfig()
+    height, width = picture.lab.shape[:2]
+    if height < 8 or width < 8:
         return ColorPairs.empty()
-    region = color[y0:y1, x0:x1]
-    inside = np.ones(region.shape[:2], np.bool_) if mask is None else mask[y0:y1, x0:x1]
-    if scale < 1.0:
-        region, inside = _reduced(region, inside, scale)
-    fx, fy = (x1 - x0) / region.shape[1], (y1 - y0) / region.shape[0]
-    pairs = extract_from_lab(denoise(region, config.denoise), inside, config)
-    pixels = (pairs.pixels + 0.5) * np.array([fx, fy], np.float32) - 0.5 + np.array([x0, y0], np.float32)
-    return replace(pairs, pixels=pixels.astype(np.float32), widths=pairs.widths * np.float32(fx))
+    inside = np.ones((height, width), np.bool_)
+    if mask is not None:
+        part = mask[picture.y0 : picture.y0 + picture.height, picture.x0 : picture.x0 + picture.width]
+        share = cv2.resize(
+            part.astype(np.uint8) * np.uint8(255), (width, height), interpolation=cv2.INTER_AREA
+        )
+        inside = np.asarray(share > MASK_SHARE)
+    pairs = _extract(picture.lab, inside, config)
+    steps = np.array(picture.steps)
+    pixels = (pairs.pixels + 0.5) * steps - 0.5 + np.array([picture.x0, picture.y0])
+    return replace(
+        pairs, pixels=pixels.astype(np.float32), widths=(pairs.widths * steps.mean()).astype(np.float32)
+    )
 
 
-def extract_from_lab(lab: Float32, mask: Bool | None, config: ExtractionConfig) -> ColorPairs:
-    """The same on a denoised CIELAB image (H, W, 3) float32, all of it."""
+def _extract(lab: Float32, mask: Bool, config: ExtractionConfig) -> ColorPairs:
+    """Colour pairs of a denoised CIELAB image (H, W, 3), in its own pixels."""
     ridges = find_ridges(unified_gradient(lab), mask, config.ridges)
     order = np.argsort(-ridges.strengths, kind="stable")
     ridges = _take(ridges, order)
@@ -79,19 +135,9 @@ def thinned(pixels: Float32, height: int, width: int, spacing: float, limit: int
         spacing *= 1.25
 
 
-def _reduced(color: UInt8, mask: Bool, scale: float) -> tuple[UInt8, Bool]:
-    """The smaller picture, and its pixels that lie in the mask with nearly all of their area."""
+def bounds(mask: Bool, margin: int = 0) -> tuple[int, int, int, int]:
+    """Left, top, right, bottom of a mask (H, W), grown by a margin and cut at the image; zeros when empty."""
     height, width = mask.shape
-    size = (max(round(width * scale), 8), max(round(height * scale), 8))
-    small = cv2.resize(color, size, interpolation=cv2.INTER_AREA)
-    share = cv2.resize(mask.astype(np.uint8) * np.uint8(255), size, interpolation=cv2.INTER_AREA)
-    return np.asarray(small, np.uint8), np.asarray(share > 200)
-
-
-def _bounds(mask: Bool | None, shape: tuple[int, ...], margin: int) -> tuple[int, int, int, int]:
-    height, width = shape
-    if mask is None:
-        return 0, 0, width, height
     rows, columns = np.flatnonzero(mask.any(1)), np.flatnonzero(mask.any(0))
     if not len(rows):
         return 0, 0, 0, 0

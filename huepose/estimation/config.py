@@ -26,6 +26,22 @@ class FullPathConfig:
 
 
 @dataclass(frozen=True)
+class ColorpairPathConfig:
+    """How much the colour-pair path tries. refined: hypotheses a mask that are registered; kept: different
+    ones after that; turned: of them whose near-symmetric turns are tried; searched: poses a mask that are
+    searched; finished: poses searched finely in the end; alternatives: different poses that are returned.
+    ppf: whether point pair features may be used (see `matching.ppf` for why one may not want to)."""
+
+    refined: int = 30
+    kept: int = 8
+    turned: int = 5
+    searched: int = 8
+    finished: int = 3
+    alternatives: int = 6
+    ppf: bool = True
+
+
+@dataclass(frozen=True)
 class EstimatorConfig:
     """method: "full" (the best that there is) or "colorpair" (the paper's path alone); seed: of all random
     choices; threads: objects of a frame that are estimated at the same time; acquisition_level: the quality
@@ -37,6 +53,7 @@ class EstimatorConfig:
     acquisition_level: float = 0.9
     found_score: float = 0.45
     full: FullPathConfig = field(default_factory=FullPathConfig)
+    colorpair: ColorpairPathConfig = field(default_factory=ColorpairPathConfig)
 
     def __post_init__(self) -> None:
         if self.method not in get_args(Method):

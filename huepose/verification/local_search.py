@@ -81,7 +81,7 @@ def _search_all(
                 for axis in range(6):
                     for sign in (-1.0, 1.0):
                         for _stride in range(STRIDES):
-                            _stepped(T, axis, sign * steps[level], centre, shift_per_radian, turn, trial)
+                            stepped(T, axis, sign * steps[level], centre, shift_per_radian, turn, trial)
                             total = score_kernel(trial, model, region, samples, weights, moments, terms)
                             if total <= best + WORTH:
                                 break
@@ -94,7 +94,7 @@ def _search_all(
 
 
 @jit
-def _stepped(
+def stepped(
     T: Float64,
     axis: int,
     step: float,

@@ -1,0 +1,336 @@
+"""Judging a pose by colour pairs: do the model's pairs find their two colours where the pose puts them?
+
+The model's pairs that the pose shows are projected, and the picture is read on both sides of each edge.
+Light is normalised at the pose itself, by the gain and the offset per channel that fit all read colours
+best, which makes the first term a correlation of colours; the second is that of the differences between the
+two sides, for which no offset is needed: shading and glare that change slowly cancel. Depth, free space and
+coverage of the mask are judged as for the dense score (see `dense`), with its dense colour switched off.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+
+from huepose.colorpair.extract import ExtractionConfig, Picture, prepare_picture
+from huepose.geometry.arrays import Float, Float32, Float64
+from huepose.geometry.frame import RgbdFrame
+from huepose.model.types import PairReference, ReferenceModel
+from huepose.support.jit import jit
+from huepose.verification.dense import (
+    TERMS,
+    ModelArrays,
+    RegionArrays,
+    ScoreWeights,
+    model_arrays,
+    region_arrays,
+    score_kernel,
+    weight_array,
+)
+from huepose.verification.region import Crop, Region
+
+GEOMETRY = ScoreWeights(color=0.0)
+"""The dense score's terms without its colours."""
+
+PAIR_TERMS = 4
+
+REACH_PX = 2.2
+"""How far off the edge the colours of a pair were sampled, in pixels of the reference views: the middle of
+the candidates of an edge of ordinary thickness."""
+
+MIN_FACING = 0.25
+
+
+@dataclass(frozen=True)
+class PairWeights:
+    """What colour and contrast weigh beside the geometry; lightness: weight of L against a and b; floor:
+    Lab units that keep the correlation of even surfaces down; even: added to the sum of the channels'
+    weights, which lowers objects without print; few: number of visible pairs at which colours count half."""
+
+    color: float = 1.0
+    contrast: float = 0.5
+    lightness: float = 0.4
+    floor: float = 1.5
+    even: float = 4.0
+    few: float = 10.0
+
+
+DEFAULT_PAIR_WEIGHTS = PairWeights()
+
+
+class PairArrays(NamedTuple):
+    """The model's pairs as kernels read them, spread evenly over the database."""
+
+    points: Float32
+    normals: Float32
+    tangents: Float32
+    colors: Float32
+    reach: float
+
+
+class PictureArrays(NamedTuple):
+    """The picture as kernels read it: pixel (u, v) of the crop is ((u + du) / su - 0.5, ...) of `lab`."""
+
+    lab: Float32
+    du: float
+    dv: float
+    su: float
+    sv: float
+
+
+@dataclass(frozen=True)
+class PairScore:
+    """total: geometry plus weighted colour terms, comparable between poses on the same pixels; geometry: the
+    dense score without colour; color, contrast: correlations (-1..1), lowered where there is little to go
+    by; visible: number of pairs that were compared."""
+
+    total: float
+    geometry: float
+    color: float
+    contrast: float
+    visible: int
+
+
+def pair_picture(
+    model: ReferenceModel,
+    frame: RgbdFrame,
+    crop: Crop,
+    depth_m: float,
+    config: ExtractionConfig | None = None,
+) -> Picture:
+    """The crop's colours at the scale of the model's reference views, for an object at `depth_m`."""
+    h, w = crop.depth.shape
+    scale = model.pairs.parameters["pixels_per_m"] * depth_m / frame.camera.fx
+    return prepare_picture(frame.color, (crop.x0, crop.y0, crop.x0 + w, crop.y0 + h), min(scale, 1.0), config)
+
+
+def pair_score(
+    model: ReferenceModel,
+    region: Region,
+    picture: Picture,
+    T_cam_obj: Float,
+    pairs: int = 600,
+    samples: int = 300,
+    weights: PairWeights = DEFAULT_PAIR_WEIGHTS,
+) -> PairScore:
+    """Judge one pose (4, 4) by at most `pairs` of the model's pairs and `samples` of its surface."""
+    total, geometry, color, contrast, visible = pair_score_many(
+        model, region, picture, np.asarray(T_cam_obj)[None], pairs, samples, weights
+    )[0]
+    return PairScore(float(total), float(geometry), float(color), float(contrast), int(visible))
+
+
+def pair_score_many(
+    model: ReferenceModel,
+    region: Region,
+    picture: Picture,
+    poses: Float,
+    pairs: int = 600,
+    samples: int = 300,
+    weights: PairWeights = DEFAULT_PAIR_WEIGHTS,
+) -> Float64:
+    """Judge poses (M, 4, 4): (M, 5), columns in the order of PairScore's fields."""
+    out = np.zeros((len(poses), PAIR_TERMS + 1))
+    _score_all(
+        np.ascontiguousarray(poses, dtype=np.float64),
+        model_arrays(model),
+        region_arrays(region),
+        samples,
+        weight_array(GEOMETRY),
+        pair_arrays(model.pairs, pairs),
+        picture_arrays(picture, region.crop),
+        pair_weight_array(weights),
+        out,
+    )
+    return out
+
+
+def pair_arrays(reference: PairReference, count: int) -> PairArrays:
+    """At most `count` of a model's pairs, evenly spread."""
+    step = max(1, -(-len(reference.points) // count))
+    return PairArrays(
+        np.ascontiguousarray(reference.points[::step]),
+        np.ascontiguousarray(reference.normals[::step]),
+        np.ascontiguousarray(reference.tangents[::step]),
+        np.ascontiguousarray(reference.colors[::step]),
+        REACH_PX / reference.parameters["pixels_per_m"],
+    )
+
+
+def picture_arrays(picture: Picture, crop: Crop) -> PictureArrays:
+    """A picture as seen from the pixels of a crop."""
+    su, sv = picture.steps
+    return PictureArrays(picture.lab, crop.x0 - picture.x0 + 0.5, crop.y0 - picture.y0 + 0.5, su, sv)
+
+
+def pair_weight_array(weights: PairWeights) -> Float64:
+    """The weights as kernels read them, in the order of PairWeights."""
+    w = weights
+    return np.array([w.color, w.contrast, w.lightness, w.floor, w.even, w.few])
+
+
+@jit
+def _score_all(
+    poses: Float64,
+    model: ModelArrays,
+    region: RegionArrays,
+    samples: int,
+    geometry_weights: Float64,
+    pairs: PairArrays,
+    picture: PictureArrays,
+    weights: Float64,
+    out: Float64,
+) -> None:
+    moments, terms = np.empty((6, 5)), np.empty(TERMS)
+    for i in range(poses.shape[0]):
+        pair_kernel(
+            poses[i],
+            model,
+            region,
+            samples,
+            geometry_weights,
+            pairs,
+            picture,
+            weights,
+            moments,
+            terms,
+            out[i],
+        )
+
+
+@jit
+def pair_kernel(
+    T: Float64,
+    model: ModelArrays,
+    region: RegionArrays,
+    samples: int,
+    geometry_weights: Float64,
+    pairs: PairArrays,
+    picture: PictureArrays,
+    weights: Float64,
+    moments: Float64,
+    terms: Float64,
+    out: Float64,
+) -> float:
+    """Judge one pose; `moments` (6, 5) and `terms` are scratch, `out` (5,) gets the terms, the total is
+    returned."""
+    geometry = score_kernel(T, model, region, samples, geometry_weights, moments, terms)
+    moments[:] = 0.0
+    visible = _read_pairs(T, region, pairs, picture, moments)
+    few = visible / (visible + weights[5])
+    color = few * _correlation(moments, 0, weights)
+    contrast = few * _correlation(moments, 3, weights)
+    out[0] = geometry + weights[0] * color + weights[1] * contrast
+    out[1] = geometry
+    out[2] = color
+    out[3] = contrast
+    out[4] = visible
+    return float(out[0])
+
+
+@jit
+def _read_pairs(
+    T: Float64, region: RegionArrays, pairs: PairArrays, picture: PictureArrays, moments: Float64
+) -> int:
+    """Sums over the visible pairs into `moments` (6, 5): rows 0..2 of both sides' L, a, b (weight, model,
+    image and so on as below), rows 3..5 of the differences between the sides. Returns how many were
+    visible."""
+    points, normals, tangents, colors = pairs.points, pairs.normals, pairs.tangents, pairs.colors
+    depth, saturated, lab = region.depth, region.saturated, picture.lab
+    height, width = depth.shape
+    rows, columns = lab.shape[0], lab.shape[1]
+    r00, r01, r02, r10, r11, r12 = T[0, 0], T[0, 1], T[0, 2], T[1, 0], T[1, 1], T[1, 2]
+    r20, r21, r22, t0, t1, t2 = T[2, 0], T[2, 1], T[2, 2], T[0, 3], T[1, 3], T[2, 3]
+    read = np.empty((2, 3))
+    visible = 0
+    for i in range(points.shape[0]):
+        p0, p1, p2 = points[i, 0], points[i, 1], points[i, 2]
+        n0, n1, n2 = normals[i, 0], normals[i, 1], normals[i, 2]
+        x = r00 * p0 + r01 * p1 + r02 * p2 + t0
+        y = r10 * p0 + r11 * p1 + r12 * p2 + t1
+        z = r20 * p0 + r21 * p1 + r22 * p2 + t2
+        if z < 0.02:
+            continue
+        away = (
+            (r00 * n0 + r01 * n1 + r02 * n2) * x
+            + (r10 * n0 + r11 * n1 + r12 * n2) * y
+            + (r20 * n0 + r21 * n1 + r22 * n2) * z
+        )
+        facing = -away / np.sqrt(x * x + y * y + z * z)
+        if facing < MIN_FACING:
+            continue
+        uf, vf = x / z * region.fx + region.cx, y / z * region.fy + region.cy
+        if uf < 0.0 or vf < 0.0 or uf > width - 1.0 or vf > height - 1.0:
+            continue
+        observed = depth[int(vf + 0.5), int(uf + 0.5)]
+        if observed <= 0.0 or abs(observed - z) * facing > region.tolerance:
+            continue
+        q0, q1, q2 = tangents[i, 0] * pairs.reach, tangents[i, 1] * pairs.reach, tangents[i, 2] * pairs.reach
+        s0 = r00 * q0 + r01 * q1 + r02 * q2
+        s1 = r10 * q0 + r11 * q1 + r12 * q2
+        s2 = r20 * q0 + r21 * q1 + r22 * q2
+        usable = True
+        for side in range(2):
+            sign = -1.0 if side == 0 else 1.0
+            w = z + sign * s2
+            uf = (x + sign * s0) / w * region.fx + region.cx
+            vf = (y + sign * s1) / w * region.fy + region.cy
+            if uf < 0.0 or vf < 0.0 or uf > width - 1.0 or vf > height - 1.0:
+                usable = False
+                break
+            if saturated[int(vf + 0.5), int(uf + 0.5)]:
+                usable = False
+                break
+            uf = (uf + picture.du) / picture.su - 0.5
+            vf = (vf + picture.dv) / picture.sv - 0.5
+            u, v = min(max(int(uf), 0), columns - 2), min(max(int(vf), 0), rows - 2)
+            a, b = min(max(uf - u, 0.0), 1.0), min(max(vf - v, 0.0), 1.0)
+            c00, c01, c10, c11 = (1 - a) * (1 - b), a * (1 - b), (1 - a) * b, a * b
+            for c in range(3):
+                read[side, c] = (
+                    c00 * lab[v, u, c]
+                    + c01 * lab[v, u + 1, c]
+                    + c10 * lab[v + 1, u, c]
+                    + c11 * lab[v + 1, u + 1, c]
+                )
+        if not usable:
+            continue
+        visible += 1
+        for c in range(3):
+            for side in range(2):
+                m, s = colors[i, side, c], read[side, c]
+                moments[c, 0] += facing * m
+                moments[c, 1] += facing * s
+                moments[c, 2] += facing * m * m
+                moments[c, 3] += facing * s * s
+                moments[c, 4] += facing * m * s
+            m, s = colors[i, 1, c] - colors[i, 0, c], read[1, c] - read[0, c]
+            moments[3 + c, 0] += facing  # the sum of weights: differences have no mean to take off
+            moments[3 + c, 2] += facing * m * m
+            moments[3 + c, 3] += facing * s * s
+            moments[3 + c, 4] += facing * m * s
+    return visible
+
+
+@jit
+def _correlation(moments: Float64, first: int, weights: Float64) -> float:
+    """Correlation over the three channels from row `first` on, each weighted by how much the model varies."""
+    count = moments[3, 0]
+    if count <= 0.0:
+        return 0.0
+    readings = 2.0 * count if first == 0 else count
+    total, total_weight = 0.0, weights[4]
+    for c in range(3):
+        q = first + c
+        mean_m, mean_s = 0.0, 0.0
+        if first == 0:
+            mean_m, mean_s = moments[q, 0] / readings, moments[q, 1] / readings
+        var_m = max(moments[q, 2] / readings - mean_m * mean_m, 0.0)
+        var_s = max(moments[q, 3] / readings - mean_s * mean_s, 0.0)
+        covariance = moments[q, 4] / readings - mean_m * mean_s
+        w = (weights[2] if c == 0 else 1.0) * np.sqrt(var_m)
+        total += w * covariance / (np.sqrt(var_m * var_s) + weights[3])
+        total_weight += w
+    return float(total / total_weight)

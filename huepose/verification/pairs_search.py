@@ -1,0 +1,117 @@
+"""Coordinate search on the pair score: the print decides what depth leaves open, by pairs alone."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from huepose.colorpair.extract import Picture
+from huepose.geometry.arrays import Float, Float64
+from huepose.model.types import ReferenceModel
+from huepose.support.jit import jit
+from huepose.verification.dense import (
+    TERMS,
+    ModelArrays,
+    RegionArrays,
+    model_arrays,
+    region_arrays,
+    weight_array,
+)
+from huepose.verification.local_search import REPETITIONS, SHIFT_PER_RADIAN, STRIDES, WORTH, stepped
+from huepose.verification.pairs import (
+    DEFAULT_PAIR_WEIGHTS,
+    GEOMETRY,
+    PAIR_TERMS,
+    PairArrays,
+    PairWeights,
+    PictureArrays,
+    pair_arrays,
+    pair_kernel,
+    pair_weight_array,
+    picture_arrays,
+)
+from huepose.verification.region import Region
+
+
+def search_pairs(
+    model: ReferenceModel,
+    region: Region,
+    picture: Picture,
+    poses: Float,
+    steps_deg: Sequence[float],
+    pairs: int = 300,
+    samples: int = 150,
+    weights: PairWeights = DEFAULT_PAIR_WEIGHTS,
+) -> tuple[Float64, Float64]:
+    """Improve poses (M, 4, 4) by turns about the object's centre and shifts, along the object's axes, with
+    steps of `steps_deg` one after the other; returns poses (M, 4, 4) and their totals (M,)."""
+    out = np.array(poses, dtype=np.float64)
+    totals = np.zeros(len(out))
+    _search_all(
+        out,
+        model_arrays(model),
+        region_arrays(region),
+        samples,
+        weight_array(GEOMETRY),
+        pair_arrays(model.pairs, pairs),
+        picture_arrays(picture, region.crop),
+        pair_weight_array(weights),
+        model.mesh.centre,
+        model.diameter_m * SHIFT_PER_RADIAN,
+        np.radians(np.asarray(steps_deg, dtype=np.float64)),
+        totals,
+    )
+    return out, totals
+
+
+@jit
+def _search_all(
+    poses: Float64,
+    model: ModelArrays,
+    region: RegionArrays,
+    samples: int,
+    geometry_weights: Float64,
+    pairs: PairArrays,
+    picture: PictureArrays,
+    weights: Float64,
+    centre: Float64,
+    shift_per_radian: float,
+    steps: Float64,
+    totals: Float64,
+) -> None:
+    moments, terms, out = np.empty((6, 5)), np.empty(TERMS), np.empty(PAIR_TERMS + 1)
+    turn, trial = np.empty((3, 3)), np.empty((4, 4))
+    for m in range(poses.shape[0]):
+        T = poses[m]
+        best = pair_kernel(
+            T, model, region, samples, geometry_weights, pairs, picture, weights, moments, terms, out
+        )
+        for level in range(steps.shape[0]):
+            for _ in range(REPETITIONS):
+                moved = False
+                for axis in range(6):
+                    for sign in (-1.0, 1.0):
+                        for _stride in range(STRIDES):
+                            stepped(T, axis, sign * steps[level], centre, shift_per_radian, turn, trial)
+                            total = pair_kernel(
+                                trial,
+                                model,
+                                region,
+                                samples,
+                                geometry_weights,
+                                pairs,
+                                picture,
+                                weights,
+                                moments,
+                                terms,
+                                out,
+                            )
+                            if total <= best + WORTH:
+                                break
+                            best = total
+                            T[:] = trial
+                            moved = True
+                if not moved:
+                    break
+        totals[m] = best

@@ -6,31 +6,49 @@ never meets models of an old one.
 
 from __future__ import annotations
 
+import fcntl
 import hashlib
 from functools import cache
-from importlib.util import find_spec
 from pathlib import Path
 
+import huepose
 from huepose.datasets.shapes import demo_objects
 from huepose.datasets.synthetic_store import cache_folder
 from huepose.geometry.mesh import Mesh
 from huepose.model.io import model_path, save_model
+from huepose.support.errors import InputError
 from huepose.support.progress import progress
 
-_MAKERS = ("colorpair", "geometry", "matching", "model", "onboarding", "rendering")
+_MAKERS = ("onboarding", "model", "colorpair", "matching/views.py", "matching/pair_reference.py")
 
 
 @cache
 def builtin_bundles(seed: int) -> Path:
-    """The folder with the reference models of the built-in scene; those that are missing are made."""
+    """The folder with the reference models of the built-in scene; those that are missing are made.
+
+    Of several processes one makes them, and the others wait for it."""
     meshes = demo_objects(seed)
     folder = cache_folder() / "builtin" / _digest(meshes)
-    missing = [name for name in meshes if not model_path(folder, name).exists()]
-    if missing:
-        from huepose.onboarding import onboard_mesh
+    if all(model_path(folder, name).exists() for name in meshes):
+        return folder
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        lock = (folder / ".lock").open("w")
+    except OSError as error:
+        raise InputError(
+            folder,
+            found=error.strerror or str(error),
+            expected="a folder that can be written",
+            fix="Set XDG_CACHE_HOME to one.",
+        ) from None
+    with lock:
+        fcntl.flock(lock, fcntl.LOCK_EX)
+        missing = [name for name in meshes if not model_path(folder, name).exists()]
+        if missing:
+            from huepose.onboarding import onboard_mesh
 
-        for name in progress(missing, "learning the built-in objects"):
-            save_model(onboard_mesh(meshes[name], name), model_path(folder, name))
+            for name in progress(missing, "learning the built-in objects"):
+                save_model(onboard_mesh(meshes[name], name), model_path(folder, name))
     return folder
 
 
@@ -40,10 +58,9 @@ def _digest(meshes: dict[str, Mesh]) -> str:
         digest.update(name.encode())
         for array in (mesh.vertices, mesh.faces, mesh.uv, mesh.texture):
             digest.update(array.tobytes())
-    for room in _MAKERS:
-        spec = find_spec(f"huepose.{room}")
-        assert spec is not None
-        for place in spec.submodule_search_locations or ():
-            for source in sorted(Path(place).glob("*.py")):
-                digest.update(source.read_bytes())
+    home = Path(huepose.__file__).parent
+    for maker in _MAKERS:
+        place = home / maker
+        for source in sorted(place.glob("*.py")) if place.is_dir() else [place]:
+            digest.update(source.read_bytes())
     return digest.hexdigest()[:16]

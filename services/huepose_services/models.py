@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 
 from huepose.geometry import Box, Camera, se3
-from huepose.geometry.arrays import Float, Float32
+from huepose.geometry.arrays import Float, Float32, Float64
 from huepose.model import ReferenceModel, load_models
 from huepose_services.builtin import builtin_bundles
 from huepose_services.runtime.config import Config, ObjectConfig
@@ -18,12 +18,14 @@ _OUTLINE_POINTS = 1500
 
 @dataclass(frozen=True, eq=False)
 class Outline:
-    """What detector and segmenter know of an object: points (N, 3) float32 of its surface, its diameter."""
+    """What perception and the loop know of an object: points (N, 3) float32 of its surface, its diameter,
+    the turns (4, 4) under which shape and print look the same."""
 
     name: str
     object_id: int | None
     points_obj: Float32
     diameter_m: float
+    equivalents: tuple[Float64, ...] = ()
 
     def box(self, T_cam_obj: Float, camera: Camera) -> Box | None:
         """Bounds of the object at a pose, cut to the image; None where it is outside or behind."""
@@ -47,7 +49,13 @@ def load(config: Config) -> dict[str, ReferenceModel]:
 def outlines(config: Config) -> dict[str, Outline]:
     """The outlines of the same objects; the rest of the models is let go."""
     return {
-        name: Outline(name, model.object_id, model.surface.points[:_OUTLINE_POINTS].copy(), model.diameter_m)
+        name: Outline(
+            name,
+            model.object_id,
+            model.surface.points[:_OUTLINE_POINTS].copy(),
+            model.diameter_m,
+            tuple(model.equivalents.copy()),
+        )
         for name, model in load(config).items()
     }
 

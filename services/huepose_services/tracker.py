@@ -40,6 +40,8 @@ class TrackerWork:
         self._bus, self._tracker = bus, tracker
         self._corrections = bus.inbox.queue(bus.keys.correction)
         self._frames = bus.inbox.ring(bus.keys.frame)
+        self._header: FrameHeader | None = None
+        self._published: set[tuple[str, int]] = set()
 
     def due_ns(self) -> int | None:
         """Only arrivals matter."""
@@ -47,11 +49,18 @@ class TrackerWork:
 
     def step(self) -> None:
         """Apply what arrived, then track the newest frame."""
+        corrected = False
         while (message := self._bus.take(self._corrections, CorrectionMessage)) is not None:
             self._correct(message)
+            corrected = True
         taken = self._bus.take_with_payload(self._frames, FrameHeader)
         if taken is not None:
             self._track(*taken)
+        elif corrected and self._header is not None:
+            # Instances that a correction has made are published on the frame that is there, which may stand
+            # for long; what was published of a frame is never said anew.
+            new = [p for p in self._tracker.poses() if (p.object, p.instance) not in self._published]
+            self._publish_all(new, self._header)
 
     def _correct(self, message: CorrectionMessage) -> None:
         try:
@@ -72,12 +81,18 @@ class TrackerWork:
         except WireError as error:
             self._bus.refuse(self._bus.keys.frame, error)
             return
-        for pose in self._tracker.step(frame):
-            self._publish(pose, header)
+        self._published.clear()
+        self._publish_all(self._tracker.step(frame), header)
+        self._header = header
         health.camera_epoch, health.frame_id = header.camera_epoch, header.frame_id
         health.counters["frames_skipped"] = self._frames.skipped
         health.count("frames")
         health.worked(started, header.capture_ns)
+
+    def _publish_all(self, poses: list[TrackedPose], header: FrameHeader) -> None:
+        for pose in poses:
+            self._publish(pose, header)
+            self._published.add((pose.object, pose.instance))
 
     def _publish(self, pose: TrackedPose, header: FrameHeader) -> None:
         try:

@@ -38,12 +38,8 @@ def add_parser(subparsers: Any) -> None:
 def call(arguments: argparse.Namespace) -> int:
     """Print until the pipeline that was seen is gone, or until interrupted."""
     from huepose_protos.client import Reader
-    from huepose_services.runtime.config import DEFAULT_FILE, WORKERS, Config, load
+    from huepose_services.runtime.config import WORKERS
 
-    path: Path | None = arguments.config
-    if path is None and Path(DEFAULT_FILE).exists():
-        path = Path(DEFAULT_FILE)
-    config = Config() if path is None else load(path)
     stopping = False
 
     def stop(number: int, frame: FrameType | None) -> None:
@@ -52,10 +48,22 @@ def call(arguments: argparse.Namespace) -> int:
 
     signal.signal(signal.SIGTERM, stop)
     signal.signal(signal.SIGINT, stop)
-    endpoints = [config.endpoint(worker) for worker in WORKERS]
+    ports = _base_ports(arguments.config)
+    endpoints = [f"tcp/127.0.0.1:{port + place}" for port in ports for place in range(len(WORKERS))]
     with Reader(endpoints, f"huepose/*/*/{arguments.key}") as reader:
         _follow(reader, arguments.json, endpoints[0], lambda: stopping)
     return 0
+
+
+def _base_ports(path: Path | None) -> list[int]:
+    """Where to look: as configured, else where pipelines run and where the next one usually would."""
+    from huepose_services.runtime.config import DEFAULT_FILE, BusConfig, load
+    from huepose_services.runtime.running import base_ports
+
+    if path is not None:
+        return [load(path).bus.base_port]
+    usual = load(Path(DEFAULT_FILE)).bus.base_port if Path(DEFAULT_FILE).exists() else BusConfig().base_port
+    return list(dict.fromkeys([*base_ports(), usual]))
 
 
 def _follow(reader: Reader, as_json: bool, endpoint: str, stopping: Any) -> None:

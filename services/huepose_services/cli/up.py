@@ -20,6 +20,7 @@ def call(arguments: argparse.Namespace) -> int:
     """Run until it ends or is interrupted."""
     from huepose_services.runtime.config import load
     from huepose_services.runtime.prepare import prepare
+    from huepose_services.runtime.running import noted
     from huepose_services.runtime.supervisor import Supervisor
 
     config = load(arguments.config)
@@ -33,10 +34,11 @@ def call(arguments: argparse.Namespace) -> int:
     signal.signal(signal.SIGTERM, stop)
     signal.signal(signal.SIGINT, stop)
     supervisor = Supervisor(config, arguments.config)
-    supervisor.start()
-    try:
-        while supervisor.exit_code is None and not stopping:
-            supervisor.poll()
-    finally:
-        supervisor.stop()
+    with noted(config.bus.base_port):
+        supervisor.start()
+        try:
+            while supervisor.exit_code is None and not stopping:
+                supervisor.poll()
+        finally:
+            supervisor.stop()
     return supervisor.exit_code or 0

@@ -44,7 +44,7 @@ def run_demo(seconds: float, seed: int, live: bool, stopping: Callable[[], bool]
     SyntheticScene(seed)  # computed here, with progress, where it is not in the cache folder
     folder = Path(tempfile.mkdtemp(prefix="huepose-demo-"))
     path = folder / "pipeline.yaml"
-    path.write_text(yaml.safe_dump(_pipeline(seed)))
+    path.write_text(yaml.safe_dump(_pipeline(seed, bundles)))
     config = load(path)
     yardsticks = {
         name: Yardstick.of(model.eval_points, model.diameter_m)
@@ -65,9 +65,10 @@ def run_demo(seconds: float, seed: int, live: bool, stopping: Callable[[], bool]
     return {"summary": summary, "workers": {name: _brief(message) for name, message in health.items()}}
 
 
-def _pipeline(seed: int) -> dict[str, Any]:
+def _pipeline(seed: int, bundles: Path) -> dict[str, Any]:
     return {
         "site": "demo",
+        "bundles": str(bundles),
         "camera": {"source": "synthetic", "seed": seed, "truth": True},
         "detector": {"kind": "truth", "seed": seed},
         "bus": {"base_port": _free_ports(len(WORKERS))},

@@ -46,8 +46,9 @@ class Ring:
 class Queue:
     """All samples of a subscription in order; `lost` counts what a stuck loop made it drop."""
 
-    def __init__(self, ready: threading.Condition) -> None:
+    def __init__(self, ready: threading.Condition, wakes: bool = True) -> None:
         self._ready = ready
+        self._wakes = wakes
         self._samples: deque[zenoh.Sample] = deque()
         self.lost = 0
 
@@ -57,7 +58,8 @@ class Queue:
                 self._samples.popleft()
                 self.lost += 1
             self._samples.append(sample)
-            self._ready.notify()
+            if self._wakes:
+                self._ready.notify()
 
     def take(self) -> zenoh.Sample | None:
         """The oldest sample; None when there is none."""
@@ -65,7 +67,8 @@ class Queue:
             return self._samples.popleft() if self._samples else None
 
     def __bool__(self) -> bool:
-        return bool(self._samples)
+        """Whether the loop should look at it now."""
+        return self._wakes and bool(self._samples)
 
 
 class Inbox:
@@ -84,9 +87,9 @@ class Inbox:
         self._start(self._session.declare_subscriber(key, zenoh.handlers.RingChannel(1)), ring)
         return ring
 
-    def queue(self, key: str) -> Queue:
+    def queue(self, key: str, wakes: bool = True) -> Queue:
         """Subscribe for everything."""
-        queue = Queue(self._ready)
+        queue = Queue(self._ready, wakes)
         self._start(self._session.declare_subscriber(key, zenoh.handlers.FifoChannel(256)), queue)
         return queue
 

@@ -34,8 +34,8 @@ _HOMES = {
     "estimator": "huepose_services.estimator",
 }
 # Frames and tracking come first where the cores do not suffice for all.
-_NICENESS = {"camera": 0, "tracker": 0, "reinit": 2}
-_NICENESS_OF_OTHERS = 5
+_NICENESS = {"camera": 0, "tracker": 0, "reinit": 0}
+_NICENESS_OF_OTHERS = 3
 _LONGEST_WAIT_S = 0.1
 _FORCED_STOP_AFTER_S = 1.0
 _ERRORS_IN_A_ROW = 10

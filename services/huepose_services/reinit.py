@@ -1,0 +1,210 @@
+"""The re-initialisation worker: the clock and the bus around the loop, which is pure."""
+
+from __future__ import annotations
+
+from dataclasses import asdict
+
+from huepose.estimation.types import PoseEstimate
+from huepose.reinit import ReinitConfig, ReinitLoop
+from huepose.reinit.types import ObjectSlot, PerceptionResult, Request
+from huepose.reinit.types import Prior as LoopPrior
+from huepose.tracking.types import Correction, State, TrackedPose
+from huepose_protos.messages import (
+    CorrectionMessage,
+    EstimatedObject,
+    Estimates,
+    ObjectEntry,
+    ObjectsMessage,
+    PerceptionRequest,
+    PoseMessage,
+    Prior,
+    RequestedObject,
+)
+from huepose_protos.runlength import mask_of, runs_of
+from huepose_services import models
+from huepose_services.convert import (
+    box_from_wire,
+    covariance_from_wire,
+    covariance_to_wire,
+    optional_pose_from_wire,
+    pose_of,
+    pose_to_wire,
+    twist_from_wire,
+    twist_to_wire,
+)
+from huepose_services.runtime.bus import Bus
+from huepose_services.runtime.clock import SECOND, now_ns
+from huepose_services.runtime.config import Config
+
+_LOOK_NS = SECOND // 30
+# A track that was not published for so long while others were is no track any more.
+_FORGET_NS = 2 * SECOND
+
+
+def make(bus: Bus, config: Config) -> ReinitWork:
+    """The re-initialisation worker's work."""
+    known = models.outlines(config)
+    wanted = {item.name: item.max_instances for item in models.objects(config, list(known))}
+    slots = [ObjectSlot(name, wanted[name], o.diameter_m, o.equivalents) for name, o in known.items()]
+    settings = ReinitConfig(
+        period_ms=1000.0 / config.reinit.rate_hz,
+        objects_per_request=config.reinit.objects_per_tick,
+        deadline_ms=float(config.reinit.deadline_ms),
+    )
+    return ReinitWork(bus, ReinitLoop(settings, slots), wanted)
+
+
+class ReinitWork:
+    """Feeds the loop with poses and answers; publishes its requests, its corrections, and what it seeks."""
+
+    finished = False
+
+    def __init__(self, bus: Bus, loop: ReinitLoop, wanted: dict[str, int]) -> None:
+        self._bus, self._loop, self._wanted = bus, loop, wanted
+        self._poses = bus.inbox.queue(bus.keys.poses, wakes=False)
+        self._answers = bus.inbox.queue(bus.keys.estimates)
+        self._tracks: dict[tuple[str, int], TrackedPose] = {}
+        self._next_look_ns = self._next_objects_ns = now_ns()
+
+    def due_ns(self) -> int | None:
+        """Poses are looked at once a frame, answers when they come."""
+        return self._next_look_ns
+
+    def step(self) -> None:
+        """One turn of the loop."""
+        started = now_ns()
+        while (pose := self._bus.take(self._poses, PoseMessage)) is not None:
+            self._tracks[pose.object, pose.instance] = track_from_wire(pose)
+        while (answer := self._bus.take(self._answers, Estimates)) is not None:
+            for correction in self._loop.answer(now_ns(), result_from_wire(answer)):
+                self._send(correction)
+            self._bus.health.camera_epoch, self._bus.health.frame_id = answer.camera_epoch, answer.frame_id
+            self._bus.health.worked(started, answer.capture_ns)
+        now = now_ns()
+        if now < self._next_look_ns:
+            return
+        self._next_look_ns = now + _LOOK_NS
+        request = self._loop.tick(now, self._living())
+        if request is not None:
+            self._bus.put_control(self._bus.keys.request, request_to_wire(request))
+        for correction in self._loop.repeats(now):
+            self._send(correction)
+        if now >= self._next_objects_ns:
+            self._next_objects_ns = now + SECOND
+            self._say_objects()
+
+    def _living(self) -> list[TrackedPose]:
+        newest_ns = max((t.stamp_ns for t in self._tracks.values()), default=0)
+        self._tracks = {k: t for k, t in self._tracks.items() if newest_ns - t.stamp_ns < _FORGET_NS}
+        return list(self._tracks.values())
+
+    def _send(self, correction: Correction) -> None:
+        self._bus.put_control(self._bus.keys.correction, correction_to_wire(correction))
+
+    def _say_objects(self) -> None:
+        self._bus.health.counters |= asdict(self._loop.counters)
+        missing = {item.object: item.missing for item in self._loop.searching()}
+        entries = [
+            ObjectEntry(object=name, max_instances=count, searching=missing.get(name, 0))
+            for name, count in self._wanted.items()
+        ]
+        self._bus.put(self._bus.keys.objects, ObjectsMessage(publish_ns=now_ns(), objects=entries))
+
+
+def track_from_wire(message: PoseMessage) -> TrackedPose:
+    """The tracked pose of a message."""
+    return TrackedPose(
+        object=message.object,
+        instance=message.instance,
+        epoch=message.camera_epoch,
+        frame_id=message.frame_id,
+        stamp_ns=message.capture_ns,
+        state=State(message.state),
+        T_cam_obj=pose_of(message),
+        velocity=twist_from_wire(message.velocity_linear, message.velocity_angular),
+        quality=message.quality,
+        covariance=covariance_from_wire(message.covariance),
+        applied_correction_seq=message.applied_correction_seq,
+    )
+
+
+def result_from_wire(message: Estimates) -> PerceptionResult:
+    """The chain's answer of a message."""
+    return PerceptionResult(
+        request=message.request_seq,
+        epoch=message.camera_epoch,
+        frame_id=message.frame_id,
+        stamp_ns=message.capture_ns,
+        estimates=tuple(_estimate_from_wire(e) for e in message.estimates),
+    )
+
+
+def _estimate_from_wire(e: EstimatedObject) -> PoseEstimate:
+    return PoseEstimate(
+        object=e.object,
+        instance=-1 if e.instance is None else e.instance,
+        found=e.found,
+        T_cam_obj=optional_pose_from_wire(e.translation, e.quaternion),
+        quality=e.quality,
+        state=e.state,
+        score=e.score,
+        margin=e.margin,
+        covariance=covariance_from_wire(e.covariance),
+        mask=None if e.mask is None else mask_of(e.mask),
+        box=None if e.box is None else box_from_wire(e.box),
+        prior_score=e.prior_score,
+        prior_T_cam_obj=optional_pose_from_wire(e.prior_translation, e.prior_quaternion),
+        alternatives=(),
+        seconds=e.seconds,
+    )
+
+
+def request_to_wire(request: Request) -> PerceptionRequest:
+    """The message of a request."""
+    return PerceptionRequest(
+        publish_ns=now_ns(),
+        seq=request.number,
+        camera_epoch=request.epoch,
+        deadline_ns=request.deadline_ns,
+        objects=[
+            RequestedObject(
+                object=item.object,
+                instance=item.instance,
+                prior=None if item.prior is None else _prior_to_wire(item.prior),
+                wanted=item.wanted,
+            )
+            for item in request.objects
+        ],
+    )
+
+
+def _prior_to_wire(prior: LoopPrior) -> Prior:
+    translation, quaternion = pose_to_wire(prior.T_cam_obj)
+    linear, angular = twist_to_wire(prior.velocity)
+    return Prior(
+        stamp_ns=prior.stamp_ns,
+        translation=translation,
+        quaternion=quaternion,
+        velocity_linear=linear,
+        velocity_angular=angular,
+        covariance=covariance_to_wire(prior.covariance),
+    )
+
+
+def correction_to_wire(correction: Correction) -> CorrectionMessage:
+    """The message of a correction."""
+    translation, quaternion = pose_to_wire(correction.T_cam_obj)
+    return CorrectionMessage(
+        publish_ns=now_ns(),
+        object=correction.object,
+        instance=correction.instance,
+        camera_epoch=correction.epoch,
+        frame_id=correction.frame_id,
+        capture_ns=correction.stamp_ns,
+        translation=translation,
+        quaternion=quaternion,
+        quality=correction.quality,
+        verdict=correction.verdict.value,
+        seq=correction.seq,
+        mask=None if correction.mask is None else runs_of(correction.mask),
+    )

@@ -20,7 +20,7 @@ from huepose.support.jit import jit
 Rng = np.random.Generator
 
 TO_LINEAR: Float32 = ((np.arange(256) / 255.0) ** 2.2).astype(np.float32)
-_SHADOW_CAMERA = Camera(760.0, 760.0, 255.5, 255.5, 512, 512)
+_SHADOW_CAMERA = Camera(1520.0, 1520.0, 511.5, 511.5, 1024, 1024)
 _SHADOW_DISTANCE_M = 2.6
 _SCENE_CENTRE_ROOM = np.array([0.0, 0.0, 0.95])
 

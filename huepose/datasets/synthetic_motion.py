@@ -165,13 +165,19 @@ def _tumble(timing: Timing, rng: Rng) -> Float64:
     spin = Rotation.from_rotvec(np.outer(np.arange(n) * (2 * np.pi * turns / n), UP_ROOM)).as_matrix()
     wobble = rng.normal(0, 1, (n, 3))
     fastest = np.radians(rng.uniform(150, 370))
-    amplitude = 0.5
     poses = np.tile(np.eye(4), (len(timing.phase), 1, 1))
-    for _ in range(6):
+
+    def turned(amplitude: float) -> Float64:
         control = Rotation.from_rotvec(amplitude * wobble).as_matrix() @ spin @ stand
-        poses[:, :3, :3] = rotations(control, timing.phase)
-        amplitude = min(amplitude * float(fastest / speeds(poses, timing.rate_hz)[1].max()), 1.1)
-    return np.asarray(poses[:, :3, :3])
+        return rotations(control, timing.phase)
+
+    low, high = 0.0, 1.1
+    for _ in range(10):
+        middle = (low + high) / 2
+        poses[:, :3, :3] = turned(middle)
+        calm = speeds(poses, timing.rate_hz)[1].max() < fastest
+        low, high = (middle, high) if calm else (low, middle)
+    return turned(low)
 
 
 def upright(yaw: float) -> Float64:

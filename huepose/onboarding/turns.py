@@ -24,7 +24,8 @@ DISTINCT_RAD = np.radians(20.0)  # of other turns: what is closer, a fit reaches
 MOST = 64
 _STARTS = 1500
 _POINTS = 400
-_ITERATIONS = 25
+_FIT_POINTS = 250
+_ITERATIONS = 15
 _WORTH_A_LOOK = 0.06  # of the fits on the grid, which does not tell the sides of a wall apart
 _SAME_AXIS = np.cos(np.radians(7.0))
 
@@ -152,8 +153,8 @@ def fitted(
     at least."""
     out = np.ascontiguousarray(turns, np.float64).copy()
     errors = np.empty(len(out))
-    points = surface.points[:_POINTS].astype(np.float64)
-    normals = surface.normals[:_POINTS].astype(np.float64)
+    points = surface.points[:_FIT_POINTS].astype(np.float64)
+    normals = surface.normals[:_FIT_POINTS].astype(np.float64)
     _fit_all(
         out,
         errors,

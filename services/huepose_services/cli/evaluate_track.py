@@ -8,6 +8,7 @@ from typing import Any
 
 from huepose.datasets.types import Scene
 from huepose.estimation import Estimator, EstimatorConfig
+from huepose.evaluation.judging import LoopJudge
 from huepose.evaluation.result_files import write_json
 from huepose.evaluation.sources import EstimatorSource, FileSource, PoseSource, TruthSource
 from huepose.evaluation.targets import Targets
@@ -47,7 +48,8 @@ def call(arguments: argparse.Namespace) -> int:
         return Sources(first, first if names.delayed == names.init else source(names.delayed, scene, seed))
 
     options = TrackOptions(arguments.protocol, arguments.every, tuple(arguments.seed))
-    result = evaluate_tracking(scenes, targets, _tracker, sources, options, names)
+    judge = LoopJudge(used) if names.delayed == "estimate" else None
+    result = evaluate_tracking(scenes, targets, _tracker, sources, options, names, judge=judge)
     record = result.as_json()
     write_json(arguments.json, record)
     print(_report(record["summary"]))

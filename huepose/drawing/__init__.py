@@ -1,0 +1,1 @@
+"""Arrays in, picture out: overlays, contact sheets, depth as colours, plots."""

@@ -1,0 +1,192 @@
+"""A plot's frame: axes with round ticks, a grid, labels, a legend. Data are drawn in their own units."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from itertools import pairwise
+
+import cv2
+import numpy as np
+
+from huepose.geometry.arrays import Float, Int32, UInt8
+
+Colour = tuple[int, int, int]
+FONT = cv2.FONT_HERSHEY_SIMPLEX
+INK: Colour = (40, 40, 40)
+PALE: Colour = (225, 225, 225)
+# Okabe and Ito's colours, told apart also by those who do not see all of them.
+COLOURS: tuple[Colour, ...] = (
+    (0, 114, 178),
+    (213, 94, 0),
+    (0, 158, 115),
+    (204, 121, 167),
+    (86, 180, 233),
+    (230, 159, 0),
+    (90, 90, 90),
+)
+_LEFT, _RIGHT, _TOP, _BOTTOM = 78, 24, 46, 62
+_SHIFT = 4
+
+
+def ticks(low: float, high: float, about: int = 6) -> list[float]:
+    """Round numbers in [low, high]: steps of 1, 2 or 5 times a power of ten, about so many.
+
+    >>> ticks(0.0, 0.97)
+    [0.0, 0.2, 0.4, 0.6, 0.8]
+    """
+    raw = (high - low) / max(about - 1, 1)
+    power = 10.0 ** np.floor(np.log10(raw))
+    step = power * min((m for m in (1, 2, 5, 10) if m * power >= raw * 0.999), default=10)
+    first, last = int(np.ceil(low / step - 1e-6)), int(np.floor(high / step + 1e-6))
+    return [round(k * step, 12) + 0.0 for k in range(first, last + 1)]
+
+
+def limits(values: Float, zero: bool = False) -> tuple[float, float]:
+    """A range that holds the finite values with 4 % of room; from zero where asked and possible."""
+    finite = np.asarray(values, np.float64)
+    finite = finite[np.isfinite(finite)]
+    if not len(finite):
+        return 0.0, 1.0
+    low, high = float(finite.min()), float(finite.max())
+    if high - low < 1e-12:
+        low, high = low - 0.5, high + 0.5
+    room = 0.04 * (high - low)
+    return (0.0 if zero and low >= 0 else low - room), high + room
+
+
+@dataclass(frozen=True, eq=False)
+class Canvas:
+    """A picture with axes; `x` and `y` are the ranges that its frame shows. Made by `Canvas.empty`."""
+
+    picture: UInt8
+    x: tuple[float, float]
+    y: tuple[float, float]
+
+    @staticmethod
+    def empty(
+        x: tuple[float, float],
+        y: tuple[float, float],
+        title: str = "",
+        x_label: str = "",
+        y_label: str = "",
+        size: tuple[int, int] = (720, 460),
+        x_names: Sequence[str] | None = None,
+    ) -> Canvas:
+        """Axes, grid and labels on white; size (width, height) px. `x_names` stand at 0, 1, 2..."""
+        canvas = Canvas(np.full((size[1], size[0], 3), 255, np.uint8), x, y)
+        picture = canvas.picture
+        for value in ticks(*y, about=7):
+            v = round(float(canvas.pixels(np.array([[x[0], value]]))[0, 1]))
+            cv2.line(picture, (_LEFT, v), (size[0] - _RIGHT, v), PALE, 1)
+            _text(picture, _short(value), (_LEFT - 8, v), 0.48, "right")
+        marks = (
+            [(float(k), n) for k, n in enumerate(x_names)]
+            if x_names
+            else [(t, _short(t)) for t in ticks(*x, about=8)]
+        )
+        for value, name in marks:
+            u = round(float(canvas.pixels(np.array([[value, y[0]]]))[0, 0]))
+            if not x_names:
+                cv2.line(picture, (u, _TOP), (u, size[1] - _BOTTOM), PALE, 1)
+            _text(picture, name, (u, size[1] - _BOTTOM + 15), 0.48, "centre")
+        cv2.rectangle(picture, (_LEFT, _TOP), (size[0] - _RIGHT, size[1] - _BOTTOM), INK, 1)
+        _text(picture, title, (size[0] // 2, _TOP // 2 + 2), 0.62, "centre", 2)
+        _text(picture, x_label, ((_LEFT + size[0] - _RIGHT) // 2, size[1] - 18), 0.54, "centre")
+        side: UInt8 = np.full((26, size[1], 3), 255, np.uint8)
+        _text(side, y_label, ((size[1] + _BOTTOM - _TOP) // 2, 13), 0.54, "centre")
+        picture[:, 3:29] = np.minimum(picture[:, 3:29], np.rot90(side))
+        return canvas
+
+    def pixels(self, points: Float) -> Float:
+        """Pixels (N, 2) of data points (N, 2)."""
+        height, width = self.picture.shape[:2]
+        u = _LEFT + (points[:, 0] - self.x[0]) / (self.x[1] - self.x[0]) * (width - _LEFT - _RIGHT)
+        v = (
+            height
+            - _BOTTOM
+            - (points[:, 1] - self.y[0]) / (self.y[1] - self.y[0]) * (height - _TOP - _BOTTOM)
+        )
+        return np.stack([u, v], -1)
+
+    def line(self, x: Float, y: Float, color: Colour, thickness: int = 2, dashed: bool = False) -> None:
+        """A line through points (N,), broken at nan, cut off at the frame; dashes are every second piece."""
+        points: Float = np.stack([np.asarray(x, np.float64), np.asarray(y, np.float64)], -1)
+        if dashed:
+            points = _pieces(points, 40)
+        inner = self._frame()
+        for k in range(len(points) - 1):
+            if np.isfinite(points[k : k + 2]).all() and not (dashed and k % 2):
+                a, b = self._fixed(points[k : k + 2])
+                cv2.line(inner, a, b, color, thickness, cv2.LINE_AA, _SHIFT)
+
+    def dots(self, x: Float, y: Float, color: Colour, radius: float = 3.0) -> None:
+        """Discs at points (N,); those outside the frame are cut off."""
+        inner = self._frame()
+        points = np.stack([np.asarray(x, np.float64), np.asarray(y, np.float64)], -1)
+        for at in self._fixed(points[np.isfinite(points).all(1)]):
+            cv2.circle(inner, at, round(radius * 2**_SHIFT), color, -1, cv2.LINE_AA, _SHIFT)
+
+    def bar(self, x0: float, x1: float, y0: float, y1: float, color: Colour) -> None:
+        """A filled rectangle between data coordinates."""
+        a, b = self._fixed(np.array([[x0, max(y0, y1)], [x1, min(y0, y1)]]))
+        low, high = (tuple(round(v / 2**_SHIFT) for v in p) for p in (a, b))
+        cv2.rectangle(self._frame(), (low[0], low[1]), (high[0], high[1]), color, -1)
+
+    def note(self, text: str, x: float, y: float, color: Colour = INK) -> None:
+        """Text centred just above a data point."""
+        at = self.pixels(np.array([[x, y]]))[0]
+        _text(self.picture, text, (round(float(at[0])), round(float(at[1])) - 10), 0.46, "centre", 1, color)
+
+    def legend(self, names: Sequence[str], colors: Sequence[Colour]) -> None:
+        """Names with their colours, in the corner of the frame that has the least drawn in it."""
+        inner = self._frame()
+        wide = max((cv2.getTextSize(n, FONT, 0.48, 1)[0][0] for n in names), default=0) + 42
+        high = 20 * len(names) + 8
+        right, bottom = max(0, inner.shape[1] - wide - 8), max(0, inner.shape[0] - high - 8)
+        corners = [(right, 8), (8, 8), (right, bottom), (8, bottom)]
+        drawn = [int((inner[y : y + high, x : x + wide].min(-1) < PALE[0] - 5).sum()) for x, y in corners]
+        x, y = corners[int(np.argmin(drawn))]
+        plate = inner[y : y + high, x : x + wide]
+        plate[:] = (0.15 * plate + 0.85 * 255).astype(np.uint8)
+        for k, (name, color) in enumerate(zip(names, colors, strict=True)):
+            row = y + 14 + 20 * k
+            cv2.line(inner, (x + 6, row), (x + 28, row), color, 3, cv2.LINE_AA)
+            _text(inner, name, (x + 34, row), 0.48, "left")
+
+    def _frame(self) -> UInt8:
+        """The part of the picture inside the axes."""
+        return self.picture[_TOP:-_BOTTOM, _LEFT:-_RIGHT]
+
+    def _fixed(self, points: Float) -> list[tuple[int, int]]:
+        """Sub-pixel positions in the frame, kept within what the drawing functions can hold."""
+        inner: Int32 = np.rint(np.clip(self.pixels(points) - (_LEFT, _TOP), -9000, 9000) * 2**_SHIFT).astype(
+            np.int32
+        )
+        return [(int(u), int(v)) for u, v in inner]
+
+
+def _short(value: float) -> str:
+    return f"{value:g}" if abs(value) < 1e5 else f"{value:.3g}"
+
+
+def _pieces(points: Float, n: int) -> Float:
+    """A polyline (N, 2) cut into about `n` pieces in all."""
+    per = max(2, n // max(len(points) - 1, 1))
+    parts = [np.linspace(a, b, per, endpoint=False) for a, b in pairwise(points)]
+    return np.concatenate([*parts, points[-1:]])
+
+
+def _text(
+    picture: UInt8,
+    text: str,
+    at: tuple[int, int],
+    scale: float,
+    side: str,
+    thickness: int = 1,
+    color: Colour = INK,
+) -> None:
+    """Text whose left end, middle or right end is at a pixel, centred in height."""
+    (width, height), _ = cv2.getTextSize(text, FONT, scale, thickness)
+    x = at[0] - {"left": 0, "centre": width // 2, "right": width}[side]
+    cv2.putText(picture, text, (x, at[1] + height // 2), FONT, scale, color, thickness, cv2.LINE_AA)

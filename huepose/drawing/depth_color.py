@@ -1,0 +1,28 @@
+"""Depth, errors and other scalar fields as colours."""
+
+from __future__ import annotations
+
+import cv2
+import numpy as np
+
+from huepose.geometry.arrays import Float, UInt8
+
+
+def depth_to_color(depth: Float, near_m: float | None = None, far_m: float | None = None) -> UInt8:
+    """Picture (H, W, 3) uint8 RGB of depth (H, W) metres: near blue, far red, no reading black.
+
+    Without limits, the 1st and the 99th percentile of what was read.
+    """
+    known = np.asarray(depth) > 0
+    if not known.any():
+        return np.zeros((*depth.shape, 3), np.uint8)
+    low = float(np.percentile(depth[known], 1)) if near_m is None else near_m
+    high = float(np.percentile(depth[known], 99)) if far_m is None else far_m
+    return np.where(known[..., None], heat(depth, low, high), 0).astype(np.uint8)
+
+
+def heat(values: Float, low: float, high: float) -> UInt8:
+    """Picture (H, W, 3) uint8 RGB of values (H, W): `low` and less dark blue, `high` and more dark red."""
+    share = np.clip((np.asarray(values, np.float64) - low) / max(high - low, 1e-12), 0.0, 1.0)
+    grey = np.rint(share * 255).astype(np.uint8)
+    return np.ascontiguousarray(cv2.applyColorMap(grey, cv2.COLORMAP_TURBO)[..., ::-1]).astype(np.uint8)

@@ -1,0 +1,132 @@
+"""Poses, masks, boxes and colour pairs drawn over an image. Every function returns a new picture.
+
+Images are (H, W, 3) uint8 RGB, colours RGB triples, pixels (u, v) with integer coordinates at pixel centres.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import cv2
+import numpy as np
+
+from huepose.geometry.arrays import Bool, Float, UInt8
+from huepose.geometry.box import Box
+from huepose.geometry.camera import Camera
+from huepose.geometry.mesh import Mesh
+from huepose.geometry.se3 import apply
+
+Colour = tuple[int, int, int]
+FONT = cv2.FONT_HERSHEY_SIMPLEX
+AXES: tuple[Colour, Colour, Colour] = ((230, 60, 50), (60, 190, 70), (60, 110, 240))  # x, y, z
+_SUBPIXEL_BITS = 4
+
+
+def silhouette(mesh: Mesh, T_cam_obj: Float, camera: Camera) -> Bool:
+    """Pixels (H, W) that a mesh covers at a pose; faces that reach behind the camera are left out."""
+    mask: UInt8 = np.zeros((camera.height, camera.width), np.uint8)
+    corners = camera.project(apply(T_cam_obj, mesh.vertices))[mesh.faces]
+    a, b = corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]
+    size = np.array([camera.width, camera.height])
+    with np.errstate(invalid="ignore"):
+        shown = np.isfinite(corners).all((1, 2)) & (np.abs(a[:, 0] * b[:, 1] - a[:, 1] * b[:, 0]) > 1e-3)
+        shown &= (corners.max(1) > -1).all(1) & (corners.min(1) < size).all(1)
+        shown &= (np.abs(corners) < 30000).all((1, 2))
+    for triangle in np.rint(corners[shown] * 2**_SUBPIXEL_BITS).astype(np.int32):
+        cv2.fillConvexPoly(mask, triangle, 1, cv2.LINE_8, _SUBPIXEL_BITS)
+    return mask > 0
+
+
+def draw_pose(
+    image: UInt8, camera: Camera, mesh: Mesh, T_cam_obj: Float, color: Colour, label: str = ""
+) -> UInt8:
+    """The outline of a mesh at a pose, its axes at its origin, and a label over it."""
+    mask = silhouette(mesh, T_cam_obj, camera)
+    picture = draw_mask_outline(image, mask, color)
+    extent = np.ptp(mesh.vertices, axis=0)
+    picture = draw_axes(picture, camera, T_cam_obj, 0.6 * float(extent.max()))
+    box = Box.of_mask(mask)
+    if label and box is not None:
+        picture = draw_label(picture, label, (box.x, box.y - 6), color)
+    return picture
+
+
+def draw_mask_outline(image: UInt8, mask: Bool, color: Colour, thickness: int = 2) -> UInt8:
+    """The border of a mask (H, W), inner holes included."""
+    picture = image.copy()
+    outline, _ = cv2.findContours(mask.astype(np.uint8), cv2.RETR_CCOMP, cv2.CHAIN_APPROX_NONE)
+    cv2.drawContours(picture, outline, -1, color, thickness, cv2.LINE_AA)
+    return picture
+
+
+def tint(image: UInt8, mask: Bool, color: Colour, strength: float = 0.45) -> UInt8:
+    """The pixels of a mask (H, W) mixed with a colour: 0 leaves them, 1 paints them over."""
+    picture = image.copy()
+    picture[mask] = np.rint((1 - strength) * image[mask] + strength * np.array(color)).astype(np.uint8)
+    return picture
+
+
+def blend(image: UInt8, rendering_color: UInt8, mask: Bool, strength: float = 0.6) -> UInt8:
+    """A rendering (H, W, 3) over the image where `mask` (H, W) is true: 1 hides the image there."""
+    picture = image.copy()
+    mixed = (1 - strength) * image[mask] + strength * rendering_color[mask]
+    picture[mask] = np.rint(mixed).astype(np.uint8)
+    return picture
+
+
+def draw_axes(image: UInt8, camera: Camera, T_cam_obj: Float, length_m: float) -> UInt8:
+    """x red, y green, z blue from the object's origin, each `length_m` long, the farthest tip drawn first."""
+    picture = image.copy()
+    tips = apply(T_cam_obj, np.vstack([np.zeros(3), length_m * np.eye(3)]))
+    pixels = camera.project(tips)
+    for k in np.argsort(-tips[1:, 2]):
+        line = pixels[[0, k + 1]]
+        if np.isfinite(line).all() and (np.abs(line) < 30000).all():
+            start, end = (tuple(int(v) for v in np.rint(p * 16)) for p in line)
+            cv2.line(picture, start, end, AXES[k], 2, cv2.LINE_AA, 4)
+    return picture
+
+
+def draw_box(image: UInt8, box: Box, color: Colour, label: str = "", thickness: int = 2) -> UInt8:
+    """A rectangle around the pixels of a box, with a label on its upper edge."""
+    picture = image.copy()
+    low = (round(box.x), round(box.y))
+    cv2.rectangle(picture, low, (round(box.x1) - 1, round(box.y1) - 1), color, thickness)
+    return draw_label(picture, label, (box.x, box.y - 4), color) if label else picture
+
+
+def draw_label(image: UInt8, text: str, at: tuple[float, float], color: Colour, scale: float = 0.5) -> UInt8:
+    """Text on a plate of `color` whose lower left corner is `at`, moved so that it lies inside the image."""
+    picture = image.copy()
+    (width, height), base = cv2.getTextSize(text, FONT, scale, 1)
+    width, height = width + 8, height + base + 6
+    x = int(np.clip(at[0], 0, max(0, image.shape[1] - width)))
+    y = int(np.clip(at[1], height, max(height, image.shape[0])))
+    cv2.rectangle(picture, (x, y - height), (x + width - 1, y - 1), color, -1)
+    ink = (15, 15, 15) if np.dot(color, (0.3, 0.59, 0.11)) > 120 else (250, 250, 250)
+    cv2.putText(picture, text, (x + 4, y - base - 3), FONT, scale, ink, 1, cv2.LINE_AA)
+    return picture
+
+
+def draw_color_pairs(image: UInt8, pixels: Float, colors: UInt8, radius: int = 3) -> UInt8:
+    """Colour pairs at pixels (N, 2): a disc each, one half in either of the two colours (N, 2, 3)."""
+    picture = image.copy()
+    for (u, v), (one, other) in zip(np.rint(pixels).astype(int).tolist(), colors.tolist(), strict=True):
+        cv2.circle(picture, (u, v), radius + 1, (255, 255, 255), -1, cv2.LINE_AA)
+        cv2.ellipse(picture, (u, v), (radius, radius), 0, 90, 270, one, -1, cv2.LINE_AA)
+        cv2.ellipse(picture, (u, v), (radius, radius), 0, -90, 90, other, -1, cv2.LINE_AA)
+    return picture
+
+
+def draw_flow(
+    image: UInt8, start: Float, end: Float, color: Colour, kept: Bool | Sequence[bool] | None = None
+) -> UInt8:
+    """Arrows from pixels (N, 2) to pixels (N, 2); those that were not `kept` (N,) are drawn thin and grey."""
+    picture = image.copy()
+    keep = np.ones(len(start), bool) if kept is None else np.asarray(kept, bool)
+    for k in np.argsort(keep):  # rejected ones below
+        a, b = (tuple(int(v) for v in np.rint(np.asarray(p) * 16)) for p in (start[k], end[k]))
+        ink = color if keep[k] else (140, 140, 140)
+        cv2.line(picture, a, b, ink, 2 if keep[k] else 1, cv2.LINE_AA, 4)
+        cv2.circle(picture, b, 24, ink, -1, cv2.LINE_AA, 4)
+    return picture

@@ -1,0 +1,140 @@
+"""Plots as pictures (H, W, 3) uint8 RGB, by OpenCV alone: lines, dots, histograms, bars, reliability."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+
+import numpy as np
+
+from huepose.drawing.canvas import COLOURS, INK, Canvas, Colour, limits
+from huepose.geometry.arrays import Bool, Float, UInt8
+
+Series = Mapping[str, tuple[Float, Float]]
+Range = tuple[float, float]
+
+
+def line_plot(
+    series: Series,
+    title: str = "",
+    x_label: str = "",
+    y_label: str = "",
+    x_range: Range | None = None,
+    y_range: Range | None = None,
+    marks: bool = False,
+    size: tuple[int, int] = (720, 460),
+) -> UInt8:
+    """Lines by name: x (N,), y (N,), broken where either is nan; with dots at the points when `marks`."""
+    canvas = _over(series, title, x_label, y_label, x_range, y_range, size)
+    for (x, y), color in zip(series.values(), _colours(len(series)), strict=True):
+        canvas.line(x, y, color)
+        if marks:
+            canvas.dots(x, y, color, 3.5)
+    canvas.legend(list(series), _colours(len(series)))
+    return canvas.picture
+
+
+def scatter_plot(
+    series: Series,
+    title: str = "",
+    x_label: str = "",
+    y_label: str = "",
+    x_range: Range | None = None,
+    y_range: Range | None = None,
+    size: tuple[int, int] = (720, 460),
+) -> UInt8:
+    """Dots by name: x (N,), y (N,)."""
+    canvas = _over(series, title, x_label, y_label, x_range, y_range, size)
+    for (x, y), color in zip(series.values(), _colours(len(series)), strict=True):
+        canvas.dots(x, y, color)
+    canvas.legend(list(series), _colours(len(series)))
+    return canvas.picture
+
+
+def histogram(
+    values: Float,
+    bins: int = 30,
+    title: str = "",
+    x_label: str = "",
+    x_range: Range | None = None,
+    size: tuple[int, int] = (720, 460),
+) -> UInt8:
+    """Counts of the finite values (N,) in `bins` equal intervals, and their median as a dashed line."""
+    finite = np.asarray(values, np.float64)
+    finite = finite[np.isfinite(finite)]
+    low, high = x_range or limits(finite)
+    counts, edges = np.histogram(finite, bins, (low, high))
+    canvas = Canvas.empty((low, high), (0.0, max(1.0, 1.08 * counts.max())), title, x_label, "count", size)
+    for count, left, right in zip(counts, edges[:-1], edges[1:], strict=True):
+        gap = 0.06 * (right - left)
+        canvas.bar(left + gap, right - gap, 0.0, float(count), COLOURS[0])
+    if len(finite):
+        middle = float(np.median(finite))
+        canvas.line(np.array([middle, middle]), np.array(canvas.y), COLOURS[1], 2, dashed=True)
+        canvas.legend([f"median {middle:.3g}, {len(finite)} values"], [COLOURS[1]])
+    return canvas.picture
+
+
+def bar_chart(
+    groups: Sequence[str],
+    series: Mapping[str, Sequence[float]],
+    title: str = "",
+    y_label: str = "",
+    y_range: Range | None = None,
+    size: tuple[int, int] = (720, 460),
+) -> UInt8:
+    """Bars side by side for each group, one per series, with their values on top."""
+    heights = np.array([list(v) for v in series.values()], np.float64).reshape(len(series), len(groups))
+    span = y_range or (0.0, 1.22 * float(np.nanmax(heights, initial=1e-9)))
+    canvas = Canvas.empty((-0.6, len(groups) - 0.4), span, title, "", y_label, size, x_names=groups)
+    width = 0.8 / max(len(series), 1)
+    for row, color, k in zip(heights, _colours(len(series)), range(len(series)), strict=True):
+        for group, height in enumerate(row):
+            left = group - 0.4 + k * width
+            canvas.bar(left + 0.06 * width, left + 0.94 * width, span[0], float(height), color)
+            canvas.note(f"{height:.3g}", left + width / 2, min(float(height), span[1]))
+    canvas.legend(list(series), _colours(len(series)))
+    return canvas.picture
+
+
+def reliability_bins(quality: Float, right: Bool, bins: int = 10) -> tuple[Float, Float, Float]:
+    """Mean quality (B,), share that is right (B,) and count (B,) in bins of equal count, by quality.
+
+    quality (N,) in 0..1; right (N,) bool. Fewer than `bins` where there are fewer values.
+    """
+    order = np.argsort(quality, kind="stable")
+    parts = [part for part in np.array_split(order, bins) if len(part)]
+    stated = np.array([np.mean(np.asarray(quality)[part]) for part in parts])
+    true = np.array([np.mean(np.asarray(right)[part]) for part in parts])
+    return stated, true, np.array([len(part) for part in parts], np.float64)
+
+
+def reliability_plot(
+    quality: Float, right: Bool, bins: int = 10, title: str = "", size: tuple[int, int] = (520, 480)
+) -> UInt8:
+    """Stated quality against the share that is right, in bins of equal count; on the diagonal, both agree."""
+    stated, true, count = reliability_bins(quality, right, bins)
+    canvas = Canvas.empty((0.0, 1.0), (0.0, 1.0), title, "stated quality", "share that is right", size)
+    canvas.line(np.array([0.0, 1.0]), np.array([0.0, 1.0]), INK, 1, dashed=True)
+    canvas.line(stated, true, COLOURS[0])
+    canvas.dots(stated, true, COLOURS[0], 4.5)
+    canvas.legend([f"{int(count.sum())} poses, {len(count)} bins"], [COLOURS[0]])
+    return canvas.picture
+
+
+def _over(
+    series: Series,
+    title: str,
+    x_label: str,
+    y_label: str,
+    x_range: Range | None,
+    y_range: Range | None,
+    size: tuple[int, int],
+) -> Canvas:
+    every = [np.empty(0), *(np.asarray(v, np.float64) for pair in series.values() for v in pair)]
+    x = x_range or limits(np.concatenate(every[1::2] or [np.empty(0)]))
+    y = y_range or limits(np.concatenate(every[2::2] or [np.empty(0)]), zero=True)
+    return Canvas.empty(x, y, title, x_label, y_label, size)
+
+
+def _colours(n: int) -> list[Colour]:
+    return [COLOURS[k % len(COLOURS)] for k in range(n)]

@@ -1,0 +1,104 @@
+"""Overlays: the right pixels change, and only those."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from huepose.datasets.shapes import demo_objects
+from huepose.drawing import overlay
+from huepose.geometry import Box, Camera, se3
+from huepose.rendering import render_depth
+
+CAMERA = Camera(600.0, 600.0, 159.5, 119.5, 320, 240)
+IMAGE = np.full((240, 320, 3), 100, np.uint8)
+MESHES = demo_objects(0)
+GREEN = (0, 200, 0)
+
+
+def changed(picture: np.ndarray) -> np.ndarray:
+    return np.asarray((picture != IMAGE).any(-1))
+
+
+@pytest.mark.parametrize("name", MESHES)
+def test_silhouette_is_that_of_the_renderer_but_for_its_border(name: str) -> None:
+    T = se3.make(se3.rotation_exp(np.array([1.0, 0.5, -0.3])), np.array([0.03, -0.02, 0.6]))
+    mask = overlay.silhouette(MESHES[name], T, CAMERA)
+    drawn = render_depth(MESHES[name], T, CAMERA) > 0
+    assert not (drawn & ~mask).any()
+    assert (mask & ~drawn).sum() < 0.7 * 2 * np.sqrt(np.pi * drawn.sum()) * 1.6  # under a pixel around it
+
+
+def test_silhouette_survives_poses_behind_and_across_the_camera() -> None:
+    mesh = MESHES["soup_can"]
+    assert not overlay.silhouette(mesh, se3.make(np.eye(3), np.array([0, 0, -0.5])), CAMERA).any()
+    overlay.silhouette(mesh, se3.make(np.eye(3), np.array([0, 0, 0.02])), CAMERA)
+
+
+def test_draw_pose_marks_outline_axes_and_label_and_leaves_the_image_alone() -> None:
+    T = se3.make(se3.rotation_exp(np.array([1.0, 0.5, -0.3])), np.array([0.0, 0.0, 0.6]))
+    before = IMAGE.copy()
+    picture = overlay.draw_pose(IMAGE, CAMERA, MESHES["tea_box"], T, GREEN, "tea_box")
+    assert np.array_equal(IMAGE, before)
+    border = overlay.draw_mask_outline(IMAGE, overlay.silhouette(MESHES["tea_box"], T, CAMERA), GREEN)
+    pure = (picture == GREEN).all(-1) & (border == GREEN).all(-1)
+    assert pure.sum() > 0.8 * (border == GREEN).all(-1).sum()
+    origin = np.rint(CAMERA.project(T[:3, 3])).astype(int)
+    assert changed(picture)[origin[1], origin[0]]
+
+
+def test_mask_outline_follows_border_and_hole() -> None:
+    mask = np.zeros((240, 320), bool)
+    mask[50:150, 60:200] = True
+    mask[80:120, 100:160] = False
+    touched = changed(overlay.draw_mask_outline(IMAGE, mask, GREEN, 1))
+    assert touched[50, 60:200].all()
+    assert touched[50:150, 199].all()
+    assert touched[79, 100:160].all()
+    assert not touched[60:70, 70:90].any()
+    assert not touched[90:110, 110:150].any()
+    assert not touched[:45].any()
+
+
+def test_axes_end_where_the_unit_points_project() -> None:
+    T = se3.make(np.eye(3), np.array([0.0, 0.0, 0.5]))
+    picture = overlay.draw_axes(IMAGE, CAMERA, T, 0.05)
+    # x: 0.05 / 0.5 * 600 = 60 px to the right of the principal point; y the same downwards; z foreshortened.
+    assert tuple(picture[120, 190]) == overlay.AXES[0]
+    assert tuple(picture[150, 160]) == overlay.AXES[1]
+    assert not changed(picture)[:, 225:].any()
+    assert not changed(picture)[185:].any()
+
+
+def test_tint_and_blend_mix_inside_the_mask_only() -> None:
+    mask = np.zeros((240, 320), bool)
+    mask[10:20, 10:20] = True
+    tinted = overlay.tint(IMAGE, mask, (200, 0, 100), 0.5)
+    assert tinted[15, 15].tolist() == [150, 50, 100]
+    assert np.array_equal(changed(tinted), mask)
+    over = overlay.blend(IMAGE, np.full_like(IMAGE, 200), mask, 1.0)
+    assert over[15, 15].tolist() == [200, 200, 200]
+    assert np.array_equal(changed(over), mask)
+
+
+def test_box_has_its_corners_and_label_stays_inside() -> None:
+    picture = overlay.draw_box(IMAGE, Box(50, 60, 40, 30), GREEN, thickness=1)
+    touched = changed(picture)
+    rows, columns = np.nonzero(touched)
+    assert (rows.min(), rows.max(), columns.min(), columns.max()) == (60, 89, 50, 89)
+    assert not touched[65:85, 55:85].any()
+    for at in ((-50, -50), (500, 500), (300, 5)):
+        labelled = changed(overlay.draw_label(IMAGE, "name 0.98", at, GREEN))
+        assert labelled.sum() == changed(overlay.draw_label(IMAGE, "name 0.98", (50, 100), GREEN)).sum()
+
+
+def test_color_pairs_show_both_colours_and_flow_its_ends() -> None:
+    picture = overlay.draw_color_pairs(
+        IMAGE, np.array([[50.0, 60.0]]), np.array([[[255, 0, 0], [0, 0, 255]]], np.uint8), 4
+    )
+    assert picture[60, 48].tolist() == [255, 0, 0]
+    assert picture[60, 52].tolist() == [0, 0, 255]
+    start, end = np.array([[20.0, 20.0], [20.0, 60.0]]), np.array([[90.0, 20.0], [90.0, 60.0]])
+    flow = overlay.draw_flow(IMAGE, start, end, GREEN, [True, False])
+    assert tuple(flow[20, 50]) == GREEN
+    assert np.abs(flow[60, 50].astype(int) - 140).max() < 10

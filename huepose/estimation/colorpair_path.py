@@ -18,6 +18,7 @@ from huepose.geometry.arrays import Bool, Float64
 from huepose.geometry.box import Box
 from huepose.geometry.frame import RgbdFrame
 from huepose.matching.hypotheses import HypothesesConfig, colorpair_hypotheses
+from huepose.matching.shape import shape_hypotheses
 from huepose.model.types import ReferenceModel
 from huepose.registration.surface_icp import align_many
 from huepose.support.stages import stage
@@ -27,6 +28,9 @@ from huepose.verification.region import Region, object_window, prepare_crop, pre
 
 RIM_PX = 3
 """Side of the square by which a mask is made smaller: pairs at its rim belong to what is behind, too."""
+
+SHAPES = 20
+"""Most starts from shape alone, where colours propose too few poses."""
 
 
 def estimate_by_pairs(
@@ -106,9 +110,11 @@ def _from_mask(
     with stage("hypotheses"):
         sources = HypothesesConfig() if config.ppf else HypothesesConfig(ppf=None)
         hypotheses = colorpair_hypotheses(model, pairs, frame, mask, sources, rng)
+        hypotheses = hypotheses[: config.refined]
+        hypotheses += shape_hypotheses(model, frame, mask, min(config.refined - len(hypotheses), SHAPES))
     if not hypotheses:
         return np.zeros((0, 4, 4))
-    poses = np.stack([h.T_cam_obj for h in hypotheses[: config.refined]])
+    poses = np.stack([h.T_cam_obj for h in hypotheses])
     with stage("icp"):
         poses = align_many(model.surface, model.grid, region.points_cam, poses, 0.15 * d, 0.008, 25)
     with stage("judge"):

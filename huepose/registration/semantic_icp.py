@@ -1,0 +1,267 @@
+"""Semantic ICP: every class of the classified cloud and all of them together pull at one pose (paper, III-D).
+
+In each iteration, scene points look for their nearest model point twice: among those of their own class,
+which keeps the parts of the print where they belong, and among all, which holds the whole together where a
+class has few points. Both kinds of correspondences enter one weighted system for one increment of the pose.
+Residuals are those of point to plane; same-class correspondences also pull a little along the surface,
+because a plane cannot tell where on a face its colours are. The hierarchy goes from few points and a wide
+gate to all points and a narrow one; weights are Tukey's within the gate, and the step is damped.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from huepose.geometry import se3
+from huepose.geometry.arrays import Float, Float32, Float64, Int32, Int64, UInt8
+from huepose.geometry.kernels import rotation_exp_into, solve_symmetric
+from huepose.model.types import PairReference
+from huepose.support.jit import jit
+
+DAMPING = 1e-3
+"""Damping per point, on steps as large as the object's radius."""
+
+
+@dataclass(frozen=True)
+class SemanticIcpConfig:
+    """gates_m: of the levels, metres, wide to narrow; strides: every how many-th scene point a level uses;
+    iterations: of a level; semantic, aggregate: weights of the two kinds of correspondences; sliding:
+    weight of the residual along the surface against that across it, for points of one class."""
+
+    gates_m: tuple[float, ...] = (0.025, 0.012, 0.005, 0.002)
+    strides: tuple[int, ...] = (3, 2, 1, 1)
+    iterations: tuple[int, ...] = (12, 10, 10, 10)
+    semantic: float = 1.0
+    aggregate: float = 0.5
+    sliding: float = 0.3
+
+
+@dataclass(frozen=True, eq=False)
+class SemanticAlignment:
+    """T_cam_obj (4, 4); iterations done; matched: correspondences with weight in the last iteration, of both
+    kinds; rms_m: their weighted root mean square residual."""
+
+    T_cam_obj: Float64
+    iterations: int
+    matched: int
+    rms_m: float
+
+
+def semantic_icp(
+    reference: PairReference,
+    points_cam: Float,
+    classes: UInt8,
+    weights: Float,
+    T_cam_obj: Float,
+    config: SemanticIcpConfig | None = None,
+) -> SemanticAlignment:
+    """Move the object so that the model's classified cloud lies on the scene's.
+
+    points_cam (N, 3) metres in camera axes, classes (N,), weights (N,): the scene's classified cloud. Without
+    points near the model the pose comes back unchanged.
+    """
+    config = config or SemanticIcpConfig()
+    model = np.ascontiguousarray(reference.cloud_points, np.float64)
+    T = np.array(T_cam_obj, dtype=np.float64)
+    scene = np.ascontiguousarray(points_cam, np.float64)
+    if not len(model) or not len(scene):
+        return SemanticAlignment(T, 0, 0, 0.0)
+    low = model.min(0)
+    centre = 0.5 * (low + model.max(0))
+    radius = float(np.linalg.norm(model - centre, axis=1).max())
+    kinds = int(reference.cloud_classes.max()) + 1
+    done, report = 0, np.zeros(2)
+    for gate, stride, rounds in zip(config.gates_m, config.strides, config.iterations, strict=True):
+        cells, heads, order, starts = _cells(model, reference.cloud_classes, kinds, low, gate)
+        done += _align(
+            T,
+            scene[::stride],
+            np.ascontiguousarray(classes[::stride]),
+            np.ascontiguousarray(weights[::stride], np.float64),
+            model,
+            np.ascontiguousarray(reference.cloud_normals, np.float64),
+            reference.cloud_classes,
+            cells,
+            heads,
+            order,
+            starts,
+            low,
+            gate,
+            rounds,
+            config.semantic,
+            config.aggregate,
+            config.sliding,
+            centre,
+            radius,
+            report,
+        )
+    return SemanticAlignment(se3.orthonormalised(T), done, int(report[0]), float(report[1]))
+
+
+def _cells(
+    points: Float64, classes: UInt8, kinds: int, low: Float64, size: float
+) -> tuple[Int64, Int64, Int32, Int32]:
+    """A grid of cells over a cloud: its shape (3,), the sorted cell numbers that have points, the points in
+    that order, and where each cell's points start in it."""
+    cell = np.floor((points - low) / size).astype(np.int64)
+    shape = cell.max(0) + 1
+    flat = (cell[:, 0] * shape[1] + cell[:, 1]) * shape[2] + cell[:, 2]
+    order = np.argsort(flat, kind="stable").astype(np.int32)
+    numbers, starts = np.unique(flat[order], return_index=True)
+    table = np.full(int(shape.prod()) + 1, -1, np.int64)
+    table[numbers] = np.arange(len(numbers))
+    return shape, table, order, np.append(starts, len(points)).astype(np.int32)
+
+
+@jit
+def _nearest(
+    q0: float,
+    q1: float,
+    q2: float,
+    kind: int,
+    model: Float64,
+    classes: UInt8,
+    shape: Int64,
+    table: Int64,
+    order: Int32,
+    starts: Int32,
+    low: Float64,
+    size: float,
+) -> int:
+    """Index of the model point nearest to q within one cell's size, of one class (or any, for -1); -1 for
+    none."""
+    c0 = int(np.floor((q0 - low[0]) / size))
+    c1 = int(np.floor((q1 - low[1]) / size))
+    c2 = int(np.floor((q2 - low[2]) / size))
+    best, at = size * size, -1
+    for x in range(max(c0 - 1, 0), min(c0 + 2, shape[0])):
+        for y in range(max(c1 - 1, 0), min(c1 + 2, shape[1])):
+            for z in range(max(c2 - 1, 0), min(c2 + 2, shape[2])):
+                k = table[(x * shape[1] + y) * shape[2] + z]
+                if k < 0:
+                    continue
+                for s in range(starts[k], starts[k + 1]):
+                    j = order[s]
+                    if kind >= 0 and classes[j] != kind:
+                        continue
+                    d = (model[j, 0] - q0) ** 2 + (model[j, 1] - q1) ** 2 + (model[j, 2] - q2) ** 2
+                    if d < best:
+                        best = d
+                        at = j
+    return at
+
+
+@jit
+def _align(
+    T: Float64,
+    scene: Float64,
+    scene_classes: UInt8,
+    scene_weights: Float64,
+    model: Float64,
+    normals: Float64,
+    classes: UInt8,
+    shape: Int64,
+    table: Int64,
+    order: Int32,
+    starts: Int32,
+    low: Float64,
+    gate: float,
+    rounds: int,
+    semantic: float,
+    aggregate: float,
+    sliding: float,
+    centre: Float64,
+    radius: float,
+    report: Float64,
+) -> int:
+    A, b, x, D = np.zeros((6, 6)), np.zeros(6), np.zeros(6), np.zeros((3, 3))
+    J = np.zeros((3, 6))
+    for turn in range(rounds):
+        A[:] = 0.0
+        b[:] = 0.0
+        matched, total, squares = 0, 0.0, 0.0
+        for i in range(scene.shape[0]):
+            p0, p1, p2 = scene[i, 0] - T[0, 3], scene[i, 1] - T[1, 3], scene[i, 2] - T[2, 3]
+            q0 = T[0, 0] * p0 + T[1, 0] * p1 + T[2, 0] * p2
+            q1 = T[0, 1] * p0 + T[1, 1] * p1 + T[2, 1] * p2
+            q2 = T[0, 2] * p0 + T[1, 2] * p1 + T[2, 2] * p2
+            for which in range(2):
+                kind = int(scene_classes[i]) if which == 0 else -1
+                j = _nearest(q0, q1, q2, kind, model, classes, shape, table, order, starts, low, gate)
+                if j < 0:
+                    continue
+                e0, e1, e2 = q0 - model[j, 0], q1 - model[j, 1], q2 - model[j, 2]
+                d = (e0 * e0 + e1 * e1 + e2 * e2) / (gate * gate)
+                w = scene_weights[i] * (1.0 - d) ** 2 * (semantic if which == 0 else aggregate)
+                n0, n1, n2 = normals[j, 0], normals[j, 1], normals[j, 2]
+                across = e0 * n0 + e1 * n1 + e2 * n2
+                _add_row(A, b, w, across, n0, n1, n2, q0, q1, q2, centre, radius)
+                matched += 1
+                total += w
+                squares += w * across * across
+                if which == 0 and sliding > 0.0:
+                    # the residual along the surface, axis by axis
+                    for a in range(3):
+                        u0 = (1.0 if a == 0 else 0.0) - (n0 if a == 0 else n1 if a == 1 else n2) * n0
+                        u1 = (1.0 if a == 1 else 0.0) - (n0 if a == 0 else n1 if a == 1 else n2) * n1
+                        u2 = (1.0 if a == 2 else 0.0) - (n0 if a == 0 else n1 if a == 1 else n2) * n2
+                        along = e0 * u0 + e1 * u1 + e2 * u2
+                        _add_row(A, b, w * sliding, along, u0, u1, u2, q0, q1, q2, centre, radius)
+        report[0] = matched
+        report[1] = np.sqrt(squares / total) if total > 0.0 else 0.0
+        if matched < 6:
+            return turn
+        for a in range(6):
+            A[a, a] += DAMPING * total + 1e-12
+        if not solve_symmetric(A, b, x):
+            return turn
+        _move(T, x, centre, radius, D)
+        if max(abs(x[0]), abs(x[1]), abs(x[2]), abs(x[3]), abs(x[4]), abs(x[5])) * radius < 2e-6:
+            return turn + 1
+    return rounds
+
+
+@jit
+def _add_row(
+    A: Float64,
+    b: Float64,
+    w: float,
+    residual: float,
+    n0: float,
+    n1: float,
+    n2: float,
+    q0: float,
+    q1: float,
+    q2: float,
+    centre: Float64,
+    radius: float,
+) -> None:
+    """One residual along n at q (object axes) into the normal equations; unknowns are a shift and a turn of
+    the scene in the object's frame, both as lengths over the object's radius."""
+    r0, r1, r2 = (q0 - centre[0]) / radius, (q1 - centre[1]) / radius, (q2 - centre[2]) / radius
+    j0, j1, j2 = n0, n1, n2
+    j3, j4, j5 = r1 * n2 - r2 * n1, r2 * n0 - r0 * n2, r0 * n1 - r1 * n0
+    row = (j0, j1, j2, j3, j4, j5)
+    for a in range(6):
+        b[a] -= w * row[a] * residual / radius
+        for c in range(a + 1):
+            A[a, c] += w * row[a] * row[c]
+
+
+@jit
+def _move(T: Float64, x: Float64, centre: Float64, radius: float, D: Float64) -> None:
+    """Apply a shift x[:3] (radii) and turn x[3:] (radians) of the scene about `centre`, in object axes: the
+    pose takes the inverse."""
+    rotation_exp_into(-x[3], -x[4], -x[5], D)
+    # object point p (scene moved by q -> D^T (q - c) + c + s) : T' = T o (inverse of that motion)
+    s0, s1, s2 = x[0] * radius + centre[0], x[1] * radius + centre[1], x[2] * radius + centre[2]
+    t0 = centre[0] - (D[0, 0] * s0 + D[0, 1] * s1 + D[0, 2] * s2)
+    t1 = centre[1] - (D[1, 0] * s0 + D[1, 1] * s1 + D[1, 2] * s2)
+    t2 = centre[2] - (D[2, 0] * s0 + D[2, 1] * s1 + D[2, 2] * s2)
+    for r in range(3):
+        a, b, c = T[r, 0], T[r, 1], T[r, 2]
+        T[r, 3] += a * t0 + b * t1 + c * t2
+        for k in range(3):
+            T[r, k] = a * D[0, k] + b * D[1, k] + c * D[2, k]

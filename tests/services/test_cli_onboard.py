@@ -1,0 +1,57 @@
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from huepose.model import load_models
+from huepose_services.cli.main import main
+from tests.onboarding import mesh_files as files
+from tests.onboarding import solids
+
+
+@pytest.fixture
+def mesh(tmp_path: Path) -> Path:
+    rng = np.random.default_rng(0)
+    pictures = {s: rng.integers(0, 256, (64, 64, 3)).astype(np.uint8) for s in solids.SIDES}
+    files.write_glb(tmp_path / "brick.glb", solids.box((0.05, 0.04, 0.03), pictures))
+    return tmp_path / "brick.glb"
+
+
+def test_a_mesh_becomes_a_model(mesh: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    declared = tmp_path / "symmetric.json"
+    declared.write_text(json.dumps({"symmetries_continuous": [{"axis": [0, 0, 1]}]}))
+    out = tmp_path / "bundles"
+    arguments = ["onboard", str(mesh), "--name", "red_brick", "--id", "5", "--out", str(out)]
+    assert main([*arguments, "--symmetric", str(declared)]) == 0
+    line = capsys.readouterr().out
+    assert line.startswith("red_brick")
+    assert "5.0 x 4.0 x 3.0 cm" in line
+    assert "72 look the same" in line
+    model = load_models(out)["red_brick"]
+    assert model.object_id == 5
+    assert len(model.equivalents) == 72
+
+
+@pytest.mark.parametrize(
+    ("extra", "message"),
+    [
+        (["--name", "Red Brick"], "object name 'Red Brick'"),
+        (["--name", "brick", "--unit", "mm"], "Did you mean --unit m?"),
+        (["--name", "brick", "--symmetric", "nowhere.json"], "nowhere.json: found no such file"),
+    ],
+)
+def test_wrong_input_ends_with_2_and_a_fix(
+    mesh: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], extra: list[str], message: str
+) -> None:
+    out = tmp_path / "bundles"
+    assert main(["onboard", str(mesh), "--out", str(out), *extra]) == 2
+    assert message in capsys.readouterr().err
+    assert not out.exists()
+
+
+def test_a_folder_without_meshes_ends_with_2(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["onboard-bop", str(tmp_path), "--out", str(tmp_path / "out")]) == 2
+    assert "no obj_NNNNNN.ply or .obj" in capsys.readouterr().err

@@ -33,8 +33,9 @@ def shape_hypotheses(model: ReferenceModel, frame: RgbdFrame, mask: Bool, count:
     if not len(v):
         return []
     step = -(-len(v) // POINTS)
-    pixels = np.stack([u[::step], v[::step]], 1)
-    middle = np.median(frame.camera.backproject(pixels, frame.depth[pixels[:, 1], pixels[:, 0]]), axis=0)
+    chosen = np.stack([u[::step], v[::step]], 1)
+    depths = frame.depth[chosen[:, 1], chosen[:, 0]]
+    middle = np.median(frame.camera.backproject(chosen.astype(np.float64), depths), axis=0)
     rotations, views = _rotations()
     shown = _shown_middles(model.surface, icosphere.directions(LEVEL))[views]
     translations = middle - np.einsum("nij,nj->ni", rotations, shown)

@@ -8,6 +8,7 @@ from __future__ import annotations
 import numpy as np
 from scipy.spatial import cKDTree
 
+from huepose.drawing.plots import reliability_bins
 from huepose.geometry import se3
 from huepose.geometry.arrays import Bool, Float, Float64
 
@@ -77,12 +78,10 @@ def expected_calibration_error(quality: Float, right: Bool) -> float | None:
     """Mean distance of stated quality (N,) 0..1 and share of right poses (N,), over ten bins of equal count.
 
     A fraction, 0..1; None without poses. Bins are weighted by their counts where N does not divide by ten."""
-    quality, right = np.asarray(quality, float), np.asarray(right, bool)
     if not len(quality):
         return None
-    order = np.argsort(quality, kind="stable")
-    bins = [b for b in np.array_split(order, _CALIBRATION_BINS) if len(b)]
-    return float(sum(abs(quality[b].mean() - right[b].mean()) * len(b) for b in bins) / len(quality))
+    stated, true, count = reliability_bins(quality, right, _CALIBRATION_BINS)
+    return float((np.abs(stated - true) * count).sum() / count.sum())
 
 
 def four_figures(add_m: Float, adds_m: Float, diameters_m: Float) -> dict[str, float | None]:

@@ -10,6 +10,7 @@ from huepose.evaluation.bop_csv import BopResult, write_bop_csv
 from huepose.evaluation.equivalents import read_equivalents
 from huepose.evaluation.estimate_protocol import EstimateOptions, evaluate_estimates
 from huepose.evaluation.estimate_rows import EstimateResult
+from huepose.evaluation.pictures import PictureFolder
 from huepose.evaluation.result_files import write_json
 from huepose.evaluation.targets import Targets
 from huepose.model import load_models
@@ -33,10 +34,16 @@ def call(arguments: argparse.Namespace) -> int:
     targets = Targets(models, arguments.objects)
     estimator = Estimator(models, EstimatorConfig(method=arguments.method, threads=arguments.threads))
     estimator.warm_up(shown(scenes, targets))
-    result = evaluate_estimates(scenes, targets, estimator, options, equivalents=equivalents)
+    pictures = PictureFolder(arguments.plots, targets) if arguments.plots else None
+    on_frame = None if pictures is None else pictures.frame
+    result = evaluate_estimates(
+        scenes, targets, estimator, options, equivalents=equivalents, on_frame=on_frame
+    )
     record = result.as_json()
     record["summary"]["method"] = arguments.method
     write_json(arguments.json, record)
+    if pictures is not None:
+        pictures.estimates(result)
     if arguments.csv:
         write_bop_csv(arguments.csv, _bop_results(result))
     print(_report(record["summary"]))

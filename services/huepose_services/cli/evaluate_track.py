@@ -9,6 +9,7 @@ from typing import Any
 from huepose.datasets.types import Scene
 from huepose.estimation import Estimator, EstimatorConfig
 from huepose.evaluation.judging import LoopJudge
+from huepose.evaluation.pictures import PictureFolder
 from huepose.evaluation.result_files import write_json
 from huepose.evaluation.sources import EstimatorSource, FileSource, PoseSource, TruthSource
 from huepose.evaluation.targets import Targets
@@ -49,9 +50,15 @@ def call(arguments: argparse.Namespace) -> int:
 
     options = TrackOptions(arguments.protocol, arguments.every, tuple(arguments.seed))
     judge = LoopJudge(used) if names.delayed == "estimate" else None
-    result = evaluate_tracking(scenes, targets, _tracker, sources, options, names, judge=judge)
+    pictures = PictureFolder(arguments.plots, targets) if arguments.plots else None
+    on_frame = None if pictures is None else pictures.frame
+    result = evaluate_tracking(
+        scenes, targets, _tracker, sources, options, names, judge=judge, on_frame=on_frame
+    )
     record = result.as_json()
     write_json(arguments.json, record)
+    if pictures is not None:
+        pictures.tracks(result)
     print(_report(record["summary"]))
     return 0
 

@@ -1,0 +1,148 @@
+"""Results to look at: curves, bars, and every frame with the poses drawn over it (`--plots`)."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+
+import cv2
+import numpy as np
+
+from huepose.datasets.types import Sample
+from huepose.drawing.canvas import FONT, INK, Colour
+from huepose.drawing.overlay import draw_label, draw_mask_outline, silhouette
+from huepose.drawing.plots import bar_chart, line_plot, reliability_plot
+from huepose.evaluation import metrics
+from huepose.evaluation.estimate_rows import EstimateResult, EstimateRow
+from huepose.evaluation.summary import grouped
+from huepose.evaluation.targets import Targets
+from huepose.evaluation.track_rows import TrackResult, TrackRow
+from huepose.geometry.arrays import Float, UInt8
+from huepose.geometry.box import Box
+from huepose.support.errors import InputError
+
+RIGHT, WRONG, TRUTH = (60, 200, 80), (235, 60, 50), (255, 255, 255)
+_THRESHOLDS_M = np.linspace(0.0, metrics.AUC_LIMIT_M, 201)
+
+
+def draw_rows(sample: Sample, rows: Sequence[EstimateRow | TrackRow], targets: Targets) -> UInt8:
+    """The frame (H + h, W, 3) uint8 RGB: each label's outline in white and each pose's over it, green when
+    right, red when wrong; they are numbered, and listed below with ADD, quality and state."""
+    picture, notes = sample.frame.color, []
+    truths = {truth.instance: truth for truth in sample.truths}
+    for number, row in enumerate(rows, 1):
+        model = targets.named(row.object)
+        assert model is not None  # a row is of one of the targets
+        instance = row.instance if isinstance(row, EstimateRow) else row.gt_instance
+        truth = truths.get(instance) if instance is not None else None
+        outline = np.zeros(picture.shape[:2], bool)
+        if truth is not None and truth.T_cam_obj is not None:
+            outline = silhouette(model.mesh, truth.T_cam_obj, sample.frame.camera)
+            picture = draw_mask_outline(picture, outline, TRUTH, 1)
+        color = RIGHT if row.T_cam_obj is not None and row.error is not None and row.error.right else WRONG
+        if row.T_cam_obj is not None:
+            outline = silhouette(model.mesh, row.T_cam_obj, sample.frame.camera)
+            picture = draw_mask_outline(picture, outline, color, 1)
+        box = Box.of_mask(outline)
+        if box is not None:
+            picture = draw_label(picture, str(number), (box.x, box.y), color, 0.4)
+        notes.append((f"{number} {model.name}  {_words(row)}", color))
+    return np.vstack([picture, _list(notes, picture.shape[1])])
+
+
+def _words(row: EstimateRow | TrackRow) -> str:
+    state = row.state or "nothing published"
+    if row.T_cam_obj is None:
+        return f"no pose, {state}"
+    add = "no label" if row.error is None else f"{1000 * row.error.add_m:.1f} mm"
+    return f"{add}, quality {row.quality:.2f}, {state}"
+
+
+def _list(notes: Sequence[tuple[str, Colour]], width: int) -> UInt8:
+    """Lines of text in two columns, each with a dash in its colour."""
+    lines = (len(notes) + 1) // 2
+    page: UInt8 = np.full((18 * lines + 8, width, 3), 250, np.uint8)
+    for k, (text, color) in enumerate(notes):
+        x, y = (k // lines) * (width // 2) + 6, 18 * (k % lines) + 13
+        cv2.line(page, (x, y), (x + 12, y), color, 5)
+        cv2.putText(page, text, (x + 18, y + 4), FONT, 0.36, INK, 1, cv2.LINE_AA)
+    return page
+
+
+def accuracy_picture(add_m: Float, adds_m: Float, title: str) -> UInt8:
+    """Percent of poses (N,) under each error threshold from 0 to 10 cm; the AUC is the area under a line."""
+    x = 1000 * _THRESHOLDS_M
+    series = {
+        f"{name}, AUC {metrics.auc(errors):.1f}": (x, metrics.accuracy_curve(errors, _THRESHOLDS_M))
+        for name, errors in (("ADD", add_m), ("ADD-S", adds_m))
+    }
+    return line_plot(series, title, "error threshold in mm", "% of poses", (0.0, float(x[-1])), (0.0, 103.0))
+
+
+class PictureFolder:
+    """Writes pictures into a folder, made when needed."""
+
+    def __init__(self, folder: Path, targets: Targets) -> None:
+        self._folder, self._targets = folder, targets
+
+    def frame(self, sample: Sample, rows: Sequence[EstimateRow] | Sequence[TrackRow]) -> None:
+        """`frames/SCENE_IMAGE_sSEED.png`."""
+        if rows:
+            name = f"frames/{sample.scene}_{sample.image:06d}_s{rows[0].seed}.png"
+            self._write(name, draw_rows(sample, rows, self._targets))
+
+    def estimates(self, result: EstimateResult) -> None:
+        """`accuracy.png`, `objects.png`, `calibration.png`."""
+        rows = result.rows
+        self._accuracy([row.error.add_m for row in rows], [row.error.adds_m for row in rows])
+        figures = result.summary()["per_object"]
+        self._bars({str(number): block for number, block in figures.items()}, "by object")
+        found = [row for row in rows if row.T_cam_obj is not None]
+        if found:
+            quality, right = np.array([r.quality for r in found]), np.array([r.error.right for r in found])
+            self._write("calibration.png", reliability_plot(quality, right, title="quality and truth"))
+
+    def tracks(self, result: TrackResult) -> None:
+        """`accuracy.png`, `sequences.png`, `errors_SEQUENCE.png`."""
+        scored = [row for row in result.rows if row.scored and row.error is not None]
+        errors = [row.error for row in scored if row.error is not None]
+        self._accuracy([error.add_m for error in errors], [error.adds_m for error in errors])
+        self._bars(result.summary()["sequences"], "by sequence")
+        for name, own in grouped(scored, lambda row: row.sequence).items():
+            lines = {
+                f"{number}/{ordinal}": (
+                    np.array([float(row.frame) for row in part]),
+                    np.array([_millimetres(row) for row in part]),
+                )
+                for (number, ordinal), part in grouped(own, lambda r: (r.object, r.ordinal)).items()
+            }
+            picture = line_plot(lines, name, "frame", "ADD in mm (a gap: no pose)", marks=True)
+            self._write(f"errors_{name}.png", picture)
+
+    def _accuracy(self, add_m: Sequence[float], adds_m: Sequence[float]) -> None:
+        self._write(
+            "accuracy.png", accuracy_picture(np.array(add_m), np.array(adds_m), f"{len(add_m)} poses")
+        )
+
+    def _bars(self, blocks: dict[str, dict[str, float]], title: str) -> None:
+        series = {
+            heading: [block[key] for block in blocks.values()]
+            for key, heading in (("recall_add", "recall ADD"), ("auc_add", "AUC ADD"))
+        }
+        size = (max(720, 90 * len(blocks)), 460)
+        self._write(
+            f"{title.split()[1]}s.png", bar_chart(list(blocks), series, title, "%", (0.0, 130.0), size)
+        )
+
+    def _write(self, name: str, picture: UInt8) -> None:
+        path = self._folder / name
+        data = cv2.imencode(".png", np.ascontiguousarray(picture[..., ::-1]))[1].tobytes()
+        try:
+            path.parent.mkdir(parents=True, exist_ok=True)
+            path.write_bytes(data)
+        except OSError as error:
+            raise InputError(path, found=error.strerror or str(error), fix="Choose another folder.") from None
+
+
+def _millimetres(row: TrackRow) -> float:
+    return 1000 * row.error.add_m if row.error is not None and row.T_cam_obj is not None else np.nan

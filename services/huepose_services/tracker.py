@@ -5,7 +5,7 @@ from __future__ import annotations
 import cv2
 
 from huepose.support.errors import InputError
-from huepose.tracking import Tracker
+from huepose.tracking import Tracker, TrackerConfig
 from huepose.tracking.types import Applied, Correction, TrackedPose, Verdict
 from huepose_protos import WireError
 from huepose_protos.messages import CorrectionMessage, FrameHeader, PoseMessage
@@ -26,7 +26,7 @@ from huepose_services.runtime.config import Config
 def make(bus: Bus, config: Config) -> TrackerWork:
     """The tracker worker's work, with its kernels compiled."""
     cv2.setNumThreads(1)
-    tracker = Tracker(models.load(config))
+    tracker = Tracker(models.load(config), TrackerConfig(history_frames=config.tracker.history_frames))
     tracker.warm_up()
     return TrackerWork(bus, tracker)
 

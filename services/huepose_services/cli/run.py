@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 import os
+import sys
 from pathlib import Path
 from typing import Any
 
@@ -32,4 +33,7 @@ def call(arguments: argparse.Namespace) -> int:
         os.environ.setdefault(variable, threads)
     from huepose_services.runtime.worker import run_worker
 
-    return run_worker(arguments.worker, config)
+    code = run_worker(arguments.worker, config)
+    # All is closed; taking numba and OpenCV apart would only make stopping take longer.
+    sys.stderr.flush()
+    os._exit(code)

@@ -70,6 +70,12 @@ class EstimatorConfig(Section, frozen=True, kw_only=True):
     threads: Annotated[int, Meta(ge=1, le=64)] = 2
 
 
+class TrackerConfig(Section, frozen=True, kw_only=True):
+    """How far back a late correction may reach."""
+
+    history_frames: Annotated[int, Meta(ge=2, le=300)] = 20
+
+
 class ReinitConfig(Section, frozen=True, kw_only=True):
     """How often objects are looked at anew."""
 
@@ -103,6 +109,7 @@ class Config(Section, frozen=True, kw_only=True):
     detector: DetectorConfig = DetectorConfig()
     segmenter: SegmenterConfig = SegmenterConfig()
     estimator: EstimatorConfig = EstimatorConfig()
+    tracker: TrackerConfig = TrackerConfig()
     reinit: ReinitConfig = ReinitConfig()
     bus: BusConfig = BusConfig()
     restarts: RestartConfig = RestartConfig()

@@ -23,7 +23,7 @@ from huepose_services.runtime.log import Log
 from huepose_services.runtime.worker import READY_FD, SUPERVISOR
 
 _DRAIN_S = 1.5
-_STOP_WITHIN_S = 1.7
+_STOP_WITHIN_S = 1.8
 _BACKOFF_S, _BACKOFF_MAX_S = 0.25, 8.0
 _BAD_INPUT = 2
 # Libraries read these when they are imported, so they must be there before the process starts.

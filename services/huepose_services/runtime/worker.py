@@ -35,7 +35,7 @@ _HOMES = {
 }
 # Frames and tracking come first where the cores do not suffice for all.
 _NICENESS = {"camera": 0, "tracker": 0, "reinit": 0}
-_NICENESS_OF_OTHERS = 3
+_NICENESS_OF_OTHERS = 1
 _LONGEST_WAIT_S = 0.1
 _FORCED_STOP_AFTER_S = 1.0
 _ERRORS_IN_A_ROW = 10
@@ -56,15 +56,12 @@ class Work(Protocol):
         ...
 
 
-class Stopped(BaseException):
-    """Raised in the middle of work that did not notice the request to stop."""
-
-
 class _Stop:
-    """The request to stop, from SIGTERM or SIGINT."""
+    """The request to stop, from SIGTERM or SIGINT; a second later work that did not notice is cut off."""
 
-    def __init__(self) -> None:
+    def __init__(self, log: Log) -> None:
         self.requested = False
+        self._log = log
         signal.signal(signal.SIGTERM, self._ask)
         signal.signal(signal.SIGINT, self._ask)
         signal.signal(signal.SIGALRM, self._force)
@@ -74,16 +71,18 @@ class _Stop:
         signal.setitimer(signal.ITIMER_REAL, _FORCED_STOP_AFTER_S)
 
     def _force(self, number: int, frame: FrameType | None) -> None:
-        raise Stopped
+        # Nothing is lost: the bus notices that the links close, and other threads may not be waited for.
+        self._log.say("stopped in the middle of its work")
+        os._exit(0)
 
 
 def run_worker(worker: str, config: Config) -> int:
     """Run a worker until SIGTERM, SIGINT, its supervisor's end or its own. Returns the exit code.
 
     Raises InputError for what the configuration names and is not there, or a port that is taken."""
-    stop = _Stop()
-    os.nice(_NICENESS.get(worker, _NICENESS_OF_OTHERS))
     log, health = Log(worker), Health(worker)
+    stop = _Stop(log)
+    os.nice(_NICENESS.get(worker, _NICENESS_OF_OTHERS))
     session, health.warnings = open_worker_session(config, worker)
     for warning in health.warnings:
         log.say(f"warning: {warning}")
@@ -99,8 +98,6 @@ def run_worker(worker: str, config: Config) -> int:
         health.state = "ended" if work.finished else "stopping"
         bus.put(config.keys.health(worker), health.message())
         token.undeclare()  # type: ignore[no-untyped-call]
-    except Stopped:
-        log.say("stopped in the middle of its work")
     finally:
         signal.setitimer(signal.ITIMER_REAL, 0)
         _close(bus, session)

@@ -27,7 +27,7 @@ class BopScene:
         self.path = Path(path)
         if not self.path.is_dir():
             raise InputError(self.path, found="no such folder", expected="a BOP scene folder")
-        self.name = self.path.resolve().name
+        self.name = files.folder_name(self.path)
         self._colors = files.numbered_files(self.path / "rgb")
         self._cameras = files.read_json(self.path / "scene_camera.json", "Give the folder of a scene.")
         self._labels = self._optional("scene_gt.json")

@@ -30,7 +30,7 @@ def object_of(path: Path | str) -> str:
     >>> object_of("fast/006_mustard_bottle_real")
     '006_mustard_bottle'
     """
-    return Path(path).resolve().name.removesuffix("_real")
+    return files.folder_name(Path(path)).removesuffix("_real")
 
 
 def axis_angle_poses(path: Path) -> Float64:
@@ -73,7 +73,7 @@ class FastYcbSequence:
         self.path = Path(path)
         if not self.path.is_dir():
             raise InputError(self.path, found="no such folder", expected="a Fast-YCB sequence")
-        self.name = self.path.resolve().name
+        self.name = files.folder_name(self.path)
         self.object = object_of(path)
         self._offset = None if frame_offset_m is None else np.asarray(frame_offset_m, dtype=np.float64)
         self._colors = files.numbered_files(self.path / "rgb")

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import os
 from pathlib import Path
 from typing import Any
 
@@ -15,6 +16,11 @@ from huepose.support.errors import InputError
 
 _COLOR_SUFFIXES = (".png", ".jpg", ".jpeg")
 _FRAME_NS = 1e9 / 30.0
+
+
+def folder_name(path: Path) -> str:
+    """The name by which a folder is given, also where it is a link or a relative path."""
+    return os.path.basename(os.path.abspath(path))
 
 
 def stamp_at_30_hz(number: int) -> int:

@@ -28,7 +28,7 @@ class YcbVideoSequence:
 
     def __init__(self, path: Path | str, frame_offsets_m: Mapping[int, Float]) -> None:
         self.path = Path(path)
-        self.name = self.path.resolve().name
+        self.name = files.folder_name(self.path)
         self._offsets = dict(frame_offsets_m)
         self._colors = files.numbered_files(self.path, "-color")
         if not self._colors:

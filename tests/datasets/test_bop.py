@@ -136,6 +136,16 @@ def test_what_is_broken_is_named(bop_scene: Path, breakage, named: str) -> None:
         BopScene(bop_scene).sample(2)
 
 
+def test_the_name_is_that_of_the_folder_as_it_is_given(
+    bop_scene: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    link = tmp_path / "000048"
+    link.symlink_to(bop_scene)
+    assert BopScene(link).name == "000048"
+    monkeypatch.chdir(bop_scene / "rgb")
+    assert BopScene("..").name == "000003"
+
+
 def test_a_missing_folder_is_named(tmp_path: Path) -> None:
     with pytest.raises(InputError, match="nowhere"):
         BopScene(tmp_path / "nowhere")

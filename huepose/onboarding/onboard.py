@@ -19,6 +19,7 @@ from huepose.model.types import PairReference, ReferenceModel
 from huepose.onboarding.cloud import visible_cloud
 from huepose.onboarding.grid import build_grid
 from huepose.onboarding.meshes import Unit, read_mesh
+from huepose.onboarding.simplify import simplified
 from huepose.onboarding.surface import build_surface
 from huepose.onboarding.symmetries import equivalent_turns
 from huepose.onboarding.turns import near_symmetries
@@ -77,7 +78,8 @@ def onboard_mesh(
     info: the object's entry of `models_info.json` (millimetres), for its diameter and the symmetries of its
     shape; symmetric: an entry of the same form whose symmetries hold for shape and print; frame_offset_m
     (3,): takes points of the PoseCNN/YCB-Video frame to the mesh's frame; report: called with each stage's
-    name as it begins. Deterministic: the same mesh gives the same model, bit for bit.
+    name as it begins. Deterministic: the same mesh gives the same model, bit for bit. Meshes of more than
+    60,000 triangles are kept in the model simplified; everything else is made from the full mesh.
     """
     check_name(name)
     diameter = float(info["diameter"]) / 1000.0 if info and "diameter" in info else diameter_of(mesh)
@@ -100,7 +102,7 @@ def onboard_mesh(
     return ReferenceModel(
         name=name,
         object_id=object_id,
-        mesh=mesh,
+        mesh=simplified(mesh),
         eval_points=np.ascontiguousarray(mesh.vertices[:: -(-len(mesh.vertices) // EVAL_POINTS)]),
         diameter_m=diameter,
         symmetries=sampled(info or symmetric or {}, _STEP_RAD),

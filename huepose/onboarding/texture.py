@@ -13,10 +13,10 @@ import cv2
 import numpy as np
 
 from huepose.geometry.arrays import Float32, Float64, Int32, UInt8
+from huepose.onboarding.patches import LARGEST, equal_patches
 from huepose.onboarding.raw_mesh import RawMesh
 from huepose.support.errors import InputError
 
-LARGEST = 1024
 _MOST_REPEATS = 8
 _PATCH = 16  # texels of a material without texture
 _MARGIN = 4  # texels between the materials of an atlas
@@ -26,7 +26,7 @@ def single_texture(raw: RawMesh, path: Path) -> tuple[Float32, UInt8]:
     """(uv (F, 3, 2), texture (H, W, 3) uint8 RGB) as in geometry.Mesh, of a mesh as its file has it."""
     textured = any(m.texture is not None for m in raw.materials)
     if raw.colors is not None and not textured:
-        return bake_corner_colors(raw.colors, path)
+        return _baked(raw, raw.colors, path)
     uv = np.zeros((len(raw.faces), 3, 2), np.float32) if raw.uv is None else raw.uv.copy()
     if not np.isfinite(uv).all():
         raise InputError(path, found="texture coordinates that are not numbers", fix="Export the mesh again.")
@@ -87,34 +87,18 @@ def _filled(premultiplied: Float64, weight: Float64) -> Float64:
     return np.where(known[..., None], own, smooth[:height, :width])
 
 
-def bake_corner_colors(colors: UInt8, path: Path) -> tuple[Float32, UInt8]:
-    """Corner colours (F, 3, 3) uint8 to (uv, texture): each triangle gets a square patch whose texel centres
-    reproduce its linear colours exactly under bilinear lookup. Raises InputError over a million triangles."""
-    count = len(colors)
-    columns = int(np.ceil(np.sqrt(count)))
-    side = min(8, LARGEST // columns)
-    if side == 0:
+def _baked(raw: RawMesh, colors: UInt8, path: Path) -> tuple[Float32, UInt8]:
+    """Corner colours (F, 3, 3) as patches of texels."""
+    layout = equal_patches(raw.vertices, raw.faces)
+    if layout is None:
         raise InputError(
-            path, found=f"{count} coloured triangles", expected="at most 1,000,000", fix="Simplify the mesh."
+            path,
+            found=f"{len(raw.faces)} coloured triangles",
+            expected=f"at most {LARGEST**2}",
+            fix="Simplify the mesh.",
         )
-    last = side - 1
-    c = colors.astype(np.float64)
-    s = np.arange(side) / max(last, 1)
-    if side == 1:
-        patches = c.mean(1)[:, None, None]
-    else:
-        x, y = (a[None, ..., None] for a in np.meshgrid(s, s))
-        a, b, d = (c[:, k, None, None] for k in range(3))
-        patches = a + x * (b - a) + y * (d - a)
-    rows = -(-count // columns)
-    cells = np.zeros((rows * columns, side, side, 3))
-    cells[:count] = np.clip(patches, 0, 255)
-    picture = cells.reshape(rows, columns, side, side, 3).transpose(0, 2, 1, 3, 4)
-    texture = np.round(picture.reshape(rows * side, columns * side, 3)).astype(np.uint8)
-    corner = np.stack(np.divmod(np.arange(count), columns)[::-1], -1)[:, None] * side + 0.5
-    offsets = np.array([[0, 0], [last, 0], [0, last]], np.float64)
-    uv = (corner + offsets) / [columns * side, rows * side]
-    return uv.astype(np.float32), np.ascontiguousarray(texture)
+    corners = colors.astype(np.float64)
+    return layout.uv, layout.baked(lambda faces, w: np.einsum("fk,fkc->fc", w, corners[faces]))
 
 
 def _unrolled(uv: Float32, texture: UInt8, path: Path) -> tuple[Float32, UInt8]:

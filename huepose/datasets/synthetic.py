@@ -31,7 +31,7 @@ from huepose.geometry.arrays import Bool
 from huepose.support.errors import InputError
 from huepose.support.progress import progress
 
-VERSION = 2  # of what the code below this module draws: raise it when any pixel changes
+VERSION = 3  # of what the code below this module draws: raise it when any pixel changes
 RATE_HZ = 30.0
 
 

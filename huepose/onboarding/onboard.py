@@ -79,12 +79,13 @@ def onboard_mesh(
     shape; symmetric: an entry of the same form whose symmetries hold for shape and print; frame_offset_m
     (3,): takes points of the PoseCNN/YCB-Video frame to the mesh's frame; report: called with each stage's
     name as it begins. Deterministic: the same mesh gives the same model, bit for bit. Meshes of more than
-    60,000 triangles are kept in the model simplified; everything else is made from the full mesh.
+    60,000 triangles are simplified for the model and its pictures; surfels are taken from the full mesh.
     """
     check_name(name)
     diameter = float(info["diameter"]) / 1000.0 if info and "diameter" in info else diameter_of(mesh)
     report("visibility")
-    views = depth_views(mesh, diameter)
+    lean = simplified(mesh)
+    views = depth_views(lean, diameter)
     cloud = visible_cloud(mesh, views)
     report("surface")
     surface = build_surface(cloud, views)
@@ -96,13 +97,13 @@ def onboard_mesh(
     else:
         equivalents = sampled(symmetric, _STEP_RAD)
     report("templates")
-    templates = build_templates(mesh, diameter)
+    templates = build_templates(lean, diameter)
     report("colour pairs")
-    pairs = _pair_reference(mesh, diameter)
+    pairs = _pair_reference(lean, diameter)
     return ReferenceModel(
         name=name,
         object_id=object_id,
-        mesh=simplified(mesh),
+        mesh=lean,
         eval_points=np.ascontiguousarray(mesh.vertices[:: -(-len(mesh.vertices) // EVAL_POINTS)]),
         diameter_m=diameter,
         symmetries=sampled(info or symmetric or {}, _STEP_RAD),

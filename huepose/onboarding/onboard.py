@@ -82,7 +82,7 @@ def onboard_mesh(
     60,000 triangles are simplified for the model and its pictures; surfels are taken from the full mesh.
     """
     check_name(name)
-    diameter = float(info["diameter"]) / 1000.0 if info and "diameter" in info else diameter_of(mesh)
+    diameter = _diameter(mesh, info or {}, name)
     report("visibility")
     lean = simplified(mesh)
     views = depth_views(lean, diameter)
@@ -115,6 +115,22 @@ def onboard_mesh(
         templates=templates,
         pairs=pairs,
     )
+
+
+def _diameter(mesh: Mesh, info: Mapping[str, Any], name: str) -> float:
+    """The diameter as the data set states it, if that fits the mesh at all, else the mesh's own."""
+    own = diameter_of(mesh)
+    if "diameter" not in info:
+        return own
+    stated = float(info["diameter"]) / 1000.0
+    if not 0.9 < stated / own < 1.1:
+        raise InputError(
+            name,
+            found=f"diameters of {stated * 100:.4g} cm (models_info.json) and {own * 100:.4g} cm (mesh)",
+            expected="the same",
+            fix="Are both in millimetres, and of the same object?",
+        )
+    return stated
 
 
 def diameter_of(mesh: Mesh) -> float:

@@ -57,7 +57,7 @@ def test_a_model_is_whole(tea_box: ReferenceModel) -> None:
 def test_what_is_known_of_an_object_is_kept() -> None:
     half_turn = np.diag([1.0, -1.0, -1.0, 1.0])
     half_turn[1, 3] = 8.0
-    info = {"diameter": 123.0, "symmetries_discrete": [half_turn.reshape(-1).tolist()]}
+    info = {"diameter": 72.0, "symmetries_discrete": [half_turn.reshape(-1).tolist()]}
     about_z = {"symmetries_continuous": [{"axis": [0, 0, 1], "offset": [0, 0, 0]}]}
     model = onboard_mesh(
         solids.box((0.05, 0.04, 0.03)),
@@ -67,7 +67,9 @@ def test_what_is_known_of_an_object_is_kept() -> None:
         symmetric=about_z,
         frame_offset_m=np.array([0.001, 0.0, -0.002]),
     )
-    assert (model.object_id, model.diameter_m) == (7, pytest.approx(0.123))
+    assert (model.object_id, model.diameter_m) == (7, pytest.approx(0.072))
+    with pytest.raises(InputError, match=r"7200 cm \(models_info.json\) and 7.071 cm \(mesh\)"):
+        onboard_mesh(solids.box((0.05, 0.04, 0.03)), "brick", info={"diameter": 72_000.0})
     assert len(model.symmetries) == 2
     np.testing.assert_allclose(model.symmetries[1, :3, 3], [0, 0.008, 0])
     assert len(model.equivalents) == 72

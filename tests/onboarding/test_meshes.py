@@ -1,5 +1,7 @@
 from __future__ import annotations
 
+import base64
+import json
 from pathlib import Path
 
 import numpy as np
@@ -205,6 +207,28 @@ def test_meshes_of_a_gltf_are_merged_and_strips_and_colors_read(tmp_path: Path) 
     np.testing.assert_allclose(colors_at(read)[:2], 255)
     np.testing.assert_allclose(colors_at(read)[2:], np.tile([127.5, 0, 255], (2, 1)), atol=1)
     assert set(np.round(read.vertices[:, 2], 4)) == {0.0, np.float32(0.05)}
+
+
+def test_gltf_may_be_in_parts(tmp_path: Path, printed_box: Mesh) -> None:
+    w = files.GlbWriter()
+    attributes = {
+        "POSITION": w.accessor(printed_box.vertices[printed_box.faces].reshape(-1, 3).astype("<f4"), "VEC3"),
+        "TEXCOORD_0": w.accessor(printed_box.uv.reshape(-1, 2).astype("<f4"), "VEC2"),
+    }
+    index = w.mesh(attributes, material=0)
+    files.write_png(tmp_path / "my print.png", printed_box.texture)
+    tree = {k: w.tree[k] for k in ("asset", "bufferViews", "accessors", "meshes")}
+    tree |= {"images": [{"uri": "my%20print.png"}], "textures": [{"source": 0}]}
+    tree |= {"materials": [{"pbrMetallicRoughness": {"baseColorTexture": {"index": 0}}}]}
+    tree |= {"nodes": [{"mesh": index}], "scenes": [{"nodes": [0]}]}
+    inline = "data:application/octet-stream;base64," + base64.b64encode(w.chunk).decode()
+    (tmp_path / "m.bin").write_bytes(w.chunk)
+    for uri in ("m.bin", inline):
+        (tmp_path / "m.gltf").write_text(json.dumps(tree | {"buffers": [{"uri": uri}]}))
+        assert_same(read_mesh(tmp_path / "m.gltf"), printed_box)
+    (tmp_path / "m.gltf").write_text(json.dumps(tree | {"buffers": [{"uri": "gone.bin"}]}))
+    with pytest.raises(InputError, match=r"gone.bin: found no such file; expected the buffer, which m.gltf"):
+        read_mesh(tmp_path / "m.gltf")
 
 
 @pytest.mark.parametrize(("size", "expected"), [(0.2, 0.2), (200.0, 0.2), (1.5, 1.5), (15.0, 0.015)])

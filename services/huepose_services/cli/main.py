@@ -12,7 +12,7 @@ import sys
 from importlib import import_module
 
 # In the order in which `huepose --help` lists them.
-_VERBS = ("demo", "onboard", "estimate", "evaluate", "up", "run", "poses", "validate")
+_VERBS = ("demo", "onboard", "estimate", "evaluate", "bench", "up", "run", "poses", "validate")
 DONE, FAILED, BAD_INPUT, INTERRUPTED = 0, 1, 2, 130
 
 

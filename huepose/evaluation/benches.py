@@ -1,0 +1,101 @@
+"""How long the library takes: stages of estimation and tracking on the built-in scene, wall and CPU time."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from huepose.datasets.synthetic import SyntheticScene
+from huepose.estimation import Estimator, EstimatorConfig, ObjectQuery
+from huepose.estimation.config import Method
+from huepose.evaluation.boxes import disturbed
+from huepose.model.types import ReferenceModel
+from huepose.support.progress import progress
+from huepose.support.stages import StageClock, listening
+from huepose.tracking import Tracker
+from huepose.tracking.types import Correction, Verdict
+
+
+@dataclass(frozen=True)
+class StageTime:
+    """Milliseconds of one stage: percentiles over repetitions; CPU time is that of the threads it ran in."""
+
+    name: str
+    wall_ms_p50: float
+    wall_ms_p95: float
+    wall_ms_p99: float
+    cpu_ms_p50: float
+
+    @staticmethod
+    def of(name: str, spans: Sequence[tuple[float, float]]) -> StageTime:
+        """From (wall, cpu) seconds, one a repetition."""
+        wall, cpu = 1000.0 * np.array(spans, dtype=np.float64).reshape(-1, 2).T
+        p50, p95, p99 = np.percentile(wall, [50, 95, 99])
+        return StageTime(name, float(p50), float(p95), float(p99), float(np.median(cpu)))
+
+
+def bench_estimate(
+    scene: SyntheticScene, models: Mapping[str, ReferenceModel], method: Method = "full", frames: int = 12
+) -> list[StageTime]:
+    """All objects of the scene in disturbed true boxes, frame by frame: `estimate` as a whole on two threads,
+    then each of its stages on one, summed over the objects of a frame."""
+    estimator = Estimator(models, EstimatorConfig(method=method, threads=2))
+    alone = Estimator(models, EstimatorConfig(method=method, threads=1))
+    rows: dict[str, list[tuple[float, float]]] = {"estimate": []}
+    steps = np.linspace(0, len(scene), frames + 1, endpoint=False).astype(int)
+    for k, i in enumerate(progress(steps, f"estimating ({method})")):
+        frame, queries = scene.frame(int(i)), []
+        for truth in scene.truth(int(i)):
+            if truth.box_visib is not None and truth.object is not None:
+                size = (frame.camera.width, frame.camera.height)
+                box = disturbed(truth.box_visib, "perturbed", 0, "bench", int(i), truth.instance, *size)
+                queries.append(ObjectQuery(truth.object, box))
+        whole = _timed(lambda f=frame, q=queries: estimator.estimate(f, q))  # type: ignore[misc]
+        with listening() as clock:
+            alone.estimate(frame, queries)
+        if k == 0:
+            continue  # compiles, and prepares the models
+        rows["estimate"].append(whole)
+        _collect(rows, "estimate", clock)
+    return [StageTime.of(name, spans) for name, spans in rows.items()]
+
+
+def bench_track(
+    scene: SyntheticScene, models: Mapping[str, ReferenceModel], frames: int = 120
+) -> list[StageTime]:
+    """All objects of the scene, started from the truth, tracked through its frames: each step as a whole,
+    and its stages."""
+    tracker = Tracker(models)
+    tracker.warm_up()
+    first = scene.frame(0)
+    for truth in scene.truth(0):
+        if truth.object is not None and truth.T_cam_obj is not None:
+            tracker.correct(
+                Correction(
+                    truth.object, 0, first.epoch, 0, first.stamp_ns, truth.T_cam_obj, 1.0, Verdict.ACQUIRE, 1
+                )
+            )
+    rows: dict[str, list[tuple[float, float]]] = {"track": []}
+    for i in progress(range(frames), "tracking"):
+        frame = scene.frame(i)
+        with listening() as clock:
+            whole = _timed(lambda f=frame: tracker.step(f))  # type: ignore[misc]
+        if i < 3:
+            continue
+        rows["track"].append(whole)
+        _collect(rows, "track", clock)
+    return [StageTime.of(name, spans) for name, spans in rows.items()]
+
+
+def _timed(work: Callable[[], object]) -> tuple[float, float]:
+    wall, cpu = time.perf_counter(), time.process_time()
+    work()
+    return time.perf_counter() - wall, time.process_time() - cpu
+
+
+def _collect(rows: dict[str, list[tuple[float, float]]], prefix: str, clock: StageClock) -> None:
+    for name, total in clock.totals().items():
+        rows.setdefault(f"{prefix}/{name}", []).append(total)

@@ -1,0 +1,62 @@
+"""`huepose bench`: where the time goes, stage by stage, on the built-in scene."""
+
+from __future__ import annotations
+
+import argparse
+from pathlib import Path
+from typing import Any
+
+_WHAT = ("estimate", "track", "bus", "all")
+
+
+def add_parser(subparsers: Any) -> None:
+    """Add the verb."""
+    parser = subparsers.add_parser("bench", help="time of every stage")
+    parser.add_argument("what", nargs="?", choices=_WHAT, default="all", help="default: all")
+    parser.add_argument("--json", type=Path, metavar="FILE", help="write the figures to a file as well")
+    parser.add_argument("--seed", type=int, default=0, metavar="N", help="which built-in scene (0)")
+    parser.set_defaults(call=call)
+
+
+def call(arguments: argparse.Namespace) -> int:
+    """Measure, print, write."""
+    import resource
+    from dataclasses import asdict
+
+    from huepose.datasets.synthetic import SyntheticScene
+    from huepose.evaluation.benches import StageTime, bench_estimate, bench_track
+    from huepose.evaluation.result_files import write_json
+    from huepose.model import load_models
+    from huepose_services.builtin import builtin_bundles
+    from huepose_services.bus_bench import bench_bus
+
+    stages: list[StageTime] = []
+    summary: dict[str, float] = {}
+    what = arguments.what
+    if what != "bus":
+        models = load_models(builtin_bundles(arguments.seed))
+        scene = SyntheticScene(arguments.seed)
+    if what in ("track", "all"):
+        stages += bench_track(scene, models)
+        summary["track_five_objects_ms_p50"] = _p50(stages, "track")
+    if what in ("estimate", "all"):
+        stages += bench_estimate(scene, models)
+        summary["estimate_five_objects_ms_p50"] = _p50(stages, "estimate")
+    if what in ("bus", "all"):
+        stages += bench_bus()
+        summary["bus_frame_ms_p50"] = _p50(stages, "bus/shared_memory")
+        summary["bus_frame_tcp_ms_p50"] = _p50(stages, "bus/tcp")
+    summary["peak_memory_mib"] = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024.0
+    if arguments.json is not None:
+        write_json(arguments.json, {"summary": summary, "stages": [asdict(s) for s in stages]})
+    print(f"{'stage':28s} {'wall p50':>9s} {'p95':>8s} {'p99':>8s} {'CPU p50':>9s}   ms")
+    for s in stages:
+        print(
+            f"{s.name:28s} {s.wall_ms_p50:9.2f} {s.wall_ms_p95:8.2f} {s.wall_ms_p99:8.2f} {s.cpu_ms_p50:9.2f}"
+        )
+    print(f"peak memory {summary['peak_memory_mib']:.0f} MiB")
+    return 0
+
+
+def _p50(stages: list[Any], name: str) -> float:
+    return float(next(s.wall_ms_p50 for s in stages if s.name == name))

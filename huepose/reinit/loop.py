@@ -77,7 +77,7 @@ class ReinitLoop:
 
     def tick(self, now_ns: int, tracks: Sequence[TrackedPose]) -> Request | None:
         """Take note of the newest published poses; the next request when one is due and none is in flight."""
-        self._observe(tracks)
+        self._observe(now_ns, tracks)
         self._outbox.acknowledge(self._tracks)
         self.counters.given_up += self._outbox.give_up(now_ns, self.config.give_up_ms * 1e6)
         if self._in_flight is not None and now_ns >= self._in_flight.deadline_ns:
@@ -247,7 +247,7 @@ class ReinitLoop:
                 out[key[0]] = out.get(key[0], 0) + 1
         return out
 
-    def _observe(self, tracks: Sequence[TrackedPose]) -> None:
+    def _observe(self, now_ns: int, tracks: Sequence[TrackedPose]) -> None:
         """Take over the published poses of the newest epoch; what is no longer published is no longer
         tracked."""
         if tracks:
@@ -255,6 +255,8 @@ class ReinitLoop:
             self._observe_epoch(newest.epoch, newest.stamp_ns)
         self._tracks = {(t.object, t.instance): t for t in tracks if t.epoch == self._epoch}
         for name, instance in self._tracks:
+            # New ones come before those that were looked at now.
+            self._looked_ns.setdefault((name, instance), now_ns - 1)
             self._last_instance[name] = max(self._last_instance.get(name, -1), instance)
 
     def _observe_epoch(self, epoch: int, stamp_ns: int) -> None:

@@ -1,0 +1,59 @@
+"""Assignment of estimates to instances: optimal, gated, and blind to the order of either."""
+
+from __future__ import annotations
+
+from itertools import permutations
+
+import numpy as np
+import pytest
+
+from huepose.geometry import se3
+from huepose.reinit.association import assign, displacement_m
+from huepose.reinit.types import ObjectSlot, Prior
+
+SLOT = ObjectSlot("mug", 3, 0.2)
+
+
+def at(x: float, turn_deg: float = 0.0) -> np.ndarray:
+    return se3.make(se3.rotation_exp(np.array([0.0, np.radians(turn_deg), 0.0])), np.array([x, 0.0, 0.7]))
+
+
+def prior(x: float, sigma_m: float = 0.001, turn_deg: float = 0.0) -> Prior:
+    return Prior(at(x, turn_deg), None, np.diag([sigma_m**2] * 3 + [1e-3] * 3), 0)
+
+
+def test_the_sum_counts_not_the_nearest_pair() -> None:
+    """The first estimate is nearest to the first instance, but the second one can be nothing else."""
+    assert assign([at(0.01), at(-0.06)], [prior(0.0), prior(0.08)], 0, SLOT) == [1, 0]
+
+
+@pytest.mark.parametrize("order", list(permutations(range(3))))
+def test_order_does_not_matter(order: tuple[int, ...]) -> None:
+    places = [-0.2, 0.0, 0.2]
+    priors = [prior(x) for x in places]
+    estimates = [at(places[i] + 0.01) for i in order]
+    assert assign(estimates, priors, 0, SLOT) == list(order)
+
+
+def test_the_gate_follows_the_covariance() -> None:
+    assert assign([at(0.15)], [prior(0.0, 0.001)], 0, SLOT) == [None]
+    assert assign([at(0.15)], [prior(0.0, 0.06)], 0, SLOT) == [0]
+    assert assign([at(0.5)], [prior(0.0, 1.0)], 0, SLOT) == [None], "never further than two diameters"
+
+
+def test_turns_decide_between_equal_distances() -> None:
+    priors = [prior(0.0, 0.05, 0.0), prior(0.0, 0.05, 90.0)]
+    assert assign([at(0.0, 80.0), at(0.0, 5.0)], priors, 0, SLOT) == [1, 0]
+
+
+def test_nothing_to_assign() -> None:
+    assert assign([], [prior(0.0)], 0, SLOT) == []
+    assert assign([at(0.0)], [], 0, SLOT) == [None]
+
+
+def test_displacement_knows_equivalents() -> None:
+    flip = se3.make(se3.rotation_exp(np.array([0.0, np.pi, 0.0])), np.zeros(3))
+    symmetric = ObjectSlot("box", 1, 0.2, (np.eye(4), flip))
+    assert displacement_m(at(0.0), at(0.0) @ flip, symmetric) == pytest.approx(0.0, abs=1e-9)
+    assert displacement_m(at(0.0), at(0.0) @ flip, SLOT) > 0.1
+    assert displacement_m(at(0.0), at(0.03), SLOT) == pytest.approx(0.03)

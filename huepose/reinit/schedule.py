@@ -10,10 +10,13 @@ from huepose.reinit.types import ObjectSlot, Prior, RequestedObject
 from huepose.tracking.types import State, TrackedPose
 
 
+NEVER = -1
+
+
 @dataclass(frozen=True)
 class Candidate:
     """Something that could be asked for. rank: 0 lost or never seen, 1 doubtful, 2 tracked; looked_ns: when
-    it was last asked for (0: never)."""
+    it was last asked for, or first seen."""
 
     rank: int
     looked_ns: int
@@ -35,14 +38,14 @@ def candidates(
         wanted = lost + max(0, slot.max_instances - len(known)) - arriving.get(slot.object, 0)
         if wanted > 0:
             asked = RequestedObject(slot.object, None, None, wanted)
-            out.append(Candidate(0, looked_ns.get((slot.object, None), 0), asked))
+            out.append(Candidate(0, looked_ns.get((slot.object, None), NEVER), asked))
         for t in known:
             if t.T_cam_obj is None:
                 continue
             prior = Prior(t.T_cam_obj, t.velocity, t.covariance, t.stamp_ns)
             rank = 1 if t.state is State.SUSPECT else 2
             asked = RequestedObject(slot.object, t.instance, prior)
-            out.append(Candidate(rank, looked_ns.get((slot.object, t.instance), 0), asked))
+            out.append(Candidate(rank, looked_ns.get((slot.object, t.instance), NEVER), asked))
     return out
 
 

@@ -125,6 +125,7 @@ class ReinitLoop:
             out += self._judge(slot, estimates, result)
         for correction in out:
             self._outbox.send(correction, now_ns)
+            self._looked_ns[correction.object, correction.instance] = now_ns
         return out
 
     def _judge(

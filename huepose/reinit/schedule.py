@@ -9,7 +9,6 @@ from huepose.reinit.config import ReinitConfig
 from huepose.reinit.types import ObjectSlot, Prior, RequestedObject
 from huepose.tracking.types import State, TrackedPose
 
-
 NEVER = -1
 
 

@@ -105,8 +105,8 @@ def test_lost_first_then_doubtful_then_stalest() -> None:
     tracks = [track("a"), track("b", state=State.SUSPECT), track("c", state=State.LOST), track("d")]
     first = loop.tick(0, tracks)
     assert asked(first) == [("c", None), ("b", 0)]
-    loop.answer(50 * MS, result(first, 0))
-    tracks = [track("a"), track("b"), track("c"), track("d")]
+    loop.answer(50 * MS, result(first, 0, estimate("c")))
+    tracks = [track("a"), track("b"), track("c", applied=1), track("d")]
     second = loop.tick(200 * MS, tracks)
     assert asked(second) == [("a", 0), ("d", 0)], "never looked at before those that were"
 

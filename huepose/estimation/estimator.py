@@ -16,7 +16,7 @@ from zlib import crc32
 import numpy as np
 
 from huepose.estimation.config import EstimatorConfig
-from huepose.estimation.full_path import estimate_full, judge, prepare_regions, refine_prior
+from huepose.estimation.full_path import estimate_full, judge, judge_terms, prepare_regions, refine_prior
 from huepose.estimation.outline import projected_box
 from huepose.estimation.prepared import PreparedModels
 from huepose.estimation.quality import MAX_MARGIN, covariance, quality
@@ -32,6 +32,7 @@ from huepose.perception.embedded import DepthSegmenter
 from huepose.perception.types import Segmenter
 from huepose.support.errors import InputError
 from huepose.support.stages import stage
+from huepose.verification.dense import PoseScore
 from huepose.verification.region import Region
 
 ALTERNATIVE_SHARPNESS = 10.0
@@ -90,7 +91,7 @@ class Estimator:
         prior: Float64 | None = None
         prior_score: float | None = None
         if regions:
-            if query.prior is not None:
+            if query.prior is not None and self.config.method == "full":
                 with stage("prior"):
                     prior = refine_prior(model, regions, query.prior.T_cam_obj)
                     prior_score = float(judge(model, regions, prior[None])[0])
@@ -189,7 +190,8 @@ class Estimator:
             )  # fmt: skip
         T = se3.orthonormalised(poses[0])
         T, fit, mask = settle(model, frame, list(explanation.regions), T)
-        q = quality(score, margin)
+        terms = PoseScore(*judge_terms(model, explanation.regions, poses[:1])[0])
+        q = quality(self.config.method, score, margin, terms.color, terms.box_iou)
         return PoseEstimate(
             query.object,
             query.instance,

@@ -7,6 +7,8 @@ finely. What the measured ablation says of the steps is in the documentation of 
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 
 from huepose.estimation.config import FullPathConfig
@@ -14,7 +16,7 @@ from huepose.estimation.different import different_poses
 from huepose.geometry.arrays import Bool, Float, Float64
 from huepose.geometry.box import Box
 from huepose.geometry.frame import RgbdFrame
-from huepose.matching.retrieval import TemplateTable, retrieve
+from huepose.matching.retrieval import TemplateTable, lab_of, retrieve
 from huepose.model.types import ReferenceModel
 from huepose.registration.surface_icp import align_many
 from huepose.support.stages import stage
@@ -39,10 +41,15 @@ def prepare_regions(frame: RgbdFrame, masks: list[Bool], box: Box, diameter_m: f
     return [r for r in regions if r is not None]
 
 
-def judge(model: ReferenceModel, regions: list[Region], poses: Float64) -> Float64:
+def judge(model: ReferenceModel, regions: Sequence[Region], poses: Float64) -> Float64:
     """Mean total (M,) of poses (M, 4, 4) over all regions."""
-    totals = [score_many(model, region, poses, FINE_SAMPLES)[:, 0] for region in regions]
-    return np.asarray(np.mean(totals, axis=0))
+    return judge_terms(model, regions, poses)[:, 0]
+
+
+def judge_terms(model: ReferenceModel, regions: Sequence[Region], poses: Float64) -> Float64:
+    """Mean of all terms (M, 8) over all regions, columns as the fields of PoseScore."""
+    terms = [score_many(model, region, poses, FINE_SAMPLES) for region in regions]
+    return np.asarray(np.mean(terms, axis=0))
 
 
 def estimate_full(
@@ -55,10 +62,12 @@ def estimate_full(
     """Different poses (K, 4, 4) and their mean totals (K,), best first. `extra` (E, 4, 4): refined poses from
     elsewhere, judged with the others."""
     refined = [extra]
+    crop = regions[0].crop
+    with stage("retrieval"):
+        lab = lab_of(crop.color)
     for region in regions:
-        crop = region.crop
         with stage("retrieval"):
-            views, _ = retrieve(table, crop.lab, crop.depth, region.mask, crop.camera, config.retrieved)
+            views, _ = retrieve(table, lab, crop.depth, region.mask, crop.camera, config.retrieved)
         refined.append(refine_coarse(model, region, views, config))
     return finish(model, regions, np.concatenate(refined), config)
 

@@ -1,8 +1,8 @@
 """How far a pose may be trusted: a probability that it is right, and a covariance.
 
-Quality is a logistic function of the margin to the second, different pose and of the score, fitted on
-calibration frames; the covariance is that of a robust point-to-plane fit, widened by what print and model
-fix and by a floor.
+Quality is a logistic function of the margin to the second, different pose and of the score and its terms,
+fitted on calibration frames; the covariance is that of a robust point-to-plane fit, widened by what print
+and model fix and by a floor.
 """
 
 from __future__ import annotations
@@ -14,27 +14,38 @@ import numpy as np
 from huepose.geometry.arrays import Float64
 from huepose.registration.surface_icp import Alignment
 
-MAX_MARGIN = 0.4
+MAX_MARGIN = 0.3
 """Beyond this a larger margin says nothing more; also the margin of a pose without any other."""
 
 
 @dataclass(frozen=True)
 class QualityFit:
-    """Logit of quality: `constant + per_margin * margin + per_score * score`."""
+    """Logit of quality: a constant, and factors of margin, total, colour and box IoU."""
 
-    constant: float = -5.12
-    per_margin: float = 18.2
-    per_score: float = 2.93
+    constant: float
+    margin: float
+    score: float
+    color: float = 0.0
+    box: float = 0.0
 
 
-def quality(score: float, margin: float, fit: QualityFit | None = None) -> float:
-    """Probability in 0..1 that a pose with this score and margin is right.
+QUALITY_FITS = {
+    "full": QualityFit(-11.64, 8.66, 2.92, 3.50, 5.63),
+    "colorpair": QualityFit(-5.12, 18.2, 2.93),
+}
+"""By method; that of `full` on clean, cluttered and piled scenes and on boxes that hold another object."""
 
-    >>> quality(2.4, 0.3) > 0.99 > quality(1.5, 0.02)
+
+def quality(method: str, total: float, margin: float, color: float, box_iou: float) -> float:
+    """Probability in 0..1 that a pose is right: of its total, the margin to the next pose, and the terms
+    `color` and `box_iou` of its dense score.
+
+    >>> quality("full", 2.4, 0.3, 0.6, 0.9) > 0.98 > 0.1 > quality("full", 1.3, 0.02, 0.2, 0.5)
     True
     """
-    fit = fit or QualityFit()
-    x = fit.constant + fit.per_margin * min(max(margin, 0.0), MAX_MARGIN) + fit.per_score * score
+    fit = QUALITY_FITS[method]
+    x = fit.constant + fit.margin * min(max(margin, 0.0), MAX_MARGIN) + fit.score * total
+    x += fit.color * color + fit.box * box_iou
     return float(1.0 / (1.0 + np.exp(-x)))
 
 

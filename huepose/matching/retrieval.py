@@ -14,7 +14,7 @@ from dataclasses import dataclass
 import cv2
 import numpy as np
 
-from huepose.geometry.arrays import Bool, Float32, Float64
+from huepose.geometry.arrays import Bool, Float32, Float64, UInt8
 from huepose.geometry.camera import Camera
 from huepose.geometry.icosphere import look_at
 from huepose.model.types import ViewTemplates
@@ -103,6 +103,11 @@ def _averaging(side: int) -> Float32:
 def _roll(angle: float) -> Float64:
     c, s = np.cos(angle), np.sin(angle)
     return np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])
+
+
+def lab_of(color: UInt8) -> Float32:
+    """CIELAB (..., 3) float32, L 0..100, of sRGB bytes (H, W, 3)."""
+    return np.asarray(cv2.cvtColor(color.astype(np.float32) / np.float32(255), cv2.COLOR_RGB2Lab), np.float32)
 
 
 def retrieve(

@@ -1,22 +1,26 @@
 """The dense score of a pose: does this object, there, explain the depth and the colours of a region?
 
 Samples of the model's surface that the pose shows are compared with the image (depth where the surface
-should be, nothing in front of it that we see through, the print's colours up to a gain and an offset a
-channel), and points of the mask with the surface (is the mask explained?). Colours are compared by their
-correlation with the texture at two scales, so that light does not matter; lightness counts less than hue
-because shading changes it, but it counts, because fine print is often black on white.
+should be, nothing in front of it that we see through, the print's colours), and points of the mask with the
+surface (is the mask explained?). Colours are compared by the correlation of their opponents with the
+texture's at two scales, so that the light's colour and strength do not matter; lightness also after shading
+is taken off.
 """
 
 from __future__ import annotations
 
+import threading
 from dataclasses import astuple, dataclass
 from typing import NamedTuple
+from weakref import WeakKeyDictionary
 
 import numpy as np
 
 from huepose.geometry.arrays import Bool, Float, Float32, Float64, Int32
+from huepose.geometry.kernels import solve_symmetric
 from huepose.model.types import ReferenceModel
 from huepose.support.jit import jit
+from huepose.verification.opponents import opponents_of_lab
 from huepose.verification.region import Region
 
 TERMS = 8
@@ -24,20 +28,24 @@ TERMS = 8
 
 COVERAGE_POINTS = 250
 
+SHADING_RIDGE = 0.03
+"""Keeps the fit of lightness to normals small where normals hardly vary (variance of a normal's
+component)."""
+
 
 @dataclass(frozen=True)
 class ScoreWeights:
-    """What each term weighs. `lightness` and `coarse` are relative weights of L against a and b and of the
-    3.5 mm scale against the 1 mm scale, `outside` of depth that fits outside the mask, `color_floor` (Lab
-    units) keeps the correlation of even surfaces down."""
+    """What each term weighs. `lightness` and `coarse` are relative weights of lightness against the other two
+    channels and of the 3.5 mm scale against the 1 mm scale, `outside` of depth that fits outside the mask,
+    `color_floor` (units of opponents) keeps the correlation of even surfaces down."""
 
-    depth_fit: float = 0.7
+    depth_fit: float = 0.9
     coverage: float = 0.7
-    violation: float = 0.5
-    color: float = 1.3
-    occluded: float = 0.1
-    box: float = 0.3
-    lightness: float = 0.4
+    violation: float = 1.0
+    color: float = 1.0
+    occluded: float = 0.05
+    box: float = 0.5
+    lightness: float = 0.8
     coarse: float = 0.5
     outside: float = 0.6
     color_floor: float = 1.5
@@ -66,7 +74,7 @@ class ModelArrays(NamedTuple):
 
     points: Float32
     normals: Float32
-    lab: Float32
+    colors: Float32
     directions: Float32
     visible: Int32
     offsets: Int32
@@ -91,12 +99,29 @@ class RegionArrays(NamedTuple):
     tolerance: float
 
 
+_arrays: WeakKeyDictionary[ReferenceModel, ModelArrays] = WeakKeyDictionary()
+_lock = threading.Lock()
+
+
 def model_arrays(model: ReferenceModel) -> ModelArrays:
-    """Bundle a model's arrays for the kernels."""
-    s, g = model.surface, model.grid
-    return ModelArrays(
-        s.points, s.normals, s.lab, s.directions, s.visible, s.offsets, g.origin, float(g.step), g.nearest
-    )
+    """A model's arrays for the kernels, colours as opponents; made once for each model."""
+    with _lock:
+        found = _arrays.get(model)
+        if found is None:
+            s, g = model.surface, model.grid
+            colors = opponents_of_lab(s.lab)
+            found = _arrays[model] = ModelArrays(
+                s.points,
+                s.normals,
+                colors,
+                s.directions,
+                s.visible,
+                s.offsets,
+                g.origin,
+                float(g.step),
+                g.nearest,
+            )
+        return found
 
 
 def region_arrays(region: Region) -> RegionArrays:
@@ -189,7 +214,7 @@ def score_kernel(
     """Judge one pose; `moments` (6, 5) is scratch, `out` (8,) gets the terms, the total is returned."""
     w_fit, w_coverage, w_violation, w_color = weights[0], weights[1], weights[2], weights[3]
     w_occluded, w_box, w_outside = weights[4], weights[5], weights[8]
-    points, normals, lab = model.points, model.normals, model.lab
+    points, normals, prints = model.points, model.normals, model.colors
     depth, mask, colors, saturated = region.depth, region.mask, region.colors, region.saturated
     height, width = depth.shape
     tolerance = region.tolerance
@@ -198,6 +223,7 @@ def score_kernel(
     fit, near, violation, occluded, total, color_weight = 0.0, 0.0, 0.0, 0.0, 1e-9, 0.0
     left, top, right, bottom = 1e9, 1e9, -1e9, -1e9
     moments[:] = 0.0
+    shading = np.zeros((7, 3))
 
     view = nearest_view(T, model.directions)
     first = model.offsets[view]
@@ -210,11 +236,10 @@ def score_kernel(
         z = r20 * s0 + r21 * s1 + r22 * s2 + t2
         if z < 0.02:
             continue
-        facing = (
-            -(r00 * n0 + r01 * n1 + r02 * n2) * x
-            - (r10 * n0 + r11 * n1 + r12 * n2) * y
-            - (r20 * n0 + r21 * n1 + r22 * n2) * z
-        ) / np.sqrt(x * x + y * y + z * z)
+        m0 = r00 * n0 + r01 * n1 + r02 * n2
+        m1 = r10 * n0 + r11 * n1 + r12 * n2
+        m2 = r20 * n0 + r21 * n1 + r22 * n2
+        facing = -(m0 * x + m1 * y + m2 * z) / np.sqrt(x * x + y * y + z * z)
         if facing < 0.1:
             continue
         total += facing
@@ -241,7 +266,7 @@ def score_kernel(
             a, b = min(max(uf - u0, 0.0), 1.0), min(max(vf - v0, 0.0), 1.0)
             c00, c01, c10, c11 = (1 - a) * (1 - b), a * (1 - b), (1 - a) * b, a * b
             for q in range(6):
-                model_color = lab[q // 3, i, q % 3]
+                model_color = prints[q // 3, i, q % 3]
                 image_color = (
                     c00 * colors[v0, u0, q]
                     + c01 * colors[v0, u0 + 1, q]
@@ -253,6 +278,24 @@ def score_kernel(
                 moments[q, 2] += g * model_color * model_color
                 moments[q, 3] += g * image_color * image_color
                 moments[q, 4] += g * model_color * image_color
+                if q % 3 == 0:
+                    row = 3 + 2 * (q // 3)
+                    gm, gi = g * model_color, g * image_color
+                    shading[row, 0] += gm * m0
+                    shading[row, 1] += gm * m1
+                    shading[row, 2] += gm * m2
+                    shading[row + 1, 0] += gi * m0
+                    shading[row + 1, 1] += gi * m1
+                    shading[row + 1, 2] += gi * m2
+            shading[0, 0] += g * m0
+            shading[0, 1] += g * m1
+            shading[0, 2] += g * m2
+            shading[1, 0] += g * m0 * m0
+            shading[1, 1] += g * m1 * m1
+            shading[1, 2] += g * m2 * m2
+            shading[2, 0] += g * m0 * m1
+            shading[2, 1] += g * m0 * m2
+            shading[2, 2] += g * m1 * m2
         elif gap > 0.0:
             violation += facing  # We see through the model.
         elif mask[v, u]:
@@ -263,7 +306,7 @@ def score_kernel(
     out[1] = fit / (near + violation + 0.15 * total)
     out[2] = _coverage(T, model, region.points_cam, tolerance)
     out[3] = violation / (near + violation + 0.15 * total)
-    out[4] = _color(moments, color_weight, weights) if color_weight > 0.02 * total else 0.0
+    out[4] = _color(moments, shading, color_weight, weights) if color_weight > 0.02 * total else 0.0
     out[5] = occluded / total
     out[6] = near / total
     out[7] = _box_iou(left, top, right, bottom, region.bounds)
@@ -322,19 +365,53 @@ def _coverage(T: Float64, model: ModelArrays, points_cam: Float64, tolerance: fl
 
 
 @jit
-def _color(moments: Float64, weight: float, weights: Float64) -> float:
+def _color(moments: Float64, shading: Float64, weight: float, weights: Float64) -> float:
     """Correlation of texture and image over channels and scales, each weighted by how much print there is.
 
-    The 4 added to the sum of weights lowers the colour of objects that have none.
+    Lightness is compared after what the surface's normals explain of it is taken off both sides (shading by
+    distant lights is linear in the normal). The 4 added to the sum of weights lowers the colour of objects
+    that have no print.
     """
     lightness, coarse, floor = weights[6], weights[7], weights[9]
+    A = np.empty((3, 3))
+    factor = np.empty((3, 3))
+    mean = np.empty(3)
+    for r in range(3):
+        mean[r] = shading[0, r] / weight
+    for r in range(3):
+        for c in range(r + 1):
+            both = shading[1, r] if r == c else shading[2, r + c - 1]
+            A[r, c] = both / weight - mean[r] * mean[c]
+            A[c, r] = A[r, c]
+    b_m, b_i, x_m, x_i = np.empty(3), np.empty(3), np.zeros(3), np.zeros(3)
     total, total_weight = 0.0, 4.0
     for q in range(6):
         mean_m, mean_i = moments[q, 0] / weight, moments[q, 1] / weight
-        var_m = max(moments[q, 2] / weight - mean_m * mean_m, 0.0)
-        var_i = max(moments[q, 3] / weight - mean_i * mean_i, 0.0)
+        var_m = moments[q, 2] / weight - mean_m * mean_m
+        var_i = moments[q, 3] / weight - mean_i * mean_i
         covariance = moments[q, 4] / weight - mean_m * mean_i
-        w = (lightness if q % 3 == 0 else 1.0) * (1.0 if q < 3 else coarse) * np.sqrt(var_m)
+        w = 1.0 if q < 3 else coarse
+        if q % 3 == 0:
+            w *= lightness
+            row = 3 + 2 * (q // 3)
+            for r in range(3):
+                b_m[r] = shading[row, r] / weight - mean[r] * mean_m
+                b_i[r] = shading[row + 1, r] / weight - mean[r] * mean_i
+            for x, b in ((x_m, b_m), (x_i, b_i)):
+                for r in range(3):
+                    for c in range(3):
+                        factor[r, c] = A[r, c] + (SHADING_RIDGE if r == c else 0.0)
+                solve_symmetric(factor, b, x)
+            for r in range(3):
+                var_m -= 2.0 * x_m[r] * b_m[r]
+                var_i -= 2.0 * x_i[r] * b_i[r]
+                covariance -= x_m[r] * b_i[r] + x_i[r] * b_m[r]
+                for c in range(3):
+                    var_m += x_m[r] * A[r, c] * x_m[c]
+                    var_i += x_i[r] * A[r, c] * x_i[c]
+                    covariance += x_m[r] * A[r, c] * x_i[c]
+        var_m, var_i = max(var_m, 0.0), max(var_i, 0.0)
+        w *= np.sqrt(var_m)
         total += w * covariance / (np.sqrt(var_m * var_i) + floor)
         total_weight += w
     return float(total / total_weight)

@@ -11,10 +11,11 @@ from dataclasses import dataclass
 import cv2
 import numpy as np
 
-from huepose.geometry.arrays import Bool, Float32, Float64
+from huepose.geometry.arrays import Bool, Float32, Float64, UInt8
 from huepose.geometry.box import Box
 from huepose.geometry.camera import Camera
 from huepose.geometry.frame import RgbdFrame
+from huepose.verification.opponents import linear_rgb, opponents
 
 COLOR_SCALES_M = (0.0010, 0.0035)
 """Standard deviations of the two smoothings, as in `Surface.lab`."""
@@ -22,18 +23,19 @@ COLOR_SCALES_M = (0.0010, 0.0035)
 SATURATED = 250
 """A channel at or over this says nothing of the colour any more."""
 
+OUTSIDE_WEIGHT = 0.02
 MASK_POINTS = 500
 
 
 @dataclass(frozen=True, eq=False)
 class Crop:
-    """A part of a frame. camera: of the crop; x0, y0: its top-left pixel in the frame; lab (h, w, 3) float32
-    CIELAB; depth (h, w) float32 metres; saturated (h, w) bool."""
+    """A part of a frame. camera: of the crop; x0, y0: its top-left pixel in the frame; color (h, w, 3) uint8
+    RGB; depth (h, w) float32 metres; saturated (h, w) bool."""
 
     camera: Camera
     x0: int
     y0: int
-    lab: Float32
+    color: UInt8
     depth: Float32
     saturated: Bool
 
@@ -42,10 +44,10 @@ class Crop:
 class Region:
     """A crop seen through a mask.
 
-    mask (h, w): pixels of the mask that have depth; colors (h, w, 6) float32: Lab smoothed over about 1 mm,
-    then over 3.5 mm, inside the mask without a look outside; points_cam (N, 3) float64: at most 500 of the
-    mask's points in random order, away from its rim; bounds (4,): left, top, right, bottom of the box in the
-    crop; tolerance_m: how far depth and surface may be apart; median_depth_m: of the mask.
+    mask (h, w): pixels of the mask that have depth; colors (h, w, 6) float32: opponents smoothed over about
+    1 mm, then over 3.5 mm, inside the mask without a look outside; points_cam (N, 3) float64: at most 500 of
+    the mask's points in random order, away from its rim; bounds (4,): left, top, right, bottom of the box in
+    the crop; tolerance_m: how far depth and surface may be apart; median_depth_m: of the mask.
     """
 
     crop: Crop
@@ -64,12 +66,11 @@ def prepare_crop(frame: RgbdFrame, window: Box) -> Crop:
     y0 = min(rows.start, frame.camera.height - 2)
     x1, y1 = max(columns.stop, x0 + 2), max(rows.stop, y0 + 2)
     color = np.ascontiguousarray(frame.color[y0:y1, x0:x1])
-    lab = cv2.cvtColor(color.astype(np.float32) / np.float32(255.0), cv2.COLOR_RGB2Lab)
     return Crop(
         frame.camera.cropped(x0, y0, x1 - x0, y1 - y0),
         x0,
         y0,
-        np.asarray(lab, dtype=np.float32),
+        color,
         np.ascontiguousarray(frame.depth[y0:y1, x0:x1]),
         np.asarray((color >= SATURATED).any(-1)),
     )
@@ -121,18 +122,15 @@ def tolerance_m(diameter_m: float, depth_m: float) -> float:
 
 
 def _masked_colors(crop: Crop, mask: Bool, depth_m: float) -> Float32:
-    """Lab smoothed at both scales: inside the mask over the mask's pixels only, elsewhere over all pixels."""
-    weight = mask.astype(np.float32)
-    masked = np.dstack([crop.lab * weight[..., None], weight])
+    """Opponent colours smoothed at both scales; a pixel outside of the mask counts little, so that inside
+    the mask colours are the mask's, and outside those of the place."""
+    weight = np.where(mask, np.float32(1.0), np.float32(OUTSIDE_WEIGHT))
+    weighted = np.dstack([linear_rgb(crop.color) * weight[..., None], weight])
     out = np.empty((*mask.shape, 6), np.float32)
     for scale, sigma_m in enumerate(COLOR_SCALES_M):
         sigma = max(0.5, sigma_m / depth_m * crop.camera.fx)
-        inside = cv2.GaussianBlur(masked, (0, 0), sigma)
-        share = inside[..., 3:]
-        anywhere = cv2.GaussianBlur(crop.lab, (0, 0), sigma)
-        out[..., 3 * scale : 3 * scale + 3] = np.where(
-            share > 0.15, inside[..., :3] / np.maximum(share, 1e-4), anywhere
-        )
+        smooth = np.asarray(cv2.GaussianBlur(weighted, (0, 0), sigma), dtype=np.float32)
+        out[..., 3 * scale : 3 * scale + 3] = opponents(smooth[..., :3] / smooth[..., 3:])
     return out
 
 

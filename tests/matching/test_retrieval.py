@@ -4,12 +4,11 @@ from __future__ import annotations
 
 from collections.abc import Callable
 
-import cv2
 import numpy as np
 import pytest
 
 from huepose.geometry import RgbdFrame, se3
-from huepose.matching.retrieval import TemplateTable, build_table, retrieve
+from huepose.matching.retrieval import TemplateTable, build_table, lab_of, retrieve
 from huepose.model.types import ReferenceModel
 from huepose.rendering.render import render_depth
 
@@ -19,10 +18,6 @@ TakePicture = Callable[..., RgbdFrame]
 @pytest.fixture(scope="module")
 def table(tea_box: ReferenceModel) -> TemplateTable:
     return build_table(tea_box.templates, tea_box.diameter_m)
-
-
-def lab_of(frame: RgbdFrame) -> np.ndarray:
-    return cv2.cvtColor(frame.color.astype(np.float32) / 255, cv2.COLOR_RGB2Lab)
 
 
 def random_pose(rng: np.random.Generator) -> np.ndarray:
@@ -40,7 +35,7 @@ def test_the_true_view_is_among_the_first(
         T = random_pose(rng)
         frame = take_picture([(tea_box.mesh, T)], light=(0.8, 0.6, 0.45), with_table=False)
         mask = render_depth(tea_box.mesh, T, frame.camera) > 0
-        poses, scores = retrieve(table, lab_of(frame), frame.depth, mask, frame.camera, 10)
+        poses, scores = retrieve(table, lab_of(frame.color), frame.depth, mask, frame.camera, 10)
         assert len(poses) == 10
         assert (np.diff(scores) <= 0).all()
         near = [
@@ -61,7 +56,7 @@ def test_half_a_view_is_enough(
     middle = np.nonzero(full)[1].mean()
     hidden = np.arange(640)[None, :] < middle
     depth = np.where(hidden, np.float32(0.4), frame.depth)
-    poses, _ = retrieve(table, lab_of(frame), depth, full & ~hidden, frame.camera, 10)
+    poses, _ = retrieve(table, lab_of(frame.color), depth, full & ~hidden, frame.camera, 10)
     assert any(
         se3.rotation_angle(P, standing) < np.radians(25) and np.linalg.norm(P[:3, 3] - standing[:3, 3]) < 0.04
         for P in poses
@@ -73,12 +68,12 @@ def test_views_are_different_and_repeat(
 ) -> None:
     frame = take_picture([(tea_box.mesh, standing)], with_table=False)
     mask = frame.depth > 0
-    poses, _ = retrieve(table, lab_of(frame), frame.depth, mask, frame.camera, 20)
+    poses, _ = retrieve(table, lab_of(frame.color), frame.depth, mask, frame.camera, 20)
     for i in range(len(poses)):
         assert se3.is_rigid(poses[i])
         for k in range(i):
             assert se3.rotation_angle(poses[i], poses[k]) >= np.radians(17.99)
-    again, _ = retrieve(table, lab_of(frame), frame.depth, mask, frame.camera, 20)
+    again, _ = retrieve(table, lab_of(frame.color), frame.depth, mask, frame.camera, 20)
     assert np.array_equal(poses, again)
 
 
@@ -87,7 +82,7 @@ def test_an_empty_mask_retrieves_nothing(
 ) -> None:
     frame = take_picture([(tea_box.mesh, standing)])
     poses, scores = retrieve(
-        table, lab_of(frame), frame.depth, np.zeros(frame.depth.shape, bool), frame.camera, 5
+        table, lab_of(frame.color), frame.depth, np.zeros(frame.depth.shape, bool), frame.camera, 5
     )
     assert poses.shape == (0, 4, 4)
     assert scores.shape == (0,)

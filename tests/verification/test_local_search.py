@@ -31,7 +31,7 @@ def test_search_climbs_to_the_truth(
     found, totals = search(tea_box, region, starts, (4.0, 2.0, 1.0, 0.5), 800)
     before = score_many(tea_box, region, starts)[:, 0]
     assert (totals > before).all()
-    assert np.allclose(totals, score_many(tea_box, region, found)[:, 0])
+    assert np.allclose(totals, score_many(tea_box, region, found)[:, 0], atol=0.005)
     for T in found:
         assert se3.is_rigid(T)
         assert np.linalg.norm(T[:3, 3] - standing[:3, 3]) < 0.0025

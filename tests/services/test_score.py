@@ -8,6 +8,7 @@ from huepose_protos.examples import messages
 from huepose_protos.messages import PoseMessage, TruthMessage, TruthObject
 from huepose_services.convert import pose_to_wire
 from huepose_services.demo.score import Score, Yardstick, good
+from huepose_services.demo.table import report
 
 SECOND = 1_000_000_000
 POINTS = np.random.default_rng(0).uniform(-0.05, 0.05, (500, 3)).astype(np.float32)
@@ -78,12 +79,12 @@ def test_a_perfect_run_has_perfect_figures():
     assert good(summary)
 
 
-def test_frames_without_a_pose_are_wrong_and_acquisition_is_timed():
+def test_frames_without_a_pose_are_wrong_from_the_confirmation_on_and_acquisition_is_timed():
     states = [_pose(i, "SEARCHING") for i in range(10)]
-    states += [_pose(i, "SUSPECT") for i in range(10, 15)] + [_pose(i) for i in range(15, 50)]
-    score = _score([_truth(i) for i in range(50)], states)
+    states += [_pose(i, "SUSPECT") for i in range(10, 15)] + [_pose(i) for i in range(15, 48)]
+    score = _score([_truth(i) for i in range(55)], states)
     summary = score.summary(score.last_ns)
-    assert summary["recall_add"] == 80.0
+    assert summary["recall_add"] == pytest.approx(100 * 33 / 40)
     assert summary["acquired_after_s"] == 1.0
     assert summary["confirmed_after_s"] == 1.5
     assert not good(summary)
@@ -115,6 +116,12 @@ def test_of_two_tracks_of_an_object_the_surer_counts():
     assert score.summary(score.last_ns)["recall_add"] == 100.0
 
 
+def test_an_object_that_is_not_confirmed_counts_three_seconds_after_it_appeared():
+    poses = [_pose(i, "SUSPECT", off_m=0.0 if i >= 40 else 0.05) for i in range(50)]
+    score = _score([_truth(i) for i in range(50)], poses)
+    assert score.summary(score.last_ns)["recall_add"] == pytest.approx(50.0)
+
+
 def test_an_object_that_is_never_found_fails_the_demo():
     score = _score([_truth(i) for i in range(9)], [])
     summary = score.summary(score.last_ns)
@@ -129,3 +136,12 @@ def test_the_table_shows_the_last_frame():
     assert latest.error_m == pytest.approx(0.002, abs=1e-6)
     assert latest.rate_hz == 10.0
     assert latest.age_ms == 20.0
+
+
+def test_the_report_names_every_object_and_says_what_is_unknown():
+    score = _score([_truth(i) for i in range(50)], [_pose(i) for i in range(50)])
+    worker = {"cpu_percent": 12.0, "memory_mib": 300, "rate_hz": 30.0, "work_ms": []}
+    lines = report({"summary": score.summary(score.last_ns), "workers": {"camera": worker}}).splitlines()
+    thing = next(line for line in lines if line.startswith("thing"))
+    assert thing.split() == ["thing", "0.00", "0.00", "100.0", "0.00", "100.0", "0"]
+    assert next(line for line in lines if line.startswith("camera")).split()[-2:] == ["-", "-"]

@@ -36,6 +36,7 @@ def call(arguments: argparse.Namespace) -> int:
         raise InputError(arguments.json, found="no such folder", expected="a file that can be written")
     from huepose_services.demo.run import DemoError, run_demo
     from huepose_services.demo.score import good
+    from huepose_services.demo.table import report
 
     interrupted = False
 
@@ -53,8 +54,7 @@ def call(arguments: argparse.Namespace) -> int:
     if interrupted:
         print("huepose demo: interrupted", file=sys.stderr)
         return 130
-    text = json.dumps(result, indent=2)
     if arguments.json is not None:
-        arguments.json.write_text(text + "\n")
-    print(text)
+        arguments.json.write_text(json.dumps(result, indent=2) + "\n")
+    print(report(result))
     return 0 if good(result["summary"]) else 1

@@ -17,6 +17,7 @@ from huepose_services.convert import optional_pose_from_wire, pose_of
 
 _VISIBLE, _GONE = 0.3, 0.1
 _MIN_RECALL = 90.0
+_CONFIRMED_WITHIN_S = 3.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -99,7 +100,9 @@ class Score:
     def summary(self, until_ns: int) -> dict[str, Any]:
         """The demo's figures, over the frames captured until then, by the words of the evaluation.
 
-        Percent, seconds, milliseconds; a figure that cannot be told is null. `per_object` names the same."""
+        Recall and AUC are over the frames from an object's confirmation on, or from 3 s after it became
+        visible if it is not confirmed by then: a frame without a pose counts as wrong. Percent, seconds,
+        milliseconds; a figure that cannot be told is null. `per_object` names the same."""
         reports, errors = {}, {}
         for name in self._yardsticks:
             reports[name], errors[name] = self._judge(name, until_ns)
@@ -133,7 +136,7 @@ class Score:
     def _judge(self, name: str, until_ns: int) -> tuple[StateReport, Float64]:
         """The report of an object, and rows (ADD, ADD-S, diameter) of its frames that count."""
         yardstick, moments, rows = self._yardsticks[name], [], []
-        appeared = False
+        appeared_ns: int | None = None
         for frame_id, label in sorted(self._labels[name].items(), key=lambda item: item[1].stamp_ns):
             if label.stamp_ns > until_ns:
                 continue
@@ -148,10 +151,14 @@ class Score:
             right = error < RECALL_FRACTION * yardstick.diameter_m
             state = None if pose is None else pose.state
             moments.append(Moment(label.stamp_ns, visible, gone, state, bool(right)))
-            appeared = appeared or visible
-            if appeared and not gone:
-                rows.append((error, error_s, yardstick.diameter_m))
-        return report(moments), np.array(rows).reshape(-1, 3)
+            if visible and appeared_ns is None:
+                appeared_ns = label.stamp_ns
+            if appeared_ns is not None and not gone:
+                rows.append((label.stamp_ns - appeared_ns, error, error_s, yardstick.diameter_m))
+        states, table = report(moments), np.array(rows, dtype=np.float64).reshape(-1, 4)
+        confirmed_s = _CONFIRMED_WITHIN_S if states.confirmed_after_s is None else states.confirmed_after_s
+        counted = table[:, 0] >= 1e9 * min(confirmed_s, _CONFIRMED_WITHIN_S) - 1.0
+        return states, table[counted, 1:]
 
 
 def _one(states: StateReport, errors: Float64, yardstick: Yardstick) -> dict[str, Any]:

@@ -1,0 +1,69 @@
+"""Makes docs/images/overview.jpg: a frame of the built-in scene, and what the estimator makes of it.
+
+    .venv/bin/python docs/make_picture.py
+
+Left the colour image with the poses found in disturbed boxes (outline, axes, error against the truth),
+right its depth as a stereo camera gives it, below the colour pairs of the objects and the models drawn where
+they were found.
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import cv2
+import numpy as np
+
+from huepose import Estimator, ObjectQuery, load_models
+from huepose.colorpair.extract import extract
+from huepose.datasets.synthetic import SyntheticScene
+from huepose.drawing.contact_sheet import contact_sheet
+from huepose.drawing.depth_color import depth_to_color
+from huepose.drawing.overlay import blend, draw_color_pairs, draw_pose
+from huepose.evaluation.boxes import disturbed
+from huepose.evaluation.metrics import add
+from huepose.rendering.render import render
+from huepose_services.builtin import builtin_bundles
+
+SEED, FRAME = 0, 150
+COLORS = [(255, 196, 0), (0, 200, 255), (120, 255, 80), (255, 90, 160), (190, 140, 255)]
+
+
+def main() -> None:
+    """Estimate one frame, draw it, write the file."""
+    scene, models = SyntheticScene(SEED), load_models(builtin_bundles(SEED))
+    frame, truths = scene.frame(FRAME), scene.truth(FRAME)
+    size = (frame.camera.width, frame.camera.height)
+    boxes = [disturbed(t.box_visib, "perturbed", 0, "picture", FRAME, t.instance, *size) for t in truths]
+    queries = [ObjectQuery(t.object, box) for t, box in zip(truths, boxes, strict=True)]
+    answers = Estimator(models).estimate(frame, queries)
+
+    found = [(models[a.object].mesh, a.T_cam_obj) for a in answers if a.found]
+    drawn = render(found, frame.camera)
+    picture, pairs_picture = frame.color.copy(), (frame.color // 3).copy()
+    for k, (truth, answer) in enumerate(zip(truths, answers, strict=True)):
+        if not answer.found:
+            continue
+        model = models[answer.object]
+        error_mm = 1000 * add(model.eval_points, answer.T_cam_obj, truth.T_cam_obj)
+        label = f"{model.name} {error_mm:.1f} mm"
+        picture = draw_pose(
+            picture, frame.camera, model.mesh, answer.T_cam_obj, COLORS[k % len(COLORS)], label
+        )
+        pairs = extract(frame.color, answer.mask)
+        some = pairs[np.linspace(0, len(pairs) - 1, min(len(pairs), 120)).astype(int)]
+        rgb = cv2.cvtColor(some.colors, cv2.COLOR_Lab2RGB)
+        pairs_picture = draw_color_pairs(pairs_picture, some.pixels, np.rint(255 * rgb).astype(np.uint8))
+    models_picture = blend(frame.color // 4, drawn.color, drawn.depth > 0, strength=1.0)
+    sheet = contact_sheet(
+        [picture, depth_to_color(frame.depth), pairs_picture, models_picture],
+        2,
+        ["poses found, error against the truth", "depth", "colour pairs", "models at their poses"],
+    )
+    target = Path(__file__).parent / "images" / "overview.jpg"
+    cv2.imwrite(str(target), np.ascontiguousarray(sheet[..., ::-1]), [cv2.IMWRITE_JPEG_QUALITY, 88])
+    print(target)
+
+
+if __name__ == "__main__":
+    main()

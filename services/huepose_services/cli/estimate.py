@@ -60,6 +60,7 @@ def call(arguments: argparse.Namespace) -> int:
     frame = read_frame(arguments.color, arguments.depth, arguments.camera)
     models = load_models(arguments.bundles, arguments.object)
     estimator = Estimator(models, EstimatorConfig(method=arguments.method))
+    estimator.warm_up(arguments.object)  # so that `seconds` is the time of an answer
     answers = []
     for name in arguments.object or sorted(models):
         answer, explanation = estimator.explain(frame, ObjectQuery(name, box))

@@ -1,0 +1,99 @@
+"""Pictures of an estimate: the poses over the image, and for `--explain` what led to each of them."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict
+from pathlib import Path
+
+import cv2
+import numpy as np
+
+from huepose.drawing.contact_sheet import contact_sheet
+from huepose.drawing.overlay import draw_pose
+from huepose.estimation import PoseEstimate
+from huepose.estimation.estimator import Explanation
+from huepose.geometry import Box, RgbdFrame
+from huepose.geometry.arrays import Bool, UInt8
+from huepose.matching.retrieval import build_table, lab_of, retrieve
+from huepose.model import ReferenceModel
+from huepose.rendering.render import render
+from huepose.support.errors import InputError
+from huepose.verification.dense import score
+
+COLORS = ((60, 220, 60), (255, 170, 30), (70, 160, 255), (255, 80, 160), (240, 240, 60))
+VIEWS = 12
+
+
+def draw_answers(
+    frame: RgbdFrame, models: Mapping[str, ReferenceModel], answers: Sequence[PoseEstimate]
+) -> UInt8:
+    """The colour image (H, W, 3) with the outline and the axes of every pose that was found."""
+    picture = frame.color
+    for k, answer in enumerate(answers):
+        if answer.T_cam_obj is not None:
+            mesh = models[answer.object].mesh
+            picture = draw_pose(picture, frame.camera, mesh, answer.T_cam_obj, COLORS[k % len(COLORS)])
+    return picture
+
+
+def write_explanation(
+    folder: Path, frame: RgbdFrame, model: ReferenceModel, answer: PoseEstimate, explanation: Explanation
+) -> None:
+    """Write NAME_masks.png, NAME_views.png, NAME_pose.png and NAME_scores.json of one estimate."""
+    masks = [_tinted(frame, mask) for mask in explanation.masks]
+    labels = [f"mask {k + 1}: {int(m.sum())} px" for k, m in enumerate(explanation.masks)]
+    if answer.mask is not None:
+        masks.append(_tinted(frame, answer.mask))
+        labels.append("of the pose")
+    rows, columns = explanation.box.grown(0.3, 10).slices(frame.camera.width, frame.camera.height)
+    cut = [m[rows, columns] for m in masks if m[rows, columns].size]
+    if cut:
+        write_picture(folder / f"{model.name}_masks.png", contact_sheet(cut, 4, labels[: len(cut)]))
+    _write_views(folder / f"{model.name}_views.png", model, explanation)
+    write_picture(folder / f"{model.name}_pose.png", draw_answers(frame, {model.name: model}, [answer]))
+    poses = [
+        {
+            "T_cam_obj": T.tolist(),
+            "total": float(total),
+            "by_mask": [asdict(score(model, region, T)) for region in explanation.regions],
+        }
+        for T, total in zip(explanation.poses, explanation.totals, strict=True)
+    ]
+    _write_text(folder / f"{model.name}_scores.json", json.dumps({"poses": poses}, indent=2) + "\n")
+
+
+def _write_views(path: Path, model: ReferenceModel, explanation: Explanation) -> None:
+    """The views retrieved for the first mask, beside what they were compared with."""
+    if not explanation.regions:
+        return
+    region = explanation.regions[0]
+    crop = region.crop
+    table = build_table(model.templates, model.diameter_m)
+    views, scores = retrieve(table, lab_of(crop.color), crop.depth, region.mask, crop.camera, VIEWS)
+    bounds = Box.of_mask(region.mask)
+    assert bounds is not None  # a region's mask has pixels
+    rows, columns = bounds.grown(0.3, 5).slices(crop.camera.width, crop.camera.height)
+    pictures = [np.where(region.mask[..., None], crop.color, 0).astype(np.uint8)[rows, columns]]
+    pictures += [render([(model.mesh, T)], crop.camera).color[rows, columns] for T in views]
+    write_picture(path, contact_sheet(pictures, 5, ["seen", *(f"{s:.2f}" for s in scores)]))
+
+
+def _tinted(frame: RgbdFrame, mask: Bool) -> UInt8:
+    """The image, dark outside of a mask."""
+    return np.where(mask[..., None], frame.color, frame.color // 4).astype(np.uint8)
+
+
+def write_picture(path: Path, picture: UInt8) -> None:
+    """Write an RGB picture (H, W, 3) as its ending says. Raises InputError where that cannot be."""
+    ok, data = cv2.imencode(path.suffix.lower() or ".png", picture[..., ::-1])
+    if not ok:
+        raise InputError(path, found="a picture that cannot be encoded", expected="an ending such as .png")
+    path.parent.mkdir(parents=True, exist_ok=True)
+    path.write_bytes(data.tobytes())
+
+
+def _write_text(path: Path, text: str) -> None:
+    path.parent.mkdir(parents=True, exist_ok=True)
+    path.write_text(text)

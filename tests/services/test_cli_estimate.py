@@ -1,0 +1,107 @@
+"""`huepose estimate`: files in; JSON, a picture and an explanation out; and what is said when something is
+missing."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+
+from huepose.geometry import Box, RgbdFrame
+from huepose.model import ReferenceModel, save_model
+from huepose.rendering.render import render_depth
+from huepose_services.cli.main import main
+
+
+@pytest.fixture(scope="module")
+def files(
+    tmp_path_factory: pytest.TempPathFactory,
+    tea_box: ReferenceModel,
+    take_picture: Callable[..., RgbdFrame],
+    standing: np.ndarray,
+) -> list[str]:
+    """A frame and a bundle on disk, as the arguments that name them."""
+    folder = tmp_path_factory.mktemp("frame")
+    frame = take_picture([(tea_box.mesh, standing)])
+    cv2.imwrite(str(folder / "color.png"), frame.color[..., ::-1])
+    cv2.imwrite(str(folder / "depth.png"), np.round(frame.depth * 10000).astype(np.uint16))
+    c = frame.camera
+    camera = {
+        "fx": c.fx,
+        "fy": c.fy,
+        "cx": c.cx,
+        "cy": c.cy,
+        "width": 640,
+        "height": 480,
+        "depth_scale_m": 0.0001,
+    }
+    (folder / "camera.json").write_text(json.dumps(camera))
+    save_model(tea_box, folder / "bundles" / "tea_box.huepose")
+    paths = {"color": "color.png", "depth": "depth.png", "camera": "camera.json", "bundles": "bundles"}
+    return ["estimate", *(x for k, v in paths.items() for x in (f"--{k}", str(folder / v)))]
+
+
+@pytest.fixture(scope="module")
+def box(tea_box: ReferenceModel, take_picture: Callable[..., RgbdFrame], standing: np.ndarray) -> list[str]:
+    frame = take_picture([(tea_box.mesh, standing)])
+    bounds = Box.of_mask(render_depth(tea_box.mesh, standing, frame.camera) > 0)
+    assert bounds is not None
+    return ["--box", *(str(x) for x in bounds)]
+
+
+def test_a_pose_as_json_a_picture_and_an_explanation(
+    files: list[str], box: list[str], tmp_path: Path, standing: np.ndarray
+) -> None:
+    out, picture, why = tmp_path / "out.json", tmp_path / "out.png", tmp_path / "why"
+    code = main(
+        [
+            *files,
+            *box,
+            "--object",
+            "tea_box",
+            "--json",
+            str(out),
+            "--image",
+            str(picture),
+            "--explain",
+            str(why),
+        ]
+    )
+    assert code == 0
+    (pose,) = json.loads(out.read_text())["poses"]
+    assert set(pose) == {"object", "found", "T_cam_obj", "quality", "covariance", "state", "box", "seconds"}
+    assert pose["found"]
+    assert pose["state"] == "TRACKING"
+    assert np.abs(np.array(pose["T_cam_obj"]) - standing).max() < 0.01
+    assert np.array(pose["covariance"]).shape == (6, 6)
+    assert cv2.imread(str(picture)).shape == (480, 640, 3)
+    names = {f"tea_box_{part}" for part in ("masks.png", "views.png", "pose.png", "scores.json")}
+    assert {p.name for p in why.iterdir()} == names
+    scores = json.loads((why / "tea_box_scores.json").read_text())["poses"]
+    assert scores[0]["total"] > scores[1]["total"]
+    assert scores[0]["by_mask"][0]["color"] > 0.5
+
+
+def test_nothing_in_the_box_is_an_answer(files: list[str], capsys: pytest.CaptureFixture[str]) -> None:
+    assert main([*files, "--box", "0", "0", "4", "4"]) == 0
+    (pose,) = json.loads(capsys.readouterr().out)["poses"]
+    assert (pose["found"], pose["T_cam_obj"], pose["state"]) == (False, None, "LOST")
+
+
+@pytest.mark.parametrize(
+    ("arguments", "says"),
+    [
+        ([], "--box X Y W H"),
+        (["--box", "1", "2", "0", "5"], "a width and a height over 0"),
+        (["--box", "1", "2", "30", "50", "--object", "coffee"], "coffee"),
+    ],
+)
+def test_bad_usage_exits_with_2_and_says_what_to_do(
+    files: list[str], arguments: list[str], says: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert main([*files, *arguments]) == 2
+    assert says in capsys.readouterr().err

@@ -18,6 +18,7 @@ from huepose_services.convert import (
     pose_from_wire,
     twist_to_wire,
 )
+from huepose_services.rehearsal import rehearse
 from huepose_services.runtime.bus import Bus
 from huepose_services.runtime.clock import now_ns
 from huepose_services.runtime.config import Config
@@ -26,9 +27,9 @@ from huepose_services.runtime.config import Config
 def make(bus: Bus, config: Config) -> TrackerWork:
     """The tracker worker's work, with its kernels compiled."""
     cv2.setNumThreads(1)
-    tracker = Tracker(models.load(config), TrackerConfig(history_frames=config.tracker.history_frames))
-    tracker.warm_up()
-    return TrackerWork(bus, tracker)
+    known = models.load(config)
+    rehearse(known)
+    return TrackerWork(bus, Tracker(known, TrackerConfig(history_frames=config.tracker.history_frames)))
 
 
 class TrackerWork:
@@ -76,6 +77,10 @@ class TrackerWork:
     def _track(self, header: FrameHeader, payload: bytes) -> None:
         started = now_ns()
         health = self._bus.health
+        before = self._header
+        if before is not None and _frame_of(before) == _frame_of(header):
+            health.count("frames_repeated")
+            return
         try:
             frame = frame_from_wire(header, payload)
         except WireError as error:
@@ -104,6 +109,10 @@ class TrackerWork:
             return
         self._bus.put(self._bus.keys.pose(pose.object, pose.instance), message)
         self._bus.health.count(f"poses_{pose.state.value.lower()}")
+
+
+def _frame_of(header: FrameHeader) -> tuple[int, int]:
+    return header.camera_epoch, header.frame_id
 
 
 def correction_from_wire(message: CorrectionMessage) -> Correction:

@@ -4,7 +4,7 @@ from types import SimpleNamespace
 
 import pytest
 
-from huepose_services.camera.ingest import Schedule
+from huepose_services.camera.schedule import Schedule
 from huepose_services.runtime.clock import SECOND
 from huepose_services.runtime.config import CameraConfig
 

@@ -44,7 +44,7 @@ class CameraConfig(Section, frozen=True, kw_only=True):
     seed: Annotated[int, Meta(ge=0)] = 0
     rate: Rate | Literal["recorded"] = 30.0
     once: bool = False
-    first_frame_s: Seconds = 2.0
+    first_frame_s: Seconds = 5.0
     truth: bool = False
     depth_scale_m: Annotated[float, Meta(gt=0.0, le=0.01)] = 0.0001
 

@@ -77,9 +77,7 @@ class Inbox:
     def __init__(self, session: zenoh.Session) -> None:
         self._session = session
         self._ready = threading.Condition()
-        self._places: list[Ring | Queue] = []
-        self._subscribers: list[Any] = []
-        self._threads: list[threading.Thread] = []
+        self._subscriptions: dict[Ring | Queue, tuple[Any, threading.Thread]] = {}
 
     def ring(self, key: str, wakes: bool = True) -> Ring:
         """Subscribe for the newest only; `wakes` False: the loop need not look at it when it arrives."""
@@ -94,19 +92,17 @@ class Inbox:
         return queue
 
     def liveliness(self, key: str) -> Queue:
-        """Subscribe to liveliness tokens, those that are there already first."""
-        queue = Queue(self._ready)
+        """Subscribe to liveliness tokens, those that are there already first. They wake nobody."""
+        queue = Queue(self._ready, wakes=False)
         tokens = self._session.liveliness()
         self._start(tokens.declare_subscriber(key, zenoh.handlers.FifoChannel(256), history=True), queue)
         return queue
 
     def _start(self, subscriber: Any, place: Ring | Queue) -> None:
-        self._places.append(place)
-        self._subscribers.append(subscriber)
         # The thread holds the channel only: a subscriber that is waited on cannot be undeclared.
         thread = threading.Thread(target=self._move, args=(subscriber.handler, place), daemon=True)
         thread.start()
-        self._threads.append(thread)
+        self._subscriptions[place] = (subscriber, thread)
 
     @staticmethod
     def _move(channel: Any, place: Ring | Queue) -> None:
@@ -119,13 +115,16 @@ class Inbox:
     def wait(self, timeout_s: float) -> None:
         """Until something is there to take, at most so long."""
         with self._ready:
-            if timeout_s > 0 and not any(self._places):
+            if timeout_s > 0 and not any(self._subscriptions):
                 self._ready.wait(timeout_s)
+
+    def forget(self, place: Ring | Queue) -> None:
+        """End a subscription."""
+        subscriber, thread = self._subscriptions.pop(place)
+        subscriber.undeclare()
+        thread.join(1.0)
 
     def close(self) -> None:
         """End all subscriptions."""
-        for subscriber in self._subscribers:
-            subscriber.undeclare()
-        for thread in self._threads:
-            thread.join(1.0)
-        self._subscribers.clear()
+        for place in list(self._subscriptions):
+            self.forget(place)

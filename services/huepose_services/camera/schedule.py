@@ -1,0 +1,52 @@
+"""When the frames of a source are due, pass after pass: absolute times, so that nothing drifts."""
+
+from __future__ import annotations
+
+from itertools import pairwise
+
+from huepose.datasets.types import Scene
+from huepose_services.runtime.clock import SECOND
+from huepose_services.runtime.config import CameraConfig
+
+_LONGEST_GAP_NS = 10 * SECOND
+
+
+class Schedule:
+    """When each frame of a source is due, pass after pass.
+
+    Frame `index` counts all frames since the start; image_ids are those of one pass."""
+
+    def __init__(self, source: Scene, camera: CameraConfig, start_ns: int) -> None:
+        self._ids = source.image_ids
+        self._id_step = max(self._ids) + 1
+        self._once = camera.once
+        self._start_ns = start_ns
+        if camera.rate == "recorded":
+            stamps = [source.stamp_ns(i) for i in self._ids]
+            gaps = [min(max(b - a, 0), _LONGEST_GAP_NS) for a, b in pairwise(stamps)]
+            usual = sorted(gaps)[len(gaps) // 2] if gaps else SECOND // 30
+            self._offsets = [0]
+            for gap in [*gaps, usual]:
+                self._offsets.append(self._offsets[-1] + gap)
+        else:
+            period = SECOND / float(camera.rate)
+            self._offsets = [round(i * period) for i in range(len(self._ids) + 1)]
+
+    def image(self, index: int) -> int | None:
+        """The image of a frame; None after the last."""
+        if self._once and index >= len(self._ids):
+            return None
+        return self._ids[index % len(self._ids)]
+
+    def frame_id(self, index: int) -> int:
+        """The image's number on the first pass; the same and a multiple of the length on later ones."""
+        return self._ids[index % len(self._ids)] + index // len(self._ids) * self._id_step
+
+    def due_ns(self, index: int) -> int:
+        """The time at which a frame is due."""
+        passes, place = divmod(index, len(self._ids))
+        return self._start_ns + passes * self._offsets[-1] + self._offsets[place]
+
+    def postpone(self, by_ns: int) -> None:
+        """Move everything that is still to come."""
+        self._start_ns += by_ns

@@ -11,13 +11,14 @@ if TYPE_CHECKING:
     from huepose.estimation import Estimator, ObjectQuery, PoseEstimate
     from huepose.geometry import Box, Camera, RgbdFrame
     from huepose.model import ReferenceModel, load_models
-    from huepose.tracking import Tracker
+    from huepose.tracking import Correction, Tracker
 
 __version__ = "0.1.0"
 
 _HOMES = {
     "Box": "huepose.geometry",
     "Camera": "huepose.geometry",
+    "Correction": "huepose.tracking",
     "Estimator": "huepose.estimation",
     "ObjectQuery": "huepose.estimation",
     "PoseEstimate": "huepose.estimation",
@@ -30,6 +31,7 @@ _HOMES = {
 __all__ = [
     "Box",
     "Camera",
+    "Correction",
     "Estimator",
     "ObjectQuery",
     "PoseEstimate",

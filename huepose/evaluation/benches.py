@@ -16,7 +16,7 @@ from huepose.model.types import ReferenceModel
 from huepose.support.progress import progress
 from huepose.support.stages import StageClock, listening
 from huepose.tracking import Tracker
-from huepose.tracking.types import Correction, Verdict
+from huepose.tracking.types import Correction
 
 
 @dataclass(frozen=True)
@@ -73,11 +73,7 @@ def bench_track(
     first = scene.frame(0)
     for truth in scene.truth(0):
         if truth.object is not None and truth.T_cam_obj is not None:
-            tracker.correct(
-                Correction(
-                    truth.object, 0, first.epoch, 0, first.stamp_ns, truth.T_cam_obj, 1.0, Verdict.ACQUIRE, 1
-                )
-            )
+            tracker.correct(Correction.first(truth.object, truth.T_cam_obj, first))
     rows: dict[str, list[tuple[float, float]]] = {"track": []}
     for i in progress(range(frames), "tracking"):
         frame = scene.frame(i)

@@ -6,6 +6,7 @@ from dataclasses import dataclass
 from enum import Enum
 
 from huepose.geometry.arrays import Bool, Float64
+from huepose.geometry.frame import RgbdFrame
 
 
 class State(str, Enum):
@@ -65,6 +66,13 @@ class Correction:
     verdict: Verdict
     seq: int
     mask: Bool | None = None
+
+    @staticmethod
+    def first(name: str, T_cam_obj: Float64, frame: RgbdFrame, quality: float = 1.0) -> Correction:
+        """What starts the first instance of an object at a frame, for those who run a tracker themselves."""
+        return Correction(
+            name, 0, frame.epoch, frame.frame_id, frame.stamp_ns, T_cam_obj, quality, Verdict.ACQUIRE, 1
+        )
 
 
 class Applied(str, Enum):

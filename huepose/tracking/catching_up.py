@@ -57,7 +57,7 @@ def pursue(
             # Nothing to step over, or its own frame was skipped: settle on the frame next to it.
             step = best_of(subject.surface, first, [(pursuit.T_cam_obj, "correction")])
             return _reached(pursuit, first, step, None)
-        anchor = Anchor(pursuit.T_cam_obj, None, first, None, pursuit.correction.mask)
+        anchor = Anchor(pursuit.T_cam_obj, None, first, None, mask=pursuit.correction.mask)
     else:
         anchor = Anchor(pursuit.T_cam_obj, pursuit.velocity, pursuit.reached, _usual(pursuit))
     ahead = [f for f in kept if f.stamp_ns > anchor.frame.stamp_ns]

@@ -13,7 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from huepose.tracking.config import TrackerConfig
-from huepose.tracking.scoring import Fit
+from huepose.tracking.scoring import Fit, Tint
 from huepose.tracking.types import State
 
 CONSTANT, PER_DEPTH_FIT, PER_BEHIND, PER_COLOUR = -5.67, 5.82, -5.23, 6.67
@@ -25,7 +25,8 @@ PER_DROP = 6.0
 """Log-odds lost per score under the usual one, beyond the slack."""
 
 USUAL_SHARE = 0.1
-"""Weight of a new score in what is usual."""
+TINT_SHARE = 0.2
+"""Weight of a new frame in what is usual."""
 
 RETURNED_AFTER = 2
 """Supported frames in a row after which a SUSPECT object is TRACKING again."""
@@ -48,6 +49,16 @@ def quality(fit: Fit, usual: float | None, was_right: float) -> float:
 def usual_after(usual: float | None, total: float) -> float:
     """What score is usual after a supported frame."""
     return total if usual is None else usual + USUAL_SHARE * (total - usual)
+
+
+def tint_after(tint: Tint, seen: Tint) -> Tint:
+    """What the light does to the object's mean colour, after a supported frame."""
+    if tint[0] <= 0.0:
+        return seen
+    if seen[0] <= 0.0:
+        return tint
+    a, b, c = (t + TINT_SHARE * (s - t) for t, s in zip(tint, seen, strict=True))
+    return (a, b, c)
 
 
 @dataclass(frozen=True)

@@ -62,8 +62,9 @@ FULL = Schedule(
 )
 """From a start within about a centimetre."""
 
-COARSE = Schedule((2, 2, 2, 2, 2, 2), (0.03, 0.03, 0.025, 0.02, 0.02, 0.015), 200)
-"""From far off, for hypotheses that are sorted afterwards."""
+QUICK = Schedule((2, 2, 2), (0.04, 0.03, 0.025), 100)
+COARSE = Schedule((2, 2, 2, 2, 2), (0.03, 0.025, 0.02, 0.02, 0.015), 200)
+"""From far off, for hypotheses that are sorted afterwards: of many, and of those that are left."""
 
 FINE = Schedule((1, 1, 1, 0, 0, 0, 0), (0.012, 0.012, 0.012, 0.01, 0.01, 0.008, 0.008), 400)
 """What is left after COARSE."""
@@ -87,25 +88,29 @@ def depth_noise_m(distance_m: float) -> float:
 def refine(surface: TrackedSurface, region: Region, T_cam_obj: Float, schedule: Schedule = FULL) -> Refined:
     """Improve a pose whose object lies in `region`."""
     T = np.array(T_cam_obj, np.float64, order="C")
-    distance = float(surface.centre_cam(T)[2])
-    sigma = depth_noise_m(distance)
-    px_per_m = region.camera.fx / max(distance, 0.05)
-    gates = np.maximum(np.array(schedule.gates_m), 3.5 * sigma)
-    reaches = np.array([max(1, round(1.5 * s * px_per_m)) for s in SCALES_M], np.int32)
+    settings = _settings(schedule, float(surface.centre_cam(T)[2]), region.camera.fx)
     A = np.zeros((6, 6))
-    done = _refine(
-        T,
-        surface.arrays,
-        region.arrays,
-        np.array(schedule.levels, np.int32),
-        gates,
-        reaches,
-        schedule.samples,
-        sigma,
-        A,
-    )
+    done = _refine(T, surface.arrays, region.arrays, *settings, A)
     T = se3.orthonormalised(T)
     return Refined(T, _about_origin(A, surface, T), int(done))
+
+
+def refine_all(
+    surface: TrackedSurface, region: Region, poses: Float, schedule: Schedule, distance_m: float
+) -> Float64:
+    """Improve poses (K, 4, 4) of an object at about that distance; the improved ones (K, 4, 4)."""
+    out = np.array(poses, np.float64, order="C")
+    _refine_all(out, surface.arrays, region.arrays, *_settings(schedule, distance_m, region.camera.fx))
+    return out
+
+
+def _settings(schedule: Schedule, distance_m: float, fx: float) -> tuple[Int32, Float64, Int32, int, float]:
+    """What a schedule means at a distance: levels, gates, pixels to the neighbours, samples, depth noise."""
+    sigma = depth_noise_m(distance_m)
+    gates = np.maximum(np.array(schedule.gates_m), 3.5 * sigma)
+    px_per_m = fx / max(distance_m, 0.05)
+    reaches = np.array([max(1, round(1.5 * s * px_per_m)) for s in SCALES_M], np.int32)
+    return np.array(schedule.levels, np.int32), gates, reaches, schedule.samples, sigma
 
 
 def _about_origin(A: Float64, surface: TrackedSurface, T: Float64) -> Float64:
@@ -117,6 +122,23 @@ def _about_origin(A: Float64, surface: TrackedSurface, T: Float64) -> Float64:
     to_step[:3, 3:] = -se3.hat(lever)
     to_step[3:, 3:] *= surface.radius_m
     return np.asarray(to_step.T @ A @ to_step)
+
+
+@jit
+def _refine_all(
+    poses: Float64,
+    surface: SurfaceArrays,
+    region: RegionArrays,
+    levels: Int32,
+    gates: Float64,
+    reaches: Int32,
+    limit: int,
+    depth_sigma: float,
+) -> None:
+    """Move poses in place."""
+    information = np.empty((6, 6))
+    for k in range(poses.shape[0]):
+        _refine(poses[k], surface, region, levels, gates, reaches, limit, depth_sigma, information)
 
 
 @jit

@@ -23,11 +23,19 @@ LIGHTNESS_SHARE = 0.4
 """Weight of lightness against hue: shading changes it, but fine print is often black on white."""
 
 TEXTURELESS = 4.0
-"""Lab units of contrast that count as none: lowers the colour term of objects without a print."""
+"""Lab units of contrast that count as none. Their share of the colour term is left to the mean colour."""
 
 CONTRAST_FLOOR = 3.0
 NO_DEPTH_WEIGHT = 0.3
-TERMS = 9
+L_ORIGIN = 16.0
+"""A gain in linear light scales L + 16, a and b by one factor."""
+
+TINT_SIGMA = (14.0, 7.0, 7.0)
+"""Lab units by which the mean colour of a known object in known light may be off: shading, mostly."""
+
+TERMS = 12
+
+Tint = tuple[float, float, float]
 
 
 @dataclass(frozen=True)
@@ -37,8 +45,10 @@ class Fit:
     total: the score, about 0 for nonsense, 1 to 1.9 for a right pose; depth_fit 0..1: agreement of the depth
     that speaks; behind: seen through (free space violated); hidden: something is in front; seen: agrees in
     depth; outside: out of the image; no_depth; colour -1..1: correlation of image and texture, light taken
-    out, lowered where there is little texture; residual_m: rms distance of agreeing depth along the normals;
-    texture: Lab units of contrast in view.
+    out, and where there is little texture the agreement of the mean colour, if the light is known;
+    residual_m: rms distance of agreeing depth along the normals; texture: Lab units of contrast in view;
+    tint: what the light does to the mean colour: factor of (L + 16, a, b), then shifts of a and b; a factor
+    of 0 where nothing was seen.
     """
 
     total: float
@@ -51,9 +61,12 @@ class Fit:
     outside: float
     no_depth: float
     texture: float
+    tint: Tint
 
 
-NOTHING = Fit(0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0)
+UNKNOWN_TINT = (0.0, 0.0, 0.0)
+
+NOTHING = Fit(0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, UNKNOWN_TINT)
 """Of a pose outside of the image."""
 
 
@@ -63,18 +76,31 @@ def tolerance_m(diameter_m: float, distance_m: float) -> float:
 
 
 def score(
-    surface: TrackedSurface, region: Region, T_cam_obj: Float, level: int = 1, samples: int = 400
+    surface: TrackedSurface,
+    region: Region,
+    T_cam_obj: Float,
+    level: int = 1,
+    samples: int = 400,
+    tint: Tint = UNKNOWN_TINT,
 ) -> Fit:
-    """Judge one pose with at most that many samples at a texture level (some 20 us)."""
+    """Judge one pose with at most that many samples at a texture level, in a light whose tint may be known
+    (some 20 us)."""
     out = np.zeros(TERMS)
     T = np.ascontiguousarray(T_cam_obj, np.float64)
     tau = tolerance_m(surface.diameter_m, float(surface.centre_cam(T)[2]))
-    total = _score(T, surface.arrays, region.arrays, level, samples, tau, out)
-    return Fit(total, *(float(x) for x in out))
+    total = _score(T, surface.arrays, region.arrays, level, samples, tau, tint, out)
+    f = [float(x) for x in out]
+    return Fit(total, f[0], f[1], f[2], f[3], f[4], f[5], f[6], f[7], f[8], (f[9], f[10], f[11]))
 
 
 def score_all(
-    surface: TrackedSurface, region: Region, poses: Float, level: int, samples: int, tolerance: float
+    surface: TrackedSurface,
+    region: Region,
+    poses: Float,
+    level: int,
+    samples: int,
+    tolerance: float,
+    tint: Tint = UNKNOWN_TINT,
 ) -> Float64:
     """Totals (K,) of poses (K, 4, 4), with a given depth tolerance in metres."""
     totals = np.zeros(len(poses))
@@ -85,6 +111,7 @@ def score_all(
         level,
         samples,
         tolerance,
+        tint,
         totals,
     )
     return totals
@@ -98,11 +125,12 @@ def _score_all(
     level: int,
     limit: int,
     tau: float,
+    tint: Tint,
     totals: Float64,
 ) -> None:
     out = np.empty(TERMS)
     for k in range(poses.shape[0]):
-        totals[k] = _score(poses[k], surface, region, level, limit, tau, out)
+        totals[k] = _score(poses[k], surface, region, level, limit, tau, tint, out)
 
 
 @jit
@@ -113,6 +141,7 @@ def _score(
     level: int,
     limit: int,
     tau: float,
+    tint: Tint,
     out: Float64,
 ) -> float:
     """Total of a pose; the other fields of Fit go to `out` in order."""
@@ -163,14 +192,17 @@ def _score(
             continue
         coloured += g
         _add_moments(moments, g, reference, i, image, y0, x0, px - x0, py - y0)
-    colour, contrast = _colour_agreement(moments, coloured, total)
+    out[9] = out[10] = out[11] = 0.0
+    colour = contrast = 0.0
+    if coloured > 0.02 * total:
+        colour, contrast = _colour_agreement(moments, coloured, tint, out)
     expected = agree + behind + 0.15 * total
     out[0], out[1], out[2], out[3] = fit / expected, behind / expected, colour, hidden / total
     out[4] = agree / total
     out[5] = np.sqrt(square / agree) if agree > 0.0 else 0.0
     out[6], out[7], out[8] = outside / total, no_depth / total, contrast
     return float(
-        FIT_WEIGHT * out[0] - BEHIND_WEIGHT * out[1] + COLOUR_WEIGHT * out[2] - HIDDEN_WEIGHT * out[3]
+        FIT_WEIGHT * out[0] - BEHIND_WEIGHT * out[1] + COLOUR_WEIGHT * colour - HIDDEN_WEIGHT * out[3]
     )
 
 
@@ -192,15 +224,27 @@ def _add_moments(
 
 
 @jit
-def _colour_agreement(moments: Float64, coloured: float, total: float) -> tuple[float, float]:
-    """Correlation over the channels, each by its contrast in the texture; and that contrast in Lab units."""
-    colour, weight = 0.0, TEXTURELESS
-    if coloured > 0.02 * total:
-        for q in range(3):
-            mx, my = moments[q, 0] / coloured, moments[q, 1] / coloured
-            vx = max(moments[q, 2] / coloured - mx * mx, 0.0)
-            vy = max(moments[q, 3] / coloured - my * my, 0.0)
-            s = np.sqrt(vx) * (LIGHTNESS_SHARE if q == 0 else 1.0)
-            colour += s * (moments[q, 4] / coloured - mx * my) / (np.sqrt(vx * vy) + CONTRAST_FLOOR)
-            weight += s
-    return colour / weight, weight - TEXTURELESS
+def _colour_agreement(moments: Float64, coloured: float, tint: Tint, out: Float64) -> tuple[float, float]:
+    """Correlation over the channels, each by its contrast in the texture, filled up by the agreement of the
+    mean colour; and that contrast in Lab units. The tint of the samples goes to out[9:12]."""
+    colour = weight = 0.0
+    for q in range(3):
+        mx, my = moments[q, 0] / coloured, moments[q, 1] / coloured
+        vx = max(moments[q, 2] / coloured - mx * mx, 0.0)
+        vy = max(moments[q, 3] / coloured - my * my, 0.0)
+        s = np.sqrt(vx) * (LIGHTNESS_SHARE if q == 0 else 1.0)
+        colour += s * (moments[q, 4] / coloured - mx * my) / (np.sqrt(vx * vy) + CONTRAST_FLOOR)
+        weight += s
+    texture_l, image_l = moments[0, 0] / coloured, moments[0, 1] / coloured
+    factor = (image_l + L_ORIGIN) / (texture_l + L_ORIGIN)
+    out[9] = factor
+    for q in range(1, 3):
+        out[9 + q] = (moments[q, 1] - factor * moments[q, 0]) / coloured
+    mean = 0.0
+    if tint[0] > 0.0:
+        d = ((tint[0] - factor) * (texture_l + L_ORIGIN) / TINT_SIGMA[0]) ** 2
+        for q in range(1, 3):
+            expected = tint[0] * moments[q, 0] / coloured + tint[q]
+            d += ((moments[q, 1] / coloured - expected) / TINT_SIGMA[q]) ** 2
+        mean = np.exp(-0.5 * d)
+    return (colour + TEXTURELESS * mean) / (weight + TEXTURELESS), weight

@@ -24,8 +24,8 @@ from huepose.tracking.motion import MAX_AHEAD_S, predicted
 from huepose.tracking.refinement import refine
 from huepose.tracking.region import prepare
 from huepose.tracking.relative_pose import RelativePose, RobustKabsch, lift_matches
-from huepose.tracking.scoring import NOTHING, Fit, score
-from huepose.tracking.search import Reach, search
+from huepose.tracking.scoring import NOTHING, UNKNOWN_TINT, Fit, Tint, score
+from huepose.tracking.search import GREAT_EFFORT, USUAL_EFFORT, Effort, Reach, search
 from huepose.tracking.silhouette import visible_mask
 from huepose.tracking.surface import TrackedSurface
 
@@ -87,6 +87,7 @@ class Anchor:
     velocity: Float64 | None
     frame: RgbdFrame
     usual: float | None
+    tint: Tint = UNKNOWN_TINT
     mask: Bool | None = None
     rival: Float64 | None = None
     may_search: bool = True
@@ -119,9 +120,9 @@ def advance(
     starts = [(anchor.T_cam_obj, "still")]
     if expected is not anchor.T_cam_obj:
         starts.append((expected, "velocity"))
-    best = best_of(surface, frame, starts)
+    best = best_of(surface, frame, starts, anchor.tint)
     if anchor.rival is not None:
-        best = _better(best, best_of(surface, frame, [(anchor.rival, "rival")]), by=RIVAL_MARGIN)
+        best = _better(best, best_of(surface, frame, [(anchor.rival, "rival")], anchor.tint), by=RIVAL_MARGIN)
     long = seconds > LONG_STEP_S
     doubt = LONG_DOUBT if long else DOUBT
     surprising = long and _moved_m(surface, best.T_cam_obj, expected) > SURPRISING_M
@@ -130,14 +131,15 @@ def advance(
     if 0.0 < seconds <= LONG_STEP_S:
         T_flow = flow_start(subject, anchor, frame, expected, relative_pose or RobustKabsch())
         if T_flow is not None:
-            best = _better(best, best_of(surface, frame, [(T_flow, "flow")]))
+            best = _better(best, best_of(surface, frame, [(T_flow, "flow")], anchor.tint))
     if config.search and anchor.may_search and (surprising or not _convincing(best, anchor.usual, doubt)):
-        found = search(surface, frame, _reach(surface, anchor, expected, seconds, config))
-        if found is not None:
-            best = _better(best, best_of(surface, frame, [(found[0], "search")]))
+        near, far = _reach(surface, anchor, expected, seconds, config)
+        best = _searched(best, surface, frame, near, USUAL_EFFORT, anchor.tint)
+        if not _convincing(best, anchor.usual, doubt) and long:
+            best = _searched(best, surface, frame, far, GREAT_EFFORT, anchor.tint)
         if len(subject.turns):
             turned = [(best.T_cam_obj @ turn, "turn") for turn in subject.turns]
-            best = _better(best, best_of(surface, frame, turned), by=TURN_MARGIN)
+            best = _better(best, best_of(surface, frame, turned, anchor.tint), by=TURN_MARGIN)
         best = replace(best, searched=True)
     return best
 
@@ -168,7 +170,12 @@ def flow_start(
     return None if motion is None else se3.compose(motion.T_b_a, anchor.T_cam_obj)
 
 
-def best_of(surface: TrackedSurface, frame: RgbdFrame, starts: list[tuple[Float64, str]]) -> Step:
+def best_of(
+    surface: TrackedSurface,
+    frame: RgbdFrame,
+    starts: list[tuple[Float64, str]],
+    tint: Tint = UNKNOWN_TINT,
+) -> Step:
     """Refine the start that explains the image best before refinement."""
     boxes = [b for b in (surface.box(T, frame.camera) for T, _ in starts) if b is not None]
     region = None
@@ -177,7 +184,7 @@ def best_of(surface: TrackedSurface, frame: RgbdFrame, starts: list[tuple[Float6
         region = prepare(frame, _with_margin(_union(*boxes), frame, z), z)
     if region is None:
         return Step(starts[-1][0], NOTHING, np.zeros((6, 6)), starts[-1][1])
-    totals = [score(surface, region, T, 2, START_SAMPLES).total for T, _ in starts]
+    totals = [score(surface, region, T, 2, START_SAMPLES, tint).total for T, _ in starts]
     T, name = starts[int(np.argmax(totals))]
     refined = refine(surface, region, T)
     for _ in range(MORE_PASSES):
@@ -185,13 +192,22 @@ def best_of(surface: TrackedSurface, frame: RgbdFrame, starts: list[tuple[Float6
             break
         T = refined.T_cam_obj
         refined = refine(surface, region, T)
-    return Step(refined.T_cam_obj, score(surface, region, refined.T_cam_obj, 0), refined.information, name)
+    return Step(
+        refined.T_cam_obj, score(surface, region, refined.T_cam_obj, 0, tint=tint), refined.information, name
+    )
 
 
 def _moved_m(surface: TrackedSurface, T_a: Float64, T_b: Float64) -> float:
     """How far the object's centre and rim moved at most."""
     shift = float(np.linalg.norm(surface.centre_cam(T_a) - surface.centre_cam(T_b)))
     return shift + surface.radius_m * se3.rotation_angle(T_a, T_b)
+
+
+def _searched(
+    best: Step, surface: TrackedSurface, frame: RgbdFrame, reach: Reach, effort: Effort, tint: Tint
+) -> Step:
+    found = search(surface, frame, reach, effort, tint)
+    return best if found is None else _better(best, best_of(surface, frame, [(found[0], "search")], tint))
 
 
 def _better(a: Step, b: Step, by: float = 0.0) -> Step:
@@ -205,12 +221,20 @@ def _convincing(step: Step, usual: float | None, doubt: float) -> bool:
 
 def _reach(
     surface: TrackedSurface, anchor: Anchor, expected: Float64, seconds: float, config: TrackerConfig
-) -> Reach:
-    """How far the object can have come since the anchor."""
-    share = 1.0 if anchor.velocity is None or seconds > MAX_AHEAD_S else TRUSTED_VELOCITY
-    metres = min(SEARCH_SLACK_M + share * config.max_search_m_s * seconds, SEARCH_MAX_M)
-    radians = min(SEARCH_SLACK_RAD + share * config.max_search_rad_s * seconds, SEARCH_MAX_RAD)
-    return Reach(surface.centre_cam(expected), (expected[:3, :3],), metres, float(radians))
+) -> tuple[Reach, Reach]:
+    """How far the object can have come since the anchor: if it moved on as it did, and if it did not."""
+    metres = min(SEARCH_SLACK_M + config.max_search_m_s * seconds, SEARCH_MAX_M)
+    radians = float(min(SEARCH_SLACK_RAD + config.max_search_rad_s * seconds, SEARCH_MAX_RAD))
+    last, going_on = anchor.T_cam_obj[:3, :3], expected[:3, :3]
+    middle = se3.interpolate(anchor.T_cam_obj, expected, 0.5)
+    rotations = (last,) if expected is anchor.T_cam_obj else (last, going_on)
+    far = Reach(surface.centre_cam(middle), rotations, metres, radians)
+    if anchor.velocity is None or seconds > MAX_AHEAD_S:
+        return far, far
+    near = Reach(
+        surface.centre_cam(expected), (going_on,), TRUSTED_VELOCITY * metres, TRUSTED_VELOCITY * radians
+    )
+    return near, far
 
 
 def _union(*boxes: Box) -> Box:

@@ -38,10 +38,11 @@ class SurfaceArrays(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class TrackedSurface:
-    """The surface of one object, prepared."""
+    """The surface of one object, prepared; diameter_m of the model; thickness_m along its thinnest axis."""
 
     arrays: SurfaceArrays
     diameter_m: float
+    thickness_m: float
 
     @property
     def radius_m(self) -> float:
@@ -66,6 +67,7 @@ class TrackedSurface:
                 float(np.linalg.norm(s.points - centre, axis=1).max()),
             ),
             float(model.diameter_m),
+            _thickness(s.points),
         )
 
     def centre_cam(self, T_cam_obj: Float) -> Float64:
@@ -82,6 +84,13 @@ class TrackedSurface:
         u, v = p[:, 0] / p[:, 2] * camera.fx + camera.cx, p[:, 1] / p[:, 2] * camera.fy + camera.cy
         x, y = float(u.min()), float(v.min())
         return Box(x, y, float(u.max()) - x, float(v.max()) - y)
+
+
+def _thickness(points: Float32) -> float:
+    """Extent of the points along the axis in which they spread least, metres."""
+    q = points - points.mean(0)
+    along = q @ np.linalg.eigh((q.T @ q).astype(np.float64))[1][:, 0]
+    return float(np.ptp(along))
 
 
 def _averaged(points: Float32, normals: Float32, lab: Float32, have_m: float, want_m: float) -> Float32:

@@ -13,7 +13,7 @@ from huepose.tracking.history import PoseHistory
 from huepose.tracking.identity import Identity
 from huepose.tracking.motion import filtered, increment_velocity, predicted
 from huepose.tracking.relative_pose import RelativePose
-from huepose.tracking.scoring import NOTHING, Fit
+from huepose.tracking.scoring import NOTHING, UNKNOWN_TINT, Fit
 from huepose.tracking.step import Anchor, Step, Subject, advance
 from huepose.tracking.types import State, TrackedPose
 from huepose.tracking.uncertainty import covariance, unseen
@@ -47,6 +47,7 @@ class Track:
         self._identity: Identity | None = None
         self._evidence = 0.0
         self._usual: float | None = None
+        self._tint = UNKNOWN_TINT
         self._frame: RgbdFrame | None = None
         self._searches = 0
         self._rival: Float64 | None = None
@@ -57,7 +58,13 @@ class Track:
             return
         may_search = self._searches < MAX_SEARCHES
         anchor = Anchor(
-            self.T_cam_obj, self.velocity, self._frame, self._usual, None, self._rival, may_search
+            self.T_cam_obj,
+            self.velocity,
+            self._frame,
+            self._usual,
+            self._tint,
+            rival=self._rival,
+            may_search=may_search,
         )
         self._rival = None
         step = advance(self.subject, anchor, frame, self._config, relative_pose)
@@ -80,6 +87,7 @@ class Track:
                 self._evidence = 0.0
             elif self._evidence >= self._config.suspect_quality:
                 self._usual = usual_after(self._usual, self.fit.total)
+                self._tint = evidence.tint_after(self._tint, self.fit.tint)
                 if self._identity is not None and self._evidence >= self._config.tracking_quality:
                     self._identity = self._identity.carried(self.fit, self._view())
             self._judge()
@@ -90,10 +98,11 @@ class Track:
         self.T_cam_obj, self.fit, self.start, self._frame = step.T_cam_obj, step.fit, step.start, frame
         self.velocity, self.covariance = velocity, self._covariance(step)
         self._identity = Identity.of(identity, self._view())
-        self._usual, self._searches, self._rival = None, 0, None
+        self._usual, self._tint = None, UNKNOWN_TINT
+        self._searches, self._rival = 0, None
         self._evidence = evidence.quality(step.fit, None, 1.0)
         if self._evidence >= self._config.suspect_quality:
-            self._usual = usual_after(None, step.fit.total)
+            self._usual, self._tint = usual_after(None, step.fit.total), step.fit.tint
         # A verified pose may be TRACKING at once.
         self._standing = Standing(State.TRACKING)
         self._judge()

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import cv2
-
 from huepose.support.errors import InputError
 from huepose.tracking import Tracker, TrackerConfig
 from huepose.tracking.types import Applied, Correction, TrackedPose, Verdict
@@ -26,7 +24,6 @@ from huepose_services.runtime.config import Config
 
 def make(bus: Bus, config: Config) -> TrackerWork:
     """The tracker worker's work, with its kernels compiled."""
-    cv2.setNumThreads(1)
     known = models.load(config)
     rehearse(known)
     return TrackerWork(bus, Tracker(known, TrackerConfig(history_frames=config.tracker.history_frames)))

@@ -21,16 +21,14 @@ def call(arguments: argparse.Namespace) -> int:
     """Run until told to stop."""
     from huepose.support.errors import InputError
     from huepose_services.runtime.config import WORKERS, load
+    from huepose_services.runtime.threads import single_threaded
 
     config = load(arguments.config)
     if arguments.worker not in WORKERS:
         raise InputError(
             f"worker '{arguments.worker}'", found="no such worker", expected=f"one of {', '.join(WORKERS)}"
         )
-    # Before numpy and OpenCV are imported: one thread a worker, so that six fit on two cores.
-    threads = str(config.estimator.threads if arguments.worker == "estimator" else 1)
-    for variable in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "NUMBA_NUM_THREADS"):
-        os.environ.setdefault(variable, threads)
+    single_threaded()
     from huepose_services.runtime.worker import run_worker
 
     code = run_worker(arguments.worker, config)

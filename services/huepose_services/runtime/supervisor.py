@@ -20,14 +20,13 @@ from typing import TextIO
 
 from huepose_services.runtime.config import Config
 from huepose_services.runtime.log import Log
+from huepose_services.runtime.threads import THREAD_VARIABLES
 from huepose_services.runtime.worker import READY_FD, SUPERVISOR
 
 _DRAIN_S = 1.5
 _STOP_WITHIN_S = 1.8
 _BACKOFF_S, _BACKOFF_MAX_S = 0.25, 8.0
 _BAD_INPUT = 2
-# Libraries read these when they are imported, so they must be there before the process starts.
-_THREAD_VARIABLES = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "NUMBA_NUM_THREADS")
 
 
 @dataclass
@@ -78,10 +77,9 @@ class Supervisor:
 
     def _spawn(self, worker: str) -> None:
         read_end, write_end = os.pipe()
-        threads = self._config.estimator.threads if worker == "estimator" else 1
         environment = {
             **os.environ,
-            **dict.fromkeys(_THREAD_VARIABLES, str(threads)),
+            **dict.fromkeys(THREAD_VARIABLES, "1"),
             READY_FD: str(write_end),
             SUPERVISOR: str(os.getpid()),
         }

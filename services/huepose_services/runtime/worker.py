@@ -9,10 +9,12 @@ from __future__ import annotations
 import os
 import signal
 import traceback
+from contextlib import suppress
 from importlib import import_module
 from types import FrameType
 from typing import Protocol, cast
 
+import cv2
 import zenoh
 
 from huepose_services.runtime.bus import Bus
@@ -33,9 +35,8 @@ _HOMES = {
     "segmenter": "huepose_services.segmenter",
     "estimator": "huepose_services.estimator",
 }
-# Frames and tracking come first where the cores do not suffice for all.
-_NICENESS = {"camera": 0, "tracker": 0, "reinit": 0}
-_NICENESS_OF_OTHERS = 1
+# Frames and tracking come first where the cores do not suffice for all and the system allows it.
+_NICENESS = {"camera": -5, "tracker": -5}
 _LONGEST_WAIT_S = 0.1
 _FORCED_STOP_AFTER_S = 1.0
 _ERRORS_IN_A_ROW = 10
@@ -82,7 +83,9 @@ def run_worker(worker: str, config: Config) -> int:
     Raises InputError for what the configuration names and is not there, or a port that is taken."""
     log, health = Log(worker), Health(worker)
     stop = _Stop(log)
-    os.nice(_NICENESS.get(worker, _NICENESS_OF_OTHERS))
+    with suppress(PermissionError):
+        os.nice(_NICENESS.get(worker, 0))
+    cv2.setNumThreads(1)
     session, health.warnings = open_worker_session(config, worker)
     for warning in health.warnings:
         log.say(f"warning: {warning}")

@@ -16,15 +16,18 @@ from huepose.tracking.config import TrackerConfig
 from huepose.tracking.scoring import Fit, Tint
 from huepose.tracking.types import State
 
-CONSTANT, PER_DEPTH_FIT, PER_BEHIND, PER_COLOUR = -5.67, 5.82, -5.23, 6.67
-CARRIED = 1.5
+CONSTANT, PER_DEPTH_FIT, PER_BEHIND, PER_COLOUR = -5.65, 3.56, -6.21, 8.95
+CARRIED = 1.0
 """Log-odds that a pose gains from having been right in the last frame."""
+
+LEAST_SEEN, WITHOUT_DEPTH = 0.05, 0.45
+"""With less of the surface confirmed in depth, colours alone hold the pose: it is doubtful at best."""
 
 USUAL_SLACK = 0.3
 PER_DROP = 6.0
 """Log-odds lost per score under the usual one, beyond the slack."""
 
-USUAL_SHARE = 0.1
+USUAL_SHARE = 0.15
 TINT_SHARE = 0.2
 """Weight of a new frame in what is usual."""
 
@@ -43,7 +46,8 @@ def quality(fit: Fit, usual: float | None, was_right: float) -> float:
     x += CARRIED * was_right
     if usual is not None:
         x -= PER_DROP * max(0.0, usual - fit.total - USUAL_SLACK)
-    return float(1.0 / (1.0 + np.exp(-x)))
+    q = float(1.0 / (1.0 + np.exp(-x)))
+    return q if fit.seen >= LEAST_SEEN else min(q, WITHOUT_DEPTH)
 
 
 def usual_after(usual: float | None, total: float) -> float:

@@ -13,6 +13,7 @@ import numpy as np
 
 from huepose.geometry.arrays import Bool, Float, Float32, Float64, UInt8
 from huepose.geometry.box import Box
+from huepose.support.jit import jit
 
 MIN_SIDE = 32
 """DIS needs a few patches at its coarsest scale."""
@@ -73,18 +74,27 @@ def compute(
     dis = cv2.DISOpticalFlow.create(preset)
     forward = np.asarray(dis.calc(a, b, None), np.float32)  # type: ignore[call-overload]
     backward = np.asarray(dis.calc(b, a, None), np.float32)  # type: ignore[call-overload]
-    return Flow(forward, backward, _consistent(forward, backward), columns.start, rows.start)
+    return Flow(forward, backward, consistency(forward, backward), columns.start, rows.start)
 
 
-def _consistent(forward: Float32, backward: Float32) -> Bool:
-    """Where going forward and back returns to the start."""
-    h, w = forward.shape[:2]
-    grid = np.stack(np.meshgrid(np.arange(w, dtype=np.float32), np.arange(h, dtype=np.float32)), -1)
-    there = grid + forward
-    back = cv2.remap(
-        backward, there[..., 0], there[..., 1], cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE
-    )
-    error = np.linalg.norm(forward + back, axis=2)
-    inside = (there[..., 0] >= 0) & (there[..., 1] >= 0) & (there[..., 0] <= w - 1) & (there[..., 1] <= h - 1)
-    allowed = MAX_ERROR_PX + MAX_ERROR_SHARE * np.linalg.norm(forward, axis=2)
-    return np.asarray(inside & (error < allowed))
+@jit
+def consistency(forward: Float32, backward: Float32) -> Bool:
+    """Where going forward (H, W, 2) and back (H, W, 2) returns to the start: (H, W) bool."""
+    h, w = forward.shape[0], forward.shape[1]
+    out = np.zeros((h, w), np.bool_)
+    for row in range(h):
+        for column in range(w):
+            du, dv = forward[row, column, 0], forward[row, column, 1]
+            u, v = column + du, row + dv
+            if u < 0.0 or v < 0.0 or u > w - 1 or v > h - 1:
+                continue
+            x, y = min(int(u), w - 2), min(int(v), h - 2)
+            a, b = u - x, v - y
+            miss = 0.0
+            for c in range(2):
+                top = backward[y, x, c] * (1 - a) + backward[y, x + 1, c] * a
+                bottom = backward[y + 1, x, c] * (1 - a) + backward[y + 1, x + 1, c] * a
+                miss += ((du if c == 0 else dv) + top * (1 - b) + bottom * b) ** 2
+            allowed = MAX_ERROR_PX + MAX_ERROR_SHARE * np.sqrt(du * du + dv * dv)
+            out[row, column] = miss < allowed * allowed
+    return out

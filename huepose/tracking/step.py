@@ -80,8 +80,9 @@ class Subject:
 @dataclass(frozen=True, eq=False)
 class Anchor:
     """Where an object was last: pose, velocity (6,) or None, the frame, the score that is usual for it or
-    None; its mask (H, W) in that frame where one is known better than by rendering; a rival of the pose that
-    has just been corrected away; and whether a search is worth its time."""
+    None, and the tint of the light; its mask (H, W) in that frame where one is known better than by
+    rendering; a rival: the pose that has just been corrected away; tired: flow and search were tried in vain
+    for some frames, and shall rest."""
 
     T_cam_obj: Float64
     velocity: Float64 | None
@@ -90,20 +91,20 @@ class Anchor:
     tint: Tint = UNKNOWN_TINT
     mask: Bool | None = None
     rival: Float64 | None = None
-    may_search: bool = True
+    tired: bool = False
 
 
 @dataclass(frozen=True, eq=False)
 class Step:
     """Where it is now: pose, what that explains of the frame, information (6, 6) of the refinement, and
-    which start led there ("still", "velocity", "flow", "search", "turn"); searched: whether a search was
-    made."""
+    which start led there ("still", "velocity", "flow", "search", "turn", "rival"); doubtful: it explains less
+    than it should."""
 
     T_cam_obj: Float64
     fit: Fit
     information: Float64
     start: str
-    searched: bool = False
+    doubtful: bool = False
 
 
 def advance(
@@ -126,13 +127,14 @@ def advance(
     long = seconds > LONG_STEP_S
     doubt = LONG_DOUBT if long else DOUBT
     surprising = long and _moved_m(surface, best.T_cam_obj, expected) > SURPRISING_M
-    if _convincing(best, anchor.usual, doubt) and not surprising:
-        return best
+    doubtful = not _convincing(best, anchor.usual, doubt)
+    if not (doubtful or surprising) or (anchor.tired and not long):
+        return replace(best, doubtful=doubtful)
     if 0.0 < seconds <= LONG_STEP_S:
         T_flow = flow_start(subject, anchor, frame, expected, relative_pose or RobustKabsch())
         if T_flow is not None:
             best = _better(best, best_of(surface, frame, [(T_flow, "flow")], anchor.tint))
-    if config.search and anchor.may_search and (surprising or not _convincing(best, anchor.usual, doubt)):
+    if config.search and (surprising or not _convincing(best, anchor.usual, doubt)):
         near, far = _reach(surface, anchor, expected, seconds, config)
         best = _searched(best, surface, frame, near, USUAL_EFFORT, anchor.tint)
         if not _convincing(best, anchor.usual, doubt) and long:
@@ -140,8 +142,7 @@ def advance(
         if len(subject.turns):
             turned = [(best.T_cam_obj @ turn, "turn") for turn in subject.turns]
             best = _better(best, best_of(surface, frame, turned, anchor.tint), by=TURN_MARGIN)
-        best = replace(best, searched=True)
-    return best
+    return replace(best, doubtful=not _convincing(best, anchor.usual, doubt))
 
 
 def flow_start(

@@ -24,8 +24,10 @@ COASTING_SEEN = 0.15
 COASTING_DAMPING = 0.5
 """Factor of the velocity in every frame without support: hands stop."""
 
-MAX_SEARCHES = 3
-"""Without success, in a row: what is not found by then will not be."""
+MAX_TRIES = 3
+TRY_AGAIN_AFTER = 15
+"""Doubtful frames in a row after which flow and search rest, and every how many they are tried again: an
+object that is half hidden for seconds must not cost more than one that is not."""
 
 
 class Track:
@@ -49,14 +51,14 @@ class Track:
         self._usual: float | None = None
         self._tint = UNKNOWN_TINT
         self._frame: RgbdFrame | None = None
-        self._searches = 0
+        self._doubtful_frames = 0
         self._rival: Float64 | None = None
 
     def look(self, frame: RgbdFrame, relative_pose: RelativePose | None = None) -> None:
         """Find the object in the next frame, if it has a pose."""
         if self.T_cam_obj is None or self._frame is None:
             return
-        may_search = self._searches < MAX_SEARCHES
+        tired = self._doubtful_frames >= MAX_TRIES and self._doubtful_frames % TRY_AGAIN_AFTER != 0
         anchor = Anchor(
             self.T_cam_obj,
             self.velocity,
@@ -64,7 +66,7 @@ class Track:
             self._usual,
             self._tint,
             rival=self._rival,
-            may_search=may_search,
+            tired=tired,
         )
         self._rival = None
         step = advance(self.subject, anchor, frame, self._config, relative_pose)
@@ -75,10 +77,9 @@ class Track:
             measured = increment_velocity(self.T_cam_obj, step.T_cam_obj, seconds)
             self.velocity = filtered(self.velocity, measured, seconds)
             self.T_cam_obj, self.covariance = step.T_cam_obj, self._covariance(step)
-            self._searches = 0
         else:
             self._coast(step, seconds)
-            self._searches += step.searched
+        self._doubtful_frames = self._doubtful_frames + 1 if step.doubtful else 0
 
     def settle(self, frame: RgbdFrame, contested: bool = False) -> None:
         """Judge what `look` found; contested: another pose holds the same surface with better right."""
@@ -99,7 +100,7 @@ class Track:
         self.velocity, self.covariance = velocity, self._covariance(step)
         self._identity = Identity.of(identity, self._view())
         self._usual, self._tint = None, UNKNOWN_TINT
-        self._searches, self._rival = 0, None
+        self._doubtful_frames, self._rival = 0, None
         self._evidence = evidence.quality(step.fit, None, 1.0)
         if self._evidence >= self._config.suspect_quality:
             self._usual, self._tint = usual_after(None, step.fit.total), step.fit.tint

@@ -87,7 +87,7 @@ def long_enough(is_ridge: Bool, min_length: int) -> Bool:
 
 
 def suppress(gradient: Gradient, allowed: Bool, threshold: float) -> Float32:
-    """(H, W) float32: sub-pixel offset along the direction (-0.7..0.7) at ridge points, nan elsewhere."""
+    """(H, W) float32: sub-pixel offset along the direction at ridge points, nan elsewhere."""
     return _suppress(gradient.magnitude, gradient.direction, allowed, threshold)
 
 
@@ -106,35 +106,29 @@ def _suppress(magnitude: Float32, direction: Float32, allowed: Bool, threshold: 
             if m < threshold or not allowed[v, u]:
                 continue
             du, dv = direction[v, u, 0], direction[v, u, 1]
-            # values one step along the direction, on the line between the two neighbours that it passes
+            # Largest of its row (or column, for a flat line): on a slanted line just one pixel of a row is.
+            # Of two equal ones (a step exactly between two pixels) the first in reading order is taken.
             if abs(du) >= abs(dv):
+                if magnitude[v, u - 1] >= m or magnitude[v, u + 1] > m:
+                    continue
                 step = 1 if du > 0 else -1
-                t = dv / du * step
-                lean = 1 if t > 0 else -1
-                f = abs(t)
+                f = abs(dv / du)
+                lean = step if dv * du > 0 else -step
                 ahead = (1 - f) * magnitude[v, u + step] + f * magnitude[v + lean, u + step]
                 behind = (1 - f) * magnitude[v, u - step] + f * magnitude[v - lean, u - step]
             else:
+                if magnitude[v - 1, u] >= m or magnitude[v + 1, u] > m:
+                    continue
                 step = 1 if dv > 0 else -1
-                t = du / dv * step
-                lean = 1 if t > 0 else -1
-                f = abs(t)
+                f = abs(du / dv)
+                lean = step if dv * du > 0 else -step
                 ahead = (1 - f) * magnitude[v + step, u] + f * magnitude[v + step, u + lean]
                 behind = (1 - f) * magnitude[v - step, u] + f * magnitude[v - step, u - lean]
-            # equal neighbours (a step exactly between two pixels): the one in reading order keeps the ridge
-            first = dv > 0 or (dv == 0 and du > 0)
-            if first:
-                kept = m >= ahead and m > behind
-            else:
-                kept = m > ahead and m >= behind
-            if not kept:
-                continue
             curvature = ahead - 2 * m + behind
-            offset = np.float32(0.0)
+            offset = 0.0
             if curvature < 0:
-                reach = np.sqrt(1 + f * f)
-                offset = np.float32(0.5 * (behind - ahead) / curvature * reach)
-            out[v, u] = min(max(offset, np.float32(-0.7)), np.float32(0.7))
+                offset = 0.5 * (behind - ahead) / curvature * np.sqrt(1 + f * f)
+            out[v, u] = min(max(offset, -0.75), 0.75)
     return out
 
 

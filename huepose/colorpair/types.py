@@ -67,6 +67,12 @@ class SurfacePairs:
         )
 
     @staticmethod
+    def empty() -> SurfacePairs:
+        """No pairs."""
+        z, f = np.zeros, np.float32
+        return SurfacePairs(z((0, 3), f), z((0, 3), f), z((0, 3), f), z((0, 2, 3), f))
+
+    @staticmethod
     def joined(parts: Sequence[SurfacePairs]) -> SurfacePairs:
         """All pairs of one or more sets."""
         names = ("points", "normals", "tangents", "colors")

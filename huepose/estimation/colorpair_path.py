@@ -11,23 +11,29 @@ from collections.abc import Sequence
 import cv2
 import numpy as np
 
-from huepose.colorpair.extract import Picture, extract_pairs
 from huepose.estimation.config import ColorpairPathConfig
 from huepose.estimation.different import different_poses
 from huepose.geometry.arrays import Bool, Float64
 from huepose.geometry.box import Box
 from huepose.geometry.frame import RgbdFrame
-from huepose.matching.hypotheses import HypothesesConfig, colorpair_hypotheses
+from huepose.matching.hypotheses import (
+    HypothesesConfig,
+    colorpair_hypotheses,
+    extract_at_model_scale,
+)
 from huepose.matching.shape import shape_hypotheses
 from huepose.model.types import ReferenceModel
 from huepose.registration.surface_icp import align_many
 from huepose.support.stages import stage
-from huepose.verification.pairs import pair_picture, pair_score_many
+from huepose.verification.pairs import PairPicture, pair_picture, pair_score_many
 from huepose.verification.pairs_search import search_pairs
 from huepose.verification.region import Region, object_window, prepare_crop, prepare_masked
 
 RIM_PX = 3
 """Side of the square by which a mask is made smaller: pairs at its rim belong to what is behind, too."""
+
+FINAL_PAIRS, FINAL_SAMPLES = 1500, 600
+"""How closely the last few poses are looked at."""
 
 SHAPES = 20
 """Most starts from shape alone, where colours propose too few poses."""
@@ -49,7 +55,7 @@ def estimate_by_pairs(
         regions = _regions(frame, masks, model.diameter_m)
     if not regions:
         return []
-    with stage("extract"):
+    with stage("regions"):
         picture = pair_picture(model, frame, regions[0].crop, regions[0].median_depth_m)
     poses = [_from_mask(model, frame, region, picture, rng, config) for region in regions]
     found = np.concatenate(poses)
@@ -85,16 +91,21 @@ def _regions(frame: RgbdFrame, masks: Sequence[Bool], diameter_m: float) -> list
     return [r for r in regions if r is not None]
 
 
-def _judge(model: ReferenceModel, regions: list[Region], picture: Picture, poses: Float64) -> Float64:
+def _judge(model: ReferenceModel, regions: list[Region], picture: PairPicture, poses: Float64) -> Float64:
     """Mean total (M,) of poses (M, 4, 4) over all regions."""
-    return np.asarray(np.mean([pair_score_many(model, r, picture, poses)[:, 0] for r in regions], axis=0))
+    return np.asarray(
+        np.mean(
+            [pair_score_many(model, r, picture, poses, FINAL_PAIRS, FINAL_SAMPLES)[:, 0] for r in regions],
+            axis=0,
+        )
+    )
 
 
 def _from_mask(
     model: ReferenceModel,
     frame: RgbdFrame,
     region: Region,
-    picture: Picture,
+    picture: PairPicture,
     rng: np.random.Generator,
     config: ColorpairPathConfig,
 ) -> Float64:
@@ -106,7 +117,7 @@ def _from_mask(
     inner = cv2.erode(region.mask.astype(np.uint8), np.ones((RIM_PX, RIM_PX), np.uint8))
     mask[y0 : y0 + h, x0 : x0 + w] = inner > 0
     with stage("extract"):
-        pairs = extract_pairs(picture, mask)
+        pairs = extract_at_model_scale(model.pairs, frame, mask)
     with stage("hypotheses"):
         sources = HypothesesConfig() if config.ppf else HypothesesConfig(ppf=None)
         hypotheses = colorpair_hypotheses(model, pairs, frame, mask, sources, rng)

@@ -54,7 +54,7 @@ def extract_at_model_scale(
     depths = frame.depth[mask & (frame.depth > 0)]
     if not len(depths):
         return ColorPairs.empty()
-    scale = pairs.parameters["pixels_per_m"] * float(np.median(depths)) / frame.camera.fx
+    scale = pairs.parameters["coarse_pixels_per_m"] * float(np.median(depths)) / frame.camera.fx
     return extract(frame.color, mask, config, scale=min(scale, 1.0))
 
 
@@ -73,10 +73,10 @@ def colorpair_hypotheses(
     config = config or HypothesesConfig()
     rng = rng or np.random.default_rng(0)
     scene, _ = lift(pairs, frame.depth, mask, frame.camera)
-    if not len(scene) or not len(model.pairs.points):
+    reference = reference_pairs(model.pairs)
+    if not len(scene) or not len(reference):
         return []
     scene = scene[rng.permutation(len(scene))[: config.scene_pairs]]
-    reference = reference_pairs(model.pairs)
     lights = lights_of(scene.colors, reference.colors, rng, config.light)
     votes = Votes.joined(
         [
@@ -90,8 +90,11 @@ def colorpair_hypotheses(
 
 
 def reference_pairs(reference: PairReference) -> SurfacePairs:
-    """The model's pairs, in the object's frame."""
-    return SurfacePairs(reference.points, reference.normals, reference.tangents, reference.colors)
+    """The model's coarse pairs, in the object's frame."""
+    n = int(reference.parameters["coarse_pairs"])
+    return SurfacePairs(
+        reference.points[:n], reference.normals[:n], reference.tangents[:n], reference.colors[:n]
+    )
 
 
 def reference_cloud(reference: PairReference) -> ClassifiedCloud:
@@ -122,7 +125,7 @@ def _votes(
         classified(
             scene,
             reference,
-            table.side_classes,
+            table.side_classes[: len(reference)],
             len(table.centers),
             table.parameters["side_offset_m"],
             config.classes,

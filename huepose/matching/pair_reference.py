@@ -26,6 +26,9 @@ from huepose.model.types import PairReference
 from huepose.support.errors import InputError
 from huepose.support.jit import jit
 
+DISTANCE = 4.0
+"""Of the camera from the object in the views, in diameters."""
+
 
 @dataclass(frozen=True, eq=False)
 class PairView:
@@ -39,18 +42,32 @@ class PairView:
 
 
 @dataclass(frozen=True)
-class ReferenceConfig:
-    """level: of the icosphere of views; pixels_per_mm, min_pixels, max_pixels: size of the object in the
-    views, as cameras see it at work; max_pairs: rows of the database; merge: distance within which pairs of
-    different views are one, in diameters; classes: most soft colour classes; side_offset: of the classified
-    points from the edge, in diameters; cloud_spacing: of points of one class, in diameters."""
+class Scale:
+    """How large the object is in views: pixels_per_mm, but at least min_pixels and at most max_pixels for its
+    diameter."""
 
+    pixels_per_mm: float
+    min_pixels: float
+    max_pixels: float
+
+    def pixels(self, diameter_m: float) -> float:
+        """Pixels that the diameter spans."""
+        return float(np.clip(diameter_m * 1000 * self.pixels_per_mm, self.min_pixels, self.max_pixels))
+
+
+@dataclass(frozen=True)
+class ReferenceConfig:
+    """coarse, fine: scales of the views for hypotheses (large print, few pairs) and for verification (small
+    print); level: of the icosphere of views; min_facing: cosine under which a pair of a view is dropped;
+    max_pairs: rows of the database for each scale; merge: distance within which pairs of different views
+    are one, in diameters; classes: most soft colour classes; side_offset: of the classified points from the
+    edge, in diameters; cloud_spacing: of points of one class, in diameters."""
+
+    coarse: Scale = Scale(0.75, 110.0, 190.0)
+    fine: Scale = Scale(1.0, 130.0, 240.0)
     level: int = 1
-    pixels_per_mm: float = 0.6
-    min_pixels: float = 80.0
-    max_pixels: float = 170.0
     min_facing: float = 0.35
-    max_pairs: int = 12_000
+    max_pairs: int = 8000
     merge: float = 0.012
     classes: int = 8
     side_offset: float = 0.012
@@ -64,37 +81,46 @@ def reference_cameras(
     diameter_m: float, config: ReferenceConfig | None = None
 ) -> list[tuple[Camera, Float64]]:
     """The views that the database is made of: cameras and poses `T_cam_obj` of an object centred on its
-    origin.
+    origin, coarse and fine.
 
     For an object with its centre elsewhere, compose with the translation that centres it.
     """
     config = config or ReferenceConfig()
-    pixels = reference_pixels(diameter_m, config)
-    distance = 4.0 * diameter_m
-    side = int(np.ceil(pixels * 1.1)) + 8
-    focal = pixels * distance / diameter_m
-    camera = Camera(focal, focal, (side - 1) / 2, (side - 1) / 2, side, side)
+    distance = DISTANCE * diameter_m
     t = np.array([0.0, 0.0, distance])
-    return [(camera, se3.make(icosphere.look_at(d), t)) for d in icosphere.directions(config.level)]
-
-
-def reference_pixels(diameter_m: float, config: ReferenceConfig) -> float:
-    """Pixels that the diameter spans in the reference views; pictures are brought to this scale too."""
-    return float(np.clip(diameter_m * 1000 * config.pixels_per_mm, config.min_pixels, config.max_pixels))
+    views = []
+    for scale in (config.coarse, config.fine):
+        pixels = scale.pixels(diameter_m)
+        side = int(np.ceil(pixels * 1.1)) + 8
+        focal = pixels * DISTANCE
+        camera = Camera(focal, focal, (side - 1) / 2, (side - 1) / 2, side, side)
+        views += [(camera, se3.make(icosphere.look_at(d), t)) for d in icosphere.directions(config.level)]
+    return views
 
 
 def build_pair_reference(
     views: Sequence[PairView], diameter_m: float, config: ReferenceConfig | None = None
 ) -> PairReference:
-    """The colour-pair side of a reference model.
+    """The colour-pair side of a reference model, from the views of `reference_cameras`, in any order.
 
-    An object without texture has few pairs and empty tables. Raises InputError without views.
+    Views count as coarse or fine by their focal length, whichever is nearer. The rows of coarse pairs come
+    first (parameter "coarse_pairs"); classes, cloud and tables are made of them alone. An object without
+    texture has few pairs and empty tables. Raises InputError without views.
     """
     config = config or ReferenceConfig()
     if not views:
         raise InputError("colour pairs of a model", found="no views", expected="at least one rendered view")
-    pairs, owners = _all_pairs(views, config)
-    pairs, owners, seen = merged(pairs, owners, config.merge * diameter_m, config.max_pairs)
+    limits = [scale.pixels(diameter_m) * DISTANCE for scale in (config.coarse, config.fine)]
+    is_fine = [abs(v.camera.fx - limits[1]) < abs(v.camera.fx - limits[0]) for v in views]
+    parts = [
+        merged(
+            *_all_pairs([v for v, f in zip(views, is_fine, strict=True) if f == fine], config),
+            config.merge * diameter_m,
+            config.max_pairs,
+        )
+        for fine in (False, True)
+    ]
+    (pairs, _, seen), (fine_pairs, _, _) = parts
     if len(pairs):
         centers = color_classes(pairs.colors.reshape(-1, 3), config.classes)
     else:
@@ -109,18 +135,17 @@ def build_pair_reference(
     )
     cloud = cloud[sparse(cloud, config.cloud_spacing * diameter_m)]
     triangle_keys, triangles = build_triangles(cloud, diameter_m, config.triangles)
-    if config.ppf is not None:
-        ppf_keys, ppf, ppf_alpha = build_ppf(cloud, diameter_m, config.ppf)
-    else:
-        ppf_keys, ppf, ppf_alpha = np.zeros(0, np.int64), np.zeros((0, 2), np.int32), np.zeros(0, np.float32)
+    ppf_config = config.ppf or PpfConfig(points=0)
+    ppf_keys, ppf, ppf_alpha = build_ppf(cloud, diameter_m, ppf_config)
+    every = SurfacePairs.joined([pairs, fine_pairs])
     return PairReference(
-        points=pairs.points,
-        normals=pairs.normals,
-        tangents=pairs.tangents,
-        colors=pairs.colors,
-        views=owners,
+        points=every.points,
+        normals=every.normals,
+        tangents=every.tangents,
+        colors=every.colors,
+        views=np.concatenate([owners for _, owners, _ in parts]),
         centers=centers,
-        side_classes=classes,
+        side_classes=nearest_class(every.colors, centers),
         cloud_points=cloud.points,
         cloud_normals=cloud.normals,
         cloud_classes=cloud.classes,
@@ -131,17 +156,20 @@ def build_pair_reference(
         ppf=ppf,
         ppf_alpha=ppf_alpha,
         parameters={
-            "pixels_per_m": reference_pixels(diameter_m, config) / diameter_m,
+            "coarse_pairs": float(len(pairs)),
+            "coarse_pixels_per_m": config.coarse.pixels(diameter_m) / diameter_m,
+            "fine_pixels_per_m": config.fine.pixels(diameter_m) / diameter_m,
             "side_offset_m": offset,
             "triangle_bin_m": config.triangles.bin * diameter_m,
-            "ppf_bin_m": (config.ppf or PpfConfig()).bin * diameter_m,
-            "ppf_angles": float((config.ppf or PpfConfig()).angles),
+            "ppf_bin_m": ppf_config.bin * diameter_m,
         },
     )
 
 
 def _all_pairs(views: Sequence[PairView], config: ReferenceConfig) -> tuple[SurfacePairs, Int32]:
     """Pairs of all views in the object's frame, and the view that each came from."""
+    if not views:
+        return SurfacePairs.empty(), np.zeros(0, np.int32)
     parts, owners = [], []
     for index, view in enumerate(views):
         seen = view.depth > 0

@@ -25,8 +25,8 @@ MAX_BINS = 64
 
 @dataclass(frozen=True)
 class PpfConfig:
-    """bin: of the distance, in diameters; angles: bins of half a turn; points: most model points;
-    rows: most table rows; min_distance: of a pair, in diameters; references: scene reference points;
+    """bin: of the distance, in diameters; angles: bins of half a turn; points: most model points (0: no
+    table); rows: most table rows; min_distance: of a pair, in diameters; references: scene reference points;
     partners: scene points paired with each; peaks: share of the highest vote that another needs to count."""
 
     bin: float = 0.05
@@ -49,6 +49,8 @@ def build_ppf(
     """
     rng = np.random.default_rng(seed)
     spacing = 0.03
+    if not config.points:
+        return np.zeros(0, np.int64), np.zeros((0, 2), np.int32), np.zeros(0, np.float32)
     chosen: Int = np.arange(len(cloud))
     while len(chosen) > config.points:
         chosen = sparse(cloud, spacing * diameter_m)

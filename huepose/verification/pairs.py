@@ -1,20 +1,23 @@
 """Judging a pose by colour pairs: do the model's pairs find their two colours where the pose puts them?
 
-The model's pairs that the pose shows are projected, and the picture is read on both sides of each edge.
-Light is normalised at the pose itself, by the gain and the offset per channel that fit all read colours
-best, which makes the first term a correlation of colours; the second is that of the differences between the
-two sides, for which no offset is needed: shading and glare that change slowly cancel. Depth, free space and
-coverage of the mask are judged as for the dense score (see `dense`), with its dense colour switched off.
+The model's pairs that the pose shows are projected, and the picture is read on both sides of each edge, in
+colours of which light is an offset (see `opponents`). Light is normalised at the pose itself, by the offset
+and the gain per channel that fit all read colours best, which makes the first term a correlation of colours.
+The second is that of the differences between the two sides, where light, and shading that changes slowly,
+cancel within each pair. Depth, free space and coverage of the mask are judged as for the dense score (see
+`dense`), with its dense colour switched off.
 """
 
 from __future__ import annotations
 
+import threading
 from dataclasses import dataclass
 from typing import NamedTuple
+from weakref import WeakKeyDictionary
 
+import cv2
 import numpy as np
 
-from huepose.colorpair.extract import ExtractionConfig, Picture, prepare_picture
 from huepose.geometry.arrays import Float, Float32, Float64
 from huepose.geometry.frame import RgbdFrame
 from huepose.model.types import PairReference, ReferenceModel
@@ -29,28 +32,33 @@ from huepose.verification.dense import (
     score_kernel,
     weight_array,
 )
+from huepose.verification.opponents import linear_rgb, opponents, opponents_of_lab
 from huepose.verification.region import Crop, Region
 
-GEOMETRY = ScoreWeights(color=0.0)
-"""The dense score's terms without its colours."""
+GEOMETRY = ScoreWeights(depth_fit=0.9, coverage=0.7, violation=1.0, color=0.0, occluded=0.05, box=0.2)
+"""The dense score's terms without its colours, weighed for pairs."""
+
+_opponents: WeakKeyDictionary[PairReference, Float32] = WeakKeyDictionary()
+_lock = threading.Lock()
 
 PAIR_TERMS = 4
 
-REACH_PX = 2.2
+REACH_PX = 2.0
 """How far off the edge the colours of a pair were sampled, in pixels of the reference views: the middle of
-the candidates of an edge of ordinary thickness."""
+the candidates of a sharp edge."""
 
 MIN_FACING = 0.25
 
 
 @dataclass(frozen=True)
 class PairWeights:
-    """What colour and contrast weigh beside the geometry; lightness: weight of L against a and b; floor:
-    Lab units that keep the correlation of even surfaces down; even: added to the sum of the channels'
-    weights, which lowers objects without print; few: number of visible pairs at which colours count half."""
+    """What colour and contrast weigh beside the geometry; lightness: its weight against the other two
+    channels; floor: units of opponents that keep the correlation of even surfaces down; even: added to the
+    sum of the channels' weights, which lowers objects without print; few: number of visible pairs at which
+    colours count half."""
 
     color: float = 1.0
-    contrast: float = 0.5
+    contrast: float = 0.6
     lightness: float = 0.4
     floor: float = 1.5
     even: float = 4.0
@@ -70,12 +78,12 @@ class PairArrays(NamedTuple):
     reach: float
 
 
-class PictureArrays(NamedTuple):
-    """The picture as kernels read it: pixel (u, v) of the crop is ((u + du) / su - 0.5, ...) of `lab`."""
+class PairPicture(NamedTuple):
+    """A crop's colours at the scale at which pairs are compared: colors (h, w, 3) float32 opponents; su,
+    sv: pixels of the crop for one of these, so that (u, v) of the crop is ((u + 0.5) / su - 0.5, ...)
+    here."""
 
-    lab: Float32
-    du: float
-    dv: float
+    colors: Float32
     su: float
     sv: float
 
@@ -93,23 +101,21 @@ class PairScore:
     visible: int
 
 
-def pair_picture(
-    model: ReferenceModel,
-    frame: RgbdFrame,
-    crop: Crop,
-    depth_m: float,
-    config: ExtractionConfig | None = None,
-) -> Picture:
-    """The crop's colours at the scale of the model's reference views, for an object at `depth_m`."""
+def pair_picture(model: ReferenceModel, frame: RgbdFrame, crop: Crop, depth_m: float) -> PairPicture:
+    """The crop's colours at the scale of the model's fine reference views, for an object at `depth_m`."""
     h, w = crop.depth.shape
-    scale = model.pairs.parameters["pixels_per_m"] * depth_m / frame.camera.fx
-    return prepare_picture(frame.color, (crop.x0, crop.y0, crop.x0 + w, crop.y0 + h), min(scale, 1.0), config)
+    color = frame.color[crop.y0 : crop.y0 + h, crop.x0 : crop.x0 + w]
+    scale = model.pairs.parameters["fine_pixels_per_m"] * depth_m / frame.camera.fx
+    if scale < 1.0:
+        size = (max(round(w * scale), 2), max(round(h * scale), 2))
+        color = np.asarray(cv2.resize(color, size, interpolation=cv2.INTER_AREA), np.uint8)
+    return PairPicture(opponents(linear_rgb(color)), w / color.shape[1], h / color.shape[0])
 
 
 def pair_score(
     model: ReferenceModel,
     region: Region,
-    picture: Picture,
+    picture: PairPicture,
     T_cam_obj: Float,
     pairs: int = 600,
     samples: int = 300,
@@ -125,7 +131,7 @@ def pair_score(
 def pair_score_many(
     model: ReferenceModel,
     region: Region,
-    picture: Picture,
+    picture: PairPicture,
     poses: Float,
     pairs: int = 600,
     samples: int = 300,
@@ -140,7 +146,7 @@ def pair_score_many(
         samples,
         weight_array(GEOMETRY),
         pair_arrays(model.pairs, pairs),
-        picture_arrays(picture, region.crop),
+        picture,
         pair_weight_array(weights),
         out,
     )
@@ -148,21 +154,27 @@ def pair_score_many(
 
 
 def pair_arrays(reference: PairReference, count: int) -> PairArrays:
-    """At most `count` of a model's pairs, evenly spread."""
-    step = max(1, -(-len(reference.points) // count))
+    """At most `count` of a model's fine pairs, evenly spread."""
+    first = int(reference.parameters["coarse_pairs"])
+    step = max(1, -(-(len(reference.points) - first) // count))
+    rows = slice(first, None, step)
     return PairArrays(
-        np.ascontiguousarray(reference.points[::step]),
-        np.ascontiguousarray(reference.normals[::step]),
-        np.ascontiguousarray(reference.tangents[::step]),
-        np.ascontiguousarray(reference.colors[::step]),
-        REACH_PX / reference.parameters["pixels_per_m"],
+        np.ascontiguousarray(reference.points[rows]),
+        np.ascontiguousarray(reference.normals[rows]),
+        np.ascontiguousarray(reference.tangents[rows]),
+        _fine_opponents(reference)[::step],
+        REACH_PX / reference.parameters["fine_pixels_per_m"],
     )
 
 
-def picture_arrays(picture: Picture, crop: Crop) -> PictureArrays:
-    """A picture as seen from the pixels of a crop."""
-    su, sv = picture.steps
-    return PictureArrays(picture.lab, crop.x0 - picture.x0 + 0.5, crop.y0 - picture.y0 + 0.5, su, sv)
+def _fine_opponents(reference: PairReference) -> Float32:
+    """Colours (N, 2, 3) of the fine pairs as opponents, made once for each model."""
+    with _lock:
+        found = _opponents.get(reference)
+        if found is None:
+            first = int(reference.parameters["coarse_pairs"])
+            found = _opponents[reference] = opponents_of_lab(reference.colors[first:])
+        return found
 
 
 def pair_weight_array(weights: PairWeights) -> Float64:
@@ -179,7 +191,7 @@ def _score_all(
     samples: int,
     geometry_weights: Float64,
     pairs: PairArrays,
-    picture: PictureArrays,
+    picture: PairPicture,
     weights: Float64,
     out: Float64,
 ) -> None:
@@ -208,7 +220,7 @@ def pair_kernel(
     samples: int,
     geometry_weights: Float64,
     pairs: PairArrays,
-    picture: PictureArrays,
+    picture: PairPicture,
     weights: Float64,
     moments: Float64,
     terms: Float64,
@@ -232,15 +244,15 @@ def pair_kernel(
 
 @jit
 def _read_pairs(
-    T: Float64, region: RegionArrays, pairs: PairArrays, picture: PictureArrays, moments: Float64
+    T: Float64, region: RegionArrays, pairs: PairArrays, picture: PairPicture, moments: Float64
 ) -> int:
-    """Sums over the visible pairs into `moments` (6, 5): rows 0..2 of both sides' L, a, b (weight, model,
+    """Sums over the visible pairs into `moments` (6, 5): rows 0..2 of both sides' channels (weight, model,
     image and so on as below), rows 3..5 of the differences between the sides. Returns how many were
     visible."""
     points, normals, tangents, colors = pairs.points, pairs.normals, pairs.tangents, pairs.colors
-    depth, saturated, lab = region.depth, region.saturated, picture.lab
+    depth, saturated, shown = region.depth, region.saturated, picture.colors
     height, width = depth.shape
-    rows, columns = lab.shape[0], lab.shape[1]
+    rows, columns = shown.shape[0], shown.shape[1]
     r00, r01, r02, r10, r11, r12 = T[0, 0], T[0, 1], T[0, 2], T[1, 0], T[1, 1], T[1, 2]
     r20, r21, r22, t0, t1, t2 = T[2, 0], T[2, 1], T[2, 2], T[0, 3], T[1, 3], T[2, 3]
     read = np.empty((2, 3))
@@ -283,17 +295,17 @@ def _read_pairs(
             if saturated[int(vf + 0.5), int(uf + 0.5)]:
                 usable = False
                 break
-            uf = (uf + picture.du) / picture.su - 0.5
-            vf = (vf + picture.dv) / picture.sv - 0.5
+            uf = (uf + 0.5) / picture.su - 0.5
+            vf = (vf + 0.5) / picture.sv - 0.5
             u, v = min(max(int(uf), 0), columns - 2), min(max(int(vf), 0), rows - 2)
             a, b = min(max(uf - u, 0.0), 1.0), min(max(vf - v, 0.0), 1.0)
             c00, c01, c10, c11 = (1 - a) * (1 - b), a * (1 - b), (1 - a) * b, a * b
             for c in range(3):
                 read[side, c] = (
-                    c00 * lab[v, u, c]
-                    + c01 * lab[v, u + 1, c]
-                    + c10 * lab[v + 1, u, c]
-                    + c11 * lab[v + 1, u + 1, c]
+                    c00 * shown[v, u, c]
+                    + c01 * shown[v, u + 1, c]
+                    + c10 * shown[v + 1, u, c]
+                    + c11 * shown[v + 1, u + 1, c]
                 )
         if not usable:
             continue

@@ -6,7 +6,6 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from huepose.colorpair.extract import Picture
 from huepose.geometry.arrays import Float, Float64
 from huepose.model.types import ReferenceModel
 from huepose.support.jit import jit
@@ -24,12 +23,11 @@ from huepose.verification.pairs import (
     GEOMETRY,
     PAIR_TERMS,
     PairArrays,
+    PairPicture,
     PairWeights,
-    PictureArrays,
     pair_arrays,
     pair_kernel,
     pair_weight_array,
-    picture_arrays,
 )
 from huepose.verification.region import Region
 
@@ -37,7 +35,7 @@ from huepose.verification.region import Region
 def search_pairs(
     model: ReferenceModel,
     region: Region,
-    picture: Picture,
+    picture: PairPicture,
     poses: Float,
     steps_deg: Sequence[float],
     pairs: int = 300,
@@ -55,7 +53,7 @@ def search_pairs(
         samples,
         weight_array(GEOMETRY),
         pair_arrays(model.pairs, pairs),
-        picture_arrays(picture, region.crop),
+        picture,
         pair_weight_array(weights),
         model.mesh.centre,
         model.diameter_m * SHIFT_PER_RADIAN,
@@ -73,7 +71,7 @@ def _search_all(
     samples: int,
     geometry_weights: Float64,
     pairs: PairArrays,
-    picture: PictureArrays,
+    picture: PairPicture,
     weights: Float64,
     centre: Float64,
     shift_per_radian: float,

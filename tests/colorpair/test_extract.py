@@ -1,0 +1,85 @@
+"""Extraction as a whole: a drawn square gives its outline, its two colours, at any scale and place."""
+
+from __future__ import annotations
+
+import cv2
+import numpy as np
+import pytest
+
+from huepose.colorpair.denoise import to_lab
+from huepose.colorpair.extract import bounds, extract, extract_pairs, prepare_picture, thinned
+
+RED, BLUE = (200, 40, 30), (30, 60, 180)
+
+
+def square(noise: float = 0.0) -> np.ndarray:
+    """240 x 320, blue, with a red square from 100 to 180 (u) and 80 to 160 (v), drawn sharp."""
+    color = np.full((240, 320, 3), BLUE, np.float32)
+    color[80:160, 100:180] = RED
+    if noise:
+        color += np.random.default_rng(0).normal(0, noise, color.shape)
+    return np.clip(color, 0, 255).astype(np.uint8)
+
+
+def distance_to_outline(pixels: np.ndarray) -> np.ndarray:
+    """Distance of pixels (N, 2) to the square's outline, whose sides lie between pixels."""
+    q = np.abs(pixels - [139.5, 119.5]) - 40.0
+    outside = np.linalg.norm(np.maximum(q, 0), axis=1)
+    return np.abs(outside + np.minimum(q.max(1), 0))
+
+
+@pytest.mark.parametrize("scale", [1.0, 0.5])
+@pytest.mark.parametrize("noise", [0.0, 8.0])
+def test_outline_and_colours_of_a_square(scale: float, noise: float) -> None:
+    pairs = extract(square(noise), scale=scale)
+    assert len(pairs) > 50
+    assert np.median(distance_to_outline(pairs.pixels)) < 0.3 / scale
+    assert (distance_to_outline(pairs.pixels) < 1.5 / scale).mean() > 0.95
+    red, blue = to_lab(np.array([[RED, BLUE]], np.uint8))[0]
+    # side 1 lies along the direction
+    ahead = pairs.pixels + 5 * np.stack([np.cos(pairs.directions), np.sin(pairs.directions)], 1)
+    inward = (np.abs(ahead - [139.5, 119.5]) < 40).all(1)
+    sides = np.where(inward[:, None, None], np.stack([blue, red]), np.stack([red, blue]))
+    assert np.median(np.abs(pairs.colors - sides)) < (0.5 if noise == 0 else 2.0)
+
+
+def test_a_mask_keeps_both_sides_inside() -> None:
+    mask = np.zeros((240, 320), bool)
+    mask[60:180, 60:140] = True
+    pairs = extract(square(), mask)
+    assert len(pairs) > 20
+    assert (pairs.pixels[:, 0] < 139.6).all()
+    assert len(extract(square(), np.zeros((240, 320), bool))) == 0
+    inner = np.zeros((240, 320), bool)
+    inner[90:150, 110:170] = True
+    assert len(extract(square(), inner)) == 0
+
+
+def test_a_shared_picture_gives_the_same_pairs() -> None:
+    mask = np.zeros((240, 320), bool)
+    mask[60:180, 60:200] = True
+    picture = prepare_picture(square(), bounds(mask, 8), 1.0)
+    alone, shared = extract(square(), mask), extract_pairs(picture, mask)
+    np.testing.assert_array_equal(alone.pixels, shared.pixels)
+    np.testing.assert_array_equal(alone.colors, shared.colors)
+
+
+def test_a_gain_of_light_leaves_places_alone() -> None:
+    color = square(2.0)
+    dim = cv2.convertScaleAbs(color, alpha=0.6)
+    bright, dark = extract(color), extract(dim)
+    assert len(dark) == pytest.approx(len(bright), rel=0.2)
+    assert (distance_to_outline(dark.pixels) < 1.5).mean() > 0.95
+
+
+def test_thinning_keeps_the_best_and_the_limit() -> None:
+    pixels = np.array([[10, 10], [11, 10], [14, 10], [30, 30]], np.float32)
+    assert thinned(pixels, 50, 50, 2.0, 10).tolist() == [True, False, True, True]
+    many = np.random.default_rng(0).uniform(0, 100, (2000, 2)).astype(np.float32)
+    kept = thinned(many, 100, 100, 1.0, 200)
+    assert 100 < kept.sum() <= 200
+
+
+def test_tiny_pictures_have_no_pairs() -> None:
+    assert len(extract(np.zeros((4, 4, 3), np.uint8))) == 0
+    assert len(extract(np.full((30, 30, 3), 90, np.uint8))) == 0

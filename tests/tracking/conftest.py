@@ -1,0 +1,81 @@
+"""A second object, whose shape hides its turn about one axis, and short films of moving objects."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+
+import numpy as np
+import pytest
+
+from huepose.datasets.shapes import demo_objects
+from huepose.geometry import Camera, Mesh, RgbdFrame, se3
+from huepose.model.types import ReferenceModel
+from huepose.onboarding.onboard import onboard_mesh
+from huepose.rendering.render import render
+
+CAMERA = Camera(420.0, 420.0, 159.5, 119.5, 320, 240)
+PERIOD_NS = 33_333_333
+
+Scene = Sequence[tuple[Mesh, np.ndarray]]
+Shoot = Callable[..., RgbdFrame]
+
+
+@pytest.fixture(scope="session")
+def soup_can() -> ReferenceModel:
+    """A printed can of 7.4 cm across and 11 cm tall."""
+    return onboard_mesh(demo_objects(0)["soup_can"], "soup_can")
+
+
+@pytest.fixture(scope="session")
+def backdrop() -> RgbdFrame:
+    """A wall of coloured tiles 1.1 m away."""
+    rng = np.random.default_rng(4)
+    tiles = rng.integers(40, 200, (15, 20, 3)).astype(np.uint8)
+    color = np.repeat(np.repeat(tiles, 16, 0), 16, 1)
+    return RgbdFrame(np.ascontiguousarray(color), np.full((240, 320), 1.1, np.float32), CAMERA)
+
+
+@pytest.fixture(scope="session")
+def shoot(backdrop: RgbdFrame) -> Shoot:
+    """A function of [(mesh, T_cam_obj), ...] and a frame number: the 30 Hz frame of these objects before the
+    wall, with the noise of a camera."""
+
+    def take(
+        scene: Scene,
+        number: int = 0,
+        light: tuple[float, float, float] = (1.0, 1.0, 1.0),
+        noise: float = 2.0,
+        epoch: int = 1,
+    ) -> RgbdFrame:
+        picture = render(scene, CAMERA) if scene else None
+        color, depth = backdrop.color.astype(np.float64), backdrop.depth.copy()
+        if picture is not None:
+            seen = picture.depth > 0
+            color = np.where(seen[..., None], picture.color, color)
+            depth = np.where(seen, picture.depth, depth)
+        rng = np.random.default_rng([7, number])
+        color = color * np.array(light) + rng.normal(0.0, noise, color.shape)
+        depth = depth + rng.normal(0.0, 0.0004, depth.shape) * depth
+        return RgbdFrame(
+            np.clip(np.round(color), 0, 255).astype(np.uint8),
+            depth.astype(np.float32),
+            CAMERA,
+            number,
+            number * PERIOD_NS,
+            epoch,
+        )
+
+    return take
+
+
+@pytest.fixture(scope="session")
+def path() -> Callable[[int], np.ndarray]:
+    """The pose T_cam_obj of an object that is carried and turned: 0.25 m/s and 80 degrees a second."""
+
+    def at(number: float) -> np.ndarray:
+        t = number / 30.0
+        turn = se3.rotation_exp(np.array([0.5, 1.1, 0.7]) * t) @ se3.rotation_exp(np.array([1.9, 0.3, 0.4]))
+        place = np.array([0.06 * np.sin(3.0 * t), 0.03 * np.sin(5.0 * t), 0.52 + 0.04 * np.sin(4.0 * t)])
+        return se3.make(turn, place)
+
+    return at

@@ -1,0 +1,60 @@
+"""How a late pose comes to now: by which strides, and verified."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from huepose.geometry import se3
+from huepose.tracking import Correction, TrackerConfig, Verdict
+from huepose.tracking.catching_up import Pursuit, pursue, supported
+from huepose.tracking.step import Subject
+
+CONFIG = TrackerConfig()
+
+
+def late(frame, T, stamp_ns=None) -> Correction:
+    stamp = frame.stamp_ns if stamp_ns is None else stamp_ns
+    return Correction("tea_box", 0, frame.epoch, frame.frame_id, stamp, T, 0.95, Verdict.ACQUIRE, 1)
+
+
+@pytest.mark.parametrize("behind", [1, 3, 6, 12])
+def test_it_reaches_now_in_few_strides(tea_box, shoot, path, behind) -> None:
+    subject = Subject.of(tea_box)
+    frames = [shoot([(tea_box.mesh, path(k))], k) for k in range(behind + 1)]
+    pursuit, steps = Pursuit.of(late(frames[0], path(0))), 0
+    while not pursuit.arrived(frames[-1]):
+        since = frames[0] if pursuit.reached is None else pursuit.reached
+        kept = [f for f in frames if f.stamp_ns >= since.stamp_ns]
+        pursuit = pursue(pursuit, subject, kept, CONFIG)
+        steps += 1
+        assert steps <= 5
+    assert supported(pursuit, CONFIG)
+    assert np.linalg.norm(pursuit.T_cam_obj[:3, 3] - path(behind)[:3, 3]) < 1e-3
+    assert se3.rotation_angle(pursuit.T_cam_obj, path(behind)) < np.radians(0.4)
+    stamps = [stamp for stamp, _ in pursuit.poses]
+    assert stamps == sorted(stamps)
+    assert stamps[-1] == frames[-1].stamp_ns
+
+
+def test_no_stride_is_longer_than_allowed(tea_box, shoot, path) -> None:
+    subject = Subject.of(tea_box)
+    frames = [shoot([(tea_box.mesh, path(k))], k) for k in range(13)]
+    pursuit = pursue(Pursuit.of(late(frames[0], path(0))), subject, frames, CONFIG)
+    assert pursuit.reached is frames[CONFIG.catch_up_stride]
+
+
+def test_a_frame_that_was_skipped_settles_on_the_next_one(tea_box, shoot, path) -> None:
+    subject = Subject.of(tea_box)
+    frames = [shoot([(tea_box.mesh, path(k))], k) for k in (2, 3, 4)]
+    correction = late(frames[0], path(1.5), stamp_ns=50_000_000)
+    pursuit = pursue(Pursuit.of(correction), subject, frames, CONFIG)
+    assert pursuit.reached is frames[0]
+    assert np.linalg.norm(pursuit.T_cam_obj[:3, 3] - path(2)[:3, 3]) < 1e-3
+
+
+def test_what_the_image_denies_is_not_supported(tea_box, shoot, path) -> None:
+    frame = shoot([])
+    pursuit = pursue(Pursuit.of(late(frame, path(0))), Subject.of(tea_box), [frame], CONFIG)
+    assert pursuit.arrived(frame)
+    assert not supported(pursuit, CONFIG)

@@ -1,0 +1,131 @@
+"""Velocities and replay, exactly."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from huepose.geometry import Camera, RgbdFrame, se3
+from huepose.tracking.history import FrameHistory, PoseHistory
+from huepose.tracking.motion import filtered, increment_velocity, predicted
+
+TWIST = np.array([0.2, -0.1, 0.05, 0.8, -1.5, 0.4])
+START = se3.make(se3.rotation_exp(np.array([0.3, 0.2, -0.5])), np.array([0.1, 0.0, 0.6]))
+
+
+def moving(seconds: float) -> np.ndarray:
+    """Constant velocity in the convention of `se3.perturb`."""
+    return se3.perturb(START, TWIST * seconds)
+
+
+def test_velocity_of_constant_motion_is_exact() -> None:
+    velocity = None
+    for k in range(1, 10):
+        a, b = moving((k - 1) / 30), moving(k / 30)
+        velocity = filtered(velocity, increment_velocity(a, b, 1 / 30), 1 / 30)
+        np.testing.assert_allclose(velocity, TWIST, atol=1e-9)
+
+
+def test_prediction_of_constant_motion_is_exact() -> None:
+    velocity = increment_velocity(moving(0.0), moving(0.02), 0.02)
+    np.testing.assert_allclose(predicted(moving(0.02), velocity, 0.1), moving(0.12), atol=1e-12)
+
+
+def test_a_velocity_is_not_believed_for_long() -> None:
+    assert predicted(START, TWIST, 4.3) is START
+    assert predicted(START, None, 0.03) is START
+    np.testing.assert_array_equal(filtered(TWIST, 2 * TWIST, 4.3), 2 * TWIST)
+
+
+def test_a_change_of_velocity_is_followed_within_few_frames() -> None:
+    velocity = TWIST
+    for _ in range(4):
+        velocity = filtered(velocity, -TWIST, 1 / 30)
+    np.testing.assert_allclose(velocity, -TWIST, atol=0.03 * np.abs(TWIST).max())
+
+
+def history(count: int = 10, wrong: np.ndarray | None = None) -> PoseHistory:
+    h = PoseHistory(20)
+    for k in range(count):
+        T = moving(k / 30)
+        h.append(100 + k, k * 1000, T if wrong is None else T @ wrong)
+    return h
+
+
+def test_perfect_correction_of_the_past_gives_truth_and_increments_exactly() -> None:
+    """Tracked with a constant error in the object, the increments are right: the corrected pose is the
+    truth."""
+    wrong = se3.make(se3.rotation_exp(np.array([0.0, 0.0, 0.4])), np.array([0.0, 0.003, 0.001]))
+    for late in range(10):
+        h = history(wrong=wrong)
+        now = h.replay(late * 1000, moving(late / 30))
+        np.testing.assert_allclose(now, moving(9 / 30), atol=1e-12)
+
+
+def test_correction_is_carried_by_the_buffered_increments() -> None:
+    rng = np.random.default_rng(0)
+    h = PoseHistory(20)
+    poses = [START]
+    for _ in range(6):
+        poses.append(se3.perturb(poses[-1], rng.normal(0, 0.02, 6)))
+    for k, T in enumerate(poses):
+        h.append(k, k, T)
+    truth = se3.perturb(poses[2], rng.normal(0, 0.05, 6))
+    increments = [poses[k + 1] @ se3.inverse(poses[k]) for k in range(2, 6)]
+    expected = truth
+    for increment in increments:
+        expected = increment @ expected
+    np.testing.assert_allclose(h.replay(2, truth), expected, atol=1e-12)
+    kept = [e.T_cam_obj for e in h]
+    np.testing.assert_array_equal(kept[1], poses[1])
+    np.testing.assert_allclose(kept[2], truth, atol=1e-12)
+
+
+def test_two_corrections_in_a_row_compose() -> None:
+    h = history()
+    h.replay(3000, moving(3 / 30) @ se3.make(np.eye(3), np.array([0.01, 0, 0])))
+    np.testing.assert_allclose(h.replay(6000, moving(6 / 30)), moving(9 / 30), atol=1e-12)
+
+
+def test_a_skipped_frame_is_interpolated_by_its_stamp() -> None:
+    h = PoseHistory(5)
+    a, b = moving(0.0), se3.make(se3.rotation_exp(np.array([0, 0, 0.3])) @ START[:3, :3], START[:3, 3] + 0.03)
+    h.append(0, 0, a)
+    h.append(3, 300, b)
+    T = h.at(100)
+    assert T is not None
+    np.testing.assert_allclose(T[:3, 3], a[:3, 3] + 0.01, atol=1e-12)
+    assert se3.rotation_angle(a, T) == pytest.approx(0.1, abs=1e-9)
+    np.testing.assert_allclose(h.replay(100, T), b, atol=1e-9)
+
+
+def test_what_the_history_does_not_know() -> None:
+    h = history(5)
+    assert h.at(-1) is None
+    assert h.at(4001) is None
+    assert not h.covers(4001)
+    h.append(105, 5000, None)
+    assert h.at(4500) is None
+    assert not h.unbroken_since(2000)
+    with pytest.raises(ValueError, match="unbroken"):
+        h.replay(2000, START)
+    with pytest.raises(ValueError, match="not newer"):
+        h.append(106, 5000, START)
+    h.put(5000, START)
+    np.testing.assert_array_equal(h.at(5000), START)
+
+
+def test_histories_forget_the_oldest() -> None:
+    h = PoseHistory(3)
+    frames = FrameHistory(3)
+    camera = Camera(10, 10, 1.5, 1.5, 4, 4)
+    for k in range(6):
+        h.append(k, k, START)
+        frames.append(RgbdFrame(np.zeros((4, 4, 3), np.uint8), np.zeros((4, 4), np.float32), camera, k, k))
+    assert [e.frame_id for e in h] == [3, 4, 5]
+    assert not frames.covers(2)
+    assert frames.covers(3)
+    assert frames.covers(99), "a frame that is still to come is not too old"
+    assert [f.frame_id for f in frames.since(4)] == [4, 5]
+    assert h.newest is not None
+    assert h.newest.frame_id == 5

@@ -1,0 +1,343 @@
+"""The tracker as its users see it: frames and corrections in, states and poses out."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from huepose.geometry import Camera, RgbdFrame, se3
+from huepose.support.errors import InputError
+from huepose.tracking import Applied, Correction, State, TrackedPose, Tracker, TrackerConfig, Verdict
+
+EPOCH = 1
+
+
+def correction(
+    frame: RgbdFrame,
+    T: np.ndarray,
+    seq: int = 1,
+    verdict: Verdict = Verdict.ACQUIRE,
+    quality: float = 0.99,
+    name: str = "tea_box",
+    instance: int = 0,
+) -> Correction:
+    return Correction(name, instance, frame.epoch, frame.frame_id, frame.stamp_ns, T, quality, verdict, seq)
+
+
+def errors(pose: TrackedPose, truth: np.ndarray) -> tuple[float, float]:
+    """Millimetres and degrees."""
+    assert pose.T_cam_obj is not None
+    mm = 1e3 * float(np.linalg.norm(pose.T_cam_obj[:3, 3] - truth[:3, 3]))
+    return mm, float(np.degrees(se3.rotation_angle(pose.T_cam_obj, truth)))
+
+
+@pytest.fixture
+def film(tea_box, shoot, path):
+    """A function: the first `count` frames of the carried box, every `step`-th."""
+
+    def make(count: int, step: int = 1, first: int = 0) -> list[RgbdFrame]:
+        return [shoot([(tea_box.mesh, path(k))], k) for k in range(first, first + count, step)]
+
+    return make
+
+
+@pytest.fixture
+def started(tea_box, film, path):
+    """A tracker that has followed the box for six frames."""
+    tracker = Tracker({"tea_box": tea_box})
+    for k, frame in enumerate(film(6)):
+        if k == 0:
+            tracker.correct(correction(frame, path(0)))
+        tracker.step(frame)
+    return tracker
+
+
+@pytest.mark.parametrize("name", ["tea_box", "soup_can"])
+def test_a_moving_object_is_followed_for_30_frames(name, tea_box, soup_can, shoot, path) -> None:
+    model = {"tea_box": tea_box, "soup_can": soup_can}[name]
+    tracker = Tracker({name: model})
+    for k in range(30):
+        frame = shoot([(model.mesh, path(k))], k)
+        if k == 0:
+            assert tracker.correct(correction(frame, path(0), name=name)) is Applied.CATCHING_UP
+        (pose,) = tracker.step(frame)
+        assert pose.state is State.TRACKING
+        assert (pose.frame_id, pose.stamp_ns, pose.epoch) == (frame.frame_id, frame.stamp_ns, EPOCH)
+        mm, degrees = errors(pose, path(k))
+        assert mm < 1.0
+        assert degrees < 0.6 if name == "soup_can" else degrees < 0.3
+        assert pose.applied_correction_seq == 1
+    assert pose.velocity is not None
+    truth = se3.difference(path(28), path(29)) * 30
+    np.testing.assert_allclose(pose.velocity[:3], truth[:3], atol=0.03)
+    np.testing.assert_allclose(pose.velocity[3:], truth[3:], atol=0.25)
+    assert pose.covariance is not None
+    delta = se3.difference(pose.T_cam_obj, path(29))
+    assert (np.abs(delta) < 4 * np.sqrt(np.diag(pose.covariance))).all()
+
+
+def test_every_fifth_frame_is_enough(tea_box, film, path) -> None:
+    tracker = Tracker({"tea_box": tea_box})
+    for frame in film(46, 5):
+        if frame.frame_id == 0:
+            tracker.correct(correction(frame, path(0)))
+        (pose,) = tracker.step(frame)
+        mm, degrees = errors(pose, path(frame.frame_id))
+        assert pose.state is State.TRACKING
+        assert mm < 1.5
+        assert degrees < 0.6
+
+
+def test_a_covered_object_is_suspect_within_2_and_lost_within_5_frames(
+    tea_box, soup_can, shoot, path, started
+) -> None:
+    wall = se3.make(np.eye(3), np.array([0.0, 0.0, 0.12]))
+    states = []
+    for k in range(6, 14):
+        frame = shoot([(tea_box.mesh, path(k)), (soup_can.mesh, wall)], k)
+        (pose,) = started.step(frame)
+        states.append(pose.state)
+        if pose.state is State.LOST:
+            assert pose.T_cam_obj is None
+            assert pose.velocity is None
+            assert pose.covariance is None
+    assert State.TRACKING not in states[1:]
+    assert State.LOST in states[:5]
+    assert set(states[states.index(State.LOST) :]) == {State.LOST}
+
+
+def test_an_object_taken_away_is_lost_and_stays_lost(tea_box, shoot, path, started) -> None:
+    states = [started.step(shoot([], k))[0].state for k in range(6, 12)]
+    assert states[1] is not State.TRACKING
+    assert states[4] is State.LOST
+    back = shoot([(tea_box.mesh, path(12))], 12)
+    assert started.step(back)[0].state is State.LOST, "it comes back by a correction only"
+    started.correct(correction(back, path(12), seq=2))
+    (pose,) = started.poses()
+    assert pose.state is State.TRACKING
+    assert errors(pose, path(12))[0] < 1.0
+
+
+def test_a_suspect_object_returns_by_its_own_evidence(tea_box, shoot, path, started) -> None:
+    assert started.step(shoot([], 6))[0].state is State.SUSPECT
+    states = []
+    for k in range(7, 11):
+        (pose,) = started.step(shoot([(tea_box.mesh, path(k))], k))
+        states.append(pose.state)
+    assert states[-1] is State.TRACKING
+    assert errors(pose, path(10))[0] < 1.0
+
+
+def test_a_late_perfect_pose_replays_exactly(started, film, path) -> None:
+    """Output equals the truth at the corrected frame composed with the increments that were tracked since."""
+    track = started._tracks["tea_box", 0]
+    before = [e.T_cam_obj for e in track.history]
+    late = 2
+    corrected = correction(film(6)[late], path(late), seq=2, verdict=Verdict.CORRECT)
+    assert started.correct(corrected) is Applied.APPLIED
+    expected = before[-1] @ se3.inverse(before[late]) @ path(late)
+    (pose,) = started.poses()
+    np.testing.assert_allclose(pose.T_cam_obj, expected, atol=1e-12)
+    assert pose.applied_correction_seq == 2
+
+
+def test_corrections_are_idempotent_by_number(started, film, path) -> None:
+    frame = film(6)[3]
+    assert started.correct(correction(frame, path(3), 2, Verdict.CORRECT)) is Applied.APPLIED
+    first = started.poses()[0].T_cam_obj
+    assert started.correct(correction(frame, path(3), 2, Verdict.CORRECT)) is Applied.REPEATED
+    assert started.correct(correction(frame, path(0), 1, Verdict.CORRECT)) is Applied.REPEATED
+    np.testing.assert_array_equal(started.poses()[0].T_cam_obj, first)
+
+
+def test_corrections_that_cannot_be_taken(tea_box, film, path, started) -> None:
+    old = film(1)[0]
+    tracker = Tracker({"tea_box": tea_box}, TrackerConfig(history_frames=3))
+    for frame in film(6):
+        if frame.frame_id == 0:
+            tracker.correct(correction(frame, path(0)))
+        tracker.step(frame)
+    late = correction(old, path(0), 2, Verdict.CORRECT)
+    assert tracker.correct(late) is Applied.REFUSED_OLD
+    assert started.correct(late) is Applied.APPLIED, "a longer history still knows it"
+    foreign = Correction("tea_box", 0, 9, 5, film(6)[5].stamp_ns, path(5), 0.9, Verdict.CORRECT, 3)
+    assert started.correct(foreign) is Applied.REFUSED_EPOCH
+    with pytest.raises(InputError, match="tea_cup"):
+        started.correct(correction(old, path(0), name="tea_cup"))
+
+
+def test_a_skipped_frame_is_corrected_between_its_neighbours(tea_box, film, path) -> None:
+    tracker = Tracker({"tea_box": tea_box})
+    frames = film(7)
+    for k in (0, 1, 2, 4, 6):
+        if k == 0:
+            tracker.correct(correction(frames[0], path(0)))
+        tracker.step(frames[k])
+    assert tracker.correct(correction(frames[3], path(3), 2, Verdict.CORRECT)) is Applied.APPLIED
+    mm, degrees = errors(tracker.poses()[0], path(6))
+    assert mm < 2.5
+    assert degrees < 1.5
+
+
+def test_a_gross_correction_is_caught_up_before_it_is_published(tea_box, shoot, path) -> None:
+    """The tracker follows the left one of two boxes; six frames ago perception saw the right one."""
+    left, right = np.array([-0.1, 0.0, 0.05]), np.array([0.1, 0.0, 0.05])
+
+    def at(k: int, place: np.ndarray) -> np.ndarray:
+        return se3.make(path(k)[:3, :3], path(k)[:3, 3] + place)
+
+    tracker = Tracker({"tea_box": tea_box})
+    frames = [shoot([(tea_box.mesh, at(k, left)), (tea_box.mesh, at(k, right))], k) for k in range(8)]
+    tracker.correct(correction(frames[0], at(0, left)))
+    for frame in frames:
+        tracker.step(frame)
+    here = tracker.poses()[0].T_cam_obj
+    there = correction(frames[2], at(2, right), 2, Verdict.CORRECT)
+    assert tracker.correct(there) is Applied.CATCHING_UP
+    np.testing.assert_array_equal(tracker.poses()[0].T_cam_obj, here)
+    assert tracker.correct(there) is Applied.REPEATED
+    for k in range(8, 12):
+        # The left one is gone now, so that the correction explains more than what was tracked.
+        (pose,) = tracker.step(shoot([(tea_box.mesh, at(k, right))], k))
+        assert pose.applied_correction_seq == 2 or errors(pose, at(k, right))[0] > 100
+        if pose.applied_correction_seq == 2:
+            break
+    assert pose.applied_correction_seq == 2
+    assert pose.state is State.TRACKING
+    assert errors(pose, at(k, right))[0] < 1.5
+
+
+def test_a_late_acquisition_catches_up_with_a_moving_object(tea_box, film, path) -> None:
+    tracker = Tracker({"tea_box": tea_box})
+    frames = film(14)
+    for frame in frames[:8]:
+        assert tracker.step(frame) == []
+    assert tracker.correct(correction(frames[1], path(1))) is Applied.CATCHING_UP
+    assert tracker.poses() == [], "unpublished until it has reached now"
+    published = [tracker.step(frame) for frame in frames[8:]]
+    reached = next(k for k, p in enumerate(published) if p)
+    assert reached <= 2
+    (pose,) = published[reached]
+    assert pose.state is State.TRACKING
+    assert errors(pose, path(8 + reached))[0] < 1.0
+    assert errors(published[-1][0], path(13))[0] < 1.0
+
+
+def test_an_acquisition_that_the_image_denies_is_dropped(tea_box, shoot, path) -> None:
+    tracker = Tracker({"tea_box": tea_box})
+    empty = shoot([], 0)
+    tracker.correct(correction(empty, path(0)))
+    assert tracker.step(empty) == []
+    assert tracker.instances == ()
+
+
+def test_a_doubtful_acquisition_is_suspect_until_perception_agrees(tea_box, film, path) -> None:
+    tracker = Tracker({"tea_box": tea_box})
+    frames = film(5)
+    tracker.correct(correction(frames[0], path(0), quality=0.6))
+    for frame in frames[:3]:
+        assert tracker.step(frame)[0].state is State.SUSPECT
+    assert tracker.poses()[0].quality < 0.65
+    agreed = correction(frames[1], path(1), 2, Verdict.AGREE, quality=0.9)
+    assert tracker.correct(agreed) is Applied.APPLIED
+    (pose,) = tracker.step(frames[3])
+    assert pose.state is State.TRACKING
+    assert pose.applied_correction_seq == 2
+    assert pose.quality > 0.8
+
+
+def test_a_new_epoch_forgets_everything(tea_box, shoot, path, started) -> None:
+    frame = shoot([(tea_box.mesh, path(0))], 0, epoch=2)
+    assert started.step(frame) == []
+    assert started.instances == ()
+    assert started.correct(correction(frame, path(0))) is Applied.APPLIED
+    assert started.poses()[0].epoch == 2
+
+
+def test_frames_that_are_not_newer_are_not_looked_at(film, started) -> None:
+    frames = film(6)
+    before = started.poses()[0]
+    assert started.step(frames[5]) == []
+    assert started.step(frames[2]) == []
+    np.testing.assert_array_equal(started.poses()[0].T_cam_obj, before.T_cam_obj)
+
+
+def test_two_instances_that_cross_are_told_apart(tea_box, shoot) -> None:
+    def at(k: int) -> tuple[np.ndarray, np.ndarray]:
+        a = se3.make(se3.rotation_exp(np.array([1.7, 0.1 * k, 0.0])), np.array([-0.1 + 0.01 * k, 0, 0.55]))
+        b = se3.make(se3.rotation_exp(np.array([1.9, 0.0, 0.4])), np.array([0.1 - 0.01 * k, 0.01, 0.75]))
+        return a, b
+
+    tracker = Tracker({"tea_box": tea_box})
+    for k in range(21):
+        frame = shoot([(tea_box.mesh, T) for T in at(k)], k)
+        if k == 0:
+            for i, T in enumerate(at(0)):
+                tracker.correct(correction(frame, T, instance=i))
+        poses = tracker.step(frame)
+    assert [p.instance for p in poses] == [0, 1]
+    assert errors(poses[0], at(20)[0])[0] < 1.0
+    if poses[1].T_cam_obj is not None:
+        assert errors(poses[1], at(20)[1])[0] < 10.0, "it was covered for a while; never on the other one"
+
+
+def test_two_tracks_of_one_surface_cannot_both_be_right(tea_box, film, path) -> None:
+    tracker = Tracker({"tea_box": tea_box})
+    frames = film(8)
+    near = se3.perturb(path(0), np.array([0.004, 0, 0, 0, 0.03, 0]))
+    tracker.correct(correction(frames[0], path(0), instance=0))
+    tracker.correct(correction(frames[0], near, instance=1))
+    states = [[p.state for p in tracker.step(frame)] for frame in frames]
+    assert states[-1].count(State.TRACKING) == 1
+    assert states[-1].count(State.LOST) == 1
+
+
+def test_the_same_film_gives_the_same_poses_bit_for_bit(tea_box, film, path) -> None:
+    def run() -> list[bytes]:
+        tracker = Tracker({"tea_box": tea_box})
+        out = []
+        for frame in film(31, 5):
+            if frame.frame_id == 0:
+                tracker.correct(correction(frame, path(0)))
+            for pose in tracker.step(frame):
+                assert pose.T_cam_obj is not None
+                out.append(pose.T_cam_obj.tobytes() + np.float64(pose.quality).tobytes())
+        return out
+
+    assert run() == run()
+
+
+def test_objects_and_instances_come_and_go(tea_box, soup_can, started) -> None:
+    started.add_object(soup_can)
+    assert set(started.objects) == {"tea_box", "soup_can"}
+    assert started.instances == (("tea_box", 0),)
+    started.remove_instance("tea_box", 0)
+    assert started.instances == ()
+    started.remove_object("tea_box")
+    assert started.objects == ("soup_can",)
+    started.remove_object("never_known")
+
+
+def test_a_camera_without_readings_breaks_nothing(tea_box, path, started) -> None:
+    camera = Camera(420.0, 420.0, 159.5, 119.5, 320, 240)
+    for k in range(6, 12):
+        depth = np.full((240, 320), [0.0, np.nan, np.inf, -np.inf, 65.535, 0.0][k - 6], np.float32)
+        frame = RgbdFrame(np.zeros((240, 320, 3), np.uint8), depth, camera, k, k * 33_333_333, EPOCH)
+        (pose,) = started.step(frame)
+        assert pose.T_cam_obj is None or se3.is_rigid(pose.T_cam_obj)
+        assert np.isfinite(pose.quality)
+    assert pose.state is State.LOST
+
+
+def test_warm_up_needs_no_frame(tea_box) -> None:
+    tracker = Tracker({"tea_box": tea_box})
+    tracker.warm_up()
+    assert tracker.instances == ()
+    Tracker({}).warm_up()
+
+
+def test_configuration_is_checked() -> None:
+    with pytest.raises(InputError, match="history_frames"):
+        TrackerConfig(history_frames=1)
+    with pytest.raises(InputError, match="qualities"):
+        TrackerConfig(suspect_quality=0.9)

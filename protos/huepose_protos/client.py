@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import json
 import queue
+import time
 from collections.abc import Sequence
 from types import TracebackType
 
@@ -47,8 +48,9 @@ def kind_of(key: str) -> type[Message] | None:
 class Reader:
     """Messages on key expressions from workers at the given endpoints, as soon as these are there.
 
-    `seen`: a worker was there since the start; `live`: keys of the workers that are there now;
-    `refused`: how many messages could not be read."""
+    `seen`: a worker was there since the start; `live`: keys of the workers that are there now; `gone_since`:
+    when the last of them went (time.monotonic), None while one is there; `refused`: how many messages could
+    not be read."""
 
     def __init__(self, endpoints: Sequence[str], *keys: str) -> None:
         settings: dict[str, object] = {
@@ -68,6 +70,7 @@ class Reader:
         self.refused = 0
         self.seen = False
         self.live: set[str] = set()
+        self.gone_since: float | None = None
         # Unbounded, so that a slow printer never blocks the bus: messages are small.
         self._messages: queue.SimpleQueue[tuple[str, bytes]] = queue.SimpleQueue()
         self._session = zenoh.open(config)
@@ -78,13 +81,19 @@ class Reader:
     def _on_token(self, sample: zenoh.Sample) -> None:
         if sample.kind == zenoh.SampleKind.PUT:
             self.live.add(str(sample.key_expr))
-            self.seen = True
+            self.seen, self.gone_since = True, None
         else:
             self.live.discard(str(sample.key_expr))
+            self.gone_since = None if self.live else time.monotonic()
 
     def _on_sample(self, sample: zenoh.Sample) -> None:
         if sample.attachment is None:  # messages with pixels have their header there
             self._messages.put((str(sample.key_expr), sample.payload.to_bytes()))
+
+    @property
+    def pending(self) -> int:
+        """How many messages wait to be read."""
+        return self._messages.qsize()
 
     def next(self, timeout_s: float | None = None) -> Message | None:
         """The next message that can be read, or None after the timeout; None waits for ever."""

@@ -192,3 +192,16 @@ def test_help_is_instant_and_imports_nothing_heavy(huepose):
     out, _ = huepose("--help").communicate(timeout=30.0)
     assert "poses" in out
     assert "Exit codes" in out
+
+
+def test_poses_finds_a_later_pipeline_on_other_ports(pipeline, huepose, tmp_path, monkeypatch):
+    monkeypatch.setenv("XDG_RUNTIME_DIR", str(tmp_path))
+    path = pipeline(first_frame_s=3.0)
+    (tmp_path / "elsewhere").mkdir()
+    monkeypatch.chdir(tmp_path / "elsewhere")
+    printer = huepose("poses", "health/*", "--json")
+    time.sleep(1.0)
+    assert huepose("up", path).wait(30.0) == 0
+    out, _ = printer.communicate(timeout=15.0)
+    assert printer.returncode == 0
+    assert json.loads(out.splitlines()[-1])["state"] == "ended"

@@ -6,6 +6,7 @@ import argparse
 import signal
 import sys
 import time
+from collections.abc import Callable
 from pathlib import Path
 from types import FrameType
 from typing import TYPE_CHECKING, Any
@@ -48,40 +49,45 @@ def call(arguments: argparse.Namespace) -> int:
 
     signal.signal(signal.SIGTERM, stop)
     signal.signal(signal.SIGINT, stop)
-    ports = _base_ports(arguments.config)
-    endpoints = [f"tcp/127.0.0.1:{port + place}" for port in ports for place in range(len(WORKERS))]
-    with Reader(endpoints, f"huepose/*/*/{arguments.key}") as reader:
-        _follow(reader, arguments.json, endpoints[0], lambda: stopping)
+    look = _places(arguments.config)
+    key = f"huepose/*/*/{arguments.key}"
+    ports, again, told = look(), True, time.monotonic() + _SAY_WAITING_AFTER_S
+    while again and not stopping:
+        endpoints = [f"tcp/127.0.0.1:{port + place}" for port in ports for place in range(len(WORKERS))]
+        with Reader(endpoints, key) as reader:
+            again = False
+            while not stopping and not _is_over(reader):
+                message = reader.next(0.1)
+                if message is not None:
+                    _print(message, arguments.json)
+                elif not reader.seen:
+                    if time.monotonic() > told:
+                        told = float("inf")
+                        print(f"waiting for a pipeline at {endpoints[0]}", file=sys.stderr, flush=True)
+                    before, ports = ports, look()
+                    again = ports != before
+                    if again:
+                        break
     return 0
 
 
-def _base_ports(path: Path | None) -> list[int]:
-    """Where to look: as configured, else where pipelines run and where the next one usually would."""
+def _places(path: Path | None) -> Callable[[], list[int]]:
+    """Where to look: as configured, else where pipelines run now and where one usually would."""
     from huepose_services.runtime.config import DEFAULT_FILE, BusConfig, load
     from huepose_services.runtime.running import base_ports
 
     if path is not None:
-        return [load(path).bus.base_port]
+        configured = [load(path).bus.base_port]
+        return lambda: configured
     usual = load(Path(DEFAULT_FILE)).bus.base_port if Path(DEFAULT_FILE).exists() else BusConfig().base_port
-    return list(dict.fromkeys([*base_ports(), usual]))
+    return lambda: list(dict.fromkeys([*base_ports(), usual]))
 
 
-def _follow(reader: Reader, as_json: bool, endpoint: str, stopping: Any) -> None:
-    started, gone_since, told = time.monotonic(), None, False
-    while not stopping():
-        message = reader.next(0.1)
-        if message is not None:
-            _print(message, as_json)
-            gone_since = None
-            continue
-        now = time.monotonic()
-        if reader.seen and not reader.live:
-            gone_since = now if gone_since is None else gone_since
-            if now - gone_since >= _GONE_AFTER_S:
-                return
-        elif not reader.seen and not told and now - started > _SAY_WAITING_AFTER_S:
-            told = True
-            print(f"waiting for a pipeline at {endpoint}", file=sys.stderr, flush=True)
+def _is_over(reader: Reader) -> bool:
+    """The pipeline was there, and has been gone for a while."""
+    if not reader.seen or reader.live or reader.gone_since is None:
+        return False
+    return reader.pending == 0 and time.monotonic() - reader.gone_since >= _GONE_AFTER_S
 
 
 def _print(message: Message, as_json: bool) -> None:

@@ -16,7 +16,8 @@ from zlib import crc32
 import numpy as np
 
 from huepose.estimation.config import EstimatorConfig
-from huepose.estimation.full_path import estimate_full, judge, judge_terms, prepare_regions, refine_prior
+from huepose.estimation.evidence import Evidence, gather
+from huepose.estimation.full_path import estimate_full, judge, refine_prior
 from huepose.estimation.outline import projected_box
 from huepose.estimation.prepared import PreparedModels
 from huepose.estimation.quality import MAX_MARGIN, covariance, quality
@@ -32,20 +33,19 @@ from huepose.perception.embedded import DepthSegmenter
 from huepose.perception.types import Segmenter
 from huepose.support.errors import InputError
 from huepose.support.stages import stage
-from huepose.verification.dense import PoseScore
-from huepose.verification.region import Region
+from huepose.verification.dense import score as score_pose
 
 ALTERNATIVE_SHARPNESS = 10.0
 
 
 @dataclass(frozen=True, eq=False)
 class Explanation:
-    """What led to an answer: the box, the candidate masks (H, W), the regions that judged, and the different
-    poses (K, 4, 4) with their totals (K,), best first."""
+    """What led to an answer: the box, the candidate masks (H, W), what was looked at (None where there is no
+    depth), and the different poses (K, 4, 4) with their totals (K,), best first."""
 
     box: Box
     masks: tuple[Bool, ...]
-    regions: tuple[Region, ...]
+    evidence: Evidence | None
     poses: Float64
     totals: Float64
 
@@ -85,25 +85,24 @@ class Estimator:
         prepared = self._models.prepared(query.object)
         model = prepared.model
         box, masks = self._box_and_masks(frame, query, model)
-        with stage("regions"):
-            regions = prepare_regions(frame, masks, box, model.diameter_m)
+        with stage("evidence"):
+            evidence = gather(frame, masks, box, model.diameter_m)
         poses, totals = np.zeros((0, 4, 4)), np.zeros(0)
         prior: Float64 | None = None
         prior_score: float | None = None
-        if regions:
+        if evidence is not None:
             if query.prior is not None and self.config.method == "full":
                 with stage("prior"):
-                    prior = refine_prior(model, regions, query.prior.T_cam_obj)
-                    prior_score = float(judge(model, regions, prior[None])[0])
+                    prior = refine_prior(model, evidence, query.prior.T_cam_obj)
+                    prior_score = float(judge(model, evidence.region, prior[None])[0])
             if self.config.method == "full":
                 extra = np.zeros((0, 4, 4)) if prior is None else prior[None]
-                poses, totals = estimate_full(model, prepared.table, regions, self.config.full, extra)
+                poses, totals = estimate_full(model, prepared.table, evidence, self.config.full, extra)
             else:
-                poses, totals = self._by_pairs(model, frame, masks, regions, query)
-        explanation = Explanation(box, tuple(masks), tuple(regions), poses, totals)
-        found = len(poses) > 0 and totals[0] >= self.config.found_score
+                poses, totals = self._by_pairs(model, frame, masks, query)
+        explanation = Explanation(box, tuple(masks), evidence, poses, totals)
         with stage("answer"):
-            answer = self._answer(frame, query, model, explanation, found, prior, prior_score)
+            answer = self._answer(frame, query, model, explanation, prior, prior_score)
         return _timed(answer, time.perf_counter() - start), explanation
 
     def warm_up(self, names: Sequence[str] | None = None) -> None:
@@ -159,7 +158,6 @@ class Estimator:
         model: ReferenceModel,
         frame: RgbdFrame,
         masks: list[Bool],
-        regions: list[Region],
         query: ObjectQuery,
     ) -> tuple[Float64, Float64]:
         from huepose.estimation.colorpair_path import estimate_by_pairs
@@ -176,21 +174,21 @@ class Estimator:
         query: ObjectQuery,
         model: ReferenceModel,
         explanation: Explanation,
-        found: bool,
         prior: Float64 | None,
         prior_score: float | None,
     ) -> PoseEstimate:
         poses, totals = explanation.poses, explanation.totals
         score = float(totals[0]) if len(totals) else 0.0
         margin = float(totals[0] - totals[1]) if len(totals) > 1 else MAX_MARGIN
-        if not found:
+        region = None if explanation.evidence is None else explanation.evidence.region
+        if region is None or not len(poses) or score < self.config.found_score:
             return PoseEstimate(
                 query.object, query.instance, False, None, 0.0, "LOST", score, 0.0, None, None,
                 query.box, prior_score, prior, (), 0.0,
             )  # fmt: skip
         T = se3.orthonormalised(poses[0])
-        T, fit, mask = settle(model, frame, list(explanation.regions), T)
-        terms = PoseScore(*judge_terms(model, explanation.regions, poses[:1])[0])
+        T, fit, mask = settle(model, frame, region, T)
+        terms = score_pose(model, region, poses[0])
         q = quality(self.config.method, score, margin, terms.color, terms.box_iou)
         return PoseEstimate(
             query.object,

@@ -6,7 +6,7 @@ import threading
 from collections.abc import Mapping
 from dataclasses import dataclass
 
-from huepose.matching.retrieval import TemplateTable, build_table
+from huepose.matching.template_table import TemplateTable, build_table
 from huepose.model.types import ReferenceModel
 from huepose.support.errors import InputError
 

@@ -24,15 +24,15 @@ WORTH = 0.1
 
 
 def settle(
-    model: ReferenceModel, frame: RgbdFrame, regions: list[Region], T_cam_obj: Float64
+    model: ReferenceModel, frame: RgbdFrame, region: Region, T_cam_obj: Float64
 ) -> tuple[Float64, Alignment, Bool]:
     """The pose (4, 4) after a last robust fit to the depth of its own visible pixels, how that fit went, and
     the mask (H, W) of these pixels. The pose comes back unchanged when the print objects."""
-    tolerance = max(region.tolerance_m for region in regions) * 1.5
+    tolerance = 1.5 * region.tolerance_m
     mask = visible_mask(model, frame, T_cam_obj, tolerance)
     points = _points(frame, mask)
     fit = align(model.surface, model.grid, points, T_cam_obj, GATE_M, GATE_M, ITERATIONS)
-    before, after = judge(model, regions, np.stack([T_cam_obj, fit.T_cam_obj]))
+    before, after = judge(model, region, np.stack([T_cam_obj, fit.T_cam_obj]))
     if after < before - WORTH:
         return T_cam_obj, align(model.surface, model.grid, points, T_cam_obj, GATE_M, GATE_M, 0), mask
     return fit.T_cam_obj, fit, visible_mask(model, frame, fit.T_cam_obj, tolerance)

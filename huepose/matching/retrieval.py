@@ -1,30 +1,31 @@
-"""Hypotheses by view: which of the model's small pictures looks like what is under the mask?
+"""Hypotheses by view: which of the model's small pictures looks like what is in the box?
 
-Every template (view times roll) is laid over the picture at several places round the mask, at metric scale,
-and compared where both have pixels: colours by normalised correlation (so light does not matter), depth by
-the deviation of its relief, coverage of the mask, and no template where the background is seen. All sums
-over pixels are matrix products, so thousands of templates take a few milliseconds (LINEMOD's idea of view
-templates, Hinterstoisser et al. 2012, with the products of a nearest-neighbour search).
+A quick look compares all templates (views times rolls) with the picture at several places round each
+candidate mask, at metric scale: opponent colours by correlation (so light does not matter), depth by the
+deviation of its relief, coverage of the mask, and no template where the background is seen. All sums over
+cells are matrix products, so thousands of templates take a few milliseconds. A close look (`template_check`)
+then judges the better ones without the mask. So a mask need not be right, only the object somewhere in it:
+the whole box will do for one (LINEMOD's idea of view templates, Hinterstoisser et al. 2012, with the
+products of a nearest-neighbour search).
 """
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import cv2
 import numpy as np
 
-from huepose.geometry.arrays import Bool, Float32, Float64, UInt8
+from huepose.colorpair.opponents import linear_rgb, opponents
+from huepose.geometry.arrays import Bool, Float32, Float64, Int64, UInt8
 from huepose.geometry.camera import Camera
-from huepose.geometry.icosphere import look_at
-from huepose.model.types import ViewTemplates
+from huepose.matching.template_check import Canvas, check_templates
+from huepose.matching.template_table import COARSE_SIDE, MILLIMETRES, TemplateTable
 from huepose.support.jit import jit
 
-TABLE_SIDE = 12
-"""Templates are reduced to this side for the search."""
-
-SHIFTS = (-2, -1, 0, 1, 2)
-"""Places of the window round the mask's centroid, in template cells, along both image axes."""
+SHIFTS = (-1, 0, 1)
+"""Places of the window round the mask's centroid, in cells of the quick look, along both image axes."""
 
 RELIEF = 0.05
 """Deviation of relief, in diameters, at which the depth term has fallen to 0.6."""
@@ -32,108 +33,54 @@ RELIEF = 0.05
 CHANNEL_WEIGHTS = (0.35, 1.0, 1.0)
 CHANNEL_FLOOR = 9.0
 DEPTH_WEIGHT, OVERLAP_WEIGHT, FREE_WEIGHT, FULL_WEIGHT = 0.8, 1.0, 0.8, 0.3
-CONSIDERED = 400
+CLOSER, CLOSEST = 1500, 200
+"""Templates a mask that get the close look, and that are tried a cell to each side."""
+
+QUICK_WEIGHT = 0.5
+"""What the quick look's score counts beside the close look's."""
+
+RANKED = 300
 DISTINCT_RAD = np.radians(18.0)
-MILLIMETRES = 1000.0
+OVERSAMPLING = 4
+"""At most so many samples a cell and axis are averaged."""
 
 
 @dataclass(frozen=True, eq=False)
-class TemplateTable:
-    """A model's templates as matrices over pixels (P = side * side), built once (about 15 MB).
+class Picture:
+    """Where to look. color (h, w, 3) uint8 RGB, depth (h, w) float32 metres, with their camera; bounds (4,):
+    left, top, right, bottom of the object's box in its pixels."""
 
-    coverage, first[c], second[c] (V * R, P) float32: weight, weight times value, weight times value squared,
-    for L, a, b and relief in millimetres; area (V * R,): sum of coverage; rotations (V * R, 3, 3) and
-    origins (V * R, 3): R_cam_obj and the object's origin as seen from the window's middle at median depth;
-    span_m: the window's side.
-    """
-
-    side: int
-    coverage: Float32
-    first: tuple[Float32, ...]
-    second: tuple[Float32, ...]
-    area: Float32
-    rotations: Float64
-    origins: Float64
-    span_m: float
-    diameter_m: float
+    color: UInt8
+    depth: Float32
+    camera: Camera
+    bounds: Float64
 
 
-def build_table(templates: ViewTemplates, diameter_m: float) -> TemplateTable:
-    """Reduce a model's templates and lay them out for products."""
-    views, rolls = templates.planes.shape[:2]
-    planes = templates.planes.reshape(views * rolls, *templates.planes.shape[2:]).astype(np.float32)
-    planes[:, :4] *= planes[:, 4:]  # the mean over a cell is weighted by coverage
-    mean = _averaging(planes.shape[-1])
-    small = mean @ planes @ mean.T
-    coverage = small[:, 4:]
-    values = small[:, :4] / np.maximum(coverage, 1e-3)
-    values[:, 3] *= MILLIMETRES
-    flat = np.where(coverage > 0.5, coverage, 0.0).reshape(views * rolls, -1).astype(np.float32)
-    values = values.reshape(views * rolls, 4, -1).astype(np.float32)
-    rotations = np.empty((views, rolls, 3, 3))
-    origins = np.empty((views, rolls, 3))
-    for v in range(views):
-        R_view = look_at(templates.directions[v])
-        for r in range(rolls):
-            roll = _roll(2 * np.pi * r / rolls)
-            rotations[v, r] = roll @ R_view
-            origins[v, r] = roll @ templates.origins[v]
-    return TemplateTable(
-        TABLE_SIDE,
-        flat,
-        tuple(np.ascontiguousarray(flat * values[:, c]) for c in range(4)),
-        tuple(np.ascontiguousarray(flat * values[:, c] ** 2) for c in range(4)),
-        flat.sum(1),
-        rotations.reshape(-1, 3, 3),
-        origins.reshape(-1, 3),
-        templates.span * diameter_m,
-        diameter_m,
-    )
+@dataclass(frozen=True, eq=False)
+class Retrieved:
+    """Different views, best first: poses T_cam_obj (K, 4, 4), scores (K,), and the mask (K,) that each came
+    from."""
+
+    poses: Float64
+    scores: Float64
+    masks: Int64
 
 
-def _averaging(side: int) -> Float32:
-    """Matrix (TABLE_SIDE, side) whose rows average the cells that fall into each larger cell."""
-    edges = np.arange(TABLE_SIDE + 1) * (side / TABLE_SIDE)
-    low, high = edges[:-1, None], edges[1:, None]
-    cell = np.arange(side)[None, :]
-    shared = np.clip(np.minimum(high, cell + 1) - np.maximum(low, cell), 0.0, None)
-    return np.asarray(shared / (high - low), dtype=np.float32)
-
-
-def _roll(angle: float) -> Float64:
-    c, s = np.cos(angle), np.sin(angle)
-    return np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])
-
-
-def lab_of(color: UInt8) -> Float32:
-    """CIELAB (..., 3) float32, L 0..100, of sRGB bytes (H, W, 3)."""
-    return np.asarray(cv2.cvtColor(color.astype(np.float32) / np.float32(255), cv2.COLOR_RGB2Lab), np.float32)
-
-
-def retrieve(
-    table: TemplateTable, lab: Float32, depth: Float32, mask: Bool, camera: Camera, count: int
-) -> tuple[Float64, Float64]:
-    """The `count` best different views under a mask.
-
-    lab (h, w, 3), depth (h, w) metres, mask (h, w) of a picture with the given camera. Returns poses
-    T_cam_obj (K, 4, 4), rotations at least 18 degrees apart, and their scores (K,), best first; none for an
-    empty mask.
-    """
-    mask = mask & (depth > 0)
-    if not mask.any():
-        return np.zeros((0, 4, 4)), np.zeros(0)
-    middle_m = float(np.median(depth[mask]))
-    windows, pixels = _windows(table, lab, depth, mask, camera, middle_m)
-    which, scores = _best_window(table, windows)
-    ranked = np.argsort(-scores, kind="stable")[:CONSIDERED]
-    rays = camera.rays(pixels)
-    poses = np.tile(np.eye(4), (len(ranked), 1, 1))
-    turns = np.stack([_onto_ray(ray) for ray in rays])
-    window = which[ranked]
-    poses[:, :3, :3] = turns[window] @ table.rotations[ranked]
-    poses[:, :3, 3] = rays[window] * middle_m + np.einsum("nij,nj->ni", turns[window], table.origins[ranked])
-    chosen = distinct(poses, count)
-    return poses[chosen], scores[ranked[chosen]].astype(np.float64)
+def retrieve(table: TemplateTable, picture: Picture, masks: Sequence[Bool], count: int) -> Retrieved:
+    """The `count` best views under candidate masks (h, w), rotations at least 18 degrees apart; none where
+    no mask has a pixel with depth."""
+    poses, scores, origin = [np.zeros((0, 4, 4))], [np.zeros(0)], [np.zeros(0, np.int64)]
+    for k, mask in enumerate(masks):
+        seen = mask & (picture.depth > 0)
+        if seen.any():
+            found, rated = _under_mask(table, picture, seen)
+            poses.append(found)
+            scores.append(rated)
+            origin.append(np.full(len(found), k))
+    every, rates = np.concatenate(poses), np.concatenate(scores)
+    order = np.argsort(-rates, kind="stable")
+    chosen = order[distinct(every[order], count)]
+    return Retrieved(every[chosen], rates[chosen], np.concatenate(origin)[chosen])
 
 
 def distinct(poses: Float64, count: int) -> list[int]:
@@ -149,91 +96,155 @@ def distinct(poses: Float64, count: int) -> list[int]:
     return chosen
 
 
-def _windows(
-    table: TemplateTable, lab: Float32, depth: Float32, mask: Bool, camera: Camera, middle_m: float
-) -> tuple[Float32, Float64]:
-    """The picture resampled to template cells at all places: (W, P, 6) L, a, b, relief in mm, coverage,
-    background; and the pixel (W, 2) in the middle of each."""
-    side, margin = table.side, max(SHIFTS)
-    cell = table.span_m / middle_m * camera.fx / side
+def _under_mask(table: TemplateTable, picture: Picture, mask: Bool) -> tuple[Float64, Float64]:
+    """The best poses (K, 4, 4) and their scores (K,) round one mask."""
+    middle_m = float(np.median(picture.depth[mask]))
     rows, columns = np.nonzero(mask)
-    u, v = columns.mean(), rows.mean()
-    weight = mask.astype(np.float32)
-    background = ((~mask) & (depth > middle_m - 0.1 * table.diameter_m)).astype(np.float32)
-    planes = np.dstack([lab * weight[..., None], (depth - np.float32(middle_m)) * weight, weight, background])
-    wide = side + 2 * margin
-    fine = max(1, min(4, round(cell)))  # samples a cell and axis, averaged: no aliasing
-    step = cell / fine
-    start = (wide * fine - 1) / 2.0 * step
-    matrix = np.array([[step, 0.0, u - start], [0.0, step, v - start]])
-    sampled = cv2.warpAffine(
-        planes, matrix, (wide * fine, wide * fine), flags=cv2.INTER_LINEAR | cv2.WARP_INVERSE_MAP
-    )
-    canvas = np.asarray(cv2.resize(sampled, (wide, wide), interpolation=cv2.INTER_AREA), dtype=np.float32)
-    covered = np.where(canvas[..., 4] > 0.3, canvas[..., 4], 0.0)
-    canvas[..., :4] *= ((covered > 0) / np.maximum(canvas[..., 4], 1e-3))[..., None]
-    canvas[..., 3] *= np.float32(MILLIMETRES)
-    canvas[..., 4] = covered
-    places = [(x, y) for y in SHIFTS for x in SHIFTS]
-    windows = np.stack(
-        [canvas[margin + y : margin + y + side, margin + x : margin + x + side] for x, y in places]
-    )
-    pixels = np.array([(u + x * cell, v + y * cell) for x, y in places])
-    return windows.reshape(len(places), side * side, 6).astype(np.float32), pixels
+    centre = np.array([columns.mean(), rows.mean()])
+    span = table.span_m / middle_m * picture.camera.fx
+    windows = _windows(picture, mask, centre, span / COARSE_SIDE, middle_m, table.diameter_m)
+    which, quick = _quick_look(table, windows)
+
+    ranked = np.argsort(-quick, kind="stable")[:CLOSER]
+    side = table.cells.shape[1]
+    places = np.array([(x, y) for y in SHIFTS for x in SHIFTS]) * (side / COARSE_SIDE)
+    shifts = np.rint(places[which[ranked]]).astype(np.int64)
+    margin = int(np.abs(places).max()) + 1
+    canvas = _canvas(picture, centre, span / side, side + 2 * margin, middle_m)
+    rated, depth_mm = check_templates(table, canvas, ranked, shifts, margin)
+    rated += QUICK_WEIGHT * quick[ranked]
+
+    best = np.argsort(-rated, kind="stable")[:CLOSEST]
+    steps = np.array([(x, y) for y in (-1, 0, 1) for x in (-1, 0, 1)])
+    near = np.clip(shifts[best][:, None] + steps, -margin, margin).reshape(-1, 2)
+    again = np.repeat(ranked[best], len(steps))
+    rated_again, depth_again = check_templates(table, canvas, again, near, margin)
+    rated_again += QUICK_WEIGHT * np.repeat(quick[ranked[best]], len(steps))
+
+    templates, shifts = np.concatenate([ranked, again]), np.concatenate([shifts, near])
+    rated, depth_mm = np.concatenate([rated, rated_again]), np.concatenate([depth_mm, depth_again])
+    best = np.argsort(-rated, kind="stable")[:RANKED]
+    pixels = centre + shifts[best] * (span / side)
+    depth_m = middle_m + depth_mm[best] / MILLIMETRES
+    return _poses(table, templates[best], pixels, depth_m, picture.camera), rated[best]
 
 
-def _best_window(table: TemplateTable, windows: Float32) -> tuple[np.ndarray, Float32]:
+def _poses(
+    table: TemplateTable, templates: Int64, pixels: Float64, depth_m: Float64, camera: Camera
+) -> Float64:
+    """Poses (K, 4, 4) of templates whose windows' middles lie at pixels (K, 2) and depths (K,)."""
+    rays = camera.rays(pixels)
+    turns = _onto_rays(rays)
+    poses = np.tile(np.eye(4), (len(templates), 1, 1))
+    poses[:, :3, :3] = turns @ table.rotations[templates]
+    poses[:, :3, 3] = rays * depth_m[:, None] + np.einsum("nij,nj->ni", turns, table.origins[templates])
+    return poses
+
+
+def _onto_rays(rays: Float64) -> Float64:
+    """The shortest rotations (K, 3, 3) that take the optical axis onto rays (K, 3)."""
+    d = rays / np.linalg.norm(rays, axis=1, keepdims=True)
+    K = np.zeros((len(d), 3, 3))
+    K[:, 0, 2], K[:, 1, 2] = d[:, 0], d[:, 1]
+    K[:, 2, 0], K[:, 2, 1] = -d[:, 0], -d[:, 1]
+    return np.asarray(np.eye(3) + K + K @ K / (1.0 + d[:, 2])[:, None, None])
+
+
+def _sampled(
+    picture: Picture, centre: Float64, cell: float, cells: int
+) -> tuple[int, Float32, Float32, Float64]:
+    """Linear colours and depth on a fine lattice of `cells` cells a side about a pixel: samples a cell and
+    axis, (n, n, 3), (n, n), and the map (2, 3) from the lattice to the picture."""
+    fine = max(1, min(OVERSAMPLING, round(cell)))
+    step, n = cell / fine, cells * fine
+    to_picture = np.array(
+        [[step, 0.0, centre[0] - (n - 1) / 2 * step], [0.0, step, centre[1] - (n - 1) / 2 * step]]
+    )
+    color = cv2.warpAffine(picture.color, to_picture, (n, n), flags=cv2.INTER_LINEAR | cv2.WARP_INVERSE_MAP)
+    return (
+        fine,
+        linear_rgb(np.asarray(color, dtype=np.uint8)),
+        _nearest(picture.depth, to_picture, n),
+        to_picture,
+    )
+
+
+def _nearest(image: Float32, to_picture: Float64, n: int) -> Float32:
+    sampled = cv2.warpAffine(image, to_picture, (n, n), flags=cv2.INTER_NEAREST | cv2.WARP_INVERSE_MAP)
+    return np.asarray(sampled, dtype=np.float32)
+
+
+def _cell_means(samples: Float32, fine: int) -> Float32:
+    """Means over cells of fine * fine samples: (n, n, c) to (n / fine, n / fine, c)."""
+    n = samples.shape[0] // fine
+    return np.asarray(samples.reshape(n, fine, n, fine, -1).mean((1, 3)), dtype=np.float32)
+
+
+def _windows(
+    picture: Picture, mask: Bool, centre: Float64, cell: float, middle_m: float, diameter_m: float
+) -> Float32:
+    """The picture in cells of the quick look at all places: (W, P, 6): opponents, relief in mm, coverage by
+    the mask, background."""
+    margin = max(SHIFTS)
+    wide = COARSE_SIDE + 2 * margin
+    fine, linear, depth, to_picture = _sampled(picture, centre, cell, wide)
+    inside = _nearest(mask.astype(np.float32), to_picture, len(depth)) * (depth > 0)
+    behind = (1 - inside) * (depth > middle_m - 0.1 * diameter_m)
+    planes = np.dstack([linear * inside[..., None], (depth - np.float32(middle_m)) * inside, inside, behind])
+    cells = _cell_means(planes, fine)
+    covered = np.where(cells[..., 4] > 0.3, cells[..., 4], np.float32(0))
+    values = cells[..., :4] / np.maximum(cells[..., 4:5], np.float32(1e-3))
+    known = (covered > 0)[..., None]
+    cells[..., :3] = np.where(known, opponents(values[..., :3]), np.float32(0))
+    cells[..., 3:4] = np.where(known, values[..., 3:] * np.float32(MILLIMETRES), np.float32(0))
+    cells[..., 4] = covered
+    starts = [(margin + x, margin + y) for y in SHIFTS for x in SHIFTS]
+    return np.stack([cells[y : y + COARSE_SIDE, x : x + COARSE_SIDE].reshape(-1, 6) for x, y in starts])
+
+
+def _canvas(picture: Picture, centre: Float64, cell: float, cells: int, middle_m: float) -> Canvas:
+    """The picture in cells of the close look, without any mask."""
+    fine, linear, depth, _ = _sampled(picture, centre, cell, cells)
+    valid = (depth > 0).astype(np.float32)
+    means = _cell_means(np.dstack([linear * valid[..., None], valid]), fine)
+    share = means[..., 3]
+    color = opponents(means[..., :3] / np.maximum(share, np.float32(1e-3))[..., None])
+    # One reading in the middle of a cell: means across a depth step would lie on no surface.
+    smooth = np.asarray(cv2.medianBlur(depth, 3), dtype=np.float32)[fine // 2 :: fine, fine // 2 :: fine]
+    bounds = (picture.bounds - np.concatenate([centre, centre])) / cell + cells / 2.0
+    relief = (smooth - np.float32(middle_m)) * np.float32(MILLIMETRES)
+    return Canvas(color, relief, (smooth > 0) & (share > 0.3), bounds)
+
+
+def _quick_look(table: TemplateTable, windows: Float32) -> tuple[Int64, Float32]:
     """Index of the best window and its score, for each template."""
     count = len(windows)
     weight = windows[..., 4]
     values = [windows[..., c] for c in range(4)]
     columns = [weight, windows[..., 5]] + [weight * x for x in values] + [weight * x * x for x in values]
     by_coverage = table.coverage @ np.concatenate(columns).T
-    crossed = [table.first[c] @ np.concatenate([weight, weight * values[c]]).T for c in range(4)]
-    squared = [table.second[c] @ weight.T for c in range(4)]
-    which = np.zeros(len(table.area), np.int64)
-    scores = np.zeros(len(table.area), np.float32)
-    _score_windows(
-        by_coverage,
-        crossed[0],
-        crossed[1],
-        crossed[2],
-        crossed[3],
-        squared[0],
-        squared[1],
-        squared[2],
-        squared[3],
-        table.area,
-        np.maximum(weight.sum(1), 1.0).astype(np.float32),
-        count,
-        RELIEF * table.diameter_m * MILLIMETRES,
-        which,
-        scores,
-    )
+    crossed = np.stack([table.first[c] @ np.concatenate([weight, weight * values[c]]).T for c in range(4)])
+    squared = table.second @ weight.T
+    which, scores = np.zeros(len(table.area), np.int64), np.zeros(len(table.area), np.float32)
+    window_area = np.maximum(weight.sum(1), np.float32(1))
+    relief_mm = RELIEF * table.diameter_m * MILLIMETRES
+    _score_windows(by_coverage, crossed, squared, table.area, window_area, count, relief_mm, which, scores)
     return which, scores
 
 
 @jit
 def _score_windows(
     by_coverage: Float32,
-    crossed_l: Float32,
-    crossed_a: Float32,
-    crossed_b: Float32,
-    crossed_z: Float32,
-    squared_l: Float32,
-    squared_a: Float32,
-    squared_b: Float32,
-    squared_z: Float32,
+    crossed: Float32,
+    squared: Float32,
     template_area: Float32,
     window_area: Float32,
     count: int,
     relief_mm: float,
-    which: np.ndarray,
+    which: Int64,
     scores: Float32,
 ) -> None:
     """Best of `count` windows for each template from the products' columns."""
-    crossed = (crossed_l, crossed_a, crossed_b, crossed_z)
-    squared = (squared_l, squared_a, squared_b, squared_z)
     for i in range(template_area.shape[0]):
         area = max(template_area[i], np.float32(1.0))
         best = -1e9
@@ -243,10 +254,10 @@ def _score_windows(
             color, color_weight, depth = 0.0, 2.0, 0.0
             for c in range(4):
                 mean_w = by_coverage[i, (2 + c) * count + k] / common
-                mean_t = crossed[c][i, k] / common
+                mean_t = crossed[c, i, k] / common
                 var_w = max(by_coverage[i, (6 + c) * count + k] / common - mean_w * mean_w, 0.0)
-                var_t = max(squared[c][i, k] / common - mean_t * mean_t, 0.0)
-                covariance = crossed[c][i, count + k] / common - mean_w * mean_t
+                var_t = max(squared[c, i, k] / common - mean_t * mean_t, 0.0)
+                covariance = crossed[c, i, count + k] / common - mean_w * mean_t
                 if c < 3:
                     w = CHANNEL_WEIGHTS[c] * np.sqrt(var_t)
                     color += w * covariance / (np.sqrt(var_w * var_t) + CHANNEL_FLOOR)
@@ -265,16 +276,3 @@ def _score_windows(
                 best = total
                 which[i] = k
         scores[i] = best
-
-
-def _onto_ray(ray: Float64) -> Float64:
-    """The shortest rotation that takes the optical axis onto a ray (3,)."""
-    axis = np.array([-ray[1], ray[0], 0.0])
-    sine = float(np.linalg.norm(axis))
-    if sine < 1e-9:
-        return np.eye(3)
-    angle = np.arctan2(sine, ray[2])
-    x, y = axis[0] / sine, axis[1] / sine
-    s, c = np.sin(angle), np.cos(angle)
-    K = np.array([[0.0, 0.0, y], [0.0, 0.0, -x], [-y, x, 0.0]])
-    return np.asarray(np.eye(3) + s * K + (1 - c) * (K @ K))

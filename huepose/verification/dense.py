@@ -16,11 +16,11 @@ from weakref import WeakKeyDictionary
 
 import numpy as np
 
+from huepose.colorpair.opponents import opponents_of_lab
 from huepose.geometry.arrays import Bool, Float, Float32, Float64, Int32
 from huepose.geometry.kernels import solve_symmetric
 from huepose.model.types import ReferenceModel
 from huepose.support.jit import jit
-from huepose.verification.opponents import opponents_of_lab
 from huepose.verification.region import Region
 
 TERMS = 8
@@ -87,8 +87,10 @@ class RegionArrays(NamedTuple):
     """The arrays of a region that kernels read."""
 
     points_cam: Float64
+    point_weights: Float64
+    trust: float
     depth: Float32
-    mask: Bool
+    belief: Float32
     colors: Float32
     saturated: Bool
     fx: float
@@ -129,8 +131,10 @@ def region_arrays(region: Region) -> RegionArrays:
     camera = region.crop.camera
     return RegionArrays(
         region.points_cam[:COVERAGE_POINTS],
+        region.point_weights[:COVERAGE_POINTS],
+        float(region.trust),
         region.crop.depth,
-        region.mask,
+        region.belief,
         region.colors,
         region.crop.saturated,
         camera.fx,
@@ -215,7 +219,7 @@ def score_kernel(
     w_fit, w_coverage, w_violation, w_color = weights[0], weights[1], weights[2], weights[3]
     w_occluded, w_box, w_outside = weights[4], weights[5], weights[8]
     points, normals, prints = model.points, model.normals, model.colors
-    depth, mask, colors, saturated = region.depth, region.mask, region.colors, region.saturated
+    depth, belief, colors, saturated = region.depth, region.belief, region.colors, region.saturated
     height, width = depth.shape
     tolerance = region.tolerance
     r00, r01, r02, r10, r11, r12 = T[0, 0], T[0, 1], T[0, 2], T[1, 0], T[1, 1], T[1, 2]
@@ -256,7 +260,7 @@ def score_kernel(
         if observed == 0.0:
             continue
         if fits:
-            g = facing if mask[v, u] else facing * w_outside
+            g = facing * (w_outside + (1.0 - w_outside) * belief[v, u])
             fit += g * (1.0 - (gap / tolerance) ** 2)
             near += facing
             if saturated[v, u]:
@@ -298,13 +302,13 @@ def score_kernel(
             shading[2, 2] += g * m1 * m2
         elif gap > 0.0:
             violation += facing  # We see through the model.
-        elif mask[v, u]:
-            violation += 0.5 * facing  # The mask says that what is in front is the object itself.
         else:
-            occluded += facing
+            # What is in front hides the object, unless it is believed to be the object itself.
+            violation += 0.5 * facing * belief[v, u]
+            occluded += facing * (1.0 - belief[v, u])
 
     out[1] = fit / (near + violation + 0.15 * total)
-    out[2] = _coverage(T, model, region.points_cam, tolerance)
+    out[2] = _coverage(T, model, region.points_cam, region.point_weights, tolerance)
     out[3] = violation / (near + violation + 0.15 * total)
     out[4] = _color(moments, shading, color_weight, weights) if color_weight > 0.02 * total else 0.0
     out[5] = occluded / total
@@ -312,7 +316,7 @@ def score_kernel(
     out[7] = _box_iou(left, top, right, bottom, region.bounds)
     out[0] = (
         w_fit * out[1]
-        + w_coverage * out[2]
+        + w_coverage * region.trust * out[2]
         - w_violation * out[3]
         + w_color * out[4]
         - w_occluded * out[5]
@@ -322,8 +326,10 @@ def score_kernel(
 
 
 @jit
-def _coverage(T: Float64, model: ModelArrays, points_cam: Float64, tolerance: float) -> float:
-    """Share of the mask's points that lie on the side of the surface which the camera sees."""
+def _coverage(
+    T: Float64, model: ModelArrays, points_cam: Float64, point_weights: Float64, tolerance: float
+) -> float:
+    """Share of the believed points that lie on the side of the surface which the camera sees."""
     points, normals, nearest, origin, step = (
         model.points,
         model.normals,
@@ -333,9 +339,9 @@ def _coverage(T: Float64, model: ModelArrays, points_cam: Float64, tolerance: fl
     )
     r00, r01, r02, r10, r11, r12 = T[0, 0], T[0, 1], T[0, 2], T[1, 0], T[1, 1], T[1, 2]
     r20, r21, r22, t0, t1, t2 = T[2, 0], T[2, 1], T[2, 2], T[0, 3], T[1, 3], T[2, 3]
-    covered = 0.0
-    count = points_cam.shape[0]
-    for i in range(count):
+    covered, total = 0.0, 1e-9
+    for i in range(points_cam.shape[0]):
+        total += point_weights[i]
         p0, p1, p2 = points_cam[i, 0], points_cam[i, 1], points_cam[i, 2]
         x, y, z = p0 - t0, p1 - t1, p2 - t2
         q0 = r00 * x + r10 * y + r20 * z
@@ -360,8 +366,8 @@ def _coverage(T: Float64, model: ModelArrays, points_cam: Float64, tolerance: fl
             continue
         gap = abs(e0 * n0 + e1 * n1 + e2 * n2)
         if gap < tolerance and e0 * e0 + e1 * e1 + e2 * e2 < 9.0 * tolerance * tolerance:
-            covered += 1.0 - (gap / tolerance) ** 2
-    return float(covered / max(count, 1))
+            covered += point_weights[i] * (1.0 - (gap / tolerance) ** 2)
+    return float(covered / total)
 
 
 @jit

@@ -1,21 +1,21 @@
 """What judging a pose needs of a frame: a crop round the object, its colours smoothed at two scales.
 
-The crop (colour conversion) is shared by all candidate masks of an object; a region is the crop seen
-through one mask.
+A region is a crop seen through one mask, or through several candidate masks at once, each believed a little.
 """
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import cv2
 import numpy as np
 
-from huepose.geometry.arrays import Bool, Float32, Float64, UInt8
+from huepose.colorpair.opponents import linear_rgb, opponents
+from huepose.geometry.arrays import Bool, Float32, Float64, Int64, UInt8
 from huepose.geometry.box import Box
 from huepose.geometry.camera import Camera
 from huepose.geometry.frame import RgbdFrame
-from huepose.verification.opponents import linear_rgb, opponents
 
 COLOR_SCALES_M = (0.0010, 0.0035)
 """Standard deviations of the two smoothings, as in `Surface.lab`."""
@@ -42,18 +42,23 @@ class Crop:
 
 @dataclass(frozen=True, eq=False)
 class Region:
-    """A crop seen through a mask.
+    """A crop seen through what is believed to show the object.
 
-    mask (h, w): pixels of the mask that have depth; colors (h, w, 6) float32: opponents smoothed over about
-    1 mm, then over 3.5 mm, inside the mask without a look outside; points_cam (N, 3) float64: at most 500 of
-    the mask's points in random order, away from its rim; bounds (4,): left, top, right, bottom of the box in
-    the crop; tolerance_m: how far depth and surface may be apart; median_depth_m: of the mask.
+    belief (h, w) float32: how likely a pixel shows the object, 0 where it has no depth (with a single mask:
+    1 on it); mask (h, w): belief over a half of its largest; colors (h, w, 6) float32: opponents smoothed
+    over about 1 mm, then over 3.5 mm, inside the mask without a look outside; points_cam (N, 3) and
+    point_weights (N,) float64: at most 500 believed points in random order, away from rims; trust: 0..1, how
+    far the belief itself may be believed; bounds (4,): left, top, right, bottom of the box in the crop;
+    tolerance_m: how far depth and surface may be apart; median_depth_m: of the mask.
     """
 
     crop: Crop
+    belief: Float32
     mask: Bool
     colors: Float32
     points_cam: Float64
+    point_weights: Float64
+    trust: float
     bounds: Float64
     tolerance_m: float
     median_depth_m: float
@@ -97,20 +102,35 @@ def object_window(frame: RgbdFrame, mask: Bool, diameter_m: float) -> Box | None
 
 def prepare_masked(crop: Crop, mask: Bool, box: Box, diameter_m: float) -> Region | None:
     """See a crop through a mask (H, W) of the frame; None when no pixel of it has depth there."""
+    return prepare_believed(crop, [mask], [1.0], 1.0, box, diameter_m)
+
+
+def prepare_believed(
+    crop: Crop, masks: Sequence[Bool], weights: Sequence[float], trust: float, box: Box, diameter_m: float
+) -> Region | None:
+    """See a crop through several candidate masks (H, W) of the frame at once, each with its weight (sum over
+    0); None when no pixel of any of them has depth there."""
     h, w = crop.depth.shape
-    seen = mask[crop.y0 : crop.y0 + h, crop.x0 : crop.x0 + w] & (crop.depth > 0)
-    if not seen.any():
+    belief = np.zeros((h, w), np.float32)
+    for mask, weight in zip(masks, weights, strict=True):
+        belief += np.float32(weight) * mask[crop.y0 : crop.y0 + h, crop.x0 : crop.x0 + w]
+    belief *= crop.depth > 0
+    largest = float(belief.max(initial=0.0))
+    if largest <= 0.0:
         return None
+    belief *= np.float32(1.0 / max(largest, float(np.sum(weights))))
+    seen = belief > 0.5 * belief.max()
     median_depth = float(np.median(crop.depth[seen]))
-    bounds = np.array(
-        [box.x - crop.x0, box.y - crop.y0, box.x1 - crop.x0, box.y1 - crop.y0], dtype=np.float64
-    )
+    points, point_weights = _believed_points(crop, belief)
     return Region(
         crop,
+        belief,
         seen,
-        _masked_colors(crop, seen, median_depth),
-        _mask_points(crop, seen),
-        bounds,
+        _masked_colors(crop, belief, median_depth),
+        points,
+        point_weights,
+        trust,
+        np.array([box.x - crop.x0, box.y - crop.y0, box.x1 - crop.x0, box.y1 - crop.y0], dtype=np.float64),
         tolerance_m(diameter_m, median_depth),
         median_depth,
     )
@@ -121,12 +141,12 @@ def tolerance_m(diameter_m: float, depth_m: float) -> float:
     return max(0.006, min(0.012, 0.05 * diameter_m)) + (0.002 if depth_m > 1.1 else 0.0)
 
 
-def _masked_colors(crop: Crop, mask: Bool, depth_m: float) -> Float32:
-    """Opponent colours smoothed at both scales; a pixel outside of the mask counts little, so that inside
+def _masked_colors(crop: Crop, belief: Float32, depth_m: float) -> Float32:
+    """Opponent colours smoothed at both scales; a pixel that is not believed counts little, so that inside
     the mask colours are the mask's, and outside those of the place."""
-    weight = np.where(mask, np.float32(1.0), np.float32(OUTSIDE_WEIGHT))
+    weight = np.maximum(belief, np.float32(OUTSIDE_WEIGHT))
     weighted = np.dstack([linear_rgb(crop.color) * weight[..., None], weight])
-    out = np.empty((*mask.shape, 6), np.float32)
+    out = np.empty((*belief.shape, 6), np.float32)
     for scale, sigma_m in enumerate(COLOR_SCALES_M):
         sigma = max(0.5, sigma_m / depth_m * crop.camera.fx)
         smooth = np.asarray(cv2.GaussianBlur(weighted, (0, 0), sigma), dtype=np.float32)
@@ -134,12 +154,21 @@ def _masked_colors(crop: Crop, mask: Bool, depth_m: float) -> Float32:
     return out
 
 
-def _mask_points(crop: Crop, mask: Bool) -> Float64:
-    """Camera-frame points (N, 3) of mask pixels in an order that depends on the mask alone."""
-    inner = cv2.erode(mask.astype(np.uint8), np.ones((3, 3), np.uint8)) > 0
+def _believed_points(crop: Crop, belief: Float32) -> tuple[Float64, Float64]:
+    """Camera-frame points (N, 3) of believed pixels, and their belief (N,), in an order that depends on the
+    number of pixels alone."""
+    inner = cv2.erode((belief > 0).astype(np.uint8), np.ones((3, 3), np.uint8)) > 0
     if inner.sum() <= 120:
-        inner = mask
-    rows, columns = np.nonzero(inner)
-    keep = np.random.default_rng(len(rows)).permutation(len(rows))[:MASK_POINTS]
+        inner = belief > 0
+    points, rows, columns = sampled_points(crop, inner, MASK_POINTS)
+    return points, belief[rows, columns].astype(np.float64)
+
+
+def sampled_points(crop: Crop, mask: Bool, count: int) -> tuple[Float64, Int64, Int64]:
+    """At most `count` camera-frame points (N, 3) of the pixels with depth of a mask (h, w) of the crop, in
+    random order, with their rows (N,) and columns (N,)."""
+    rows, columns = np.nonzero(mask & (crop.depth > 0))
+    keep = np.random.default_rng(len(rows)).permutation(len(rows))[:count]
     rows, columns = rows[keep], columns[keep]
-    return crop.camera.backproject(np.stack([columns, rows], -1), crop.depth[rows, columns])
+    points = crop.camera.backproject(np.stack([columns, rows], -1), crop.depth[rows, columns])
+    return points, rows, columns

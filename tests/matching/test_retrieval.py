@@ -1,4 +1,5 @@
-"""Retrieval of views: the true view comes first, whatever the light, also when half of it is hidden."""
+"""Retrieval of views: the true view comes first, whatever the light, also when half of it is hidden, also
+when the mask is the whole box."""
 
 from __future__ import annotations
 
@@ -7,8 +8,9 @@ from collections.abc import Callable
 import numpy as np
 import pytest
 
-from huepose.geometry import RgbdFrame, se3
-from huepose.matching.retrieval import TemplateTable, build_table, lab_of, retrieve
+from huepose.geometry import Box, RgbdFrame, se3
+from huepose.matching.retrieval import Picture, retrieve
+from huepose.matching.template_table import TemplateTable, build_table
 from huepose.model.types import ReferenceModel
 from huepose.rendering.render import render_depth
 
@@ -18,6 +20,18 @@ TakePicture = Callable[..., RgbdFrame]
 @pytest.fixture(scope="module")
 def table(tea_box: ReferenceModel) -> TemplateTable:
     return build_table(tea_box.templates, tea_box.diameter_m)
+
+
+def picture_of(frame: RgbdFrame, mask: np.ndarray) -> Picture:
+    box = Box.of_mask(mask) or Box(0, 0, 640, 480)
+    return Picture(frame.color, frame.depth, frame.camera, np.array([box.x, box.y, box.x1, box.y1]))
+
+
+def near(poses: np.ndarray, T: np.ndarray, shift: float = 0.03) -> list[bool]:
+    return [
+        se3.rotation_angle(P, T) < np.radians(25) and np.linalg.norm(P[:3, 3] - T[:3, 3]) < shift
+        for P in poses
+    ]
 
 
 def random_pose(rng: np.random.Generator) -> np.ndarray:
@@ -35,15 +49,13 @@ def test_the_true_view_is_among_the_first(
         T = random_pose(rng)
         frame = take_picture([(tea_box.mesh, T)], light=(0.8, 0.6, 0.45), with_table=False)
         mask = render_depth(tea_box.mesh, T, frame.camera) > 0
-        poses, scores = retrieve(table, lab_of(frame.color), frame.depth, mask, frame.camera, 10)
-        assert len(poses) == 10
-        assert (np.diff(scores) <= 0).all()
-        near = [
-            se3.rotation_angle(P, T) < np.radians(25) and np.linalg.norm(P[:3, 3] - T[:3, 3]) < 0.03
-            for P in poses
-        ]
-        ranks.append(near.index(True) if any(near) else 99)
-    assert sum(r == 0 for r in ranks) >= 8
+        views = retrieve(table, picture_of(frame, mask), [mask], 10)
+        assert len(views.poses) == 10
+        assert (np.diff(views.scores) <= 0).all()
+        assert not views.masks.any()
+        hits = near(views.poses, T)
+        ranks.append(hits.index(True) if any(hits) else 99)
+    assert sum(r == 0 for r in ranks) >= 9
     assert max(ranks) < 10
 
 
@@ -53,14 +65,28 @@ def test_half_a_view_is_enough(
     """With its left half hidden by something in front, the box is still found where it is."""
     frame = take_picture([(tea_box.mesh, standing)], with_table=False)
     full = render_depth(tea_box.mesh, standing, frame.camera) > 0
-    middle = np.nonzero(full)[1].mean()
-    hidden = np.arange(640)[None, :] < middle
-    depth = np.where(hidden, np.float32(0.4), frame.depth)
-    poses, _ = retrieve(table, lab_of(frame.color), depth, full & ~hidden, frame.camera, 10)
-    assert any(
-        se3.rotation_angle(P, standing) < np.radians(25) and np.linalg.norm(P[:3, 3] - standing[:3, 3]) < 0.04
-        for P in poses
-    )
+    hidden = np.arange(640)[None, :] < np.nonzero(full)[1].mean()
+    covered = RgbdFrame(frame.color, np.where(hidden, np.float32(0.4), frame.depth), frame.camera)
+    mask = full & ~hidden
+    views = retrieve(table, picture_of(covered, mask), [mask], 10)
+    assert any(near(views.poses, standing, 0.04))
+
+
+def test_the_whole_box_will_do_for_a_mask(
+    tea_box: ReferenceModel, table: TemplateTable, take_picture: TakePicture, standing: np.ndarray
+) -> None:
+    """Nothing told from the table: with a wrong mask beside it, the right views still come from the box."""
+    frame = take_picture([(tea_box.mesh, standing)])
+    truth = render_depth(tea_box.mesh, standing, frame.camera) > 0
+    box = Box.of_mask(truth)
+    assert box is not None
+    whole, wrong = np.zeros_like(truth), np.zeros_like(truth)
+    whole[box.slices(640, 480)] = True
+    wrong[400:440, 500:600] = True
+    views = retrieve(table, picture_of(frame, truth), [wrong, whole], 10)
+    hits = near(views.poses, standing)
+    assert any(hits[:3])
+    assert views.masks[hits.index(True)] == 1
 
 
 def test_views_are_different_and_repeat(
@@ -68,21 +94,20 @@ def test_views_are_different_and_repeat(
 ) -> None:
     frame = take_picture([(tea_box.mesh, standing)], with_table=False)
     mask = frame.depth > 0
-    poses, _ = retrieve(table, lab_of(frame.color), frame.depth, mask, frame.camera, 20)
-    for i in range(len(poses)):
-        assert se3.is_rigid(poses[i])
+    views = retrieve(table, picture_of(frame, mask), [mask], 20)
+    for i in range(len(views.poses)):
+        assert se3.is_rigid(views.poses[i])
         for k in range(i):
-            assert se3.rotation_angle(poses[i], poses[k]) >= np.radians(17.99)
-    again, _ = retrieve(table, lab_of(frame.color), frame.depth, mask, frame.camera, 20)
-    assert np.array_equal(poses, again)
+            assert se3.rotation_angle(views.poses[i], views.poses[k]) >= np.radians(17.99)
+    assert np.array_equal(views.poses, retrieve(table, picture_of(frame, mask), [mask], 20).poses)
 
 
 def test_an_empty_mask_retrieves_nothing(
     table: TemplateTable, take_picture: TakePicture, tea_box: ReferenceModel, standing: np.ndarray
 ) -> None:
     frame = take_picture([(tea_box.mesh, standing)])
-    poses, scores = retrieve(
-        table, lab_of(frame.color), frame.depth, np.zeros(frame.depth.shape, bool), frame.camera, 5
-    )
-    assert poses.shape == (0, 4, 4)
-    assert scores.shape == (0,)
+    empty = np.zeros(frame.depth.shape, bool)
+    for masks in ([empty], []):
+        views = retrieve(table, picture_of(frame, empty), masks, 5)
+        assert views.poses.shape == (0, 4, 4)
+        assert views.scores.shape == views.masks.shape == (0,)

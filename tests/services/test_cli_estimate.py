@@ -83,7 +83,7 @@ def test_a_pose_as_json_a_picture_and_an_explanation(
     assert {p.name for p in why.iterdir()} == names
     scores = json.loads((why / "tea_box_scores.json").read_text())["poses"]
     assert scores[0]["total"] > scores[1]["total"]
-    assert scores[0]["by_mask"][0]["color"] > 0.5
+    assert scores[0]["terms"]["color"] > 0.5
 
 
 def test_nothing_in_the_box_is_an_answer(files: list[str], capsys: pytest.CaptureFixture[str]) -> None:

@@ -16,7 +16,8 @@ from huepose.estimation import PoseEstimate
 from huepose.estimation.estimator import Explanation
 from huepose.geometry import Box, RgbdFrame
 from huepose.geometry.arrays import Bool, UInt8
-from huepose.matching.retrieval import build_table, lab_of, retrieve
+from huepose.matching.retrieval import retrieve
+from huepose.matching.template_table import build_table
 from huepose.model import ReferenceModel
 from huepose.rendering.render import render
 from huepose.support.errors import InputError
@@ -53,31 +54,34 @@ def write_explanation(
         write_picture(folder / f"{model.name}_masks.png", contact_sheet(cut, 4, labels[: len(cut)]))
     _write_views(folder / f"{model.name}_views.png", model, explanation)
     write_picture(folder / f"{model.name}_pose.png", draw_answers(frame, {model.name: model}, [answer]))
+    evidence = explanation.evidence
     poses = [
         {
             "T_cam_obj": T.tolist(),
             "total": float(total),
-            "by_mask": [asdict(score(model, region, T)) for region in explanation.regions],
+            "terms": asdict(score(model, evidence.region, T)),
         }
         for T, total in zip(explanation.poses, explanation.totals, strict=True)
+        if evidence is not None
     ]
     _write_text(folder / f"{model.name}_scores.json", json.dumps({"poses": poses}, indent=2) + "\n")
 
 
 def _write_views(path: Path, model: ReferenceModel, explanation: Explanation) -> None:
-    """The views retrieved for the first mask, beside what they were compared with."""
-    if not explanation.regions:
+    """The views that were retrieved, beside what they were compared with."""
+    evidence = explanation.evidence
+    if evidence is None:
         return
-    region = explanation.regions[0]
-    crop = region.crop
+    picture = evidence.picture
     table = build_table(model.templates, model.diameter_m)
-    views, scores = retrieve(table, lab_of(crop.color), crop.depth, region.mask, crop.camera, VIEWS)
-    bounds = Box.of_mask(region.mask)
-    assert bounds is not None  # a region's mask has pixels
-    rows, columns = bounds.grown(0.3, 5).slices(crop.camera.width, crop.camera.height)
-    pictures = [np.where(region.mask[..., None], crop.color, 0).astype(np.uint8)[rows, columns]]
-    pictures += [render([(model.mesh, T)], crop.camera).color[rows, columns] for T in views]
-    write_picture(path, contact_sheet(pictures, 5, ["seen", *(f"{s:.2f}" for s in scores)]))
+    views = retrieve(table, picture, evidence.sources, VIEWS)
+    x0, y0, x1, y1 = (float(x) for x in picture.bounds)
+    around = Box(x0, y0, x1 - x0, y1 - y0).grown(0.3, 5)
+    rows, columns = around.slices(picture.camera.width, picture.camera.height)
+    pictures = [picture.color[rows, columns]]
+    pictures += [render([(model.mesh, T)], picture.camera).color[rows, columns] for T in views.poses]
+    labels = [f"{s:.2f}, mask {k + 1}" for s, k in zip(views.scores, views.masks, strict=True)]
+    write_picture(path, contact_sheet(pictures, 5, ["seen", *labels]))
 
 
 def _tinted(frame: RgbdFrame, mask: Bool) -> UInt8:

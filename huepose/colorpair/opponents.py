@@ -1,8 +1,10 @@
-"""Colours in which light is an offset: logarithms of linear RGB as lightness, red against green, yellow against blue.
+"""Colours in which light is an offset: logarithms of linear RGB as lightness, red against green, yellow
+against blue.
 
-A coloured light multiplies linear red, green and blue by three numbers (von Kries), which adds constants to their
-logarithms; shading multiplies all three by one, which changes the lightness alone. So correlations of the last two
-channels see neither light nor shading, and what shading does to the first can be taken out by the surface's normals.
+A coloured light multiplies linear red, green and blue by three numbers (von Kries), which adds constants to
+their logarithms; shading multiplies all three by one, which changes the lightness alone. So correlations of
+the last two channels see neither light nor shading, and what shading does to the first can be taken out by
+the surface's normals.
 """
 
 from __future__ import annotations
@@ -10,7 +12,7 @@ from __future__ import annotations
 import cv2
 import numpy as np
 
-from huepose.geometry.arrays import Float32, UInt8
+from huepose.geometry.arrays import Float, Float32, UInt8
 
 DARKEST = 0.015
 """Added to linear values (0..1) before the logarithm: darker than this is noise."""
@@ -19,7 +21,9 @@ SCALE = 25.0
 """Units a natural logarithm, so that numbers are about as large as those of CIELAB."""
 
 _LINEAR = np.where(
-    np.arange(256) <= 0.04045 * 255, np.arange(256) / 255 / 12.92, ((np.arange(256) / 255 + 0.055) / 1.055) ** 2.4
+    np.arange(256) <= 0.04045 * 255,
+    np.arange(256) / 255 / 12.92,
+    ((np.arange(256) / 255 + 0.055) / 1.055) ** 2.4,
 ).astype(np.float32)
 
 
@@ -28,7 +32,7 @@ def linear_rgb(color: UInt8) -> Float32:
     return _LINEAR[color]
 
 
-def opponents(linear: Float32) -> Float32:
+def opponents(linear: Float) -> Float32:
     """Lightness, red-green and yellow-blue (..., 3) float32 of linear RGB (..., 3).
 
     >>> grey, red_light = np.full((1, 3), 0.5, np.float32), np.array([[0.8, 0.4, 0.2]], np.float32)
@@ -36,7 +40,7 @@ def opponents(linear: Float32) -> Float32:
     True
     """
     out = np.empty(linear.shape, np.float32)
-    log = np.log(np.maximum(linear, np.float32(0)) + np.float32(DARKEST)) * np.float32(SCALE)
+    log = np.log(np.maximum(linear, 0.0).astype(np.float32) + np.float32(DARKEST)) * np.float32(SCALE)
     red, green, blue = log[..., 0], log[..., 1], log[..., 2]
     yellow = (red + green) * np.float32(0.5)
     out[..., 0] = (red + green + blue) * np.float32(1 / 3)
@@ -45,7 +49,7 @@ def opponents(linear: Float32) -> Float32:
     return out
 
 
-def opponents_of_lab(lab: Float32) -> Float32:
+def opponents_of_lab(lab: Float) -> Float32:
     """The same (..., 3) of CIELAB colours (..., 3), L 0..100."""
     flat = np.ascontiguousarray(lab, dtype=np.float32).reshape(1, -1, 3)
     linear = np.asarray(cv2.cvtColor(flat, cv2.COLOR_Lab2LRGB), dtype=np.float32)

@@ -1,0 +1,106 @@
+"""A model's view templates laid out for two looks: a quick one over all of them by matrix products, and a
+close one at a few."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from huepose.colorpair.opponents import opponents_of_lab
+from huepose.geometry.arrays import Float, Float32, Float64
+from huepose.geometry.icosphere import look_at
+from huepose.model.types import ViewTemplates
+
+COARSE_SIDE = 8
+"""Cells a side at the first look."""
+
+MILLIMETRES = 1000.0
+STEPS, RELIEF_STEPS = 100.0, 10.0
+"""Steps a unit in the stored whole numbers."""
+
+
+@dataclass(frozen=True, eq=False)
+class TemplateTable:
+    """Templates of V views in R rolls (N = V * R), built once for a model.
+
+    For the first look, over P = 8 * 8 cells: coverage (N, P) float32; first, second (4, N, P) float32:
+    coverage times value and times value squared, for the opponents and for relief in millimetres; area (N,)
+    sum of coverage. For the close look: cells (N, S, S, 5) int16: opponents in 1 / STEPS, relief in 1 /
+    RELIEF_STEPS millimetres, coverage in 1 / STEPS. rotations (N, 3, 3), origins (N, 3): R_cam_obj and the
+    object's origin as seen from the window's middle at median depth; span_m: the window's side.
+    """
+
+    coverage: Float32
+    first: Float32
+    second: Float32
+    area: Float32
+    cells: np.ndarray
+    rotations: Float64
+    origins: Float64
+    span_m: float
+    diameter_m: float
+
+
+def build_table(templates: ViewTemplates, diameter_m: float) -> TemplateTable:
+    """Lay out a model's templates (0.1 s, about 20 MB)."""
+    views, rolls = templates.planes.shape[:2]
+    planes = templates.planes.reshape(views * rolls, *templates.planes.shape[2:]).astype(np.float32)
+    side = planes.shape[-1]
+    coverage, values = _described(planes)
+    cells = np.empty((len(planes), side, side, 5), np.int16)
+    cells[..., :3] = np.rint(values[..., :3] * STEPS)
+    cells[..., 3] = np.rint(np.clip(values[..., 3] * RELIEF_STEPS, -32000, 32000))
+    cells[..., 4] = np.rint(coverage * STEPS)
+
+    planes[:, :4] *= planes[:, 4:]  # the mean over a larger cell is weighted by coverage
+    mean = _averaging(side)
+    coarse = mean @ planes @ mean.T
+    coarse[:, :4] /= np.maximum(coarse[:, 4:], 1e-3)
+    coverage, values = _described(coarse)
+    flat = np.where(coverage > 0.5, coverage, 0.0).reshape(len(planes), -1).astype(np.float32)
+    by_channel = values.reshape(len(planes), -1, 4).transpose(2, 0, 1)
+    rotations, origins = _poses(templates)
+    return TemplateTable(
+        flat,
+        np.ascontiguousarray(flat * by_channel, dtype=np.float32),
+        np.ascontiguousarray(flat * by_channel**2, dtype=np.float32),
+        flat.sum(1),
+        cells,
+        rotations,
+        origins,
+        templates.span * diameter_m,
+        diameter_m,
+    )
+
+
+def _described(planes: Float) -> tuple[Float32, Float32]:
+    """Coverage (N, S, S), and opponents with relief in millimetres (N, S, S, 4), of planes (N, 5, S, S) L,
+    a, b, relief in metres, coverage."""
+    values = np.ascontiguousarray(planes[:, :4].transpose(0, 2, 3, 1))
+    values[..., :3] = opponents_of_lab(np.ascontiguousarray(values[..., :3]))
+    values[..., 3] *= np.float32(MILLIMETRES)
+    return np.asarray(planes[:, 4], np.float32), values.astype(np.float32)
+
+
+def _averaging(side: int) -> Float32:
+    """Matrix (COARSE_SIDE, side) whose rows average the cells that fall into each larger cell."""
+    edges = np.arange(COARSE_SIDE + 1) * (side / COARSE_SIDE)
+    low, high = edges[:-1, None], edges[1:, None]
+    cell = np.arange(side)[None, :]
+    shared = np.clip(np.minimum(high, cell + 1) - np.maximum(low, cell), 0.0, None)
+    return np.asarray(shared / (high - low), dtype=np.float32)
+
+
+def _poses(templates: ViewTemplates) -> tuple[Float64, Float64]:
+    """Rotations (N, 3, 3) and origins (N, 3) of all views in all rolls."""
+    views, rolls = templates.planes.shape[:2]
+    angles = 2 * np.pi * np.arange(rolls) / rolls
+    turn = np.zeros((rolls, 3, 3))
+    turn[:, 0, 0] = turn[:, 1, 1] = np.cos(angles)
+    turn[:, 1, 0], turn[:, 0, 1] = np.sin(angles), -np.sin(angles)
+    turn[:, 2, 2] = 1.0
+    looks = np.stack([look_at(d) for d in templates.directions])
+    rotations = np.einsum("rij,vjk->vrik", turn, looks)
+    origins = np.einsum("rij,vj->vri", turn, templates.origins.astype(np.float64))
+    return rotations.reshape(views * rolls, 3, 3), origins.reshape(views * rolls, 3)

@@ -15,7 +15,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from huepose.geometry import se3
-from huepose.geometry.arrays import Float, Float32, Float64, Int32, Int64, UInt8
+from huepose.geometry.arrays import Float, Float64, Int32, Int64, UInt8
 from huepose.geometry.kernels import rotation_exp_into, solve_symmetric
 from huepose.model.types import PairReference
 from huepose.support.jit import jit
@@ -177,7 +177,6 @@ def _align(
     report: Float64,
 ) -> int:
     A, b, x, D = np.zeros((6, 6)), np.zeros(6), np.zeros(6), np.zeros((3, 3))
-    J = np.zeros((3, 6))
     for turn in range(rounds):
         A[:] = 0.0
         b[:] = 0.0

@@ -11,7 +11,7 @@ from huepose.colorpair.ridges import RidgeConfig, Ridges, find_ridges, long_enou
 
 
 def edge(angle: float, offset: float, blur: float, size: int = 60, height: float = 60.0) -> np.ndarray:
-    """CIELAB image with a step of L across a line: n . (u - c, v - c) = offset, n at `angle`, Gaussian blur."""
+    """CIELAB image with a step of L across a line: n . (u - c, v - c) = offset, n at `angle`, blurred."""
     v, u = np.mgrid[0:size, 0:size] - (size - 1) / 2
     distance = np.cos(angle) * u + np.sin(angle) * v - offset
     lab = np.zeros((size, size, 3), np.float32)

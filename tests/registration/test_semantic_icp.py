@@ -1,4 +1,4 @@
-"""Semantic ICP on classified clouds made by code: it finds the motion that made them, and the classes matter."""
+"""Semantic ICP on classified clouds made by code: it finds the motion that made them; the classes matter."""
 
 from __future__ import annotations
 

@@ -14,6 +14,8 @@ class TrackerConfig:
     SUSPECT. confirmed_identity: how sure it must be that an acquired pose is the right one before it is
     TRACKING. lost_quality: under it a frame gives no support; lost_after such frames in a row make an object
     LOST. search: whether the tracker may look for an object on its own when the step was too large.
+    searches_per_step: for how many objects in one step; None for all that need it. A search takes several
+    frames' time, so in a live pipeline many of them would make the next step too large as well, and so on.
     max_search_m_s, max_search_rad_s: the fastest motion that the search covers.
     catch_up_stride: most frames skipped at once while catching up.
     """
@@ -25,6 +27,7 @@ class TrackerConfig:
     confirmed_identity: float = 0.9
     lost_after: int = 4
     search: bool = True
+    searches_per_step: int | None = None
     max_search_m_s: float = 0.8
     max_search_rad_s: float = 7.0
     catch_up_stride: int = 5

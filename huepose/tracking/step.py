@@ -98,13 +98,14 @@ class Anchor:
 class Step:
     """Where it is now: pose, what that explains of the frame, information (6, 6) of the refinement, and
     which start led there ("still", "velocity", "flow", "search", "turn", "rival"); doubtful: it explains less
-    than it should."""
+    than it should; searched: the tracker's own search was made."""
 
     T_cam_obj: Float64
     fit: Fit
     information: Float64
     start: str
     doubtful: bool = False
+    searched: bool = False
 
 
 def advance(
@@ -134,7 +135,8 @@ def advance(
         T_flow = flow_start(subject, anchor, frame, expected, relative_pose or RobustKabsch())
         if T_flow is not None:
             best = _better(best, best_of(surface, frame, [(T_flow, "flow")], anchor.tint))
-    if config.search and (surprising or not _convincing(best, anchor.usual, doubt)):
+    searching = config.search and (surprising or not _convincing(best, anchor.usual, doubt))
+    if searching:
         near, far = _reach(surface, anchor, expected, seconds, config)
         best = _searched(best, surface, frame, near, USUAL_EFFORT, anchor.tint)
         if not _convincing(best, anchor.usual, doubt) and long:
@@ -142,7 +144,7 @@ def advance(
         if len(subject.turns):
             turned = [(best.T_cam_obj @ turn, "turn") for turn in subject.turns]
             best = _better(best, best_of(surface, frame, turned, anchor.tint), by=TURN_MARGIN)
-    return replace(best, doubtful=not _convincing(best, anchor.usual, doubt))
+    return replace(best, doubtful=not _convincing(best, anchor.usual, doubt), searched=searching)
 
 
 def flow_start(

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 
 from huepose.geometry.arrays import Float64
@@ -54,10 +56,12 @@ class Track:
         self._doubtful_frames = 0
         self._rival: Float64 | None = None
 
-    def look(self, frame: RgbdFrame, relative_pose: RelativePose | None = None) -> None:
-        """Find the object in the next frame, if it has a pose."""
+    def look(
+        self, frame: RgbdFrame, relative_pose: RelativePose | None = None, may_search: bool = True
+    ) -> bool:
+        """Find the object in the next frame, if it has a pose; says whether that took a search."""
         if self.T_cam_obj is None or self._frame is None:
-            return
+            return False
         tired = self._doubtful_frames >= MAX_TRIES and self._doubtful_frames % TRY_AGAIN_AFTER != 0
         anchor = Anchor(
             self.T_cam_obj,
@@ -69,7 +73,8 @@ class Track:
             tired=tired,
         )
         self._rival = None
-        step = advance(self.subject, anchor, frame, self._config, relative_pose)
+        config = self._config if may_search else replace(self._config, search=False)
+        step = advance(self.subject, anchor, frame, config, relative_pose)
         seconds = (frame.stamp_ns - self._frame.stamp_ns) * 1e-9
         self.fit, self.start, self._frame = step.fit, step.start, frame
         self._evidence = evidence.quality(step.fit, self._usual, self._evidence)
@@ -80,6 +85,7 @@ class Track:
         else:
             self._coast(step, seconds)
         self._doubtful_frames = self._doubtful_frames + 1 if step.doubtful else 0
+        return step.searched
 
     def settle(self, frame: RgbdFrame, contested: bool = False) -> None:
         """Judge what `look` found; contested: another pose holds the same surface with better right."""

@@ -51,6 +51,7 @@ class Tracker:
         self._seen_seq: dict[Key, int] = {}
         self._waiting: list[Correction] = []
         self._frames = FrameHistory(self.config.history_frames)
+        self._steps = 0
         for model in models.values():
             self.add_object(model)
 
@@ -107,8 +108,7 @@ class Tracker:
             return []
         self._frames.append(frame)
         with stage("follow"):
-            for track in self._tracks.values():
-                track.look(frame, self._relative_pose)
+            self._look(frame)
             contested = self._contested(frame)
             for key, track in self._tracks.items():
                 track.settle(frame, key in contested)
@@ -116,6 +116,15 @@ class Tracker:
         with stage("catch up"):
             self._catch_up()
         return self.poses()
+
+    def _look(self, frame: RgbdFrame) -> None:
+        """Every instance, another one first each time: where searches are rationed, each gets its turn."""
+        tracks = list(self._tracks.values())
+        first = self._steps % max(len(tracks), 1)
+        self._steps += 1
+        left = len(tracks) if self.config.searches_per_step is None else self.config.searches_per_step
+        for track in tracks[first:] + tracks[:first]:
+            left -= track.look(frame, self._relative_pose, may_search=left > 0)
 
     def correct(self, correction: Correction) -> Applied:
         """Take a verdict on a past frame, or on the one that comes next. Raises InputError for an unknown

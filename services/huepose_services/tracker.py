@@ -26,7 +26,8 @@ def make(bus: Bus, config: Config) -> TrackerWork:
     """The tracker worker's work, with its kernels compiled."""
     known = models.load(config)
     rehearse(known)
-    return TrackerWork(bus, Tracker(known, TrackerConfig(history_frames=config.tracker.history_frames)))
+    settings = TrackerConfig(history_frames=config.tracker.history_frames, searches_per_step=1)
+    return TrackerWork(bus, Tracker(known, settings))
 
 
 class TrackerWork:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import replace
 
 from huepose.geometry.frame import RgbdFrame
 from huepose.model.types import ReferenceModel
@@ -51,7 +52,7 @@ class Tracker:
         self._seen_seq: dict[Key, int] = {}
         self._waiting: list[Correction] = []
         self._frames = FrameHistory(self.config.history_frames)
-        self._steps = 0
+        self._steps = self._searched = 0
         for model in models.values():
             self.add_object(model)
 
@@ -122,9 +123,14 @@ class Tracker:
         tracks = list(self._tracks.values())
         first = self._steps % max(len(tracks), 1)
         self._steps += 1
-        left = len(tracks) if self.config.searches_per_step is None else self.config.searches_per_step
+        self._searched = 0
         for track in tracks[first:] + tracks[:first]:
-            left -= track.look(frame, self._relative_pose, may_search=left > 0)
+            self._searched += track.look(frame, self._relative_pose, self._may_search())
+
+    def _may_search(self) -> bool:
+        """Whether the ration of this step is not used up."""
+        ration = self.config.searches_per_step
+        return ration is None or self._searched < ration
 
     def correct(self, correction: Correction) -> Applied:
         """Take a verdict on a past frame, or on the one that comes next. Raises InputError for an unknown
@@ -215,9 +221,11 @@ class Tracker:
         newest, pursuit = self._frames.newest, self._pursuits[key]
         assert newest is not None
         since = pursuit.correction.stamp_ns if pursuit.reached is None else pursuit.reached.stamp_ns
+        config = self.config if self._may_search() else replace(self.config, search=False)
         pursuit = pursue(
-            pursuit, self._subjects[key[0]], self._frames.since(since), self.config, self._relative_pose
+            pursuit, self._subjects[key[0]], self._frames.since(since), config, self._relative_pose
         )
+        self._searched += pursuit.step is not None and pursuit.step.searched
         self._pursuits[key] = pursuit
         if not pursuit.arrived(newest):
             return

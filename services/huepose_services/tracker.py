@@ -26,7 +26,10 @@ def make(bus: Bus, config: Config) -> TrackerWork:
     """The tracker worker's work, with its kernels compiled."""
     known = models.load(config)
     rehearse(known)
-    settings = TrackerConfig(history_frames=config.tracker.history_frames, searches_per_step=1)
+    # Time is short in a live pipeline: one search a step, and catching up in strides that need none.
+    settings = TrackerConfig(
+        history_frames=config.tracker.history_frames, searches_per_step=1, catch_up_stride=3
+    )
     return TrackerWork(bus, Tracker(known, settings))
 
 

@@ -10,8 +10,11 @@ looks for is in `searching`.
 
 from __future__ import annotations
 
+from collections import deque
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
+
+import numpy as np
 
 from huepose.estimation.types import PoseEstimate
 from huepose.geometry.arrays import Float64
@@ -22,6 +25,9 @@ from huepose.reinit.outbox import Key, Outbox
 from huepose.reinit.schedule import candidates, choose
 from huepose.reinit.types import Counters, ObjectSlot, PerceptionResult, Prior, Request, Searching
 from huepose.tracking.types import Correction, TrackedPose, Verdict
+
+PAST_POSES = 60
+"""Published poses that are remembered of an instance: about two seconds of them."""
 
 SIGHTING_S = 1.0
 """A first sighting waits this long for a second one."""
@@ -45,6 +51,7 @@ class ReinitLoop:
         self.counters = Counters()
         self._slots: dict[str, ObjectSlot] = {}
         self._tracks: dict[Key, TrackedPose] = {}
+        self._past: dict[Key, deque[Prior]] = {}
         self._outbox = Outbox()
         self._sightings: dict[str, list[_Sighting]] = {}
         self._last_instance: dict[str, int] = {}
@@ -135,7 +142,7 @@ class ReinitLoop:
         found = [e for e in estimates if usable(e, self.config)]
         self.counters.rejected += len(estimates) - len(found)
         tracked = [t for t in self._tracks.values() if t.object == slot.object and t.T_cam_obj is not None]
-        priors = [_prior(t) for t in tracked]
+        priors = [self._prior_near(t, result.stamp_ns) for t in tracked]
         poses = [_pose(e) for e in found]
         assigned = assign(poses, priors, result.stamp_ns, slot)
         out = []
@@ -255,6 +262,10 @@ class ReinitLoop:
             newest = max(tracks, key=lambda t: t.stamp_ns)
             self._observe_epoch(newest.epoch, newest.stamp_ns)
         self._tracks = {(t.object, t.instance): t for t in tracks if t.epoch == self._epoch}
+        for key, track in self._tracks.items():
+            past = self._past.setdefault(key, deque(maxlen=PAST_POSES))
+            if track.T_cam_obj is not None and (not past or past[-1].stamp_ns < track.stamp_ns):
+                past.append(_prior(track))
         for name, instance in self._tracks:
             # New ones come before those that were looked at now.
             self._looked_ns.setdefault((name, instance), now_ns - 1)
@@ -265,6 +276,7 @@ class ReinitLoop:
         if epoch != self._epoch and (self._epoch is None or stamp_ns > self._epoch_ns):
             self._epoch = epoch
             self._tracks.clear()
+            self._past.clear()
             self._outbox.clear()
             self._sightings.clear()
             self._last_instance.clear()
@@ -272,6 +284,13 @@ class ReinitLoop:
             self._looked_ns.clear()
         if epoch == self._epoch:
             self._epoch_ns = max(self._epoch_ns, stamp_ns)
+
+    def _prior_near(self, track: TrackedPose, stamp_ns: int) -> Prior:
+        """The published pose of a track nearest to a stamp: an answer is about the past, and a velocity is a
+        poor guide over the time that perception takes."""
+        known: list[Prior] = [*self._past.get((track.object, track.instance), ()), _prior(track)]
+        nearest = int(np.argmin([abs(p.stamp_ns - stamp_ns) for p in known]))
+        return known[nearest]
 
     def _count(self, verdict: Verdict) -> None:
         c = self.counters

@@ -25,7 +25,7 @@ class TrackerConfig:
     suspect_quality: float = 0.5
     lost_quality: float = 0.25
     confirmed_identity: float = 0.9
-    lost_after: int = 4
+    lost_after: int = 5
     search: bool = True
     searches_per_step: int | None = None
     max_search_m_s: float = 0.8

@@ -20,6 +20,9 @@ CONSTANT, PER_DEPTH_FIT, PER_BEHIND, PER_COLOUR = -5.65, 3.56, -6.21, 8.95
 CARRIED = 1.0
 """Log-odds that a pose gains from having been right in the last frame."""
 
+FULLY_SEEN = 0.15
+"""With less of the surface confirmed in depth its colours say less: few samples correlate by chance."""
+
 LEAST_SEEN, WITHOUT_DEPTH = 0.05, 0.45
 """With less of the surface confirmed in depth, colours alone hold the pose: it is doubtful at best."""
 
@@ -42,7 +45,8 @@ def quality(fit: Fit, usual: float | None, was_right: float) -> float:
     >>> quality(NOTHING, None, 0.0) < 0.01
     True
     """
-    x = CONSTANT + PER_DEPTH_FIT * fit.depth_fit + PER_BEHIND * fit.behind + PER_COLOUR * fit.colour
+    heard = min(1.0, fit.seen / FULLY_SEEN)
+    x = CONSTANT + PER_DEPTH_FIT * fit.depth_fit + PER_BEHIND * fit.behind + PER_COLOUR * heard * fit.colour
     x += CARRIED * was_right
     if usual is not None:
         x -= PER_DROP * max(0.0, usual - fit.total - USUAL_SLACK)

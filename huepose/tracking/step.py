@@ -49,6 +49,10 @@ unless the result is close to the usual score and near to where the object was e
 
 LONG_DOUBT = 0.1
 SURPRISING_M = 0.03
+RETURNING_SEEN = 0.2
+"""When this much of an object is seen again after it was hidden, it may have turned meanwhile: it is searched
+for, even if the predicted pose explains something."""
+
 RIVAL_MARGIN = 0.1
 """The pose before a correction must explain the image this much better to be taken back."""
 
@@ -81,8 +85,8 @@ class Subject:
 class Anchor:
     """Where an object was last: pose, velocity (6,) or None, the frame, the score that is usual for it or
     None, and the tint of the light; its mask (H, W) in that frame where one is known better than by
-    rendering; a rival: the pose that has just been corrected away; tired: flow and search were tried in vain
-    for some frames, and shall rest."""
+    rendering; a rival: the pose that has just been corrected away; unseen_s: for how long the pose had
+    only been predicted by then; tired: flow and search were tried in vain for some frames, and shall rest."""
 
     T_cam_obj: Float64
     velocity: Float64 | None
@@ -91,6 +95,7 @@ class Anchor:
     tint: Tint = UNKNOWN_TINT
     mask: Bool | None = None
     rival: Float64 | None = None
+    unseen_s: float = 0.0
     tired: bool = False
 
 
@@ -128,18 +133,20 @@ def advance(
     long = seconds > LONG_STEP_S
     doubt = LONG_DOUBT if long else DOUBT
     surprising = long and _moved_m(surface, best.T_cam_obj, expected) > SURPRISING_M
+    returning = anchor.unseen_s > 0.0 and best.fit.seen >= RETURNING_SEEN
     doubtful = not _convincing(best, anchor.usual, doubt)
-    if not (doubtful or surprising) or (anchor.tired and not long):
+    if not (doubtful or surprising or returning) or (anchor.tired and not long and not returning):
         return replace(best, doubtful=doubtful)
     if 0.0 < seconds <= LONG_STEP_S:
         T_flow = flow_start(subject, anchor, frame, expected, relative_pose or RobustKabsch())
         if T_flow is not None:
             best = _better(best, best_of(surface, frame, [(T_flow, "flow")], anchor.tint))
-    searching = config.search and (surprising or not _convincing(best, anchor.usual, doubt))
+    doubtful = not _convincing(best, anchor.usual, doubt)
+    searching = config.search and (doubtful or surprising or returning)
     if searching:
-        near, far = _reach(surface, anchor, expected, seconds, config)
+        near, far = _reach(surface, anchor, expected, seconds + anchor.unseen_s, config)
         best = _searched(best, surface, frame, near, USUAL_EFFORT, anchor.tint)
-        if not _convincing(best, anchor.usual, doubt) and long:
+        if not _convincing(best, anchor.usual, doubt) and (long or returning):
             best = _searched(best, surface, frame, far, GREAT_EFFORT, anchor.tint)
         if len(subject.turns):
             turned = [(best.T_cam_obj @ turn, "turn") for turn in subject.turns]

@@ -23,8 +23,8 @@ from huepose.tracking.uncertainty import covariance, unseen
 COASTING_SEEN = 0.15
 """With less of the surface confirmed, the prediction is better than what was refined on it."""
 
-COASTING_DAMPING = 0.5
-"""Factor of the velocity in every frame without support: hands stop."""
+COASTING_DAMPING = 0.85
+"""Factor of the velocity in every frame without support."""
 
 MAX_TRIES = 3
 TRY_AGAIN_AFTER = 15
@@ -54,6 +54,7 @@ class Track:
         self._tint = UNKNOWN_TINT
         self._frame: RgbdFrame | None = None
         self._doubtful_frames = 0
+        self._unseen_s = 0.0
         self._rival: Float64 | None = None
 
     def look(
@@ -70,6 +71,7 @@ class Track:
             self._usual,
             self._tint,
             rival=self._rival,
+            unseen_s=self._unseen_s,
             tired=tired,
         )
         self._rival = None
@@ -82,8 +84,10 @@ class Track:
             measured = increment_velocity(self.T_cam_obj, step.T_cam_obj, seconds)
             self.velocity = filtered(self.velocity, measured, seconds)
             self.T_cam_obj, self.covariance = step.T_cam_obj, self._covariance(step)
+            self._unseen_s = 0.0
         else:
             self._coast(step, seconds)
+            self._unseen_s += seconds
         self._doubtful_frames = self._doubtful_frames + 1 if step.doubtful else 0
         return step.searched
 
@@ -106,7 +110,7 @@ class Track:
         self.velocity, self.covariance = velocity, self._covariance(step)
         self._identity = Identity.of(identity, self._view())
         self._usual, self._tint = None, UNKNOWN_TINT
-        self._doubtful_frames, self._rival = 0, None
+        self._doubtful_frames, self._unseen_s, self._rival = 0, 0.0, None
         self._evidence = evidence.quality(step.fit, None, 1.0)
         if self._evidence >= self._config.suspect_quality:
             self._usual, self._tint = usual_after(None, step.fit.total), step.fit.tint

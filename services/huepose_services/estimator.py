@@ -58,7 +58,7 @@ class EstimatorWork:
             return
         answers = self._estimator.estimate(frame, queries)
         estimates = [
-            _to_wire(answer, item.detection.request.instance)
+            estimate_to_wire(answer, item.detection.request.instance)
             for answer, item in zip(answers, message.objects, strict=True)
         ]
         self._bus.put_control(
@@ -96,7 +96,8 @@ class EstimatorWork:
         )
 
 
-def _to_wire(answer: PoseEstimate, instance: int | None) -> EstimatedObject:
+def estimate_to_wire(answer: PoseEstimate, instance: int | None) -> EstimatedObject:
+    """The message's part of an answer; instance as it was requested."""
     translation, quaternion = optional_pose_to_wire(answer.T_cam_obj)
     prior_translation, prior_quaternion = optional_pose_to_wire(answer.prior_T_cam_obj)
     return EstimatedObject(

@@ -205,3 +205,27 @@ def test_poses_finds_a_later_pipeline_on_other_ports(pipeline, huepose, tmp_path
     out, _ = printer.communicate(timeout=15.0)
     assert printer.returncode == 0
     assert json.loads(out.splitlines()[-1])["state"] == "ended"
+
+
+def test_a_worker_that_keeps_dying_is_given_up(pipeline, huepose, base_port):
+    path = pipeline(once=False, rate=30)
+    path.write_text(json.dumps(json.loads(path.read_text()) | {"restarts": {"limit": 0}}))
+    process = huepose("up", path)
+    with Reader([f"tcp/127.0.0.1:{base_port}"], "huepose/*/*/health/*") as reader:
+        os.kill(reader.next(30.0).pid, signal.SIGKILL)
+    _, err = process.communicate(timeout=15.0)
+    assert process.returncode == 1
+    assert "camera killed by signal 9: given up" in err
+
+
+def test_a_subscriber_needs_nothing_of_the_pipeline():
+    import subprocess
+    import sys
+
+    code = (
+        "import sys, huepose_protos.client, huepose_services.cli.poses, huepose_services.runtime.config\n"
+        "import huepose_services.runtime.running\n"
+        "heavy = {'cv2', 'numba', 'scipy', 'open3d', 'onnxruntime'} & set(sys.modules)\n"
+        "assert not heavy, heavy\n"
+    )
+    subprocess.run([sys.executable, "-c", code], check=True)

@@ -13,6 +13,8 @@ from importlib import import_module
 
 # In the order in which `huepose --help` lists them.
 _VERBS = ("demo", "onboard", "estimate", "evaluate", "bench", "up", "run", "poses", "validate")
+# What the base installation, for subscribers, does without.
+_OF_EXTRAS = ("cv2", "numba", "scipy", "onnxruntime", "open3d")
 DONE, FAILED, BAD_INPUT, INTERRUPTED = 0, 1, 2, 130
 
 
@@ -42,6 +44,15 @@ def main(arguments: list[str] | None = None) -> int:
         return code
     except InputError as error:
         print(f"huepose {parsed.verb}: {error}", file=sys.stderr)
+        return BAD_INPUT
+    except ModuleNotFoundError as error:
+        if error.name not in _OF_EXTRAS:
+            raise
+        print(
+            f"huepose {parsed.verb}: this needs the Python package {error.name}; "
+            "install the pipeline with: pip install 'huepose[edge]'.",
+            file=sys.stderr,
+        )
         return BAD_INPUT
     except KeyboardInterrupt:
         print(f"huepose {parsed.verb}: interrupted", file=sys.stderr)

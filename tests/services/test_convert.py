@@ -1,0 +1,123 @@
+"""What goes over the wire comes back as it was: poses, priors, corrections, estimates, depth."""
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from huepose.estimation.types import PoseEstimate
+from huepose.geometry import Box, se3
+from huepose.reinit.types import Prior, Request, RequestedObject
+from huepose.tracking.types import Correction, State, TrackedPose, Verdict
+from huepose_protos import decode, encode
+from huepose_protos.examples import messages
+from huepose_protos.messages import CorrectionMessage, Estimates, FrameHeader, PerceptionRequest, PoseMessage
+from huepose_services.convert import depth_to_wire, pose_from_wire, pose_to_wire, prior_from_wire
+from huepose_services.estimator import estimate_to_wire
+from huepose_services.reinit import correction_to_wire, request_to_wire, result_from_wire, track_from_wire
+from huepose_services.tracker import correction_from_wire
+from huepose_services.tracker import pose_to_wire as tracked_to_wire
+
+T = se3.make(se3.rotation_exp(np.array([0.4, -1.2, 0.3])), np.array([0.1, -0.05, 0.8]))
+VELOCITY = np.array([0.1, 0.2, -0.3, 1.0, -2.0, 0.5])
+COVARIANCE = np.diag([1e-6, 2e-6, 3e-6, 1e-4, 2e-4, 3e-4])
+MASK = np.zeros((48, 64), bool)
+MASK[10:20, 30:40] = True
+HEADER = next(m for m in messages() if isinstance(m, FrameHeader))
+
+finite = st.floats(-3.0, 3.0)
+
+
+def _through(message):
+    return decode(encode(message), type(message))
+
+
+@given(st.tuples(finite, finite, finite), st.tuples(finite, finite, finite))
+def test_any_pose_comes_back(rotation, translation):
+    pose = se3.make(se3.rotation_exp(np.array(rotation)), np.array(translation))
+    assert np.allclose(pose_from_wire(*pose_to_wire(pose)), pose, atol=1e-12)
+
+
+def test_a_tracked_pose_comes_back():
+    pose = TrackedPose("thing", 2, 5, 9, 123, State.SUSPECT, T, VELOCITY, 0.5, COVARIANCE, 7)
+    message = _through(tracked_to_wire(pose, HEADER))
+    assert isinstance(message, PoseMessage)
+    back = track_from_wire(message)
+    for name in ("object", "instance", "epoch", "frame_id", "stamp_ns", "state", "quality"):
+        assert getattr(back, name) == getattr(pose, name)
+    assert back.applied_correction_seq == 7
+    assert np.allclose(back.T_cam_obj, T)
+    assert (back.velocity == VELOCITY).all()
+    assert (back.covariance == COVARIANCE).all()
+    assert (message.frame, message.clock_id) == (HEADER.frame, HEADER.clock.clock_id)
+
+
+@pytest.mark.parametrize("state", [State.LOST, State.SEARCHING])
+def test_without_a_pose_everything_of_it_is_null(state):
+    pose = TrackedPose("thing", 2, 5, 9, 123, state, None, None, 0.0, None, 0)
+    message = _through(tracked_to_wire(pose, HEADER))
+    assert message.translation is message.quaternion is message.covariance is None
+    assert track_from_wire(message).T_cam_obj is None
+
+
+def test_a_pose_that_is_not_one_never_reaches_the_wire():
+    broken = T.copy()
+    broken[0, 3] = np.nan
+    pose = TrackedPose("thing", 2, 5, 9, 123, State.TRACKING, broken, None, 0.9, None, 0)
+    with pytest.raises(ValueError, match="not finite"):
+        tracked_to_wire(pose, HEADER)
+
+
+def test_a_correction_comes_back_with_its_mask():
+    correction = Correction("thing", 1, 5, 9, 123, T, 0.9, Verdict.ACQUIRE, 3, MASK)
+    message = _through(correction_to_wire(correction))
+    assert isinstance(message, CorrectionMessage)
+    back = correction_from_wire(message)
+    assert np.allclose(back.T_cam_obj, T)
+    assert (back.mask == MASK).all()
+    assert (back.verdict, back.seq, back.stamp_ns) == (Verdict.ACQUIRE, 3, 123)
+
+
+def test_a_request_and_its_priors_come_back():
+    prior = Prior(T, VELOCITY, COVARIANCE, 1_000_000_000)
+    asked = (RequestedObject("thing", 4, prior), RequestedObject("other", None, None, 2))
+    message = _through(request_to_wire(Request(8, None, 10, 20, asked)))
+    assert isinstance(message, PerceptionRequest)
+    assert (message.seq, message.camera_epoch, message.deadline_ns) == (8, None, 20)
+    known, new = message.objects
+    assert (new.object, new.instance, new.wanted) == ("other", None, 2)
+    back = prior_from_wire(known.prior)
+    assert np.allclose(back.predicted(1_100_000_000), prior.predicted(1_100_000_000))
+
+
+@pytest.mark.parametrize("instance", [None, 3])
+def test_estimates_come_back(instance):
+    found = PoseEstimate(
+        "thing", -1, True, T, 0.9, "TRACKING", 1.5, 0.2, COVARIANCE, MASK, Box(1, 2, 3, 4), 1.4, T, (), 0.1
+    )
+    lost = PoseEstimate(
+        "thing", -1, False, None, 0.0, "LOST", 0.1, 0.0, None, None, None, None, None, (), 0.1
+    )
+    message = Estimates(
+        publish_ns=1,
+        request_seq=8,
+        camera_epoch=5,
+        frame_id=9,
+        capture_ns=123,
+        estimates=[estimate_to_wire(found, instance), estimate_to_wire(lost, instance)],
+    )
+    result = result_from_wire(_through(message))
+    assert (result.request, result.epoch, result.frame_id, result.stamp_ns) == (8, 5, 9, 123)
+    back, nothing = result.estimates
+    assert back.instance == (-1 if instance is None else instance)
+    assert np.allclose(back.T_cam_obj, T)
+    assert np.allclose(back.prior_T_cam_obj, T)
+    assert (back.mask == MASK).all()
+    assert (back.score, back.prior_score, back.margin, back.quality) == (1.5, 1.4, 0.2, 0.9)
+    assert not nothing.found
+    assert nothing.T_cam_obj is None
+
+
+def test_depth_is_rounded_to_its_unit_and_what_it_cannot_hold_is_no_reading():
+    depth = np.array([[0.0, 0.50004, 6.5535, 6.6, -1.0, np.nan, np.inf]], np.float32)
+    assert depth_to_wire(depth, 1e-4).tolist() == [[0, 5000, 65535, 0, 0, 0, 0]]

@@ -1,9 +1,9 @@
 """Poses from colour pairs: light, classes, votes of three kinds, plausibility, clusters (paper, section
 III-C).
 
-Votes come from triangles of three classes, from point pairs with classes, and from single pairs as frames.
-All are asked under each of the few lights that could explain the scene's colours, weighed by whether depth
-allows them, and clustered together.
+Votes come from single pairs as frames and from triangles of three classes; where these give little, or
+fewer than three classes are in sight, from point pairs with classes too. All are asked under each of the few
+lights that could explain the scene's colours, weighed by whether depth allows them, and clustered together.
 """
 
 from __future__ import annotations
@@ -29,11 +29,14 @@ from huepose.matching.types import Hypothesis, Votes
 from huepose.matching.voting import VotingConfig, cluster
 from huepose.model.types import PairReference, ReferenceModel
 
+FEW_VOTES = 2000
+"""With fewer plausible votes than this, or fewer than three classes in sight, point pairs are asked too."""
+
 
 @dataclass(frozen=True)
 class HypothesesConfig:
-    """scene_pairs: most that are used; each source of votes can be switched off with None (`ppf` for legal
-    reasons, see its module)."""
+    """scene_pairs: most that are used; each source of votes can be switched off with None (`ppf`, the
+    fallback, for legal reasons: see its module)."""
 
     scene_pairs: int = 220
     light: LightConfig = field(default_factory=LightConfig)
@@ -42,6 +45,18 @@ class HypothesesConfig:
     triangles: TriangleConfig | None = field(default_factory=TriangleConfig)
     ppf: PpfConfig | None = field(default_factory=PpfConfig)
     voting: VotingConfig = field(default_factory=VotingConfig)
+
+
+@dataclass(frozen=True, eq=False)
+class Reading:
+    """The scene's pairs read under one light. light (3,): gains (see `colorpair.light`); share: of the
+    pairs that it explains, 0..1; pairs: on the surface, camera axes, colours as under the model's light;
+    cloud: their two sides, classified."""
+
+    light: Float64
+    share: float
+    pairs: SurfacePairs
+    cloud: ClassifiedCloud
 
 
 def extract_at_model_scale(
@@ -68,25 +83,54 @@ def colorpair_hypotheses(
 ) -> list[Hypothesis]:
     """Likely poses of a model from the colour pairs of a mask (H, W), best first, before any refinement.
 
-    The sources are told apart where only one took part: "triangles", "ppf", "frames"; together: "pairs".
+    Empty when there are no pairs with depth: `matching.shape` has starts for that case.
     """
     config = config or HypothesesConfig()
     rng = rng or np.random.default_rng(0)
+    readings = read_scene(model, pairs, frame, mask, config, rng)
+    if not readings:
+        return []
+    first = [v for r in readings for v in _first_votes(model, r, config, rng)]
+    votes = plausible(Votes.joined(first), model.surface, frame.depth, mask, frame.camera, model.diameter_m)
+    in_sight = max(len(np.unique(r.cloud.classes)) for r in readings)
+    if config.ppf is not None and (len(votes) < FEW_VOTES or in_sight < 3):
+        fallback = Votes.joined([_ppf_votes(model, r, config.ppf, rng) for r in readings])
+        more = plausible(fallback, model.surface, frame.depth, mask, frame.camera, model.diameter_m)
+        votes = Votes.joined([votes, more])
+    return cluster(votes, model.mesh.centre, model.diameter_m, "pairs", config.voting)
+
+
+def read_scene(
+    model: ReferenceModel,
+    pairs: ColorPairs,
+    frame: RgbdFrame,
+    mask: Bool,
+    config: HypothesesConfig,
+    rng: np.random.Generator,
+) -> list[Reading]:
+    """The pairs of a mask (H, W) on their surface, under each light that could be, best first.
+
+    Empty when there is no depth under the pairs, or when the model has none.
+    """
     scene, _ = lift(pairs, frame.depth, mask, frame.camera)
-    reference = reference_pairs(model.pairs)
+    table = model.pairs
+    reference = reference_pairs(table)
     if not len(scene) or not len(reference):
         return []
     scene = scene[rng.permutation(len(scene))[: config.scene_pairs]]
-    lights = lights_of(scene.colors, reference.colors, rng, config.light)
-    votes = Votes.joined(
-        [
-            vote
-            for light, _ in lights
-            for vote in _votes(model, relit_pairs(scene, light), reference, config, rng)
-        ]
-    )
-    votes = plausible(votes, model.surface, frame.depth, mask, frame.camera, model.diameter_m)
-    return cluster(votes, model.mesh.centre, model.diameter_m, _source(config), config.voting)
+    readings = []
+    for light, share in lights_of(scene.colors, reference.colors, rng, config.light):
+        relit_scene = replace(scene, colors=relit(scene.colors, 1.0 / light))
+        cloud = classified(
+            relit_scene,
+            reference,
+            table.side_classes[: len(reference)],
+            len(table.centers),
+            table.parameters["side_offset_m"],
+            config.classes,
+        )
+        readings.append(Reading(light, share, relit_scene, cloud))
+    return readings
 
 
 def reference_pairs(reference: PairReference) -> SurfacePairs:
@@ -104,39 +148,17 @@ def reference_cloud(reference: PairReference) -> ClassifiedCloud:
     )
 
 
-def relit_pairs(scene: SurfacePairs, light: Float64) -> SurfacePairs:
-    """Scene pairs as they would look under the model's light, given the scene's light (3,) as a gain."""
-    return replace(scene, colors=relit(scene.colors, 1.0 / light))
-
-
-def _votes(
-    model: ReferenceModel,
-    scene: SurfacePairs,
-    reference: SurfacePairs,
-    config: HypothesesConfig,
-    rng: np.random.Generator,
+def _first_votes(
+    model: ReferenceModel, reading: Reading, config: HypothesesConfig, rng: np.random.Generator
 ) -> list[Votes]:
-    table, out = model.pairs, []
+    table, votes = model.pairs, []
     if config.frames is not None:
-        out.append(frame_votes(scene, reference, config.frames))
-    if config.triangles is None and config.ppf is None:
-        return out
-    cloud, known = (
-        classified(
-            scene,
-            reference,
-            table.side_classes[: len(reference)],
-            len(table.centers),
-            table.parameters["side_offset_m"],
-            config.classes,
-        ),
-        reference_cloud(table),
-    )
+        votes.append(frame_votes(reading.pairs, reference_pairs(table), config.frames))
     if config.triangles is not None:
-        out.append(
+        votes.append(
             triangle_votes(
-                cloud,
-                known,
+                reading.cloud,
+                reference_cloud(table),
                 table.triangle_keys,
                 table.triangles,
                 table.parameters["triangle_bin_m"],
@@ -144,23 +166,19 @@ def _votes(
                 rng,
             )
         )
-    if config.ppf is not None:
-        out.append(
-            ppf_votes(
-                cloud,
-                known,
-                table.ppf_keys,
-                table.ppf,
-                table.ppf_alpha,
-                table.parameters["ppf_bin_m"],
-                model.diameter_m,
-                config.ppf,
-                rng,
-            )
-        )
-    return out
+    return votes
 
 
-def _source(config: HypothesesConfig) -> str:
-    used = [name for name in ("frames", "triangles", "ppf") if getattr(config, name) is not None]
-    return used[0] if len(used) == 1 else "pairs"
+def _ppf_votes(model: ReferenceModel, reading: Reading, config: PpfConfig, rng: np.random.Generator) -> Votes:
+    table = model.pairs
+    return ppf_votes(
+        reading.cloud,
+        reference_cloud(table),
+        table.ppf_keys,
+        table.ppf,
+        table.ppf_alpha,
+        table.parameters["ppf_bin_m"],
+        model.diameter_m,
+        config,
+        rng,
+    )

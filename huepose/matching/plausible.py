@@ -17,6 +17,9 @@ from huepose.model.types import Surface
 from huepose.support.jit import jit
 
 SAMPLES = 40
+GLANCE = 14
+"""Samples after which a vote with clearly more against it than for it is given up: most votes are."""
+
 TOLERANCE = 0.06
 """Distance of depth and surface that counts as the same, in diameters: votes are coarse."""
 
@@ -81,6 +84,9 @@ def _shares(
         r20, r21, r22 = R[k, 2, 0], R[k, 2, 1], R[k, 2, 2]
         fit, against, total = 0.0, 0.0, 0.0
         for i in range(points.shape[0]):
+            if i == GLANCE and against > fit + 1.0:
+                fit = 0.0
+                break
             p0, p1, p2 = points[i, 0], points[i, 1], points[i, 2]
             n0, n1, n2 = normals[i, 0], normals[i, 1], normals[i, 2]
             x = r00 * p0 + r01 * p1 + r02 * p2 + t[k, 0]

@@ -34,8 +34,8 @@ class PpfConfig:
     points: int = 700
     rows: int = 150_000
     min_distance: float = 0.15
-    references: int = 60
-    partners: int = 150
+    references: int = 40
+    partners: int = 100
     peaks: float = 0.9
 
 

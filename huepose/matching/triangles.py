@@ -37,7 +37,7 @@ class TriangleConfig:
     eccentricity: float = 0.3
     candidates: int = 600_000
     rows: int = 150_000
-    scene_triangles: int = 2500
+    scene_triangles: int = 1800
     per_key: int = 3
     tolerance: float = 1.0
     facing: float = 0.8

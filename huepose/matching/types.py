@@ -11,8 +11,8 @@ from huepose.geometry.arrays import Float32, Float64, Int32
 
 @dataclass(frozen=True, eq=False)
 class Hypothesis:
-    """T_cam_obj (4, 4); score: larger is better, comparable within one source; source: "views", "triangles",
-    "ppf", "frames", "turn" or "prior"."""
+    """T_cam_obj (4, 4); score: larger is better, comparable within one source; source: "views", "pairs",
+    "shape", "turn" or "prior"."""
 
     T_cam_obj: Float64
     score: float

@@ -30,7 +30,7 @@ class VotingConfig:
 
     cell: float = 0.1
     angle_deg: float = 20.0
-    cells: int = 10
+    cells: int = 8
     modes: int = 10
     seeds: int = 120
     members: int = 2500

@@ -32,7 +32,7 @@ from huepose.verification.dense import (
     score_kernel,
     weight_array,
 )
-from huepose.verification.opponents import linear_rgb, opponents, opponents_of_lab
+from huepose.colorpair.opponents import linear_rgb, opponents, opponents_of_lab
 from huepose.verification.region import Crop, Region
 
 GEOMETRY = ScoreWeights(depth_fit=0.9, coverage=0.7, violation=1.0, color=0.0, occluded=0.05, box=0.2)

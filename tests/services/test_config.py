@@ -2,10 +2,11 @@
 
 from pathlib import Path
 
+import msgspec
 import pytest
 
 from huepose.support.errors import InputError
-from huepose_services.runtime.config import WORKERS, load, parse
+from huepose_services.runtime.config import WORKERS, Config, Section, load, parse
 
 GOOD = "camera: {truth: true}\n"
 
@@ -62,3 +63,19 @@ def test_a_file_that_cannot_be_read_is_named(tmp_path, name):
 def test_every_worker_has_its_own_port():
     config = parse(GOOD, Path("p.yaml"))
     assert len({config.endpoint(worker) for worker in WORKERS}) == len(WORKERS)
+
+
+def test_the_default_file_shows_every_key_with_its_default():
+    import yaml
+
+    path = Path(__file__).parents[2] / "pipeline.yaml"
+    shown = yaml.safe_load(path.read_text())
+    config, default = load(path), Config()
+    for section in Config.__struct_fields__:
+        assert section in shown
+        value = getattr(default, section)
+        if isinstance(value, Section):
+            assert list(shown[section]) == list(value.__struct_fields__)
+    # It is the built-in scene, which publishes its truth for the detector.
+    camera = msgspec.structs.replace(default.camera, truth=True)
+    assert config == msgspec.structs.replace(default, camera=camera)

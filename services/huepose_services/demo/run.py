@@ -71,8 +71,6 @@ def _pipeline(seed: int, bundles: Path) -> dict[str, Any]:
         "bundles": str(bundles),
         "camera": {"source": "synthetic", "seed": seed, "truth": True},
         "detector": {"kind": "truth", "seed": seed},
-        # Demos are run on machines that do other things: late answers shall still count.
-        "tracker": {"history_frames": 40},
         "bus": {"base_port": _free_ports(len(WORKERS))},
     }
 

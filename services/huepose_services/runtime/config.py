@@ -73,7 +73,7 @@ class EstimatorConfig(Section, frozen=True, kw_only=True):
 class TrackerConfig(Section, frozen=True, kw_only=True):
     """How far back a late correction may reach."""
 
-    history_frames: Annotated[int, Meta(ge=2, le=300)] = 20
+    history_frames: Annotated[int, Meta(ge=2, le=300)] = 40
 
 
 class ReinitConfig(Section, frozen=True, kw_only=True):

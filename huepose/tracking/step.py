@@ -148,7 +148,7 @@ def advance(
         best = _searched(best, surface, frame, near, USUAL_EFFORT, anchor.tint)
         if not _convincing(best, anchor.usual, doubt) and (long or returning):
             best = _searched(best, surface, frame, far, GREAT_EFFORT, anchor.tint)
-        if len(subject.turns):
+        if len(subject.turns) and best.fit.seen >= RETURNING_SEEN:
             turned = [(best.T_cam_obj @ turn, "turn") for turn in subject.turns]
             best = _better(best, best_of(surface, frame, turned, anchor.tint), by=TURN_MARGIN)
     return replace(best, doubtful=not _convincing(best, anchor.usual, doubt), searched=searching)

@@ -54,9 +54,9 @@ def test_colours_alone_are_doubtful_at_best() -> None:
 
 
 def test_suspect_at_once_lost_soon() -> None:
-    assert run([0.9, 0.1, 0.1, 0.1, 0.1, 0.1]) == [
-        State.TRACKING, State.SUSPECT, State.SUSPECT, State.SUSPECT, State.LOST, State.LOST,
-    ]  # fmt: skip
+    suspect = [State.SUSPECT] * (CONFIG.lost_after - 1)
+    assert run([0.9] + [0.1] * 6) == [State.TRACKING, *suspect, State.LOST, State.LOST]
+    assert CONFIG.lost_after <= 5
 
 
 def test_suspect_returns_after_two_supported_frames() -> None:

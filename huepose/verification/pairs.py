@@ -18,6 +18,7 @@ from weakref import WeakKeyDictionary
 import cv2
 import numpy as np
 
+from huepose.colorpair.opponents import linear_rgb, opponents, opponents_of_lab
 from huepose.geometry.arrays import Float, Float32, Float64
 from huepose.geometry.frame import RgbdFrame
 from huepose.model.types import PairReference, ReferenceModel
@@ -32,7 +33,6 @@ from huepose.verification.dense import (
     score_kernel,
     weight_array,
 )
-from huepose.colorpair.opponents import linear_rgb, opponents, opponents_of_lab
 from huepose.verification.region import Crop, Region
 
 GEOMETRY = ScoreWeights(depth_fit=0.9, coverage=0.7, violation=1.0, color=0.0, occluded=0.05, box=0.2)

@@ -20,11 +20,16 @@ CONSTANT, PER_DEPTH_FIT, PER_BEHIND, PER_COLOUR = -5.65, 3.56, -6.21, 8.95
 CARRIED = 1.0
 """Log-odds that a pose gains from having been right in the last frame."""
 
-FULLY_SEEN = 0.15
-"""With less of the surface confirmed in depth its colours say less: few samples correlate by chance."""
+FULLY_SEEN, BLIND_SHARE = 0.15, 0.3
+"""With less of the surface confirmed in depth its colours say less: few samples correlate by chance. Surface
+without a reading counts in part."""
 
-LEAST_SEEN, WITHOUT_DEPTH = 0.05, 0.45
-"""With less of the surface confirmed in depth, colours alone hold the pose: it is doubtful at best."""
+LEAST_SEEN, ONE_SENSE = 0.1, 0.45
+"""With less confirmed in depth, colours alone hold the pose; in a saturated image depth alone does. Either
+way it is doubtful at best."""
+
+MUTE_COLOUR = 0.35
+"""What colours that cannot be seen neither add nor take away."""
 
 USUAL_SLACK = 0.3
 PER_DROP = 6.0
@@ -45,13 +50,15 @@ def quality(fit: Fit, usual: float | None, was_right: float) -> float:
     >>> quality(NOTHING, None, 0.0) < 0.01
     True
     """
-    heard = min(1.0, fit.seen / FULLY_SEEN)
-    x = CONSTANT + PER_DEPTH_FIT * fit.depth_fit + PER_BEHIND * fit.behind + PER_COLOUR * heard * fit.colour
+    mute = fit.tint[0] <= 0.0 and fit.seen >= FULLY_SEEN
+    heard = min(1.0, (fit.seen + BLIND_SHARE * fit.no_depth) / FULLY_SEEN)
+    colour = MUTE_COLOUR if mute else heard * fit.colour
+    x = CONSTANT + PER_DEPTH_FIT * fit.depth_fit + PER_BEHIND * fit.behind + PER_COLOUR * colour
     x += CARRIED * was_right
-    if usual is not None:
+    if usual is not None and not mute:
         x -= PER_DROP * max(0.0, usual - fit.total - USUAL_SLACK)
     q = float(1.0 / (1.0 + np.exp(-x)))
-    return q if fit.seen >= LEAST_SEEN else min(q, WITHOUT_DEPTH)
+    return min(q, ONE_SENSE) if mute or fit.seen < LEAST_SEEN else q
 
 
 def usual_after(usual: float | None, total: float) -> float:

@@ -49,8 +49,12 @@ def test_a_sudden_drop_under_the_usual_counts() -> None:
     assert quality(fit, 1.6, 1.0) < quality(fit, 0.9, 1.0)
 
 
-def test_colours_alone_are_doubtful_at_best() -> None:
-    assert quality(replace(GOOD, seen=0.0), None, 1.0) < CONFIG.suspect_quality
+def test_one_sense_alone_is_doubtful_at_best() -> None:
+    blind = replace(GOOD, seen=0.0, depth_fit=0.0, no_depth=0.95)
+    dazzled = replace(GOOD, colour=0.0, texture=0.0, tint=UNKNOWN_TINT)
+    for fit in (blind, dazzled):
+        assert CONFIG.lost_quality < quality(fit, 1.5, 1.0) < CONFIG.suspect_quality
+    assert quality(replace(dazzled, depth_fit=0.2, behind=0.6), None, 1.0) < CONFIG.lost_quality
 
 
 def test_suspect_at_once_lost_soon() -> None:

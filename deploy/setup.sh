@@ -1,5 +1,5 @@
 #!/usr/bin/env bash
-# Makes .venv with everything of `edge`, `viewer` and `dev`, on a machine that has only Python, pip and apt.
+# Makes .venv with everything of `edge`, `viewer`, both cameras and `dev`, where there is only Python, pip and apt.
 # Idempotent: a second call with nothing to do takes about a second.
 set -euo pipefail
 cd "$(dirname "$0")/.."
@@ -47,4 +47,5 @@ if [ ! -x "$UV/bin/uv" ]; then
         || fail "pip could not fetch uv $UV_VERSION: is the package index reachable?"
 fi
 export UV_PYTHON_DOWNLOADS=never
-"$UV/bin/uv" sync --frozen --quiet --python "$python" --extra edge --extra viewer --group dev
+"$UV/bin/uv" sync --frozen --quiet --python "$python" \
+    --extra edge --extra viewer --extra realsense --extra oak --group dev

@@ -7,6 +7,8 @@ import numpy as np
 from huepose_protos.buffers import Array, pack
 from huepose_protos.messages import (
     Clock,
+    ControlReply,
+    ControlRequest,
     CorrectionMessage,
     DetectedObject,
     Detections,
@@ -156,6 +158,24 @@ def messages() -> list[Message]:
         ),
         ObjectsMessage(
             publish_ns=_PUBLISH,
+            objects=[
+                ObjectEntry(object="006_mustard_bottle", max_instances=1, searching=0),
+                ObjectEntry(
+                    object="003_cracker_box", max_instances=2, searching=1, resets=3, box=(1.0, 0.0, 2.0, 2.0)
+                ),
+            ],
+        ),
+        ControlRequest(
+            publish_ns=_PUBLISH,
+            action="reset",
+            object="003_cracker_box",
+            max_instances=2,
+            box=(1.0, 0.0, 2.0, 2.0),
+        ),
+        ControlReply(
+            publish_ns=_PUBLISH,
+            done=False,
+            text="003_cracker_box is not looked for",
             objects=[ObjectEntry(object="006_mustard_bottle", max_instances=1, searching=0)],
         ),
         HealthMessage(
@@ -173,8 +193,12 @@ def messages() -> list[Message]:
             work_ms=(12.0, 21.0),
             age_ms=(15.0, 33.0),
             shared_memory=True,
-            counters={"frames": 360, "wire_errors": 0},
+            counters={"frames": 360, "wire_errors": 1},
             warnings=[],
+            locked_mib=7.25,
+            drops=2,
+            errors=1,
+            last_error="dropped a message on huepose/local/cam0/frame: foreign version 2.0, this is 1.x",
         ),
         TruthMessage(
             publish_ns=_PUBLISH,

@@ -65,6 +65,11 @@ class Keys:
         return self._key("objects")
 
     @property
+    def control(self) -> str:
+        """Queryable on loopback: ControlRequest, answered by ControlReply."""
+        return self._key("control")
+
+    @property
     def truth(self) -> str:
         """TruthMessage, from sources that know it and are told to say it."""
         return self._key("truth")

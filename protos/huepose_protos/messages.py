@@ -271,16 +271,49 @@ class PoseMessage(Message, frozen=True, kw_only=True):
 
 
 class ObjectEntry(Struct, frozen=True, kw_only=True):
-    """An object that the pipeline looks for; `searching`: how many of its instances were never seen yet."""
+    """An object that the pipeline looks for; `searching`: how many of its instances were never seen yet.
+
+    `resets`: how often it was told to be searched for anew; `box`: where it was said to be at the last time,
+    null when nothing was said."""
 
     object: Name
     max_instances: Annotated[int, Meta(ge=1, le=64)]
     searching: Count
+    resets: Count = 0
+    box: BoxXYWH | None = None
+
+    def __post_init__(self) -> None:
+        check_box(self.box)
 
 
 class ObjectsMessage(Message, frozen=True, kw_only=True):
-    """The objects that the pipeline looks for, once a second."""
+    """The objects that the pipeline looks for, once a second and when the list changes."""
 
+    objects: Annotated[list[ObjectEntry], Meta(max_length=256)]
+
+
+class ControlRequest(Message, frozen=True, kw_only=True):
+    """A query on `control`: what a person on the pipeline's machine wants of its list of objects.
+
+    `list` names no object. `add` looks for one (up to max_instances of it), `remove` for it no longer, `reset`
+    forgets where it was and searches anew; `box`: where it is in the image, as a hint for the detector."""
+
+    action: Literal["list", "add", "remove", "reset"]
+    object: Name | None = None
+    max_instances: Annotated[int, Meta(ge=1, le=64)] = 1
+    box: BoxXYWH | None = None
+
+    def __post_init__(self) -> None:
+        check_box(self.box)
+        if (self.object is None) != (self.action == "list"):
+            raise ValueError(f"{self.action} and object do not go together")
+
+
+class ControlReply(Message, frozen=True, kw_only=True):
+    """The answer: whether it was done, else why not; `objects` is the list as it is now."""
+
+    done: bool
+    text: Text
     objects: Annotated[list[ObjectEntry], Meta(max_length=256)]
 
 
@@ -290,7 +323,9 @@ class HealthMessage(Message, frozen=True, kw_only=True):
     rate_hz: work done a second; frame_id: the last frame that it had, null before the first;
     work_ms and age_ms: median and 99th percentile over the last seconds of the time for one piece of work and
     of the time from capture to its end; shared_memory: whether the last frame came that way, null before
-    the first; counters only grow."""
+    the first; locked_mib: memory that is locked, most of it shared memory for frames; drops: messages that
+    arrived and were replaced by newer ones, or lost, before they were read; errors: exceptions in its work and
+    messages that it refused; last_error: the newest of them; counters only grow."""
 
     worker: Name
     pid: Count
@@ -307,6 +342,10 @@ class HealthMessage(Message, frozen=True, kw_only=True):
     shared_memory: bool | None
     counters: dict[str, Count]
     warnings: Annotated[list[Text], Meta(max_length=32)]
+    locked_mib: Annotated[float, Meta(ge=0.0)] = 0.0
+    drops: Count = 0
+    errors: Count = 0
+    last_error: Text = ""
 
     def __post_init__(self) -> None:
         check_finite(work_ms=self.work_ms, age_ms=self.age_ms)
@@ -348,6 +387,8 @@ MESSAGES: tuple[type[Message], ...] = (
     CorrectionMessage,
     PoseMessage,
     ObjectsMessage,
+    ControlRequest,
+    ControlReply,
     HealthMessage,
     TruthMessage,
 )

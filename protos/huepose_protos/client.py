@@ -17,7 +17,9 @@ import zenoh
 
 from huepose_protos.codec import decode
 from huepose_protos.errors import WireError
+from huepose_protos.keys import tail_of
 from huepose_protos.messages import (
+    CameraMessage,
     CorrectionMessage,
     Estimates,
     HealthMessage,
@@ -31,6 +33,7 @@ from huepose_protos.messages import (
 _KINDS: dict[str, type[Message]] = {
     "pose": PoseMessage,
     "health": HealthMessage,
+    "camera": CameraMessage,
     "objects": ObjectsMessage,
     "truth": TruthMessage,
     "correction": CorrectionMessage,
@@ -41,7 +44,7 @@ _KINDS: dict[str, type[Message]] = {
 
 def kind_of(key: str) -> type[Message] | None:
     """The message that a key carries; None for keys with pixels and unknown ones."""
-    tail = "/".join(key.split("/")[3:])
+    tail = tail_of(key)
     return next((kind for head, kind in _KINDS.items() if tail == head or tail.startswith(head + "/")), None)
 
 

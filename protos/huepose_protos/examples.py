@@ -6,6 +6,7 @@ import numpy as np
 
 from huepose_protos.buffers import Array, pack
 from huepose_protos.messages import (
+    CameraMessage,
     Clock,
     ControlReply,
     ControlRequest,
@@ -72,6 +73,13 @@ def messages() -> list[Message]:
     mask = MaskRuns(width=4, height=2, runs=[1, 2, 2, 2, 1])
     return [
         frame,
+        CameraMessage(
+            publish_ns=_PUBLISH,
+            camera_epoch=_EPOCH,
+            clock=_CLOCK,
+            frame="cam0_color_optical",
+            intrinsics=frame.intrinsics,
+        ),
         PerceptionRequest(
             publish_ns=_PUBLISH,
             seq=17,

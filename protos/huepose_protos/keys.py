@@ -35,6 +35,11 @@ class Keys:
         return self._key("frame")
 
     @property
+    def camera_info(self) -> str:
+        """CameraMessage: the camera's intrinsics and clock, for readers that take no frames."""
+        return self._key("camera")
+
+    @property
     def request(self) -> str:
         """PerceptionRequest."""
         return self._key("perception/request")
@@ -90,6 +95,28 @@ class Keys:
     def live(self, worker: str = "*") -> str:
         """Liveliness token of a worker: there while the worker is."""
         return self._key(f"live/{worker}")
+
+    @property
+    def remote(self) -> str:
+        """All that the gateway shows to other machines; each of these can be asked for, too."""
+        return self._key("remote/**")
+
+    def outside(self, key: str) -> str:
+        """The name under which the gateway shows one of the keys above.
+
+        >>> Keys("lab", "cam0").outside("huepose/lab/cam0/objects")
+        'huepose/lab/cam0/remote/objects'
+        """
+        return self._key("remote/" + tail_of(key))
+
+
+def tail_of(key: str) -> str:
+    """What comes after huepose/SITE/CAMERA/, without the `remote/` of the gateway.
+
+    >>> tail_of("huepose/lab/cam0/remote/pose/mustard/1")
+    'pose/mustard/1'
+    """
+    return "/".join(key.split("/")[3:]).removeprefix("remote/")
 
 
 def last(key: str) -> str:

@@ -102,6 +102,15 @@ class FrameHeader(Message, frozen=True, kw_only=True):
     buffers: Annotated[list[BufferSpec], Meta(max_length=8)]
 
 
+class CameraMessage(Message, frozen=True, kw_only=True):
+    """The camera that is open, once a second: what a frame's header says of it, for readers without frames."""
+
+    camera_epoch: Epoch
+    clock: Clock
+    frame: Annotated[str, Meta(max_length=64, description="name of the camera's coordinate frame")]
+    intrinsics: Intrinsics
+
+
 class Prior(Struct, frozen=True, kw_only=True):
     """A tracked pose at a stamp, to be predicted to the frame that is looked at.
 
@@ -380,6 +389,7 @@ class TruthMessage(Message, frozen=True, kw_only=True):
 
 MESSAGES: tuple[type[Message], ...] = (
     FrameHeader,
+    CameraMessage,
     PerceptionRequest,
     Detections,
     Masks,

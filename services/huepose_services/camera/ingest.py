@@ -26,6 +26,7 @@ from huepose_protos.messages import (
     TruthObject,
 )
 from huepose_services.camera.audience import Audience
+from huepose_services.camera.info import CameraInfo
 from huepose_services.camera.schedule import Schedule
 from huepose_services.convert import (
     box_to_wire,
@@ -79,6 +80,7 @@ class Ingest:
         self._epoch = secrets.randbits(62)
         self._clock = this_clock()
         self._audience = Audience(bus, config)
+        self._info = CameraInfo(bus)
         self._made_ns = now_ns()
         self._index = 0
         self._shot = self._prepare(source.image_ids[0])
@@ -181,6 +183,7 @@ class Ingest:
             buffers=shot.buffers,
         )
         bus.put_pixels(keys.frame, header, shot.payload)
+        self._info.tell(header)
         bus.health.frame_id = frame_id
         bus.health.count(counted_as)
         bus.health.worked(started, capture_ns)

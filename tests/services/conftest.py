@@ -55,7 +55,7 @@ def _free_port_range(count: int) -> int:
 
 @pytest.fixture
 def base_port():
-    return _free_port_range(8)
+    return _free_port_range(10)
 
 
 @pytest.fixture

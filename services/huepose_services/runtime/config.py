@@ -16,9 +16,13 @@ from huepose_services.runtime.config_errors import explain
 
 DEFAULT_FILE = "pipeline.yaml"
 
-WorkerName = Literal["camera", "tracker", "reinit", "detector", "segmenter", "estimator"]
+WorkerName = Literal[
+    "camera", "tracker", "reinit", "detector", "segmenter", "estimator", "gateway", "viewer"
+]
+# Those that poses need; the others look at them.
+CHAIN: tuple[WorkerName, ...] = ("camera", "tracker", "reinit", "detector", "segmenter", "estimator")
 # The order gives each worker its port: base_port plus its place. New workers go to the end.
-WORKERS: tuple[WorkerName, ...] = ("camera", "tracker", "reinit", "detector", "segmenter", "estimator")
+WORKERS: tuple[WorkerName, ...] = (*CHAIN, "gateway", "viewer")
 Rate = Annotated[float, Meta(gt=0.0, le=240.0)]
 Seconds = Annotated[float, Meta(ge=0.0, le=60.0)]
 Side = Annotated[float, Meta(ge=0.0, le=16384.0)]
@@ -84,6 +88,35 @@ class ReinitConfig(Section, frozen=True, kw_only=True):
     deadline_ms: Annotated[int, Meta(ge=50, le=10_000)] = 600
 
 
+class TlsConfig(Section, frozen=True, kw_only=True):
+    """Files in PEM: the authority that signed the readers' certificates, the gateway's own certificate and
+    key. `readers`: common names of the certificates that may read; empty: all that the authority signed."""
+
+    authority: str
+    certificate: str
+    key: str
+    readers: list[Annotated[str, Meta(min_length=1, max_length=64)]] = []
+
+
+class GatewayConfig(Section, frozen=True, kw_only=True):
+    """What other machines may read, how often, and who they must be."""
+
+    listen: Annotated[str, Meta(pattern=r"^[^/\s]+:\d{1,5}$")] = "127.0.0.1:7447"
+    max_rate_hz: Rate = 60.0
+    max_sessions: Annotated[int, Meta(ge=1, le=1000)] = 32
+    tls: TlsConfig | None = None
+
+
+class ViewerConfig(Section, frozen=True, kw_only=True):
+    """Where the viewer shows what it sees: pages served on this machine, and how much they remember."""
+
+    web_port: Annotated[int, Meta(ge=1024, le=65_535)] = 9090
+    grpc_port: Annotated[int, Meta(ge=1024, le=65_535)] = 9876
+    bind: Literal["127.0.0.1", "0.0.0.0"] = "127.0.0.1"
+    image_rate_hz: Annotated[float, Meta(gt=0.0, le=30.0)] = 10.0
+    memory_mib: Annotated[int, Meta(ge=16, le=16_384)] = 200
+
+
 class BusConfig(Section, frozen=True, kw_only=True):
     """How the workers reach each other, on this machine only."""
 
@@ -102,7 +135,7 @@ class Config(Section, frozen=True, kw_only=True):
     """A whole deployment. `folder` is that of the file: relative paths start there."""
 
     site: Name = "local"
-    workers: tuple[WorkerName, ...] = WORKERS
+    workers: tuple[WorkerName, ...] = CHAIN
     bundles: str | None = None
     objects: list[ObjectConfig] = []
     camera: CameraConfig = CameraConfig()
@@ -111,6 +144,8 @@ class Config(Section, frozen=True, kw_only=True):
     estimator: EstimatorConfig = EstimatorConfig()
     tracker: TrackerConfig = TrackerConfig()
     reinit: ReinitConfig = ReinitConfig()
+    gateway: GatewayConfig = GatewayConfig()
+    viewer: ViewerConfig = ViewerConfig()
     bus: BusConfig = BusConfig()
     restarts: RestartConfig = RestartConfig()
 
@@ -163,10 +198,18 @@ def _absolute(config: Config, folder: Path) -> Config:
     def absolute(text: str | None) -> str | None:
         return None if text is None else str(folder / Path(text).expanduser())
 
+    tls = config.gateway.tls
     return msgspec.structs.replace(
         config,
         bundles=absolute(config.bundles),
         camera=msgspec.structs.replace(config.camera, path=absolute(config.camera.path)),
+        gateway=msgspec.structs.replace(
+            config.gateway,
+            tls=tls
+            and msgspec.structs.replace(
+                tls, **{name: absolute(getattr(tls, name)) for name in ("authority", "certificate", "key")}
+            ),
+        ),
     )
 
 

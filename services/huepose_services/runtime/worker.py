@@ -1,13 +1,15 @@
 """One worker process: open the session, make the work, then wait, step and say how it is, until told to stop.
 
-A worker under a supervisor finds two variables: HUEPOSE_READY_FD, a pipe on which one line says that it
-is ready, and HUEPOSE_SUPERVISOR, the process that it must not outlive.
+A worker under a supervisor finds two variables: HUEPOSE_READY_FD, the pipe of its pulse, and
+HUEPOSE_SUPERVISOR, the process that it must not outlive. Under systemd the pulse is READY=1 and WATCHDOG=1.
 """
 
 from __future__ import annotations
 
+import faulthandler
 import os
 import signal
+import sys
 import traceback
 from contextlib import suppress
 from importlib import import_module
@@ -22,10 +24,11 @@ from huepose_services.runtime.clock import SECOND, now_ns
 from huepose_services.runtime.config import Config
 from huepose_services.runtime.health import Health
 from huepose_services.runtime.log import Log
+from huepose_services.runtime.pulse import Pulse
 from huepose_services.runtime.session import open_worker_session
 
-READY_FD = "HUEPOSE_READY_FD"
 SUPERVISOR = "HUEPOSE_SUPERVISOR"
+TELL_WHERE = signal.SIGUSR2
 
 _HOMES = {
     "camera": "huepose_services.camera.ingest",
@@ -34,16 +37,23 @@ _HOMES = {
     "detector": "huepose_services.detector",
     "segmenter": "huepose_services.segmenter",
     "estimator": "huepose_services.estimator",
+    "gateway": "huepose_services.gateway",
+    "viewer": "huepose_services.viewer",
 }
-# Frames and tracking come first where the cores do not suffice for all and the system allows it.
-_NICENESS = {"camera": -5, "tracker": -5}
+# Frames and tracking come first where the cores do not suffice for all. To raise a priority needs the right to
+# do so (root, LimitNICE of a unit); to lower that of perception and of what only looks needs none.
+_NICENESS = {"camera": -5, "tracker": -5, "reinit": -2, "detector": 3, "segmenter": 3, "estimator": 3}
+_NICENESS_OF_OTHERS = 3
 _LONGEST_WAIT_S = 0.1
 _FORCED_STOP_AFTER_S = 1.0
 _ERRORS_IN_A_ROW = 10
 
 
 class Work(Protocol):
-    """What one worker does. Made by `make(bus, config)` of its module, warmed up when that returns."""
+    """What one worker does. Made by `make(bus, config)` of its module, warmed up when that returns.
+
+    It may have an attribute `ready: bool`, looked at after every step: as long as that is False, the worker
+    does not say that it is ready (a camera before its first good frame). Without it, it is ready at once."""
 
     finished: bool
     """Set when there is nothing left to do: the worker then ends with exit code 0."""
@@ -83,23 +93,24 @@ def run_worker(worker: str, config: Config) -> int:
     Raises InputError for what the configuration names and is not there, or a port that is taken."""
     log, health = Log(worker), Health(worker)
     stop = _Stop(log)
+    # The supervisor asks a worker that hangs where it is before it ends it.
+    faulthandler.register(TELL_WHERE, file=sys.stderr, all_threads=True)
     with suppress(PermissionError):
-        os.nice(_NICENESS.get(worker, 0))
+        os.nice(_NICENESS.get(worker, _NICENESS_OF_OTHERS))
     cv2.setNumThreads(1)
     session, health.warnings = open_worker_session(config, worker)
     for warning in health.warnings:
-        log.say(f"warning: {warning}")
+        log.warn(warning)
     bus = Bus(session, config.keys, worker, log, health)
+    pulse = Pulse()
     try:
-        bus.put(config.keys.health(worker), health.message())
+        bus.say_health()
         work = cast(Work, import_module(_HOMES[worker]).make(bus, config))
         token = session.liveliness().declare_token(config.keys.live(worker))
-        health.state = "ready"
-        _tell_supervisor()
-        log.say("ready")
-        _loop(bus, work, stop)
+        _loop(bus, work, stop, pulse)
+        pulse.stopping()
         health.state = "ended" if work.finished else "stopping"
-        bus.put(config.keys.health(worker), health.message())
+        bus.say_health()
         token.undeclare()  # type: ignore[no-untyped-call]
     finally:
         signal.setitimer(signal.ITIMER_REAL, 0)
@@ -107,35 +118,38 @@ def run_worker(worker: str, config: Config) -> int:
     return 0
 
 
-def _loop(bus: Bus, work: Work, stop: _Stop) -> None:
+def _loop(bus: Bus, work: Work, stop: _Stop, pulse: Pulse) -> None:
     supervisor = int(os.environ.get(SUPERVISOR, 0))
     errors = 0
     next_health_ns = now_ns()
+    said_ready = False
     while not stop.requested and not work.finished:
+        if not said_ready and getattr(work, "ready", True):
+            said_ready = True
+            if bus.health.state == "starting":
+                bus.health.state = "ready"
+            bus.log.say("ready")
+            pulse.ready()
         due_ns = work.due_ns()
         until_ns = next_health_ns if due_ns is None else min(due_ns, next_health_ns)
         bus.inbox.wait(min((until_ns - now_ns()) / SECOND, _LONGEST_WAIT_S))
         try:
             work.step()
             errors = 0
-        except Exception:
+        except Exception as error:
             errors += 1
             bus.health.count("errors")
-            bus.log.seldom("error", f"error in its work, going on:\n{traceback.format_exc()}")
+            bus.health.failed(f"{type(error).__name__}: {error}")
+            bus.log.seldom("error", f"error in its work, going on:\n{traceback.format_exc()}", "error")
             if errors >= _ERRORS_IN_A_ROW:
                 raise
+        pulse.beat()
         if now_ns() >= next_health_ns:
             next_health_ns = max(next_health_ns + SECOND, now_ns())
-            bus.put(bus.keys.health(bus.worker), bus.health.message())
+            bus.say_health()
             if supervisor and os.getppid() != supervisor:
-                bus.log.say("the supervisor is gone: stopping")
+                bus.log.warn("the supervisor is gone: stopping")
                 return
-
-
-def _tell_supervisor() -> None:
-    if READY_FD in os.environ:
-        with os.fdopen(int(os.environ[READY_FD]), "w") as pipe:
-            pipe.write("ready\n")
 
 
 def _close(bus: Bus, session: zenoh.Session) -> None:

@@ -15,7 +15,8 @@ demo: setup
 	@.venv/bin/huepose demo
 
 test: setup
-	@.venv/bin/pytest
+	@.venv/bin/pytest -n auto --dist worksteal -m "not live"
+	@.venv/bin/pytest -m live
 
 lint: setup
 	@.venv/bin/ruff check .

@@ -17,6 +17,8 @@ from huepose_services.runtime.health import Health
 from huepose_services.runtime.log import Log
 from huepose_services.runtime.session import MIB, lock_limit, open_worker_session, pool_fits
 
+pytestmark = pytest.mark.live
+
 POSE = next(m for m in messages() if isinstance(m, PoseMessage))
 HEADER = next(m for m in messages() if isinstance(m, FrameHeader))
 

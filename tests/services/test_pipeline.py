@@ -13,6 +13,8 @@ from huepose.model.io import model_path, save_model
 from huepose.onboarding import onboard_mesh
 from huepose_services.convert import pose_from_wire
 
+pytestmark = pytest.mark.live
+
 NAME = "tea_box"
 
 

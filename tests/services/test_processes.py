@@ -13,6 +13,8 @@ from huepose_protos.client import Reader
 from huepose_protos.messages import HealthMessage, TruthMessage
 from tests.services.conftest import STAMPS_NS
 
+pytestmark = pytest.mark.live
+
 
 def _messages(reader, kind, timeout_s=30.0):
     """All messages until the workers that were seen are gone."""

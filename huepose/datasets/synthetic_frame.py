@@ -101,11 +101,13 @@ def silhouette_px(mesh: Mesh, T_cam_obj: Float, camera: Camera) -> int:
 
 @dataclass(frozen=True, eq=False)
 class Shot:
-    """What the camera delivers, color (H, W, 3) uint8 and depth (H, W) float32 m, and the truth."""
+    """What the camera delivers, color (H, W, 3) uint8 and depth (H, W) float32 m, and the truth; owner (H, W)
+    int16: the number of the mesh that is seen, -1 = none."""
 
     color: UInt8
     depth: Float32
     labels: Labels
+    owner: np.ndarray[tuple[int, ...], np.dtype[np.int16]]
 
 
 def shoot(
@@ -141,4 +143,5 @@ def shoot(
     depth = middle.depth
     if depth_sensor is not None:
         depth = stereo_depth(depth, middle.normals_cam, camera, depth_sensor, rng)
-    return Shot(color, depth, _labels(scene[: stage.labelled], middle.object_index, camera))
+    truth = _labels(scene[: stage.labelled], middle.object_index, camera)
+    return Shot(color, depth, truth, middle.object_index)

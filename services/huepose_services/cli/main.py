@@ -12,7 +12,10 @@ import sys
 from importlib import import_module
 
 # In the order in which `huepose --help` lists them.
-_VERBS = ("demo", "onboard", "estimate", "evaluate", "bench", "up", "run", "poses", "validate")
+_VERBS = (
+    *("demo", "onboard", "estimate", "evaluate", "render_scenes", "bench"),
+    *("up", "run", "poses", "validate"),
+)
 # What the base installation, for subscribers, does without.
 _OF_EXTRAS = ("cv2", "numba", "scipy", "onnxruntime", "open3d")
 DONE, FAILED, BAD_INPUT, INTERRUPTED = 0, 1, 2, 130

@@ -1,0 +1,147 @@
+"""Write a scene in the layout of the BOP benchmark, frame by frame: it may be stopped, and gone on with.
+
+What `datasets.bop` reads: `rgb/` (JPEG), `depth/` (16 bit, tenths of a millimetre), `mask_visib/`,
+`scene_camera.json`, `scene_gt.json`, `scene_gt_info.json`; and `rendered.json`, which says what the folder
+holds. The JSON files are written anew after each frame and name only frames whose pictures are whole.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+
+from huepose.datasets import files
+from huepose.geometry import Box, Camera
+from huepose.geometry.arrays import Bool, Float32, Float64, UInt8
+from huepose.support.errors import InputError
+
+DEPTH_SCALE_MM = 0.1
+JPEG_QUALITY = 95
+_SHEETS = ("scene_camera", "scene_gt", "scene_gt_info")
+
+
+@dataclass(frozen=True, eq=False)
+class Label:
+    """One labelled object of a frame: object_id; T_cam_obj (4, 4) m; mask (H, W) of what is seen of it;
+    silhouette_px and silhouette: count and bounds of its outline as if nothing hid it, parts outside the
+    image included."""
+
+    object_id: int
+    T_cam_obj: Float64
+    mask: Bool
+    silhouette_px: int
+    silhouette: Box
+
+
+class BopWriter:
+    """A scene folder that grows. facts: what makes its frames; a folder with other facts is refused.
+
+    `done`: numbers of the frames that are there."""
+
+    def __init__(self, folder: Path, facts: dict[str, Any]) -> None:
+        """Open or make the folder. Raises InputError when it holds something else or cannot be written."""
+        self.folder, self._facts = folder, facts
+        self._sheets: dict[str, dict[str, Any]] = {name: {} for name in _SHEETS}
+        said = folder / "rendered.json"
+        if said.exists():
+            there = files.read_json(said)
+            if there != json.loads(json.dumps(facts)):
+                raise InputError(
+                    folder,
+                    found="a scene that was drawn with other settings",
+                    expected="an empty folder, or one with the same settings to go on with",
+                    fix="Choose another --out, or remove that folder.",
+                )
+            for name in _SHEETS:
+                path = folder / f"{name}.json"
+                self._sheets[name] = files.read_json(path) if path.exists() else {}
+        elif folder.is_dir() and any(folder.iterdir()):
+            raise InputError(
+                folder,
+                found="a folder with other files in it",
+                expected="a new or empty folder",
+                fix="Choose another --out.",
+            )
+        try:
+            for part in ("rgb", "depth", "mask_visib"):
+                (folder / part).mkdir(parents=True, exist_ok=True)
+            _write(said, json.dumps(facts, indent=1).encode())
+        except OSError as error:
+            raise InputError(
+                folder, found=error.strerror or str(error), expected="a folder that can be written"
+            ) from None
+
+    @property
+    def done(self) -> frozenset[int]:
+        """Numbers of the frames that are there as a whole."""
+        cameras, labels, details = (set(self._sheets[name]) for name in _SHEETS)
+        return frozenset(int(key) for key in cameras & labels & details)
+
+    def add(self, image: int, color: UInt8, depth: Float32, camera: Camera, labels: Sequence[Label]) -> None:
+        """Write a frame: color (H, W, 3) uint8 RGB, depth (H, W) float32 m. Raises InputError."""
+        stem, key = f"{image:06d}", str(image)
+        steps = np.rint(depth * np.float32(1000.0 / DEPTH_SCALE_MM))
+        raw = np.where(steps > np.iinfo(np.uint16).max, 0, steps).astype(np.uint16)
+        quality = [cv2.IMWRITE_JPEG_QUALITY, JPEG_QUALITY]
+        try:
+            _write(self.folder / "rgb" / f"{stem}.jpg", _encoded(".jpg", color[..., ::-1], quality))
+            _write(self.folder / "depth" / f"{stem}.png", _encoded(".png", raw))
+            for k, label in enumerate(labels):
+                picture = label.mask.astype(np.uint8) * np.uint8(255)
+                _write(self.folder / "mask_visib" / f"{stem}_{k:06d}.png", _encoded(".png", picture))
+            self._sheets["scene_camera"][key] = {
+                "cam_K": camera.K.reshape(-1).tolist(),
+                "depth_scale": DEPTH_SCALE_MM,
+            }
+            self._sheets["scene_gt"][key] = [_pose(label) for label in labels]
+            self._sheets["scene_gt_info"][key] = [_details(label) for label in labels]
+            for name, sheet in self._sheets.items():
+                _write(self.folder / f"{name}.json", json.dumps(sheet).encode())
+        except OSError as error:
+            raise InputError(
+                self.folder,
+                found=error.strerror or str(error),
+                expected="a folder with room for about 0.6 MB a frame",
+            ) from None
+
+
+def _pose(label: Label) -> dict[str, Any]:
+    return {
+        "cam_R_m2c": label.T_cam_obj[:3, :3].reshape(-1).tolist(),
+        "cam_t_m2c": (1000.0 * label.T_cam_obj[:3, 3]).tolist(),
+        "obj_id": label.object_id,
+    }
+
+
+def _details(label: Label) -> dict[str, Any]:
+    seen, box = int(label.mask.sum()), Box.of_mask(label.mask)
+    return {
+        "bbox_obj": [round(v) for v in label.silhouette],
+        "bbox_visib": [-1, -1, -1, -1] if box is None else [round(v) for v in box],
+        "px_count_all": label.silhouette_px,
+        "px_count_visib": seen,
+        "visib_fract": seen / label.silhouette_px if label.silhouette_px else 0.0,
+    }
+
+
+def _encoded(kind: str, picture: np.ndarray, parameters: Sequence[int] = ()) -> bytes:
+    ok, data = cv2.imencode(kind, np.ascontiguousarray(picture), list(parameters))
+    assert ok
+    return bytes(data.tobytes())
+
+
+def _write(path: Path, data: bytes) -> None:
+    """The file as a whole, or not at all."""
+    part = path.with_name(f".{path.name}.{os.getpid()}.part")
+    try:
+        part.write_bytes(data)
+        part.replace(path)
+    finally:
+        part.unlink(missing_ok=True)

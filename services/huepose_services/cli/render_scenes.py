@@ -1,0 +1,70 @@
+"""`huepose render-scenes`: labelled frames of heaps of objects, drawn from their meshes."""
+
+from __future__ import annotations
+
+import argparse
+from pathlib import Path
+from typing import Any
+
+
+def add_parser(subparsers: Any) -> None:
+    """Add the verb."""
+    parser = subparsers.add_parser(
+        "render-scenes",
+        help="draw labelled frames to measure on",
+        description="Draw heaps of objects, with varied light, noise and occlusion, as a BOP scene folder "
+        "for `huepose eval estimate --bop`. The same seed gives the same frames; what is there is kept, so "
+        "an interrupted run goes on where it stopped, and more frames can be added later.",
+    )
+    parser.add_argument(
+        "--models",
+        required=True,
+        metavar="DIR|builtin",
+        help="BOP models folder; builtin: those of the demo, whose meshes are written to OUT/models",
+    )
+    parser.add_argument("--out", type=Path, required=True, metavar="DIR", help="scene folder")
+    parser.add_argument("--frames", type=int, default=100, metavar="N", help="how many (100)")
+    parser.add_argument("--seed", type=int, default=0, metavar="N", help="of everything that varies (0)")
+    parser.add_argument("--objects", type=int, nargs="+", default=None, metavar="ID", help="only these ids")
+    parser.set_defaults(call=call)
+
+
+def call(arguments: argparse.Namespace) -> int:
+    """Read the meshes, draw, say what is there."""
+    from huepose.datasets.bop import BopScene
+    from huepose.datasets.obj_writer import write_models_folder
+    from huepose.datasets.rendered_set import write_rendered_set
+    from huepose.datasets.shapes import demo_objects
+    from huepose.support.errors import InputError
+
+    if arguments.models == "builtin":
+        meshes = demo_objects(0)
+        ids = {name: k for k, name in enumerate(meshes, 1)}
+        wanted = set(arguments.objects or ids.values())
+        if wanted - set(ids.values()):
+            raise InputError(
+                "--objects", found=str(sorted(wanted)), expected=f"some of 1 to {len(ids)} with builtin"
+            )
+        meshes = {name: mesh for name, mesh in meshes.items() if ids[name] in wanted}
+    else:
+        meshes, ids = _read(Path(arguments.models), arguments.objects)
+    write_rendered_set(arguments.out, meshes, ids, arguments.frames, arguments.seed)
+    if arguments.models == "builtin":
+        write_models_folder(arguments.out / "models", meshes, ids)
+    scene = BopScene(arguments.out)
+    truths = [truth for image in scene.image_ids for truth in scene.truths(image)]
+    print(
+        f"{arguments.out}: {len(scene.image_ids)} frames, {len(truths)} labels, "
+        f"{sum(truth.visible for truth in truths)} of them visible by 30 % or more"
+    )
+    return 0
+
+
+def _read(folder: Path, ids: list[int] | None) -> tuple[dict[str, Any], dict[str, int]]:
+    from huepose.onboarding.bop_folder import bop_models
+    from huepose.onboarding.meshes import read_mesh
+    from huepose.support.progress import progress
+
+    models = bop_models(folder, ids)
+    meshes = {m.name: read_mesh(m.mesh_path, "mm") for m in progress(models, "reading meshes")}
+    return meshes, {m.name: m.object_id for m in models}

@@ -17,26 +17,17 @@ from importlib import import_module
 from typing import cast
 
 from huepose.datasets.types import GroundTruth, Scene
-from huepose_protos.buffers import pack
-from huepose_protos.messages import (
-    BufferSpec,
-    FrameHeader,
-    Intrinsics,
-    TruthMessage,
-    TruthObject,
-)
+from huepose_protos.messages import TruthMessage, TruthObject
 from huepose_services.camera.audience import Audience
-from huepose_services.camera.info import CameraInfo
+from huepose_services.camera.live import LiveSource
+from huepose_services.camera.live_ingest import LiveIngest
+from huepose_services.camera.publish import FramePublisher, Packed, packed
 from huepose_services.camera.schedule import Schedule
-from huepose_services.convert import (
-    box_to_wire,
-    depth_to_wire,
-    intrinsics_to_wire,
-    optional_pose_to_wire,
-)
+from huepose_services.convert import box_to_wire, optional_pose_to_wire
 from huepose_services.runtime.bus import Bus
-from huepose_services.runtime.clock import SECOND, now_ns, this_clock
+from huepose_services.runtime.clock import SECOND, now_ns
 from huepose_services.runtime.config import Config
+from huepose_services.runtime.config_perception import LIVE_SOURCES
 
 _BEHIND_NS = SECOND // 10
 _WAIT_TO_PLAY_ONCE_NS, _WAIT_TO_LOOP_NS = 120 * SECOND, 20 * SECOND
@@ -44,10 +35,12 @@ _SHOW_AGAIN_NS = SECOND // 2
 _GRACE_NS, _WAIT_FOR_READERS_NS = SECOND // 2, int(2.5 * SECOND)
 
 
-def make(bus: Bus, config: Config) -> Ingest:
+def make(bus: Bus, config: Config) -> Ingest | LiveIngest:
     """The camera worker's work."""
-    module = import_module(f"huepose_services.camera.{config.camera.source}")
-    return Ingest(bus, config, cast(Scene, module.open_source(config)))
+    source = import_module(f"huepose_services.camera.{config.camera.source}").open_source(config)
+    if config.camera.source in LIVE_SOURCES:
+        return LiveIngest(bus, config, cast(LiveSource, source))
+    return Ingest(bus, config, cast(Scene, source))
 
 
 @dataclass(frozen=True)
@@ -55,9 +48,7 @@ class _Shot:
     """A frame that is ready to go."""
 
     image: int
-    intrinsics: Intrinsics
-    buffers: list[BufferSpec]
-    payload: bytes
+    picture: Packed
     truths: tuple[GroundTruth, ...]
 
 
@@ -78,9 +69,8 @@ class Ingest:
         self._bus, self._keys, self._camera, self._source = bus, config.keys, config.camera, source
         self.finished = False
         self._epoch = secrets.randbits(62)
-        self._clock = this_clock()
         self._audience = Audience(bus, config)
-        self._info = CameraInfo(bus)
+        self._publisher = FramePublisher(bus, config)
         self._made_ns = now_ns()
         self._index = 0
         self._shot = self._prepare(source.image_ids[0])
@@ -161,32 +151,14 @@ class Ingest:
 
     def _prepare(self, image: int) -> _Shot:
         frame = self._source.frame(image)
-        depth = depth_to_wire(frame.depth, self._camera.depth_scale_m)
-        buffers, payload = pack({"color": frame.color, "depth": depth})
-        intrinsics = intrinsics_to_wire(frame.camera, self._camera.depth_scale_m)
         truths = self._source.truths(image) if self._camera.truth else ()
-        return _Shot(image, intrinsics, buffers, payload, truths)
+        return _Shot(image, packed(frame, self._camera.depth_scale_m), truths)
 
     def _publish(self, frame_id: int, capture_ns: int, counted_as: str = "frames") -> None:
         shot, bus, keys = self._shot, self._bus, self._keys
-        started = now_ns()
         if self._camera.truth:
             bus.put(keys.truth, self._truth(shot, frame_id, capture_ns))
-        header = FrameHeader(
-            publish_ns=now_ns(),
-            camera_epoch=self._epoch,
-            frame_id=frame_id,
-            capture_ns=capture_ns,
-            clock=self._clock,
-            frame=f"{self._camera.name}_color_optical",
-            intrinsics=shot.intrinsics,
-            buffers=shot.buffers,
-        )
-        bus.put_pixels(keys.frame, header, shot.payload)
-        self._info.tell(header)
-        bus.health.frame_id = frame_id
-        bus.health.count(counted_as)
-        bus.health.worked(started, capture_ns)
+        self._publisher.publish(shot.picture, self._epoch, frame_id, capture_ns, counted_as)
 
     def _truth(self, shot: _Shot, frame_id: int, capture_ns: int) -> TruthMessage:
         objects = []

@@ -7,29 +7,32 @@ from typing import Annotated, Any, Literal
 
 import msgspec
 import yaml
-from msgspec import Meta, Struct
+from msgspec import Meta
 
 from huepose.support.errors import InputError
 from huepose_protos.fields import Name
 from huepose_protos.keys import Keys
 from huepose_services.runtime.config_errors import explain
+from huepose_services.runtime.config_perception import (
+    CameraConfig,
+    DetectorConfig,
+    NetworksConfig,
+    Rate,
+    Section,
+    SegmenterConfig,
+    absolute_networks,
+    check_camera,
+    check_detector,
+    check_segmenter,
+)
 
 DEFAULT_FILE = "pipeline.yaml"
 
-WorkerName = Literal[
-    "camera", "tracker", "reinit", "detector", "segmenter", "estimator", "gateway", "viewer"
-]
+WorkerName = Literal["camera", "tracker", "reinit", "detector", "segmenter", "estimator", "gateway", "viewer"]
 # Those that poses need; the others look at them.
 CHAIN: tuple[WorkerName, ...] = ("camera", "tracker", "reinit", "detector", "segmenter", "estimator")
 # The order gives each worker its port: base_port plus its place. New workers go to the end.
 WORKERS: tuple[WorkerName, ...] = (*CHAIN, "gateway", "viewer")
-Rate = Annotated[float, Meta(gt=0.0, le=240.0)]
-Seconds = Annotated[float, Meta(ge=0.0, le=60.0)]
-Side = Annotated[float, Meta(ge=0.0, le=16384.0)]
-
-
-class Section(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """A part of pipeline.yaml: no other keys than these."""
 
 
 class ObjectConfig(Section, frozen=True, kw_only=True):
@@ -37,34 +40,6 @@ class ObjectConfig(Section, frozen=True, kw_only=True):
 
     name: Name
     max_instances: Annotated[int, Meta(ge=1, le=16)] = 1
-
-
-class CameraConfig(Section, frozen=True, kw_only=True):
-    """Where frames come from, and when."""
-
-    name: Name = "cam0"
-    source: Literal["synthetic", "bop", "fast_ycb"] = "synthetic"
-    path: str | None = None
-    seed: Annotated[int, Meta(ge=0)] = 0
-    rate: Rate | Literal["recorded"] = 30.0
-    once: bool = False
-    first_frame_s: Seconds = 5.0
-    truth: bool = False
-    depth_scale_m: Annotated[float, Meta(gt=0.0, le=0.01)] = 0.0001
-
-
-class DetectorConfig(Section, frozen=True, kw_only=True):
-    """How boxes are found."""
-
-    kind: Literal["truth", "first_box"] = "truth"
-    boxes: dict[Name, tuple[Side, Side, Side, Side]] = {}
-    seed: Annotated[int, Meta(ge=0)] = 0
-
-
-class SegmenterConfig(Section, frozen=True, kw_only=True):
-    """How objects are outlined in their boxes."""
-
-    kind: Literal["depth"] = "depth"
 
 
 class EstimatorConfig(Section, frozen=True, kw_only=True):
@@ -95,7 +70,7 @@ class TlsConfig(Section, frozen=True, kw_only=True):
     authority: str
     certificate: str
     key: str
-    readers: list[Annotated[str, Meta(min_length=1, max_length=64)]] = []
+    readers: list[Annotated[str, Meta(min_length=1, max_length=64)]] = msgspec.field(default_factory=list)
 
 
 class GatewayConfig(Section, frozen=True, kw_only=True):
@@ -125,10 +100,12 @@ class BusConfig(Section, frozen=True, kw_only=True):
 
 
 class RestartConfig(Section, frozen=True, kw_only=True):
-    """How often a worker that died is started again."""
+    """How often a worker that died is started again, and when it counts as hung."""
 
     limit: Annotated[int, Meta(ge=0, le=1000)] = 5
     window_s: Annotated[float, Meta(gt=0.0, le=86_400.0)] = 60.0
+    start_within_s: Annotated[float, Meta(ge=1.0, le=3600.0)] = 120.0
+    hung_after_s: Annotated[float, Meta(ge=0.5, le=600.0)] = 3.0
 
 
 class Config(Section, frozen=True, kw_only=True):
@@ -137,10 +114,11 @@ class Config(Section, frozen=True, kw_only=True):
     site: Name = "local"
     workers: tuple[WorkerName, ...] = CHAIN
     bundles: str | None = None
-    objects: list[ObjectConfig] = []
+    objects: list[ObjectConfig] = msgspec.field(default_factory=list)
     camera: CameraConfig = CameraConfig()
     detector: DetectorConfig = DetectorConfig()
     segmenter: SegmenterConfig = SegmenterConfig()
+    networks: NetworksConfig = NetworksConfig()
     estimator: EstimatorConfig = EstimatorConfig()
     tracker: TrackerConfig = TrackerConfig()
     reinit: ReinitConfig = ReinitConfig()
@@ -202,6 +180,7 @@ def _absolute(config: Config, folder: Path) -> Config:
     return msgspec.structs.replace(
         config,
         bundles=absolute(config.bundles),
+        **absolute_networks(config.detector, config.segmenter, config.networks, folder),
         camera=msgspec.structs.replace(config.camera, path=absolute(config.camera.path)),
         gateway=msgspec.structs.replace(
             config.gateway,
@@ -225,20 +204,8 @@ def _check(config: Config, path: Path) -> None:
         refuse("objects", ", ".join(names), "every name once", "Use max_instances for several of a kind.")
     if len(set(config.workers)) != len(config.workers) or not config.workers:
         refuse("workers", ", ".join(config.workers) or "none", "each worker at most once", "Name each once.")
-    if camera.source == "synthetic" and camera.path is not None:
-        refuse("camera.path", camera.path, "no path with the synthetic source", "Set it to null.")
-    if camera.source != "synthetic" and camera.path is None:
-        refuse("camera.path", "null", "the folder of the recording", "Set it to the scene's folder.")
+    check_camera(camera, refuse)
     if camera.source != "synthetic" and config.bundles is None and config.objects:
         refuse("bundles", "null", "the folder of the reference models", "Make them by huepose onboard.")
-    if camera.source == "synthetic" and camera.rate == "recorded":
-        refuse("camera.rate", "recorded", "frames per second with the synthetic source", "Set it to 30.")
-    if detector.kind == "truth" and "detector" in config.workers and not camera.truth:
-        refuse("detector.kind", "truth", "camera.truth: true beside it", "Set camera.truth to true.")
-    if detector.kind == "first_box" and not detector.boxes and "detector" in config.workers:
-        refuse("detector.boxes", "none", "a box [x, y, w, h] by object", "Give each object's first box.")
-    for name, box in detector.boxes.items():
-        if name not in names:
-            refuse("detector.boxes", name, f"one of objects: {', '.join(names)}", "Correct the name.")
-        if box[2] < 1 or box[3] < 1:
-            refuse(f"detector.boxes.{name}", f"{list(box)}", "[x, y, w, h] with w, h >= 1", "Correct it.")
+    check_detector(detector, "detector" in config.workers, camera.truth, names, refuse)
+    check_segmenter(config.segmenter, refuse)

@@ -1,0 +1,105 @@
+"""A camera's own clock mapped to CLOCK_MONOTONIC, its drift removed.
+
+A picture arrives a while after it was captured: a fixed part that nothing on the host can see, and a part
+that varies and is never negative. So the pairs (device time, arrival) lie above a line, and those that
+travelled fastest lie on it. The line is fitted to the fastest pair of each second of the last minute (the
+lower side of their convex hull); its slope is the drift, a few parts in a hundred thousand on real cameras.
+"""
+
+from __future__ import annotations
+
+from collections import deque
+from itertools import pairwise
+
+SECOND = 1_000_000_000
+_BUCKET_NS = SECOND
+_BUCKETS = 60
+_EARLY_NS, _LATE_NS = SECOND // 2, 2 * SECOND
+_MAX_DRIFT = 1e-3
+_DRIFT_NEEDS_NS = 5 * SECOND
+
+
+class DeviceClock:
+    """Feed it every picture; it answers with the capture time on CLOCK_MONOTONIC.
+
+    Stamps never decrease and are never later than the arrival. A device clock that jumps or starts anew
+    begins a new line and counts in `restarts`.
+
+    >>> clock = DeviceClock()
+    >>> clock.capture_ns(5_000, arrived_ns=105_000)
+    105000
+    """
+
+    def __init__(self) -> None:
+        self.restarts = 0
+        self._fastest: deque[tuple[int, int]] = deque(maxlen=_BUCKETS)
+        self._bucket: int | None = None
+        self._origin = (0, 0)
+        self._drift = 0.0
+        self._last: tuple[int, int, int] | None = None
+
+    @property
+    def drift(self) -> float:
+        """Seconds that this machine's clock gains on the device's in a second."""
+        return self._drift
+
+    def capture_ns(self, device_ns: int, arrived_ns: int) -> int:
+        """When the picture with that device time was captured, as far as the fastest pictures tell."""
+        if self._last is not None and self._jumped(device_ns, arrived_ns):
+            self.restarts += 1
+            self._fastest.clear()
+            self._bucket, self._drift = None, 0.0
+        if not self._fastest:
+            self._origin = (device_ns, arrived_ns)
+        # Nanoseconds since boot do not fit a float's 53 bits for long: all is relative to the origin.
+        device, arrived = device_ns - self._origin[0], arrived_ns - self._origin[1]
+        self._learn(device, arrived)
+        at, behind = self._line()
+        stamp = round(device + behind + self._drift * (device - at)) + self._origin[1]
+        stamp = min(stamp, arrived_ns)
+        if self._last is not None:
+            stamp = max(stamp, self._last[2])
+        self._last = (device_ns, arrived_ns, stamp)
+        return stamp
+
+    def _jumped(self, device_ns: int, arrived_ns: int) -> bool:
+        """A picture cannot arrive before it was captured, and seldom does it travel for seconds."""
+        assert self._last is not None
+        if device_ns < self._last[0]:
+            return True
+        at, behind = self._fastest[-1]
+        device, arrived = device_ns - self._origin[0], arrived_ns - self._origin[1]
+        late = arrived - device - behind - self._drift * (device - at)
+        return not -_EARLY_NS < late < _LATE_NS
+
+    def _learn(self, device: int, arrived: int) -> None:
+        """Keep the fastest pair (device, arrived - device) of each second."""
+        bucket = device // _BUCKET_NS
+        if bucket != self._bucket:
+            self._bucket = bucket
+            self._fastest.append((device, arrived - device))
+        elif arrived - device < self._fastest[-1][1] + self._drift * (device - self._fastest[-1][0]):
+            self._fastest[-1] = (device, arrived - device)
+
+    def _line(self) -> tuple[float, float]:
+        """A point (device, offset) of the line below all pairs; updates the drift."""
+        pairs = list(self._fastest)
+        span = pairs[-1][0] - pairs[0][0]
+        if span < _DRIFT_NEEDS_NS:
+            return min(pairs, key=lambda p: p[1])
+        middle = pairs[0][0] + span / 2
+        hull: list[tuple[int, int]] = []
+        for pair in pairs:
+            while len(hull) > 1 and _slope(hull[-2], pair) <= _slope(hull[-2], hull[-1]):
+                hull.pop()
+            hull.append(pair)
+        # The edge of the hull over the middle is the line below all pairs with the least sum of distances.
+        for a, b in pairwise(hull):
+            if a[0] <= middle <= b[0]:
+                self._drift = min(max(_slope(a, b), -_MAX_DRIFT), _MAX_DRIFT)
+                return middle, a[1] + self._drift * (middle - a[0])
+        return hull[-1]
+
+
+def _slope(a: tuple[int, int], b: tuple[int, int]) -> float:
+    return (b[1] - a[1]) / max(b[0] - a[0], 1)

@@ -1,0 +1,59 @@
+"""What a live camera is to the worker: something that is opened, read for a limited time, and closed.
+
+A source is made without touching the device. `open` says at once when the device is not there; `read` returns
+within its timeout. Both may still hang inside a vendor's SDK: `reader.Reader` therefore runs them in a thread
+that nobody waits for.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Protocol
+
+from huepose.geometry import Camera
+from huepose.geometry.arrays import Float32, UInt8
+
+
+@dataclass(frozen=True, eq=False)
+class Shot:
+    """One picture of a live camera, rectified, depth in the pixels of colour.
+
+    color (H, W, 3) uint8 RGB; depth (H, W) float32 metres, 0 for no reading; number: the device's own count;
+    device_ns: capture time on the device's clock; arrived_ns: CLOCK_MONOTONIC when this machine had it.
+    """
+
+    color: UInt8
+    depth: Float32
+    camera: Camera
+    number: int
+    device_ns: int
+    arrived_ns: int
+
+
+class CameraError(RuntimeError):
+    """The camera cannot give pictures now: what was found, and what to do. It is tried again."""
+
+
+class LiveCamera(Protocol):
+    """An open camera."""
+
+    device_clock_is_host: bool
+    """Whether `device_ns` is CLOCK_MONOTONIC already, because the SDK converts it."""
+
+    def read(self, timeout_s: float) -> Shot | None:
+        """The next picture; None when none came in time. Raises CameraError when it is gone."""
+        ...
+
+    def close(self) -> None:
+        """Let the device go."""
+        ...
+
+
+class LiveSource(Protocol):
+    """A camera that may be there or not."""
+
+    name: str
+
+    def open(self) -> LiveCamera:
+        """Start it. Raises CameraError, in under two seconds when it is not there."""
+        ...

@@ -1,0 +1,86 @@
+"""Publishes what a live camera gives, as soon as it comes, stamped in this machine's clock.
+
+A picture goes out once, the newest first. While there is none, health says `waiting` and why: what was looked
+for, what was found, what to do. Each opening of the camera, and each change of its intrinsics, begins a new
+camera epoch, so nothing that was believed about the old pictures is applied to new ones.
+"""
+
+from __future__ import annotations
+
+import secrets
+
+from huepose.geometry import Camera, RgbdFrame
+from huepose_services.camera.device_clock import DeviceClock
+from huepose_services.camera.live import LiveSource
+from huepose_services.camera.publish import FramePublisher, packed
+from huepose_services.camera.reader import Reader, Taken
+from huepose_services.runtime.bus import Bus
+from huepose_services.runtime.clock import now_ns
+from huepose_services.runtime.config import Config
+
+_LONGEST_STEP_S = 0.05
+_SAY_AGAIN_S = 10.0
+# A thread that the SDK does not give back cannot be ended: a new process can open the camera again.
+_GIVE_UP_AFTER_S = 30.0
+
+
+class LiveIngest:
+    """Waits for pictures a short while at a time, so that the worker's loop goes round."""
+
+    finished = False
+
+    def __init__(self, bus: Bus, config: Config, source: LiveSource) -> None:
+        self._bus, self._config = bus, config
+        self._publisher = FramePublisher(bus, config)
+        self._reader = Reader(source)
+        self._name = source.name
+        self._clock = DeviceClock()
+        self._opening, self._camera = -1, None
+        self._epoch, self._frame_id = 0, 0
+        self._warnings = list(bus.health.warnings)
+        bus.health.state = "waiting"
+
+    def due_ns(self) -> int | None:
+        """At once: the step itself waits for a picture."""
+        return now_ns()
+
+    def step(self) -> None:
+        """Publish the newest picture, or say what is wrong. Raises RuntimeError when the SDK hangs."""
+        taken = self._reader.take(_LONGEST_STEP_S)
+        counters = self._bus.health.counters
+        counters["frames_skipped"], counters["frames_repeated"] = self._reader.skipped, self._reader.repeated
+        if taken is not None:
+            self._publish(taken)
+        trouble = self._reader.trouble
+        if trouble is None:
+            self._bus.health.warnings = self._warnings
+            return
+        self._bus.health.state = "waiting"
+        self._bus.health.warnings = [*self._warnings, trouble]
+        self._bus.log.seldom("trouble", trouble, _SAY_AGAIN_S)
+        if self._reader.stuck_s() > _GIVE_UP_AFTER_S:
+            raise RuntimeError(f"{self._name}: the driver has not answered for {_GIVE_UP_AFTER_S:.0f} s")
+
+    def _publish(self, taken: Taken) -> None:
+        shot = taken.shot
+        if taken.opening != self._opening or shot.camera != self._camera:
+            self._begin_epoch(taken.opening, shot.camera)
+        if taken.device_clock_is_host:
+            capture_ns = min(shot.device_ns, shot.arrived_ns)
+        else:
+            capture_ns = self._clock.capture_ns(shot.device_ns, shot.arrived_ns)
+            self._bus.health.counters["clock_restarts"] = self._clock.restarts
+        frame = RgbdFrame(shot.color, shot.depth, shot.camera)
+        picture = packed(frame, self._config.camera.depth_scale_m)
+        self._publisher.publish(picture, self._epoch, self._frame_id, capture_ns)
+        self._frame_id += 1
+
+    def _begin_epoch(self, opening: int, camera: Camera) -> None:
+        if opening != self._opening:
+            self._clock = DeviceClock()
+        self._opening, self._camera = opening, camera
+        self._epoch, self._frame_id = secrets.randbits(62), 0
+        self._bus.health.state = "ready"
+        self._bus.log.say(
+            f"{self._name}: {camera.width} x {camera.height}, fx {camera.fx:.1f} fy {camera.fy:.1f}"
+        )

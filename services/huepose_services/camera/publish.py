@@ -1,0 +1,61 @@
+"""Puts pictures on the bus as frames, and says once a second what the camera is."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from huepose.geometry import RgbdFrame
+from huepose_protos.buffers import pack
+from huepose_protos.messages import BufferSpec, FrameHeader, Intrinsics
+from huepose_services.camera.info import CameraInfo
+from huepose_services.convert import depth_to_wire, intrinsics_to_wire
+from huepose_services.runtime.bus import Bus
+from huepose_services.runtime.clock import now_ns, this_clock
+from huepose_services.runtime.config import Config
+
+
+@dataclass(frozen=True)
+class Packed:
+    """A picture that is ready to go."""
+
+    intrinsics: Intrinsics
+    buffers: list[BufferSpec]
+    payload: bytes
+
+
+def packed(frame: RgbdFrame, depth_scale_m: float) -> Packed:
+    """Colour and depth as they travel, depth in steps of depth_scale_m."""
+    depth = depth_to_wire(frame.depth, depth_scale_m)
+    buffers, payload = pack({"color": frame.color, "depth": depth})
+    return Packed(intrinsics_to_wire(frame.camera, depth_scale_m), buffers, payload)
+
+
+class FramePublisher:
+    """The camera's side of the bus."""
+
+    def __init__(self, bus: Bus, config: Config) -> None:
+        self._bus, self._keys = bus, config.keys
+        self._frame_name = f"{config.camera.name}_color_optical"
+        self._clock = this_clock()
+        self._info = CameraInfo(bus)
+
+    def publish(
+        self, picture: Packed, epoch: int, frame_id: int, capture_ns: int, counted_as: str = "frames"
+    ) -> None:
+        """One frame, counted and timed in health."""
+        bus, started = self._bus, now_ns()
+        header = FrameHeader(
+            publish_ns=started,
+            camera_epoch=epoch,
+            frame_id=frame_id,
+            capture_ns=capture_ns,
+            clock=self._clock,
+            frame=self._frame_name,
+            intrinsics=picture.intrinsics,
+            buffers=picture.buffers,
+        )
+        bus.put_pixels(self._keys.frame, header, picture.payload)
+        self._info.tell(header)
+        bus.health.camera_epoch, bus.health.frame_id = epoch, frame_id
+        bus.health.count(counted_as)
+        bus.health.worked(started, capture_ns)

@@ -1,0 +1,132 @@
+"""The thread that opens and reads a live camera, and leaves the newest picture for the work loop.
+
+Whatever the SDK does, the loop that takes pictures waits no longer than it asked for. A camera that is not
+there, goes away, falls silent or repeats its last picture is closed and looked for again twice a second.
+"""
+
+from __future__ import annotations
+
+import threading
+from collections.abc import Callable
+from contextlib import suppress
+from dataclasses import dataclass
+from functools import partial
+from typing import TypeVar
+
+from huepose_services.camera.live import CameraError, LiveCamera, LiveSource, Shot
+from huepose_services.runtime.clock import SECOND, now_ns
+
+T = TypeVar("T")
+
+_READ_S, _RETRY_S = 0.25, 0.5
+_SILENT_NS = 2 * SECOND
+_SLOW_NS = int(1.5 * SECOND)
+
+
+@dataclass(frozen=True, eq=False)
+class Taken:
+    """A picture, of which opening of the camera it is, and whether its device time is this machine's."""
+
+    shot: Shot
+    opening: int
+    device_clock_is_host: bool
+
+
+class Reader:
+    """Starts at once. `take` gives each picture once, the newest; `trouble` says why there is none."""
+
+    def __init__(self, source: LiveSource) -> None:
+        self._source = source
+        self._ready = threading.Condition()
+        self._taken: Taken | None = None
+        self._trouble: str | None = None
+        self._call: tuple[str, int] | None = None
+        self._stopping = threading.Event()
+        self.openings = 0
+        self.skipped = 0
+        self.repeated = 0
+        self._thread = threading.Thread(target=self._run, name="camera", daemon=True)
+        self._thread.start()
+
+    def take(self, timeout_s: float) -> Taken | None:
+        """The newest picture that was not taken yet; None when none comes in time."""
+        with self._ready:
+            if self._taken is None:
+                self._ready.wait(timeout_s)
+            taken, self._taken = self._taken, None
+            return taken
+
+    @property
+    def trouble(self) -> str | None:
+        """What keeps the pictures away now, and what to do; None when nothing does."""
+        call = self._call
+        if call is not None and now_ns() - call[1] > _SLOW_NS:
+            return (
+                f"{self._source.name}: {call[0]} it takes longer than {_SLOW_NS / SECOND:g} s. "
+                "Close other programs that use it; else unplug it and plug it in again."
+            )
+        return self._trouble
+
+    def stuck_s(self) -> float:
+        """For how long the SDK has not returned from a call that should be short."""
+        call = self._call
+        return 0.0 if call is None else (now_ns() - call[1]) / SECOND
+
+    def close(self) -> None:
+        """Ask the thread to let the camera go; it is not waited for longer than a moment."""
+        self._stopping.set()
+        self._thread.join(0.6)
+
+    def _run(self) -> None:
+        while not self._stopping.is_set():
+            # An SDK raises what it likes, and this thread must live as long as the worker.
+            try:
+                camera = self._timed("opening", self._source.open)
+            except Exception as error:
+                self._trouble = _said(self._source.name, error)
+            else:
+                self.openings += 1
+                try:
+                    self._read_on(camera)
+                except Exception as error:
+                    self._trouble = _said(self._source.name, error)
+                with suppress(Exception):  # what was unplugged cannot be closed well
+                    self._timed("closing", camera.close)
+            self._stopping.wait(_RETRY_S)
+
+    def _timed(self, what: str, call: Callable[[], T]) -> T:
+        """Note since when the SDK has been in a call."""
+        self._call = (what, now_ns())
+        try:
+            return call()
+        finally:
+            self._call = None
+
+    def _read_on(self, camera: LiveCamera) -> None:
+        news_ns = now_ns()
+        last: tuple[int, int] | None = None
+        while not self._stopping.is_set():
+            shot = self._timed("reading", partial(camera.read, _READ_S))
+            if shot is not None and (shot.number, shot.device_ns) == last:
+                # Some cameras give their last picture for ever once they are unplugged.
+                self.repeated += 1
+            elif shot is not None:
+                last, news_ns = (shot.number, shot.device_ns), now_ns()
+                self._trouble = None
+                self._leave(Taken(shot, self.openings, camera.device_clock_is_host))
+            if now_ns() - news_ns > _SILENT_NS:
+                raise CameraError(
+                    f"no new picture for {_SILENT_NS / SECOND:g} s. It is opened again; if that does not "
+                    "help, use another cable or port (USB 3)."
+                )
+
+    def _leave(self, taken: Taken) -> None:
+        with self._ready:
+            self.skipped += self._taken is not None
+            self._taken = taken
+            self._ready.notify()
+
+
+def _said(name: str, error: Exception) -> str:
+    text = " ".join(str(error).split()) or type(error).__name__
+    return f"{name}: {text}"

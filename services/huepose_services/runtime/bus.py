@@ -60,8 +60,15 @@ class Bus:
 
     def refuse(self, key: str, error: WireError) -> None:
         """Count a bad message, and say so once a second at most."""
+        text = f"dropped a message on {key}: {error.reason}"
         self.health.count("wire_errors")
-        self.log.seldom("wire", f"dropped a message on {key}: {error.reason}")
+        self.health.failed(text)
+        self.log.seldom("wire", text)
+
+    def say_health(self) -> None:
+        """Publish how the worker is."""
+        self.health.drops = self.inbox.drops
+        self.put(self.keys.health(self.worker), self.health.message())
 
     def put(self, key: str, message: Message) -> None:
         """Publish a message that may be lost on a reader that does not read, but waits for nobody."""

@@ -15,6 +15,7 @@ from huepose_services.runtime.clock import SECOND, now_ns, this_clock
 
 HealthState = Literal["starting", "ready", "waiting", "ended", "stopping"]
 _WINDOW_S = 5.0
+_LONGEST_TEXT = 500
 
 
 class Health:
@@ -26,6 +27,8 @@ class Health:
         self.warnings: list[str] = []
         self.counters: dict[str, int] = {}
         self.shared_memory: bool | None = None
+        self.drops = self.errors = 0
+        self.last_error = ""
         self.camera_epoch: int | None = None
         self.frame_id: int | None = None
         self._work: deque[tuple[int, float, float | None]] = deque()
@@ -35,6 +38,11 @@ class Health:
     def count(self, name: str, by: int = 1) -> None:
         """Add to a counter."""
         self.counters[name] = self.counters.get(name, 0) + by
+
+    def failed(self, text: str) -> None:
+        """An exception in the work, or a message that was refused."""
+        self.errors += 1
+        self.last_error = text[:_LONGEST_TEXT]
 
     def worked(self, started_ns: int, capture_ns: int | None = None) -> None:
         """A piece of work that began then is done now, on pixels captured then."""
@@ -61,7 +69,8 @@ class Health:
             uptime_s=uptime_s,
             rate_hz=len(recent) / max(min(uptime_s, _WINDOW_S), 0.1),
             cpu_percent=max(percent, 0.0),
-            memory_mib=_resident_mib(),
+            memory_mib=_status_mib("VmRSS"),
+            locked_mib=_status_mib("VmLck"),
             camera_epoch=self.camera_epoch,
             frame_id=self.frame_id,
             work_ms=_median_and_p99([w[1] for w in recent]),
@@ -69,6 +78,9 @@ class Health:
             shared_memory=self.shared_memory,
             counters=dict(self.counters),
             warnings=self.warnings[-32:],
+            drops=self.drops,
+            errors=self.errors,
+            last_error=self.last_error,
         )
 
 
@@ -79,9 +91,10 @@ def _median_and_p99(values: list[float]) -> tuple[float, float] | None:
     return float(median), float(high)
 
 
-def _resident_mib() -> float:
+def _status_mib(name: str) -> float:
+    """A figure of /proc/self/status, which is in KiB."""
     try:
-        pages = int(Path("/proc/self/statm").read_text().split()[1])
-    except (OSError, IndexError, ValueError):
+        text = Path("/proc/self/status").read_text()
+        return next(int(line.split()[1]) for line in text.splitlines() if line.startswith(name)) / 1024.0
+    except (OSError, StopIteration, ValueError):
         return 0.0
-    return pages * os.sysconf("SC_PAGE_SIZE") / (1024 * 1024)

@@ -112,6 +112,13 @@ class Inbox:
         except zenoh.ZError:
             return  # the subscription has ended
 
+    @property
+    def drops(self) -> int:
+        """Samples that were replaced or dropped before the loop took them, where it means to take each."""
+        places = list(self._subscriptions)
+        rings = sum(place.skipped for place in places if isinstance(place, Ring) and place._wakes)
+        return rings + sum(place.lost for place in places if isinstance(place, Queue))
+
     def wait(self, timeout_s: float) -> None:
         """Until something is there to take, at most so long."""
         with self._ready:

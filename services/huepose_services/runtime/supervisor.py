@@ -1,41 +1,33 @@
 """Starts the workers as processes, keeps them running, and stops them. Knows nothing of what they do.
 
-One worker's death never ends another: it is started again, later and later, and given up after too many
-deaths in a window. The end of a camera that plays a recording once is the end of the pipeline.
+A worker that dies, that is not ready in time or that gives no sign of life is ended and started again, later
+and later, and given up after too many times in a window. One worker's end never ends another. The end of a
+camera that plays a recording once is the end of the pipeline.
 """
 
 from __future__ import annotations
 
-import os
 import selectors
-import signal
-import subprocess
 import sys
-import threading
 import time
 from collections import deque
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TextIO
 
+from huepose_services.runtime.child import Child
 from huepose_services.runtime.config import Config
 from huepose_services.runtime.log import Log
-from huepose_services.runtime.threads import THREAD_VARIABLES
-from huepose_services.runtime.worker import READY_FD, SUPERVISOR
 
 _DRAIN_S = 1.5
 _STOP_WITHIN_S = 1.8
+_HEAD_START_S = 0.1
+"""In which each worker may stop before those that it reads from are told to stop as well."""
 _BACKOFF_S, _BACKOFF_MAX_S = 0.25, 8.0
 _BAD_INPUT = 2
-
-
-@dataclass
-class _Child:
-    worker: str
-    process: subprocess.Popen[bytes]
-    ready_pipe: int | None
-    ready: bool = False
-    reader: threading.Thread | None = None
+_QUICK = ("camera", "tracker", "reinit")
+_PATIENCE = 3.0
+"""So much longer than the quick ones may the others be silent: one piece of their work takes longer."""
 
 
 @dataclass
@@ -53,12 +45,13 @@ class Supervisor:
     def __init__(self, config: Config, path: Path, out: TextIO | None = None) -> None:
         self._config, self._path = config, path
         self._out = out or sys.stderr
-        self._log = Log("huepose")
-        self._children: dict[str, _Child] = {}
+        self._log = Log("huepose", self._out)
+        self._children: dict[str, Child] = {}
         self._records: dict[str, _Record] = {worker: _Record() for worker in config.workers}
         self.exit_code: int | None = None
         """Set by poll when the pipeline has come to its end: 0, 1 or 2."""
         self._drain_until: float | None = None
+        self._was_ready = False
 
     @property
     def ready(self) -> bool:
@@ -76,47 +69,26 @@ class Supervisor:
             self._spawn(worker)
 
     def _spawn(self, worker: str) -> None:
-        read_end, write_end = os.pipe()
-        environment = {
-            **os.environ,
-            **dict.fromkeys(THREAD_VARIABLES, "1"),
-            READY_FD: str(write_end),
-            SUPERVISOR: str(os.getpid()),
-        }
-        command = [sys.executable, "-m", "huepose_services.cli.main", "run", worker, str(self._path)]
-        process = subprocess.Popen(
-            command,
-            env=environment,
-            stdin=subprocess.DEVNULL,
-            stdout=subprocess.PIPE,
-            stderr=subprocess.STDOUT,
-            pass_fds=(write_end,),
-            # A Ctrl-C at the terminal reaches the supervisor alone, which then stops all in its order.
-            start_new_session=True,
-        )
-        os.close(write_end)
-        os.set_blocking(read_end, False)
-        child = _Child(worker, process, read_end)
-        child.reader = threading.Thread(target=self._copy_log, args=(process,), daemon=True)
-        child.reader.start()
-        self._children[worker] = child
-        self._records[worker].restart_at = None
-
-    def _copy_log(self, process: subprocess.Popen[bytes]) -> None:
-        assert process.stdout is not None
-        for line in process.stdout:
-            self._out.write(line.decode(errors="replace"))
-            self._out.flush()
+        record = self._records[worker]
+        record.restart_at = None
+        self._children[worker] = Child(worker, self._path, self._out, record.restarts)
 
     def poll(self, timeout_s: float = 0.1) -> None:
-        """Look after the workers for a while: readiness, deaths, restarts, the end."""
+        """Look after the workers for a while: readiness, signs of life, deaths, restarts, the end."""
         self._wait_for_something(timeout_s)
-        now = time.monotonic()
         for child in list(self._children.values()):
-            self._read_ready(child)
+            child.listen()
             code = child.process.poll()
             if code is not None:
-                self._bury(child, code, now)
+                self._bury(child, code)
+            elif (fault := self._fault(child)) is not None:
+                self._log.error(f"{child.worker} {fault}: killed")
+                child.kill(ask_where=True)
+                self._bury(child, None)
+        if self.ready and not self._was_ready:
+            self._log.say("all workers are ready")
+        self._was_ready = self.ready
+        now = time.monotonic()
         for worker, record in self._records.items():
             if record.restart_at is not None and now >= record.restart_at and self._drain_until is None:
                 record.restarts += 1
@@ -128,72 +100,62 @@ class Supervisor:
             self.exit_code = 1 if self.exit_code is None else self.exit_code
 
     def _wait_for_something(self, timeout_s: float) -> None:
-        """Sleep until a worker says ready or closes its pipe by dying before it, at most so long."""
-        pipes = [c.ready_pipe for c in self._children.values() if c.ready_pipe is not None]
-        if not pipes:
-            time.sleep(timeout_s)
-            return
+        """Sleep until a worker says something or closes its pipe by dying, at most so long."""
+        pipes = [c.pipe for c in self._children.values() if c.pipe is not None]
         with selectors.DefaultSelector() as selector:
             for pipe in pipes:
                 selector.register(pipe, selectors.EVENT_READ)
             selector.select(timeout_s)
 
-    def _read_ready(self, child: _Child) -> None:
-        if child.ready_pipe is None:
-            return
-        try:
-            text = os.read(child.ready_pipe, 64)
-        except BlockingIOError:
-            return
-        os.close(child.ready_pipe)
-        child.ready_pipe = None
-        child.ready = text.startswith(b"ready")
-        if child.ready and self.ready:
-            self._log.say("all workers are ready")
+    def _fault(self, child: Child) -> str | None:
+        """What is wrong with a worker that runs; None when nothing is."""
+        limits, now = self._config.restarts, time.monotonic()
+        if not child.ready:
+            late = now - child.started > limits.start_within_s
+            return f"is not ready after {limits.start_within_s:g} s" if late else None
+        patience_s = limits.hung_after_s * (1.0 if child.worker in _QUICK else _PATIENCE)
+        silent_s = now - child.heard
+        return f"has given no sign of life for {silent_s:.1f} s" if silent_s > patience_s else None
 
-    def _bury(self, child: _Child, code: int, now: float) -> None:
-        """A worker has ended: the end of the pipeline, or something to be started again."""
+    def _bury(self, child: Child, code: int | None) -> None:
+        """A worker has ended (code None: it was killed here): the end of the pipeline, or something to be
+        started again."""
         del self._children[child.worker]
-        if child.ready_pipe is not None:
-            os.close(child.ready_pipe)
-        if child.reader is not None:
-            child.reader.join(1.0)
-        record = self._records[child.worker]
+        child.bury(1.0)
+        now, record = time.monotonic(), self._records[child.worker]
         if child.worker == "camera" and code == 0 and self._config.camera.once:
             if self._drain_until is None:
                 self._log.say("the recording has ended")
                 self._drain_until = now + _DRAIN_S
             return
-        if code == _BAD_INPUT and not child.ready:
+        if code == _BAD_INPUT and not child.ready and record.restarts == 0:
+            # It has said what is wrong with its input, which another start would not change.
             self.exit_code = _BAD_INPUT
             return
-        how = f"killed by signal {-code}" if code < 0 else f"ended with code {code}"
+        how = "was killed" if code is None else f"ended with code {code}"
+        if code is not None and code < 0:
+            how = f"killed by signal {-code}"
         window, limit = self._config.restarts.window_s, self._config.restarts.limit
         record.deaths.append(now)
         while now - record.deaths[0] > window:
             record.deaths.popleft()
         if len(record.deaths) > limit:
-            self._log.say(f"{child.worker} {how}: given up after {limit} restarts in {window:g} s")
+            self._log.error(f"{child.worker} {how}: given up after {limit} restarts in {window:g} s")
             return
         wait_s = min(_BACKOFF_S * 2 ** (len(record.deaths) - 1), _BACKOFF_MAX_S)
         record.restart_at = now + wait_s
-        self._log.say(f"{child.worker} {how}: starting it again in {wait_s:g} s")
+        self._log.warn(f"{child.worker} {how}: starting it again in {wait_s:g} s")
 
     def stop(self) -> None:
-        """Stop every worker, within two seconds."""
-        for child in self._children.values():
-            if child.process.poll() is None:
-                child.process.send_signal(signal.SIGTERM)
+        """Stop every worker within two seconds, those that read before those that they read from."""
         deadline = time.monotonic() + _STOP_WITHIN_S
-        for child in self._children.values():
-            try:
-                child.process.wait(max(0.0, deadline - time.monotonic()))
-            except subprocess.TimeoutExpired:
-                self._log.say(f"{child.worker} does not stop: killed")
-                child.process.kill()
-                child.process.wait()
-            if child.ready_pipe is not None:
-                os.close(child.ready_pipe)
-            if child.reader is not None:
-                child.reader.join(0.2)
+        children = [self._children[w] for w in reversed(self._records) if w in self._children]
+        for child in children:
+            child.ask_to_stop()
+            child.ended_within(_HEAD_START_S)
+        for child in children:
+            if not child.ended_within(deadline - time.monotonic()):
+                self._log.error(f"{child.worker} does not stop: killed")
+                child.kill()
+            child.bury(0.2)
         self._children.clear()

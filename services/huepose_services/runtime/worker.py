@@ -28,6 +28,7 @@ from huepose_services.runtime.pulse import Pulse
 from huepose_services.runtime.session import open_worker_session
 
 SUPERVISOR = "HUEPOSE_SUPERVISOR"
+RESTARTS = "HUEPOSE_RESTARTS"
 TELL_WHERE = signal.SIGUSR2
 
 _HOMES = {
@@ -40,7 +41,7 @@ _HOMES = {
     "gateway": "huepose_services.gateway",
     "viewer": "huepose_services.viewer",
 }
-# Frames and tracking come first where the cores do not suffice for all. To raise a priority needs the right to
+# Frames and tracking come first where the cores do not suffice. To raise a priority needs the right to
 # do so (root, LimitNICE of a unit); to lower that of perception and of what only looks needs none.
 _NICENESS = {"camera": -5, "tracker": -5, "reinit": -2, "detector": 3, "segmenter": 3, "estimator": 3}
 _NICENESS_OF_OTHERS = 3

@@ -1,0 +1,56 @@
+"""The sign of life of a worker, given by the loop that works and by no other thread: a worker that hangs is
+silent, and whoever started it, `huepose up` or systemd, starts it again.
+
+Under `huepose up` it goes through a pipe (HUEPOSE_READY_FD): the line `ready`, then a dot now and then.
+"""
+
+from __future__ import annotations
+
+import os
+from contextlib import suppress
+
+from huepose_services.runtime.clock import SECOND, now_ns
+from huepose_services.runtime.notify import notify, watchdog_s
+
+READY_FD = "HUEPOSE_READY_FD"
+BEAT_S = 0.2
+"""A worker that works gives a sign of life about so often."""
+
+
+class Pulse:
+    """`ready()` once, `beat()` after every piece of work, `stopping()` at the end."""
+
+    def __init__(self) -> None:
+        text = os.environ.get(READY_FD, "")
+        self._pipe = int(text) if text.isdigit() else None
+        if self._pipe is not None:
+            os.set_blocking(self._pipe, False)
+        limit_s = watchdog_s()
+        self._watched = limit_s is not None
+        self._every_ns = int(min(BEAT_S, (limit_s or 1.0) / 4.0) * SECOND)
+        self._next_ns = 0
+
+    def ready(self) -> None:
+        """It has all that it needs, and works."""
+        self._write(b"ready\n")
+        notify("READY=1", "STATUS=ready")
+
+    def beat(self) -> None:
+        """It still works; said at most five times a second."""
+        now = now_ns()
+        if now < self._next_ns:
+            return
+        self._next_ns = now + self._every_ns
+        self._write(b".")
+        if self._watched:
+            notify("WATCHDOG=1")
+
+    def stopping(self) -> None:
+        """It was told to stop, or has nothing left to do."""
+        notify("STOPPING=1")
+
+    def _write(self, data: bytes) -> None:
+        # A supervisor that does not read, or is gone, must not stop the work.
+        if self._pipe is not None:
+            with suppress(OSError):
+                os.write(self._pipe, data)

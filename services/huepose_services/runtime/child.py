@@ -63,7 +63,7 @@ class Child:
                 self._out.write(line)
                 self._out.flush()
             elif line.strip():
-                foreign.seldom(line, line.rstrip(), "warn")
+                foreign.seldom(line, line.rstrip())
 
     def listen(self) -> None:
         """Take in what came through the pipe."""

@@ -40,7 +40,7 @@ class Log:
         """Write a line about work that failed."""
         self.say(text, "error")
 
-    def seldom(self, kind: str, text: str, level: Level = "warn", every_s: float = 1.0) -> None:
+    def seldom(self, kind: str, text: str, every_s: float = 1.0, level: Level = "warn") -> None:
         """Write a line of a kind at most once in a while, saying how many were held back."""
         now = time.monotonic()
         if now - self._last.get(kind, -1e9) < every_s:

@@ -141,7 +141,7 @@ def _loop(bus: Bus, work: Work, stop: _Stop, pulse: Pulse) -> None:
             errors += 1
             bus.health.count("errors")
             bus.health.failed(f"{type(error).__name__}: {error}")
-            bus.log.seldom("error", f"error in its work, going on:\n{traceback.format_exc()}", "error")
+            bus.log.seldom("error", f"error in its work, going on:\n{traceback.format_exc()}", level="error")
             if errors >= _ERRORS_IN_A_ROW:
                 raise
         pulse.beat()

@@ -1,20 +1,19 @@
 """The paper's path to a pose: colour pairs alone, without templates and without dense colour.
 
-Per candidate mask: pairs > hypotheses (matching.hypotheses) > registration on depth > near-symmetric turns
-of the best > verification and coordinate search by pairs. Then all masks judge all poses together.
+Per source mask: pairs > hypotheses (matching.hypotheses), with starts from shape where they are few >
+registration on depth. Then together: near-symmetric turns of the best > coordinate search by pairs >
+settling on depth > the best searched finely, and all judged by pairs.
 """
 
 from __future__ import annotations
-
-from collections.abc import Sequence
 
 import cv2
 import numpy as np
 
 from huepose.estimation.config import ColorpairPathConfig
 from huepose.estimation.different import different_poses
+from huepose.estimation.evidence import Evidence
 from huepose.geometry.arrays import Bool, Float64
-from huepose.geometry.box import Box
 from huepose.geometry.frame import RgbdFrame
 from huepose.matching.hypotheses import (
     HypothesesConfig,
@@ -27,13 +26,18 @@ from huepose.registration.surface_icp import align_many
 from huepose.support.stages import stage
 from huepose.verification.pairs import PairPicture, pair_picture, pair_score_many
 from huepose.verification.pairs_search import search_pairs
-from huepose.verification.region import Region, object_window, prepare_crop, prepare_masked
+from huepose.verification.region import Region
 
 RIM_PX = 3
 """Side of the square by which a mask is made smaller: pairs at its rim belong to what is behind, too."""
 
+COARSE_PAIRS, COARSE_SAMPLES = 300, 200
+SEARCH_PAIRS, SEARCH_SAMPLES = 600, 300
 FINAL_PAIRS, FINAL_SAMPLES = 1500, 600
-"""How closely the last few poses are looked at."""
+"""Pairs and surface samples by which poses are judged: many poses quickly, the last few closely."""
+
+FINAL_TURN_RAD, FINAL_SHIFT = 0.2, 0.05
+"""Poses closer than this (shift in diameters) are one answer."""
 
 SHAPES = 20
 """Most starts from shape alone, where colours propose too few poses."""
@@ -42,104 +46,100 @@ SHAPES = 20
 def estimate_by_pairs(
     model: ReferenceModel,
     frame: RgbdFrame,
-    masks: Sequence[Bool],
+    evidence: Evidence,
     config: ColorpairPathConfig,
     rng: np.random.Generator,
 ) -> list[tuple[float, Float64]]:
-    """Poses T_cam_obj (4, 4) of one object under candidate masks (H, W), with their scores, best first.
+    """Poses T_cam_obj (4, 4) of one object with their scores, best first.
 
-    The score is that of `verification.pairs`, averaged over the masks. Empty when nothing is to be seen: no
-    depth under the masks, no pairs, or a model without pairs.
+    Every source mask proposes poses; the score is that of `verification.pairs` on the evidence's region.
+    Empty when nothing is to be seen: no depth, no pairs and no plausible start from shape.
     """
-    with stage("regions"):
-        regions = _regions(frame, masks, model.diameter_m)
-    if not regions:
-        return []
-    with stage("regions"):
-        picture = pair_picture(model, frame, regions[0].crop, regions[0].median_depth_m)
-    poses = [_from_mask(model, frame, region, picture, rng, config) for region in regions]
-    found = np.concatenate(poses)
-    if not len(found):
-        return []
-    with stage("judge"):
-        totals = _judge(model, regions, picture, found)
-        best = different_poses(model, found, totals, config.alternatives + config.finished, 0.2, 0.05)
-        found, totals = found[best], totals[best]
-    with stage("search"):
-        fine = np.concatenate(
-            [
-                search_pairs(model, r, picture, found[: config.finished], (3.0, 1.5, 0.7), 600, 300)[0]
-                for r in regions
-            ]
-        )
-        found = np.concatenate([found, fine])
-        totals = np.concatenate([totals, _judge(model, regions, picture, fine)])
-    best = different_poses(model, found, totals, config.alternatives, 0.2, 0.05)
-    return [(float(totals[k]), found[k]) for k in best]
-
-
-def _regions(frame: RgbdFrame, masks: Sequence[Bool], diameter_m: float) -> list[Region]:
-    """One region a mask that has depth, all on one crop."""
-    seen = [(m, w) for m in masks if (w := object_window(frame, m, diameter_m)) is not None]
-    if not seen:
-        return []
-    left, top = min(w.x for _, w in seen), min(w.y for _, w in seen)
-    right, bottom = max(w.x1 for _, w in seen), max(w.y1 for _, w in seen)
-    crop = prepare_crop(frame, Box(left, top, right - left, bottom - top))
-    boxes = [Box.of_mask(m) for m, _ in seen]
-    regions = [prepare_masked(crop, m, b, diameter_m) for (m, _), b in zip(seen, boxes, strict=True) if b]
-    return [r for r in regions if r is not None]
-
-
-def _judge(model: ReferenceModel, regions: list[Region], picture: PairPicture, poses: Float64) -> Float64:
-    """Mean total (M,) of poses (M, 4, 4) over all regions."""
-    return np.asarray(
-        np.mean(
-            [pair_score_many(model, r, picture, poses, FINAL_PAIRS, FINAL_SAMPLES)[:, 0] for r in regions],
-            axis=0,
-        )
+    region = evidence.region
+    with stage("picture"):
+        picture = pair_picture(model, frame, region.crop, region.median_depth_m)
+    poses = np.concatenate(
+        [
+            _proposed(model, frame, region, picture, mask, points, rng, config)
+            for mask, points in zip(evidence.sources, evidence.points_cam, strict=True)
+        ]
     )
-
-
-def _from_mask(
-    model: ReferenceModel,
-    frame: RgbdFrame,
-    region: Region,
-    picture: PairPicture,
-    rng: np.random.Generator,
-    config: ColorpairPathConfig,
-) -> Float64:
-    """Refined poses (N, 4, 4) from one mask."""
-    d = model.diameter_m
-    mask = np.zeros(frame.depth.shape, np.bool_)
-    h, w = region.mask.shape
-    x0, y0 = region.crop.x0, region.crop.y0
-    inner = cv2.erode(region.mask.astype(np.uint8), np.ones((RIM_PX, RIM_PX), np.uint8))
-    mask[y0 : y0 + h, x0 : x0 + w] = inner > 0
-    with stage("extract"):
-        pairs = extract_at_model_scale(model.pairs, frame, mask)
-    with stage("hypotheses"):
-        sources = HypothesesConfig() if config.ppf else HypothesesConfig(ppf=None)
-        hypotheses = colorpair_hypotheses(model, pairs, frame, mask, sources, rng)
-        hypotheses = hypotheses[: config.refined]
-        hypotheses += shape_hypotheses(model, frame, mask, min(config.refined - len(hypotheses), SHAPES))
-    if not hypotheses:
-        return np.zeros((0, 4, 4))
-    poses = np.stack([h.T_cam_obj for h in hypotheses])
-    with stage("icp"):
-        poses = align_many(model.surface, model.grid, region.points_cam, poses, 0.15 * d, 0.008, 25)
-    with stage("judge"):
-        totals = pair_score_many(model, region, picture, poses, 300, 200)[:, 0]
-        best = different_poses(model, poses, totals, config.kept)
-        poses, totals = poses[best], totals[best]
-        turned = [T @ turn for T in poses[: config.turned] for turn in model.turns[1:]]
-        if turned:
-            turns = np.stack(turned)
-            poses = np.concatenate([poses, turns])
-            totals = np.concatenate([totals, pair_score_many(model, region, picture, turns, 300, 200)[:, 0]])
-        poses = poses[different_poses(model, poses, totals, config.searched)]
+    if not len(poses):
+        return []
+    with stage("turns"):
+        poses = _with_turns(model, region, picture, poses, config)
     with stage("search"):
         searched, _ = search_pairs(model, region, picture, poses, (8.0, 4.0, 2.0, 1.0))
     with stage("icp"):
         settled = align_many(model.surface, model.grid, region.points_cam, searched, 0.012, 0.006, 5)
-    return np.concatenate([searched, settled])
+        poses = np.concatenate([searched, settled])
+    with stage("judge"):
+        totals = _judge(model, region, picture, poses)
+        best = different_poses(
+            model, poses, totals, config.alternatives + config.finished, FINAL_TURN_RAD, FINAL_SHIFT
+        )
+        poses, totals = poses[best], totals[best]
+    with stage("search"):
+        fine, _ = search_pairs(
+            model, region, picture, poses[: config.finished], (3.0, 1.5, 0.7), SEARCH_PAIRS, SEARCH_SAMPLES
+        )
+        totals = np.concatenate([totals, _judge(model, region, picture, fine)])
+        poses = np.concatenate([poses, fine])
+        best = different_poses(model, poses, totals, config.alternatives, FINAL_TURN_RAD, FINAL_SHIFT)
+    return [(float(totals[k]), poses[k]) for k in best]
+
+
+def _proposed(
+    model: ReferenceModel,
+    frame: RgbdFrame,
+    region: Region,
+    picture: PairPicture,
+    source: Bool,
+    points_cam: Float64,
+    rng: np.random.Generator,
+    config: ColorpairPathConfig,
+) -> Float64:
+    """The best different poses (N, 4, 4) that one source mask (h, w) of the crop proposes, laid on its
+    points."""
+    mask = np.zeros(frame.depth.shape, np.bool_)
+    h, w = source.shape
+    inner = cv2.erode(source.astype(np.uint8), np.ones((RIM_PX, RIM_PX), np.uint8)) > 0
+    mask[region.crop.y0 : region.crop.y0 + h, region.crop.x0 : region.crop.x0 + w] = inner
+    with stage("extract"):
+        pairs = extract_at_model_scale(model.pairs, frame, mask)
+    with stage("hypotheses"):
+        sources = HypothesesConfig() if config.ppf else HypothesesConfig(ppf=None)
+        hypotheses = colorpair_hypotheses(model, pairs, frame, mask, sources, rng)[: config.refined]
+        missing = min(config.refined - len(hypotheses), SHAPES)
+        hypotheses += shape_hypotheses(model, frame, mask, missing)
+    if not hypotheses:
+        return np.zeros((0, 4, 4))
+    poses = np.stack([h.T_cam_obj for h in hypotheses])
+    with stage("icp"):
+        poses = align_many(model.surface, model.grid, points_cam, poses, 0.15 * model.diameter_m, 0.008, 25)
+    with stage("judge"):
+        totals = pair_score_many(model, region, picture, poses, COARSE_PAIRS, COARSE_SAMPLES)[:, 0]
+        return np.asarray(poses[different_poses(model, poses, totals, config.kept)])
+
+
+def _with_turns(
+    model: ReferenceModel,
+    region: Region,
+    picture: PairPicture,
+    poses: Float64,
+    config: ColorpairPathConfig,
+) -> Float64:
+    """The best different ones among poses (N, 4, 4) and the near-symmetric turns of the best of them."""
+    totals = pair_score_many(model, region, picture, poses, COARSE_PAIRS, COARSE_SAMPLES)[:, 0]
+    best = different_poses(model, poses, totals, config.kept)
+    poses, totals = poses[best], totals[best]
+    turned = np.einsum("nij,mjk->nmik", poses[: config.turned], model.turns[1:]).reshape(-1, 4, 4)
+    if len(turned):
+        more = pair_score_many(model, region, picture, turned, COARSE_PAIRS, COARSE_SAMPLES)[:, 0]
+        poses, totals = np.concatenate([poses, turned]), np.concatenate([totals, more])
+    return np.asarray(poses[different_poses(model, poses, totals, config.searched)])
+
+
+def _judge(model: ReferenceModel, region: Region, picture: PairPicture, poses: Float64) -> Float64:
+    """Totals (M,) of poses (M, 4, 4), looked at closely."""
+    return pair_score_many(model, region, picture, poses, FINAL_PAIRS, FINAL_SAMPLES)[:, 0]

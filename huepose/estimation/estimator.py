@@ -99,7 +99,7 @@ class Estimator:
                 extra = np.zeros((0, 4, 4)) if prior is None else prior[None]
                 poses, totals = estimate_full(model, prepared.table, evidence, self.config.full, extra)
             else:
-                poses, totals = self._by_pairs(model, frame, masks, query)
+                poses, totals = self._by_pairs(model, frame, evidence, query)
         explanation = Explanation(box, tuple(masks), evidence, poses, totals)
         with stage("answer"):
             answer = self._answer(frame, query, model, explanation, prior, prior_score)
@@ -157,13 +157,13 @@ class Estimator:
         self,
         model: ReferenceModel,
         frame: RgbdFrame,
-        masks: list[Bool],
+        evidence: Evidence,
         query: ObjectQuery,
     ) -> tuple[Float64, Float64]:
         from huepose.estimation.colorpair_path import estimate_by_pairs
 
         rng = np.random.default_rng([self.config.seed, crc32(query.object.encode()), _content_seed(frame)])
-        scored = estimate_by_pairs(model, frame, masks, self.config.colorpair, rng)
+        scored = estimate_by_pairs(model, frame, evidence, self.config.colorpair, rng)
         if not scored:
             return np.zeros((0, 4, 4)), np.zeros(0)
         return np.array([T for _, T in scored]), np.array([s for s, _ in scored])

@@ -97,7 +97,7 @@ def colorpair_hypotheses(
         fallback = Votes.joined([_ppf_votes(model, r, config.ppf, rng) for r in readings])
         more = plausible(fallback, model.surface, frame.depth, mask, frame.camera, model.diameter_m)
         votes = Votes.joined([votes, more])
-    return cluster(votes, model.mesh.centre, model.diameter_m, "pairs", config.voting)
+    return cluster(votes, model.mesh.centre, model.diameter_m, "pairs", config.voting, model.equivalents)
 
 
 def read_scene(

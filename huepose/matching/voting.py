@@ -6,6 +6,10 @@ included. Then, inside the best cells, the rotation: votes within a geodesic rad
 other support one another. In both stages a scene feature counts once, with its strongest vote, so that an
 ambiguous feature cannot fill a cell alone. Modes are the weighted means of their supporters (chordal mean,
 free of quaternion signs), and suppress what is near them in pose space.
+
+Of an object that looks the same after a turn every pose has equals. Votes for equals support each other, and
+each is replaced by the equal nearest to the mode before means are taken: the mean of a pose and its half
+turn is neither.
 """
 
 from __future__ import annotations
@@ -40,25 +44,34 @@ class VotingConfig:
 
 
 def cluster(
-    votes: Votes, centre_obj: Float, diameter_m: float, source: str, config: VotingConfig | None = None
+    votes: Votes,
+    centre_obj: Float,
+    diameter_m: float,
+    source: str,
+    config: VotingConfig | None = None,
+    equivalents: Float | None = None,
 ) -> list[Hypothesis]:
     """The densest poses among the votes, best first; `centre_obj` (3,) is the point whose position is voted
-    for.
+    for; `equivalents` (E, 4, 4), identity first: turns after which shape and print look the same.
 
-    The score is the summed weight of a mode's supporters, each scene feature counted once.
+    The score is the summed weight of a mode's supporters, each scene feature counted once. Of equal poses
+    one is returned.
     """
     config = config or VotingConfig()
     if not len(votes):
         return []
-    centres = votes.rotations @ np.asarray(centre_obj, np.float32) + votes.translations
-    quaternions = _quaternions(votes.rotations)
+    turns = np.eye(4)[None] if equivalents is None else np.asarray(equivalents, np.float64)
+    # the one point that no equal pose moves
+    c = np.asarray(turns[:, :3, :3] @ np.asarray(centre_obj, np.float64) + turns[:, :3, 3]).mean(0)
+    centres = votes.rotations @ c.astype(np.float32) + votes.translations
+    quaternions = np.stack([_quaternions(votes.rotations @ t[:3, :3].astype(np.float32)) for t in turns])
     cell_m = config.cell * diameter_m
     found: list[tuple[float, Float64, Float64]] = []
     for members in dense_cells(centres, votes.weights, votes.features, cell_m, config.cells):
         if len(members) > config.members:
             members = members[:: -(-len(members) // config.members)]
         found += _modes(
-            quaternions[members],
+            np.ascontiguousarray(quaternions[:, members]),
             centres[members],
             votes.weights[members],
             votes.features[members],
@@ -71,12 +84,12 @@ def cluster(
         if len(kept) >= config.hypotheses:
             break
         if kept:
-            turns = np.degrees(angles_to(np.stack([m[1] for m in kept]), mode[1]))
+            others = np.stack([m[1] for m in kept])
+            angles = np.min([angles_to(others, mode[1] @ t[:3, :3]) for t in turns], axis=0)
             moves = np.linalg.norm(np.stack([m[2] for m in kept]) - mode[2], axis=1)
-            if ((turns < config.distinct_deg) & (moves < config.distinct * diameter_m)).any():
+            if ((angles < np.radians(config.distinct_deg)) & (moves < config.distinct * diameter_m)).any():
                 continue
         kept.append(mode)
-    c = np.asarray(centre_obj, np.float64)
     return [Hypothesis(se3.make(R, centre - R @ c), score, source) for score, R, centre in kept]
 
 
@@ -110,7 +123,7 @@ def dense_cells(
 def _modes(
     q: Float32, centres: Float32, weights: Float32, features: Int32, radius_m: float, config: VotingConfig
 ) -> list[tuple[float, Float64, Float64]]:
-    """Modes (score, R, centre) among the votes of one cell."""
+    """Modes (score, R, centre) among the votes of one cell; q (E, N, 4): of all equal poses of each vote."""
     angle = np.radians(config.angle_deg)
     # even steps over the votes in order of weight: strong ones and weak ones
     order = np.argsort(-weights, kind="stable")
@@ -123,10 +136,14 @@ def _modes(
         if not alive[s] or support[s] <= 0:
             break
         k = seeds[s]
-        near, w = _members(q, centres, weights, k, angle, radius_m)
+        # the equal pose of every vote that is nearest to the mode
+        cosines = np.abs(q @ q[0, k])
+        nearest = cosines.argmax(0)
+        like = q[nearest, np.arange(q.shape[1])]
+        near, w = _members(like, centres, weights, k, angle, radius_m)
         mean = np.asarray(w @ centres[near].astype(np.float64) / w.sum())
-        out.append((float(support[s]), _mean_rotation(q[near], w), mean))
-        alive &= np.abs(q[seeds] @ q[k]) < np.cos(angle / 2)
+        out.append((float(support[s]), _mean_rotation(like[near], w), mean))
+        alive &= cosines.max(0)[seeds] < np.cos(angle / 2)
     return out
 
 
@@ -197,16 +214,20 @@ def _support(
     cosine: float,
     radius: float,
 ) -> Float32:
-    """Support of each seed: the strongest vote of each feature near it, smaller towards the rim."""
+    """Support of each seed: the strongest vote of each feature near it or near an equal pose, smaller towards
+    the rim."""
     out = np.zeros(seeds.shape[0], np.float32)
     r2 = np.float32(radius * radius)
     for s in range(seeds.shape[0]):
         k = seeds[s]
+        a, b, c, d = q[0, k, 0], q[0, k, 1], q[0, k, 2], q[0, k, 3]
         total = np.float32(0.0)
         current = np.int32(-1)
         counted = np.float32(0.0)
-        for i in range(q.shape[0]):
-            dot = abs(q[k, 0] * q[i, 0] + q[k, 1] * q[i, 1] + q[k, 2] * q[i, 2] + q[k, 3] * q[i, 3])
+        for i in range(q.shape[1]):
+            dot = np.float32(0.0)
+            for e in range(q.shape[0]):
+                dot = max(dot, abs(a * q[e, i, 0] + b * q[e, i, 1] + c * q[e, i, 2] + d * q[e, i, 3]))
             if dot < cosine:
                 continue
             x, y, z = (

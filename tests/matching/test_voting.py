@@ -100,3 +100,24 @@ def test_nothing_from_nothing() -> None:
     assert cluster(Votes.empty(), CENTRE, DIAMETER, "pairs") == []
     joined = Votes.joined([Votes.empty(), votes_of(np.eye(4)[None]), votes_of(np.stack([np.eye(4)] * 2))])
     assert joined.features.tolist() == [0, 1, 2]
+
+
+def test_equal_poses_are_one() -> None:
+    rng = np.random.default_rng(4)
+    half_turn = se3.make(se3.rotation_exp(np.array([0.0, 0.0, np.pi])), np.zeros(3))
+    equivalents = np.stack([np.eye(4), half_turn])
+    T = se3.make(se3.rotation_exp(np.array([0.9, 0.3, -0.2])), np.array([0.0, 0.02, 0.7]))
+    centre = np.array([0.01, 0.0, 0.02])  # off the axis: the position that is voted for must not be
+    equal = np.concatenate([around(T, 25, 4.0, 0.003, rng), around(T @ half_turn, 25, 4.0, 0.003, rng)])
+    rival = around(se3.perturb(T, np.array([0, 0, 0, 1.5, 0, 0])), 35, 4.0, 0.003, rng)
+    votes = votes_of(np.concatenate([equal, rival]))
+
+    def off(found: np.ndarray) -> float:
+        return float(min(np.degrees(se3.rotation_angle(found, T @ turn)) for turn in equivalents))
+
+    together = cluster(votes, centre, DIAMETER, "pairs", equivalents=equivalents)
+    assert off(together[0].T_cam_obj) < 2.0
+    # neither is there a second answer that is the first one turned
+    assert all(off(h.T_cam_obj) > 15.0 for h in together[1:])
+    apart = cluster(votes, centre, DIAMETER, "pairs")
+    assert off(apart[0].T_cam_obj) > 60.0

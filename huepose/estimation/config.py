@@ -45,12 +45,13 @@ class ColorpairPathConfig:
 class EstimatorConfig:
     """method: "full" (the best that there is) or "colorpair" (the paper's path alone); seed: of all random
     choices; threads: objects of a frame that are estimated at the same time; acquisition_level: the quality
-    over which a pose is TRACKING; found_score: a best total under this is "nothing there"."""
+    over which a pose is TRACKING, None for the calibrated one of the method; found_score: a best total under
+    this is "nothing there"."""
 
     method: Method = "full"
     seed: int = 0
     threads: int = 1
-    acquisition_level: float = 0.9
+    acquisition_level: float | None = None
     found_score: float = 0.45
     full: FullPathConfig = field(default_factory=FullPathConfig)
     colorpair: ColorpairPathConfig = field(default_factory=ColorpairPathConfig)
@@ -62,7 +63,7 @@ class EstimatorConfig:
             )
         if self.threads < 1:
             raise InputError("threads", found=str(self.threads), expected="1 or more")
-        if not 0.0 < self.acquisition_level < 1.0:
+        if self.acquisition_level is not None and not 0.0 < self.acquisition_level < 1.0:
             raise InputError(
                 "acquisition_level",
                 found=str(self.acquisition_level),

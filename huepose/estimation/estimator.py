@@ -20,7 +20,7 @@ from huepose.estimation.evidence import Evidence, gather
 from huepose.estimation.full_path import estimate_full, judge, refine_prior
 from huepose.estimation.outline import projected_box
 from huepose.estimation.prepared import PreparedModels
-from huepose.estimation.quality import MAX_MARGIN, covariance, quality
+from huepose.estimation.quality import MAX_MARGIN, QualityTerms, covariance, quality, quality_fits
 from huepose.estimation.settle import settle
 from huepose.estimation.types import ObjectQuery, PoseEstimate
 from huepose.geometry import se3
@@ -188,15 +188,28 @@ class Estimator:
             )  # fmt: skip
         T = se3.orthonormalised(poses[0])
         T, fit, mask = settle(model, frame, region, T)
-        terms = score_pose(model, region, poses[0])
-        q = quality(self.config.method, score, margin, terms.color, terms.box_iou)
+        dense = score_pose(model, region, poses[0])
+        terms = QualityTerms(
+            score,
+            margin,
+            dense.color,
+            dense.box_iou,
+            dense.depth_fit,
+            dense.coverage,
+            dense.violation,
+            dense.occluded,
+            dense.seen,
+            float(region.mask.sum()),
+        )
+        q = quality(self.config.method, terms)
+        level = self.config.acquisition_level or quality_fits()[self.config.method].level
         return PoseEstimate(
             query.object,
             query.instance,
             True,
             T,
             q,
-            "TRACKING" if q >= self.config.acquisition_level else "SUSPECT",
+            "TRACKING" if q >= level else "SUSPECT",
             score,
             margin,
             covariance(fit),
@@ -206,6 +219,7 @@ class Estimator:
             prior,
             _alternatives(poses, totals, q),
             0.0,
+            terms,
         )
 
 

@@ -1,13 +1,17 @@
 """How far a pose may be trusted: a probability that it is right, and a covariance.
 
-Quality is a logistic function of the margin to the second, different pose and of the score and its terms,
-fitted on calibration frames; the covariance is that of a robust point-to-plane fit, widened by what print
-and model fix and by a floor.
+Quality is a logistic function of a few terms of the estimate, above all of the margin to the second,
+different pose; `quality_fits.json` holds it, as `huepose eval calibrate` fitted it on rendered scenes. The
+covariance is that of a robust point-to-plane fit, widened by what print and model fix and by a floor.
 """
 
 from __future__ import annotations
 
+import json
+from collections.abc import Mapping
 from dataclasses import dataclass
+from functools import cache
+from importlib import resources
 
 import numpy as np
 
@@ -19,34 +23,73 @@ MAX_MARGIN = 0.3
 
 
 @dataclass(frozen=True)
+class QualityTerms:
+    """What quality is a function of. total: score of the pose; margin: to the best clearly different pose;
+    color, box_iou, depth_fit, coverage, violation, occluded, seen: terms of its dense score (see
+    `verification.dense.PoseScore`); pixels: of the image that are believed to show the object."""
+
+    total: float
+    margin: float
+    color: float
+    box_iou: float
+    depth_fit: float
+    coverage: float
+    violation: float
+    occluded: float
+    seen: float
+    pixels: float
+
+
+@dataclass(frozen=True)
 class QualityFit:
-    """Logit of quality: a constant, and factors of margin, total, colour and box IoU."""
+    """Logit of quality: a constant, and a factor for each feature; level: the quality over which 99 % of the
+    poses of the calibration scenes were right."""
 
     constant: float
-    margin: float
-    score: float
-    color: float = 0.0
-    box: float = 0.0
+    factors: Mapping[str, float]
+    level: float
+
+    def __call__(self, terms: QualityTerms) -> float:
+        """Probability in 0..1."""
+        found = features(terms)
+        x = self.constant + sum(factor * found[name] for name, factor in self.factors.items())
+        return float(1.0 / (1.0 + np.exp(-min(max(x, -30.0), 30.0))))
 
 
-QUALITY_FITS = {
-    "full": QualityFit(-11.64, 8.66, 2.92, 3.50, 5.63),
-    "colorpair": QualityFit(-5.12, 18.2, 2.93),
-}
-"""By method; that of `full` on clean, cluttered and piled scenes and on boxes that hold another object."""
+def features(terms: QualityTerms) -> dict[str, float]:
+    """The terms in the form in which they enter the logit: the larger, the surer, for every one of them."""
+    margin = min(max(terms.margin, 0.0), MAX_MARGIN)
+    return {
+        "margin": margin,
+        "small_margin": min(margin, 0.08),
+        "total": terms.total,
+        "color": terms.color,
+        "box_iou": terms.box_iou,
+        "depth_fit": terms.depth_fit,
+        "coverage": terms.coverage,
+        "no_violation": 1.0 - terms.violation,
+        "not_occluded": 1.0 - terms.occluded,
+        "seen": terms.seen,
+        "size": float(np.log(max(terms.pixels, 1.0)) / np.log(10.0)),
+    }
 
 
-def quality(method: str, total: float, margin: float, color: float, box_iou: float) -> float:
-    """Probability in 0..1 that a pose is right: of its total, the margin to the next pose, and the terms
-    `color` and `box_iou` of its dense score.
+@cache
+def quality_fits() -> dict[str, QualityFit]:
+    """The calibrated fits by method."""
+    text = resources.files("huepose.estimation").joinpath("quality_fits.json").read_text()
+    return {method: QualityFit(**entry) for method, entry in json.loads(text).items()}
 
-    >>> quality("full", 2.4, 0.3, 0.6, 0.9) > 0.98 > 0.1 > quality("full", 1.3, 0.02, 0.2, 0.5)
+
+def quality(method: str, terms: QualityTerms) -> float:
+    """Probability in 0..1 that a pose of this method is right.
+
+    >>> sure = QualityTerms(2.4, 0.3, 0.6, 0.9, 0.9, 0.9, 0.02, 0.1, 0.9, 4000)
+    >>> doubtful = QualityTerms(1.3, 0.01, 0.2, 0.5, 0.5, 0.4, 0.2, 0.3, 0.4, 500)
+    >>> quality("full", sure) > 0.9 > 0.3 > quality("full", doubtful)
     True
     """
-    fit = QUALITY_FITS[method]
-    x = fit.constant + fit.margin * min(max(margin, 0.0), MAX_MARGIN) + fit.score * total
-    x += fit.color * color + fit.box * box_iou
-    return float(1.0 / (1.0 + np.exp(-x)))
+    return quality_fits()[method](terms)
 
 
 POINTS_PER_READING = 6.0

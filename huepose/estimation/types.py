@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+from huepose.estimation.quality import QualityTerms
 from huepose.geometry.arrays import Bool, Float64
 from huepose.geometry.box import Box
 
@@ -43,7 +44,7 @@ class PoseEstimate:
     refined prior, None without one; prior_T_cam_obj: the refined prior. margin: score above the best clearly
     different pose. quality: calibrated probability that the pose is right. state: "TRACKING" over the
     acquisition level, else "SUSPECT"; "LOST" when not found. alternatives: other poses and their
-    probabilities.
+    probabilities. terms: what the quality was made of.
     """
 
     object: str
@@ -61,3 +62,4 @@ class PoseEstimate:
     prior_T_cam_obj: Float64 | None
     alternatives: tuple[tuple[Float64, float], ...]
     seconds: float
+    terms: QualityTerms | None = None

@@ -221,6 +221,7 @@ class _FrameRun:
             answer.quality,
             answer.state,
             self.seed,
+            answer.terms,
         )
 
     def _row(
@@ -244,6 +245,7 @@ class _FrameRun:
             seconds=seconds,
             seed=self.seed,
             box=None if query is None else query.box,
+            terms=None if answer is None else answer.terms,
         )
 
 

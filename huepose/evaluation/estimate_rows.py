@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from typing import Any
 
 import numpy as np
 
+from huepose.estimation.quality import QualityTerms
 from huepose.evaluation import metrics
 from huepose.evaluation.summary import Figures, grouped, mean_figures
 from huepose.evaluation.targets import PoseError
@@ -21,7 +22,8 @@ _FIGURES = ("recall_add", "recall_adds", "auc_add", "auc_adds", "recall_add_offi
 class EstimateRow:
     """One ground-truth instance and what was estimated for it; T_cam_obj (4, 4) metres or None.
 
-    seconds: wall time of the whole frame, all its objects; box: what the estimator was given, x y w h."""
+    seconds: wall time of the whole frame, all its objects; box: what the estimator was given, x y w h;
+    terms: what the quality was made of, None without a pose."""
 
     scene: str
     image: int
@@ -36,6 +38,7 @@ class EstimateRow:
     seconds: float
     seed: int
     box: Box | None
+    terms: QualityTerms | None = None
 
     def as_json(self) -> dict[str, Any]:
         """The row in its file form."""
@@ -57,6 +60,7 @@ class EstimateRow:
             "seconds": self.seconds,
             "seed": self.seed,
             "box": None if self.box is None else list(self.box),
+            "terms": None if self.terms is None else asdict(self.terms),
         }
 
 
@@ -71,10 +75,11 @@ class FalsePose:
     quality: float
     state: str
     seed: int
+    terms: QualityTerms | None = None
 
     def as_json(self) -> dict[str, Any]:
         """The pose in its file form."""
-        return dict(vars(self))
+        return {**vars(self), "terms": None if self.terms is None else asdict(self.terms)}
 
 
 @dataclass(frozen=True, eq=False)

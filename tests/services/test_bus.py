@@ -157,3 +157,8 @@ def test_a_ring_that_does_not_wake_leaves_the_loop_asleep(buses):
 )
 def test_a_pool_must_fit_the_limit_of_locked_memory(limit_kib, pool_mib, fits):
     assert pool_fits(pool_mib * MIB, None if limit_kib is None else limit_kib * 1024) is fits
+
+
+def test_a_camera_started_again_needs_room_for_the_pool_that_readers_keep():
+    assert not pool_fits(6 * MIB, 8 * MIB, pools=2)
+    assert pool_fits(2 * MIB, 8 * MIB, pools=2)

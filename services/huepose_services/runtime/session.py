@@ -8,6 +8,7 @@ memory; a reader that may not lock that pool would lose frames silently, so it t
 from __future__ import annotations
 
 import json
+import os
 import resource
 from collections.abc import Sequence
 from pathlib import Path
@@ -17,6 +18,7 @@ import zenoh
 from huepose.support.errors import InputError
 from huepose_services.runtime.config import WORKERS, Config
 
+RESTARTS = "HUEPOSE_RESTARTS"
 MIB = 1024 * 1024
 # What zenoh locks beside a pool, and for the links (measured with zenoh 1.10).
 _POOL_OVERHEAD = 1280 * 1024
@@ -42,9 +44,15 @@ def _may_lock_anything() -> bool:
     return bool(int(effective, 16) >> cap_ipc_lock & 1)
 
 
-def pool_fits(pool_bytes: int, limit: int | None) -> bool:
-    """Whether a process with that limit can lock one pool of frames."""
-    return limit is None or pool_bytes + _POOL_OVERHEAD + _LINK_OVERHEAD <= limit
+def pool_fits(pool_bytes: int, limit: int | None, pools: int = 1) -> bool:
+    """Whether a process with that limit can lock so many pools of frames."""
+    return limit is None or pools * (pool_bytes + _POOL_OVERHEAD) + _LINK_OVERHEAD <= limit
+
+
+def restarts() -> int:
+    """How often the supervisor has started this worker again."""
+    text = os.environ.get(RESTARTS, "")
+    return int(text) if text.isdigit() else 0
 
 
 def zenoh_config(
@@ -87,6 +95,12 @@ def open_worker_session(config: Config, worker: str) -> tuple[zenoh.Session, lis
         warnings.append(
             f"shared memory is off: frames need {(pool + _POOL_OVERHEAD) // 1024} KiB of locked memory, "
             f"the limit (ulimit -l) is {(limit or 0) // 1024} KiB; frames go by TCP"
+        )
+    elif shared and worker == "camera" and not pool_fits(pool, limit, 1 + restarts()):
+        shared = False
+        warnings.append(
+            f"shared memory is off after {restarts()} restarts: readers keep the old pools locked, and the "
+            f"limit (ulimit -l) of {(limit or 0) // 1024} KiB has no room for another; frames go by TCP"
         )
     before = WORKERS[: WORKERS.index(worker)]
     settings = zenoh_config(

@@ -28,7 +28,6 @@ from huepose_services.runtime.pulse import Pulse
 from huepose_services.runtime.session import open_worker_session
 
 SUPERVISOR = "HUEPOSE_SUPERVISOR"
-RESTARTS = "HUEPOSE_RESTARTS"
 TELL_WHERE = signal.SIGUSR2
 
 _HOMES = {

@@ -67,6 +67,20 @@ class Estimator:
         self._models = PreparedModels(models)
         self._segmenter: Segmenter = segmenter or DepthSegmenter()
 
+    @property
+    def objects(self) -> tuple[str, ...]:
+        """Names of the known objects."""
+        return tuple(self._models.names)
+
+    def add_object(self, model: ReferenceModel) -> None:
+        """Know one more object; a known one of that name is replaced."""
+        self._models.add(model)
+        self._models.prepared(model.name)
+
+    def remove_object(self, name: str) -> None:
+        """Forget an object; nothing happens when it is not known."""
+        self._models.remove(name)
+
     def estimate(self, frame: RgbdFrame, queries: Sequence[ObjectQuery]) -> list[PoseEstimate]:
         """One answer a query, in their order. Raises InputError for an unknown object or an empty query."""
         for query in queries:

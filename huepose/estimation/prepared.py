@@ -32,6 +32,18 @@ class PreparedModels:
         """All names, sorted."""
         return sorted(self._models)
 
+    def add(self, model: ReferenceModel) -> None:
+        """Know one more model, or another one of that name."""
+        with self._lock:
+            self._models[model.name] = model
+            self._prepared.pop(model.name, None)
+
+    def remove(self, name: str) -> None:
+        """Forget a model; nothing happens when it is not known."""
+        with self._lock:
+            self._models.pop(name, None)
+            self._prepared.pop(name, None)
+
     def model(self, name: str) -> ReferenceModel:
         """The model of that name."""
         if name not in self._models:

@@ -68,10 +68,29 @@ class ReinitLoop:
         """Look for an object, or change how many of it are looked for."""
         self._slots[slot.object] = slot
 
-    def remove(self, name: str) -> None:
-        """Look for an object no longer."""
+    def remove(self, name: str, now_ns: int = 0) -> tuple[int, int] | None:
+        """Look for an object no longer. Returns which instances are over by this, as `forget` does."""
         self._slots.pop(name, None)
+        return self.forget(name, now_ns)
+
+    def forget(self, name: str, now_ns: int = 0) -> tuple[int, int] | None:
+        """Search an object anew: its instances are over, and no answer on a frame before `now_ns` counts.
+
+        Returns the camera epoch and the first number that a new instance of it may get: the caller passes
+        no track of that epoch with a lower one to `tick` any more. None before the first epoch."""
+        for key in [k for k in self._tracks if k[0] == name]:
+            del self._tracks[key]
+        for key in [k for k in self._past if k[0] == name]:
+            del self._past[key]
+        for asked in [k for k in self._looked_ns if k[0] == name]:
+            del self._looked_ns[asked]
+        arriving = [k[1] for k in self._outbox.instances if k[0] == name]
+        last = max([self._last_instance.get(name, -1), *arriving])
+        self._last_instance[name] = last
+        self._outbox.forget(name)
         self._sightings.pop(name, None)
+        self._judged_ns[name] = max(now_ns, self._judged_ns.get(name, 0))
+        return None if self._epoch is None else (self._epoch, last + 1)
 
     def searching(self) -> list[Searching]:
         """Objects of which instances were never seen in this epoch."""

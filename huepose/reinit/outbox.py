@@ -65,6 +65,11 @@ class Outbox:
         """Instances with a correction on its way."""
         return tuple(self._sent)
 
+    def forget(self, name: str) -> None:
+        """Send nothing about an object any more."""
+        for key in [k for k in self._sent if k[0] == name]:
+            del self._sent[key]
+
     def clear(self) -> None:
         """Forget all: a new epoch, whose instances are others."""
         self._sent.clear()

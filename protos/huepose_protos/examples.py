@@ -169,7 +169,12 @@ def messages() -> list[Message]:
             objects=[
                 ObjectEntry(object="006_mustard_bottle", max_instances=1, searching=0),
                 ObjectEntry(
-                    object="003_cracker_box", max_instances=2, searching=1, resets=3, box=(1.0, 0.0, 2.0, 2.0)
+                    object="003_cracker_box",
+                    max_instances=2,
+                    searching=1,
+                    resets=3,
+                    retired=(_EPOCH, 4),
+                    box=(1.0, 0.0, 2.0, 2.0),
                 ),
             ],
         ),

@@ -282,13 +282,15 @@ class PoseMessage(Message, frozen=True, kw_only=True):
 class ObjectEntry(Struct, frozen=True, kw_only=True):
     """An object that the pipeline looks for; `searching`: how many of its instances were never seen yet.
 
-    `resets`: how often it was told to be searched for anew; `box`: where it was said to be at the last time,
-    null when nothing was said."""
+    `resets`: how often it was told to be searched for anew; `retired`: [camera epoch, number], instances of
+    that epoch below that number are over for that reason, null when there are none; `box`: where it was said
+    to be at the last time, null when nothing was said."""
 
     object: Name
     max_instances: Annotated[int, Meta(ge=1, le=64)]
     searching: Count
     resets: Count = 0
+    retired: tuple[Epoch, Index] | None = None
     box: BoxXYWH | None = None
 
     def __post_init__(self) -> None:
@@ -304,8 +306,9 @@ class ObjectsMessage(Message, frozen=True, kw_only=True):
 class ControlRequest(Message, frozen=True, kw_only=True):
     """A query on `control`: what a person on the pipeline's machine wants of its list of objects.
 
-    `list` names no object. `add` looks for one (up to max_instances of it), `remove` for it no longer, `reset`
-    forgets where it was and searches anew; `box`: where it is in the image, as a hint for the detector."""
+    `list` names no object. `add` looks for one (up to max_instances of it), `remove` for it no longer,
+    `reset` forgets where it was and searches anew; `box`: where it is in the image, as a hint for the
+    detector."""
 
     action: Literal["list", "add", "remove", "reset"]
     object: Name | None = None
@@ -333,8 +336,8 @@ class HealthMessage(Message, frozen=True, kw_only=True):
     work_ms and age_ms: median and 99th percentile over the last seconds of the time for one piece of work and
     of the time from capture to its end; shared_memory: whether the last frame came that way, null before
     the first; locked_mib: memory that is locked, most of it shared memory for frames; drops: messages that
-    arrived and were replaced by newer ones, or lost, before they were read; errors: exceptions in its work and
-    messages that it refused; last_error: the newest of them; counters only grow."""
+    arrived and were replaced by newer ones, or lost, before they were read; errors: exceptions in its work
+    and messages that it refused; last_error: the newest of them; counters only grow."""
 
     worker: Name
     pid: Count

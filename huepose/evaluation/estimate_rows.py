@@ -10,6 +10,7 @@ import numpy as np
 
 from huepose.estimation.quality import QualityTerms
 from huepose.evaluation import metrics
+from huepose.evaluation.bootstrap import Interval, frame_intervals
 from huepose.evaluation.summary import Figures, grouped, mean_figures
 from huepose.evaluation.targets import PoseError
 from huepose.geometry.arrays import Float64
@@ -94,7 +95,8 @@ class EstimateResult:
     seeds: Sequence[int]
 
     def summary(self) -> dict[str, Any]:
-        """The figures in percent; `ece` is a fraction. Over several seeds they are averages."""
+        """The figures in percent; `ece` is a fraction; several seeds are averaged. interval95: where
+        the figures lie in 95 % of draws of frames."""
         by_seed = {
             seed: _figures(
                 [r for r in self.rows if r.seed == seed], [f for f in self.false if f.seed == seed]
@@ -120,6 +122,7 @@ class EstimateResult:
             "object_mean": mean_figures(
                 {key: figures[key] for key in _FIGURES} for figures in per_object.values()
             ),
+            "interval95": _intervals(self.rows),
             "by_seed": by_seed,
         }
 
@@ -130,6 +133,19 @@ class EstimateResult:
             "rows": [row.as_json() for row in self.rows],
             "false": [pose.as_json() for pose in self.false],
         }
+
+
+def _intervals(rows: Sequence[EstimateRow]) -> dict[str, Interval]:
+    """The four figures' intervals over frames; a frame's boxes of all seeds count as one frame."""
+    diameters = np.array([r.diameter_m for r in rows])
+    values = {}
+    for name, errors in (
+        ("add", np.array([r.error.add_m for r in rows])),
+        ("adds", np.array([r.error.adds_m for r in rows])),
+    ):
+        values[f"recall_{name}"] = 100.0 * (errors < metrics.RECALL_FRACTION * diameters)
+        values[f"auc_{name}"] = 100.0 * np.maximum(0.0, 1.0 - errors / metrics.AUC_LIMIT_M)
+    return frame_intervals(values, [(r.scene, r.image) for r in rows])
 
 
 def _pose_figures(rows: Sequence[EstimateRow]) -> Figures:

@@ -15,6 +15,8 @@ def add_parser(subparsers: Any) -> None:
     _add_estimate(verbs)
     _add_track(verbs)
     _add_poses(verbs)
+    _add_calibrate(verbs)
+    _add_ablation(verbs)
     parser.set_defaults(call=call)
 
 
@@ -136,3 +138,39 @@ def _add_poses(verbs: Any) -> None:
     source.add_argument("--fast-ycb", type=Path, metavar="SEQ_DIR")
     source.add_argument("--bop", type=Path, metavar="SCENE_DIR")
     _common(parser)
+
+
+def _add_ablation(verbs: Any) -> None:
+    parser = verbs.add_parser(
+        "ablation",
+        help="flow with and without colour pairs",
+        description="The raw motion between frames some frames apart, from all flow and from filtered flow.",
+    )
+    parser.add_argument("--fast-ycb", type=Path, nargs="+", required=True, metavar="SEQ_DIR")
+    _common(parser)
+    parser.add_argument(
+        "--gap", type=int, default=5, metavar="N", help="frames between the two of a pair (5)"
+    )
+    parser.add_argument("--plots", type=Path, default=None, metavar="DIR", help="where ablation.png goes")
+
+
+def _add_calibrate(verbs: Any) -> None:
+    parser = verbs.add_parser(
+        "calibrate",
+        help="fit quality to estimates with known truth",
+        description="Fit quality to results of `huepose eval estimate`, find the level over which 99 % are "
+        "right, and say what it is worth on other results. Without results to fit to: the fit in use.",
+    )
+    parser.add_argument("results", type=Path, nargs="*", metavar="RESULT.json", help="to fit to")
+    parser.add_argument(
+        "--check", type=Path, nargs="+", default=[], metavar="RESULT.json", help="to say what it is worth on"
+    )
+    parser.add_argument("--method", choices=("full", "colorpair"), default="full")
+    parser.add_argument(
+        "--out",
+        type=Path,
+        default=None,
+        metavar="FILE",
+        help="where the fit is kept; huepose/estimation/quality_fits.json is the one in use",
+    )
+    parser.add_argument("--plots", type=Path, default=None, metavar="DIR", help="reliability pictures")

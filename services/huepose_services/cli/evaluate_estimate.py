@@ -15,7 +15,7 @@ from huepose.evaluation.result_files import write_json
 from huepose.evaluation.targets import Targets
 from huepose.model import load_models
 from huepose.support.errors import InputError
-from huepose_services.cli.evaluate_scenes import figure_table, open_bop, shown
+from huepose_services.cli.evaluate_scenes import FIGURES, figure_table, open_bop, shown
 
 
 def call(arguments: argparse.Namespace) -> int:
@@ -63,6 +63,10 @@ def _report(summary: dict[str, Any]) -> str:
     """The table that is printed at the end."""
     blocks = {**summary["per_object"], "all": summary}
     lines = [figure_table("object", blocks, {"instances": "n"})]
+    if summary["interval95"]:
+        spans = [summary["interval95"][key] for key in FIGURES]
+        words = ", ".join(f"{low:.1f} to {high:.1f}" for low, high in spans)
+        lines.append(f"95 % intervals over frames: {words}")
     if summary["recall_add_official"] != summary["recall_add"]:
         official = f"{summary['recall_add_official']:.1f}, AUC {summary['auc_add_official']:.1f}"
         lines.append(f"against the labels as they are: ADD {official}")

@@ -1,0 +1,69 @@
+"""`huepose eval calibrate`: fit quality to estimates with known truth, and say what it is worth on others."""
+
+from __future__ import annotations
+
+import argparse
+from functools import reduce
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+
+from huepose.datasets import files
+from huepose.drawing.plots import reliability_plot
+from huepose.estimation.quality import quality_fits
+from huepose.evaluation import calibration
+from huepose.evaluation.calibration import Judged, Worth
+from huepose.evaluation.result_files import write_json
+from huepose.evaluation.summary import table
+from huepose.geometry.arrays import Float64
+from huepose.support.errors import InputError
+
+
+def call(arguments: argparse.Namespace) -> int:
+    """Fit where there are results to fit to, check, write, print."""
+    checks = {path: calibration.read_judged(path) for path in arguments.check}
+    rows: list[list[Any]] = []
+    if arguments.results:
+        judged = reduce(lambda a, b: a + b, [calibration.read_judged(path) for path in arguments.results])
+        fit = calibration.fit(judged, calibration.FEATURES[arguments.method])
+        entry = calibration.as_json(fit)
+        held_out = calibration.held_out(judged, calibration.FEATURES[arguments.method])
+        rows.append(_row("fitted to, held out", calibration.worth(held_out, judged, fit.level)))
+        _draw(arguments.plots, "calibration", held_out, judged)
+        if arguments.out is not None:
+            known = files.read_json(arguments.out) if arguments.out.exists() else {}
+            write_json(arguments.out, {**known, arguments.method: entry})
+        print(f"{arguments.method}: constant {entry['constant']:.2f}, level {entry['level']:.3f}")
+        print("  ".join(f"{name} {factor:.2f}" for name, factor in entry["factors"].items()))
+    elif not checks:
+        raise InputError("eval calibrate", found="no result", expected="RESULT.json, or --check RESULT.json")
+    else:
+        fit = quality_fits()[arguments.method]
+    for path, judged in checks.items():
+        stated = calibration.stated_by(fit, judged)
+        rows.append(_row(path.stem, calibration.worth(stated, judged, fit.level)))
+        _draw(arguments.plots, path.stem, stated, judged)
+    print(table(["set", "n", "right %", "calibration error", "over the level %", "right of them %"], rows))
+    return 0
+
+
+def _row(name: str, worth: Worth) -> list[Any]:
+    ece = "-" if worth.ece is None else f"{worth.ece:.3f}"
+    precision = None if worth.precision is None else 100.0 * worth.precision
+    right = 100.0 * worth.right / max(1, worth.poses)
+    return [name, worth.poses, right, ece, 100.0 * worth.coverage, precision]
+
+
+def _draw(folder: Path | None, name: str, stated: Float64, judged: Judged) -> None:
+    if folder is None:
+        return
+    picture = reliability_plot(stated, judged.right, title=f"quality and truth, {name}")
+    path = folder / f"reliability_{name}.png"
+    data = cv2.imencode(".png", np.ascontiguousarray(picture[..., ::-1]))[1].tobytes()
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        path.write_bytes(data)
+    except OSError as error:
+        raise InputError(path, found=error.strerror or str(error), fix="Choose another folder.") from None

@@ -11,6 +11,7 @@ import json
 import queue
 import time
 from collections.abc import Sequence
+from pathlib import Path
 from types import TracebackType
 
 import zenoh
@@ -48,6 +49,47 @@ def kind_of(key: str) -> type[Message] | None:
     return next((kind for head, kind in _KINDS.items() if tail == head or tail.startswith(head + "/")), None)
 
 
+def open_session(
+    endpoints: Sequence[str],
+    authority: Path | str | None = None,
+    certificate: Path | str | None = None,
+    key: Path | str | None = None,
+) -> zenoh.Session:
+    """A session that listens nowhere and goes on trying to reach its endpoints, now and after they were gone.
+
+    The files, in PEM, are for endpoints with TLS (`tls/HOST:PORT`): who signed the other side's certificate,
+    and the reader's own certificate and key."""
+    settings: dict[str, object] = {
+        "mode": "peer",
+        "scouting/multicast/enabled": False,
+        "scouting/gossip/enabled": False,
+        "listen/endpoints": [],
+        "connect/endpoints": list(endpoints),
+        "connect/timeout_ms": -1,
+        "connect/exit_on_failure": False,
+        "connect/retry": {"period_init_ms": 50, "period_max_ms": 400, "period_increase_factor": 1.5},
+        # Do not wait half a second for peers that may not be there yet.
+        "open/return_conditions/connect_scouted": False,
+        "transport/shared_memory/enabled": False,
+    }
+    files = {
+        "root_ca_certificate": authority,
+        "connect_certificate": certificate,
+        "connect_private_key": key,
+    }
+    for name, path in files.items():
+        if path is not None:
+            if not Path(path).is_file():
+                raise FileNotFoundError(f"{name}: no file {path}")
+            settings[f"transport/link/tls/{name}"] = str(path)
+    if certificate is not None:
+        settings["transport/link/tls/enable_mtls"] = True
+    config = zenoh.Config()
+    for name, value in settings.items():
+        config.insert_json5(name, json.dumps(value))
+    return zenoh.open(config)
+
+
 class Reader:
     """Messages on key expressions from workers at the given endpoints, as soon as these are there.
 
@@ -56,27 +98,13 @@ class Reader:
     not be read."""
 
     def __init__(self, endpoints: Sequence[str], *keys: str) -> None:
-        settings: dict[str, object] = {
-            "mode": "peer",
-            "scouting/multicast/enabled": False,
-            "scouting/gossip/enabled": False,
-            "listen/endpoints": [],
-            "connect/endpoints": list(endpoints),
-            "connect/timeout_ms": -1,
-            "connect/exit_on_failure": False,
-            "connect/retry": {"period_init_ms": 50, "period_max_ms": 400, "period_increase_factor": 1.5},
-            "transport/shared_memory/enabled": False,
-        }
-        config = zenoh.Config()
-        for name, value in settings.items():
-            config.insert_json5(name, json.dumps(value))
         self.refused = 0
         self.seen = False
         self.live: set[str] = set()
         self.gone_since: float | None = None
         # Unbounded, so that a slow printer never blocks the bus: messages are small.
         self._messages: queue.SimpleQueue[tuple[str, bytes]] = queue.SimpleQueue()
-        self._session = zenoh.open(config)
+        self._session = open_session(endpoints)
         self._session.liveliness().declare_subscriber("huepose/*/*/live/*", self._on_token, history=True)
         for key in keys:
             self._session.declare_subscriber(key, self._on_sample)

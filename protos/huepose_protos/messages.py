@@ -103,7 +103,7 @@ class FrameHeader(Message, frozen=True, kw_only=True):
 
 
 class CameraMessage(Message, frozen=True, kw_only=True):
-    """The camera that is open, once a second: what a frame's header says of it, for readers without frames."""
+    """The camera that is open, once a second: what a frame's header says, for readers without frames."""
 
     camera_epoch: Epoch
     clock: Clock

@@ -72,6 +72,8 @@ def zenoh_config(
             "period_max_ms": 400,
             "period_increase_factor": 1.5,
         },
+        # Do not wait half a second for peers that may not be there yet.
+        "open/return_conditions/connect_scouted": False,
         "transport/link/rx/max_message_size": 64 * MIB,
         "transport/shared_memory/enabled": shared_memory,
         "transport/shared_memory/transport_optimization/enabled": pool_bytes > 0,

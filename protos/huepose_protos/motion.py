@@ -1,0 +1,158 @@
+"""Where an object is at a time for which there is no pose: between two poses, or a little after the last.
+
+Poses are translations (3,) in metres and quaternions (4,) xyzw; twists (6,) and covariances (6, 6) have the
+order tx ty tz rx ry rz, along the camera's axes, about the object's origin.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from huepose_protos.fields import StateName
+from huepose_protos.messages import PoseMessage
+
+Array = NDArray[np.float64]
+SECOND = 1_000_000_000
+MAX_AHEAD_NS = SECOND // 10
+# Two poses that are further apart in time say nothing of what was between them.
+_MAX_GAP_NS = SECOND // 5
+# One sigma of what a hand or an arm does: how wrong a published velocity is, how fast it changes, how fast
+# things move of which no velocity is known. Metres and radians.
+_VELOCITY = np.repeat([0.03, 0.3], 3)
+_ACCELERATION = np.repeat([2.0, 15.0], 3)
+_UNKNOWN_VELOCITY = np.repeat([0.3, 3.0], 3)
+_WORST_LAST: tuple[StateName, ...] = ("TRACKING", "SUSPECT", "SEARCHING", "LOST")
+
+
+@dataclass(frozen=True, eq=False)
+class PoseAt:
+    """A pose at a time. `ahead_s`: how far it was predicted beyond the newest pose; 0 for one in between.
+
+    covariance: that of the pose, grown by what may have happened since; None where the pose has none.
+    basis: the newest message that it was made of."""
+
+    translation: Array
+    quaternion: Array
+    covariance: Array | None
+    state: StateName
+    quality: float
+    ahead_s: float
+    basis: PoseMessage
+
+    @property
+    def T_cam_obj(self) -> Array:
+        """The pose as a matrix (4, 4) that takes points of the object to the camera."""
+        T_cam_obj = np.eye(4)
+        T_cam_obj[:3, :3] = rotation_matrix(self.quaternion)
+        T_cam_obj[:3, 3] = self.translation
+        return T_cam_obj
+
+
+def pose_at(poses: Sequence[PoseMessage], stamp_ns: int) -> PoseAt | None:
+    """The pose at a stamp of the poses' own clock; poses are of one instance, oldest first.
+
+    Between two poses it is interpolated, after the newest it is predicted with its velocity, for 100 ms.
+    None where that says nothing: before the first, later than that, in a gap, while there is no pose."""
+    after = next((p for p in poses if p.capture_ns >= stamp_ns), None)
+    before = next((p for p in reversed(poses) if p.capture_ns <= stamp_ns), None)
+    if before is None or before.translation is None:
+        return None
+    if after is None:
+        return _predicted(before, stamp_ns - before.capture_ns)
+    if after.translation is None:
+        return None
+    gap_ns = after.capture_ns - before.capture_ns
+    if gap_ns > _MAX_GAP_NS:
+        return _predicted(before, stamp_ns - before.capture_ns)
+    return _between(before, after, (stamp_ns - before.capture_ns) / gap_ns if gap_ns else 1.0)
+
+
+def _predicted(pose: PoseMessage, ahead_ns: int) -> PoseAt | None:
+    if ahead_ns > MAX_AHEAD_NS:
+        return None
+    dt = ahead_ns * 1e-9
+    linear, angular = np.zeros(3), np.zeros(3)
+    sigma = _UNKNOWN_VELOCITY
+    if pose.velocity_linear is not None and pose.velocity_angular is not None:
+        linear, angular, sigma = np.array(pose.velocity_linear), np.array(pose.velocity_angular), _VELOCITY
+    growth = (sigma * dt) ** 2 + (0.5 * _ACCELERATION * dt * dt) ** 2
+    covariance = None if pose.covariance is None else _covariance(pose) + np.diag(growth)
+    turn = quaternion_of(angular * dt)
+    return PoseAt(
+        np.array(pose.translation) + linear * dt,
+        _normal(multiply(turn, np.array(pose.quaternion))),
+        covariance,
+        pose.state,
+        pose.quality,
+        dt,
+        pose,
+    )
+
+
+def _between(before: PoseMessage, after: PoseMessage, share: float) -> PoseAt:
+    a, b = np.array(before.quaternion), np.array(after.quaternion)
+    turn = rotation_vector(multiply(b, _inverse(a)))
+    start, end = np.array(before.translation), np.array(after.translation)
+    covariance = None
+    if before.covariance is not None and after.covariance is not None:
+        covariance = (1.0 - share) * _covariance(before) + share * _covariance(after)
+    return PoseAt(
+        (1.0 - share) * start + share * end,
+        _normal(multiply(quaternion_of(share * turn), a)),
+        covariance,
+        max(before.state, after.state, key=_WORST_LAST.index),
+        min(before.quality, after.quality),
+        0.0,
+        after,
+    )
+
+
+def _covariance(pose: PoseMessage) -> Array:
+    return np.array(pose.covariance, dtype=np.float64).reshape(6, 6)
+
+
+def multiply(p: Array, q: Array) -> Array:
+    """The rotation q, then p; xyzw."""
+    u, v = p[:3], q[:3]
+    return np.append(p[3] * v + q[3] * u + np.cross(u, v), p[3] * q[3] - u @ v)
+
+
+def _inverse(q: Array) -> Array:
+    return q * np.array([-1.0, -1.0, -1.0, 1.0])
+
+
+def _normal(q: Array) -> Array:
+    return np.asarray(q / np.linalg.norm(q), dtype=np.float64)
+
+
+def quaternion_of(rotation_vector: Array) -> Array:
+    """xyzw of a rotation vector (3,) in radians."""
+    angle = float(np.linalg.norm(rotation_vector))
+    # sin(x / 2) / x, which numpy's sinc has without a division by zero.
+    return np.append(0.5 * np.sinc(angle / (2.0 * np.pi)) * rotation_vector, np.cos(0.5 * angle))
+
+
+def rotation_vector(q: Array) -> Array:
+    """The shorter rotation vector (3,) of xyzw."""
+    if q[3] < 0.0:
+        q = -q
+    length = float(np.linalg.norm(q[:3]))
+    if length < 1e-12:
+        return np.asarray(2.0 * q[:3], dtype=np.float64)
+    return np.asarray(2.0 * np.arctan2(length, q[3]) / length * q[:3], dtype=np.float64)
+
+
+def rotation_matrix(q: Array) -> Array:
+    """Matrix (3, 3) of xyzw."""
+    x, y, z, w = q / np.linalg.norm(q)
+    return np.array(
+        [
+            [1 - 2 * (y * y + z * z), 2 * (x * y - z * w), 2 * (x * z + y * w)],
+            [2 * (x * y + z * w), 1 - 2 * (x * x + z * z), 2 * (y * z - x * w)],
+            [2 * (x * z - y * w), 2 * (y * z + x * w), 1 - 2 * (x * x + y * y)],
+        ]
+    )

@@ -1,0 +1,204 @@
+"""Poses for a program that acts on them: typed, the newest at once, at any time, and never silently stale.
+
+>>> with PoseClient("tcp/127.0.0.1:7447") as client:        # doctest: +SKIP
+...     for pose in client:                                 # every pose, as it comes
+...         print(pose.object, pose.state, pose.translation)
+...     now = client.at(object="tea_box")                   # where it is now
+...     if now is not None and now.state == "TRACKING":
+...         move_to(now.T_cam_obj, now.covariance)
+"""
+
+from __future__ import annotations
+
+import threading
+import time
+from collections import deque
+from collections.abc import Iterator, Sequence
+from functools import cache
+from pathlib import Path
+from types import TracebackType
+
+import zenoh
+
+from huepose_protos.client import open_session
+from huepose_protos.codec import decode
+from huepose_protos.errors import WireError
+from huepose_protos.keys import Keys
+from huepose_protos.messages import PoseMessage
+from huepose_protos.motion import PoseAt, pose_at
+
+_KEPT = 64
+_WAITING = 1024
+_LOOK_EVERY_S = 0.1
+_ASK_TIMEOUT_S = 2.0
+_FORGET_S = 60.0
+Instance = tuple[str, int]
+
+
+class PoseClient:
+    """Subscribes to poses at a gateway or, on the pipeline's own machine, at its tracker.
+
+    endpoints: `tcp/HOST:PORT` or `tls/HOST:PORT`; for TLS the files in PEM of `open_session`. It may be made
+    before the pipeline runs, and finds it again when it was gone; each time it asks for the latest poses.
+    object: the only one that is of interest, else all. Can be used from several threads.
+
+    `refused`: messages that could not be read; `missed`: poses that were dropped because the iterator was not
+    read for too long (`latest` and `at` always know the newest)."""
+
+    def __init__(
+        self,
+        endpoints: str | Sequence[str] = "tcp/127.0.0.1:7447",
+        *,
+        site: str = "*",
+        camera: str = "*",
+        object: str | None = None,
+        authority: Path | str | None = None,
+        certificate: Path | str | None = None,
+        key: Path | str | None = None,
+    ) -> None:
+        self.refused = self.missed = 0
+        self._changed = threading.Condition()
+        self._waiting: deque[PoseMessage] = deque()
+        self._history: dict[Instance, deque[PoseMessage]] = {}
+        self._arrived: dict[Instance, float] = {}
+        self._closed = threading.Event()
+        keys = Keys(site, camera)
+        inside = keys.poses if object is None else keys.poses.replace("**", f"{object}/*")
+        self._outside = keys.outside(inside)
+        endpoints = [endpoints] if isinstance(endpoints, str) else list(endpoints)
+        self._session = open_session(endpoints, authority, certificate, key)
+        for expression in (inside, self._outside):
+            self._session.declare_subscriber(expression, self._on_sample)
+        self._asker = threading.Thread(target=self._ask_whoever_is_new, daemon=True)
+        self._asker.start()
+
+    def _ask_whoever_is_new(self) -> None:
+        known: set[str] = set()
+        while not self._closed.wait(_LOOK_EVERY_S):
+            peers = {str(zid) for zid in self._session.info.peers_zid()}
+            if peers - known:
+                self._session.get(self._outside, self._on_reply, timeout=_ASK_TIMEOUT_S)
+            known = peers
+
+    def _on_reply(self, reply: zenoh.Reply) -> None:
+        if reply.ok is not None:
+            self._on_sample(reply.ok)
+
+    def _on_sample(self, sample: zenoh.Sample) -> None:
+        try:
+            self._add(decode(sample.payload.to_bytes(), PoseMessage))
+        except WireError:
+            self.refused += 1
+
+    def _add(self, pose: PoseMessage) -> None:
+        instance = (pose.object, pose.instance)
+        with self._changed:
+            if instance not in self._history:
+                self._forget_old()
+            history = self._history.setdefault(instance, deque(maxlen=_KEPT))
+            if history and history[-1].camera_epoch != pose.camera_epoch:
+                history.clear()
+            if history and pose.capture_ns <= history[-1].capture_ns:
+                return  # asked for and heard as well
+            history.append(pose)
+            self._arrived[instance] = time.monotonic()
+            if len(self._waiting) == _WAITING:
+                self._waiting.popleft()
+                self.missed += 1
+            self._waiting.append(pose)
+            self._changed.notify_all()
+
+    def _forget_old(self) -> None:
+        """Instances come and go; those that are long gone are not kept for ever."""
+        now = time.monotonic()
+        for old in [i for i, arrived in self._arrived.items() if now - arrived > _FORGET_S]:
+            del self._arrived[old], self._history[old]
+
+    @property
+    def connected(self) -> bool:
+        """Whether there is a link to a gateway or tracker now."""
+        return bool(self._session.info.peers_zid())
+
+    def next(self, timeout_s: float | None = None) -> PoseMessage | None:
+        """The next pose that was not returned yet; None after the timeout, or when the client is closed."""
+        with self._changed:
+            self._changed.wait_for(lambda: self._waiting or self._closed.is_set(), timeout_s)
+            return self._waiting.popleft() if self._waiting else None
+
+    def __iter__(self) -> Iterator[PoseMessage]:
+        """Every pose as it comes, until the client is closed."""
+        while (pose := self.next()) is not None:
+            yield pose
+
+    def latest(
+        self, object: str | None = None, instance: int | None = None, max_age_s: float = float("inf")
+    ) -> PoseMessage | None:
+        """The newest pose message of an instance; None where there is none, or it came longer ago.
+
+        Without an instance that of the object, without an object of all, that was heard last."""
+        with self._changed:
+            which = self._which(object, instance)
+            if which is None or time.monotonic() - self._arrived[which] > max_age_s:
+                return None
+            return self._history[which][-1]
+
+    def silent_s(self, object: str | None = None, instance: int | None = None) -> float:
+        """Seconds since the last message of an instance (see `latest`) came; infinite before the first."""
+        with self._changed:
+            which = self._which(object, instance)
+            return float("inf") if which is None else time.monotonic() - self._arrived[which]
+
+    def at(
+        self, unix_ns: int | None = None, object: str | None = None, instance: int | None = None
+    ) -> PoseAt | None:
+        """Where an instance (see `latest`) was or is at a time, by default now; nanoseconds since 1970.
+
+        Between two poses of the last two seconds it is interpolated; after the newest it is predicted by its
+        velocity for up to 100 ms, with a covariance that grows. None where that says nothing: no pose, LOST,
+        stale. On another machine it is as right as the two wall clocks agree (NTP: some milliseconds)."""
+        with self._changed:
+            which = self._which(object, instance)
+            poses = [] if which is None else list(self._history[which])
+        if not poses:
+            return None
+        unix_ns = time.time_ns() if unix_ns is None else unix_ns
+        return pose_at(poses, unix_ns - _offset_ns(poses[-1]))
+
+    def _which(self, object: str | None, instance: int | None) -> Instance | None:
+        known = [key for key in self._history if object in (None, key[0]) and instance in (None, key[1])]
+        return max(known, key=lambda key: self._arrived[key], default=None)
+
+    def close(self) -> None:
+        """Leave; whoever waits for a pose gets None."""
+        self._closed.set()
+        with self._changed:
+            self._changed.notify_all()
+        self._asker.join()
+        self._session.close()  # type: ignore[no-untyped-call]
+
+    def __enter__(self) -> PoseClient:
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
+        self.close()
+
+
+def _offset_ns(pose: PoseMessage) -> int:
+    """What to add to the pose's stamps for Unix time: of this machine's own clocks where it is the same one,
+    so that a wall clock that was set in between does no harm."""
+    if pose.clock_id == _boot_id():
+        return time.time_ns() - time.monotonic_ns()
+    return pose.realtime_offset_ns
+
+
+@cache
+def _boot_id() -> str:
+    try:
+        return Path("/proc/sys/kernel/random/boot_id").read_text().strip()
+    except OSError:
+        return ""

@@ -1,0 +1,143 @@
+"""The gateway worker: shows poses, objects, the camera and health to other machines, and takes nothing from them.
+
+What is published inside under `huepose/SITE/CAMERA/KEY` appears outside under `.../remote/KEY`, at most so often
+a second; a change of an object's state is never held back. Whoever comes late asks (a zenoh `get`) and has the
+latest value of each key at once. The two sides are two sessions; only checked messages go from one to the other.
+"""
+
+from __future__ import annotations
+
+import threading
+from dataclasses import dataclass
+
+import zenoh
+
+from huepose_protos import encode
+from huepose_protos.messages import CameraMessage, HealthMessage, Message, ObjectsMessage, PoseMessage
+from huepose_services.gateway_session import open_outside
+from huepose_services.holdback import Holdback
+from huepose_services.runtime.bus import Bus
+from huepose_services.runtime.clock import SECOND, now_ns
+from huepose_services.runtime.config import Config
+
+# A pose that was not said again for so long is that of a track that is gone.
+_FORGET_NS = 10 * SECOND
+
+
+def make(bus: Bus, config: Config) -> GatewayWork:
+    """The gateway's work, its port open."""
+    outside, warnings = open_outside(config.gateway)
+    bus.health.warnings += warnings
+    for warning in warnings:
+        bus.log.warn(warning)
+    return GatewayWork(bus, outside, config.gateway.max_rate_hz)
+
+
+@dataclass(frozen=True)
+class _Said:
+    """The latest value of a key outside."""
+
+    payload: bytes
+    state: str | None
+    at_ns: int
+
+
+class GatewayWork:
+    """Passes on what arrives, and answers who asks."""
+
+    finished = False
+
+    def __init__(self, bus: Bus, outside: zenoh.Session, max_rate_hz: float) -> None:
+        self._bus, self._outside = bus, outside
+        keys, inbox = bus.keys, bus.inbox
+        self._poses = inbox.queue(keys.poses)
+        self._objects = inbox.queue(keys.objects, wakes=False)
+        self._camera = inbox.queue(keys.camera_info, wakes=False)
+        self._health = inbox.queue(keys.health(), wakes=False)
+        self._limit: Holdback[bytes] = Holdback(max_rate_hz)
+        self._publishers: dict[str, zenoh.Publisher] = {}
+        self._latest: dict[str, _Said] = {}
+        self._lock = threading.Lock()
+        self._asked = 0
+        self._next_count_ns = now_ns()
+        # Answered by zenoh's own thread for it, so at once; undeclared with the session.
+        self._queryable = outside.declare_queryable(keys.remote, self._answer)
+
+    def due_ns(self) -> int | None:
+        """When something that was held back may go out."""
+        held_ns = self._limit.next_ns()
+        return self._next_count_ns if held_ns is None else min(held_ns, self._next_count_ns)
+
+    def step(self) -> None:
+        """Pass on what arrived and what is due."""
+        keys = self._bus.keys
+        while (pose := self._bus.take(self._poses, PoseMessage)) is not None:
+            started = now_ns()
+            self._tell(keys.pose(pose.object, pose.instance), pose, pose.state)
+            self._bus.health.camera_epoch, self._bus.health.frame_id = pose.camera_epoch, pose.frame_id
+            self._bus.health.worked(started, pose.capture_ns)
+        while (objects := self._bus.take(self._objects, ObjectsMessage)) is not None:
+            self._tell(keys.objects, objects)
+        while (camera := self._bus.take(self._camera, CameraMessage)) is not None:
+            self._tell(keys.camera_info, camera)
+        while (health := self._bus.take(self._health, HealthMessage)) is not None:
+            self._tell(keys.health(health.worker), health)
+        now = now_ns()
+        for key, payload in self._limit.due(now):
+            self._put(key, payload)
+        if now >= self._next_count_ns:
+            self._next_count_ns = now + SECOND
+            self._forget_old(now)
+            self._count()
+
+    def _tell(self, inside: str, message: Message, state: str | None = None) -> None:
+        key, payload, now = self._bus.keys.outside(inside), encode(message), now_ns()
+        with self._lock:
+            before = self._latest.get(key)
+            self._latest[key] = _Said(payload, state, now)
+        new = before is None or before.state != state
+        if self._limit.offer(key, payload, now, urgent=new) is not None:
+            self._put(key, payload)
+
+    def _put(self, key: str, payload: bytes) -> None:
+        if key not in self._publishers:
+            # A reader that does not read loses messages; it holds up nobody.
+            self._publishers[key] = self._outside.declare_publisher(
+                key,
+                congestion_control=zenoh.CongestionControl.DROP,
+                priority=zenoh.Priority.REAL_TIME,
+                express=True,
+            )
+        self._publishers[key].put(payload)
+        self._bus.health.count("sent")
+
+    def _forget_old(self, now: int) -> None:
+        poses = self._bus.keys.outside(self._bus.keys.poses).removesuffix("**")
+        with self._lock:
+            old = [
+                k for k, said in self._latest.items() if k.startswith(poses) and now - said.at_ns > _FORGET_NS
+            ]
+            for key in old:
+                del self._latest[key]
+        for key in old:
+            self._limit.forget(key)
+            if key in self._publishers:
+                self._publishers.pop(key).undeclare()  # type: ignore[no-untyped-call]
+
+    def _count(self) -> None:
+        counters = self._bus.health.counters
+        counters["held_back"] = self._limit.held
+        counters["asked"] = self._asked
+        counters["readers_now"] = len(self._outside.info.peers_zid())
+
+    def _answer(self, query: zenoh.Query) -> None:
+        """The latest value of each key that is asked for."""
+        with self._lock:
+            self._asked += 1
+            said = [
+                (key, value.payload)
+                for key, value in self._latest.items()
+                if query.key_expr.intersects(zenoh.KeyExpr(key))
+            ]
+        for key, payload in said:
+            query.reply(key, payload)

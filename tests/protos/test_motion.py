@@ -1,0 +1,89 @@
+"""Poses between and after poses, against motions that are known."""
+
+import math
+
+import msgspec
+import numpy as np
+import pytest
+
+from huepose_protos.examples import messages
+from huepose_protos.messages import PoseMessage
+from huepose_protos.motion import SECOND, multiply, pose_at, quaternion_of, rotation_matrix, rotation_vector
+
+POSE = next(m for m in messages() if isinstance(m, PoseMessage))
+LINEAR, ANGULAR = np.array([0.3, -0.2, 0.1]), np.array([0.5, 1.0, -0.7])
+MS = SECOND // 1000
+
+
+def _moving(seconds):
+    """The example pose after a constant motion: along the camera's axes, about the object's origin."""
+    turn = quaternion_of(ANGULAR * seconds)
+    return np.array(POSE.translation) + LINEAR * seconds, multiply(turn, np.array(POSE.quaternion))
+
+
+def _message(ms, **changes):
+    translation, quaternion = _moving(ms * 1e-3)
+    given = {
+        "capture_ns": SECOND + ms * MS,
+        "translation": tuple(translation.tolist()),
+        "quaternion": tuple(quaternion.tolist()),
+        "velocity_linear": tuple(LINEAR.tolist()),
+        "velocity_angular": tuple(ANGULAR.tolist()),
+    }
+    return msgspec.structs.replace(POSE, **(given | changes))
+
+
+@pytest.mark.parametrize("ms", [0, 7, 20, 33, 50, 66, 100, 166])
+def test_a_constant_motion_is_met_between_and_after(ms):
+    poses = [_message(0), _message(33), _message(66)]
+    got = pose_at(poses, SECOND + ms * MS)
+    translation, quaternion = _moving(ms * 1e-3)
+    assert got.translation == pytest.approx(translation, abs=1e-12)
+    assert abs(got.quaternion @ quaternion) == pytest.approx(1.0, abs=1e-12)
+    assert got.ahead_s == pytest.approx(max(ms - 66, 0) * 1e-3)
+    assert got.T_cam_obj[:3, :3] == pytest.approx(rotation_matrix(quaternion), abs=1e-12)
+
+
+@pytest.mark.parametrize("ms", [-1, 167, 10_000])
+def test_before_the_first_and_long_after_the_last_there_is_nothing(ms):
+    assert pose_at([_message(0), _message(66)], SECOND + ms * MS) is None
+
+
+def test_the_covariance_grows_with_the_time_ahead_and_stays_a_covariance():
+    poses = [_message(0)]
+    sigmas = []
+    for ms in (0, 20, 50, 100):
+        covariance = pose_at(poses, SECOND + ms * MS).covariance
+        assert np.linalg.eigvalsh(covariance).min() > 0.0
+        sigmas.append(np.sqrt(np.diag(covariance)))
+    assert sigmas[0] == pytest.approx(np.full(6, 1e-3))
+    assert all((b > a).all() for a, b in zip(sigmas, sigmas[1:], strict=False))
+    # 0.03 m/s and 2 m/s2 for 0.1 s, on a millimetre.
+    assert sigmas[-1][0] == pytest.approx(math.hypot(0.001, 0.003, 0.01))
+
+
+def test_without_a_velocity_the_doubt_grows_faster():
+    known = pose_at([_message(0)], SECOND + 50 * MS)
+    still = pose_at([_message(0, velocity_linear=None, velocity_angular=None)], SECOND + 50 * MS)
+    assert still.translation == pytest.approx(POSE.translation)
+    assert np.diag(still.covariance)[0] > 10 * np.diag(known.covariance)[0]
+
+
+def test_the_worse_state_holds_between_two():
+    got = pose_at([_message(0, state="SUSPECT", quality=0.3), _message(33)], SECOND + 10 * MS)
+    assert (got.state, got.quality) == ("SUSPECT", 0.3)
+
+
+def test_no_pose_while_lost_and_none_across_a_gap():
+    gone = {"state": "LOST", "translation": None, "quaternion": None, "covariance": None}
+    lost = [_message(0), _message(33, **gone)]
+    assert pose_at(lost, SECOND + 40 * MS) is None
+    assert pose_at(lost, SECOND + 20 * MS) is None
+    gap = [_message(0), _message(500)]
+    assert pose_at(gap, SECOND + 60 * MS).ahead_s == pytest.approx(0.06)
+    assert pose_at(gap, SECOND + 300 * MS) is None
+
+
+@pytest.mark.parametrize("vector", [[0, 0, 0], [1e-9, 0, 0], [0.1, -0.2, 0.3], [3.1, 0.1, 0.0]])
+def test_rotation_vectors_come_back(vector):
+    assert rotation_vector(quaternion_of(np.array(vector, float))) == pytest.approx(vector, abs=1e-12)

@@ -1,8 +1,8 @@
-"""The gateway worker: shows poses, objects, the camera and health to other machines, and takes nothing from them.
+"""The gateway worker: shows poses, objects, the camera and health to other machines, and takes nothing.
 
-What is published inside under `huepose/SITE/CAMERA/KEY` appears outside under `.../remote/KEY`, at most so often
-a second; a change of an object's state is never held back. Whoever comes late asks (a zenoh `get`) and has the
-latest value of each key at once. The two sides are two sessions; only checked messages go from one to the other.
+What is published inside under `huepose/SITE/CAMERA/KEY` appears outside under `.../remote/KEY`, at most so
+often a second; a change of an object's state is never held back. Whoever comes late asks (a zenoh `get`) and
+has the latest value of each key at once. The two sides are two sessions; only checked messages go across.
 """
 
 from __future__ import annotations

@@ -2,7 +2,8 @@
 
 It has no link to the pipeline's own sessions, so nothing that comes from outside can reach a worker, whatever
 its key. The access rules come on top: a reader may subscribe to and ask for keys under `remote/`, and may put
-nothing. With TLS it must show a certificate of the configured authority, and a listed name where there are any.
+nothing. With TLS it must show a certificate of the configured authority, with a listed name where there are
+any.
 """
 
 from __future__ import annotations

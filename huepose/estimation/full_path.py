@@ -35,7 +35,7 @@ def estimate_full(
         views = retrieve(table, evidence.picture, evidence.sources, config.retrieved)
     with stage("icp"):
         aligned = [
-            _icp(model, points, views.poses[views.masks == k], 0.2 * model.diameter_m, 0.008, 25)
+            _icp(model, points, views.poses[views.masks == k], 0.1 * model.diameter_m, 0.008, 12)
             for k, points in enumerate(evidence.points_cam)
         ]
     refined = refine_coarse(model, evidence.region, np.concatenate(aligned), config)

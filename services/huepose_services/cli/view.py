@@ -1,0 +1,95 @@
+"""`huepose view`: what a running pipeline sees and believes, in a window, a browser or a file."""
+
+from __future__ import annotations
+
+import argparse
+import signal
+import sys
+import time
+from pathlib import Path
+from types import FrameType
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from huepose_services.runtime.config import Config
+
+_NONE_SEEN_AFTER_S = 3.0
+_LONGEST_WAIT_NS = 100_000_000
+
+
+def add_parser(subparsers: Any) -> None:
+    """Add the verb."""
+    parser = subparsers.add_parser("view", help="show what a running pipeline sees and believes")
+    parser.add_argument("config", nargs="?", type=Path, default=Path("pipeline.yaml"), metavar="PIPELINE")
+    where = parser.add_mutually_exclusive_group()
+    where.add_argument("--web", type=int, metavar="PORT", help="serve a page there, without the internet")
+    where.add_argument("--save", type=Path, metavar="FILE.rrd", help="write a file for the rerun viewer")
+    parser.add_argument("--seconds", type=float, metavar="S", help="stop after so long")
+    parser.set_defaults(call=call)
+
+
+def call(arguments: argparse.Namespace) -> int:
+    """Show until told to stop."""
+    from huepose_services.runtime.config import load
+    from huepose_services.runtime.threads import single_threaded
+
+    single_threaded()
+    config = load(arguments.config)
+    recording = _open(arguments, config)
+    stopping = False
+
+    def stop(number: int, frame: FrameType | None) -> None:
+        nonlocal stopping
+        stopping = True
+
+    signal.signal(signal.SIGTERM, stop)
+    signal.signal(signal.SIGINT, stop)
+    end = float("inf") if arguments.seconds is None else time.monotonic() + arguments.seconds
+    _run(config, recording, lambda: stopping or time.monotonic() > end)
+    recording.flush()
+    recording.disconnect()
+    if arguments.save is not None:
+        print(f"{arguments.save}: {arguments.save.stat().st_size / 1e6:.1f} MB", file=sys.stderr)
+    return 0
+
+
+def _open(arguments: argparse.Namespace, config: Config) -> Any:
+    import msgspec
+
+    from huepose_services.viewer import sinks
+
+    if arguments.save is not None:
+        return sinks.saved(arguments.save)
+    if arguments.web is None:
+        return sinks.window(config.viewer.memory_mib)
+    viewer = msgspec.structs.replace(
+        config.viewer, web_port=arguments.web, grpc_port=sinks.free_port(config.viewer.grpc_port)
+    )
+    recording, address = sinks.served(viewer)
+    print(f"the page is {address}", file=sys.stderr, flush=True)
+    return recording
+
+
+def _run(config: Config, recording: Any, stopping: Any) -> None:
+    from huepose_services.runtime.bus import Bus
+    from huepose_services.runtime.clock import SECOND, now_ns
+    from huepose_services.runtime.health import Health
+    from huepose_services.runtime.log import Log
+    from huepose_services.runtime.session import open_reader_session
+    from huepose_services.viewer.show import Show
+    from huepose_services.viewer.work import ViewerWork, bodies
+
+    session = open_reader_session([config.endpoint(worker) for worker in config.workers])
+    bus = Bus(session, config.keys, "view", Log("view"), Health("view"))
+    work = ViewerWork(bus, Show(recording, bodies(config)), config.viewer.image_rate_hz)
+    say_at = time.monotonic() + _NONE_SEEN_AFTER_S
+    while not stopping():
+        due_ns = work.due_ns()
+        wait_ns = _LONGEST_WAIT_NS if due_ns is None else min(due_ns - now_ns(), _LONGEST_WAIT_NS)
+        bus.inbox.wait(wait_ns / SECOND)
+        work.step()
+        if time.monotonic() > say_at and not bus.health.counters.get("pictures"):
+            say_at = float("inf")
+            print(f"waiting for frames from {config.endpoint('camera')}", file=sys.stderr, flush=True)
+    bus.close()
+    session.close()  # type: ignore[no-untyped-call]

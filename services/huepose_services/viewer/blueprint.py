@@ -1,0 +1,67 @@
+"""How the viewer's page is laid out, and where each kind of thing is logged."""
+
+from __future__ import annotations
+
+from typing import Any
+
+CAMERA, COLOR, OVERLAY = "world/camera", "world/camera/color", "world/camera/overlay"
+OBJECTS, TRAILS, CLOUD = "world/objects", "world/trails", "world/cloud"
+DEPTH, EVENTS = "depth", "events"
+LATENCY, QUALITY = "plots/latency", "plots/quality"
+TIMELINE = "time"
+
+_PLOTTED_S = 20.0
+
+
+def layout() -> Any:
+    """The blueprint: what the camera sees and what is believed on the left, where things are on the right."""
+    import rerun.blueprint as rrb
+    from rerun import TimeRange, TimeRangeBoundary
+
+    recent = rrb.VisibleTimeRange(
+        TIMELINE,
+        range=TimeRange(
+            start=TimeRangeBoundary.cursor_relative(seconds=-_PLOTTED_S),
+            end=TimeRangeBoundary.cursor_relative(),
+        ),
+    )
+    image = rrb.Spatial2DView(
+        name="Camera and poses", origin=CAMERA, contents=[f"+ /{COLOR}", f"+ /{OVERLAY}/**"]
+    )
+    depth = rrb.Spatial2DView(name="Depth", origin=DEPTH)
+    events = rrb.TextLogView(name="Changes of state", origin=EVENTS)
+    space = rrb.Spatial3DView(
+        name="Models where they are believed to be",
+        origin="world",
+        contents=["+ /world/**", f"- /{OVERLAY}/**"],
+        background=[24, 26, 31, 255],
+        line_grid=False,
+        eye_controls=rrb.EyeControls3D(
+            position=(0.55, -0.5, -0.25), look_target=(0.0, 0.06, 0.8), eye_up=(0.0, -1.0, 0.0)
+        ),
+    )
+    quality = rrb.TimeSeriesView(
+        name="Quality",
+        origin=QUALITY,
+        axis_y=rrb.ScalarAxis(range=(0.0, 1.05)),
+        plot_legend=rrb.PlotLegend(visible=False),
+        time_ranges=recent,
+    )
+    latency = rrb.TimeSeriesView(
+        name="Capture to pose, ms",
+        origin=LATENCY,
+        plot_legend=rrb.PlotLegend(visible=False),
+        time_ranges=recent,
+    )
+    return rrb.Blueprint(
+        rrb.Horizontal(
+            rrb.Vertical(image, rrb.Horizontal(depth, events, column_shares=[2, 3]), row_shares=[5, 2]),
+            rrb.Vertical(space, rrb.Horizontal(quality, latency), row_shares=[5, 2]),
+            column_shares=[1, 1],
+        ),
+        rrb.BlueprintPanel(state="hidden"),
+        rrb.SelectionPanel(state="hidden"),
+        rrb.TimePanel(state="collapsed", timeline=TIMELINE, play_state="following"),
+        auto_layout=False,
+        auto_views=False,
+    )

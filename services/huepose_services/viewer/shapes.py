@@ -1,0 +1,102 @@
+"""What is drawn, as arrays: outlines and axes in the image, the point cloud, meshes. Knows nothing of rerun."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+
+from huepose.geometry import Camera, se3
+from huepose.geometry.arrays import Bool, Float, Float32, Float64, UInt8, UInt16
+from huepose.geometry.mesh import Mesh
+from huepose.rendering.render import render_depth
+
+_MAX_TEXTURE = 512
+_CLOUD_REACH_M = 3.0
+_PIXELS_TOLERANCE = 0.7
+
+
+def outlines(mesh: Mesh, T_cam_obj: Float, camera: Camera) -> list[Float32]:
+    """Border lines (N, 2) of the pixels that a mesh covers at a pose, closed; none where it is outside."""
+    depth = render_depth(mesh, T_cam_obj, camera)
+    covered: UInt8 = (depth > 0).astype(np.uint8)
+    found, _ = cv2.findContours(covered, cv2.RETR_CCOMP, cv2.CHAIN_APPROX_NONE)
+    lines = []
+    for contour in found:
+        line = cv2.approxPolyDP(contour, _PIXELS_TOLERANCE, True)[:, 0].astype(np.float32)
+        if len(line) >= 3:
+            lines.append(np.concatenate([line, line[:1]]))
+    return lines
+
+
+def axes(T_cam_obj: Float, camera: Camera, length_m: float, centre_obj: Float) -> list[Float32] | None:
+    """The x, y and z axis (2, 2) of an object in the image, from its centre; None where one is behind."""
+    points = centre_obj + np.vstack([np.zeros(3), length_m * np.eye(3)])
+    pixels = camera.project(se3.apply(T_cam_obj, points)).astype(np.float32)
+    if not np.isfinite(pixels).all():
+        return None
+    return [pixels[[0, i]] for i in (1, 2, 3)]
+
+
+def cloud(color: UInt8, depth: UInt16, depth_scale_m: float, camera: Camera, stride: int) -> tuple[Float32, UInt8]:
+    """Points (N, 3) in camera axes and their colours (N, 3): every so many pixels that have a depth."""
+    z = depth[::stride, ::stride].astype(np.float32) * np.float32(depth_scale_m)
+    rows, columns = np.nonzero((z > 0) & (z < _CLOUD_REACH_M))
+    near = z[rows, columns]
+    x = (columns * stride - camera.cx) / camera.fx * near
+    y = (rows * stride - camera.cy) / camera.fy * near
+    points = np.stack([x, y, near], axis=1).astype(np.float32)
+    return points, color[::stride, ::stride][rows, columns]
+
+
+@dataclass(frozen=True, eq=False)
+class Body:
+    """What a viewer needs of a reference model."""
+
+    mesh: Mesh
+    diameter_m: float
+
+
+@dataclass(frozen=True, eq=False)
+class Drawable:
+    """A mesh as graphics cards take it: positions (3F, 3), triangles (F, 3), texture coordinates (3F, 2)."""
+
+    positions: Float32
+    triangles: Float32
+    texture_coordinates: Float32
+    texture: UInt8
+
+
+def drawable(mesh: Mesh) -> Drawable:
+    """Each corner a vertex of its own, since texture coordinates belong to corners; a small texture."""
+    corners = mesh.faces.reshape(-1)
+    texture = mesh.texture
+    scale = _MAX_TEXTURE / max(texture.shape[:2])
+    if scale < 1.0:
+        texture = cv2.resize(texture, None, fx=scale, fy=scale, interpolation=cv2.INTER_AREA)
+    return Drawable(
+        mesh.vertices[corners],
+        np.arange(len(corners), dtype=np.uint32).reshape(-1, 3),
+        mesh.uv.reshape(-1, 2),
+        texture,
+    )
+
+
+def halved(depth: UInt16) -> UInt16:
+    """Every other pixel of a depth image."""
+    return np.ascontiguousarray(depth[::2, ::2])
+
+
+def depth_range(depth: UInt16) -> tuple[float, float]:
+    """Where the depths of an image lie, in its own steps, without the outermost."""
+    known: Bool = depth > 0
+    if not known.any():
+        return 0.0, 1.0
+    low, high = np.percentile(depth[known], [1.0, 95.0])
+    return float(low), float(max(high, low + 1.0))
+
+
+def turned(quaternion: tuple[float, float, float, float], translation: tuple[float, float, float]) -> Float64:
+    """Pose (4, 4) of a message."""
+    return se3.make(se3.rotation_from_quaternion(np.array(quaternion)), np.array(translation))

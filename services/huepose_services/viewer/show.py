@@ -1,0 +1,213 @@
+"""Writes frames, poses and events to a rerun recording. Everything that is slow or grows is bounded here."""
+
+from __future__ import annotations
+
+from collections import deque
+from collections.abc import Mapping
+from typing import Any
+
+import cv2
+import numpy as np
+
+from huepose.geometry import Camera
+from huepose_protos.buffers import Array
+from huepose_protos.fields import StateName
+from huepose_protos.messages import FrameHeader, PoseMessage
+from huepose_services.convert import camera_from_wire
+from huepose_services.viewer import blueprint as place
+from huepose_services.viewer.shapes import (
+    Body,
+    axes,
+    cloud,
+    depth_range,
+    drawable,
+    halved,
+    outlines,
+    turned,
+)
+
+STATE_COLOURS: dict[StateName, tuple[int, int, int]] = {
+    "TRACKING": (64, 220, 120),
+    "SUSPECT": (255, 190, 40),
+    "LOST": (250, 80, 70),
+    "SEARCHING": (150, 150, 150),
+}
+_LEVELS: dict[StateName, str] = {"TRACKING": "INFO", "SUSPECT": "WARN", "LOST": "ERROR", "SEARCHING": "TRACE"}
+_AXES = ((235, 70, 60), (70, 200, 80), (70, 120, 250))
+_PALETTE = (
+    (86, 180, 233),
+    (230, 159, 0),
+    (0, 200, 150),
+    (240, 228, 66),
+    (204, 121, 167),
+    (213, 94, 0),
+    (120, 140, 255),
+    (170, 220, 110),
+)
+_TRAIL = 90
+_JPEG_QUALITY = 85
+_CLOUD_STRIDE = 3
+Instance = tuple[str, int]
+
+
+class Show:
+    """One recording. Static things (meshes, colours, the camera) are written when they are first needed."""
+
+    def __init__(self, recording: Any, bodies: Mapping[str, Body]) -> None:
+        self._recording = recording
+        self._bodies = bodies
+        self._drawn: set[Instance] = set()
+        self._trails: dict[Instance, deque[tuple[float, float, float]]] = {}
+        self._camera: Camera | None = None
+        self._tell_static()
+
+    def _tell_static(self) -> None:
+        import rerun as rr
+
+        self._log("world", rr.ViewCoordinates.RDF, static=True)
+        line = rr.SeriesLines(colors=[(120, 200, 255)], widths=[1.5], names=["capture to pose"])
+        self._log(place.LATENCY, line, static=True)
+
+    def _log(self, path: str, *what: Any, static: bool = False) -> None:
+        self._recording.log(path, *what, static=static)
+
+    def at(self, realtime_ns: int, frame_id: int) -> None:
+        """What follows belongs to this time (nanoseconds since 1970) and frame."""
+        self._recording.set_time(place.TIMELINE, timestamp=np.datetime64(realtime_ns, "ns"))
+        self._recording.set_time("frame", sequence=frame_id)
+
+    def colour_of(self, instance: Instance) -> tuple[int, int, int]:
+        """Of an object in plots and trails."""
+        names = list(self._bodies)
+        number = names.index(instance[0]) if instance[0] in names else hash(instance[0])
+        return _PALETTE[number % len(_PALETTE)]
+
+    def frame(self, header: FrameHeader, color: Array, depth: Array, with_cloud: bool) -> None:
+        """Colour as JPEG, every other pixel of depth, and now and then the point cloud."""
+        import rerun as rr
+
+        camera = camera_from_wire(header.intrinsics)
+        if camera != self._camera:
+            self._camera = camera
+            pinhole = rr.Pinhole(
+                image_from_camera=camera.K,
+                resolution=[camera.width, camera.height],
+                camera_xyz=rr.ViewCoordinates.RDF,
+                image_plane_distance=0.15,
+            )
+            self._log(place.CAMERA, pinhole, static=True)
+        bgr = cv2.cvtColor(color, cv2.COLOR_RGB2BGR)
+        _, jpeg = cv2.imencode(".jpg", bgr, [cv2.IMWRITE_JPEG_QUALITY, _JPEG_QUALITY])
+        self._log(place.COLOR, rr.EncodedImage(contents=jpeg.tobytes(), media_type="image/jpeg"))
+        if with_cloud:
+            scale_m = header.intrinsics.depth_scale_m
+            small = halved(depth)
+            shown = rr.DepthImage(
+                small, meter=1.0 / scale_m, colormap="viridis", depth_range=depth_range(small)
+            )
+            self._log(place.DEPTH, shown)
+            points, colors = cloud(color, depth, scale_m, camera, _CLOUD_STRIDE)
+            self._log(place.CLOUD, rr.Points3D(points, colors=colors, radii=rr.Radius.ui_points(1.5)))
+
+    def beliefs(self, poses: list[PoseMessage]) -> None:
+        """Outlines, axes and names in the image, of the poses of its frame."""
+        import rerun as rr
+
+        if self._camera is None:
+            return
+        lines, colors, tips, labels, label_colors, crosses = [], [], [], [], [], []
+        for pose in poses:
+            body = self._bodies.get(pose.object)
+            if body is None or pose.translation is None or pose.quaternion is None:
+                continue
+            T_cam_obj = turned(pose.quaternion, pose.translation)
+            border = outlines(body.mesh, T_cam_obj, self._camera)
+            if not border:
+                continue
+            colour = STATE_COLOURS[pose.state]
+            lines += border
+            colors += [colour] * len(border)
+            highest = np.concatenate(border)
+            tips.append((float(highest[:, 0].mean()), float(highest[:, 1].min()) - 4.0))
+            labels.append(f"{pose.object}  {pose.state.lower()} {pose.quality:.2f}")
+            label_colors.append(colour)
+            cross = axes(T_cam_obj, self._camera, 0.35 * body.diameter_m, body.mesh.centre)
+            crosses += cross or []
+        width = rr.Radius.ui_points(1.5)
+        self._log(f"{place.OVERLAY}/outlines", rr.LineStrips2D(lines, colors=colors, radii=width))
+        self._log(
+            f"{place.OVERLAY}/axes",
+            rr.LineStrips2D(crosses, colors=_AXES * (len(crosses) // 3), radii=rr.Radius.ui_points(1.2)),
+        )
+        self._log(
+            f"{place.OVERLAY}/names",
+            rr.Points2D(tips, labels=labels, colors=label_colors, radii=rr.Radius.ui_points(1.0)),
+        )
+
+    def pose(self, pose: PoseMessage) -> None:
+        """Where the model stands in space, its trail, and its quality; gone from space while it has no pose."""
+        import rerun as rr
+
+        instance = (pose.object, pose.instance)
+        path = f"{place.OBJECTS}/{pose.object}_{pose.instance}"
+        self._draw_once(instance, path)
+        trail = self._trails.setdefault(instance, deque(maxlen=_TRAIL))
+        if pose.translation is None or pose.quaternion is None:
+            trail.clear()
+            self._log(path, rr.Transform3D(scale=0.0))
+        else:
+            trail.append(self._centre(pose))
+            rotation = rr.Quaternion(xyzw=pose.quaternion)
+            self._log(path, rr.Transform3D(translation=pose.translation, rotation=rotation, scale=1.0))
+        self._log(
+            f"{place.TRAILS}/{pose.object}_{pose.instance}",
+            rr.LineStrips3D(
+                [list(trail)] if len(trail) > 1 else [],
+                colors=[self.colour_of(instance)],
+                radii=rr.Radius.ui_points(1.5),
+            ),
+        )
+        self._log(f"{place.QUALITY}/{pose.object}_{pose.instance}", rr.Scalars(pose.quality))
+
+    def _centre(self, pose: PoseMessage) -> tuple[float, float, float]:
+        assert pose.translation is not None
+        assert pose.quaternion is not None
+        body = self._bodies.get(pose.object)
+        if body is None:
+            return pose.translation
+        T_cam_obj = turned(pose.quaternion, pose.translation)
+        x, y, z = (T_cam_obj[:3, :3] @ body.mesh.centre + T_cam_obj[:3, 3]).tolist()
+        return x, y, z
+
+    def _draw_once(self, instance: Instance, path: str) -> None:
+        import rerun as rr
+
+        if instance in self._drawn:
+            return
+        self._drawn.add(instance)
+        line = rr.SeriesLines(
+            colors=[self.colour_of(instance)], widths=[1.5], names=[f"{instance[0]} {instance[1]}"]
+        )
+        self._log(f"{place.QUALITY}/{instance[0]}_{instance[1]}", line, static=True)
+        body = self._bodies.get(instance[0])
+        if body is not None:
+            mesh = drawable(body.mesh)
+            shown = rr.Mesh3D(
+                vertex_positions=mesh.positions,
+                triangle_indices=mesh.triangles,
+                vertex_texcoords=mesh.texture_coordinates,
+                albedo_texture=mesh.texture,
+            )
+            self._log(f"{path}/mesh", shown, static=True)
+
+    def latency(self, milliseconds: float) -> None:
+        """From capture to the last pose of a frame."""
+        import rerun as rr
+
+        self._log(place.LATENCY, rr.Scalars(milliseconds))
+
+    def event(self, text: str, state: StateName) -> None:
+        """A line in the log of the page."""
+        import rerun as rr
+
+        self._log(place.EVENTS, rr.TextLog(text, level=_LEVELS[state], color=STATE_COLOURS[state]))

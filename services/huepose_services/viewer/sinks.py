@@ -1,0 +1,97 @@
+"""Where a recording goes: pages served on this machine, a viewer's window, or a file."""
+
+from __future__ import annotations
+
+import os
+import socket
+from pathlib import Path
+from typing import Any
+
+from huepose.support.errors import InputError
+from huepose_services.runtime.config import ViewerConfig
+from huepose_services.viewer.blueprint import layout
+
+_NAME = "huepose"
+
+
+def _recording() -> Any:
+    # Nothing is reported to anyone: a robot has no business on the internet.
+    os.environ.setdefault("RERUN_ANALYTICS", "0")
+    try:
+        import rerun as rr
+    except ModuleNotFoundError:
+        raise InputError(
+            "the viewer",
+            found="no Python package rerun",
+            expected="the extra `viewer`",
+            fix="Install it with: pip install 'huepose[viewer]'.",
+        ) from None
+    return rr.RecordingStream(_NAME)
+
+
+def served(config: ViewerConfig) -> tuple[Any, str]:
+    """A recording that browsers look at, and the address of its page. Nothing is fetched from the internet.
+
+    Raises InputError where a port is taken."""
+    for name, port in (("web_port", config.web_port), ("grpc_port", config.grpc_port)):
+        _check_free(name, port, config.bind)
+    import rerun as rr
+
+    recording = _recording()
+    sink = rr.GrpcServerSink(
+        config.bind, config.grpc_port, server_memory_limit=f"{config.memory_mib}MiB"
+    )
+    recording.set_sinks(sink, default_blueprint=layout())
+    host = "127.0.0.1" if config.bind == "127.0.0.1" else socket.gethostname()
+    source = f"rerun+http://{host}:{config.grpc_port}/proxy"
+    rr.serve_web_viewer(web_port=config.web_port, open_browser=False, connect_to=source)
+    return recording, f"http://{host}:{config.web_port}/?url={source.replace('+', '%2B')}"
+
+
+def _check_free(name: str, port: int, bind: str) -> None:
+    with socket.socket() as probe:
+        probe.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+        try:
+            probe.bind((bind, port))
+        except OSError as error:
+            raise InputError(
+                f"viewer.{name} {port}",
+                found=error.strerror or str(error),
+                expected="a free port",
+                fix="Close the other viewer, or choose another port.",
+            ) from None
+
+
+def free_port(first: int) -> int:
+    """The first free port of this machine from there on, so that several viewers can run side by side."""
+    for port in range(first, min(first + 100, 65_536)):
+        with socket.socket() as probe:
+            try:
+                probe.bind(("127.0.0.1", port))
+            except OSError:
+                continue
+        return port
+    raise InputError(f"ports from {first}", found="100 that are taken", expected="a free one")
+
+
+def window(memory_mib: int) -> Any:
+    """A recording in a window of its own on this machine's screen."""
+    if not (os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY")):
+        raise InputError(
+            "a viewer's window",
+            found="no screen (DISPLAY and WAYLAND_DISPLAY are not set)",
+            fix="Use --web PORT and a browser, or --save FILE.rrd.",
+        )
+    recording = _recording()
+    recording.spawn(memory_limit=f"{4 * memory_mib}MiB", server_memory_limit=f"{memory_mib}MiB")
+    recording.send_blueprint(layout())
+    return recording
+
+
+def saved(path: Path) -> Any:
+    """A recording into a file. `disconnect()` at the end completes it."""
+    if not path.absolute().parent.is_dir():
+        raise InputError(path, found="no such folder", expected="a file that can be written")
+    recording = _recording()
+    recording.save(path, default_blueprint=layout())
+    return recording

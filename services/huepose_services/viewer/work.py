@@ -1,0 +1,120 @@
+"""The viewer worker: newest frames and all poses in, a page for browsers out.
+
+It holds a ring of one for frames and takes as many a second as it is told to; nothing waits for it. Poses are
+shown on the frame that they are of: a frame waits for its poses for a moment.
+"""
+
+from __future__ import annotations
+
+from huepose_protos import WireError
+from huepose_protos.buffers import frame_images
+from huepose_protos.keys import last
+from huepose_protos.messages import Clock, FrameHeader, PoseMessage
+from huepose_services import models
+from huepose_services.runtime.bus import Bus
+from huepose_services.runtime.clock import SECOND, now_ns
+from huepose_services.runtime.config import Config
+from huepose_services.viewer.shapes import Body
+from huepose_services.viewer.show import Show
+
+# So long a frame waits for the poses that are of it.
+_PATIENCE_NS = SECOND // 8
+_KEPT_NS = SECOND
+_CLOUD_EVERY = 2
+
+
+def make(bus: Bus, config: Config) -> ViewerWork:
+    """The viewer's work, its page being served."""
+    from huepose_services.viewer.sinks import served
+
+    recording, address = served(config.viewer)
+    bus.log.say(f"the page is {address}")
+    return ViewerWork(bus, Show(recording, bodies(config)), config.viewer.image_rate_hz)
+
+
+def bodies(config: Config) -> dict[str, Body]:
+    """What is drawn of each object; the rest of the models is let go."""
+    return {name: Body(model.mesh, model.diameter_m) for name, model in models.load(config).items()}
+
+
+class ViewerWork:
+    """Pairs frames with their poses and shows both; tells what changes."""
+
+    finished = False
+
+    def __init__(self, bus: Bus, show: Show, image_rate_hz: float) -> None:
+        self._bus, self._show = bus, show
+        self._period_ns = int(SECOND / image_rate_hz)
+        keys, inbox = bus.keys, bus.inbox
+        # Frames wake nobody: they are looked at when the next picture is due.
+        self._frames = inbox.ring(keys.frame, wakes=False)
+        self._poses = inbox.queue(keys.poses)
+        self._live = inbox.liveliness(keys.live())
+        self._next_picture_ns = now_ns()
+        self._waiting: tuple[FrameHeader, bytes] | None = None
+        self._waiting_until_ns = 0
+        self._recent: dict[tuple[str, int], dict[int, PoseMessage]] = {}
+        self._states: dict[tuple[str, int], str] = {}
+        self._clock: Clock | None = None
+        self._pictures = 0
+        self.frames_shown = 0
+
+    def due_ns(self) -> int | None:
+        """When the next picture is due, or the waiting one has waited long enough."""
+        return self._next_picture_ns if self._waiting is None else self._waiting_until_ns
+
+    def step(self) -> None:
+        """Take poses and a frame; show what is complete."""
+        while (pose := self._bus.take(self._poses, PoseMessage)) is not None:
+            self._take(pose)
+        now = now_ns()
+        if self._waiting is None and now >= self._next_picture_ns:
+            # Absolute deadlines; after a stop no burst.
+            self._next_picture_ns = max(self._next_picture_ns + self._period_ns, now)
+            self._waiting = self._bus.take_with_payload(self._frames, FrameHeader)
+            self._waiting_until_ns = now + _PATIENCE_NS
+        if self._waiting is not None and (self._has_poses(self._waiting[0]) or now >= self._waiting_until_ns):
+            self._picture(*self._waiting)
+            self._waiting = None
+        while (sample := self._live.take()) is not None:
+            self._bus.health.count(f"seen_{last(str(sample.key_expr))}")
+
+    def _take(self, pose: PoseMessage) -> None:
+        started = now_ns()
+        instance = (pose.object, pose.instance)
+        kept = self._recent.setdefault(instance, {})
+        kept[pose.frame_id] = pose
+        for old in [i for i, p in kept.items() if pose.capture_ns - p.capture_ns > _KEPT_NS]:
+            del kept[old]
+        self._show.at(pose.capture_ns + pose.realtime_offset_ns, pose.frame_id)
+        before = self._states.get(instance)
+        if before != pose.state:
+            self._states[instance] = pose.state
+            came_from = "" if before is None else f" (was {before})"
+            self._show.event(f"{pose.object}/{pose.instance} {pose.state}{came_from}", pose.state)
+        self._show.pose(pose)
+        self._show.latency((pose.publish_ns - pose.capture_ns) * 1e-6)
+        self._bus.health.camera_epoch, self._bus.health.frame_id = pose.camera_epoch, pose.frame_id
+        self._bus.health.worked(started, pose.capture_ns)
+
+    def _has_poses(self, header: FrameHeader) -> bool:
+        """Whether every instance that is being tracked has said something of this frame, or of a later one."""
+        living = [kept for kept in self._recent.values() if _newest(kept) > header.frame_id - 30]
+        return bool(living) and all(_newest(kept) >= header.frame_id for kept in living)
+
+    def _picture(self, header: FrameHeader, payload: bytes) -> None:
+        try:
+            color, depth = frame_images(header, payload)
+        except WireError as error:
+            self._bus.refuse(self._bus.keys.frame, error)
+            return
+        self._show.at(header.capture_ns + header.clock.realtime_offset_ns, header.frame_id)
+        self._show.frame(header, color, depth, with_cloud=self._pictures % _CLOUD_EVERY == 0)
+        poses = [kept[header.frame_id] for kept in self._recent.values() if header.frame_id in kept]
+        self._show.beliefs(poses)
+        self._pictures += 1
+        self._bus.health.count("pictures")
+
+
+def _newest(kept: dict[int, PoseMessage]) -> int:
+    return max(kept, default=-1)

@@ -12,6 +12,7 @@ from typing import Protocol
 
 from huepose.evaluation.boxes import disturbed
 from huepose.geometry import Box, Camera
+from huepose.model import ReferenceModel
 from huepose_protos.messages import (
     DetectedObject,
     FrameHeader,
@@ -27,7 +28,7 @@ from huepose_services.convert import (
     optional_pose_from_wire,
     prior_from_wire,
 )
-from huepose_services.models import Outline
+from huepose_services.models import Outline, outline
 
 _TRUTHS_KEPT = 90
 _SAME_BOX = 0.5
@@ -35,21 +36,46 @@ _VISIBLE = 0.1
 # A prediction is trusted for so long; then the last box grows, and at last it is the image.
 _TRUST_S, _FORGET_S, _GROWTH_PER_S = 0.5, 3.0, 0.5
 _MARGIN = 0.08
+_HINT_NS = 3_000_000_000
 
 
 class BoxFinder(Protocol):
     """Answers a request with boxes in one frame; an object that is not there gets none."""
+
+    def add(self, model: ReferenceModel) -> None:
+        """Know one more object, or another model of it."""
+        ...
+
+    def remove(self, name: str) -> None:
+        """Forget an object; nothing happens when it is not known."""
+        ...
 
     def find(self, header: FrameHeader, request: PerceptionRequest) -> list[DetectedObject]:
         """Boxes, in the request's order."""
         ...
 
 
-class TruthBoxes:
+class _ByOutline:
+    """What those have in common that know objects by their outline."""
+
+    def __init__(self, outlines: Mapping[str, Outline]) -> None:
+        self._outlines = dict(outlines)
+
+    def add(self, model: ReferenceModel) -> None:
+        """Know one more object, or another model of it."""
+        self._outlines[model.name] = outline(model)
+
+    def remove(self, name: str) -> None:
+        """Forget an object; nothing happens when it is not known."""
+        self._outlines.pop(name, None)
+
+
+class TruthBoxes(_ByOutline):
     """Boxes of the true objects, shifted by up to 10 % of their size and scaled by up to 10 %."""
 
     def __init__(self, outlines: Mapping[str, Outline], seed: int) -> None:
-        self._outlines, self._seed = outlines, seed
+        super().__init__(outlines)
+        self._seed = seed
         self._truths: deque[TruthMessage] = deque(maxlen=_TRUTHS_KEPT)
 
     def learn(self, truth: TruthMessage) -> None:
@@ -104,11 +130,11 @@ class TruthBoxes:
         return outline.box(prior_from_wire(wanted.prior).predicted(header.capture_ns), camera)
 
 
-class FirstBoxes:
+class FirstBoxes(_ByOutline):
     """A box that was given once, then the prediction; after a loss the last box, growing to the image."""
 
     def __init__(self, outlines: Mapping[str, Outline], boxes: Mapping[str, Box]) -> None:
-        self._outlines = outlines
+        super().__init__(outlines)
         self._given = dict(boxes)
         self._acquired: set[str] = set()
         self._last: dict[str, tuple[Box, int]] = {}
@@ -139,6 +165,35 @@ class FirstBoxes:
         box, seen_ns = self._last.get(name, (image, 0))
         lost_s = (header.capture_ns - seen_ns) * 1e-9
         return image if lost_s > _FORGET_S else box.grown(_GROWTH_PER_S * max(lost_s, 0.0))
+
+
+class Hints:
+    """Boxes that a person has pointed at: for a while they are where an object is looked for, until it has a
+    pose."""
+
+    def __init__(self) -> None:
+        self._boxes: dict[str, tuple[Box, int]] = {}
+
+    def point(self, name: str, box: Box, now_ns: int) -> None:
+        """It is there now."""
+        self._boxes[name] = (box, now_ns + _HINT_NS)
+
+    def applied(
+        self, found: list[DetectedObject], header: FrameHeader, request: PerceptionRequest, now_ns: int
+    ) -> list[DetectedObject]:
+        """The boxes that were found, and the hints in place of those of their objects."""
+        for wanted in request.objects:
+            box, until_ns = self._boxes.get(wanted.object, (None, 0))
+            if box is None:
+                continue
+            if wanted.instance is not None or now_ns > until_ns:
+                del self._boxes[wanted.object]
+                continue
+            clipped = box.clipped(header.intrinsics.width, header.intrinsics.height)
+            if clipped.w >= 1.0 and clipped.h >= 1.0:
+                others = [d for d in found if d.request is not wanted]
+                found = [*others, _detected(wanted, clipped)]
+        return found
 
 
 def _frame_of(header: FrameHeader) -> tuple[int, int]:

@@ -3,9 +3,12 @@
 from __future__ import annotations
 
 from huepose.geometry import Box
+from huepose.model import ReferenceModel
 from huepose_protos.messages import Detections, FrameHeader, PerceptionRequest, TruthMessage
 from huepose_services import models
-from huepose_services.boxes import BoxFinder, FirstBoxes, TruthBoxes
+from huepose_services.boxes import BoxFinder, FirstBoxes, Hints, TruthBoxes
+from huepose_services.convert import box_from_wire
+from huepose_services.following import Follower
 from huepose_services.runtime.bus import Bus
 from huepose_services.runtime.clock import now_ns
 from huepose_services.runtime.config import Config
@@ -14,10 +17,11 @@ from huepose_services.runtime.config import Config
 def make(bus: Bus, config: Config) -> DetectorWork:
     """The detector worker's work."""
     outlines = models.outlines(config)
+    follower = Follower(bus, lambda name: models.load_one(config, name), outlines)
     if config.detector.kind == "truth":
-        return DetectorWork(bus, TruthBoxes(outlines, config.detector.seed))
+        return DetectorWork(bus, TruthBoxes(outlines, config.detector.seed), follower)
     boxes = {name: Box(*box) for name, box in config.detector.boxes.items()}
-    return DetectorWork(bus, FirstBoxes(outlines, boxes))
+    return DetectorWork(bus, FirstBoxes(outlines, boxes), follower)
 
 
 class DetectorWork:
@@ -25,8 +29,9 @@ class DetectorWork:
 
     finished = False
 
-    def __init__(self, bus: Bus, finder: BoxFinder) -> None:
-        self._bus, self._finder = bus, finder
+    def __init__(self, bus: Bus, finder: BoxFinder, objects: Follower[ReferenceModel]) -> None:
+        self._bus, self._finder, self._objects = bus, finder, objects
+        self._hints = Hints()
         keys = bus.keys
         self._requests = bus.inbox.queue(keys.request)
         self._frames = bus.inbox.ring(keys.frame, wakes=False)
@@ -39,6 +44,7 @@ class DetectorWork:
 
     def step(self) -> None:
         """Answer the newest request."""
+        self._follow()
         if self._truths is not None and isinstance(self._finder, TruthBoxes):
             while (truth := self._bus.take(self._truths, TruthMessage)) is not None:
                 self._finder.learn(truth)
@@ -48,6 +54,17 @@ class DetectorWork:
         if request is not None:
             self._answer(request)
 
+    def _follow(self) -> None:
+        """Objects that came or went, and boxes that were pointed at."""
+        for change in self._objects.changes():
+            entry = change.entry
+            if change.removed:
+                self._finder.remove(entry.object)
+            elif change.added is not None:
+                self._finder.add(change.added)
+            if entry.box is not None:
+                self._hints.point(entry.object, box_from_wire(entry.box), now_ns())
+
     def _answer(self, request: PerceptionRequest) -> None:
         started = now_ns()
         health = self._bus.health
@@ -56,7 +73,7 @@ class DetectorWork:
             health.count("requests_without_a_frame")
             return
         header, payload = self._frame
-        found = self._finder.find(header, request)
+        found = self._hints.applied(self._finder.find(header, request), header, request, started)
         message = Detections(
             publish_ns=now_ns(),
             request_seq=request.seq,

@@ -5,6 +5,7 @@ from __future__ import annotations
 from huepose.estimation import Estimator, ObjectQuery, PoseEstimate
 from huepose.estimation.config import EstimatorConfig
 from huepose.estimation.types import PosePrior
+from huepose.model import ReferenceModel
 from huepose_protos import WireError
 from huepose_protos.messages import EstimatedObject, Estimates, MaskedObject, Masks
 from huepose_protos.runlength import mask_of, runs_of
@@ -17,6 +18,7 @@ from huepose_services.convert import (
     optional_pose_to_wire,
     prior_from_wire,
 )
+from huepose_services.following import Follower
 from huepose_services.runtime.bus import Bus
 from huepose_services.runtime.clock import now_ns
 from huepose_services.runtime.config import Config
@@ -27,7 +29,8 @@ def make(bus: Bus, config: Config) -> EstimatorWork:
     settings = EstimatorConfig(method=config.estimator.method, threads=config.estimator.threads)
     estimator = Estimator(models.load(config), settings)
     estimator.warm_up()
-    return EstimatorWork(bus, estimator)
+    follower = Follower(bus, lambda name: models.load_one(config, name), estimator.objects)
+    return EstimatorWork(bus, estimator, follower)
 
 
 class EstimatorWork:
@@ -35,8 +38,8 @@ class EstimatorWork:
 
     finished = False
 
-    def __init__(self, bus: Bus, estimator: Estimator) -> None:
-        self._bus, self._estimator = bus, estimator
+    def __init__(self, bus: Bus, estimator: Estimator, objects: Follower[ReferenceModel]) -> None:
+        self._bus, self._estimator, self._objects = bus, estimator, objects
         self._masks = bus.inbox.ring(bus.keys.masks)
 
     def due_ns(self) -> int | None:
@@ -45,21 +48,30 @@ class EstimatorWork:
 
     def step(self) -> None:
         """Estimate what is in the newest masks."""
+        for change in self._objects.changes():
+            if change.removed:
+                self._estimator.remove_object(change.entry.object)
+            elif change.added is not None:
+                self._estimator.add_object(change.added)
         taken = self._bus.take_with_payload(self._masks, Masks)
         if taken is None:
             return
         started = now_ns()
         message, payload = taken
+        known = set(self._estimator.objects)
+        objects = [item for item in message.objects if item.detection.request.object in known]
+        # One that was just added may be asked for before its model is here.
+        self._bus.health.count("unknown_objects", len(message.objects) - len(objects))
         try:
             frame = frame_from_wire(message.frame, payload)
-            queries = [self._query(item, frame.stamp_ns, frame.depth.shape) for item in message.objects]
+            queries = [self._query(item, frame.stamp_ns, frame.depth.shape) for item in objects]
         except WireError as error:
             self._bus.refuse(self._bus.keys.masks, error)
             return
         answers = self._estimator.estimate(frame, queries)
         estimates = [
             estimate_to_wire(answer, item.detection.request.instance)
-            for answer, item in zip(answers, message.objects, strict=True)
+            for answer, item in zip(answers, objects, strict=True)
         ]
         self._bus.put_control(
             self._bus.keys.estimates,

@@ -46,18 +46,21 @@ def load(config: Config) -> dict[str, ReferenceModel]:
     return load_models(bundles_folder(config), [item.name for item in config.objects] or None)
 
 
+def load_one(config: Config, name: str) -> ReferenceModel:
+    """The model of one object, configured or not. Raises InputError that says which there are."""
+    return load_models(bundles_folder(config), [name])[name]
+
+
+def outline(model: ReferenceModel) -> Outline:
+    """The outline of a model; the rest of it is let go."""
+    points = model.surface.points[:_OUTLINE_POINTS].copy()
+    equivalents = tuple(model.equivalents.copy())
+    return Outline(model.name, model.object_id, points, model.diameter_m, equivalents)
+
+
 def outlines(config: Config) -> dict[str, Outline]:
-    """The outlines of the same objects; the rest of the models is let go."""
-    return {
-        name: Outline(
-            name,
-            model.object_id,
-            model.surface.points[:_OUTLINE_POINTS].copy(),
-            model.diameter_m,
-            tuple(model.equivalents.copy()),
-        )
-        for name, model in load(config).items()
-    }
+    """The outlines of the objects that are looked for."""
+    return {name: outline(model) for name, model in load(config).items()}
 
 
 def objects(config: Config, names: list[str]) -> list[ObjectConfig]:

@@ -32,9 +32,11 @@ from huepose_services.convert import (
     twist_from_wire,
     twist_to_wire,
 )
+from huepose_services.following import Retired, recall
 from huepose_services.runtime.bus import Bus
 from huepose_services.runtime.clock import SECOND, now_ns
 from huepose_services.runtime.config import Config
+from huepose_services.steering import Desk, ObjectList
 
 _LOOK_NS = SECOND // 30
 # A track that was not published for so long while others were is no track any more.
@@ -43,15 +45,25 @@ _FORGET_NS = 2 * SECOND
 
 def make(bus: Bus, config: Config) -> ReinitWork:
     """The re-initialisation worker's work."""
-    known = models.outlines(config)
-    wanted = {item.name: item.max_instances for item in models.objects(config, list(known))}
-    slots = [ObjectSlot(name, wanted[name], o.diameter_m, o.equivalents) for name, o in known.items()]
+
+    def load(name: str, count: int) -> ObjectSlot:
+        outline = models.outline(models.load_one(config, name))
+        return ObjectSlot(name, count, outline.diameter_m, outline.equivalents)
+
+    entries = recall(bus)
+    if not entries:
+        configured = models.objects(config, list(models.load(config)))
+        entries = [
+            ObjectEntry(object=item.name, max_instances=item.max_instances, searching=item.max_instances)
+            for item in configured
+        ]
+    slots = [load(entry.object, entry.max_instances) for entry in entries]
     settings = ReinitConfig(
         period_ms=1000.0 / config.reinit.rate_hz,
         objects_per_request=config.reinit.objects_per_tick,
         deadline_ms=float(config.reinit.deadline_ms),
     )
-    return ReinitWork(bus, ReinitLoop(settings, slots), wanted)
+    return ReinitWork(bus, ReinitLoop(settings, slots), ObjectList(entries, load))
 
 
 class ReinitWork:
@@ -59,8 +71,10 @@ class ReinitWork:
 
     finished = False
 
-    def __init__(self, bus: Bus, loop: ReinitLoop, wanted: dict[str, int]) -> None:
-        self._bus, self._loop, self._wanted = bus, loop, wanted
+    def __init__(self, bus: Bus, loop: ReinitLoop, objects: ObjectList) -> None:
+        self._bus, self._loop, self._objects = bus, loop, objects
+        self._desk = Desk(bus, objects)
+        self._retired = Retired(objects.entries())
         self._poses = bus.inbox.queue(bus.keys.poses, wakes=False)
         self._answers = bus.inbox.queue(bus.keys.estimates)
         self._tracks: dict[tuple[str, int], TrackedPose] = {}
@@ -73,8 +87,10 @@ class ReinitWork:
     def step(self) -> None:
         """One turn of the loop."""
         started = now_ns()
+        self._obey()
         while (pose := self._bus.take(self._poses, PoseMessage)) is not None:
-            self._tracks[pose.object, pose.instance] = track_from_wire(pose)
+            if not self._retired.includes(pose.object, pose.camera_epoch, pose.instance):
+                self._tracks[pose.object, pose.instance] = track_from_wire(pose)
         while (answer := self._bus.take(self._answers, Estimates)) is not None:
             for correction in self._loop.answer(now_ns(), result_from_wire(answer)):
                 self._send(correction)
@@ -93,6 +109,21 @@ class ReinitWork:
             self._next_objects_ns = now + SECOND
             self._say_objects()
 
+    def _obey(self) -> None:
+        """Take over what was ordered at the desk."""
+        orders = self._objects.orders()
+        for order in orders:
+            name = order.name
+            if order.entry is None or order.anew:
+                now = now_ns()
+                over = self._loop.forget(name, now) if order.anew else self._loop.remove(name, now)
+                self._retired.add(name, over)
+                self._tracks = {key: track for key, track in self._tracks.items() if key[0] != name}
+            if order.slot is not None:
+                self._loop.add(order.slot)
+        if orders:
+            self._say_objects()
+
     def _living(self) -> list[TrackedPose]:
         newest_ns = max((t.stamp_ns for t in self._tracks.values()), default=0)
         self._tracks = {k: t for k, t in self._tracks.items() if newest_ns - t.stamp_ns < _FORGET_NS}
@@ -104,11 +135,12 @@ class ReinitWork:
     def _say_objects(self) -> None:
         self._bus.health.counters |= asdict(self._loop.counters)
         missing = {item.object: item.missing for item in self._loop.searching()}
-        entries = [
-            ObjectEntry(object=name, max_instances=count, searching=missing.get(name, 0))
-            for name, count in self._wanted.items()
-        ]
-        self._bus.put(self._bus.keys.objects, ObjectsMessage(publish_ns=now_ns(), objects=entries))
+        for entry in self._objects.entries():
+            name = entry.object
+            self._objects.tell(name, missing.get(name, 0), self._retired.of(name))
+        self._bus.put(
+            self._bus.keys.objects, ObjectsMessage(publish_ns=now_ns(), objects=self._objects.entries())
+        )
 
 
 def track_from_wire(message: PoseMessage) -> TrackedPose:

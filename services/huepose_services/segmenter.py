@@ -12,6 +12,7 @@ from huepose_protos.messages import DetectedObject, Detections, MaskedObject, Ma
 from huepose_protos.runlength import runs_of
 from huepose_services import models
 from huepose_services.convert import box_from_wire, frame_from_wire
+from huepose_services.following import Follower
 from huepose_services.models import Outline
 from huepose_services.runtime.bus import Bus
 from huepose_services.runtime.clock import now_ns
@@ -23,7 +24,9 @@ _MAX_RUNS = 6000
 
 def make(bus: Bus, config: Config) -> SegmenterWork:
     """The segmenter worker's work, with its kernels compiled."""
-    work = SegmenterWork(bus, models.outlines(config))
+    outlines = models.outlines(config)
+    follower = Follower(bus, lambda name: models.outline(models.load_one(config, name)), outlines)
+    work = SegmenterWork(bus, outlines, follower)
     work.warm_up()
     return work
 
@@ -33,8 +36,8 @@ class SegmenterWork:
 
     finished = False
 
-    def __init__(self, bus: Bus, outlines: dict[str, Outline]) -> None:
-        self._bus, self._outlines = bus, outlines
+    def __init__(self, bus: Bus, outlines: dict[str, Outline], objects: Follower[Outline]) -> None:
+        self._bus, self._outlines, self._objects = bus, outlines, objects
         self._segmenter = DepthSegmenter()
         self._detections = bus.inbox.ring(bus.keys.detections)
 
@@ -53,6 +56,11 @@ class SegmenterWork:
 
     def step(self) -> None:
         """Outline what is in the newest detections."""
+        for change in self._objects.changes():
+            if change.removed:
+                self._outlines.pop(change.entry.object, None)
+            elif change.added is not None:
+                self._outlines[change.entry.object] = change.added
         taken = self._bus.take_with_payload(self._detections, Detections)
         if taken is None:
             return

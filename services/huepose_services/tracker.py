@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from huepose.model import ReferenceModel
 from huepose.support.errors import InputError
 from huepose.tracking import Tracker, TrackerConfig
 from huepose.tracking.types import Applied, Correction, TrackedPose, Verdict
@@ -16,10 +17,12 @@ from huepose_services.convert import (
     pose_from_wire,
     twist_to_wire,
 )
+from huepose_services.following import Follower, Retired
 from huepose_services.rehearsal import rehearse
 from huepose_services.runtime.bus import Bus
 from huepose_services.runtime.clock import now_ns
 from huepose_services.runtime.config import Config
+from huepose_services.runtime.log import StateChanges
 
 
 def make(bus: Bus, config: Config) -> TrackerWork:
@@ -30,7 +33,8 @@ def make(bus: Bus, config: Config) -> TrackerWork:
     settings = TrackerConfig(
         history_frames=config.tracker.history_frames, searches_per_step=1, catch_up_stride=3
     )
-    return TrackerWork(bus, Tracker(known, settings))
+    follower = Follower(bus, lambda name: models.load_one(config, name), known, remembers=True)
+    return TrackerWork(bus, Tracker(known, settings), follower)
 
 
 class TrackerWork:
@@ -38,8 +42,10 @@ class TrackerWork:
 
     finished = False
 
-    def __init__(self, bus: Bus, tracker: Tracker) -> None:
-        self._bus, self._tracker = bus, tracker
+    def __init__(self, bus: Bus, tracker: Tracker, objects: Follower[ReferenceModel]) -> None:
+        self._bus, self._tracker, self._objects = bus, tracker, objects
+        self._retired = Retired()
+        self._told = StateChanges(bus.log)
         self._corrections = bus.inbox.queue(bus.keys.correction)
         self._frames = bus.inbox.ring(bus.keys.frame)
         self._header: FrameHeader | None = None
@@ -51,6 +57,7 @@ class TrackerWork:
 
     def step(self) -> None:
         """Apply what arrived, then track the newest frame."""
+        self._follow()
         corrected = False
         while (message := self._bus.take(self._corrections, CorrectionMessage)) is not None:
             self._correct(message)
@@ -64,7 +71,25 @@ class TrackerWork:
             new = [p for p in self._tracker.poses() if (p.object, p.instance) not in self._published]
             self._publish_all(new, self._header)
 
+    def _follow(self) -> None:
+        """Objects that came, went, or are to be searched for anew."""
+        for change in self._objects.changes():
+            name = change.entry.object
+            self._retired.add(name, change.entry.retired)
+            if change.removed:
+                self._tracker.remove_object(name)
+            elif change.added is not None:
+                self._tracker.add_object(change.added)
+            else:
+                for key in self._tracker.instances:
+                    if key[0] == name:
+                        self._tracker.remove_instance(*key)
+        self._told.flush()
+
     def _correct(self, message: CorrectionMessage) -> None:
+        if self._retired.includes(message.object, message.camera_epoch, message.instance):
+            self._bus.health.count("corrections_of_retired")
+            return
         try:
             applied = self._tracker.correct(correction_from_wire(message))
         except InputError as error:
@@ -109,6 +134,7 @@ class TrackerWork:
             self._bus.log.seldom("refused pose", f"pose of {pose.object}/{pose.instance}: {error}")
             return
         self._bus.put(self._bus.keys.pose(pose.object, pose.instance), message)
+        self._told.note(f"{pose.object}/{pose.instance}", pose.state.value, f"quality {pose.quality:.2f}")
         self._bus.health.count(f"poses_{pose.state.value.lower()}")
 
 

@@ -1,35 +1,64 @@
-"""Pipelines that run are found, others not."""
+"""Pipelines that run are found, others not; where several run, the one that is meant has to be said."""
 
 import os
 
 import pytest
 
-from huepose_services.runtime.running import base_ports, noted
+from huepose.support.errors import InputError
+from huepose_services.runtime.running import Pipeline, noted, pick, running
+
+HERE = Pipeline(base_port=18100, site="lab", camera="cam0", file="/etc/lab.yaml")
 
 
 @pytest.fixture(autouse=True)
 def runtime_folder(tmp_path, monkeypatch):
     monkeypatch.setenv("XDG_RUNTIME_DIR", str(tmp_path))
+    monkeypatch.chdir(tmp_path)
     return tmp_path / "huepose"
 
 
 def test_a_pipeline_is_found_while_it_runs():
-    assert base_ports() == []
-    with noted(17447):
-        assert base_ports() == [17447]
-    assert base_ports() == []
+    assert running() == []
+    assert pick() == Pipeline(base_port=17447)  # where one would be
+    with noted(HERE):
+        assert running() == [HERE]
+        assert pick() == HERE
+        assert HERE.endpoints[1] == "tcp/127.0.0.1:18101"
+        assert HERE.key("pose/**") == "huepose/lab/cam0/pose/**"
+    assert running() == []
 
 
 def test_the_note_of_a_dead_process_is_removed(runtime_folder):
-    with noted(17447):
-        dead = runtime_folder / f"{2**22 + 1}.port"
-        dead.write_text("18000")
-        assert base_ports() == [17447]
+    with noted(HERE):
+        dead = runtime_folder / f"{2**22 + 1}.json"
+        dead.write_text('{"base_port": 18000}')
+        assert running() == [HERE]
         assert not dead.exists()
 
 
 def test_a_folder_that_others_may_write_is_not_believed(runtime_folder):
     runtime_folder.mkdir()
-    (runtime_folder / f"{os.getpid()}.port").write_text("18000")
+    (runtime_folder / f"{os.getpid()}.json").write_text('{"base_port": 18000}')
     runtime_folder.chmod(0o777)
-    assert base_ports() == []
+    assert running() == []
+
+
+def test_of_two_pipelines_one_has_to_be_named(runtime_folder):
+    with noted(HERE):
+        # Another process that surely runs: the one that started this one.
+        (runtime_folder / f"{os.getppid()}.json").write_text('{"base_port": 18200, "site": "hall"}')
+        with pytest.raises(InputError) as refusal:
+            pick()
+        assert "2 that run here" in str(refusal.value)
+        assert "lab/cam0 at port 18100 (/etc/lab.yaml)" in str(refusal.value)
+        assert "--pipeline" in str(refusal.value)
+        assert pick(which="lab/cam0") == pick(which="cam0") == pick(which="18100") == HERE
+        assert pick(which="hall").base_port == 18200
+        with pytest.raises(InputError, match="no such pipeline runs here"):
+            pick(which="attic")
+
+
+def test_a_configuration_names_its_pipeline_whether_it_runs_or_not(tmp_path):
+    path = tmp_path / "mine.yaml"
+    path.write_text("{site: attic, bus: {base_port: 19000}, camera: {name: eye, truth: true}}")
+    assert (pick(path).base_port, pick(path).name) == (19000, "attic/eye")

@@ -6,10 +6,10 @@ import argparse
 import signal
 import sys
 import time
-from collections.abc import Callable
-from pathlib import Path
 from types import FrameType
 from typing import TYPE_CHECKING, Any
+
+from huepose_services.cli.attach import add_choice, chosen
 
 if TYPE_CHECKING:
     from huepose_protos.client import Reader
@@ -30,16 +30,13 @@ def add_parser(subparsers: Any) -> None:
         help="what to print, after huepose/SITE/CAMERA/ (default: pose/**; also health/**, objects, truth)",
     )
     parser.add_argument("--json", action="store_true", help="one wire message a line, as JSON")
-    parser.add_argument(
-        "--config", type=Path, metavar="PIPELINE", help="the pipeline's configuration, for its ports"
-    )
+    add_choice(parser)
     parser.set_defaults(call=call)
 
 
 def call(arguments: argparse.Namespace) -> int:
     """Print until the pipeline that was seen is gone, or until interrupted."""
     from huepose_protos.client import Reader
-    from huepose_services.runtime.config import WORKERS
 
     stopping = False
 
@@ -49,11 +46,9 @@ def call(arguments: argparse.Namespace) -> int:
 
     signal.signal(signal.SIGTERM, stop)
     signal.signal(signal.SIGINT, stop)
-    look = _places(arguments.config)
-    key = f"huepose/*/*/{arguments.key}"
-    ports, again, told = look(), True, time.monotonic() + _SAY_WAITING_AFTER_S
+    pipeline, again, told = chosen(arguments), True, time.monotonic() + _SAY_WAITING_AFTER_S
     while again and not stopping:
-        endpoints = [f"tcp/127.0.0.1:{port + place}" for port in ports for place in range(len(WORKERS))]
+        endpoints, key = pipeline.endpoints, pipeline.key(arguments.key)
         with Reader(endpoints, key) as reader:
             again = False
             while not stopping and not _is_over(reader):
@@ -64,23 +59,11 @@ def call(arguments: argparse.Namespace) -> int:
                     if time.monotonic() > told:
                         told = float("inf")
                         print(f"waiting for a pipeline at {endpoints[0]}", file=sys.stderr, flush=True)
-                    before, ports = ports, look()
-                    again = ports != before
+                    before, pipeline = pipeline, chosen(arguments)
+                    again = pipeline != before
                     if again:
                         break
     return 0
-
-
-def _places(path: Path | None) -> Callable[[], list[int]]:
-    """Where to look: as configured, else where pipelines run now and where one usually would."""
-    from huepose_services.runtime.config import DEFAULT_FILE, BusConfig, load
-    from huepose_services.runtime.running import base_ports
-
-    if path is not None:
-        configured = [load(path).bus.base_port]
-        return lambda: configured
-    usual = load(Path(DEFAULT_FILE)).bus.base_port if Path(DEFAULT_FILE).exists() else BusConfig().base_port
-    return lambda: list(dict.fromkeys([*base_ports(), usual]))
 
 
 def _is_over(reader: Reader) -> bool:

@@ -29,9 +29,15 @@ def call(arguments: argparse.Namespace) -> int:
             f"worker '{arguments.worker}'", found="no such worker", expected=f"one of {', '.join(WORKERS)}"
         )
     single_threaded()
-    from huepose_services.runtime.worker import run_worker
+    from contextlib import nullcontext
 
-    code = run_worker(arguments.worker, config)
+    from huepose_services.runtime.running import described, noted
+    from huepose_services.runtime.worker import SUPERVISOR, run_worker
+
+    # Under a supervisor that one has noted the whole pipeline.
+    alone = SUPERVISOR not in os.environ
+    with noted(described(config, arguments.config)) if alone else nullcontext():
+        code = run_worker(arguments.worker, config)
     # All is closed; taking numba and OpenCV apart would only make stopping take longer.
     sys.stderr.flush()
     os._exit(code)

@@ -19,8 +19,9 @@ def add_parser(subparsers: Any) -> None:
 def call(arguments: argparse.Namespace) -> int:
     """Run until it ends or is interrupted."""
     from huepose_services.runtime.config import load
+    from huepose_services.runtime.notify import notify
     from huepose_services.runtime.prepare import prepare
-    from huepose_services.runtime.running import noted
+    from huepose_services.runtime.running import described, noted
     from huepose_services.runtime.supervisor import Supervisor
 
     config = load(arguments.config)
@@ -34,11 +35,16 @@ def call(arguments: argparse.Namespace) -> int:
     signal.signal(signal.SIGTERM, stop)
     signal.signal(signal.SIGINT, stop)
     supervisor = Supervisor(config, arguments.config)
-    with noted(config.bus.base_port):
+    with noted(described(config, arguments.config)):
         supervisor.start()
         try:
+            told = False
             while supervisor.exit_code is None and not stopping:
                 supervisor.poll()
+                if supervisor.ready and not told:
+                    told = True
+                    notify("READY=1")
         finally:
+            notify("STOPPING=1")
             supervisor.stop()
     return supervisor.exit_code or 0

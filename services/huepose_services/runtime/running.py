@@ -1,7 +1,7 @@
-"""Which pipelines this user runs on this machine, so that `huepose poses` finds them without being told.
+"""Which pipelines this user runs on this machine, so that `huepose poses` and the like find them.
 
-`huepose up` notes its first port in a folder that only the user can write; a note whose process is gone is
-ignored and removed.
+`huepose up`, and `huepose run` by hand, note what they run in a folder that only the user can write; a note
+whose process is gone is ignored and removed.
 """
 
 from __future__ import annotations
@@ -9,8 +9,48 @@ from __future__ import annotations
 import os
 import tempfile
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
+
+import msgspec
+
+from huepose.support.errors import InputError
+from huepose_services.runtime.config import DEFAULT_FILE, WORKERS, BusConfig, Config, load
+
+
+class Pipeline(msgspec.Struct, frozen=True, kw_only=True):
+    """A pipeline that may be running. site and camera are `*` where nothing is known of it."""
+
+    base_port: int
+    site: str = "*"
+    camera: str = "*"
+    workers: tuple[str, ...] = ()
+    file: str = ""
+
+    @property
+    def name(self) -> str:
+        """SITE/CAMERA."""
+        return f"{self.site}/{self.camera}"
+
+    @property
+    def endpoints(self) -> list[str]:
+        """Where its workers listen, if they run."""
+        return [f"tcp/127.0.0.1:{self.base_port + place}" for place in range(len(WORKERS))]
+
+    def key(self, tail: str) -> str:
+        """A key, or an expression for it, of this pipeline."""
+        return f"huepose/{self.name}/{tail}"
+
+
+def described(config: Config, path: Path) -> Pipeline:
+    """The pipeline of a configuration."""
+    return Pipeline(
+        base_port=config.bus.base_port,
+        site=config.site,
+        camera=config.camera.name,
+        workers=tuple(config.workers),
+        file=str(path.absolute()),
+    )
 
 
 def _folder() -> Path:
@@ -27,16 +67,17 @@ def _is_mine(folder: Path) -> bool:
 
 
 @contextmanager
-def noted(base_port: int) -> Iterator[None]:
+def noted(pipeline: Pipeline) -> Iterator[None]:
     """While a pipeline runs in this process. Without a folder to write, nobody finds it: that is all."""
     folder = _folder()
-    note = folder / f"{os.getpid()}.port"
-    try:
+    note = folder / f"{os.getpid()}.json"
+    with suppress(OSError):
         folder.mkdir(mode=0o700, parents=True, exist_ok=True)
         if _is_mine(folder):
-            note.write_text(str(base_port))
-    except OSError:
-        pass
+            # A reader sees all of it or nothing.
+            fresh = note.with_suffix(".new")
+            fresh.write_bytes(msgspec.json.encode(pipeline))
+            fresh.replace(note)
     try:
         yield
     finally:
@@ -44,19 +85,60 @@ def noted(base_port: int) -> Iterator[None]:
             note.unlink(missing_ok=True)
 
 
-def base_ports() -> list[int]:
-    """First ports of the pipelines that run now."""
+def running() -> list[Pipeline]:
+    """The pipelines that run now, each once."""
     folder = _folder()
     if not _is_mine(folder):
         return []
-    ports = set()
-    for note in folder.glob("*.port"):
-        if note.stem.isdigit() and _runs(int(note.stem)):
-            text = note.read_text()
-            ports |= {int(text)} if text.isdigit() else set()
-        else:
+    found = {}
+    for note in sorted(folder.glob("*.json")):
+        if not note.stem.isdigit() or not _runs(int(note.stem)):
             note.unlink(missing_ok=True)
-    return sorted(ports)
+            continue
+        with suppress(OSError, msgspec.MsgspecError):
+            pipeline = msgspec.json.decode(note.read_bytes(), type=Pipeline)
+            found[pipeline.base_port, pipeline.name] = pipeline
+    return list(found.values())
+
+
+def pick(path: Path | None = None, which: str | None = None) -> Pipeline:
+    """The pipeline that is meant: that of a configuration, else the one that runs, else the usual place.
+
+    which: SITE/CAMERA, or one of the two, or the first port. Raises InputError where several run and it is
+    not said which one, or none is the one that was said."""
+    if path is not None:
+        return described(load(path), path)
+    found = running()
+    if which is not None:
+        meant = [p for p in found if which in (p.name, p.site, p.camera, str(p.base_port))]
+        if not meant:
+            raise InputError(
+                f"--pipeline {which}",
+                found="no such pipeline runs here",
+                expected=_listed(found) or "a pipeline that runs: none does",
+                fix="Start it with `huepose up`, or name one that runs.",
+            )
+        found = meant
+    if len(found) > 1:
+        raise InputError(
+            "the pipeline to attach to",
+            found=f"{len(found)} that run here: {_listed(found)}",
+            expected="one",
+            fix=f"Say which: --pipeline {found[0].name} (or its port), or --config PIPELINE.yaml.",
+        )
+    return found[0] if found else usual()
+
+
+def usual() -> Pipeline:
+    """Where a pipeline would be: as the configuration in this folder says, else at the default port."""
+    default = Path(DEFAULT_FILE)
+    return (
+        described(load(default), default) if default.exists() else Pipeline(base_port=Config().bus.base_port)
+    )
+
+
+def _listed(pipelines: list[Pipeline]) -> str:
+    return ", ".join(f"{p.name} at port {p.base_port} ({p.file})" for p in pipelines)
 
 
 def _runs(pid: int) -> bool:

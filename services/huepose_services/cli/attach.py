@@ -1,0 +1,27 @@
+"""What all verbs have in common that look at a running pipeline: which one is meant."""
+
+from __future__ import annotations
+
+import argparse
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from huepose_services.runtime.running import Pipeline
+
+
+def add_choice(parser: argparse.ArgumentParser) -> None:
+    """Add the options that choose a pipeline."""
+    parser.add_argument(
+        "--pipeline", metavar="NAME", help="where several run here: SITE/CAMERA of one, or its first port"
+    )
+    parser.add_argument(
+        "--config", type=Path, metavar="PIPELINE", help="the pipeline's configuration, for its ports"
+    )
+
+
+def chosen(arguments: argparse.Namespace) -> Pipeline:
+    """The pipeline that is meant. Raises InputError where that is not clear."""
+    from huepose_services.runtime.running import pick
+
+    return pick(arguments.config, arguments.pipeline)

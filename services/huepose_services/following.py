@@ -1,0 +1,152 @@
+"""How a worker follows the list of objects, which the re-initialisation worker publishes.
+
+What has to be read from disk is read by a thread, so that the work goes on meanwhile.
+"""
+
+from __future__ import annotations
+
+import queue
+import threading
+import time
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass
+from typing import Generic, TypeVar
+
+import zenoh
+
+from huepose.support.errors import InputError
+from huepose_protos import WireError, decode, encode
+from huepose_protos.messages import ObjectEntry, ObjectsMessage
+from huepose_services.runtime.bus import Bus
+
+T = TypeVar("T")
+_TRIES, _TRY_S = 3, 0.2
+
+
+@dataclass(frozen=True)
+class Change(Generic[T]):
+    """What a worker has to do: `added` with what was loaded for it, else `removed`, else search anew."""
+
+    entry: ObjectEntry
+    added: T | None = None
+    removed: bool = False
+
+
+class Follower(Generic[T]):
+    """`changes()`, called in every step, says what has changed since it was last called.
+
+    load: from an object's name to what the worker keeps of it, called in a thread; known: the objects that
+    the worker has already; remembers: whether it tells the list to the worker that publishes it, should that
+    one have died."""
+
+    def __init__(
+        self, bus: Bus, load: Callable[[str], T], known: Iterable[str], remembers: bool = False
+    ) -> None:
+        self._bus, self._load = bus, load
+        self._memory = Memory(bus) if remembers else None
+        self._list = bus.inbox.ring(bus.keys.objects, wakes=False)
+        self._known: dict[str, ObjectEntry | None] = dict.fromkeys(known)
+        self._loading: set[str] = set()
+        self._loaded: queue.SimpleQueue[tuple[str, T | None]] = queue.SimpleQueue()
+        self._newest: dict[str, ObjectEntry] = {}
+
+    def changes(self) -> list[Change[T]]:
+        """In the order in which they are to be made; mostly none."""
+        message = self._bus.take(self._list, ObjectsMessage)
+        out: list[Change[T]] = []
+        if message is not None:
+            if self._memory is not None:
+                self._memory.keep(message)
+            self._newest = {entry.object: entry for entry in message.objects}
+            out += self._gone() + self._anew()
+            for name in self._newest:
+                if name not in self._known and name not in self._loading:
+                    self._loading.add(name)
+                    threading.Thread(target=self._load_one, args=(name,), daemon=True).start()
+        while not self._loaded.empty():
+            name, item = self._loaded.get()
+            self._loading.discard(name)
+            entry = self._newest.get(name)
+            if entry is not None:
+                self._known[name] = entry
+                out += [] if item is None else [Change(entry, added=item)]
+        return out
+
+    def _gone(self) -> list[Change[T]]:
+        gone = [name for name in self._known if name not in self._newest]
+        for name in gone:
+            del self._known[name]
+        return [Change(ObjectEntry(object=n, max_instances=1, searching=0), removed=True) for n in gone]
+
+    def _anew(self) -> list[Change[T]]:
+        out = []
+        for name, before in self._known.items():
+            entry = self._newest[name]
+            # A list that is seen for the first time says how it is, not that something was asked for.
+            if before is not None and entry.resets != before.resets:
+                out.append(Change[T](entry))
+            self._known[name] = entry
+        return out
+
+    def _load_one(self, name: str) -> None:
+        item = None
+        try:
+            item = self._load(name)
+        except InputError as error:
+            self._bus.health.failed(str(error))
+            self._bus.log.error(str(error))
+        self._loaded.put((name, item))
+
+
+class Memory:
+    """Answers queries on `objects` with the list as it was last published: it outlives its maker."""
+
+    def __init__(self, bus: Bus) -> None:
+        self._bus = bus
+        self._list: bytes | None = None
+        bus.session.declare_queryable(bus.keys.objects, self._answer)
+
+    def keep(self, message: ObjectsMessage) -> None:
+        """Answer with this from now on."""
+        self._list = encode(message)
+
+    def _answer(self, query: zenoh.Query) -> None:
+        if self._list is not None:
+            query.reply(self._bus.keys.objects, self._list)
+
+
+def recall(bus: Bus) -> list[ObjectEntry]:
+    """The list as another worker remembers it; empty when the pipeline starts."""
+    for _ in range(_TRIES):
+        for reply in bus.session.get(bus.keys.objects, timeout=_TRY_S):
+            if reply.ok is not None:
+                try:
+                    return decode(reply.ok.payload.to_bytes(), ObjectsMessage).objects
+                except WireError as error:
+                    bus.refuse(bus.keys.objects, error)
+        time.sleep(_TRY_S)
+    return []
+
+
+class Retired:
+    """Instances that are over because their object was to be searched for anew: what is still on its way
+    about them does not count. [camera epoch, number] by object: those of that epoch below that number."""
+
+    def __init__(self, entries: Iterable[ObjectEntry] = ()) -> None:
+        self._below: dict[str, tuple[int, int]] = {}
+        for entry in entries:
+            self.add(entry.object, entry.retired)
+
+    def add(self, name: str, below: tuple[int, int] | None) -> None:
+        """Note it for an object."""
+        if below is not None:
+            self._below[name] = below
+
+    def of(self, name: str) -> tuple[int, int] | None:
+        """What was noted for an object."""
+        return self._below.get(name)
+
+    def includes(self, name: str, epoch: int, instance: int) -> bool:
+        """Whether that instance is over."""
+        below = self._below.get(name)
+        return below is not None and below[0] == epoch and instance < below[1]

@@ -1,0 +1,137 @@
+"""The list of objects of a running pipeline, and the desk where it is changed: a queryable on loopback.
+
+A request is answered after it was checked and what it needs was loaded; the loop takes the change over in its
+next turn. All other workers follow the list that is published.
+"""
+
+from __future__ import annotations
+
+import threading
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import msgspec
+import zenoh
+
+from huepose.reinit.types import ObjectSlot
+from huepose.support.errors import InputError
+from huepose_protos import WireError, decode, encode
+from huepose_protos.messages import ControlReply, ControlRequest, ObjectEntry
+from huepose_services.runtime.bus import Bus
+from huepose_services.runtime.clock import now_ns
+
+MOST_OBJECTS = 64
+
+
+@dataclass(frozen=True)
+class Order:
+    """A change that was accepted: what the loop shall do, and the object's new entry (None: removed)."""
+
+    name: str
+    entry: ObjectEntry | None
+    slot: ObjectSlot | None = None
+    """Of an object that is new, or of which another number is looked for."""
+    anew: bool = False
+    """It is to be searched for anew."""
+
+
+class ObjectList:
+    """The objects that are looked for. load: from a name and a number of instances to what the loop needs;
+    raises InputError for an object without a reference model."""
+
+    def __init__(self, entries: list[ObjectEntry], load: Callable[[str, int], ObjectSlot]) -> None:
+        self._entries = {entry.object: entry for entry in entries}
+        self._load = load
+        self._lock = threading.Lock()
+        self._orders: list[Order] = []
+
+    def entries(self) -> list[ObjectEntry]:
+        """What is looked for now."""
+        with self._lock:
+            return list(self._entries.values())
+
+    def orders(self) -> list[Order]:
+        """What was accepted since the last call, for the loop."""
+        with self._lock:
+            out, self._orders = self._orders, []
+            return out
+
+    def tell(self, name: str, searching: int, retired: tuple[int, int] | None) -> None:
+        """Take over what the loop knows of an object, if it is still looked for."""
+        with self._lock:
+            if name in self._entries:
+                self._entries[name] = msgspec.structs.replace(
+                    self._entries[name], searching=searching, retired=retired
+                )
+
+    def decide(self, request: ControlRequest) -> tuple[bool, str]:
+        """Do what a request wants; whether it was done, and a sentence that says what was or why not."""
+        name = request.object
+        if name is None:
+            return True, ""
+        with self._lock:
+            known = self._entries.get(name)
+        if request.action == "add":
+            return self._add(request, name, known)
+        if known is None:
+            return False, f"{name} is not looked for; what is: {', '.join(self._entries) or 'nothing'}"
+        if request.action == "remove":
+            self._accept(Order(name, None))
+            return True, f"{name} is no longer looked for"
+        entry = msgspec.structs.replace(known, resets=known.resets + 1, box=request.box)
+        self._accept(Order(name, entry, anew=True))
+        return True, f"{name} is searched for anew"
+
+    def _add(self, request: ControlRequest, name: str, known: ObjectEntry | None) -> tuple[bool, str]:
+        count = request.max_instances
+        if known is not None and known.max_instances == count:
+            fix = f"; to search it anew: huepose objects reset {name}"
+            return False, f"{name} is looked for already (up to {count} of it){fix}"
+        if known is None and len(self._entries) >= MOST_OBJECTS:
+            return (
+                False,
+                f"{MOST_OBJECTS} objects are looked for, which is the most: remove one first",
+            )
+        try:
+            slot = self._load(name, count)
+        except InputError as error:
+            return False, str(error)
+        fresh = ObjectEntry(object=name, max_instances=count, searching=count)
+        entry = msgspec.structs.replace(known or fresh, max_instances=count, box=request.box)
+        self._accept(Order(name, entry, slot))
+        return True, f"{name} is looked for, up to {count} of it"
+
+    def _accept(self, order: Order) -> None:
+        with self._lock:
+            self._orders.append(order)
+            if order.entry is None:
+                self._entries.pop(order.name, None)
+            else:
+                self._entries[order.name] = order.entry
+
+
+class Desk:
+    """Answers queries on `control`, in a thread of the bus."""
+
+    def __init__(self, bus: Bus, objects: ObjectList) -> None:
+        self._bus, self._objects = bus, objects
+        self._queryable = bus.session.declare_queryable(bus.keys.control, self._answer)
+
+    def _answer(self, query: zenoh.Query) -> None:
+        try:
+            payload = query.payload
+            request = decode(b"" if payload is None else payload.to_bytes(), ControlRequest)
+            done, text = self._objects.decide(request)
+            if request.action != "list":
+                self._bus.log.say(text if done else f"refused to {request.action}: {text}")
+        except WireError as error:
+            self._bus.refuse(self._bus.keys.control, error)
+            done, text = False, f"not a request: {error.reason}"
+        reply = ControlReply(
+            publish_ns=now_ns(), done=done, text=text[:2000], objects=self._objects.entries()
+        )
+        query.reply(self._bus.keys.control, encode(reply))
+
+    def close(self) -> None:
+        """Answer no more."""
+        self._queryable.undeclare()  # type: ignore[no-untyped-call]

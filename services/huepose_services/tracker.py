@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 from huepose.model import ReferenceModel
 from huepose.support.errors import InputError
 from huepose.tracking import Tracker, TrackerConfig
-from huepose.tracking.types import Applied, Correction, TrackedPose, Verdict
+from huepose.tracking.types import Applied, Correction, State, TrackedPose, Verdict
 from huepose_protos import WireError
 from huepose_protos.messages import CorrectionMessage, FrameHeader, PoseMessage
 from huepose_protos.runlength import mask_of
@@ -34,7 +36,7 @@ def make(bus: Bus, config: Config) -> TrackerWork:
         history_frames=config.tracker.history_frames, searches_per_step=1, catch_up_stride=3
     )
     follower = Follower(bus, lambda name: models.load_one(config, name), known, remembers=True)
-    return TrackerWork(bus, Tracker(known, settings), follower)
+    return TrackerWork(bus, Tracker(known, settings), follower, int(config.tracker.max_age_ms * 1e6))
 
 
 class TrackerWork:
@@ -42,10 +44,14 @@ class TrackerWork:
 
     finished = False
 
-    def __init__(self, bus: Bus, tracker: Tracker, objects: Follower[ReferenceModel]) -> None:
+    def __init__(
+        self, bus: Bus, tracker: Tracker, objects: Follower[ReferenceModel], max_age_ns: int
+    ) -> None:
         self._bus, self._tracker, self._objects = bus, tracker, objects
+        self._max_age_ns = max_age_ns
         self._retired = Retired()
         self._told = StateChanges(bus.log)
+        self._refused: tuple[str, int] | None = None
         self._corrections = bus.inbox.queue(bus.keys.correction)
         self._frames = bus.inbox.ring(bus.keys.frame)
         self._header: FrameHeader | None = None
@@ -96,8 +102,11 @@ class TrackerWork:
             self._bus.refuse(self._bus.keys.correction, WireError(str(error)))
             return
         self._bus.health.count(f"corrections_{applied.value}")
-        if applied in (Applied.REFUSED_OLD, Applied.REFUSED_EPOCH):
-            name = f"{message.object}/{message.instance}"
+        name = f"{message.object}/{message.instance}"
+        refused = applied in (Applied.REFUSED_OLD, Applied.REFUSED_EPOCH)
+        # The loop repeats it, and is told each time by what it does not see; the log is told once.
+        if refused and self._refused != (name, message.seq):
+            self._refused = (name, message.seq)
             self._bus.log.seldom("refused", f"correction {message.seq} of {name} {applied.value}")
 
     def _track(self, header: FrameHeader, payload: bytes) -> None:
@@ -126,6 +135,10 @@ class TrackerWork:
             self._published.add((pose.object, pose.instance))
 
     def _publish(self, pose: TrackedPose, header: FrameHeader) -> None:
+        if pose.state is State.TRACKING and now_ns() - pose.stamp_ns > self._max_age_ns:
+            # Where things were so long ago is not to be acted on, however sure it is.
+            pose = replace(pose, state=State.SUSPECT)
+            self._bus.health.count("poses_too_old")
         try:
             message = pose_to_wire(pose, header)
         except ValueError as error:

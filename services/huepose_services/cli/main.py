@@ -14,7 +14,7 @@ from importlib import import_module
 # In the order in which `huepose --help` lists them.
 _VERBS = (
     *("demo", "onboard", "estimate", "evaluate", "render_scenes", "train", "bench"),
-    *("up", "run", "poses", "view", "validate"),
+    *("up", "run", "status", "top", "graph", "objects", "poses", "view", "validate"),
 )
 # What the base installation, for subscribers, does without.
 _OF_EXTRAS = ("cv2", "numba", "scipy", "onnxruntime", "open3d")

@@ -50,9 +50,10 @@ class EstimatorConfig(Section, frozen=True, kw_only=True):
 
 
 class TrackerConfig(Section, frozen=True, kw_only=True):
-    """How far back a late correction may reach."""
+    """How far back a late correction may reach, and how old a pose may be that is acted on."""
 
     history_frames: Annotated[int, Meta(ge=2, le=300)] = 40
+    max_age_ms: Annotated[float, Meta(gt=0.0, le=10_000.0)] = 300.0
 
 
 class ReinitConfig(Section, frozen=True, kw_only=True):

@@ -124,7 +124,7 @@ def pick(path: Path | None = None, which: str | None = None) -> Pipeline:
             "the pipeline to attach to",
             found=f"{len(found)} that run here: {_listed(found)}",
             expected="one",
-            fix=f"Say which: --pipeline {found[0].name} (or its port), or --config PIPELINE.yaml.",
+            fix=f"Say which: --pipeline {found[0].base_port} (or SITE/CAMERA), or --config PIPELINE.yaml.",
         )
     return found[0] if found else usual()
 

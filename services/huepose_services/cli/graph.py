@@ -1,0 +1,76 @@
+"""`huepose graph`: who sends what to whom, as a Mermaid flowchart with the rates of a running pipeline."""
+
+from __future__ import annotations
+
+import argparse
+import sys
+from typing import TYPE_CHECKING, Any
+
+from huepose_services.cli.attach import add_choice, chosen
+
+if TYPE_CHECKING:
+    from huepose_services.watch import View
+
+_LOOK_S = 3.0
+# From, to, what, and where its rate is from: the work of a worker, or a kind of message that was counted.
+_EDGES = (
+    ("camera", "tracker", "frame", "camera"),
+    ("camera", "detector", "frame", "camera"),
+    ("reinit", "detector", "request", "request"),
+    ("detector", "segmenter", "boxes + frame", "detector"),
+    ("segmenter", "estimator", "masks + frame", "segmenter"),
+    ("estimator", "reinit", "estimates", "estimates"),
+    ("reinit", "tracker", "correction", "correction"),
+    ("tracker", "reinit", "pose", "pose"),
+    ("tracker", "gateway", "pose", "pose"),
+    ("tracker", "viewer", "pose", "pose"),
+    ("camera", "viewer", "frame", "camera"),
+)
+_COUNTED = ("request", "estimates", "correction", "pose")
+
+
+def add_parser(subparsers: Any) -> None:
+    """Add the verb."""
+    parser = subparsers.add_parser("graph", help="the workers and their rates as a Mermaid flowchart")
+    add_choice(parser)
+    parser.set_defaults(call=call)
+
+
+def call(arguments: argparse.Namespace) -> int:
+    """Listen for some seconds and draw."""
+    from huepose_services.watch import Watch
+
+    pipeline = chosen(arguments)
+    with Watch(pipeline) as watch:
+        watch.look(_LOOK_S)
+        view = watch.view()
+    if not view.seen:
+        print(f"huepose graph: no pipeline runs at port {pipeline.base_port}: no rates", file=sys.stderr)
+    print(mermaid(view))
+    return 0
+
+
+def mermaid(view: View) -> str:
+    """The flowchart; workers that are not there are drawn dashed."""
+    from huepose_services.runtime.config import CHAIN
+
+    workers = list(view.pipeline.workers) or [*CHAIN, *(w for w in view.health if w not in CHAIN)]
+    lines = ["flowchart LR"]
+    for worker in workers:
+        message = view.health.get(worker)
+        doing = f"<br/>{message.cpu_percent:.0f} % CPU, {message.memory_mib:.0f} MiB" if message else ""
+        lines.append(f'    {worker}["{worker}{doing}"]')
+    for source, target, what, measure in _EDGES:
+        if source not in workers or target not in workers:
+            continue
+        rate = None
+        if measure in _COUNTED:
+            rate = view.rates.get(measure, 0.0) if view.seen else None
+        elif measure in view.health:
+            rate = view.health[measure].rate_hz
+        label = what if rate is None else f"{what}, {rate:.1f} Hz"
+        lines.append(f'    {source} -- "{label}" --> {target}')
+    gone = [w for w in workers if w in view.missing] if view.seen else []
+    if gone:
+        lines += ["    classDef gone stroke-dasharray: 5 5", f"    class {','.join(gone)} gone"]
+    return "\n".join(lines)

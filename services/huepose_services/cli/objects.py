@@ -1,0 +1,121 @@
+"""`huepose objects`: steers what a running pipeline on this machine looks for."""
+
+from __future__ import annotations
+
+import argparse
+import sys
+import time
+from typing import TYPE_CHECKING, Any
+
+from huepose_services.cli.attach import add_choice, chosen
+
+if TYPE_CHECKING:
+    from huepose_protos.messages import ControlReply, ControlRequest
+    from huepose_services.runtime.running import Pipeline
+
+_CONNECT_WITHIN_S, _ANSWER_WITHIN_S = 3.0, 5.0
+
+
+def add_parser(subparsers: Any) -> None:
+    """Add the verb and its four."""
+    parser = subparsers.add_parser("objects", help="list, add, remove or reset objects of a running pipeline")
+    actions = parser.add_subparsers(dest="action", required=True, metavar="ACTION")
+    for action, text in (
+        ("list", "what is looked for"),
+        ("add", "look for one more object that has a reference model"),
+        ("remove", "look for an object no longer"),
+        ("reset", "forget where an object was, and search it anew"),
+    ):
+        one = actions.add_parser(action, help=text)
+        if action != "list":
+            one.add_argument("name", metavar="NAME", help="the name of its reference model")
+        if action in ("add", "reset"):
+            one.add_argument(
+                "--box",
+                nargs=4,
+                type=float,
+                metavar=("X", "Y", "W", "H"),
+                help="where it is in the image, in pixels",
+            )
+        if action == "add":
+            one.add_argument("--instances", type=int, default=1, metavar="N", help="up to how many of it (1)")
+        if action == "list":
+            one.add_argument("--json", action="store_true", help="the list as JSON")
+        add_choice(one)
+        one.set_defaults(call=call)
+
+
+def call(arguments: argparse.Namespace) -> int:
+    """Ask the pipeline; print what it answers."""
+    import msgspec
+
+    from huepose.support.errors import InputError
+    from huepose_protos.messages import ControlRequest
+
+    box = getattr(arguments, "box", None)
+    message = {
+        "publish_ns": time.monotonic_ns(),
+        "action": arguments.action,
+        "object": getattr(arguments, "name", None),
+        "max_instances": getattr(arguments, "instances", 1),
+        "box": None if box is None else tuple(box),
+    }
+    try:
+        request = msgspec.convert(message, ControlRequest)
+    except msgspec.ValidationError as error:
+        text = " ".join(str(error).split())
+        raise InputError(
+            f"huepose objects {arguments.action}",
+            found=f"{message['object']}, box {box}" if box else str(message["object"]),
+            expected="a name of a-z, 0-9, _ and -, and a box with sides that are not negative",
+            fix=text,
+        ) from None
+    pipeline = chosen(arguments)
+    reply = ask(pipeline, request)
+    if reply is None:
+        print(f"huepose objects: no pipeline answers at {pipeline.endpoints[2]}", file=sys.stderr)
+        return 1
+    if not reply.done:
+        print(f"huepose objects {arguments.action}: {reply.text}", file=sys.stderr)
+        return 2
+    if arguments.action == "list":
+        _print_list(reply, arguments.json)
+    else:
+        print(reply.text)
+    return 0
+
+
+def ask(pipeline: Pipeline, request: ControlRequest) -> ControlReply | None:
+    """The answer of the pipeline's worker `reinit`; None when nobody answers in time."""
+    from huepose_protos import decode, encode
+    from huepose_protos.messages import ControlReply
+    from huepose_services.runtime.config import WORKERS
+    from huepose_services.runtime.session import open_reader_session
+
+    session = open_reader_session([pipeline.endpoints[WORKERS.index("reinit")]])
+    try:
+        until = time.monotonic() + _CONNECT_WITHIN_S
+        while time.monotonic() < until:
+            # The link comes up a moment after the session: until then nobody is there to answer.
+            for reply in session.get(
+                pipeline.key("control"), payload=encode(request), timeout=_ANSWER_WITHIN_S
+            ):
+                if reply.ok is not None:
+                    return decode(reply.ok.payload.to_bytes(), ControlReply)
+            time.sleep(0.05)
+    finally:
+        session.close()  # type: ignore[no-untyped-call]
+    return None
+
+
+def _print_list(reply: ControlReply, as_json: bool) -> None:
+    if as_json:
+        import msgspec
+
+        print(msgspec.json.encode(reply.objects).decode())
+        return
+    for entry in reply.objects:
+        missing = f", {entry.searching} not seen yet" if entry.searching else ""
+        print(f"{entry.object:32s} up to {entry.max_instances}{missing}")
+    if not reply.objects:
+        print("nothing is looked for")

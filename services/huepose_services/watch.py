@@ -1,0 +1,122 @@
+"""A running pipeline as anyone on its machine can see it: who is there, how they are, what they say.
+
+Only small messages are listened to: looking at a pipeline must not slow its frames down.
+"""
+
+from __future__ import annotations
+
+import time
+from collections import deque
+from dataclasses import dataclass, field
+from types import TracebackType
+
+from huepose_protos.client import Reader
+from huepose_protos.keys import last
+from huepose_protos.messages import (
+    CorrectionMessage,
+    Estimates,
+    HealthMessage,
+    Message,
+    ObjectEntry,
+    ObjectsMessage,
+    PerceptionRequest,
+    PoseMessage,
+)
+from huepose_services.runtime.running import Pipeline
+
+_WINDOW_S = 3.0
+_STALE_S = 2.5
+"""Health comes once a second: what is older than this is not how the worker is now."""
+_KINDS = {PerceptionRequest: "request", Estimates: "estimates", CorrectionMessage: "correction"}
+
+
+@dataclass(frozen=True)
+class View:
+    """What was seen. rates: messages a second of `pose`, `request`, `estimates` and `correction`."""
+
+    pipeline: Pipeline
+    seen: bool
+    health: dict[str, HealthMessage]
+    silent: frozenset[str]
+    """Workers that are there, or should be, and say nothing."""
+    missing: tuple[str, ...]
+    """Workers of the configuration that are not there."""
+    objects: list[ObjectEntry]
+    poses: dict[tuple[str, int], PoseMessage]
+    rates: dict[str, float] = field(default_factory=dict)
+
+    @property
+    def well(self) -> bool:
+        """Whether all workers are there and say how they are."""
+        return self.seen and not self.missing and not self.silent
+
+
+class Watch:
+    """Listens to a pipeline; `view()` is what is known now."""
+
+    def __init__(self, pipeline: Pipeline) -> None:
+        self.pipeline = pipeline
+        keys = ("health/*", "objects", "pose/**", "perception/request", "perception/estimates", "correction")
+        self._reader = Reader(pipeline.endpoints, *(pipeline.key(key) for key in keys))
+        self._health: dict[str, tuple[float, HealthMessage]] = {}
+        self._objects: list[ObjectEntry] = []
+        self._poses: dict[tuple[str, int], tuple[float, PoseMessage]] = {}
+        self._arrivals: dict[str, deque[float]] = {}
+        self._since = time.monotonic()
+
+    def look(self, seconds: float) -> None:
+        """Listen for so long."""
+        until = time.monotonic() + seconds
+        while (left := until - time.monotonic()) > 0:
+            message = self._reader.next(left)
+            if message is not None:
+                self._take(message)
+
+    def _take(self, message: Message) -> None:
+        now = time.monotonic()
+        if isinstance(message, HealthMessage):
+            self._health[message.worker] = (now, message)
+        elif isinstance(message, ObjectsMessage):
+            self._objects = message.objects
+        elif isinstance(message, PoseMessage):
+            self._poses[message.object, message.instance] = (now, message)
+            self._count("pose", now)
+        else:
+            self._count(_KINDS.get(type(message), "other"), now)
+
+    def _count(self, kind: str, now: float) -> None:
+        arrivals = self._arrivals.setdefault(kind, deque())
+        arrivals.append(now)
+        while arrivals and now - arrivals[0] > _WINDOW_S:
+            arrivals.popleft()
+
+    def look_at_all(self, least_s: float, most_s: float) -> None:
+        """Listen until everyone who is there has said how they are, in these bounds."""
+        self.look(least_s)
+        until = time.monotonic() + most_s - least_s
+        while time.monotonic() < until and any(last(k) not in self._health for k in list(self._reader.live)):
+            self.look(0.1)
+
+    def view(self) -> View:
+        """What is known now."""
+        now = time.monotonic()
+        there = {last(key) for key in list(self._reader.live)}
+        fresh = {w: m for w, (when, m) in self._health.items() if now - when < _STALE_S}
+        missing = tuple(w for w in self.pipeline.workers if w not in there)
+        silent = frozenset(w for w in there if w not in fresh and now - self._since > _STALE_S)
+        window_s = min(_WINDOW_S, max(now - self._since, 0.1))
+        rates = {
+            kind: sum(now - t <= window_s for t in arrivals) / window_s
+            for kind, arrivals in self._arrivals.items()
+        }
+        poses = {key: m for key, (when, m) in sorted(self._poses.items()) if now - when < _STALE_S}
+        health = {w: m for w, (_, m) in self._health.items() if w in there or w in fresh}
+        return View(self.pipeline, bool(there), health, silent, missing, self._objects, poses, rates)
+
+    def __enter__(self) -> Watch:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self._reader.close()

@@ -36,7 +36,7 @@ def make(bus: Bus, config: Config) -> TrackerWork:
         history_frames=config.tracker.history_frames, searches_per_step=1, catch_up_stride=3
     )
     follower = Follower(bus, lambda name: models.load_one(config, name), known, remembers=True)
-    return TrackerWork(bus, Tracker(known, settings), follower, int(config.tracker.max_age_ms * 1e6))
+    return TrackerWork(bus, Tracker(known, settings), follower, config)
 
 
 class TrackerWork:
@@ -44,11 +44,12 @@ class TrackerWork:
 
     finished = False
 
-    def __init__(
-        self, bus: Bus, tracker: Tracker, objects: Follower[ReferenceModel], max_age_ns: int
-    ) -> None:
+    def __init__(self, bus: Bus, tracker: Tracker, objects: Follower[ReferenceModel], config: Config) -> None:
         self._bus, self._tracker, self._objects = bus, tracker, objects
-        self._max_age_ns = max_age_ns
+        self._max_age_ns = int(config.tracker.max_age_ms * 1e6)
+        # A recording that is played once stands on its first frame: that one does not get old.
+        self._first_stands = config.camera.once
+        self._first: tuple[int, int] | None = None
         self._retired = Retired()
         self._told = StateChanges(bus.log)
         self._refused: tuple[str, int] | None = None
@@ -121,6 +122,8 @@ class TrackerWork:
         except WireError as error:
             self._bus.refuse(self._bus.keys.frame, error)
             return
+        if before is None or before.camera_epoch != header.camera_epoch:
+            self._first = _frame_of(header)
         self._published.clear()
         self._publish_all(self._tracker.step(frame), header)
         self._header = header
@@ -135,7 +138,9 @@ class TrackerWork:
             self._published.add((pose.object, pose.instance))
 
     def _publish(self, pose: TrackedPose, header: FrameHeader) -> None:
-        if pose.state is State.TRACKING and now_ns() - pose.stamp_ns > self._max_age_ns:
+        old = now_ns() - pose.stamp_ns > self._max_age_ns
+        stands = self._first_stands and _frame_of(header) == self._first
+        if pose.state is State.TRACKING and old and not stands:
             # Where things were so long ago is not to be acted on, however sure it is.
             pose = replace(pose, state=State.SUSPECT)
             self._bus.health.count("poses_too_old")

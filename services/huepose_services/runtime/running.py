@@ -15,7 +15,7 @@ from pathlib import Path
 import msgspec
 
 from huepose.support.errors import InputError
-from huepose_services.runtime.config import DEFAULT_FILE, WORKERS, BusConfig, Config, load
+from huepose_services.runtime.config import DEFAULT_FILE, WORKERS, Config, load
 
 
 class Pipeline(msgspec.Struct, frozen=True, kw_only=True):

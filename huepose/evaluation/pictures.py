@@ -135,13 +135,17 @@ class PictureFolder:
         )
 
     def _write(self, name: str, picture: UInt8) -> None:
-        path = self._folder / name
-        data = cv2.imencode(".png", np.ascontiguousarray(picture[..., ::-1]))[1].tobytes()
-        try:
-            path.parent.mkdir(parents=True, exist_ok=True)
-            path.write_bytes(data)
-        except OSError as error:
-            raise InputError(path, found=error.strerror or str(error), fix="Choose another folder.") from None
+        write_picture(self._folder / name, picture)
+
+
+def write_picture(path: Path, picture: UInt8) -> None:
+    """Write a picture (H, W, 3) RGB as PNG, its folder made when needed. Raises InputError."""
+    data = cv2.imencode(".png", np.ascontiguousarray(picture[..., ::-1]))[1].tobytes()
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        path.write_bytes(data)
+    except OSError as error:
+        raise InputError(path, found=error.strerror or str(error), fix="Choose another folder.") from None
 
 
 def _millimetres(row: TrackRow) -> float:

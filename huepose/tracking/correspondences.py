@@ -53,6 +53,7 @@ def match(
     flow: Flow,
     use_pairs: bool = True,
     pairs: ColorPairs | None = None,
+    grid_step_px: int = GRID_STEP_PX,
 ) -> Correspondences:
     """Correspondences of the object that `mask_a` (H, W) outlines in the first of two colour images.
 
@@ -64,7 +65,7 @@ def match(
     corner = np.array([flow.x0, flow.y0], np.float32)
     mask = np.ascontiguousarray(mask_a[window])
     lab_a, lab_b = lab_of(color_a[window]), lab_of(color_b[window])
-    grid = _grid(mask)
+    grid = _grid(mask, grid_step_px)
     if not use_pairs:
         ridge = ColorPairs.empty()
     elif pairs is not None:
@@ -106,8 +107,8 @@ def match(
     )
 
 
-def _grid(mask: Bool) -> Float32:
-    """Every GRID_STEP_PX-th pixel of the mask, (N, 2) as (u, v)."""
-    half = GRID_STEP_PX // 2
-    rows, columns = np.nonzero(mask[half::GRID_STEP_PX, half::GRID_STEP_PX])
-    return (np.stack([columns, rows], 1) * GRID_STEP_PX + half).astype(np.float32)
+def _grid(mask: Bool, step_px: int) -> Float32:
+    """Every `step_px`-th pixel of the mask, (N, 2) as (u, v)."""
+    half = step_px // 2
+    rows, columns = np.nonzero(mask[half::step_px, half::step_px])
+    return (np.stack([columns, rows], 1) * step_px + half).astype(np.float32)

@@ -1,0 +1,213 @@
+"""The paper's ablation: what filtering flow by colour pairs does to the motion that is computed from it.
+
+Pairs of frames some frames apart; the raw relative pose between them, without refinement, re-initialisation
+or any memory; from different choices of flow correspondences (paper, section IV, "Ablation Study"):
+
+flow        all flow on the object's surface, sampled evenly, as it comes
+consistent  the part of it that flow backwards confirms and that ends on the carried mask
+colorpair   what is consistent, also at the ridge points of colour pairs, between the same two colours still
+
+and by different estimators behind the `RelativePose` protocol: `kabsch`, weighted least squares over all of
+them, and `robust`, RANSAC and reweighting, as the tracker uses. A trained one is one more entry in
+`estimators`.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+
+from huepose.datasets.types import Sample, Scene
+from huepose.evaluation.ablation_rows import AblationResult, AblationRow
+from huepose.evaluation.targets import Targets, object_number
+from huepose.geometry import kabsch, se3
+from huepose.geometry.arrays import Bool, Float64
+from huepose.geometry.box import Box
+from huepose.geometry.camera import Camera
+from huepose.model.types import ReferenceModel
+from huepose.rendering import render_depth
+from huepose.support.errors import InputError
+from huepose.support.progress import progress
+from huepose.tracking.correspondences import Correspondences, match
+from huepose.tracking.flow import Flow, compute
+from huepose.tracking.relative_pose import LiftedMatches, Motion, RelativePose, RobustKabsch, lift_matches
+from huepose.tracking.silhouette import visible_mask
+
+LEAST_M, LEAST_RAD = 0.001, np.radians(1.0)
+"""Relative errors of pairs that move less say nothing: they are left out and counted."""
+
+FLOW_STEP_PX = 4
+"""Every choice starts from as dense a grid."""
+
+WINDOW_GROWTH, WINDOW_PX = 0.3, 8.0
+"""Flow is computed where the object is in either frame, and this much around it."""
+
+
+@dataclass(frozen=True)
+class PlainKabsch:
+    """A RelativePose by weighted least squares over every match, wrong ones included."""
+
+    min_matches: int = 8
+
+    def estimate(self, matches: LiftedMatches) -> Motion | None:
+        """See RelativePose."""
+        if len(matches) < self.min_matches or matches.weights.sum() <= 0.0:
+            return None
+        T = kabsch.fit(matches.points_a, matches.points_b, matches.weights)
+        return Motion(T, len(matches), len(matches))
+
+
+ESTIMATORS: Mapping[str, RelativePose] = {"kabsch": PlainKabsch(), "robust": RobustKabsch()}
+
+
+def evaluate_ablation(
+    scenes: Sequence[Scene],
+    targets: Targets,
+    gap: int = 5,
+    estimators: Mapping[str, RelativePose] | None = None,
+) -> AblationResult:
+    """Every pair of frames of each sequence whose numbers differ by `gap`, for every labelled object that is
+    visible in both; a variant is called CHOICE/ESTIMATOR. Raises InputError where nothing can be compared."""
+    if gap < 1:
+        raise InputError("--gap", found=str(gap), expected="1 or more")
+    rows: list[AblationRow] = []
+    left_out = pairs = 0
+    for scene in scenes:
+        known = set(scene.image_ids)
+        firsts = [i for i in scene.image_ids if i + gap in known]
+        for image in progress(firsts, f"ablation {scene.name}"):
+            for new in _pair(scene, image, gap, targets, estimators or ESTIMATORS):
+                pairs += 1
+                left_out += not new
+                rows += new
+    if not rows:
+        raise InputError(
+            "ablation",
+            found=f"{pairs} pairs of frames, {left_out} of them without motion",
+            expected=f"an onboarded object that is seen moving {gap} frames apart",
+        )
+    return AblationResult(rows, pairs, left_out, gap)
+
+
+def _pair(
+    scene: Scene, image: int, gap: int, targets: Targets, estimators: Mapping[str, RelativePose]
+) -> list[list[AblationRow]]:
+    """One list of rows for each object of a pair of frames, empty where it hardly moves."""
+    before = {t.instance: t for t in scene.truths(image) if targets.wants(t) and t.visible}
+    after = {t.instance: t for t in scene.truths(image + gap) if t.visible}
+    out: list[list[AblationRow]] = []
+    samples: tuple[Sample, Sample] | None = None
+    for instance, truth in before.items():
+        later, model = after.get(instance), targets.model_of(truth)
+        if later is None or model is None or truth.T_cam_obj is None or later.T_cam_obj is None:
+            continue
+        if not moves(truth.T_cam_obj, later.T_cam_obj):
+            out.append([])
+            continue
+        samples = samples or (scene.sample(image), scene.sample(image + gap))
+        figures = compare(model, samples[0], samples[1], truth.T_cam_obj, later.T_cam_obj, estimators)
+        number = object_number(model)
+        out.append([AblationRow(scene.name, image, number, *figure) for figure in figures])
+    return out
+
+
+def moves(T_a: Float64, T_b: Float64) -> bool:
+    """Whether an object moves far enough for relative errors to mean something."""
+    shift = float(np.linalg.norm(T_b[:3, 3] - T_a[:3, 3]))
+    return shift >= LEAST_M and se3.rotation_angle(T_a, T_b) >= LEAST_RAD
+
+
+def compare(
+    model: ReferenceModel,
+    a: Sample,
+    b: Sample,
+    T_a: Float64,
+    T_b: Float64,
+    estimators: Mapping[str, RelativePose],
+) -> list[tuple[str, float | None, float | None, float | None, int]]:
+    """(variant, relative rotation error, relative translation error, end-point error in px, matches) of every
+    variant for an object that goes from pose T_a to T_b (4, 4). The errors are None where there is no motion,
+    the last one where there is no match."""
+    camera = a.frame.camera
+    boxes = [_box(model, T, camera) for T in (T_a, T_b)]
+    flow = None
+    if boxes[0] is not None and boxes[1] is not None:
+        window = _union(boxes[0], boxes[1]).grown(WINDOW_GROWTH, WINDOW_PX)
+        flow = compute(a.frame.color, b.frame.color, window, cv2.DISOPTICAL_FLOW_PRESET_MEDIUM)
+    if flow is None or boxes[0] is None:
+        return [(f"{c}/{e}", None, None, None, 0) for c in CHOICES for e in estimators]
+    mask = visible_mask(model.mesh, T_a, a.frame, boxes[0])
+    surface = render_depth(model.mesh, T_a, camera)
+    true_motion = se3.compose(T_b, se3.inverse(T_a))
+    out: list[tuple[str, float | None, float | None, float | None, int]] = []
+    for choice in CHOICES:
+        matches = chosen(choice, a, b, mask, flow)
+        epe_px = endpoint_error_px(matches, surface, camera, true_motion)
+        lifted = lift_matches(a.frame, b.frame, matches)
+        for name, estimator in estimators.items():
+            motion = estimator.estimate(lifted)
+            rotation, translation = (None, None) if motion is None else errors(motion.T_b_a, T_a, T_b)
+            out.append((f"{choice}/{name}", rotation, translation, epe_px, len(lifted)))
+    return out
+
+
+CHOICES = ("flow", "consistent", "colorpair")
+
+
+def chosen(choice: str, a: Sample, b: Sample, mask: Bool, flow: Flow) -> Correspondences:
+    """The correspondences of a choice, see above; `mask` (H, W) outlines the object in the first frame."""
+    if choice != "flow":
+        return match(
+            a.frame.color,
+            b.frame.color,
+            mask,
+            flow,
+            use_pairs=choice == "colorpair",
+            grid_step_px=FLOW_STEP_PX,
+        )
+    rows, columns = np.nonzero(mask[::FLOW_STEP_PX, ::FLOW_STEP_PX])
+    pixels = np.stack([columns, rows], 1).astype(np.float64) * FLOW_STEP_PX
+    moved, _ = flow.at(pixels)
+    ends = pixels + moved
+    inside = (ends >= 0).all(1) & (ends <= np.array(mask.shape[::-1]) - 1).all(1)
+    ones = np.ones(int(inside.sum()))
+    return Correspondences(pixels[inside], ends[inside], ones, ones)
+
+
+def errors(T_b_a: Float64, T_a: Float64, T_b: Float64) -> tuple[float, float]:
+    """Residual rotation and translation of a motion, each as a share of the true one."""
+    there = se3.compose(T_b_a, T_a)
+    shift = np.linalg.norm(there[:3, 3] - T_b[:3, 3]) / np.linalg.norm(T_b[:3, 3] - T_a[:3, 3])
+    return se3.rotation_angle(there, T_b) / se3.rotation_angle(T_a, T_b), float(shift)
+
+
+def endpoint_error_px(
+    matches: Correspondences, surface_depth: Float64, camera: Camera, T_b_a: Float64
+) -> float | None:
+    """Mean distance in pixels between where matches end and where the true motion takes the surface points
+    that they start from; surface_depth (H, W): of the object alone at its true pose, 0 beside it."""
+    columns, rows = np.rint(matches.pixels_a).astype(int).T
+    depth = surface_depth[rows, columns]
+    on = depth > 0
+    if not on.any():
+        return None
+    points = camera.backproject(matches.pixels_a[on], depth[on])
+    ends = camera.project(se3.apply(T_b_a, points))
+    return float(np.linalg.norm(ends - matches.pixels_b[on], axis=1).mean())
+
+
+def _box(model: ReferenceModel, T_cam_obj: Float64, camera: Camera) -> Box | None:
+    points = se3.apply(T_cam_obj, model.eval_points)
+    if points[:, 2].min() < 0.02:
+        return None
+    uv = camera.project(points)
+    (x, y), (x1, y1) = uv.min(0), uv.max(0)
+    return Box(float(x), float(y), float(x1 - x), float(y1 - y))
+
+
+def _union(a: Box, b: Box) -> Box:
+    x, y = min(a.x, b.x), min(a.y, b.y)
+    return Box(x, y, max(a.x1, b.x1) - x, max(a.y1, b.y1) - y)

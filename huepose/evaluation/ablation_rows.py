@@ -1,0 +1,104 @@
+"""Rows, summary and picture of the ablation of flow correspondences."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass
+from typing import Any
+
+import numpy as np
+
+from huepose.drawing.plots import bar_chart
+from huepose.evaluation.summary import Figures, grouped
+from huepose.geometry.arrays import UInt8
+
+NO_ANSWER = 1.0
+"""Relative error of a pair without a motion: as if the object had been taken to stand still."""
+
+PANELS = {
+    "rotation_error_rel": "rotation error / true rotation",
+    "translation_error_rel": "translation error / true translation",
+    "epe_px": "end-point error in px",
+}
+
+
+@dataclass(frozen=True)
+class AblationRow:
+    """One variant on one object in the pair of frames that begins with `frame`. object: BOP id or name. The
+    errors are None where no motion was found; matches: correspondences with depth at both ends."""
+
+    sequence: str
+    frame: int
+    object: int | str
+    variant: str
+    rotation_error_rel: float | None
+    translation_error_rel: float | None
+    epe_px: float | None
+    matches: int
+
+
+@dataclass(frozen=True, eq=False)
+class AblationResult:
+    """All rows; pairs: of an object in two frames; left_out: of these, how many hardly moved."""
+
+    rows: list[AblationRow]
+    pairs: int
+    left_out: int
+    gap: int
+
+    def as_json(self) -> dict[str, Any]:
+        """What is written."""
+        return {"summary": self.summary(), "rows": [asdict(row) for row in self.rows]}
+
+    def summary(self) -> dict[str, Any]:
+        """Mean and median errors of each variant over all pairs, and the same per object."""
+        by_object = grouped(self.rows, lambda row: row.object)
+        return {
+            "pairs": self.pairs,
+            "pairs_left_out": self.left_out,
+            "gap": self.gap,
+            "variants": _by_variant(self.rows),
+            "per_object": {str(number): _by_variant(rows) for number, rows in by_object.items()},
+        }
+
+    def picture(self) -> UInt8:
+        """The paper's figure: per object and over all, the three mean errors of every variant, one panel
+        below the other. The end-point error belongs to the correspondences, whoever estimates from them."""
+        summary = self.summary()
+        groups = {**summary["per_object"], "all": summary["variants"]}
+        panels = []
+        for key, title in PANELS.items():
+            names = list(summary["variants"])
+            if key == "epe_px":
+                names = list({name.split("/")[0]: name for name in names}.values())
+            series = {
+                name.split("/")[0] if key == "epe_px" else name: [
+                    _or_nan(block[name][f"{key}_mean"]) for block in groups.values()
+                ]
+                for name in names
+            }
+            size = (max(760, 60 * len(groups) * len(summary["variants"])), 340)
+            panels.append(bar_chart(list(groups), series, f"mean {title}", "", None, size))
+        return np.vstack(panels)
+
+
+def _by_variant(rows: Sequence[AblationRow]) -> dict[str, Figures]:
+    return {name: _figures(own) for name, own in grouped(rows, lambda row: row.variant).items()}
+
+
+def _figures(rows: Sequence[AblationRow]) -> Figures:
+    out: Figures = {"pairs": float(len(rows))}
+    out["no_motion"] = float(sum(row.rotation_error_rel is None for row in rows))
+    out["matches_median"] = float(np.median([row.matches for row in rows]))
+    for key in ("rotation_error_rel", "translation_error_rel"):
+        values = [getattr(row, key) for row in rows]
+        known = [NO_ANSWER if value is None else value for value in values]
+        out[f"{key}_mean"], out[f"{key}_median"] = float(np.mean(known)), float(np.median(known))
+    epe = [row.epe_px for row in rows if row.epe_px is not None]
+    out["epe_px_mean"] = float(np.mean(epe)) if epe else None
+    out["epe_px_median"] = float(np.median(epe)) if epe else None
+    return out
+
+
+def _or_nan(value: float | None) -> float:
+    return np.nan if value is None else value

@@ -1,0 +1,66 @@
+"""A relative pose whose rotation comes from a regressor: the paper's order, rotation first (section III-F).
+
+The regressor sees canonical features alone. Given the rotation, every match votes for a translation, and the
+translation that most of the weight agrees with is taken.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Protocol
+
+import numpy as np
+
+from huepose.geometry import se3
+from huepose.geometry.arrays import Float, Float32, Float64
+from huepose.tracking.canonical import canonical
+from huepose.tracking.relative_pose import LiftedMatches, Motion
+
+ROUNDS = 8
+
+
+class RotationRegressor(Protocol):
+    """Anything that reads a turn out of canonical features."""
+
+    def regress(self, features: Float32, weights: Float64) -> Float64:
+        """Rotation (3, 3) from the first canonical frame to the second, of features (N, 15)."""
+        ...
+
+
+def translation_given(
+    R_b_a: Float, points_a: Float, points_b: Float, weights: Float, inlier_m: float
+) -> Float64:
+    """Translation (3,) of a motion with a known rotation, from matched points (N, 3) with weights (N,): the
+    component-wise median first, then a mean with Tukey's biweight, which forgets matches that are off by more
+    than `inlier_m` metres. With no weight at all the plain median."""
+    votes = np.asarray(points_b, np.float64) - np.asarray(points_a, np.float64) @ np.asarray(R_b_a).T
+    t = np.median(votes, axis=0)
+    for _ in range(ROUNDS):
+        miss = np.linalg.norm(votes - t, axis=1)
+        w = weights * np.maximum(1.0 - (miss / inlier_m) ** 2, 0.0) ** 2
+        if w.sum() <= 0.0:
+            break
+        t = w @ votes / w.sum()
+    return np.asarray(t)
+
+
+@dataclass(frozen=True)
+class RotationFirst:
+    """A RelativePose by a regressor. inlier_m: residual of a believed match, metres; min_inliers under which
+    there is no motion."""
+
+    regressor: RotationRegressor
+    inlier_m: float = 0.006
+    min_inliers: int = 8
+
+    def estimate(self, matches: LiftedMatches) -> Motion | None:
+        """See RelativePose."""
+        if len(matches) < self.min_inliers:
+            return None
+        seen = canonical(matches.points_a, matches.points_b, matches.weights)
+        R = seen.rotation(self.regressor.regress(seen.features, matches.weights))
+        t = translation_given(R, matches.points_a, matches.points_b, matches.weights, self.inlier_m)
+        T = se3.make(R, t)
+        miss = np.linalg.norm(se3.apply(T, matches.points_a) - matches.points_b, axis=1)
+        inliers = int((miss < self.inlier_m).sum())
+        return Motion(T, inliers, len(matches)) if inliers >= self.min_inliers else None

@@ -1,0 +1,57 @@
+"""`huepose eval ablation`: what filtering flow by colour pairs does to the motion computed from it."""
+
+from __future__ import annotations
+
+import argparse
+from typing import Any
+
+from huepose.evaluation.ablation import evaluate_ablation
+from huepose.evaluation.pictures import write_picture
+from huepose.evaluation.result_files import write_json
+from huepose.evaluation.summary import table
+from huepose.evaluation.targets import Targets
+from huepose_services.cli.evaluate_scenes import open_fast_ycb
+
+COLUMNS = {
+    "rotation_error_rel_median": "rotation",
+    "rotation_error_rel_mean": "(mean)",
+    "translation_error_rel_median": "translation",
+    "translation_error_rel_mean": "(mean)",
+    "epe_px_median": "EPE px",
+    "matches_median": "matches",
+    "no_motion": "none",
+}
+
+
+def call(arguments: argparse.Namespace) -> int:
+    """Compare, write, draw, print a table."""
+    import cv2
+
+    cv2.setNumThreads(1)  # as the tracker's worker does
+    scenes, models = open_fast_ycb(arguments.fast_ycb, arguments.bundles)
+    result = evaluate_ablation(scenes, Targets(models), arguments.gap)
+    record = result.as_json()
+    write_json(arguments.json, record)
+    if arguments.plots is not None:
+        write_picture(arguments.plots / "ablation.png", result.picture())
+    print(_report(record["summary"]))
+    return 0
+
+
+def _report(summary: dict[str, Any]) -> str:
+    rows = [
+        [name, *(_shown(block[key], key) for key in COLUMNS)] for name, block in summary["variants"].items()
+    ]
+    return "\n".join(
+        [
+            table(["variant", *COLUMNS.values()], rows),
+            f"{summary['pairs']} pairs of frames {summary['gap']} apart, {summary['pairs_left_out']} left "
+            "out because they hardly move; medians, errors as shares of the true motion",
+        ]
+    )
+
+
+def _shown(value: float | None, key: str) -> str:
+    if value is None:
+        return "-"
+    return f"{value:.0f}" if key in ("matches_median", "no_motion") else f"{value:.3f}"

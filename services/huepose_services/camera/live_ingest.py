@@ -35,7 +35,8 @@ class LiveIngest:
         self._reader = Reader(source)
         self._name = source.name
         self._clock = DeviceClock()
-        self._opening, self._camera = -1, None
+        self._opening = -1
+        self._camera: Camera | None = None
         self._epoch, self._frame_id = 0, 0
         self._warnings = list(bus.health.warnings)
         bus.health.state = "waiting"

@@ -6,7 +6,7 @@ from itertools import pairwise
 
 from huepose.datasets.types import Scene
 from huepose_services.runtime.clock import SECOND
-from huepose_services.runtime.config import CameraConfig
+from huepose_services.runtime.config_perception import CameraConfig
 
 _LONGEST_GAP_NS = 10 * SECOND
 

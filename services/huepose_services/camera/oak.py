@@ -1,0 +1,129 @@
+"""OAK cameras through depthai v3: colour, stereo depth in its pixels, both undistorted on the device.
+
+The device's part (`build`) and the host's (`OakCamera`: a queue of synchronised groups) are apart, so that
+the second runs with any nodes that give such groups. depthai converts its stamps to CLOCK_MONOTONIC itself
+and follows the device's drift.
+"""
+
+from __future__ import annotations
+
+import os
+import time
+from contextlib import suppress
+from datetime import timedelta
+from typing import Any
+
+import numpy as np
+
+from huepose.geometry import Camera
+from huepose.geometry.arrays import Float32
+from huepose.support.errors import InputError
+from huepose_services.camera.live import CameraError, Shot
+from huepose_services.camera.oak_setup import build, check_options
+from huepose_services.runtime.clock import now_ns
+from huepose_services.runtime.config import Config
+from huepose_services.runtime.config_perception import CameraConfig
+
+
+def open_source(config: Config) -> Oak:
+    """The camera of the configuration, not opened. Raises InputError without the SDK."""
+    # Looking for a camera that is not there takes 11 s by default; read when the SDK is imported.
+    os.environ.setdefault("DEPTHAI_SEARCH_TIMEOUT", "0")
+    try:
+        import depthai
+    except ImportError as error:
+        raise InputError(
+            "camera.source oak",
+            found=f"no depthai ({error})",
+            expected="Luxonis' SDK for Python",
+            fix="Install it: pip install 'huepose[oak]'.",
+        ) from None
+    check_options(config.camera.device.options)
+    return Oak(depthai, config.camera)
+
+
+class Oak:
+    """One camera, by its device id, or the only one."""
+
+    def __init__(self, dai: Any, settings: CameraConfig) -> None:
+        self._dai, self._settings = dai, settings
+        self.name = f"OAK {settings.device.serial}" if settings.device.serial else "OAK"
+
+    def open(self) -> OakCamera:
+        """Start it. Raises CameraError when it is not there or cannot do what is asked."""
+        info = self._find()
+        try:
+            device = self._dai.Device(info)
+        except RuntimeError as error:
+            raise CameraError(f"it does not start: {error}. Is another program using it?") from None
+        try:
+            pipeline, queue = build(self._dai, device, self._settings)
+            pipeline.start()
+        except RuntimeError as error:
+            device.close()
+            raise CameraError(f"it cannot do what is asked: {error}. See camera.device.") from None
+        return OakCamera(pipeline, queue, device)
+
+    def _find(self) -> Any:
+        infos = {info.getDeviceId(): info for info in self._dai.Device.getAllAvailableDevices()}
+        wanted = self._settings.device.serial
+        if not infos:
+            raise CameraError(
+                "no OAK camera is connected. Plug it into a USB 3 port (or its network); if `lsusb -d 03e7:` "
+                "lists it, install the udev rules (deploy/jetson/install.sh --udev) and plug it in again."
+            )
+        if wanted is None and len(infos) > 1:
+            raise CameraError(
+                f"several are connected: set camera.device.serial to one of {', '.join(infos)}."
+            )
+        if wanted is not None and wanted not in infos:
+            raise CameraError(f"no camera with id {wanted}; connected: {', '.join(infos)}.")
+        return infos[wanted] if wanted is not None else next(iter(infos.values()))
+
+
+class OakCamera:
+    """A running pipeline whose queue gives groups of `color` and `depth`."""
+
+    device_clock_is_host = True
+
+    def __init__(self, pipeline: Any, queue: Any, device: Any = None) -> None:
+        self._pipeline, self._queue, self._device = pipeline, queue, device
+
+    def read(self, timeout_s: float) -> Shot | None:
+        """The next picture; None when none came in time. Raises CameraError when the camera is gone."""
+        deadline = time.monotonic() + timeout_s
+        # `get` with a timeout raises the same error for an ended pipeline, so the state is asked first.
+        if not self._pipeline.isRunning() or (self._device is not None and self._device.isClosed()):
+            raise CameraError("the connection is lost. Look at the cable; it is looked for again.")
+        group = self._queue.get(timedelta(seconds=max(deadline - time.monotonic(), 0.001)))
+        return None if group is None else shot_of(group["color"], group["depth"], now_ns())
+
+    def close(self) -> None:
+        """Stop the pipeline and let the device go."""
+        with suppress(RuntimeError):
+            self._pipeline.stop()
+        if self._device is not None:
+            with suppress(RuntimeError):
+                self._device.close()
+
+
+def shot_of(color: Any, depth: Any, arrived_ns: int) -> Shot:
+    """A picture of two depthai images: BGR, and depth in millimetres, of the same size.
+
+    Raises CameraError where the sizes differ or the colour image carries no intrinsics."""
+    height, width = color.getHeight(), color.getWidth()
+    if (depth.getHeight(), depth.getWidth()) != (height, width):
+        raise CameraError(f"depth is {depth.getWidth()} x {depth.getHeight()}, colour {width} x {height}.")
+    K = np.array(color.getTransformation().getIntrinsicMatrix(), dtype=np.float64)
+    if not (np.isfinite(K).all() and K[0, 0] > 0 and K[1, 1] > 0):
+        raise CameraError("it has no calibration: write one with Luxonis' calibration tool.")
+    metres: Float32 = depth.getFrame().astype(np.float32) * np.float32(0.001)
+    stamp = color.getTimestamp()
+    return Shot(
+        color=np.ascontiguousarray(color.getCvFrame()[..., ::-1]),
+        depth=metres,
+        camera=Camera.from_matrix(K, width, height),
+        number=color.getSequenceNum(),
+        device_ns=round(stamp / timedelta(microseconds=1)) * 1000,
+        arrived_ns=arrived_ns,
+    )

@@ -1,0 +1,123 @@
+"""How a RealSense is set before it starts: streams, options, clock; and how its pictures are rectified."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping
+from contextlib import suppress
+from typing import Any
+
+import cv2
+import numpy as np
+
+from huepose.geometry import Camera
+from huepose.geometry.arrays import Float32, UInt8
+from huepose_services.camera.live import CameraError
+from huepose_services.runtime.config_perception import CameraConfig
+
+
+def chosen_profiles(
+    rs: Any, sensors: Iterable[Any], settings: CameraConfig, *, any_rate: bool = False
+) -> list[tuple[Any, list[Any]]]:
+    """The depth and the colour stream of the configured size and rate, by sensor (some have both).
+
+    Raises CameraError with what the camera offers instead."""
+    device, rate = settings.device, float(settings.rate)
+    size = (device.width, device.height)
+    wanted = {
+        rs.stream.depth: (rs.format.z16, (device.depth_width or size[0], device.depth_height or size[1])),
+        rs.stream.color: (rs.format.rgb8, size),
+    }
+    chosen: dict[Any, tuple[Any, Any]] = {}
+    offered: dict[Any, set[tuple[int, int, int]]] = {stream: set() for stream in wanted}
+    sensors = list(sensors)
+    for place, sensor in enumerate(sensors):
+        for profile in sensor.get_stream_profiles():
+            stream = profile.stream_type()
+            if stream not in wanted or profile.format() != wanted[stream][0]:
+                continue
+            video = profile.as_video_stream_profile()
+            offered[stream].add((video.width(), video.height(), profile.fps()))
+            right_rate = any_rate or profile.fps() == rate
+            if (video.width(), video.height()) == wanted[stream][1] and right_rate:
+                chosen.setdefault(stream, (place, profile))
+    for stream, (_, (width, height)) in wanted.items():
+        if stream not in chosen:
+            name = "depth" if stream == rs.stream.depth else "colour"
+            raise CameraError(
+                f"no {name} of {width} x {height} at {rate:g} Hz; it offers {_listed(offered[stream])}. "
+                "Set camera.device.width and height, depth_width and depth_height, and camera.rate; on USB 2 "
+                "a camera offers little: use a USB 3 cable and port."
+            )
+    return [
+        (sensors[place], [profile for at, profile in chosen.values() if at == place])
+        for place in sorted({place for place, _ in chosen.values()})
+    ]
+
+
+def _listed(offers: set[tuple[int, int, int]]) -> str:
+    return (
+        ", ".join(f"{w} x {h} at {fps}" for w, h, fps in sorted(offers, reverse=True)[:12]) or "none at all"
+    )
+
+
+def apply_options(rs: Any, sensors: Iterable[Any], options: Mapping[str, float]) -> None:
+    """Set `depth.NAME` or `color.NAME` on the sensor that gives that stream.
+
+    Raises CameraError for an option that it does not have, or a value outside its range."""
+    sensors = list(sensors)
+    for key, value in options.items():
+        kind, _, name = key.partition(".")
+        stream = {"depth": rs.stream.depth, "color": rs.stream.color}.get(kind)
+        of_stream = [s for s in sensors if any(p.stream_type() == stream for p in s.get_stream_profiles())]
+        option = getattr(rs.option, name, None)
+        able = [s for s in of_stream if option is not None and s.supports(option)]
+        if not able:
+            names = sorted({f"{kind}.{o.name}" for s in of_stream for o in s.get_supported_options()})
+            raise CameraError(
+                f"no option {key}; it has {', '.join(names) or 'depth.NAME and color.NAME'}. "
+                "Correct camera.device.options."
+            )
+        allowed = able[0].get_option_range(option)
+        if not allowed.min <= value <= allowed.max:
+            raise CameraError(
+                f"option {key} = {value:g} is outside {allowed.min:g} to {allowed.max:g}. "
+                "Correct camera.device.options."
+            )
+        able[0].set_option(option, float(value))
+
+
+def use_own_clock(rs: Any, sensors: Iterable[Any]) -> None:
+    """Have stamps in the device's own time: the SDK's mapping goes to the wall clock, which may be set."""
+    for sensor in sensors:
+        with suppress(RuntimeError):
+            if sensor.supports(rs.option.global_time_enabled):
+                sensor.set_option(rs.option.global_time_enabled, 0.0)
+
+
+class Rectification:
+    """From the camera's distorted picture to a pinhole's with the same intrinsics.
+
+    The SDK projects each ray itself, so every distortion model that it knows holds here too."""
+
+    def __init__(self, rs: Any, intrinsics: Any) -> None:
+        i = intrinsics
+        self.camera = Camera(i.fx, i.fy, i.ppx, i.ppy, i.width, i.height)
+        self._maps: tuple[Float32, Float32] | None = None
+        if i.model != rs.distortion.none and any(i.coeffs):
+            rows, columns = np.mgrid[0 : i.height, 0 : i.width]
+            rays = self.camera.rays(np.stack([columns, rows], -1)).reshape(-1, 3).tolist()
+            pixels = [rs.rs2_project_point_to_pixel(i, ray) for ray in rays]
+            maps = np.array(pixels, np.float32).reshape(i.height, i.width, 2)
+            self._maps = (np.ascontiguousarray(maps[..., 0]), np.ascontiguousarray(maps[..., 1]))
+
+    def color(self, image: UInt8) -> UInt8:
+        """The rectified colour picture (H, W, 3)."""
+        if self._maps is None:
+            return image
+        return np.asarray(cv2.remap(image, *self._maps, cv2.INTER_LINEAR), dtype=np.uint8)
+
+    def depth(self, depth: Float32) -> Float32:
+        """The rectified depth (H, W): readings are moved, never mixed."""
+        if self._maps is None:
+            return depth
+        return np.asarray(cv2.remap(depth, *self._maps, cv2.INTER_NEAREST), dtype=np.float32)

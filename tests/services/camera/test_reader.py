@@ -1,0 +1,123 @@
+"""The thread around a camera: whatever the camera does, `take` keeps its time and `trouble` says why."""
+
+import threading
+import time
+
+import numpy as np
+import pytest
+
+from huepose.geometry import Camera
+from huepose_services.camera.live import CameraError, Shot
+from huepose_services.camera.reader import Reader
+
+CAMERA = Camera(60.0, 60.0, 3.5, 2.5, 8, 6)
+
+
+def _shot(number):
+    now = time.monotonic_ns()
+    return Shot(np.full((6, 8, 3), number, np.uint8), np.ones((6, 8), np.float32), CAMERA, number, now, now)
+
+
+class Device:
+    """Plugged in or not; reads what `behave` gives for the count of its reads."""
+
+    name = "test camera"
+    device_clock_is_host = True
+
+    def __init__(self, behave, plugged=True):
+        self.plugged, self.behave, self.opened, self.closed, self.reads = plugged, behave, 0, 0, 0
+        self.release = threading.Event()
+
+    def open(self):
+        if not self.plugged:
+            raise CameraError("none is connected. Plug it in.")
+        self.opened += 1
+        return self
+
+    def read(self, timeout_s):
+        self.reads += 1
+        return self.behave(self, timeout_s)
+
+    def close(self):
+        self.closed += 1
+
+
+def _paced(device, timeout_s):
+    time.sleep(0.005)
+    return _shot(device.reads)
+
+
+@pytest.fixture
+def reader_of():
+    started = []
+
+    def start(device):
+        started.append((Reader(device), device))
+        return started[-1][0]
+
+    yield start
+    for reader, device in started:
+        device.release.set()
+        reader.close()
+
+
+def test_a_missing_camera_is_reported_at_once_and_picked_up_when_it_comes(reader_of, wait_until):
+    device = Device(_paced, plugged=False)
+    reader = reader_of(device)
+    assert reader.take(0.1) is None
+    assert reader.trouble == "test camera: none is connected. Plug it in."
+    device.plugged = True
+    taken = reader.take(5.0)
+    assert taken is not None
+    assert (taken.opening, taken.device_clock_is_host) == (1, True)
+    assert reader.trouble is None
+
+
+def test_the_newest_picture_is_given_once(reader_of, wait_until):
+    device = Device(lambda d, s: _shot(d.reads) if d.reads <= 5 else time.sleep(0.01))
+    reader = reader_of(device)
+    wait_until(lambda: device.reads > 6)
+    assert reader.take(0.0).shot.number == 5
+    assert reader.take(0.0) is None
+    assert reader.skipped == 4
+
+
+def test_a_read_that_hangs_does_not_hang_the_taker_and_is_named(reader_of, wait_until):
+    device = Device(lambda d, s: d.release.wait(30.0) and None)
+    reader = reader_of(device)
+    start = time.monotonic()
+    assert reader.take(0.05) is None
+    assert time.monotonic() - start < 1.0
+    wait_until(lambda: reader.trouble is not None, 5.0)
+    assert "reading" in reader.trouble
+    assert reader.stuck_s() > 1.0
+
+
+def test_a_camera_that_is_pulled_out_is_closed_and_opened_again(reader_of, wait_until):
+    def behave(device, timeout_s):
+        if device.reads == 3:
+            raise RuntimeError("xioctl(VIDIOC_QBUF) failed: No such device")
+        return _paced(device, timeout_s)
+
+    device = Device(behave)
+    reader = reader_of(device)
+    seen = set()
+    wait_until(lambda: (taken := reader.take(0.1)) and seen.add(taken.opening) is None and 2 in seen)
+    assert device.closed == 1
+
+
+def test_the_last_picture_over_and_over_is_no_news(reader_of, wait_until, monkeypatch):
+    monkeypatch.setattr("huepose_services.camera.reader._SILENT_NS", 200_000_000)
+    frozen = _shot(7)
+
+    def behave(device, timeout_s):
+        time.sleep(0.005)
+        return frozen
+
+    device = Device(behave)
+    reader = reader_of(device)
+    assert reader.take(2.0).shot is frozen
+    assert reader.take(0.05) is None
+    wait_until(lambda: device.closed > 0)
+    assert reader.repeated > 10
+    assert "no new picture" in reader.trouble

@@ -1,0 +1,208 @@
+"""A pipeline on the built-in scene as its operator and its subscribers see it: for soaks and for chaos.
+
+It is started by `huepose up` in a folder of its own and listened to over the bus like by anyone; what it says
+of itself is read in its log and its health.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import shutil
+import signal
+import socket
+import subprocess
+import sys
+import tempfile
+import threading
+import time
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from huepose.datasets.synthetic import SyntheticScene
+from huepose.evaluation.metrics import add
+from huepose.model import load_models
+from huepose_protos.client import Reader
+from huepose_protos.keys import last
+from huepose_protos.messages import Estimates, HealthMessage, PoseMessage, TruthMessage
+from huepose_services.builtin import builtin_bundles
+from huepose_services.convert import optional_pose_from_wire, pose_of
+from huepose_services.runtime.config import WORKERS
+
+CHAIN = ("camera", "tracker", "reinit", "detector", "segmenter", "estimator")
+
+
+@dataclass(frozen=True)
+class SeenPose:
+    """A pose message as it arrived: `error` is ADD over the diameter, None without pose or truth."""
+
+    at: float
+    capture_ns: int
+    age_ms: float
+    name: str
+    frame: tuple[int, int]
+    state: str
+    error: float | None
+
+
+class LivePipeline:
+    """Runs as long as the `with` block. All times are time.monotonic() seconds."""
+
+    def __init__(self, seed: int = 0, max_age_ms: float = 300.0) -> None:
+        bundles = builtin_bundles(seed)
+        SyntheticScene(seed)  # computed here where it is not in the cache
+        self.max_age_ms = max_age_ms
+        self._yardsticks = {
+            name: (model.eval_points[:: max(1, len(model.eval_points) // 500)], model.diameter_m)
+            for name, model in load_models(bundles).items()
+        }
+        self._folder = Path(tempfile.mkdtemp(prefix="huepose-live-"))
+        self.path = self._folder / "pipeline.yaml"
+        self.base_port = _free_ports(len(WORKERS))
+        self.path.write_text(
+            json.dumps(
+                {
+                    "bundles": str(bundles),
+                    "workers": list(CHAIN),
+                    "camera": {"source": "synthetic", "seed": seed, "truth": True},
+                    "detector": {"kind": "truth", "seed": seed},
+                    "tracker": {"max_age_ms": max_age_ms},
+                    # Each fault is one death: none shall be given up for having died in the faults before.
+                    "restarts": {"limit": 100},
+                    "bus": {"base_port": self.base_port},
+                }
+            )
+        )
+        self.poses: list[SeenPose] = []
+        self.health: dict[str, HealthMessage] = {}
+        self.health_log: list[tuple[float, HealthMessage]] = []
+        self.estimates: list[float] = []
+        self.truths: list[tuple[float, int]] = []
+        self._truth: dict[tuple[int, int, str], tuple[TruthMessage, int]] = {}
+        self._stopping = False
+
+    def __enter__(self) -> LivePipeline:
+        self._log = (self._folder / "log").open("w+")
+        command = [sys.executable, "-m", "huepose_services.cli.main", "up", str(self.path)]
+        self._process = subprocess.Popen(command, stderr=self._log, stdout=self._log)
+        keys = ("pose/**", "truth", "health/*", "perception/estimates")
+        self.reader = Reader(self.endpoints, *(f"huepose/*/*/{key}" for key in keys))
+        self._listener = threading.Thread(target=self._listen, daemon=True)
+        self._listener.start()
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self._process.send_signal(signal.SIGTERM)
+        self._process.wait(10.0)
+        self._stopping = True
+        self._listener.join(2.0)
+        self.reader.close()
+        self._log.close()
+        shutil.rmtree(self._folder, ignore_errors=True)
+
+    @property
+    def endpoints(self) -> list[str]:
+        """Where the workers listen."""
+        return [f"tcp/127.0.0.1:{self.base_port + place}" for place in range(len(CHAIN))]
+
+    @property
+    def live(self) -> set[str]:
+        """The workers whose liveliness tokens are there."""
+        return {last(key) for key in list(self.reader.live)}
+
+    def pids(self) -> dict[str, int]:
+        """Process numbers of the workers, as they say themselves."""
+        return {worker: message.pid for worker, message in self.health.items()}
+
+    def log(self) -> str:
+        """All that was logged so far."""
+        return (self._folder / "log").read_text()
+
+    def _listen(self) -> None:
+        while not self._stopping:
+            message = self.reader.next(0.1)
+            now = time.monotonic()
+            if isinstance(message, PoseMessage):
+                self._take_pose(message, now)
+            elif isinstance(message, TruthMessage):
+                self.truths.append((now, message.capture_ns))
+                for place, item in enumerate(message.objects):
+                    if item.object is not None:
+                        key = (message.camera_epoch, message.frame_id, item.object)
+                        self._truth[key] = (message, place)
+                while len(self._truth) > 3000:
+                    del self._truth[next(iter(self._truth))]
+            elif isinstance(message, HealthMessage):
+                self.health[message.worker] = message
+                self.health_log.append((now, message))
+            elif isinstance(message, Estimates):
+                self.estimates.append(now)
+
+    def _take_pose(self, pose: PoseMessage, now: float) -> None:
+        error = None
+        T_cam_obj = pose_of(pose)
+        found = self._truth.get((pose.camera_epoch, pose.frame_id, pose.object))
+        if T_cam_obj is not None and found is not None:
+            item = found[0].objects[found[1]]
+            T_true = optional_pose_from_wire(item.translation, item.quaternion)
+            if T_true is not None:
+                points, diameter_m = self._yardsticks[pose.object]
+                error = add(points, T_cam_obj, T_true) / diameter_m
+        age_ms = (pose.publish_ns - pose.capture_ns) * 1e-6
+        frame = (pose.camera_epoch, pose.frame_id)
+        self.poses.append(SeenPose(now, pose.capture_ns, age_ms, pose.object, frame, pose.state, error))
+
+    def tracking_now(self) -> set[str]:
+        """Objects with a TRACKING pose in the last half second."""
+        since = time.monotonic() - 0.5
+        return {p.name for p in self.poses[-200:] if p.at > since and p.state == "TRACKING"}
+
+    def wait_until_steady(self, objects: int, within_s: float = 120.0, for_s: float = 2.0) -> bool:
+        """Until so many objects were TRACKING for a while; whether that came about."""
+        until, since = time.monotonic() + within_s, None
+        while time.monotonic() < until:
+            if len(self.live) == len(CHAIN) and len(self.tracking_now()) >= objects:
+                since = since or time.monotonic()
+                if time.monotonic() - since > for_s:
+                    return True
+            else:
+                since = None
+            time.sleep(0.05)
+        return False
+
+
+def gaps_s(poses: list[SeenPose], start: float, end: float) -> list[float]:
+    """Times between frames with at least one pose message, from start to end."""
+    at = {}
+    for p in poses:
+        if start <= p.at <= end:
+            at.setdefault(p.frame, p.at)
+    times = [start, *sorted(at.values()), end]
+    return list(np.diff(times))
+
+
+def wrong(poses: list[SeenPose], limit: float = 0.1) -> int:
+    """TRACKING poses that are not right."""
+    return sum(p.state == "TRACKING" and p.error is not None and p.error >= limit for p in poses)
+
+
+def too_old(poses: list[SeenPose], max_age_ms: float) -> int:
+    """TRACKING poses published at more than their age limit; a millisecond for the encoding."""
+    return sum(p.state == "TRACKING" and p.age_ms > max_age_ms + 1.0 for p in poses)
+
+
+def _free_ports(count: int) -> int:
+    for base in range(30_000 + os.getpid() % 500 * 32, 60_000, 32):
+        probes = [socket.socket() for _ in range(count)]
+        try:
+            for place, probe in enumerate(probes):
+                probe.bind(("127.0.0.1", base + place))
+            return base
+        except OSError:
+            continue
+        finally:
+            for probe in probes:
+                probe.close()
+    raise SystemExit("no free ports")

@@ -1,0 +1,14 @@
+#!/bin/sh
+# An environment of its own for rivals that cannot live beside HuePose: opencv-contrib brings another OpenCV.
+# Usage: benchmarks/make_env.sh [FOLDER]      (default: build/rivals)
+set -eu
+cd "$(dirname "$0")/.."
+folder=${1:-build/rivals}
+uv=$(command -v uv || find .tools -name uv -type f 2>/dev/null | head -n 1)
+if [ -z "$uv" ]; then
+    echo "make_env.sh: no uv found; run 'make setup' first." >&2
+    exit 2
+fi
+"$uv" venv --python .venv/bin/python "$folder"
+"$uv" pip install --python "$folder/bin/python" "opencv-contrib-python-headless==4.*" "numpy>=2.0"
+"$folder/bin/python" -c "import cv2; cv2.ppf_match_3d; print('rivals ready in $folder, OpenCV', cv2.__version__)"

@@ -1,0 +1,114 @@
+"""What all single-frame rivals have in common: they are given masked points and return a pose.
+
+Each is wrapped as an estimator, so that HuePose's own evaluation runs it on the same instances, in the same
+disturbed boxes, with the same masks and the same labels, and counts its CPU time per object.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import Protocol
+
+import numpy as np
+
+from huepose.estimation import Estimator, ObjectQuery, PoseEstimate
+from huepose.geometry import RgbdFrame
+from huepose.geometry.arrays import Float64
+from huepose.model import ReferenceModel
+from huepose.perception.embedded import DepthSegmenter
+
+FEWEST_POINTS = 30
+
+
+@dataclass(frozen=True, eq=False)
+class Seen:
+    """Points (N, 3) m in camera axes under the mask, and their colours (N, 3) 0..1."""
+
+    points_cam: Float64
+    colors: Float64
+
+
+class Rival(Protocol):
+    """A method that is compared with. `pose` returns T_cam_obj (4, 4), a fitness, and the CPU seconds that it
+    took; None for no pose."""
+
+    def prepare(self, model: ReferenceModel) -> None:
+        """What is done once per object; not counted."""
+        ...
+
+    def pose(self, model: ReferenceModel, seen: Seen) -> tuple[Float64, float, float] | None:
+        """A pose from masked points."""
+        ...
+
+
+@dataclass(eq=False)
+class RivalEstimator:
+    """A rival as an estimator. cpu_s: one value an object, without the segmenter, which all share."""
+
+    rival: Rival
+    models: Mapping[str, ReferenceModel]
+    cpu_s: list[float] = field(default_factory=list)
+
+    def __post_init__(self) -> None:
+        self._segmenter = DepthSegmenter()
+        self._prepared: set[str] = set()
+
+    def estimate(self, frame: RgbdFrame, queries: Sequence[ObjectQuery]) -> list[PoseEstimate]:
+        """One answer a query, from its mask or the segmenter's best one."""
+        return [self._one(frame, query) for query in queries]
+
+    def _one(self, frame: RgbdFrame, query: ObjectQuery) -> PoseEstimate:
+        model = self.models[query.object]
+        if model.name not in self._prepared:
+            self.rival.prepare(model)
+            self._prepared.add(model.name)
+        masks = list(query.masks)
+        if not masks and query.box is not None:
+            masks = list(self._segmenter.segment(frame, query.box, model.diameter_m))
+        found = None
+        if masks:
+            seen = seen_under(frame, masks[0])
+            if len(seen.points_cam) >= FEWEST_POINTS:
+                found = self.rival.pose(model, seen)
+        if found is None:
+            self.cpu_s.append(0.0)
+            return answer(query, None, 0.0)
+        T, fitness, seconds = found
+        self.cpu_s.append(seconds)
+        return answer(query, T, fitness)
+
+
+@dataclass(eq=False)
+class Ours:
+    """HuePose's own estimator with its CPU time counted per object, its segmenter included."""
+
+    estimator: Estimator
+    cpu_s: list[float] = field(default_factory=list)
+
+    def estimate(self, frame: RgbdFrame, queries: Sequence[ObjectQuery]) -> list[PoseEstimate]:
+        """One answer a query."""
+        answers = []
+        for query in queries:
+            start = time.process_time()
+            answers += self.estimator.estimate(frame, [query])
+            self.cpu_s.append(time.process_time() - start)
+        return answers
+
+
+def seen_under(frame: RgbdFrame, mask: np.ndarray) -> Seen:
+    """Points and colours of the pixels under a mask (H, W) that have depth."""
+    rows, columns = np.nonzero(mask & (frame.depth > 0))
+    pixels = np.stack([columns, rows], -1).astype(np.float64)
+    points = frame.camera.backproject(pixels, frame.depth[rows, columns].astype(np.float64))
+    return Seen(points, frame.color[rows, columns] / 255.0)
+
+
+def answer(query: ObjectQuery, T_cam_obj: Float64 | None, fitness: float) -> PoseEstimate:
+    """A pose in the form in which it is evaluated."""
+    found = T_cam_obj is not None
+    return PoseEstimate(
+        query.object, query.instance, found, T_cam_obj, float(np.clip(fitness, 0.0, 1.0)),
+        "SUSPECT" if found else "LOST", fitness, 0.0, None, None, query.box, None, None, (), 0.0,
+    )  # fmt: skip

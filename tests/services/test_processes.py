@@ -62,16 +62,26 @@ def test_ctrl_c_stops_everything_within_two_seconds(pipeline, huepose, base_port
         os.kill(pid, 0)
 
 
-def test_a_worker_that_is_killed_is_started_again(pipeline, huepose, base_port):
-    process = huepose("up", pipeline(once=False, rate=30))
+def test_a_worker_that_is_killed_or_hangs_is_started_again(pipeline, huepose, base_port):
+    path = pipeline(once=False, rate=30)
+    path.write_text(json.dumps(json.loads(path.read_text()) | {"restarts": {"hung_after_s": 0.5}}))
+    process = huepose("up", path)
     with Reader([f"tcp/127.0.0.1:{base_port}"], "huepose/*/*/health/*") as reader:
         first = reader.next(30.0)
         os.kill(first.pid, signal.SIGKILL)
         deadline = time.monotonic() + 30.0
         while (message := reader.next(30.0)) is not None and message.pid == first.pid:
             assert time.monotonic() < deadline
-        assert message.pid != first.pid
+        os.kill(message.pid, signal.SIGSTOP)
+        stopped = message.pid
+        while (message := reader.next(30.0)) is not None and message.pid == stopped:
+            assert time.monotonic() < deadline
+        assert message.pid not in (first.pid, stopped)
         assert process.poll() is None
+    process.terminate()
+    log = process.communicate(timeout=10.0)[1]
+    assert "warn  huepose   camera killed by signal 9: starting it again in" in log
+    assert "error huepose   camera has given no sign of life for 0." in log
 
 
 def test_a_worker_does_not_outlive_its_supervisor(pipeline, huepose, base_port, wait_until):

@@ -24,6 +24,7 @@ _STOP_WITHIN_S = 1.8
 _HEAD_START_S = 0.1
 """In which each worker may stop before those that it reads from are told to stop as well."""
 _BACKOFF_S, _BACKOFF_MAX_S = 0.25, 8.0
+_STANDSTILL_S = 0.5
 _BAD_INPUT = 2
 _QUICK = ("camera", "tracker", "reinit")
 _PATIENCE = 3.0
@@ -52,6 +53,7 @@ class Supervisor:
         """Set by poll when the pipeline has come to its end: 0, 1 or 2."""
         self._drain_until: float | None = None
         self._was_ready = False
+        self._polled = time.monotonic()
 
     @property
     def ready(self) -> bool:
@@ -76,6 +78,7 @@ class Supervisor:
     def poll(self, timeout_s: float = 0.1) -> None:
         """Look after the workers for a while: readiness, signs of life, deaths, restarts, the end."""
         self._wait_for_something(timeout_s)
+        self._forgive_standstill(timeout_s)
         for child in list(self._children.values()):
             child.listen()
             code = child.process.poll()
@@ -106,6 +109,16 @@ class Supervisor:
             for pipe in pipes:
                 selector.register(pipe, selectors.EVENT_READ)
             selector.select(timeout_s)
+
+    def _forgive_standstill(self, timeout_s: float) -> None:
+        """Where this process did not run, its workers may not have run either: that time does not count."""
+        now = time.monotonic()
+        stood_s = now - self._polled - timeout_s
+        self._polled = now
+        if stood_s > _STANDSTILL_S:
+            for child in self._children.values():
+                child.started += stood_s
+                child.heard += stood_s
 
     def _fault(self, child: Child) -> str | None:
         """What is wrong with a worker that runs; None when nothing is."""

@@ -1,0 +1,167 @@
+"""Hard moments for the tracker, and minutes of it.
+
+    python benchmarks/hard_moments.py --json FILE [--plots DIR] [--long 60]
+
+Draws each moment with the project's own renderer at first use (kept under the cache folder), plays it to a
+new tracker with late perception, and says for all of them: coverage, false TRACKING, how soon a loss is
+declared, how soon an object is back, and how well the stated quality agrees with the share that is right.
+`--long SECONDS` adds a can, a box, a bottle and a marker that are carried about for so long, tracked alone
+from the first frame.
+"""
+
+from __future__ import annotations
+
+import argparse
+import hashlib
+import sys
+from pathlib import Path
+
+import cv2
+import numpy as np
+
+from huepose.datasets.synthetic_store import cache_folder
+from huepose.drawing.plots import line_plot, reliability_bins, reliability_plot
+from huepose.evaluation import metrics
+from huepose.evaluation.moments.film import Film
+from huepose.evaluation.moments.picture import bands
+from huepose.evaluation.moments.play import Played, Told, play
+from huepose.evaluation.moments.scripts import MOMENTS, long_run, meshes
+from huepose.evaluation.pictures import write_picture
+from huepose.evaluation.result_files import write_json
+from huepose.evaluation.states import StateReport, combined, report
+from huepose.evaluation.summary import table
+from huepose.model import ReferenceModel, load_model, save_model
+from huepose.onboarding import onboard_mesh
+from huepose.tracking import Tracker
+
+STATES = {
+    "coverage_tracking": "coverage %",
+    "false_tracking_frames": "false",
+    "declared_suspect_after_frames": "SUSPECT after",
+    "declared_lost_after_frames": "LOST after",
+    "undeclared_losses": "undeclared",
+    "reacquired_after_s": "back after s",
+    "never_reacquired": "never back",
+}
+
+
+def models(cache: Path) -> dict[str, ReferenceModel]:
+    """Reference models of the objects, made once."""
+    out = {}
+    for name, mesh in meshes().items():
+        digest = hashlib.sha256(mesh.vertices.tobytes() + mesh.texture.tobytes()).hexdigest()[:12]
+        path = cache / f"{name}-{digest}.huepose"
+        if not path.exists():
+            print(f"learning {name}", file=sys.stderr)
+            cache.mkdir(parents=True, exist_ok=True)
+            save_model(onboard_mesh(mesh, name), path)
+        out[name] = load_model(path)
+    return out
+
+
+def figures(played: Played, states: StateReport) -> dict[str, object]:
+    """One line of the table."""
+    errors = [t for own in played.told for t in own if t.visib_fract >= 0.3]
+    add = [t.add_m for t in errors]
+    return {
+        **{key: getattr(states, key) for key in STATES},
+        "false_tracking_rate": states.false_tracking_rate,
+        "frames": states.frames,
+        "auc_add": metrics.auc(np.array(add)),
+        "add_mm_p50": 1e3 * float(np.median(add)),
+        "cpu_ms_p50": 1e3 * float(np.median(played.cpu_s)),
+        "cpu_ms_p99": 1e3 * float(np.percentile(played.cpu_s, 99)),
+    }
+
+
+def main() -> int:
+    """Play, write, print."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--json", type=Path, required=True)
+    parser.add_argument("--plots", type=Path, default=None, help="folder for the pictures")
+    parser.add_argument("--only", nargs="+", default=list(MOMENTS), choices=list(MOMENTS))
+    parser.add_argument("--long", type=float, default=0.0, metavar="SECONDS", help="add long runs (60)")
+    parser.add_argument("--seed", type=int, nargs="+", default=[0], help="of the errors of late poses")
+    parser.add_argument("--cache", type=Path, default=cache_folder() / "moments")
+    arguments = parser.parse_args()
+    cv2.setNumThreads(1)
+    known = models(arguments.cache)
+    rows: list[tuple[str, list[Told]]] = []
+    reports: list[StateReport] = []
+    lines: dict[str, dict[str, object]] = {}
+    for name in arguments.only:
+        film = Film(MOMENTS[name](), arguments.cache)
+        for seed in arguments.seed:
+            played = play(film, known, _tracker(film, known), seed=seed)
+            own = [report([t.moment() for t in told]) for told in played.told]
+            reports += own
+            label = film.script.name + (f", seed {seed}" if len(arguments.seed) > 1 else "")
+            lines[label] = figures(played, combined(own))
+            rows += [(label, told) for told in played.told]
+    drift = {}
+    for name in meshes() if arguments.long else ():
+        film = Film(long_run(name, arguments.long), arguments.cache)
+        played = play(film, known, _tracker(film, known), reinit=False)
+        lines[film.script.name] = figures(played, report([t.moment() for t in played.told[0]]))
+        drift[name] = played.told[0]
+    hard = combined(reports) if reports else None
+    every = [t for _, told in rows for t in told if t.pose is not None and t.pose.T_cam_obj is not None]
+    quality, right = np.array([t.quality for t in every]), np.array([t.right for t in every])
+    ece = _ece(quality, right) if every else None
+    summary = {"ece": ece, "moments": lines}
+    if hard is not None:
+        summary |= {key: getattr(hard, key) for key in (*STATES, "false_tracking_rate", "frames")}
+    write_json(arguments.json, {"summary": summary})
+    if arguments.plots is not None and every:
+        write_picture(arguments.plots / "moments.png", bands(rows, "hard moments, frame by frame"))
+        write_picture(arguments.plots / "reliability.png", reliability_plot(quality, right, title="tracking"))
+    if arguments.plots is not None and drift:
+        write_picture(arguments.plots / "drift.png", _drift_picture(drift))
+    print(_report(lines, hard, ece))
+    return 0
+
+
+def _tracker(film: Film, known: dict[str, ReferenceModel]) -> Tracker:
+    tracker = Tracker({name: known[name] for name in dict.fromkeys(film.script.objects)})
+    tracker.warm_up()
+    return tracker
+
+
+def _ece(quality: np.ndarray, right: np.ndarray) -> float:
+    stated, true, count = reliability_bins(quality, right)
+    return float((np.abs(stated - true) * count).sum() / count.sum())
+
+
+def _drift_picture(drift: dict[str, list[Told]]) -> np.ndarray:
+    """ADD in millimetres over time, the median of each second."""
+    lines = {}
+    for name, told in drift.items():
+        add = 1e3 * np.array([t.add_m for t in told])
+        seconds = len(add) // 30
+        lines[name] = (np.arange(seconds) + 0.5, np.median(add[: 30 * seconds].reshape(seconds, 30), 1))
+    return line_plot(lines, "tracked alone", "seconds", "ADD in mm, median of a second", None, (0.0, 4.0))
+
+
+def _report(lines: dict[str, dict[str, object]], hard: StateReport | None, ece: float | None) -> str:
+    columns = {
+        **STATES,
+        "auc_add": "AUC",
+        "add_mm_p50": "mm p50",
+        "cpu_ms_p50": "ms p50",
+        "cpu_ms_p99": "p99",
+    }
+    rows = [[name, *(line[key] for key in columns)] for name, line in lines.items()]
+    text = table(["moment", *columns.values()], rows)
+    if hard is None:
+        return text
+    coverage = "-" if hard.coverage_tracking is None else f"{hard.coverage_tracking:.1f} %"
+    return (
+        f"{text}\nall hard moments: TRACKING in {coverage} of visible frames, false TRACKING "
+        f"{hard.false_tracking_rate:.2f} %, SUSPECT after {hard.declared_suspect_after_frames}, LOST after "
+        f"{hard.declared_lost_after_frames} frames, undeclared {hard.undeclared_losses}; back after "
+        f"{hard.reacquired_after_s} s at most, never {hard.never_reacquired}; calibration error {ece:.3f}"
+    )
+
+
+if __name__ == "__main__":
+    sys.exit(main())

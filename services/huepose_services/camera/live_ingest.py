@@ -62,6 +62,10 @@ class LiveIngest:
         if self._reader.stuck_s() > _GIVE_UP_AFTER_S:
             raise RuntimeError(f"{self._name}: the driver has not answered for {_GIVE_UP_AFTER_S:.0f} s")
 
+    def close(self) -> None:
+        """Let the camera go."""
+        self._reader.close()
+
     def _publish(self, taken: Taken) -> None:
         shot = taken.shot
         if taken.opening != self._opening or shot.camera != self._camera:

@@ -109,6 +109,8 @@ def run_worker(worker: str, config: Config) -> int:
         token = session.liveliness().declare_token(config.keys.live(worker))
         _loop(bus, work, stop, pulse)
         pulse.stopping()
+        # A camera that is not let go has to be plugged in anew.
+        getattr(work, "close", lambda: None)()
         health.state = "ended" if work.finished else "stopping"
         bus.say_health()
         token.undeclare()  # type: ignore[no-untyped-call]

@@ -1,0 +1,50 @@
+"""`huepose units`: systemd units for the workers of a pipeline.yaml."""
+
+from __future__ import annotations
+
+import argparse
+import sys
+from pathlib import Path
+from typing import Any
+
+
+def add_parser(subparsers: Any) -> None:
+    """Add the verb."""
+    parser = subparsers.add_parser("units", help="write systemd units for the workers of a pipeline")
+    parser.add_argument("config", nargs="?", type=Path, default=Path("pipeline.yaml"), metavar="PIPELINE")
+    parser.add_argument(
+        "--out", type=Path, required=True, metavar="DIR", help="for example /etc/systemd/system"
+    )
+    parser.add_argument("--user", default="huepose", metavar="NAME", help="whose processes; default huepose")
+    parser.add_argument(
+        "--huepose", type=Path, metavar="COMMAND", help="what the units call; default this command itself"
+    )
+    parser.set_defaults(call=call)
+
+
+def call(arguments: argparse.Namespace) -> int:
+    """Write them, and remove what an earlier pipeline had and this one has not."""
+    from huepose.support.errors import InputError
+    from huepose_services.runtime.config import load
+    from huepose_services.units import units
+
+    config = load(arguments.config)
+    command = (arguments.huepose or Path(sys.executable).parent / "huepose").absolute()
+    files = units(config, command, arguments.config.absolute(), arguments.user)
+    try:
+        for old in arguments.out.glob("huepose@*.service.d/needs.conf"):
+            if str(old.relative_to(arguments.out)) not in files:
+                old.unlink()
+        for name, text in files.items():
+            path = arguments.out / name
+            path.parent.mkdir(parents=True, exist_ok=True)
+            path.write_text(text)
+            print(path)
+    except OSError as error:
+        raise InputError(
+            error.filename or arguments.out,
+            found=error.strerror or str(error),
+            expected="a folder that can be written",
+            fix="Give another with --out, or run it as root.",
+        ) from None
+    return 0

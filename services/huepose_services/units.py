@@ -1,0 +1,160 @@
+"""systemd units of a deployment: a template for all workers, what single ones need beside it, a target.
+
+They are generated from pipeline.yaml, so the target starts exactly the workers that the file names, and the
+limits of `restarts` are those of `huepose up`. Every worker is a process of its own under an ordinary user:
+it sees no devices, no homes and no network but loopback, except where its work needs them.
+"""
+
+from __future__ import annotations
+
+from pathlib import PurePath
+
+from huepose_services.runtime.config import Config
+from huepose_services.runtime.threads import THREAD_VARIABLES
+
+TEMPLATE, TARGET = "huepose@.service", "huepose.target"
+_FIRST = ("camera", "tracker")
+
+_UNIT = """\
+# Written by `huepose units`; make it again when pipeline.yaml changes.
+[Unit]
+Description=HuePose worker %i
+PartOf={target}
+StartLimitIntervalSec={window}
+StartLimitBurst={burst}
+
+[Service]
+Type=notify
+NotifyAccess=main
+ExecStart={huepose} run %i {config}
+User={user}
+Group={user}
+WorkingDirectory=/var/lib/huepose
+StateDirectory=huepose
+CacheDirectory=huepose
+Environment=XDG_CACHE_HOME=/var/cache/huepose NUMBA_CACHE_DIR=/var/cache/huepose/numba
+Environment={threads}
+UnsetEnvironment=LD_PRELOAD LD_LIBRARY_PATH PYTHONPATH PYTHONHOME
+
+# Wrong input (2) stays wrong; everything else is tried again.
+Restart=on-failure
+RestartSec=1
+RestartPreventExitStatus=2
+TimeoutStartSec={start}
+TimeoutStopSec=5
+# Fed by the loop that works, not by a thread beside it: a worker that hangs is started again.
+WatchdogSec={watchdog}
+# Frames travel through shared memory, which is locked in memory.
+LimitMEMLOCK=infinity
+
+NoNewPrivileges=yes
+CapabilityBoundingSet=
+AmbientCapabilities=
+ProtectSystem=strict
+ProtectHome=yes
+PrivateTmp=yes
+PrivateDevices=yes
+DevicePolicy=closed
+ProtectKernelTunables=yes
+ProtectKernelModules=yes
+ProtectKernelLogs=yes
+ProtectControlGroups=yes
+ProtectClock=yes
+ProtectHostname=yes
+ProtectProc=invisible
+RestrictAddressFamilies=AF_UNIX AF_INET AF_INET6
+RestrictNamespaces=yes
+RestrictRealtime=yes
+RestrictSUIDSGID=yes
+LockPersonality=yes
+KeyringMode=private
+SystemCallArchitectures=native
+SystemCallFilter=@system-service
+SystemCallErrorNumber=EPERM
+IPAddressDeny=any
+IPAddressAllow=localhost
+UMask=0077
+"""
+
+_CAMERA = """\
+# The camera's own devices, and news of what is plugged in.
+PrivateDevices=no
+DeviceAllow=char-usb_device rw
+DeviceAllow=char-video4linux rw
+DeviceAllow=char-media rw
+DeviceAllow=char-hidraw rw
+RestrictAddressFamilies=AF_NETLINK
+"""
+
+_GPU = """\
+# The GPU: its devices have no group of one name on all boards.
+PrivateDevices=no
+DevicePolicy=auto
+"""
+
+_NETWORK = """\
+# Other machines may reach it.
+IPAddressDeny=
+IPAddressAllow=
+"""
+
+
+def units(config: Config, huepose: PurePath, config_path: PurePath, user: str) -> dict[str, str]:
+    """The files by name, relative to the folder of the units.
+
+    huepose: the command, config_path: where pipeline.yaml will be, both absolute; user: whose processes."""
+    restarts = config.restarts
+    files = {
+        TEMPLATE: _UNIT.format(
+            target=TARGET,
+            window=f"{restarts.window_s:g}",
+            burst=restarts.limit + 1,
+            huepose=_quoted(huepose),
+            config=_quoted(config_path),
+            user=user,
+            threads=" ".join(f"{name}=1" for name in THREAD_VARIABLES),
+            start=f"{restarts.start_within_s:g}",
+            watchdog=f"{restarts.hung_after_s:g}",
+        ),
+        TARGET: _target(config),
+    }
+    for worker in config.workers:
+        if extra := _extra(config, worker):
+            files[f"huepose@{worker}.service.d/needs.conf"] = extra
+    return files
+
+
+def _target(config: Config) -> str:
+    wants = "".join(f"Wants=huepose@{worker}.service\n" for worker in config.workers)
+    return (
+        f"[Unit]\nDescription=HuePose, site {config.site}\n{wants}\n[Install]\nWantedBy=multi-user.target\n"
+    )
+
+
+def _extra(config: Config, worker: str) -> str:
+    """What a worker needs beyond the template; empty when nothing."""
+    unit, service = "", ""
+    if worker in _FIRST:
+        service += "# Frames and tracking come first where the cores do not suffice for all.\nNice=-5\n"
+    if worker == "camera" and config.camera.source in ("realsense", "oak"):
+        service += _CAMERA
+        service += _NETWORK if config.camera.source == "oak" else ""
+    if worker in ("gateway", "viewer"):
+        unit = "Wants=network-online.target\nAfter=network-online.target\n"
+        service += _NETWORK
+    if _uses_gpu(config, worker):
+        service += _GPU
+    return (f"[Unit]\n{unit}\n" if unit else "") + (f"[Service]\n{service}" if service else "")
+
+
+def _uses_gpu(config: Config, worker: str) -> bool:
+    network = (worker == "detector" and config.detector.kind == "yolo") or (
+        worker == "segmenter" and config.segmenter.kind == "sam"
+    )
+    return network and bool({"cuda", "tensorrt"} & set(config.networks.providers))
+
+
+def _quoted(path: PurePath) -> str:
+    """A path as one word of a command line in a unit."""
+    text = str(path).replace("%", "%%").replace("$", "$$")
+    return f'"{text}"' if any(c in text for c in " \t'\";") else text

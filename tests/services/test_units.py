@@ -1,0 +1,161 @@
+"""The systemd units: what they say, and what systemd itself says of them."""
+
+import json
+import os
+import re
+import shutil
+import subprocess
+import sys
+from pathlib import Path, PurePosixPath
+
+import pytest
+
+from huepose_services.runtime.config import CHAIN, Config, ObjectConfig, load
+from huepose_services.runtime.config_perception import CameraConfig, DetectorConfig
+from huepose_services.units import units
+
+ROOT = Path(__file__).parents[2]
+INSTALL = ROOT / "deploy" / "jetson" / "install.sh"
+HUEPOSE, CONFIG = PurePosixPath("/opt/huepose/.venv/bin/huepose"), PurePosixPath("/etc/huepose/pipeline.yaml")
+needs_systemd = pytest.mark.skipif(
+    shutil.which("systemd-analyze") is None,
+    reason="systemd-analyze (Debian: package systemd) is not installed",
+)
+
+
+def _units(config):
+    return units(config, HUEPOSE, CONFIG, "huepose")
+
+
+def _value(text, key):
+    (value,) = re.findall(rf"^{key}=(.*)$", text, re.MULTILINE)
+    return value
+
+
+@pytest.fixture(params=["synthetic", "live"])
+def installed(request, tmp_path):
+    """The units of the default pipeline, or of one with a camera, a GPU network and outside readers."""
+    path = tmp_path / "pipeline.yaml"
+    live = {
+        "workers": [*CHAIN, "gateway", "viewer"],
+        "camera": {"source": "oak"},
+        "detector": {"kind": "yolo", "model": "net.onnx", "classes": {"mug": 0}},
+        "bundles": "bundles",
+        "objects": [{"name": "mug"}],
+    }
+    path.write_text(json.dumps(live if request.param == "live" else {"camera": {"truth": True}}))
+    out = tmp_path / "units"
+    command = Path(sys.executable).parent / "huepose"
+    user = subprocess.run(["id", "-un"], capture_output=True, text=True, check=True).stdout.strip()
+    arguments = ["units", path, "--out", out, "--user", user]
+    subprocess.run([sys.executable, "-m", "huepose_services.cli.main", *map(str, arguments)], check=True)
+    assert _value((out / "huepose@.service").read_text(), "ExecStart").startswith(f"{command} run %i ")
+    return out
+
+
+@needs_systemd
+def test_systemd_finds_nothing_to_say(installed):
+    workers = re.findall(r"Wants=(.*)", (installed / "huepose.target").read_text())
+    files = [str(installed / name) for name in ["huepose.target", *workers]]
+    # Instances exist only through their template, beside which systemd looks for it.
+    for worker in workers:
+        (installed / worker).symlink_to("huepose@.service")
+    done = subprocess.run(
+        ["systemd-analyze", "verify", "--man=no", *files],
+        capture_output=True,
+        text=True,
+        env={**os.environ, "SYSTEMD_UNIT_PATH": f"{installed}:"},
+        timeout=60,
+    )
+    # An unknown key is only a warning there, with exit code 0.
+    ours = [line for line in (done.stdout + done.stderr).splitlines() if "huepose" in line]
+    assert ours == []
+    assert done.returncode == 0
+
+
+@needs_systemd
+def test_the_sandbox_is_tight(installed):
+    done = subprocess.run(
+        [
+            "systemd-analyze",
+            "security",
+            "--offline=true",
+            "--threshold=20",
+            str(installed / "huepose@.service"),
+        ],
+        capture_output=True,
+        text=True,
+        timeout=60,
+    )
+    assert done.returncode == 0, done.stdout[-400:]
+
+
+def test_the_target_starts_the_workers_of_the_file():
+    files = _units(Config(workers=("camera", "tracker")))
+    assert re.findall(r"Wants=(.*)", files["huepose.target"]) == [
+        "huepose@camera.service",
+        "huepose@tracker.service",
+    ]
+    assert "Nice=-5" in files["huepose@camera.service.d/needs.conf"]
+
+
+def test_restarts_and_watchdog_are_those_of_the_file():
+    config = load(ROOT / "pipeline.yaml")
+    template = _units(config)["huepose@.service"]
+    assert float(_value(template, "StartLimitIntervalSec")) == config.restarts.window_s
+    assert int(_value(template, "StartLimitBurst")) == config.restarts.limit + 1
+    assert float(_value(template, "WatchdogSec")) == config.restarts.hung_after_s
+    assert float(_value(template, "TimeoutStartSec")) == config.restarts.start_within_s
+    assert _value(template, "RestartPreventExitStatus") == "2"
+
+
+def test_only_those_that_need_them_see_devices_and_the_network():
+    config = Config(
+        workers=(*CHAIN, "gateway"),
+        camera=CameraConfig(source="realsense"),
+        detector=DetectorConfig(kind="yolo", model="/net.onnx", classes={"mug": 0}),
+        objects=[ObjectConfig(name="mug")],
+    )
+    files = _units(config)
+    assert "PrivateDevices=yes" in files["huepose@.service"]
+    assert "IPAddressDeny=any" in files["huepose@.service"]
+    with_devices = {name for name, text in files.items() if "PrivateDevices=no" in text}
+    assert with_devices == {"huepose@camera.service.d/needs.conf", "huepose@detector.service.d/needs.conf"}
+    with_network = {name for name, text in files.items() if "IPAddressDeny=\n" in text}
+    assert with_network == {"huepose@gateway.service.d/needs.conf"}
+
+
+def test_paths_with_blanks_and_percent_signs_stay_one_word():
+    template = units(Config(), PurePosixPath("/opt/my apps/100%/huepose"), CONFIG, "huepose")[
+        "huepose@.service"
+    ]
+    assert _value(template, "ExecStart") == f'"/opt/my apps/100%%/huepose" run %i {CONFIG}'
+
+
+def _install(*arguments):
+    return subprocess.run(["bash", str(INSTALL), *arguments], capture_output=True, text=True, timeout=60)
+
+
+def test_a_dry_run_says_what_it_would_do_and_does_nothing():
+    done = _install("--dry-run")
+    assert done.returncode == 0, done.stderr
+    lines = done.stdout.splitlines()
+    assert any("huepose units /etc/huepose/pipeline.yaml --out /etc/systemd/system" in line for line in lines)
+    assert any(line.strip() == "systemctl enable --now huepose.target" for line in lines)
+    assert not Path("/etc/systemd/system/huepose.target").exists()
+    assert not Path("/opt/huepose").exists()
+
+
+def test_uninstalling_leaves_the_configuration():
+    done = _install("--dry-run", "--uninstall")
+    assert done.returncode == 0, done.stderr
+    removed = [line for line in done.stdout.splitlines() if " rm " in line]
+    assert len(removed) >= 3
+    assert not any("/etc/huepose" in line or "/var/lib" in line for line in removed)
+
+
+@pytest.mark.parametrize("prefix", ["relative", "/home/me/huepose", "/tmp/huepose"])
+def test_a_prefix_that_the_services_cannot_see_is_refused(prefix):
+    done = _install("--dry-run", "--prefix", prefix)
+    assert done.returncode == 2
+    assert prefix in done.stderr

@@ -14,10 +14,15 @@ from importlib import import_module
 # In the order in which `huepose --help` lists them.
 _VERBS = (
     *("demo", "onboard", "estimate", "evaluate", "render_scenes", "train", "bench"),
-    *("up", "run", "status", "top", "graph", "objects", "poses", "view", "validate"),
+    *("up", "run", "status", "top", "graph", "objects", "poses", "view", "record", "replay", "validate"),
+    *("units",),
 )
 # What the base installation, for subscribers, does without.
-_OF_EXTRAS = ("cv2", "numba", "scipy", "onnxruntime", "open3d")
+_OF_EXTRAS = {
+    **dict.fromkeys(("cv2", "numba", "scipy", "onnxruntime", "open3d"), "edge"),
+    **dict.fromkeys(("torch", "onnx", "onnxscript"), "train"),
+    "rerun": "viewer",
+}
 DONE, FAILED, BAD_INPUT, INTERRUPTED = 0, 1, 2, 130
 
 
@@ -53,7 +58,7 @@ def main(arguments: list[str] | None = None) -> int:
             raise
         print(
             f"huepose {parsed.verb}: this needs the Python package {error.name}; "
-            "install the pipeline with: pip install 'huepose[edge]'.",
+            f"install it with: pip install 'huepose[{_OF_EXTRAS[error.name]}]'.",
             file=sys.stderr,
         )
         return BAD_INPUT

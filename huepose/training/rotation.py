@@ -1,0 +1,237 @@
+"""Training of the rotation network: endless samples, checkpoints, a validation curve, an ONNX file."""
+
+from __future__ import annotations
+
+import json
+import math
+import platform
+import time
+from collections.abc import Iterator
+from dataclasses import asdict, dataclass, field
+from itertools import islice
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+import torch
+from torch import Tensor
+from torch.utils.data import DataLoader, IterableDataset, get_worker_info
+
+from huepose.drawing.plots import line_plot
+from huepose.geometry.arrays import Float
+from huepose.support.errors import InputError
+from huepose.support.progress import progress
+from huepose.tracking.canonical import FEATURES
+from huepose.tracking.rotation_network import POINTS, Kind
+from huepose.training.network import AttentionDgcnn, geodesic
+from huepose.training.samples import RotationSample, endless
+
+VALIDATION_STREAM = 1_000_000
+REACH = {"residual": 0.1, "direct": 1.0}
+
+
+@dataclass(frozen=True)
+class RotationTraining:
+    """How to train. hours: of wall time, the learning rate falls to zero over them; steps: end after so many,
+    for a trial; every: steps between two validations; workers: processes that make samples."""
+
+    kind: Kind = "residual"
+    hours: float = 1.0
+    steps: int | None = None
+    seed: int = 0
+    batch: int = 64
+    rate: float = 2e-3
+    every: int = 200
+    validation: int = 2000
+    workers: int = 1
+    device: str = "cpu"
+
+
+class _Endless(IterableDataset[tuple[Tensor, Tensor, Tensor]]):
+    """Batches of one process, shuffled within a window so that neighbours are not of one shape."""
+
+    def __init__(self, config: RotationTraining, round_number: int) -> None:
+        self.config, self.round = config, round_number
+
+    def __iter__(self) -> Iterator[tuple[Tensor, Tensor, Tensor]]:
+        worker = get_worker_info()
+        stream = 1 + self.round * 64 + (0 if worker is None else worker.id)
+        cv2.setNumThreads(1)
+        samples = endless(self.config.seed, stream, self.config.kind)
+        rng = np.random.default_rng([self.config.seed, stream, 1])
+        window = list(islice(samples, 8 * self.config.batch))
+        while True:
+            chosen = rng.choice(len(window), self.config.batch, replace=False)
+            yield stack([window[k] for k in chosen])
+            for k in chosen:
+                window[k] = next(samples)
+
+
+def stack(samples: list[RotationSample]) -> tuple[Tensor, Tensor, Tensor]:
+    """Features (B, 128, 15), weights (B, 128) and answers (B, 3, 3) of samples."""
+    return (
+        torch.from_numpy(np.stack([s.features for s in samples])),
+        torch.from_numpy(np.stack([s.weights for s in samples])),
+        torch.from_numpy(np.stack([s.R_canon for s in samples])),
+    )
+
+
+@dataclass
+class _State:
+    """How far a training has come; `rounds` counts how often it was started, `curve` holds validations."""
+
+    steps: int = 0
+    hours: float = 0.0
+    rounds: int = 0
+    curve: list[list[float]] = field(default_factory=list)
+
+
+def train(config: RotationTraining, out: Path, resume: bool = False) -> dict[str, Any]:
+    """Train until `config.hours` are over, or until interrupted; leave `rotation.onnx`, `rotation.json`,
+    `curve.png` and `checkpoint.pt` in `out`. Returns what rotation.json says.
+
+    Raises InputError where `resume` finds no checkpoint, or one of another kind.
+    """
+    out.mkdir(parents=True, exist_ok=True)
+    torch.manual_seed(config.seed)
+    torch.set_num_threads(max(1, torch.get_num_threads() - config.workers))
+    net = AttentionDgcnn(FEATURES, REACH[config.kind]).to(config.device)
+    optimiser = torch.optim.AdamW(net.parameters(), config.rate, weight_decay=1e-4)
+    state = _resumed(out / "checkpoint.pt", config, net, optimiser) if resume else _State()
+    held_out = stack(list(islice(endless(config.seed, VALIDATION_STREAM, config.kind), config.validation)))
+    unturned = torch.eye(3).expand(len(held_out[2]), 3, 3)
+    without = np.degrees(geodesic(unturned, held_out[2]).numpy())
+    before_h, begun = state.hours, time.monotonic()
+    loader = DataLoader(_Endless(config, state.rounds), batch_size=None, num_workers=config.workers)
+    state.rounds += 1
+    try:
+        for batch in progress((b for b in loader), "rotation network"):
+            state.hours = before_h + (time.monotonic() - begun) / 3600.0
+            if state.hours >= config.hours or state.steps == config.steps:
+                break
+            for group in optimiser.param_groups:
+                group["lr"] = config.rate * _cosine(state.hours / config.hours, state.steps)
+            _step(net, optimiser, batch, config.device)
+            state.steps += 1
+            if state.steps % config.every == 0:
+                _validated(net, held_out, config.device, state)
+                _save(out, net, optimiser, config.kind, state, without)
+    except KeyboardInterrupt:
+        pass
+    errors = _validated(net, held_out, config.device, state)
+    _save(out, net, optimiser, config.kind, state, without)
+    export(net, out / "rotation.onnx")
+    report = {
+        "training": asdict(config),
+        "hours": round(state.hours, 3),
+        "steps": state.steps,
+        "machine": f"{platform.machine()}, {torch.get_num_threads()} threads, {config.device}",
+        "torch": torch.__version__,
+        "validation_deg": {"median": float(np.median(errors)), "mean": float(errors.mean())},
+        "without_network_deg": {"median": float(np.median(without)), "mean": float(without.mean())},
+    }
+    (out / "rotation.json").write_text(json.dumps(report, indent=2) + "\n")
+    return report
+
+
+def _step(
+    net: AttentionDgcnn, optimiser: torch.optim.Optimizer, batch: tuple[Tensor, Tensor, Tensor], device: str
+) -> None:
+    features, weights, answer = (part.to(device) for part in batch)
+    net.train()
+    loss = geodesic(net(features, weights), answer).mean()
+    optimiser.zero_grad()
+    loss.backward()
+    torch.nn.utils.clip_grad_norm_(net.parameters(), 1.0)
+    optimiser.step()
+
+
+def _validated(
+    net: AttentionDgcnn, held_out: tuple[Tensor, Tensor, Tensor], device: str, state: _State
+) -> Float:
+    """Errors (N,) in degrees, noted on the curve."""
+    errors = validate(net, held_out, device)
+    state.curve.append([state.hours, state.steps, float(np.median(errors)), float(errors.mean())])
+    return errors
+
+
+def validate(net: AttentionDgcnn, samples: tuple[Tensor, Tensor, Tensor], device: str) -> Float:
+    """Angles (N,) in degrees between answers and truth."""
+    net.eval()
+    features, weights, answer = samples
+    with torch.no_grad():
+        angles = [
+            geodesic(net(f.to(device), w.to(device)).cpu(), a)
+            for f, w, a in zip(features.split(256), weights.split(256), answer.split(256), strict=True)
+        ]
+    return np.degrees(torch.cat(angles).numpy())
+
+
+def export(net: AttentionDgcnn, file: Path) -> None:
+    """Write the network as ONNX, one set of matches at a time."""
+    net = net.cpu().eval()
+    example = (torch.zeros(1, POINTS, FEATURES), torch.ones(1, POINTS))
+    torch.onnx.export(
+        net,
+        example,
+        str(file),
+        input_names=["features", "weights"],
+        output_names=["rotation"],
+        dynamo=True,
+        external_data=False,
+        verbose=False,
+    )
+
+
+def _cosine(share: float, step: int) -> float:
+    """Factor of the learning rate: a short rise, then a cosine to zero."""
+    return min(1.0, (step + 1) / 200.0) * 0.5 * (1.0 + math.cos(math.pi * min(share, 1.0)))
+
+
+def _resumed(
+    file: Path, config: RotationTraining, net: AttentionDgcnn, optimiser: torch.optim.Optimizer
+) -> _State:
+    if not file.is_file():
+        raise InputError(f"checkpoint {file}", found="no such file", fix="train without --resume first")
+    saved = torch.load(file, weights_only=True)
+    if saved["kind"] != config.kind:
+        raise InputError(f"checkpoint {file}", found=f"kind {saved['kind']}", expected=config.kind)
+    net.load_state_dict(saved["net"])
+    optimiser.load_state_dict(saved["optimiser"])
+    return _State(**saved["state"])
+
+
+def _save(
+    out: Path,
+    net: AttentionDgcnn,
+    optimiser: torch.optim.Optimizer,
+    kind: Kind,
+    state: _State,
+    without: Float,
+) -> None:
+    """Checkpoint and picture, whole or not at all."""
+    unfinished = out / "checkpoint.tmp"
+    whole = {
+        "kind": kind,
+        "net": net.state_dict(),
+        "optimiser": optimiser.state_dict(),
+        "state": asdict(state),
+    }
+    torch.save(whole, unfinished)
+    unfinished.replace(out / "checkpoint.pt")
+    table = np.array(state.curve)
+    steps = table[:, 1]
+    picture = line_plot(
+        {
+            "network, median": (steps, table[:, 2]),
+            "network, mean": (steps, table[:, 3]),
+            "without, median": (steps, np.full(len(steps), np.median(without))),
+            "without, mean": (steps, np.full(len(steps), without.mean())),
+        },
+        "Turns that the network was not trained on",
+        "steps",
+        "rotation error, degrees",
+        y_range=(0.0, 1.2 * float(max(without.mean(), table[:, 3].min()))),
+    )
+    cv2.imwrite(str(out / "curve.png"), picture[..., ::-1])

@@ -1,0 +1,79 @@
+import json
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+torch = pytest.importorskip("torch", reason="the extra `train` is not installed")
+
+from huepose.support.errors import InputError  # noqa: E402
+from huepose.tracking.rotation_network import OnnxRotation  # noqa: E402
+from huepose.training.network import (  # noqa: E402
+    AttentionDgcnn,
+    EdgeConvolution,
+    geodesic,
+    neighbours,
+    rotation_of_six,
+)
+from huepose.training.rotation import RotationTraining, export, train  # noqa: E402
+
+pytestmark = pytest.mark.filterwarnings("ignore")
+
+
+def test_an_edge_convolution_is_the_largest_linear_answer_over_the_edges():
+    torch.manual_seed(0)
+    layer = EdgeConvolution(3, 5).eval()
+    x = torch.randn(2, 20, 3)
+    near = neighbours(x, 4)
+    slow = torch.zeros(2, 20, 5)
+    for b in range(2):
+        for i in range(20):
+            slow[b, i] = layer.other(x[b, near[b, i]] - x[b, i]).amax(0) + layer.own(x[b, i])
+    slow = torch.nn.functional.leaky_relu(layer.normal(slow.transpose(1, 2)).transpose(1, 2), 0.2)
+    assert torch.allclose(layer(x, near), slow, atol=1e-5)
+
+
+def test_neighbours_are_the_nearest_and_first_the_point_itself():
+    x = torch.tensor([[[0.0], [1.0], [3.0], [7.0]]])
+    assert neighbours(x, 2)[0].tolist() == [[0, 1], [1, 0], [2, 1], [3, 2]]
+
+
+def test_six_numbers_are_a_rotation_and_none_are_no_turn():
+    assert torch.allclose(rotation_of_six(torch.zeros(1, 6))[0], torch.eye(3), atol=1e-6)
+    R = rotation_of_six(torch.randn(50, 6))
+    assert torch.allclose(R @ R.transpose(1, 2), torch.eye(3).expand(50, 3, 3), atol=1e-5)
+    assert torch.allclose(torch.linalg.det(R), torch.ones(50), atol=1e-5)
+
+
+def test_the_angle_between_rotations_is_known():
+    turn = torch.tensor([[[0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 1.0]]])
+    assert geodesic(turn, torch.eye(3)[None]).item() == pytest.approx(np.pi / 2, abs=1e-5)
+    assert geodesic(turn, turn).item() < 1e-5
+
+
+def test_what_is_exported_answers_as_what_was_trained(tmp_path):
+    torch.manual_seed(1)
+    net = AttentionDgcnn().eval()
+    export(net, tmp_path / "rotation.onnx")
+    rng = np.random.default_rng(0)
+    features, weights = rng.normal(size=(128, 15)).astype(np.float32), np.linspace(1.0, 0.5, 128)
+    R = OnnxRotation(tmp_path / "rotation.onnx").regress(features, weights)
+    with torch.no_grad():
+        expected = net(torch.from_numpy(features)[None], torch.from_numpy(weights.astype(np.float32))[None])
+    assert pytest.approx(expected[0].numpy(), abs=1e-4) == R
+
+
+def test_training_leaves_a_network_and_goes_on_where_it_stopped(tmp_path):
+    short = RotationTraining(steps=3, batch=8, every=2, validation=16)
+    first = train(short, tmp_path)
+    assert {p.name for p in tmp_path.iterdir()} == {
+        "rotation.onnx",
+        "rotation.json",
+        "curve.png",
+        "checkpoint.pt",
+    }
+    assert json.loads((tmp_path / "rotation.json").read_text())["steps"] == first["steps"]
+    again = train(replace(short, steps=5), tmp_path, True)
+    assert (first["steps"], again["steps"]) == (3, 5)
+    with pytest.raises(InputError, match="kind residual"):
+        train(RotationTraining(kind="direct"), tmp_path, True)

@@ -12,6 +12,9 @@ import time
 import cv2
 import numpy as np
 
+SAMPLING = 0.08
+"""Of the diameter. With the usual 0.05 the hash table of a box takes minutes to fill: its sides are alike."""
+
 
 def main() -> None:
     """Serve until the pipe closes. Requests: ("train", name, Nx6) and ("pose", name, Nx6)."""
@@ -24,7 +27,7 @@ def main() -> None:
             return
         start = time.process_time()
         if kind == "train":
-            detector = cv2.ppf_match_3d_PPF3DDetector(0.05, 0.05)
+            detector = cv2.ppf_match_3d_PPF3DDetector(SAMPLING, SAMPLING)
             detector.trainModel(points)
             models[name] = detector, points
             found = None
@@ -37,7 +40,7 @@ def main() -> None:
 def _pose(detector: object, model: np.ndarray, scene: np.ndarray) -> tuple[np.ndarray, float] | None:
     """T_cam_obj (4, 4) in mm and the residual of the best of five hypotheses after ICP."""
     try:
-        hypotheses = list(detector.match(scene, 1.0 / 5.0, 0.03))[:5]  # type: ignore[attr-defined]
+        hypotheses = list(detector.match(scene, 1.0 / 5.0, SAMPLING / 2))[:5]  # type: ignore[attr-defined]
     except cv2.error:
         return None
     if not hypotheses:

@@ -1,0 +1,139 @@
+"""A mesh whose print is out of date: accuracy with a share of the texture replaced, blurred or recoloured.
+
+    .venv/bin/python benchmarks/changed_print.py --models DIR --ids 2 4 5 9 --bop SCENE... --json OUT.json
+
+The images show the true print; the reference model is learned from a changed one. Round patches of the
+surface, of a sixth of the diameter, are changed until they make up the share.
+"""
+
+from __future__ import annotations
+
+import argparse
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+
+from huepose.datasets import prints
+from huepose.datasets.bop import BopScene
+from huepose.estimation import Estimator, EstimatorConfig
+from huepose.evaluation.equivalents import read_equivalents
+from huepose.evaluation.estimate_protocol import EstimateOptions, evaluate_estimates
+from huepose.evaluation.result_files import write_json
+from huepose.evaluation.summary import table
+from huepose.evaluation.targets import Targets
+from huepose.geometry import Mesh
+from huepose.geometry.arrays import Bool, UInt8
+from huepose.model import ReferenceModel
+from huepose.onboarding import onboard_mesh
+from huepose.onboarding.bop_folder import BopModel, bop_models
+from huepose.onboarding.meshes import read_mesh
+from huepose.support.progress import progress
+
+KINDS = ("replaced", "blurred", "recoloured")
+
+
+def changed(mesh: Mesh, kind: str, share: float, seed: int) -> Mesh:
+    """The mesh with `share` of its surface in another print."""
+    where = patches(mesh, share, seed)
+    texture = mesh.texture.copy()
+    texture[where] = _other(mesh.texture, kind, seed)[where]
+    return replace(mesh, texture=texture)
+
+
+def patches(mesh: Mesh, share: float, seed: int) -> Bool:
+    """Texels (H, W) of round patches of the surface that make up `share` of its area."""
+    rng = np.random.default_rng([seed, 90])
+    corners = mesh.vertices[mesh.faces].astype(np.float64)
+    middles = corners.mean(1)
+    _, areas = mesh.face_normals()
+    radius = float(np.linalg.norm(np.ptp(mesh.vertices, axis=0))) / 6.0
+    chosen = np.zeros(len(areas), bool)
+    while areas[chosen].sum() < share * areas.sum():
+        seed_face = rng.choice(len(areas), p=areas / areas.sum())
+        distance = np.linalg.norm(middles - middles[seed_face], axis=1)
+        # The last patch is as large as is still missing.
+        near = np.flatnonzero((distance < radius) & ~chosen)
+        near = near[np.argsort(distance[near])]
+        missing = share * areas.sum() - areas[chosen].sum()
+        chosen[near[: int(np.searchsorted(np.cumsum(areas[near]), missing)) + 1]] = True
+    height, width = mesh.texture.shape[:2]
+    mask = np.zeros((height, width), np.uint8)
+    outlines = np.rint(mesh.uv[chosen] * [width, height] - 0.5).astype(np.int32)
+    for outline in outlines:
+        cv2.fillConvexPoly(mask, outline, 1)
+    return np.asarray(cv2.dilate(mask, np.ones((3, 3), np.uint8)) > 0)
+
+
+def _other(texture: UInt8, kind: str, seed: int) -> UInt8:
+    """The whole texture in another print."""
+    height, width = texture.shape[:2]
+    rng = np.random.default_rng([seed, 91])
+    if kind == "blurred":
+        return np.asarray(cv2.GaussianBlur(texture, (0, 0), width / 40.0), np.uint8)
+    if kind == "recoloured":
+        hsv = cv2.cvtColor(texture, cv2.COLOR_RGB2HSV).astype(np.int32)
+        hsv[..., 0] = (hsv[..., 0] + 60 + int(rng.integers(60))) % 180
+        hsv[..., 1] = np.clip(hsv[..., 1] + 60, 0, 255)
+        return np.asarray(cv2.cvtColor(hsv.astype(np.uint8), cv2.COLOR_HSV2RGB), np.uint8)
+    tiles = [
+        prints.front("NEW", "recipe", "OFFER")(
+            rng, height // 4, width // 4, prints.palette(rng.uniform(), rng)
+        )
+        for _ in range(16)
+    ]
+    picture = np.vstack([np.hstack(tiles[4 * k : 4 * k + 4]) for k in range(4)])
+    return np.asarray(cv2.resize(picture, (width, height)), np.uint8)
+
+
+def main() -> None:
+    """Learn every changed object, estimate in the images of the true one, print a table."""
+    arguments = _arguments()
+    scenes = [BopScene(path) for path in arguments.bop]
+    equivalents = read_equivalents(arguments.equivalent) if arguments.equivalent else {}
+    objects = bop_models(arguments.models, arguments.ids)
+    variants = [("as it is", 0.0), *((kind, share) for kind in arguments.kinds for share in arguments.shares)]
+    rows: list[list[Any]] = []
+    record: dict[str, Any] = {"variants": []}
+    for kind, share in progress(variants, "variants"):
+        models = {o.name: _learned(o, kind, share, arguments.seed) for o in objects}
+        estimator = Estimator(models, EstimatorConfig(method=arguments.method))
+        options = EstimateOptions(min_visib=0.3, seeds=(0,))
+        summary = evaluate_estimates(
+            scenes, Targets(models), estimator, options, equivalents=equivalents
+        ).summary()
+        low, high = summary["interval95"]["recall_add"]
+        acquired = {n: block["recall_add"] for n, block in summary["per_object"].items()}
+        rows.append([kind, 100.0 * share, summary["instances"], summary["recall_add"],
+                     f"{low:.0f} to {high:.0f}", summary["recall_adds"], summary["auc_add"]])  # fmt: skip
+        record["variants"].append({"kind": kind, "share": share, "by_object": acquired, **summary})
+        write_json(arguments.json, record)
+        print(rows[-1], flush=True)
+    print(table(["print", "changed %", "n", "ADD", "95 %", "ADD-S", "AUC ADD"], rows))
+
+
+def _learned(entry: BopModel, kind: str, share: float, seed: int) -> ReferenceModel:
+    mesh = read_mesh(entry.mesh_path, "mm")
+    if share > 0:
+        mesh = changed(mesh, kind, share, seed + entry.object_id)
+    return onboard_mesh(mesh, entry.name, object_id=entry.object_id, info=entry.info)
+
+
+def _arguments() -> argparse.Namespace:
+    parser = argparse.ArgumentParser(description="Accuracy with reference models of an out-of-date print.")
+    parser.add_argument("--models", type=Path, required=True, metavar="DIR", help="BOP models folder")
+    parser.add_argument("--ids", type=int, nargs="+", required=True, metavar="ID")
+    parser.add_argument("--bop", type=Path, nargs="+", required=True, metavar="SCENE_DIR")
+    parser.add_argument("--json", type=Path, required=True, metavar="FILE")
+    parser.add_argument("--kinds", nargs="+", choices=KINDS, default=list(KINDS))
+    parser.add_argument("--shares", type=float, nargs="+", default=[0.1, 0.2, 0.3], metavar="F")
+    parser.add_argument("--equivalent", type=Path, default=None, metavar="FILE")
+    parser.add_argument("--method", choices=("full", "colorpair"), default="full")
+    parser.add_argument("--seed", type=int, default=0, metavar="N", help="of the patches")
+    return parser.parse_args()
+
+
+if __name__ == "__main__":
+    main()

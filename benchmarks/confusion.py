@@ -58,7 +58,10 @@ def main() -> None:
         "acquired_another_percent": 100.0 * float(np.mean([r["acquired"] for r in wrong])),
         "best_is_right_percent": _best_is_right(rows),
     }
-    write_json(arguments.json, {"summary": summary, "acquired": acquired, "quality": quality, "rows": rows})
+    # In the form of `huepose eval estimate`: poses that belong to no label, to be calibrated against.
+    false = [r for r in wrong if r["found"]]
+    record = {"summary": summary, "acquired": acquired, "quality": quality, "rows": [], "false": false}
+    write_json(arguments.json, {**record, "answers": rows})
     short = [str(object_number(m)) for m in shown]
     lines = [[name, *line] for name, line in zip(names, acquired.tolist(), strict=True)]
     print(table(["box of \\ asked", *short], lines))

@@ -14,6 +14,7 @@ from __future__ import annotations
 import argparse
 import hashlib
 import sys
+from dataclasses import asdict
 from pathlib import Path
 
 import cv2
@@ -25,7 +26,8 @@ from huepose.evaluation import metrics
 from huepose.evaluation.moments.film import Film
 from huepose.evaluation.moments.picture import bands
 from huepose.evaluation.moments.play import Played, Told, play
-from huepose.evaluation.moments.scripts import MOMENTS, long_run, meshes
+from huepose.evaluation.moments.scripts import MOMENTS, REST, at_rest, long_run, meshes
+from huepose.evaluation.moments.steadiness import AHEAD_FRAMES, covered, foretold, lag_s, stillness
 from huepose.evaluation.pictures import write_picture
 from huepose.evaluation.result_files import write_json
 from huepose.evaluation.states import StateReport, combined, report
@@ -33,6 +35,14 @@ from huepose.evaluation.summary import table
 from huepose.model import ReferenceModel, load_model, save_model
 from huepose.onboarding import onboard_mesh
 from huepose.tracking import Tracker
+
+SETTLED = 10
+"""Frames after which a filter has settled on an object at rest."""
+
+MOTION = (
+    "covered_2_sigma",
+    *(f"ahead_{round(a * 1000 / 30)}_ms_{u}" for a in AHEAD_FRAMES for u in ("mm", "deg")),
+)
 
 STATES = {
     "coverage_tracking": "coverage %",
@@ -81,6 +91,7 @@ def main() -> int:
     parser.add_argument("--plots", type=Path, default=None, help="folder for the pictures")
     parser.add_argument("--only", nargs="+", default=list(MOMENTS), choices=list(MOMENTS))
     parser.add_argument("--long", type=float, default=0.0, metavar="SECONDS", help="add long runs (60)")
+    parser.add_argument("--rest", nargs="+", default=[], choices=list(meshes()), help="add objects at rest")
     parser.add_argument("--seed", type=int, nargs="+", default=[0], help="of the errors of late poses")
     parser.add_argument("--cache", type=Path, default=cache_folder() / "moments")
     arguments = parser.parse_args()
@@ -104,11 +115,16 @@ def main() -> int:
         played = play(film, known, _tracker(film, known), reinit=False)
         lines[film.script.name] = figures(played, report([t.moment() for t in played.told[0]]))
         drift[name] = played.told[0]
+    rest = {}
+    for name in arguments.rest:
+        film = Film(at_rest(name), arguments.cache)
+        (told,) = play(film, known, _tracker(film, known), reinit=False).told
+        rest[name] = {**asdict(stillness(told[SETTLED:REST])), "lag_ms": 1e3 * lag_s(told[REST:])}
     hard = combined(reports) if reports else None
     every = [t for _, told in rows for t in told if t.pose is not None and t.pose.T_cam_obj is not None]
     quality, right = np.array([t.quality for t in every]), np.array([t.right for t in every])
     ece = _ece(quality, right) if every else None
-    summary = {"ece": ece, "moments": lines}
+    summary = {"ece": ece, "moments": lines, "rest": rest, **_motion([told for _, told in rows])}
     if hard is not None:
         summary |= {key: getattr(hard, key) for key in (*STATES, "false_tracking_rate", "frames")}
     write_json(arguments.json, {"summary": summary})
@@ -118,7 +134,27 @@ def main() -> int:
     if arguments.plots is not None and drift:
         write_picture(arguments.plots / "drift.png", _drift_picture(drift))
     print(_report(lines, hard, ece))
+    for name, block in rest.items():
+        print(f"{name} at rest: " + ", ".join(f"{key} {value:.3g}" for key, value in block.items()))
+    print(", ".join(f"{key} {value:.3g}" for key, value in summary.items() if key in MOTION))
     return 0
+
+
+def _motion(films: list[list[Told]]) -> dict[str, float]:
+    """How true the covariances are where the pose is right, and how well motion is foretold: medians."""
+    if not films:
+        return {}
+    right = [t for told in films for t in told if t.right]
+    out = {"covered_2_sigma": covered(right)}
+    for ahead in AHEAD_FRAMES:
+        parts = [foretold(told, ahead) for told in films]
+        out[f"ahead_{round(ahead * 1000 / 30)}_ms_mm"] = float(
+            np.median(np.concatenate([p[0] for p in parts]))
+        )
+        out[f"ahead_{round(ahead * 1000 / 30)}_ms_deg"] = float(
+            np.median(np.concatenate([p[1] for p in parts]))
+        )
+    return out
 
 
 def _tracker(film: Film, known: dict[str, ReferenceModel]) -> Tracker:

@@ -1,0 +1,81 @@
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from huepose.datasets.bop import BopScene
+from huepose_services.cli.main import BAD_INPUT, DONE, main
+
+TERMS = {
+    "total": 1.5, "margin": 0.1, "color": 0.4, "box_iou": 0.8, "depth_fit": 0.7, "coverage": 0.7,
+    "violation": 0.1, "occluded": 0.1, "seen": 0.7, "pixels": 2000.0,
+}  # fmt: skip
+
+
+def test_scenes_of_the_builtin_objects_are_drawn_with_their_meshes(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    out = tmp_path / "heaps"
+    arguments = ["render-scenes", "--models", "builtin", "--out", str(out), "--objects", "1", "2"]
+    assert main([*arguments, "--frames", "1", "--seed", "3"]) == DONE
+    assert "1 frames, 2 labels" in capsys.readouterr().out
+    scene = BopScene(out)
+    assert sorted(t.object_id or 0 for t in scene.truths(0)) == [1, 2]
+    assert sorted(p.name for p in (out / "models").glob("*.obj")) == ["obj_000001.obj", "obj_000002.obj"]
+    assert main([*arguments, "--seed", "4"]) == BAD_INPUT
+    assert "drawn with other settings" in capsys.readouterr().err
+    assert main(["render-scenes", "--models", "builtin", "--out", str(out), "--objects", "7"]) == BAD_INPUT
+    assert main(["render-scenes", "--models", "builtin", "--out", str(out), "--frames", "0"]) == BAD_INPUT
+
+
+def _results(path: Path, n: int, seed: int) -> Path:
+    """A result file in which a pose is right with a chance that is logistic in its margin."""
+    rng = np.random.default_rng(seed)
+    rows = []
+    for k in range(n):
+        margin = float(rng.uniform(0, 0.3))
+        right = bool(rng.random() < 1 / (1 + np.exp(-(-4.0 + 40.0 * margin))))
+        place = {"scene": "s", "image": k, "instance": 0, "found": True, "quality": 0.5}
+        rows.append({**place, "right": right, "terms": {**TERMS, "margin": margin}})
+    path.write_text(json.dumps({"rows": rows, "false": []}))
+    return path
+
+
+def test_a_fit_is_written_and_checked_on_other_results(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    results, other = _results(tmp_path / "a.json", 1500, 0), _results(tmp_path / "other.json", 1000, 1)
+    out = tmp_path / "fits.json"
+    out.write_text(json.dumps({"colorpair": {"constant": 1.0, "factors": {}, "level": 0.9}}))
+    code = main(
+        [
+            "eval",
+            "calibrate",
+            str(results),
+            "--check",
+            str(other),
+            "--out",
+            str(out),
+            "--plots",
+            str(tmp_path),
+        ]
+    )
+    assert code == DONE
+    fits = json.loads(out.read_text())
+    assert set(fits) == {"full", "colorpair"}
+    assert 0.9 < fits["full"]["level"] < 0.999
+    line = next(line for line in capsys.readouterr().out.splitlines() if line.startswith("other"))
+    ece, precision = float(line.split()[3]), float(line.split()[5])
+    assert ece < 0.04
+    assert precision > 97.0
+    assert (tmp_path / "reliability_other.png").stat().st_size > 0
+
+
+def test_results_without_terms_are_refused(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    path = tmp_path / "old.json"
+    row = {"scene": "s", "image": 0, "found": True, "right": True, "quality": 0.5}
+    path.write_text(json.dumps({"rows": [row]}))
+    assert main(["eval", "calibrate", str(path)]) == BAD_INPUT
+    assert "Make it again" in capsys.readouterr().err
+    assert main(["eval", "calibrate"]) == BAD_INPUT

@@ -1,0 +1,212 @@
+"""Networks in ONNX files, run by ONNX Runtime: the one place that opens them.
+
+A file is checked when it is opened, not at the hundredth frame: its digest, that it is a network, and that
+it has the inputs and outputs which its user expects. ONNX Runtime falls back to the processor without a word
+when a provider cannot be had, so what was really chosen is asked of the session and told (`provider`).
+"""
+
+from __future__ import annotations
+
+import hashlib
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from huepose.support.errors import InputError
+
+PROVIDERS = {
+    "tensorrt": "TensorrtExecutionProvider",
+    "cuda": "CUDAExecutionProvider",
+    "openvino": "OpenVINOExecutionProvider",
+    "cpu": "CPUExecutionProvider",
+}
+_BLOCK = 1 << 20
+_TYPES: dict[str, Any] = {
+    "tensor(float)": np.float32,
+    "tensor(float16)": np.float16,
+    "tensor(double)": np.float64,
+    "tensor(uint8)": np.uint8,
+    "tensor(int32)": np.int32,
+    "tensor(int64)": np.int64,
+}
+
+
+@dataclass(frozen=True)
+class NetworkSettings:
+    """How networks are run. providers: keys of PROVIDERS, the preferred first; threads: of the processor;
+    fp16: half precision with TensorRT; cache: folder for the engines that TensorRT builds."""
+
+    providers: tuple[str, ...] = ("tensorrt", "cuda", "openvino", "cpu")
+    threads: int = 1
+    fp16: bool = True
+    cache: Path | None = None
+
+
+@dataclass(frozen=True)
+class Tensor:
+    """An input or output: a size is an int, or the name of a free one."""
+
+    name: str
+    shape: tuple[int | str, ...]
+    kind: str
+
+    @property
+    def fixed(self) -> bool:
+        """Whether all sizes are known."""
+        return all(isinstance(size, int) for size in self.shape)
+
+    def __str__(self) -> str:
+        return (
+            f"{self.name} {self.kind.removeprefix('tensor(').rstrip(')')} {' x '.join(map(str, self.shape))}"
+        )
+
+
+class Network:
+    """An opened network. Not for several threads at the same time: inputs of fixed size are reused."""
+
+    def __init__(self, session: Any, path: Path) -> None:
+        self._session, self.path = session, path
+        self.inputs = tuple(Tensor(i.name, tuple(i.shape), i.type) for i in session.get_inputs())
+        self.outputs = tuple(Tensor(o.name, tuple(o.shape), o.type) for o in session.get_outputs())
+        self.metadata: Mapping[str, str] = dict(session.get_modelmeta().custom_metadata_map)
+        names = {name: key for key, name in PROVIDERS.items()}
+        self.provider = names.get(session.get_providers()[0], session.get_providers()[0])
+        self._binding: Any = None
+        self._places: dict[str, np.ndarray] = {}
+        if all(tensor.fixed and tensor.kind in _TYPES for tensor in self.inputs):
+            self._bind()
+
+    def _bind(self) -> None:
+        """Inputs of fixed size keep their place in memory, so that a run copies once."""
+        import onnxruntime as ort
+
+        self._binding = self._session.io_binding()
+        for tensor in self.inputs:
+            place = np.zeros([int(size) for size in tensor.shape], _TYPES[tensor.kind])
+            self._places[tensor.name] = place
+            # The value shares the array's memory: what is written there is what the network reads.
+            self._binding.bind_ortvalue_input(tensor.name, ort.OrtValue.ortvalue_from_numpy(place))
+        for tensor in self.outputs:
+            self._binding.bind_output(tensor.name)
+
+    def run(self, feeds: Mapping[str, np.ndarray]) -> dict[str, np.ndarray]:
+        """The outputs by name. Raises InputError where an input's name or shape is not the network's."""
+        if feeds.keys() != {tensor.name for tensor in self.inputs}:
+            raise InputError(
+                f"{self.path}: inputs", found=", ".join(feeds), expected=self.described(self.inputs)
+            )
+        if self._binding is None:
+            values = self._session.run(None, dict(feeds))
+        else:
+            for name, place in self._places.items():
+                if feeds[name].shape != place.shape:
+                    found = " x ".join(map(str, feeds[name].shape))
+                    raise InputError(f"{self.path}: {name}", found=found, expected=f"{place.shape}")
+                np.copyto(place, feeds[name], casting="same_kind")
+            self._session.run_with_iobinding(self._binding)
+            values = self._binding.copy_outputs_to_cpu()
+        return {tensor.name: value for tensor, value in zip(self.outputs, values, strict=True)}
+
+    def warm_up(self, sizes: Mapping[str, int] | None = None) -> None:
+        """Run it once on zeros; `sizes` gives those that are free, by name."""
+        shapes = {
+            tensor.name: [
+                size if isinstance(size, int) else (sizes or {}).get(size, 1) for size in tensor.shape
+            ]
+            for tensor in self.inputs
+        }
+        kinds = {tensor.name: _TYPES[tensor.kind] for tensor in self.inputs}
+        self.run({name: np.zeros(shape, kinds[name]) for name, shape in shapes.items()})
+
+    @staticmethod
+    def described(tensors: Sequence[Tensor]) -> str:
+        """Names, types and sizes, for errors."""
+        return "; ".join(map(str, tensors)) or "none"
+
+    def refused(self, expected: str, fix: str = "") -> InputError:
+        """The error for a network that is not of the kind that is needed."""
+        found = f"inputs {self.described(self.inputs)}, outputs {self.described(self.outputs)}"
+        return InputError(self.path, found=found, expected=expected, fix=fix)
+
+
+def open_network(
+    path: Path, settings: NetworkSettings | None = None, *, sha256: str | None = None, half: bool = True
+) -> Network:
+    """Open the network in a file. `half` False: it must not run in half precision.
+
+    Raises InputError when there is no such file, its digest is another, it is not a network, or none of the
+    providers can be had."""
+    import onnxruntime as ort
+
+    settings = settings or NetworkSettings()
+    check_file(path, sha256)
+    have = ort.get_available_providers()
+    wanted = [key for key in settings.providers if PROVIDERS[key] in have]
+    if not wanted:
+        raise _no_provider(settings, have)
+    options = ort.SessionOptions()
+    options.intra_op_num_threads, options.inter_op_num_threads = settings.threads, 1
+    # Waiting threads would spin, and take the core from the workers beside this one.
+    options.add_session_config_entry("session.intra_op.allow_spinning", "0")
+    options.log_severity_level = 3
+    providers = [(PROVIDERS[key], _options(key, settings, half)) for key in wanted]
+    try:
+        session = ort.InferenceSession(str(path), options, providers=providers)
+    except Exception as error:  # ONNX Runtime has a dozen kinds, without a common ancestor of their own
+        raise InputError(
+            path,
+            found=" ".join(str(error).split())[:300],
+            expected="a network in the ONNX format that this ONNX Runtime can run",
+            fix="Fetch or export it again.",
+        ) from None
+    network = Network(session, path)
+    if network.provider not in settings.providers:
+        raise _no_provider(settings, [*have, f"of which {', '.join(wanted)} could not be started"])
+    return network
+
+
+def _no_provider(settings: NetworkSettings, have: Sequence[str]) -> InputError:
+    return InputError(
+        "execution providers of ONNX Runtime",
+        found=", ".join(have),
+        expected=f"one of {', '.join(settings.providers)}",
+        fix="Add cpu to networks.providers, or install the onnxruntime that has them; see huepose doctor.",
+    )
+
+
+def _options(key: str, settings: NetworkSettings, half: bool) -> dict[str, str]:
+    """What is told to a provider."""
+    if key != "tensorrt":
+        return {}
+    options = {"trt_fp16_enable": "1" if settings.fp16 and half else "0"}
+    if settings.cache is not None:
+        settings.cache.mkdir(parents=True, exist_ok=True)
+        options |= {"trt_engine_cache_enable": "1", "trt_engine_cache_path": str(settings.cache)}
+    return options
+
+
+def check_file(path: Path, sha256: str | None = None) -> None:
+    """Raises InputError when there is no such file, or its digest is another than the given one."""
+    if not path.is_file():
+        raise InputError(
+            path, found="no file", expected="a network", fix="`huepose models list` says what there is."
+        )
+    if sha256 is not None and (found := digest(path)) != sha256:
+        raise InputError(
+            path,
+            found=f"SHA-256 {found}",
+            expected=sha256,
+            fix="It is damaged or another one: fetch it again, or correct the digest.",
+        )
+
+
+def digest(path: Path) -> str:
+    """SHA-256 of a file, in 64 hexadecimal digits."""
+    sum_ = hashlib.sha256()
+    with path.open("rb") as file:
+        while block := file.read(_BLOCK):
+            sum_.update(block)
+    return sum_.hexdigest()

@@ -1,0 +1,110 @@
+"""Small networks whose answers are known, written as ONNX files."""
+
+import numpy as np
+import onnx
+from onnx import TensorProto, helper, numpy_helper
+
+_OPSET, _IR = 17, 9
+
+
+def save(path, nodes, inputs, outputs, constants=None, metadata=None):
+    """inputs and outputs: {name: shape}, all float; constants: {name: array}."""
+    graph = helper.make_graph(
+        nodes,
+        "known",
+        [helper.make_tensor_value_info(name, TensorProto.FLOAT, shape) for name, shape in inputs.items()],
+        [helper.make_tensor_value_info(name, TensorProto.FLOAT, shape) for name, shape in outputs.items()],
+        [numpy_helper.from_array(np.asarray(value), name) for name, value in (constants or {}).items()],
+    )
+    model = helper.make_model(graph, opset_imports=[helper.make_opsetid("", _OPSET)])
+    model.ir_version = _IR
+    if metadata:
+        helper.set_model_props(model, metadata)
+    onnx.checker.check_model(model)
+    onnx.save(model, str(path))
+    return path
+
+
+def constant_output(path, output, input_shape=(1, 3, 64, 64), metadata=None):
+    """Whatever the picture, the same array."""
+    nodes = [
+        helper.make_node("ReduceMean", ["images"], ["mean"], keepdims=0),
+        helper.make_node("Mul", ["mean", "zero"], ["nothing"]),
+        helper.make_node("Add", ["answer", "nothing"], ["output"]),
+    ]
+    constants = {"zero": np.float32(0.0), "answer": np.asarray(output, np.float32)}
+    return save(path, nodes, {"images": input_shape}, {"output": np.shape(output)}, constants, metadata)
+
+
+def identity(path, shape):
+    return save(
+        path, [helper.make_node("Identity", ["images"], ["output"])], {"images": shape}, {"output": shape}
+    )
+
+
+def sam_encoder(path):
+    """The embedding's first channels are the picture's colours, averaged over 16 x 16 pixels; the rest 0."""
+    nodes = [
+        helper.make_node("AveragePool", ["image"], ["pooled"], kernel_shape=[16, 16], strides=[16, 16]),
+        helper.make_node("Pad", ["pooled", "pads"], ["image_embeddings"]),
+    ]
+    constants = {"pads": np.array([0, 0, 0, 0, 0, 253, 0, 0], np.int64)}
+    return save(path, nodes, {"image": (1, 3, 1024, 1024)}, {"image_embeddings": (1, 256, 64, 64)}, constants)
+
+
+def sam_decoder(path, ious=(0.3, 0.9, 0.5)):
+    """The second mask is the prompted box, as the distance to its nearest side in pixels of the square.
+
+    A point labelled 2 is its upper left corner, 3 its lower right one; any other labels give nothing. As in
+    the real one, half a pixel is added to the points. The first mask is everything, the third nothing."""
+    centres = np.arange(256, dtype=np.float32) * 4 + 2
+    ys, xs = np.meshgrid(centres, centres, indexing="ij")
+    labels = {"two": np.array([[2.0]], np.float32), "three": np.array([[3.0]], np.float32)}
+    nodes = [helper.make_node("Add", ["point_coords", "half"], ["points"])]
+    for name in labels:  # the point with that label: the sum of points times (label is it)
+        nodes += [
+            helper.make_node("Equal", ["point_labels", name], [f"{name}_is"]),
+            helper.make_node("Cast", [f"{name}_is"], [f"{name}_weight"], to=TensorProto.FLOAT),
+            helper.make_node("Unsqueeze", [f"{name}_weight", "last"], [f"{name}_column"]),
+            helper.make_node("Mul", ["points", f"{name}_column"], [f"{name}_points"]),
+            helper.make_node("ReduceSum", [f"{name}_points", "second"], [f"{name}_point"], keepdims=0),
+            helper.make_node("Split", [f"{name}_point"], [f"{name}_x", f"{name}_y"], axis=1),
+        ]
+    nodes += [
+        helper.make_node("Sub", ["xs", "two_x"], ["from_left"]),
+        helper.make_node("Sub", ["three_x", "xs"], ["from_right"]),
+        helper.make_node("Sub", ["ys", "two_y"], ["from_top"]),
+        helper.make_node("Sub", ["three_y", "ys"], ["from_bottom"]),
+        helper.make_node("Min", ["from_left", "from_right", "from_top", "from_bottom"], ["inside"]),
+        helper.make_node("Reshape", ["inside", "as_mask"], ["box"]),
+        # Every input has a say, as in the real one, or its place in the interface would not be tried.
+        helper.make_node("ReduceSum", ["mask_input"], ["mask_sum"], keepdims=0),
+        helper.make_node("Mul", ["mask_sum", "has_mask_input"], ["from_mask"]),
+        helper.make_node("ReduceMax", ["image_embeddings"], ["brightest"], keepdims=0),
+        helper.make_node("Mul", ["brightest", "zero"], ["from_image"]),
+        helper.make_node("Sum", ["box", "from_mask", "from_image"], ["second_mask"]),
+        helper.make_node("Concat", ["all", "second_mask", "none"], ["low_res_masks"], axis=1),
+        helper.make_node("Identity", ["scores"], ["iou_predictions"]),
+    ]
+    constants = {
+        **labels,
+        "half": np.float32(0.5),
+        "last": np.array([2], np.int64),
+        "second": np.array([1], np.int64),
+        "xs": xs,
+        "ys": ys,
+        "as_mask": np.array([1, 1, 256, 256], np.int64),
+        "zero": np.float32(0.0),
+        "all": np.ones((1, 1, 256, 256), np.float32),
+        "none": -np.ones((1, 1, 256, 256), np.float32),
+        "scores": np.array([ious], np.float32),
+    }
+    inputs = {
+        "image_embeddings": (1, 256, 64, 64),
+        "point_coords": (1, "num_points", 2),
+        "point_labels": (1, "num_points"),
+        "mask_input": (1, 1, 256, 256),
+        "has_mask_input": (1,),
+    }
+    outputs = {"iou_predictions": (1, 3), "low_res_masks": (1, 3, 256, 256)}
+    return save(path, nodes, inputs, outputs, constants)

@@ -1,0 +1,77 @@
+"""Opening and running networks: digests, broken files, providers, fixed and free sizes."""
+
+import hashlib
+
+import numpy as np
+import pytest
+
+from huepose.perception.sessions import NetworkSettings, open_network
+from huepose.support.errors import InputError
+from tests.perception import networks
+
+
+@pytest.fixture
+def fixed(tmp_path):
+    return networks.identity(tmp_path / "fixed.onnx", (1, 3, 4, 4))
+
+
+@pytest.fixture
+def free(tmp_path):
+    return networks.identity(tmp_path / "free.onnx", (1, 3, "height", "width"))
+
+
+def test_what_was_chosen_is_told_and_inputs_are_described(fixed):
+    network = open_network(fixed)
+    assert network.provider == "cpu"
+    assert str(network.inputs[0]) == "images float 1 x 3 x 4 x 4"
+    assert network.inputs[0].fixed
+
+
+@pytest.mark.parametrize("kind", ["fixed", "free"])
+def test_each_run_gives_its_own_answer(kind, request):
+    network = open_network(request.getfixturevalue(kind))
+    network.warm_up({"height": 4, "width": 4})
+    rng = np.random.default_rng(0)
+    feeds = [rng.random((1, 3, 4, 4), dtype=np.float32) for _ in range(3)]
+    answers = [network.run({"images": feed})["output"] for feed in feeds]
+    # A later run must not write into what an earlier one gave out, nor into what it was given.
+    for feed, answer in zip(feeds, answers, strict=True):
+        assert np.array_equal(feed, answer)
+
+
+def test_a_wrong_size_or_name_is_an_error_and_not_a_broadcast(fixed):
+    network = open_network(fixed)
+    with pytest.raises(InputError, match="found 1 x 3 x 1 x 1"):
+        network.run({"images": np.zeros((1, 3, 1, 1), np.float32)})
+    with pytest.raises(InputError, match="expected images float 1 x 3 x 4 x 4"):
+        network.run({"image": np.zeros((1, 3, 4, 4), np.float32)})
+
+
+def test_the_digest_is_checked_before_anything_else(fixed):
+    right = hashlib.sha256(fixed.read_bytes()).hexdigest()
+    open_network(fixed, sha256=right)
+    with pytest.raises(InputError, match=f"SHA-256 {right}; expected 0000"):
+        open_network(fixed, sha256="0" * 64)
+
+
+@pytest.mark.parametrize("content", [b"", b"not a network", None])
+def test_a_broken_file_is_an_error_at_once(fixed, content):
+    fixed.write_bytes(fixed.read_bytes()[:-20] if content is None else content)
+    with pytest.raises(InputError, match="expected a network in the ONNX format"):
+        open_network(fixed)
+
+
+def test_a_missing_file_is_named(tmp_path):
+    with pytest.raises(InputError, match="found no file"):
+        open_network(tmp_path / "nothing.onnx")
+
+
+def test_providers_that_are_not_there_are_passed_over_but_never_silently_replaced(fixed):
+    assert open_network(fixed, NetworkSettings(providers=("tensorrt", "cuda", "cpu"))).provider == "cpu"
+    with pytest.raises(InputError, match="expected one of tensorrt"):
+        open_network(fixed, NetworkSettings(providers=("tensorrt",)))
+
+
+def test_threads_are_those_of_the_settings(fixed):
+    network = open_network(fixed, NetworkSettings(threads=3))
+    assert network._session.get_session_options().intra_op_num_threads == 3

@@ -1,0 +1,185 @@
+"""The YOLO detector on networks of every layout, whose boxes are known."""
+
+import numpy as np
+import pytest
+
+from huepose.geometry import Camera, RgbdFrame
+from huepose.perception.letterbox import Letterbox, suppress_overlaps
+from huepose.perception.sessions import open_network
+from huepose.perception.yolo import YoloDetector
+from huepose.perception.yolo_layouts import layouts_of, places
+from huepose.support.errors import InputError
+from tests.perception import networks
+
+SIDE = 64
+GRID = places((SIDE, SIDE))  # 64 + 16 + 4
+# A picture of 128 x 96: scale 0.5 in the input, 48 rows high, 8 rows from the top where it is in the middle.
+WIDTH, HEIGHT = 128, 96
+BOX = (20.0, 30.0, 40.0, 20.0)
+CLASSES = 3
+
+
+def _input_box(top):
+    """Centre and size of BOX in pixels of the input."""
+    x, y, w, h = BOX
+    return [(x + w / 2) / 2, (y + h / 2) / 2 + top, w / 2, h / 2]
+
+
+def _rows(count, top, objectness):
+    """`count` places: one sees BOX as class 2 with 0.8, one nearly the same box with 0.6, one class 1 with 0.7."""
+    rows = np.zeros((count, 4 + objectness + CLASSES), np.float32)
+    rows[:, :4] = [32, 32, 8, 8]
+    scores = {5: (2, 0.8), 6: (2, 0.6), 70: (1, 0.7)}
+    for place, (number, score) in scores.items():
+        rows[place, :4] = _input_box(top)
+        rows[place, 0] += place == 6
+        rows[place, 4 + objectness + number] = score / (0.8 if objectness else 1.0)
+        if objectness:
+            rows[place, 4] = 0.8
+    return rows
+
+
+def _raw(rows):
+    """The same boxes before YOLOX decodes them."""
+    strides = np.repeat([8, 16, 32], [64, 16, 4]).astype(np.float32)
+    columns = np.concatenate([np.tile(np.arange(n), n) for n in (8, 4, 2)])
+    lines = np.concatenate([np.repeat(np.arange(n), n) for n in (8, 4, 2)])
+    raw = rows.copy()
+    raw[:, 0], raw[:, 1] = rows[:, 0] / strides - columns, rows[:, 1] / strides - lines
+    raw[:, 2:4] = np.log(rows[:, 2:4] / strides[:, None])
+    return raw
+
+
+def _end2end():
+    x, y, w, h = BOX
+    corners = [x / 2, y / 2 + 8, (x + w) / 2, (y + h) / 2 + 8]
+    rows = np.zeros((30, 6), np.float32)
+    rows[3], rows[7] = [*corners, 0.8, 2], [*corners, 0.7, 1]
+    return rows
+
+
+OUTPUTS = {
+    "v8": lambda: _rows(GRID, 8, 0).T,
+    "v5": lambda: _rows(3 * GRID, 8, 1),
+    "yolox": lambda: _rows(GRID, 0, 1),
+    "yolox_raw": lambda: _raw(_rows(GRID, 0, 1)),
+    "end2end": _end2end,
+}
+
+
+def _network(tmp_path, output, **more):
+    return open_network(
+        networks.constant_output(tmp_path / "net.onnx", output[None], (1, 3, SIDE, SIDE), **more)
+    )
+
+
+def _frame(color=(10, 20, 30)):
+    image = np.full((HEIGHT, WIDTH, 3), color, np.uint8)
+    return RgbdFrame(
+        image, np.ones((HEIGHT, WIDTH), np.float32), Camera(99.0, 99.0, 64.0, 48.0, WIDTH, HEIGHT)
+    )
+
+
+@pytest.mark.parametrize("layout", OUTPUTS)
+@pytest.mark.parametrize("named", [False, True])
+def test_every_layout_gives_the_known_boxes(tmp_path, layout, named):
+    network = _network(tmp_path, OUTPUTS[layout]())
+    detector = YoloDetector(network, {"mug": [2], "can": [1]}, layout=layout if named else "auto")
+    assert detector.layout == layout
+    found = detector.detect(_frame(), ["mug", "can", "unknown"])
+    # The second box of class 2 goes, the one of class 1 at the same place stays.
+    assert [d.object for d in found] == ["mug", "can"]
+    assert [d.score for d in found] == pytest.approx([0.8, 0.7], abs=1e-4)
+    for detection in found:
+        assert detection.box == pytest.approx(BOX, abs=1e-2)
+
+
+def test_only_what_is_asked_for_and_sure_enough_is_given(tmp_path):
+    network = _network(tmp_path, OUTPUTS["v8"]())
+    detector = YoloDetector(network, {"mug": [2], "can": [1], "any": [0, 1, 2]}, confidence=0.75)
+    assert [d.object for d in detector.detect(_frame(), ["can"])] == []
+    assert [d.object for d in detector.detect(_frame(), ["any", "mug"])] == ["any", "mug"]
+
+
+def test_classes_by_name_come_from_the_file(tmp_path):
+    names = {"names": "{0: 'box', 1: 'tin can', 2: 'mug'}"}
+    network = _network(tmp_path, OUTPUTS["v8"](), metadata=names)
+    detector = YoloDetector(network, {"soup": ["tin can"]})
+    assert [d.score for d in detector.detect(_frame(), ["soup"])] == pytest.approx([0.7])
+    with pytest.raises(InputError, match=r"class 'cup' of mug: found 3 classes \(box, tin can, mug\)"):
+        YoloDetector(network, {"mug": ["cup"]})
+    with pytest.raises(InputError, match="class '3' of mug"):
+        YoloDetector(network, {"mug": [3]})
+
+
+def test_a_network_of_80_classes_without_names_has_those_of_coco(tmp_path):
+    rows = np.zeros((GRID, 84), np.float32)
+    rows[5] = [*_input_box(8), *np.eye(80)[41] * 0.9]
+    detector = YoloDetector(_network(tmp_path, rows.T), {"mug": ["cup"], "bottle": ["bottle"]})
+    assert [d.object for d in detector.detect(_frame(), ["mug", "bottle"])] == ["mug"]
+
+
+@pytest.mark.parametrize(
+    ("layout", "expected"), [("v8", [255, 0, 0]), ("end2end", [255, 0, 0]), ("yolox", [0, 0, 255])]
+)
+def test_colours_have_the_order_and_range_of_the_layout(tmp_path, layout, expected):
+    network = _network(tmp_path, OUTPUTS[layout]())
+    detector, seen = YoloDetector(network, {"mug": [2]}), []
+    run = network.run
+    network.run = lambda feeds: seen.append(feeds["images"]) or run(feeds)
+    detector.detect(_frame((255, 0, 0)), ["mug"])
+    scale = 1 if layout == "yolox" else 255
+    assert (seen[0][0, :, 20, 20] * scale).tolist() == expected
+    grey_row = 60  # below the picture in both
+    assert seen[0][0, :, grey_row, 20] * scale == pytest.approx([114] * 3)
+
+
+@pytest.mark.parametrize("shape", [(1, 7, 50), (1, 84, 6400), (4, 7), (1, 3, 8, 8, 7)])
+def test_anything_else_is_refused_with_the_shapes(tmp_path, shape):
+    path = networks.constant_output(tmp_path / "net.onnx", np.zeros(shape, np.float32), (1, 3, SIDE, SIDE))
+    with pytest.raises(InputError) as error:
+        YoloDetector(open_network(path), {"mug": [0]})
+    assert " x ".join(map(str, shape)) in str(error.value)
+    assert "v5, v8, yolox, yolox_raw, end2end" in str(error.value)
+
+
+def test_a_shape_that_fits_two_layouts_has_to_be_named(tmp_path):
+    # One row of 84 places and 6 columns: YOLOX with one class, but also the end-to-end layout at other sizes.
+    square = np.zeros((GRID, GRID), np.float32)
+    with pytest.raises(InputError, match=r"can be v8 and yolox.*detector\.layout: v8 or yolox"):
+        YoloDetector(_network(tmp_path, square + 100), {"mug": [0]})
+    assert YoloDetector(_network(tmp_path, square), {"mug": [0]}, layout="v8").layout == "v8"
+    with pytest.raises(InputError, match="an output of v5"):
+        YoloDetector(_network(tmp_path, square), {"mug": [0]}, layout="v5")
+
+
+def test_a_network_of_another_kind_is_refused(tmp_path):
+    path = networks.identity(tmp_path / "net.onnx", (1, 5))
+    with pytest.raises(InputError, match="expected one input of float 1 x 3 x H x W"):
+        YoloDetector(open_network(path), {"mug": [0]})
+
+
+def test_shapes_of_the_usual_sizes():
+    assert (places((416, 416)), places((640, 640))) == (3549, 8400)
+    assert layouts_of((1, 25200, 85), (640, 640)) == ("v5",)
+    assert layouts_of((1, 3549, 85), (416, 416)) == ("yolox",)
+    assert layouts_of((1, 8400, 6), (640, 640)) == ("yolox",)
+
+
+@pytest.mark.parametrize("centered", [True, False])
+def test_letterbox_and_back(centered):
+    box = Letterbox.of((480, 640), (416, 416), centered)
+    assert box == Letterbox(0.65, 0, 52 if centered else 0)
+    corners = np.array([[0.0, 0.0, 640.0, 480.0]])
+    inside = corners * box.scale + [box.left, box.top, box.left, box.top]
+    assert box.back(inside) == pytest.approx(corners)
+    image = box.apply(np.full((480, 640, 3), 7, np.uint8), (416, 416))
+    assert (image[:, :, 0] == 7).sum() == 312 * 416
+    assert (image[box.top] == 7).all()
+
+
+def test_overlaps_are_suppressed_within_a_class_only():
+    corners = np.array([[0, 0, 10, 10], [0, 0, 10, 9], [0, 0, 10, 10], [20, 0, 30, 10]], float)
+    scores, classes = np.array([0.5, 0.9, 0.4, 0.1]), np.array([0, 0, 1, 0])
+    assert suppress_overlaps(corners, scores, classes, 0.45).tolist() == [1, 2, 3]
+    assert suppress_overlaps(corners, scores, classes, 0.95).tolist() == [1, 0, 2, 3]

@@ -26,7 +26,7 @@ def _input_box(top):
 
 
 def _rows(count, top, objectness):
-    """`count` places: one sees BOX as class 2 with 0.8, one nearly the same box with 0.6, one class 1 with 0.7."""
+    """`count` places: BOX as class 2 with 0.8, nearly the same box with 0.6, BOX as class 1 with 0.7."""
     rows = np.zeros((count, 4 + objectness + CLASSES), np.float32)
     rows[:, :4] = [32, 32, 8, 8]
     scores = {5: (2, 0.8), 6: (2, 0.6), 70: (1, 0.7)}
@@ -115,7 +115,8 @@ def test_classes_by_name_come_from_the_file(tmp_path):
 def test_a_network_of_80_classes_without_names_has_those_of_coco(tmp_path):
     rows = np.zeros((GRID, 84), np.float32)
     rows[5] = [*_input_box(8), *np.eye(80)[41] * 0.9]
-    detector = YoloDetector(_network(tmp_path, rows.T), {"mug": ["cup"], "bottle": ["bottle"]})
+    classes = {"mug": ["cup"], "bottle": ["bottle"]}
+    detector = YoloDetector(_network(tmp_path, rows.T), classes, layout="v8")
     assert [d.object for d in detector.detect(_frame(), ["mug", "bottle"])] == ["mug"]
 
 
@@ -134,7 +135,7 @@ def test_colours_have_the_order_and_range_of_the_layout(tmp_path, layout, expect
     assert seen[0][0, :, grey_row, 20] * scale == pytest.approx([114] * 3)
 
 
-@pytest.mark.parametrize("shape", [(1, 7, 50), (1, 84, 6400), (4, 7), (1, 3, 8, 8, 7)])
+@pytest.mark.parametrize("shape", [(1, 7, 50), (1, 83, 6400), (4, 7), (1, 3, 8, 8, 7)])
 def test_anything_else_is_refused_with_the_shapes(tmp_path, shape):
     path = networks.constant_output(tmp_path / "net.onnx", np.zeros(shape, np.float32), (1, 3, SIDE, SIDE))
     with pytest.raises(InputError) as error:
@@ -144,12 +145,12 @@ def test_anything_else_is_refused_with_the_shapes(tmp_path, shape):
 
 
 def test_a_shape_that_fits_two_layouts_has_to_be_named(tmp_path):
-    # One row of 84 places and 6 columns: YOLOX with one class, but also the end-to-end layout at other sizes.
+    # 84 places and 84 rows: 80 classes of v8, or 79 of YOLOX.
     square = np.zeros((GRID, GRID), np.float32)
     with pytest.raises(InputError, match=r"can be v8 and yolox.*detector\.layout: v8 or yolox"):
         YoloDetector(_network(tmp_path, square + 100), {"mug": [0]})
     assert YoloDetector(_network(tmp_path, square), {"mug": [0]}, layout="v8").layout == "v8"
-    with pytest.raises(InputError, match="an output of v5"):
+    with pytest.raises(InputError, match="expected v5, which 1 x 84 x 84 is not"):
         YoloDetector(_network(tmp_path, square), {"mug": [0]}, layout="v5")
 
 

@@ -360,6 +360,39 @@ def test_removed_objects_are_not_asked_for() -> None:
     assert loop.answer(MS, result(request, 0, estimate("mug"))) == []
 
 
+def test_an_object_that_is_searched_anew_gets_a_new_number_and_no_old_answer() -> None:
+    loop = ReinitLoop(objects=[("mug", 1)])
+    first = loop.tick(0, [])
+    assert first is not None
+    (sent,) = loop.answer(50 * MS, result(first, 20, estimate()))
+    request = loop.tick(300 * MS, [track(stamp_ms=290, applied=sent.seq)])
+    assert asked(request) == [("mug", 0)]
+    # Numbers under 1 of this epoch are over: the caller shows the loop no such track any more.
+    assert loop.forget("mug", 310 * MS) == (EPOCH, 1)
+    assert loop.repeats(10_000 * MS) == []
+    # The answer that is on its way was computed on a frame from before the order.
+    assert request is not None
+    assert loop.answer(350 * MS, result(request, 300, estimate())) == []
+    again = loop.tick(600 * MS, [])
+    assert asked(again) == [("mug", None)]
+    assert again is not None
+    (fresh,) = loop.answer(650 * MS, result(again, 610, estimate()))
+    assert (fresh.instance, fresh.verdict) == (1, Verdict.ACQUIRE)
+
+
+def test_what_is_on_its_way_is_over_as_well() -> None:
+    loop = ReinitLoop(objects=[("mug", 1), ("jar", 1)])
+    request = loop.tick(0, [])
+    assert request is not None
+    loop.answer(50 * MS, result(request, 20, estimate(), estimate("jar", pose(0.5))))
+    assert loop.forget("mug", 60 * MS) == (EPOCH, 1)
+    assert [c.object for c in loop.repeats(400 * MS)] == ["jar"]
+
+
+def test_nothing_is_over_before_the_first_frame() -> None:
+    assert ReinitLoop(objects=[("mug", 1)]).forget("mug") is None
+
+
 def test_configuration_is_checked() -> None:
     with pytest.raises(InputError, match="deadline_ms"):
         ReinitConfig(deadline_ms=0)

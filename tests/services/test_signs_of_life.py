@@ -1,0 +1,102 @@
+"""What a worker says of itself to those who started it: the pulse, systemd's datagrams, the log."""
+
+import json
+import os
+import socket
+import time
+
+import pytest
+
+from huepose_services.runtime.log import Log, StateChanges, is_log_line
+from huepose_services.runtime.notify import notify, watchdog_s
+from huepose_services.runtime.pulse import Pulse
+
+
+@pytest.fixture
+def manager(tmp_path, monkeypatch):
+    """A socket as systemd's, and what arrives there."""
+    with socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM) as end:
+        end.bind(str(tmp_path / "notify"))
+        end.settimeout(1.0)
+        monkeypatch.setenv("NOTIFY_SOCKET", str(tmp_path / "notify"))
+        yield end
+
+
+def test_systemd_hears_of_readiness_and_of_work(manager, monkeypatch):
+    monkeypatch.setenv("WATCHDOG_USEC", "2000000")
+    monkeypatch.setenv("WATCHDOG_PID", str(os.getpid()))
+    assert watchdog_s() == 2.0
+    pulse = Pulse()
+    pulse.ready()
+    assert manager.recv(1000) == b"READY=1\nSTATUS=ready"
+    for _ in range(100):
+        pulse.beat()
+    assert manager.recv(1000) == b"WATCHDOG=1"
+    manager.setblocking(False)
+    with pytest.raises(BlockingIOError):
+        manager.recv(1000)  # a beat comes five times a second at most
+
+
+def test_a_watchdog_that_is_meant_for_another_process_is_not_fed(monkeypatch):
+    monkeypatch.setenv("WATCHDOG_USEC", "2000000")
+    monkeypatch.setenv("WATCHDOG_PID", "1")
+    assert watchdog_s() is None
+
+
+@pytest.mark.parametrize("address", ["", "relative", "/nonexistent/socket", "@nobody-listens-here"])
+def test_nobody_to_tell_is_no_error(monkeypatch, address):
+    monkeypatch.setenv("NOTIFY_SOCKET", address)
+    assert notify("READY=1") is False
+
+
+def test_the_supervisor_hears_the_pulse_through_a_pipe(monkeypatch):
+    read_end, write_end = os.pipe()
+    monkeypatch.setenv("HUEPOSE_READY_FD", str(write_end))
+    pulse = Pulse()
+    pulse.ready()
+    pulse.beat()
+    assert os.read(read_end, 100) == b"ready\n."
+    os.close(read_end)
+    pulse.ready()  # a supervisor that is gone stops nobody
+    os.close(write_end)
+
+
+def test_every_line_says_when_how_grave_and_who(capsys):
+    Log("tracker").warn("one\ntwo")
+    lines = capsys.readouterr().err.splitlines()
+    assert [line[13:] for line in lines] == ["warn  tracker   one", "warn  tracker   two"]
+    assert all(map(is_log_line, lines))
+    assert not is_log_line("[WARN] some library")
+
+
+def test_the_log_as_json(capsys, monkeypatch):
+    monkeypatch.setenv("HUEPOSE_LOG", "json")
+    Log("tracker").error("it broke")
+    line = capsys.readouterr().err
+    assert is_log_line(line)
+    got = json.loads(line)
+    assert got.pop("time") == pytest.approx(time.time(), abs=5.0)
+    assert got == {"level": "error", "worker": "tracker", "text": "it broke"}
+
+
+def test_repeats_are_held_back_and_counted(capsys):
+    log = Log("tracker")
+    for _ in range(5):
+        log.seldom("kind", "again", every_s=0.05)
+    time.sleep(0.06)
+    log.seldom("kind", "again", every_s=0.05)
+    assert capsys.readouterr().err.splitlines()[-1].endswith("again (4 more like it before)")
+
+
+def test_a_change_of_state_is_one_line_and_flicker_is_told_once(capsys):
+    changes = StateChanges(Log("tracker"), every_s=0.05)
+    changes.note("mug/0", "TRACKING", "quality 0.90")
+    changes.note("mug/0", "TRACKING", "quality 0.91")
+    for state in ("SUSPECT", "TRACKING", "SUSPECT", "LOST"):
+        changes.note("mug/0", state, "quality 0.10")
+    time.sleep(0.06)
+    changes.flush()
+    changes.flush()
+    first, second = (line[29:] for line in capsys.readouterr().err.splitlines())
+    assert first == "mug/0 TRACKING (quality 0.90)"
+    assert second == "mug/0 TRACKING > LOST (quality 0.10, after 4 changes)"

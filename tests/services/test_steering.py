@@ -1,0 +1,160 @@
+"""The list of objects: what may be changed, who follows, and what is over."""
+
+import threading
+import time
+
+import numpy as np
+import pytest
+
+from huepose.geometry import Box
+from huepose.reinit.types import ObjectSlot
+from huepose.support.errors import InputError
+from huepose_protos.examples import messages
+from huepose_protos.messages import (
+    ControlRequest,
+    DetectedObject,
+    FrameHeader,
+    ObjectEntry,
+    ObjectsMessage,
+    PerceptionRequest,
+    RequestedObject,
+)
+from huepose_services.boxes import Hints
+from huepose_services.following import Follower, Retired
+from huepose_services.steering import ObjectList, Order
+
+
+def entry(name, **more):
+    return ObjectEntry(object=name, **({"max_instances": 1, "searching": 0} | more))
+
+
+def order(action, name, **more):
+    return ControlRequest(publish_ns=1, action=action, object=name, **more)
+
+
+def load(name, count):
+    if name == "ghost":
+        raise InputError("object 'ghost'", found="no such reference model", expected="one of mug, jar")
+    return ObjectSlot(name, count)
+
+
+@pytest.fixture
+def objects():
+    return ObjectList([entry("mug")], load)
+
+
+def test_what_may_be_done_is_done(objects):
+    assert objects.decide(order("add", "jar", max_instances=2)) == (True, "jar is looked for, up to 2 of it")
+    assert objects.decide(order("reset", "mug", box=(1.0, 2.0, 3.0, 4.0)))[0]
+    assert objects.decide(order("remove", "jar"))[0]
+    mug = entry("mug", resets=1, box=(1.0, 2.0, 3.0, 4.0))
+    assert objects.entries() == [mug]
+    jar = entry("jar", max_instances=2, searching=2)
+    assert objects.orders() == [
+        Order("jar", jar, ObjectSlot("jar", 2)),
+        Order("mug", mug, anew=True),
+        Order("jar", None),
+    ]
+    assert objects.orders() == []
+
+
+@pytest.mark.parametrize(
+    ("request_", "reason"),
+    [
+        (order("add", "ghost"), "no such reference model"),
+        (order("add", "mug"), "already"),
+        (order("remove", "jar"), "jar is not looked for; what is: mug"),
+        (order("reset", "jar"), "jar is not looked for"),
+    ],
+)
+def test_a_refusal_says_why_and_changes_nothing(objects, request_, reason):
+    done, text = objects.decide(request_)
+    assert not done
+    assert reason in text
+    assert objects.entries() == [entry("mug")]
+    assert objects.orders() == []
+
+
+def test_another_number_of_a_known_object_is_no_refusal(objects):
+    assert objects.decide(order("add", "mug", max_instances=3))[0]
+    assert [(o.name, o.slot.max_instances) for o in objects.orders()] == [("mug", 3)]
+
+
+class _Bus:
+    """What a follower needs of the bus: the lists that a test gives it."""
+
+    def __init__(self):
+        self.lists = []
+        self.keys = self.inbox = self.health = self.log = self
+
+    objects = "objects"
+
+    def ring(self, key, wakes):
+        return key
+
+    def take(self, place, kind):
+        return self.lists.pop(0) if self.lists else None
+
+    def failed(self, text):
+        pass
+
+    def error(self, text):
+        self.last = text
+
+
+def _changes(follower, within_s=5.0):
+    until = time.monotonic() + within_s
+    while not (out := follower.changes()) and time.monotonic() < until:
+        time.sleep(0.005)
+    return out
+
+
+def test_a_worker_follows_the_list():
+    bus, threads = _Bus(), []
+
+    def read(name):
+        threads.append(threading.current_thread())
+        return name.upper()
+
+    follower = Follower(bus, read, ["mug"])
+    bus.lists = [ObjectsMessage(publish_ns=1, objects=[entry("mug", resets=5), entry("jar")])]
+    (change,) = _changes(follower)
+    assert (change.entry.object, change.added, change.removed) == ("jar", "JAR", False)
+    assert threads[0] is not threading.current_thread()
+    # The first list told how often the mug was reset; only what comes after that is an order.
+    bus.lists = [ObjectsMessage(publish_ns=2, objects=[entry("mug", resets=6)])]
+    gone, anew = follower.changes()
+    assert (gone.entry.object, gone.removed) == ("jar", True)
+    assert (anew.entry.object, anew.added, anew.removed) == ("mug", None, False)
+    bus.lists = [ObjectsMessage(publish_ns=3, objects=[entry("mug", resets=6)])]
+    assert follower.changes() == []
+
+
+def test_retired_instances_are_those_of_their_epoch_below_a_number():
+    retired = Retired([entry("mug", retired=(7, 3))])
+    assert [retired.includes("mug", 7, i) for i in (0, 2, 3)] == [True, True, False]
+    assert not retired.includes("mug", 8, 0)
+    assert not retired.includes("jar", 7, 0)
+    assert retired.of("mug") == (7, 3)
+
+
+def test_a_box_that_was_pointed_at_counts_until_the_object_has_a_pose():
+    header = next(m for m in messages() if isinstance(m, FrameHeader))  # an image of 4 x 2
+    anywhere, known = RequestedObject(object="mug", instance=None), RequestedObject(object="mug", instance=0)
+    other = RequestedObject(object="jar", instance=None)
+    found = [DetectedObject(request=r, box=(0.0, 0.0, 1.0, 1.0), score=0.5) for r in (anywhere, other)]
+
+    def ask(now_ns, *objects):
+        request = PerceptionRequest(
+            publish_ns=1, seq=1, camera_epoch=None, deadline_ns=9, objects=list(objects)
+        )
+        boxes = hints.applied(found, header, request, now_ns)
+        return {d.request.object: d.box for d in boxes}
+
+    hints = Hints()
+    hints.point("mug", Box(1.0, 0.0, 9.0, 2.0), now_ns=0)
+    assert ask(1, anywhere, other) == {"jar": (0.0, 0.0, 1.0, 1.0), "mug": (1.0, 0.0, 3.0, 2.0)}
+    assert ask(2, known, other)["mug"] == (0.0, 0.0, 1.0, 1.0)
+    assert ask(3, anywhere)["mug"] == (0.0, 0.0, 1.0, 1.0), "it had a pose: the hint is used up"
+    hints.point("mug", Box(1.0, 0.0, 9.0, 2.0), now_ns=0)
+    assert ask(int(np.int64(10_000_000_000)), anywhere)["mug"] == (0.0, 0.0, 1.0, 1.0), "too long ago"

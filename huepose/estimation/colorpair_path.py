@@ -17,11 +17,13 @@ from huepose.geometry.arrays import Bool, Float64
 from huepose.geometry.frame import RgbdFrame
 from huepose.matching.hypotheses import (
     HypothesesConfig,
-    colorpair_hypotheses,
     extract_at_model_scale,
+    hypotheses_of,
+    read_scene,
 )
 from huepose.matching.shape import shape_hypotheses
 from huepose.model.types import ReferenceModel
+from huepose.registration.semantic_icp import ClassifiedScene, semantic_icp_many
 from huepose.registration.surface_icp import align_many
 from huepose.support.stages import stage
 from huepose.verification.pairs import PairPicture, pair_picture, pair_score_many
@@ -109,17 +111,25 @@ def _proposed(
         pairs = extract_at_model_scale(model.pairs, frame, mask)
     with stage("hypotheses"):
         sources = HypothesesConfig() if config.ppf else HypothesesConfig(ppf=None)
-        hypotheses = colorpair_hypotheses(model, pairs, frame, mask, sources, rng)[: config.refined]
+        readings = read_scene(model, pairs, frame, mask, sources, rng)
+        hypotheses = hypotheses_of(model, readings, frame, mask, sources, rng)[: config.refined]
         missing = min(config.refined - len(hypotheses), SHAPES)
-        hypotheses += shape_hypotheses(model, frame, mask, missing)
-    if not hypotheses:
+        starts = shape_hypotheses(model, frame, mask, missing)
+    if not hypotheses and not starts:
         return np.zeros((0, 4, 4))
-    poses = np.stack([h.T_cam_obj for h in hypotheses])
+    poses = np.stack([h.T_cam_obj for h in [*hypotheses, *starts]])
     with stage("icp"):
         poses = align_many(model.surface, model.grid, points_cam, poses, 0.15 * model.diameter_m, 0.008, 25)
     with stage("judge"):
         totals = pair_score_many(model, region, picture, poses, COARSE_PAIRS, COARSE_SAMPLES)[:, 0]
-        return np.asarray(poses[different_poses(model, poses, totals, config.kept)])
+        poses = poses[different_poses(model, poses, totals, config.kept)]
+    if config.semantic and readings:
+        with stage("semantic_icp"):
+            seen = readings[0].cloud
+            scene = ClassifiedScene(seen.points, seen.classes, seen.weights)
+            slid = semantic_icp_many(model.pairs, scene, poses)
+            poses = np.concatenate([poses, [a.T_cam_obj for a in slid]])
+    return np.asarray(poses)
 
 
 def _with_turns(

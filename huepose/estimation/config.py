@@ -30,7 +30,7 @@ class ColorpairPathConfig:
     """How much the colour-pair path tries. refined: hypotheses a mask that are registered; kept: different
     ones after that; turned: of them whose near-symmetric turns are tried; searched: poses a mask that are
     searched; finished: poses searched finely in the end; alternatives: different poses that are returned.
-    ppf: whether point pair features may be used (see `matching.ppf` for why one may not want to)."""
+    semantic: whether semantic ICP adds poses to the best different ones; ppf: whether point pair features may be used (see `matching.ppf` for why one may not want to)."""
 
     refined: int = 30
     kept: int = 8
@@ -38,6 +38,7 @@ class ColorpairPathConfig:
     searched: int = 8
     finished: int = 3
     alternatives: int = 6
+    semantic: bool = True
     ppf: bool = True
 
 

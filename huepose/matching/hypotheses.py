@@ -1,13 +1,14 @@
 """Poses from colour pairs: light, classes, votes of three kinds, plausibility, clusters (paper, section
 III-C).
 
-Votes come from single pairs as frames and from triangles of three classes; where these give little, or
-fewer than three classes are in sight, from point pairs with classes too. All are asked under each of the few
+Votes come from single pairs as frames and from triangles of three classes; where fewer than three classes
+are in sight, from point pairs with classes too. All are asked under each of the few
 lights that could explain the scene's colours, weighed by whether depth allows them, and clustered together.
 """
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -29,8 +30,8 @@ from huepose.matching.types import Hypothesis, Votes
 from huepose.matching.voting import VotingConfig, cluster
 from huepose.model.types import PairReference, ReferenceModel
 
-FEW_VOTES = 2000
-"""With fewer plausible votes than this, or fewer than three classes in sight, point pairs are asked too."""
+NEEDED_CLASSES, NEEDED_POINTS = 3, 30
+"""Triangles need three classes, each with so many points in sight; where fewer are, point pairs are asked."""
 
 
 @dataclass(frozen=True)
@@ -88,12 +89,24 @@ def colorpair_hypotheses(
     config = config or HypothesesConfig()
     rng = rng or np.random.default_rng(0)
     readings = read_scene(model, pairs, frame, mask, config, rng)
+    return hypotheses_of(model, readings, frame, mask, config, rng)
+
+
+def hypotheses_of(
+    model: ReferenceModel,
+    readings: Sequence[Reading],
+    frame: RgbdFrame,
+    mask: Bool,
+    config: HypothesesConfig,
+    rng: np.random.Generator,
+) -> list[Hypothesis]:
+    """Likely poses of a model from the readings of a mask (H, W), best first; see `colorpair_hypotheses`."""
     if not readings:
         return []
     first = [v for r in readings for v in _first_votes(model, r, config, rng)]
     votes = plausible(Votes.joined(first), model.surface, frame.depth, mask, frame.camera, model.diameter_m)
-    in_sight = max(len(np.unique(r.cloud.classes)) for r in readings)
-    if config.ppf is not None and (len(votes) < FEW_VOTES or in_sight < 3):
+    in_sight = max(classes_in_sight(r.cloud) for r in readings)
+    if config.ppf is not None and (not first or in_sight < NEEDED_CLASSES):
         fallback = Votes.joined([_ppf_votes(model, r, config.ppf, rng) for r in readings])
         more = plausible(fallback, model.surface, frame.depth, mask, frame.camera, model.diameter_m)
         votes = Votes.joined([votes, more])
@@ -131,6 +144,11 @@ def read_scene(
         )
         readings.append(Reading(light, share, relit_scene, cloud))
     return readings
+
+
+def classes_in_sight(cloud: ClassifiedCloud) -> int:
+    """How many classes have enough points for triangles."""
+    return int((np.bincount(cloud.classes, minlength=1) >= NEEDED_POINTS).sum())
 
 
 def reference_pairs(reference: PairReference) -> SurfacePairs:

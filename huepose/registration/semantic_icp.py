@@ -26,16 +26,27 @@ DAMPING = 1e-3
 
 @dataclass(frozen=True)
 class SemanticIcpConfig:
-    """gates_m: of the levels, metres, wide to narrow; strides: every how many-th scene point a level uses;
-    iterations: of a level; semantic, aggregate: weights of the two kinds of correspondences; sliding:
-    weight of the residual along the surface against that across it, for points of one class."""
+    """gates: of the levels, in diameters of the model's cloud, wide to narrow; strides, model_strides: every
+    how many-th scene and model point a level uses; iterations: of a level; semantic, aggregate: weights of
+    the two kinds of correspondences; sliding: weight of the residual along the surface against that across
+    it, for points of one class."""
 
-    gates_m: tuple[float, ...] = (0.025, 0.012, 0.005, 0.002)
-    strides: tuple[int, ...] = (3, 2, 1, 1)
-    iterations: tuple[int, ...] = (12, 10, 10, 10)
+    gates: tuple[float, ...] = (0.35, 0.15, 0.06, 0.02)
+    strides: tuple[int, ...] = (4, 3, 2, 1)
+    model_strides: tuple[int, ...] = (8, 4, 2, 1)
+    iterations: tuple[int, ...] = (10, 8, 6, 6)
     semantic: float = 1.0
     aggregate: float = 0.5
-    sliding: float = 0.3
+    sliding: float = 0.1
+
+
+@dataclass(frozen=True, eq=False)
+class ClassifiedScene:
+    """points_cam (N, 3) metres in camera axes, classes (N,), weights (N,): what a camera saw of a cloud."""
+
+    points_cam: Float
+    classes: UInt8
+    weights: Float
 
 
 @dataclass(frozen=True, eq=False)
@@ -62,29 +73,42 @@ def semantic_icp(
     points_cam (N, 3) metres in camera axes, classes (N,), weights (N,): the scene's classified cloud. Without
     points near the model the pose comes back unchanged.
     """
+    scene = ClassifiedScene(points_cam, classes, weights)
+    return semantic_icp_many(reference, scene, np.asarray(T_cam_obj, np.float64)[None], config)[0]
+
+
+def semantic_icp_many(
+    reference: PairReference,
+    scene: ClassifiedScene,
+    poses: Float,
+    config: SemanticIcpConfig | None = None,
+) -> list[SemanticAlignment]:
+    """`semantic_icp` from each of the poses (M, 4, 4): what does not depend on the pose is made once."""
     config = config or SemanticIcpConfig()
     model = np.ascontiguousarray(reference.cloud_points, np.float64)
-    T = np.array(T_cam_obj, dtype=np.float64)
-    scene = np.ascontiguousarray(points_cam, np.float64)
-    if not len(model) or not len(scene):
-        return SemanticAlignment(T, 0, 0, 0.0)
+    T = np.array(poses, dtype=np.float64)
+    points = np.ascontiguousarray(scene.points_cam, np.float64)
+    if not len(model) or not len(points):
+        return [SemanticAlignment(start, 0, 0, 0.0) for start in T]
     low = model.min(0)
     centre = 0.5 * (low + model.max(0))
     radius = float(np.linalg.norm(model - centre, axis=1).max())
-    kinds = int(reference.cloud_classes.max()) + 1
-    done, report = 0, np.zeros(2)
-    for gate, stride, rounds in zip(config.gates_m, config.strides, config.iterations, strict=True):
-        cells, heads, order, starts = _cells(model, reference.cloud_classes, kinds, low, gate)
-        done += _align(
+    done, reports = np.zeros(len(T), np.int64), np.zeros((len(T), 2))
+    levels = (config.gates, config.strides, config.model_strides, config.iterations)
+    for share, stride, thinner, rounds in zip(*levels, strict=True):
+        gate = 2.0 * radius * share
+        shown = np.ascontiguousarray(model[::thinner])
+        shape, table, order, starts = _cells(shown, low, gate)
+        _align_all(
             T,
-            scene[::stride],
-            np.ascontiguousarray(classes[::stride]),
-            np.ascontiguousarray(weights[::stride], np.float64),
-            model,
-            np.ascontiguousarray(reference.cloud_normals, np.float64),
-            reference.cloud_classes,
-            cells,
-            heads,
+            points[::stride],
+            np.ascontiguousarray(scene.classes[::stride]),
+            np.ascontiguousarray(scene.weights[::stride], np.float64),
+            shown,
+            np.ascontiguousarray(reference.cloud_normals[::thinner], np.float64),
+            np.ascontiguousarray(reference.cloud_classes[::thinner]),
+            shape,
+            table,
             order,
             starts,
             low,
@@ -95,14 +119,16 @@ def semantic_icp(
             config.sliding,
             centre,
             radius,
-            report,
+            reports,
+            done,
         )
-    return SemanticAlignment(se3.orthonormalised(T), done, int(report[0]), float(report[1]))
+    return [
+        SemanticAlignment(se3.orthonormalised(pose), int(n), int(matched), float(rms))
+        for pose, n, (matched, rms) in zip(T, done, reports, strict=True)
+    ]
 
 
-def _cells(
-    points: Float64, classes: UInt8, kinds: int, low: Float64, size: float
-) -> tuple[Int64, Int64, Int32, Int32]:
+def _cells(points: Float64, low: Float64, size: float) -> tuple[Int64, Int32, Int32, Int32]:
     """A grid of cells over a cloud: its shape (3,), the sorted cell numbers that have points, the points in
     that order, and where each cell's points start in it."""
     cell = np.floor((points - low) / size).astype(np.int64)
@@ -110,7 +136,7 @@ def _cells(
     flat = (cell[:, 0] * shape[1] + cell[:, 1]) * shape[2] + cell[:, 2]
     order = np.argsort(flat, kind="stable").astype(np.int32)
     numbers, starts = np.unique(flat[order], return_index=True)
-    table = np.full(int(shape.prod()) + 1, -1, np.int64)
+    table = np.full(int(shape.prod()) + 1, -1, np.int32)
     table[numbers] = np.arange(len(numbers))
     return shape, table, order, np.append(starts, len(points)).astype(np.int32)
 
@@ -124,7 +150,7 @@ def _nearest(
     model: Float64,
     classes: UInt8,
     shape: Int64,
-    table: Int64,
+    table: Int32,
     order: Int32,
     starts: Int32,
     low: Float64,
@@ -163,7 +189,7 @@ def _align(
     normals: Float64,
     classes: UInt8,
     shape: Int64,
-    table: Int64,
+    table: Int32,
     order: Int32,
     starts: Int32,
     low: Float64,
@@ -220,6 +246,55 @@ def _align(
         if max(abs(x[0]), abs(x[1]), abs(x[2]), abs(x[3]), abs(x[4]), abs(x[5])) * radius < 2e-6:
             return turn + 1
     return rounds
+
+
+@jit
+def _align_all(
+    poses: Float64,
+    scene: Float64,
+    scene_classes: UInt8,
+    scene_weights: Float64,
+    model: Float64,
+    normals: Float64,
+    classes: UInt8,
+    shape: Int64,
+    table: Int32,
+    order: Int32,
+    starts: Int32,
+    low: Float64,
+    gate: float,
+    rounds: int,
+    semantic: float,
+    aggregate: float,
+    sliding: float,
+    centre: Float64,
+    radius: float,
+    reports: Float64,
+    done: Int64,
+) -> None:
+    for m in range(poses.shape[0]):
+        done[m] += _align(
+            poses[m],
+            scene,
+            scene_classes,
+            scene_weights,
+            model,
+            normals,
+            classes,
+            shape,
+            table,
+            order,
+            starts,
+            low,
+            gate,
+            rounds,
+            semantic,
+            aggregate,
+            sliding,
+            centre,
+            radius,
+            reports[m],
+        )
 
 
 @jit

@@ -3,16 +3,21 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
 
 import numpy as np
 import pytest
 
 from huepose.colorpair.types import ColorPairs
 from huepose.geometry import RgbdFrame, se3
+from huepose.matching import hypotheses
+from huepose.matching.cloud import ClassifiedCloud
 from huepose.matching.hypotheses import (
     HypothesesConfig,
+    classes_in_sight,
     colorpair_hypotheses,
     extract_at_model_scale,
+    hypotheses_of,
     read_scene,
     reference_pairs,
 )
@@ -62,9 +67,38 @@ def test_the_pose_is_among_the_first(
         }
         config = HypothesesConfig(**only)
     pairs = extract_at_model_scale(tea_box.pairs, frame, mask)
-    hypotheses = colorpair_hypotheses(tea_box, pairs, frame, mask, config, np.random.default_rng(0))
-    rank, _, _ = nearest(hypotheses, standing)
+    found = colorpair_hypotheses(tea_box, pairs, frame, mask, config, np.random.default_rng(0))
+    rank, _, _ = nearest(found, standing)
     assert rank < 3
+
+
+def test_point_pairs_are_asked_where_fewer_than_three_classes_are_in_sight(
+    tea_box: ReferenceModel,
+    frame: RgbdFrame,
+    mask: np.ndarray,
+    painted: ClassifiedCloud,
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    assert classes_in_sight(painted) == 5
+    of_two = painted[painted.classes < 2]
+    few = np.concatenate([np.flatnonzero(painted.classes == 2)[:29], np.flatnonzero(painted.classes < 2)])
+    assert classes_in_sight(of_two) == classes_in_sight(painted[few]) == 2
+
+    config, rng = HypothesesConfig(), np.random.default_rng(0)
+    pairs = extract_at_model_scale(tea_box.pairs, frame, mask)
+    readings = read_scene(tea_box, pairs, frame, mask, config, rng)
+    poor = [replace(r, cloud=r.cloud[r.cloud.classes < 2]) for r in readings]
+    asked = []
+    real = hypotheses.ppf_votes
+    monkeypatch.setattr(hypotheses, "ppf_votes", lambda *args: asked.append(1) or real(*args))
+    for given, chosen, times in (
+        (readings, config, 0),
+        (poor, config, len(poor)),
+        (poor, HypothesesConfig(ppf=None), 0),
+    ):
+        asked.clear()
+        hypotheses_of(tea_box, given, frame, mask, chosen, rng)
+        assert len(asked) == times
 
 
 def test_the_light_is_read(tea_box: ReferenceModel, frame: RgbdFrame, mask: np.ndarray) -> None:

@@ -13,10 +13,12 @@ def add_parser(subparsers: Any) -> None:
     parser = subparsers.add_parser("eval", help="measure accuracy on labelled data")
     verbs = parser.add_subparsers(dest="eval_verb", required=True, metavar="WHAT")
     _add_estimate(verbs)
+    _add_perception(verbs)
     _add_track(verbs)
     _add_poses(verbs)
     _add_calibrate(verbs)
     _add_ablation(verbs)
+    _add_pairs(verbs)
     parser.set_defaults(call=call)
 
 
@@ -89,6 +91,33 @@ def _add_estimate(verbs: Any) -> None:
         "--csv", type=Path, default=None, metavar="BOP19.csv", help="poses for the BOP toolkit"
     )
     parser.add_argument("--plots", type=Path, default=None, metavar="DIR", help="curves and pictures")
+
+
+def _add_perception(verbs: Any) -> None:
+    parser = verbs.add_parser(
+        "perception",
+        help="boxes and masks",
+        description="Whole frames, no boxes given: recall at IoU 0.5, false boxes, IoU of masks.",
+    )
+    parser.add_argument("--bop", type=Path, nargs="+", required=True, metavar="SCENE_DIR")
+    _common(parser)
+    _objects(parser)
+    parser.add_argument("--detector", choices=("colorpair",), default="colorpair")
+    parser.add_argument("--segmenter", choices=("depth",), default="depth")
+    parser.add_argument(
+        "--proposals",
+        type=int,
+        nargs="+",
+        default=[1, 5, 20],
+        metavar="N",
+        help="numbers of boxes an object at which recall is given (1 5 20)",
+    )
+    parser.add_argument(
+        "--judged", type=int, default=2, metavar="N", help="boxes an object that the estimator judges (2)"
+    )
+    parser.add_argument("--seed", type=int, default=0, metavar="N", help="of the perturbed boxes of masks")
+    parser.add_argument("--threads", type=int, default=2, metavar="N", help="objects at the same time (2)")
+    parser.add_argument("--plots", type=Path, default=None, metavar="DIR", help="pictures of every frame")
 
 
 def _add_track(verbs: Any) -> None:
@@ -174,3 +203,25 @@ def _add_calibrate(verbs: Any) -> None:
         help="where the fit is kept; huepose/estimation/quality_fits.json is the one in use",
     )
     parser.add_argument("--plots", type=Path, default=None, metavar="DIR", help="reliability pictures")
+
+
+def _add_pairs(verbs: Any) -> None:
+    parser = verbs.add_parser(
+        "pairs",
+        help="colour pairs, step by step",
+        description="What colour pairs are worth on rendered views, where the answer is known: how many are "
+        "found again, how well their similarity tells places apart, which triangles vote right, from how far "
+        "semantic ICP comes home; and the picture of their classes on real frames.",
+    )
+    parser.add_argument(
+        "study",
+        nargs="?",
+        choices=("repeatability", "similarity", "triangles", "icp", "figure"),
+        help="only this one (default: all; figure only with --bop)",
+    )
+    _common(parser)
+    _objects(parser)
+    parser.add_argument("--views", type=int, default=3, metavar="N", help="rendered views of each object (3)")
+    parser.add_argument("--seed", type=int, default=0, metavar="N", help="of views and disturbances (0)")
+    parser.add_argument("--bop", type=Path, nargs="+", metavar="SCENE_DIR", help="real frames for the figure")
+    parser.add_argument("--plots", type=Path, default=None, metavar="DIR", help="curves and pictures")

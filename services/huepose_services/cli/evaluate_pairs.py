@@ -1,0 +1,109 @@
+"""`huepose eval pairs`: what colour pairs are worth, step by step, on rendered views of the objects."""
+
+from __future__ import annotations
+
+import argparse
+from collections.abc import Mapping
+from dataclasses import asdict
+from pathlib import Path
+from typing import Any
+
+from huepose.evaluation.pictures import write_picture
+from huepose.evaluation.result_files import write_json
+from huepose.evaluation.targets import Targets
+from huepose.geometry.arrays import UInt8
+from huepose.model import ReferenceModel, load_models
+from huepose.support.errors import InputError
+from huepose_services.cli.evaluate_scenes import open_bop
+
+STUDIES = ("repeatability", "similarity", "triangles", "icp", "figure")
+
+
+def call(arguments: argparse.Namespace) -> int:
+    """Run the studies, print their tables, write the record and the pictures."""
+    models = load_models(arguments.bundles)
+    chosen = {m.name: m for m in Targets(models, arguments.objects).models if len(m.pairs.points)}
+    wanted = [arguments.study] if arguments.study else [s for s in STUDIES if s != "figure" or arguments.bop]
+    record: dict[str, Any] = {"objects": sorted(chosen), "views": arguments.views, "seed": arguments.seed}
+    for study in wanted:
+        print(f"-- {study}")
+        record[study] = globals()[f"_{study}"](arguments, chosen)
+    write_json(arguments.json, record)
+    return 0
+
+
+def _repeatability(arguments: argparse.Namespace, models: Mapping[str, ReferenceModel]) -> Any:
+    from huepose.evaluation.colorpairs.repeatability import repeatability
+    from huepose.evaluation.colorpairs.report import repeatability_lines, repeatability_picture
+
+    rows = repeatability(models, arguments.views, arguments.seed)
+    print("\n".join(repeatability_lines(rows)))
+    _save(arguments, "repeatability.png", repeatability_picture(rows))
+    return [asdict(r) for r in rows]
+
+
+def _similarity(arguments: argparse.Namespace, models: Mapping[str, ReferenceModel]) -> Any:
+    from huepose.colorpair.similarity import SimilarityConfig
+    from huepose.evaluation.colorpairs.similarity_fit import fitted_similarity, labelled_pairs, quality_of
+
+    fit, held_out = (labelled_pairs(models, arguments.views, arguments.seed + k) for k in (0, 1))
+    now = SimilarityConfig()
+    best, tried = fitted_similarity(fit, now)
+    out: dict[str, Any] = {"tried": [{"name": n, "value": v, "area": a} for n, v, a in tried]}
+    for name, config in (("in use", now), ("fitted", best)):
+        on_fit, on_others = quality_of(fit, config), quality_of(held_out, config)
+        out[name] = {"parameters": asdict(config), "fit": asdict(on_fit), "held out": asdict(on_others)}
+        print(f"{name}: " + ", ".join(f"{k} {v:.3g}" for k, v in asdict(config).items()))
+        print(f"   area under ROC {on_fit.area:.4f}, on other views {on_others.area:.4f}")
+        print(f"   recall at 1 % false {on_fit.recall:.3f}, on other views {on_others.recall:.3f}")
+    return out
+
+
+def _triangles(arguments: argparse.Namespace, models: Mapping[str, ReferenceModel]) -> Any:
+    from huepose.evaluation.colorpairs.triangle_fit import triangle_scenes, triangle_shares
+
+    rows = triangle_shares(triangle_scenes(models, arguments.views, arguments.seed))
+    print("weight of area  of eccentricity  % of the vote right")
+    for row in rows:
+        print(f"{row.area:14g} {row.eccentricity:16g} {100 * row.right:20.1f}")
+    return [asdict(r) for r in rows]
+
+
+def _icp(arguments: argparse.Namespace, models: Mapping[str, ReferenceModel]) -> Any:
+    from huepose.evaluation.colorpairs.icp_basin import METHODS, basins
+    from huepose.evaluation.colorpairs.report import basin_lines, basin_picture
+    from huepose.evaluation.colorpairs.triangle_fit import triangle_scenes
+
+    rows = basins(triangle_scenes(models, arguments.views, arguments.seed), METHODS, seed=arguments.seed)
+    print("\n".join(basin_lines(rows)))
+    _save(arguments, "icp_basin.png", basin_picture(rows))
+    return [asdict(r) for r in rows]
+
+
+def _figure(arguments: argparse.Namespace, models: Mapping[str, ReferenceModel]) -> Any:
+    from huepose.evaluation.colorpairs.figure import class_figure, class_row
+
+    if not arguments.bop or arguments.plots is None:
+        raise InputError("the figure", found="no scenes, or no folder for it", fix="Give --bop and --plots.")
+    by_id = {m.object_id: m for m in models.values()}
+    rows: dict[str, list[UInt8]] = {}
+    for scene in open_bop(arguments.bop):
+        for image in scene.image_ids:
+            for truth in scene.truths(image):
+                model, mask = by_id.get(truth.object_id), truth.mask()
+                if model is None or model.name in rows or mask is None or truth.T_cam_obj is None:
+                    continue
+                if (truth.visib_fract or 1.0) > 0.8:
+                    rows[model.name] = class_row(model, scene.frame(image), mask, truth.T_cam_obj)
+    if not rows:
+        raise InputError("the figure", found="no label of these objects that is 80 % visible")
+    _save(arguments, "classes.png", class_figure(list(rows.items())))
+    return sorted(rows)
+
+
+def _save(arguments: argparse.Namespace, name: str, picture: UInt8) -> None:
+    if arguments.plots is None:
+        return
+    path: Path = arguments.plots / name
+    write_picture(path, picture)
+    print(path)

@@ -99,14 +99,14 @@ class ReinitWork:
         now = now_ns()
         if now < self._next_look_ns:
             return
-        self._next_look_ns = now + _LOOK_NS
+        self._next_look_ns = max(self._next_look_ns + _LOOK_NS, now)
         request = self._loop.tick(now, self._living())
         if request is not None:
             self._bus.put_control(self._bus.keys.request, request_to_wire(request))
         for correction in self._loop.repeats(now):
             self._send(correction)
         if now >= self._next_objects_ns:
-            self._next_objects_ns = now + SECOND
+            self._next_objects_ns = max(self._next_objects_ns + SECOND, now)
             self._say_objects()
 
     def _obey(self) -> None:

@@ -1,7 +1,10 @@
 """All six workers as processes: an object in a recording is acquired from its first box and tracked."""
 
 import json
+import os
 import signal
+from contextlib import suppress
+from pathlib import Path
 
 import cv2
 import numpy as np
@@ -87,6 +90,24 @@ def test_a_recording_gives_a_pose_for_nearly_every_frame(recording, huepose, bas
     assert [p["frame_id"] for p in poses] == sorted(p["frame_id"] for p in poses)
 
 
+def _listening(pid):
+    """The addresses that a process listens on by TCP, or has bound by UDP."""
+    mine, out = set(), set()
+    for name in os.listdir(f"/proc/{pid}/fd"):
+        with suppress(FileNotFoundError):  # closed meanwhile
+            link = os.readlink(f"/proc/{pid}/fd/{name}")
+            mine |= {link[8:-1]} if link.startswith("socket:[") else set()
+    for table, state in (("tcp", "0A"), ("tcp6", "0A"), ("udp", "07"), ("udp6", "07")):
+        path = Path(f"/proc/{pid}/net/{table}")
+        for line in path.read_text().splitlines()[1:] if path.exists() else []:
+            fields = line.split()
+            if fields[3] == state and fields[9] in mine:
+                number = fields[1].split(":")[0]
+                parts = [str(int(number[i : i + 2], 16)) for i in (6, 4, 2, 0)]
+                out.add(".".join(parts) if len(number) == 8 else number)
+    return out
+
+
 @pytest.mark.live
 @pytest.mark.timeout(240)
 def test_a_running_pipeline_takes_poison_and_orders(recording, huepose, base_port, tmp_path, wait_until):
@@ -117,6 +138,8 @@ def test_a_running_pipeline_takes_poison_and_orders(recording, huepose, base_por
         assert before.well
         assert 'camera -- "frame, ' in mermaid(before)
         assert NAME in as_text(before)
+        # Nobody outside of this machine can reach a worker.
+        assert {a for m in before.health.values() for a in _listening(m.pid)} == {"127.0.0.1"}
 
         # A thousand bad messages a second on every key: counted by all that listen, and nobody is disturbed.
         sent = flood(before.pipeline.endpoints, "local", "cam0", seconds=2.0, rate_hz=1000.0)

@@ -183,11 +183,13 @@ def test_an_unknown_worker_is_named(pipeline, huepose):
     assert "worker 'cook'" in err
 
 
-def test_validate_says_what_a_pipeline_is(pipeline, huepose):
+def test_validate_says_what_a_pipeline_is(pipeline, huepose, base_port):
     process = huepose("validate", pipeline())
     out, err = process.communicate(timeout=30.0)
     assert process.returncode == 0
     assert "huepose/local/cam0" in out
+    assert f"on 127.0.0.1: camera {base_port}" in out
+    assert "frames   by " in out
 
 
 def test_help_is_instant_and_imports_nothing_heavy(huepose):

@@ -4,7 +4,10 @@ from __future__ import annotations
 
 import argparse
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from huepose_services.runtime.config import Config
 
 
 def add_parser(subparsers: Any) -> None:
@@ -27,4 +30,19 @@ def call(arguments: argparse.Namespace) -> int:
     print(f"  camera   {config.camera.name}: {config.camera.source} {config.camera.path or ''}".rstrip())
     print(f"  objects  {names}")
     print(f"  keys     huepose/{config.site}/{config.camera.name}/...")
+    ports = ", ".join(f"{worker} {config.port(worker)}" for worker in config.workers)
+    print(f"  ports    on 127.0.0.1: {ports}")
+    print(f"  frames   {_way_of_frames(config)}")
     return 0
+
+
+def _way_of_frames(config: Config) -> str:
+    from huepose_services.runtime.session import MIB, lock_limit, pool_fits
+
+    pool, limit = config.bus.frame_pool_mib, lock_limit()
+    if pool == 0:
+        return "by TCP, as bus.frame_pool_mib is 0"
+    kib = "no limit" if limit is None else f"limit {limit // 1024} KiB"
+    if pool_fits(int(pool * MIB), limit):
+        return f"by shared memory, a pool of {pool:g} MiB (ulimit -l: {kib})"
+    return f"by TCP: a pool of {pool:g} MiB does not fit the memory that may be locked (ulimit -l: {kib})"

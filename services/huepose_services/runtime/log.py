@@ -11,6 +11,7 @@ import os
 import re
 import sys
 import time
+from functools import cache
 from typing import Literal, TextIO
 
 Level = Literal["info", "warn", "error"]
@@ -89,11 +90,21 @@ def is_log_line(line: str) -> bool:
     return _OWN_LINE.match(line) is not None
 
 
+@cache
+def _to_journal() -> bool:
+    """Whether stderr is the stream that systemd says leads to its journal."""
+    try:
+        status = os.fstat(2)
+    except OSError:
+        return False
+    return os.environ.get("JOURNAL_STREAM") == f"{status.st_dev}:{status.st_ino}"
+
+
 def _formatted(text: str, level: Level, worker: str) -> str:
     if os.environ.get("HUEPOSE_LOG") == "json":
         stamp = time.time()
         return json.dumps({"time": round(stamp, 3), "level": level, "worker": worker, "text": text}) + "\n"
-    if "JOURNAL_STREAM" in os.environ:
+    if _to_journal():
         return f"{_JOURNAL[level]}{worker}: {text}\n"
     now = time.time()
     stamp_text = f"{time.strftime('%H:%M:%S', time.localtime(now))}.{int(now * 1000) % 1000:03d}"

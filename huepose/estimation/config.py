@@ -30,7 +30,8 @@ class ColorpairPathConfig:
     """How much the colour-pair path tries. refined: hypotheses a mask that are registered; kept: different
     ones after that; turned: of them whose near-symmetric turns are tried; searched: poses a mask that are
     searched; finished: poses searched finely in the end; alternatives: different poses that are returned.
-    semantic: whether semantic ICP adds poses to the best different ones; ppf: whether point pair features may be used (see `matching.ppf` for why one may not want to)."""
+    semantic: whether semantic ICP adds a pose to each of the best different ones; ppf: whether point pair
+    features may be used (see `matching.ppf` for why one may not want to)."""
 
     refined: int = 30
     kept: int = 8

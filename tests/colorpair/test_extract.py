@@ -83,3 +83,56 @@ def test_thinning_keeps_the_best_and_the_limit() -> None:
 def test_tiny_pictures_have_no_pairs() -> None:
     assert len(extract(np.zeros((4, 4, 3), np.uint8))) == 0
     assert len(extract(np.full((30, 30, 3), 90, np.uint8))) == 0
+
+
+def painted(edges: list[tuple[float, tuple[int, int, int]]], angle: float, blur: float) -> np.ndarray:
+    """120 px of stripes across a line at `angle`, each from its offset on, drawn finely and made smaller."""
+    fine = 8
+    v, u = (np.mgrid[0 : 120 * fine, 0 : 120 * fine] + 0.5) / fine - 60.0
+    across = np.cos(angle) * u + np.sin(angle) * v
+    color = np.empty((*across.shape, 3), np.float32)
+    for offset, paint in edges:
+        color[across >= offset] = paint
+    small = cv2.resize(color, (120, 120), interpolation=cv2.INTER_AREA)
+    return np.rint(cv2.GaussianBlur(small, (0, 0), blur) if blur else small).astype(np.uint8)
+
+
+@pytest.mark.parametrize("angle_deg", [0.0, 28.0, 45.0, 77.0, 130.0])
+@pytest.mark.parametrize("blur", [0.0, 1.0, 2.0])
+def test_an_edge_of_known_place_way_and_blur(angle_deg: float, blur: float) -> None:
+    angle, offset = np.radians(angle_deg), 0.37
+    color = painted([(-1e3, (60, 60, 70)), (offset, (190, 180, 120))], angle, blur)
+    pairs = extract(color)
+    inner = (np.abs(pairs.pixels - 59.5) < 45).all(1)
+    assert inner.sum() > 15
+    way = np.array([np.cos(angle), np.sin(angle)])
+    place = (pairs.pixels[inner] - 59.5) @ way
+    # denoising draws a pixel on the edge to its nearer side, so places are true to a third of a pixel
+    assert abs(np.median(place) - offset) < 0.33
+    assert np.abs(place - offset).max() < 0.6
+    turn = np.angle(np.exp(1j * (pairs.directions[inner] - angle)))
+    assert np.abs(np.degrees(turn)).max() < 10.0  # from dark to light
+    widths = np.median(pairs.widths[inner])
+    # the pixel's step, Scharr's kernel and the blur, to 0.3 of the peak on both sides; denoising sharpens
+    assert 0.6 < widths / (3.1 * np.sqrt(blur**2 + 0.7)) < 1.3
+
+
+@pytest.mark.parametrize("noise", [0.0, 6.0])
+def test_a_third_colour_nearby_does_not_mix_in(noise: float) -> None:
+    """A stripe of 7 px between two others: both edges give the stripe's colour on their inner side."""
+    paints = [(60, 90, 160), (220, 200, 60), (150, 40, 60)]
+    color = painted([(-1e3, paints[0]), (-3.5, paints[1]), (3.5, paints[2])], np.radians(20.0), 0.6)
+    color = np.clip(color + np.random.default_rng(0).normal(0, noise, color.shape), 0, 255).astype(np.uint8)
+    pairs = extract(color)
+    way = np.array([np.cos(np.radians(20.0)), np.sin(np.radians(20.0))])
+    place = (pairs.pixels - 59.5) @ way
+    truth = to_lab(np.array([paints], np.uint8))[0]
+    inner = (np.abs(pairs.pixels - 59.5) < 40).all(1)
+    for offset, (low, high) in ((-3.5, (0, 1)), (3.5, (1, 2))):
+        chosen = inner & (np.abs(place - offset) < 1.0)
+        assert chosen.sum() > 15
+        rising = np.cos(pairs.directions[chosen] - np.radians(20.0)) > 0
+        ends = np.stack([truth[low], truth[high]])
+        wanted = np.where(rising[:, None, None], ends, ends[::-1])
+        off = np.linalg.norm(pairs.colors[chosen] - wanted, axis=2)
+        assert np.median(off) < 6.0  # the colours lie 60 to 100 apart

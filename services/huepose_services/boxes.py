@@ -55,7 +55,7 @@ class BoxFinder(Protocol):
         ...
 
 
-class _ByOutline:
+class ByOutline:
     """What those have in common that know objects by their outline."""
 
     def __init__(self, outlines: Mapping[str, Outline]) -> None:
@@ -69,8 +69,15 @@ class _ByOutline:
         """Forget an object; nothing happens when it is not known."""
         self._outlines.pop(name, None)
 
+    def prior_box(self, wanted: RequestedObject, header: FrameHeader, camera: Camera) -> Box | None:
+        """Where a tracked instance is predicted to be; None where none is tracked, or not in the image."""
+        outline = self._outlines.get(wanted.object)
+        if wanted.prior is None or outline is None:
+            return None
+        return outline.box(prior_from_wire(wanted.prior).predicted(header.capture_ns), camera)
 
-class TruthBoxes(_ByOutline):
+
+class TruthBoxes(ByOutline):
     """Boxes of the true objects, shifted by up to 10 % of their size and scaled by up to 10 %."""
 
     def __init__(self, outlines: Mapping[str, Outline], seed: int) -> None:
@@ -92,14 +99,14 @@ class TruthBoxes(_ByOutline):
         camera = camera_from_wire(header.intrinsics)
         boxes = [(self._name(t), self._box(t, truth, camera)) for t in truth.objects]
         found = []
-        known = [b for r in request.objects if (b := self._prior_box(r, header, camera)) is not None]
+        known = [b for r in request.objects if (b := self.prior_box(r, header, camera)) is not None]
         for wanted in request.objects:
             mine = [box for name, box in boxes if name == wanted.object and box is not None]
             if wanted.instance is None:
                 new = [box for box in mine if all(box.iou(other) < _SAME_BOX for other in known)]
                 found += [_detected(wanted, box) for box in new[: wanted.wanted]]
             elif mine:
-                prior = self._prior_box(wanted, header, camera)
+                prior = self.prior_box(wanted, header, camera)
                 best = mine[0] if prior is None else max(mine, key=prior.iou)
                 found.append(_detected(wanted, best))
         return found
@@ -123,14 +130,8 @@ class TruthBoxes(_ByOutline):
         size = (camera.width, camera.height)
         return disturbed(box, "perturbed", self._seed, message.scene, message.image, truth.instance, *size)
 
-    def _prior_box(self, wanted: RequestedObject, header: FrameHeader, camera: Camera) -> Box | None:
-        outline = self._outlines.get(wanted.object)
-        if wanted.prior is None or outline is None:
-            return None
-        return outline.box(prior_from_wire(wanted.prior).predicted(header.capture_ns), camera)
 
-
-class FirstBoxes(_ByOutline):
+class FirstBoxes(ByOutline):
     """A box that was given once, then the prediction; after a loss the last box, growing to the image."""
 
     def __init__(self, outlines: Mapping[str, Outline], boxes: Mapping[str, Box]) -> None:

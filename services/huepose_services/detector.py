@@ -4,14 +4,16 @@ from __future__ import annotations
 
 from huepose.geometry import Box
 from huepose.model import ReferenceModel
+from huepose_protos import WireError
 from huepose_protos.messages import Detections, FrameHeader, PerceptionRequest, TruthMessage
-from huepose_services import models
+from huepose_services import models, networks
 from huepose_services.boxes import BoxFinder, FirstBoxes, Hints, TruthBoxes
-from huepose_services.convert import box_from_wire
+from huepose_services.convert import box_from_wire, frame_from_wire
 from huepose_services.following import Follower
 from huepose_services.runtime.bus import Bus
 from huepose_services.runtime.clock import now_ns
 from huepose_services.runtime.config import Config
+from huepose_services.seen_boxes import SeenBoxes
 
 
 def make(bus: Bus, config: Config) -> DetectorWork:
@@ -20,6 +22,11 @@ def make(bus: Bus, config: Config) -> DetectorWork:
     follower = Follower(bus, lambda name: models.load_one(config, name), outlines)
     if config.detector.kind == "truth":
         return DetectorWork(bus, TruthBoxes(outlines, config.detector.seed), follower)
+    if config.detector.kind == "yolo":
+        detector, network = networks.yolo(config)
+        bus.log.say(f"YOLO of layout {detector.layout} on {network.provider}: {network.path.name}")
+        bus.health.count(f"provider_{network.provider}")
+        return DetectorWork(bus, SeenBoxes(outlines, detector), follower)
     boxes = {name: Box(*box) for name, box in config.detector.boxes.items()}
     return DetectorWork(bus, FirstBoxes(outlines, boxes), follower)
 
@@ -73,6 +80,12 @@ class DetectorWork:
             health.count("requests_without_a_frame")
             return
         header, payload = self._frame
+        if isinstance(self._finder, SeenBoxes):
+            try:
+                self._finder.look(frame_from_wire(header, payload))
+            except WireError as error:
+                self._bus.refuse(self._bus.keys.frame, error)
+                return
         found = self._hints.applied(self._finder.find(header, request), header, request, started)
         message = Detections(
             publish_ns=now_ns(),

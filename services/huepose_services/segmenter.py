@@ -7,10 +7,11 @@ import numpy as np
 
 from huepose.geometry import Box, Camera, RgbdFrame
 from huepose.perception.embedded import DepthSegmenter
+from huepose.perception.types import Segmenter
 from huepose_protos import WireError
 from huepose_protos.messages import DetectedObject, Detections, MaskedObject, Masks
 from huepose_protos.runlength import runs_of
-from huepose_services import models
+from huepose_services import models, networks
 from huepose_services.convert import box_from_wire, frame_from_wire
 from huepose_services.following import Follower
 from huepose_services.models import Outline
@@ -26,7 +27,12 @@ def make(bus: Bus, config: Config) -> SegmenterWork:
     """The segmenter worker's work, with its kernels compiled."""
     outlines = models.outlines(config)
     follower = Follower(bus, lambda name: models.outline(models.load_one(config, name)), outlines)
-    work = SegmenterWork(bus, outlines, follower)
+    segmenter: Segmenter = DepthSegmenter()
+    if config.segmenter.kind == "sam":
+        segmenter, encoder = networks.sam(config)
+        bus.log.say(f"SAM on {encoder.provider}: {encoder.path.name}")
+        bus.health.count(f"provider_{encoder.provider}")
+    work = SegmenterWork(bus, segmenter, outlines, follower)
     work.warm_up()
     return work
 
@@ -36,9 +42,11 @@ class SegmenterWork:
 
     finished = False
 
-    def __init__(self, bus: Bus, outlines: dict[str, Outline], objects: Follower[Outline]) -> None:
+    def __init__(
+        self, bus: Bus, segmenter: Segmenter, outlines: dict[str, Outline], objects: Follower[Outline]
+    ) -> None:
         self._bus, self._outlines, self._objects = bus, outlines, objects
-        self._segmenter = DepthSegmenter()
+        self._segmenter = segmenter
         self._detections = bus.inbox.ring(bus.keys.detections)
 
     def warm_up(self) -> None:

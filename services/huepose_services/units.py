@@ -33,6 +33,7 @@ WorkingDirectory=/var/lib/huepose
 StateDirectory=huepose
 CacheDirectory=huepose
 Environment=XDG_CACHE_HOME=/var/cache/huepose NUMBA_CACHE_DIR=/var/cache/huepose/numba
+Environment=HUEPOSE_NETWORKS=/var/lib/huepose/networks
 Environment={threads}
 UnsetEnvironment=LD_PRELOAD LD_LIBRARY_PATH PYTHONPATH PYTHONHOME
 

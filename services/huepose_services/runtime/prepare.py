@@ -31,6 +31,15 @@ def check(config: Config) -> None:
                 _unknown(config, item.name)
     if config.camera.source != "synthetic" and "camera" in config.workers:
         import_module(f"huepose_services.camera.{config.camera.source}").open_source(config)
+    _check_networks(config)
+
+
+def _check_networks(config: Config) -> None:
+    """Open them once, where there are any: a worker must not be the first to find that one is damaged."""
+    if config.detector.kind == "yolo" or config.segmenter.kind == "sam":
+        from huepose_services import networks
+
+        networks.check(config)
 
 
 def _unknown(config: Config, name: str) -> None:

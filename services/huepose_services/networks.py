@@ -1,0 +1,78 @@
+"""The networks of a deployment: from names and paths in pipeline.yaml to opened sessions and adapters."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import msgspec
+
+from huepose.datasets.synthetic_store import cache_folder
+from huepose.perception.sam import SamSegmenter
+from huepose.perception.sessions import Network, NetworkSettings, open_network
+from huepose.perception.yolo import YoloDetector
+from huepose_services.catalogue import entry_of
+from huepose_services.runtime.config import Config
+
+
+def settings(config: Config) -> NetworkSettings:
+    """How the networks are run."""
+    own = config.networks
+    cache = Path(own.cache) if own.cache is not None else cache_folder() / "engines"
+    return NetworkSettings(providers=own.providers, threads=own.threads, fp16=own.fp16, cache=cache)
+
+
+def opened(config: Config, named: str, *, half: bool = True) -> Network:
+    """The network of a path or a name of `huepose models`; its digest is that of the configuration, else the
+    one that is known. Raises InputError."""
+    sha256 = None
+    if named.endswith(".onnx") or "/" in named:
+        path = Path(named)
+    else:
+        entry = entry_of(named)
+        path, sha256 = entry.path, entry.network.sha256
+        half = half and entry.network.half
+    return open_network(
+        path, settings(config), sha256=config.networks.sha256.get(path.name, sha256), half=half
+    )
+
+
+def check(config: Config) -> None:
+    """Raises InputError when a network that a worker will open is not there, damaged, or of the wrong kind.
+
+    On the processor: building engines for a GPU takes minutes, and is the worker's own affair."""
+    on_cpu = msgspec.structs.replace(
+        config, networks=msgspec.structs.replace(config.networks, providers=("cpu",))
+    )
+    if "detector" in config.workers and config.detector.kind == "yolo":
+        yolo(on_cpu)
+    if "segmenter" in config.workers and config.segmenter.kind == "sam":
+        sam(on_cpu)
+
+
+def yolo(config: Config) -> tuple[YoloDetector, Network]:
+    """The detector of the configuration, warmed up."""
+    detector = config.detector
+    assert detector.model is not None  # the configuration was checked
+    network = opened(config, detector.model)
+    classes = {
+        name: given if isinstance(given, list) else [given] for name, given in detector.classes.items()
+    }
+    found = YoloDetector(
+        network,
+        classes,
+        layout=detector.layout,
+        confidence=detector.confidence,
+        overlap=detector.overlap,
+    )
+    return found, network
+
+
+def sam(config: Config) -> tuple[SamSegmenter, Network]:
+    """The segmenter of the configuration, warmed up. Its decoder never runs in half precision."""
+    segmenter = config.segmenter
+    assert segmenter.encoder is not None  # the configuration was checked
+    assert segmenter.decoder is not None
+    encoder = opened(config, segmenter.encoder)
+    made = SamSegmenter(encoder, opened(config, segmenter.decoder, half=False))
+    made.warm_up()
+    return made, encoder

@@ -29,6 +29,10 @@ class Keys:
     def _key(self, tail: str) -> str:
         return f"{ROOT}/{self.site}/{self.camera}/{tail}"
 
+    def of_tail(self, tail: str) -> str:
+        """The key that ends so: what `tail_of` gives, back under this site and camera."""
+        return self._key(tail)
+
     @property
     def frame(self) -> str:
         """Frames with pixels: FrameHeader."""

@@ -122,7 +122,7 @@ def multiply(p: Array, q: Array) -> Array:
 
 
 def _inverse(q: Array) -> Array:
-    return q * np.array([-1.0, -1.0, -1.0, 1.0])
+    return np.append(-q[:3], q[3])
 
 
 def _normal(q: Array) -> Array:

@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
+    from huepose_services.runtime.config import Config
     from huepose_services.runtime.running import Pipeline
 
 
@@ -25,3 +26,17 @@ def chosen(arguments: argparse.Namespace) -> Pipeline:
     from huepose_services.runtime.running import pick
 
     return pick(arguments.config, arguments.pipeline)
+
+
+def chosen_config(arguments: argparse.Namespace) -> Config:
+    """The configuration of the pipeline that is meant; names and ports alone where its file is not known."""
+    from huepose_services.runtime.config import BusConfig, CameraConfig, Config, load
+
+    pipeline = chosen(arguments)
+    if pipeline.file:
+        return load(Path(pipeline.file))
+    return Config(
+        site=pipeline.site,
+        camera=CameraConfig(name=pipeline.camera),
+        bus=BusConfig(base_port=pipeline.base_port),
+    )

@@ -10,6 +10,8 @@ from pathlib import Path
 from types import FrameType
 from typing import TYPE_CHECKING, Any
 
+from huepose_services.cli.attach import add_choice, chosen_config
+
 if TYPE_CHECKING:
     from huepose_services.runtime.config import Config
 
@@ -20,7 +22,7 @@ _LONGEST_WAIT_NS = 100_000_000
 def add_parser(subparsers: Any) -> None:
     """Add the verb."""
     parser = subparsers.add_parser("view", help="show what a running pipeline sees and believes")
-    parser.add_argument("config", nargs="?", type=Path, default=Path("pipeline.yaml"), metavar="PIPELINE")
+    add_choice(parser)
     where = parser.add_mutually_exclusive_group()
     where.add_argument("--web", type=int, metavar="PORT", help="serve a page there, without the internet")
     where.add_argument("--save", type=Path, metavar="FILE.rrd", help="write a file for the rerun viewer")
@@ -30,11 +32,10 @@ def add_parser(subparsers: Any) -> None:
 
 def call(arguments: argparse.Namespace) -> int:
     """Show until told to stop."""
-    from huepose_services.runtime.config import load
     from huepose_services.runtime.threads import single_threaded
 
     single_threaded()
-    config = load(arguments.config)
+    config = chosen_config(arguments)
     recording = _open(arguments, config)
     stopping = False
 

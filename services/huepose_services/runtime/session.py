@@ -125,3 +125,17 @@ def open_worker_session(config: Config, worker: str) -> tuple[zenoh.Session, lis
 def open_reader_session(endpoints: Sequence[str]) -> zenoh.Session:
     """A session that only looks: it listens nowhere and takes no shared memory."""
     return zenoh.open(zenoh_config([], endpoints))
+
+
+def open_player_session(config: Config) -> zenoh.Session:
+    """A session in the place of a whole pipeline: it listens on the ports of all of its workers, so that who
+    looks for one of them finds it. Raises InputError when one of them is taken."""
+    try:
+        return zenoh.open(zenoh_config([config.endpoint(worker) for worker in config.workers], []))
+    except zenoh.ZError as error:
+        raise InputError(
+            f"ports from {config.bus.base_port}",
+            found="another program there" if "in use" in str(error) else " ".join(str(error).split())[:200],
+            expected="free ports on 127.0.0.1",
+            fix="Stop the other pipeline, or give --config with another bus.base_port.",
+        ) from None

@@ -1,4 +1,4 @@
-"""The viewer: what the pipeline sees and believes, for people. A reader like any other, in its own process."""
+"""The viewer: what the pipeline sees and believes, for people. One more reader, in a process of its own."""
 
 from huepose_services.viewer.work import make
 

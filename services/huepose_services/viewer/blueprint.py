@@ -29,7 +29,18 @@ def layout() -> Any:
         name="Camera and poses", origin=CAMERA, contents=[f"+ /{COLOR}", f"+ /{OVERLAY}/**"]
     )
     depth = rrb.Spatial2DView(name="Depth", origin=DEPTH)
-    events = rrb.TextLogView(name="Changes of state", origin=EVENTS)
+    shown = {"EntityPath": False, "LogLevel": False, "Body": True}
+    events = rrb.TextLogView(
+        name="Changes of state",
+        origin=EVENTS,
+        columns=rrb.TextLogColumns(
+            # The time is in the text: the column of the timeline is too narrow to be read.
+            timeline_columns=[rrb.components.TimelineColumn(TIMELINE, visible=False)],
+            text_log_columns=[
+                rrb.components.TextLogColumn(kind, visible=visible) for kind, visible in shown.items()
+            ],
+        ),
+    )
     space = rrb.Spatial3DView(
         name="Models where they are believed to be",
         origin="world",
@@ -37,7 +48,7 @@ def layout() -> Any:
         background=[24, 26, 31, 255],
         line_grid=False,
         eye_controls=rrb.EyeControls3D(
-            position=(0.55, -0.5, -0.25), look_target=(0.0, 0.06, 0.8), eye_up=(0.0, -1.0, 0.0)
+            position=(0.54, -0.48, -0.2), look_target=(0.02, 0.08, 0.78), eye_up=(0.0, -1.0, 0.0)
         ),
     )
     quality = rrb.TimeSeriesView(

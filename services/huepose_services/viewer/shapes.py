@@ -1,4 +1,4 @@
-"""What is drawn, as arrays: outlines and axes in the image, the point cloud, meshes. Knows nothing of rerun."""
+"""What is drawn, as arrays: outlines and axes in the image, the point cloud, meshes. No rerun in here."""
 
 from __future__ import annotations
 
@@ -12,6 +12,7 @@ from huepose.geometry.arrays import Bool, Float, Float32, Float64, UInt8, UInt16
 from huepose.geometry.mesh import Mesh
 from huepose.rendering.render import render_depth
 
+UInt32 = np.ndarray[tuple[int, ...], np.dtype[np.uint32]]
 _MAX_TEXTURE = 512
 _CLOUD_REACH_M = 3.0
 _PIXELS_TOLERANCE = 0.7
@@ -39,7 +40,9 @@ def axes(T_cam_obj: Float, camera: Camera, length_m: float, centre_obj: Float) -
     return [pixels[[0, i]] for i in (1, 2, 3)]
 
 
-def cloud(color: UInt8, depth: UInt16, depth_scale_m: float, camera: Camera, stride: int) -> tuple[Float32, UInt8]:
+def cloud(
+    color: UInt8, depth: UInt16, depth_scale_m: float, camera: Camera, stride: int
+) -> tuple[Float32, UInt8]:
     """Points (N, 3) in camera axes and their colours (N, 3): every so many pixels that have a depth."""
     z = depth[::stride, ::stride].astype(np.float32) * np.float32(depth_scale_m)
     rows, columns = np.nonzero((z > 0) & (z < _CLOUD_REACH_M))
@@ -63,7 +66,7 @@ class Drawable:
     """A mesh as graphics cards take it: positions (3F, 3), triangles (F, 3), texture coordinates (3F, 2)."""
 
     positions: Float32
-    triangles: Float32
+    triangles: UInt32
     texture_coordinates: Float32
     texture: UInt8
 
@@ -74,7 +77,8 @@ def drawable(mesh: Mesh) -> Drawable:
     texture = mesh.texture
     scale = _MAX_TEXTURE / max(texture.shape[:2])
     if scale < 1.0:
-        texture = cv2.resize(texture, None, fx=scale, fy=scale, interpolation=cv2.INTER_AREA)
+        small = cv2.resize(texture, None, fx=scale, fy=scale, interpolation=cv2.INTER_AREA)
+        texture = small.astype(np.uint8, copy=False)
     return Drawable(
         mesh.vertices[corners],
         np.arange(len(corners), dtype=np.uint32).reshape(-1, 3),

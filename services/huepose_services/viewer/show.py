@@ -128,7 +128,7 @@ class Show:
             lines += border
             colors += [colour] * len(border)
             highest = np.concatenate(border)
-            tips.append((float(highest[:, 0].mean()), float(highest[:, 1].min()) - 4.0))
+            tips.append((float(highest[:, 0].mean()), float(highest[:, 1].min()) - 12.0))
             labels.append(f"{pose.object}  {pose.state.lower()} {pose.quality:.2f}")
             label_colors.append(colour)
             cross = axes(T_cam_obj, self._camera, 0.35 * body.diameter_m, body.mesh.centre)
@@ -145,7 +145,7 @@ class Show:
         )
 
     def pose(self, pose: PoseMessage) -> None:
-        """Where the model stands in space, its trail, and its quality; gone from space while it has no pose."""
+        """Where the model stands in space, its trail, its quality; gone from space while it has no pose."""
         import rerun as rr
 
         instance = (pose.object, pose.instance)
@@ -201,7 +201,7 @@ class Show:
             self._log(f"{path}/mesh", shown, static=True)
 
     def latency(self, milliseconds: float) -> None:
-        """From capture to the last pose of a frame."""
+        """From capture to a frame's first pose."""
         import rerun as rr
 
         self._log(place.LATENCY, rr.Scalars(milliseconds))

@@ -38,9 +38,7 @@ def served(config: ViewerConfig) -> tuple[Any, str]:
     import rerun as rr
 
     recording = _recording()
-    sink = rr.GrpcServerSink(
-        config.bind, config.grpc_port, server_memory_limit=f"{config.memory_mib}MiB"
-    )
+    sink = rr.GrpcServerSink(config.bind, config.grpc_port, server_memory_limit=f"{config.memory_mib}MiB")
     recording.set_sinks(sink, default_blueprint=layout())
     host = "127.0.0.1" if config.bind == "127.0.0.1" else socket.gethostname()
     source = f"rerun+http://{host}:{config.grpc_port}/proxy"

@@ -6,6 +6,8 @@ shown on the frame that they are of: a frame waits for its poses for a moment.
 
 from __future__ import annotations
 
+import time
+
 from huepose_protos import WireError
 from huepose_protos.buffers import frame_images
 from huepose_protos.keys import last
@@ -57,7 +59,7 @@ class ViewerWork:
         self._states: dict[tuple[str, int], str] = {}
         self._clock: Clock | None = None
         self._pictures = 0
-        self.frames_shown = 0
+        self._frame_id = -1
 
     def due_ns(self) -> int | None:
         """When the next picture is due, or the waiting one has waited long enough."""
@@ -90,15 +92,20 @@ class ViewerWork:
         before = self._states.get(instance)
         if before != pose.state:
             self._states[instance] = pose.state
-            came_from = "" if before is None else f" (was {before})"
-            self._show.event(f"{pose.object}/{pose.instance} {pose.state}{came_from}", pose.state)
+            came_from = "" if before is None else f"{before} > "
+            clock = time.strftime("%H:%M:%S")
+            text = f"{clock}  {pose.object}/{pose.instance}  {came_from}{pose.state}"
+            self._show.event(text, pose.state)
         self._show.pose(pose)
-        self._show.latency((pose.publish_ns - pose.capture_ns) * 1e-6)
+        if pose.frame_id != self._frame_id:
+            # One point for each frame: its first pose.
+            self._frame_id = pose.frame_id
+            self._show.latency((pose.publish_ns - pose.capture_ns) * 1e-6)
         self._bus.health.camera_epoch, self._bus.health.frame_id = pose.camera_epoch, pose.frame_id
         self._bus.health.worked(started, pose.capture_ns)
 
     def _has_poses(self, header: FrameHeader) -> bool:
-        """Whether every instance that is being tracked has said something of this frame, or of a later one."""
+        """Whether every instance that is tracked has said something of this frame, or of a later one."""
         living = [kept for kept in self._recent.values() if _newest(kept) > header.frame_id - 30]
         return bool(living) and all(_newest(kept) >= header.frame_id for kept in living)
 

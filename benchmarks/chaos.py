@@ -19,18 +19,21 @@ import sys
 import time
 from collections.abc import Callable
 from dataclasses import asdict, dataclass
+from itertools import pairwise
 from pathlib import Path
 
-from benchmarks.live import CHAIN, LivePipeline, gaps_s, too_old, wrong
+from benchmarks.live import CHAIN, LivePipeline, SeenPose, gaps_s, too_old, wrong
 from benchmarks.poison import flood
 
 STEADY_OBJECTS = 3
 _AFTER_S = 4.0
+_AWAY_S = 0.3
 
 
 @dataclass
 class Outcome:
-    """One fault. Seconds from the fault on; None: not within a minute."""
+    """One fault. Seconds from the fault on; None: not within a minute. tracking_s: 0 when poses that may be
+    acted on were never away for longer than 0.3 s."""
 
     worker: str
     fault: str
@@ -84,7 +87,6 @@ def _strike(pipeline: LivePipeline, worker: str, fault: str) -> Outcome:
     sign = f"{worker} killed by signal" if fault == "killed" else f"{worker} has given no sign of life"
     outcome.noticed_s = _after(start, lambda: sign in pipeline.log()[log_length:])
     outcome.results_s = _after(start, lambda: _works_anew(pipeline, worker, before[worker]))
-    outcome.tracking_s = _after(start, lambda: len(pipeline.tracking_now()) >= 1)
     time.sleep(_AFTER_S)
     _judge(pipeline, outcome, start, refused, before)
     return outcome
@@ -137,11 +139,22 @@ def _judge(
     """What subscribers saw since the fault."""
     seen = [p for p in pipeline.poses if p.at >= start]
     outcome.longest_gap_s = max(gaps_s(seen, start, time.monotonic()))
+    tracking = [p for p in seen if p.state == "TRACKING"]
+    outcome.tracking_s = _back_after(tracking, start, time.monotonic())
     outcome.wrong_tracking = wrong(seen)
     outcome.too_old_tracking = too_old(seen, pipeline.max_age_ms)
     outcome.unreadable = pipeline.reader.refused - refused if outcome.fault != "bad input" else 0
     now = pipeline.pids()
     outcome.others_died = sum(now[w] != pid for w, pid in before.items() if w != outcome.worker)
+
+
+def _back_after(tracking: list[SeenPose], start: float, end: float) -> float | None:
+    """When TRACKING poses came again after they had been away; 0 when they never were."""
+    times = [start, *sorted({p.at for p in tracking}), end]
+    away = [(a, b) for a, b in pairwise(times) if b - a > _AWAY_S]
+    if not away:
+        return 0.0
+    return None if away[-1][1] == end else away[-1][1] - start
 
 
 _HEAD = (

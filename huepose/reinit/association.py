@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
-from scipy.optimize import linear_sum_assignment
 
 from huepose.geometry import se3
 from huepose.geometry.arrays import Float64
@@ -41,6 +40,9 @@ def assign(
     Every instance is predicted to the estimates' stamp. The sum of distances is least over all assignments
     that keep to the gates, as many as possible being assigned.
     """
+    # Every worker imports this room for its types; this one function needs a quarter of a second more.
+    from scipy.optimize import linear_sum_assignment
+
     out: list[int | None] = [None] * len(estimates)
     if not estimates or not priors:
         return out

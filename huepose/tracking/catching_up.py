@@ -17,14 +17,21 @@ from huepose.tracking import evidence
 from huepose.tracking.config import TrackerConfig
 from huepose.tracking.motion import filtered, increment_velocity
 from huepose.tracking.relative_pose import RelativePose
+from huepose.tracking.scoring import UNKNOWN_TINT, Tint
 from huepose.tracking.step import Anchor, Step, Subject, advance, best_of
 from huepose.tracking.types import Correction
+
+FITS = 0.5
+"""Frames that support the pose by at least this much teach what is usual."""
 
 
 @dataclass(frozen=True, eq=False)
 class Pursuit:
     """A correction on its way to now: the newest frame that it has reached (None before the first), its pose
-    and velocity there, how it got there, and the kept frames that it went through."""
+    and velocity there, how it got there, and the kept frames that it went through.
+
+    usual: the score that is usual for the object, at first from before it was lost; tint of its light;
+    evidence: probability that the pose is still the one that was corrected to."""
 
     correction: Correction
     T_cam_obj: Float64
@@ -32,15 +39,23 @@ class Pursuit:
     velocity: Float64 | None = None
     step: Step | None = None
     poses: tuple[tuple[int, Float64], ...] = ()
+    usual: float | None = None
+    tint: Tint = UNKNOWN_TINT
+    evidence: float = 0.0
 
     @staticmethod
-    def of(correction: Correction) -> Pursuit:
+    def of(correction: Correction, usual: float | None = None) -> Pursuit:
         """Before its first step."""
-        return Pursuit(correction, correction.T_cam_obj)
+        return Pursuit(correction, correction.T_cam_obj, usual=usual, evidence=correction.quality)
 
     def arrived(self, newest: RgbdFrame) -> bool:
         """Whether it has reached that frame."""
         return self.reached is not None and self.reached.stamp_ns >= newest.stamp_ns
+
+    def supported(self, config: TrackerConfig) -> bool:
+        """Whether no frame on the way spoke against it. What was hidden on the way was not followed: what
+        is found behind that, on the surface that hides it, is something else."""
+        return self.evidence >= config.lost_quality
 
 
 def pursue(
@@ -51,15 +66,20 @@ def pursue(
     relative_pose: RelativePose | None = None,
 ) -> Pursuit:
     """One step towards the newest of the kept frames (oldest first, none before the correction's)."""
+    mask = None
     if pursuit.reached is None:
+        # Settled on its own frame first, or on the one next to it: so it is known how well it should fit.
         first = kept[0]
-        if first is kept[-1] or first.stamp_ns != pursuit.correction.stamp_ns:
-            # Nothing to step over, or its own frame was skipped: settle on the frame next to it.
-            step = best_of(subject.surface, first, [(pursuit.T_cam_obj, "correction")])
-            return _reached(pursuit, first, step, None)
-        anchor = Anchor(pursuit.T_cam_obj, None, first, None, mask=pursuit.correction.mask)
-    else:
-        anchor = Anchor(pursuit.T_cam_obj, pursuit.velocity, pursuit.reached, _usual(pursuit))
+        if first.stamp_ns == pursuit.correction.stamp_ns:
+            mask = pursuit.correction.mask
+        step = best_of(subject.surface, first, [(pursuit.T_cam_obj, "correction")])
+        pursuit = _reached(pursuit, first, step, None)
+        if first is kept[-1] or not pursuit.supported(config):
+            return pursuit
+    assert pursuit.reached is not None
+    anchor = Anchor(
+        pursuit.T_cam_obj, pursuit.velocity, pursuit.reached, pursuit.usual, pursuit.tint, mask=mask
+    )
     ahead = [f for f in kept if f.stamp_ns > anchor.frame.stamp_ns]
     frame = ahead[min(len(ahead), config.catch_up_stride, max(1, (len(ahead) + 1) // 2 + 1)) - 1]
     step = advance(subject, anchor, frame, config, relative_pose)
@@ -69,18 +89,18 @@ def pursue(
 
 
 def _reached(pursuit: Pursuit, frame: RgbdFrame, step: Step, velocity: Float64 | None) -> Pursuit:
-    poses = (*pursuit.poses, (frame.stamp_ns, step.T_cam_obj))
+    sure = evidence.quality(step.fit, pursuit.usual, pursuit.evidence)
+    usual, tint = pursuit.usual, pursuit.tint
+    if sure >= FITS:
+        usual, tint = evidence.usual_after(usual, step.fit.total), evidence.tint_after(tint, step.fit.tint)
     return replace(
-        pursuit, T_cam_obj=step.T_cam_obj, reached=frame, velocity=velocity, step=step, poses=poses
+        pursuit,
+        T_cam_obj=step.T_cam_obj,
+        reached=frame,
+        velocity=velocity,
+        step=step,
+        poses=(*pursuit.poses, (frame.stamp_ns, step.T_cam_obj)),
+        usual=usual,
+        tint=tint,
+        evidence=sure,
     )
-
-
-def _usual(pursuit: Pursuit) -> float | None:
-    return None if pursuit.step is None else pursuit.step.fit.total
-
-
-def supported(pursuit: Pursuit, config: TrackerConfig) -> bool:
-    """Whether the newest reached frame does not speak against its pose."""
-    step = pursuit.step
-    sure = pursuit.correction.quality
-    return step is not None and evidence.quality(step.fit, None, sure) >= config.lost_quality

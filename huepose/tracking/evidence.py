@@ -31,9 +31,9 @@ way it is doubtful at best."""
 MUTE_COLOUR = 0.35
 """What colours that cannot be seen neither add nor take away."""
 
-USUAL_SLACK = 0.3
+USUAL_SLACK, HIDDEN_SLACK = 0.3, 0.5
 PER_DROP = 6.0
-"""Log-odds lost per score under the usual one, beyond the slack."""
+"""Log-odds lost per score under the usual one, beyond the slack: more of it where something is in front."""
 
 USUAL_SHARE = 0.15
 TINT_SHARE = 0.2
@@ -56,7 +56,7 @@ def quality(fit: Fit, usual: float | None, was_right: float) -> float:
     x = CONSTANT + PER_DEPTH_FIT * fit.depth_fit + PER_BEHIND * fit.behind + PER_COLOUR * colour
     x += CARRIED * was_right
     if usual is not None and not mute:
-        x -= PER_DROP * max(0.0, usual - fit.total - USUAL_SLACK)
+        x -= PER_DROP * max(0.0, usual - fit.total - USUAL_SLACK - HIDDEN_SLACK * fit.hidden)
     q = float(1.0 / (1.0 + np.exp(-x)))
     return min(q, ONE_SENSE) if mute or fit.seen < LEAST_SEEN else q
 

@@ -40,6 +40,9 @@ OUTLINE_FLOOR = 0.1
 """Weight of samples at the outline, where colours and depth are mixed with the background's."""
 
 LIGHT_ROUNDS = 3
+DAMPING = 2e-3
+"""Of Levenberg and Marquardt, as a share of the information about the translation."""
+
 MIN_COLOURS = 20
 STILL_M = 2e-5
 """A step smaller than this (metres, and metres at the object's rim) ends a level."""
@@ -203,8 +206,10 @@ def _refine(
             for j in range(i):
                 A[j, i] = A[i, j]
         information[:] = A
+        # In proportion to what is known, so that colours alone move a pose as freely as depth does.
+        damping = DAMPING * (A[0, 0] + A[1, 1] + A[2, 2]) + 1.0
         for i in range(6):
-            A[i, i] += 2e-3 * n / variance + 1.0
+            A[i, i] += damping
         if not solve_symmetric(A, b, x):
             break
         _move(T, x, surface, centre, D)

@@ -21,8 +21,8 @@ from huepose.tracking import flow as optical_flow
 from huepose.tracking.config import TrackerConfig
 from huepose.tracking.correspondences import match
 from huepose.tracking.motion import MAX_AHEAD_S, predicted
-from huepose.tracking.refinement import refine
-from huepose.tracking.region import prepare
+from huepose.tracking.refinement import FINE, Refined, refine
+from huepose.tracking.region import Region, prepare
 from huepose.tracking.relative_pose import RelativePose, RobustKabsch, lift_matches
 from huepose.tracking.scoring import NOTHING, UNKNOWN_TINT, Fit, Tint, score
 from huepose.tracking.search import GREAT_EFFORT, USUAL_EFFORT, Effort, Reach, search
@@ -103,7 +103,8 @@ class Anchor:
 class Step:
     """Where it is now: pose, what that explains of the frame, information (6, 6) of the refinement, and
     which start led there ("still", "velocity", "flow", "search", "turn", "rival"); doubtful: it explains less
-    than it should; searched: the tracker's own search was made."""
+    than it should; searched: the tracker's own search was made; near: what starts near by had led to where
+    the search found something that explains more."""
 
     T_cam_obj: Float64
     fit: Fit
@@ -111,6 +112,7 @@ class Step:
     start: str
     doubtful: bool = False
     searched: bool = False
+    near: Step | None = None
 
 
 def advance(
@@ -143,6 +145,7 @@ def advance(
             best = _better(best, best_of(surface, frame, [(T_flow, "flow")], anchor.tint))
     doubtful = not _convincing(best, anchor.usual, doubt)
     searching = config.search and (doubtful or surprising or returning)
+    local = best
     if searching:
         near, far = _reach(surface, anchor, expected, seconds + anchor.unseen_s, config)
         best = _searched(best, surface, frame, near, USUAL_EFFORT, anchor.tint)
@@ -151,7 +154,12 @@ def advance(
         if len(subject.turns) and best.fit.seen >= RETURNING_SEEN:
             turned = [(best.T_cam_obj @ turn, "turn") for turn in subject.turns]
             best = _better(best, best_of(surface, frame, turned, anchor.tint), by=TURN_MARGIN)
-    return replace(best, doubtful=not _convincing(best, anchor.usual, doubt), searched=searching)
+    return replace(
+        best,
+        doubtful=not _convincing(best, anchor.usual, doubt),
+        searched=searching,
+        near=None if best is local else local,
+    )
 
 
 def flow_start(
@@ -195,16 +203,27 @@ def best_of(
     if region is None:
         return Step(starts[-1][0], NOTHING, np.zeros((6, 6)), starts[-1][1])
     totals = [score(surface, region, T, 2, START_SAMPLES, tint).total for T, _ in starts]
-    T, name = starts[int(np.argmax(totals))]
-    refined = refine(surface, region, T)
+    T_start, name = starts[int(np.argmax(totals))]
+    refined, T = refine(surface, region, T_start), T_start
     for _ in range(MORE_PASSES):
         if _moved_m(surface, T, refined.T_cam_obj) < SETTLED_M:
             break
         T = refined.T_cam_obj
         refined = refine(surface, region, T)
-    return Step(
-        refined.T_cam_obj, score(surface, region, refined.T_cam_obj, 0, tint=tint), refined.information, name
-    )
+    best = _scored(surface, region, refined, name, tint)
+    unmoved = score(surface, region, T_start, 0, tint=tint)
+    if unmoved.total > best.fit.total:
+        # Drawn away by something close by, a hand that holds the object for one: only what is near counts.
+        careful = _scored(surface, region, refine(surface, region, T_start, FINE), name, tint)
+        best = max(best, careful, key=lambda step: step.fit.total)
+        if unmoved.total > best.fit.total:
+            best = replace(best, T_cam_obj=T_start, fit=unmoved)
+    return best
+
+
+def _scored(surface: TrackedSurface, region: Region, refined: Refined, start: str, tint: Tint) -> Step:
+    fit = score(surface, region, refined.T_cam_obj, 0, tint=tint)
+    return Step(refined.T_cam_obj, fit, refined.information, start)
 
 
 def _moved_m(surface: TrackedSurface, T_a: Float64, T_b: Float64) -> float:

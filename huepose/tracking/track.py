@@ -9,6 +9,7 @@ import numpy as np
 from huepose.geometry.arrays import Float64
 from huepose.geometry.frame import RgbdFrame
 from huepose.tracking import evidence
+from huepose.tracking.catching_up import Pursuit
 from huepose.tracking.config import TrackerConfig
 from huepose.tracking.evidence import Standing, next_standing, usual_after
 from huepose.tracking.history import PoseHistory
@@ -25,6 +26,9 @@ COASTING_SEEN = 0.15
 
 COASTING_DAMPING = 0.85
 """Factor of the velocity in every frame without support."""
+
+FORGOTTEN_PER_S = 0.25
+"""Score by which less is asked, each second, of an object that returns: the light may have changed."""
 
 MAX_TRIES = 3
 TRY_AGAIN_AFTER = 15
@@ -55,6 +59,7 @@ class Track:
         self._frame: RgbdFrame | None = None
         self._doubtful_frames = 0
         self._unseen_s = 0.0
+        self._supported_ns = 0
         self._rival: Float64 | None = None
 
     def look(
@@ -78,9 +83,13 @@ class Track:
         config = self._config if may_search else replace(self._config, search=False)
         step = advance(self.subject, anchor, frame, config, relative_pose)
         seconds = (frame.stamp_ns - self._frame.stamp_ns) * 1e-9
-        self.fit, self.start, self._frame = step.fit, step.start, frame
-        self._evidence = evidence.quality(step.fit, self._usual, self._evidence)
-        if self._evidence >= self._config.suspect_quality:
+        sure = evidence.quality(step.fit, self._usual, self._evidence)
+        if step.near is not None and sure < self._config.suspect_quality:
+            # What is found somewhere else and not believed must not draw a half hidden object away.
+            step = replace(step.near, doubtful=True, searched=True)
+            sure = evidence.quality(step.fit, self._usual, self._evidence)
+        self.fit, self.start, self._frame, self._evidence = step.fit, step.start, frame, sure
+        if self._evidence >= self._config.lost_quality:
             measured = increment_velocity(self.T_cam_obj, step.T_cam_obj, seconds)
             self.velocity = filtered(self.velocity, measured, seconds)
             self.T_cam_obj, self.covariance = step.T_cam_obj, self._covariance(step)
@@ -98,25 +107,30 @@ class Track:
                 self._evidence = 0.0
             elif self._evidence >= self._config.suspect_quality:
                 self._usual = usual_after(self._usual, self.fit.total)
+                self._supported_ns = frame.stamp_ns
                 self._tint = evidence.tint_after(self._tint, self.fit.tint)
                 if self._identity is not None and self._evidence >= self._config.tracking_quality:
                     self._identity = self._identity.carried(self.fit, self._view())
             self._judge()
         self.history.append(frame.frame_id, frame.stamp_ns, self.T_cam_obj)
 
-    def place(self, step: Step, frame: RgbdFrame, identity: float, velocity: Float64 | None) -> None:
+    def place(self, pursuit: Pursuit, step: Step, frame: RgbdFrame) -> None:
         """Start, or start again, with a pose that was verified on `frame`. Only a correction does this."""
         self.T_cam_obj, self.fit, self.start, self._frame = step.T_cam_obj, step.fit, step.start, frame
-        self.velocity, self.covariance = velocity, self._covariance(step)
-        self._identity = Identity.of(identity, self._view())
-        self._usual, self._tint = None, UNKNOWN_TINT
+        self.velocity, self.covariance = pursuit.velocity, self._covariance(step)
+        self._identity = Identity.of(pursuit.correction.quality, self._view())
+        self._usual, self._tint, self._evidence = pursuit.usual, pursuit.tint, pursuit.evidence
         self._doubtful_frames, self._unseen_s, self._rival = 0, 0.0, None
-        self._evidence = evidence.quality(step.fit, None, 1.0)
-        if self._evidence >= self._config.suspect_quality:
-            self._usual, self._tint = usual_after(None, step.fit.total), step.fit.tint
+        self._supported_ns = frame.stamp_ns
         # A verified pose may be TRACKING at once.
         self._standing = Standing(State.TRACKING)
         self._judge()
+
+    def remembered(self, stamp_ns: int) -> float | None:
+        """The score that was usual before the object was lost; the older, the less it asks for."""
+        if self._usual is None:
+            return None
+        return self._usual - FORGOTTEN_PER_S * max(0.0, (stamp_ns - self._supported_ns) * 1e-9)
 
     def replay(self, stamp_ns: int, T_cam_obj: Float64, quality: float) -> None:
         """Take a correction of a kept pose: the increments since then carry it to now.
@@ -155,7 +169,7 @@ class Track:
         )
 
     def _coast(self, step: Step, seconds: float) -> None:
-        """A frame that does not confirm the pose: keep to the prediction where hardly anything is seen."""
+        """A frame that does not support the pose: keep to the prediction where hardly anything is seen."""
         assert self.T_cam_obj is not None
         hardly = step.fit.seen < COASTING_SEEN
         self.T_cam_obj = predicted(self.T_cam_obj, self.velocity, seconds) if hardly else step.T_cam_obj

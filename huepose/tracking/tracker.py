@@ -9,7 +9,7 @@ from huepose.geometry.frame import RgbdFrame
 from huepose.model.types import ReferenceModel
 from huepose.support.errors import InputError
 from huepose.support.stages import stage
-from huepose.tracking.catching_up import Pursuit, pursue, supported
+from huepose.tracking.catching_up import Pursuit, pursue
 from huepose.tracking.competition import Claim, losers
 from huepose.tracking.config import TrackerConfig
 from huepose.tracking.history import FrameHistory
@@ -178,7 +178,8 @@ class Tracker:
             if correction.verdict is Verdict.AGREE:
                 track.agree(correction.quality)
         elif track is None or not self._same_surface(track, correction):
-            self._pursuits[key] = Pursuit.of(correction)
+            usual = None if track is None else track.remembered(correction.stamp_ns)
+            self._pursuits[key] = Pursuit.of(correction, usual)
             newest = self._frames.newest
             if newest is None or correction.stamp_ns < newest.stamp_ns:
                 return Applied.CATCHING_UP
@@ -227,16 +228,19 @@ class Tracker:
         )
         self._searched += pursuit.step is not None and pursuit.step.searched
         self._pursuits[key] = pursuit
-        if not pursuit.arrived(newest):
+        if pursuit.supported(self.config) and not pursuit.arrived(newest):
             return
         del self._pursuits[key]
         self._arrive(key, pursuit, newest)
 
     def _arrive(self, key: Key, pursuit: Pursuit, frame: RgbdFrame) -> None:
-        """Verify a pose that has reached now against the frame, and against the pose that is there."""
+        """Verify a pose that has reached now against the frame, and against the pose that is there. One that
+        is not borne out is dropped, and counts as dealt with."""
         correction, step = pursuit.correction, pursuit.step
         track = self._tracks.get(key)
-        if step is None or not supported(pursuit, self.config):
+        if track is not None:
+            track.applied_seq = max(track.applied_seq, correction.seq)
+        if step is None or not pursuit.supported(self.config):
             return
         if track is None:
             track = Track(self._subjects[key[0]], *key, self.config)
@@ -244,7 +248,7 @@ class Tracker:
             track.history.append(frame.frame_id, frame.stamp_ns, None)
         elif track.T_cam_obj is not None and track.fit.total > step.fit.total:
             return
-        track.place(step, frame, correction.quality, pursuit.velocity)
+        track.place(pursuit, step, frame)
         for stamp_ns, T in pursuit.poses:
             track.history.put(stamp_ns, T)
         track.applied_seq = max(track.applied_seq, correction.seq)

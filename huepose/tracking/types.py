@@ -36,7 +36,8 @@ class TrackedPose:
     """One object at one frame. T_cam_obj (4, 4), covariance (6, 6) and velocity (6,) are None without a pose.
 
     Covariance: order tx ty tz rx ry rz, metres and radians, about the object's origin, camera axes; velocity
-    in the same order per second. stamp_ns is the frame's capture time.
+    in the same order per second. stamp_ns is the frame's capture time. applied_correction_seq: the last
+    correction that was taken, or tried and not borne out by the image.
     """
 
     object: str

@@ -7,7 +7,7 @@ import pytest
 
 from huepose.geometry import se3
 from huepose.tracking import Correction, TrackerConfig, Verdict
-from huepose.tracking.catching_up import Pursuit, pursue, supported
+from huepose.tracking.catching_up import Pursuit, pursue
 from huepose.tracking.step import Subject
 
 CONFIG = TrackerConfig()
@@ -29,7 +29,7 @@ def test_it_reaches_now_in_few_strides(tea_box, shoot, path, behind) -> None:
         pursuit = pursue(pursuit, subject, kept, CONFIG)
         steps += 1
         assert steps <= 5
-    assert supported(pursuit, CONFIG)
+    assert pursuit.supported(CONFIG)
     assert np.linalg.norm(pursuit.T_cam_obj[:3, 3] - path(behind)[:3, 3]) < 1e-3
     assert se3.rotation_angle(pursuit.T_cam_obj, path(behind)) < np.radians(0.4)
     stamps = [stamp for stamp, _ in pursuit.poses]
@@ -49,12 +49,13 @@ def test_a_frame_that_was_skipped_settles_on_the_next_one(tea_box, shoot, path) 
     frames = [shoot([(tea_box.mesh, path(k))], k) for k in (2, 3, 4)]
     correction = late(frames[0], path(1.5), stamp_ns=50_000_000)
     pursuit = pursue(Pursuit.of(correction), subject, frames, CONFIG)
-    assert pursuit.reached is frames[0]
-    assert np.linalg.norm(pursuit.T_cam_obj[:3, 3] - path(2)[:3, 3]) < 1e-3
+    assert pursuit.poses[0][0] == frames[0].stamp_ns
+    assert np.linalg.norm(pursuit.poses[0][1][:3, 3] - path(2)[:3, 3]) < 1e-3
+    assert pursuit.arrived(frames[-1])
 
 
 def test_what_the_image_denies_is_not_supported(tea_box, shoot, path) -> None:
     frame = shoot([])
     pursuit = pursue(Pursuit.of(late(frame, path(0))), Subject.of(tea_box), [frame], CONFIG)
     assert pursuit.arrived(frame)
-    assert not supported(pursuit, CONFIG)
+    assert not pursuit.supported(CONFIG)

@@ -30,7 +30,8 @@ def chosen(arguments: argparse.Namespace) -> Pipeline:
 
 def chosen_config(arguments: argparse.Namespace) -> Config:
     """The configuration of the pipeline that is meant; names and ports alone where its file is not known."""
-    from huepose_services.runtime.config import BusConfig, CameraConfig, Config, load
+    from huepose_services.runtime.config import BusConfig, Config, load
+    from huepose_services.runtime.config_perception import CameraConfig
 
     pipeline = chosen(arguments)
     if pipeline.file:

@@ -71,7 +71,10 @@ def tensor_of(color: UInt8) -> Float32:
     height, width = _scaled_size(color.shape[:2])
     resized = cv2.resize(color, (width, height), interpolation=cv2.INTER_LINEAR)
     out = np.zeros((1, 3, SIDE, SIDE), np.float32)
-    out[0, :, :height, :width] = ((resized - _MEAN) / _DEVIATION).transpose(2, 0, 1)
+    # A table of the 256 values of a channel is several times faster than arithmetic on every pixel.
+    table = (np.arange(256, dtype=np.float32)[:, None] - _MEAN) / _DEVIATION
+    for channel in range(3):
+        out[0, channel, :height, :width] = table[:, channel][resized[..., channel]]
     return out
 
 

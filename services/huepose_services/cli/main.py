@@ -15,7 +15,7 @@ from importlib import import_module
 _VERBS = (
     *("demo", "onboard", "estimate", "evaluate", "render_scenes", "train", "bench"),
     *("up", "run", "status", "top", "graph", "objects", "poses", "view", "record", "replay", "validate"),
-    *("units",),
+    *("doctor", "models", "units"),
 )
 # What the base installation, for subscribers, does without.
 _OF_EXTRAS = {

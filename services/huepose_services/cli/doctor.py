@@ -1,0 +1,35 @@
+"""`huepose doctor`: what this machine has, and what would be in the way."""
+
+from __future__ import annotations
+
+import argparse
+import json
+from pathlib import Path
+from typing import Any
+
+
+def add_parser(subparsers: Any) -> None:
+    """Add the verb."""
+    parser = subparsers.add_parser(
+        "doctor", help="check this machine: versions, limits, cameras, models, clock"
+    )
+    parser.add_argument(
+        "config", nargs="?", type=Path, metavar="PIPELINE", help="also what this deployment needs"
+    )
+    parser.add_argument("--json", action="store_true", help="print JSON")
+    parser.set_defaults(call=call)
+
+
+def call(arguments: argparse.Namespace) -> int:
+    """Look at everything; exit 1 when something has to be done."""
+    from huepose_services.doctor.checks import examine
+    from huepose_services.runtime.config import load
+
+    config = load(arguments.config) if arguments.config is not None else None
+    findings = examine(config)
+    if arguments.json:
+        print(json.dumps([finding.facts() for finding in findings], indent=1))
+    else:
+        for finding in findings:
+            print(finding.line())
+    return 1 if any(finding.bad for finding in findings) else 0

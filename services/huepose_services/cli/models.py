@@ -1,0 +1,76 @@
+"""`huepose models`: the networks that detector and segmenter can use."""
+
+from __future__ import annotations
+
+import argparse
+import json
+from pathlib import Path
+from typing import Any
+
+
+def add_parser(subparsers: Any) -> None:
+    """Add the verb."""
+    parser = subparsers.add_parser("models", help="networks for detector and segmenter: list, fetch, add")
+    actions = parser.add_subparsers(dest="action", metavar="ACTION")
+    shown = actions.add_parser("list", help="what is known, and what is here (the default)")
+    shown.add_argument("--json", action="store_true", help="print JSON")
+    fetched = actions.add_parser("fetch", help="download a known network, or go on where it broke off")
+    fetched.add_argument("name", metavar="NAME")
+    fetched.add_argument("--from", dest="url", metavar="URL", help="another address of the same file")
+    added = actions.add_parser("add", help="take in an ONNX file of yours")
+    added.add_argument("file", type=Path, metavar="FILE")
+    added.add_argument("--name", help="what to call it; default the file's name")
+    added.add_argument("--licence", default="", metavar="TEXT", help="noted beside it")
+    added.add_argument("--source", default="", metavar="TEXT", help="noted beside it")
+    parser.set_defaults(call=call, json=False)
+
+
+def call(arguments: argparse.Namespace) -> int:
+    """List, fetch or add."""
+    from huepose_services import catalogue
+
+    if arguments.action == "fetch":
+        from huepose_services.fetching import fetch
+
+        print(f"{fetch(catalogue.entry_of(arguments.name), arguments.url)}: here, and its digest is right")
+    elif arguments.action == "add":
+        name = arguments.name or arguments.file.stem.lower().replace(".", "_")
+        entry = catalogue.add(arguments.file, name, licence=arguments.licence, source=arguments.source)
+        print(f"{entry.path}: added as '{name}', SHA-256 {entry.network.sha256}")
+    elif arguments.json:
+        print(json.dumps([_facts(entry) for entry in catalogue.entries()], indent=1))
+    else:
+        _print_list(catalogue.entries())
+        print(f"\nfolder: {catalogue.folder()}")
+    return 0
+
+
+def _facts(entry: Any) -> dict[str, object]:
+    network = entry.network
+    return {
+        "name": network.name,
+        "role": network.role,
+        "here": entry.here,
+        "path": str(entry.path),
+        "licence": network.licence,
+        "size_bytes": _size(entry),
+        "sha256": network.sha256,
+        "source": network.source,
+        "url": network.url,
+    }
+
+
+def _size(entry: Any) -> int | None:
+    """Bytes: of the file that is here, else as stated."""
+    return entry.path.stat().st_size if entry.here else entry.network.size_bytes
+
+
+def _print_list(entries: list[Any]) -> None:
+    for entry in entries:
+        network, size = entry.network, _size(entry)
+        state = "here" if entry.here else ("can be fetched" if network.url and network.sha256 else "by hand")
+        print(f"{network.name}  [{state}]")
+        print(f"    {network.role}")
+        print(f"    {network.licence}, {'size not stated' if size is None else f'{size:,} bytes'}")
+        print(f"    SHA-256 {network.sha256 or 'not stated'}")
+        print(f"    {network.source}")

@@ -1,0 +1,79 @@
+"""`huepose doctor`: what it says of this machine and of a deployment."""
+
+import json
+
+import pytest
+
+from huepose_services.cli.main import main
+from huepose_services.doctor import machine
+from huepose_services.doctor.finding import Finding
+from huepose_services.runtime.session import MIB
+
+
+def _findings(arguments, capsys):
+    code = main(["doctor", "--json", *map(str, arguments)])
+    return code, {row["subject"]: row for row in json.loads(capsys.readouterr().out)}
+
+
+@pytest.fixture(autouse=True)
+def folder(tmp_path, monkeypatch):
+    monkeypatch.setenv("HUEPOSE_NETWORKS", str(tmp_path / "networks"))
+    return tmp_path / "networks"
+
+
+def test_this_machine_is_looked_at_from_all_sides(capsys):
+    code, found = _findings([], capsys)
+    assert {"python", "packages", "providers", "locked memory", "shared memory", "clock", "governor"} <= set(
+        found
+    )
+    assert {"realsense", "oak", "networks", "reference models"} <= set(found)
+    assert "onnxruntime" in found["packages"]["found"]
+    assert "cpu" in found["providers"]["found"]
+    assert code == int(any(row["state"] == "bad" for row in found.values()))
+    # What is wrong or could be better comes with what to do.
+    assert all(row["fix"] for row in found.values() if row["state"] in ("bad", "note"))
+
+
+def test_what_a_deployment_needs_and_is_not_there_is_bad(tmp_path, capsys):
+    path = tmp_path / "pipeline.yaml"
+    path.write_text(
+        "camera: {source: realsense}\nbundles: nowhere\nobjects: [{name: mug}]\n"
+        "detector: {kind: yolo, model: missing.onnx, classes: {mug: 0}}\nnetworks: {providers: [tensorrt]}\n"
+    )
+    code, found = _findings([path], capsys)
+    assert code == 1
+    bad = {name for name, row in found.items() if row["state"] == "bad"}
+    assert {"realsense", "reference models", "networks", "providers"} <= bad
+    assert "missing.onnx" in found["networks"]["found"]
+
+
+def test_a_damaged_network_is_noticed(folder, capsys):
+    folder.mkdir()
+    (folder / "yolox-nano.onnx").write_bytes(b"damaged")
+    code, found = _findings([], capsys)
+    assert code == 1
+    assert "SHA-256" in found["networks"]["found"]
+
+
+@pytest.mark.parametrize(
+    ("limit", "state", "text"),
+    [(None, "ok", "no limit"), (8 * MIB, "ok", "8192 KiB"), (6 * MIB, "note", "so they go by TCP")],
+)
+def test_locked_memory_is_held_against_the_pool(monkeypatch, limit, state, text):
+    monkeypatch.setattr(machine, "lock_limit", lambda: limit)
+    finding = next(machine.memory(6.0))
+    assert (finding.subject, finding.state) == ("locked memory", state)
+    assert text in finding.found
+
+
+def test_two_onnxruntimes_are_named(monkeypatch):
+    versions = {"onnxruntime": "1.31.1", "onnxruntime-gpu": "1.31.1", "numba": "0.68"}
+    monkeypatch.setattr(machine, "_version", versions.get)
+    bad = [finding for finding in machine.versions() if finding.bad]
+    assert len(bad) == 1
+    assert "overwrite each other" in bad[0].fix
+
+
+def test_a_line_says_what_to_do():
+    assert Finding("clock", "ok", "tsc").line() == "OK   clock            tsc"
+    assert Finding("oak", "bad", "none", "Plug it in.").line().endswith("-> Plug it in.")

@@ -1,0 +1,216 @@
+"""Networks by name: the list, adding, fetching with a real server, and their place in pipeline.yaml."""
+
+import hashlib
+import io
+import json
+import threading
+from dataclasses import replace
+from http.server import BaseHTTPRequestHandler, HTTPServer
+
+import numpy as np
+import pytest
+
+from huepose.support.errors import InputError
+from huepose_services import catalogue
+from huepose_services import networks as deployed
+from huepose_services.cli.main import main
+from huepose_services.fetching import fetch
+from huepose_services.runtime.config import parse
+from tests.perception import networks
+
+
+@pytest.fixture(autouse=True)
+def folder(tmp_path, monkeypatch):
+    monkeypatch.setenv("HUEPOSE_NETWORKS", str(tmp_path / "networks"))
+    return tmp_path / "networks"
+
+
+@pytest.fixture
+def mine(tmp_path):
+    return networks.constant_output(tmp_path / "Mine.v2.onnx", np.zeros((1, 30, 6)))
+
+
+CONTENT = np.random.default_rng(0).bytes(300_000)
+
+
+@pytest.fixture
+def entry(folder):
+    """A known network whose file is CONTENT."""
+    known = catalogue.KnownNetwork(
+        "known", "detector", "MIT", "somewhere", None, len(CONTENT), hashlib.sha256(CONTENT).hexdigest()
+    )
+    return catalogue.Entry(known, folder / "known.onnx", True)
+
+
+class Server:
+    """Serves CONTENT; `breaks_after` bytes once, with or without ranges."""
+
+    def __init__(self):
+        self.breaks_after, self.ranges, self.content, self.asked = None, True, CONTENT, []
+        outer = self
+
+        class Handler(BaseHTTPRequestHandler):
+            def do_GET(self):
+                outer.answer(self)
+
+            def log_message(self, *arguments):
+                pass
+
+        self._server = HTTPServer(("127.0.0.1", 0), Handler)
+        self.url = f"http://127.0.0.1:{self._server.server_port}/known.onnx"
+        self._thread = threading.Thread(target=self._server.serve_forever, daemon=True)
+        self._thread.start()
+
+    def answer(self, request):
+        start = 0
+        if self.ranges and (asked := request.headers.get("Range")):
+            start = int(asked.removeprefix("bytes=").rstrip("-"))
+        self.asked.append(start)
+        body = self.content[start:]
+        request.send_response(206 if start else 200)
+        request.send_header("Content-Length", str(len(body)))
+        request.end_headers()
+        limit, self.breaks_after = self.breaks_after, None
+        request.wfile.write(body[:limit])
+
+    def close(self):
+        self._server.shutdown()
+        self._server.server_close()
+
+
+@pytest.fixture
+def server():
+    started = Server()
+    yield started
+    started.close()
+
+
+def test_a_known_network_is_fetched_once_and_checked(server, entry):
+    assert fetch(entry, server.url).read_bytes() == CONTENT
+    fetch(entry, server.url)
+    assert server.asked == [0]
+
+
+@pytest.mark.parametrize("ranges", [True, False])
+def test_a_download_that_broke_off_is_taken_up_again(server, entry, ranges):
+    server.breaks_after, server.ranges = 100_000, ranges
+    with pytest.raises(InputError, match="what has come is kept"):
+        fetch(entry, server.url)
+    assert not entry.path.exists()
+    assert fetch(entry, server.url).read_bytes() == CONTENT
+    assert server.asked == [0, 100_000 if ranges else 0]
+
+
+def test_another_file_is_thrown_away(server, entry, folder):
+    server.content = CONTENT[:-1] + b"x"
+    with pytest.raises(InputError, match="expected " + entry.network.sha256):
+        fetch(entry, server.url)
+    assert list(folder.iterdir()) == []
+
+
+def test_without_a_server_it_says_where_the_file_goes(entry):
+    with pytest.raises(InputError, match=r"put the file to .*known\.onnx by hand"):
+        fetch(entry, "http://127.0.0.1:9/known.onnx")
+
+
+def test_what_has_no_digest_is_not_fetched(entry, server):
+    unknown = replace(entry, network=replace(entry.network, sha256=None))
+    with pytest.raises(InputError, match="huepose models add FILE --name known"):
+        fetch(unknown, server.url)
+    assert server.asked == []
+
+
+def test_progress_is_shown_on_a_terminal(server, entry):
+    class Terminal(io.StringIO):
+        def isatty(self):
+            return True
+
+    out = Terminal()
+    fetch(entry, server.url, out)
+    assert "of 0.3 MB, 100 %" in out.getvalue()
+
+
+def test_a_file_of_yours_is_added_listed_and_used_by_name(mine, folder, tmp_path, capsys):
+    assert main(["models", "add", str(mine), "--licence", "MIT"]) == 0
+    assert (folder / "mine_v2.onnx").read_bytes() == mine.read_bytes()
+    capsys.readouterr()
+    assert main(["models", "list", "--json"]) == 0
+    listed = {row["name"]: row for row in json.loads(capsys.readouterr().out)}
+    assert listed["mine_v2"]["here"]
+    assert listed["mine_v2"]["licence"] == "MIT"
+    assert listed["mine_v2"]["sha256"] == hashlib.sha256(mine.read_bytes()).hexdigest()
+    assert not listed["yolox-nano"]["here"]
+    config = parse("detector: {kind: yolo, model: mine_v2, classes: {mug: 0}}", tmp_path / "p.yaml")
+    deployed.check(config)
+    # A file that changed after it was added is noticed at the start.
+    (folder / "mine_v2.onnx").write_bytes(mine.read_bytes() + b"\0")
+    with pytest.raises(InputError, match="SHA-256"):
+        deployed.check(config)
+
+
+def test_a_file_put_there_by_hand_is_seen(mine, folder, capsys):
+    folder.mkdir()
+    (folder / "by-hand.onnx").write_bytes(mine.read_bytes())
+    assert main(["models"]) == 0
+    assert "by-hand  [here]" in capsys.readouterr().out
+
+
+@pytest.mark.parametrize("name", ["yolox-nano", "../escape", "Capital"])
+def test_a_wrong_file_or_name_is_not_added(mine, folder, name):
+    with pytest.raises(InputError):
+        catalogue.add(mine, name)
+    assert not folder.exists()
+
+
+def test_what_is_no_network_is_not_added(tmp_path):
+    file = tmp_path / "text.onnx"
+    file.write_text("hello")
+    with pytest.raises(InputError, match="ONNX"):
+        catalogue.add(file, "text")
+
+
+def test_an_unknown_name_is_answered_with_the_known_ones(tmp_path):
+    config = parse("detector: {kind: yolo, model: yolo-nano, classes: {mug: 0}}", tmp_path / "p.yaml")
+    with pytest.raises(InputError, match=r"expected one of yolox-nano, nanosam-encoder"):
+        deployed.check(config)
+
+
+def test_paths_are_relative_to_the_file_and_digests_by_file_name(mine, tmp_path):
+    text = "detector: {{kind: yolo, model: {}, classes: {{mug: 0}}}}\nnetworks: {{sha256: {{{}: {}}}}}"
+    right = hashlib.sha256(mine.read_bytes()).hexdigest()
+    deployed.check(parse(text.format(mine.name, mine.name, right), tmp_path / "p.yaml"))
+    with pytest.raises(InputError, match="expected " + "0" * 64):
+        deployed.check(parse(text.format(mine.name, mine.name, "'" + "0" * 64 + "'"), tmp_path / "p.yaml"))
+
+
+def test_sam_is_checked_too(tmp_path):
+    networks.sam_encoder(tmp_path / "encoder.onnx")
+    networks.sam_decoder(tmp_path / "decoder.onnx")
+    text = "camera: {{truth: true}}\nsegmenter: {{kind: sam, encoder: {}.onnx, decoder: {}.onnx}}"
+    deployed.check(parse(text.format("encoder", "decoder"), tmp_path / "p.yaml"))
+    with pytest.raises(InputError, match="expected one input 1 x 3 x 1024"):
+        deployed.check(parse(text.format("decoder", "encoder"), tmp_path / "p.yaml"))
+
+
+@pytest.mark.parametrize(
+    ("text", "says"),
+    [
+        ("detector: {kind: yolo}", "detector.model"),
+        ("detector: {kind: yolo, model: a.onnx}", "detector.classes"),
+        (
+            "detector: {kind: yolo, model: a.onnx, classes: {cup: 0}}\nobjects: [{name: mug}]",
+            "one of objects: mug",
+        ),
+        ("camera: {truth: true}\nsegmenter: {kind: sam, encoder: a.onnx}", "segmenter.decoder"),
+        ("camera: {source: oak, path: x}", "camera.path"),
+        ("camera: {source: realsense, rate: recorded}", "camera.rate"),
+        ("camera: {source: realsense, truth: true}", "camera.truth"),
+        ("camera: {device: {width: 320}}", "camera.device"),
+        ("networks: {providers: []}", "networks.providers"),
+        ("networks: {sha256: {a.onnx: abc}}", "sha256"),
+    ],
+)
+def test_sections_that_do_not_make_sense_are_refused(tmp_path, text, says):
+    with pytest.raises(InputError) as error:
+        parse(text, tmp_path / "p.yaml")
+    assert says in str(error.value)

@@ -47,7 +47,6 @@ SHAPES = 20
 
 def estimate_by_pairs(
     model: ReferenceModel,
-    frame: RgbdFrame,
     evidence: Evidence,
     config: ColorpairPathConfig,
     rng: np.random.Generator,
@@ -59,13 +58,8 @@ def estimate_by_pairs(
     """
     region = evidence.region
     with stage("picture"):
-        picture = pair_picture(model, frame, region.crop, region.median_depth_m)
-    poses = np.concatenate(
-        [
-            _proposed(model, frame, region, picture, mask, points, rng, config)
-            for mask, points in zip(evidence.sources, evidence.points_cam, strict=True)
-        ]
-    )
+        picture = pair_picture(model, region.crop, region.median_depth_m)
+    poses = proposed_by_pairs(model, evidence, picture, config, rng)
     if not len(poses):
         return []
     with stage("turns"):
@@ -91,9 +85,24 @@ def estimate_by_pairs(
     return [(float(totals[k]), poses[k]) for k in best]
 
 
+def proposed_by_pairs(
+    model: ReferenceModel,
+    evidence: Evidence,
+    picture: PairPicture,
+    config: ColorpairPathConfig,
+    rng: np.random.Generator,
+) -> Float64:
+    """The best different poses (N, 4, 4) that the sources of the evidence propose, laid on their points."""
+    crop = evidence.region.crop
+    part = RgbdFrame(np.ascontiguousarray(crop.color), np.ascontiguousarray(crop.depth), crop.camera)
+    sources = zip(evidence.sources, evidence.points_cam, strict=True)
+    poses = [_proposed(model, part, evidence.region, picture, m, p, rng, config) for m, p in sources]
+    return np.concatenate([np.zeros((0, 4, 4)), *poses])
+
+
 def _proposed(
     model: ReferenceModel,
-    frame: RgbdFrame,
+    part: RgbdFrame,
     region: Region,
     picture: PairPicture,
     source: Bool,
@@ -101,20 +110,16 @@ def _proposed(
     rng: np.random.Generator,
     config: ColorpairPathConfig,
 ) -> Float64:
-    """The best different poses (N, 4, 4) that one source mask (h, w) of the crop proposes, laid on its
-    points."""
-    mask = np.zeros(frame.depth.shape, np.bool_)
-    h, w = source.shape
-    inner = cv2.erode(source.astype(np.uint8), np.ones((RIM_PX, RIM_PX), np.uint8)) > 0
-    mask[region.crop.y0 : region.crop.y0 + h, region.crop.x0 : region.crop.x0 + w] = inner
+    """The best different poses (N, 4, 4) that one source mask (h, w) proposes; `part`: the crop's pixels."""
+    mask = cv2.erode(source.astype(np.uint8), np.ones((RIM_PX, RIM_PX), np.uint8)) > 0
     with stage("extract"):
-        pairs = extract_at_model_scale(model.pairs, frame, mask)
+        pairs = extract_at_model_scale(model.pairs, part, mask)
     with stage("hypotheses"):
         sources = HypothesesConfig() if config.ppf else HypothesesConfig(ppf=None)
-        readings = read_scene(model, pairs, frame, mask, sources, rng)
-        hypotheses = hypotheses_of(model, readings, frame, mask, sources, rng)[: config.refined]
+        readings = read_scene(model, pairs, part, mask, sources, rng)
+        hypotheses = hypotheses_of(model, readings, part, mask, sources, rng)[: config.refined]
         missing = min(config.refined - len(hypotheses), SHAPES)
-        starts = shape_hypotheses(model, frame, mask, missing)
+        starts = shape_hypotheses(model, part, mask, missing)
     if not hypotheses and not starts:
         return np.zeros((0, 4, 4))
     poses = np.stack([h.T_cam_obj for h in [*hypotheses, *starts]])

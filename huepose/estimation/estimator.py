@@ -177,7 +177,7 @@ class Estimator:
         from huepose.estimation.colorpair_path import estimate_by_pairs
 
         rng = np.random.default_rng([self.config.seed, crc32(query.object.encode()), _content_seed(frame)])
-        scored = estimate_by_pairs(model, frame, evidence, self.config.colorpair, rng)
+        scored = estimate_by_pairs(model, evidence, self.config.colorpair, rng)
         if not scored:
             return np.zeros((0, 4, 4)), np.zeros(0)
         return np.array([T for _, T in scored]), np.array([s for s, _ in scored])

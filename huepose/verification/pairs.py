@@ -20,7 +20,6 @@ import numpy as np
 
 from huepose.colorpair.opponents import linear_rgb, opponents, opponents_of_lab
 from huepose.geometry.arrays import Float, Float32, Float64
-from huepose.geometry.frame import RgbdFrame
 from huepose.model.types import PairReference, ReferenceModel
 from huepose.support.jit import jit
 from huepose.verification.dense import (
@@ -101,11 +100,11 @@ class PairScore:
     visible: int
 
 
-def pair_picture(model: ReferenceModel, frame: RgbdFrame, crop: Crop, depth_m: float) -> PairPicture:
+def pair_picture(model: ReferenceModel, crop: Crop, depth_m: float) -> PairPicture:
     """The crop's colours at the scale of the model's fine reference views, for an object at `depth_m`."""
     h, w = crop.depth.shape
-    color = frame.color[crop.y0 : crop.y0 + h, crop.x0 : crop.x0 + w]
-    scale = model.pairs.parameters["fine_pixels_per_m"] * depth_m / frame.camera.fx
+    color = crop.color
+    scale = model.pairs.parameters["fine_pixels_per_m"] * depth_m / crop.camera.fx
     if scale < 1.0:
         size = (max(round(w * scale), 2), max(round(h * scale), 2))
         color = np.asarray(cv2.resize(color, size, interpolation=cv2.INTER_AREA), np.uint8)

@@ -39,7 +39,7 @@ def test_pairs_judge_the_right_pose_over_its_flips_and_over_small_errors_in_any_
         mask = render_depth(tea_box.mesh, standing, frame.camera) > 0
         region = prepare_region(frame, mask, Box.of_mask(mask), tea_box.diameter_m)
         assert region is not None
-        picture = pair_picture(tea_box, frame, region.crop, region.median_depth_m)
+        picture = pair_picture(tea_box, region.crop, region.median_depth_m)
         right = pair_score(tea_box, region, picture, standing)
         flips = [pair_score(tea_box, region, picture, standing @ turn) for turn in tea_box.turns[1:]]
         assert len(flips) >= 1

@@ -24,7 +24,7 @@ def seen(model: ReferenceModel, frame: RgbdFrame, T: np.ndarray) -> tuple[Region
     assert box is not None
     region = prepare_region(frame, mask, box, model.diameter_m)
     assert region is not None
-    return region, pair_picture(model, frame, region.crop, region.median_depth_m)
+    return region, pair_picture(model, region.crop, region.median_depth_m)
 
 
 @pytest.fixture(scope="module")

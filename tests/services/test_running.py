@@ -5,7 +5,8 @@ import os
 import pytest
 
 from huepose.support.errors import InputError
-from huepose_services.runtime.running import Pipeline, noted, pick, running
+from huepose_services.runtime.config import BusConfig, Config
+from huepose_services.runtime.running import Pipeline, noted, occupant, pick, running
 
 HERE = Pipeline(base_port=18100, site="lab", camera="cam0", file="/etc/lab.yaml")
 
@@ -62,3 +63,15 @@ def test_a_configuration_names_its_pipeline_whether_it_runs_or_not(tmp_path):
     path = tmp_path / "mine.yaml"
     path.write_text("{site: attic, bus: {base_port: 19000}, camera: {name: eye, truth: true}}")
     assert (pick(path).base_port, pick(path).name) == (19000, "attic/eye")
+
+
+def test_a_port_that_is_taken_is_explained(runtime_folder):
+    config = Config(bus=BusConfig(base_port=18200))
+    assert occupant(config, "tracker") == "another program there"
+    with noted(Pipeline(base_port=18200, workers=("tracker",))):
+        assert occupant(config, "tracker") == "another program there", "this process itself is none"
+        text = (
+            '{"base_port": 18200, "site": "hall", "camera": "c", "workers": ["tracker"], "file": "/h.yaml"}'
+        )
+        (runtime_folder / f"{os.getppid()}.json").write_text(text)
+        assert occupant(config, "tracker") == "the tracker of h/c there, which runs already (/h.yaml)"

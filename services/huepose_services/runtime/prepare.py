@@ -9,6 +9,7 @@ from importlib import import_module
 from huepose.support.errors import InputError
 from huepose_services.builtin import builtin_bundles
 from huepose_services.runtime.config import Config
+from huepose_services.runtime.running import occupant
 
 
 def prepare(config: Config) -> None:
@@ -59,7 +60,7 @@ def check_ports(config: Config) -> None:
             except OSError as error:
                 raise InputError(
                     f"port {config.port(worker)} of worker {worker}",
-                    found="another program there" if error.errno == errno.EADDRINUSE else str(error),
+                    found=occupant(config, worker) if error.errno == errno.EADDRINUSE else str(error),
                     expected="a free port on 127.0.0.1",
                     fix="Stop the other pipeline, or set bus.base_port in the configuration.",
                 ) from None

@@ -85,8 +85,8 @@ def noted(pipeline: Pipeline) -> Iterator[None]:
             note.unlink(missing_ok=True)
 
 
-def running() -> list[Pipeline]:
-    """The pipelines that run now, each once."""
+def running(without_this: bool = False) -> list[Pipeline]:
+    """The pipelines that run now, each once; perhaps without what this process has noted."""
     folder = _folder()
     if not _is_mine(folder):
         return []
@@ -95,10 +95,21 @@ def running() -> list[Pipeline]:
         if not note.stem.isdigit() or not _runs(int(note.stem)):
             note.unlink(missing_ok=True)
             continue
+        if without_this and int(note.stem) == os.getpid():
+            continue
         with suppress(OSError, msgspec.MsgspecError):
             pipeline = msgspec.json.decode(note.read_bytes(), type=Pipeline)
             found[pipeline.base_port, pipeline.name] = pipeline
     return list(found.values())
+
+
+def occupant(config: Config, worker: str) -> str:
+    """Who holds a worker's port that is taken: a pipeline that is noted, else some program."""
+    others = (p for p in running(without_this=True) if p.base_port == config.bus.base_port)
+    other = next(others, None)
+    if other is None or worker not in other.workers:
+        return "another program there"
+    return f"the {worker} of {other.name} there, which runs already ({other.file})"
 
 
 def pick(path: Path | None = None, which: str | None = None) -> Pipeline:

@@ -17,6 +17,7 @@ import zenoh
 
 from huepose.support.errors import InputError
 from huepose_services.runtime.config import WORKERS, Config
+from huepose_services.runtime.running import occupant
 
 RESTARTS = "HUEPOSE_RESTARTS"
 MIB = 1024 * 1024
@@ -116,7 +117,7 @@ def open_worker_session(config: Config, worker: str) -> tuple[zenoh.Session, lis
     except zenoh.ZError as error:
         raise InputError(
             f"port {config.port(worker)} of worker {worker}",
-            found="another program there" if "in use" in str(error) else " ".join(str(error).split())[:200],
+            found=occupant(config, worker) if "in use" in str(error) else " ".join(str(error).split())[:200],
             expected="a free port on 127.0.0.1",
             fix="Stop the other pipeline, or set bus.base_port in the configuration.",
         ) from None

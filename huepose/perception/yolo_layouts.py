@@ -90,11 +90,11 @@ def candidates(output: Float, layout: str, input_size: tuple[int, int], confiden
     classes = scores.argmax(axis=1)
     best = scores[np.arange(len(scores)), classes]
     keep = np.flatnonzero(best > confidence)
-    boxes = boxes[keep].astype(np.float64)
+    kept = boxes[keep].astype(np.float64)
     if layout == "yolox_raw":
-        boxes = _decoded(boxes, keep, input_size)
-    half = boxes[:, 2:] / 2.0
-    corners = np.concatenate([boxes[:, :2] - half, boxes[:, :2] + half], axis=1)
+        kept = _decoded(kept, keep, input_size)
+    half = kept[:, 2:] / 2.0
+    corners = np.concatenate([kept[:, :2] - half, kept[:, :2] + half], axis=1)
     return Candidates(corners, best[keep].astype(np.float64), classes[keep])
 
 

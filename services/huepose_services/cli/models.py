@@ -5,7 +5,10 @@ from __future__ import annotations
 import argparse
 import json
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from huepose_services.catalogue import Entry
 
 
 def add_parser(subparsers: Any) -> None:
@@ -45,7 +48,7 @@ def call(arguments: argparse.Namespace) -> int:
     return 0
 
 
-def _facts(entry: Any) -> dict[str, object]:
+def _facts(entry: Entry) -> dict[str, object]:
     network = entry.network
     return {
         "name": network.name,
@@ -60,12 +63,12 @@ def _facts(entry: Any) -> dict[str, object]:
     }
 
 
-def _size(entry: Any) -> int | None:
+def _size(entry: Entry) -> int | None:
     """Bytes: of the file that is here, else as stated."""
     return entry.path.stat().st_size if entry.here else entry.network.size_bytes
 
 
-def _print_list(entries: list[Any]) -> None:
+def _print_list(entries: list[Entry]) -> None:
     for entry in entries:
         network, size = entry.network, _size(entry)
         state = "here" if entry.here else ("can be fetched" if network.url and network.sha256 else "by hand")

@@ -70,8 +70,6 @@ def test_a_port_that_is_taken_is_explained(runtime_folder):
     assert occupant(config, "tracker") == "another program there"
     with noted(Pipeline(base_port=18200, workers=("tracker",))):
         assert occupant(config, "tracker") == "another program there", "this process itself is none"
-        text = (
-            '{"base_port": 18200, "site": "hall", "camera": "c", "workers": ["tracker"], "file": "/h.yaml"}'
-        )
+        text = '{"base_port": 18200, "site": "h", "camera": "c", "workers": ["tracker"], "file": "/h.yaml"}'
         (runtime_folder / f"{os.getppid()}.json").write_text(text)
         assert occupant(config, "tracker") == "the tracker of h/c there, which runs already (/h.yaml)"

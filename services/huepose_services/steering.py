@@ -115,7 +115,7 @@ class Desk:
 
     def __init__(self, bus: Bus, objects: ObjectList) -> None:
         self._bus, self._objects = bus, objects
-        self._queryable = bus.session.declare_queryable(bus.keys.control, self._answer)
+        bus.session.declare_queryable(bus.keys.control, self._answer)
 
     def _answer(self, query: zenoh.Query) -> None:
         try:
@@ -131,7 +131,3 @@ class Desk:
             publish_ns=now_ns(), done=done, text=text[:2000], objects=self._objects.entries()
         )
         query.reply(self._bus.keys.control, encode(reply))
-
-    def close(self) -> None:
-        """Answer no more."""
-        self._queryable.undeclare()  # type: ignore[no-untyped-call]

@@ -105,7 +105,7 @@ class RestartConfig(Section, frozen=True, kw_only=True):
 
     limit: Annotated[int, Meta(ge=0, le=1000)] = 5
     window_s: Annotated[float, Meta(gt=0.0, le=86_400.0)] = 60.0
-    start_within_s: Annotated[float, Meta(ge=1.0, le=3600.0)] = 120.0
+    start_within_s: Annotated[float, Meta(ge=1.0, le=3600.0)] = 300.0
     hung_after_s: Annotated[float, Meta(ge=0.5, le=600.0)] = 2.0
 
 

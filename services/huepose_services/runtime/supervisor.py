@@ -36,6 +36,8 @@ class _Record:
     """The deaths of a worker, and when it is started again."""
 
     deaths: deque[float] = field(default_factory=deque)
+    silences: deque[float] = field(default_factory=deque)
+    """Those of the deaths that were for giving no sign of life."""
     restart_at: float | None = None
     restarts: int = 0
 
@@ -126,9 +128,16 @@ class Supervisor:
         if not child.ready:
             late = now - child.started > limits.start_within_s
             return f"is not ready after {limits.start_within_s:g} s" if late else None
-        patience_s = limits.hung_after_s * (1.0 if child.worker in _QUICK else _PATIENCE)
+        silences = self._records[child.worker].silences
+        while silences and now - silences[0] > limits.window_s:
+            silences.popleft()
+        # Twice the patience after each time: what was slow only once, such as compiling, comes to its end.
+        patience_s = limits.hung_after_s * (1.0 if child.worker in _QUICK else _PATIENCE) * 2 ** len(silences)
         silent_s = now - child.heard
-        return f"has given no sign of life for {silent_s:.1f} s" if silent_s > patience_s else None
+        if silent_s <= patience_s:
+            return None
+        silences.append(now)
+        return f"has given no sign of life for {silent_s:.1f} s"
 
     def _bury(self, child: Child, code: int | None) -> None:
         """A worker has ended (code None: it was killed here): the end of the pipeline, or something to be

@@ -7,6 +7,7 @@ import time
 
 import pytest
 
+from huepose_services.runtime.health import Health
 from huepose_services.runtime.log import Log, StateChanges, is_log_line
 from huepose_services.runtime.notify import notify, watchdog_s
 from huepose_services.runtime.pulse import Pulse
@@ -100,3 +101,21 @@ def test_a_change_of_state_is_one_line_and_flicker_is_told_once(capsys):
     first, second = (line[29:] for line in capsys.readouterr().err.splitlines())
     assert first == "mug/0 TRACKING (quality 0.90)"
     assert second == "mug/0 TRACKING > LOST (quality 0.10, after 4 changes)"
+
+
+def test_locked_memory_that_has_piled_up_is_a_warning():
+    health = Health("tracker")
+    assert health.message().warnings == []
+    health.much_locked_mib = -1.0
+    health.message()
+    assert len(health.message().warnings) == 1
+    assert "start this worker again" in health.message().warnings[0]
+
+
+def test_health_counts_what_failed_and_keeps_the_last_of_it():
+    health = Health("tracker")
+    health.failed("first")
+    health.failed("x" * 5000)
+    message = health.message()
+    assert (message.errors, len(message.last_error)) == (2, 500)
+    assert message.memory_mib > 10.0

@@ -16,6 +16,10 @@ from huepose_services.runtime.clock import SECOND, now_ns, this_clock
 HealthState = Literal["starting", "ready", "waiting", "ended", "stopping"]
 _WINDOW_S = 5.0
 _LONGEST_TEXT = 500
+LOCKED_TEXT = (
+    "much memory is locked: each restart of the camera leaves its pool of frames behind in those that read it "
+    "(eclipse-zenoh/zenoh#2787); start this worker again to free it"
+)
 
 
 class Health:
@@ -29,6 +33,7 @@ class Health:
         self.shared_memory: bool | None = None
         self.drops = self.errors = 0
         self.last_error = ""
+        self.much_locked_mib = 128.0
         self.camera_epoch: int | None = None
         self.frame_id: int | None = None
         self._work: deque[tuple[int, float, float | None]] = deque()
@@ -55,6 +60,9 @@ class Health:
     def message(self) -> HealthMessage:
         """The state of the worker now."""
         now = now_ns()
+        locked_mib = _status_mib("VmLck")
+        if locked_mib > self.much_locked_mib and LOCKED_TEXT not in self.warnings:
+            self.warnings = [*self.warnings, LOCKED_TEXT]
         recent = [w for w in self._work if now - w[0] <= _WINDOW_S * SECOND]
         cpu = time.process_time()
         percent = 100.0 * (cpu - self._cpu_from) / max((now - self._cpu_from_ns) * 1e-9, 1e-3)
@@ -70,7 +78,7 @@ class Health:
             rate_hz=len(recent) / max(min(uptime_s, _WINDOW_S), 0.1),
             cpu_percent=max(percent, 0.0),
             memory_mib=_status_mib("VmRSS"),
-            locked_mib=_status_mib("VmLck"),
+            locked_mib=locked_mib,
             camera_epoch=self.camera_epoch,
             frame_id=self.frame_id,
             work_ms=_median_and_p99([w[1] for w in recent]),

@@ -92,6 +92,7 @@ def run_worker(worker: str, config: Config) -> int:
 
     Raises InputError for what the configuration names and is not there, or a port that is taken."""
     log, health = Log(worker), Health(worker)
+    health.much_locked_mib = max(health.much_locked_mib, 10.0 * config.bus.frame_pool_mib)
     stop = _Stop(log)
     # The supervisor asks a worker that hangs where it is before it ends it.
     faulthandler.register(TELL_WHERE, file=sys.stderr, all_threads=True)

@@ -14,6 +14,7 @@ from huepose_services.runtime.threads import THREAD_VARIABLES
 
 TEMPLATE, TARGET = "huepose@.service", "huepose.target"
 _FIRST = ("camera", "tracker")
+_FIRST_START = 5
 
 _UNIT = """\
 # Written by `huepose units`; make it again when pipeline.yaml changes.
@@ -35,12 +36,16 @@ CacheDirectory=huepose
 Environment=XDG_CACHE_HOME=/var/cache/huepose NUMBA_CACHE_DIR=/var/cache/huepose/numba
 Environment=HUEPOSE_NETWORKS=/var/lib/huepose/networks
 Environment={threads}
+# A worker that is ended for hanging says where it hung.
+Environment=PYTHONFAULTHANDLER=1 PYTHONUNBUFFERED=1
+LimitCORE=0
 UnsetEnvironment=LD_PRELOAD LD_LIBRARY_PATH PYTHONPATH PYTHONHOME
 
 # Wrong input (2) stays wrong; everything else is tried again.
 Restart=on-failure
 RestartSec=1
 RestartPreventExitStatus=2
+# The first start compiles its kernels, which takes minutes on a small board.
 TimeoutStartSec={start}
 TimeoutStopSec=5
 # Fed by the loop that works, not by a thread beside it: a worker that hangs is started again.
@@ -114,7 +119,7 @@ def units(config: Config, huepose: PurePath, config_path: PurePath, user: str) -
             config=_quoted(config_path),
             user=user,
             threads=" ".join(f"{name}=1" for name in THREAD_VARIABLES),
-            start=f"{restarts.start_within_s:g}",
+            start=f"{_FIRST_START * restarts.start_within_s:g}",
             watchdog=f"{restarts.hung_after_s:g}",
         ),
         TARGET: _target(config),

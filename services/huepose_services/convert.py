@@ -11,13 +11,19 @@ from huepose_protos.buffers import frame_images
 from huepose_protos.messages import FrameHeader, Intrinsics, PoseMessage
 from huepose_protos.messages import Prior as WirePrior
 
+_ROTATION = 1e-2
+
 Vector = tuple[float, float, float]
 Quaternion = tuple[float, float, float, float]
 BoxTuple = tuple[float, float, float, float]
 
 
 def pose_to_wire(T_cam_obj: Float) -> tuple[Vector, Quaternion]:
-    """Translation and quaternion (xyzw) of a pose (4, 4)."""
+    """Translation and quaternion (xyzw) of a pose (4, 4). Raises ValueError for what is no rotation: a
+    quaternion could not show that it was reflected or stretched."""
+    R = T_cam_obj[:3, :3]
+    if not (np.abs(R @ R.T - np.eye(3)).max() < _ROTATION and np.linalg.det(R) > 0.0):
+        raise ValueError("a pose has no rotation in it")
     x, y, z = T_cam_obj[:3, 3].tolist()
     qx, qy, qz, qw = se3.quaternion_from_rotation(T_cam_obj[:3, :3]).tolist()
     return (x, y, z), (qx, qy, qz, qw)

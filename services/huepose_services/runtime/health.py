@@ -17,8 +17,8 @@ HealthState = Literal["starting", "ready", "waiting", "ended", "stopping"]
 _WINDOW_S = 5.0
 _LONGEST_TEXT = 500
 LOCKED_TEXT = (
-    "much memory is locked: each restart of the camera leaves its pool of frames behind in those that read it "
-    "(eclipse-zenoh/zenoh#2787); start this worker again to free it"
+    "much memory is locked: each restart of the camera leaves its pool of frames behind in those that read "
+    "it (eclipse-zenoh/zenoh#2787); start this worker again to free it"
 )
 
 

@@ -1,0 +1,147 @@
+"""What the tracker worker lets out: no old pose to act on, nothing that is no pose, nothing that is over."""
+
+import time
+
+import msgspec
+import numpy as np
+import pytest
+
+from huepose.geometry import se3
+from huepose.tracking.types import Applied, State, TrackedPose
+from huepose_protos import decode, encode
+from huepose_protos.buffers import pack
+from huepose_protos.examples import images, messages
+from huepose_protos.messages import CorrectionMessage, FrameHeader, ObjectEntry, PoseMessage
+from huepose_services.following import Change
+from huepose_services.runtime.clock import now_ns
+from huepose_services.runtime.config import CameraConfig, Config, TrackerConfig
+from huepose_services.runtime.health import Health
+from huepose_services.runtime.log import Log
+from huepose_services.tracker import TrackerWork
+
+HEADER = next(m for m in messages() if isinstance(m, FrameHeader))
+CORRECTION = next(m for m in messages() if isinstance(m, CorrectionMessage))
+MS = 1_000_000
+
+
+class _Tracker:
+    """Says of every frame that one object is tracked at the given pose."""
+
+    instances = ()
+
+    def __init__(self, T_cam_obj):
+        self.T_cam_obj, self.corrections = T_cam_obj, []
+
+    def step(self, frame):
+        return [
+            TrackedPose(
+                *("mug", 0, frame.epoch, frame.frame_id, frame.stamp_ns, State.TRACKING),
+                *(self.T_cam_obj, None, 0.99, np.eye(6) * 1e-6, 0),
+            )
+        ]
+
+    def correct(self, correction):
+        self.corrections.append(correction.instance)
+        return Applied.APPLIED
+
+
+class _Bus:
+    """The bus as far as the work sees it: what is to be taken, and what was put, as bytes."""
+
+    def __init__(self):
+        self.health, self.log = Health("tracker"), Log("tracker")
+        self.inbox = self.keys = self
+        self.frame, self.correction = "frame", "correction"
+        self.waiting = {"frame": [], "correction": []}
+        self.out = []
+        self.skipped = 0
+
+    def ring(self, key):
+        self.place = key
+        return self
+
+    queue = ring
+
+    def pose(self, name, instance):
+        return f"pose/{name}/{instance}"
+
+    def take(self, place, kind):
+        return self.waiting["correction"].pop(0) if self.waiting["correction"] else None
+
+    def take_with_payload(self, place, kind):
+        return self.waiting["frame"].pop(0) if self.waiting["frame"] else None
+
+    def put(self, key, message):
+        self.out.append(decode(encode(message), PoseMessage))
+
+
+class _Objects:
+    def __init__(self):
+        self.next = []
+
+    def changes(self):
+        out, self.next = self.next, []
+        return out
+
+
+def _worker(T_cam_obj, once=False):
+    config = Config(tracker=TrackerConfig(max_age_ms=300.0), camera=CameraConfig(once=once))
+    bus, objects = _Bus(), _Objects()
+    return TrackerWork(bus, _Tracker(T_cam_obj), objects, config), bus, objects
+
+
+def _frame(number, age_ms):
+    specs, payload = pack(images())
+    capture_ns = now_ns() - round(age_ms * MS)
+    return msgspec.structs.replace(HEADER, frame_id=number, capture_ns=capture_ns, buffers=specs), payload
+
+
+@pytest.mark.parametrize(("age_ms", "state"), [(0.0, "TRACKING"), (400.0, "SUSPECT")])
+def test_an_old_pose_is_never_one_to_act_on(age_ms, state):
+    work, bus, _ = _worker(se3.make(np.eye(3), np.array([0.0, 0.0, 0.5])))
+    bus.waiting["frame"] = [_frame(1, 0.0), _frame(2, age_ms)]
+    work.step()
+    work.step()
+    assert [p.state for p in bus.out] == ["TRACKING", state]
+    assert bus.health.counters.get("poses_too_old", 0) == (state == "SUSPECT")
+
+
+def test_the_first_frame_of_a_recording_stands_and_does_not_get_old():
+    work, bus, _ = _worker(se3.make(np.eye(3), np.array([0.0, 0.0, 0.5])), once=True)
+    bus.waiting["frame"] = [_frame(1, 2000.0), _frame(2, 400.0)]
+    work.step()
+    work.step()
+    assert [p.state for p in bus.out] == ["TRACKING", "SUSPECT"]
+
+
+@pytest.mark.parametrize(
+    ("scale", "y"), [((1, 1, 1), np.nan), ((1, 1, 1), np.inf), ((1, 1, -1), 0.0), ((1.01, 1, 1), 0.0)]
+)
+def test_what_is_no_pose_is_not_published(scale, y, capfd):
+    T_cam_obj = se3.make(np.diag(scale), np.array([0.0, y, 0.5]))
+    work, bus, _ = _worker(T_cam_obj)
+    bus.waiting["frame"] = [_frame(1, 0.0)]
+    work.step()
+    assert bus.out == []
+    assert bus.health.counters["poses_refused"] == 1
+    assert "pose of mug/0" in capfd.readouterr().err
+
+
+def test_a_correction_of_an_instance_that_is_over_is_not_applied():
+    work, bus, objects = _worker(np.eye(4))
+    name, epoch = CORRECTION.object, CORRECTION.camera_epoch
+    entry = ObjectEntry(object=name, max_instances=1, searching=1, resets=1, retired=(epoch, 4))
+    objects.next = [Change(entry)]
+    bus.waiting["correction"] = [msgspec.structs.replace(CORRECTION, instance=i) for i in (3, 4)]
+    work.step()
+    assert work._tracker.corrections == [4]
+    assert bus.health.counters["corrections_of_retired"] == 1
+
+
+def test_a_change_of_state_is_in_the_log_once(capfd):
+    work, bus, _ = _worker(se3.make(np.eye(3), np.array([0.0, 0.0, 0.5])))
+    for number in range(5):
+        bus.waiting["frame"] = [_frame(number, 0.0)]
+        work.step()
+        time.sleep(0.001)
+    assert capfd.readouterr().err.count("mug/0 TRACKING") == 1

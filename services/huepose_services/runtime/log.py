@@ -53,36 +53,30 @@ class Log:
 
 
 class StateChanges:
-    """One line when something changes its state, and at most one a second about each: what flickers is told
-    as where it stands then."""
+    """One line when something changes its state for more than a moment, and at most one a second about each:
+    a flicker is not told, and what changes often is told as where it stands then."""
 
-    def __init__(self, log: Log, every_s: float = 1.0) -> None:
-        self._log, self._every_s = log, every_s
-        self._now: dict[str, tuple[str, str]] = {}
-        self._told: dict[str, tuple[str, float, int]] = {}
+    def __init__(self, log: Log, every_s: float = 1.0, moment_s: float = 0.2) -> None:
+        self._log, self._every_s, self._moment_s = log, every_s, moment_s
+        self._now: dict[str, tuple[str, str, float]] = {}
+        self._told: dict[str, tuple[str, float]] = {}
 
     def note(self, name: str, state: str, detail: str = "") -> None:
         """The state that it has now."""
         before = self._now.get(name)
-        self._now[name] = (state, detail)
-        if before is None or before[0] != state:
-            told, when, changes = self._told.get(name, ("", -1e9, 0))
-            self._told[name] = (told, when, changes + 1)
-            self.flush()
+        since = time.monotonic() if before is None or before[0] != state else before[2]
+        self._now[name] = (state, detail, since)
 
     def flush(self) -> None:
-        """Write what had to wait; to be called now and then."""
+        """Write what is due; to be called often."""
         now = time.monotonic()
-        for name, (told, when, changes) in list(self._told.items()):
-            if not changes or now - when < self._every_s:
+        for name, (state, detail, since) in self._now.items():
+            told, when = self._told.get(name, ("", -1e9))
+            if state == told or now - since < self._moment_s or now - when < self._every_s:
                 continue
-            state, detail = self._now[name]
-            self._told[name] = (state, now, 0)
-            if state == told:
-                continue
-            through = f", after {changes} changes" if changes > 1 else ""
+            self._told[name] = (state, now)
             before = f"{told} > " if told else ""
-            self._log.say(f"{name} {before}{state}" + (f" ({detail}{through})" if detail or through else ""))
+            self._log.say(f"{name} {before}{state}" + (f" ({detail})" if detail else ""))
 
 
 def is_log_line(line: str) -> bool:

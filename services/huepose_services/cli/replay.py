@@ -69,7 +69,7 @@ def call(arguments: argparse.Namespace) -> int:
                 else:
                     player.play()
             again = arguments.loop
-        time.sleep(_SETTLE_S)
+        time.sleep(_SETTLE_S / 4.0)
     token.undeclare()  # type: ignore[no-untyped-call]
     bus.close()
     session.close()  # type: ignore[no-untyped-call]

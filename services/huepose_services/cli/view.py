@@ -6,6 +6,7 @@ import argparse
 import signal
 import sys
 import time
+from collections.abc import Callable
 from pathlib import Path
 from types import FrameType
 from typing import TYPE_CHECKING, Any
@@ -45,8 +46,8 @@ def call(arguments: argparse.Namespace) -> int:
 
     signal.signal(signal.SIGTERM, stop)
     signal.signal(signal.SIGINT, stop)
-    end = float("inf") if arguments.seconds is None else time.monotonic() + arguments.seconds
-    _run(config, recording, lambda: stopping or time.monotonic() > end)
+    seconds = float("inf") if arguments.seconds is None else arguments.seconds
+    _run(config, recording, seconds, lambda: stopping)
     recording.flush()
     recording.disconnect()
     if arguments.save is not None:
@@ -71,20 +72,24 @@ def _open(arguments: argparse.Namespace, config: Config) -> Any:
     return recording
 
 
-def _run(config: Config, recording: Any, stopping: Any) -> None:
+def _run(config: Config, recording: Any, seconds: float, stopping: Callable[[], bool]) -> None:
     from huepose_services.runtime.bus import Bus
     from huepose_services.runtime.clock import SECOND, now_ns
     from huepose_services.runtime.health import Health
     from huepose_services.runtime.log import Log
     from huepose_services.runtime.session import open_reader_session
+    from huepose_services.viewer.shapes import rehearse
     from huepose_services.viewer.show import Show
     from huepose_services.viewer.work import ViewerWork, bodies
 
     session = open_reader_session([config.endpoint(worker) for worker in config.workers])
     bus = Bus(session, config.keys, "view", Log("view"), Health("view"))
-    work = ViewerWork(bus, Show(recording, bodies(config)), config.viewer.image_rate_hz)
+    known = bodies(config)
+    rehearse(known)
+    work = ViewerWork(bus, Show(recording, known), config.viewer.image_rate_hz)
     say_at = time.monotonic() + _NONE_SEEN_AFTER_S
-    while not stopping():
+    end = time.monotonic() + seconds
+    while not stopping() and time.monotonic() < end:
         due_ns = work.due_ns()
         wait_ns = _LONGEST_WAIT_NS if due_ns is None else min(due_ns - now_ns(), _LONGEST_WAIT_NS)
         bus.inbox.wait(wait_ns / SECOND)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 
 import cv2
@@ -29,6 +30,13 @@ def outlines(mesh: Mesh, T_cam_obj: Float, camera: Camera) -> list[Float32]:
         if len(line) >= 3:
             lines.append(np.concatenate([line, line[:1]]))
     return lines
+
+
+def rehearse(bodies: Mapping[str, Body]) -> None:
+    """Draw one outline, so that the kernels are compiled before the first picture waits for them."""
+    for body in list(bodies.values())[:1]:
+        far = se3.make(np.eye(3), np.array([0.0, 0.0, 5.0 * body.diameter_m]))
+        outlines(body.mesh, far, Camera(300.0, 300.0, 159.5, 119.5, 320, 240))
 
 
 def axes(T_cam_obj: Float, camera: Camera, length_m: float, centre_obj: Float) -> list[Float32] | None:

@@ -16,7 +16,7 @@ from huepose_services import models
 from huepose_services.runtime.bus import Bus
 from huepose_services.runtime.clock import SECOND, now_ns
 from huepose_services.runtime.config import Config
-from huepose_services.viewer.shapes import Body
+from huepose_services.viewer.shapes import Body, rehearse
 from huepose_services.viewer.show import Show
 
 # So long a frame waits for the poses that are of it.
@@ -29,9 +29,11 @@ def make(bus: Bus, config: Config) -> ViewerWork:
     """The viewer's work, its page being served."""
     from huepose_services.viewer.sinks import served
 
+    known = bodies(config)
+    rehearse(known)
     recording, address = served(config.viewer)
     bus.log.say(f"the page is {address}")
-    return ViewerWork(bus, Show(recording, bodies(config)), config.viewer.image_rate_hz)
+    return ViewerWork(bus, Show(recording, known), config.viewer.image_rate_hz)
 
 
 def bodies(config: Config) -> dict[str, Body]:

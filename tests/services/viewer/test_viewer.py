@@ -1,0 +1,130 @@
+"""What the viewer draws, against geometry that is known, and what it writes, read back."""
+
+import msgspec
+import numpy as np
+import pytest
+
+from huepose.datasets.shapes import demo_objects
+from huepose.geometry import Camera, se3
+from huepose_protos.examples import images, messages
+from huepose_protos.messages import FrameHeader, PoseMessage
+from huepose_services.viewer.shapes import Body, axes, cloud, depth_range, drawable, outlines
+
+CAMERA = Camera(100.0, 100.0, 50.0, 40.0, 101, 81)
+EXAMPLES = {type(m): m for m in messages()}
+
+
+def _box():
+    return demo_objects()["tea_box"]
+
+
+def test_an_outline_is_the_border_of_what_the_mesh_covers():
+    mesh = _box()
+    T_cam_obj = se3.make(np.eye(3), np.array([0.0, 0.0, 0.5]) - mesh.centre)
+    (line,) = outlines(mesh, T_cam_obj, CAMERA)
+    pixels = CAMERA.project(se3.apply(T_cam_obj, mesh.vertices))
+    assert (line[0] == line[-1]).all(), "closed"
+    assert line.min(0) == pytest.approx(pixels.min(0), abs=1.5)
+    assert line.max(0) == pytest.approx(pixels.max(0), abs=1.5)
+
+
+def test_nothing_is_drawn_of_what_is_behind_the_camera():
+    mesh = _box()
+    T_cam_obj = se3.make(np.eye(3), np.array([0.0, 0.0, -0.5]))
+    assert outlines(mesh, T_cam_obj, CAMERA) == []
+    assert axes(T_cam_obj, CAMERA, 0.1, mesh.centre) is None
+
+
+def test_axes_begin_in_the_middle_and_point_along_the_image():
+    T_cam_obj = se3.make(np.eye(3), np.array([0.0, 0.0, 0.5]))
+    x, y, z = axes(T_cam_obj, CAMERA, 0.1, np.zeros(3))
+    assert x == pytest.approx(np.array([[50, 40], [70, 40]]))
+    assert y == pytest.approx(np.array([[50, 40], [50, 60]]))
+    assert z == pytest.approx(np.array([[50, 40], [50, 40]]))
+
+
+def test_the_cloud_lies_where_the_pixels_look():
+    depth = np.zeros((81, 101), np.uint16)
+    depth[40, 50], depth[41, 60], depth[0, 0] = 5000, 7000, 65535
+    color = np.arange(81 * 101 * 3, dtype=np.int64).reshape(81, 101, 3).astype(np.uint8)
+    points, colors = cloud(color, depth, 0.0001, CAMERA, 1)
+    assert points == pytest.approx(np.array([[0, 0, 0.5], [0.07, 0.007, 0.7]]), abs=1e-6)
+    assert (colors == color[[40, 41], [50, 60]]).all()
+
+
+def test_graphics_get_the_same_triangles_and_a_small_texture():
+    mesh = _box()
+    shown = drawable(mesh)
+    assert (shown.positions[shown.triangles] == mesh.vertices[mesh.faces]).all()
+    assert (shown.texture_coordinates[shown.triangles] == mesh.uv).all()
+    assert max(shown.texture.shape) <= 512
+
+
+def test_a_depth_image_without_readings_has_a_range():
+    low, high = depth_range(np.zeros((4, 4), np.uint16))
+    assert high > low
+
+
+def test_frames_poses_and_changes_are_in_the_file(tmp_path):
+    pytest.importorskip("rerun")
+    from rerun.chunk import RrdReader
+
+    from huepose_services.viewer.show import Show
+    from huepose_services.viewer.sinks import saved
+
+    path = tmp_path / "out.rrd"
+    recording = saved(path)
+    show = Show(recording, {"006_mustard_bottle": Body(_box(), 0.2)})
+    header, pose = EXAMPLES[FrameHeader], EXAMPLES[PoseMessage]
+    size = msgspec.structs.replace(header.intrinsics, width=4, height=2)
+    show.at(10**18, 42)
+    show.frame(msgspec.structs.replace(header, intrinsics=size), *images().values(), with_cloud=True)
+    show.pose(pose)
+    show.beliefs([pose])
+    show.latency(12.0)
+    show.event("006_mustard_bottle/3 TRACKING", "TRACKING")
+    gone = {"translation": None, "quaternion": None, "state": "LOST", "covariance": None}
+    show.at(10**18 + 10**9, 72)
+    show.pose(msgspec.structs.replace(pose, **gone))
+    recording.flush()
+    recording.disconnect()
+    counts: dict[str, int] = {}
+    for chunk in RrdReader(path).stream():
+        counts[str(chunk.entity_path)] = (
+            counts.get(str(chunk.entity_path), 0) + chunk.to_record_batch().num_rows
+        )
+    name = "006_mustard_bottle_3"
+    assert counts[f"/world/objects/{name}"] == counts[f"/plots/quality/{name}"] - 1 == 2
+    for once in (
+        "/world/camera/color",
+        "/depth",
+        "/world/cloud",
+        f"/world/objects/{name}/mesh",
+        "/world/camera/overlay/outlines",
+        "/events",
+    ):
+        assert counts[once] == 1, once
+
+
+def test_a_taken_port_is_named():
+    import socket
+
+    from huepose.support.errors import InputError
+    from huepose_services.runtime.config import ViewerConfig
+    from huepose_services.viewer.sinks import served
+
+    with socket.socket() as other:
+        other.bind(("127.0.0.1", 0))
+        port = other.getsockname()[1]
+        with pytest.raises(InputError, match=f"viewer.web_port {port}"):
+            served(ViewerConfig(web_port=port))
+
+
+def test_without_a_screen_it_says_what_to_do(monkeypatch):
+    from huepose.support.errors import InputError
+    from huepose_services.viewer.sinks import window
+
+    monkeypatch.delenv("DISPLAY", raising=False)
+    monkeypatch.delenv("WAYLAND_DISPLAY", raising=False)
+    with pytest.raises(InputError, match="--web PORT"):
+        window(100)

@@ -21,7 +21,7 @@ def drawn(n: int, seed: int) -> tuple[Judged, np.ndarray]:
         for m, t, s in zip(margins, totals, seen, strict=True)
     ]
     right = rng.random(n) < chance
-    return Judged(terms, right, [k // 5 for k in range(n)], chance), chance
+    return Judged(terms, right, [k // 5 for k in range(n)], chance, np.ones(n)), chance
 
 
 def test_the_law_behind_constructed_data_is_found() -> None:
@@ -56,7 +56,9 @@ def test_the_level_is_where_the_share_of_right_ones_falls_under_the_wanted() -> 
 
 
 def test_coverage_counts_what_got_no_pose() -> None:
-    judged = Judged([PLAIN] * 4, np.array([True, True, False, True]), [0, 0, 1, 1], np.zeros(4), missed=4)
+    judged = Judged(
+        [PLAIN] * 4, np.array([True, True, False, True]), [0, 0, 1, 1], np.zeros(4), np.ones(4), missed=4
+    )
     worth = calibration.worth(np.array([0.9, 0.95, 0.97, 0.2]), judged, 0.9)
     assert (worth.poses, worth.right) == (8, 3)
     assert worth.coverage == pytest.approx(3 / 8)
@@ -68,14 +70,14 @@ def test_a_frame_is_never_judged_by_itself() -> None:
     saw only the others leans the other way."""
     terms = [replace(PLAIN, pixels=10.0 ** (1 + k // 20)) for k in range(200)]
     right = np.array([k // 20 % 2 == 0 for k in range(200)])
-    judged = Judged(terms, right, [k // 20 for k in range(200)], np.zeros(200))
+    judged = Judged(terms, right, [k // 20 for k in range(200)], np.zeros(200), np.ones(200))
     stated = calibration.held_out(judged, ("size",))
     assert np.corrcoef(stated, right)[0, 1] < 0
     assert len(np.unique(np.round(stated, 6))) <= 10
 
 
 def test_one_kind_of_outcome_cannot_be_fitted() -> None:
-    judged = Judged([PLAIN] * 3, np.ones(3, bool), [0, 1, 2], np.zeros(3))
+    judged = Judged([PLAIN] * 3, np.ones(3, bool), [0, 1, 2], np.zeros(3), np.ones(3))
     with pytest.raises(InputError, match="3 right of 3"):
         calibration.fit(judged, ("margin",))
 
@@ -91,3 +93,17 @@ def test_every_shipped_fit_rises_with_every_feature() -> None:
         assert min(fit.factors.values()) > 0
         assert 0.5 < fit.level < 1.0
         assert quality(name, better) > quality(name, PLAIN)
+
+
+def test_a_weight_counts_as_so_many_poses() -> None:
+    judged, _ = drawn(400, 5)
+    once = replace(judged, weights=np.where(judged.right, 3.0, 1.0))
+    copies = [k for k in range(400) for _ in range(3 if judged.right[k] else 1)]
+    often = Judged(
+        [judged.terms[k] for k in copies], judged.right[copies], [judged.frames[k] for k in copies],
+        judged.stated[copies], np.ones(len(copies)),
+    )  # fmt: skip
+    weighted = calibration.fit(once, ("margin", "total"))
+    repeated = calibration.fit(often, ("margin", "total"))
+    assert weighted.constant == pytest.approx(repeated.constant, rel=0.03)
+    assert weighted.factors["margin"] == pytest.approx(repeated.factors["margin"], rel=0.03)

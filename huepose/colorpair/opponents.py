@@ -25,6 +25,7 @@ _LINEAR = np.where(
     np.arange(256) / 255 / 12.92,
     ((np.arange(256) / 255 + 0.055) / 1.055) ** 2.4,
 ).astype(np.float32)
+_LOGARITHMS = (np.log(_LINEAR + np.float32(DARKEST)) * np.float32(SCALE)).astype(np.float32)
 
 
 def linear_rgb(color: UInt8) -> Float32:
@@ -39,8 +40,23 @@ def opponents(linear: Float) -> Float32:
     >>> bool(np.ptp(opponents(grey)[0, 1:]) == 0.0) and bool(opponents(grey * red_light)[0, 1] > 10)
     True
     """
-    out = np.empty(linear.shape, np.float32)
-    log = np.log(np.maximum(linear, 0.0).astype(np.float32) + np.float32(DARKEST)) * np.float32(SCALE)
+    return _of_logarithms(
+        np.log(np.maximum(linear, 0.0).astype(np.float32) + np.float32(DARKEST)) * np.float32(SCALE)
+    )
+
+
+def opponents_of_bytes(color: UInt8) -> Float32:
+    """The same (..., 3) of sRGB bytes (..., 3), by a table: a fifth of the time.
+
+    >>> color = np.array([[10, 130, 250]], np.uint8)
+    >>> bool(np.allclose(opponents_of_bytes(color), opponents(linear_rgb(color)), atol=1e-4))
+    True
+    """
+    return _of_logarithms(_LOGARITHMS[color])
+
+
+def _of_logarithms(log: Float32) -> Float32:
+    out = np.empty(log.shape, np.float32)
     red, green, blue = log[..., 0], log[..., 1], log[..., 2]
     yellow = (red + green) * np.float32(0.5)
     out[..., 0] = (red + green + blue) * np.float32(1 / 3)

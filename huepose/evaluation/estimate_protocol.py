@@ -11,6 +11,7 @@ import numpy as np
 
 from huepose.datasets.types import GroundTruth, Sample, Scene
 from huepose.estimation.types import ObjectQuery, PoseEstimate
+from huepose.estimation.verdict import standing
 from huepose.evaluation.boxes import Disturbance, disturbed, projected_box, truth_box
 from huepose.evaluation.equivalents import Key
 from huepose.evaluation.estimate_rows import EstimateResult, EstimateRow, FalsePose
@@ -192,12 +193,12 @@ class _FrameRun:
     def detected(
         self, estimator: PoseEstimator, detector: Detector
     ) -> tuple[list[EstimateRow], list[FalsePose]]:
-        """Every object is asked for; poses are matched to the labels of their object afterwards."""
+        """Every object is asked for; the poses that stand are matched to the labels of their object."""
         start = time.perf_counter()
         names = [model.name for model in self.targets.models]
         detections = detector.detect(self.sample.frame, names)
         queries = [ObjectQuery(d.object, box=d.box, instance=i) for i, d in enumerate(detections)]
-        answers = estimator.estimate(self.sample.frame, queries) if queries else []
+        answers = standing(estimator.estimate(self.sample.frame, queries) if queries else [])
         seconds = time.perf_counter() - start
         taken, spare = assigned(answers, self.labels, self._box_of)
         rows = [

@@ -134,14 +134,14 @@ def _poses(
 ) -> Float64:
     """Poses (K, 4, 4) of templates whose windows' middles lie at pixels (K, 2) and depths (K,)."""
     rays = camera.rays(pixels)
-    turns = _onto_rays(rays)
+    turns = onto_rays(rays)
     poses = np.tile(np.eye(4), (len(templates), 1, 1))
     poses[:, :3, :3] = turns @ table.rotations[templates]
     poses[:, :3, 3] = rays * depth_m[:, None] + np.einsum("nij,nj->ni", turns, table.origins[templates])
     return poses
 
 
-def _onto_rays(rays: Float64) -> Float64:
+def onto_rays(rays: Float64) -> Float64:
     """The shortest rotations (K, 3, 3) that take the optical axis onto rays (K, 3)."""
     d = rays / np.linalg.norm(rays, axis=1, keepdims=True)
     K = np.zeros((len(d), 3, 3))

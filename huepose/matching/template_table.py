@@ -42,8 +42,8 @@ class TemplateTable:
     diameter_m: float
 
 
-def build_table(templates: ViewTemplates, diameter_m: float) -> TemplateTable:
-    """Lay out a model's templates (0.1 s, about 20 MB)."""
+def build_table(templates: ViewTemplates, diameter_m: float, *, min_coverage: float = 0.5) -> TemplateTable:
+    """Lay out a model's templates (0.1 s, about 20 MB). Larger cells count from a coverage of `min_coverage`."""
     views, rolls = templates.planes.shape[:2]
     planes = templates.planes.reshape(views * rolls, *templates.planes.shape[2:]).astype(np.float32)
     side = planes.shape[-1]
@@ -58,7 +58,7 @@ def build_table(templates: ViewTemplates, diameter_m: float) -> TemplateTable:
     coarse = mean @ planes @ mean.T
     coarse[:, :4] /= np.maximum(coarse[:, 4:], 1e-3)
     coverage, values = _described(coarse)
-    flat = np.where(coverage > 0.5, coverage, 0.0).reshape(len(planes), -1).astype(np.float32)
+    flat = np.where(coverage > min_coverage, coverage, 0.0).reshape(len(planes), -1).astype(np.float32)
     by_channel = values.reshape(len(planes), -1, 4).transpose(2, 0, 1)
     rotations, origins = _poses(templates)
     return TemplateTable(

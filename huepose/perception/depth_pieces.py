@@ -33,7 +33,7 @@ class Pieces:
 
 def cut_pieces(depth: Float32, candidate: Bool, box: Box) -> Pieces:
     """Cut the candidate pixels (h, w) of a window at depth steps; `box` is in the window's pixels."""
-    free = candidate & ~_steps(depth)
+    free = candidate & ~depth_steps(depth)
     count, labels, stats, _ = cv2.connectedComponentsWithStats(free.astype(np.uint8), connectivity=4)
     flat = labels.ravel()
     v, u = np.arange(depth.shape[0])[:, None], np.arange(depth.shape[1])[None, :]
@@ -52,11 +52,11 @@ def cut_pieces(depth: Float32, candidate: Bool, box: Box) -> Pieces:
     left, top = stats[keep, 0], stats[keep, 1]
     bounds = np.stack([left, top, left + stats[keep, 2], top + stats[keep, 3]], -1).astype(np.float64)
     return Pieces(
-        labels, bounds, share[keep], weight[keep].astype(np.float64), _medians(depth, labels, len(keep))
+        labels, bounds, share[keep], weight[keep].astype(np.float64), median_depths(depth, labels, len(keep))
     )
 
 
-def _steps(depth: Float32) -> Bool:
+def depth_steps(depth: Float32) -> Bool:
     """The far side of every depth step: rims of near things stay whole."""
     smooth = cv2.medianBlur(np.ascontiguousarray(depth), 3)
     limit = 0.006 + 0.004 * depth
@@ -71,7 +71,7 @@ def _steps(depth: Float32) -> Bool:
     return step
 
 
-def _medians(depth: Float32, labels: Int, count: int) -> Float64:
+def median_depths(depth: Float32, labels: Int, count: int) -> Float64:
     """Median depth of each piece."""
     inside = labels >= 0
     values, owner = depth[inside], labels[inside]

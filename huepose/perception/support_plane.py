@@ -45,7 +45,7 @@ def find_support_plane(depth: Float32, camera: Camera, box: Box) -> Plane | None
     rng = np.random.default_rng(0)
     keep = rng.permutation(keep)[:POINTS]
     points = camera.backproject(np.stack([u[keep], v[keep]], -1), z[keep])
-    best = _best_plane(points, rng.integers(0, len(points), (TRIALS, 3)))
+    best = best_plane(points, rng.integers(0, len(points), (TRIALS, 3)))
     if best[0] < MIN_SHARE * len(points):
         return None
     normal, point = best[1:4], best[4:7]
@@ -59,7 +59,7 @@ def find_support_plane(depth: Float32, camera: Camera, box: Box) -> Plane | None
 
 
 @jit
-def _best_plane(points: Float64, triples: np.ndarray) -> Float64:
+def best_plane(points: Float64, triples: np.ndarray) -> Float64:
     """Count, normal, point of the plane through one of the triples that has most points near it; what is near
     grows with the square of depth, as the noise of stereo does."""
     best = np.zeros(7)

@@ -6,18 +6,20 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Protocol
 
-from huepose.geometry.arrays import Bool
+from huepose.geometry.arrays import Bool, Float64
 from huepose.geometry.box import Box
 from huepose.geometry.frame import RgbdFrame
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Detection:
-    """An object by name, where it is, and how sure the detector is (0..1)."""
+    """An object by name, where it is, how sure the detector is (higher is surer), and, if the detector knows,
+    roughly its pose T_cam_obj (4, 4)."""
 
     object: str
     box: Box
     score: float
+    T_cam_obj: Float64 | None = None
 
 
 class Detector(Protocol):

@@ -63,7 +63,7 @@ def align(
         surface, grid, points_cam, np.asarray(T_cam_obj)[None], gate_start_m, gate_end_m, iterations
     )
     T = se3.orthonormalised(poses[0])
-    centre, radius = _centre_and_radius(grid)
+    centre, radius = centre_and_radius(grid)
     return Alignment(
         T,
         int(report[0, 0]),
@@ -100,8 +100,8 @@ def _align_all(
     out = np.array(poses, dtype=np.float64)
     report = np.zeros((len(out), 4))
     normal_equations = np.zeros((len(out), 6, 6))
-    centre, radius = _centre_and_radius(grid)
-    _align_kernel(
+    centre, radius = centre_and_radius(grid)
+    align_kernel(
         out,
         np.ascontiguousarray(points_cam, dtype=np.float64),
         surface.points,
@@ -120,7 +120,7 @@ def _align_all(
     return out, report, normal_equations
 
 
-def _centre_and_radius(grid: DistanceGrid) -> tuple[Float64, float]:
+def centre_and_radius(grid: DistanceGrid) -> tuple[Float64, float]:
     """Where rotations turn about (the middle of the grid, so of the object), and the lever that makes radians
     comparable with metres: a third of the grid's diagonal."""
     reach = grid.step * (np.array(grid.nearest.shape) - 1) / 2.0
@@ -140,7 +140,7 @@ def _camera_information(A: Float64, T_cam_obj: Float64, centre: Float64, radius:
 
 
 @jit
-def _align_kernel(
+def align_kernel(
     poses: Float64,
     points_cam: Float64,
     samples: Float32,

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from huepose.geometry import Box
 from huepose.model import ReferenceModel
+from huepose.perception.colorpair_detector import ColorPairDetector
 from huepose_protos import WireError
 from huepose_protos.messages import Detections, FrameHeader, PerceptionRequest, TruthMessage
 from huepose_services import models, networks
@@ -13,6 +14,7 @@ from huepose_services.following import Follower
 from huepose_services.runtime.bus import Bus
 from huepose_services.runtime.clock import now_ns
 from huepose_services.runtime.config import Config
+from huepose_services.searched_boxes import SearchedBoxes
 from huepose_services.seen_boxes import SeenBoxes
 
 
@@ -27,8 +29,16 @@ def make(bus: Bus, config: Config) -> DetectorWork:
         bus.log.say(f"YOLO of layout {detector.layout} on {network.provider}: {network.path.name}")
         bus.health.count(f"provider_{network.provider}")
         return DetectorWork(bus, SeenBoxes(outlines, detector), follower)
+    if config.detector.kind == "colorpair":
+        searcher = ColorPairDetector(models.load(config), proposals=max(2, _most_instances(config)))
+        searcher.warm_up()
+        return DetectorWork(bus, SearchedBoxes(outlines, searcher), follower)
     boxes = {name: Box(*box) for name, box in config.detector.boxes.items()}
     return DetectorWork(bus, FirstBoxes(outlines, boxes), follower)
+
+
+def _most_instances(config: Config) -> int:
+    return max((item.max_instances for item in config.objects), default=1)
 
 
 class DetectorWork:

@@ -27,12 +27,13 @@ class SeenBoxes(ByOutline):
         """The frame that the next request is about."""
         self._frame = frame
 
+    def detections(self, names: list[str]) -> list[Detection]:
+        """What the detector sees of the named objects, best first."""
+        return self._detector.detect(self._frame, names) if self._frame is not None and names else []
+
     def find(self, header: FrameHeader, request: PerceptionRequest) -> list[DetectedObject]:
         """Boxes, in the request's order."""
-        if self._frame is None:
-            return []
-        names = list(dict.fromkeys(wanted.object for wanted in request.objects))
-        detections = self._detector.detect(self._frame, names)
+        detections = self.detections(list(dict.fromkeys(wanted.object for wanted in request.objects)))
         camera = camera_from_wire(header.intrinsics)
         priors = [self.prior_box(wanted, header, camera) for wanted in request.objects]
         tracked = [box for box in priors if box is not None]
@@ -41,9 +42,9 @@ class SeenBoxes(ByOutline):
             mine = [d for d in detections if d.object == wanted.object]
             if wanted.instance is None:
                 new = [d for d in mine if all(d.box.iou(other) < _SAME_BOX for other in tracked)]
-                found += [_detected(wanted, d) for d in new[: wanted.wanted]]
+                found += [detected(wanted, d) for d in new[: wanted.wanted]]
             elif mine:
-                found.append(_detected(wanted, mine[0] if prior is None else _nearest(mine, prior)))
+                found.append(detected(wanted, mine[0] if prior is None else _nearest(mine, prior)))
         return found
 
 
@@ -51,6 +52,7 @@ def _nearest(detections: list[Detection], prior: Box) -> Detection:
     return max(detections, key=lambda d: (d.box.iou(prior), d.score))
 
 
-def _detected(wanted: RequestedObject, detection: Detection) -> DetectedObject:
+def detected(wanted: RequestedObject, detection: Detection) -> DetectedObject:
+    """A detection as the answer to a request."""
     score = min(max(detection.score, 0.0), 1.0)
     return DetectedObject(request=wanted, box=box_to_wire(detection.box), score=score)

@@ -173,19 +173,20 @@ def test_detected_poses_are_assigned_one_to_one_by_quality(models) -> None:
     left, right, far = pose_at(-0.1), pose_at(0.1), pose_at(0.0, -0.3, 1.5)
     scene = MemoryScene("s", {0: (truth(0, 5, left, 0.9), truth(1, 5, right, 0.9), truth(2, 7, far, 0.9))})
     box = Box(10, 10, 20, 20)
-    detector = Boxes(*(Detection("box", box, 0.5) for _ in range(4)))
+    detector = Boxes(*(Detection("box", box, 0.5) for _ in range(5)))
     near_left = se3.perturb(left, np.array([0.01, 0, 0, 0, 0, 0]))
-    poses = [(near_left, 0.95), (left, 0.6), (right, 0.7), (far, 0.8)]  # the last: another object's place
+    # The fourth: another object's place. The last is too doubtful to stand where nothing is known to be.
+    poses = [(near_left, 0.95), (left, 0.82), (right, 0.85), (far, 0.9), (far, 0.4)]
     estimator = ScriptedEstimator(lambda frame, query: estimate_of(query, *poses[query.instance]))
     options = EstimateOptions(boxes="detect")
     result = evaluate_estimates([scene], Targets(models), estimator, options, detector=detector)
-    assert [r.quality for r in result.rows] == [0.95, 0.7, 0.0]
+    assert [r.quality for r in result.rows] == [0.95, 0.85, 0.0]
     assert result.rows[0].error.add_m == pytest.approx(0.01)
     assert result.rows[2].T_cam_obj is None
-    assert [(f.object, f.quality) for f in result.false] == [(5, 0.8), (5, 0.6)]
+    assert [(f.object, f.quality) for f in result.false] == [(5, 0.9), (5, 0.82)]
     assert result.summary()["false_poses"] == 2
     # Two of four poses are right: false ones are part of the calibration.
-    assert result.summary()["ece"] == pytest.approx((0.05 + 0.3 + 0.8 + 0.6) / 4)
+    assert result.summary()["ece"] == pytest.approx((0.05 + 0.15 + 0.9 + 0.82) / 4)
 
 
 def test_a_pose_of_a_label_left_out_is_not_false(models) -> None:

@@ -4,11 +4,14 @@ from __future__ import annotations
 
 import argparse
 import json
+from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from huepose.estimation import PoseEstimate
+    from huepose.estimation import Estimator, PoseEstimate
+    from huepose.geometry import Box, RgbdFrame
+    from huepose.model import ReferenceModel
 
 
 def add_parser(subparsers: Any) -> None:
@@ -30,7 +33,14 @@ def add_parser(subparsers: Any) -> None:
     )
     parser.add_argument("--object", nargs="+", default=None, metavar="NAME", help="all of the folder without")
     parser.add_argument("--method", choices=("full", "colorpair"), default="full")
-    parser.add_argument("--box", nargs=4, type=float, default=None, metavar=("X", "Y", "W", "H"))
+    parser.add_argument(
+        "--box",
+        nargs=4,
+        type=float,
+        default=None,
+        metavar=("X", "Y", "W", "H"),
+        help="where it is; all over the picture without",
+    )
     parser.add_argument("--json", type=Path, default=None, metavar="FILE", help="standard output without")
     parser.add_argument(
         "--image", type=Path, default=None, metavar="OUT.png", help="the poses drawn over the picture"
@@ -42,33 +52,18 @@ def add_parser(subparsers: Any) -> None:
 def call(arguments: argparse.Namespace) -> int:
     """Estimate, write, draw."""
     from huepose.datasets.image_files import read_frame
-    from huepose.estimation import Estimator, EstimatorConfig, ObjectQuery
-    from huepose.geometry import Box
+    from huepose.estimation import Estimator, EstimatorConfig
     from huepose.model import load_models
-    from huepose.support.errors import InputError
 
-    if arguments.box is None:
-        raise InputError(
-            "no box",
-            found="nothing that says where to look",
-            expected="--box X Y W H in pixels",
-            fix="Give the box of the object; no detector is configured for single frames.",
-        )
-    box = Box(*arguments.box)
-    if box.w <= 0 or box.h <= 0:
-        raise InputError("--box", found=f"{box.w:g} x {box.h:g}", expected="a width and a height over 0")
+    box = _box(arguments.box)
     frame = read_frame(arguments.color, arguments.depth, arguments.camera)
     models = load_models(arguments.bundles, arguments.object)
+    names = list(dict.fromkeys(arguments.object or sorted(models)))
     estimator = Estimator(models, EstimatorConfig(method=arguments.method))
-    estimator.warm_up(arguments.object)  # so that `seconds` is the time of an answer
-    answers = []
-    for name in arguments.object or sorted(models):
-        answer, explanation = estimator.explain(frame, ObjectQuery(name, box))
-        answers.append(answer)
-        if arguments.explain:
-            from huepose_services.cli.explain import write_explanation
-
-            write_explanation(arguments.explain, frame, models[name], answer, explanation)
+    estimator.warm_up(names)  # so that `seconds` is the time of an answer
+    answers = _detected(arguments, frame, models, estimator, names) if box is None else []
+    for name in names if box is not None else []:
+        answers.append(_answer(arguments, frame, models, estimator, name, box))
     text = json.dumps({"poses": [as_record(a) for a in answers]}, indent=2)
     if arguments.json:
         arguments.json.parent.mkdir(parents=True, exist_ok=True)
@@ -82,6 +77,56 @@ def call(arguments: argparse.Namespace) -> int:
 
         write_picture(arguments.image, draw_answers(frame, models, answers))
     return 0
+
+
+def _box(given: list[float] | None) -> Box | None:
+    from huepose.geometry import Box
+    from huepose.support.errors import InputError
+
+    if given is None:
+        return None
+    box = Box(*given)
+    if box.w <= 0 or box.h <= 0:
+        raise InputError("--box", found=f"{box.w:g} x {box.h:g}", expected="a width and a height over 0")
+    return box
+
+
+def _answer(
+    arguments: argparse.Namespace,
+    frame: RgbdFrame,
+    models: Mapping[str, ReferenceModel],
+    estimator: Estimator,
+    name: str,
+    box: Box,
+) -> PoseEstimate:
+    """The answer for one object in one box, explained where that is wanted."""
+    from huepose.estimation import ObjectQuery
+
+    answer, explanation = estimator.explain(frame, ObjectQuery(name, box))
+    if arguments.explain:
+        from huepose_services.cli.explain import write_explanation
+
+        write_explanation(arguments.explain, frame, models[name], answer, explanation)
+    return answer
+
+
+def _detected(
+    arguments: argparse.Namespace,
+    frame: RgbdFrame,
+    models: Mapping[str, ReferenceModel],
+    estimator: Estimator,
+    names: list[str],
+) -> list[PoseEstimate]:
+    """The poses that stand at the places which the detector proposes; an object without any is not found."""
+    from huepose.estimation.verdict import absent, standing
+    from huepose.perception.colorpair_detector import ColorPairDetector
+
+    detector = ColorPairDetector(models)
+    places = detector.detect(frame, names)
+    # The best place last: its explanation is the one that is kept.
+    answers = [_answer(arguments, frame, models, estimator, p.object, p.box) for p in reversed(places)]
+    poses = standing(answers)
+    return [pose for name in names for pose in [p for p in poses if p.object == name] or [absent(name)]]
 
 
 def as_record(answer: PoseEstimate) -> dict[str, Any]:

@@ -14,7 +14,7 @@ from huepose.evaluation.pictures import PictureFolder
 from huepose.evaluation.result_files import write_json
 from huepose.evaluation.targets import Targets
 from huepose.model import load_models
-from huepose.support.errors import InputError
+from huepose.perception.colorpair_detector import ColorPairDetector
 from huepose_services.cli.evaluate_scenes import FIGURES, figure_table, open_bop, shown
 
 
@@ -22,22 +22,27 @@ def call(arguments: argparse.Namespace) -> int:
     """Evaluate, write, print a table."""
     scenes = open_bop(arguments.bop)
     equivalents = read_equivalents(arguments.equivalent) if arguments.equivalent else {}
-    if arguments.boxes == "detect":
-        raise InputError(
-            "--boxes detect",
-            found="no detector that looks for objects in single frames",
-            expected="perturbed, paper or gt",
-            fix="Use --boxes perturbed.",
-        )
     options = EstimateOptions(arguments.boxes, arguments.masks, arguments.min_visib, tuple(arguments.seed))
     models = load_models(arguments.bundles)
     targets = Targets(models, arguments.objects)
     estimator = Estimator(models, EstimatorConfig(method=arguments.method, threads=arguments.threads))
-    estimator.warm_up(shown(scenes, targets))
+    detector = None
+    if arguments.boxes == "detect":
+        detector = ColorPairDetector({model.name: model for model in targets.models})
+        detector.warm_up()
+        estimator.warm_up([model.name for model in targets.models])
+    else:
+        estimator.warm_up(shown(scenes, targets))
     pictures = PictureFolder(arguments.plots, targets) if arguments.plots else None
     on_frame = None if pictures is None else pictures.frame
     result = evaluate_estimates(
-        scenes, targets, estimator, options, equivalents=equivalents, on_frame=on_frame
+        scenes,
+        targets,
+        estimator,
+        options,
+        equivalents=equivalents,
+        detector=detector,
+        on_frame=on_frame,
     )
     record = result.as_json()
     record["summary"]["method"] = arguments.method

@@ -70,7 +70,7 @@ def _pipeline(seed: int, bundles: Path) -> dict[str, Any]:
         "site": "demo",
         "bundles": str(bundles),
         "camera": {"source": "synthetic", "seed": seed, "truth": True},
-        "detector": {"kind": "truth", "seed": seed},
+        "detector": {"kind": "colorpair"},
         "bus": {"base_port": _free_ports(len(WORKERS))},
     }
 

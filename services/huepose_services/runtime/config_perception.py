@@ -59,7 +59,7 @@ class CameraConfig(Section, frozen=True, kw_only=True):
 class DetectorConfig(Section, frozen=True, kw_only=True):
     """How boxes are found."""
 
-    kind: Literal["truth", "first_box", "yolo"] = "truth"
+    kind: Literal["colorpair", "truth", "first_box", "yolo"] = "colorpair"
     boxes: dict[Name, tuple[Side, Side, Side, Side]] = {}
     seed: Annotated[int, Meta(ge=0)] = 0
     model: str | None = None

@@ -1,0 +1,241 @@
+"""Boxes and masks of whole frames: what the detector proposes, what the estimator leaves of it, and how well
+objects are outlined."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from huepose.datasets.types import GroundTruth, Sample, Scene
+from huepose.estimation.types import ObjectQuery, PoseEstimate
+from huepose.estimation.verdict import ACCEPTED, standing
+from huepose.evaluation.boxes import disturbed, truth_box
+from huepose.evaluation.estimate_protocol import PoseEstimator
+from huepose.evaluation.perception_rows import FalseBox, FrameFigures, PerceptionResult, PerceptionRow
+from huepose.evaluation.targets import Targets, object_number
+from huepose.geometry.arrays import Bool
+from huepose.geometry.box import Box
+from huepose.model.types import ReferenceModel
+from huepose.perception.types import Detection, Detector, Segmenter
+from huepose.support.errors import InputError
+from huepose.support.progress import progress
+
+SAME = 0.5
+"""A box of an object is the label's when they overlap by this IoU."""
+
+
+@dataclass(frozen=True)
+class PerceptionOptions:
+    """judged: most proposals of one object that the estimator looks at; accepted: quality from which a pose
+    stands; min_visib: labels under it are neither asked for nor false; onboarded: numbers of objects that are
+    asked for; subsets: how many random choices of each number; masks: whether outlines are measured."""
+
+    judged: int = 2
+    accepted: float = ACCEPTED
+    min_visib: float = 0.3
+    onboarded: tuple[int, ...] = (5, 10, 20)
+    subsets: int = 10
+    masks: bool = True
+    seed: int = 0
+
+
+@dataclass(frozen=True, eq=False)
+class _Label:
+    truth: GroundTruth
+    model: ReferenceModel
+    box: Box
+
+    def counted(self, options: PerceptionOptions) -> bool:
+        return self.truth.visib_fract is None or self.truth.visib_fract >= options.min_visib
+
+
+def evaluate_perception(
+    scenes: Sequence[Scene],
+    targets: Targets,
+    detector: Detector,
+    segmenter: Segmenter,
+    estimator: PoseEstimator,
+    options: PerceptionOptions,
+    *,
+    on_frame: Callable[[Sample, FrameFigures], None] | None = None,
+) -> PerceptionResult:
+    """Ask for all objects of `targets` in all labelled images. `on_frame` sees each frame with its figures.
+
+    Raises InputError when nothing is labelled."""
+    frames = []
+    names = [model.name for model in targets.models]
+    images = [(scene, image) for scene in scenes for image in scene.image_ids]
+    for scene, image in progress(images, "frames"):
+        truths = scene.truths(image)
+        sample = Sample(scene.frame(image), truths, scene.name, image)
+        labels = _labels(sample, targets)
+        if labels:
+            figures = _frame(sample, labels, names, targets, detector, segmenter, estimator, options)
+            frames.append(figures)
+            if on_frame is not None:
+                on_frame(sample, figures)
+    if not any(frame.rows for frame in frames):
+        raise InputError(
+            "scenes " + ", ".join(scene.name for scene in scenes),
+            found="no label of an onboarded object",
+            expected="labels in scene_gt.json of objects that have a reference model",
+            fix="Onboard the objects, or check --objects and --bundles.",
+        )
+    return PerceptionResult(frames, names, options.onboarded, options.subsets, options.seed)
+
+
+def _labels(sample: Sample, targets: Targets) -> list[_Label]:
+    labels = []
+    for truth in sample.truths:
+        model = targets.model_of(truth)
+        if model is None or not targets.wants(truth):
+            continue
+        box = truth_box(truth, model, sample.frame.camera)
+        if box is not None:
+            labels.append(_Label(truth, model, box))
+    return labels
+
+
+def _frame(
+    sample: Sample,
+    labels: Sequence[_Label],
+    names: Sequence[str],
+    targets: Targets,
+    detector: Detector,
+    segmenter: Segmenter,
+    estimator: PoseEstimator,
+    options: PerceptionOptions,
+) -> FrameFigures:
+    start = time.perf_counter()
+    detections = detector.detect(sample.frame, names)
+    found_s = time.perf_counter() - start
+    judged = _best(detections, options.judged)
+    queries = [ObjectQuery(d.object, box=d.box, instance=i) for i, d in enumerate(judged)]
+    answers = estimator.estimate(sample.frame, queries) if queries else []
+    seconds = time.perf_counter() - start
+    by_object = {name: [d for d in detections if d.object == name] for name in names}
+    rows = [
+        _row(sample, label, by_object[label.model.name], segmenter, estimator, options)
+        for label in labels
+        if label.counted(options)
+    ]
+
+    def verdict(asked: Sequence[str]) -> tuple[dict[int, PoseEstimate], list[FalseBox]]:
+        poses = standing([a for a in answers if a.object in set(asked)], options.accepted)
+        return _assigned(sample, poses, labels, targets, options)
+
+    return FrameFigures(sample.scene, sample.image, rows, names, verdict, found_s, seconds)
+
+
+def _best(detections: Sequence[Detection], most: int) -> list[Detection]:
+    """At most so many of each object, the first ones."""
+    seen: dict[str, int] = {}
+    chosen = []
+    for d in detections:
+        seen[d.object] = seen.get(d.object, 0) + 1
+        if seen[d.object] <= most:
+            chosen.append(d)
+    return chosen
+
+
+def _row(
+    sample: Sample,
+    label: _Label,
+    proposals: Sequence[Detection],
+    segmenter: Segmenter,
+    estimator: PoseEstimator,
+    options: PerceptionOptions,
+) -> PerceptionRow:
+    rank = next((k for k, d in enumerate(proposals, 1) if d.box.iou(label.box) >= SAME), None)
+    mask_iou = final_iou = None
+    if options.masks:
+        mask_iou, final_iou = _mask_ious(sample, label, segmenter, estimator, options)
+    return PerceptionRow(
+        sample.scene,
+        sample.image,
+        label.truth.instance,
+        object_number(label.model),
+        label.model.name,
+        label.truth.visib_fract,
+        label.box,
+        rank,
+        max((d.box.iou(label.box) for d in proposals), default=0.0),
+        mask_iou,
+        final_iou,
+    )
+
+
+def _mask_ious(
+    sample: Sample, label: _Label, segmenter: Segmenter, estimator: PoseEstimator, options: PerceptionOptions
+) -> tuple[float | None, float | None]:
+    """Of the segmenter's first mask and of the estimator's last with the visible mask, in a disturbed box."""
+    true_mask = label.truth.mask()
+    if true_mask is None or not true_mask.any():
+        return None, None
+    camera = sample.frame.camera
+    box = disturbed(
+        label.box,
+        "perturbed",
+        options.seed,
+        sample.scene,
+        sample.image,
+        label.truth.instance,
+        camera.width,
+        camera.height,
+    )
+    if box.area == 0:
+        return None, None
+    mask = segmenter.segment(sample.frame, box, label.model.diameter_m)[0]
+    answer = estimator.estimate(sample.frame, [ObjectQuery(label.model.name, box=box)])[0]
+    final = np.zeros_like(true_mask) if answer.mask is None else answer.mask
+    return _iou(mask, true_mask), _iou(final, true_mask)
+
+
+def _iou(a: Bool, b: Bool) -> float:
+    either = int((a | b).sum())
+    return float((a & b).sum() / either) if either else 0.0
+
+
+def _assigned(
+    sample: Sample,
+    poses: Sequence[PoseEstimate],
+    labels: Sequence[_Label],
+    targets: Targets,
+    options: PerceptionOptions,
+) -> tuple[dict[int, PoseEstimate], list[FalseBox]]:
+    """Standing poses by the instance that they find, and those that find none. The box of a pose is that of
+    the pixels that it explains."""
+    taken: dict[int, PoseEstimate] = {}
+    false = []
+    for pose in poses:
+        box = None if pose.mask is None else Box.of_mask(pose.mask)
+        if box is None:
+            continue
+        mine = [x for x in labels if x.model.name == pose.object and x.truth.instance not in taken]
+        best = max(mine, key=lambda x: x.box.iou(box), default=None)
+        if best is not None and best.box.iou(box) >= SAME:
+            taken[best.truth.instance] = pose
+        elif best is None or best.counted(options) or best.box.iou(box) == 0.0:
+            model = targets.named(pose.object)
+            assert model is not None  # only targets are asked for
+            false.append(
+                FalseBox(
+                    sample.scene,
+                    sample.image,
+                    object_number(model),
+                    model.name,
+                    box,
+                    pose.quality,
+                    _shown(labels, box),
+                )
+            )
+    return taken, false
+
+
+def _shown(labels: Sequence[_Label], box: Box) -> str | None:
+    """The labelled object that a box overlaps most, None where it overlaps none by a third."""
+    best = max(labels, key=lambda x: x.box.iou(box))
+    return best.model.name if best.box.iou(box) >= 1 / 3 else None

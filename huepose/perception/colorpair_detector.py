@@ -1,0 +1,106 @@
+"""The detector that needs no weights: it looks for the objects' own views over all that stands in the frame.
+
+Planes larger than any object are taken away; windows of the object's size over the rest are compared with
+its views at metric scale (colours by what light leaves of them, relief, outline); the best are judged as
+poses on the picture itself, brought onto the depth, and judged again. What is left are places, each with the
+box of what is seen of the object there. An object that is not there gets places too, with low scores: the
+estimator's verdict on them is the last word.
+"""
+
+from __future__ import annotations
+
+import threading
+from collections.abc import Mapping, Sequence
+
+import numpy as np
+
+from huepose.geometry import se3
+from huepose.geometry.camera import Camera
+from huepose.geometry.frame import RgbdFrame
+from huepose.model.types import ReferenceModel
+from huepose.perception.clear_view import clear_view
+from huepose.perception.scouting import propose
+from huepose.perception.types import Detection
+from huepose.perception.window_table import WindowTable, window_table
+from huepose.rendering.render import render
+from huepose.support.errors import InputError
+from huepose.support.stages import stage
+
+PROPOSALS = 2
+MIN_SCORE = 0.3
+
+
+class ColorPairDetector:
+    """Finds known objects in whole frames by their reference models alone. Keeps nothing of a frame.
+
+    proposals: most boxes of one object; min_score: places under this are not worth a look.
+    """
+
+    def __init__(
+        self,
+        models: Mapping[str, ReferenceModel],
+        proposals: int = PROPOSALS,
+        min_score: float = MIN_SCORE,
+    ) -> None:
+        self._proposals, self._min_score = proposals, min_score
+        self._models: dict[str, ReferenceModel] = {}
+        self._tables: dict[str, WindowTable] = {}
+        self._lock = threading.Lock()
+        for model in models.values():
+            self.add(model)
+
+    def add(self, model: ReferenceModel) -> None:
+        """Know one more object, or another model of it."""
+        with self._lock:
+            self._models[model.name] = model
+            self._tables.pop(model.name, None)
+
+    def remove(self, name: str) -> None:
+        """Forget an object; nothing happens when it is not known."""
+        with self._lock:
+            self._models.pop(name, None)
+            self._tables.pop(name, None)
+
+    def detect(self, frame: RgbdFrame, names: Sequence[str]) -> list[Detection]:
+        """Boxes of the named objects, best first. Raises InputError for an unknown name."""
+        for name in names:
+            self._model(name)
+        with stage("clear view"):
+            view = clear_view(frame, max((m.diameter_m for m in list(self._models.values())), default=0.0))
+        if view is None:
+            return []
+        found = []
+        for name in names:
+            places = propose(self._model(name), self._table(name), view, self._proposals)
+            found += [
+                Detection(name, p.box, p.score, p.T_cam_obj) for p in places if p.score >= self._min_score
+            ]
+        return sorted(found, key=lambda d: -d.score)
+
+    def warm_up(self) -> None:
+        """Lay out the views of all objects, and compile the kernels on an artificial view of the first."""
+        for name in list(self._models):
+            self._table(name)
+        for model in list(self._models.values())[:1]:
+            camera = Camera(300.0, 300.0, 159.5, 119.5, 320, 240)
+            distance = max(0.5, 3.0 * model.diameter_m)
+            T = se3.make(np.eye(3), np.array([0.0, 0.0, distance]) - model.mesh.centre)
+            picture = render([(model.mesh, T)], camera)
+            depth = np.where(picture.depth > 0, picture.depth, np.float32(1.5 * distance))
+            self.detect(RgbdFrame(picture.color, depth.astype(np.float32), camera), [model.name])
+
+    def _model(self, name: str) -> ReferenceModel:
+        if name not in self._models:
+            raise InputError(
+                f"object '{name}'",
+                found="no reference model of that name",
+                expected=f"one of {', '.join(sorted(self._models)) or 'no objects at all'}",
+                fix="Onboard it with `huepose onboard`, or check the spelling.",
+            )
+        return self._models[name]
+
+    def _table(self, name: str) -> WindowTable:
+        with self._lock:
+            if name not in self._tables:
+                self._tables[name] = window_table(self._model(name))
+            return self._tables[name]

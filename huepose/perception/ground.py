@@ -1,0 +1,79 @@
+"""What no object can be: planes larger than any of them, such as tables, floors and walls."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from huepose.geometry.arrays import Bool, Float32, Float64
+from huepose.geometry.camera import Camera
+from huepose.perception.support_plane import Plane, best_plane
+
+POINTS, TRIALS, MOST = 1500, 120, 3
+MIN_SHARE = 0.06
+"""A plane that holds less of the points that are left is not looked for."""
+
+NEAR_M, REFITS = 0.008, 3
+
+
+def large_planes(depth: Float32, camera: Camera, larger_than_m2: float) -> list[Plane]:
+    """Planes of a picture's depth (H, W) of which more than `larger_than_m2` is seen, the largest first.
+
+    By RANSAC on a sparse lattice, one plane after the other; the same picture always gives the same planes.
+    """
+    step = max(2, round(np.sqrt(depth.size / (3 * POINTS))))
+    v, u = (g.ravel() for g in np.mgrid[step // 2 : depth.shape[0] : step, step // 2 : depth.shape[1] : step])
+    z = depth[v, u]
+    known = z > 0
+    points = camera.backproject(np.stack([u[known], v[known]], -1), z[known])
+    rng = np.random.default_rng(0)
+    points = points[rng.permutation(len(points))[:POINTS]]
+    total = len(points)
+    each = step * step * known.sum() / max(total, 1) / (camera.fx * camera.fy)
+    planes: list[Plane] = []
+    while len(planes) < MOST and len(points) > MIN_SHARE * total + 3:
+        best = best_plane(points, rng.integers(0, len(points), (TRIALS, 3)))
+        if best[0] < MIN_SHARE * total:
+            break
+        plane, near = _refitted(points, Plane(best[1:4], best[4:7]))
+        if each * _area(points[near], plane) > larger_than_m2:
+            planes.append(plane)
+        points = points[~near]
+    return planes
+
+
+def standing_clear(depth: Float32, camera: Camera, planes: Sequence[Plane]) -> Bool:
+    """Pixels (H, W) with depth that lie on none of the planes."""
+    clear = depth > 0
+    u = (np.arange(depth.shape[1], dtype=np.float32) - np.float32(camera.cx)) / np.float32(camera.fx)
+    v = (np.arange(depth.shape[0], dtype=np.float32) - np.float32(camera.cy)) / np.float32(camera.fy)
+    band = np.float32(0.004) + np.float32(0.004) * depth * depth
+    for plane in planes:
+        n = plane.normal.astype(np.float32)
+        slope = (u * n[0])[None, :] + (v * n[1])[:, None] + n[2]
+        clear &= np.abs(depth * slope - np.float32(plane.point @ plane.normal)) > band
+    return np.asarray(clear)
+
+
+def _refitted(points: Float64, plane: Plane) -> tuple[Plane, Bool]:
+    """The plane fitted to the points near it, and which points (N,) these are."""
+    near = _near(points, plane)
+    for _ in range(REFITS):
+        if near.sum() < 3:
+            break
+        middle = points[near].mean(0)
+        normal = np.linalg.svd(points[near] - middle, full_matrices=False)[2][2]
+        plane = Plane(normal * -np.sign(normal @ middle), middle)
+        near = _near(points, plane)
+    return plane, near
+
+
+def _near(points: Float64, plane: Plane) -> Bool:
+    return np.asarray(np.abs(plane.height(points)) < NEAR_M * np.maximum(points[:, 2], 0.5) ** 2 * 1.5)
+
+
+def _area(points: Float64, plane: Plane) -> float:
+    """Area of a plane seen in pixels of unit focal length at points (N, 3)."""
+    slant = np.abs(points @ plane.normal) / np.linalg.norm(points, axis=1)
+    return float((points[:, 2] ** 2 / np.maximum(slant, 0.1)).sum())

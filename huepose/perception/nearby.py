@@ -1,0 +1,107 @@
+"""Rough poses brought onto the depth: each is aligned with the points that lie in its own sphere."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from huepose.geometry.arrays import Bool, Float32, Float64
+from huepose.model.types import ReferenceModel
+from huepose.perception.clear_view import ClearView
+from huepose.registration.surface_icp import align_kernel, centre_and_radius
+from huepose.support.jit import jit
+
+POINTS, ITERATIONS = 150, 10
+GATE_START, GATE_END_M = 0.15, 0.012
+"""The gate at the start is in diameters."""
+
+REACH = 0.55
+"""Points farther than this from the object's middle, in diameters, are others'."""
+
+
+def align_in_view(model: ReferenceModel, view: ClearView, poses: Float64) -> Float64:
+    """Poses (M, 4, 4) after a robust point-to-plane fit to the standing points round each of them."""
+    out = np.array(poses)
+    camera, surface, grid = view.crop.camera, model.surface, model.grid
+    centre, radius = centre_and_radius(grid)
+    _align(
+        out,
+        model.mesh.centre,
+        REACH * model.diameter_m,
+        view.clear,
+        view.crop.depth,
+        np.array([camera.fx, camera.fy, camera.cx, camera.cy]),
+        surface.points,
+        surface.normals,
+        grid.origin,
+        float(grid.step),
+        grid.nearest,
+        centre,
+        radius,
+        GATE_START * model.diameter_m,
+        GATE_END_M,
+        ITERATIONS,
+    )
+    return out
+
+
+@jit
+def _align(
+    poses: Float64,
+    middle: Float64,
+    reach: float,
+    clear: Bool,
+    depth: Float32,
+    camera: Float64,
+    samples: Float32,
+    normals: Float32,
+    origin: Float64,
+    step: float,
+    nearest: np.ndarray,
+    centre: Float64,
+    radius: float,
+    gate_start: float,
+    gate_end: float,
+    iterations: int,
+) -> None:
+    points = np.empty((4 * POINTS, 3))
+    report = np.zeros((1, 4))
+    equations = np.zeros((1, 6, 6))
+    for m in range(poses.shape[0]):
+        T = poses[m]
+        x, y, z = T[0, 3], T[1, 3], T[2, 3]
+        for c in range(3):
+            x += T[0, c] * middle[c]
+            y += T[1, c] * middle[c]
+            z += T[2, c] * middle[c]
+        if z < 0.05:
+            continue
+        count = points_round(x, y, z, reach, clear, depth, camera, points)
+        if count < 10:
+            continue
+        align_kernel(
+            poses[m : m + 1], points[:count], samples, normals, origin, step, nearest, centre, radius,
+            gate_start, gate_end, iterations, report, equations,
+        )  # fmt: skip
+
+
+@jit
+def points_round(
+    x: float, y: float, z: float, reach: float, clear: Bool, depth: Float32, camera: Float64, points: Float64
+) -> int:
+    """Fill `points` (N, 3) with standing points within `reach` of a point; returns how many there are."""
+    fx, fy, cx, cy = camera[0], camera[1], camera[2], camera[3]
+    height, width = depth.shape
+    u, v, r = x / z * fx + cx, y / z * fy + cy, reach / z * fx
+    step = max(1, int(np.sqrt(4.0 * r * r / (2.5 * POINTS))))
+    count = 0
+    for b in range(max(0, int(v - r)), min(height, int(v + r) + 1), step):
+        for a in range(max(0, int(u - r)), min(width, int(u + r) + 1), step):
+            d = depth[b, a]
+            if not clear[b, a]:
+                continue
+            px, py = (a - cx) / fx * d, (b - cy) / fy * d
+            away = (px - x) ** 2 + (py - y) ** 2 + (d - z) ** 2
+            if away < reach * reach and count < points.shape[0]:
+                points[count, 0], points[count, 1], points[count, 2] = px, py, d
+                count += 1
+    return count

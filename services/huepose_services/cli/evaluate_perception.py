@@ -1,0 +1,74 @@
+"""`huepose eval perception`: boxes and masks of whole frames."""
+
+from __future__ import annotations
+
+import argparse
+from typing import Any
+
+from huepose.estimation import Estimator, EstimatorConfig
+from huepose.evaluation.perception_pictures import PerceptionPictures
+from huepose.evaluation.perception_protocol import PerceptionOptions, evaluate_perception
+from huepose.evaluation.result_files import write_json
+from huepose.evaluation.summary import table
+from huepose.evaluation.targets import Targets
+from huepose.model import load_models
+from huepose.perception.colorpair_detector import ColorPairDetector
+from huepose.perception.embedded import DepthSegmenter
+from huepose_services.cli.evaluate_scenes import open_bop
+
+
+def call(arguments: argparse.Namespace) -> int:
+    """Evaluate, write, print a table."""
+    scenes = open_bop(arguments.bop)
+    targets = Targets(load_models(arguments.bundles), arguments.objects)
+    models = {model.name: model for model in targets.models}
+    detector = ColorPairDetector(models, max(arguments.proposals), min_score=0.0)
+    detector.warm_up()
+    segmenter = DepthSegmenter()
+    estimator = Estimator(models, EstimatorConfig(threads=arguments.threads), segmenter)
+    estimator.warm_up()
+    pictures = PerceptionPictures(arguments.plots) if arguments.plots else None
+    result = evaluate_perception(
+        scenes,
+        targets,
+        detector,
+        segmenter,
+        estimator,
+        PerceptionOptions(judged=arguments.judged, seed=arguments.seed),
+        on_frame=None if pictures is None else pictures.frame,
+    )
+    record = result.as_json(arguments.proposals)
+    record["summary"] |= {"detector": arguments.detector, "segmenter": arguments.segmenter}
+    write_json(arguments.json, record)
+    print(_report(record["summary"]))
+    return 0
+
+
+def _report(summary: dict[str, Any]) -> str:
+    """The tables that are printed at the end."""
+    counts = sorted(summary["recall_at"])
+    heading = ["object", "n", "recall", *(f"at {n}" for n in counts), "false", "mask IoU", "final IoU"]
+
+    def line(name: str, block: dict[str, Any], false: object) -> list[object]:
+        ious = [None if x is None else f"{x:.3f}" for x in (block["mask_iou"], block["final_mask_iou"])]
+        at = [block["recall_at"][n] for n in counts]
+        return [name, block["instances"], block["recall_iou50"], *at, false, *ious]
+
+    lines = [line(name, block, block["false_boxes"]) for name, block in summary["per_object"].items()]
+    lines.append(line("all", summary, f"{summary['false_boxes_per_frame']:.2f}/frame"))
+    text = [table(heading, lines), "", "what was taken for what (other than itself):"]
+    for name, shown in summary["confusion"].items():
+        others = [f"{other} {n}" for other, n in shown.items() if other != name]
+        if others:
+            text.append(f"  {name}: {', '.join(others)}")
+    for n, block in summary["by_onboarded"].items():
+        recall = "-" if block["recall_iou50"] is None else f"{block['recall_iou50']:.1f} %"
+        text.append(
+            f"{n} objects onboarded: recall {recall}, {block['false_boxes_per_frame']:.2f} false a frame"
+        )
+    text.append(
+        f"{summary['frames']} frames, {summary['asked_for']} objects asked for; "
+        f"detector {summary['detector_seconds_per_frame_p50']:.2f} s a frame, "
+        f"with the estimator's verdict {summary['seconds_per_frame_p50']:.2f} s"
+    )
+    return "\n".join(text)

@@ -1,0 +1,64 @@
+"""Boxes of the detector that needs no weights: it searches for what has no pose; what is tracked is where its
+prediction says."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+from huepose.geometry import Box, Camera
+from huepose.model import ReferenceModel
+from huepose.perception.colorpair_detector import ColorPairDetector
+from huepose.perception.types import Detection
+from huepose_protos.messages import DetectedObject, FrameHeader, PerceptionRequest, RequestedObject
+from huepose_services.convert import camera_from_wire
+from huepose_services.models import Outline
+from huepose_services.seen_boxes import SeenBoxes, detected
+
+_TRUST_S, _MARGIN = 0.5, 0.08
+_SAME_BOX = 0.5
+
+
+class SearchedBoxes(SeenBoxes):
+    """As for any detector, but it is asked only for objects without a prediction that can be trusted."""
+
+    def __init__(self, outlines: Mapping[str, Outline], detector: ColorPairDetector) -> None:
+        super().__init__(outlines, detector)
+        self._searcher = detector
+
+    def add(self, model: ReferenceModel) -> None:
+        """Know one more object, or another model of it."""
+        super().add(model)
+        self._searcher.add(model)
+
+    def remove(self, name: str) -> None:
+        """Forget an object; nothing happens when it is not known."""
+        super().remove(name)
+        self._searcher.remove(name)
+
+    def find(self, header: FrameHeader, request: PerceptionRequest) -> list[DetectedObject]:
+        """Boxes, in the request's order."""
+        camera = camera_from_wire(header.intrinsics)
+        predicted = [self._predicted(wanted, header, camera) for wanted in request.objects]
+        names = [w.object for w, box in zip(request.objects, predicted, strict=True) if box is None]
+        seen = self.detections([name for name in dict.fromkeys(names) if name in self._outlines])
+        taken = [box for box in predicted if box is not None]
+        found: list[DetectedObject] = []
+        for wanted, box in zip(request.objects, predicted, strict=True):
+            if box is not None:
+                found.append(detected(wanted, Detection(wanted.object, box, 1.0)))
+                continue
+            free = [
+                d for d in seen if d.object == wanted.object and all(d.box.iou(b) < _SAME_BOX for b in taken)
+            ]
+            found += [detected(wanted, d) for d in free[: wanted.wanted]]
+        return found
+
+    def _predicted(self, wanted: RequestedObject, header: FrameHeader, camera: Camera) -> Box | None:
+        """The box of a fresh prediction, a little larger than it; None where there is none in the image."""
+        if wanted.prior is None or (header.capture_ns - wanted.prior.stamp_ns) * 1e-9 > _TRUST_S:
+            return None
+        box = self.prior_box(wanted, header, camera)
+        if box is None:
+            return None
+        box = box.grown(_MARGIN).clipped(camera.width, camera.height)
+        return box if box.w >= 1.0 and box.h >= 1.0 else None

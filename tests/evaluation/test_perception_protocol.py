@@ -1,0 +1,159 @@
+"""The protocol of perception, with a detector, a segmenter and an estimator that answer as told."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from huepose.estimation.types import PoseEstimate
+from huepose.estimation.verdict import absent, standing
+from huepose.evaluation.perception_pictures import FALSE, FOUND, MISSED, draw_perception
+from huepose.evaluation.perception_protocol import PerceptionOptions, evaluate_perception
+from huepose.evaluation.result_files import plain
+from huepose.evaluation.targets import Targets
+from huepose.geometry import Box
+from huepose.perception.types import Detection
+from huepose.support.errors import InputError
+
+from .conftest import MemoryScene, ScriptedEstimator, estimate_of, pose_at, truth
+
+LEFT, RIGHT, NOWHERE = Box(10, 20, 40, 50), Box(100, 30, 40, 60), Box(60, 80, 20, 20)
+
+
+def mask_of(box: Box) -> np.ndarray:
+    mask = np.zeros((120, 160), bool)
+    mask[box.slices(160, 120)] = True
+    return mask
+
+
+@pytest.fixture
+def scene() -> MemoryScene:
+    """The box on the left, the brick on the right, and a second brick that is hardly visible."""
+    labels = (
+        truth(0, 5, pose_at(-0.1), 0.9, LEFT, mask_loader=lambda: mask_of(LEFT)),
+        truth(1, 7, pose_at(0.1), 0.8, RIGHT, mask_loader=lambda: mask_of(RIGHT)),
+        truth(2, 7, pose_at(0.0), 0.1, NOWHERE, mask_loader=lambda: mask_of(NOWHERE)),
+    )
+    return MemoryScene("000001", {3: labels})
+
+
+class Boxes:
+    def __init__(self, *detections: Detection) -> None:
+        self.detections = list(detections)
+
+    def detect(self, frame, names):
+        return [d for d in self.detections if d.object in names]
+
+
+class UpperHalf:
+    """Outlines the upper half of every box."""
+
+    def segment(self, frame, box, diameter_m):
+        return [mask_of(Box(box.x, box.y, box.w, box.h / 2))]
+
+
+def seen(qualities: dict[tuple[str, Box], float]) -> ScriptedEstimator:
+    """Finds what it is asked for in the box, as sure as told (0.9 in a box that is not listed)."""
+
+    def answer(frame, query) -> PoseEstimate:
+        quality = qualities.get((query.object, query.box), 0.9)
+        return replace(estimate_of(query, pose_at(0.0), quality), mask=mask_of(query.box))
+
+    return ScriptedEstimator(answer)
+
+
+def run(scene, models, detections, qualities, **options):
+    return evaluate_perception(
+        [scene],
+        Targets(models),
+        Boxes(*detections),
+        UpperHalf(),
+        seen(qualities),
+        PerceptionOptions(**options),
+    )
+
+
+def test_recall_counts_the_first_proposals_and_what_stands_in_the_end(models, scene) -> None:
+    detections = [
+        Detection("box", LEFT, 0.9),
+        Detection("brick", LEFT, 0.8),
+        Detection("brick", RIGHT, 0.7),
+    ]
+    result = run(scene, models, detections, {("box", LEFT): 0.99, ("brick", LEFT): 0.95})
+    record = json.loads(json.dumps(plain(result.as_json([1, 2]))))
+    summary = record["summary"]
+    assert summary["instances"] == 2
+    assert summary["recall_at"] == {"1": 50.0, "2": 100.0}
+    # The brick's first place is the box's, which explains it better: it falls, and the second one stands.
+    assert summary["recall_iou50"] == 100.0
+    assert summary["false_boxes_per_frame"] == 0.0
+    assert [(r["name"], r["rank"], r["found"]) for r in record["rows"]] == [
+        ("box", 1, True),
+        ("brick", 2, True),
+    ]
+    assert summary["confusion"] == {"box": {"box": 1}, "brick": {"brick": 1}}
+
+
+def test_only_so_many_proposals_are_judged(models, scene) -> None:
+    detections = [Detection("brick", LEFT, 0.8), Detection("brick", RIGHT, 0.7)]
+    result = run(scene, models, detections, {("brick", LEFT): 0.2}, judged=1)
+    assert result.as_json([1])["summary"]["recall_iou50"] == 0.0
+
+
+def test_false_boxes_say_what_is_there_instead(models, scene) -> None:
+    detections = [Detection("brick", LEFT, 0.9), Detection("box", Box(60, 5, 20, 20), 0.9)]
+    record = run(scene, models, detections, {}).as_json([1])
+    assert record["summary"]["false_boxes_per_frame"] == 2.0
+    assert {(f["name"], f["shown"]) for f in record["false"]} == {("brick", "box"), ("box", None)}
+    assert record["summary"]["confusion"]["box"] == {"nothing labelled": 1}
+    assert record["summary"]["per_object"]["brick"]["false_boxes"] == 1
+
+
+def test_a_hardly_visible_instance_is_neither_missed_nor_false(models, scene) -> None:
+    record = run(scene, models, [Detection("brick", NOWHERE, 0.9)], {}).as_json([1])
+    assert record["false"] == []
+    assert record["summary"]["instances"] == 2
+
+
+def test_fewer_onboarded_objects_have_fewer_rivals(models, scene) -> None:
+    detections = [Detection("box", LEFT, 0.9), Detection("brick", LEFT, 0.8)]
+    result = run(scene, models, detections, {("box", LEFT): 0.99}, onboarded=(1, 2), subsets=40)
+    by_onboarded = result.as_json([1])["summary"]["by_onboarded"]
+    assert by_onboarded[2]["false_boxes_per_frame"] == 0.0
+    # Without the box the brick is seen in its place, in the half of the choices that leave the box out.
+    assert 0.3 < by_onboarded[1]["false_boxes_per_frame"] < 0.7
+
+
+def test_masks_are_measured_in_disturbed_boxes(models, scene) -> None:
+    summary = run(scene, models, [], {}).as_json([1])["summary"]
+    assert 0.35 < summary["mask_iou"] < 0.6
+    assert 0.6 < summary["final_mask_iou"] < 1.0
+    assert run(scene, models, [], {}, masks=False).as_json([1])["summary"]["mask_iou"] is None
+
+
+def test_the_picture_shows_found_missed_and_false(models, scene) -> None:
+    result = run(
+        scene, models, [Detection("box", LEFT, 0.9), Detection("brick", Box(60, 5, 20, 20), 0.9)], {}
+    )
+    picture = draw_perception(scene.sample(3), result.frames[0])
+    assert tuple(picture[69, 30]) == FOUND
+    assert tuple(picture[89, 120]) == MISSED
+    assert tuple(picture[24, 70]) == FALSE
+
+
+def test_nothing_labelled_is_an_error(models) -> None:
+    with pytest.raises(InputError, match="no label"):
+        run(MemoryScene("000001", {0: ()}), models, [], {})
+
+
+def test_one_surface_stands_for_one_pose() -> None:
+    def answer(name: str, quality: float, box: Box) -> PoseEstimate:
+        return replace(absent(name), found=True, quality=quality, mask=mask_of(box))
+
+    better, worse = answer("box", 0.95, LEFT), answer("brick", 0.9, LEFT)
+    beside, doubtful = answer("brick", 0.85, RIGHT), answer("can", 0.3, NOWHERE)
+    assert standing([worse, doubtful, beside, better]) == [better, beside]
+    assert standing([worse, absent("box")]) == [worse]

@@ -1,0 +1,127 @@
+"""The detector without weights: objects are found in whole frames, several of a kind, and nothing else."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from huepose.geometry import Box, RgbdFrame, se3
+from huepose.model.types import ReferenceModel
+from huepose.perception.clear_view import clear_view
+from huepose.perception.colorpair_detector import ColorPairDetector
+from huepose.perception.ground import large_planes, standing_clear
+from huepose.perception.nearby import align_in_view
+from huepose.perception.rim import rims
+from huepose.perception.window_table import window_table
+from huepose.rendering.render import render_depth
+from huepose.support.errors import InputError
+from huepose.verification.dense import model_arrays
+
+TakePicture = Callable[..., RgbdFrame]
+
+
+@pytest.fixture(scope="module")
+def beside(standing: np.ndarray) -> np.ndarray:
+    """A second place on the same table, turned about the object's upright axis."""
+    moved = standing @ se3.make(se3.rotation_exp(np.array([0.0, 0.0, 2.0])), np.zeros(3))
+    moved[0, 3] += 0.17
+    return moved
+
+
+@pytest.fixture(scope="module")
+def frame(
+    tea_box: ReferenceModel, take_picture: TakePicture, standing: np.ndarray, beside: np.ndarray
+) -> RgbdFrame:
+    return take_picture([(tea_box.mesh, standing), (tea_box.mesh, beside)])
+
+
+def box_of(model: ReferenceModel, frame: RgbdFrame, T: np.ndarray) -> Box:
+    box = Box.of_mask(render_depth(model.mesh, T, frame.camera) > 0)
+    assert box is not None
+    return box
+
+
+def test_the_table_is_taken_away_and_the_objects_stay(
+    frame: RgbdFrame, tea_box: ReferenceModel, standing: np.ndarray, beside: np.ndarray
+) -> None:
+    planes = large_planes(frame.depth, frame.camera, 0.09)
+    tilt = np.radians(35.0)
+    assert planes[0].normal @ np.array([0, -np.cos(tilt), -np.sin(tilt)]) > np.cos(np.radians(0.5))
+    clear = standing_clear(frame.depth, frame.camera, planes)
+    objects = np.zeros_like(clear)
+    for T in (standing, beside):
+        objects |= render_depth(tea_box.mesh, T, frame.camera) > 0
+    assert (clear & objects).sum() > 0.9 * (clear | objects).sum()
+
+
+def test_both_of_a_kind_are_found_where_they_are(
+    frame: RgbdFrame, tea_box: ReferenceModel, standing: np.ndarray, beside: np.ndarray
+) -> None:
+    found = ColorPairDetector({"tea_box": tea_box}, proposals=2).detect(frame, ["tea_box"])
+    assert [d.object for d in found] == ["tea_box", "tea_box"]
+    for T in (standing, beside):
+        best = max(found, key=lambda d: d.box.iou(box_of(tea_box, frame, T)))
+        assert best.box.iou(box_of(tea_box, frame, T)) > 0.75
+        assert best.T_cam_obj is not None
+        difference = se3.difference(T, best.T_cam_obj)
+        assert np.linalg.norm(difference[:3]) < 0.02
+
+
+def test_a_place_without_the_object_scores_less(
+    frame: RgbdFrame, tea_box: ReferenceModel, standing: np.ndarray, take_picture: TakePicture
+) -> None:
+    detector = ColorPairDetector({"tea_box": tea_box}, proposals=1, min_score=-9.0)
+    (there,) = detector.detect(frame, ["tea_box"])
+    grey = replace(tea_box.mesh, texture=np.full_like(tea_box.mesh.texture, 90))
+    (other,) = detector.detect(take_picture([(grey, standing)]), ["tea_box"])
+    assert there.score > 1.2 > other.score + 0.2
+
+
+def test_an_empty_table_gives_nothing(tea_box: ReferenceModel, take_picture: TakePicture) -> None:
+    assert ColorPairDetector({"tea_box": tea_box}).detect(take_picture([]), ["tea_box"]) == []
+
+
+def test_an_unknown_object_is_an_error(frame: RgbdFrame, tea_box: ReferenceModel) -> None:
+    with pytest.raises(InputError, match="coffee"):
+        ColorPairDetector({"tea_box": tea_box}).detect(frame, ["coffee"])
+
+
+def test_the_same_frame_gives_the_same_boxes(frame: RgbdFrame, tea_box: ReferenceModel) -> None:
+    first, again = (ColorPairDetector({"tea_box": tea_box}).detect(frame, ["tea_box"]) for _ in range(2))
+    assert [(d.box, d.score) for d in first] == [(d.box, d.score) for d in again]
+
+
+def test_a_pose_nearby_is_brought_onto_the_depth(
+    frame: RgbdFrame, tea_box: ReferenceModel, standing: np.ndarray
+) -> None:
+    view = clear_view(frame, 0.3)
+    assert view is not None
+    near = se3.perturb(standing, np.array([0.008, -0.006, 0.01, 0.1, -0.08, 0.06]))
+    (aligned,) = align_in_view(tea_box, view, near[None])
+    left = se3.difference(standing, aligned)
+    assert np.linalg.norm(left[:3]) < 0.003
+    assert np.linalg.norm(left[3:]) < np.radians(2.0)
+
+
+def test_a_rim_goes_on_inside_a_face_and_not_round_the_object(
+    tea_box: ReferenceModel, take_picture: TakePicture, standing: np.ndarray
+) -> None:
+    view = clear_view(take_picture([(tea_box.mesh, standing)]), 0.3)
+    assert view is not None
+    eye = -standing[:3, :3].T @ standing[:3, 3]
+    points, normals = tea_box.surface.points, tea_box.surface.normals
+    middle = points[np.argmax(normals @ (eye / np.linalg.norm(eye)) - 5.0 * np.abs(points[:, 2]))]
+    shrunk = middle + np.float32(0.4) * (points - middle)
+    small = replace(tea_box, surface=replace(tea_box.surface, points=shrunk))
+    alone, inside = (rims(view, model_arrays(m), standing[None], 250)[0] for m in (tea_box, small))
+    assert alone < 0.1
+    assert inside > 0.5
+
+
+def test_rims_lie_beside_what_views_cover(tea_box: ReferenceModel) -> None:
+    table = window_table(tea_box)
+    assert np.all(table.rim[table.views.coverage > 0] == 0)
+    assert np.allclose(table.rim.sum(1), 1.0)

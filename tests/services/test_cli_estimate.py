@@ -86,6 +86,15 @@ def test_a_pose_as_json_a_picture_and_an_explanation(
     assert scores[0]["terms"]["color"] > 0.5
 
 
+def test_without_a_box_the_object_is_found_in_the_whole_picture(
+    files: list[str], capsys: pytest.CaptureFixture[str], standing: np.ndarray
+) -> None:
+    assert main(files) == 0
+    (pose,) = json.loads(capsys.readouterr().out)["poses"]
+    assert pose["found"]
+    assert np.abs(np.array(pose["T_cam_obj"]) - standing).max() < 0.01
+
+
 def test_nothing_in_the_box_is_an_answer(files: list[str], capsys: pytest.CaptureFixture[str]) -> None:
     assert main([*files, "--box", "0", "0", "4", "4"]) == 0
     (pose,) = json.loads(capsys.readouterr().out)["poses"]
@@ -95,7 +104,6 @@ def test_nothing_in_the_box_is_an_answer(files: list[str], capsys: pytest.Captur
 @pytest.mark.parametrize(
     ("arguments", "says"),
     [
-        ([], "--box X Y W H"),
         (["--box", "1", "2", "0", "5"], "a width and a height over 0"),
         (["--box", "1", "2", "30", "50", "--object", "coffee"], "coffee"),
     ],

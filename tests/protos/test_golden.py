@@ -1,14 +1,16 @@
 """The wire does not change by accident: bytes and schemas in the tree are those of the types."""
 
+import re
 from pathlib import Path
 
 import msgspec
 import pytest
 
-from huepose_protos import decode, encode
+from huepose_protos import WireError, decode, encode
 from huepose_protos.buffers import frame_images
 from huepose_protos.examples import images, messages
 from huepose_protos.export import files
+from huepose_protos.fields import MAJOR, MINOR
 from huepose_protos.messages import MESSAGES, FrameHeader
 
 PROTOS = Path(__file__).parents[2] / "protos"
@@ -45,3 +47,32 @@ def test_plain_messagepack_reads_the_same_map():
         data = (GOLDEN / f"{type(message).__name__}.bin").read_bytes()
         assert msgpack.unpackb(data) == msgspec.msgpack.decode(data)
         assert list(msgpack.unpackb(data))[:2] == ["version", "publish_ns"]
+
+
+@pytest.mark.parametrize("kind", MESSAGES, ids=lambda kind: kind.__name__)
+def test_the_manual_names_every_message_and_every_field(kind):
+    page = (PROTOS / "README.md").read_text()
+    named = set(re.findall(r"`([a-z_]+)`", page))
+    _, parts = msgspec.json.schema_components([kind])
+    fields = {name for part in parts.values() for name in part.get("properties", {})}
+    assert f"**{kind.__name__}**" in page
+    assert fields <= named, fields - named
+
+
+def test_an_older_reader_takes_a_newer_minor_and_refuses_a_newer_major_by_name():
+    """The rule, from both sides: a message with a field that this reader does not know."""
+    pose = next(m for m in messages() if type(m).__name__ == "PoseMessage")
+    newer = {**msgspec.to_builtins(pose), "grip_width_m": 0.08}
+    minor = msgspec.msgpack.encode({**newer, "version": f"{MAJOR}.{MINOR + 1}"})
+    assert msgspec.structs.replace(decode(minor, type(pose)), version=pose.version) == pose
+    major = msgspec.msgpack.encode({**newer, "version": f"{MAJOR + 1}.0"})
+    with pytest.raises(WireError, match=f"foreign version {MAJOR + 1}.0, this is {MAJOR}.x"):
+        decode(major, type(pose))
+
+
+def test_fields_that_came_later_may_be_missing():
+    """A newer reader takes what an older writer of the same major sends."""
+    late = {"locked_mib", "drops", "errors", "last_error"}
+    health = next(m for m in messages() if type(m).__name__ == "HealthMessage")
+    older = {name: value for name, value in msgspec.to_builtins(health).items() if name not in late}
+    assert decode(msgspec.msgpack.encode(older), type(health)).drops == 0

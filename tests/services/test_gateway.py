@@ -332,3 +332,24 @@ def test_an_open_port_without_tls_is_warned_of(base_port):
     session.close()
     assert "anyone who reaches" in warnings[0]
     assert isinstance(session, zenoh.Session)
+
+
+def test_the_worker_processes_of_a_camera_and_a_gateway(pipeline, huepose, base_port, wait_until):
+    path = pipeline(once=False, rate=20)
+    given = json.loads(path.read_text())
+    listen = f"127.0.0.1:{base_port + 9}"
+    path.write_text(json.dumps(given | {"workers": ["camera", "gateway"], "gateway": {"listen": listen}}))
+    workers = [huepose("run", name, path) for name in ("camera", "gateway")]
+    session, replies = open_session([f"tcp/{listen}"]), {}
+
+    def both_heard():
+        replies.update({str(r.ok.key_expr): r.ok.payload.to_bytes() for r in session.get(ALL, timeout=0.5)})
+        return {f"huepose/local/cam0/remote/{tail}" for tail in ("camera", "health/camera")} <= set(replies)
+
+    wait_until(both_heard, 60.0)
+    session.close()
+    camera = decode(replies["huepose/local/cam0/remote/camera"], CameraMessage)
+    assert (camera.intrinsics.width, camera.intrinsics.height, camera.intrinsics.fx) == (64, 48, 60.0)
+    for worker in workers:
+        worker.terminate()
+        assert worker.wait(5.0) == 0

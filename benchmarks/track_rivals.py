@@ -122,10 +122,17 @@ def color_icp(model: ReferenceModel, T: Float64, before: RgbdFrame | None, frame
     view = int(np.argmax(surface.directions @ (towards / np.linalg.norm(towards))))
     seen = surface.visible[surface.offsets[view] : surface.offsets[view + 1]]
     rgb = cv2.cvtColor(surface.lab[0, seen][None].astype(np.float32), cv2.COLOR_Lab2RGB)[0]
-    source = _cloud(surface.points[seen], rgb)
-    source.normals = o3d.utility.Vector3dVector(surface.normals[seen].astype(np.float64))
     pixels = frame.camera.project(se3.apply(T, surface.points[seen].astype(np.float64)))
-    box = Box.of_pixels(pixels[np.isfinite(pixels).all(1)]).grown(0.25, 5.0)
+    # Light: the texture's colours are brought to the brightness and tint of the pixels where they should lie.
+    inside = np.isfinite(pixels).all(1)
+    if not inside.any():
+        return T
+    size = [frame.camera.width - 1, frame.camera.height - 1]
+    columns, rows = np.clip(np.rint(pixels[inside]), 0, size).astype(int).T
+    light = np.median(frame.color[rows, columns] / 255.0, 0) / np.maximum(np.median(rgb[inside], 0), 0.02)
+    source = _cloud(surface.points[seen], np.clip(rgb * light, 0, 1))
+    source.normals = o3d.utility.Vector3dVector(surface.normals[seen].astype(np.float64))
+    box = Box.of_pixels(pixels[inside]).grown(0.25, 5.0)
     rows, columns = box.slices(frame.camera.width, frame.camera.height)
     depth = frame.depth[rows, columns]
     v, u = np.nonzero((depth > 0) & (np.abs(depth - T[2, 3]) < 0.7 * model.diameter_m))
@@ -136,7 +143,7 @@ def color_icp(model: ReferenceModel, T: Float64, before: RgbdFrame | None, frame
     target = _cloud(points, frame.color[rows, columns][v, u] / 255.0).voxel_down_sample(0.002)
     target.estimate_normals(o3d.geometry.KDTreeSearchParamHybrid(radius=0.008, max_nn=30))
     target.orient_normals_towards_camera_location(np.zeros(3))
-    for gate in (0.02, 0.008):
+    for gate in (0.04, 0.02, 0.008):
         T = _colored_icp(source, target, T, gate)
     return T
 

@@ -12,7 +12,7 @@ from huepose.geometry.arrays import Bool, Float32, Float64, UInt8
 from huepose.geometry.box import Box
 from huepose.geometry.camera import Camera
 from huepose.geometry.frame import RgbdFrame
-from huepose.perception.depth_pieces import depth_steps, median_depths
+from huepose.perception.depth_pieces import depth_steps
 from huepose.perception.ground import large_planes, standing_clear
 from huepose.verification.region import COLOR_SCALES_M, SATURATED, Crop, Region, tolerance_m
 
@@ -23,14 +23,17 @@ PLANE_FACTOR = 1.0
 """A plane of which more is seen than this times the square of the largest diameter is none of the objects."""
 
 
-MIN_PIXELS = 25
+SPECK_M2 = 1e-4
+"""A piece of less than a square centimetre is noise."""
+
+MARGIN_PX = 12.0
 
 
 @dataclass(frozen=True, eq=False)
 class ClearView:
     """The part of a frame where something stands. crop: that part, depth of planes moved far away; clear
     (h, w): pixels that stand clear of planes; colors (h, w, 6) float32: opponents at two scales, as in
-    `verification.region`; pieces (P, 4): of the parts without a step in depth: pixel of the middle, median
+    `verification.region`; pieces (P, 4): of the parts without a step in depth: pixel of the middle, mean
     depth, the longer side of the bounds in metres; size: width and height of the whole frame."""
 
     crop: Crop
@@ -59,40 +62,42 @@ class ClearView:
 def clear_view(frame: RgbdFrame, largest_m: float) -> ClearView | None:
     """The frame without planes that are larger than the largest object; None where nothing is left."""
     planes = large_planes(frame.depth, frame.camera, PLANE_FACTOR * largest_m**2)
-    clear = standing_clear(frame.depth, frame.camera, planes)
-    opened = cv2.morphologyEx(clear.astype(np.uint8), cv2.MORPH_OPEN, np.ones((3, 3), np.uint8)) > 0
-    bounds = Box.of_mask(opened)
+    clear, pieces = _pieces(frame.depth, standing_clear(frame.depth, frame.camera, planes), frame.camera.fx)
+    bounds = Box.of_mask(clear)
     if bounds is None:
         return None
     width, height = frame.camera.width, frame.camera.height
-    rows, columns = bounds.grown(0.0, 12.0).slices(width, height)
-    depth = frame.depth[rows, columns].copy()
-    clear = opened[rows, columns]
+    rows, columns = bounds.grown(0.0, MARGIN_PX).slices(width, height)
+    depth, clear = frame.depth[rows, columns].copy(), clear[rows, columns]
     depth[~clear & (depth > 0)] = FAR_M
     color = np.ascontiguousarray(frame.color[rows, columns])
     camera: Camera = frame.camera.cropped(columns.start, rows.start, depth.shape[1], depth.shape[0])
-    crop = Crop(camera, columns.start, rows.start, color, depth, np.asarray((color >= SATURATED).any(-1)))
-    middle_m = float(np.median(depth[clear]))
-    colors = _smoothed(color, camera.fx / middle_m)
-    return ClearView(crop, clear, colors, _pieces(depth, clear, camera.fx), (width, height))
+    saturated = (color[..., 0] >= SATURATED) | (color[..., 1] >= SATURATED) | (color[..., 2] >= SATURATED)
+    crop = Crop(camera, columns.start, rows.start, color, depth, np.asarray(saturated))
+    pieces[:, :2] -= columns.start, rows.start
+    colors = _smoothed(color, camera.fx / float(np.median(depth[clear])))
+    return ClearView(crop, clear, colors, pieces, (width, height))
 
 
-def _pieces(depth: Float32, clear: Bool, focal: float) -> Float64:
-    free = clear & ~depth_steps(depth)
-    count, labels, stats, middles = cv2.connectedComponentsWithStats(free.astype(np.uint8), connectivity=4)
-    keep = np.flatnonzero((stats[:, 4] >= MIN_PIXELS) & (np.arange(count) > 0))
-    number = np.full(count, -1, np.int32)
-    number[keep] = np.arange(len(keep))
-    medians = median_depths(depth, number[labels], len(keep))
-    side_m = np.maximum(stats[keep, 2], stats[keep, 3]) * medians / focal
-    return np.column_stack([middles[keep], medians, side_m])
+def _pieces(depth: Float32, clear: Bool, focal: float) -> tuple[Bool, Float64]:
+    """What stands clear without specks (H, W), and its pieces (P, 4)."""
+    opened = cv2.morphologyEx(clear.astype(np.uint8), cv2.MORPH_OPEN, np.ones((3, 3), np.uint8))
+    free = opened & ~depth_steps(depth).view(np.uint8)
+    count, labels, stats, middles = cv2.connectedComponentsWithStats(free, connectivity=4)
+    size = np.maximum(stats[:, 4], 1)
+    mean_m = np.bincount(labels.ravel(), depth.ravel(), count) / size
+    mean_m[0] = 0.0
+    kept = size * (mean_m / focal) ** 2 >= SPECK_M2
+    # The far sides of steps belong to no piece, but to what is beside them.
+    near = cv2.dilate(kept[labels].view(np.uint8), np.ones((5, 5), np.uint8))
+    side_m = np.maximum(stats[:, 2], stats[:, 3]) * mean_m / focal
+    return (near & opened) > 0, np.column_stack([middles, mean_m, side_m])[kept]
 
 
 def _smoothed(color: UInt8, pixels_per_m: float) -> Float32:
     """Opponents (h, w, 6) float32 smoothed at the two scales of the print."""
     plain = opponents_of_bytes(color)
-    out = np.empty((*color.shape[:2], 6), np.float32)
-    for scale, sigma_m in enumerate(COLOR_SCALES_M):
-        sigma = max(0.5, sigma_m * pixels_per_m)
-        out[..., 3 * scale : 3 * scale + 3] = cv2.GaussianBlur(plain, (0, 0), sigma)
-    return out
+    sigmas = [max(0.5, sigma_m * pixels_per_m) for sigma_m in COLOR_SCALES_M]
+    return np.concatenate(
+        [cv2.GaussianBlur(plain, (0, 0), sigma) for sigma in sigmas], axis=-1, dtype=np.float32
+    )

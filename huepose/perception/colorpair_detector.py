@@ -19,6 +19,7 @@ from huepose.geometry.camera import Camera
 from huepose.geometry.frame import RgbdFrame
 from huepose.model.types import ReferenceModel
 from huepose.perception.clear_view import clear_view
+from huepose.perception.contest import contested
 from huepose.perception.scouting import propose
 from huepose.perception.types import Detection
 from huepose.perception.window_table import WindowTable, window_table
@@ -27,6 +28,9 @@ from huepose.support.errors import InputError
 from huepose.support.stages import stage
 
 PROPOSALS = 2
+POOL = 6
+"""Places of each object that compete with those of the others."""
+
 MIN_SCORE = 0.3
 
 
@@ -69,12 +73,16 @@ class ColorPairDetector:
             view = clear_view(frame, max((m.diameter_m for m in list(self._models.values())), default=0.0))
         if view is None:
             return []
-        found = []
-        for name in names:
-            places = propose(self._model(name), self._table(name), view, self._proposals)
-            found += [
-                Detection(name, p.box, p.score, p.T_cam_obj) for p in places if p.score >= self._min_score
-            ]
+        most = max(self._proposals, POOL) if len(names) > 1 else self._proposals
+        places = {name: propose(self._model(name), self._table(name), view, most) for name in names}
+        with stage("contest"):
+            places = contested(places)
+        found = [
+            Detection(name, p.box, p.score, p.T_cam_obj)
+            for name, mine in places.items()
+            for p in mine[: self._proposals]
+            if p.score >= self._min_score
+        ]
         return sorted(found, key=lambda d: -d.score)
 
     def warm_up(self) -> None:

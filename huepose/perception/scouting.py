@@ -28,15 +28,18 @@ SEARCHED, SEARCH_SAMPLES, SEARCH_STEPS_DEG = 8, 100, (8.0, 4.0)
 SAME_SHIFT, SAME_IOU = 0.25, 0.6
 """Poses nearer than this (in diameters), or whose boxes overlap so, are one proposal."""
 
+SEEN_M, PATCH_PX = 0.02, 6
+
 
 @dataclass(frozen=True, eq=False)
 class Proposal:
     """Where an object may be: a rough pose T_cam_obj (4, 4), the box of what is seen of it in the frame, and
-    a score."""
+    a score; support (N,): numbers of the patches of the picture that show it."""
 
     T_cam_obj: Float64
     box: Box
     score: float
+    support: Int64
 
 
 def propose(model: ReferenceModel, table: WindowTable, view: ClearView, count: int) -> list[Proposal]:
@@ -109,18 +112,21 @@ def _thinned(
     for k in np.argsort(-rated, kind="stable"):
         if any(np.linalg.norm(centres[k] - c) < SAME_SHIFT * model.diameter_m for c in chosen):
             continue
-        box = visible_box(model, view, poses[k])
-        if box is None or any(box.iou(p.box) > SAME_IOU for p in out):
+        seen = seen_part(model, view, poses[k])
+        if seen is None or any(seen[0].iou(p.box) > SAME_IOU for p in out):
             continue
-        out.append(Proposal(poses[k], box, float(rated[k])))
+        out.append(Proposal(poses[k], seen[0], float(rated[k]), seen[1]))
         chosen.append(centres[k])
         if len(out) == count:
             break
     return out
 
 
-def visible_box(model: ReferenceModel, view: ClearView, T_cam_obj: Float64, samples: int = 400) -> Box | None:
-    """Bounds in the frame of the surface samples that agree with the depth; None where none does."""
+def seen_part(
+    model: ReferenceModel, view: ClearView, T_cam_obj: Float64, samples: int = 400
+) -> tuple[Box, Int64] | None:
+    """Bounds in the frame of the surface samples that agree with the depth, and the patches of the picture
+    that they lie in; None where hardly any does."""
     s = model.surface
     eye = -T_cam_obj[:3, :3].T @ T_cam_obj[:3, 3]
     k = int(np.argmax(s.directions @ eye))
@@ -132,8 +138,9 @@ def visible_box(model: ReferenceModel, view: ClearView, T_cam_obj: Float64, samp
     inside = (u >= 0) & (v >= 0) & (u < w) & (v < h)
     u, v, z = u[inside].astype(int), v[inside].astype(int), points[inside, 2]
     depth = view.crop.depth[v, u]
-    fits = (np.abs(depth - z) < 0.02) & (depth > 0)
+    fits = (np.abs(depth - z) < SEEN_M) & (depth > 0)
     if fits.sum() < 5:
         return None
     box = Box.of_pixels(pixels[inside][fits])
-    return Box(box.x + view.crop.x0, box.y + view.crop.y0, box.w, box.h)
+    patches = np.unique((v[fits] // PATCH_PX) * w + u[fits] // PATCH_PX)
+    return Box(box.x + view.crop.x0, box.y + view.crop.y0, box.w, box.h), patches

@@ -48,13 +48,14 @@ class EstimatorConfig:
     """method: "full" (the best that there is) or "colorpair" (the paper's path alone); seed: of all random
     choices; threads: objects of a frame that are estimated at the same time; acquisition_level: the quality
     over which a pose is TRACKING, None for the calibrated one of the method; found_score: a best total under
-    this is "nothing there"."""
+    this is "nothing there"; competition: whether the poses of a frame compete for its depth."""
 
     method: Method = "full"
     seed: int = 0
     threads: int = 1
     acquisition_level: float | None = None
     found_score: float = 0.45
+    competition: bool = True
     full: FullPathConfig = field(default_factory=FullPathConfig)
     colorpair: ColorpairPathConfig = field(default_factory=ColorpairPathConfig)
 

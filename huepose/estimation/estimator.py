@@ -1,7 +1,7 @@
 """The estimator: where is each of these objects in this frame, how sure, and how exact?
 
-Queries are independent of each other: every answer depends on the frame, the query and the seed alone, not
-on the order or on the thread that it ran in.
+Every query is first answered alone; then the poses of the frame compete for its depth (`competition`). The
+answers depend on the frame, the queries and the seed, not on the order of queries or on threads.
 """
 
 from __future__ import annotations
@@ -15,6 +15,7 @@ from zlib import crc32
 
 import numpy as np
 
+from huepose.estimation.competition import compete
 from huepose.estimation.config import EstimatorConfig
 from huepose.estimation.evidence import Evidence, gather
 from huepose.estimation.full_path import estimate_full, judge, refine_prior
@@ -82,9 +83,17 @@ class Estimator:
         self._models.remove(name)
 
     def estimate(self, frame: RgbdFrame, queries: Sequence[ObjectQuery]) -> list[PoseEstimate]:
-        """One answer a query, in their order. Raises InputError for an unknown object or an empty query."""
+        """One answer a query, in their order, no two of them on the same surface. Raises InputError for an
+        unknown object or an empty query."""
         for query in queries:
             self._models.model(query.object)
+        answers = self._alone(frame, queries)
+        if len(queries) < 2 or not self.config.competition:
+            return answers
+        return compete(frame, queries, answers, lambda free, query: self.explain(free, query)[0])
+
+    def _alone(self, frame: RgbdFrame, queries: Sequence[ObjectQuery]) -> list[PoseEstimate]:
+        """One answer a query, as if there were no other."""
         workers = min(self.config.threads, len(queries))
         if workers <= 1:
             return [self.explain(frame, query)[0] for query in queries]

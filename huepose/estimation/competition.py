@@ -1,0 +1,83 @@
+"""One surface, one pose: the poses of one frame compete for its depth pixels.
+
+Poses are taken in order of their quality. A sure one keeps the pixels that it explains; a later one that
+lives on such pixels, or is doubtful beside them, is looked for again in the frame without them. What was
+taken counts as "no reading" there: it speaks neither for a pose nor against it, as something in front does.
+So neighbours in a pile, which merge into one mask, are told apart by those of them that are recognised.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from huepose.estimation.types import ObjectQuery, PoseEstimate
+from huepose.geometry.arrays import Bool
+from huepose.geometry.box import Box
+from huepose.geometry.frame import RgbdFrame
+
+SURE = 0.5
+"""Quality from which a pose keeps its pixels; from other instances of its object it always does."""
+
+CONTESTED = 0.25
+"""Share of a pose's visible pixels on those of surer poses from which it is judged again without them."""
+
+DOUBTFUL, TAKEN = 0.8, 0.05
+"""A pose under the quality DOUBTFUL is judged again, too, when surer poses have this share of its box."""
+
+LookAgain = Callable[[RgbdFrame, ObjectQuery], PoseEstimate]
+
+
+def compete(
+    frame: RgbdFrame, queries: Sequence[ObjectQuery], answers: Sequence[PoseEstimate], look_again: LookAgain
+) -> list[PoseEstimate]:
+    """Answers, in the order of the queries, of which no two explain the same surface.
+
+    `look_again` estimates a query in a frame from whose depth that of surer poses was taken away. A pose that
+    lived on it gives way to what is found then; one that was only doubtful does so when that is surer.
+    """
+    out = list(answers)
+    before: list[PoseEstimate] = []
+    for k in sorted(range(len(out)), key=lambda i: _rank(out[i])):
+        taken = np.zeros(frame.depth.shape, bool)
+        for other in before:
+            if other.mask is not None and (other.quality >= SURE or other.object == out[k].object):
+                taken |= other.mask
+        out[k] = _without(frame, queries[k], out[k], taken, look_again)
+        before.append(out[k])
+    return out
+
+
+def _rank(answer: PoseEstimate) -> tuple[float, float, str, int]:
+    """Surest first, whatever the order of the queries."""
+    return -answer.quality, -answer.score, answer.object, answer.instance
+
+
+def _without(
+    frame: RgbdFrame, query: ObjectQuery, answer: PoseEstimate, taken: Bool, look_again: LookAgain
+) -> PoseEstimate:
+    """The answer, or what is found instead where it may not use the pixels that are taken."""
+    contested = answer.mask is not None and _share(answer.mask, taken) > CONTESTED
+    doubtful = answer.quality < DOUBTFUL and _share_of_box(query.box, taken) > TAKEN
+    if not contested and not doubtful:
+        return answer
+    free = replace(frame, depth=np.where(taken, np.float32(0.0), frame.depth))
+    masks = tuple(np.asarray(m, bool) & ~taken for m in query.masks)
+    again = look_again(free, replace(query, masks=masks))
+    again = replace(again, seconds=again.seconds + answer.seconds)
+    return again if contested or again.quality > answer.quality else answer
+
+
+def _share(mask: Bool, taken: Bool) -> float:
+    size = int(mask.sum())
+    return int((mask & taken).sum()) / size if size else 0.0
+
+
+def _share_of_box(box: Box | None, taken: Bool) -> float:
+    if box is None:
+        return 0.0
+    height, width = taken.shape
+    inside = taken[box.slices(width, height)]
+    return float(inside.mean()) if inside.size else 0.0

@@ -1,0 +1,106 @@
+"""Poses compete for depth: the surer keeps its pixels, the other is looked for without them."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from huepose.estimation import Estimator, EstimatorConfig, ObjectQuery, PoseEstimate
+from huepose.estimation.competition import compete
+from huepose.geometry import Box, Camera, RgbdFrame, se3
+from huepose.model.types import ReferenceModel
+from huepose.rendering.render import render_depth
+
+TakePicture = Callable[..., RgbdFrame]
+FRAME = RgbdFrame(
+    np.zeros((40, 60, 3), np.uint8), np.ones((40, 60), np.float32), Camera(60, 60, 30, 20, 60, 40)
+)
+
+
+def answer(name: str, quality: float, columns: slice) -> PoseEstimate:
+    mask = np.zeros((40, 60), bool)
+    mask[10:30, columns] = True
+    T, box = np.eye(4), Box(0, 10, 10, 10)
+    return PoseEstimate(
+        name, 0, True, T, quality, "SUSPECT", 2.0, 0.1, np.eye(6), mask, box, None, None, (), 0.1
+    )
+
+
+def query(name: str, x: float) -> ObjectQuery:
+    return ObjectQuery(name, Box(x, 10, 20, 20))
+
+
+class Looks:
+    """Answers a second look with what it was told, and keeps the frames that it was shown."""
+
+    def __init__(self, quality: float) -> None:
+        self.quality = quality
+        self.seen: dict[str, RgbdFrame] = {}
+
+    def __call__(self, frame: RgbdFrame, query: ObjectQuery) -> PoseEstimate:
+        self.seen[query.object] = frame
+        return answer(query.object, self.quality, slice(40, 60))
+
+
+def test_a_pose_on_taken_pixels_gives_way_to_what_is_found_without_them() -> None:
+    looks = Looks(0.3)
+    answers = [answer("weak", 0.7, slice(10, 30)), answer("strong", 0.9, slice(10, 30))]
+    weak, strong = compete(FRAME, [query("weak", 10), query("strong", 10)], answers, looks)
+    assert strong is answers[1]
+    assert weak.quality == 0.3
+    assert weak.seconds == pytest.approx(0.2)
+    (seen,) = looks.seen.values()
+    assert not seen.depth[10:30, 10:30].any()
+    assert seen.depth.sum() == 40 * 60 - 20 * 20
+    assert FRAME.depth.all()
+
+
+@pytest.mark.parametrize(("found", "kept"), [(0.3, True), (0.75, False)])
+def test_a_doubtful_pose_beside_taken_pixels_changes_only_for_a_surer_one(found: float, kept: bool) -> None:
+    answers = [answer("strong", 0.9, slice(10, 20)), answer("weak", 0.5, slice(20, 30))]
+    _, weak = compete(FRAME, [query("strong", 0), query("weak", 15)], answers, Looks(found))
+    assert (weak is answers[1]) == kept
+
+
+def test_sure_poses_beside_each_other_and_unsure_claims_change_nothing() -> None:
+    looks = Looks(0.9)
+    sure = [answer("a", 0.9, slice(10, 20)), answer("b", 0.85, slice(20, 30))]
+    unsure = [answer("a", 0.4, slice(10, 30)), answer("b", 0.3, slice(10, 30))]
+    for answers in (sure, unsure):
+        out = compete(FRAME, [query("a", 5), query("b", 15)], answers, looks)
+        assert all(x is y for x, y in zip(out, answers, strict=True))
+    assert not looks.seen
+
+
+def test_two_instances_in_one_box_are_both_found(
+    tea_box: ReferenceModel, take_picture: TakePicture, standing: np.ndarray
+) -> None:
+    beside = se3.compose(se3.make(np.eye(3), np.array([0.15, 0.0, 0.0])), standing)
+    frame = take_picture([(tea_box.mesh, standing), (tea_box.mesh, beside)])
+    both = np.zeros(frame.depth.shape, bool)
+    for T in (standing, beside):
+        both |= render_depth(tea_box.mesh, T, frame.camera) > 0
+    box = Box.of_mask(both)
+    queries = [ObjectQuery("tea_box", box, instance=k) for k in range(2)]
+    found = Estimator({"tea_box": tea_box}).estimate(frame, queries)
+    alone = Estimator({"tea_box": tea_box}, EstimatorConfig(competition=False)).estimate(frame, queries)
+    assert np.array_equal(alone[0].T_cam_obj, alone[1].T_cam_obj)
+    for T in (standing, beside):
+        assert (
+            min(np.linalg.norm(a.T_cam_obj[:3, 3] - T[:3, 3]) for a in found if a.T_cam_obj is not None)
+            < 0.003
+        )
+
+
+def test_one_surface_is_not_given_to_two_objects(
+    tea_box: ReferenceModel, take_picture: TakePicture, standing: np.ndarray
+) -> None:
+    frame = take_picture([(tea_box.mesh, standing)])
+    box = Box.of_mask(render_depth(tea_box.mesh, standing, frame.camera) > 0)
+    models = {"tea_box": tea_box, "twin": replace(tea_box, name="twin")}
+    first, second = Estimator(models).estimate(frame, [ObjectQuery(name, box) for name in models])
+    assert first.quality > 0.9
+    assert second.quality < 0.5

@@ -172,4 +172,4 @@ def test_the_camera_worker_says_that_no_camera_is_there(pipeline, huepose, base_
                 break
     assert health.state == "waiting"
     assert "no RealSense camera is connected" in health.warnings[0]
-    assert health.uptime_s < 10.0
+    assert health.uptime_s < 30.0

@@ -64,6 +64,17 @@ class Judged:
             self.missed + other.missed,
         )
 
+    def only(self, chosen: Bool) -> Judged:
+        """Those of a mask (N,); none counts as missed."""
+        keep = np.flatnonzero(chosen)
+        return Judged(
+            [self.terms[k] for k in keep],
+            self.right[keep],
+            [self.frames[k] for k in keep],
+            self.stated[keep],
+            self.weights[keep],
+        )
+
 
 @dataclass(frozen=True)
 class Worth:

@@ -30,8 +30,11 @@ def call(arguments: argparse.Namespace) -> int:
         fit = calibration.fit(judged, calibration.FEATURES[arguments.method])
         entry = calibration.as_json(fit)
         held_out = calibration.held_out(judged, calibration.FEATURES[arguments.method])
-        rows.append(_row("fitted to, held out", calibration.worth(held_out, judged, fit.level)))
-        _draw(arguments.plots, "calibration", held_out, judged)
+        own = judged.weights == 1.0
+        for name, part in (("fitted to, held out", own), ("boxes of others, held out", ~own)):
+            if part.any():
+                rows.append(_row(name, calibration.worth(held_out[part], judged.only(part), fit.level)))
+        _draw(arguments.plots, "calibration", held_out[own], judged.only(own))
         if arguments.out is not None:
             known = files.read_json(arguments.out) if arguments.out.exists() else {}
             write_json(arguments.out, {**known, arguments.method: entry})

@@ -22,8 +22,8 @@ MAX_AHEAD_NS = SECOND // 10
 _MAX_GAP_NS = SECOND // 5
 # One sigma of what a hand or an arm does: how wrong a published velocity is, how fast it changes, how fast
 # things move of which no velocity is known. Metres and radians.
-_VELOCITY = np.repeat([0.03, 0.3], 3)
-_ACCELERATION = np.repeat([2.0, 15.0], 3)
+_VELOCITY = np.repeat([0.02, 0.2], 3)
+_ACCELERATION = np.repeat([1.0, 8.0], 3)
 _UNKNOWN_VELOCITY = np.repeat([0.3, 3.0], 3)
 _WORST_LAST: tuple[StateName, ...] = ("TRACKING", "SUSPECT", "SEARCHING", "LOST")
 

@@ -59,8 +59,8 @@ def test_the_covariance_grows_with_the_time_ahead_and_stays_a_covariance():
         sigmas.append(np.sqrt(np.diag(covariance)))
     assert sigmas[0] == pytest.approx(np.full(6, 1e-3))
     assert all((b > a).all() for a, b in pairwise(sigmas))
-    # 0.03 m/s and 2 m/s2 for 0.1 s, on a millimetre.
-    assert sigmas[-1][0] == pytest.approx(math.hypot(0.001, 0.003, 0.01))
+    # 0.02 m/s and 1 m/s2 for 0.1 s, on a millimetre.
+    assert sigmas[-1][0] == pytest.approx(math.hypot(0.001, 0.002, 0.005))
 
 
 def test_without_a_velocity_the_doubt_grows_faster():

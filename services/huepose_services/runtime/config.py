@@ -90,7 +90,7 @@ class ViewerConfig(Section, frozen=True, kw_only=True):
     grpc_port: Annotated[int, Meta(ge=1024, le=65_535)] = 9876
     bind: Literal["127.0.0.1", "0.0.0.0"] = "127.0.0.1"
     image_rate_hz: Annotated[float, Meta(gt=0.0, le=30.0)] = 10.0
-    memory_mib: Annotated[int, Meta(ge=16, le=16_384)] = 200
+    memory_mib: Annotated[int, Meta(ge=16, le=16_384)] = 64
 
 
 class BusConfig(Section, frozen=True, kw_only=True):

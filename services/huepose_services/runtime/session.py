@@ -24,7 +24,7 @@ MIB = 1024 * 1024
 # What zenoh locks beside a pool, and for the links (measured with zenoh 1.10).
 _POOL_OVERHEAD = 1280 * 1024
 _LINK_OVERHEAD = 24 * 1024
-FRAME_WORKERS = ("camera", "tracker", "detector")
+FRAME_WORKERS = ("camera", "tracker", "detector", "viewer")
 
 
 def lock_limit() -> int | None:

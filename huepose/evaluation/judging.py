@@ -8,7 +8,7 @@ from huepose.evaluation.sources import SourcedPose
 from huepose.model.types import ReferenceModel
 from huepose.reinit.config import ReinitConfig
 from huepose.reinit.judge import judge_tracked, usable
-from huepose.reinit.types import ObjectSlot
+from huepose.reinit.types import ObjectSlot, Prior
 from huepose.tracking.types import TrackedPose, Verdict
 
 
@@ -32,4 +32,5 @@ class LoopJudge:
         if tracked is None or tracked.T_cam_obj is None:
             return Verdict.ACQUIRE if usable(pose.estimate, self._config) else Verdict.REJECT
         slot = self._slots[pose.place.model.name]
-        return judge_tracked(pose.estimate, tracked.T_cam_obj, tracked.state, slot, self._config)
+        prior = Prior(tracked.T_cam_obj, tracked.velocity, tracked.covariance, tracked.stamp_ns)
+        return judge_tracked(pose.estimate, prior, tracked.stamp_ns, tracked.state, slot, self._config)

@@ -2,15 +2,25 @@
 
 from __future__ import annotations
 
+import numpy as np
+
 from huepose.estimation.types import PoseEstimate
 from huepose.geometry.arrays import Float64
+from huepose.geometry.uncertainty import grown, mahalanobis
 from huepose.reinit.association import displacement_m
 from huepose.reinit.config import ReinitConfig
-from huepose.reinit.types import ObjectSlot
+from huepose.reinit.types import ObjectSlot, Prior
 from huepose.tracking.types import State, Verdict
 
 SAME_POSE = 0.08
 """Poses whose surfaces lie closer than this share of the diameter are one pose."""
+
+SIGMAS_APART, NEVER_SAME = 4.1, 0.25
+"""So are poses within what 99 % of errors of both covariances come to (six degrees of freedom), up to a share
+of the diameter."""
+
+SAME_REFINED = 0.04
+"""An estimate this near to the refined prior, as a share of the diameter, is the same answer."""
 
 SAME_SIGHT = 0.5
 SAME_SIGHT_SPEED_M_S = 0.4
@@ -19,24 +29,54 @@ does in between."""
 
 
 def judge_tracked(
-    estimate: PoseEstimate, T_tracked: Float64, state: State, slot: ObjectSlot, config: ReinitConfig
+    estimate: PoseEstimate,
+    tracked: Prior,
+    stamp_ns: int,
+    state: State,
+    slot: ObjectSlot,
+    config: ReinitConfig,
 ) -> Verdict:
-    """Verdict on an estimate of an object that has a pose; T_tracked: that pose at the estimate's frame.
+    """Verdict on an estimate of an object that has a pose; tracked: that pose at or near its stamp.
 
-    An estimate that disagrees wins only if it explains the image better: its score against that of the
-    refined prior, both on the same pixels. Without such a comparison it wins only over a doubtful pose, and
-    only with the quality that acquires.
+    They agree when they are one pose for all practical purposes, or when what is between them is what the
+    uncertainties of both allow. An estimate that disagrees wins if it explains the image better, its score
+    against that of the refined prior on the same pixels; or if it is where the tracked pose itself goes when
+    it is refined there: then there is nothing to choose between, and the track was off. Without such a
+    comparison it wins only over a doubtful pose, and only with the quality that acquires.
     """
     if not estimate.found or estimate.T_cam_obj is None or estimate.quality < config.least_quality:
         return Verdict.REJECT
-    if displacement_m(estimate.T_cam_obj, T_tracked, slot) < SAME_POSE * slot.diameter_m:
+    if agrees(estimate, tracked, stamp_ns, slot):
         return Verdict.AGREE
     doubtful = state is State.SUSPECT
     if estimate.prior_score is None:
         convincing = doubtful and estimate.quality >= config.acquire_quality
         return Verdict.CORRECT if convincing else Verdict.REJECT
     margin = config.doubtful_margin if doubtful else config.correct_margin
-    return Verdict.CORRECT if estimate.score > estimate.prior_score + margin else Verdict.REJECT
+    if estimate.score > estimate.prior_score + margin:
+        return Verdict.CORRECT
+    refined = estimate.prior_T_cam_obj
+    same = refined is not None and _apart(estimate.T_cam_obj, refined, slot) < SAME_REFINED
+    return Verdict.CORRECT if same else Verdict.REJECT
+
+
+def agrees(estimate: PoseEstimate, tracked: Prior, stamp_ns: int, slot: ObjectSlot) -> bool:
+    """Whether an estimate and a tracked pose may be one pose."""
+    T, expected = estimate.T_cam_obj, tracked.predicted(stamp_ns)
+    assert T is not None
+    apart = _apart(T, expected, slot)
+    if apart < SAME_POSE:
+        return True
+    if apart > NEVER_SAME or estimate.covariance is None or tracked.covariance is None:
+        return False
+    covariance = estimate.covariance + grown(tracked.covariance, abs(stamp_ns - tracked.stamp_ns) * 1e-9)
+    turns = slot.equivalents or (np.eye(4),)
+    return min(mahalanobis(expected, T @ turn, covariance) for turn in turns) < SIGMAS_APART
+
+
+def _apart(T_a: Float64, T_b: Float64, slot: ObjectSlot) -> float:
+    """Displacement as a share of the diameter."""
+    return displacement_m(T_a, T_b, slot) / slot.diameter_m
 
 
 def acquires(estimate: PoseEstimate, config: ReinitConfig) -> bool:

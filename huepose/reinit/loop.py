@@ -17,7 +17,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from huepose.estimation.types import PoseEstimate
+from huepose.geometry import se3
 from huepose.geometry.arrays import Float64
+from huepose.geometry.uncertainty import grown
 from huepose.reinit.association import assign, displacement_m
 from huepose.reinit.config import ReinitConfig
 from huepose.reinit.judge import SAME_POSE, acquires, judge_tracked, same_sight, usable
@@ -25,6 +27,9 @@ from huepose.reinit.outbox import Key, Outbox
 from huepose.reinit.schedule import candidates, choose
 from huepose.reinit.types import Counters, ObjectSlot, PerceptionResult, Prior, Request, Searching
 from huepose.tracking.types import Correction, TrackedPose, Verdict
+
+PATIENCE_PERIODS = 2.0
+"""For so many periods nothing else is asked for in place of an acquired instance that is not there yet."""
 
 PAST_POSES = 60
 """Published poses that are remembered of an instance: about two seconds of them."""
@@ -58,7 +63,7 @@ class ReinitLoop:
         self._judged_ns: dict[str, int] = {}
         self._looked_ns: dict[tuple[str, int | None], int] = {}
         self._in_flight: Request | None = None
-        self._next_ns = 0
+        self._now_ns = self._next_ns = 0
         self._epoch: int | None = None
         self._epoch_ns = 0
         for slot in objects:
@@ -103,6 +108,7 @@ class ReinitLoop:
 
     def tick(self, now_ns: int, tracks: Sequence[TrackedPose]) -> Request | None:
         """Take note of the newest published poses; the next request when one is due and none is in flight."""
+        self._now_ns = now_ns
         self._observe(now_ns, tracks)
         self._outbox.acknowledge(self._tracks)
         self.counters.given_up += self._outbox.give_up(now_ns, self.config.give_up_ms * 1e6)
@@ -132,6 +138,7 @@ class ReinitLoop:
     def answer(self, now_ns: int, result: PerceptionResult) -> list[Correction]:
         """Judge an answer; the corrections to send now. An answer to an expired request is still used if
         nothing newer was judged meanwhile; one of another epoch is not."""
+        self._now_ns = now_ns
         self.counters.answers += 1
         if self._in_flight is not None and result.request == self._in_flight.number:
             self._in_flight = None
@@ -161,15 +168,16 @@ class ReinitLoop:
         found = [e for e in estimates if usable(e, self.config)]
         self.counters.rejected += len(estimates) - len(found)
         tracked = [t for t in self._tracks.values() if t.object == slot.object and t.T_cam_obj is not None]
-        priors = [self._prior_near(t, result.stamp_ns) for t in tracked]
+        priors = [self._prior_at(t, result.stamp_ns) for t in tracked]
         poses = [_pose(e) for e in found]
         assigned = assign(poses, priors, result.stamp_ns, slot)
         out = []
         for estimate, which in zip(found, assigned, strict=True):
             if which is not None:
                 track = tracked[which]
-                expected = priors[which].predicted(result.stamp_ns)
-                verdict = judge_tracked(estimate, expected, track.state, slot, self.config)
+                verdict = judge_tracked(
+                    estimate, priors[which], result.stamp_ns, track.state, slot, self.config
+                )
                 self._count(verdict)
                 if verdict is not Verdict.REJECT:
                     key = (slot.object, track.instance)
@@ -217,15 +225,16 @@ class ReinitLoop:
         """The instance that a new pose is of: one that is lost, the most recent first, else a new number
         while there may be more; None where all are tracked or on their way."""
         mine = [t for t in self._tracks.values() if t.object == slot.object]
-        lost = [
-            t
-            for t in mine
-            if t.T_cam_obj is None
-            and (slot.object, t.instance) not in taken
-            and not self._outbox.on_its_way((slot.object, t.instance))
-        ]
+        coming = {*self._fresh(), *taken}
+        lost = [t for t in mine if t.T_cam_obj is None and (slot.object, t.instance) not in coming]
         if lost:
             return (slot.object, max(lost, key=lambda t: (t.stamp_ns, -t.instance)).instance)
+        never_came = [
+            k for k in self._outbox.instances
+            if k[0] == slot.object and k not in coming and k not in self._tracks
+        ]  # fmt: skip
+        if never_came:
+            return max(never_came)
         arriving = [k for k in (*self._outbox.instances, *taken) if k[0] == slot.object]
         known = {(t.object, t.instance) for t in mine} | set(arriving)
         if len(known) >= slot.max_instances:
@@ -268,11 +277,15 @@ class ReinitLoop:
     def _arriving(self) -> dict[str, int]:
         """How many instances of each object are acquired but have no published pose yet."""
         out: dict[str, int] = {}
-        for key in self._outbox.instances:
+        for key in self._fresh():
             track = self._tracks.get(key)
             if track is None or track.T_cam_obj is None:
                 out[key[0]] = out.get(key[0], 0) + 1
         return out
+
+    def _fresh(self) -> tuple[Key, ...]:
+        """Instances with a correction that may still be taken."""
+        return self._outbox.arriving(self._now_ns, PATIENCE_PERIODS * self.config.period_ms * 1e6)
 
     def _observe(self, now_ns: int, tracks: Sequence[TrackedPose]) -> None:
         """Take over the published poses of the newest epoch; what is no longer published is no longer
@@ -304,12 +317,23 @@ class ReinitLoop:
         if epoch == self._epoch:
             self._epoch_ns = max(self._epoch_ns, stamp_ns)
 
-    def _prior_near(self, track: TrackedPose, stamp_ns: int) -> Prior:
-        """The published pose of a track nearest to a stamp: an answer is about the past, and a velocity is a
-        poor guide over the time that perception takes."""
+    def _prior_at(self, track: TrackedPose, stamp_ns: int) -> Prior:
+        """The published pose of a track at a stamp, or nearest to it: an answer is about the past, and a
+        velocity is a poor guide over the time that perception takes. Between two poses it is interpolated,
+        and as uncertain as the nearer of them would be after the time in between."""
         known: list[Prior] = [*self._past.get((track.object, track.instance), ()), _prior(track)]
-        nearest = int(np.argmin([abs(p.stamp_ns - stamp_ns) for p in known]))
-        return known[nearest]
+        nearest = known[int(np.argmin([abs(p.stamp_ns - stamp_ns) for p in known]))]
+        before = [p for p in known if p.stamp_ns < stamp_ns]
+        after = [p for p in known if p.stamp_ns > stamp_ns]
+        if nearest.stamp_ns == stamp_ns or not before or not after:
+            return nearest
+        a, b = max(before, key=lambda p: p.stamp_ns), min(after, key=lambda p: p.stamp_ns)
+        share = (stamp_ns - a.stamp_ns) / (b.stamp_ns - a.stamp_ns)
+        T = se3.interpolate(a.T_cam_obj, b.T_cam_obj, share)
+        covariance = nearest.covariance
+        if covariance is not None:
+            covariance = grown(covariance, abs(nearest.stamp_ns - stamp_ns) * 1e-9)
+        return Prior(T, nearest.velocity, covariance, stamp_ns)
 
     def _count(self, verdict: Verdict) -> None:
         c = self.counters

@@ -56,9 +56,10 @@ class Outbox:
                 out.append(sent.correction)
         return out
 
-    def on_its_way(self, key: Key) -> bool:
-        """Whether a correction of that instance is not acknowledged yet."""
-        return key in self._sent
+    def arriving(self, now_ns: int, patience_ns: float) -> tuple[Key, ...]:
+        """Instances with a correction that first went out no longer ago than that: later it is more likely
+        that the tracker could not use it."""
+        return tuple(key for key, sent in self._sent.items() if now_ns - sent.first_ns <= patience_ns)
 
     @property
     def instances(self) -> tuple[Key, ...]:

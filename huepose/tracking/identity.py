@@ -11,6 +11,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from huepose.geometry import se3
 from huepose.geometry.arrays import Float64
 from huepose.tracking.scoring import Fit
 
@@ -24,6 +25,13 @@ DOUBT_LEFT = 0.5
 """Share of the doubt that a new viewpoint leaves."""
 
 LARGEST = 0.995
+SAME_WAY = np.radians(30.0)
+
+
+def turned_over(T_before: Float64, T_after: Float64) -> bool:
+    """Whether a correction says that the object was taken for another side of itself: then what was learnt
+    about the old pose says nothing about the new one."""
+    return se3.rotation_angle(T_before, T_after) > SAME_WAY
 
 
 @dataclass(frozen=True, eq=False)
@@ -40,8 +48,12 @@ class Identity:
         return Identity(min(max(quality, 0.0), LARGEST), view)
 
     def agreed(self, quality: float, view: Float64) -> Identity:
-        """After perception found the same pose by itself, being that sure of it."""
-        return Identity.of(1.0 - (1.0 - self.value) * (1.0 - quality), view)
+        """After perception found the same pose by itself, being that sure of it. From the same viewpoint it
+        would make the same mistake again, so there it leaves some of the doubt, whatever it says."""
+        left = 1.0 - quality
+        if float(view @ self.view) > np.cos(TURN):
+            left = max(left, DOUBT_LEFT)
+        return Identity.of(max(quality, 1.0 - (1.0 - self.value) * left), view)
 
     def carried(self, fit: Fit, view: Float64) -> Identity:
         """After a frame that supports the pose, seen from `view`."""

@@ -53,6 +53,12 @@ RETURNING_SEEN = 0.2
 """When this much of an object is seen again after it was hidden, it may have turned meanwhile: it is searched
 for, even if the predicted pose explains something."""
 
+DRAWN_AWAY = 0.1
+"""A refinement that explains this much less than its start has followed something else."""
+
+HIDDEN = 0.6
+"""With more than this of an object behind something, where it is expected, there is nothing to look for."""
+
 RIVAL_MARGIN = 0.1
 """The pose before a correction must explain the image this much better to be taken back."""
 
@@ -137,7 +143,8 @@ def advance(
     surprising = long and _moved_m(surface, best.T_cam_obj, expected) > SURPRISING_M
     returning = anchor.unseen_s > 0.0 and best.fit.seen >= RETURNING_SEEN
     doubtful = not _convincing(best, anchor.usual, doubt)
-    if not (doubtful or surprising or returning) or (anchor.tired and not long and not returning):
+    resting = (anchor.tired or best.fit.hidden > HIDDEN) and not long and not returning
+    if resting or not (doubtful or surprising or returning):
         return replace(best, doubtful=doubtful)
     if 0.0 < seconds <= LONG_STEP_S:
         T_flow = flow_start(subject, anchor, frame, expected, relative_pose or RobustKabsch())
@@ -212,7 +219,7 @@ def best_of(
         refined = refine(surface, region, T)
     best = _scored(surface, region, refined, name, tint)
     unmoved = score(surface, region, T_start, 0, tint=tint)
-    if unmoved.total > best.fit.total:
+    if unmoved.total > best.fit.total + DRAWN_AWAY:
         # Drawn away by something close by, a hand that holds the object for one: only what is near counts.
         careful = _scored(surface, region, refine(surface, region, T_start, FINE), name, tint)
         best = max(best, careful, key=lambda step: step.fit.total)

@@ -13,7 +13,7 @@ from huepose.tracking.catching_up import Pursuit
 from huepose.tracking.config import TrackerConfig
 from huepose.tracking.evidence import Standing, next_standing, usual_after
 from huepose.tracking.history import PoseHistory
-from huepose.tracking.identity import Identity
+from huepose.tracking.identity import Identity, turned_over
 from huepose.tracking.motion import filtered, increment_velocity, predicted
 from huepose.tracking.relative_pose import RelativePose
 from huepose.tracking.scoring import NOTHING, UNKNOWN_TINT, Fit
@@ -61,6 +61,7 @@ class Track:
         self._unseen_s = 0.0
         self._supported_ns = 0
         self._rival: Float64 | None = None
+        self._rival_identity: Identity | None = None
 
     def look(
         self, frame: RgbdFrame, relative_pose: RelativePose | None = None, may_search: bool = True
@@ -89,6 +90,8 @@ class Track:
             step = replace(step.near, doubtful=True, searched=True)
             sure = evidence.quality(step.fit, self._usual, self._evidence)
         self.fit, self.start, self._frame, self._evidence = step.fit, step.start, frame, sure
+        if step.start == "rival":
+            self._identity = self._rival_identity
         if self._evidence >= self._config.lost_quality:
             measured = increment_velocity(self.T_cam_obj, step.T_cam_obj, seconds)
             self.velocity = filtered(self.velocity, measured, seconds)
@@ -145,7 +148,11 @@ class Track:
             )
         # What was there before may come back if the next frame says so.
         self._rival, self.T_cam_obj = self.T_cam_obj, moved
-        self._identity = Identity.of(quality, self._view())
+        self._rival_identity = self._identity
+        if self._rival is None or self._identity is None or turned_over(self._rival, moved):
+            self._identity = Identity.of(quality, self._view())
+        else:
+            self._identity = self._identity.agreed(quality, self._view())
 
     def agree(self, quality: float) -> None:
         """Perception found the same pose by itself."""

@@ -400,3 +400,56 @@ def test_configuration_is_checked() -> None:
         replace(ReinitConfig(), least_quality=0.95)
     with pytest.raises(InputError, match="max_instances"):
         ObjectSlot("mug", 0)
+
+
+def uncertain(shift_m: float, turn_rad: float) -> np.ndarray:
+    return np.diag([shift_m**2] * 3 + [turn_rad**2] * 3)
+
+
+def test_what_both_uncertainties_allow_is_agreement() -> None:
+    """15 mm apart, a tenth of the diameter: much for a sharp estimate, nothing special for a vague one."""
+    off = estimate(T=pose(0.015), instance=0, prior_score=1.95)
+    for covariance, verdicts in ((uncertain(0.001, 0.01), []), (uncertain(0.006, 0.05), [Verdict.AGREE])):
+        loop = ReinitLoop(objects=[ObjectSlot("mug", 1, 0.15)])
+        request = loop.tick(0, [track()])
+        found = loop.answer(MS, result(request, 0, replace(off, covariance=covariance)))
+        assert [c.verdict for c in found] == verdicts
+
+
+def test_no_uncertainty_makes_a_flip_agree() -> None:
+    flipped = estimate(T=pose(0.0, 180.0), instance=0, prior_score=1.95)
+    loop = ReinitLoop(objects=[ObjectSlot("mug", 1, 0.15)])
+    request = loop.tick(0, [track()])
+    assert loop.answer(MS, result(request, 0, replace(flipped, covariance=uncertain(0.02, 3.0)))) == []
+    assert loop.counters.rejected == 1
+
+
+def test_where_the_tracked_pose_itself_goes_when_refined_is_a_correction() -> None:
+    off = estimate(T=pose(0.03), instance=0, prior_score=2.0)
+    for refined, verdicts in ((pose(0.031), [Verdict.CORRECT]), (pose(0.0), [])):
+        loop = ReinitLoop(objects=[ObjectSlot("mug", 1, 0.15)])
+        request = loop.tick(0, [track()])
+        found = loop.answer(MS, result(request, 0, replace(off, prior_T_cam_obj=refined)))
+        assert [c.verdict for c in found] == verdicts
+
+
+def test_between_two_published_poses_the_track_is_interpolated() -> None:
+    """It turned round between 0 and 200 ms, so neither pose nor velocity alone says where it was at 100."""
+    loop = ReinitLoop(objects=[ObjectSlot("mug", 1, 0.15)])
+    request = loop.tick(0, [track(T=pose(0.0), velocity=np.array([-0.4, 0, 0, 0, 0, 0]))])
+    loop.tick(200 * MS, [track(T=pose(0.06), stamp_ms=200, velocity=np.array([-0.4, 0, 0, 0, 0, 0]))])
+    found = loop.answer(210 * MS, result(request, 100, estimate(T=pose(0.03), instance=0, prior_score=2.0)))
+    assert [c.verdict for c in found] == [Verdict.AGREE]
+
+
+def test_an_acquisition_that_the_tracker_cannot_use_is_not_waited_for() -> None:
+    loop = ReinitLoop(objects=[ObjectSlot("mug", 1)])
+    first = loop.tick(0, [])
+    (sent,) = loop.answer(100 * MS, result(first, 0, estimate()))
+    assert loop.tick(300 * MS, []) is None, "it may still come"
+    again = loop.tick(510 * MS, [])
+    assert asked(again) == [("mug", None)]
+    (newer,) = loop.answer(600 * MS, result(again, 510, estimate(T=pose(0.2))))
+    assert newer.instance == sent.instance, "the same one: it never was there"
+    assert newer.seq > sent.seq
+    assert [c.seq for c in loop.repeats(900 * MS)] == [newer.seq]

@@ -96,6 +96,9 @@ def test_identity_grows_with_agreement_and_new_viewpoints() -> None:
     front, side = np.array([1.0, 0, 0]), np.array([0, 1.0, 0])
     doubtful = Identity.of(0.6, front)
     assert doubtful.agreed(0.5, front).value == pytest.approx(0.8)
+    assert doubtful.agreed(0.8, front).value == pytest.approx(0.8), "the same mistake would be made again"
+    assert doubtful.agreed(0.95, front).value == pytest.approx(0.95)
+    assert doubtful.agreed(0.8, side).value == pytest.approx(0.92)
     assert doubtful.carried(GOOD, front) is doubtful, "the same side says nothing new"
     assert doubtful.carried(replace(GOOD, colour=0.2), side) is doubtful, "nor does a side without a print"
     carried = doubtful.carried(GOOD, side)

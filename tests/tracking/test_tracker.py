@@ -141,6 +141,18 @@ def test_a_late_perfect_pose_replays_exactly(started, film, path) -> None:
     assert pose.applied_correction_seq == 2
 
 
+def test_a_small_correction_does_not_make_a_sure_object_doubtful(started, film, path) -> None:
+    frames = film(8)
+    near = correction(frames[4], path(4), 2, Verdict.CORRECT, quality=0.5)
+    assert started.correct(near) is Applied.APPLIED
+    assert started.step(frames[6])[0].state is State.TRACKING
+    flipped = path(5) @ se3.make(np.diag([-1.0, -1.0, 1.0]), np.zeros(3))
+    started.correct(correction(frames[5], flipped, 3, Verdict.CORRECT, quality=0.5))
+    (pose,) = started.step(frames[7])
+    assert errors(pose, path(7))[1] < 1.0, "the image knows better"
+    assert pose.state is State.TRACKING
+
+
 def test_corrections_are_idempotent_by_number(started, film, path) -> None:
     frame = film(6)[3]
     assert started.correct(correction(frame, path(3), 2, Verdict.CORRECT)) is Applied.APPLIED

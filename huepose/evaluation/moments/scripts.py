@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
+from functools import lru_cache
 
 import numpy as np
 
@@ -53,11 +54,17 @@ def marker(seed: int = 0) -> Mesh:
     return printed(revolved([bottom, side, [(r, h), (0.0, h)]], 24), arts, prints.palette(0.1, rng), rng)
 
 
-def meshes(seed: int = 0) -> dict[str, Mesh]:
+@lru_cache(maxsize=1)
+def meshes() -> Mapping[str, Mesh]:
     """The objects of all moments by name, metres: box, can, bottle and marker."""
-    demo = demo_objects(seed)
+    demo = demo_objects(0)
     names = {"box": "tea_box", "can": "soup_can", "bottle": "juice_bottle"}
-    return {**{name: demo[source] for name, source in names.items()}, "marker": marker(seed)}
+    return {**{name: demo[source] for name, source in names.items()}, "marker": marker()}
+
+
+@lru_cache(maxsize=1)
+def _room() -> tuple[tuple[Mesh, Float64], ...]:
+    return tuple(room(np.random.default_rng(5), 8))
 
 
 def carried(frames: int, phase: float = 0.0, place: Float = (0.0, 0.0, 0.62)) -> Float64:
@@ -78,7 +85,7 @@ def _stage(
 ) -> Stage:
     """The objects, other moving things, and the room. One frame more than is shown: a stage closes."""
     n = len(paths[0])
-    standing = room(np.random.default_rng(5), 8)
+    standing = _room()
     moving = [*paths, *(path for _, path in others)]
     still = [np.broadcast_to(T, (n, 4, 4)) for _, T in standing]
     all_paths = np.array([*moving, *still])

@@ -45,7 +45,7 @@ install_rules() {
     run install -m 644 "$here/70-huepose-cameras.rules" "$rules"
     if [ "$dry" = 1 ] || command -v udevadm >/dev/null; then
         run udevadm control --reload || true
-        run udevadm trigger --subsystem-match=usb || true
+        run udevadm trigger --action=add --subsystem-match=usb || true
     fi
 }
 
@@ -59,14 +59,16 @@ make_user() {
     return 0
 }
 
+# The services cannot see /home and /root, so a Python that lies there does not do.
 find_python() {
     local name
-    for name in "${PYTHON:-}" python3.11 python3.12 python3.10 python3; do
+    for name in "${PYTHON:-}" python3.11 python3.12 python3.10 python3 /usr/bin/python3.{11,12,10}; do
         [ -n "$name" ] || continue
-        "$name" -c 'import sys; assert (3,10) <= sys.version_info[:2] <= (3,12); print(sys.executable)' 2>/dev/null \
-            && return
+        "$name" -c 'import sys
+assert (3, 10) <= sys.version_info[:2] <= (3, 12) and not sys.base_prefix.startswith(("/home/", "/root/"))
+print(sys.executable)' 2>/dev/null && return
     done
-    fail "no Python 3.10, 3.11 or 3.12 found"
+    fail "no Python 3.10, 3.11 or 3.12 outside of /home and /root. Install one: apt-get install python3"
 }
 
 install_programs() {
@@ -100,9 +102,9 @@ install)
     install_rules
     if systemd_runs; then
         run systemctl daemon-reload
-        [ "$start" = 0 ] || run systemctl enable --now huepose.target
+        [ "$start" = 0 ] || { run systemctl enable huepose.target; run systemctl restart huepose.target; }
     fi
-    echo "installed: systemctl status 'huepose@*', journalctl -fu 'huepose@*', $prefix/.venv/bin/huepose status" ;;
+    [ "$dry" = 1 ] || echo "installed: systemctl status 'huepose@*', journalctl -fu 'huepose@*', $prefix/.venv/bin/huepose status" ;;
 uninstall)
     if systemd_runs; then
         run systemctl disable --now huepose.target || true
@@ -115,5 +117,5 @@ uninstall)
     run rm -f "$rules"
     run rm -rf "$prefix/.venv"
     if systemd_runs; then run systemctl daemon-reload; fi
-    echo "removed; left: $home, /var/lib/huepose, /var/cache/huepose, user $user" ;;
+    [ "$dry" = 1 ] || echo "removed; left: $home, /var/lib/huepose, /var/cache/huepose, user $user" ;;
 esac

@@ -151,6 +151,9 @@ def test_a_camera_is_recorded_and_replayed(pipeline, scene, huepose, base_port, 
         assert again.depth == pytest.approx(first.depth, abs=1e-4)
     assert taken.labelled
 
+    before = {number: signal.getsignal(number) for number in (signal.SIGINT, signal.SIGTERM)}
     with Reader([f"tcp/127.0.0.1:{base_port}"], "huepose/*/*/health/*") as reader:
         assert main(["replay", str(out), "--config", str(path), "--speed", "20"]) == 0
         assert reader.next(5.0).worker == "camera"
+    for number, handler in before.items():
+        signal.signal(number, handler)

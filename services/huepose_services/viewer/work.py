@@ -8,10 +8,13 @@ from __future__ import annotations
 
 import time
 
+import zenoh
+
 from huepose_protos import WireError
 from huepose_protos.buffers import frame_images
+from huepose_protos.fields import StateName
 from huepose_protos.keys import last
-from huepose_protos.messages import Clock, FrameHeader, PoseMessage
+from huepose_protos.messages import FrameHeader, PoseMessage
 from huepose_services import models
 from huepose_services.runtime.bus import Bus
 from huepose_services.runtime.clock import SECOND, now_ns
@@ -59,7 +62,6 @@ class ViewerWork:
         self._waiting_until_ns = 0
         self._recent: dict[tuple[str, int], dict[int, PoseMessage]] = {}
         self._states: dict[tuple[str, int], str] = {}
-        self._clock: Clock | None = None
         self._pictures = 0
         self._frame_id = -1
 
@@ -81,7 +83,7 @@ class ViewerWork:
             self._picture(*self._waiting)
             self._waiting = None
         while (sample := self._live.take()) is not None:
-            self._bus.health.count(f"seen_{last(str(sample.key_expr))}")
+            self._worker(last(str(sample.key_expr)), sample.kind == zenoh.SampleKind.PUT)
 
     def _take(self, pose: PoseMessage) -> None:
         started = now_ns()
@@ -95,9 +97,7 @@ class ViewerWork:
         if before != pose.state:
             self._states[instance] = pose.state
             came_from = "" if before is None else f"{before} > "
-            clock = time.strftime("%H:%M:%S")
-            text = f"{clock}  {pose.object}/{pose.instance}  {came_from}{pose.state}"
-            self._show.event(text, pose.state)
+            self._tell(f"{pose.object}/{pose.instance}  {came_from}{pose.state}", pose.state)
         self._show.pose(pose)
         if pose.frame_id != self._frame_id:
             # One point for each frame: its first pose.
@@ -105,6 +105,15 @@ class ViewerWork:
             self._show.latency((pose.publish_ns - pose.capture_ns) * 1e-6)
         self._bus.health.camera_epoch, self._bus.health.frame_id = pose.camera_epoch, pose.frame_id
         self._bus.health.worked(started, pose.capture_ns)
+
+    def _worker(self, name: str, there: bool) -> None:
+        """A worker has come or gone."""
+        self._show.at(time.time_ns(), max(self._frame_id, 0))
+        self._tell(f"worker {name} is {'there' if there else 'gone'}", "SEARCHING" if there else "LOST")
+
+    def _tell(self, text: str, state: StateName) -> None:
+        """A line in the page's log. The time is a label for people."""
+        self._show.event(f"{time.strftime('%H:%M:%S')}  {text}", state)
 
     def _has_poses(self, header: FrameHeader) -> bool:
         """Whether every instance that is tracked has said something of this frame, or of a later one."""

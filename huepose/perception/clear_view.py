@@ -81,17 +81,17 @@ def clear_view(frame: RgbdFrame, largest_m: float) -> ClearView | None:
 
 def _pieces(depth: Float32, clear: Bool, focal: float) -> tuple[Bool, Float64]:
     """What stands clear without specks (H, W), and its pieces (P, 4)."""
-    opened = cv2.morphologyEx(clear.astype(np.uint8), cv2.MORPH_OPEN, np.ones((3, 3), np.uint8))
-    free = opened & ~depth_steps(depth).view(np.uint8)
-    count, labels, stats, middles = cv2.connectedComponentsWithStats(free, connectivity=4)
+    opened = cv2.morphologyEx(clear.view(np.uint8), cv2.MORPH_OPEN, np.ones((3, 3), np.uint8)) > 0
+    free = opened & ~depth_steps(depth)
+    count, labels, stats, middles = cv2.connectedComponentsWithStats(free.view(np.uint8), connectivity=4)
     size = np.maximum(stats[:, 4], 1)
     mean_m = np.bincount(labels.ravel(), depth.ravel(), count) / size
     mean_m[0] = 0.0
     kept = size * (mean_m / focal) ** 2 >= SPECK_M2
     # The far sides of steps belong to no piece, but to what is beside them.
-    near = cv2.dilate(kept[labels].view(np.uint8), np.ones((5, 5), np.uint8))
+    near = cv2.dilate(kept[labels].view(np.uint8), np.ones((5, 5), np.uint8)) > 0
     side_m = np.maximum(stats[:, 2], stats[:, 3]) * mean_m / focal
-    return (near & opened) > 0, np.column_stack([middles, mean_m, side_m])[kept]
+    return near & opened, np.column_stack([middles, mean_m, side_m])[kept]
 
 
 def _smoothed(color: UInt8, pixels_per_m: float) -> Float32:

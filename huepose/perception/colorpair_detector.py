@@ -31,7 +31,7 @@ PROPOSALS = 2
 POOL = 6
 """Places of each object that compete with those of the others."""
 
-MIN_SCORE = 0.3
+MIN_SCORE = 0.6
 
 
 class ColorPairDetector:

@@ -14,21 +14,38 @@ from huepose.perception.nearby import align_in_view
 from huepose.perception.rim import rims
 from huepose.perception.window_look import look, promising
 from huepose.perception.window_table import WindowTable
-from huepose.perception.windows import windows_of
+from huepose.perception.windows import Windows, windows_of
 from huepose.support.stages import stage
 from huepose.verification.dense import model_arrays, score_many
 from huepose.verification.local_search import search
+from huepose.verification.region import Region
 
-WINDOWS, LOOKS, LOOKS_EACH = 80, 700, 25
 FIRST_SAMPLES, SECOND_SAMPLES = 60, 200
-ALIGNED, ALIGNED_EACH = 48, 3
 LOOK_WEIGHT = 0.7
-RIM_WEIGHT = 0.7
-SEARCHED, SEARCH_SAMPLES, SEARCH_STEPS_DEG = 8, 100, (8.0, 4.0)
+FIT_WEIGHT, VIOLATION_WEIGHT, PRINT_WEIGHT, SEEN_WEIGHT, RIM_WEIGHT = 0.9, 1.0, 1.5, 0.3, 0.7
+SEARCH_SAMPLES, SEARCH_STEPS_DEG = 100, (8.0, 4.0)
 SAME_SHIFT, SAME_IOU = 0.25, 0.6
 """Poses nearer than this (in diameters), or whose boxes overlap so, are one proposal."""
 
 SEEN_M, PATCH_PX = 0.02, 6
+
+
+@dataclass(frozen=True)
+class Effort:
+    """How much is tried: windows, looks at them in all and in each, poses aligned in all and in each, places
+    searched."""
+
+    windows: int
+    looks: int
+    looks_each: int
+    aligned: int
+    aligned_each: int
+    searched: int
+
+
+EFFORTS = (Effort(28, 200, 15, 16, 2, 3), Effort(80, 700, 25, 48, 3, 8))
+SURE = 1.35
+"""A place with this score is the object's: nothing more is tried."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -43,49 +60,69 @@ class Proposal:
 
 
 def propose(model: ReferenceModel, table: WindowTable, view: ClearView, count: int) -> list[Proposal]:
-    """The `count` best different places of an object in a view, best first."""
+    """The `count` best different places of an object in a view, best first.
+
+    A few windows are looked at first; all of them where that gives no place which is surely the object's."""
     with stage("windows"):
         windows = windows_of(view, model.diameter_m, table.views.span_m)
-        windows = windows[promising(table, windows, WINDOWS)]
+        order = promising(table, windows)
+    proposals: list[Proposal] = []
+    for effort in EFFORTS:
+        if not proposals or proposals[0].score < SURE:
+            proposals = _tried(model, table, view, windows[order[: effort.windows]], effort, count)
+    return proposals
+
+
+def _tried(
+    model: ReferenceModel, table: WindowTable, view: ClearView, windows: Windows, effort: Effort, count: int
+) -> list[Proposal]:
     with stage("look"):
-        looks = look(table, windows, view.crop.camera, LOOKS, LOOKS_EACH)
+        looks = look(table, windows, view.crop.camera, effort.looks, effort.looks_each)
     if not len(looks.poses):
         return []
     region = view.region(model.diameter_m)
     with stage("first"):
         rated = evidence(score_many(model, region, looks.poses, FIRST_SAMPLES)) + LOOK_WEIGHT * looks.scores
-        first = looks.poses[_varied(looks.windows, rated)]
+        first = looks.poses[_varied(looks.windows, rated, effort)]
     with stage("icp"):
         poses = align_in_view(model, view, first)
     with stage("second"):
-        terms = score_many(model, region, poses, SECOND_SAMPLES)
-        rated = evidence(terms) - RIM_WEIGHT * rims(view, model_arrays(model), poses, SECOND_SAMPLES)
+        rated = _judged(model, view, region, poses)
     with stage("third"):
-        best = _apart(model, poses, rated, SEARCHED)
+        best = _apart(model, poses, rated, effort.searched)
         found, _ = search(model, region, poses[best], SEARCH_STEPS_DEG, SEARCH_SAMPLES)
+        rated = np.concatenate([_judged(model, view, region, found), rated])
         poses = np.concatenate([found, poses])
-        terms = score_many(model, region, found, SECOND_SAMPLES)
-        again = evidence(terms) - RIM_WEIGHT * rims(view, model_arrays(model), found, SECOND_SAMPLES)
-        rated = np.concatenate([again, rated])
     with stage("thin"):
         return _thinned(model, view, poses, rated, count)
+
+
+def _judged(model: ReferenceModel, view: ClearView, region: Region, poses: Float64) -> Float64:
+    """Score (M,) of poses (M, 4, 4) on the picture."""
+    terms = score_many(model, region, poses, SECOND_SAMPLES)
+    return evidence(terms) - RIM_WEIGHT * rims(view, model_arrays(model), poses, SECOND_SAMPLES)
 
 
 def evidence(terms: Float64) -> Float64:
     """Score (M,) of poses from the terms (M, 8) of the dense score without an outline."""
     fit, violation, color, seen = terms[:, 1], terms[:, 3], terms[:, 4], terms[:, 6]
-    return np.asarray(0.9 * fit - 1.0 * violation + color + 0.3 * np.sqrt(np.clip(seen, 0.0, 1.0)))
+    return np.asarray(
+        FIT_WEIGHT * fit
+        - VIOLATION_WEIGHT * violation
+        + PRINT_WEIGHT * color
+        + SEEN_WEIGHT * np.sqrt(np.clip(seen, 0.0, 1.0))
+    )
 
 
-def _varied(windows: Int64, rated: Float64) -> Int64:
-    """The best ALIGNED of looks (M,), at most ALIGNED_EACH of one window."""
+def _varied(windows: Int64, rated: Float64, effort: Effort) -> Int64:
+    """The best of looks (M,), at most so many of one window."""
     taken = np.zeros(windows.max() + 1, np.int64)
     chosen = []
     for k in np.argsort(-rated, kind="stable"):
-        if taken[windows[k]] < ALIGNED_EACH:
+        if taken[windows[k]] < effort.aligned_each:
             taken[windows[k]] += 1
             chosen.append(k)
-            if len(chosen) == ALIGNED:
+            if len(chosen) == effort.aligned:
                 break
     return np.array(chosen)
 

@@ -36,14 +36,15 @@ class Looks:
     windows: Int64
 
 
-def promising(table: WindowTable, windows: Windows, count: int) -> Int64:
-    """Indices of the `count` windows whose middle has a hue of the object, and of all those of pieces."""
+def promising(table: WindowTable, windows: Windows) -> Int64:
+    """Indices (W,) of windows: first the pieces', then by how near the hue of their middle is to the
+    object's."""
     weight = windows.cells[..., 4]
     weighted = np.stack([weight * windows.cells[..., 1], weight * windows.cells[..., 2]])
     hues = middle_hues(weight, weighted)
     apart = ((hues[:, None] - table.hues[None]) ** 2).sum(-1).min(1)
-    apart[: windows.pieces] = -1.0
-    return np.sort(np.argsort(apart, kind="stable")[: max(count, windows.pieces)])
+    apart[: windows.pieces] -= 1e6
+    return np.argsort(apart, kind="stable")
 
 
 def look(table: WindowTable, windows: Windows, camera: Camera, count: int, each: int) -> Looks:

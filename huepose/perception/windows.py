@@ -41,7 +41,6 @@ class Windows:
         return len(self.pixels)
 
     def __getitem__(self, index: np.ndarray) -> Windows:
-        """Some of them; the pieces' are among them, if any, in no order any more."""
         return Windows(self.pixels[index], self.depth_m[index], self.span_px[index], self.cells[index], 0)
 
 

@@ -61,9 +61,10 @@ def call(arguments: argparse.Namespace) -> int:
     names = list(dict.fromkeys(arguments.object or sorted(models)))
     estimator = Estimator(models, EstimatorConfig(method=arguments.method))
     estimator.warm_up(names)  # so that `seconds` is the time of an answer
-    answers = _detected(arguments, frame, models, estimator, names) if box is None else []
-    for name in names if box is not None else []:
-        answers.append(_answer(arguments, frame, models, estimator, name, box))
+    if box is None:
+        answers = _detected(arguments, frame, models, estimator, names)
+    else:
+        answers = [_answer(arguments, frame, models, estimator, name, box) for name in names]
     text = json.dumps({"poses": [as_record(a) for a in answers]}, indent=2)
     if arguments.json:
         arguments.json.parent.mkdir(parents=True, exist_ok=True)

@@ -17,6 +17,9 @@ from huepose_services.runtime.config import Config
 from huepose_services.searched_boxes import SearchedBoxes
 from huepose_services.seen_boxes import SeenBoxes
 
+# Of a place that is worth the estimator's time while others wait for it.
+_LEAST_SCORE = 0.85
+
 
 def make(bus: Bus, config: Config) -> DetectorWork:
     """The detector worker's work."""
@@ -30,7 +33,7 @@ def make(bus: Bus, config: Config) -> DetectorWork:
         bus.health.count(f"provider_{network.provider}")
         return DetectorWork(bus, SeenBoxes(outlines, detector), follower)
     if config.detector.kind == "colorpair":
-        searcher = ColorPairDetector(models.load(config), proposals=max(2, _most_instances(config)))
+        searcher = ColorPairDetector(models.load(config), max(2, _most_instances(config)), _LEAST_SCORE)
         searcher.warm_up()
         return DetectorWork(bus, SearchedBoxes(outlines, searcher), follower)
     boxes = {name: Box(*box) for name, box in config.detector.boxes.items()}

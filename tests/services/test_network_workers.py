@@ -1,0 +1,114 @@
+"""Detector and segmenter with networks of known answers, on a real bus: a request in, the known mask out."""
+
+import numpy as np
+import pytest
+import zenoh
+
+from huepose.geometry import Box, Camera, RgbdFrame
+from huepose.model import save_model
+from huepose_protos.messages import Detections, FrameHeader, Masks, PerceptionRequest, RequestedObject
+from huepose_protos.runlength import mask_of
+from huepose_services import detector, segmenter
+from huepose_services.camera.publish import packed
+from huepose_services.runtime.bus import Bus
+from huepose_services.runtime.clock import SECOND, now_ns, this_clock
+from huepose_services.runtime.config import parse
+from huepose_services.runtime.health import Health
+from huepose_services.runtime.log import Log
+from huepose_services.runtime.session import open_reader_session, zenoh_config
+from tests.perception import networks
+
+BOX = Box(200.0, 120.0, 160.0, 200.0)
+
+
+@pytest.fixture
+def config(tmp_path, tea_box, base_port):
+    """Two workers whose networks see a tea box in BOX, and outline what they are prompted with."""
+    save_model(tea_box, tmp_path / "bundles" / "tea_box.huepose")
+    networks.sam_encoder(tmp_path / "encoder.onnx")
+    networks.sam_decoder(tmp_path / "decoder.onnx")
+    rows = np.zeros((20, 6), np.float32)
+    # 640 x 480 in 64 x 64: a tenth, 8 rows from the top.
+    rows[4] = [BOX.x / 10, BOX.y / 10 + 8, BOX.x1 / 10, BOX.y1 / 10 + 8, 0.8, 1]
+    networks.constant_output(tmp_path / "yolo.onnx", rows[None])
+    text = """
+        workers: [detector, segmenter]
+        bundles: bundles
+        objects: [{name: tea_box}]
+        detector: {kind: yolo, model: yolo.onnx, classes: {tea_box: 1}}
+        segmenter: {kind: sam, encoder: encoder.onnx, decoder: decoder.onnx}
+    """
+    return parse(text + f"\n        bus: {{base_port: {base_port}}}", tmp_path / "pipeline.yaml")
+
+
+@pytest.fixture
+def buses(config):
+    """One for the worker, one for everybody else."""
+    endpoint = config.endpoint("detector")
+    sessions = zenoh.open(zenoh_config([endpoint], [])), open_reader_session([endpoint])
+    made = [Bus(session, config.keys, "test", Log("test"), Health("test")) for session in sessions]
+    yield made
+    for bus, session in zip(made, sessions, strict=True):
+        bus.close()
+        session.close()
+
+
+def _frame():
+    camera = Camera(600.0, 600.0, 320.0, 240.0, 640, 480)
+    color = np.full((480, 640, 3), 90, np.uint8)
+    return packed(RgbdFrame(color, np.ones((480, 640), np.float32), camera), 0.0001)
+
+
+def _answer(ask, work, bus, place, kind, wait_until):
+    """Ask and let the worker work until its answer is there: subscriptions take a moment to be known."""
+    answers = []
+
+    def answered():
+        ask()
+        work.step()
+        if (taken := bus.take_with_payload(place, kind)) is not None:
+            answers.append(taken)
+        return answers
+
+    wait_until(answered)
+    return answers[0]
+
+
+def test_what_the_detector_sees_is_what_the_segmenter_outlines(config, buses, wait_until):
+    worker, other = buses
+    keys = config.keys
+    boxes, masks = other.inbox.ring(keys.detections), other.inbox.ring(keys.masks)
+    finding = detector.make(worker, config)
+    outlining = segmenter.make(worker, config)
+    assert worker.health.counters["provider_cpu"] == 2
+    picture, now = _frame(), now_ns()
+    header = FrameHeader(
+        publish_ns=now,
+        camera_epoch=1,
+        frame_id=7,
+        capture_ns=now,
+        clock=this_clock(),
+        frame="cam0_color_optical",
+        intrinsics=picture.intrinsics,
+        buffers=picture.buffers,
+    )
+    wanted = RequestedObject(object="tea_box", instance=None)
+    request = PerceptionRequest(
+        publish_ns=now, seq=3, camera_epoch=1, deadline_ns=now + SECOND, objects=[wanted]
+    )
+
+    def ask_for_boxes():
+        other.put_pixels(keys.frame, header, picture.payload)
+        other.put_control(keys.request, request)
+
+    found, payload = _answer(ask_for_boxes, finding, other, boxes, Detections, wait_until)
+    assert payload == picture.payload
+    assert found.objects[0].box == pytest.approx(BOX, abs=0.01)
+    assert found.objects[0].score == pytest.approx(0.8)
+
+    def ask_for_masks():
+        other.put_pixels(keys.detections, found, payload)
+
+    outlined, _ = _answer(ask_for_masks, outlining, other, masks, Masks, wait_until)
+    (mask,) = outlined.objects[0].masks
+    assert Box.of_mask(mask_of(mask)).iou(BOX) > 0.98

@@ -23,6 +23,7 @@ import numpy as np
 from huepose.datasets.synthetic_store import cache_folder
 from huepose.drawing.plots import line_plot, reliability_bins, reliability_plot
 from huepose.evaluation import metrics
+from huepose.evaluation.moments.challenge import challenge
 from huepose.evaluation.moments.film import Film
 from huepose.evaluation.moments.picture import bands
 from huepose.evaluation.moments.play import Played, Told, play
@@ -92,6 +93,7 @@ def main() -> int:
     parser.add_argument("--only", nargs="+", default=list(MOMENTS), choices=list(MOMENTS))
     parser.add_argument("--long", type=float, default=0.0, metavar="SECONDS", help="add long runs (60)")
     parser.add_argument("--rest", nargs="+", default=[], choices=list(meshes()), help="add objects at rest")
+    parser.add_argument("--challenge", action="store_true", help="judge wrong poses too: is quality true?")
     parser.add_argument("--seed", type=int, nargs="+", default=[0], help="of the errors of late poses")
     parser.add_argument("--cache", type=Path, default=cache_folder() / "moments")
     arguments = parser.parse_args()
@@ -99,9 +101,12 @@ def main() -> int:
     known = models(arguments.cache)
     rows: list[tuple[str, list[Told]]] = []
     reports: list[StateReport] = []
+    judged: list[tuple[np.ndarray, np.ndarray]] = []
     lines: dict[str, dict[str, object]] = {}
     for name in arguments.only:
         film = Film(MOMENTS[name](), arguments.cache)
+        if arguments.challenge:
+            judged.append(challenge(film, known))
         for seed in arguments.seed:
             played = play(film, known, _tracker(film, known), seed=seed)
             own = [report([t.moment() for t in told]) for told in played.told]
@@ -124,7 +129,20 @@ def main() -> int:
     every = [t for _, told in rows for t in told if t.pose is not None and t.pose.T_cam_obj is not None]
     quality, right = np.array([t.quality for t in every]), np.array([t.right for t in every])
     ece = _ece(quality, right) if every else None
-    summary = {"ece": ece, "moments": lines, "rest": rest, **_motion([told for _, told in rows])}
+    summary: dict[str, object] = {
+        "ece": ece,
+        "moments": lines,
+        "rest": rest,
+        **_motion([told for _, told in rows]),
+    }
+    if judged:
+        asked, true = (np.concatenate([part[i] for part in judged]) for i in (0, 1))
+        print(
+            f"quality of {len(asked)} poses, {100 * true.mean():.0f} % right: error {_ece(asked, true):.3f}"
+        )
+        if arguments.plots is not None:
+            title = "right and wrong poses, judged"
+            write_picture(arguments.plots / "challenge.png", reliability_plot(asked, true, title=title))
     if hard is not None:
         summary |= {key: getattr(hard, key) for key in (*STATES, "false_tracking_rate", "frames")}
     write_json(arguments.json, {"summary": summary})
@@ -136,7 +154,7 @@ def main() -> int:
     print(_report(lines, hard, ece))
     for name, block in rest.items():
         print(f"{name} at rest: " + ", ".join(f"{key} {value:.3g}" for key, value in block.items()))
-    print(", ".join(f"{key} {value:.3g}" for key, value in summary.items() if key in MOTION))
+    print(", ".join(f"{key} {summary[key]:.3g}" for key in MOTION if key in summary))
     return 0
 
 

@@ -24,14 +24,14 @@ FULLY_SEEN, BLIND_SHARE = 0.15, 0.3
 """With less of the surface confirmed in depth its colours say less: few samples correlate by chance. Surface
 without a reading counts in part."""
 
-LEAST_SEEN, ONE_SENSE = 0.1, 0.45
+LEAST_SEEN, ONE_SENSE = 0.15, 0.45
 """With less confirmed in depth, colours alone hold the pose; in a saturated image depth alone does. Either
 way it is doubtful at best."""
 
 MUTE_COLOUR = 0.35
 """What colours that cannot be seen neither add nor take away."""
 
-USUAL_SLACK, HIDDEN_SLACK = 0.3, 0.5
+USUAL_SLACK, HIDDEN_SLACK = 0.3, 0.3
 PER_DROP = 6.0
 """Log-odds lost per score under the usual one, beyond the slack: more of it where something is in front."""
 

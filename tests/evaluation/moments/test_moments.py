@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 
 from huepose.evaluation.moments import scripts
+from huepose.evaluation.moments.challenge import challenge
 from huepose.evaluation.moments.film import Film, draw
 from huepose.evaluation.moments.picture import COLOURS, bands, meaning
 from huepose.evaluation.moments.play import Told, play
@@ -107,8 +108,10 @@ def test_a_covered_object_is_lost_and_comes_back(tea_box, tmp_path: Path) -> Non
     assert figures.declared_lost_after_frames <= 5
     assert figures.reacquired_after_s is not None
     assert figures.reacquired_after_s <= 0.4 + 0.35 + 0.01
-    again = Film(film.script, tmp_path)
-    assert again.path == film.path, "drawn once"
+    quality, right = challenge(film, {"tea_box": tea_box}, every=16)
+    assert 2 <= right.sum() < len(right) / 2, "the frame before and the frame after, from the truth"
+    assert quality[right].min() > 0.9
+    assert quality[~right].max() < 0.6
 
 
 def test_spoilt_depth_is_what_was_asked_for() -> None:

@@ -1,0 +1,54 @@
+"""What several messages are made of: masks, arrays, cameras, clocks."""
+
+from __future__ import annotations
+
+from typing import Annotated, Literal
+
+from msgspec import Meta, Struct
+
+from huepose_protos.fields import Count, Index, Positive, Size, check_finite
+
+
+class MaskRuns(Struct, frozen=True, kw_only=True):
+    """A mask of the size of its image: runs of pixels row by row, the first of them outside, then in turn."""
+
+    width: Size
+    height: Size
+    runs: Annotated[list[Index], Meta(max_length=200_000)]
+
+    def __post_init__(self) -> None:
+        if sum(self.runs) != self.width * self.height:
+            raise ValueError("mask runs do not add up to width x height")
+
+
+class BufferSpec(Struct, frozen=True, kw_only=True):
+    """One array of the payload, row by row, little-endian, at a byte offset."""
+
+    name: Annotated[str, Meta(pattern=r"^[a-z_]{1,32}$")]
+    dtype: Literal["uint8", "uint16", "int32", "float32"]
+    shape: Annotated[list[Annotated[int, Meta(ge=0, le=2**24)]], Meta(min_length=1, max_length=4)]
+    offset: Count
+
+
+class Intrinsics(Struct, frozen=True, kw_only=True):
+    """A pinhole camera in pixels; an integer coordinate is the centre of a pixel. Images are rectified."""
+
+    fx: Positive
+    fy: Positive
+    cx: float
+    cy: float
+    width: Size
+    height: Size
+    depth_scale_m: Positive
+    distortion_model: Literal["none"] = "none"
+    distortion: Annotated[list[float], Meta(max_length=0)] = []
+
+    def __post_init__(self) -> None:
+        check_finite(fx=self.fx, fy=self.fy, cx=self.cx, cy=self.cy, depth_scale_m=self.depth_scale_m)
+
+
+class Clock(Struct, frozen=True, kw_only=True):
+    """Which machine's monotonic clock the stamps are of; add realtime_offset_ns to get Unix time."""
+
+    clock_id: Annotated[str, Meta(min_length=1, max_length=64)]
+    realtime_offset_ns: Annotated[int, Meta(ge=-(2**63), le=2**63 - 1)]

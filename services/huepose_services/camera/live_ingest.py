@@ -17,6 +17,7 @@ from huepose_services.camera.reader import Reader, Taken
 from huepose_services.runtime.bus import Bus
 from huepose_services.runtime.clock import now_ns
 from huepose_services.runtime.config import Config
+from huepose_services.runtime.notify import notify
 
 _LONGEST_STEP_S = 0.05
 _SAY_AGAIN_S = 10.0
@@ -39,6 +40,7 @@ class LiveIngest:
         self._camera: Camera | None = None
         self._epoch, self._frame_id = 0, 0
         self._warnings = list(bus.health.warnings)
+        self._told: str | None = None
         bus.health.state = "waiting"
 
     def due_ns(self) -> int | None:
@@ -53,7 +55,11 @@ class LiveIngest:
         if taken is not None:
             self._publish(taken)
         trouble = self._reader.trouble
+        if trouble != self._told:
+            self._told = trouble
+            notify(f"STATUS={trouble or 'ready'}")  # for `systemctl status`
         if trouble is None:
+            self._bus.health.state = "ready" if self._frame_id else "waiting"
             self._bus.health.warnings = self._warnings
             return
         self._bus.health.state = "waiting"

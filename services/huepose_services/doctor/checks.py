@@ -64,7 +64,9 @@ def cameras(config: Config | None) -> Iterator[Finding]:
             yield Finding(kind, "bad" if needed == kind else "note", " ".join(str(error).split())[:120], fix)
             continue
         if seen:
-            yield Finding(kind, "ok", ", ".join(seen))
+            slow = any("on USB 2" in one for one in seen)
+            fix = "USB 2 offers few modes: use a USB 3 cable and port." if slow else ""
+            yield Finding(kind, "note" if slow else "ok", ", ".join(seen), fix)
         else:
             fix = "Plug it into a USB 3 port; udev rules: sudo deploy/jetson/install.sh --udev"
             missing = needed == kind

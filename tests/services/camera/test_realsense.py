@@ -1,6 +1,7 @@
 """The RealSense source on the SDK's software device, and on a recording made of it."""
 
 import gc
+import socket
 import time
 from contextlib import suppress
 
@@ -162,8 +163,15 @@ def test_the_camera_worker_publishes_a_recording_and_says_what_the_camera_is(
     assert (info.intrinsics.fx, info.intrinsics.width) == (FOCAL, WIDTH)
 
 
-def test_the_camera_worker_says_that_no_camera_is_there(pipeline, huepose, base_port):
-    huepose("run", "camera", pipeline(**_device(path=None)))
+def test_the_camera_worker_says_that_no_camera_is_there(pipeline, huepose, base_port, tmp_path, monkeypatch):
+    with socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM) as systemd:
+        systemd.bind(str(tmp_path / "notify"))
+        systemd.settimeout(30.0)
+        monkeypatch.setenv("NOTIFY_SOCKET", str(tmp_path / "notify"))
+        huepose("run", "camera", pipeline(**_device(path=None)))
+        status = ""
+        while not status.startswith("STATUS=RealSense"):
+            status = systemd.recv(4096).decode()
     with Reader([f"tcp/127.0.0.1:{base_port}"], "huepose/*/*/health/*") as reader:
         deadline = time.monotonic() + 30.0
         while time.monotonic() < deadline:
@@ -172,4 +180,4 @@ def test_the_camera_worker_says_that_no_camera_is_there(pipeline, huepose, base_
                 break
     assert health.state == "waiting"
     assert "no RealSense camera is connected" in health.warnings[0]
-    assert health.uptime_s < 30.0
+    assert status == f"STATUS={health.warnings[0]}"

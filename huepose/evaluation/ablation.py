@@ -24,7 +24,7 @@ from huepose.datasets.types import Sample, Scene
 from huepose.evaluation.ablation_rows import AblationResult, AblationRow
 from huepose.evaluation.targets import Targets, object_number
 from huepose.geometry import kabsch, se3
-from huepose.geometry.arrays import Bool, Float64
+from huepose.geometry.arrays import Bool, Float, Float64
 from huepose.geometry.box import Box
 from huepose.geometry.camera import Camera
 from huepose.model.types import ReferenceModel
@@ -185,7 +185,7 @@ def errors(T_b_a: Float64, T_a: Float64, T_b: Float64) -> tuple[float, float]:
 
 
 def endpoint_error_px(
-    matches: Correspondences, surface_depth: Float64, camera: Camera, T_b_a: Float64
+    matches: Correspondences, surface_depth: Float, camera: Camera, T_b_a: Float64
 ) -> float | None:
     """Mean distance in pixels between where matches end and where the true motion takes the surface points
     that they start from; surface_depth (H, W): of the object alone at its true pose, 0 beside it."""

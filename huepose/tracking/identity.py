@@ -31,7 +31,7 @@ SAME_WAY = np.radians(30.0)
 def turned_over(T_before: Float64, T_after: Float64) -> bool:
     """Whether a correction says that the object was taken for another side of itself: then what was learnt
     about the old pose says nothing about the new one."""
-    return se3.rotation_angle(T_before, T_after) > SAME_WAY
+    return bool(se3.rotation_angle(T_before, T_after) > SAME_WAY)
 
 
 @dataclass(frozen=True, eq=False)

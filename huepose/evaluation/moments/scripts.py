@@ -20,7 +20,7 @@ from huepose.datasets.synthetic_light import Light, random_light
 from huepose.datasets.synthetic_motion import Timing, object_paths
 from huepose.datasets.synthetic_room import room
 from huepose.geometry import Camera, Mesh, se3
-from huepose.geometry.arrays import Bool, Float, Float64
+from huepose.geometry.arrays import Bool, Float64
 
 CAMERA = Camera(500.0, 500.0, 199.5, 149.5, 400, 300)
 RATE_HZ = 30.0
@@ -67,8 +67,8 @@ def _room() -> tuple[tuple[Mesh, Float64], ...]:
     return tuple(room(np.random.default_rng(5), 8))
 
 
-def carried(frames: int, phase: float = 0.0, place: Float = (0.0, 0.0, 0.62)) -> Float64:
-    """Poses (N, 4, 4) of an object in a hand: about 0.15 m/s and 70 degrees a second, about a place (3,)."""
+def carried(frames: int, phase: float = 0.0, place: tuple[float, float, float] = (0.0, 0.0, 0.62)) -> Float64:
+    """Poses (N, 4, 4) of an object in a hand: about 0.15 m/s and 70 degrees a second, about a place."""
     out = np.tile(np.eye(4), (frames, 1, 1))
     for k in range(frames):
         t = k / RATE_HZ + phase
@@ -206,13 +206,9 @@ def crossing() -> Script:
 
 def spinning() -> Script:
     """A can turns about its own axis at 150 degrees a second, so that only the print moves."""
-    tilt = se3.rotation_exp(np.array([1.9, 0.2, 0.3]))
-    path = np.array(
-        [
-            se3.make(tilt @ se3.rotation_exp(np.array([0, 0, np.radians(150.0) * k / RATE_HZ])), [0, 0, 0.6])
-            for k in range(FRAMES)
-        ]
-    )
+    tilt, place = se3.rotation_exp(np.array([1.9, 0.2, 0.3])), np.array([0.0, 0.0, 0.6])
+    step = np.array([0.0, 0.0, np.radians(150.0) / RATE_HZ])
+    path = np.array([se3.make(tilt @ se3.rotation_exp(step * k), place) for k in range(FRAMES)])
     return _script("symmetric object turns", "can", path)
 
 

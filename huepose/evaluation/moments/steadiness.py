@@ -46,7 +46,11 @@ def stillness(told: Sequence[Told]) -> Stillness:
 
 def errors_of(told: Sequence[Told]) -> Float64:
     """Differences (K, 6) from the truth to the poses that there are: metres and radians, camera axes."""
-    found = [se3.difference(t.truth, t.pose.T_cam_obj) for t in told if _posed(t)]  # type: ignore[union-attr]
+    found = [
+        se3.difference(t.truth, t.pose.T_cam_obj)
+        for t in told
+        if t.pose is not None and t.pose.T_cam_obj is not None
+    ]
     return np.array(found).reshape(-1, 6)
 
 
@@ -85,10 +89,6 @@ def foretold(told: Sequence[Told], ahead: int) -> tuple[Float64, Float64]:
         mm.append(1e3 * float(np.linalg.norm(T[:3, 3] - then.truth[:3, 3])))
         degrees.append(float(np.degrees(se3.rotation_angle(T, then.truth))))
     return np.array(mm), np.array(degrees)
-
-
-def _posed(told: Told) -> bool:
-    return told.pose is not None and told.pose.T_cam_obj is not None
 
 
 def _rms(vectors: Float64) -> float:

@@ -91,7 +91,6 @@ class LiveIngest:
             self._clock = DeviceClock()
         self._opening, self._camera = opening, camera
         self._epoch, self._frame_id = secrets.randbits(62), 0
-        self._bus.health.state = "ready"
         self._bus.log.say(
             f"{self._name}: {camera.width} x {camera.height}, fx {camera.fx:.1f} fy {camera.fy:.1f}"
         )

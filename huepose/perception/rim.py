@@ -7,7 +7,7 @@ import numpy as np
 from huepose.geometry.arrays import Bool, Float32, Float64
 from huepose.perception.clear_view import ClearView
 from huepose.support.jit import jit
-from huepose.verification.dense import ModelArrays, nearest_view
+from huepose.verification.kernel_arrays import ModelArrays, nearest_view
 
 SIDE = 20
 """Cells along the longer side of an object's outline."""

@@ -16,7 +16,8 @@ from huepose.perception.window_look import look, promising
 from huepose.perception.window_table import WindowTable
 from huepose.perception.windows import Windows, windows_of
 from huepose.support.stages import stage
-from huepose.verification.dense import model_arrays, score_many
+from huepose.verification.dense import score_many
+from huepose.verification.kernel_arrays import model_arrays
 from huepose.verification.local_search import search
 from huepose.verification.region import Region
 

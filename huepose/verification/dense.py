@@ -9,28 +9,25 @@ is taken off.
 
 from __future__ import annotations
 
-import threading
 from dataclasses import astuple, dataclass
-from typing import NamedTuple
-from weakref import WeakKeyDictionary
 
 import numpy as np
 
-from huepose.colorpair.opponents import opponents_of_lab
-from huepose.geometry.arrays import Bool, Float, Float32, Float64, Int32
-from huepose.geometry.kernels import solve_symmetric
+from huepose.geometry.arrays import Float, Float64
 from huepose.model.types import ReferenceModel
 from huepose.support.jit import jit
+from huepose.verification.color_agreement import color_agreement
+from huepose.verification.kernel_arrays import (
+    ModelArrays,
+    RegionArrays,
+    model_arrays,
+    nearest_view,
+    region_arrays,
+)
 from huepose.verification.region import Region
 
 TERMS = 8
 """Length of the kernel's output: the fields of PoseScore in order."""
-
-COVERAGE_POINTS = 250
-
-SHADING_RIDGE = 0.03
-"""Keeps the fit of lightness to normals small where normals hardly vary (variance of a normal's
-component)."""
 
 
 @dataclass(frozen=True)
@@ -67,83 +64,6 @@ class PoseScore:
     occluded: float
     seen: float
     box_iou: float
-
-
-class ModelArrays(NamedTuple):
-    """The arrays of a model that kernels read (see model.types)."""
-
-    points: Float32
-    normals: Float32
-    colors: Float32
-    directions: Float32
-    visible: Int32
-    offsets: Int32
-    origin: Float64
-    step: float
-    nearest: np.ndarray
-
-
-class RegionArrays(NamedTuple):
-    """The arrays of a region that kernels read."""
-
-    points_cam: Float64
-    point_weights: Float64
-    trust: float
-    depth: Float32
-    belief: Float32
-    colors: Float32
-    saturated: Bool
-    fx: float
-    fy: float
-    cx: float
-    cy: float
-    bounds: Float64
-    tolerance: float
-
-
-_arrays: WeakKeyDictionary[ReferenceModel, ModelArrays] = WeakKeyDictionary()
-_lock = threading.Lock()
-
-
-def model_arrays(model: ReferenceModel) -> ModelArrays:
-    """A model's arrays for the kernels, colours as opponents; made once for each model."""
-    with _lock:
-        found = _arrays.get(model)
-        if found is None:
-            s, g = model.surface, model.grid
-            colors = opponents_of_lab(s.lab)
-            found = _arrays[model] = ModelArrays(
-                s.points,
-                s.normals,
-                colors,
-                s.directions,
-                s.visible,
-                s.offsets,
-                g.origin,
-                float(g.step),
-                g.nearest,
-            )
-        return found
-
-
-def region_arrays(region: Region) -> RegionArrays:
-    """Bundle a region's arrays for the kernels."""
-    camera = region.crop.camera
-    return RegionArrays(
-        region.points_cam[:COVERAGE_POINTS],
-        region.point_weights[:COVERAGE_POINTS],
-        float(region.trust),
-        region.crop.depth,
-        region.belief,
-        region.colors,
-        region.crop.saturated,
-        camera.fx,
-        camera.fy,
-        camera.cx,
-        camera.cy,
-        region.bounds,
-        region.tolerance_m,
-    )
 
 
 def weight_array(weights: ScoreWeights) -> Float64:
@@ -189,20 +109,6 @@ def _score_all(
     moments = np.empty((6, 5))
     for i in range(poses.shape[0]):
         score_kernel(poses[i], model, region, samples, weights, moments, out[i])
-
-
-@jit
-def nearest_view(T: Float64, directions: Float32) -> int:
-    """Index of the view direction from which the camera of pose `T` looks at the object's origin."""
-    best, best_dot = 0, -np.inf
-    x = -(T[0, 0] * T[0, 3] + T[1, 0] * T[1, 3] + T[2, 0] * T[2, 3])
-    y = -(T[0, 1] * T[0, 3] + T[1, 1] * T[1, 3] + T[2, 1] * T[2, 3])
-    z = -(T[0, 2] * T[0, 3] + T[1, 2] * T[1, 3] + T[2, 2] * T[2, 3])
-    for i in range(directions.shape[0]):
-        dot = directions[i, 0] * x + directions[i, 1] * y + directions[i, 2] * z
-        if dot > best_dot:
-            best, best_dot = i, dot
-    return best
 
 
 @jit
@@ -310,7 +216,7 @@ def score_kernel(
     out[1] = fit / (near + violation + 0.15 * total)
     out[2] = _coverage(T, model, region.points_cam, region.point_weights, tolerance)
     out[3] = violation / (near + violation + 0.15 * total)
-    out[4] = _color(moments, shading, color_weight, weights) if color_weight > 0.02 * total else 0.0
+    out[4] = color_agreement(moments, shading, color_weight, weights) if color_weight > 0.02 * total else 0.0
     out[5] = occluded / total
     out[6] = near / total
     out[7] = _box_iou(left, top, right, bottom, region.bounds)
@@ -368,59 +274,6 @@ def _coverage(
         if gap < tolerance and e0 * e0 + e1 * e1 + e2 * e2 < 9.0 * tolerance * tolerance:
             covered += point_weights[i] * (1.0 - (gap / tolerance) ** 2)
     return float(covered / total)
-
-
-@jit
-def _color(moments: Float64, shading: Float64, weight: float, weights: Float64) -> float:
-    """Correlation of texture and image over channels and scales, each weighted by how much print there is.
-
-    Lightness is compared after what the surface's normals explain of it is taken off both sides (shading by
-    distant lights is linear in the normal). The 4 added to the sum of weights lowers the colour of objects
-    that have no print.
-    """
-    lightness, coarse, floor = weights[6], weights[7], weights[9]
-    A = np.empty((3, 3))
-    factor = np.empty((3, 3))
-    mean = np.empty(3)
-    for r in range(3):
-        mean[r] = shading[0, r] / weight
-    for r in range(3):
-        for c in range(r + 1):
-            both = shading[1, r] if r == c else shading[2, r + c - 1]
-            A[r, c] = both / weight - mean[r] * mean[c]
-            A[c, r] = A[r, c]
-    b_m, b_i, x_m, x_i = np.empty(3), np.empty(3), np.zeros(3), np.zeros(3)
-    total, total_weight = 0.0, 4.0
-    for q in range(6):
-        mean_m, mean_i = moments[q, 0] / weight, moments[q, 1] / weight
-        var_m = moments[q, 2] / weight - mean_m * mean_m
-        var_i = moments[q, 3] / weight - mean_i * mean_i
-        covariance = moments[q, 4] / weight - mean_m * mean_i
-        w = 1.0 if q < 3 else coarse
-        if q % 3 == 0:
-            w *= lightness
-            row = 3 + 2 * (q // 3)
-            for r in range(3):
-                b_m[r] = shading[row, r] / weight - mean[r] * mean_m
-                b_i[r] = shading[row + 1, r] / weight - mean[r] * mean_i
-            for x, b in ((x_m, b_m), (x_i, b_i)):
-                for r in range(3):
-                    for c in range(3):
-                        factor[r, c] = A[r, c] + (SHADING_RIDGE if r == c else 0.0)
-                solve_symmetric(factor, b, x)
-            for r in range(3):
-                var_m -= 2.0 * x_m[r] * b_m[r]
-                var_i -= 2.0 * x_i[r] * b_i[r]
-                covariance -= x_m[r] * b_i[r] + x_i[r] * b_m[r]
-                for c in range(3):
-                    var_m += x_m[r] * A[r, c] * x_m[c]
-                    var_i += x_i[r] * A[r, c] * x_i[c]
-                    covariance += x_m[r] * A[r, c] * x_i[c]
-        var_m, var_i = max(var_m, 0.0), max(var_i, 0.0)
-        w *= np.sqrt(var_m)
-        total += w * covariance / (np.sqrt(var_m * var_i) + floor)
-        total_weight += w
-    return float(total / total_weight)
 
 
 @jit

@@ -11,17 +11,8 @@ from huepose.geometry.arrays import Float, Float64
 from huepose.geometry.kernels import rotation_exp_into
 from huepose.model.types import ReferenceModel
 from huepose.support.jit import jit
-from huepose.verification.dense import (
-    DEFAULT_WEIGHTS,
-    TERMS,
-    ModelArrays,
-    RegionArrays,
-    ScoreWeights,
-    model_arrays,
-    region_arrays,
-    score_kernel,
-    weight_array,
-)
+from huepose.verification.dense import DEFAULT_WEIGHTS, TERMS, ScoreWeights, score_kernel, weight_array
+from huepose.verification.kernel_arrays import ModelArrays, RegionArrays, model_arrays, region_arrays
 from huepose.verification.region import Region
 
 SHIFT_PER_RADIAN = 0.4

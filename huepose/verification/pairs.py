@@ -22,16 +22,8 @@ from huepose.colorpair.opponents import linear_rgb, opponents, opponents_of_lab
 from huepose.geometry.arrays import Float, Float32, Float64
 from huepose.model.types import PairReference, ReferenceModel
 from huepose.support.jit import jit
-from huepose.verification.dense import (
-    TERMS,
-    ModelArrays,
-    RegionArrays,
-    ScoreWeights,
-    model_arrays,
-    region_arrays,
-    score_kernel,
-    weight_array,
-)
+from huepose.verification.dense import TERMS, ScoreWeights, score_kernel, weight_array
+from huepose.verification.kernel_arrays import ModelArrays, RegionArrays, model_arrays, region_arrays
 from huepose.verification.region import Crop, Region
 
 GEOMETRY = ScoreWeights(depth_fit=0.9, coverage=0.7, violation=1.0, color=0.0, occluded=0.05, box=0.2)

@@ -9,14 +9,8 @@ import numpy as np
 from huepose.geometry.arrays import Float, Float64
 from huepose.model.types import ReferenceModel
 from huepose.support.jit import jit
-from huepose.verification.dense import (
-    TERMS,
-    ModelArrays,
-    RegionArrays,
-    model_arrays,
-    region_arrays,
-    weight_array,
-)
+from huepose.verification.dense import TERMS, weight_array
+from huepose.verification.kernel_arrays import ModelArrays, RegionArrays, model_arrays, region_arrays
 from huepose.verification.local_search import REPETITIONS, SHIFT_PER_RADIAN, STRIDES, WORTH, stepped
 from huepose.verification.pairs import (
     DEFAULT_PAIR_WEIGHTS,

@@ -18,7 +18,7 @@ from huepose.perception.rim import rims
 from huepose.perception.window_table import window_table
 from huepose.rendering.render import render_depth
 from huepose.support.errors import InputError
-from huepose.verification.dense import model_arrays
+from huepose.verification.kernel_arrays import model_arrays
 
 TakePicture = Callable[..., RgbdFrame]
 

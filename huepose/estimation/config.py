@@ -19,9 +19,9 @@ class FullPathConfig:
     retrieved: int = 30
     kept: int = 8
     turned: int = 5
-    searched: int = 18
+    searched: int = 10
     judged: int = 40
-    finished: int = 5
+    finished: int = 3
     alternatives: int = 6
 
 
@@ -48,7 +48,9 @@ class EstimatorConfig:
     """method: "full" (the best that there is) or "colorpair" (the paper's path alone); seed: of all random
     choices; threads: objects of a frame that are estimated at the same time; acquisition_level: the quality
     over which a pose is TRACKING, None for the calibrated one of the method; found_score: a best total under
-    this is "nothing there"; competition: whether the poses of a frame compete for its depth."""
+    this is "nothing there"; competition: whether the poses of a frame compete for its depth;
+    look_anew_every: one in so many frames is searched in full even when a prior is plainly right (see
+    `confirm`), 1 for all of them."""
 
     method: Method = "full"
     seed: int = 0
@@ -56,6 +58,7 @@ class EstimatorConfig:
     acquisition_level: float | None = None
     found_score: float = 0.45
     competition: bool = True
+    look_anew_every: int = 3
     full: FullPathConfig = field(default_factory=FullPathConfig)
     colorpair: ColorpairPathConfig = field(default_factory=ColorpairPathConfig)
 

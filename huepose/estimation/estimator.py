@@ -17,6 +17,7 @@ import numpy as np
 
 from huepose.estimation.competition import compete
 from huepose.estimation.config import EstimatorConfig
+from huepose.estimation.confirm import MARGIN, confirm, looks_in_full
 from huepose.estimation.evidence import Evidence, gather
 from huepose.estimation.full_path import estimate_full, judge, refine_prior
 from huepose.estimation.outline import projected_box
@@ -42,13 +43,15 @@ ALTERNATIVE_SHARPNESS = 10.0
 @dataclass(frozen=True, eq=False)
 class Explanation:
     """What led to an answer: the box, the candidate masks (H, W), what was looked at (None where there is no
-    depth), and the different poses (K, 4, 4) with their totals (K,), best first."""
+    depth), and the different poses (K, 4, 4) with their totals (K,), best first; confirmed: the prior was
+    plainly right, and no other views were sought."""
 
     box: Box
     masks: tuple[Bool, ...]
     evidence: Evidence | None
     poses: Float64
     totals: Float64
+    confirmed: bool = False
 
 
 class Estimator:
@@ -113,16 +116,23 @@ class Estimator:
         poses, totals = np.zeros((0, 4, 4)), np.zeros(0)
         prior: Float64 | None = None
         prior_score: float | None = None
-        if evidence is not None:
-            if query.prior is not None and self.config.method == "full":
-                with stage("prior"):
-                    prior = refine_prior(model, evidence, query.prior.T_cam_obj)
-                    prior_score = float(judge(model, evidence.region, prior[None])[0])
-            if self.config.method == "full":
-                extra = np.zeros((0, 4, 4)) if prior is None else prior[None]
-                poses, totals = estimate_full(model, prepared.table, evidence, self.config.full, extra)
-            else:
-                poses, totals = self._by_pairs(model, frame, evidence, query)
+        full = self.config.method == "full"
+        if evidence is not None and full and query.prior is not None:
+            with stage("prior"):
+                prior = refine_prior(model, evidence, query.prior.T_cam_obj)
+                prior_score = float(judge(model, evidence.region, prior[None])[0])
+                anew = looks_in_full(frame.frame_id, self.config.look_anew_every)
+                confirmed = None if anew else confirm(model, evidence.region, prior)
+            if confirmed is not None:
+                explanation = Explanation(box, tuple(masks), evidence, *confirmed, confirmed=True)
+                answer = self._answer(frame, query, model, explanation, prior, prior_score)
+                if answer.state == "TRACKING":
+                    return _timed(answer, time.perf_counter() - start), explanation
+        if evidence is not None and full:
+            extra = np.zeros((0, 4, 4)) if prior is None else prior[None]
+            poses, totals = estimate_full(model, prepared.table, evidence, self.config.full, extra)
+        elif evidence is not None:
+            poses, totals = self._by_pairs(model, frame, evidence, query)
         explanation = Explanation(box, tuple(masks), evidence, poses, totals)
         with stage("answer"):
             answer = self._answer(frame, query, model, explanation, prior, prior_score)
@@ -203,6 +213,8 @@ class Estimator:
         poses, totals = explanation.poses, explanation.totals
         score = float(totals[0]) if len(totals) else 0.0
         margin = float(totals[0] - totals[1]) if len(totals) > 1 else MAX_MARGIN
+        if explanation.confirmed:
+            margin = min(margin, MARGIN)
         region = None if explanation.evidence is None else explanation.evidence.region
         if region is None or not len(poses) or score < self.config.found_score:
             return PoseEstimate(

@@ -21,7 +21,7 @@ from huepose.verification.dense import score_many
 from huepose.verification.local_search import search
 from huepose.verification.region import Region
 
-COARSE_SAMPLES, SEARCH_SAMPLES, FINE_SAMPLES = 350, 220, 800
+COARSE_SAMPLES, SEARCH_SAMPLES, FINE_SAMPLES = 350, 160, 800
 FINAL_TURN_RAD, FINAL_SHIFT = 0.2, 0.05
 """Poses closer than this (shift in diameters) are one answer."""
 

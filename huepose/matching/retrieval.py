@@ -33,7 +33,7 @@ RELIEF = 0.05
 CHANNEL_WEIGHTS = (0.35, 1.0, 1.0)
 CHANNEL_FLOOR = 9.0
 DEPTH_WEIGHT, OVERLAP_WEIGHT, FREE_WEIGHT, FULL_WEIGHT = 0.8, 1.0, 0.8, 0.3
-CLOSER, CLOSEST = 1500, 200
+CLOSER, CLOSEST = 700, 80
 """Templates a mask that get the close look, and that are tried a cell to each side."""
 
 QUICK_WEIGHT = 0.5

@@ -1,0 +1,47 @@
+"""A tracked pose that is plainly still right needs no search of all views: most of what live use costs.
+
+The refined prior is held against its own near-symmetric turns on the same pixels. When it scores high and
+clearly better than they do, that is the answer; its margin counts no more than MARGIN then, because nothing
+else was looked at. A share of the frames is looked at in full all the same, so that a wrong pose that looks
+right to itself is found out.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from huepose.estimation.different import different_poses
+from huepose.estimation.full_path import COARSE_SAMPLES, FINAL_SHIFT, FINAL_TURN_RAD, FINE_SAMPLES, judge
+from huepose.geometry.arrays import Float64
+from huepose.model.types import ReferenceModel
+from huepose.verification.dense import score_many
+from huepose.verification.local_search import search
+from huepose.verification.region import Region
+
+SCORE, MARGIN = 1.9, 0.12
+"""Total from which a prior may be confirmed, and how much better than its turns it has to be."""
+
+TURNS = 3
+"""Turns that are searched before they are compared."""
+
+
+def looks_in_full(frame_id: int, every: int) -> bool:
+    """Whether this is one of the frames, about one in `every`, that are searched whatever the prior says;
+    spread irregularly, so that no rhythm of requests evades them. Always for 0 and 1."""
+    return every <= 1 or (frame_id * 2654435761 >> 16) % every == 0
+
+
+def confirm(model: ReferenceModel, region: Region, T_cam_obj: Float64) -> tuple[Float64, Float64] | None:
+    """The refined prior (4, 4) first, then its best different turns: poses (K, 4, 4) and totals (K,); None
+    when the prior is not plainly right."""
+    if judge(model, region, T_cam_obj[None])[0] < SCORE:
+        return None
+    turned = T_cam_obj @ model.turns[1:]
+    best = np.argsort(-score_many(model, region, turned, COARSE_SAMPLES)[:, 0], kind="stable")[:TURNS]
+    searched, _ = search(model, region, turned[best], (3.0, 1.0), FINE_SAMPLES)
+    poses = np.concatenate([T_cam_obj[None], searched])
+    totals = judge(model, region, poses)
+    order = different_poses(model, poses, totals, len(poses), FINAL_TURN_RAD, FINAL_SHIFT)
+    if len(order) > 1 and (order[0] != 0 or totals[0] - totals[order[1]] < MARGIN):
+        return None
+    return poses[order], totals[order]

@@ -1,0 +1,48 @@
+"""A prior that is plainly right is the answer without a search; a wrong one never is."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+
+import numpy as np
+
+from huepose.estimation import Estimator, EstimatorConfig, ObjectQuery, PosePrior
+from huepose.estimation.confirm import MARGIN, looks_in_full
+from huepose.geometry import Box, RgbdFrame, se3
+from huepose.model.types import ReferenceModel
+from huepose.rendering.render import render_depth
+from huepose.support.stages import listening
+
+TakePicture = Callable[..., RgbdFrame]
+NOT_IN_FULL = next(i for i in range(9) if not looks_in_full(i, 3))
+
+
+def test_a_share_of_the_frames_is_looked_at_in_full_whatever_the_stride() -> None:
+    for stride in (1, 2, 3, 6, 7):
+        share = np.mean([looks_in_full(i * stride, 3) for i in range(3000)])
+        assert 0.28 < share < 0.39
+    assert all(looks_in_full(i, 1) for i in range(20))
+
+
+def test_a_plainly_right_prior_needs_no_views_and_a_wrong_one_is_not_confirmed(
+    tea_box: ReferenceModel, take_picture: TakePicture, standing: np.ndarray
+) -> None:
+    frame = replace(take_picture([(tea_box.mesh, standing)]), frame_id=NOT_IN_FULL)
+    box = Box.of_mask(render_depth(tea_box.mesh, standing, frame.camera) > 0)
+    near = PosePrior(se3.perturb(standing, np.array([0.004, -0.003, 0.005, 0.04, -0.03, 0.03])))
+    turned = PosePrior(se3.compose(standing, se3.make(np.diag([-1.0, 1.0, -1.0]), np.zeros(3))))
+    models = {"tea_box": tea_box}
+    always = Estimator(models, EstimatorConfig(look_anew_every=1))
+    for estimator, prior, sought in (
+        (Estimator(models), near, False),
+        (Estimator(models), turned, True),
+        (always, near, True),
+    ):
+        with listening() as clock:
+            (answer,) = estimator.estimate(frame, [ObjectQuery("tea_box", box, prior=prior)])
+        assert ("retrieval" in clock.totals()) == sought
+        assert answer.T_cam_obj is not None
+        assert np.linalg.norm(answer.T_cam_obj[:3, 3] - standing[:3, 3]) < 0.002
+        assert se3.rotation_angle(answer.T_cam_obj, standing) < np.radians(1.0)
+        assert sought or answer.margin <= MARGIN

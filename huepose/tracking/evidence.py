@@ -28,6 +28,9 @@ LEAST_SEEN, ONE_SENSE = 0.15, 0.45
 """With less confirmed in depth, colours alone hold the pose; in a saturated image depth alone does. Either
 way it is doubtful at best."""
 
+HIDDEN, SCARCE_FADE = 0.6, 0.93
+"""With more than this behind something, trust in the little that is left fades by this factor a frame."""
+
 MUTE_COLOUR = 0.35
 """What colours that cannot be seen neither add nor take away."""
 
@@ -59,6 +62,17 @@ def quality(fit: Fit, usual: float | None, was_right: float) -> float:
         x -= PER_DROP * max(0.0, usual - fit.total - USUAL_SLACK - HIDDEN_SLACK * fit.hidden)
     q = float(1.0 / (1.0 + np.exp(-x)))
     return min(q, ONE_SENSE) if mute or fit.seen < LEAST_SEEN else q
+
+
+def scarce(fit: Fit) -> bool:
+    """Whether something hides so much of the object that the rest can be followed for a moment only: a strip
+    of it fits in many places along itself."""
+    return fit.seen < LEAST_SEEN and fit.hidden > HIDDEN
+
+
+def bounded(quality: float, scarce_frames: int) -> float:
+    """A quality after so many frames in a row in which there was little to follow."""
+    return min(quality, ONE_SENSE * SCARCE_FADE**scarce_frames) if scarce_frames else quality
 
 
 def usual_after(usual: float | None, total: float) -> float:

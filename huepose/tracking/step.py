@@ -17,6 +17,7 @@ from huepose.geometry.box import Box
 from huepose.geometry.frame import RgbdFrame
 from huepose.geometry.mesh import Mesh
 from huepose.model.types import ReferenceModel
+from huepose.tracking import evidence
 from huepose.tracking import flow as optical_flow
 from huepose.tracking.config import TrackerConfig
 from huepose.tracking.correspondences import match
@@ -55,9 +56,6 @@ for, even if the predicted pose explains something."""
 
 DRAWN_AWAY = 0.1
 """A refinement that explains this much less than its start has followed something else."""
-
-HIDDEN = 0.6
-"""With more than this of an object behind something, where it is expected, there is nothing to look for."""
 
 RIVAL_MARGIN = 0.1
 """The pose before a correction must explain the image this much better to be taken back."""
@@ -143,7 +141,8 @@ def advance(
     surprising = long and _moved_m(surface, best.T_cam_obj, expected) > SURPRISING_M
     returning = anchor.unseen_s > 0.0 and best.fit.seen >= RETURNING_SEEN
     doubtful = not _convincing(best, anchor.usual, doubt)
-    resting = (anchor.tired or best.fit.hidden > HIDDEN) and not long and not returning
+    # Behind something, where it is expected, there is nothing to look for.
+    resting = (anchor.tired or best.fit.hidden > evidence.HIDDEN) and not long and not returning
     if resting or not (doubtful or surprising or returning):
         return replace(best, doubtful=doubtful)
     if 0.0 < seconds <= LONG_STEP_S:

@@ -57,7 +57,7 @@ class Track:
         self._usual: float | None = None
         self._tint = UNKNOWN_TINT
         self._frame: RgbdFrame | None = None
-        self._doubtful_frames = 0
+        self._doubtful_frames = self._scarce_frames = 0
         self._unseen_s = 0.0
         self._supported_ns = 0
         self._rival: Float64 | None = None
@@ -89,6 +89,8 @@ class Track:
             # What is found somewhere else and not believed must not draw a half hidden object away.
             step = replace(step.near, doubtful=True, searched=True)
             sure = evidence.quality(step.fit, self._usual, self._evidence)
+        self._scarce_frames = self._scarce_frames + 1 if evidence.scarce(step.fit) else 0
+        sure = evidence.bounded(sure, self._scarce_frames)
         self.fit, self.start, self._frame, self._evidence = step.fit, step.start, frame, sure
         if step.start == "rival":
             self._identity = self._rival_identity
@@ -123,7 +125,7 @@ class Track:
         self.velocity, self.covariance = pursuit.velocity, self._covariance(step)
         self._identity = Identity.of(pursuit.correction.quality, self._view())
         self._usual, self._tint, self._evidence = pursuit.usual, pursuit.tint, pursuit.evidence
-        self._doubtful_frames, self._unseen_s, self._rival = 0, 0.0, None
+        self._doubtful_frames, self._scarce_frames, self._unseen_s, self._rival = 0, 0, 0.0, None
         self._supported_ns = frame.stamp_ns
         # A verified pose may be TRACKING at once.
         self._standing = Standing(State.TRACKING)

@@ -10,7 +10,15 @@ import pytest
 from huepose.geometry import Camera, se3
 from huepose.tracking import State, TrackerConfig
 from huepose.tracking.competition import Claim, losers
-from huepose.tracking.evidence import Standing, next_standing, quality, tint_after, usual_after
+from huepose.tracking.evidence import (
+    Standing,
+    bounded,
+    next_standing,
+    quality,
+    scarce,
+    tint_after,
+    usual_after,
+)
 from huepose.tracking.identity import Identity
 from huepose.tracking.scoring import NOTHING, UNKNOWN_TINT, Fit
 from huepose.tracking.silhouette import overlap, visible_mask
@@ -55,6 +63,17 @@ def test_one_sense_alone_is_doubtful_at_best() -> None:
     for fit in (blind, dazzled):
         assert CONFIG.lost_quality < quality(fit, 1.5, 1.0) < CONFIG.suspect_quality
     assert quality(replace(dazzled, depth_fit=0.2, behind=0.6), None, 1.0) < CONFIG.lost_quality
+
+
+def test_a_strip_beside_a_hand_is_followed_for_a_moment_only() -> None:
+    strip = replace(GOOD, seen=0.1, hidden=0.8)
+    assert scarce(strip)
+    assert not scarce(replace(strip, seen=0.3))
+    assert not scarce(replace(strip, hidden=0.0, no_depth=0.9)), "a blind sensor hides nothing"
+    trust = [bounded(0.9, k) for k in range(12)]
+    assert trust[0] == 0.9
+    assert CONFIG.lost_quality < trust[5] < CONFIG.suspect_quality
+    assert trust[11] < CONFIG.lost_quality
 
 
 def test_suspect_at_once_lost_soon() -> None:

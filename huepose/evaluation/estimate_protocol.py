@@ -198,7 +198,8 @@ class _FrameRun:
         names = [model.name for model in self.targets.models]
         detections = detector.detect(self.sample.frame, names)
         queries = [ObjectQuery(d.object, box=d.box, instance=i) for i, d in enumerate(detections)]
-        answers = standing(estimator.estimate(self.sample.frame, queries) if queries else [])
+        answers = estimator.estimate(self.sample.frame, queries) if queries else []
+        answers = standing(answers, log_odds=[d.log_odds for d in detections])
         seconds = time.perf_counter() - start
         taken, spare = assigned(answers, self.labels, self._box_of)
         rows = [

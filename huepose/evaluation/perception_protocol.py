@@ -124,7 +124,8 @@ def _frame(
     ]
 
     def verdict(asked: Sequence[str]) -> tuple[dict[int, PoseEstimate], list[FalseBox]]:
-        poses = standing([a for a in answers if a.object in set(asked)], options.accepted)
+        mine = [(a, d.log_odds) for a, d in zip(answers, judged, strict=True) if a.object in set(asked)]
+        poses = standing([a for a, _ in mine], options.accepted, [x for _, x in mine])
         return _assigned(sample, poses, labels, targets, options)
 
     return FrameFigures(sample.scene, sample.image, rows, names, verdict, found_s, seconds)

@@ -32,6 +32,8 @@ POOL = 6
 """Places of each object that compete with those of the others."""
 
 MIN_SCORE = 0.6
+EVEN_SCORE, LOG_ODDS = 1.1, 3.0
+"""A place of this score is as likely the object as not; the log odds that each unit of score adds."""
 
 
 class ColorPairDetector:
@@ -78,7 +80,7 @@ class ColorPairDetector:
         with stage("contest"):
             places = contested(places)
         found = [
-            Detection(name, p.box, p.score, p.T_cam_obj)
+            Detection(name, p.box, p.score, p.T_cam_obj, LOG_ODDS * (p.score - EVEN_SCORE))
             for name, mine in places.items()
             for p in mine[: self._proposals]
             if p.score >= self._min_score

@@ -13,13 +13,16 @@ from huepose.geometry.frame import RgbdFrame
 
 @dataclass(frozen=True, eq=False)
 class Detection:
-    """An object by name, where it is, how sure the detector is (higher is surer), and, if the detector knows,
-    roughly its pose T_cam_obj (4, 4)."""
+    """An object by name, where it is, and how sure the detector is (higher is surer).
+
+    T_cam_obj (4, 4): roughly its pose, if the detector knows; log_odds: what the detector's own evidence adds
+    to the estimator's that the object is there."""
 
     object: str
     box: Box
     score: float
     T_cam_obj: Float64 | None = None
+    log_odds: float = 0.0
 
 
 class Detector(Protocol):

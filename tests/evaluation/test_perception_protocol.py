@@ -154,6 +154,13 @@ def test_one_surface_stands_for_one_pose() -> None:
         return replace(absent(name), found=True, quality=quality, mask=mask_of(box))
 
     better, worse = answer("box", 0.95, LEFT), answer("brick", 0.9, LEFT)
-    beside, doubtful = answer("brick", 0.85, RIGHT), answer("can", 0.3, NOWHERE)
+    beside, doubtful = answer("brick", 0.88, RIGHT), answer("can", 0.3, NOWHERE)
     assert standing([worse, doubtful, beside, better]) == [better, beside]
     assert standing([worse, absent("box")]) == [worse]
+
+
+def test_a_detectors_evidence_counts_for_and_against_a_pose() -> None:
+    pose = replace(absent("box"), found=True, quality=0.8, mask=mask_of(LEFT))
+    assert standing([pose], 0.85) == []
+    assert standing([pose], 0.85, [1.0]) == [pose]
+    assert standing([replace(pose, quality=0.9)], 0.85, [-1.0]) == []

@@ -124,9 +124,9 @@ def _detected(
 
     detector = ColorPairDetector(models)
     places = detector.detect(frame, names)
-    # The best place last: its explanation is the one that is kept.
-    answers = [_answer(arguments, frame, models, estimator, p.object, p.box) for p in reversed(places)]
-    poses = standing(answers)
+    places = places[::-1]  # The best place last: its explanation is the one that is kept.
+    answers = [_answer(arguments, frame, models, estimator, p.object, p.box) for p in places]
+    poses = standing(answers, log_odds=[p.log_odds for p in places])
     return [pose for name in names for pose in [p for p in poses if p.object == name] or [absent(name)]]
 
 

@@ -1,4 +1,4 @@
-"""All six workers as processes: an object in a recording is acquired from its first box and tracked."""
+"""All six workers as processes: an object in a recording is found, acquired and tracked."""
 
 import json
 import os
@@ -66,7 +66,6 @@ def test_a_recording_gives_a_pose_for_nearly_every_frame(recording, huepose, bas
             "once": True,
             "first_frame_s": 20,
         },
-        "detector": {"kind": "first_box", "boxes": {NAME: list(truths[0].box_visib)}},
         "bus": {"base_port": base_port},
     }
     path = tmp_path / "pipeline.yaml"

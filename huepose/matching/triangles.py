@@ -34,9 +34,9 @@ class TriangleConfig:
     bin: float = 0.035
     min_height: float = 3.0
     area: float = 1.0
-    eccentricity: float = 0.3
+    eccentricity: float = 0.05
     candidates: int = 600_000
-    rows: int = 150_000
+    rows: int = 15_000
     scene_triangles: int = 1800
     per_key: int = 3
     tolerance: float = 1.0

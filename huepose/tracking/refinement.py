@@ -39,6 +39,10 @@ DISTRUST_FLOOR = 0.2
 OUTLINE_FLOOR = 0.1
 """Weight of samples at the outline, where colours and depth are mixed with the background's."""
 
+INSIDE_SHARE, SCALE_SHARE = 0.25, 0.25
+"""Of the object's thickness: within the first of a sample its own surface goes on; a texture averaged over
+more than the second mixes its sides."""
+
 LIGHT_ROUNDS = 3
 DAMPING = 2e-3
 """Of Levenberg and Marquardt, as a share of the information about the translation."""
@@ -91,7 +95,7 @@ def depth_noise_m(distance_m: float) -> float:
 def refine(surface: TrackedSurface, region: Region, T_cam_obj: Float, schedule: Schedule = FULL) -> Refined:
     """Improve a pose whose object lies in `region`."""
     T = np.array(T_cam_obj, np.float64, order="C")
-    settings = _settings(schedule, float(surface.centre_cam(T)[2]), region.camera.fx)
+    settings = _settings(schedule, surface, float(surface.centre_cam(T)[2]), region.camera.fx)
     A = np.zeros((6, 6))
     done = _refine(T, surface.arrays, region.arrays, *settings, A)
     T = se3.orthonormalised(T)
@@ -103,17 +107,25 @@ def refine_all(
 ) -> Float64:
     """Improve poses (K, 4, 4) of an object at about that distance; the improved ones (K, 4, 4)."""
     out = np.array(poses, np.float64, order="C")
-    _refine_all(out, surface.arrays, region.arrays, *_settings(schedule, distance_m, region.camera.fx))
+    _refine_all(
+        out, surface.arrays, region.arrays, *_settings(schedule, surface, distance_m, region.camera.fx)
+    )
     return out
 
 
-def _settings(schedule: Schedule, distance_m: float, fx: float) -> tuple[Int32, Float64, Int32, int, float]:
+def _settings(
+    schedule: Schedule, surface: TrackedSurface, distance_m: float, fx: float
+) -> tuple[Int32, Float64, Int32, int, float]:
     """What a schedule means at a distance: levels, gates, pixels to the neighbours, samples, depth noise."""
     sigma = depth_noise_m(distance_m)
     gates = np.maximum(np.array(schedule.gates_m), 3.5 * sigma)
     px_per_m = fx / max(distance_m, 0.05)
-    reaches = np.array([max(1, round(1.5 * s * px_per_m)) for s in SCALES_M], np.int32)
-    return np.array(schedule.levels, np.int32), gates, reaches, schedule.samples, sigma
+    # On a thin object a neighbour further off than this would always lie beside it.
+    widest = INSIDE_SHARE * surface.thickness_m
+    reaches = np.array([max(1, round(min(1.5 * s, widest) * px_per_m)) for s in SCALES_M], np.int32)
+    coarsest = max(1, sum(s <= SCALE_SHARE * surface.thickness_m for s in SCALES_M) - 1)
+    levels = np.minimum(np.array(schedule.levels, np.int32), np.int32(coarsest))
+    return levels, gates, reaches, schedule.samples, sigma
 
 
 def _about_origin(A: Float64, surface: TrackedSurface, T: Float64) -> Float64:

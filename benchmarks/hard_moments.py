@@ -137,6 +137,7 @@ def main() -> int:
     }
     if judged:
         asked, true = (np.concatenate([part[i] for part in judged]) for i in (0, 1))
+        summary["challenge"] = {"poses": len(asked), "right": float(true.mean()), "ece": _ece(asked, true)}
         print(
             f"quality of {len(asked)} poses, {100 * true.mean():.0f} % right: error {_ece(asked, true):.3f}"
         )

@@ -14,15 +14,19 @@ Method = Literal["full", "colorpair"]
 class FullPathConfig:
     """How much the full method tries. retrieved: views a mask; kept: of them after ICP; turned: those whose
     near-symmetric turns are tried; searched: poses a mask that are searched; judged: poses judged by all
-    masks; finished: poses searched finely; alternatives: different poses that are returned."""
+    masks; finished: poses searched finely; alternatives: different poses that are returned; closer:
+    templates a mask that get a close look, and that are tried at neighbouring places; samples: of the surface
+    in the search."""
 
     retrieved: int = 30
     kept: int = 8
     turned: int = 5
-    searched: int = 10
+    searched: int = 18
     judged: int = 40
-    finished: int = 3
+    finished: int = 5
     alternatives: int = 6
+    closer: tuple[int, int] = (1500, 200)
+    samples: int = 220
 
 
 @dataclass(frozen=True)

@@ -106,7 +106,7 @@ class Estimator:
             return list(answers)
 
     def explain(self, frame: RgbdFrame, query: ObjectQuery) -> tuple[PoseEstimate, Explanation]:
-        """The answer to one query, and what led to it."""
+        """The answer to one query, as if there were no other, and what led to it."""
         start = time.perf_counter()
         prepared = self._models.prepared(query.object)
         model = prepared.model

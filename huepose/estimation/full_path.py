@@ -21,7 +21,7 @@ from huepose.verification.dense import score_many
 from huepose.verification.local_search import search
 from huepose.verification.region import Region
 
-COARSE_SAMPLES, SEARCH_SAMPLES, FINE_SAMPLES = 350, 160, 800
+COARSE_SAMPLES, FINE_SAMPLES = 350, 800
 FINAL_TURN_RAD, FINAL_SHIFT = 0.2, 0.05
 """Poses closer than this (shift in diameters) are one answer."""
 
@@ -32,7 +32,7 @@ def estimate_full(
     """Different poses (K, 4, 4) and their totals (K,), best first. `extra` (E, 4, 4): refined poses from
     elsewhere, judged with the others."""
     with stage("retrieval"):
-        views = retrieve(table, evidence.picture, evidence.sources, config.retrieved)
+        views = retrieve(table, evidence.picture, evidence.sources, config.retrieved, config.closer)
     with stage("icp"):
         aligned = [
             _icp(model, points, views.poses[views.masks == k], 0.1 * model.diameter_m, 0.008, 12)
@@ -55,7 +55,7 @@ def refine_coarse(model: ReferenceModel, region: Region, poses: Float64, config:
         poses, totals = np.concatenate([poses, turned]), np.concatenate([totals, turned_totals])
         poses = poses[different_poses(model, poses, totals, config.searched)]
     with stage("search"):
-        searched, _ = search(model, region, poses, (8.0, 4.0, 2.0, 1.0), SEARCH_SAMPLES)
+        searched, _ = search(model, region, poses, (8.0, 4.0, 2.0, 1.0), config.samples)
     with stage("icp"):
         settled = _icp(model, region.points_cam, searched, 0.012, 0.006, 5)
     return np.concatenate([searched, settled])

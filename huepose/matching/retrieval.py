@@ -33,8 +33,8 @@ RELIEF = 0.05
 CHANNEL_WEIGHTS = (0.35, 1.0, 1.0)
 CHANNEL_FLOOR = 9.0
 DEPTH_WEIGHT, OVERLAP_WEIGHT, FREE_WEIGHT, FULL_WEIGHT = 0.8, 1.0, 0.8, 0.3
-CLOSER, CLOSEST = 700, 80
-"""Templates a mask that get the close look, and that are tried a cell to each side."""
+CLOSER, CLOSEST = 1500, 200
+"""Templates a mask that get the close look, and that are tried a cell to each side, unless said otherwise."""
 
 QUICK_WEIGHT = 0.5
 """What the quick look's score counts beside the close look's."""
@@ -66,14 +66,21 @@ class Retrieved:
     masks: Int64
 
 
-def retrieve(table: TemplateTable, picture: Picture, masks: Sequence[Bool], count: int) -> Retrieved:
+def retrieve(
+    table: TemplateTable,
+    picture: Picture,
+    masks: Sequence[Bool],
+    count: int,
+    closer: tuple[int, int] = (CLOSER, CLOSEST),
+) -> Retrieved:
     """The `count` best views under candidate masks (h, w), rotations at least 18 degrees apart; none where
-    no mask has a pixel with depth."""
+    no mask has a pixel with depth. closer: templates a mask that get the close look, and that are tried a
+    cell to each side."""
     poses, scores, origin = [np.zeros((0, 4, 4))], [np.zeros(0)], [np.zeros(0, np.int64)]
     for k, mask in enumerate(masks):
         seen = mask & (picture.depth > 0)
         if seen.any():
-            found, rated = _under_mask(table, picture, seen)
+            found, rated = _under_mask(table, picture, seen, *closer)
             poses.append(found)
             scores.append(rated)
             origin.append(np.full(len(found), k))
@@ -96,7 +103,9 @@ def distinct(poses: Float64, count: int) -> list[int]:
     return chosen
 
 
-def _under_mask(table: TemplateTable, picture: Picture, mask: Bool) -> tuple[Float64, Float64]:
+def _under_mask(
+    table: TemplateTable, picture: Picture, mask: Bool, closer: int, closest: int
+) -> tuple[Float64, Float64]:
     """The best poses (K, 4, 4) and their scores (K,) round one mask."""
     middle_m = float(np.median(picture.depth[mask]))
     rows, columns = np.nonzero(mask)
@@ -105,7 +114,7 @@ def _under_mask(table: TemplateTable, picture: Picture, mask: Bool) -> tuple[Flo
     windows = _windows(picture, mask, centre, span / COARSE_SIDE, middle_m, table.diameter_m)
     which, quick = _quick_look(table, windows)
 
-    ranked = np.argsort(-quick, kind="stable")[:CLOSER]
+    ranked = np.argsort(-quick, kind="stable")[:closer]
     side = table.cells.shape[1]
     places = np.array([(x, y) for y in SHIFTS for x in SHIFTS]) * (side / COARSE_SIDE)
     shifts = np.rint(places[which[ranked]]).astype(np.int64)
@@ -114,7 +123,7 @@ def _under_mask(table: TemplateTable, picture: Picture, mask: Bool) -> tuple[Flo
     rated, depth_mm = check_templates(table, canvas, ranked, shifts, margin)
     rated += QUICK_WEIGHT * quick[ranked]
 
-    best = np.argsort(-rated, kind="stable")[:CLOSEST]
+    best = np.argsort(-rated, kind="stable")[:closest]
     steps = np.array([(x, y) for y in (-1, 0, 1) for x in (-1, 0, 1)])
     near = np.clip(shifts[best][:, None] + steps, -margin, margin).reshape(-1, 2)
     again = np.repeat(ranked[best], len(steps))

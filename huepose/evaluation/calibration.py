@@ -66,7 +66,7 @@ class Judged:
 
     def only(self, chosen: Bool) -> Judged:
         """Those of a mask (N,); none counts as missed."""
-        keep = np.flatnonzero(chosen)
+        keep = np.flatnonzero(chosen).tolist()
         return Judged(
             [self.terms[k] for k in keep],
             self.right[keep],

@@ -67,6 +67,8 @@ def _of_logarithms(log: Float32) -> Float32:
 
 def opponents_of_lab(lab: Float) -> Float32:
     """The same (..., 3) of CIELAB colours (..., 3), L 0..100."""
+    if not lab.size:  # OpenCV converts no empty pictures
+        return np.zeros(lab.shape, np.float32)
     flat = np.ascontiguousarray(lab, dtype=np.float32).reshape(1, -1, 3)
     linear = np.asarray(cv2.cvtColor(flat, cv2.COLOR_Lab2LRGB), dtype=np.float32)
     return opponents(np.clip(linear, 0.0, 1.0)).reshape(lab.shape)

@@ -89,8 +89,11 @@ class Worth:
     right: int
 
 
-def read_judged(path: Path | str) -> Judged:
-    """The found poses of a result file of `huepose eval estimate`, false ones included. Raises InputError."""
+def read_judged(path: Path | str, absent: bool = False) -> Judged:
+    """The found poses of a result file of `huepose eval estimate`, false ones included.
+
+    absent: what was shown only looks like what was asked for, as a box with another print does: all poses are
+    wrong. Raises InputError."""
     record = files.read_json(Path(path), "Make it with `huepose eval estimate --json`.")
     rows = files.field(record, "rows", path)
     false = record.get("false", [])
@@ -105,11 +108,11 @@ def read_judged(path: Path | str) -> Judged:
         )
     return Judged(
         [QualityTerms(**row["terms"]) for row in every],
-        np.array([bool(row["right"]) for row in found] + [False] * len(false)),
+        np.array([bool(row["right"]) and not absent for row in found] + [False] * len(false)),
         [(str(path), row["scene"], row["image"]) for row in every],
         np.array([float(row["quality"]) for row in every]),
-        np.array([1.0] * len(found) + [FALSE_WEIGHT] * len(false)),
-        len(rows) - len(found),
+        np.array([FALSE_WEIGHT if absent else 1.0] * len(found) + [FALSE_WEIGHT] * len(false)),
+        0 if absent else len(rows) - len(found),
     )
 
 

@@ -1,4 +1,6 @@
-from dataclasses import replace
+import json
+from dataclasses import asdict, replace
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -107,3 +109,16 @@ def test_a_weight_counts_as_so_many_poses() -> None:
     repeated = calibration.fit(often, ("margin", "total"))
     assert weighted.constant == pytest.approx(repeated.constant, rel=0.03)
     assert weighted.factors["margin"] == pytest.approx(repeated.factors["margin"], rel=0.03)
+
+
+def test_of_what_only_looks_alike_no_pose_is_right(tmp_path: Path) -> None:
+    row = {"scene": "a", "image": 1, "found": True, "right": True, "quality": 0.9, "terms": asdict(PLAIN)}
+    path = tmp_path / "result.json"
+    path.write_text(json.dumps({"rows": [row, {**row, "found": False}], "false": [row]}))
+    shown = calibration.read_judged(path)
+    assert shown.right.tolist() == [True, False]
+    assert shown.missed == 1
+    alike = calibration.read_judged(path, absent=True)
+    assert alike.right.tolist() == [False, False]
+    assert alike.weights.tolist() == [calibration.FALSE_WEIGHT] * 2
+    assert alike.missed == 0

@@ -194,6 +194,15 @@ def _add_calibrate(verbs: Any) -> None:
     parser.add_argument(
         "--check", type=Path, nargs="+", default=[], metavar="RESULT.json", help="to say what it is worth on"
     )
+    parser.add_argument(
+        "--absent",
+        type=Path,
+        nargs="+",
+        default=[],
+        metavar="RESULT.json",
+        help="to fit to as well: scenes of look-alikes (the same shapes with other prints), where every pose "
+        "is wrong",
+    )
     parser.add_argument("--method", choices=("full", "colorpair"), default="full")
     parser.add_argument(
         "--out",

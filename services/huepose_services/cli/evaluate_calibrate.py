@@ -26,7 +26,9 @@ def call(arguments: argparse.Namespace) -> int:
     checks = {path: calibration.read_judged(path) for path in arguments.check}
     rows: list[list[Any]] = []
     if arguments.results:
-        judged = reduce(lambda a, b: a + b, [calibration.read_judged(path) for path in arguments.results])
+        results = [calibration.read_judged(path) for path in arguments.results]
+        results += [calibration.read_judged(path, absent=True) for path in arguments.absent]
+        judged = reduce(lambda a, b: a + b, results)
         fit = calibration.fit(judged, calibration.FEATURES[arguments.method])
         entry = calibration.as_json(fit)
         held_out = calibration.held_out(judged, calibration.FEATURES[arguments.method])

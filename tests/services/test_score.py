@@ -145,3 +145,16 @@ def test_the_report_names_every_object_and_says_what_is_unknown():
     thing = next(line for line in lines if line.startswith("thing"))
     assert thing.split() == ["thing", "0.00", "0.00", "100.0", "0.00", "100.0", "0"]
     assert next(line for line in lines if line.startswith("camera")).split()[-2:] == ["-", "-"]
+
+
+def test_frames_before_all_workers_were_there_do_not_count():
+    score = Score({"thing": Yardstick.of(POINTS, 0.17)})
+    score.begin(20 * SECOND // 10)
+    for i in range(50):
+        score.add_truth(_truth(i))
+        score.add_pose(_pose(i, "SEARCHING" if i < 20 else "TRACKING"))
+    summary = score.summary(5 * SECOND)
+    assert score.first_ns == 2 * SECOND
+    assert summary["frames"] == 30
+    assert summary["recall_add"] == 100.0
+    assert summary["confirmed_after_s"] == 0.0

@@ -91,9 +91,10 @@ def _tinted(frame: RgbdFrame, mask: Bool) -> UInt8:
 
 def write_picture(path: Path, picture: UInt8) -> None:
     """Write an RGB picture (H, W, 3) as its ending says. Raises InputError where that cannot be."""
-    ok, data = cv2.imencode(path.suffix.lower() or ".png", picture[..., ::-1])
-    if not ok:
+    ending = path.suffix.lower() or ".png"
+    if not cv2.haveImageWriter(f"picture{ending}"):
         raise InputError(path, found="a picture that cannot be encoded", expected="an ending such as .png")
+    data = cv2.imencode(ending, picture[..., ::-1])[1]
     path.parent.mkdir(parents=True, exist_ok=True)
     path.write_bytes(data.tobytes())
 

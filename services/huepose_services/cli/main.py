@@ -7,9 +7,11 @@ imported when it runs, so that `huepose --help` answers at once.
 from __future__ import annotations
 
 import argparse
+import errno
 import os
 import sys
 from importlib import import_module
+from pathlib import Path
 
 # In the order in which `huepose --help` lists them.
 _VERBS = (
@@ -23,6 +25,13 @@ _OF_EXTRAS = {
     **dict.fromkeys(("torch", "onnx", "onnxscript"), "train"),
     "rerun": "viewer",
 }
+# Options that say where results go.
+_OUTPUTS = ("out", "json", "csv", "image", "explain", "plots", "save")
+# What a full, protected or odd disk answers; any other error of the system is a mistake of ours.
+_OF_THE_DISK = (
+    *(errno.EACCES, errno.EPERM, errno.EROFS, errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EIO),
+    *(errno.ENOENT, errno.ENOTDIR, errno.EISDIR, errno.EEXIST, errno.ENAMETOOLONG),
+)
 DONE, FAILED, BAD_INPUT, INTERRUPTED = 0, 1, 2, 130
 
 
@@ -42,12 +51,31 @@ def build_parser() -> argparse.ArgumentParser:
     return parser
 
 
+def check_outputs(parsed: argparse.Namespace) -> None:
+    """Look at the places that results go to before the work, not after it. Raises InputError."""
+    from huepose.support.errors import InputError
+
+    for option in _OUTPUTS:
+        path = getattr(parsed, option, None)
+        if not isinstance(path, Path):
+            continue
+        there = next(p for p in (path.absolute(), *path.absolute().parents) if p.exists())
+        if not os.access(there, os.W_OK):
+            found = f"{there} cannot be written"
+        elif there != path.absolute() and not there.is_dir():
+            found = f"{there} is no folder"
+        else:
+            continue
+        raise InputError(f"--{option} {path}", found=found, expected="a place that can be written")
+
+
 def main(arguments: list[str] | None = None) -> int:
     """Run a command line. Returns the exit code."""
     parsed = build_parser().parse_args(arguments)
     from huepose.support.errors import InputError
 
     try:
+        check_outputs(parsed)
         code: int = parsed.call(parsed)
         return code
     except InputError as error:
@@ -69,6 +97,12 @@ def main(arguments: list[str] | None = None) -> int:
         # The reader of our output has left: nothing more to say, and nothing to flush at exit.
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return DONE
+    except OSError as error:
+        if error.errno not in _OF_THE_DISK:
+            raise
+        reason = error.strerror or str(error)
+        print(f"huepose {parsed.verb}: {error.filename or 'a file'}: found {reason}.", file=sys.stderr)
+        return BAD_INPUT
 
 
 if __name__ == "__main__":

@@ -22,7 +22,7 @@ from huepose_protos.messages import HealthMessage, Message, PoseMessage, TruthMe
 from huepose_services.builtin import builtin_bundles
 from huepose_services.demo.score import Score, Yardstick
 from huepose_services.demo.table import Table
-from huepose_services.runtime.clock import SECOND
+from huepose_services.runtime.clock import SECOND, now_ns
 from huepose_services.runtime.config import WORKERS, Config, load
 from huepose_services.runtime.supervisor import Supervisor
 
@@ -111,6 +111,8 @@ def _observe(
     try:
         with Reader(endpoints, config.keys.poses, config.keys.truth, config.keys.health()) as reader:
             _wait_until_ready(supervisor, stopping)
+            # The camera was there long before the last worker, whose kernels a first start compiles.
+            score.begin(now_ns())
             started = time.monotonic()
             while not stopping():
                 supervisor.poll(0.0)

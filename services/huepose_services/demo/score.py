@@ -61,9 +61,16 @@ class Score:
         self._poses: dict[str, dict[int, PoseMessage]] = {name: {} for name in yardsticks}
         self.first_ns: int | None = None
         self.last_ns = 0
+        self._begin_ns = 0
+
+    def begin(self, now_ns: int) -> None:
+        """What was captured before does not count: not all workers were there."""
+        self._begin_ns = now_ns
 
     def add_truth(self, truth: TruthMessage) -> None:
         """Remember where everything was at a frame."""
+        if truth.capture_ns < self._begin_ns:
+            return
         self.first_ns = truth.capture_ns if self.first_ns is None else self.first_ns
         self.last_ns = max(self.last_ns, truth.capture_ns)
         for item in truth.objects:
@@ -74,6 +81,8 @@ class Score:
 
     def add_pose(self, pose: PoseMessage) -> None:
         """Remember what was published; of several tracks of an object the surest counts."""
+        if pose.capture_ns < self._begin_ns:
+            return
         mine = self._poses.get(pose.object)
         if mine is not None and (pose.frame_id not in mine or mine[pose.frame_id].quality < pose.quality):
             mine[pose.frame_id] = pose

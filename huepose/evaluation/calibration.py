@@ -116,10 +116,12 @@ def read_judged(path: Path | str, absent: bool = False) -> Judged:
     )
 
 
-def fit(judged: Judged, names: Sequence[str]) -> QualityFit:
+def fit(judged: Judged, names: Sequence[str], alike: int = 0) -> QualityFit:
     """The fit on all of `judged`, its level from folds that their own fit has not seen.
 
-    names: of the features to use. Raises InputError when all or none are right."""
+    names: of the features to use; alike: so many poses at the end are of look-alikes, which are fitted to,
+    but which say nothing of how often one is right where the object is there: the level leaves them out. Raises
+    InputError when all or none are right."""
     if judged.right.all() or not judged.right.any():
         raise InputError(
             "calibration",
@@ -128,7 +130,8 @@ def fit(judged: Judged, names: Sequence[str]) -> QualityFit:
             fix="Use more or harder scenes.",
         )
     constant, factors = _logistic(_matrix(judged.terms, names), judged.right, judged.weights)
-    level = level_of(held_out(judged, names), judged.right, judged.weights)
+    shown = slice(len(judged.right) - alike)
+    level = level_of(held_out(judged, names)[shown], judged.right[shown], judged.weights[shown])
     return QualityFit(constant, dict(zip(names, factors.tolist(), strict=True)), level)
 
 

@@ -122,3 +122,18 @@ def test_of_what_only_looks_alike_no_pose_is_right(tmp_path: Path) -> None:
     assert alike.right.tolist() == [False, False]
     assert alike.weights.tolist() == [calibration.FALSE_WEIGHT] * 2
     assert alike.missed == 0
+
+
+def test_look_alikes_lower_quality_and_leave_the_level_to_the_others() -> None:
+    judged, _ = drawn(2000, 3)
+    names = ("margin", "total")
+    alone = calibration.fit(judged, names)
+    surest = [replace(PLAIN, margin=MAX_MARGIN, total=2.5)] * 300
+    nothing = np.zeros(300)
+    alike = Judged(surest, nothing > 0, [-k for k in range(300)], nothing, nothing + 0.2)
+    both = calibration.fit(judged + alike, names, alike=300)
+    assert both(surest[0]) < alone(surest[0]) - 0.01
+    held_out = calibration.held_out(judged + alike, names)[:2000]
+    assert both.level == calibration.level_of(held_out, judged.right)
+    over = held_out >= both.level
+    assert judged.right[over].mean() >= 0.99

@@ -27,13 +27,14 @@ def call(arguments: argparse.Namespace) -> int:
     rows: list[list[Any]] = []
     if arguments.results:
         results = [calibration.read_judged(path) for path in arguments.results]
-        results += [calibration.read_judged(path, absent=True) for path in arguments.absent]
-        judged = reduce(lambda a, b: a + b, results)
-        fit = calibration.fit(judged, calibration.FEATURES[arguments.method])
+        alike = [calibration.read_judged(path, absent=True) for path in arguments.absent]
+        judged = reduce(lambda a, b: a + b, [*results, *alike])
+        names = calibration.FEATURES[arguments.method]
+        fit = calibration.fit(judged, names, sum(len(part.right) for part in alike))
         entry = calibration.as_json(fit)
-        held_out = calibration.held_out(judged, calibration.FEATURES[arguments.method])
+        held_out = calibration.held_out(judged, names)
         own = judged.weights == 1.0
-        for name, part in (("fitted to, held out", own), ("boxes of others, held out", ~own)):
+        for name, part in (("fitted to, held out", own), ("others and look-alikes, held out", ~own)):
             if part.any():
                 rows.append(_row(name, calibration.worth(held_out[part], judged.only(part), fit.level)))
         _draw(arguments.plots, "calibration", held_out[own], judged.only(own))

@@ -120,7 +120,7 @@ def fit(judged: Judged, names: Sequence[str], alike: int = 0) -> QualityFit:
     """The fit on all of `judged`, its level from folds that their own fit has not seen.
 
     names: of the features to use; alike: so many poses at the end are of look-alikes, which are fitted to,
-    but which say nothing of how often one is right where the object is there: the level leaves them out. Raises
+    but say nothing of how often one is right where the object is there: the level leaves them out. Raises
     InputError when all or none are right."""
     if judged.right.all() or not judged.right.any():
         raise InputError(

@@ -68,7 +68,7 @@ def clear_view(frame: RgbdFrame, largest_m: float) -> ClearView | None:
         return None
     width, height = frame.camera.width, frame.camera.height
     rows, columns = bounds.grown(0.0, MARGIN_PX).slices(width, height)
-    depth, clear = frame.depth[rows, columns].copy(), clear[rows, columns]
+    depth, clear = frame.depth[rows, columns].copy(), np.ascontiguousarray(clear[rows, columns])
     depth[~clear & (depth > 0)] = FAR_M
     color = np.ascontiguousarray(frame.color[rows, columns])
     camera: Camera = frame.camera.cropped(columns.start, rows.start, depth.shape[1], depth.shape[0])

@@ -1,0 +1,38 @@
+"""A kernel that is compiled at the first real search holds it up for longer than a worker may be silent."""
+
+from __future__ import annotations
+
+import gc
+from collections.abc import Callable
+
+import numpy as np
+from numba.core.dispatcher import Dispatcher
+
+from huepose.geometry import RgbdFrame
+from huepose.model.types import ReferenceModel
+from huepose.perception.clear_view import clear_view
+from huepose.perception.colorpair_detector import ColorPairDetector
+
+
+def compiled() -> dict[str, int]:
+    """How often each kernel was compiled, or read from the cache: once for each layout of its arrays."""
+    kernels = [k for k in gc.get_objects() if isinstance(k, Dispatcher)]
+    return {f"{k.py_func.__module__}.{k.py_func.__name__}": len(k.signatures) for k in kernels}
+
+
+def test_no_kernel_is_compiled_after_the_warm_up(
+    tea_box: ReferenceModel, take_picture: Callable[..., RgbdFrame], standing: np.ndarray
+) -> None:
+    detector = ColorPairDetector({"tea_box": tea_box})
+    detector.warm_up()
+    before = compiled()
+    wide = take_picture([(tea_box.mesh, standing)])
+    view = clear_view(wide, tea_box.diameter_m)
+    assert view is not None
+    crop = view.crop
+    x, y, camera = crop.x0, crop.y0, crop.camera
+    depth = wide.depth[y : y + camera.height, x : x + camera.width].copy()
+    filled = RgbdFrame(crop.color, depth, camera)  # what stands reaches from side to side
+    for frame in (wide, filled):
+        assert detector.detect(frame, ["tea_box"])
+    assert compiled() == before

@@ -73,7 +73,10 @@ def call(arguments: argparse.Namespace) -> int:
     pipeline = chosen(arguments)
     reply = ask(pipeline, request)
     if reply is None:
-        print(f"huepose objects: no pipeline answers at {pipeline.endpoints[2]}", file=sys.stderr)
+        print(
+            f"huepose objects: no pipeline answers at {pipeline.endpoints[2]}; `huepose up` starts one",
+            file=sys.stderr,
+        )
         return 1
     if not reply.done:
         print(f"huepose objects {arguments.action}: {reply.text}", file=sys.stderr)

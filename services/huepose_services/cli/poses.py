@@ -58,7 +58,11 @@ def call(arguments: argparse.Namespace) -> int:
                 elif not reader.seen:
                     if time.monotonic() > told:
                         told = float("inf")
-                        print(f"waiting for a pipeline at {endpoints[0]}", file=sys.stderr, flush=True)
+                        print(
+                            f"waiting for a pipeline at {endpoints[0]}; `huepose up` starts one",
+                            file=sys.stderr,
+                            flush=True,
+                        )
                     before, pipeline = pipeline, chosen(arguments)
                     again = pipeline != before
                     if again:

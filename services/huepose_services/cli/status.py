@@ -35,7 +35,10 @@ def call(arguments: argparse.Namespace) -> int:
     if arguments.json:
         print(_as_json(view))
     elif not view.seen:
-        print(f"huepose status: no pipeline runs at port {pipeline.base_port}", file=sys.stderr)
+        print(
+            f"huepose status: no pipeline runs at port {pipeline.base_port}; `huepose up` starts one",
+            file=sys.stderr,
+        )
     else:
         print(as_text(view))
     return 0 if view.well else 1

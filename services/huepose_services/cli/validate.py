@@ -24,7 +24,8 @@ def call(arguments: argparse.Namespace) -> int:
 
     config = load(arguments.config)
     check(config)
-    names = ", ".join(item.name for item in config.objects) or "the built-in ones"
+    every = "the built-in ones" if config.bundles is None else f"all of {config.bundles}"
+    names = ", ".join(item.name for item in config.objects) or every
     print(f"{arguments.config}: good")
     print(f"  workers  {', '.join(config.workers)}")
     print(f"  camera   {config.camera.name}: {config.camera.source} {config.camera.path or ''}".rstrip())

@@ -3,10 +3,9 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import Annotated, Literal
 
 import msgspec
-import yaml
 from msgspec import Meta
 
 from huepose.support.errors import InputError
@@ -25,6 +24,7 @@ from huepose_services.runtime.config_perception import (
     check_detector,
     check_segmenter,
 )
+from huepose_services.runtime.config_text import read_yaml
 
 DEFAULT_FILE = "pipeline.yaml"
 
@@ -158,12 +158,7 @@ def load(path: Path) -> Config:
 
 def parse(text: str, path: Path) -> Config:
     """The configuration in a text; `path` names it in errors and is where relative paths start."""
-    try:
-        data: Any = yaml.safe_load(text)
-    except yaml.YAMLError as error:
-        raise InputError(
-            f"configuration {path}", found=" ".join(str(error).split()), expected="YAML"
-        ) from None
+    data = read_yaml(text, path)
     try:
         config = msgspec.convert(data if data is not None else {}, Config)
     except msgspec.ValidationError as error:

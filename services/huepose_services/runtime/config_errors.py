@@ -16,6 +16,21 @@ from huepose.support.errors import InputError
 _AT = re.compile(r"^(?P<text>.*?)(?: - at `(?P<at>[^`]*)`)?$", re.DOTALL)
 _UNKNOWN = re.compile(r"Object contains unknown field `(?P<key>.*)`")
 _MISSING = re.compile(r"Object missing required field `(?P<key>.*)`")
+# msgspec's words, and ours.
+_WORDS = (
+    (r"^str matching regex '\^\[a-z0-9_-\]\{1,64\}\$'$", "1 to 64 of a-z, 0-9, _ and -"),
+    (r"^str matching regex '\^\[\^/.*:.*\$'$", "ADDRESS:PORT"),
+    (r"\bint\b", "a whole number"),
+    (r"\bfloat\b", "a number"),
+    (r"\bbool\b", "true or false"),
+    (r"\bstr\b", "a text"),
+    (r"\bobject\b", "keys with values"),
+    (r"\barray\b", "a list"),
+    (r" >= ([\d.]+?)(?:\.0)?$", r" of \1 or more"),
+    (r" <= ([\d.]+?)(?:\.0)?$", r" of \1 or less"),
+    (r" > ([\d.]+?)(?:\.0)?$", r" over \1"),
+    (r" < ([\d.]+?)(?:\.0)?$", r" under \1"),
+)
 
 
 def explain(error: msgspec.ValidationError, data: Any, config: type, path: Path) -> InputError:
@@ -48,7 +63,9 @@ def _allowed(text: str, kind: Any) -> str:
     if text.startswith("Invalid enum value"):
         text = f"Expected one of {', '.join(names)}" + (", or a number" if float in _parts(kind) else "")
     expected = re.sub(r", got .*$", "", text).removeprefix("Expected ").replace("`", "")
-    return expected.replace("object", "keys with values").replace("array", "a list")
+    for pattern, words in _WORDS:
+        expected = re.sub(pattern, words, expected)
+    return expected
 
 
 def _parts(kind: Any) -> list[Any]:

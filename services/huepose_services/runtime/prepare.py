@@ -24,9 +24,11 @@ def prepare(config: Config) -> None:
 
 def check(config: Config) -> None:
     """Whether a configuration can be started; changes nothing."""
-    from huepose.model.io import model_path
+    from huepose.model.io import load_models, model_path
 
     if config.bundles is not None:
+        if not config.objects and set(config.workers) != {"camera"}:
+            load_models(config.bundles, [])  # there must be some
         for item in config.objects:
             if not model_path(config.bundles, item.name).is_file():
                 _unknown(config, item.name)

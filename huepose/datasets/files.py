@@ -100,8 +100,16 @@ def _decode(path: Path, flags: int, fix: str) -> np.ndarray:
 
 def read_color(path: Path, fix: str = "") -> UInt8:
     """Colour picture (H, W, 3) uint8 RGB; grey ones are spread, alpha is dropped. Raises InputError."""
-    flags = cv2.IMREAD_COLOR | cv2.IMREAD_IGNORE_ORIENTATION
-    return np.ascontiguousarray(_decode(path, flags, fix)[..., ::-1], dtype=np.uint8)
+    flags = cv2.IMREAD_COLOR | cv2.IMREAD_ANYDEPTH | cv2.IMREAD_IGNORE_ORIENTATION
+    image = _decode(path, flags, fix)
+    if image.dtype != np.uint8:
+        raise InputError(
+            path,
+            found=f"{image.dtype} values",
+            expected="a colour picture of 8 bit values",
+            fix="Give the colour picture here; 16 bit values are usually depth.",
+        )
+    return np.ascontiguousarray(image[..., ::-1])
 
 
 def read_depth(path: Path, scale_m: float, fix: str = "") -> Float32:

@@ -11,12 +11,17 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from huepose.datasets import files
 from huepose.datasets.rectify import Rectifier, checked_coefficients
-from huepose.geometry.arrays import Float64
+from huepose.geometry.arrays import Float32, Float64
 from huepose.geometry.camera import Camera
 from huepose.geometry.frame import RgbdFrame
 from huepose.support.errors import InputError
+
+NEAREST_M, FARTHEST_M = 0.02, 50.0
+"""A picture whose median depth lies outside was read in wrong units."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -109,6 +114,21 @@ def read_frame(color: Path | str, depth: Path | str, camera: Path | str) -> Rgbd
     else:
         depth_m = files.read_depth(depth_path, intrinsics.depth_scale_m)
     files.same_size(image, color_path, depth_m, depth_path)
+    _check_units(depth_m, depth_path, intrinsics.path)
     pinhole = intrinsics.camera(image.shape[1], image.shape[0], color_path)
     rectifier = Rectifier(pinhole, intrinsics.distortion)
     return RgbdFrame(rectifier.color(image), rectifier.depth(depth_m), pinhole, frame_id=number)
+
+
+def _check_units(depth_m: Float32, path: Path, camera: Path) -> None:
+    """Raises InputError where no depth camera gives such depth: it was read in other units than its own."""
+    seen = depth_m[depth_m > 0]
+    median_m = float(np.median(seen)) if seen.size else None
+    if median_m is not None and not NEAREST_M < median_m < FARTHEST_M:
+        raise InputError(
+            path,
+            found=f"a median depth of {median_m:.4g} m",
+            expected=f"{NEAREST_M:g} to {FARTHEST_M:g} m",
+            fix=f"Correct the depth scale in {camera}: 'depth_scale_m' is metres a depth value, "
+            "BOP's 'depth_scale' millimetres.",
+        )

@@ -124,3 +124,17 @@ def test_a_file_with_its_size_missing_takes_that_of_the_picture(files) -> None:
     camera = files[2]
     camera.write_text(json.dumps(MATRIX))
     assert read_camera(camera).camera(32, 20, files[0]).width == 32
+
+
+@pytest.mark.parametrize("scale_m", [1.0, 1e-7])
+def test_depth_in_wrong_units_is_an_error(files, scale_m: float) -> None:
+    color, depth, camera = files
+    camera.write_text(json.dumps({**OWN, "depth_scale_m": scale_m}))
+    with pytest.raises(InputError, match=r"a median depth of .* Correct the depth scale in .*camera.json"):
+        read_frame(color, depth, camera)
+
+
+def test_depth_in_the_place_of_colour_is_an_error(files) -> None:
+    _, depth, camera = files
+    with pytest.raises(InputError, match=r"found uint16 values; expected a colour picture of 8 bit values"):
+        read_frame(depth, depth, camera)

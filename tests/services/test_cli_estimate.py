@@ -104,7 +104,9 @@ def test_nothing_in_the_box_is_an_answer(files: list[str], capsys: pytest.Captur
 @pytest.mark.parametrize(
     ("arguments", "says"),
     [
-        (["--box", "1", "2", "0", "5"], "a width and a height over 0"),
+        (["--box", "1", "2", "0", "5"], "--box: found 1 2 0 5; expected left, top, width and height"),
+        (["--box", "nan", "2", "30", "50"], "--box: found nan 2 30 50"),
+        (["--box", "5000", "2", "30", "50"], "--box: found 5000 2 30 50"),
         (["--box", "1", "2", "30", "50", "--object", "coffee"], "coffee"),
     ],
 )

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 import json
+import math
 from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -55,8 +56,8 @@ def call(arguments: argparse.Namespace) -> int:
     from huepose.estimation import Estimator, EstimatorConfig
     from huepose.model import load_models
 
-    box = _box(arguments.box)
     frame = read_frame(arguments.color, arguments.depth, arguments.camera)
+    box = _box(arguments.box, frame)
     models = load_models(arguments.bundles, arguments.object)
     names = list(dict.fromkeys(arguments.object or sorted(models)))
     estimator = Estimator(models, EstimatorConfig(method=arguments.method))
@@ -80,15 +81,20 @@ def call(arguments: argparse.Namespace) -> int:
     return 0
 
 
-def _box(given: list[float] | None) -> Box | None:
+def _box(given: list[float] | None, frame: RgbdFrame) -> Box | None:
     from huepose.geometry import Box
     from huepose.support.errors import InputError
 
     if given is None:
         return None
-    box = Box(*given)
-    if box.w <= 0 or box.h <= 0:
-        raise InputError("--box", found=f"{box.w:g} x {box.h:g}", expected="a width and a height over 0")
+    box, camera = Box(*given), frame.camera
+    inside = -box.w < box.x < camera.width and -box.h < box.y < camera.height
+    if not all(map(math.isfinite, box)) or box.w <= 0 or box.h <= 0 or not inside:
+        raise InputError(
+            "--box",
+            found=" ".join(f"{value:g}" for value in box),
+            expected=f"left, top, width and height in a picture of {camera.width} x {camera.height} pixels",
+        )
     return box
 
 

@@ -63,13 +63,11 @@ def call(arguments: argparse.Namespace) -> int:
     try:
         request = msgspec.convert(message, ControlRequest)
     except msgspec.ValidationError as error:
-        text = " ".join(str(error).split())
         raise InputError(
-            f"huepose objects {arguments.action}",
+            arguments.action,
             found=f"{message['object']}, box {box}" if box else str(message["object"]),
             expected="a name of a-z, 0-9, _ and -, and a box with sides that are not negative",
-            fix=text,
-        ) from None
+        ) from error
     pipeline = chosen(arguments)
     reply = ask(pipeline, request)
     if reply is None:

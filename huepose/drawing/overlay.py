@@ -5,8 +5,6 @@ Images are (H, W, 3) uint8 RGB, colours RGB triples, pixels (u, v) with integer 
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-
 import cv2
 import numpy as np
 
@@ -87,14 +85,6 @@ def draw_axes(image: UInt8, camera: Camera, T_cam_obj: Float, length_m: float) -
     return picture
 
 
-def draw_box(image: UInt8, box: Box, color: Colour, label: str = "", thickness: int = 2) -> UInt8:
-    """A rectangle around the pixels of a box, with a label on its upper edge."""
-    picture = image.copy()
-    low = (round(box.x), round(box.y))
-    cv2.rectangle(picture, low, (round(box.x1) - 1, round(box.y1) - 1), color, thickness)
-    return draw_label(picture, label, (box.x, box.y - 4), color) if label else picture
-
-
 def draw_label(image: UInt8, text: str, at: tuple[float, float], color: Colour, scale: float = 0.5) -> UInt8:
     """Text on a plate of `color` whose lower left corner is `at`, moved so that it lies inside the image."""
     picture = image.copy()
@@ -115,18 +105,4 @@ def draw_color_pairs(image: UInt8, pixels: Float, colors: UInt8, radius: int = 3
         cv2.circle(picture, (u, v), radius + 1, (255, 255, 255), -1, cv2.LINE_AA)
         cv2.ellipse(picture, (u, v), (radius, radius), 0, 90, 270, one, -1, cv2.LINE_AA)
         cv2.ellipse(picture, (u, v), (radius, radius), 0, -90, 90, other, -1, cv2.LINE_AA)
-    return picture
-
-
-def draw_flow(
-    image: UInt8, start: Float, end: Float, color: Colour, kept: Bool | Sequence[bool] | None = None
-) -> UInt8:
-    """Arrows from pixels (N, 2) to pixels (N, 2); those that were not `kept` (N,) are drawn thin and grey."""
-    picture = image.copy()
-    keep = np.ones(len(start), bool) if kept is None else np.asarray(kept, bool)
-    for k in np.argsort(keep):  # rejected ones below
-        a, b = (tuple(int(v) for v in np.rint(np.asarray(p) * 16)) for p in (start[k], end[k]))
-        ink = color if keep[k] else (140, 140, 140)
-        cv2.line(picture, a, b, ink, 2 if keep[k] else 1, cv2.LINE_AA, 4)
-        cv2.circle(picture, b, 24, ink, -1, cv2.LINE_AA, 4)
     return picture

@@ -33,23 +33,6 @@ def line_plot(
     return canvas.picture
 
 
-def scatter_plot(
-    series: Series,
-    title: str = "",
-    x_label: str = "",
-    y_label: str = "",
-    x_range: Range | None = None,
-    y_range: Range | None = None,
-    size: tuple[int, int] = (720, 460),
-) -> UInt8:
-    """Dots by name: x (N,), y (N,)."""
-    canvas = _over(series, title, x_label, y_label, x_range, y_range, size)
-    for (x, y), color in zip(series.values(), _colours(len(series)), strict=True):
-        canvas.dots(x, y, color)
-    canvas.legend(list(series), _colours(len(series)))
-    return canvas.picture
-
-
 def histogram(
     values: Float,
     bins: int = 30,

@@ -22,15 +22,6 @@ def mean_rotation(rotations: Float, weights: Float | None = None) -> Float64:
     return rotation_from_quaternion(vectors[:, -1])
 
 
-def mean_pose(poses: Float, weights: Float | None = None) -> Float64:
-    """Weighted mean (4, 4) of poses (N, 4, 4): chordal mean rotation, mean translation."""
-    w = np.ones(len(poses)) if weights is None else np.asarray(weights, np.float64)
-    T = np.eye(4)
-    T[:3, :3] = mean_rotation(np.asarray(poses)[:, :3, :3], w)
-    T[:3, 3] = w @ np.asarray(poses)[:, :3, 3] / w.sum()
-    return T
-
-
 def angles_to(rotations: Float, reference: Float) -> Float64:
     """Geodesic distances (N,) in radians of rotations (N, 3, 3) to one (3, 3)."""
     trace = np.einsum("nij,ij->n", np.asarray(rotations, np.float64), np.asarray(reference, np.float64))

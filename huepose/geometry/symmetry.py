@@ -40,10 +40,3 @@ def sampled(entry: Mapping[str, Any], step_rad: float = np.pi / 36, unit_m: floa
         offset = np.array(symmetry.get("offset", [0, 0, 0]), np.float64) * unit_m
         continuous += [turn_about(symmetry["axis"], 2 * np.pi * k / steps, offset) for k in range(1, steps)]
     return np.stack([d @ c for d in discrete for c in continuous])
-
-
-def nearest_equivalent(T_cam_obj: Float, turns: Float, T_reference: Float) -> Float64:
-    """Of the poses `T_cam_obj @ turn`, the one whose rotation is nearest to that of `T_reference`."""
-    candidates = np.asarray(T_cam_obj) @ np.asarray(turns)
-    trace = np.einsum("nij,ij->n", candidates[:, :3, :3], np.asarray(T_reference)[:3, :3])
-    return np.asarray(candidates[int(np.argmax(trace))])

@@ -25,9 +25,3 @@ def grown(covariance: Float, seconds: float, accel_m_s2: float = 4.0, accel_rad_
     """`covariance` (6, 6) after `seconds` without a measurement: white acceleration of the given RMS."""
     s = 0.5 * np.array([accel_m_s2] * 3 + [accel_rad_s2] * 3) * seconds**2
     return np.asarray(covariance, np.float64) + np.diag(s**2)
-
-
-def moved_point_covariance(covariance: Float, lever_cam: Float) -> Float64:
-    """Covariance (3, 3) of a point at `lever_cam` (3,) from the object's origin, camera axes."""
-    J = np.hstack([np.eye(3), -se3.hat(np.asarray(lever_cam))])
-    return np.asarray(J @ np.asarray(covariance) @ J.T)

@@ -126,7 +126,7 @@ class ReinitLoop:
         self._next_ns = now_ns + round(self.config.period_ms * 1e6)
         self.counters.requests += 1
         deadline_ns = now_ns + round(self.config.deadline_ms * 1e6)
-        self._in_flight = Request(self.counters.requests, self._epoch, now_ns, deadline_ns, tuple(chosen))
+        self._in_flight = Request(self.counters.requests, self._epoch, deadline_ns, tuple(chosen))
         return self._in_flight
 
     def repeats(self, now_ns: int) -> list[Correction]:

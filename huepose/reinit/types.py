@@ -75,7 +75,6 @@ class Request:
 
     number: int
     epoch: int | None
-    issued_ns: int
     deadline_ns: int
     objects: tuple[RequestedObject, ...]
 

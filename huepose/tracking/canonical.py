@@ -61,15 +61,13 @@ def centroid(points: Float, weights: Float | None = None) -> Float64:
 class Canonical:
     """Two matched clouds without what does not matter.
 
-    features (N, 15) float32, see above; R_cam_canon_a, R_cam_canon_b (3, 3) and centroid_a, centroid_b (3,)
-    metres take canonical points back to the camera; size_m: the length that all was divided by.
+    features (N, 15) float32, see above; R_cam_canon_a, R_cam_canon_b (3, 3) turn canonical axes into the
+    camera's; size_m: the length that all was divided by.
     """
 
     features: Float32
     R_cam_canon_a: Float64
     R_cam_canon_b: Float64
-    centroid_a: Float64
-    centroid_b: Float64
     size_m: float
 
     def rotation(self, R_canon: Float) -> Float64:
@@ -97,7 +95,7 @@ def canonical(points_a: Float, points_b: Float, weights: Float | None = None) ->
     uv_a = _projected(p_a, float(np.linalg.norm(centre_a)))
     uv_b = _projected(p_b, float(np.linalg.norm(centre_b)))
     features = np.concatenate([p_a, p_b, uv_a, uv_b, p_b - p_a, uv_b - uv_a], 1) / size_m
-    return Canonical(features.astype(np.float32), R_a, R_b, centre_a, centre_b, size_m)
+    return Canonical(features.astype(np.float32), R_a, R_b, size_m)
 
 
 def _projected(points: Float64, distance_m: float) -> Float64:

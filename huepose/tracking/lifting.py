@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import cv2
 import numpy as np
 
 from huepose.geometry.arrays import Bool, Float, Float32, Float64
@@ -40,8 +39,3 @@ def lift(depth: Float32, camera: Camera, pixels: Float) -> tuple[Float64, Bool]:
     at = np.stack([x0 + (shares.argmax(1) % 2), y0 + shares.argmax(1) // 2], 1)
     points = camera.backproject(np.where(one_surface[:, None], p, at), np.where(known, z, 0.0))
     return np.where(known[:, None], points, 0.0), known
-
-
-def medianed(depth: Float32) -> Float32:
-    """Depth (H, W) after a 3 x 3 median: flying pixels and pinholes go, edges stay."""
-    return np.asarray(cv2.medianBlur(depth, 3), np.float32)

@@ -7,7 +7,7 @@ import pytest
 
 from huepose.datasets.shapes import demo_objects
 from huepose.drawing import overlay
-from huepose.geometry import Box, Camera, se3
+from huepose.geometry import Camera, se3
 from huepose.rendering import render_depth
 
 CAMERA = Camera(600.0, 600.0, 159.5, 119.5, 320, 240)
@@ -81,24 +81,15 @@ def test_tint_and_blend_mix_inside_the_mask_only() -> None:
     assert np.array_equal(changed(over), mask)
 
 
-def test_box_has_its_corners_and_label_stays_inside() -> None:
-    picture = overlay.draw_box(IMAGE, Box(50, 60, 40, 30), GREEN, thickness=1)
-    touched = changed(picture)
-    rows, columns = np.nonzero(touched)
-    assert (rows.min(), rows.max(), columns.min(), columns.max()) == (60, 89, 50, 89)
-    assert not touched[65:85, 55:85].any()
+def test_label_stays_inside() -> None:
     for at in ((-50, -50), (500, 500), (300, 5)):
         labelled = changed(overlay.draw_label(IMAGE, "name 0.98", at, GREEN))
         assert labelled.sum() == changed(overlay.draw_label(IMAGE, "name 0.98", (50, 100), GREEN)).sum()
 
 
-def test_color_pairs_show_both_colours_and_flow_its_ends() -> None:
+def test_color_pairs_show_both_colours() -> None:
     picture = overlay.draw_color_pairs(
         IMAGE, np.array([[50.0, 60.0]]), np.array([[[255, 0, 0], [0, 0, 255]]], np.uint8), 4
     )
     assert picture[60, 48].tolist() == [255, 0, 0]
     assert picture[60, 52].tolist() == [0, 0, 255]
-    start, end = np.array([[20.0, 20.0], [20.0, 60.0]]), np.array([[90.0, 20.0], [90.0, 60.0]])
-    flow = overlay.draw_flow(IMAGE, start, end, GREEN, [True, False])
-    assert tuple(flow[20, 50]) == GREEN
-    assert np.abs(flow[60, 50].astype(int) - 140).max() < 10

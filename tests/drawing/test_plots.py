@@ -107,7 +107,6 @@ def test_every_plot_takes_nothing() -> None:
     for picture in (
         plots.line_plot({}),
         plots.line_plot({"a": (empty, empty)}),
-        plots.scatter_plot({"a": (empty, empty)}),
         plots.histogram(empty),
         plots.reliability_plot(empty, np.empty(0, bool)),
     ):

@@ -81,7 +81,7 @@ def test_a_correction_comes_back_with_its_mask():
 def test_a_request_and_its_priors_come_back():
     prior = Prior(T, VELOCITY, COVARIANCE, 1_000_000_000)
     asked = (RequestedObject("thing", 4, prior), RequestedObject("other", None, None, 2))
-    message = _through(request_to_wire(Request(8, None, 10, 20, asked)))
+    message = _through(request_to_wire(Request(8, None, 20, asked)))
     assert isinstance(message, PerceptionRequest)
     assert (message.seq, message.camera_epoch, message.deadline_ns) == (8, None, 20)
     known, new = message.objects

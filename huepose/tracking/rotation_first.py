@@ -44,6 +44,16 @@ def translation_given(
     return np.asarray(t)
 
 
+def motion_given(R_b_a: Float, matches: LiftedMatches, inlier_m: float, min_inliers: int) -> Motion | None:
+    """The motion with a known rotation (3, 3); None when fewer than `min_inliers` matches lie within
+    `inlier_m` metres of it."""
+    t = translation_given(R_b_a, matches.points_a, matches.points_b, matches.weights, inlier_m)
+    T = se3.orthonormalised(se3.make(R_b_a, t))
+    miss = np.linalg.norm(se3.apply(T, matches.points_a) - matches.points_b, axis=1)
+    inliers = int((miss < inlier_m).sum())
+    return Motion(T, inliers, len(matches)) if inliers >= min_inliers else None
+
+
 @dataclass(frozen=True)
 class RotationFirst:
     """A RelativePose by a regressor. inlier_m: residual of a believed match, metres; min_inliers under which
@@ -59,8 +69,4 @@ class RotationFirst:
             return None
         seen = canonical(matches.points_a, matches.points_b, matches.weights)
         R = seen.rotation(self.regressor.regress(seen.features, matches.weights))
-        t = translation_given(R, matches.points_a, matches.points_b, matches.weights, self.inlier_m)
-        T = se3.make(R, t)
-        miss = np.linalg.norm(se3.apply(T, matches.points_a) - matches.points_b, axis=1)
-        inliers = int((miss < self.inlier_m).sum())
-        return Motion(T, inliers, len(matches)) if inliers >= self.min_inliers else None
+        return motion_given(R, matches, self.inlier_m, self.min_inliers)

@@ -17,7 +17,7 @@ from huepose.geometry.arrays import Float, Float32, Float64
 from huepose.support.errors import InputError
 from huepose.tracking.canonical import FEATURES, Canonical, canonical
 from huepose.tracking.relative_pose import LiftedMatches, Motion, RobustKabsch
-from huepose.tracking.rotation_first import RotationRegressor, translation_given
+from huepose.tracking.rotation_first import RotationRegressor, motion_given
 
 Kind = Literal["residual", "direct"]
 POINTS = 128
@@ -105,8 +105,4 @@ class ResidualRotation:
             return None
         left = question.seen.rotation(self.regressor.regress(question.seen.features, matches.weights))
         R = left @ question.R_first
-        t = translation_given(R, matches.points_a, matches.points_b, matches.weights, self.first.inlier_m)
-        T = se3.orthonormalised(se3.make(R, t))
-        miss = np.linalg.norm(se3.apply(T, matches.points_a) - matches.points_b, axis=1)
-        inliers = int((miss < self.first.inlier_m).sum())
-        return Motion(T, inliers, len(matches)) if inliers >= self.first.min_inliers else None
+        return motion_given(R, matches, self.first.inlier_m, self.first.min_inliers)

@@ -11,6 +11,7 @@ from huepose.geometry import se3
 from huepose.tracking.canonical import FEATURES, canonical, centroid, look_at
 from huepose.tracking.relative_pose import LiftedMatches
 from huepose.tracking.rotation_first import RotationFirst, translation_given
+from huepose.tracking.rotation_network import ResidualRotation
 
 places = st.tuples(st.floats(-0.6, 0.6), st.floats(-0.6, 0.6), st.floats(0.3, 1.5)).map(np.array)
 turns = st.tuples(*[st.floats(-0.9, 0.9)] * 3).map(np.array)
@@ -115,3 +116,24 @@ def test_rotation_first_with_a_regressor_that_knows(cloud) -> None:
     assert (motion.inliers, motion.matches) == (40, 40)
     few = LiftedMatches(a[:5], b[:5], none[:5], none[:5], weights[:5])
     assert RotationFirst(Knows()).estimate(few) is None
+
+
+def test_what_a_network_turns_comes_on_top_of_the_closed_form(cloud) -> None:
+    T = se3.make(se3.rotation_exp(np.array([0.1, 0.2, -0.1])), np.array([0.01, 0.02, -0.01]))
+    a = cloud + np.array([0.1, -0.1, 0.6])
+    b = se3.apply(T, a)
+    none = np.zeros((len(a), 2))
+    matches = LiftedMatches(a, b, none, none, np.ones(len(a)))
+
+    class Turns:
+        def __init__(self, angle_rad: float) -> None:
+            self.R = se3.rotation_exp(np.array([0.0, 0.0, angle_rad]))
+
+        def regress(self, features: np.ndarray, weights: np.ndarray) -> np.ndarray:
+            return self.R
+
+    same, turned = (ResidualRotation(Turns(angle)).estimate(matches) for angle in (0.0, 0.02))
+    assert same is not None
+    assert turned is not None
+    np.testing.assert_allclose(same.T_b_a[:3, :3] @ T[:3, :3].T, np.eye(3), atol=2e-3)
+    assert se3.rotation_angle(turned.T_b_a, same.T_b_a) == pytest.approx(0.02, abs=2e-3)

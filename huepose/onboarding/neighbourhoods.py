@@ -76,6 +76,24 @@ def _row(keys: Int64, shape: Int64, i: int, j: int, k: int) -> tuple[int, int]:
 
 
 @jit
+def _cell(at: Float64, low: Float64, size: float) -> tuple[int, int, int]:
+    """The cell (i, j, k) that a point (3,) lies in."""
+    return (
+        int(np.floor((at[0] - low[0]) / size)),
+        int(np.floor((at[1] - low[1]) / size)),
+        int(np.floor((at[2] - low[2]) / size)),
+    )
+
+
+@jit
+def _square_and_cosine(point: Float64, normal: Float64, at: Float64, facing: Float64) -> tuple[float, float]:
+    """Squared distance of two oriented points, and the cosine between their normals."""
+    d0, d1, d2 = point[0] - at[0], point[1] - at[1], point[2] - at[2]
+    cosine = normal[0] * facing[0] + normal[1] * facing[1] + normal[2] * facing[2]
+    return d0 * d0 + d1 * d1 + d2 * d2, cosine
+
+
+@jit
 def _gaussian(
     points: Float64,
     normals: Float64,
@@ -91,20 +109,12 @@ def _gaussian(
     weights: Float64,
 ) -> None:
     for q in range(at.shape[0]):
-        c0 = int(np.floor((at[q, 0] - low[0]) / size))
-        c1 = int(np.floor((at[q, 1] - low[1]) / size))
-        c2 = int(np.floor((at[q, 2] - low[2]) / size))
+        c0, c1, c2 = _cell(at[q], low, size)
         for i in range(c0 - 1, c0 + 2):
             for j in range(c1 - 1, c1 + 2):
                 first, last = _row(keys, shape, i, j, c2)
                 for m in range(first, last):
-                    d0, d1, d2 = points[m, 0] - at[q, 0], points[m, 1] - at[q, 1], points[m, 2] - at[q, 2]
-                    square = d0 * d0 + d1 * d1 + d2 * d2
-                    cosine = (
-                        normals[m, 0] * facing[q, 0]
-                        + normals[m, 1] * facing[q, 1]
-                        + normals[m, 2] * facing[q, 2]
-                    )
+                    square, cosine = _square_and_cosine(points[m], normals[m], at[q], facing[q])
                     if square > size * size or cosine <= 0.0:
                         continue
                     w = np.exp(-square / (2.0 * sigma * sigma)) * cosine
@@ -131,19 +141,12 @@ def _facing_sum(
     out: Float64,
 ) -> None:
     for q in range(at.shape[0]):
-        c0 = int(np.floor((at[q, 0] - low[0]) / size))
-        c1 = int(np.floor((at[q, 1] - low[1]) / size))
-        c2 = int(np.floor((at[q, 2] - low[2]) / size))
+        c0, c1, c2 = _cell(at[q], low, size)
         for i in range(c0 - 1, c0 + 2):
             for j in range(c1 - 1, c1 + 2):
                 first, last = _row(keys, shape, i, j, c2)
                 for m in range(first, last):
-                    d0, d1, d2 = points[m, 0] - at[q, 0], points[m, 1] - at[q, 1], points[m, 2] - at[q, 2]
-                    cosine = (
-                        normals[m, 0] * facing[q, 0]
-                        + normals[m, 1] * facing[q, 1]
-                        + normals[m, 2] * facing[q, 2]
-                    )
-                    if d0 * d0 + d1 * d1 + d2 * d2 <= size * size and cosine > least:
+                    square, cosine = _square_and_cosine(points[m], normals[m], at[q], facing[q])
+                    if square <= size * size and cosine > least:
                         for k in range(3):
                             out[q, k] += normals[m, k]

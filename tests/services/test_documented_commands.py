@@ -1,0 +1,45 @@
+"""Every command line in a block of the documentation is one that the program takes."""
+
+from __future__ import annotations
+
+import re
+import shlex
+from pathlib import Path
+
+import pytest
+
+from huepose_services.cli.main import build_parser
+
+ROOT = Path(__file__).parents[2]
+PAGES = [
+    *ROOT.glob("*.md"),
+    *ROOT.glob("docs/*.md"),
+    *ROOT.glob("protos/*.md"),
+    *ROOT.glob("benchmarks/*.md"),
+]
+# What stands for a number, or for two of a choice.
+STANDS_FOR = {"N": "1", "S": "1", "X": "1", "F": "0.5", "DIR|builtin": "DIR"}
+
+
+def documented() -> list[str]:
+    """The commands of all blocks: without prompts, paths to the program, comments and redirections."""
+    found = []
+    for page in PAGES:
+        blocks = re.findall(r"^```(\w*)\n(.*?)^```", page.read_text(), re.MULTILINE | re.DOTALL)
+        for block in (text for language, text in blocks if language in ("", "bash", "console")):
+            for line in re.sub(r"\\\n\s*", " ", block).splitlines():
+                match = re.match(r"(?:\$ )?(?:sudo )?(?:\S*/bin/)?huepose ([a-z].*)", line)
+                if match:
+                    found.append(re.split(r"\s#|\s[|>&]", match[1])[0].strip())
+    return sorted(set(found))
+
+
+def test_the_pages_show_commands():
+    assert len(documented()) > 30
+
+
+@pytest.mark.parametrize("line", documented())
+def test_a_documented_command_is_one(line):
+    words = [STANDS_FOR.get(word, word) for word in shlex.split(re.sub(r"[\[\]]|\.\.\.", "", line))]
+    parsed = build_parser().parse_args(words)
+    assert parsed.verb == words[0]

@@ -121,10 +121,12 @@ def read_frame(color: Path | str, depth: Path | str, camera: Path | str) -> Rgbd
 
 
 def _check_units(depth_m: Float32, path: Path, camera: Path) -> None:
-    """Raises InputError where no depth camera gives such depth: it was read in other units than its own."""
+    """Raises InputError where there is no depth, or none that a camera gives: it was read in wrong units."""
     seen = depth_m[depth_m > 0]
-    median_m = float(np.median(seen)) if seen.size else None
-    if median_m is not None and not NEAREST_M < median_m < FARTHEST_M:
+    if not seen.size:
+        raise InputError(path, found="no depth in any pixel", expected="a depth picture; 0 is no reading")
+    median_m = float(np.median(seen))
+    if not NEAREST_M < median_m < FARTHEST_M:
         raise InputError(
             path,
             found=f"a median depth of {median_m:.4g} m",

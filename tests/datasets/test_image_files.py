@@ -138,3 +138,10 @@ def test_depth_in_the_place_of_colour_is_an_error(files) -> None:
     _, depth, camera = files
     with pytest.raises(InputError, match=r"found uint16 values; expected a colour picture of 8 bit values"):
         read_frame(depth, depth, camera)
+
+
+def test_a_picture_without_any_depth_is_an_error(files) -> None:
+    color, depth, camera = files
+    write(depth, np.zeros((HEIGHT, WIDTH), np.uint16))
+    with pytest.raises(InputError, match=r"depth.png: found no depth in any pixel"):
+        read_frame(color, depth, camera)

@@ -10,29 +10,22 @@ looks for is in `searching`.
 
 from __future__ import annotations
 
-from collections import deque
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 
-import numpy as np
-
 from huepose.estimation.types import PoseEstimate
-from huepose.geometry import se3
 from huepose.geometry.arrays import Float64
-from huepose.geometry.uncertainty import grown
 from huepose.reinit.association import assign, displacement_m
 from huepose.reinit.config import ReinitConfig
 from huepose.reinit.judge import SAME_POSE, acquires, judge_tracked, same_sight, usable
-from huepose.reinit.outbox import Key, Outbox
+from huepose.reinit.outbox import Outbox
+from huepose.reinit.past import Past
 from huepose.reinit.schedule import candidates, choose
-from huepose.reinit.types import Counters, ObjectSlot, PerceptionResult, Prior, Request, Searching
+from huepose.reinit.types import Counters, Key, ObjectSlot, PerceptionResult, Request, Searching
 from huepose.tracking.types import Correction, TrackedPose, Verdict
 
 PATIENCE_PERIODS = 2.0
 """For so many periods nothing else is asked for in place of an acquired instance that is not there yet."""
-
-PAST_POSES = 60
-"""Published poses that are remembered of an instance: about two seconds of them."""
 
 SIGHTING_S = 1.0
 """A first sighting waits this long for a second one."""
@@ -56,7 +49,7 @@ class ReinitLoop:
         self.counters = Counters()
         self._slots: dict[str, ObjectSlot] = {}
         self._tracks: dict[Key, TrackedPose] = {}
-        self._past: dict[Key, deque[Prior]] = {}
+        self._past = Past()
         self._outbox = Outbox()
         self._sightings: dict[str, list[_Sighting]] = {}
         self._last_instance: dict[str, int] = {}
@@ -85,8 +78,7 @@ class ReinitLoop:
         no track of that epoch with a lower one to `tick` any more. None before the first epoch."""
         for key in [k for k in self._tracks if k[0] == name]:
             del self._tracks[key]
-        for key in [k for k in self._past if k[0] == name]:
-            del self._past[key]
+        self._past.forget(name)
         for asked in [k for k in self._looked_ns if k[0] == name]:
             del self._looked_ns[asked]
         arriving = [k[1] for k in self._outbox.instances if k[0] == name]
@@ -168,7 +160,7 @@ class ReinitLoop:
         found = [e for e in estimates if usable(e, self.config)]
         self.counters.rejected += len(estimates) - len(found)
         tracked = [t for t in self._tracks.values() if t.object == slot.object and t.T_cam_obj is not None]
-        priors = [self._prior_at(t, result.stamp_ns) for t in tracked]
+        priors = [self._past.at(t, result.stamp_ns) for t in tracked]
         poses = [_pose(e) for e in found]
         assigned = assign(poses, priors, result.stamp_ns, slot)
         out = []
@@ -294,10 +286,8 @@ class ReinitLoop:
             newest = max(tracks, key=lambda t: t.stamp_ns)
             self._observe_epoch(newest.epoch, newest.stamp_ns)
         self._tracks = {(t.object, t.instance): t for t in tracks if t.epoch == self._epoch}
-        for key, track in self._tracks.items():
-            past = self._past.setdefault(key, deque(maxlen=PAST_POSES))
-            if track.T_cam_obj is not None and (not past or past[-1].stamp_ns < track.stamp_ns):
-                past.append(_prior(track))
+        for track in self._tracks.values():
+            self._past.note(track)
         for name, instance in self._tracks:
             # New ones come before those that were looked at now.
             self._looked_ns.setdefault((name, instance), now_ns - 1)
@@ -317,24 +307,6 @@ class ReinitLoop:
         if epoch == self._epoch:
             self._epoch_ns = max(self._epoch_ns, stamp_ns)
 
-    def _prior_at(self, track: TrackedPose, stamp_ns: int) -> Prior:
-        """The published pose of a track at a stamp, or nearest to it: an answer is about the past, and a
-        velocity is a poor guide over the time that perception takes. Between two poses it is interpolated,
-        and as uncertain as the nearer of them would be after the time in between."""
-        known: list[Prior] = [*self._past.get((track.object, track.instance), ()), _prior(track)]
-        nearest = known[int(np.argmin([abs(p.stamp_ns - stamp_ns) for p in known]))]
-        before = [p for p in known if p.stamp_ns < stamp_ns]
-        after = [p for p in known if p.stamp_ns > stamp_ns]
-        if nearest.stamp_ns == stamp_ns or not before or not after:
-            return nearest
-        a, b = max(before, key=lambda p: p.stamp_ns), min(after, key=lambda p: p.stamp_ns)
-        share = (stamp_ns - a.stamp_ns) / (b.stamp_ns - a.stamp_ns)
-        T = se3.interpolate(a.T_cam_obj, b.T_cam_obj, share)
-        covariance = nearest.covariance
-        if covariance is not None:
-            covariance = grown(covariance, abs(nearest.stamp_ns - stamp_ns) * 1e-9)
-        return Prior(T, nearest.velocity, covariance, stamp_ns)
-
     def _count(self, verdict: Verdict) -> None:
         c = self.counters
         c.agreed += verdict is Verdict.AGREE
@@ -347,12 +319,6 @@ def _pose(estimate: PoseEstimate) -> Float64:
     if estimate.T_cam_obj is None:
         raise ValueError(f"an estimate of {estimate.object} that was found has no pose")
     return estimate.T_cam_obj
-
-
-def _prior(track: TrackedPose) -> Prior:
-    if track.T_cam_obj is None:
-        raise ValueError(f"{track.object}/{track.instance} has no pose")
-    return Prior(track.T_cam_obj, track.velocity, track.covariance, track.stamp_ns)
 
 
 def _near(T: Float64, T_tracked: Float64, slot: ObjectSlot) -> bool:

@@ -5,9 +5,8 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass
 
+from huepose.reinit.types import Key
 from huepose.tracking.types import Correction, TrackedPose
-
-Key = tuple[str, int]
 
 
 @dataclass

@@ -15,6 +15,9 @@ from huepose.geometry import se3
 from huepose.geometry.arrays import Float64
 from huepose.support.errors import InputError
 
+Key = tuple[str, int]
+"""An instance: the name of its object, and its number."""
+
 
 @dataclass(frozen=True)
 class ObjectSlot:

@@ -1,0 +1,62 @@
+"""What was published of every instance in the last seconds: an answer of perception is about the past, and a
+velocity is a poor guide over the time that perception takes."""
+
+from __future__ import annotations
+
+from collections import deque
+
+import numpy as np
+
+from huepose.geometry import se3
+from huepose.geometry.uncertainty import grown
+from huepose.reinit.types import Key, Prior
+from huepose.tracking.types import TrackedPose
+
+REMEMBERED = 60
+"""Published poses of an instance: about two seconds of them."""
+
+
+class Past:
+    """The newest published poses of every instance."""
+
+    def __init__(self) -> None:
+        self._poses: dict[Key, deque[Prior]] = {}
+
+    def note(self, track: TrackedPose) -> None:
+        """Remember a published pose, if it is one and newer than the last."""
+        past = self._poses.setdefault((track.object, track.instance), deque(maxlen=REMEMBERED))
+        if track.T_cam_obj is not None and (not past or past[-1].stamp_ns < track.stamp_ns):
+            past.append(_prior(track))
+
+    def forget(self, name: str) -> None:
+        """Nothing was published of the instances of an object."""
+        for key in [k for k in self._poses if k[0] == name]:
+            del self._poses[key]
+
+    def clear(self) -> None:
+        """Nothing was published of anything."""
+        self._poses.clear()
+
+    def at(self, track: TrackedPose, stamp_ns: int) -> Prior:
+        """The published pose of a track at a stamp, or nearest to it. Between two poses it is interpolated,
+        and as uncertain as the nearer of them would be after the time in between. Raises ValueError for a
+        track without a pose."""
+        known: list[Prior] = [*self._poses.get((track.object, track.instance), ()), _prior(track)]
+        nearest = known[int(np.argmin([abs(p.stamp_ns - stamp_ns) for p in known]))]
+        before = [p for p in known if p.stamp_ns < stamp_ns]
+        after = [p for p in known if p.stamp_ns > stamp_ns]
+        if nearest.stamp_ns == stamp_ns or not before or not after:
+            return nearest
+        a, b = max(before, key=lambda p: p.stamp_ns), min(after, key=lambda p: p.stamp_ns)
+        share = (stamp_ns - a.stamp_ns) / (b.stamp_ns - a.stamp_ns)
+        T = se3.interpolate(a.T_cam_obj, b.T_cam_obj, share)
+        covariance = nearest.covariance
+        if covariance is not None:
+            covariance = grown(covariance, abs(nearest.stamp_ns - stamp_ns) * 1e-9)
+        return Prior(T, nearest.velocity, covariance, stamp_ns)
+
+
+def _prior(track: TrackedPose) -> Prior:
+    if track.T_cam_obj is None:
+        raise ValueError(f"{track.object}/{track.instance} has no pose")
+    return Prior(track.T_cam_obj, track.velocity, track.covariance, track.stamp_ns)

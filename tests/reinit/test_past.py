@@ -1,0 +1,43 @@
+"""Poses of the past: between two that were published, at the ends, and after an object is forgotten."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from huepose.geometry import se3
+from huepose.geometry.arrays import Float64
+from huepose.reinit.past import REMEMBERED, Past
+from huepose.tracking.types import State, TrackedPose
+
+
+def published(stamp_ns: int, x: float | None, covariance: Float64 | None = None) -> TrackedPose:
+    T = None if x is None else se3.make(np.eye(3), np.array([x, 0.0, 1.0]))
+    return TrackedPose("can", 0, 1, 0, stamp_ns, State.TRACKING, T, None, 0.9, covariance, 0)
+
+
+def test_between_two_poses_it_is_interpolated_and_less_sure() -> None:
+    past, small = Past(), np.eye(6) * 1e-8
+    past.note(published(0, 0.0, small))
+    newest = published(100_000_000, 0.1, small)
+    between = past.at(newest, 25_000_000)
+    assert between.T_cam_obj[0, 3] == pytest.approx(0.025)
+    assert between.stamp_ns == 25_000_000
+    assert between.covariance is not None
+    assert (np.diag(between.covariance) > 1e-8).all()
+    assert past.at(newest, -5).T_cam_obj[0, 3] == 0.0
+    assert past.at(newest, 900_000_000).T_cam_obj[0, 3] == 0.1
+
+
+def test_what_is_no_pose_or_old_is_not_remembered() -> None:
+    past = Past()
+    for track in (published(10, 0.1), published(10, 0.2), published(5, 0.3), published(20, None)):
+        past.note(track)
+    assert past.at(published(30, 0.4), 9).T_cam_obj[0, 3] == 0.1
+    for n in range(REMEMBERED):
+        past.note(published(100 + n, 0.5))
+    assert past.at(published(300, 0.4), 9).stamp_ns == 100
+    past.forget("can")
+    assert past.at(published(300, 0.4), 9).stamp_ns == 300
+    with pytest.raises(ValueError, match="no pose"):
+        past.at(published(300, None), 9)

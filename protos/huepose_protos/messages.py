@@ -9,8 +9,11 @@ from typing import Annotated, ClassVar, Literal
 
 from msgspec import Meta, Struct
 
+from huepose_protos.control import ControlReply as ControlReply
+from huepose_protos.control import ControlRequest as ControlRequest
+from huepose_protos.control import ObjectEntry as ObjectEntry
+from huepose_protos.control import ObjectsMessage as ObjectsMessage
 from huepose_protos.fields import (
-    VERSION,
     BoxXYWH,
     Count,
     Covariance,
@@ -24,26 +27,17 @@ from huepose_protos.fields import (
     Text,
     Vector3,
     VerdictName,
-    Version,
     check_box,
     check_covariance,
     check_finite,
     check_pose,
 )
+from huepose_protos.parts import KIB
 from huepose_protos.parts import BufferSpec as BufferSpec
 from huepose_protos.parts import Clock as Clock
 from huepose_protos.parts import Intrinsics as Intrinsics
 from huepose_protos.parts import MaskRuns as MaskRuns
-
-KIB = 1024
-
-
-class Message(Struct, frozen=True, kw_only=True):
-    """What every message on a key has. `max_bytes` is refused above, before anything is decoded."""
-
-    max_bytes: ClassVar[int] = 64 * KIB
-    version: Version = VERSION
-    publish_ns: Stamp
+from huepose_protos.parts import Message as Message
 
 
 class FrameHeader(Message, frozen=True, kw_only=True):
@@ -120,7 +114,6 @@ class DetectedObject(Struct, frozen=True, kw_only=True):
 class Detections(Message, frozen=True, kw_only=True):
     """Boxes in one frame; the payload is that frame's. `request_ns`: when the request was published."""
 
-    max_bytes: ClassVar[int] = 64 * KIB
     request_seq: Count
     request_ns: Stamp
     frame: FrameHeader
@@ -234,56 +227,6 @@ class PoseMessage(Message, frozen=True, kw_only=True):
             raise ValueError(f"a pose does not go with the state {self.state}")
         check_finite(velocity_linear=self.velocity_linear, velocity_angular=self.velocity_angular)
         check_covariance(self.covariance)
-
-
-class ObjectEntry(Struct, frozen=True, kw_only=True):
-    """An object that the pipeline looks for; `searching`: how many of its instances were never seen yet.
-
-    `resets`: how often it was told to be searched for anew; `retired`: [camera epoch, number], instances of
-    that epoch below that number are over for that reason, null when there are none; `box`: where it was said
-    to be at the last time, null when nothing was said."""
-
-    object: Name
-    max_instances: Annotated[int, Meta(ge=1, le=64)]
-    searching: Count
-    resets: Count = 0
-    retired: tuple[Epoch, Index] | None = None
-    box: BoxXYWH | None = None
-
-    def __post_init__(self) -> None:
-        check_box(self.box)
-
-
-class ObjectsMessage(Message, frozen=True, kw_only=True):
-    """The objects that the pipeline looks for, once a second and when the list changes."""
-
-    objects: Annotated[list[ObjectEntry], Meta(max_length=256)]
-
-
-class ControlRequest(Message, frozen=True, kw_only=True):
-    """A query on `control`: what a person on the pipeline's machine wants of its list of objects.
-
-    `list` names no object. `add` looks for one (up to max_instances of it), `remove` for it no longer,
-    `reset` forgets where it was and searches anew; `box`: where it is in the image, as a hint for the
-    detector."""
-
-    action: Literal["list", "add", "remove", "reset"]
-    object: Name | None = None
-    max_instances: Annotated[int, Meta(ge=1, le=64)] = 1
-    box: BoxXYWH | None = None
-
-    def __post_init__(self) -> None:
-        check_box(self.box)
-        if (self.object is None) != (self.action == "list"):
-            raise ValueError(f"{self.action} and object do not go together")
-
-
-class ControlReply(Message, frozen=True, kw_only=True):
-    """The answer: whether it was done, else why not; `objects` is the list as it is now."""
-
-    done: bool
-    text: Text
-    objects: Annotated[list[ObjectEntry], Meta(max_length=256)]
 
 
 class HealthMessage(Message, frozen=True, kw_only=True):

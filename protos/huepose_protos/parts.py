@@ -1,12 +1,22 @@
-"""What several messages are made of: masks, arrays, cameras, clocks."""
+"""What several messages are made of: what all of them have, masks, arrays, cameras, clocks."""
 
 from __future__ import annotations
 
-from typing import Annotated, Literal
+from typing import Annotated, ClassVar, Literal
 
 from msgspec import Meta, Struct
 
-from huepose_protos.fields import Count, Index, Positive, Size, check_finite
+from huepose_protos.fields import VERSION, Count, Index, Positive, Size, Stamp, Version, check_finite
+
+KIB = 1024
+
+
+class Message(Struct, frozen=True, kw_only=True):
+    """What every message on a key has. More than `max_bytes` is refused before anything is decoded."""
+
+    max_bytes: ClassVar[int] = 64 * KIB
+    version: Version = VERSION
+    publish_ns: Stamp
 
 
 class MaskRuns(Struct, frozen=True, kw_only=True):

@@ -127,7 +127,7 @@ def _modes(
     angle = np.radians(config.angle_deg)
     # even steps over the votes in order of weight: strong ones and weak ones
     order = np.argsort(-weights, kind="stable")
-    seeds = order[:: max(1, len(order) // config.seeds)][: config.seeds]
+    seeds = np.ascontiguousarray(order[:: max(1, len(order) // config.seeds)][: config.seeds])
     support = _support(q, centres, weights, features, seeds, float(np.cos(angle / 2)), radius_m)
     out: list[tuple[float, Float64, Float64]] = []
     alive = np.ones(len(seeds), bool)

@@ -116,7 +116,7 @@ def read_frame(color: Path | str, depth: Path | str, camera: Path | str) -> Rgbd
     files.same_size(image, color_path, depth_m, depth_path)
     _check_units(depth_m, depth_path, intrinsics.path)
     pinhole = intrinsics.camera(image.shape[1], image.shape[0], color_path)
-    rectifier = Rectifier(pinhole, intrinsics.distortion)
+    rectifier = Rectifier.of(pinhole, intrinsics.distortion)
     return RgbdFrame(rectifier.color(image), rectifier.depth(depth_m), pinhole, frame_id=number)
 
 

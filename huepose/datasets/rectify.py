@@ -39,16 +39,22 @@ def checked_coefficients(model: str, coefficients: Sequence[float], where: objec
 
 
 class Rectifier:
-    """Maps from a distorted camera to the pinhole `camera` (same intrinsics), computed once."""
+    """Rectifies the pictures of one camera. maps: from which column and row (H, W each) of the distorted
+    picture every pixel is read; None where there is no distortion."""
 
-    def __init__(self, camera: Camera, coefficients: Float64) -> None:
-        self._maps: tuple[np.ndarray, np.ndarray] | None = None
-        if len(coefficients):
-            size = (camera.width, camera.height)
-            maps = cv2.initUndistortRectifyMap(
-                camera.K, coefficients, np.eye(3), camera.K, size, cv2.CV_32FC1
-            )
-            self._maps = (np.asarray(maps[0]), np.asarray(maps[1]))
+    def __init__(self, maps: tuple[Float32, Float32] | None) -> None:
+        self._maps = maps
+
+    @staticmethod
+    def of(camera: Camera, coefficients: Float64) -> Rectifier:
+        """To the pinhole `camera` from one with the same intrinsics and these coefficients (N,)."""
+        if not len(coefficients):
+            return Rectifier(None)
+        size = (camera.width, camera.height)
+        columns, rows = cv2.initUndistortRectifyMap(
+            camera.K, coefficients, np.eye(3), camera.K, size, cv2.CV_32FC1
+        )
+        return Rectifier((np.asarray(columns, np.float32), np.asarray(rows, np.float32)))
 
     def color(self, image: UInt8) -> UInt8:
         """The rectified colour picture (H, W, 3)."""

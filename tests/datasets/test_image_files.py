@@ -100,7 +100,7 @@ def test_rectified_pixels_lie_on_the_pinhole_rays(model: str, coefficients: list
         distance = np.hypot(u - x, v - y)
         image[..., 0] += 255 * np.exp(-((distance / 2.5) ** 2))
         depth[distance < 4] = 0.5 + 0.1 * k
-    rectifier = Rectifier(camera, checked_coefficients(model, coefficients, "test"))
+    rectifier = Rectifier.of(camera, checked_coefficients(model, coefficients, "test"))
     color, moved = rectifier.color(np.clip(image, 0, 255).astype(np.uint8)), rectifier.depth(depth)
     assert set(np.unique(moved)) <= set(np.unique(depth))  # readings are moved, never mixed
     for k, (x, y) in enumerate(camera.project(points)):
@@ -115,7 +115,7 @@ def test_distorted_files_are_rectified(files) -> None:
     coefficients = [0.2, 0.05, 0.0, 0.0]
     camera.write_text(json.dumps({**OWN, "distortion_model": "brown_conrady", "distortion": coefficients}))
     frame = read_frame(color, depth, camera)
-    rectifier = Rectifier(frame.camera, np.array(coefficients))
+    rectifier = Rectifier.of(frame.camera, np.array(coefficients))
     np.testing.assert_array_equal(frame.color, rectifier.color(color_of(4)))
     assert not np.array_equal(frame.color, color_of(4))
 

@@ -6,11 +6,10 @@ from collections.abc import Iterable, Mapping
 from contextlib import suppress
 from typing import Any
 
-import cv2
 import numpy as np
 
+from huepose.datasets.rectify import Rectifier
 from huepose.geometry import Camera
-from huepose.geometry.arrays import Float32, UInt8
 from huepose_services.camera.live import CameraError
 from huepose_services.runtime.config_perception import CameraConfig
 
@@ -94,7 +93,7 @@ def use_own_clock(rs: Any, sensors: Iterable[Any]) -> None:
                 sensor.set_option(rs.option.global_time_enabled, 0.0)
 
 
-class Rectification:
+class Rectification(Rectifier):
     """From the camera's distorted picture to a pinhole's with the same intrinsics.
 
     The SDK projects each ray itself, so every distortion model that it knows holds here too."""
@@ -102,22 +101,11 @@ class Rectification:
     def __init__(self, rs: Any, intrinsics: Any) -> None:
         i = intrinsics
         self.camera = Camera(i.fx, i.fy, i.ppx, i.ppy, i.width, i.height)
-        self._maps: tuple[Float32, Float32] | None = None
+        maps = None
         if i.model != rs.distortion.none and any(i.coeffs):
             rows, columns = np.mgrid[0 : i.height, 0 : i.width]
             rays = self.camera.rays(np.stack([columns, rows], -1)).reshape(-1, 3).tolist()
             pixels = [rs.rs2_project_point_to_pixel(i, ray) for ray in rays]
-            maps = np.array(pixels, np.float32).reshape(i.height, i.width, 2)
-            self._maps = (np.ascontiguousarray(maps[..., 0]), np.ascontiguousarray(maps[..., 1]))
-
-    def color(self, image: UInt8) -> UInt8:
-        """The rectified colour picture (H, W, 3)."""
-        if self._maps is None:
-            return image
-        return np.asarray(cv2.remap(image, *self._maps, cv2.INTER_LINEAR), dtype=np.uint8)
-
-    def depth(self, depth: Float32) -> Float32:
-        """The rectified depth (H, W): readings are moved, never mixed."""
-        if self._maps is None:
-            return depth
-        return np.asarray(cv2.remap(depth, *self._maps, cv2.INTER_NEAREST), dtype=np.float32)
+            both = np.array(pixels, np.float32).reshape(i.height, i.width, 2)
+            maps = (np.ascontiguousarray(both[..., 0]), np.ascontiguousarray(both[..., 1]))
+        super().__init__(maps)

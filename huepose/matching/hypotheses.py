@@ -2,8 +2,8 @@
 III-C).
 
 Votes come from single pairs as frames and from triangles of three classes; where fewer than three classes
-are in sight, from point pairs with classes too. All are asked under each of the few
-lights that could explain the scene's colours, weighed by whether depth allows them, and clustered together.
+are in sight, from point pairs with classes too. All are asked under each of the few lights that could
+explain the scene's colours, weighed by whether depth allows them, and clustered together.
 """
 
 from __future__ import annotations
@@ -74,24 +74,6 @@ def extract_at_model_scale(
     return extract(frame.color, mask, config, scale=min(scale, 1.0))
 
 
-def colorpair_hypotheses(
-    model: ReferenceModel,
-    pairs: ColorPairs,
-    frame: RgbdFrame,
-    mask: Bool,
-    config: HypothesesConfig | None = None,
-    rng: np.random.Generator | None = None,
-) -> list[Hypothesis]:
-    """Likely poses of a model from the colour pairs of a mask (H, W), best first, before any refinement.
-
-    Empty when there are no pairs with depth: `matching.shape` has starts for that case.
-    """
-    config = config or HypothesesConfig()
-    rng = rng or np.random.default_rng(0)
-    readings = read_scene(model, pairs, frame, mask, config, rng)
-    return hypotheses_of(model, readings, frame, mask, config, rng)
-
-
 def hypotheses_of(
     model: ReferenceModel,
     readings: Sequence[Reading],
@@ -100,7 +82,10 @@ def hypotheses_of(
     config: HypothesesConfig,
     rng: np.random.Generator,
 ) -> list[Hypothesis]:
-    """Likely poses of a model from the readings of a mask (H, W), best first; see `colorpair_hypotheses`."""
+    """Likely poses of a model from the readings of a mask (H, W), best first, before any refinement.
+
+    Empty without readings: `matching.shape` has starts for that case.
+    """
     if not readings:
         return []
     first = [v for r in readings for v in _first_votes(model, r, config, rng)]

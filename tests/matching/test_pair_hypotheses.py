@@ -15,7 +15,6 @@ from huepose.matching.cloud import ClassifiedCloud
 from huepose.matching.hypotheses import (
     HypothesesConfig,
     classes_in_sight,
-    colorpair_hypotheses,
     extract_at_model_scale,
     hypotheses_of,
     read_scene,
@@ -45,6 +44,14 @@ def mask(tea_box: ReferenceModel, standing: np.ndarray, frame: RgbdFrame) -> np.
     return render_depth(tea_box.mesh, standing, frame.camera) > 0
 
 
+def from_pairs(
+    model: ReferenceModel, pairs: ColorPairs, frame: RgbdFrame, mask: np.ndarray, config: HypothesesConfig
+) -> list[Hypothesis]:
+    rng = np.random.default_rng(0)
+    readings = read_scene(model, pairs, frame, mask, config, rng)
+    return hypotheses_of(model, readings, frame, mask, config, rng)
+
+
 def nearest(hypotheses: list[Hypothesis], T: np.ndarray) -> tuple[int, float, float]:
     """Rank of the first hypothesis within 12 degrees and 2 cm, and how far off it is."""
     for rank, h in enumerate(hypotheses):
@@ -67,7 +74,7 @@ def test_the_pose_is_among_the_first(
         }
         config = HypothesesConfig(**only)
     pairs = extract_at_model_scale(tea_box.pairs, frame, mask)
-    found = colorpair_hypotheses(tea_box, pairs, frame, mask, config, np.random.default_rng(0))
+    found = from_pairs(tea_box, pairs, frame, mask, config)
     rank, _, _ = nearest(found, standing)
     assert rank < 3
 
@@ -117,9 +124,7 @@ def test_the_same_seed_gives_the_same_poses(
     tea_box: ReferenceModel, frame: RgbdFrame, mask: np.ndarray
 ) -> None:
     pairs = extract_at_model_scale(tea_box.pairs, frame, mask)
-    a, b = (
-        colorpair_hypotheses(tea_box, pairs, frame, mask, None, np.random.default_rng(4)) for _ in range(2)
-    )
+    a, b = (from_pairs(tea_box, pairs, frame, mask, HypothesesConfig()) for _ in range(2))
     np.testing.assert_array_equal([h.T_cam_obj for h in a], [h.T_cam_obj for h in b])
 
 
@@ -151,6 +156,6 @@ def test_shape_alone_has_a_start_near_the_pose_or_its_like(
 
 
 def test_no_pairs_no_hypotheses(tea_box: ReferenceModel, frame: RgbdFrame, mask: np.ndarray) -> None:
-    assert colorpair_hypotheses(tea_box, ColorPairs.empty(), frame, mask) == []
+    assert from_pairs(tea_box, ColorPairs.empty(), frame, mask, HypothesesConfig()) == []
     nothing = np.zeros_like(mask)
     assert len(extract_at_model_scale(tea_box.pairs, frame, nothing)) == 0

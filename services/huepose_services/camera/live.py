@@ -7,11 +7,14 @@ that nobody waits for.
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Protocol
+from typing import Protocol, TypeVar
 
 from huepose.geometry import Camera
 from huepose.geometry.arrays import Float32, UInt8
+
+Device = TypeVar("Device")
 
 
 @dataclass(frozen=True, eq=False)
@@ -57,3 +60,15 @@ class LiveSource(Protocol):
     def open(self) -> LiveCamera:
         """Start it. Raises CameraError, in under two seconds when it is not there."""
         ...
+
+
+def the_one(connected: Mapping[str, Device], serial: str | None, if_none: str) -> Device:
+    """The camera of a serial number, or the only one. Raises CameraError; `if_none`: what it says without any."""
+    if not connected:
+        raise CameraError(if_none)
+    names = ", ".join(connected)
+    if serial is None and len(connected) > 1:
+        raise CameraError(f"several are connected: set camera.device.serial to one of {names}.")
+    if serial is not None and serial not in connected:
+        raise CameraError(f"no camera with serial number {serial}; connected: {names}.")
+    return next(iter(connected.values())) if serial is None else connected[serial]

@@ -18,7 +18,7 @@ import numpy as np
 from huepose.geometry import Camera
 from huepose.geometry.arrays import Float32
 from huepose.support.errors import InputError
-from huepose_services.camera.live import CameraError, Shot
+from huepose_services.camera.live import CameraError, Shot, the_one
 from huepose_services.camera.oak_setup import build, check_options
 from huepose_services.runtime.clock import now_ns
 from huepose_services.runtime.config import Config
@@ -66,19 +66,12 @@ class Oak:
 
     def _find(self) -> Any:
         infos = {info.getDeviceId(): info for info in self._dai.Device.getAllAvailableDevices()}
-        wanted = self._settings.device.serial
-        if not infos:
-            raise CameraError(
-                "no OAK camera is connected. Plug it into a USB 3 port (or its network); if `lsusb -d 03e7:` "
-                "lists it, install the udev rules (deploy/jetson/install.sh --udev) and plug it in again."
-            )
-        if wanted is None and len(infos) > 1:
-            raise CameraError(
-                f"several are connected: set camera.device.serial to one of {', '.join(infos)}."
-            )
-        if wanted is not None and wanted not in infos:
-            raise CameraError(f"no camera with id {wanted}; connected: {', '.join(infos)}.")
-        return infos[wanted] if wanted is not None else next(iter(infos.values()))
+        return the_one(
+            infos,
+            self._settings.device.serial,
+            "no OAK camera is connected. Plug it into a USB 3 port (or its network); if `lsusb -d 03e7:` "
+            "lists it, install the udev rules (deploy/jetson/install.sh --udev) and plug it in again.",
+        )
 
 
 class OakCamera:

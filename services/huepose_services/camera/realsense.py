@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 
 from huepose.support.errors import InputError
-from huepose_services.camera.live import CameraError, Shot
+from huepose_services.camera.live import CameraError, Shot, the_one
 from huepose_services.camera.realsense_setup import (
     Rectification,
     apply_options,
@@ -73,19 +73,12 @@ class RealSense:
         """The device. A camera that is starting, or used by another program, may be listed and not answer."""
         serial_of = self._rs.camera_info.serial_number
         devices = {d.get_info(serial_of): d for d in self._context.query_devices() if d.supports(serial_of)}
-        wanted = self._settings.device.serial
-        if not devices:
-            raise CameraError(
-                "no RealSense camera is connected. Plug it into a USB 3 port; if `lsusb -d 8086:` lists it, "
-                "install the udev rules (deploy/jetson/install.sh --udev) and plug it in again."
-            )
-        if wanted is None and len(devices) > 1:
-            raise CameraError(
-                f"several are connected: set camera.device.serial to one of {', '.join(devices)}."
-            )
-        if wanted is not None and wanted not in devices:
-            raise CameraError(f"no camera with serial number {wanted}; connected: {', '.join(devices)}.")
-        return devices[wanted] if wanted is not None else next(iter(devices.values()))
+        return the_one(
+            devices,
+            self._settings.device.serial,
+            "no RealSense camera is connected. Plug it into a USB 3 port; if `lsusb -d 8086:` lists it, "
+            "install the udev rules (deploy/jetson/install.sh --udev) and plug it in again.",
+        )
 
 
 class RealSenseCamera:

@@ -63,7 +63,7 @@ class LiveSource(Protocol):
 
 
 def the_one(connected: Mapping[str, Device], serial: str | None, if_none: str) -> Device:
-    """The camera of a serial number, or the only one. Raises CameraError; `if_none`: what it says without any."""
+    """The camera of a serial number, or the only one. Raises CameraError: `if_none` where there is none."""
     if not connected:
         raise CameraError(if_none)
     names = ", ".join(connected)

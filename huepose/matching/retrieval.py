@@ -22,7 +22,7 @@ from huepose.geometry.arrays import Bool, Float32, Float64, Int64, UInt8
 from huepose.geometry.camera import Camera
 from huepose.matching.template_check import Canvas, check_templates
 from huepose.matching.template_table import COARSE_SIDE, MILLIMETRES, TemplateTable
-from huepose.support.jit import jit
+from huepose.support.jit import jit_dividing
 
 SHIFTS = (-1, 0, 1)
 """Places of the window round the mask's centroid, in cells of the quick look, along both image axes."""
@@ -40,6 +40,9 @@ QUICK_WEIGHT = 0.5
 """What the quick look's score counts beside the close look's."""
 
 RANKED = 300
+MAX_PRODUCT = 4 * 65536
+"""Multiplications up to which OpenBLAS keeps a matrix product in one thread."""
+
 DISTINCT_RAD = np.radians(18.0)
 OVERSAMPLING = 4
 """At most so many samples a cell and axis are averaged."""
@@ -94,13 +97,28 @@ def distinct(poses: Float64, count: int) -> list[int]:
     """Indices of the first poses (N, 4, 4) whose rotations are 18 degrees or more from all chosen before."""
     flat = poses[:, :3, :3].reshape(len(poses), 9)
     limit = 1.0 + 2.0 * np.cos(DISTINCT_RAD)
-    chosen: list[int] = []
-    for i in range(len(poses)):
-        if not chosen or (flat[chosen] @ flat[i]).max() < limit:
-            chosen.append(i)
-            if len(chosen) == count:
+    return [int(i) for i in _distinct(np.ascontiguousarray(flat), limit, count)]
+
+
+@jit_dividing
+def _distinct(flat: Float64, limit: float, count: int) -> Int64:
+    chosen = np.empty(min(count, len(flat)), np.int64)
+    n = 0
+    for i in range(len(flat)):
+        if n == len(chosen):
+            break
+        is_new = True
+        for k in range(n):
+            trace = 0.0
+            for c in range(9):
+                trace += flat[chosen[k], c] * flat[i, c]
+            if trace >= limit:
+                is_new = False
                 break
-    return chosen
+        if is_new:
+            chosen[n] = i
+            n += 1
+    return chosen[:n]
 
 
 def _under_mask(
@@ -231,9 +249,11 @@ def _quick_look(table: TemplateTable, windows: Float32) -> tuple[Int64, Float32]
     weight = windows[..., 4]
     values = [windows[..., c] for c in range(4)]
     columns = [weight, windows[..., 5]] + [weight * x for x in values] + [weight * x * x for x in values]
-    by_coverage = table.coverage @ np.concatenate(columns).T
-    crossed = np.stack([table.first[c] @ np.concatenate([weight, weight * values[c]]).T for c in range(4)])
-    squared = table.second @ weight.T
+    by_coverage = _product(table.coverage, np.concatenate(columns).T)
+    crossed = np.stack(
+        [_product(table.first[c], np.concatenate([weight, weight * values[c]]).T) for c in range(4)]
+    )
+    squared = np.stack([_product(table.second[c], weight.T) for c in range(4)])
     which, scores = np.zeros(len(table.area), np.int64), np.zeros(len(table.area), np.float32)
     window_area = np.maximum(weight.sum(1), np.float32(1))
     relief_mm = RELIEF * table.diameter_m * MILLIMETRES
@@ -241,7 +261,18 @@ def _quick_look(table: TemplateTable, windows: Float32) -> tuple[Int64, Float32]
     return which, scores
 
 
-@jit
+def _product(table: Float32, columns: Float32) -> Float32:
+    """The matrix product in pieces, each too small for the linear algebra library to call threads, which
+    would cost several times what they give."""
+    columns = np.ascontiguousarray(columns)
+    out = np.empty((len(table), columns.shape[1]), np.float32)
+    rows = max(8, MAX_PRODUCT // columns.size)
+    for start in range(0, len(table), rows):
+        np.matmul(table[start : start + rows], columns, out=out[start : start + rows])
+    return out
+
+
+@jit_dividing
 def _score_windows(
     by_coverage: Float32,
     crossed: Float32,
@@ -254,33 +285,37 @@ def _score_windows(
     scores: Float32,
 ) -> None:
     """Best of `count` windows for each template from the products' columns."""
+    without_depth, deviation = np.empty(count), np.empty(count)
+    sharpness = 1.0 / (2.0 * relief_mm * relief_mm)
     for i in range(template_area.shape[0]):
         area = max(template_area[i], np.float32(1.0))
-        best = -1e9
         for k in range(count):
             n = by_coverage[i, k]
-            common = max(n, np.float32(1.0))
-            color, color_weight, depth = 0.0, 2.0, 0.0
+            common = 1.0 / max(n, np.float32(1.0))
+            color, color_weight = 0.0, 2.0
             for c in range(4):
-                mean_w = by_coverage[i, (2 + c) * count + k] / common
-                mean_t = crossed[c, i, k] / common
-                var_w = max(by_coverage[i, (6 + c) * count + k] / common - mean_w * mean_w, 0.0)
-                var_t = max(squared[c, i, k] / common - mean_t * mean_t, 0.0)
-                covariance = crossed[c, i, count + k] / common - mean_w * mean_t
+                mean_w = by_coverage[i, (2 + c) * count + k] * common
+                mean_t = crossed[c, i, k] * common
+                var_w = max(by_coverage[i, (6 + c) * count + k] * common - mean_w * mean_w, 0.0)
+                var_t = max(squared[c, i, k] * common - mean_t * mean_t, 0.0)
+                covariance = crossed[c, i, count + k] * common - mean_w * mean_t
                 if c < 3:
                     w = CHANNEL_WEIGHTS[c] * np.sqrt(var_t)
                     color += w * covariance / (np.sqrt(var_w * var_t) + CHANNEL_FLOOR)
                     color_weight += w
                 else:
-                    deviation = max(var_w + var_t - 2.0 * covariance, 0.0)
-                    depth = np.exp(-deviation / (2.0 * relief_mm * relief_mm))
-            total = (
-                DEPTH_WEIGHT * depth
-                + color / color_weight
+                    deviation[k] = max(var_w + var_t - 2.0 * covariance, 0.0)
+            without_depth[k] = (
+                color / color_weight
                 + OVERLAP_WEIGHT * n / window_area[k]
                 - FREE_WEIGHT * by_coverage[i, count + k] / area
                 + FULL_WEIGHT * n / area
             )
+        best = -1e9
+        for k in range(count):
+            if without_depth[k] + DEPTH_WEIGHT <= best:
+                continue  # Not even a perfect relief would help.
+            total = without_depth[k] + DEPTH_WEIGHT * np.exp(-deviation[k] * sharpness)
             if total > best:
                 best = total
                 which[i] = k

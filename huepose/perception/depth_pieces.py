@@ -38,9 +38,8 @@ def cut_pieces(depth: Float32, candidate: Bool, box: Box) -> Pieces:
     flat = labels.ravel()
     v, u = np.arange(depth.shape[0])[:, None], np.arange(depth.shape[1])[None, :]
     inside = (u >= box.x) & (u < box.x1) & (v >= box.y) & (v < box.y1)
-    near = np.exp(
-        -0.5
-        * (((u - box.x - box.w / 2) / (0.45 * box.w)) ** 2 + ((v - box.y - box.h / 2) / (0.45 * box.h)) ** 2)
+    near = np.exp(-0.5 * ((v - box.y - box.h / 2) / (0.45 * box.h)) ** 2) * np.exp(
+        -0.5 * ((u - box.x - box.w / 2) / (0.45 * box.w)) ** 2
     )
     size = stats[:, 4].astype(np.float64)
     share = np.bincount(flat, inside.ravel(), count) / np.maximum(size, 1)
@@ -75,10 +74,13 @@ def median_depths(depth: Float32, labels: Int, count: int) -> Float64:
     """Median depth of each piece."""
     inside = labels >= 0
     values, owner = depth[inside], labels[inside]
-    order = np.lexsort((values, owner))
+    # Positive numbers are ordered as their bits are: one sort of whole numbers, the piece in front.
+    bits = np.ascontiguousarray(values, dtype=np.float32).view(np.int32).astype(np.int64)
+    order = np.sort((owner.astype(np.int64) << 32) | bits)
     sizes = np.bincount(owner, minlength=count)
     middle = np.concatenate([[0], np.cumsum(sizes)[:-1]]) + sizes // 2
-    return values[order][middle.astype(int)].astype(np.float64) if count else np.zeros(0)
+    chosen = (order[middle.astype(int)] & 0x7FFFFFFF).astype(np.int32) if count else np.zeros(0, np.int32)
+    return np.asarray(chosen.view(np.float32), dtype=np.float64)
 
 
 def join_pieces(depth: Float32, candidate: Bool, pieces: Pieces, box: Box, diameter_m: float) -> list[Bool]:

@@ -16,7 +16,7 @@ from huepose.geometry import se3
 from huepose.geometry.arrays import Float, Float32, Float64
 from huepose.geometry.kernels import rotation_exp_into, solve_symmetric
 from huepose.model.types import DistanceGrid, Surface
-from huepose.support.jit import jit
+from huepose.support.jit import jit, jit_dividing
 
 DAMPING = 2e-3
 """Damping per point, on steps in metres: about the weight of one point in five hundred in each direction."""
@@ -161,6 +161,7 @@ def align_kernel(
     b = np.empty(6)
     x = np.empty(6)
     D = np.empty((3, 3))
+    scratch = np.empty((8, points_cam.shape[0]))
     for m in range(poses.shape[0]):
         T = poses[m]
         settled = False
@@ -171,7 +172,7 @@ def align_kernel(
             if last:
                 gate = gate_end
             inliers, weight, square = _accumulate(
-                T, points_cam, samples, normals, origin, step, nearest, centre, radius, gate, A, b
+                T, points_cam, samples, normals, origin, step, nearest, centre, radius, gate, scratch, A, b
             )
             if last:
                 report[m, 0], report[m, 1], report[m, 2] = iteration, inliers, weight
@@ -195,7 +196,7 @@ def align_kernel(
             settled = shrunk >= 1.0 and largest < STEP_TOLERANCE_M
 
 
-@jit
+@jit_dividing
 def _accumulate(
     T: Float64,
     points_cam: Float64,
@@ -207,19 +208,21 @@ def _accumulate(
     centre: Float64,
     radius: float,
     gate: float,
+    scratch: Float64,
     A: Float64,
     b: Float64,
 ) -> tuple[int, float, float]:
-    """Normal equations (lower triangle) of one linearisation; inliers, their weight, weighted squares."""
-    A[:] = 0.0
-    b[:] = 0.0
-    J = np.empty(6)
+    """Normal equations (lower triangle) of one linearisation; inliers, their weight, weighted squares.
+    `scratch` (8, N): of the inliers, rows 0..5 the Jacobian, 6 the weight, 7 the distance."""
     r00, r01, r02, r10, r11, r12 = T[0, 0], T[0, 1], T[0, 2], T[1, 0], T[1, 1], T[1, 2]
     r20, r21, r22, t0, t1, t2 = T[2, 0], T[2, 1], T[2, 2], T[0, 3], T[1, 3], T[2, 3]
     # The camera's place in object axes is -eye.
     eye0 = r00 * t0 + r10 * t1 + r20 * t2
     eye1 = r01 * t0 + r11 * t1 + r21 * t2
     eye2 = r02 * t0 + r12 * t1 + r22 * t2
+    o0, o1, o2, c0, c1, c2 = origin[0], origin[1], origin[2], centre[0], centre[1], centre[2]
+    d0, d1, d2 = nearest.shape
+    cells = nearest.ravel()
     gate2 = gate * gate
     inliers, weight, square = 0, 0.0, 0.0
     for i in range(points_cam.shape[0]):
@@ -228,10 +231,10 @@ def _accumulate(
         q1 = r01 * x + r11 * y + r21 * z
         q2 = r02 * x + r12 * y + r22 * z
         # Outside the grid the nearest border cell answers: far points are refused by the gate below.
-        a0 = min(max(int((q0 - origin[0]) / step + 0.5), 0), nearest.shape[0] - 1)
-        a1 = min(max(int((q1 - origin[1]) / step + 0.5), 0), nearest.shape[1] - 1)
-        a2 = min(max(int((q2 - origin[2]) / step + 0.5), 0), nearest.shape[2] - 1)
-        j = nearest[a0, a1, a2]
+        a0 = min(max(int((q0 - o0) / step + 0.5), 0), d0 - 1)
+        a1 = min(max(int((q1 - o1) / step + 0.5), 0), d1 - 1)
+        a2 = min(max(int((q2 - o2) / step + 0.5), 0), d2 - 1)
+        j = np.uint64(cells[np.uint64((a0 * d1 + a1) * d2 + a2)])
         n0, n1, n2 = normals[j, 0], normals[j, 1], normals[j, 2]
         e0, e1, e2 = q0 - samples[j, 0], q1 - samples[j, 1], q2 - samples[j, 2]
         distance2 = e0 * e0 + e1 * e1 + e2 * e2
@@ -239,17 +242,28 @@ def _accumulate(
             continue
         w = (1.0 - distance2 / gate2) ** 2
         r = n0 * e0 + n1 * e1 + n2 * e2
-        q0, q1, q2 = (q0 - centre[0]) / radius, (q1 - centre[1]) / radius, (q2 - centre[2]) / radius
-        J[0], J[1], J[2] = q1 * n2 - q2 * n1, q2 * n0 - q0 * n2, q0 * n1 - q1 * n0
-        J[3], J[4], J[5] = n0, n1, n2
-        for a in range(6):
-            wj = w * J[a]
-            b[a] -= wj * r
-            for c in range(a + 1):
-                A[a, c] += wj * J[c]
+        q0, q1, q2 = (q0 - c0) / radius, (q1 - c1) / radius, (q2 - c2) / radius
+        scratch[0, inliers] = q1 * n2 - q2 * n1
+        scratch[1, inliers] = q2 * n0 - q0 * n2
+        scratch[2, inliers] = q0 * n1 - q1 * n0
+        scratch[3, inliers] = n0
+        scratch[4, inliers] = n1
+        scratch[5, inliers] = n2
+        scratch[6, inliers] = w
+        scratch[7, inliers] = r
         inliers += 1
         weight += w
         square += w * r * r
+    for a in range(6):
+        total = 0.0
+        for k in range(inliers):
+            total -= scratch[6, k] * scratch[a, k] * scratch[7, k]
+        b[a] = total
+        for c in range(a + 1):
+            total = 0.0
+            for k in range(inliers):
+                total += scratch[6, k] * scratch[a, k] * scratch[c, k]
+            A[a, c] = total
     return inliers, weight, square
 
 

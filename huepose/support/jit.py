@@ -17,7 +17,17 @@ F = TypeVar("F", bound=Callable[..., Any])
 
 def jit(function: F) -> F:
     """Compile `function` in nopython mode, releasing the interpreter lock, with fast floating point."""
-    options: dict[str, Any] = {"nogil": True, "fastmath": {"contract", "arcp", "nsz", "reassoc"}}
+    return _compiled(function, {})
+
+
+def jit_dividing(function: F) -> F:
+    """The same, and a division by zero gives inf or nan as in NumPy where `jit` raises: without that check in
+    the way, the compiler works on several numbers at once."""
+    return _compiled(function, {"error_model": "numpy"})
+
+
+def _compiled(function: F, more: dict[str, Any]) -> F:
+    options: dict[str, Any] = {"nogil": True, "fastmath": {"contract", "arcp", "nsz", "reassoc"}, **more}
     try:
         return cast(F, numba.njit(cache=True, **options)(function))
     except RuntimeError as error:

@@ -11,9 +11,10 @@ from huepose.geometry.arrays import Float, Float64
 from huepose.geometry.kernels import rotation_exp_into
 from huepose.model.types import ReferenceModel
 from huepose.support.jit import jit
-from huepose.verification.dense import DEFAULT_WEIGHTS, TERMS, ScoreWeights, score_kernel, weight_array
+from huepose.verification.dense import DEFAULT_WEIGHTS, ScoreWeights, weight_array
 from huepose.verification.kernel_arrays import ModelArrays, RegionArrays, model_arrays, region_arrays
 from huepose.verification.region import Region
+from huepose.verification.score_kernel import SCRATCH_ROWS, TERMS, score_kernel
 
 SHIFT_PER_RADIAN = 0.4
 """A step of one radian goes with a shift of 0.4 diameters: both move the surface about as far."""
@@ -61,11 +62,11 @@ def _search_all(
     weights: Float64,
     totals: Float64,
 ) -> None:
-    moments, terms = np.empty((6, 5)), np.empty(TERMS)
+    scratch, terms = np.empty((SCRATCH_ROWS, samples)), np.empty(TERMS)
     turn, trial = np.empty((3, 3)), np.empty((4, 4))
     for m in range(poses.shape[0]):
         T = poses[m]
-        best = score_kernel(T, model, region, samples, weights, moments, terms)
+        best = score_kernel(T, model, region, samples, weights, scratch, terms, -np.inf)
         for level in range(steps.shape[0]):
             for _ in range(REPETITIONS):
                 moved = False
@@ -73,8 +74,11 @@ def _search_all(
                     for sign in (-1.0, 1.0):
                         for _stride in range(STRIDES):
                             stepped(T, axis, sign * steps[level], centre, shift_per_radian, turn, trial)
-                            total = score_kernel(trial, model, region, samples, weights, moments, terms)
-                            if total <= best + WORTH:
+                            needed = best + WORTH
+                            total = score_kernel(
+                                trial, model, region, samples, weights, scratch, terms, needed
+                            )
+                            if total <= needed:
                                 break
                             best = total
                             T[:] = trial

@@ -22,9 +22,10 @@ from huepose.colorpair.opponents import linear_rgb, opponents, opponents_of_lab
 from huepose.geometry.arrays import Float, Float32, Float64
 from huepose.model.types import PairReference, ReferenceModel
 from huepose.support.jit import jit
-from huepose.verification.dense import TERMS, ScoreWeights, score_kernel, weight_array
+from huepose.verification.dense import ScoreWeights, weight_array
 from huepose.verification.kernel_arrays import ModelArrays, RegionArrays, model_arrays, region_arrays
 from huepose.verification.region import Crop, Region
+from huepose.verification.score_kernel import SCRATCH_ROWS, TERMS, score_kernel
 
 GEOMETRY = ScoreWeights(depth_fit=0.9, coverage=0.7, violation=1.0, color=0.0, occluded=0.05, box=0.2)
 """The dense score's terms without its colours, weighed for pairs."""
@@ -187,6 +188,7 @@ def _score_all(
     out: Float64,
 ) -> None:
     moments, terms = np.empty((6, 5)), np.empty(TERMS)
+    scratch = np.empty((SCRATCH_ROWS, samples))
     for i in range(poses.shape[0]):
         pair_kernel(
             poses[i],
@@ -198,6 +200,7 @@ def _score_all(
             picture,
             weights,
             moments,
+            scratch,
             terms,
             out[i],
         )
@@ -214,12 +217,13 @@ def pair_kernel(
     picture: PairPicture,
     weights: Float64,
     moments: Float64,
+    scratch: Float64,
     terms: Float64,
     out: Float64,
 ) -> float:
-    """Judge one pose; `moments` (6, 5) and `terms` are scratch, `out` (5,) gets the terms, the total is
-    returned."""
-    geometry = score_kernel(T, model, region, samples, geometry_weights, moments, terms)
+    """Judge one pose; `moments` (6, 5), `scratch` and `terms` are scratch, `out` (5,) gets the terms, the
+    total is returned."""
+    geometry = score_kernel(T, model, region, samples, geometry_weights, scratch, terms, -np.inf)
     moments[:] = 0.0
     visible = _read_pairs(T, region, pairs, picture, moments)
     few = visible / (visible + weights[5])

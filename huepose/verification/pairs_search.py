@@ -9,7 +9,7 @@ import numpy as np
 from huepose.geometry.arrays import Float, Float64
 from huepose.model.types import ReferenceModel
 from huepose.support.jit import jit
-from huepose.verification.dense import TERMS, weight_array
+from huepose.verification.dense import weight_array
 from huepose.verification.kernel_arrays import ModelArrays, RegionArrays, model_arrays, region_arrays
 from huepose.verification.local_search import REPETITIONS, SHIFT_PER_RADIAN, STRIDES, WORTH, stepped
 from huepose.verification.pairs import (
@@ -24,6 +24,7 @@ from huepose.verification.pairs import (
     pair_weight_array,
 )
 from huepose.verification.region import Region
+from huepose.verification.score_kernel import SCRATCH_ROWS, TERMS
 
 
 def search_pairs(
@@ -72,12 +73,13 @@ def _search_all(
     steps: Float64,
     totals: Float64,
 ) -> None:
+    scratch = np.empty((SCRATCH_ROWS, samples))
     moments, terms, out = np.empty((6, 5)), np.empty(TERMS), np.empty(PAIR_TERMS + 1)
     turn, trial = np.empty((3, 3)), np.empty((4, 4))
     for m in range(poses.shape[0]):
         T = poses[m]
         best = pair_kernel(
-            T, model, region, samples, geometry_weights, pairs, picture, weights, moments, terms, out
+            T, model, region, samples, geometry_weights, pairs, picture, weights, moments, scratch, terms, out
         )
         for level in range(steps.shape[0]):
             for _ in range(REPETITIONS):
@@ -96,6 +98,7 @@ def _search_all(
                                 picture,
                                 weights,
                                 moments,
+                                scratch,
                                 terms,
                                 out,
                             )

@@ -11,11 +11,12 @@ from dataclasses import dataclass
 import cv2
 import numpy as np
 
-from huepose.colorpair.opponents import linear_rgb, opponents
+from huepose.colorpair.opponents import DARKEST, SCALE, linear_rgb
 from huepose.geometry.arrays import Bool, Float32, Float64, Int64, UInt8
 from huepose.geometry.box import Box
 from huepose.geometry.camera import Camera
 from huepose.geometry.frame import RgbdFrame
+from huepose.support.jit import jit_dividing
 
 COLOR_SCALES_M = (0.0010, 0.0035)
 """Standard deviations of the two smoothings, as in `Surface.lab`."""
@@ -77,7 +78,7 @@ def prepare_crop(frame: RgbdFrame, window: Box) -> Crop:
         y0,
         color,
         np.ascontiguousarray(frame.depth[y0:y1, x0:x1]),
-        np.asarray((color >= SATURATED).any(-1)),
+        np.asarray(cv2.inRange(color, (0, 0, 0), (SATURATED - 1,) * 3) == 0),
     )
 
 
@@ -145,13 +146,52 @@ def _masked_colors(crop: Crop, belief: Float32, depth_m: float) -> Float32:
     """Opponent colours smoothed at both scales; a pixel that is not believed counts little, so that inside
     the mask colours are the mask's, and outside those of the place."""
     weight = np.maximum(belief, np.float32(OUTSIDE_WEIGHT))
-    weighted = np.dstack([linear_rgb(crop.color) * weight[..., None], weight])
+    weighted = _weighted(linear_rgb(crop.color), weight)
     out = np.empty((*belief.shape, 6), np.float32)
+    log = np.empty((3, *belief.shape), np.float32)
     for scale, sigma_m in enumerate(COLOR_SCALES_M):
         sigma = max(0.5, sigma_m / depth_m * crop.camera.fx)
         smooth = np.asarray(cv2.GaussianBlur(weighted, (0, 0), sigma), dtype=np.float32)
-        out[..., 3 * scale : 3 * scale + 3] = opponents(smooth[..., :3] / smooth[..., 3:])
+        _brightened(smooth, log)
+        np.log(log, out=log)
+        _opposed(log, 3 * scale, out)
     return out
+
+
+@jit_dividing
+def _weighted(linear: Float32, weight: Float32) -> Float32:
+    """Colours (h, w, 3) times weights (h, w), and the weights behind them: (h, w, 4)."""
+    height, width = weight.shape
+    out = np.empty((height, width, 4), np.float32)
+    for v in range(height):
+        for u in range(width):
+            w = weight[v, u]
+            out[v, u, 0], out[v, u, 1] = linear[v, u, 0] * w, linear[v, u, 1] * w
+            out[v, u, 2], out[v, u, 3] = linear[v, u, 2] * w, w
+    return out
+
+
+@jit_dividing
+def _brightened(smooth: Float32, out: Float32) -> None:
+    """Weighted colours (h, w, 4) divided by their weight, plus DARKEST, as planes (3, h, w)."""
+    darkest = np.float32(DARKEST)
+    for v in range(smooth.shape[0]):
+        for u in range(smooth.shape[1]):
+            share = np.float32(1.0) / smooth[v, u, 3]
+            for q in range(3):
+                out[q, v, u] = smooth[v, u, q] * share + darkest
+
+
+@jit_dividing
+def _opposed(log: Float32, first: int, out: Float32) -> None:
+    """Opponents of logarithms (3, h, w), as in `colorpair.opponents`, into channels `first`.. of `out`."""
+    scale, half, third = np.float32(SCALE), np.float32(0.5 * SCALE), np.float32(SCALE / 3.0)
+    for v in range(log.shape[1]):
+        for u in range(log.shape[2]):
+            red, green, blue = log[0, v, u], log[1, v, u], log[2, v, u]
+            out[v, u, first] = (red + green + blue) * third
+            out[v, u, first + 1] = (red - green) * scale
+            out[v, u, first + 2] = (red + green) * half - blue * scale
 
 
 def _believed_points(crop: Crop, belief: Float32) -> tuple[Float64, Float64]:

@@ -43,7 +43,8 @@ class TemplateTable:
 
 
 def build_table(templates: ViewTemplates, diameter_m: float, *, min_coverage: float = 0.5) -> TemplateTable:
-    """Lay out a model's templates (0.1 s, about 20 MB). Larger cells count from a coverage of `min_coverage`."""
+    """Lay out a model's templates (0.1 s, about 20 MB). Larger cells count from a coverage of
+    `min_coverage`."""
     views, rolls = templates.planes.shape[:2]
     planes = templates.planes.reshape(views * rolls, *templates.planes.shape[2:]).astype(np.float32)
     side = planes.shape[-1]

@@ -64,26 +64,34 @@ def _search_all(
 ) -> None:
     scratch, terms = np.empty((SCRATCH_ROWS, samples)), np.empty(TERMS)
     turn, trial = np.empty((3, 3)), np.empty((4, 4))
+    failed = np.empty((6, 2), np.int64)  # by axis and way: how many moves had been made then
     for m in range(poses.shape[0]):
         T = poses[m]
         best = score_kernel(T, model, region, samples, weights, scratch, terms, -np.inf)
         for level in range(steps.shape[0]):
+            moves = 0
+            failed[:] = -1
             for _ in range(REPETITIONS):
-                moved = False
+                before = moves
                 for axis in range(6):
-                    for sign in (-1.0, 1.0):
+                    for way in range(2):
+                        if failed[axis, way] == moves:
+                            continue  # Tried already from this very pose.
                         for _stride in range(STRIDES):
-                            stepped(T, axis, sign * steps[level], centre, shift_per_radian, turn, trial)
+                            step = steps[level] if way else -steps[level]
+                            stepped(T, axis, step, centre, shift_per_radian, turn, trial)
                             needed = best + WORTH
                             total = score_kernel(
                                 trial, model, region, samples, weights, scratch, terms, needed
                             )
                             if total <= needed:
+                                failed[axis, way] = moves
                                 break
                             best = total
                             T[:] = trial
-                            moved = True
-                if not moved:
+                            moves += 1
+                            failed[axis, 1 - way] = moves  # It would only lead back.
+                if moves == before:
                     break
         totals[m] = best
 

@@ -16,7 +16,7 @@ from huepose.tracking.config import TrackerConfig
 from huepose.tracking.scoring import Fit, Tint
 from huepose.tracking.types import State
 
-CONSTANT, PER_DEPTH_FIT, PER_BEHIND, PER_COLOUR = -5.65, 3.56, -6.21, 8.95
+CONSTANT, PER_DEPTH_FIT, PER_BEHIND, PER_COLOR = -5.65, 3.56, -6.21, 8.95
 CARRIED = 1.0
 """Log-odds that a pose gains from having been right in the last frame."""
 
@@ -31,7 +31,7 @@ way it is doubtful at best."""
 HIDDEN, SCARCE_FADE = 0.6, 0.93
 """With more than this behind something, trust in the little that is left fades by this factor a frame."""
 
-MUTE_COLOUR = 0.35
+MUTE_COLOR = 0.35
 """What colours that cannot be seen neither add nor take away."""
 
 USUAL_SLACK, HIDDEN_SLACK = 0.3, 0.3
@@ -55,8 +55,8 @@ def quality(fit: Fit, usual: float | None, was_right: float) -> float:
     """
     mute = fit.tint[0] <= 0.0 and fit.seen >= FULLY_SEEN
     heard = min(1.0, (fit.seen + BLIND_SHARE * fit.no_depth) / FULLY_SEEN)
-    colour = MUTE_COLOUR if mute else heard * fit.colour
-    x = CONSTANT + PER_DEPTH_FIT * fit.depth_fit + PER_BEHIND * fit.behind + PER_COLOUR * colour
+    color = MUTE_COLOR if mute else heard * fit.color
+    x = CONSTANT + PER_DEPTH_FIT * fit.depth_fit + PER_BEHIND * fit.behind + PER_COLOR * color
     x += CARRIED * was_right
     if usual is not None and not mute:
         x -= PER_DROP * max(0.0, usual - fit.total - USUAL_SLACK - HIDDEN_SLACK * fit.hidden)

@@ -18,7 +18,7 @@ from huepose.tracking.scoring import Fit
 TURN = np.radians(25.0)
 """From a viewpoint this much different the print is new evidence."""
 
-COLOUR = 0.45
+COLOR = 0.45
 """Agreement of the print that counts."""
 
 DOUBT_LEFT = 0.5
@@ -57,6 +57,6 @@ class Identity:
 
     def carried(self, fit: Fit, view: Float64) -> Identity:
         """After a frame that supports the pose, seen from `view`."""
-        if fit.colour < COLOUR or float(view @ self.view) > np.cos(TURN):
+        if fit.color < COLOR or float(view @ self.view) > np.cos(TURN):
             return self
         return Identity.of(1.0 - (1.0 - self.value) * DOUBT_LEFT, view)

@@ -34,14 +34,14 @@ def fit_light(
     samples: Samples,
     weight: Float64,
     reference: Float32,
-    colour: Float64,
+    color: Float64,
     rounds: int,
     residual: Float64,
     trust: Float64,
     correlation: Float64,
     rms: Float64,
 ) -> None:
-    """Fit the light to `colour` (n, 3) of samples whose texture is `reference` (N, 3), with weights (n,).
+    """Fit the light to `color` (n, 3) of samples whose texture is `reference` (N, 3), with weights (n,).
 
     Writes residual (n, 3) = image - predicted; trust (n,): Cauchy weights of the samples over all channels;
     correlation (3,) of texture and image when offset and slope are taken out; rms (3,): robust, Lab units.
@@ -67,7 +67,7 @@ def fit_light(
                 # Visible normals point at the camera: -0.7 in z on average.
                 f[2], f[3], f[4] = samples.normals[k, 0], samples.normals[k, 1], samples.normals[k, 2] + 0.7
                 for i in range(m):
-                    b[i] += w * f[i] * colour[k, c]
+                    b[i] += w * f[i] * color[k, c]
                     for j in range(i + 1):
                         A[i, j] += w * f[i] * f[j]
                 total += w
@@ -85,7 +85,7 @@ def fit_light(
                     continue
                 lit = x[2] * samples.normals[k, 0] + x[3] * samples.normals[k, 1]
                 lit += x[4] * (samples.normals[k, 2] + 0.7)
-                residual[k, c] = colour[k, c] - gain[c] * reference[samples.which[k], c] - x[1] - lit
+                residual[k, c] = color[k, c] - gain[c] * reference[samples.which[k], c] - x[1] - lit
                 square += weight[k] * trust[k] * residual[k, c] ** 2
             rms[c] = np.sqrt(square / total)
         for k in range(n):

@@ -19,14 +19,14 @@ from huepose.geometry.kernels import rotation_exp_into, solve_symmetric
 from huepose.support.jit import jit
 from huepose.tracking.light import fit_light
 from huepose.tracking.region import STEPS, Region, RegionArrays
-from huepose.tracking.samples import AGREES, BEHIND, HIDDEN, Samples, colours, empty_samples, project
+from huepose.tracking.samples import AGREES, BEHIND, HIDDEN, Samples, colors, empty_samples, project
 from huepose.tracking.surface import SCALES_M, SurfaceArrays, TrackedSurface
 
-COLOUR_SHARE = 3.0
+COLOR_SHARE = 3.0
 """Weight of a colour residual against a depth residual, each in units of its own noise. Depth errors of real
 sensors agree with their neighbours', so each of them is worth less than it seems."""
 
-COLOUR_SIGMA_FLOOR = 2.5
+COLOR_SIGMA_FLOOR = 2.5
 """Lab units."""
 
 LIGHTNESS_WEIGHT = 0.5
@@ -47,7 +47,7 @@ LIGHT_ROUNDS = 3
 DAMPING = 2e-3
 """Of Levenberg and Marquardt, as a share of the information about the translation."""
 
-MIN_COLOURS = 20
+MIN_COLORS = 20
 STILL_M = 2e-5
 """A step smaller than this (metres, and metres at the object's rim) ends a level."""
 
@@ -170,8 +170,8 @@ def _refine(
 ) -> int:
     """Move T in place; the last normal equations are left in `information`. Returns the iterations done."""
     samples = empty_samples(limit)
-    weight, colour_weight, trust = np.empty(limit), np.empty(limit), np.empty(limit)
-    colour, gradient, residual = np.empty((limit, 3)), np.empty((limit, 3, 2)), np.empty((limit, 3))
+    weight, color_weight, trust = np.empty(limit), np.empty(limit), np.empty(limit)
+    color, gradient, residual = np.empty((limit, 3)), np.empty((limit, 3, 2)), np.empty((limit, 3))
     correlation, rms, share = np.zeros(3), np.zeros(3), np.zeros(3)
     A, b, x = np.empty((6, 6)), np.empty(6), np.empty(6)
     D, centre = np.empty((3, 3)), np.empty(3)
@@ -189,28 +189,28 @@ def _refine(
         for k in range(n):
             facing = min(1.0, 2.0 * samples.cosine[k])
             weight[k] = facing * (OUTLINE_FLOOR + (1.0 - OUTLINE_FLOOR) * samples.inside[k])
-            colour_weight[k] = weight[k] if samples.kind[k] == AGREES else NO_DEPTH_WEIGHT * facing
+            color_weight[k] = weight[k] if samples.kind[k] == AGREES else NO_DEPTH_WEIGHT * facing
         image = region.fine if level == 0 else (region.middle if level == 1 else region.coarse)
         A[:] = 0.0
         b[:] = 0.0
-        left = colours(n, samples, region.usable, image, STEPS[level], colour, gradient, colour_weight)
-        if left >= MIN_COLOURS:
+        left = colors(n, samples, region.usable, image, STEPS[level], color, gradient, color_weight)
+        if left >= MIN_COLORS:
             fit_light(
-                n, samples, colour_weight, surface.lab[level], colour, LIGHT_ROUNDS, residual, trust,
+                n, samples, color_weight, surface.lab[level], color, LIGHT_ROUNDS, residual, trust,
                 correlation, rms,
             )  # fmt: skip
             for c in range(3):
                 # Where texture and image have nothing in common their difference says nothing.
                 share[c] = (
-                    COLOUR_SHARE * (0.1 + max(correlation[c], 0.0)) * (LIGHTNESS_WEIGHT if c == 0 else 1.0)
+                    COLOR_SHARE * (0.1 + max(correlation[c], 0.0)) * (LIGHTNESS_WEIGHT if c == 0 else 1.0)
                 )
-                share[c] /= max(COLOUR_SIGMA_FLOOR, rms[c]) ** 2
+                share[c] /= max(COLOR_SIGMA_FLOOR, rms[c]) ** 2
             for k in range(n):
-                if colour_weight[k] > 0.0:
-                    colour_weight[k] *= trust[k]
+                if color_weight[k] > 0.0:
+                    color_weight[k] *= trust[k]
                     weight[k] *= DISTRUST_FLOOR + (1.0 - DISTRUST_FLOOR) * trust[k]
-            _add_colour(
-                n, samples, colour_weight, gradient, residual, region, centre, surface.radius, share, A, b
+            _add_color(
+                n, samples, color_weight, gradient, residual, region, centre, surface.radius, share, A, b
             )
         variance = max(depth_sigma**2, _depth_variance(n, samples, weight, gate))
         _add_depth(n, samples, weight, gate, 1.0 / variance, centre, surface.radius, A, b)
@@ -280,7 +280,7 @@ def _add_depth(
 
 
 @jit
-def _add_colour(
+def _add_color(
     n: int,
     samples: Samples,
     weight: Float64,

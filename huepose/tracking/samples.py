@@ -169,13 +169,13 @@ def decoded(image: UInt8, row: int, column: int, channel: int) -> float:
 
 
 @jit
-def colours(
+def colors(
     n: int,
     samples: Samples,
     usable: UInt8,
     image: UInt8,
     step: int,
-    colour: Float64,
+    color: Float64,
     gradient: Float64,
     weight: Float64,
 ) -> int:
@@ -212,7 +212,7 @@ def colours(
         for c in range(3):
             p00, p01 = decoded(image, y0, x0, c), decoded(image, y0, x0 + 1, c)
             p10, p11 = decoded(image, y0 + 1, x0, c), decoded(image, y0 + 1, x0 + 1, c)
-            colour[k, c] = (p00 * (1 - a) + p01 * a) * (1 - b) + (p10 * (1 - a) + p11 * a) * b
+            color[k, c] = (p00 * (1 - a) + p01 * a) * (1 - b) + (p10 * (1 - a) + p11 * a) * b
             gradient[k, c, 0] = ((p01 - p00) * (1 - b) + (p11 - p10) * b) / step
             gradient[k, c, 1] = ((p10 - p00) * (1 - a) + (p11 - p01) * a) / step
     return left

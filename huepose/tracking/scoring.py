@@ -18,7 +18,7 @@ from huepose.tracking.region import STEPS, Region, RegionArrays
 from huepose.tracking.samples import FAR_ALONG_RAY, MIN_COSINE, decoded, nearest_view, placed
 from huepose.tracking.surface import SurfaceArrays, TrackedSurface
 
-FIT_WEIGHT, BEHIND_WEIGHT, COLOUR_WEIGHT, HIDDEN_WEIGHT = 0.7, 0.5, 1.3, 0.1
+FIT_WEIGHT, BEHIND_WEIGHT, COLOR_WEIGHT, HIDDEN_WEIGHT = 0.7, 0.5, 1.3, 0.1
 LIGHTNESS_SHARE = 0.4
 """Weight of lightness against hue: shading changes it, but fine print is often black on white."""
 
@@ -44,7 +44,7 @@ class Fit:
 
     total: the score, about 0 for nonsense, 1 to 1.9 for a right pose; depth_fit 0..1: agreement of the depth
     that speaks; behind: seen through (free space violated); hidden: something is in front; seen: agrees in
-    depth; outside: out of the image; no_depth; colour -1..1: correlation of image and texture, light taken
+    depth; outside: out of the image; no_depth; color -1..1: correlation of image and texture, light taken
     out, and where there is little texture the agreement of the mean colour, if the light is known;
     residual_m: rms distance of agreeing depth along the normals; texture: Lab units of contrast in view;
     tint: what the light does to the mean colour: factor of (L + 16, a, b), then shifts of a and b; a factor
@@ -54,7 +54,7 @@ class Fit:
     total: float
     depth_fit: float
     behind: float
-    colour: float
+    color: float
     hidden: float
     seen: float
     residual_m: float
@@ -153,7 +153,7 @@ def _score(
     step = STEPS[level]
     h, w = image.shape[0], image.shape[1]
     moments = np.zeros((3, 5))
-    fit = agree = behind = hidden = outside = no_depth = square = coloured = 0.0
+    fit = agree = behind = hidden = outside = no_depth = square = colored = 0.0
     total = 1e-9
     for k in range(first, min(surface.offsets[view + 1], first + limit)):
         i = surface.visible[k]
@@ -190,20 +190,18 @@ def _score(
         x0, y0 = int(np.floor(px)), int(np.floor(py))
         if x0 < 0 or y0 < 0 or x0 >= w - 1 or y0 >= h - 1:
             continue
-        coloured += g
+        colored += g
         _add_moments(moments, g, reference, i, image, y0, x0, px - x0, py - y0)
     out[9] = out[10] = out[11] = 0.0
-    colour = contrast = 0.0
-    if coloured > 0.02 * total:
-        colour, contrast = _colour_agreement(moments, coloured, tint, out)
+    color = contrast = 0.0
+    if colored > 0.02 * total:
+        color, contrast = _color_agreement(moments, colored, tint, out)
     expected = agree + behind + 0.15 * total
-    out[0], out[1], out[2], out[3] = fit / expected, behind / expected, colour, hidden / total
+    out[0], out[1], out[2], out[3] = fit / expected, behind / expected, color, hidden / total
     out[4] = agree / total
     out[5] = np.sqrt(square / agree) if agree > 0.0 else 0.0
     out[6], out[7], out[8] = outside / total, no_depth / total, contrast
-    return float(
-        FIT_WEIGHT * out[0] - BEHIND_WEIGHT * out[1] + COLOUR_WEIGHT * colour - HIDDEN_WEIGHT * out[3]
-    )
+    return float(FIT_WEIGHT * out[0] - BEHIND_WEIGHT * out[1] + COLOR_WEIGHT * color - HIDDEN_WEIGHT * out[3])
 
 
 @jit
@@ -224,27 +222,27 @@ def _add_moments(
 
 
 @jit
-def _colour_agreement(moments: Float64, coloured: float, tint: Tint, out: Float64) -> tuple[float, float]:
+def _color_agreement(moments: Float64, colored: float, tint: Tint, out: Float64) -> tuple[float, float]:
     """Correlation over the channels, each by its contrast in the texture, filled up by the agreement of the
     mean colour; and that contrast in Lab units. The tint of the samples goes to out[9:12]."""
-    colour = weight = 0.0
+    color = weight = 0.0
     for q in range(3):
-        mx, my = moments[q, 0] / coloured, moments[q, 1] / coloured
-        vx = max(moments[q, 2] / coloured - mx * mx, 0.0)
-        vy = max(moments[q, 3] / coloured - my * my, 0.0)
+        mx, my = moments[q, 0] / colored, moments[q, 1] / colored
+        vx = max(moments[q, 2] / colored - mx * mx, 0.0)
+        vy = max(moments[q, 3] / colored - my * my, 0.0)
         s = np.sqrt(vx) * (LIGHTNESS_SHARE if q == 0 else 1.0)
-        colour += s * (moments[q, 4] / coloured - mx * my) / (np.sqrt(vx * vy) + CONTRAST_FLOOR)
+        color += s * (moments[q, 4] / colored - mx * my) / (np.sqrt(vx * vy) + CONTRAST_FLOOR)
         weight += s
-    texture_l, image_l = moments[0, 0] / coloured, moments[0, 1] / coloured
+    texture_l, image_l = moments[0, 0] / colored, moments[0, 1] / colored
     factor = (image_l + L_ORIGIN) / (texture_l + L_ORIGIN)
     out[9] = factor
     for q in range(1, 3):
-        out[9 + q] = (moments[q, 1] - factor * moments[q, 0]) / coloured
+        out[9 + q] = (moments[q, 1] - factor * moments[q, 0]) / colored
     mean = 0.0
     if tint[0] > 0.0:
         d = ((tint[0] - factor) * (texture_l + L_ORIGIN) / TINT_SIGMA[0]) ** 2
         for q in range(1, 3):
-            expected = tint[0] * moments[q, 0] / coloured + tint[q]
-            d += ((moments[q, 1] / coloured - expected) / TINT_SIGMA[q]) ** 2
+            expected = tint[0] * moments[q, 0] / colored + tint[q]
+            d += ((moments[q, 1] / colored - expected) / TINT_SIGMA[q]) ** 2
         mean = np.exp(-0.5 * d)
-    return (colour + TEXTURELESS * mean) / (weight + TEXTURELESS), weight
+    return (color + TEXTURELESS * mean) / (weight + TEXTURELESS), weight

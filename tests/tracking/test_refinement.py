@@ -103,7 +103,7 @@ def test_score_says_what_is_there(tea_box, soup_can, shoot, path) -> None:
     assert right.total > 1.3
     assert right.seen > 0.85
     assert right.behind < 0.05
-    assert right.colour > 0.6
+    assert right.color > 0.6
     turned = truth @ se3.make(np.diag([-1.0, -1.0, 1.0]), np.zeros(3))
     wrong = score(surface, region_of(surface, frame, truth), turned, 0)
     assert wrong.total < right.total - 0.5, "the same shape with another print"
@@ -125,8 +125,8 @@ def test_the_mean_colour_speaks_where_the_light_is_known(tea_box, shoot, path) -
     plain = score(surface, region, truth, 0)
     known = score(surface, region, truth, 0, tint=plain.tint)
     other = score(surface, region, truth, 0, tint=(plain.tint[0] * 1.6, plain.tint[1] + 30, 0.0))
-    assert known.colour > plain.colour
-    assert other.colour == pytest.approx(plain.colour, abs=0.005)
+    assert known.color > plain.color
+    assert other.color == pytest.approx(plain.color, abs=0.005)
 
 
 def test_windows_are_clipped_and_never_too_small() -> None:

@@ -40,26 +40,26 @@ def run(qualities: list[float], confirmed: bool = True, start: State = State.TRA
 def test_good_and_bad_evidence() -> None:
     assert quality(GOOD, None, 0.0) > 0.9
     assert quality(NOTHING, None, 1.0) < 0.05
-    assert quality(replace(GOOD, colour=0.0, depth_fit=0.5), None, 0.0) < 0.1
+    assert quality(replace(GOOD, color=0.0, depth_fit=0.5), None, 0.0) < 0.1
     assert quality(GOOD, None, 1.0) > quality(GOOD, None, 0.0), "right a frame ago"
 
 
 def test_each_piece_of_evidence_counts() -> None:
-    base = replace(GOOD, colour=0.3)
+    base = replace(GOOD, color=0.3)
     q = quality(base, None, 0.0)
     assert quality(replace(base, depth_fit=0.6), None, 0.0) < q
     assert quality(replace(base, behind=0.2), None, 0.0) < q
-    assert quality(replace(base, colour=0.1), None, 0.0) < q
+    assert quality(replace(base, color=0.1), None, 0.0) < q
 
 
 def test_a_sudden_drop_under_the_usual_counts() -> None:
-    fit = replace(GOOD, total=0.8, colour=0.35)
+    fit = replace(GOOD, total=0.8, color=0.35)
     assert quality(fit, 1.6, 1.0) < quality(fit, 0.9, 1.0)
 
 
 def test_one_sense_alone_is_doubtful_at_best() -> None:
     blind = replace(GOOD, seen=0.0, depth_fit=0.0, no_depth=0.95)
-    dazzled = replace(GOOD, colour=0.0, texture=0.0, tint=UNKNOWN_TINT)
+    dazzled = replace(GOOD, color=0.0, texture=0.0, tint=UNKNOWN_TINT)
     for fit in (blind, dazzled):
         assert CONFIG.lost_quality < quality(fit, 1.5, 1.0) < CONFIG.suspect_quality
     assert quality(replace(dazzled, depth_fit=0.2, behind=0.6), None, 1.0) < CONFIG.lost_quality
@@ -119,7 +119,7 @@ def test_identity_grows_with_agreement_and_new_viewpoints() -> None:
     assert doubtful.agreed(0.95, front).value == pytest.approx(0.95)
     assert doubtful.agreed(0.8, side).value == pytest.approx(0.92)
     assert doubtful.carried(GOOD, front) is doubtful, "the same side says nothing new"
-    assert doubtful.carried(replace(GOOD, colour=0.2), side) is doubtful, "nor does a side without a print"
+    assert doubtful.carried(replace(GOOD, color=0.2), side) is doubtful, "nor does a side without a print"
     carried = doubtful.carried(GOOD, side)
     assert carried.value == pytest.approx(0.8)
     assert carried.carried(GOOD, side) is carried

@@ -29,6 +29,20 @@ def test_scenes_of_the_builtin_objects_are_drawn_with_their_meshes(
     assert main(["render-scenes", "--models", "builtin", "--out", str(out), "--frames", "0"]) == BAD_INPUT
 
 
+def test_look_alikes_stand_where_the_objects_would_in_other_prints(tmp_path: Path) -> None:
+    scenes = []
+    for prints in ("0", "1"):
+        out = tmp_path / prints
+        command = ["render-scenes", "--models", "builtin", "--prints", prints, "--out", str(out)]
+        assert main([*command, "--objects", "1", "--frames", "1", "--seed", "3"]) == DONE
+        scenes.append(BopScene(out))
+    (demo,), (alike,) = (scene.truths(0) for scene in scenes)
+    assert demo.T_cam_obj == pytest.approx(alike.T_cam_obj)
+    colors = [scene.sample(0).frame.color[scene.mask(0, 0)].astype(float) for scene in scenes]
+    assert colors[0].shape == colors[1].shape
+    assert np.abs(colors[0] - colors[1]).mean() > 20.0
+
+
 def _results(path: Path, n: int, seed: int) -> Path:
     """A result file in which a pose is right with a chance that is logistic in its margin."""
     rng = np.random.default_rng(seed)

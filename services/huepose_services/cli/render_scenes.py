@@ -22,6 +22,13 @@ def add_parser(subparsers: Any) -> None:
         metavar="DIR|builtin",
         help="BOP models folder; builtin: those of the demo, whose meshes are written to OUT/models",
     )
+    parser.add_argument(
+        "--prints",
+        type=int,
+        default=0,
+        metavar="N",
+        help="with builtin: the same shapes in other prints, look-alikes of the demo's (0: the demo's own)",
+    )
     parser.add_argument("--out", type=Path, required=True, metavar="DIR", help="scene folder")
     parser.add_argument("--frames", type=int, default=100, metavar="N", help="how many (100)")
     parser.add_argument("--seed", type=int, default=0, metavar="N", help="of everything that varies (0)")
@@ -38,7 +45,7 @@ def call(arguments: argparse.Namespace) -> int:
     from huepose.support.errors import InputError
 
     if arguments.models == "builtin":
-        meshes = demo_objects(0)
+        meshes = demo_objects(arguments.prints)
         ids = {name: k for k, name in enumerate(meshes, 1)}
         wanted = set(arguments.objects or ids.values())
         if wanted - set(ids.values()):

@@ -1,0 +1,46 @@
+"""The compiled score: who only asks for something better gets the same answer for less work."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+
+from huepose.geometry import Box, RgbdFrame, se3
+from huepose.model.types import ReferenceModel
+from huepose.rendering.render import render_depth
+from huepose.verification.dense import DEFAULT_WEIGHTS, weight_array
+from huepose.verification.kernel_arrays import model_arrays, region_arrays
+from huepose.verification.region import prepare_region
+from huepose.verification.score_kernel import SCRATCH_ROWS, TERMS, score_kernel
+
+
+def test_a_needed_total_decides_as_the_whole_total_does(
+    tea_box: ReferenceModel, take_picture: Callable[..., RgbdFrame], standing: np.ndarray
+) -> None:
+    frame = take_picture([(tea_box.mesh, standing)])
+    mask = render_depth(tea_box.mesh, standing, frame.camera) > 0
+    box = Box.of_mask(mask)
+    assert box is not None
+    region = prepare_region(frame, mask, box, tea_box.diameter_m)
+    assert region is not None
+    model, seen, weights = model_arrays(tea_box), region_arrays(region), weight_array(DEFAULT_WEIGHTS)
+    rng = np.random.default_rng(3)
+    poses = [
+        se3.perturb(standing, rng.normal(size=6) * ([0.01] * 3 + [0.2] * 3) * size)
+        for size in np.linspace(0.02, 3.0, 60)
+    ]
+    scratch, terms = np.empty((SCRATCH_ROWS, 220)), np.empty(TERMS)
+
+    def judged(T: np.ndarray, needed: float) -> float:
+        return score_kernel(T, model, seen, 220, weights, scratch, terms, needed)
+
+    totals = [judged(T, -np.inf) for T in poses]
+    shortened = 0
+    for T, total in zip(poses, totals, strict=True):
+        assert judged(T, total - 1e-6) == total  # what is better is judged in full
+        for needed in (total + 1e-6, total + 0.1, total + 0.5, total + 1.5):
+            answer = judged(T, needed)
+            assert total - 1e-9 <= answer <= needed
+            shortened += answer != total
+    assert shortened > len(poses)

@@ -132,7 +132,8 @@ def _observe(
 
 
 def _wait_until_ready(supervisor: Supervisor, stopping: Callable[[], bool]) -> None:
-    print("starting the workers (the first start compiles their kernels: about a minute)", file=sys.stderr, flush=True)
+    note = "starting the workers (the first start compiles their kernels: about a minute)"
+    print(note, file=sys.stderr, flush=True)
     started = time.monotonic()
     while not supervisor.ready and not stopping():
         supervisor.poll()

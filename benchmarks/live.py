@@ -67,7 +67,6 @@ class LivePipeline:
                     "bundles": str(bundles),
                     "workers": list(CHAIN),
                     "camera": {"source": "synthetic", "seed": seed, "truth": True},
-                    "detector": {"kind": "truth", "seed": seed},
                     "tracker": {"max_age_ms": max_age_ms},
                     # Each fault is one death: none shall be given up for having died in the faults before.
                     "restarts": {"limit": 100},

@@ -7,8 +7,8 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 
 from huepose.matching.template_table import TemplateTable, build_table
+from huepose.model.named import model_named
 from huepose.model.types import ReferenceModel
-from huepose.support.errors import InputError
 
 
 @dataclass(frozen=True, eq=False)
@@ -46,14 +46,7 @@ class PreparedModels:
 
     def model(self, name: str) -> ReferenceModel:
         """The model of that name."""
-        if name not in self._models:
-            raise InputError(
-                f"object '{name}'",
-                found="no reference model of that name",
-                expected=f"one of {', '.join(self.names) or 'no objects at all'}",
-                fix="Onboard it with `huepose onboard`, or check the spelling.",
-            )
-        return self._models[name]
+        return model_named(self._models, name)
 
     def prepared(self, name: str) -> PreparedModel:
         """The model of that name, prepared."""

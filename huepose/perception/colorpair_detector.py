@@ -17,6 +17,7 @@ import numpy as np
 from huepose.geometry import se3
 from huepose.geometry.camera import Camera
 from huepose.geometry.frame import RgbdFrame
+from huepose.model.named import model_named
 from huepose.model.types import ReferenceModel
 from huepose.perception.clear_view import clear_view
 from huepose.perception.contest import contested
@@ -24,7 +25,6 @@ from huepose.perception.scouting import propose
 from huepose.perception.types import Detection
 from huepose.perception.window_table import WindowTable, window_table
 from huepose.rendering.render import render
-from huepose.support.errors import InputError
 from huepose.support.stages import stage
 
 PROPOSALS = 2
@@ -100,14 +100,7 @@ class ColorPairDetector:
             self.detect(RgbdFrame(picture.color, depth.astype(np.float32), camera), [model.name])
 
     def _model(self, name: str) -> ReferenceModel:
-        if name not in self._models:
-            raise InputError(
-                f"object '{name}'",
-                found="no reference model of that name",
-                expected=f"one of {', '.join(sorted(self._models)) or 'no objects at all'}",
-                fix="Onboard it with `huepose onboard`, or check the spelling.",
-            )
-        return self._models[name]
+        return model_named(self._models, name)
 
     def _table(self, name: str) -> WindowTable:
         with self._lock:

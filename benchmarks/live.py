@@ -7,10 +7,8 @@ of itself is read in its log and its health.
 from __future__ import annotations
 
 import json
-import os
 import shutil
 import signal
-import socket
 import subprocess
 import sys
 import tempfile
@@ -30,6 +28,7 @@ from huepose_protos.messages import Estimates, HealthMessage, PoseMessage, Truth
 from huepose_services.builtin import builtin_bundles
 from huepose_services.convert import optional_pose_from_wire, pose_of
 from huepose_services.runtime.config import WORKERS
+from huepose_services.runtime.ports import free_ports
 
 CHAIN = ("camera", "tracker", "reinit", "detector", "segmenter", "estimator")
 
@@ -60,7 +59,7 @@ class LivePipeline:
         }
         self._folder = Path(tempfile.mkdtemp(prefix="huepose-live-"))
         self.path = self._folder / "pipeline.yaml"
-        self.base_port = _free_ports(len(WORKERS))
+        self.base_port = free_ports(len(WORKERS))
         self.path.write_text(
             json.dumps(
                 {
@@ -190,18 +189,3 @@ def wrong(poses: list[SeenPose], limit: float = 0.1) -> int:
 def too_old(poses: list[SeenPose], max_age_ms: float) -> int:
     """TRACKING poses published at more than their age limit; a millisecond for the encoding."""
     return sum(p.state == "TRACKING" and p.age_ms > max_age_ms + 1.0 for p in poses)
-
-
-def _free_ports(count: int) -> int:
-    for base in range(30_000 + os.getpid() % 500 * 32, 60_000, 32):
-        probes = [socket.socket() for _ in range(count)]
-        try:
-            for place, probe in enumerate(probes):
-                probe.bind(("127.0.0.1", base + place))
-            return base
-        except OSError:
-            continue
-        finally:
-            for probe in probes:
-                probe.close()
-    raise SystemExit("no free ports")

@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-import os
 import shutil
-import socket
 import sys
 import tempfile
 import time
@@ -24,6 +22,7 @@ from huepose_services.demo.score import Score, Yardstick
 from huepose_services.demo.table import Table
 from huepose_services.runtime.clock import SECOND, now_ns
 from huepose_services.runtime.config import WORKERS, Config, load
+from huepose_services.runtime.ports import free_ports
 from huepose_services.runtime.supervisor import Supervisor
 
 _READY_WITHIN_S = 300.0
@@ -71,26 +70,8 @@ def _pipeline(seed: int, bundles: Path) -> dict[str, Any]:
         "bundles": str(bundles),
         "camera": {"source": "synthetic", "seed": seed, "truth": True},
         "detector": {"kind": "colorpair"},
-        "bus": {"base_port": _free_ports(len(WORKERS))},
+        "bus": {"base_port": free_ports(len(WORKERS))},
     }
-
-
-def _free_ports(count: int) -> int:
-    """The first of some ports in a row that nobody listens on, so that a demo can run beside a pipeline."""
-    start = 20_000 + os.getpid() % 1000 * 16
-    for base in range(start, 60_000, 16):
-        if all(_is_free(base + i) for i in range(count)):
-            return base
-    raise InputError("ports 20000 to 60000", found="all taken", expected=f"{count} free ones in a row")
-
-
-def _is_free(port: int) -> bool:
-    with socket.socket() as probe:
-        try:
-            probe.bind(("127.0.0.1", port))
-        except OSError:
-            return False
-        return True
 
 
 def _observe(

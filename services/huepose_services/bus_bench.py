@@ -9,14 +9,20 @@ from __future__ import annotations
 import multiprocessing
 import socket
 import time
+from typing import TYPE_CHECKING
 
 import numpy as np
 import zenoh
 
-from huepose.evaluation.benches import StageTime
+from huepose_services.runtime.inbox import Inbox, Ring
 from huepose_services.runtime.session import MIB, zenoh_config
 
-_WIDTH, _HEIGHT, _RATE_HZ = 640, 480, 30.0
+if TYPE_CHECKING:
+    from huepose.evaluation.benches import StageTime
+
+# 640x480 pixels: three bytes of colour, two of depth.
+FRAME_BYTES, RATE_HZ = 640 * 480 * 5, 30.0
+WARM_UP = 5
 _KEY = "huepose/bench/frame"
 _POOL_BYTES = 6 * MIB
 _CONNECT_WITHIN_S = 10.0
@@ -26,36 +32,49 @@ def bench_bus(seconds: float = 6.0) -> list[StageTime]:
     """One frame of 640x480 colour and depth at 30 Hz to a ring of one: `bus/shared_memory` and `bus/tcp`.
 
     Raises RuntimeError when nothing arrives."""
-    return [_hop("bus/shared_memory", _POOL_BYTES, seconds), _hop("bus/tcp", 0, seconds)]
+    # Here, because the sender's process imports this module too and needs none of it.
+    from huepose.evaluation.benches import StageTime
+
+    return [
+        StageTime.of("bus/shared_memory", hop_spans(True, seconds)),
+        StageTime.of("bus/tcp", hop_spans(False, seconds)),
+    ]
 
 
-def _hop(name: str, pool_bytes: int, seconds: float) -> StageTime:
+def hop_spans(shared_memory: bool, seconds: float) -> list[tuple[float, float]]:
+    """(wall, receiver's CPU) seconds of every frame after the first ones.
+
+    Raises RuntimeError when none arrives by the asked way."""
+    pool_bytes = _POOL_BYTES if shared_memory else 0
     with socket.socket() as probe:
         probe.bind(("127.0.0.1", 0))
         endpoint = f"tcp/127.0.0.1:{probe.getsockname()[1]}"
     context = multiprocessing.get_context("spawn")
     sender = context.Process(target=_send, args=(endpoint, pool_bytes, seconds), daemon=True)
-    session = zenoh.open(zenoh_config([endpoint], [], shared_memory=pool_bytes > 0))
+    session = zenoh.open(zenoh_config([endpoint], [], shared_memory=shared_memory))
+    inbox = Inbox(session)
     try:
-        ring = session.declare_subscriber(_KEY, zenoh.handlers.RingChannel(1))
+        ring = inbox.ring(_KEY)
         sender.start()
-        spans = _receive(ring, seconds, shared=pool_bytes > 0)
+        spans = _receive(inbox, ring, seconds, shared_memory)
     finally:
+        inbox.close()
         session.close()  # type: ignore[no-untyped-call]
         sender.join(timeout=10.0)
     if not spans:
-        raise RuntimeError(f"{name}: no frame arrived within {_CONNECT_WITHIN_S + seconds:g} s")
-    return StageTime.of(name, spans)
+        way = "shared memory" if shared_memory else "TCP"
+        raise RuntimeError(f"no frame arrived by {way} within {_CONNECT_WITHIN_S + seconds:g} s")
+    return spans
 
 
-def _receive(ring: zenoh.Subscriber, seconds: float, shared: bool) -> list[tuple[float, float]]:
-    """(wall, receiver's CPU) seconds of every frame that came by the asked way."""
+def _receive(inbox: Inbox, ring: Ring, seconds: float, shared: bool) -> list[tuple[float, float]]:
+    """As a worker does: a ring of one, the frame copied out."""
     spans: list[tuple[float, float]] = []
     until = time.monotonic() + _CONNECT_WITHIN_S + seconds
     while time.monotonic() < until:
-        sample = ring.try_recv()
+        inbox.wait(0.1)
+        sample = ring.take()
         if sample is None:
-            time.sleep(0.0002)
             continue
         cpu = time.thread_time()
         sent_ns = int.from_bytes(sample.attachment.to_bytes(), "little") if sample.attachment else 0
@@ -64,23 +83,24 @@ def _receive(ring: zenoh.Subscriber, seconds: float, shared: bool) -> list[tuple
         by_memory = sample.payload.as_shm() is not None
         pixels = np.frombuffer(sample.payload.to_bytes(), np.uint8)
         now = time.monotonic_ns()
-        if by_memory == shared and pixels.size == _WIDTH * _HEIGHT * 5:
+        del sample
+        if by_memory == shared and pixels.size == FRAME_BYTES:
             spans.append(((now - sent_ns) * 1e-9, time.thread_time() - cpu))
-    return spans[5:]
+    return spans[WARM_UP:]
 
 
 def _send(endpoint: str, pool_bytes: int, seconds: float) -> None:
     session = zenoh.open(zenoh_config([], [endpoint], shared_memory=pool_bytes > 0, pool_bytes=pool_bytes))
-    frame = np.random.default_rng(0).integers(0, 255, _WIDTH * _HEIGHT * 5, dtype=np.uint8)
+    frame = np.random.default_rng(0).integers(0, 255, FRAME_BYTES, dtype=np.uint8)
     publisher = session.declare_publisher(_KEY, congestion_control=zenoh.CongestionControl.DROP)
     waited_until = time.monotonic() + _CONNECT_WITHIN_S
     while not _has_reader(publisher) and time.monotonic() < waited_until:
         time.sleep(0.02)
     due = time.monotonic()
-    for _ in range(int(seconds * _RATE_HZ)):
+    for _ in range(int(seconds * RATE_HZ)):
         sent = time.monotonic_ns().to_bytes(8, "little")
         publisher.put(frame.tobytes(), attachment=sent)
-        due += 1.0 / _RATE_HZ
+        due += 1.0 / RATE_HZ
         time.sleep(max(0.0, due - time.monotonic()))
     publisher.put(b"", attachment=bytes(8))
     time.sleep(0.2)

@@ -203,6 +203,7 @@ def _score_all(
             scratch,
             terms,
             out[i],
+            -np.inf,
         )
 
 
@@ -220,16 +221,24 @@ def pair_kernel(
     scratch: Float64,
     terms: Float64,
     out: Float64,
+    needed: float,
 ) -> float:
     """Judge one pose; `moments` (6, 5), `scratch` and `terms` are scratch, `out` (5,) gets the terms, the
-    total is returned."""
-    geometry = score_kernel(T, model, region, samples, geometry_weights, scratch, terms, -np.inf)
+    total is returned.
+
+    A pose whose total cannot be over `needed` may be left half judged: then some number that is at least its
+    total and not over `needed` is returned, and `out` says nothing.
+    """
     moments[:] = 0.0
     visible = _read_pairs(T, region, pairs, picture, moments)
     few = visible / (visible + weights[5])
     color = few * _correlation(moments, 0, weights)
     contrast = few * _correlation(moments, 3, weights)
-    out[0] = geometry + weights[0] * color + weights[1] * contrast
+    colors = weights[0] * color + weights[1] * contrast
+    # What geometry has to give; the slack is more than rounding.
+    enough = needed - colors - 1e-9
+    geometry = score_kernel(T, model, region, samples, geometry_weights, scratch, terms, enough)
+    out[0] = geometry + colors
     out[1] = geometry
     out[2] = color
     out[3] = contrast

@@ -76,18 +76,37 @@ def _search_all(
     scratch = np.empty((SCRATCH_ROWS, samples))
     moments, terms, out = np.empty((6, 5)), np.empty(TERMS), np.empty(PAIR_TERMS + 1)
     turn, trial = np.empty((3, 3)), np.empty((4, 4))
+    failed = np.empty((6, 2), np.int64)  # By axis and way: how many moves had been made then.
     for m in range(poses.shape[0]):
-        T = poses[m]
+        T, needed = poses[m], -np.inf
         best = pair_kernel(
-            T, model, region, samples, geometry_weights, pairs, picture, weights, moments, scratch, terms, out
+            T,
+            model,
+            region,
+            samples,
+            geometry_weights,
+            pairs,
+            picture,
+            weights,
+            moments,
+            scratch,
+            terms,
+            out,
+            needed,
         )
         for level in range(steps.shape[0]):
+            moves = 0
+            failed[:] = -1
             for _ in range(REPETITIONS):
-                moved = False
+                before = moves
                 for axis in range(6):
-                    for sign in (-1.0, 1.0):
+                    for way in range(2):
+                        if failed[axis, way] == moves:
+                            continue  # Tried already from this very pose.
                         for _stride in range(STRIDES):
-                            stepped(T, axis, sign * steps[level], centre, shift_per_radian, turn, trial)
+                            step = steps[level] if way else -steps[level]
+                            stepped(T, axis, step, centre, shift_per_radian, turn, trial)
+                            needed = best + WORTH
                             total = pair_kernel(
                                 trial,
                                 model,
@@ -101,12 +120,15 @@ def _search_all(
                                 scratch,
                                 terms,
                                 out,
+                                needed,
                             )
-                            if total <= best + WORTH:
+                            if total <= needed:
+                                failed[axis, way] = moves
                                 break
                             best = total
                             T[:] = trial
-                            moved = True
-                if not moved:
+                            moves += 1
+                            failed[axis, 1 - way] = moves  # It would only lead back.
+                if moves == before:
                     break
         totals[m] = best

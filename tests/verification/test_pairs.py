@@ -11,9 +11,23 @@ import pytest
 from huepose.geometry import Box, RgbdFrame, se3
 from huepose.model.types import ReferenceModel
 from huepose.rendering.render import render_depth
-from huepose.verification.pairs import PairPicture, pair_picture, pair_score, pair_score_many
+from huepose.verification.dense import weight_array
+from huepose.verification.kernel_arrays import model_arrays, region_arrays
+from huepose.verification.pairs import (
+    DEFAULT_PAIR_WEIGHTS,
+    GEOMETRY,
+    PAIR_TERMS,
+    PairPicture,
+    pair_arrays,
+    pair_kernel,
+    pair_picture,
+    pair_score,
+    pair_score_many,
+    pair_weight_array,
+)
 from huepose.verification.pairs_search import search_pairs
 from huepose.verification.region import Region, prepare_region
+from huepose.verification.score_kernel import SCRATCH_ROWS, TERMS
 
 TakePicture = Callable[..., RgbdFrame]
 
@@ -111,3 +125,27 @@ def test_search_climbs_back(
     angles = [np.degrees(se3.rotation_angle(T, standing)) for T in found]
     assert np.median(angles) < 1.5
     assert np.median(np.linalg.norm(found[:, :3, 3] - standing[:3, 3], axis=1)) < 0.002
+
+
+def test_a_needed_total_decides_as_the_whole_total_does(
+    tea_box: ReferenceModel, standing: np.ndarray, view: tuple[Region, PairPicture]
+) -> None:
+    region, picture = view
+    seen_by = (model_arrays(tea_box), region_arrays(region), 150, weight_array(GEOMETRY))
+    by_pairs = (pair_arrays(tea_box.pairs, 300), picture, pair_weight_array(DEFAULT_PAIR_WEIGHTS))
+    scratch = (np.empty((6, 5)), np.empty((SCRATCH_ROWS, 150)), np.empty(TERMS), np.empty(PAIR_TERMS + 1))
+
+    def judged(T: np.ndarray, needed: float) -> float:
+        return pair_kernel(T, *seen_by, *by_pairs, *scratch, needed)
+
+    rng = np.random.default_rng(3)
+    shortened = 0
+    for size in np.linspace(0.02, 3.0, 40):
+        T = se3.perturb(standing, rng.normal(size=6) * ([0.01] * 3 + [0.2] * 3) * size)
+        total = judged(T, -np.inf)
+        assert judged(T, total - 1e-6) == total  # what is better is judged in full
+        for needed in (total + 1e-6, total + 0.3, total + 1.5):
+            answer = judged(T, needed)
+            assert total - 1e-8 <= answer <= needed
+            shortened += answer != total
+    assert shortened > 20

@@ -7,6 +7,8 @@ settling on depth > the best searched finely, and all judged by pairs.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import cv2
 import numpy as np
 
@@ -15,6 +17,7 @@ from huepose.estimation.different import different_poses
 from huepose.estimation.evidence import Evidence
 from huepose.geometry.arrays import Bool, Float64
 from huepose.geometry.frame import RgbdFrame
+from huepose.matching import hypotheses
 from huepose.matching.hypotheses import (
     HypothesesConfig,
     extract_at_model_scale,
@@ -85,6 +88,11 @@ def estimate_by_pairs(
     return [(float(totals[k]), poses[k]) for k in best]
 
 
+def warm_up(models: Sequence[ReferenceModel], config: ColorpairPathConfig) -> None:
+    """Compile what the first picture may do without and a later one needs."""
+    hypotheses.warm_up(models, _sources(config))
+
+
 def proposed_by_pairs(
     model: ReferenceModel,
     evidence: Evidence,
@@ -115,14 +123,14 @@ def _proposed(
     with stage("extract"):
         pairs = extract_at_model_scale(model.pairs, part, mask)
     with stage("hypotheses"):
-        sources = HypothesesConfig() if config.ppf else HypothesesConfig(ppf=None)
+        sources = _sources(config)
         readings = read_scene(model, pairs, part, mask, sources, rng)
-        hypotheses = hypotheses_of(model, readings, part, mask, sources, rng)[: config.refined]
-        missing = min(config.refined - len(hypotheses), SHAPES)
-        starts = shape_hypotheses(model, part, mask, missing)
-    if not hypotheses and not starts:
+        found = hypotheses_of(model, readings, part, mask, sources, rng)[: config.refined]
+        missing = min(config.refined - len(found), SHAPES)
+        found += shape_hypotheses(model, part, mask, missing)
+    if not found:
         return np.zeros((0, 4, 4))
-    poses = np.stack([h.T_cam_obj for h in [*hypotheses, *starts]])
+    poses = np.stack([h.T_cam_obj for h in found])
     with stage("icp"):
         poses = align_many(model.surface, model.grid, points_cam, poses, 0.15 * model.diameter_m, 0.008, 25)
     with stage("judge"):
@@ -135,6 +143,10 @@ def _proposed(
             slid = semantic_icp_many(model.pairs, scene, poses)
             poses = np.concatenate([poses, [a.T_cam_obj for a in slid]])
     return np.asarray(poses)
+
+
+def _sources(config: ColorpairPathConfig) -> HypothesesConfig:
+    return HypothesesConfig() if config.ppf else HypothesesConfig(ppf=None)
 
 
 def _with_turns(

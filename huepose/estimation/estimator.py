@@ -139,7 +139,8 @@ class Estimator:
         return _timed(answer, time.perf_counter() - start), explanation
 
     def warm_up(self, names: Sequence[str] | None = None) -> None:
-        """Prepare models (all by default) and compile the kernels on an artificial view of the first."""
+        """Prepare models (all by default) and compile the kernels on an artificial view of the first, before
+        a wall."""
         from huepose.rendering.render import render
 
         names = self._models.names if names is None else list(names)
@@ -151,10 +152,15 @@ class Estimator:
         camera = Camera(320.0, 320.0, 159.5, 119.5, 320, 240)
         T = se3.make(np.eye(3), np.array([0.0, 0.0, 3.0 * model.diameter_m]) - model.mesh.centre)
         picture = render([(model.mesh, T)], camera)
-        frame = RgbdFrame(picture.color, picture.depth, camera)
+        wall = np.float32(4.0 * model.diameter_m)
+        frame = RgbdFrame(picture.color, np.where(picture.depth > 0, picture.depth, wall), camera)
         box = projected_box(model, frame, T)
         if box is not None:
             self.explain(frame, ObjectQuery(names[0], box))
+        if self.config.method == "colorpair":
+            from huepose.estimation.colorpair_path import warm_up
+
+            warm_up([self._models.model(name) for name in names], self.config.colorpair)
 
     def _box_and_masks(
         self, frame: RgbdFrame, query: ObjectQuery, model: ReferenceModel

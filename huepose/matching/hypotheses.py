@@ -131,6 +131,15 @@ def read_scene(
     return readings
 
 
+def warm_up(models: Sequence[ReferenceModel], config: HypothesesConfig) -> None:
+    """Compile the fallback, which most pictures do without, on the cloud of the first model that has a
+    table for it."""
+    model = next((m for m in models if len(m.pairs.ppf_keys)), None)
+    if config.ppf is not None and model is not None:
+        seen = Reading(np.ones(3), 1.0, reference_pairs(model.pairs), reference_cloud(model.pairs))
+        _ppf_votes(model, seen, config.ppf, np.random.default_rng(0))
+
+
 def classes_in_sight(cloud: ClassifiedCloud) -> int:
     """How many classes have enough points for triangles."""
     return int((np.bincount(cloud.classes, minlength=1) >= NEEDED_POINTS).sum())

@@ -84,7 +84,7 @@ def prepare(frame: RgbdFrame, box: Box, distance_m: float) -> Region | None:
         levels.append(np.asarray(cv2.GaussianBlur(image, (0, 0), sigma), np.uint8))
     usable = (cv2.inRange(color, (0, 0, 0), (SATURATED,) * 3) > 0).view(np.uint8)
     camera = frame.camera.cropped(x0, y0, w, h)
-    arrays = RegionArrays(
-        depth, usable, levels[0], levels[1], levels[2], camera.fx, camera.fy, camera.cx, camera.cy
-    )
+    # Whole numbers would have every kernel compiled once more.
+    fx, fy, cx, cy = (float(x) for x in (camera.fx, camera.fy, camera.cx, camera.cy))
+    arrays = RegionArrays(depth, usable, levels[0], levels[1], levels[2], fx, fy, cx, cy)
     return Region(arrays, camera, x0, y0)

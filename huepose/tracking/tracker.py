@@ -18,7 +18,7 @@ from huepose.tracking.silhouette import overlap
 from huepose.tracking.step import Subject
 from huepose.tracking.track import Track
 from huepose.tracking.types import Applied, Correction, TrackedPose, Verdict
-from huepose.tracking.warm_up import warm_up
+from huepose.tracking.warm_up import rehearse
 
 SAME_SURFACE_IOU = 0.5
 """Increments measured on an outline that overlaps the corrected one by more than this carry a correction."""
@@ -84,10 +84,11 @@ class Tracker:
         return tuple(sorted(self._tracks))
 
     def warm_up(self) -> None:
-        """Compile what will be needed (some seconds when nothing is cached), so that no frame waits for
-        it."""
-        for subject in list(self._subjects.values())[:1]:
-            warm_up(subject, self.config)
+        """Compile and load what will be needed (some seconds when nothing is cached), so that no frame waits
+        for it; what is tracked is left alone."""
+        double = Tracker({}, self.config, self._relative_pose)
+        double._subjects = dict(self._subjects)
+        rehearse(double, self._subjects)
 
     def poses(self) -> list[TrackedPose]:
         """What is known at the newest frame, corrections included."""

@@ -1,25 +1,79 @@
-"""Compiling the tracker's kernels ahead of the first frame."""
+"""A rehearsal: all that a tracker will do, on made-up frames, so that every kernel is compiled and loaded
+before the first real one. Without it a first search, flow or correction waits for the compiler."""
 
 from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from huepose.geometry import se3
+from huepose.geometry.arrays import Float64
 from huepose.geometry.camera import Camera
 from huepose.geometry.frame import RgbdFrame
-from huepose.tracking.config import TrackerConfig
+from huepose.rendering.render import render
 from huepose.tracking.step import Anchor, Subject, advance
+from huepose.tracking.types import Correction, Verdict
 
-SIDE = 96
+if TYPE_CHECKING:
+    from huepose.tracking.tracker import Tracker
+
+CAST = 2
+"""So many objects take part: one can be before another."""
+
+_CAMERA = Camera(240.0, 240.0, 159.5, 119.5, 320, 240)
+_PERIOD_NS = 33_000_000
+_FRAMES = 10
 
 
-def warm_up(subject: Subject, config: TrackerConfig) -> None:
-    """Take one step, with everything that a difficult one needs, on a made-up frame."""
-    distance = 4.0 * subject.surface.radius_m
-    camera = Camera(SIDE, SIDE, (SIDE - 1) / 2, (SIDE - 1) / 2, SIDE, SIDE)
-    T = se3.make(np.eye(3), np.array([0.0, 0.0, distance]) - subject.surface.arrays.centre)
-    color = np.random.default_rng(0).integers(0, 255, (SIDE, SIDE, 3), dtype=np.uint8)
-    depth = np.full((SIDE, SIDE), distance, np.float32)
-    before = RgbdFrame(color, depth, camera)
-    after = RgbdFrame(color, depth, camera, 1, 33_000_000)
-    advance(subject, Anchor(T, np.zeros(6), before, 2.0), after, config)
+def rehearse(tracker: Tracker, subjects: Mapping[str, Subject]) -> None:
+    """Let a new tracker of these objects (subjects by their names) acquire late, follow, agree, correct a
+    little and grossly, jump and lose, two objects being partly before each other. It is of no use
+    afterwards."""
+    cast = list(subjects.items())[:CAST]
+    if not cast:
+        return
+    shown = [subject for _, subject in cast]
+    frames = [_frame(shown, number) for number in range(_FRAMES)]
+    for number, frame in enumerate(frames):
+        tracker.step(frame)
+        for place, (name, subject) in enumerate(cast):
+            past = max(number - 3, 0)
+            T_cam_obj = _pose(subject, place, past)
+            if number in (3, 6, 8):
+                # A pose that is nearly the tracked one is carried to now, one far off is caught up.
+                T_cam_obj = se3.perturb(T_cam_obj, np.full(6, {3: 0.0, 6: 0.002, 8: 0.03}[number]))
+                verdict = Verdict.ACQUIRE if number == 3 else Verdict.CORRECT
+                tracker.correct(_correction(name, past, T_cam_obj, verdict, number))
+            elif number == 5:
+                tracker.correct(_correction(name, past, T_cam_obj, Verdict.AGREE, number))
+    # A step that tries everything there is: nothing explains as much as it is told to be usual.
+    hard = Anchor(_pose(shown[0], 0, 0), np.zeros(6), frames[0], usual=9.0, unseen_s=0.1)
+    advance(shown[0], hard, frames[1], tracker.config)
+
+
+def _pose(subject: Subject, place: int, number: int) -> Float64:
+    """Slowly to the side, with a jump."""
+    size_m = 2.0 * subject.surface.radius_m
+    x = 0.002 * number + 0.3 * size_m * place + (0.04 if number >= 7 else 0.0)
+    R = se3.rotation_exp(np.array([0.3, 0.02 * number, 0.1 * place]))
+    return se3.make(R, np.array([x, 0.0, 3.0 * size_m + 0.1 * place]) - R @ subject.surface.arrays.centre)
+
+
+def _frame(shown: list[Subject], number: int) -> RgbdFrame:
+    """The objects before a wall; gone in the last frame."""
+    wall_m = 1.0 + max(8.0 * subject.surface.radius_m for subject in shown)
+    color = np.random.default_rng(number).integers(60, 90, (240, 320, 3), dtype=np.uint8)
+    depth = np.full((240, 320), wall_m, np.float32)
+    if number < _FRAMES - 1:
+        scene = [(subject.mesh, _pose(subject, place, number)) for place, subject in enumerate(shown)]
+        picture = render(scene, _CAMERA)
+        seen = picture.depth > 0
+        color[seen], depth[seen] = picture.color[seen], picture.depth[seen]
+    return RgbdFrame(color, depth, _CAMERA, number, (number + 1) * _PERIOD_NS, 1)
+
+
+def _correction(name: str, past: int, T_cam_obj: Float64, verdict: Verdict, seq: int) -> Correction:
+    stamp_ns = (past + 1) * _PERIOD_NS
+    return Correction(name, 0, 1, past, stamp_ns, T_cam_obj, 0.95, verdict, seq)

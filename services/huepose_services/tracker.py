@@ -20,7 +20,6 @@ from huepose_services.convert import (
     twist_to_wire,
 )
 from huepose_services.following import Follower, Retired
-from huepose_services.rehearsal import rehearse
 from huepose_services.runtime.bus import Bus
 from huepose_services.runtime.clock import now_ns
 from huepose_services.runtime.config import Config
@@ -30,13 +29,14 @@ from huepose_services.runtime.log import StateChanges
 def make(bus: Bus, config: Config) -> TrackerWork:
     """The tracker worker's work, with its kernels compiled."""
     known = models.load(config)
-    rehearse(known)
     # Time is short in a live pipeline: one search a step, and catching up in strides that need none.
     settings = TrackerConfig(
         history_frames=config.tracker.history_frames, searches_per_step=1, catch_up_stride=3
     )
+    tracker = Tracker(known, settings)
+    tracker.warm_up()
     follower = Follower(bus, lambda name: models.load_one(config, name), known, remembers=True)
-    return TrackerWork(bus, Tracker(known, settings), follower, config)
+    return TrackerWork(bus, tracker, follower, config)
 
 
 class TrackerWork:

@@ -341,13 +341,6 @@ def test_a_camera_without_readings_breaks_nothing(tea_box, path, started) -> Non
     assert pose.state is State.LOST
 
 
-def test_warm_up_needs_no_frame(tea_box) -> None:
-    tracker = Tracker({"tea_box": tea_box})
-    tracker.warm_up()
-    assert tracker.instances == ()
-    Tracker({}).warm_up()
-
-
 def test_configuration_is_checked() -> None:
     with pytest.raises(InputError, match="history_frames"):
         TrackerConfig(history_frames=1)

@@ -1,0 +1,44 @@
+"""No kernel waits for its first real frame."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+from huepose.geometry import Box, Camera
+from huepose.tracking import Tracker
+from huepose.tracking import step as one_step
+from huepose.tracking.region import prepare
+
+PARTS = {"search", "flow_start", "refine", "score"}
+
+
+def test_everything_is_tried_and_nothing_is_left_behind(tea_box, soup_can, monkeypatch) -> None:
+    tried = set()
+
+    def spied(name):
+        real = getattr(one_step, name)
+
+        def call(*arguments, **more):
+            tried.add(name)
+            return real(*arguments, **more)
+
+        return call
+
+    for name in PARTS:
+        monkeypatch.setattr(one_step, name, spied(name))
+    tracker = Tracker({"tea_box": tea_box, "soup_can": soup_can})
+    tracker.warm_up()
+    assert tried == PARTS
+    assert tracker.instances == ()
+    assert tracker.poses() == []
+
+
+def test_a_tracker_of_nothing_is_warm() -> None:
+    Tracker({}).warm_up()
+
+
+def test_a_camera_of_whole_numbers_compiles_nothing_anew(shoot) -> None:
+    frame = replace(shoot([], 0), camera=Camera(420, 420, 160, 120, 320, 240))
+    region = prepare(frame, Box(40, 40, 64, 64), 0.5)
+    assert region is not None
+    assert all(type(x) is float for x in region.arrays[-4:])

@@ -28,13 +28,14 @@ class StageTime:
     wall_ms_p95: float
     wall_ms_p99: float
     cpu_ms_p50: float
+    cpu_ms_p99: float
 
     @staticmethod
     def of(name: str, spans: Sequence[tuple[float, float]]) -> StageTime:
         """From (wall, cpu) seconds, one a repetition."""
         wall, cpu = 1000.0 * np.array(spans, dtype=np.float64).reshape(-1, 2).T
         p50, p95, p99 = np.percentile(wall, [50, 95, 99])
-        return StageTime(name, float(p50), float(p95), float(p99), float(np.median(cpu)))
+        return StageTime(name, *(float(x) for x in (p50, p95, p99, *np.percentile(cpu, [50, 99]))))
 
 
 def bench_estimate(

@@ -10,3 +10,4 @@ def test_percentiles_are_in_milliseconds():
     assert time.wall_ms_p95 == pytest.approx(96)
     assert time.wall_ms_p99 == pytest.approx(100)
     assert time.cpu_ms_p50 == pytest.approx(25.5)
+    assert time.cpu_ms_p99 == pytest.approx(50)

@@ -10,7 +10,7 @@ import time
 from collections.abc import Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from contextvars import copy_context
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from zlib import crc32
 
 import numpy as np
@@ -19,7 +19,8 @@ from huepose.estimation.competition import compete
 from huepose.estimation.config import EstimatorConfig
 from huepose.estimation.confirm import MARGIN, confirm, looks_in_full
 from huepose.estimation.evidence import Evidence, gather
-from huepose.estimation.full_path import estimate_full, judge, refine_prior
+from huepose.estimation.explanation import Explanation
+from huepose.estimation.full_path import Trail, estimate_full, judge, refine_prior
 from huepose.estimation.outline import projected_box
 from huepose.estimation.prepared import PreparedModels
 from huepose.estimation.quality import MAX_MARGIN, QualityTerms, covariance, quality, quality_fits
@@ -38,20 +39,6 @@ from huepose.support.stages import stage
 from huepose.verification.dense import score as score_pose
 
 ALTERNATIVE_SHARPNESS = 10.0
-
-
-@dataclass(frozen=True, eq=False)
-class Explanation:
-    """What led to an answer: the box, the candidate masks (H, W), what was looked at (None where there is no
-    depth), and the different poses (K, 4, 4) with their totals (K,), best first; confirmed: the prior was
-    plainly right, and no other views were sought."""
-
-    box: Box
-    masks: tuple[Bool, ...]
-    evidence: Evidence | None
-    poses: Float64
-    totals: Float64
-    confirmed: bool = False
 
 
 class Estimator:
@@ -88,22 +75,40 @@ class Estimator:
     def estimate(self, frame: RgbdFrame, queries: Sequence[ObjectQuery]) -> list[PoseEstimate]:
         """One answer a query, in their order, no two of them on the same surface. Raises InputError for an
         unknown object or an empty query."""
+        return [answer for answer, _ in self.explained(frame, queries)]
+
+    def explained(
+        self, frame: RgbdFrame, queries: Sequence[ObjectQuery]
+    ) -> list[tuple[PoseEstimate, Explanation]]:
+        """The same answers, each with what led to it: of a pose that was looked for again without the depth
+        of others, what was seen then."""
         for query in queries:
             self._models.model(query.object)
-        answers = self._alone(frame, queries)
+        looks = self._alone(frame, queries)
         if len(queries) < 2 or not self.config.competition:
-            return answers
-        return compete(frame, queries, answers, lambda free, query: self.explain(free, query)[0])
+            return looks
+        again: list[tuple[PoseEstimate, Explanation]] = []
 
-    def _alone(self, frame: RgbdFrame, queries: Sequence[ObjectQuery]) -> list[PoseEstimate]:
+        def look_again(free: RgbdFrame, query: ObjectQuery) -> PoseEstimate:
+            again.append(self.explain(free, query))
+            return again[-1][0]
+
+        answers = compete(frame, queries, [answer for answer, _ in looks], look_again)
+        return [
+            (answer, next((x for a, x in again if _same(a, answer)), explanation))
+            for answer, (_, explanation) in zip(answers, looks, strict=True)
+        ]
+
+    def _alone(
+        self, frame: RgbdFrame, queries: Sequence[ObjectQuery]
+    ) -> list[tuple[PoseEstimate, Explanation]]:
         """One answer a query, as if there were no other."""
         workers = min(self.config.threads, len(queries))
         if workers <= 1:
-            return [self.explain(frame, query)[0] for query in queries]
+            return [self.explain(frame, query) for query in queries]
         contexts = [copy_context() for _ in queries]
         with ThreadPoolExecutor(workers) as pool:
-            answers = pool.map(lambda c, q: c.run(self.explain, frame, q)[0], contexts, queries)
-            return list(answers)
+            return list(pool.map(lambda c, q: c.run(self.explain, frame, q), contexts, queries))
 
     def explain(self, frame: RgbdFrame, query: ObjectQuery) -> tuple[PoseEstimate, Explanation]:
         """The answer to one query, as if there were no other, and what led to it."""
@@ -114,6 +119,7 @@ class Estimator:
         with stage("evidence"):
             evidence = gather(frame, masks, box, model.diameter_m)
         poses, totals = np.zeros((0, 4, 4)), np.zeros(0)
+        trail: Trail | None = None
         prior: Float64 | None = None
         prior_score: float | None = None
         full = self.config.method == "full"
@@ -130,10 +136,10 @@ class Estimator:
                     return _timed(answer, time.perf_counter() - start), explanation
         if evidence is not None and full:
             extra = np.zeros((0, 4, 4)) if prior is None else prior[None]
-            poses, totals = estimate_full(model, prepared.table, evidence, self.config.full, extra)
+            poses, totals, trail = estimate_full(model, prepared.table, evidence, self.config.full, extra)
         elif evidence is not None:
             poses, totals = self._by_pairs(model, frame, evidence, query)
-        explanation = Explanation(box, tuple(masks), evidence, poses, totals)
+        explanation = Explanation(box, tuple(masks), evidence, poses, totals, trail=trail)
         with stage("answer"):
             answer = self._answer(frame, query, model, explanation, prior, prior_score)
         return _timed(answer, time.perf_counter() - start), explanation
@@ -271,6 +277,11 @@ def _alternatives(poses: Float64, totals: Float64, q: float) -> tuple[tuple[Floa
     weight = np.exp(ALTERNATIVE_SHARPNESS * (totals[1:] - totals[1]))
     share = (1.0 - q) * weight / weight.sum()
     return tuple((se3.orthonormalised(T), float(p)) for T, p in zip(poses[1:], share, strict=True))
+
+
+def _same(one: PoseEstimate, other: PoseEstimate) -> bool:
+    """Whether these are one answer, up to the time it took."""
+    return one.T_cam_obj is not None and one.T_cam_obj is other.T_cam_obj
 
 
 def _timed(answer: PoseEstimate, seconds: float) -> PoseEstimate:

@@ -6,6 +6,8 @@ symmetric turns of the best > coordinate search on the dense score > ICP > the b
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 import numpy as np
 
 from huepose.estimation.config import FullPathConfig
@@ -26,11 +28,21 @@ FINAL_TURN_RAD, FINAL_SHIFT = 0.2, 0.05
 """Poses closer than this (shift in diameters) are one answer."""
 
 
+@dataclass(frozen=True, eq=False)
+class Trail:
+    """What the steps left on the way to an answer: poses (N, 4, 4) of the views that were retrieved, of these
+    after registration on depth, and of those that were searched."""
+
+    retrieved: Float64
+    registered: Float64
+    searched: Float64
+
+
 def estimate_full(
     model: ReferenceModel, table: TemplateTable, evidence: Evidence, config: FullPathConfig, extra: Float64
-) -> tuple[Float64, Float64]:
-    """Different poses (K, 4, 4) and their totals (K,), best first. `extra` (E, 4, 4): refined poses from
-    elsewhere, judged with the others."""
+) -> tuple[Float64, Float64, Trail]:
+    """Different poses (K, 4, 4) and their totals (K,), best first, and the way to them. `extra` (E, 4, 4):
+    refined poses from elsewhere, judged with the others."""
     with stage("retrieval"):
         views = retrieve(table, evidence.picture, evidence.sources, config.retrieved, config.closer)
     with stage("icp"):
@@ -38,8 +50,10 @@ def estimate_full(
             _icp(model, points, views.poses[views.masks == k], 0.1 * model.diameter_m, 0.008, 12)
             for k, points in enumerate(evidence.points_cam)
         ]
-    refined = refine_coarse(model, evidence.region, np.concatenate(aligned), config)
-    return finish(model, evidence.region, np.concatenate([extra, refined]), config)
+    registered = np.concatenate(aligned)
+    searched = refine_coarse(model, evidence.region, registered, config)
+    poses, totals = finish(model, evidence.region, np.concatenate([extra, searched]), config)
+    return poses, totals, Trail(views.poses, registered, searched)
 
 
 def refine_coarse(model: ReferenceModel, region: Region, poses: Float64, config: FullPathConfig) -> Float64:

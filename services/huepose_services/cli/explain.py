@@ -13,7 +13,7 @@ import numpy as np
 from huepose.drawing.contact_sheet import contact_sheet
 from huepose.drawing.overlay import draw_pose
 from huepose.estimation import PoseEstimate
-from huepose.estimation.estimator import Explanation
+from huepose.estimation.explanation import Explanation
 from huepose.geometry import Box, RgbdFrame
 from huepose.geometry.arrays import Bool, UInt8
 from huepose.matching.retrieval import retrieve

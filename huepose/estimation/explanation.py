@@ -1,0 +1,25 @@
+"""What led to an answer, for whoever wants to see why it is what it is."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from huepose.estimation.evidence import Evidence
+from huepose.estimation.full_path import Trail
+from huepose.geometry.arrays import Bool, Float64
+from huepose.geometry.box import Box
+
+
+@dataclass(frozen=True, eq=False)
+class Explanation:
+    """What led to an answer: the box, the candidate masks (H, W), what was looked at (None where there is no
+    depth), and the different poses (K, 4, 4) with their totals (K,), best first; confirmed: the prior was
+    plainly right, and no other views were sought; trail: what the full method's steps left on the way."""
+
+    box: Box
+    masks: tuple[Bool, ...]
+    evidence: Evidence | None
+    poses: Float64
+    totals: Float64
+    confirmed: bool = False
+    trail: Trail | None = None

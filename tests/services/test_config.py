@@ -26,6 +26,7 @@ GOOD = "camera: {truth: true}\n"
         ("camera: {source: webcam}", ["camera.source", "'webcam'", "synthetic, bop, fast_ycb"]),
         ("camera: {source: bop}", ["camera.path", "null", "folder of the recording"]),
         ("camera: {source: bop, path: x}\nobjects: [{name: a}]", ["bundles", "null"]),
+        ("camera: {source: realsense}", ["bundles", "null", "realsense", "huepose onboard"]),
         ("camera: {rate: recorded, truth: true}", ["camera.rate", "recorded"]),
         ("camera: {truth: maybe}", ["camera.truth", "'maybe'", "true or false"]),
         ("camera: 7", ["camera", "found 7", "keys with values"]),

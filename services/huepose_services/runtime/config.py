@@ -133,6 +133,11 @@ class Config(Section, frozen=True, kw_only=True):
         """The keys of this deployment."""
         return Keys(self.site, self.camera.name)
 
+    @property
+    def uses_models(self) -> bool:
+        """Whether any of the workers needs reference models."""
+        return not {"camera", "gateway"}.issuperset(self.workers)
+
     def port(self, worker: str) -> int:
         """The loopback port that a worker listens on."""
         return self.bus.base_port + WORKERS.index(worker)
@@ -201,7 +206,8 @@ def _check(config: Config, path: Path) -> None:
     if len(set(config.workers)) != len(config.workers) or not config.workers:
         refuse("workers", ", ".join(config.workers) or "none", "each worker at most once", "Name each once.")
     check_camera(camera, refuse)
-    if camera.source != "synthetic" and config.bundles is None and config.objects:
-        refuse("bundles", "null", "the folder of the reference models", "Make them by huepose onboard.")
+    if camera.source != "synthetic" and config.bundles is None and (config.uses_models or config.objects):
+        expected = f"the folder of your reference models (the source {camera.source} brings none)"
+        refuse("bundles", "null", expected, "Make them: huepose onboard MESH --name NAME --out DIR.")
     check_detector(detector, "detector" in config.workers, camera.truth, names, refuse)
     check_segmenter(config.segmenter, refuse)

@@ -16,7 +16,7 @@ def prepare(config: Config) -> None:
     """Check it all, and make what the built-in scene needs at its first use. Raises InputError."""
     check(config)
     check_ports(config)
-    if config.bundles is None and set(config.workers) != {"camera"}:
+    if config.bundles is None and config.uses_models:
         builtin_bundles(config.camera.seed)
     if config.camera.source == "synthetic" and "camera" in config.workers:
         import_module("huepose_services.camera.synthetic").open_source(config)
@@ -27,7 +27,7 @@ def check(config: Config) -> None:
     from huepose.model.io import load_models, model_path
 
     if config.bundles is not None:
-        if not config.objects and set(config.workers) != {"camera"}:
+        if not config.objects and config.uses_models:
             load_models(config.bundles, [])  # there must be some
         for item in config.objects:
             if not model_path(config.bundles, item.name).is_file():

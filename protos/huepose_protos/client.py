@@ -31,6 +31,7 @@ from huepose_protos.messages import (
     TruthMessage,
 )
 
+_ASK_TIMEOUT_S = 2.0
 _KINDS: dict[str, type[Message]] = {
     "pose": PoseMessage,
     "health": HealthMessage,
@@ -91,23 +92,32 @@ def open_session(
 
 
 class Reader:
-    """Messages on key expressions from workers at the given endpoints, as soon as these are there.
+    """Messages on key expressions from workers, or a gateway, at the given endpoints, as soon as these are
+    there. The files are those of `open_session`.
 
     `seen`: a worker was there since the start; `live`: keys of the workers that are there now; `gone_since`:
-    when the last of them went (time.monotonic), None while one is there; `refused`: how many messages could
-    not be read."""
+    when the last of them went (time.monotonic), None while one is there: a gateway shows none of this;
+    `refused`: how many messages could not be read."""
 
-    def __init__(self, endpoints: Sequence[str], *keys: str) -> None:
+    def __init__(
+        self,
+        endpoints: Sequence[str],
+        *keys: str,
+        authority: Path | str | None = None,
+        certificate: Path | str | None = None,
+        key: Path | str | None = None,
+    ) -> None:
         self.refused = 0
         self.seen = False
         self.live: set[str] = set()
         self.gone_since: float | None = None
         # Unbounded, so that a slow printer never blocks the bus: messages are small.
         self._messages: queue.SimpleQueue[tuple[str, bytes]] = queue.SimpleQueue()
-        self._session = open_session(endpoints)
+        self._keys, self._heard = keys, set[str]()
+        self._session = open_session(endpoints, authority, certificate, key)
         self._session.liveliness().declare_subscriber("huepose/*/*/live/*", self._on_token, history=True)
-        for key in keys:
-            self._session.declare_subscriber(key, self._on_sample)
+        for expression in keys:
+            self._session.declare_subscriber(expression, self._on_sample)
 
     def _on_token(self, sample: zenoh.Sample) -> None:
         if sample.kind == zenoh.SampleKind.PUT:
@@ -119,7 +129,23 @@ class Reader:
 
     def _on_sample(self, sample: zenoh.Sample) -> None:
         if sample.attachment is None:  # messages with pixels have their header there
+            self._heard.add(str(sample.key_expr))
             self._messages.put((str(sample.key_expr), sample.payload.to_bytes()))
+
+    def ask(self) -> None:
+        """Ask a gateway for the latest message of every key that does not speak by itself meanwhile."""
+        self._heard.clear()
+        for expression in self._keys:
+            self._session.get(expression, self._on_reply, timeout=_ASK_TIMEOUT_S)
+
+    def _on_reply(self, reply: zenoh.Reply) -> None:
+        if reply.ok is not None and str(reply.ok.key_expr) not in self._heard:
+            self._on_sample(reply.ok)
+
+    @property
+    def connected(self) -> bool:
+        """Whether there is a link to any of the endpoints now."""
+        return bool(self._session.info.peers_zid())
 
     @property
     def pending(self) -> int:

@@ -14,6 +14,7 @@ from pathlib import Path
 import zenoh
 
 from huepose.support.errors import InputError
+from huepose_services.pem import check_pem
 from huepose_services.runtime.config import GatewayConfig, TlsConfig
 
 # Broader than one site, so that readers may use `*` for site and camera: zenoh silently ignores subscriptions
@@ -95,17 +96,4 @@ def _access(tls: TlsConfig | None) -> dict[str, object]:
 
 def _check_files(tls: TlsConfig) -> None:
     for name in ("authority", "certificate", "key"):
-        path = Path(getattr(tls, name))
-        try:
-            begins = path.read_text()[:4096]
-        except (OSError, UnicodeDecodeError) as error:
-            begins, found = "", getattr(error, "strerror", None) or "no text"
-        else:
-            found = "something else"
-        if "-----BEGIN" not in begins:
-            raise InputError(
-                f"gateway.tls.{name} {path}",
-                found=found,
-                expected="a file in PEM that this user can read",
-                fix="docs/subscribers.md says how to make certificates.",
-            )
+        check_pem(f"gateway.tls.{name}", Path(getattr(tls, name)))

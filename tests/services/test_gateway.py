@@ -6,6 +6,7 @@ import subprocess
 import sys
 import threading
 import time
+from dataclasses import replace
 from pathlib import Path
 
 import msgspec
@@ -23,7 +24,9 @@ from huepose_protos.messages import (
     ObjectsMessage,
     PoseMessage,
 )
+from huepose_services.cli.main import main
 from huepose_services.gateway import GatewayWork, make
+from huepose_services.pem import Credentials, why_unreachable
 from huepose_services.runtime.bus import Bus
 from huepose_services.runtime.config import BusConfig, Config, GatewayConfig, TlsConfig
 from huepose_services.runtime.health import Health
@@ -269,6 +272,55 @@ def test_only_listed_names_read_and_a_reader_cannot_steer(start, authority):
     assert one.tracker.take(one.corrections, CorrectionMessage) is None
     for client in (listed, unlisted, steering):
         client.close()
+
+
+def test_poses_are_printed_on_another_machine_the_latest_at_once(start, authority, huepose):
+    one = start(tls=_tls(authority, ["robot1"]))
+    address, files = f"localhost:{one.port}", _as(authority, "robot1")
+    with PoseClient(f"tls/{address}", **files) as client:
+        last = one.say_until(lambda: client.latest() is not None)
+    # From now on nobody says anything.
+    printer = huepose("poses", "--json", "--gateway", address, "--tls", *files.values())
+    assert json.loads(printer.stdout.readline())["frame_id"] == last.frame_id
+    one.stop_gateway()
+    assert "is gone; waiting for it" in printer.stderr.readline()
+    one.start_gateway()
+    time.sleep(0.5)
+    lines: list[str] = []
+    reader = threading.Thread(target=lambda: lines.append(printer.stdout.readline()))
+    reader.start()
+    one.say_until(lambda: lines)
+    reader.join()
+    assert json.loads(lines[0])["object"] == last.object
+    printer.terminate()
+    assert printer.wait(5.0) == 0
+
+
+def test_why_a_gateway_is_not_reached_is_said(start, authority, base_port):
+    one = start(tls=_tls(authority))
+    shown = {name: Credentials(*_as(authority, name).values()) for name in ("robot1", "stranger")}
+    shown["no authority"] = replace(shown["robot1"], authority=authority / "robot2.pem")
+    reasons = {name: why_unreachable("localhost", one.port, files) for name, files in shown.items()}
+    assert reasons["robot1"] is None
+    assert "does not accept this certificate" in reasons["stranger"]
+    assert "its certificate is not accepted" in reasons["no authority"]
+    assert "give --tls" in why_unreachable("localhost", one.port, None)
+    assert why_unreachable("localhost", base_port + 8, None) == "no program listens there"
+    assert "no TLS there" in why_unreachable("127.0.0.1", base_port + 1, shown["robot1"])
+
+
+@pytest.mark.parametrize(
+    ("options", "said"),
+    [
+        (["--gateway", "a b"], "expected HOST or HOST:PORT"),
+        (["--tls", "{0}/ca.pem", "{0}/robot1.pem", "{0}/robot1.key"], "no --gateway"),
+        (["--gateway", "x", "--tls", "{0}/ca.pem", "{0}/robot1.pem", "{0}/nothing"], "--tls key"),
+        (["--gateway", "x", "--tls", "{0}/ca.pem", "{0}/robot1.pem", "{0}/robot2.key"], "key that belongs"),
+    ],
+)
+def test_options_for_another_machine_that_cannot_work_are_refused(authority, capsys, options, said):
+    assert main(["poses", *(option.format(authority) for option in options)]) == 2
+    assert said in capsys.readouterr().err
 
 
 def test_a_client_that_is_there_first_survives_a_gateway_that_comes_and_goes(base_port):

@@ -1,4 +1,4 @@
-"""`huepose poses`: prints what a pipeline publishes, one message a line, until the pipeline is gone."""
+"""`huepose poses`: prints what a pipeline publishes, one message a line, here or through a gateway."""
 
 from __future__ import annotations
 
@@ -6,10 +6,12 @@ import argparse
 import signal
 import sys
 import time
+from collections.abc import Callable
 from types import FrameType
 from typing import TYPE_CHECKING, Any
 
 from huepose_services.cli.attach import add_choice, chosen
+from huepose_services.cli.remote import add_gateway, gateway_of
 
 if TYPE_CHECKING:
     from huepose_protos.client import Reader
@@ -31,14 +33,13 @@ def add_parser(subparsers: Any) -> None:
     )
     parser.add_argument("--json", action="store_true", help="one wire message a line, as JSON")
     add_choice(parser)
+    add_gateway(parser)
     parser.set_defaults(call=call)
 
 
 def call(arguments: argparse.Namespace) -> int:
-    """Print until the pipeline that was seen is gone, or until interrupted."""
-    from huepose_protos.client import Reader
-
-    stopping = False
+    """Print until interrupted, or until the pipeline that was seen here is gone."""
+    gateway, stopping = gateway_of(arguments), False
 
     def stop(number: int, frame: FrameType | None) -> None:
         nonlocal stopping
@@ -46,12 +47,23 @@ def call(arguments: argparse.Namespace) -> int:
 
     signal.signal(signal.SIGTERM, stop)
     signal.signal(signal.SIGINT, stop)
+    if gateway is None:
+        _print_until_gone(arguments, lambda: stopping)
+    else:
+        for message in gateway.messages(arguments.key, lambda: stopping):
+            _print(message, arguments.json)
+    return 0
+
+
+def _print_until_gone(arguments: argparse.Namespace, stopping: Callable[[], bool]) -> None:
+    from huepose_protos.client import Reader
+
     pipeline, again, told = chosen(arguments), True, time.monotonic() + _SAY_WAITING_AFTER_S
-    while again and not stopping:
+    while again and not stopping():
         endpoints, key = pipeline.endpoints, pipeline.key(arguments.key)
         with Reader(endpoints, key) as reader:
             again = False
-            while not stopping and not _is_over(reader):
+            while not stopping() and not _is_over(reader):
                 message = reader.next(0.1)
                 if message is not None:
                     _print(message, arguments.json)
@@ -67,7 +79,6 @@ def call(arguments: argparse.Namespace) -> int:
                     again = pipeline != before
                     if again:
                         break
-    return 0
 
 
 def _is_over(reader: Reader) -> bool:

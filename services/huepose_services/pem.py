@@ -1,0 +1,100 @@
+"""Certificates and keys, and why a gateway is not reached with them: zenoh itself says only nothing."""
+
+from __future__ import annotations
+
+import socket
+import ssl
+from contextlib import suppress
+from dataclasses import dataclass
+from pathlib import Path
+
+from huepose.support.errors import InputError
+
+_WITHIN_S, _REFUSED_WITHIN_S = 3.0, 0.5
+
+
+def check_pem(what: str, path: Path) -> None:
+    """Raises InputError unless it is a file that can be read and looks like PEM."""
+    try:
+        begins = path.read_text()[:4096]
+    except (OSError, UnicodeDecodeError) as error:
+        begins, found = "", getattr(error, "strerror", None) or "no text"
+    else:
+        found = "something else"
+    if "-----BEGIN" not in begins:
+        raise InputError(
+            f"{what} {path}",
+            found=found,
+            expected="a file in PEM that this user can read",
+            fix="docs/subscribers.md says how to make certificates.",
+        )
+
+
+@dataclass(frozen=True)
+class Credentials:
+    """What a reader shows: files in PEM."""
+
+    authority: Path
+    certificate: Path
+    key: Path
+
+    def context(self) -> ssl.SSLContext:
+        """Them as Python's own TLS knows them. Raises InputError for files that are none, or do not fit."""
+        for name in ("authority", "certificate", "key"):
+            check_pem(f"--tls {name}", getattr(self, name))
+        try:
+            context = ssl.create_default_context(cafile=str(self.authority))
+            context.load_cert_chain(self.certificate, self.key)
+        except (ssl.SSLError, OSError) as error:
+            raise InputError(
+                f"--tls {self.authority} {self.certificate} {self.key}",
+                found=getattr(error, "reason", None) or str(error),
+                expected="the authority's certificate, the reader's own, and the key that belongs to it",
+                fix="docs/subscribers.md says how to make certificates.",
+            ) from None
+        return context
+
+
+def why_unreachable(host: str, port: int, credentials: Credentials | None) -> str | None:
+    """What is in the way to a gateway, in words; None where nothing is found."""
+    try:
+        link = socket.create_connection((host, port), timeout=_WITHIN_S)
+    except socket.gaierror:
+        return "no computer of this name is known"
+    except ConnectionRefusedError:
+        return "no program listens there"
+    except TimeoutError:
+        return "nothing answers there"
+    except OSError as error:
+        return error.strerror or str(error)
+    with link:
+        return _speaks_tls(link) if credentials is None else _refusal(link, host, credentials)
+
+
+def _speaks_tls(link: socket.socket) -> str | None:
+    anyone = ssl.create_default_context()
+    anyone.check_hostname, anyone.verify_mode = False, ssl.CERT_NONE
+    try:
+        anyone.wrap_socket(link).close()
+    except OSError:
+        return None
+    return "it speaks TLS: give --tls AUTHORITY CERTIFICATE KEY"
+
+
+def _refusal(link: socket.socket, host: str, credentials: Credentials) -> str | None:
+    try:
+        with credentials.context().wrap_socket(link, server_hostname=host) as secured:
+            # With TLS 1.3 a refusal of our certificate comes after the handshake, otherwise there is silence.
+            secured.settimeout(_REFUSED_WITHIN_S)
+            with suppress(TimeoutError):
+                secured.recv(1)
+    except ssl.SSLCertVerificationError as error:
+        return f"its certificate is not accepted: {error.verify_message}"
+    except ssl.SSLError as error:
+        said = str(error.reason or error).replace("_", " ").lower()
+        return f"it does not accept this certificate: {said}" if "alert" in said else f"no TLS there: {said}"
+    except TimeoutError:
+        return "no TLS there: no answer"
+    except OSError as error:
+        return f"no TLS there: {error.strerror or error}"
+    return None

@@ -91,6 +91,13 @@ def _add_estimate(verbs: Any) -> None:
         "--csv", type=Path, default=None, metavar="BOP19.csv", help="poses for the BOP toolkit"
     )
     parser.add_argument("--plots", type=Path, default=None, metavar="DIR", help="curves and pictures")
+    parser.add_argument(
+        "--failures",
+        type=Path,
+        default=None,
+        metavar="DIR",
+        help="a page of pictures and a line why for every wrong pose",
+    )
 
 
 def _add_perception(verbs: Any) -> None:

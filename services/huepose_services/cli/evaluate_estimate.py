@@ -5,11 +5,13 @@ from __future__ import annotations
 import argparse
 from typing import Any
 
+from huepose.datasets.types import Sample
 from huepose.estimation import Estimator, EstimatorConfig
 from huepose.evaluation.bop_csv import BopResult, write_bop_csv
 from huepose.evaluation.equivalents import read_equivalents
 from huepose.evaluation.estimate_protocol import EstimateOptions, evaluate_estimates
-from huepose.evaluation.estimate_rows import EstimateResult
+from huepose.evaluation.estimate_rows import EstimateResult, EstimateRow
+from huepose.evaluation.failures import FailureFolder
 from huepose.evaluation.pictures import PictureFolder
 from huepose.evaluation.result_files import write_json
 from huepose.evaluation.targets import Targets
@@ -34,7 +36,16 @@ def call(arguments: argparse.Namespace) -> int:
     else:
         estimator.warm_up(shown(scenes, targets))
     pictures = PictureFolder(arguments.plots, targets) if arguments.plots else None
-    on_frame = None if pictures is None else pictures.frame
+    failures = None
+    if arguments.failures:
+        true_masks = arguments.masks == "gt"
+        failures = FailureFolder(arguments.failures, targets, estimator, equivalents, true_masks)
+    watchers = [folder.frame for folder in (pictures, failures) if folder is not None]
+
+    def on_frame(sample: Sample, rows: list[EstimateRow]) -> None:
+        for watch in watchers:
+            watch(sample, rows)
+
     result = evaluate_estimates(
         scenes,
         targets,
@@ -52,6 +63,8 @@ def call(arguments: argparse.Namespace) -> int:
     if arguments.csv:
         write_bop_csv(arguments.csv, _bop_results(result))
     print(_report(record["summary"]))
+    if failures is not None:
+        print(failures.finish())
     return 0
 
 

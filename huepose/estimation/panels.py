@@ -1,0 +1,143 @@
+"""Small pictures of what a pose says of a frame, for those who want to see why an answer is what it is.
+
+All panels of one page show the same window; dark pictures are brightened, so that one sees what there is.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+
+from huepose.colorpair.opponents import opponents_of_bytes
+from huepose.drawing.depth_color import depth_to_color
+from huepose.drawing.overlay import draw_mask_outline, tint
+from huepose.geometry.arrays import Bool, Float, Float64, UInt8
+from huepose.geometry.box import Box
+from huepose.geometry.frame import RgbdFrame
+from huepose.model.types import ReferenceModel
+from huepose.rendering.render import render
+
+SIDE = 240
+"""Pixels that the longer side of a panel has."""
+
+MAX_GAIN = 8.0
+AGREES, DIFFERS, SEEN_THROUGH, HIDDEN, UNKNOWN = (
+    (40, 190, 90),
+    (250, 215, 60),
+    (225, 50, 45),
+    (70, 120, 230),
+    (120, 120, 120),
+)
+"""Pixels of a pose: depth fits and the print agrees; depth fits, the print differs; we see through it;
+something is in front; no depth."""
+
+BOX, MASK, TRUTH = (250, 250, 250), (80, 220, 120), (255, 120, 220)
+DIFFERENT = 16.0
+"""Difference of opponents at which the print plainly differs."""
+
+
+@dataclass(frozen=True)
+class Panels:
+    """Draws a frame's window: rows and columns are slices of the frame; tolerance_m: how far depth and
+    surface may be apart."""
+
+    frame: RgbdFrame
+    rows: slice
+    columns: slice
+    tolerance_m: float
+
+    @staticmethod
+    def around(frame: RgbdFrame, box: Box, masks: Sequence[Bool], tolerance_m: float) -> Panels:
+        """A window that holds a box and some masks (H, W), with room round them."""
+        boxes = [box, *(b for b in map(Box.of_mask, masks) if b is not None)]
+        left, top = min(b.x for b in boxes), min(b.y for b in boxes)
+        hull = Box(left, top, max(b.x1 for b in boxes) - left, max(b.y1 for b in boxes) - top)
+        camera = frame.camera
+        rows, columns = hull.grown(0.12, 8.0).slices(camera.width, camera.height)
+        if rows.stop - rows.start < 2 or columns.stop - columns.start < 2:
+            rows, columns = slice(0, camera.height), slice(0, camera.width)
+        return Panels(frame, rows, columns, tolerance_m)
+
+    def photo(self, box: Box | None = None) -> UInt8:
+        """The window of the picture, with a box."""
+        picture = self._photo()
+        if box is not None:
+            scale = self._scale
+            corner = [round((box.x - self.columns.start) * scale), round((box.y - self.rows.start) * scale)]
+            end = [corner[0] + round(box.w * scale), corner[1] + round(box.h * scale)]
+            cv2.rectangle(picture, corner, end, BOX, 1)
+        return picture
+
+    def masks(self, mask: Bool | None, truth: Bool | None = None) -> UInt8:
+        """A mask (H, W) tinted, and the outline of the true one."""
+        picture = self._photo()
+        if mask is not None:
+            picture = tint(picture, self._enlarged(mask), MASK)
+        if truth is not None:
+            picture = draw_mask_outline(picture, self._enlarged(truth), TRUTH, 1)
+        return picture
+
+    def depth(self) -> UInt8:
+        """The window of the depth in colours, black where there is none."""
+        depth = self.frame.depth[self.rows, self.columns]
+        return self._grown(depth_to_color(depth))
+
+    def worn(self, model: ReferenceModel, T_cam_obj: Float) -> UInt8:
+        """The object drawn at a pose over the dimmed picture."""
+        color, depth = self._rendered(model, T_cam_obj)
+        dim = self._brightened() // 3
+        return self._grown(np.where((depth > 0)[..., None], color, dim).astype(np.uint8))
+
+    def judged(self, model: ReferenceModel, T_cam_obj: Float, depth: Float | None = None) -> UInt8:
+        """Where a pose agrees with the frame and where it does not (see AGREES and so on). depth (H, W): what
+        was left of the frame's depth when the pose was judged, if that is less."""
+        color, surface = self._rendered(model, T_cam_obj)
+        seen = (self.frame.depth if depth is None else depth)[self.rows, self.columns]
+        on, known = surface > 0, seen > 0
+        fits = on & known & (np.abs(seen - surface) < self.tolerance_m)
+        picture = self._brightened() // 3
+        picture[on & ~known] = UNKNOWN
+        picture[on & known & ~fits & (seen > surface)] = SEEN_THROUGH
+        picture[on & known & ~fits & (seen < surface)] = HIDDEN
+        if fits.any():
+            differs = self._difference(color, fits)[fits][:, None]
+            picture[fits] = (1.0 - differs) * AGREES + differs * DIFFERS
+        return self._grown(picture)
+
+    def _difference(self, color: UInt8, fits: Bool) -> Float64:
+        """How much the print differs (h, w), 0..1, up to the colour and strength of the light."""
+        shown = opponents_of_bytes(cv2.GaussianBlur(self.frame.color[self.rows, self.columns], (0, 0), 0.7))
+        gap = shown - opponents_of_bytes(np.asarray(cv2.GaussianBlur(color, (0, 0), 0.7), np.uint8))
+        gap = (gap - np.median(gap[fits], axis=0)) * (0.5, 1.0, 1.0)
+        return np.asarray(np.minimum(np.linalg.norm(gap, axis=-1) / DIFFERENT, 1.0))
+
+    def _rendered(self, model: ReferenceModel, T_cam_obj: Float) -> tuple[UInt8, Float]:
+        rows, columns = self.rows, self.columns
+        camera = self.frame.camera.cropped(
+            columns.start, rows.start, columns.stop - columns.start, rows.stop - rows.start
+        )
+        picture = render([(model.mesh, np.asarray(T_cam_obj))], camera)
+        return picture.color, picture.depth
+
+    @property
+    def _scale(self) -> float:
+        return SIDE / max(self.rows.stop - self.rows.start, self.columns.stop - self.columns.start)
+
+    def _photo(self) -> UInt8:
+        return self._grown(self._brightened())
+
+    def _brightened(self) -> UInt8:
+        cut = self.frame.color[self.rows, self.columns]
+        bright = max(float(np.percentile(cut, 98)), 1.0)
+        return np.clip(cut * min(MAX_GAIN, max(1.0, 235.0 / bright)), 0, 255).astype(np.uint8)
+
+    def _grown(self, picture: UInt8) -> UInt8:
+        how = cv2.INTER_NEAREST if self._scale >= 1 else cv2.INTER_AREA
+        grown = cv2.resize(picture, None, fx=self._scale, fy=self._scale, interpolation=how)
+        return np.ascontiguousarray(grown, dtype=np.uint8)
+
+    def _enlarged(self, mask: Bool) -> Bool:
+        return self._grown(mask[self.rows, self.columns].astype(np.uint8)) > 0

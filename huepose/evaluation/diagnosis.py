@@ -1,0 +1,207 @@
+"""Why a pose is wrong: where on the way the right one was lost, said in one line from measurements.
+
+The right pose is followed through the steps of the estimator: was it proposed, did registration and search
+keep it, and does the judge, on the very pixels that the answer was judged on, prefer it or the answer? What
+the judge prefers wrongly is told apart further: by the mask, by a term of the score, or hardly at all.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+
+from huepose.estimation.explanation import Explanation
+from huepose.estimation.full_path import FINE_SAMPLES
+from huepose.estimation.types import PoseEstimate
+from huepose.evaluation import metrics
+from huepose.geometry import se3
+from huepose.geometry.arrays import Bool, Float, Float64
+from huepose.model.types import ReferenceModel
+from huepose.verification.dense import DEFAULT_WEIGHTS, PoseScore, score
+from huepose.verification.local_search import search
+
+Cause = Literal["no depth", "not proposed", "lost", "settled away", "tie", "mask", "verification"]
+"""no depth: nothing to look at; not proposed: no view near the right pose, which would have won; lost: it was
+proposed and would have won; settled away: it won, and the last fit to depth spoilt it; tie: the answer scores
+hardly more than the right pose; mask: it wins because it explains masks that show something else;
+verification: it wins by other terms of the score."""
+
+BASIN = 0.35
+"""Registration and search lead home from about here (ADD in diameters)."""
+
+HARDLY = 0.05
+"""Totals this close are a tie: noise decides."""
+
+WRONG_MASK = 0.5
+STEPS_DEG = (3.0, 1.5, 0.7)
+
+
+@dataclass(frozen=True)
+class Diagnosis:
+    """cause; line: the diagnosis in words; nearest: ADD in diameters from the right pose to the nearest
+    after each step (inf without a pose); answer, truth: scores of the answer and of the right pose, searched
+    finely, on the answer's pixels (None without depth); mask_iou: of the best candidate mask with the true
+    one, None where that is not known; best: the right pose as it was searched."""
+
+    cause: Cause
+    line: str
+    nearest: dict[str, float]
+    answer: PoseScore | None
+    truth: PoseScore | None
+    mask_iou: float | None
+    best: Float64 | None
+
+
+def diagnose(
+    model: ReferenceModel,
+    answer: PoseEstimate,
+    explanation: Explanation,
+    truths: Sequence[Float64],
+    mask: Bool | None,
+) -> Diagnosis:
+    """Why an answer is wrong. truths: poses (4, 4) that count as right; mask (H, W): the true visible one."""
+    evidence, trail = explanation.evidence, explanation.trail
+    if evidence is None:
+        return Diagnosis("no depth", "no depth in the box: nothing to look at", {}, None, None, None, None)
+    region = evidence.region
+    found, totals = search(model, region, np.stack(truths), STEPS_DEG, FINE_SAMPLES)
+    best = found[int(np.argmax(totals))]
+    truth = score(model, region, best)
+    said = score(model, region, explanation.poses[0]) if len(explanation.poses) else None
+    steps: dict[str, Float64] = {"answers": explanation.poses}
+    if trail is not None:
+        steps = {
+            "views": trail.retrieved,
+            "registered": trail.registered,
+            "searched": trail.searched,
+            **steps,
+        }
+    nearest = {name: _nearest(model, poses, truths) for name, poses in steps.items()}
+    ious = [_iou(m, mask) for m in explanation.masks] if mask is not None else []
+    mask_iou = max(ious, default=0.0) if mask is not None else None
+    cause = _cause(model, explanation, truths, said, truth, nearest, mask_iou)
+    line = "; ".join(
+        part
+        for part in (
+            _place(model, answer, truths),
+            _fate(nearest),
+            _judged(cause, said, truth, region.trust),
+            _mask(cause, explanation.masks, mask),
+        )
+        if part
+    )
+    return Diagnosis(cause, f"{cause}: {line}", nearest, said, truth, mask_iou, best)
+
+
+def _cause(
+    model: ReferenceModel,
+    explanation: Explanation,
+    truths: Sequence[Float64],
+    said: PoseScore | None,
+    truth: PoseScore,
+    nearest: dict[str, float],
+    mask_iou: float | None,
+) -> Cause:
+    if len(explanation.poses) and _nearest(model, explanation.poses[:1], truths) < metrics.RECALL_FRACTION:
+        return "settled away"
+    if said is None or truth.total > said.total:
+        return "not proposed" if nearest.get("views", 0.0) > BASIN else "lost"
+    if said.total - truth.total < HARDLY:
+        return "tie"
+    by_mask = _gains(said, truth, explanation.evidence.region.trust)["mask"] if explanation.evidence else 0.0
+    wrong = mask_iou is not None and mask_iou < WRONG_MASK
+    return "mask" if wrong and said.total - by_mask < truth.total else "verification"
+
+
+def _place(model: ReferenceModel, answer: PoseEstimate, truths: Sequence[Float64]) -> str:
+    """How the answer lies to the nearest right pose."""
+    if answer.T_cam_obj is None:
+        return "no pose was given"
+    T = answer.T_cam_obj
+    errors = [metrics.add(model.eval_points, T, truth) for truth in truths]
+    return displacement(model, T, truths[int(np.argmin(errors))])
+
+
+def displacement(model: ReferenceModel, T_cam_obj: Float, T_reference: Float) -> str:
+    """How a pose lies to another, in words: turn, about which direction of the object, and shift of its
+    centre."""
+    between = se3.compose(se3.inverse(np.asarray(T_reference)), np.asarray(T_cam_obj))
+    angle = se3.rotation_angle(np.eye(3), between[:3, :3])
+    shift = 1000 * float(np.linalg.norm(se3.apply(between, model.mesh.centre[None])[0] - model.mesh.centre))
+    words = f"turned {np.degrees(angle):.0f} deg"
+    if angle > np.radians(10.0):
+        words += _about(between[:3, :3])
+    return f"{words}, shifted {shift:.0f} mm"
+
+
+def _about(R: Float64) -> str:
+    """The object's axis about which a rotation turns, where it is nearly one."""
+    values, vectors = np.linalg.eig(R)
+    axis = np.abs(np.real(vectors[:, int(np.argmin(np.abs(values - 1.0)))]))
+    k = int(np.argmax(axis))
+    return f" about its {'xyz'[k]} axis" if axis[k] > 0.95 else ""
+
+
+def _fate(nearest: dict[str, float]) -> str:
+    """The step after which the right pose was gone."""
+    if "views" not in nearest:
+        return ""
+    limit = metrics.RECALL_FRACTION
+    if nearest["answers"] < limit:
+        return "the right pose was among the answers"
+    if nearest["searched"] < limit:
+        return "the right pose was searched and fell behind"
+    if nearest["registered"] < limit:
+        return "registration had the right pose, the search did not keep it"
+    if nearest["views"] > BASIN:
+        return f"the nearest view proposed is {nearest['views']:.2f} diameters off"
+    return f"a view {nearest['views']:.2f} diameters off was proposed, and was not led home"
+
+
+def _judged(cause: Cause, said: PoseScore | None, truth: PoseScore, trust: float) -> str:
+    if said is None:
+        return f"the right pose scores {truth.total:.2f}"
+    words = f"the right pose scores {truth.total:.2f}, the answer {said.total:.2f}"
+    if cause in ("verification", "mask", "tie"):
+        gains = sorted(_gains(said, truth, trust).items(), key=lambda item: -item[1])
+        words += " (" + ", ".join(f"{name} {gain:+.2f}" for name, gain in gains[:2] if gain > 0.01) + ")"
+    return words.replace(" ()", "")
+
+
+def _gains(said: PoseScore, truth: PoseScore, trust: float) -> dict[str, float]:
+    """What each term of the score gives the answer over the right pose."""
+    w = DEFAULT_WEIGHTS
+    return {
+        "depth": w.depth_fit * (said.depth_fit - truth.depth_fit),
+        "seen through": w.violation * (truth.violation - said.violation),
+        "print": w.color * (said.color - truth.color),
+        "mask": w.coverage * trust * (said.coverage - truth.coverage),
+        "box": w.box * (said.box_iou - truth.box_iou),
+    }
+
+
+def _mask(cause: Cause, masks: Sequence[Bool], mask: Bool | None) -> str:
+    """How the best candidate mask and the true one lie to each other."""
+    if mask is None or not masks or not mask.any():
+        return ""
+    best = max(masks, key=lambda m: _iou(m, mask))
+    covered = int((best & mask).sum()) / int(mask.sum())
+    if cause != "mask" and _iou(best, mask) >= WRONG_MASK:
+        return ""
+    own = int((best & mask).sum()) / max(int(best.sum()), 1)
+    return f"the best mask covers {100 * covered:.0f} % of the object and is {100 * own:.0f} % object"
+
+
+def _nearest(model: ReferenceModel, poses: Float64, truths: Sequence[Float64]) -> float:
+    """ADD in diameters of the nearest of poses (N, 4, 4) to the nearest right one."""
+    points = model.eval_points[:: max(1, len(model.eval_points) // 500)]
+    errors = [metrics.add(points, T, truth) for T in poses for truth in truths]
+    return min(errors, default=np.inf) / model.diameter_m
+
+
+def _iou(one: Bool, other: Bool) -> float:
+    either = int((one | other).sum())
+    return int((one & other).sum()) / either if either else 0.0

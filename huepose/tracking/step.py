@@ -37,6 +37,9 @@ DOUBT = 0.25
 DOUBTFUL_TOTAL = 0.9
 """So is any score under this one."""
 
+HIDDEN_COSTS = 0.5
+"""A right pose loses about this share of what is hidden of its object: no reason to look elsewhere."""
+
 MARGIN_M = 0.012
 """The refinement may move the object by this much out of its start's window."""
 
@@ -145,7 +148,8 @@ def advance(
     resting = (anchor.tired or best.fit.hidden > evidence.HIDDEN) and not long and not returning
     if resting or not (doubtful or surprising or returning):
         return replace(best, doubtful=doubtful)
-    if 0.0 < seconds <= LONG_STEP_S:
+    # What was not seen in the last frame has no pixels there to be followed.
+    if 0.0 < seconds <= LONG_STEP_S and anchor.unseen_s == 0.0:
         T_flow = flow_start(subject, anchor, frame, expected, relative_pose or RobustKabsch())
         if T_flow is not None:
             best = _better(best, best_of(surface, frame, [(T_flow, "flow")], anchor.tint))
@@ -251,7 +255,8 @@ def _better(a: Step, b: Step, by: float = 0.0) -> Step:
 
 def _convincing(step: Step, usual: float | None, doubt: float) -> bool:
     total = step.fit.total
-    return total >= DOUBTFUL_TOTAL and (usual is None or total >= usual - doubt)
+    allowed = doubt + HIDDEN_COSTS * step.fit.hidden
+    return total >= DOUBTFUL_TOTAL and (usual is None or total >= usual - allowed)
 
 
 def _reach(

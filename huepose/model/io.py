@@ -125,7 +125,8 @@ def load_models(bundles_dir: Path | str, names: Iterable[str] | None = None) -> 
     known = sorted(p.name[: -len(SUFFIX)] for p in folder.glob(f"*{SUFFIX}") if not p.name.startswith("."))
     if not known:
         found = "no such folder" if not folder.is_dir() else "no reference models"
-        raise InputError(folder, found=found, expected=f"files *{SUFFIX}", fix=_AGAIN)
+        fix = f"Make them: huepose onboard MESH --name NAME --out {folder}."
+        raise InputError(folder, found=found, expected=f"reference models, files *{SUFFIX}", fix=fix)
     wanted = known if names is None else list(dict.fromkeys(names))
     unknown = [n for n in wanted if n not in known]
     if unknown:

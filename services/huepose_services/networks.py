@@ -10,6 +10,7 @@ from huepose.datasets.synthetic_store import cache_folder
 from huepose.perception.sam import SamSegmenter
 from huepose.perception.sessions import Network, NetworkSettings, open_network
 from huepose.perception.yolo import YoloDetector
+from huepose.support.errors import InputError
 from huepose_services.catalogue import entry_of
 from huepose_services.runtime.config import Config
 
@@ -31,6 +32,10 @@ def opened(config: Config, named: str, *, half: bool = True) -> Network:
         entry = entry_of(named)
         path, sha256 = entry.path, entry.network.sha256
         half = half and entry.network.half
+        if not entry.here:
+            by_hand = f"`huepose models list` says whence; then `huepose models add FILE --name {named}`."
+            fix = f"`huepose models fetch {named}` fetches it." if entry.network.url else by_hand
+            raise InputError(f"network {named}", found=f"no file {path}", expected="the network", fix=fix)
     return open_network(
         path, settings(config), sha256=config.networks.sha256.get(path.name, sha256), half=half
     )

@@ -28,8 +28,10 @@ def test_systemd_hears_of_readiness_and_of_work(manager, monkeypatch):
     monkeypatch.setenv("WATCHDOG_PID", str(os.getpid()))
     assert watchdog_s() == 2.0
     pulse = Pulse()
+    pulse.running()
+    assert manager.recv(1000) == b"READY=1"
     pulse.ready()
-    assert manager.recv(1000) == b"READY=1\nSTATUS=ready"
+    assert manager.recv(1000) == b"STATUS=ready"
     for _ in range(100):
         pulse.beat()
     assert manager.recv(1000) == b"WATCHDOG=1"

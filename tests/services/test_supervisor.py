@@ -18,7 +18,7 @@ class Running:
 
     worker: str
     silent_s: float
-    ready: bool = True
+    runs: bool = True
     heard: float = field(init=False)
     started: float = field(init=False)
 
@@ -32,7 +32,7 @@ def supervisor():
 
 
 @pytest.mark.parametrize(
-    ("worker", "silent_s", "ready", "fault"),
+    ("worker", "silent_s", "runs", "fault"),
     [
         ("tracker", 1.0, True, None),
         ("tracker", 3.0, True, "has given no sign of life for 3."),
@@ -42,8 +42,8 @@ def supervisor():
         ("camera", 11.0, False, "is not ready after 10 s"),
     ],
 )
-def test_silence_and_lateness(supervisor, worker, silent_s, ready, fault):
-    found = supervisor._fault(Running(worker, silent_s, ready))
+def test_silence_and_lateness(supervisor, worker, silent_s, runs, fault):
+    found = supervisor._fault(Running(worker, silent_s, runs))
     assert found is None if fault is None else found.startswith(fault)
 
 

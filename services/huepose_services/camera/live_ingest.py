@@ -15,12 +15,12 @@ from huepose_services.camera.live import LiveSource
 from huepose_services.camera.publish import FramePublisher, packed
 from huepose_services.camera.reader import Reader, Taken
 from huepose_services.runtime.bus import Bus
-from huepose_services.runtime.clock import now_ns
+from huepose_services.runtime.clock import SECOND, now_ns
 from huepose_services.runtime.config import Config
 from huepose_services.runtime.notify import notify
 
 _LONGEST_STEP_S = 0.05
-_SAY_AGAIN_S = 10.0
+_SAY_AGAIN_NS = 30 * SECOND
 # A thread that the SDK does not give back cannot be ended: a new process can open the camera again.
 _GIVE_UP_AFTER_S = 30.0
 
@@ -29,6 +29,8 @@ class LiveIngest:
     """Waits for pictures a short while at a time, so that the worker's loop goes round."""
 
     finished = False
+    ready = False
+    """Whether there was a good picture."""
 
     def __init__(self, bus: Bus, config: Config, source: LiveSource) -> None:
         self._bus, self._config = bus, config
@@ -41,6 +43,7 @@ class LiveIngest:
         self._epoch, self._frame_id = 0, 0
         self._warnings = list(bus.health.warnings)
         self._told: str | None = None
+        self._say_ns = 0
         bus.health.state = "waiting"
 
     def due_ns(self) -> int | None:
@@ -56,7 +59,7 @@ class LiveIngest:
             self._publish(taken)
         trouble = self._reader.trouble
         if trouble != self._told:
-            self._told = trouble
+            self._told, self._say_ns = trouble, 0
             notify(f"STATUS={trouble or 'ready'}")  # for `systemctl status`
         if trouble is None:
             self._bus.health.state = "ready" if self._frame_id else "waiting"
@@ -64,7 +67,9 @@ class LiveIngest:
             return
         self._bus.health.state = "waiting"
         self._bus.health.warnings = [*self._warnings, trouble]
-        self._bus.log.seldom("trouble", trouble, _SAY_AGAIN_S)
+        if now_ns() >= self._say_ns:
+            self._say_ns = now_ns() + _SAY_AGAIN_NS
+            self._bus.log.seldom("trouble", trouble)
         if self._reader.stuck_s() > _GIVE_UP_AFTER_S:
             raise RuntimeError(f"{self._name}: the driver has not answered for {_GIVE_UP_AFTER_S:.0f} s")
 
@@ -85,6 +90,7 @@ class LiveIngest:
         picture = packed(frame, self._config.camera.depth_scale_m)
         self._publisher.publish(picture, self._epoch, self._frame_id, capture_ns)
         self._frame_id += 1
+        self.ready = True
 
     def _begin_epoch(self, opening: int, camera: Camera) -> None:
         if opening != self._opening:

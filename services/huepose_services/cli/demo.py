@@ -22,6 +22,7 @@ def add_parser(subparsers: Any) -> None:
 def call(arguments: argparse.Namespace) -> int:
     """Run, judge, print."""
     import json
+    import os
     import sys
 
     from huepose.support.errors import InputError
@@ -57,4 +58,7 @@ def call(arguments: argparse.Namespace) -> int:
     if arguments.json is not None:
         arguments.json.write_text(json.dumps(result, indent=2) + "\n")
     print(report(result))
+    load, cores = os.getloadavg()[0], os.cpu_count() or 1
+    if load > 1.5 * cores + 2.0:
+        print(f"other programs kept {cores} processors busy (load {load:.0f}): alone it is better and faster")
     return 0 if good(result["summary"]) else 1

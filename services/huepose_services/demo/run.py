@@ -23,6 +23,7 @@ from huepose_services.demo.table import Table
 from huepose_services.runtime.clock import SECOND, now_ns
 from huepose_services.runtime.config import WORKERS, Config, load
 from huepose_services.runtime.ports import free_ports
+from huepose_services.runtime.running import described, noted
 from huepose_services.runtime.supervisor import Supervisor
 
 _READY_WITHIN_S = 300.0
@@ -52,7 +53,7 @@ def run_demo(seconds: float, seed: int, live: bool, stopping: Callable[[], bool]
     score = Score(yardsticks)
     log_path = folder / "huepose.log"
     try:
-        with log_path.open("w") as log:
+        with log_path.open("w") as log, noted(described(config, path)):
             health = _observe(config, path, log, score, seconds, live, stopping)
     except DemoError as error:
         raise DemoError(f"{error}; the log is {log_path}") from None
@@ -113,15 +114,22 @@ def _observe(
 
 
 def _wait_until_ready(supervisor: Supervisor, stopping: Callable[[], bool]) -> None:
-    note = "starting the workers (the first start compiles their kernels: about a minute)"
-    print(note, file=sys.stderr, flush=True)
-    started = time.monotonic()
+    """Says which workers are ready, so that nobody takes a slow start for a standstill."""
+
+    def say(text: str) -> None:
+        print(text, file=sys.stderr, flush=True)
+
+    say("starting the workers (the first start compiles their kernels: about a minute)")
+    started, waiting = time.monotonic(), supervisor.not_ready
     while not supervisor.ready and not stopping():
         supervisor.poll()
         if supervisor.exit_code is not None:
             raise DemoError("a worker could not start")
         if time.monotonic() - started > _READY_WITHIN_S:
-            raise DemoError("the workers are not ready in time")
+            raise DemoError(f"not ready in time: {', '.join(supervisor.not_ready)}")
+        for worker in waiting - supervisor.not_ready:
+            say(f"  {worker} is ready after {time.monotonic() - started:.0f} s")
+        waiting = supervisor.not_ready
 
 
 def _take(reader: Reader, score: Score, health: dict[str, HealthMessage]) -> None:

@@ -24,11 +24,12 @@ _TIME_TO_TELL_S = 0.15
 
 
 class Child:
-    """A worker's process. `ready`: it said so; `heard`: when it was started or last gave a sign of life."""
+    """A worker's process. `ready`: it said so; `runs`: its loop gave a sign of life; `heard`: when it was
+    started or last gave one."""
 
     def __init__(self, worker: str, path: Path, out: TextIO, restarts: int) -> None:
         self.worker, self._out = worker, out
-        self.ready = False
+        self.ready = self.runs = False
         self.started = self.heard = time.monotonic()
         read_end, write_end = os.pipe()
         environment = {
@@ -78,7 +79,8 @@ class Child:
             self._close_pipe()
             return
         self.heard = time.monotonic()
-        self.ready = self.ready or said.startswith(b"ready")
+        self.runs = True
+        self.ready = self.ready or b"ready" in said
 
     def ask_to_stop(self) -> None:
         """SIGTERM, where it still runs."""

@@ -6,6 +6,7 @@ import errno
 import socket
 from importlib import import_module
 
+from huepose.datasets.shapes import demo_objects
 from huepose.support.errors import InputError
 from huepose_services.builtin import builtin_bundles
 from huepose_services.runtime.config import Config
@@ -26,7 +27,9 @@ def check(config: Config) -> None:
     """Whether a configuration can be started; changes nothing."""
     from huepose.model.io import load_models, model_path
 
-    if config.bundles is not None:
+    if config.bundles is None and config.objects:
+        _check_builtin(config)
+    elif config.bundles is not None:
         if not config.objects and config.uses_models:
             load_models(config.bundles, [])  # there must be some
         for item in config.objects:
@@ -35,6 +38,18 @@ def check(config: Config) -> None:
     if config.camera.source != "synthetic" and "camera" in config.workers:
         import_module(f"huepose_services.camera.{config.camera.source}").open_source(config)
     _check_networks(config)
+
+
+def _check_builtin(config: Config) -> None:
+    known = demo_objects(config.camera.seed)
+    for item in config.objects:
+        if item.name not in known:
+            raise InputError(
+                f"object '{item.name}'",
+                found="no such object in the built-in scene",
+                expected=f"one of {', '.join(sorted(known))}",
+                fix="Correct the name, or set `bundles` to the folder of your own reference models.",
+            )
 
 
 def _check_networks(config: Config) -> None:

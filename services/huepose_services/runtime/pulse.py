@@ -1,7 +1,9 @@
 """The sign of life of a worker, given by the loop that works and by no other thread: a worker that hangs is
 silent, and whoever started it, `huepose up` or systemd, starts it again.
 
-Under `huepose up` it goes through a pipe (HUEPOSE_READY_FD): the line `ready`, then a dot now and then.
+Under `huepose up` it goes through a pipe (HUEPOSE_READY_FD): a dot now and then from when the loop runs, and
+the line `ready` once. For systemd a worker has started when its loop runs: a camera that is not plugged in
+must not hold up the start of the computer.
 """
 
 from __future__ import annotations
@@ -18,7 +20,8 @@ BEAT_S = 0.2
 
 
 class Pulse:
-    """`ready()` once, `beat()` after every piece of work, `stopping()` at the end."""
+    """`running()` when the loop begins, `ready()` once, `beat()` after every piece of work, `stopping()` at
+    the end."""
 
     def __init__(self) -> None:
         text = os.environ.get(READY_FD, "")
@@ -30,10 +33,14 @@ class Pulse:
         self._every_ns = int(min(BEAT_S, (limit_s or 1.0) / 4.0) * SECOND)
         self._next_ns = 0
 
+    def running(self) -> None:
+        """It has all that it needs of this computer, and begins to work."""
+        notify("READY=1")
+
     def ready(self) -> None:
-        """It has all that it needs, and works."""
+        """Its first result can come: a camera has a good frame."""
         self._write(b"ready\n")
-        notify("READY=1", "STATUS=ready")
+        notify("STATUS=ready")
 
     def beat(self) -> None:
         """It still works; said at most five times a second."""

@@ -58,9 +58,14 @@ class Supervisor:
         self._polled = time.monotonic()
 
     @property
+    def not_ready(self) -> set[str]:
+        """The workers that do not run, or have not said yet that they are ready."""
+        return {w for w in self._records if w not in self._children or not self._children[w].ready}
+
+    @property
     def ready(self) -> bool:
         """Whether every worker is running and has said that it is ready."""
-        return len(self._children) == len(self._records) and all(c.ready for c in self._children.values())
+        return not self.not_ready
 
     @property
     def processes(self) -> dict[str, int]:
@@ -125,7 +130,7 @@ class Supervisor:
     def _fault(self, child: Child) -> str | None:
         """What is wrong with a worker that runs; None when nothing is."""
         limits, now = self._config.restarts, time.monotonic()
-        if not child.ready:
+        if not child.runs:
             late = now - child.started > limits.start_within_s
             return f"is not ready after {limits.start_within_s:g} s" if late else None
         silences = self._records[child.worker].silences

@@ -126,6 +126,7 @@ def _loop(bus: Bus, work: Work, stop: _Stop, pulse: Pulse) -> None:
     errors = 0
     next_health_ns = now_ns()
     said_ready = False
+    pulse.running()
     while not stop.requested and not work.finished:
         if not said_ready and getattr(work, "ready", True):
             said_ready = True

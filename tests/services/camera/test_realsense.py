@@ -168,7 +168,7 @@ def test_the_camera_worker_says_that_no_camera_is_there(pipeline, huepose, base_
         systemd.bind(str(tmp_path / "notify"))
         systemd.settimeout(30.0)
         monkeypatch.setenv("NOTIFY_SOCKET", str(tmp_path / "notify"))
-        huepose("run", "camera", pipeline(**_device(path=None)))
+        camera = huepose("run", "camera", pipeline(**_device(path=None)))
         status = ""
         while not status.startswith("STATUS=RealSense"):
             status = systemd.recv(4096).decode()
@@ -181,3 +181,5 @@ def test_the_camera_worker_says_that_no_camera_is_there(pipeline, huepose, base_
     assert health.state == "waiting"
     assert "no RealSense camera is connected" in health.warnings[0]
     assert status == f"STATUS={health.warnings[0]}"
+    camera.terminate()
+    assert "camera    ready" not in camera.communicate(timeout=10.0)[1]

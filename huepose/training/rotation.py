@@ -3,11 +3,10 @@
 from __future__ import annotations
 
 import json
-import math
 import platform
 import time
 from collections.abc import Iterator
-from dataclasses import asdict, dataclass, field
+from dataclasses import asdict, dataclass
 from itertools import islice
 from pathlib import Path
 from typing import Any
@@ -16,15 +15,15 @@ import cv2
 import numpy as np
 import torch
 from torch import Tensor
-from torch.utils.data import DataLoader, IterableDataset, get_worker_info
+from torch.utils.data import IterableDataset, get_worker_info
 
 from huepose.drawing.plots import line_plot
 from huepose.geometry.arrays import Float
-from huepose.support.errors import InputError
 from huepose.support.progress import progress
 from huepose.tracking.canonical import FEATURES
 from huepose.tracking.rotation_network import POINTS, Kind
 from huepose.training.network import AttentionDgcnn, geodesic
+from huepose.training.runs import Course, endless_loader, load_checkpoint, rate_factor, save_checkpoint
 from huepose.training.samples import RotationSample, endless
 
 VALIDATION_STREAM = 1_000_000
@@ -34,7 +33,7 @@ REACH = {"residual": 0.1, "direct": 1.0}
 @dataclass(frozen=True)
 class RotationTraining:
     """How to train. hours: of wall time, the learning rate falls to zero over them; steps: end after so many,
-    for a trial; every: steps between two validations; workers: processes that make samples."""
+    for a trial; every: steps between two validations; workers: processes that make samples, 0: this one."""
 
     kind: Kind = "residual"
     hours: float = 1.0
@@ -77,16 +76,6 @@ def stack(samples: list[RotationSample]) -> tuple[Tensor, Tensor, Tensor]:
     )
 
 
-@dataclass
-class _State:
-    """How far a training has come; `rounds` counts how often it was started, `curve` holds validations."""
-
-    steps: int = 0
-    hours: float = 0.0
-    rounds: int = 0
-    curve: list[list[float]] = field(default_factory=list)
-
-
 def train(config: RotationTraining, out: Path, resume: bool = False) -> dict[str, Any]:
     """Train until `config.hours` are over, or until interrupted; leave `rotation.onnx`, `rotation.json`,
     `curve.png` and `checkpoint.pt` in `out`. Returns what rotation.json says.
@@ -98,34 +87,37 @@ def train(config: RotationTraining, out: Path, resume: bool = False) -> dict[str
     torch.set_num_threads(max(1, torch.get_num_threads() - config.workers))
     net = AttentionDgcnn(FEATURES, REACH[config.kind]).to(config.device)
     optimiser = torch.optim.AdamW(net.parameters(), config.rate, weight_decay=1e-4)
-    state = _resumed(out / "checkpoint.pt", config, net, optimiser) if resume else _State()
+    parts = {"network": net, "optimiser": optimiser}
+    course = load_checkpoint(out, config.kind, parts) if resume else Course()
     held_out = stack(list(islice(endless(config.seed, VALIDATION_STREAM, config.kind), config.validation)))
     unturned = torch.eye(3).expand(len(held_out[2]), 3, 3)
     without = np.degrees(geodesic(unturned, held_out[2]).numpy())
-    before_h, begun = state.hours, time.monotonic()
-    loader = DataLoader(_Endless(config, state.rounds), batch_size=None, num_workers=config.workers)
-    state.rounds += 1
+    before_h, begun = course.hours, time.monotonic()
+    loader = endless_loader(_Endless(config, course.rounds), config.workers)
+    course.rounds += 1
     try:
         for batch in progress((b for b in loader), "rotation network"):
-            state.hours = before_h + (time.monotonic() - begun) / 3600.0
-            if state.hours >= config.hours or state.steps == config.steps:
+            course.hours = before_h + (time.monotonic() - begun) / 3600.0
+            if course.hours >= config.hours or course.steps == config.steps:
                 break
             for group in optimiser.param_groups:
-                group["lr"] = config.rate * _cosine(state.hours / config.hours, state.steps)
+                group["lr"] = config.rate * rate_factor(course.hours / config.hours, course.steps)
             _step(net, optimiser, batch, config.device)
-            state.steps += 1
-            if state.steps % config.every == 0:
-                _validated(net, held_out, config.device, state)
-                _save(out, net, optimiser, config.kind, state, without)
+            course.steps += 1
+            if course.steps % config.every == 0:
+                _validated(net, held_out, config.device, course)
+                save_checkpoint(out, config.kind, course, parts)
+                _draw(out, course, without)
     except KeyboardInterrupt:
         pass
-    errors = _validated(net, held_out, config.device, state)
-    _save(out, net, optimiser, config.kind, state, without)
+    errors = _validated(net, held_out, config.device, course)
+    save_checkpoint(out, config.kind, course, parts)
+    _draw(out, course, without)
     export(net, out / "rotation.onnx")
     report = {
         "training": asdict(config),
-        "hours": round(state.hours, 3),
-        "steps": state.steps,
+        "hours": round(course.hours, 3),
+        "steps": course.steps,
         "machine": f"{platform.machine()}, {torch.get_num_threads()} threads, {config.device}",
         "torch": torch.__version__,
         "validation_deg": {"median": float(np.median(errors)), "mean": float(errors.mean())},
@@ -148,11 +140,11 @@ def _step(
 
 
 def _validated(
-    net: AttentionDgcnn, held_out: tuple[Tensor, Tensor, Tensor], device: str, state: _State
+    net: AttentionDgcnn, held_out: tuple[Tensor, Tensor, Tensor], device: str, course: Course
 ) -> Float:
     """Errors (N,) in degrees, noted on the curve."""
     errors = validate(net, held_out, device)
-    state.curve.append([state.hours, state.steps, float(np.median(errors)), float(errors.mean())])
+    course.curve.append([course.hours, course.steps, float(np.median(errors)), float(errors.mean())])
     return errors
 
 
@@ -184,43 +176,8 @@ def export(net: AttentionDgcnn, file: Path) -> None:
     )
 
 
-def _cosine(share: float, step: int) -> float:
-    """Factor of the learning rate: a short rise, then a cosine to zero."""
-    return min(1.0, (step + 1) / 200.0) * 0.5 * (1.0 + math.cos(math.pi * min(share, 1.0)))
-
-
-def _resumed(
-    file: Path, config: RotationTraining, net: AttentionDgcnn, optimiser: torch.optim.Optimizer
-) -> _State:
-    if not file.is_file():
-        raise InputError(f"checkpoint {file}", found="no such file", fix="train without --resume first")
-    saved = torch.load(file, weights_only=True)
-    if saved["kind"] != config.kind:
-        raise InputError(f"checkpoint {file}", found=f"kind {saved['kind']}", expected=config.kind)
-    net.load_state_dict(saved["net"])
-    optimiser.load_state_dict(saved["optimiser"])
-    return _State(**saved["state"])
-
-
-def _save(
-    out: Path,
-    net: AttentionDgcnn,
-    optimiser: torch.optim.Optimizer,
-    kind: Kind,
-    state: _State,
-    without: Float,
-) -> None:
-    """Checkpoint and picture, whole or not at all."""
-    unfinished = out / "checkpoint.tmp"
-    whole = {
-        "kind": kind,
-        "net": net.state_dict(),
-        "optimiser": optimiser.state_dict(),
-        "state": asdict(state),
-    }
-    torch.save(whole, unfinished)
-    unfinished.replace(out / "checkpoint.pt")
-    table = np.array(state.curve)
+def _draw(out: Path, course: Course, without: Float) -> None:
+    table = np.array(course.curve)
     steps = table[:, 1]
     picture = line_plot(
         {

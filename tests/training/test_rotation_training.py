@@ -64,7 +64,7 @@ def test_what_is_exported_answers_as_what_was_trained(tmp_path):
 
 
 def test_training_leaves_a_network_and_goes_on_where_it_stopped(tmp_path):
-    short = RotationTraining(steps=3, batch=8, every=2, validation=16)
+    short = RotationTraining(steps=3, batch=8, every=2, validation=16, workers=0)
     first = train(short, tmp_path)
     assert {p.name for p in tmp_path.iterdir()} == {
         "rotation.onnx",
@@ -73,7 +73,7 @@ def test_training_leaves_a_network_and_goes_on_where_it_stopped(tmp_path):
         "checkpoint.pt",
     }
     assert json.loads((tmp_path / "rotation.json").read_text())["steps"] == first["steps"]
-    again = train(replace(short, steps=5), tmp_path, True)
+    again = train(replace(short, steps=5, workers=1), tmp_path, True)
     assert (first["steps"], again["steps"]) == (3, 5)
     with pytest.raises(InputError, match="kind residual"):
         train(RotationTraining(kind="direct"), tmp_path, True)

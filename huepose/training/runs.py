@@ -1,0 +1,60 @@
+"""What all trainings have in common: how far they have come, checkpoints, the course of the learning rate."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass, field
+from pathlib import Path
+from typing import Any
+
+import torch
+from torch.utils.data import DataLoader, IterableDataset
+
+from huepose.support.errors import InputError
+
+CHECKPOINT = "checkpoint.pt"
+
+
+@dataclass
+class Course:
+    """How far a training has come; `rounds` counts how often it was started, `curve` holds validations."""
+
+    steps: int = 0
+    hours: float = 0.0
+    rounds: int = 0
+    curve: list[list[float]] = field(default_factory=list)
+
+
+def rate_factor(share: float, step: int) -> float:
+    """Factor of the learning rate: a short rise, then a cosine to zero at the end of the time."""
+    return min(1.0, (step + 1) / 200.0) * 0.5 * (1.0 + math.cos(math.pi * min(share, 1.0)))
+
+
+def endless_loader(batches: IterableDataset[Any], workers: int) -> DataLoader[Any]:
+    """Batches from so many processes, or from this one. They are started afresh: a copy of this process would
+    hold locks of threads that it has not copied."""
+    context = "spawn" if workers else None
+    return DataLoader(batches, batch_size=None, num_workers=workers, multiprocessing_context=context)
+
+
+def save_checkpoint(out: Path, kind: str, course: Course, parts: Mapping[str, Any]) -> None:
+    """Write a checkpoint, whole or not at all. parts: things with a `state_dict`, by name; kind: what is
+    trained, in a word: a checkpoint of another kind does not fit."""
+    unfinished = out / "checkpoint.tmp"
+    states = {name: part.state_dict() for name, part in parts.items()}
+    torch.save({"kind": kind, "course": asdict(course), **states}, unfinished)
+    unfinished.replace(out / CHECKPOINT)
+
+
+def load_checkpoint(out: Path, kind: str, parts: Mapping[str, Any]) -> Course:
+    """Read one into its parts. Raises InputError where there is none, or one of another kind."""
+    file = out / CHECKPOINT
+    if not file.is_file():
+        raise InputError(f"checkpoint {file}", found="no such file", fix="train without --resume first")
+    saved = torch.load(file, weights_only=True)
+    if saved["kind"] != kind:
+        raise InputError(f"checkpoint {file}", found=f"kind {saved['kind']}", expected=kind)
+    for name, part in parts.items():
+        part.load_state_dict(saved[name])
+    return Course(**saved["course"])

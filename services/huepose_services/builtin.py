@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import fcntl
 import hashlib
+import sys
 from functools import cache
 from pathlib import Path
 
@@ -42,7 +43,11 @@ def builtin_bundles(seed: int) -> Path:
             fix="Set XDG_CACHE_HOME to one.",
         ) from None
     with lock:
-        fcntl.flock(lock, fcntl.LOCK_EX)
+        try:
+            fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except BlockingIOError:
+            print("waiting: another process learns the built-in objects", file=sys.stderr, flush=True)
+            fcntl.flock(lock, fcntl.LOCK_EX)
         missing = [name for name in meshes if not model_path(folder, name).exists()]
         if missing:
             from huepose.onboarding import onboard_mesh

@@ -9,10 +9,16 @@ import msgspec
 from huepose.datasets.synthetic_store import cache_folder
 from huepose.perception.sam import SamSegmenter
 from huepose.perception.sessions import Network, NetworkSettings, open_network
-from huepose.perception.yolo import YoloDetector
+from huepose.perception.yolo import YoloDetector, class_names
 from huepose.support.errors import InputError
 from huepose_services.catalogue import entry_of
 from huepose_services.runtime.config import Config
+
+BUILTIN_DETECTOR = Path(__file__).parent / "weights" / "builtin_detector.onnx"
+"""Finds the objects of the built-in scene; the file beside it says how it was made."""
+
+SAM_ENCODER, SAM_DECODER = "nanosam-encoder", "nanosam-decoder"
+"""Names of `huepose models`: what the segmenter sam takes where none is configured."""
 
 
 def settings(config: Config) -> NetworkSettings:
@@ -57,14 +63,13 @@ def check(config: Config) -> None:
 def yolo(config: Config) -> tuple[YoloDetector, Network]:
     """The detector of the configuration, warmed up."""
     detector = config.detector
-    assert detector.model is not None  # the configuration was checked
-    network = opened(config, detector.model)
+    network = opened(config, detector.model or str(BUILTIN_DETECTOR))
     classes = {
         name: given if isinstance(given, list) else [given] for name, given in detector.classes.items()
     }
     found = YoloDetector(
         network,
-        classes,
+        classes or _by_name(network, [item.name for item in config.objects]),
         layout=detector.layout,
         confidence=detector.confidence,
         overlap=detector.overlap,
@@ -72,12 +77,24 @@ def yolo(config: Config) -> tuple[YoloDetector, Network]:
     return found, network
 
 
+def _by_name(network: Network, wanted: list[str]) -> dict[str, list[int | str]]:
+    """Classes that are called as the objects are. Raises InputError where one has no such class."""
+    names = class_names(network, None)
+    missing = [name for name in wanted if name not in names]
+    if missing or not names:
+        raise InputError(
+            f"{network.path}: classes",
+            found=", ".join(names) or "no names in the file",
+            expected=f"one of the name of {', '.join(missing) or 'each object'}",
+            fix="Say in detector.classes what the network calls it, for example {cereal_box: [0]}.",
+        )
+    return {name: [name] for name in wanted or names}
+
+
 def sam(config: Config) -> tuple[SamSegmenter, Network]:
     """The segmenter of the configuration, warmed up. Its decoder never runs in half precision."""
     segmenter = config.segmenter
-    assert segmenter.encoder is not None  # the configuration was checked
-    assert segmenter.decoder is not None
-    encoder = opened(config, segmenter.encoder)
-    made = SamSegmenter(encoder, opened(config, segmenter.decoder, half=False))
+    encoder = opened(config, segmenter.encoder or SAM_ENCODER)
+    made = SamSegmenter(encoder, opened(config, segmenter.decoder or SAM_DECODER, half=False))
     made.warm_up()
     return made, encoder

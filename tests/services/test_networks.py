@@ -183,6 +183,29 @@ def test_paths_are_relative_to_the_file_and_digests_by_file_name(mine, tmp_path)
         deployed.check(parse(text.format(mine.name, mine.name, "'" + "0" * 64 + "'"), tmp_path / "p.yaml"))
 
 
+def test_without_classes_they_are_called_as_the_objects_are(tmp_path):
+    names = {"names": "{0: 'mug', 1: 'jug'}"}
+    networks.constant_output(tmp_path / "named.onnx", np.zeros((1, 30, 6)), metadata=names)
+    networks.constant_output(tmp_path / "nameless.onnx", np.zeros((1, 30, 6)))
+    text = "detector: {{kind: yolo, model: {}.onnx}}\nobjects: [{}]"
+    deployed.check(parse(text.format("named", "{name: jug}"), tmp_path / "p.yaml"))
+    deployed.check(parse(text.format("named", ""), tmp_path / "p.yaml"))
+    with pytest.raises(InputError, match=r"found mug, jug.*expected one of the name of pan"):
+        deployed.check(parse(text.format("named", "{name: jug}, {name: pan}"), tmp_path / "p.yaml"))
+    with pytest.raises(InputError, match="no names in the file"):
+        deployed.check(parse(text.format("nameless", ""), tmp_path / "p.yaml"))
+
+
+def test_sam_without_files_takes_the_networks_of_that_name(tmp_path, folder):
+    with pytest.raises(InputError, match="nanosam-encoder"):
+        deployed.check(parse("segmenter: {kind: sam}", tmp_path / "p.yaml"))
+    folder.mkdir()
+    networks.sam_encoder(folder / "nanosam-encoder.onnx")
+    networks.sam_decoder(folder / "nanosam-decoder.onnx")
+    with pytest.raises(InputError, match="SHA-256"):  # the true encoder's digest is known
+        deployed.check(parse("segmenter: {kind: sam}", tmp_path / "p.yaml"))
+
+
 def test_sam_is_checked_too(tmp_path):
     networks.sam_encoder(tmp_path / "encoder.onnx")
     networks.sam_decoder(tmp_path / "decoder.onnx")
@@ -195,8 +218,7 @@ def test_sam_is_checked_too(tmp_path):
 @pytest.mark.parametrize(
     ("text", "says"),
     [
-        ("detector: {kind: yolo}", "detector.model"),
-        ("detector: {kind: yolo, model: a.onnx}", "detector.classes"),
+        ("bundles: models\ndetector: {kind: yolo}", "detector.model"),
         (
             "detector: {kind: yolo, model: a.onnx, classes: {cup: 0}}\nobjects: [{name: mug}]",
             "one of objects: mug",

@@ -14,6 +14,25 @@ def add_parser(subparsers: Any) -> None:
     parser = subparsers.add_parser("demo", help="the whole pipeline on a built-in scene, with its accuracy")
     parser.add_argument("--seconds", type=float, default=25.0, metavar="S", help="how long (default: 25)")
     parser.add_argument("--seed", type=int, default=0, metavar="N", help="which scene (default: 0)")
+    parser.add_argument(
+        "--detector",
+        choices=("colorpair", "yolo"),
+        default="colorpair",
+        help="how boxes are found: by the models alone, or by the network in the package (colorpair)",
+    )
+    parser.add_argument(
+        "--segmenter",
+        choices=("depth", "sam"),
+        default="depth",
+        help="how objects are outlined: by depth and colour, or by networks (depth)",
+    )
+    parser.add_argument(
+        "--sam",
+        nargs=2,
+        metavar=("ENCODER", "DECODER"),
+        help="those of the segmenter sam: ONNX files, or names of `huepose models` (nanosam-encoder "
+        "nanosam-decoder)",
+    )
     parser.add_argument("--headless", action="store_true", help="no live table")
     parser.add_argument("--json", type=Path, metavar="FILE", help="write the summary to a file as well")
     parser.set_defaults(call=call)
@@ -35,7 +54,9 @@ def call(arguments: argparse.Namespace) -> int:
         )
     if arguments.json is not None and not arguments.json.absolute().parent.is_dir():
         raise InputError(arguments.json, found="no such folder", expected="a file that can be written")
-    from huepose_services.demo.run import DemoError, run_demo
+    if arguments.sam is not None and arguments.segmenter != "sam":
+        raise InputError("--sam", found=f"--segmenter {arguments.segmenter}", expected="--segmenter sam")
+    from huepose_services.demo.run import DemoError, Perception, run_demo
     from huepose_services.demo.score import good
     from huepose_services.demo.table import report
 
@@ -48,7 +69,9 @@ def call(arguments: argparse.Namespace) -> int:
     signal.signal(signal.SIGTERM, stop)
     signal.signal(signal.SIGINT, stop)
     try:
-        result = run_demo(arguments.seconds, arguments.seed, not arguments.headless, lambda: interrupted)
+        chosen = Perception(arguments.detector, arguments.segmenter, arguments.sam)
+        live = not arguments.headless
+        result = run_demo(arguments.seconds, arguments.seed, live, lambda: interrupted, chosen)
     except DemoError as error:
         print(f"huepose demo: {error}", file=sys.stderr)
         return 1

@@ -6,7 +6,8 @@ import shutil
 import sys
 import tempfile
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, TextIO
 
@@ -20,6 +21,7 @@ from huepose_protos.messages import HealthMessage, Message, PoseMessage, TruthMe
 from huepose_services.builtin import builtin_bundles
 from huepose_services.demo.score import Score, Yardstick
 from huepose_services.demo.table import Table
+from huepose_services.networks import BUILTIN_DETECTOR
 from huepose_services.runtime.clock import SECOND, now_ns
 from huepose_services.runtime.config import WORKERS, Config, load
 from huepose_services.runtime.ports import free_ports
@@ -36,7 +38,34 @@ class DemoError(RuntimeError):
     """The pipeline did not run; the text says where its log is."""
 
 
-def run_demo(seconds: float, seed: int, live: bool, stopping: Callable[[], bool]) -> dict[str, Any]:
+@dataclass(frozen=True)
+class Perception:
+    """Kinds of detector and segmenter; sam: the two networks of the segmenter sam, files or names."""
+
+    detector: str = "colorpair"
+    segmenter: str = "depth"
+    sam: Sequence[str] | None = None
+
+    def sections(self) -> dict[str, Any]:
+        """What pipeline.yaml says of it."""
+        segmenter: dict[str, Any] = {"kind": self.segmenter}
+        if self.sam is not None:
+            # The demo's configuration lies elsewhere: a path from here has to be a whole one.
+            files = [str(Path(one).absolute()) if _is_path(one) else one for one in self.sam]
+            segmenter |= dict(zip(("encoder", "decoder"), files, strict=True))
+        detector = {"kind": self.detector}
+        if self.detector == "yolo":
+            detector["model"] = str(BUILTIN_DETECTOR)
+        return {"detector": detector, "segmenter": segmenter}
+
+
+def _is_path(text: str) -> bool:
+    return text.endswith(".onnx") or "/" in text
+
+
+def run_demo(
+    seconds: float, seed: int, live: bool, stopping: Callable[[], bool], perception: Perception
+) -> dict[str, Any]:
     """The summary of a run of so many seconds, with the health of each worker at its end.
 
     Raises InputError when the pipeline cannot start, DemoError when it breaks."""
@@ -44,7 +73,7 @@ def run_demo(seconds: float, seed: int, live: bool, stopping: Callable[[], bool]
     SyntheticScene(seed)  # computed here, with progress, where it is not in the cache folder
     folder = Path(tempfile.mkdtemp(prefix="huepose-demo-"))
     path = folder / "pipeline.yaml"
-    path.write_text(yaml.safe_dump(_pipeline(seed, bundles)))
+    path.write_text(yaml.safe_dump(pipeline(seed, bundles, perception)))
     config = load(path)
     yardsticks = {
         name: Yardstick.of(model.eval_points, model.diameter_m)
@@ -65,12 +94,13 @@ def run_demo(seconds: float, seed: int, live: bool, stopping: Callable[[], bool]
     return {"summary": summary, "workers": {name: _brief(message) for name, message in health.items()}}
 
 
-def _pipeline(seed: int, bundles: Path) -> dict[str, Any]:
+def pipeline(seed: int, bundles: Path, perception: Perception) -> dict[str, Any]:
+    """The pipeline.yaml of the demo."""
     return {
         "site": "demo",
         "bundles": str(bundles),
         "camera": {"source": "synthetic", "seed": seed, "truth": True},
-        "detector": {"kind": "colorpair"},
+        **perception.sections(),
         "bus": {"base_port": free_ports(len(WORKERS))},
     }
 

@@ -129,9 +129,10 @@ def check_camera(camera: CameraConfig, refuse: Refuse) -> None:
 
 
 def check_detector(
-    detector: DetectorConfig, runs: bool, truth: bool, names: Collection[str], refuse: Refuse
+    detector: DetectorConfig, runs: bool, truth: bool, builtin: bool, names: Collection[str], refuse: Refuse
 ) -> None:
-    """The same for the detector; `runs`: whether it is among the workers, `names`: the objects by name."""
+    """The same for the detector; `runs`: whether it is among the workers, `builtin`: whether the objects are
+    those of the built-in scene, `names`: the objects by name."""
     if detector.kind == "truth" and runs and not truth:
         refuse("detector.kind", "truth", "camera.truth: true beside it", "Set camera.truth to true.")
     if detector.kind == "first_box" and not detector.boxes and runs:
@@ -143,18 +144,16 @@ def check_detector(
             refuse(f"detector.boxes.{name}", f"{list(box)}", "[x, y, w, h] with w, h >= 1", "Correct it.")
     if detector.kind != "yolo":
         return
-    if detector.model is None:
+    if detector.model is None and not builtin:
         refuse("detector.model", "null", "an ONNX file, or a name", "`huepose models list` shows the names.")
-    if not detector.classes:
-        refuse("detector.classes", "none", "classes by object", "For example {cereal_box: [0]}.")
     for name in detector.classes:
         if names and name not in names:
             refuse("detector.classes", name, f"one of objects: {', '.join(names)}", "Correct the name.")
 
 
 def check_segmenter(segmenter: SegmenterConfig, refuse: Refuse) -> None:
-    """The same for the segmenter."""
-    for key in ("encoder", "decoder"):
-        if segmenter.kind == "sam" and getattr(segmenter, key) is None:
-            fix = "`huepose models list` shows the names."
-            refuse(f"segmenter.{key}", "null", "an ONNX file, or a name", fix)
+    """The same for the segmenter: its two networks are named both, or neither."""
+    if (segmenter.encoder is None) != (segmenter.decoder is None):
+        key = "encoder" if segmenter.encoder is None else "decoder"
+        fix = "`huepose models list` shows the names."
+        refuse(f"segmenter.{key}", "null", "an ONNX file, or a name, as for the other", fix)

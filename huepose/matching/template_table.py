@@ -1,5 +1,5 @@
-"""A model's view templates laid out for two looks: a quick one over all of them by matrix products, and a
-close one at a few."""
+"""A model's view templates laid out for two looks: a quick one over every other roll by matrix products, and
+a close one at a few."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from huepose.colorpair.opponents import opponents_of_lab
-from huepose.geometry.arrays import Float, Float32, Float64
+from huepose.geometry.arrays import Float, Float32, Float64, Int64
 from huepose.geometry.icosphere import look_at
 from huepose.model.types import ViewTemplates
 
@@ -16,63 +16,100 @@ COARSE_SIDE = 8
 """Cells a side at the first look."""
 
 MILLIMETRES = 1000.0
+COVERED = 0.5
+"""Coverage from which a cell counts at the close look."""
+
 STEPS, RELIEF_STEPS = 100.0, 10.0
 """Steps a unit in the stored whole numbers."""
+
+
+ROLL_STRIDE = 2
+"""Every other roll is compared at the first look; those between are known by their neighbours."""
 
 
 @dataclass(frozen=True, eq=False)
 class TemplateTable:
     """Templates of V views in R rolls (N = V * R), built once for a model.
 
-    For the first look, over P = 8 * 8 cells: coverage (N, P) float32; first, second (4, N, P) float32:
-    coverage times value and times value squared, for the opponents and for relief in millimetres; area (N,)
-    sum of coverage. For the close look: cells (N, S, S, 5) int16: opponents in 1 / STEPS, relief in 1 /
-    RELIEF_STEPS millimetres, coverage in 1 / STEPS. rotations (N, 3, 3), origins (N, 3): R_cam_obj and the
-    object's origin as seen from the window's middle at median depth; span_m: the window's side.
+    For the first look, at Q of them (V views in every other roll) over the P of 8 * 8 cells that any of them
+    covers: used (P,) these cells; coverage (Q, P) float32; first, second (4, Q, P) float32: coverage times
+    value and times value squared, for the opponents and for relief in millimetres; area (Q,) sum of coverage.
+    For the close look: the covered cells of template i are starts[i] to starts[i + 1]: places (M,) uint16 in
+    the window of side * side, row * 256 + column; values (M, 4) int16: opponents in 1 / STEPS, relief in 1 /
+    RELIEF_STEPS millimetres. rotations (N, 3, 3), origins (N, 3): R_cam_obj and the object's origin as seen
+    from the window's middle at median depth; span_m: the window's side; rolls: R; stride: 2, or 1 where all
+    rolls are compared.
     """
 
+    used: Int64
     coverage: Float32
     first: Float32
     second: Float32
     area: Float32
-    cells: np.ndarray
+    starts: Int64
+    places: np.ndarray
+    values: np.ndarray
+    side: int
     rotations: Float64
     origins: Float64
     span_m: float
     diameter_m: float
+    rolls: int
+    stride: int
 
 
-def build_table(templates: ViewTemplates, diameter_m: float, *, min_coverage: float = 0.5) -> TemplateTable:
-    """Lay out a model's templates (0.1 s, about 20 MB). Larger cells count from a coverage of
-    `min_coverage`."""
+def build_table(
+    templates: ViewTemplates, diameter_m: float, *, min_coverage: float = 0.5, whole: bool = False
+) -> TemplateTable:
+    """Lay out a model's templates (0.1 s, about 8 MB). Larger cells count from a coverage of
+    `min_coverage`; with `whole`, all of them and all rolls are laid out for the first look."""
     views, rolls = templates.planes.shape[:2]
     planes = templates.planes.reshape(views * rolls, *templates.planes.shape[2:]).astype(np.float32)
     side = planes.shape[-1]
-    coverage, values = _described(planes)
-    cells = np.empty((len(planes), side, side, 5), np.int16)
-    cells[..., :3] = np.rint(values[..., :3] * STEPS)
-    cells[..., 3] = np.rint(np.clip(values[..., 3] * RELIEF_STEPS, -32000, 32000))
-    cells[..., 4] = np.rint(coverage * STEPS)
+    starts, places, listed = _listed(planes)
 
+    stride = ROLL_STRIDE if rolls % ROLL_STRIDE == 0 and not whole else 1
+    planes = planes[::stride]  # rolls are the inner count, a multiple of the stride
     planes[:, :4] *= planes[:, 4:]  # the mean over a larger cell is weighted by coverage
     mean = _averaging(side)
     coarse = mean @ planes @ mean.T
     coarse[:, :4] /= np.maximum(coarse[:, 4:], 1e-3)
     coverage, values = _described(coarse)
     flat = np.where(coverage > min_coverage, coverage, 0.0).reshape(len(planes), -1).astype(np.float32)
-    by_channel = values.reshape(len(planes), -1, 4).transpose(2, 0, 1)
+    used = np.flatnonzero(flat.any(0) | whole)
+    flat = np.ascontiguousarray(flat[:, used])
+    by_channel = values.reshape(len(planes), -1, 4)[:, used].transpose(2, 0, 1)
     rotations, origins = _poses(templates)
     return TemplateTable(
+        used,
         flat,
         np.ascontiguousarray(flat * by_channel, dtype=np.float32),
         np.ascontiguousarray(flat * by_channel**2, dtype=np.float32),
         flat.sum(1),
-        cells,
+        starts,
+        places,
+        listed,
+        side,
         rotations,
         origins,
         templates.span * diameter_m,
         diameter_m,
+        rolls,
+        stride,
     )
+
+
+def _listed(planes: Float32) -> tuple[Int64, np.ndarray, np.ndarray]:
+    """The covered cells of planes (N, 5, S, S): starts (N + 1,), places (M,), values (M, 4)."""
+    coverage, values = _described(planes)
+    which, row, column = np.nonzero(coverage >= COVERED)
+    starts = np.concatenate([[0], np.cumsum(np.bincount(which, minlength=len(planes)))]).astype(np.int64)
+    places = (row << 8 | column).astype(np.uint16)
+    chosen = values[which, row, column]
+    out = np.empty(chosen.shape, np.int16)
+    out[:, :3] = np.rint(chosen[:, :3] * STEPS)
+    out[:, 3] = np.rint(np.clip(chosen[:, 3] * RELIEF_STEPS, -32000, 32000))
+    return starts, places, out
 
 
 def _described(planes: Float) -> tuple[Float32, Float32]:

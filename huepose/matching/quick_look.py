@@ -1,0 +1,129 @@
+"""The quick look: all templates against all windows of a picture, by matrix products.
+
+Opponent colours are compared by correlation (so light does not matter), depth by the deviation of its relief;
+what the mask covers should be covered, and no template should lie where the background is seen. All these are
+sums over cells, so thousands of templates take a few milliseconds.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from huepose.geometry.arrays import Float32, Int64
+from huepose.matching.template_table import MILLIMETRES, TemplateTable
+from huepose.support.jit import jit_dividing
+
+RELIEF = 0.05
+"""Deviation of relief, in diameters, at which the depth term has fallen to 0.6."""
+
+CHANNEL_WEIGHTS = (0.35, 1.0, 1.0)
+CHANNEL_FLOOR = 9.0
+DEPTH_WEIGHT, OVERLAP_WEIGHT, FREE_WEIGHT, FULL_WEIGHT = 0.8, 1.0, 0.8, 0.3
+
+MAX_PRODUCT = 4 * 65536
+"""Multiplications up to which OpenBLAS keeps a matrix product in one thread."""
+
+
+def quick_look(table: TemplateTable, windows: Float32, places: int) -> tuple[Int64, Float32]:
+    """Index (M, Q) of the best of `places` windows, and its score (M, Q), for each of M groups of windows
+    (M * places, P, 6) and each template of the table's quick look."""
+    count = len(windows)
+    windows = windows[:, table.used]
+    weight = windows[..., 4]
+    values = [windows[..., c] for c in range(4)]
+    columns = [weight, windows[..., 5]] + [weight * x for x in values] + [weight * x * x for x in values]
+    by_coverage = np.concatenate(columns).T
+    crossed = [np.concatenate([weight, weight * values[c]]).T for c in range(4)]
+    groups = count // places
+    which = np.zeros((groups, len(table.area)), np.int64)
+    scores = np.zeros((groups, len(table.area)), np.float32)
+    area = np.maximum(weight.sum(1), np.float32(1))
+    relief_mm = RELIEF * table.diameter_m * MILLIMETRES
+    _score_windows(
+        product(table.coverage, by_coverage),
+        np.stack([product(table.first[c], crossed[c]) for c in range(4)]),
+        np.stack([product(table.second[c], weight.T) for c in range(4)]),
+        table.area,
+        area,
+        places,
+        relief_mm,
+        which,
+        scores,
+    )
+    return which, scores
+
+
+def product(table: Float32, columns: Float32) -> Float32:
+    """The matrix product in pieces, each too small for the linear algebra library to call threads, which
+    would cost several times what they give."""
+    columns = np.ascontiguousarray(columns)
+    out = np.empty((len(table), columns.shape[1]), np.float32)
+    rows = max(8, MAX_PRODUCT // columns.size)
+    for start in range(0, len(table), rows):
+        np.matmul(table[start : start + rows], columns, out=out[start : start + rows])
+    return out
+
+
+@jit_dividing
+def _score_windows(
+    by_coverage: Float32,
+    crossed: Float32,
+    squared: Float32,
+    template_area: Float32,
+    window_area: Float32,
+    places: int,
+    relief_mm: float,
+    which: Int64,
+    scores: Float32,
+) -> None:
+    """Best of `places` windows of each group for each template, from the products' columns."""
+    count = window_area.shape[0]
+    common, color, weights = (
+        np.empty(count, np.float32),
+        np.empty(count, np.float32),
+        np.empty(count, np.float32),
+    )
+    without_depth, deviation = np.empty(count, np.float32), np.empty(count, np.float32)
+    one, zero, floor = np.float32(1.0), np.float32(0.0), np.float32(CHANNEL_FLOOR)
+    sharpness = 1.0 / (2.0 * relief_mm * relief_mm)
+    for i in range(template_area.shape[0]):
+        free = np.float32(FREE_WEIGHT) / max(template_area[i], one)
+        full = np.float32(FULL_WEIGHT) / max(template_area[i], one)
+        sums = by_coverage[i]
+        for k in range(count):
+            common[k] = one / max(sums[k], one)
+            color[k] = zero
+            weights[k] = np.float32(2.0)
+        for c in range(3):
+            channel = np.float32(CHANNEL_WEIGHTS[c])
+            mean, square = sums[(2 + c) * count : (3 + c) * count], sums[(6 + c) * count : (7 + c) * count]
+            first, both, second = crossed[c, i, :count], crossed[c, i, count:], squared[c, i]
+            for k in range(count):
+                mean_w, mean_t = mean[k] * common[k], first[k] * common[k]
+                var_w = max(square[k] * common[k] - mean_w * mean_w, zero)
+                var_t = max(second[k] * common[k] - mean_t * mean_t, zero)
+                w = channel * np.sqrt(var_t)
+                color[k] += w * (both[k] * common[k] - mean_w * mean_t) / (np.sqrt(var_w * var_t) + floor)
+                weights[k] += w
+        mean, square = sums[5 * count : 6 * count], sums[9 * count :]
+        first, both, second = crossed[3, i, :count], crossed[3, i, count:], squared[3, i]
+        for k in range(count):
+            apart = (mean[k] - first[k]) * common[k]
+            deviation[k] = max((square[k] + second[k] - both[k] - both[k]) * common[k] - apart * apart, zero)
+            without_depth[k] = (
+                color[k] / weights[k]
+                + np.float32(OVERLAP_WEIGHT) * sums[k] / window_area[k]
+                - free * sums[count + k]
+                + full * sums[k]
+            )
+        for g in range(which.shape[0]):
+            best = -1e9
+            for k in range(places):
+                now = without_depth[g * places + k]
+                if now + DEPTH_WEIGHT <= best:
+                    continue  # Not even a perfect relief would help.
+                total = now + DEPTH_WEIGHT * np.exp(-deviation[g * places + k] * sharpness)
+                if total > best:
+                    best = total
+                    which[g, i] = k
+            scores[g, i] = best

@@ -108,7 +108,18 @@ class TrackerWork:
         # The loop repeats it, and is told each time by what it does not see; the log is told once.
         if refused and self._refused != (name, message.seq):
             self._refused = (name, message.seq)
-            self._bus.log.seldom("refused", f"correction {message.seq} of {name} {applied.value}")
+            self._bus.log.seldom(
+                "refused", f"correction {message.seq} of {name}: {self._why(message, applied)}"
+            )
+
+    def _why(self, message: CorrectionMessage, applied: Applied) -> str:
+        if applied is Applied.REFUSED_EPOCH or self._header is None:
+            return "refused, it is about pictures of a camera that was opened anew since"
+        age_s = (self._header.capture_ns - message.capture_ns) * 1e-9
+        return (
+            f"refused, it is about a frame {age_s:.1f} s ago and the history is shorter: perception is too "
+            f"slow on this machine as busy as it is (`huepose top`), or tracker.history_frames too small"
+        )
 
     def _track(self, header: FrameHeader, payload: bytes) -> None:
         started = now_ns()

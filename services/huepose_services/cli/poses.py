@@ -58,27 +58,30 @@ def call(arguments: argparse.Namespace) -> int:
 def _print_until_gone(arguments: argparse.Namespace, stopping: Callable[[], bool]) -> None:
     from huepose_protos.client import Reader
 
-    pipeline, again, told = chosen(arguments), True, time.monotonic() + _SAY_WAITING_AFTER_S
+    pipeline, again, say_at = chosen(arguments), True, time.monotonic() + _SAY_WAITING_AFTER_S
     while again and not stopping():
         endpoints, key = pipeline.endpoints, pipeline.key(arguments.key)
         with Reader(endpoints, key) as reader:
             again = False
-            while not stopping() and not _is_over(reader):
+            while not stopping() and not _is_over(reader) and not again:
                 message = reader.next(0.1)
                 if message is not None:
+                    say_at = float("inf")
                     _print(message, arguments.json)
-                elif not reader.seen:
-                    if time.monotonic() > told:
-                        told = float("inf")
-                        print(
-                            f"waiting for a pipeline at {endpoints[0]}; `huepose up` starts one",
-                            file=sys.stderr,
-                            flush=True,
-                        )
+                    continue
+                if time.monotonic() > say_at:
+                    # Once for a pipeline that is not there, once for one that says nothing.
+                    say_at = float("inf")
+                    print(_silence(reader, endpoints[0], key), file=sys.stderr, flush=True)
+                if not reader.seen:
                     before, pipeline = pipeline, chosen(arguments)
                     again = pipeline != before
-                    if again:
-                        break
+
+
+def _silence(reader: Reader, endpoint: str, key: str) -> str:
+    if not reader.seen:
+        return f"waiting for a pipeline at {endpoint}; `huepose up` starts one"
+    return f"a pipeline runs, but nothing is said on {key} yet; `huepose status` says how it is"
 
 
 def _is_over(reader: Reader) -> bool:

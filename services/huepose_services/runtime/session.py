@@ -117,10 +117,14 @@ def open_worker_session(config: Config, worker: str) -> tuple[zenoh.Session, lis
     except zenoh.ZError as error:
         raise InputError(
             f"port {config.port(worker)} of worker {worker}",
-            found=occupant(config, worker) if "in use" in str(error) else " ".join(str(error).split())[:200],
+            found=_holder(config, worker, error),
             expected="a free port on 127.0.0.1",
             fix="Stop the other pipeline, or set bus.base_port in the configuration.",
         ) from None
+
+
+def _holder(config: Config, worker: str, error: zenoh.ZError) -> str:
+    return occupant(config, worker) if "in use" in str(error) else " ".join(str(error).split())[:200]
 
 
 def open_reader_session(endpoints: Sequence[str]) -> zenoh.Session:
@@ -136,7 +140,7 @@ def open_player_session(config: Config) -> zenoh.Session:
     except zenoh.ZError as error:
         raise InputError(
             f"ports from {config.bus.base_port}",
-            found="another program there" if "in use" in str(error) else " ".join(str(error).split())[:200],
+            found=_holder(config, config.workers[0], error),
             expected="free ports on 127.0.0.1",
             fix="Stop the other pipeline, or give --config with another bus.base_port.",
         ) from None

@@ -34,6 +34,8 @@ AGREES, DIFFERS, SEEN_THROUGH, HIDDEN, UNKNOWN = (
 """Pixels of a pose: depth fits and the print agrees; depth fits, the print differs; we see through it;
 something is in front; no depth."""
 
+LEGEND = "green: agrees, yellow: print differs, red: seen through, blue: hidden, grey: no depth"
+
 BOX, MASK, TRUTH = (250, 250, 250), (80, 220, 120), (255, 120, 220)
 DIFFERENT = 16.0
 """Difference of opponents at which the print plainly differs."""
@@ -91,11 +93,10 @@ class Panels:
         dim = self._brightened() // 3
         return self._grown(np.where((depth > 0)[..., None], color, dim).astype(np.uint8))
 
-    def judged(self, model: ReferenceModel, T_cam_obj: Float, depth: Float | None = None) -> UInt8:
-        """Where a pose agrees with the frame and where it does not (see AGREES and so on). depth (H, W): what
-        was left of the frame's depth when the pose was judged, if that is less."""
+    def judged(self, model: ReferenceModel, T_cam_obj: Float) -> UInt8:
+        """Where a pose agrees with the frame and where it does not (see LEGEND)."""
         color, surface = self._rendered(model, T_cam_obj)
-        seen = (self.frame.depth if depth is None else depth)[self.rows, self.columns]
+        seen = self.frame.depth[self.rows, self.columns]
         on, known = surface > 0, seen > 0
         fits = on & known & (np.abs(seen - surface) < self.tolerance_m)
         picture = self._brightened() // 3
@@ -109,8 +110,11 @@ class Panels:
 
     def _difference(self, color: UInt8, fits: Bool) -> Float64:
         """How much the print differs (h, w), 0..1, up to the colour and strength of the light."""
-        shown = opponents_of_bytes(cv2.GaussianBlur(self.frame.color[self.rows, self.columns], (0, 0), 0.7))
-        gap = shown - opponents_of_bytes(np.asarray(cv2.GaussianBlur(color, (0, 0), 0.7), np.uint8))
+        seen, drawn = (
+            opponents_of_bytes(np.asarray(cv2.GaussianBlur(picture, (0, 0), 0.7), dtype=np.uint8))
+            for picture in (self.frame.color[self.rows, self.columns], color)
+        )
+        gap = seen - drawn
         gap = (gap - np.median(gap[fits], axis=0)) * (0.5, 1.0, 1.0)
         return np.asarray(np.minimum(np.linalg.norm(gap, axis=-1) / DIFFERENT, 1.0))
 
@@ -124,15 +128,17 @@ class Panels:
 
     @property
     def _scale(self) -> float:
-        return SIDE / max(self.rows.stop - self.rows.start, self.columns.stop - self.columns.start)
+        longest: int = max(self.rows.stop - self.rows.start, self.columns.stop - self.columns.start)
+        return SIDE / longest
 
     def _photo(self) -> UInt8:
         return self._grown(self._brightened())
 
     def _brightened(self) -> UInt8:
         cut = self.frame.color[self.rows, self.columns]
-        bright = max(float(np.percentile(cut, 98)), 1.0)
-        return np.clip(cut * min(MAX_GAIN, max(1.0, 235.0 / bright)), 0, 255).astype(np.uint8)
+        gain = min(MAX_GAIN, max(1.0, 235.0 / max(float(np.percentile(cut, 98)), 1.0)))
+        bright: UInt8 = np.clip(cut * gain, 0, 255).astype(np.uint8)
+        return bright
 
     def _grown(self, picture: UInt8) -> UInt8:
         how = cv2.INTER_NEAREST if self._scale >= 1 else cv2.INTER_AREA

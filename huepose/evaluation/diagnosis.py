@@ -15,10 +15,10 @@ import numpy as np
 
 from huepose.estimation.explanation import Explanation
 from huepose.estimation.full_path import FINE_SAMPLES
+from huepose.estimation.reasons import covering, displacement, overlap
 from huepose.estimation.types import PoseEstimate
 from huepose.evaluation import metrics
-from huepose.geometry import se3
-from huepose.geometry.arrays import Bool, Float, Float64
+from huepose.geometry.arrays import Bool, Float64
 from huepose.model.types import ReferenceModel
 from huepose.verification.dense import DEFAULT_WEIGHTS, PoseScore, score
 from huepose.verification.local_search import search
@@ -80,7 +80,7 @@ def diagnose(
             **steps,
         }
     nearest = {name: _nearest(model, poses, truths) for name, poses in steps.items()}
-    ious = [_iou(m, mask) for m in explanation.masks] if mask is not None else []
+    ious = [overlap(m, mask) for m in explanation.masks] if mask is not None else []
     mask_iou = max(ious, default=0.0) if mask is not None else None
     cause = _cause(model, explanation, truths, said, truth, nearest, mask_iou)
     line = "; ".join(
@@ -125,26 +125,6 @@ def _place(model: ReferenceModel, answer: PoseEstimate, truths: Sequence[Float64
     return displacement(model, T, truths[int(np.argmin(errors))])
 
 
-def displacement(model: ReferenceModel, T_cam_obj: Float, T_reference: Float) -> str:
-    """How a pose lies to another, in words: turn, about which direction of the object, and shift of its
-    centre."""
-    between = se3.compose(se3.inverse(np.asarray(T_reference)), np.asarray(T_cam_obj))
-    angle = se3.rotation_angle(np.eye(3), between[:3, :3])
-    shift = 1000 * float(np.linalg.norm(se3.apply(between, model.mesh.centre[None])[0] - model.mesh.centre))
-    words = f"turned {np.degrees(angle):.0f} deg"
-    if angle > np.radians(10.0):
-        words += _about(between[:3, :3])
-    return f"{words}, shifted {shift:.0f} mm"
-
-
-def _about(R: Float64) -> str:
-    """The object's axis about which a rotation turns, where it is nearly one."""
-    values, vectors = np.linalg.eig(R)
-    axis = np.abs(np.real(vectors[:, int(np.argmin(np.abs(values - 1.0)))]))
-    k = int(np.argmax(axis))
-    return f" about its {'xyz'[k]} axis" if axis[k] > 0.95 else ""
-
-
 def _fate(nearest: dict[str, float]) -> str:
     """The step after which the right pose was gone."""
     if "views" not in nearest:
@@ -187,12 +167,10 @@ def _mask(cause: Cause, masks: Sequence[Bool], mask: Bool | None) -> str:
     """How the best candidate mask and the true one lie to each other."""
     if mask is None or not masks or not mask.any():
         return ""
-    best = max(masks, key=lambda m: _iou(m, mask))
-    covered = int((best & mask).sum()) / int(mask.sum())
-    if cause != "mask" and _iou(best, mask) >= WRONG_MASK:
+    best = max(masks, key=lambda m: overlap(m, mask))
+    if cause != "mask" and overlap(best, mask) >= WRONG_MASK:
         return ""
-    own = int((best & mask).sum()) / max(int(best.sum()), 1)
-    return f"the best mask covers {100 * covered:.0f} % of the object and is {100 * own:.0f} % object"
+    return covering(best, mask, "the object")
 
 
 def _nearest(model: ReferenceModel, poses: Float64, truths: Sequence[Float64]) -> float:
@@ -200,8 +178,3 @@ def _nearest(model: ReferenceModel, poses: Float64, truths: Sequence[Float64]) -
     points = model.eval_points[:: max(1, len(model.eval_points) // 500)]
     errors = [metrics.add(points, T, truth) for T in poses for truth in truths]
     return min(errors, default=np.inf) / model.diameter_m
-
-
-def _iou(one: Bool, other: Bool) -> float:
-    either = int((one | other).sum())
-    return int((one & other).sum()) / either if either else 0.0

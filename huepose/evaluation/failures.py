@@ -19,7 +19,7 @@ from huepose.drawing.contact_sheet import contact_sheet
 from huepose.drawing.text import paragraph
 from huepose.estimation.estimator import Estimator
 from huepose.estimation.explanation import Explanation
-from huepose.estimation.panels import Panels
+from huepose.estimation.panels import LEGEND, Panels
 from huepose.estimation.types import ObjectQuery, PoseEstimate
 from huepose.evaluation.diagnosis import Diagnosis, diagnose
 from huepose.evaluation.equivalents import Key
@@ -174,9 +174,8 @@ def failure_page(
         pictures.append(panels.judged(model, explanation.poses[0]))
         labels.append(_scored("the answer", diagnosis.answer))
     sheet = contact_sheet(pictures, PANELS_A_ROW, labels)
-    legend = "green: agrees, yellow: print differs, red: seen through, blue: hidden, grey: no depth"
     where = f"{sample.scene}, image {sample.image}, {model.name}"
-    return np.vstack([paragraph(f"{where}\n{diagnosis.line}\n{legend}", sheet.shape[1]), sheet])
+    return np.vstack([paragraph(f"{where}\n{diagnosis.line}\n{LEGEND}", sheet.shape[1]), sheet])
 
 
 def _scored(name: str, terms: Any) -> str:

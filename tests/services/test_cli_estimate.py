@@ -79,9 +79,11 @@ def test_a_pose_as_json_a_picture_and_an_explanation(
     assert np.abs(np.array(pose["T_cam_obj"]) - standing).max() < 0.01
     assert np.array(pose["covariance"]).shape == (6, 6)
     assert cv2.imread(str(picture)).shape == (480, 640, 3)
-    names = {f"tea_box_{part}" for part in ("masks.png", "views.png", "pose.png", "scores.json")}
+    names = {f"tea_box_{part}" for part in ("why.png", "masks.png", "views.png", "pose.png", "scores.json")}
     assert {p.name for p in why.iterdir()} == names
-    scores = json.loads((why / "tea_box_scores.json").read_text())["poses"]
+    record = json.loads((why / "tea_box_scores.json").read_text())
+    assert record["doubts"] == []
+    scores = record["poses"]
     assert scores[0]["total"] > scores[1]["total"]
     assert scores[0]["terms"]["color"] > 0.5
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import argparse
 import json
 import math
+import sys
 from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -113,7 +114,8 @@ def _answer(
     if arguments.explain:
         from huepose_services.cli.explain import write_explanation
 
-        write_explanation(arguments.explain, frame, models[name], answer, explanation)
+        doubts = write_explanation(arguments.explain, frame, models[name], answer, explanation)
+        print(f"{name}: " + ("; ".join(doubts) or "nothing speaks against this answer"), file=sys.stderr)
     return answer
 
 

@@ -12,8 +12,11 @@ import numpy as np
 
 from huepose.drawing.contact_sheet import contact_sheet
 from huepose.drawing.overlay import draw_pose
+from huepose.drawing.text import paragraph
 from huepose.estimation import PoseEstimate
 from huepose.estimation.explanation import Explanation
+from huepose.estimation.panels import LEGEND, Panels
+from huepose.estimation.reasons import displacement, reasons
 from huepose.geometry import Box, RgbdFrame
 from huepose.geometry.arrays import Bool, UInt8
 from huepose.matching.retrieval import retrieve
@@ -25,6 +28,8 @@ from huepose.verification.dense import score
 
 COLORS = ((60, 220, 60), (255, 170, 30), (70, 160, 255), (255, 80, 160), (240, 240, 60))
 VIEWS = 12
+POSES = 3
+SURE = "nothing speaks against this answer"
 
 
 def draw_answers(
@@ -41,8 +46,11 @@ def draw_answers(
 
 def write_explanation(
     folder: Path, frame: RgbdFrame, model: ReferenceModel, answer: PoseEstimate, explanation: Explanation
-) -> None:
-    """Write NAME_masks.png, NAME_views.png, NAME_pose.png and NAME_scores.json of one estimate."""
+) -> list[str]:
+    """Write NAME_why.png, NAME_masks.png, NAME_views.png, NAME_pose.png and NAME_scores.json of one estimate;
+    returns what speaks against the answer."""
+    doubts = reasons(model, answer, explanation)
+    write_picture(folder / f"{model.name}_why.png", _page(frame, model, answer, explanation, doubts))
     masks = [_tinted(frame, mask) for mask in explanation.masks]
     labels = [f"mask {k + 1}: {int(m.sum())} px" for k, m in enumerate(explanation.masks)]
     if answer.mask is not None:
@@ -64,7 +72,33 @@ def write_explanation(
         for T, total in zip(explanation.poses, explanation.totals, strict=True)
         if evidence is not None
     ]
-    _write_text(folder / f"{model.name}_scores.json", json.dumps({"poses": poses}, indent=2) + "\n")
+    record = {"quality": answer.quality, "state": answer.state, "doubts": doubts, "poses": poses}
+    _write_text(folder / f"{model.name}_scores.json", json.dumps(record, indent=2) + "\n")
+    return doubts
+
+
+def _page(
+    frame: RgbdFrame,
+    model: ReferenceModel,
+    answer: PoseEstimate,
+    explanation: Explanation,
+    doubts: Sequence[str],
+) -> UInt8:
+    """What the estimator saw, and where its best poses agree with it: a page with the doubts in words."""
+    evidence, poses, totals = explanation.evidence, explanation.poses, explanation.totals
+    tolerance = 0.01 if evidence is None else evidence.region.tolerance_m
+    own = [] if answer.mask is None else [answer.mask]
+    panels = Panels.around(frame, explanation.box, own, tolerance)
+    pictures = [panels.photo(explanation.box), panels.depth()]
+    pictures.append(panels.masks(explanation.masks[0] if explanation.masks else None, answer.mask))
+    labels = [model.name, "depth", f"first of {len(explanation.masks)} masks, the pose's outline"]
+    for k, (T, total) in enumerate(zip(poses[:POSES], totals[:POSES], strict=True)):
+        pictures += [panels.worn(model, T), panels.judged(model, T)]
+        note = "the best" if k == 0 else displacement(model, T, poses[0])
+        labels += [f"pose {k + 1}: {note}", f"pose {k + 1}: {total:.2f}"]
+    sheet = contact_sheet(pictures, 3 if len(pictures) < 4 else 5, labels)
+    state = f"{model.name}: {answer.state}, quality {answer.quality:.2f}"
+    return np.vstack([paragraph("\n".join([state, *(doubts or [SURE]), LEGEND]), sheet.shape[1]), sheet])
 
 
 def _write_views(path: Path, model: ReferenceModel, explanation: Explanation) -> None:

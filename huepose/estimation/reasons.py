@@ -1,0 +1,101 @@
+"""What speaks against an answer, in words and from measurements: why a pose is doubtful, or was not found."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from huepose.estimation.explanation import Explanation
+from huepose.estimation.types import PoseEstimate
+from huepose.geometry import se3
+from huepose.geometry.arrays import Bool, Float, Float64
+from huepose.model.types import ReferenceModel
+from huepose.verification.dense import PoseScore, score
+
+CLOSE_MARGIN = 0.1
+"""Totals closer than this are a near tie: light and noise move them as far."""
+
+MUCH_SEEN_THROUGH, MUCH_HIDDEN, LITTLE_PRINT, LITTLE_BOX, LITTLE_MASK = 0.1, 0.4, 0.3, 0.5, 0.5
+MUCH_WITHOUT_DEPTH = 0.3
+
+
+def reasons(model: ReferenceModel, answer: PoseEstimate, explanation: Explanation) -> list[str]:
+    """What speaks against an answer, plainest first; empty where nothing does."""
+    evidence = explanation.evidence
+    if evidence is None:
+        return ["no depth in the box: nothing to look at"]
+    if not len(explanation.poses):
+        return ["no view of the object was proposed"]
+    terms = score(model, evidence.region, explanation.poses[0])
+    out = [f"the best pose scores {terms.total:.2f} only: nothing like the object is here"]
+    if answer.found:
+        out = []
+    return [*out, *_ties(model, explanation), *_of_masks(answer.mask, explanation.masks), *_of_terms(terms)]
+
+
+def _ties(model: ReferenceModel, explanation: Explanation) -> list[str]:
+    poses, totals = explanation.poses, explanation.totals
+    return [
+        f"a near tie: {displacement(model, T, poses[0])}, it scores {total:.2f} against {totals[0]:.2f}"
+        for T, total in zip(poses[1:3], totals[1:3], strict=True)
+        if totals[0] - total < CLOSE_MARGIN
+    ]
+
+
+def _of_masks(mask: Bool | None, masks: Sequence[Bool]) -> list[str]:
+    """How the candidate masks and the pose's own pixels lie to each other."""
+    if mask is None or not masks or not mask.any():
+        return []
+    best = max(masks, key=lambda m: overlap(m, mask))
+    if overlap(best, mask) >= LITTLE_MASK:
+        return []
+    return [f"the masks show something else: {covering(best, mask, 'the pose')}"]
+
+
+def _of_terms(terms: PoseScore) -> list[str]:
+    unknown = max(0.0, 1.0 - terms.seen - terms.occluded)
+    said = (
+        (terms.violation > MUCH_SEEN_THROUGH, f"one looks through {100 * terms.violation:.0f} % of the pose"),
+        (terms.occluded > MUCH_HIDDEN, f"{100 * terms.occluded:.0f} % of the pose is hidden"),
+        (
+            unknown > MUCH_WITHOUT_DEPTH,
+            f"on {100 * unknown:.0f} % of the pose depth is missing, off, or of something else",
+        ),
+        (terms.color < LITTLE_PRINT, f"the print agrees little (correlation {terms.color:.2f})"),
+        (terms.box_iou < LITTLE_BOX, f"the pose's bounds overlap the box by {terms.box_iou:.2f} only"),
+    )
+    return [text for holds, text in said if holds]
+
+
+def displacement(model: ReferenceModel, T_cam_obj: Float, T_reference: Float) -> str:
+    """How a pose lies to another, in words: its turn, the object's axis where it is one, and the shift of its
+    centre."""
+    between = se3.compose(se3.inverse(np.asarray(T_reference)), np.asarray(T_cam_obj))
+    angle = se3.rotation_angle(np.eye(3), between[:3, :3])
+    shift = 1000 * float(np.linalg.norm(se3.apply(between, model.mesh.centre[None])[0] - model.mesh.centre))
+    words = f"turned {np.degrees(angle):.0f} deg"
+    if angle > np.radians(10.0):
+        words += _about(between[:3, :3])
+    return f"{words}, shifted {shift:.0f} mm"
+
+
+def _about(R: Float64) -> str:
+    """The object's axis about which a rotation turns, where it is nearly one."""
+    values, vectors = np.linalg.eig(R)
+    axis = np.abs(np.real(vectors[:, int(np.argmin(np.abs(values - 1.0)))]))
+    k = int(np.argmax(axis))
+    return f" about its {'xyz'[k]} axis" if axis[k] > 0.95 else ""
+
+
+def covering(mask: Bool, of: Bool, name: str) -> str:
+    """How a mask (H, W) covers another that is not empty, in words."""
+    common = int((mask & of).sum())
+    covered, own = common / int(of.sum()), common / max(int(mask.sum()), 1)
+    return f"the best mask covers {100 * covered:.0f} % of {name}, which is {100 * own:.0f} % of the mask"
+
+
+def overlap(one: Bool, other: Bool) -> float:
+    """Intersection over union of two masks (H, W), 0 for empty ones."""
+    either = int((one | other).sum())
+    return int((one & other).sum()) / either if either else 0.0

@@ -1,0 +1,99 @@
+"""What is said against an answer, on cases whose trouble is known."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from huepose.estimation import Estimator, ObjectQuery
+from huepose.estimation.explanation import Explanation
+from huepose.estimation.reasons import covering, displacement, overlap, reasons
+from huepose.estimation.types import PoseEstimate
+from huepose.geometry import Box, RgbdFrame, se3
+from huepose.model.types import ReferenceModel
+from huepose.rendering.render import render_depth
+
+
+def turned(T: np.ndarray, degrees: float, axis: int) -> np.ndarray:
+    return se3.compose(T, se3.make(se3.rotation_exp(np.radians(degrees) * np.eye(3)[axis]), np.zeros(3)))
+
+
+@pytest.fixture(scope="module")
+def looked(
+    tea_box: ReferenceModel, take_picture: Callable[..., RgbdFrame], standing: np.ndarray
+) -> tuple[PoseEstimate, Explanation]:
+    frame = take_picture([(tea_box.mesh, standing)])
+    box = Box.of_mask(render_depth(tea_box.mesh, standing, frame.camera) > 0)
+    return Estimator({"tea_box": tea_box}).explain(frame, ObjectQuery("tea_box", box))
+
+
+def test_nothing_speaks_against_a_plain_view(
+    tea_box: ReferenceModel, looked: tuple[PoseEstimate, Explanation]
+) -> None:
+    assert reasons(tea_box, *looked) == []
+    trail = looked[1].trail
+    assert trail is not None
+    assert len(trail.retrieved) == len(trail.registered) > 0
+
+
+def test_a_near_tie_is_named(tea_box: ReferenceModel, looked: tuple[PoseEstimate, Explanation]) -> None:
+    answer, explanation = looked
+    twin = np.stack([explanation.poses[0], turned(explanation.poses[0], 180.0, 2)])
+    close = replace(explanation, poses=twin, totals=np.array([2.0, 1.97]))
+    (said,) = reasons(tea_box, answer, close)
+    assert said.startswith("a near tie: turned 180 deg about its z axis, shifted")
+    assert said.endswith("it scores 1.97 against 2.00")
+
+
+def test_a_mask_on_something_else_is_named(
+    tea_box: ReferenceModel, looked: tuple[PoseEstimate, Explanation]
+) -> None:
+    answer, explanation = looked
+    other = np.zeros((480, 640), bool)
+    other[:30, :30] = True
+    assert reasons(tea_box, answer, replace(explanation, masks=(other,))) == [
+        "the masks show something else: the best mask covers 0 % of the pose, which is 0 % of the mask"
+    ]
+
+
+def test_a_pose_in_the_air_is_seen_through(
+    tea_box: ReferenceModel, looked: tuple[PoseEstimate, Explanation]
+) -> None:
+    answer, explanation = looked
+    nearer = se3.compose(se3.make(np.eye(3), [0.0, 0.0, -0.1]), explanation.poses[0])
+    said = reasons(tea_box, answer, replace(explanation, poses=nearer[None], totals=np.ones(1)))
+    assert any(text.startswith("one looks through") for text in said)
+    assert any(text.startswith("the print agrees little") for text in said)
+
+
+def test_without_depth_or_views_that_is_all(
+    tea_box: ReferenceModel, looked: tuple[PoseEstimate, Explanation]
+) -> None:
+    answer, explanation = looked
+    assert reasons(tea_box, answer, replace(explanation, evidence=None)) == [
+        "no depth in the box: nothing to look at"
+    ]
+    assert reasons(tea_box, answer, replace(explanation, poses=np.zeros((0, 4, 4)))) == [
+        "no view of the object was proposed"
+    ]
+
+
+def test_masks_in_numbers_and_words() -> None:
+    mask, other = np.zeros((4, 4), bool), np.zeros((4, 4), bool)
+    mask[:2], other[:, :2] = True, True
+    assert overlap(mask, other) == pytest.approx(1 / 3)
+    assert overlap(mask & ~mask, mask & ~mask) == 0.0
+    assert covering(mask, other, "it") == "the best mask covers 50 % of it, which is 50 % of the mask"
+
+
+def test_displacements_in_words(tea_box: ReferenceModel, standing: np.ndarray) -> None:
+    assert displacement(tea_box, turned(standing, 90.0, 2), standing) == (
+        "turned 90 deg about its z axis, shifted 0 mm"
+    )
+    beside = se3.compose(se3.make(np.eye(3), [0.012, 0.0, 0.0]), standing)
+    assert displacement(tea_box, beside, standing) == "turned 0 deg, shifted 12 mm"
+    skew = se3.compose(standing, se3.make(se3.rotation_exp(np.array([1.0, 1.0, 0.0])), np.zeros(3)))
+    assert displacement(tea_box, skew, standing) == "turned 81 deg, shifted 0 mm"

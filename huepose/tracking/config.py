@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from huepose.support.errors import InputError
+from huepose.tracking.flow import FlowSource, compute
 
 
 @dataclass(frozen=True)
@@ -17,7 +18,7 @@ class TrackerConfig:
     searches_per_step: for how many objects in one step; None for all that need it. A search takes several
     frames' time, so in a live pipeline many of them would make the next step too large as well, and so on.
     max_search_m_s, max_search_rad_s: the fastest motion that the search covers.
-    catch_up_stride: most frames skipped at once while catching up.
+    catch_up_stride: most frames skipped at once while catching up. flow: where optical flow comes from.
     """
 
     history_frames: int = 20
@@ -31,6 +32,7 @@ class TrackerConfig:
     max_search_m_s: float = 0.8
     max_search_rad_s: float = 7.0
     catch_up_stride: int = 5
+    flow: FlowSource = compute
 
     def __post_init__(self) -> None:
         if not self.history_frames >= 2:

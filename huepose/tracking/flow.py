@@ -1,12 +1,13 @@
 """Dense optical flow between two frames, on the object's region only, checked forward and backward.
 
 DIS flow (Kroeger et al. 2016, OpenCV) needs no network and costs about a millisecond on 240 x 240 pixels; its
-patches are normalised for brightness. A learned flow can stand behind the same `Flow`.
+patches are normalised for brightness. A learned flow can stand in its place (`flow_network`).
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Protocol
 
 import cv2
 import numpy as np
@@ -46,6 +47,15 @@ class Flow:
         moved = sampled(self.forward, local)
         columns, rows = np.clip(np.rint(u), 0, w - 1).astype(int), np.clip(np.rint(v), 0, h - 1).astype(int)
         return moved.astype(np.float64), inside & self.consistent[rows, columns]
+
+
+class FlowSource(Protocol):
+    """Anything that finds flow; `compute` is the one that needs nothing."""
+
+    def __call__(self, color_a: UInt8, color_b: UInt8, box: Box) -> Flow | None:
+        """Flow from one colour image (H, W, 3) uint8 RGB to another in a window that covers `box` where the
+        image has room; None when too few pixels are left."""
+        ...
 
 
 def sampled(image: Float32, pixels: Float) -> Float32:

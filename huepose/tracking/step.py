@@ -150,7 +150,7 @@ def advance(
         return replace(best, doubtful=doubtful)
     # What was not seen in the last frame has no pixels there to be followed.
     if 0.0 < seconds <= LONG_STEP_S and anchor.unseen_s == 0.0:
-        T_flow = flow_start(subject, anchor, frame, expected, relative_pose or RobustKabsch())
+        T_flow = flow_start(subject, anchor, frame, expected, relative_pose or RobustKabsch(), config.flow)
         if T_flow is not None:
             best = _better(best, best_of(surface, frame, [(T_flow, "flow")], anchor.tint))
     doubtful = not _convincing(best, anchor.usual, doubt)
@@ -178,6 +178,7 @@ def flow_start(
     frame: RgbdFrame,
     expected: Float64,
     relative_pose: RelativePose,
+    flow_source: optical_flow.FlowSource = optical_flow.compute,
     use_pairs: bool = True,
 ) -> Float64 | None:
     """The pose that optical flow from the anchor's frame gives: flow on the region of the old and the
@@ -187,7 +188,7 @@ def flow_start(
     old, new = surface.box(anchor.T_cam_obj, camera), surface.box(expected, camera)
     if old is None or new is None:
         return None
-    flow = optical_flow.compute(anchor.frame.color, frame.color, _union(old, new).grown(FLOW_GROWTH, 8.0))
+    flow = flow_source(anchor.frame.color, frame.color, _union(old, new).grown(FLOW_GROWTH, 8.0))
     if flow is None:
         return None
     mask = anchor.mask

@@ -23,6 +23,9 @@ Kind = Literal["residual", "direct"]
 POINTS = 128
 """Matches that the network looks at."""
 
+SHIPPED = Path(__file__).parent / "weights" / "rotation.onnx"
+"""A network of the kind "residual"; the file beside it says how it was made."""
+
 
 @dataclass(frozen=True, eq=False)
 class Posed:

@@ -17,9 +17,10 @@ from huepose.tracking.identity import Identity, turned_over
 from huepose.tracking.motion import filtered, increment_velocity, predicted
 from huepose.tracking.relative_pose import RelativePose
 from huepose.tracking.scoring import NOTHING, UNKNOWN_TINT, Fit
+from huepose.tracking.second_thought import SecondThought, leapt
 from huepose.tracking.step import Anchor, Step, Subject, advance
 from huepose.tracking.types import State, TrackedPose
-from huepose.tracking.uncertainty import covariance, unseen
+from huepose.tracking.uncertainty import covariance, spread_m, unseen
 
 COASTING_SEEN = 0.15
 """With less of the surface confirmed, the prediction is better than what was refined on it."""
@@ -30,6 +31,7 @@ COASTING_DAMPING = 0.85
 FORGOTTEN_PER_S = 0.25
 """Score by which less is asked, each second, of an object that returns: the light may have changed."""
 
+SPREAD_POINTS = 48
 MAX_TRIES = 3
 TRY_AGAIN_AFTER = 15
 """Doubtful frames in a row after which flow and search rest, and every how many they are tried again: an
@@ -62,6 +64,7 @@ class Track:
         self._supported_ns = 0
         self._rival: Float64 | None = None
         self._rival_identity: Identity | None = None
+        self._second: SecondThought | None = None
 
     def look(
         self, frame: RgbdFrame, relative_pose: RelativePose | None = None, may_search: bool = True
@@ -84,6 +87,7 @@ class Track:
         config = self._config if may_search else replace(self._config, search=False)
         step = advance(self.subject, anchor, frame, config, relative_pose)
         seconds = (frame.stamp_ns - self._frame.stamp_ns) * 1e-9
+        step = self._decided(anchor, step, frame, seconds)
         sure = evidence.quality(step.fit, self._usual, self._evidence)
         if step.near is not None and sure < self._config.suspect_quality:
             # What is found somewhere else and not believed must not draw a half hidden object away.
@@ -98,12 +102,28 @@ class Track:
             measured = increment_velocity(self.T_cam_obj, step.T_cam_obj, seconds)
             self.velocity = filtered(self.velocity, measured, seconds)
             self.T_cam_obj, self.covariance = step.T_cam_obj, self._covariance(step)
+            self._evidence = evidence.vouched(sure, self._spread())
             self._unseen_s = 0.0
         else:
             self._coast(step, seconds)
             self._unseen_s += seconds
         self._doubtful_frames = self._doubtful_frames + 1 if step.doubtful else 0
         return step.searched
+
+    def _decided(self, anchor: Anchor, step: Step, frame: RgbdFrame, seconds: float) -> Step:
+        """What is believed of a frame where there are two opinions about the object since a leap."""
+        if self._second is not None:
+            surface = self.subject.surface
+            self._second, own = self._second.followed(surface, frame, seconds, self._tint, step)
+            if self._second.borne_out:
+                step = replace(own, doubtful=step.doubtful, searched=step.searched)
+            if self._second.borne_out or self._second.refuted:
+                self._second = None
+        elif step.start != "rival" and leapt(
+            self.subject.surface, anchor.T_cam_obj, step.T_cam_obj, seconds, self._config
+        ):
+            self._second = SecondThought.left_behind(anchor, step, seconds)
+        return step
 
     def settle(self, frame: RgbdFrame, contested: bool = False) -> None:
         """Judge what `look` found; contested: another pose holds the same surface with better right."""
@@ -126,6 +146,7 @@ class Track:
         self._identity = Identity.of(pursuit.correction.quality, self._view())
         self._usual, self._tint, self._evidence = pursuit.usual, pursuit.tint, pursuit.evidence
         self._doubtful_frames, self._scarce_frames, self._unseen_s, self._rival = 0, 0, 0.0, None
+        self._second = None
         self._supported_ns = frame.stamp_ns
         # A verified pose may be TRACKING at once.
         self._standing = Standing(State.TRACKING)
@@ -142,6 +163,7 @@ class Track:
 
         Raises ValueError where the history does not reach back unbroken."""
         moved = self.history.replay(stamp_ns, T_cam_obj)
+        self._second = None
         if self.velocity is not None and self.T_cam_obj is not None:
             # The same motion, about an origin that has moved.
             lever = moved[:3, 3] - self.T_cam_obj[:3, 3]
@@ -158,6 +180,7 @@ class Track:
 
     def agree(self, quality: float) -> None:
         """Perception found the same pose by itself."""
+        self._second = None
         if self._identity is not None and self.T_cam_obj is not None:
             self._identity = self._identity.agreed(quality, self._view())
 
@@ -190,7 +213,7 @@ class Track:
     def _judge(self) -> None:
         identity = 0.0 if self._identity is None else self._identity.value
         self.quality = self._evidence * identity
-        confirmed = identity >= self._config.confirmed_identity
+        confirmed = identity >= self._config.confirmed_identity and self._second is None
         self._standing = next_standing(self._standing, self._evidence, confirmed, self._config)
         self.state = self._standing.state
         if self.state is State.LOST:
@@ -202,6 +225,14 @@ class Track:
         assert self.T_cam_obj is not None
         eye = -self.T_cam_obj[:3, :3].T @ self.subject.surface.centre_cam(self.T_cam_obj)
         return np.asarray(eye / max(float(np.linalg.norm(eye)), 1e-9))
+
+    def _spread(self) -> float:
+        """By how much the pose may be off, as a share of the diameter."""
+        assert self.T_cam_obj is not None
+        assert self.covariance is not None
+        surface = self.subject.surface
+        points = surface.arrays.points[:SPREAD_POINTS]
+        return spread_m(self.covariance, self.T_cam_obj, points) / surface.diameter_m
 
     def _covariance(self, step: Step) -> Float64:
         return covariance(step.information, float(self.subject.surface.centre_cam(step.T_cam_obj)[2]))

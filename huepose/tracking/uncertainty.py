@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from huepose.geometry.arrays import Float64
+from huepose.geometry.arrays import Float32, Float64
 from huepose.geometry.uncertainty import grown
 from huepose.tracking.refinement import depth_noise_m
 
@@ -36,3 +36,14 @@ def covariance(information: Float64, distance_m: float) -> Float64:
 def unseen(before: Float64, seconds: float) -> Float64:
     """Covariance of a pose that was only predicted over an interval."""
     return grown(before, seconds)
+
+
+def spread_m(covariance: Float64, T_cam_obj: Float64, points_obj: Float32) -> float:
+    """By how much the object's points (N, 3) lie off, RMS, if the pose errs as that covariance says."""
+    points = points_obj.astype(np.float64) @ T_cam_obj[:3, :3].T
+    shifts = np.zeros((len(points), 3, 6))
+    shifts[:, :, :3] = np.eye(3)
+    shifts[:, 0, 4], shifts[:, 0, 5] = points[:, 2], -points[:, 1]
+    shifts[:, 1, 3], shifts[:, 1, 5] = -points[:, 2], points[:, 0]
+    shifts[:, 2, 3], shifts[:, 2, 4] = points[:, 1], -points[:, 0]
+    return float(np.sqrt(np.einsum("nij,jk,nik->", shifts, covariance, shifts) / len(points)))

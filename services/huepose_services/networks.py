@@ -11,6 +11,11 @@ from huepose.perception.sam import SamSegmenter
 from huepose.perception.sessions import Network, NetworkSettings, open_network
 from huepose.perception.yolo import YoloDetector, class_names
 from huepose.support.errors import InputError
+from huepose.tracking.flow import FlowSource, compute
+from huepose.tracking.flow_network import NetworkFlow
+from huepose.tracking.relative_pose import RelativePose, RobustKabsch
+from huepose.tracking.rotation_first import RotationFirst
+from huepose.tracking.rotation_network import SHIPPED, OnnxRotation, ResidualRotation
 from huepose_services.catalogue import entry_of
 from huepose_services.runtime.config import Config
 
@@ -19,6 +24,9 @@ BUILTIN_DETECTOR = Path(__file__).parent / "weights" / "builtin_detector.onnx"
 
 SAM_ENCODER, SAM_DECODER = "nanosam-encoder", "nanosam-decoder"
 """Names of `huepose models`: what the segmenter sam takes where none is configured."""
+
+FLOW = "neuflow-v2"
+"""The same for the tracker's flow neuflow."""
 
 
 def settings(config: Config) -> NetworkSettings:
@@ -58,6 +66,9 @@ def check(config: Config) -> None:
         yolo(on_cpu)
     if "segmenter" in config.workers and config.segmenter.kind == "sam":
         sam(on_cpu)
+    if "tracker" in config.workers:
+        flow(on_cpu)
+        relative_pose(on_cpu)
 
 
 def yolo(config: Config) -> tuple[YoloDetector, Network]:
@@ -98,3 +109,19 @@ def sam(config: Config) -> tuple[SamSegmenter, Network]:
     made = SamSegmenter(encoder, opened(config, segmenter.decoder or SAM_DECODER, half=False))
     made.warm_up()
     return made, encoder
+
+
+def flow(config: Config) -> FlowSource:
+    """Where the tracker's flow comes from, ready to be used."""
+    if config.tracker.flow == "dis":
+        return compute
+    return NetworkFlow(opened(config, config.tracker.flow_model or FLOW))
+
+
+def relative_pose(config: Config) -> RelativePose:
+    """How the tracker gets a motion from matched points."""
+    rotation, model = config.tracker.rotation, config.tracker.rotation_model
+    if rotation == "kabsch":
+        return RobustKabsch()
+    regressor = OnnxRotation(SHIPPED if model is None else Path(model))
+    return ResidualRotation(regressor) if rotation == "residual" else RotationFirst(regressor)

@@ -11,7 +11,7 @@ from huepose.tracking.types import Applied, Correction, State, TrackedPose, Verd
 from huepose_protos import WireError
 from huepose_protos.messages import CorrectionMessage, FrameHeader, PoseMessage
 from huepose_protos.runlength import mask_of
-from huepose_services import models
+from huepose_services import models, networks
 from huepose_services.convert import (
     covariance_to_wire,
     frame_from_wire,
@@ -31,9 +31,12 @@ def make(bus: Bus, config: Config) -> TrackerWork:
     known = models.load(config)
     # Time is short in a live pipeline: one search a step, and catching up in strides that need none.
     settings = TrackerConfig(
-        history_frames=config.tracker.history_frames, searches_per_step=1, catch_up_stride=3
+        history_frames=config.tracker.history_frames,
+        searches_per_step=1,
+        catch_up_stride=3,
+        flow=networks.flow(config),
     )
-    tracker = Tracker(known, settings)
+    tracker = Tracker(known, settings, networks.relative_pose(config))
     tracker.warm_up()
     follower = Follower(bus, lambda name: models.load_one(config, name), known, remembers=True)
     return TrackerWork(bus, tracker, follower, config)

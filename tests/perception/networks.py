@@ -108,3 +108,44 @@ def sam_decoder(path, ious=(0.3, 0.9, 0.5)):
     }
     outputs = {"iou_predictions": (1, 3), "low_res_masks": (1, 3, 256, 256)}
     return save(path, nodes, inputs, outputs, constants)
+
+
+def blue_follower(path, height, width):
+    """NeuFlow's interface. The flow is, everywhere, by how many of the input's pixels the middle of the first
+    channel (blue, in BGR) moves; nothing where a picture's values go beyond 1."""
+    ys, xs = np.mgrid[0:height, 0:width].astype(np.float32)
+    constants = {"xs": xs[None], "ys": ys[None], "first": np.array([0], np.int64), "one": np.float32(1.0)}
+    nodes = []
+    for k in (1, 2):
+        nodes += [
+            helper.make_node("Gather", [f"img{k}", "first"], [f"blue{k}"], axis=1),
+            helper.make_node("Squeeze", [f"blue{k}", "first_axis"], [f"plane{k}"]),
+            helper.make_node("ReduceSum", [f"plane{k}"], [f"mass{k}"], keepdims=0),
+            helper.make_node("Max", [f"mass{k}", "small"], [f"weight{k}"]),
+            helper.make_node("ReduceMax", [f"img{k}"], [f"most{k}"], keepdims=0),
+        ]
+        for axis in ("x", "y"):
+            nodes += [
+                helper.make_node("Mul", [f"plane{k}", f"{axis}s"], [f"{axis}_by{k}"]),
+                helper.make_node("ReduceSum", [f"{axis}_by{k}"], [f"{axis}_sum{k}"], keepdims=0),
+                helper.make_node("Div", [f"{axis}_sum{k}", f"weight{k}"], [f"{axis}_at{k}"]),
+            ]
+    nodes += [
+        helper.make_node("Max", ["most1", "most2"], ["most"]),
+        helper.make_node("LessOrEqual", ["most", "one"], ["in_range"]),
+        helper.make_node("Cast", ["in_range"], ["valid"], to=TensorProto.FLOAT),
+    ]
+    for axis in ("x", "y"):
+        nodes += [
+            helper.make_node("Sub", [f"{axis}_at2", f"{axis}_at1"], [f"d{axis}"]),
+            helper.make_node("Mul", [f"d{axis}", "valid"], [f"moved_{axis}"]),
+            helper.make_node("Add", ["plane_of_zeros", f"moved_{axis}"], [f"flow_{axis}"]),
+        ]
+    nodes.append(helper.make_node("Concat", ["flow_x", "flow_y"], ["flow"], axis=0))
+    constants |= {
+        "first_axis": np.array([0], np.int64),
+        "small": np.float32(1e-6),
+        "plane_of_zeros": np.zeros((1, height, width), np.float32),
+    }
+    inputs = {name: (1, 3, height, width) for name in ("img1", "img2")}
+    return save(path, nodes, inputs, {"flow": (2, height, width)}, constants)

@@ -11,6 +11,9 @@ import numpy as np
 import pytest
 
 from huepose.support.errors import InputError
+from huepose.tracking.flow import compute
+from huepose.tracking.flow_network import NetworkFlow
+from huepose.tracking.relative_pose import RobustKabsch
 from huepose_services import catalogue
 from huepose_services import networks as deployed
 from huepose_services.cli.main import main
@@ -215,6 +218,25 @@ def test_sam_is_checked_too(tmp_path):
         deployed.check(parse(text.format("decoder", "encoder"), tmp_path / "p.yaml"))
 
 
+def test_the_trackers_networks_are_checked_and_taken(tmp_path):
+    networks.blue_follower(tmp_path / "flow.onnx", 64, 96)
+    networks.identity(tmp_path / "other.onnx", (1, 3, 64, 64))
+    text = "tracker: {{flow: neuflow, flow_model: {}}}"
+    config = parse(text.format("flow.onnx"), tmp_path / "p.yaml")
+    deployed.check(config)
+    assert isinstance(deployed.flow(config), NetworkFlow)
+    with pytest.raises(InputError, match="two inputs of float"):
+        deployed.check(parse(text.format("other.onnx"), tmp_path / "p.yaml"))
+    with pytest.raises(InputError, match="neuflow-v2"):
+        deployed.check(parse(text.format("null"), tmp_path / "p.yaml"))
+    plain = parse("", tmp_path / "p.yaml")
+    assert deployed.flow(plain) is compute
+    assert isinstance(deployed.relative_pose(plain), RobustKabsch)
+    wrong = parse("tracker: {rotation: residual, rotation_model: other.onnx}", tmp_path / "p.yaml")
+    with pytest.raises(InputError, match="expected features"):
+        deployed.check(wrong)
+
+
 @pytest.mark.parametrize(
     ("text", "says"),
     [
@@ -224,6 +246,7 @@ def test_sam_is_checked_too(tmp_path):
             "one of objects: mug",
         ),
         ("camera: {truth: true}\nsegmenter: {kind: sam, encoder: a.onnx}", "segmenter.decoder"),
+        ("tracker: {rotation: direct}", "tracker.rotation_model"),
         ("camera: {source: oak, path: x}", "camera.path"),
         ("camera: {source: realsense, rate: recorded}", "camera.rate"),
         ("camera: {source: realsense, truth: true}", "camera.truth"),

@@ -9,6 +9,7 @@ from huepose.geometry import Box
 from huepose.perception.sessions import open_network
 from huepose.support.errors import InputError
 from huepose.tracking import Tracker, TrackerConfig
+from huepose.tracking.flow import compute
 from huepose.tracking.flow_network import NetworkFlow
 from tests.perception import networks
 
@@ -58,12 +59,12 @@ def test_other_networks_are_refused(tmp_path):
         NetworkFlow(odd)
 
 
-def test_the_tracker_takes_it(flow, tea_box):
+def test_the_tracker_asks_the_source_that_it_is_given(tea_box):
     asked = []
 
     def source(a, b, box):
         asked.append(box)
-        return flow(a, b, box)
+        return compute(a, b, box)
 
     tracker = Tracker({"tea_box": tea_box}, TrackerConfig(flow=source))
     tracker.warm_up()

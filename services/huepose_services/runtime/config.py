@@ -19,6 +19,7 @@ from huepose_services.runtime.config_perception import (
     Rate,
     Section,
     SegmenterConfig,
+    absolute_network,
     absolute_networks,
     check_camera,
     check_detector,
@@ -50,10 +51,15 @@ class EstimatorConfig(Section, frozen=True, kw_only=True):
 
 
 class TrackerConfig(Section, frozen=True, kw_only=True):
-    """How far back a late correction may reach, and how old a pose may be that is acted on."""
+    """How far back a late correction may reach, how old a pose may be that is acted on, and where flow and
+    the turn between two frames come from."""
 
     history_frames: Annotated[int, Meta(ge=2, le=300)] = 40
     max_age_ms: Annotated[float, Meta(gt=0.0, le=10_000.0)] = 300.0
+    flow: Literal["dis", "neuflow"] = "dis"
+    flow_model: str | None = None
+    rotation: Literal["kabsch", "residual", "direct"] = "kabsch"
+    rotation_model: str | None = None
 
 
 class ReinitConfig(Section, frozen=True, kw_only=True):
@@ -183,6 +189,11 @@ def _absolute(config: Config, folder: Path) -> Config:
         bundles=absolute(config.bundles),
         **absolute_networks(config.detector, config.segmenter, config.networks, folder),
         camera=msgspec.structs.replace(config.camera, path=absolute(config.camera.path)),
+        tracker=msgspec.structs.replace(
+            config.tracker,
+            flow_model=absolute_network(config.tracker.flow_model, folder),
+            rotation_model=absolute(config.tracker.rotation_model),
+        ),
         gateway=msgspec.structs.replace(
             config.gateway,
             tls=tls
@@ -212,3 +223,6 @@ def _check(config: Config, path: Path) -> None:
     builtin = config.bundles is None
     check_detector(detector, "detector" in config.workers, camera.truth, builtin, names, refuse)
     check_segmenter(config.segmenter, refuse)
+    if config.tracker.rotation == "direct" and config.tracker.rotation_model is None:
+        fix = "`huepose train rotation --kind direct` makes one."
+        refuse("tracker.rotation_model", "null", "an ONNX file", fix)

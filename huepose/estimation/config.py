@@ -51,16 +51,16 @@ class ColorpairPathConfig:
 class EstimatorConfig:
     """method: "full" (the best that there is) or "colorpair" (the paper's path alone); seed: of all random
     choices; threads: objects of a frame that are estimated at the same time; acquisition_level: the quality
-    over which a pose is TRACKING, None for the calibrated one of the method; found_score: a best total under
-    this is "nothing there"; competition: whether the poses of a frame compete for its depth;
-    look_anew_every: one in so many frames is searched in full even when a prior is plainly right (see
-    `confirm`), 1 for all of them."""
+    over which a pose is TRACKING, None for the calibrated one of the method; found_level: the probability
+    that the object is there under which nothing is found, None for the calibrated one; competition: whether
+    the poses of a frame compete for its depth; look_anew_every: one in so many frames is searched in full
+    even when a prior is plainly right (see `confirm`), 1 for all of them."""
 
     method: Method = "full"
     seed: int = 0
     threads: int = 1
     acquisition_level: float | None = None
-    found_score: float = 0.45
+    found_level: float | None = None
     competition: bool = True
     look_anew_every: int = 3
     full: FullPathConfig = field(default_factory=FullPathConfig)

@@ -15,16 +15,16 @@ from zlib import crc32
 
 import numpy as np
 
+from huepose.estimation.answer import Levels, answer_of
 from huepose.estimation.competition import compete
 from huepose.estimation.config import EstimatorConfig
-from huepose.estimation.confirm import MARGIN, confirm, looks_in_full
+from huepose.estimation.confirm import confirm, looks_in_full
 from huepose.estimation.evidence import Evidence, gather
 from huepose.estimation.explanation import Explanation
 from huepose.estimation.full_path import Trail, estimate_full, judge, refine_prior
 from huepose.estimation.outline import projected_box
 from huepose.estimation.prepared import PreparedModels
-from huepose.estimation.quality import MAX_MARGIN, QualityTerms, covariance, quality, quality_fits
-from huepose.estimation.settle import settle
+from huepose.estimation.quality import quality_fits
 from huepose.estimation.types import ObjectQuery, PoseEstimate
 from huepose.geometry import se3
 from huepose.geometry.arrays import Bool, Float64
@@ -36,9 +36,6 @@ from huepose.perception.embedded import DepthSegmenter
 from huepose.perception.types import Segmenter
 from huepose.support.errors import InputError
 from huepose.support.stages import stage
-from huepose.verification.dense import score as score_pose
-
-ALTERNATIVE_SHARPNESS = 10.0
 
 
 class Estimator:
@@ -120,28 +117,27 @@ class Estimator:
             evidence = gather(frame, masks, box, model.diameter_m)
         poses, totals = np.zeros((0, 4, 4)), np.zeros(0)
         trail: Trail | None = None
-        prior: Float64 | None = None
-        prior_score: float | None = None
+        prior: tuple[Float64, float] | None = None
         full = self.config.method == "full"
         if evidence is not None and full and query.prior is not None:
             with stage("prior"):
-                prior = refine_prior(model, evidence, query.prior.T_cam_obj)
-                prior_score = float(judge(model, evidence.region, prior[None])[0])
+                refined = refine_prior(model, evidence, query.prior.T_cam_obj)
+                prior = refined, float(judge(model, evidence.region, refined[None])[0])
                 anew = looks_in_full(frame.frame_id, self.config.look_anew_every)
-                confirmed = None if anew else confirm(model, evidence.region, prior)
+                confirmed = None if anew else confirm(model, evidence.region, refined)
             if confirmed is not None:
                 explanation = Explanation(box, tuple(masks), evidence, *confirmed, confirmed=True)
-                answer = self._answer(frame, query, model, explanation, prior, prior_score)
+                answer = self._answer(frame, query, model, explanation, prior)
                 if answer.state == "TRACKING":
                     return _timed(answer, time.perf_counter() - start), explanation
         if evidence is not None and full:
-            extra = np.zeros((0, 4, 4)) if prior is None else prior[None]
+            extra = np.zeros((0, 4, 4)) if prior is None else prior[0][None]
             poses, totals, trail = estimate_full(model, prepared.table, evidence, self.config.full, extra)
         elif evidence is not None:
             poses, totals = self._by_pairs(model, frame, evidence, query)
         explanation = Explanation(box, tuple(masks), evidence, poses, totals, trail=trail)
         with stage("answer"):
-            answer = self._answer(frame, query, model, explanation, prior, prior_score)
+            answer = self._answer(frame, query, model, explanation, prior)
         return _timed(answer, time.perf_counter() - start), explanation
 
     def warm_up(self, names: Sequence[str] | None = None) -> None:
@@ -219,64 +215,14 @@ class Estimator:
         query: ObjectQuery,
         model: ReferenceModel,
         explanation: Explanation,
-        prior: Float64 | None,
-        prior_score: float | None,
+        prior: tuple[Float64, float] | None,
     ) -> PoseEstimate:
-        poses, totals = explanation.poses, explanation.totals
-        score = float(totals[0]) if len(totals) else 0.0
-        margin = float(totals[0] - totals[1]) if len(totals) > 1 else MAX_MARGIN
-        if explanation.confirmed:
-            margin = min(margin, MARGIN)
-        region = None if explanation.evidence is None else explanation.evidence.region
-        if region is None or not len(poses) or score < self.config.found_score:
-            return PoseEstimate(
-                query.object, query.instance, False, None, 0.0, "LOST", score, 0.0, None, None,
-                query.box, prior_score, prior, (), 0.0,
-            )  # fmt: skip
-        T = se3.orthonormalised(poses[0])
-        T, fit, mask = settle(model, frame, region, T)
-        dense = score_pose(model, region, poses[0])
-        terms = QualityTerms(
-            score,
-            margin,
-            dense.color,
-            dense.box_iou,
-            dense.depth_fit,
-            dense.coverage,
-            dense.violation,
-            dense.occluded,
-            dense.seen,
-            float(region.mask.sum()),
+        config, fit = self.config, quality_fits()[self.config.method]
+        levels = Levels(
+            fit.level if config.acquisition_level is None else config.acquisition_level,
+            fit.found if config.found_level is None else config.found_level,
         )
-        q = quality(self.config.method, terms)
-        level = self.config.acquisition_level or quality_fits()[self.config.method].level
-        return PoseEstimate(
-            query.object,
-            query.instance,
-            True,
-            T,
-            q,
-            "TRACKING" if q >= level else "SUSPECT",
-            score,
-            margin,
-            covariance(fit),
-            mask,
-            projected_box(model, frame, T),
-            prior_score,
-            prior,
-            _alternatives(poses, totals, q),
-            0.0,
-            terms,
-        )
-
-
-def _alternatives(poses: Float64, totals: Float64, q: float) -> tuple[tuple[Float64, float], ...]:
-    """The other poses; they share what is left of the probability by their totals."""
-    if len(poses) < 2:
-        return ()
-    weight = np.exp(ALTERNATIVE_SHARPNESS * (totals[1:] - totals[1]))
-    share = (1.0 - q) * weight / weight.sum()
-    return tuple((se3.orthonormalised(T), float(p)) for T, p in zip(poses[1:], share, strict=True))
+        return answer_of(frame, query, model, explanation, fit, levels, prior)
 
 
 def _same(one: PoseEstimate, other: PoseEstimate) -> bool:

@@ -1,8 +1,12 @@
 """How far a pose may be trusted: a probability that it is right, and a covariance.
 
-Quality is a logistic function of a few terms of the estimate, above all of the margin to the second,
-different pose; `quality_fits.json` holds it, as `huepose eval calibrate` fitted it on rendered scenes. The
-covariance is that of a robust point-to-plane fit, widened by what print and model fix and by a floor.
+Quality is the product of two probabilities: that it is this print that is seen and not another one on such a
+shape, and that the pose is right then. The second one is a choice: the chance that any of the poses that were
+found is right is shared out by their scores, so that a near-tie is published as one, each pose with its
+probability. Whether an object is there at all is a third question, with a probability of its own, which
+decides whether anything is said to be found. `quality_fits.json` holds the numbers, as fitted on drawn scenes
+(`evaluation.calibration`). The covariance is that of a robust point-to-plane fit, widened by what print and
+model fix and by a floor.
 """
 
 from __future__ import annotations
@@ -12,6 +16,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cache
 from importlib import resources
+from typing import Any
 
 import numpy as np
 
@@ -24,12 +29,13 @@ MAX_MARGIN = 0.3
 
 @dataclass(frozen=True)
 class QualityTerms:
-    """What quality is a function of. total: score of the pose; margin: to the best clearly different pose;
-    color, box_iou, depth_fit, coverage, violation, occluded, seen: terms of its dense score (see
-    `verification.dense.PoseScore`); pixels: of the image that are believed to show the object."""
+    """What quality is a function of. total: score of the pose; gaps: how much less the other answers score,
+    best first; color, box_iou, depth_fit, coverage, violation, occluded, seen: terms of its dense score (see
+    `verification.dense.PoseScore`); missing, foreign, detail: see `print_evidence.PrintEvidence`; pixels: of
+    the image that are believed to show the object."""
 
     total: float
-    margin: float
+    gaps: tuple[float, ...]
     color: float
     box_iou: float
     depth_fit: float
@@ -37,31 +43,77 @@ class QualityTerms:
     violation: float
     occluded: float
     seen: float
+    missing: float
+    foreign: float
+    detail: float
     pixels: float
+
+    @property
+    def margin(self) -> float:
+        """To the best other answer, at most MAX_MARGIN, which it also is where there is no other."""
+        return min(max(self.gaps[0], 0.0), MAX_MARGIN) if self.gaps else MAX_MARGIN
+
+
+@dataclass(frozen=True)
+class Logistic:
+    """A probability: logistic in a constant plus a factor times each feature."""
+
+    constant: float
+    factors: Mapping[str, float]
+
+    def __call__(self, known: Mapping[str, float]) -> float:
+        """In 0..1, of features by name."""
+        x = self.constant + sum(factor * known[name] for name, factor in self.factors.items())
+        return float(1.0 / (1.0 + np.exp(-min(max(x, -30.0), 30.0))))
 
 
 @dataclass(frozen=True)
 class QualityFit:
-    """Logit of quality: a constant, and a factor for each feature; level: the quality over which 99 % of the
-    poses of the calibration scenes were right."""
+    """presence: that the object is there, in whatever print; this_print: that it is this print; listed: that
+    one of the poses is right. They share it by exp(-sharpness x gap), where sharpness is a constant and a
+    factor times each feature, all but the best lowered by exp(-handicap). level: the quality over which 99 %
+    of the poses of the calibration scenes were right; found: the presence under which nothing is there."""
 
-    constant: float
-    factors: Mapping[str, float]
+    presence: Logistic
+    this_print: Logistic
+    listed: Logistic
+    sharpness: Mapping[str, float]
+    handicap: float
     level: float
+    found: float
 
-    def __call__(self, terms: QualityTerms) -> float:
-        """Probability in 0..1."""
-        found = features(terms)
-        x = self.constant + sum(factor * found[name] for name, factor in self.factors.items())
-        return float(1.0 / (1.0 + np.exp(-min(max(x, -30.0), 30.0))))
+    def probabilities(self, terms: QualityTerms) -> Float64:
+        """Of the pose and of each other answer (1 + K,), that it is the right one; at most 1 in sum."""
+        known = features(terms)
+        sharpness = sum(
+            f * (1.0 if name == "constant" else known[name]) for name, f in self.sharpness.items()
+        )
+        return self.this_print(known) * self.listed(known) * shares(terms, max(sharpness, 0.0), self.handicap)
+
+    def present(self, terms: QualityTerms) -> float:
+        """Probability in 0..1 that the object is here at all."""
+        return self.presence(features(terms))
+
+
+def shares(terms: QualityTerms, sharpness: float, handicap: float) -> Float64:
+    """How the pose and the other answers share what there is (1 + K,), 1 in sum.
+
+    >>> from dataclasses import replace
+    >>> tied = QualityTerms(2.0, (0.0,), 0.6, 0.9, 0.9, 0.9, 0.0, 0.0, 0.9, 0.1, 9.0, 0.5, 4000)
+    >>> shares(tied, 40.0, 0.0).tolist()
+    [0.5, 0.5]
+    >>> shares(replace(tied, gaps=(0.1, 0.3)), 40.0, 0.0).round(3).tolist()
+    [0.982, 0.018, 0.0]
+    """
+    weight = np.exp(-sharpness * np.maximum(np.array(terms.gaps), 0.0) - handicap)
+    every = np.concatenate([[1.0], weight])
+    return np.asarray(every / every.sum())
 
 
 def features(terms: QualityTerms) -> dict[str, float]:
-    """The terms in the form in which they enter the logit: the larger, the surer, for every one of them."""
-    margin = min(max(terms.margin, 0.0), MAX_MARGIN)
+    """The terms in the form in which they enter a logit: the larger, the surer, for every one of them."""
     return {
-        "margin": margin,
-        "small_margin": min(margin, 0.08),
+        "margin": terms.margin,
         "total": terms.total,
         "color": terms.color,
         "box_iou": terms.box_iou,
@@ -70,26 +122,35 @@ def features(terms: QualityTerms) -> dict[str, float]:
         "no_violation": 1.0 - terms.violation,
         "not_occluded": 1.0 - terms.occluded,
         "seen": terms.seen,
-        "size": float(np.log(max(terms.pixels, 1.0)) / np.log(10.0)),
+        "print_complete": 1.0 - terms.missing,
+        "nothing_foreign": 1.0 - terms.foreign / 25.0,
+        "detail": terms.detail,
+        "size": float(np.log10(max(terms.pixels, 1.0))),
     }
+
+
+def fit_of(entry: Mapping[str, Any]) -> QualityFit:
+    """The fit that an entry of `quality_fits.json` describes."""
+    logistics = {name: Logistic(**entry[name]) for name in ("presence", "this_print", "listed")}
+    return QualityFit(**{**entry, **logistics})
 
 
 @cache
 def quality_fits() -> dict[str, QualityFit]:
     """The calibrated fits by method."""
     text = resources.files("huepose.estimation").joinpath("quality_fits.json").read_text()
-    return {method: QualityFit(**entry) for method, entry in json.loads(text).items()}
+    return {method: fit_of(entry) for method, entry in json.loads(text).items()}
 
 
 def quality(method: str, terms: QualityTerms) -> float:
     """Probability in 0..1 that a pose of this method is right.
 
-    >>> sure = QualityTerms(2.4, 0.3, 0.6, 0.9, 0.9, 0.9, 0.02, 0.1, 0.9, 4000)
-    >>> doubtful = QualityTerms(1.3, 0.01, 0.2, 0.5, 0.5, 0.4, 0.2, 0.3, 0.4, 500)
+    >>> sure = QualityTerms(2.4, (0.3, 0.5), 0.6, 0.9, 0.9, 0.9, 0.02, 0.1, 0.9, 0.1, 9.0, 0.5, 4000)
+    >>> doubtful = QualityTerms(1.3, (0.01,), 0.2, 0.5, 0.5, 0.4, 0.2, 0.3, 0.4, 0.4, 20.0, 0.1, 500)
     >>> quality("full", sure) > 0.9 > 0.3 > quality("full", doubtful)
     True
     """
-    return quality_fits()[method](terms)
+    return float(quality_fits()[method].probabilities(terms)[0])
 
 
 POINTS_PER_READING = 6.0

@@ -1,224 +1,226 @@
-"""Fitting quality: from estimates with known truth to a probability that a pose is right.
+"""Fitting quality: from estimates with known truth to the probabilities that `estimation.quality` states.
 
-A logistic function of the features of `estimation.quality`, of largest likelihood under a small ridge, with
-no negative factor, since each feature is made so that more of it means surer. What is reported of a fit is
-measured on frames that it has not seen: the frames are dealt into folds, and each fold is judged by the fit
-of the others.
+Three kinds of estimates are needed. Of objects that were asked for in their own boxes (labels): which of the
+published answers was right. Of objects asked for where they are not (others): whether something is there. Of
+the same shapes in another print (alike): whether it is this print. What is reported of a fit is measured on
+frames that it has not seen: the frames are dealt into folds, and each fold is judged by the fit of the rest.
 """
 
 from __future__ import annotations
 
-from collections.abc import Hashable, Mapping, Sequence
-from dataclasses import dataclass
-from pathlib import Path
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
-from scipy.optimize import minimize
 
-from huepose.datasets import files
-from huepose.estimation.quality import QualityFit, QualityTerms, features
+from huepose.estimation.quality import Logistic, QualityFit, QualityTerms, features
 from huepose.evaluation import metrics
-from huepose.geometry.arrays import Bool, Float64
+from huepose.evaluation.judged import NONE, Judged
+from huepose.evaluation.likelihood import choice, logistic
+from huepose.geometry.arrays import Bool, Float64, Int64
 from huepose.support.errors import InputError
 
-RIDGE = 2.0
-"""Of the squared factors, each in units of its feature's spread, against the sum of log likelihoods."""
 
-FEATURES: Mapping[str, Sequence[str]] = {
-    "full": ("margin", "total", "color", "box_iou"),
-    "colorpair": ("margin", "total", "box_iou", "depth_fit"),
+@dataclass(frozen=True)
+class Names:
+    """Which of `estimation.quality.features` enter each part of a fit."""
+
+    presence: Sequence[str]
+    this_print: Sequence[str]
+    listed: Sequence[str]
+    sharpness: Sequence[str]
+
+
+FEATURES: Mapping[str, Names] = {
+    "full": Names(
+        presence=("total", "coverage", "depth_fit", "box_iou", "print_complete", "detail"),
+        this_print=("print_complete", "nothing_foreign"),
+        listed=("margin", "total", "box_iou", "detail"),
+        sharpness=("detail",),
+    ),
+    "colorpair": Names(
+        presence=("total", "coverage", "depth_fit", "box_iou"),
+        this_print=("total",),
+        listed=("margin", "total", "box_iou", "depth_fit"),
+        sharpness=(),
+    ),
 }
-"""By method, of `estimation.quality.features`: the fewest whose likelihood on frames that the fit has not
-seen is as good as that of all (mean log loss of `full` 0.188 with these, 0.190 with all eleven)."""
+"""By method: the fewest whose likelihood on frames that the fit has not seen is as good as that of more."""
 
-FALSE_WEIGHT = 0.2
-"""Of a pose in a box that holds another object: how often that happens is the detector's matter, and enough
-of them would make every doubtful pose look false."""
+ALIKE_WEIGHT = 0.1
+"""Of a look-alike; with more, objects in dim light, whose colours fade, are taken for look-alikes."""
 
 LEVEL_SHARE = 0.99
+LOST_SHARE = 0.003
+"""Of the right poses, so many may be taken for "nothing there"."""
+
 FOLDS = 10
 FEWEST = 50
 """Fewer poses than this over a level say nothing about 99 %."""
 
 
 @dataclass(frozen=True, eq=False)
-class Judged:
-    """Estimates with truth: terms; right (N,); frames: which frame each is of; stated (N,): the quality that
-    was published for each; missed: how many more instances got no pose; weights (N,)."""
+class Fitted:
+    """A fit, and what it states about what it was fitted to, each by the fit of other frames: quality of the
+    labels, the others and the look-alikes; present_labels, present_others: how likely they are there."""
 
-    terms: Sequence[QualityTerms]
-    right: Bool
-    frames: Sequence[Hashable]
-    stated: Float64
-    weights: Float64
-    missed: int = 0
-
-    def __add__(self, other: Judged) -> Judged:
-        return Judged(
-            [*self.terms, *other.terms],
-            np.concatenate([self.right, other.right]),
-            [*self.frames, *other.frames],
-            np.concatenate([self.stated, other.stated]),
-            np.concatenate([self.weights, other.weights]),
-            self.missed + other.missed,
-        )
-
-    def only(self, chosen: Bool) -> Judged:
-        """Those of a mask (N,); none counts as missed."""
-        keep = np.flatnonzero(chosen).tolist()
-        return Judged(
-            [self.terms[k] for k in keep],
-            self.right[keep],
-            [self.frames[k] for k in keep],
-            self.stated[keep],
-            self.weights[keep],
-        )
+    fit: QualityFit
+    labels: Float64
+    others: Float64
+    alike: Float64
+    present_labels: Float64
+    present_others: Float64
 
 
 @dataclass(frozen=True)
 class Worth:
     """What a quality is worth on some estimates. ece: calibration error over ten bins of equal count;
     precision: share right of those over the level, None where there are none; coverage: share of all
-    instances that are over it; poses, right: counts."""
+    instances that are over it; poses, right: counts; found: share in which something was found."""
 
     ece: float | None
     precision: float | None
     coverage: float
     poses: int
     right: int
+    found: float
 
 
-def read_judged(path: Path | str, absent: bool = False) -> Judged:
-    """The found poses of a result file of `huepose eval estimate`, false ones included.
-
-    absent: what was shown only looks like what was asked for, as a box with another print does: all poses are
-    wrong. Raises InputError."""
-    record = files.read_json(Path(path), "Make it with `huepose eval estimate --json`.")
-    rows = files.field(record, "rows", path)
-    false = record.get("false", [])
-    found = [row for row in rows if row.get("found")]
-    every = [*found, *false]
-    if any(row.get("terms") is None for row in every) or not every:
-        raise InputError(
-            path,
-            found="poses without the terms of their quality" if every else "no pose",
-            expected="a result of `huepose eval estimate`",
-            fix="Make it again.",
-        )
-    return Judged(
-        [QualityTerms(**row["terms"]) for row in every],
-        np.array([bool(row["right"]) and not absent for row in found] + [False] * len(false)),
-        [(str(path), row["scene"], row["image"]) for row in every],
-        np.array([float(row["quality"]) for row in every]),
-        np.array([FALSE_WEIGHT if absent else 1.0] * len(found) + [FALSE_WEIGHT] * len(false)),
-        0 if absent else len(rows) - len(found),
-    )
-
-
-def fit(judged: Judged, names: Sequence[str], alike: int = 0) -> QualityFit:
-    """The fit on all of `judged`, its level from folds that their own fit has not seen.
-
-    names: of the features to use; alike: so many poses at the end are of look-alikes, which are fitted to,
-    but say nothing of how often one is right where the object is there: the level leaves them out. Raises
-    InputError when all or none are right."""
-    if judged.right.all() or not judged.right.any():
+def fit(labels: Judged, names: Names, others: Judged = NONE, alike: Judged = NONE) -> Fitted:
+    """The fit on all of them, its levels from folds that their own fit has not seen. Without others
+    everything is present, without look-alikes every print is the right one. Raises InputError when all or
+    none of the labels are right."""
+    if labels.right.all() or not labels.right.any():
         raise InputError(
             "calibration",
-            found=f"{int(judged.right.sum())} right of {len(judged.right)} poses",
+            found=f"{int(labels.right.sum())} right of {len(labels.which)} poses",
             expected="right ones and wrong ones",
             fix="Use more or harder scenes.",
         )
-    constant, factors = _logistic(_matrix(judged.terms, names), judged.right, judged.weights)
-    shown = slice(len(judged.right) - alike)
-    level = level_of(held_out(judged, names)[shown], judged.right[shown], judged.weights[shown])
-    return QualityFit(constant, dict(zip(names, factors.tolist(), strict=True)), level)
-
-
-def held_out(judged: Judged, names: Sequence[str], folds: int = FOLDS) -> Float64:
-    """Quality (N,) of each pose by a fit that has not seen its frame."""
-    frames = {frame: k for k, frame in enumerate(dict.fromkeys(judged.frames))}
-    order = np.random.default_rng(0).permutation(len(frames))
-    fold = order[[frames[frame] for frame in judged.frames]] % folds
-    x = _matrix(judged.terms, names)
-    result = np.zeros(len(x))
-    for k in range(folds):
-        mine = fold == k
-        if not mine.any():
+    folds = [_folds(part) for part in (labels, others, alike)]
+    quality = [np.zeros(len(part.which)) for part in (labels, others, alike)]
+    present = [np.ones(len(part.which)) for part in (labels, others)]
+    for k in range(FOLDS):
+        seen = [part.only(f != k) for part, f in zip((labels, others, alike), folds, strict=True)]
+        mine = [np.flatnonzero(f == k).tolist() for f in folds]
+        if not any(len(m) for m in mine) or seen[0].right.all() or not seen[0].right.any():
             continue
-        others = judged.right[~mine]
-        if others.all() or not others.any():
-            result[mine] = others.mean() if len(others) else 0.5
-            continue
-        constant, factors = _logistic(x[~mine], others, judged.weights[~mine])
-        result[mine] = _sigmoid(constant + x[mine] @ factors)
-    return result
+        held = _fit_once(seen[0], names, seen[1], seen[2])
+        for part, where, q in zip((labels, others, alike), mine, quality, strict=True):
+            q[where] = [held.probabilities(part.terms[i])[0] for i in where]
+        for part, where, p in zip((labels, others), mine, present, strict=False):
+            p[where] = [held.present(part.terms[i]) for i in where]
+    level = level_of(quality[0], labels.right, labels.weights)
+    found = float(np.quantile(present[0][labels.right], LOST_SHARE)) if len(others.which) else 0.0
+    whole = replace(_fit_once(labels, names, others, alike), level=level, found=found)
+    return Fitted(whole, quality[0], quality[1], quality[2], present[0], present[1])
 
 
 def level_of(
     quality: Float64, right: Bool, weights: Float64 | None = None, share: float = LEVEL_SHARE
 ) -> float:
     """The lowest quality such that of the poses with it or more the share `share` is right; quality (N,),
-    right, weights (N,). Where there is none, or it stands for fewer than 50 poses: that of the 50 surest."""
+    right, weights (N,). One more wrong pose than was seen is counted, lest chance choose the level. Where
+    there is none, or it stands for fewer than 50 poses: that of the 50 surest."""
     order = np.argsort(-quality, kind="stable")
     each = np.ones(len(order)) if weights is None else weights[order]
-    true = np.cumsum(each * right[order]) / np.cumsum(each)
+    true = np.cumsum(each * right[order]) / (np.cumsum(each) + 1.0)
     good = np.flatnonzero(true >= share)
     good = good[good >= min(FEWEST, len(order)) - 1]
     last = int(good[-1]) if len(good) else min(FEWEST, len(order)) - 1
     return float(np.clip(quality[order[last]], 0.01, 0.999))
 
 
-def worth(quality: Float64, judged: Judged, level: float) -> Worth:
-    """What stated qualities (N,) are worth at a level."""
+def worth(quality: Float64, judged: Judged, level: float, found: Bool | None = None) -> Worth:
+    """What stated qualities (N,) are worth at a level. found (N,): what counts as found, by default all."""
     over = quality >= level
     total = len(quality) + judged.missed
+    seen = len(quality) if found is None else int(found.sum())
     return Worth(
         metrics.expected_calibration_error(quality, judged.right),
         float(judged.right[over].mean()) if over.any() else None,
         float(over.sum()) / max(1, total),
         total,
         int(judged.right.sum()),
+        seen / max(1, total),
     )
 
 
 def stated_by(quality_fit: QualityFit, judged: Judged) -> Float64:
     """Quality (N,) by a fit."""
-    return np.array([quality_fit(terms) for terms in judged.terms])
+    return np.array([quality_fit.probabilities(terms)[0] for terms in judged.terms])
 
 
 def as_json(quality_fit: QualityFit) -> dict[str, Any]:
     """The entry of `quality_fits.json`: factors of nothing are left out."""
-    factors: Mapping[str, float] = quality_fit.factors
+    parts = {name: getattr(quality_fit, name) for name in ("presence", "this_print", "listed")}
     return {
-        "constant": round(quality_fit.constant, 4),
-        "factors": {name: round(f, 4) for name, f in factors.items() if f > 1e-4},
+        **{
+            name: {"constant": round(part.constant, 4), "factors": _rounded(part.factors)}
+            for name, part in parts.items()
+        },
+        "sharpness": _rounded(quality_fit.sharpness),
+        "handicap": round(quality_fit.handicap, 4),
         "level": round(quality_fit.level, 4),
+        "found": round(quality_fit.found, 4),
     }
 
 
-def _matrix(terms: Sequence[QualityTerms], names: Sequence[str]) -> Float64:
+def _fit_once(labels: Judged, names: Names, others: Judged, alike: Judged) -> QualityFit:
+    both = labels + others
+    table = _table(both.terms)
+    sharpeners = np.stack([np.ones(len(both.which)), *(table[n] for n in names.sharpness)], axis=1)
+    listed, sharpness, handicap = choice(
+        _columns(table, names.listed), _gaps(both.terms), np.maximum(sharpeners, 0.0), both.which,
+        both.weights, names.listed,
+    )  # fmt: skip
+    right = labels.only(labels.right)
+    there = replace(others, weights=np.ones(len(others.which)))
+    these = replace(alike, weights=np.full(len(alike.which), ALIKE_WEIGHT))
+    return QualityFit(
+        presence=_against(right, there, names.presence),
+        this_print=_against(right, these, names.this_print),
+        listed=listed,
+        sharpness=dict(zip(("constant", *names.sharpness), sharpness.tolist(), strict=True)),
+        handicap=handicap,
+        level=0.5,
+        found=0.0,
+    )
+
+
+def _against(right: Judged, wrong: Judged, names: Sequence[str]) -> Logistic:
+    """What tells right ones from wrong ones."""
+    both = right + wrong
+    x = _columns(_table(both.terms), names)
+    if not len(wrong.which):
+        x = np.zeros_like(x)
+    return logistic(x, both.right, both.weights, names)
+
+
+def _folds(judged: Judged) -> Int64:
+    """The fold (N,) of each, one for all of a frame."""
+    frames = {frame: k for k, frame in enumerate(dict.fromkeys(judged.frames))}
+    order = np.random.default_rng(0).permutation(len(frames))
+    return np.array([order[frames[frame]] % FOLDS for frame in judged.frames], dtype=np.int64)
+
+
+def _table(terms: Sequence[QualityTerms]) -> dict[str, Float64]:
     rows = [features(t) for t in terms]
-    return np.array([[row[name] for name in names] for row in rows])
+    return {name: np.array([row[name] for row in rows]) for name in rows[0]}
 
 
-def _logistic(x: Float64, right: Bool, weights: Float64) -> tuple[float, Float64]:
-    """Constant and factors (K,) >= 0 of largest penalised likelihood; x (N, K), right, weights (N,)."""
-    centre, spread = x.mean(0), np.maximum(x.std(0), 1e-6)
-    z = (x - centre) / spread
-    sign = np.where(right, 1.0, -1.0)
-
-    def loss(p: Float64) -> tuple[float, Float64]:
-        s = sign * (p[0] + z @ p[1:])
-        pull = -weights * sign * _sigmoid(-s)
-        slope = np.concatenate([[pull.sum()], pull @ z + RIDGE * p[1:]])
-        return float((weights * np.logaddexp(0.0, -s)).sum() + 0.5 * RIDGE * (p[1:] ** 2).sum()), slope
-
-    bounds = [(None, None), *[(0.0, None)] * x.shape[1]]
-    found = minimize(loss, np.zeros(1 + x.shape[1]), jac=True, bounds=bounds, method="L-BFGS-B").x
-    factors = found[1:] / spread
-    return float(found[0] - factors @ centre), np.asarray(factors)
+def _columns(table: Mapping[str, Float64], names: Sequence[str]) -> Float64:
+    return np.stack([table[name] for name in names], axis=1)
 
 
-def _sigmoid(x: Float64) -> Float64:
-    return np.asarray(1.0 / (1.0 + np.exp(-np.clip(x, -30.0, 30.0))))
+def _gaps(terms: Sequence[QualityTerms]) -> Float64:
+    """Gaps (N, A): 0 of the pose itself first, inf where there is no such answer."""
+    gaps = np.full((len(terms), 1 + max(len(t.gaps) for t in terms)), np.inf)
+    for row, t in zip(gaps, terms, strict=True):
+        row[: 1 + len(t.gaps)] = [0.0, *(max(gap, 0.0) for gap in t.gaps)]
+    return gaps
+
+
+def _rounded(factors: Mapping[str, float]) -> dict[str, float]:
+    return {name: round(f, 4) for name, f in factors.items() if f > 1e-4}

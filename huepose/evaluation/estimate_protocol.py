@@ -232,7 +232,9 @@ class _FrameRun:
         T_cam_obj = answer.T_cam_obj if answer is not None and answer.found else None
         truth = label.truth
         key = (self.sample.scene, self.sample.image, truth.instance)
-        error = self.targets.error(label.model, T_cam_obj, label.T_cam_obj, self.equivalents.get(key, ()))
+        equivalents = self.equivalents.get(key, ())
+        error = self.targets.error(label.model, T_cam_obj, label.T_cam_obj, equivalents)
+        others = answer.alternatives if answer is not None and answer.found else ()
         return EstimateRow(
             scene=self.sample.scene,
             image=self.sample.image,
@@ -248,6 +250,9 @@ class _FrameRun:
             seed=self.seed,
             box=None if query is None else query.box,
             terms=None if answer is None else answer.terms,
+            alternatives=tuple(
+                (p, self.targets.right(label.model, T, label.T_cam_obj, equivalents)) for T, p in others
+            ),
         )
 
 

@@ -24,7 +24,8 @@ class EstimateRow:
     """One ground-truth instance and what was estimated for it; T_cam_obj (4, 4) metres or None.
 
     seconds: wall time of the whole frame, all its objects; box: what the estimator was given, x y w h;
-    terms: what the quality was made of, None without a pose."""
+    terms: what the quality was made of, None where nothing could be looked at; alternatives: the other
+    answers' probabilities, and whether each is right."""
 
     scene: str
     image: int
@@ -40,6 +41,7 @@ class EstimateRow:
     seed: int
     box: Box | None
     terms: QualityTerms | None = None
+    alternatives: tuple[tuple[float, bool], ...] = ()
 
     def as_json(self) -> dict[str, Any]:
         """The row in its file form."""
@@ -62,6 +64,7 @@ class EstimateRow:
             "seed": self.seed,
             "box": None if self.box is None else list(self.box),
             "terms": None if self.terms is None else asdict(self.terms),
+            "alternatives": [{"probability": p, "right": right} for p, right in self.alternatives],
         }
 
 

@@ -109,14 +109,21 @@ class Targets:
         official = metrics.add(points, T_estimate, T_truth)
         declared = [T_truth @ T for T in equivalents]
         nearest = min([official, *(metrics.add(points, T_estimate, T) for T in declared)])
-        limit = metrics.RECALL_FRACTION * model.diameter_m
-        right = nearest < limit or any(
-            metrics.add(points, T_estimate, T @ turn) < limit
-            for T in (T_truth, *declared)
-            for turn in model.equivalents[1:]
-        )
+        right = self.right(model, T_estimate, T_truth, equivalents)
         adds = metrics.adds(points, T_estimate, T_truth, self._trees[model.name])
-        return PoseError(nearest, adds, official, bool(right))
+        return PoseError(nearest, adds, official, right)
+
+    def right(
+        self, model: ReferenceModel, T_estimate: Float, T_truth: Float, equivalents: Iterable[Float64] = ()
+    ) -> bool:
+        """Whether a pose (4, 4) is right, as PoseError has it."""
+        limit = metrics.RECALL_FRACTION * model.diameter_m
+        labelled = [T_truth, *(T_truth @ T for T in equivalents)]
+        return any(
+            metrics.add(model.eval_points, T_estimate, T @ turn) < limit
+            for T in labelled
+            for turn in model.equivalents
+        )
 
 
 def object_number(model: ReferenceModel) -> int | str:

@@ -7,50 +7,96 @@ import pytest
 
 from huepose.estimation.quality import MAX_MARGIN, QualityTerms, features, quality, quality_fits
 from huepose.evaluation import calibration
-from huepose.evaluation.calibration import Judged
+from huepose.evaluation.calibration import FEATURES, Names
+from huepose.evaluation.judged import FALSE_WEIGHT, Judged, read_absent, read_judged
+from huepose.evaluation.likelihood import choice, logistic
 from huepose.support.errors import InputError
 
-PLAIN = QualityTerms(1.5, 0.1, 0.4, 0.8, 0.7, 0.7, 0.1, 0.1, 0.7, 2000.0)
+PLAIN = QualityTerms(1.5, (0.1, 0.3), 0.4, 0.8, 0.7, 0.7, 0.1, 0.1, 0.7, 0.2, 10.0, 0.4, 2000.0)
+NAMES = Names(("total",), ("print_complete",), ("total",), ())
+
+
+def judged(terms: list[QualityTerms], which: np.ndarray, per_frame: int = 5) -> Judged:
+    n = len(terms)
+    return Judged(
+        terms, which.astype(np.int64), [k // per_frame for k in range(n)], np.full(n, 0.5), np.ones(n)
+    )
 
 
 def drawn(n: int, seed: int) -> tuple[Judged, np.ndarray]:
-    """Poses whose chance to be right is logistic in margin and total alone, and these chances."""
+    """Poses with one rival each: that any of the two is right is logistic in the total, and they share it by
+    40 times the gap; and the chance of each first one."""
     rng = np.random.default_rng(seed)
-    margins, totals, seen = rng.uniform(0, MAX_MARGIN, n), rng.uniform(0.5, 2.5, n), rng.uniform(0, 1, n)
-    chance = 1 / (1 + np.exp(-(-7.0 + 20.0 * margins + 4.0 * totals)))
-    terms = [
-        replace(PLAIN, margin=float(m), total=float(t), seen=float(s))
-        for m, t, s in zip(margins, totals, seen, strict=True)
-    ]
-    right = rng.random(n) < chance
-    return Judged(terms, right, [k // 5 for k in range(n)], chance, np.ones(n)), chance
+    totals, gaps = rng.uniform(0.5, 2.5, n), rng.uniform(0.0, 0.3, n)
+    listed = 1 / (1 + np.exp(-(-3.0 + 4.0 * totals)))
+    first = 1 / (1 + np.exp(-40.0 * gaps))
+    which = np.where(rng.random(n) < listed, np.where(rng.random(n) < first, 0, 1), -1)
+    terms = [replace(PLAIN, total=float(t), gaps=(float(g),)) for t, g in zip(totals, gaps, strict=True)]
+    return judged(terms, which), listed * first
 
 
 def test_the_law_behind_constructed_data_is_found() -> None:
-    judged, chance = drawn(6000, 0)
-    fit = calibration.fit(judged, ("margin", "total", "seen"))
-    assert fit.factors["margin"] == pytest.approx(20.0, rel=0.15)
-    assert fit.factors["total"] == pytest.approx(4.0, rel=0.15)
-    assert fit.factors["seen"] < 0.4
-    np.testing.assert_allclose(calibration.stated_by(fit, judged), chance, atol=0.05)
+    labels, chance = drawn(6000, 0)
+    fitted = calibration.fit(labels, NAMES)
+    assert fitted.fit.listed.factors["total"] == pytest.approx(4.0, rel=0.1)
+    assert fitted.fit.sharpness["constant"] == pytest.approx(40.0, rel=0.1)
+    assert fitted.fit.handicap < 0.15
+    np.testing.assert_allclose(calibration.stated_by(fitted.fit, labels), chance, atol=0.05)
     fresh, _ = drawn(4000, 1)
-    worth = calibration.worth(calibration.stated_by(fit, fresh), fresh, fit.level)
+    worth = calibration.worth(calibration.stated_by(fitted.fit, fresh), fresh, fitted.fit.level)
     assert worth.ece is not None
     assert worth.ece < 0.02
-    assert worth.precision == pytest.approx(0.99, abs=0.006)
+    assert worth.precision == pytest.approx(0.99, abs=0.008)
+
+
+def test_alternatives_are_right_as_often_as_they_say() -> None:
+    labels, _ = drawn(6000, 2)
+    fit = calibration.fit(labels, NAMES).fit
+    fresh, _ = drawn(12000, 3)
+    second = np.array([fit.probabilities(t)[1] for t in fresh.terms])
+    for low, high in ((0.1, 0.2), (0.2, 0.3), (0.3, 0.5)):
+        chosen = (second >= low) & (second < high)
+        assert chosen.sum() > 300
+        assert (fresh.which[chosen] == 1).mean() == pytest.approx(second[chosen].mean(), abs=0.05)
+
+
+def test_what_is_elsewhere_is_not_present_and_look_alikes_are_doubted() -> None:
+    labels, _ = drawn(2000, 4)
+    rng = np.random.default_rng(5)
+    others = judged([replace(PLAIN, total=float(t)) for t in rng.uniform(-1.0, 0.2, 300)], np.full(300, -1))
+    foreign = [replace(PLAIN, total=2.5, missing=float(m)) for m in rng.uniform(0.45, 0.7, 300)]
+    alike = judged(foreign, np.full(300, -1))
+    fitted = calibration.fit(labels, NAMES, others, alike)
+    assert (fitted.present_others >= fitted.fit.found).mean() < 0.05
+    lost = fitted.present_labels[labels.right] < fitted.fit.found
+    assert lost.mean() == pytest.approx(calibration.LOST_SHARE, abs=0.002)
+    assert (fitted.alike >= fitted.fit.level).mean() < 0.05
+    own = replace(PLAIN, total=2.5)
+    assert fitted.fit.probabilities(own)[0] > 2 * fitted.fit.probabilities(foreign[0])[0]
+    without = calibration.fit(labels, NAMES)
+    assert without.fit.found == 0.0
+    assert without.fit.this_print(features(foreign[0])) > 0.97
 
 
 def test_no_factor_is_negative_even_where_the_data_say_so() -> None:
-    judged, _ = drawn(2000, 2)
-    backwards = replace(judged, right=~judged.right)
-    fit = calibration.fit(backwards, ("margin", "total"))
-    assert fit.factors == {"margin": 0.0, "total": 0.0}
+    rng = np.random.default_rng(2)
+    x = rng.normal(size=(2000, 2))
+    right = rng.random(2000) < 1 / (1 + np.exp(2.0 * x[:, 0]))
+    found = logistic(x, right, np.ones(2000), ("falls", "nothing"))
+    assert found.factors["falls"] == 0.0
+    gaps = np.tile([0.0, 0.1], (2000, 1))
+    listed, sharpness, handicap = choice(
+        x, gaps, np.ones((2000, 1)), np.where(right, 1, -1), np.ones(2000), ("falls", "nothing")
+    )
+    assert listed.factors["falls"] == 0.0
+    assert sharpness[0] == pytest.approx(0.0, abs=0.01)
+    assert handicap == pytest.approx(0.0, abs=0.01)
 
 
 def test_the_level_is_where_the_share_of_right_ones_falls_under_the_wanted() -> None:
     quality_of = np.linspace(1.0, 0.0, 1001)
     right = quality_of > 0.6  # 400 right ones, then wrong ones only
-    assert calibration.level_of(quality_of, right, share=0.8) == pytest.approx(0.5, abs=0.002)
+    assert calibration.level_of(quality_of, right, share=0.8) == pytest.approx(0.5, abs=0.003)
     right[:] = True
     assert calibration.level_of(quality_of, right) == pytest.approx(0.01)
     right[:] = False
@@ -58,12 +104,11 @@ def test_the_level_is_where_the_share_of_right_ones_falls_under_the_wanted() -> 
 
 
 def test_coverage_counts_what_got_no_pose() -> None:
-    judged = Judged(
-        [PLAIN] * 4, np.array([True, True, False, True]), [0, 0, 1, 1], np.zeros(4), np.ones(4), missed=4
-    )
-    worth = calibration.worth(np.array([0.9, 0.95, 0.97, 0.2]), judged, 0.9)
+    few = replace(judged([PLAIN] * 4, np.array([0, 0, -1, 0])), missed=4)
+    worth = calibration.worth(np.array([0.9, 0.95, 0.97, 0.2]), few, 0.9)
     assert (worth.poses, worth.right) == (8, 3)
     assert worth.coverage == pytest.approx(3 / 8)
+    assert worth.found == pytest.approx(0.5)
     assert worth.precision == pytest.approx(2 / 3)
 
 
@@ -72,68 +117,68 @@ def test_a_frame_is_never_judged_by_itself() -> None:
     saw only the others leans the other way."""
     terms = [replace(PLAIN, pixels=10.0 ** (1 + k // 20)) for k in range(200)]
     right = np.array([k // 20 % 2 == 0 for k in range(200)])
-    judged = Judged(terms, right, [k // 20 for k in range(200)], np.zeros(200), np.ones(200))
-    stated = calibration.held_out(judged, ("size",))
+    labels = judged(terms, np.where(right, 0, -1), per_frame=20)
+    stated = calibration.fit(labels, replace(NAMES, listed=("size",))).labels
     assert np.corrcoef(stated, right)[0, 1] < 0
     assert len(np.unique(np.round(stated, 6))) <= 10
 
 
 def test_one_kind_of_outcome_cannot_be_fitted() -> None:
-    judged = Judged([PLAIN] * 3, np.ones(3, bool), [0, 1, 2], np.zeros(3), np.ones(3))
     with pytest.raises(InputError, match="3 right of 3"):
-        calibration.fit(judged, ("margin",))
+        calibration.fit(judged([PLAIN] * 3, np.zeros(3)), NAMES)
 
 
 def test_every_shipped_fit_rises_with_every_feature() -> None:
     better = replace(
-        PLAIN, total=1.7, margin=0.2, color=0.5, box_iou=0.9, depth_fit=0.8, coverage=0.8,
-        violation=0.05, occluded=0.05, seen=0.8, pixels=4000.0,
+        PLAIN, total=1.7, gaps=(0.2, 0.3), color=0.5, box_iou=0.9, depth_fit=0.8, coverage=0.8,
+        violation=0.05, occluded=0.05, seen=0.8, missing=0.1, foreign=5.0, detail=0.6, pixels=4000.0,
     )  # fmt: skip
     for name, fit in quality_fits().items():
-        assert set(fit.factors) <= set(features(PLAIN))
-        assert set(fit.factors) <= set(calibration.FEATURES[name])
-        assert min(fit.factors.values()) > 0
+        for part in ("presence", "this_print", "listed"):
+            factors = getattr(fit, part).factors
+            assert set(factors) <= set(getattr(FEATURES[name], part)) <= set(features(PLAIN))
+            assert all(factor > 0 for factor in factors.values())
         assert 0.5 < fit.level < 1.0
+        assert 0.0 <= fit.found < 0.5
+        assert fit.probabilities(PLAIN).sum() <= 1.0
+        assert fit.present(better) > fit.present(PLAIN)
         assert quality(name, better) > quality(name, PLAIN)
 
 
 def test_a_weight_counts_as_so_many_poses() -> None:
-    judged, _ = drawn(400, 5)
-    once = replace(judged, weights=np.where(judged.right, 3.0, 1.0))
-    copies = [k for k in range(400) for _ in range(3 if judged.right[k] else 1)]
-    often = Judged(
-        [judged.terms[k] for k in copies], judged.right[copies], [judged.frames[k] for k in copies],
-        judged.stated[copies], np.ones(len(copies)),
-    )  # fmt: skip
-    weighted = calibration.fit(once, ("margin", "total"))
-    repeated = calibration.fit(often, ("margin", "total"))
-    assert weighted.constant == pytest.approx(repeated.constant, rel=0.03)
-    assert weighted.factors["margin"] == pytest.approx(repeated.factors["margin"], rel=0.03)
+    labels, _ = drawn(400, 5)
+    x = np.array([[t.total, t.margin] for t in labels.terms])
+    three = np.where(labels.right, 3, 1)
+    weighted = logistic(x, labels.right, three.astype(float), ("total", "margin"))
+    again = np.repeat(np.arange(400), three)
+    repeated = logistic(x[again], labels.right[again], np.ones(len(again)), ("total", "margin"))
+    assert weighted.factors["total"] == pytest.approx(repeated.factors["total"], rel=0.03)
 
 
-def test_of_what_only_looks_alike_no_pose_is_right(tmp_path: Path) -> None:
-    row = {"scene": "a", "image": 1, "found": True, "right": True, "quality": 0.9, "terms": asdict(PLAIN)}
+def test_the_margin_is_that_to_the_best_other_answer() -> None:
+    assert replace(PLAIN, gaps=()).margin == MAX_MARGIN
+    assert replace(PLAIN, gaps=(0.05, 0.2)).margin == 0.05
+    assert replace(PLAIN, gaps=(1.0,)).margin == MAX_MARGIN
+
+
+def test_results_are_read_with_what_was_right(tmp_path: Path) -> None:
+    row = {
+        "scene": "a", "image": 1, "found": True, "right": False, "quality": 0.6, "terms": asdict(PLAIN),
+        "alternatives": [{"probability": 0.3, "right": True}, {"probability": 0.1, "right": True}],
+    }  # fmt: skip
     path = tmp_path / "result.json"
-    path.write_text(json.dumps({"rows": [row, {**row, "found": False}], "false": [row]}))
-    shown = calibration.read_judged(path)
-    assert shown.right.tolist() == [True, False]
+    path.write_text(
+        json.dumps({"rows": [row, {**row, "right": True}, {**row, "found": False}], "false": [row]})
+    )
+    shown = read_judged(path)
+    assert shown.which.tolist() == [1, 0, -1]
+    assert shown.weights.tolist() == [1.0, 1.0, FALSE_WEIGHT]
     assert shown.missed == 1
-    alike = calibration.read_judged(path, absent=True)
-    assert alike.right.tolist() == [False, False]
-    assert alike.weights.tolist() == [calibration.FALSE_WEIGHT] * 2
-    assert alike.missed == 0
-
-
-def test_look_alikes_lower_quality_and_leave_the_level_to_the_others() -> None:
-    judged, _ = drawn(2000, 3)
-    names = ("margin", "total")
-    alone = calibration.fit(judged, names)
-    surest = [replace(PLAIN, margin=MAX_MARGIN, total=2.5)] * 300
-    nothing = np.zeros(300)
-    alike = Judged(surest, nothing > 0, [-k for k in range(300)], nothing, nothing + 0.2)
-    both = calibration.fit(judged + alike, names, alike=300)
-    assert both(surest[0]) < alone(surest[0]) - 0.01
-    held_out = calibration.held_out(judged + alike, names)[:2000]
-    assert both.level == calibration.level_of(held_out, judged.right)
-    over = held_out >= both.level
-    assert judged.right[over].mean() >= 0.99
+    assert shown.terms[0] == PLAIN
+    absent = read_absent(path)
+    assert absent.which.tolist() == [-1] * 4
+    assert absent.missed == 0
+    old = {key: value for key, value in asdict(PLAIN).items() if key != "missing"}
+    path.write_text(json.dumps({"rows": [{**row, "terms": old}]}))
+    with pytest.raises(InputError, match="Make it again"):
+        read_judged(path)

@@ -8,8 +8,9 @@ from huepose.datasets.bop import BopScene
 from huepose_services.cli.main import BAD_INPUT, DONE, main
 
 TERMS = {
-    "total": 1.5, "margin": 0.1, "color": 0.4, "box_iou": 0.8, "depth_fit": 0.7, "coverage": 0.7,
-    "violation": 0.1, "occluded": 0.1, "seen": 0.7, "pixels": 2000.0,
+    "total": 1.5, "gaps": [0.1], "color": 0.4, "box_iou": 0.8, "depth_fit": 0.7, "coverage": 0.7,
+    "violation": 0.1, "occluded": 0.1, "seen": 0.7,
+    "missing": 0.2, "foreign": 10.0, "detail": 0.4, "pixels": 2000.0,
 }  # fmt: skip
 
 
@@ -51,7 +52,7 @@ def _results(path: Path, n: int, seed: int) -> Path:
         margin = float(rng.uniform(0, 0.3))
         right = bool(rng.random() < 1 / (1 + np.exp(-(-4.0 + 40.0 * margin))))
         place = {"scene": "s", "image": k, "instance": 0, "found": True, "quality": 0.5}
-        rows.append({**place, "right": right, "terms": {**TERMS, "margin": margin}})
+        rows.append({**place, "right": right, "terms": {**TERMS, "gaps": [margin]}})
     path.write_text(json.dumps({"rows": rows, "false": []}))
     return path
 
@@ -80,7 +81,7 @@ def test_a_fit_is_written_and_checked_on_other_results(
     assert set(fits) == {"full", "colorpair"}
     assert 0.9 < fits["full"]["level"] < 0.999
     line = next(line for line in capsys.readouterr().out.splitlines() if line.startswith("other"))
-    ece, precision = float(line.split()[3]), float(line.split()[5])
+    ece, precision = float(line.split()[3]), float(line.split()[6])
     assert ece < 0.04
     assert precision > 97.0
     assert (tmp_path / "reliability_other.png").stat().st_size > 0

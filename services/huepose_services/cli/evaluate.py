@@ -202,7 +202,15 @@ def _add_calibrate(verbs: Any) -> None:
         "--check", type=Path, nargs="+", default=[], metavar="RESULT.json", help="to say what it is worth on"
     )
     parser.add_argument(
-        "--absent",
+        "--others",
+        type=Path,
+        nargs="+",
+        default=[],
+        metavar="RESULT.json",
+        help="to fit to as well: objects asked for where they are not (benchmarks/wrong_boxes.py)",
+    )
+    parser.add_argument(
+        "--alike",
         type=Path,
         nargs="+",
         default=[],

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+from collections.abc import Sequence
 from functools import reduce
 from pathlib import Path
 from typing import Any
@@ -14,7 +15,8 @@ from huepose.datasets import files
 from huepose.drawing.plots import reliability_plot
 from huepose.estimation.quality import quality_fits
 from huepose.evaluation import calibration
-from huepose.evaluation.calibration import Judged, Worth
+from huepose.evaluation.calibration import Worth
+from huepose.evaluation.judged import NONE, Judged, read_absent, read_judged
 from huepose.evaluation.result_files import write_json
 from huepose.evaluation.summary import table
 from huepose.geometry.arrays import Float64
@@ -23,26 +25,27 @@ from huepose.support.errors import InputError
 
 def call(arguments: argparse.Namespace) -> int:
     """Fit where there are results to fit to, check, write, print."""
-    checks = {path: calibration.read_judged(path) for path in arguments.check}
+    checks = {path: read_judged(path) for path in arguments.check}
     rows: list[list[Any]] = []
     if arguments.results:
-        results = [calibration.read_judged(path) for path in arguments.results]
-        alike = [calibration.read_judged(path, absent=True) for path in arguments.absent]
-        judged = reduce(lambda a, b: a + b, [*results, *alike])
-        names = calibration.FEATURES[arguments.method]
-        fit = calibration.fit(judged, names, sum(len(part.right) for part in alike))
-        entry = calibration.as_json(fit)
-        held_out = calibration.held_out(judged, names)
-        own = judged.weights == 1.0
-        for name, part in (("fitted to, held out", own), ("others and look-alikes, held out", ~own)):
-            if part.any():
-                rows.append(_row(name, calibration.worth(held_out[part], judged.only(part), fit.level)))
-        _draw(arguments.plots, "calibration", held_out[own], judged.only(own))
+        labels = _all([read_judged(path) for path in arguments.results])
+        others = _all([read_absent(path) for path in arguments.others])
+        alike = _all([read_absent(path) for path in arguments.alike])
+        fitted = calibration.fit(labels, calibration.FEATURES[arguments.method], others, alike)
+        fit, entry = fitted.fit, calibration.as_json(fitted.fit)
+        for name, stated, judged, present in (
+            ("fitted to, held out", fitted.labels, labels, fitted.present_labels),
+            ("others, held out", fitted.others, others, fitted.present_others),
+            ("look-alikes, held out", fitted.alike, alike, None),
+        ):
+            if len(judged.which):
+                found = None if present is None else present >= fit.found
+                rows.append(_row(name, calibration.worth(stated, judged, fit.level, found)))
+        _draw(arguments.plots, "calibration", fitted.labels, labels)
         if arguments.out is not None:
             known = files.read_json(arguments.out) if arguments.out.exists() else {}
             write_json(arguments.out, {**known, arguments.method: entry})
-        print(f"{arguments.method}: constant {entry['constant']:.2f}, level {entry['level']:.3f}")
-        print("  ".join(f"{name} {factor:.2f}" for name, factor in entry["factors"].items()))
+        print(f"{arguments.method}: level {entry['level']:.3f}, found {entry['found']:.3f}")
     elif not checks:
         raise InputError("eval calibrate", found="no result", expected="RESULT.json, or --check RESULT.json")
     else:
@@ -51,15 +54,20 @@ def call(arguments: argparse.Namespace) -> int:
         stated = calibration.stated_by(fit, judged)
         rows.append(_row(path.stem, calibration.worth(stated, judged, fit.level)))
         _draw(arguments.plots, path.stem, stated, judged)
-    print(table(["set", "n", "right %", "calibration error", "over the level %", "right of them %"], rows))
+    heading = ["set", "n", "right %", "calibration error", "found %", "over the level %", "right of them %"]
+    print(table(heading, rows))
     return 0
+
+
+def _all(parts: Sequence[Judged]) -> Judged:
+    return reduce(lambda a, b: a + b, parts, NONE)
 
 
 def _row(name: str, worth: Worth) -> list[Any]:
     ece = "-" if worth.ece is None else f"{worth.ece:.3f}"
     precision = None if worth.precision is None else 100.0 * worth.precision
     right = 100.0 * worth.right / max(1, worth.poses)
-    return [name, worth.poses, right, ece, 100.0 * worth.coverage, precision]
+    return [name, worth.poses, right, ece, 100.0 * worth.found, 100.0 * worth.coverage, precision]
 
 
 def _draw(folder: Path | None, name: str, stated: Float64, judged: Judged) -> None:

@@ -1,0 +1,153 @@
+"""Fit quality anew, whole, in one go: draw scenes, estimate in them, fit both methods, write the fits.
+
+    .venv/bin/python benchmarks/refit_quality.py --models MODELS_DIR --bundles DIR --work build/quality
+
+What is drawn and onboarded under `--work` is kept for the next time; estimates are made anew each time.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+from collections.abc import Sequence
+from concurrent.futures import ProcessPoolExecutor
+from dataclasses import dataclass, replace
+from functools import reduce
+from multiprocessing import get_context
+from pathlib import Path
+from typing import Any
+
+from huepose.datasets.bop import BopScene
+from huepose.estimation import Estimator, EstimatorConfig
+from huepose.evaluation.absent import answers_where_absent, questions
+from huepose.evaluation.calibration import FEATURES, Fitted, as_json, fit, worth
+from huepose.evaluation.estimate_protocol import EstimateOptions, evaluate_estimates
+from huepose.evaluation.judged import Judged, read_absent, read_judged
+from huepose.evaluation.result_files import write_json
+from huepose.evaluation.summary import table
+from huepose.evaluation.targets import Targets
+from huepose.model import load_models
+from huepose_services.cli.main import main as huepose
+
+FITS = Path(__file__).parents[1] / "huepose" / "estimation" / "quality_fits.json"
+MIN_VISIB = 0.1
+ABSENT_PER_FRAME = 3
+SHARE = {"full": 1, "colorpair": 2}
+"""One in so many frames is used, because the second method takes longer."""
+
+
+@dataclass(frozen=True)
+class Part:
+    """A share of a scene's frames, from `first` on every `step`, by one method."""
+
+    kind: str
+    method: str
+    scene: Path
+    bundles: Path
+    first: int
+    step: int
+
+    @property
+    def name(self) -> str:
+        """Of its result file."""
+        return f"{self.method}_{self.scene.name}_{self.kind}_{self.first}of{self.step}"
+
+
+class Some:
+    """A scene of which only some images are used."""
+
+    def __init__(self, scene: BopScene, first: int, step: int) -> None:
+        self.name, self.frame, self.truths = scene.name, scene.frame, scene.truths
+        self.sample, self.stamp_ns = scene.sample, scene.stamp_ns
+        self.image_ids = scene.image_ids[first::step]
+
+
+def main() -> None:
+    """Prepare, estimate in processes, fit, write, print."""
+    arguments = _arguments()
+    work: Path = arguments.work
+    own = work / "builtin"
+    ycb, builtin, alike = (work / name for name in ("cal_ycb", "cal_own", "cal_alike"))
+    _drawn(ycb, str(arguments.models), 100, 101)
+    _drawn(builtin, "builtin", 30, 102)
+    _drawn(alike, "builtin", 25, 103, "--prints", "1")
+    if not any(own.glob("*.huepose")):
+        huepose(["onboard-bop", str(builtin / "models"), "--out", str(own)])
+    parts = []
+    for method in arguments.methods:
+        n = arguments.processes * SHARE[method]
+        for first in range(0, n, SHARE[method]):
+            parts += [
+                Part("labels", method, ycb, arguments.bundles, first, n),
+                Part("others", method, ycb, arguments.bundles, first, n),
+                Part("labels", method, builtin, own, first, n),
+                Part("alike", method, alike, own, first, n),
+            ]
+    with ProcessPoolExecutor(arguments.processes, mp_context=get_context("spawn")) as pool:
+        list(pool.map(_estimated, parts, [work] * len(parts)))
+    fits = json.loads(FITS.read_text()) if FITS.exists() else {}
+    for method in arguments.methods:
+        files = {
+            kind: [work / f"{p.name}.json" for p in parts if (p.method, p.kind) == (method, kind)]
+            for kind in ("labels", "others", "alike")
+        }
+        labels = _all([read_judged(path) for path in files["labels"]])
+        others, alikes = (_all([read_absent(path) for path in files[kind]]) for kind in ("others", "alike"))
+        fitted = fit(labels, FEATURES[method], others, alikes)
+        fits[method] = as_json(fitted.fit)
+        _print(method, fitted, labels, others, alikes)
+    FITS.write_text(json.dumps(fits, indent=1) + "\n")
+
+
+def _estimated(part: Part, work: Path) -> None:
+    """The estimates of a part, as a file. Nothing is hidden as not found, so that all is fitted to."""
+    models = load_models(part.bundles)
+    targets, scene = Targets(models), Some(BopScene(part.scene), part.first, part.step)
+    estimator = Estimator(models, EstimatorConfig(method=part.method, found_level=0.0))  # type: ignore[arg-type]
+    path = work / f"{part.name}.json"
+    if part.kind == "others":
+        asked = list(questions([scene], targets, ABSENT_PER_FRAME))
+        write_json(path, {"rows": answers_where_absent(estimator, asked)})
+    else:
+        options = EstimateOptions(min_visib=MIN_VISIB)
+        write_json(path, evaluate_estimates([scene], targets, estimator, options).as_json())
+
+
+def _print(method: str, fitted: Fitted, labels: Judged, others: Judged, alike: Judged) -> None:
+    level, found = fitted.fit.level, fitted.fit.found
+    rows: list[list[Any]] = []
+    for name, quality, judged, is_found in (
+        ("labels", fitted.labels, labels, fitted.present_labels >= found),
+        ("others", fitted.others, others, fitted.present_others >= found),
+        ("look-alikes", fitted.alike, replace(alike, which=alike.which * 0 - 1), None),
+    ):
+        w = worth(quality, judged, level, is_found)
+        precision = None if w.precision is None else 100.0 * w.precision
+        rows.append([name, w.poses, w.right, f"{w.ece:.3f}", 100.0 * w.found, 100.0 * w.coverage, precision])
+    heading = ["held out", "n", "right", "error", "found %", "over the level %", "right of them %"]
+    print(f"{method}: level {level:.3f}, found {found:.3f}")
+    print(table(heading, rows))
+
+
+def _all(parts: Sequence[Judged]) -> Judged:
+    return reduce(lambda a, b: a + b, parts)
+
+
+def _drawn(scene: Path, models: str, frames: int, seed: int, *more: str) -> None:
+    if not (scene / "scene_gt.json").exists():
+        huepose(["render-scenes", "--models", models, "--out", str(scene),
+                 "--frames", str(frames), "--seed", str(seed), *more])  # fmt: skip
+
+
+def _arguments() -> argparse.Namespace:
+    parser = argparse.ArgumentParser(description="Fit quality anew, whole, in one go.")
+    parser.add_argument("--models", type=Path, required=True, metavar="DIR", help="BOP models folder")
+    parser.add_argument("--bundles", type=Path, required=True, metavar="DIR", help="their reference models")
+    parser.add_argument("--work", type=Path, default=Path("build/quality"), metavar="DIR")
+    parser.add_argument("--methods", nargs="+", choices=tuple(FEATURES), default=list(FEATURES))
+    parser.add_argument("--processes", type=int, default=2, metavar="N")
+    return parser.parse_args()
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,103 @@
+"""From the poses that were found to the answer: settled on the depth, with quality and alternatives."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from huepose.estimation.confirm import MARGIN
+from huepose.estimation.explanation import Explanation
+from huepose.estimation.near_ties import different_answers
+from huepose.estimation.outline import projected_box
+from huepose.estimation.print_evidence import print_evidence
+from huepose.estimation.quality import QualityFit, QualityTerms, covariance
+from huepose.estimation.settle import settle
+from huepose.estimation.types import ObjectQuery, PoseEstimate
+from huepose.geometry import se3
+from huepose.geometry.arrays import Float64
+from huepose.geometry.frame import RgbdFrame
+from huepose.model.types import ReferenceModel
+from huepose.verification.dense import score
+from huepose.verification.region import Region
+
+
+@dataclass(frozen=True)
+class Levels:
+    """acquired: quality from which a pose is TRACKING; found: presence under which nothing is there."""
+
+    acquired: float
+    found: float
+
+
+def answer_of(
+    frame: RgbdFrame,
+    query: ObjectQuery,
+    model: ReferenceModel,
+    explanation: Explanation,
+    fit: QualityFit,
+    levels: Levels,
+    prior: tuple[Float64, float] | None,
+) -> PoseEstimate:
+    """The answer to a query. prior: the refined prior (4, 4) and its total, if there was one."""
+    prior_T, prior_score = prior if prior is not None else (None, None)
+    region = None if explanation.evidence is None else explanation.evidence.region
+    poses, totals = explanation.poses, explanation.totals
+    terms = None
+    if region is not None and len(poses):
+        kept = different_answers(model, poses)
+        poses, totals = poses[kept], totals[kept]
+        terms = _terms(model, region, poses[0], totals, explanation.confirmed)
+    if region is None or terms is None or fit.present(terms) < levels.found:
+        total = float(totals[0]) if len(totals) else 0.0
+        return PoseEstimate(
+            query.object, query.instance, False, None, 0.0, "LOST", total, 0.0, None, None,
+            query.box, prior_score, prior_T, (), 0.0, terms,
+        )  # fmt: skip
+    chances = fit.probabilities(terms)
+    T, alignment, mask = settle(model, frame, region, se3.orthonormalised(poses[0]))
+    others = zip(poses[1:], chances[1 : len(poses)], strict=True)
+    return PoseEstimate(
+        query.object,
+        query.instance,
+        True,
+        T,
+        float(chances[0]),
+        "TRACKING" if chances[0] >= levels.acquired else "SUSPECT",
+        float(totals[0]),
+        terms.margin,
+        covariance(alignment),
+        mask,
+        projected_box(model, frame, T),
+        prior_score,
+        prior_T,
+        tuple((se3.orthonormalised(other), float(p)) for other, p in others),
+        0.0,
+        terms,
+    )
+
+
+def _terms(
+    model: ReferenceModel, region: Region, T_cam_obj: Float64, totals: Float64, confirmed: bool
+) -> QualityTerms:
+    """Of the first of different answers. Where a prior was only confirmed, little else was looked at: then
+    the best other answer is taken to be at most MARGIN worse."""
+    gaps = totals[0] - totals[1:]
+    if confirmed:
+        gaps = np.concatenate([[min(MARGIN, *gaps[:1])], gaps[1:]]) if len(gaps) else np.array([MARGIN])
+    dense, seen = score(model, region, T_cam_obj), print_evidence(model, region, T_cam_obj)
+    return QualityTerms(
+        float(totals[0]),
+        tuple(float(gap) for gap in gaps),
+        dense.color,
+        dense.box_iou,
+        dense.depth_fit,
+        dense.coverage,
+        dense.violation,
+        dense.occluded,
+        dense.seen,
+        seen.missing,
+        seen.foreign,
+        seen.detail,
+        float(region.mask.sum()),
+    )

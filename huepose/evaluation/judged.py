@@ -1,0 +1,117 @@
+"""Estimates with known truth, as quality is fitted to them: what was seen, and which answer was right."""
+
+from __future__ import annotations
+
+from collections.abc import Hashable, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from huepose.datasets import files
+from huepose.estimation.quality import QualityTerms
+from huepose.geometry.arrays import Bool, Float64, Int64
+from huepose.support.errors import InputError
+
+FALSE_WEIGHT = 0.2
+"""Of a pose where the object is not, against one where it is: how often that happens is the detector's
+matter, and enough of them would make every doubtful pose look false."""
+
+
+@dataclass(frozen=True, eq=False)
+class Judged:
+    """Estimates with truth: terms; which (N,): the number of the answer that is right, 0 the pose itself, -1
+    none; frames: which frame each is of; stated (N,): the quality that was published for each; weights (N,);
+    missed: how many more instances got no pose."""
+
+    terms: Sequence[QualityTerms]
+    which: Int64
+    frames: Sequence[Hashable]
+    stated: Float64
+    weights: Float64
+    missed: int = 0
+
+    @property
+    def right(self) -> Bool:
+        """Whether the pose itself is right (N,)."""
+        return np.asarray(self.which == 0)
+
+    def __add__(self, other: Judged) -> Judged:
+        return Judged(
+            [*self.terms, *other.terms],
+            np.concatenate([self.which, other.which]),
+            [*self.frames, *other.frames],
+            np.concatenate([self.stated, other.stated]),
+            np.concatenate([self.weights, other.weights]),
+            self.missed + other.missed,
+        )
+
+    def only(self, chosen: Bool) -> Judged:
+        """Those of a mask (N,); none counts as missed."""
+        keep = np.flatnonzero(chosen).tolist()
+        return Judged(
+            [self.terms[k] for k in keep],
+            self.which[keep],
+            [self.frames[k] for k in keep],
+            self.stated[keep],
+            self.weights[keep],
+        )
+
+
+NONE = Judged([], np.zeros(0, np.int64), [], np.zeros(0), np.zeros(0))
+
+
+def read_judged(path: Path | str) -> Judged:
+    """The found poses of a result file of `huepose eval estimate`; poses that belong to no label are none of
+    them right. Raises InputError."""
+    rows, false = _read(path)
+    found = [row for row in rows if row.get("found")]
+    every = [*found, *false]
+    return Judged(
+        [_terms(row, path) for row in every],
+        np.array([_which(row) for row in found] + [-1] * len(false), dtype=np.int64),
+        [(str(path), row["scene"], row["image"]) for row in every],
+        np.array([float(row["quality"]) for row in every]),
+        np.array([1.0] * len(found) + [FALSE_WEIGHT] * len(false)),
+        len(rows) - len(found),
+    )
+
+
+def read_absent(path: Path | str) -> Judged:
+    """All that was looked at where the object is not, found or not: none is right. Raises InputError."""
+    rows, false = _read(path)
+    every = [row for row in [*rows, *false] if row.get("terms") is not None]
+    return Judged(
+        [_terms(row, path) for row in every],
+        np.full(len(every), -1, dtype=np.int64),
+        [(str(path), row["scene"], row["image"]) for row in every],
+        np.array([float(row["quality"]) for row in every]),
+        np.full(len(every), FALSE_WEIGHT),
+    )
+
+
+def _read(path: Path | str) -> tuple[list[dict[str, Any]], list[dict[str, Any]]]:
+    record = files.read_json(Path(path), "Make it with `huepose eval estimate --json`.")
+    rows, false = files.field(record, "rows", path), record.get("false", [])
+    if not rows and not false:
+        raise InputError(path, found="no pose", expected="a result of `huepose eval estimate`")
+    return rows, false
+
+
+def _terms(row: Mapping[str, Any], path: Path | str) -> QualityTerms:
+    try:
+        return QualityTerms(**{**row["terms"], "gaps": tuple(row["terms"]["gaps"])})
+    except (TypeError, KeyError):
+        raise InputError(
+            path,
+            found="poses without the terms of their quality",
+            expected="a result of `huepose eval estimate`",
+            fix="Make it again.",
+        ) from None
+
+
+def _which(row: Mapping[str, Any]) -> int:
+    """The number of the first answer that is right, -1 for none."""
+    chances = [row["right"], *(other["right"] for other in row.get("alternatives", []))]
+    return next((k for k, right in enumerate(chances) if right), -1)

@@ -1,0 +1,91 @@
+"""How objects come to be tracked, and are searched for anew."""
+
+from __future__ import annotations
+
+import pytest
+
+from huepose.reinit import ObjectSlot, ReinitLoop
+from huepose.tracking.types import Verdict
+
+from .conftest import EPOCH, MS, asked, estimate, pose, result, track
+
+
+def test_a_sure_estimate_acquires_and_instances_get_new_numbers() -> None:
+    loop = ReinitLoop(objects=[ObjectSlot("mug", 2)])
+    request = loop.tick(0, [])
+    found = loop.answer(100 * MS, result(request, 10, estimate(T=pose(-0.2)), estimate(T=pose(0.2))))
+    assert [c.verdict for c in found] == [Verdict.ACQUIRE, Verdict.ACQUIRE]
+    assert sorted(c.instance for c in found) == [0, 1]
+    assert [c.seq for c in found] == [1, 1]
+    assert all(c.frame_id == round(10 / 33.3) and c.epoch == EPOCH for c in found)
+
+
+def test_no_more_instances_than_wanted() -> None:
+    loop = ReinitLoop(objects=[ObjectSlot("mug", 1)])
+    request = loop.tick(0, [])
+    found = loop.answer(100 * MS, result(request, 10, estimate(T=pose(-0.2)), estimate(T=pose(0.2))))
+    assert len(found) == 1
+    assert loop.counters.rejected == 1
+
+
+def test_the_same_sight_twice_is_one_instance() -> None:
+    loop = ReinitLoop(objects=[ObjectSlot("mug", 2)])
+    request = loop.tick(0, [])
+    found = loop.answer(100 * MS, result(request, 10, estimate(T=pose(0.2)), estimate(T=pose(0.201))))
+    assert len(found) == 1
+
+
+def test_an_unsure_estimate_waits_for_a_second_that_agrees() -> None:
+    loop = ReinitLoop(objects=[ObjectSlot("mug", 1)])
+    request = loop.tick(0, [])
+    assert loop.answer(100 * MS, result(request, 10, estimate(quality=0.6))) == []
+    assert loop.counters.unconfirmed == 1
+    request = loop.tick(200 * MS, [])
+    far = loop.answer(300 * MS, result(request, 210, estimate(T=pose(0.5), quality=0.6)))
+    assert far == [], "somewhere else altogether"
+    request = loop.tick(400 * MS, [])
+    found = loop.answer(500 * MS, result(request, 410, estimate(T=pose(0.01), quality=0.6)))
+    assert [c.verdict for c in found] == [Verdict.ACQUIRE]
+    assert found[0].quality == pytest.approx(1 - 0.4 * 0.4)
+
+
+def test_nonsense_is_never_used() -> None:
+    loop = ReinitLoop(objects=[ObjectSlot("mug", 1)])
+    for k in range(3):
+        request = loop.tick(k * 200 * MS, [])
+        bad = (estimate(quality=0.1), estimate(found=False, quality=0.0))
+        assert loop.answer(k * 200 * MS + 50, result(request, k * 200, *bad)) == []
+    assert loop.counters.rejected == 6
+
+
+def test_an_object_that_is_searched_anew_gets_a_new_number_and_no_old_answer() -> None:
+    loop = ReinitLoop(objects=[("mug", 1)])
+    first = loop.tick(0, [])
+    assert first is not None
+    (sent,) = loop.answer(50 * MS, result(first, 20, estimate()))
+    request = loop.tick(300 * MS, [track(stamp_ms=290, applied=sent.seq)])
+    assert asked(request) == [("mug", 0)]
+    # Numbers under 1 of this epoch are over: the caller shows the loop no such track any more.
+    assert loop.forget("mug", 310 * MS) == (EPOCH, 1)
+    assert loop.repeats(10_000 * MS) == []
+    # The answer that is on its way was computed on a frame from before the order.
+    assert request is not None
+    assert loop.answer(350 * MS, result(request, 300, estimate())) == []
+    again = loop.tick(600 * MS, [])
+    assert asked(again) == [("mug", None)]
+    assert again is not None
+    (fresh,) = loop.answer(650 * MS, result(again, 610, estimate()))
+    assert (fresh.instance, fresh.verdict) == (1, Verdict.ACQUIRE)
+
+
+def test_what_is_on_its_way_is_over_as_well() -> None:
+    loop = ReinitLoop(objects=[("mug", 1), ("jar", 1)])
+    request = loop.tick(0, [])
+    assert request is not None
+    loop.answer(50 * MS, result(request, 20, estimate(), estimate("jar", pose(0.5))))
+    assert loop.forget("mug", 60 * MS) == (EPOCH, 1)
+    assert [c.object for c in loop.repeats(400 * MS)] == ["jar"]
+
+
+def test_nothing_is_over_before_the_first_frame() -> None:
+    assert ReinitLoop(objects=[("mug", 1)]).forget("mug") is None

@@ -1,0 +1,96 @@
+"""What an estimate means for an object that is tracked."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from huepose.geometry import se3
+from huepose.reinit import ObjectSlot, ReinitLoop
+from huepose.tracking.types import State, Verdict
+
+from .conftest import MS, estimate, pose, result, track, uncertain
+
+
+def test_agreement_and_disagreement() -> None:
+    slot = ObjectSlot("mug", 1, diameter_m=0.15)
+    for T, prior_score, state, verdict in (
+        (pose(0.002), 2.0, State.TRACKING, Verdict.AGREE),
+        (pose(0.03), 1.5, State.TRACKING, Verdict.CORRECT),
+        (pose(0.03), 1.95, State.TRACKING, None),
+        (pose(0.03), 1.95, State.SUSPECT, Verdict.CORRECT),
+        (pose(0.03), None, State.TRACKING, None),
+        (pose(0.03), None, State.SUSPECT, Verdict.CORRECT),
+        (pose(0.0, 40.0), 1.5, State.TRACKING, Verdict.CORRECT),
+    ):
+        loop = ReinitLoop(objects=[slot])
+        request = loop.tick(0, [track(state=state)])
+        found = loop.answer(MS, result(request, 0, estimate(T=T, instance=0, prior_score=prior_score)))
+        assert [c.verdict for c in found] == ([] if verdict is None else [verdict]), (T[0, 3], prior_score)
+
+
+def test_equivalent_poses_agree() -> None:
+    half_turn = se3.make(np.diag([-1.0, -1.0, 1.0]), np.zeros(3))
+    turned = pose() @ half_turn
+    for equivalents, verdict in (((), Verdict.CORRECT), ((np.eye(4), half_turn), Verdict.AGREE)):
+        loop = ReinitLoop(objects=[ObjectSlot("mug", 1, 0.15, equivalents)])
+        request = loop.tick(0, [track()])
+        found = loop.answer(MS, result(request, 0, estimate(T=turned, instance=0, prior_score=1.0)))
+        assert [c.verdict for c in found] == [verdict]
+
+
+def test_the_track_is_compared_where_it_was_at_the_estimates_frame() -> None:
+    """A fast object has moved 4 cm between the looked-at frame and the newest pose."""
+    velocity = np.array([0.4, 0, 0, 0, 0, 0])
+    loop = ReinitLoop(objects=[ObjectSlot("mug", 1)])
+    now = track(T=pose(0.04), velocity=velocity, stamp_ms=100)
+    request = loop.tick(100 * MS, [now])
+    found = loop.answer(200 * MS, result(request, 0, estimate(T=pose(0.0), instance=0, prior_score=2.0)))
+    assert [c.verdict for c in found] == [Verdict.AGREE]
+
+
+def test_a_second_sight_of_a_tracked_instance_is_no_new_one() -> None:
+    loop = ReinitLoop(objects=[ObjectSlot("mug", 2, 0.15)])
+    request = loop.tick(0, [track()])
+    found = loop.answer(
+        MS,
+        result(request, 0, estimate(instance=0, prior_score=2.0), estimate(T=pose(0.03, 90.0), quality=0.99)),
+    )
+    assert [c.verdict for c in found] == [Verdict.AGREE]
+
+
+def test_what_both_uncertainties_allow_is_agreement() -> None:
+    """15 mm apart, a tenth of the diameter: much for a sharp estimate, nothing special for a vague one."""
+    off = estimate(T=pose(0.015), instance=0, prior_score=1.95)
+    for covariance, verdicts in ((uncertain(0.001, 0.01), []), (uncertain(0.006, 0.05), [Verdict.AGREE])):
+        loop = ReinitLoop(objects=[ObjectSlot("mug", 1, 0.15)])
+        request = loop.tick(0, [track()])
+        found = loop.answer(MS, result(request, 0, replace(off, covariance=covariance)))
+        assert [c.verdict for c in found] == verdicts
+
+
+def test_no_uncertainty_makes_a_flip_agree() -> None:
+    flipped = estimate(T=pose(0.0, 180.0), instance=0, prior_score=1.95)
+    loop = ReinitLoop(objects=[ObjectSlot("mug", 1, 0.15)])
+    request = loop.tick(0, [track()])
+    assert loop.answer(MS, result(request, 0, replace(flipped, covariance=uncertain(0.02, 3.0)))) == []
+    assert loop.counters.rejected == 1
+
+
+def test_where_the_tracked_pose_itself_goes_when_refined_is_a_correction() -> None:
+    off = estimate(T=pose(0.03), instance=0, prior_score=2.0)
+    for refined, verdicts in ((pose(0.031), [Verdict.CORRECT]), (pose(0.0), [])):
+        loop = ReinitLoop(objects=[ObjectSlot("mug", 1, 0.15)])
+        request = loop.tick(0, [track()])
+        found = loop.answer(MS, result(request, 0, replace(off, prior_T_cam_obj=refined)))
+        assert [c.verdict for c in found] == verdicts
+
+
+def test_between_two_published_poses_the_track_is_interpolated() -> None:
+    """It turned round between 0 and 200 ms, so neither pose nor velocity alone says where it was at 100."""
+    loop = ReinitLoop(objects=[ObjectSlot("mug", 1, 0.15)])
+    request = loop.tick(0, [track(T=pose(0.0), velocity=np.array([-0.4, 0, 0, 0, 0, 0]))])
+    loop.tick(200 * MS, [track(T=pose(0.06), stamp_ms=200, velocity=np.array([-0.4, 0, 0, 0, 0, 0]))])
+    found = loop.answer(210 * MS, result(request, 100, estimate(T=pose(0.03), instance=0, prior_score=2.0)))
+    assert [c.verdict for c in found] == [Verdict.AGREE]

@@ -1,7 +1,8 @@
 """The last step: the winning pose settles on the depth of the pixels that show the object.
 
 The search on the score leaves a pose a millimetre from the best fit of the surface, because print pulls it
-along; where depth fixes a direction, depth is the better judge.
+along; where depth fixes a direction, depth is the better judge. Where it does not, the edges of the print
+are.
 """
 
 from __future__ import annotations
@@ -9,6 +10,7 @@ from __future__ import annotations
 import numpy as np
 
 from huepose.estimation.full_path import judge
+from huepose.estimation.on_edges import laid_on_edges
 from huepose.estimation.outline import visible_mask
 from huepose.geometry.arrays import Bool, Float64
 from huepose.geometry.frame import RgbdFrame
@@ -26,16 +28,19 @@ WORTH = 0.1
 def settle(
     model: ReferenceModel, frame: RgbdFrame, region: Region, T_cam_obj: Float64
 ) -> tuple[Float64, Alignment, Bool]:
-    """The pose (4, 4) after a last robust fit to the depth of its own visible pixels, how that fit went, and
-    the mask (H, W) of these pixels. The pose comes back unchanged when the print objects."""
+    """The pose (4, 4) after a last robust fit to the depth of its own visible pixels, which is left out when
+    the print objects, and then to the edges of its print; how the fit to depth went, and the mask (H, W) of
+    these pixels."""
     tolerance = 1.5 * region.tolerance_m
     mask = visible_mask(model, frame, T_cam_obj, tolerance)
     points = _points(frame, mask)
     fit = align(model.surface, model.grid, points, T_cam_obj, GATE_M, GATE_M, ITERATIONS)
     before, after = judge(model, region, np.stack([T_cam_obj, fit.T_cam_obj]))
     if after < before - WORTH:
-        return T_cam_obj, align(model.surface, model.grid, points, T_cam_obj, GATE_M, GATE_M, 0), mask
-    return fit.T_cam_obj, fit, visible_mask(model, frame, fit.T_cam_obj, tolerance)
+        fit = align(model.surface, model.grid, points, T_cam_obj, GATE_M, GATE_M, 0)
+    else:
+        mask = visible_mask(model, frame, fit.T_cam_obj, tolerance)
+    return laid_on_edges(model, frame, mask, fit.T_cam_obj), fit, mask
 
 
 def _points(frame: RgbdFrame, mask: Bool) -> Float64:

@@ -153,6 +153,16 @@ def reference_pairs(reference: PairReference) -> SurfacePairs:
     )
 
 
+def fine_pairs(reference: PairReference, count: int) -> SurfacePairs:
+    """At most `count` of the model's fine pairs, evenly spread over them, in the object's frame."""
+    first = int(reference.parameters["coarse_pairs"])
+    step = max(1, -(-(len(reference.points) - first) // count))
+    rows = slice(first, None, step)
+    return SurfacePairs(
+        reference.points[rows], reference.normals[rows], reference.tangents[rows], reference.colors[rows]
+    )
+
+
 def reference_cloud(reference: PairReference) -> ClassifiedCloud:
     """The model's classified cloud."""
     return ClassifiedCloud(

@@ -1,0 +1,31 @@
+"""The very last step: the print of the pose is laid on the image's edges, within the mask of what it shows.
+
+Depth leaves open how a face lies along itself, and the dense score sees print through a smoothing of a
+millimetre; edges are found to a fraction of a pixel (`registration.edge_icp`). Without enough edges that
+match the model's in place, direction and contrast, the pose stays as it is.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from huepose.colorpair.extract import extract
+from huepose.geometry.arrays import Bool, Float64
+from huepose.geometry.frame import RgbdFrame
+from huepose.matching.hypotheses import fine_pairs
+from huepose.model.types import ReferenceModel
+from huepose.registration.edge_icp import edge_icp, image_edges
+
+PAIRS = 800
+"""Of the model, those that a view shows among them."""
+
+
+def laid_on_edges(model: ReferenceModel, frame: RgbdFrame, mask: Bool, T_cam_obj: Float64) -> Float64:
+    """The pose (4, 4) after its print was laid on the edges inside the mask (H, W)."""
+    pairs = fine_pairs(model.pairs, PAIRS)
+    depths = frame.depth[mask & (frame.depth > 0)]
+    if not len(pairs) or not len(depths):
+        return T_cam_obj
+    scale = model.pairs.parameters["fine_pixels_per_m"] * float(np.median(depths)) / frame.camera.fx
+    edges = image_edges(extract(frame.color, mask, scale=min(scale, 1.0)))
+    return edge_icp(pairs, model.surface, edges, frame.depth, frame.camera, T_cam_obj).T_cam_obj

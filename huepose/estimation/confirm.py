@@ -15,7 +15,7 @@ from huepose.estimation.full_path import COARSE_SAMPLES, FINAL_SHIFT, FINAL_TURN
 from huepose.geometry.arrays import Float64
 from huepose.model.types import ReferenceModel
 from huepose.verification.dense import score_many
-from huepose.verification.local_search import search
+from huepose.verification.local_search import RACE, search
 from huepose.verification.region import Region
 
 SCORE, MARGIN = 1.9, 0.12
@@ -38,7 +38,7 @@ def confirm(model: ReferenceModel, region: Region, T_cam_obj: Float64) -> tuple[
         return None
     turned = T_cam_obj @ model.turns[1:]
     best = np.argsort(-score_many(model, region, turned, COARSE_SAMPLES)[:, 0], kind="stable")[:TURNS]
-    searched, _ = search(model, region, turned[best], (3.0, 1.0), FINE_SAMPLES)
+    searched, _ = search(model, region, turned[best], (3.0, 1.0), FINE_SAMPLES, race=RACE)
     poses = np.concatenate([T_cam_obj[None], searched])
     totals = judge(model, region, poses)
     order = different_poses(model, poses, totals, len(poses), FINAL_TURN_RAD, FINAL_SHIFT)

@@ -21,7 +21,7 @@ from huepose.model.types import ReferenceModel
 from huepose.registration.surface_icp import align_many
 from huepose.support.stages import stage
 from huepose.verification.dense import score_many
-from huepose.verification.local_search import search
+from huepose.verification.local_search import RACE, search
 from huepose.verification.region import Region
 
 COARSE_SAMPLES, FINE_SAMPLES = 350, 800
@@ -80,7 +80,7 @@ def refine_coarse(
         poses, totals = np.concatenate([poses, turned]), np.concatenate([totals, turned_totals])
         poses = poses[different_poses(model, poses, totals, config.searched)]
     with stage("search"):
-        searched, _ = search(model, region, poses, (8.0, 4.0, 2.0, 1.0), config.samples)
+        searched, _ = search(model, region, poses, (8.0, 4.0, 2.0, 1.0), config.samples, race=RACE)
     with stage("icp"):
         settled = _icp(model, region.points_cam, searched, 0.012, 0.006, 5)
     return np.concatenate([searched, settled])
@@ -92,7 +92,7 @@ def refine_prior(model: ReferenceModel, evidence: Evidence, T_cam_obj: Float) ->
     start = np.asarray(T_cam_obj, dtype=np.float64)[None]
     aligned = [_icp(model, p, start, 0.15 * model.diameter_m, 0.008, 20) for p in evidence.points_cam]
     starts = np.concatenate([start, *aligned])
-    searched, _ = search(model, region, starts, (4.0, 2.0, 1.0), FINE_SAMPLES)
+    searched, _ = search(model, region, starts, (4.0, 2.0, 1.0), FINE_SAMPLES, race=RACE)
     settled = _icp(model, region.points_cam, searched, 0.012, 0.006, 5)
     poses = np.concatenate([starts, searched, settled])
     return np.asarray(poses[np.argmax(judge(model, region, poses))])
@@ -109,7 +109,9 @@ def finish(
         best = different_poses(model, poses, totals, config.judged, FINAL_TURN_RAD, FINAL_SHIFT)
         poses, totals = poses[best], totals[best]
     with stage("search"):
-        fine, fine_totals = search(model, region, poses[: config.finished], (3.0, 1.5, 0.7), FINE_SAMPLES)
+        fine, fine_totals = search(
+            model, region, poses[: config.finished], (3.0, 1.5, 0.7), FINE_SAMPLES, race=RACE
+        )
         poses, totals = np.concatenate([poses, fine]), np.concatenate([totals, fine_totals])
         best = different_poses(model, poses, totals, config.alternatives, FINAL_TURN_RAD, FINAL_SHIFT)
     return poses[best], totals[best]

@@ -19,6 +19,10 @@ from huepose.verification.score_kernel import SCRATCH_ROWS, TERMS, score_kernel
 SHIFT_PER_RADIAN = 0.4
 """A step of one radian goes with a shift of 0.4 diameters: both move the surface about as far."""
 
+RACE = 0.15
+"""Total a degree of the next step by which a pose that competes with others may lie behind the best of them:
+of 1000 starts on real, cluttered and piled frames none that was farther behind won in the end."""
+
 REPETITIONS = 2
 STRIDES = 3
 WORTH = 1e-4
@@ -31,9 +35,14 @@ def search(
     steps_deg: Sequence[float],
     samples: int,
     weights: ScoreWeights = DEFAULT_WEIGHTS,
+    race: float = np.inf,
 ) -> tuple[Float64, Float64]:
     """Improve poses (M, 4, 4) by turns about the object's centre and shifts, along the object's axes, with
-    steps of `steps_deg` one after the other; returns poses (M, 4, 4) and their totals (M,)."""
+    steps of `steps_deg` one after the other; returns poses (M, 4, 4) and their totals (M,).
+
+    Where the poses are rivals for one answer, `race` (RACE) leaves those as they are whose total lies behind
+    the best by more than that a degree of the next step.
+    """
     out = np.array(poses, dtype=np.float64)
     totals = np.zeros(len(out))
     _search_all(
@@ -45,6 +54,7 @@ def search(
         np.radians(np.asarray(steps_deg, dtype=np.float64)),
         samples,
         weight_array(weights),
+        race,
         totals,
     )
     return out, totals
@@ -60,15 +70,20 @@ def _search_all(
     steps: Float64,
     samples: int,
     weights: Float64,
+    race: float,
     totals: Float64,
 ) -> None:
     scratch, terms = np.empty((SCRATCH_ROWS, samples)), np.empty(TERMS)
     turn, trial = np.empty((3, 3)), np.empty((4, 4))
     failed = np.empty((6, 2), np.int64)  # by axis and way: how many moves had been made then
     for m in range(poses.shape[0]):
-        T = poses[m]
-        best = score_kernel(T, model, region, samples, weights, scratch, terms, -np.inf)
-        for level in range(steps.shape[0]):
+        totals[m] = score_kernel(poses[m], model, region, samples, weights, scratch, terms, -np.inf)
+    for level in range(steps.shape[0]):
+        least = totals.max() - race * np.degrees(steps[level]) if poses.shape[0] else 0.0
+        for m in range(poses.shape[0]):
+            if totals[m] < least:
+                continue
+            T, best = poses[m], totals[m]
             moves = 0
             failed[:] = -1
             for _ in range(REPETITIONS):
@@ -93,7 +108,7 @@ def _search_all(
                             failed[axis, 1 - way] = moves  # It would only lead back.
                 if moves == before:
                     break
-        totals[m] = best
+            totals[m] = best
 
 
 @jit

@@ -10,7 +10,7 @@ from huepose.geometry import Box, RgbdFrame, se3
 from huepose.model.types import ReferenceModel
 from huepose.rendering.render import render_depth
 from huepose.verification.dense import score_many
-from huepose.verification.local_search import search
+from huepose.verification.local_search import RACE, search
 from huepose.verification.region import prepare_region
 
 
@@ -38,3 +38,25 @@ def test_search_climbs_to_the_truth(
         assert se3.rotation_angle(T, standing) < np.radians(1.8)
     again, _ = search(tea_box, region, starts, (4.0, 2.0, 1.0, 0.5), 800)
     assert np.array_equal(found, again)
+
+
+def test_a_pose_far_behind_its_rivals_is_left_as_it_is(
+    tea_box: ReferenceModel, take_picture: Callable[..., RgbdFrame], standing: np.ndarray
+) -> None:
+    frame = take_picture([(tea_box.mesh, standing)])
+    mask = render_depth(tea_box.mesh, standing, frame.camera) > 0
+    box = Box.of_mask(mask)
+    assert box is not None
+    region = prepare_region(frame, mask, box, tea_box.diameter_m)
+    assert region is not None
+    near = se3.perturb(standing, np.array([0.004, -0.003, 0.002, 0.05, -0.03, 0.04]))
+    upside_down = standing.copy()
+    upside_down[:3, 0] *= -1.0
+    upside_down[:3, 1] *= -1.0  # half a turn about its own axis shows another print
+    poses = np.stack([near, upside_down])
+    alone, alone_totals = search(tea_box, region, poses, (1.0, 0.5), 800)
+    raced, raced_totals = search(tea_box, region, poses, (1.0, 0.5), 800, race=RACE)
+    assert np.array_equal(raced[0], alone[0])
+    assert raced_totals[0] == alone_totals[0]
+    assert np.array_equal(raced[1], upside_down)
+    assert raced_totals[1] < alone_totals[1]

@@ -144,6 +144,12 @@ class Config(Section, frozen=True, kw_only=True):
         """Whether any of the workers needs reference models."""
         return not {"camera", "gateway"}.issuperset(self.workers)
 
+    @property
+    def uses_networks(self) -> bool:
+        """Whether any part is configured that runs a network."""
+        learned = self.tracker.flow == "neuflow" or self.tracker.rotation != "kabsch"
+        return learned or self.detector.kind == "yolo" or self.segmenter.kind == "sam"
+
     def port(self, worker: str) -> int:
         """The loopback port that a worker listens on."""
         return self.bus.base_port + WORKERS.index(worker)

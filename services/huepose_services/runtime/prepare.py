@@ -54,9 +54,7 @@ def _check_builtin(config: Config) -> None:
 
 def _check_networks(config: Config) -> None:
     """Open them once, where there are any: a worker must not be the first to find that one is damaged."""
-    tracker = config.tracker
-    learned = tracker.flow == "neuflow" or tracker.rotation != "kabsch"
-    if learned or config.detector.kind == "yolo" or config.segmenter.kind == "sam":
+    if config.uses_networks:
         from huepose_services import networks
 
         networks.check(config)

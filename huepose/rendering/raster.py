@@ -150,6 +150,24 @@ def rasterise(
 
 
 @jit
+def facing(points: Float64, faces: Int32) -> Int32:
+    """The faces (K, 3) of (F, 3) that turn their counter-clockwise side to the camera, in camera-frame points
+    (V, 3): all that is seen of a closed surface."""
+    out = np.empty(faces.shape, np.int32)
+    n = 0
+    for f in range(faces.shape[0]):
+        a, b, c = points[faces[f, 0]], points[faces[f, 1]], points[faces[f, 2]]
+        volume = (
+            a[0] * (b[1] * c[2] - b[2] * c[1])
+            + a[1] * (b[2] * c[0] - b[0] * c[2])
+            + a[2] * (b[0] * c[1] - b[1] * c[0])
+        )
+        out[n] = faces[f]
+        n += 1 if volume <= 0.0 else 0
+    return out[:n]
+
+
+@jit
 def depth_of(inverse: Float32) -> Float32:
     """Depth in metres (H, W) of 1/z; 0 stays 0."""
     out = np.empty_like(inverse)

@@ -18,7 +18,7 @@ from huepose.geometry.arrays import Float, Float32, Int32, UInt8
 from huepose.geometry.camera import Camera
 from huepose.geometry.mesh import Mesh
 from huepose.rendering.corner_normals import corner_normals
-from huepose.rendering.raster import depth_of, rasterise, transform
+from huepose.rendering.raster import depth_of, facing, rasterise, transform
 from huepose.rendering.shade import locate, paint, turn_normals
 from huepose.rendering.textures import Pyramid, build_pyramid
 
@@ -63,6 +63,11 @@ class _Prepared:
         return corner_normals(Mesh(*self._parts))
 
     @cached_property
+    def closed(self) -> bool:
+        """Whether the surface has no border and looks outwards: its far side is hidden then."""
+        return is_closed(self.vertices, self.faces)
+
+    @cached_property
     def corner_points(self) -> Float32:
         return np.ascontiguousarray(self.vertices[self.faces])
 
@@ -77,6 +82,19 @@ def _prepare(mesh: Mesh) -> _Prepared:
         if found is None:
             found = _prepared[mesh] = _Prepared(mesh)
         return found
+
+
+def is_closed(vertices: Float32, faces: Int32) -> bool:
+    """Whether faces (F, 3) are the boundary of a solid, seen counter-clockwise from outside: each edge is
+    there once in each direction, and the volume is positive."""
+    if not len(faces):
+        return False
+    a, b = faces.astype(np.int64).ravel(), np.roll(faces.astype(np.int64), -1, axis=1).ravel()
+    there, back = np.sort(a * len(vertices) + b), np.sort(b * len(vertices) + a)
+    if (np.diff(there) == 0).any() or not np.array_equal(there, back):
+        return False
+    p, q, r = (vertices[faces[:, k]].astype(np.float64) for k in range(3))
+    return float(np.einsum("ni,ni->", p, np.cross(q, r))) > 0.0
 
 
 def _intrinsics(camera: Camera) -> tuple[tuple[float, float], tuple[float, float]]:
@@ -137,9 +155,11 @@ def render_depth(mesh: Mesh, T_cam_obj: Float, camera: Camera, *, near_m: float 
     inverse: Float32 = np.zeros(size, np.float32)
     face: Int32 = np.empty(size, np.int32)
     focal, centre = _intrinsics(camera)
+    points_cam = transform(part.vertices, np.ascontiguousarray(T_cam_obj, dtype=np.float64))
+    whole = not part.closed or points_cam[:, 2].min() <= near_m
     rasterise(
-        transform(part.vertices, np.ascontiguousarray(T_cam_obj, dtype=np.float64)),
-        part.faces,
+        points_cam,
+        part.faces if whole else facing(points_cam, part.faces),
         focal,
         centre,
         float(near_m),

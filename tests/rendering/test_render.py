@@ -8,6 +8,7 @@ import pytest
 from huepose.geometry import Camera, Mesh, se3
 from huepose.geometry.arrays import Float32
 from huepose.rendering import render, render_depth
+from huepose.rendering.render import is_closed
 
 CAMERA = Camera(600.0, 602.5, 312.9869, 241.3109, 640, 480)
 
@@ -224,3 +225,29 @@ def test_only_asked_channels_are_there() -> None:
     drawn = render([(quad(), se3.make(np.eye(3), np.array([0, 0, 1.0])))], CAMERA, color=False)
     assert drawn.color.size == drawn.normals_cam.size == drawn.points_obj.size == 0
     assert drawn.depth.shape == (480, 640)
+
+
+@pytest.mark.parametrize("distance_m", [0.3, 0.1, 0.06])
+def test_leaving_out_the_far_side_of_a_solid_changes_no_depth(distance_m: float) -> None:
+    """Also where the near plane cuts it open; a surface with a border keeps both sides."""
+    solid = cube()
+    assert is_closed(solid.vertices, solid.faces)
+    assert not is_closed(solid.vertices, solid.faces[:, ::-1])
+    bowl = Mesh(solid.vertices, solid.faces[2:], solid.uv, solid.texture)
+    assert not is_closed(bowl.vertices, bowl.faces)
+    camera = Camera(300.0, 300.0, 79.5, 59.5, 160, 120)
+    for k in range(4):
+        turn = se3.rotation_exp(np.array([0.4 * k, 1.0, 0.3 * k]))
+        T = se3.make(turn, [0.01, 0.0, distance_m])
+        for mesh in (solid, bowl):
+            depth = render_depth(mesh, T, camera)
+            assert (depth > 0).any()
+            assert np.array_equal(depth, render([(mesh, T)], camera, color=False).depth)
+
+
+def cube(half: float = 0.03) -> Mesh:
+    """A solid of eight corners, seen counter-clockwise from outside."""
+    corners = np.array([[x, y, z] for x in (-1, 1) for y in (-1, 1) for z in (-1, 1)], np.float32) * half
+    quads = [(0, 1, 3, 2), (4, 6, 7, 5), (0, 4, 5, 1), (2, 3, 7, 6), (0, 2, 6, 4), (1, 5, 7, 3)]
+    faces = np.array([t for a, b, c, d in quads for t in ((a, b, c), (a, c, d))], np.int32)
+    return Mesh(corners, faces, np.zeros((8, 2), np.float32), np.full((2, 2, 3), 200, np.uint8))

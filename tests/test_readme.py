@@ -7,19 +7,17 @@ from pathlib import Path
 import cv2
 import numpy as np
 
-from huepose.datasets.shapes import demo_objects
 from huepose.geometry import Camera, se3
 from huepose.model import save_model
-from huepose.onboarding import onboard_mesh
 from huepose.rendering.render import render
 
 ROOT = Path(__file__).parents[1]
 
 
-def test_the_library_example_finds_and_tracks_the_object(tmp_path, monkeypatch, capsys):
-    mesh = demo_objects(0)["tea_box"]
+def test_the_library_example_finds_and_tracks_the_object(tea_box, tmp_path, monkeypatch, capsys):
+    mesh = tea_box.mesh
     (tmp_path / "bundles").mkdir()
-    save_model(onboard_mesh(mesh, "tea_box"), tmp_path / "bundles" / "tea_box.huepose")
+    save_model(tea_box, tmp_path / "bundles" / "tea_box.huepose")
     camera = Camera(600.0, 600.0, 319.5, 239.5, 640, 480)
     T_cam_obj = se3.make(
         se3.rotation_exp(np.array([1.7, 0.3, 0.2])),

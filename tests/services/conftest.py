@@ -5,6 +5,7 @@ import socket
 import subprocess
 import sys
 import time
+from contextlib import contextmanager
 
 import cv2
 import numpy as np
@@ -36,7 +37,7 @@ def scene(tmp_path):
     return folder
 
 
-def _free_port_range(count: int) -> int:
+def free_port_range(count: int) -> int:
     """The first of some ports in a row that are free now."""
     rng = np.random.default_rng()
     while True:
@@ -55,7 +56,7 @@ def _free_port_range(count: int) -> int:
 
 @pytest.fixture
 def base_port():
-    return _free_port_range(10)
+    return free_port_range(10)
 
 
 @pytest.fixture
@@ -73,9 +74,9 @@ def pipeline(tmp_path, scene, base_port):
     return write
 
 
-@pytest.fixture
-def huepose():
-    """Starts `huepose` processes and ends those that a test left behind."""
+@contextmanager
+def processes():
+    """A function that starts `huepose` processes; those that are left are ended."""
     processes = []
 
     def start(*arguments):
@@ -86,15 +87,24 @@ def huepose():
         processes.append(process)
         return process
 
-    yield start
-    for process in processes:
-        if process.poll() is None:
-            process.terminate()
-            try:
-                process.wait(5.0)
-            except subprocess.TimeoutExpired:
-                process.kill()
-        process.communicate()
+    try:
+        yield start
+    finally:
+        for process in processes:
+            if process.poll() is None:
+                process.terminate()
+                try:
+                    process.wait(5.0)
+                except subprocess.TimeoutExpired:
+                    process.kill()
+            process.communicate()
+
+
+@pytest.fixture
+def huepose():
+    """Starts `huepose` processes and ends those that a test left behind."""
+    with processes() as start:
+        yield start
 
 
 def _wait_until(condition, timeout_s=10.0):

@@ -1,0 +1,65 @@
+"""A cube in the middle of a picture, a detector that sees what it is told, and what is asked for: shared by
+the tests of those that turn detections into answers."""
+
+import numpy as np
+
+from huepose.geometry import Box, Camera, RgbdFrame
+from huepose_protos.messages import BufferSpec, FrameHeader, PerceptionRequest, Prior, RequestedObject
+from huepose_services.convert import intrinsics_to_wire
+from huepose_services.models import Outline
+from huepose_services.runtime.clock import this_clock
+
+CAMERA = Camera(500.0, 500.0, 320.0, 240.0, 640, 480)
+STAMP = 10_000_000_000
+# Of 10 cm, 1 m away: 50 pixels wide, a little more for its near side.
+CORNERS = np.array([[x, y, z] for x in (-1, 1) for y in (-1, 1) for z in (-1, 1)], np.float32) * 0.05
+MIDDLE = Box(294.0, 214.0, 53.0, 53.0)
+LEFT, RIGHT = Box(50, 200, 60, 60), Box(500, 200, 60, 60)
+
+
+class Seer:
+    """Sees what it was told, of those objects that are asked for, and remembers what was asked."""
+
+    def __init__(self, *detections):
+        self.detections, self.asked = detections, []
+
+    def detect(self, frame, names):
+        self.asked.append(tuple(names))
+        return [d for d in self.detections if d.object in names]
+
+
+def outlines(*names):
+    """Objects that all have the cube's outline."""
+    return {name: Outline(name, 1, CORNERS, 0.17) for name in names}
+
+
+def answer(finder, *objects):
+    """What a finder of boxes answers to a request, having looked at a picture."""
+    finder.look(RgbdFrame(np.zeros((480, 640, 3), np.uint8), np.ones((480, 640), np.float32), CAMERA))
+    header = FrameHeader(
+        publish_ns=STAMP,
+        camera_epoch=1,
+        frame_id=7,
+        capture_ns=STAMP,
+        clock=this_clock(),
+        frame="cam0_color_optical",
+        intrinsics=intrinsics_to_wire(CAMERA, 0.0001),
+        buffers=[BufferSpec(name="color", dtype="uint8", shape=(480, 640, 3), offset=0)],
+    )
+    request = PerceptionRequest(
+        publish_ns=STAMP, seq=1, camera_epoch=1, deadline_ns=STAMP * 2, objects=list(objects)
+    )
+    return finder.find(header, request)
+
+
+def tracked(age_s=0.0):
+    """The cube as instance 3, with the pose that it had so long ago."""
+    prior = Prior(
+        translation=(0.0, 0.0, 1.0), quaternion=(0.0, 0.0, 0.0, 1.0), stamp_ns=STAMP - round(age_s * 1e9)
+    )
+    return RequestedObject(object="cube", instance=3, prior=prior)
+
+
+def new(name="cube", wanted=1):
+    """Instances that have no pose yet."""
+    return RequestedObject(object=name, instance=None, wanted=wanted)

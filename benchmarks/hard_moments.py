@@ -5,6 +5,8 @@
 Draws each moment with the project's own renderer at first use (kept under the cache folder), plays it to a
 new tracker with late perception, and says for all of them: coverage, false TRACKING, how soon a loss is
 declared, how soon an object is back, and how well the stated quality agrees with the share that is right.
+Perception is an oracle with small errors, which also gives the first poses; with `--perception estimate` it
+is the project's own estimator, which has to find the objects first.
 `--long SECONDS` adds a can, a box, a bottle and a marker that are carried about for so long, tracked alone
 from the first frame.
 """
@@ -25,10 +27,12 @@ from huepose.drawing.plots import line_plot, reliability_bins, reliability_plot
 from huepose.evaluation import metrics
 from huepose.evaluation.moments.challenge import challenge
 from huepose.evaluation.moments.film import Film
+from huepose.evaluation.moments.perception import Oracle, OwnEstimates
 from huepose.evaluation.moments.picture import bands
 from huepose.evaluation.moments.play import Played, Told, play
 from huepose.evaluation.moments.scripts import MOMENTS, REST, at_rest, long_run, meshes
 from huepose.evaluation.moments.steadiness import AHEAD_FRAMES, covered, foretold, lag_s, stillness
+from huepose.evaluation.moments.traps import TRAPS
 from huepose.evaluation.pictures import write_picture
 from huepose.evaluation.result_files import write_json
 from huepose.evaluation.states import StateReport, combined, report
@@ -36,6 +40,9 @@ from huepose.evaluation.summary import table
 from huepose.model import ReferenceModel, load_model, save_model
 from huepose.onboarding import onboard_mesh
 from huepose.tracking import Tracker
+
+ALL = {**MOMENTS, **TRAPS}
+PERCEPTION = {"oracle": Oracle, "estimate": OwnEstimates}
 
 SETTLED = 10
 """Frames after which a filter has settled on an object at rest."""
@@ -90,11 +97,14 @@ def main() -> int:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--json", type=Path, required=True)
     parser.add_argument("--plots", type=Path, default=None, help="folder for the pictures")
-    parser.add_argument("--only", nargs="+", default=list(MOMENTS), choices=list(MOMENTS))
+    parser.add_argument("--only", nargs="*", default=list(ALL), choices=list(ALL))
+    parser.add_argument("--perception", choices=list(PERCEPTION), default="oracle")
     parser.add_argument("--long", type=float, default=0.0, metavar="SECONDS", help="add long runs (60)")
     parser.add_argument("--rest", nargs="+", default=[], choices=list(meshes()), help="add objects at rest")
     parser.add_argument("--challenge", action="store_true", help="judge wrong poses too: is quality true?")
-    parser.add_argument("--seed", type=int, nargs="+", default=[0], help="of the errors of late poses")
+    parser.add_argument(
+        "--seed", type=int, nargs="+", default=[0], help="of the errors of late poses, or boxes"
+    )
     parser.add_argument("--cache", type=Path, default=cache_folder() / "moments")
     arguments = parser.parse_args()
     cv2.setNumThreads(1)
@@ -104,11 +114,12 @@ def main() -> int:
     judged: list[tuple[np.ndarray, np.ndarray]] = []
     lines: dict[str, dict[str, object]] = {}
     for name in arguments.only:
-        film = Film(MOMENTS[name](), arguments.cache)
+        film = Film(ALL[name](), arguments.cache)
         if arguments.challenge:
             judged.append(challenge(film, known))
         for seed in arguments.seed:
-            played = play(film, known, _tracker(film, known), seed=seed)
+            perception = PERCEPTION[arguments.perception](film.script, known, seed)
+            played = play(film, known, _tracker(film, known), perception=perception)
             own = [report([t.moment() for t in told]) for told in played.told]
             reports += own
             label = film.script.name + (f", seed {seed}" if len(arguments.seed) > 1 else "")
@@ -117,13 +128,13 @@ def main() -> int:
     drift = {}
     for name in meshes() if arguments.long else ():
         film = Film(long_run(name, arguments.long), arguments.cache)
-        played = play(film, known, _tracker(film, known), reinit=False)
+        played = play(film, known, _tracker(film, known))
         lines[film.script.name] = figures(played, report([t.moment() for t in played.told[0]]))
         drift[name] = played.told[0]
     rest = {}
     for name in arguments.rest:
         film = Film(at_rest(name), arguments.cache)
-        (told,) = play(film, known, _tracker(film, known), reinit=False).told
+        (told,) = play(film, known, _tracker(film, known)).told
         rest[name] = {**asdict(stillness(told[SETTLED:REST])), "lag_ms": 1e3 * lag_s(told[REST:])}
     hard = combined(reports) if reports else None
     every = [t for _, told in rows for t in told if t.pose is not None and t.pose.T_cam_obj is not None]

@@ -1,9 +1,7 @@
-"""A tracker and the re-initialisation loop play a film; perception answers late, nearly with the truth.
+"""A tracker and the re-initialisation loop play a film, as when live.
 
-The loop asks at 5 Hz, as when live; an answer comes when the chain has had its time, and holds what a good
-single-frame estimate would: the true pose with small errors, for objects of which enough is seen, and for a
-tracked object the comparison of that pose with the tracked one. So what is measured is the tracker and the
-loop. The first poses are the truth.
+The loop asks at 5 Hz; an answer comes when the chain has had its time, and is about the frame that was asked
+for.
 """
 
 from __future__ import annotations
@@ -15,26 +13,18 @@ from dataclasses import dataclass, field
 import numpy as np
 from scipy.optimize import linear_sum_assignment
 
-from huepose.estimation.types import PoseEstimate
 from huepose.evaluation import metrics
-from huepose.evaluation.moments.film import Film, Seen, noisy
+from huepose.evaluation.moments.film import Film, Seen
+from huepose.evaluation.moments.perception import Perception, slots_of
 from huepose.evaluation.states import Moment
 from huepose.geometry.arrays import Float64
 from huepose.model.types import ReferenceModel
-from huepose.reinit.association import displacement_m
 from huepose.reinit.loop import ReinitLoop
-from huepose.reinit.types import ObjectSlot, PerceptionResult, Request
+from huepose.reinit.types import PerceptionResult
 from huepose.tracking import Correction, TrackedPose, Tracker
 
 CHAIN_S = 0.35
 """From a request to its answer: the deadline is 0.6 s."""
-
-SHIFT_M, TURN_RAD = 0.002, 0.02
-LEAST_VISIBLE = 0.3
-"""An object of which less is seen is not found."""
-
-SCORE, SCORE_PER_DIAMETER = 1.9, 2.5
-"""Scores of the dense judge: of a right pose, and what is lost per diameter of displacement, up to 1.2."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -74,24 +64,18 @@ def play(
     models: Mapping[str, ReferenceModel],
     tracker: Tracker,
     *,
-    reinit: bool = True,
-    seed: int = 0,
+    perception: Perception | None = None,
     chain_s: float = CHAIN_S,
     on_frame: Callable[[Seen, list[TrackedPose]], None] | None = None,
 ) -> Played:
-    """Track a film from its true first poses. Without `reinit` the tracker is alone after that."""
+    """Track a film. Without `perception` the tracker is alone after the true first poses."""
     objects = film.script.objects
-    slots = [
-        ObjectSlot(name, objects.count(name), models[name].diameter_m, tuple(models[name].equivalents))
-        for name in dict.fromkeys(objects)
-    ]
-    loop = ReinitLoop(objects=slots)
-    rng = np.random.default_rng([seed, 50])
+    loop = ReinitLoop(objects=slots_of(objects, models))
     due: list[tuple[int, PerceptionResult]] = []
     played = Played([[] for _ in objects])
     for seen in film:
         now_ns = seen.frame.stamp_ns
-        if seen.frame.frame_id == 0:
+        if seen.frame.frame_id == 0 and (perception is None or perception.starts_known):
             for k, name in enumerate(objects):
                 tracker.correct(_first(name, objects[:k].count(name), seen, k))
         for item in [d for d in due if d[0] <= now_ns]:
@@ -103,9 +87,12 @@ def play(
         begin = time.process_time()
         poses = tracker.step(seen.frame)
         played.cpu_s.append(time.process_time() - begin)
-        request = loop.tick(now_ns, poses) if reinit else None
-        if request is not None:
-            answer = _answer(request, seen, objects, models, slots, rng)
+        request = None if perception is None else loop.tick(now_ns, poses)
+        if perception is not None and request is not None:
+            found, frame = perception.answer(request, seen), seen.frame
+            answer = PerceptionResult(
+                request.number, frame.epoch, frame.frame_id, frame.stamp_ns, tuple(found)
+            )
             due.append((now_ns + round(chain_s * 1e9), answer))
         for k, told in enumerate(_told(seen, objects, models, poses)):
             played.told[k].append(told)
@@ -127,49 +114,6 @@ def _first(name: str, instance: int, seen: Seen, k: int) -> Correction:
         first.verdict,
         1,
     )
-
-
-def _answer(
-    request: Request,
-    seen: Seen,
-    objects: tuple[str, ...],
-    models: Mapping[str, ReferenceModel],
-    slots: list[ObjectSlot],
-    rng: np.random.Generator,
-) -> PerceptionResult:
-    """What perception would say of a frame."""
-    by_name = {slot.object: slot for slot in slots}
-    found: list[PoseEstimate] = []
-    taken: set[int] = set()
-    for asked in request.objects:
-        slot = by_name[asked.object]
-        prior = None if asked.prior is None else asked.prior.predicted(seen.frame.stamp_ns)
-        mine = [
-            k
-            for k, name in enumerate(objects)
-            if name == asked.object and k not in taken and seen.visib_fract[k] >= LEAST_VISIBLE
-        ]
-        if prior is not None:
-            mine = sorted(mine, key=lambda k: float(np.linalg.norm(seen.T_cam_obj[k][:3, 3] - prior[:3, 3])))[
-                :1
-            ]
-        for k in mine:
-            taken.add(k)
-            T = noisy(seen.T_cam_obj[k], rng, SHIFT_M, TURN_RAD)
-            prior_score = None
-            if prior is not None:
-                off = displacement_m(prior, seen.T_cam_obj[k], slot) / slot.diameter_m
-                prior_score = SCORE - min(SCORE_PER_DIAMETER * max(off - 0.1, 0.0), 1.2)
-            instance = -1 if asked.instance is None else asked.instance
-            covariance = np.diag([SHIFT_M**2] * 3 + [TURN_RAD**2] * 3)
-            found.append(
-                PoseEstimate(
-                    asked.object, instance, True, T, 0.95, "TRACKING", SCORE, 0.3, covariance, None, None,
-                    prior_score, prior, (), 0.1,
-                )
-            )  # fmt: skip
-    frame = seen.frame
-    return PerceptionResult(request.number, frame.epoch, frame.frame_id, frame.stamp_ns, tuple(found))
 
 
 def _told(

@@ -33,7 +33,8 @@ NEVER: Bool = np.zeros(0, bool)
 class Script:
     """stage: its labelled meshes are the objects `objects`; shown, slots (K,): which frame of the stage is
     shown in which thirtieth of a second; holes, blurred (N,) bool or empty: frames of the stage that lose
-    60 % of their depth, or are exposed for the whole frame time; nearest_m: no depth under this distance."""
+    60 % of their depth, or are exposed for the whole frame time; nearest_m: no depth under this distance;
+    decoys: which other meshes of the stage can be taken for which object: (object, number of the mesh)."""
 
     name: str
     objects: tuple[str, ...]
@@ -43,6 +44,7 @@ class Script:
     holes: Bool = field(default_factory=lambda: NEVER)
     blurred: Bool = field(default_factory=lambda: NEVER)
     nearest_m: float = 0.0
+    decoys: tuple[tuple[str, int], ...] = ()
 
 
 def marker(seed: int = 0) -> Mesh:
@@ -81,10 +83,16 @@ def carried(frames: int, phase: float = 0.0, place: tuple[float, float, float] =
 
 
 def _stage(
-    objects: Mapping[str, Mesh], paths: list[Float64], lights: list[Light], others: list[tuple[Mesh, Float64]]
+    objects: Mapping[str, Mesh],
+    paths: list[Float64],
+    lights: list[Light],
+    others: list[tuple[Mesh, Float64]],
+    views: Float64 | None = None,
 ) -> Stage:
-    """The objects, other moving things, and the room. One frame more than is shown: a stage closes."""
+    """The objects, other moving things, and the room, from a camera at rest or with poses `views` (N, 4, 4),
+    T_cam_room. One frame more than is shown: a stage closes."""
     n = len(paths[0])
+    views = np.tile(np.eye(4), (n, 1, 1)) if views is None else views
     standing = _room()
     moving = [*paths, *(path for _, path in others)]
     still = [np.broadcast_to(T, (n, 4, 4)) for _, T in standing]
@@ -94,23 +102,25 @@ def _stage(
         (*objects.values(), *(mesh for mesh, _ in others), *(mesh for mesh, _ in standing)),
         len(objects),
         all_paths,
-        np.tile(np.eye(4), (n + 1, 1, 1)),
+        np.concatenate([views, views[-1:]]),
         (*lights, lights[-1]),
         CAMERA,
     )
 
 
-def _script(name: str, mesh: str, path: Float64, **more: object) -> Script:
+def scripted(name: str, mesh: str, path: Float64, **more: object) -> Script:
     """A script of one object in even light."""
     n = len(path)
     others = more.pop("others", [])
     lights = more.pop("lights", [random_light(np.random.default_rng(9))] * n)
-    stage = _stage({mesh: meshes()[mesh]}, [path], lights, others)  # type: ignore[arg-type]
+    views = more.pop("views", None)
+    stage = _stage({mesh: meshes()[mesh]}, [path], lights, others, views)  # type: ignore[arg-type]
     fields = {"shown": tuple(range(n)), "slots": tuple(range(n)), **more}
     return Script(name, (mesh,), stage, **fields)  # type: ignore[arg-type]
 
 
-def _board(width_m: float, height_m: float) -> Mesh:
+def printed_board(width_m: float, height_m: float) -> Mesh:
+    """A board of 16 mm."""
     rng = np.random.default_rng(12)
     charts = blocks(
         [-width_m / 2, width_m / 2],
@@ -122,7 +132,7 @@ def _board(width_m: float, height_m: float) -> Mesh:
     return printed(charts, [prints.sticker("BOARD", 1)] * len(charts), prints.palette(0.07, rng), rng, 256)
 
 
-def _smooth(frames: int, begin: int, end: int, ramp: int = 6) -> Float64:
+def smooth(frames: int, begin: int, end: int, ramp: int = 6) -> Float64:
     """0, rising to 1 within `ramp` frames before `begin`, and back to 0 after `end`."""
     k = np.arange(frames)
     s = np.clip(np.minimum((k - begin + ramp) / ramp, (end + ramp - k) / ramp), 0.0, 1.0)
@@ -131,29 +141,29 @@ def _smooth(frames: int, begin: int, end: int, ramp: int = 6) -> Float64:
 
 def covered() -> Script:
     """A board hides the object wholly for a second; it moves on meanwhile."""
-    share = _smooth(FRAMES, 60, 90)
+    share = smooth(FRAMES, 60, 90)
     board = np.tile(np.eye(4), (FRAMES, 1, 1))
     board[:, :3, 3] = np.stack([0.45 * (1 - share), np.zeros(FRAMES), np.full(FRAMES, 0.40)], 1)
-    return _script("covered for 1 s", "box", carried(FRAMES), others=[(_board(0.24, 0.24), board)])
+    return scripted("covered for 1 s", "box", carried(FRAMES), others=[(printed_board(0.24, 0.24), board)])
 
 
 def elsewhere() -> Script:
     """The object leaves the image on one side and returns on the other, turned."""
     path = carried(FRAMES)
-    away = _smooth(FRAMES, 60, 84, 10)
+    away = smooth(FRAMES, 60, 84, 10)
     side = np.where(np.arange(FRAMES) < 72, -1.0, 1.0)
     path[:, 0, 3] += 0.42 * away * side
     turned = se3.rotation_exp(np.array([0.0, 1.2, 0.0]))
     path[72:, :3, :3] = path[72:, :3, :3] @ turned
-    return _script("leaves, returns elsewhere", "bottle", path)
+    return scripted("leaves, returns elsewhere", "bottle", path)
 
 
 def hand() -> Script:
     """Something held against the object hides 80 % of it for a second, moving with it."""
-    path, share = carried(FRAMES), _smooth(FRAMES, 60, 90)
+    path, share = carried(FRAMES), smooth(FRAMES, 60, 90)
     palm = np.tile(np.eye(4), (FRAMES, 1, 1))
     palm[:, :3, 3] = path[:, :3, 3] + np.stack([0.02 + 0.3 * (1 - share), 0 * share, -0.1 + 0 * share], 1)
-    return _script("80 % behind a hand for 1 s", "box", path, others=[(_board(0.088, 0.2), palm)])
+    return scripted("80 % behind a hand for 1 s", "box", path, others=[(printed_board(0.088, 0.2), palm)])
 
 
 def light() -> Script:
@@ -165,29 +175,29 @@ def light() -> Script:
         gain=day.gain * np.array([0.5, 0.36, 0.24]),
     )
     lights = [night if 60 <= k < 105 else day for k in range(FRAMES)]
-    return _script("light switched twice", "can", carried(FRAMES), lights=lights)
+    return scripted("light switched twice", "can", carried(FRAMES), lights=lights)
 
 
 def blur() -> Script:
     """Shaken at up to 1.1 m/s in dim light: exposed for the whole frame time, so smeared over 30 pixels."""
     path = carried(FRAMES)
-    shake = _smooth(FRAMES, 55, 95, 10) * 0.06 * np.sin(np.arange(FRAMES) / RATE_HZ * 18.0)
+    shake = smooth(FRAMES, 55, 95, 10) * 0.06 * np.sin(np.arange(FRAMES) / RATE_HZ * 18.0)
     path[:, 0, 3] += shake
     dim = np.zeros(FRAMES + 1, bool)
     dim[45:106] = True
-    return _script("motion blur", "bottle", path, blurred=dim)
+    return scripted("motion blur", "bottle", path, blurred=dim)
 
 
 def frozen() -> Script:
     """The camera repeats one picture 20 times, and goes on where things are then."""
     shown = tuple(60 if 60 <= k < 80 else k for k in range(FRAMES))
-    return _script("20 identical frames", "box", carried(FRAMES), shown=shown)
+    return scripted("20 identical frames", "box", carried(FRAMES), shown=shown)
 
 
 def pause() -> Script:
     """No frames for 300 ms."""
     kept = tuple(k for k in range(FRAMES) if not 60 <= k < 69)
-    return _script("300 ms without frames", "can", carried(FRAMES), shown=kept, slots=kept)
+    return scripted("300 ms without frames", "can", carried(FRAMES), shown=kept, slots=kept)
 
 
 def crossing() -> Script:
@@ -209,28 +219,28 @@ def spinning() -> Script:
     tilt, place = se3.rotation_exp(np.array([1.9, 0.2, 0.3])), np.array([0.0, 0.0, 0.6])
     step = np.array([0.0, 0.0, np.radians(150.0) / RATE_HZ])
     path = np.array([se3.make(tilt @ se3.rotation_exp(step * k), place) for k in range(FRAMES)])
-    return _script("symmetric object turns", "can", path)
+    return scripted("symmetric object turns", "can", path)
 
 
 def holes() -> Script:
     """60 % of the depth is lost in blotches for two seconds."""
     spoiled = np.zeros(FRAMES + 1, bool)
     spoiled[50:110] = True
-    return _script("60 % of depth lost", "box", carried(FRAMES), holes=spoiled)
+    return scripted("60 % of depth lost", "box", carried(FRAMES), holes=spoiled)
 
 
 def near() -> Script:
     """The object comes nearer than the sensor can measure, for a second."""
     path = carried(FRAMES)
-    path[:, 2, 3] -= 0.28 * _smooth(FRAMES, 65, 90, 12)
-    return _script("nearer than minimum depth", "can", path, nearest_m=0.45)
+    path[:, 2, 3] -= 0.28 * smooth(FRAMES, 65, 90, 12)
+    return scripted("nearer than minimum depth", "can", path, nearest_m=0.45)
 
 
 def border() -> Script:
     """The image's border cuts the object in half for a second and a half."""
     path = carried(FRAMES)
-    path[:, 0, 3] += 0.25 * _smooth(FRAMES, 60, 105, 12)
-    return _script("cut by the border", "box", path)
+    path[:, 0, 3] += 0.25 * smooth(FRAMES, 60, 105, 12)
+    return scripted("cut by the border", "box", path)
 
 
 MOMENTS: Mapping[str, Callable[[], Script]] = {
@@ -251,7 +261,7 @@ def at_rest(mesh: str) -> Script:
     path = np.tile(pose, (REST + SECOND, 1, 1))
     t = np.maximum(np.arange(len(path)) - REST + 1, 0) / RATE_HZ
     path[:, 0, 3] += TOP_SPEED_M_S * np.where(t < RISE_S, t**2 / (2 * RISE_S), t - RISE_S / 2)
-    return _script(f"{mesh} at rest", mesh, path)
+    return scripted(f"{mesh} at rest", mesh, path)
 
 
 def long_run(mesh: str, seconds: float = 60.0, seed: int = 0) -> Script:
@@ -260,4 +270,4 @@ def long_run(mesh: str, seconds: float = 60.0, seed: int = 0) -> Script:
     n = round(seconds * RATE_HZ)
     radius = float(np.linalg.norm(meshes()[mesh].vertices, axis=1).max())
     path = object_paths(np.array([radius]), CAMERA, Timing.of(n, RATE_HZ), rng)[0]
-    return _script(f"{mesh}, {seconds:.0f} s", mesh, path)
+    return scripted(f"{mesh}, {seconds:.0f} s", mesh, path)

@@ -12,6 +12,7 @@ import pytest
 from huepose.evaluation.moments import scripts
 from huepose.evaluation.moments.challenge import challenge
 from huepose.evaluation.moments.film import Film, draw
+from huepose.evaluation.moments.perception import Oracle
 from huepose.evaluation.moments.picture import COLOURS, bands, meaning
 from huepose.evaluation.moments.play import Told, play
 from huepose.evaluation.moments.scripts import MOMENTS, Script, carried
@@ -99,7 +100,8 @@ def test_a_covered_object_is_lost_and_comes_back(tea_box, tmp_path: Path) -> Non
     path[1, :5] = path[1, 13:] = path[1, 0]
     script = replace(script, objects=("tea_box",), stage=replace(script.stage, T_room_mesh=path))
     film = Film(short(script, 0, 40), tmp_path)
-    played = play(film, {"tea_box": tea_box}, Tracker({"tea_box": tea_box}))
+    models = {"tea_box": tea_box}
+    played = play(film, models, Tracker(models), perception=Oracle(film.script, models))
     figures = report([t.moment() for t in played.told[0]])
     assert figures.false_tracking_frames == 0
     assert figures.declared_suspect_after_frames is not None

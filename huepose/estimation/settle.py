@@ -28,9 +28,17 @@ WORTH = 0.1
 def settle(
     model: ReferenceModel, frame: RgbdFrame, region: Region, T_cam_obj: Float64
 ) -> tuple[Float64, Alignment, Bool]:
-    """The pose (4, 4) after a last robust fit to the depth of its own visible pixels, which is left out when
-    the print objects, and then to the edges of its print; how the fit to depth went, and the mask (H, W) of
-    these pixels."""
+    """The pose (4, 4) after `settle_on_depth` and then on the edges of its print; how the fit to depth went,
+    and the mask (H, W) of the visible pixels."""
+    fit, mask = settle_on_depth(model, frame, region, T_cam_obj)
+    return laid_on_edges(model, frame, mask, fit.T_cam_obj), fit, mask
+
+
+def settle_on_depth(
+    model: ReferenceModel, frame: RgbdFrame, region: Region, T_cam_obj: Float64
+) -> tuple[Alignment, Bool]:
+    """A last robust fit of the pose (4, 4) to the depth of its own visible pixels, and their mask (H, W). Of
+    no iterations when the print objects."""
     tolerance = 1.5 * region.tolerance_m
     mask = visible_mask(model, frame, T_cam_obj, tolerance)
     points = _points(frame, mask)
@@ -40,7 +48,7 @@ def settle(
         fit = align(model.surface, model.grid, points, T_cam_obj, GATE_M, GATE_M, 0)
     else:
         mask = visible_mask(model, frame, fit.T_cam_obj, tolerance)
-    return laid_on_edges(model, frame, mask, fit.T_cam_obj), fit, mask
+    return fit, mask
 
 
 def _points(frame: RgbdFrame, mask: Bool) -> Float64:

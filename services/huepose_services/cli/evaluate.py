@@ -235,17 +235,32 @@ def _add_pairs(verbs: Any) -> None:
         help="colour pairs, step by step",
         description="What colour pairs are worth on rendered views, where the answer is known: how many are "
         "found again, how well their similarity tells places apart, which triangles vote right, from how far "
-        "semantic ICP comes home; and the picture of their classes on real frames.",
+        "semantic ICP comes home; the picture of their classes on real frames; and what they give in the "
+        "full method, place by place, on labelled scenes.",
     )
     parser.add_argument(
         "study",
         nargs="?",
-        choices=("repeatability", "similarity", "triangles", "icp", "figure"),
-        help="only this one (default: all; figure only with --bop)",
+        choices=("repeatability", "similarity", "triangles", "icp", "figure", "places"),
+        help="only this one (default: all; figure and places only with --bop)",
     )
     _common(parser)
     _objects(parser)
     parser.add_argument("--views", type=int, default=3, metavar="N", help="rendered views of each object (3)")
-    parser.add_argument("--seed", type=int, default=0, metavar="N", help="of views and disturbances (0)")
-    parser.add_argument("--bop", type=Path, nargs="+", metavar="SCENE_DIR", help="real frames for the figure")
+    parser.add_argument(
+        "--seed", type=int, nargs="+", default=[0], metavar="N", help="of views, disturbances and boxes (0)"
+    )
+    parser.add_argument(
+        "--bop", type=Path, nargs="+", metavar="SCENE_DIR", help="frames for the figure and the places"
+    )
+    parser.add_argument(
+        "--min-visib", type=float, default=0.3, metavar="F", help="of labels, for the places (0.3)"
+    )
+    parser.add_argument(
+        "--equivalent",
+        type=Path,
+        default=None,
+        metavar="FILE",
+        help="poses that count as the labelled one does, for the places",
+    )
     parser.add_argument("--plots", type=Path, default=None, metavar="DIR", help="curves and pictures")

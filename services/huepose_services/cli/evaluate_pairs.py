@@ -1,4 +1,4 @@
-"""`huepose eval pairs`: what colour pairs are worth, step by step, on rendered views of the objects."""
+"""`huepose eval pairs`: what colour pairs are worth, step by step, and place by place in the full method."""
 
 from __future__ import annotations
 
@@ -8,6 +8,7 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
+from huepose.evaluation.equivalents import read_equivalents
 from huepose.evaluation.pictures import write_picture
 from huepose.evaluation.result_files import write_json
 from huepose.evaluation.targets import Targets
@@ -16,14 +17,16 @@ from huepose.model import ReferenceModel, load_models
 from huepose.support.errors import InputError
 from huepose_services.cli.evaluate_scenes import open_bop
 
-STUDIES = ("repeatability", "similarity", "triangles", "icp", "figure")
+STUDIES = ("repeatability", "similarity", "triangles", "icp", "figure", "places")
+ON_SCENES = ("figure", "places")
 
 
 def call(arguments: argparse.Namespace) -> int:
     """Run the studies, print their tables, write the record and the pictures."""
     models = load_models(arguments.bundles)
     chosen = {m.name: m for m in Targets(models, arguments.objects).models if len(m.pairs.points)}
-    wanted = [arguments.study] if arguments.study else [s for s in STUDIES if s != "figure" or arguments.bop]
+    every = [s for s in STUDIES if s not in ON_SCENES or arguments.bop]
+    wanted = [arguments.study] if arguments.study else every
     record: dict[str, Any] = {"objects": sorted(chosen), "views": arguments.views, "seed": arguments.seed}
     for study in wanted:
         print(f"-- {study}")
@@ -36,7 +39,7 @@ def _repeatability(arguments: argparse.Namespace, models: Mapping[str, Reference
     from huepose.evaluation.colorpairs.repeatability import repeatability
     from huepose.evaluation.colorpairs.report import repeatability_lines, repeatability_picture
 
-    rows = repeatability(models, arguments.views, arguments.seed)
+    rows = repeatability(models, arguments.views, arguments.seed[0])
     print("\n".join(repeatability_lines(rows)))
     _save(arguments, "repeatability.png", repeatability_picture(rows))
     return [asdict(r) for r in rows]
@@ -46,7 +49,7 @@ def _similarity(arguments: argparse.Namespace, models: Mapping[str, ReferenceMod
     from huepose.colorpair.similarity import SimilarityConfig
     from huepose.evaluation.colorpairs.similarity_fit import fitted_similarity, labelled_pairs, quality_of
 
-    fit, held_out = (labelled_pairs(models, arguments.views, arguments.seed + k) for k in (0, 1))
+    fit, held_out = (labelled_pairs(models, arguments.views, arguments.seed[0] + k) for k in (0, 1))
     now = SimilarityConfig()
     best, tried = fitted_similarity(fit, now)
     out: dict[str, Any] = {"tried": [{"name": n, "value": v, "area": a} for n, v, a in tried]}
@@ -62,7 +65,7 @@ def _similarity(arguments: argparse.Namespace, models: Mapping[str, ReferenceMod
 def _triangles(arguments: argparse.Namespace, models: Mapping[str, ReferenceModel]) -> Any:
     from huepose.evaluation.colorpairs.triangle_fit import triangle_scenes, triangle_shares
 
-    rows = triangle_shares(triangle_scenes(models, arguments.views, arguments.seed))
+    rows = triangle_shares(triangle_scenes(models, arguments.views, arguments.seed[0]))
     print("weight of area  of eccentricity  % of the vote right")
     for row in rows:
         print(f"{row.area:14g} {row.eccentricity:16g} {100 * row.right:20.1f}")
@@ -74,7 +77,9 @@ def _icp(arguments: argparse.Namespace, models: Mapping[str, ReferenceModel]) ->
     from huepose.evaluation.colorpairs.report import basin_lines, basin_picture
     from huepose.evaluation.colorpairs.triangle_fit import triangle_scenes
 
-    rows = basins(triangle_scenes(models, arguments.views, arguments.seed), METHODS, seed=arguments.seed)
+    rows = basins(
+        triangle_scenes(models, arguments.views, arguments.seed[0]), METHODS, seed=arguments.seed[0]
+    )
     print("\n".join(basin_lines(rows)))
     _save(arguments, "icp_basin.png", basin_picture(rows))
     return [asdict(r) for r in rows]
@@ -99,6 +104,19 @@ def _figure(arguments: argparse.Namespace, models: Mapping[str, ReferenceModel])
         raise InputError("the figure", found="no label of these objects that is 80 % visible")
     _save(arguments, "classes.png", class_figure(list(rows.items())))
     return sorted(rows)
+
+
+def _places(arguments: argparse.Namespace, models: Mapping[str, ReferenceModel]) -> Any:
+    from huepose.evaluation.colorpairs.place_study import figures_of, place_lines, study_places
+
+    if not arguments.bop:
+        raise InputError("the places", found="no scenes", fix="Give labelled scenes with --bop.")
+    equivalents = read_equivalents(arguments.equivalent) if arguments.equivalent else {}
+    targets = Targets(models, arguments.objects)
+    rows = study_places(open_bop(arguments.bop), targets, equivalents, arguments.min_visib, arguments.seed)
+    figures = figures_of(rows)
+    print(place_lines(figures))
+    return {"figures": [asdict(f) for f in figures], "rows": [asdict(r) for r in rows]}
 
 
 def _save(arguments: argparse.Namespace, name: str, picture: UInt8) -> None:

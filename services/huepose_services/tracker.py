@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import gc
 from dataclasses import replace
 
 from huepose.model import ReferenceModel
@@ -38,6 +39,9 @@ def make(bus: Bus, config: Config) -> TrackerWork:
     )
     tracker = Tracker(known, settings, networks.relative_pose(config))
     tracker.warm_up()
+    # All that is loaded by now stays: to look through it for rubbish would take longer than two frames.
+    gc.collect()
+    gc.freeze()
     follower = Follower(bus, lambda name: models.load_one(config, name), known, remembers=True)
     return TrackerWork(bus, tracker, follower, config)
 

@@ -53,7 +53,6 @@ def settle_on_depth(
 
 def _points(frame: RgbdFrame, mask: Bool) -> Float64:
     """At most POINTS evenly strided points (N, 3), camera axes, of mask pixels that have depth."""
-    rows, columns = np.nonzero(mask & (frame.depth > 0))
-    stride = max(1, -(-len(rows) // POINTS))
-    rows, columns = rows[::stride], columns[::stride]
+    flat = np.flatnonzero(mask & (frame.depth > 0))
+    rows, columns = np.divmod(flat[:: max(1, -(-len(flat) // POINTS))], mask.shape[1])
     return frame.camera.backproject(np.stack([columns, rows], -1), frame.depth[rows, columns])

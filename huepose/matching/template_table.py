@@ -26,6 +26,10 @@ STEPS, RELIEF_STEPS = 100.0, 10.0
 ROLL_STRIDE = 2
 """Every other roll is compared at the first look; those between are known by their neighbours."""
 
+THIN = 12
+"""An object whose views cover fewer larger cells than this in the mean is compared in all rolls: half a step
+aside, its neighbours hardly overlap with it."""
+
 
 @dataclass(frozen=True, eq=False)
 class TemplateTable:
@@ -68,7 +72,8 @@ def build_table(
     side = planes.shape[-1]
     starts, places, listed = _listed(planes)
 
-    stride = ROLL_STRIDE if rolls % ROLL_STRIDE == 0 and not whole else 1
+    thin = len(places) < THIN * side * side / COARSE_SIDE**2 * len(planes)
+    stride = 1 if whole or thin or rolls % ROLL_STRIDE else ROLL_STRIDE
     planes = planes[::stride]  # rolls are the inner count, a multiple of the stride
     planes[:, :4] *= planes[:, 4:]  # the mean over a larger cell is weighted by coverage
     mean = _averaging(side)

@@ -24,8 +24,13 @@ COLOR_SCALES_M = (0.0010, 0.0035)
 SATURATED = 250
 """A channel at or over this says nothing of the colour any more."""
 
+HALVED_FROM_PX = 2.0
+"""Smoothing from which half the resolution will do."""
+
 OUTSIDE_WEIGHT = 0.02
 MASK_POINTS = 500
+
+_LINEAR = linear_rgb(np.arange(256, dtype=np.uint8))
 
 
 @dataclass(frozen=True, eq=False)
@@ -146,28 +151,53 @@ def _masked_colors(crop: Crop, belief: Float32, depth_m: float) -> Float32:
     """Opponent colours smoothed at both scales; a pixel that is not believed counts little, so that inside
     the mask colours are the mask's, and outside those of the place."""
     weight = np.maximum(belief, np.float32(OUTSIDE_WEIGHT))
-    weighted = _weighted(linear_rgb(crop.color), weight)
-    out = np.empty((*belief.shape, 6), np.float32)
-    log = np.empty((3, *belief.shape), np.float32)
-    for scale, sigma_m in enumerate(COLOR_SCALES_M):
-        sigma = max(0.5, sigma_m / depth_m * crop.camera.fx)
-        smooth = np.asarray(cv2.GaussianBlur(weighted, (0, 0), sigma), dtype=np.float32)
-        _brightened(smooth, log)
-        np.log(log, out=log)
-        _opposed(log, 3 * scale, out)
+    sigmas = [max(0.5, sigma_m / depth_m * crop.camera.fx) for sigma_m in COLOR_SCALES_M]
+    return smoothed_opponents(crop.color, weight, sigmas)
+
+
+def smoothed_opponents(color: UInt8, weight: Float32, sigmas_px: Sequence[float]) -> Float32:
+    """Opponents (h, w, 3 for each sigma) of a picture (h, w, 3) whose linear colours are averaged under a
+    Gaussian, each pixel with its weight (h, w), over 0."""
+    weighted = _weighted(color, _LINEAR, weight)
+    out = np.empty((*weight.shape, 3 * len(sigmas_px)), np.float32)
+    for scale, sigma in enumerate(sigmas_px):
+        if sigma < HALVED_FROM_PX:
+            _opposed(_smoothed(weighted, sigma), 3 * scale, out)
+        else:
+            out[..., 3 * scale : 3 * scale + 3] = _smoothed_at_half(weighted, sigma)
     return out
 
 
+def _smoothed_at_half(weighted: Float32, sigma: float) -> Float32:
+    """Opponents (h, w, 3) of weighted colours smoothed by `sigma` pixels, by way of half the resolution."""
+    height, width = weighted.shape[:2]
+    half = cv2.resize(weighted, ((width + 1) // 2, (height + 1) // 2), interpolation=cv2.INTER_AREA)
+    # Averaging pairs and reading between the means smooth as well, with about this variance together.
+    log = _smoothed(np.asarray(half, dtype=np.float32), 0.5 * float(np.sqrt(sigma * sigma - 0.75)))
+    small = np.empty((*log.shape[1:], 3), np.float32)
+    _opposed(log, 0, small)
+    return np.asarray(cv2.resize(small, (width, height), interpolation=cv2.INTER_LINEAR), dtype=np.float32)
+
+
+def _smoothed(weighted: Float32, sigma: float) -> Float32:
+    """Logarithms (3, h, w) of the weighted mean of colours (h, w, 4) over `sigma` pixels, plus DARKEST."""
+    smooth = np.asarray(cv2.GaussianBlur(weighted, (0, 0), sigma), dtype=np.float32)
+    log = np.empty((3, *weighted.shape[:2]), np.float32)
+    _brightened(smooth, log)
+    np.log(log, out=log)
+    return log
+
+
 @jit_dividing
-def _weighted(linear: Float32, weight: Float32) -> Float32:
-    """Colours (h, w, 3) times weights (h, w), and the weights behind them: (h, w, 4)."""
+def _weighted(color: UInt8, linear: Float32, weight: Float32) -> Float32:
+    """Linear values of colours (h, w, 3) times weights (h, w), and the weights behind them: (h, w, 4)."""
     height, width = weight.shape
     out = np.empty((height, width, 4), np.float32)
     for v in range(height):
         for u in range(width):
             w = weight[v, u]
-            out[v, u, 0], out[v, u, 1] = linear[v, u, 0] * w, linear[v, u, 1] * w
-            out[v, u, 2], out[v, u, 3] = linear[v, u, 2] * w, w
+            out[v, u, 0], out[v, u, 1] = linear[color[v, u, 0]] * w, linear[color[v, u, 1]] * w
+            out[v, u, 2], out[v, u, 3] = linear[color[v, u, 2]] * w, w
     return out
 
 
@@ -207,8 +237,8 @@ def _believed_points(crop: Crop, belief: Float32) -> tuple[Float64, Float64]:
 def sampled_points(crop: Crop, mask: Bool, count: int) -> tuple[Float64, Int64, Int64]:
     """At most `count` camera-frame points (N, 3) of the pixels with depth of a mask (h, w) of the crop, in
     random order, with their rows (N,) and columns (N,)."""
-    rows, columns = np.nonzero(mask & (crop.depth > 0))
-    keep = np.random.default_rng(len(rows)).permutation(len(rows))[:count]
-    rows, columns = rows[keep], columns[keep]
+    flat = np.flatnonzero(mask & (crop.depth > 0))
+    chosen = np.random.default_rng(len(flat)).choice(flat, min(count, len(flat)), replace=False)
+    rows, columns = np.divmod(chosen, crop.depth.shape[1])
     points = crop.camera.backproject(np.stack([columns, rows], -1), crop.depth[rows, columns])
     return points, rows, columns

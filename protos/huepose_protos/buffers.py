@@ -19,14 +19,14 @@ Array = NDArray[Any]
 def pack(arrays: Mapping[str, Array]) -> tuple[list[BufferSpec], bytes]:
     """Specs and payload of named arrays (uint8, uint16, int32 or float32), in their order."""
     specs: list[BufferSpec] = []
-    parts: list[Array] = []
+    parts: list[memoryview] = []
     offset = 0
     for name, array in arrays.items():
         little = np.ascontiguousarray(array, dtype=array.dtype.newbyteorder("<"))
         specs.append(
             BufferSpec(name=name, dtype=array.dtype.name, shape=list(array.shape), offset=offset)  # type: ignore[arg-type]
         )
-        parts.append(little)
+        parts.append(little.data)
         offset += little.nbytes
     if offset > MAX_PAYLOAD:
         raise WireError(f"payload of {offset} bytes is over {MAX_PAYLOAD}")

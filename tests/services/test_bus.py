@@ -13,10 +13,10 @@ from huepose_protos.examples import images, messages
 from huepose_protos.messages import FrameHeader, ObjectsMessage, PoseMessage
 from huepose_services.following import Memory, recall
 from huepose_services.runtime.bus import Bus
-from huepose_services.runtime.config import BusConfig, Config
+from huepose_services.runtime.config import CHAIN, BusConfig, Config
 from huepose_services.runtime.health import Health
 from huepose_services.runtime.log import Log
-from huepose_services.runtime.session import MIB, lock_limit, open_worker_session, pool_fits
+from huepose_services.runtime.session import MIB, lock_limit, open_worker_session, pool_fits, pool_size
 
 pytestmark = pytest.mark.live
 
@@ -175,3 +175,10 @@ def test_the_list_of_objects_is_remembered_for_who_comes_back(buses):
     message = next(m for m in messages() if isinstance(m, ObjectsMessage))
     memory.keep(message)
     assert recall(camera) == message.objects
+
+
+def test_without_a_limit_the_pool_grows_with_its_readers():
+    watched = Config(workers=(*CHAIN, "viewer"))
+    assert pool_size(Config(), 8 * MIB) == pool_size(Config(), None) == 6 * MIB
+    assert pool_size(watched, 8 * MIB) == 6 * MIB
+    assert pool_size(watched, None) == 9 * MIB

@@ -38,9 +38,10 @@ def call(arguments: argparse.Namespace) -> int:
 
 
 def _way_of_frames(config: Config) -> str:
-    from huepose_services.runtime.session import MIB, lock_limit, pool_fits
+    from huepose_services.runtime.session import MIB, lock_limit, pool_fits, pool_size
 
-    pool, limit = config.bus.frame_pool_mib, lock_limit()
+    limit = lock_limit()
+    pool = pool_size(config, limit) / MIB
     if pool == 0:
         return "by TCP, as bus.frame_pool_mib is 0"
     kib = "no limit" if limit is None else f"limit {limit // 1024} KiB"

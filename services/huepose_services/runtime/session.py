@@ -50,6 +50,14 @@ def pool_fits(pool_bytes: int, limit: int | None, pools: int = 1) -> bool:
     return limit is None or pools * (pool_bytes + _POOL_OVERHEAD) + _LINK_OVERHEAD <= limit
 
 
+def pool_size(config: Config, limit: int | None) -> int:
+    """Bytes of the camera's pool: as configured, which serves two readers of frames; half as much again for
+    each further one where a process may lock as much as it likes."""
+    configured = int(config.bus.frame_pool_mib * MIB)
+    readers = sum(worker in config.workers for worker in FRAME_WORKERS if worker != "camera")
+    return configured if limit is not None else configured * max(2, readers) // 2
+
+
 def restarts() -> int:
     """How often the supervisor has started this worker again."""
     text = os.environ.get(RESTARTS, "")
@@ -90,9 +98,9 @@ def zenoh_config(
 def open_worker_session(config: Config, worker: str) -> tuple[zenoh.Session, list[str]]:
     """The session of a worker, and warnings for its health. Raises InputError when its port is taken."""
     warnings: list[str] = []
-    pool = int(config.bus.frame_pool_mib * MIB)
-    shared = pool > 0 and worker in FRAME_WORKERS
     limit = lock_limit()
+    pool = pool_size(config, limit)
+    shared = pool > 0 and worker in FRAME_WORKERS
     if shared and not pool_fits(pool, limit):
         shared = False
         warnings.append(

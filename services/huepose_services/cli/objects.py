@@ -65,8 +65,8 @@ def call(arguments: argparse.Namespace) -> int:
     except msgspec.ValidationError as error:
         raise InputError(
             arguments.action,
-            found=f"{message['object']}, box {box}" if box else str(message["object"]),
-            expected="a name of a-z, 0-9, _ and -, and a box with sides that are not negative",
+            found=f"{message['object']}, {message['max_instances']} of it" + (f", box {box}" if box else ""),
+            expected="a name of a-z, 0-9, _ and -, 1 to 64 of it, a box with sides that are not negative",
         ) from error
     pipeline = chosen(arguments)
     reply = ask(pipeline, request)

@@ -16,7 +16,7 @@ import numpy as np
 import torch
 from torch import Tensor
 from torch.optim.swa_utils import AveragedModel
-from torch.utils.data import IterableDataset, get_worker_info
+from torch.utils.data import IterableDataset
 
 from huepose.drawing.plots import line_plot
 from huepose.geometry import Mesh
@@ -27,7 +27,14 @@ from huepose.training.detector_loss import detector_loss
 from huepose.training.detector_network import Exported, SmallYolo
 from huepose.training.detector_score import DetectorScore, score
 from huepose.training.pictures import LabelledPicture, endless_pictures
-from huepose.training.runs import Course, endless_loader, load_checkpoint, rate_factor, save_checkpoint
+from huepose.training.runs import (
+    Course,
+    endless_loader,
+    load_checkpoint,
+    rate_factor,
+    save_checkpoint,
+    stream_number,
+)
 
 VALIDATION_STREAM = 1_000_000
 LEAST_SCORE = 0.02
@@ -61,8 +68,7 @@ class _Endless(IterableDataset[Batch]):
         self.things, self.config, self.round = things, config, round_number
 
     def __iter__(self) -> Iterator[Batch]:
-        worker = get_worker_info()
-        stream = 1 + self.round * 64 + (0 if worker is None else worker.id)
+        stream = stream_number(self.round)
         cv2.setNumThreads(1)
         pictures = endless_pictures(self.things, self.config.input_size, self.config.seed, stream)
         while True:

@@ -15,7 +15,7 @@ import cv2
 import numpy as np
 import torch
 from torch import Tensor
-from torch.utils.data import IterableDataset, get_worker_info
+from torch.utils.data import IterableDataset
 
 from huepose.drawing.plots import line_plot
 from huepose.geometry.arrays import Float
@@ -23,7 +23,14 @@ from huepose.support.progress import progress
 from huepose.tracking.canonical import FEATURES
 from huepose.tracking.rotation_network import POINTS, Kind
 from huepose.training.network import AttentionDgcnn, geodesic
-from huepose.training.runs import Course, endless_loader, load_checkpoint, rate_factor, save_checkpoint
+from huepose.training.runs import (
+    Course,
+    endless_loader,
+    load_checkpoint,
+    rate_factor,
+    save_checkpoint,
+    stream_number,
+)
 from huepose.training.samples import RotationSample, endless
 
 VALIDATION_STREAM = 1_000_000
@@ -54,8 +61,7 @@ class _Endless(IterableDataset[tuple[Tensor, Tensor, Tensor]]):
         self.config, self.round = config, round_number
 
     def __iter__(self) -> Iterator[tuple[Tensor, Tensor, Tensor]]:
-        worker = get_worker_info()
-        stream = 1 + self.round * 64 + (0 if worker is None else worker.id)
+        stream = stream_number(self.round)
         cv2.setNumThreads(1)
         samples = endless(self.config.seed, stream, self.config.kind)
         rng = np.random.default_rng([self.config.seed, stream, 1])

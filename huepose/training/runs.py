@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import math
+import signal
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any
 
 import torch
-from torch.utils.data import DataLoader, IterableDataset
+from torch.utils.data import DataLoader, IterableDataset, get_worker_info
 
 from huepose.support.errors import InputError
 
@@ -36,6 +37,15 @@ def endless_loader(batches: IterableDataset[Any], workers: int) -> DataLoader[An
     hold locks of threads that it has not copied."""
     context = "spawn" if workers else None
     return DataLoader(batches, batch_size=None, num_workers=workers, multiprocessing_context=context)
+
+
+def stream_number(round_number: int) -> int:
+    """Which stream of samples the process that asks has to draw in this round of a training. A worker that
+    asks also leaves Ctrl-C to the process that trains."""
+    worker = get_worker_info()
+    if worker is not None:
+        signal.signal(signal.SIGINT, signal.SIG_IGN)
+    return 1 + round_number * 64 + (0 if worker is None else worker.id)
 
 
 def save_checkpoint(out: Path, kind: str, course: Course, parts: Mapping[str, Any]) -> None:

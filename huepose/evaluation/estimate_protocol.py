@@ -10,6 +10,7 @@ from typing import Literal, Protocol
 import numpy as np
 
 from huepose.datasets.types import GroundTruth, Sample, Scene
+from huepose.estimation.present import Presence
 from huepose.estimation.types import ObjectQuery, PoseEstimate
 from huepose.estimation.verdict import standing
 from huepose.evaluation.boxes import Disturbance, disturbed, projected_box, truth_box
@@ -73,9 +74,11 @@ def evaluate_estimates(
     *,
     equivalents: Mapping[Key, Sequence[Float64]] | None = None,
     detector: Detector | None = None,
+    presence: Presence | None = None,
     on_frame: Callable[[Sample, list[EstimateRow]], None] | None = None,
 ) -> EstimateResult:
     """Run the estimator over all labelled images of the scenes. `on_frame` sees each frame with its rows.
+    `presence`: says which answers in a detector's boxes stand; their quality does without it.
 
     Raises InputError when nothing is labelled, or `boxes` is `detect` without a detector."""
     if options.boxes == "detect" and detector is None:
@@ -94,7 +97,7 @@ def evaluate_estimates(
         for seed in options.seeds:
             run = _FrameRun(sample, labels, targets, options, seed, equivalents or {})
             if detector is not None and options.boxes == "detect":
-                new, wrong = run.detected(estimator, detector)
+                new, wrong = run.detected(estimator, detector, presence)
                 false += wrong
             else:
                 new = run.boxed(estimator)
@@ -191,7 +194,7 @@ class _FrameRun:
         return ObjectQuery(label.model.name, box=box, masks=masks, instance=truth.instance)
 
     def detected(
-        self, estimator: PoseEstimator, detector: Detector
+        self, estimator: PoseEstimator, detector: Detector, presence: Presence | None
     ) -> tuple[list[EstimateRow], list[FalsePose]]:
         """Every object is asked for; the poses that stand are matched to the labels of their object."""
         start = time.perf_counter()
@@ -199,7 +202,8 @@ class _FrameRun:
         detections = detector.detect(self.sample.frame, names)
         queries = [ObjectQuery(d.object, box=d.box, instance=i) for i, d in enumerate(detections)]
         answers = estimator.estimate(self.sample.frame, queries) if queries else []
-        answers = standing(answers, log_odds=[d.log_odds for d in detections])
+        chances = [a.quality for a in answers] if presence is None else presence(self.sample.frame, answers)
+        answers = standing(answers, chances)
         seconds = time.perf_counter() - start
         taken, spare = assigned(answers, self.labels, self._box_of)
         rows = [

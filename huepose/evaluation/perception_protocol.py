@@ -10,8 +10,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from huepose.datasets.types import GroundTruth, Sample, Scene
+from huepose.estimation.present import Presence
 from huepose.estimation.types import ObjectQuery, PoseEstimate
-from huepose.estimation.verdict import ACCEPTED, standing
+from huepose.estimation.verdict import PRESENT, standing
 from huepose.evaluation.boxes import disturbed, truth_box
 from huepose.evaluation.estimate_protocol import PoseEstimator
 from huepose.evaluation.perception_rows import FalseBox, FrameFigures, PerceptionResult, PerceptionRow
@@ -29,12 +30,14 @@ SAME = 0.5
 
 @dataclass(frozen=True)
 class PerceptionOptions:
-    """judged: most proposals of one object that the estimator looks at; accepted: quality from which a pose
-    stands; min_visib: labels under it are neither asked for nor false; onboarded: numbers of objects that are
-    asked for; subsets: how many random choices of each number; masks: whether outlines are measured."""
+    """judged: most proposals of one object that the estimator looks at; least: score of a proposal that is
+    worth it; accepted: probability that the object is there from which a pose stands; min_visib: labels under
+    it are neither asked for nor false; onboarded: numbers of objects that are asked for; subsets: how many
+    random choices of each number; masks: whether outlines are measured."""
 
     judged: int = 2
-    accepted: float = ACCEPTED
+    least: float = 0.0
+    accepted: float = PRESENT
     min_visib: float = 0.3
     onboarded: tuple[int, ...] = (5, 10, 20)
     subsets: int = 10
@@ -60,9 +63,11 @@ def evaluate_perception(
     estimator: PoseEstimator,
     options: PerceptionOptions,
     *,
+    presence: Presence | None = None,
     on_frame: Callable[[Sample, FrameFigures], None] | None = None,
 ) -> PerceptionResult:
-    """Ask for all objects of `targets` in all labelled images. `on_frame` sees each frame with its figures.
+    """Ask for all objects of `targets` in all labelled images. `presence` says which of the answers stand;
+    their quality does without it. `on_frame` sees each frame with its figures.
 
     Raises InputError when nothing is labelled."""
     frames = []
@@ -73,7 +78,9 @@ def evaluate_perception(
         sample = Sample(scene.frame(image), truths, scene.name, image)
         labels = _labels(sample, targets)
         if labels:
-            figures = _frame(sample, labels, names, targets, detector, segmenter, estimator, options)
+            figures = _frame(
+                sample, labels, names, targets, detector, segmenter, estimator, options, presence
+            )
             frames.append(figures)
             if on_frame is not None:
                 on_frame(sample, figures)
@@ -108,13 +115,15 @@ def _frame(
     segmenter: Segmenter,
     estimator: PoseEstimator,
     options: PerceptionOptions,
+    presence: Presence | None,
 ) -> FrameFigures:
     start = time.perf_counter()
     detections = detector.detect(sample.frame, names)
     found_s = time.perf_counter() - start
-    judged = _best(detections, options.judged)
+    judged = _best([d for d in detections if d.score >= options.least], options.judged)
     queries = [ObjectQuery(d.object, box=d.box, instance=i) for i, d in enumerate(judged)]
     answers = estimator.estimate(sample.frame, queries) if queries else []
+    chances = [a.quality for a in answers] if presence is None else presence(sample.frame, answers)
     seconds = time.perf_counter() - start
     by_object = {name: [d for d in detections if d.object == name] for name in names}
     rows = [
@@ -124,8 +133,8 @@ def _frame(
     ]
 
     def verdict(asked: Sequence[str]) -> tuple[dict[int, PoseEstimate], list[FalseBox]]:
-        mine = [(a, d.log_odds) for a, d in zip(answers, judged, strict=True) if a.object in set(asked)]
-        poses = standing([a for a, _ in mine], options.accepted, [x for _, x in mine])
+        mine = [(a, p) for a, p in zip(answers, chances, strict=True) if a.object in set(asked)]
+        poses = standing([a for a, _ in mine], [p for _, p in mine], options.accepted)
         return _assigned(sample, poses, labels, targets, options)
 
     return FrameFigures(sample.scene, sample.image, rows, names, verdict, found_s, seconds)

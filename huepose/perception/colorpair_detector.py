@@ -11,6 +11,7 @@ from __future__ import annotations
 
 import threading
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 
 import numpy as np
 
@@ -19,9 +20,10 @@ from huepose.geometry.camera import Camera
 from huepose.geometry.frame import RgbdFrame
 from huepose.model.named import model_named
 from huepose.model.types import ReferenceModel
-from huepose.perception.clear_view import clear_view
+from huepose.perception.clear_view import ClearView, clear_view
 from huepose.perception.contest import contested
-from huepose.perception.scouting import propose
+from huepose.perception.presence import presences, probability
+from huepose.perception.scouting import Proposal, propose
 from huepose.perception.types import Detection
 from huepose.perception.window_table import WindowTable, window_table
 from huepose.rendering.render import render
@@ -31,15 +33,14 @@ PROPOSALS = 2
 POOL = 6
 """Places of each object that compete with those of the others."""
 
-MIN_SCORE = 0.6
-EVEN_SCORE, LOG_ODDS = 1.1, 3.0
-"""A place of this score is as likely the object as not; the log odds that each unit of score adds."""
+MIN_SCORE = 0.02
 
 
 class ColorPairDetector:
     """Finds known objects in whole frames by their reference models alone. Keeps nothing of a frame.
 
-    proposals: most boxes of one object; min_score: places under this are not worth a look.
+    proposals: most boxes of one object; min_score: places that are the object's with less than this
+    probability are not worth a look.
     """
 
     def __init__(
@@ -77,15 +78,23 @@ class ColorPairDetector:
             return []
         most = max(self._proposals, POOL) if len(names) > 1 else self._proposals
         places = {name: propose(self._model(name), self._table(name), view, most) for name in names}
+        with stage("presence"):
+            places = self._rated(view, places)
         with stage("contest"):
             places = contested(places)
         found = [
-            Detection(name, p.box, p.score, p.T_cam_obj, LOG_ODDS * (p.score - EVEN_SCORE))
+            Detection(name, p.box, float(probability(np.float64(p.score))), p.T_cam_obj)
             for name, mine in places.items()
             for p in mine[: self._proposals]
-            if p.score >= self._min_score
         ]
-        return sorted(found, key=lambda d: -d.score)
+        return sorted((d for d in found if d.score >= self._min_score), key=lambda d: -d.score)
+
+    def _rated(self, view: ClearView, places: Mapping[str, list[Proposal]]) -> dict[str, list[Proposal]]:
+        """The same places, scored by the logit of the probability that they are the object's."""
+        models = {name: self._model(name) for name in places}
+        poses = [(name, p.T_cam_obj) for name, mine in places.items() for p in mine]
+        logits = iter(presences(view, models, poses))
+        return {name: [replace(p, score=float(next(logits))) for p in mine] for name, mine in places.items()}
 
     def warm_up(self) -> None:
         """Lay out the views of all objects, and compile the kernels on an artificial view of the first."""

@@ -9,20 +9,20 @@ import numpy as np
 
 from huepose.perception.scouting import Proposal
 
-LEAD = 0.15
-"""A place is another object's when its score there is higher by this."""
+LEAD = 0.7
+"""A place is another object's when its score there, a logit, is higher by this."""
 
 SHARED = 0.5
 """...and this share of the patches is common."""
 
-FALL = 0.35
+FALL = 1.5
 """What the score of a place falls by when it is another object's."""
 
 
 def contested(proposals: Mapping[str, Sequence[Proposal]]) -> dict[str, list[Proposal]]:
     """The proposals of each object, best first, after those places have lost that other objects explain
     better. The best place of an object speaks for it; the others do not."""
-    leaders = {name: places[0] for name, places in proposals.items() if places}
+    leaders = {name: max(places, key=lambda p: p.score) for name, places in proposals.items() if places}
     out = {}
     for name, places in proposals.items():
         rivals = [leader for other, leader in leaders.items() if other != name]

@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
-from huepose.geometry.arrays import Float64, Int64
+from huepose.geometry.arrays import Float32, Float64, Int64
 from huepose.geometry.box import Box
 from huepose.model.types import ReferenceModel
 from huepose.perception.clear_view import ClearView
@@ -14,10 +15,11 @@ from huepose.perception.nearby import align_in_view
 from huepose.perception.rim import rims
 from huepose.perception.window_look import look, promising
 from huepose.perception.window_table import WindowTable
-from huepose.perception.windows import Windows, windows_of
+from huepose.perception.windows import Windows, filled, windows_of
+from huepose.support.jit import jit
 from huepose.support.stages import stage
 from huepose.verification.dense import score_many
-from huepose.verification.kernel_arrays import model_arrays
+from huepose.verification.kernel_arrays import ModelArrays, model_arrays, nearest_view
 from huepose.verification.local_search import search
 from huepose.verification.region import Region
 
@@ -28,7 +30,7 @@ SEARCH_SAMPLES, SEARCH_STEPS_DEG = 100, (8.0, 4.0)
 SAME_SHIFT, SAME_IOU = 0.25, 0.6
 """Poses nearer than this (in diameters), or whose boxes overlap so, are one proposal."""
 
-SEEN_M, PATCH_PX = 0.02, 6
+SEEN_M, PATCH_PX, LEAST_SEEN = 0.02, 6, 5
 
 
 @dataclass(frozen=True)
@@ -45,6 +47,9 @@ class Effort:
 
 
 EFFORTS = (Effort(28, 200, 15, 16, 2, 3), Effort(80, 700, 25, 48, 3, 8))
+"""What is tried first, and what is tried where that gives no place which is surely the object's: more of the
+same windows, too, so that nothing of the first is worth keeping."""
+
 SURE = 1.35
 """A place with this score is the object's: nothing more is tried."""
 
@@ -60,27 +65,37 @@ class Proposal:
     support: Int64
 
 
-def propose(model: ReferenceModel, table: WindowTable, view: ClearView, count: int) -> list[Proposal]:
+def propose(
+    model: ReferenceModel,
+    table: WindowTable,
+    view: ClearView,
+    count: int,
+    efforts: Sequence[Effort] = EFFORTS,
+) -> list[Proposal]:
     """The `count` best different places of an object in a view, best first.
 
-    A few windows are looked at first; all of them where that gives no place which is surely the object's."""
+    `efforts`: what is tried, until a place is surely the object's."""
     with stage("windows"):
         windows = windows_of(view, model.diameter_m, table.views.span_m)
         order = promising(table, windows)
-    proposals: list[Proposal] = []
-    for effort in EFFORTS:
-        if not proposals or proposals[0].score < SURE:
-            proposals = _tried(model, table, view, windows[order[: effort.windows]], effort, count)
-    return proposals
+    poses, rated = np.zeros((0, 4, 4)), np.zeros(0)
+    for effort in efforts:
+        if not len(rated) or rated.max() < SURE:
+            with stage("windows"):
+                chosen = filled(windows[order[: effort.windows]], view, model.diameter_m)
+            poses, rated = _tried(model, table, view, chosen, effort)
+    with stage("thin"):
+        return _thinned(model, view, poses, rated, count)
 
 
 def _tried(
-    model: ReferenceModel, table: WindowTable, view: ClearView, windows: Windows, effort: Effort, count: int
-) -> list[Proposal]:
+    model: ReferenceModel, table: WindowTable, view: ClearView, windows: Windows, effort: Effort
+) -> tuple[Float64, Float64]:
+    """Poses (M, 4, 4) at what these windows show, and their scores (M,)."""
     with stage("look"):
         looks = look(table, windows, view.crop.camera, effort.looks, effort.looks_each)
     if not len(looks.poses):
-        return []
+        return np.zeros((0, 4, 4)), np.zeros(0)
     region = view.region(model.diameter_m)
     with stage("first"):
         rated = evidence(score_many(model, region, looks.poses, FIRST_SAMPLES)) + LOOK_WEIGHT * looks.scores
@@ -93,9 +108,7 @@ def _tried(
         best = _apart(model, poses, rated, effort.searched)
         found, _ = search(model, region, poses[best], SEARCH_STEPS_DEG, SEARCH_SAMPLES)
         rated = np.concatenate([_judged(model, view, region, found), rated])
-        poses = np.concatenate([found, poses])
-    with stage("thin"):
-        return _thinned(model, view, poses, rated, count)
+        return np.concatenate([found, poses]), rated
 
 
 def _judged(model: ReferenceModel, view: ClearView, region: Region, poses: Float64) -> Float64:
@@ -165,20 +178,53 @@ def seen_part(
 ) -> tuple[Box, Int64] | None:
     """Bounds in the frame of the surface samples that agree with the depth, and the patches of the picture
     that they lie in; None where hardly any does."""
-    s = model.surface
-    eye = -T_cam_obj[:3, :3].T @ T_cam_obj[:3, 3]
-    k = int(np.argmax(s.directions @ eye))
-    seen = s.visible[s.offsets[k] : s.offsets[k + 1]][:samples]
-    points = s.points[seen] @ T_cam_obj[:3, :3].T + T_cam_obj[:3, 3]
-    pixels = view.crop.camera.project(points)
-    u, v = np.rint(pixels[:, 0]), np.rint(pixels[:, 1])
-    h, w = view.clear.shape
-    inside = (u >= 0) & (v >= 0) & (u < w) & (v < h)
-    u, v, z = u[inside].astype(int), v[inside].astype(int), points[inside, 2]
-    depth = view.crop.depth[v, u]
-    fits = (np.abs(depth - z) < SEEN_M) & (depth > 0)
-    if fits.sum() < 5:
+    camera = view.crop.camera
+    bounds, patches = np.empty(4), np.empty(samples, np.int64)
+    count = _seen(
+        np.ascontiguousarray(T_cam_obj), model_arrays(model), view.crop.depth,
+        camera.fx, camera.fy, camera.cx, camera.cy, bounds, patches,
+    )  # fmt: skip
+    if count < LEAST_SEEN:
         return None
-    box = Box.of_pixels(pixels[inside][fits])
-    patches = np.unique((v[fits] // PATCH_PX) * w + u[fits] // PATCH_PX)
-    return Box(box.x + view.crop.x0, box.y + view.crop.y0, box.w, box.h), patches
+    left, top, right, bottom = bounds
+    box = Box(left + view.crop.x0, top + view.crop.y0, right - left + 1.0, bottom - top + 1.0)
+    return box, np.unique(patches[:count])
+
+
+@jit
+def _seen(
+    T: Float64,
+    model: ModelArrays,
+    depth: Float32,
+    fx: float,
+    fy: float,
+    cx: float,
+    cy: float,
+    bounds: Float64,
+    patches: Int64,
+) -> int:
+    """Fill bounds (4,) with the left, top, right and bottom pixel, patches (N,) with one number for each
+    sample that agrees; returns how many do."""
+    height, width = depth.shape
+    view = nearest_view(T, model.directions)
+    first = model.offsets[view]
+    last = min(model.offsets[view + 1], first + patches.shape[0])
+    count = 0
+    bounds[0], bounds[1], bounds[2], bounds[3] = 1e9, 1e9, -1e9, -1e9
+    for k in range(first, last):
+        p = model.points[model.visible[k]]
+        z = T[2, 0] * p[0] + T[2, 1] * p[1] + T[2, 2] * p[2] + T[2, 3]
+        if z < 0.02:
+            continue
+        u = (T[0, 0] * p[0] + T[0, 1] * p[1] + T[0, 2] * p[2] + T[0, 3]) / z * fx + cx
+        v = (T[1, 0] * p[0] + T[1, 1] * p[1] + T[1, 2] * p[2] + T[1, 3]) / z * fy + cy
+        if u < -0.5 or v < -0.5 or u >= width - 0.5 or v >= height - 0.5:
+            continue
+        x, y = int(u + 0.5), int(v + 0.5)
+        if depth[y, x] == 0.0 or abs(depth[y, x] - z) >= SEEN_M:
+            continue
+        bounds[0], bounds[1] = min(bounds[0], u), min(bounds[1], v)
+        bounds[2], bounds[3] = max(bounds[2], u), max(bounds[3], v)
+        patches[count] = (y // PATCH_PX) * width + x // PATCH_PX
+        count += 1
+    return count

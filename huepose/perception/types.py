@@ -15,14 +15,12 @@ from huepose.geometry.frame import RgbdFrame
 class Detection:
     """An object by name, where it is, and how sure the detector is (higher is surer).
 
-    T_cam_obj (4, 4): roughly its pose, if the detector knows; log_odds: what the detector's own evidence adds
-    to the estimator's that the object is there."""
+    T_cam_obj (4, 4): roughly its pose, if the detector knows."""
 
     object: str
     box: Box
     score: float
     T_cam_obj: Float64 | None = None
-    log_odds: float = 0.0
 
 
 class Detector(Protocol):

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -21,6 +21,9 @@ SAMPLES = 3
 MIN_SHARE = 0.2
 """Samples a cell and axis."""
 
+BORDER = 2
+"""The middle, which tells what hue is there, are the cells so far from the sides."""
+
 GATE = 0.6
 """Depth farther than this from the middle of a window, in diameters, is not the object."""
 
@@ -29,7 +32,7 @@ GATE = 0.6
 class Windows:
     """W windows of one object's size. pixels (W, 2): their middles in the view; depth_m (W,): there;
     span_px (W,): their sides; cells (W, P, 6) float32: opponents, relief in mm from depth_m, share that could
-    be the object, share of background behind it."""
+    be the object, share of background behind it; pieces: how many of them, the first ones, are of pieces."""
 
     pixels: Float64
     depth_m: Float64
@@ -45,15 +48,26 @@ class Windows:
 
 
 def windows_of(view: ClearView, diameter_m: float, span_m: float) -> Windows:
-    """Windows of `span_m` over all that stands in the view, a fifth of a diameter apart."""
+    """Windows of `span_m` over all that stands in the view, a fifth of a diameter apart, of which only the
+    cells of the middle are filled."""
     pieces = view.pieces
     fitting = (pieces[:, 3] > 0.2 * diameter_m) & (pieces[:, 3] < 1.3 * diameter_m)
     grid = _places(view.clear, view.crop.depth, view.crop.camera.fx, SPACING * diameter_m)
     places = np.concatenate([pieces[fitting, :3], grid])
     span_px = span_m / places[:, 2] * view.crop.camera.fx
-    cells = np.zeros((len(places), COARSE_SIDE * COARSE_SIDE, CHANNELS), np.float32)
-    _fill(places, span_px, view.clear, view.crop.depth, view.colors, GATE * diameter_m, cells)
-    return Windows(places[:, :2].copy(), places[:, 2].copy(), span_px, cells, int(fitting.sum()))
+    empty = np.zeros((len(places), 0, CHANNELS), np.float32)
+    windows = Windows(places[:, :2].copy(), places[:, 2].copy(), span_px, empty, int(fitting.sum()))
+    return filled(windows, view, diameter_m, BORDER)
+
+
+def filled(windows: Windows, view: ClearView, diameter_m: float, border: int = 0) -> Windows:
+    """The same windows with their cells filled, but for so many rows of them at each side."""
+    cells = np.zeros((len(windows), COARSE_SIDE * COARSE_SIDE, CHANNELS), np.float32)
+    _fill(
+        windows.pixels, windows.depth_m, windows.span_px, view.clear, view.crop.depth, view.colors,
+        GATE * diameter_m, border, cells,
+    )  # fmt: skip
+    return replace(windows, cells=cells)
 
 
 def _places(clear: Bool, depth: Float32, focal: float, spacing_m: float) -> Float64:
@@ -71,27 +85,30 @@ def _places(clear: Bool, depth: Float32, focal: float, spacing_m: float) -> Floa
 
 @jit
 def _fill(
-    places: Float64,
+    pixels: Float64,
+    depth_m: Float64,
     span_px: Float64,
     clear: Bool,
     depth: Float32,
     colors: Float32,
     gate_m: float,
+    border: int,
     cells: Float32,
 ) -> None:
     height, width = clear.shape
     n = COARSE_SIDE * SAMPLES
     each = np.float32(1.0 / (SAMPLES * SAMPLES))
-    for w in range(places.shape[0]):
+    first, last = border * SAMPLES, n - border * SAMPLES
+    for w in range(pixels.shape[0]):
         step = span_px[w] / n
-        middle = places[w, 2]
-        left, top = places[w, 0] - 0.5 * (n - 1) * step, places[w, 1] - 0.5 * (n - 1) * step
-        for y in range(n):
+        middle = depth_m[w]
+        left, top = pixels[w, 0] - 0.5 * (n - 1) * step, pixels[w, 1] - 0.5 * (n - 1) * step
+        for y in range(first, last):
             v = int(np.floor(top + y * step + 0.5))
             if v < 0 or v >= height:
                 continue
             row = y // SAMPLES * COARSE_SIDE
-            for x in range(n):
+            for x in range(first, last):
                 u = int(np.floor(left + x * step + 0.5))
                 if u < 0 or u >= width or depth[v, u] == 0.0:
                     continue

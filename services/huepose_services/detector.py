@@ -17,8 +17,8 @@ from huepose_services.runtime.config import Config
 from huepose_services.searched_boxes import SearchedBoxes
 from huepose_services.seen_boxes import SeenBoxes
 
-# Of a place that is worth the estimator's time while others wait for it.
-_LEAST_SCORE = 0.85
+# That it is the object's: of a place that is worth the estimator's time while others wait for it.
+_LEAST_SCORE = 0.05
 
 
 def make(bus: Bus, config: Config) -> DetectorWork:

@@ -150,17 +150,28 @@ def test_nothing_labelled_is_an_error(models) -> None:
 
 
 def test_one_surface_stands_for_one_pose() -> None:
-    def answer(name: str, quality: float, box: Box) -> PoseEstimate:
-        return replace(absent(name), found=True, quality=quality, mask=mask_of(box))
+    def answer(name: str, box: Box) -> PoseEstimate:
+        return replace(absent(name), found=True, mask=mask_of(box))
 
-    better, worse = answer("box", 0.95, LEFT), answer("brick", 0.9, LEFT)
-    beside, doubtful = answer("brick", 0.88, RIGHT), answer("can", 0.3, NOWHERE)
-    assert standing([worse, doubtful, beside, better]) == [better, beside]
-    assert standing([worse, absent("box")]) == [worse]
+    better, worse = answer("box", LEFT), answer("brick", LEFT)
+    beside, doubtful = answer("brick", RIGHT), answer("can", NOWHERE)
+    assert standing([worse, doubtful, beside, better], [0.9, 0.3, 0.7, 0.95]) == [better, beside]
+    assert standing([worse, absent("box")], [0.9, 1.0]) == [worse]
+    assert standing([doubtful], [0.3], 0.2) == [doubtful]
 
 
-def test_a_detectors_evidence_counts_for_and_against_a_pose() -> None:
-    pose = replace(absent("box"), found=True, quality=0.8, mask=mask_of(LEFT))
-    assert standing([pose], 0.85) == []
-    assert standing([pose], 0.85, [1.0]) == [pose]
-    assert standing([replace(pose, quality=0.9)], 0.85, [-1.0]) == []
+def test_what_stands_is_there_however_sure_its_pose_is(models, scene) -> None:
+    """Presence decides where it is asked; proposals that are worth nothing are not looked at."""
+    detections = [Detection("brick", LEFT, 0.8), Detection("brick", RIGHT, 0.7), Detection("box", LEFT, 0.1)]
+    result = evaluate_perception(
+        [scene],
+        Targets(models),
+        Boxes(*detections),
+        UpperHalf(),
+        seen({("brick", LEFT): 0.9, ("brick", RIGHT): 0.1}),
+        PerceptionOptions(least=0.2, masks=False),
+        presence=lambda frame, answers: [1.0 - a.quality for a in answers],
+    )
+    record = result.as_json([1])
+    assert [(r["name"], r["found"]) for r in record["rows"]] == [("box", False), ("brick", True)]
+    assert record["false"] == []

@@ -14,7 +14,7 @@ def place(score: float, first: int, count: int = 10) -> Proposal:
 
 
 def test_a_place_that_another_object_explains_better_loses() -> None:
-    box, on_box, alone = place(1.5, 0), place(1.1, 2), place(0.9, 50)
+    box, on_box, alone = place(2.5, 0), place(1.1, 2), place(0.9, 50)
     out = contested({"box": [box], "marker": [on_box, alone]})
     assert out["box"] == [box]
     assert [p.support[0] for p in out["marker"]] == [50, 2]
@@ -22,7 +22,7 @@ def test_a_place_that_another_object_explains_better_loses() -> None:
 
 
 def test_places_of_about_the_same_score_and_places_beside_keep_theirs() -> None:
-    for other in (place(1.4, 0), place(1.0, 8)):
+    for other in (place(1.0, 0), place(0.2, 8)):
         out = contested({"box": [place(1.5, 0)], "can": [other]})
         assert out["can"] == [other]
 

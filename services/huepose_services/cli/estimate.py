@@ -61,7 +61,9 @@ def call(arguments: argparse.Namespace) -> int:
     box = _box(arguments.box, frame)
     models = load_models(arguments.bundles, arguments.object)
     names = list(dict.fromkeys(arguments.object or sorted(models)))
-    estimator = Estimator(models, EstimatorConfig(method=arguments.method))
+    # In a detector's boxes it is the presence that says what is found.
+    found_level = 0.0 if box is None else None
+    estimator = Estimator(models, EstimatorConfig(method=arguments.method, found_level=found_level))
     estimator.warm_up(names)  # so that `seconds` is the time of an answer
     if box is None:
         answers = _detected(arguments, frame, models, estimator, names)
@@ -127,6 +129,7 @@ def _detected(
     names: list[str],
 ) -> list[PoseEstimate]:
     """The poses that stand at the places which the detector proposes; an object without any is not found."""
+    from huepose.estimation.present import presences_of
     from huepose.estimation.verdict import absent, standing
     from huepose.perception.colorpair_detector import ColorPairDetector
 
@@ -134,7 +137,7 @@ def _detected(
     places = detector.detect(frame, names)
     places = places[::-1]  # The best place last: its explanation is the one that is kept.
     answers = [_answer(arguments, frame, models, estimator, p.object, p.box) for p in places]
-    poses = standing(answers, log_odds=[p.log_odds for p in places])
+    poses = standing(answers, presences_of(frame, models, answers))
     return [pose for name in names for pose in [p for p in poses if p.object == name] or [absent(name)]]
 
 

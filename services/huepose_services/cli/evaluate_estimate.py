@@ -7,6 +7,7 @@ from typing import Any
 
 from huepose.datasets.types import Sample
 from huepose.estimation import Estimator, EstimatorConfig
+from huepose.estimation.present import presence_by
 from huepose.evaluation.bop_csv import BopResult, write_bop_csv
 from huepose.evaluation.equivalents import read_equivalents
 from huepose.evaluation.estimate_protocol import EstimateOptions, evaluate_estimates
@@ -27,7 +28,10 @@ def call(arguments: argparse.Namespace) -> int:
     options = EstimateOptions(arguments.boxes, arguments.masks, arguments.min_visib, tuple(arguments.seed))
     models = load_models(arguments.bundles)
     targets = Targets(models, arguments.objects)
-    estimator = Estimator(models, EstimatorConfig(method=arguments.method, threads=arguments.threads))
+    # In a detector's boxes it is the presence that says what is found.
+    found_level = 0.0 if arguments.boxes == "detect" else None
+    config = EstimatorConfig(method=arguments.method, threads=arguments.threads, found_level=found_level)
+    estimator = Estimator(models, config)
     detector = None
     if arguments.boxes == "detect":
         detector = ColorPairDetector({model.name: model for model in targets.models})
@@ -53,6 +57,7 @@ def call(arguments: argparse.Namespace) -> int:
         options,
         equivalents=equivalents,
         detector=detector,
+        presence=presence_by(models),
         on_frame=on_frame,
     )
     record = result.as_json()

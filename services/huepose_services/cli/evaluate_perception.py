@@ -6,13 +6,14 @@ import argparse
 from typing import Any
 
 from huepose.estimation import Estimator, EstimatorConfig
+from huepose.estimation.present import presence_by
 from huepose.evaluation.perception_pictures import PerceptionPictures
 from huepose.evaluation.perception_protocol import PerceptionOptions, evaluate_perception
 from huepose.evaluation.result_files import write_json
 from huepose.evaluation.summary import table
 from huepose.evaluation.targets import Targets
 from huepose.model import load_models
-from huepose.perception.colorpair_detector import ColorPairDetector
+from huepose.perception.colorpair_detector import MIN_SCORE, ColorPairDetector
 from huepose.perception.embedded import DepthSegmenter
 from huepose_services.cli.evaluate_scenes import open_bop
 
@@ -25,7 +26,7 @@ def call(arguments: argparse.Namespace) -> int:
     detector = ColorPairDetector(models, max(arguments.proposals), min_score=0.0)
     detector.warm_up()
     segmenter = DepthSegmenter()
-    estimator = Estimator(models, EstimatorConfig(threads=arguments.threads), segmenter)
+    estimator = Estimator(models, EstimatorConfig(threads=arguments.threads, found_level=0.0), segmenter)
     estimator.warm_up()
     pictures = PerceptionPictures(arguments.plots) if arguments.plots else None
     result = evaluate_perception(
@@ -34,7 +35,8 @@ def call(arguments: argparse.Namespace) -> int:
         detector,
         segmenter,
         estimator,
-        PerceptionOptions(judged=arguments.judged, seed=arguments.seed),
+        PerceptionOptions(judged=arguments.judged, least=MIN_SCORE, seed=arguments.seed),
+        presence=presence_by(models),
         on_frame=None if pictures is None else pictures.frame,
     )
     record = result.as_json(arguments.proposals)

@@ -1,0 +1,48 @@
+"""Whether the objects of a frame's answers are there at all.
+
+Quality says whether a *pose* is right. Whether the object is there is another question, which even an object
+without print answers: `perception.presence` does, on all answers of a frame together.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+
+import numpy as np
+
+from huepose.estimation.quality import features, quality_fits
+from huepose.estimation.types import PoseEstimate
+from huepose.geometry.frame import RgbdFrame
+from huepose.model.types import ReferenceModel
+from huepose.perception.clear_view import clear_view
+from huepose.perception.presence import presences, probability
+
+OTHER_PRINT = 4.0
+"""So many times likelier another print than its own has to be before it speaks against the object."""
+
+Presence = Callable[[RgbdFrame, Sequence[PoseEstimate]], Sequence[float]]
+"""Of the answers of a frame, the probability of each that its object is there."""
+
+
+def presence_by(models: Mapping[str, ReferenceModel]) -> Presence:
+    """By `perception.presence`, of the objects of these models."""
+    return lambda frame, answers: presences_of(frame, models, answers)
+
+
+def presences_of(
+    frame: RgbdFrame, models: Mapping[str, ReferenceModel], answers: Sequence[PoseEstimate]
+) -> list[float]:
+    """Probability for each answer that its object is there, 0 where none was found. Raises KeyError for an
+    answer about an object that is not in `models`."""
+    view = clear_view(frame, max((m.diameter_m for m in models.values()), default=0.0))
+    poses = [(a.object, a.T_cam_obj) for a in answers if a.T_cam_obj is not None]
+    chances = iter(np.zeros(len(poses)) if view is None else probability(presences(view, models, poses)))
+    return [0.0 if a.T_cam_obj is None else float(next(chances)) * _own_print(a) for a in answers]
+
+
+def _own_print(answer: PoseEstimate) -> float:
+    """1, or less where the same shape plainly wears another print, and so is another thing."""
+    if answer.terms is None:
+        return 1.0
+    own = quality_fits()["full"].this_print(features(answer.terms))
+    return min(1.0, OTHER_PRINT * own / max(1.0 - own, 1e-9))

@@ -1,0 +1,179 @@
+"""Is the object here at all, whichever way round it is?
+
+Whether a pose is right asks for print that tells it from its turns; a plain mug has none, and is there all
+the same. What speaks for an object being there is a shape that explains the depth, without a surface that
+goes on where the object ends, and colours that are the object's, up to the one light that all of the frame
+has. How much a colour says depends on how common it is: grey is everywhere, a strong red is not.
+
+The sum of these is a logit; its weights were fitted on rendered heaps of known objects. (The light: what
+probable places of the *other* objects say about it, as log colours are only shifted by it, after von Kries.)
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from huepose.geometry.arrays import Float64
+from huepose.model.types import ReferenceModel
+from huepose.perception.clear_view import ClearView
+from huepose.perception.rim import rims
+from huepose.verification.dense import score_many
+from huepose.verification.kernel_arrays import model_arrays, nearest_view
+from huepose.verification.region import Region
+
+FIT_WEIGHT, VIOLATION_WEIGHT, PRINT_WEIGHT, RIM_WEIGHT, HUE_WEIGHT, CONSTANT = (
+    31.3,
+    8.9,
+    5.8,
+    -14.1,
+    0.62,
+    -15.3,
+)
+"""Weights of depth that fits, of what is seen through (which the fit counts already, and too much), of print,
+of a rim that goes on, of hue; and what speaks against any place."""
+
+SAMPLES, RIM_SAMPLES, HUES = 800, 400, 120
+HUE_LEAST, HUE_MOST = -3.0, 5.0
+"""Hue says no more than this, in natural logarithms: its errors are not independent."""
+
+NOISE, NOISE_SHARE = 4.0, 0.15
+"""Deviation of a hue from the object's, units of opponents: so much, and this share of its distance from
+grey."""
+
+ODD, ODD_SPREAD = 0.05, 45.0
+"""Share of samples whose hue is anything (glare, dirt, a reflection), and the spread of that."""
+
+WORLD_SHARES, WORLD_SPREADS = (0.35, 0.4, 0.25), (8.0, 20.0, 45.0)
+"""Hues of things under white light: much is grey, little is strongly coloured."""
+
+LIGHT_SPREAD, LIGHT_NOISE, LIGHT_REACH = 15.0, 8.0, 25.0
+"""Of the hue of lights; of a place's mean hue under it; places farther off than this say little about it."""
+
+FACING = 0.1
+LEAST_HUES = 5
+
+
+@dataclass(frozen=True, eq=False)
+class Sight:
+    """What is seen where a pose says that an object is. fit, violation 0..1, print -1..1: terms of the dense
+    score; rim 0..1: where the surface goes on beside it; hues (N, 5): of samples that fit the depth, weight,
+    the object's two colour opponents, and the picture's."""
+
+    fit: float
+    violation: float
+    print: float
+    rim: float
+    hues: Float64
+
+    @property
+    def logit(self) -> float:
+        """Of the object being here, by all but hue."""
+        shape = FIT_WEIGHT * self.fit + VIOLATION_WEIGHT * self.violation + RIM_WEIGHT * self.rim
+        return shape + PRINT_WEIGHT * self.print + CONSTANT
+
+    @property
+    def shift(self) -> Float64:
+        """Mean difference (2,) of the picture's hue from the object's; nan where hardly anything is seen."""
+        if len(self.hues) < LEAST_HUES:
+            return np.full(2, np.nan)
+        return np.asarray(np.average(self.hues[:, 3:] - self.hues[:, 1:3], axis=0, weights=self.hues[:, 0]))
+
+
+@dataclass(frozen=True, eq=False)
+class Light:
+    """shift (2,): what the light adds to colour opponents; spread: how well that is known."""
+
+    shift: Float64
+    spread: float
+
+
+def presences(
+    view: ClearView, models: Mapping[str, ReferenceModel], poses: Sequence[tuple[str, Float64]]
+) -> Float64:
+    """Logit (N,) of the probability for each named object that it is where its pose T_cam_obj (4, 4) says, in
+    whatever turn."""
+    regions = {name: view.region(models[name].diameter_m) for name, _ in poses}
+    sights = [sight(view, regions[name], models[name], T) for name, T in poses]
+    logits, shifts = np.array([s.logit for s in sights]), np.array([s.shift for s in sights]).reshape(-1, 2)
+    names = np.array([name for name, _ in poses])
+    lights = {name: light_of(logits[names != name], shifts[names != name]) for name in regions}
+    hue = [hue_evidence(s, lights[name]) for (name, _), s in zip(poses, sights, strict=True)]
+    return np.asarray(logits + HUE_WEIGHT * np.array(hue))
+
+
+def probability(logit: Float64 | np.float64) -> Float64:
+    """Of a logit, or of logits (N,).
+
+    >>> probability(np.array([0.0, np.log(3.0)])).round(2).tolist()
+    [0.5, 0.75]
+    """
+    return np.asarray(1.0 / (1.0 + np.exp(-logit)))
+
+
+def sight(view: ClearView, region: Region, model: ReferenceModel, T_cam_obj: Float64) -> Sight:
+    """Look at a pose (4, 4); `region`: the view as one for this model."""
+    T = np.ascontiguousarray(T_cam_obj, dtype=np.float64)
+    terms = score_many(model, region, T[None], SAMPLES)[0]
+    rim = rims(view, model_arrays(model), T[None], RIM_SAMPLES)[0]
+    return Sight(
+        float(terms[1]),
+        float(terms[3]),
+        float(terms[4]),
+        float(rim),
+        _hues(view, region.tolerance_m, model, T),
+    )
+
+
+def _hues(view: ClearView, tolerance_m: float, model: ReferenceModel, T: Float64) -> Float64:
+    arrays = model_arrays(model)
+    k = nearest_view(T, arrays.directions)
+    seen = arrays.visible[arrays.offsets[k] : arrays.offsets[k + 1]]
+    seen = seen[:: max(1, len(seen) // (2 * HUES))]
+    points = arrays.points[seen] @ T[:3, :3].T + T[:3, 3]
+    facing = -(points * (arrays.normals[seen] @ T[:3, :3].T)).sum(1) / np.linalg.norm(points, axis=1)
+    pixels = np.rint(view.crop.camera.project(points))
+    height, width = view.clear.shape
+    inside = (facing > FACING) & (points[:, 2] > 0.0) & np.isfinite(pixels).all(1)
+    inside &= (pixels >= 0).all(1) & (pixels[:, 0] < width) & (pixels[:, 1] < height)
+    seen, facing, points = seen[inside], facing[inside], points[inside]
+    u, v = pixels[inside].astype(int).T
+    depth = view.crop.depth[v, u]
+    fits = (depth > 0) & (np.abs((depth - points[:, 2]) * facing) < tolerance_m) & ~view.crop.saturated[v, u]
+    coarse = arrays.colors[1][seen[fits], 1:], view.colors[v[fits], u[fits], 4:]
+    return np.column_stack([facing[fits], *coarse]).astype(np.float64)
+
+
+def light_of(logits: Float64, shifts: Float64) -> Light:
+    """What places say about the light of the frame, each by its probability (logits (N,)) and by how the hue
+    there differs from the object's (N, 2); with none it is white, roughly."""
+    known = np.isfinite(shifts).all(1)
+    chances, shifts = probability(logits[known]), shifts[known]
+    mean, weights = np.zeros(2), chances
+    for _ in range(5):
+        weights = chances * np.exp(-((shifts - mean) ** 2).sum(1) / (2.0 * LIGHT_REACH**2))
+        mean = weights @ shifts / (weights.sum() + (LIGHT_NOISE / LIGHT_SPREAD) ** 2)
+    return Light(mean, float((1.0 / LIGHT_SPREAD**2 + weights.sum() / LIGHT_NOISE**2) ** -0.5))
+
+
+def hue_evidence(seen: Sight, light: Light) -> float:
+    """How much likelier the hues are the object's than anything's, as a mean log ratio of the samples."""
+    if len(seen.hues) < LEAST_HUES:
+        return 0.0
+    weights, own, shown = seen.hues[:, 0], seen.hues[:, 1:3], seen.hues[:, 3:] - light.shift
+    variance = (NOISE + NOISE_SHARE * np.linalg.norm(own, axis=1)) ** 2 + light.spread**2
+    away = ((shown - own) ** 2).sum(1)
+    # Student's t of three degrees of freedom, in the plane.
+    likely = (1.0 - ODD) / (2.0 * np.pi * variance) * (1.0 + away / (3.0 * variance)) ** -2.5
+    likely += ODD * _round_normal(away, ODD_SPREAD)
+    common = (shown**2).sum(1)
+    anything = sum(a * _round_normal(common, s) for a, s in zip(WORLD_SHARES, WORLD_SPREADS, strict=True))
+    ratio = np.log(likely) - np.log(anything + 1e-9)
+    return float(np.clip(np.average(ratio, weights=weights), HUE_LEAST, HUE_MOST))
+
+
+def _round_normal(away: Float64, spread: float) -> Float64:
+    """Density of a round normal distribution in the plane at squared distances (N,)."""
+    return np.asarray(np.exp(-away / (2.0 * spread**2)) / (2.0 * np.pi * spread**2))

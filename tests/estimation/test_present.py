@@ -1,0 +1,36 @@
+"""Presence of the objects of a frame's answers."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from huepose.estimation import Estimator, ObjectQuery
+from huepose.estimation.present import presences_of
+from huepose.estimation.verdict import absent
+from huepose.geometry import Box
+from huepose.rendering.render import render_depth
+
+
+def test_an_answer_is_as_likely_as_its_object_is_there(tea_box, take_picture, standing) -> None:
+    models = {"tea_box": tea_box}
+    frame = take_picture([(tea_box.mesh, standing)])
+    box = Box.of_mask(render_depth(tea_box.mesh, standing, frame.camera) > 0)
+    (there,) = Estimator(models).estimate(frame, [ObjectQuery("tea_box", box)])
+    beside = standing.copy()
+    beside[0, 3] += 0.5 * tea_box.diameter_m
+    answers = [there, replace(there, T_cam_obj=beside), absent("tea_box")]
+    chances = presences_of(frame, models, answers)
+    assert chances[0] > 0.9
+    assert chances[1] < 0.1
+    assert chances[2] == 0.0
+
+
+def test_a_shape_in_another_print_is_another_thing(tea_box, take_picture, standing) -> None:
+    models = {"tea_box": tea_box}
+    texture = np.ascontiguousarray(tea_box.mesh.texture[::-1, ::-1, ::-1])
+    frame = take_picture([(replace(tea_box.mesh, texture=texture), standing)])
+    box = Box.of_mask(render_depth(tea_box.mesh, standing, frame.camera) > 0)
+    (answer,) = Estimator(models).estimate(frame, [ObjectQuery("tea_box", box)])
+    assert presences_of(frame, models, [replace(answer, T_cam_obj=standing)])[0] < 0.5

@@ -126,13 +126,6 @@ def test_a_worker_that_is_killed_or_hangs_is_started_again_and_ends_with_its_sup
     assert "error huepose   camera has given no sign of life for 0." in log
 
 
-def test_poses_stops_on_a_signal(pipeline, huepose):
-    process = huepose("poses", "--config", pipeline())
-    assert "waiting for a pipeline" in process.stderr.readline()
-    process.send_signal(signal.SIGTERM)
-    assert process.wait(2.0) == 0
-
-
 @pytest.mark.parametrize(
     ("change", "parts"),
     [

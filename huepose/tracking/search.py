@@ -34,6 +34,7 @@ POSITION_TURN = np.radians(40.0)
 
 ROTATION_STEP = np.radians(18.0)
 DIFFERENT_TURN = np.radians(10.0)
+SLACK_M = 0.012
 LEVEL = 2
 """Coarse colours have the widest basins."""
 
@@ -60,6 +61,10 @@ class Reach:
     rotations: tuple[Float64, ...]
     distance_m: float
     angle_rad: float
+
+    def holds(self, centre_cam: Float64) -> bool:
+        """Whether an object's centre (3,) lies within, give or take what a refinement moves it."""
+        return float(np.linalg.norm(centre_cam - self.centre_cam)) < self.distance_m + SLACK_M
 
 
 def search(

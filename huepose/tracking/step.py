@@ -136,7 +136,16 @@ def advance(
     starts = [(anchor.T_cam_obj, "still")]
     if expected is not anchor.T_cam_obj:
         starts.append((expected, "velocity"))
+    near, far = _reach(surface, anchor, expected, seconds + anchor.unseen_s, config)
+    if anchor.unseen_s > 0.0:
+        waiting = _unmoved(surface, frame, expected, anchor.tint)
+        if waiting.fit.hidden > evidence.HIDDEN:
+            # Still behind something. A refinement would lead to that, where its depth fits.
+            return replace(waiting, doubtful=True)
     best = best_of(surface, frame, starts, anchor.tint)
+    if not far.holds(surface.centre_cam(best.T_cam_obj)):
+        # Nothing moves that fast: what was followed is what came in front.
+        best = _unmoved(surface, frame, expected, anchor.tint)
     if anchor.rival is not None:
         best = _better(best, best_of(surface, frame, [(anchor.rival, "rival")], anchor.tint), by=RIVAL_MARGIN)
     long = seconds > LONG_STEP_S
@@ -151,13 +160,12 @@ def advance(
     # What was not seen in the last frame has no pixels there to be followed.
     if 0.0 < seconds <= LONG_STEP_S and anchor.unseen_s == 0.0:
         T_flow = flow_start(subject, anchor, frame, expected, relative_pose or RobustKabsch(), config.flow)
-        if T_flow is not None:
+        if T_flow is not None and far.holds(surface.centre_cam(T_flow)):
             best = _better(best, best_of(surface, frame, [(T_flow, "flow")], anchor.tint))
     doubtful = not _convincing(best, anchor.usual, doubt)
     searching = config.search and (doubtful or surprising or returning)
     local = best
     if searching:
-        near, far = _reach(surface, anchor, expected, seconds + anchor.unseen_s, config)
         best = _searched(best, surface, frame, near, USUAL_EFFORT, anchor.tint)
         if not _convincing(best, anchor.usual, doubt) and (long or returning):
             best = _searched(best, surface, frame, far, GREAT_EFFORT, anchor.tint)
@@ -230,6 +238,14 @@ def best_of(
         if unmoved.total > best.fit.total:
             best = replace(best, T_cam_obj=T_start, fit=unmoved)
     return best
+
+
+def _unmoved(surface: TrackedSurface, frame: RgbdFrame, T_cam_obj: Float64, tint: Tint) -> Step:
+    """A pose as it is, with what it explains."""
+    box, z = surface.box(T_cam_obj, frame.camera), float(surface.centre_cam(T_cam_obj)[2])
+    region = None if box is None else prepare(frame, _with_margin(box, frame, z), z)
+    fit = NOTHING if region is None else score(surface, region, T_cam_obj, 0, tint=tint)
+    return Step(T_cam_obj, fit, np.zeros((6, 6)), "velocity")
 
 
 def _scored(surface: TrackedSurface, region: Region, refined: Refined, start: str, tint: Tint) -> Step:

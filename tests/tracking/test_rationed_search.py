@@ -5,8 +5,9 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from huepose.evaluation.moments.scripts import printed_board
 from huepose.geometry import se3
-from huepose.tracking import Correction, Tracker, TrackerConfig, Verdict
+from huepose.tracking import Correction, State, Tracker, TrackerConfig, Verdict
 from huepose.tracking import step as one_step
 
 TWO = (0, 1)
@@ -59,3 +60,24 @@ def test_with_a_ration_each_long_step_searches_for_one_and_all_get_their_turn(
         assert len(set(searched)) <= 1
         found += searched
     assert len(set(found)) == 2
+
+
+def test_what_comes_in_front_is_not_followed_and_nothing_is_searched_behind_it(
+    soup_can, shoot, path, searched
+) -> None:
+    """A board is pushed in front of a can, 15 cm nearer: its depth fits a can in many places."""
+    board, T = printed_board(0.3, 0.3), path(0)
+    tracker = Tracker({"soup_can": soup_can})
+    for k in range(10):
+        scene = [(soup_can.mesh, T)]
+        if k >= 4:
+            x = 0.12 * max(0, 6 - k)
+            scene.append((board, se3.make(np.eye(3), np.array([x, 0.0, T[2, 3] - 0.15]))))
+        frame = shoot(scene, k)
+        if k == 0:
+            tracker.correct(Correction.first("soup_can", T, frame))
+        (pose,) = tracker.step(frame)
+        assert (pose.state is State.TRACKING) == (k < 5), k
+        if pose.T_cam_obj is not None:
+            assert np.linalg.norm(pose.T_cam_obj[:3, 3] - T[:3, 3]) < 0.03, k
+    assert searched == []

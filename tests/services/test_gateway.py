@@ -296,7 +296,8 @@ def test_poses_are_printed_on_another_machine_the_latest_at_once(start, authorit
     assert printer.wait(5.0) == 0
 
 
-def test_why_a_gateway_is_not_reached_is_said(start, authority, base_port):
+def test_why_a_gateway_is_not_reached_is_said(start, authority, base_port, monkeypatch):
+    monkeypatch.setattr("huepose_services.pem._WITHIN_S", 0.5)
     one = start(tls=_tls(authority))
     shown = {name: Credentials(*_as(authority, name).values()) for name in ("robot1", "stranger")}
     shown["no authority"] = replace(shown["robot1"], authority=authority / "robot2.pem")

@@ -26,6 +26,8 @@ _LINEAR = np.where(
     ((np.arange(256) / 255 + 0.055) / 1.055) ** 2.4,
 ).astype(np.float32)
 _LOGARITHMS = (np.log(_LINEAR + np.float32(DARKEST)) * np.float32(SCALE)).astype(np.float32)
+_OPPONENTS = np.array([[1 / 3, 1 / 3, 1 / 3], [1, -1, 0], [0.5, 0.5, -1]], np.float32)
+"""Lightness, red-green, yellow-blue of three logarithms."""
 
 
 def linear_rgb(color: UInt8) -> Float32:
@@ -52,17 +54,14 @@ def opponents_of_bytes(color: UInt8) -> Float32:
     >>> bool(np.allclose(opponents_of_bytes(color), opponents(linear_rgb(color)), atol=1e-4))
     True
     """
-    return _of_logarithms(_LOGARITHMS[color])
+    if not color.size:  # OpenCV converts no empty pictures
+        return np.zeros(color.shape, np.float32)
+    flat = np.ascontiguousarray(color).reshape(-1, color.shape[-2] if color.ndim > 2 else 1, 3)
+    return np.asarray(cv2.transform(cv2.LUT(flat, _LOGARITHMS), _OPPONENTS), np.float32).reshape(color.shape)
 
 
 def _of_logarithms(log: Float32) -> Float32:
-    out = np.empty(log.shape, np.float32)
-    red, green, blue = log[..., 0], log[..., 1], log[..., 2]
-    yellow = (red + green) * np.float32(0.5)
-    out[..., 0] = (red + green + blue) * np.float32(1 / 3)
-    out[..., 1] = red - green
-    out[..., 2] = yellow - blue
-    return out
+    return np.asarray(log @ _OPPONENTS.T, dtype=np.float32)
 
 
 def opponents_of_lab(lab: Float) -> Float32:

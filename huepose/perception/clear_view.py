@@ -8,12 +8,13 @@ import cv2
 import numpy as np
 
 from huepose.colorpair.opponents import opponents_of_bytes
-from huepose.geometry.arrays import Bool, Float32, Float64, UInt8
+from huepose.geometry.arrays import Bool, Float32, Float64, Int32, UInt8
 from huepose.geometry.box import Box
 from huepose.geometry.camera import Camera
 from huepose.geometry.frame import RgbdFrame
 from huepose.perception.depth_pieces import depth_steps
 from huepose.perception.ground import large_planes, standing_clear
+from huepose.support.jit import jit
 from huepose.verification.region import COLOR_SCALES_M, SATURATED, Crop, Region, tolerance_m
 
 FAR_M = 9.0
@@ -22,11 +23,12 @@ FAR_M = 9.0
 PLANE_FACTOR = 1.0
 """A plane of which more is seen than this times the square of the largest diameter is none of the objects."""
 
-
 SPECK_M2 = 1e-4
 """A piece of less than a square centimetre is noise."""
 
 MARGIN_PX = 12.0
+WIDE_PX = 1.5
+"""A blur of this deviation needs no more than every second pixel."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -85,8 +87,7 @@ def _pieces(depth: Float32, clear: Bool, focal: float) -> tuple[Bool, Float64]:
     free = opened & ~depth_steps(depth)
     count, labels, stats, middles = cv2.connectedComponentsWithStats(free.view(np.uint8), connectivity=4)
     size = np.maximum(stats[:, 4], 1)
-    mean_m = np.bincount(labels.ravel(), depth.ravel(), count) / size
-    mean_m[0] = 0.0
+    mean_m = _sums(labels, depth, count) / size
     kept = size * (mean_m / focal) ** 2 >= SPECK_M2
     # The far sides of steps belong to no piece, but to what is beside them.
     near = cv2.dilate(kept[labels].view(np.uint8), np.ones((5, 5), np.uint8)) > 0
@@ -94,10 +95,30 @@ def _pieces(depth: Float32, clear: Bool, focal: float) -> tuple[Bool, Float64]:
     return near & opened, np.column_stack([middles, mean_m, side_m])[kept]
 
 
+@jit
+def _sums(labels: Int32, depth: Float32, count: int) -> Float64:
+    """Of the depth of each label (count,), but for label 0."""
+    sums = np.zeros(count)
+    for v in range(labels.shape[0]):
+        for u in range(labels.shape[1]):
+            if labels[v, u] > 0:
+                sums[labels[v, u]] += depth[v, u]
+    return sums
+
+
 def _smoothed(color: UInt8, pixels_per_m: float) -> Float32:
     """Opponents (h, w, 6) float32 smoothed at the two scales of the print."""
     plain = opponents_of_bytes(color)
-    sigmas = [max(0.5, sigma_m * pixels_per_m) for sigma_m in COLOR_SCALES_M]
-    return np.concatenate(
-        [cv2.GaussianBlur(plain, (0, 0), sigma) for sigma in sigmas], axis=-1, dtype=np.float32
-    )
+    fine, coarse = (max(0.5, sigma_m * pixels_per_m) for sigma_m in COLOR_SCALES_M)
+    return np.asarray(cv2.merge([cv2.GaussianBlur(plain, (0, 0), fine), _blurred(plain, coarse)]), np.float32)
+
+
+def _blurred(picture: Float32, sigma: float) -> Float32:
+    """A Gaussian of the picture; where it is wide, of every second pixel."""
+    if sigma < WIDE_PX:
+        return np.asarray(cv2.GaussianBlur(picture, (0, 0), sigma))
+    height, width = picture.shape[:2]
+    half = cv2.resize(picture, (width // 2, height // 2), interpolation=cv2.INTER_AREA)
+    # Taking means of two pixels and going back between the means blurs a little, too.
+    half = cv2.GaussianBlur(half, (0, 0), 0.5 * (sigma**2 - 0.75) ** 0.5)
+    return np.asarray(cv2.resize(half, (width, height), interpolation=cv2.INTER_LINEAR), np.float32)

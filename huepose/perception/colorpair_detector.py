@@ -10,7 +10,7 @@ estimator's verdict on them is the last word.
 from __future__ import annotations
 
 import threading
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -23,14 +23,14 @@ from huepose.model.types import ReferenceModel
 from huepose.perception.clear_view import ClearView, clear_view
 from huepose.perception.contest import contested
 from huepose.perception.presence import presences, probability
-from huepose.perception.scouting import Proposal, propose
+from huepose.perception.scouting import EFFORTS, Effort, Proposal, propose
 from huepose.perception.types import Detection
 from huepose.perception.window_table import WindowTable, window_table
 from huepose.rendering.render import render
 from huepose.support.stages import stage
 
 PROPOSALS = 2
-POOL = 6
+POOL = 4
 """Places of each object that compete with those of the others."""
 
 MIN_SCORE = 0.02
@@ -68,8 +68,13 @@ class ColorPairDetector:
             self._models.pop(name, None)
             self._tables.pop(name, None)
 
-    def detect(self, frame: RgbdFrame, names: Sequence[str]) -> list[Detection]:
-        """Boxes of the named objects, best first. Raises InputError for an unknown name."""
+    def detect(
+        self, frame: RgbdFrame, names: Sequence[str], thorough: Collection[str] | None = None
+    ) -> list[Detection]:
+        """Boxes of the named objects, best first. Raises InputError for an unknown name.
+
+        `thorough`: the objects that are searched everywhere where a first look does not find them, all by
+        default; the others take a third of the time."""
         for name in names:
             self._model(name)
         with stage("clear view"):
@@ -77,7 +82,10 @@ class ColorPairDetector:
         if view is None:
             return []
         most = max(self._proposals, POOL) if len(names) > 1 else self._proposals
-        places = {name: propose(self._model(name), self._table(name), view, most) for name in names}
+        places = {
+            name: propose(self._model(name), self._table(name), view, most, _efforts(name, thorough))
+            for name in names
+        }
         with stage("presence"):
             places = self._rated(view, places)
         with stage("contest"):
@@ -116,3 +124,7 @@ class ColorPairDetector:
             if name not in self._tables:
                 self._tables[name] = window_table(self._model(name))
             return self._tables[name]
+
+
+def _efforts(name: str, thorough: Collection[str] | None) -> tuple[Effort, ...]:
+    return EFFORTS if thorough is None or name in thorough else EFFORTS[:1]

@@ -159,17 +159,15 @@ def _thinned(
 ) -> list[Proposal]:
     centres = poses[:, :3, :3] @ model.mesh.centre + poses[:, :3, 3]
     out: list[Proposal] = []
-    chosen: list[Float64] = []
+    taken = np.zeros(len(poses), bool)
     for k in np.argsort(-rated, kind="stable"):
-        if any(np.linalg.norm(centres[k] - c) < SAME_SHIFT * model.diameter_m for c in chosen):
-            continue
-        seen = seen_part(model, view, poses[k])
+        seen = None if taken[k] else seen_part(model, view, poses[k])
         if seen is None or any(seen[0].iou(p.box) > SAME_IOU for p in out):
             continue
         out.append(Proposal(poses[k], seen[0], float(rated[k]), seen[1]))
-        chosen.append(centres[k])
         if len(out) == count:
             break
+        taken |= np.linalg.norm(centres - centres[k], axis=1) < SAME_SHIFT * model.diameter_m
     return out
 
 

@@ -72,9 +72,7 @@ def filled(windows: Windows, view: ClearView, diameter_m: float, border: int = 0
 
 def _places(clear: Bool, depth: Float32, focal: float, spacing_m: float) -> Float64:
     """Middles (W, 3): pixel and depth, of the points that fall into each cube of space."""
-    v, u = (g.ravel() for g in np.mgrid[0 : clear.shape[0] : LATTICE_PX, 0 : clear.shape[1] : LATTICE_PX])
-    stands = clear[v, u]
-    v, u = v[stands], u[stands]
+    v, u = (LATTICE_PX * k for k in np.nonzero(clear[::LATTICE_PX, ::LATTICE_PX]))
     z = depth[v, u].astype(np.float64)
     cube = np.floor(np.stack([u * z / focal, v * z / focal, z * 0.5]) / spacing_m).astype(np.int64)
     key = (cube[0] * BIG + cube[1]) * BIG + cube[2]

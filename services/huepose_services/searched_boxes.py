@@ -19,11 +19,14 @@ _SAME_BOX = 0.5
 
 
 class SearchedBoxes(SeenBoxes):
-    """As for any detector, but it is asked only for objects without a prediction that can be trusted."""
+    """As for any detector, but it is asked only for objects without a prediction that can be trusted.
+
+    One of these at a time, by turns, is searched everywhere: a request costs the same whoever is missing."""
 
     def __init__(self, outlines: Mapping[str, Outline], detector: ColorPairDetector) -> None:
         super().__init__(outlines, detector)
         self._searcher = detector
+        self._turns: list[str] = []
 
     def add(self, model: ReferenceModel) -> None:
         """Know one more object, or another model of it."""
@@ -52,6 +55,15 @@ class SearchedBoxes(SeenBoxes):
             ]
             found += [detected(wanted, d) for d in free[: wanted.wanted]]
         return found
+
+    def detections(self, names: list[str]) -> list[Detection]:
+        """What the detector sees of the named objects, best first."""
+        if self._frame is None or not names:
+            return []
+        # Whose turn is longest ago comes first; who never had one, before all.
+        turn = min(names, key=lambda name: self._turns.index(name) if name in self._turns else -1)
+        self._turns = [name for name in self._turns if name != turn] + [turn]
+        return self._searcher.detect(self._frame, names, (turn,))
 
     def _predicted(self, wanted: RequestedObject, header: FrameHeader, camera: Camera) -> Box | None:
         """The box of a fresh prediction, a little larger than it; None where there is none in the image."""

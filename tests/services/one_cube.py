@@ -21,10 +21,11 @@ class Seer:
     """Sees what it was told, of those objects that are asked for, and remembers what was asked."""
 
     def __init__(self, *detections):
-        self.detections, self.asked = detections, []
+        self.detections, self.asked, self.thorough = detections, [], []
 
-    def detect(self, frame, names):
+    def detect(self, frame, names, thorough=()):
         self.asked.append(tuple(names))
+        self.thorough += thorough
         return [d for d in self.detections if d.object in names]
 
 

@@ -40,3 +40,11 @@ def test_an_object_whose_model_is_not_here_yet_gets_nothing():
     detector = Seer(Detection("cube", LEFT, 0.9))
     assert _find(detector, new("bowl")) == []
     assert detector.asked == []
+
+
+def test_one_at_a_time_is_searched_everywhere_by_turns():
+    detector = Seer()
+    finder = SearchedBoxes(outlines("cube", "can", "bowl"), detector)
+    for missing in (("cube", "can", "bowl"),) * 4 + (("cube",), ("cube", "bowl")):
+        answer(finder, *(new(name) for name in missing))
+    assert detector.thorough == ["cube", "can", "bowl", "cube", "cube", "bowl"]

@@ -8,14 +8,15 @@ consistent  the part of it that flow backwards confirms and that ends on the car
 colorpair   what is consistent, also at the ridge points of colour pairs, between the same two colours still
 
 and by different estimators behind the `RelativePose` protocol: `kabsch`, weighted least squares over all of
-them, and `robust`, RANSAC and reweighting, as the tracker uses. A trained one is one more entry in
-`estimators`.
+them, `robust`, RANSAC and reweighting, as the tracker uses, and `network`, which corrects the rotation of the
+robust one.
 """
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from pathlib import Path
 
 import cv2
 import numpy as np
@@ -34,6 +35,7 @@ from huepose.support.progress import progress
 from huepose.tracking.correspondences import Correspondences, match
 from huepose.tracking.flow import Flow, compute
 from huepose.tracking.relative_pose import LiftedMatches, Motion, RelativePose, RobustKabsch, lift_matches
+from huepose.tracking.rotation_network import SHIPPED, OnnxRotation, ResidualRotation
 from huepose.tracking.silhouette import visible_mask
 
 LEAST_M, LEAST_RAD = 0.001, np.radians(1.0)
@@ -61,6 +63,11 @@ class PlainKabsch:
 
 
 ESTIMATORS: Mapping[str, RelativePose] = {"kabsch": PlainKabsch(), "robust": RobustKabsch()}
+
+
+def with_network(file: Path = SHIPPED) -> dict[str, RelativePose]:
+    """These and a network of the kind "residual". Raises InputError when the file is something else."""
+    return {**ESTIMATORS, "network": ResidualRotation(OnnxRotation(file))}
 
 
 def evaluate_ablation(

@@ -8,7 +8,14 @@ import numpy as np
 import pytest
 
 from huepose.datasets.types import GroundTruth, Sample
-from huepose.evaluation.ablation import PlainKabsch, chosen, endpoint_error_px, errors, evaluate_ablation
+from huepose.evaluation.ablation import (
+    PlainKabsch,
+    chosen,
+    endpoint_error_px,
+    errors,
+    evaluate_ablation,
+    with_network,
+)
 from huepose.evaluation.ablation_rows import AblationResult, AblationRow
 from huepose.evaluation.targets import Targets
 from huepose.geometry import Camera, RgbdFrame, se3
@@ -18,7 +25,7 @@ from huepose.rendering import render
 from huepose.support.errors import InputError
 from huepose.tracking.correspondences import Correspondences
 from huepose.tracking.flow import compute
-from huepose.tracking.relative_pose import RobustKabsch, lift_matches
+from huepose.tracking.relative_pose import LiftedMatches, RobustKabsch, lift_matches
 from huepose.tracking.silhouette import visible_mask
 
 CAMERA = Camera(420.0, 420.0, 159.5, 119.5, 320, 240)
@@ -135,3 +142,17 @@ def test_a_pair_without_a_motion_counts_as_standing_still() -> None:
     assert flow["rotation_error_rel_mean"] == 0.75
     assert flow["translation_error_rel_mean"] == 0.625
     assert (flow["epe_px_mean"], flow["no_motion"]) == (2.0, 1)
+
+
+def test_the_network_in_the_package_corrects_the_closed_form_a_little_at_most():
+    """On true matches there is nothing to correct."""
+    rng = np.random.default_rng(0)
+    aside = rng.uniform(-0.05, 0.05, (150, 2))
+    bulge = np.sqrt(0.08**2 - (aside**2).sum(1))
+    points = np.column_stack([0.05 + aside[:, 0], 0.02 + aside[:, 1], 0.7 - bulge])
+    T = se3.make(se3.rotation_exp(np.array([0.05, -0.1, 0.08])), np.array([0.01, 0.0, 0.02]))
+    moved = se3.apply(T, points)
+    pixels = [CAMERA.project(p) for p in (points, moved)]
+    matches = LiftedMatches(points, moved, *pixels, np.ones(len(points)))
+    motion = with_network()["network"].estimate(matches)
+    assert np.degrees(se3.rotation_angle(motion.T_b_a, T)) < 0.5

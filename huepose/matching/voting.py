@@ -20,7 +20,7 @@ import numpy as np
 
 from huepose.geometry import se3
 from huepose.geometry.arrays import Float, Float32, Float64, Int32, Int64
-from huepose.geometry.rotations import angles_to
+from huepose.matching.modes import distinct_modes, modes_of
 from huepose.matching.types import Hypothesis, Votes
 from huepose.support.jit import jit
 
@@ -65,32 +65,49 @@ def cluster(
     c = np.asarray(turns[:, :3, :3] @ np.asarray(centre_obj, np.float64) + turns[:, :3, 3]).mean(0)
     centres = votes.rotations @ c.astype(np.float32) + votes.translations
     quaternions = np.stack([_quaternions(votes.rotations @ t[:3, :3].astype(np.float32)) for t in turns])
-    cell_m = config.cell * diameter_m
-    found: list[tuple[float, Float64, Float64]] = []
+    cell_m, angle = config.cell * diameter_m, float(np.radians(config.angle_deg))
+    found = []
     for members in dense_cells(centres, votes.weights, votes.features, cell_m, config.cells):
         if len(members) > config.members:
             members = members[:: -(-len(members) // config.members)]
-        found += _modes(
-            np.ascontiguousarray(quaternions[:, members]),
-            centres[members],
-            votes.weights[members],
-            votes.features[members],
-            cell_m,
-            config,
+        found.append(
+            modes_of(
+                np.ascontiguousarray(quaternions[:, members]),
+                centres[members],
+                votes.weights[members],
+                votes.features[members],
+                cell_m,
+                angle,
+                config.seeds,
+                config.modes,
+            )
         )
-    found.sort(key=lambda mode: -mode[0])
-    kept: list[tuple[float, Float64, Float64]] = []
-    for mode in found:
-        if len(kept) >= config.hypotheses:
-            break
-        if kept:
-            others = np.stack([m[1] for m in kept])
-            angles = np.min([angles_to(others, mode[1] @ t[:3, :3]) for t in turns], axis=0)
-            moves = np.linalg.norm(np.stack([m[2] for m in kept]) - mode[2], axis=1)
-            if ((angles < np.radians(config.distinct_deg)) & (moves < config.distinct * diameter_m)).any():
-                continue
-        kept.append(mode)
-    return [Hypothesis(se3.make(R, centre - R @ c), score, source) for score, R, centre in kept]
+    if not found:
+        return []
+    scores, rotations, places = (np.concatenate(parts) for parts in zip(*found, strict=True))
+    order = np.argsort(-scores, kind="stable")
+    scores, rotations, places = scores[order], rotations[order], places[order]
+    by_turns = np.stack([se3.quaternion_from_rotation(t[:3, :3]) for t in turns])
+    kept = distinct_modes(
+        _products(rotations, by_turns),
+        places,
+        float(np.radians(config.distinct_deg)),
+        config.distinct * diameter_m,
+        config.hypotheses,
+    )
+    out = []
+    for k in kept:
+        R = se3.rotation_from_quaternion(rotations[k])
+        out.append(Hypothesis(se3.make(R, places[k] - R @ c), float(scores[k]), source))
+    return out
+
+
+def _products(a: Float64, b: Float64) -> Float64:
+    """Quaternions xyzw (N, M, 4) of the turns a (N, 4) after the turns b (M, 4)."""
+    x, w = a[:, None, :3], a[:, None, 3:]
+    y, v = b[None, :, :3], b[None, :, 3:]
+    axis = w * y + v * x + np.cross(x, y)
+    return np.ascontiguousarray(np.concatenate([axis, w * v - (x * y).sum(-1, keepdims=True)], -1))
 
 
 def dense_cells(
@@ -118,51 +135,6 @@ def dense_cells(
         a, b = np.maximum(k - 1, 0), k + 2
         around[a[0] : b[0], a[1] : b[1], a[2] : b[2]] = 0.0
     return chosen
-
-
-def _modes(
-    q: Float32, centres: Float32, weights: Float32, features: Int32, radius_m: float, config: VotingConfig
-) -> list[tuple[float, Float64, Float64]]:
-    """Modes (score, R, centre) among the votes of one cell; q (E, N, 4): of all equal poses of each vote."""
-    angle = np.radians(config.angle_deg)
-    # even steps over the votes in order of weight: strong ones and weak ones
-    order = np.argsort(-weights, kind="stable")
-    seeds = np.ascontiguousarray(order[:: max(1, len(order) // config.seeds)][: config.seeds])
-    support = _support(q, centres, weights, features, seeds, float(np.cos(angle / 2)), radius_m)
-    out: list[tuple[float, Float64, Float64]] = []
-    alive = np.ones(len(seeds), bool)
-    for _ in range(config.modes):
-        s = int(np.where(alive, support, -1.0).argmax())
-        if not alive[s] or support[s] <= 0:
-            break
-        k = seeds[s]
-        # the equal pose of every vote that is nearest to the mode
-        cosines = np.abs(q @ q[0, k])
-        nearest = cosines.argmax(0)
-        like = q[nearest, np.arange(q.shape[1])]
-        near, w = _members(like, centres, weights, k, angle, radius_m)
-        mean = np.asarray(w @ centres[near].astype(np.float64) / w.sum())
-        out.append((float(support[s]), _mean_rotation(like[near], w), mean))
-        alive &= cosines.max(0)[seeds] < np.cos(angle / 2)
-    return out
-
-
-def _members(
-    q: Float32, centres: Float32, weights: Float32, k: int, angle: float, radius_m: float
-) -> tuple[Int64, Float64]:
-    """The votes near vote k, and their weights, smaller towards the rim; k itself is always there."""
-    rim = np.cos(angle / 2)
-    turn = (np.abs(q @ q[k]) - rim) / (1 - rim)
-    move = ((centres - centres[k]) ** 2).sum(1) / radius_m**2
-    w = weights * np.maximum(turn, 0) * np.maximum(1 - move, 0)
-    near = np.flatnonzero(w > 0)
-    return (near, w[near].astype(np.float64)) if len(near) else (np.array([k]), np.ones(1))
-
-
-def _mean_rotation(q: Float32, w: Float64) -> Float64:
-    """Chordal mean (3, 3) of unit quaternions (N, 4): see `geometry.rotations.mean_rotation`."""
-    _, vectors = np.linalg.eigh((q * w[:, None]).T @ q)
-    return se3.rotation_from_quaternion(vectors[:, -1])
 
 
 def _quaternions(R: Float32) -> Float32:
@@ -202,48 +174,3 @@ def _cell_votes(cells: Int64, weights: Float32, features: Int32, count: int) -> 
             total[k] += weights[i] - counted[k]
             counted[k] = weights[i]
     return total
-
-
-@jit
-def _support(
-    q: Float32,
-    centres: Float32,
-    weights: Float32,
-    features: Int32,
-    seeds: Int64,
-    cosine: float,
-    radius: float,
-) -> Float32:
-    """Support of each seed: the strongest vote of each feature near it or near an equal pose, smaller towards
-    the rim."""
-    out = np.zeros(seeds.shape[0], np.float32)
-    r2 = np.float32(radius * radius)
-    for s in range(seeds.shape[0]):
-        k = seeds[s]
-        a, b, c, d = q[0, k, 0], q[0, k, 1], q[0, k, 2], q[0, k, 3]
-        total = np.float32(0.0)
-        current = np.int32(-1)
-        counted = np.float32(0.0)
-        for i in range(q.shape[1]):
-            dot = np.float32(0.0)
-            for e in range(q.shape[0]):
-                dot = max(dot, abs(a * q[e, i, 0] + b * q[e, i, 1] + c * q[e, i, 2] + d * q[e, i, 3]))
-            if dot < cosine:
-                continue
-            x, y, z = (
-                centres[i, 0] - centres[k, 0],
-                centres[i, 1] - centres[k, 1],
-                centres[i, 2] - centres[k, 2],
-            )
-            move = (x * x + y * y + z * z) / r2
-            if move > 1.0:
-                continue
-            if features[i] != current:
-                current = features[i]
-                counted = np.float32(0.0)
-            w = weights[i] * (dot - cosine) / (1 - cosine) * (1 - move)
-            if w > counted:
-                total += w - counted
-                counted = w
-        out[s] = total
-    return out

@@ -157,6 +157,8 @@ def main() -> int:
             write_picture(arguments.plots / "challenge.png", reliability_plot(asked, true, title=title))
     if hard is not None:
         summary |= {key: getattr(hard, key) for key in (*STATES, "false_tracking_rate", "frames")}
+    if drift:
+        summary["drift_mm"] = {name: median.tolist() for name, (_, median) in _by_second(drift).items()}
     write_json(arguments.json, {"summary": summary})
     if arguments.plots is not None and every:
         write_picture(arguments.plots / "moments.png", bands(rows, "hard moments, frame by frame"))
@@ -198,14 +200,20 @@ def _ece(quality: np.ndarray, right: np.ndarray) -> float:
     return float((np.abs(stated - true) * count).sum() / count.sum())
 
 
-def _drift_picture(drift: dict[str, list[Told]]) -> np.ndarray:
-    """ADD in millimetres over time, the median of each second."""
+def _by_second(drift: dict[str, list[Told]]) -> dict[str, tuple[np.ndarray, np.ndarray]]:
+    """Middle of each second, and the median of the ADD in it, millimetres."""
     lines = {}
     for name, told in drift.items():
         add = 1e3 * np.array([t.add_m for t in told])
         seconds = len(add) // 30
         lines[name] = (np.arange(seconds) + 0.5, np.median(add[: 30 * seconds].reshape(seconds, 30), 1))
-    return line_plot(lines, "tracked alone", "seconds", "ADD in mm, median of a second", None, (0.0, 4.0))
+    return lines
+
+
+def _drift_picture(drift: dict[str, list[Told]]) -> np.ndarray:
+    """ADD over time."""
+    lines = _by_second(drift)
+    return line_plot(lines, "tracked alone", "seconds", "ADD in mm, median of a second", None, (0.0, 6.0))
 
 
 def _report(lines: dict[str, dict[str, object]], hard: StateReport | None, ece: float | None) -> str:

@@ -20,6 +20,7 @@ from huepose.geometry.arrays import Float64, Int64
 from huepose.geometry.box import Box
 from huepose.geometry.frame import RgbdFrame
 from huepose.support.jit import jit
+from huepose.tracking.reach import Reach
 from huepose.tracking.refinement import COARSE, FINE, QUICK, refine, refine_all
 from huepose.tracking.region import Region, prepare
 from huepose.tracking.scoring import UNKNOWN_TINT, Tint, score, score_all, tolerance_m
@@ -34,7 +35,6 @@ POSITION_TURN = np.radians(40.0)
 
 ROTATION_STEP = np.radians(18.0)
 DIFFERENT_TURN = np.radians(10.0)
-SLACK_M = 0.012
 LEVEL = 2
 """Coarse colours have the widest basins."""
 
@@ -51,20 +51,6 @@ class Effort:
 
 USUAL_EFFORT = Effort(5, 80, 20, 4)
 GREAT_EFFORT = Effort(8, 250, 40, 6)
-
-
-@dataclass(frozen=True, eq=False)
-class Reach:
-    """Where to look: within `distance_m` of the centre (3,), within `angle_rad` of any of the rotations."""
-
-    centre_cam: Float64
-    rotations: tuple[Float64, ...]
-    distance_m: float
-    angle_rad: float
-
-    def holds(self, centre_cam: Float64) -> bool:
-        """Whether an object's centre (3,) lies within, give or take what a refinement moves it."""
-        return float(np.linalg.norm(centre_cam - self.centre_cam)) < self.distance_m + SLACK_M
 
 
 def search(

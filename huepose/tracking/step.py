@@ -21,12 +21,13 @@ from huepose.tracking import evidence
 from huepose.tracking import flow as optical_flow
 from huepose.tracking.config import TrackerConfig
 from huepose.tracking.correspondences import match
-from huepose.tracking.motion import MAX_AHEAD_S, predicted
+from huepose.tracking.motion import predicted
+from huepose.tracking.reach import Reach, reaches
 from huepose.tracking.refinement import FINE, Refined, refine
 from huepose.tracking.region import Region, prepare
 from huepose.tracking.relative_pose import RelativePose, RobustKabsch, lift_matches
 from huepose.tracking.scoring import NOTHING, UNKNOWN_TINT, Fit, Tint, score
-from huepose.tracking.search import GREAT_EFFORT, USUAL_EFFORT, Effort, Reach, search
+from huepose.tracking.search import GREAT_EFFORT, USUAL_EFFORT, Effort, search
 from huepose.tracking.silhouette import visible_mask
 from huepose.tracking.surface import TrackedSurface
 
@@ -67,10 +68,6 @@ TURN_MARGIN = 0.1
 """A near-symmetric turn of the object must explain the image this much better before it is believed."""
 
 FLOW_GROWTH = 0.3
-SEARCH_SLACK_M, SEARCH_SLACK_RAD = 0.02, np.radians(10.0)
-SEARCH_MAX_M, SEARCH_MAX_RAD = 0.25, np.radians(75.0)
-TRUSTED_VELOCITY = 0.5
-"""A known velocity halves the reach: the object's acceleration is left to be found."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -136,7 +133,8 @@ def advance(
     starts = [(anchor.T_cam_obj, "still")]
     if expected is not anchor.T_cam_obj:
         starts.append((expected, "velocity"))
-    near, far = _reach(surface, anchor, expected, seconds + anchor.unseen_s, config)
+    gone_s = seconds + anchor.unseen_s
+    near, far = reaches(surface, anchor.T_cam_obj, anchor.velocity, expected, gone_s, config)
     if anchor.unseen_s > 0.0:
         waiting = _unmoved(surface, frame, expected, anchor.tint)
         if waiting.fit.hidden > evidence.HIDDEN:
@@ -274,24 +272,6 @@ def _convincing(step: Step, usual: float | None, doubt: float) -> bool:
     total = step.fit.total
     allowed = doubt + HIDDEN_COSTS * step.fit.hidden
     return total >= DOUBTFUL_TOTAL and (usual is None or total >= usual - allowed)
-
-
-def _reach(
-    surface: TrackedSurface, anchor: Anchor, expected: Float64, seconds: float, config: TrackerConfig
-) -> tuple[Reach, Reach]:
-    """How far the object can have come since the anchor: if it moved on as it did, and if it did not."""
-    metres = min(SEARCH_SLACK_M + config.max_search_m_s * seconds, SEARCH_MAX_M)
-    radians = float(min(SEARCH_SLACK_RAD + config.max_search_rad_s * seconds, SEARCH_MAX_RAD))
-    last, going_on = anchor.T_cam_obj[:3, :3], expected[:3, :3]
-    middle = se3.interpolate(anchor.T_cam_obj, expected, 0.5)
-    rotations = (last,) if expected is anchor.T_cam_obj else (last, going_on)
-    far = Reach(surface.centre_cam(middle), rotations, metres, radians)
-    if anchor.velocity is None or seconds > MAX_AHEAD_S:
-        return far, far
-    near = Reach(
-        surface.centre_cam(expected), (going_on,), TRUSTED_VELOCITY * metres, TRUSTED_VELOCITY * radians
-    )
-    return near, far
 
 
 def _union(*boxes: Box) -> Box:

@@ -1,0 +1,59 @@
+"""How far an object can have come since it was seen last."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from huepose.geometry import se3
+from huepose.geometry.arrays import Float64
+from huepose.tracking.config import TrackerConfig
+from huepose.tracking.motion import MAX_AHEAD_S
+from huepose.tracking.surface import TrackedSurface
+
+SLACK_M, SLACK_RAD = 0.02, np.radians(10.0)
+MAX_M, MAX_RAD = 0.25, np.radians(75.0)
+TRUSTED_VELOCITY = 0.5
+"""A known velocity halves the reach: the object's acceleration is left to be found."""
+
+REFINED_M = 0.012
+"""A refinement may lead out of the reach by this much."""
+
+
+@dataclass(frozen=True, eq=False)
+class Reach:
+    """Where to look: within `distance_m` of the centre (3,), within `angle_rad` of any of the rotations."""
+
+    centre_cam: Float64
+    rotations: tuple[Float64, ...]
+    distance_m: float
+    angle_rad: float
+
+    def holds(self, centre_cam: Float64) -> bool:
+        """Whether an object's centre (3,) lies within, or nearly."""
+        return float(np.linalg.norm(centre_cam - self.centre_cam)) < self.distance_m + REFINED_M
+
+
+def reaches(
+    surface: TrackedSurface,
+    T_last: Float64,
+    velocity: Float64 | None,
+    expected: Float64,
+    seconds: float,
+    config: TrackerConfig,
+) -> tuple[Reach, Reach]:
+    """Where an object can be so long after its last pose: if it moved on as it did, to where it is expected,
+    and if it did not."""
+    metres = min(SLACK_M + config.max_search_m_s * seconds, MAX_M)
+    radians = float(min(SLACK_RAD + config.max_search_rad_s * seconds, MAX_RAD))
+    last, going_on = T_last[:3, :3], expected[:3, :3]
+    middle = se3.interpolate(T_last, expected, 0.5)
+    rotations = (last,) if expected is T_last else (last, going_on)
+    far = Reach(surface.centre_cam(middle), rotations, metres, radians)
+    if velocity is None or seconds > MAX_AHEAD_S:
+        return far, far
+    near = Reach(
+        surface.centre_cam(expected), (going_on,), TRUSTED_VELOCITY * metres, TRUSTED_VELOCITY * radians
+    )
+    return near, far

@@ -36,21 +36,22 @@ def _common(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--json", type=Path, required=True, metavar="FILE", help="result file")
 
 
-def _seeds(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument(
-        "--seed",
-        type=int,
-        nargs="+",
-        default=[0],
-        metavar="N",
-        help="of the perturbed boxes; results average",
-    )
+def _seeds(parser: argparse.ArgumentParser, text: str = "of the perturbed boxes; results average") -> None:
+    parser.add_argument("--seed", type=int, nargs="+", default=[0], metavar="N", help=text)
 
 
 def _objects(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--objects", nargs="+", default=None, metavar="ID", help="only these BOP ids or names (default: all)"
     )
+
+
+def _path(parser: argparse.ArgumentParser, option: str, metavar: str, text: str) -> None:
+    parser.add_argument(option, type=Path, default=None, metavar=metavar, help=text)
+
+
+def _results(parser: argparse.ArgumentParser, option: str, text: str) -> None:
+    parser.add_argument(option, type=Path, nargs="+", default=[], metavar="RESULT.json", help=text)
 
 
 def _add_estimate(verbs: Any) -> None:
@@ -72,13 +73,7 @@ def _add_estimate(verbs: Any) -> None:
         metavar="F",
         help="leave out labels less visible than this (0)",
     )
-    parser.add_argument(
-        "--equivalent",
-        type=Path,
-        default=None,
-        metavar="FILE",
-        help="poses that count as the labelled one does",
-    )
+    _path(parser, "--equivalent", "FILE", "poses that count as the labelled one does")
     _seeds(parser)
     parser.add_argument(
         "--threads",
@@ -87,17 +82,9 @@ def _add_estimate(verbs: Any) -> None:
         metavar="N",
         help="objects estimated at the same time (2, as when live)",
     )
-    parser.add_argument(
-        "--csv", type=Path, default=None, metavar="BOP19.csv", help="poses for the BOP toolkit"
-    )
-    parser.add_argument("--plots", type=Path, default=None, metavar="DIR", help="curves and pictures")
-    parser.add_argument(
-        "--failures",
-        type=Path,
-        default=None,
-        metavar="DIR",
-        help="a page of pictures and a line why for every wrong pose",
-    )
+    _path(parser, "--csv", "BOP19.csv", "poses for the BOP toolkit")
+    _path(parser, "--plots", "DIR", "curves and pictures")
+    _path(parser, "--failures", "DIR", "a page of pictures and a line why for every wrong pose")
 
 
 def _add_perception(verbs: Any) -> None:
@@ -124,7 +111,7 @@ def _add_perception(verbs: Any) -> None:
     )
     parser.add_argument("--seed", type=int, default=0, metavar="N", help="of the perturbed boxes of masks")
     parser.add_argument("--threads", type=int, default=2, metavar="N", help="objects at the same time (2)")
-    parser.add_argument("--plots", type=Path, default=None, metavar="DIR", help="pictures of every frame")
+    _path(parser, "--plots", "DIR", "pictures of every frame")
 
 
 def _add_track(verbs: Any) -> None:
@@ -151,16 +138,10 @@ def _add_track(verbs: Any) -> None:
     parser.add_argument(
         "--frame", choices=("bop", "nvdu"), default="bop", help="model frame of the files of poses (bop)"
     )
-    parser.add_argument(
-        "--nvdu-frames",
-        type=Path,
-        default=None,
-        metavar="FILE",
-        help="JSON of NVDU model frames, for --frame nvdu",
-    )
+    _path(parser, "--nvdu-frames", "FILE", "JSON of NVDU model frames, for --frame nvdu")
     _objects(parser)
     _seeds(parser)
-    parser.add_argument("--plots", type=Path, default=None, metavar="DIR", help="curves and pictures")
+    _path(parser, "--plots", "DIR", "curves and pictures")
 
 
 def _add_poses(verbs: Any) -> None:
@@ -187,7 +168,7 @@ def _add_ablation(verbs: Any) -> None:
     parser.add_argument(
         "--gap", type=int, default=5, metavar="N", help="frames between the two of a pair (5)"
     )
-    parser.add_argument("--plots", type=Path, default=None, metavar="DIR", help="where ablation.png goes")
+    _path(parser, "--plots", "DIR", "where ablation.png goes")
 
 
 def _add_calibrate(verbs: Any) -> None:
@@ -198,35 +179,27 @@ def _add_calibrate(verbs: Any) -> None:
         "right, and say what it is worth on other results. Without results to fit to: the fit in use.",
     )
     parser.add_argument("results", type=Path, nargs="*", metavar="RESULT.json", help="to fit to")
-    parser.add_argument(
-        "--check", type=Path, nargs="+", default=[], metavar="RESULT.json", help="to say what it is worth on"
-    )
-    parser.add_argument(
+    _results(parser, "--check", "to say what it is worth on")
+    _results(
+        parser,
         "--others",
-        type=Path,
-        nargs="+",
-        default=[],
-        metavar="RESULT.json",
-        help="to fit to as well: objects asked for where they are not (benchmarks/wrong_boxes.py)",
+        "to fit to as well: objects asked for where they are not (benchmarks/wrong_boxes.py)",
     )
-    parser.add_argument(
+    _results(
+        parser,
         "--alike",
-        type=Path,
-        nargs="+",
-        default=[],
-        metavar="RESULT.json",
-        help="to fit to as well: scenes of look-alikes (the same shapes with other prints), where every pose "
+        "to fit to as well: scenes of look-alikes (the same shapes with other prints), where every pose "
         "is wrong",
     )
+    _results(parser, "--sizes", "the same of objects in other sizes")
     parser.add_argument("--method", choices=("full", "colorpair"), default="full")
-    parser.add_argument(
+    _path(
+        parser,
         "--out",
-        type=Path,
-        default=None,
-        metavar="FILE",
-        help="where the fit is kept; huepose/estimation/quality_fits.json is the one in use",
+        "FILE",
+        "where the fit is kept; huepose/estimation/quality_fits.json is the one in use",
     )
-    parser.add_argument("--plots", type=Path, default=None, metavar="DIR", help="reliability pictures")
+    _path(parser, "--plots", "DIR", "reliability pictures")
 
 
 def _add_pairs(verbs: Any) -> None:
@@ -247,20 +220,12 @@ def _add_pairs(verbs: Any) -> None:
     _common(parser)
     _objects(parser)
     parser.add_argument("--views", type=int, default=3, metavar="N", help="rendered views of each object (3)")
-    parser.add_argument(
-        "--seed", type=int, nargs="+", default=[0], metavar="N", help="of views, disturbances and boxes (0)"
-    )
+    _seeds(parser, "of views, disturbances and boxes (0)")
     parser.add_argument(
         "--bop", type=Path, nargs="+", metavar="SCENE_DIR", help="frames for the figure and the places"
     )
     parser.add_argument(
         "--min-visib", type=float, default=0.3, metavar="F", help="of labels, for the places (0.3)"
     )
-    parser.add_argument(
-        "--equivalent",
-        type=Path,
-        default=None,
-        metavar="FILE",
-        help="poses that count as the labelled one does, for the places",
-    )
-    parser.add_argument("--plots", type=Path, default=None, metavar="DIR", help="curves and pictures")
+    _path(parser, "--equivalent", "FILE", "poses that count as the labelled one does, for the places")
+    _path(parser, "--plots", "DIR", "curves and pictures")

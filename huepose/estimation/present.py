@@ -17,6 +17,7 @@ from huepose.model.types import ReferenceModel
 from huepose.perception.clear_view import clear_view
 from huepose.perception.presence import presences, probability
 
+MOST_SURE = 0.99
 OTHER_PRINT = 4.0
 """So many times likelier another print than its own has to be before it speaks against the object."""
 
@@ -36,8 +37,17 @@ def presences_of(
     answer about an object that is not in `models`."""
     view = clear_view(frame, max((m.diameter_m for m in models.values()), default=0.0))
     poses = [(a.object, a.T_cam_obj) for a in answers if a.T_cam_obj is not None]
-    chances = iter(np.zeros(len(poses)) if view is None else probability(presences(view, models, poses)))
-    return [0.0 if a.T_cam_obj is None else float(next(chances)) * _own_print(a) for a in answers]
+    logits = iter(np.full(len(poses), -np.inf) if view is None else presences(view, models, poses))
+    return [0.0 if a.T_cam_obj is None else _chance(float(next(logits)), a) for a in answers]
+
+
+def _chance(logit: float, answer: PoseEstimate) -> float:
+    """Probability that the object is there: what is seen, and what its pose says about it.
+
+    A pose that is surely right speaks for its object; one that is not, for want of print to tell its turn by,
+    does not speak against it."""
+    sure = min(max(answer.quality, 0.5), MOST_SURE)
+    return float(probability(np.float64(logit + np.log(sure / (1.0 - sure))))) * _own_print(answer)
 
 
 def _own_print(answer: PoseEstimate) -> float:

@@ -14,7 +14,7 @@ import numpy as np
 from huepose.estimation.types import PoseEstimate
 from huepose.geometry.arrays import Bool
 
-PRESENT = 0.55
+PRESENT = 0.6
 """Probability that the object is there from which a pose at a place that was only proposed stands."""
 
 CLAIMED = 0.5

@@ -18,7 +18,7 @@ PAGES = [
     *ROOT.glob("benchmarks/*.md"),
 ]
 # What stands for a number, or for two of a choice.
-STANDS_FOR = {"N": "1", "S": "1", "X": "1", "F": "0.5", "DIR|builtin": "DIR"}
+STANDS_FOR = {"N": "1", "S": "1", "X": "1", "Y": "1", "W": "1", "H": "1", "F": "0.5", "DIR|builtin": "DIR"}
 
 
 def documented() -> list[str]:

@@ -25,10 +25,16 @@ def add_parser(subparsers: Any) -> None:
     parser = subparsers.add_parser("view", help="show what a running pipeline sees and believes")
     add_choice(parser)
     where = parser.add_mutually_exclusive_group()
-    where.add_argument("--web", type=int, metavar="PORT", help="serve a page there, without the internet")
+    where.add_argument("--web", type=_port, metavar="PORT", help="serve a page there, without the internet")
     where.add_argument("--save", type=Path, metavar="FILE.rrd", help="write a file for the rerun viewer")
     parser.add_argument("--seconds", type=float, metavar="S", help="stop after so long")
     parser.set_defaults(call=call)
+
+
+def _port(text: str) -> int:
+    if not text.isdigit() or not 0 < int(text) < 65_536:
+        raise argparse.ArgumentTypeError(f"found {text}, expected a port of 1 to 65535")
+    return int(text)
 
 
 def call(arguments: argparse.Namespace) -> int:

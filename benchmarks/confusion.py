@@ -1,15 +1,16 @@
-"""Which object is taken for which: every object asked for in the true box of every other.
+"""Which object is taken for which: every object asked for in the boxes of every other, each alone.
 
     .venv/bin/python benchmarks/confusion.py --bop SCENE... --bundles DIR --json OUT.json --picture OUT.png
 
-Each cell: the share of boxes of the row's object in which the column's object is acquired, that is, found
-with a quality over the acquisition level; on the diagonal that is the share that is acquired as itself.
+Each cell: mean quality of the column's object in boxes of the row's object, and the share of these boxes in
+which it is acquired, that is, found with a quality over the acquisition level; on the diagonal that is the
+share that is acquired as itself. An object that stands in the same picture is not asked for in another's box,
+because it may well be in it, too; a cell for which no box is left is grey.
 """
 
 from __future__ import annotations
 
 import argparse
-from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
@@ -46,8 +47,9 @@ def main() -> None:
         size = (frame.camera.width, frame.camera.height)
         box = disturbed(true_box, "perturbed", 0, scene.name, image, truth.instance, *size)
         place = {"scene": scene.name, "image": image, "instance": truth.instance, "shown": model.name}
-        answers = estimator.estimate(frame, [ObjectQuery(m.name, box) for m in shown])
-        rows += [{**place, **_said(answer)} for answer in answers]
+        here = {m.name for t in scene.truths(image) if (m := targets.model_of(t)) is not None}
+        asked = [m for m in shown if m.name == model.name or m.name not in here]
+        rows += [{**place, **_said(estimator.explain(frame, ObjectQuery(m.name, box))[0])} for m in asked]
     names = [m.name for m in shown]
     acquired, quality = _matrix(rows, names, "acquired"), _matrix(rows, names, "quality")
     wrong = [r for r in rows if r["shown"] != r["asked"]]
@@ -58,10 +60,9 @@ def main() -> None:
         "acquired_another_percent": 100.0 * float(np.mean([r["acquired"] for r in wrong])),
         "best_is_right_percent": _best_is_right(rows),
     }
-    # In the form of `huepose eval estimate`: poses that belong to no label, to be calibrated against.
-    false = [r for r in wrong if r["found"]]
-    record = {"summary": summary, "acquired": acquired, "quality": quality, "rows": [], "false": false}
-    write_json(arguments.json, {**record, "answers": rows})
+    write_json(
+        arguments.json, {"summary": summary, "acquired": acquired, "quality": quality, "answers": rows}
+    )
     short = [str(object_number(m)) for m in shown]
     lines = [[name, *line] for name, line in zip(names, acquired.tolist(), strict=True)]
     print(table(["box of \\ asked", *short], lines))
@@ -78,7 +79,6 @@ def _said(answer: PoseEstimate) -> dict[str, Any]:
         "found": answer.found,
         "quality": answer.quality,
         "acquired": answer.state == "TRACKING",
-        "terms": None if answer.terms is None else asdict(answer.terms),
     }
 
 
@@ -102,17 +102,18 @@ def _boxes(
 
 
 def _matrix(rows: list[dict[str, Any]], names: list[str], key: str) -> Float64:
-    """Mean of a field over the boxes, percent (N, N): rows are what is shown, columns what is asked for."""
+    """Mean of a field over the boxes, percent (N, N): rows are what is shown, columns what is asked for; nan
+    where nothing was asked."""
     total, count = np.zeros((len(names),) * 2), np.zeros((len(names),) * 2)
     for row in rows:
         at = names.index(row["shown"]), names.index(row["asked"])
         total[at] += float(row[key])
         count[at] += 1
-    return np.asarray(100.0 * total / np.maximum(count, 1))
+    return np.where(count > 0, 100.0 * total / np.maximum(count, 1), np.nan)
 
 
 def _best_is_right(rows: list[dict[str, Any]]) -> float:
-    """Of the boxes, the share in which the object that is there gets the highest quality of all."""
+    """Of the boxes, the share in which the object that is there gets the highest quality of all asked."""
     boxes: dict[tuple[str, int, int], list[dict[str, Any]]] = {}
     for row in rows:
         boxes.setdefault((row["scene"], row["image"], row["instance"]), []).append(row)
@@ -131,7 +132,7 @@ def drawn(quality: Float64, acquired: Float64, names: list[str]) -> UInt8:
         for j in range(n):
             x, y, q = left + j * cell, top + i * cell, quality[i, j] / 100.0
             full = np.array([60, 150, 80]) if i == j else np.array([205, 60, 50])
-            color = tuple(int(c) for c in 255 + q * (full - 255))
+            color = tuple(int(c) for c in 255 + q * (full - 255)) if np.isfinite(q) else (235, 235, 235)
             cv2.rectangle(picture, (x, y), (x + cell - 2, y + cell - 2), color, -1)
             if acquired[i, j] >= 0.5:
                 text = f"{acquired[i, j]:.0f}"

@@ -17,7 +17,11 @@ from multiprocessing import get_context
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from huepose.datasets.bop import BopScene
+from huepose.datasets.rendered_set import write_rendered_set
+from huepose.datasets.shapes import demo_objects
 from huepose.estimation import Estimator, EstimatorConfig
 from huepose.evaluation.absent import answers_where_absent, questions
 from huepose.evaluation.calibration import FEATURES, Fitted, as_json, fit, worth
@@ -32,6 +36,7 @@ from huepose_services.cli.main import main as huepose
 FITS = Path(__file__).parents[1] / "huepose" / "estimation" / "quality_fits.json"
 MIN_VISIB = 0.1
 ABSENT_PER_FRAME = 3
+SIZES = (1.2, 1.0 / 1.2)
 SHARE = {"full": 1, "colorpair": 2}
 """One in so many frames is used, because the second method takes longer."""
 
@@ -71,6 +76,7 @@ def main() -> None:
     _drawn(ycb, str(arguments.models), 100, 101)
     _drawn(builtin, "builtin", 30, 102)
     _drawn(alike, "builtin", 25, 103, "--prints", "1")
+    sizes = [_resized(work / f"cal_size_{k}", factor, 104 + k) for k, factor in enumerate(SIZES)]
     if not any(own.glob("*.huepose")):
         huepose(["onboard-bop", str(builtin / "models"), "--out", str(own)])
     parts = []
@@ -82,6 +88,7 @@ def main() -> None:
                 Part("others", method, ycb, arguments.bundles, first, n),
                 Part("labels", method, builtin, own, first, n),
                 Part("alike", method, alike, own, first, n),
+                *(Part("sizes", method, scene, own, first, n) for scene in sizes),
             ]
     with ProcessPoolExecutor(arguments.processes, mp_context=get_context("spawn")) as pool:
         list(pool.map(_estimated, parts, [work] * len(parts)))
@@ -89,13 +96,13 @@ def main() -> None:
     for method in arguments.methods:
         files = {
             kind: [work / f"{p.name}.json" for p in parts if (p.method, p.kind) == (method, kind)]
-            for kind in ("labels", "others", "alike")
+            for kind in ("labels", "others", "alike", "sizes")
         }
         labels = _all([read_judged(path) for path in files["labels"]])
-        others, alikes = (_all([read_absent(path) for path in files[kind]]) for kind in ("others", "alike"))
-        fitted = fit(labels, FEATURES[method], others, alikes)
+        wrong = [_all([read_absent(path) for path in files[kind]]) for kind in ("others", "alike", "sizes")]
+        fitted = fit(labels, FEATURES[method], *wrong)
         fits[method] = as_json(fitted.fit)
-        _print(method, fitted, labels, others, alikes)
+        _print(method, fitted, labels, *wrong)
     FITS.write_text(json.dumps(fits, indent=1) + "\n")
 
 
@@ -113,13 +120,14 @@ def _estimated(part: Part, work: Path) -> None:
         write_json(path, evaluate_estimates([scene], targets, estimator, options).as_json())
 
 
-def _print(method: str, fitted: Fitted, labels: Judged, others: Judged, alike: Judged) -> None:
+def _print(method: str, fitted: Fitted, labels: Judged, others: Judged, alike: Judged, sizes: Judged) -> None:
     level, found = fitted.fit.level, fitted.fit.found
     rows: list[list[Any]] = []
     for name, quality, judged, is_found in (
         ("labels", fitted.labels, labels, fitted.present_labels >= found),
         ("others", fitted.others, others, fitted.present_others >= found),
-        ("look-alikes", fitted.alike, replace(alike, which=alike.which * 0 - 1), None),
+        ("other prints", fitted.alike, alike, None),
+        ("other sizes", fitted.sizes, sizes, None),
     ):
         w = worth(quality, judged, level, is_found)
         precision = None if w.precision is None else 100.0 * w.precision
@@ -131,6 +139,17 @@ def _print(method: str, fitted: Fitted, labels: Judged, others: Judged, alike: J
 
 def _all(parts: Sequence[Judged]) -> Judged:
     return reduce(lambda a, b: a + b, parts)
+
+
+def _resized(scene: Path, factor: float, seed: int) -> Path:
+    """The built-in objects in another size."""
+    if not (scene / "scene_gt.json").exists():
+        meshes = {
+            name: replace(mesh, vertices=np.float32(factor) * mesh.vertices)
+            for name, mesh in demo_objects().items()
+        }
+        write_rendered_set(scene, meshes, {name: k for k, name in enumerate(meshes, 1)}, 12, seed)
+    return scene
 
 
 def _drawn(scene: Path, models: str, frames: int, seed: int, *more: str) -> None:

@@ -13,6 +13,7 @@ from huepose.estimation.outline import projected_box
 from huepose.estimation.print_evidence import print_evidence
 from huepose.estimation.quality import QualityFit, QualityTerms, covariance
 from huepose.estimation.settle import settle
+from huepose.estimation.size_evidence import stretch
 from huepose.estimation.types import ObjectQuery, PoseEstimate
 from huepose.geometry import se3
 from huepose.geometry.arrays import Float64
@@ -99,5 +100,6 @@ def _terms(
         seen.missing,
         seen.foreign,
         seen.detail,
+        stretch(model, region, T_cam_obj),
         float(region.mask.sum()),
     )

@@ -1,10 +1,10 @@
 """How far a pose may be trusted: a probability that it is right, and a covariance.
 
-Quality is the product of two probabilities: that it is this print that is seen and not another one on such a
-shape, and that the pose is right then. The second one is a choice: the chance that any of the poses that were
-found is right is shared out by their scores, so that a near-tie is published as one, each pose with its
-probability. Whether an object is there at all is a third question, with a probability of its own, which
-decides whether anything is said to be found. `quality_fits.json` holds the numbers, as fitted on drawn scenes
+Quality is the product of three probabilities: that it is this print that is seen and not another one on such
+a shape, that it is this size, and that the pose is right then. The last one is a choice: the chance that any
+of the poses that were found is right is shared out by their scores, so that a near-tie is published as one,
+each pose with its probability. Whether an object is there at all is a question of its own, which decides
+whether anything is said to be found. `quality_fits.json` holds the numbers, as fitted on drawn scenes
 (`evaluation.calibration`). The covariance is that of a robust point-to-plane fit, widened by what print and
 model fix and by a floor.
 """
@@ -26,13 +26,16 @@ from huepose.registration.surface_icp import Alignment
 MAX_MARGIN = 0.3
 """Beyond this a larger margin says nothing more; also the margin of a pose without any other."""
 
+MAX_STRETCH = 0.15
+
 
 @dataclass(frozen=True)
 class QualityTerms:
     """What quality is a function of. total: score of the pose; gaps: how much less the other answers score,
     best first; color, box_iou, depth_fit, coverage, violation, occluded, seen: terms of its dense score (see
-    `verification.dense.PoseScore`); missing, foreign, detail: see `print_evidence.PrintEvidence`; pixels: of
-    the image that are believed to show the object."""
+    `verification.dense.PoseScore`); missing, foreign, detail: see `print_evidence.PrintEvidence`; stretch:
+    by how much the depth would have the object larger (see `size_evidence`); pixels: of the image that are
+    believed to show the object."""
 
     total: float
     gaps: tuple[float, ...]
@@ -46,6 +49,7 @@ class QualityTerms:
     missing: float
     foreign: float
     detail: float
+    stretch: float
     pixels: float
 
     @property
@@ -69,13 +73,15 @@ class Logistic:
 
 @dataclass(frozen=True)
 class QualityFit:
-    """presence: that the object is there, in whatever print; this_print: that it is this print; listed: that
-    one of the poses is right. They share it by exp(-sharpness x gap), where sharpness is a constant and a
-    factor times each feature, all but the best lowered by exp(-handicap). level: the quality over which 99 %
-    of the poses of the calibration scenes were right; found: the presence under which nothing is there."""
+    """presence: that the object is there, in whatever print; this_print, this_size: that it is not another
+    print or another size of it; listed: that one of the poses is right. They share it by exp(-sharpness x
+    gap), where sharpness is a constant and a factor times each feature, all but the best lowered by
+    exp(-handicap). level: the quality over which 99 % of the poses of the calibration scenes were right;
+    found: the presence under which nothing is there."""
 
     presence: Logistic
     this_print: Logistic
+    this_size: Logistic
     listed: Logistic
     sharpness: Mapping[str, float]
     handicap: float
@@ -85,10 +91,10 @@ class QualityFit:
     def probabilities(self, terms: QualityTerms) -> Float64:
         """Of the pose and of each other answer (1 + K,), that it is the right one; at most 1 in sum."""
         known = features(terms)
-        sharpness = sum(
-            f * (1.0 if name == "constant" else known[name]) for name, f in self.sharpness.items()
-        )
-        return self.this_print(known) * self.listed(known) * shares(terms, max(sharpness, 0.0), self.handicap)
+        known["constant"] = 1.0
+        sharpness = sum(factor * max(known[name], 0.0) for name, factor in self.sharpness.items())
+        one_of_them = self.this_print(known) * self.this_size(known) * self.listed(known)
+        return np.asarray(one_of_them * shares(terms, sharpness, self.handicap))
 
     def present(self, terms: QualityTerms) -> float:
         """Probability in 0..1 that the object is here at all."""
@@ -99,7 +105,7 @@ def shares(terms: QualityTerms, sharpness: float, handicap: float) -> Float64:
     """How the pose and the other answers share what there is (1 + K,), 1 in sum.
 
     >>> from dataclasses import replace
-    >>> tied = QualityTerms(2.0, (0.0,), 0.6, 0.9, 0.9, 0.9, 0.0, 0.0, 0.9, 0.1, 9.0, 0.5, 4000)
+    >>> tied = QualityTerms(2.0, (0.0,), 0.6, 0.9, 0.9, 0.9, 0.0, 0.0, 0.9, 0.1, 9.0, 0.5, 0.0, 4000)
     >>> shares(tied, 40.0, 0.0).tolist()
     [0.5, 0.5]
     >>> shares(replace(tied, gaps=(0.1, 0.3)), 40.0, 0.0).round(3).tolist()
@@ -125,13 +131,14 @@ def features(terms: QualityTerms) -> dict[str, float]:
         "print_complete": 1.0 - terms.missing,
         "nothing_foreign": 1.0 - terms.foreign / 25.0,
         "detail": terms.detail,
+        "same_size": -min(abs(terms.stretch), MAX_STRETCH),
         "size": float(np.log10(max(terms.pixels, 1.0))),
     }
 
 
 def fit_of(entry: Mapping[str, Any]) -> QualityFit:
     """The fit that an entry of `quality_fits.json` describes."""
-    logistics = {name: Logistic(**entry[name]) for name in ("presence", "this_print", "listed")}
+    logistics = {name: Logistic(**entry[name]) for name in ("presence", "this_print", "this_size", "listed")}
     return QualityFit(**{**entry, **logistics})
 
 
@@ -145,8 +152,8 @@ def quality_fits() -> dict[str, QualityFit]:
 def quality(method: str, terms: QualityTerms) -> float:
     """Probability in 0..1 that a pose of this method is right.
 
-    >>> sure = QualityTerms(2.4, (0.3, 0.5), 0.6, 0.9, 0.9, 0.9, 0.02, 0.1, 0.9, 0.1, 9.0, 0.5, 4000)
-    >>> doubtful = QualityTerms(1.3, (0.01,), 0.2, 0.5, 0.5, 0.4, 0.2, 0.3, 0.4, 0.4, 20.0, 0.1, 500)
+    >>> sure = QualityTerms(2.4, (0.3, 0.5), 0.6, 0.9, 0.9, 0.9, 0.02, 0.1, 0.9, 0.1, 9.0, 0.5, 0.0, 4000)
+    >>> doubtful = QualityTerms(1.3, (0.01,), 0.2, 0.5, 0.5, 0.4, 0.2, 0.3, 0.4, 0.4, 20.0, 0.1, 0.1, 500)
     >>> quality("full", sure) > 0.9 > 0.3 > quality("full", doubtful)
     True
     """

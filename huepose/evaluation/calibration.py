@@ -1,9 +1,10 @@
 """Fitting quality: from estimates with known truth to the probabilities that `estimation.quality` states.
 
-Three kinds of estimates are needed. Of objects that were asked for in their own boxes (labels): which of the
+Four kinds of estimates are needed. Of objects that were asked for in their own boxes (labels): which of the
 published answers was right. Of objects asked for where they are not (others): whether something is there. Of
-the same shapes in another print (alike): whether it is this print. What is reported of a fit is measured on
-frames that it has not seen: the frames are dealt into folds, and each fold is judged by the fit of the rest.
+the same shapes in another print (alike) or in another size (sizes): whether it is this one. What is reported
+of a fit is measured on frames that it has not seen: the frames are dealt into folds, and each fold is judged
+by the fit of the rest.
 """
 
 from __future__ import annotations
@@ -28,6 +29,7 @@ class Names:
 
     presence: Sequence[str]
     this_print: Sequence[str]
+    this_size: Sequence[str]
     listed: Sequence[str]
     sharpness: Sequence[str]
 
@@ -36,12 +38,14 @@ FEATURES: Mapping[str, Names] = {
     "full": Names(
         presence=("total", "coverage", "depth_fit", "box_iou", "print_complete", "detail"),
         this_print=("print_complete", "nothing_foreign"),
+        this_size=("same_size", "box_iou", "no_violation", "detail"),
         listed=("margin", "total", "box_iou", "detail"),
         sharpness=("detail",),
     ),
     "colorpair": Names(
         presence=("total", "coverage", "depth_fit", "box_iou"),
         this_print=("total",),
+        this_size=("same_size", "box_iou", "no_violation", "depth_fit"),
         listed=("margin", "total", "box_iou", "depth_fit"),
         sharpness=(),
     ),
@@ -49,11 +53,12 @@ FEATURES: Mapping[str, Names] = {
 """By method: the fewest whose likelihood on frames that the fit has not seen is as good as that of more."""
 
 ALIKE_WEIGHT = 0.1
-"""Of a look-alike; with more, objects in dim light, whose colours fade, are taken for look-alikes."""
+"""Of a look-alike, in print or size; with more, objects in dim light, whose colours fade, are taken for
+one."""
 
 LEVEL_SHARE = 0.99
-LOST_SHARE = 0.003
-"""Of the right poses, so many may be taken for "nothing there"."""
+LOST_SHARE = 0.01
+"""Of the poses that lie on their objects, so many may be taken for "nothing there"."""
 
 FOLDS = 10
 FEWEST = 50
@@ -63,12 +68,14 @@ FEWEST = 50
 @dataclass(frozen=True, eq=False)
 class Fitted:
     """A fit, and what it states about what it was fitted to, each by the fit of other frames: quality of the
-    labels, the others and the look-alikes; present_labels, present_others: how likely they are there."""
+    labels, the others, the look-alikes and the other sizes; present_labels, present_others: that they are
+    there."""
 
     fit: QualityFit
     labels: Float64
     others: Float64
     alike: Float64
+    sizes: Float64
     present_labels: Float64
     present_others: Float64
 
@@ -87,10 +94,12 @@ class Worth:
     found: float
 
 
-def fit(labels: Judged, names: Names, others: Judged = NONE, alike: Judged = NONE) -> Fitted:
+def fit(
+    labels: Judged, names: Names, others: Judged = NONE, alike: Judged = NONE, sizes: Judged = NONE
+) -> Fitted:
     """The fit on all of them, its levels from folds that their own fit has not seen. Without others
-    everything is present, without look-alikes every print is the right one. Raises InputError when all or
-    none of the labels are right."""
+    everything is present, without look-alikes every print is the right one, and so with sizes. Raises
+    InputError when all or none of the labels are right."""
     if labels.right.all() or not labels.right.any():
         raise InputError(
             "calibration",
@@ -98,23 +107,24 @@ def fit(labels: Judged, names: Names, others: Judged = NONE, alike: Judged = NON
             expected="right ones and wrong ones",
             fix="Use more or harder scenes.",
         )
-    folds = [_folds(part) for part in (labels, others, alike)]
-    quality = [np.zeros(len(part.which)) for part in (labels, others, alike)]
+    parts = (labels, others, alike, sizes)
+    folds = [_folds(part) for part in parts]
+    quality = [np.zeros(len(part.which)) for part in parts]
     present = [np.ones(len(part.which)) for part in (labels, others)]
     for k in range(FOLDS):
-        seen = [part.only(f != k) for part, f in zip((labels, others, alike), folds, strict=True)]
+        seen = [part.only(f != k) for part, f in zip(parts, folds, strict=True)]
         mine = [np.flatnonzero(f == k).tolist() for f in folds]
         if not any(len(m) for m in mine) or seen[0].right.all() or not seen[0].right.any():
             continue
-        held = _fit_once(seen[0], names, seen[1], seen[2])
-        for part, where, q in zip((labels, others, alike), mine, quality, strict=True):
+        held = _fit_once(names, *seen)
+        for part, where, q in zip(parts, mine, quality, strict=True):
             q[where] = [held.probabilities(part.terms[i])[0] for i in where]
-        for part, where, p in zip((labels, others), mine, present, strict=False):
+        for part, where, p in zip(parts[:2], mine[:2], present, strict=True):
             p[where] = [held.present(part.terms[i]) for i in where]
     level = level_of(quality[0], labels.right, labels.weights)
-    found = float(np.quantile(present[0][labels.right], LOST_SHARE)) if len(others.which) else 0.0
-    whole = replace(_fit_once(labels, names, others, alike), level=level, found=found)
-    return Fitted(whole, quality[0], quality[1], quality[2], present[0], present[1])
+    found = float(np.quantile(present[0][labels.placed], LOST_SHARE)) if len(others.which) else 0.0
+    whole = replace(_fit_once(names, *parts), level=level, found=found)
+    return Fitted(whole, *quality, *present)
 
 
 def level_of(
@@ -154,7 +164,7 @@ def stated_by(quality_fit: QualityFit, judged: Judged) -> Float64:
 
 def as_json(quality_fit: QualityFit) -> dict[str, Any]:
     """The entry of `quality_fits.json`: factors of nothing are left out."""
-    parts = {name: getattr(quality_fit, name) for name in ("presence", "this_print", "listed")}
+    parts = {name: getattr(quality_fit, name) for name in ("presence", "this_print", "this_size", "listed")}
     return {
         **{
             name: {"constant": round(part.constant, 4), "factors": _rounded(part.factors)}
@@ -167,20 +177,25 @@ def as_json(quality_fit: QualityFit) -> dict[str, Any]:
     }
 
 
-def _fit_once(labels: Judged, names: Names, others: Judged, alike: Judged) -> QualityFit:
+def _fit_once(names: Names, labels: Judged, others: Judged, alike: Judged, sizes: Judged) -> QualityFit:
+    right, placed = labels.only(labels.right), labels.only(labels.placed)
+    presence = _against(placed, replace(others, weights=np.ones(len(others.which))), names.presence)
+    alike, sizes = (replace(part, weights=np.full(len(part.which), ALIKE_WEIGHT)) for part in (alike, sizes))
+    this_print = _against(right, alike, names.this_print)
+    this_size = _against(right, sizes, names.this_size)
     both = labels + others
     table = _table(both.terms)
     sharpeners = np.stack([np.ones(len(both.which)), *(table[n] for n in names.sharpness)], axis=1)
+    known = [features(t) for t in both.terms]
+    itself = np.array([this_print(k) * this_size(k) for k in known])
     listed, sharpness, handicap = choice(
         _columns(table, names.listed), _gaps(both.terms), np.maximum(sharpeners, 0.0), both.which,
-        both.weights, names.listed,
+        both.weights, names.listed, itself,
     )  # fmt: skip
-    right = labels.only(labels.right)
-    there = replace(others, weights=np.ones(len(others.which)))
-    these = replace(alike, weights=np.full(len(alike.which), ALIKE_WEIGHT))
     return QualityFit(
-        presence=_against(right, there, names.presence),
-        this_print=_against(right, these, names.this_print),
+        presence=presence,
+        this_print=this_print,
+        this_size=this_size,
         listed=listed,
         sharpness=dict(zip(("constant", *names.sharpness), sharpness.tolist(), strict=True)),
         handicap=handicap,
@@ -190,12 +205,13 @@ def _fit_once(labels: Judged, names: Names, others: Judged, alike: Judged) -> Qu
 
 
 def _against(right: Judged, wrong: Judged, names: Sequence[str]) -> Logistic:
-    """What tells right ones from wrong ones."""
+    """What tells the first from the second; without a second, everything is one of the first."""
     both = right + wrong
     x = _columns(_table(both.terms), names)
     if not len(wrong.which):
         x = np.zeros_like(x)
-    return logistic(x, both.right, both.weights, names)
+    is_right = np.arange(len(both.which)) < len(right.which)
+    return logistic(x, is_right, both.weights, names)
 
 
 def _folds(judged: Judged) -> Int64:

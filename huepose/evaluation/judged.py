@@ -11,6 +11,7 @@ import numpy as np
 
 from huepose.datasets import files
 from huepose.estimation.quality import QualityTerms
+from huepose.evaluation import metrics
 from huepose.geometry.arrays import Bool, Float64, Int64
 from huepose.support.errors import InputError
 
@@ -22,11 +23,13 @@ matter, and enough of them would make every doubtful pose look false."""
 @dataclass(frozen=True, eq=False)
 class Judged:
     """Estimates with truth: terms; which (N,): the number of the answer that is right, 0 the pose itself, -1
-    none; frames: which frame each is of; stated (N,): the quality that was published for each; weights (N,);
-    missed: how many more instances got no pose."""
+    none; placed (N,): whether the pose lies on the object, turned as it may be; frames: which frame each is
+    of; stated (N,): the quality that was published for each; weights (N,); missed: how many more instances
+    got no pose."""
 
     terms: Sequence[QualityTerms]
     which: Int64
+    placed: Bool
     frames: Sequence[Hashable]
     stated: Float64
     weights: Float64
@@ -41,6 +44,7 @@ class Judged:
         return Judged(
             [*self.terms, *other.terms],
             np.concatenate([self.which, other.which]),
+            np.concatenate([self.placed, other.placed]),
             [*self.frames, *other.frames],
             np.concatenate([self.stated, other.stated]),
             np.concatenate([self.weights, other.weights]),
@@ -53,13 +57,14 @@ class Judged:
         return Judged(
             [self.terms[k] for k in keep],
             self.which[keep],
+            self.placed[keep],
             [self.frames[k] for k in keep],
             self.stated[keep],
             self.weights[keep],
         )
 
 
-NONE = Judged([], np.zeros(0, np.int64), [], np.zeros(0), np.zeros(0))
+NONE = Judged([], np.zeros(0, np.int64), np.zeros(0, bool), [], np.zeros(0), np.zeros(0))
 
 
 def read_judged(path: Path | str) -> Judged:
@@ -71,6 +76,7 @@ def read_judged(path: Path | str) -> Judged:
     return Judged(
         [_terms(row, path) for row in every],
         np.array([_which(row) for row in found] + [-1] * len(false), dtype=np.int64),
+        np.array([_placed(row) for row in found] + [False] * len(false)),
         [(str(path), row["scene"], row["image"]) for row in every],
         np.array([float(row["quality"]) for row in every]),
         np.array([1.0] * len(found) + [FALSE_WEIGHT] * len(false)),
@@ -85,6 +91,7 @@ def read_absent(path: Path | str) -> Judged:
     return Judged(
         [_terms(row, path) for row in every],
         np.full(len(every), -1, dtype=np.int64),
+        np.zeros(len(every), bool),
         [(str(path), row["scene"], row["image"]) for row in every],
         np.array([float(row["quality"]) for row in every]),
         np.full(len(every), FALSE_WEIGHT),
@@ -115,3 +122,8 @@ def _which(row: Mapping[str, Any]) -> int:
     """The number of the first answer that is right, -1 for none."""
     chances = [row["right"], *(other["right"] for other in row.get("alternatives", []))]
     return next((k for k, right in enumerate(chances) if right), -1)
+
+
+def _placed(row: Mapping[str, Any]) -> bool:
+    """ADD-S under a tenth of the diameter."""
+    return bool(row["right"] or row["adds_m"] < metrics.RECALL_FRACTION * row["diameter_m"])

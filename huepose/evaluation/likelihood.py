@@ -33,22 +33,30 @@ def logistic(x: Float64, right: Bool, weights: Float64, names: Sequence[str]) ->
 
 
 def choice(
-    x: Float64, gaps: Float64, sharpeners: Float64, which: Int64, weights: Float64, names: Sequence[str]
+    x: Float64,
+    gaps: Float64,
+    sharpeners: Float64,
+    which: Int64,
+    weights: Float64,
+    names: Sequence[str],
+    times: Float64 | None = None,
 ) -> tuple[Logistic, Float64, float]:
     """That one of the answers is right, how sharply they share it, and the handicap of all but the first.
 
     x (N, K): features by name; gaps (N, A): by how much each answer scores less than the first, which is in
     column 0 with 0, and inf where there is none; sharpeners (N, S): what sharpness is linear in; which (N,):
-    the right answer's column, -1 where none is right. Nothing but the constant may be negative."""
+    the right answer's column, -1 where none is right; times (N,): what the probability is multiplied by
+    afterwards, which the fit makes good as far as it can. Nothing but the constant may be negative."""
     centre, spread, z = _standard(x)
     count, sharp = x.shape[1], sharpeners.shape[1]
     known = np.where(np.isfinite(gaps), gaps, 1e3)
     other = np.arange(gaps.shape[1]) > 0
+    known_part = np.ones(len(which)) if times is None else times
     none, row = which < 0, np.arange(len(which))
 
     def loss(p: Float64) -> float:
         factors, handicap = p[1 : 1 + count], p[-1]
-        listed = sigmoid(p[0] + z @ factors)
+        listed = known_part * sigmoid(p[0] + z @ factors)
         steep = sharpeners @ p[1 + count : 1 + count + sharp]
         weight = np.exp(-steep[:, None] * known - handicap * other)
         share = weight / weight.sum(1, keepdims=True)

@@ -10,7 +10,7 @@ from huepose_services.cli.main import BAD_INPUT, DONE, main
 TERMS = {
     "total": 1.5, "gaps": [0.1], "color": 0.4, "box_iou": 0.8, "depth_fit": 0.7, "coverage": 0.7,
     "violation": 0.1, "occluded": 0.1, "seen": 0.7,
-    "missing": 0.2, "foreign": 10.0, "detail": 0.4, "pixels": 2000.0,
+    "missing": 0.2, "foreign": 10.0, "detail": 0.4, "stretch": 0.0, "pixels": 2000.0,
 }  # fmt: skip
 
 
@@ -51,7 +51,8 @@ def _results(path: Path, n: int, seed: int) -> Path:
     for k in range(n):
         margin = float(rng.uniform(0, 0.3))
         right = bool(rng.random() < 1 / (1 + np.exp(-(-4.0 + 40.0 * margin))))
-        place = {"scene": "s", "image": k, "instance": 0, "found": True, "quality": 0.5}
+        place = {"scene": "s", "image": k, "instance": 0, "found": True, "quality": 0.5,
+                 "adds_m": 0.0, "diameter_m": 0.2}  # fmt: skip
         rows.append({**place, "right": right, "terms": {**TERMS, "gaps": [margin]}})
     path.write_text(json.dumps({"rows": rows, "false": []}))
     return path

@@ -31,12 +31,14 @@ def call(arguments: argparse.Namespace) -> int:
         labels = _all([read_judged(path) for path in arguments.results])
         others = _all([read_absent(path) for path in arguments.others])
         alike = _all([read_absent(path) for path in arguments.alike])
-        fitted = calibration.fit(labels, calibration.FEATURES[arguments.method], others, alike)
+        sizes = _all([read_absent(path) for path in arguments.sizes])
+        fitted = calibration.fit(labels, calibration.FEATURES[arguments.method], others, alike, sizes)
         fit, entry = fitted.fit, calibration.as_json(fitted.fit)
         for name, stated, judged, present in (
             ("fitted to, held out", fitted.labels, labels, fitted.present_labels),
             ("others, held out", fitted.others, others, fitted.present_others),
-            ("look-alikes, held out", fitted.alike, alike, None),
+            ("other prints, held out", fitted.alike, alike, None),
+            ("other sizes, held out", fitted.sizes, sizes, None),
         ):
             if len(judged.which):
                 found = None if present is None else present >= fit.found

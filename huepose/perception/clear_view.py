@@ -87,7 +87,7 @@ def _pieces(depth: Float32, clear: Bool, focal: float) -> tuple[Bool, Float64]:
     free = opened & ~depth_steps(depth)
     count, labels, stats, middles = cv2.connectedComponentsWithStats(free.view(np.uint8), connectivity=4)
     size = np.maximum(stats[:, 4], 1)
-    mean_m = _sums(labels, depth, count) / size
+    mean_m = _sums(np.asarray(labels, np.int32), depth, count) / size
     kept = size * (mean_m / focal) ** 2 >= SPECK_M2
     # The far sides of steps belong to no piece, but to what is beside them.
     near = cv2.dilate(kept[labels].view(np.uint8), np.ones((5, 5), np.uint8)) > 0

@@ -30,7 +30,7 @@ from huepose.rendering.render import render
 from huepose.support.stages import stage
 
 PROPOSALS = 2
-POOL = 4
+POOL = 3
 """Places of each object that compete with those of the others."""
 
 MIN_SCORE = 0.02

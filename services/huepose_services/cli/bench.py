@@ -6,7 +6,7 @@ import argparse
 from pathlib import Path
 from typing import Any
 
-_WHAT = ("estimate", "track", "bus", "all")
+_WHAT = ("estimate", "track", "detect", "bus", "all")
 
 
 def add_parser(subparsers: Any) -> None:
@@ -25,6 +25,7 @@ def call(arguments: argparse.Namespace) -> int:
 
     from huepose.datasets.synthetic import SyntheticScene
     from huepose.evaluation.benches import StageTime, bench_estimate, bench_track
+    from huepose.evaluation.perception_bench import bench_perception
     from huepose.evaluation.result_files import write_json
     from huepose.model import load_models
     from huepose_services.builtin import builtin_bundles
@@ -42,6 +43,12 @@ def call(arguments: argparse.Namespace) -> int:
     if what in ("estimate", "all"):
         stages += bench_estimate(scene, models)
         summary["estimate_five_objects_ms_p50"] = _p50(stages, "estimate")
+    if what in ("detect", "all"):
+        stages += bench_perception(scene, models)
+        for name in ("detect", "detect two", "detect missing", "segment"):
+            summary[f"{name.replace(' ', '_')}_cpu_ms_p50"] = next(
+                s for s in stages if s.name == name
+            ).cpu_ms_p50
     if what in ("bus", "all"):
         stages += bench_bus()
         summary["bus_frame_ms_p50"] = _p50(stages, "bus/shared_memory")

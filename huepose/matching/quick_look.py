@@ -23,6 +23,9 @@ DEPTH_WEIGHT, OVERLAP_WEIGHT, FREE_WEIGHT, FULL_WEIGHT = 0.8, 1.0, 0.8, 0.3
 MAX_PRODUCT = 4 * 65536
 """Multiplications up to which OpenBLAS keeps a matrix product in one thread."""
 
+ROWS = 64
+"""Fewest rows of a piece of a product."""
+
 
 def quick_look(table: TemplateTable, windows: Float32, places: int) -> tuple[Int64, Float32]:
     """Index (M, Q) of the best of `places` windows, and its score (M, Q), for each of M groups of windows
@@ -54,13 +57,17 @@ def quick_look(table: TemplateTable, windows: Float32, places: int) -> tuple[Int
 
 
 def product(table: Float32, columns: Float32) -> Float32:
-    """The matrix product in pieces, each too small for the linear algebra library to call threads, which
-    would cost several times what they give."""
+    """The matrix product (N, C) in pieces, each too small for the linear algebra library to call threads,
+    which would cost several times what they give."""
     columns = np.ascontiguousarray(columns)
     out = np.empty((len(table), columns.shape[1]), np.float32)
-    rows = max(8, MAX_PRODUCT // columns.size)
-    for start in range(0, len(table), rows):
-        np.matmul(table[start : start + rows], columns, out=out[start : start + rows])
+    wide = max(1, MAX_PRODUCT // (ROWS * len(columns)))
+    wide = -(-columns.shape[1] // -(-columns.shape[1] // wide))  # pieces of even width
+    tall = max(ROWS, MAX_PRODUCT // (wide * len(columns)))
+    for left in range(0, columns.shape[1], wide):
+        piece = columns[:, left : left + wide]
+        for top in range(0, len(table), tall):
+            np.matmul(table[top : top + tall], piece, out=out[top : top + tall, left : left + wide])
     return out
 
 

@@ -63,17 +63,17 @@ class TemplateTable:
 
 
 def build_table(
-    templates: ViewTemplates, diameter_m: float, *, min_coverage: float = 0.5, whole: bool = False
+    templates: ViewTemplates, diameter_m: float, *, min_coverage: float = 0.5, every_roll: bool = False
 ) -> TemplateTable:
     """Lay out a model's templates (0.1 s, about 8 MB). Larger cells count from a coverage of
-    `min_coverage`; with `whole`, all of them and all rolls are laid out for the first look."""
+    `min_coverage`; with `every_roll`, all rolls are laid out for the first look."""
     views, rolls = templates.planes.shape[:2]
     planes = templates.planes.reshape(views * rolls, *templates.planes.shape[2:]).astype(np.float32)
     side = planes.shape[-1]
     starts, places, listed = _listed(planes)
 
     thin = len(places) < THIN * side * side / COARSE_SIDE**2 * len(planes)
-    stride = 1 if whole or thin or rolls % ROLL_STRIDE else ROLL_STRIDE
+    stride = 1 if every_roll or thin or rolls % ROLL_STRIDE else ROLL_STRIDE
     planes = planes[::stride]  # rolls are the inner count, a multiple of the stride
     planes[:, :4] *= planes[:, 4:]  # the mean over a larger cell is weighted by coverage
     mean = _averaging(side)
@@ -81,7 +81,7 @@ def build_table(
     coarse[:, :4] /= np.maximum(coarse[:, 4:], 1e-3)
     coverage, values = _described(coarse)
     flat = np.where(coverage > min_coverage, coverage, 0.0).reshape(len(planes), -1).astype(np.float32)
-    used = np.flatnonzero(flat.any(0) | whole)
+    used = np.flatnonzero(flat.any(0))
     flat = np.ascontiguousarray(flat[:, used])
     by_channel = values.reshape(len(planes), -1, 4)[:, used].transpose(2, 0, 1)
     rotations, origins = _poses(templates)

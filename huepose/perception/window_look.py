@@ -8,6 +8,7 @@ import numpy as np
 
 from huepose.geometry.arrays import Float32, Float64, Int64
 from huepose.geometry.camera import Camera
+from huepose.matching.quick_look import product
 from huepose.matching.retrieval import onto_rays
 from huepose.matching.template_table import MILLIMETRES
 from huepose.perception.window_table import WindowTable, middle_hues
@@ -72,13 +73,16 @@ def look(table: WindowTable, windows: Windows, camera: Camera, count: int, each:
 def _compared(rimmed: WindowTable, cells: Float32) -> tuple[Float32, Float32]:
     """Scores (N, W) of all views in all windows, and relief (N, W) of the view's middle in the window."""
     table, count = rimmed.views, len(cells)
+    going_on = product(rimmed.rim, cells[..., 4].T)
+    cells = cells[:, table.used]
     weight = cells[..., 4]
     values = [cells[..., c] for c in range(4)]
     columns = [weight, cells[..., 5]] + [weight * x for x in values] + [weight * x * x for x in values]
-    by_coverage = table.coverage @ np.concatenate(columns).T
-    crossed = np.stack([table.first[c] @ np.concatenate([weight, weight * values[c]]).T for c in range(4)])
-    squared = table.second @ weight.T
-    going_on = rimmed.rim @ weight.T
+    by_coverage = product(table.coverage, np.concatenate(columns).T)
+    crossed = np.stack(
+        [product(table.first[c], np.concatenate([weight, weight * values[c]]).T) for c in range(4)]
+    )
+    squared = np.stack([product(table.second[c], weight.T) for c in range(4)])
     scores = np.empty((len(table.area), count), np.float32)
     relief = np.empty_like(scores)
     relief_mm = RELIEF * table.diameter_m * MILLIMETRES

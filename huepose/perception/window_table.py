@@ -22,7 +22,7 @@ _MIDDLE = (np.hypot(*_GRID) <= COARSE_SIDE / 4.0).ravel().astype(np.float32)
 
 @dataclass(frozen=True, eq=False)
 class WindowTable:
-    """views: the table of the quick look at a part of a model's views; rim (N, P) float32: cells next to what
+    """views: the table of the quick look at a part of a model's views; rim (N, 64) float32: cells beside what
     each view covers, their sum 1 (0 where the view fills its window); hues (V, 2) float32: what the two
     colour opponents are in the middle of each direction's views."""
 
@@ -35,8 +35,8 @@ def window_table(model: ReferenceModel) -> WindowTable:
     """The table of a model (about 3 MB)."""
     t = model.templates
     some = ViewTemplates(t.directions[:VIEWS], t.planes[:VIEWS, ::ROLL_STRIDE], t.origins[:VIEWS], t.span)
-    table = build_table(some, model.diameter_m, min_coverage=MIN_COVERAGE, whole=True)
-    return WindowTable(table, _rims(table.coverage), _hues(table, some.planes.shape[1]))
+    table = build_table(some, model.diameter_m, min_coverage=MIN_COVERAGE, every_roll=True)
+    return WindowTable(table, _rims(_in_all_cells(table, table.coverage)), _hues(table, some.planes.shape[1]))
 
 
 def middle_hues(weight: Float32, weighted: Float32) -> Float32:
@@ -46,8 +46,15 @@ def middle_hues(weight: Float32, weighted: Float32) -> Float32:
 
 
 def _hues(table: TemplateTable, rolls: int) -> Float32:
-    means = middle_hues(table.coverage, table.first[1:3])
+    means = middle_hues(_in_all_cells(table, table.coverage), _in_all_cells(table, table.first[1:3]))
     return np.asarray(means.reshape(-1, rolls, 2).mean(1), dtype=np.float32)
+
+
+def _in_all_cells(table: TemplateTable, values: Float32) -> Float32:
+    """Values (..., P) of the cells that a table uses, in all cells of a window."""
+    out = np.zeros((*values.shape[:-1], COARSE_SIDE**2), np.float32)
+    out[..., table.used] = values
+    return out
 
 
 def _rims(coverage: Float32) -> Float32:

@@ -10,6 +10,7 @@ is taken off.
 from __future__ import annotations
 
 from dataclasses import astuple, dataclass
+from functools import lru_cache
 
 import numpy as np
 
@@ -59,7 +60,13 @@ class PoseScore:
 
 def weight_array(weights: ScoreWeights) -> Float64:
     """The weights as the kernels read them, in the order of ScoreWeights."""
-    return np.array(astuple(weights), dtype=np.float64)
+    return np.array(_numbers(weights), dtype=np.float64)
+
+
+@lru_cache(maxsize=64)
+def _numbers(weights: ScoreWeights) -> tuple[float, ...]:
+    """`astuple` copies deeply, which takes longer than to judge a pose."""
+    return astuple(weights)
 
 
 def score(

@@ -104,7 +104,7 @@ def test_poses_of_a_live_run_are_scored(bundles: Path, scene: Path, tmp_path: Pa
 @pytest.mark.parametrize(
     ("extra", "named"),
     [
-        (["--objects", "7"], "huepose onboard"),
+        (["--objects", "7"], "Onboard"),
         (["--equivalent", "nowhere.json"], "nowhere.json"),
     ],
 )

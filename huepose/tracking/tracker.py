@@ -15,13 +15,19 @@ from huepose.tracking.config import TrackerConfig
 from huepose.tracking.history import FrameHistory
 from huepose.tracking.relative_pose import RelativePose
 from huepose.tracking.silhouette import overlap
-from huepose.tracking.step import Subject
+from huepose.tracking.step import Step, Subject
 from huepose.tracking.track import Track
-from huepose.tracking.types import Applied, Correction, TrackedPose, Verdict
+from huepose.tracking.types import Applied, Correction, State, TrackedPose, Verdict
 from huepose.tracking.warm_up import rehearse
 
 SAME_SURFACE_IOU = 0.5
 """Increments measured on an outline that overlaps the corrected one by more than this carry a correction."""
+
+STANDING = 0.1
+"""Score that a pose that is believed has ahead of one that is not."""
+
+TWIN = 1.0
+"""Score by which a newcomer must explain more than its twin to take the surface that the twin holds."""
 
 Key = tuple[str, int]
 
@@ -241,7 +247,7 @@ class Tracker:
         track = self._tracks.get(key)
         if track is not None:
             track.applied_seq = max(track.applied_seq, correction.seq)
-        if step is None or not pursuit.supported(self.config):
+        if step is None or not pursuit.supported(self.config) or self._held(key, step, frame):
             return
         if track is None:
             track = Track(self._subjects[key[0]], *key, self.config)
@@ -254,6 +260,17 @@ class Tracker:
             track.history.put(stamp_ns, T)
         track.applied_seq = max(track.applied_seq, correction.seq)
 
+    def _held(self, key: Key, step: Step, frame: RgbdFrame) -> bool:
+        """Whether what a pose explains is another instance's already. A twin's surface explains it as well as
+        its own would: there the one that is followed keeps it."""
+        claims = [
+            Claim(t.subject.surface, t.T_cam_obj, t.fit.total + (TWIN if other[0] == key[0] else 0.0))
+            for other, t in self._tracks.items()
+            if other != key and t.T_cam_obj is not None
+        ]
+        mine = Claim(self._subjects[key[0]].surface, step.T_cam_obj, step.fit.total)
+        return len(claims) in losers([*claims, mine], frame.depth, frame.camera)
+
     def _contested(self, frame: RgbdFrame) -> set[Key]:
         """Instances whose surface another one holds with better right."""
         keys = [k for k, t in self._tracks.items() if t.T_cam_obj is not None]
@@ -261,7 +278,9 @@ class Tracker:
         for key in keys:
             track = self._tracks[key]
             assert track.T_cam_obj is not None
-            claims.append(Claim(track.subject.surface, track.T_cam_obj, track.fit.total))
+            # Or two that refine to one pose would lose in turns, and neither be believed nor lost.
+            standing = STANDING if track.state is State.TRACKING else 0.0
+            claims.append(Claim(track.subject.surface, track.T_cam_obj, track.fit.total + standing))
         return {keys[i] for i in losers(claims, frame.depth, frame.camera)}
 
     def _forget(self) -> None:

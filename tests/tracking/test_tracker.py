@@ -293,15 +293,31 @@ def test_two_instances_that_cross_are_told_apart(tea_box, shoot) -> None:
         assert errors(poses[1], at(20)[1])[0] < 10.0, "it was covered for a while; never on the other one"
 
 
-def test_two_tracks_of_one_surface_cannot_both_be_right(tea_box, film, path) -> None:
+def test_a_newcomer_does_not_get_the_surface_that_its_twin_holds(tea_box, film, path) -> None:
+    """Nor is it believed for a single frame."""
     tracker = Tracker({"tea_box": tea_box})
     frames = film(8)
     near = se3.perturb(path(0), np.array([0.004, 0, 0, 0, 0.03, 0]))
     tracker.correct(correction(frames[0], path(0), instance=0))
-    tracker.correct(correction(frames[0], near, instance=1))
-    states = [[p.state for p in tracker.step(frame)] for frame in frames]
-    assert states[-1].count(State.TRACKING) == 1
-    assert states[-1].count(State.LOST) == 1
+    for frame in frames[:3]:
+        tracker.step(frame)
+    assert tracker.correct(correction(frames[0], near, instance=1)) is Applied.CATCHING_UP
+    for frame in frames[3:]:
+        assert [(p.instance, p.state) for p in tracker.step(frame)] == [(0, State.TRACKING)]
+
+
+def test_of_two_tracks_that_meet_on_one_surface_one_is_lost(tea_box, shoot, path) -> None:
+    beside = se3.make(np.eye(3), np.array([0.15, 0.0, 0.0]))
+    both = shoot([(tea_box.mesh, path(0)), (tea_box.mesh, beside @ path(0))], 0)
+    tracker = Tracker({"tea_box": tea_box})
+    tracker.correct(correction(both, path(0), instance=0))
+    tracker.correct(correction(both, beside @ path(0), instance=1))
+    assert [p.state for p in tracker.step(both)] == [State.TRACKING] * 2
+    tracker._tracks["tea_box", 1].T_cam_obj = path(0)
+    for k in range(1, 7):
+        poses = tracker.step(shoot([(tea_box.mesh, path(0))], k))
+        assert sum(p.state is State.TRACKING for p in poses) == 1
+    assert [p.state for p in poses].count(State.LOST) == 1
 
 
 def test_the_same_film_gives_the_same_poses_bit_for_bit(tea_box, film, path) -> None:

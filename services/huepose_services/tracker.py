@@ -26,6 +26,8 @@ from huepose_services.runtime.clock import now_ns
 from huepose_services.runtime.config import Config
 from huepose_services.runtime.log import StateChanges
 
+_REFUSED_EVERY_S = 10.0
+
 
 def make(bus: Bus, config: Config) -> TrackerWork:
     """The tracker worker's work, with its kernels compiled."""
@@ -115,9 +117,8 @@ class TrackerWork:
         # The loop repeats it, and is told each time by what it does not see; the log is told once.
         if refused and self._refused != (name, message.seq):
             self._refused = (name, message.seq)
-            self._bus.log.seldom(
-                "refused", f"correction {message.seq} of {name}: {self._why(message, applied)}"
-            )
+            why = self._why(message, applied)
+            self._bus.log.seldom("refused", f"correction {message.seq} of {name}: {why}", _REFUSED_EVERY_S)
 
     def _why(self, message: CorrectionMessage, applied: Applied) -> str:
         if applied is Applied.REFUSED_EPOCH or self._header is None:

@@ -18,6 +18,7 @@ import numpy as np
 
 from huepose.colorpair.denoise import to_lab
 from huepose.colorpair.light import relit
+from huepose.estimation.by_pairs_too import pair_colors
 from huepose.estimation.colorpair_path import proposed_by_pairs
 from huepose.estimation.config import ColorpairPathConfig, FullPathConfig
 from huepose.estimation.evidence import Evidence
@@ -40,12 +41,8 @@ DOUBTFUL_MARGIN, DOUBTFUL_TRUST = 0.06, 0.6
 doubt."""
 
 CHEAP_PAIRS, CHEAP_SAMPLES = 150, 100
-FINAL_PAIRS, FINAL_SAMPLES = 1500, 600
 JUDGED = (0.1, 0.2, 0.4)
 """Weights of the pairs' colours beside the dense score."""
-
-CONTRAST = 0.6
-"""Weight of the pairs' contrast against their colour where both judge, as in the pair score."""
 
 FULL = "full"
 """The place that is none: the full method as it is."""
@@ -236,18 +233,10 @@ def _as_judgement(shared: Shared, before: Mapping[str, Answer]) -> dict[str, Ans
     for place in (FULL, "few hypotheses"):
         answer = before[place]
         with shared.timed("judged"):
-            terms = pair_score_many(
-                shared.model,
-                shared.evidence.region,
-                shared.picture,
-                answer.poses,
-                FINAL_PAIRS,
-                FINAL_SAMPLES,
-            )
-        colors = terms[:, 2] + CONTRAST * terms[:, 3]
+            colors = pair_colors(shared.model, shared.evidence.region, answer.poses)
         for weight in JUDGED:
             order = np.argsort(-(answer.totals + weight * colors), kind="stable")
-            spent = answer.seconds + shared.spent("picture", "judged")
+            spent = answer.seconds + shared.spent("judged")
             name = f"judgement {weight:g}" if place == FULL else f"{place}, judgement {weight:g}"
             out[name] = Answer(answer.poses[order], answer.totals[order], spent)
     return out

@@ -14,6 +14,7 @@ from huepose.support.jit import jit
 from huepose.verification.dense import DEFAULT_WEIGHTS, ScoreWeights, weight_array
 from huepose.verification.kernel_arrays import ModelArrays, RegionArrays, model_arrays, region_arrays
 from huepose.verification.region import Region
+from huepose.verification.rim import NO_RIM, Rim, rim_agreement
 from huepose.verification.score_kernel import SCRATCH_ROWS, TERMS, score_kernel
 
 SHIFT_PER_RADIAN = 0.4
@@ -54,10 +55,39 @@ def search(
         np.radians(np.asarray(steps_deg, dtype=np.float64)),
         samples,
         weight_array(weights),
+        NO_RIM,
         race,
         totals,
     )
     return out, totals
+
+
+def search_portrait(
+    model: ReferenceModel,
+    portrait: ModelArrays,
+    region: RegionArrays,
+    rim: Rim,
+    T_cam_obj: Float,
+    steps_deg: Sequence[float],
+    samples: int,
+    weights: ScoreWeights,
+) -> tuple[Float64, float]:
+    """The same for one pose (4, 4) with the arrays of its portrait, its outline counting as well."""
+    out, totals = np.array(T_cam_obj, dtype=np.float64)[None], np.zeros(1)
+    _search_all(
+        out,
+        portrait,
+        region,
+        model.mesh.centre,
+        model.diameter_m * SHIFT_PER_RADIAN,
+        np.radians(np.asarray(steps_deg, dtype=np.float64)),
+        samples,
+        weight_array(weights),
+        rim,
+        np.inf,
+        totals,
+    )
+    return out[0], float(totals[0])
 
 
 @jit
@@ -70,6 +100,7 @@ def _search_all(
     steps: Float64,
     samples: int,
     weights: Float64,
+    rim: Rim,
     race: float,
     totals: Float64,
 ) -> None:
@@ -78,6 +109,8 @@ def _search_all(
     failed = np.empty((6, 2), np.int64)  # by axis and way: how many moves had been made then
     for m in range(poses.shape[0]):
         totals[m] = score_kernel(poses[m], model, region, samples, weights, scratch, terms, -np.inf)
+        if rim.weight > 0.0:
+            totals[m] += rim.weight * rim_agreement(poses[m], rim, region)
     for level in range(steps.shape[0]):
         least = totals.max() - race * np.degrees(steps[level]) if poses.shape[0] else 0.0
         for m in range(poses.shape[0]):
@@ -96,8 +129,11 @@ def _search_all(
                             step = steps[level] if way else -steps[level]
                             stepped(T, axis, step, centre, shift_per_radian, turn, trial)
                             needed = best + WORTH
-                            total = score_kernel(
-                                trial, model, region, samples, weights, scratch, terms, needed
+                            edge = 0.0
+                            if rim.weight > 0.0:
+                                edge = rim.weight * rim_agreement(trial, rim, region)
+                            total = edge + score_kernel(
+                                trial, model, region, samples, weights, scratch, terms, needed - edge
                             )
                             if total <= needed:
                                 failed[axis, way] = moves

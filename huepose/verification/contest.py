@@ -1,0 +1,61 @@
+"""Near ties, looked at closely: poses that the dense score hardly tells apart compete by detail and outline.
+
+Rolls of a can, the two faces of a box, a marker's sides share shape and mean colours; what tells them apart
+is the fine print and, for what is thin, the outline. Both only speak of a pose that is exact to a pixel, so
+each contender is refined on them first, with a portrait drawn for it (`portrait`), and then judged.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from huepose.geometry.arrays import Float64
+from huepose.geometry.box import Box
+from huepose.model.types import ReferenceModel
+from huepose.verification.dense import ScoreWeights
+from huepose.verification.kernel_arrays import region_arrays
+from huepose.verification.local_search import search_portrait
+from huepose.verification.portrait import detail_colors, draw_portrait
+from huepose.verification.region import OUTSIDE_WEIGHT, Region
+from huepose.verification.rim import Rim, edge_tensor
+
+CLOSE = ScoreWeights(color=1.5, coarse=1.0)
+"""The weights of the close look: detail and blunt colours count alike, and more than at first sight."""
+
+RIM_WEIGHT = 0.75
+STEPS_DEG = (3.0, 1.5, 0.7, 0.35)
+SAMPLES = 600
+HULL_POINTS = 200
+ROOM_PX = 10.0
+
+
+def close_look(model: ReferenceModel, region: Region, poses: Float64) -> tuple[Float64, Float64]:
+    """Poses (N, 4, 4) refined on detail and outline, and how well they agree with both and with depth (N,);
+    -inf for one of which no portrait can be drawn."""
+    refined, totals = poses.copy(), np.full(len(poses), -np.inf)
+    rows, columns = _window(model, region, poses)
+    weight = np.maximum(region.belief[rows, columns], np.float32(OUTSIDE_WEIGHT))
+    color = region.crop.color[rows, columns]
+    colors, edges = np.zeros_like(region.colors), np.zeros((*region.belief.shape, 3), np.float32)
+    colors[rows, columns] = detail_colors(color, weight)
+    edges[rows, columns] = edge_tensor(color)
+    arrays = region_arrays(region)._replace(colors=colors)
+    for k, T in enumerate(poses):
+        portrait = draw_portrait(model, T, region.crop.camera, SAMPLES)
+        if portrait is not None:
+            rim = Rim(portrait.rim_points, portrait.rim_inward, edges, RIM_WEIGHT)
+            refined[k], totals[k] = search_portrait(
+                model, portrait.arrays, arrays, rim, T, STEPS_DEG, SAMPLES, CLOSE
+            )
+    return refined, totals
+
+
+def _window(model: ReferenceModel, region: Region, poses: Float64) -> tuple[slice, slice]:
+    """Rows and columns of the crop that the poses cover, with some room."""
+    camera = region.crop.camera
+    points = model.surface.points[:HULL_POINTS]
+    placed = np.concatenate([points @ T[:3, :3].T + T[:3, 3] for T in poses])
+    ahead = placed[placed[:, 2] > 0.05]
+    if not len(ahead):
+        return slice(0, camera.height), slice(0, camera.width)
+    return Box.of_pixels(camera.project(ahead)).grown(0.1, ROOM_PX).slices(camera.width, camera.height)

@@ -1,0 +1,145 @@
+"""The close look: portraits show what the camera sees, outlines are found to the pixel, and of poses that the
+shape cannot tell apart the right one wins."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from huepose.estimation.full_path import contested, judge
+from huepose.geometry import Box, RgbdFrame, se3
+from huepose.model.types import ReferenceModel
+from huepose.rendering.render import render_depth
+from huepose.verification.contest import close_look
+from huepose.verification.kernel_arrays import region_arrays
+from huepose.verification.portrait import SHARP_PX, detail_colors, draw_portrait
+from huepose.verification.region import Region, prepare_region
+from huepose.verification.rim import PRIOR, Rim, edge_tensor, rim_agreement
+
+UPSIDE_DOWN = se3.make(np.diag([1.0, -1.0, -1.0]), np.zeros(3))
+
+
+def moved(T: np.ndarray, x: float, y: float = 0.0) -> np.ndarray:
+    return se3.compose(se3.make(np.eye(3), [x, y, 0.0]), T)
+
+
+@pytest.fixture(scope="module")
+def frame(tea_box: ReferenceModel, take_picture: Callable[..., RgbdFrame], standing: np.ndarray) -> RgbdFrame:
+    return take_picture([(tea_box.mesh, standing)], light=(0.9, 0.7, 0.5))
+
+
+def region_of(frame: RgbdFrame, model: ReferenceModel, T: np.ndarray) -> Region:
+    mask = render_depth(model.mesh, T, frame.camera) > 0
+    box = Box.of_mask(mask)
+    assert box is not None
+    region = prepare_region(frame, mask, box, model.diameter_m)
+    assert region is not None
+    return region
+
+
+@pytest.fixture(scope="module")
+def region(frame: RgbdFrame, tea_box: ReferenceModel, standing: np.ndarray) -> Region:
+    return region_of(frame, tea_box, standing)
+
+
+def test_samples_of_a_portrait_lie_where_the_object_is_seen(
+    region: Region, tea_box: ReferenceModel, standing: np.ndarray
+) -> None:
+    camera = region.crop.camera
+    portrait = draw_portrait(tea_box, standing, camera, 500)
+    assert portrait is not None
+    arrays = portrait.arrays
+    assert len(arrays.visible) == arrays.offsets[1] == 500
+    points = arrays.points[arrays.visible] @ standing[:3, :3].T + standing[:3, 3]
+    pixels = np.rint(camera.project(points)).astype(int)
+    depth = region.crop.depth[pixels[:, 1], pixels[:, 0]]
+    assert np.abs(depth - points[:, 2]).max() < 0.0015
+    normals = arrays.normals[arrays.visible] @ standing[:3, :3].T
+    assert ((normals * points).sum(1) < 0.0).all()
+    assert np.array_equal(arrays.points[: arrays.visible[0]], tea_box.surface.points)
+    # Its detail is the picture's: coloured light is an offset, which detail does not have.
+    seen = detail_colors(region.crop.color, np.ones(depth_shape(region), np.float32))
+    inner = render_depth(tea_box.mesh, standing, camera)[pixels[:, 1], pixels[:, 0]] > 0
+    a, b = arrays.colors[0][arrays.visible][inner], seen[pixels[:, 1], pixels[:, 0], :3][inner]
+    assert np.corrcoef(a.ravel(), b.ravel())[0, 1] > 0.8
+
+
+def depth_shape(region: Region) -> tuple[int, ...]:
+    return region.crop.depth.shape
+
+
+def test_detail_is_without_the_colour_of_the_light() -> None:
+    rng = np.random.default_rng(0)
+    print_ = rng.integers(60, 200, (40, 40, 3)).astype(np.uint8)
+    even = np.full((40, 40, 3), (90, 140, 200), np.uint8)
+    weight = np.ones((40, 40), np.float32)
+    assert np.abs(detail_colors(even, weight)[..., :3]).max() < 1e-3
+    assert detail_colors(print_, weight)[..., :3].std() > 3.0
+    assert SHARP_PX < 1.0
+
+
+def test_an_outline_agrees_where_the_object_is_and_not_beside_it(
+    region: Region, tea_box: ReferenceModel, standing: np.ndarray
+) -> None:
+    portrait = draw_portrait(tea_box, standing, region.crop.camera, 200)
+    assert portrait is not None
+    arrays = region_arrays(region)
+    rim = Rim(portrait.rim_points, portrait.rim_inward, edge_tensor(region.crop.color), 1.0)
+    there = rim_agreement(standing, rim, arrays)
+    assert there > 0.55
+    assert all(
+        rim_agreement(moved(standing, x, y), rim, arrays) < there - 0.1
+        for x, y in ((0.006, 0.0), (-0.006, 0.0), (0.0, 0.006))
+    )
+    none = Rim(np.zeros((0, 3)), np.zeros((0, 3)), rim.edges, 1.0)
+    assert rim_agreement(standing, none, arrays) == pytest.approx(PRIOR)
+
+
+def test_a_hidden_outline_says_nothing(region: Region, tea_box: ReferenceModel, standing: np.ndarray) -> None:
+    portrait = draw_portrait(tea_box, standing, region.crop.camera, 200)
+    assert portrait is not None
+    rim = Rim(portrait.rim_points, portrait.rim_inward, edge_tensor(region.crop.color), 1.0)
+    wall = replace(region, crop=replace(region.crop, depth=np.full_like(region.crop.depth, 0.3)))
+    assert rim_agreement(standing, rim, region_arrays(wall)) == pytest.approx(PRIOR)
+
+
+def test_a_pose_a_few_pixels_off_is_brought_home(
+    region: Region, tea_box: ReferenceModel, standing: np.ndarray
+) -> None:
+    near = se3.perturb(standing, np.array([0.003, -0.002, 0.002, 0.03, -0.02, 0.03]))
+    (found,), _ = close_look(tea_box, region, near[None])
+    assert np.linalg.norm(found[:3, 3] - standing[:3, 3]) < 0.0012
+    assert se3.rotation_angle(found, standing) < np.radians(0.8)
+
+
+def test_the_right_way_round_wins_though_the_score_preferred_the_other(
+    region: Region, tea_box: ReferenceModel, standing: np.ndarray
+) -> None:
+    wrong = standing @ UPSIDE_DOWN
+    poses, totals = contested(tea_box, region, np.stack([wrong, standing]), np.array([1.95, 1.94]))
+    assert se3.rotation_angle(poses[0], standing) < np.radians(1.0)
+    assert totals[0] == pytest.approx(judge(tea_box, region, poses[:1])[0])
+    assert totals[0] - totals[1] > 0.1
+
+
+def test_poses_far_apart_in_score_are_left_as_they_are(
+    region: Region, tea_box: ReferenceModel, standing: np.ndarray
+) -> None:
+    poses = np.stack([standing, standing @ UPSIDE_DOWN])
+    same, totals = contested(tea_box, region, poses, np.array([2.0, 1.0]))
+    assert np.array_equal(same, poses)
+    assert totals.tolist() == [2.0, 1.0]
+    assert len(contested(tea_box, region, poses[:0], np.zeros(0))[0]) == 0
+
+
+def test_of_what_is_too_near_or_out_of_view_there_is_no_portrait(
+    region: Region, tea_box: ReferenceModel, standing: np.ndarray
+) -> None:
+    camera = region.crop.camera
+    behind = se3.compose(se3.make(np.eye(3), [0.0, 0.0, -2.0]), standing)
+    assert draw_portrait(tea_box, behind, camera, 200) is None
+    _, totals = close_look(tea_box, region, behind[None])
+    assert totals[0] == -np.inf

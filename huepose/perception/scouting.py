@@ -46,7 +46,7 @@ class Effort:
     searched: int
 
 
-EFFORTS = (Effort(28, 200, 15, 16, 2, 3), Effort(80, 700, 25, 48, 3, 8))
+EFFORTS = (Effort(28, 200, 15, 16, 2, 3), Effort(80, 700, 25, 96, 5, 10))
 """What is tried first, and what is tried where that gives no place which is surely the object's: more of the
 same windows, too, so that nothing of the first is worth keeping."""
 

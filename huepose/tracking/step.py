@@ -58,6 +58,9 @@ RETURNING_SEEN = 0.2
 """When this much of an object is seen again after it was hidden, it may have turned meanwhile: it is searched
 for, even if the predicted pose explains something."""
 
+WHOLLY_HIDDEN = 0.9
+"""With less hidden there is a strip to be followed."""
+
 DRAWN_AWAY = 0.1
 """A refinement that explains this much less than its start has followed something else."""
 
@@ -137,7 +140,7 @@ def advance(
     near, far = reaches(surface, anchor.T_cam_obj, anchor.velocity, expected, gone_s, config)
     if anchor.unseen_s > 0.0:
         waiting = _unmoved(surface, frame, expected, anchor.tint)
-        if waiting.fit.hidden > evidence.HIDDEN:
+        if waiting.fit.hidden > WHOLLY_HIDDEN:
             # Still behind something. A refinement would lead to that, where its depth fits.
             return replace(waiting, doubtful=True)
     best = best_of(surface, frame, starts, anchor.tint)

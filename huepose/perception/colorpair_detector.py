@@ -29,7 +29,7 @@ from huepose.perception.window_table import WindowTable, window_table
 from huepose.rendering.render import render
 from huepose.support.stages import stage
 
-PROPOSALS = 2
+PROPOSALS = 3
 POOL = 3
 """Places of each object that compete with those of the others."""
 

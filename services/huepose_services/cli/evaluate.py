@@ -107,7 +107,7 @@ def _add_perception(verbs: Any) -> None:
         help="numbers of boxes an object at which recall is given (1 5 20)",
     )
     parser.add_argument(
-        "--judged", type=int, default=2, metavar="N", help="boxes an object that the estimator judges (2)"
+        "--judged", type=int, default=3, metavar="N", help="boxes an object that the estimator judges (3)"
     )
     parser.add_argument("--seed", type=int, default=0, metavar="N", help="of the perturbed boxes of masks")
     parser.add_argument("--threads", type=int, default=2, metavar="N", help="objects at the same time (2)")

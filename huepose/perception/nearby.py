@@ -7,7 +7,7 @@ import numpy as np
 from huepose.geometry.arrays import Bool, Float32, Float64
 from huepose.model.types import ReferenceModel
 from huepose.perception.clear_view import ClearView
-from huepose.registration.surface_icp import align_kernel, centre_and_radius
+from huepose.registration.surface_icp import SurfaceArrays, align_kernel, surface_arrays
 from huepose.support.jit import jit
 
 POINTS, ITERATIONS = 150, 10
@@ -21,8 +21,7 @@ REACH = 0.55
 def align_in_view(model: ReferenceModel, view: ClearView, poses: Float64) -> Float64:
     """Poses (M, 4, 4) after a robust point-to-plane fit to the standing points round each of them."""
     out = np.array(poses)
-    camera, surface, grid = view.crop.camera, model.surface, model.grid
-    centre, radius = centre_and_radius(grid)
+    camera = view.crop.camera
     _align(
         out,
         model.mesh.centre,
@@ -30,13 +29,7 @@ def align_in_view(model: ReferenceModel, view: ClearView, poses: Float64) -> Flo
         view.clear,
         view.crop.depth,
         np.array([camera.fx, camera.fy, camera.cx, camera.cy]),
-        surface.points,
-        surface.normals,
-        grid.origin,
-        float(grid.step),
-        grid.nearest,
-        centre,
-        radius,
+        surface_arrays(model.surface, model.grid),
         GATE_START * model.diameter_m,
         GATE_END_M,
         ITERATIONS,
@@ -52,13 +45,7 @@ def _align(
     clear: Bool,
     depth: Float32,
     camera: Float64,
-    samples: Float32,
-    normals: Float32,
-    origin: Float64,
-    step: float,
-    nearest: np.ndarray,
-    centre: Float64,
-    radius: float,
+    surface: SurfaceArrays,
     gate_start: float,
     gate_end: float,
     iterations: int,
@@ -79,9 +66,8 @@ def _align(
         if count < 10:
             continue
         align_kernel(
-            poses[m : m + 1], points[:count], samples, normals, origin, step, nearest, centre, radius,
-            gate_start, gate_end, iterations, report, equations,
-        )  # fmt: skip
+            poses[m : m + 1], points[:count], surface, gate_start, gate_end, iterations, report, equations
+        )
 
 
 @jit

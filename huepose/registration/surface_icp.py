@@ -9,6 +9,7 @@ where they are (Chen and Medioni 1992 for the residual; small_gicp for the habit
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
@@ -25,6 +26,27 @@ GATE_SHRUNK_AFTER = 0.7
 """Share of the iterations after which the gate has its final width."""
 
 STEP_TOLERANCE_M = 1e-5
+
+
+class SurfaceArrays(NamedTuple):
+    """What the compiled alignment reads of a surface: its samples and their normals (S, 3), the distance grid
+    (see model.types), and the centre (3,) and lever of its rotations."""
+
+    samples: Float32
+    normals: Float32
+    origin: Float64
+    step: float
+    nearest: np.ndarray
+    centre: Float64
+    radius: float
+
+
+def surface_arrays(surface: Surface, grid: DistanceGrid) -> SurfaceArrays:
+    """Bundle a surface's arrays for the kernels."""
+    step = float(grid.step)
+    return SurfaceArrays(
+        surface.points, surface.normals, grid.origin, step, grid.nearest, *centre_and_radius(grid)
+    )
 
 
 @dataclass(frozen=True, eq=False)
@@ -100,17 +122,10 @@ def _align_all(
     out = np.array(poses, dtype=np.float64)
     report = np.zeros((len(out), 4))
     normal_equations = np.zeros((len(out), 6, 6))
-    centre, radius = centre_and_radius(grid)
     align_kernel(
         out,
         np.ascontiguousarray(points_cam, dtype=np.float64),
-        surface.points,
-        surface.normals,
-        grid.origin,
-        float(grid.step),
-        grid.nearest,
-        centre,
-        radius,
+        surface_arrays(surface, grid),
         float(gate_start_m),
         float(gate_end_m),
         int(iterations),
@@ -143,13 +158,7 @@ def _camera_information(A: Float64, T_cam_obj: Float64, centre: Float64, radius:
 def align_kernel(
     poses: Float64,
     points_cam: Float64,
-    samples: Float32,
-    normals: Float32,
-    origin: Float64,
-    step: float,
-    nearest: np.ndarray,
-    centre: Float64,
-    radius: float,
+    surface: SurfaceArrays,
     gate_start: float,
     gate_end: float,
     iterations: int,
@@ -171,9 +180,7 @@ def align_kernel(
             last = iteration == iterations or settled
             if last:
                 gate = gate_end
-            inliers, weight, square = _accumulate(
-                T, points_cam, samples, normals, origin, step, nearest, centre, radius, gate, scratch, A, b
-            )
+            inliers, weight, square = _accumulate(T, points_cam, surface, gate, scratch, A, b)
             if last:
                 report[m, 0], report[m, 1], report[m, 2] = iteration, inliers, weight
                 report[m, 3] = np.sqrt(square / weight) if weight > 0.0 else 0.0
@@ -189,7 +196,7 @@ def align_kernel(
                 A[i, i] += DAMPING * points_cam.shape[0] + 1e-12
             if not solve_symmetric(A, b, x):
                 break
-            _move(T, x, centre, radius, D)
+            _move(T, x, surface.centre, surface.radius, D)
             largest = 0.0
             for i in range(6):
                 largest = max(largest, abs(x[i]))
@@ -200,13 +207,7 @@ def align_kernel(
 def _accumulate(
     T: Float64,
     points_cam: Float64,
-    samples: Float32,
-    normals: Float32,
-    origin: Float64,
-    step: float,
-    nearest: np.ndarray,
-    centre: Float64,
-    radius: float,
+    surface: SurfaceArrays,
     gate: float,
     scratch: Float64,
     A: Float64,
@@ -220,6 +221,8 @@ def _accumulate(
     eye0 = r00 * t0 + r10 * t1 + r20 * t2
     eye1 = r01 * t0 + r11 * t1 + r21 * t2
     eye2 = r02 * t0 + r12 * t1 + r22 * t2
+    samples, normals, nearest = surface.samples, surface.normals, surface.nearest
+    origin, step, centre, radius = surface.origin, surface.step, surface.centre, surface.radius
     o0, o1, o2, c0, c1, c2 = origin[0], origin[1], origin[2], centre[0], centre[1], centre[2]
     d0, d1, d2 = nearest.shape
     cells = nearest.ravel()

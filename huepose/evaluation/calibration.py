@@ -36,14 +36,14 @@ class Names:
 
 FEATURES: Mapping[str, Names] = {
     "full": Names(
-        presence=("total", "coverage", "depth_fit", "box_iou", "print_complete", "detail"),
+        presence=("total", "coverage", "box_iou", "nothing_foreign", "detail"),
         this_print=("print_complete", "nothing_foreign"),
         this_size=("same_size", "box_iou", "no_violation", "detail"),
         listed=("margin", "total", "box_iou", "detail"),
         sharpness=("detail",),
     ),
     "colorpair": Names(
-        presence=("total", "coverage", "depth_fit", "box_iou"),
+        presence=("margin", "total", "coverage", "box_iou"),
         this_print=("total",),
         this_size=("same_size", "box_iou", "no_violation", "depth_fit"),
         listed=("margin", "total", "box_iou", "depth_fit"),
@@ -52,12 +52,12 @@ FEATURES: Mapping[str, Names] = {
 }
 """By method: the fewest whose likelihood on frames that the fit has not seen is as good as that of more."""
 
-ALIKE_WEIGHT = 0.1
-"""Of a look-alike, in print or size; with more, objects in dim light, whose colours fade, are taken for
-one."""
+ALIKE_WEIGHT, SIZE_WEIGHT = 0.05, 0.2
+"""Of a look-alike in print, and of one in size; with more, objects in dim light, whose colours fade, are
+taken for the one, and those half hidden for the other."""
 
 LEVEL_SHARE = 0.99
-LOST_SHARE = 0.01
+LOST_SHARE = 0.002
 """Of the poses that lie on their objects, so many may be taken for "nothing there"."""
 
 FOLDS = 10
@@ -180,7 +180,8 @@ def as_json(quality_fit: QualityFit) -> dict[str, Any]:
 def _fit_once(names: Names, labels: Judged, others: Judged, alike: Judged, sizes: Judged) -> QualityFit:
     right, placed = labels.only(labels.right), labels.only(labels.placed)
     presence = _against(placed, replace(others, weights=np.ones(len(others.which))), names.presence)
-    alike, sizes = (replace(part, weights=np.full(len(part.which), ALIKE_WEIGHT)) for part in (alike, sizes))
+    alike = replace(alike, weights=np.full(len(alike.which), ALIKE_WEIGHT))
+    sizes = replace(sizes, weights=np.full(len(sizes.which), SIZE_WEIGHT))
     this_print = _against(right, alike, names.this_print)
     this_size = _against(right, sizes, names.this_size)
     both = labels + others

@@ -26,7 +26,7 @@ from huepose.verification.local_search import search
 Cause = Literal["no depth", "not proposed", "lost", "settled away", "tie", "mask", "verification"]
 """no depth: nothing to look at; not proposed: no view near the right pose, which would have won; lost: it was
 proposed and would have won; settled away: it won, and the last fit to depth spoilt it; tie: the answer scores
-hardly more than the right pose; mask: it wins because it explains masks that show something else;
+hardly more or less than the right pose; mask: it wins because it explains masks that show something else;
 verification: it wins by other terms of the score."""
 
 BASIN = 0.35
@@ -107,10 +107,12 @@ def _cause(
 ) -> Cause:
     if len(explanation.poses) and _nearest(model, explanation.poses[:1], truths) < metrics.RECALL_FRACTION:
         return "settled away"
+    if said is not None and abs(said.total - truth.total) < HARDLY:
+        return "tie"
+    if said is not None and nearest["answers"] < metrics.RECALL_FRACTION and truth.total > said.total:
+        return "verification"  # The close look at near ties preferred the other one.
     if said is None or truth.total > said.total:
         return "not proposed" if nearest.get("views", 0.0) > BASIN else "lost"
-    if said.total - truth.total < HARDLY:
-        return "tie"
     by_mask = _gains(said, truth, explanation.evidence.region.trust)["mask"] if explanation.evidence else 0.0
     wrong = mask_iou is not None and mask_iou < WRONG_MASK
     return "mask" if wrong and said.total - by_mask < truth.total else "verification"
@@ -148,6 +150,8 @@ def _judged(cause: Cause, said: PoseScore | None, truth: PoseScore, trust: float
     if cause in ("verification", "mask", "tie"):
         gains = sorted(_gains(said, truth, trust).items(), key=lambda item: -item[1])
         words += " (" + ", ".join(f"{name} {gain:+.2f}" for name, gain in gains[:2] if gain > 0.01) + ")"
+        if truth.total > said.total + HARDLY:
+            words += ", and the close look preferred it all the same"
     return words.replace(" ()", "")
 
 

@@ -21,8 +21,8 @@ FITTING_IOU = 0.75
 """A mask whose bounds overlap the box by this much fits as well as can be expected of a detector's box."""
 
 MIN_TRUST = 0.05
-SOURCE_POINTS = 500
-BOX_POINTS = 1000
+SOURCE_POINTS = 400
+BOX_POINTS = 800
 
 
 @dataclass(frozen=True, eq=False)

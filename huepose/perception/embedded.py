@@ -15,7 +15,7 @@ from huepose.perception.depth_pieces import MIN_MASK_PIXELS, cut_pieces, join_pi
 from huepose.perception.support_plane import above_plane, find_support_plane
 
 COLOR_MIN_PIXELS = 60
-COLOR_SAME = 0.9
+COLOR_SAME = 0.8
 """A colour cut that agrees with the depth mask by this IoU is no other candidate."""
 
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass
 from typing import Any
 
@@ -15,10 +15,9 @@ from huepose.geometry.arrays import UInt8
 NO_ANSWER = 1.0
 """Relative error of a pair without a motion: as if the object had been taken to stand still."""
 
-PANELS = {
+RELATIVE = {
     "rotation_error_rel": "rotation error / true rotation",
     "translation_error_rel": "translation error / true translation",
-    "epe_px": "end-point error in px",
 }
 
 
@@ -62,24 +61,45 @@ class AblationResult:
         }
 
     def picture(self) -> UInt8:
-        """The paper's figure: per object and over all, the three mean errors of every variant, one panel
-        below the other. The end-point error belongs to the correspondences, whoever estimates from them."""
+        """The paper's figure: per object and over all, the mean errors of every choice of matches, one
+        panel for each estimator side by side; below them the end-point error, which belongs to the
+        correspondences, whoever estimates from them."""
         summary = self.summary()
         groups = {**summary["per_object"], "all": summary["variants"]}
+        names = [name.split("/") for name in summary["variants"]]
+        choices, estimators = (list(dict.fromkeys(part)) for part in zip(*names, strict=True))
         panels = []
-        for key, title in PANELS.items():
-            names = list(summary["variants"])
-            if key == "epe_px":
-                names = list({name.split("/")[0]: name for name in names}.values())
-            series = {
-                name.split("/")[0] if key == "epe_px" else name: [
-                    _or_nan(block[name][f"{key}_mean"]) for block in groups.values()
-                ]
-                for name in names
+        for key, title in RELATIVE.items():
+            values = {
+                name: [_or_nan(block[name][f"{key}_mean"]) for block in groups.values()]
+                for name in summary["variants"]
             }
-            size = (max(760, 60 * len(groups) * len(summary["variants"])), 340)
-            panels.append(bar_chart(list(groups), series, f"mean {title}", "", None, size))
+            # One scale for all, with room for the legend.
+            span = (0.0, 1.35 * float(np.nanmax(list(values.values()), initial=1e-9)))
+            row = [
+                bar_chart(
+                    list(groups),
+                    {choice: values[f"{choice}/{estimator}"] for choice in choices},
+                    f"mean {title}: {estimator}",
+                    "",
+                    span,
+                    (_width(groups), 320),
+                )
+                for estimator in estimators
+            ]
+            panels.append(np.hstack(row))
+        epe = {
+            choice: [_or_nan(block[f"{choice}/{estimators[0]}"]["epe_px_mean"]) for block in groups.values()]
+            for choice in choices
+        }
+        title, size = "mean end-point error in px", (panels[0].shape[1], 320)
+        panels.append(bar_chart(list(groups), epe, title, "", None, size))
         return np.vstack(panels)
+
+
+def _width(groups: Mapping[str, Any]) -> int:
+    """Pixels of a panel, so that the numbers over its bars do not run into each other."""
+    return max(560, 170 * len(groups))
 
 
 def _by_variant(rows: Sequence[AblationRow]) -> dict[str, Figures]:

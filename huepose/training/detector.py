@@ -199,7 +199,7 @@ def _note(
 
 def _draw(out: Path, course: Course) -> None:
     table = np.array(course.curve)
-    names = ("average precision at IoU 0.5", "recall at 0.25", "false boxes in a picture")
+    names = ("average precision at IoU 0.5", "recall at a confidence of 0.25")
     picture = line_plot(
         {name: (table[:, 1], table[:, 2 + k]) for k, name in enumerate(names)},
         "Pictures that the network was not trained on",

@@ -14,6 +14,7 @@ from huepose.support.errors import InputError
 from huepose.tracking.flow import compute
 from huepose.tracking.flow_network import NetworkFlow
 from huepose.tracking.relative_pose import RobustKabsch
+from huepose.tracking.rotation_network import ResidualRotation
 from huepose_services import catalogue
 from huepose_services import networks as deployed
 from huepose_services.cli.main import main
@@ -232,6 +233,8 @@ def test_the_trackers_networks_are_checked_and_taken(tmp_path):
     plain = parse("", tmp_path / "p.yaml")
     assert deployed.flow(plain) is compute
     assert isinstance(deployed.relative_pose(plain), RobustKabsch)
+    learned = parse("tracker: {rotation: residual}", tmp_path / "p.yaml")
+    assert isinstance(deployed.relative_pose(learned), ResidualRotation), "the one in the package"
     wrong = parse("tracker: {rotation: residual, rotation_model: other.onnx}", tmp_path / "p.yaml")
     with pytest.raises(InputError, match="expected features"):
         deployed.check(wrong)

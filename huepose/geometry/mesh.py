@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 
@@ -20,9 +21,9 @@ class Mesh:
     uv: Float32
     texture: UInt8
 
-    @property
+    @cached_property
     def centre(self) -> Float64:
-        """Centre of the bounding box (3,)."""
+        """Centre of the bounding box (3,), which everyone shares: not to be written to."""
         return np.asarray((self.vertices.min(0) + self.vertices.max(0)) / 2.0, dtype=np.float64)
 
     def face_normals(self) -> tuple[Float64, Float64]:

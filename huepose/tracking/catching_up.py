@@ -83,6 +83,10 @@ def pursue(
     ahead = [f for f in kept if f.stamp_ns > anchor.frame.stamp_ns]
     frame = ahead[min(len(ahead), config.catch_up_stride, max(1, (len(ahead) + 1) // 2 + 1)) - 1]
     step = advance(subject, anchor, frame, config, relative_pose)
+    sure = evidence.quality(step.fit, pursuit.usual, pursuit.evidence)
+    if step.near is not None and sure < config.suspect_quality:
+        # What is found somewhere else and not believed is something else.
+        step = replace(step.near, searched=step.searched)
     seconds = (frame.stamp_ns - anchor.frame.stamp_ns) * 1e-9
     measured = increment_velocity(anchor.T_cam_obj, step.T_cam_obj, seconds)
     return _reached(pursuit, frame, step, filtered(pursuit.velocity, measured, seconds))
@@ -91,7 +95,8 @@ def pursue(
 def _reached(pursuit: Pursuit, frame: RgbdFrame, step: Step, velocity: Float64 | None) -> Pursuit:
     sure = evidence.quality(step.fit, pursuit.usual, pursuit.evidence)
     usual, tint = pursuit.usual, pursuit.tint
-    if sure >= FITS:
+    # What was usual before it was lost is asked for again: a pose that fits worse must not make that usual.
+    if sure >= FITS and (usual is None or step.fit.total >= usual):
         usual, tint = evidence.usual_after(usual, step.fit.total), evidence.tint_after(tint, step.fit.tint)
     return replace(
         pursuit,

@@ -131,7 +131,9 @@ class Track:
             if contested:
                 self._evidence = 0.0
             elif self._evidence >= self._config.suspect_quality:
-                self._usual = usual_after(self._usual, self.fit.total)
+                # Less becomes usual only for a pose that is believed already.
+                if self.state is State.TRACKING or self._usual is None or self.fit.total > self._usual:
+                    self._usual = usual_after(self._usual, self.fit.total)
                 self._supported_ns = frame.stamp_ns
                 self._tint = evidence.tint_after(self._tint, self.fit.tint)
                 if self._identity is not None and self._evidence >= self._config.tracking_quality:
@@ -182,6 +184,7 @@ class Track:
         """Perception found the same pose by itself."""
         self._second = None
         if self._identity is not None and self.T_cam_obj is not None:
+            self._usual = self.fit.total
             self._identity = self._identity.agreed(quality, self._view())
 
     def published(self, frame: RgbdFrame) -> TrackedPose:

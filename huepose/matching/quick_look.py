@@ -28,7 +28,7 @@ ROWS = 64
 
 
 def quick_look(table: TemplateTable, windows: Float32, places: int) -> tuple[Int64, Float32]:
-    """Index (M, Q) of the best of `places` windows, and its score (M, Q), for each of M groups of windows
+    """Index (M, N) of the best of `places` windows, and its score (M, N), for each of M groups of windows
     (M * places, P, 6) and each template of the table's quick look."""
     count = len(windows)
     windows = windows[:, table.used]

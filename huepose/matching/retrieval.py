@@ -26,7 +26,7 @@ from huepose.support.jit import jit_dividing
 SHIFTS = (-1, 0, 1)
 """Places of the window round the mask's centroid, in cells of the quick look, along both image axes."""
 
-CLOSER, CLOSEST = 1500, 100
+CLOSER, CLOSEST = 1500, 200
 """Templates a mask that get the close look, and that are tried a cell to each side, unless said otherwise."""
 
 QUICK_WEIGHT = 0.5
@@ -166,7 +166,7 @@ def _look_closer(
     closer: int,
     closest: int,
 ) -> _Found:
-    """The best templates round one place; `which` (Q,) and `quick` (Q,): best window of the quick look, and
+    """The best templates round one place; `which` (N,) and `quick` (N,): best window of the quick look, and
     its score."""
     side = table.side
     coarse = np.array([(x, y) for y in SHIFTS for x in SHIFTS]) * (side / COARSE_SIDE)
@@ -176,7 +176,6 @@ def _look_closer(
     bounds = (picture.bounds - np.concatenate([place.centre, place.centre])) / cell + wide / 2.0
     canvas = Canvas(*known_cells(color, depth, fine, place.middle_m), bounds)
 
-    which, quick = _between(table, which, quick)
     templates = _best(quick, closer)
     corners = margin + np.rint(coarse[which[templates]]).astype(np.int64)
     rated, depth_mm = check_templates(table, canvas, templates, corners)
@@ -194,19 +193,6 @@ def _look_closer(
     best = _best(rated, RANKED)
     pixels = place.centre + (corners[best] - margin) * cell
     return _Found(templates[best], pixels, place.middle_m + depth_mm[best] / MILLIMETRES, rated[best])
-
-
-def _between(table: TemplateTable, which: Int64, quick: Float32) -> tuple[Int64, Float32]:
-    """Windows and scores (N,) of all templates from those (Q,) of every other roll: a roll between two that
-    were compared is as good as the better of them."""
-    if table.stride == 1:
-        return which, quick
-    scores = quick.reshape(-1, table.rolls // table.stride)
-    windows = which.reshape(scores.shape)
-    after, window_after = np.roll(scores, -1, 1), np.roll(windows, -1, 1)
-    between = np.maximum(scores, after)
-    window_between = np.where(scores >= after, windows, window_after)
-    return np.stack([windows, window_between], -1).ravel(), np.stack([scores, between], -1).ravel()
 
 
 def _best(scores: Float, count: int) -> Int64:

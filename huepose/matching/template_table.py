@@ -1,4 +1,4 @@
-"""A model's view templates laid out for two looks: a quick one over every other roll by matrix products, and
+"""A model's view templates laid out for two looks: a quick one over all of them by matrix products, and
 a close one at a few."""
 
 from __future__ import annotations
@@ -23,26 +23,17 @@ STEPS, RELIEF_STEPS = 100.0, 10.0
 """Steps a unit in the stored whole numbers."""
 
 
-ROLL_STRIDE = 2
-"""Every other roll is compared at the first look; those between are known by their neighbours."""
-
-THIN = 12
-"""An object whose views cover fewer larger cells than this in the mean is compared in all rolls: half a step
-aside, its neighbours hardly overlap with it."""
-
-
 @dataclass(frozen=True, eq=False)
 class TemplateTable:
     """Templates of V views in R rolls (N = V * R), built once for a model.
 
-    For the first look, at Q of them (V views in every other roll) over the P of 8 * 8 cells that any of them
-    covers: used (P,) these cells; coverage (Q, P) float32; first, second (4, Q, P) float32: coverage times
-    value and times value squared, for the opponents and for relief in millimetres; area (Q,) sum of coverage.
+    For the first look, over the P of 8 * 8 cells that any of them covers: used (P,) these cells; coverage (N,
+    P) float32; first, second (4, N, P) float32: coverage times value and times value squared, for the
+    opponents and for relief in millimetres; area (N,) sum of coverage.
     For the close look: the covered cells of template i are starts[i] to starts[i + 1]: places (M,) uint16 in
     the window of side * side, row * 256 + column; values (M, 4) int16: opponents in 1 / STEPS, relief in 1 /
     RELIEF_STEPS millimetres. rotations (N, 3, 3), origins (N, 3): R_cam_obj and the object's origin as seen
-    from the window's middle at median depth; span_m: the window's side; rolls: R; stride: 2, or 1 where all
-    rolls are compared.
+    from the window's middle at median depth; span_m: the window's side.
     """
 
     used: Int64
@@ -58,23 +49,16 @@ class TemplateTable:
     origins: Float64
     span_m: float
     diameter_m: float
-    rolls: int
-    stride: int
 
 
-def build_table(
-    templates: ViewTemplates, diameter_m: float, *, min_coverage: float = 0.5, every_roll: bool = False
-) -> TemplateTable:
+def build_table(templates: ViewTemplates, diameter_m: float, *, min_coverage: float = 0.5) -> TemplateTable:
     """Lay out a model's templates (0.1 s, about 8 MB). Larger cells count from a coverage of
-    `min_coverage`; with `every_roll`, all rolls are laid out for the first look."""
+    `min_coverage`."""
     views, rolls = templates.planes.shape[:2]
     planes = templates.planes.reshape(views * rolls, *templates.planes.shape[2:]).astype(np.float32)
     side = planes.shape[-1]
     starts, places, listed = _listed(planes)
 
-    thin = len(places) < THIN * side * side / COARSE_SIDE**2 * len(planes)
-    stride = 1 if every_roll or thin or rolls % ROLL_STRIDE else ROLL_STRIDE
-    planes = planes[::stride]  # rolls are the inner count, a multiple of the stride
     planes[:, :4] *= planes[:, 4:]  # the mean over a larger cell is weighted by coverage
     mean = _averaging(side)
     coarse = mean @ planes @ mean.T
@@ -99,8 +83,6 @@ def build_table(
         origins,
         templates.span * diameter_m,
         diameter_m,
-        rolls,
-        stride,
     )
 
 

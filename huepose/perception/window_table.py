@@ -35,7 +35,7 @@ def window_table(model: ReferenceModel) -> WindowTable:
     """The table of a model (about 3 MB)."""
     t = model.templates
     some = ViewTemplates(t.directions[:VIEWS], t.planes[:VIEWS, ::ROLL_STRIDE], t.origins[:VIEWS], t.span)
-    table = build_table(some, model.diameter_m, min_coverage=MIN_COVERAGE, every_roll=True)
+    table = build_table(some, model.diameter_m, min_coverage=MIN_COVERAGE)
     return WindowTable(table, _rims(_in_all_cells(table, table.coverage)), _hues(table, some.planes.shape[1]))
 
 

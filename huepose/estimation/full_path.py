@@ -35,7 +35,7 @@ FINAL_TURN_RAD, FINAL_SHIFT = 0.2, 0.05
 CONTENDERS, WITHIN = 4, 0.12
 """So many poses look closely at each other, if their totals are within this of the best."""
 
-CLOSE_WEIGHT = 1.0
+CLOSE_WEIGHT = 0.5
 """What the close look counts beside the dense score."""
 
 

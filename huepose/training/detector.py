@@ -30,6 +30,7 @@ from huepose.training.pictures import LabelledPicture, endless_pictures
 from huepose.training.runs import (
     Course,
     endless_loader,
+    export_onnx,
     load_checkpoint,
     rate_factor,
     save_checkpoint,
@@ -212,19 +213,6 @@ def _draw(out: Path, course: Course) -> None:
 
 def export(network: SmallYolo, file: Path, names: Sequence[str], input_size: tuple[int, int]) -> None:
     """Write the network as ONNX, one picture at a time, with the names of its classes."""
-    import onnx
-
-    whole = Exported(network).cpu().eval()
-    torch.onnx.export(
-        whole,
-        (torch.zeros(1, 3, *input_size),),
-        str(file),
-        input_names=["images"],
-        output_names=["output0"],
-        dynamo=True,
-        external_data=False,
-        verbose=False,
-    )
-    model = onnx.load(str(file))
-    onnx.helper.set_model_props(model, {"names": str(dict(enumerate(names)))})
-    onnx.save(model, str(file))
+    whole = Exported(network)
+    properties = {"names": str(dict(enumerate(names)))}
+    export_onnx(whole, file, {"images": torch.zeros(1, 3, *input_size)}, "output0", properties)

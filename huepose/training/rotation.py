@@ -26,6 +26,7 @@ from huepose.training.network import AttentionDgcnn, geodesic
 from huepose.training.runs import (
     Course,
     endless_loader,
+    export_onnx,
     load_checkpoint,
     rate_factor,
     save_checkpoint,
@@ -168,18 +169,8 @@ def validate(net: AttentionDgcnn, samples: tuple[Tensor, Tensor, Tensor], device
 
 def export(net: AttentionDgcnn, file: Path) -> None:
     """Write the network as ONNX, one set of matches at a time."""
-    net = net.cpu().eval()
-    example = (torch.zeros(1, POINTS, FEATURES), torch.ones(1, POINTS))
-    torch.onnx.export(
-        net,
-        example,
-        str(file),
-        input_names=["features", "weights"],
-        output_names=["rotation"],
-        dynamo=True,
-        external_data=False,
-        verbose=False,
-    )
+    examples = {"features": torch.zeros(1, POINTS, FEATURES), "weights": torch.ones(1, POINTS)}
+    export_onnx(net, file, examples, "rotation")
 
 
 def _draw(out: Path, course: Course, without: Float) -> None:

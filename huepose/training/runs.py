@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import Any
 
 import torch
+from torch import Tensor, nn
 from torch.utils.data import DataLoader, IterableDataset, get_worker_info
 
 from huepose.support.errors import InputError
@@ -68,3 +69,38 @@ def load_checkpoint(out: Path, kind: str, parts: Mapping[str, Any]) -> Course:
     for name, part in parts.items():
         part.load_state_dict(saved[name])
     return Course(**saved["course"])
+
+
+def export_onnx(
+    network: nn.Module,
+    file: Path,
+    examples: Mapping[str, Tensor],
+    output: str,
+    properties: Mapping[str, str] | None = None,
+) -> None:
+    """Write a network as ONNX: its inputs by name, each with an example, and its one output. `properties` go
+    into the file; what the exporter notes there about the source files and their folders does not."""
+    import onnx
+
+    torch.onnx.export(
+        network.cpu().eval(),
+        tuple(examples.values()),
+        str(file),
+        input_names=list(examples),
+        output_names=[output],
+        dynamo=True,
+        external_data=False,
+        verbose=False,
+    )
+    model = onnx.load(str(file))
+    without_notes(model.graph)
+    onnx.helper.set_model_props(model, dict(properties or {}))
+    onnx.save(model, str(file))
+
+
+def without_notes(graph: Any) -> None:
+    """Take the exporter's notes (an `onnx.GraphProto`'s metadata) away, in place."""
+    parts = (graph.node, graph.value_info, graph.input, graph.output, graph.initializer)
+    for part in (graph, *(entry for entries in parts for entry in entries)):
+        del part.metadata_props[:]
+        part.ClearField("doc_string")

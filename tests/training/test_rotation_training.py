@@ -55,6 +55,7 @@ def test_what_is_exported_answers_as_what_was_trained(tmp_path):
     torch.manual_seed(1)
     net = AttentionDgcnn().eval()
     export(net, tmp_path / "rotation.onnx")
+    assert b".py" not in (tmp_path / "rotation.onnx").read_bytes()  # nothing of where the sources lay
     rng = np.random.default_rng(0)
     features, weights = rng.normal(size=(128, 15)).astype(np.float32), np.linspace(1.0, 0.5, 128)
     R = OnnxRotation(tmp_path / "rotation.onnx").regress(features, weights)

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 import platform
-import time
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass
 from itertools import islice
@@ -22,7 +21,6 @@ from huepose.drawing.plots import line_plot
 from huepose.geometry import Mesh
 from huepose.perception.yolo_layouts import Candidates, candidates
 from huepose.support.errors import InputError
-from huepose.support.progress import progress
 from huepose.training.detector_loss import detector_loss
 from huepose.training.detector_network import Exported, SmallYolo
 from huepose.training.detector_score import DetectorScore, score
@@ -32,9 +30,9 @@ from huepose.training.runs import (
     endless_loader,
     export_onnx,
     load_checkpoint,
-    rate_factor,
     save_checkpoint,
     stream_number,
+    timed_batches,
 )
 
 VALIDATION_STREAM = 1_000_000
@@ -106,16 +104,10 @@ def train(things: Things, config: DetectorTraining, out: Path, resume: bool = Fa
     course = load_checkpoint(out, kind, parts) if resume else Course()
     pictures = endless_pictures(things, config.input_size, config.seed, VALIDATION_STREAM)
     held_out = list(islice(pictures, config.validation))
-    before_h, begun = course.hours, time.monotonic()
     loader = endless_loader(_Endless(things, config, course.rounds), config.workers)
     course.rounds += 1
     try:
-        for batch in progress((b for b in loader), "detector"):
-            course.hours = before_h + (time.monotonic() - begun) / 3600.0
-            if course.hours >= config.hours or course.steps == config.steps:
-                break
-            for group in optimiser.param_groups:
-                group["lr"] = config.rate * rate_factor(course.hours / config.hours, course.steps)
+        for batch in timed_batches(loader, "detector", course, optimiser, config):
             _step(network, optimiser, batch, config.device)
             mean.update_parameters(network)
             course.steps += 1

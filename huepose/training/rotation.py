@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 import platform
-import time
 from collections.abc import Iterator
 from dataclasses import asdict, dataclass
 from itertools import islice
@@ -19,7 +18,6 @@ from torch.utils.data import IterableDataset
 
 from huepose.drawing.plots import line_plot
 from huepose.geometry.arrays import Float
-from huepose.support.progress import progress
 from huepose.tracking.canonical import FEATURES
 from huepose.tracking.rotation_network import POINTS, Kind
 from huepose.training.network import AttentionDgcnn, geodesic
@@ -28,9 +26,9 @@ from huepose.training.runs import (
     endless_loader,
     export_onnx,
     load_checkpoint,
-    rate_factor,
     save_checkpoint,
     stream_number,
+    timed_batches,
 )
 from huepose.training.samples import RotationSample, endless
 
@@ -99,16 +97,10 @@ def train(config: RotationTraining, out: Path, resume: bool = False) -> dict[str
     held_out = stack(list(islice(endless(config.seed, VALIDATION_STREAM, config.kind), config.validation)))
     unturned = torch.eye(3).expand(len(held_out[2]), 3, 3)
     without = np.degrees(geodesic(unturned, held_out[2]).numpy())
-    before_h, begun = course.hours, time.monotonic()
     loader = endless_loader(_Endless(config, course.rounds), config.workers)
     course.rounds += 1
     try:
-        for batch in progress((b for b in loader), "rotation network"):
-            course.hours = before_h + (time.monotonic() - begun) / 3600.0
-            if course.hours >= config.hours or course.steps == config.steps:
-                break
-            for group in optimiser.param_groups:
-                group["lr"] = config.rate * rate_factor(course.hours / config.hours, course.steps)
+        for batch in timed_batches(loader, "rotation network", course, optimiser, config):
             _step(net, optimiser, batch, config.device)
             course.steps += 1
             if course.steps % config.every == 0:

@@ -4,18 +4,22 @@ from __future__ import annotations
 
 import math
 import signal
-from collections.abc import Mapping
+import time
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
-from typing import Any
+from typing import Any, Protocol, TypeVar
 
 import torch
 from torch import Tensor, nn
 from torch.utils.data import DataLoader, IterableDataset, get_worker_info
 
 from huepose.support.errors import InputError
+from huepose.support.progress import progress
 
 CHECKPOINT = "checkpoint.pt"
+
+Batch = TypeVar("Batch")
 
 
 @dataclass
@@ -28,9 +32,40 @@ class Course:
     curve: list[list[float]] = field(default_factory=list)
 
 
+class Limits(Protocol):
+    """How long to train, in hours of wall time and in steps (None: without end), and how fast."""
+
+    @property
+    def hours(self) -> float:
+        """Of wall time."""
+
+    @property
+    def steps(self) -> int | None:
+        """End after so many."""
+
+    @property
+    def rate(self) -> float:
+        """Learning rate at its highest."""
+
+
 def rate_factor(share: float, step: int) -> float:
     """Factor of the learning rate: a short rise, then a cosine to zero at the end of the time."""
     return min(1.0, (step + 1) / 200.0) * 0.5 * (1.0 + math.cos(math.pi * min(share, 1.0)))
+
+
+def timed_batches(
+    batches: Iterable[Batch], what: str, course: Course, optimiser: torch.optim.Optimizer, limits: Limits
+) -> Iterator[Batch]:
+    """Batches until the hours or the steps of `limits` are over, under a progress bar named `what`. Before
+    each one the course's hours and the optimiser's learning rate are brought up to date."""
+    before_h, begun = course.hours, time.monotonic()
+    for batch in progress((b for b in batches), what):
+        course.hours = before_h + (time.monotonic() - begun) / 3600.0
+        if course.hours >= limits.hours or course.steps == limits.steps:
+            return
+        for group in optimiser.param_groups:
+            group["lr"] = limits.rate * rate_factor(course.hours / limits.hours, course.steps)
+        yield batch
 
 
 def endless_loader(batches: IterableDataset[Any], workers: int) -> DataLoader[Any]:

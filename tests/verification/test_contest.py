@@ -10,14 +10,15 @@ import numpy as np
 import pytest
 
 from huepose.estimation.full_path import contested, judge
-from huepose.geometry import Box, RgbdFrame, se3
+from huepose.geometry import RgbdFrame, se3
 from huepose.model.types import ReferenceModel
 from huepose.rendering.render import render_depth
 from huepose.verification.contest import close_look
 from huepose.verification.kernel_arrays import region_arrays
 from huepose.verification.portrait import SHARP_PX, detail_colors, draw_portrait
-from huepose.verification.region import Region, prepare_region
+from huepose.verification.region import Region
 from huepose.verification.rim import PRIOR, Rim, edge_tensor, rim_agreement
+from tests.verification.regions import region_of
 
 UPSIDE_DOWN = se3.make(np.diag([1.0, -1.0, -1.0]), np.zeros(3))
 
@@ -29,15 +30,6 @@ def moved(T: np.ndarray, x: float, y: float = 0.0) -> np.ndarray:
 @pytest.fixture(scope="module")
 def frame(tea_box: ReferenceModel, take_picture: Callable[..., RgbdFrame], standing: np.ndarray) -> RgbdFrame:
     return take_picture([(tea_box.mesh, standing)], light=(0.9, 0.7, 0.5))
-
-
-def region_of(frame: RgbdFrame, model: ReferenceModel, T: np.ndarray) -> Region:
-    mask = render_depth(model.mesh, T, frame.camera) > 0
-    box = Box.of_mask(mask)
-    assert box is not None
-    region = prepare_region(frame, mask, box, model.diameter_m)
-    assert region is not None
-    return region
 
 
 @pytest.fixture(scope="module")

@@ -13,19 +13,10 @@ from huepose.geometry import Box, RgbdFrame, se3
 from huepose.model.types import ReferenceModel
 from huepose.rendering.render import render_depth
 from huepose.verification.dense import PoseScore, score, score_many
-from huepose.verification.region import Region, prepare_region
+from huepose.verification.region import prepare_region
+from tests.verification.regions import region_of
 
 TakePicture = Callable[..., RgbdFrame]
-
-
-def region_of(frame: RgbdFrame, model: ReferenceModel, T: np.ndarray) -> Region:
-    """The region of the true mask in the true box."""
-    mask = render_depth(model.mesh, T, frame.camera) > 0
-    box = Box.of_mask(mask)
-    assert box is not None
-    region = prepare_region(frame, mask, box, model.diameter_m)
-    assert region is not None
-    return region
 
 
 @pytest.fixture(scope="module")

@@ -6,23 +6,18 @@ from collections.abc import Callable
 
 import numpy as np
 
-from huepose.geometry import Box, RgbdFrame, se3
+from huepose.geometry import RgbdFrame, se3
 from huepose.model.types import ReferenceModel
-from huepose.rendering.render import render_depth
 from huepose.verification.dense import score_many
 from huepose.verification.local_search import RACE, search
-from huepose.verification.region import prepare_region
+from tests.verification.regions import region_of
 
 
 def test_search_climbs_to_the_truth(
     tea_box: ReferenceModel, take_picture: Callable[..., RgbdFrame], standing: np.ndarray
 ) -> None:
     frame = take_picture([(tea_box.mesh, standing)])
-    mask = render_depth(tea_box.mesh, standing, frame.camera) > 0
-    box = Box.of_mask(mask)
-    assert box is not None
-    region = prepare_region(frame, mask, box, tea_box.diameter_m)
-    assert region is not None
+    region = region_of(frame, tea_box, standing)
     rng = np.random.default_rng(1)
     offsets = rng.normal(size=(6, 6))
     offsets[:, :3] *= 0.006 / np.linalg.norm(offsets[:, :3], axis=1, keepdims=True)
@@ -44,11 +39,7 @@ def test_a_pose_far_behind_its_rivals_is_left_as_it_is(
     tea_box: ReferenceModel, take_picture: Callable[..., RgbdFrame], standing: np.ndarray
 ) -> None:
     frame = take_picture([(tea_box.mesh, standing)])
-    mask = render_depth(tea_box.mesh, standing, frame.camera) > 0
-    box = Box.of_mask(mask)
-    assert box is not None
-    region = prepare_region(frame, mask, box, tea_box.diameter_m)
-    assert region is not None
+    region = region_of(frame, tea_box, standing)
     near = se3.perturb(standing, np.array([0.004, -0.003, 0.002, 0.05, -0.03, 0.04]))
     upside_down = standing.copy()
     upside_down[:3, 0] *= -1.0

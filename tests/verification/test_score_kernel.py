@@ -6,24 +6,19 @@ from collections.abc import Callable
 
 import numpy as np
 
-from huepose.geometry import Box, RgbdFrame, se3
+from huepose.geometry import RgbdFrame, se3
 from huepose.model.types import ReferenceModel
-from huepose.rendering.render import render_depth
 from huepose.verification.dense import DEFAULT_WEIGHTS, weight_array
 from huepose.verification.kernel_arrays import model_arrays, region_arrays
-from huepose.verification.region import prepare_region
 from huepose.verification.score_kernel import SCRATCH_ROWS, TERMS, score_kernel
+from tests.verification.regions import region_of
 
 
 def test_a_needed_total_decides_as_the_whole_total_does(
     tea_box: ReferenceModel, take_picture: Callable[..., RgbdFrame], standing: np.ndarray
 ) -> None:
     frame = take_picture([(tea_box.mesh, standing)])
-    mask = render_depth(tea_box.mesh, standing, frame.camera) > 0
-    box = Box.of_mask(mask)
-    assert box is not None
-    region = prepare_region(frame, mask, box, tea_box.diameter_m)
-    assert region is not None
+    region = region_of(frame, tea_box, standing)
     model, seen, weights = model_arrays(tea_box), region_arrays(region), weight_array(DEFAULT_WEIGHTS)
     rng = np.random.default_rng(3)
     poses = [

@@ -1,9 +1,10 @@
-"""Single labelled frames of heaps of objects, drawn by code: to calibrate and to judge changes on.
+"""Single labelled frames of heaps and piles of objects, drawn by code: to calibrate and to judge changes on.
 
 A frame is a heap of some of the objects and of other things on a printed table, seen by a hand-held colour
 and stereo depth camera. Everything varies from frame to frame, and follows from the seed and the number of
 the frame alone: which objects, how close together, the lenses, how far and from where, the direction, colour
-and strength of light, shadows, gloss, exposure, hand shake, noise of colour and depth.
+and strength of light, shadows, gloss, exposure, hand shake, noise of colour and depth. A pile is a heap that
+is denser, farther away and in worse light, half of them in an open box, with depth as cameras lose it there.
 """
 
 from __future__ import annotations
@@ -15,6 +16,7 @@ from functools import lru_cache
 import numpy as np
 
 from huepose.datasets.heap import Heap, Rng, random_turn
+from huepose.datasets.piles import lost_in_bad_light, open_box, shifted
 from huepose.datasets.synthetic_frame import SHUTTER, Shot, Stage, shoot
 from huepose.datasets.synthetic_light import Light
 from huepose.datasets.synthetic_motion import PITCH, TABLE_M, UP_ROOM, upright
@@ -29,8 +31,14 @@ AHEAD_ROOM = np.array([0.0, -np.sin(PITCH), np.cos(PITCH)])
 HEAP_ROOM = -TABLE_M * UP_ROOM + 0.8 * AHEAD_ROOM
 """Where the middle of the heap lies on the table."""
 
+T_ROOM_TABLE = se3.make(upright(0.0), HEAP_ROOM)
+
 LARGEST_M = 0.45
 _ROOMS = 8
+
+HEAP_PLACES, PILE_PLACES = 5, 24
+BOXED, BOX_HALF_SIDE_M, BOX_HEIGHT_M = 0.5, (0.13, 0.2), (0.06, 0.13)
+MISALIGNED, SHIFT_PX = 0.25, 2
 
 
 @dataclass(frozen=True)
@@ -38,7 +46,9 @@ class SceneRanges:
     """From what range each thing is drawn, evenly. objects, others: counts in a frame; spread_m: radius of
     the heap; distance_m, elevation_deg: of the camera from the heap; exposure: in stops; tint: natural
     logarithm of red and blue against green; key, sky, gloss: see `synthetic_light.Light`; shake_px: motion
-    during the exposure, in every third frame; subpixel: see `synthetic_sensor.StereoSensor`."""
+    during the exposure, in every third frame; subpixel: see `synthetic_sensor.StereoSensor`; pile: whether
+    there are a second lamp, in every second frame an open box around the heap, in every fourth depth that
+    lies up to 2 px off the picture, and always depth that is lost in the dark and in glare."""
 
     objects: tuple[int, int] = (6, 9)
     others: tuple[int, int] = (2, 5)
@@ -52,6 +62,23 @@ class SceneRanges:
     gloss: tuple[float, float] = (0.0, 0.35)
     shake_px: tuple[float, float] = (0.5, 4.0)
     subpixel: tuple[float, float] = (0.05, 0.13)
+    pile: bool = False
+
+
+PILES = SceneRanges(
+    objects=(5, 9),
+    others=(2, 6),
+    spread_m=(0.1, 0.2),
+    distance_m=(0.65, 1.5),
+    exposure=(-3.3, 1.0),
+    tint=(-0.8, 0.8),
+    key=(0.3, 1.1),
+    sky=(0.04, 0.35),
+    gloss=(0.05, 0.6),
+    shake_px=(1.0, 6.0),
+    pile=True,
+)
+"""From what ranges piles are drawn."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -79,8 +106,16 @@ def rendered_frame(
     names = tuple(str(n) for n in rng.permutation(known)[:count])
     things = [meshes[name] for name in names]
     things += [clutter(rng) for _ in range(int(rng.integers(ranges.others[0], ranges.others[1] + 1)))]
-    poses = _heaped(things, rng.uniform(*ranges.spread_m), rng)
-    backdrop = _room(seed, number % _ROOMS)
+    spread_m = rng.uniform(*ranges.spread_m)
+    backdrop = list(_room(seed, number % _ROOMS))
+    heap, pile = Heap(), np.random.default_rng([seed, number, 63])
+    if ranges.pile and pile.random() < BOXED:
+        half_side_m = pile.uniform(*BOX_HALF_SIDE_M)
+        around = open_box(half_side_m, pile.uniform(*BOX_HEIGHT_M), pile)
+        turn = se3.rotation_exp(np.array([0.0, 0.0, pile.uniform(0, 2 * np.pi)]))
+        backdrop.append((around, T_ROOM_TABLE @ heap.drop(around, turn, np.zeros((1, 2)))))
+        spread_m = 0.8 * half_side_m
+    poses = _heaped(heap, things, spread_m, rng, PILE_PLACES if ranges.pile else HEAP_PLACES)
     camera, T_cam_room = _view(ranges, rng)
     stage = Stage(
         meshes=(*things, *(mesh for mesh, _ in backdrop)),
@@ -89,13 +124,21 @@ def rendered_frame(
         T_cam_room=_shaken(T_cam_room, camera, ranges, rng),
         lights=(_light(ranges, rng),) * 3,
         camera=camera,
+        lamp=replace(_light(ranges, pile), sky=0.0) if ranges.pile else None,
     )
     depth_sensor = replace(STEREO, subpixel=rng.uniform(*ranges.subpixel))
     color_sensor = replace(
         COLOR, full_well=COLOR.full_well * rng.uniform(0.3, 1.2), blur_px=rng.uniform(0.4, 0.8)
     )
     # The middle one of three frames: the exposure reaches into its neighbours.
-    return Drawn(shoot(stage, 1, int(rng.integers(2**31)), color_sensor, depth_sensor), names, camera)
+    shot = shoot(stage, 1, int(rng.integers(2**31)), color_sensor, depth_sensor)
+    if ranges.pile:
+        depth = lost_in_bad_light(shot.depth, shot.color, pile)
+        if pile.random() < MISALIGNED:
+            right_px, down_px = pile.integers(-SHIFT_PX, SHIFT_PX + 1, 2)
+            depth = shifted(depth, int(right_px), int(down_px))
+        shot = replace(shot, depth=depth)
+    return Drawn(shot, names, camera)
 
 
 def check_sizes(meshes: Mapping[str, Mesh]) -> None:
@@ -120,17 +163,16 @@ def _room(seed: int, k: int) -> tuple[tuple[Mesh, Float64], ...]:
     return tuple(room(rng, n_clutter=int(rng.integers(2, 12))))
 
 
-def _heaped(things: list[Mesh], spread_m: float, rng: Rng) -> list[Float64]:
-    """Poses T_room_mesh (4, 4) of a heap of that radius, large things first."""
-    heap = Heap()
-    T_room_table = se3.make(upright(0.0), HEAP_ROOM)
+def _heaped(heap: Heap, things: list[Mesh], spread_m: float, rng: Rng, places: int) -> list[Float64]:
+    """Poses T_room_mesh (4, 4) of things heaped up within that radius, large ones first, each in the lowest
+    of so many places."""
     poses: list[Float64] = [np.eye(4)] * len(things)
     sizes = [float(np.ptp(mesh.vertices, axis=0).max()) * rng.uniform(0.6, 1.4) for mesh in things]
     for k in np.argsort(sizes)[::-1]:
         R = random_turn(things[k], rng)
-        angle, share = rng.uniform(0, 2 * np.pi, 5), np.sqrt(rng.uniform(0, 1, 5))
-        places = spread_m * share[:, None] * np.stack([np.cos(angle), np.sin(angle)], -1)
-        poses[int(k)] = T_room_table @ heap.drop(things[k], R, places)
+        angle, share = rng.uniform(0, 2 * np.pi, places), np.sqrt(rng.uniform(0, 1, places))
+        at = spread_m * share[:, None] * np.stack([np.cos(angle), np.sin(angle)], -1)
+        poses[int(k)] = T_ROOM_TABLE @ heap.drop(things[k], R, at)
     return poses
 
 

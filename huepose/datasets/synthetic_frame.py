@@ -25,7 +25,8 @@ _INSTANTS = ((-1 / 3, 0.0, -1 / 3), (0.0, 1 / 3, 1 / 6), (1 / 3, -1 / 3, 1 / 6))
 @dataclass(frozen=True, eq=False)
 class Stage:
     """A scene in time. meshes: all of them, the first `labelled` are objects; T_room_mesh (M, N, 4, 4) and
-    T_cam_room (N, 4, 4): poses per mesh and frame of a closed loop; lights: one a frame."""
+    T_cam_room (N, 4, 4): poses per mesh and frame of a closed loop; lights: one a frame; lamp: a second one
+    for all frames."""
 
     meshes: tuple[Mesh, ...]
     labelled: int
@@ -33,6 +34,7 @@ class Stage:
     T_cam_room: Float64
     lights: tuple[Light, ...]
     camera: Camera
+    lamp: Light | None = None
 
     def __len__(self) -> int:
         return len(self.T_cam_room)
@@ -115,9 +117,11 @@ def shoot(
 ) -> Shot:
     """Take frame i. The same arguments give the same noise. Without a depth sensor, depth is exact."""
     rng = np.random.default_rng([seed, i, 7])
-    camera, light = stage.camera, stage.lights[i]
+    camera = stage.camera
     moved, _ = stage.poses(i)
-    shadow = shadow_map(list(zip(stage.meshes, moved, strict=True)), light)
+    placed = list(zip(stage.meshes, moved, strict=True))
+    lights = [stage.lights[i]] if stage.lamp is None else [stage.lights[i], stage.lamp]
+    shadows = [shadow_map(placed, light) for light in lights]
     total: Float32 = np.zeros((camera.height, camera.width, 3), np.float32)
     for when, dx, dy in _INSTANTS:
         part = when * SHUTTER
@@ -125,17 +129,18 @@ def shoot(
         seen = render(stage.in_camera(i, part), shifted, normals=True)
         glossy = (seen.object_index >= 0) & (seen.object_index < stage.labelled)
         _, T_cam_room = stage.poses(i, part)
-        shine(
-            seen.color,
-            seen.normals_cam,
-            seen.depth,
-            glossy.view(np.uint8),
-            shifted,
-            T_cam_room,
-            light,
-            shadow,
-            total,
-        )
+        for light, shadow in zip(lights, shadows, strict=True):
+            shine(
+                seen.color,
+                seen.normals_cam,
+                seen.depth,
+                glossy.view(np.uint8),
+                shifted,
+                T_cam_room,
+                light,
+                shadow,
+                total,
+            )
     color = expose(total / np.float32(len(_INSTANTS)), color_sensor, rng)
 
     scene = stage.in_camera(i)

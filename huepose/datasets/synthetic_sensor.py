@@ -96,7 +96,7 @@ def stereo_depth(
     near, far, edge = _around_edges(d)
 
     # The window takes one of the surfaces around an edge, by chance but the same over patches of it.
-    choice = _patches(rng, shape, 2.2)
+    choice = patches(rng, shape, 2.2)
     seen = np.where(edge & (choice > 0.75), far, np.where(edge & (choice < 0.45), near, d)).astype(np.float32)
     known = (seen > 0) & ~_hidden(d)
     flying = edge & (rng.random(shape, dtype=np.float32) < sensor.flying)
@@ -109,8 +109,8 @@ def stereo_depth(
     measured = np.rint((seen + noise) * 32) / 32
 
     lost = np.minimum(0.002 + sensor.holes * depth**2 + 0.7 * _grazing(normals_cam, *intrinsics), 0.95)
-    known &= _patches(rng, shape, 3.5) >= lost
-    known &= ~(edge & (_patches(rng, shape, 1.2) < sensor.edge_holes))
+    known &= patches(rng, shape, 3.5) >= lost
+    known &= ~(edge & (patches(rng, shape, 1.2) < sensor.edge_holes))
     known &= measured > 0.5
     out = np.divide(unit, measured, out=np.zeros(shape, np.float32), where=known)
     return np.asarray(out, np.float32)
@@ -129,7 +129,7 @@ def _around_edges(d: Float32) -> tuple[Float32, Float32, Bool]:
     return near, far, cv2.dilate(jump, np.ones((3, 3), np.uint8)) > 0
 
 
-def _patches(rng: Rng, shape: tuple[int, ...], sigma_px: float) -> Float32:
+def patches(rng: Rng, shape: tuple[int, ...], sigma_px: float) -> Float32:
     """A field uniform in 0..1 and smooth over about `sigma_px`: the share p of it below p lies in blobs."""
     height, width = shape
     step = 1 if sigma_px < 2 else 2

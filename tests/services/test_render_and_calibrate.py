@@ -26,6 +26,7 @@ def test_scenes_of_the_builtin_objects_are_drawn_with_their_meshes(
     assert sorted(p.name for p in (out / "models").glob("*.obj")) == ["obj_000001.obj", "obj_000002.obj"]
     assert main([*arguments, "--seed", "4"]) == BAD_INPUT
     assert "drawn with other settings" in capsys.readouterr().err
+    assert main([*arguments, "--seed", "3", "--kind", "piles"]) == BAD_INPUT
     assert main(["render-scenes", "--models", "builtin", "--out", str(out), "--objects", "7"]) == BAD_INPUT
     assert main(["render-scenes", "--models", "builtin", "--out", str(out), "--frames", "0"]) == BAD_INPUT
 

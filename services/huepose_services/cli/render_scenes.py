@@ -29,6 +29,12 @@ def add_parser(subparsers: Any) -> None:
         metavar="N",
         help="with builtin: the same shapes in other prints, look-alikes of the demo's (0: the demo's own)",
     )
+    parser.add_argument(
+        "--kind",
+        choices=("heaps", "piles"),
+        default="heaps",
+        help="piles: denser, farther away, in dim and coloured light, half of them in a box (heaps)",
+    )
     parser.add_argument("--out", type=Path, required=True, metavar="DIR", help="scene folder")
     parser.add_argument("--frames", type=int, default=100, metavar="N", help="how many (100)")
     parser.add_argument("--seed", type=int, default=0, metavar="N", help="of everything that varies (0)")
@@ -40,6 +46,7 @@ def call(arguments: argparse.Namespace) -> int:
     """Read the meshes, draw, say what is there."""
     from huepose.datasets.bop import BopScene
     from huepose.datasets.obj_writer import write_models_folder
+    from huepose.datasets.rendered_scene import PILES, SceneRanges
     from huepose.datasets.rendered_set import write_rendered_set
     from huepose.datasets.shapes import demo_objects
     from huepose.support.errors import InputError
@@ -55,7 +62,8 @@ def call(arguments: argparse.Namespace) -> int:
         meshes = {name: mesh for name, mesh in meshes.items() if ids[name] in wanted}
     else:
         meshes, ids = _read(Path(arguments.models), arguments.objects)
-    write_rendered_set(arguments.out, meshes, ids, arguments.frames, arguments.seed)
+    ranges = PILES if arguments.kind == "piles" else SceneRanges()
+    write_rendered_set(arguments.out, meshes, ids, arguments.frames, arguments.seed, ranges)
     if arguments.models == "builtin":
         write_models_folder(arguments.out / "models", meshes, ids)
     scene = BopScene(arguments.out)

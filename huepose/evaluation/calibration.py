@@ -9,7 +9,7 @@ by the fit of the rest.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Hashable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -83,10 +83,12 @@ class Fitted:
 @dataclass(frozen=True)
 class Worth:
     """What a quality is worth on some estimates. ece: calibration error over ten bins of equal count;
-    precision: share right of those over the level, None where there are none; coverage: share of all
-    instances that are over it; poses, right: counts; found: share in which something was found."""
+    chance: what that would be if every stated quality were true, on average and at most in 95 % of draws, see
+    `by_chance`; precision: share right of those over the level, None where there are none; coverage: share of
+    all instances that are over it; poses, right: counts; found: share in which something was found."""
 
     ece: float | None
+    chance: tuple[float, float] | None
     precision: float | None
     coverage: float
     poses: int
@@ -149,12 +151,31 @@ def worth(quality: Float64, judged: Judged, level: float, found: Bool | None = N
     seen = len(quality) if found is None else int(found.sum())
     return Worth(
         metrics.expected_calibration_error(quality, judged.right),
+        by_chance(quality, judged.instances),
         float(judged.right[over].mean()) if over.any() else None,
         float(over.sum()) / max(1, total),
         total,
         int(judged.right.sum()),
         seen / max(1, total),
     )
+
+
+def by_chance(
+    quality: Float64, instances: Sequence[Hashable], draws: int = 400, seed: int = 0
+) -> tuple[float, float] | None:
+    """The calibration error of qualities (N,) that are all true: its mean, and what 95 % of the draws stay
+    under; None without any. Few poses err by chance, and the same instance in several boxes is right or wrong
+    nearly always together: so one number is drawn for each instance, under which quality is right."""
+    if not len(quality):
+        return None
+    number = {instance: k for k, instance in enumerate(dict.fromkeys(instances))}
+    index = np.array([number[instance] for instance in instances])
+    rng = np.random.default_rng(seed)
+    errors = [
+        metrics.expected_calibration_error(quality, rng.random(len(number))[index] < quality) or 0.0
+        for _ in range(draws)
+    ]
+    return float(np.mean(errors)), float(np.quantile(errors, 0.95))
 
 
 def stated_by(quality_fit: QualityFit, judged: Judged) -> Float64:

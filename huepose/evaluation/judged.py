@@ -24,13 +24,14 @@ matter, and enough of them would make every doubtful pose look false."""
 class Judged:
     """Estimates with truth: terms; which (N,): the number of the answer that is right, 0 the pose itself, -1
     none; placed (N,): whether the pose lies on the object, turned as it may be; frames: which frame each is
-    of; stated (N,): the quality that was published for each; weights (N,); missed: how many more instances
-    got no pose."""
+    of; instances: which object of which frame, however often it was asked for; stated (N,): the quality that
+    was published for each; weights (N,); missed: how many more instances got no pose."""
 
     terms: Sequence[QualityTerms]
     which: Int64
     placed: Bool
     frames: Sequence[Hashable]
+    instances: Sequence[Hashable]
     stated: Float64
     weights: Float64
     missed: int = 0
@@ -46,6 +47,7 @@ class Judged:
             np.concatenate([self.which, other.which]),
             np.concatenate([self.placed, other.placed]),
             [*self.frames, *other.frames],
+            [*self.instances, *other.instances],
             np.concatenate([self.stated, other.stated]),
             np.concatenate([self.weights, other.weights]),
             self.missed + other.missed,
@@ -59,12 +61,13 @@ class Judged:
             self.which[keep],
             self.placed[keep],
             [self.frames[k] for k in keep],
+            [self.instances[k] for k in keep],
             self.stated[keep],
             self.weights[keep],
         )
 
 
-NONE = Judged([], np.zeros(0, np.int64), np.zeros(0, bool), [], np.zeros(0), np.zeros(0))
+NONE = Judged([], np.zeros(0, np.int64), np.zeros(0, bool), [], [], np.zeros(0), np.zeros(0))
 
 
 def read_judged(path: Path | str) -> Judged:
@@ -77,7 +80,8 @@ def read_judged(path: Path | str) -> Judged:
         [_terms(row, path) for row in every],
         np.array([_which(row) for row in found] + [-1] * len(false), dtype=np.int64),
         np.array([_placed(row) for row in found] + [False] * len(false)),
-        [(str(path), row["scene"], row["image"]) for row in every],
+        [_frame(row, path) for row in every],
+        [(*_frame(row, path), row.get("instance", k)) for k, row in enumerate(every)],
         np.array([float(row["quality"]) for row in every]),
         np.array([1.0] * len(found) + [FALSE_WEIGHT] * len(false)),
         len(rows) - len(found),
@@ -92,7 +96,8 @@ def read_absent(path: Path | str) -> Judged:
         [_terms(row, path) for row in every],
         np.full(len(every), -1, dtype=np.int64),
         np.zeros(len(every), bool),
-        [(str(path), row["scene"], row["image"]) for row in every],
+        [_frame(row, path) for row in every],
+        [(*_frame(row, path), row.get("instance", k)) for k, row in enumerate(every)],
         np.array([float(row["quality"]) for row in every]),
         np.full(len(every), FALSE_WEIGHT),
     )
@@ -104,6 +109,10 @@ def _read(path: Path | str) -> tuple[list[dict[str, Any]], list[dict[str, Any]]]
     if not rows and not false:
         raise InputError(path, found="no pose", expected="a result of `huepose eval estimate`")
     return rows, false
+
+
+def _frame(row: Mapping[str, Any], path: Path | str) -> tuple[str, str, int]:
+    return str(path), str(row["scene"]), int(row["image"])
 
 
 def _terms(row: Mapping[str, Any], path: Path | str) -> QualityTerms:

@@ -23,6 +23,7 @@ def judged(terms: list[QualityTerms], which: np.ndarray, per_frame: int = 5) -> 
         which.astype(np.int64),
         which == 0,
         [k // per_frame for k in range(n)],
+        range(n),
         np.full(n, 0.5),
         np.ones(n),
     )
@@ -115,6 +116,18 @@ def test_coverage_counts_what_got_no_pose() -> None:
     assert worth.coverage == pytest.approx(3 / 8)
     assert worth.found == pytest.approx(0.5)
     assert worth.precision == pytest.approx(2 / 3)
+
+
+def test_what_calibration_error_is_by_chance_depends_on_how_many_instances_there_are() -> None:
+    """A thousand poses of quality one half: in bins of a hundred the mean error is that of a mean of a
+    hundred coins, 0.04; of the same instances asked for five times, that of twenty coins."""
+    quality = np.full(1000, 0.5)
+    alone, _ = calibration.by_chance(quality, range(1000)) or (0.0, 0.0)
+    assert alone == pytest.approx(0.5 * np.sqrt(2 / np.pi / 100), rel=0.05)
+    often, high = calibration.by_chance(quality, [k // 5 for k in range(1000)]) or (0.0, 0.0)
+    assert often == pytest.approx(0.5 * np.sqrt(2 / np.pi / 20), rel=0.1)
+    assert often < high < 2.0 * often
+    assert calibration.by_chance(np.zeros(0), []) is None
 
 
 def test_a_frame_is_never_judged_by_itself() -> None:

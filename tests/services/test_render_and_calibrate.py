@@ -83,8 +83,9 @@ def test_a_fit_is_written_and_checked_on_other_results(
     assert set(fits) == {"full", "colorpair"}
     assert 0.9 < fits["full"]["level"] < 0.999
     line = next(line for line in capsys.readouterr().out.splitlines() if line.startswith("other"))
-    ece, precision = float(line.split()[3]), float(line.split()[6])
-    assert ece < 0.04
+    fields = line.split()
+    ece, chance, precision = float(fields[3]), float(fields[6]), float(fields[-1])
+    assert ece < min(0.04, 1.5 * chance)
     assert precision > 97.0
     assert (tmp_path / "reliability_other.png").stat().st_size > 0
 

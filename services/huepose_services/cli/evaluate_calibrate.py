@@ -56,7 +56,16 @@ def call(arguments: argparse.Namespace) -> int:
         stated = calibration.stated_by(fit, judged)
         rows.append(_row(path.stem, calibration.worth(stated, judged, fit.level)))
         _draw(arguments.plots, path.stem, stated, judged)
-    heading = ["set", "n", "right %", "calibration error", "found %", "over the level %", "right of them %"]
+    heading = [
+        "set",
+        "n",
+        "right %",
+        "calibration error",
+        "by chance",
+        "found %",
+        "over the level %",
+        "right of them %",
+    ]
     print(table(heading, rows))
     return 0
 
@@ -69,7 +78,21 @@ def _row(name: str, worth: Worth) -> list[Any]:
     ece = "-" if worth.ece is None else f"{worth.ece:.3f}"
     precision = None if worth.precision is None else 100.0 * worth.precision
     right = 100.0 * worth.right / max(1, worth.poses)
-    return [name, worth.poses, right, ece, 100.0 * worth.found, 100.0 * worth.coverage, precision]
+    return [
+        name,
+        worth.poses,
+        right,
+        ece,
+        chance_text(worth),
+        100.0 * worth.found,
+        100.0 * worth.coverage,
+        precision,
+    ]
+
+
+def chance_text(worth: Worth) -> str:
+    """What calibration error is by chance: on average, and at most in 95 % of draws."""
+    return "-" if worth.chance is None else "{:.3f} to {:.3f}".format(*worth.chance)
 
 
 def _draw(folder: Path | None, name: str, stated: Float64, judged: Judged) -> None:

@@ -10,6 +10,7 @@ from collections.abc import Callable, Mapping, Sequence
 
 import numpy as np
 
+from huepose.estimation.config import Method
 from huepose.estimation.quality import features, quality_fits
 from huepose.estimation.types import PoseEstimate
 from huepose.geometry.frame import RgbdFrame
@@ -25,34 +26,35 @@ Presence = Callable[[RgbdFrame, Sequence[PoseEstimate]], Sequence[float]]
 """Of the answers of a frame, the probability of each that its object is there."""
 
 
-def presence_by(models: Mapping[str, ReferenceModel]) -> Presence:
-    """By `perception.presence`, of the objects of these models."""
-    return lambda frame, answers: presences_of(frame, models, answers)
+def presence_by(models: Mapping[str, ReferenceModel], method: Method) -> Presence:
+    """By `perception.presence`, of the objects of these models, for answers of a method."""
+    return lambda frame, answers: presences_of(frame, models, answers, method)
 
 
 def presences_of(
-    frame: RgbdFrame, models: Mapping[str, ReferenceModel], answers: Sequence[PoseEstimate]
+    frame: RgbdFrame, models: Mapping[str, ReferenceModel], answers: Sequence[PoseEstimate], method: Method
 ) -> list[float]:
-    """Probability for each answer that its object is there, 0 where none was found. Raises KeyError for an
-    answer about an object that is not in `models`."""
+    """Probability for each answer of a method that its object is there, 0 where none was found. Raises
+    KeyError for an answer about an object that is not in `models`."""
     view = clear_view(frame, max((m.diameter_m for m in models.values()), default=0.0))
     poses = [(a.object, a.T_cam_obj) for a in answers if a.T_cam_obj is not None]
     logits = iter(np.full(len(poses), -np.inf) if view is None else presences(view, models, poses))
-    return [0.0 if a.T_cam_obj is None else _chance(float(next(logits)), a) for a in answers]
+    return [0.0 if a.T_cam_obj is None else _chance(float(next(logits)), a, method) for a in answers]
 
 
-def _chance(logit: float, answer: PoseEstimate) -> float:
+def _chance(logit: float, answer: PoseEstimate, method: Method) -> float:
     """Probability that the object is there: what is seen, and what its pose says about it.
 
     A pose that is surely right speaks for its object; one that is not, for want of print to tell its turn by,
     does not speak against it."""
     sure = min(max(answer.quality, 0.5), MOST_SURE)
-    return float(probability(np.float64(logit + np.log(sure / (1.0 - sure))))) * _own_print(answer)
+    return float(probability(np.float64(logit + np.log(sure / (1.0 - sure))))) * _own_print(answer, method)
 
 
-def _own_print(answer: PoseEstimate) -> float:
-    """1, or less where the same shape plainly wears another print, and so is another thing."""
+def _own_print(answer: PoseEstimate, method: Method) -> float:
+    """1, or less where the same shape plainly wears another print, by what this method knows of prints, and so
+    is another thing."""
     if answer.terms is None:
         return 1.0
-    own = quality_fits()["full"].this_print(features(answer.terms))
+    own = quality_fits()[method].this_print(features(answer.terms))
     return min(1.0, OTHER_PRINT * own / max(1.0 - own, 1e-9))

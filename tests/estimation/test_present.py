@@ -21,7 +21,7 @@ def test_an_answer_is_as_likely_as_its_object_is_there(tea_box, take_picture, st
     beside = standing.copy()
     beside[0, 3] += 0.5 * tea_box.diameter_m
     answers = [there, replace(there, T_cam_obj=beside), absent("tea_box")]
-    chances = presences_of(frame, models, answers)
+    chances = presences_of(frame, models, answers, "full")
     assert chances[0] > 0.9
     assert chances[1] < 0.1
     assert chances[2] == 0.0
@@ -33,4 +33,18 @@ def test_a_shape_in_another_print_is_another_thing(tea_box, take_picture, standi
     frame = take_picture([(replace(tea_box.mesh, texture=texture), standing)])
     box = Box.of_mask(render_depth(tea_box.mesh, standing, frame.camera) > 0)
     (answer,) = Estimator(models).estimate(frame, [ObjectQuery("tea_box", box)])
-    assert presences_of(frame, models, [replace(answer, T_cam_obj=standing)])[0] < 0.5
+    assert presences_of(frame, models, [replace(answer, T_cam_obj=standing)], "full")[0] < 0.5
+
+
+def test_another_print_is_judged_by_the_method_that_answered(tea_box, take_picture, standing) -> None:
+    """What the dense score lacks of the print says nothing of an answer by colour pairs, whose own fit does
+    not ask it; the total of their score does."""
+    models = {"tea_box": tea_box}
+    frame = take_picture([(tea_box.mesh, standing)])
+    box = Box.of_mask(render_depth(tea_box.mesh, standing, frame.camera) > 0)
+    (answer,) = Estimator(models).estimate(frame, [ObjectQuery("tea_box", box)])
+    lacking = replace(answer, terms=replace(answer.terms, missing=0.8, foreign=30.0))
+    own, other = (presences_of(frame, models, [a], "full")[0] for a in (answer, lacking))
+    assert other < 0.5 * own
+    own, other = (presences_of(frame, models, [a], "colorpair")[0] for a in (answer, lacking))
+    assert other == own

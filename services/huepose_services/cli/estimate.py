@@ -137,7 +137,7 @@ def _detected(
     places = detector.detect(frame, names)
     places = places[::-1]  # The best place last: its explanation is the one that is kept.
     answers = [_answer(arguments, frame, models, estimator, p.object, p.box) for p in places]
-    poses = standing(answers, presences_of(frame, models, answers))
+    poses = standing(answers, presences_of(frame, models, answers, arguments.method))
     return [pose for name in names for pose in [p for p in poses if p.object == name] or [absent(name)]]
 
 

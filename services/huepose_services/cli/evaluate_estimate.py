@@ -57,7 +57,7 @@ def call(arguments: argparse.Namespace) -> int:
         options,
         equivalents=equivalents,
         detector=detector,
-        presence=presence_by(models),
+        presence=presence_by(models, arguments.method),
         on_frame=on_frame,
     )
     record = result.as_json()

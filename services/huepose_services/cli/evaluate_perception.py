@@ -36,7 +36,7 @@ def call(arguments: argparse.Namespace) -> int:
         segmenter,
         estimator,
         PerceptionOptions(judged=arguments.judged, least=MIN_SCORE, seed=arguments.seed),
-        presence=presence_by(models),
+        presence=presence_by(models, estimator.config.method),
         on_frame=None if pictures is None else pictures.frame,
     )
     record = result.as_json(arguments.proposals)

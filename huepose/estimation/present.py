@@ -52,8 +52,8 @@ def _chance(logit: float, answer: PoseEstimate, method: Method) -> float:
 
 
 def _own_print(answer: PoseEstimate, method: Method) -> float:
-    """1, or less where the same shape plainly wears another print, by what this method knows of prints, and so
-    is another thing."""
+    """1, or less where the same shape plainly wears another print, and so is another thing, by what this
+    method knows of prints."""
     if answer.terms is None:
         return 1.0
     own = quality_fits()[method].this_print(features(answer.terms))

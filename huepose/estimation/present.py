@@ -43,12 +43,15 @@ def presences_of(
 
 
 def _chance(logit: float, answer: PoseEstimate, method: Method) -> float:
-    """Probability that the object is there: what is seen, and what its pose says about it.
+    """Probability that the object is there: what is seen, and what its pose says about it."""
+    return float(probability(np.float64(logit + certainty(answer)))) * _own_print(answer, method)
 
-    A pose that is surely right speaks for its object; one that is not, for want of print to tell its turn by,
-    does not speak against it."""
+
+def certainty(answer: PoseEstimate) -> float:
+    """How sure a pose is of itself, in log odds, 0 or more: one that is surely right speaks for its object;
+    one that is not, for want of print to tell its turn by, does not speak against it."""
     sure = min(max(answer.quality, 0.5), MOST_SURE)
-    return float(probability(np.float64(logit + np.log(sure / (1.0 - sure))))) * _own_print(answer, method)
+    return float(np.log(sure / (1.0 - sure)))
 
 
 def _own_print(answer: PoseEstimate, method: Method) -> float:

@@ -16,13 +16,16 @@ RIDGE = 2.0
 MOST_SHARPNESS, MOST_HANDICAP = 300.0, 3.0
 
 
-def logistic(x: Float64, right: Bool, weights: Float64, names: Sequence[str]) -> Logistic:
-    """Of features (N, K) by name, with no negative factor; right, weights (N,)."""
+def logistic(
+    x: Float64, right: Bool, weights: Float64, names: Sequence[str], known: Float64 | float = 0.0
+) -> Logistic:
+    """Of features (N, K) by name, with no negative factor; right, weights (N,); known (N,): a part of the
+    logit that is added as it is."""
     centre, spread, z = _standard(x)
     sign = np.where(right, 1.0, -1.0)
 
     def loss(p: Float64) -> tuple[float, Float64]:
-        s = sign * (p[0] + z @ p[1:])
+        s = sign * (p[0] + z @ p[1:] + known)
         pull = -weights * sign * sigmoid(-s)
         slope = np.concatenate([[pull.sum()], pull @ z + RIDGE * p[1:]])
         return float((weights * np.logaddexp(0.0, -s)).sum() + 0.5 * RIDGE * (p[1:] ** 2).sum()), slope

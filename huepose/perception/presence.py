@@ -5,14 +5,18 @@ the same. What speaks for an object being there is a shape that explains the dep
 goes on where the object ends, and colours that are the object's, up to the one light that all of the frame
 has. How much a colour says depends on how common it is: grey is everywhere, a strong red is not.
 
-The sum of these is a logit; its weights were fitted on rendered heaps of known objects. (The light: what
-probable places of the *other* objects say about it, as log colours are only shifted by it, after von Kries.)
+The weighted sum of these is a logit; the weights, in `presence_fit.json`, are of largest likelihood on drawn
+heaps and piles (`evaluation.presence_fit`). (The light: what probable places of the *other* objects say about
+it, as log colours are only shifted by it, after von Kries.)
 """
 
 from __future__ import annotations
 
+import json
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from functools import cache
+from importlib import resources
 
 import numpy as np
 
@@ -23,17 +27,6 @@ from huepose.perception.rim import rims
 from huepose.verification.dense import score_many
 from huepose.verification.kernel_arrays import model_arrays, nearest_view
 from huepose.verification.region import Region
-
-FIT_WEIGHT, VIOLATION_WEIGHT, PRINT_WEIGHT, RIM_WEIGHT, HUE_WEIGHT, CONSTANT = (
-    31.3,
-    8.9,
-    5.8,
-    -14.1,
-    0.62,
-    -15.3,
-)
-"""Weights of depth that fits, of what is seen through (which the fit counts already, and too much), of print,
-of a rim that goes on, of hue; and what speaks against any place."""
 
 SAMPLES, RIM_SAMPLES, HUES = 800, 400, 120
 HUE_LEAST, HUE_MOST = -3.0, 5.0
@@ -69,17 +62,37 @@ class Sight:
     hues: Float64
 
     @property
-    def logit(self) -> float:
-        """Of the object being here, by all but hue."""
-        shape = FIT_WEIGHT * self.fit + VIOLATION_WEIGHT * self.violation + RIM_WEIGHT * self.rim
-        return shape + PRINT_WEIGHT * self.print + CONSTANT
-
-    @property
     def shift(self) -> Float64:
         """Mean difference (2,) of the picture's hue from the object's; nan where hardly anything is seen."""
         if len(self.hues) < LEAST_HUES:
             return np.full(2, np.nan)
         return np.asarray(np.average(self.hues[:, 3:] - self.hues[:, 1:3], axis=0, weights=self.hues[:, 0]))
+
+
+@dataclass(frozen=True)
+class PresenceFit:
+    """Weights of the logit, none of them negative but the constant, which speaks against any place: depth
+    that fits; what is seen through, which the fit counts already, and too much; print; a rim where the
+    surface does not go on; hue."""
+
+    constant: float
+    fit: float
+    violation: float
+    print: float
+    free_rim: float
+    hue: float
+
+    def logit(self, seen: Sight) -> float:
+        """Of the object being where it is looked for, by all but hue."""
+        shape = self.fit * seen.fit + self.violation * seen.violation + self.free_rim * (1.0 - seen.rim)
+        return shape + self.print * seen.print + self.constant
+
+
+@cache
+def presence_fit() -> PresenceFit:
+    """The calibrated weights."""
+    text = resources.files("huepose.perception").joinpath("presence_fit.json").read_text()
+    return PresenceFit(**json.loads(text))
 
 
 @dataclass(frozen=True, eq=False)
@@ -97,11 +110,22 @@ def presences(
     whatever turn."""
     regions = {name: view.region(models[name].diameter_m) for name, _ in poses}
     sights = [sight(view, regions[name], models[name], T) for name, T in poses]
-    logits, shifts = np.array([s.logit for s in sights]), np.array([s.shift for s in sights]).reshape(-1, 2)
-    names = np.array([name for name, _ in poses])
-    lights = {name: light_of(logits[names != name], shifts[names != name]) for name in regions}
-    hue = [hue_evidence(s, lights[name]) for (name, _), s in zip(poses, sights, strict=True)]
-    return np.asarray(logits + HUE_WEIGHT * np.array(hue))
+    return logits_of([name for name, _ in poses], sights, presence_fit())
+
+
+def logits_of(names: Sequence[str], sights: Sequence[Sight], weights: PresenceFit) -> Float64:
+    """Logit (N,) of each sight of a frame, each of a named object, all of them seen in one light."""
+    logits = np.array([weights.logit(s) for s in sights])
+    return np.asarray(logits + weights.hue * hues_of(names, sights, logits))
+
+
+def hues_of(names: Sequence[str], sights: Sequence[Sight], logits: Float64) -> Float64:
+    """What hue says about each sight (N,), in the light that sights of other objects agree on, which are
+    believed by their logits (N,)."""
+    shifts = np.array([s.shift for s in sights]).reshape(-1, 2)
+    each = np.array(names)
+    lights = {name: light_of(logits[each != name], shifts[each != name]) for name in set(names)}
+    return np.array([hue_evidence(s, lights[name]) for name, s in zip(names, sights, strict=True)])
 
 
 def probability(logit: Float64 | np.float64) -> Float64:

@@ -51,7 +51,7 @@ def look(sample: Sample, targets: Targets, detector: Detector, estimator: PoseEs
     models = targets.models_by_name
     view = clear_view(sample.frame, max(m.diameter_m for m in models.values()))
     count: dict[str, int] = {}
-    queries = []
+    queries: list[ObjectQuery] = []
     for d in detector.detect(sample.frame, list(models)):
         count[d.object] = count.get(d.object, 0) + 1
         if count[d.object] <= PLACES:

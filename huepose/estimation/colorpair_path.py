@@ -29,7 +29,8 @@ from huepose.model.types import ReferenceModel
 from huepose.registration.semantic_icp import ClassifiedScene, semantic_icp_many
 from huepose.registration.surface_icp import align_many
 from huepose.support.stages import stage
-from huepose.verification.pairs import PairPicture, pair_picture, pair_score_many
+from huepose.verification.pairs import pair_picture, pair_score_many
+from huepose.verification.pairs_kernel import PairPicture
 from huepose.verification.pairs_search import search_pairs
 from huepose.verification.region import Region
 

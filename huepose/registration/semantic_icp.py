@@ -11,6 +11,7 @@ gate to all points and a narrow one; weights are Tukey's within the gate, and th
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
@@ -47,6 +48,40 @@ class ClassifiedScene:
     points_cam: Float
     classes: UInt8
     weights: Float
+
+
+class _Scene(NamedTuple):
+    """The scene's points of one level as kernels read them."""
+
+    points: Float64
+    classes: UInt8
+    weights: Float64
+
+
+class _Cloud(NamedTuple):
+    """The model's points of one level, and a grid of cells over them: shape (3,); for each cell where it
+    stands among those that have points, or -1; the points in order of their cells, and where each cell's
+    start; the lowest corner; the side of a cell, which is the gate of the level."""
+
+    points: Float64
+    normals: Float64
+    classes: UInt8
+    shape: Int64
+    table: Int32
+    order: Int32
+    starts: Int32
+    low: Float64
+    gate: float
+
+
+class _Pull(NamedTuple):
+    """What of the configuration is the same for all levels, and what the steps are measured by."""
+
+    semantic: float
+    aggregate: float
+    sliding: float
+    centre: Float64
+    radius: float
 
 
 @dataclass(frozen=True, eq=False)
@@ -94,70 +129,51 @@ def semantic_icp_many(
     centre = 0.5 * (low + model.max(0))
     radius = float(np.linalg.norm(model - centre, axis=1).max())
     done, reports = np.zeros(len(T), np.int64), np.zeros((len(T), 2))
+    pull = _Pull(config.semantic, config.aggregate, config.sliding, centre, radius)
     levels = (config.gates, config.strides, config.model_strides, config.iterations)
     for share, stride, thinner, rounds in zip(*levels, strict=True):
-        gate = 2.0 * radius * share
-        shown = np.ascontiguousarray(model[::thinner])
-        shape, table, order, starts = _cells(shown, low, gate)
-        _align_all(
-            T,
+        seen = _Scene(
             points[::stride],
             np.ascontiguousarray(scene.classes[::stride]),
             np.ascontiguousarray(scene.weights[::stride], np.float64),
-            shown,
-            np.ascontiguousarray(reference.cloud_normals[::thinner], np.float64),
-            np.ascontiguousarray(reference.cloud_classes[::thinner]),
-            shape,
-            table,
-            order,
-            starts,
-            low,
-            gate,
-            rounds,
-            config.semantic,
-            config.aggregate,
-            config.sliding,
-            centre,
-            radius,
-            reports,
-            done,
         )
+        _align_all(T, seen, _cloud(reference, thinner, 2.0 * radius * share), rounds, pull, reports, done)
     return [
         SemanticAlignment(se3.orthonormalised(pose), int(n), int(matched), float(rms))
         for pose, n, (matched, rms) in zip(T, done, reports, strict=True)
     ]
 
 
-def _cells(points: Float64, low: Float64, size: float) -> tuple[Int64, Int32, Int32, Int32]:
-    """A grid of cells over a cloud: its shape (3,), the sorted cell numbers that have points, the points in
-    that order, and where each cell's points start in it."""
-    cell = np.floor((points - low) / size).astype(np.int64)
+def _cloud(reference: PairReference, thinner: int, gate: float) -> _Cloud:
+    """Every `thinner`-th point of the model's classified cloud, in cells as large as the gate."""
+    low = np.ascontiguousarray(reference.cloud_points, np.float64).min(0)
+    points = np.ascontiguousarray(reference.cloud_points[::thinner], np.float64)
+    cell = np.floor((points - low) / gate).astype(np.int64)
     shape = cell.max(0) + 1
     flat = (cell[:, 0] * shape[1] + cell[:, 1]) * shape[2] + cell[:, 2]
     order = np.argsort(flat, kind="stable").astype(np.int32)
     numbers, starts = np.unique(flat[order], return_index=True)
     table = np.full(int(shape.prod()) + 1, -1, np.int32)
     table[numbers] = np.arange(len(numbers))
-    return shape, table, order, np.append(starts, len(points)).astype(np.int32)
+    return _Cloud(
+        points,
+        np.ascontiguousarray(reference.cloud_normals[::thinner], np.float64),
+        np.ascontiguousarray(reference.cloud_classes[::thinner]),
+        shape,
+        table,
+        order,
+        np.append(starts, len(points)).astype(np.int32),
+        low,
+        gate,
+    )
 
 
 @jit
-def _nearest(
-    q0: float,
-    q1: float,
-    q2: float,
-    kind: int,
-    model: Float64,
-    classes: UInt8,
-    shape: Int64,
-    table: Int32,
-    order: Int32,
-    starts: Int32,
-    low: Float64,
-    size: float,
-) -> int:
+def _nearest(q0: float, q1: float, q2: float, kind: int, cloud: _Cloud) -> int:
     """Index of the model point nearest to q within one cell's size, of one class (or any, for -1); -1 for
     none."""
+    model, classes, low, size = cloud.points, cloud.classes, cloud.low, cloud.gate
+    shape, table, order, starts = cloud.shape, cloud.table, cloud.order, cloud.starts
     c0 = int(np.floor((q0 - low[0]) / size))
     c1 = int(np.floor((q1 - low[1]) / size))
     c2 = int(np.floor((q2 - low[2]) / size))
@@ -180,46 +196,27 @@ def _nearest(
 
 
 @jit
-def _align(
-    T: Float64,
-    scene: Float64,
-    scene_classes: UInt8,
-    scene_weights: Float64,
-    model: Float64,
-    normals: Float64,
-    classes: UInt8,
-    shape: Int64,
-    table: Int32,
-    order: Int32,
-    starts: Int32,
-    low: Float64,
-    gate: float,
-    rounds: int,
-    semantic: float,
-    aggregate: float,
-    sliding: float,
-    centre: Float64,
-    radius: float,
-    report: Float64,
-) -> int:
+def _align(T: Float64, scene: _Scene, cloud: _Cloud, rounds: int, pull: _Pull, report: Float64) -> int:
+    points, model, normals = scene.points, cloud.points, cloud.normals
+    centre, radius, sliding, gate = pull.centre, pull.radius, pull.sliding, cloud.gate
     A, b, x, D = np.zeros((6, 6)), np.zeros(6), np.zeros(6), np.zeros((3, 3))
     for turn in range(rounds):
         A[:] = 0.0
         b[:] = 0.0
         matched, total, squares = 0, 0.0, 0.0
-        for i in range(scene.shape[0]):
-            p0, p1, p2 = scene[i, 0] - T[0, 3], scene[i, 1] - T[1, 3], scene[i, 2] - T[2, 3]
+        for i in range(points.shape[0]):
+            p0, p1, p2 = points[i, 0] - T[0, 3], points[i, 1] - T[1, 3], points[i, 2] - T[2, 3]
             q0 = T[0, 0] * p0 + T[1, 0] * p1 + T[2, 0] * p2
             q1 = T[0, 1] * p0 + T[1, 1] * p1 + T[2, 1] * p2
             q2 = T[0, 2] * p0 + T[1, 2] * p1 + T[2, 2] * p2
             for which in range(2):
-                kind = int(scene_classes[i]) if which == 0 else -1
-                j = _nearest(q0, q1, q2, kind, model, classes, shape, table, order, starts, low, gate)
+                kind = int(scene.classes[i]) if which == 0 else -1
+                j = _nearest(q0, q1, q2, kind, cloud)
                 if j < 0:
                     continue
                 e0, e1, e2 = q0 - model[j, 0], q1 - model[j, 1], q2 - model[j, 2]
                 d = (e0 * e0 + e1 * e1 + e2 * e2) / (gate * gate)
-                w = scene_weights[i] * (1.0 - d) ** 2 * (semantic if which == 0 else aggregate)
+                w = scene.weights[i] * (1.0 - d) ** 2 * (pull.semantic if which == 0 else pull.aggregate)
                 n0, n1, n2 = normals[j, 0], normals[j, 1], normals[j, 2]
                 across = e0 * n0 + e1 * n1 + e2 * n2
                 _add_row(A, b, w, across, n0, n1, n2, q0, q1, q2, centre, radius)
@@ -251,50 +248,15 @@ def _align(
 @jit
 def _align_all(
     poses: Float64,
-    scene: Float64,
-    scene_classes: UInt8,
-    scene_weights: Float64,
-    model: Float64,
-    normals: Float64,
-    classes: UInt8,
-    shape: Int64,
-    table: Int32,
-    order: Int32,
-    starts: Int32,
-    low: Float64,
-    gate: float,
+    scene: _Scene,
+    cloud: _Cloud,
     rounds: int,
-    semantic: float,
-    aggregate: float,
-    sliding: float,
-    centre: Float64,
-    radius: float,
+    pull: _Pull,
     reports: Float64,
     done: Int64,
 ) -> None:
     for m in range(poses.shape[0]):
-        done[m] += _align(
-            poses[m],
-            scene,
-            scene_classes,
-            scene_weights,
-            model,
-            normals,
-            classes,
-            shape,
-            table,
-            order,
-            starts,
-            low,
-            gate,
-            rounds,
-            semantic,
-            aggregate,
-            sliding,
-            centre,
-            radius,
-            reports[m],
-        )
+        done[m] += _align(poses[m], scene, cloud, rounds, pull, reports[m])
 
 
 @jit

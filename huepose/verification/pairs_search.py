@@ -9,22 +9,10 @@ import numpy as np
 from huepose.geometry.arrays import Float, Float64
 from huepose.model.types import ReferenceModel
 from huepose.support.jit import jit
-from huepose.verification.dense import weight_array
-from huepose.verification.kernel_arrays import ModelArrays, RegionArrays, model_arrays, region_arrays
 from huepose.verification.local_search import REPETITIONS, SHIFT_PER_RADIAN, STRIDES, WORTH, stepped
-from huepose.verification.pairs import (
-    DEFAULT_PAIR_WEIGHTS,
-    GEOMETRY,
-    PAIR_TERMS,
-    PairArrays,
-    PairPicture,
-    PairWeights,
-    pair_arrays,
-    pair_kernel,
-    pair_weight_array,
-)
+from huepose.verification.pairs import DEFAULT_PAIR_WEIGHTS, PairWeights, judged_on
+from huepose.verification.pairs_kernel import Judged, PairPicture, Room, pair_kernel, scratch
 from huepose.verification.region import Region
-from huepose.verification.score_kernel import SCRATCH_ROWS, TERMS
 
 
 def search_pairs(
@@ -43,13 +31,8 @@ def search_pairs(
     totals = np.zeros(len(out))
     _search_all(
         out,
-        model_arrays(model),
-        region_arrays(region),
-        samples,
-        weight_array(GEOMETRY),
-        pair_arrays(model.pairs, pairs),
-        picture,
-        pair_weight_array(weights),
+        judged_on(model, region, picture, pairs, samples, weights),
+        scratch(samples),
         model.mesh.centre,
         model.diameter_m * SHIFT_PER_RADIAN,
         np.radians(np.asarray(steps_deg, dtype=np.float64)),
@@ -61,39 +44,18 @@ def search_pairs(
 @jit
 def _search_all(
     poses: Float64,
-    model: ModelArrays,
-    region: RegionArrays,
-    samples: int,
-    geometry_weights: Float64,
-    pairs: PairArrays,
-    picture: PairPicture,
-    weights: Float64,
+    on: Judged,
+    room: Room,
     centre: Float64,
     shift_per_radian: float,
     steps: Float64,
     totals: Float64,
 ) -> None:
-    scratch = np.empty((SCRATCH_ROWS, samples))
-    moments, terms, out = np.empty((6, 5)), np.empty(TERMS), np.empty(PAIR_TERMS + 1)
     turn, trial = np.empty((3, 3)), np.empty((4, 4))
     failed = np.empty((6, 2), np.int64)  # By axis and way: how many moves had been made then.
     for m in range(poses.shape[0]):
-        T, needed = poses[m], -np.inf
-        best = pair_kernel(
-            T,
-            model,
-            region,
-            samples,
-            geometry_weights,
-            pairs,
-            picture,
-            weights,
-            moments,
-            scratch,
-            terms,
-            out,
-            needed,
-        )
+        T = poses[m]
+        best = pair_kernel(T, on, room, -np.inf)
         for level in range(steps.shape[0]):
             moves = 0
             failed[:] = -1
@@ -107,21 +69,7 @@ def _search_all(
                             step = steps[level] if way else -steps[level]
                             stepped(T, axis, step, centre, shift_per_radian, turn, trial)
                             needed = best + WORTH
-                            total = pair_kernel(
-                                trial,
-                                model,
-                                region,
-                                samples,
-                                geometry_weights,
-                                pairs,
-                                picture,
-                                weights,
-                                moments,
-                                scratch,
-                                terms,
-                                out,
-                                needed,
-                            )
+                            total = pair_kernel(trial, on, room, needed)
                             if total <= needed:
                                 failed[axis, way] = moves
                                 break

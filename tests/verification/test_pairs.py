@@ -11,23 +11,10 @@ import pytest
 from huepose.geometry import Box, RgbdFrame, se3
 from huepose.model.types import ReferenceModel
 from huepose.rendering.render import render_depth
-from huepose.verification.dense import weight_array
-from huepose.verification.kernel_arrays import model_arrays, region_arrays
-from huepose.verification.pairs import (
-    DEFAULT_PAIR_WEIGHTS,
-    GEOMETRY,
-    PAIR_TERMS,
-    PairPicture,
-    pair_arrays,
-    pair_kernel,
-    pair_picture,
-    pair_score,
-    pair_score_many,
-    pair_weight_array,
-)
+from huepose.verification.pairs import judged_on, pair_picture, pair_score, pair_score_many
+from huepose.verification.pairs_kernel import PairPicture, pair_kernel, scratch
 from huepose.verification.pairs_search import search_pairs
 from huepose.verification.region import Region, prepare_region
-from huepose.verification.score_kernel import SCRATCH_ROWS, TERMS
 
 TakePicture = Callable[..., RgbdFrame]
 
@@ -131,12 +118,10 @@ def test_a_needed_total_decides_as_the_whole_total_does(
     tea_box: ReferenceModel, standing: np.ndarray, view: tuple[Region, PairPicture]
 ) -> None:
     region, picture = view
-    seen_by = (model_arrays(tea_box), region_arrays(region), 150, weight_array(GEOMETRY))
-    by_pairs = (pair_arrays(tea_box.pairs, 300), picture, pair_weight_array(DEFAULT_PAIR_WEIGHTS))
-    scratch = (np.empty((6, 5)), np.empty((SCRATCH_ROWS, 150)), np.empty(TERMS), np.empty(PAIR_TERMS + 1))
+    on, room = judged_on(tea_box, region, picture, 300, 150), scratch(150)
 
     def judged(T: np.ndarray, needed: float) -> float:
-        return pair_kernel(T, *seen_by, *by_pairs, *scratch, needed)
+        return pair_kernel(T, on, room, needed)
 
     rng = np.random.default_rng(3)
     shortened = 0

@@ -21,7 +21,7 @@ PAIRS, SAMPLES = 1500, 600
 
 
 def ordered_by_pairs_too(
-    model: ReferenceModel, region: Region, poses: Float64, totals: Float64
+    model: ReferenceModel, region: Region, poses: Float64, totals: Float64, weight: float = WEIGHT
 ) -> tuple[Float64, Float64]:
     """Poses (K, 4, 4) and dense totals (K,), best first, as they were unless pairs prefer another one.
 
@@ -29,7 +29,7 @@ def ordered_by_pairs_too(
     """
     if len(poses) < 2:
         return poses, totals
-    both = totals + WEIGHT * pair_colors(model, region, poses)
+    both = totals + weight * pair_colors(model, region, poses)
     order = np.argsort(-both, kind="stable")
     if order[0] == 0:
         return poses, totals

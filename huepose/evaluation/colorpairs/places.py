@@ -1,149 +1,100 @@
 """What colour pairs give in the full method, place by place, all on the same masks, views and boxes.
 
-Every object is looked at alone (poses do not compete), so that one place differs from the next by nothing
-but what it does: the views, their registration and search are made once for an object, and each place goes
-on from them. CPU time is that of the calling thread; what a place shares with the full method counts for it,
-too.
+Every object is looked at alone (poses do not compete), so that one place differs from the method as it ships
+by nothing but what it does: the views, their registration and search are made once for an object, and each
+place goes on from them. CPU time is that of the calling thread; what a place shares with the others counts
+for it, too.
 """
 
 from __future__ import annotations
 
-import time
-from collections.abc import Callable, Iterator, Mapping
-from contextlib import contextmanager
-from dataclasses import dataclass, field, replace
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
 
 import cv2
 import numpy as np
 
 from huepose.colorpair.denoise import to_lab
 from huepose.colorpair.light import relit
-from huepose.estimation.by_pairs_too import pair_colors
-from huepose.estimation.colorpair_path import proposed_by_pairs
+from huepose.estimation.by_pairs_too import WEIGHT
+from huepose.estimation.colorpair_path import estimate_by_pairs, proposed_by_pairs
 from huepose.estimation.config import ColorpairPathConfig, FullPathConfig
-from huepose.estimation.evidence import Evidence
-from huepose.estimation.full_path import Trail, estimate_full, finish, refine_coarse
+from huepose.estimation.full_path import estimate_full, finish, refine_coarse
+from huepose.evaluation.colorpairs.place_answers import Found, Shared
 from huepose.geometry.arrays import Float64, UInt8
 from huepose.geometry.frame import RgbdFrame
-from huepose.matching.hypotheses import (
-    HypothesesConfig,
-    extract_at_model_scale,
-    read_scene,
-)
-from huepose.matching.template_table import TemplateTable
-from huepose.model.types import ReferenceModel
-from huepose.support.stages import StageClock, listening
-from huepose.verification.pairs import PairPicture, pair_picture, pair_score_many
+from huepose.matching.hypotheses import HypothesesConfig, Reading, extract_at_model_scale, read_scene
+from huepose.registration.semantic_icp import ClassifiedScene, semantic_icp_many
+from huepose.support.stages import listening
+from huepose.verification.pairs import pair_score_many
 from huepose.verification.pairs_search import search_pairs
 
-DOUBTFUL_MARGIN, DOUBTFUL_TRUST = 0.06, 0.6
-"""A margin to the next pose, and a trust in the masks (how well they fit the box), under which there is
-doubt."""
+SHIPPED = "as shipped"
+"""The place that is none: the full method as it is."""
 
 CHEAP_PAIRS, CHEAP_SAMPLES = 150, 100
-JUDGED = (0.1, 0.2, 0.4)
-"""Weights of the pairs' colours beside the dense score."""
+JUDGED = (0.0, 0.05, 0.1, 0.15, 0.3, 0.4, 0.6)
+"""Weights of the pairs' colours beside the dense score, other than the one in use."""
 
-FULL = "full"
-"""The place that is none: the full method as it is."""
+REFINED = 3
+"""So many of the best poses are refined once more."""
 
 LEAN = ColorpairPathConfig(refined=8, kept=3, semantic=False)
 LEAN_SEARCH = FullPathConfig(kept=3, turned=2, searched=6)
-
-Found = tuple[Float64, Float64]
-"""Different poses (K, 4, 4) and their totals (K,), best first."""
+NO_MORE = np.zeros((0, 4, 4))
 
 
 @dataclass(frozen=True, eq=False)
 class Answer:
-    """What a place finds; seconds: CPU time of the search, without masks and the last settling."""
+    """What a place finds. poses (K, 4, 4), totals (K,): different ones, best first; seconds: CPU time until
+    then, masks included; weight: of the pairs' colours in the order of these; edges: whether the print's
+    edges have the last word; method: whose quality they get."""
 
     poses: Float64
     totals: Float64
     seconds: float
+    weight: float = WEIGHT
+    edges: bool = True
+    method: str = "full"
 
 
-@dataclass(eq=False)
-class Shared:
-    """One object of one frame, and what all places start from; `seconds` are CPU time by step."""
-
-    model: ReferenceModel
-    table: TemplateTable
-    evidence: Evidence
-    config: FullPathConfig
-    seed: tuple[int, ...]
-    found: Found = field(init=False)
-    trail: Trail = field(init=False)
-    picture: PairPicture = field(init=False)
-    seconds: dict[str, float] = field(default_factory=dict)
-
-    def __post_init__(self) -> None:
-        with listening() as clock, self.timed("full"):
-            poses, totals, self.trail = estimate_full(
-                self.model, self.table, self.evidence, self.config, np.zeros((0, 4, 4))
-            )
-        self.found = poses, totals
-        self.seconds["finish"] = _finish_seconds(clock)
-        region = self.evidence.region
-        with self.timed("picture"):
-            self.picture = pair_picture(self.model, region.crop, region.median_depth_m)
-
-    @contextmanager
-    def timed(self, step: str) -> Iterator[None]:
-        """Keep the CPU time of a step."""
-        start = time.thread_time()
-        yield
-        self.seconds[step] = time.thread_time() - start
-
-    def spent(self, *steps: str) -> float:
-        """Seconds of some steps together."""
-        return sum(self.seconds[step] for step in steps)
-
-    @property
-    def in_doubt(self) -> bool:
-        """Whether the margin of the full method is small, or no mask fits the box."""
-        totals = self.found[1]
-        close = len(totals) > 1 and totals[0] - totals[1] < DOUBTFUL_MARGIN
-        return close or not len(totals) or self.evidence.region.trust < DOUBTFUL_TRUST
-
-    def finished(self, step: str, more: Float64) -> Found:
-        """The full method's searched poses judged together with `more` (N, 4, 4)."""
-        with self.timed(step):
-            every = np.concatenate([self.trail.searched, more])
-            return finish(self.model, self.evidence.region, every, self.config)
+Place = Callable[[Shared], dict[str, Answer]]
 
 
-def places_of(shared: Shared) -> dict[str, Answer]:
-    """The answers of all places, by name; the first is the full method as it is."""
-    out = {FULL: Answer(*shared.found, shared.spent("full"))}
-    for place in (_as_hypotheses, _as_verification, _as_refinement, _as_light, _as_judgement):
-        out.update(place(shared, out))
+def places_of(shared: Shared, wanted: Sequence[str] | None = None) -> dict[str, Answer]:
+    """The answers of all places by name, or of some kinds of them (keys of PLACES); first the full method as
+    it is."""
+    out = {SHIPPED: Answer(*shared.found, shared.spent("before", "full"))}
+    for kind, place in PLACES.items():
+        if wanted is None or kind in wanted:
+            out.update(place(shared))
     return out
 
 
-def _as_hypotheses(shared: Shared, _: Mapping[str, Answer]) -> dict[str, Answer]:
+def _judgement(shared: Shared) -> dict[str, Answer]:
+    """The different poses in the end are put in order with another weight of the pairs' colours, or none."""
+    shipped = Answer(*shared.found, shared.spent("before", "full"))
+    return {f"judgement at {w:g}" if w else "no judgement": replace(shipped, weight=w) for w in JUDGED}
+
+
+def _hypotheses(shared: Shared) -> dict[str, Answer]:
     """Pairs propose poses beside the views: always, few of them, or in doubt; there also more views."""
     out = {}
-    begun = shared.spent("full") - shared.spent("finish")
-    whole, lean = _with_proposals(shared, "whole"), _with_proposals(shared, "lean")
-    for name, found, step in (("hypotheses", whole, "whole"), ("few hypotheses", lean, "lean")):
-        more = shared.spent("picture", f"{step} proposed", f"{step} finished")
-        out[name] = Answer(*found, begun + more)
-        out[f"{name} in doubt"] = (
-            Answer(*found, shared.spent("full") + more)
-            if shared.in_doubt
-            else Answer(*shared.found, shared.spent("full"))
-        )
-    again, found = 0.0, shared.found
+    begun = shared.spent("before", "full") - shared.spent("finish")
+    shipped = Answer(*shared.found, shared.spent("before", "full"))
+    for name, kind in (("hypotheses", "whole"), ("few hypotheses", "lean")):
+        found = _with_proposals(shared, kind)
+        more = shared.spent("picture", f"{kind} proposed", f"{kind} finished")
+        out[f"{name}, always"] = Answer(*found, begun + more)
+        asked = Answer(*found, shared.spent("before", "full", "doubt") + more)
+        out[f"{name}, in doubt"] = asked if shared.in_doubt else shipped
+    out["three times the views, in doubt"] = shipped
     if shared.in_doubt:
         config = replace(shared.config, retrieved=3 * shared.config.retrieved)
         with shared.timed("more views"):
-            poses, totals, _trail = estimate_full(
-                shared.model, shared.table, shared.evidence, config, np.zeros((0, 4, 4))
-            )
-        found = poses, totals
-        again = shared.spent("more views")
-    out["more views in doubt"] = Answer(found[0], found[1], shared.spent("full") + again)
+            poses, totals, _ = estimate_full(shared.model, shared.table, shared.evidence, config, NO_MORE)
+        spent = shared.spent("before", "full", "doubt", "more views")
+        out["three times the views, in doubt"] = Answer(poses, totals, spent)
     return out
 
 
@@ -160,7 +111,7 @@ def _with_proposals(shared: Shared, kind: str) -> Found:
     return shared.finished(f"{kind} finished", poses)
 
 
-def _as_verification(shared: Shared, _: Mapping[str, Answer]) -> dict[str, Answer]:
+def _verification(shared: Shared) -> dict[str, Answer]:
     """Which poses are worth a search: chosen by pairs instead of dense samples; half as many by either."""
     region, picture, model = shared.evidence.region, shared.picture, shared.model
 
@@ -173,78 +124,101 @@ def _as_verification(shared: Shared, _: Mapping[str, Answer]) -> dict[str, Answe
         refine_coarse(model, region, shared.trail.registered, shared.config)
     before = sum(cpu for _, cpu in clock.totals().values())
     rates: list[tuple[str, FullPathConfig, Callable[[Float64], Float64] | None]] = [
-        ("verification", shared.config, by_pairs),
-        ("verification, half searched", half, by_pairs),
-        ("half searched", half, None),
+        ("first verification by pairs", shared.config, by_pairs),
+        ("first verification by pairs, half searched", half, by_pairs),
+        ("first verification dense, half searched", half, None),
     ]
     for name, config, rate in rates:
         with shared.timed(name):
             searched = refine_coarse(model, region, shared.trail.registered, config, rate)
             found = finish(model, region, searched, config)
-        spent = shared.spent("full", name) - before - shared.spent("finish")
+        spent = shared.spent("before", "full", name) - before - shared.spent("finish")
         out[name] = Answer(*found, spent + (shared.spent("picture") if rate else 0.0))
     return out
 
 
-def _as_refinement(shared: Shared, _: Mapping[str, Answer]) -> dict[str, Answer]:
-    """The best three are searched once more by pairs, and judged with the others."""
-    region, best = shared.evidence.region, shared.found[0][:3]
-    with shared.timed("refined"):
-        poses, _totals = search_pairs(shared.model, region, shared.picture, best, (3.0, 1.5, 0.7), 600, 300)
-    found = shared.finished("refined finished", np.concatenate([shared.found[0], poses]))
-    begun = shared.spent("full") - shared.spent("finish")
-    return {"refinement": Answer(*found, begun + shared.spent("picture", "refined", "refined finished"))}
+def _refinement(shared: Shared) -> dict[str, Answer]:
+    """The best poses refined once more, by a search on pairs or by semantic ICP, judged with the others."""
+    region, best = shared.evidence.region, shared.found[0][:REFINED]
+    begun = shared.spent("before", "full") - shared.spent("finish")
+    with shared.timed("searched"):
+        poses, _ = search_pairs(shared.model, region, shared.picture, best, (3.0, 1.5, 0.7), 600, 300)
+    searched = shared.finished("searched finished", poses)
+    with shared.timed("slid"):
+        readings = _readings(shared)
+        slid = NO_MORE
+        if readings and len(best):
+            cloud = readings[0].cloud
+            scene = ClassifiedScene(cloud.points, cloud.classes, cloud.weights)
+            fits = semantic_icp_many(shared.model.pairs, scene, best)
+            slid = np.array([fit.T_cam_obj for fit in fits])
+    classes = shared.finished("slid finished", slid)
+    return {
+        "refinement by search on pairs": Answer(
+            *searched, begun + shared.spent("picture", "searched", "searched finished")
+        ),
+        "refinement by semantic ICP": Answer(*classes, begun + shared.spent("slid", "slid finished")),
+    }
 
 
-def _as_light(shared: Shared, _: Mapping[str, Answer]) -> dict[str, Answer]:
+def _light(shared: Shared) -> dict[str, Answer]:
     """The light that pairs tell is taken out of the picture in which views are sought."""
-    evidence = shared.evidence
+    evidence, name = shared.evidence, "light of pairs, in the search for views"
     with shared.timed("light"):
         color = _in_the_models_light(shared)
     if color is None:
-        return {"light": Answer(*shared.found, shared.spent("full", "light"))}
+        return {name: Answer(*shared.found, shared.spent("before", "full", "light"))}
     relit_evidence = replace(evidence, picture=replace(evidence.picture, color=color))
     with shared.timed("relit"):
-        poses, totals, _trail = estimate_full(
-            shared.model, shared.table, relit_evidence, shared.config, np.zeros((0, 4, 4))
-        )
-    return {"light": Answer(poses, totals, shared.spent("light", "relit"))}
+        poses, totals, _ = estimate_full(shared.model, shared.table, relit_evidence, shared.config, NO_MORE)
+    return {name: Answer(poses, totals, shared.spent("before", "light", "relit"))}
 
 
-def _in_the_models_light(shared: Shared) -> UInt8 | None:
-    """The picture (h, w, 3) under the model's light; None where pairs tell none."""
+def _readings(shared: Shared) -> list[Reading]:
+    """The pairs of the believed mask under each light that could be, best first."""
     picture, mask = shared.evidence.picture, shared.evidence.region.mask
     frame = RgbdFrame(
         np.ascontiguousarray(picture.color), np.ascontiguousarray(picture.depth), picture.camera
     )
     pairs = extract_at_model_scale(shared.model.pairs, frame, mask)
     rng = np.random.default_rng(shared.seed)
-    readings = read_scene(shared.model, pairs, frame, mask, HypothesesConfig(), rng)
+    return read_scene(shared.model, pairs, frame, mask, HypothesesConfig(), rng)
+
+
+def _in_the_models_light(shared: Shared) -> UInt8 | None:
+    """The picture (h, w, 3) under the model's light; None where pairs tell none."""
+    readings = _readings(shared)
     if not readings:
         return None
-    lab = relit(to_lab(frame.color), 1.0 / readings[0].light)
+    lab = relit(to_lab(np.ascontiguousarray(shared.evidence.picture.color)), 1.0 / readings[0].light)
     color = np.asarray(cv2.cvtColor(lab, cv2.COLOR_Lab2RGB), np.float32)
     return np.asarray(np.rint(255.0 * np.clip(color, 0.0, 1.0)), np.uint8)
 
 
-def _as_judgement(shared: Shared, before: Mapping[str, Answer]) -> dict[str, Answer]:
-    """The different poses in the end are put in order by the dense score and the pairs' colours together."""
-    out = {}
-    for place in (FULL, "few hypotheses"):
-        answer = before[place]
-        with shared.timed("judged"):
-            colors = pair_colors(shared.model, shared.evidence.region, answer.poses)
-        for weight in JUDGED:
-            order = np.argsort(-(answer.totals + weight * colors), kind="stable")
-            spent = answer.seconds + shared.spent("judged")
-            name = f"judgement {weight:g}" if place == FULL else f"{place}, judgement {weight:g}"
-            out[name] = Answer(answer.poses[order], answer.totals[order], spent)
-    return out
+def _ending(shared: Shared) -> dict[str, Answer]:
+    """Depth has the last word."""
+    shipped = Answer(*shared.found, shared.spent("before", "full"))
+    return {"no edges in the end": replace(shipped, edges=False)}
 
 
-def _finish_seconds(clock: StageClock) -> float:
-    """CPU time of the last two steps of the full method: judging, and the fine search."""
-    spans = clock.spans
-    return sum(cpu for _, cpu in spans.get("judge", [])) + (
-        spans["search"][-1][1] if len(spans.get("search", [])) > 1 else 0.0
-    )
+def _alone(shared: Shared) -> dict[str, Answer]:
+    """The other method, which has no views and no dense colour."""
+    rng = np.random.default_rng(shared.seed)
+    with shared.timed("alone"):
+        found = estimate_by_pairs(shared.model, shared.evidence, ColorpairPathConfig(), rng)
+    poses = np.array([T for _, T in found]).reshape(-1, 4, 4)
+    totals = np.array([total for total, _ in found])
+    spent = shared.spent("before", "alone")
+    return {"method colorpair": Answer(poses, totals, spent, weight=0.0, method="colorpair")}
+
+
+PLACES: Mapping[str, Place] = {
+    "judgement": _judgement,
+    "hypotheses": _hypotheses,
+    "verification": _verification,
+    "refinement": _refinement,
+    "light": _light,
+    "edges": _ending,
+    "alone": _alone,
+}
+"""Kinds of places."""

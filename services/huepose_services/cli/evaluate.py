@@ -228,4 +228,13 @@ def _add_pairs(verbs: Any) -> None:
         "--min-visib", type=float, default=0.3, metavar="F", help="of labels, for the places (0.3)"
     )
     _path(parser, "--equivalent", "FILE", "poses that count as the labelled one does, for the places")
+    _path(
+        parser,
+        "--sets",
+        "FILE",
+        "sets of scenes for the places, each with its own models (docs/colour-pairs.md)",
+    )
+    parser.add_argument(
+        "--kinds", nargs="+", default=None, metavar="KIND", help="of places; only these (default: all)"
+    )
     _path(parser, "--plots", "DIR", "curves and pictures")

@@ -8,7 +8,6 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
-from huepose.evaluation.equivalents import read_equivalents
 from huepose.evaluation.pictures import write_picture
 from huepose.evaluation.result_files import write_json
 from huepose.evaluation.targets import Targets
@@ -25,7 +24,7 @@ def call(arguments: argparse.Namespace) -> int:
     """Run the studies, print their tables, write the record and the pictures."""
     models = load_models(arguments.bundles)
     chosen = {m.name: m for m in Targets(models, arguments.objects).models if len(m.pairs.points)}
-    every = [s for s in STUDIES if s not in ON_SCENES or arguments.bop]
+    every = [s for s in STUDIES if s not in ON_SCENES or arguments.bop or (s == "places" and arguments.sets)]
     wanted = [arguments.study] if arguments.study else every
     record: dict[str, Any] = {"objects": sorted(chosen), "views": arguments.views, "seed": arguments.seed}
     for study in wanted:
@@ -107,16 +106,9 @@ def _figure(arguments: argparse.Namespace, models: Mapping[str, ReferenceModel])
 
 
 def _places(arguments: argparse.Namespace, models: Mapping[str, ReferenceModel]) -> Any:
-    from huepose.evaluation.colorpairs.place_study import figures_of, place_lines, study_places
+    from huepose_services.cli.evaluate_places import places
 
-    if not arguments.bop:
-        raise InputError("the places", found="no scenes", fix="Give labelled scenes with --bop.")
-    equivalents = read_equivalents(arguments.equivalent) if arguments.equivalent else {}
-    targets = Targets(models, arguments.objects)
-    rows = study_places(open_bop(arguments.bop), targets, equivalents, arguments.min_visib, arguments.seed)
-    figures = figures_of(rows)
-    print(place_lines(figures))
-    return {"figures": [asdict(f) for f in figures], "rows": [asdict(r) for r in rows]}
+    return places(arguments, models)
 
 
 def _save(arguments: argparse.Namespace, name: str, picture: UInt8) -> None:

@@ -9,16 +9,21 @@ surface, of a sixth of the diameter, are changed until they make up the share.
 from __future__ import annotations
 
 import argparse
+import json
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import cv2
 import numpy as np
+from rival import EveryNth
 
 from huepose.datasets import prints
 from huepose.datasets.bop import BopScene
 from huepose.estimation import Estimator, EstimatorConfig
+from huepose.evaluation import metrics
+from huepose.evaluation.bootstrap import frame_intervals
 from huepose.evaluation.equivalents import read_equivalents
 from huepose.evaluation.estimate_protocol import EstimateOptions, evaluate_estimates
 from huepose.evaluation.result_files import write_json
@@ -26,13 +31,14 @@ from huepose.evaluation.summary import table
 from huepose.evaluation.targets import Targets
 from huepose.geometry import Mesh
 from huepose.geometry.arrays import Bool, UInt8
-from huepose.model import ReferenceModel
+from huepose.model import ReferenceModel, load_model, save_model
 from huepose.onboarding import onboard_mesh
 from huepose.onboarding.bop_folder import BopModel, bop_models
 from huepose.onboarding.meshes import read_mesh
 from huepose.support.progress import progress
 
 KINDS = ("replaced", "blurred", "recoloured")
+AS_IT_IS = "as it is"
 
 
 def changed(mesh: Mesh, kind: str, share: float, seed: int) -> Mesh:
@@ -91,34 +97,76 @@ def _other(texture: UInt8, kind: str, seed: int) -> UInt8:
 def main() -> None:
     """Learn every changed object, estimate in the images of the true one, print a table."""
     arguments = _arguments()
-    scenes = [BopScene(path) for path in arguments.bop]
+    scenes = [thinned(BopScene(path), arguments.images) for path in arguments.bop]
     equivalents = read_equivalents(arguments.equivalent) if arguments.equivalent else {}
     objects = bop_models(arguments.models, arguments.ids)
-    variants = [("as it is", 0.0), *((kind, share) for kind in arguments.kinds for share in arguments.shares)]
-    rows: list[list[Any]] = []
-    record: dict[str, Any] = {"variants": []}
-    for kind, share in progress(variants, "variants"):
-        models = {o.name: _learned(o, kind, share, arguments.seed) for o in objects}
+    variants = [(AS_IT_IS, 0.0), *((kind, share) for kind in arguments.kinds for share in arguments.shares)]
+    record: dict[str, Any] = {"options": {k: str(v) for k, v in vars(arguments).items()}, "variants": []}
+    if arguments.json.exists():
+        record["variants"] = json.loads(arguments.json.read_text())["variants"]
+    done = {(v["kind"], v["share"]) for v in record["variants"]}
+    for kind, share in progress([v for v in variants if v not in done], "prints"):
+        models = {o.name: _learned(o, kind, share, arguments) for o in objects}
         estimator = Estimator(models, EstimatorConfig(method=arguments.method))
         options = EstimateOptions(min_visib=0.3, seeds=(0,))
-        summary = evaluate_estimates(
-            scenes, Targets(models), estimator, options, equivalents=equivalents
-        ).summary()
-        low, high = summary["interval95"]["recall_add"]
-        acquired = {n: block["recall_add"] for n, block in summary["per_object"].items()}
-        rows.append([kind, 100.0 * share, summary["instances"], summary["recall_add"],
-                     f"{low:.0f} to {high:.0f}", summary["recall_adds"], summary["auc_add"]])  # fmt: skip
-        record["variants"].append({"kind": kind, "share": share, "by_object": acquired, **summary})
+        result = evaluate_estimates(scenes, Targets(models), estimator, options, equivalents=equivalents)
+        rows = [row.as_json() for row in result.rows]
+        record["variants"].append({"kind": kind, "share": share, **result.summary(), "rows": rows})
         write_json(arguments.json, record)
-        print(rows[-1], flush=True)
-    print(table(["print", "changed %", "n", "ADD", "95 %", "ADD-S", "AUC ADD"], rows))
+    print(lines(record["variants"]))
 
 
-def _learned(entry: BopModel, kind: str, share: float, seed: int) -> ReferenceModel:
+def thinned(scene: BopScene, most: int) -> EveryNth:
+    """At most so many images of a scene, evenly spread."""
+    return EveryNth(scene, -(-len(scene.image_ids) // most))
+
+
+def lines(variants: Sequence[Mapping[str, Any]]) -> str:
+    """The table: figures of each print, and what ADD recall and its AUC are above those of the right print,
+    with the interval that holds 95 % of draws of frames; then ADD recall by object."""
+    base = _values(variants[0]["rows"])
+    rows = []
+    for variant in variants:
+        values = _values(variant["rows"])
+        frames = [(r["scene"], r["image"]) for r in variant["rows"]]
+        more = {name: values[name] - base[name] for name in ("ADD", "AUC")}
+        spans = frame_intervals(more, frames)
+        shown = [
+            f"{more[name].mean():+.1f} ({spans[name][0]:+.1f} to {spans[name][1]:+.1f})" for name in more
+        ]
+        found = 100.0 * np.mean([r["found"] for r in variant["rows"]])
+        figures = [variant[key] for key in ("recall_add", "recall_adds", "auc_add", "auc_adds")]
+        rows.append([variant["kind"], 100.0 * variant["share"], len(frames), *figures, found, *shown])
+    header = ["print", "changed %", "n", "ADD", "ADD-S", "AUC", "AUC-S", "found", "more ADD", "more AUC"]
+    names = list(variants[0]["per_object"])
+    by_object = [
+        [f"{v['kind']} {100.0 * v['share']:.0f}", *(v["per_object"][n]["recall_add"] for n in names)]
+        for v in variants
+    ]
+    return table(header, rows) + "\n" + table(["recall ADD by object", *map(str, names)], by_object)
+
+
+def _values(rows: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
+    """By row, in percent: whether ADD is right (N,), and its share of the AUC (N,)."""
+    add = np.array([np.inf if r["add_m"] is None else r["add_m"] for r in rows])
+    limits = metrics.RECALL_FRACTION * np.array([r["diameter_m"] for r in rows])
+    area = 100.0 * np.maximum(0.0, 1.0 - add / metrics.AUC_LIMIT_M)
+    return {"ADD": np.where(add < limits, 100.0, 0.0), "AUC": area}
+
+
+def _learned(entry: BopModel, kind: str, share: float, arguments: argparse.Namespace) -> ReferenceModel:
+    """The reference model of a changed mesh: learned, or as it was kept when it was learned before."""
+    path = arguments.work / f"{kind}_{100 * share:.0f}_{arguments.seed}".replace(" ", "_")
+    path = path / f"{entry.name}.huepose"
+    if path.exists():
+        return load_model(path)
     mesh = read_mesh(entry.mesh_path, "mm")
     if share > 0:
-        mesh = changed(mesh, kind, share, seed + entry.object_id)
-    return onboard_mesh(mesh, entry.name, object_id=entry.object_id, info=entry.info)
+        mesh = changed(mesh, kind, share, arguments.seed + entry.object_id)
+    model = onboard_mesh(mesh, entry.name, object_id=entry.object_id, info=entry.info)
+    path.parent.mkdir(parents=True, exist_ok=True)
+    save_model(model, path)
+    return model
 
 
 def _arguments() -> argparse.Namespace:
@@ -126,9 +174,13 @@ def _arguments() -> argparse.Namespace:
     parser.add_argument("--models", type=Path, required=True, metavar="DIR", help="BOP models folder")
     parser.add_argument("--ids", type=int, nargs="+", required=True, metavar="ID")
     parser.add_argument("--bop", type=Path, nargs="+", required=True, metavar="SCENE_DIR")
-    parser.add_argument("--json", type=Path, required=True, metavar="FILE")
+    parser.add_argument("--json", type=Path, required=True, metavar="FILE",
+                        help="results; what it holds already is not measured again")  # fmt: skip
+    parser.add_argument("--work", type=Path, default=Path("build/changed_print"), metavar="DIR",
+                        help="where the changed reference models are kept")  # fmt: skip
     parser.add_argument("--kinds", nargs="+", choices=KINDS, default=list(KINDS))
     parser.add_argument("--shares", type=float, nargs="+", default=[0.1, 0.2, 0.3], metavar="F")
+    parser.add_argument("--images", type=int, default=1000, metavar="N", help="most of a scene, evenly")
     parser.add_argument("--equivalent", type=Path, default=None, metavar="FILE")
     parser.add_argument("--method", choices=("full", "colorpair"), default="full")
     parser.add_argument("--seed", type=int, default=0, metavar="N", help="of the patches")

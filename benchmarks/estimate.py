@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 from open3d_rivals import Features, ManyStarts
 from ppf_rival import PointPairFeatures
-from rival import Ours, Rival, RivalEstimator
+from rival import EveryNth, Ours, Rival, RivalEstimator
 
 from huepose.datasets.bop import BopScene
 from huepose.estimation import Estimator, EstimatorConfig
@@ -25,20 +25,6 @@ from huepose.evaluation.targets import Targets
 from huepose.model import ReferenceModel, load_models
 
 FIGURES = ("recall_add", "recall_adds", "auc_add", "auc_adds")
-
-
-class EveryNth:
-    """A scene of which only every N-th image is used, so that slow methods end."""
-
-    def __init__(self, scene: BopScene, step: int) -> None:
-        self._scene, self._step = scene, step
-        self.name, self.frame, self.truths = scene.name, scene.frame, scene.truths
-        self.sample, self.stamp_ns = scene.sample, scene.stamp_ns
-
-    @property
-    def image_ids(self) -> tuple[int, ...]:
-        """Every N-th of the images on disk."""
-        return self._scene.image_ids[:: self._step]
 
 
 def main() -> None:

@@ -13,6 +13,7 @@ from typing import Protocol
 
 import numpy as np
 
+from huepose.datasets.bop import BopScene
 from huepose.estimation import Estimator, ObjectQuery, PoseEstimate
 from huepose.geometry import RgbdFrame
 from huepose.geometry.arrays import Float64
@@ -95,6 +96,20 @@ class Ours:
             answers += self.estimator.estimate(frame, [query])
             self.cpu_s.append(time.process_time() - start)
         return answers
+
+
+class EveryNth:
+    """A scene of which only every N-th image is used, so that slow methods end."""
+
+    def __init__(self, scene: BopScene, step: int) -> None:
+        self._scene, self._step = scene, step
+        self.name, self.frame, self.truths = scene.name, scene.frame, scene.truths
+        self.sample, self.stamp_ns = scene.sample, scene.stamp_ns
+
+    @property
+    def image_ids(self) -> tuple[int, ...]:
+        """Every N-th of the images on disk."""
+        return self._scene.image_ids[:: self._step]
 
 
 def seen_under(frame: RgbdFrame, mask: np.ndarray) -> Seen:

@@ -14,6 +14,8 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from contextvars import ContextVar
 
+from huepose.support.seats import pass_on
+
 
 class StageClock:
     """Seconds by stage: `spans[name]` is a list of (wall, cpu) in order."""
@@ -42,14 +44,16 @@ def listening() -> Iterator[StageClock]:
 
 @contextmanager
 def stage(name: str) -> Iterator[None]:
-    """Name what runs inside; without a listener this is a variable look-up."""
+    """Name what runs inside; without a listener this is a variable look-up. Behind it other jobs may have
+    their turn (see `seats`)."""
     clock = _listener.get()
     if clock is None:
         yield
-        return
-    wall, cpu = time.perf_counter(), time.thread_time()
-    try:
-        yield
-    finally:
-        span = (time.perf_counter() - wall, time.thread_time() - cpu)
-        clock.spans.setdefault(name, []).append(span)
+    else:
+        wall, cpu = time.perf_counter(), time.thread_time()
+        try:
+            yield
+        finally:
+            span = (time.perf_counter() - wall, time.thread_time() - cpu)
+            clock.spans.setdefault(name, []).append(span)
+    pass_on()

@@ -16,6 +16,7 @@ from typing import Any
 
 import cv2
 import numpy as np
+from options import asking
 
 from huepose.datasets.bop import BopScene
 from huepose.datasets.types import GroundTruth
@@ -145,14 +146,9 @@ def drawn(quality: Float64, acquired: Float64, names: list[str]) -> UInt8:
 
 
 def _arguments() -> argparse.Namespace:
-    parser = argparse.ArgumentParser(description="Every object asked for in the box of every other.")
-    parser.add_argument("--bop", type=Path, nargs="+", required=True, metavar="SCENE_DIR")
-    parser.add_argument("--bundles", type=Path, required=True, metavar="DIR")
-    parser.add_argument("--json", type=Path, required=True, metavar="FILE")
+    parser = asking("Every object asked for in the box of every other.")
     parser.add_argument("--picture", type=Path, default=None, metavar="OUT.png")
     parser.add_argument("--boxes", type=int, default=3, metavar="N", help="of each object (3)")
-    parser.add_argument("--objects", nargs="+", default=None, metavar="ID")
-    parser.add_argument("--method", choices=("full", "colorpair"), default="full")
     return parser.parse_args()
 
 

@@ -9,9 +9,9 @@ calibrate RESULT.json --others OUT.json`, where all that was looked at counts, f
 from __future__ import annotations
 
 import argparse
-from pathlib import Path
 
 import numpy as np
+from options import asking
 
 from huepose.datasets.bop import BopScene
 from huepose.estimation import Estimator, EstimatorConfig
@@ -45,13 +45,8 @@ def main() -> None:
 
 
 def _arguments() -> argparse.Namespace:
-    parser = argparse.ArgumentParser(description="How often something is found where the object is not.")
-    parser.add_argument("--bop", type=Path, nargs="+", required=True, metavar="SCENE_DIR")
-    parser.add_argument("--bundles", type=Path, required=True, metavar="DIR")
-    parser.add_argument("--json", type=Path, required=True, metavar="FILE")
+    parser = asking("How often something is found where the object is not.")
     parser.add_argument("--per-frame", type=int, default=3, metavar="N", help="questions a frame (3)")
-    parser.add_argument("--objects", nargs="+", default=None, metavar="ID")
-    parser.add_argument("--method", choices=("full", "colorpair"), default="full")
     return parser.parse_args()
 
 

@@ -28,13 +28,15 @@ from huepose.support.progress import progress
 
 @dataclass(frozen=True)
 class StudySet:
-    """Scenes of which figures are given together, with their models. seeds: of the disturbed boxes."""
+    """Scenes of which figures are given together, with their models. seeds: of the disturbed boxes; every:
+    only one in so many images."""
 
     name: str
     scenes: Sequence[Scene]
     targets: Targets
     equivalents: Mapping[Key, Sequence[Float64]] = field(default_factory=dict)
     seeds: Sequence[int] = (0,)
+    every: int = 1
 
 
 @dataclass(frozen=True)
@@ -78,7 +80,7 @@ def study_places(
     known: what was answered before, returned with the rest; keep: gets all questions after every frame."""
     done = {question.key for question in known}
     questions = list(known)
-    frames = [(s, scene, image) for s in sets for scene in s.scenes for image in scene.image_ids]
+    frames = [(s, scene, image) for s in sets for scene in s.scenes for image in scene.image_ids[:: s.every]]
     asked: dict[str, _Asked] = {}
     for one, scene, image in progress(frames, "frames"):
         labels = [t for t in scene.truths(image) if _counts(t, one.targets, min_visib)]

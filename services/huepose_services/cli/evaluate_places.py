@@ -20,7 +20,7 @@ from huepose.support.errors import InputError
 from huepose_services.cli.evaluate_scenes import open_bop
 from huepose_services.runtime.config_text import read_yaml
 
-KEYS = ("bop", "bundles", "objects", "equivalent", "seeds")
+KEYS = ("bop", "bundles", "objects", "equivalent", "seeds", "every")
 
 
 def places(arguments: argparse.Namespace, models: Mapping[str, ReferenceModel]) -> Any:
@@ -62,7 +62,7 @@ def _sets(arguments: argparse.Namespace, models: Mapping[str, ReferenceModel]) -
 
 def _sets_of_file(path: Path, bundles: Path) -> list[StudySet]:
     """The sets that a YAML file lists: {name: {bop: [DIR...], bundles: DIR, objects: [...], equivalent: FILE,
-    seeds: [...]}}, all but `bop` optional, folders relative to that of the file."""
+    seeds: [...], every: N}}, all but `bop` optional, folders relative to that of the file."""
     try:
         entries = read_yaml(path.read_text(), path)
     except OSError as error:
@@ -77,10 +77,12 @@ def _sets_of_file(path: Path, bundles: Path) -> list[StudySet]:
             raise InputError(f"{path}, set '{name}'", found=found, expected=", ".join(KEYS))
         scenes = open_bop([path.parent / scene for scene in entry["bop"]])
         models = load_models(path.parent / entry["bundles"] if "bundles" in entry else bundles)
+        models = {model_name: m for model_name, m in models.items() if len(m.pairs.points)}
         equivalent = entry.get("equivalent")
         equivalents = read_equivalents(path.parent / equivalent) if equivalent else {}
         seeds = tuple(int(seed) for seed in entry.get("seeds", (0,)))
-        out.append(StudySet(str(name), scenes, Targets(models, entry.get("objects")), equivalents, seeds))
+        targets, every = Targets(models, entry.get("objects")), int(entry.get("every", 1))
+        out.append(StudySet(str(name), scenes, targets, equivalents, seeds, every))
     return out
 
 

@@ -48,7 +48,7 @@ def test_a_file_of_sets_is_asked_once(study: list[str], tmp_path: Path, capsys) 
     assert "-- table" in capsys.readouterr().out
     first = json.loads((tmp_path / "out.json").read_text())["places"]
     assert [q["seed"] for q in first["questions"]] == [0, 1]
-    assert {f["place"] for f in first["figures"]} == {"as shipped", "no edges in the end"}
+    assert {f["place"] for f in first["figures"]} == {"as shipped", "no edges in the end", "no pairs at all"}
     assert main(study) == 0  # answers stay, to the very CPU time
     assert json.loads((tmp_path / "out.json").read_text())["places"] == first
     (tmp_path / "sets.yaml").write_text("shelf:\n  bop: [scenes/000007]\n")

@@ -196,9 +196,10 @@ def _in_the_models_light(shared: Shared) -> UInt8 | None:
 
 
 def _ending(shared: Shared) -> dict[str, Answer]:
-    """Depth has the last word."""
+    """Depth has the last word; and the full method without any of its two places of pairs."""
     shipped = Answer(*shared.found, shared.spent("before", "full"))
-    return {"no edges in the end": replace(shipped, edges=False)}
+    without = replace(shipped, edges=False)
+    return {"no edges in the end": without, "no pairs at all": replace(without, weight=0.0)}
 
 
 def _alone(shared: Shared) -> dict[str, Answer]:

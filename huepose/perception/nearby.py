@@ -52,7 +52,7 @@ def _align(
 ) -> None:
     points = np.empty((4 * POINTS, 3))
     report = np.zeros((1, 4))
-    equations = np.zeros((1, 6, 6))
+    equations = np.zeros((0, 6, 6))  # are not asked for
     for m in range(poses.shape[0]):
         T = poses[m]
         x, y, z = T[0, 3], T[1, 3], T[2, 3]

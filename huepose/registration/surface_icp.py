@@ -27,6 +27,8 @@ GATE_SHRUNK_AFTER = 0.7
 
 STEP_TOLERANCE_M = 1e-5
 
+SCRATCH_ROWS = 12
+
 
 class SurfaceArrays(NamedTuple):
     """What the compiled alignment reads of a surface: its samples and their normals (S, 3), the distance grid
@@ -106,8 +108,9 @@ def align_many(
     iterations: int,
 ) -> Float64:
     """`align` from each of several poses (M, 4, 4), in one compiled call; only the poses (M, 4, 4) return."""
-    aligned, _, _ = _align_all(surface, grid, points_cam, poses, gate_start_m, gate_end_m, iterations)
-    return aligned
+    return _align_all(surface, grid, points_cam, poses, gate_start_m, gate_end_m, iterations, reported=False)[
+        0
+    ]
 
 
 def _align_all(
@@ -118,10 +121,11 @@ def _align_all(
     gate_start_m: float,
     gate_end_m: float,
     iterations: int,
+    reported: bool = True,
 ) -> tuple[Float64, Float64, Float64]:
     out = np.array(poses, dtype=np.float64)
     report = np.zeros((len(out), 4))
-    normal_equations = np.zeros((len(out), 6, 6))
+    normal_equations = np.zeros((len(out) if reported else 0, 6, 6))
     align_kernel(
         out,
         np.ascontiguousarray(points_cam, dtype=np.float64),
@@ -165,12 +169,13 @@ def align_kernel(
     report: Float64,
     normal_equations: Float64,
 ) -> None:
-    """Align every pose in place; report (M, 4): iterations, inliers, weight, rms."""
+    """Align every pose in place; report (M, 4): iterations, inliers, weight, rms, and `normal_equations` (M,
+    6, 6) at the end; with none to write (0, 6, 6) only the poses are cared for."""
     A = np.empty((6, 6))
     b = np.empty(6)
     x = np.empty(6)
     D = np.empty((3, 3))
-    scratch = np.empty((8, points_cam.shape[0]))
+    scratch = np.empty((SCRATCH_ROWS, points_cam.shape[0]))
     for m in range(poses.shape[0]):
         T = poses[m]
         settled = False
@@ -178,6 +183,8 @@ def align_kernel(
             shrunk = min(1.0, iteration / max(1.0, iterations * GATE_SHRUNK_AFTER))
             gate = gate_start + (gate_end - gate_start) * shrunk
             last = iteration == iterations or settled
+            if last and not normal_equations.shape[0]:
+                break
             if last:
                 gate = gate_end
             inliers, weight, square = _accumulate(T, points_cam, surface, gate, scratch, A, b)
@@ -214,60 +221,85 @@ def _accumulate(
     b: Float64,
 ) -> tuple[int, float, float]:
     """Normal equations (lower triangle) of one linearisation; inliers, their weight, weighted squares.
-    `scratch` (8, N): of the inliers, rows 0..5 the Jacobian, 6 the weight, 7 the distance."""
+
+    Plain passes over the rows of `scratch` (SCRATCH_ROWS, N), which the compiler does several points at a
+    time; a point that counts nothing has the weight 0. Rows 0..5: first the points and the nearest samples'
+    places, then the Jacobian; 6..8 normals, 9 weight, 10 distance along the normal, 11 a weighted column."""
     r00, r01, r02, r10, r11, r12 = T[0, 0], T[0, 1], T[0, 2], T[1, 0], T[1, 1], T[1, 2]
     r20, r21, r22, t0, t1, t2 = T[2, 0], T[2, 1], T[2, 2], T[0, 3], T[1, 3], T[2, 3]
+    count = points_cam.shape[0]
+    _nearest_samples(T, points_cam, surface, scratch)
     # The camera's place in object axes is -eye.
     eye0 = r00 * t0 + r10 * t1 + r20 * t2
     eye1 = r01 * t0 + r11 * t1 + r21 * t2
     eye2 = r02 * t0 + r12 * t1 + r22 * t2
-    samples, normals, nearest = surface.samples, surface.normals, surface.nearest
-    origin, step, centre, radius = surface.origin, surface.step, surface.centre, surface.radius
-    o0, o1, o2, c0, c1, c2 = origin[0], origin[1], origin[2], centre[0], centre[1], centre[2]
-    d0, d1, d2 = nearest.shape
-    cells = nearest.ravel()
-    gate2 = gate * gate
-    inliers, weight, square = 0, 0.0, 0.0
-    for i in range(points_cam.shape[0]):
-        x, y, z = points_cam[i, 0] - t0, points_cam[i, 1] - t1, points_cam[i, 2] - t2
-        q0 = r00 * x + r10 * y + r20 * z
-        q1 = r01 * x + r11 * y + r21 * z
-        q2 = r02 * x + r12 * y + r22 * z
-        # Outside the grid the nearest border cell answers: far points are refused by the gate below.
-        a0 = min(max(int((q0 - o0) / step + 0.5), 0), d0 - 1)
-        a1 = min(max(int((q1 - o1) / step + 0.5), 0), d1 - 1)
-        a2 = min(max(int((q2 - o2) / step + 0.5), 0), d2 - 1)
-        j = np.uint64(cells[np.uint64((a0 * d1 + a1) * d2 + a2)])
-        n0, n1, n2 = normals[j, 0], normals[j, 1], normals[j, 2]
-        e0, e1, e2 = q0 - samples[j, 0], q1 - samples[j, 1], q2 - samples[j, 2]
-        distance2 = e0 * e0 + e1 * e1 + e2 * e2
-        if distance2 >= gate2 or n0 * (q0 + eye0) + n1 * (q1 + eye1) + n2 * (q2 + eye2) > 0.0:
-            continue
-        w = (1.0 - distance2 / gate2) ** 2
+    c0, c1, c2 = surface.centre[0], surface.centre[1], surface.centre[2]
+    lever, in_gate2 = 1.0 / surface.radius, 1.0 / (gate * gate)
+    inliers, weight, square = 0.0, 0.0, 0.0
+    for k in range(count):
+        q0, q1, q2 = scratch[0, k], scratch[1, k], scratch[2, k]
+        n0, n1, n2 = scratch[6, k], scratch[7, k], scratch[8, k]
+        e0, e1, e2 = q0 - scratch[3, k], q1 - scratch[4, k], q2 - scratch[5, k]
+        share = (e0 * e0 + e1 * e1 + e2 * e2) * in_gate2
+        near = share < 1.0 and n0 * (q0 + eye0) + n1 * (q1 + eye1) + n2 * (q2 + eye2) <= 0.0
+        w = (1.0 - share) ** 2 if near else 0.0
         r = n0 * e0 + n1 * e1 + n2 * e2
-        q0, q1, q2 = (q0 - c0) / radius, (q1 - c1) / radius, (q2 - c2) / radius
-        scratch[0, inliers] = q1 * n2 - q2 * n1
-        scratch[1, inliers] = q2 * n0 - q0 * n2
-        scratch[2, inliers] = q0 * n1 - q1 * n0
-        scratch[3, inliers] = n0
-        scratch[4, inliers] = n1
-        scratch[5, inliers] = n2
-        scratch[6, inliers] = w
-        scratch[7, inliers] = r
-        inliers += 1
+        q0, q1, q2 = (q0 - c0) * lever, (q1 - c1) * lever, (q2 - c2) * lever
+        scratch[0, k] = q1 * n2 - q2 * n1
+        scratch[1, k] = q2 * n0 - q0 * n2
+        scratch[2, k] = q0 * n1 - q1 * n0
+        scratch[3, k] = n0
+        scratch[4, k] = n1
+        scratch[5, k] = n2
+        scratch[9, k] = w
+        scratch[10, k] = r
+        inliers += 1.0 if near else 0.0
         weight += w
         square += w * r * r
     for a in range(6):
-        total = 0.0
-        for k in range(inliers):
-            total -= scratch[6, k] * scratch[a, k] * scratch[7, k]
-        b[a] = total
-        for c in range(a + 1):
-            total = 0.0
-            for k in range(inliers):
-                total += scratch[6, k] * scratch[a, k] * scratch[c, k]
-            A[a, c] = total
-    return inliers, weight, square
+        along = 0.0
+        for k in range(count):
+            weighted = scratch[9, k] * scratch[a, k]
+            scratch[11, k] = weighted
+            along -= weighted * scratch[10, k]
+        b[a] = along
+        for c in range(0, a + 1, 2):
+            # Two sums at a time: each reading of the weighted column serves both.
+            second = min(c + 1, a)
+            one, other = 0.0, 0.0
+            for k in range(count):
+                one += scratch[11, k] * scratch[c, k]
+                other += scratch[11, k] * scratch[second, k]
+            A[a, c], A[a, second] = one, other
+    return int(inliers), weight, square
+
+
+@jit_dividing
+def _nearest_samples(T: Float64, points_cam: Float64, surface: SurfaceArrays, scratch: Float64) -> None:
+    """Of points (N, 3) seen from the pose: scratch rows 0..2 their places in object axes, 3..5 and 6..8 those
+    of the nearest samples and their normals."""
+    r00, r01, r02, r10, r11, r12 = T[0, 0], T[0, 1], T[0, 2], T[1, 0], T[1, 1], T[1, 2]
+    r20, r21, r22, t0, t1, t2 = T[2, 0], T[2, 1], T[2, 2], T[0, 3], T[1, 3], T[2, 3]
+    # Flat and without a sign, so that the compiler need not think of indices counted from the end.
+    samples, normals, cells = surface.samples.ravel(), surface.normals.ravel(), surface.nearest.ravel()
+    o0, o1, o2, step = surface.origin[0], surface.origin[1], surface.origin[2], surface.step
+    d0, d1, d2 = surface.nearest.shape
+    for k in range(points_cam.shape[0]):
+        x, y, z = points_cam[k, 0] - t0, points_cam[k, 1] - t1, points_cam[k, 2] - t2
+        q0 = r00 * x + r10 * y + r20 * z
+        q1 = r01 * x + r11 * y + r21 * z
+        q2 = r02 * x + r12 * y + r22 * z
+        scratch[0, k], scratch[1, k], scratch[2, k] = q0, q1, q2
+        # Outside the grid the nearest border cell answers: far points are refused by the gate.
+        a0 = int(min(max((q0 - o0) / step + 0.5, 0.0), d0 - 1.0))
+        a1 = int(min(max((q1 - o1) / step + 0.5, 0.0), d1 - 1.0))
+        a2 = int(min(max((q2 - o2) / step + 0.5, 0.0), d2 - 1.0))
+        scratch[6, k] = (a0 * d1 + a1) * d2 + a2
+    one, two = np.uint64(1), np.uint64(2)
+    for k in range(points_cam.shape[0]):
+        j = np.uint64(3 * cells[np.uint64(scratch[6, k])])
+        scratch[3, k], scratch[4, k], scratch[5, k] = samples[j], samples[j + one], samples[j + two]
+        scratch[6, k], scratch[7, k], scratch[8, k] = normals[j], normals[j + one], normals[j + two]
 
 
 @jit

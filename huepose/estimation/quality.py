@@ -131,6 +131,7 @@ def features(terms: QualityTerms) -> dict[str, float]:
         "print_complete": 1.0 - terms.missing,
         "nothing_foreign": 1.0 - terms.foreign / 25.0,
         "detail": terms.detail,
+        "detail_seen": max(terms.detail, 0.0) * float(np.sqrt(terms.pixels / 1000.0)),
         "same_size": -min(abs(terms.stretch), MAX_STRETCH),
         "size": float(np.log10(max(terms.pixels, 1.0))),
     }

@@ -17,7 +17,10 @@ STEPS = 3
 LEAST_GATE_M, GATE = 0.008, 0.06
 """Points farther from the surface than this (the larger of metres and diameters) count nothing."""
 
-DEPTH_SIGMA_M = 0.003
+DEPTH_SIGMA_M, STEREO_SIGMA_PER_M = 0.0015, 0.0035
+"""Deviation of depth: so much, and so much times the square of the distance in metres, as stereo has it. Far
+away depth says little of size, and what is left of its systematic errors must not."""
+
 POINTS_PER_READING = 6.0
 """Neighbouring depth pixels err alike: so many of them count as one."""
 
@@ -31,12 +34,13 @@ def stretch(model: ReferenceModel, region: Region, T_cam_obj: Float) -> float:
     R, t = np.asarray(T_cam_obj[:3, :3], np.float64), np.asarray(T_cam_obj[:3, 3], np.float64)
     points = (region.points_cam - t) @ R
     camera = -R.T @ t
+    sigma_m = DEPTH_SIGMA_M + STEREO_SIGMA_PER_M * region.median_depth_m**2
     found = np.zeros(7)
     for _ in range(STEPS):
         distance, normals, weights = _distances(model, points, camera, region.point_weights)
         arm = points - model.mesh.centre
         slopes = np.concatenate([np.cross(arm, normals), normals, (normals * arm).sum(1)[:, None]], axis=1)
-        scale = weights[:, None] / (DEPTH_SIGMA_M**2 * POINTS_PER_READING)
+        scale = weights[:, None] / (sigma_m**2 * POINTS_PER_READING)
         prior = 1.0 / BELIEVED**2
         step = np.linalg.solve(
             slopes.T @ (slopes * scale) + np.diag(prior), -(slopes * scale).T @ distance - prior * found

@@ -40,7 +40,7 @@ FEATURES: Mapping[str, Names] = {
         this_print=("print_complete", "nothing_foreign"),
         this_size=("same_size", "box_iou", "no_violation", "detail"),
         listed=("margin", "total", "box_iou", "detail"),
-        sharpness=("detail",),
+        sharpness=("detail_seen",),
     ),
     "colorpair": Names(
         presence=("margin", "total", "coverage", "box_iou"),

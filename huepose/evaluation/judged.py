@@ -15,9 +15,9 @@ from huepose.evaluation import metrics
 from huepose.geometry.arrays import Bool, Float64, Int64
 from huepose.support.errors import InputError
 
-FALSE_WEIGHT = 0.2
-"""Of a pose where the object is not, against one where it is: how often that happens is the detector's
-matter, and enough of them would make every doubtful pose look false."""
+FALSE_WEIGHT = 0.05
+"""Of a pose where the object is not, against one where it is: whether it is there at all is a question of its
+own, and enough of them would make every doubtful pose look false."""
 
 
 @dataclass(frozen=True, eq=False)

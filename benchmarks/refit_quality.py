@@ -19,11 +19,13 @@ from multiprocessing import get_context
 from pathlib import Path
 from typing import Any
 
+import cv2
 import numpy as np
 
 from huepose.datasets.bop import BopScene
 from huepose.datasets.rendered_set import write_rendered_set
 from huepose.datasets.shapes import demo_objects
+from huepose.drawing.plots import reliability_plot
 from huepose.estimation import Estimator, EstimatorConfig
 from huepose.evaluation.absent import answers_where_absent, questions
 from huepose.evaluation.calibration import FEATURES, Fitted, as_json, fit, worth
@@ -32,7 +34,9 @@ from huepose.evaluation.judged import Judged, read_absent, read_judged
 from huepose.evaluation.result_files import write_json
 from huepose.evaluation.summary import table
 from huepose.evaluation.targets import Targets
+from huepose.geometry.arrays import Bool, Float64
 from huepose.model import load_models
+from huepose_services.cli.evaluate_calibrate import chance_text
 from huepose_services.cli.main import main as huepose
 
 FITS = Path(__file__).parents[1] / "huepose" / "estimation" / "quality_fits.json"
@@ -41,6 +45,9 @@ ABSENT_PER_FRAME = 3
 SIZES = (1.2, 1.0 / 1.2)
 SHARE = {"full": 1, "colorpair": 3}
 """One in so many frames is used, because the second method takes longer."""
+
+MOST_RIGHT = 0.98
+"""Where more is right than this, there is nothing to see in a picture of reliability."""
 
 
 @dataclass(frozen=True)
@@ -106,6 +113,8 @@ def main() -> None:
         fitted = fit(labels, FEATURES[method], *wrong)
         fits[method] = as_json(fitted.fit)
         _print(method, fitted, labels, *wrong)
+        if arguments.picture is not None and method == "full":
+            _draw(arguments.picture, fitted, labels)
     FITS.write_text(json.dumps(fits, indent=1) + "\n")
 
 
@@ -126,18 +135,66 @@ def _estimated(part: Part, work: Path) -> None:
 def _print(method: str, fitted: Fitted, labels: Judged, others: Judged, alike: Judged, sizes: Judged) -> None:
     level, found = fitted.fit.level, fitted.fit.found
     rows: list[list[Any]] = []
-    for name, quality, judged, is_found in (
-        ("labels", fitted.labels, labels, fitted.present_labels >= found),
-        ("others", fitted.others, others, fitted.present_others >= found),
-        ("other prints", fitted.alike, alike, None),
-        ("other sizes", fitted.sizes, sizes, None),
-    ):
-        w = worth(quality, judged, level, is_found)
-        precision = None if w.precision is None else 100.0 * w.precision
-        rows.append([name, w.poses, w.right, f"{w.ece:.3f}", 100.0 * w.found, 100.0 * w.coverage, precision])
-    heading = ["held out", "n", "right", "error", "found %", "over the level %", "right of them %"]
+    for name, chosen in _by_scene(labels).items():
+        present = fitted.present_labels[chosen] >= found
+        rows.append(_row(name, fitted.labels[chosen], labels.only(chosen), level, present))
+    rows.append(_row("all labels", fitted.labels, labels, level, fitted.present_labels >= found))
+    rows.append(_row("others", fitted.others, others, level, fitted.present_others >= found))
+    rows.append(_row("other prints", fitted.alike, alike, level, None))
+    rows.append(_row("other sizes", fitted.sizes, sizes, level, None))
+    heading = [
+        "held out",
+        "n",
+        "right",
+        "error",
+        "by chance",
+        "found %",
+        "over the level %",
+        "right of them %",
+    ]
     print(f"{method}: level {level:.3f}, found {found:.3f}")
     print(table(heading, rows))
+    print(_near_ties(fitted, labels))
+
+
+def _row(name: str, quality: Float64, judged: Judged, level: float, found: Bool | None) -> list[Any]:
+    w = worth(quality, judged, level, found)
+    precision = None if w.precision is None else 100.0 * w.precision
+    ece, chance = f"{w.ece:.3f}", chance_text(w)
+    return [name, w.poses, w.right, ece, chance, 100.0 * w.found, 100.0 * w.coverage, precision]
+
+
+def _by_scene(judged: Judged) -> dict[str, Bool]:
+    """Which poses are of each calibration scene, by its name."""
+    scenes = np.array([Path(frame[0]).name.split("_labels")[0] for frame in judged.frames])  # type: ignore[index]
+    return {str(name).split("_", 1)[1]: scenes == name for name in dict.fromkeys(scenes.tolist())}
+
+
+def _near_ties(fitted: Fitted, labels: Judged) -> str:
+    """How often the first pose and its best alternative are right, by what is said of the alternative."""
+    stated = [fitted.fit.probabilities(terms) for terms in labels.terms]
+    second = np.array([p[1] if len(p) > 1 else 0.0 for p in stated])
+    first = np.array([p[0] for p in stated])
+    rows = []
+    for low, high in ((0.05, 0.1), (0.1, 0.2), (0.2, 0.3), (0.3, 0.5)):
+        tied = (second >= low) & (second < high)
+        if tied.any():
+            right = labels.which[tied]
+            rows.append([f"{low} to {high}", int(tied.sum()), 100.0 * first[tied].mean(),
+                         100.0 * (right == 0).mean(), 100.0 * second[tied].mean(),
+                         100.0 * (right == 1).mean()])  # fmt: skip
+    heading = ["first alternative", "n", "first stated %", "first right %", "it stated %", "it right %"]
+    return table(heading, rows)
+
+
+def _draw(path: Path, fitted: Fitted, labels: Judged) -> None:
+    """Stated quality against the share that is right, of each calibration scene, side by side."""
+    plots = [
+        reliability_plot(fitted.labels[chosen], labels.right[chosen], title=f"held out: {name}")
+        for name, chosen in _by_scene(labels).items()
+        if labels.right[chosen].mean() < MOST_RIGHT
+    ]
+    cv2.imwrite(str(path), np.ascontiguousarray(np.hstack(plots)[..., ::-1]))
 
 
 def _all(parts: Sequence[Judged]) -> Judged:
@@ -189,6 +246,7 @@ def _arguments() -> argparse.Namespace:
                         help="their reference models (learned under --work)")  # fmt: skip
     parser.add_argument("--work", type=Path, default=Path("build/quality"), metavar="DIR")
     parser.add_argument("--methods", nargs="+", choices=tuple(FEATURES), default=list(FEATURES))
+    parser.add_argument("--picture", type=Path, default=None, metavar="FILE.png", help="of reliability")
     parser.add_argument("--processes", type=int, default=2, metavar="N")
     return parser.parse_args()
 

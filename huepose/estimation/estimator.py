@@ -15,10 +15,10 @@ from zlib import crc32
 import numpy as np
 
 from huepose.estimation.answer import Levels, answer_of
-from huepose.estimation.by_pairs_too import ordered_by_pairs_too
 from huepose.estimation.competition import compete
 from huepose.estimation.config import EstimatorConfig
 from huepose.estimation.confirm import confirm, looks_in_full
+from huepose.estimation.decision import decided
 from huepose.estimation.evidence import Evidence, gather
 from huepose.estimation.explanation import Explanation
 from huepose.estimation.full_path import Trail, estimate_full, judge, refine_prior
@@ -129,8 +129,8 @@ class Estimator:
         if evidence is not None and full:
             extra = np.zeros((0, 4, 4)) if prior is None else prior[0][None]
             poses, totals, trail = estimate_full(model, prepared.table, evidence, self.config.full, extra)
-            with stage("pairs"):
-                poses, totals = ordered_by_pairs_too(model, evidence.region, poses, totals)
+            with stage("contest"):
+                poses, totals = decided(model, evidence.region, poses, totals)
         elif evidence is not None:
             poses, totals = self._by_pairs(model, frame, evidence, query)
         explanation = Explanation(box, tuple(masks), evidence, poses, totals, trail=trail)

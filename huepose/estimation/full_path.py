@@ -20,7 +20,6 @@ from huepose.matching.template_table import TemplateTable
 from huepose.model.types import ReferenceModel
 from huepose.registration.surface_icp import align_many
 from huepose.support.stages import stage
-from huepose.verification.contest import close_look
 from huepose.verification.dense import score_many
 from huepose.verification.local_search import RACE, search
 from huepose.verification.region import Region
@@ -31,12 +30,6 @@ RIVALS = 0.5
 COARSE_SAMPLES, FINE_SAMPLES = 350, 800
 FINAL_TURN_RAD, FINAL_SHIFT = 0.2, 0.05
 """Poses closer than this (shift in diameters) are one answer."""
-
-CONTENDERS, WITHIN = 4, 0.12
-"""So many poses look closely at each other, if their totals are within this of the best."""
-
-CLOSE_WEIGHT = 0.5
-"""What the close look counts beside the dense score."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -125,29 +118,7 @@ def finish(
         )
         poses, totals = np.concatenate([poses, fine]), np.concatenate([totals, fine_totals])
         best = different_poses(model, poses, totals, config.alternatives, FINAL_TURN_RAD, FINAL_SHIFT)
-    with stage("contest"):
-        return contested(model, region, poses[best], totals[best])
-
-
-def contested(
-    model: ReferenceModel, region: Region, poses: Float64, totals: Float64
-) -> tuple[Float64, Float64]:
-    """Different poses (K, 4, 4), best first, and their totals (K,), after the best few looked closely at each
-    other. Totals stay what they are, those of the dense score, for the winner; the others' say how far they
-    are behind."""
-    rivals = int((totals[:CONTENDERS] > totals[0] - WITHIN).sum()) if len(totals) else 0
-    if rivals < 2:
-        return poses, totals
-    refined, seen = close_look(model, region, poses[:rivals])
-    both = (totals[:rivals] + CLOSE_WEIGHT * seen) / (1.0 + CLOSE_WEIGHT)
-    if not np.isfinite(both).all():
-        return poses, totals
-    winner = int(np.argmax(both))
-    top = float(judge(model, region, refined[winner : winner + 1])[0])
-    poses = np.concatenate([refined, poses[rivals:]])
-    behind = np.concatenate([both[winner] - both, np.maximum(totals[0] - totals[rivals:], WITHIN)])
-    order = different_poses(model, poses, -behind, len(poses), FINAL_TURN_RAD, FINAL_SHIFT)
-    return poses[order], top - behind[order]
+    return poses[best], totals[best]
 
 
 def judge(model: ReferenceModel, region: Region, poses: Float64) -> Float64:

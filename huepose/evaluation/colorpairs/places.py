@@ -16,9 +16,9 @@ import numpy as np
 
 from huepose.colorpair.denoise import to_lab
 from huepose.colorpair.light import relit
-from huepose.estimation.by_pairs_too import WEIGHT
 from huepose.estimation.colorpair_path import estimate_by_pairs, proposed_by_pairs
 from huepose.estimation.config import ColorpairPathConfig, FullPathConfig
+from huepose.estimation.decision import PAIRS
 from huepose.estimation.full_path import estimate_full, finish, refine_coarse
 from huepose.evaluation.colorpairs.place_answers import Found, Shared
 from huepose.geometry.arrays import Float64, UInt8
@@ -53,7 +53,7 @@ class Answer:
     poses: Float64
     totals: Float64
     seconds: float
-    weight: float = WEIGHT
+    weight: float = PAIRS
     edges: bool = True
     method: str = "full"
 

@@ -7,14 +7,17 @@ match the model's in place, direction and contrast, the pose stays as it is.
 
 from __future__ import annotations
 
+import threading
+from weakref import WeakKeyDictionary
+
 import numpy as np
 
 from huepose.colorpair.extract import extract
 from huepose.geometry.arrays import Bool, Float64
 from huepose.geometry.frame import RgbdFrame
 from huepose.matching.hypotheses import fine_pairs
-from huepose.model.types import ReferenceModel
-from huepose.registration.edge_icp import edge_icp, image_edges
+from huepose.model.types import PairReference, ReferenceModel
+from huepose.registration.edge_icp import PrintEdges, edge_icp, image_edges, print_edges
 
 PAIRS = 800
 """Of the model, those that a view shows among them."""
@@ -22,10 +25,24 @@ PAIRS = 800
 
 def laid_on_edges(model: ReferenceModel, frame: RgbdFrame, mask: Bool, T_cam_obj: Float64) -> Float64:
     """The pose (4, 4) after its print was laid on the edges inside the mask (H, W)."""
-    pairs = fine_pairs(model.pairs, PAIRS)
-    depths = frame.depth[mask & (frame.depth > 0)]
-    if not len(pairs) or not len(depths):
+    printed = _printed(model.pairs)
+    depths = frame.depth[mask]
+    depths = depths[depths > 0]
+    if not len(printed.points) or not len(depths):
         return T_cam_obj
     scale = model.pairs.parameters["fine_pixels_per_m"] * float(np.median(depths)) / frame.camera.fx
     edges = image_edges(extract(frame.color, mask, scale=min(scale, 1.0)))
-    return edge_icp(pairs, model.surface, edges, frame.depth, frame.camera, T_cam_obj).T_cam_obj
+    return edge_icp(printed, model.surface, edges, frame.depth, frame.camera, T_cam_obj).T_cam_obj
+
+
+_known: WeakKeyDictionary[PairReference, PrintEdges] = WeakKeyDictionary()
+_lock = threading.Lock()
+
+
+def _printed(reference: PairReference) -> PrintEdges:
+    """The edges of a model's print, made once for each model."""
+    with _lock:
+        found = _known.get(reference)
+        if found is None:
+            found = _known[reference] = print_edges(fine_pairs(reference, PAIRS))
+        return found

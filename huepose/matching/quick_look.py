@@ -31,21 +31,21 @@ def quick_look(table: TemplateTable, windows: Float32, places: int) -> tuple[Int
     """Index (M, N) of the best of `places` windows, and its score (M, N), for each of M groups of windows
     (M * places, P, 6) and each template of the table's quick look."""
     count = len(windows)
-    windows = windows[:, table.used]
-    weight = windows[..., 4]
-    values = [windows[..., c] for c in range(4)]
-    columns = [weight, windows[..., 5]] + [weight * x for x in values] + [weight * x * x for x in values]
-    by_coverage = np.concatenate(columns).T
-    crossed = [np.concatenate([weight, weight * values[c]]).T for c in range(4)]
+    by_coverage, crossed, weight = _columns(windows, table.used)
     groups = count // places
     which = np.zeros((groups, len(table.area)), np.int64)
     scores = np.zeros((groups, len(table.area)), np.float32)
-    area = np.maximum(weight.sum(1), np.float32(1))
+    area = np.maximum(windows[:, table.used, 4].sum(1), np.float32(1))
     relief_mm = RELIEF * table.diameter_m * MILLIMETRES
+    by_value = np.empty((4, len(table.area), 2 * count), np.float32)
+    by_square = np.empty((4, len(table.area), count), np.float32)
+    for c in range(4):
+        product(table.first[c], crossed[c], by_value[c])
+        product(table.second[c], weight, by_square[c])
     _score_windows(
         product(table.coverage, by_coverage),
-        np.stack([product(table.first[c], crossed[c]) for c in range(4)]),
-        np.stack([product(table.second[c], weight.T) for c in range(4)]),
+        by_value,
+        by_square,
         table.area,
         area,
         places,
@@ -56,11 +56,35 @@ def quick_look(table: TemplateTable, windows: Float32, places: int) -> tuple[Int
     return which, scores
 
 
-def product(table: Float32, columns: Float32) -> Float32:
-    """The matrix product (N, C) in pieces, each too small for the linear algebra library to call threads,
-    which would cost several times what they give."""
+@jit_dividing
+def _columns(windows: Float32, used: Int64) -> tuple[Float32, Float32, Float32]:
+    """What the cells `used` (P,) of windows (C, Q, 6) are multiplied with: (P, 10 C) by coverage (weights,
+    background, and weighted the four values and their squares), (4, P, 2 C) by the templates' values (weights
+    and weighted value) and (P, C) by their squares (weights)."""
+    count, cells = windows.shape[0], used.shape[0]
+    by_coverage = np.empty((cells, 10 * count), np.float32)
+    crossed = np.empty((4, cells, 2 * count), np.float32)
+    weights = np.empty((cells, count), np.float32)
+    for p in range(cells):
+        for k in range(count):
+            cell = windows[k, used[p]]
+            w = cell[4]
+            weights[p, k] = by_coverage[p, k] = w
+            by_coverage[p, count + k] = cell[5]
+            for c in range(4):
+                weighted = w * cell[c]
+                by_coverage[p, (2 + c) * count + k] = weighted
+                by_coverage[p, (6 + c) * count + k] = weighted * cell[c]
+                crossed[c, p, k] = w
+                crossed[c, p, count + k] = weighted
+    return by_coverage, crossed, weights
+
+
+def product(table: Float32, columns: Float32, out: Float32 | None = None) -> Float32:
+    """The matrix product (N, C), into `out` where it is given: in pieces, each too small for the linear
+    algebra library to call threads, which would cost several times what they give."""
     columns = np.ascontiguousarray(columns)
-    out = np.empty((len(table), columns.shape[1]), np.float32)
+    out = np.empty((len(table), columns.shape[1]), np.float32) if out is None else out
     wide = max(1, MAX_PRODUCT // (ROWS * len(columns)))
     wide = -(-columns.shape[1] // -(-columns.shape[1] // wide))  # pieces of even width
     tall = max(ROWS, MAX_PRODUCT // (wide * len(columns)))

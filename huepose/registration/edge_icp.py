@@ -57,6 +57,17 @@ class ImageEdges:
 
 
 @dataclass(frozen=True, eq=False)
+class PrintEdges:
+    """Edges of a model's print: places (N, 3), normals (N, 3) and tangents (N, 3) across them in the object's
+    axes, contrasts (N, 3) as unit opponents."""
+
+    points: Float32
+    normals: Float32
+    tangents: Float32
+    contrasts: Float64
+
+
+@dataclass(frozen=True, eq=False)
 class EdgeAlignment:
     """T_cam_obj (4, 4); matched: edges in the last iteration, 0 when the pose was left alone; rms_px: their
     distance across the edge then."""
@@ -72,6 +83,16 @@ def image_edges(pairs: ColorPairs) -> ImageEdges:
     return ImageEdges(pairs.pixels.astype(np.float64), directions.astype(np.float64), contrasts(pairs.colors))
 
 
+def print_edges(pairs: SurfacePairs) -> PrintEdges:
+    """What of a model's colour pairs is compared: made once for a model, used for every pose of it."""
+    return PrintEdges(
+        np.ascontiguousarray(pairs.points, dtype=np.float32),
+        np.ascontiguousarray(pairs.normals, dtype=np.float32),
+        np.ascontiguousarray(pairs.tangents, dtype=np.float32),
+        contrasts(pairs.colors),
+    )
+
+
 def contrasts(colors: Float) -> Float64:
     """Unit differences (N, 3) of the opponents of CIELAB colours (N, 2, 3), side 1 less side 0."""
     ends = opponents_of_lab(colors).astype(np.float64)
@@ -80,7 +101,7 @@ def contrasts(colors: Float) -> Float64:
 
 
 def edge_icp(
-    pairs: SurfacePairs,
+    model: PrintEdges,
     surface: Surface,
     edges: ImageEdges,
     depth: Float32,
@@ -90,12 +111,12 @@ def edge_icp(
 ) -> EdgeAlignment:
     """Move the object so that its print lies on the image's edges and its surface on the depth.
 
-    pairs: of the model, in its axes; depth (h, w) metres, 0 = nothing, of the camera that saw the edges.
+    model: the edges of its print; depth (h, w) metres, 0 = nothing, of the camera that saw the edges.
     The pose comes back unchanged where fewer than `fewest` edges match.
     """
     config = config or EdgeIcpConfig()
     start = np.array(T_cam_obj, dtype=np.float64)
-    if not len(pairs):
+    if not len(model.points):
         return EdgeAlignment(start, 0, 0.0)
     T = start.copy()
     looked = -T[:3, :3].T @ T[:3, 3]
@@ -105,10 +126,10 @@ def edge_icp(
     report = np.zeros(2)
     _refine(
         T,
-        np.ascontiguousarray(pairs.points),
-        np.ascontiguousarray(pairs.normals),
-        np.ascontiguousarray(pairs.tangents),
-        contrasts(pairs.colors),
+        model.points,
+        model.normals,
+        model.tangents,
+        model.contrasts,
         edges.pixels,
         edges.directions,
         edges.contrasts,

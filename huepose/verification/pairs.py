@@ -17,7 +17,7 @@ from weakref import WeakKeyDictionary
 import cv2
 import numpy as np
 
-from huepose.colorpair.opponents import linear_rgb, opponents, opponents_of_lab
+from huepose.colorpair.opponents import opponents_of_bytes, opponents_of_lab
 from huepose.geometry.arrays import Float, Float32, Float64
 from huepose.model.types import PairReference, ReferenceModel
 from huepose.support.jit import jit
@@ -84,7 +84,7 @@ def pair_picture(model: ReferenceModel, crop: Crop, depth_m: float) -> PairPictu
     if scale < 1.0:
         size = (max(round(w * scale), 2), max(round(h * scale), 2))
         color = np.asarray(cv2.resize(color, size, interpolation=cv2.INTER_AREA), np.uint8)
-    return PairPicture(opponents(linear_rgb(color)), w / color.shape[1], h / color.shape[0])
+    return PairPicture(opponents_of_bytes(color), w / color.shape[1], h / color.shape[0])
 
 
 def pair_score(

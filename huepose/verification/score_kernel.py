@@ -23,6 +23,10 @@ those that fit, moved up: 4..6 the normal, 7 weight, 8..13 the print's colours, 
 sample, 21..22 pixel."""
 
 
+BLOCK = 64
+"""Believed points that are looked at before it is asked whether that is enough."""
+
+
 @jit_dividing
 def score_kernel(
     T: Float64,
@@ -109,7 +113,7 @@ def score_kernel(
     if known + full_coverage <= needed:
         return float(known + full_coverage)
     enough = (needed - known) / full_coverage if full_coverage > 0.0 else -np.inf
-    out[2] = _coverage(T, model, region, enough)
+    out[2] = _coverage(T, model, region, enough, scratch)
     out[0] = known + w_coverage * region.trust * out[2]
     return float(out[0])
 
@@ -118,29 +122,38 @@ def score_kernel(
 def _place(
     T: Float64, model: ModelArrays, region: RegionArrays, first: int, count: int, scratch: Float64
 ) -> None:
-    """Facing (0 behind the camera), pixel, depth and normal of the visible samples of a view."""
-    points, normals, visible = model.points, model.normals, model.visible
+    """Facing (0 behind the camera), pixel, depth and normal of the visible samples of a view; in plain loops
+    over few rows each, since the compiler gives up on more."""
+    # Flat and without a sign, so that the compiler need not think of indices counted from the end.
+    points, normals, visible = model.points.ravel(), model.normals.ravel(), model.visible
     r00, r01, r02, r10, r11, r12 = T[0, 0], T[0, 1], T[0, 2], T[1, 0], T[1, 1], T[1, 2]
     r20, r21, r22, t0, t1, t2 = T[2, 0], T[2, 1], T[2, 2], T[0, 3], T[1, 3], T[2, 3]
     fx, fy, cx, cy = region.fx, region.fy, region.cx, region.cy
+    one, two, start = np.uint64(1), np.uint64(2), np.uint64(first)
+    facing, u, v, depth = scratch[0], scratch[1], scratch[2], scratch[3]
+    m0, m1, m2 = scratch[4], scratch[5], scratch[6]
+    for k in range(np.uint64(count)):
+        i = np.uint64(3 * visible[start + k])
+        u[k], v[k], depth[k] = points[i], points[i + one], points[i + two]
+        m0[k], m1[k], m2[k] = normals[i], normals[i + one], normals[i + two]
     for k in range(count):
-        i = visible[first + k]
-        s0, s1, s2 = points[i, 0], points[i, 1], points[i, 2]
-        n0, n1, n2 = normals[i, 0], normals[i, 1], normals[i, 2]
-        x = r00 * s0 + r01 * s1 + r02 * s2 + t0
-        y = r10 * s0 + r11 * s1 + r12 * s2 + t1
-        z = r20 * s0 + r21 * s1 + r22 * s2 + t2
-        m0 = r00 * n0 + r01 * n1 + r02 * n2
-        m1 = r10 * n0 + r11 * n1 + r12 * n2
-        m2 = r20 * n0 + r21 * n1 + r22 * n2
-        facing = -(m0 * x + m1 * y + m2 * z) / np.sqrt(x * x + y * y + z * z)
-        scratch[0, k] = facing if z >= 0.02 else 0.0
-        scratch[1, k] = x / z * fx + cx
-        scratch[2, k] = y / z * fy + cy
-        scratch[3, k] = z
-        scratch[4, k] = m0
-        scratch[5, k] = m1
-        scratch[6, k] = m2
+        s0, s1, s2 = u[k], v[k], depth[k]
+        u[k] = r00 * s0 + r01 * s1 + r02 * s2 + t0
+        v[k] = r10 * s0 + r11 * s1 + r12 * s2 + t1
+        depth[k] = r20 * s0 + r21 * s1 + r22 * s2 + t2
+    for k in range(count):
+        n0, n1, n2 = m0[k], m1[k], m2[k]
+        m0[k] = r00 * n0 + r01 * n1 + r02 * n2
+        m1[k] = r10 * n0 + r11 * n1 + r12 * n2
+        m2[k] = r20 * n0 + r21 * n1 + r22 * n2
+    for k in range(count):
+        x, y, z = u[k], v[k], depth[k]
+        cosine = -(m0[k] * x + m1[k] * y + m2[k] * z) / np.sqrt(x * x + y * y + z * z)
+        facing[k] = cosine if z >= 0.02 else 0.0
+    for k in range(count):
+        inverse = 1.0 / depth[k]
+        u[k] = u[k] * inverse * fx + cx
+        v[k] = v[k] * inverse * fy + cy
 
 
 @jit_dividing
@@ -169,53 +182,70 @@ def _read_colors(model: ModelArrays, region: RegionArrays, count: int, scratch: 
 
 
 @jit_dividing
-def _coverage(T: Float64, model: ModelArrays, region: RegionArrays, enough: float) -> float:
+def _coverage(T: Float64, model: ModelArrays, region: RegionArrays, enough: float, scratch: Float64) -> float:
     """Share of the believed points that lie on the side of the surface which the camera sees; where it cannot
-    be over `enough`, some number between."""
-    points_cam, point_weights, tolerance = region.points_cam, region.point_weights, region.tolerance
-    points, normals = model.points, model.normals
-    o0, o1, o2, scale = model.origin[0], model.origin[1], model.origin[2], 1.0 / model.step
-    cells = model.nearest.ravel()
-    d0, d1, d2 = model.nearest.shape
-    r00, r01, r02, r10, r11, r12 = T[0, 0], T[0, 1], T[0, 2], T[1, 0], T[1, 1], T[1, 2]
-    r20, r21, r22, t0, t1, t2 = T[2, 0], T[2, 1], T[2, 2], T[0, 3], T[1, 3], T[2, 3]
-    reach2, sharpness = 9.0 * tolerance * tolerance, 1.0 / (tolerance * tolerance)
+    be over `enough`, some number between. `scratch` has 11 rows or more."""
+    point_weights = region.point_weights
     total = 1e-9
-    for i in range(points_cam.shape[0]):
+    for i in range(point_weights.shape[0]):
         total += point_weights[i]
     # What the points may lose altogether before the answer cannot be over `enough`.
     spare = total * (1.0 - enough + 1e-9)
     lost = 0.0
-    for i in range(points_cam.shape[0]):
+    block = min(BLOCK, scratch.shape[1])
+    for first in range(0, point_weights.shape[0], block):
         if lost > spare:
             break
-        p0, p1, p2 = points_cam[i, 0], points_cam[i, 1], points_cam[i, 2]
-        x, y, z = p0 - t0, p1 - t1, p2 - t2
-        q0 = r00 * x + r10 * y + r20 * z
-        q1 = r01 * x + r11 * y + r21 * z
-        q2 = r02 * x + r12 * y + r22 * z
-        weight = point_weights[i]
-        lost += weight
-        f0, f1, f2 = (q0 - o0) * scale + 0.5, (q1 - o1) * scale + 0.5, (q2 - o2) * scale + 0.5
-        if f0 < 0.0 or f1 < 0.0 or f2 < 0.0:
-            continue
-        a0, a1, a2 = int(f0), int(f1), int(f2)
-        if a0 >= d0 or a1 >= d1 or a2 >= d2:
-            continue
-        j = np.uint64(cells[np.uint64((a0 * d1 + a1) * d2 + a2)])
-        n0, n1, n2 = normals[j, 0], normals[j, 1], normals[j, 2]
-        away = (
-            (r00 * n0 + r01 * n1 + r02 * n2) * p0
-            + (r10 * n0 + r11 * n1 + r12 * n2) * p1
-            + (r20 * n0 + r21 * n1 + r22 * n2) * p2
-        )
-        if away > 0.0:
-            continue
-        e0, e1, e2 = q0 - points[j, 0], q1 - points[j, 1], q2 - points[j, 2]
-        gap = e0 * n0 + e1 * n1 + e2 * n2
-        if abs(gap) < tolerance and e0 * e0 + e1 * e1 + e2 * e2 < reach2:
-            lost -= weight * (1.0 - gap * gap * sharpness)
+        count = min(block, point_weights.shape[0] - first)
+        lost += _lost(T, model, region, first, count, scratch)
     return float((total - lost) / total)
+
+
+@jit_dividing
+def _lost(
+    T: Float64, model: ModelArrays, region: RegionArrays, first: int, count: int, scratch: Float64
+) -> float:
+    """How much of the weight of some of the believed points does not lie on the surface."""
+    points_cam, point_weights, tolerance = region.points_cam.ravel(), region.point_weights, region.tolerance
+    points, normals, cells = model.points.ravel(), model.normals.ravel(), model.nearest.ravel()
+    o0, o1, o2, scale = model.origin[0], model.origin[1], model.origin[2], 1.0 / model.step
+    d0, d1, d2 = model.nearest.shape
+    r00, r01, r02, r10, r11, r12 = T[0, 0], T[0, 1], T[0, 2], T[1, 0], T[1, 1], T[1, 2]
+    r20, r21, r22, t0, t1, t2 = T[2, 0], T[2, 1], T[2, 2], T[0, 3], T[1, 3], T[2, 3]
+    one, two, three, start = np.uint64(1), np.uint64(2), np.uint64(3), np.uint64(first)
+    p0, p1, p2, place, given = scratch[0], scratch[1], scratch[2], scratch[3], scratch[4]
+    s0, s1, s2, m0, m1, m2 = scratch[5], scratch[6], scratch[7], scratch[8], scratch[9], scratch[10]
+    for k in range(np.uint64(count)):
+        i = three * (start + k)
+        x, y, z = points_cam[i] - t0, points_cam[i + one] - t1, points_cam[i + two] - t2
+        p0[k] = r00 * x + r10 * y + r20 * z
+        p1[k] = r01 * x + r11 * y + r21 * z
+        p2[k] = r02 * x + r12 * y + r22 * z
+    for k in range(np.uint64(count)):
+        f0, f1, f2 = (p0[k] - o0) * scale + 0.5, (p1[k] - o1) * scale + 0.5, (p2[k] - o2) * scale + 0.5
+        inside = (f0 >= 0.0) & (f1 >= 0.0) & (f2 >= 0.0) & (f0 < d0) & (f1 < d1) & (f2 < d2)
+        cell = np.floor(f0) * (d1 * d2) + np.floor(f1) * d2 + np.floor(f2)
+        place[k] = cell if inside else 0.0
+        given[k] = point_weights[start + k] if inside else 0.0
+    for k in range(count):
+        j = np.uint64(3 * cells[np.uint64(place[k])])
+        s0[k], s1[k], s2[k] = points[j], points[j + one], points[j + two]
+        m0[k], m1[k], m2[k] = normals[j], normals[j + one], normals[j + two]
+    # The camera's place in object axes is -eye.
+    eye0 = r00 * t0 + r10 * t1 + r20 * t2
+    eye1 = r01 * t0 + r11 * t1 + r21 * t2
+    eye2 = r02 * t0 + r12 * t1 + r22 * t2
+    reach2, sharpness = 9.0 * tolerance * tolerance, 1.0 / (tolerance * tolerance)
+    weight, kept = 0.0, 0.0
+    for k in range(count):
+        n0, n1, n2 = m0[k], m1[k], m2[k]
+        e0, e1, e2 = p0[k] - s0[k], p1[k] - s1[k], p2[k] - s2[k]
+        gap = e0 * n0 + e1 * n1 + e2 * n2
+        shown = n0 * (p0[k] + eye0) + n1 * (p1[k] + eye1) + n2 * (p2[k] + eye2) <= 0.0
+        near = (abs(gap) < tolerance) & (e0 * e0 + e1 * e1 + e2 * e2 < reach2)
+        kept += given[k] * (1.0 - gap * gap * sharpness) if shown & near else 0.0
+        weight += point_weights[first + k]
+    return weight - kept
 
 
 @jit_dividing

@@ -9,8 +9,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from huepose.estimation import size_evidence
 from huepose.estimation.size_evidence import stretch
-from huepose.geometry import Box, RgbdFrame
+from huepose.geometry import Box, RgbdFrame, se3
 from huepose.model.types import ReferenceModel
 from huepose.onboarding.grid import build_grid
 from huepose.rendering.render import render_depth
@@ -67,3 +68,40 @@ def test_flat_sides_alone_say_nothing_of_size(
     tea_box: ReferenceModel, region: Region, standing: np.ndarray
 ) -> None:
     assert stretch(tea_box, region, standing) == pytest.approx(0.0, abs=0.01)
+
+
+def test_compiled_steps_are_those_of_the_formula(
+    tea_box: ReferenceModel, region: Region, standing: np.ndarray
+) -> None:
+    rng, seen = np.random.default_rng(2), []
+    for _ in range(10):
+        T = se3.perturb(standing, rng.normal(size=6) * ([0.01] * 3 + [0.1] * 3))
+        expected = plain(tea_box, region, T)
+        seen.append(expected)
+        np.testing.assert_allclose(stretch(tea_box, region, T), expected, atol=1e-9)
+    assert np.ptp(seen) > 0.005
+
+
+def plain(model: ReferenceModel, region: Region, T: np.ndarray) -> float:
+    """Gauss-Newton steps on the distances along normals, by arrays."""
+    points = (region.points_cam - T[:3, 3]) @ T[:3, :3]
+    camera, grid, surface = -T[:3, :3].T @ T[:3, 3], model.grid, model.surface
+    gate = max(size_evidence.LEAST_GATE_M, size_evidence.GATE * model.diameter_m)
+    sigma_m = size_evidence.DEPTH_SIGMA_M + size_evidence.STEREO_SIGMA_PER_M * region.median_depth_m**2
+    variance = sigma_m**2 * size_evidence.POINTS_PER_READING
+    prior, found = np.diag(1.0 / size_evidence.BELIEVED**2), np.zeros(7)
+    for _ in range(size_evidence.STEPS):
+        cell = np.rint((points - grid.origin) / grid.step).astype(int)
+        last = np.array(grid.nearest.shape) - 1
+        index = grid.nearest[tuple(np.clip(cell, 0, last).T)]
+        normals, gap = surface.normals[index].astype(float), points - surface.points[index]
+        share = (gap**2).sum(1) / gate**2
+        counts = ((cell >= 0) & (cell <= last)).all(1) & (share < 1.0)
+        counts &= (normals * (camera - surface.points[index])).sum(1) > 0.0
+        w = np.where(counts, region.point_weights * (1.0 - share) ** 2, 0.0)[:, None] / variance
+        arm = points - model.mesh.centre
+        J = np.concatenate([np.cross(arm, normals), normals, (normals * arm).sum(1)[:, None]], axis=1)
+        step = np.linalg.solve(J.T @ (J * w) + prior, -(J * w).T @ (gap * normals).sum(1) - prior @ found)
+        found += step
+        points = points + np.cross(step[:3], arm) + step[3:6] + step[6] * arm
+    return -float(found[6])

@@ -152,3 +152,24 @@ def test_many_poses_at_once_equal_one_by_one(model: tuple[Surface, DistanceGrid]
     together = align_many(*model, points, starts, 0.03, 0.006, 20)
     for start, T in zip(starts, together, strict=True):
         assert np.allclose(align(*model, points, start, 0.03, 0.006, 20).T_cam_obj, T, atol=1e-12)
+
+
+def test_information_and_error_are_those_of_the_plain_formula(model: tuple[Surface, DistanceGrid]) -> None:
+    surface, grid = model
+    points = visible_points(TRUE_POSE, 333, np.random.default_rng(8))  # no multiple of anything
+    points[:40] += [0.0, 0.0, 0.5]  # outliers
+    T, gate = se3.perturb(TRUE_POSE, np.array([0.002, -0.001, 0.001, 0.01, 0.02, -0.01])), 0.008
+    fit = align(surface, grid, points, T, gate, gate, 0)
+    here = se3.apply(se3.inverse(T), points)
+    cell = np.clip(((here - grid.origin) / grid.step + 0.5).astype(int), 0, np.array(grid.nearest.shape) - 1)
+    index = grid.nearest[tuple(cell.T)]
+    offset, normals = here - surface.points[index], surface.normals[index] @ T[:3, :3].T
+    share = (offset**2).sum(1) / gate**2
+    weight = np.where((share < 1.0) & ((normals * points).sum(1) <= 0.0), (1.0 - share) ** 2, 0.0)
+    distance = (offset * surface.normals[index]).sum(1)
+    # How a distance changes when the object is shifted, and turned about its origin, in camera axes.
+    J = -np.concatenate([normals, np.cross(points - T[:3, 3], normals)], axis=1)
+    assert fit.inliers == (weight > 0).sum()
+    np.testing.assert_allclose(fit.weight, weight.sum(), rtol=1e-6)
+    np.testing.assert_allclose(fit.rms_m, np.sqrt((weight * distance**2).sum() / weight.sum()), rtol=1e-5)
+    np.testing.assert_allclose(fit.information, J.T @ (J * weight[:, None]), rtol=1e-4, atol=1e-4)

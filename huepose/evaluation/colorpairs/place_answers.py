@@ -97,12 +97,12 @@ class Shared:
             return finish(self.model, self.evidence.region, every, self.config)
 
     def ended(self, poses: Float64, totals: Float64, weight: float, method: str, edges: bool) -> Ended:
-        """The answer made of different poses (K, 4, 4) with totals (K,), those of the full method decided with
-        this weight of pairs; edges: whether they have the last word."""
+        """The answer made of different poses (K, 4, 4) with totals (K,), of the full method decided with this
+        weight of pairs; edges: whether they have the last word."""
         start = time.thread_time()
         if method == "full":
             weights = {**WEIGHTS, "pairs": weight}
-        poses, totals, _ = decided(self.model, self.evidence.region, poses, totals, weights)
+            poses, totals, _ = decided(self.model, self.evidence.region, poses, totals, weights)
         ordering = time.thread_time() - start
         key = (poses.tobytes(), totals.tobytes(), method.encode(), b"edges" if edges else b"")
         if key not in self._ended:

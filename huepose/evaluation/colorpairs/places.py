@@ -32,8 +32,8 @@ from huepose.verification.pairs_search import search_pairs
 SHIPPED = "as shipped"
 """The place that is none: the full method as it is."""
 
-CHEAP_WEIGHTS["pairs"], CHEAP_SAMPLES = 150, 100
-JUDGED = (0.0, 0.2, 0.5, 0.8)
+CHEAP_PAIRS, CHEAP_SAMPLES = 150, 100
+JUDGED = (0.0, 0.25, 1.0)
 """Weights of the pairs' colours where poses nearly tie, other than the one in use."""
 
 REFINED = 3
@@ -116,7 +116,7 @@ def _verification(shared: Shared) -> dict[str, Answer]:
     region, picture, model = shared.evidence.region, shared.picture, shared.model
 
     def by_pairs(poses: Float64) -> Float64:
-        return pair_score_many(model, region, picture, poses, CHEAP_WEIGHTS["pairs"], CHEAP_SAMPLES)[:, 0]
+        return pair_score_many(model, region, picture, poses, CHEAP_PAIRS, CHEAP_SAMPLES)[:, 0]
 
     out = {}
     half = replace(shared.config, searched=shared.config.searched // 2)

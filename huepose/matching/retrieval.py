@@ -12,7 +12,6 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-import cv2
 import numpy as np
 
 from huepose.geometry.arrays import Bool, Float, Float32, Float64, Int64, UInt8
@@ -144,8 +143,7 @@ def _place(table: TemplateTable, picture: Picture, mask: Bool) -> _Place:
     """Where one mask says to look."""
     depths = picture.depth[mask]
     middle_m = float(np.median(depths[:: -(-len(depths) // MEDIAN_PIXELS)]))
-    moments = cv2.moments(mask.view(np.uint8), binaryImage=True)
-    centre = np.array([moments["m10"], moments["m01"]]) / moments["m00"]
+    centre = _middle(mask)
     span = table.span_m / middle_m * picture.camera.fx
     margin = max(SHIFTS)
     wide = COARSE_SIDE + 2 * margin
@@ -155,6 +153,22 @@ def _place(table: TemplateTable, picture: Picture, mask: Bool) -> _Place:
     starts = [(margin + x, margin + y) for y in SHIFTS for x in SHIFTS]
     windows = [cells[y : y + COARSE_SIDE, x : x + COARSE_SIDE].reshape(-1, 6) for x, y in starts]
     return _Place(centre, span, middle_m, np.stack(windows))
+
+
+@jit_dividing
+def _middle(mask: Bool) -> Float64:
+    """Mean column and row (2,) of the pixels of a mask (h, w)."""
+    count, across, down = 0, 0, 0
+    for v in range(mask.shape[0]):
+        row, sums = 0, 0
+        for u in range(mask.shape[1]):
+            inside = 1 if mask[v, u] else 0
+            row += inside
+            sums += inside * u
+        count += row
+        across += sums
+        down += row * v
+    return np.array([across / count, down / count])
 
 
 def _look_closer(

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from huepose.geometry.arrays import Bool, Float32, Float64
+from huepose.geometry.arrays import Bool, Float32, Float64, Int64
 from huepose.geometry.box import Box
 from huepose.geometry.camera import Camera
 from huepose.support.jit import jit
@@ -15,6 +15,9 @@ RING_GROWTH, RING_PIXELS = 0.6, 15.0
 """The ring reaches 60 % of the box's size and 15 pixels beyond it."""
 
 POINTS, TRIALS = 1500, 150
+NEAR_M = 0.008
+"""Points within this of a plane are its."""
+
 MIN_SHARE = 0.25
 """A plane that holds less than a quarter of the ring is no support."""
 
@@ -36,26 +39,71 @@ def find_support_plane(depth: Float32, camera: Camera, box: Box) -> Plane | None
     a quarter of it. The same picture always gives the same plane."""
     window = box.grown(RING_GROWTH, RING_PIXELS)
     rows, columns = window.slices(camera.width, camera.height)
-    v, u = (g.ravel() for g in np.mgrid[rows.start : rows.stop : 2, columns.start : columns.stop : 2])
-    inside = (u > box.x) & (u < box.x1) & (v > box.y) & (v < box.y1)
-    z = depth[v, u]
-    keep = np.flatnonzero(~inside & (z > 0))
+    ring = np.ascontiguousarray(depth[rows, columns][::2, ::2])
+    wide = ring.shape[1]
+    keep = _outside(
+        ring, box.x - columns.start, box.y - rows.start, box.x1 - columns.start, box.y1 - rows.start
+    )
     if len(keep) < 50:
         return None
     rng = np.random.default_rng(0)
     keep = rng.permutation(keep)[:POINTS]
-    points = camera.backproject(np.stack([u[keep], v[keep]], -1), z[keep])
+    down, across = np.divmod(keep, wide)
+    pixels = np.stack([columns.start + 2 * across, rows.start + 2 * down], -1)
+    points = camera.backproject(pixels, ring[down, across])
     best = best_plane(points, rng.integers(0, len(points), (TRIALS, 3)))
     if best[0] < MIN_SHARE * len(points):
         return None
     normal, point = best[1:4], best[4:7]
     for _ in range(3):
-        near = points[np.abs((points - point) @ normal) < 0.008]
-        if len(near) < 3:
+        near, point, spread = _near_plane(points, normal, point)
+        if near < 3:
             return None
-        point = near.mean(0)
-        normal = np.linalg.svd(near - point, full_matrices=False)[2][2]
+        normal = np.linalg.eigh(spread)[1][:, 0]
     return Plane(normal * -np.sign(normal @ point), point)
+
+
+@jit
+def _outside(ring: Float32, left: float, top: float, right: float, bottom: float) -> Int64:
+    """Places (N,), row by row, of the readings of every second pixel (h, w) of a window that do not lie in a
+    box, which is given in all of its pixels."""
+    out = np.empty(ring.size, np.int64)
+    count = 0
+    for v in range(ring.shape[0]):
+        beside = not (top < 2 * v < bottom)
+        for u in range(ring.shape[1]):
+            if ring[v, u] > 0.0 and (beside or not (left < 2 * u < right)):
+                out[count] = v * ring.shape[1] + u
+                count += 1
+    return out[:count]
+
+
+@jit
+def _near_plane(points: Float64, normal: Float64, point: Float64) -> tuple[int, Float64, Float64]:
+    """How many points (N, 3) lie within NEAR_M of a plane, their mean (3,) and their spread about it (3, 3),
+    not divided."""
+    count, mean, spread = 0, np.zeros(3), np.zeros((3, 3))
+    rows = np.empty((points.shape[0], 3))
+    for k in range(points.shape[0]):
+        height = 0.0
+        for r in range(3):
+            height += (points[k, r] - point[r]) * normal[r]
+        if abs(height) < NEAR_M:
+            for r in range(3):
+                rows[count, r] = points[k, r]
+                mean[r] += points[k, r]
+            count += 1
+    for r in range(3):
+        mean[r] /= max(count, 1)
+    for k in range(count):
+        d0, d1, d2 = rows[k, 0] - mean[0], rows[k, 1] - mean[1], rows[k, 2] - mean[2]
+        spread[0, 0] += d0 * d0
+        spread[1, 1] += d1 * d1
+        spread[2, 2] += d2 * d2
+        spread[1, 0] += d1 * d0
+        spread[2, 0] += d2 * d0
+        spread[2, 1] += d2 * d1
+    return count, mean, spread
 
 
 @jit

@@ -30,6 +30,7 @@ from huepose.registration.semantic_icp import ClassifiedScene, semantic_icp_many
 from huepose.registration.surface_icp import align_many
 from huepose.support.stages import stage
 from huepose.verification.pairs import pair_picture, pair_score_many
+from huepose.verification.pairs_agreement import agreement_many
 from huepose.verification.pairs_kernel import PairPicture
 from huepose.verification.pairs_search import search_pairs
 from huepose.verification.region import Region
@@ -44,6 +45,10 @@ FINAL_PAIRS, FINAL_SAMPLES = 1500, 600
 
 FINAL_TURN_RAD, FINAL_SHIFT = 0.2, 0.05
 """Poses closer than this (shift in diameters) are one answer."""
+
+CORRELATED, AGREED = 0.5, 0.5
+"""What the score's correlations count in the end, and the agreement in which a pair that disagrees wholly
+counts as nothing (`verification.pairs_agreement`): chosen on drawn heaps."""
 
 SHAPES = 20
 """Most starts from shape alone, where colours propose too few poses."""
@@ -86,7 +91,8 @@ def estimate_by_pairs(
         totals = np.concatenate([totals, _judge(model, region, picture, fine)])
         poses = np.concatenate([poses, fine])
         best = different_poses(model, poses, totals, config.alternatives, FINAL_TURN_RAD, FINAL_SHIFT)
-    return [(float(totals[k]), poses[k]) for k in best]
+    with stage("decide"):
+        return _decided(model, region, picture, poses[best])
 
 
 def warm_up(models: Sequence[ReferenceModel], config: ColorpairPathConfig) -> None:
@@ -166,6 +172,20 @@ def _with_turns(
         more = pair_score_many(model, region, picture, turned, COARSE_PAIRS, COARSE_SAMPLES)[:, 0]
         poses, totals = np.concatenate([poses, turned]), np.concatenate([totals, more])
     return np.asarray(poses[different_poses(model, poses, totals, config.searched)])
+
+
+def _decided(
+    model: ReferenceModel, region: Region, picture: PairPicture, poses: Float64
+) -> list[tuple[float, Float64]]:
+    """Different poses (K, 4, 4) put in order by what agrees as well as by how it correlates. The first keeps
+    its score, and the others' say how far they are behind."""
+    terms = pair_score_many(model, region, picture, poses, FINAL_PAIRS, FINAL_SAMPLES)
+    totals, geometry = terms[:, 0], terms[:, 1]
+    agreed = agreement_many(model, region, picture, poses, FINAL_PAIRS)
+    weighed = geometry + CORRELATED * (totals - geometry) + AGREED * agreed
+    order = np.argsort(-weighed, kind="stable")
+    first = order[0]
+    return [(float(totals[first] - weighed[first] + weighed[k]), poses[k]) for k in order]
 
 
 def _judge(model: ReferenceModel, region: Region, picture: PairPicture, poses: Float64) -> Float64:

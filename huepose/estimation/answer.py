@@ -101,5 +101,5 @@ def _terms(
         seen.foreign,
         seen.detail,
         stretch(model, region, T_cam_obj),
-        float(region.mask.sum()),
+        float(np.count_nonzero(region.mask)),
     )

@@ -71,8 +71,8 @@ def _without(
 
 
 def _share(mask: Bool, taken: Bool) -> float:
-    size = int(mask.sum())
-    return int((mask & taken).sum()) / size if size else 0.0
+    size = np.count_nonzero(mask)
+    return np.count_nonzero(mask & taken) / size if size else 0.0
 
 
 def _share_of_box(box: Box | None, taken: Bool) -> float:

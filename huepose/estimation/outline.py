@@ -5,21 +5,44 @@ from __future__ import annotations
 import cv2
 import numpy as np
 
-from huepose.geometry.arrays import Bool, Float, Float32
+from huepose.geometry.arrays import Bool, Float, Float32, Float64
 from huepose.geometry.box import Box
 from huepose.geometry.frame import RgbdFrame
 from huepose.model.types import ReferenceModel
 from huepose.rendering.render import render_depth
+from huepose.support.jit import jit_dividing
 
 
 def projected_box(model: ReferenceModel, frame: RgbdFrame, T_cam_obj: Float) -> Box | None:
     """Bounds of the object's silhouette, occlusion ignored, clipped to the image; None outside of it."""
-    points = model.surface.points @ T_cam_obj[:3, :3].T + T_cam_obj[:3, 3]
-    ahead = points[points[:, 2] > 0.05]
-    if not len(ahead):
+    camera = frame.camera
+    T = np.ascontiguousarray(T_cam_obj, dtype=np.float64)
+    ahead, *bounds = _bounds(model.surface.points, T, camera.fx, camera.fy, camera.cx, camera.cy)
+    if not ahead:
         return None
-    box = Box.of_pixels(frame.camera.project(ahead)).clipped(frame.camera.width, frame.camera.height)
+    left, top, right, bottom = bounds
+    box = Box(left, top, right - left + 1.0, bottom - top + 1.0).clipped(camera.width, camera.height)
     return box if box.area > 0 else None
+
+
+@jit_dividing
+def _bounds(
+    points: Float32, T: Float64, fx: float, fy: float, cx: float, cy: float
+) -> tuple[int, float, float, float, float]:
+    """How many of the points (N, 3) lie ahead of the camera, and left, top, right and bottom of their
+    pixels."""
+    left, top, right, bottom = np.inf, np.inf, -np.inf, -np.inf
+    ahead = 0
+    for k in range(points.shape[0]):
+        p0, p1, p2 = points[k, 0], points[k, 1], points[k, 2]
+        z = T[2, 0] * p0 + T[2, 1] * p1 + T[2, 2] * p2 + T[2, 3]
+        if z <= 0.05:
+            continue
+        ahead += 1
+        u = (T[0, 0] * p0 + T[0, 1] * p1 + T[0, 2] * p2 + T[0, 3]) / z * fx + cx
+        v = (T[1, 0] * p0 + T[1, 1] * p1 + T[1, 2] * p2 + T[1, 3]) / z * fy + cy
+        left, right, top, bottom = min(left, u), max(right, u), min(top, v), max(bottom, v)
+    return ahead, left, top, right, bottom
 
 
 def silhouette(

@@ -33,8 +33,8 @@ def standing(
     for answer in (answers[i] for i in order if answers[i].found and chances[i] >= least):
         if answer.mask is not None:
             taken = np.zeros_like(answer.mask) if taken is None else taken
-            size = int(answer.mask.sum())
-            if not size or int((answer.mask & taken).sum()) > CLAIMED * size:
+            size = np.count_nonzero(answer.mask)
+            if not size or np.count_nonzero(answer.mask & taken) > CLAIMED * size:
                 continue
             taken |= answer.mask
         out.append(answer)

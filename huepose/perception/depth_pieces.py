@@ -13,6 +13,7 @@ import numpy as np
 
 from huepose.geometry.arrays import Bool, Float32, Float64, Int
 from huepose.geometry.box import Box
+from huepose.support.jit import jit
 
 MIN_PIXELS = 15
 MIN_MASK_PIXELS = 25
@@ -35,15 +36,14 @@ def cut_pieces(depth: Float32, candidate: Bool, box: Box) -> Pieces:
     """Cut the candidate pixels (h, w) of a window at depth steps; `box` is in the window's pixels."""
     free = candidate & ~depth_steps(depth)
     count, labels, stats, _ = cv2.connectedComponentsWithStats(free.astype(np.uint8), connectivity=4)
-    flat = labels.ravel()
-    v, u = np.arange(depth.shape[0])[:, None], np.arange(depth.shape[1])[None, :]
-    inside = (u >= box.x) & (u < box.x1) & (v >= box.y) & (v < box.y1)
-    near = np.exp(-0.5 * ((v - box.y - box.h / 2) / (0.45 * box.h)) ** 2) * np.exp(
-        -0.5 * ((u - box.x - box.w / 2) / (0.45 * box.w)) ** 2
-    )
+    v, u = np.arange(depth.shape[0]), np.arange(depth.shape[1])
+    in_row, in_column = (v >= box.y) & (v < box.y1), (u >= box.x) & (u < box.x1)
+    near_row = np.exp(-0.5 * ((v - box.y - box.h / 2) / (0.45 * box.h)) ** 2)
+    near_column = np.exp(-0.5 * ((u - box.x - box.w / 2) / (0.45 * box.w)) ** 2)
+    share, weight = np.zeros(count), np.zeros(count)
+    _sums(labels, in_row, in_column, near_row, near_column, share, weight)
     size = stats[:, 4].astype(np.float64)
-    share = np.bincount(flat, inside.ravel(), count) / np.maximum(size, 1)
-    weight = np.bincount(flat, near.ravel(), count)
+    share /= np.maximum(size, 1)
     keep = np.flatnonzero((size >= MIN_PIXELS) & (np.arange(count) > 0))
     number = np.full(count, -1, np.int32)
     number[keep] = np.arange(len(keep))
@@ -53,6 +53,26 @@ def cut_pieces(depth: Float32, candidate: Bool, box: Box) -> Pieces:
     return Pieces(
         labels, bounds, share[keep], weight[keep].astype(np.float64), median_depths(depth, labels, len(keep))
     )
+
+
+@jit
+def _sums(
+    labels: Int,
+    in_row: Bool,
+    in_column: Bool,
+    near_row: Float64,
+    near_column: Float64,
+    inside: Float64,
+    near: Float64,
+) -> None:
+    """Add up the pixels of each label (h, w) inside the box, and their nearness, both products of what holds
+    for rows (h,) and columns (w,)."""
+    for v in range(labels.shape[0]):
+        for u in range(labels.shape[1]):
+            k = labels[v, u]
+            near[k] += near_row[v] * near_column[u]
+            if in_row[v] and in_column[u]:
+                inside[k] += 1.0
 
 
 def depth_steps(depth: Float32) -> Bool:
@@ -97,7 +117,7 @@ def join_pieces(depth: Float32, candidate: Bool, pieces: Pieces, box: Box, diame
             break
         mask, bounds = _joined(pieces, int(main), box, diameter_m)
         mask, fit = _finished(mask, bounds, depth, candidate, box, diameter_m)
-        if mask.sum() >= MIN_MASK_PIXELS:
+        if np.count_nonzero(mask) >= MIN_MASK_PIXELS:
             masks.append(mask)
         elif not masks:
             fit = 0.0
@@ -133,7 +153,7 @@ def _finished(
     v, u = np.arange(depth.shape[0])[:, None], np.arange(depth.shape[1])[None, :]
     wide = box.grown(0.08)
     inside = mask & (u >= wide.x) & (u < wide.x1) & (v >= wide.y) & (v < wide.y1)
-    kept = inside.sum() / max(int(mask.sum()), 1)
+    kept = np.count_nonzero(inside) / max(np.count_nonzero(mask), 1)
     return inside, float(_ious(bounds[None], box)[0] * min(1.0, kept + 0.1))
 
 

@@ -29,8 +29,8 @@ class DepthSegmenter:
         if not masks:
             return [_middle_of(frame, box)]
         cut = color_cut(frame.color, box, masks[0])
-        agreed, either = (cut & masks[0]).sum(), (cut | masks[0]).sum()
-        if cut.sum() > COLOR_MIN_PIXELS and agreed < COLOR_SAME * either:
+        agreed, either = np.count_nonzero(cut & masks[0]), np.count_nonzero(cut | masks[0])
+        if np.count_nonzero(cut) > COLOR_MIN_PIXELS and agreed < COLOR_SAME * either:
             masks.append(cut)
         return masks
 
@@ -61,4 +61,4 @@ def _middle_of(frame: RgbdFrame, box: Box) -> Bool:
     out = np.zeros(frame.depth.shape, bool)
     rows, columns = box.grown(-0.25).slices(frame.camera.width, frame.camera.height)
     out[rows, columns] = frame.depth[rows, columns] > 0
-    return out if out.sum() >= MIN_MASK_PIXELS else np.zeros_like(out)
+    return out if np.count_nonzero(out) >= MIN_MASK_PIXELS else np.zeros_like(out)

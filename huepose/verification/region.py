@@ -228,7 +228,7 @@ def _believed_points(crop: Crop, belief: Float32) -> tuple[Float64, Float64]:
     """Camera-frame points (N, 3) of believed pixels, and their belief (N,), in an order that depends on the
     number of pixels alone."""
     inner = cv2.erode((belief > 0).astype(np.uint8), np.ones((3, 3), np.uint8)) > 0
-    if inner.sum() <= 120:
+    if np.count_nonzero(inner) <= 120:
         inner = belief > 0
     points, rows, columns = sampled_points(crop, inner, MASK_POINTS)
     return points, belief[rows, columns].astype(np.float64)

@@ -32,7 +32,7 @@ from huepose.perception.presence import presence_fit
 from huepose.support.progress import progress
 
 FIT = Path(__file__).parents[1] / "huepose" / "perception" / "presence_fit.json"
-EVERY = 4
+EVERY = 5
 """So many frames of the drawn ones are one that is used."""
 
 FOLDS = 5

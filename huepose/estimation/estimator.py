@@ -18,7 +18,7 @@ from huepose.estimation.answer import Levels, answer_of
 from huepose.estimation.competition import compete
 from huepose.estimation.config import EstimatorConfig
 from huepose.estimation.confirm import confirm, looks_in_full
-from huepose.estimation.decision import decided
+from huepose.estimation.decision import Contest, decided
 from huepose.estimation.evidence import Evidence, gather
 from huepose.estimation.explanation import Explanation
 from huepose.estimation.full_path import Trail, estimate_full, judge, refine_prior
@@ -113,6 +113,7 @@ class Estimator:
             evidence = gather(frame, masks, box, model.diameter_m)
         poses, totals = np.zeros((0, 4, 4)), np.zeros(0)
         trail: Trail | None = None
+        held: Contest | None = None
         prior: tuple[Float64, float] | None = None
         full = self.config.method == "full"
         if evidence is not None and full and query.prior is not None:
@@ -130,10 +131,10 @@ class Estimator:
             extra = np.zeros((0, 4, 4)) if prior is None else prior[0][None]
             poses, totals, trail = estimate_full(model, prepared.table, evidence, self.config.full, extra)
             with stage("contest"):
-                poses, totals = decided(model, evidence.region, poses, totals)
+                poses, totals, held = decided(model, evidence.region, poses, totals)
         elif evidence is not None:
             poses, totals = self._by_pairs(model, frame, evidence, query)
-        explanation = Explanation(box, tuple(masks), evidence, poses, totals, trail=trail)
+        explanation = Explanation(box, tuple(masks), evidence, poses, totals, trail=trail, contest=held)
         with stage("answer"):
             answer = self._answer(frame, query, model, explanation, prior)
         return _timed(answer, time.perf_counter() - start), explanation

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+from huepose.estimation.decision import Contest
 from huepose.estimation.evidence import Evidence
 from huepose.estimation.full_path import Trail
 from huepose.geometry.arrays import Bool, Float64
@@ -14,7 +15,8 @@ from huepose.geometry.box import Box
 class Explanation:
     """What led to an answer: the box, the candidate masks (H, W), what was looked at (None where there is no
     depth), and the different poses (K, 4, 4) with their totals (K,), best first; confirmed: the prior was
-    plainly right, and no other views were sought; trail: what the full method's steps left on the way."""
+    plainly right, and no other views were sought; trail: what the full method's steps left on the way;
+    contest: between the best poses, where they scored nearly alike."""
 
     box: Box
     masks: tuple[Bool, ...]
@@ -23,3 +25,4 @@ class Explanation:
     totals: Float64
     confirmed: bool = False
     trail: Trail | None = None
+    contest: Contest | None = None

@@ -28,7 +28,7 @@ from huepose.perception.presence import PresenceFit, Sight, hues_of, logits_of, 
 from huepose.perception.types import Detector
 
 NAMES = ("fit", "violation", "print", "free_rim", "hue")
-PLACES = 3
+PLACES = 2
 """Of each object, the best that are looked at."""
 
 ROUNDS = 4

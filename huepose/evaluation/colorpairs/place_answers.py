@@ -11,7 +11,7 @@ import numpy as np
 
 from huepose.estimation.answer import Levels, answer_of
 from huepose.estimation.config import FullPathConfig
-from huepose.estimation.decision import PAIRS, decided
+from huepose.estimation.decision import WEIGHTS, decided
 from huepose.estimation.evidence import Evidence, gather
 from huepose.estimation.explanation import Explanation
 from huepose.estimation.full_path import Trail, estimate_full, finish
@@ -75,7 +75,7 @@ class Shared:
         region = self.evidence.region
         with self.timed("picture"):
             self.picture = pair_picture(self.model, region.crop, region.median_depth_m)
-        first = self.ended(poses, totals, PAIRS, "full", True)
+        first = self.ended(poses, totals, WEIGHTS["pairs"], "full", True)
         self.in_doubt = first.quality < quality_fits()["full"].level
         self.seconds["doubt"] = first.seconds
 
@@ -97,10 +97,12 @@ class Shared:
             return finish(self.model, self.evidence.region, every, self.config)
 
     def ended(self, poses: Float64, totals: Float64, weight: float, method: str, edges: bool) -> Ended:
-        """The answer made of different poses (K, 4, 4) with totals (K,), decided with this
+        """The answer made of different poses (K, 4, 4) with totals (K,), of the full method decided with this
         weight of pairs; edges: whether they have the last word."""
         start = time.thread_time()
-        poses, totals = decided(self.model, self.evidence.region, poses, totals, weight)
+        if method == "full":
+            weights = {**WEIGHTS, "pairs": weight}
+            poses, totals, _ = decided(self.model, self.evidence.region, poses, totals, weights)
         ordering = time.thread_time() - start
         key = (poses.tobytes(), totals.tobytes(), method.encode(), b"edges" if edges else b"")
         if key not in self._ended:

@@ -18,7 +18,7 @@ from huepose.colorpair.denoise import to_lab
 from huepose.colorpair.light import relit
 from huepose.estimation.colorpair_path import estimate_by_pairs, proposed_by_pairs
 from huepose.estimation.config import ColorpairPathConfig, FullPathConfig
-from huepose.estimation.decision import PAIRS
+from huepose.estimation.decision import WEIGHTS
 from huepose.estimation.full_path import estimate_full, finish, refine_coarse
 from huepose.evaluation.colorpairs.place_answers import Found, Shared
 from huepose.geometry.arrays import Float64, UInt8
@@ -33,8 +33,8 @@ SHIPPED = "as shipped"
 """The place that is none: the full method as it is."""
 
 CHEAP_PAIRS, CHEAP_SAMPLES = 150, 100
-JUDGED = (0.0, 0.05, 0.1, 0.15, 0.3, 0.4, 0.6)
-"""Weights of the pairs' colours beside the dense score, other than the one in use."""
+JUDGED = (0.0, 0.25, 1.0)
+"""Weights of the pairs' colours where poses nearly tie, other than the one in use."""
 
 REFINED = 3
 """So many of the best poses are refined once more."""
@@ -47,13 +47,13 @@ NO_MORE = np.zeros((0, 4, 4))
 @dataclass(frozen=True, eq=False)
 class Answer:
     """What a place finds. poses (K, 4, 4), totals (K,): different ones, best first; seconds: CPU time until
-    then, masks included; weight: of the pairs' colours in the order of these; edges: whether the print's
+    then, masks included; weight: of the pairs' colours where poses nearly tie; edges: whether the print's
     edges have the last word; method: whose quality they get."""
 
     poses: Float64
     totals: Float64
     seconds: float
-    weight: float = PAIRS
+    weight: float = WEIGHTS["pairs"]
     edges: bool = True
     method: str = "full"
 
@@ -72,7 +72,7 @@ def places_of(shared: Shared, wanted: Sequence[str] | None = None) -> dict[str, 
 
 
 def _judgement(shared: Shared) -> dict[str, Answer]:
-    """The different poses in the end are put in order with another weight of the pairs' colours, or none."""
+    """Poses that nearly tie are told apart with another weight of the pairs' colours, or none."""
     shipped = Answer(*shared.found, shared.spent("before", "full"))
     return {f"judgement at {w:g}" if w else "no judgement": replace(shipped, weight=w) for w in JUDGED}
 
@@ -210,7 +210,7 @@ def _alone(shared: Shared) -> dict[str, Answer]:
     poses = np.array([T for _, T in found]).reshape(-1, 4, 4)
     totals = np.array([total for total, _ in found])
     spent = shared.spent("before", "alone")
-    return {"method colorpair": Answer(poses, totals, spent, weight=0.0, method="colorpair")}
+    return {"method colorpair": Answer(poses, totals, spent, method="colorpair")}
 
 
 PLACES: Mapping[str, Place] = {

@@ -14,6 +14,7 @@ from huepose.drawing.contact_sheet import contact_sheet
 from huepose.drawing.overlay import draw_pose
 from huepose.drawing.text import paragraph
 from huepose.estimation import PoseEstimate
+from huepose.estimation.decision import TERMS
 from huepose.estimation.explanation import Explanation
 from huepose.estimation.panels import LEGEND, Panels
 from huepose.estimation.reasons import displacement, reasons
@@ -73,6 +74,12 @@ def write_explanation(
         if evidence is not None
     ]
     record = {"quality": answer.quality, "state": answer.state, "doubts": doubts, "poses": poses}
+    held = explanation.contest
+    if held is not None:
+        record["contest"] = [
+            {"T_cam_obj": T.tolist(), **dict(zip(TERMS, terms.tolist(), strict=True)), "weighed": float(sum_)}
+            for T, terms, sum_ in zip(held.poses, held.terms, held.weighed(), strict=True)
+        ]
     _write_text(folder / f"{model.name}_scores.json", json.dumps(record, indent=2) + "\n")
     return doubts
 

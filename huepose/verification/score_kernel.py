@@ -22,6 +22,10 @@ SCRATCH_ROWS = 23
 those that fit, moved up: 4..6 the normal, 7 weight, 8..13 the print's colours, 14..19 the picture's, 20 the
 sample, 21..22 pixel."""
 
+STICKING = 3.0
+"""A surface less than so many tolerances behind what is seen does not stand behind it but sticks in it, which
+solid things do not: a pose may not hide by sinking into its support or its neighbour."""
+
 
 BLOCK = 64
 """Believed points that are looked at before it is asked whether that is enough."""
@@ -91,8 +95,10 @@ def score_kernel(
         elif gap > 0.0:
             violation += facing  # We see through the model.
         else:
-            # What is in front hides the object, unless it is believed to be the object itself.
-            violation += 0.5 * facing * belief[v, u]
+            # What is in front hides the object, unless it is believed to be the object itself, or the object
+            # would stick in it.
+            sticks = gap > -STICKING * tolerance
+            violation += 0.5 * facing * (1.0 if sticks else belief[v, u])
             occluded += facing * (1.0 - belief[v, u])
 
     out[1] = fit / (near + violation + 0.15 * total)

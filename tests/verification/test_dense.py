@@ -93,6 +93,29 @@ def test_what_stands_in_front_is_occlusion_and_what_we_see_through_is_violation(
     assert occluded.total > violated.total + 0.3
 
 
+def test_a_pose_may_hide_behind_something_but_not_stick_in_it(
+    tea_box: ReferenceModel, take_picture: TakePicture, standing: np.ndarray
+) -> None:
+    """Two thirds of an object are hidden: by what stands 10 cm in front of them, or, as when it sinks into
+    its support, by what is seen 15 mm in front of them."""
+    frame = take_picture([(tea_box.mesh, standing)])
+    silhouette = render_depth(tea_box.mesh, standing, frame.camera) > 0
+    shown = silhouette & (np.arange(640) < np.quantile(np.nonzero(silhouette)[1], 0.33))[None, :]
+    box = Box.of_mask(shown)
+    assert box is not None
+    scores = []
+    for nearer_m in (0.1, 0.015):
+        near = np.where(silhouette & ~shown, frame.depth - np.float32(nearer_m), frame.depth)
+        region = prepare_region(replace(frame, depth=near), shown, box, tea_box.diameter_m)
+        assert region is not None
+        scores.append(score(tea_box, region, standing))
+    behind, sunk = scores
+    assert behind.violation < 0.03
+    assert sunk.violation > 0.25
+    assert behind.occluded > sunk.occluded > 0.4
+    assert sunk.total < behind.total - 0.25
+
+
 def test_saturated_pixels_do_not_count(
     tea_box: ReferenceModel, take_picture: TakePicture, standing: np.ndarray, seen: PoseScore
 ) -> None:

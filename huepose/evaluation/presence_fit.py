@@ -31,6 +31,10 @@ NAMES = ("fit", "violation", "print", "free_rim", "hue")
 PLACES = 2
 """Of each object, the best that are looked at."""
 
+PLAUSIBLE = 0.01
+"""Poses that are the object's with less than this probability say where nothing is; they are so many, and so
+easily told, that the weights would be made for them and not for what is doubtful."""
+
 ROUNDS = 4
 
 
@@ -76,15 +80,17 @@ def look(sample: Sample, targets: Targets, detector: Detector, estimator: PoseEs
 
 
 def fit_presence(frames: Sequence[SeenPlaces], start: PresenceFit) -> PresenceFit:
-    """The weights of largest likelihood on these frames; `start` says how lights are guessed at first."""
+    """The weights of largest likelihood on the plausible poses of these frames; `start` says which those are,
+    and how lights are guessed at first."""
     frames = [frame for frame in frames if frame.names]
-    there = np.concatenate([frame.there for frame in frames])
-    certain = np.concatenate([frame.certain for frame in frames])
+    plausible = np.concatenate([chances(frame, start) for frame in frames]) >= PLAUSIBLE
+    there = np.concatenate([frame.there for frame in frames])[plausible]
+    certain = np.concatenate([frame.certain for frame in frames])[plausible]
     shape = np.array([terms(s) for frame in frames for s in frame.sights])
     found = start
     for _ in range(ROUNDS):
         hue = [hues_of(f.names, f.sights, logits_of(f.names, f.sights, found)) for f in frames]
-        x = np.column_stack([shape, np.concatenate(hue)])
+        x = np.column_stack([shape, np.concatenate(hue)])[plausible]
         fitted = logistic(x, there, np.ones(len(there)), NAMES, certain)
         found = PresenceFit(constant=fitted.constant, **fitted.factors)
     return found

@@ -5,8 +5,8 @@ the same. What speaks for an object being there is a shape that explains the dep
 goes on where the object ends, and colours that are the object's, up to the one light that all of the frame
 has. How much a colour says depends on how common it is: grey is everywhere, a strong red is not.
 
-The weighted sum of these is a logit; the weights, in `presence_fit.json`, are of largest likelihood on drawn
-heaps and piles (`evaluation.presence_fit`). (The light: what probable places of the *other* objects say about
+The weighted sum of these is a logit; the weights, in `presence_fit.json`, were fitted on drawn scenes
+(`evaluation.presence_fit`). (The light: what probable places of the *other* objects say about
 it, as log colours are only shifted by it, after von Kries.)
 """
 

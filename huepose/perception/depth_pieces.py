@@ -41,7 +41,7 @@ def cut_pieces(depth: Float32, candidate: Bool, box: Box) -> Pieces:
     near_row = np.exp(-0.5 * ((v - box.y - box.h / 2) / (0.45 * box.h)) ** 2)
     near_column = np.exp(-0.5 * ((u - box.x - box.w / 2) / (0.45 * box.w)) ** 2)
     share, weight = np.zeros(count), np.zeros(count)
-    _sums(labels, in_row, in_column, near_row, near_column, share, weight)
+    _sums(np.asarray(labels, dtype=np.int32), in_row, in_column, near_row, near_column, share, weight)
     size = stats[:, 4].astype(np.float64)
     share /= np.maximum(size, 1)
     keep = np.flatnonzero((size >= MIN_PIXELS) & (np.arange(count) > 0))
@@ -153,7 +153,7 @@ def _finished(
     v, u = np.arange(depth.shape[0])[:, None], np.arange(depth.shape[1])[None, :]
     wide = box.grown(0.08)
     inside = mask & (u >= wide.x) & (u < wide.x1) & (v >= wide.y) & (v < wide.y1)
-    kept = np.count_nonzero(inside) / max(np.count_nonzero(mask), 1)
+    kept = float(np.count_nonzero(inside)) / max(float(np.count_nonzero(mask)), 1.0)
     return inside, float(_ious(bounds[None], box)[0] * min(1.0, kept + 0.1))
 
 

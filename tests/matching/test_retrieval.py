@@ -9,7 +9,17 @@ import numpy as np
 import pytest
 
 from huepose.geometry import Box, RgbdFrame, se3
-from huepose.matching.retrieval import Picture, retrieve
+from huepose.matching.quick_look import (
+    CHANNEL_FLOOR,
+    CHANNEL_WEIGHTS,
+    DEPTH_WEIGHT,
+    FREE_WEIGHT,
+    FULL_WEIGHT,
+    OVERLAP_WEIGHT,
+    RELIEF,
+    quick_look,
+)
+from huepose.matching.retrieval import Picture, _middle, retrieve
 from huepose.matching.template_table import TemplateTable, build_table
 from huepose.model.types import ReferenceModel
 from huepose.rendering.render import render_depth
@@ -111,3 +121,45 @@ def test_an_empty_mask_retrieves_nothing(
         views = retrieve(table, picture_of(frame, empty), masks, 5)
         assert views.poses.shape == (0, 4, 4)
         assert views.scores.shape == views.masks.shape == (0,)
+
+
+def test_the_quick_look_is_that_of_the_plain_sums(table: TemplateTable) -> None:
+    rng = np.random.default_rng(6)
+    windows = rng.normal(size=(4, 64, 6)).astype(np.float32)
+    windows[..., :4] *= [20.0, 8.0, 8.0, 15.0]
+    windows[..., 4:] = rng.uniform(0.0, 1.0, (4, 64, 2))
+    which, scores = quick_look(table, windows, 2)
+    some = rng.integers(0, len(table.area), 50)
+    relief_mm = RELIEF * table.diameter_m * 1000.0
+    for i in some:
+        coverage = table.coverage[i].astype(float)
+        totals = []
+        for window in windows[:, table.used].astype(float):
+            w, values = window[:, 4], window[:, :4]
+            both = max(coverage @ w, 1.0)
+            color, weights = 0.0, 2.0
+            for c in range(4):
+                seen, seen2 = coverage @ (w * values[:, c]) / both, coverage @ (w * values[:, c] ** 2) / both
+                drawn, drawn2 = table.first[c, i] @ w / both, table.second[c, i] @ w / both
+                cross = table.first[c, i] @ (w * values[:, c]) / both
+                if c == 3:
+                    deviation = max(seen2 + drawn2 - 2.0 * cross - (seen - drawn) ** 2, 0.0)
+                    continue
+                var_seen, var_drawn = max(seen2 - seen**2, 0.0), max(drawn2 - drawn**2, 0.0)
+                weight = CHANNEL_WEIGHTS[c] * np.sqrt(var_drawn)
+                color += weight * (cross - seen * drawn) / (np.sqrt(var_seen * var_drawn) + CHANNEL_FLOOR)
+                weights += weight
+            area = max(float(table.area[i]), 1.0)
+            total = color / weights + OVERLAP_WEIGHT * (coverage @ w) / max(w.sum(), 1.0)
+            total += (FULL_WEIGHT * (coverage @ w) - FREE_WEIGHT * (coverage @ window[:, 5])) / area
+            totals.append(total + DEPTH_WEIGHT * np.exp(-deviation / (2.0 * relief_mm**2)))
+        for group in range(2):
+            ours = totals[2 * group : 2 * group + 2]
+            np.testing.assert_allclose(scores[group, i], max(ours), atol=1e-3)
+            np.testing.assert_allclose(ours[which[group, i]], max(ours), atol=1e-3)
+
+
+def test_the_middle_of_a_mask_is_the_mean_of_its_pixels() -> None:
+    mask = np.random.default_rng(2).random((37, 53)) > 0.7
+    rows, columns = np.nonzero(mask)
+    np.testing.assert_allclose(_middle(mask), [columns.mean(), rows.mean()], rtol=1e-14)

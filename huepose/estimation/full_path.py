@@ -1,7 +1,8 @@
 """The full method: views retrieved under all candidate masks, refined on depth and print, judged together.
 
 Retrieval of views, without trust in the masks > ICP on the points of the mask that proposed it > near-
-symmetric turns of the best > coordinate search on the dense score > ICP > the best searched finely.
+symmetric turns of the best > coordinate search on the dense score > ICP > the best searched finely > in the
+order of score and of how well figure and ground differ.
 """
 
 from __future__ import annotations
@@ -21,6 +22,7 @@ from huepose.model.types import ReferenceModel
 from huepose.registration.surface_icp import align_many
 from huepose.support.stages import stage
 from huepose.verification.dense import score_many
+from huepose.verification.figure import USUAL, set_off
 from huepose.verification.local_search import RACE, search
 from huepose.verification.region import Region
 
@@ -30,6 +32,12 @@ RIVALS = 0.5
 COARSE_SAMPLES, FINE_SAMPLES = 350, 800
 FINAL_TURN_RAD, FINAL_SHIFT = 0.2, 0.05
 """Poses closer than this (shift in diameters) are one answer."""
+
+FIGURE_WEIGHT = 0.75
+"""What it counts that a figure stands out from the ground."""
+
+FIGURE_WITHIN = FIGURE_WEIGHT * USUAL
+"""How far behind the best a pose may be for that to be looked at: hardly any gains more by it."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -118,7 +126,26 @@ def finish(
         )
         poses, totals = np.concatenate([poses, fine]), np.concatenate([totals, fine_totals])
         best = different_poses(model, poses, totals, config.alternatives, FINAL_TURN_RAD, FINAL_SHIFT)
-    return poses[best], totals[best]
+    with stage("judge"):
+        return by_figure(model, region, poses[best], totals[best])
+
+
+def by_figure(
+    model: ReferenceModel, region: Region, poses: Float64, totals: Float64
+) -> tuple[Float64, Float64]:
+    """Different poses (K, 4, 4) and totals (K,), best first, in the order of totals and of how well they
+    stand out from what is round them. The first keeps its total, the others' say how far they are behind."""
+    if len(poses) < 2:
+        return poses, totals
+    both = totals + FIGURE_WEIGHT * USUAL
+    # Who cannot come first even if no colour of its ground is in its figure need not be looked at.
+    near = totals > totals[0] - FIGURE_WITHIN
+    if near[1]:
+        both[0] = totals[0] + FIGURE_WEIGHT * set_off(model, region, poses[:1])[0]
+        asked = 1 + np.flatnonzero(near[1:] & (totals[1:] + FIGURE_WEIGHT > both[0]))
+        both[asked] = totals[asked] + FIGURE_WEIGHT * set_off(model, region, poses[asked])
+    order = np.argsort(-both, kind="stable")
+    return poses[order], totals[order[0]] - (both[order[0]] - both[order])
 
 
 def judge(model: ReferenceModel, region: Region, poses: Float64) -> Float64:

@@ -28,6 +28,9 @@ MAX_MARGIN = 0.3
 
 MAX_STRETCH = 0.15
 
+TIE = 0.02
+"""Gaps much smaller than this are ties, in which chance has put one answer first."""
+
 
 @dataclass(frozen=True)
 class QualityTerms:
@@ -75,9 +78,10 @@ class Logistic:
 class QualityFit:
     """presence: that the object is there, in whatever print; this_print, this_size: that it is not another
     print or another size of it; listed: that one of the poses is right. They share it by exp(-sharpness x
-    gap), where sharpness is a constant and a factor times each feature, all but the best lowered by
-    exp(-handicap). level: the quality over which 99 % of the poses of the calibration scenes were right;
-    found: the presence under which nothing is there."""
+    gap), where sharpness is a constant and a factor times each feature, all but the best lowered further, by
+    exp(-handicap) where they are clearly behind and by nothing where they are not (`behind`). level: the
+    quality over which 99 % of the poses of the calibration scenes were right; found: the presence under which
+    nothing is there."""
 
     presence: Logistic
     this_print: Logistic
@@ -106,14 +110,20 @@ def shares(terms: QualityTerms, sharpness: float, handicap: float) -> Float64:
 
     >>> from dataclasses import replace
     >>> tied = QualityTerms(2.0, (0.0,), 0.6, 0.9, 0.9, 0.9, 0.0, 0.0, 0.9, 0.1, 9.0, 0.5, 0.0, 4000)
-    >>> shares(tied, 40.0, 0.0).tolist()
+    >>> shares(tied, 40.0, 1.0).tolist()
     [0.5, 0.5]
     >>> shares(replace(tied, gaps=(0.1, 0.3)), 40.0, 0.0).round(3).tolist()
     [0.982, 0.018, 0.0]
     """
-    weight = np.exp(-sharpness * np.maximum(np.array(terms.gaps), 0.0) - handicap)
+    gaps = np.maximum(np.array(terms.gaps), 0.0)
+    weight = np.exp(-sharpness * gaps - handicap * behind(gaps))
     every = np.concatenate([[1.0], weight])
     return np.asarray(every / every.sum())
+
+
+def behind(gaps: Float64) -> Float64:
+    """How far answers with these gaps, of any shape, are behind at all: 0 for a tie, 1 for a clear second."""
+    return np.asarray(np.tanh(gaps / TIE))
 
 
 def features(terms: QualityTerms) -> dict[str, float]:

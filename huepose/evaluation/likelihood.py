@@ -7,7 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 from scipy.optimize import minimize
 
-from huepose.estimation.quality import Logistic
+from huepose.estimation.quality import Logistic, behind
 from huepose.geometry.arrays import Bool, Float64, Int64
 
 RIDGE = 2.0
@@ -44,7 +44,7 @@ def choice(
     names: Sequence[str],
     times: Float64 | None = None,
 ) -> tuple[Logistic, Float64, float]:
-    """That one of the answers is right, how sharply they share it, and the handicap of all but the first.
+    """That one of the answers is right, how sharply they share it, and the handicap of those behind.
 
     x (N, K): features by name; gaps (N, A): by how much each answer scores less than the first, which is in
     column 0 with 0, and inf where there is none; sharpeners (N, S): what sharpness is linear in; which (N,):
@@ -52,24 +52,31 @@ def choice(
     afterwards, which the fit makes good as far as it can. Nothing but the constant may be negative."""
     centre, spread, z = _standard(x)
     count, sharp = x.shape[1], sharpeners.shape[1]
-    known = np.where(np.isfinite(gaps), gaps, 1e3)
-    other = np.arange(gaps.shape[1]) > 0
+    there = np.isfinite(gaps)
+    known = np.where(there, gaps, 0.0)
+    less = behind(known)
     known_part = np.ones(len(which)) if times is None else times
-    none, row = which < 0, np.arange(len(which))
+    none, row, column = which < 0, np.arange(len(which)), np.maximum(which, 0)
 
-    def loss(p: Float64) -> float:
+    def loss(p: Float64) -> tuple[float, Float64]:
         factors, handicap = p[1 : 1 + count], p[-1]
-        listed = known_part * sigmoid(p[0] + z @ factors)
+        one = sigmoid(p[0] + z @ factors)
+        listed = known_part * one
         steep = sharpeners @ p[1 + count : 1 + count + sharp]
-        weight = np.exp(-steep[:, None] * known - handicap * other)
+        weight = np.where(there, np.exp(-steep[:, None] * known - handicap * less), 0.0)
         share = weight / weight.sum(1, keepdims=True)
-        likely = np.where(none, 1.0 - listed, listed * share[row, np.maximum(which, 0)])
-        misfit = -(weights * np.log(np.maximum(likely, 1e-9))).sum()
-        return float(misfit + 0.5 * RIDGE * (factors**2).sum())
+        likely = np.maximum(np.where(none, 1.0 - listed, listed * share[row, column]), 1e-9)
+        misfit = -(weights * np.log(likely)).sum()
+        pull = weights * np.where(none, listed / np.maximum(1.0 - listed, 1e-9), -1.0) * (1.0 - one)
+        counted = np.where(none, 0.0, weights)
+        sharper = counted * (known[row, column] - (share * known).sum(1))
+        later = counted * (less[row, column] - (share * less).sum(1))
+        slope = [[pull.sum()], pull @ z + RIDGE * factors, sharper @ sharpeners, [later.sum()]]
+        return float(misfit + 0.5 * RIDGE * (factors**2).sum()), np.concatenate(slope)
 
     start = np.concatenate([[1.0], np.full(count, 0.3), np.full(sharp, 10.0), [0.5]])
     bounds = [(None, None), *[(0.0, None)] * count, *[(0.0, MOST_SHARPNESS)] * sharp, (0.0, MOST_HANDICAP)]
-    found = minimize(loss, start, bounds=bounds, method="L-BFGS-B").x
+    found = minimize(loss, start, jac=True, bounds=bounds, method="L-BFGS-B").x
     listed = _named(found[0], found[1 : 1 + count] / spread, centre, names)
     return listed, np.asarray(found[1 + count : -1]), float(found[-1])
 

@@ -5,7 +5,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from huepose.estimation.quality import MAX_MARGIN, QualityTerms, features, quality, quality_fits
+from huepose.estimation.quality import MAX_MARGIN, TIE, QualityTerms, features, quality, quality_fits
 from huepose.evaluation import calibration
 from huepose.evaluation.calibration import FEATURES, Names
 from huepose.evaluation.judged import FALSE_WEIGHT, Judged, read_absent, read_judged
@@ -53,6 +53,20 @@ def test_the_law_behind_constructed_data_is_found() -> None:
     assert worth.ece is not None
     assert worth.ece < 0.02
     assert worth.precision == pytest.approx(0.99, abs=0.008)
+
+
+def test_in_an_exact_tie_the_first_has_no_advantage_and_a_clear_second_has_a_handicap() -> None:
+    rng = np.random.default_rng(8)
+    n = 6000
+    gaps = rng.choice([0.0, 0.002, 0.02, 0.05, 0.1], n)
+    first = 1 / (1 + np.exp(-20.0 * gaps - 1.5 * np.tanh(gaps / TIE)))
+    which = np.where(rng.random(n) < 0.9, np.where(rng.random(n) < first, 0, 1), -1)
+    labels = judged([replace(PLAIN, gaps=(float(g),)) for g in gaps], which)
+    fit = calibration.fit(labels, NAMES).fit
+    assert fit.handicap == pytest.approx(1.5, abs=0.3)
+    assert fit.sharpness["constant"] == pytest.approx(20.0, abs=6.0)
+    tied = fit.probabilities(replace(PLAIN, gaps=(0.0,)))
+    assert tied[0] == tied[1]
 
 
 def test_alternatives_are_right_as_often_as_they_say() -> None:

@@ -26,7 +26,7 @@ from huepose.evaluation import metrics
 from huepose.evaluation.bootstrap import frame_intervals
 from huepose.evaluation.equivalents import read_equivalents
 from huepose.evaluation.estimate_protocol import EstimateOptions, evaluate_estimates
-from huepose.evaluation.result_files import write_json
+from huepose.evaluation.result_files import plain, write_json
 from huepose.evaluation.summary import table
 from huepose.evaluation.targets import Targets
 from huepose.geometry import Mesh
@@ -111,7 +111,8 @@ def main() -> None:
         options = EstimateOptions(min_visib=0.3, seeds=(0,))
         result = evaluate_estimates(scenes, Targets(models), estimator, options, equivalents=equivalents)
         rows = [row.as_json() for row in result.rows]
-        record["variants"].append({"kind": kind, "share": share, **result.summary(), "rows": rows})
+        entry = {"kind": kind, "share": share, **result.summary(), "rows": rows}
+        record["variants"].append(plain(entry))  # as it would come back from the file
         write_json(arguments.json, record)
     print(lines(record["variants"]))
 

@@ -29,11 +29,11 @@ and its broader parts explain the same pixels, what is open to view, and the pai
 
 WEIGHTS: Mapping[str, float] = {
     "dense": 1.0,
-    "close": 0.6,
+    "close": 0.5,
     "detail": 1.5,
-    "broad": 5.0,
-    "open": 1.8,
-    "pairs": 0.5,
+    "broad": 6.5,
+    "open": 3.0,
+    "pairs": 0.6,
 }
 """Near the largest likelihood that the right one of the contenders wins (a softmax of their weighted sums),
 over drawn heaps, path-traced piles and real frames (`benchmarks/near_ties.py`)."""

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Literal, get_args
 
 from huepose.support.errors import InputError
@@ -16,7 +16,8 @@ class FullPathConfig:
     near-symmetric turns are tried; searched: poses a mask that are searched; judged: poses judged by all
     masks; finished: poses searched finely; alternatives: different poses that are returned; closer:
     templates a mask that get a close look, and that are tried at neighbouring places; samples: of the surface
-    in the search."""
+    in the search; unregistered: whether views are tried as they were found, too, besides after registration;
+    poor: a total under which no pose is taken for the answer before it was looked harder."""
 
     retrieved: int = 30
     kept: int = 8
@@ -27,6 +28,21 @@ class FullPathConfig:
     alternatives: int = 6
     closer: tuple[int, int] = (1500, 200)
     samples: int = 220
+    unregistered: bool = False
+    poor: float = 1.4
+
+    def harder(self) -> FullPathConfig:
+        """To look harder: two to three times as much of everything."""
+        return replace(
+            self,
+            retrieved=3 * self.retrieved,
+            kept=3 * self.kept,
+            turned=2 * self.turned,
+            searched=2 * self.searched,
+            finished=2 * self.finished,
+            closer=(2 * self.closer[0], 2 * self.closer[1]),
+            unregistered=True,
+        )
 
 
 @dataclass(frozen=True)

@@ -54,7 +54,17 @@ def estimate_full(
     model: ReferenceModel, table: TemplateTable, evidence: Evidence, config: FullPathConfig, extra: Float64
 ) -> tuple[Float64, Float64, Trail]:
     """Different poses (K, 4, 4) and their totals (K,), best first, and the way to them. `extra` (E, 4, 4):
-    refined poses from elsewhere, judged with the others."""
+    refined poses from elsewhere, judged with the others. Where only a poor one is found, it is looked harder:
+    what is thin or lies half under its neighbours often has masks that mislead registration."""
+    poses, totals, trail = _look(model, table, evidence, config, extra)
+    if len(totals) and totals[0] >= config.poor:
+        return poses, totals, trail
+    return _look(model, table, evidence, config.harder(), np.concatenate([extra, poses]))
+
+
+def _look(
+    model: ReferenceModel, table: TemplateTable, evidence: Evidence, config: FullPathConfig, extra: Float64
+) -> tuple[Float64, Float64, Trail]:
     with stage("retrieval"):
         views = retrieve(table, evidence.picture, evidence.sources, config.retrieved, config.closer)
     with stage("icp"):
@@ -62,7 +72,7 @@ def estimate_full(
             _icp(model, points, views.poses[views.masks == k], 0.1 * model.diameter_m, 0.008, 12)
             for k, points in enumerate(evidence.points_cam)
         ]
-    registered = np.concatenate(aligned)
+    registered = np.concatenate([*aligned, views.poses] if config.unregistered else aligned)
     searched = refine_coarse(model, evidence.region, registered, config)
     poses, totals = finish(model, evidence.region, np.concatenate([extra, searched]), config)
     return poses, totals, Trail(views.poses, registered, searched)

@@ -70,7 +70,8 @@ class EstimatorConfig:
     over which a pose is TRACKING, None for the calibrated one of the method; found_level: the probability
     that the object is there under which nothing is found, None for the calibrated one; competition: whether
     the poses of a frame compete for its depth; look_anew_every: one in so many frames is searched in full
-    even when a prior is plainly right (see `confirm`), 1 for all of them."""
+    even when a prior is plainly right (see `confirm`), 1 for all of them; look_harder: whether poor poses are
+    looked for again with more effort, which is a waste where boxes are proposals or the next frame is due."""
 
     method: Method = "full"
     seed: int = 0
@@ -79,6 +80,7 @@ class EstimatorConfig:
     found_level: float | None = None
     competition: bool = True
     look_anew_every: int = 3
+    look_harder: bool = True
     full: FullPathConfig = field(default_factory=FullPathConfig)
     colorpair: ColorpairPathConfig = field(default_factory=ColorpairPathConfig)
 

@@ -51,13 +51,18 @@ class Trail:
 
 
 def estimate_full(
-    model: ReferenceModel, table: TemplateTable, evidence: Evidence, config: FullPathConfig, extra: Float64
+    model: ReferenceModel,
+    table: TemplateTable,
+    evidence: Evidence,
+    config: FullPathConfig,
+    extra: Float64,
+    look_harder: bool = True,
 ) -> tuple[Float64, Float64, Trail]:
     """Different poses (K, 4, 4) and their totals (K,), best first, and the way to them. `extra` (E, 4, 4):
-    refined poses from elsewhere, judged with the others. Where only a poor one is found, it is looked harder:
-    what is thin or lies half under its neighbours often has masks that mislead registration."""
+    refined poses from elsewhere, judged with the others. Where only a poor one is found, it may be looked
+    harder: what is thin or lies half under its neighbours often has masks that mislead registration."""
     poses, totals, trail = _look(model, table, evidence, config, extra)
-    if len(totals) and totals[0] >= config.poor:
+    if not look_harder or (len(totals) and totals[0] >= config.poor):
         return poses, totals, trail
     return _look(model, table, evidence, config.harder(), np.concatenate([extra, poses]))
 

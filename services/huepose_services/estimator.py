@@ -26,7 +26,9 @@ from huepose_services.runtime.config import Config
 
 def make(bus: Bus, config: Config) -> EstimatorWork:
     """The estimator worker's work, with its kernels compiled."""
-    settings = EstimatorConfig(method=config.estimator.method, threads=config.estimator.threads)
+    settings = EstimatorConfig(
+        method=config.estimator.method, threads=config.estimator.threads, look_harder=False
+    )
     estimator = Estimator(models.load(config), settings)
     estimator.warm_up()
     follower = Follower(bus, lambda name: models.load_one(config, name), estimator.objects)

@@ -57,3 +57,7 @@ def test_what_is_not_there_is_looked_for_harder_and_not_believed(
     assert len(explanation.trail.registered) == 2 * len(explanation.trail.retrieved)
     assert explanation.totals[0] < FullPathConfig().poor
     assert answer.quality < 0.2
+    stream = Estimator({tea_box.name: tea_box}, EstimatorConfig(look_harder=False))
+    _, once = stream.explain(take_picture([]), ObjectQuery(tea_box.name, box))
+    assert once.trail is not None
+    assert len(once.trail.registered) == len(once.trail.retrieved)

@@ -95,7 +95,7 @@ class OwnEstimates:
     def __init__(self, script: Script, models: Mapping[str, ReferenceModel], seed: int = 0) -> None:
         self._script, self._models, self._seed = script, models, seed
         known = {name: models[name] for name in dict.fromkeys(script.objects)}
-        self._estimator = Estimator(known, EstimatorConfig(threads=1))
+        self._estimator = Estimator(known, EstimatorConfig(threads=1, look_harder=False))
 
     def answer(self, request: Request, seen: Seen) -> list[PoseEstimate]:
         """See Perception."""

@@ -63,7 +63,8 @@ def call(arguments: argparse.Namespace) -> int:
     names = list(dict.fromkeys(arguments.object or sorted(models)))
     # In a detector's boxes it is the presence that says what is found.
     found_level = 0.0 if box is None else None
-    estimator = Estimator(models, EstimatorConfig(method=arguments.method, found_level=found_level))
+    config = EstimatorConfig(method=arguments.method, found_level=found_level, look_harder=box is not None)
+    estimator = Estimator(models, config)
     estimator.warm_up(names)  # so that `seconds` is the time of an answer
     if box is None:
         answers = _detected(arguments, frame, models, estimator, names)

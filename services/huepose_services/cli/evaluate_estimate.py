@@ -30,7 +30,12 @@ def call(arguments: argparse.Namespace) -> int:
     targets = Targets(models, arguments.objects)
     # In a detector's boxes it is the presence that says what is found.
     found_level = 0.0 if arguments.boxes == "detect" else None
-    config = EstimatorConfig(method=arguments.method, threads=arguments.threads, found_level=found_level)
+    config = EstimatorConfig(
+        method=arguments.method,
+        threads=arguments.threads,
+        found_level=found_level,
+        look_harder=arguments.boxes != "detect",
+    )
     estimator = Estimator(models, config)
     detector = None
     if arguments.boxes == "detect":

@@ -26,7 +26,9 @@ def call(arguments: argparse.Namespace) -> int:
     detector = ColorPairDetector(models, max(arguments.proposals), min_score=0.0)
     detector.warm_up()
     segmenter = DepthSegmenter()
-    estimator = Estimator(models, EstimatorConfig(threads=arguments.threads, found_level=0.0), segmenter)
+    estimator = Estimator(
+        models, EstimatorConfig(threads=arguments.threads, found_level=0.0, look_harder=False), segmenter
+    )
     estimator.warm_up()
     pictures = PerceptionPictures(arguments.plots) if arguments.plots else None
     result = evaluate_perception(

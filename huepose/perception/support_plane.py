@@ -41,9 +41,9 @@ def find_support_plane(depth: Float32, camera: Camera, box: Box) -> Plane | None
     rows, columns = window.slices(camera.width, camera.height)
     ring = np.ascontiguousarray(depth[rows, columns][::2, ::2])
     wide = ring.shape[1]
-    keep = _outside(
-        ring, box.x - columns.start, box.y - rows.start, box.x1 - columns.start, box.y1 - rows.start
-    )
+    left, right = float(box.x - columns.start), float(box.x1 - columns.start)
+    top, bottom = float(box.y - rows.start), float(box.y1 - rows.start)
+    keep = _outside(ring, left, top, right, bottom)
     if len(keep) < 50:
         return None
     rng = np.random.default_rng(0)

@@ -2,12 +2,18 @@
 
 Where neither site-packages nor the home folder is writable (a hardened service), numba refuses at
 import to cache; such a kernel is compiled without a cache then, and a warning names the variable to set.
+
+Numba takes a cached kernel for fresh while its own source file is the same, though it holds the machine code
+of every kernel that it calls. Here a kernel is fresh while all source files with kernels are.
 """
 
 from __future__ import annotations
 
+import hashlib
 import warnings
 from collections.abc import Callable
+from functools import cache
+from pathlib import Path
 from typing import Any, TypeVar, cast
 
 import numba
@@ -29,7 +35,7 @@ def jit_dividing(function: F) -> F:
 def _compiled(function: F, more: dict[str, Any]) -> F:
     options: dict[str, Any] = {"nogil": True, "fastmath": {"contract", "arcp", "nsz", "reassoc"}, **more}
     try:
-        return cast(F, numba.njit(cache=True, **options)(function))
+        kernel = numba.njit(cache=True, **options)(function)
     except RuntimeError as error:
         if "no locator available" not in str(error):
             raise
@@ -37,3 +43,16 @@ def _compiled(function: F, more: dict[str, Any]) -> F:
             "compiled kernels are not cached: no writable folder; set NUMBA_CACHE_DIR", stacklevel=2
         )
         return cast(F, numba.njit(**options)(function))
+    kernel._cache._cache_file._source_stamp = kernel_sources()
+    return cast(F, kernel)
+
+
+@cache
+def kernel_sources() -> str:
+    """A digest of all source files of the package that hold kernels."""
+    digest = hashlib.sha256()
+    for path in sorted(Path(__file__).parents[1].rglob("*.py")):
+        text = path.read_bytes()
+        if b"support.jit import" in text:
+            digest.update(text)
+    return digest.hexdigest()

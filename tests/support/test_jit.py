@@ -1,0 +1,54 @@
+"""A cached kernel is used again, and compiled anew when the source of any kernel has changed."""
+
+from __future__ import annotations
+
+import importlib.util
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from huepose.support import jit
+
+KERNEL = """
+from huepose.support.jit import jit
+
+@jit
+def doubled(x: float) -> float:
+    return 2.0 * x
+"""
+
+
+def compiled(path: Path) -> Any:
+    """The kernel of the file as a new process would see it, called once."""
+    spec = importlib.util.spec_from_file_location("kernels_of_a_test", path)
+    assert spec is not None and spec.loader is not None
+    module = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(module)
+    assert module.doubled(3.0) == 6.0
+    return module.doubled.stats
+
+
+def test_a_kernel_is_compiled_anew_when_another_source_has_changed(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    path = tmp_path / "kernels.py"
+    path.write_text(KERNEL)
+    assert not compiled(path).cache_hits
+    assert sum(compiled(path).cache_hits.values()) == 1
+    monkeypatch.setattr(jit, "kernel_sources", lambda: "of another version")
+    assert not compiled(path).cache_hits
+
+
+def test_the_digest_is_of_kernels(monkeypatch: pytest.MonkeyPatch) -> None:
+    package = Path(jit.__file__).parents[1]
+    read = Path.read_bytes
+
+    def changed(path: Path) -> bytes:
+        text = read(path)
+        return text + b"#" if path == package / "verification" / "score_kernel.py" else text
+
+    before = jit.kernel_sources.__wrapped__()
+    assert jit.kernel_sources.__wrapped__() == before
+    monkeypatch.setattr(Path, "read_bytes", changed)
+    assert jit.kernel_sources.__wrapped__() != before

@@ -22,7 +22,8 @@ def doubled(x: float) -> float:
 def compiled(path: Path) -> Any:
     """The kernel of the file as a new process would see it, called once."""
     spec = importlib.util.spec_from_file_location("kernels_of_a_test", path)
-    assert spec is not None and spec.loader is not None
+    assert spec is not None
+    assert spec.loader is not None
     module = importlib.util.module_from_spec(spec)
     spec.loader.exec_module(module)
     assert module.doubled(3.0) == 6.0

@@ -8,8 +8,9 @@ from __future__ import annotations
 
 import time
 from collections.abc import Mapping, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from contextvars import copy_context
 from dataclasses import replace
-from functools import partial
 from zlib import crc32
 
 import numpy as np
@@ -35,7 +36,6 @@ from huepose.model.types import ReferenceModel
 from huepose.perception.embedded import DepthSegmenter
 from huepose.perception.types import Segmenter
 from huepose.support.errors import InputError
-from huepose.support.seats import in_turns
 from huepose.support.stages import stage
 
 
@@ -101,7 +101,12 @@ class Estimator:
         self, frame: RgbdFrame, queries: Sequence[ObjectQuery]
     ) -> list[tuple[PoseEstimate, Explanation]]:
         """One answer a query, as if there were no other."""
-        return in_turns([partial(self.explain, frame, query) for query in queries], self.config.threads)
+        workers = min(self.config.threads, len(queries))
+        if workers <= 1:
+            return [self.explain(frame, query) for query in queries]
+        contexts = [copy_context() for _ in queries]
+        with ThreadPoolExecutor(workers) as pool:
+            return list(pool.map(lambda c, q: c.run(self.explain, frame, q), contexts, queries))
 
     def explain(self, frame: RgbdFrame, query: ObjectQuery) -> tuple[PoseEstimate, Explanation]:
         """The answer to one query, as if there were no other, and what led to it."""

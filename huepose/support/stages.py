@@ -14,8 +14,6 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from contextvars import ContextVar
 
-from huepose.support.seats import pass_on
-
 
 class StageClock:
     """Seconds by stage: `spans[name]` is a list of (wall, cpu) in order."""
@@ -44,16 +42,14 @@ def listening() -> Iterator[StageClock]:
 
 @contextmanager
 def stage(name: str) -> Iterator[None]:
-    """Name what runs inside; without a listener this is a variable look-up. Behind it other jobs may have
-    their turn (see `seats`)."""
+    """Name what runs inside; without a listener this is a variable look-up."""
     clock = _listener.get()
     if clock is None:
         yield
-    else:
-        wall, cpu = time.perf_counter(), time.thread_time()
-        try:
-            yield
-        finally:
-            span = (time.perf_counter() - wall, time.thread_time() - cpu)
-            clock.spans.setdefault(name, []).append(span)
-    pass_on()
+        return
+    wall, cpu = time.perf_counter(), time.thread_time()
+    try:
+        yield
+    finally:
+        span = (time.perf_counter() - wall, time.thread_time() - cpu)
+        clock.spans.setdefault(name, []).append(span)

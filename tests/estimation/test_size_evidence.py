@@ -11,11 +11,11 @@ import pytest
 
 from huepose.estimation import size_evidence
 from huepose.estimation.size_evidence import stretch
-from huepose.geometry import Box, RgbdFrame, se3
+from huepose.geometry import RgbdFrame, se3
 from huepose.model.types import ReferenceModel
 from huepose.onboarding.grid import build_grid
-from huepose.rendering.render import render_depth
-from huepose.verification.region import Region, prepare_region
+from huepose.verification.region import Region
+from tests.verification.regions import region_of
 
 TakePicture = Callable[..., RgbdFrame]
 RADIUS_M = 0.06
@@ -24,13 +24,7 @@ RADIUS_M = 0.06
 @pytest.fixture(scope="module")
 def region(tea_box: ReferenceModel, take_picture: TakePicture, standing: np.ndarray) -> Region:
     """The tea box as it is seen."""
-    frame = take_picture([(tea_box.mesh, standing)])
-    mask = render_depth(tea_box.mesh, standing, frame.camera) > 0
-    box = Box.of_mask(mask)
-    assert box is not None
-    found = prepare_region(frame, mask, box, tea_box.diameter_m)
-    assert found is not None
-    return found
+    return region_of(take_picture([(tea_box.mesh, standing)]), tea_box, standing)
 
 
 def of_a_ball(tea_box: ReferenceModel, region: Region, factor: float, distance_m: float) -> float:

@@ -5,6 +5,8 @@ import numpy as np
 from huepose.geometry import Box, RgbdFrame
 from huepose.model.types import ReferenceModel
 from huepose.rendering.render import render_depth
+from huepose.verification.pairs import pair_picture
+from huepose.verification.pairs_kernel import PairPicture
 from huepose.verification.region import Region, prepare_region
 
 
@@ -16,3 +18,9 @@ def region_of(frame: RgbdFrame, model: ReferenceModel, T: np.ndarray) -> Region:
     region = prepare_region(frame, mask, box, model.diameter_m)
     assert region is not None
     return region
+
+
+def seen_by_pairs(model: ReferenceModel, frame: RgbdFrame, T: np.ndarray) -> tuple[Region, PairPicture]:
+    """That region, and the picture of its pairs."""
+    region = region_of(frame, model, T)
+    return region, pair_picture(model, region.crop, region.median_depth_m)

@@ -8,31 +8,22 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from huepose.geometry import Box, RgbdFrame, se3
+from huepose.geometry import RgbdFrame, se3
 from huepose.model.types import ReferenceModel
-from huepose.rendering.render import render_depth
-from huepose.verification.pairs import judged_on, pair_picture, pair_score, pair_score_many
+from huepose.verification.pairs import judged_on, pair_score, pair_score_many
 from huepose.verification.pairs_kernel import PairPicture, pair_kernel, scratch
 from huepose.verification.pairs_search import search_pairs
-from huepose.verification.region import Region, prepare_region
+from huepose.verification.region import Region
+from tests.verification.regions import seen_by_pairs
 
 TakePicture = Callable[..., RgbdFrame]
-
-
-def seen(model: ReferenceModel, frame: RgbdFrame, T: np.ndarray) -> tuple[Region, PairPicture]:
-    mask = render_depth(model.mesh, T, frame.camera) > 0
-    box = Box.of_mask(mask)
-    assert box is not None
-    region = prepare_region(frame, mask, box, model.diameter_m)
-    assert region is not None
-    return region, pair_picture(model, region.crop, region.median_depth_m)
 
 
 @pytest.fixture(scope="module")
 def view(
     tea_box: ReferenceModel, standing: np.ndarray, take_picture: TakePicture
 ) -> tuple[Region, PairPicture]:
-    return seen(tea_box, take_picture([(tea_box.mesh, standing)]), standing)
+    return seen_by_pairs(tea_box, take_picture([(tea_box.mesh, standing)]), standing)
 
 
 def test_the_right_pose_nearly_correlates_fully(
@@ -50,7 +41,9 @@ def test_light_is_normalised_at_the_pose(
 ) -> None:
     white = pair_score(tea_box, *view, standing)
     for light in ((0.9, 0.6, 0.4), (0.45, 0.5, 0.6)):
-        region, picture = seen(tea_box, take_picture([(tea_box.mesh, standing)], light=light), standing)
+        region, picture = seen_by_pairs(
+            tea_box, take_picture([(tea_box.mesh, standing)], light=light), standing
+        )
         score = pair_score(tea_box, region, picture, standing)
         assert score.color == pytest.approx(white.color, abs=0.12)
         assert score.contrast == pytest.approx(white.contrast, abs=0.15)

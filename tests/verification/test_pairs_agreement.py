@@ -8,24 +8,15 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from huepose.geometry import Box, RgbdFrame, se3
+from huepose.geometry import RgbdFrame, se3
 from huepose.model.types import ReferenceModel
-from huepose.rendering.render import render_depth
-from huepose.verification.pairs import pair_picture, pair_score_many
+from huepose.verification.pairs import pair_score_many
 from huepose.verification.pairs_agreement import agreement_many
 from huepose.verification.pairs_kernel import PairPicture
-from huepose.verification.region import Region, prepare_region
+from huepose.verification.region import Region
+from tests.verification.regions import seen_by_pairs
 
 TakePicture = Callable[..., RgbdFrame]
-
-
-def seen(model: ReferenceModel, frame: RgbdFrame, T: np.ndarray) -> tuple[Region, PairPicture]:
-    mask = render_depth(model.mesh, T, frame.camera) > 0
-    box = Box.of_mask(mask)
-    assert box is not None
-    region = prepare_region(frame, mask, box, model.diameter_m)
-    assert region is not None
-    return region, pair_picture(model, region.crop, region.median_depth_m)
 
 
 def out_of_date(model: ReferenceModel, share: float) -> ReferenceModel:
@@ -40,14 +31,16 @@ def out_of_date(model: ReferenceModel, share: float) -> ReferenceModel:
 def view(
     tea_box: ReferenceModel, standing: np.ndarray, take_picture: TakePicture
 ) -> tuple[Region, PairPicture]:
-    return seen(tea_box, take_picture([(tea_box.mesh, standing)]), standing)
+    return seen_by_pairs(tea_box, take_picture([(tea_box.mesh, standing)]), standing)
 
 
 def test_the_right_pose_agrees_nearly_wholly_in_any_light(
     tea_box: ReferenceModel, standing: np.ndarray, take_picture: TakePicture
 ) -> None:
     for light in ((1.0, 1.0, 1.0), (0.9, 0.6, 0.4)):
-        region, picture = seen(tea_box, take_picture([(tea_box.mesh, standing)], light=light), standing)
+        region, picture = seen_by_pairs(
+            tea_box, take_picture([(tea_box.mesh, standing)], light=light), standing
+        )
         turned = standing @ se3.make(se3.rotation_exp([0.0, 0.0, np.pi]), np.zeros(3))
         right, wrong = agreement_many(tea_box, region, picture, np.stack([standing, turned]))
         assert 1.2 < right <= 2.0

@@ -89,7 +89,10 @@ def run_demo(
     except InputError:
         sys.stderr.write(log_path.read_text())
         raise
-    shutil.rmtree(folder)
+    if "again (restart " in log_path.read_text():
+        sys.stderr.write(f"a worker ended and was started again; the log is {log_path}\n")
+    else:
+        shutil.rmtree(folder)
     summary = score.summary(score.last_ns - _LEFT_OUT_NS)
     return {"summary": summary, "workers": {name: _brief(message) for name, message in health.items()}}
 

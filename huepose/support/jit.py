@@ -43,7 +43,8 @@ def _compiled(function: F, more: dict[str, Any]) -> F:
             "compiled kernels are not cached: no writable folder; set NUMBA_CACHE_DIR", stacklevel=2
         )
         return cast(F, numba.njit(**options)(function))
-    kernel._cache._cache_file._source_stamp = kernel_sources()
+    if not numba.config.DISABLE_JIT:  # else it is the function itself
+        kernel._cache._cache_file._source_stamp = kernel_sources()
     return cast(F, kernel)
 
 

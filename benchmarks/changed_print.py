@@ -17,7 +17,7 @@ from typing import Any
 
 import cv2
 import numpy as np
-from rival import EveryNth
+from rival import SomeImages
 
 from huepose.datasets import prints
 from huepose.datasets.bop import BopScene
@@ -117,9 +117,9 @@ def main() -> None:
     print(lines(record["variants"]))
 
 
-def thinned(scene: BopScene, most: int) -> EveryNth:
+def thinned(scene: BopScene, most: int) -> SomeImages:
     """At most so many images of a scene, evenly spread."""
-    return EveryNth(scene, -(-len(scene.image_ids) // most))
+    return SomeImages(scene, scene.image_ids[:: -(-len(scene.image_ids) // most)])
 
 
 def lines(variants: Sequence[Mapping[str, Any]]) -> str:

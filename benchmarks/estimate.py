@@ -1,61 +1,101 @@
-"""Single-frame rivals and HuePose on the same instances in one run: accuracy, intervals, CPU time an object.
+"""Single-frame rivals and HuePose on the same instances: accuracy, intervals, CPU time an object.
 
-.venv/bin/python benchmarks/estimate.py --bop SCENE... --bundles DIR --json OUT.json
+    .venv/bin/python benchmarks/estimate.py --bop SCENE... --bundles DIR --json OUT.json
+
+May be stopped, and asked for other methods, masks or images later: what the file holds is not asked again,
+and the table has all that it holds of what was asked for.
 """
 
 from __future__ import annotations
 
 import argparse
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-import numpy as np
+from estimate_record import Image, Record
 from open3d_rivals import Features, ManyStarts
 from ppf_rival import PointPairFeatures
-from rival import EveryNth, Ours, Rival, RivalEstimator
+from rival import Ours, Rival, RivalEstimator, SomeImages
 
 from huepose.datasets.bop import BopScene
+from huepose.datasets.types import GroundTruth
 from huepose.estimation import Estimator, EstimatorConfig
 from huepose.evaluation.equivalents import read_equivalents
 from huepose.evaluation.estimate_protocol import EstimateOptions, evaluate_estimates
-from huepose.evaluation.result_files import write_json
 from huepose.evaluation.summary import table
 from huepose.evaluation.targets import Targets
 from huepose.model import ReferenceModel, load_models
+from huepose.support.progress import progress
+
+COMMON = ("boxes", "min_visib", "seed", "objects", "equivalent")
+"""Options that all answers of a file have in common."""
 
 FIGURES = ("recall_add", "recall_adds", "auc_add", "auc_adds")
 
 
 def main() -> None:
-    """Run the methods one after the other, print a table, write JSON."""
+    """Run the methods one after the other, image by image, write JSON, and print a table."""
     arguments = _arguments()
     models = load_models(arguments.bundles)
     targets = Targets(models, arguments.objects)
-    scenes = [EveryNth(BopScene(path), arguments.every) for path in arguments.bop]
     equivalents = read_equivalents(arguments.equivalent) if arguments.equivalent else {}
-    makers = _methods(models, arguments)
-    record: dict[str, Any] = {"options": {k: str(v) for k, v in vars(arguments).items()}, "methods": {}}
-    rows = []
-    for masks in arguments.masks:
-        for name in arguments.methods:
-            estimator = makers[name]()
-            if isinstance(estimator, Ours):
-                estimator.estimator.warm_up()
+    record = Record(arguments.json, {name: str(getattr(arguments, name)) for name in COMMON})
+    images = [
+        (scene, image)
+        for scene in map(BopScene, arguments.bop)
+        for image in scene.image_ids[:: arguments.every]
+        if any(_asked(t, targets, arguments.min_visib) for t in scene.truths(image))
+    ]
+    for name in arguments.methods:
+        wanted = [
+            (masks, scene, image)
+            for masks in arguments.masks
+            for scene, image in images
+            if not record.has(name, masks, _image(scene, image))
+        ]
+        if not wanted:
+            continue
+        estimator = _methods(models, arguments)[name]()
+        estimator.warm_up()
+        for masks, scene, image in progress(wanted, name):
             options = EstimateOptions(arguments.boxes, masks, arguments.min_visib, (arguments.seed,))
-            result = evaluate_estimates(scenes, targets, estimator, options, equivalents=equivalents)
-            summary = result.summary()
-            seconds = np.array([s for s in estimator.cpu_s if s > 0])
-            summary["cpu_s_p50"], summary["cpu_s_mean"] = float(np.median(seconds)), float(seconds.mean())
-            record["methods"][f"{name}, masks {masks}"] = summary
-            spans = summary["interval95"]
-            cells = [f"{summary[k]:.1f} ({spans[k][0]:.0f} to {spans[k][1]:.0f})" for k in FIGURES]
-            rows.append([name, masks, summary["instances"], *cells, f"{summary['cpu_s_p50']:.3f}"])
-            print(rows[-1], flush=True)
-            write_json(arguments.json, record)
+            estimator.cpu_s.clear()
+            one = [SomeImages(scene, [image])]
+            result = evaluate_estimates(one, targets, estimator, options, equivalents=equivalents)
+            record.add(name, masks, _image(scene, image), result.rows, estimator.cpu_s)
+    print(_figures(record, arguments, [_image(scene, image) for scene, image in images]))
+
+
+def _image(scene: BopScene, image: int) -> Image:
+    """By its folder: scenes of different sets share names."""
+    return str(scene.path.resolve()), image
+
+
+def _asked(truth: GroundTruth, targets: Targets, min_visib: float) -> bool:
+    """Whether a label is one of those that are evaluated."""
+    seen = truth.visib_fract is None or truth.visib_fract >= min_visib
+    known = truth.T_cam_obj is not None and targets.model_of(truth) is not None
+    return seen and known and targets.wants(truth)
+
+
+def _figures(record: Record, arguments: argparse.Namespace, images: Sequence[Image]) -> str:
+    """Two tables of what the record holds of these images: all figures, and recall by object."""
+    summaries = {
+        (name, masks): record.summary(name, masks, images, arguments.seed)
+        for masks in arguments.masks
+        for name in arguments.methods
+    }
+    rows = []
+    for (name, masks), summary in summaries.items():
+        if summary is None:
+            continue
+        spans = summary["interval95"]
+        cells = [f"{summary[k]:.1f} ({spans[k][0]:.0f} to {spans[k][1]:.0f})" for k in FIGURES]
+        rows.append([name, masks, summary["instances"], *cells, f"{summary['cpu_s_p50']:.3f}"])
     heading = ["method", "masks", "n", "ADD", "ADD-S", "AUC ADD", "AUC ADD-S", "CPU s"]
-    print(table(heading, rows))
-    print(_by_object(record["methods"]))
+    known = {f"{name}, masks {masks}": s for (name, masks), s in summaries.items() if s is not None}
+    return table(heading, rows) + "\n" + _by_object(known)
 
 
 def _by_object(methods: Mapping[str, Any]) -> str:
@@ -93,7 +133,8 @@ def _arguments() -> argparse.Namespace:
     names = ("full", "colorpair", "fpfh-ransac", "fgr", "icp-60", "ppf")
     parser.add_argument("--bop", type=Path, nargs="+", required=True, metavar="SCENE_DIR")
     parser.add_argument("--bundles", type=Path, required=True, metavar="DIR")
-    parser.add_argument("--json", type=Path, required=True, metavar="FILE")
+    parser.add_argument("--json", type=Path, required=True, metavar="FILE",
+                        help="answers; what it holds already is not asked again")  # fmt: skip
     parser.add_argument("--methods", nargs="+", choices=names, default=list(names))
     parser.add_argument("--masks", nargs="+", choices=("auto", "gt"), default=["auto", "gt"])
     parser.add_argument("--boxes", choices=("perturbed", "paper", "gt"), default="perturbed")

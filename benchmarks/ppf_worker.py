@@ -18,6 +18,7 @@ SAMPLING = 0.08
 
 def main() -> None:
     """Serve until the pipe closes. Requests: ("train", name, Nx6) and ("pose", name, Nx6)."""
+    cv2.setNumThreads(1)
     models: dict[str, tuple[object, np.ndarray]] = {}
     requests, answers = sys.stdin.buffer, sys.stdout.buffer
     while True:

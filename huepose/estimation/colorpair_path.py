@@ -79,20 +79,19 @@ def estimate_by_pairs(
         settled = align_many(model.surface, model.grid, region.points_cam, searched, 0.012, 0.006, 5)
         poses = np.concatenate([searched, settled])
     with stage("judge"):
-        totals = _judge(model, region, picture, poses)
-        best = different_poses(
-            model, poses, totals, config.alternatives + config.finished, FINAL_TURN_RAD, FINAL_SHIFT
-        )
-        poses, totals = poses[best], totals[best]
+        terms = _judge(model, region, picture, poses)
+        most = config.alternatives + config.finished
+        best = different_poses(model, poses, terms[:, 0], most, FINAL_TURN_RAD, FINAL_SHIFT)
+        poses, terms = poses[best], terms[best]
     with stage("search"):
         fine, _ = search_pairs(
             model, region, picture, poses[: config.finished], (3.0, 1.5, 0.7), SEARCH_PAIRS, SEARCH_SAMPLES
         )
-        totals = np.concatenate([totals, _judge(model, region, picture, fine)])
         poses = np.concatenate([poses, fine])
-        best = different_poses(model, poses, totals, config.alternatives, FINAL_TURN_RAD, FINAL_SHIFT)
+        terms = np.concatenate([terms, _judge(model, region, picture, fine)])
+        best = different_poses(model, poses, terms[:, 0], config.alternatives, FINAL_TURN_RAD, FINAL_SHIFT)
     with stage("decide"):
-        return _decided(model, region, picture, poses[best])
+        return _decided(model, region, picture, poses[best], terms[best])
 
 
 def warm_up(models: Sequence[ReferenceModel], config: ColorpairPathConfig) -> None:
@@ -175,11 +174,10 @@ def _with_turns(
 
 
 def _decided(
-    model: ReferenceModel, region: Region, picture: PairPicture, poses: Float64
+    model: ReferenceModel, region: Region, picture: PairPicture, poses: Float64, terms: Float64
 ) -> list[tuple[float, Float64]]:
-    """Different poses (K, 4, 4) put in order by what agrees as well as by how it correlates. The first keeps
-    its score, and the others' say how far they are behind."""
-    terms = pair_score_many(model, region, picture, poses, FINAL_PAIRS, FINAL_SAMPLES)
+    """Different poses (K, 4, 4), judged already (K, 5), put in order by what agrees as well as by how it
+    correlates. The first keeps its score, and the others' say how far they are behind."""
     totals, geometry = terms[:, 0], terms[:, 1]
     agreed = agreement_many(model, region, picture, poses, FINAL_PAIRS)
     weighed = geometry + CORRELATED * (totals - geometry) + AGREED * agreed
@@ -189,5 +187,5 @@ def _decided(
 
 
 def _judge(model: ReferenceModel, region: Region, picture: PairPicture, poses: Float64) -> Float64:
-    """Totals (M,) of poses (M, 4, 4), looked at closely."""
-    return pair_score_many(model, region, picture, poses, FINAL_PAIRS, FINAL_SAMPLES)[:, 0]
+    """Terms (M, 5) of `pair_score_many` of poses (M, 4, 4), looked at closely."""
+    return pair_score_many(model, region, picture, poses, FINAL_PAIRS, FINAL_SAMPLES)

@@ -5,8 +5,12 @@ from __future__ import annotations
 from collections.abc import Callable
 
 import numpy as np
+import pytest
 
 from huepose.estimation import Estimator, EstimatorConfig, ObjectQuery
+from huepose.estimation.colorpair_path import FINAL_PAIRS, FINAL_SAMPLES, estimate_by_pairs
+from huepose.estimation.config import ColorpairPathConfig
+from huepose.estimation.evidence import gather
 from huepose.geometry import Box, RgbdFrame, se3
 from huepose.model.types import ReferenceModel
 from huepose.rendering.render import render_depth
@@ -46,3 +50,19 @@ def test_pairs_judge_the_right_pose_over_its_flips_and_over_small_errors_in_any_
         assert right.total > max(f.total for f in flips) + 0.1
         moved = [se3.perturb(standing, d) for d in np.diag([0.01] * 3 + [np.radians(8.0)] * 3)]
         assert right.total > max(pair_score(tea_box, region, picture, T).total for T in moved)
+
+
+def test_the_first_keeps_its_score_and_the_others_say_how_far_they_are_behind(
+    tea_box: ReferenceModel, take_picture: TakePicture, standing: np.ndarray
+) -> None:
+    frame = take_picture([(tea_box.mesh, standing)])
+    mask = render_depth(tea_box.mesh, standing, frame.camera) > 0
+    evidence = gather(frame, [mask], Box.of_mask(mask), tea_box.diameter_m)
+    assert evidence is not None
+    found = estimate_by_pairs(tea_box, evidence, ColorpairPathConfig(), np.random.default_rng(0))
+    scores, region = [score for score, _ in found], evidence.region
+    picture = pair_picture(tea_box, region.crop, region.median_depth_m)
+    first = pair_score(tea_box, region, picture, found[0][1], FINAL_PAIRS, FINAL_SAMPLES)
+    assert scores[0] == pytest.approx(first.total, abs=1e-12)
+    assert len(scores) > 1
+    assert scores == sorted(scores, reverse=True)

@@ -26,11 +26,10 @@ from huepose.estimation.full_path import Trail, estimate_full, judge, refine_pri
 from huepose.estimation.outline import projected_box
 from huepose.estimation.prepared import PreparedModels
 from huepose.estimation.quality import quality_fits
+from huepose.estimation.rehearsal import rehearse
 from huepose.estimation.types import ObjectQuery, PoseEstimate
-from huepose.geometry import se3
 from huepose.geometry.arrays import Bool, Float64
 from huepose.geometry.box import Box
-from huepose.geometry.camera import Camera
 from huepose.geometry.frame import RgbdFrame
 from huepose.model.types import ReferenceModel
 from huepose.perception.embedded import DepthSegmenter
@@ -147,24 +146,15 @@ class Estimator:
         return _timed(answer, time.perf_counter() - start), explanation
 
     def warm_up(self, names: Sequence[str] | None = None) -> None:
-        """Prepare models (all by default) and compile the kernels on an artificial view of the first, before
-        a wall."""
-        from huepose.rendering.render import render
-
+        """Prepare models (all by default) and compile the kernels on an artificial view of the one with most
+        print."""
         names = self._models.names if names is None else list(names)
         for name in names:
             self._models.prepared(name)
         if not names:
             return
-        model = self._models.model(names[0])
-        camera = Camera(320.0, 320.0, 159.5, 119.5, 320, 240)
-        T = se3.make(np.eye(3), np.array([0.0, 0.0, 3.0 * model.diameter_m]) - model.mesh.centre)
-        picture = render([(model.mesh, T)], camera)
-        wall = np.float32(4.0 * model.diameter_m)
-        frame = RgbdFrame(picture.color, np.where(picture.depth > 0, picture.depth, wall), camera)
-        box = projected_box(model, frame, T)
-        if box is not None:
-            self.explain(frame, ObjectQuery(names[0], box))
+        most = max((self._models.model(name) for name in names), key=lambda m: len(m.pairs.points))
+        rehearse(self.explain, most, self.config.method == "full")
         if self.config.method == "colorpair":
             from huepose.estimation.colorpair_path import warm_up
 

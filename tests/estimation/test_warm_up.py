@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import gc
 from collections.abc import Callable
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -11,7 +12,9 @@ from numba.core.dispatcher import Dispatcher
 
 from huepose.estimation import Estimator, EstimatorConfig, ObjectQuery
 from huepose.estimation.config import Method
-from huepose.geometry import Box, RgbdFrame
+from huepose.estimation.decision import decided
+from huepose.estimation.types import PosePrior
+from huepose.geometry import Box, RgbdFrame, se3
 from huepose.model.types import ReferenceModel
 from huepose.rendering.render import render_depth
 
@@ -38,4 +41,21 @@ def test_no_kernel_is_compiled_after_the_warm_up(
     for mask in (outline, corner):
         (answer,) = estimator.estimate(frame, [ObjectQuery("tea_box", Box.of_mask(mask))])
         assert answer.found
+    assert compiled() == before
+
+
+def test_no_near_tie_and_no_prior_waits_for_the_compiler(
+    tea_box: ReferenceModel, take_picture: Callable[..., RgbdFrame], standing: np.ndarray
+) -> None:
+    estimator = Estimator({"tea_box": tea_box})
+    estimator.warm_up()
+    before = compiled()
+    frame = replace(take_picture([(tea_box.mesh, standing)]), frame_id=2)
+    box = Box.of_mask(render_depth(tea_box.mesh, standing, frame.camera) > 0)
+    prior = PosePrior(se3.perturb(standing, np.full(6, 0.002)))
+    _, seen = estimator.explain(frame, ObjectQuery("tea_box", box, prior=prior))
+    assert seen.evidence is not None
+    rivals = np.stack([standing, se3.perturb(standing, np.array([0.0, 0.0, 0.0, 0.0, 0.2, 0.0]))])
+    _, _, held = decided(tea_box, seen.evidence.region, rivals, np.array([2.0, 1.99]))
+    assert held is not None
     assert compiled() == before

@@ -5,8 +5,11 @@ import os
 import socket
 import time
 
+import numba
 import pytest
+from numba.core import event
 
+from huepose_services.runtime.compiling import LateCompiling
 from huepose_services.runtime.health import Health
 from huepose_services.runtime.log import Log, StateChanges, is_log_line
 from huepose_services.runtime.notify import notify, watchdog_s
@@ -62,6 +65,33 @@ def test_the_supervisor_hears_the_pulse_through_a_pipe(monkeypatch):
     os.close(read_end)
     pulse.ready()  # a supervisor that is gone stops nobody
     os.close(write_end)
+
+
+def test_a_kernel_that_is_compiled_late_is_told_while_it_is_compiled(monkeypatch, manager, capsys):
+    monkeypatch.setenv("WATCHDOG_USEC", "2000000")
+    monkeypatch.setenv("WATCHDOG_PID", str(os.getpid()))
+    read_end, write_end = os.pipe()
+    monkeypatch.setenv("HUEPOSE_READY_FD", str(write_end))
+    pulse, health = Pulse(), Health("estimator")
+    listener = LateCompiling(pulse, health, Log("estimator"))
+    with event.install_listener("numba:compile", listener):
+
+        @numba.njit
+        def inner(x):
+            return x + 1
+
+        @numba.njit
+        def kernel(x):
+            return 2 * inner(x)
+
+        assert kernel(3) == 8
+        assert kernel(4) == 10
+    assert os.read(read_end, 100) == b"c."
+    assert manager.recv(100) == b"WATCHDOG_USEC=300000000"
+    assert manager.recv(100) == b"WATCHDOG_USEC=2000000"
+    assert health.counters == {"kernels_compiled_late": 1}
+    for end in (read_end, write_end):
+        os.close(end)
 
 
 def test_every_line_says_when_how_grave_and_who(capsys):

@@ -19,6 +19,7 @@ class Running:
     worker: str
     silent_s: float
     runs: bool = True
+    compiling: bool = False
     heard: float = field(init=False)
     started: float = field(init=False)
 
@@ -45,6 +46,13 @@ def supervisor():
 def test_silence_and_lateness(supervisor, worker, silent_s, runs, fault):
     found = supervisor._fault(Running(worker, silent_s, runs))
     assert found is None if fault is None else found.startswith(fault)
+
+
+def test_who_waits_for_the_compiler_is_not_taken_for_hung(supervisor):
+    assert supervisor._fault(Running("tracker", 8.0, compiling=True)) is None
+    assert supervisor._fault(Running("tracker", 8.0)) is not None
+    fault = supervisor._fault(Running("tracker", 11.0, compiling=True))
+    assert fault == "has compiled for more than 10 s"
 
 
 def test_each_time_the_patience_doubles(supervisor):

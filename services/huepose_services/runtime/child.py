@@ -13,7 +13,7 @@ from pathlib import Path
 from typing import TextIO
 
 from huepose_services.runtime.log import Log, is_log_line
-from huepose_services.runtime.pulse import READY_FD
+from huepose_services.runtime.pulse import COMPILING, READY_FD
 from huepose_services.runtime.session import RESTARTS
 from huepose_services.runtime.threads import THREAD_VARIABLES
 from huepose_services.runtime.worker import SUPERVISOR, TELL_WHERE
@@ -25,11 +25,11 @@ _TIME_TO_TELL_S = 0.15
 
 class Child:
     """A worker's process. `ready`: it said so; `runs`: its loop gave a sign of life; `heard`: when it was
-    started or last gave one."""
+    started or last gave one; `compiling`: that it waits for the compiler is the last that it said."""
 
     def __init__(self, worker: str, path: Path, out: TextIO, restarts: int) -> None:
         self.worker, self._out = worker, out
-        self.ready = self.runs = False
+        self.ready = self.runs = self.compiling = False
         self.started = self.heard = time.monotonic()
         read_end, write_end = os.pipe()
         environment = {
@@ -80,6 +80,7 @@ class Child:
             return
         self.heard = time.monotonic()
         self.runs = True
+        self.compiling = said.endswith(COMPILING)
         self.ready = self.ready or b"ready" in said
 
     def ask_to_stop(self) -> None:

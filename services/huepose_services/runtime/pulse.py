@@ -1,9 +1,9 @@
 """The sign of life of a worker, given by the loop that works and by no other thread: a worker that hangs is
 silent, and whoever started it, `huepose up` or systemd, starts it again.
 
-Under `huepose up` it goes through a pipe (HUEPOSE_READY_FD): a dot now and then from when the loop runs, and
-the line `ready` once. For systemd a worker has started when its loop runs: a camera that is not plugged in
-must not hold up the start of the computer.
+Under `huepose up` it goes through a pipe (HUEPOSE_READY_FD): a dot now and then from when the loop runs, a
+`c` when it has to wait for the compiler, and the line `ready` once. For systemd a worker has started when
+its loop runs: a camera that is not plugged in must not hold up the start of the computer.
 """
 
 from __future__ import annotations
@@ -18,10 +18,14 @@ READY_FD = "HUEPOSE_READY_FD"
 BEAT_S = 0.2
 """A worker that works gives a sign of life about so often."""
 
+COMPILING = b"c"
+COMPILING_S = 300.0
+"""For so long systemd waits for a kernel that is compiled in the middle of the work."""
+
 
 class Pulse:
-    """`running()` when the loop begins, `ready()` once, `beat()` after every piece of work, `stopping()` at
-    the end."""
+    """`running()` when the loop begins, `ready()` once, `beat()` after every piece of work, `compiling()` and
+    `compiled()` round a kernel that is compiled within one, `stopping()` at the end."""
 
     def __init__(self) -> None:
         text = os.environ.get(READY_FD, "")
@@ -29,7 +33,7 @@ class Pulse:
         if self._pipe is not None:
             os.set_blocking(self._pipe, False)
         limit_s = watchdog_s()
-        self._watched = limit_s is not None
+        self._watched_us = None if limit_s is None else round(limit_s * 1e6)
         self._every_ns = int(min(BEAT_S, (limit_s or 1.0) / 4.0) * SECOND)
         self._next_ns = 0
 
@@ -49,8 +53,20 @@ class Pulse:
             return
         self._next_ns = now + self._every_ns
         self._write(b".")
-        if self._watched:
+        if self._watched_us is not None:
             notify("WATCHDOG=1")
+
+    def compiling(self) -> None:
+        """It will be silent for as long as the compiler takes."""
+        self._write(COMPILING)
+        if self._watched_us is not None:
+            notify(f"WATCHDOG_USEC={COMPILING_S * 1e6:.0f}")
+
+    def compiled(self) -> None:
+        """It goes on with its work."""
+        self._write(b".")
+        if self._watched_us is not None:
+            notify(f"WATCHDOG_USEC={self._watched_us}")
 
     def stopping(self) -> None:
         """It was told to stop, or has nothing left to do."""

@@ -133,10 +133,13 @@ class Supervisor:
         if not child.runs:
             late = now - child.started > limits.start_within_s
             return f"is not ready after {limits.start_within_s:g} s" if late else None
+        if child.compiling:
+            late = now - child.heard > limits.start_within_s
+            return f"has compiled for more than {limits.start_within_s:g} s" if late else None
         silences = self._records[child.worker].silences
         while silences and now - silences[0] > limits.window_s:
             silences.popleft()
-        # Twice the patience after each time: what was slow only once, such as compiling, comes to its end.
+        # Twice the patience after each time: what was slow only once comes to its end.
         patience_s = limits.hung_after_s * (1.0 if child.worker in _QUICK else _PATIENCE) * 2 ** len(silences)
         silent_s = now - child.heard
         if silent_s <= patience_s:

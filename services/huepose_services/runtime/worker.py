@@ -107,6 +107,8 @@ def run_worker(worker: str, config: Config) -> int:
     try:
         bus.say_health()
         work = cast(Work, import_module(_HOMES[worker]).make(bus, config))
+        if "numba" in sys.modules:
+            import_module("huepose_services.runtime.compiling").tell_of_late_compiling(pulse, health, log)
         token = session.liveliness().declare_token(config.keys.live(worker))
         _loop(bus, work, stop, pulse)
         pulse.stopping()

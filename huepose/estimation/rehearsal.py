@@ -18,6 +18,7 @@ from huepose.geometry.camera import Camera
 from huepose.geometry.frame import RgbdFrame
 from huepose.model.types import ReferenceModel
 from huepose.rendering.render import render
+from huepose.verification.figure import set_off
 
 Explain = Callable[[RgbdFrame, ObjectQuery], tuple[PoseEstimate, Explanation]]
 
@@ -40,4 +41,5 @@ def rehearse(explain: Explain, model: ReferenceModel, full: bool) -> None:
     refined = refine_prior(model, seen.evidence, T)
     confirm(model, region, refined)
     turned = se3.perturb(refined, np.array([0.0, 0.0, 0.0, 0.0, 0.0, 0.1]))
+    set_off(model, region, refined[None])
     decided(model, region, np.stack([refined, turned]), np.array([2.0, 1.95]))

@@ -17,6 +17,7 @@ from huepose.estimation.types import PosePrior
 from huepose.geometry import Box, RgbdFrame, se3
 from huepose.model.types import ReferenceModel
 from huepose.rendering.render import render_depth
+from huepose.verification.figure import set_off
 
 
 def compiled() -> dict[str, int]:
@@ -58,4 +59,5 @@ def test_no_near_tie_and_no_prior_waits_for_the_compiler(
     rivals = np.stack([standing, se3.perturb(standing, np.array([0.0, 0.0, 0.0, 0.0, 0.2, 0.0]))])
     _, _, held = decided(tea_box, seen.evidence.region, rivals, np.array([2.0, 1.99]))
     assert held is not None
+    assert 0.0 <= set_off(tea_box, seen.evidence.region, rivals).min() <= 1.0
     assert compiled() == before

@@ -1,0 +1,123 @@
+"""Another print, or the same in part out of date? What tells them apart, on rendered views at true poses.
+
+    .venv/bin/python benchmarks/other_print.py --bundles DIR --ids 2 3 5 6 --json OUT.json
+
+The picture shows a print of which a share was replaced by labels or turned to other hues (`changed_print`),
+in drawn light, with noise and blur; the reference model knows the print as it was. A print that was changed
+all over is another one. Columns: median and 90 % of a figure, and how often it is lower than that of a wholly
+changed print of the same kind (area under the ROC curve).
+"""
+
+from __future__ import annotations
+
+import argparse
+from collections.abc import Mapping
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+from changed_print import changed
+
+from huepose.evaluation.colorpairs.similarity_fit import disturbed_color
+from huepose.evaluation.colorpairs.views import object_views
+from huepose.evaluation.result_files import write_json
+from huepose.evaluation.summary import table
+from huepose.geometry import Box, RgbdFrame
+from huepose.geometry.arrays import Float64
+from huepose.model import ReferenceModel, load_models
+from huepose.support.progress import progress
+from huepose.verification.dense import score
+from huepose.verification.other_print import otherwise_many
+from huepose.verification.pairs import pair_picture, pair_score_many
+from huepose.verification.pairs_agreement import agreement_many
+from huepose.verification.region import prepare_region
+
+FIGURES = ("contrasts elsewhere", "agreement of pairs", "correlation of pairs", "dense colour")
+"""The last three are high where the print is the right one: they are taken with the other sign."""
+
+KINDS = ("recoloured", "replaced")
+PIXELS = 130.0
+"""The object's diameter in the picture."""
+
+
+def main() -> None:
+    """Render, measure, print a table, write JSON."""
+    arguments = _arguments()
+    models = {
+        name: model
+        for name, model in load_models(arguments.bundles).items()
+        if not arguments.ids or model.object_id in arguments.ids
+    }
+    shares = sorted({0.0, *arguments.shares, 1.0})
+    values: dict[tuple[str, float], list[Float64]] = {}
+    for number, model in enumerate(progress(list(models.values()), "objects")):
+        for kind in KINDS:
+            for share in shares:
+                seen = measured(model, kind, share, arguments.views, arguments.seed + number)
+                values.setdefault((kind, share), []).extend(seen)
+    figures = {key: np.array(rows) for key, rows in values.items()}
+    write_json(
+        arguments.json, {"figures": FIGURES, "values": {f"{k} {s:g}": v for (k, s), v in figures.items()}}
+    )
+    print(lines(figures))
+
+
+def measured(model: ReferenceModel, kind: str, share: float, views: int, seed: int) -> list[Float64]:
+    """FIGURES (4,) in each of some views of the object with a share of its print changed."""
+    mesh = changed(model.mesh, kind, share, seed) if share > 0.0 else model.mesh
+    rng = np.random.default_rng([seed, 92])
+    out = []
+    for view in object_views({model.name: replace(model, mesh=mesh)}, views, PIXELS, seed):
+        frame = RgbdFrame(disturbed_color(view, rng), view.frame.depth, view.frame.camera)
+        box = Box.of_mask(view.mask)
+        region = None if box is None else prepare_region(frame, view.mask, box, model.diameter_m)
+        if region is None:
+            continue
+        picture, T = pair_picture(model, region.crop, region.median_depth_m), view.T_cam_obj
+        pairs = pair_score_many(model, region, picture, T[None], 1500)[0]
+        out.append(
+            np.array(
+                [
+                    otherwise_many(model, region, picture, T[None])[0],
+                    -agreement_many(model, region, picture, T[None])[0],
+                    -pairs[2] - pairs[3],
+                    -score(model, region, T).color,
+                ]
+            )
+        )
+    return out
+
+
+def lines(values: Mapping[tuple[str, float], Float64]) -> str:
+    """The table."""
+    rows = []
+    for (kind, share), seen in values.items():
+        other = values[kind, 1.0]
+        cells: list[object] = []
+        for k in range(len(FIGURES)):
+            own, all_over = seen[:, k], other[:, k]
+            lower = (own[:, None] < all_over).mean() + 0.5 * (own[:, None] == all_over).mean()
+            middle, most = np.percentile(own, [50, 90])
+            area = "" if share == 1.0 else f", {lower:.3f}"
+            cells.append(f"{middle:.2f}, {most:.2f}{area}")
+        rows.append([kind, f"{100 * share:.0f} %", len(seen), *cells])
+    return table(["print", "changed", "n", *FIGURES], rows)
+
+
+def _arguments() -> argparse.Namespace:
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
+    parser.add_argument("--bundles", type=Path, required=True, metavar="DIR")
+    parser.add_argument("--json", type=Path, required=True, metavar="FILE")
+    parser.add_argument(
+        "--ids", type=int, nargs="+", default=[], metavar="ID", help="all objects unless given"
+    )
+    parser.add_argument("--shares", type=float, nargs="+", default=[0.1, 0.3, 0.5], metavar="F")
+    parser.add_argument("--views", type=int, default=6, metavar="N", help="of each object")
+    parser.add_argument("--seed", type=int, default=0, metavar="N", help="of views, light and patches")
+    return parser.parse_args()
+
+
+if __name__ == "__main__":
+    main()

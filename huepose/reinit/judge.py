@@ -24,8 +24,9 @@ SAME_REFINED = 0.04
 
 SAME_SIGHT = 0.5
 SAME_SIGHT_SPEED_M_S = 0.4
+SAME_SIGHT_S = 1.0
 """Two sightings of an object that is not tracked agree within this share of its diameter, and what a hand
-does in between."""
+does in between, in this time at most: of what was carried about for longer they say nothing."""
 
 
 def judge_tracked(
@@ -91,5 +92,5 @@ def usable(estimate: PoseEstimate, config: ReinitConfig) -> bool:
 
 def same_sight(T_a: Float64, T_b: Float64, seconds: float, slot: ObjectSlot) -> bool:
     """Whether two estimates that lie that far apart in time can be of one object that is not tracked."""
-    reach = SAME_SIGHT * slot.diameter_m + SAME_SIGHT_SPEED_M_S * abs(seconds)
+    reach = SAME_SIGHT * slot.diameter_m + SAME_SIGHT_SPEED_M_S * min(abs(seconds), SAME_SIGHT_S)
     return displacement_m(T_a, T_b, slot) < reach

@@ -10,6 +10,7 @@ looks for is in `searching`.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 
@@ -19,6 +20,7 @@ from huepose.reinit.association import assign, displacement_m
 from huepose.reinit.config import ReinitConfig
 from huepose.reinit.judge import SAME_POSE, acquires, judge_tracked, same_sight, usable
 from huepose.reinit.outbox import Outbox
+from huepose.reinit.pace import Pace
 from huepose.reinit.past import Past
 from huepose.reinit.schedule import candidates, choose
 from huepose.reinit.types import Counters, Key, ObjectSlot, PerceptionResult, Request, Searching
@@ -28,7 +30,7 @@ PATIENCE_PERIODS = 2.0
 """For so many periods nothing else is asked for in place of an acquired instance that is not there yet."""
 
 SIGHTING_S = 1.0
-"""A first sighting waits this long for a second one."""
+"""A first sighting waits this long for a second one, or until its object had another turn."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -51,12 +53,13 @@ class ReinitLoop:
         self._tracks: dict[Key, TrackedPose] = {}
         self._past = Past()
         self._outbox = Outbox()
+        self._pace = Pace()
         self._sightings: dict[str, list[_Sighting]] = {}
         self._last_instance: dict[str, int] = {}
         self._judged_ns: dict[str, int] = {}
         self._looked_ns: dict[tuple[str, int | None], int] = {}
         self._in_flight: Request | None = None
-        self._now_ns = self._next_ns = 0
+        self._now_ns = self._next_ns = self._asked_ns = 0
         self._epoch: int | None = None
         self._epoch_ns = 0
         for slot in objects:
@@ -106,6 +109,7 @@ class ReinitLoop:
         self.counters.given_up += self._outbox.give_up(now_ns, self.config.give_up_ms * 1e6)
         if self._in_flight is not None and now_ns >= self._in_flight.deadline_ns:
             self.counters.expired += 1
+            self._pace.expired((self._in_flight.deadline_ns - self._asked_ns) * 1e-9)
             self._in_flight = None
         if self._in_flight is not None or now_ns < self._next_ns:
             return None
@@ -117,9 +121,16 @@ class ReinitLoop:
             self._looked_ns[asked.object, asked.instance] = now_ns
         self._next_ns = now_ns + round(self.config.period_ms * 1e6)
         self.counters.requests += 1
-        deadline_ns = now_ns + round(self.config.deadline_ms * 1e6)
+        self._asked_ns = now_ns
+        self._pace.asked(self.counters.requests, now_ns)
+        deadline_ns = now_ns + round(self._pace.deadline_s(1e-3 * self.config.deadline_ms) * 1e9)
         self._in_flight = Request(self.counters.requests, self._epoch, deadline_ns, tuple(chosen))
         return self._in_flight
+
+    @property
+    def answer_age_s(self) -> float:
+        """How old the picture was when perception's last answer about it came."""
+        return self._pace.age_s
 
     def repeats(self, now_ns: int) -> list[Correction]:
         """Corrections that no pose has acknowledged for a period: to be sent once more."""
@@ -132,6 +143,7 @@ class ReinitLoop:
         nothing newer was judged meanwhile; one of another epoch is not."""
         self._now_ns = now_ns
         self.counters.answers += 1
+        self._pace.answered(result.request, now_ns, result.stamp_ns)
         if self._in_flight is not None and result.request == self._in_flight.number:
             self._in_flight = None
         else:
@@ -236,9 +248,9 @@ class ReinitLoop:
 
     def _confirming(self, slot: ObjectSlot, estimate: PoseEstimate, stamp_ns: int) -> _Sighting | None:
         """An earlier sighting that this one agrees with; without one it is kept as a sighting itself."""
-        kept = [
-            s for s in self._sightings.get(slot.object, []) if abs(stamp_ns - s.stamp_ns) <= SIGHTING_S * 1e9
-        ]
+        turns = 2 + math.ceil(len(self._slots) / self.config.objects_per_request)
+        wait_s = max(SIGHTING_S, turns * self._pace.between_s(1e-3 * self.config.period_ms))
+        kept = [s for s in self._sightings.get(slot.object, []) if abs(stamp_ns - s.stamp_ns) <= wait_s * 1e9]
         agreeing = [
             s
             for s in kept

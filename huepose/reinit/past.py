@@ -12,8 +12,8 @@ from huepose.geometry.uncertainty import grown
 from huepose.reinit.types import Key, Prior
 from huepose.tracking.types import TrackedPose
 
-REMEMBERED = 60
-"""Published poses of an instance: about two seconds of them."""
+REMEMBERED_S = 10.0
+"""Perception is not waited for longer than this."""
 
 
 class Past:
@@ -24,9 +24,11 @@ class Past:
 
     def note(self, track: TrackedPose) -> None:
         """Remember a published pose, if it is one and newer than the last."""
-        past = self._poses.setdefault((track.object, track.instance), deque(maxlen=REMEMBERED))
+        past = self._poses.setdefault((track.object, track.instance), deque())
         if track.T_cam_obj is not None and (not past or past[-1].stamp_ns < track.stamp_ns):
             past.append(_prior(track))
+            while past[-1].stamp_ns - past[0].stamp_ns > REMEMBERED_S * 1e9:
+                past.popleft()
 
     def forget(self, name: str) -> None:
         """Nothing was published of the instances of an object."""

@@ -3,13 +3,16 @@ now.
 
 That is the case for an object that had no pose, and for a gross correction, whose increments were measured on
 the wrong surface. Nothing is published on the way. Frames are skipped so that it ends: the frames that are
-left are halved with every step, up to a stride that the tracker's search still bridges.
+left are halved with every step, up to a stride that the tracker's search still bridges. Where frames were
+kept farther apart than that, it goes from one to the next.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+
+import numpy as np
 
 from huepose.geometry.arrays import Float64
 from huepose.geometry.frame import RgbdFrame
@@ -18,11 +21,14 @@ from huepose.tracking.config import TrackerConfig
 from huepose.tracking.motion import filtered, increment_velocity
 from huepose.tracking.relative_pose import RelativePose
 from huepose.tracking.scoring import UNKNOWN_TINT, Tint
-from huepose.tracking.step import Anchor, Step, Subject, advance, best_of
+from huepose.tracking.step import Anchor, Step, Subject, advance, found_nearby
 from huepose.tracking.types import Correction
 
 FITS = 0.5
 """Frames that support the pose by at least this much teach what is usual."""
+
+SLACK = 1.5
+"""Frames do not come to the millisecond."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -72,7 +78,8 @@ def pursue(
         first = kept[0]
         if first.stamp_ns == pursuit.correction.stamp_ns:
             mask = pursuit.correction.mask
-        step = best_of(subject.surface, first, [(pursuit.T_cam_obj, "correction")])
+        apart_s = abs(first.stamp_ns - pursuit.correction.stamp_ns) * 1e-9
+        step = found_nearby(subject.surface, pursuit.T_cam_obj, first, apart_s, config)
         pursuit = _reached(pursuit, first, step, None)
         if first is kept[-1] or not pursuit.supported(config):
             return pursuit
@@ -80,8 +87,7 @@ def pursue(
     anchor = Anchor(
         pursuit.T_cam_obj, pursuit.velocity, pursuit.reached, pursuit.usual, pursuit.tint, mask=mask
     )
-    ahead = [f for f in kept if f.stamp_ns > anchor.frame.stamp_ns]
-    frame = ahead[min(len(ahead), config.catch_up_stride, max(1, (len(ahead) + 1) // 2 + 1)) - 1]
+    frame = _next(anchor.frame, kept, config.catch_up_stride)
     step = advance(subject, anchor, frame, config, relative_pose)
     sure = evidence.quality(step.fit, pursuit.usual, pursuit.evidence)
     if step.near is not None and sure < config.suspect_quality:
@@ -90,6 +96,33 @@ def pursue(
     seconds = (frame.stamp_ns - anchor.frame.stamp_ns) * 1e-9
     measured = increment_velocity(anchor.T_cam_obj, step.T_cam_obj, seconds)
     return _reached(pursuit, frame, step, filtered(pursuit.velocity, measured, seconds))
+
+
+def needs_search(pursuit: Pursuit, kept: Sequence[RgbdFrame], config: TrackerConfig) -> bool:
+    """Whether the next step leads to a frame so far off that it cannot do without a search."""
+    if pursuit.reached is None:
+        apart_ns = abs(kept[0].stamp_ns - pursuit.correction.stamp_ns)
+    else:
+        apart_ns = _next(pursuit.reached, kept, config.catch_up_stride).stamp_ns - pursuit.reached.stamp_ns
+    usual_ns = config.catch_up_stride * _interval_ns(kept, config.catch_up_stride)
+    return config.search and apart_ns > SLACK * usual_ns
+
+
+def _next(reached: RgbdFrame, kept: Sequence[RgbdFrame], stride: int) -> RgbdFrame:
+    """The kept frame to go to: with half of those that are left skipped, and no more time than `stride`
+    frames take; at least one frame on."""
+    ahead = [f for f in kept if f.stamp_ns > reached.stamp_ns]
+    count = min(len(ahead), stride, max(1, (len(ahead) + 1) // 2 + 1))
+    limit_ns = SLACK * stride * _interval_ns(kept, stride)
+    while count > 1 and ahead[count - 1].stamp_ns - reached.stamp_ns > limit_ns:
+        count -= 1
+    return ahead[count - 1]
+
+
+def _interval_ns(kept: Sequence[RgbdFrame], count: int) -> float:
+    """The usual time between the newest frames, none of which was left out."""
+    stamps = [f.stamp_ns for f in kept[-count - 1 :]]
+    return float(np.median(np.diff(stamps))) if len(stamps) > 1 else 0.0
 
 
 def _reached(pursuit: Pursuit, frame: RgbdFrame, step: Step, velocity: Float64 | None) -> Pursuit:

@@ -10,7 +10,8 @@ from huepose.tracking.flow import FlowSource, compute
 
 @dataclass(frozen=True)
 class TrackerConfig:
-    """history_frames: frames and poses that are kept for late corrections.
+    """history_frames, older_frames: frames that are kept for late corrections: the newest ones, and behind
+    them others that lie 0.1 and 0.3 seconds apart, half of them each.
     tracking_quality, suspect_quality: a pose over the first goes to TRACKING, one under the second to
     SUSPECT. confirmed_identity: how sure it must be that an acquired pose is the right one before it is
     TRACKING. lost_quality: under it a frame gives no support; lost_after such frames in a row make an object
@@ -22,6 +23,7 @@ class TrackerConfig:
     """
 
     history_frames: int = 20
+    older_frames: int = 20
     tracking_quality: float = 0.6
     suspect_quality: float = 0.5
     lost_quality: float = 0.25
@@ -39,6 +41,8 @@ class TrackerConfig:
             raise InputError(
                 "tracker: history_frames", found=str(self.history_frames), expected="2 or more", fix="Use 20."
             )
+        if self.older_frames < 0:
+            raise InputError("tracker: older_frames", found=str(self.older_frames), expected="0 or more")
         if not 0 <= self.lost_quality <= self.suspect_quality <= self.tracking_quality <= 1:
             raise InputError(
                 "tracker: qualities",

@@ -11,10 +11,17 @@ from __future__ import annotations
 from collections import deque
 from collections.abc import Iterator
 from dataclasses import dataclass
+from itertools import chain
 
 from huepose.geometry import se3
 from huepose.geometry.arrays import Float64
 from huepose.geometry.frame import RgbdFrame
+
+CLOSE_S, WIDE_S = 0.1, 0.3
+"""What lies between older frames: steps that the tracker takes without a search, and with one."""
+
+NEARLY = 0.9
+"""Stamps are not exact."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -29,8 +36,8 @@ class Entry:
 class PoseHistory:
     """The poses of one object at the newest frames, oldest first."""
 
-    def __init__(self, length: int) -> None:
-        self._entries: deque[Entry] = deque(maxlen=length)
+    def __init__(self) -> None:
+        self._entries: deque[Entry] = deque()
 
     def __iter__(self) -> Iterator[Entry]:
         return iter(self._entries)
@@ -48,6 +55,11 @@ class PoseHistory:
         if self._entries and stamp_ns <= self._entries[-1].stamp_ns:
             raise ValueError(f"frame {frame_id} at {stamp_ns} ns is not newer than the last one")
         self._entries.append(Entry(frame_id, stamp_ns, T_cam_obj))
+
+    def forget_before(self, stamp_ns: int) -> None:
+        """Let go of what is older."""
+        while self._entries and self._entries[0].stamp_ns < stamp_ns:
+            self._entries.popleft()
 
     def covers(self, stamp_ns: int) -> bool:
         """Whether a stamp lies between the oldest and the newest entry."""
@@ -98,31 +110,71 @@ class PoseHistory:
 
 
 class FrameHistory:
-    """The newest frames of one camera epoch, oldest first."""
+    """Frames of one camera epoch, the fewer the older they are: the `newest` ones all of them, behind them
+    `older` ones, half of them a tenth of a second apart, half three tenths. So few frames reach back far, and
+    an answer that is late by seconds still finds a way to now."""
 
-    def __init__(self, length: int) -> None:
-        self._frames: deque[RgbdFrame] = deque(maxlen=length)
+    def __init__(self, newest: int, older: int = 0) -> None:
+        half = older // 2
+        self._stretches = (_Stretch(newest, 0.0), _Stretch(older - half, CLOSE_S), _Stretch(half, WIDE_S))
 
     def __len__(self) -> int:
-        return len(self._frames)
+        return sum(len(stretch.frames) for stretch in self._stretches)
+
+    def __iter__(self) -> Iterator[RgbdFrame]:
+        return chain.from_iterable(stretch.frames for stretch in reversed(self._stretches))
 
     @property
     def newest(self) -> RgbdFrame | None:
         """The last frame."""
-        return self._frames[-1] if self._frames else None
+        frames = self._stretches[0].frames
+        return frames[-1] if frames else None
+
+    @property
+    def oldest(self) -> RgbdFrame | None:
+        """The one that reaches back farthest."""
+        return next(iter(self), None)
 
     def append(self, frame: RgbdFrame) -> None:
         """Add the newest frame."""
-        self._frames.append(frame)
+        leaving: RgbdFrame | None = frame
+        for stretch in self._stretches:
+            if leaving is None:
+                return
+            leaving = stretch.taken(leaving)
 
     def clear(self) -> None:
         """Forget all."""
-        self._frames.clear()
+        for stretch in self._stretches:
+            stretch.frames.clear()
 
     def covers(self, stamp_ns: int) -> bool:
         """Whether a stamp is not older than the oldest kept frame."""
-        return bool(self._frames) and self._frames[0].stamp_ns <= stamp_ns
+        oldest = self.oldest
+        return oldest is not None and oldest.stamp_ns <= stamp_ns
 
     def since(self, stamp_ns: int) -> list[RgbdFrame]:
         """Frames at or after a stamp, oldest first."""
-        return [f for f in self._frames if f.stamp_ns >= stamp_ns]
+        return [f for f in self if f.stamp_ns >= stamp_ns]
+
+    def from_nearest(self, stamp_ns: int) -> list[RgbdFrame]:
+        """The frame that is nearest to a stamp, and all after it, oldest first."""
+        nearest = min(self, key=lambda f: abs(f.stamp_ns - stamp_ns), default=None)
+        return [] if nearest is None else self.since(nearest.stamp_ns)
+
+
+class _Stretch:
+    """Up to so many frames that lie at least so many seconds apart, nearly."""
+
+    def __init__(self, most: int, apart_s: float) -> None:
+        self.frames: deque[RgbdFrame] = deque()
+        self._most, self._apart_ns = most, apart_s * NEARLY * 1e9
+
+    def taken(self, frame: RgbdFrame) -> RgbdFrame | None:
+        """Keep a frame if the last one is far enough back; what has to leave for it, if anything."""
+        if not self._most:
+            return frame
+        if self.frames and frame.stamp_ns - self.frames[-1].stamp_ns < self._apart_ns:
+            return None
+        self.frames.append(frame)
+        return self.frames.popleft() if len(self.frames) > self._most else None

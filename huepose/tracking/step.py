@@ -241,6 +241,18 @@ def best_of(
     return best
 
 
+def found_nearby(
+    surface: TrackedSurface, T_cam_obj: Float64, frame: RgbdFrame, apart_s: float, config: TrackerConfig
+) -> Step:
+    """A pose of a frame settled on that frame, or on one that was taken so many seconds before or after:
+    there the object is searched for, if it is not found where it was."""
+    best = best_of(surface, frame, [(T_cam_obj, "correction")])
+    if apart_s == 0.0 or not config.search or _convincing(best, None, DOUBT):
+        return best
+    reach, _ = reaches(surface, T_cam_obj, None, T_cam_obj, apart_s, config)
+    return replace(_searched(best, surface, frame, reach, USUAL_EFFORT, UNKNOWN_TINT), searched=True)
+
+
 def _unmoved(surface: TrackedSurface, frame: RgbdFrame, T_cam_obj: Float64, tint: Tint) -> Step:
     """A pose as it is, with what it explains."""
     box, z = surface.box(T_cam_obj, frame.camera), float(surface.centre_cam(T_cam_obj)[2])

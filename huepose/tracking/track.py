@@ -43,7 +43,7 @@ class Track:
 
     def __init__(self, subject: Subject, object_name: str, instance: int, config: TrackerConfig) -> None:
         self.subject, self.object, self.instance = subject, object_name, instance
-        self.history = PoseHistory(config.history_frames)
+        self.history = PoseHistory()
         self.state = State.SEARCHING
         self.T_cam_obj: Float64 | None = None
         self.velocity: Float64 | None = None
@@ -125,8 +125,9 @@ class Track:
             self._second = SecondThought.left_behind(anchor, step, seconds)
         return step
 
-    def settle(self, frame: RgbdFrame, contested: bool = False) -> None:
-        """Judge what `look` found; contested: another pose holds the same surface with better right."""
+    def settle(self, frame: RgbdFrame, contested: bool = False, since_ns: int = 0) -> None:
+        """Judge what `look` found; contested: another pose holds the same surface with better right. Poses
+        since a stamp are remembered."""
         if self.T_cam_obj is not None:
             if contested:
                 self._evidence = 0.0
@@ -140,6 +141,7 @@ class Track:
                     self._identity = self._identity.carried(self.fit, self._view())
             self._judge()
         self.history.append(frame.frame_id, frame.stamp_ns, self.T_cam_obj)
+        self.history.forget_before(since_ns)
 
     def place(self, pursuit: Pursuit, step: Step, frame: RgbdFrame) -> None:
         """Start, or start again, with a pose that was verified on `frame`. Only a correction does this."""

@@ -9,7 +9,7 @@ from huepose.geometry.frame import RgbdFrame
 from huepose.model.types import ReferenceModel
 from huepose.support.errors import InputError
 from huepose.support.stages import stage
-from huepose.tracking.catching_up import Pursuit, pursue
+from huepose.tracking.catching_up import Pursuit, needs_search, pursue
 from huepose.tracking.competition import Claim, losers
 from huepose.tracking.config import TrackerConfig
 from huepose.tracking.history import FrameHistory
@@ -57,7 +57,7 @@ class Tracker:
         self._pursuits: dict[Key, Pursuit] = {}
         self._seen_seq: dict[Key, int] = {}
         self._waiting: list[Correction] = []
-        self._frames = FrameHistory(self.config.history_frames)
+        self._frames = FrameHistory(self.config.history_frames, self.config.older_frames)
         self._steps = self._searched = 0
         for model in models.values():
             self.add_object(model)
@@ -83,6 +83,12 @@ class Tracker:
     def objects(self) -> tuple[str, ...]:
         """Names of the known objects."""
         return tuple(self._subjects)
+
+    @property
+    def reach_s(self) -> float:
+        """How far back the kept frames reach by now."""
+        newest, oldest = self._frames.newest, self._frames.oldest
+        return 0.0 if newest is None or oldest is None else (newest.stamp_ns - oldest.stamp_ns) * 1e-9
 
     @property
     def instances(self) -> tuple[Key, ...]:
@@ -115,11 +121,12 @@ class Tracker:
         elif newest is not None and frame.stamp_ns <= newest.stamp_ns:
             return []
         self._frames.append(frame)
+        oldest = self._frames.oldest or frame
         with stage("follow"):
             self._look(frame)
             contested = self._contested(frame)
             for key, track in self._tracks.items():
-                track.settle(frame, key in contested)
+                track.settle(frame, key in contested, oldest.stamp_ns)
         self._apply_waiting(frame)
         with stage("catch up"):
             self._catch_up()
@@ -228,11 +235,16 @@ class Tracker:
         """One step of catching up; on arrival the pose is verified and taken, or dropped."""
         newest, pursuit = self._frames.newest, self._pursuits[key]
         assert newest is not None
-        since = pursuit.correction.stamp_ns if pursuit.reached is None else pursuit.reached.stamp_ns
-        config = self.config if self._may_search() else replace(self.config, search=False)
-        pursuit = pursue(
-            pursuit, self._subjects[key[0]], self._frames.since(since), config, self._relative_pose
-        )
+        if pursuit.reached is None:
+            kept = self._frames.from_nearest(pursuit.correction.stamp_ns)
+        else:
+            kept = self._frames.since(pursuit.reached.stamp_ns)
+        config = self.config
+        if not self._may_search():
+            if needs_search(pursuit, kept, config):
+                return
+            config = replace(config, search=False)
+        pursuit = pursue(pursuit, self._subjects[key[0]], kept, config, self._relative_pose)
         self._searched += pursuit.step is not None and pursuit.step.searched
         self._pursuits[key] = pursuit
         if pursuit.supported(self.config) and not pursuit.arrived(newest):

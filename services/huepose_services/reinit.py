@@ -39,6 +39,8 @@ from huepose_services.runtime.config import Config
 from huepose_services.steering import Desk, ObjectList
 
 _LOOK_NS = SECOND // 30
+# Perception that answers later than this is slow enough to be told.
+_SLOW_S = 1.5
 # A track that was not published for so long while others were is no track any more.
 _FORGET_NS = 2 * SECOND
 
@@ -96,6 +98,7 @@ class ReinitWork:
                 self._send(correction)
             self._bus.health.camera_epoch, self._bus.health.frame_id = answer.camera_epoch, answer.frame_id
             self._bus.health.worked(started, answer.capture_ns)
+            self._bus.health.warn_while("slow", slow_text(self._loop.answer_age_s))
         now = now_ns()
         if now < self._next_look_ns:
             return
@@ -141,6 +144,17 @@ class ReinitWork:
         self._bus.put(
             self._bus.keys.objects, ObjectsMessage(publish_ns=now_ns(), objects=self._objects.entries())
         )
+
+
+def slow_text(age_s: float) -> str | None:
+    """What is to be said of perception that answers so late; None where it is in time."""
+    if age_s < _SLOW_S:
+        return None
+    return (
+        f"perception answers {age_s:.1f} s after a picture was taken: what is lost is found again that much "
+        "later. `huepose top` shows which worker takes how long; fewer other programs, fewer objects, or one "
+        "at a time (reinit.objects_per_tick: 1) make it faster"
+    )
 
 
 def track_from_wire(message: PoseMessage) -> TrackedPose:

@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 import gc
+import math
 from dataclasses import replace
 
 from huepose.model import ReferenceModel
 from huepose.support.errors import InputError
 from huepose.tracking import Tracker, TrackerConfig
+from huepose.tracking.history import CLOSE_S, WIDE_S
 from huepose.tracking.types import Applied, Correction, State, TrackedPose, Verdict
 from huepose_protos import WireError
 from huepose_protos.messages import CorrectionMessage, FrameHeader, PoseMessage
@@ -35,6 +37,7 @@ def make(bus: Bus, config: Config) -> TrackerWork:
     # Time is short in a live pipeline: one search a step, and catching up in strides that need none.
     settings = TrackerConfig(
         history_frames=config.tracker.history_frames,
+        older_frames=config.tracker.older_frames,
         searches_per_step=1,
         catch_up_stride=3,
         flow=networks.flow(config),
@@ -112,22 +115,22 @@ class TrackerWork:
             self._bus.refuse(self._bus.keys.correction, WireError(str(error)))
             return
         self._bus.health.count(f"corrections_{applied.value}")
-        name = f"{message.object}/{message.instance}"
-        refused = applied in (Applied.REFUSED_OLD, Applied.REFUSED_EPOCH)
-        # The loop repeats it, and is told each time by what it does not see; the log is told once.
-        if refused and self._refused != (name, message.seq):
-            self._refused = (name, message.seq)
-            why = self._why(message, applied)
-            self._bus.log.seldom("refused", f"correction {message.seq} of {name}: {why}", _REFUSED_EVERY_S)
+        if applied in (Applied.APPLIED, Applied.CATCHING_UP):
+            self._bus.health.warn_while("late", None)
+        elif applied is not Applied.REPEATED:
+            self._refuse(message, applied)
 
-    def _why(self, message: CorrectionMessage, applied: Applied) -> str:
-        if applied is Applied.REFUSED_EPOCH or self._header is None:
-            return "refused, it is about pictures of a camera that was opened anew since"
-        age_s = (self._header.capture_ns - message.capture_ns) * 1e-9
-        return (
-            f"refused, it is about a frame {age_s:.1f} s ago and the history is shorter: perception is too "
-            f"slow on this machine as busy as it is (`huepose top`), or tracker.history_frames too small"
-        )
+    def _refuse(self, message: CorrectionMessage, applied: Applied) -> None:
+        why = "it is about pictures of a camera that was opened anew since"
+        if applied is Applied.REFUSED_OLD and self._header is not None:
+            why = too_late_text((self._header.capture_ns - message.capture_ns) * 1e-9, self._tracker)
+            self._bus.health.warn_while("late", why)
+        # The loop repeats it, and is told each time by what it does not see; the log is told once.
+        name = f"{message.object}/{message.instance}"
+        if self._refused != (name, message.seq):
+            self._refused = (name, message.seq)
+            text = f"correction {message.seq} of {name} is refused: {why}"
+            self._bus.log.seldom("refused", text, _REFUSED_EVERY_S)
 
     def _track(self, header: FrameHeader, payload: bytes) -> None:
         started = now_ns()
@@ -173,6 +176,19 @@ class TrackerWork:
         self._bus.put(self._bus.keys.pose(pose.object, pose.instance), message)
         self._told.note(f"{pose.object}/{pose.instance}", pose.state.value, f"quality {pose.quality:.2f}")
         self._bus.health.count(f"poses_{pose.state.value.lower()}")
+
+
+def too_late_text(age_s: float, tracker: Tracker) -> str:
+    """That perception is too slow for what the tracker remembers, and what can be done about it."""
+    kept, reach_s = tracker.config, tracker.reach_s
+    missing_s = 1.3 * age_s - reach_s
+    more = kept.older_frames + 2 * math.ceil(missing_s / (CLOSE_S + WIDE_S))
+    return (
+        f"perception answers {age_s:.1f} s after a picture was taken, and pictures are kept for "
+        f"{reach_s:.1f} s: what it finds cannot be used. Set tracker.older_frames to {more} (2 MB each at "
+        "640x480), or make it faster: end other programs, look for fewer objects, or for one at a time "
+        "(reinit.objects_per_tick: 1)"
+    )
 
 
 def _frame_of(header: FrameHeader) -> tuple[int, int]:

@@ -7,7 +7,7 @@ import pytest
 
 from huepose.geometry import se3
 from huepose.geometry.arrays import Float64
-from huepose.reinit.past import REMEMBERED, Past
+from huepose.reinit.past import Past
 from huepose.tracking.types import State, TrackedPose
 
 
@@ -34,9 +34,11 @@ def test_what_is_no_pose_or_old_is_not_remembered() -> None:
     for track in (published(10, 0.1), published(10, 0.2), published(5, 0.3), published(20, None)):
         past.note(track)
     assert past.at(published(30, 0.4), 9).T_cam_obj[0, 3] == 0.1
-    for n in range(REMEMBERED):
-        past.note(published(100 + n, 0.5))
-    assert past.at(published(300, 0.4), 9).stamp_ns == 100
+    for n in range(3):
+        past.note(published(100 + n * 5_000_000_000, 0.5))
+    assert past.at(published(11_000_000_000, 0.4), 9).stamp_ns == 100, "ten seconds are remembered"
+    past.note(published(10_000_000_101, 0.5))
+    assert past.at(published(11_000_000_000, 0.4), 9).stamp_ns == 5_000_000_100
     past.forget("can")
     assert past.at(published(300, 0.4), 9).stamp_ns == 300
     with pytest.raises(ValueError, match="no pose"):

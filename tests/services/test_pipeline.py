@@ -89,7 +89,7 @@ def running(recording, tmp_path_factory):
         # Slow and patient: late on a busy machine is not what this is about.
         "camera": {"source": "bop", "path": str(folder / "scene"), "rate": 8},
         "reinit": {"deadline_ms": 3000},
-        "tracker": {"history_frames": 60, "max_age_ms": 2000},
+        "tracker": {"max_age_ms": 2000},
         "restarts": {"hung_after_s": 60},
         "bus": {"base_port": free_port_range(10)},
     }

@@ -6,6 +6,7 @@ import msgspec
 import numpy as np
 import pytest
 
+from huepose import tracking
 from huepose.geometry import se3
 from huepose.tracking.types import Applied, State, TrackedPose
 from huepose_protos import decode, encode
@@ -28,9 +29,12 @@ class _Tracker:
     """Says of every frame that one object is tracked at the given pose."""
 
     instances = ()
+    config = tracking.TrackerConfig()
+    reach_s = 4.0
 
     def __init__(self, T_cam_obj):
         self.T_cam_obj, self.corrections = T_cam_obj, []
+        self.answer = Applied.APPLIED
 
     def step(self, frame):
         return [
@@ -40,9 +44,12 @@ class _Tracker:
             )
         ]
 
+    def poses(self):
+        return []
+
     def correct(self, correction):
         self.corrections.append(correction.instance)
-        return Applied.APPLIED
+        return self.answer
 
 
 class _Bus:
@@ -136,6 +143,27 @@ def test_a_correction_of_an_instance_that_is_over_is_not_applied():
     work.step()
     assert work._tracker.corrections == [4]
     assert bus.health.counters["corrections_of_retired"] == 1
+
+
+def test_who_answers_too_late_is_told_what_to_do_until_it_is_in_time(capfd):
+    work, bus, _ = _worker(se3.make(np.eye(3), np.array([0.0, 0.0, 0.5])))
+    header, payload = _frame(1, 0.0)
+    bus.waiting["frame"] = [(header, payload)]
+    work.step()
+    late = msgspec.structs.replace(CORRECTION, capture_ns=header.capture_ns - 8_000 * MS)
+    work._tracker.answer = Applied.REFUSED_OLD
+    bus.waiting["correction"] = [late, late]
+    work.step()
+    (warning,) = bus.health.message().warnings
+    assert "answers 8.0 s after" in warning
+    assert "kept for 4.0 s" in warning
+    # 1.3 times 8 s are to be reached: 6.4 s more than 4 s, two frames for each 0.4 s.
+    assert "tracker.older_frames to 52" in warning
+    assert capfd.readouterr().err.count("is refused: perception answers") == 1
+    work._tracker.answer = Applied.CATCHING_UP
+    bus.waiting["correction"] = [msgspec.structs.replace(late, seq=late.seq + 1)]
+    work.step()
+    assert bus.health.message().warnings == []
 
 
 def test_a_change_of_state_is_in_the_log_once(capfd):

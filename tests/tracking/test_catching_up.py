@@ -2,15 +2,18 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
 from huepose.geometry import se3
-from huepose.tracking import Correction, TrackerConfig, Verdict
+from huepose.tracking import Applied, Correction, State, Tracker, TrackerConfig, Verdict
 from huepose.tracking.catching_up import Pursuit, pursue
 from huepose.tracking.step import Subject
 
 CONFIG = TrackerConfig()
+LIVE = TrackerConfig(searches_per_step=1, catch_up_stride=3)
 
 
 def late(frame, T, stamp_ns=None) -> Correction:
@@ -59,3 +62,23 @@ def test_what_the_image_denies_is_not_supported(tea_box, shoot, path) -> None:
     pursuit = pursue(Pursuit.of(late(frame, path(0))), Subject.of(tea_box), [frame], CONFIG)
     assert pursuit.arrived(frame)
     assert not pursuit.supported(CONFIG)
+
+
+@pytest.mark.parametrize("looked_at", [9, 12])
+def test_an_answer_that_is_seconds_late_is_still_of_use(tea_box, shoot, path, looked_at) -> None:
+    """Of the first frames in which it was carried about only every ninth is left, so not number 12."""
+    tracker = Tracker({"tea_box": tea_box}, LIVE)
+    frames = [shoot([(tea_box.mesh, path(k))], k) for k in range(132)]
+    for frame in frames[:91]:
+        assert tracker.step(frame) == []
+    correction = late(frames[looked_at], path(looked_at))
+    assert tracker.correct(correction) is Applied.CATCHING_UP
+    for number in range(91, 132):
+        poses = tracker.step(frames[number])
+        if poses:
+            break
+    assert number < 125
+    assert poses[0].state is State.TRACKING
+    assert np.linalg.norm(poses[0].T_cam_obj[:3, 3] - path(number)[:3, 3]) < 2e-3
+    assert se3.rotation_angle(poses[0].T_cam_obj, path(number)) < np.radians(1.0)
+    assert tracker.correct(replace(correction, seq=2, stamp_ns=-1)) is Applied.REFUSED_OLD

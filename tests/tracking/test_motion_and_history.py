@@ -45,7 +45,7 @@ def test_a_change_of_velocity_is_followed_within_few_frames() -> None:
 
 
 def history(count: int = 10, wrong: np.ndarray | None = None) -> PoseHistory:
-    h = PoseHistory(20)
+    h = PoseHistory()
     for k in range(count):
         T = moving(k / 30)
         h.append(100 + k, k * 1000, T if wrong is None else T @ wrong)
@@ -64,7 +64,7 @@ def test_perfect_correction_of_the_past_gives_truth_and_increments_exactly() -> 
 
 def test_correction_is_carried_by_the_buffered_increments() -> None:
     rng = np.random.default_rng(0)
-    h = PoseHistory(20)
+    h = PoseHistory()
     poses = [START]
     for _ in range(6):
         poses.append(se3.perturb(poses[-1], rng.normal(0, 0.02, 6)))
@@ -88,7 +88,7 @@ def test_two_corrections_in_a_row_compose() -> None:
 
 
 def test_a_skipped_frame_is_interpolated_by_its_stamp() -> None:
-    h = PoseHistory(5)
+    h = PoseHistory()
     a, b = moving(0.0), se3.make(se3.rotation_exp(np.array([0, 0, 0.3])) @ START[:3, :3], START[:3, 3] + 0.03)
     h.append(0, 0, a)
     h.append(3, 300, b)
@@ -115,17 +115,62 @@ def test_what_the_history_does_not_know() -> None:
     np.testing.assert_array_equal(h.at(5000), START)
 
 
-def test_histories_forget_the_oldest() -> None:
-    h = PoseHistory(3)
-    frames = FrameHistory(3)
+def frames_at(stamps_s) -> list[RgbdFrame]:
     camera = Camera(10, 10, 1.5, 1.5, 4, 4)
-    for k in range(6):
+    color, depth = np.zeros((4, 4, 3), np.uint8), np.zeros((4, 4), np.float32)
+    return [RgbdFrame(color, depth, camera, k, round(s * 1e9)) for k, s in enumerate(stamps_s)]
+
+
+def test_histories_forget_the_oldest() -> None:
+    h = PoseHistory()
+    frames = FrameHistory(3)
+    for k, frame in enumerate(frames_at(np.arange(6) * 1e-9)):
         h.append(k, k, START)
-        frames.append(RgbdFrame(np.zeros((4, 4, 3), np.uint8), np.zeros((4, 4), np.float32), camera, k, k))
+        frames.append(frame)
+    h.forget_before(3)
     assert [e.frame_id for e in h] == [3, 4, 5]
+    assert len(frames) == 3
     assert not frames.covers(2)
     assert frames.covers(3)
     assert frames.covers(99), "a frame that is still to come is not too old"
     assert [f.frame_id for f in frames.since(4)] == [4, 5]
     assert h.newest is not None
     assert h.newest.frame_id == 5
+
+
+def test_the_older_frames_are_the_fewer_are_kept() -> None:
+    frames = FrameHistory(20, 20)
+    jitter = np.random.default_rng(1).uniform(-0.002, 0.002, 600)
+    for frame in frames_at(np.arange(600) / 30 + jitter):
+        frames.append(frame)
+    ids = [f.frame_id for f in frames]
+    assert len(frames) == len(ids) == 40
+    assert ids[20:] == list(range(580, 600))
+    assert list(np.diff(ids)[:9]) == [9] * 9
+    assert list(np.diff(ids)[10:19]) == [3] * 9
+    assert max(np.diff(ids)) <= 11, "no gap is wider where one stretch ends and another begins"
+    oldest, newest = frames.oldest, frames.newest
+    assert oldest is not None
+    assert newest is not None
+    assert 4.2 < (newest.stamp_ns - oldest.stamp_ns) * 1e-9 < 4.8
+    frames.clear()
+    assert len(frames) == 0
+    assert frames.oldest is None
+    assert frames.from_nearest(3) == []
+
+
+def test_a_slow_camera_loses_no_frame_to_thinning() -> None:
+    frames = FrameHistory(4, 4)
+    for frame in frames_at(np.arange(8) / 2):
+        frames.append(frame)
+    assert [f.frame_id for f in frames] == list(range(8))
+
+
+def test_the_kept_frame_that_is_nearest_comes_first() -> None:
+    frames = FrameHistory(2, 4)
+    for frame in frames_at(np.arange(12) / 10):
+        frames.append(frame)
+    assert [f.frame_id for f in frames] == [3, 6, 8, 9, 10, 11]
+    assert [f.frame_id for f in frames.from_nearest(460_000_000)] == [6, 8, 9, 10, 11]
+    assert [f.frame_id for f in frames.from_nearest(440_000_000)] == [3, 6, 8, 9, 10, 11]
+    assert [f.frame_id for f in frames.from_nearest(900_000_000)] == [9, 10, 11]

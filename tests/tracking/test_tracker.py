@@ -164,7 +164,7 @@ def test_corrections_are_idempotent_by_number(started, film, path) -> None:
 
 def test_corrections_that_cannot_be_taken(tea_box, film, path, started) -> None:
     old = film(1)[0]
-    tracker = Tracker({"tea_box": tea_box}, TrackerConfig(history_frames=3))
+    tracker = Tracker({"tea_box": tea_box}, TrackerConfig(history_frames=3, older_frames=0))
     for frame in film(6):
         if frame.frame_id == 0:
             tracker.correct(correction(frame, path(0)))
@@ -360,5 +360,7 @@ def test_a_camera_without_readings_breaks_nothing(tea_box, path, started) -> Non
 def test_configuration_is_checked() -> None:
     with pytest.raises(InputError, match="history_frames"):
         TrackerConfig(history_frames=1)
+    with pytest.raises(InputError, match="older_frames"):
+        TrackerConfig(older_frames=-1)
     with pytest.raises(InputError, match="qualities"):
         TrackerConfig(suspect_quality=0.9)

@@ -54,7 +54,8 @@ class TrackerConfig(Section, frozen=True, kw_only=True):
     """How far back a late correction may reach, how old a pose may be that is acted on, and where flow and
     the turn between two frames come from."""
 
-    history_frames: Annotated[int, Meta(ge=2, le=300)] = 40
+    history_frames: Annotated[int, Meta(ge=2, le=300)] = 20
+    older_frames: Annotated[int, Meta(ge=0, le=300)] = 20
     max_age_ms: Annotated[float, Meta(gt=0.0, le=10_000.0)] = 300.0
     flow: Literal["dis", "neuflow"] = "dis"
     flow_model: str | None = None

@@ -29,6 +29,7 @@ class Health:
         self.worker = worker
         self.state: HealthState = "starting"
         self.warnings: list[str] = []
+        self._conditions: dict[str, str] = {}
         self.counters: dict[str, int] = {}
         self.shared_memory: bool | None = None
         self.drops = self.errors = 0
@@ -48,6 +49,13 @@ class Health:
         """An exception in the work, or a message that was refused."""
         self.errors += 1
         self.last_error = text[:_LONGEST_TEXT]
+
+    def warn_while(self, what: str, text: str | None) -> None:
+        """A warning that holds until this is called with None, or with another text."""
+        if text is None:
+            self._conditions.pop(what, None)
+        else:
+            self._conditions[what] = text[:_LONGEST_TEXT]
 
     def worked(self, started_ns: int, capture_ns: int | None = None) -> None:
         """A piece of work that began then is done now, on pixels captured then."""
@@ -85,7 +93,7 @@ class Health:
             age_ms=_median_and_p99([w[2] for w in recent if w[2] is not None]),
             shared_memory=self.shared_memory,
             counters=dict(self.counters),
-            warnings=self.warnings[-32:],
+            warnings=[*self.warnings, *self._conditions.values()][-32:],
             drops=self.drops,
             errors=self.errors,
             last_error=self.last_error,

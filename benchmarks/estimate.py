@@ -122,6 +122,7 @@ def _methods(
         "fpfh-ransac": rival(lambda: Features(fast=False)),
         "fgr": rival(lambda: Features(fast=True)),
         "icp-60": rival(ManyStarts),
+        "icp-60-color": rival(lambda: ManyStarts(by_color=True)),
         "ppf": rival(lambda: PointPairFeatures(arguments.rivals / "bin" / "python")),
     }
 
@@ -130,7 +131,7 @@ def _arguments() -> argparse.Namespace:
     parser = argparse.ArgumentParser(
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )
-    names = ("full", "colorpair", "fpfh-ransac", "fgr", "icp-60", "ppf")
+    names = ("full", "colorpair", "fpfh-ransac", "fgr", "icp-60", "icp-60-color", "ppf")
     parser.add_argument("--bop", type=Path, nargs="+", required=True, metavar="SCENE_DIR")
     parser.add_argument("--bundles", type=Path, required=True, metavar="DIR")
     parser.add_argument("--json", type=Path, required=True, metavar="FILE",

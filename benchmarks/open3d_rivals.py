@@ -1,4 +1,5 @@
-"""Rivals from Open3D: features with RANSAC, features with Fast Global Registration, ICP from many starts.
+"""Rivals from Open3D: features with RANSAC, features with Fast Global Registration, ICP from many starts,
+and the same with the print: chosen and settled by colour.
 
 Scene points are registered to the model (a part to the whole), then the transform is turned round. Each ends
 with point-to-plane ICP on the model's surface samples.
@@ -7,10 +8,13 @@ with point-to-plane ICP on the model's surface samples.
 from __future__ import annotations
 
 import time
+from collections.abc import Sequence
 from typing import Any
 
+import cv2
 import numpy as np
 from rival import Seen
+from scipy.spatial import cKDTree
 
 from huepose.geometry import se3
 from huepose.geometry.arrays import Float64
@@ -31,7 +35,7 @@ def voxel_m(model: ReferenceModel) -> float:
 
 
 def model_cloud(model: ReferenceModel) -> Any:
-    """Surface samples with normals and sRGB colours as they are in the texture, roughly."""
+    """Surface samples with normals."""
     o3d = _o3d()
     cloud = o3d.geometry.PointCloud(o3d.utility.Vector3dVector(model.surface.points.astype(np.float64)))
     cloud.normals = o3d.utility.Vector3dVector(model.surface.normals.astype(np.float64))
@@ -128,11 +132,23 @@ def _features(cloud: Any, voxel: float) -> Any:
     return o3d.pipelines.registration.compute_fpfh_feature(cloud, near)
 
 
-class ManyStarts:
-    """ICP from 60 rotations, centred on the points; the best five are finished, the best fit wins."""
+FINISHED, APART_RAD = 5, 0.35
+"""So many starts are finished, the best by fit; by colour, twice as many that are this far apart."""
 
-    def __init__(self) -> None:
+NEAR_M, FEWEST = 0.008, 30
+"""Points of the scene farther from the model have no colour to compare; with fewer nothing is said."""
+
+
+class ManyStarts:
+    """ICP from 60 rotations, centred on the points; the best five are finished, the best fit wins.
+
+    by_color: twice as many, of different rotations, are finished; the one wins whose fit and correlation of
+    colours add up to most, and Open3D's coloured ICP (Park et al. 2017) has the last word."""
+
+    def __init__(self, by_color: bool = False) -> None:
+        self._by_color = by_color
         self._models: dict[str, Any] = {}
+        self._colors: dict[str, tuple[cKDTree, Float64]] = {}
         self._starts = [
             se3.rotation_exp(np.array([0.0, 0.0, 2 * np.pi * k / 5])) @ look_at(d)
             for d in directions(0)
@@ -140,8 +156,10 @@ class ManyStarts:
         ]
 
     def prepare(self, model: ReferenceModel) -> None:
-        """Nothing but the cloud."""
+        """The cloud, and its colours averaged over 3.5 mm."""
         self._models[model.name] = model_cloud(model)
+        rgb = cv2.cvtColor(model.surface.lab[1][None].astype(np.float32), cv2.COLOR_Lab2RGB)[0]
+        self._colors[model.name] = cKDTree(model.surface.points), rgb.astype(np.float64)
 
     def pose(self, model: ReferenceModel, seen: Seen) -> tuple[Float64, float, float] | None:
         """All starts, then the best of them."""
@@ -166,7 +184,55 @@ class ManyStarts:
             )
             tried.append((-result.fitness, result.inlier_rmse, result.transformation))
         tried.sort(key=lambda t: t[:2])
-        finished = [settle(scene, whole, T, (0.02, 0.008)) for _, _, T in tried[:5]]
-        best = min(finished, key=lambda r: (-round(r.fitness, 2), r.inlier_rmse))
-        T = se3.orthonormalised(np.linalg.inv(best.transformation))
+        starts = [T for _, _, T in tried]
+        starts = different(starts, 2 * FINISHED) if self._by_color else starts[:FINISHED]
+        finished = [settle(scene, whole, T, (0.02, 0.008)) for T in starts]
+        if self._by_color:
+            best = max(finished, key=lambda r: r.fitness + self._correlation(model, scene, r.transformation))
+            T_obj_cam = self._settled_by_color(model, scene, best.transformation)
+        else:
+            best = min(finished, key=lambda r: (-round(r.fitness, 2), r.inlier_rmse))
+            T_obj_cam = best.transformation
+        T = se3.orthonormalised(np.linalg.inv(T_obj_cam))
         return T, float(best.fitness), time.process_time() - begin
+
+    def _correlation(self, model: ReferenceModel, scene: Any, T_obj_cam: Float64) -> float:
+        """Of the scene's colours and those of the nearest samples, each about its mean: -1..1."""
+        tree, colors = self._colors[model.name]
+        points = se3.apply(T_obj_cam, np.asarray(scene.points))
+        distance, nearest = tree.query(points, distance_upper_bound=NEAR_M)
+        on = np.isfinite(distance)
+        if on.sum() < FEWEST:
+            return -1.0
+        a, b = np.asarray(scene.colors)[on], colors[nearest[on]]
+        a, b = a - a.mean(0), b - b.mean(0)
+        return float((a * b).sum() / np.sqrt((a * a).sum() * (b * b).sum() + 1e-12))
+
+    def _settled_by_color(self, model: ReferenceModel, scene: Any, T_obj_cam: Float64) -> Float64:
+        """Coloured ICP in the brightness and tint of the scene; the pose as it was where no points pair."""
+        o3d = _o3d()
+        registration = o3d.pipelines.registration
+        whole, rgb = o3d.geometry.PointCloud(self._models[model.name]), self._colors[model.name][1]
+        light = np.median(np.asarray(scene.colors), 0) / np.maximum(np.median(rgb, 0), 0.02)
+        whole.colors = o3d.utility.Vector3dVector(np.clip(rgb * light, 0.0, 1.0))
+        try:
+            found = registration.registration_colored_icp(
+                scene,
+                whole,
+                NEAR_M,
+                T_obj_cam,
+                registration.TransformationEstimationForColoredICP(),
+                registration.ICPConvergenceCriteria(max_iteration=20),
+            )
+        except RuntimeError:
+            return T_obj_cam
+        return np.asarray(found.transformation)
+
+
+def different(transforms: Sequence[Float64], most: int) -> list[Float64]:
+    """The first of transforms (4, 4) that are turned by APART_RAD against all before, at most so many."""
+    kept: list[Float64] = []
+    for T in transforms:
+        if len(kept) < most and all(se3.rotation_angle(T, other) > APART_RAD for other in kept):
+            kept.append(T)
+    return kept

@@ -15,7 +15,7 @@ from huepose.rendering import render_depth
 sys.path.insert(0, str(Path(__file__).resolve().parents[2] / "benchmarks"))
 
 from changed_print import KINDS, changed, patches
-from open3d_rivals import Features, ManyStarts
+from open3d_rivals import Features, ManyStarts, different
 from rival import Seen, seen_under
 from track_rivals import LastPoseTracker, careful_icp, color_icp, flow_pairs
 
@@ -70,6 +70,23 @@ def test_registration_by_shape_lays_the_box_on_its_points(tea_box, take_picture,
     assert found is not None
     assert metrics.adds(tea_box.eval_points, found[0], standing) < 0.1 * tea_box.diameter_m
     assert found[2] > 0
+
+
+def test_by_colour_the_box_is_not_upside_down(tea_box, take_picture, standing) -> None:
+    rival = ManyStarts(by_color=True)
+    rival.prepare(tea_box)
+    found = rival.pose(tea_box, _whole(tea_box, standing, take_picture))
+    assert found is not None
+    assert metrics.add(tea_box.eval_points, found[0], standing) < 0.1 * tea_box.diameter_m
+
+
+def test_different_transforms_are_turned_against_each_other() -> None:
+    turns = [
+        se3.make(se3.rotation_exp(np.array([0.0, 0.0, a])), np.zeros(3)) for a in (0, 0.2, 0.5, 0.6, 1.5)
+    ]
+    kept = different(turns, 3)
+    assert [k is t for k, t in zip(kept, (turns[0], turns[2], turns[4]), strict=True)] == [True] * 3
+    assert len(different(turns, 2)) == 2
 
 
 def test_the_share_of_print_that_is_wanted_is_changed() -> None:

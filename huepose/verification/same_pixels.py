@@ -3,8 +3,8 @@
 A score of one pose alone reads the picture where that pose fits it, and under the light that suits it. Of
 poses that compete for one answer more can be asked: that they explain the same pixels, where what shows and
 is not in their print speaks against them, and that the print is as strong in one as in the other. Fine detail
-is compared to the pixel; of broader print no more is asked than that it is there within a pixel or two,
-because labels are not glued on exactly as the mesh has it.
+is compared as the mesh has it, and moved as a whole as far as labels are glued on elsewhere; of broader
+print no more is asked than that it is there within a pixel or two.
 """
 
 from __future__ import annotations
@@ -19,6 +19,7 @@ from huepose.geometry.arrays import Bool, Float32, Float64
 from huepose.geometry.camera import Camera
 from huepose.model.types import ReferenceModel
 from huepose.rendering.render import render
+from huepose.verification.displaced import aligned
 from huepose.verification.portrait import detail_colors
 
 BROAD_PX = 5.0
@@ -35,6 +36,9 @@ NOISE = 1.0
 
 WEAKEST, STRONGEST = 0.3, 1.2
 """Of a print against that of the mesh: veiled by gloss and blur, or sharper than it was scanned."""
+
+MOVED = 0.7
+"""So much of the detail's correlation is that after the print was moved where it suits the picture best."""
 
 FEWEST = 20
 """Pixels on which poses can be compared."""
@@ -97,17 +101,22 @@ def _seen(model: ReferenceModel, part: Part, T_cam_obj: Float64) -> _Seen:
 
 
 def _detail(colors: Float32, seen: Sequence[_Seen], shared: Bool) -> Float64:
-    picture = colors[..., :3]
     count = float(shared.sum())
-    floor = count * NOISE**2
+    everywhere = np.ascontiguousarray(colors[..., :3] * shared[..., None])
     out = []
     for one in seen:
         there = one.comparable[..., None]
-        print_, here = one.colors[..., :3] * there, picture * there
-        strength = float((here * here).sum()) * float((print_ * print_).sum())
-        correlation = float((here * print_).sum()) / np.sqrt(strength + floor * floor)
+        print_ = np.ascontiguousarray(one.colors[..., :3] * there)
+        moved = aligned(everywhere, print_, one.comparable)
+        as_drawn = _correlation(everywhere * there, print_, count)
+        correlation = as_drawn + MOVED * (_correlation(everywhere, moved, count) - as_drawn)
         out.append(correlation * float(one.comparable.sum()) / count)
     return np.array(out)
+
+
+def _correlation(picture: Float32, print_: Float32, count: float) -> float:
+    strength = float((picture * picture).sum()) * float((print_ * print_).sum())
+    return float((picture * print_).sum()) / float(np.sqrt(strength + (count * NOISE**2) ** 2))
 
 
 def _broad(colors: Float32, seen: Sequence[_Seen], shared: Bool) -> Float64:

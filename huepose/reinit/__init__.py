@@ -3,6 +3,7 @@
 from huepose.reinit.config import ReinitConfig
 from huepose.reinit.judge import judge_tracked
 from huepose.reinit.loop import ReinitLoop
+from huepose.reinit.rehearsal import rehearse
 from huepose.reinit.types import (
     Counters,
     ObjectSlot,
@@ -24,4 +25,5 @@ __all__ = [
     "RequestedObject",
     "Searching",
     "judge_tracked",
+    "rehearse",
 ]

@@ -40,7 +40,8 @@ def assign(
     Every instance is predicted to the estimates' stamp. The sum of distances is least over all assignments
     that keep to the gates, as many as possible being assigned.
     """
-    # Every worker imports this room for its types; this one function needs a quarter of a second more.
+    # Every worker imports this room for its types; this one function needs a quarter of a second more, or
+    # seconds on a busy computer that reads it from its disk: see `rehearsal`.
     from scipy.optimize import linear_sum_assignment
 
     out: list[int | None] = [None] * len(estimates)

@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import asdict
 
 from huepose.estimation.types import PoseEstimate
-from huepose.reinit import ReinitConfig, ReinitLoop
+from huepose.reinit import ReinitConfig, ReinitLoop, rehearse
 from huepose.reinit.types import ObjectSlot, PerceptionResult, Request
 from huepose.reinit.types import Prior as LoopPrior
 from huepose.tracking.types import Correction, State, TrackedPose
@@ -65,6 +65,7 @@ def make(bus: Bus, config: Config) -> ReinitWork:
         objects_per_request=config.reinit.objects_per_tick,
         deadline_ms=float(config.reinit.deadline_ms),
     )
+    rehearse()
     return ReinitWork(bus, ReinitLoop(settings, slots), ObjectList(entries, load))
 
 

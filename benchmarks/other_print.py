@@ -1,11 +1,12 @@
-"""Another print, or the same in part out of date? What tells them apart, on rendered views at true poses.
+"""Another print, or the same in part out of date? What tells them apart, at the poses that are answered.
 
     .venv/bin/python benchmarks/other_print.py --bundles DIR --ids 2 3 5 6 --json OUT.json
 
-The picture shows a print of which a share was replaced by labels or turned to other hues (`changed_print`),
-in drawn light, with noise and blur; the reference model knows the print as it was. A print that was changed
-all over is another one. Columns: median and 90 % of a figure, and how often it is lower than that of a wholly
-changed print of the same kind (area under the ROC curve).
+The picture is a rendered view of the object, of whose print a share was replaced by labels or turned to other
+hues (`changed_print`), in drawn light, with noise and blur; the reference model knows the print as it was. A
+print that was changed all over is another one, and the answer is the pose at which it still agrees best.
+Columns: median and 90 % of a figure, and how often it is lower than that of a wholly changed print of the
+same kind (area under the ROC curve).
 """
 
 from __future__ import annotations
@@ -18,21 +19,20 @@ from pathlib import Path
 import numpy as np
 from changed_print import changed
 
+from huepose.estimation import Estimator, EstimatorConfig, ObjectQuery
 from huepose.evaluation.colorpairs.similarity_fit import disturbed_color
 from huepose.evaluation.colorpairs.views import object_views
 from huepose.evaluation.result_files import write_json
 from huepose.evaluation.summary import table
-from huepose.geometry import Box, RgbdFrame
+from huepose.geometry import RgbdFrame
 from huepose.geometry.arrays import Float64
 from huepose.model import ReferenceModel, load_models
 from huepose.support.progress import progress
-from huepose.verification.dense import score
 from huepose.verification.other_print import otherwise_many
 from huepose.verification.pairs import pair_picture, pair_score_many
 from huepose.verification.pairs_agreement import agreement_many
-from huepose.verification.region import prepare_region
 
-FIGURES = ("contrasts elsewhere", "agreement of pairs", "correlation of pairs", "dense colour")
+FIGURES = ("contrasts elsewhere", "colour missing", "agreement of pairs", "correlation of pairs", "quality")
 """The last three are high where the print is the right one: they are taken with the other sign."""
 
 KINDS = ("recoloured", "replaced")
@@ -63,28 +63,23 @@ def main() -> None:
 
 
 def measured(model: ReferenceModel, kind: str, share: float, views: int, seed: int) -> list[Float64]:
-    """FIGURES (4,) in each of some views of the object with a share of its print changed."""
+    """FIGURES (5,) in each of some views of the object with a share of its print changed."""
     mesh = changed(model.mesh, kind, share, seed) if share > 0.0 else model.mesh
     rng = np.random.default_rng([seed, 92])
+    estimator = Estimator({model.name: model}, EstimatorConfig(found_level=0.0))
     out = []
     for view in object_views({model.name: replace(model, mesh=mesh)}, views, PIXELS, seed):
         frame = RgbdFrame(disturbed_color(view, rng), view.frame.depth, view.frame.camera)
-        box = Box.of_mask(view.mask)
-        region = None if box is None else prepare_region(frame, view.mask, box, model.diameter_m)
-        if region is None:
+        answer, explanation = estimator.explain(frame, ObjectQuery(model.name, masks=(view.mask,)))
+        if answer.T_cam_obj is None or explanation.evidence is None or answer.terms is None:
             continue
-        picture, T = pair_picture(model, region.crop, region.median_depth_m), view.T_cam_obj
-        pairs = pair_score_many(model, region, picture, T[None], 1500)[0]
-        out.append(
-            np.array(
-                [
-                    otherwise_many(model, region, picture, T[None])[0],
-                    -agreement_many(model, region, picture, T[None])[0],
-                    -pairs[2] - pairs[3],
-                    -score(model, region, T).color,
-                ]
-            )
-        )
+        region, T = explanation.evidence.region, answer.T_cam_obj[None]
+        picture = pair_picture(model, region.crop, region.median_depth_m)
+        pairs = pair_score_many(model, region, picture, T, 1500)[0]
+        elsewhere = otherwise_many(model, region, picture, T)[0]
+        agreed = agreement_many(model, region, picture, T)[0]
+        signs = [elsewhere, answer.terms.missing, -agreed, -pairs[2] - pairs[3], -answer.quality]
+        out.append(np.array(signs))
     return out
 
 

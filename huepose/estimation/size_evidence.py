@@ -9,9 +9,10 @@ from __future__ import annotations
 
 import numpy as np
 
-from huepose.geometry.arrays import Float, Float32, Float64
+from huepose.geometry.arrays import Float, Float64
 from huepose.geometry.kernels import solve_symmetric
 from huepose.model.types import ReferenceModel
+from huepose.registration.surface_icp import SurfaceArrays, surface_arrays
 from huepose.support.jit import jit_dividing
 from huepose.verification.region import Region
 
@@ -37,12 +38,9 @@ def stretch(model: ReferenceModel, region: Region, T_cam_obj: Float) -> float:
     points = np.ascontiguousarray((region.points_cam - t) @ R)
     gate = max(LEAST_GATE_M, GATE * model.diameter_m)
     sigma_m = DEPTH_SIGMA_M + STEREO_SIGMA_PER_M * region.median_depth_m**2
-    surface, grid = model.surface, model.grid
-    return -_growth(
-        points, region.point_weights, -R.T @ t, surface.points, surface.normals, grid.origin,
-        float(grid.step), grid.nearest, model.mesh.centre, gate, 1.0 / BELIEVED**2,
-        1.0 / (sigma_m**2 * POINTS_PER_READING),
-    )  # fmt: skip
+    surface = surface_arrays(model.surface, model.grid)._replace(centre=model.mesh.centre)
+    information = 1.0 / (sigma_m**2 * POINTS_PER_READING)
+    return -_growth(points, region.point_weights, -R.T @ t, surface, gate, 1.0 / BELIEVED**2, information)
 
 
 @jit_dividing
@@ -50,19 +48,16 @@ def _growth(
     points: Float64,
     weights: Float64,
     camera: Float64,
-    samples: Float32,
-    normals: Float32,
-    origin: Float64,
-    step: float,
-    nearest: np.ndarray,
-    centre: Float64,
+    surface: SurfaceArrays,
     gate: float,
     prior: Float64,
     information: float,
 ) -> float:
-    """Logarithm by which points (N, 3) in the object's frame, which are moved, should grow to lie on the
-    surface that is seen from `camera`; Tukey's weights times those given. information: of a single distance,
-    `prior` (7,) that of pose and size before looking."""
+    """Logarithm by which points (N, 3) in the object's frame, which are moved, should grow about the centre
+    to lie on the surface that is seen from `camera`; Tukey's weights times those given. information: of a
+    single distance, `prior` (7,) that of pose and size before looking."""
+    samples, normals, nearest = surface.samples, surface.normals, surface.nearest
+    origin, step, centre = surface.origin, surface.step, surface.centre
     A, b, x, found, slope = np.empty((7, 7)), np.empty(7), np.empty(7), np.zeros(7), np.empty(7)
     for _ in range(STEPS):
         A[:] = 0.0

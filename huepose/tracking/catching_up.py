@@ -102,8 +102,12 @@ def needs_search(pursuit: Pursuit, kept: Sequence[RgbdFrame], config: TrackerCon
     """Whether the next step leads to a frame so far off that it cannot do without a search."""
     if pursuit.reached is None:
         apart_ns = abs(kept[0].stamp_ns - pursuit.correction.stamp_ns)
+        reached = kept[0]
     else:
-        apart_ns = _next(pursuit.reached, kept, config.catch_up_stride).stamp_ns - pursuit.reached.stamp_ns
+        apart_ns, reached = 0, pursuit.reached
+    if reached is not kept[-1]:
+        ahead = _next(reached, kept, config.catch_up_stride)
+        apart_ns = max(apart_ns, ahead.stamp_ns - reached.stamp_ns)
     usual_ns = config.catch_up_stride * _interval_ns(kept, config.catch_up_stride)
     return config.search and apart_ns > SLACK * usual_ns
 

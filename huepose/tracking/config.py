@@ -11,7 +11,7 @@ from huepose.tracking.flow import FlowSource, compute
 @dataclass(frozen=True)
 class TrackerConfig:
     """history_frames, older_frames: frames that are kept for late corrections: the newest ones, and behind
-    them others that lie 0.1 and 0.3 seconds apart, half of them each.
+    them others that lie a tenth and a sixth of a second apart, half of them each.
     tracking_quality, suspect_quality: a pose over the first goes to TRACKING, one under the second to
     SUSPECT. confirmed_identity: how sure it must be that an acquired pose is the right one before it is
     TRACKING. lost_quality: under it a frame gives no support; lost_after such frames in a row make an object
@@ -23,7 +23,7 @@ class TrackerConfig:
     """
 
     history_frames: int = 20
-    older_frames: int = 20
+    older_frames: int = 24
     tracking_quality: float = 0.6
     suspect_quality: float = 0.5
     lost_quality: float = 0.25

@@ -17,8 +17,9 @@ from huepose.geometry import se3
 from huepose.geometry.arrays import Float64
 from huepose.geometry.frame import RgbdFrame
 
-CLOSE_S, WIDE_S = 0.1, 0.3
-"""What lies between older frames: steps that the tracker takes without a search, and with one."""
+CLOSE_S, WIDE_S = 1.0 / 10.0, 1.0 / 6.0
+"""What lies between older frames: steps that the tracker takes without a search, and with one. Fast hands are
+followed over every third and every fifth of thirty frames a second, but not over every ninth."""
 
 NEARLY = 0.9
 """Stamps are not exact."""
@@ -111,7 +112,7 @@ class PoseHistory:
 
 class FrameHistory:
     """Frames of one camera epoch, the fewer the older they are: the `newest` ones all of them, behind them
-    `older` ones, half of them a tenth of a second apart, half three tenths. So few frames reach back far, and
+    `older` ones, half of them a tenth of a second apart, half a sixth. So few frames reach back far, and
     an answer that is late by seconds still finds a way to now."""
 
     def __init__(self, newest: int, older: int = 0) -> None:

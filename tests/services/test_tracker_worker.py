@@ -157,8 +157,8 @@ def test_who_answers_too_late_is_told_what_to_do_until_it_is_in_time(capfd):
     (warning,) = bus.health.message().warnings
     assert "answers 8.0 s after" in warning
     assert "kept for 4.0 s" in warning
-    # 1.3 times 8 s are to be reached: 6.4 s more than 4 s, two frames for each 0.4 s.
-    assert "tracker.older_frames to 52" in warning
+    # 1.3 times 8 s are to be reached: 6.4 s more than 4 s, two frames for each 4/15 s.
+    assert "tracker.older_frames to 72" in warning
     assert capfd.readouterr().err.count("is refused: perception answers") == 1
     work._tracker.answer = Applied.CATCHING_UP
     bus.waiting["correction"] = [msgspec.structs.replace(late, seq=late.seq + 1)]

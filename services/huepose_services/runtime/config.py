@@ -55,7 +55,7 @@ class TrackerConfig(Section, frozen=True, kw_only=True):
     the turn between two frames come from."""
 
     history_frames: Annotated[int, Meta(ge=2, le=300)] = 20
-    older_frames: Annotated[int, Meta(ge=0, le=300)] = 20
+    older_frames: Annotated[int, Meta(ge=0, le=300)] = 24
     max_age_ms: Annotated[float, Meta(gt=0.0, le=10_000.0)] = 300.0
     flow: Literal["dis", "neuflow"] = "dis"
     flow_model: str | None = None

@@ -1,0 +1,132 @@
+"""A gateway with real sessions, a tracker's end of the bus beside it, and a real authority."""
+
+import threading
+import time
+
+import msgspec
+import pytest
+import trustme
+
+from huepose_protos.examples import messages
+from huepose_protos.messages import (
+    PoseMessage,
+)
+from huepose_services.gateway import GatewayWork, make
+from huepose_services.runtime.bus import Bus
+from huepose_services.runtime.config import BusConfig, Config, GatewayConfig, TlsConfig
+from huepose_services.runtime.health import Health
+from huepose_services.runtime.log import Log
+from huepose_services.runtime.session import open_worker_session
+
+EXAMPLES = {type(m): m for m in messages()}
+
+
+class Running:
+    """A tracker's end of the bus that says what a test wants, and a gateway beside it."""
+
+    def __init__(self, base_port: int, **gateway: object) -> None:
+        self.port = base_port + 9
+        self.config = Config(
+            bus=BusConfig(base_port=base_port),
+            gateway=GatewayConfig(listen=f"127.0.0.1:{self.port}", **gateway),
+        )
+        self.tracker = self._bus("tracker")
+        self.corrections = self.tracker.inbox.queue(self.tracker.keys.correction)
+        self.gateway = self.work = None
+        self.start_gateway()
+
+    def _bus(self, worker):
+        session, _ = open_worker_session(self.config, worker)
+        return Bus(session, self.config.keys, worker, Log(worker), Health(worker))
+
+    def start_gateway(self):
+        self.gateway = self._bus("gateway")
+        self.work: GatewayWork = make(self.gateway, self.config)
+        self._stopping = threading.Event()
+        self._thread = threading.Thread(target=self._loop)
+        self._thread.start()
+
+    def _loop(self):
+        while not self._stopping.is_set():
+            self.gateway.inbox.wait(0.01)
+            self.work.step()
+
+    def stop_gateway(self):
+        self._stopping.set()
+        self._thread.join()
+        self.work._outside.close()
+        self.gateway.close()
+        self.gateway.session.close()
+
+    def say(self, frame_id, **changes):
+        """A pose of the example object; the stamps are those of now."""
+        now = time.monotonic_ns()
+        clock = {"realtime_offset_ns": time.time_ns() - now}
+        pose = msgspec.structs.replace(
+            EXAMPLES[PoseMessage],
+            **({"frame_id": frame_id, "capture_ns": now, "publish_ns": now} | clock | changes),
+        )
+        self.tracker.put(self.tracker.keys.pose(pose.object, pose.instance), pose)
+        return pose
+
+    def say_until(self, condition, timeout_s=8.0):
+        """Poses at 100 a second until something holds; returns the last."""
+        deadline, frame_id = time.monotonic() + timeout_s, 1000
+        while not condition():
+            assert time.monotonic() < deadline, "it did not come about in time"
+            frame_id += 1
+            pose = self.say(frame_id)
+            time.sleep(0.01)
+        return pose
+
+    def close(self):
+        self.stop_gateway()
+        self.tracker.close()
+        self.tracker.session.close()
+
+
+@pytest.fixture
+def start(base_port):
+    running = []
+
+    def begin(**gateway):
+        running.append(Running(base_port, **gateway))
+        return running[-1]
+
+    yield begin
+    for one in running:
+        one.close()
+
+
+@pytest.fixture(scope="module")
+def authority(tmp_path_factory):
+    """Files of an authority, a gateway and some readers; one of them has another authority's certificate."""
+    folder = tmp_path_factory.mktemp("certificates")
+    ours, theirs = trustme.CA(organization_name="ours"), trustme.CA(organization_name="theirs")
+    ours.cert_pem.write_to_path(folder / "ca.pem")
+    certificates = {
+        "gateway": ours.issue_cert("localhost", "127.0.0.1", common_name="gateway"),
+        "robot1": ours.issue_cert("robot1.local", common_name="robot1"),
+        "robot2": ours.issue_cert("robot2.local", common_name="robot2"),
+        "stranger": theirs.issue_cert("robot1.local", common_name="robot1"),
+    }
+    for name, certificate in certificates.items():
+        certificate.private_key_pem.write_to_path(folder / f"{name}.key")
+        certificate.cert_chain_pems[0].write_to_path(folder / f"{name}.pem")
+    return folder
+
+
+def tls(folder, readers=()):
+    return TlsConfig(
+        authority=str(folder / "ca.pem"),
+        certificate=str(folder / "gateway.pem"),
+        key=str(folder / "gateway.key"),
+        readers=list(readers),
+    )
+
+
+def credentials(folder, name):
+    files = {"authority": folder / "ca.pem"}
+    if name is not None:
+        files |= {"certificate": folder / f"{name}.pem", "key": folder / f"{name}.key"}
+    return files

@@ -1,0 +1,202 @@
+"""The gateway with real sessions: what is seen outside, and that nothing comes in."""
+
+import json
+import re
+import subprocess
+import sys
+import threading
+import time
+from pathlib import Path
+
+import msgspec
+import pytest
+
+from huepose_protos import PoseClient, decode, encode
+from huepose_protos.client import open_session
+from huepose_protos.messages import (
+    CameraMessage,
+    CorrectionMessage,
+    HealthMessage,
+    ObjectsMessage,
+    PoseMessage,
+)
+
+from .conftest import EXAMPLES, Running, credentials, tls
+
+pytestmark = pytest.mark.live
+ALL = "huepose/*/*/remote/**"
+DOCS = Path(__file__).parents[3] / "docs"
+
+
+def test_poses_objects_camera_and_health_are_seen_outside_and_at_once_by_who_comes_late(start):
+    one = start()
+    with (
+        PoseClient(f"tcp/127.0.0.1:{one.port}") as first,
+        PoseClient(one.config.endpoint("tracker")) as inside,
+    ):
+        one.say_until(lambda: first.latest() is not None and inside.latest() is not None)
+    keys = one.tracker.keys
+    for key, kind in (
+        (keys.objects, ObjectsMessage),
+        (keys.camera_info, CameraMessage),
+        (keys.health("tracker"), HealthMessage),
+    ):
+        one.tracker.put(key, EXAMPLES[kind])
+    pose = one.say(5000, state="SUSPECT")
+    time.sleep(0.1)
+    # From now on nobody says anything.
+    session = open_session([f"tcp/127.0.0.1:{one.port}"])
+    deadline, replies = time.monotonic() + 5.0, {}
+    while len(replies) < 4 and time.monotonic() < deadline:
+        replies = {str(r.ok.key_expr): r.ok.payload.to_bytes() for r in session.get(ALL, timeout=1.0)}
+        time.sleep(0.05)
+    session.close()
+    assert decode(replies[keys.outside(keys.pose(pose.object, pose.instance))], PoseMessage) == pose
+    assert decode(replies[keys.outside(keys.objects)], ObjectsMessage) == EXAMPLES[ObjectsMessage]
+    assert decode(replies[keys.outside(keys.camera_info)], CameraMessage) == EXAMPLES[CameraMessage]
+    assert decode(replies[keys.outside(keys.health("tracker"))], HealthMessage) == EXAMPLES[HealthMessage]
+    with PoseClient(f"tcp/127.0.0.1:{one.port}", object=pose.object) as late:
+        assert late.next(5.0) == pose
+
+
+def test_a_fast_source_is_cut_to_the_rate_but_a_change_of_state_passes_at_once(start):
+    one = start(max_rate_hz=10.0)
+    with PoseClient(f"tcp/127.0.0.1:{one.port}") as client:
+        one.say_until(lambda: client.latest() is not None)
+        time.sleep(0.15)
+        while client.next(0.02) is not None:
+            pass
+        for i in range(100):
+            one.say(5000 + i, state="SUSPECT" if i >= 50 else "TRACKING")
+            time.sleep(0.004)
+        time.sleep(0.2)
+        got = []
+        while (pose := client.next(0.1)) is not None:
+            got.append(pose.frame_id)
+    assert 5050 in got
+    assert got[-1] == 5099, "the newest arrives, late"
+    # One for each tenth of the time that it took, and two that nothing holds back.
+    assert len(got) < 40
+
+
+def test_what_comes_from_outside_changes_nothing(start, wait_until):
+    one = start()
+    correction = encode(EXAMPLES[CorrectionMessage])
+    with PoseClient(f"tcp/127.0.0.1:{one.port}") as client:
+        one.say_until(lambda: client.latest() is not None)
+        with open_session([f"tcp/127.0.0.1:{one.port}"]) as other:
+            wait_until(lambda: list(other.info.peers_zid()))
+            keys = one.tracker.keys
+            forged = encode(msgspec.structs.replace(EXAMPLES[PoseMessage], frame_id=666_666))
+            for _ in range(20):
+                for key in (keys.correction, keys.outside(keys.correction)):
+                    other.put(key, correction)
+                for key in (keys.pose("forged", 0), keys.outside(keys.pose("forged", 0))):
+                    other.put(key, forged)
+                time.sleep(0.005)
+        # The way inside is open for the tracker's own neighbours, so the silence above is not an accident.
+        assert one.tracker.take(one.corrections, CorrectionMessage) is None
+        one.gateway.put_control(keys.correction, EXAMPLES[CorrectionMessage])
+        wait_until(lambda: one.tracker.take(one.corrections, CorrectionMessage) is not None)
+        assert client.latest().frame_id != 666_666
+        assert client.latest("forged") is None
+
+
+def test_garbage_inside_is_not_passed_on(start, wait_until):
+    one = start()
+    with PoseClient(f"tcp/127.0.0.1:{one.port}") as client:
+        one.say_until(lambda: client.latest() is not None)
+        for data in (b"", b"\xc1", encode(EXAMPLES[PoseMessage])[:-3], b"\xff" * 9000):
+            one.tracker.session.put(one.tracker.keys.pose("garbage", 0), data)
+        frame = one.say(9000, state="SUSPECT").frame_id
+        while client.next(5.0).frame_id != frame:
+            pass
+        assert client.refused == 0
+    assert one.gateway.health.counters["wire_errors"] == 4
+
+
+def test_poses_are_printed_on_another_machine_the_latest_at_once(start, authority, huepose):
+    one = start(tls=tls(authority, ["robot1"]))
+    address, files = f"localhost:{one.port}", credentials(authority, "robot1")
+    with PoseClient(f"tls/{address}", **files) as client:
+        last = one.say_until(lambda: client.latest() is not None)
+    # From now on nobody says anything.
+    printer = huepose("poses", "--json", "--gateway", address, "--tls", *files.values())
+    assert json.loads(printer.stdout.readline())["frame_id"] == last.frame_id
+    one.stop_gateway()
+    assert "is gone; waiting for it" in printer.stderr.readline()
+    one.start_gateway()
+    time.sleep(0.5)
+    lines: list[str] = []
+    reader = threading.Thread(target=lambda: lines.append(printer.stdout.readline()))
+    reader.start()
+    one.say_until(lambda: lines)
+    reader.join()
+    assert json.loads(lines[0])["object"] == last.object
+    printer.terminate()
+    assert printer.wait(5.0) == 0
+
+
+def test_a_client_that_is_there_first_survives_a_gateway_that_comes_and_goes(base_port):
+    with PoseClient(f"tcp/127.0.0.1:{base_port + 9}") as client:
+        assert client.next(0.2) is None
+        assert not client.connected
+        assert client.silent_s() == float("inf")
+        one = Running(base_port)
+        one.say_until(lambda: client.latest() is not None)
+        now = client.at()
+        assert now.ahead_s < 0.1
+        assert client.at(time.time_ns() + 10**9) is None
+        one.stop_gateway()
+        time.sleep(0.3)
+        assert not client.connected
+        assert client.latest(max_age_s=0.2) is None
+        assert client.silent_s() > 0.2
+        one.start_gateway()
+        time.sleep(0.1)
+        last = one.say_until(lambda: client.silent_s() < 0.1)
+        assert client.connected
+        assert last.frame_id > 1000
+        one.close()
+
+
+def test_the_twenty_lines_of_the_manual_print_poses(start):
+    page = (DOCS / "subscribers.md").read_text()
+    code = re.search(r"## Without our package.*?```python\n(.*?)```", page, re.DOTALL)[1]
+    lines = [line for line in code.splitlines() if line.strip()]
+    assert len(lines) <= 22
+    assert not {"huepose_protos", "msgspec"} & set(re.findall(r"import (\w+)", code))
+    one = start()
+    process = subprocess.Popen(
+        [sys.executable, "-c", code, f"tcp/127.0.0.1:{one.port}"], stdout=subprocess.PIPE, text=True
+    )
+    got = []
+    reader = threading.Thread(target=lambda: got.append(process.stdout.readline()))
+    reader.start()
+    pose = one.say_until(lambda: got)
+    process.kill()
+    reader.join()
+    process.communicate()
+    place = json.loads(json.dumps(pose.translation))
+    assert got[0].startswith(f"{pose.object} {pose.instance} TRACKING {place} ")
+
+
+def test_the_worker_processes_of_a_camera_and_a_gateway(pipeline, huepose, base_port, wait_until):
+    path = pipeline(once=False, rate=20)
+    given = json.loads(path.read_text())
+    listen = f"127.0.0.1:{base_port + 9}"
+    path.write_text(json.dumps(given | {"workers": ["camera", "gateway"], "gateway": {"listen": listen}}))
+    workers = [huepose("run", name, path) for name in ("camera", "gateway")]
+    session, replies = open_session([f"tcp/{listen}"]), {}
+
+    def both_heard():
+        replies.update({str(r.ok.key_expr): r.ok.payload.to_bytes() for r in session.get(ALL, timeout=0.5)})
+        return {f"huepose/local/cam0/remote/{tail}" for tail in ("camera", "health/camera")} <= set(replies)
+
+    wait_until(both_heard, 60.0)
+    session.close()
+    camera = decode(replies["huepose/local/cam0/remote/camera"], CameraMessage)
+    assert (camera.intrinsics.width, camera.intrinsics.height, camera.intrinsics.fx) == (64, 48, 60.0)
+    for worker in workers:
+        worker.terminate()
+        assert worker.wait(5.0) == 0

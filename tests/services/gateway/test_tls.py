@@ -1,0 +1,103 @@
+"""Who reads through the gateway and who does not, with a real authority; and what those are told."""
+
+import time
+from dataclasses import replace
+
+import msgspec
+import pytest
+import zenoh
+
+from huepose_protos import PoseClient, encode
+from huepose_protos.client import open_session
+from huepose_protos.messages import CorrectionMessage
+from huepose_services.cli.main import main
+from huepose_services.pem import Credentials, why_unreachable
+from huepose_services.runtime.config import GatewayConfig
+
+from .conftest import EXAMPLES, credentials, tls
+
+pytestmark = pytest.mark.live
+
+
+def test_only_the_authoritys_certificates_read(start, authority):
+    one = start(tls=tls(authority))
+    clients = {
+        name: PoseClient(f"tls/localhost:{one.port}", **credentials(authority, name))
+        for name in ("robot1", "robot2", "stranger", None)
+    }
+    clients["no TLS"] = PoseClient(f"tcp/localhost:{one.port}")
+    one.say_until(lambda: clients["robot1"].latest() and clients["robot2"].latest())
+    # As long again for the others.
+    for i in range(60):
+        one.say(7000 + i)
+        time.sleep(0.01)
+    heard = {name for name, client in clients.items() if client.latest() is not None}
+    for client in clients.values():
+        client.close()
+    assert heard == {"robot1", "robot2"}
+
+
+def test_only_listed_names_read_and_a_reader_cannot_steer(start, authority):
+    one = start(tls=tls(authority, ["robot1"]))
+    address = f"tls/localhost:{one.port}"
+    listed = PoseClient(address, **credentials(authority, "robot1"))
+    unlisted = PoseClient(address, **credentials(authority, "robot2"))
+    steering = open_session([address], **credentials(authority, "robot1"))
+    one.say_until(lambda: listed.latest() is not None and unlisted.connected)
+    for _ in range(30):
+        steering.put(one.tracker.keys.correction, encode(EXAMPLES[CorrectionMessage]))
+        one.say(7000)
+        time.sleep(0.01)
+    for reply in steering.get(one.tracker.keys.control, timeout=0.5):
+        pytest.fail(f"control answered: {reply}")
+    assert unlisted.latest() is None
+    assert one.tracker.take(one.corrections, CorrectionMessage) is None
+    for client in (listed, unlisted, steering):
+        client.close()
+
+
+def test_why_a_gateway_is_not_reached_is_said(start, authority, base_port, monkeypatch):
+    monkeypatch.setattr("huepose_services.pem._WITHIN_S", 0.5)
+    one = start(tls=tls(authority))
+    shown = {name: Credentials(*credentials(authority, name).values()) for name in ("robot1", "stranger")}
+    shown["no authority"] = replace(shown["robot1"], authority=authority / "robot2.pem")
+    reasons = {name: why_unreachable("localhost", one.port, files) for name, files in shown.items()}
+    assert reasons["robot1"] is None
+    assert "does not accept this certificate" in reasons["stranger"]
+    assert "its certificate is not accepted" in reasons["no authority"]
+    assert "give --tls" in why_unreachable("localhost", one.port, None)
+    assert why_unreachable("localhost", base_port + 8, None) == "no program listens there"
+    assert "no TLS there" in why_unreachable("127.0.0.1", base_port + 1, shown["robot1"])
+
+
+@pytest.mark.parametrize(
+    ("options", "said"),
+    [
+        (["--gateway", "a b"], "expected HOST or HOST:PORT"),
+        (["--tls", "{0}/ca.pem", "{0}/robot1.pem", "{0}/robot1.key"], "no --gateway"),
+        (["--gateway", "x", "--tls", "{0}/ca.pem", "{0}/robot1.pem", "{0}/nothing"], "--tls key"),
+        (["--gateway", "x", "--tls", "{0}/ca.pem", "{0}/robot1.pem", "{0}/robot2.key"], "key that belongs"),
+    ],
+)
+def test_options_for_another_machine_that_cannot_work_are_refused(authority, capsys, options, said):
+    assert main(["poses", *(option.format(authority) for option in options)]) == 2
+    assert said in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("name", ["authority", "certificate", "key"])
+def test_files_that_are_not_there_are_named(base_port, authority, name):
+    from huepose.support.errors import InputError
+    from huepose_services.gateway_session import open_outside
+
+    broken = msgspec.structs.replace(tls(authority), **{name: str(authority / "nothing.pem")})
+    with pytest.raises(InputError, match=f"gateway.tls.{name}.*No such file"):
+        open_outside(GatewayConfig(listen=f"127.0.0.1:{base_port}", tls=broken))
+
+
+def test_an_open_port_without_tls_is_warned_of(base_port):
+    from huepose_services.gateway_session import open_outside
+
+    session, warnings = open_outside(GatewayConfig(listen=f"0.0.0.0:{base_port}"))
+    session.close()
+    assert "anyone who reaches" in warnings[0]
+    assert isinstance(session, zenoh.Session)

@@ -70,7 +70,7 @@ def flood(endpoints: Sequence[str], site: str, camera: str, *, seconds: float, r
         return sent
     finally:
         time.sleep(0.2)
-        session.close()  # type: ignore[no-untyped-call]
+        session.close()
 
 
 def _stream(keys: Keys) -> Iterator[tuple[str, bytes, bytes | None]]:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import time
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
+from functools import partial
 
 import numpy as np
 
@@ -54,7 +55,7 @@ def bench_estimate(
                 size = (frame.camera.width, frame.camera.height)
                 box = disturbed(truth.box_visib, "perturbed", 0, "bench", int(i), truth.instance, *size)
                 queries.append(ObjectQuery(truth.object, box))
-        whole = _timed(lambda f=frame, q=queries: estimator.estimate(f, q))  # type: ignore[misc]
+        whole = _timed(partial(estimator.estimate, frame, queries))
         with listening() as clock:
             alone.estimate(frame, queries)
         if k == 0:
@@ -79,7 +80,7 @@ def bench_track(
     for i in progress(range(frames), "tracking"):
         frame = scene.frame(i)
         with listening() as clock:
-            whole = _timed(lambda f=frame: tracker.step(f))  # type: ignore[misc]
+            whole = _timed(partial(tracker.step, frame))
         if i < 3:
             continue
         rows["track"].append(whole)

@@ -3,14 +3,16 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 
 from huepose.datasets.synthetic import SyntheticScene
 from huepose.datasets.types import GroundTruth
 from huepose.evaluation.benches import StageTime
+from huepose.geometry.box import Box
 from huepose.geometry.frame import RgbdFrame
 from huepose.model.types import ReferenceModel
 from huepose.perception.colorpair_detector import ColorPairDetector
@@ -39,15 +41,13 @@ def bench_perception(
         without = _taken_out(frame, next((t for t in truths if t.object == turn), None))
         boxes = [(t.box_visib, models[t.object]) for t in truths if t.box_visib and t.object]
         with listening() as clock:
-            whole = _timed(lambda f=frame, t=turn: detector.detect(f, names, (t,)))  # type: ignore[misc]
+            whole = _timed(partial(detector.detect, frame, names, (turn,)))
         spans = {f"detect/{name}": total for name, total in clock.totals().items()}
         spans |= {
             "detect": whole,
-            "detect two": _timed(lambda f=frame, n=two: detector.detect(f, n, n[:1])),  # type: ignore[misc]
-            "detect missing": _timed(lambda f=without, t=turn: detector.detect(f, [t])),  # type: ignore[misc]
-            "segment": _timed(
-                lambda f=frame, b=boxes: [segmenter.segment(f, box, m.diameter_m) for box, m in b]  # type: ignore[misc]
-            ),
+            "detect two": _timed(partial(detector.detect, frame, two, two[:1])),
+            "detect missing": _timed(partial(detector.detect, without, [turn])),
+            "segment": _timed(partial(_segmented, segmenter, frame, boxes)),
         }
         for name, span in spans.items() if k else ():  # the first compiles
             rows.setdefault(name, []).append(span)
@@ -59,6 +59,13 @@ def _taken_out(frame: RgbdFrame, truth: GroundTruth | None) -> RgbdFrame:
     """The frame without depth where an object is seen: nothing else looks like it there."""
     mask = None if truth is None else truth.mask()
     return frame if mask is None else replace(frame, depth=np.where(mask, np.float32(0.0), frame.depth))
+
+
+def _segmented(
+    segmenter: DepthSegmenter, frame: RgbdFrame, boxes: Sequence[tuple[Box, ReferenceModel]]
+) -> None:
+    for box, model in boxes:
+        segmenter.segment(frame, box, model.diameter_m)
 
 
 def _timed(work: Callable[[], object]) -> tuple[float, float]:

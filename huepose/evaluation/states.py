@@ -13,6 +13,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Any
 
 from huepose.evaluation.summary import largest
 
@@ -110,9 +111,9 @@ def report(moments: Sequence[Moment]) -> StateReport:
 
 def combined(reports: Sequence[StateReport]) -> StateReport:
     """Counts summed, times and delays the largest."""
-    total = {name: sum(getattr(r, name) for r in reports) for name in _COUNTS}
+    total: dict[str, Any] = {name: sum(getattr(r, name) for r in reports) for name in _COUNTS}
     worst = {name: largest(getattr(r, name) for r in reports) for name in _TIMES}
-    return StateReport(**total, **worst)  # type: ignore[arg-type]
+    return StateReport(**total | worst)
 
 
 _COUNTS = (

@@ -168,7 +168,7 @@ class Reader:
 
     def close(self) -> None:
         """Leave the bus."""
-        self._session.close()  # type: ignore[no-untyped-call]
+        self._session.close()
 
     def __enter__(self) -> Reader:
         return self

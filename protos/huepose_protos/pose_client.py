@@ -174,7 +174,7 @@ class PoseClient:
         with self._changed:
             self._changed.notify_all()
         self._asker.join()
-        self._session.close()  # type: ignore[no-untyped-call]
+        self._session.close()
 
     def __enter__(self) -> PoseClient:
         return self

@@ -59,7 +59,7 @@ def hop_spans(shared_memory: bool, seconds: float) -> list[tuple[float, float]]:
         spans = _receive(inbox, ring, seconds, shared_memory)
     finally:
         inbox.close()
-        session.close()  # type: ignore[no-untyped-call]
+        session.close()
         sender.join(timeout=10.0)
     if not spans:
         way = "shared memory" if shared_memory else "TCP"
@@ -104,7 +104,7 @@ def _send(endpoint: str, pool_bytes: int, seconds: float) -> None:
         time.sleep(max(0.0, due - time.monotonic()))
     publisher.put(b"", attachment=bytes(8))
     time.sleep(0.2)
-    session.close()  # type: ignore[no-untyped-call]
+    session.close()
 
 
 def _has_reader(publisher: zenoh.Publisher) -> bool:

@@ -122,7 +122,7 @@ class GatewayWork:
         for key in old:
             self._limit.forget(key)
             if key in self._publishers:
-                self._publishers.pop(key).undeclare()  # type: ignore[no-untyped-call]
+                self._publishers.pop(key).undeclare()
 
     def _count(self) -> None:
         counters = self._bus.health.counters

@@ -9,6 +9,7 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
 from functools import lru_cache
+from typing import Any
 
 import numpy as np
 
@@ -108,15 +109,15 @@ def _stage(
     )
 
 
-def scripted(name: str, mesh: str, path: Float64, **more: object) -> Script:
+def scripted(name: str, mesh: str, path: Float64, **more: Any) -> Script:
     """A script of one object in even light."""
     n = len(path)
     others = more.pop("others", [])
     lights = more.pop("lights", [random_light(np.random.default_rng(9))] * n)
     views = more.pop("views", None)
-    stage = _stage({mesh: meshes()[mesh]}, [path], lights, others, views)  # type: ignore[arg-type]
+    stage = _stage({mesh: meshes()[mesh]}, [path], lights, others, views)
     fields = {"shown": tuple(range(n)), "slots": tuple(range(n)), **more}
-    return Script(name, (mesh,), stage, **fields)  # type: ignore[arg-type]
+    return Script(name, (mesh,), stage, **fields)
 
 
 def printed_board(width_m: float, height_m: float) -> Mesh:

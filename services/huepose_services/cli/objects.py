@@ -105,7 +105,7 @@ def ask(pipeline: Pipeline, request: ControlRequest) -> ControlReply | None:
                     return decode(reply.ok.payload.to_bytes(), ControlReply)
             time.sleep(0.05)
     finally:
-        session.close()  # type: ignore[no-untyped-call]
+        session.close()
     return None
 
 

@@ -62,7 +62,7 @@ def call(arguments: argparse.Namespace) -> int:
         print(f"\nhuepose record: {error.strerror or error}; what was written stays", file=sys.stderr)
         code = 1
     bus.close()
-    session.close()  # type: ignore[no-untyped-call]
+    session.close()
     try:
         writer.close()
     except OSError as error:

@@ -70,7 +70,7 @@ def call(arguments: argparse.Namespace) -> int:
                     player.play()
             again = arguments.loop
         time.sleep(_SETTLE_S / 4.0)
-    token.undeclare()  # type: ignore[no-untyped-call]
+    token.undeclare()
     bus.close()
-    session.close()  # type: ignore[no-untyped-call]
+    session.close()
     return 0

@@ -104,4 +104,4 @@ def _run(config: Config, recording: Any, seconds: float, stopping: Callable[[], 
             say_at = float("inf")
             print(f"waiting for frames from {config.endpoint('camera')}", file=sys.stderr, flush=True)
     bus.close()
-    session.close()  # type: ignore[no-untyped-call]
+    session.close()

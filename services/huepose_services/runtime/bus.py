@@ -96,5 +96,5 @@ class Bus:
         """End all subscriptions and publishers."""
         self.inbox.close()
         for publisher in self._publishers.values():
-            publisher.undeclare()  # type: ignore[no-untyped-call]
+            publisher.undeclare()
         self._publishers.clear()

@@ -39,8 +39,9 @@ def explain(error: msgspec.ValidationError, data: Any, config: type, path: Path)
     assert match is not None
     text, at = match["text"], (match["at"] or "$").removeprefix("$").lstrip(".")
     unknown, missing = _UNKNOWN.match(text), _MISSING.match(text)
-    if unknown or missing:
-        key = (unknown or missing)["key"]  # type: ignore[index]
+    named = unknown or missing
+    if named is not None:
+        key = named["key"]
         allowed = [f.name for f in msgspec.structs.fields(_type(config, at))]
         close = difflib.get_close_matches(key, allowed, 1)
         return InputError(

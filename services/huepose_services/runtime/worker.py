@@ -116,7 +116,7 @@ def run_worker(worker: str, config: Config) -> int:
         getattr(work, "close", lambda: None)()
         health.state = "ended" if work.finished else "stopping"
         bus.say_health()
-        token.undeclare()  # type: ignore[no-untyped-call]
+        token.undeclare()
     finally:
         signal.setitimer(signal.ITIMER_REAL, 0)
         _close(bus, session)
@@ -160,4 +160,4 @@ def _loop(bus: Bus, work: Work, stop: _Stop, pulse: Pulse) -> None:
 
 def _close(bus: Bus, session: zenoh.Session) -> None:
     bus.close()
-    session.close()  # type: ignore[no-untyped-call]
+    session.close()

@@ -16,21 +16,25 @@ from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
 
+import cv2
 import numpy as np
 from changed_print import changed
 
+from huepose.colorpair.extract import bounds
+from huepose.drawing.contact_sheet import contact_sheet
 from huepose.estimation import Estimator, EstimatorConfig, ObjectQuery
 from huepose.evaluation.colorpairs.similarity_fit import disturbed_color
-from huepose.evaluation.colorpairs.views import object_views
+from huepose.evaluation.colorpairs.views import StudyView, object_views
 from huepose.evaluation.result_files import write_json
 from huepose.evaluation.summary import table
-from huepose.geometry import RgbdFrame
-from huepose.geometry.arrays import Float64
+from huepose.geometry import Box, RgbdFrame, se3
+from huepose.geometry.arrays import Bool, Float64, UInt8
 from huepose.model import ReferenceModel, load_models
 from huepose.support.progress import progress
-from huepose.verification.other_print import otherwise_many
-from huepose.verification.pairs import pair_picture, pair_score_many
+from huepose.verification.other_print import contrasts, otherwise_many
+from huepose.verification.pairs import pair_arrays, pair_picture, pair_score_many
 from huepose.verification.pairs_agreement import agreement_many
+from huepose.verification.region import prepare_region
 
 FIGURES = ("contrasts elsewhere", "colour missing", "agreement of pairs", "correlation of pairs", "quality")
 """The last three are high where the print is the right one: they are taken with the other sign."""
@@ -38,6 +42,12 @@ FIGURES = ("contrasts elsewhere", "colour missing", "agreement of pairs", "corre
 KINDS = ("recoloured", "replaced")
 PIXELS = 130.0
 """The object's diameter in the picture."""
+
+SHOWN = (("recoloured", 0.0), ("recoloured", 0.3), ("replaced", 0.3), ("recoloured", 1.0), ("replaced", 1.0))
+ROWS, CELL_PX, MARGIN_PX, LARGE_PIXELS = 2, 260, 6, 260.0
+DRAWN, CLEAR = 1500, 0.3
+"""Of the page: objects, sides of a cell, what is left round the object, and its diameter; most pairs, and how
+clear those are that are drawn."""
 
 
 def main() -> None:
@@ -60,6 +70,42 @@ def main() -> None:
         arguments.json, {"figures": FIGURES, "values": {f"{k} {s:g}": v for (k, s), v in figures.items()}}
     )
     print(lines(figures))
+    if arguments.picture is not None:
+        cv2.imwrite(str(arguments.picture), page(models, arguments.seed)[..., ::-1])
+
+
+def page(models: Mapping[str, ReferenceModel], seed: int) -> UInt8:
+    """One view of each of the first objects as it is, with part of its print changed, and with all of it:
+    contrasts that point the model's way in green, elsewhere in red."""
+    cells, labels = [], []
+    for number, model in enumerate(list(models.values())[:ROWS]):
+        for kind, share in SHOWN:
+            mesh = changed(model.mesh, kind, share, seed + number) if share > 0.0 else model.mesh
+            (view,) = object_views({model.name: replace(model, mesh=mesh)}, 1, LARGE_PIXELS, seed + number)
+            region = prepare_region(view.frame, view.mask, Box.of_mask(view.mask), model.diameter_m)
+            if region is None:
+                continue
+            picture = pair_picture(model, region.crop, region.median_depth_m)
+            voices, elsewhere = contrasts(model, region, picture, view.T_cam_obj, DRAWN)
+            share_elsewhere = otherwise_many(model, region, picture, view.T_cam_obj[None], DRAWN)[0]
+            cells.append(_dotted(model, view, voices, elsewhere))
+            print_is = f"{100 * share:.0f} % {kind}" if share > 0.0 else "as it is"
+            labels.append(f"{print_is}: {100 * share_elsewhere:.0f} % elsewhere")
+    return contact_sheet(cells, len(SHOWN), labels, (CELL_PX, CELL_PX))
+
+
+def _dotted(model: ReferenceModel, view: StudyView, voices: Float64, elsewhere: Bool) -> UInt8:
+    """The view with a dot at every clear contrast."""
+    seen = voices > CLEAR
+    points = pair_arrays(model.pairs, DRAWN).points[seen].astype(np.float64)
+    left, top, right, bottom = bounds(view.mask, MARGIN_PX)
+    pixels = view.frame.camera.project(se3.apply(view.T_cam_obj, points)) - [left, top]
+    factor = CELL_PX / max(right - left, bottom - top)
+    size = (round((right - left) * factor), round((bottom - top) * factor))
+    out = cv2.resize(view.frame.color[top:bottom, left:right], size, interpolation=cv2.INTER_CUBIC)
+    for (u, v), other in zip((pixels + 0.5) * factor, elsewhere[seen], strict=True):
+        cv2.circle(out, (round(u), round(v)), 3, (230, 40, 40) if other else (30, 190, 60), -1, cv2.LINE_AA)
+    return np.asarray(out, np.uint8)
 
 
 def measured(model: ReferenceModel, kind: str, share: float, views: int, seed: int) -> list[Float64]:

@@ -11,7 +11,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from huepose.geometry.arrays import Float, Float64
+from huepose.geometry.arrays import Bool, Float, Float64
 from huepose.model.types import ReferenceModel
 from huepose.support.jit import jit
 from huepose.verification.kernel_arrays import RegionArrays, region_arrays
@@ -40,50 +40,64 @@ def otherwise_many(
     """Share (M,), 0..1, of the contrasts that point elsewhere, at poses (M, 4, 4), by at most `pairs` of the
     model's pairs; 0 where none is seen."""
     out = np.zeros(len(poses))
-    _count_all(
-        np.ascontiguousarray(poses, dtype=np.float64),
-        region_arrays(region),
-        pair_arrays(model.pairs, pairs),
-        picture,
-        out,
-    )
+    for m, T in enumerate(poses):
+        voices, elsewhere = contrasts(model, region, picture, T, pairs)
+        out[m] = voices[elsewhere].sum() / (NEUTRAL + voices.sum())
     return out
 
 
+def contrasts(
+    model: ReferenceModel, region: Region, picture: PairPicture, T_cam_obj: Float, pairs: int = 1500
+) -> tuple[Float64, Bool]:
+    """Of the pairs of `pair_arrays` at a pose (4, 4): how clear the contrast of each is (N,), 0..1, 0 where
+    it is not seen; and whether it points elsewhere (N,)."""
+    arrays = pair_arrays(model.pairs, pairs)
+    count = len(arrays.points)
+    voices, strengths, elsewhere = np.zeros(count), np.zeros(count), np.zeros(count, np.bool_)
+    _compare(
+        np.ascontiguousarray(T_cam_obj, dtype=np.float64),
+        region_arrays(region),
+        arrays,
+        picture,
+        voices,
+        strengths,
+        elsewhere,
+    )
+    seen = voices > 0.0
+    if seen.any():
+        # None speaks louder than the usual one.
+        voices *= np.minimum(strengths / np.median(strengths[seen]), 1.0)
+    return voices, elsewhere
+
+
 @jit
-def _count_all(
-    poses: Float64, region: RegionArrays, pairs: PairArrays, picture: PairPicture, out: Float64
+def _compare(
+    T: Float64,
+    region: RegionArrays,
+    pairs: PairArrays,
+    picture: PairPicture,
+    voices: Float64,
+    strengths: Float64,
+    elsewhere: Bool,
 ) -> None:
-    count = pairs.points.shape[0]
-    voices, ours, against = np.empty(count), np.empty(count), np.empty(count)
+    """Of each pair that is seen, how clear its contrast is on the print and in the picture, how strong it is
+    on the print, and whether the picture's points elsewhere."""
     read = np.empty((2, 3))
-    for m in range(poses.shape[0]):
-        n = 0
-        for i in range(count):
-            facing = read_pair(poses[m], i, region, pairs, picture, read)
-            if facing == 0.0:
-                continue
-            mm, ss, dot = 1e-12, 0.0, 0.0
-            for c in range(3):
-                w = LIGHTNESS if c == 0 else 1.0
-                a = w * (pairs.colors[i, 1, c] - pairs.colors[i, 0, c])
-                b = w * (read[1, c] - read[0, c])
-                mm += a * a
-                ss += b * b
-                dot += a * b
-            of_print, seen = np.sqrt(mm), np.sqrt(ss)
-            along = dot / of_print
-            across = np.sqrt(max(ss - along * along, 0.0))
-            voices[n] = facing * of_print / (of_print + NOISE) * seen / (seen + NOISE)
-            ours[n] = of_print
-            against[n] = 1.0 if across > ASIDE * along + NOISE else 0.0
-            n += 1
-        if n == 0:
+    for i in range(pairs.points.shape[0]):
+        facing = read_pair(T, i, region, pairs, picture, read)
+        if facing == 0.0:
             continue
-        usual = np.median(ours[:n])
-        every, elsewhere = NEUTRAL, 0.0
-        for i in range(n):
-            voice = voices[i] * min(ours[i] / usual, 1.0)
-            every += voice
-            elsewhere += voice * against[i]
-        out[m] = elsewhere / every
+        mm, ss, dot = 1e-12, 0.0, 0.0
+        for c in range(3):
+            w = LIGHTNESS if c == 0 else 1.0
+            a = w * (pairs.colors[i, 1, c] - pairs.colors[i, 0, c])
+            b = w * (read[1, c] - read[0, c])
+            mm += a * a
+            ss += b * b
+            dot += a * b
+        of_print, seen = np.sqrt(mm), np.sqrt(ss)
+        along = dot / of_print
+        across = np.sqrt(max(ss - along * along, 0.0))
+        voices[i] = facing * of_print / (of_print + NOISE) * seen / (seen + NOISE)
+        strengths[i] = of_print
+        elsewhere[i] = across > ASIDE * along + NOISE

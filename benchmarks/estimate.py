@@ -118,6 +118,7 @@ def _methods(
 
     return {
         "full": lambda: Ours(Estimator(models, EstimatorConfig(method="full"))),
+        "full-together": lambda: Ours(Estimator(models, EstimatorConfig(method="full")), together=True),
         "colorpair": lambda: Ours(Estimator(models, EstimatorConfig(method="colorpair"))),
         "fpfh-ransac": rival(lambda: Features(fast=False)),
         "fgr": rival(lambda: Features(fast=True)),
@@ -131,7 +132,7 @@ def _arguments() -> argparse.Namespace:
     parser = argparse.ArgumentParser(
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )
-    names = ("full", "colorpair", "fpfh-ransac", "fgr", "icp-60", "icp-60-color", "ppf")
+    names = ("full", "full-together", "colorpair", "fpfh-ransac", "fgr", "icp-60", "icp-60-color", "ppf")
     parser.add_argument("--bop", type=Path, nargs="+", required=True, metavar="SCENE_DIR")
     parser.add_argument("--bundles", type=Path, required=True, metavar="DIR")
     parser.add_argument("--json", type=Path, required=True, metavar="FILE",

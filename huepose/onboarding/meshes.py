@@ -17,7 +17,8 @@ from huepose.onboarding.texture import single_texture
 from huepose.onboarding.winding import outward_sign
 from huepose.support.errors import InputError
 
-Unit = Literal["mm", "m"]
+Unit = Literal["mm", "cm", "m", "in"]
+METRES: dict[Unit, float] = {"mm": 0.001, "cm": 0.01, "m": 1.0, "in": 0.0254}
 
 SMALLEST_M, LARGEST_M = 0.01, 2.0
 _READERS = {".obj": read_obj, ".ply": read_ply, ".glb": read_gltf, ".gltf": read_gltf}
@@ -62,7 +63,9 @@ def _referenced(raw: RawMesh) -> tuple[Float64, Int32]:
 
 def _metres_per_unit(vertices: Float64, unit: Unit | None, was_told: bool, path: Path) -> float:
     extent = float((vertices.max(0) - vertices.min(0)).max())
-    scales = {"m": 1.0, "mm": 0.001}
+    scales: dict[Unit, float] = {"m": 1.0, "mm": 0.001}
+    if unit is not None:
+        scales[unit] = METRES[unit]
     plausible = [u for u, s in scales.items() if SMALLEST_M <= extent * s <= LARGEST_M]
     if unit is not None and unit in plausible:
         return scales[unit]
@@ -74,7 +77,7 @@ def _metres_per_unit(vertices: Float64, unit: Unit | None, was_told: bool, path:
         how = f"Give --unit {other}" if not was_told else f"Did you mean --unit {other}?"
         fix = how if how.endswith("?") else how + "."
     else:
-        fix = "Scale the mesh to metres or millimetres, then say which with --unit mm|m."
+        fix = f"Say what its unit is: --unit {'|'.join(METRES)}; or scale the mesh."
     taken = f" (taken as {unit})" if unit else ""
     raise InputError(
         path,

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from huepose.geometry import Mesh, se3
-from huepose.onboarding.meshes import read_mesh
+from huepose.onboarding.meshes import Unit, read_mesh
 from huepose.support.errors import InputError
 from tests.onboarding import mesh_files as files
 from tests.onboarding import solids
@@ -235,6 +235,12 @@ def test_gltf_may_be_in_parts(tmp_path: Path, printed_box: Mesh) -> None:
 def test_units_are_found_where_the_size_tells(tmp_path: Path, size: float, expected: float) -> None:
     files.write_obj(tmp_path / "m.obj", solids.box((1.0, 0.5, 0.5)), scale=size)
     np.testing.assert_allclose(np.ptp(read_mesh(tmp_path / "m.obj").vertices[:, 0]), expected, rtol=1e-5)
+
+
+@pytest.mark.parametrize(("unit", "metres"), [("mm", 0.015), ("cm", 0.15), ("in", 0.381)])
+def test_what_the_size_does_not_tell_can_be_said(tmp_path: Path, unit: Unit, metres: float) -> None:
+    files.write_obj(tmp_path / "m.obj", solids.box((15.0, 8.0, 6.0)), scale=1.0)
+    assert np.ptp(read_mesh(tmp_path / "m.obj", unit).vertices[:, 0]) == pytest.approx(metres)
 
 
 @pytest.mark.parametrize(("size", "unit"), [(5.0, None), (0.2, "mm"), (200.0, "m"), (4000.0, None)])

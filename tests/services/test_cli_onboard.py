@@ -35,6 +35,26 @@ def test_a_mesh_becomes_a_model(mesh: Path, tmp_path: Path, capsys: pytest.Captu
     assert len(model.equivalents) == 72
 
 
+def test_a_small_mesh_may_be_in_another_unit_and_that_can_be_said(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    rng = np.random.default_rng(0)
+    pictures = {s: rng.integers(0, 256, (64, 64, 3)).astype(np.uint8) for s in solids.SIDES}
+    folder = tmp_path / "Körper mit Lücke"
+    folder.mkdir()
+    files.write_obj(folder / "brick ä.obj", solids.box((0.15, 0.08, 0.06), pictures), scale=100.0)
+    arguments = ["onboard", str(folder / "brick ä.obj"), "--name", "brick", "--out", str(folder / "out")]
+    assert main(arguments) == 0
+    said = capsys.readouterr()
+    assert "1.5 x 0.8 x 0.6 cm" in said.out
+    assert "--unit cm" in said.err
+
+
+def test_bundles_go_into_a_folder(mesh: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["onboard", str(mesh), "--name", "brick", "--out", str(mesh)]) == 2
+    assert "found a file; expected a folder" in capsys.readouterr().err
+
+
 @pytest.mark.parametrize(
     ("extra", "message"),
     [

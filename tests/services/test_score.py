@@ -7,7 +7,7 @@ from huepose.geometry import se3
 from huepose_protos.examples import messages
 from huepose_protos.messages import PoseMessage, TruthMessage, TruthObject
 from huepose_services.convert import pose_to_wire
-from huepose_services.demo.score import Score, Yardstick, good
+from huepose_services.demo.score import Score, Yardstick, shortcomings
 from huepose_services.demo.table import report
 
 SECOND = 1_000_000_000
@@ -76,7 +76,7 @@ def test_a_perfect_run_has_perfect_figures():
     assert summary["coverage_tracking"] == 100.0
     assert summary["latency_ms_p50"] == summary["latency_ms_p99"] == 20.0
     assert (summary["frames"], summary["objects"]) == (50, 1)
-    assert good(summary)
+    assert shortcomings(summary) == []
 
 
 def test_frames_without_a_pose_are_wrong_from_the_confirmation_on_and_acquisition_is_timed():
@@ -87,7 +87,7 @@ def test_frames_without_a_pose_are_wrong_from_the_confirmation_on_and_acquisitio
     assert summary["recall_add"] == pytest.approx(100 * 33 / 40)
     assert summary["acquired_after_s"] == 1.0
     assert summary["confirmed_after_s"] == 1.5
-    assert not good(summary)
+    assert shortcomings(summary) == ["ADD recall is 82.5 %, under 90"]
 
 
 def test_a_wrong_pose_as_tracking_is_counted_and_as_suspect_not():
@@ -98,7 +98,7 @@ def test_a_wrong_pose_as_tracking_is_counted_and_as_suspect_not():
     assert summary["recall_add"] == 0.0
     assert summary["auc_add"] == pytest.approx(70.0, abs=0.01)
     assert summary["acquired_after_s"] is None
-    assert not good(summary)
+    assert shortcomings(summary)[0] == "thing had no right pose"
 
 
 def test_hidden_frames_are_left_out_and_the_last_ones_too():
@@ -126,7 +126,7 @@ def test_an_object_that_is_never_found_fails_the_demo():
     score = _score([_truth(i) for i in range(9)], [])
     summary = score.summary(score.last_ns)
     assert summary["acquired_after_s"] is None
-    assert not good(summary)
+    assert shortcomings(summary) == ["thing had no right pose", "ADD recall is 0.0 %, under 90"]
 
 
 def test_the_table_shows_the_last_frame():

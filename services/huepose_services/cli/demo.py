@@ -57,7 +57,7 @@ def call(arguments: argparse.Namespace) -> int:
     if arguments.sam is not None and arguments.segmenter != "sam":
         raise InputError("--sam", found=f"--segmenter {arguments.segmenter}", expected="--segmenter sam")
     from huepose_services.demo.run import DemoError, Perception, run_demo
-    from huepose_services.demo.score import good
+    from huepose_services.demo.score import shortcomings
     from huepose_services.demo.table import report
 
     interrupted = False
@@ -84,4 +84,10 @@ def call(arguments: argparse.Namespace) -> int:
     load, cores = os.getloadavg()[0], os.cpu_count() or 1
     if load > 1.5 * cores + 2.0:
         print(f"other programs kept {cores} processors busy (load {load:.0f}): alone it is better and faster")
-    return 0 if good(result["summary"]) else 1
+    for name, worker in result["workers"].items():
+        for text in worker["warnings"]:
+            print(f"{name}: {text}")
+    missing = shortcomings(result["summary"])
+    if missing:
+        print(f"huepose demo: not what it should be: {'; '.join(missing)}", file=sys.stderr)
+    return 1 if missing else 0

@@ -12,6 +12,9 @@ from typing import TYPE_CHECKING, Any
 if TYPE_CHECKING:
     from huepose.onboarding.batch import Onboarded
 
+# Few objects are smaller; a mesh in centimetres seems to be.
+_SMALL_M = 0.03
+
 
 def add_parser(subparsers: Any) -> None:
     """Add both verbs."""
@@ -26,7 +29,10 @@ def add_parser(subparsers: Any) -> None:
         "--id", type=int, default=None, metavar="N", help="the object's number in a BOP data set"
     )
     one.add_argument(
-        "--unit", choices=("mm", "m"), default=None, help="the mesh's unit, where its size leaves it open"
+        "--unit",
+        choices=("mm", "cm", "m", "in"),
+        default=None,
+        help="the mesh's unit; without it metres or millimetres, whichever is likelier by its size",
     )
     one.add_argument(
         "--symmetric",
@@ -61,6 +67,7 @@ def call(arguments: argparse.Namespace) -> int:
     from huepose.support.progress import progress
 
     check_name(arguments.name)
+    _check_folder(arguments.out)
     symmetric = read_symmetries(arguments.symmetric) if arguments.symmetric else None
     job = Job(arguments.mesh, arguments.name, arguments.id, arguments.unit, symmetric=symmetric)
     steps = progress(range(len(STAGES) + 1), f"onboarding {job.name}")
@@ -71,6 +78,12 @@ def call(arguments: argparse.Namespace) -> int:
     finally:
         _close(steps)
     print(_line(result))
+    if arguments.unit is None and result.diameter_m < _SMALL_M:
+        print(
+            f"note: the mesh was taken as metres or millimetres, by its size. If the object is not "
+            f"{result.diameter_m * 100:.1f} cm large, say what its unit is: --unit cm, for example",
+            file=sys.stderr,
+        )
     return 0
 
 
@@ -81,6 +94,7 @@ def call_bop(arguments: argparse.Namespace) -> int:
     from huepose.onboarding.onboard import STAGES
     from huepose.support.progress import progress
 
+    _check_folder(arguments.out)
     jobs = [
         Job(m.mesh_path, m.name, m.object_id, "mm", info=m.info, frame_offset_m=m.frame_offset_m)
         for m in bop_models(arguments.models_dir, arguments.ids)
@@ -106,6 +120,13 @@ def call_bop(arguments: argparse.Namespace) -> int:
         print(f"huepose onboard-bop: {len(failures)} of {len(jobs)} failed: {names}", file=sys.stderr)
         return 2
     return 0
+
+
+def _check_folder(out: Path) -> None:
+    from huepose.support.errors import InputError
+
+    if out.exists() and not out.is_dir():
+        raise InputError(f"--out {out}", found="a file", expected="a folder, which may be new")
 
 
 def _advance(steps: Iterator[int]) -> None:

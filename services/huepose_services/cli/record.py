@@ -16,6 +16,8 @@ if TYPE_CHECKING:
     from huepose_services.recording.record import Recorder
     from huepose_services.recording.writer import SceneWriter
 
+_NOTHING_HEARD_AFTER_S = 2.0
+
 
 def add_parser(subparsers: Any) -> None:
     """Add the verb."""
@@ -50,12 +52,16 @@ def call(arguments: argparse.Namespace) -> int:
     bus = Bus(session, config.keys, "record", Log("record"), Health("record"))
     recorder = Recorder(bus, writer, with_frames=not arguments.no_frames)
     progress = _Progress(recorder, writer)
-    code = 0
+    code, say_at = 0, time.monotonic() + _NOTHING_HEARD_AFTER_S
     try:
         while not stopping and not recorder.finished:
             bus.inbox.wait(0.1)
             recorder.step()
             progress.show()
+            if time.monotonic() > say_at and recorder.first_ns is None:
+                say_at = float("inf")
+                text = f"waiting for a pipeline at {config.endpoint('camera')}; `huepose up` starts one"
+                print(text, file=sys.stderr, flush=True)
             if arguments.seconds is not None and recorder.seconds >= arguments.seconds:
                 break
     except OSError as error:

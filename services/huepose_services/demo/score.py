@@ -183,6 +183,12 @@ def _one(states: StateReport, errors: Float64, yardstick: Yardstick) -> dict[str
     }
 
 
-def good(summary: Mapping[str, Any]) -> bool:
-    """Whether the demo has shown what it should: every object acquired, nine poses of ten right."""
-    return summary["acquired_after_s"] is not None and (summary["recall_add"] or 0.0) >= _MIN_RECALL
+def shortcomings(summary: Mapping[str, Any]) -> list[str]:
+    """What the demo should have shown and has not: every object acquired, nine poses of ten right."""
+    out = []
+    if summary["acquired_after_s"] is None:
+        never = [n for n, of in summary["per_object"].items() if of["acquired_after_s"] is None]
+        out.append(f"{', '.join(never)} had no right pose")
+    if (summary["recall_add"] or 0.0) < _MIN_RECALL:
+        out.append(f"ADD recall is {summary['recall_add'] or 0.0:.1f} %, under {_MIN_RECALL:.0f}")
+    return out

@@ -20,6 +20,9 @@ from huepose.geometry.arrays import Float64
 from huepose.geometry.frame import RgbdFrame
 from huepose.model.types import ReferenceModel
 from huepose.verification.dense import score
+from huepose.verification.other_print import otherwise_many
+from huepose.verification.pairs import pair_picture
+from huepose.verification.pairs_agreement import agreement_many
 from huepose.verification.region import Region
 
 
@@ -87,6 +90,7 @@ def _terms(
     if confirmed:
         gaps = np.concatenate([[min(MARGIN, *gaps[:1])], gaps[1:]]) if len(gaps) else np.array([MARGIN])
     dense, seen = score(model, region, T_cam_obj), print_evidence(model, region, T_cam_obj)
+    contrasts, pose = pair_picture(model, region.crop, region.median_depth_m), T_cam_obj[None]
     return QualityTerms(
         float(totals[0]),
         tuple(float(gap) for gap in gaps),
@@ -102,4 +106,7 @@ def _terms(
         seen.detail,
         stretch(model, region, T_cam_obj),
         float(np.count_nonzero(region.mask)),
+        seen.turned,
+        float(otherwise_many(model, region, contrasts, pose)[0]),
+        float(agreement_many(model, region, contrasts, pose)[0]),
     )

@@ -28,17 +28,22 @@ BASE = 4.0
 DETAIL_FLOOR = 0.75
 """Variance of detail (opponent units) that is noise."""
 
+HUE_FLOOR = 40.0
+"""Variance of hues (opponent units, both scales together) that is noise."""
+
 
 @dataclass(frozen=True)
 class PrintEvidence:
     """missing: agreement of the opponent colours that the picture owes to the print, 0 (all is there) to
     about 0.8; foreign: deviation of the picture's opponent colours from the print's, up to one offset
     (standard deviation, opponent units); detail: correlation of what is smaller than 3.5 mm, -1..1, low
-    where it cannot be seen."""
+    where it cannot be seen; turned: how far the hues of picture and print are turned against each other as a
+    whole, 0..1."""
 
     missing: float
     foreign: float
     detail: float
+    turned: float
 
 
 def print_evidence(model: ReferenceModel, region: Region, T_cam_obj: Float) -> PrintEvidence:
@@ -46,7 +51,7 @@ def print_evidence(model: ReferenceModel, region: Region, T_cam_obj: Float) -> P
     detail is there."""
     seen = _seen_print(model, region, np.ascontiguousarray(T_cam_obj, dtype=np.float64))
     if seen is None:
-        return PrintEvidence(0.0, 0.0, 0.0)
+        return PrintEvidence(0.0, 0.0, 0.0, 0.0)
     weight, print_colors, picture = seen
     share = weight / weight.sum()
     print_colors = print_colors - share @ print_colors
@@ -61,7 +66,20 @@ def print_evidence(model: ReferenceModel, region: Region, T_cam_obj: Float) -> P
     chroma = [1, 2, 4, 5]
     missing = (importance * (possible - agreement))[chroma].sum() / (BASE + importance.sum())
     foreign = np.sqrt(max((of_print + of_picture - 2.0 * both)[1:3].sum(), 0.0))
-    return PrintEvidence(float(missing), float(foreign), _detail(share, print_colors, picture))
+    turned = _turned(share, print_colors[:, chroma], picture[:, chroma])
+    return PrintEvidence(float(missing), float(foreign), _detail(share, print_colors, picture), turned)
+
+
+def _turned(share: Float64, print_colors: Float64, picture: Float64) -> float:
+    """Correlation of the picture's hues with the print's turned by a right angle, of both scales (N, 4).
+
+    Light and exposure move hues and make them fainter, all alike; they turn none towards its neighbour."""
+    across, strength = 0.0, HUE_FLOOR
+    for k in (0, 2):
+        p, q = print_colors[:, k : k + 2], picture[:, k : k + 2]
+        across += float(share @ (p[:, 0] * q[:, 1] - p[:, 1] * q[:, 0]))
+        strength += float(np.sqrt((share @ p**2).sum() * (share @ q**2).sum()))
+    return abs(across) / strength
 
 
 def _detail(share: Float64, print_colors: Float64, picture: Float64) -> float:

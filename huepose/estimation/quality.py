@@ -28,6 +28,10 @@ MAX_MARGIN = 0.3
 
 MAX_STRETCH = 0.15
 
+SOME_STRETCH = 0.05
+"""So much may come of what is not the object's among the points: whether anything is there depends on no
+more than that."""
+
 TIE = 0.02
 """Gaps much smaller than this are ties, in which chance has put one answer first."""
 
@@ -36,9 +40,11 @@ TIE = 0.02
 class QualityTerms:
     """What quality is a function of. total: score of the pose; gaps: how much less the other answers score,
     best first; color, box_iou, depth_fit, coverage, violation, occluded, seen: terms of its dense score (see
-    `verification.dense.PoseScore`); missing, foreign, detail: see `print_evidence.PrintEvidence`; stretch:
-    by how much the depth would have the object larger (see `size_evidence`); pixels: of the image that are
-    believed to show the object."""
+    `verification.dense.PoseScore`); missing, foreign, detail, turned: see `print_evidence.PrintEvidence`;
+    stretch: by how much the depth would have the object larger (see `size_evidence`); pixels: of the image
+    that are believed to show the object; otherwise: share of the contrasts at the model's pairs that point in
+    another colour (see `verification.other_print`); agreed: what those that agree say (see
+    `verification.pairs_agreement`)."""
 
     total: float
     gaps: tuple[float, ...]
@@ -54,6 +60,9 @@ class QualityTerms:
     detail: float
     stretch: float
     pixels: float
+    turned: float
+    otherwise: float
+    agreed: float
 
     @property
     def margin(self) -> float:
@@ -109,7 +118,7 @@ def shares(terms: QualityTerms, sharpness: float, handicap: float) -> Float64:
     """How the pose and the other answers share what there is (1 + K,), 1 in sum.
 
     >>> from dataclasses import replace
-    >>> tied = QualityTerms(2.0, (0.0,), 0.6, 0.9, 0.9, 0.9, 0.0, 0.0, 0.9, 0.1, 9.0, 0.5, 0.0, 4000)
+    >>> tied = QualityTerms(2.0, (0.0,), 0.6, 0.9, 0.9, 0.9, 0.0, 0.0, 0.9, 0.1, 9.0, 0.5, 0.0, 4000, 0, 0, 1)
     >>> shares(tied, 40.0, 1.0).tolist()
     [0.5, 0.5]
     >>> shares(replace(tied, gaps=(0.1, 0.3)), 40.0, 0.0).round(3).tolist()
@@ -142,7 +151,11 @@ def features(terms: QualityTerms) -> dict[str, float]:
         "nothing_foreign": 1.0 - terms.foreign / 25.0,
         "detail": terms.detail,
         "detail_seen": max(terms.detail, 0.0) * float(np.sqrt(terms.pixels / 1000.0)),
+        "same_hues": 1.0 - terms.turned,
+        "same_way": 1.0 - terms.otherwise,
+        "agreed": terms.agreed,
         "same_size": -min(abs(terms.stretch), MAX_STRETCH),
+        "near_size": -min(abs(terms.stretch), SOME_STRETCH),
         "size": float(np.log10(max(terms.pixels, 1.0))),
     }
 
@@ -163,8 +176,8 @@ def quality_fits() -> dict[str, QualityFit]:
 def quality(method: str, terms: QualityTerms) -> float:
     """Probability in 0..1 that a pose of this method is right.
 
-    >>> sure = QualityTerms(2.4, (0.3, 0.5), 0.6, 0.9, 0.9, 0.9, 0.02, 0.1, 0.9, 0.1, 9.0, 0.5, 0.0, 4000)
-    >>> doubtful = QualityTerms(1.3, (0.01,), 0.2, 0.5, 0.5, 0.4, 0.2, 0.3, 0.4, 0.4, 20.0, 0.1, 0.1, 500)
+    >>> sure = QualityTerms(2.4, (0.3, 0.5), 0.6, 0.9, 0.9, 0.9, 0, 0.1, 0.9, 0.1, 9, 0.5, 0, 4000, 0, 0, 1)
+    >>> doubtful = QualityTerms(1.3, (0.01,), 0.2, 0.5, 0.5, 0.4, 0.2, 0, 0.4, 0.4, 20, 0.1, 0, 500, 0, 1, 0)
     >>> quality("full", sure) > 0.9 > 0.3 > quality("full", doubtful)
     True
     """

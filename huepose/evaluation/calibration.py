@@ -36,15 +36,15 @@ class Names:
 
 FEATURES: Mapping[str, Names] = {
     "full": Names(
-        presence=("total", "coverage", "box_iou", "nothing_foreign", "detail"),
-        this_print=("print_complete", "nothing_foreign"),
-        this_size=("same_size", "box_iou", "no_violation", "detail"),
+        presence=("total", "coverage", "box_iou", "nothing_foreign", "detail", "agreed", "near_size"),
+        this_print=("same_hues", "same_way", "agreed"),
+        this_size=("same_size", "box_iou", "no_violation", "detail", "print_complete"),
         listed=("margin", "total", "box_iou", "detail"),
         sharpness=("detail_seen",),
     ),
     "colorpair": Names(
         presence=("margin", "total", "coverage", "box_iou"),
-        this_print=("total",),
+        this_print=("total", "same_way", "agreed"),
         this_size=("same_size", "box_iou", "no_violation", "depth_fit"),
         listed=("margin", "total", "box_iou", "depth_fit"),
         sharpness=(),

@@ -46,8 +46,14 @@ def test_the_print_is_complete_in_its_own_picture_and_lacks_in_another(
     other = demo_objects(1)["tea_box"]
     grey = replace(tea_box.mesh, texture=np.full_like(tea_box.mesh.texture, 128))
     found = {}
-    for name, mesh in (("own", tea_box.mesh), ("other", other), ("grey", grey)):
-        frame = take_picture([(mesh, standing)], light=(0.9, 0.8, 0.6))
+    yellow, blue = ((0.9, 0.8, 0.6), (0.5, 0.8, 1.0))
+    for name, mesh, light in (
+        ("own", tea_box.mesh, yellow),
+        ("in blue light", tea_box.mesh, blue),
+        ("other", other, yellow),
+        ("grey", grey, yellow),
+    ):
+        frame = take_picture([(mesh, standing)], light=light)
         mask = render_depth(mesh, standing, frame.camera) > 0
         region = prepare_region(frame, mask, box_of(mask), tea_box.diameter_m)
         assert region is not None
@@ -57,6 +63,9 @@ def test_the_print_is_complete_in_its_own_picture_and_lacks_in_another(
     assert found["other"].missing > 0.4
     assert found["other"].foreign > 2.0 * found["own"].foreign
     assert found["grey"].detail < 0.2
+    # Light moves hues, all alike; the other print's are turned by 69 degrees.
+    assert max(found["own"].turned, found["in blue light"].turned, found["grey"].turned) < 0.1
+    assert found["other"].turned > 0.4
 
 
 def box_of(mask: np.ndarray) -> Box:
@@ -73,6 +82,8 @@ def test_a_look_alike_is_doubted_and_an_empty_box_holds_nothing(
     assert own.state == "TRACKING"
     assert alike.quality < 0.6 * own.quality
     assert alike.state != "TRACKING"
+    assert own.terms.otherwise < 0.2 < 0.5 < alike.terms.otherwise
+    assert own.terms.agreed > 1.0 > 0.6 > alike.terms.agreed
     ball = demo_objects()["soup_can"]
     small: Mesh = replace(ball, vertices=0.5 * ball.vertices)
     nothing = asked(tea_box, take_picture([(small, standing)]), standing)

@@ -12,7 +12,9 @@ from huepose.evaluation.judged import FALSE_WEIGHT, Judged, read_absent, read_ju
 from huepose.evaluation.likelihood import choice, logistic
 from huepose.support.errors import InputError
 
-PLAIN = QualityTerms(1.5, (0.1, 0.3), 0.4, 0.8, 0.7, 0.7, 0.1, 0.1, 0.7, 0.2, 10.0, 0.4, 0.0, 2000.0)
+PLAIN = QualityTerms(
+    1.5, (0.1, 0.3), 0.4, 0.8, 0.7, 0.7, 0.1, 0.1, 0.7, 0.2, 10.0, 0.4, 0.0, 2000.0, 0.0, 0.1, 1.0
+)
 NAMES = Names(("total",), ("print_complete",), ("same_size",), ("total",), ())
 
 
@@ -164,6 +166,7 @@ def test_every_shipped_fit_rises_with_every_feature() -> None:
     better = replace(
         PLAIN, total=1.7, gaps=(0.2, 0.3), color=0.5, box_iou=0.9, depth_fit=0.8, coverage=0.8,
         violation=0.05, occluded=0.05, seen=0.8, missing=0.1, foreign=5.0, detail=0.6, pixels=4000.0,
+        turned=0.05, otherwise=0.1, agreed=1.1,
     )  # fmt: skip
     for name, fit in quality_fits().items():
         for part in ("presence", "this_print", "this_size", "listed"):

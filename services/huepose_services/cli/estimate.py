@@ -70,6 +70,7 @@ def call(arguments: argparse.Namespace) -> int:
         answers = _detected(arguments, frame, models, estimator, names)
     else:
         answers = [_answer(arguments, frame, models, estimator, name, box) for name in names]
+    _say_offset(frame, models, answers)
     text = json.dumps({"poses": [as_record(a) for a in answers]}, indent=2)
     if arguments.json:
         arguments.json.parent.mkdir(parents=True, exist_ok=True)
@@ -83,6 +84,16 @@ def call(arguments: argparse.Namespace) -> int:
 
         write_picture(arguments.image, draw_answers(frame, models, answers))
     return 0
+
+
+def _say_offset(frame: RgbdFrame, models: Mapping[str, ReferenceModel], answers: list[PoseEstimate]) -> None:
+    """A line on standard error where depth plainly does not lie on the colours."""
+    from huepose.registration.depth_offset import depth_offset
+
+    sure = [a for a in answers if a.state == "TRACKING"]
+    offset = depth_offset(frame, [(models[a.object], a.T_cam_obj) for a in sure if a.T_cam_obj is not None])
+    if offset is not None and offset.clear:
+        print(f"{offset}: poses follow depth; check how depth is registered to colour", file=sys.stderr)
 
 
 def _box(given: list[float] | None, frame: RgbdFrame) -> Box | None:

@@ -113,7 +113,13 @@ def onboard_many(jobs: Sequence[Job], bundles_dir: Path, processes: int = 2) -> 
     pool = ProcessPoolExecutor(processes, context, _prepare_worker, (events, stop))
     futures: list[Future[None]] = []
     try:
-        futures = [pool.submit(_work, job, bundles_dir) for job in jobs]
+        # Ctrl-C reaches all processes, and the first decides. Those that it starts inherit what it blocks:
+        # one that was interrupted while it begins would die with a page of text, or leave the others waiting.
+        before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
+        try:
+            futures = [pool.submit(_work, job, bundles_dir) for job in jobs]
+        finally:
+            signal.pthread_sigmask(signal.SIG_SETMASK, before)
         left = len(jobs)
         while left:
             try:
@@ -145,7 +151,6 @@ def _prepare_worker(events: Any, stop: Any) -> None:
 
     global _events, _stop
     _events, _stop = events, stop
-    signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C reaches all processes; the first one decides
     cv2.setNumThreads(1)
 
 

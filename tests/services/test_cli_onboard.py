@@ -1,6 +1,12 @@
 from __future__ import annotations
 
 import json
+import os
+import signal
+import subprocess
+import sys
+import time
+from contextlib import suppress
 from pathlib import Path
 
 import numpy as np
@@ -53,6 +59,29 @@ def test_a_small_mesh_may_be_in_another_unit_and_that_can_be_said(
 def test_bundles_go_into_a_folder(mesh: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["onboard", str(mesh), "--name", "brick", "--out", str(mesh)]) == 2
     assert "found a file; expected a folder" in capsys.readouterr().err
+
+
+def test_ctrl_c_while_the_processes_start_ends_them_all(tmp_path: Path) -> None:
+    rng = np.random.default_rng(0)
+    pictures = {s: rng.integers(0, 256, (64, 64, 3)).astype(np.uint8) for s in solids.SIDES}
+    for number in (1, 2):
+        files.write_obj(tmp_path / f"obj_{number:06d}.obj", solids.box((0.05, 0.04, 0.03), pictures))
+    command = [sys.executable, "-m", "huepose_services.cli.main", "onboard-bop", str(tmp_path)]
+    running = subprocess.Popen(
+        [*command, "--out", str(tmp_path / "out")], stderr=subprocess.PIPE, text=True, start_new_session=True
+    )
+    assert running.stderr is not None
+    assert "onboarding 2 objects" in running.stderr.readline()
+    time.sleep(0.6)
+    os.killpg(running.pid, signal.SIGINT)  # as a terminal does
+    try:
+        assert running.wait(60.0) == 130
+    finally:
+        with suppress(ProcessLookupError):
+            os.killpg(running.pid, signal.SIGKILL)
+    said = running.stderr.read()
+    assert said.endswith("huepose onboard-bop: interrupted\n")
+    assert "Traceback" not in said
 
 
 @pytest.mark.parametrize(

@@ -133,7 +133,7 @@ class Estimator:
                     return _timed(answer, time.perf_counter() - start), explanation
         if evidence is not None and full:
             extra = np.zeros((0, 4, 4)) if prior is None else prior[0][None]
-            poses, totals, trail = estimate_full(
+            poses, totals, trail, evidence = estimate_full(
                 model, prepared.table, evidence, self.config.full, extra, self.config.look_harder
             )
             with stage("contest"):

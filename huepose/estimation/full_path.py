@@ -14,7 +14,7 @@ import numpy as np
 
 from huepose.estimation.config import FullPathConfig
 from huepose.estimation.different import different_poses
-from huepose.estimation.evidence import Evidence
+from huepose.estimation.evidence import Evidence, doubted
 from huepose.geometry.arrays import Float, Float64
 from huepose.matching.retrieval import retrieve
 from huepose.matching.template_table import TemplateTable
@@ -57,14 +57,16 @@ def estimate_full(
     config: FullPathConfig,
     extra: Float64,
     look_harder: bool = True,
-) -> tuple[Float64, Float64, Trail]:
-    """Different poses (K, 4, 4) and their totals (K,), best first, and the way to them. `extra` (E, 4, 4):
-    refined poses from elsewhere, judged with the others. Where only a poor one is found, it may be looked
-    harder: what is thin or lies half under its neighbours often has masks that mislead registration."""
+) -> tuple[Float64, Float64, Trail, Evidence]:
+    """Different poses (K, 4, 4) and their totals (K,), best first, the way to them, and the evidence as it
+    was believed in the end. `extra` (E, 4, 4): refined poses from elsewhere, judged with the others. Where
+    only a poor one is found, it may be looked harder, and the masks are doubted: what is thin or lies half
+    under its neighbours often has masks that mislead registration, or that show the neighbours."""
     poses, totals, trail = _look(model, table, evidence, config, extra)
     if not look_harder or (len(totals) and totals[0] >= config.poor):
-        return poses, totals, trail
-    return _look(model, table, evidence, config.harder(), np.concatenate([extra, poses]))
+        return poses, totals, trail, evidence
+    evidence = doubted(evidence)
+    return *_look(model, table, evidence, config.harder(), np.concatenate([extra, poses])), evidence
 
 
 def _look(

@@ -47,6 +47,7 @@ class RegionArrays(NamedTuple):
     cy: float
     bounds: Float64
     tolerance: float
+    hides: float
 
 
 _arrays: WeakKeyDictionary[ReferenceModel, ModelArrays] = WeakKeyDictionary()
@@ -91,6 +92,7 @@ def region_arrays(region: Region) -> RegionArrays:
         camera.cy,
         region.bounds,
         region.tolerance_m,
+        region.hides,
     )
 
 

@@ -30,6 +30,10 @@ HALVED_FROM_PX = 2.0
 OUTSIDE_WEIGHT = 0.02
 MASK_POINTS = 500
 
+HIDES = 0.5
+"""What it counts against a pose that it lies behind something that is believed to be the object itself, as
+far as it is believed; as much as if one saw through half of it."""
+
 _LINEAR = linear_rgb(np.arange(256, dtype=np.uint8))
 
 
@@ -55,7 +59,8 @@ class Region:
     over about 1 mm, then over 3.5 mm, inside the mask without a look outside; points_cam (N, 3) and
     point_weights (N,) float64: at most 500 believed points in random order, away from rims; trust: 0..1, how
     far the belief itself may be believed; bounds (4,): left, top, right, bottom of the box in the crop;
-    tolerance_m: how far depth and surface may be apart; median_depth_m: of the mask.
+    tolerance_m: how far depth and surface may be apart; median_depth_m: of the mask; hides: what it counts
+    to lie behind what is believed (HIDES, or 0 for whoever doubts the masks).
     """
 
     crop: Crop
@@ -68,6 +73,7 @@ class Region:
     bounds: Float64
     tolerance_m: float
     median_depth_m: float
+    hides: float = HIDES
 
 
 def prepare_crop(frame: RgbdFrame, window: Box) -> Crop:

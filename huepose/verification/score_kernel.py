@@ -26,6 +26,9 @@ STICKING = 3.0
 """A surface less than so many tolerances behind what is seen does not stand behind it but sticks in it, which
 solid things do not: a pose may not hide by sinking into its support or its neighbour."""
 
+SUNK = 0.5
+"""What it counts to stick in something, beside 1 for being seen through."""
+
 
 BLOCK = 64
 """Believed points that are looked at before it is asked whether that is enough."""
@@ -98,7 +101,7 @@ def score_kernel(
             # What is in front hides the object, unless it is believed to be the object itself, or the object
             # would stick in it.
             sticks = gap > -STICKING * tolerance
-            violation += 0.5 * facing * (1.0 if sticks else belief[v, u])
+            violation += facing * (SUNK if sticks else region.hides * belief[v, u])
             occluded += facing * (1.0 - belief[v, u])
 
     out[1] = fit / (near + violation + 0.15 * total)

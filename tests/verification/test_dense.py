@@ -116,6 +116,24 @@ def test_a_pose_may_hide_behind_something_but_not_stick_in_it(
     assert sunk.total < behind.total - 0.25
 
 
+def test_behind_what_is_believed_to_be_the_object_hides_less_where_masks_are_doubted(
+    tea_box: ReferenceModel, take_picture: TakePicture, standing: np.ndarray
+) -> None:
+    """A mask on what stands 10 cm in front of the whole object: all of the surface lies behind it."""
+    frame = take_picture([(tea_box.mesh, standing)])
+    silhouette = render_depth(tea_box.mesh, standing, frame.camera) > 0
+    near = replace(frame, depth=np.where(silhouette, frame.depth - np.float32(0.1), frame.depth))
+    box = Box.of_mask(silhouette)
+    assert box is not None
+    region = prepare_region(near, silhouette, box, tea_box.diameter_m)
+    assert region is not None
+    believing, doubting = (score(tea_box, replace(region, hides=h), standing) for h in (0.5, 0.0))
+    assert believing.violation == pytest.approx(0.5 / 0.65, abs=0.03)  # beside the 0.15 of all terms
+    assert doubting.violation < 0.03
+    assert believing.occluded == doubting.occluded
+    assert doubting.coverage == believing.coverage < 1e-6
+
+
 def test_saturated_pixels_do_not_count(
     tea_box: ReferenceModel, take_picture: TakePicture, standing: np.ndarray, seen: PoseScore
 ) -> None:

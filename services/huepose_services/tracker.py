@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import gc
 import math
 from dataclasses import replace
 
@@ -44,9 +43,6 @@ def make(bus: Bus, config: Config) -> TrackerWork:
     )
     tracker = Tracker(known, settings, networks.relative_pose(config))
     tracker.warm_up()
-    # All that is loaded by now stays: to look through it for rubbish would take longer than two frames.
-    gc.collect()
-    gc.freeze()
     follower = Follower(bus, lambda name: models.load_one(config, name), known, remembers=True)
     return TrackerWork(bus, tracker, follower, config)
 

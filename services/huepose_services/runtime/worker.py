@@ -7,6 +7,7 @@ HUEPOSE_SUPERVISOR, the process that it must not outlive. Under systemd the puls
 from __future__ import annotations
 
 import faulthandler
+import gc
 import os
 import signal
 import sys
@@ -107,6 +108,10 @@ def run_worker(worker: str, config: Config) -> int:
     try:
         bus.say_health()
         work = cast(Work, import_module(_HOMES[worker]).make(bus, config))
+        # All that is loaded by now stays. To look through it for rubbish now and then would hold the work up,
+        # the estimator's by a sixth of a second.
+        gc.collect()
+        gc.freeze()
         if "numba" in sys.modules:
             import_module("huepose_services.runtime.compiling").tell_of_late_compiling(pulse, health, log)
         token = session.liveliness().declare_token(config.keys.live(worker))

@@ -136,6 +136,8 @@ class Estimator:
             poses, totals, trail, evidence = estimate_full(
                 model, prepared.table, evidence, self.config.full, extra, self.config.look_harder
             )
+            if prior is not None:  # on what is believed now, as the answer is
+                prior = prior[0], float(judge(model, evidence.region, prior[0][None])[0])
             with stage("contest"):
                 poses, totals, held = decided(model, evidence.region, poses, totals)
         elif evidence is not None:

@@ -3,16 +3,19 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
 
 import numpy as np
+import pytest
 
 from huepose.estimation import Estimator, EstimatorConfig, ObjectQuery
 from huepose.estimation.config import FullPathConfig
 from huepose.estimation.explanation import Explanation
-from huepose.estimation.types import PoseEstimate
+from huepose.estimation.types import PoseEstimate, PosePrior
 from huepose.geometry import Box, RgbdFrame, se3
 from huepose.model.types import ReferenceModel
 from huepose.rendering.render import render_depth
+from huepose.verification.dense import score
 
 TakePicture = Callable[..., RgbdFrame]
 
@@ -46,6 +49,27 @@ def test_what_is_plainly_right_is_looked_for_once(
         assert found.T_cam_obj is not None
         assert np.linalg.norm(found.T_cam_obj[:3, 3] - standing[:3, 3]) < 0.001
         assert se3.rotation_angle(found.T_cam_obj, standing) < np.radians(0.5)
+
+
+def test_a_prior_is_judged_on_what_is_believed_in_the_end(
+    tea_box: ReferenceModel, take_picture: TakePicture, standing: np.ndarray
+) -> None:
+    """The mask takes what stands in front of one half for the object, and is doubted in the harder look."""
+    frame = take_picture([(tea_box.mesh, standing)])
+    mask = render_depth(tea_box.mesh, standing, frame.camera) > 0
+    right = mask & (np.arange(640) > np.nonzero(mask)[1].mean())[None, :]
+    covered = replace(frame, depth=np.where(right, frame.depth - np.float32(0.1), frame.depth))
+    query = ObjectQuery(tea_box.name, masks=(mask,), prior=PosePrior(standing))
+    config = EstimatorConfig(full=FullPathConfig(poor=9.0), look_anew_every=1)
+    answer, explanation = Estimator({tea_box.name: tea_box}, config).explain(covered, query)
+    assert explanation.evidence is not None
+    assert answer.prior_T_cam_obj is not None
+    region = explanation.evidence.region
+    doubted, believed = (
+        score(tea_box, replace(region, hides=hides), answer.prior_T_cam_obj).total for hides in (0.0, 0.5)
+    )
+    assert answer.prior_score == pytest.approx(doubted)
+    assert believed < doubted - 0.1
 
 
 def test_what_is_not_there_is_looked_for_harder_and_not_believed(

@@ -85,8 +85,10 @@ class Tracker:
         return tuple(self._subjects)
 
     @property
-    def reach_s(self) -> float:
-        """How far back the kept frames reach by now."""
+    def reach_s(self) -> float | None:
+        """How far back the kept frames reach; None as long as there are fewer than will be kept."""
+        if len(self._frames) < self.config.history_frames + self.config.older_frames:
+            return None
         newest, oldest = self._frames.newest, self._frames.oldest
         return 0.0 if newest is None or oldest is None else (newest.stamp_ns - oldest.stamp_ns) * 1e-9
 

@@ -118,9 +118,13 @@ class TrackerWork:
 
     def _refuse(self, message: CorrectionMessage, applied: Applied) -> None:
         why = "it is about pictures of a camera that was opened anew since"
+        reach_s = self._tracker.reach_s
         if applied is Applied.REFUSED_OLD and self._header is not None:
-            why = too_late_text((self._header.capture_ns - message.capture_ns) * 1e-9, self._tracker)
-            self._bus.health.warn_while("late", why)
+            why = "it is about a picture from before the tracker began"
+            if reach_s is not None:
+                age_s = (self._header.capture_ns - message.capture_ns) * 1e-9
+                why = too_late_text(age_s, reach_s, self._tracker.config.older_frames)
+                self._bus.health.warn_while("late", why)
         # The loop repeats it, and is told each time by what it does not see; the log is told once.
         name = f"{message.object}/{message.instance}"
         if self._refused != (name, message.seq):
@@ -174,11 +178,10 @@ class TrackerWork:
         self._bus.health.count(f"poses_{pose.state.value.lower()}")
 
 
-def too_late_text(age_s: float, tracker: Tracker) -> str:
+def too_late_text(age_s: float, reach_s: float, older_frames: int) -> str:
     """That perception is too slow for what the tracker remembers, and what can be done about it."""
-    kept, reach_s = tracker.config, tracker.reach_s
     missing_s = 1.3 * age_s - reach_s
-    more = kept.older_frames + 2 * math.ceil(missing_s / (CLOSE_S + WIDE_S))
+    more = older_frames + 2 * math.ceil(missing_s / (CLOSE_S + WIDE_S))
     return (
         f"perception answers {age_s:.1f} s after a picture was taken, and pictures are kept for "
         f"{reach_s:.1f} s: what it finds cannot be used. Set tracker.older_frames to {more} (2 MB each at "

@@ -164,6 +164,10 @@ def test_who_answers_too_late_is_told_what_to_do_until_it_is_in_time(capfd):
     bus.waiting["correction"] = [msgspec.structs.replace(late, seq=late.seq + 1)]
     work.step()
     assert bus.health.message().warnings == []
+    work._tracker.answer, work._tracker.reach_s = Applied.REFUSED_OLD, None
+    bus.waiting["correction"] = [msgspec.structs.replace(late, seq=late.seq + 2)]
+    work.step()
+    assert bus.health.message().warnings == [], "a tracker that has just begun remembers little"
 
 
 def test_a_change_of_state_is_in_the_log_once(capfd):

@@ -78,6 +78,7 @@ def test_an_answer_that_is_seconds_late_is_still_of_use(tea_box, shoot, path, lo
         if poses:
             break
     assert number < 125
+    assert tracker.reach_s is None, "it began less than four seconds ago"
     assert poses[0].state is State.TRACKING
     assert np.linalg.norm(poses[0].T_cam_obj[:3, 3] - path(number)[:3, 3]) < 2e-3
     assert se3.rotation_angle(poses[0].T_cam_obj, path(number)) < np.radians(1.0)

@@ -171,6 +171,7 @@ def test_corrections_that_cannot_be_taken(tea_box, film, path, started) -> None:
         tracker.step(frame)
     late = correction(old, path(0), 2, Verdict.CORRECT)
     assert tracker.correct(late) is Applied.REFUSED_OLD
+    assert tracker.reach_s == pytest.approx(2 / 30)
     assert started.correct(late) is Applied.APPLIED, "a longer history still knows it"
     foreign = Correction("tea_box", 0, 9, 5, film(6)[5].stamp_ns, path(5), 0.9, Verdict.CORRECT, 3)
     assert started.correct(foreign) is Applied.REFUSED_EPOCH

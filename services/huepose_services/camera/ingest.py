@@ -14,12 +14,10 @@ from __future__ import annotations
 import secrets
 from dataclasses import dataclass
 from importlib import import_module
-from typing import cast
 
 from huepose.datasets.types import GroundTruth, Scene
 from huepose_protos.messages import TruthMessage, TruthObject
 from huepose_services.camera.audience import Audience
-from huepose_services.camera.live import LiveSource
 from huepose_services.camera.live_ingest import LiveIngest
 from huepose_services.camera.publish import FramePublisher, Packed, packed
 from huepose_services.camera.schedule import Schedule
@@ -38,9 +36,7 @@ _GRACE_NS, _WAIT_FOR_READERS_NS = SECOND // 2, int(2.5 * SECOND)
 def make(bus: Bus, config: Config) -> Ingest | LiveIngest:
     """The camera worker's work."""
     source = import_module(f"huepose_services.camera.{config.camera.source}").open_source(config)
-    if config.camera.source in LIVE_SOURCES:
-        return LiveIngest(bus, config, cast(LiveSource, source))
-    return Ingest(bus, config, cast(Scene, source))
+    return (LiveIngest if config.camera.source in LIVE_SOURCES else Ingest)(bus, config, source)
 
 
 @dataclass(frozen=True)

@@ -15,7 +15,7 @@ import traceback
 from contextlib import suppress
 from importlib import import_module
 from types import FrameType
-from typing import Protocol, cast
+from typing import Protocol
 
 import cv2
 import zenoh
@@ -107,7 +107,7 @@ def run_worker(worker: str, config: Config) -> int:
     pulse = Pulse()
     try:
         bus.say_health()
-        work = cast(Work, import_module(_HOMES[worker]).make(bus, config))
+        work: Work = import_module(_HOMES[worker]).make(bus, config)
         # All that is loaded by now stays. To look through it for rubbish now and then would hold the work up,
         # the estimator's by a sixth of a second.
         gc.collect()

@@ -36,7 +36,7 @@ SEEN_M, PATCH_PX, LEAST_SEEN = 0.02, 6, 5
 @dataclass(frozen=True)
 class Effort:
     """How much is tried: windows, looks at them in all and in each, poses aligned in all and in each, places
-    searched."""
+    searched, and at how many of them the turns that look nearly the same are tried, too."""
 
     windows: int
     looks: int
@@ -44,9 +44,10 @@ class Effort:
     aligned: int
     aligned_each: int
     searched: int
+    turned: int
 
 
-EFFORTS = (Effort(28, 200, 15, 16, 2, 3), Effort(80, 700, 25, 96, 5, 10))
+EFFORTS = (Effort(28, 200, 15, 16, 2, 3, 0), Effort(80, 700, 25, 96, 5, 10, 3))
 """What is tried first, and what is tried where that gives no place which is surely the object's: more of the
 same windows, too, so that nothing of the first is worth keeping."""
 
@@ -106,9 +107,20 @@ def _tried(
         rated = _judged(model, view, region, poses)
     with stage("third"):
         best = _apart(model, poses, rated, effort.searched)
-        found, _ = search(model, region, poses[best], SEARCH_STEPS_DEG, SEARCH_SAMPLES)
+        starts = np.concatenate([poses[best], likeliest_turns(model, region, poses[best[: effort.turned]])])
+        found, _ = search(model, region, starts, SEARCH_STEPS_DEG, SEARCH_SAMPLES)
         rated = np.concatenate([_judged(model, view, region, found), rated])
         return np.concatenate([found, poses]), rated
+
+
+def likeliest_turns(model: ReferenceModel, region: Region, poses: Float64) -> Float64:
+    """The likeliest near-symmetric turns of poses (N, 4, 4), as many as there are poses or fewer: a coarse
+    view tells the faces of a box less well than it tells where it stands."""
+    turned = np.einsum("nij,mjk->nmik", poses, model.turns[1:]).reshape(-1, 4, 4)
+    if not len(turned):
+        return turned
+    rated = evidence(score_many(model, region, turned, FIRST_SAMPLES))
+    return np.asarray(turned[np.argsort(-rated, kind="stable")[: len(poses)]])
 
 
 def _judged(model: ReferenceModel, view: ClearView, region: Region, poses: Float64) -> Float64:

@@ -15,6 +15,7 @@ from huepose.perception.colorpair_detector import ColorPairDetector
 from huepose.perception.ground import large_planes, standing_clear
 from huepose.perception.nearby import align_in_view
 from huepose.perception.rim import rims
+from huepose.perception.scouting import likeliest_turns
 from huepose.perception.window_table import window_table
 from huepose.rendering.render import render_depth
 from huepose.support.errors import InputError
@@ -55,6 +56,19 @@ def test_the_table_is_taken_away_and_the_objects_stay(
     for T in (standing, beside):
         objects |= render_depth(tea_box.mesh, T, frame.camera) > 0
     assert (clear & objects).sum() > 0.9 * (clear | objects).sum()
+
+
+def test_of_a_pose_that_is_turned_the_wrong_way_the_right_turn_is_the_likeliest(
+    frame: RgbdFrame, tea_box: ReferenceModel, standing: np.ndarray
+) -> None:
+    view = clear_view(frame, tea_box.diameter_m)
+    assert view is not None
+    region = view.region(tea_box.diameter_m)
+    for turn in tea_box.turns[1:]:
+        found = likeliest_turns(tea_box, region, (standing @ np.linalg.inv(turn))[None])
+        assert len(found) == 1
+        np.testing.assert_allclose(found[0], standing, atol=1e-6)
+    assert len(likeliest_turns(tea_box, region, np.zeros((0, 4, 4)))) == 0
 
 
 def test_both_of_a_kind_are_found_where_they_are(

@@ -67,7 +67,7 @@ class Shared:
 
     def __post_init__(self) -> None:
         with listening() as clock, self.timed("full"):
-            poses, totals, self.trail = estimate_full(
+            poses, totals, self.trail, self.evidence = estimate_full(
                 self.model, self.table, self.evidence, self.config, np.zeros((0, 4, 4))
             )
         self.found = poses, totals

@@ -92,7 +92,7 @@ def _hypotheses(shared: Shared) -> dict[str, Answer]:
     if shared.in_doubt:
         config = replace(shared.config, retrieved=3 * shared.config.retrieved)
         with shared.timed("more views"):
-            poses, totals, _ = estimate_full(shared.model, shared.table, shared.evidence, config, NO_MORE)
+            poses, totals, _, _ = estimate_full(shared.model, shared.table, shared.evidence, config, NO_MORE)
         spent = shared.spent("before", "full", "doubt", "more views")
         out["three times the views, in doubt"] = Answer(poses, totals, spent)
     return out
@@ -170,7 +170,9 @@ def _light(shared: Shared) -> dict[str, Answer]:
         return {name: Answer(*shared.found, shared.spent("before", "full", "light"))}
     relit_evidence = replace(evidence, picture=replace(evidence.picture, color=color))
     with shared.timed("relit"):
-        poses, totals, _ = estimate_full(shared.model, shared.table, relit_evidence, shared.config, NO_MORE)
+        poses, totals, _, _ = estimate_full(
+            shared.model, shared.table, relit_evidence, shared.config, NO_MORE
+        )
     return {name: Answer(poses, totals, shared.spent("before", "light", "relit"))}
 
 

@@ -116,7 +116,7 @@ def _tried(
 def likeliest_turns(model: ReferenceModel, region: Region, poses: Float64) -> Float64:
     """The likeliest near-symmetric turns of poses (N, 4, 4), as many as there are poses or fewer: a coarse
     view tells the faces of a box less well than it tells where it stands."""
-    turned = np.einsum("nij,mjk->nmik", poses, model.turns[1:]).reshape(-1, 4, 4)
+    turned: Float64 = np.einsum("nij,mjk->nmik", poses, model.turns[1:]).reshape(-1, 4, 4)
     if not len(turned):
         return turned
     rated = evidence(score_many(model, region, turned, FIRST_SAMPLES))

@@ -16,6 +16,16 @@ from huepose_services.runtime.notify import notify, watchdog_s
 from huepose_services.runtime.pulse import Pulse
 
 
+@numba.njit
+def inner(x):
+    return x + 1
+
+
+@numba.njit
+def kernel(x):
+    return 2 * inner(x)
+
+
 @pytest.fixture
 def manager(tmp_path, monkeypatch):
     """A socket as systemd's, and what arrives there."""
@@ -75,15 +85,6 @@ def test_a_kernel_that_is_compiled_late_is_told_while_it_is_compiled(monkeypatch
     pulse, health = Pulse(), Health("estimator")
     listener = LateCompiling(pulse, health, Log("estimator"))
     with event.install_listener("numba:compile", listener):
-
-        @numba.njit
-        def inner(x):
-            return x + 1
-
-        @numba.njit
-        def kernel(x):
-            return 2 * inner(x)
-
         assert kernel(3) == 8
         assert kernel(4) == 10
     assert os.read(read_end, 100) == b"c."

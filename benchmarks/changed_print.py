@@ -35,10 +35,14 @@ from huepose.model import ReferenceModel, load_model, save_model
 from huepose.onboarding import onboard_mesh
 from huepose.onboarding.bop_folder import BopModel, bop_models
 from huepose.onboarding.meshes import read_mesh
+from huepose.support.errors import InputError
 from huepose.support.progress import progress
 
 KINDS = ("replaced", "blurred", "recoloured")
 AS_IT_IS = "as it is"
+
+COMMON = ("ids", "bop", "images", "method", "seed")
+"""Options that all results of a file have in common."""
 
 
 def changed(mesh: Mesh, kind: str, share: float, seed: int) -> Mesh:
@@ -103,7 +107,12 @@ def main() -> None:
     variants = [(AS_IT_IS, 0.0), *((kind, share) for kind in arguments.kinds for share in arguments.shares)]
     record: dict[str, Any] = {"options": {k: str(v) for k, v in vars(arguments).items()}, "variants": []}
     if arguments.json.exists():
-        record["variants"] = json.loads(arguments.json.read_text())["variants"]
+        held = json.loads(arguments.json.read_text())
+        if any(held["options"][name] != record["options"][name] for name in COMMON):
+            raise InputError(
+                arguments.json, found="results with other options", expected="the same " + ", ".join(COMMON)
+            )
+        record["variants"] = held["variants"]
     done = {(v["kind"], v["share"]) for v in record["variants"]}
     for kind, share in progress([v for v in variants if v not in done], "prints"):
         models = {o.name: _learned(o, kind, share, arguments) for o in objects}

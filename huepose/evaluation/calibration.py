@@ -43,7 +43,7 @@ FEATURES: Mapping[str, Names] = {
         sharpness=("detail_seen",),
     ),
     "colorpair": Names(
-        presence=("margin", "total", "coverage", "box_iou", "agreed"),
+        presence=("margin", "total", "coverage", "box_iou"),
         this_print=("total", "same_hues", "same_way", "agreed"),
         this_size=("same_size", "box_iou", "no_violation", "depth_fit"),
         listed=("margin", "total", "box_iou", "depth_fit"),

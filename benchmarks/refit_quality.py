@@ -11,10 +11,10 @@ from __future__ import annotations
 
 import argparse
 import json
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass, replace
-from functools import reduce
+from functools import partial, reduce
 from multiprocessing import get_context
 from pathlib import Path
 from typing import Any
@@ -35,6 +35,7 @@ from huepose.evaluation.result_files import write_json
 from huepose.evaluation.summary import table
 from huepose.evaluation.targets import Targets
 from huepose.geometry.arrays import Bool, Float64
+from huepose.geometry.mesh import Mesh
 from huepose.model import load_models
 from huepose_services.cli.evaluate_calibrate import chance_text
 from huepose_services.cli.main import main as huepose
@@ -49,6 +50,9 @@ OWN = "cal_own"
 ALIKE = {"cal_alike": (1, 25, 103), "cal_alike_9": (9, 10, 409), "cal_alike_11": (11, 10, 411)}
 """Scenes of the built-in shapes in other prints: which prints, how many frames, drawn from which seed. Their
 hues are turned by 291, 77 and 29 degrees against those that were learned."""
+
+MIRRORED = "cal_alike_mirrored"
+"""The scene of the built-in objects with their prints mirrored: the same hues, another layout everywhere."""
 
 SHARE = {"full": 1, "colorpair": 3}
 """One in so many frames is used, because the second method takes longer."""
@@ -97,7 +101,11 @@ def main() -> None:
         drawn(work / name, "builtin", frames, seed, "--prints", str(prints))
         for name, (prints, frames, seed) in ALIKE.items()
     ]
-    sizes = [_resized(work / f"cal_size_{k}", factor, 104 + k) for k, factor in enumerate(SIZES)]
+    alike.append(_altered(work / MIRRORED, _mirrored, 421))
+    sizes = [
+        _altered(work / f"cal_size_{k}", partial(_resized, factor=factor), 104 + k)
+        for k, factor in enumerate(SIZES)
+    ]
     if not any(own.glob("*.huepose")):
         huepose(["onboard-bop", str(builtin / "models"), "--out", str(own)])
     parts = []
@@ -226,15 +234,21 @@ def _all(parts: Sequence[Judged]) -> Judged:
     return reduce(lambda a, b: a + b, parts)
 
 
-def _resized(scene: Path, factor: float, seed: int) -> Path:
-    """The built-in objects in another size."""
+def _altered(scene: Path, change: Callable[[Mesh], Mesh], seed: int) -> Path:
+    """The built-in objects, each changed."""
     if not (scene / "scene_gt.json").exists():
-        meshes = {
-            name: replace(mesh, vertices=np.float32(factor) * mesh.vertices)
-            for name, mesh in demo_objects().items()
-        }
+        meshes = {name: change(mesh) for name, mesh in demo_objects().items()}
         write_rendered_set(scene, meshes, {name: k for k, name in enumerate(meshes, 1)}, 12, seed)
     return scene
+
+
+def _resized(mesh: Mesh, factor: float) -> Mesh:
+    return replace(mesh, vertices=np.float32(factor) * mesh.vertices)
+
+
+def _mirrored(mesh: Mesh) -> Mesh:
+    assert mesh.texture is not None
+    return replace(mesh, texture=np.ascontiguousarray(mesh.texture[::-1]))
 
 
 def drawn(scene: Path, models: str, frames: int, seed: int, *more: str) -> Path:

@@ -19,7 +19,7 @@ from huepose.perception.clear_view import clear_view
 from huepose.perception.presence import presences, probability
 
 MOST_SURE = 0.99
-OTHER_PRINT = 4.0
+OTHER_PRINT = 2.0
 """So many times likelier another print than its own has to be before it speaks against the object."""
 
 Presence = Callable[[RgbdFrame, Sequence[PoseEstimate]], Sequence[float]]

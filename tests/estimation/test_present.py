@@ -5,9 +5,11 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
+import pytest
 
 from huepose.estimation import Estimator, ObjectQuery
-from huepose.estimation.present import presences_of
+from huepose.estimation.present import OTHER_PRINT, presences_of
+from huepose.estimation.quality import features, quality_fits
 from huepose.estimation.verdict import absent
 from huepose.geometry import Box
 from huepose.rendering.render import render_depth
@@ -37,14 +39,17 @@ def test_a_shape_in_another_print_is_another_thing(tea_box, take_picture, standi
 
 
 def test_another_print_is_judged_by_the_method_that_answered(tea_box, take_picture, standing) -> None:
-    """What the dense score lacks of the print says nothing of an answer by colour pairs, whose own fit does
-    not ask it; the total of their score does."""
+    """Contrasts that point elsewhere speak against an answer by as much as its method's own fit says."""
     models = {"tea_box": tea_box}
     frame = take_picture([(tea_box.mesh, standing)])
     box = Box.of_mask(render_depth(tea_box.mesh, standing, frame.camera) > 0)
     (answer,) = Estimator(models).estimate(frame, [ObjectQuery("tea_box", box)])
-    lacking = replace(answer, terms=replace(answer.terms, missing=0.8, foreign=30.0))
-    own, other = (presences_of(frame, models, [a], "full")[0] for a in (answer, lacking))
-    assert other < 0.5 * own
-    own, other = (presences_of(frame, models, [a], "colorpair")[0] for a in (answer, lacking))
-    assert other == own
+    lacking = replace(answer, terms=replace(answer.terms, turned=0.5, otherwise=0.9, agreed=0.0))
+    left = {}
+    for method in ("full", "colorpair"):
+        own, other = (presences_of(frame, models, [a], method)[0] for a in (answer, lacking))
+        chance = quality_fits()[method].this_print(features(lacking.terms))
+        left[method] = other / own
+        assert left[method] == pytest.approx(min(1.0, OTHER_PRINT * chance / (1.0 - chance)), rel=1e-6)
+        assert left[method] < 0.5
+    assert left["full"] != pytest.approx(left["colorpair"], rel=0.05)

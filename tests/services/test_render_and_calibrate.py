@@ -11,6 +11,7 @@ TERMS = {
     "total": 1.5, "gaps": [0.1], "color": 0.4, "box_iou": 0.8, "depth_fit": 0.7, "coverage": 0.7,
     "violation": 0.1, "occluded": 0.1, "seen": 0.7,
     "missing": 0.2, "foreign": 10.0, "detail": 0.4, "stretch": 0.0, "pixels": 2000.0,
+    "turned": 0.0, "otherwise": 0.1, "agreed": 1.0,
 }  # fmt: skip
 
 

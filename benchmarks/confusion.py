@@ -92,7 +92,7 @@ def _boxes(
         for image in scene.image_ids:
             for truth in scene.truths(image):
                 model = targets.model_of(truth)
-                enough = truth.visib_fract is None or truth.visib_fract >= 0.5
+                enough = truth.shows(0.5)
                 if model is not None and targets.wants(truth) and enough:
                     known.setdefault(model.name, []).append((scene, image, truth, model))
     chosen = []

@@ -74,9 +74,8 @@ def _image(scene: BopScene, image: int) -> Image:
 
 def _asked(truth: GroundTruth, targets: Targets, min_visib: float) -> bool:
     """Whether a label is one of those that are evaluated."""
-    seen = truth.visib_fract is None or truth.visib_fract >= min_visib
     known = truth.T_cam_obj is not None and targets.model_of(truth) is not None
-    return seen and known and targets.wants(truth)
+    return truth.shows(min_visib) and known and targets.wants(truth)
 
 
 def _figures(record: Record, arguments: argparse.Namespace, images: Sequence[Image]) -> str:

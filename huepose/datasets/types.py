@@ -34,10 +34,14 @@ class GroundTruth:
         """The visible mask (H, W), or None where the set has none. Raises InputError on a broken file."""
         return None if self.mask_loader is None else self.mask_loader()
 
+    def shows(self, share: float) -> bool:
+        """At least this share, 0..1, is visible; unknown counts as visible."""
+        return self.visib_fract is None or self.visib_fract >= share
+
     @property
     def visible(self) -> bool:
         """At least 30 % is visible; unknown counts as visible."""
-        return self.visib_fract is None or self.visib_fract >= 0.3
+        return self.shows(0.3)
 
     @property
     def gone(self) -> bool:

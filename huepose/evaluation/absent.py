@@ -85,8 +85,7 @@ def _places(
     places = []
     for truth in truths:
         model = targets.model_of(truth)
-        visible = truth.visib_fract is None or truth.visib_fract >= LEAST_VISIBLE
-        if model is None or truth.T_cam_obj is None or not visible:
+        if model is None or truth.T_cam_obj is None or not truth.shows(LEAST_VISIBLE):
             continue
         box = truth_box(truth, model, camera)
         if box is None:

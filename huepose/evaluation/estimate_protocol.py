@@ -121,7 +121,7 @@ def _labels(truths: Sequence[GroundTruth], targets: Targets, min_visib: float) -
     for truth in truths:
         if not targets.wants(truth) or truth.T_cam_obj is None:
             continue
-        counted = truth.visib_fract is None or truth.visib_fract >= min_visib
+        counted = truth.shows(min_visib)
         model = targets.model_of(truth)
         if model is not None:
             labels.append(_Label(truth, model, truth.T_cam_obj, counted))

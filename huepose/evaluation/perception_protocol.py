@@ -52,7 +52,7 @@ class _Label:
     box: Box
 
     def counted(self, options: PerceptionOptions) -> bool:
-        return self.truth.visib_fract is None or self.truth.visib_fract >= options.min_visib
+        return self.truth.shows(options.min_visib)
 
 
 def evaluate_perception(

@@ -2,13 +2,11 @@
 
 from __future__ import annotations
 
-import gc
 from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
 import pytest
-from numba.core.dispatcher import Dispatcher
 
 from huepose.estimation import Estimator, EstimatorConfig, ObjectQuery
 from huepose.estimation.config import Method
@@ -18,12 +16,7 @@ from huepose.geometry import Box, RgbdFrame, se3
 from huepose.model.types import ReferenceModel
 from huepose.rendering.render import render_depth
 from huepose.verification.figure import set_off
-
-
-def compiled() -> dict[str, int]:
-    """How often each kernel was compiled, or read from the cache: once for each layout of its arrays."""
-    kernels = [k for k in gc.get_objects() if isinstance(k, Dispatcher)]
-    return {f"{k.py_func.__module__}.{k.py_func.__name__}": len(k.signatures) for k in kernels}
+from tests.kernels import compiled
 
 
 @pytest.mark.parametrize("method", ["full", "colorpair"])

@@ -2,22 +2,15 @@
 
 from __future__ import annotations
 
-import gc
 from collections.abc import Callable
 
 import numpy as np
-from numba.core.dispatcher import Dispatcher
 
 from huepose.geometry import RgbdFrame
 from huepose.model.types import ReferenceModel
 from huepose.perception.clear_view import clear_view
 from huepose.perception.colorpair_detector import ColorPairDetector
-
-
-def compiled() -> dict[str, int]:
-    """How often each kernel was compiled, or read from the cache: once for each layout of its arrays."""
-    kernels = [k for k in gc.get_objects() if isinstance(k, Dispatcher)]
-    return {f"{k.py_func.__module__}.{k.py_func.__name__}": len(k.signatures) for k in kernels}
+from tests.kernels import compiled
 
 
 def test_no_kernel_is_compiled_after_the_warm_up(

@@ -143,5 +143,5 @@ class _Asked:
 
 
 def _counts(truth: GroundTruth, targets: Targets, min_visib: float) -> bool:
-    seen = truth.visib_fract is None or truth.visib_fract >= min_visib
+    seen = truth.shows(min_visib)
     return seen and targets.wants(truth) and truth.T_cam_obj is not None

@@ -133,11 +133,12 @@ class Estimator:
                     return _timed(answer, time.perf_counter() - start), explanation
         if evidence is not None and full:
             extra = np.zeros((0, 4, 4)) if prior is None else prior[0][None]
-            poses, totals, trail, evidence = estimate_full(
+            poses, totals, trail, believed = estimate_full(
                 model, prepared.table, evidence, self.config.full, extra, self.config.look_harder
             )
-            if prior is not None:  # on what is believed now, as the answer is
-                prior = prior[0], float(judge(model, evidence.region, prior[0][None])[0])
+            if prior is not None and believed is not evidence:  # judged as the answer is
+                prior = prior[0], float(judge(model, believed.region, prior[0][None])[0])
+            evidence = believed
             with stage("contest"):
                 poses, totals, held = decided(model, evidence.region, poses, totals)
         elif evidence is not None:

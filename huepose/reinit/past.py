@@ -9,11 +9,9 @@ import numpy as np
 
 from huepose.geometry import se3
 from huepose.geometry.uncertainty import grown
+from huepose.reinit.pace import LONGEST_S
 from huepose.reinit.types import Key, Prior
 from huepose.tracking.types import TrackedPose
-
-REMEMBERED_S = 10.0
-"""Perception is not waited for longer than this."""
 
 
 class Past:
@@ -27,7 +25,7 @@ class Past:
         past = self._poses.setdefault((track.object, track.instance), deque())
         if track.T_cam_obj is not None and (not past or past[-1].stamp_ns < track.stamp_ns):
             past.append(_prior(track))
-            while past[-1].stamp_ns - past[0].stamp_ns > REMEMBERED_S * 1e9:
+            while past[-1].stamp_ns - past[0].stamp_ns > LONGEST_S * 1e9:
                 past.popleft()
 
     def forget(self, name: str) -> None:

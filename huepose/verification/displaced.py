@@ -51,8 +51,9 @@ def aligned(picture: Float32, print_: Float32, there: Bool) -> Float32:
     usual_px = USUAL * float(np.hypot(np.ptp(columns), np.ptp(rows)))
     moved = Moved(np.zeros((2, 3)), center, spread)
     shown = there.astype(np.float32)
+    own = print_[..., 0] * shown
     for shrink, steps in LEVELS:
-        moved = _at_level(picture[..., 0], print_[..., 0] * shown, shown, moved, usual_px, shrink, steps)
+        moved = _at_level(picture[..., 0], own, shown, moved, usual_px, shrink, steps)
     x, y = _grid(there.shape[0], there.shape[1], 1, moved)
     return _warped(print_, *_from(x, y, moved, 1))
 

@@ -19,7 +19,6 @@ import cv2
 import numpy as np
 from rival import SomeImages
 
-from huepose.datasets import prints
 from huepose.datasets.bop import BopScene
 from huepose.estimation import Estimator, EstimatorConfig
 from huepose.evaluation import metrics
@@ -35,6 +34,7 @@ from huepose.model import ReferenceModel, load_model, save_model
 from huepose.onboarding import onboard_mesh
 from huepose.onboarding.bop_folder import BopModel, bop_models
 from huepose.onboarding.meshes import read_mesh
+from huepose.scenes import prints
 from huepose.support.errors import InputError
 from huepose.support.progress import progress
 

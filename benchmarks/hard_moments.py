@@ -22,7 +22,6 @@ from pathlib import Path
 import cv2
 import numpy as np
 
-from huepose.datasets.synthetic_store import cache_folder
 from huepose.drawing.plots import line_plot, reliability_bins, reliability_plot
 from huepose.evaluation import metrics
 from huepose.evaluation.moments.challenge import challenge
@@ -39,6 +38,7 @@ from huepose.evaluation.states import StateReport, combined, report
 from huepose.evaluation.summary import table
 from huepose.model import ReferenceModel, load_model, save_model
 from huepose.onboarding import onboard_mesh
+from huepose.scenes.loop_file import cache_folder
 from huepose.tracking import Tracker
 
 ALL = {**MOMENTS, **TRAPS}

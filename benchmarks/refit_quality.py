@@ -23,8 +23,6 @@ import cv2
 import numpy as np
 
 from huepose.datasets.bop import BopScene
-from huepose.datasets.rendered_set import write_rendered_set
-from huepose.datasets.shapes import demo_objects
 from huepose.drawing.plots import reliability_plot
 from huepose.estimation import Estimator, EstimatorConfig
 from huepose.evaluation.absent import answers_where_absent, questions
@@ -37,6 +35,8 @@ from huepose.evaluation.targets import Targets
 from huepose.geometry.arrays import Bool, Float64
 from huepose.geometry.mesh import Mesh
 from huepose.model import load_models
+from huepose.scenes.rendered_set import write_rendered_set
+from huepose.scenes.shapes import demo_objects
 from huepose_services.cli.evaluate_calibrate import chance_text
 from huepose_services.cli.main import main as huepose
 

@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import numpy as np
 
-from huepose.datasets import prints
-from huepose.datasets.synthetic_room import sheet, table_top, wallpaper
 from huepose.geometry import Camera, Mesh, se3
 from huepose.geometry.arrays import UInt8
 from huepose.rendering.render import Rendering, render
+from huepose.scenes import prints
+from huepose.scenes.room import sheet, table_top, wallpaper
 
 Rng = np.random.Generator
 

@@ -13,14 +13,14 @@ from dataclasses import dataclass, field
 import cv2
 import numpy as np
 
-from huepose.datasets.synthetic_frame import silhouette_px
-from huepose.datasets.synthetic_light import Light, shine
-from huepose.datasets.synthetic_room import clutter
-from huepose.datasets.synthetic_sensor import ColorSensor, expose
 from huepose.geometry import Box, Camera, Mesh, se3
 from huepose.geometry.arrays import Float32, Float64, UInt8
 from huepose.perception.letterbox import Letterbox
 from huepose.rendering.render import Rendering, render
+from huepose.scenes.frame import silhouette_px
+from huepose.scenes.light import Light, shine
+from huepose.scenes.room import clutter
+from huepose.scenes.sensor import ColorSensor, expose
 from huepose.training.backdrops import Backdrops
 from huepose.training.shapes import random_rotation
 

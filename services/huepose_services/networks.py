@@ -6,7 +6,6 @@ from pathlib import Path
 
 import msgspec
 
-from huepose.datasets.synthetic_store import cache_folder
 from huepose.paper.rotation_first import RotationFirst
 from huepose.paper.rotation_network import SHIPPED, OnnxRotation, ResidualRotation
 from huepose.perception.flow_network import NetworkFlow
@@ -15,6 +14,7 @@ from huepose.perception.sessions import Network, NetworkSettings, open_network
 from huepose.perception.yolo import YoloDetector, class_names
 from huepose.propose.flow import FlowSource, compute
 from huepose.propose.relative_pose import RelativePose, RobustKabsch
+from huepose.scenes.loop_file import cache_folder
 from huepose.support.errors import InputError
 from huepose_services.catalogue import entry_of
 from huepose_services.runtime.config import Config

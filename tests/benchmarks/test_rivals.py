@@ -6,11 +6,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from huepose.datasets.shapes import demo_objects
 from huepose.evaluation import metrics
 from huepose.geometry import se3
 from huepose.model.types import ReferenceModel
 from huepose.rendering import render_depth
+from huepose.scenes.shapes import demo_objects
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[2] / "benchmarks"))
 

@@ -5,9 +5,9 @@ import json
 import pytest
 import yaml
 
-from huepose.datasets.shapes import demo_objects
 from huepose.geometry import Box, Camera, RgbdFrame
 from huepose.perception.sessions import digest
+from huepose.scenes.shapes import demo_objects
 from huepose.training.pictures import PictureRange, endless_pictures
 from huepose_services import networks as deployed
 from huepose_services.demo.run import Perception, pipeline

@@ -6,11 +6,11 @@ import pytest
 
 torch = pytest.importorskip("torch", reason="the extra `train` is not installed")
 
-from huepose.datasets.shapes import demo_objects  # noqa: E402
 from huepose.geometry import Camera, RgbdFrame  # noqa: E402
 from huepose.perception.sessions import open_network  # noqa: E402
 from huepose.perception.yolo import YoloDetector, class_names  # noqa: E402
 from huepose.perception.yolo_layouts import places  # noqa: E402
+from huepose.scenes.shapes import demo_objects  # noqa: E402
 from huepose.support.errors import InputError  # noqa: E402
 from huepose.training.detector import DetectorTraining, train  # noqa: E402
 from huepose.training.detector_loss import assigned, detector_loss, overlaps  # noqa: E402

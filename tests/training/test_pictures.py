@@ -3,9 +3,9 @@ from itertools import islice
 import numpy as np
 import pytest
 
-from huepose.datasets.shapes import demo_objects
 from huepose.geometry import Camera, Mesh
 from huepose.perception.yolo_layouts import Candidates
+from huepose.scenes.shapes import demo_objects
 from huepose.training.backdrops import Backdrops
 from huepose.training.detector_score import average_precision, score
 from huepose.training.pictures import PictureRange, endless_pictures

@@ -11,12 +11,12 @@ from typing import Any
 import cv2
 import numpy as np
 
-from huepose.datasets.synthetic_frame import Shot, Stage, shoot
-from huepose.datasets.synthetic_sensor import COLOR, STEREO, gaussian
-from huepose.datasets.synthetic_store import Loop, open_loop, write_loop
 from huepose.evaluation.moments.scripts import RATE_HZ, Script
 from huepose.geometry import RgbdFrame, se3
 from huepose.geometry.arrays import Float32, Float64
+from huepose.scenes.frame import Shot, Stage, shoot
+from huepose.scenes.loop_file import Loop, open_loop, write_loop
+from huepose.scenes.sensor import COLOR, STEREO, gaussian
 from huepose.support.errors import InputError
 from huepose.support.progress import progress
 

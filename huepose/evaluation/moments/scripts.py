@@ -1,6 +1,6 @@
 """What happens in each hard moment: who is where, in what light, and which pictures are dropped or spoilt.
 
-A script is a stage of the synthetic camera (`datasets.synthetic_frame`) with a list of what is shown of it
+A script is a stage of the synthetic camera (`huepose.scenes.frame`) with a list of what is shown of it
 when. All begin with a second in which nothing is hard and end with one.
 """
 
@@ -13,15 +13,15 @@ from typing import Any
 
 import numpy as np
 
-from huepose.datasets import prints
-from huepose.datasets.charts import blocks, revolved
-from huepose.datasets.shapes import demo_objects, printed
-from huepose.datasets.synthetic_frame import Stage
-from huepose.datasets.synthetic_light import Light, random_light
-from huepose.datasets.synthetic_motion import Timing, object_paths
-from huepose.datasets.synthetic_room import room
 from huepose.geometry import Camera, Mesh, se3
 from huepose.geometry.arrays import Bool, Float64
+from huepose.scenes import prints
+from huepose.scenes.charts import blocks, revolved
+from huepose.scenes.frame import Stage
+from huepose.scenes.light import Light, random_light
+from huepose.scenes.motion import Timing, object_paths
+from huepose.scenes.room import room
+from huepose.scenes.shapes import demo_objects, printed
 
 CAMERA = Camera(500.0, 500.0, 199.5, 149.5, 400, 300)
 RATE_HZ = 30.0

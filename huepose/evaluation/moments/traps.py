@@ -12,8 +12,6 @@ from dataclasses import replace
 
 import numpy as np
 
-from huepose.datasets.shapes import demo_objects
-from huepose.datasets.synthetic_light import random_light
 from huepose.evaluation.moments.scripts import (
     FRAMES,
     RATE_HZ,
@@ -25,6 +23,8 @@ from huepose.evaluation.moments.scripts import (
 )
 from huepose.geometry import Mesh, se3
 from huepose.geometry.arrays import Float64
+from huepose.scenes.light import random_light
+from huepose.scenes.shapes import demo_objects
 
 AWAY_M = -2.0
 """Behind the camera."""

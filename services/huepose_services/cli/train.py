@@ -112,7 +112,7 @@ def train_detector(arguments: argparse.Namespace) -> int:
 def _things(arguments: argparse.Namespace) -> dict[str, Sequence[Mesh]]:
     """By class the meshes that mean it."""
     if arguments.bundles is None:
-        from huepose.datasets.shapes import demo_objects
+        from huepose.scenes.shapes import demo_objects
 
         prints = [demo_objects(seed) for seed in arguments.builtin]
         return {name: [one[name] for one in prints] for name in prints[0]}

@@ -13,8 +13,8 @@ from typing import Any, TextIO
 
 import yaml
 
-from huepose.datasets.synthetic import SyntheticScene
 from huepose.model import load_models
+from huepose.scenes.builtin import SyntheticScene
 from huepose.support.errors import InputError
 from huepose_protos.client import Reader
 from huepose_protos.messages import HealthMessage, Message, PoseMessage, TruthMessage

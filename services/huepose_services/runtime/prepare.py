@@ -6,7 +6,7 @@ import errno
 import socket
 from importlib import import_module
 
-from huepose.datasets.shapes import demo_objects
+from huepose.scenes.shapes import demo_objects
 from huepose.support.errors import InputError
 from huepose_services.builtin import builtin_bundles
 from huepose_services.runtime.config import Config

@@ -8,7 +8,6 @@ from pathlib import Path
 
 import numpy as np
 
-from huepose.datasets.synthetic_frame import labels
 from huepose.evaluation.moments.film import Film
 from huepose.evaluation.moments.perception import Oracle, OwnEstimates
 from huepose.evaluation.moments.play import play
@@ -17,6 +16,7 @@ from huepose.evaluation.moments.traps import AWAY_M, TRAPS, swapped
 from huepose.evaluation.states import report
 from huepose.geometry import se3
 from huepose.reinit import Request, RequestedObject
+from huepose.scenes.frame import labels
 from huepose.tracking import Tracker
 
 from .test_moments import short

@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import numpy as np
 
-from huepose.datasets.synthetic_motion import FARTHEST_M, TABLE_M, UP_ROOM
-from huepose.datasets.synthetic_plan import CAMERA
-from huepose.datasets.synthetic_room import ball, bar, clutter, room
 from huepose.geometry import se3
 from huepose.rendering import render
+from huepose.scenes.motion import FARTHEST_M, TABLE_M, UP_ROOM
+from huepose.scenes.plan import CAMERA
+from huepose.scenes.room import ball, bar, clutter, room
 
 
 def test_clutter_stands_on_the_table_behind_the_objects() -> None:

@@ -11,10 +11,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from huepose.datasets.synthetic_motion import UP_ROOM, Timing, positions
 from huepose.geometry import Camera, Mesh, se3
 from huepose.geometry.arrays import Float, Float32, Float64, UInt8
 from huepose.rendering import render
+from huepose.scenes.motion import UP_ROOM, Timing, positions
 from huepose.support.jit import jit
 
 Rng = np.random.Generator

@@ -19,15 +19,14 @@ from typing import Any
 
 import numpy as np
 
-from huepose.datasets import synthetic_frame
-from huepose.datasets.shapes import demo_objects
-from huepose.datasets.synthetic_frame import Shot, Stage, shoot
-from huepose.datasets.synthetic_plan import CAMERA, plan
-from huepose.datasets.synthetic_sensor import COLOR, STEREO, StereoSensor
-from huepose.datasets.synthetic_store import Loop, cache_folder, open_loop, write_loop
 from huepose.datasets.types import GroundTruth, Sample
 from huepose.geometry import Box, Camera, Mesh, RgbdFrame
 from huepose.geometry.arrays import Bool
+from huepose.scenes.frame import Shot, Stage, shoot, visible_mask
+from huepose.scenes.loop_file import Loop, cache_folder, open_loop, write_loop
+from huepose.scenes.plan import CAMERA, plan
+from huepose.scenes.sensor import COLOR, STEREO, StereoSensor
+from huepose.scenes.shapes import demo_objects
 from huepose.support.errors import InputError
 from huepose.support.progress import progress
 
@@ -106,7 +105,7 @@ class SyntheticScene:
         return plan(self.meshes, self.seed, self._n_frames, self.camera, RATE_HZ)
 
     def _mask(self, i: int, k: int) -> Bool:
-        return synthetic_frame.visible_mask(self.stage, i, k)
+        return visible_mask(self.stage, i, k)
 
     def _key(self) -> str:
         """Changes with anything that changes a pixel."""

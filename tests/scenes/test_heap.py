@@ -1,9 +1,9 @@
 import numpy as np
 import pytest
 
-from huepose.datasets.heap import CELL_M, Heap, random_turn, resting_turns
-from huepose.datasets.shapes import demo_objects
 from huepose.geometry import se3
+from huepose.scenes.heap import CELL_M, Heap, random_turn, resting_turns
+from huepose.scenes.shapes import demo_objects
 
 OBJECTS = demo_objects(0)
 MIDDLE = np.zeros((1, 2))

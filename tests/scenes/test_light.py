@@ -5,11 +5,11 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from huepose.datasets.synthetic_light import Light, lights, shadow_map, shine
-from huepose.datasets.synthetic_motion import UP_ROOM, Timing
-from huepose.datasets.synthetic_room import sheet
 from huepose.geometry import Camera, se3
 from huepose.rendering import render
+from huepose.scenes.light import Light, lights, shadow_map, shine
+from huepose.scenes.motion import UP_ROOM, Timing
+from huepose.scenes.room import sheet
 
 CAMERA = Camera(300.0, 300.0, 159.5, 119.5, 320, 240)
 WHITE = np.full((4, 4, 3), 255, np.uint8)

@@ -6,10 +6,10 @@ import cv2
 import numpy as np
 import pytest
 
-from huepose.datasets.shapes import GAP_PX, demo_objects
 from huepose.geometry import Camera, Mesh, se3
 from huepose.rendering import render
 from huepose.rendering.textures import covered_texels
+from huepose.scenes.shapes import GAP_PX, demo_objects
 
 OBJECTS = demo_objects(0)
 

@@ -8,15 +8,15 @@ from functools import partial
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from huepose.datasets.synthetic_frame import Stage, shoot, visible_mask
-from huepose.datasets.synthetic_light import random_light
-from huepose.datasets.synthetic_motion import NEAREST_M, TABLE_M, UP_ROOM
-from huepose.datasets.synthetic_plan import CAMERA
-from huepose.datasets.synthetic_room import clutter, room
-from huepose.datasets.synthetic_sensor import COLOR, STEREO, StereoSensor
 from huepose.datasets.types import GroundTruth, Sample
 from huepose.geometry import Camera, Mesh, RgbdFrame, se3
 from huepose.geometry.arrays import Float, Float64
+from huepose.scenes.frame import Stage, shoot, visible_mask
+from huepose.scenes.light import random_light
+from huepose.scenes.motion import NEAREST_M, TABLE_M, UP_ROOM
+from huepose.scenes.plan import CAMERA
+from huepose.scenes.room import clutter, room
+from huepose.scenes.sensor import COLOR, STEREO, StereoSensor
 
 
 def random_view(

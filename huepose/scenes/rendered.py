@@ -15,16 +15,16 @@ from functools import lru_cache
 
 import numpy as np
 
-from huepose.datasets.heap import Heap, Rng, random_turn
-from huepose.datasets.piles import lost_in_bad_light, open_box, shifted
-from huepose.datasets.synthetic_frame import SHUTTER, Shot, Stage, shoot
-from huepose.datasets.synthetic_light import Light
-from huepose.datasets.synthetic_motion import PITCH, TABLE_M, UP_ROOM, upright
-from huepose.datasets.synthetic_plan import CAMERA
-from huepose.datasets.synthetic_room import clutter, room
-from huepose.datasets.synthetic_sensor import COLOR, STEREO
 from huepose.geometry import Camera, Mesh, se3
 from huepose.geometry.arrays import Float64
+from huepose.scenes.frame import SHUTTER, Shot, Stage, shoot
+from huepose.scenes.heap import Heap, Rng, random_turn
+from huepose.scenes.light import Light
+from huepose.scenes.motion import PITCH, TABLE_M, UP_ROOM, upright
+from huepose.scenes.piles import lost_in_bad_light, open_box, shifted
+from huepose.scenes.plan import CAMERA
+from huepose.scenes.room import clutter, room
+from huepose.scenes.sensor import COLOR, STEREO
 from huepose.support.errors import InputError
 
 AHEAD_ROOM = np.array([0.0, -np.sin(PITCH), np.cos(PITCH)])

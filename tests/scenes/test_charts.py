@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from huepose.datasets.charts import Chart, blocks, revolved
+from huepose.scenes.charts import Chart, blocks, revolved
 
 
 def area(chart: Chart) -> float:

@@ -8,14 +8,14 @@ from __future__ import annotations
 import cv2
 import numpy as np
 
-from huepose.datasets import prints
-from huepose.datasets.charts import Chart, blocks, revolved
-from huepose.datasets.prints import Palette, Rng
-from huepose.datasets.shapes import printed
-from huepose.datasets.synthetic_motion import PITCH, TABLE_M, UP_ROOM, upright
 from huepose.geometry import se3
 from huepose.geometry.arrays import Float64, UInt8
 from huepose.geometry.mesh import Mesh
+from huepose.scenes import prints
+from huepose.scenes.charts import Chart, blocks, revolved
+from huepose.scenes.motion import PITCH, TABLE_M, UP_ROOM, upright
+from huepose.scenes.prints import Palette, Rng
+from huepose.scenes.shapes import printed
 
 Placed = tuple[Mesh, Float64]
 

@@ -8,7 +8,7 @@ import cv2
 import numpy as np
 import pytest
 
-from huepose.datasets.synthetic_store import cache_folder, open_loop, write_loop
+from huepose.scenes.loop_file import cache_folder, open_loop, write_loop
 from huepose.support.errors import InputError
 
 

@@ -8,8 +8,8 @@ import cv2
 import numpy as np
 import pytest
 
-from huepose.datasets.synthetic_sensor import COLOR, STEREO, expose, gaussian, stereo_depth
 from huepose.geometry import Camera
+from huepose.scenes.sensor import COLOR, STEREO, expose, gaussian, stereo_depth
 
 CAMERA = Camera(614.2, 614.6, 159.5, 119.5, 320, 240)
 FACING = np.zeros((240, 320, 3), np.float32)

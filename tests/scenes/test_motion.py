@@ -5,7 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from huepose.datasets.synthetic_motion import (
+from huepose.geometry import se3
+from huepose.scenes.motion import (
     FARTHEST_M,
     NEAREST_M,
     TABLE_M,
@@ -19,8 +20,7 @@ from huepose.datasets.synthetic_motion import (
     speeds,
     upright,
 )
-from huepose.datasets.synthetic_plan import CAMERA
-from huepose.geometry import se3
+from huepose.scenes.plan import CAMERA
 
 RADII = np.array([0.09, 0.07, 0.1, 0.09, 0.1])
 TIMING = Timing.of(240)

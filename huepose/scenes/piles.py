@@ -5,13 +5,13 @@ from __future__ import annotations
 import cv2
 import numpy as np
 
-from huepose.datasets import prints
-from huepose.datasets.charts import blocks
-from huepose.datasets.prints import Palette, Rng
-from huepose.datasets.shapes import printed
-from huepose.datasets.synthetic_sensor import patches
 from huepose.geometry import Mesh
 from huepose.geometry.arrays import Float32, UInt8
+from huepose.scenes import prints
+from huepose.scenes.charts import blocks
+from huepose.scenes.prints import Palette, Rng
+from huepose.scenes.sensor import patches
+from huepose.scenes.shapes import printed
 
 DARK, GLARE = 14.0, 250.0
 """Grey levels under and over which a stereo camera finds nothing to match."""

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from huepose.datasets import prints
+from huepose.scenes import prints
 
 ARTS = {
     "front": prints.front("TITLE", "subtitle", "NEW"),

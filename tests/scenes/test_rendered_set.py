@@ -6,11 +6,11 @@ import pytest
 
 from huepose.datasets.bop import BopScene
 from huepose.datasets.obj_writer import write_models_folder
-from huepose.datasets.rendered_scene import SceneRanges, rendered_frame
-from huepose.datasets.rendered_set import silhouette, write_rendered_set
-from huepose.datasets.shapes import demo_objects
 from huepose.geometry import Camera, se3
 from huepose.rendering import render, render_depth
+from huepose.scenes.rendered import SceneRanges, rendered_frame
+from huepose.scenes.rendered_set import silhouette, write_rendered_set
+from huepose.scenes.shapes import demo_objects
 from huepose.support.errors import InputError
 
 MESHES = {name: mesh for name, mesh in demo_objects(3).items() if name in ("tea_box", "soup_can")}

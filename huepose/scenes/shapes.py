@@ -11,11 +11,11 @@ from collections.abc import Sequence
 import cv2
 import numpy as np
 
-from huepose.datasets import prints
-from huepose.datasets.charts import Chart, blocks, revolved
-from huepose.datasets.prints import Art, Palette, Rng
 from huepose.geometry.arrays import Float64, UInt8
 from huepose.geometry.mesh import Mesh
+from huepose.scenes import prints
+from huepose.scenes.charts import Chart, blocks, revolved
+from huepose.scenes.prints import Art, Palette, Rng
 
 TEXTURE_PX = 1024
 GAP_PX = 8  # between charts; each print also bleeds over half of it

@@ -9,10 +9,10 @@ from pathlib import Path
 import numpy as np
 
 from huepose.datasets.bop_writer import BopWriter, Label
-from huepose.datasets.rendered_scene import Drawn, SceneRanges, check_sizes, rendered_frame
 from huepose.geometry import Box, Camera, Mesh, se3
 from huepose.geometry.arrays import Float64
 from huepose.rendering import render_depth
+from huepose.scenes.rendered import Drawn, SceneRanges, check_sizes, rendered_frame
 from huepose.support.errors import InputError
 from huepose.support.progress import progress
 

@@ -7,16 +7,16 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from huepose.datasets.shapes import demo_objects
-from huepose.datasets.synthetic import SyntheticScene
-from huepose.datasets.synthetic_frame import Stage, labels, shoot, silhouette_px
-from huepose.datasets.synthetic_light import Light
-from huepose.datasets.synthetic_plan import CAMERA, plan
-from huepose.datasets.synthetic_room import sheet
-from huepose.datasets.synthetic_sensor import COLOR, STEREO
-from huepose.datasets.synthetic_views import random_view
 from huepose.geometry import Camera, se3
 from huepose.rendering import render_depth
+from huepose.scenes.builtin import SyntheticScene
+from huepose.scenes.frame import Stage, labels, shoot, silhouette_px
+from huepose.scenes.light import Light
+from huepose.scenes.plan import CAMERA, plan
+from huepose.scenes.room import sheet
+from huepose.scenes.sensor import COLOR, STEREO
+from huepose.scenes.shapes import demo_objects
+from huepose.scenes.views import random_view
 from huepose.support.errors import InputError
 
 SMALL = CAMERA.scaled(0.4)

@@ -6,13 +6,13 @@ from collections.abc import Mapping
 
 import numpy as np
 
-from huepose.datasets.synthetic_frame import Stage, labels
-from huepose.datasets.synthetic_light import lights
-from huepose.datasets.synthetic_motion import CALM_S, NEAREST_M, Timing, camera_sway, object_paths, passing
-from huepose.datasets.synthetic_room import bar, room
 from huepose.geometry.arrays import Float64
 from huepose.geometry.camera import Camera
 from huepose.geometry.mesh import Mesh
+from huepose.scenes.frame import Stage, labels
+from huepose.scenes.light import lights
+from huepose.scenes.motion import CALM_S, NEAREST_M, Timing, camera_sway, object_paths, passing
+from huepose.scenes.room import bar, room
 from huepose.support.errors import InputError
 
 CAMERA = Camera(614.2, 614.6, 321.3, 240.7, 640, 480)  # as a D435 colour stream

@@ -3,11 +3,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from huepose.datasets.piles import LOST_SHARE, lost_in_bad_light, open_box, shifted
-from huepose.datasets.rendered_scene import PILES, rendered_frame
-from huepose.datasets.shapes import demo_objects
 from huepose.geometry import Camera, se3
 from huepose.rendering import render_depth
+from huepose.scenes.piles import LOST_SHARE, lost_in_bad_light, open_box, shifted
+from huepose.scenes.rendered import PILES, rendered_frame
+from huepose.scenes.shapes import demo_objects
 
 MESHES = {name: mesh for name, mesh in demo_objects(3).items() if name in ("tea_box", "soup_can")}
 

@@ -19,9 +19,9 @@ import numpy as np
 from options import asking
 
 from huepose.datasets.bop import BopScene
+from huepose.datasets.boxes import disturbed, truth_box
 from huepose.datasets.types import GroundTruth
 from huepose.estimation import Estimator, EstimatorConfig, ObjectQuery, PoseEstimate
-from huepose.evaluation.boxes import disturbed, truth_box
 from huepose.evaluation.result_files import write_json
 from huepose.evaluation.summary import table
 from huepose.evaluation.targets import Targets, object_number
@@ -42,7 +42,7 @@ def main() -> None:
     rows: list[dict[str, Any]] = []
     for scene, image, truth, model in progress(boxes, "boxes"):
         frame = scene.frame(image)
-        true_box = truth_box(truth, model, frame.camera)
+        true_box = truth_box(truth, model.mesh, frame.camera)
         if true_box is None:
             continue
         size = (frame.camera.width, frame.camera.height)

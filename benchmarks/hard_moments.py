@@ -38,7 +38,7 @@ from huepose.evaluation.states import StateReport, combined, report
 from huepose.evaluation.summary import table
 from huepose.model import ReferenceModel, load_model, save_model
 from huepose.onboarding import onboard_mesh
-from huepose.scenes.loop_file import cache_folder
+from huepose.support.files import cache_folder
 from huepose.tracking import Tracker
 
 ALL = {**MOMENTS, **TRAPS}

@@ -16,10 +16,10 @@ import numpy as np
 
 from huepose import Estimator, ObjectQuery, load_models
 from huepose.colorpair.extract import extract
+from huepose.datasets.boxes import disturbed
 from huepose.drawing.contact_sheet import contact_sheet
 from huepose.drawing.depth_color import depth_to_color
 from huepose.drawing.overlay import blend, draw_color_pairs, draw_pose
-from huepose.evaluation.boxes import disturbed
 from huepose.evaluation.metrics import add
 from huepose.rendering.render import render
 from huepose.scenes.builtin import SyntheticScene

@@ -8,10 +8,10 @@ from typing import Any
 
 import numpy as np
 
+from huepose.datasets.boxes import disturbed, truth_box
 from huepose.datasets.types import GroundTruth, Scene
 from huepose.estimation.estimator import Estimator
 from huepose.estimation.types import ObjectQuery, PoseEstimate
-from huepose.evaluation.boxes import disturbed, truth_box
 from huepose.evaluation.targets import Targets, object_number
 from huepose.geometry.box import Box
 from huepose.model.types import ReferenceModel
@@ -87,7 +87,7 @@ def _places(
         model = targets.model_of(truth)
         if model is None or truth.T_cam_obj is None or not truth.shows(LEAST_VISIBLE):
             continue
-        box = truth_box(truth, model, camera)
+        box = truth_box(truth, model.mesh, camera)
         if box is None:
             continue
         box = disturbed(box, "perturbed", 0, scene.name, image, truth.instance, camera.width, camera.height)

@@ -13,10 +13,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from huepose.datasets.boxes import truth_box
 from huepose.datasets.types import Sample
 from huepose.estimation.present import certainty
 from huepose.estimation.types import ObjectQuery
-from huepose.evaluation.boxes import truth_box
 from huepose.evaluation.estimate_protocol import PoseEstimator
 from huepose.evaluation.likelihood import logistic, sigmoid
 from huepose.evaluation.perception_protocol import SAME
@@ -62,7 +62,7 @@ def look(sample: Sample, targets: Targets, detector: Detector, estimator: PoseEs
             queries.append(ObjectQuery(d.object, box=d.box, instance=len(queries)))
     answers = estimator.estimate(sample.frame, queries) if queries and view is not None else []
     boxes = [
-        (model.name, truth_box(t, model, sample.frame.camera))
+        (model.name, truth_box(t, model.mesh, sample.frame.camera))
         for t in sample.truths
         if t.T_cam_obj is not None and (model := targets.model_of(t)) is not None
     ]

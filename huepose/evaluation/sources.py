@@ -6,9 +6,9 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Protocol
 
+from huepose.datasets.boxes import disturbed, truth_box
 from huepose.datasets.types import GroundTruth, Sample
 from huepose.estimation.types import ObjectQuery, PoseEstimate, PosePrior
-from huepose.evaluation.boxes import disturbed, truth_box
 from huepose.evaluation.estimate_protocol import PoseEstimator
 from huepose.evaluation.instances import Place
 from huepose.evaluation.pose_files import PoseTable
@@ -75,7 +75,7 @@ class EstimatorSource:
         asked: dict[int, Place] = {}
         queries = []
         for place, truth in _present(places):
-            box = truth_box(truth, place.model, camera)
+            box = truth_box(truth, place.model.mesh, camera)
             if box is None:
                 continue
             box = disturbed(

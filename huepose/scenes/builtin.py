@@ -23,11 +23,12 @@ from huepose.datasets.types import GroundTruth, Sample
 from huepose.geometry import Box, Camera, Mesh, RgbdFrame
 from huepose.geometry.arrays import Bool
 from huepose.scenes.frame import Shot, Stage, shoot, visible_mask
-from huepose.scenes.loop_file import Loop, cache_folder, open_loop, write_loop
+from huepose.scenes.loop_file import Loop, open_loop, write_loop
 from huepose.scenes.plan import CAMERA, plan
 from huepose.scenes.sensor import COLOR, STEREO, StereoSensor
 from huepose.scenes.shapes import demo_objects
 from huepose.support.errors import InputError
+from huepose.support.files import cache_folder
 from huepose.support.progress import progress
 
 VERSION = 3  # of what the code below this module draws: raise it when any pixel changes

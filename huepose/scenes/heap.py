@@ -1,4 +1,4 @@
-"""Heaps of things on a table: each thing is let down until it touches the table or what already lies there.
+"""Heaps of things on a table, and a box around them: each is let down until it touches what is there.
 
 Surfaces are height maps, seen from far above and from far below, so nothing ever goes through anything else
 where it can be seen. There is no balance of forces: a thing may rest on a single point.
@@ -13,8 +13,12 @@ from scipy.spatial import ConvexHull, QhullError
 from scipy.spatial.transform import Rotation
 
 from huepose.geometry import Camera, Mesh, se3
-from huepose.geometry.arrays import Float32, Float64
+from huepose.geometry.arrays import Float32, Float64, UInt8
 from huepose.rendering import render_depth
+from huepose.scenes import prints
+from huepose.scenes.charts import blocks
+from huepose.scenes.prints import Palette
+from huepose.scenes.shapes import printed
 
 Rng = np.random.Generator
 
@@ -114,3 +118,18 @@ def random_turn(mesh: Mesh, rng: Rng, lying: float = _LYING_SHARE) -> Float64:
     turns, areas = resting_turns(mesh)
     k = int(rng.choice(len(turns), p=areas / areas.sum()))
     return np.asarray(se3.rotation_exp(np.array([0.0, 0.0, rng.uniform(0, 2 * np.pi)])) @ turns[k])
+
+
+def open_box(half_side_m: float, height_m: float, rng: Rng) -> Mesh:
+    """An open box with walls of 8 mm about the origin, one side up to a fifth longer than the other."""
+    x, y = half_side_m * rng.uniform(1.0, 1.2), half_side_m
+    z, wall = height_m / 2.0, 0.008
+    filled = np.ones((3, 3, 2), bool)
+    filled[1, 1, 1] = False
+    lattice = [-x - wall, -x, x, x + wall], [-y - wall, -y, y, y + wall], [-z, wall - z, z]
+    charts = blocks(*lattice, filled, 0.05)
+    return printed(charts, [_plain] * len(charts), prints.palette(rng.uniform(), rng), rng, 256)
+
+
+def _plain(rng: Rng, height: int, width: int, p: Palette) -> UInt8:
+    return prints.mixed(p.base, p.dark, 0.15 * prints.clouds(rng, height, width, max(height, width) / 3, 3))

@@ -26,12 +26,6 @@ DEPTH_SCALE_M = 1e-4
 _ALIGN = 16
 
 
-def cache_folder() -> Path:
-    """`$XDG_CACHE_HOME/huepose`, or `~/.cache/huepose`."""
-    base = os.environ.get("XDG_CACHE_HOME")
-    return (Path(base) if base else Path.home() / ".cache") / "huepose"
-
-
 @dataclass(frozen=True, eq=False)
 class Loop:
     """An opened loop: `facts` as they were stored, and the pictures."""

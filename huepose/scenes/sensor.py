@@ -4,7 +4,8 @@ Depth is taken as the left view of a stereo pair, with disparity d = fx * baseli
 turn: ragged edges (the matching window takes one of the two surfaces, more often the nearer one), a shadow
 without depth on the left of things (hidden from the right camera), pixels that fly between two surfaces,
 disparity noise that is correlated over the matching window, steps of 1/32 px, holes. So the RMS of Z is
-Z^2 * subpixel / (fx * baseline) on a smooth surface, as the makers state it.
+Z^2 * subpixel / (fx * baseline) on a smooth surface, as the makers state it. In bad light, blobs are lost
+where the picture is too dark or too bright to match.
 """
 
 from __future__ import annotations
@@ -28,6 +29,13 @@ _TO_SRGB: UInt8 = np.rint(255.0 * (np.arange(4096) / 4095.0) ** (2 / 2.2)).astyp
 # The normal distribution: its values at 65536 equal shares, and its shares at values from -5 to 5.
 _NORMAL: Float32 = ndtri((np.arange(65536) + 0.5) / 65536).astype(np.float32)
 _NORMAL_SHARE: Float32 = ndtr(np.arange(-320, 321) / 64.0).astype(np.float32)
+
+
+DARK, GLARE = 14.0, 250.0
+"""Grey levels under and over which a stereo camera finds nothing to match."""
+
+LOST_SHARE = 0.6
+"""Of such surfaces, in blobs."""
 
 
 @dataclass(frozen=True)
@@ -172,3 +180,17 @@ def _grazing(normals: Float32, fx: float, fy: float, cx: float, cy: float) -> Fl
             if cos < 0.5:
                 out[row, column] = min((60.0 - np.degrees(np.arccos(max(cos, 0.0)))) / -25.0, 1.0)
     return out
+
+
+def lost_in_bad_light(depth: Float32, color: UInt8, rng: Rng) -> Float32:
+    """Depth (H, W) of which blobs are gone, 0, where the picture (H, W, 3) is too dark or too bright."""
+    grey = cv2.GaussianBlur(color.max(2).astype(np.float32), (0, 0), 2.0)
+    bad = (grey < DARK) | (grey > GLARE)
+    return np.where(bad & (patches(rng, depth.shape, 4.0) < LOST_SHARE), np.float32(0.0), depth)
+
+
+def shifted(depth: Float32, right_px: int, down_px: int) -> Float32:
+    """Depth (H, W) that lies so many pixels off the picture; 0 where nothing is known then."""
+    height, width = depth.shape
+    move = np.array([[1, 0, right_px], [0, 1, down_px]], np.float64)
+    return np.asarray(cv2.warpAffine(depth, move, (width, height), flags=cv2.INTER_NEAREST), np.float32)

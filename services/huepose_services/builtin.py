@@ -15,9 +15,9 @@ from pathlib import Path
 import huepose
 from huepose.geometry.mesh import Mesh
 from huepose.model.io import model_path, save_model
-from huepose.scenes.loop_file import cache_folder
 from huepose.scenes.shapes import demo_objects
 from huepose.support.errors import InputError
+from huepose.support.files import cache_folder
 from huepose.support.progress import progress
 
 _MAKERS = ("onboarding", "model", "colorpair", "propose/views.py", "paper/pair_reference.py")

@@ -14,8 +14,8 @@ from huepose.perception.sessions import Network, NetworkSettings, open_network
 from huepose.perception.yolo import YoloDetector, class_names
 from huepose.propose.flow import FlowSource, compute
 from huepose.propose.relative_pose import RelativePose, RobustKabsch
-from huepose.scenes.loop_file import cache_folder
 from huepose.support.errors import InputError
+from huepose.support.files import cache_folder
 from huepose_services.catalogue import entry_of
 from huepose_services.runtime.config import Config
 

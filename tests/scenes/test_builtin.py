@@ -16,7 +16,6 @@ from huepose.scenes.plan import CAMERA, plan
 from huepose.scenes.room import sheet
 from huepose.scenes.sensor import COLOR, STEREO
 from huepose.scenes.shapes import demo_objects
-from huepose.scenes.views import random_view
 from huepose.support.errors import InputError
 
 SMALL = CAMERA.scaled(0.4)
@@ -164,22 +163,6 @@ def test_silhouette_counts_what_lies_outside_the_image() -> None:
         render_depth(mesh, half_out, CAMERA)
     )
     assert silhouette_px(mesh, inside, CAMERA) == np.count_nonzero(render_depth(mesh, inside, CAMERA))
-
-
-def test_random_views_are_labelled_repeat_and_differ_by_seed() -> None:
-    one, two, other = (random_view(THREE, seed, SMALL) for seed in (4, 4, 5))
-    assert np.array_equal(one.frame.color, two.frame.color)
-    assert np.array_equal(one.frame.depth, two.frame.depth)
-    assert not np.array_equal(one.frame.color, other.frame.color)
-    for truth in one.truths + other.truths:
-        assert truth.T_cam_obj is not None
-        assert 0.4 < truth.T_cam_obj[2, 3] < 1.15
-        mask = truth.mask()
-        assert mask is not None
-        assert (mask.sum() > 0) == (truth.visib_fract > 0)
-    some = np.array([t.visib_fract for s in range(6) for t in random_view(THREE, s, SMALL).truths])
-    assert (some > 0.3).mean() > 0.7
-    assert (some < 0.9).any()
 
 
 def test_rms_of_the_stereo_sensor_at_a_metre() -> None:

@@ -8,8 +8,9 @@ import cv2
 import numpy as np
 import pytest
 
-from huepose.scenes.loop_file import cache_folder, open_loop, write_loop
+from huepose.scenes.loop_file import open_loop, write_loop
 from huepose.support.errors import InputError
+from huepose.support.files import cache_folder
 
 
 def frames(n: int = 5) -> list:

@@ -5,8 +5,9 @@ import pytest
 
 from huepose.geometry import Camera, se3
 from huepose.rendering import render_depth
-from huepose.scenes.piles import LOST_SHARE, lost_in_bad_light, open_box, shifted
+from huepose.scenes.heap import open_box
 from huepose.scenes.rendered import PILES, rendered_frame
+from huepose.scenes.sensor import LOST_SHARE, lost_in_bad_light, shifted
 from huepose.scenes.shapes import demo_objects
 
 MESHES = {name: mesh for name, mesh in demo_objects(3).items() if name in ("tea_box", "soup_can")}

@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 
 from huepose.datasets.bop import BopScene
-from huepose.datasets.obj_writer import write_models_folder
+from huepose.datasets.bop_writer import write_models_folder
 from huepose.geometry import Camera, se3
 from huepose.rendering import render, render_depth
 from huepose.scenes.rendered import SceneRanges, rendered_frame

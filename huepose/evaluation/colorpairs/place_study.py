@@ -12,9 +12,9 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
+from huepose.datasets.boxes import disturbed, truth_box
 from huepose.datasets.types import GroundTruth, Scene
 from huepose.estimation.prepared import PreparedModels
-from huepose.evaluation.boxes import disturbed, truth_box
 from huepose.evaluation.colorpairs.place_answers import Ended, shared_of
 from huepose.evaluation.colorpairs.places import places_of
 from huepose.evaluation.equivalents import Key
@@ -129,7 +129,7 @@ class _Asked:
     ) -> Iterator[tuple[str, Ended]]:
         """Each place with its answer and the CPU seconds that it took."""
         camera = frame.camera
-        box = truth_box(truth, model, camera)
+        box = truth_box(truth, model.mesh, camera)
         if box is None:
             return
         box = disturbed(box, "perturbed", seed, *key, camera.width, camera.height)

@@ -12,10 +12,10 @@ from typing import Protocol
 
 import numpy as np
 
+from huepose.datasets.boxes import disturbed, projected_box
 from huepose.estimation import Estimator, ObjectQuery
 from huepose.estimation.config import EstimatorConfig
 from huepose.estimation.types import PoseEstimate, PosePrior
-from huepose.evaluation.boxes import disturbed, projected_box
 from huepose.evaluation.moments.film import Seen, noisy
 from huepose.evaluation.moments.scripts import Script
 from huepose.geometry.arrays import Float64
@@ -132,7 +132,7 @@ class OwnEstimates:
         camera, frame = seen.frame.camera, seen.frame.frame_id
         if T_cam_obj[2, 3] <= 0.0:
             return None
-        box = projected_box(self._models[name], T_cam_obj, camera)
+        box = projected_box(self._models[name].mesh, T_cam_obj, camera)
         box = None if box is None else box.clipped(camera.width, camera.height)
         if box is None or min(box.w, box.h) < LEAST_BOX_PX:
             return None

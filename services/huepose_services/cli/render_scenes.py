@@ -45,7 +45,7 @@ def add_parser(subparsers: Any) -> None:
 def call(arguments: argparse.Namespace) -> int:
     """Read the meshes, draw, say what is there."""
     from huepose.datasets.bop import BopScene
-    from huepose.datasets.obj_writer import write_models_folder
+    from huepose.datasets.bop_writer import write_models_folder
     from huepose.scenes.rendered import PILES, SceneRanges
     from huepose.scenes.rendered_set import write_rendered_set
     from huepose.scenes.shapes import demo_objects

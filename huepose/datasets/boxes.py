@@ -14,20 +14,20 @@ from huepose.datasets.types import GroundTruth
 from huepose.geometry.arrays import Float
 from huepose.geometry.box import Box
 from huepose.geometry.camera import Camera
-from huepose.model.types import ReferenceModel
+from huepose.geometry.mesh import Mesh
 
 Disturbance = Literal["perturbed", "paper", "gt"]
 
 
-def projected_box(model: ReferenceModel, T_cam_obj: Float, camera: Camera) -> Box | None:
-    """Bounds in pixels of the model's vertices at a pose, not clipped; None with none before the camera."""
+def projected_box(mesh: Mesh, T_cam_obj: Float, camera: Camera) -> Box | None:
+    """Bounds in pixels of the mesh's vertices at a pose, not clipped; None with none before the camera."""
     R, t = T_cam_obj[:3, :3], T_cam_obj[:3, 3]
-    pixels = camera.project(model.mesh.vertices.astype(np.float64) @ R.T + t)
+    pixels = camera.project(mesh.vertices.astype(np.float64) @ R.T + t)
     pixels = pixels[np.isfinite(pixels).all(1)]
     return Box.of_pixels(pixels) if len(pixels) else None
 
 
-def truth_box(truth: GroundTruth, model: ReferenceModel, camera: Camera) -> Box | None:
+def truth_box(truth: GroundTruth, mesh: Mesh, camera: Camera) -> Box | None:
     """The ground-truth box: the set's own, else the bounds of the visible mask, else of the projected mesh.
 
     None when nothing of the object is in the image by any of the three."""
@@ -36,7 +36,7 @@ def truth_box(truth: GroundTruth, model: ReferenceModel, camera: Camera) -> Box 
     mask = truth.mask()
     box = Box.of_mask(mask) if mask is not None else None
     if box is None and truth.T_cam_obj is not None:
-        box = projected_box(model, truth.T_cam_obj, camera)
+        box = projected_box(mesh, truth.T_cam_obj, camera)
         box = box.clipped(camera.width, camera.height) if box is not None else None
     return None if box is None or box.area == 0 else box
 

@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from huepose.believe.quality import QualityFit, QualityTerms
+from huepose.believe.quality import QualityTerms
 from huepose.datasets import files
 from huepose.evaluation import metrics
 from huepose.geometry.arrays import Bool, Float64, Int64
@@ -174,8 +174,3 @@ def by_chance(
         for _ in range(draws)
     ]
     return float(np.mean(errors)), float(np.quantile(errors, 0.95))
-
-
-def stated_by(quality_fit: QualityFit, judged: Judged) -> Float64:
-    """Quality (N,) by a fit."""
-    return np.array([quality_fit.probabilities(terms)[0] for terms in judged.terms])

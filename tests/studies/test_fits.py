@@ -4,10 +4,10 @@ import numpy as np
 import pytest
 
 from huepose.believe.quality import TIE, QualityTerms, features, quality, quality_fits
-from huepose.evaluation.calibration import Judged, stated_by, worth
+from huepose.evaluation.calibration import Judged, worth
 from huepose.support.errors import InputError
 from studies.quality import fit as quality_fit
-from studies.quality.fit import FEATURES, Names
+from studies.quality.fit import FEATURES, Names, stated_by
 
 PLAIN = QualityTerms(
     1.5, (0.1, 0.3), 0.4, 0.8, 0.7, 0.7, 0.1, 0.1, 0.7, 0.2, 10.0, 0.4, 0.0, 2000.0, 0.0, 0.1, 1.0

@@ -8,10 +8,9 @@ from typing import Any
 
 from huepose.believe.quality import quality_fits
 from huepose.drawing.plots import reliability_plot
-from huepose.evaluation.calibration import Judged, Worth, read_judged, stated_by, worth
+from huepose.evaluation.calibration import Judged, Worth, read_judged, worth
 from huepose.evaluation.pictures import write_picture
 from huepose.evaluation.summary import table
-from huepose.geometry.arrays import Float64
 
 HEADING = ("set", "n", "right %", "calibration error", "by chance", "found %", "over the level %",
            "right of them %")  # fmt: skip
@@ -23,10 +22,9 @@ def call(arguments: argparse.Namespace) -> int:
     rows: list[list[Any]] = []
     for path in arguments.results:
         judged = read_judged(path)
-        stated = stated_by(fit, judged)
-        rows.append(worth_row(path.stem, worth(stated, judged, fit.level)))
+        rows.append(worth_row(path.stem, worth(judged.stated, judged, fit.level)))
         if arguments.plots is not None:
-            _draw(arguments.plots, path.stem, stated, judged)
+            _draw(arguments.plots, path.stem, judged)
     print(f"{arguments.method}: level {fit.level:.3f}, found {fit.found:.3f}")
     print(table(HEADING, rows))
     return 0
@@ -41,6 +39,6 @@ def worth_row(name: str, worth: Worth) -> list[Any]:
     return [name, worth.poses, right, ece, chance, 100.0 * worth.found, 100.0 * worth.coverage, precision]
 
 
-def _draw(folder: Path, name: str, stated: Float64, judged: Judged) -> None:
-    picture = reliability_plot(stated, judged.right, title=f"quality and truth, {name}")
+def _draw(folder: Path, name: str, judged: Judged) -> None:
+    picture = reliability_plot(judged.stated, judged.right, title=f"quality and truth, {name}")
     write_picture(folder / f"reliability_{name}.png", picture)

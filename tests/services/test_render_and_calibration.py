@@ -46,55 +46,35 @@ def test_look_alikes_stand_where_the_objects_would_in_other_prints(tmp_path: Pat
     assert np.abs(colors[0] - colors[1]).mean() > 20.0
 
 
-def _results(path: Path, n: int, seed: int) -> Path:
-    """A result file in which a pose is right with a chance that is logistic in its margin."""
+def _results(path: Path, n: int, seed: int, overstated: float = 0.0) -> Path:
+    """A result file in which a pose is right with the chance that its quality says, less `overstated`."""
     rng = np.random.default_rng(seed)
     rows = []
     for k in range(n):
-        margin = float(rng.uniform(0, 0.3))
-        right = bool(rng.random() < 1 / (1 + np.exp(-(-4.0 + 40.0 * margin))))
-        place = {"scene": "s", "image": k, "instance": 0, "found": True, "quality": 0.5,
-                 "adds_m": 0.0, "diameter_m": 0.2}  # fmt: skip
-        rows.append({**place, "right": right, "terms": {**TERMS, "gaps": [margin]}})
+        quality = float(rng.uniform(0.3, 1.0))
+        place = {"scene": "s", "image": k, "instance": 0, "found": True, "adds_m": 0.0, "diameter_m": 0.2}
+        right = bool(rng.random() < quality - overstated)
+        rows.append({**place, "quality": quality, "right": right, "terms": TERMS})
     path.write_text(json.dumps({"rows": rows, "false": []}))
     return path
 
 
-def test_a_fit_is_written_and_checked_on_other_results(
+def test_true_quality_errs_by_chance_alone_and_overstated_quality_by_what_it_overstates(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    results, other = _results(tmp_path / "a.json", 1500, 0), _results(tmp_path / "other.json", 1000, 1)
-    out = tmp_path / "fits.json"
-    out.write_text(json.dumps({"colorpair": {"constant": 1.0, "factors": {}, "level": 0.9}}))
-    code = main(
-        [
-            "eval",
-            "calibrate",
-            str(results),
-            "--check",
-            str(other),
-            "--out",
-            str(out),
-            "--plots",
-            str(tmp_path),
-        ]
-    )
-    assert code == DONE
-    fits = json.loads(out.read_text())
-    assert set(fits) == {"full", "colorpair"}
-    assert 0.9 < fits["full"]["level"] < 0.999
-    line = next(line for line in capsys.readouterr().out.splitlines() if line.startswith("other"))
-    fields = line.split()
-    ece, chance, precision = float(fields[3]), float(fields[6]), float(fields[-1])
-    assert ece < min(0.04, 1.5 * chance)
-    assert precision > 97.0
-    assert (tmp_path / "reliability_other.png").stat().st_size > 0
+    true = _results(tmp_path / "true.json", 3000, 0)
+    bold = _results(tmp_path / "bold.json", 3000, 1, overstated=0.2)
+    assert main(["eval", "calibration", str(true), str(bold), "--plots", str(tmp_path)]) == DONE
+    fields = {line.split()[0]: line.split() for line in capsys.readouterr().out.splitlines()}
+    error, at_most_by_chance = float(fields["true"][3]), float(fields["true"][6])
+    assert error < 1.5 * at_most_by_chance
+    assert float(fields["bold"][3]) == pytest.approx(0.2, abs=0.02)
+    assert (tmp_path / "reliability_true.png").stat().st_size > 0
 
 
 def test_results_without_terms_are_refused(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     path = tmp_path / "old.json"
     row = {"scene": "s", "image": 0, "found": True, "right": True, "quality": 0.5}
     path.write_text(json.dumps({"rows": [row]}))
-    assert main(["eval", "calibrate", str(path)]) == BAD_INPUT
+    assert main(["eval", "calibration", str(path)]) == BAD_INPUT
     assert "Make it again" in capsys.readouterr().err
-    assert main(["eval", "calibrate"]) == BAD_INPUT

@@ -83,9 +83,6 @@ class Worth:
     found: float
 
 
-NONE = Judged([], np.zeros(0, np.int64), np.zeros(0, bool), [], [], np.zeros(0), np.zeros(0))
-
-
 def read_judged(path: Path | str) -> Judged:
     """The found poses of a result file of `huepose eval estimate`; poses that belong to no label are none of
     them right. Raises InputError."""

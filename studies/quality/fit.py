@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 
 from huepose.believe.quality import Logistic, QualityFit, QualityTerms, features
-from huepose.evaluation.calibration import NONE, Judged
+from huepose.evaluation.calibration import Judged
 from huepose.geometry.arrays import Bool, Float64, Int64
 from huepose.support.errors import InputError
 from studies.likelihood import choice, logistic
@@ -58,6 +58,8 @@ taken for the one, and those half hidden for the other."""
 LEVEL_SHARE = 0.99
 LOST_SHARE = 0.002
 """Of the poses that lie on their objects, so many may be taken for "nothing there"."""
+
+NONE = Judged([], np.zeros(0, np.int64), np.zeros(0, bool), [], [], np.zeros(0), np.zeros(0))
 
 FOLDS = 10
 FEWEST = 50

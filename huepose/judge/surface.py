@@ -1,4 +1,4 @@
-"""What the tracker keeps of a reference model: surface samples with their colours at three scales.
+"""The surface samples of a reference model with their colours at three scales, for regions without a mask.
 
 The samples are in random order and the lists of visible samples are increasing, so the first n of a list are
 an even, sparser cover of what is seen: cheap scores read few, refinement reads more.
@@ -7,67 +7,39 @@ an even, sparser cover of what is seen: cheap scores read few, refinement reads 
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import NamedTuple
 
 import numpy as np
 from scipy.spatial import cKDTree
 
-from huepose.geometry.arrays import Float, Float32, Float64, Int32
+from huepose.geometry.arrays import Float, Float32, Float64
 from huepose.geometry.box import Box
 from huepose.geometry.camera import Camera
+from huepose.judge.arrays import ModelArrays, model_arrays
+from huepose.judge.open_region import SCALES_M
 from huepose.model.types import ReferenceModel
-
-SCALES_M = (0.001, 0.0035, 0.008)
-"""Gaussian sigmas of the texture's averages: the first two come with the model, the third is made here."""
-
-
-class SurfaceArrays(NamedTuple):
-    """What compiled loops read. points, normals (N, 3) float32, object frame; lab (3, N, 3) float32 at
-    SCALES_M; directions (V, 3), visible, offsets as in model.types.Surface; centre (3,) of the samples'
-    bounds; radius: largest distance of a sample from it, metres."""
-
-    points: Float32
-    normals: Float32
-    lab: Float32
-    directions: Float32
-    visible: Int32
-    offsets: Int32
-    centre: Float64
-    radius: float
 
 
 @dataclass(frozen=True, eq=False)
-class TrackedSurface:
-    """The surface of one object, prepared; diameter_m of the model; thickness_m along its thinnest axis."""
+class PreparedSurface:
+    """arrays: what kernels read, colours as opponents at SCALES_M; diameter_m of the model; thickness_m along
+    its thinnest axis; radius_m: of the sphere about the centre of the samples that holds them."""
 
-    arrays: SurfaceArrays
+    arrays: ModelArrays
     diameter_m: float
     thickness_m: float
-
-    @property
-    def radius_m(self) -> float:
-        """Of the sphere about the centre that holds the object."""
-        return self.arrays.radius
+    radius_m: float
 
     @staticmethod
-    def of(model: ReferenceModel) -> TrackedSurface:
-        """Prepare a reference model for tracking (some 10 ms)."""
-        s = model.surface
-        centre = np.asarray((s.points.max(0) + s.points.min(0)) / 2.0, np.float64)
-        coarse = _averaged(s.points, s.normals, s.lab[1], SCALES_M[1], SCALES_M[2])
-        return TrackedSurface(
-            SurfaceArrays(
-                np.ascontiguousarray(s.points, np.float32),
-                np.ascontiguousarray(s.normals, np.float32),
-                np.ascontiguousarray(np.concatenate([s.lab[:2], coarse[None]]), np.float32),
-                np.ascontiguousarray(s.directions, np.float32),
-                np.ascontiguousarray(s.visible, np.int32),
-                np.ascontiguousarray(s.offsets, np.int32),
-                centre,
-                float(np.linalg.norm(s.points - centre, axis=1).max()),
-            ),
+    def of(model: ReferenceModel) -> PreparedSurface:
+        """Prepare a reference model (some 10 ms)."""
+        arrays = model_arrays(model)
+        points, colors = arrays.points, arrays.colors
+        coarse = _averaged(points, arrays.normals, colors[1], SCALES_M[1], SCALES_M[2])
+        return PreparedSurface(
+            arrays._replace(colors=np.ascontiguousarray(np.concatenate([colors[:2], coarse[None]]))),
             float(model.diameter_m),
-            _thickness(s.points),
+            _thickness(points),
+            float(np.linalg.norm(points - arrays.centre, axis=1).max()),
         )
 
     def centre_cam(self, T_cam_obj: Float) -> Float64:
@@ -93,7 +65,7 @@ def _thickness(points: Float32) -> float:
     return float(np.ptp(along))
 
 
-def _averaged(points: Float32, normals: Float32, lab: Float32, have_m: float, want_m: float) -> Float32:
+def _averaged(points: Float32, normals: Float32, colors: Float32, have_m: float, want_m: float) -> Float32:
     """Colours (N, 3) averaged further over neighbours that face the same way, from one sigma to a larger
     one."""
     sigma = float(np.sqrt(want_m**2 - have_m**2))
@@ -103,6 +75,6 @@ def _averaged(points: Float32, normals: Float32, lab: Float32, have_m: float, wa
     d2 = ((points[i] - points[j]) ** 2).sum(1)
     w = np.exp(-d2 / (2 * sigma**2)) * np.maximum((normals[i] * normals[j]).sum(1), 0.0)
     total = np.bincount(i, w, len(points))
-    return np.stack([np.bincount(i, w * lab[j, c], len(points)) / total for c in range(3)], 1).astype(
+    return np.stack([np.bincount(i, w * colors[j, c], len(points)) / total for c in range(3)], 1).astype(
         np.float32
     )

@@ -7,10 +7,9 @@ from typing import NamedTuple
 
 import numpy as np
 
-from huepose.geometry.arrays import Float64, Int32, UInt8
+from huepose.geometry.arrays import Float64, Int32
+from huepose.judge.arrays import ModelArrays, RegionArrays, nearest_view
 from huepose.support.jit import jit
-from huepose.tracking.region import RegionArrays
-from huepose.tracking.surface import SurfaceArrays
 
 MIN_COSINE = 0.12
 """Samples seen more obliquely than this are left out: their depth and colour are mostly their neighbours'."""
@@ -59,28 +58,8 @@ def empty_samples(count: int) -> Samples:
 
 
 @jit
-def nearest_view(T: Float64, surface: SurfaceArrays) -> int:
-    """Index of the model's viewing direction nearest to where the camera stands."""
-    d0 = d1 = d2 = 0.0
-    for i in range(3):
-        c = T[i, 3]
-        for j in range(3):
-            c += T[i, j] * surface.centre[j]
-        d0 -= T[i, 0] * c
-        d1 -= T[i, 1] * c
-        d2 -= T[i, 2] * c
-    best, best_dot = 0, -1e30
-    directions = surface.directions
-    for i in range(directions.shape[0]):
-        dot = directions[i, 0] * d0 + directions[i, 1] * d1 + directions[i, 2] * d2
-        if dot > best_dot:
-            best_dot, best = dot, i
-    return best
-
-
-@jit
 def placed(
-    T: Float64, surface: SurfaceArrays, i: int
+    T: Float64, surface: ModelArrays, i: int
 ) -> tuple[float, float, float, float, float, float, float]:
     """Sample i in camera axes: point, normal, and the cosine of its viewing angle (-1 behind the camera)."""
     s0, s1, s2 = surface.points[i, 0], surface.points[i, 1], surface.points[i, 2]
@@ -99,7 +78,7 @@ def placed(
 @jit
 def project(
     T: Float64,
-    surface: SurfaceArrays,
+    surface: ModelArrays,
     region: RegionArrays,
     limit: int,
     gate: float,
@@ -162,57 +141,46 @@ def project(
 
 
 @jit
-def decoded(image: UInt8, row: int, column: int, channel: int) -> float:
-    """A byte of a Lab image in CIELAB units."""
-    value = float(image[row, column, channel])
-    return value * (100.0 / 255.0) if channel == 0 else value - 128.0
-
-
-@jit
 def colors(
     n: int,
     samples: Samples,
-    usable: UInt8,
-    image: UInt8,
-    step: int,
+    region: RegionArrays,
+    level: int,
     color: Float64,
     gradient: Float64,
     weight: Float64,
 ) -> int:
-    """Bilinear colours (n, 3) and their slopes per pixel (n, 3, 2) at the samples that may be seen.
+    """Bilinear colours (n, 3) at a scale and their slopes per pixel (n, 3, 2) at the samples that may be
+    seen.
 
     Sets the weight of the others (outside, hidden, seen through, saturated) to 0. Returns how many are left.
     """
+    image = region.colors
     h, w = image.shape[0], image.shape[1]
-    height, width = usable.shape
     left = 0
     for k in range(n):
         if samples.kind[k] != AGREES and samples.kind[k] != NO_DEPTH:
             weight[k] = 0.0
             continue
         u, v = samples.pixels[k, 0], samples.pixels[k, 1]
-        column, row = int(np.floor(u + 0.5)), int(np.floor(v + 0.5))
-        x, y = (u + 0.5) / step - 0.5, (v + 0.5) / step - 0.5
-        x0, y0 = int(np.floor(x)), int(np.floor(y))
-        if (
-            column < 0
-            or row < 0
-            or column >= width
-            or row >= height
-            or usable[row, column] == 0
-            or x0 < 0
-            or y0 < 0
-            or x0 >= w - 1
-            or y0 >= h - 1
-        ):
+        x0, y0 = int(np.floor(u)), int(np.floor(v))
+        if x0 < 0 or y0 < 0 or x0 >= w - 1 or y0 >= h - 1:
             weight[k] = 0.0
             continue
-        a, b = x - x0, y - y0
+        a, b = u - x0, v - y0
+        if region.saturated[y0 + int(b + 0.5), x0 + int(a + 0.5)]:
+            weight[k] = 0.0
+            continue
         left += 1
         for c in range(3):
-            p00, p01 = decoded(image, y0, x0, c), decoded(image, y0, x0 + 1, c)
-            p10, p11 = decoded(image, y0 + 1, x0, c), decoded(image, y0 + 1, x0 + 1, c)
+            q = 3 * level + c
+            p00, p01, p10, p11 = (
+                image[y0, x0, q],
+                image[y0, x0 + 1, q],
+                image[y0 + 1, x0, q],
+                image[y0 + 1, x0 + 1, q],
+            )
             color[k, c] = (p00 * (1 - a) + p01 * a) * (1 - b) + (p10 * (1 - a) + p11 * a) * b
-            gradient[k, c, 0] = ((p01 - p00) * (1 - b) + (p11 - p10) * b) / step
-            gradient[k, c, 1] = ((p10 - p00) * (1 - a) + (p11 - p01) * a) / step
+            gradient[k, c, 0] = (p01 - p00) * (1 - b) + (p11 - p10) * b
+            gradient[k, c, 1] = (p10 - p00) * (1 - a) + (p11 - p01) * a
     return left

@@ -10,24 +10,27 @@ the object lose their say in depth as well, and coarse averages of the texture c
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
 from huepose.geometry import se3
 from huepose.geometry.arrays import Float, Float64, Int32
+from huepose.geometry.depth_noise import depth_noise_m
 from huepose.geometry.kernels import rotation_exp_into, solve_symmetric
+from huepose.judge.arrays import ModelArrays, RegionArrays
+from huepose.judge.open_region import SCALES_M, OpenRegion
+from huepose.judge.surface import PreparedSurface
+from huepose.refine.light import fit_light
+from huepose.refine.samples import AGREES, BEHIND, HIDDEN, Samples, colors, empty_samples, project
 from huepose.support.jit import jit
-from huepose.tracking.light import fit_light
-from huepose.tracking.region import STEPS, Region, RegionArrays
-from huepose.tracking.samples import AGREES, BEHIND, HIDDEN, Samples, colors, empty_samples, project
-from huepose.tracking.surface import SCALES_M, SurfaceArrays, TrackedSurface
 
 COLOR_SHARE = 3.0
 """Weight of a colour residual against a depth residual, each in units of its own noise. Depth errors of real
 sensors agree with their neighbours', so each of them is worth less than it seems."""
 
 COLOR_SIGMA_FLOOR = 2.5
-"""Lab units."""
+"""Opponent units."""
 
 LIGHTNESS_WEIGHT = 0.5
 NO_DEPTH_WEIGHT = 0.3
@@ -77,6 +80,18 @@ FINE = Schedule((1, 1, 1, 0, 0, 0, 0), (0.012, 0.012, 0.012, 0.01, 0.01, 0.008, 
 """What is left after COARSE."""
 
 
+class _Settings(NamedTuple):
+    """A schedule at a distance. reaches_px: of each scale, how far away the neighbours are that tell whether
+    a sample lies inside the object."""
+
+    levels: Int32
+    gates_m: Float64
+    reaches_px: Int32
+    samples: int
+    depth_sigma_m: float
+    radius_m: float
+
+
 @dataclass(frozen=True, eq=False)
 class Refined:
     """T_cam_obj (4, 4) and information (6, 6) of it with respect to `se3.perturb`, as if the residuals'
@@ -87,36 +102,30 @@ class Refined:
     iterations: int
 
 
-def depth_noise_m(distance_m: float) -> float:
-    """RMS error of a reading of an active stereo camera (D435 class), with a floor for better sensors."""
-    return 0.0005 + 0.0027 * distance_m**2
-
-
-def refine(surface: TrackedSurface, region: Region, T_cam_obj: Float, schedule: Schedule = FULL) -> Refined:
+def refine(
+    surface: PreparedSurface, region: OpenRegion, T_cam_obj: Float, schedule: Schedule = FULL
+) -> Refined:
     """Improve a pose whose object lies in `region`."""
     T = np.array(T_cam_obj, np.float64, order="C")
     settings = _settings(schedule, surface, float(surface.centre_cam(T)[2]), region.camera.fx)
     A = np.zeros((6, 6))
-    done = _refine(T, surface.arrays, region.arrays, *settings, A)
+    done = _refine(T, surface.arrays, region.arrays, settings, A)
     T = se3.orthonormalised(T)
     return Refined(T, _about_origin(A, surface, T), int(done))
 
 
 def refine_all(
-    surface: TrackedSurface, region: Region, poses: Float, schedule: Schedule, distance_m: float
+    surface: PreparedSurface, region: OpenRegion, poses: Float, schedule: Schedule, distance_m: float
 ) -> Float64:
     """Improve poses (K, 4, 4) of an object at about that distance; the improved ones (K, 4, 4)."""
     out = np.array(poses, np.float64, order="C")
-    _refine_all(
-        out, surface.arrays, region.arrays, *_settings(schedule, surface, distance_m, region.camera.fx)
-    )
+    settings = _settings(schedule, surface, distance_m, region.camera.fx)
+    _refine_all(out, surface.arrays, region.arrays, settings)
     return out
 
 
-def _settings(
-    schedule: Schedule, surface: TrackedSurface, distance_m: float, fx: float
-) -> tuple[Int32, Float64, Int32, int, float]:
-    """What a schedule means at a distance: levels, gates, pixels to the neighbours, samples, depth noise."""
+def _settings(schedule: Schedule, surface: PreparedSurface, distance_m: float, fx: float) -> _Settings:
+    """What a schedule means at a distance."""
     sigma = depth_noise_m(distance_m)
     gates = np.maximum(np.array(schedule.gates_m), 3.5 * sigma)
     px_per_m = fx / max(distance_m, 0.05)
@@ -125,10 +134,10 @@ def _settings(
     reaches = np.array([max(1, round(min(1.5 * s, widest) * px_per_m)) for s in SCALES_M], np.int32)
     coarsest = max(1, sum(s <= SCALE_SHARE * surface.thickness_m for s in SCALES_M) - 1)
     levels = np.minimum(np.array(schedule.levels, np.int32), np.int32(coarsest))
-    return levels, gates, reaches, schedule.samples, sigma
+    return _Settings(levels, gates, reaches, schedule.samples, sigma, surface.radius_m)
 
 
-def _about_origin(A: Float64, surface: TrackedSurface, T: Float64) -> Float64:
+def _about_origin(A: Float64, surface: PreparedSurface, T: Float64) -> Float64:
     """Information about [translation, radius * rotation about the centre] as information about
     `se3.perturb`."""
     lever = T[:3, :3] @ surface.arrays.centre
@@ -140,35 +149,23 @@ def _about_origin(A: Float64, surface: TrackedSurface, T: Float64) -> Float64:
 
 
 @jit
-def _refine_all(
-    poses: Float64,
-    surface: SurfaceArrays,
-    region: RegionArrays,
-    levels: Int32,
-    gates: Float64,
-    reaches: Int32,
-    limit: int,
-    depth_sigma: float,
-) -> None:
+def _refine_all(poses: Float64, surface: ModelArrays, region: RegionArrays, settings: _Settings) -> None:
     """Move poses in place."""
     information = np.empty((6, 6))
     for k in range(poses.shape[0]):
-        _refine(poses[k], surface, region, levels, gates, reaches, limit, depth_sigma, information)
+        _refine(poses[k], surface, region, settings, information)
 
 
 @jit
 def _refine(
     T: Float64,
-    surface: SurfaceArrays,
+    surface: ModelArrays,
     region: RegionArrays,
-    levels: Int32,
-    gates: Float64,
-    reaches: Int32,
-    limit: int,
-    depth_sigma: float,
+    settings: _Settings,
     information: Float64,
 ) -> int:
     """Move T in place; the last normal equations are left in `information`. Returns the iterations done."""
+    levels, gates, limit, radius = settings.levels, settings.gates_m, settings.samples, settings.radius_m
     samples = empty_samples(limit)
     weight, color_weight, trust = np.empty(limit), np.empty(limit), np.empty(limit)
     color, gradient, residual = np.empty((limit, 3)), np.empty((limit, 3, 2)), np.empty((limit, 3))
@@ -185,18 +182,17 @@ def _refine(
             centre[i] = T[i, 3]
             for j in range(3):
                 centre[i] += T[i, j] * surface.centre[j]
-        n = project(T, surface, region, limit, gate, reaches[level], samples)
+        n = project(T, surface, region, limit, gate, settings.reaches_px[level], samples)
         for k in range(n):
             facing = min(1.0, 2.0 * samples.cosine[k])
             weight[k] = facing * (OUTLINE_FLOOR + (1.0 - OUTLINE_FLOOR) * samples.inside[k])
             color_weight[k] = weight[k] if samples.kind[k] == AGREES else NO_DEPTH_WEIGHT * facing
-        image = region.fine if level == 0 else (region.middle if level == 1 else region.coarse)
         A[:] = 0.0
         b[:] = 0.0
-        left = colors(n, samples, region.usable, image, STEPS[level], color, gradient, color_weight)
+        left = colors(n, samples, region, level, color, gradient, color_weight)
         if left >= MIN_COLORS:
             fit_light(
-                n, samples, color_weight, surface.lab[level], color, LIGHT_ROUNDS, residual, trust,
+                n, samples, color_weight, surface.colors[level], color, LIGHT_ROUNDS, residual, trust,
                 correlation, rms,
             )  # fmt: skip
             for c in range(3):
@@ -209,11 +205,9 @@ def _refine(
                 if color_weight[k] > 0.0:
                     color_weight[k] *= trust[k]
                     weight[k] *= DISTRUST_FLOOR + (1.0 - DISTRUST_FLOOR) * trust[k]
-            _add_color(
-                n, samples, color_weight, gradient, residual, region, centre, surface.radius, share, A, b
-            )
-        variance = max(depth_sigma**2, _depth_variance(n, samples, weight, gate))
-        _add_depth(n, samples, weight, gate, 1.0 / variance, centre, surface.radius, A, b)
+            _add_color(n, samples, color_weight, gradient, residual, region, centre, radius, share, A, b)
+        variance = max(settings.depth_sigma_m**2, _depth_variance(n, samples, weight, gate))
+        _add_depth(n, samples, weight, gate, 1.0 / variance, centre, radius, A, b)
         for i in range(6):
             for j in range(i):
                 A[j, i] = A[i, j]
@@ -224,7 +218,7 @@ def _refine(
             A[i, i] += damping
         if not solve_symmetric(A, b, x):
             break
-        _move(T, x, surface, centre, D)
+        _move(T, x, surface.centre, radius, centre, D)
         done += 1
         largest = 0.0
         for i in range(6):
@@ -315,9 +309,8 @@ def _add_color(
 
 
 @jit
-def _move(T: Float64, x: Float64, surface: SurfaceArrays, centre: Float64, D: Float64) -> None:
+def _move(T: Float64, x: Float64, middle: Float64, radius: float, centre: Float64, D: Float64) -> None:
     """Apply a step to the pose: the centre moves by x[:3], the object turns about it by x[3:] / radius."""
-    radius = surface.radius
     rotation_exp_into(x[3] / radius, x[4] / radius, x[5] / radius, D)
     for j in range(3):
         r0, r1, r2 = T[0, j], T[1, j], T[2, j]
@@ -326,4 +319,4 @@ def _move(T: Float64, x: Float64, surface: SurfaceArrays, centre: Float64, D: Fl
     for i in range(3):
         T[i, 3] = centre[i] + x[i]
         for j in range(3):
-            T[i, 3] -= T[i, j] * surface.centre[j]
+            T[i, 3] -= T[i, j] * middle[j]

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from huepose.tracking.light import fit_light
-from huepose.tracking.samples import Samples, empty_samples
+from huepose.refine.light import fit_light
+from huepose.refine.samples import Samples, empty_samples
 
 
 def samples(n: int, rng: np.random.Generator) -> Samples:

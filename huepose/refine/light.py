@@ -1,6 +1,6 @@
 """What the light does to a texture, fitted robustly to the samples in view (compiled).
 
-Image colour = gain * texture + offset per CIELAB channel, and for lightness also a slope over the direction
+Image colour = gain * texture + offset per opponent channel, and for lightness also a slope over the direction
 that the surface faces, which is what a distant lamp does to a matt surface. So neither the colour of the
 light nor its side moves a pose.
 """
@@ -11,21 +11,22 @@ import numpy as np
 
 from huepose.geometry.arrays import Float32, Float64
 from huepose.geometry.kernels import solve_symmetric
+from huepose.refine.samples import Samples
 from huepose.support.jit import jit
-from huepose.tracking.samples import Samples
 
 GAIN_PRIOR = 4.0
-"""Weight of the expectation that contrast is kept, as a variance in Lab units."""
+"""Weight of the expectation that contrast is kept, as a variance in opponent units."""
 
 SLOPE_PRIOR = 0.02
 
 GAIN_LIMITS = (0.3, 2.5)
 
 TRUST_FLOOR = 1.5
-"""Lab units: no residual below this makes a sample doubtful."""
+"""Opponent units: no residual below this makes a sample doubtful."""
 
 CORRELATION_FLOOR = 6.0
-"""Lab units squared: where neither texture nor image vary more than this, their correlation means little."""
+"""Opponent units squared: where neither texture nor image vary more than this, their correlation means
+little."""
 
 
 @jit
@@ -44,8 +45,8 @@ def fit_light(
     """Fit the light to `color` (n, 3) of samples whose texture is `reference` (N, 3), with weights (n,).
 
     Writes residual (n, 3) = image - predicted; trust (n,): Cauchy weights of the samples over all channels;
-    correlation (3,) of texture and image when offset and slope are taken out; rms (3,): robust, Lab units.
-    """
+    correlation (3,) of texture and image when offset and slope are taken out; rms (3,): robust, opponent
+    units."""
     A = np.empty((5, 5))
     b = np.empty(5)
     f = np.empty(5)

@@ -1,12 +1,13 @@
-"""Does the surface go on where the object ends? Then the object is not there, only its print or its shape."""
+"""Does the surface go on where the object ends? Then the object is not there, only its texture or its
+shape."""
 
 from __future__ import annotations
 
 import numpy as np
 
 from huepose.geometry.arrays import Bool, Float32, Float64
+from huepose.geometry.camera import Camera
 from huepose.judge.arrays import ModelArrays, nearest_view
-from huepose.perception.clear_view import ClearView
 from huepose.support.jit import jit
 
 SIDE = 20
@@ -18,19 +19,23 @@ INNER, OUTER = 1, 2
 TOLERANCE_M = 0.012
 
 
-def rims(view: ClearView, model: ModelArrays, poses: Float64, samples: int) -> Float64:
-    """Share (M,) of the rim of each pose (M, 4, 4) where the picture's surface goes on from the object's."""
-    camera = view.crop.camera
+def continuation_many(
+    model: ModelArrays, depth: Float32, clear: Bool, camera: Camera, poses: Float64, samples: int
+) -> Float64:
+    """Share (M,) of the rim of each pose (M, 4, 4) where the surface that is seen goes on from the object's.
+
+    depth (h, w) metres, 0 = none; clear (h, w): pixels that can be an object's at all; at most `samples` of
+    the surface draw the outline."""
     out = np.zeros(len(poses))
-    _rims(
-        np.ascontiguousarray(poses), model, view.clear, view.crop.depth,
+    _continue(
+        np.ascontiguousarray(poses), model, clear, depth,
         camera.fx, camera.fy, camera.cx, camera.cy, samples, out,
     )  # fmt: skip
     return out
 
 
 @jit
-def _rims(
+def _continue(
     poses: Float64,
     model: ModelArrays,
     clear: Bool,
@@ -48,8 +53,8 @@ def _rims(
     seen = np.empty((samples, 3))
     for m in range(poses.shape[0]):
         T = poses[m]
-        first = model.offsets[nearest_view(T, model.directions)]
-        last = min(model.offsets[nearest_view(T, model.directions) + 1], first + samples)
+        first = model.offsets[nearest_view(T, model)]
+        last = min(model.offsets[nearest_view(T, model) + 1], first + samples)
         count = 0
         left, top, right, bottom = 1e9, 1e9, -1e9, -1e9
         for k in range(first, last):

@@ -2,10 +2,10 @@
 
     python -m studies.drawn_sequences --bundles BUNDLES --out OUT --seed 21 --count 16 --objects 1 3 5 8
 
-Each sequence shows one object for two seconds at 30 Hz: up to 0.45 to 0.75 m/s and 260 to 380 degrees a second,
-over a table or a plain ground with other objects on it, sometimes behind one; the light has any strength, so that
-whites may be overexposed. Every second sequence has depth as an active stereo camera gives it.
-"""
+Each sequence shows one object for two seconds at 30 Hz: up to 0.45 to 0.75 m/s and 260 to 380 degrees a
+second, over a table or a plain ground with other objects on it, sometimes behind one; the light has any
+strength, so that whites may be overexposed. Every second sequence has depth as an active stereo camera gives
+it."""
 
 from __future__ import annotations
 
@@ -21,19 +21,12 @@ from scipy.spatial.transform import Rotation
 from huepose.geometry import Camera, Mesh, se3
 from huepose.geometry.arrays import Float64
 from huepose.model import ReferenceModel, load_models
+from huepose.scenes.frame import Stage, shoot
+from huepose.scenes.light import random_light
+from huepose.scenes.motion import positions, rotations
+from huepose.scenes.room import sheet, table_top, wallpaper
+from huepose.scenes.sensor import COLOR, STEREO
 from huepose.support.progress import progress
-from studies.scenes import (
-    COLOR,
-    STEREO,
-    Stage,
-    positions,
-    random_light,
-    rotations,
-    sheet,
-    shoot,
-    table_top,
-    wallpaper,
-)
 
 CAMERA = Camera(614.0, 614.0, 319.5, 239.5, 640, 480)
 FRAMES, RATE_HZ = 60, 30
@@ -49,7 +42,9 @@ Rng = np.random.Generator
 
 def main() -> None:
     """Draw what is asked for; sequences that are there already are kept."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
     parser.add_argument("--bundles", type=Path, required=True)
     parser.add_argument("--out", type=Path, required=True)
     parser.add_argument("--seed", type=int, default=21)
@@ -76,7 +71,10 @@ def staged(model: ReferenceModel, others: list[ReferenceModel], rng: Rng) -> Sta
         texture = np.full((64, 64, 3), rng.integers(120, 256, 3), np.uint8)
     tilt = np.array([np.pi + rng.uniform(-0.5, 0.5), rng.uniform(-0.4, 0.4), 0.0])
     standing: list[Placed] = [
-        (sheet(2.6, 2.2, np.ascontiguousarray(texture)), se3.make(se3.rotation_exp(tilt), np.array([0, 0, ground_m])))
+        (
+            sheet(2.6, 2.2, np.ascontiguousarray(texture)),
+            se3.make(se3.rotation_exp(tilt), np.array([0, 0, ground_m])),
+        )
     ]
     for k in rng.choice(len(others), min(OTHERS, len(others)), replace=False):
         place = rng.uniform((60, 60), (580, 430)), ground_m - rng.uniform(0.03, 0.12)
@@ -86,7 +84,9 @@ def staged(model: ReferenceModel, others: list[ReferenceModel], rng: Rng) -> Sta
         standing.append(_somewhere(others[int(rng.integers(len(others)))], *place, rng))
     light = random_light(rng)
     light = replace(
-        light, key=light.key * float(np.exp(rng.uniform(-0.9, 0.9))), sky=light.sky * float(np.exp(rng.uniform(-0.7, 0.7)))
+        light,
+        key=light.key * float(np.exp(rng.uniform(-0.9, 0.9))),
+        sky=light.sky * float(np.exp(rng.uniform(-0.7, 0.7))),
     )
     n = len(path)
     paths = np.array([path, *(np.broadcast_to(T, (n, 4, 4)) for _, T in standing)])

@@ -1,14 +1,14 @@
 """Fit how sure a pose in a frame is (`believe.frame`): poses that tracking reaches, right and wrong, on drawn
 sequences.
 
-    python -m studies.drawn_sequences --bundles BUNDLES --out build/fit --seed 21 --objects 1 3 5 8 15 18 12 20 ...
-    python -m studies.drawn_sequences --bundles BUNDLES --out build/choose --seed 22 --count 8 --objects 2 4 7 17
-    python -m studies.frame_belief --bundles BUNDLES --fit build/fit --choose build/choose --json build/belief.json
+    python -m studies.drawn_sequences --bundles BUNDLES --out build/fit --seed 21 --objects 1 3 5 8 15 18 12
+    20 ... python -m studies.drawn_sequences --bundles BUNDLES --out build/choose --seed 22 --count 8
+    --objects 2 4 7 17 python -m studies.frame_belief --bundles BUNDLES --fit build/fit --choose build/choose
+    --json build/belief.json
 
-Every third frame is reached from 1 to 15 frames before, from wrong places and turns, and from elsewhere in the
-picture. Each pose that comes out counts as right or wrong by where it is, whatever led there. `--write` puts the fit
-in the package.
-"""
+Every third frame is reached from 1 to 15 frames before, from wrong places and turns, and from elsewhere in
+the picture. Each pose that comes out counts as right or wrong by where it is, whatever led there. `--write`
+puts the fit in the package."""
 
 from __future__ import annotations
 
@@ -60,7 +60,9 @@ class Row:
 
 def main() -> None:
     """Collect, fit, report on what the fit has not seen."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
     parser.add_argument("--bundles", type=Path, required=True)
     parser.add_argument("--fit", type=Path, required=True)
     parser.add_argument("--choose", type=Path, required=True)
@@ -94,10 +96,11 @@ def collect(bundles: Path, path: Path) -> list[Row]:
     visible = json.loads((path / "visib_fract.json").read_text())
     rng = np.random.default_rng([len(path.name), *path.parent.name.encode()])
     frames = [sequence.frame(i) for i in sequence.image_ids]
-    truth = [sequence.truths(i)[0].T_cam_obj for i in sequence.image_ids]
+    labels = [sequence.truths(i)[0].T_cam_obj for i in sequence.image_ids]
+    truth = [T for T in labels if T is not None]
     baseline, light, rows = None, None, []
     for i in range(2, len(frames), EVERY):
-        if visible[i] < 0.1 or any(T is None for T in truth):
+        if visible[i] < 0.1:
             continue
         before = best_of(subject.surface, frames[i - 1], [(truth[i - 1], "still")], light)
         if error_of(model, before.T_cam_obj, truth[i - 1]) < metrics.RECALL_FRACTION:
@@ -127,7 +130,8 @@ def collect(bundles: Path, path: Path) -> list[Row]:
 def wrong_starts(
     model: ReferenceModel, T_cam_obj: Float64, frame: RgbdFrame, rng: np.random.Generator
 ) -> list[tuple[str, Float64]]:
-    """Poses that are shifted and turned, turned over so that the shape nearly fits, and elsewhere in the picture."""
+    """Poses that are shifted and turned, turned over so that the shape nearly fits, and elsewhere in the
+    picture."""
     centre = T_cam_obj[:3, :3] @ model.mesh.centre + T_cam_obj[:3, 3]
 
     def at(turn: Float64, place: Float64) -> Float64:
@@ -152,7 +156,10 @@ def wrong_starts(
 
 def error_of(model: ReferenceModel, T_cam_obj: Float64, truth: Float64) -> float:
     """ADD to the nearest equivalent pose, in diameters."""
-    return min(metrics.add(model.eval_points, T_cam_obj, truth @ turn) for turn in model.equivalents) / model.diameter_m
+    return (
+        min(metrics.add(model.eval_points, T_cam_obj, truth @ turn) for turn in model.equivalents)
+        / model.diameter_m
+    )
 
 
 def _table(rows: Sequence[Row]) -> tuple[list[str], Float64, Bool]:
@@ -162,8 +169,8 @@ def _table(rows: Sequence[Row]) -> tuple[list[str], Float64, Bool]:
 
 
 def fitted(rows: Sequence[Row]) -> tuple[float, dict[str, float]]:
-    """Constant and factors of the largest likelihood, right and wrong weighing alike; no feature may speak against a
-    pose the more of it there is, those that would are left out one by one."""
+    """Constant and factors of the largest likelihood, right and wrong weighing alike; no feature may speak
+    against a pose the more of it there is, those that would are left out one by one."""
     names, X, right = _table(rows)
     weight = np.where(right, 0.5 / right.mean(), 0.5 / (1.0 - right.mean()))
     spread = X.std(0) + 1e-9
@@ -192,8 +199,8 @@ def _logistic(A: Float64, right: Bool, weight: Float64) -> Float64:
 
 
 def worth(rows: Sequence[Row], constant: float, factors: Mapping[str, float]) -> dict[str, float]:
-    """What a fit is worth on rows: mean log likelihood, calibration error over ten bins of equal count, share of the
-    right under and of the wrong over the level of TRACKING, percent."""
+    """What a fit is worth on rows: mean log likelihood, calibration error over ten bins of equal count, share
+    of the right under and of the wrong over the level of TRACKING, percent."""
     names, X, right = _table(rows)
     p = 1.0 / (1.0 + np.exp(-(constant + X @ np.array([factors[n] for n in names]))))
     bins = np.array_split(np.argsort(p), 10)

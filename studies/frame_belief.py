@@ -1,10 +1,10 @@
 """Fit how sure a pose in a frame is (`believe.frame`): poses that tracking reaches, right and wrong, on drawn
 sequences.
 
-    python -m studies.drawn_sequences --bundles BUNDLES --out build/fit --seed 21 --objects 1 3 5 8 15 18 12
-    20 ... python -m studies.drawn_sequences --bundles BUNDLES --out build/choose --seed 22 --count 8
-    --objects 2 4 7 17 python -m studies.frame_belief --bundles BUNDLES --fit build/fit --choose build/choose
-    --json build/belief.json
+    S="python -m studies.drawn_sequences --bundles BUNDLES"
+    $S --out build/fit --seed 21 --count 16 --objects 1 3 5 8 15 18 12 20
+    $S --out build/choose --seed 22 --count 8 --objects 2 4 7 17
+    python -m studies.frame_belief --bundles BUNDLES --fit build/fit --choose build/choose --json out.json
 
 Every third frame is reached from 1 to 15 frames before, from wrong places and turns, and from elsewhere in
 the picture. Each pose that comes out counts as right or wrong by where it is, whatever led there. `--write`
@@ -27,12 +27,12 @@ from huepose.datasets.fast_ycb import FastYcbSequence, object_of
 from huepose.evaluation import metrics
 from huepose.geometry import RgbdFrame, se3
 from huepose.geometry.arrays import Bool, Float64
+from huepose.judge.terms import NOTHING
 from huepose.model import ReferenceModel, load_models
 from huepose.support.progress import progress
 from huepose.tracking import TrackerConfig, evidence
 from huepose.tracking.hypothesis import Hypothesis
 from huepose.tracking.motion import increment_velocity
-from huepose.tracking.sight import UNSEEN
 from huepose.tracking.step import Anchor, Subject, advance, best_of
 
 FIT = Path(__file__).parents[1] / "huepose" / "believe" / "frame_fit.json"
@@ -104,8 +104,8 @@ def collect(bundles: Path, path: Path) -> list[Row]:
             continue
         before = best_of(subject.surface, frames[i - 1], [(truth[i - 1], "still")], light)
         if error_of(model, before.T_cam_obj, truth[i - 1]) < metrics.RECALL_FRACTION:
-            baseline = evidence.baseline_after(baseline, before.sight.total)
-            light = evidence.light_after(light, before.sight)
+            baseline = evidence.baseline_after(baseline, before.terms.total)
+            light = evidence.light_after(light, before.terms)
         found: list[tuple[str, float | None, Hypothesis]] = []
         for step in (1, int(rng.choice(NEAR)), int(rng.choice(FAR))):
             if i - step < 1:
@@ -113,7 +113,7 @@ def collect(bundles: Path, path: Path) -> list[Row]:
             known = rng.random() < KNOWN
             usual, lit = (baseline, light) if known else (None, None)
             velocity = increment_velocity(truth[i - step - 1], truth[i - step], 1 / 30)
-            start = Hypothesis(truth[i - step], UNSEEN, np.zeros((6, 6)), "still", velocity)
+            start = Hypothesis(truth[i - step], NOTHING, np.zeros((6, 6)), "still", velocity)
             reached = advance(
                 subject, Anchor((start,), frames[i - step], usual, lit), frames[i], TrackerConfig()
             )
@@ -122,7 +122,7 @@ def collect(bundles: Path, path: Path) -> list[Row]:
             found.append((kind, baseline, best_of(subject.surface, frames[i], [(T, "still")], light)))
         for kind, usual, h in found:
             error = error_of(model, h.T_cam_obj, truth[i])
-            seen = features(h.sight.terms, h.sight.hue, h.sight.goes_on, usual)
+            seen = features(h.terms, usual)
             rows.append(Row(path.parent.name, i, kind, h.source, seen, error))
     return rows
 

@@ -24,8 +24,8 @@ from huepose.judge.surface import PreparedSurface
 from huepose.judge.terms import score_arrays
 from huepose.refine.photometric import COARSE, FINE, QUICK, refine, refine_all
 from huepose.select.distinct import first_distinct
+from huepose.tracking.look import totals
 from huepose.tracking.reach import Reach
-from huepose.tracking.sight import totals
 
 POSITION_SAMPLES, ROTATION_SAMPLES, POSE_SAMPLES = 60, 100, 250
 POSITION_STEP = 0.12

@@ -48,10 +48,10 @@ def challenge(
             for i, start in enumerate(starts):
                 step = best_of(subject.surface, seen.frame, [(start, "still")])
                 add = metrics.add(model.eval_points, step.T_cam_obj, truth)
-                qualities.append(evidence.probability(evidence.log_odds(step.sight, usual.get(k), UNDECIDED)))
+                qualities.append(evidence.probability(evidence.log_odds(step.terms, usual.get(k), UNDECIDED)))
                 right.append(add < metrics.RECALL_FRACTION * model.diameter_m)
                 if i == 0:
-                    usual[k] = evidence.baseline_after(usual.get(k), step.sight.total)
+                    usual[k] = evidence.baseline_after(usual.get(k), step.terms.total)
     return np.array(qualities), np.array(right, bool)
 
 

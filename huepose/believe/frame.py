@@ -36,7 +36,8 @@ def features(terms: Terms, baseline: float | None) -> dict[str, float]:
     """What speaks for a pose (the larger, the more), by name. baseline: the total that is usual for it, or
     None."""
     heard = terms.colored / (terms.colored + FEW)
-    possible = terms.contrast / (terms.contrast + PLAIN)
+    # Where no colour is seen it is not known how much there would be.
+    possible = terms.contrast / (terms.contrast + PLAIN) if terms.contrast > 0.0 else 1.0
     drop = 0.0
     if baseline is not None:
         drop = max(0.0, baseline - terms.total - SLACK - HIDDEN_SLACK * terms.hidden)

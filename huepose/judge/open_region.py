@@ -81,7 +81,7 @@ def open_region(frame: RgbdFrame, box: Box, distance_m: float, diameter_m: float
         _NO_WEIGHTS,
         0.0,
         depth,
-        np.ones((h, w), np.float32),
+        np.zeros((h, w), np.float32),
         _averaged(opponents_of_bytes(color), px_per_m),
         saturated,
         fx,

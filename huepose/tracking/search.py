@@ -22,6 +22,7 @@ from huepose.geometry.frame import RgbdFrame
 from huepose.judge.open_region import OpenRegion, open_region
 from huepose.judge.surface import PreparedSurface
 from huepose.judge.terms import score_arrays
+from huepose.propose.hue_map import averaged, hue_map
 from huepose.refine.photometric import COARSE, FINE, QUICK, refine, refine_all
 from huepose.select.distinct import first_distinct
 from huepose.tracking.look import totals
@@ -33,6 +34,10 @@ POSITION_STEP = 0.12
 
 POSITION_TURN = np.radians(40.0)
 """Positions are tried with the expected rotations and these far turns of them."""
+
+HUE, HUE_SIDE = 0.5, 0.7
+"""What it counts where an object could be that its hues are there, whatever its rotation (a natural logarithm
+of the ratio), averaged over a square of this share of its thickness."""
 
 ROTATION_STEP, WIDE_STEP = np.radians(18.0), np.radians(25.0)
 WIDE = np.radians(80.0)
@@ -113,16 +118,19 @@ def _positions(surface: PreparedSurface, region: OpenRegion, reach: Reach, count
     known = depth[v, u] > 0
     u, v = u[known], v[known]
     seen = camera.rays(np.stack([u, v], 1)) * depth[v, u].astype(np.float64)[:, None]
-    poses, centres = [], []
+    own = averaged(hue_map(surface.arrays, region.arrays), HUE_SIDE * surface.thickness_m / z * camera.fx)
+    poses, centres, hues = [], [], []
     for R in _turned(reach.rotations, POSITION_TURN, POSITION_TURN):
         at = seen + R @ (surface.arrays.centre - _middle(surface, R))
-        for c in at[np.linalg.norm(at - reach.centre_cam, axis=1) < reach.distance_m]:
+        within = np.linalg.norm(at - reach.centre_cam, axis=1) < reach.distance_m
+        for c, hue in zip(at[within], own[v, u][within], strict=True):
             poses.append(se3.make(R, c - R @ surface.arrays.centre))
             centres.append(c)
+            hues.append(hue)
     if not poses:
         return []
     tolerance = 0.15 * surface.diameter_m
-    rated = totals(surface, region, np.array(poses), POSITION_SAMPLES, tolerance)
+    rated = totals(surface, region, np.array(poses), POSITION_SAMPLES, tolerance) + HUE * np.array(hues)
     out: list[Float64] = []
     for i in np.argsort(-rated, kind="stable"):
         if all(np.linalg.norm(centres[i] - c) > tolerance for c in out):

@@ -25,8 +25,8 @@ from huepose.model.types import ReferenceModel
 from huepose.perception.types import Segmenter
 from huepose.propose.evidence import Evidence, gather
 from huepose.propose.template_table import TemplateTable
-from huepose.refine.final import settle_on_depth
-from huepose.refine.on_edges import laid_on_edges
+from huepose.refine.edge_refinement import refine_on_edges
+from huepose.refine.final import refine_on_depth
 from huepose.select.near_ties import WEIGHTS, decided
 from huepose.support.stages import StageClock, listening
 
@@ -121,10 +121,10 @@ class Shared:
         if edges or not answer.found:
             return Ended(answer.T_cam_obj, answer.quality, seconds)
         best = se3.orthonormalised(poses[0])
-        settled, mask = settle_on_depth(self.model, self.frame, self.evidence.region, best)
+        refined, mask = refine_on_depth(self.model, self.frame, self.evidence.region, best)
         start = time.thread_time()
-        laid_on_edges(self.model, self.frame, mask, settled.T_cam_obj)
-        return Ended(settled.T_cam_obj, answer.quality, seconds - (time.thread_time() - start))
+        refine_on_edges(self.model, self.frame, mask, refined.T_cam_obj)
+        return Ended(refined.T_cam_obj, answer.quality, seconds - (time.thread_time() - start))
 
 
 def shared_of(

@@ -10,6 +10,7 @@ from __future__ import annotations
 import numpy as np
 
 from huepose.geometry.arrays import Float, Float64
+from huepose.geometry.depth_noise import POINTS_PER_READING, depth_sigma_m
 from huepose.judge.region import Region
 from huepose.model.types import ReferenceModel
 from huepose.refine.point_to_plane import (
@@ -26,13 +27,6 @@ STEPS = 3
 LEAST_GATE_M, GATE = 0.008, 0.06
 """Points farther from the surface than this (the larger of metres and diameters) count nothing."""
 
-DEPTH_SIGMA_M, STEREO_SIGMA_PER_M = 0.0015, 0.0035
-"""Deviation of depth: so much, and so much times the square of the distance in metres, as stereo has it. Far
-away depth says little of size, and what is left of its systematic errors must not."""
-
-POINTS_PER_READING = 6.0
-"""Neighbouring depth pixels err alike: so many of them count as one."""
-
 PRIOR_SIGMA = np.array([0.02, 0.02, 0.02, 0.1, 0.1, 0.1, 0.05])
 """How far pose (metres, radians) and size (natural logarithm) are believed to be off, before looking."""
 
@@ -41,8 +35,7 @@ def scale_residual(model: ReferenceModel, region: Region, T_cam_obj: Float) -> f
     """By how much larger than the model the believed points would have the object at a pose (4, 4), as a
     natural logarithm; negative where it should be smaller."""
     gate = max(LEAST_GATE_M, GATE * model.diameter_m)
-    sigma_m = DEPTH_SIGMA_M + STEREO_SIGMA_PER_M * region.median_depth_m**2
-    weights = region.point_weights / (sigma_m**2 * POINTS_PER_READING)
+    weights = region.point_weights / (depth_sigma_m(region.median_depth_m) ** 2 * POINTS_PER_READING)
     scene = ScenePoints(np.ascontiguousarray(region.points_cam), weights)
     body = Body(model.mesh.centre, 0.5 * model.diameter_m)
     units = np.array([1.0] * 3 + [body.radius] * 4)

@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 
 from huepose.geometry import RgbdFrame, se3
+from huepose.geometry.depth_noise import POINTS_PER_READING, depth_sigma_m
 from huepose.judge.region import Region
 from huepose.model.types import ReferenceModel
 from huepose.onboarding.grid import build_grid
@@ -80,8 +81,7 @@ def plain(model: ReferenceModel, region: Region, T: np.ndarray) -> float:
     """Gauss-Newton steps of pose and size on the distances along normals, by arrays; all in object axes."""
     grid, surface, centre = model.grid, model.surface, model.mesh.centre
     gate = max(scale.LEAST_GATE_M, scale.GATE * model.diameter_m)
-    sigma_m = scale.DEPTH_SIGMA_M + scale.STEREO_SIGMA_PER_M * region.median_depth_m**2
-    variance = sigma_m**2 * scale.POINTS_PER_READING
+    variance = depth_sigma_m(region.median_depth_m) ** 2 * POINTS_PER_READING
     prior, found = np.diag(1.0 / scale.PRIOR_SIGMA**2), np.zeros(7)
     for _ in range(scale.STEPS):
         middle = se3.apply(T, centre)

@@ -18,7 +18,7 @@ from huepose.colorpair.types import ColorPairs, SurfacePairs
 from huepose.geometry.arrays import Float, Float32, Float64, Int32
 from huepose.refine.depth_samples import NEAREST_M, DepthImage
 from huepose.refine.robust import tukey
-from huepose.refine.solver import Body, NormalEquations, add_residual, motion_row_cam
+from huepose.refine.solver import Body, NormalEquations, add_residual, image_row
 from huepose.support.jit import jit
 
 MIN_FACING = 0.25
@@ -142,16 +142,14 @@ def add_edges(
         apart, across = _partner(u, v, a0, a1, model.contrasts[i], edges, cells, gate_px, limits)
         if apart >= 1.0:
             continue
-        # Metres across the edge: pixels times the depth over fx.
-        g0, g1 = a0, a1 * fy / fx
-        g2 = -(g0 * P[0] + g1 * P[1]) / P[2]
         p0, p1, p2 = (
             np.float64(model.points[i, 0]),
             np.float64(model.points[i, 1]),
             np.float64(model.points[i, 2]),
         )
-        w = facing * tukey(apart)
-        add_residual(equations, w, across * P[2] / fx, motion_row_cam(T, p0, p1, p2, g0, g1, g2, body))
+        w, metres = facing * tukey(apart), P[2] / fx
+        row = image_row(T, p0, p1, p2, a0, a1, image.camera, body)
+        add_residual(equations, w * metres * metres, across, row)  # weighed as metres at its depth
         matched += 1
         total += w
         squares += w * across * across

@@ -27,6 +27,10 @@ STEPS = 3
 LEAST_GATE_M, GATE = 0.008, 0.06
 """Points farther from the surface than this (the larger of metres and diameters) count nothing."""
 
+SYSTEMATIC, COMMON_M = 1.3, 0.00085
+"""Size is read off the difference of far parts, so it must bear errors that neighbouring readings share: a
+factor on the noise of depth, and metres of a scanned model and a calibration."""
+
 PRIOR_SIGMA = np.array([0.02, 0.02, 0.02, 0.1, 0.1, 0.1, 0.05])
 """How far pose (metres, radians) and size (natural logarithm) are believed to be off, before looking."""
 
@@ -35,13 +39,18 @@ def scale_residual(model: ReferenceModel, region: Region, T_cam_obj: Float) -> f
     """By how much larger than the model the believed points would have the object at a pose (4, 4), as a
     natural logarithm; negative where it should be smaller."""
     gate = max(LEAST_GATE_M, GATE * model.diameter_m)
-    weights = region.point_weights / (depth_sigma_m(region.median_depth_m) ** 2 * POINTS_PER_READING)
+    weights = region.point_weights / (size_sigma_m(region.median_depth_m) ** 2 * POINTS_PER_READING)
     scene = ScenePoints(np.ascontiguousarray(region.points_cam), weights)
     body = Body(model.mesh.centre, 0.5 * model.diameter_m)
     units = np.array([1.0] * 3 + [body.radius] * 4)
     prior = 1.0 / (PRIOR_SIGMA * units) ** 2
     T = np.array(T_cam_obj, np.float64)
     return _growth(T, scene, surface_arrays(model.surface, model.grid), body, gate, prior)
+
+
+def size_sigma_m(distance_m: float) -> float:
+    """Deviation of a distance between depth and surface as far as size is concerned, metres."""
+    return SYSTEMATIC * depth_sigma_m(distance_m) + COMMON_M
 
 
 @jit

@@ -1,9 +1,10 @@
 """The one Gauss-Newton solver: all that refines a pose adds residuals here and takes its step from here.
 
 A step x (6,) is a small motion of the object, along the object's own axes, about its centre (`Body`):
-[translation, radius * rotation vector]. All six are metres, so one damping serves all. `move` applies it:
-T_cam_obj becomes T_cam_obj o (p -> exp(w) (p - centre) + centre + v) with v = x[:3], w = x[3:6] / radius.
-A seventh unknown, where there is one, is the caller's (`refine.scale`).
+[translation, radius * rotation vector]. All six are metres, so one damping serves all. `move` applies it,
+the shift v = x[:3] first, then the turn w = x[3:6] / radius: T_cam_obj becomes
+T_cam_obj o (p -> exp(w) (p + v - centre) + centre). A seventh unknown, where there is one, is the caller's
+(`refine.scale`).
 
 A factor is what pulls at a pose: a kernel that gives, for each of its samples, a weight, a residual and the
 row (6,) of the Jacobian. The residual is wanted minus present, of whatever is compared (metres along a
@@ -94,6 +95,19 @@ def motion_row_cam(
 
 
 @jit
+def image_row(
+    T: Float64, p0: float, p1: float, p2: float, gu: float, gv: float, camera: Float64, body: Body
+) -> Row:
+    """By how much a function of the image changes under the point p (object axes), where its gradient is
+    (gu, gv) per pixel right and down; camera (4,): fx, fy, cx, cy."""
+    x = T[0, 0] * p0 + T[0, 1] * p1 + T[0, 2] * p2 + T[0, 3]
+    y = T[1, 0] * p0 + T[1, 1] * p1 + T[1, 2] * p2 + T[1, 3]
+    z = T[2, 0] * p0 + T[2, 1] * p1 + T[2, 2] * p2 + T[2, 3]
+    g0, g1 = gu * camera[0] / z, gv * camera[1] / z
+    return motion_row_cam(T, p0, p1, p2, g0, g1, -(g0 * x + g1 * y) / z, body)
+
+
+@jit
 def add_residual(equations: NormalEquations, weight: float, residual: float, row: Row) -> None:
     """Add one residual to the lower triangle."""
     A, b = equations.A, equations.b
@@ -126,10 +140,10 @@ def move(T: Float64, step: Float64, body: Body) -> None:
     centre, radius = body.centre, body.radius
     D = np.empty((3, 3))
     rotation_exp_into(step[3] / radius, step[4] / radius, step[5] / radius, D)
-    c0, c1, c2 = centre[0], centre[1], centre[2]
-    o0 = c0 + step[0] - D[0, 0] * c0 - D[0, 1] * c1 - D[0, 2] * c2
-    o1 = c1 + step[1] - D[1, 0] * c0 - D[1, 1] * c1 - D[1, 2] * c2
-    o2 = c2 + step[2] - D[2, 0] * c0 - D[2, 1] * c1 - D[2, 2] * c2
+    s0, s1, s2 = centre[0] - step[0], centre[1] - step[1], centre[2] - step[2]
+    o0 = centre[0] - D[0, 0] * s0 - D[0, 1] * s1 - D[0, 2] * s2
+    o1 = centre[1] - D[1, 0] * s0 - D[1, 1] * s1 - D[1, 2] * s2
+    o2 = centre[2] - D[2, 0] * s0 - D[2, 1] * s1 - D[2, 2] * s2
     for r in range(3):
         a0, a1, a2 = T[r, 0], T[r, 1], T[r, 2]
         T[r, 3] += a0 * o0 + a1 * o1 + a2 * o2

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from huepose.geometry import RgbdFrame, se3
-from huepose.geometry.depth_noise import POINTS_PER_READING, depth_sigma_m
+from huepose.geometry.depth_noise import POINTS_PER_READING
 from huepose.judge.region import Region
 from huepose.model.types import ReferenceModel
 from huepose.onboarding.grid import build_grid
@@ -81,7 +81,7 @@ def plain(model: ReferenceModel, region: Region, T: np.ndarray) -> float:
     """Gauss-Newton steps of pose and size on the distances along normals, by arrays; all in object axes."""
     grid, surface, centre = model.grid, model.surface, model.mesh.centre
     gate = max(scale.LEAST_GATE_M, scale.GATE * model.diameter_m)
-    variance = depth_sigma_m(region.median_depth_m) ** 2 * POINTS_PER_READING
+    variance = scale.size_sigma_m(region.median_depth_m) ** 2 * POINTS_PER_READING
     prior, found = np.diag(1.0 / scale.PRIOR_SIGMA**2), np.zeros(7)
     for _ in range(scale.STEPS):
         middle = se3.apply(T, centre)
@@ -98,5 +98,5 @@ def plain(model: ReferenceModel, region: Region, T: np.ndarray) -> float:
         step = np.linalg.solve(J.T @ (J * w) + prior, (J * w).T @ (gap * normals).sum(1) - prior @ found)
         found += step
         turn = se3.rotation_exp(step[3:6])
-        T = T @ se3.make(turn, centre + step[:3] - turn @ centre)
+        T = T @ se3.make(turn, centre + turn @ (step[:3] - centre))
     return float(found[6])

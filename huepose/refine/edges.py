@@ -121,8 +121,8 @@ def add_edges(
     P, n, s = np.empty(3), np.empty(3), np.empty(3)
     matched, total, squares = 0, 0.0, 0.0
     for i in range(model.points.shape[0]):
-        _in_camera(T, model.points[i], 1.0, P)
-        _in_camera(T, model.normals[i], 0.0, n)
+        _in_camera(T, model.points, i, 1.0, P)
+        _in_camera(T, model.normals, i, 0.0, n)
         facing = -(n[0] * P[0] + n[1] * P[1] + n[2] * P[2])
         facing /= np.sqrt(P[0] * P[0] + P[1] * P[1] + P[2] * P[2])
         if P[2] < NEAREST_M or facing < MIN_FACING:
@@ -133,13 +133,13 @@ def add_edges(
         seen = depth[int(v + 0.5), int(u + 0.5)]
         if seen <= 0.0 or abs(seen - P[2]) * facing > limits.depth_m:
             continue
-        _in_camera(T, model.tangents[i], 0.0, s)
+        _in_camera(T, model.tangents, i, 0.0, s)
         a0, a1 = (s[0] - P[0] / P[2] * s[2]) * fx, (s[1] - P[1] / P[2] * s[2]) * fy
         length = np.sqrt(a0 * a0 + a1 * a1)
         if length < 1e-9:
             continue
         a0, a1 = a0 / length, a1 / length
-        apart, across = _partner(u, v, a0, a1, model.contrasts[i], edges, cells, gate_px, limits)
+        apart, across = _partner(u, v, a0, a1, model, i, edges, cells, gate_px, limits)
         if apart >= 1.0:
             continue
         p0, p1, p2 = (
@@ -162,14 +162,15 @@ def _partner(
     v: float,
     a0: float,
     a1: float,
-    contrast: Float64,
+    model: ModelEdges,
+    i: int,
     edges: ImageEdges,
     cells: EdgeCells,
     gate_px: float,
     limits: EdgeLimits,
 ) -> tuple[float, float]:
-    """Of the image's edge nearest to (u, v), with like direction (a0, a1) and contrast (3,): how far it is,
-    squared and in gates (1 for none), and its distance across in pixels."""
+    """Of the image's edge nearest to (u, v), with like direction (a0, a1) and a contrast like the i-th of the
+    model: how far it is, squared and in gates (1 for none), and its distance across in pixels."""
     pixels, directions, head = edges.pixels, edges.directions, cells.head
     best, across = 1.0, 0.0
     row, column = int(v / CELL_PX), int(u / CELL_PX)
@@ -184,7 +185,7 @@ def _partner(
                 if apart < best and abs(f) < limits.along_px and abs(cosine) > limits.min_cosine:
                     alike = 0.0
                     for c in range(3):
-                        alike += edges.contrasts[j, c] * contrast[c]
+                        alike += edges.contrasts[j, c] * model.contrasts[i, c]
                     if alike * (1.0 if cosine > 0.0 else -1.0) > limits.min_contrast:
                         best, across = apart, e
                 j = cells.follow[j]
@@ -192,7 +193,7 @@ def _partner(
 
 
 @jit
-def _in_camera(T: Float64, vector: Float32, shift: float, out: Float64) -> None:
-    """A vector (3,) in camera axes: a point with shift 1, a direction with shift 0."""
+def _in_camera(T: Float64, rows: Float32, i: int, shift: float, out: Float64) -> None:
+    """Row i in camera axes: a point with shift 1, a direction with shift 0."""
     for r in range(3):
-        out[r] = T[r, 0] * vector[0] + T[r, 1] * vector[1] + T[r, 2] * vector[2] + shift * T[r, 3]
+        out[r] = T[r, 0] * rows[i, 0] + T[r, 1] * rows[i, 1] + T[r, 2] * rows[i, 2] + shift * T[r, 3]

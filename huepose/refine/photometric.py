@@ -1,7 +1,7 @@
 """Factor: the colours of the model's samples onto the image's (Lucas and Kanade 1981, on surface samples).
 
-Depth says nothing of a turn about an axis of symmetry or a slide along a flat face; texture does. Light, trust
-in a sample and the scale of the image are the caller's: they come in as residuals, weights and gradients.
+Depth says nothing of a turn about an axis of symmetry or a slide along a flat face; texture does. Light,
+trust in a sample and the scale of the image are the caller's: residuals, weights and gradients hold them.
 """
 
 from __future__ import annotations

@@ -115,12 +115,14 @@ def add_edges(
 ) -> tuple[int, float, float]:
     """Add the distances across the model's edges to their partners in the image; returns how many have one
     within `gate_px`, their weight, and their weighted squares in pixels."""
-    depth = image.depth
+    depth, points, model_contrasts = image.depth, model.points, model.contrasts
+    pixels, directions, scene_contrasts = edges.pixels, edges.directions, edges.contrasts
+    head, follow = cells.head, cells.follow
     fx, fy, cx, cy = image.camera[0], image.camera[1], image.camera[2], image.camera[3]
     height, width = depth.shape
     P, n, s = np.empty(3), np.empty(3), np.empty(3)
     matched, total, squares = 0, 0.0, 0.0
-    for i in range(model.points.shape[0]):
+    for i in range(points.shape[0]):
         _in_camera(T, model.points, i, 1.0, P)
         _in_camera(T, model.normals, i, 0.0, n)
         facing = -(n[0] * P[0] + n[1] * P[1] + n[2] * P[2])
@@ -139,57 +141,38 @@ def add_edges(
         if length < 1e-9:
             continue
         a0, a1 = a0 / length, a1 / length
-        apart, across = _partner(u, v, a0, a1, model, i, edges, cells, gate_px, limits)
-        if apart >= 1.0:
+        # Its partner: squared distance in gates, and pixels across.
+        best, across = 1.0, 0.0
+        row, column = int(v / CELL_PX), int(u / CELL_PX)
+        for y in range(max(row - 1, 0), min(row + 2, head.shape[0])):
+            for z in range(max(column - 1, 0), min(column + 2, head.shape[1])):
+                j = head[y, z]
+                while j >= 0:
+                    d0, d1 = pixels[j, 0] - u, pixels[j, 1] - v
+                    e, f = d0 * a0 + d1 * a1, d1 * a0 - d0 * a1
+                    apart = (e / gate_px) ** 2 + ALONG_SHARE * (f / limits.along_px) ** 2
+                    cosine = directions[j, 0] * a0 + directions[j, 1] * a1
+                    if apart < best and abs(f) < limits.along_px and abs(cosine) > limits.min_cosine:
+                        alike = 0.0
+                        for c in range(3):
+                            alike += scene_contrasts[j, c] * model_contrasts[i, c]
+                        if alike * (1.0 if cosine > 0.0 else -1.0) > limits.min_contrast:
+                            best, across = apart, e
+                    j = follow[j]
+        if best >= 1.0:
             continue
         p0, p1, p2 = (
-            np.float64(model.points[i, 0]),
-            np.float64(model.points[i, 1]),
-            np.float64(model.points[i, 2]),
+            np.float64(points[i, 0]),
+            np.float64(points[i, 1]),
+            np.float64(points[i, 2]),
         )
-        w, metres = facing * tukey(apart), P[2] / fx
-        row = image_row(T, p0, p1, p2, a0, a1, image.camera, body)
-        add_residual(equations, w * metres * metres, across, row)  # weighed as metres at its depth
+        w, metres = facing * tukey(best), P[2] / fx
+        jacobian = image_row(T, p0, p1, p2, a0, a1, image.camera, body)
+        add_residual(equations, w * metres * metres, across, jacobian)  # weighed as metres at its depth
         matched += 1
         total += w
         squares += w * across * across
     return matched, total, squares
-
-
-@jit
-def _partner(
-    u: float,
-    v: float,
-    a0: float,
-    a1: float,
-    model: ModelEdges,
-    i: int,
-    edges: ImageEdges,
-    cells: EdgeCells,
-    gate_px: float,
-    limits: EdgeLimits,
-) -> tuple[float, float]:
-    """Of the image's edge nearest to (u, v), with like direction (a0, a1) and a contrast like the i-th of the
-    model: how far it is, squared and in gates (1 for none), and its distance across in pixels."""
-    pixels, directions, head = edges.pixels, edges.directions, cells.head
-    best, across = 1.0, 0.0
-    row, column = int(v / CELL_PX), int(u / CELL_PX)
-    for y in range(max(row - 1, 0), min(row + 2, head.shape[0])):
-        for z in range(max(column - 1, 0), min(column + 2, head.shape[1])):
-            j = head[y, z]
-            while j >= 0:
-                d0, d1 = pixels[j, 0] - u, pixels[j, 1] - v
-                e, f = d0 * a0 + d1 * a1, d1 * a0 - d0 * a1
-                apart = (e / gate_px) ** 2 + ALONG_SHARE * (f / limits.along_px) ** 2
-                cosine = directions[j, 0] * a0 + directions[j, 1] * a1
-                if apart < best and abs(f) < limits.along_px and abs(cosine) > limits.min_cosine:
-                    alike = 0.0
-                    for c in range(3):
-                        alike += edges.contrasts[j, c] * model.contrasts[i, c]
-                    if alike * (1.0 if cosine > 0.0 else -1.0) > limits.min_contrast:
-                        best, across = apart, e
-                j = cells.follow[j]
-    return best, across
 
 
 @jit

@@ -15,7 +15,7 @@ from huepose.geometry.camera import Camera
 from huepose.model.types import Surface
 from huepose.refine.robust import tukey
 from huepose.refine.solver import Body, NormalEquations, add_residual, motion_row
-from huepose.support.jit import jit
+from huepose.support.jit import jit_dividing
 
 NEAREST_M = 0.02
 """Nothing is nearer to a camera."""
@@ -52,7 +52,7 @@ def depth_samples(surface: Surface, T_cam_obj: Float64, count: int, weight: floa
     )
 
 
-@jit
+@jit_dividing
 def add_depth_samples(
     T: Float64,
     samples: DepthSamples,

@@ -19,7 +19,7 @@ from huepose.geometry.arrays import Float, Float32, Float64, Int32
 from huepose.refine.depth_samples import NEAREST_M, DepthImage
 from huepose.refine.robust import tukey
 from huepose.refine.solver import Body, NormalEquations, add_residual, image_row
-from huepose.support.jit import jit
+from huepose.support.jit import jit, jit_dividing
 
 MIN_FACING = 0.25
 """Cosine between a surface's normal and the view, under which its edges are not looked for."""
@@ -101,7 +101,7 @@ def edge_cells(edges: ImageEdges, height: int, width: int) -> EdgeCells:
     return EdgeCells(head, follow)
 
 
-@jit
+@jit_dividing
 def add_edges(
     T: Float64,
     model: ModelEdges,
@@ -175,7 +175,7 @@ def add_edges(
     return matched, total, squares
 
 
-@jit
+@jit_dividing
 def _in_camera(T: Float64, rows: Float32, i: int, shift: float, out: Float64) -> None:
     """Row i in camera axes: a point with shift 1, a direction with shift 0."""
     for r in range(3):

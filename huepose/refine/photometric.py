@@ -10,7 +10,7 @@ from typing import NamedTuple
 
 from huepose.geometry.arrays import Float64
 from huepose.refine.solver import Body, NormalEquations, add_residual, image_row
-from huepose.support.jit import jit
+from huepose.support.jit import jit_dividing
 
 
 class ColorSamples(NamedTuple):
@@ -25,7 +25,7 @@ class ColorSamples(NamedTuple):
     information: Float64
 
 
-@jit
+@jit_dividing
 def add_colors(
     T: Float64, samples: ColorSamples, camera: Float64, body: Body, equations: NormalEquations
 ) -> None:

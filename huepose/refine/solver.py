@@ -39,7 +39,7 @@ import numpy as np
 from huepose.geometry import se3
 from huepose.geometry.arrays import Float, Float64
 from huepose.geometry.kernels import rotation_exp_into, solve_symmetric
-from huepose.support.jit import jit
+from huepose.support.jit import jit, jit_dividing
 
 Row = tuple[float, float, float, float, float, float]
 """How the present value of a residual changes with the six of a step."""
@@ -75,7 +75,7 @@ def clear(equations: NormalEquations) -> None:
     equations.b[:] = 0.0
 
 
-@jit
+@jit_dividing
 def motion_row(p0: float, p1: float, p2: float, g0: float, g1: float, g2: float, body: Body) -> Row:
     """By how much the point p of the object (object axes) moves along g (object axes) with a step."""
     c, radius = body.centre, body.radius
@@ -83,7 +83,7 @@ def motion_row(p0: float, p1: float, p2: float, g0: float, g1: float, g2: float,
     return (g0, g1, g2, a1 * g2 - a2 * g1, a2 * g0 - a0 * g2, a0 * g1 - a1 * g0)
 
 
-@jit
+@jit_dividing
 def motion_row_cam(
     T: Float64, p0: float, p1: float, p2: float, g0: float, g1: float, g2: float, body: Body
 ) -> Row:
@@ -94,7 +94,7 @@ def motion_row_cam(
     return motion_row(p0, p1, p2, o0, o1, o2, body)
 
 
-@jit
+@jit_dividing
 def image_row(
     T: Float64, p0: float, p1: float, p2: float, gu: float, gv: float, camera: Float64, body: Body
 ) -> Row:
@@ -107,7 +107,7 @@ def image_row(
     return motion_row_cam(T, p0, p1, p2, g0, g1, -(g0 * x + g1 * y) / z, body)
 
 
-@jit
+@jit_dividing
 def add_residual(equations: NormalEquations, weight: float, residual: float, row: Row) -> None:
     """Add one residual to the lower triangle."""
     A, b = equations.A, equations.b

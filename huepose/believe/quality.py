@@ -5,7 +5,7 @@ a shape, that it is this size, and that the pose is right then. The last one is 
 of the poses that were found is right is shared out by their scores, so that a near-tie is published as one,
 each pose with its probability. Whether an object is there at all is a question of its own, which decides
 whether anything is said to be found. `quality_fits.json` holds the numbers, as fitted on drawn scenes
-(`evaluation.calibration`). The covariance is that of a robust point-to-plane fit, widened by what print and
+(`studies.quality`). The covariance is that of a robust point-to-plane fit, widened by what print and
 model fix and by a floor.
 """
 
@@ -21,7 +21,7 @@ from typing import Any
 import numpy as np
 
 from huepose.geometry.arrays import Float64
-from huepose.geometry.depth_noise import DEPTH_FLOOR_M, POINTS_PER_READING
+from huepose.geometry.depth_noise import FLOOR_M, POINTS_PER_READING
 from huepose.refine.point_to_plane import Alignment
 
 MAX_MARGIN = 0.3
@@ -41,7 +41,7 @@ TIE = 0.02
 class QualityTerms:
     """What quality is a function of. total: score of the pose; gaps: how much less the other answers score,
     best first; color, box_iou, depth_fit, coverage, violation, occluded, seen: terms of its dense score (see
-    `judge.terms.PoseScore`); missing, foreign, detail, turned: see `print_evidence.PrintEvidence`;
+    `judge.terms.Terms`); missing, foreign, detail, turned: see `print_evidence.PrintEvidence`;
     stretch: by how much the depth would have the object larger (see `size_evidence`); pixels: of the image
     that are believed to show the object; otherwise: share of the contrasts at the model's pairs that point in
     another colour (see `judge.contrast_disagreement`); agreed: what those that agree say (see
@@ -194,6 +194,6 @@ FLOOR_SIGMA = np.array([0.0005, 0.0005, 0.0010, 0.006, 0.006, 0.006])
 
 def covariance(alignment: Alignment) -> Float64:
     """Covariance (6, 6) of a pose from the point-to-plane fit at it; order tx ty tz rx ry rz, camera axes."""
-    variance = (alignment.rms_m**2 + DEPTH_FLOOR_M**2) * POINTS_PER_READING
+    variance = (alignment.rms_m**2 + FLOOR_M**2) * POINTS_PER_READING
     information = alignment.information / variance + np.diag(1.0 / PRINT_SIGMA**2)
     return np.asarray(np.linalg.inv(information) + np.diag(FLOOR_SIGMA**2))

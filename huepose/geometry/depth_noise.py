@@ -1,26 +1,22 @@
-"""How much a depth reading errs: one model for everything that weighs depth.
-
-Stereo measures disparity, so its depth errs with the square of the distance: sigma = z^2 * d / (f * B) for an
-error of d pixels in disparity (Grunnet-Jepsen et al., Tuning depth cameras for best performance). A constant
-stands for quantisation and for sensors that have no such term.
-"""
+"""How exact a depth reading is: the noise model that gates, tolerances and covariances follow from."""
 
 from __future__ import annotations
 
-DEPTH_FLOOR_M = 0.0005
-"""Half a step of depth in whole millimetres."""
+STEREO_NOISE_PER_M = 0.0027
+"""RMS error of an active stereo camera of the D435 class is this times the square of the distance (metres):
+subpixel error 0.08 px over focal length 600 px times baseline 5 cm."""
 
-STEREO_SIGMA_PER_M = 0.0027
-"""Metres at one metre: a D435 at 848 x 480 (f 424 px, B 50 mm) with 0.057 px of error in disparity."""
+FLOOR_M = 0.0005
+"""What better sensors, calibration and scanned models leave."""
 
 POINTS_PER_READING = 6.0
 """Stereo matches windows, so neighbouring pixels err alike: so many points of an object count as one."""
 
 
-def depth_sigma_m(distance_m: float) -> float:
-    """Standard deviation of one reading, metres.
+def depth_noise_m(distance_m: float) -> float:
+    """RMS error of a depth reading at a distance, metres.
 
-    >>> [round(1e3 * depth_sigma_m(z), 2) for z in (0.0, 0.5, 1.0, 2.0)]
-    [0.5, 1.18, 3.2, 11.3]
+    >>> round(1000 * depth_noise_m(0.7), 2)
+    1.82
     """
-    return DEPTH_FLOOR_M + STEREO_SIGMA_PER_M * distance_m**2
+    return FLOOR_M + STEREO_NOISE_PER_M * distance_m**2

@@ -10,7 +10,7 @@ from __future__ import annotations
 import numpy as np
 
 from huepose.geometry.arrays import Float, Float64
-from huepose.geometry.depth_noise import POINTS_PER_READING, depth_sigma_m
+from huepose.geometry.depth_noise import POINTS_PER_READING, depth_noise_m
 from huepose.judge.region import Region
 from huepose.model.types import ReferenceModel
 from huepose.refine.point_to_plane import (
@@ -50,7 +50,7 @@ def scale_residual(model: ReferenceModel, region: Region, T_cam_obj: Float) -> f
 
 def size_sigma_m(distance_m: float) -> float:
     """Deviation of a distance between depth and surface as far as size is concerned, metres."""
-    return SYSTEMATIC * depth_sigma_m(distance_m) + COMMON_M
+    return SYSTEMATIC * depth_noise_m(distance_m) + COMMON_M
 
 
 @jit

@@ -21,6 +21,7 @@ from typing import Any
 import numpy as np
 
 from huepose.geometry.arrays import Float64
+from huepose.geometry.depth_noise import FLOOR_M, POINTS_PER_READING
 from huepose.refine.point_to_plane import Alignment
 
 MAX_MARGIN = 0.3
@@ -184,10 +185,6 @@ def quality(method: str, terms: QualityTerms) -> float:
     return float(quality_fits()[method].probabilities(terms)[0])
 
 
-POINTS_PER_READING = 6.0
-"""Neighbouring depth pixels err alike: this many of them count as one."""
-
-DEPTH_SIGMA_M = 0.0005
 PRINT_SIGMA = np.array([0.004, 0.004, 0.004, 0.05, 0.05, 0.05])
 """What the print still fixes where depth fixes nothing (metres, radians)."""
 
@@ -197,6 +194,6 @@ FLOOR_SIGMA = np.array([0.0005, 0.0005, 0.0010, 0.006, 0.006, 0.006])
 
 def covariance(alignment: Alignment) -> Float64:
     """Covariance (6, 6) of a pose from the point-to-plane fit at it; order tx ty tz rx ry rz, camera axes."""
-    variance = (alignment.rms_m**2 + DEPTH_SIGMA_M**2) * POINTS_PER_READING
+    variance = (alignment.rms_m**2 + FLOOR_M**2) * POINTS_PER_READING
     information = alignment.information / variance + np.diag(1.0 / PRINT_SIGMA**2)
     return np.asarray(np.linalg.inv(information) + np.diag(FLOOR_SIGMA**2))

@@ -1,4 +1,4 @@
-"""From the poses that were found to the answer: settled on the depth, with quality and alternatives."""
+"""From the poses that were found to the answer: refined on depth and edges, with quality and alternatives."""
 
 from __future__ import annotations
 
@@ -21,8 +21,8 @@ from huepose.judge.silhouette import projected_box
 from huepose.judge.terms import score
 from huepose.judge.texture_evidence import print_evidence
 from huepose.model.types import ReferenceModel
-from huepose.refine.final import settle
-from huepose.refine.scale import stretch
+from huepose.refine.final import final_refinement
+from huepose.refine.scale import scale_residual
 from huepose.select.answers import different_answers
 
 
@@ -59,7 +59,7 @@ def answer_of(
             query.box, prior_score, prior_T, (), 0.0, terms,
         )  # fmt: skip
     chances = fit.probabilities(terms)
-    T, alignment, mask = settle(model, frame, region, se3.orthonormalised(poses[0]))
+    T, alignment, mask = final_refinement(model, frame, region, se3.orthonormalised(poses[0]))
     others = zip(poses[1:], chances[1 : len(poses)], strict=True)
     return PoseEstimate(
         query.object,
@@ -104,7 +104,7 @@ def _terms(
         seen.missing,
         seen.foreign,
         seen.detail,
-        stretch(model, region, T_cam_obj),
+        scale_residual(model, region, T_cam_obj),
         float(np.count_nonzero(region.mask)),
         seen.turned,
         float(otherwise_many(model, region, contrasts, pose)[0]),

@@ -9,6 +9,9 @@ subpixel error 0.08 px over focal length 600 px times baseline 5 cm."""
 FLOOR_M = 0.0005
 """What better sensors, calibration and scanned models leave."""
 
+POINTS_PER_READING = 6.0
+"""Stereo matches windows, so neighbouring pixels err alike: so many points of an object count as one."""
+
 
 def depth_noise_m(distance_m: float) -> float:
     """RMS error of a depth reading at a distance, metres.

@@ -1,7 +1,7 @@
 """Semantic ICP: every class of the classified cloud and all of them together pull at one pose (paper, III-D).
 
 In each iteration, scene points look for their nearest model point twice: among those of their own class,
-which keeps the parts of the print where they belong, and among all, which holds the whole together where a
+which keeps the parts of the texture where they belong, and among all, which holds the whole together where a
 class has few points. Both kinds of correspondences enter one weighted system for one increment of the pose.
 Residuals are those of point to plane; same-class correspondences also pull a little along the surface,
 because a plane cannot tell where on a face its colours are. The hierarchy goes from few points and a wide
@@ -17,12 +17,24 @@ import numpy as np
 
 from huepose.geometry import se3
 from huepose.geometry.arrays import Float, Float64, Int32, Int64, UInt8
-from huepose.geometry.kernels import rotation_exp_into, solve_symmetric
 from huepose.model.types import PairReference
+from huepose.refine.robust import tukey
+from huepose.refine.solver import (
+    Body,
+    NormalEquations,
+    add_residual,
+    advance,
+    clear,
+    motion_row,
+    normal_equations,
+)
 from huepose.support.jit import jit
 
 DAMPING = 1e-3
-"""Damping per point, on steps as large as the object's radius."""
+"""Of the correspondences' weight."""
+
+FEWEST_FOR_A_STEP = 6
+STEP_TOLERANCE_M = 2e-6
 
 
 @dataclass(frozen=True)
@@ -74,14 +86,12 @@ class _Cloud(NamedTuple):
     gate: float
 
 
-class _Pull(NamedTuple):
-    """What of the configuration is the same for all levels, and what the steps are measured by."""
+class _Shares(NamedTuple):
+    """What of the configuration is the same for all levels."""
 
     semantic: float
     aggregate: float
     sliding: float
-    centre: Float64
-    radius: float
 
 
 @dataclass(frozen=True, eq=False)
@@ -129,7 +139,7 @@ def semantic_icp_many(
     centre = 0.5 * (low + model.max(0))
     radius = float(np.linalg.norm(model - centre, axis=1).max())
     done, reports = np.zeros(len(T), np.int64), np.zeros((len(T), 2))
-    pull = _Pull(config.semantic, config.aggregate, config.sliding, centre, radius)
+    shares, body = _Shares(config.semantic, config.aggregate, config.sliding), Body(centre, radius)
     levels = (config.gates, config.strides, config.model_strides, config.iterations)
     for share, stride, thinner, rounds in zip(*levels, strict=True):
         seen = _Scene(
@@ -137,7 +147,8 @@ def semantic_icp_many(
             np.ascontiguousarray(scene.classes[::stride]),
             np.ascontiguousarray(scene.weights[::stride], np.float64),
         )
-        _align_all(T, seen, _cloud(reference, thinner, 2.0 * radius * share), rounds, pull, reports, done)
+        cloud = _cloud(reference, thinner, 2.0 * radius * share)
+        _align_all(T, seen, cloud, shares, body, rounds, reports, done)
     return [
         SemanticAlignment(se3.orthonormalised(pose), int(n), int(matched), float(rms))
         for pose, n, (matched, rms) in zip(T, done, reports, strict=True)
@@ -196,108 +207,83 @@ def _nearest(q0: float, q1: float, q2: float, kind: int, cloud: _Cloud) -> int:
 
 
 @jit
-def _align(T: Float64, scene: _Scene, cloud: _Cloud, rounds: int, pull: _Pull, report: Float64) -> int:
-    points, model, normals = scene.points, cloud.points, cloud.normals
-    centre, radius, sliding, gate = pull.centre, pull.radius, pull.sliding, cloud.gate
-    A, b, x, D = np.zeros((6, 6)), np.zeros(6), np.zeros(6), np.zeros((3, 3))
-    for turn in range(rounds):
-        A[:] = 0.0
-        b[:] = 0.0
-        matched, total, squares = 0, 0.0, 0.0
-        for i in range(points.shape[0]):
-            p0, p1, p2 = points[i, 0] - T[0, 3], points[i, 1] - T[1, 3], points[i, 2] - T[2, 3]
-            q0 = T[0, 0] * p0 + T[1, 0] * p1 + T[2, 0] * p2
-            q1 = T[0, 1] * p0 + T[1, 1] * p1 + T[2, 1] * p2
-            q2 = T[0, 2] * p0 + T[1, 2] * p1 + T[2, 2] * p2
-            for which in range(2):
-                kind = int(scene.classes[i]) if which == 0 else -1
-                j = _nearest(q0, q1, q2, kind, cloud)
-                if j < 0:
-                    continue
-                e0, e1, e2 = q0 - model[j, 0], q1 - model[j, 1], q2 - model[j, 2]
-                d = (e0 * e0 + e1 * e1 + e2 * e2) / (gate * gate)
-                w = scene.weights[i] * (1.0 - d) ** 2 * (pull.semantic if which == 0 else pull.aggregate)
-                n0, n1, n2 = normals[j, 0], normals[j, 1], normals[j, 2]
-                across = e0 * n0 + e1 * n1 + e2 * n2
-                _add_row(A, b, w, across, n0, n1, n2, q0, q1, q2, centre, radius)
-                matched += 1
-                total += w
-                squares += w * across * across
-                if which == 0 and sliding > 0.0:
-                    # the residual along the surface, axis by axis
-                    for a in range(3):
-                        u0 = (1.0 if a == 0 else 0.0) - (n0 if a == 0 else n1 if a == 1 else n2) * n0
-                        u1 = (1.0 if a == 1 else 0.0) - (n0 if a == 0 else n1 if a == 1 else n2) * n1
-                        u2 = (1.0 if a == 2 else 0.0) - (n0 if a == 0 else n1 if a == 1 else n2) * n2
-                        along = e0 * u0 + e1 * u1 + e2 * u2
-                        _add_row(A, b, w * sliding, along, u0, u1, u2, q0, q1, q2, centre, radius)
-        report[0] = matched
-        report[1] = np.sqrt(squares / total) if total > 0.0 else 0.0
-        if matched < 6:
-            return turn
-        for a in range(6):
-            A[a, a] += DAMPING * total + 1e-12
-        if not solve_symmetric(A, b, x):
-            return turn
-        _move(T, x, centre, radius, D)
-        if max(abs(x[0]), abs(x[1]), abs(x[2]), abs(x[3]), abs(x[4]), abs(x[5])) * radius < 2e-6:
-            return turn + 1
-    return rounds
-
-
-@jit
 def _align_all(
     poses: Float64,
     scene: _Scene,
     cloud: _Cloud,
+    shares: _Shares,
+    body: Body,
     rounds: int,
-    pull: _Pull,
     reports: Float64,
     done: Int64,
 ) -> None:
+    equations = normal_equations(6)
     for m in range(poses.shape[0]):
-        done[m] += _align(poses[m], scene, cloud, rounds, pull, reports[m])
+        done[m] += _align(poses[m], scene, cloud, shares, body, rounds, reports[m], equations)
 
 
 @jit
-def _add_row(
-    A: Float64,
-    b: Float64,
-    w: float,
-    residual: float,
-    n0: float,
-    n1: float,
-    n2: float,
-    q0: float,
-    q1: float,
-    q2: float,
-    centre: Float64,
-    radius: float,
-) -> None:
-    """One residual along n at q (object axes) into the normal equations; unknowns are a shift and a turn of
-    the scene in the object's frame, both as lengths over the object's radius."""
-    r0, r1, r2 = (q0 - centre[0]) / radius, (q1 - centre[1]) / radius, (q2 - centre[2]) / radius
-    j0, j1, j2 = n0, n1, n2
-    j3, j4, j5 = r1 * n2 - r2 * n1, r2 * n0 - r0 * n2, r0 * n1 - r1 * n0
-    row = (j0, j1, j2, j3, j4, j5)
-    for a in range(6):
-        b[a] -= w * row[a] * residual / radius
-        for c in range(a + 1):
-            A[a, c] += w * row[a] * row[c]
+def _align(
+    T: Float64,
+    scene: _Scene,
+    cloud: _Cloud,
+    shares: _Shares,
+    body: Body,
+    rounds: int,
+    report: Float64,
+    equations: NormalEquations,
+) -> int:
+    """Move a pose on one level; returns the iterations done."""
+    for iteration in range(rounds):
+        clear(equations)
+        matched, weight, squares = _add_semantic(T, scene, cloud, shares, body, equations)
+        report[0] = matched
+        report[1] = np.sqrt(squares / weight) if weight > 0.0 else 0.0
+        if matched < FEWEST_FOR_A_STEP:
+            return iteration
+        largest = advance(T, equations, body, DAMPING * weight)
+        if largest < 0.0:
+            return iteration
+        if largest < STEP_TOLERANCE_M:
+            return iteration + 1
+    return rounds
 
 
 @jit
-def _move(T: Float64, x: Float64, centre: Float64, radius: float, D: Float64) -> None:
-    """Apply a shift x[:3] (radii) and turn x[3:] (radians) of the scene about `centre`, in object axes: the
-    pose takes the inverse."""
-    rotation_exp_into(-x[3], -x[4], -x[5], D)
-    # object point p (scene moved by q -> D^T (q - c) + c + s) : T' = T o (inverse of that motion)
-    s0, s1, s2 = x[0] * radius + centre[0], x[1] * radius + centre[1], x[2] * radius + centre[2]
-    t0 = centre[0] - (D[0, 0] * s0 + D[0, 1] * s1 + D[0, 2] * s2)
-    t1 = centre[1] - (D[1, 0] * s0 + D[1, 1] * s1 + D[1, 2] * s2)
-    t2 = centre[2] - (D[2, 0] * s0 + D[2, 1] * s1 + D[2, 2] * s2)
-    for r in range(3):
-        a, b, c = T[r, 0], T[r, 1], T[r, 2]
-        T[r, 3] += a * t0 + b * t1 + c * t2
-        for k in range(3):
-            T[r, k] = a * D[0, k] + b * D[1, k] + c * D[2, k]
+def _add_semantic(
+    T: Float64, scene: _Scene, cloud: _Cloud, shares: _Shares, body: Body, equations: NormalEquations
+) -> tuple[int, float, float]:
+    """Factor: add the residuals of both kinds of correspondences; returns how many there are, their weight,
+    and the weighted squares of the distances along normals."""
+    points, model, normals = scene.points, cloud.points, cloud.normals
+    matched, total, squares = 0, 0.0, 0.0
+    for i in range(points.shape[0]):
+        p0, p1, p2 = points[i, 0] - T[0, 3], points[i, 1] - T[1, 3], points[i, 2] - T[2, 3]
+        q0 = T[0, 0] * p0 + T[1, 0] * p1 + T[2, 0] * p2
+        q1 = T[0, 1] * p0 + T[1, 1] * p1 + T[2, 1] * p2
+        q2 = T[0, 2] * p0 + T[1, 2] * p1 + T[2, 2] * p2
+        for which in range(2):
+            kind = int(scene.classes[i]) if which == 0 else -1
+            j = _nearest(q0, q1, q2, kind, cloud)
+            if j < 0:
+                continue
+            e0, e1, e2 = q0 - model[j, 0], q1 - model[j, 1], q2 - model[j, 2]
+            w = scene.weights[i] * (shares.semantic if which == 0 else shares.aggregate)
+            w *= tukey((e0 * e0 + e1 * e1 + e2 * e2) / (cloud.gate * cloud.gate))
+            n0, n1, n2 = normals[j, 0], normals[j, 1], normals[j, 2]
+            across = e0 * n0 + e1 * n1 + e2 * n2
+            add_residual(equations, w, across, motion_row(q0, q1, q2, n0, n1, n2, body))
+            matched += 1
+            total += w
+            squares += w * across * across
+            if which == 0 and shares.sliding > 0.0:
+                # The residual along the surface, axis by axis.
+                for a in range(3):
+                    n = n0 if a == 0 else n1 if a == 1 else n2
+                    u0 = (1.0 if a == 0 else 0.0) - n * n0
+                    u1 = (1.0 if a == 1 else 0.0) - n * n1
+                    u2 = (1.0 if a == 2 else 0.0) - n * n2
+                    along = e0 * u0 + e1 * u1 + e2 * u2
+                    row = motion_row(q0, q1, q2, u0, u1, u2, body)
+                    add_residual(equations, w * shares.sliding, along, row)
+    return matched, total, squares

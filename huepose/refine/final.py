@@ -1,7 +1,7 @@
-"""The last step: the winning pose settles on the depth of the pixels that show the object.
+"""The final refinement: the winning pose is fitted to the depth of the pixels that show the object.
 
-The search on the score leaves a pose a millimetre from the best fit of the surface, because print pulls it
-along; where depth fixes a direction, depth is the better judge. Where it does not, the edges of the print
+The search on the score leaves a pose a millimetre from the best fit of the surface, because texture pulls it
+along; where depth fixes a direction, depth is the better judge. Where it does not, the edges of the texture
 are.
 """
 
@@ -15,30 +15,30 @@ from huepose.judge.region import Region
 from huepose.judge.silhouette import visible_mask
 from huepose.judge.terms import totals
 from huepose.model.types import ReferenceModel
-from huepose.refine.on_edges import laid_on_edges
+from huepose.refine.edge_refinement import refine_on_edges
 from huepose.refine.point_to_plane import Alignment, align
 
 GATE_M = 0.008
 ITERATIONS = 8
 POINTS = 1000
 WORTH = 0.1
-"""A settled pose may lose this much of the score; one that loses more has slid off the print."""
+"""A refined pose may lose this much of the score; one that loses more has slid off the texture."""
 
 
-def settle(
+def final_refinement(
     model: ReferenceModel, frame: RgbdFrame, region: Region, T_cam_obj: Float64
 ) -> tuple[Float64, Alignment, Bool]:
-    """The pose (4, 4) after `settle_on_depth` and then on the edges of its print; how the fit to depth went,
-    and the mask (H, W) of the visible pixels."""
-    fit, mask = settle_on_depth(model, frame, region, T_cam_obj)
-    return laid_on_edges(model, frame, mask, fit.T_cam_obj), fit, mask
+    """The pose (4, 4) after `refine_on_depth` and then on the edges of its texture; how the fit to depth
+    went, and the mask (H, W) of the visible pixels."""
+    fit, mask = refine_on_depth(model, frame, region, T_cam_obj)
+    return refine_on_edges(model, frame, mask, fit.T_cam_obj), fit, mask
 
 
-def settle_on_depth(
+def refine_on_depth(
     model: ReferenceModel, frame: RgbdFrame, region: Region, T_cam_obj: Float64
 ) -> tuple[Alignment, Bool]:
     """A last robust fit of the pose (4, 4) to the depth of its own visible pixels, and their mask (H, W). Of
-    no iterations when the print objects."""
+    no iterations when the texture objects."""
     tolerance = 1.5 * region.tolerance_m
     mask = visible_mask(model, frame, T_cam_obj, tolerance)
     points = _points(frame, mask)

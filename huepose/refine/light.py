@@ -11,6 +11,7 @@ import numpy as np
 
 from huepose.geometry.arrays import Float32, Float64
 from huepose.geometry.kernels import solve_symmetric
+from huepose.refine.robust import cauchy
 from huepose.refine.samples import Samples
 from huepose.support.jit import jit
 
@@ -96,7 +97,7 @@ def fit_light(
             d = 0.0
             for c in range(3):
                 d += (residual[k, c] / max(rms[c], TRUST_FLOOR)) ** 2
-            trust[k] = 1.0 / (1.0 + d / 3.0)
+            trust[k] = cauchy(d / 3.0)
     for c in range(3):
         total = 1e-9
         sx = sy = sxx = syy = sxy = 0.0

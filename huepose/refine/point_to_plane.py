@@ -1,9 +1,9 @@
-"""Robust point-to-plane ICP of depth points onto a model's surface.
+"""Factor: scene points onto the model's surface, along its normals (Chen and Medioni 1992).
 
-Correspondences come from the model's distance grid (one look-up a point, no search tree), weights are
-Tukey's on the distance to the nearest sample within a gate that shrinks, points that would lie on the far
-side of the object are refused, and the step is damped so that directions which the points do not fix stay
-where they are (Chen and Medioni 1992 for the residual; small_gicp for the habit of saying how it went).
+Correspondences come from the model's distance grid (one look-up a point, no search tree). Weights are
+Tukey's on the distance to the nearest sample; points that would lie on the far side of the object are
+refused. `align` and `align_many` iterate this factor alone, with a gate that shrinks and a damping that
+leaves directions which the points do not fix where they are.
 """
 
 from __future__ import annotations
@@ -15,8 +15,9 @@ import numpy as np
 
 from huepose.geometry import se3
 from huepose.geometry.arrays import Float, Float32, Float64
-from huepose.geometry.kernels import rotation_exp_into, solve_symmetric
 from huepose.model.types import DistanceGrid, Surface
+from huepose.refine.robust import tukey
+from huepose.refine.solver import Body, NormalEquations, advance, clear, information, normal_equations
 from huepose.support.jit import jit, jit_dividing
 
 DAMPING = 2e-3
@@ -31,24 +32,37 @@ SCRATCH_ROWS = 12
 
 
 class SurfaceArrays(NamedTuple):
-    """What the compiled alignment reads of a surface: its samples and their normals (S, 3), the distance grid
-    (see model.types), and the centre (3,) and lever of its rotations."""
+    """What the factor reads of a model: samples of its surface and their normals (S, 3), object axes, and the
+    distance grid (see model.types)."""
 
     samples: Float32
     normals: Float32
     origin: Float64
     step: float
     nearest: np.ndarray
-    centre: Float64
-    radius: float
 
 
-def surface_arrays(surface: Surface, grid: DistanceGrid) -> SurfaceArrays:
-    """Bundle a surface's arrays for the kernels."""
-    step = float(grid.step)
-    return SurfaceArrays(
-        surface.points, surface.normals, grid.origin, step, grid.nearest, *centre_and_radius(grid)
-    )
+class ScenePoints(NamedTuple):
+    """points_cam (N, 3) metres, camera axes; weights (N,)."""
+
+    points_cam: Float64
+    weights: Float64
+
+
+class Gates(NamedTuple):
+    """How far from the surface a point may be, metres: from `start` linearly to `end` over the iterations."""
+
+    start: float
+    end: float
+    iterations: int
+
+
+class Reports(NamedTuple):
+    """What `align_kernel` says of M poses. summary (M, 4): iterations, inliers, weight, rms; A (M, 6, 6):
+    normal equations at the end (lower triangles). Of no rows (0) where only the poses are cared for."""
+
+    summary: Float64
+    A: Float64
 
 
 @dataclass(frozen=True, eq=False)
@@ -57,8 +71,8 @@ class Alignment:
 
     T_cam_obj (4, 4); iterations done; inliers: points within the final gate; weight: sum of their Tukey
     weights; rms_m: weighted root mean square distance to the surface along its normals; information (6, 6):
-    weighted J^T J of those distances with respect to `se3.perturb` (tx ty tz rx ry rz, camera axes, about the
-    object's origin): divided by the variance of a distance it is the inverse covariance of the pose.
+    of those distances about `se3.perturb` (tx ty tz rx ry rz, camera axes, about the object's origin):
+    divided by the variance of a distance it is the inverse covariance of the pose.
     """
 
     T_cam_obj: Float64
@@ -67,6 +81,17 @@ class Alignment:
     weight: float
     rms_m: float
     information: Float64
+
+
+def surface_arrays(surface: Surface, grid: DistanceGrid) -> SurfaceArrays:
+    """Bundle a surface's arrays for the kernels."""
+    return SurfaceArrays(surface.points, surface.normals, grid.origin, float(grid.step), grid.nearest)
+
+
+def grid_body(grid: DistanceGrid) -> Body:
+    """The object as steps see it: its middle is the grid's, its radius a third of the grid's diagonal."""
+    reach = grid.step * (np.array(grid.nearest.shape) - 1) / 2.0
+    return Body(grid.origin + reach, float(np.linalg.norm(reach)) / 1.5)
 
 
 def align(
@@ -83,19 +108,12 @@ def align(
     The gate goes linearly from `gate_start_m` to `gate_end_m`; it ends early when a step at the final gate is
     under 0.01 mm. With no points near the surface the pose comes back unchanged with zero inliers.
     """
-    poses, report, normal_equations = _align_all(
-        surface, grid, points_cam, np.asarray(T_cam_obj)[None], gate_start_m, gate_end_m, iterations
-    )
+    poses, reports = np.array(T_cam_obj, np.float64)[None], Reports(np.zeros((1, 4)), np.zeros((1, 6, 6)))
+    _align_all(surface, grid, points_cam, poses, Gates(gate_start_m, gate_end_m, iterations), reports)
     T = se3.orthonormalised(poses[0])
-    centre, radius = centre_and_radius(grid)
-    return Alignment(
-        T,
-        int(report[0, 0]),
-        int(report[0, 1]),
-        float(report[0, 2]),
-        float(report[0, 3]),
-        _camera_information(normal_equations[0], T, centre, radius),
-    )
+    done, inliers, weight, rms = (float(x) for x in reports.summary[0])
+    known = information(reports.A[0], T, grid_body(grid))
+    return Alignment(T, int(done), int(inliers), weight, rms, known)
 
 
 def align_many(
@@ -108,133 +126,92 @@ def align_many(
     iterations: int,
 ) -> Float64:
     """`align` from each of several poses (M, 4, 4), in one compiled call; only the poses (M, 4, 4) return."""
-    return _align_all(surface, grid, points_cam, poses, gate_start_m, gate_end_m, iterations, reported=False)[
-        0
-    ]
+    out = np.array(poses, dtype=np.float64)
+    _align_all(surface, grid, points_cam, out, Gates(gate_start_m, gate_end_m, iterations), no_reports())
+    return out
+
+
+def no_reports() -> Reports:
+    """For whom only the poses matter."""
+    return Reports(np.zeros((0, 4)), np.zeros((0, 6, 6)))
 
 
 def _align_all(
-    surface: Surface,
-    grid: DistanceGrid,
-    points_cam: Float,
-    poses: Float,
-    gate_start_m: float,
-    gate_end_m: float,
-    iterations: int,
-    reported: bool = True,
-) -> tuple[Float64, Float64, Float64]:
-    out = np.array(poses, dtype=np.float64)
-    report = np.zeros((len(out), 4))
-    normal_equations = np.zeros((len(out) if reported else 0, 6, 6))
-    align_kernel(
-        out,
-        np.ascontiguousarray(points_cam, dtype=np.float64),
-        surface_arrays(surface, grid),
-        float(gate_start_m),
-        float(gate_end_m),
-        int(iterations),
-        report,
-        normal_equations,
-    )
-    return out, report, normal_equations
-
-
-def centre_and_radius(grid: DistanceGrid) -> tuple[Float64, float]:
-    """Where rotations turn about (the middle of the grid, so of the object), and the lever that makes radians
-    comparable with metres: a third of the grid's diagonal."""
-    reach = grid.step * (np.array(grid.nearest.shape) - 1) / 2.0
-    return grid.origin + reach, float(np.linalg.norm(reach)) / 1.5
-
-
-def _camera_information(A: Float64, T_cam_obj: Float64, centre: Float64, radius: float) -> Float64:
-    """Normal equations of the kernel's steps (radius * rotation about `centre`, translation, both of the
-    points in object axes) as information about `se3.perturb`."""
-    R_t = T_cam_obj[:3, :3].T
-    to_kernel = np.zeros((6, 6))
-    to_kernel[:3, 3:] = -radius * R_t
-    to_kernel[3:, :3] = -R_t
-    # A rotation of the points about the origin also carries the centre along.
-    to_kernel[3:, 3:] = se3.hat(centre) @ R_t
-    return np.asarray(to_kernel.T @ A @ to_kernel)
+    surface: Surface, grid: DistanceGrid, points_cam: Float, poses: Float64, gates: Gates, reports: Reports
+) -> None:
+    points = np.ascontiguousarray(points_cam, dtype=np.float64)
+    scene = ScenePoints(points, np.ones(len(points)))
+    gates = Gates(float(gates.start), float(gates.end), int(gates.iterations))
+    align_kernel(poses, scene, surface_arrays(surface, grid), grid_body(grid), gates, reports)
 
 
 @jit
 def align_kernel(
-    poses: Float64,
-    points_cam: Float64,
-    surface: SurfaceArrays,
-    gate_start: float,
-    gate_end: float,
-    iterations: int,
-    report: Float64,
-    normal_equations: Float64,
+    poses: Float64, scene: ScenePoints, surface: SurfaceArrays, body: Body, gates: Gates, reports: Reports
 ) -> None:
-    """Align every pose in place; report (M, 4): iterations, inliers, weight, rms, and `normal_equations` (M,
-    6, 6) at the end; with none to write (0, 6, 6) only the poses are cared for."""
-    A = np.empty((6, 6))
-    b = np.empty(6)
-    x = np.empty(6)
-    D = np.empty((3, 3))
-    scratch = np.empty((SCRATCH_ROWS, points_cam.shape[0]))
+    """Align every pose (M, 4, 4) in place."""
+    equations = normal_equations(6)
+    scratch = np.empty((SCRATCH_ROWS, scene.points_cam.shape[0]))
+    reported = reports.summary.shape[0] > 0
     for m in range(poses.shape[0]):
         T = poses[m]
-        settled = False
-        for iteration in range(iterations + 1):
-            shrunk = min(1.0, iteration / max(1.0, iterations * GATE_SHRUNK_AFTER))
-            gate = gate_start + (gate_end - gate_start) * shrunk
-            last = iteration == iterations or settled
-            if last and not normal_equations.shape[0]:
+        converged = False
+        for iteration in range(gates.iterations + 1):
+            shrunk = min(1.0, iteration / max(1.0, gates.iterations * GATE_SHRUNK_AFTER))
+            gate = gates.start + (gates.end - gates.start) * shrunk
+            last = iteration == gates.iterations or converged
+            if last and not reported:
                 break
             if last:
-                gate = gate_end
-            inliers, weight, square = _accumulate(T, points_cam, surface, gate, scratch, A, b)
+                gate = gates.end
+            clear(equations)
+            inliers, weight, square = add_point_to_plane(T, scene, surface, body, gate, scratch, equations)
             if last:
-                report[m, 0], report[m, 1], report[m, 2] = iteration, inliers, weight
-                report[m, 3] = np.sqrt(square / weight) if weight > 0.0 else 0.0
-                for i in range(6):
-                    for j in range(i + 1):
-                        normal_equations[m, i, j] = normal_equations[m, j, i] = A[i, j]
+                summary = reports.summary[m]
+                summary[0], summary[1], summary[2] = iteration, inliers, weight
+                summary[3] = np.sqrt(square / weight) if weight > 0.0 else 0.0
+                reports.A[m] = equations.A
                 break
             if inliers == 0:
                 # The gate only shrinks from here on.
-                report[m, 0] = iteration
+                if reported:
+                    reports.summary[m, 0] = iteration
                 break
-            for i in range(6):
-                A[i, i] += DAMPING * points_cam.shape[0] + 1e-12
-            if not solve_symmetric(A, b, x):
+            largest = advance(T, equations, body, DAMPING * scene.points_cam.shape[0])
+            if largest < 0.0:
                 break
-            _move(T, x, surface.centre, surface.radius, D)
-            largest = 0.0
-            for i in range(6):
-                largest = max(largest, abs(x[i]))
-            settled = shrunk >= 1.0 and largest < STEP_TOLERANCE_M
+            converged = shrunk >= 1.0 and largest < STEP_TOLERANCE_M
 
 
 @jit_dividing
-def _accumulate(
+def add_point_to_plane(
     T: Float64,
-    points_cam: Float64,
+    scene: ScenePoints,
     surface: SurfaceArrays,
+    body: Body,
     gate: float,
     scratch: Float64,
-    A: Float64,
-    b: Float64,
+    equations: NormalEquations,
 ) -> tuple[int, float, float]:
-    """Normal equations (lower triangle) of one linearisation; inliers, their weight, weighted squares.
+    """Add the residuals of all points within `gate` metres of the surface; returns how many there are, their
+    weight, and their weighted squares. Where there are seven unknowns, the last is radius * the logarithm of
+    the object's size, about its centre.
 
     Plain passes over the rows of `scratch` (SCRATCH_ROWS, N), which the compiler does several points at a
     time; a point that counts nothing has the weight 0. Rows 0..5: first the points and the nearest samples'
-    places, then the Jacobian; 6..8 normals, 9 weight, 10 distance along the normal, 11 a weighted column."""
+    places, then the Jacobian; 6..8 normals, then 6 the Jacobian of size; 9 weight, 10 distance along the
+    normal, 11 a weighted column."""
     r00, r01, r02, r10, r11, r12 = T[0, 0], T[0, 1], T[0, 2], T[1, 0], T[1, 1], T[1, 2]
     r20, r21, r22, t0, t1, t2 = T[2, 0], T[2, 1], T[2, 2], T[0, 3], T[1, 3], T[2, 3]
+    points_cam, point_weights = scene.points_cam, scene.weights
     count = points_cam.shape[0]
     _nearest_samples(T, points_cam, surface, scratch)
     # The camera's place in object axes is -eye.
     eye0 = r00 * t0 + r10 * t1 + r20 * t2
     eye1 = r01 * t0 + r11 * t1 + r21 * t2
     eye2 = r02 * t0 + r12 * t1 + r22 * t2
-    c0, c1, c2 = surface.centre[0], surface.centre[1], surface.centre[2]
-    lever, in_gate2 = 1.0 / surface.radius, 1.0 / (gate * gate)
+    c0, c1, c2 = body.centre[0], body.centre[1], body.centre[2]
+    lever, in_gate2 = 1.0 / body.radius, 1.0 / (gate * gate)
     inliers, weight, square = 0.0, 0.0, 0.0
     for k in range(count):
         q0, q1, q2 = scratch[0, k], scratch[1, k], scratch[2, k]
@@ -242,27 +219,29 @@ def _accumulate(
         e0, e1, e2 = q0 - scratch[3, k], q1 - scratch[4, k], q2 - scratch[5, k]
         share = (e0 * e0 + e1 * e1 + e2 * e2) * in_gate2
         near = share < 1.0 and n0 * (q0 + eye0) + n1 * (q1 + eye1) + n2 * (q2 + eye2) <= 0.0
-        w = (1.0 - share) ** 2 if near else 0.0
+        w = point_weights[k] * tukey(share) if near else 0.0
         r = n0 * e0 + n1 * e1 + n2 * e2
         q0, q1, q2 = (q0 - c0) * lever, (q1 - c1) * lever, (q2 - c2) * lever
-        scratch[0, k] = q1 * n2 - q2 * n1
-        scratch[1, k] = q2 * n0 - q0 * n2
-        scratch[2, k] = q0 * n1 - q1 * n0
-        scratch[3, k] = n0
-        scratch[4, k] = n1
-        scratch[5, k] = n2
+        scratch[0, k] = n0
+        scratch[1, k] = n1
+        scratch[2, k] = n2
+        scratch[3, k] = q1 * n2 - q2 * n1
+        scratch[4, k] = q2 * n0 - q0 * n2
+        scratch[5, k] = q0 * n1 - q1 * n0
+        scratch[6, k] = q0 * n0 + q1 * n1 + q2 * n2
         scratch[9, k] = w
         scratch[10, k] = r
         inliers += 1.0 if near else 0.0
         weight += w
         square += w * r * r
-    for a in range(6):
+    A, b = equations.A, equations.b
+    for a in range(A.shape[0]):
         along = 0.0
         for k in range(count):
             weighted = scratch[9, k] * scratch[a, k]
             scratch[11, k] = weighted
-            along -= weighted * scratch[10, k]
-        b[a] = along
+            along += weighted * scratch[10, k]
+        b[a] += along
         for c in range(0, a + 1, 2):
             # Two sums at a time: each reading of the weighted column serves both.
             second = min(c + 1, a)
@@ -270,7 +249,9 @@ def _accumulate(
             for k in range(count):
                 one += scratch[11, k] * scratch[c, k]
                 other += scratch[11, k] * scratch[second, k]
-            A[a, c], A[a, second] = one, other
+            A[a, c] += one
+            if second > c:
+                A[a, second] += other
     return int(inliers), weight, square
 
 
@@ -300,21 +281,3 @@ def _nearest_samples(T: Float64, points_cam: Float64, surface: SurfaceArrays, sc
         j = np.uint64(3 * cells[np.uint64(scratch[6, k])])
         scratch[3, k], scratch[4, k], scratch[5, k] = samples[j], samples[j + one], samples[j + two]
         scratch[6, k], scratch[7, k], scratch[8, k] = normals[j], normals[j + one], normals[j + two]
-
-
-@jit
-def _move(T: Float64, x: Float64, centre: Float64, radius: float, D: Float64) -> None:
-    """Undo on the pose the step that the points should make in object axes: rotation x[:3] / radius about
-    `centre`, then translation x[3:]."""
-    rotation_exp_into(-x[0] / radius, -x[1] / radius, -x[2] / radius, D)
-    # D is the inverse rotation: points go to D^T (q - c) + c + v, so the pose gets R D, and c - D (c + v).
-    s0, s1, s2 = centre[0] + x[3], centre[1] + x[4], centre[2] + x[5]
-    o0 = centre[0] - D[0, 0] * s0 - D[0, 1] * s1 - D[0, 2] * s2
-    o1 = centre[1] - D[1, 0] * s0 - D[1, 1] * s1 - D[1, 2] * s2
-    o2 = centre[2] - D[2, 0] * s0 - D[2, 1] * s1 - D[2, 2] * s2
-    for i in range(3):
-        a, b, c = T[i, 0], T[i, 1], T[i, 2]
-        T[i, 3] += a * o0 + b * o1 + c * o2
-        T[i, 0] = a * D[0, 0] + b * D[1, 0] + c * D[2, 0]
-        T[i, 1] = a * D[0, 1] + b * D[1, 1] + c * D[2, 1]
-        T[i, 2] = a * D[0, 2] + b * D[1, 2] + c * D[2, 2]

@@ -10,11 +10,12 @@ import numpy as np
 import pytest
 
 from huepose.geometry import RgbdFrame, se3
+from huepose.geometry.depth_noise import POINTS_PER_READING
 from huepose.judge.region import Region
 from huepose.model.types import ReferenceModel
 from huepose.onboarding.grid import build_grid
-from huepose.refine import scale as size_evidence
-from huepose.refine.scale import stretch
+from huepose.refine import scale
+from huepose.refine.scale import scale_residual
 from tests.judge.regions import region_of
 
 TakePicture = Callable[..., RgbdFrame]
@@ -28,7 +29,7 @@ def region(tea_box: ReferenceModel, take_picture: TakePicture, standing: np.ndar
 
 
 def of_a_ball(tea_box: ReferenceModel, region: Region, factor: float, distance_m: float) -> float:
-    """The stretch of a ball `factor` times as large as its model, its nearest point where it should be."""
+    """The scale residual of a ball `factor` times as large as its model, its nearest point in place."""
     rng = np.random.default_rng(0)
     normals = rng.normal(size=(4000, 3))
     normals /= np.linalg.norm(normals, axis=1, keepdims=True)
@@ -40,7 +41,7 @@ def of_a_ball(tea_box: ReferenceModel, region: Region, factor: float, distance_m
     front = normals[normals[:, 2] < -0.4][:500]
     middle = np.array([0.0, 0.0, (factor - 1.0) * RADIUS_M]) + tea_box.mesh.centre
     seen = factor * RADIUS_M * front + middle + T[:3, 3]
-    return stretch(
+    return scale_residual(
         model,
         replace(region, points_cam=seen, point_weights=np.ones(len(seen)), median_depth_m=distance_m),
         T,
@@ -61,7 +62,7 @@ def test_far_away_depth_says_less_of_size(tea_box: ReferenceModel, region: Regio
 def test_flat_sides_alone_say_nothing_of_size(
     tea_box: ReferenceModel, region: Region, standing: np.ndarray
 ) -> None:
-    assert stretch(tea_box, region, standing) == pytest.approx(0.0, abs=0.01)
+    assert scale_residual(tea_box, region, standing) == pytest.approx(0.0, abs=0.01)
 
 
 def test_compiled_steps_are_those_of_the_formula(
@@ -72,30 +73,30 @@ def test_compiled_steps_are_those_of_the_formula(
         T = se3.perturb(standing, rng.normal(size=6) * ([0.01] * 3 + [0.1] * 3))
         expected = plain(tea_box, region, T)
         seen.append(expected)
-        np.testing.assert_allclose(stretch(tea_box, region, T), expected, atol=1e-9)
+        np.testing.assert_allclose(scale_residual(tea_box, region, T), expected, atol=1e-9)
     assert np.ptp(seen) > 0.005
 
 
 def plain(model: ReferenceModel, region: Region, T: np.ndarray) -> float:
-    """Gauss-Newton steps on the distances along normals, by arrays."""
-    points = (region.points_cam - T[:3, 3]) @ T[:3, :3]
-    camera, grid, surface = -T[:3, :3].T @ T[:3, 3], model.grid, model.surface
-    gate = max(size_evidence.LEAST_GATE_M, size_evidence.GATE * model.diameter_m)
-    sigma_m = size_evidence.DEPTH_SIGMA_M + size_evidence.STEREO_SIGMA_PER_M * region.median_depth_m**2
-    variance = sigma_m**2 * size_evidence.POINTS_PER_READING
-    prior, found = np.diag(1.0 / size_evidence.BELIEVED**2), np.zeros(7)
-    for _ in range(size_evidence.STEPS):
+    """Gauss-Newton steps of pose and size on the distances along normals, by arrays; all in object axes."""
+    grid, surface, centre = model.grid, model.surface, model.mesh.centre
+    gate = max(scale.LEAST_GATE_M, scale.GATE * model.diameter_m)
+    variance = scale.size_sigma_m(region.median_depth_m) ** 2 * POINTS_PER_READING
+    prior, found = np.diag(1.0 / scale.PRIOR_SIGMA**2), np.zeros(7)
+    for _ in range(scale.STEPS):
+        middle = se3.apply(T, centre)
+        points = middle + (region.points_cam - middle) / np.exp(found[6])
+        points, camera = se3.apply(se3.inverse(T), points), se3.inverse(T)[:3, 3]
         cell = np.rint((points - grid.origin) / grid.step).astype(int)
-        last = np.array(grid.nearest.shape) - 1
-        index = grid.nearest[tuple(np.clip(cell, 0, last).T)]
+        index = grid.nearest[tuple(np.clip(cell, 0, np.array(grid.nearest.shape) - 1).T)]
         normals, gap = surface.normals[index].astype(float), points - surface.points[index]
         share = (gap**2).sum(1) / gate**2
-        counts = ((cell >= 0) & (cell <= last)).all(1) & (share < 1.0)
-        counts &= (normals * (camera - surface.points[index])).sum(1) > 0.0
+        counts = (share < 1.0) & ((normals * (points - camera)).sum(1) <= 0.0)
         w = np.where(counts, region.point_weights * (1.0 - share) ** 2, 0.0)[:, None] / variance
-        arm = points - model.mesh.centre
-        J = np.concatenate([np.cross(arm, normals), normals, (normals * arm).sum(1)[:, None]], axis=1)
-        step = np.linalg.solve(J.T @ (J * w) + prior, -(J * w).T @ (gap * normals).sum(1) - prior @ found)
+        arm = points - centre
+        J = np.concatenate([normals, np.cross(arm, normals), (normals * arm).sum(1)[:, None]], axis=1)
+        step = np.linalg.solve(J.T @ (J * w) + prior, (J * w).T @ (gap * normals).sum(1) - prior @ found)
         found += step
-        points = points + np.cross(step[:3], arm) + step[3:6] + step[6] * arm
-    return -float(found[6])
+        turn = se3.rotation_exp(step[3:6])
+        T = T @ se3.make(turn, centre + turn @ (step[:3] - centre))
+    return float(found[6])

@@ -11,7 +11,8 @@ from huepose.colorpair.extract import extract
 from huepose.colorpair.types import ColorPairs, SurfacePairs
 from huepose.geometry import RgbdFrame, se3
 from huepose.model.types import ReferenceModel
-from huepose.refine.image_edges import ImageEdges, edge_icp, image_edges, print_edges
+from huepose.refine.edge_refinement import align_edges
+from huepose.refine.edges import ImageEdges, image_edges, model_edges
 from huepose.rendering.render import render_depth
 
 TakePicture = Callable[..., RgbdFrame]
@@ -38,8 +39,8 @@ def test_a_shift_along_the_faces_is_undone_in_any_light(
         offset[:3] *= 0.003 / np.linalg.norm(offset[:3])
         offset[3:] *= np.radians(2.0) / np.linalg.norm(offset[3:])
         start = se3.perturb(standing, offset)
-        found = edge_icp(
-            print_edges(fine_pairs(tea_box)), tea_box.surface, edges, frame.depth, frame.camera, start
+        found = align_edges(
+            model_edges(fine_pairs(tea_box)), tea_box.surface, edges, frame.depth, frame.camera, start
         )
         assert found.matched > 50
         assert found.rms_px < 0.8
@@ -55,7 +56,9 @@ def test_edges_of_the_other_contrast_hardly_match_and_none_leave_the_pose_alone(
     edges = image_edges(extract(frame.color, mask))
     inverted = ImageEdges(edges.pixels, edges.directions, -edges.contrasts)
     right, wrong, none = (
-        edge_icp(print_edges(fine_pairs(tea_box)), tea_box.surface, seen, frame.depth, frame.camera, standing)
+        align_edges(
+            model_edges(fine_pairs(tea_box)), tea_box.surface, seen, frame.depth, frame.camera, standing
+        )
         for seen in (edges, inverted, image_edges(ColorPairs.empty()))
     )
     assert wrong.matched < 0.3 * right.matched  # what does match is the other side of thin lines

@@ -18,7 +18,7 @@ import numpy as np
 from huepose.geometry import se3
 from huepose.geometry.arrays import Float, Float64, Int32, Int64, UInt8
 from huepose.geometry.kernels import rotation_exp_into, solve_symmetric
-from huepose.model.types import PairReference
+from huepose.model.types import PaperTables
 from huepose.support.jit import jit
 
 DAMPING = 1e-3
@@ -96,7 +96,7 @@ class SemanticAlignment:
 
 
 def semantic_icp(
-    reference: PairReference,
+    reference: PaperTables,
     points_cam: Float,
     classes: UInt8,
     weights: Float,
@@ -113,7 +113,7 @@ def semantic_icp(
 
 
 def semantic_icp_many(
-    reference: PairReference,
+    reference: PaperTables,
     scene: ClassifiedScene,
     poses: Float,
     config: SemanticIcpConfig | None = None,
@@ -144,7 +144,7 @@ def semantic_icp_many(
     ]
 
 
-def _cloud(reference: PairReference, thinner: int, gate: float) -> _Cloud:
+def _cloud(reference: PaperTables, thinner: int, gate: float) -> _Cloud:
     """Every `thinner`-th point of the model's classified cloud, in cells as large as the gate."""
     low = np.ascontiguousarray(reference.cloud_points, np.float64).min(0)
     points = np.ascontiguousarray(reference.cloud_points[::thinner], np.float64)

@@ -1,7 +1,7 @@
 """One step: from where an object was in one frame to where it is in another. Pure; everything is passed in.
 
 Starts are tried from cheap to dear, and each is believed only when the image agrees: where it was, where its
-velocity takes it, where optical flow takes it (paper, section III-F), and at last the tracker's own search.
+velocity takes it, where optical flow takes it (paper, section III-E), and at last the tracker's own search.
 What is usual for this object in this light decides when a result is doubtful.
 """
 

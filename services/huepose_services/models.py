@@ -38,7 +38,9 @@ class Outline:
 
 def bundles_folder(config: Config) -> Path:
     """Where the reference models are."""
-    return builtin_bundles(config.camera.seed) if config.bundles is None else Path(config.bundles)
+    if config.bundles is None:
+        return builtin_bundles(config.camera.seed, config.estimator.method != "full")
+    return Path(config.bundles)
 
 
 def load(config: Config) -> dict[str, ReferenceModel]:

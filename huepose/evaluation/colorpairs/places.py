@@ -22,11 +22,13 @@ from huepose.evaluation.colorpairs.place_answers import Found, Shared
 from huepose.geometry.arrays import Float64, UInt8
 from huepose.geometry.frame import RgbdFrame
 from huepose.judge.pair_terms import pair_score_many
-from huepose.paper.colorpair import estimate_by_pairs, proposed_by_pairs
-from huepose.paper.config import ColorpairPathConfig
-from huepose.paper.hypotheses import HypothesesConfig, Reading, extract_at_model_scale, read_scene
-from huepose.paper.pair_search import search_pairs
+from huepose.paper.extended.colorpair import estimate_by_pairs, proposed_by_pairs
+from huepose.paper.extended.config import ColorpairPathConfig
+from huepose.paper.extended.hypotheses import HypothesesConfig, Reading, read_scene
+from huepose.paper.extended.pair_search import search_pairs
+from huepose.paper.scene import extract_at_model_scale
 from huepose.paper.semantic_icp import ClassifiedScene, semantic_icp_many
+from huepose.paper.tables import tables_of
 from huepose.select.near_ties import WEIGHTS
 from huepose.support.stages import listening
 
@@ -151,7 +153,7 @@ def _refinement(shared: Shared) -> dict[str, Answer]:
         if readings and len(best):
             cloud = readings[0].cloud
             scene = ClassifiedScene(cloud.points, cloud.classes, cloud.weights)
-            fits = semantic_icp_many(shared.model.pairs, scene, best)
+            fits = semantic_icp_many(tables_of(shared.model), scene, best)
             slid = np.array([fit.T_cam_obj for fit in fits])
     classes = shared.finished("slid finished", slid)
     return {
@@ -209,9 +211,7 @@ def _alone(shared: Shared) -> dict[str, Answer]:
     """The other method, which has no views and no dense colour."""
     rng = np.random.default_rng(shared.seed)
     with shared.timed("alone"):
-        found = estimate_by_pairs(shared.model, shared.evidence, ColorpairPathConfig(), rng)
-    poses = np.array([T for _, T in found]).reshape(-1, 4, 4)
-    totals = np.array([total for total, _ in found])
+        poses, totals = estimate_by_pairs(shared.model, shared.evidence, ColorpairPathConfig(), rng)
     spent = shared.spent("before", "alone")
     return {"method colorpair": Answer(poses, totals, spent, method="colorpair")}
 

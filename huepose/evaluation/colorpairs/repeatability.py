@@ -22,7 +22,7 @@ from huepose.evaluation.colorpairs.changes import SCALE, SERIES, ChangeSeries
 from huepose.evaluation.colorpairs.views import StudyView, object_view
 from huepose.geometry.arrays import Bool, Float32, Int
 from huepose.model.types import ReferenceModel
-from huepose.paper.light import lights_of
+from huepose.paper.extended.light import lights_of
 from huepose.support.progress import progress
 
 PLACE_PX, ACROSS_PX, ANGLE_DEG = 2.0, 1.0, 25.0

@@ -26,7 +26,7 @@ from huepose.geometry import se3
 from huepose.geometry.arrays import Bool, Float32, Float64, Int64
 from huepose.model.pairs import reference_pairs
 from huepose.model.types import ReferenceModel
-from huepose.paper.light import lights_of
+from huepose.paper.extended.light import lights_of
 from huepose.support.progress import progress
 
 SAME, FAR = 0.015, 0.1

@@ -34,7 +34,7 @@ def add_parser(subparsers: Any) -> None:
         "--bundles", type=Path, required=True, metavar="DIR", help="folder of reference models"
     )
     parser.add_argument("--object", nargs="+", default=None, metavar="NAME", help="all of the folder without")
-    parser.add_argument("--method", choices=("full", "colorpair"), default="full")
+    parser.add_argument("--method", choices=("full", "colorpair", "paper"), default="full")
     parser.add_argument(
         "--box",
         nargs=4,

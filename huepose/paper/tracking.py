@@ -9,8 +9,9 @@ What the paper leaves open, and what is done here:
   agrees with it. Flow carries it to the new frame; there it filters matches and cuts out the depth.
 - The region of the flow: the outline's box and as much again on each side, so that a step may be as long as
   the object is large in the picture.
-- The network corrects the rotation of a closed form (`rotation_network`, kind "residual"): it was measured
-  better than one that regresses the whole rotation with the same training.
+- The network in the package does not regress the whole rotation, as the paper's does, but what a closed form
+  leaves over (`rotation_network`, kind "residual"). One that regresses all of it can be trained and given
+  instead: `PaperStep(RotationFirst(OnnxRotation(FILE)))`.
 - Where the matches give no motion the last pose goes on, and the refinement has to find the object.
 - ICP: ten iterations, a gate from 20 to 8 mm, a thousand points.
 """
@@ -86,6 +87,5 @@ def _depth_points(frame: RgbdFrame, mask: Bool) -> Float64:
     rows, columns = np.nonzero(mask & (frame.depth > 0))
     step = max(1, -(-len(rows) // POINTS))
     rows, columns = rows[::step], columns[::step]
-    return frame.camera.backproject(
-        np.stack([columns, rows], 1).astype(np.float64), frame.depth[rows, columns]
-    )
+    pixels = np.stack([columns, rows], 1).astype(np.float64)
+    return frame.camera.backproject(pixels, frame.depth[rows, columns])

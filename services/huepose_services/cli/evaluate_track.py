@@ -101,7 +101,8 @@ def _report(summary: dict[str, Any]) -> str:
         [
             figure_table("sequence", blocks, more),
             states_line(summary),
-            f"{summary['method']}, {summary['protocol']}, every {summary['every']}, first pose {summary['init']}{delayed}, "
+            f"{summary['method']}, {summary['protocol']}, every {summary['every']}, "
+            f"first pose {summary['init']}{delayed}, "
             f"seed {summary['seed']}; {fps} frames/s",
         ]
     )

@@ -42,6 +42,15 @@ def test_onboarding_is_deterministic_and_says_its_stages(tea_box: ReferenceModel
         np.testing.assert_array_equal(array, second[name], err_msg=name)
 
 
+def test_tables_are_made_only_when_asked_for(tea_box: ReferenceModel) -> None:
+    bare = onboard_mesh(tea_box.mesh, "tea_box")
+    assert bare.tables is None
+    with_tables, without = arrays_of(tea_box), arrays_of(bare)
+    assert without.keys() == {name for name in with_tables if not name.startswith("tables.")}
+    for name, array in without.items():
+        np.testing.assert_array_equal(array, with_tables[name], err_msg=name)
+
+
 def test_a_model_is_whole(tea_box: ReferenceModel) -> None:
     assert tea_box.diameter_m == pytest.approx(np.linalg.norm([0.09, 0.06, 0.15]), rel=1e-3)
     assert len(tea_box.surface.points) == 2000

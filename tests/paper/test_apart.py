@@ -1,4 +1,4 @@
-"""Who estimates by `full` and tracks loads nothing of the paper's room; a method loads it when it is chosen."""
+"""Who estimates by `full`, or tracks, loads nothing of the paper's room; a method loads it when chosen."""
 
 from __future__ import annotations
 

@@ -107,7 +107,7 @@ def main() -> None:
         for k, factor in enumerate(SIZES)
     ]
     if not any(own.glob("*.huepose")):
-        huepose(["onboard-bop", str(builtin / "models"), "--out", str(own)])
+        huepose(["onboard-bop", str(builtin / "models"), "--out", str(own), "--paper"])
     parts = []
     for method in arguments.methods:
         n = arguments.processes * SHARE[method]
@@ -274,7 +274,7 @@ def bundles_of(models: Path, bundles: Path | None, work: Path) -> Path:
         return bundles
     here = work / "bundles"
     if not any(here.glob("*.huepose")):
-        huepose(["onboard-bop", str(models), "--out", str(here)])
+        huepose(["onboard-bop", str(models), "--out", str(here), "--paper"])
     return here
 
 

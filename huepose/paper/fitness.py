@@ -15,7 +15,8 @@ from huepose.model.types import PaperTables
 from huepose.paper.semantic_icp import ClassifiedScene, SemanticIcpConfig
 
 GATE = 0.06
-"""Distance from which two points are no correspondence, in diameters of the model's cloud."""
+"""Distance from which two points are no correspondence, in diameters of the model's cloud: the third of the
+ICP's four gates, which bears the noise of depth. Not fitted."""
 
 
 def fitness_of(

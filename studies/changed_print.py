@@ -169,11 +169,14 @@ def _learned(entry: BopModel, kind: str, share: float, arguments: argparse.Names
     path = arguments.work / f"{kind}_{100 * share:.0f}_{arguments.seed}".replace(" ", "_")
     path = path / f"{entry.name}.huepose"
     if path.exists():
-        return load_model(path)
+        kept = load_model(path)
+        if kept.tables is not None or arguments.method == "full":
+            return kept
     mesh = read_mesh(entry.mesh_path, "mm")
     if share > 0:
         mesh = changed(mesh, kind, share, arguments.seed + entry.object_id)
-    model = onboard_mesh(mesh, entry.name, object_id=entry.object_id, info=entry.info)
+    paper = arguments.method != "full"
+    model = onboard_mesh(mesh, entry.name, object_id=entry.object_id, info=entry.info, paper=paper)
     path.parent.mkdir(parents=True, exist_ok=True)
     save_model(model, path)
     return model

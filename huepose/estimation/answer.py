@@ -17,8 +17,8 @@ from huepose.judge.contrast_disagreement import otherwise_many
 from huepose.judge.pair_agreement import agreement_many
 from huepose.judge.pair_terms import pair_picture
 from huepose.judge.region import Region
-from huepose.judge.silhouette import projected_box
-from huepose.judge.terms import score
+from huepose.judge.silhouette import projected_box, visible_mask
+from huepose.judge.terms import score as dense_score
 from huepose.judge.texture_evidence import print_evidence
 from huepose.model.types import ReferenceModel
 from huepose.refine.final import final_refinement
@@ -81,6 +81,24 @@ def answer_of(
     )
 
 
+def bare_answer(
+    frame: RgbdFrame, query: ObjectQuery, model: ReferenceModel, explanation: Explanation
+) -> PoseEstimate:
+    """The answer of a method whose best pose stands as it is. Its score is given as quality, which is not a
+    probability, so it is never more than SUSPECT; there are no covariance and no terms."""
+    if explanation.evidence is None or not len(explanation.poses):
+        return PoseEstimate(
+            query.object, query.instance, False, None, 0.0, "LOST", 0.0, 0.0, None, None,
+            query.box, None, None, (), 0.0,
+        )  # fmt: skip
+    T, score = se3.orthonormalised(explanation.poses[0]), float(explanation.totals[0])
+    mask = visible_mask(model, frame, T, explanation.evidence.region.tolerance_m)
+    return PoseEstimate(
+        query.object, query.instance, True, T, score, "SUSPECT", score, 0.0, None, mask,
+        projected_box(model, frame, T), None, None, (), 0.0,
+    )  # fmt: skip
+
+
 def _terms(
     model: ReferenceModel, region: Region, T_cam_obj: Float64, totals: Float64, confirmed: bool
 ) -> QualityTerms:
@@ -89,7 +107,7 @@ def _terms(
     gaps = totals[0] - totals[1:]
     if confirmed:
         gaps = np.concatenate([[min(MARGIN, *gaps[:1])], gaps[1:]]) if len(gaps) else np.array([MARGIN])
-    dense, seen = score(model, region, T_cam_obj), print_evidence(model, region, T_cam_obj)
+    dense, seen = dense_score(model, region, T_cam_obj), print_evidence(model, region, T_cam_obj)
     contrasts, pose = pair_picture(model, region.crop, region.median_depth_m), T_cam_obj[None]
     return QualityTerms(
         float(totals[0]),

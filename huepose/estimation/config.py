@@ -3,12 +3,15 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field, replace
-from typing import Literal, get_args
+from typing import TYPE_CHECKING, Literal, get_args
 
-from huepose.paper.config import ColorpairPathConfig
 from huepose.support.errors import InputError
 
-Method = Literal["full", "colorpair"]
+if TYPE_CHECKING:
+    from huepose.paper.config import PaperConfig
+    from huepose.paper.extended.config import ColorpairPathConfig
+
+Method = Literal["full", "colorpair", "paper"]
 
 
 @dataclass(frozen=True)
@@ -48,13 +51,15 @@ class FullPathConfig:
 
 @dataclass(frozen=True)
 class EstimatorConfig:
-    """method: "full" (the best that there is) or "colorpair" (the paper's path alone); seed: of all random
-    choices; threads: objects of a frame that are estimated at the same time; acquisition_level: the quality
-    over which a pose is TRACKING, None for the calibrated one of the method; found_level: the probability
-    that the object is there under which nothing is found, None for the calibrated one; competition: whether
-    the poses of a frame compete for its depth; look_anew_every: one in so many frames is searched in full
-    even when a prior is plainly right (see `confirm`), 1 for all of them; look_harder: whether poor poses are
-    looked for again with more effort, which is a waste where boxes are proposals or the next frame is due."""
+    """method: "full" (the best that there is), "colorpair" (colour pairs alone, with what was added to the
+    paper's path) or "paper" (the paper's path as it is); seed: of all random choices; threads: objects of a
+    frame that are estimated at the same time; acquisition_level: the quality over which a pose is TRACKING,
+    None for the calibrated one of the method; found_level: the probability that the object is there under
+    which nothing is found, None for the calibrated one; competition: whether the poses of a frame compete for
+    its depth; look_anew_every: one in so many frames is searched in full even when a prior is plainly right
+    (see `confirm`), 1 for all of them; look_harder: whether poor poses are looked for again with more effort,
+    which is a waste where boxes are proposals or the next frame is due; colorpair, paper: what can be set
+    about the method of that name, None for its defaults. `paper` has no levels and no competition."""
 
     method: Method = "full"
     seed: int = 0
@@ -65,7 +70,8 @@ class EstimatorConfig:
     look_anew_every: int = 3
     look_harder: bool = True
     full: FullPathConfig = field(default_factory=FullPathConfig)
-    colorpair: ColorpairPathConfig = field(default_factory=ColorpairPathConfig)
+    colorpair: ColorpairPathConfig | None = None
+    paper: PaperConfig | None = None
 
     def __post_init__(self) -> None:
         if self.method not in get_args(Method):

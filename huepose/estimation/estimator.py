@@ -16,12 +16,13 @@ from zlib import crc32
 import numpy as np
 
 from huepose.believe.quality import quality_fits
-from huepose.estimation.answer import Levels, answer_of
+from huepose.estimation.answer import Levels, answer_of, bare_answer
 from huepose.estimation.competition import compete
 from huepose.estimation.config import EstimatorConfig
 from huepose.estimation.confirm import confirm, looks_in_full
 from huepose.estimation.explanation import Explanation
 from huepose.estimation.full_path import Trail, estimate_full, refine_prior
+from huepose.estimation.methods import PairMethod, method_of
 from huepose.estimation.prepared import PreparedModels
 from huepose.estimation.rehearsal import rehearse
 from huepose.estimation.types import ObjectQuery, PoseEstimate
@@ -55,6 +56,7 @@ class Estimator:
         self.config = config or EstimatorConfig()
         self._models = PreparedModels(models)
         self._segmenter: Segmenter = segmenter or DepthSegmenter()
+        self._method = method_of(self.config)
 
     @property
     def objects(self) -> tuple[str, ...]:
@@ -83,7 +85,7 @@ class Estimator:
         for query in queries:
             self._models.model(query.object)
         looks = self._alone(frame, queries)
-        if len(queries) < 2 or not self.config.competition:
+        if len(queries) < 2 or not self.config.competition or self._bare:
             return looks
         again: list[tuple[PoseEstimate, Explanation]] = []
 
@@ -108,6 +110,10 @@ class Estimator:
         with ThreadPoolExecutor(workers) as pool:
             return list(pool.map(lambda c, q: c.run(self.explain, frame, q), contexts, queries))
 
+    @property
+    def _bare(self) -> bool:
+        return self._method is not None and self._method.bare
+
     def explain(self, frame: RgbdFrame, query: ObjectQuery) -> tuple[PoseEstimate, Explanation]:
         """The answer to one query, as if there were no other, and what led to it."""
         start = time.perf_counter()
@@ -120,7 +126,9 @@ class Estimator:
         trail: Trail | None = None
         held: Contest | None = None
         prior: tuple[Float64, float] | None = None
-        full = self.config.method == "full"
+        method, full = self._method, self._method is None
+        if method is not None:
+            method.check(model)
         if evidence is not None and full and query.prior is not None:
             with stage("prior"):
                 refined = refine_prior(model, evidence, query.prior.T_cam_obj)
@@ -142,8 +150,8 @@ class Estimator:
             evidence = believed
             with stage("contest"):
                 poses, totals, held = decided(model, evidence.region, poses, totals)
-        elif evidence is not None:
-            poses, totals = self._by_pairs(model, frame, evidence, query)
+        elif evidence is not None and method is not None:
+            poses, totals = self._by_pairs(method, model, frame, evidence, query)
         explanation = Explanation(box, tuple(masks), evidence, poses, totals, trail=trail, contest=held)
         with stage("answer"):
             answer = self._answer(frame, query, model, explanation, prior)
@@ -158,11 +166,12 @@ class Estimator:
         if not names:
             return
         most = max((self._models.model(name) for name in names), key=lambda m: len(m.pairs.points))
-        rehearse(self.explain, most, self.config.method == "full")
-        if self.config.method == "colorpair":
-            from huepose.paper.colorpair import warm_up
-
-            warm_up([self._models.model(name) for name in names], self.config.colorpair)
+        if self._method is not None:
+            models = [self._models.model(name) for name in names]
+            for model in models:
+                self._method.check(model)
+            self._method.warm_up(models)
+        rehearse(self.explain, most, self._method is None)
 
     def _box_and_masks(
         self, frame: RgbdFrame, query: ObjectQuery, model: ReferenceModel
@@ -196,18 +205,14 @@ class Estimator:
 
     def _by_pairs(
         self,
+        method: PairMethod,
         model: ReferenceModel,
         frame: RgbdFrame,
         evidence: Evidence,
         query: ObjectQuery,
     ) -> tuple[Float64, Float64]:
-        from huepose.paper.colorpair import estimate_by_pairs
-
         rng = np.random.default_rng([self.config.seed, crc32(query.object.encode()), _content_seed(frame)])
-        scored = estimate_by_pairs(model, evidence, self.config.colorpair, rng)
-        if not scored:
-            return np.zeros((0, 4, 4)), np.zeros(0)
-        return np.array([T for _, T in scored]), np.array([s for s, _ in scored])
+        return method.poses(model, evidence, rng)
 
     def _answer(
         self,
@@ -217,6 +222,8 @@ class Estimator:
         explanation: Explanation,
         prior: tuple[Float64, float] | None,
     ) -> PoseEstimate:
+        if self._bare:
+            return bare_answer(frame, query, model, explanation)
         config, fit = self.config, quality_fits()[self.config.method]
         levels = Levels(
             fit.level if config.acquisition_level is None else config.acquisition_level,

@@ -42,7 +42,8 @@ class PoseEstimate:
     found is False when nothing was there to estimate; then T_cam_obj, covariance and mask are None. score:
     the dense score of the pose, comparable between poses on the same pixels; prior_score: that of the
     refined prior, None without one; prior_T_cam_obj: the refined prior. margin: score above the best clearly
-    different pose. quality: calibrated probability that the pose is right. state: "TRACKING" over the
+    different pose. quality: calibrated probability that the pose is right (of the method `paper`: its fitness
+    in 0..1, which is no probability). state: "TRACKING" over the
     acquisition level, else "SUSPECT"; "LOST" when not found. alternatives: other poses and their
     probabilities. terms: what the quality was made of.
     """

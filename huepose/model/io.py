@@ -15,11 +15,21 @@ import cv2
 import numpy as np
 
 from huepose.geometry.mesh import Mesh
-from huepose.model.types import DistanceGrid, PairReference, ReferenceModel, Surface, ViewTemplates
+from huepose.model.types import (
+    DistanceGrid,
+    PairReference,
+    PaperTables,
+    ReferenceModel,
+    Surface,
+    ViewTemplates,
+)
 from huepose.support.errors import InputError
 
 SUFFIX = ".huepose"
-VERSION = 1
+VERSION = 2
+_WITH_TABLES = 1
+"""The version before: every file had the tables of the paper's method, among the colour pairs."""
+
 _FORMAT = "huepose reference model"
 _AGAIN = "Onboard the object again with `huepose onboard` or `huepose onboard-bop`."
 _EPOCH = (1980, 1, 1, 0, 0, 0)  # no clock in the file: the same model gives the same bytes
@@ -57,6 +67,7 @@ def save_model(model: ReferenceModel, path: Path | str) -> None:
         "grid_step": model.grid.step,
         "template_span": model.templates.span,
         "pair_parameters": model.pairs.parameters,
+        "table_parameters": None if model.tables is None else model.tables.parameters,
     }
     arrays: dict[str, Any] = {
         "mesh.vertices": model.mesh.vertices,
@@ -72,9 +83,9 @@ def save_model(model: ReferenceModel, path: Path | str) -> None:
     }
     if model.frame_offset_m is not None:
         arrays["frame_offset_m"] = model.frame_offset_m
-    for room in ("surface", "templates", "pairs"):
+    for room in ("surface", "templates", "pairs", "tables"):
         part = getattr(model, room)
-        for name in _array_fields(type(part)):
+        for name in _array_fields(type(part)) if part is not None else ():
             arrays[f"{room}.{name}"] = getattr(part, name)
     arrays = {name: np.ascontiguousarray(array) for name, array in arrays.items()}
     header["types"] = {name: array.dtype.str for name, array in arrays.items()}
@@ -97,7 +108,7 @@ def load_model(path: Path | str) -> ReferenceModel:
     try:
         with zipfile.ZipFile(path) as archive:
             header = json.loads(archive.read("header.json"))
-            if header.get("format") != _FORMAT or header.get("version") != VERSION:
+            if header.get("format") != _FORMAT or header.get("version") not in (VERSION, _WITH_TABLES):
                 raise InputError(
                     path,
                     found=f"{header.get('format')} of version {header.get('version')}",
@@ -178,4 +189,16 @@ def _assembled(header: dict[str, Any], arrays: dict[str, Any]) -> ReferenceModel
         grid=DistanceGrid(arrays["grid.origin"], header["grid_step"], arrays["grid.nearest"]),
         templates=ViewTemplates(**part("templates", ViewTemplates), span=header["template_span"]),
         pairs=PairReference(**part("pairs", PairReference), parameters=header["pair_parameters"]),
+        tables=_tables(header, arrays),
     )
+
+
+def _tables(header: dict[str, Any], arrays: dict[str, Any]) -> PaperTables | None:
+    old = header["version"] == _WITH_TABLES
+    room, parameters = ("pairs", "pair_parameters") if old else ("tables", "table_parameters")
+    if header[parameters] is None:
+        return None
+    part = {name: arrays[f"{room}.{name}"] for name in _array_fields(PaperTables)}
+    coarse = int(header["pair_parameters"]["coarse_pairs"])
+    part["side_classes"] = part["side_classes"][:coarse]  # the version before had those of all pairs
+    return PaperTables(**part, parameters=header[parameters])

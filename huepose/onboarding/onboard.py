@@ -13,16 +13,22 @@ from huepose.geometry.arrays import Float64
 from huepose.geometry.mesh import Mesh
 from huepose.geometry.symmetry import sampled
 from huepose.model.io import check_name
-from huepose.model.types import PairReference, ReferenceModel
+from huepose.model.types import PaperTables, ReferenceModel
 from huepose.onboarding.cloud import visible_cloud
 from huepose.onboarding.grid import build_grid
 from huepose.onboarding.meshes import Unit, read_mesh
+from huepose.onboarding.pairs import (
+    MergedPairs,
+    PairView,
+    coarse_and_fine,
+    pair_reference,
+    reference_cameras,
+)
 from huepose.onboarding.simplify import simplified
 from huepose.onboarding.surface import build_surface
 from huepose.onboarding.symmetries import equivalent_turns
 from huepose.onboarding.turns import near_symmetries
 from huepose.onboarding.visibility import depth_views
-from huepose.paper.pair_reference import PairView, build_pair_reference, reference_cameras
 from huepose.propose.templates import build_templates
 from huepose.rendering.render import render
 from huepose.support.errors import InputError
@@ -47,6 +53,7 @@ def onboard(
     info: Mapping[str, Any] | None = None,
     symmetric: Mapping[str, Any] | None = None,
     frame_offset_m: Float64 | None = None,
+    paper: bool = False,
     report: Report = _silent,
 ) -> ReferenceModel:
     """Reference model of a mesh file; see `read_mesh` for files and units, `onboard_mesh` for the rest."""
@@ -59,6 +66,7 @@ def onboard(
         info=info,
         symmetric=symmetric,
         frame_offset_m=frame_offset_m,
+        paper=paper,
         report=report,
     )
 
@@ -71,15 +79,17 @@ def onboard_mesh(
     info: Mapping[str, Any] | None = None,
     symmetric: Mapping[str, Any] | None = None,
     frame_offset_m: Float64 | None = None,
+    paper: bool = False,
     report: Report = _silent,
 ) -> ReferenceModel:
     """Reference model of a mesh.
 
     info: the object's entry of `models_info.json` (millimetres), for its diameter and the symmetries of its
     shape; symmetric: an entry of the same form whose symmetries hold for shape and print; frame_offset_m
-    (3,): takes points of the PoseCNN/YCB-Video frame to the mesh's frame; report: called with each stage's
-    name as it begins. Deterministic: the same mesh gives the same model, bit for bit. Meshes of more than
-    60,000 triangles are simplified for the model and its pictures; surfels are taken from the full mesh.
+    (3,): takes points of the PoseCNN/YCB-Video frame to the mesh's frame; paper: whether the model gets the
+    tables of the paper's method, too; report: called with each stage's name as it begins. Deterministic: the
+    same mesh gives the same model, bit for bit. Meshes of more than 60,000 triangles are simplified for the
+    model and its pictures; surfels are taken from the full mesh.
     """
     check_name(name)
     diameter = _diameter(mesh, info or {}, name)
@@ -99,7 +109,7 @@ def onboard_mesh(
     report("templates")
     templates = build_templates(lean, diameter)
     report("colour pairs")
-    pairs = _pair_reference(lean, diameter)
+    coarse, fine = coarse_and_fine(_pair_views(lean, diameter), diameter)
     return ReferenceModel(
         name=name,
         object_id=object_id,
@@ -113,7 +123,8 @@ def onboard_mesh(
         surface=surface,
         grid=grid,
         templates=templates,
-        pairs=pairs,
+        pairs=pair_reference(coarse, fine, diameter),
+        tables=_tables(coarse, diameter) if paper else None,
     )
 
 
@@ -148,11 +159,17 @@ def diameter_of(mesh: Mesh) -> float:
     return float(pdist(points).max())
 
 
-def _pair_reference(mesh: Mesh, diameter_m: float) -> PairReference:
+def _pair_views(mesh: Mesh, diameter_m: float) -> list[PairView]:
     centring = se3.make(np.eye(3), -mesh.centre)
     views = []
     for camera, T_cam_centred in reference_cameras(diameter_m):
         T_cam_obj = T_cam_centred @ centring
         r = render([(mesh, T_cam_obj)], camera)
         views.append(PairView(r.color, r.depth, camera, T_cam_obj))
-    return build_pair_reference(views, diameter_m)
+    return views
+
+
+def _tables(coarse: MergedPairs, diameter_m: float) -> PaperTables:
+    from huepose.paper.tables import build_tables  # nobody else needs that room
+
+    return build_tables(coarse.pairs, coarse.seen, diameter_m)

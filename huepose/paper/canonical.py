@@ -1,4 +1,4 @@
-"""Viewpoint-invariant features of matched points (paper, section III-F, second step).
+"""Viewpoint-invariant features of matched points (paper, section III-E, second step).
 
 What two clouds of matched points say of a turn should not depend on where in the image the object is, how
 far away or how large. So each cloud is centred, turned into a "look-at" frame whose z axis is the line of

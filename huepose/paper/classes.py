@@ -16,7 +16,6 @@ from huepose.colorpair.similarity import SimilarityConfig, parameters, shapes
 from huepose.colorpair.types import SurfacePairs
 from huepose.geometry.arrays import Float32, UInt8
 from huepose.paper.cloud import ClassifiedCloud, decoupled
-from huepose.paper.frames import pair_cost
 from huepose.support.jit import jit
 
 
@@ -115,3 +114,12 @@ def _classify(
             chosen[i, 1] = at % classes
             confidence[i] = np.exp(-nearest) * (1.0 - second / best)
     return chosen, confidence
+
+
+@jit
+def pair_cost(x: Float32, y: Float32, direction: float, contrast: float, luminance: float) -> float:
+    """Minus the logarithm of the similarity of two shapes, without exchanging sides."""
+    d = 2 - (x[0] * y[0] + x[1] * y[1] + x[2] * y[2]) - (x[3] * y[3] + x[4] * y[4] + x[5] * y[5])
+    c = 1 - (x[6] * y[6] + x[7] * y[7] + x[8] * y[8]) - x[9] * y[9]
+    r = x[10] - y[10]
+    return float(direction * d + contrast * c + luminance * r * r)

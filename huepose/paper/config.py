@@ -1,23 +1,24 @@
-"""How much the method of colour pairs tries."""
+"""What can be set about the paper's method on single frames."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
+
+from huepose.paper.classes import ClassConfig
+from huepose.paper.ppf import PpfConfig
+from huepose.paper.semantic_icp import SemanticIcpConfig
+from huepose.paper.triangles import TriangleConfig
+from huepose.paper.voting import VotingConfig
 
 
 @dataclass(frozen=True)
-class ColorpairPathConfig:
-    """How much the colour-pair path tries. refined: hypotheses a mask that are registered; kept: different
-    ones after that; turned: of them whose near-symmetric turns are tried; searched: poses a mask that are
-    searched; finished: poses searched finely in the end; alternatives: different poses that are returned.
-    semantic: whether semantic ICP adds a pose to each of the best different ones; ppf: whether point pair
-    features may be used (see `paper.ppf` for why one may not want to)."""
+class PaperConfig:
+    """refined: initial alignments that are refined, the paper's "small, consistent set"; ppf: None to do
+    without point pair features (see `paper.ppf` for why one may not want them); the rest: of the steps."""
 
     refined: int = 30
-    kept: int = 8
-    turned: int = 5
-    searched: int = 8
-    finished: int = 3
-    alternatives: int = 6
-    semantic: bool = True
-    ppf: bool = True
+    classes: ClassConfig = field(default_factory=ClassConfig)
+    triangles: TriangleConfig = field(default_factory=TriangleConfig)
+    ppf: PpfConfig | None = field(default_factory=PpfConfig)
+    voting: VotingConfig = field(default_factory=VotingConfig)
+    icp: SemanticIcpConfig = field(default_factory=SemanticIcpConfig)

@@ -1,4 +1,4 @@
-"""A relative pose whose rotation comes from a regressor: the paper's order, rotation first (section III-F).
+"""A relative pose whose rotation comes from a regressor: the paper's order, rotation first (section III-E).
 
 The regressor sees canonical features alone. Given the rotation, every match votes for a translation, and the
 translation that most of the weight agrees with is taken.

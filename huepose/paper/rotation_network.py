@@ -1,6 +1,6 @@
 """The learned turn between two frames: a network over matched points, run by onnxruntime.
 
-Two uses, one kind of network (paper, section III-F): it may regress the whole turn, or what the closed form
+Two uses, one kind of network (paper, section III-E): it may regress the whole turn, or what the closed form
 left over. Training prepares its inputs with the functions of this module, so both see the same numbers.
 """
 

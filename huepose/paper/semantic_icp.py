@@ -17,7 +17,7 @@ import numpy as np
 
 from huepose.geometry import se3
 from huepose.geometry.arrays import Float, Float64, Int32, Int64, UInt8
-from huepose.model.types import PairReference
+from huepose.model.types import PaperTables
 from huepose.refine.robust import tukey
 from huepose.refine.solver import (
     Body,
@@ -106,7 +106,7 @@ class SemanticAlignment:
 
 
 def semantic_icp(
-    reference: PairReference,
+    reference: PaperTables,
     points_cam: Float,
     classes: UInt8,
     weights: Float,
@@ -123,7 +123,7 @@ def semantic_icp(
 
 
 def semantic_icp_many(
-    reference: PairReference,
+    reference: PaperTables,
     scene: ClassifiedScene,
     poses: Float,
     config: SemanticIcpConfig | None = None,
@@ -155,7 +155,7 @@ def semantic_icp_many(
     ]
 
 
-def _cloud(reference: PairReference, thinner: int, gate: float) -> _Cloud:
+def _cloud(reference: PaperTables, thinner: int, gate: float) -> _Cloud:
     """Every `thinner`-th point of the model's classified cloud, in cells as large as the gate."""
     low = np.ascontiguousarray(reference.cloud_points, np.float64).min(0)
     points = np.ascontiguousarray(reference.cloud_points[::thinner], np.float64)

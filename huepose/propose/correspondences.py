@@ -1,4 +1,4 @@
-"""Which pixels of the object are where in the next frame (paper, section III-F, first step).
+"""Which pixels of the object are where in the next frame (paper, section III-E, first step).
 
 Candidates are the ridge points of the object's colour pairs, where flow is best determined, and a sparse grid
 that keeps even faces from being forgotten. A match is believed when flow confirms it in both directions,

@@ -1,4 +1,4 @@
-"""The motion between two frames from 3D correspondences (paper, section III-F, third step).
+"""The motion between two frames from 3D correspondences (paper, section III-E, third step).
 
 The paper regresses the rotation with a network; behind the same small protocol stands the closed form, robust
 and weighted, that needs no training and that a network has to beat.

@@ -2,7 +2,7 @@
 in.
 
 Sources are asked from cheap to dear: where the object was, where its velocity takes it, where optical flow
-takes it (paper, section III-F), and at last a search of what it can have reached. Each proposal is refined
+takes it (paper, section III-E), and at last a search of what it can have reached. Each proposal is refined
 and looked at by the same judge; what comes back are different hypotheses, and the track decides what to
 believe."""
 

@@ -20,16 +20,18 @@ from huepose.support.errors import InputError
 from huepose.support.files import cache_folder
 from huepose.support.progress import progress
 
-_MAKERS = ("onboarding", "model", "colorpair", "propose/views.py", "paper/pair_reference.py")
+_MAKERS = ("onboarding", "model", "colorpair", "propose/templates.py")
 
 
 @cache
-def builtin_bundles(seed: int) -> Path:
+def builtin_bundles(seed: int, paper: bool = False) -> Path:
     """The folder with the reference models of the built-in scene; those that are missing are made.
+
+    paper: with the tables of the paper's method, in a folder of their own.
 
     Of several processes one makes them, and the others wait for it."""
     meshes = demo_objects(seed)
-    folder = cache_folder() / "builtin" / _digest(meshes)
+    folder = cache_folder() / "builtin" / (_digest(meshes) + ("-paper" if paper else ""))
     if all(model_path(folder, name).exists() for name in meshes):
         return folder
     try:
@@ -53,7 +55,7 @@ def builtin_bundles(seed: int) -> Path:
             from huepose.onboarding import onboard_mesh
 
             for name in progress(missing, "learning the built-in objects"):
-                save_model(onboard_mesh(meshes[name], name), model_path(folder, name))
+                save_model(onboard_mesh(meshes[name], name, paper=paper), model_path(folder, name))
     return folder
 
 

@@ -41,7 +41,7 @@ def bundles_folder(config: Config) -> Path:
         return Path(config.bundles)
     from huepose_services.builtin import builtin_bundles
 
-    return builtin_bundles(config.camera.seed)
+    return builtin_bundles(config.camera.seed, config.estimator.method != "full")
 
 
 def load(config: Config) -> dict[str, ReferenceModel]:

@@ -6,8 +6,6 @@ from pathlib import Path
 
 import msgspec
 
-from huepose.paper.rotation_first import RotationFirst
-from huepose.paper.rotation_network import SHIPPED, OnnxRotation, ResidualRotation
 from huepose.perception.flow_network import NetworkFlow
 from huepose.perception.sam import SamSegmenter
 from huepose.perception.sessions import Network, NetworkSettings, open_network
@@ -121,5 +119,9 @@ def relative_pose(config: Config) -> RelativePose:
     rotation, model = config.tracker.rotation, config.tracker.rotation_model
     if rotation == "kabsch":
         return RobustKabsch()
+    # Nothing of the paper's room is loaded by a tracker that does without.
+    from huepose.paper.rotation_first import RotationFirst
+    from huepose.paper.rotation_network import SHIPPED, OnnxRotation, ResidualRotation
+
     regressor = OnnxRotation(SHIPPED if model is None else Path(model))
     return ResidualRotation(regressor) if rotation == "residual" else RotationFirst(regressor)

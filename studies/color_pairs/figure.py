@@ -21,12 +21,9 @@ from huepose.geometry.frame import RgbdFrame
 from huepose.model.pairs import reference_pairs
 from huepose.model.types import ReferenceModel
 from huepose.paper.classes import ClassConfig, classify
-from huepose.paper.hypotheses import (
-    HypothesesConfig,
-    Reading,
-    extract_at_model_scale,
-    read_scene,
-)
+from huepose.paper.extended.hypotheses import HypothesesConfig, Reading, read_scene
+from huepose.paper.scene import extract_at_model_scale
+from huepose.paper.tables import tables_of
 from huepose.rendering.render import render
 
 PALETTE: UInt8 = np.array(
@@ -95,8 +92,8 @@ def _triple(model: ReferenceModel, frame: RgbdFrame, mask: Bool) -> list[UInt8]:
 
 def _classes(model: ReferenceModel, reading: Reading) -> tuple[UInt8, np.ndarray]:
     reference = reference_pairs(model.pairs)
-    sides = model.pairs.side_classes[: len(reference)]
-    return classify(reading.pairs.colors, reference.colors, sides, len(model.pairs.centers))
+    tables = tables_of(model)
+    return classify(reading.pairs.colors, reference.colors, tables.side_classes, len(tables.centers))
 
 
 def _painted(frame: RgbdFrame, mask: Bool, reading: Reading, reach_m: float) -> UInt8:

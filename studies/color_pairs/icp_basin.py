@@ -17,6 +17,7 @@ from huepose.evaluation.metrics import add
 from huepose.geometry import se3
 from huepose.geometry.arrays import Float64
 from huepose.paper.semantic_icp import ClassifiedScene, SemanticIcpConfig, semantic_icp_many
+from huepose.paper.tables import tables_of
 from huepose.refine.point_to_plane import align_many
 from huepose.support.progress import progress
 from studies.color_pairs.triangle_fit import TriangleScene
@@ -143,7 +144,7 @@ def depth_points(scene: TriangleScene) -> Float64:
 
 def _semantic(scene: TriangleScene, starts: Float64, config: SemanticIcpConfig) -> Float64:
     seen = ClassifiedScene(scene.cloud.points, scene.cloud.classes, scene.cloud.weights)
-    return np.stack([a.T_cam_obj for a in semantic_icp_many(scene.model.pairs, seen, starts, config)])
+    return np.stack([a.T_cam_obj for a in semantic_icp_many(tables_of(scene.model), seen, starts, config)])
 
 
 def _home(scene: TriangleScene, T: Float64) -> bool:

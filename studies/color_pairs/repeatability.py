@@ -20,7 +20,7 @@ from huepose.colorpair.similarity import similarity
 from huepose.colorpair.types import ColorPairs
 from huepose.geometry.arrays import Bool, Float32, Int
 from huepose.model.types import ReferenceModel
-from huepose.paper.light import lights_of
+from huepose.paper.extended.light import lights_of
 from huepose.support.progress import progress
 from studies.color_pairs.changes import SCALE, SERIES, ChangeSeries
 from studies.color_pairs.views import StudyView, object_view

@@ -24,7 +24,7 @@ from huepose.geometry import se3
 from huepose.geometry.arrays import Bool, Float32, Float64, Int64
 from huepose.model.pairs import reference_pairs
 from huepose.model.types import ReferenceModel
-from huepose.paper.light import lights_of
+from huepose.paper.extended.light import lights_of
 from huepose.support.progress import progress
 from studies.color_pairs.changes import blur, exposure, noise, white_balance
 from studies.color_pairs.views import StudyView, object_views

@@ -21,7 +21,8 @@ from huepose.geometry.frame import RgbdFrame
 from huepose.geometry.rotations import angles_to
 from huepose.model.types import ReferenceModel
 from huepose.paper.cloud import ClassifiedCloud
-from huepose.paper.hypotheses import HypothesesConfig, read_scene, reference_cloud
+from huepose.paper.extended.hypotheses import HypothesesConfig, read_scene
+from huepose.paper.tables import reference_cloud, tables_of
 from huepose.paper.triangles import TriangleConfig, build_triangles, triangle_votes
 from huepose.support.progress import progress
 from studies.color_pairs.similarity_fit import disturbed_color
@@ -111,7 +112,9 @@ def triangle_shares(
         config = replace(TriangleConfig(), area=area, eccentricity=eccentricity)
         tables: dict[str, tuple[Int64, Int32]] = {}
         for model in {s.model.name: s.model for s in scenes}.values():
-            tables[model.name] = build_triangles(reference_cloud(model.pairs), model.diameter_m, config, seed)
+            tables[model.name] = build_triangles(
+                reference_cloud(tables_of(model)), model.diameter_m, config, seed
+            )
         shares = [_right_share(s, config, tables[s.model.name], seed) for s in scenes]
         out.append(TriangleShare(area, eccentricity, float(np.mean(shares))))
     return sorted(out, key=lambda share: -share.right)
@@ -123,7 +126,7 @@ def _right_share(
     model = scene.model
     votes = triangle_votes(
         scene.cloud,
-        reference_cloud(model.pairs),
+        reference_cloud(tables_of(model)),
         *table,
         config.bin * model.diameter_m,
         config,

@@ -100,7 +100,7 @@ def main() -> None:
         for k, factor in enumerate(SIZES)
     ]
     if not any(own.glob("*.huepose")):
-        run_huepose(["onboard-bop", str(builtin / "models"), "--out", str(own)])
+        run_huepose(["onboard-bop", str(builtin / "models"), "--out", str(own), "--paper"])
     parts = []
     for method in arguments.methods:
         n = arguments.processes * SHARE[method]
@@ -261,7 +261,7 @@ def bundles_of(models: Path, bundles: Path | None, work: Path) -> Path:
         return bundles
     here = work / "bundles"
     if not any(here.glob("*.huepose")):
-        run_huepose(["onboard-bop", str(models), "--out", str(here)])
+        run_huepose(["onboard-bop", str(models), "--out", str(here), "--paper"])
     return here
 
 

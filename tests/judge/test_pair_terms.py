@@ -13,7 +13,7 @@ from huepose.judge.pair_kernel import PairPicture, pair_kernel, scratch
 from huepose.judge.pair_terms import judged_on, pair_score, pair_score_many
 from huepose.judge.region import Region
 from huepose.model.types import ReferenceModel
-from huepose.paper.pair_search import search_pairs
+from huepose.paper.extended.pair_search import search_pairs
 from tests.judge.regions import seen_by_pairs
 
 TakePicture = Callable[..., RgbdFrame]

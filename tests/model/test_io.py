@@ -79,6 +79,35 @@ def test_another_version_is_refused(saved: Path, tmp_path: Path) -> None:
         load_model(other)
 
 
+def test_a_file_of_the_version_before_is_read(saved: Path, tmp_path: Path) -> None:
+    """It had the tables of the paper's method among the pairs, and classes of the fine pairs as well."""
+    path = tmp_path / "tea_box.huepose"
+    with zipfile.ZipFile(saved) as new, zipfile.ZipFile(path, "w") as old:
+        for entry in new.infolist():
+            data, name = new.read(entry), entry.filename.replace("tables.", "pairs.")
+            if name == "header.json":
+                header = json.loads(data) | {"version": 1}
+                header["pair_parameters"] |= header.pop("table_parameters")
+                header["types"] = {k.replace("tables.", "pairs."): v for k, v in header["types"].items()}
+                data = json.dumps(header).encode()
+            old.writestr(name, data)
+    before, now = load_model(path), load_model(saved)
+    assert before.tables is not None
+    assert now.tables is not None
+    np.testing.assert_array_equal(before.pairs.colors, now.pairs.colors)
+    np.testing.assert_array_equal(before.tables.triangles, now.tables.triangles)
+    np.testing.assert_array_equal(before.tables.side_classes, now.tables.side_classes)
+    assert before.tables.parameters["ppf_bin_m"] == now.tables.parameters["ppf_bin_m"]
+
+
+def test_tables_are_kept_where_there_are_any(tea_box: ReferenceModel, saved: Path, tmp_path: Path) -> None:
+    assert load_model(saved).tables is not None
+    bare = replace(tea_box, tables=None)
+    save_model(bare, tmp_path / "bare.huepose")
+    assert load_model(tmp_path / "bare.huepose").tables is None
+    assert (tmp_path / "bare.huepose").stat().st_size < saved.stat().st_size - 1e6
+
+
 @pytest.mark.parametrize("content", [b"", b"no zip", None])
 def test_damaged_files_are_refused(saved: Path, tmp_path: Path, content: bytes | None) -> None:
     path = tmp_path / "tea_box.huepose"

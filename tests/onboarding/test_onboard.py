@@ -33,13 +33,22 @@ def arrays_of(part: object, prefix: str = "") -> dict[str, np.ndarray]:
 
 def test_onboarding_is_deterministic_and_says_its_stages(tea_box: ReferenceModel) -> None:
     stages: list[str] = []
-    again = onboard_mesh(tea_box.mesh, "tea_box", report=stages.append)
+    again = onboard_mesh(tea_box.mesh, "tea_box", paper=True, report=stages.append)
     assert stages == list(STAGES[1:])  # reading a mesh is the first
     first, second = arrays_of(tea_box), arrays_of(again)
     assert first.keys() == second.keys()
     for name, array in first.items():
         assert array.dtype == second[name].dtype, name
         np.testing.assert_array_equal(array, second[name], err_msg=name)
+
+
+def test_tables_are_made_only_when_asked_for(tea_box: ReferenceModel) -> None:
+    bare = onboard_mesh(tea_box.mesh, "tea_box")
+    assert bare.tables is None
+    with_tables, without = arrays_of(tea_box), arrays_of(bare)
+    assert without.keys() == {name for name in with_tables if not name.startswith("tables.")}
+    for name, array in without.items():
+        np.testing.assert_array_equal(array, with_tables[name], err_msg=name)
 
 
 def test_a_model_is_whole(tea_box: ReferenceModel) -> None:

@@ -8,17 +8,15 @@ import numpy as np
 import pytest
 
 from huepose.geometry import se3
-from huepose.model.types import PairReference, ReferenceModel
+from huepose.model.types import PaperTables, ReferenceModel
 from huepose.paper.semantic_icp import SemanticIcpConfig, semantic_icp
+from huepose.paper.tables import tables_of
 
 
-def bare_reference(points: np.ndarray, normals: np.ndarray, classes: np.ndarray) -> PairReference:
+def bare_reference(points: np.ndarray, normals: np.ndarray, classes: np.ndarray) -> PaperTables:
     """A reference of which only the cloud is filled."""
     f, none = np.float32, np.zeros(0, np.float32)
-    return PairReference(
-        *(np.zeros((0, 3), f) for _ in range(3)),
-        np.zeros((0, 2, 3), f),
-        np.zeros(0, np.int32),
+    return PaperTables(
         np.zeros((int(classes.max()) + 1, 3), f),
         np.zeros((0, 2), np.uint8),
         points.astype(f),
@@ -34,7 +32,7 @@ def bare_reference(points: np.ndarray, normals: np.ndarray, classes: np.ndarray)
 
 
 @pytest.fixture(scope="module")
-def painted_box() -> PairReference:
+def painted_box() -> PaperTables:
     """Points on a box of 8 x 6 x 12 cm whose faces are painted in patches of five classes."""
     rng = np.random.default_rng(3)
     half = np.array([0.04, 0.03, 0.06])
@@ -57,7 +55,7 @@ def start_from(T: np.ndarray, degrees: float, metres: float, rng: np.random.Gene
     return se3.perturb(T, np.concatenate([shift, turn]))
 
 
-def test_ten_degrees_and_one_centimetre_are_undone(painted_box: PairReference) -> None:
+def test_ten_degrees_and_one_centimetre_are_undone(painted_box: PaperTables) -> None:
     rng = np.random.default_rng(0)
     T_true = se3.make(se3.rotation_exp(np.array([0.4, -0.7, 0.3])), np.array([0.02, -0.05, 0.7]))
     front = painted_box.cloud_normals @ T_true[:3, :3].T[:, 2] < -0.2
@@ -71,7 +69,7 @@ def test_ten_degrees_and_one_centimetre_are_undone(painted_box: PairReference) -
         assert np.linalg.norm(result.T_cam_obj[:3, 3] - T_true[:3, 3]) < 3e-4
 
 
-def test_noise_and_wrong_classes_are_borne(painted_box: PairReference) -> None:
+def test_noise_and_wrong_classes_are_borne(painted_box: PaperTables) -> None:
     rng = np.random.default_rng(1)
     T_true = se3.make(se3.rotation_exp(np.array([-0.3, 0.5, 1.3])), np.array([0.0, 0.0, 0.6]))
     front = painted_box.cloud_normals @ T_true[:3, :3].T[:, 2] < -0.2
@@ -111,7 +109,7 @@ def test_classes_turn_what_shape_cannot() -> None:
     assert np.degrees(se3.rotation_angle(blind.T_cam_obj, T_true)) > 8.0
 
 
-def test_nothing_near_leaves_the_pose_alone(painted_box: PairReference) -> None:
+def test_nothing_near_leaves_the_pose_alone(painted_box: PaperTables) -> None:
     T = se3.make(np.eye(3), np.array([0.0, 0.0, 0.5]))
     far = np.array([[1.0, 1.0, 3.0]] * 20)
     result = semantic_icp(painted_box, far, np.zeros(20, np.uint8), np.ones(20), T)
@@ -122,7 +120,7 @@ def test_nothing_near_leaves_the_pose_alone(painted_box: PairReference) -> None:
 
 
 def test_it_works_on_a_real_reference(tea_box: ReferenceModel) -> None:
-    reference = tea_box.pairs
+    reference = tables_of(tea_box)
     rng = np.random.default_rng(4)
     T_true = se3.make(se3.rotation_exp(np.array([2.0, 0.4, 0.2])), np.array([0.0, 0.05, 0.8]))
     seen = reference.cloud_normals @ T_true[:3, :3].T[:, 2] < -0.3

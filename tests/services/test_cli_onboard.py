@@ -39,6 +39,19 @@ def test_a_mesh_becomes_a_model(mesh: Path, tmp_path: Path, capsys: pytest.Captu
     model = load_models(out)["red_brick"]
     assert model.object_id == 5
     assert len(model.equivalents) == 72
+    assert "tables" not in line
+    assert model.tables is None
+
+
+def test_a_model_gets_the_papers_tables_when_asked(
+    mesh: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    out = tmp_path / "bundles"
+    assert main(["onboard", str(mesh), "--name", "brick", "--out", str(out), "--paper"]) == 0
+    assert "with the paper's tables" in capsys.readouterr().out
+    tables = load_models(out)["brick"].tables
+    assert tables is not None
+    assert len(tables.cloud_points) > 0
 
 
 def test_a_small_mesh_may_be_in_another_unit_and_that_can_be_said(

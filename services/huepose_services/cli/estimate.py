@@ -34,7 +34,13 @@ def add_parser(subparsers: Any) -> None:
         "--bundles", type=Path, required=True, metavar="DIR", help="folder of reference models"
     )
     parser.add_argument("--object", nargs="+", default=None, metavar="NAME", help="all of the folder without")
-    parser.add_argument("--method", choices=("full", "colorpair"), default="full")
+    parser.add_argument(
+        "--method",
+        choices=("full", "colorpair", "paper"),
+        default="full",
+        help="full: the best; colorpair: by colour pairs alone; paper: the paper's method as it is "
+        "(the last two need models that were onboarded with --paper)",
+    )
     parser.add_argument(
         "--box",
         nargs=4,

@@ -57,7 +57,7 @@ def _add_estimate(verbs: Any) -> None:
     )
     parser.add_argument("--bop", type=Path, nargs="+", required=True, metavar="SCENE_DIR")
     _common(parser)
-    parser.add_argument("--method", choices=("full", "colorpair"), default="full")
+    parser.add_argument("--method", choices=("full", "colorpair", "paper"), default="full")
     parser.add_argument("--boxes", choices=("perturbed", "paper", "gt", "detect"), default="perturbed")
     parser.add_argument("--masks", choices=("auto", "gt"), default="auto", help="gt: the true visible mask")
     _objects(parser)
@@ -115,6 +115,9 @@ def _add_track(verbs: Any) -> None:
     source.add_argument("--fast-ycb", type=Path, nargs="+", metavar="SEQ_DIR")
     source.add_argument("--bop", type=Path, nargs="+", metavar="SCENE_DIR")
     _common(parser)
+    parser.add_argument(
+        "--method", choices=("full", "paper"), default="full", help="paper: the paper's tracker as it is"
+    )
     parser.add_argument(
         "--protocol",
         choices=("free", "roft"),

@@ -8,11 +8,18 @@ from typing import Any
 
 from huepose.datasets.types import Scene
 from huepose.estimation import Estimator, EstimatorConfig
+from huepose.evaluation.paper_tracker import PaperTracker
 from huepose.evaluation.pictures import PictureFolder
 from huepose.evaluation.result_files import write_json
 from huepose.evaluation.sources import EstimatorSource, FileSource, LoopJudge, PoseSource, TruthSource
 from huepose.evaluation.targets import Targets
-from huepose.evaluation.track_protocol import SourceNames, Sources, TrackOptions, evaluate_tracking
+from huepose.evaluation.track_protocol import (
+    SourceNames,
+    Sources,
+    TrackerFactory,
+    TrackOptions,
+    evaluate_tracking,
+)
 from huepose.model import ReferenceModel
 from huepose.support.errors import InputError
 from huepose.tracking import Tracker
@@ -51,10 +58,12 @@ def call(arguments: argparse.Namespace) -> int:
     judge = LoopJudge(used) if names.delayed == "estimate" else None
     pictures = PictureFolder(arguments.plots, targets) if arguments.plots else None
     on_frame = None if pictures is None else pictures.frame
+    tracker = TRACKERS[arguments.method]
     result = evaluate_tracking(
-        scenes, targets, _tracker, sources, options, names, judge=judge, on_frame=on_frame
+        scenes, targets, tracker, sources, options, names, judge=judge, on_frame=on_frame
     )
     record = result.as_json()
+    record["summary"]["method"] = arguments.method
     write_json(arguments.json, record)
     if pictures is not None:
         pictures.tracks(result)
@@ -66,6 +75,9 @@ def _tracker(models: Mapping[str, ReferenceModel]) -> Tracker:
     tracker = Tracker(models)
     tracker.warm_up()
     return tracker
+
+
+TRACKERS: dict[str, TrackerFactory] = {"full": _tracker, "paper": PaperTracker}
 
 
 def _source_names(arguments: argparse.Namespace) -> SourceNames:
@@ -88,7 +100,8 @@ def _report(summary: dict[str, Any]) -> str:
         [
             figure_table("sequence", blocks, more),
             states_line(summary),
-            f"{summary['protocol']}, every {summary['every']}, first pose {summary['init']}{delayed}, "
+            f"{summary['method']}, {summary['protocol']}, every {summary['every']}, "
+            f"first pose {summary['init']}{delayed}, "
             f"seed {summary['seed']}; {fps} frames/s",
         ]
     )

@@ -18,7 +18,7 @@ def prepare(config: Config) -> None:
     if config.bundles is None and config.uses_models:
         from huepose_services.builtin import builtin_bundles
 
-        builtin_bundles(config.camera.seed)
+        builtin_bundles(config.camera.seed, config.estimator.method != "full")
     if config.camera.source == "synthetic" and "camera" in config.workers:
         import_module("huepose_services.camera.synthetic").open_source(config)
 

@@ -10,19 +10,14 @@ import pytest
 
 from huepose.colorpair.types import ColorPairs
 from huepose.geometry import RgbdFrame, se3
+from huepose.model.pairs import reference_pairs
 from huepose.model.types import ReferenceModel
-from huepose.paper import hypotheses
 from huepose.paper.cloud import ClassifiedCloud
-from huepose.paper.hypotheses import (
-    HypothesesConfig,
-    classes_in_sight,
-    extract_at_model_scale,
-    hypotheses_of,
-    read_scene,
-    reference_pairs,
-)
-from huepose.paper.plausible import plausible
-from huepose.paper.shape import shape_hypotheses
+from huepose.paper.extended import hypotheses
+from huepose.paper.extended.hypotheses import HypothesesConfig, hypotheses_of, read_scene
+from huepose.paper.extended.plausible import plausible
+from huepose.paper.extended.shape import shape_hypotheses
+from huepose.paper.scene import classes_in_sight, extract_at_model_scale
 from huepose.propose.types import Hypothesis, Votes
 from huepose.rendering.render import render_depth
 
@@ -96,8 +91,8 @@ def test_point_pairs_are_asked_where_fewer_than_three_classes_are_in_sight(
     readings = read_scene(tea_box, pairs, frame, mask, config, rng)
     poor = [replace(r, cloud=r.cloud[r.cloud.classes < 2]) for r in readings]
     asked = []
-    real = hypotheses.ppf_votes
-    monkeypatch.setattr(hypotheses, "ppf_votes", lambda *args: asked.append(1) or real(*args))
+    real = hypotheses.votes_of_point_pairs
+    monkeypatch.setattr(hypotheses, "votes_of_point_pairs", lambda *args: asked.append(1) or real(*args))
     for given, chosen, times in (
         (readings, config, 0),
         (poor, config, len(poor)),

@@ -1,4 +1,5 @@
-"""The paper's path to a pose: colour pairs alone, without templates and without dense colour.
+"""The method `colorpair`: colour pairs alone, without templates and without dense colour, and with what was
+added to the paper's path.
 
 Per source mask: pairs > hypotheses (matching.hypotheses), with starts from shape where they are few >
 registration on depth. Then together: near-symmetric turns of the best > coordinate search by pairs >
@@ -19,17 +20,14 @@ from huepose.judge.pair_kernel import PairPicture
 from huepose.judge.pair_terms import pair_picture, pair_score_many
 from huepose.judge.region import Region
 from huepose.model.types import ReferenceModel
-from huepose.paper import hypotheses
-from huepose.paper.config import ColorpairPathConfig
-from huepose.paper.hypotheses import (
-    HypothesesConfig,
-    extract_at_model_scale,
-    hypotheses_of,
-    read_scene,
-)
-from huepose.paper.pair_search import search_pairs
+from huepose.paper.extended import hypotheses
+from huepose.paper.extended.config import ColorpairPathConfig
+from huepose.paper.extended.hypotheses import HypothesesConfig, hypotheses_of, read_scene
+from huepose.paper.extended.pair_search import search_pairs
+from huepose.paper.extended.shape import shape_hypotheses
+from huepose.paper.scene import extract_at_model_scale
 from huepose.paper.semantic_icp import ClassifiedScene, semantic_icp_many
-from huepose.paper.shape import shape_hypotheses
+from huepose.paper.tables import tables_of
 from huepose.propose.evidence import Evidence
 from huepose.refine.point_to_plane import align_many
 from huepose.select.distinct import different_poses
@@ -54,13 +52,36 @@ SHAPES = 20
 """Most starts from shape alone, where colours propose too few poses."""
 
 
+class ColorpairMethod:
+    """The method `colorpair` as the estimator runs it."""
+
+    bare = False
+
+    def __init__(self, config: ColorpairPathConfig | None = None) -> None:
+        self.config = config or ColorpairPathConfig()
+
+    def check(self, model: ReferenceModel) -> None:
+        """Raises InputError for a model without the tables of the paper's method."""
+        tables_of(model)
+
+    def warm_up(self, models: Sequence[ReferenceModel]) -> None:
+        """Compile what the first picture may do without and a later one needs."""
+        hypotheses.warm_up(models, _sources(self.config))
+
+    def poses(
+        self, model: ReferenceModel, evidence: Evidence, rng: np.random.Generator
+    ) -> tuple[Float64, Float64]:
+        """See `estimate_by_pairs`."""
+        return estimate_by_pairs(model, evidence, self.config, rng)
+
+
 def estimate_by_pairs(
     model: ReferenceModel,
     evidence: Evidence,
     config: ColorpairPathConfig,
     rng: np.random.Generator,
-) -> list[tuple[float, Float64]]:
-    """Poses T_cam_obj (4, 4) of one object with their scores, best first.
+) -> tuple[Float64, Float64]:
+    """Poses T_cam_obj (K, 4, 4) of one object and their scores (K,), best first.
 
     Every source mask proposes poses; the score is that of `judge.pair_terms` on the evidence's region.
     Empty when nothing is to be seen: no depth, no pairs and no plausible start from shape.
@@ -70,7 +91,7 @@ def estimate_by_pairs(
         picture = pair_picture(model, region.crop, region.median_depth_m)
     poses = proposed_by_pairs(model, evidence, picture, config, rng)
     if not len(poses):
-        return []
+        return poses, np.zeros(0)
     with stage("turns"):
         poses = _with_turns(model, region, picture, poses, config)
     with stage("search"):
@@ -92,11 +113,6 @@ def estimate_by_pairs(
         best = different_poses(model, poses, terms[:, 0], config.alternatives, FINAL_TURN_RAD, FINAL_SHIFT)
     with stage("decide"):
         return _decided(model, region, picture, poses[best], terms[best])
-
-
-def warm_up(models: Sequence[ReferenceModel], config: ColorpairPathConfig) -> None:
-    """Compile what the first picture may do without and a later one needs."""
-    hypotheses.warm_up(models, _sources(config))
 
 
 def proposed_by_pairs(
@@ -146,7 +162,7 @@ def _proposed(
         with stage("semantic_icp"):
             seen = readings[0].cloud
             scene = ClassifiedScene(seen.points, seen.classes, seen.weights)
-            slid = semantic_icp_many(model.pairs, scene, poses)
+            slid = semantic_icp_many(tables_of(model), scene, poses)
             poses = np.concatenate([poses, [a.T_cam_obj for a in slid]])
     return np.asarray(poses)
 
@@ -175,15 +191,14 @@ def _with_turns(
 
 def _decided(
     model: ReferenceModel, region: Region, picture: PairPicture, poses: Float64, terms: Float64
-) -> list[tuple[float, Float64]]:
+) -> tuple[Float64, Float64]:
     """Different poses (K, 4, 4), judged already (K, 5), put in order by what agrees as well as by how it
     correlates. The first keeps its score, and the others' say how far they are behind."""
     totals, geometry = terms[:, 0], terms[:, 1]
     agreed = agreement_many(model, region, picture, poses, FINAL_PAIRS)
     weighed = geometry + CORRELATED * (totals - geometry) + AGREED * agreed
     order = np.argsort(-weighed, kind="stable")
-    first = order[0]
-    return [(float(totals[first] - weighed[first] + weighed[k]), poses[k]) for k in order]
+    return poses[order], totals[order[0]] - weighed[order[0]] + weighed[order]
 
 
 def _judge(model: ReferenceModel, region: Region, picture: PairPicture, poses: Float64) -> Float64:

@@ -13,26 +13,30 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from huepose.colorpair.extract import ExtractionConfig, extract
 from huepose.colorpair.lifting import lift
 from huepose.colorpair.light import relit
 from huepose.colorpair.types import ColorPairs, SurfacePairs
 from huepose.geometry.arrays import Bool, Float64
 from huepose.geometry.frame import RgbdFrame
 from huepose.model.pairs import reference_pairs
-from huepose.model.types import PairReference, ReferenceModel
-from huepose.paper.classes import ClassConfig, classified
+from huepose.model.types import ReferenceModel
+from huepose.paper.classes import ClassConfig
 from huepose.paper.cloud import ClassifiedCloud
-from huepose.paper.frames import FrameConfig, frame_votes
-from huepose.paper.light import LightConfig, lights_of
-from huepose.paper.plausible import plausible
-from huepose.paper.ppf import PpfConfig, ppf_votes
-from huepose.paper.triangles import TriangleConfig, triangle_votes
+from huepose.paper.extended.frames import FrameConfig, frame_votes
+from huepose.paper.extended.light import LightConfig, lights_of
+from huepose.paper.extended.plausible import plausible
+from huepose.paper.ppf import PpfConfig
+from huepose.paper.scene import (
+    NEEDED_CLASSES,
+    classes_in_sight,
+    classified_scene,
+    votes_of_point_pairs,
+    votes_of_triangles,
+)
+from huepose.paper.tables import reference_cloud, tables_of
+from huepose.paper.triangles import TriangleConfig
 from huepose.paper.voting import VotingConfig, cluster
 from huepose.propose.types import Hypothesis, Votes
-
-NEEDED_CLASSES, NEEDED_POINTS = 3, 30
-"""Triangles need three classes, each with so many points in sight; where fewer are, point pairs are asked."""
 
 
 @dataclass(frozen=True)
@@ -61,20 +65,6 @@ class Reading:
     cloud: ClassifiedCloud
 
 
-def extract_at_model_scale(
-    pairs: PairReference, frame: RgbdFrame, mask: Bool, config: ExtractionConfig | None = None
-) -> ColorPairs:
-    """Colour pairs of a mask (H, W), extracted at the scale at which the model's were.
-
-    Empty when no pixel of the mask has depth.
-    """
-    depths = frame.depth[mask & (frame.depth > 0)]
-    if not len(depths):
-        return ColorPairs.empty()
-    scale = pairs.parameters["coarse_pixels_per_m"] * float(np.median(depths)) / frame.camera.fx
-    return extract(frame.color, mask, config, scale=min(scale, 1.0))
-
-
 def hypotheses_of(
     model: ReferenceModel,
     readings: Sequence[Reading],
@@ -93,7 +83,7 @@ def hypotheses_of(
     votes = plausible(Votes.joined(first), model.surface, frame.depth, mask, frame.camera, model.diameter_m)
     in_sight = max(classes_in_sight(r.cloud) for r in readings)
     if config.ppf is not None and (not first or in_sight < NEEDED_CLASSES):
-        fallback = Votes.joined([_ppf_votes(model, r, config.ppf, rng) for r in readings])
+        fallback = Votes.joined([votes_of_point_pairs(model, r.cloud, config.ppf, rng) for r in readings])
         more = plausible(fallback, model.surface, frame.depth, mask, frame.camera, model.diameter_m)
         votes = Votes.joined([votes, more])
     return cluster(votes, model.mesh.centre, model.diameter_m, "pairs", config.voting, model.equivalents)
@@ -112,22 +102,14 @@ def read_scene(
     Empty when there is no depth under the pairs, or when the model has none.
     """
     scene, _ = lift(pairs, frame.depth, mask, frame.camera)
-    table = model.pairs
-    reference = reference_pairs(table)
+    reference = reference_pairs(model.pairs)
     if not len(scene) or not len(reference):
         return []
     scene = scene[rng.permutation(len(scene))[: config.scene_pairs]]
     readings = []
     for light, share in lights_of(scene.colors, reference.colors, rng, config.light):
         relit_scene = replace(scene, colors=relit(scene.colors, 1.0 / light))
-        cloud = classified(
-            relit_scene,
-            reference,
-            table.side_classes[: len(reference)],
-            len(table.centers),
-            table.parameters["side_offset_m"],
-            config.classes,
-        )
+        cloud = classified_scene(model, relit_scene, config.classes)
         readings.append(Reading(light, share, relit_scene, cloud))
     return readings
 
@@ -135,55 +117,18 @@ def read_scene(
 def warm_up(models: Sequence[ReferenceModel], config: HypothesesConfig) -> None:
     """Compile the fallback, which most pictures do without, on the cloud of the first model that has a
     table for it."""
-    model = next((m for m in models if len(m.pairs.ppf_keys)), None)
+    model = next((m for m in models if len(tables_of(m).ppf_keys)), None)
     if config.ppf is not None and model is not None:
-        seen = Reading(np.ones(3), 1.0, reference_pairs(model.pairs), reference_cloud(model.pairs))
-        _ppf_votes(model, seen, config.ppf, np.random.default_rng(0))
-
-
-def classes_in_sight(cloud: ClassifiedCloud) -> int:
-    """How many classes have enough points for triangles."""
-    return int((np.bincount(cloud.classes, minlength=1) >= NEEDED_POINTS).sum())
-
-
-def reference_cloud(reference: PairReference) -> ClassifiedCloud:
-    """The model's classified cloud."""
-    return ClassifiedCloud(
-        reference.cloud_points, reference.cloud_normals, reference.cloud_classes, reference.cloud_weights
-    )
+        cloud = reference_cloud(tables_of(model))
+        votes_of_point_pairs(model, cloud, config.ppf, np.random.default_rng(0))
 
 
 def _first_votes(
     model: ReferenceModel, reading: Reading, config: HypothesesConfig, rng: np.random.Generator
 ) -> list[Votes]:
-    table, votes = model.pairs, []
+    votes = []
     if config.frames is not None:
-        votes.append(frame_votes(reading.pairs, reference_pairs(table), config.frames))
+        votes.append(frame_votes(reading.pairs, reference_pairs(model.pairs), config.frames))
     if config.triangles is not None:
-        votes.append(
-            triangle_votes(
-                reading.cloud,
-                reference_cloud(table),
-                table.triangle_keys,
-                table.triangles,
-                table.parameters["triangle_bin_m"],
-                config.triangles,
-                rng,
-            )
-        )
+        votes.append(votes_of_triangles(model, reading.cloud, config.triangles, rng))
     return votes
-
-
-def _ppf_votes(model: ReferenceModel, reading: Reading, config: PpfConfig, rng: np.random.Generator) -> Votes:
-    table = model.pairs
-    return ppf_votes(
-        reading.cloud,
-        reference_cloud(table),
-        table.ppf_keys,
-        table.ppf,
-        table.ppf_alpha,
-        table.parameters["ppf_bin_m"],
-        model.diameter_m,
-        config,
-        rng,
-    )

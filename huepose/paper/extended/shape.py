@@ -17,7 +17,7 @@ from huepose.geometry.arrays import Bool, Float32, Float64
 from huepose.geometry.frame import RgbdFrame
 from huepose.geometry.rotations import angles_to
 from huepose.model.types import ReferenceModel, Surface
-from huepose.paper.plausible import plausible
+from huepose.paper.extended.plausible import plausible
 from huepose.propose.types import Hypothesis, Votes
 
 LEVEL, ROLLS = 1, 16

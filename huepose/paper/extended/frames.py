@@ -16,6 +16,7 @@ import numpy as np
 from huepose.colorpair.similarity import SimilarityConfig, parameters, shapes
 from huepose.colorpair.types import SurfacePairs
 from huepose.geometry.arrays import Float32, Int32
+from huepose.paper.classes import pair_cost
 from huepose.propose.types import Votes
 from huepose.support.jit import jit
 
@@ -133,12 +134,3 @@ def _vote(
             out_f[count] = i
             count += 1
     return out_R[:count].copy(), out_t[:count].copy(), out_w[:count].copy(), out_f[:count].copy()
-
-
-@jit
-def pair_cost(x: Float32, y: Float32, direction: float, contrast: float, luminance: float) -> float:
-    """Minus the logarithm of the similarity of two shapes, without exchanging sides."""
-    d = 2 - (x[0] * y[0] + x[1] * y[1] + x[2] * y[2]) - (x[3] * y[3] + x[4] * y[4] + x[5] * y[5])
-    c = 1 - (x[6] * y[6] + x[7] * y[7] + x[8] * y[8]) - x[9] * y[9]
-    r = x[10] - y[10]
-    return float(direction * d + contrast * c + luminance * r * r)

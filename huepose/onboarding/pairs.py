@@ -1,8 +1,8 @@
-"""Offline: the reference database of colour pairs of a model, from rendered views (paper, section III-C).
+"""Offline: the colour pairs of a model, from rendered views (paper, section III-C).
 
 Pairs are extracted from every view, lifted onto the surface and merged over views: a pair that many views
-agree on is one row, with the number of views as its weight. Side colours are clustered into soft classes;
-each side's point enters the classified cloud, from which the tables of triangles and point pairs are built.
+agree on is one row, with the number of views as its weight. This is done at two scales. Every model has these
+pairs; the tables of the paper's method are made of the coarse ones (`paper.tables`), when asked for.
 """
 
 from __future__ import annotations
@@ -20,9 +20,6 @@ from huepose.geometry import icosphere, se3
 from huepose.geometry.arrays import Float32, Float64, Int32, UInt8
 from huepose.geometry.camera import Camera
 from huepose.model.types import PairReference
-from huepose.paper.cloud import color_classes, decoupled, nearest_class, sparse
-from huepose.paper.ppf import PpfConfig, build_ppf
-from huepose.paper.triangles import TriangleConfig, build_triangles
 from huepose.support.errors import InputError
 from huepose.support.jit import jit
 
@@ -39,6 +36,16 @@ class PairView:
     depth: Float32
     camera: Camera
     T_cam_obj: Float64
+
+
+@dataclass(frozen=True, eq=False)
+class MergedPairs:
+    """Pairs of one scale in the object's frame, those seen by most views first; views (N,) int32: the view
+    that each came from; seen (N,) int32: how many views saw it."""
+
+    pairs: SurfacePairs
+    views: Int32
+    seen: Int32
 
 
 @dataclass(frozen=True)
@@ -60,8 +67,7 @@ class ReferenceConfig:
     """coarse, fine: scales of the views for hypotheses (large print, few pairs) and for verification (small
     print); level: of the icosphere of views; min_facing: cosine under which a pair of a view is dropped;
     max_pairs: rows of the database for each scale; merge: distance within which pairs of different views
-    are one, in diameters; classes: most soft colour classes; side_offset: of the classified points from the
-    edge, in diameters; cloud_spacing: of points of one class, in diameters."""
+    are one, in diameters."""
 
     coarse: Scale = Scale(0.75, 110.0, 190.0)
     fine: Scale = Scale(1.0, 130.0, 240.0)
@@ -69,12 +75,7 @@ class ReferenceConfig:
     min_facing: float = 0.35
     max_pairs: int = 8000
     merge: float = 0.012
-    classes: int = 8
-    side_offset: float = 0.012
-    cloud_spacing: float = 0.02
     extraction: ExtractionConfig = field(default_factory=lambda: ExtractionConfig(max_pairs=4000))
-    triangles: TriangleConfig = field(default_factory=TriangleConfig)
-    ppf: PpfConfig | None = field(default_factory=PpfConfig)
 
 
 def reference_cameras(
@@ -98,70 +99,48 @@ def reference_cameras(
     return views
 
 
-def build_pair_reference(
+def coarse_and_fine(
     views: Sequence[PairView], diameter_m: float, config: ReferenceConfig | None = None
-) -> PairReference:
-    """The colour-pair side of a reference model, from the views of `reference_cameras`, in any order.
+) -> tuple[MergedPairs, MergedPairs]:
+    """The colour pairs of a model at both scales, from the views of `reference_cameras`, in any order.
 
-    Views count as coarse or fine by their focal length, whichever is nearer. The rows of coarse pairs come
-    first (parameter "coarse_pairs"); classes, cloud and tables are made of them alone. An object without
-    texture has few pairs and empty tables. Raises InputError without views.
+    Views count as coarse or fine by their focal length, whichever is nearer. An object without texture has
+    few pairs or none. Raises InputError without views.
     """
     config = config or ReferenceConfig()
     if not views:
         raise InputError("colour pairs of a model", found="no views", expected="at least one rendered view")
     limits = [scale.pixels(diameter_m) * DISTANCE for scale in (config.coarse, config.fine)]
     is_fine = [abs(v.camera.fx - limits[1]) < abs(v.camera.fx - limits[0]) for v in views]
-    parts = [
-        merged(
-            *_all_pairs([v for v, f in zip(views, is_fine, strict=True) if f == fine], config),
-            config.merge * diameter_m,
-            config.max_pairs,
+    coarse, fine = (
+        MergedPairs(
+            *merged(
+                *_all_pairs([v for v, f in zip(views, is_fine, strict=True) if f == wanted], config),
+                config.merge * diameter_m,
+                config.max_pairs,
+            )
         )
-        for fine in (False, True)
-    ]
-    (pairs, _, seen), (fine_pairs, _, _) = parts
-    if len(pairs):
-        centers = color_classes(pairs.colors.reshape(-1, 3), config.classes)
-    else:
-        centers = np.zeros((1, 3), np.float32)
-    classes = nearest_class(pairs.colors, centers)
-    share = np.minimum(seen / 3.0, 1.0).astype(np.float32)
-    contrast = np.linalg.norm(pairs.colors[:, 1] - pairs.colors[:, 0], axis=1)
-    weights = share * np.minimum(contrast / 25.0, 1.0)
-    offset = config.side_offset * diameter_m
-    cloud = decoupled(
-        pairs.points, pairs.normals, pairs.tangents, classes, np.stack([weights, weights], 1), offset
+        for wanted in (False, True)
     )
-    cloud = cloud[sparse(cloud, config.cloud_spacing * diameter_m)]
-    triangle_keys, triangles = build_triangles(cloud, diameter_m, config.triangles)
-    ppf_config = config.ppf or PpfConfig(points=0)
-    ppf_keys, ppf, ppf_alpha = build_ppf(cloud, diameter_m, ppf_config)
-    every = SurfacePairs.joined([pairs, fine_pairs])
+    return coarse, fine
+
+
+def pair_reference(
+    coarse: MergedPairs, fine: MergedPairs, diameter_m: float, config: ReferenceConfig | None = None
+) -> PairReference:
+    """The pairs of both scales as a model keeps them, the rows of coarse ones first."""
+    config = config or ReferenceConfig()
+    every = SurfacePairs.joined([coarse.pairs, fine.pairs])
     return PairReference(
         points=every.points,
         normals=every.normals,
         tangents=every.tangents,
         colors=every.colors,
-        views=np.concatenate([owners for _, owners, _ in parts]),
-        centers=centers,
-        side_classes=nearest_class(every.colors, centers),
-        cloud_points=cloud.points,
-        cloud_normals=cloud.normals,
-        cloud_classes=cloud.classes,
-        cloud_weights=cloud.weights,
-        triangle_keys=triangle_keys,
-        triangles=triangles,
-        ppf_keys=ppf_keys,
-        ppf=ppf,
-        ppf_alpha=ppf_alpha,
+        views=np.concatenate([coarse.views, fine.views]),
         parameters={
-            "coarse_pairs": float(len(pairs)),
+            "coarse_pairs": float(len(coarse.pairs)),
             "coarse_pixels_per_m": config.coarse.pixels(diameter_m) / diameter_m,
             "fine_pixels_per_m": config.fine.pixels(diameter_m) / diameter_m,
-            "side_offset_m": offset,
-            "triangle_bin_m": config.triangles.bin * diameter_m,
-            "ppf_bin_m": ppf_config.bin * diameter_m,
         },
     )
 

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from huepose.colorpair.light import relit
-from huepose.paper.light import lights_of
+from huepose.paper.extended.light import lights_of
 
 
 def prints(seed: int) -> np.ndarray:

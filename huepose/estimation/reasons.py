@@ -10,8 +10,8 @@ from huepose.estimation.explanation import Explanation
 from huepose.estimation.types import PoseEstimate
 from huepose.geometry import se3
 from huepose.geometry.arrays import Bool, Float, Float64
+from huepose.judge.terms import PoseScore, score
 from huepose.model.types import ReferenceModel
-from huepose.verification.dense import PoseScore, score
 
 CLOSE_MARGIN = 0.1
 """Totals closer than this are a near tie: light and noise move them as far."""

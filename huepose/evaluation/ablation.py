@@ -29,13 +29,13 @@ from huepose.geometry.arrays import Bool, Float, Float64
 from huepose.geometry.box import Box
 from huepose.geometry.camera import Camera
 from huepose.model.types import ReferenceModel
+from huepose.paper.rotation_network import SHIPPED, OnnxRotation, ResidualRotation
+from huepose.propose.correspondences import Correspondences, match
+from huepose.propose.flow import Flow, compute
+from huepose.propose.relative_pose import LiftedMatches, Motion, RelativePose, RobustKabsch, lift_matches
 from huepose.rendering import render_depth
 from huepose.support.errors import InputError
 from huepose.support.progress import progress
-from huepose.tracking.correspondences import Correspondences, match
-from huepose.tracking.flow import Flow, compute
-from huepose.tracking.relative_pose import LiftedMatches, Motion, RelativePose, RobustKabsch, lift_matches
-from huepose.tracking.rotation_network import SHIPPED, OnnxRotation, ResidualRotation
 from huepose.tracking.silhouette import visible_mask
 
 LEAST_M, LEAST_RAD = 0.001, np.radians(1.0)

@@ -14,14 +14,13 @@ from typing import Literal
 import numpy as np
 
 from huepose.estimation.explanation import Explanation
-from huepose.estimation.full_path import FINE_SAMPLES
 from huepose.estimation.reasons import covering, displacement, overlap
 from huepose.estimation.types import PoseEstimate
 from huepose.evaluation import metrics
 from huepose.geometry.arrays import Bool, Float64
+from huepose.judge.terms import CLOSE_SAMPLES, DEFAULT_WEIGHTS, PoseScore, score
 from huepose.model.types import ReferenceModel
-from huepose.verification.dense import DEFAULT_WEIGHTS, PoseScore, score
-from huepose.verification.local_search import search
+from huepose.refine.coordinate_search import search
 
 Cause = Literal["no depth", "not proposed", "lost", "settled away", "tie", "mask", "verification"]
 """no depth: nothing to look at; not proposed: no view near the right pose, which would have won; lost: it was
@@ -67,7 +66,7 @@ def diagnose(
     if evidence is None:
         return Diagnosis("no depth", "no depth in the box: nothing to look at", {}, None, None, None, None)
     region = evidence.region
-    found, totals = search(model, region, np.stack(truths), STEPS_DEG, FINE_SAMPLES)
+    found, totals = search(model, region, np.stack(truths), STEPS_DEG, CLOSE_SAMPLES)
     best = found[int(np.argmax(totals))]
     truth = score(model, region, best)
     said = score(model, region, explanation.poses[0]) if len(explanation.poses) else None

@@ -21,12 +21,12 @@ from importlib import resources
 import numpy as np
 
 from huepose.geometry.arrays import Float64
+from huepose.judge.arrays import model_arrays, nearest_view
+from huepose.judge.region import Region
+from huepose.judge.terms import score_many
 from huepose.model.types import ReferenceModel
 from huepose.perception.clear_view import ClearView
 from huepose.perception.rim import rims
-from huepose.verification.dense import score_many
-from huepose.verification.kernel_arrays import model_arrays, nearest_view
-from huepose.verification.region import Region
 
 SAMPLES, RIM_SAMPLES, HUES = 800, 400, 120
 HUE_LEAST, HUE_MOST = -3.0, 5.0

@@ -5,9 +5,9 @@ from __future__ import annotations
 import numpy as np
 
 from huepose.geometry.arrays import Bool, Float32, Float64
+from huepose.judge.arrays import ModelArrays, nearest_view
 from huepose.perception.clear_view import ClearView
 from huepose.support.jit import jit
-from huepose.verification.kernel_arrays import ModelArrays, nearest_view
 
 SIDE = 20
 """Cells along the longer side of an object's outline."""

@@ -9,6 +9,9 @@ import numpy as np
 
 from huepose.geometry.arrays import Float32, Float64, Int64
 from huepose.geometry.box import Box
+from huepose.judge.arrays import ModelArrays, model_arrays, nearest_view
+from huepose.judge.region import Region
+from huepose.judge.terms import score_many
 from huepose.model.types import ReferenceModel
 from huepose.perception.clear_view import ClearView
 from huepose.perception.nearby import align_in_view
@@ -16,12 +19,9 @@ from huepose.perception.rim import rims
 from huepose.perception.window_look import look, promising
 from huepose.perception.window_table import WindowTable
 from huepose.perception.windows import Windows, filled, windows_of
+from huepose.refine.coordinate_search import search
 from huepose.support.jit import jit
 from huepose.support.stages import stage
-from huepose.verification.dense import score_many
-from huepose.verification.kernel_arrays import ModelArrays, model_arrays, nearest_view
-from huepose.verification.local_search import search
-from huepose.verification.region import Region
 
 FIRST_SAMPLES, SECOND_SAMPLES = 60, 200
 LOOK_WEIGHT = 0.7

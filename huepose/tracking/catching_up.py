@@ -16,10 +16,10 @@ import numpy as np
 
 from huepose.geometry.arrays import Float64
 from huepose.geometry.frame import RgbdFrame
+from huepose.propose.relative_pose import RelativePose
 from huepose.tracking import evidence
 from huepose.tracking.config import TrackerConfig
 from huepose.tracking.motion import filtered, increment_velocity
-from huepose.tracking.relative_pose import RelativePose
 from huepose.tracking.scoring import UNKNOWN_TINT, Tint
 from huepose.tracking.step import Anchor, Step, Subject, advance, found_nearby
 from huepose.tracking.types import Correction

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+from huepose.propose.flow import FlowSource, compute
 from huepose.support.errors import InputError
-from huepose.tracking.flow import FlowSource, compute
 
 
 @dataclass(frozen=True)

@@ -17,15 +17,15 @@ from huepose.geometry.box import Box
 from huepose.geometry.frame import RgbdFrame
 from huepose.geometry.mesh import Mesh
 from huepose.model.types import ReferenceModel
+from huepose.propose import flow as optical_flow
+from huepose.propose.correspondences import match
+from huepose.propose.relative_pose import RelativePose, RobustKabsch, lift_matches
 from huepose.tracking import evidence
-from huepose.tracking import flow as optical_flow
 from huepose.tracking.config import TrackerConfig
-from huepose.tracking.correspondences import match
 from huepose.tracking.motion import predicted
 from huepose.tracking.reach import Reach, reaches
 from huepose.tracking.refinement import FINE, Refined, refine
 from huepose.tracking.region import Region, prepare
-from huepose.tracking.relative_pose import RelativePose, RobustKabsch, lift_matches
 from huepose.tracking.scoring import NOTHING, UNKNOWN_TINT, Fit, Tint, score
 from huepose.tracking.search import GREAT_EFFORT, USUAL_EFFORT, Effort, search
 from huepose.tracking.silhouette import visible_mask

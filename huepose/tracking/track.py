@@ -8,6 +8,7 @@ import numpy as np
 
 from huepose.geometry.arrays import Float64
 from huepose.geometry.frame import RgbdFrame
+from huepose.propose.relative_pose import RelativePose
 from huepose.tracking import evidence
 from huepose.tracking.catching_up import Pursuit
 from huepose.tracking.config import TrackerConfig
@@ -15,7 +16,6 @@ from huepose.tracking.evidence import Standing, next_standing, usual_after
 from huepose.tracking.history import PoseHistory
 from huepose.tracking.identity import Identity, turned_over
 from huepose.tracking.motion import filtered, increment_velocity, predicted
-from huepose.tracking.relative_pose import RelativePose
 from huepose.tracking.scoring import NOTHING, UNKNOWN_TINT, Fit
 from huepose.tracking.second_thought import SecondThought, leapt
 from huepose.tracking.step import Anchor, Step, Subject, advance

@@ -7,13 +7,13 @@ from dataclasses import replace
 
 from huepose.geometry.frame import RgbdFrame
 from huepose.model.types import ReferenceModel
+from huepose.propose.relative_pose import RelativePose
 from huepose.support.errors import InputError
 from huepose.support.stages import stage
 from huepose.tracking.catching_up import Pursuit, needs_search, pursue
 from huepose.tracking.competition import Claim, losers
 from huepose.tracking.config import TrackerConfig
 from huepose.tracking.history import FrameHistory
-from huepose.tracking.relative_pose import RelativePose
 from huepose.tracking.silhouette import overlap
 from huepose.tracking.step import Step, Subject
 from huepose.tracking.track import Track

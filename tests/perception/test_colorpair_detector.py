@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 from huepose.geometry import Box, RgbdFrame, se3
+from huepose.judge.arrays import model_arrays
 from huepose.model.types import ReferenceModel
 from huepose.perception.clear_view import clear_view
 from huepose.perception.colorpair_detector import ColorPairDetector
@@ -19,7 +20,6 @@ from huepose.perception.scouting import likeliest_turns
 from huepose.perception.window_table import window_table
 from huepose.rendering.render import render_depth
 from huepose.support.errors import InputError
-from huepose.verification.kernel_arrays import model_arrays
 
 TakePicture = Callable[..., RgbdFrame]
 

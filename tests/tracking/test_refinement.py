@@ -9,11 +9,11 @@ import pytest
 
 from huepose.geometry import Box, RgbdFrame, se3
 from huepose.model.types import ReferenceModel
+from huepose.propose.relative_pose import RobustKabsch
 from huepose.tracking.config import TrackerConfig
 from huepose.tracking.reach import Reach
 from huepose.tracking.refinement import FULL, QUICK, refine, refine_all
 from huepose.tracking.region import Region, prepare, window
-from huepose.tracking.relative_pose import RobustKabsch
 from huepose.tracking.scoring import score, score_all, tolerance_m
 from huepose.tracking.search import different, search
 from huepose.tracking.step import Anchor, Subject, advance, best_of, flow_start

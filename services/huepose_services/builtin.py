@@ -20,7 +20,7 @@ from huepose.model.io import model_path, save_model
 from huepose.support.errors import InputError
 from huepose.support.progress import progress
 
-_MAKERS = ("onboarding", "model", "colorpair", "matching/views.py", "matching/pair_reference.py")
+_MAKERS = ("onboarding", "model", "colorpair", "propose/templates.py", "paper/pair_reference.py")
 
 
 @cache
@@ -50,10 +50,10 @@ def builtin_bundles(seed: int) -> Path:
             fcntl.flock(lock, fcntl.LOCK_EX)
         missing = [name for name in meshes if not model_path(folder, name).exists()]
         if missing:
-            from huepose.onboarding import onboard_mesh
+            from huepose.onboarding.reference import reference_model
 
             for name in progress(missing, "learning the built-in objects"):
-                save_model(onboard_mesh(meshes[name], name), model_path(folder, name))
+                save_model(reference_model(meshes[name], name), model_path(folder, name))
     return folder
 
 

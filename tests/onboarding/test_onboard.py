@@ -13,7 +13,8 @@ from huepose.model.types import ReferenceModel
 from huepose.onboarding.batch import Failed, Job, Onboarded, StageBegun, onboard_many
 from huepose.onboarding.bop_folder import bop_models, safe_name
 from huepose.onboarding.declared import read_symmetries
-from huepose.onboarding.onboard import STAGES, diameter_of, onboard_mesh
+from huepose.onboarding.onboard import onboard_mesh
+from huepose.onboarding.reference import STAGES, diameter_of
 from huepose.support.errors import InputError
 from tests.onboarding import mesh_files as files
 from tests.onboarding import solids

@@ -79,7 +79,8 @@ def test_ctrl_c_while_the_processes_start_ends_them_all(tmp_path: Path) -> None:
     finally:
         with suppress(ProcessLookupError):
             os.killpg(running.pid, signal.SIGKILL)
-    said = running.stderr.read()
+    with running.stderr:
+        said = running.stderr.read()
     assert said.endswith("huepose onboard-bop: interrupted\n")
     assert "Traceback" not in said
 

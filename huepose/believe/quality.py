@@ -5,7 +5,7 @@ a shape, that it is this size, and that the pose is right then. The last one is 
 of the poses that were found is right is shared out by their scores, so that a near-tie is published as one,
 each pose with its probability. Whether an object is there at all is a question of its own, which decides
 whether anything is said to be found. `quality_fits.json` holds the numbers, as fitted on drawn scenes
-(`evaluation.calibration`). The covariance is that of a robust point-to-plane fit, widened by what print and
+(`studies.quality`). The covariance is that of a robust point-to-plane fit, widened by what print and
 model fix and by a floor.
 """
 
@@ -40,7 +40,7 @@ TIE = 0.02
 class QualityTerms:
     """What quality is a function of. total: score of the pose; gaps: how much less the other answers score,
     best first; color, box_iou, depth_fit, coverage, violation, occluded, seen: terms of its dense score (see
-    `judge.terms.PoseScore`); missing, foreign, detail, turned: see `print_evidence.PrintEvidence`;
+    `judge.terms.Terms`); missing, foreign, detail, turned: see `print_evidence.PrintEvidence`;
     stretch: by how much the depth would have the object larger (see `size_evidence`); pixels: of the image
     that are believed to show the object; otherwise: share of the contrasts at the model's pairs that point in
     another colour (see `judge.contrast_disagreement`); agreed: what those that agree say (see

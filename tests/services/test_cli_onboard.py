@@ -13,6 +13,7 @@ import numpy as np
 import pytest
 
 from huepose.model import load_models
+from huepose.onboarding import simplify
 from huepose_services.cli.main import main
 from tests.onboarding import mesh_files as files
 from tests.onboarding import solids
@@ -54,6 +55,17 @@ def test_a_small_mesh_may_be_in_another_unit_and_that_can_be_said(
     said = capsys.readouterr()
     assert "1.5 x 0.8 x 0.6 cm" in said.out
     assert "--unit cm" in said.err
+
+
+def test_a_large_mesh_says_which_extra_it_needs(
+    mesh: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setattr(simplify, "MOST", 11)  # the brick has twelve triangles
+    monkeypatch.setitem(sys.modules, "open3d", None)  # as where it is not installed
+    assert main(["onboard", str(mesh), "--name", "brick", "--out", str(tmp_path / "out")]) == 2
+    said = capsys.readouterr().err
+    assert "this needs the Python package open3d; install it with: pip install 'huepose[onboard]'" in said
+    assert not (tmp_path / "out").exists()
 
 
 def test_bundles_go_into_a_folder(mesh: Path, capsys: pytest.CaptureFixture[str]) -> None:

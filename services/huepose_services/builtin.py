@@ -52,10 +52,11 @@ def builtin_bundles(seed: int, paper: bool = False) -> Path:
             fcntl.flock(lock, fcntl.LOCK_EX)
         missing = [name for name in meshes if not model_path(folder, name).exists()]
         if missing:
-            from huepose.onboarding import onboard_mesh
+            from huepose.onboarding.reference import reference_model
 
             for name in progress(missing, "learning the built-in objects"):
-                save_model(onboard_mesh(meshes[name], name, paper=paper), model_path(folder, name))
+                model = reference_model(meshes[name], name, paper=paper)
+                save_model(model, model_path(folder, name))
     return folder
 
 

@@ -13,7 +13,8 @@ from huepose.model.types import ReferenceModel
 from huepose.onboarding.batch import Failed, Job, Onboarded, StageBegun, onboard_many
 from huepose.onboarding.bop_folder import bop_models, safe_name
 from huepose.onboarding.declared import read_symmetries
-from huepose.onboarding.onboard import STAGES, diameter_of, onboard_mesh
+from huepose.onboarding.onboard import onboard_mesh
+from huepose.onboarding.reference import STAGES, diameter_of
 from huepose.support.errors import InputError
 from tests.onboarding import mesh_files as files
 from tests.onboarding import solids
@@ -139,6 +140,22 @@ def test_wrong_bop_folders_are_named(tmp_path: Path) -> None:
     (folder / "models_info.json").write_text("{")
     with pytest.raises(InputError, match=r"models_info.json: found broken JSON"):
         bop_models(folder)
+    for info, message in (
+        ("[" * 100_000, "models_info.json: found broken JSON"),
+        ('{"3": 5}', "models_info.json object 3: found 5"),
+        ('{"3": {"diameter": "large"}}', "models_info.json object 3: found 'diameter': 'large'"),
+        ('{"3": {"symmetries_discrete": [[1, 2]]}}', r"object 3 symmetries_discrete\[0\]: found \[1, 2\]"),
+    ):
+        (folder / "models_info.json").write_text(info)
+        with pytest.raises(InputError, match=message):
+            bop_models(folder)
+    (folder / "models_info.json").unlink()
+    offsets = {"021_tall": {"bop_obj_id": 12, "posecnn_to_bop_t_mm": [1, 2]}}
+    (folder / "frame_offsets.json").write_text(json.dumps(offsets))
+    with pytest.raises(
+        InputError, match=r"frame_offsets.json 021_tall: found 'posecnn_to_bop_t_mm': \[1, 2\]"
+    ):
+        bop_models(folder)
 
 
 def test_names_are_made_safe() -> None:
@@ -155,6 +172,8 @@ def test_declared_symmetries_are_checked(tmp_path: Path) -> None:
     wrong = [
         ("[1]", "neither of the two lists"),
         ("{", "broken JSON"),
+        ("[" * 100_000, "broken JSON"),
+        (json.dumps({"symmetries_discrete": 5}), "symmetries_discrete: found 5; expected a list"),
         (json.dumps({"symmetries_discrete": [turn[:12]]}), r"symmetries_discrete\[0\]"),
         (json.dumps({"symmetries_discrete": [[2 * x for x in turn]]}), r"symmetries_discrete\[0\]"),
         (json.dumps({"symmetries_continuous": [{"axis": [0, 0, 0]}]}), r"symmetries_continuous\[0\]"),

@@ -13,6 +13,7 @@ import numpy as np
 import pytest
 
 from huepose.model import load_models
+from huepose.onboarding import simplify
 from huepose_services.cli.main import main
 from tests.onboarding import mesh_files as files
 from tests.onboarding import solids
@@ -69,6 +70,17 @@ def test_a_small_mesh_may_be_in_another_unit_and_that_can_be_said(
     assert "--unit cm" in said.err
 
 
+def test_a_large_mesh_says_which_extra_it_needs(
+    mesh: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setattr(simplify, "MOST", 11)  # the brick has twelve triangles
+    monkeypatch.setitem(sys.modules, "open3d", None)  # as where it is not installed
+    assert main(["onboard", str(mesh), "--name", "brick", "--out", str(tmp_path / "out")]) == 2
+    said = capsys.readouterr().err
+    assert "this needs the Python package open3d; install it with: pip install 'huepose[onboard]'" in said
+    assert not (tmp_path / "out").exists()
+
+
 def test_bundles_go_into_a_folder(mesh: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["onboard", str(mesh), "--name", "brick", "--out", str(mesh)]) == 2
     assert "found a file; expected a folder" in capsys.readouterr().err
@@ -92,7 +104,8 @@ def test_ctrl_c_while_the_processes_start_ends_them_all(tmp_path: Path) -> None:
     finally:
         with suppress(ProcessLookupError):
             os.killpg(running.pid, signal.SIGKILL)
-    said = running.stderr.read()
+    with running.stderr:
+        said = running.stderr.read()
     assert said.endswith("huepose onboard-bop: interrupted\n")
     assert "Traceback" not in said
 

@@ -152,6 +152,14 @@ def test_it_says_how_it_is_and_nobody_outside_can_reach_a_worker(running):
     assert {a for m in view.health.values() for a in _listening(m.pid)} == {"127.0.0.1"}
 
 
+def test_no_worker_has_loaded_what_only_onboarding_needs(running):
+    running.watch.look_at_all(1.0, 20.0)
+    health = running.watch.view().health
+    loaded = {worker: Path(f"/proc/{message.pid}/maps").read_text() for worker, message in health.items()}
+    assert "/cv2/" in loaded["tracker"]
+    assert [worker for worker, maps in loaded.items() if "/open3d/" in maps] == []
+
+
 def test_a_thousand_bad_messages_a_second_on_every_key_are_counted_and_disturb_nobody(running, wait_until):
     before = running.watch.view()
     sent = flood(before.pipeline.endpoints, "local", "cam0", seconds=2.0, rate_hz=1000.0)

@@ -73,7 +73,7 @@ def call(arguments: argparse.Namespace) -> int:
     from huepose.model.io import check_name
     from huepose.onboarding.batch import Job, onboard_one
     from huepose.onboarding.declared import read_symmetries
-    from huepose.onboarding.onboard import STAGES
+    from huepose.onboarding.reference import STAGES
     from huepose.support.progress import progress
 
     check_name(arguments.name)
@@ -102,7 +102,7 @@ def call_bop(arguments: argparse.Namespace) -> int:
     """Onboard a folder; an object that fails is reported and the others go on."""
     from huepose.onboarding.batch import Job, Onboarded, StageBegun, onboard_many
     from huepose.onboarding.bop_folder import bop_models
-    from huepose.onboarding.onboard import STAGES
+    from huepose.onboarding.reference import STAGES
     from huepose.support.progress import progress
 
     _check_folder(arguments.out)

@@ -104,6 +104,7 @@ class Bus:
         if self._camera.refused:
             self._say_foreign_frames()
         self.put(self.keys.health(self.worker), self.health.message())
+        self.log.flush()
 
     def _say_foreign_frames(self) -> None:
         """A camera that is opened anew has a few before the old one counts as silent; more are no chance."""

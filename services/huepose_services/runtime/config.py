@@ -21,6 +21,7 @@ from huepose_services.runtime.config_perception import (
     SegmenterConfig,
     absolute_network,
     absolute_networks,
+    absolute_path,
     check_camera,
     check_detector,
     check_segmenter,
@@ -28,6 +29,7 @@ from huepose_services.runtime.config_perception import (
 from huepose_services.runtime.config_text import read_yaml
 
 DEFAULT_FILE = "pipeline.yaml"
+_MAX_BYTES = 1024 * 1024
 
 WorkerName = Literal["camera", "tracker", "reinit", "detector", "segmenter", "estimator", "gateway", "viewer"]
 # Those that poses need; the others look at them.
@@ -163,11 +165,16 @@ class Config(Section, frozen=True, kw_only=True):
 def load(path: Path) -> Config:
     """The configuration of a file. Raises InputError that names the key, the value and what is allowed."""
     try:
-        text = path.read_text(encoding="utf-8")
-    except (OSError, UnicodeDecodeError) as error:
+        with path.open("rb") as file:
+            data = file.read(_MAX_BYTES + 1)
+        if len(data) > _MAX_BYTES:
+            raise ValueError(f"over {_MAX_BYTES} bytes")
+        text = data.decode()
+    except (OSError, ValueError) as error:
+        found = "no text" if isinstance(error, UnicodeDecodeError) else str(error)[:200]
         raise InputError(
             f"configuration {path}",
-            found=getattr(error, "strerror", None) or "no text",
+            found=getattr(error, "strerror", None) or found,
             expected="a YAML file that describes a pipeline",
             fix="Give the path of one: huepose up PIPELINE.yaml.",
         ) from None
@@ -181,14 +188,19 @@ def parse(text: str, path: Path) -> Config:
         config = msgspec.convert(data if data is not None else {}, Config)
     except msgspec.ValidationError as error:
         raise explain(error, data, Config, path) from None
-    config = _absolute(config, path.absolute().parent)
+    except RecursionError:
+        raise InputError(f"configuration {path}", found="values within values without an end") from None
+    try:
+        config = _absolute(config, path.absolute().parent)
+    except (RuntimeError, ValueError) as error:
+        raise InputError(f"{path}: a path in it", found=str(error)[:200], expected="a path") from None
     _check(config, path)
     return config
 
 
 def _absolute(config: Config, folder: Path) -> Config:
     def absolute(text: str | None) -> str | None:
-        return None if text is None else str(folder / Path(text).expanduser())
+        return None if text is None else absolute_path(text, folder)
 
     tls = config.gateway.tls
     return msgspec.structs.replace(

@@ -92,7 +92,7 @@ class Inbox:
         `accepts`: called in the subscription's thread with each, None for all."""
         ring = Ring(self._ready, wakes, accepts)
         # Room for one that is refused beside one that counts.
-        channel = zenoh.handlers.RingChannel(1 if accepts is None else 2)
+        channel: Any = zenoh.handlers.RingChannel(1 if accepts is None else 2)
         self._start(self._session.declare_subscriber(key, channel), ring)
         return ring
 

@@ -109,13 +109,29 @@ def test_a_full_disk_is_an_error_that_leaves_what_was_committed(tmp_path, monkey
 
 @pytest.mark.parametrize(
     ("line", "reason"),
-    [("nonsense\n", "a JSON object"), ('{"object": "x"}\n', "PoseMessage"), ("[]\n", "a JSON object")],
+    [
+        (b"nonsense\n", "a PoseMessage"),
+        (b'{"object": "x"}\n', "a PoseMessage"),
+        (b"[]\n", "a PoseMessage"),
+        (b"\xff\xfe{}\n", "a PoseMessage"),
+        (b"[" * 100_000 + b"\n", "a PoseMessage"),
+        (b'{"quality": ' + b"9" * 10_000 + b"}\n", "a PoseMessage"),
+        (b" " * 5_000_000 + b"\n", "over 4194304 bytes"),
+    ],
 )
 def test_what_is_no_recording_is_refused_with_its_line(tmp_path, line, reason):
-    (tmp_path / "poses.jsonl").write_text(line)
+    (tmp_path / "poses.jsonl").write_bytes(line)
     with pytest.raises(InputError, match=r"poses.jsonl, line 1.*") as error:
         Recording(tmp_path)
     assert reason in str(error.value)
+
+
+@pytest.mark.parametrize("key", ["health/../frame", "health/**", "", "health//camera", "Health/camera"])
+def test_a_message_under_what_is_no_key_is_refused(tmp_path, key):
+    (tmp_path / "poses.jsonl").write_text("")
+    (tmp_path / "messages.jsonl").write_text(json.dumps({"key": key, "message": {}}) + "\n")
+    with pytest.raises(InputError, match=r"messages.jsonl, line 1"):
+        Recording(tmp_path)
 
 
 def test_a_last_line_without_an_end_is_passed_over(tmp_path):

@@ -87,7 +87,7 @@ class Bus:
                 continue
             if key == self.keys.frame:
                 self.health.shared_memory = shared
-                self.health.count("frames_by_shared_memory" if shared else "frames_by_tcp")
+                self.health.count("frames_by_shared_memory" if shared else "frames_by_socket")
             return message, payload
         return None
 

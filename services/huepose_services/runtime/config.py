@@ -11,6 +11,7 @@ from msgspec import Meta
 from huepose.support.errors import InputError
 from huepose_protos.fields import Name
 from huepose_protos.keys import Keys
+from huepose_protos.local import BASE_PORT, endpoint
 from huepose_services.runtime.config_errors import explain
 from huepose_services.runtime.config_perception import (
     CameraConfig,
@@ -103,9 +104,9 @@ class ViewerConfig(Section, frozen=True, kw_only=True):
 
 
 class BusConfig(Section, frozen=True, kw_only=True):
-    """How the workers reach each other, on this machine only."""
+    """How the workers reach each other: by sockets in a folder that only their user can open."""
 
-    base_port: Annotated[int, Meta(ge=1024, le=65_000)] = 17447
+    base_port: Annotated[int, Meta(ge=1024, le=65_000)] = BASE_PORT
     frame_pool_mib: Annotated[float, Meta(ge=0.0, le=1024.0)] = 6.0
 
 
@@ -154,12 +155,12 @@ class Config(Section, frozen=True, kw_only=True):
         return learned or self.detector.kind == "yolo" or self.segmenter.kind == "sam"
 
     def port(self, worker: str) -> int:
-        """The loopback port that a worker listens on."""
+        """The port of a worker: the name of its socket."""
         return self.bus.base_port + WORKERS.index(worker)
 
     def endpoint(self, worker: str) -> str:
         """The zenoh endpoint of a worker."""
-        return f"tcp/127.0.0.1:{self.port(worker)}"
+        return endpoint(self.port(worker))
 
 
 def load(path: Path) -> Config:

@@ -1,5 +1,6 @@
 """Who reads through the gateway and who does not, with a real authority; and what those are told."""
 
+import socket
 import time
 from dataclasses import replace
 
@@ -67,7 +68,8 @@ def test_why_a_gateway_is_not_reached_is_said(start, authority, base_port, monke
     assert "its certificate is not accepted" in reasons["no authority"]
     assert "give --tls" in why_unreachable("localhost", one.port, None)
     assert why_unreachable("localhost", base_port + 8, None) == "no program listens there"
-    assert "no TLS there" in why_unreachable("127.0.0.1", base_port + 1, shown["robot1"])
+    with socket.create_server(("127.0.0.1", base_port + 1)):
+        assert "no TLS there" in why_unreachable("127.0.0.1", base_port + 1, shown["robot1"])
 
 
 @pytest.mark.parametrize(

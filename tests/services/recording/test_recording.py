@@ -13,6 +13,7 @@ from huepose.support.errors import InputError
 from huepose_protos.buffers import frame_images, pack
 from huepose_protos.client import Reader
 from huepose_protos.examples import messages
+from huepose_protos.local import endpoint
 from huepose_protos.messages import FrameHeader, HealthMessage, PoseMessage, TruthMessage
 from huepose_services.cli.main import main
 from huepose_services.recording.replay import Recording
@@ -168,7 +169,7 @@ def test_a_camera_is_recorded_and_replayed(pipeline, scene, huepose, base_port, 
     assert taken.labelled
 
     before = {number: signal.getsignal(number) for number in (signal.SIGINT, signal.SIGTERM)}
-    with Reader([f"tcp/127.0.0.1:{base_port}"], "huepose/*/*/health/*") as reader:
+    with Reader([endpoint(base_port)], "huepose/*/*/health/*") as reader:
         assert main(["replay", str(out), "--config", str(path), "--speed", "20"]) == 0
         assert reader.next(5.0).worker == "camera"
     for number, handler in before.items():

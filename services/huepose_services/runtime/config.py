@@ -90,6 +90,7 @@ class GatewayConfig(Section, frozen=True, kw_only=True):
     listen: Annotated[str, Meta(pattern=r"^[^/\s]+:\d{1,5}$")] = "127.0.0.1:7447"
     max_rate_hz: Rate = 60.0
     max_sessions: Annotated[int, Meta(ge=1, le=1000)] = 32
+    sessions_per_reader: Annotated[int, Meta(ge=1, le=1000)] = 8
     tls: TlsConfig | None = None
 
 

@@ -3,7 +3,7 @@
     .venv/bin/python benchmarks/near_ties.py --bop SCENE... --bundles bundles --json contests/heaps.json
     .venv/bin/python benchmarks/near_ties.py --fit contests/heaps.json contests/piles.json --check real.json
 
-A contest is what `huepose.estimation.decision` holds where poses score nearly alike. Those count in which
+A contest is what `huepose.select.near_ties` holds where poses score nearly alike. Those count in which
 some contender is right and some is not. The fit is the largest likelihood of a softmax of the contenders'
 weighted terms, no weight negative, every file counting alike; printed are, for the dense score alone, the
 weights in use and the fitted ones, how often the right one wins and the likelihood (mean negative logarithm).
@@ -22,7 +22,6 @@ from scipy.optimize import minimize
 
 from huepose.datasets.types import Sample
 from huepose.estimation import Estimator, ObjectQuery, PoseEstimate
-from huepose.estimation.decision import TERMS, WEIGHTS, Contest
 from huepose.evaluation.equivalents import read_equivalents
 from huepose.evaluation.estimate_protocol import EstimateOptions, evaluate_estimates
 from huepose.evaluation.estimate_rows import EstimateRow
@@ -31,6 +30,7 @@ from huepose.evaluation.targets import Targets
 from huepose.geometry import RgbdFrame
 from huepose.geometry.arrays import Bool, Float64
 from huepose.model import load_models
+from huepose.select.near_ties import TERMS, WEIGHTS, Contest
 from huepose.support.errors import InputError
 from huepose_services.cli.evaluate_scenes import open_bop, shown
 

@@ -29,12 +29,12 @@ from huepose.evaluation.result_files import write_json
 from huepose.evaluation.summary import table
 from huepose.geometry import Box, RgbdFrame, se3
 from huepose.geometry.arrays import Bool, Float64, UInt8
+from huepose.judge.contrast_disagreement import contrasts, otherwise_many
+from huepose.judge.pair_agreement import agreement_many
+from huepose.judge.pair_terms import pair_arrays, pair_picture, pair_score_many
+from huepose.judge.region import prepare_region
 from huepose.model import ReferenceModel, load_models
 from huepose.support.progress import progress
-from huepose.verification.other_print import contrasts, otherwise_many
-from huepose.verification.pairs import pair_arrays, pair_picture, pair_score_many
-from huepose.verification.pairs_agreement import agreement_many
-from huepose.verification.region import prepare_region
 
 FIGURES = ("contrasts elsewhere", "colour missing", "agreement of pairs", "correlation of pairs", "quality")
 """The last three are high where the print is the right one: they are taken with the other sign."""

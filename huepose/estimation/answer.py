@@ -6,24 +6,24 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from huepose.believe.quality import QualityFit, QualityTerms, covariance
 from huepose.estimation.confirm import MARGIN
 from huepose.estimation.explanation import Explanation
-from huepose.estimation.near_ties import different_answers
-from huepose.estimation.outline import projected_box
-from huepose.estimation.print_evidence import print_evidence
-from huepose.estimation.quality import QualityFit, QualityTerms, covariance
-from huepose.estimation.settle import settle
-from huepose.estimation.size_evidence import stretch
 from huepose.estimation.types import ObjectQuery, PoseEstimate
 from huepose.geometry import se3
 from huepose.geometry.arrays import Float64
 from huepose.geometry.frame import RgbdFrame
+from huepose.judge.contrast_disagreement import otherwise_many
+from huepose.judge.pair_agreement import agreement_many
+from huepose.judge.pair_terms import pair_picture
+from huepose.judge.region import Region
+from huepose.judge.silhouette import projected_box
+from huepose.judge.terms import score
+from huepose.judge.texture_evidence import print_evidence
 from huepose.model.types import ReferenceModel
-from huepose.verification.dense import score
-from huepose.verification.other_print import otherwise_many
-from huepose.verification.pairs import pair_picture
-from huepose.verification.pairs_agreement import agreement_many
-from huepose.verification.region import Region
+from huepose.refine.final import settle
+from huepose.refine.scale import stretch
+from huepose.select.answers import different_answers
 
 
 @dataclass(frozen=True)

@@ -10,13 +10,14 @@ from __future__ import annotations
 
 import numpy as np
 
-from huepose.estimation.different import different_poses
-from huepose.estimation.full_path import COARSE_SAMPLES, FINAL_SHIFT, FINAL_TURN_RAD, FINE_SAMPLES, judge
+from huepose.estimation.full_path import COARSE_SAMPLES
 from huepose.geometry.arrays import Float64
+from huepose.judge.region import Region
+from huepose.judge.terms import CLOSE_SAMPLES, score_many
+from huepose.judge.terms import totals as totals_of
 from huepose.model.types import ReferenceModel
-from huepose.verification.dense import score_many
-from huepose.verification.local_search import RACE, search
-from huepose.verification.region import Region
+from huepose.refine.coordinate_search import RACE, search
+from huepose.select.distinct import FINAL_SHIFT, FINAL_TURN_RAD, different_poses
 
 SCORE, MARGIN = 1.9, 0.12
 """Total from which a prior may be confirmed, and how much better than its turns it has to be."""
@@ -34,13 +35,13 @@ def looks_in_full(frame_id: int, every: int) -> bool:
 def confirm(model: ReferenceModel, region: Region, T_cam_obj: Float64) -> tuple[Float64, Float64] | None:
     """The refined prior (4, 4) first, then its best different turns: poses (K, 4, 4) and totals (K,); None
     when the prior is not plainly right."""
-    if judge(model, region, T_cam_obj[None])[0] < SCORE:
+    if totals_of(model, region, T_cam_obj[None])[0] < SCORE:
         return None
     turned = T_cam_obj @ model.turns[1:]
     best = np.argsort(-score_many(model, region, turned, COARSE_SAMPLES)[:, 0], kind="stable")[:TURNS]
-    searched, _ = search(model, region, turned[best], (3.0, 1.0), FINE_SAMPLES, race=RACE)
+    searched, _ = search(model, region, turned[best], (3.0, 1.0), CLOSE_SAMPLES, race=RACE)
     poses = np.concatenate([T_cam_obj[None], searched])
-    totals = judge(model, region, poses)
+    totals = totals_of(model, region, poses)
     order = different_poses(model, poses, totals, len(poses), FINAL_TURN_RAD, FINAL_SHIFT)
     if len(order) > 1 and (order[0] != 0 or totals[0] - totals[order[1]] < MARGIN):
         return None

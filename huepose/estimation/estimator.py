@@ -15,25 +15,26 @@ from zlib import crc32
 
 import numpy as np
 
+from huepose.believe.quality import quality_fits
 from huepose.estimation.answer import Levels, answer_of
 from huepose.estimation.competition import compete
 from huepose.estimation.config import EstimatorConfig
 from huepose.estimation.confirm import confirm, looks_in_full
-from huepose.estimation.decision import Contest, decided
-from huepose.estimation.evidence import Evidence, gather
 from huepose.estimation.explanation import Explanation
-from huepose.estimation.full_path import Trail, estimate_full, judge, refine_prior
-from huepose.estimation.outline import projected_box
+from huepose.estimation.full_path import Trail, estimate_full, refine_prior
 from huepose.estimation.prepared import PreparedModels
-from huepose.estimation.quality import quality_fits
 from huepose.estimation.rehearsal import rehearse
 from huepose.estimation.types import ObjectQuery, PoseEstimate
 from huepose.geometry.arrays import Bool, Float64
 from huepose.geometry.box import Box
 from huepose.geometry.frame import RgbdFrame
+from huepose.judge.silhouette import projected_box
+from huepose.judge.terms import totals as totals_of
 from huepose.model.types import ReferenceModel
 from huepose.perception.embedded import DepthSegmenter
 from huepose.perception.types import Segmenter
+from huepose.propose.evidence import Evidence, gather
+from huepose.select.near_ties import Contest, decided
 from huepose.support.errors import InputError
 from huepose.support.stages import stage
 
@@ -123,7 +124,7 @@ class Estimator:
         if evidence is not None and full and query.prior is not None:
             with stage("prior"):
                 refined = refine_prior(model, evidence, query.prior.T_cam_obj)
-                prior = refined, float(judge(model, evidence.region, refined[None])[0])
+                prior = refined, float(totals_of(model, evidence.region, refined[None])[0])
                 anew = looks_in_full(frame.frame_id, self.config.look_anew_every)
                 confirmed = None if anew else confirm(model, evidence.region, refined)
             if confirmed is not None:
@@ -137,7 +138,7 @@ class Estimator:
                 model, prepared.table, evidence, self.config.full, extra, self.config.look_harder
             )
             if prior is not None and believed is not evidence:  # judged as the answer is
-                prior = prior[0], float(judge(model, believed.region, prior[0][None])[0])
+                prior = prior[0], float(totals_of(model, believed.region, prior[0][None])[0])
             evidence = believed
             with stage("contest"):
                 poses, totals, held = decided(model, evidence.region, poses, totals)
@@ -159,7 +160,7 @@ class Estimator:
         most = max((self._models.model(name) for name in names), key=lambda m: len(m.pairs.points))
         rehearse(self.explain, most, self.config.method == "full")
         if self.config.method == "colorpair":
-            from huepose.estimation.colorpair_path import warm_up
+            from huepose.paper.colorpair import warm_up
 
             warm_up([self._models.model(name) for name in names], self.config.colorpair)
 
@@ -200,7 +201,7 @@ class Estimator:
         evidence: Evidence,
         query: ObjectQuery,
     ) -> tuple[Float64, Float64]:
-        from huepose.estimation.colorpair_path import estimate_by_pairs
+        from huepose.paper.colorpair import estimate_by_pairs
 
         rng = np.random.default_rng([self.config.seed, crc32(query.object.encode()), _content_seed(frame)])
         scored = estimate_by_pairs(model, evidence, self.config.colorpair, rng)

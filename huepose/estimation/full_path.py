@@ -13,25 +13,24 @@ from dataclasses import dataclass
 import numpy as np
 
 from huepose.estimation.config import FullPathConfig
-from huepose.estimation.different import different_poses
-from huepose.estimation.evidence import Evidence, doubted
 from huepose.geometry.arrays import Float, Float64
-from huepose.matching.retrieval import retrieve
-from huepose.matching.template_table import TemplateTable
+from huepose.judge.figure_ground import USUAL, set_off
+from huepose.judge.region import Region
+from huepose.judge.terms import CLOSE_SAMPLES, score_many
+from huepose.judge.terms import totals as totals_of
 from huepose.model.types import ReferenceModel
-from huepose.registration.surface_icp import align_many
+from huepose.propose.evidence import Evidence, doubted
+from huepose.propose.template_table import TemplateTable
+from huepose.propose.views import retrieve
+from huepose.refine.coordinate_search import RACE, search
+from huepose.refine.point_to_plane import align_many
+from huepose.select.distinct import FINAL_SHIFT, FINAL_TURN_RAD, different_poses
 from huepose.support.stages import stage
-from huepose.verification.dense import score_many
-from huepose.verification.figure import USUAL, set_off
-from huepose.verification.local_search import RACE, search
-from huepose.verification.region import Region
 
 RIVALS = 0.5
 """Poses of which the total lies farther behind the best after the search are not registered again."""
 
-COARSE_SAMPLES, FINE_SAMPLES = 350, 800
-FINAL_TURN_RAD, FINAL_SHIFT = 0.2, 0.05
-"""Poses closer than this (shift in diameters) are one answer."""
+COARSE_SAMPLES = 350
 
 FIGURE_WEIGHT = 0.75
 """What it counts that a figure stands out from the ground."""
@@ -121,10 +120,10 @@ def refine_prior(model: ReferenceModel, evidence: Evidence, T_cam_obj: Float) ->
     start = np.asarray(T_cam_obj, dtype=np.float64)[None]
     aligned = [_icp(model, p, start, 0.15 * model.diameter_m, 0.008, 20) for p in evidence.points_cam]
     starts = np.concatenate([start, *aligned])
-    searched, _ = search(model, region, starts, (4.0, 2.0, 1.0), FINE_SAMPLES, race=RACE)
+    searched, _ = search(model, region, starts, (4.0, 2.0, 1.0), CLOSE_SAMPLES, race=RACE)
     settled = _icp(model, region.points_cam, searched, 0.012, 0.006, 5)
     poses = np.concatenate([starts, searched, settled])
-    return np.asarray(poses[np.argmax(judge(model, region, poses))])
+    return np.asarray(poses[np.argmax(totals_of(model, region, poses))])
 
 
 def finish(
@@ -134,12 +133,12 @@ def finish(
     if not len(poses):
         return poses, np.zeros(0)
     with stage("judge"):
-        totals = judge(model, region, poses)
+        totals = totals_of(model, region, poses)
         best = different_poses(model, poses, totals, config.judged, FINAL_TURN_RAD, FINAL_SHIFT)
         poses, totals = poses[best], totals[best]
     with stage("search"):
         fine, fine_totals = search(
-            model, region, poses[: config.finished], (3.0, 1.5, 0.7), FINE_SAMPLES, race=RACE
+            model, region, poses[: config.finished], (3.0, 1.5, 0.7), CLOSE_SAMPLES, race=RACE
         )
         poses, totals = np.concatenate([poses, fine]), np.concatenate([totals, fine_totals])
         best = different_poses(model, poses, totals, config.alternatives, FINAL_TURN_RAD, FINAL_SHIFT)
@@ -163,11 +162,6 @@ def by_figure(
         both[asked] = totals[asked] + FIGURE_WEIGHT * set_off(model, region, poses[asked])
     order = np.argsort(-both, kind="stable")
     return poses[order], totals[order[0]] - (both[order[0]] - both[order])
-
-
-def judge(model: ReferenceModel, region: Region, poses: Float64) -> Float64:
-    """Total (M,) of poses (M, 4, 4)."""
-    return score_many(model, region, poses, FINE_SAMPLES)[:, 0]
 
 
 def _icp(

@@ -10,8 +10,8 @@ from collections.abc import Callable, Mapping, Sequence
 
 import numpy as np
 
+from huepose.believe.quality import features, quality_fits
 from huepose.estimation.config import Method
-from huepose.estimation.quality import features, quality_fits
 from huepose.estimation.types import PoseEstimate
 from huepose.geometry.frame import RgbdFrame
 from huepose.model.types import ReferenceModel

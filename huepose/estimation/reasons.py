@@ -10,8 +10,8 @@ from huepose.estimation.explanation import Explanation
 from huepose.estimation.types import PoseEstimate
 from huepose.geometry import se3
 from huepose.geometry.arrays import Bool, Float, Float64
+from huepose.judge.terms import Terms, score
 from huepose.model.types import ReferenceModel
-from huepose.verification.dense import PoseScore, score
 
 CLOSE_MARGIN = 0.1
 """Totals closer than this are a near tie: light and noise move them as far."""
@@ -53,7 +53,7 @@ def _of_masks(mask: Bool | None, masks: Sequence[Bool]) -> list[str]:
     return [f"the masks show something else: {covering(best, mask, 'the pose')}"]
 
 
-def _of_terms(terms: PoseScore) -> list[str]:
+def _of_terms(terms: Terms) -> list[str]:
     unknown = max(0.0, 1.0 - terms.seen - terms.occluded)
     said = (
         (terms.violation > MUCH_SEEN_THROUGH, f"one looks through {100 * terms.violation:.0f} % of the pose"),

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from huepose.estimation.quality import QualityTerms
+from huepose.believe.quality import QualityTerms
 from huepose.geometry.arrays import Bool, Float64
 from huepose.geometry.box import Box
 

@@ -1,4 +1,4 @@
-"""Fitting quality: from estimates with known truth to the probabilities that `estimation.quality` states.
+"""Fitting quality: from estimates with known truth to the probabilities that `believe.quality` states.
 
 Four kinds of estimates are needed. Of objects that were asked for in their own boxes (labels): which of the
 published answers was right. Of objects asked for where they are not (others): whether something is there. Of
@@ -15,7 +15,7 @@ from typing import Any
 
 import numpy as np
 
-from huepose.estimation.quality import Logistic, QualityFit, QualityTerms, features
+from huepose.believe.quality import Logistic, QualityFit, QualityTerms, features
 from huepose.evaluation import metrics
 from huepose.evaluation.judged import NONE, Judged
 from huepose.evaluation.likelihood import choice, logistic
@@ -25,7 +25,7 @@ from huepose.support.errors import InputError
 
 @dataclass(frozen=True)
 class Names:
-    """Which of `estimation.quality.features` enter each part of a fit."""
+    """Which of `believe.quality.features` enter each part of a fit."""
 
     presence: Sequence[str]
     this_print: Sequence[str]

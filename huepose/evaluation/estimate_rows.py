@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from huepose.estimation.quality import QualityTerms
+from huepose.believe.quality import QualityTerms
 from huepose.evaluation import metrics
 from huepose.evaluation.bootstrap import Interval, frame_intervals
 from huepose.evaluation.summary import Figures, grouped, mean_figures

@@ -9,8 +9,8 @@ from typing import Any
 
 import numpy as np
 
+from huepose.believe.quality import QualityTerms
 from huepose.datasets import files
-from huepose.estimation.quality import QualityTerms
 from huepose.evaluation import metrics
 from huepose.geometry.arrays import Bool, Float64, Int64
 from huepose.support.errors import InputError

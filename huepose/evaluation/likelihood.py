@@ -7,7 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 from scipy.optimize import minimize
 
-from huepose.estimation.quality import Logistic, behind
+from huepose.believe.quality import Logistic, behind
 from huepose.geometry.arrays import Bool, Float64, Int64
 
 RIDGE = 2.0

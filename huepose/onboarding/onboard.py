@@ -12,8 +12,6 @@ from huepose.geometry import se3
 from huepose.geometry.arrays import Float64
 from huepose.geometry.mesh import Mesh
 from huepose.geometry.symmetry import sampled
-from huepose.matching.pair_reference import PairView, build_pair_reference, reference_cameras
-from huepose.matching.views import build_templates
 from huepose.model.io import check_name
 from huepose.model.types import PairReference, ReferenceModel
 from huepose.onboarding.cloud import visible_cloud
@@ -24,6 +22,8 @@ from huepose.onboarding.surface import build_surface
 from huepose.onboarding.symmetries import equivalent_turns
 from huepose.onboarding.turns import near_symmetries
 from huepose.onboarding.visibility import depth_views
+from huepose.paper.pair_reference import PairView, build_pair_reference, reference_cameras
+from huepose.propose.templates import build_templates
 from huepose.rendering.render import render
 from huepose.support.errors import InputError
 

@@ -7,7 +7,7 @@ import numpy as np
 from huepose.geometry.arrays import Bool, Float32, Float64
 from huepose.model.types import ReferenceModel
 from huepose.perception.clear_view import ClearView
-from huepose.registration.surface_icp import SurfaceArrays, align_kernel, surface_arrays
+from huepose.refine.point_to_plane import SurfaceArrays, align_kernel, surface_arrays
 from huepose.support.jit import jit
 
 POINTS, ITERATIONS = 150, 10

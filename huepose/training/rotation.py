@@ -18,8 +18,8 @@ from torch.utils.data import IterableDataset
 
 from huepose.drawing.plots import line_plot
 from huepose.geometry.arrays import Float
-from huepose.tracking.canonical import FEATURES
-from huepose.tracking.rotation_network import POINTS, Kind
+from huepose.paper.canonical import FEATURES
+from huepose.paper.rotation_network import POINTS, Kind
 from huepose.training.network import AttentionDgcnn, geodesic
 from huepose.training.runs import (
     Course,

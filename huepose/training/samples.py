@@ -8,8 +8,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from huepose.geometry.arrays import Float32
-from huepose.tracking.relative_pose import RobustKabsch
-from huepose.tracking.rotation_network import Kind, fixed_count, posed
+from huepose.paper.rotation_network import Kind, fixed_count, posed
+from huepose.propose.relative_pose import RobustKabsch
 from huepose.training.turns import Turn, TurnRange, draw_turns
 
 

@@ -14,9 +14,9 @@ import numpy as np
 
 from huepose.geometry import Camera, Mesh, se3
 from huepose.geometry.arrays import Bool, Float32, Float64
+from huepose.propose.lifting import lift
+from huepose.propose.relative_pose import LiftedMatches
 from huepose.rendering.render import Rendering, render
-from huepose.tracking.lifting import lift
-from huepose.tracking.relative_pose import LiftedMatches
 from huepose.training.shapes import random_rotation, random_shape
 
 CANDIDATES = 260

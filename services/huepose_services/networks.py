@@ -7,15 +7,15 @@ from pathlib import Path
 import msgspec
 
 from huepose.datasets.synthetic_store import cache_folder
+from huepose.paper.rotation_first import RotationFirst
+from huepose.paper.rotation_network import SHIPPED, OnnxRotation, ResidualRotation
+from huepose.perception.flow_network import NetworkFlow
 from huepose.perception.sam import SamSegmenter
 from huepose.perception.sessions import Network, NetworkSettings, open_network
 from huepose.perception.yolo import YoloDetector, class_names
+from huepose.propose.flow import FlowSource, compute
+from huepose.propose.relative_pose import RelativePose, RobustKabsch
 from huepose.support.errors import InputError
-from huepose.tracking.flow import FlowSource, compute
-from huepose.tracking.flow_network import NetworkFlow
-from huepose.tracking.relative_pose import RelativePose, RobustKabsch
-from huepose.tracking.rotation_first import RotationFirst
-from huepose.tracking.rotation_network import SHIPPED, OnnxRotation, ResidualRotation
 from huepose_services.catalogue import entry_of
 from huepose_services.runtime.config import Config
 

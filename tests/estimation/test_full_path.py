@@ -13,9 +13,9 @@ from huepose.estimation.config import FullPathConfig
 from huepose.estimation.explanation import Explanation
 from huepose.estimation.types import PoseEstimate, PosePrior
 from huepose.geometry import Box, RgbdFrame, se3
+from huepose.judge.terms import score
 from huepose.model.types import ReferenceModel
 from huepose.rendering.render import render_depth
-from huepose.verification.dense import score
 
 TakePicture = Callable[..., RgbdFrame]
 

@@ -7,9 +7,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from huepose.believe.quality import features, quality_fits
 from huepose.estimation import Estimator, ObjectQuery
 from huepose.estimation.present import OTHER_PRINT, presences_of
-from huepose.estimation.quality import features, quality_fits
 from huepose.estimation.verdict import absent
 from huepose.geometry import Box
 from huepose.rendering.render import render_depth

@@ -21,11 +21,11 @@ from huepose.evaluation.targets import Targets
 from huepose.geometry import Camera, RgbdFrame, se3
 from huepose.geometry.box import Box
 from huepose.model.types import ReferenceModel
+from huepose.propose.correspondences import Correspondences
+from huepose.propose.flow import compute
+from huepose.propose.relative_pose import LiftedMatches, RobustKabsch, lift_matches
 from huepose.rendering import render
 from huepose.support.errors import InputError
-from huepose.tracking.correspondences import Correspondences
-from huepose.tracking.flow import compute
-from huepose.tracking.relative_pose import LiftedMatches, RobustKabsch, lift_matches
 from huepose.tracking.silhouette import visible_mask
 
 CAMERA = Camera(420.0, 420.0, 159.5, 119.5, 320, 240)

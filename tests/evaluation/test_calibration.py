@@ -5,7 +5,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from huepose.estimation.quality import MAX_MARGIN, TIE, QualityTerms, features, quality, quality_fits
+from huepose.believe.quality import MAX_MARGIN, TIE, QualityTerms, features, quality, quality_fits
 from huepose.evaluation import calibration
 from huepose.evaluation.calibration import FEATURES, Names
 from huepose.evaluation.judged import FALSE_WEIGHT, Judged, read_absent, read_judged

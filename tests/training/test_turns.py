@@ -2,9 +2,9 @@ import numpy as np
 import pytest
 
 from huepose.geometry import Camera, kabsch, se3
+from huepose.paper.rotation_network import fixed_count, posed
+from huepose.propose.relative_pose import RobustKabsch
 from huepose.rendering.render import render_depth
-from huepose.tracking.relative_pose import RobustKabsch
-from huepose.tracking.rotation_network import fixed_count, posed
 from huepose.training.samples import endless, sample_of
 from huepose.training.shapes import random_shape
 from huepose.training.turns import TurnRange, draw_turns

@@ -18,15 +18,15 @@ from huepose.drawing.contact_sheet import contact_sheet
 from huepose.drawing.overlay import draw_color_pairs
 from huepose.geometry.arrays import Bool, Float64, UInt8
 from huepose.geometry.frame import RgbdFrame
-from huepose.matching.classes import ClassConfig, classify
-from huepose.matching.hypotheses import (
+from huepose.model.pairs import reference_pairs
+from huepose.model.types import ReferenceModel
+from huepose.paper.classes import ClassConfig, classify
+from huepose.paper.hypotheses import (
     HypothesesConfig,
     Reading,
     extract_at_model_scale,
     read_scene,
-    reference_pairs,
 )
-from huepose.model.types import ReferenceModel
 from huepose.rendering.render import render
 
 PALETTE: UInt8 = np.array(

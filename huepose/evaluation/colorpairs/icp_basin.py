@@ -17,8 +17,8 @@ from huepose.evaluation.colorpairs.triangle_fit import TriangleScene
 from huepose.evaluation.metrics import add
 from huepose.geometry import se3
 from huepose.geometry.arrays import Float64
-from huepose.registration.semantic_icp import ClassifiedScene, SemanticIcpConfig, semantic_icp_many
-from huepose.registration.surface_icp import align_many
+from huepose.paper.semantic_icp import ClassifiedScene, SemanticIcpConfig, semantic_icp_many
+from huepose.refine.point_to_plane import align_many
 from huepose.support.progress import progress
 
 WON = 0.03

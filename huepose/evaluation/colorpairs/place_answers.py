@@ -9,26 +9,26 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
+from huepose.believe.quality import quality_fits
 from huepose.estimation.answer import Levels, answer_of
 from huepose.estimation.config import FullPathConfig
-from huepose.estimation.decision import WEIGHTS, decided
-from huepose.estimation.evidence import Evidence, gather
 from huepose.estimation.explanation import Explanation
 from huepose.estimation.full_path import Trail, estimate_full, finish
-from huepose.estimation.on_edges import laid_on_edges
-from huepose.estimation.quality import quality_fits
-from huepose.estimation.settle import settle_on_depth
 from huepose.estimation.types import ObjectQuery
 from huepose.geometry import se3
 from huepose.geometry.arrays import Bool, Float64
 from huepose.geometry.box import Box
 from huepose.geometry.frame import RgbdFrame
-from huepose.matching.template_table import TemplateTable
+from huepose.judge.pair_kernel import PairPicture
+from huepose.judge.pair_terms import pair_picture
 from huepose.model.types import ReferenceModel
 from huepose.perception.types import Segmenter
+from huepose.propose.evidence import Evidence, gather
+from huepose.propose.template_table import TemplateTable
+from huepose.refine.final import settle_on_depth
+from huepose.refine.on_edges import laid_on_edges
+from huepose.select.near_ties import WEIGHTS, decided
 from huepose.support.stages import StageClock, listening
-from huepose.verification.pairs import pair_picture
-from huepose.verification.pairs_kernel import PairPicture
 
 Found = tuple[Float64, Float64]
 """Different poses (K, 4, 4) and their totals (K,), best first."""

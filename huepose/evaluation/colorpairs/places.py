@@ -16,18 +16,19 @@ import numpy as np
 
 from huepose.colorpair.denoise import to_lab
 from huepose.colorpair.light import relit
-from huepose.estimation.colorpair_path import estimate_by_pairs, proposed_by_pairs
-from huepose.estimation.config import ColorpairPathConfig, FullPathConfig
-from huepose.estimation.decision import WEIGHTS
+from huepose.estimation.config import FullPathConfig
 from huepose.estimation.full_path import estimate_full, finish, refine_coarse
 from huepose.evaluation.colorpairs.place_answers import Found, Shared
 from huepose.geometry.arrays import Float64, UInt8
 from huepose.geometry.frame import RgbdFrame
-from huepose.matching.hypotheses import HypothesesConfig, Reading, extract_at_model_scale, read_scene
-from huepose.registration.semantic_icp import ClassifiedScene, semantic_icp_many
+from huepose.judge.pair_terms import pair_score_many
+from huepose.paper.colorpair import estimate_by_pairs, proposed_by_pairs
+from huepose.paper.config import ColorpairPathConfig
+from huepose.paper.hypotheses import HypothesesConfig, Reading, extract_at_model_scale, read_scene
+from huepose.paper.pair_search import search_pairs
+from huepose.paper.semantic_icp import ClassifiedScene, semantic_icp_many
+from huepose.select.near_ties import WEIGHTS
 from huepose.support.stages import listening
-from huepose.verification.pairs import pair_score_many
-from huepose.verification.pairs_search import search_pairs
 
 SHIPPED = "as shipped"
 """The place that is none: the full method as it is."""

@@ -4,7 +4,7 @@ A pair is found again when the changed picture has one within two pixels of its 
 along an edge; pixels of the coarser picture), within one across the edge, and of the same direction. It is
 known again when, besides, at most one in ten of all pairs of the changed picture is more similar to it than
 the one at its own place. The second figure is also given after the colours were brought back by the light
-that `matching.light` reads from the pairs alone, as matching does.
+that `paper.light` reads from the pairs alone, as matching does.
 """
 
 from __future__ import annotations
@@ -21,8 +21,8 @@ from huepose.colorpair.types import ColorPairs
 from huepose.evaluation.colorpairs.changes import SCALE, SERIES, ChangeSeries
 from huepose.evaluation.colorpairs.views import StudyView, object_view
 from huepose.geometry.arrays import Bool, Float32, Int
-from huepose.matching.light import lights_of
 from huepose.model.types import ReferenceModel
+from huepose.paper.light import lights_of
 from huepose.support.progress import progress
 
 PLACE_PX, ACROSS_PX, ANGLE_DEG = 2.0, 1.0, 25.0

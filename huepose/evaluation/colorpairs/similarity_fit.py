@@ -24,9 +24,9 @@ from huepose.evaluation.colorpairs.changes import blur, exposure, noise, white_b
 from huepose.evaluation.colorpairs.views import StudyView, object_views
 from huepose.geometry import se3
 from huepose.geometry.arrays import Bool, Float32, Float64, Int64
-from huepose.matching.hypotheses import reference_pairs
-from huepose.matching.light import lights_of
+from huepose.model.pairs import reference_pairs
 from huepose.model.types import ReferenceModel
+from huepose.paper.light import lights_of
 from huepose.support.progress import progress
 
 SAME, FAR = 0.015, 0.1

@@ -21,10 +21,10 @@ from huepose.evaluation.colorpairs.views import StudyView, object_views
 from huepose.geometry.arrays import Bool, Float32, Int32, Int64
 from huepose.geometry.frame import RgbdFrame
 from huepose.geometry.rotations import angles_to
-from huepose.matching.cloud import ClassifiedCloud
-from huepose.matching.hypotheses import HypothesesConfig, read_scene, reference_cloud
-from huepose.matching.triangles import TriangleConfig, build_triangles, triangle_votes
 from huepose.model.types import ReferenceModel
+from huepose.paper.cloud import ClassifiedCloud
+from huepose.paper.hypotheses import HypothesesConfig, read_scene, reference_cloud
+from huepose.paper.triangles import TriangleConfig, build_triangles, triangle_votes
 from huepose.support.progress import progress
 
 TURN_DEG, SHIFT = 15.0, 0.1

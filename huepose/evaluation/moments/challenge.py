@@ -22,8 +22,8 @@ from huepose.tracking.step import Subject, best_of
 
 EVERY = 10
 WRONG = 6
-UNDECIDED = 0.5
-"""What is known beforehand of a pose: nothing."""
+UNDECIDED = 0.0
+"""Log-odds of a pose beforehand: nothing is known."""
 
 LEAST_VISIBLE = 0.3
 
@@ -48,10 +48,10 @@ def challenge(
             for i, start in enumerate(starts):
                 step = best_of(subject.surface, seen.frame, [(start, "still")])
                 add = metrics.add(model.eval_points, step.T_cam_obj, truth)
-                qualities.append(evidence.quality(step.fit, usual.get(k), UNDECIDED))
+                qualities.append(evidence.probability(evidence.log_odds(step.sight, usual.get(k), UNDECIDED)))
                 right.append(add < metrics.RECALL_FRACTION * model.diameter_m)
                 if i == 0:
-                    usual[k] = evidence.usual_after(usual.get(k), step.fit.total)
+                    usual[k] = evidence.baseline_after(usual.get(k), step.sight.total)
     return np.array(qualities), np.array(right, bool)
 
 

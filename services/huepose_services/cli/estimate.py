@@ -88,7 +88,7 @@ def call(arguments: argparse.Namespace) -> int:
 
 def _say_offset(frame: RgbdFrame, models: Mapping[str, ReferenceModel], answers: list[PoseEstimate]) -> None:
     """A line on standard error where depth plainly does not lie on the colours."""
-    from huepose.registration.depth_offset import depth_offset
+    from huepose.estimation.depth_offset import depth_offset
 
     sure = [a for a in answers if a.state == "TRACKING"]
     offset = depth_offset(frame, [(models[a.object], a.T_cam_obj) for a in sure if a.T_cam_obj is not None])

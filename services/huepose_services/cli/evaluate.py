@@ -197,7 +197,7 @@ def _add_calibrate(verbs: Any) -> None:
         parser,
         "--out",
         "FILE",
-        "where the fit is kept; huepose/estimation/quality_fits.json is the one in use",
+        "where the fit is kept; huepose/believe/quality_fits.json is the one in use",
     )
     _path(parser, "--plots", "DIR", "reliability pictures")
 

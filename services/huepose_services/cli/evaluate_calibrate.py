@@ -11,9 +11,9 @@ from typing import Any
 import cv2
 import numpy as np
 
+from huepose.believe.quality import quality_fits
 from huepose.datasets import files
 from huepose.drawing.plots import reliability_plot
-from huepose.estimation.quality import quality_fits
 from huepose.evaluation import calibration
 from huepose.evaluation.calibration import Worth
 from huepose.evaluation.judged import NONE, Judged, read_absent, read_judged

@@ -11,6 +11,7 @@ from dataclasses import dataclass
 from functools import cache
 from importlib import resources
 
+from huepose.judge.open_region import BLIND
 from huepose.judge.terms import Terms
 
 SLACK, HIDDEN_SLACK = 0.25, 0.3
@@ -23,22 +24,27 @@ FEW = 0.1
 """Share of the surface seen in colour that counts half."""
 
 
-def features(terms: Terms, hue: float, goes_on: float, baseline: float | None) -> dict[str, float]:
-    """What speaks for a pose (the larger, the more), by name; where it is not seen, nothing."""
+LEAST_THERE, ABSENT = 0.1, 5.0
+"""With less of the surface there than this share nothing speaks for a pose: so many log-odds less where none
+is."""
+
+MARGIN = 0.15
+"""Share of the surface that a pose with little to see explains less, as in the judge's terms."""
+
+
+def features(terms: Terms, baseline: float | None) -> dict[str, float]:
+    """What speaks for a pose (the larger, the more), by name. baseline: the total that is usual for it, or
+    None."""
     heard = terms.colored / (terms.colored + FEW)
     possible = terms.contrast / (terms.contrast + PLAIN)
     drop = 0.0
     if baseline is not None:
         drop = max(0.0, baseline - terms.total - SLACK - HIDDEN_SLACK * terms.hidden)
+    there = _there(terms)
+    through = terms.through * (terms.seen + MARGIN) / max(1.0 - terms.through, 1e-6)
     return {
-        "depth_fit": terms.depth_fit,
-        "not_through": 1.0 - terms.through,
-        "color": heard * terms.color,
-        "color_there": heard * min(terms.color - possible, 0.0),
-        "hue": heard * hue,
-        "ends": 1.0 - goes_on,
-        "seen": min(terms.seen, 0.5),
-        "not_outside": 1.0 - terms.outside,
+        "explained": there / (there + through + MARGIN),
+        "color": -max(possible - heard * terms.color, 0.0),
         "no_drop": -drop,
     }
 
@@ -50,10 +56,16 @@ class FrameFit:
     constant: float
     factors: Mapping[str, float]
 
-    def log_odds(self, terms: Terms, hue: float, goes_on: float, baseline: float | None) -> float:
+    def log_odds(self, terms: Terms, baseline: float | None) -> float:
         """That the pose is right, with nothing known beforehand."""
-        known = features(terms, hue, goes_on, baseline)
-        return self.constant + sum(factor * known[name] for name, factor in self.factors.items())
+        known = features(terms, baseline)
+        x = self.constant + sum(factor * known[name] for name, factor in self.factors.items())
+        return x - ABSENT * (1.0 - min(_there(terms) / LEAST_THERE, 1.0))
+
+
+def _there(terms: Terms) -> float:
+    """Share of the surface that depth, or where there is none, colour, says is there."""
+    return terms.seen + BLIND * terms.blind
 
 
 @cache

@@ -5,7 +5,7 @@ a shape, that it is this size, and that the pose is right then. The last one is 
 of the poses that were found is right is shared out by their scores, so that a near-tie is published as one,
 each pose with its probability. Whether an object is there at all is a question of its own, which decides
 whether anything is said to be found. `quality_fits.json` holds the numbers, as fitted on drawn scenes
-(`evaluation.calibration`). The covariance is that of a robust point-to-plane fit, widened by what print and
+(`studies.quality`). The covariance is that of a robust point-to-plane fit, widened by what print and
 model fix and by a floor.
 """
 

@@ -28,6 +28,7 @@ from huepose.geometry import kabsch, se3
 from huepose.geometry.arrays import Bool, Float, Float64
 from huepose.geometry.box import Box
 from huepose.geometry.camera import Camera
+from huepose.judge.silhouette import visible_within
 from huepose.model.types import ReferenceModel
 from huepose.paper.rotation_network import SHIPPED, OnnxRotation, ResidualRotation
 from huepose.propose.correspondences import Correspondences, match
@@ -36,7 +37,6 @@ from huepose.propose.relative_pose import LiftedMatches, Motion, RelativePose, R
 from huepose.rendering import render_depth
 from huepose.support.errors import InputError
 from huepose.support.progress import progress
-from huepose.judge.silhouette import visible_within
 
 LEAST_M, LEAST_RAD = 0.001, np.radians(1.0)
 """Relative errors of pairs that move less say nothing: they are left out and counted."""

@@ -36,7 +36,7 @@ WEIGHTS: Mapping[str, float] = {
     "pairs": 0.6,
 }
 """Near the largest likelihood that the right one of the contenders wins (a softmax of their weighted sums),
-over drawn heaps, path-traced piles and real frames (`benchmarks/near_ties.py`)."""
+over drawn heaps, path-traced piles and real frames (`studies.near_ties`)."""
 
 SHARE = 0.35
 """A difference so weighed says as much as this part of it where nothing but the dense score is known."""

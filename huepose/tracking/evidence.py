@@ -13,8 +13,8 @@ import numpy as np
 
 from huepose.believe.frame import FrameFit, frame_fit
 from huepose.geometry.arrays import Float64
+from huepose.judge.terms import Terms
 from huepose.tracking.config import TrackerConfig
-from huepose.tracking.sight import Sight
 from huepose.tracking.types import State
 
 MEMORY, MOST_MEMORY = 0.6, 2.0
@@ -38,16 +38,16 @@ RETURNED_AFTER = 2
 """Supported frames in a row after which a SUSPECT object is TRACKING again."""
 
 
-def log_odds(sight: Sight, baseline: float | None, before: float, fit: FrameFit | None = None) -> float:
+def log_odds(terms: Terms, baseline: float | None, before: float, fit: FrameFit | None = None) -> float:
     """Log-odds that a pose is right: by what is seen of it, by the total that is its baseline, and by the
     log-odds of the pose that it was followed from.
 
-    >>> from huepose.tracking.sight import UNSEEN
-    >>> log_odds(UNSEEN, None, 0.0) < -4.0
+    >>> from huepose.judge.terms import NOTHING
+    >>> log_odds(NOTHING, None, 0.0) < -4.0
     True
     """
     fit = fit or frame_fit()
-    x = fit.log_odds(sight.terms, sight.hue, sight.goes_on, baseline)
+    x = fit.log_odds(terms, baseline)
     return x + min(max(MEMORY * before, -MOST_MEMORY), MOST_MEMORY)
 
 
@@ -62,9 +62,9 @@ def odds_of(p: float) -> float:
     return log(q / (1.0 - q))
 
 
-def one_sense(sight: Sight) -> bool:
+def one_sense(terms: Terms) -> bool:
     """Whether only depth, or only colour, holds a pose."""
-    return sight.terms.seen < LEAST_SEEN or sight.terms.colored < LEAST_SEEN
+    return terms.seen < LEAST_SEEN or terms.colored < LEAST_SEEN
 
 
 def vouched(quality: float, spread: float) -> float:
@@ -78,10 +78,10 @@ def vouched(quality: float, spread: float) -> float:
     return min(quality, max(quality * within, ONE_SENSE))
 
 
-def scarce(sight: Sight) -> bool:
+def scarce(terms: Terms) -> bool:
     """Whether something hides so much of the object that the rest can be followed for a moment only: a strip
     of it fits in many places along itself."""
-    return sight.terms.seen < LEAST_SEEN and sight.terms.hidden > HIDDEN
+    return terms.seen < LEAST_SEEN and terms.hidden > HIDDEN
 
 
 def bounded(quality: float, scarce_frames: int) -> float:
@@ -94,11 +94,11 @@ def baseline_after(baseline: float | None, total: float) -> float:
     return total if baseline is None else baseline + BASELINE_SHARE * (total - baseline)
 
 
-def light_after(light: Float64 | None, sight: Sight) -> Float64 | None:
+def light_after(light: Float64 | None, terms: Terms) -> Float64 | None:
     """What the light adds to the object's opponents, after a supported frame."""
-    if sight.terms.colored < LEAST_SEEN:
+    if terms.colored < LEAST_SEEN:
         return light
-    seen = np.array(sight.terms.light)
+    seen = np.array(terms.light)
     return seen if light is None else light + LIGHT_SHARE * (seen - light)
 
 

@@ -10,7 +10,7 @@ import numpy as np
 from huepose.geometry import se3
 from huepose.geometry.arrays import Float64
 from huepose.judge.surface import PreparedSurface
-from huepose.tracking.sight import Sight
+from huepose.judge.terms import Terms
 
 MOST = 3
 SAME = 0.05
@@ -29,7 +29,7 @@ class Hypothesis:
     that it is right, filtered over the frames."""
 
     T_cam_obj: Float64
-    sight: Sight
+    terms: Terms
     information: Float64
     source: str
     velocity: Float64 | None = None

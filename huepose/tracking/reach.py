@@ -13,7 +13,7 @@ from huepose.tracking.config import TrackerConfig
 from huepose.tracking.motion import MAX_AHEAD_S, predicted
 
 SLACK_M, SLACK_RAD = 0.02, np.radians(10.0)
-MAX_M, MAX_RAD = 0.25, np.radians(75.0)
+MAX_M, MAX_RAD = 0.35, np.pi
 TRUSTED_VELOCITY = 0.5
 """A known velocity halves the reach: the object's acceleration is left to be found."""
 

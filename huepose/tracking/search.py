@@ -24,8 +24,8 @@ from huepose.judge.surface import PreparedSurface
 from huepose.judge.terms import score_arrays
 from huepose.refine.photometric import COARSE, FINE, QUICK, refine, refine_all
 from huepose.select.distinct import first_distinct
+from huepose.tracking.look import totals
 from huepose.tracking.reach import Reach
-from huepose.tracking.sight import totals
 
 POSITION_SAMPLES, ROTATION_SAMPLES, POSE_SAMPLES = 60, 100, 250
 POSITION_STEP = 0.12
@@ -34,7 +34,10 @@ POSITION_STEP = 0.12
 POSITION_TURN = np.radians(40.0)
 """Positions are tried with the expected rotations and these far turns of them."""
 
-ROTATION_STEP = np.radians(18.0)
+ROTATION_STEP, WIDE_STEP = np.radians(18.0), np.radians(25.0)
+WIDE = np.radians(80.0)
+"""Spacing of the tried rotations, and where more than WIDE is in reach, of all of them."""
+
 DIFFERENT_TURN = np.radians(10.0)
 FINAL_SAMPLES = 400
 FOUND, APART_TURN, APART = 2, np.radians(25.0), 0.15
@@ -146,13 +149,16 @@ def _rotations(
 ) -> Float64:
     """The best clearly different poses over all rotations in reach at the positions."""
     poses = np.array(
-        [
-            se3.make(R, c - R @ surface.arrays.centre)
-            for R in _turned(reach.rotations, ROTATION_STEP, reach.angle_rad)
-            for c in positions
-        ]
+        [se3.make(R, c - R @ surface.arrays.centre) for R in _in_reach(reach) for c in positions]
     )
     return _best(surface, region, poses, ROTATION_SAMPLES, 0.1 * surface.diameter_m, count, DIFFERENT_TURN)
+
+
+def _in_reach(reach: Reach) -> list[Float64]:
+    """Rotations (3, 3) within reach, evenly."""
+    if reach.angle_rad <= WIDE:
+        return _turned(reach.rotations, ROTATION_STEP, reach.angle_rad)
+    return _turned(reach.rotations[-1:], WIDE_STEP, reach.angle_rad)
 
 
 def _best(

@@ -20,6 +20,7 @@ from huepose.geometry.mesh import Mesh
 from huepose.judge.open_region import OpenRegion, open_region
 from huepose.judge.silhouette import visible_within
 from huepose.judge.surface import PreparedSurface
+from huepose.judge.terms import NOTHING
 from huepose.model.types import ReferenceModel
 from huepose.propose import flow as optical_flow
 from huepose.propose.correspondences import match
@@ -27,10 +28,10 @@ from huepose.propose.relative_pose import RelativePose, RobustKabsch, lift_match
 from huepose.refine.photometric import FINE, refine
 from huepose.tracking.config import TrackerConfig
 from huepose.tracking.hypothesis import Hypothesis
+from huepose.tracking.look import look, totals
 from huepose.tracking.motion import predicted
 from huepose.tracking.reach import reaches
 from huepose.tracking.search import GREAT_EFFORT, USUAL_EFFORT, search
-from huepose.tracking.sight import UNSEEN, look, totals
 
 START_SAMPLES = 150
 HIDDEN_COSTS = 0.5
@@ -115,7 +116,7 @@ def advance(
     expected = predicted(first.T_cam_obj, first.velocity, seconds)
     if anchor.unseen_s > 0.0:
         waiting = unmoved(surface, frame, expected, anchor.light)
-        if waiting.sight.terms.hidden > WHOLLY_HIDDEN:
+        if waiting.terms.hidden > WHOLLY_HIDDEN:
             # Still behind something. A refinement would lead to that, where its depth fits.
             return Advance((waiting,), doubtful=True)
     gone_s = seconds + anchor.unseen_s
@@ -124,14 +125,14 @@ def advance(
     if not far.holds(surface.centre_cam(followed[0].T_cam_obj)):
         # Nothing moves that fast: what was followed is what came in front.
         followed[0] = unmoved(surface, frame, expected, anchor.light)
-    best = max(followed, key=lambda h: h.sight.total)
+    best = max(followed, key=lambda h: h.terms.total)
     long = seconds > config.long_step_s
     doubt = config.long_doubt if long else config.doubt
-    returning = anchor.unseen_s > 0.0 and best.sight.terms.seen >= RETURNING_SEEN
+    returning = anchor.unseen_s > 0.0 and best.terms.seen >= RETURNING_SEEN
     surprising = long and moved_m(surface, best.T_cam_obj, expected) > config.surprising_m
     if convincing(best, anchor.baseline, doubt, config) and not (surprising or returning):
         return Advance(tuple(followed))
-    if (resting or best.sight.terms.hidden > config.hidden) and not (long or returning):
+    if (resting or best.terms.hidden > config.hidden) and not (long or returning):
         return Advance(tuple(followed), doubtful=True)
     proposed: list[Hypothesis] = []
     # What was not seen in the last frame has no pixels there to be followed.
@@ -139,7 +140,7 @@ def advance(
         T_flow = flow_start(subject, anchor, frame, expected, relative_pose or RobustKabsch(), config.flow)
         if T_flow is not None and far.holds(surface.centre_cam(T_flow)):
             proposed.append(best_of(surface, frame, [(T_flow, "flow")], anchor.light))
-            best = max(best, proposed[-1], key=lambda h: h.sight.total)
+            best = max(best, proposed[-1], key=lambda h: h.terms.total)
     if not config.search or (
         convincing(best, anchor.baseline, doubt, config) and not (surprising or returning)
     ):
@@ -150,20 +151,20 @@ def advance(
     for reach, effort in efforts:
         found = search(surface, frame, reach, effort, anchor.light)
         proposed += [best_of(surface, frame, [(T, "search")], anchor.light) for T in found]
-        best = max([best, *proposed], key=lambda h: h.sight.total)
+        best = max([best, *proposed], key=lambda h: h.terms.total)
         if convincing(best, anchor.baseline, doubt, config):
             break
-    if len(subject.turns) and best.sight.terms.seen >= RETURNING_SEEN:
+    if len(subject.turns) and best.terms.seen >= RETURNING_SEEN:
         starts = [(best.T_cam_obj @ turn, "turn") for turn in subject.turns]
         proposed.append(best_of(surface, frame, starts, anchor.light))
-        best = max(best, proposed[-1], key=lambda h: h.sight.total)
+        best = max(best, proposed[-1], key=lambda h: h.terms.total)
     doubtful = not convincing(best, anchor.baseline, doubt, config)
     return Advance(tuple(followed), tuple(proposed), True, doubtful)
 
 
 def convincing(found: Hypothesis, baseline: float | None, doubt: float, config: TrackerConfig) -> bool:
     """Whether a hypothesis explains as much as it should: no reason to look further."""
-    total, allowed = found.sight.total, doubt + HIDDEN_COSTS * found.sight.terms.hidden
+    total, allowed = found.terms.total, doubt + HIDDEN_COSTS * found.terms.hidden
     return total >= config.doubtful_total and (baseline is None or total >= baseline - allowed)
 
 
@@ -218,7 +219,7 @@ def best_of(
         z = float(surface.centre_cam(starts[-1][0])[2])
         region = _window(surface, frame, _union(*boxes), z)
     if region is None:
-        return Hypothesis(starts[-1][0], UNSEEN, np.zeros((6, 6)), starts[-1][1])
+        return Hypothesis(starts[-1][0], NOTHING, np.zeros((6, 6)), starts[-1][1])
     region = region.lit(light)
     poses = np.array([T for T, _ in starts])
     chosen = int(np.argmax(totals(surface, region, poses, START_SAMPLES))) if len(starts) > 1 else 0
@@ -230,15 +231,15 @@ def best_of(
         T = refined.T_cam_obj
         refined = refine(surface, region, T)
     best = Hypothesis(refined.T_cam_obj, look(surface, region, refined.T_cam_obj), refined.information, name)
-    unmoved_sight = look(surface, region, T_start)
-    if unmoved_sight.total > best.sight.total + DRAWN_AWAY:
+    unmoved_terms = look(surface, region, T_start)
+    if unmoved_terms.total > best.terms.total + DRAWN_AWAY:
         # Drawn away by something close by, a hand that holds the object for one: only what is near counts.
         careful = refine(surface, region, T_start, FINE)
         seen = look(surface, region, careful.T_cam_obj)
-        if seen.total > best.sight.total:
+        if seen.total > best.terms.total:
             best = Hypothesis(careful.T_cam_obj, seen, careful.information, name)
-        if unmoved_sight.total > best.sight.total:
-            best = Hypothesis(T_start, unmoved_sight, best.information, name)
+        if unmoved_terms.total > best.terms.total:
+            best = Hypothesis(T_start, unmoved_terms, best.information, name)
     return best
 
 
@@ -253,7 +254,7 @@ def found_nearby(
     reach, _ = reaches(surface, T_cam_obj, None, T_cam_obj, apart_s, config)
     found = search(surface, frame, reach, USUAL_EFFORT, None)
     more = [best_of(surface, frame, [(T, "search")]) for T in found]
-    return max([best, *more], key=lambda h: h.sight.total), True
+    return max([best, *more], key=lambda h: h.terms.total), True
 
 
 def unmoved(
@@ -262,8 +263,8 @@ def unmoved(
     """A pose as it is, with what is seen of it."""
     box, z = surface.box(T_cam_obj, frame.camera), float(surface.centre_cam(T_cam_obj)[2])
     region = None if box is None else _window(surface, frame, box, z)
-    sight = UNSEEN if region is None else look(surface, region.lit(light), T_cam_obj)
-    return Hypothesis(T_cam_obj, sight, np.zeros((6, 6)), "velocity")
+    terms = NOTHING if region is None else look(surface, region.lit(light), T_cam_obj)
+    return Hypothesis(T_cam_obj, terms, np.zeros((6, 6)), "velocity")
 
 
 def moved_m(surface: PreparedSurface, T_a: Float64, T_b: Float64) -> float:

@@ -9,6 +9,7 @@ import numpy as np
 
 from huepose.geometry.arrays import Bool, Float64
 from huepose.geometry.frame import RgbdFrame
+from huepose.judge.terms import NOTHING, Terms
 from huepose.propose.relative_pose import RelativePose
 from huepose.tracking import evidence
 from huepose.tracking.config import TrackerConfig
@@ -18,7 +19,6 @@ from huepose.tracking.hypothesis import Hypothesis, distinct, share_of_first
 from huepose.tracking.identity import Identity, turned_over
 from huepose.tracking.motion import filtered, increment_velocity, predicted
 from huepose.tracking.reach import jump_odds
-from huepose.tracking.sight import UNSEEN, Sight
 from huepose.tracking.step import Advance, Anchor, Subject, advance, found_nearby
 from huepose.tracking.types import State, TrackedPose
 from huepose.tracking.uncertainty import covariance, spread_m, unseen
@@ -77,9 +77,9 @@ class Track:
         return self.hypotheses[0].velocity if self.hypotheses else None
 
     @property
-    def sight(self) -> Sight:
+    def terms(self) -> Terms:
         """What is seen of that pose."""
-        return self.hypotheses[0].sight if self.hypotheses else UNSEEN
+        return self.hypotheses[0].terms if self.hypotheses else NOTHING
 
     def look(
         self,
@@ -118,9 +118,9 @@ class Track:
         self.hypotheses = distinct(surface, opinions)
         first = self.hypotheses[0]
         sure = evidence.probability(first.log_odds) * share_of_first(self.hypotheses)
-        if evidence.one_sense(first.sight):
+        if evidence.one_sense(first.terms):
             sure = min(sure, evidence.ONE_SENSE)
-        self._scarce_frames = self._scarce_frames + 1 if evidence.scarce(first.sight) else 0
+        self._scarce_frames = self._scarce_frames + 1 if evidence.scarce(first.terms) else 0
         sure = evidence.bounded(sure, self._scarce_frames)
         if corrected is not None and len(opinions) > 1 and first.T_cam_obj is opinions[1].T_cam_obj:
             self._identity = corrected  # The image prefers what was believed before the correction.
@@ -138,7 +138,7 @@ class Track:
         """A hypothesis with its log-odds, and the velocity that led to it."""
         measured = increment_velocity(parent.T_cam_obj, h.T_cam_obj, seconds)
         velocity = filtered(parent.velocity, measured, seconds)
-        return replace(h, velocity=velocity, log_odds=evidence.log_odds(h.sight, self.baseline, odds_before))
+        return replace(h, velocity=velocity, log_odds=evidence.log_odds(h.terms, self.baseline, odds_before))
 
     def settle(self, frame: RgbdFrame, contested: bool = False, since_ns: int = 0) -> None:
         """Judge what `look` found; contested: another pose holds the same surface with better right. Poses
@@ -148,13 +148,13 @@ class Track:
                 self.evidence = 0.0
             elif self.evidence >= self._config.suspect_quality:
                 # Less becomes usual only for a pose that is believed already.
-                total = self.sight.total
+                total = self.terms.total
                 if self.state is State.TRACKING or self.baseline is None or total > self.baseline:
                     self.baseline = evidence.baseline_after(self.baseline, total)
                 self._supported_ns = frame.stamp_ns
-                self.light = evidence.light_after(self.light, self.sight)
+                self.light = evidence.light_after(self.light, self.terms)
                 if self._identity is not None and self.evidence >= self._config.tracking_quality:
-                    self._identity = self._identity.carried(self.sight, self._view())
+                    self._identity = self._identity.carried(self.terms, self._view())
             self._judge()
         self.history.append(frame.frame_id, frame.stamp_ns, self.T_cam_obj)
         self.history.forget_before(since_ns)
@@ -163,7 +163,7 @@ class Track:
         """Begin with a pose of perception that is `apart_s` seconds off `frame`; says whether that took a
         search."""
         found, searched = found_nearby(self.subject.surface, T_cam_obj, frame, apart_s, self._config)
-        odds = evidence.log_odds(found.sight, self.baseline, evidence.odds_of(quality))
+        odds = evidence.log_odds(found.terms, self.baseline, evidence.odds_of(quality))
         self.hypotheses, self.frame = (found.believed(odds),), frame
         self.evidence = evidence.probability(odds)
         self.covariance = self._covariance(found)
@@ -173,12 +173,12 @@ class Track:
     def learn(self) -> None:
         """Take a frame that supports the pose as what is usual, on the way to now. What was usual before it
         was lost is asked for again: a pose that fits worse must not make that usual."""
-        total = self.sight.total
+        total = self.terms.total
         if self.evidence >= self._config.suspect_quality and (
             self.baseline is None or total >= self.baseline
         ):
             self.baseline = evidence.baseline_after(self.baseline, total)
-            self.light = evidence.light_after(self.light, self.sight)
+            self.light = evidence.light_after(self.light, self.terms)
 
     def place(self, verified: Track, quality: float, frame: RgbdFrame) -> None:
         """Start, or start again, with what another track of the same object found on `frame`. Only a
@@ -224,7 +224,7 @@ class Track:
         """Perception found the same pose by itself."""
         if self._identity is not None and self.hypotheses:
             self.hypotheses = self.hypotheses[:1]
-            self.baseline = self.sight.total
+            self.baseline = self.terms.total
             self._identity = self._identity.agreed(quality, self._view())
 
     def published(self, frame: RgbdFrame) -> TrackedPose:
@@ -248,7 +248,7 @@ class Track:
         first = self.hypotheses[0]
         velocity = None if before.velocity is None else before.velocity * COASTING_DAMPING
         T = first.T_cam_obj
-        if first.sight.terms.seen < COASTING_SEEN:
+        if first.terms.seen < COASTING_SEEN:
             T = predicted(before.T_cam_obj, before.velocity, seconds)
         self.hypotheses = (replace(first, T_cam_obj=T, velocity=velocity), *self.hypotheses[1:])
         if self.covariance is not None:

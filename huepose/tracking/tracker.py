@@ -263,7 +263,7 @@ class Tracker:
             track = Track(self._subjects[key[0]], *key, self.config)
             self._tracks[key] = track
             track.history.append(frame.frame_id, frame.stamp_ns, None)
-        elif track.T_cam_obj is not None and track.sight.total > found.sight.total:
+        elif track.T_cam_obj is not None and track.terms.total > found.terms.total:
             return
         track.place(found, correction.quality, frame)
         for stamp_ns, T in pursuit.poses:
@@ -277,11 +277,11 @@ class Tracker:
         if frame is None or found.T_cam_obj is None:
             return False
         claims = [
-            Claim(t.subject.surface, t.T_cam_obj, t.sight.total + (TWIN if other[0] == key[0] else 0.0))
+            Claim(t.subject.surface, t.T_cam_obj, t.terms.total + (TWIN if other[0] == key[0] else 0.0))
             for other, t in self._tracks.items()
             if other != key and t.T_cam_obj is not None
         ]
-        mine = Claim(found.subject.surface, found.T_cam_obj, found.sight.total)
+        mine = Claim(found.subject.surface, found.T_cam_obj, found.terms.total)
         return len(claims) in losers([*claims, mine], frame.depth, frame.camera)
 
     def _contested(self, frame: RgbdFrame) -> set[Key]:
@@ -293,7 +293,7 @@ class Tracker:
             assert track.T_cam_obj is not None
             # Or two that refine to one pose would lose in turns, and neither be believed nor lost.
             standing = STANDING if track.state is State.TRACKING else 0.0
-            claims.append(Claim(track.subject.surface, track.T_cam_obj, track.sight.total + standing))
+            claims.append(Claim(track.subject.surface, track.T_cam_obj, track.terms.total + standing))
         return {keys[i] for i in losers(claims, frame.depth, frame.camera)}
 
     def _forget(self) -> None:

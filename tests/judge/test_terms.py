@@ -8,12 +8,12 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from huepose.datasets.shapes import demo_objects
 from huepose.geometry import Box, RgbdFrame, se3
 from huepose.judge.region import prepare_region
 from huepose.judge.terms import Terms, score, score_many
 from huepose.model.types import ReferenceModel
 from huepose.rendering.render import render_depth
+from huepose.scenes.shapes import demo_objects
 from tests.judge.regions import region_of
 
 TakePicture = Callable[..., RgbdFrame]

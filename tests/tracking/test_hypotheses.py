@@ -9,11 +9,11 @@ import pytest
 
 from huepose.geometry import se3
 from huepose.judge.surface import PreparedSurface
+from huepose.judge.terms import NOTHING
 from huepose.tracking import Correction, State, Tracker, TrackerConfig
 from huepose.tracking.evidence import ONE_SENSE, vouched
 from huepose.tracking.hypothesis import Hypothesis, distinct, same_pose, share_of_first
 from huepose.tracking.reach import jump_odds
-from huepose.tracking.sight import UNSEEN
 from huepose.tracking.uncertainty import spread_m
 
 FLIP = se3.make(np.diag([-1.0, -1.0, 1.0]), np.zeros(3))
@@ -50,7 +50,7 @@ def turned(degrees: float) -> np.ndarray:
 
 
 def opinion(T: np.ndarray, log_odds: float) -> Hypothesis:
-    return Hypothesis(T, UNSEEN, np.zeros((6, 6)), "still", log_odds=log_odds)
+    return Hypothesis(T, NOTHING, np.zeros((6, 6)), "still", log_odds=log_odds)
 
 
 def test_a_turn_that_no_hand_makes_costs_log_odds(tea_box) -> None:

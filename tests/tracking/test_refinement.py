@@ -10,16 +10,16 @@ import pytest
 from huepose.geometry import Box, RgbdFrame, se3
 from huepose.judge.open_region import OpenRegion, open_region, window
 from huepose.judge.surface import PreparedSurface
-from huepose.judge.terms import Terms, score_arrays
+from huepose.judge.terms import NOTHING, Terms, score_arrays
 from huepose.model.types import ReferenceModel
 from huepose.propose.relative_pose import RobustKabsch
 from huepose.refine.photometric import FULL, QUICK, refine, refine_all
 from huepose.select.distinct import first_distinct
 from huepose.tracking.config import TrackerConfig
 from huepose.tracking.hypothesis import Hypothesis
+from huepose.tracking.look import totals
 from huepose.tracking.reach import Reach
 from huepose.tracking.search import search
-from huepose.tracking.sight import UNSEEN, totals
 from huepose.tracking.step import Anchor, Subject, advance, best_of, flow_start
 
 SMALL = np.array([0.004, -0.005, 0.004, 0.04, -0.05, 0.05])
@@ -39,7 +39,7 @@ def score(surface: PreparedSurface, region: OpenRegion, T: np.ndarray) -> Terms:
 
 
 def guess(T: np.ndarray, velocity: np.ndarray | None = None) -> Hypothesis:
-    return Hypothesis(T, UNSEEN, np.zeros((6, 6)), "still", velocity)
+    return Hypothesis(T, NOTHING, np.zeros((6, 6)), "still", velocity)
 
 
 def errors(T: np.ndarray, truth: np.ndarray) -> tuple[float, float]:
@@ -218,6 +218,6 @@ def test_a_pose_outside_of_the_image_explains_nothing(tea_box, shoot, path) -> N
     surface = PreparedSurface.of(tea_box)
     away = se3.make(np.eye(3), np.array([3.0, 0.0, 0.6]))
     step = best_of(surface, shoot([]), [(away, "still")])
-    assert step.sight.terms.outside == 1.0
+    assert step.terms.outside == 1.0
     np.testing.assert_array_equal(step.T_cam_obj, away)
     assert surface.box(se3.make(np.eye(3), np.array([0.0, 0.0, -1.0])), shoot([]).camera) is None

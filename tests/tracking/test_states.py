@@ -10,7 +10,7 @@ import pytest
 from huepose.geometry import Camera, se3
 from huepose.judge.silhouette import silhouette_iou, visible_within
 from huepose.judge.surface import PreparedSurface
-from huepose.judge.terms import Terms
+from huepose.judge.terms import NOTHING, Terms
 from huepose.tracking import State, TrackerConfig
 from huepose.tracking.competition import Claim, losers
 from huepose.tracking.evidence import (
@@ -26,18 +26,12 @@ from huepose.tracking.evidence import (
     scarce,
 )
 from huepose.tracking.identity import Identity
-from huepose.tracking.sight import UNSEEN, Sight
 from huepose.tracking.uncertainty import covariance, unseen
 
-GOOD = Sight(
-    Terms(
-        total=1.5, depth_fit=0.85, coverage=0.0, violation=0.0, color=0.7, occluded=0.0, seen=0.9,
-        box_iou=0.0,
-        through=0.0, hidden=0.0, blind=0.05, outside=0.0, contrast=30.0,
-        light_l=-3.0, light_rg=1.0, light_yb=1.0, colored=0.85,
-    ),
-    hue=2.0,
-    goes_on=0.1,
+GOOD = Terms(
+    total=1.5, depth_fit=0.85, coverage=0.0, violation=0.0, color=0.7, occluded=0.0, seen=0.9, box_iou=0.0,
+    through=0.0, hidden=0.0, blind=0.05, outside=0.0, contrast=30.0,
+    light_l=-3.0, light_rg=1.0, light_yb=1.0, colored=0.85,
 )  # fmt: skip
 CONFIG = TrackerConfig()
 
@@ -50,45 +44,40 @@ def run(qualities: list[float], confirmed: bool = True, start: State = State.TRA
     return out
 
 
-def with_terms(**terms: float) -> Sight:
-    return replace(GOOD, terms=replace(GOOD.terms, **terms))
-
-
 def test_good_and_bad_evidence() -> None:
     assert probability(log_odds(GOOD, None, 0.0)) > 0.9
-    assert probability(log_odds(UNSEEN, None, 3.0)) < 0.05
-    assert probability(log_odds(with_terms(color=0.0, depth_fit=0.5), None, 0.0)) < 0.1
+    assert probability(log_odds(NOTHING, None, 3.0)) < 0.05
+    assert probability(log_odds(replace(GOOD, color=0.0, seen=0.5), None, 0.0)) < 0.1
     assert log_odds(GOOD, None, 2.0) > log_odds(GOOD, None, 0.0), "right a frame ago"
     assert log_odds(GOOD, None, 20.0) < log_odds(GOOD, None, 0.0) + 3.0, "which does not outweigh the image"
 
 
 def test_each_piece_of_evidence_counts() -> None:
-    base = with_terms(color=0.3)
+    base = replace(GOOD, color=0.3)
     x = log_odds(base, None, 0.0)
     for worse in (
-        replace(base, terms=replace(base.terms, depth_fit=0.6)),
-        replace(base, terms=replace(base.terms, through=0.2)),
-        replace(base, terms=replace(base.terms, color=0.1)),
-        replace(base, hue=-2.0),
+        replace(base, seen=0.2),
+        replace(base, through=0.2),
+        replace(base, color=0.1),
     ):
         assert log_odds(worse, None, 0.0) < x
 
 
 def test_colours_of_few_pixels_say_little() -> None:
     """On a floor that is overexposed all over a few samples correlate by chance."""
-    lucky = replace(GOOD, terms=replace(GOOD.terms, colored=0.03, color=0.8))
+    lucky = replace(GOOD, colored=0.03, color=0.8)
     assert log_odds(lucky, None, 0.0) < log_odds(GOOD, None, 0.0) - 1.0
     assert one_sense(lucky)
 
 
 def test_a_sudden_drop_under_the_baseline_counts() -> None:
-    sight = with_terms(total=0.8, color=0.35)
-    assert log_odds(sight, 1.6, 1.0) < log_odds(sight, 0.9, 1.0)
+    terms = replace(GOOD, total=0.8, color=0.35)
+    assert log_odds(terms, 1.6, 1.0) < log_odds(terms, 0.9, 1.0)
 
 
 def test_one_sense_alone_is_doubtful_at_best() -> None:
-    assert one_sense(with_terms(seen=0.0, depth_fit=0.0, blind=0.95))
-    assert one_sense(with_terms(colored=0.0))
+    assert one_sense(replace(GOOD, seen=0.0, depth_fit=0.0, blind=0.95))
+    assert one_sense(replace(GOOD, colored=0.0))
     assert not one_sense(GOOD)
 
 
@@ -98,10 +87,10 @@ def test_odds_and_probabilities() -> None:
 
 
 def test_a_strip_beside_a_hand_is_followed_for_a_moment_only() -> None:
-    strip = with_terms(seen=0.1, hidden=0.8)
+    strip = replace(GOOD, seen=0.1, hidden=0.8)
     assert scarce(strip)
-    assert not scarce(with_terms(seen=0.3, hidden=0.8))
-    assert not scarce(with_terms(seen=0.1, hidden=0.0, blind=0.9)), "a blind sensor hides nothing"
+    assert not scarce(replace(GOOD, seen=0.3, hidden=0.8))
+    assert not scarce(replace(GOOD, seen=0.1, hidden=0.0, blind=0.9)), "a blind sensor hides nothing"
     trust = [bounded(0.9, k) for k in range(12)]
     assert trust[0] == 0.9
     assert CONFIG.lost_quality < trust[5] < CONFIG.suspect_quality
@@ -141,8 +130,8 @@ def test_baseline_and_light_follow_slowly() -> None:
     first = light_after(None, GOOD)
     assert first is not None
     assert first.tolist() == [-3.0, 1.0, 1.0]
-    assert light_after(first, with_terms(colored=0.0)) is first, "where no colour was seen"
-    later = light_after(first, with_terms(light_l=7.0))
+    assert light_after(first, replace(GOOD, colored=0.0)) is first, "where no colour was seen"
+    later = light_after(first, replace(GOOD, light_l=7.0))
     assert later is not None
     assert later.tolist() == [-1.0, 1.0, 1.0]
 
@@ -155,7 +144,7 @@ def test_identity_grows_with_agreement_and_new_viewpoints() -> None:
     assert doubtful.agreed(0.95, front).value == pytest.approx(0.95)
     assert doubtful.agreed(0.8, side).value == pytest.approx(0.92)
     assert doubtful.carried(GOOD, front) is doubtful, "the same side says nothing new"
-    assert doubtful.carried(with_terms(color=0.2), side) is doubtful, "nor does a side without a print"
+    assert doubtful.carried(replace(GOOD, color=0.2), side) is doubtful, "nor does a side without a print"
     carried = doubtful.carried(GOOD, side)
     assert carried.value == pytest.approx(0.8)
     assert carried.carried(GOOD, side) is carried

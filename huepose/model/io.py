@@ -15,6 +15,8 @@ import cv2
 import numpy as np
 
 from huepose.geometry.mesh import Mesh
+from huepose.model.archive import Archive, picture
+from huepose.model.plausible import check_model
 from huepose.model.types import (
     DistanceGrid,
     PairReference,
@@ -106,25 +108,27 @@ def load_model(path: Path | str) -> ReferenceModel:
     version of the format."""
     path = Path(path)
     try:
-        with zipfile.ZipFile(path) as archive:
-            header = json.loads(archive.read("header.json"))
+        with Archive(path) as archive:
+            header = archive.header()
             if header.get("format") != _FORMAT or header.get("version") not in (VERSION, _WITH_TABLES):
                 raise InputError(
                     path,
-                    found=f"{header.get('format')} of version {header.get('version')}",
+                    found=f"{str(header.get('format'))[:80]} of version {str(header.get('version'))[:20]}",
                     expected=f"{_FORMAT} of version {VERSION}",
                     fix=_AGAIN,
                 )
-            arrays = {name: _read(archive, name, kind) for name, kind in header["types"].items()}
-        return _assembled(header, arrays)
+            arrays = {name: archive.array(name, kind) for name, kind in header["types"].items()}
+        model = _assembled(header, arrays)
+        check_model(model)
+        return model
+    except InputError:
+        raise
     except FileNotFoundError:
         raise InputError(path, found="no such file", expected="a reference model", fix=_AGAIN) from None
-    except (zipfile.BadZipFile, KeyError, ValueError, TypeError, OSError, AttributeError) as error:
-        if isinstance(error, InputError):
-            raise
-        raise InputError(
-            path, found=f"a damaged or foreign file ({error})", expected="a reference model", fix=_AGAIN
-        ) from None
+    except Exception as error:
+        # A damaged file may fail anywhere in zip, JSON, NumPy and OpenCV, each with errors of its own.
+        found = f"a damaged or foreign file ({type(error).__name__}: {str(error)[:200]})"
+        raise InputError(path, found=found, expected="a reference model", fix=_AGAIN) from None
 
 
 def load_models(bundles_dir: Path | str, names: Iterable[str] | None = None) -> dict[str, ReferenceModel]:
@@ -161,24 +165,20 @@ def _narrowed(array: np.ndarray) -> np.ndarray:
     return array.astype(np.promote_types(np.min_scalar_type(array.min()), np.min_scalar_type(array.max())))
 
 
-def _read(archive: zipfile.ZipFile, name: str, kind: str) -> np.ndarray:
-    with archive.open(f"{name}.npy") as entry:
-        array = np.lib.format.read_array(entry, allow_pickle=False)
-    return np.asarray(array.astype(kind, copy=False))
-
-
 def _assembled(header: dict[str, Any], arrays: dict[str, Any]) -> ReferenceModel:
     def part(room: str, kind: type) -> dict[str, Any]:
         return {name: arrays[f"{room}.{name}"] for name in _array_fields(kind)}
 
-    texture = cv2.imdecode(arrays["mesh.texture_png"], cv2.IMREAD_COLOR)
-    if texture is None:
-        raise ValueError("its texture is damaged")
-    picture = np.ascontiguousarray(texture[..., ::-1]).astype(np.uint8)
+    texture = picture(arrays["mesh.texture_png"])
     return ReferenceModel(
-        name=header["name"],
+        name=check_name(header["name"]),
         object_id=header["object_id"],
-        mesh=Mesh(arrays["mesh.vertices"], arrays["mesh.faces"], arrays["mesh.uv"], picture),
+        mesh=Mesh(
+            arrays["mesh.vertices"],
+            arrays["mesh.faces"],
+            arrays["mesh.uv"],
+            texture,
+        ),
         eval_points=arrays["eval_points"],
         diameter_m=header["diameter_m"],
         symmetries=arrays["symmetries"],

@@ -54,7 +54,7 @@ class DetectorWork:
         self._hints = Hints()
         keys = bus.keys
         self._requests = bus.inbox.queue(keys.request)
-        self._frames = bus.inbox.ring(keys.frame, wakes=False)
+        self._frames = bus.frames(wakes=False)
         self._truths = bus.inbox.queue(keys.truth) if isinstance(finder, TruthBoxes) else None
         self._frame: tuple[FrameHeader, bytes] | None = None
 

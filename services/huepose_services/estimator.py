@@ -66,7 +66,8 @@ class EstimatorWork:
         self._bus.health.count("unknown_objects", len(message.objects) - len(objects))
         try:
             frame = frame_from_wire(message.frame, payload)
-            queries = [self._query(item, frame.stamp_ns, frame.depth.shape) for item in objects]
+            size = (frame.camera.height, frame.camera.width)
+            queries = [self._query(item, frame.stamp_ns, size) for item in objects]
         except WireError as error:
             self._bus.refuse(self._bus.keys.masks, error)
             return
@@ -92,15 +93,13 @@ class EstimatorWork:
         health.count("found", sum(e.found for e in estimates))
         health.worked(started, frame.stamp_ns)
 
-    def _query(self, item: MaskedObject, stamp_ns: int, shape: tuple[int, ...]) -> ObjectQuery:
+    def _query(self, item: MaskedObject, stamp_ns: int, size: tuple[int, int]) -> ObjectQuery:
         request = item.detection.request
         prior = None
         if request.prior is not None:
             tracked = prior_from_wire(request.prior)
             prior = PosePrior(tracked.predicted(stamp_ns), tracked.covariance)
-        masks = tuple(mask_of(runs) for runs in item.masks)
-        if any(mask.shape != shape for mask in masks):
-            raise WireError(f"a mask of {request.object} has not the size of its frame")
+        masks = tuple(mask_of(runs, size) for runs in item.masks)
         return ObjectQuery(
             request.object,
             box=box_from_wire(item.detection.box),

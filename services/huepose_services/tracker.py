@@ -25,6 +25,7 @@ from huepose_services.following import Follower, Retired
 from huepose_services.runtime.bus import Bus
 from huepose_services.runtime.clock import now_ns
 from huepose_services.runtime.config import Config
+from huepose_services.runtime.future import check_number
 from huepose_services.runtime.log import StateChanges
 
 _REFUSED_EVERY_S = 10.0
@@ -62,7 +63,7 @@ class TrackerWork:
         self._told = StateChanges(bus.log)
         self._refused: tuple[str, int] | None = None
         self._corrections = bus.inbox.queue(bus.keys.correction)
-        self._frames = bus.inbox.ring(bus.keys.frame)
+        self._frames = bus.frames()
         self._header: FrameHeader | None = None
         self._published: set[tuple[str, int]] = set()
 
@@ -106,7 +107,13 @@ class TrackerWork:
             self._bus.health.count("corrections_of_retired")
             return
         try:
-            applied = self._tracker.correct(correction_from_wire(message))
+            check_number(message, now_ns())
+            header = self._header
+            same = header is not None and header.camera_epoch == message.camera_epoch
+            applied = self._tracker.correct(correction_from_wire(message, header if same else None))
+        except WireError as error:
+            self._bus.refuse(self._bus.keys.correction, error)
+            return
         except InputError as error:
             self._bus.refuse(self._bus.keys.correction, WireError(str(error)))
             return
@@ -194,8 +201,10 @@ def _frame_of(header: FrameHeader) -> tuple[int, int]:
     return header.camera_epoch, header.frame_id
 
 
-def correction_from_wire(message: CorrectionMessage) -> Correction:
-    """The correction of a message."""
+def correction_from_wire(message: CorrectionMessage, header: FrameHeader | None = None) -> Correction:
+    """The correction of a message. header: of a frame of the camera that it is about; raises WireError for a
+    mask that has not that frame's size."""
+    size = None if header is None else (header.intrinsics.height, header.intrinsics.width)
     return Correction(
         object=message.object,
         instance=message.instance,
@@ -206,7 +215,7 @@ def correction_from_wire(message: CorrectionMessage) -> Correction:
         quality=message.quality,
         verdict=Verdict(message.verdict),
         seq=message.seq,
-        mask=None if message.mask is None else mask_of(message.mask),
+        mask=None if message.mask is None else mask_of(message.mask, size),
     )
 
 

@@ -149,7 +149,8 @@ def test_it_says_how_it_is_and_nobody_outside_can_reach_a_worker(running):
     assert view.well
     assert 'camera -- "frame, ' in mermaid(view)
     assert NAME in as_text(view)
-    assert {a for m in view.health.values() for a in _listening(m.pid)} == {"127.0.0.1"}
+    assert {a for m in view.health.values() for a in _listening(m.pid)} == set()
+    assert all(m.shared_memory for w, m in view.health.items() if w in ("tracker", "detector"))
 
 
 def test_no_worker_has_loaded_what_only_onboarding_needs(running):

@@ -87,18 +87,25 @@ class NetworksConfig(Section, frozen=True, kw_only=True):
     sha256: dict[str, Sha256] = {}
 
 
+def absolute_path(text: str, folder: Path) -> str:
+    """A path that holds anywhere. Raises ValueError or RuntimeError for what can be none."""
+    if "\0" in text:
+        raise ValueError("a character that no path has")
+    return str(folder / Path(text).expanduser())
+
+
 def absolute_network(text: str | None, folder: Path) -> str | None:
     """A network by path, relative to `folder`; a name that `huepose models` knows stays as it is."""
     if text is None or not (text.endswith(".onnx") or "/" in text):
         return text
-    return str(folder / Path(text).expanduser())
+    return absolute_path(text, folder)
 
 
 def absolute_networks(
     detector: DetectorConfig, segmenter: SegmenterConfig, networks: NetworksConfig, folder: Path
 ) -> dict[str, Section]:
     """The three sections with paths that hold anywhere."""
-    cache = networks.cache and str(folder / Path(networks.cache).expanduser())
+    cache = networks.cache and absolute_path(networks.cache, folder)
     return {
         "detector": msgspec.structs.replace(detector, model=absolute_network(detector.model, folder)),
         "segmenter": msgspec.structs.replace(

@@ -2,12 +2,11 @@
 
 from __future__ import annotations
 
-import errno
-import socket
 from importlib import import_module
 
 from huepose.support.errors import InputError
 from huepose_services.runtime.config import Config
+from huepose_services.runtime.run_folder import is_taken, make_folder
 from huepose_services.runtime.running import occupant
 
 
@@ -71,15 +70,12 @@ def _unknown(config: Config, name: str) -> None:
 
 def check_ports(config: Config) -> None:
     """Raises InputError when a worker's port is taken."""
+    folder = make_folder()
     for worker in config.workers:
-        with socket.socket() as probe:
-            probe.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
-            try:
-                probe.bind(("127.0.0.1", config.port(worker)))
-            except OSError as error:
-                raise InputError(
-                    f"port {config.port(worker)} of worker {worker}",
-                    found=occupant(config, worker) if error.errno == errno.EADDRINUSE else str(error),
-                    expected="a free port on 127.0.0.1",
-                    fix="Stop the other pipeline, or set bus.base_port in the configuration.",
-                ) from None
+        if is_taken(folder, config.port(worker)):
+            raise InputError(
+                f"port {config.port(worker)} of worker {worker}",
+                found=occupant(config, worker),
+                expected=f"that nobody listens there (in {folder})",
+                fix="Stop the other pipeline, or set bus.base_port in the configuration.",
+            )

@@ -28,6 +28,7 @@ from huepose.evaluation.summary import table
 from huepose.evaluation.targets import Targets
 from huepose.model import load_models
 from huepose.perception.colorpair_detector import ColorPairDetector
+from huepose.perception.config import DetectorConfig
 from huepose.perception.presence import presence_fit
 from huepose.support.progress import progress
 
@@ -78,7 +79,7 @@ def _seen(images: Sequence[tuple[Path, int]], bundles: Path) -> list[SeenPlaces]
     """What is seen in some images, everything asked for."""
     targets = Targets(load_models(bundles))
     models = targets.models_by_name
-    detector = ColorPairDetector(models, min_score=0.0)
+    detector = ColorPairDetector(models, DetectorConfig(proposals=3, min_score=0.0))
     estimator = Estimator(models, EstimatorConfig(found_level=0.0))
     scenes = {path: BopScene(path) for path, _ in images}
     out = []

@@ -1,4 +1,4 @@
-"""What can be chosen about the estimator; defaults are what was measured best."""
+"""What can be chosen about the estimator; the defaults are those of a live pipeline."""
 
 from __future__ import annotations
 
@@ -63,7 +63,7 @@ class EstimatorConfig:
     found_level: float | None = None
     competition: bool = True
     look_anew_every: int = 3
-    look_harder: bool = True
+    look_harder: bool = False
     full: FullPathConfig = field(default_factory=FullPathConfig)
     colorpair: ColorpairPathConfig = field(default_factory=ColorpairPathConfig)
 

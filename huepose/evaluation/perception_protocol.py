@@ -35,7 +35,7 @@ class PerceptionOptions:
     it are neither asked for nor false; onboarded: numbers of objects that are asked for; subsets: how many
     random choices of each number; masks: whether outlines are measured."""
 
-    judged: int = 3
+    judged: int = 2
     least: float = 0.0
     accepted: float = PRESENT
     min_visib: float = 0.3

@@ -1,4 +1,4 @@
-"""What can be set about a tracker; the defaults are what was measured."""
+"""What can be set about a tracker; the defaults are those of a live pipeline."""
 
 from __future__ import annotations
 
@@ -30,10 +30,10 @@ class TrackerConfig:
     confirmed_identity: float = 0.9
     lost_after: int = 5
     search: bool = True
-    searches_per_step: int | None = None
+    searches_per_step: int | None = 1
     max_search_m_s: float = 0.8
     max_search_rad_s: float = 7.0
-    catch_up_stride: int = 5
+    catch_up_stride: int = 3
     flow: FlowSource = compute
 
     def __post_init__(self) -> None:

@@ -9,6 +9,7 @@ import numpy as np
 from huepose.believe.quality import QualityFit, QualityTerms, covariance
 from huepose.estimation.confirm import MARGIN
 from huepose.estimation.explanation import Explanation
+from huepose.estimation.reasons import why_absent
 from huepose.estimation.types import ObjectQuery, PoseEstimate
 from huepose.geometry import se3
 from huepose.geometry.arrays import Float64
@@ -52,11 +53,13 @@ def answer_of(
         kept = different_answers(model, poses)
         poses, totals = poses[kept], totals[kept]
         terms = _terms(model, region, poses[0], totals, explanation.confirmed)
-    if region is None or terms is None or fit.present(terms) < levels.found:
+    present = 0.0 if terms is None else fit.present(terms)
+    if region is None or terms is None or present < levels.found:
         total = float(totals[0]) if len(totals) else 0.0
+        reason = why_absent(explanation, terms, present, levels.found)
         return PoseEstimate(
             query.object, query.instance, False, None, 0.0, "LOST", total, 0.0, None, None,
-            query.box, prior_score, prior_T, (), 0.0, terms,
+            query.box, prior_score, prior_T, (), 0.0, terms, reason,
         )  # fmt: skip
     chances = fit.probabilities(terms)
     T, alignment, mask = settle(model, frame, region, se3.orthonormalised(poses[0]))

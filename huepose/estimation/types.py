@@ -44,7 +44,8 @@ class PoseEstimate:
     refined prior, None without one; prior_T_cam_obj: the refined prior. margin: score above the best clearly
     different pose. quality: calibrated probability that the pose is right. state: "TRACKING" over the
     acquisition level, else "SUSPECT"; "LOST" when not found. alternatives: other poses and their
-    probabilities. terms: what the quality was made of.
+    probabilities. terms: what the quality was made of. reason: where not found, why, in one sentence; empty
+    where found.
     """
 
     object: str
@@ -63,3 +64,4 @@ class PoseEstimate:
     alternatives: tuple[tuple[Float64, float], ...]
     seconds: float
     terms: QualityTerms | None = None
+    reason: str = ""

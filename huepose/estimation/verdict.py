@@ -41,8 +41,26 @@ def standing(
     return out
 
 
-def absent(name: str, seconds: float = 0.0) -> PoseEstimate:
+def absent(name: str, reason: str, seconds: float = 0.0) -> PoseEstimate:
     """The answer for an object of which no pose stands."""
     return PoseEstimate(
-        name, 0, False, None, 0.0, "LOST", 0.0, 0.0, None, None, None, None, None, (), seconds
+        name, 0, False, None, 0.0, "LOST", 0.0, 0.0, None, None, None, None, None, (), seconds, None, reason
     )
+
+
+def why_none_stands(
+    name: str, answers: Sequence[PoseEstimate], chances: Sequence[float], least: float = PRESENT
+) -> str:
+    """Why no pose of an object stands, in one sentence: of the likeliest of its answers where it has any.
+
+    answers, chances: as for `standing`, of all objects of the frame."""
+    mine = [(chance, a) for a, chance in zip(answers, chances, strict=True) if a.object == name]
+    if not mine:
+        return "The detector found no place in the frame that looks like the object."
+    chance, best = max(mine, key=lambda item: item[0])
+    if not best.found:
+        return best.reason
+    places = "the only place" if len(mine) == 1 else f"the best of {len(mine)} places"
+    if chance >= least:
+        return f"Another object explains the surface at {places} better."
+    return f"At {places} the object is there with a probability of {chance:.2f}, which is under {least:.2f}."

@@ -22,7 +22,7 @@ def test_an_answer_is_as_likely_as_its_object_is_there(tea_box, take_picture, st
     (there,) = Estimator(models).estimate(frame, [ObjectQuery("tea_box", box)])
     beside = standing.copy()
     beside[0, 3] += 0.5 * tea_box.diameter_m
-    answers = [there, replace(there, T_cam_obj=beside), absent("tea_box")]
+    answers = [there, replace(there, T_cam_obj=beside), absent("tea_box", "")]
     chances = presences_of(frame, models, answers, "full")
     assert chances[0] > 0.9
     assert chances[1] < 0.1

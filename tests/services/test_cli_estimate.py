@@ -94,6 +94,7 @@ def test_without_a_box_the_object_is_found_in_the_whole_picture(
     assert main(files) == 0
     (pose,) = json.loads(capsys.readouterr().out)["poses"]
     assert pose["found"]
+    assert pose["reason"] is None
     assert np.abs(np.array(pose["T_cam_obj"]) - standing).max() < 0.01
 
 
@@ -101,6 +102,7 @@ def test_nothing_in_the_box_is_an_answer(files: list[str], capsys: pytest.Captur
     assert main([*files, "--box", "0", "0", "4", "4"]) == 0
     (pose,) = json.loads(capsys.readouterr().out)["poses"]
     assert (pose["found"], pose["T_cam_obj"], pose["state"]) == (False, None, "LOST")
+    assert pose["reason"].endswith(".")
 
 
 @pytest.mark.parametrize(

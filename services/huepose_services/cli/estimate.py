@@ -155,20 +155,27 @@ def _detected(
 ) -> list[PoseEstimate]:
     """The poses that stand at the places which the detector proposes; an object without any is not found."""
     from huepose.estimation.present import presences_of
-    from huepose.estimation.verdict import absent, standing
+    from huepose.estimation.verdict import absent, standing, why_none_stands
 
     places = detector.detect(frame, names)
     places = places[::-1]  # The best place last: its explanation is the one that is kept.
     answers = [_answer(arguments, frame, models, estimator, p.object, p.box) for p in places]
-    poses = standing(answers, presences_of(frame, models, answers, arguments.method))
-    return [pose for name in names for pose in [p for p in poses if p.object == name] or [absent(name)]]
+    chances = presences_of(frame, models, answers, arguments.method)
+    poses = standing(answers, chances)
+    out = []
+    for name in names:
+        none = absent(name, why_none_stands(name, answers, chances))
+        out += [pose for pose in poses if pose.object == name] or [none]
+    return out
 
 
 def as_record(answer: PoseEstimate) -> dict[str, Any]:
-    """An estimate in the form of the JSON file: metres, T_cam_obj as 4x4, box as x y w h."""
+    """An estimate in the form of the JSON file: metres, T_cam_obj as 4x4, box as x y w h; reason: why nothing
+    was found, None where something was."""
     return {
         "object": answer.object,
         "found": answer.found,
+        "reason": answer.reason or None,
         "T_cam_obj": None if answer.T_cam_obj is None else answer.T_cam_obj.tolist(),
         "quality": answer.quality,
         "covariance": None if answer.covariance is None else answer.covariance.tolist(),

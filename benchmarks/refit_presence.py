@@ -22,7 +22,7 @@ from refit_quality import bundles_of, drawn_ycb
 from huepose.datasets.bop import BopScene
 from huepose.datasets.types import Sample
 from huepose.estimation import Estimator, EstimatorConfig
-from huepose.estimation.verdict import PRESENT
+from huepose.estimation.config import StandingConfig
 from huepose.evaluation.presence_fit import SeenPlaces, chances, fit_presence, look
 from huepose.evaluation.summary import table
 from huepose.evaluation.targets import Targets
@@ -60,7 +60,7 @@ def main() -> None:
         ("held out", held_out),
     ):
         there = np.concatenate([f.there for f in frames])
-        over = stated >= PRESENT
+        over = stated >= StandingConfig().present
         rows.append([name, len(there), 100.0 * there.mean(), 100.0 * over[there].mean(),
                      100.0 * there[over].mean(), f"{stated.mean():.3f}"])  # fmt: skip
     print(asdict(found))

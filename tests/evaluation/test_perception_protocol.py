@@ -8,6 +8,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from huepose.estimation.config import StandingConfig
 from huepose.estimation.types import PoseEstimate
 from huepose.estimation.verdict import absent, standing, why_none_stands
 from huepose.evaluation.perception_pictures import FALSE, FOUND, MISSED, draw_perception
@@ -157,7 +158,7 @@ def test_one_surface_stands_for_one_pose() -> None:
     beside, doubtful = answer("brick", RIGHT), answer("can", NOWHERE)
     assert standing([worse, doubtful, beside, better], [0.9, 0.3, 0.7, 0.95]) == [better, beside]
     assert standing([worse, absent("box", "")], [0.9, 1.0]) == [worse]
-    assert standing([doubtful], [0.3], 0.2) == [doubtful]
+    assert standing([doubtful], [0.3], StandingConfig(present=0.2)) == [doubtful]
 
 
 def test_why_none_of_an_object_stands() -> None:

@@ -27,7 +27,8 @@ from huepose.propose.evidence import Evidence, gather
 from huepose.propose.template_table import TemplateTable
 from huepose.refine.final import settle_on_depth
 from huepose.refine.on_edges import laid_on_edges
-from huepose.select.near_ties import WEIGHTS, decided
+from huepose.select.config import NearTieConfig, NearTieWeights
+from huepose.select.near_ties import decided
 from huepose.support.stages import StageClock, listening
 
 Found = tuple[Float64, Float64]
@@ -75,7 +76,7 @@ class Shared:
         region = self.evidence.region
         with self.timed("picture"):
             self.picture = pair_picture(self.model, region.crop, region.median_depth_m)
-        first = self.ended(poses, totals, WEIGHTS["pairs"], "full", True)
+        first = self.ended(poses, totals, NearTieWeights().pairs, "full", True)
         self.in_doubt = first.quality < quality_fits()["full"].level
         self.seconds["doubt"] = first.seconds
 
@@ -101,8 +102,10 @@ class Shared:
         weight of pairs; edges: whether they have the last word."""
         start = time.thread_time()
         if method == "full":
-            weights = {**WEIGHTS, "pairs": weight}
-            poses, totals, _ = decided(self.model, self.evidence.region, poses, totals, weights)
+            weights = NearTieWeights(pairs=weight)
+            poses, totals, _ = decided(
+                self.model, self.evidence.region, poses, totals, NearTieConfig(weights=weights)
+            )
         ordering = time.thread_time() - start
         key = (poses.tobytes(), totals.tobytes(), method.encode(), b"edges" if edges else b"")
         if key not in self._ended:

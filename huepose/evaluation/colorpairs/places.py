@@ -27,7 +27,7 @@ from huepose.paper.config import ColorpairPathConfig
 from huepose.paper.hypotheses import HypothesesConfig, Reading, extract_at_model_scale, read_scene
 from huepose.paper.pair_search import search_pairs
 from huepose.paper.semantic_icp import ClassifiedScene, semantic_icp_many
-from huepose.select.near_ties import WEIGHTS
+from huepose.select.config import NearTieWeights
 from huepose.support.stages import listening
 
 SHIPPED = "as shipped"
@@ -54,7 +54,7 @@ class Answer:
     poses: Float64
     totals: Float64
     seconds: float
-    weight: float = WEIGHTS["pairs"]
+    weight: float = NearTieWeights().pairs
     edges: bool = True
     method: str = "full"
 
@@ -91,7 +91,8 @@ def _hypotheses(shared: Shared) -> dict[str, Answer]:
         out[f"{name}, in doubt"] = asked if shared.in_doubt else shipped
     out["three times the views, in doubt"] = shipped
     if shared.in_doubt:
-        config = replace(shared.config, retrieved=3 * shared.config.retrieved)
+        views = shared.config.retrieval
+        config = replace(shared.config, retrieval=replace(views, views=3 * views.views))
         with shared.timed("more views"):
             poses, totals, _, _ = estimate_full(shared.model, shared.table, shared.evidence, config, NO_MORE)
         spent = shared.spent("before", "full", "doubt", "more views")

@@ -6,7 +6,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from huepose.believe.quality import QualityFit, QualityTerms, covariance
+from huepose.believe.covariance import covariance
+from huepose.believe.quality import QualityFit, QualityTerms
 from huepose.estimation.config import ConfirmConfig
 from huepose.estimation.explanation import Explanation
 from huepose.estimation.reasons import why_absent

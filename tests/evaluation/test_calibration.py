@@ -5,7 +5,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from huepose.believe.quality import MAX_MARGIN, TIE, QualityTerms, features, quality, quality_fits
+from huepose.believe.quality import LIMITS, QualityTerms, features, quality, quality_fits
 from huepose.evaluation import calibration
 from huepose.evaluation.calibration import FEATURES, Names
 from huepose.evaluation.judged import FALSE_WEIGHT, Judged, read_absent, read_judged
@@ -61,7 +61,7 @@ def test_in_an_exact_tie_the_first_has_no_advantage_and_a_clear_second_has_a_han
     rng = np.random.default_rng(8)
     n = 6000
     gaps = rng.choice([0.0, 0.002, 0.02, 0.05, 0.1], n)
-    first = 1 / (1 + np.exp(-20.0 * gaps - 1.5 * np.tanh(gaps / TIE)))
+    first = 1 / (1 + np.exp(-20.0 * gaps - 1.5 * np.tanh(gaps / LIMITS.tie)))
     which = np.where(rng.random(n) < 0.9, np.where(rng.random(n) < first, 0, 1), -1)
     labels = judged([replace(PLAIN, gaps=(float(g),)) for g in gaps], which)
     fit = calibration.fit(labels, NAMES).fit
@@ -191,9 +191,9 @@ def test_a_weight_counts_as_so_many_poses() -> None:
 
 
 def test_the_margin_is_that_to_the_best_other_answer() -> None:
-    assert replace(PLAIN, gaps=()).margin == MAX_MARGIN
+    assert replace(PLAIN, gaps=()).margin == LIMITS.margin
     assert replace(PLAIN, gaps=(0.05, 0.2)).margin == 0.05
-    assert replace(PLAIN, gaps=(1.0,)).margin == MAX_MARGIN
+    assert replace(PLAIN, gaps=(1.0,)).margin == LIMITS.margin
 
 
 def test_results_are_read_with_what_was_right(tmp_path: Path) -> None:

@@ -73,7 +73,17 @@ def test_a_pose_as_json_a_picture_and_an_explanation(
     )
     assert code == 0
     (pose,) = json.loads(out.read_text())["poses"]
-    assert set(pose) == {"object", "found", "T_cam_obj", "quality", "covariance", "state", "box", "seconds"}
+    assert set(pose) == {
+        "object",
+        "found",
+        "reason",
+        "T_cam_obj",
+        "quality",
+        "covariance",
+        "state",
+        "box",
+        "seconds",
+    }
     assert pose["found"]
     assert pose["state"] == "TRACKING"
     assert np.abs(np.array(pose["T_cam_obj"]) - standing).max() < 0.01

@@ -19,9 +19,9 @@ from pathlib import Path
 
 import numpy as np
 
-from huepose.datasets.synthetic import SyntheticScene
 from huepose.evaluation.metrics import add
 from huepose.model import load_models
+from huepose.scenes.builtin import SyntheticScene
 from huepose_protos.client import Reader
 from huepose_protos.keys import last
 from huepose_protos.messages import Estimates, HealthMessage, PoseMessage, TruthMessage

@@ -5,7 +5,7 @@ a shape, that it is this size, and that the pose is right then. The last one is 
 of the poses that were found is right is shared out by their scores, so that a near-tie is published as one,
 each pose with its probability. Whether an object is there at all is a question of its own, which decides
 whether anything is said to be found. `quality_fits.json` holds the numbers, as fitted on drawn scenes
-(`evaluation.calibration`).
+(`studies.quality`).
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ from huepose.geometry.arrays import Float64
 @dataclass(frozen=True)
 class FeatureLimits:
     """Beyond which a term says nothing more. Part of the fit: another value needs a new one
-    (`benchmarks/refit_quality.py`). Origin: chosen before the fit.
+    (`studies.quality`). Origin: chosen before the fit.
 
     margin: of the totals, to the next other pose; also that of a pose without any other. size: of the scale
     residual, for whether it is this size. near_size: of the same, for whether the object is there at all: so
@@ -46,7 +46,7 @@ LIMITS = FeatureLimits()
 class QualityTerms:
     """What quality is a function of. total: score of the pose; gaps: how much less the other answers score,
     best first; color, box_iou, depth_fit, coverage, violation, occluded, seen: terms of its dense score (see
-    `judge.terms.PoseScore`); missing, foreign, detail, turned: see `print_evidence.PrintEvidence`;
+    `judge.terms.Terms`); missing, foreign, detail, turned: see `print_evidence.PrintEvidence`;
     stretch: by how much the depth would have the object larger (see `size_evidence`); pixels: of the image
     that are believed to show the object; otherwise: share of the contrasts at the model's pairs that point in
     another colour (see `judge.contrast_disagreement`); agreed: what those that agree say (see

@@ -7,7 +7,6 @@ order of score and of how well figure and ground differ.
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -73,26 +72,16 @@ def _look(
     return poses, totals, Trail(views.poses, registered, searched)
 
 
-def refine_coarse(
-    model: ReferenceModel,
-    region: Region,
-    poses: Float64,
-    config: FullPathConfig,
-    rate: Callable[[Float64], Float64] | None = None,
-) -> Float64:
-    """Aligned poses (N, 4, 4) brought home: near-symmetric turns, search on the score, ICP (M, 4, 4).
-
-    rate: totals (K,) of poses (K, 4, 4) that choose which are searched, the dense score unless given.
-    """
+def refine_coarse(model: ReferenceModel, region: Region, poses: Float64, config: FullPathConfig) -> Float64:
+    """Aligned poses (N, 4, 4) brought home: near-symmetric turns, search on the score, ICP (M, 4, 4)."""
     if not len(poses):
         return poses
-    rate = rate or (lambda some: score_many(model, region, some, config.coarse_samples)[:, 0])
     with stage("turns"):
-        totals = rate(poses)
+        totals = score_many(model, region, poses, config.coarse_samples)[:, 0]
         best = different_poses(model, poses, totals, config.kept)
         poses, totals = poses[best], totals[best]
         turned = np.einsum("nij,mjk->nmik", poses[: config.turned], model.turns[1:]).reshape(-1, 4, 4)
-        turned_totals = rate(turned)
+        turned_totals = score_many(model, region, turned, config.coarse_samples)[:, 0]
         poses, totals = np.concatenate([poses, turned]), np.concatenate([totals, turned_totals])
         poses = poses[different_poses(model, poses, totals, config.searched)]
     with stage("search"):

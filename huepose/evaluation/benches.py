@@ -9,10 +9,10 @@ from functools import partial
 
 import numpy as np
 
-from huepose.datasets.synthetic import SyntheticScene
+from huepose.datasets.boxes import disturbed
 from huepose.estimation import Estimator, EstimatorConfig, ObjectQuery
-from huepose.evaluation.boxes import disturbed
 from huepose.model.types import ReferenceModel
+from huepose.scenes.builtin import SyntheticScene
 from huepose.support.progress import progress
 from huepose.support.stages import StageClock, listening
 from huepose.tracking import Tracker, TrackerConfig

@@ -18,7 +18,7 @@ from huepose.estimation.reasons import covering, displacement, overlap
 from huepose.estimation.types import PoseEstimate
 from huepose.evaluation import metrics
 from huepose.geometry.arrays import Bool, Float64
-from huepose.judge.terms import CLOSE_SAMPLES, DEFAULT_WEIGHTS, PoseScore, score
+from huepose.judge.terms import CLOSE_SAMPLES, DEFAULT_WEIGHTS, Terms, score
 from huepose.model.types import ReferenceModel
 from huepose.refine.coordinate_search import search
 
@@ -48,8 +48,8 @@ class Diagnosis:
     cause: Cause
     line: str
     nearest: dict[str, float]
-    answer: PoseScore | None
-    truth: PoseScore | None
+    answer: Terms | None
+    truth: Terms | None
     mask_iou: float | None
     best: Float64 | None
 
@@ -99,8 +99,8 @@ def _cause(
     model: ReferenceModel,
     explanation: Explanation,
     truths: Sequence[Float64],
-    said: PoseScore | None,
-    truth: PoseScore,
+    said: Terms | None,
+    truth: Terms,
     nearest: dict[str, float],
     mask_iou: float | None,
 ) -> Cause:
@@ -142,7 +142,7 @@ def _fate(nearest: dict[str, float]) -> str:
     return f"a view {nearest['views']:.2f} diameters off was proposed, and was not led home"
 
 
-def _judged(cause: Cause, said: PoseScore | None, truth: PoseScore, trust: float) -> str:
+def _judged(cause: Cause, said: Terms | None, truth: Terms, trust: float) -> str:
     if said is None:
         return f"the right pose scores {truth.total:.2f}"
     words = f"the right pose scores {truth.total:.2f}, the answer {said.total:.2f}"
@@ -154,7 +154,7 @@ def _judged(cause: Cause, said: PoseScore | None, truth: PoseScore, trust: float
     return words.replace(" ()", "")
 
 
-def _gains(said: PoseScore, truth: PoseScore, trust: float) -> dict[str, float]:
+def _gains(said: Terms, truth: Terms, trust: float) -> dict[str, float]:
     """What each term of the score gives the answer over the right pose."""
     w = DEFAULT_WEIGHTS
     return {

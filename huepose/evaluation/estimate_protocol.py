@@ -9,11 +9,11 @@ from typing import Literal, Protocol
 
 import numpy as np
 
+from huepose.datasets.boxes import Disturbance, disturbed, projected_box, truth_box
 from huepose.datasets.types import GroundTruth, Sample, Scene
 from huepose.estimation.present import Presence
 from huepose.estimation.types import ObjectQuery, PoseEstimate
 from huepose.estimation.verdict import standing, why_none_stands
-from huepose.evaluation.boxes import Disturbance, disturbed, projected_box, truth_box
 from huepose.evaluation.equivalents import Key
 from huepose.evaluation.estimate_rows import EstimateResult, EstimateRow, FalsePose
 from huepose.evaluation.targets import Targets, object_number
@@ -176,7 +176,7 @@ class _FrameRun:
                 return None
             masks = (mask,)
         kind = "gt" if self.options.boxes == "detect" else self.options.boxes
-        true_box = truth_box(truth, label.model, camera)
+        true_box = truth_box(truth, label.model.mesh, camera)
         if true_box is None:
             return None
         box = disturbed(
@@ -227,7 +227,7 @@ class _FrameRun:
 
     def _box_of(self, name: str, T_cam_obj: Float64) -> Box | None:
         model = self.targets.named(name)
-        return None if model is None else projected_box(model, T_cam_obj, self.sample.frame.camera)
+        return None if model is None else projected_box(model.mesh, T_cam_obj, self.sample.frame.camera)
 
     def _false(self, answer: PoseEstimate, T_cam_obj: Float64) -> FalsePose:
         model = self.targets.named(answer.object)

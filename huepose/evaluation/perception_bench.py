@@ -9,7 +9,6 @@ from functools import partial
 
 import numpy as np
 
-from huepose.datasets.synthetic import SyntheticScene
 from huepose.datasets.types import GroundTruth
 from huepose.evaluation.benches import StageTime
 from huepose.geometry.box import Box
@@ -18,6 +17,7 @@ from huepose.model.types import ReferenceModel
 from huepose.perception.colorpair_detector import ColorPairDetector
 from huepose.perception.config import DetectorConfig
 from huepose.perception.embedded import DepthSegmenter
+from huepose.scenes.builtin import SyntheticScene
 from huepose.support.progress import progress
 from huepose.support.stages import listening
 

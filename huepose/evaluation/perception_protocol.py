@@ -9,12 +9,12 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from huepose.datasets.boxes import disturbed, truth_box
 from huepose.datasets.types import GroundTruth, Sample, Scene
 from huepose.estimation.config import StandingConfig
 from huepose.estimation.present import Presence
 from huepose.estimation.types import ObjectQuery, PoseEstimate
 from huepose.estimation.verdict import standing
-from huepose.evaluation.boxes import disturbed, truth_box
 from huepose.evaluation.estimate_protocol import PoseEstimator
 from huepose.evaluation.perception_rows import FalseBox, FrameFigures, PerceptionResult, PerceptionRow
 from huepose.evaluation.targets import Targets, object_number
@@ -101,7 +101,7 @@ def _labels(sample: Sample, targets: Targets) -> list[_Label]:
         model = targets.model_of(truth)
         if model is None or not targets.wants(truth):
             continue
-        box = truth_box(truth, model, sample.frame.camera)
+        box = truth_box(truth, model.mesh, sample.frame.camera)
         if box is not None:
             labels.append(_Label(truth, model, box))
     return labels

@@ -18,7 +18,8 @@ COVERAGE_POINTS = 250
 
 
 class ModelArrays(NamedTuple):
-    """The arrays of a model that kernels read (see model.types)."""
+    """The arrays of a model that kernels read (see model.types). colors (2 or more, N, 3) float32: opponents
+    averaged over about 1 mm, 3.5 mm and so on; centre (3,) of the bounds of the samples."""
 
     points: Float32
     normals: Float32
@@ -29,10 +30,13 @@ class ModelArrays(NamedTuple):
     origin: Float64
     step: float
     nearest: np.ndarray
+    centre: Float64
 
 
 class RegionArrays(NamedTuple):
-    """The arrays of a region that kernels read."""
+    """The arrays of a region that kernels read. finest: of the scales of colours, the first of the two that
+    are compared; light (3,): what the light adds to opponents, where that is known (`lit`); blind: weight of
+    colours where there is no depth to say whether the object is in front."""
 
     points_cam: Float64
     point_weights: Float64
@@ -48,8 +52,13 @@ class RegionArrays(NamedTuple):
     bounds: Float64
     tolerance: float
     hides: float
+    finest: int
+    light: Float64
+    lit: bool
+    blind: float
 
 
+_DARK = np.zeros(3)
 _arrays: WeakKeyDictionary[ReferenceModel, ModelArrays] = WeakKeyDictionary()
 _lock = threading.Lock()
 
@@ -71,6 +80,7 @@ def model_arrays(model: ReferenceModel) -> ModelArrays:
                 g.origin,
                 float(g.step),
                 g.nearest,
+                0.5 * (s.points.min(0) + s.points.max(0)).astype(np.float64),
             )
         return found
 
@@ -93,16 +103,24 @@ def region_arrays(region: Region) -> RegionArrays:
         region.bounds,
         region.tolerance_m,
         region.hides,
+        0,
+        _DARK if region.light is None else region.light,
+        region.light is not None,
+        0.0,
     )
 
 
 @jit
-def nearest_view(T: Float64, directions: Float32) -> int:
-    """Index of the view direction from which the camera of pose `T` looks at the object's origin."""
+def nearest_view(T: Float64, model: ModelArrays) -> int:
+    """Index of the view direction from which the camera of pose `T` looks at the object's centre."""
+    directions, c = model.directions, model.centre
+    x, y, z = 0.0, 0.0, 0.0
+    for r in range(3):
+        eye = -(T[r, 0] * c[0] + T[r, 1] * c[1] + T[r, 2] * c[2] + T[r, 3])
+        x += T[r, 0] * eye
+        y += T[r, 1] * eye
+        z += T[r, 2] * eye
     best, best_dot = 0, -np.inf
-    x = -(T[0, 0] * T[0, 3] + T[1, 0] * T[1, 3] + T[2, 0] * T[2, 3])
-    y = -(T[0, 1] * T[0, 3] + T[1, 1] * T[1, 3] + T[2, 1] * T[2, 3])
-    z = -(T[0, 2] * T[0, 3] + T[1, 2] * T[1, 3] + T[2, 2] * T[2, 3])
     for i in range(directions.shape[0]):
         dot = directions[i, 0] * x + directions[i, 1] * y + directions[i, 2] * z
         if dot > best_dot:

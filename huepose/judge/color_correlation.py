@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from huepose.geometry.arrays import Float64
+from huepose.judge.arrays import RegionArrays
 from huepose.support.jit import jit_dividing
 
 SHADING_RIDGE = 0.03
@@ -12,16 +13,27 @@ SHADING_RIDGE = 0.03
 component)."""
 
 
+PLAIN = 4.0
+"""Contrast (opponent units) that counts as none: so much is added to the sum of the channels' weights, and of
+that share the mean colour decides where the light is known."""
+
+LIGHT_SIGMA = (14.0, 7.0, 7.0)
+"""Opponent units by which the mean colour of a known object in known light may be off: shading, mostly."""
+
+
 @jit_dividing
-def color_agreement(samples: Float64, count: int, weight: float, weights: Float64) -> float:
+def color_agreement(
+    samples: Float64, count: int, weight: float, weights: Float64, region: RegionArrays, seen: Float64
+) -> float:
     """Correlation of texture and image over channels and scales, each weighted by how much print there is.
 
     samples (20 or more, N): of the first `count` columns rows 4..6 the normal, 7 the weight (sum `weight`),
     8..13 the texture's colours at both scales, 14..19 the image's.
 
     Lightness is compared after what the surface's normals explain of it is taken off both sides (shading by
-    distant lights is linear in the normal). The 4 added to the sum of weights lowers the colour of objects
-    that have no print.
+    distant lights is linear in the normal). PLAIN added to the sum of weights lowers the colour of objects
+    without texture; where the light is known, their mean colour makes up for it. seen (4,) gets the contrast
+    of the texture in view and the mean colour of the image less that of the texture: the light's.
     """
     lightness, coarse, floor = weights[6], weights[7], weights[9]
     n0, n1, n2, a00, a11, a22, a01, a02, a12 = _spread_of_normals(samples, count, weight)
@@ -31,7 +43,7 @@ def color_agreement(samples: Float64, count: int, weight: float, weights: Float6
     l11 = np.sqrt(a11 + SHADING_RIDGE - l10 * l10)
     l21 = (a12 - l20 * l10) / l11
     l22 = np.sqrt(a22 + SHADING_RIDGE - l20 * l20 - l21 * l21)
-    total, total_weight = 0.0, 4.0
+    total, total_weight, off = 0.0, PLAIN, 0.0
     for q in range(6):
         s_m, s_i, s_mm, s_ii, s_mi = 0.0, 0.0, 0.0, 0.0, 0.0
         for k in range(count):
@@ -46,6 +58,9 @@ def color_agreement(samples: Float64, count: int, weight: float, weights: Float6
         var_m = s_mm / weight - mean_m * mean_m
         var_i = s_ii / weight - mean_i * mean_i
         covariance = s_mi / weight - mean_m * mean_i
+        if q < 3:
+            seen[1 + q] = mean_i - mean_m
+            off += ((mean_i - mean_m - region.light[q]) / LIGHT_SIGMA[q]) ** 2
         w = 1.0 if q < 3 else coarse
         if q % 3 == 0:
             w *= lightness
@@ -89,6 +104,9 @@ def color_agreement(samples: Float64, count: int, weight: float, weights: Float6
         w *= np.sqrt(var_m)
         total += w * covariance / (np.sqrt(var_m * var_i) + floor)
         total_weight += w
+    seen[0] = total_weight - PLAIN
+    if region.lit:
+        total += PLAIN * np.exp(-0.5 * off)
     return float(total / total_weight)
 
 

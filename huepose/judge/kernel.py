@@ -14,8 +14,8 @@ from huepose.judge.arrays import ModelArrays, RegionArrays, nearest_view
 from huepose.judge.color_correlation import color_agreement
 from huepose.support.jit import jit_dividing
 
-TERMS = 8
-"""Length of the kernel's output: the fields of PoseScore in order."""
+TERMS = 17
+"""Length of the kernel's output: the fields of `terms.Terms` in order."""
 
 SCRATCH_ROWS = 23
 """Rows of the kernel's scratch. Of all samples: 0 facing, 1..2 pixel, 3 depth, 4..6 normal in camera axes. Of
@@ -45,7 +45,8 @@ def score_kernel(
     out: Float64,
     needed: float,
 ) -> float:
-    """Judge one pose; `scratch` (SCRATCH_ROWS, samples), `out` (8,) gets the terms, the total is returned.
+    """Judge one pose; `scratch` (SCRATCH_ROWS, samples), `out` (TERMS,) gets the terms, the total is
+    returned.
 
     A pose whose total cannot be over `needed` may be left half judged: then some number that is at least its
     total and not over `needed` is returned, and `out` says nothing.
@@ -56,9 +57,10 @@ def score_kernel(
     height, width = depth.shape
     tolerance = region.tolerance
     fit, near, violation, occluded, total, color_weight = 0.0, 0.0, 0.0, 0.0, 1e-9, 0.0
+    through, hidden, blind, outside, colored = 0.0, 0.0, 0.0, 0.0, 0.0
     left, top, right, bottom = 1e9, 1e9, -1e9, -1e9
 
-    view = nearest_view(T, model.directions)
+    view = nearest_view(T, model)
     first = model.offsets[view]
     seen = min(model.offsets[view + 1] - first, samples)
     _place(T, model, region, first, seen, scratch)
@@ -70,6 +72,7 @@ def score_kernel(
         total += facing
         uf, vf, z = scratch[1, k], scratch[2, k], scratch[3, k]
         if uf < -0.5 or vf < -0.5 or uf >= width - 0.5 or vf >= height - 0.5:
+            outside += facing
             continue
         u, v = int(uf + 0.5), int(vf + 0.5)
         observed = depth[v, u]
@@ -79,14 +82,20 @@ def score_kernel(
         if observed == 0.0 or fits:
             left, right, top, bottom = min(left, uf), max(right, uf), min(top, vf), max(bottom, vf)
         if observed == 0.0:
-            continue
-        if fits:
+            blind += facing
+            if region.blind == 0.0:
+                continue
+        if fits or observed == 0.0:
             g = facing * (w_outside + (1.0 - w_outside) * belief[v, u])
-            fit += g * (1.0 - (gap / tolerance) ** 2)
-            near += facing
+            if fits:
+                fit += g * (1.0 - (gap / tolerance) ** 2)
+                near += facing
+            else:
+                g *= region.blind
             if saturated[v, u]:
                 continue
             color_weight += g
+            colored += facing if fits else region.blind * facing
             scratch[4, fitting], scratch[5, fitting] = scratch[4, k], scratch[5, k]
             scratch[6, fitting], scratch[7, fitting] = scratch[6, k], g
             scratch[20, fitting], scratch[21, fitting], scratch[22, fitting] = (
@@ -97,9 +106,11 @@ def score_kernel(
             fitting += 1
         elif gap > 0.0:
             violation += facing  # We see through the model.
+            through += facing
         else:
             # What is in front hides the object, unless it is believed to be the object itself, or the object
             # would stick in it.
+            hidden += facing
             sticks = gap > -STICKING * tolerance
             violation += facing * (SUNK if sticks else region.hides * belief[v, u])
             occluded += facing * (1.0 - belief[v, u])
@@ -109,6 +120,12 @@ def score_kernel(
     out[5] = occluded / total
     out[6] = near / total
     out[7] = _box_iou(left, top, right, bottom, region.bounds)
+    out[8] = through / (near + through + 0.15 * total)
+    out[9] = hidden / total
+    out[10] = blind / total
+    out[11] = outside / total
+    out[12], out[13], out[14], out[15] = 0.0, 0.0, 0.0, 0.0
+    out[16] = colored / total
     known = w_fit * out[1] - w_violation * out[3] - w_occluded * out[5] + w_box * out[7]
     full_coverage, full_color = max(w_coverage * region.trust, 0.0), abs(w_color)
     if known + full_coverage + full_color <= needed:
@@ -117,7 +134,7 @@ def score_kernel(
     out[4] = 0.0
     if has_color:
         _read_colors(model, region, fitting, scratch)
-        out[4] = color_agreement(scratch, fitting, color_weight, weights)
+        out[4] = color_agreement(scratch, fitting, color_weight, weights, region, out[12:])
     known += w_color * out[4]
     if known + full_coverage <= needed:
         return float(known + full_coverage)
@@ -170,9 +187,10 @@ def _read_colors(model: ModelArrays, region: RegionArrays, count: int, scratch: 
     """Colours of the print, and of the picture between its pixels, of the samples that fit."""
     height, width = region.depth.shape
     # Flat and without a sign, so that the compiler need not think of indices counted from the end.
-    fine, coarse = model.colors[0].ravel(), model.colors[1].ravel()
+    fine, coarse = model.colors[region.finest].ravel(), model.colors[region.finest + 1].ravel()
     colors = region.colors.ravel()
-    below = np.uint64(6 * width)
+    channels = np.uint64(region.colors.shape[2])
+    first, below = np.uint64(3 * region.finest), channels * np.uint64(width)
     for k in range(count):
         uf, vf = scratch[21, k], scratch[22, k]
         u0, v0 = min(max(int(uf), 0), width - 2), min(max(int(vf), 0), height - 2)
@@ -180,13 +198,13 @@ def _read_colors(model: ModelArrays, region: RegionArrays, count: int, scratch: 
         c00, c01 = np.float32((1.0 - a) * (1.0 - b)), np.float32(a * (1.0 - b))
         c10, c11 = np.float32((1.0 - a) * b), np.float32(a * b)
         i = np.uint64(3 * int(scratch[20, k]))
-        p = np.uint64(6 * (v0 * width + u0))
+        p = channels * np.uint64(v0 * width + u0) + first
         for q in range(np.uint64(3)):
             scratch[8 + q, k] = fine[i + q]
             scratch[11 + q, k] = coarse[i + q]
         for q in range(np.uint64(6)):
-            upper = c00 * colors[p + q] + c01 * colors[p + q + np.uint64(6)]
-            lower = c10 * colors[p + q + below] + c11 * colors[p + q + below + np.uint64(6)]
+            upper = c00 * colors[p + q] + c01 * colors[p + q + channels]
+            lower = c10 * colors[p + q + below] + c11 * colors[p + q + below + channels]
             scratch[14 + q, k] = upper + lower
 
 

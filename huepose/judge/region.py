@@ -60,7 +60,8 @@ class Region:
     point_weights (N,) float64: at most 500 believed points in random order, away from rims; trust: 0..1, how
     far the belief itself may be believed; bounds (4,): left, top, right, bottom of the box in the crop;
     tolerance_m: how far depth and surface may be apart; median_depth_m: of the mask; hides: what it counts
-    to lie behind what is believed (HIDES, or 0 for whoever doubts the masks).
+    to lie behind what is believed (HIDES, or 0 for whoever doubts the masks); light (3,): what the light adds
+    to opponents, where that is known.
     """
 
     crop: Crop
@@ -74,6 +75,7 @@ class Region:
     tolerance_m: float
     median_depth_m: float
     hides: float = HIDES
+    light: Float64 | None = None
 
 
 def prepare_crop(frame: RgbdFrame, window: Box) -> Crop:

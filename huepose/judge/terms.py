@@ -47,9 +47,19 @@ DEFAULT_WEIGHTS = ScoreWeights()
 
 
 @dataclass(frozen=True)
-class PoseScore:
-    """total: the weighted sum, about 0 for nonsense to 3 for a perfect view; depth_fit, coverage, violation,
-    occluded, seen, box_iou in 0..1; color in -1..1 (a correlation, lowered where the object has no print)."""
+class Terms:
+    """What a pose explains of a region. Shares are of the visible surface, weighted by how squarely it is
+    seen.
+
+    total: the weighted sum, about 0 for nonsense, 3 for a perfect view through a right mask, 1.9 where there
+    is no mask (open regions); depth_fit 0..1: agreement of the depth that speaks; coverage 0..1: share of the
+    mask that the surface explains; violation 0..1: free space violated, or the surface sticks in something,
+    or hides behind what is believed to be the object; color -1..1: correlation of texture and image, light
+    taken out, lowered where there is little texture; occluded 0..1: something not believed to be the object
+    is in front; seen 0..1: agrees in depth; box_iou 0..1: of the bounds with the given box; through 0..1:
+    seen through; hidden 0..1: anything is in front; blind 0..1: no depth reading; outside 0..1: out of the
+    image; contrast: opponent units of texture in view; light_l, light_rg, light_yb: mean colour of image less
+    texture; colored 0..1: seen in colour."""
 
     total: float
     depth_fit: float
@@ -59,6 +69,24 @@ class PoseScore:
     occluded: float
     seen: float
     box_iou: float
+    through: float
+    hidden: float
+    blind: float
+    outside: float
+    contrast: float
+    light_l: float
+    light_rg: float
+    light_yb: float
+    colored: float
+
+    @property
+    def light(self) -> tuple[float, float, float]:
+        """What the light adds to opponents, by the mean colours; zeros where no colour was seen."""
+        return self.light_l, self.light_rg, self.light_yb
+
+
+NOTHING = Terms(*(0.0,) * 11, 1.0, 0.0, 0.0, 0.0, 0.0, 0.0)
+"""Of a pose outside of the image."""
 
 
 def weight_array(weights: ScoreWeights) -> Float64:
@@ -78,9 +106,9 @@ def score(
     T_cam_obj: Float,
     samples: int = 800,
     weights: ScoreWeights = DEFAULT_WEIGHTS,
-) -> PoseScore:
+) -> Terms:
     """Judge one pose (4, 4) in a region by at most `samples` surface samples."""
-    return PoseScore(*(float(x) for x in score_many(model, region, T_cam_obj[None], samples, weights)[0]))
+    return Terms(*(float(x) for x in score_many(model, region, T_cam_obj[None], samples, weights)[0]))
 
 
 def score_many(
@@ -90,15 +118,21 @@ def score_many(
     samples: int = 800,
     weights: ScoreWeights = DEFAULT_WEIGHTS,
 ) -> Float64:
-    """Judge poses (M, 4, 4) in one compiled call: (M, 8), columns in the order of PoseScore's fields."""
+    """Judge poses (M, 4, 4) in one compiled call: (M, 17), columns in the order of the fields of Terms."""
+    return score_arrays(model_arrays(model), region_arrays(region), poses, samples, weights)
+
+
+def score_arrays(
+    model: ModelArrays,
+    region: RegionArrays,
+    poses: Float,
+    samples: int,
+    weights: ScoreWeights = DEFAULT_WEIGHTS,
+) -> Float64:
+    """`score_many` of what was bundled for the kernels before: (M, 17)."""
     out = np.zeros((len(poses), TERMS))
     _score_all(
-        np.ascontiguousarray(poses, dtype=np.float64),
-        model_arrays(model),
-        region_arrays(region),
-        samples,
-        weight_array(weights),
-        out,
+        np.ascontiguousarray(poses, dtype=np.float64), model, region, samples, weight_array(weights), out
     )
     return out
 

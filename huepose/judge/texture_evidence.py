@@ -96,7 +96,7 @@ def _seen_print(model: ReferenceModel, region: Region, T: Float64) -> tuple[Floa
     """Of the samples that the pose shows and the depth confirms: weights (N,), opponents of the print and of
     the picture, both (N, 6). None where there are too few."""
     m, r = model_arrays(model), region_arrays(region)
-    view = nearest_view(T, m.directions)
+    view = nearest_view(T, m)
     index = m.visible[m.offsets[view] : m.offsets[view + 1]][:SAMPLES]
     points = m.points[index] @ T[:3, :3].T + T[:3, 3]
     normals = m.normals[index] @ T[:3, :3].T

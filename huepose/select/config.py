@@ -15,7 +15,7 @@ class NearTieWeights:
     detail and its broader parts explain the same pixels; open: what is open to view; pairs: the pairs'
     colours.
 
-    Origin: fitted, `benchmarks/near_ties.py --fit` on drawn heaps, path-traced piles and real frames, near
+    Origin: fitted, `studies.near_ties --fit` on drawn heaps, path-traced piles and real frames, near
     the largest likelihood that the right contender wins (a softmax of their weighted sums).
     """
 

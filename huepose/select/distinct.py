@@ -58,3 +58,29 @@ def _different(
             places[n] = here
             n += 1
     return chosen[:n]
+
+
+@jit
+def first_distinct(poses: Float64, least_cosine: float, shift_m: float, count: int) -> np.ndarray:
+    """Indices of the first `count` of poses (N, 4, 4), best first, that differ from those before by an angle
+    over that of the cosine, or by more than `shift_m` at the origin."""
+    out = np.empty(min(count, poses.shape[0]), np.int64)
+    n = 0
+    for k in range(poses.shape[0]):
+        if n == out.shape[0]:
+            break
+        alike = False
+        for j in range(n):
+            P, Q = poses[k], poses[out[j]]
+            trace, d2 = 0.0, 0.0
+            for r in range(3):
+                d2 += (P[r, 3] - Q[r, 3]) ** 2
+                for c in range(3):
+                    trace += P[r, c] * Q[r, c]
+            if (trace - 1.0) / 2.0 > least_cosine and d2 < shift_m * shift_m:
+                alike = True
+                break
+        if not alike:
+            out[n] = k
+            n += 1
+    return out[:n]

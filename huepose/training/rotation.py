@@ -30,7 +30,7 @@ from huepose.training.runs import (
     stream_number,
     timed_batches,
 )
-from huepose.training.samples import RotationSample, endless
+from huepose.training.turns import RotationSample, endless
 
 VALIDATION_STREAM = 1_000_000
 REACH = {"residual": 0.1, "direct": 1.0}

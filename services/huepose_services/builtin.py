@@ -13,14 +13,14 @@ from functools import cache
 from pathlib import Path
 
 import huepose
-from huepose.datasets.shapes import demo_objects
-from huepose.datasets.synthetic_store import cache_folder
 from huepose.geometry.mesh import Mesh
 from huepose.model.io import model_path, save_model
+from huepose.scenes.shapes import demo_objects
 from huepose.support.errors import InputError
+from huepose.support.files import cache_folder
 from huepose.support.progress import progress
 
-_MAKERS = ("onboarding", "model", "colorpair", "matching/views.py", "matching/pair_reference.py")
+_MAKERS = ("onboarding", "model", "colorpair", "propose/views.py", "paper/pair_reference.py")
 
 
 @cache

@@ -6,7 +6,6 @@ from pathlib import Path
 
 import msgspec
 
-from huepose.datasets.synthetic_store import cache_folder
 from huepose.paper.rotation_first import RotationFirst
 from huepose.paper.rotation_network import SHIPPED, OnnxRotation, ResidualRotation
 from huepose.perception.flow_network import NetworkFlow
@@ -16,11 +15,9 @@ from huepose.perception.yolo import YoloDetector, class_names
 from huepose.propose.flow import FlowSource, compute
 from huepose.propose.relative_pose import RelativePose, RobustKabsch
 from huepose.support.errors import InputError
+from huepose.support.files import cache_folder
 from huepose_services.catalogue import entry_of
 from huepose_services.runtime.config import Config
-
-BUILTIN_DETECTOR = Path(__file__).parent / "weights" / "builtin_detector.onnx"
-"""Finds the objects of the built-in scene; the file beside it says how it was made."""
 
 SAM_ENCODER, SAM_DECODER = "nanosam-encoder", "nanosam-decoder"
 """Names of `huepose models`: what the segmenter sam takes where none is configured."""
@@ -74,7 +71,8 @@ def check(config: Config) -> None:
 def yolo(config: Config) -> tuple[YoloDetector, Network]:
     """The detector of the configuration, warmed up."""
     detector = config.detector
-    network = opened(config, detector.model or str(BUILTIN_DETECTOR))
+    assert detector.model is not None  # checked when the configuration was read
+    network = opened(config, detector.model)
     classes = {
         name: given if isinstance(given, list) else [given] for name, given in detector.classes.items()
     }

@@ -8,13 +8,13 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from huepose.datasets.shapes import demo_objects
 from huepose.estimation import Estimator, EstimatorConfig, ObjectQuery
 from huepose.geometry import Box, Mesh, RgbdFrame, se3
 from huepose.judge.region import prepare_region
 from huepose.judge.texture_evidence import print_evidence
 from huepose.model.types import ReferenceModel
 from huepose.rendering.render import render_depth
+from huepose.scenes.shapes import demo_objects
 from huepose.select.answers import ONE_ANSWER, different_answers
 
 TakePicture = Callable[..., RgbdFrame]

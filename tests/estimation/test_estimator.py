@@ -9,7 +9,6 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from huepose.datasets.shapes import demo_objects
 from huepose.estimation import (
     Estimator,
     EstimatorConfig,
@@ -20,6 +19,7 @@ from huepose.estimation import (
 from huepose.geometry import Box, RgbdFrame, se3
 from huepose.model.types import ReferenceModel
 from huepose.rendering.render import render_depth
+from huepose.scenes.shapes import demo_objects
 from huepose.support.errors import InputError
 
 TakePicture = Callable[..., RgbdFrame]

@@ -7,7 +7,7 @@ import json
 import numpy as np
 import pytest
 
-from huepose.evaluation.boxes import disturbed, truth_box
+from huepose.datasets.boxes import disturbed, truth_box
 from huepose.evaluation.estimate_protocol import EstimateOptions, assigned, evaluate_estimates
 from huepose.evaluation.result_files import plain
 from huepose.evaluation.targets import Targets
@@ -68,7 +68,9 @@ def test_the_estimator_gets_the_documented_boxes(models, scene) -> None:
     estimator = answering(scene)
     evaluate_estimates([scene], Targets(models), estimator, EstimateOptions(seeds=(4,)))
     label = scene.truths(8)[1]
-    expected = disturbed(truth_box(label, models["box"], CAMERA), "perturbed", 4, "000001", 8, 1, 160, 120)
+    expected = disturbed(
+        truth_box(label, models["box"].mesh, CAMERA), "perturbed", 4, "000001", 8, 1, 160, 120
+    )
     asked = {(image, query.instance): query for image, query in estimator.asked}
     assert asked[8, 1].box == expected
     assert asked[8, 1].object == "box"

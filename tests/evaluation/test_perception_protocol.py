@@ -11,8 +11,9 @@ import pytest
 from huepose.estimation.config import StandingConfig
 from huepose.estimation.types import PoseEstimate
 from huepose.estimation.verdict import absent, standing, why_none_stands
-from huepose.evaluation.perception_pictures import FALSE, FOUND, MISSED, draw_perception
+from huepose.evaluation import pictures
 from huepose.evaluation.perception_protocol import PerceptionOptions, evaluate_perception
+from huepose.evaluation.pictures import draw_perception
 from huepose.evaluation.result_files import plain
 from huepose.evaluation.targets import Targets
 from huepose.geometry import Box
@@ -140,9 +141,9 @@ def test_the_picture_shows_found_missed_and_false(models, scene) -> None:
         scene, models, [Detection("box", LEFT, 0.9), Detection("brick", Box(60, 5, 20, 20), 0.9)], {}
     )
     picture = draw_perception(scene.sample(3), result.frames[0])
-    assert tuple(picture[69, 30]) == FOUND
-    assert tuple(picture[89, 120]) == MISSED
-    assert tuple(picture[24, 70]) == FALSE
+    assert tuple(picture[69, 30]) == pictures.RIGHT
+    assert tuple(picture[89, 120]) == pictures.MISSED
+    assert tuple(picture[24, 70]) == pictures.WRONG
 
 
 def test_nothing_labelled_is_an_error(models) -> None:

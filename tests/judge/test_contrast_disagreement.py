@@ -8,10 +8,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from huepose.datasets.shapes import demo_objects
 from huepose.geometry import RgbdFrame
 from huepose.judge.contrast_disagreement import otherwise_many
 from huepose.model.types import ReferenceModel
+from huepose.scenes.shapes import demo_objects
 from tests.judge.regions import seen_by_pairs
 
 TakePicture = Callable[..., RgbdFrame]

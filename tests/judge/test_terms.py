@@ -8,24 +8,24 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from huepose.datasets.shapes import demo_objects
 from huepose.geometry import Box, RgbdFrame, se3
 from huepose.judge.region import prepare_region
-from huepose.judge.terms import PoseScore, score, score_many
+from huepose.judge.terms import Terms, score, score_many
 from huepose.model.types import ReferenceModel
 from huepose.rendering.render import render_depth
+from huepose.scenes.shapes import demo_objects
 from tests.judge.regions import region_of
 
 TakePicture = Callable[..., RgbdFrame]
 
 
 @pytest.fixture(scope="module")
-def seen(tea_box: ReferenceModel, take_picture: TakePicture, standing: np.ndarray) -> PoseScore:
+def seen(tea_box: ReferenceModel, take_picture: TakePicture, standing: np.ndarray) -> Terms:
     frame = take_picture([(tea_box.mesh, standing)])
     return score(tea_box, region_of(frame, tea_box, standing), standing)
 
 
-def test_the_truth_scores_high_in_every_term(seen: PoseScore) -> None:
+def test_the_truth_scores_high_in_every_term(seen: Terms) -> None:
     assert seen.depth_fit > 0.8
     assert seen.coverage > 0.9
     assert seen.violation < 0.03
@@ -48,7 +48,7 @@ def test_the_truth_beats_every_other_pose(
 
 
 def test_light_changes_nothing(
-    tea_box: ReferenceModel, take_picture: TakePicture, standing: np.ndarray, seen: PoseScore
+    tea_box: ReferenceModel, take_picture: TakePicture, standing: np.ndarray, seen: Terms
 ) -> None:
     """A gain on each channel leaves the colour term almost as it was."""
     for light in ((0.4, 0.4, 0.4), (0.9, 0.7, 0.45), (0.5, 0.6, 0.9)):
@@ -59,7 +59,7 @@ def test_light_changes_nothing(
 
 
 def test_another_print_on_the_same_shape_scores_lower(
-    tea_box: ReferenceModel, take_picture: TakePicture, standing: np.ndarray, seen: PoseScore
+    tea_box: ReferenceModel, take_picture: TakePicture, standing: np.ndarray, seen: Terms
 ) -> None:
     other = take_picture([(demo_objects(1)["tea_box"], standing)])
     wrong = score(tea_box, region_of(other, tea_box, standing), standing)
@@ -135,7 +135,7 @@ def test_behind_what_is_believed_to_be_the_object_hides_less_where_masks_are_dou
 
 
 def test_saturated_pixels_do_not_count(
-    tea_box: ReferenceModel, take_picture: TakePicture, standing: np.ndarray, seen: PoseScore
+    tea_box: ReferenceModel, take_picture: TakePicture, standing: np.ndarray, seen: Terms
 ) -> None:
     """A glare of pure white over a third of the object leaves the colour of the rest."""
     frame = take_picture([(tea_box.mesh, standing)])

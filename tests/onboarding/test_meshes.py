@@ -159,7 +159,7 @@ def test_textures_that_repeat_are_unrolled(tmp_path: Path) -> None:
 
 
 def test_a_mirrored_export_is_turned_outwards(tmp_path: Path, printed_box: Mesh) -> None:
-    from huepose.datasets.shapes import demo_objects
+    from huepose.scenes.shapes import demo_objects
 
     closed = next(iter(demo_objects(0).values()))
     welded, index = np.unique(np.round(closed.vertices, 7), axis=0, return_inverse=True)

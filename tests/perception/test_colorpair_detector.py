@@ -10,13 +10,13 @@ import pytest
 
 from huepose.geometry import Box, RgbdFrame, se3
 from huepose.judge.arrays import model_arrays
+from huepose.judge.continuation import continuation_many
 from huepose.model.types import ReferenceModel
 from huepose.perception.clear_view import clear_view
 from huepose.perception.colorpair_detector import ColorPairDetector
 from huepose.perception.config import DetectorConfig
 from huepose.perception.ground import large_planes, standing_clear
 from huepose.perception.nearby import align_in_view
-from huepose.perception.rim import rims
 from huepose.perception.scouting import likeliest_turns
 from huepose.perception.window_table import window_table
 from huepose.rendering.render import render_depth
@@ -131,7 +131,11 @@ def test_a_rim_goes_on_inside_a_face_and_not_round_the_object(
     middle = points[np.argmax(normals @ (eye / np.linalg.norm(eye)) - 5.0 * np.abs(points[:, 2]))]
     shrunk = middle + np.float32(0.4) * (points - middle)
     small = replace(tea_box, surface=replace(tea_box.surface, points=shrunk))
-    alone, inside = (rims(view, model_arrays(m), standing[None], 250)[0] for m in (tea_box, small))
+    crop, clear = view.crop, view.clear
+    alone, inside = (
+        continuation_many(model_arrays(m), crop.depth, clear, crop.camera, standing[None], 250)[0]
+        for m in (tea_box, small)
+    )
     assert alone < 0.1
     assert inside > 0.5
 

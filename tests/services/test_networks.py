@@ -243,7 +243,7 @@ def test_the_trackers_networks_are_checked_and_taken(tmp_path):
 @pytest.mark.parametrize(
     ("text", "says"),
     [
-        ("bundles: models\ndetector: {kind: yolo}", "detector.model"),
+        ("detector: {kind: yolo}", "detector.model"),
         (
             "detector: {kind: yolo, model: a.onnx, classes: {cup: 0}}\nobjects: [{name: mug}]",
             "one of objects: mug",

@@ -5,10 +5,10 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from huepose.evaluation.moments.scripts import printed_board
 from huepose.geometry import se3
 from huepose.tracking import Correction, State, Tracker, TrackerConfig, Verdict
 from huepose.tracking import step as one_step
+from studies.hard_moments.scripts import printed_board
 
 TWO = (0, 1)
 

@@ -29,12 +29,12 @@ def call(arguments: argparse.Namespace) -> int:
     import resource
     from dataclasses import asdict
 
-    from huepose.datasets.synthetic import SyntheticScene
     from huepose.evaluation.benches import StageTime, bench_estimate, bench_track
     from huepose.evaluation.perception_bench import bench_perception
     from huepose.evaluation.result_files import write_json
     from huepose.model import load_models
     from huepose.profiles import profile
+    from huepose.scenes.builtin import SyntheticScene
     from huepose_services.builtin import builtin_bundles
     from huepose_services.bus_bench import bench_bus
 

@@ -8,8 +8,8 @@ from typing import Any
 
 from huepose.estimation import Estimator
 from huepose.estimation.present import presence_by
-from huepose.evaluation.perception_pictures import PerceptionPictures
 from huepose.evaluation.perception_protocol import PerceptionOptions, evaluate_perception
+from huepose.evaluation.pictures import PerceptionPictures
 from huepose.evaluation.result_files import write_json
 from huepose.evaluation.summary import table
 from huepose.evaluation.targets import Targets

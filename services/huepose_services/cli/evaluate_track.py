@@ -8,10 +8,9 @@ from typing import Any
 
 from huepose.datasets.types import Scene
 from huepose.estimation import Estimator
-from huepose.evaluation.judging import LoopJudge
 from huepose.evaluation.pictures import PictureFolder
 from huepose.evaluation.result_files import write_json
-from huepose.evaluation.sources import EstimatorSource, FileSource, PoseSource, TruthSource
+from huepose.evaluation.sources import EstimatorSource, FileSource, LoopJudge, PoseSource, TruthSource
 from huepose.evaluation.targets import Targets
 from huepose.evaluation.track_protocol import SourceNames, Sources, TrackOptions, evaluate_tracking
 from huepose.model import ReferenceModel

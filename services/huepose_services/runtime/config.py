@@ -228,8 +228,7 @@ def _check(config: Config, path: Path) -> None:
     if camera.source != "synthetic" and config.bundles is None and (config.uses_models or config.objects):
         expected = f"the folder of your reference models (the source {camera.source} brings none)"
         refuse("bundles", "null", expected, "Make them: huepose onboard MESH --name NAME --out DIR.")
-    builtin = config.bundles is None
-    check_detector(detector, "detector" in config.workers, camera.truth, builtin, names, refuse)
+    check_detector(detector, "detector" in config.workers, camera.truth, names, refuse)
     check_segmenter(config.segmenter, refuse)
     if config.tracker.rotation == "direct" and config.tracker.rotation_model is None:
         fix = "`huepose train rotation --kind direct` makes one."

@@ -129,10 +129,9 @@ def check_camera(camera: CameraConfig, refuse: Refuse) -> None:
 
 
 def check_detector(
-    detector: DetectorConfig, runs: bool, truth: bool, builtin: bool, names: Collection[str], refuse: Refuse
+    detector: DetectorConfig, runs: bool, truth: bool, names: Collection[str], refuse: Refuse
 ) -> None:
-    """The same for the detector; `runs`: whether it is among the workers, `builtin`: whether the objects are
-    those of the built-in scene, `names`: the objects by name."""
+    """The same for the detector; `runs`: whether it is among the workers, `names`: the objects by name."""
     if detector.kind == "truth" and runs and not truth:
         refuse("detector.kind", "truth", "camera.truth: true beside it", "Set camera.truth to true.")
     if detector.kind == "first_box" and not detector.boxes and runs:
@@ -144,7 +143,7 @@ def check_detector(
             refuse(f"detector.boxes.{name}", f"{list(box)}", "[x, y, w, h] with w, h >= 1", "Correct it.")
     if detector.kind != "yolo":
         return
-    if detector.model is None and not builtin:
+    if detector.model is None:
         refuse("detector.model", "null", "an ONNX file, or a name", "`huepose models list` shows the names.")
     for name in detector.classes:
         if names and name not in names:

@@ -6,9 +6,7 @@ import errno
 import socket
 from importlib import import_module
 
-from huepose.datasets.shapes import demo_objects
 from huepose.support.errors import InputError
-from huepose_services.builtin import builtin_bundles
 from huepose_services.runtime.config import Config
 from huepose_services.runtime.running import occupant
 
@@ -18,6 +16,8 @@ def prepare(config: Config) -> None:
     check(config)
     check_ports(config)
     if config.bundles is None and config.uses_models:
+        from huepose_services.builtin import builtin_bundles
+
         builtin_bundles(config.camera.seed)
     if config.camera.source == "synthetic" and "camera" in config.workers:
         import_module("huepose_services.camera.synthetic").open_source(config)
@@ -41,6 +41,8 @@ def check(config: Config) -> None:
 
 
 def _check_builtin(config: Config) -> None:
+    from huepose.scenes.shapes import demo_objects
+
     known = demo_objects(config.camera.seed)
     for item in config.objects:
         if item.name not in known:

@@ -14,6 +14,7 @@ from __future__ import annotations
 import argparse
 import json
 from collections.abc import Mapping, Sequence
+from dataclasses import asdict
 from pathlib import Path
 from typing import NamedTuple
 
@@ -30,7 +31,8 @@ from huepose.evaluation.targets import Targets
 from huepose.geometry import RgbdFrame
 from huepose.geometry.arrays import Bool, Float64
 from huepose.model import load_models
-from huepose.select.near_ties import TERMS, WEIGHTS, Contest
+from huepose.select.config import NearTieWeights
+from huepose.select.near_ties import TERMS, Contest
 from huepose.support.errors import InputError
 from huepose_services.cli.evaluate_scenes import open_bop, shown
 
@@ -130,7 +132,7 @@ def report(fit: Mapping[str, Sequence[Held]], check: Mapping[str, Sequence[Held]
     sets = list(fit.values())
     rows = {
         "dense score": best_scale(sets, {name: float(name == "dense") for name in TERMS}),
-        "in use": best_scale(sets, WEIGHTS),
+        "in use": best_scale(sets, asdict(NearTieWeights())),
         "fitted": fitted(sets),
     }
     lines = [

@@ -1,12 +1,11 @@
-"""How far a pose may be trusted: a probability that it is right, and a covariance.
+"""How far a pose may be trusted: a probability that it is right.
 
 Quality is the product of three probabilities: that it is this print that is seen and not another one on such
 a shape, that it is this size, and that the pose is right then. The last one is a choice: the chance that any
 of the poses that were found is right is shared out by their scores, so that a near-tie is published as one,
 each pose with its probability. Whether an object is there at all is a question of its own, which decides
 whether anything is said to be found. `quality_fits.json` holds the numbers, as fitted on drawn scenes
-(`studies.quality`). The covariance is that of a robust point-to-plane fit, widened by what print and
-model fix and by a floor.
+(`studies.quality`).
 """
 
 from __future__ import annotations
@@ -21,20 +20,26 @@ from typing import Any
 import numpy as np
 
 from huepose.geometry.arrays import Float64
-from huepose.geometry.depth_noise import FLOOR_M, POINTS_PER_READING
-from huepose.refine.point_to_plane import Alignment
 
-MAX_MARGIN = 0.3
-"""Beyond this a larger margin says nothing more; also the margin of a pose without any other."""
 
-MAX_STRETCH = 0.15
+@dataclass(frozen=True)
+class FeatureLimits:
+    """Beyond which a term says nothing more. Part of the fit: another value needs a new one
+    (`studies.quality`). Origin: chosen before the fit.
 
-SOME_STRETCH = 0.05
-"""So much may come of what is not the object's among the points: whether anything is there depends on no
-more than that."""
+    margin: of the totals, to the next other pose; also that of a pose without any other. size: of the scale
+    residual, for whether it is this size. near_size: of the same, for whether the object is there at all: so
+    much may come of what is not the object's among the points. tie: gaps of totals much smaller than this are
+    ties, in which chance has put one answer first.
+    """
 
-TIE = 0.02
-"""Gaps much smaller than this are ties, in which chance has put one answer first."""
+    margin: float = 0.3
+    size: float = 0.15
+    near_size: float = 0.05
+    tie: float = 0.02
+
+
+LIMITS = FeatureLimits()
 
 
 @dataclass(frozen=True)
@@ -67,8 +72,8 @@ class QualityTerms:
 
     @property
     def margin(self) -> float:
-        """To the best other answer, at most MAX_MARGIN, which it also is where there is no other."""
-        return min(max(self.gaps[0], 0.0), MAX_MARGIN) if self.gaps else MAX_MARGIN
+        """To the best other answer, at most LIMITS.margin, which it also is where there is no other."""
+        return min(max(self.gaps[0], 0.0), LIMITS.margin) if self.gaps else LIMITS.margin
 
 
 @dataclass(frozen=True)
@@ -133,7 +138,7 @@ def shares(terms: QualityTerms, sharpness: float, handicap: float) -> Float64:
 
 def behind(gaps: Float64) -> Float64:
     """How far answers with these gaps, of any shape, are behind at all: 0 for a tie, 1 for a clear second."""
-    return np.asarray(np.tanh(gaps / TIE))
+    return np.asarray(np.tanh(gaps / LIMITS.tie))
 
 
 def features(terms: QualityTerms) -> dict[str, float]:
@@ -155,8 +160,8 @@ def features(terms: QualityTerms) -> dict[str, float]:
         "same_hues": 1.0 - terms.turned,
         "same_way": 1.0 - terms.otherwise,
         "agreed": terms.agreed,
-        "same_size": -min(abs(terms.stretch), MAX_STRETCH),
-        "near_size": -min(abs(terms.stretch), SOME_STRETCH),
+        "same_size": -min(abs(terms.stretch), LIMITS.size),
+        "near_size": -min(abs(terms.stretch), LIMITS.near_size),
         "size": float(np.log10(max(terms.pixels, 1.0))),
     }
 
@@ -183,17 +188,3 @@ def quality(method: str, terms: QualityTerms) -> float:
     True
     """
     return float(quality_fits()[method].probabilities(terms)[0])
-
-
-PRINT_SIGMA = np.array([0.004, 0.004, 0.004, 0.05, 0.05, 0.05])
-"""What the print still fixes where depth fixes nothing (metres, radians)."""
-
-FLOOR_SIGMA = np.array([0.0005, 0.0005, 0.0010, 0.006, 0.006, 0.006])
-"""Errors of model and calibration, which no number of points averages away."""
-
-
-def covariance(alignment: Alignment) -> Float64:
-    """Covariance (6, 6) of a pose from the point-to-plane fit at it; order tx ty tz rx ry rz, camera axes."""
-    variance = (alignment.rms_m**2 + FLOOR_M**2) * POINTS_PER_READING
-    information = alignment.information / variance + np.diag(1.0 / PRINT_SIGMA**2)
-    return np.asarray(np.linalg.inv(information) + np.diag(FLOOR_SIGMA**2))

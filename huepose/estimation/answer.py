@@ -6,9 +6,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from huepose.believe.quality import QualityFit, QualityTerms, covariance
-from huepose.estimation.confirm import MARGIN
+from huepose.believe.covariance import covariance
+from huepose.believe.quality import QualityFit, QualityTerms
+from huepose.estimation.config import ConfirmConfig
 from huepose.estimation.explanation import Explanation
+from huepose.estimation.reasons import why_absent
 from huepose.estimation.types import ObjectQuery, PoseEstimate
 from huepose.geometry import se3
 from huepose.geometry.arrays import Float64
@@ -28,10 +30,12 @@ from huepose.select.answers import different_answers
 
 @dataclass(frozen=True)
 class Levels:
-    """acquired: quality from which a pose is TRACKING; found: presence under which nothing is there."""
+    """acquired: quality from which a pose is TRACKING; found: presence under which nothing is there;
+    unrivalled: the margin that a prior counts with which was only confirmed."""
 
     acquired: float
     found: float
+    unrivalled: float = ConfirmConfig().margin
 
 
 def answer_of(
@@ -51,12 +55,14 @@ def answer_of(
     if region is not None and len(poses):
         kept = different_answers(model, poses)
         poses, totals = poses[kept], totals[kept]
-        terms = _terms(model, region, poses[0], totals, explanation.confirmed)
-    if region is None or terms is None or fit.present(terms) < levels.found:
+        terms = _terms(model, region, poses[0], totals, levels.unrivalled if explanation.confirmed else None)
+    present = 0.0 if terms is None else fit.present(terms)
+    if region is None or terms is None or present < levels.found:
         total = float(totals[0]) if len(totals) else 0.0
+        reason = why_absent(explanation, terms, present, levels.found)
         return PoseEstimate(
             query.object, query.instance, False, None, 0.0, "LOST", total, 0.0, None, None,
-            query.box, prior_score, prior_T, (), 0.0, terms,
+            query.box, prior_score, prior_T, (), 0.0, terms, reason,
         )  # fmt: skip
     chances = fit.probabilities(terms)
     T, alignment, mask = final_refinement(model, frame, region, se3.orthonormalised(poses[0]))
@@ -100,13 +106,17 @@ def bare_answer(
 
 
 def _terms(
-    model: ReferenceModel, region: Region, T_cam_obj: Float64, totals: Float64, confirmed: bool
+    model: ReferenceModel,
+    region: Region,
+    T_cam_obj: Float64,
+    totals: Float64,
+    most_behind: float | None,
 ) -> QualityTerms:
-    """Of the first of different answers. Where a prior was only confirmed, little else was looked at: then
-    the best other answer is taken to be at most MARGIN worse."""
+    """Of the first of different answers. most_behind: where a prior was only confirmed, little else was
+    looked at; then the best other answer is taken to be at most so much worse."""
     gaps = totals[0] - totals[1:]
-    if confirmed:
-        gaps = np.concatenate([[min(MARGIN, *gaps[:1])], gaps[1:]]) if len(gaps) else np.array([MARGIN])
+    if most_behind is not None:
+        gaps = np.concatenate([[min([most_behind, *gaps[:1]])], gaps[1:]])
     dense, seen = dense_score(model, region, T_cam_obj), print_evidence(model, region, T_cam_obj)
     contrasts, pose = pair_picture(model, region.crop, region.median_depth_m), T_cam_obj[None]
     return QualityTerms(

@@ -85,7 +85,7 @@ class Estimator:
         for query in queries:
             self._models.model(query.object)
         looks = self._alone(frame, queries)
-        if len(queries) < 2 or not self.config.competition or self._bare:
+        if len(queries) < 2 or not self.config.competing or self._bare:
             return looks
         again: list[tuple[PoseEstimate, Explanation]] = []
 
@@ -93,7 +93,9 @@ class Estimator:
             again.append(self.explain(free, query))
             return again[-1][0]
 
-        answers = compete(frame, queries, [answer for answer, _ in looks], look_again)
+        answers = compete(
+            frame, queries, [answer for answer, _ in looks], look_again, self.config.competition
+        )
         return [
             (answer, next((x for a, x in again if _same(a, answer)), explanation))
             for answer, (_, explanation) in zip(answers, looks, strict=True)
@@ -121,7 +123,7 @@ class Estimator:
         model = prepared.model
         box, masks = self._box_and_masks(frame, query, model)
         with stage("evidence"):
-            evidence = gather(frame, masks, box, model.diameter_m)
+            evidence = gather(frame, masks, box, model.diameter_m, self.config.evidence)
         poses, totals = np.zeros((0, 4, 4)), np.zeros(0)
         trail: Trail | None = None
         held: Contest | None = None
@@ -131,10 +133,10 @@ class Estimator:
             method.check(model)
         if evidence is not None and full and query.prior is not None:
             with stage("prior"):
-                refined = refine_prior(model, evidence, query.prior.T_cam_obj)
+                refined = refine_prior(model, evidence, query.prior.T_cam_obj, self.config.full)
                 prior = refined, float(totals_of(model, evidence.region, refined[None])[0])
-                anew = looks_in_full(frame.frame_id, self.config.look_anew_every)
-                confirmed = None if anew else confirm(model, evidence.region, refined)
+                anew = looks_in_full(frame.frame_id, self.config.confirm.look_anew_every)
+                confirmed = None if anew else confirm(model, evidence.region, refined, self.config.confirm)
             if confirmed is not None:
                 explanation = Explanation(box, tuple(masks), evidence, *confirmed, confirmed=True)
                 answer = self._answer(frame, query, model, explanation, prior)
@@ -149,7 +151,7 @@ class Estimator:
                 prior = prior[0], float(totals_of(model, believed.region, prior[0][None])[0])
             evidence = believed
             with stage("contest"):
-                poses, totals, held = decided(model, evidence.region, poses, totals)
+                poses, totals, held = decided(model, evidence.region, poses, totals, self.config.near_ties)
         elif evidence is not None and method is not None:
             poses, totals = self._by_pairs(method, model, frame, evidence, query)
         explanation = Explanation(box, tuple(masks), evidence, poses, totals, trail=trail, contest=held)
@@ -228,6 +230,7 @@ class Estimator:
         levels = Levels(
             fit.level if config.acquisition_level is None else config.acquisition_level,
             fit.found if config.found_level is None else config.found_level,
+            config.confirm.margin,
         )
         return answer_of(frame, query, model, explanation, fit, levels, prior)
 

@@ -26,17 +26,6 @@ from huepose.refine.point_to_plane import align_many
 from huepose.select.distinct import FINAL_SHIFT, FINAL_TURN_RAD, different_poses
 from huepose.support.stages import stage
 
-RIVALS = 0.5
-"""Poses of which the total lies farther behind the best after the search are not registered again."""
-
-COARSE_SAMPLES = 350
-
-FIGURE_WEIGHT = 0.75
-"""What it counts that a figure stands out from the ground."""
-
-FIGURE_WITHIN = FIGURE_WEIGHT * USUAL
-"""How far behind the best a pose may be for that to be looked at: hardly any gains more by it."""
-
 
 @dataclass(frozen=True, eq=False)
 class Trail:
@@ -71,7 +60,7 @@ def _look(
     model: ReferenceModel, table: TemplateTable, evidence: Evidence, config: FullPathConfig, extra: Float64
 ) -> tuple[Float64, Float64, Trail]:
     with stage("retrieval"):
-        views = retrieve(table, evidence.picture, evidence.sources, config.retrieved, config.closer)
+        views = retrieve(table, evidence.picture, evidence.sources, config.retrieval)
     with stage("icp"):
         aligned = [
             _icp(model, points, views.poses[views.masks == k], 0.1 * model.diameter_m, 0.008, 12)
@@ -88,28 +77,30 @@ def refine_coarse(model: ReferenceModel, region: Region, poses: Float64, config:
     if not len(poses):
         return poses
     with stage("turns"):
-        totals = score_many(model, region, poses, COARSE_SAMPLES)[:, 0]
+        totals = score_many(model, region, poses, config.coarse_samples)[:, 0]
         best = different_poses(model, poses, totals, config.kept)
         poses, totals = poses[best], totals[best]
         turned = np.einsum("nij,mjk->nmik", poses[: config.turned], model.turns[1:]).reshape(-1, 4, 4)
-        turned_totals = score_many(model, region, turned, COARSE_SAMPLES)[:, 0]
+        turned_totals = score_many(model, region, turned, config.coarse_samples)[:, 0]
         poses, totals = np.concatenate([poses, turned]), np.concatenate([totals, turned_totals])
         poses = poses[different_poses(model, poses, totals, config.searched)]
     with stage("search"):
-        searched, totals = search(model, region, poses, (8.0, 4.0, 2.0, 1.0), config.samples, race=RACE)
+        searched, totals = search(model, region, poses, config.search_deg, config.samples, race=RACE)
     with stage("icp"):
-        rivals = searched[totals > totals.max() - RIVALS]
+        rivals = searched[totals > totals.max() - config.registered_within]
         settled = _icp(model, region.points_cam, rivals, 0.012, 0.006, 5)
     return np.concatenate([searched, settled])
 
 
-def refine_prior(model: ReferenceModel, evidence: Evidence, T_cam_obj: Float) -> Float64:
+def refine_prior(
+    model: ReferenceModel, evidence: Evidence, T_cam_obj: Float, config: FullPathConfig | None = None
+) -> Float64:
     """A predicted pose (4, 4) brought onto the region: the best of ICP and search from it."""
-    region = evidence.region
+    config, region = config or FullPathConfig(), evidence.region
     start = np.asarray(T_cam_obj, dtype=np.float64)[None]
     aligned = [_icp(model, p, start, 0.15 * model.diameter_m, 0.008, 20) for p in evidence.points_cam]
     starts = np.concatenate([start, *aligned])
-    searched, _ = search(model, region, starts, (4.0, 2.0, 1.0), CLOSE_SAMPLES, race=RACE)
+    searched, _ = search(model, region, starts, config.prior_deg, CLOSE_SAMPLES, race=RACE)
     settled = _icp(model, region.points_cam, searched, 0.012, 0.006, 5)
     poses = np.concatenate([starts, searched, settled])
     return np.asarray(poses[np.argmax(totals_of(model, region, poses))])
@@ -127,28 +118,34 @@ def finish(
         poses, totals = poses[best], totals[best]
     with stage("search"):
         fine, fine_totals = search(
-            model, region, poses[: config.finished], (3.0, 1.5, 0.7), CLOSE_SAMPLES, race=RACE
+            model, region, poses[: config.finished], config.fine_deg, CLOSE_SAMPLES, race=RACE
         )
         poses, totals = np.concatenate([poses, fine]), np.concatenate([totals, fine_totals])
         best = different_poses(model, poses, totals, config.alternatives, FINAL_TURN_RAD, FINAL_SHIFT)
     with stage("judge"):
-        return by_figure(model, region, poses[best], totals[best])
+        return by_figure(model, region, poses[best], totals[best], config)
 
 
 def by_figure(
-    model: ReferenceModel, region: Region, poses: Float64, totals: Float64
+    model: ReferenceModel,
+    region: Region,
+    poses: Float64,
+    totals: Float64,
+    config: FullPathConfig | None = None,
 ) -> tuple[Float64, Float64]:
     """Different poses (K, 4, 4) and totals (K,), best first, in the order of totals and of how well they
     stand out from what is round them. The first keeps its total, the others' say how far they are behind."""
     if len(poses) < 2:
         return poses, totals
-    both = totals + FIGURE_WEIGHT * USUAL
+    config = config or FullPathConfig()
+    weight = config.figure_weight
+    both = totals + weight * USUAL
     # Who cannot come first even if no colour of its ground is in its figure need not be looked at.
-    near = totals > totals[0] - FIGURE_WITHIN
+    near = totals > totals[0] - config.figure_within
     if near[1]:
-        both[0] = totals[0] + FIGURE_WEIGHT * set_off(model, region, poses[:1])[0]
-        asked = 1 + np.flatnonzero(near[1:] & (totals[1:] + FIGURE_WEIGHT > both[0]))
-        both[asked] = totals[asked] + FIGURE_WEIGHT * set_off(model, region, poses[asked])
+        both[0] = totals[0] + weight * set_off(model, region, poses[:1])[0]
+        asked = 1 + np.flatnonzero(near[1:] & (totals[1:] + weight > both[0]))
+        both[asked] = totals[asked] + weight * set_off(model, region, poses[asked])
     order = np.argsort(-both, kind="stable")
     return poses[order], totals[order[0]] - (both[order[0]] - both[order])
 

@@ -45,7 +45,8 @@ class PoseEstimate:
     different pose. quality: calibrated probability that the pose is right (of the method `paper`: its fitness
     in 0..1, which is no probability). state: "TRACKING" over the
     acquisition level, else "SUSPECT"; "LOST" when not found. alternatives: other poses and their
-    probabilities. terms: what the quality was made of.
+    probabilities. terms: what the quality was made of. reason: where not found, why, in one sentence; empty
+    where found.
     """
 
     object: str
@@ -64,3 +65,4 @@ class PoseEstimate:
     alternatives: tuple[tuple[Float64, float], ...]
     seconds: float
     terms: QualityTerms | None = None
+    reason: str = ""

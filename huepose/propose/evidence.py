@@ -15,14 +15,8 @@ from huepose.geometry.arrays import Bool, Float64
 from huepose.geometry.box import Box
 from huepose.geometry.frame import RgbdFrame
 from huepose.judge.region import Crop, Region, prepare_believed, prepare_crop, sampled_points
+from huepose.propose.config import EvidenceConfig
 from huepose.propose.views import Picture
-
-FITTING_IOU = 0.75
-"""A mask whose bounds overlap the box by this much fits as well as can be expected of a detector's box."""
-
-MIN_TRUST = 0.05
-SOURCE_POINTS = 400
-BOX_POINTS = 800
 
 
 @dataclass(frozen=True, eq=False)
@@ -36,9 +30,16 @@ class Evidence:
     points_cam: tuple[Float64, ...]
 
 
-def gather(frame: RgbdFrame, masks: Sequence[Bool], box: Box, diameter_m: float) -> Evidence | None:
+def gather(
+    frame: RgbdFrame,
+    masks: Sequence[Bool],
+    box: Box,
+    diameter_m: float,
+    config: EvidenceConfig | None = None,
+) -> Evidence | None:
     """Evidence of candidate masks (H, W) in a box; None when there is no depth under any mask nor in the
     box."""
+    config = config or EvidenceConfig()
     size = (frame.camera.width, frame.camera.height)
     inside = np.zeros(frame.depth.shape, bool)
     inside[box.slices(*size)] = True
@@ -49,20 +50,20 @@ def gather(frame: RgbdFrame, masks: Sequence[Bool], box: Box, diameter_m: float)
     if not shown and not whole.any():
         return None
     believed = shown or [whole]
-    crop = prepare_crop(frame, _window(frame, [*shown, whole], diameter_m))
-    fits = [_fit(mask, box) for mask in believed]
+    crop = prepare_crop(frame, _window(frame, [*shown, whole], config.reach * diameter_m))
+    fits = [_fit(mask, box, config.fitting_iou) for mask in believed]
     region = prepare_believed(
-        crop, believed, [f * f + MIN_TRUST for f in fits], max(fits) ** 2, box, diameter_m
+        crop, believed, [f * f + config.least_trust for f in fits], max(fits) ** 2, box, diameter_m
     )
     if region is None:
         return None
     h, w = crop.depth.shape
     cut = (slice(crop.y0, crop.y0 + h), slice(crop.x0, crop.x0 + w))
     sources = [m[cut] for m in shown]
-    counts = [SOURCE_POINTS] * len(sources)
+    counts = [config.mask_points] * len(sources)
     if whole[cut].any():
         sources.append(whole[cut])
-        counts.append(BOX_POINTS)
+        counts.append(config.box_points)
     points = tuple(sampled_points(crop, m, n)[0] for m, n in zip(sources, counts, strict=True))
     return Evidence(region, _picture(crop, region), tuple(sources), points)
 
@@ -79,19 +80,19 @@ def _picture(crop: Crop, region: Region) -> Picture:
     return Picture(crop.color, crop.depth, crop.camera, region.bounds)
 
 
-def _fit(mask: Bool, box: Box) -> float:
-    """How well a mask fits the box, 0..1."""
+def _fit(mask: Bool, box: Box, fitting_iou: float) -> float:
+    """How well a mask fits the box, 0..1: as well as can be expected from this IoU of their bounds on."""
     bounds = Box.of_mask(mask)
-    return 0.0 if bounds is None else min(1.0, bounds.iou(box) / FITTING_IOU)
+    return 0.0 if bounds is None else min(1.0, bounds.iou(box) / fitting_iou)
 
 
-def _window(frame: RgbdFrame, masks: Sequence[Bool], diameter_m: float) -> Box:
-    """A window in which the object lies whole, whichever of the masks shows a part of it."""
+def _window(frame: RgbdFrame, masks: Sequence[Bool], reach_m: float) -> Box:
+    """A window that reaches so far beyond each mask, at the mask's depth."""
     boxes = []
     for mask in masks:
         bounds = Box.of_mask(mask)
         if bounds is not None:
-            reach = 0.7 * diameter_m / float(np.median(frame.depth[mask])) * frame.camera.fx
+            reach = reach_m / float(np.median(frame.depth[mask])) * frame.camera.fx
             boxes.append(bounds.grown(0.0, reach).clipped(frame.camera.width, frame.camera.height))
     left, top = min(b.x for b in boxes), min(b.y for b in boxes)
     right, bottom = max(b.x1 for b in boxes), max(b.y1 for b in boxes)

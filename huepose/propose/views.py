@@ -16,6 +16,7 @@ import numpy as np
 
 from huepose.geometry.arrays import Bool, Float, Float32, Float64, Int64, UInt8
 from huepose.geometry.camera import Camera
+from huepose.propose.config import RetrievalConfig
 from huepose.propose.picture_cells import known_cells, masked_cells, nearest, sampled
 from huepose.propose.quick_look import quick_look
 from huepose.propose.template_check import Canvas, check_templates
@@ -25,15 +26,8 @@ from huepose.support.jit import jit_dividing
 SHIFTS = (-1, 0, 1)
 """Places of the window round the mask's centroid, in cells of the quick look, along both image axes."""
 
-CLOSER, CLOSEST = 1500, 200
-"""Templates a mask that get the close look, and that are tried a cell to each side, unless said otherwise."""
-
-QUICK_WEIGHT = 0.5
-"""What the quick look's score counts beside the close look's."""
-
-RANKED = 300
-DISTINCT_RAD = np.radians(18.0)
 MEDIAN_PIXELS = 4000
+"""So many readings say at which depth a mask lies: more do not move their median."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -82,12 +76,10 @@ def retrieve(
     table: TemplateTable,
     picture: Picture,
     masks: Sequence[Bool],
-    count: int,
-    closer: tuple[int, int] = (CLOSER, CLOSEST),
+    config: RetrievalConfig | None = None,
 ) -> Retrieved:
-    """The `count` best views under candidate masks (h, w), rotations at least 18 degrees apart; none where
-    no mask has a pixel with depth. closer: templates a mask that get the close look, and that are tried a
-    cell to each side."""
+    """The best different views under candidate masks (h, w); none where no mask has a pixel with depth."""
+    config = config or RetrievalConfig()
     seen = [(k, mask & (picture.depth > 0)) for k, mask in enumerate(masks)]
     seen = [(k, mask) for k, mask in seen if mask.any()]
     if not seen:
@@ -95,7 +87,7 @@ def retrieve(
     places = [_place(table, picture, mask) for _, mask in seen]
     which, quick = quick_look(table, np.concatenate([p.windows for p in places]), len(SHIFTS) ** 2)
     found = [
-        _look_closer(table, picture, p, w, q, *closer) for p, w, q in zip(places, which, quick, strict=True)
+        _look_closer(table, picture, p, w, q, config) for p, w, q in zip(places, which, quick, strict=True)
     ]
     scores = np.concatenate([f.scores for f in found])
     order = np.argsort(-scores, kind="stable")
@@ -106,15 +98,15 @@ def retrieve(
         np.concatenate([f.depth_m for f in found])[order],
         picture.camera,
     )
-    chosen = distinct(every, count)
+    chosen = distinct(every, config.views, np.radians(config.apart_deg))
     origin = np.repeat([k for k, _ in seen], [len(f.scores) for f in found])
     return Retrieved(every[chosen], scores[order[chosen]], origin[order[chosen]])
 
 
-def distinct(poses: Float64, count: int) -> list[int]:
-    """Indices of the first poses (N, 4, 4) whose rotations are 18 degrees or more from all chosen before."""
+def distinct(poses: Float64, count: int, apart_rad: float) -> list[int]:
+    """Indices of the first `count` poses (N, 4, 4) whose rotations are so far from all chosen before."""
     flat = poses[:, :3, :3].reshape(len(poses), 9)
-    limit = 1.0 + 2.0 * np.cos(DISTINCT_RAD)
+    limit = 1.0 + 2.0 * np.cos(apart_rad)
     return [int(i) for i in _distinct(np.ascontiguousarray(flat), limit, count)]
 
 
@@ -177,8 +169,7 @@ def _look_closer(
     place: _Place,
     which: Int64,
     quick: Float32,
-    closer: int,
-    closest: int,
+    config: RetrievalConfig,
 ) -> _Found:
     """The best templates round one place; `which` (N,) and `quick` (N,): best window of the quick look, and
     its score."""
@@ -190,21 +181,21 @@ def _look_closer(
     bounds = (picture.bounds - np.concatenate([place.centre, place.centre])) / cell + wide / 2.0
     canvas = Canvas(*known_cells(color, depth, fine, place.middle_m), bounds)
 
-    templates = _best(quick, closer)
+    templates = _best(quick, config.closer)
     corners = margin + np.rint(coarse[which[templates]]).astype(np.int64)
     rated, depth_mm = check_templates(table, canvas, templates, corners)
-    rated += QUICK_WEIGHT * quick[templates]
+    rated += config.quick_weight * quick[templates]
 
-    best = _best(rated, closest)
+    best = _best(rated, config.closest)
     steps = np.array([(x, y) for y in (-1, 0, 1) for x in (-1, 0, 1) if x or y])
     near = np.clip(corners[best][:, None] + steps, 0, 2 * margin).reshape(-1, 2)
     again = np.repeat(templates[best], len(steps))
     rated_again, depth_again = check_templates(table, canvas, again, near)
-    rated_again += QUICK_WEIGHT * quick[again]
+    rated_again += config.quick_weight * quick[again]
 
     templates, corners = np.concatenate([templates, again]), np.concatenate([corners, near])
     rated, depth_mm = np.concatenate([rated, rated_again]), np.concatenate([depth_mm, depth_again])
-    best = _best(rated, RANKED)
+    best = _best(rated, config.ranked)
     pixels = place.centre + (corners[best] - margin) * cell
     return _Found(templates[best], pixels, place.middle_m + depth_mm[best] / MILLIMETRES, rated[best])
 

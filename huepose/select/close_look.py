@@ -19,22 +19,12 @@ from huepose.judge.outline import Rim, edge_tensor
 from huepose.judge.region import OUTSIDE_WEIGHT, Region
 from huepose.judge.rendered_view import detail_colors, draw_portrait
 from huepose.judge.same_pixels import Likeness, Part, likeness
-from huepose.judge.terms import ScoreWeights
 from huepose.model.types import ReferenceModel
 from huepose.refine.coordinate_search import search_portrait
+from huepose.select.config import CloseLookConfig
 
-CLOSE = ScoreWeights(color=1.5, coarse=1.0)
-"""The weights of the close look: detail and blunt colours count alike, and more than at first sight."""
-
-RIM_WEIGHT = 0.75
-STEPS_DEG = (3.0, 1.5, 0.7, 0.35)
-SAMPLES = 600
 HULL_POINTS = 200
-ROOM_PX = 10.0
-
-
-TOLERANCES = 1.5
-"""Depth may be so many of the region's tolerances off a pose where prints are compared."""
+"""Of the surface, whose bounds stand for the object's."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -47,10 +37,13 @@ class CloseLook:
     alike: Likeness
 
 
-def close_look(model: ReferenceModel, region: Region, poses: Float64) -> CloseLook | None:
+def close_look(
+    model: ReferenceModel, region: Region, poses: Float64, config: CloseLookConfig | None = None
+) -> CloseLook | None:
     """A close look at each of the poses (K, 4, 4); None where one shows too little of the object, or is too
     near for a picture of it."""
-    rows, columns = _window(model, region, poses)
+    config = config or CloseLookConfig()
+    rows, columns = _window(model, region, poses, config.room_px)
     weight = np.maximum(region.belief[rows, columns], np.float32(OUTSIDE_WEIGHT))
     color = region.crop.color[rows, columns]
     colors, edges = np.zeros_like(region.colors), np.zeros((*region.belief.shape, 3), np.float32)
@@ -59,18 +52,18 @@ def close_look(model: ReferenceModel, region: Region, poses: Float64) -> CloseLo
     arrays = region_arrays(region)._replace(colors=colors)
     refined, totals = poses.copy(), np.zeros(len(poses))
     for k, T in enumerate(poses):
-        portrait = draw_portrait(model, T, region.crop.camera, SAMPLES)
+        portrait = draw_portrait(model, T, region.crop.camera, config.samples)
         if portrait is None:
             return None
-        rim = Rim(portrait.rim_points, portrait.rim_inward, edges, RIM_WEIGHT)
+        rim = Rim(portrait.rim_points, portrait.rim_inward, edges, config.rim_weight)
         refined[k], totals[k] = search_portrait(
-            model, portrait.arrays, arrays, rim, T, STEPS_DEG, SAMPLES, CLOSE
+            model, portrait.arrays, arrays, rim, T, config.steps_deg, config.samples, config.weights
         )
-    alike = likeness(model, _part(region, rows, columns, colors), refined)
+    alike = likeness(model, _part(region, rows, columns, colors, config.tolerances), refined)
     return None if alike is None else CloseLook(refined, totals, alike)
 
 
-def _part(region: Region, rows: slice, columns: slice, colors: Float32) -> Part:
+def _part(region: Region, rows: slice, columns: slice, colors: Float32, tolerances: float) -> Part:
     """A part of the region's crop, with the colours (h, w, 6) of the whole crop."""
     crop = region.crop
     return Part(
@@ -78,11 +71,11 @@ def _part(region: Region, rows: slice, columns: slice, colors: Float32) -> Part:
         colors[rows, columns],
         crop.depth[rows, columns],
         crop.saturated[rows, columns],
-        TOLERANCES * region.tolerance_m,
+        tolerances * region.tolerance_m,
     )
 
 
-def _window(model: ReferenceModel, region: Region, poses: Float64) -> tuple[slice, slice]:
+def _window(model: ReferenceModel, region: Region, poses: Float64, room_px: float) -> tuple[slice, slice]:
     """Rows and columns of the crop that the poses cover, with some room."""
     camera = region.crop.camera
     points = model.surface.points[:HULL_POINTS]
@@ -90,4 +83,4 @@ def _window(model: ReferenceModel, region: Region, poses: Float64) -> tuple[slic
     ahead = placed[placed[:, 2] > 0.05]
     if not len(ahead):
         return slice(0, camera.height), slice(0, camera.width)
-    return Box.of_pixels(camera.project(ahead)).grown(0.1, ROOM_PX).slices(camera.width, camera.height)
+    return Box.of_pixels(camera.project(ahead)).grown(0.1, room_px).slices(camera.width, camera.height)

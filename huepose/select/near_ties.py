@@ -7,8 +7,7 @@ same pixels (`judge.same_pixels`) and by colour pairs, and all of it is weighed 
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import astuple, dataclass, fields
 
 import numpy as np
 
@@ -18,30 +17,11 @@ from huepose.judge.region import Region
 from huepose.judge.terms import totals as totals_of
 from huepose.model.types import ReferenceModel
 from huepose.select.close_look import close_look
+from huepose.select.config import NearTieConfig, NearTieWeights
 from huepose.select.distinct import FINAL_SHIFT, FINAL_TURN_RAD, different_poses
 
-CONTENDERS, WITHIN = 4, 0.12
-"""So many poses look closely at each other, if their totals are within this of the best."""
-
-TERMS = ("dense", "close", "detail", "broad", "open", "pairs")
-"""What contenders are told apart by: the dense score's total, the close look's, how well the print's detail
-and its broader parts explain the same pixels, what is open to view, and the pairs' colours."""
-
-WEIGHTS: Mapping[str, float] = {
-    "dense": 1.0,
-    "close": 0.5,
-    "detail": 1.5,
-    "broad": 6.5,
-    "open": 3.0,
-    "pairs": 0.6,
-}
-"""Near the largest likelihood that the right one of the contenders wins (a softmax of their weighted sums),
-over drawn heaps, path-traced piles and real frames (`studies.near_ties`)."""
-
-SHARE = 0.35
-"""A difference so weighed says as much as this part of it where nothing but the dense score is known."""
-
-PAIRS_COUNT, SAMPLES = 1500, 600
+TERMS = tuple(term.name for term in fields(NearTieWeights))
+"""What contenders are told apart by, see `NearTieWeights`."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -51,21 +31,29 @@ class Contest:
     poses: Float64
     terms: Float64
 
-    def weighed(self, weights: Mapping[str, float] = WEIGHTS) -> Float64:
+    def weighed(self, weights: NearTieWeights | None = None) -> Float64:
         """Sums (K,) of the terms, each with its weight."""
-        return np.asarray(self.terms @ np.array([weights[name] for name in TERMS]))
+        return np.asarray(self.terms @ np.array(astuple(weights or NearTieWeights())))
 
 
-def contest(model: ReferenceModel, region: Region, poses: Float64, totals: Float64) -> Contest | None:
+def contest(
+    model: ReferenceModel,
+    region: Region,
+    poses: Float64,
+    totals: Float64,
+    config: NearTieConfig | None = None,
+) -> Contest | None:
     """The best few of different poses (K, 4, 4) with their dense totals (K,), best first, looked at closely;
     None where one is clearly ahead, or one cannot be looked at."""
-    rivals = int((totals[:CONTENDERS] > totals[0] - WITHIN).sum()) if len(totals) else 0
+    config = config or NearTieConfig()
+    near = totals[: config.contenders] > totals[:1] - config.within
+    rivals = int(near.sum())
     if rivals < 2:
         return None
-    look = close_look(model, region, poses[:rivals])
+    look = close_look(model, region, poses[:rivals], config.close)
     if look is None:
         return None
-    alike, pairs = look.alike, pair_colors(model, region, poses[:rivals])
+    alike, pairs = look.alike, pair_colors(model, region, poses[:rivals], config)
     columns = [totals[:rivals], look.totals, alike.detail, alike.broad, alike.open, pairs]
     return Contest(look.poses, np.stack(columns, axis=-1))
 
@@ -75,29 +63,33 @@ def decided(
     region: Region,
     poses: Float64,
     totals: Float64,
-    weights: Mapping[str, float] = WEIGHTS,
+    config: NearTieConfig | None = None,
 ) -> tuple[Float64, Float64, Contest | None]:
     """Different poses (K, 4, 4) and their dense totals (K,), best first, after the best few were looked at
     closely, and the contest where there was one.
 
     The winner's total is that of the dense score; the others' say how far they are behind.
     """
-    held = contest(model, region, poses, totals)
+    config = config or NearTieConfig()
+    held = contest(model, region, poses, totals, config)
     if held is None:
         return poses, totals, None
-    rivals, weighed = len(held.poses), held.weighed(weights)
+    rivals, weighed = len(held.poses), held.weighed(config.weights)
     winner = int(np.argmax(weighed))
     top = float(totals_of(model, region, held.poses[winner : winner + 1])[0])
     every = np.concatenate([held.poses, poses[rivals:]])
-    behind = SHARE * (weighed[winner] - weighed)
-    behind = np.concatenate([behind, np.maximum(totals[0] - totals[rivals:], WITHIN)])
+    behind = config.share * (weighed[winner] - weighed)
+    behind = np.concatenate([behind, np.maximum(totals[0] - totals[rivals:], config.within)])
     order = different_poses(model, every, -behind, len(every), FINAL_TURN_RAD, FINAL_SHIFT)
     return every[order], top - behind[order], held
 
 
-def pair_colors(model: ReferenceModel, region: Region, poses: Float64) -> Float64:
+def pair_colors(
+    model: ReferenceModel, region: Region, poses: Float64, config: NearTieConfig | None = None
+) -> Float64:
     """How well the colours of the model's pairs agree at poses (K, 4, 4), 0 without pairs: (K,)."""
+    config = config or NearTieConfig()
     picture = pair_picture(model, region.crop, region.median_depth_m)
-    terms = pair_score_many(model, region, picture, poses, PAIRS_COUNT, SAMPLES)
+    terms = pair_score_many(model, region, picture, poses, config.pairs, config.pair_samples)
     weights = DEFAULT_PAIR_WEIGHTS
     return np.asarray(weights.color * terms[:, 2] + weights.contrast * terms[:, 3])

@@ -1,4 +1,4 @@
-"""What can be set about a tracker; the defaults are what was measured."""
+"""What can be set about a tracker; the defaults are those of a live pipeline."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ class TrackerConfig:
 
     history_frames: int = 20
     older_frames: int = 24
-    catch_up_stride: int = 5
+    catch_up_stride: int = 3
     tracking_quality: float = 0.6
     suspect_quality: float = 0.5
     lost_quality: float = 0.25
@@ -43,7 +43,7 @@ class TrackerConfig:
     surprising_m: float = 0.03
     hidden: float = 0.6
     search: bool = True
-    searches_per_step: int | None = None
+    searches_per_step: int | None = 1
     max_search_m_s: float = 0.8
     max_search_rad_s: float = 7.0
     flow: FlowSource = compute

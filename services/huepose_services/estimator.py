@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 from huepose.estimation import Estimator, ObjectQuery, PoseEstimate
-from huepose.estimation.config import EstimatorConfig
 from huepose.estimation.types import PosePrior
 from huepose.model import ReferenceModel
+from huepose.profiles import profile
 from huepose_protos import WireError
 from huepose_protos.messages import EstimatedObject, Estimates, MaskedObject, Masks
 from huepose_protos.runlength import mask_of, runs_of
@@ -26,8 +28,10 @@ from huepose_services.runtime.config import Config
 
 def make(bus: Bus, config: Config) -> EstimatorWork:
     """The estimator worker's work, with its kernels compiled."""
-    settings = EstimatorConfig(
-        method=config.estimator.method, threads=config.estimator.threads, look_harder=False
+    settings = replace(
+        profile(config.profile).estimator,
+        method=config.estimator.method,
+        threads=config.estimator.threads,
     )
     estimator = Estimator(models.load(config), settings)
     estimator.warm_up()

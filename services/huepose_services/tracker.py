@@ -6,8 +6,9 @@ import math
 from dataclasses import replace
 
 from huepose.model import ReferenceModel
+from huepose.profiles import profile
 from huepose.support.errors import InputError
-from huepose.tracking import Tracker, TrackerConfig
+from huepose.tracking import Tracker
 from huepose.tracking.history import CLOSE_S, WIDE_S
 from huepose.tracking.types import Applied, Correction, State, TrackedPose, Verdict
 from huepose_protos import WireError
@@ -34,12 +35,10 @@ _REFUSED_EVERY_S = 10.0
 def make(bus: Bus, config: Config) -> TrackerWork:
     """The tracker worker's work, with its kernels compiled."""
     known = models.load(config)
-    # Time is short in a live pipeline: one search a step, and catching up in strides that need none.
-    settings = TrackerConfig(
+    settings = replace(
+        profile(config.profile).tracker,
         history_frames=config.tracker.history_frames,
         older_frames=config.tracker.older_frames,
-        searches_per_step=1,
-        catch_up_stride=3,
         flow=networks.flow(config),
     )
     tracker = Tracker(known, settings, networks.relative_pose(config))

@@ -14,11 +14,11 @@ import numpy as np
 
 from huepose.datasets.boxes import disturbed, projected_box
 from huepose.estimation import Estimator, ObjectQuery
-from huepose.estimation.config import EstimatorConfig
 from huepose.estimation.types import PoseEstimate, PosePrior
 from huepose.geometry.arrays import Float64
 from huepose.geometry.box import Box
 from huepose.model.types import ReferenceModel
+from huepose.profiles import profile
 from huepose.reinit.association import displacement_m
 from huepose.reinit.types import ObjectSlot, Request, RequestedObject
 from studies.hard_moments.film import Seen, noisy
@@ -95,7 +95,7 @@ class OwnEstimates:
     def __init__(self, script: Script, models: Mapping[str, ReferenceModel], seed: int = 0) -> None:
         self._script, self._models, self._seed = script, models, seed
         known = {name: models[name] for name in dict.fromkeys(script.objects)}
-        self._estimator = Estimator(known, EstimatorConfig(threads=1, look_harder=False))
+        self._estimator = Estimator(known, profile("live").estimator)
 
     def answer(self, request: Request, seen: Seen) -> list[PoseEstimate]:
         """See Perception."""

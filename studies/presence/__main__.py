@@ -22,11 +22,12 @@ import huepose
 from huepose.datasets.bop import BopScene
 from huepose.datasets.types import Sample
 from huepose.estimation import Estimator, EstimatorConfig
-from huepose.estimation.verdict import PRESENT
+from huepose.estimation.config import StandingConfig
 from huepose.evaluation.summary import table
 from huepose.evaluation.targets import Targets
 from huepose.model import load_models
 from huepose.perception.colorpair_detector import ColorPairDetector
+from huepose.perception.config import DetectorConfig
 from huepose.perception.presence import presence_fit
 from huepose.support.progress import progress
 from studies.presence.fit import SeenPlaces, chances, fit_presence, look
@@ -60,7 +61,7 @@ def main() -> None:
         ("held out", held_out),
     ):
         there = np.concatenate([f.there for f in frames])
-        over = stated >= PRESENT
+        over = stated >= StandingConfig().present
         rows.append([name, len(there), 100.0 * there.mean(), 100.0 * over[there].mean(),
                      100.0 * there[over].mean(), f"{stated.mean():.3f}"])  # fmt: skip
     print(asdict(found))
@@ -79,7 +80,7 @@ def _seen(images: Sequence[tuple[Path, int]], bundles: Path) -> list[SeenPlaces]
     """What is seen in some images, everything asked for."""
     targets = Targets(load_models(bundles))
     models = targets.models_by_name
-    detector = ColorPairDetector(models, min_score=0.0)
+    detector = ColorPairDetector(models, DetectorConfig(proposals=3, min_score=0.0))
     estimator = Estimator(models, EstimatorConfig(found_level=0.0))
     scenes = {path: BopScene(path) for path, _ in images}
     out = []

@@ -166,6 +166,7 @@ def test_nothing_there_is_not_found(
         assert not answer.found
         assert (answer.T_cam_obj, answer.covariance, answer.mask) == (None, None, None)
         assert (answer.state, answer.quality) == ("LOST", 0.0)
+        assert answer.reason == "There is no depth in the box, so there is nothing to look at."
 
 
 def test_wrong_queries_say_what_to_do(

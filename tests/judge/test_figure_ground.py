@@ -8,7 +8,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from huepose.estimation.full_path import FIGURE_WEIGHT, FIGURE_WITHIN, by_figure
+from huepose.estimation.config import FullPathConfig
+from huepose.estimation.full_path import by_figure
 from huepose.geometry import RgbdFrame, se3
 from huepose.judge.figure_ground import USUAL, figure_and_ground, set_off
 from huepose.judge.region import Region
@@ -72,12 +73,12 @@ def test_of_poses_that_score_alike_the_one_that_stands_out_comes_first(
     tea_box: ReferenceModel, even: Region, standing: np.ndarray
 ) -> None:
     poses = np.stack([shifted(standing, 0.03), standing, shifted(standing, -0.05)])
-    totals = np.array([1.5, 1.48, 1.5 - FIGURE_WITHIN - 0.1])
+    totals = np.array([1.5, 1.48, 1.5 - FullPathConfig().figure_within - 0.1])
     out = set_off(tea_box, even, poses)
     ordered, behind = by_figure(tea_box, even, poses, totals)
     assert np.array_equal(ordered[0], standing)
     assert behind[0] == 1.48
-    assert behind[0] - behind[1] == pytest.approx(FIGURE_WEIGHT * (out[1] - out[0]) - 0.02)
+    assert behind[0] - behind[1] == pytest.approx(FullPathConfig().figure_weight * (out[1] - out[0]) - 0.02)
     assert (np.diff(behind) <= 0).all()
 
 
@@ -85,7 +86,7 @@ def test_one_that_is_far_ahead_is_not_asked(
     tea_box: ReferenceModel, even: Region, standing: np.ndarray
 ) -> None:
     poses = np.stack([shifted(standing, 0.03), standing])
-    totals = np.array([1.5, 1.5 - FIGURE_WITHIN - 0.01])
+    totals = np.array([1.5, 1.5 - FullPathConfig().figure_within - 0.01])
     ordered, behind = by_figure(tea_box, even, poses, totals)
     assert np.array_equal(ordered, poses)
     assert np.array_equal(behind, totals)

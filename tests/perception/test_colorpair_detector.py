@@ -14,6 +14,7 @@ from huepose.judge.continuation import continuation_many
 from huepose.model.types import ReferenceModel
 from huepose.perception.clear_view import clear_view
 from huepose.perception.colorpair_detector import ColorPairDetector
+from huepose.perception.config import DetectorConfig
 from huepose.perception.ground import large_planes, standing_clear
 from huepose.perception.nearby import align_in_view
 from huepose.perception.scouting import likeliest_turns
@@ -74,7 +75,7 @@ def test_of_a_pose_that_is_turned_the_wrong_way_the_right_turn_is_the_likeliest(
 def test_both_of_a_kind_are_found_where_they_are(
     frame: RgbdFrame, tea_box: ReferenceModel, standing: np.ndarray, beside: np.ndarray
 ) -> None:
-    found = ColorPairDetector({"tea_box": tea_box}, proposals=2).detect(frame, ["tea_box"])
+    found = ColorPairDetector({"tea_box": tea_box}).detect(frame, ["tea_box"])
     assert [d.object for d in found] == ["tea_box", "tea_box"]
     for T in (standing, beside):
         best = max(found, key=lambda d: d.box.iou(box_of(tea_box, frame, T)))
@@ -87,7 +88,7 @@ def test_both_of_a_kind_are_found_where_they_are(
 def test_a_place_without_the_object_scores_less(
     frame: RgbdFrame, tea_box: ReferenceModel, standing: np.ndarray, take_picture: TakePicture
 ) -> None:
-    detector = ColorPairDetector({"tea_box": tea_box}, proposals=1, min_score=0.0)
+    detector = ColorPairDetector({"tea_box": tea_box}, DetectorConfig(proposals=1, min_score=0.0))
     (there,) = detector.detect(frame, ["tea_box"])
     grey = replace(tea_box.mesh, texture=np.full_like(tea_box.mesh.texture, 90))
     (other,) = detector.detect(take_picture([(grey, standing)]), ["tea_box"])

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import astuple
 
 import numpy as np
 import pytest
@@ -11,7 +12,8 @@ from huepose.geometry import RgbdFrame, se3
 from huepose.judge.region import Region
 from huepose.judge.terms import totals as judge
 from huepose.model.types import ReferenceModel
-from huepose.select.near_ties import SHARE, TERMS, WEIGHTS, WITHIN, contest, decided, pair_colors
+from huepose.select.config import NearTieConfig, NearTieWeights
+from huepose.select.near_ties import TERMS, contest, decided, pair_colors
 from tests.judge.regions import region_of
 
 UPSIDE_DOWN = se3.make(np.diag([1.0, -1.0, -1.0]), np.zeros(3))
@@ -48,10 +50,16 @@ def test_who_does_not_contend_stays_behind(
 ) -> None:
     aside = se3.compose(se3.make(np.eye(3), [0.05, 0.0, 0.0]), standing)
     poses = np.stack([standing @ UPSIDE_DOWN, standing, aside])
-    found, totals, _ = decided(tea_box, region, poses, np.array([1.95, 1.94, 1.95 - WITHIN - 0.2]))
+    found, totals, _ = decided(
+        tea_box, region, poses, np.array([1.95, 1.94, 1.95 - NearTieConfig().within - 0.2])
+    )
     assert se3.rotation_angle(found[0], standing) < np.radians(1.0)
     k = next(k for k, T in enumerate(found) if np.array_equal(T, aside))
-    assert totals[0] - totals[k] == pytest.approx(WITHIN + 0.2)
+    assert totals[0] - totals[k] == pytest.approx(NearTieConfig().within + 0.2)
+
+
+def weighing(pairs: float) -> NearTieConfig:
+    return NearTieConfig(weights=NearTieWeights(pairs=pairs))
 
 
 def test_pairs_say_how_much_more(region: Region, tea_box: ReferenceModel, standing: np.ndarray) -> None:
@@ -59,10 +67,10 @@ def test_pairs_say_how_much_more(region: Region, tea_box: ReferenceModel, standi
     right, wrong = pair_colors(tea_box, region, poses)
     assert right > wrong + 0.3
     near = np.array([1.95, 1.94])
-    _, without, _ = decided(tea_box, region, poses, near, {**WEIGHTS, "pairs": 0.0})
-    _, much, _ = decided(tea_box, region, poses, near, {**WEIGHTS, "pairs": 2.0})
+    _, without, _ = decided(tea_box, region, poses, near, weighing(0.0))
+    _, much, _ = decided(tea_box, region, poses, near, weighing(2.0))
     more = (much[0] - much[1]) - (without[0] - without[1])
-    assert more == pytest.approx(SHARE * 2.0 * (right - wrong))
+    assert more == pytest.approx(NearTieConfig().share * 2.0 * (right - wrong))
 
 
 def test_every_term_is_for_the_right_one(
@@ -75,4 +83,4 @@ def test_every_term_is_for_the_right_one(
     assert better["dense"] == pytest.approx(-0.01)
     assert min(better[name] for name in ("close", "detail", "broad", "pairs")) > 0.1
     assert better["open"] == pytest.approx(0.0, abs=0.02)  # a box upside down hides as much
-    assert held.weighed() == pytest.approx(held.terms @ list(WEIGHTS.values()))
+    assert held.weighed() == pytest.approx(held.terms @ list(astuple(NearTieWeights())))

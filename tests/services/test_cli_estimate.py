@@ -74,7 +74,17 @@ def test_a_pose_as_json_a_picture_and_an_explanation(
     )
     assert code == 0
     (pose,) = json.loads(out.read_text())["poses"]
-    assert set(pose) == {"object", "found", "T_cam_obj", "quality", "covariance", "state", "box", "seconds"}
+    assert set(pose) == {
+        "object",
+        "found",
+        "reason",
+        "T_cam_obj",
+        "quality",
+        "covariance",
+        "state",
+        "box",
+        "seconds",
+    }
     assert pose["found"]
     assert pose["state"] == "TRACKING"
     assert np.abs(np.array(pose["T_cam_obj"]) - standing).max() < 0.01
@@ -95,6 +105,7 @@ def test_without_a_box_the_object_is_found_in_the_whole_picture(
     assert main(files) == 0
     (pose,) = json.loads(capsys.readouterr().out)["poses"]
     assert pose["found"]
+    assert pose["reason"] is None
     assert np.abs(np.array(pose["T_cam_obj"]) - standing).max() < 0.01
 
 
@@ -133,6 +144,7 @@ def test_nothing_in_the_box_is_an_answer(files: list[str], capsys: pytest.Captur
     assert main([*files, "--box", "0", "0", "4", "4"]) == 0
     (pose,) = json.loads(capsys.readouterr().out)["poses"]
     assert (pose["found"], pose["T_cam_obj"], pose["state"]) == (False, None, "LOST")
+    assert pose["reason"].endswith(".")
 
 
 @pytest.mark.parametrize(

@@ -12,8 +12,8 @@ from huepose.tracking import Applied, Correction, State, Tracker, TrackerConfig,
 from huepose.tracking.catching_up import Pursuit
 from huepose.tracking.step import Subject
 
-CONFIG = TrackerConfig()
-LIVE = TrackerConfig(searches_per_step=1, catch_up_stride=3)
+CONFIG = TrackerConfig(searches_per_step=None, catch_up_stride=5)
+LIVE = TrackerConfig()
 
 
 def late(frame, T, stamp_ns=None) -> Correction:

@@ -35,6 +35,15 @@ def _common(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--json", type=Path, required=True, metavar="FILE", help="result file")
 
 
+def _profile(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument(
+        "--profile",
+        choices=("live", "patient"),
+        default="live",
+        help="live: as the workers of a pipeline; patient: answers may take longer (live)",
+    )
+
+
 def _seeds(parser: argparse.ArgumentParser, text: str = "of the perturbed boxes; results average") -> None:
     parser.add_argument("--seed", type=int, nargs="+", default=[0], metavar="N", help=text)
 
@@ -58,6 +67,7 @@ def _add_estimate(verbs: Any) -> None:
     parser.add_argument("--bop", type=Path, nargs="+", required=True, metavar="SCENE_DIR")
     _common(parser)
     parser.add_argument("--method", choices=("full", "colorpair", "paper"), default="full")
+    _profile(parser)
     parser.add_argument("--boxes", choices=("perturbed", "paper", "gt", "detect"), default="perturbed")
     parser.add_argument("--masks", choices=("auto", "gt"), default="auto", help="gt: the true visible mask")
     _objects(parser)
@@ -91,6 +101,7 @@ def _add_perception(verbs: Any) -> None:
     parser.add_argument("--bop", type=Path, nargs="+", required=True, metavar="SCENE_DIR")
     _common(parser)
     _objects(parser)
+    _profile(parser)
     parser.add_argument("--detector", choices=("colorpair",), default="colorpair")
     parser.add_argument("--segmenter", choices=("depth",), default="depth")
     parser.add_argument(
@@ -100,9 +111,6 @@ def _add_perception(verbs: Any) -> None:
         default=[1, 5, 20],
         metavar="N",
         help="numbers of boxes an object at which recall is given (1 5 20)",
-    )
-    parser.add_argument(
-        "--judged", type=int, default=3, metavar="N", help="boxes an object that the estimator judges (3)"
     )
     parser.add_argument("--seed", type=int, default=0, metavar="N", help="of the perturbed boxes of masks")
     parser.add_argument("--threads", type=int, default=2, metavar="N", help="objects at the same time (2)")
@@ -115,6 +123,7 @@ def _add_track(verbs: Any) -> None:
     source.add_argument("--fast-ycb", type=Path, nargs="+", metavar="SEQ_DIR")
     source.add_argument("--bop", type=Path, nargs="+", metavar="SCENE_DIR")
     _common(parser)
+    _profile(parser)
     parser.add_argument(
         "--method", choices=("full", "paper"), default="full", help="paper: the paper's tracker as it is"
     )

@@ -21,6 +21,7 @@ from huepose.geometry import Box, RgbdFrame
 from huepose.geometry.arrays import Bool, UInt8
 from huepose.judge.terms import score
 from huepose.model import ReferenceModel
+from huepose.propose.config import RetrievalConfig
 from huepose.propose.template_table import build_table
 from huepose.propose.views import retrieve
 from huepose.rendering.render import render
@@ -115,7 +116,7 @@ def _write_views(path: Path, model: ReferenceModel, explanation: Explanation) ->
         return
     picture = evidence.picture
     table = build_table(model.templates, model.diameter_m)
-    views = retrieve(table, picture, evidence.sources, VIEWS)
+    views = retrieve(table, picture, evidence.sources, RetrievalConfig(views=VIEWS))
     x0, y0, x1, y1 = (float(x) for x in picture.bounds)
     around = Box(x0, y0, x1 - x0, y1 - y0).grown(0.3, 5)
     rows, columns = around.slices(picture.camera.width, picture.camera.height)

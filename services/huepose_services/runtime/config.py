@@ -126,6 +126,7 @@ class Config(Section, frozen=True, kw_only=True):
     site: Name = "local"
     workers: tuple[WorkerName, ...] = CHAIN
     bundles: str | None = None
+    profile: Literal["live", "patient"] = "live"
     objects: list[ObjectConfig] = msgspec.field(default_factory=list)
     camera: CameraConfig = CameraConfig()
     detector: DetectorConfig = DetectorConfig()

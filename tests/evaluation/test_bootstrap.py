@@ -47,7 +47,7 @@ def test_intervals_of_a_change_hold_the_true_one_about_as_often_as_they_say(unit
 
 
 def test_boxes_drawn_as_if_they_were_independent_promise_too_much() -> None:
-    rng, units, boxes, shift, worlds = np.random.default_rng(3), 20, 5, -2.0, 300
+    rng, units, boxes, shift, worlds = np.random.default_rng(3), 12, 5, -2.0, 200
     held = 0
     for world in range(worlds):
         before, after = paired_world(rng, units, boxes, shift)

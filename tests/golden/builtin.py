@@ -1,9 +1,9 @@
 """Questions that need nothing but the code: the built-in objects, drawn and learned here.
 
 Single frames: two heaps and three piles (`datasets.rendered_scene`), asked in the true boxes of what is
-visible by 30 % or more, with both methods. Sequences: 25 frames of the built-in scene (`datasets.synthetic`), started
-at the true pose: every frame; every fifth frame; and one in which a board hides everything for ten frames,
-after which a correction arrives for a frame that is two frames old.
+visible by 30 % or more, with both methods. Sequences: 25 frames of the built-in scene (`datasets.synthetic`),
+started at the true pose: every frame; every fifth frame; and one in which a board hides everything for ten
+frames, after which a correction arrives for a frame that is two frames old.
 """
 
 from __future__ import annotations

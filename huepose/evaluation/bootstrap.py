@@ -1,16 +1,19 @@
-"""How far figures of few frames may be trusted: intervals by drawing frames again, with replacement.
+"""How far figures of few frames may be trusted: intervals by drawing again with replacement, and a sign test.
 
-Frames and not instances are drawn, because the objects of one frame share its light and its noise (Efron and
-Tibshirani 1993, the bootstrap over clusters).
+What belongs together is drawn together (Efron and Tibshirani 1993, the bootstrap over clusters). For a figure
+these are frames, because the objects of one frame share its light and its noise; for the change of a figure
+they are units that the caller names.
 """
 
 from __future__ import annotations
 
 from collections.abc import Hashable, Mapping, Sequence
+from dataclasses import dataclass
 
 import numpy as np
+from scipy import special
 
-from huepose.geometry.arrays import Float
+from huepose.geometry.arrays import Bool, Float, Float64, Int64
 
 Interval = tuple[float, float]
 
@@ -31,15 +34,101 @@ def frame_intervals(
     """
     if not len(frames):
         return {}
-    number = {frame: k for k, frame in enumerate(dict.fromkeys(frames))}
-    index = np.array([number[frame] for frame in frames])
-    rng = np.random.default_rng(seed)
-    times = rng.multinomial(len(number), np.full(len(number), 1.0 / len(number)), resamples)
-    counts = times @ np.bincount(index, minlength=len(number))
+    index, times = _draws(frames, resamples, seed)
+    counts = times @ np.bincount(index)
     tails = [50.0 * (1.0 - share), 50.0 * (1.0 + share)]
     result = {}
     for name, each in values.items():
-        sums = times @ np.bincount(index, weights=np.asarray(each, np.float64), minlength=len(number))
-        low, high = np.percentile(sums / counts, tails)
+        low, high = np.percentile((times @ _sums(each, index)) / counts, tails)
         result[name] = (float(low), float(high))
     return result
+
+
+@dataclass(frozen=True, eq=False)
+class Share:
+    """One figure of N rows: `part.sum() / whole.sum()`, each (N,). The whole of a mean is one in every row
+    that counts and zero in the others."""
+
+    part: Float64
+    whole: Float64
+
+    @staticmethod
+    def of(values: Float, counts: Bool | None = None) -> Share:
+        """The mean of values (N,) over the rows that count (N,), by default all."""
+        values = np.asarray(values, np.float64)
+        counted = np.ones(len(values), bool) if counts is None else np.asarray(counts, bool)
+        return Share(np.where(counted, values, 0.0), counted.astype(np.float64))
+
+    @property
+    def value(self) -> float | None:
+        """The figure; None where no row counts."""
+        whole = float(self.whole.sum())
+        return float(self.part.sum()) / whole if whole else None
+
+    def only(self, chosen: Int64) -> Share:
+        """Of the rows with these numbers."""
+        return Share(self.part[chosen], self.whole[chosen])
+
+
+def difference_intervals(
+    pairs: Mapping[str, tuple[Share, Share]],
+    units: Sequence[Hashable],
+    share: float = 0.95,
+    resamples: int = 4000,
+    seed: int = 0,
+) -> dict[str, Interval | None]:
+    """For each figure the interval of its change, second less first, over the same N rows.
+
+    units: what is drawn together, of each row (N,). The percentiles are moved outwards as for a t interval
+    with as many degrees of freedom as there are units less one, because the plain ones are too narrow when
+    units are few (Hesterberg 2015, What teachers should know about the bootstrap, 'expanded percentiles').
+    None for fewer than two units, or where nothing counts.
+
+    >>> rows = np.array([100.0, 0.0])
+    >>> difference_intervals({"recall": (Share.of(rows), Share.of(rows))}, ["a", "b"])
+    {'recall': (0.0, 0.0)}
+    """
+    if not len(units):
+        return dict.fromkeys(pairs)
+    index, times = _draws(units, resamples, seed)
+    if times.shape[1] < 2:
+        return dict.fromkeys(pairs)
+    tail = 50.0 * (1.0 - _expanded(share, times.shape[1]))
+    result: dict[str, Interval | None] = {}
+    for name, (before, after) in pairs.items():
+        parts = [times @ _sums(each, index) for each in (after.part, after.whole, before.part, before.whole)]
+        known = (parts[1] > 0) & (parts[3] > 0)
+        if not known.any():
+            result[name] = None
+            continue
+        changes = parts[0][known] / parts[1][known] - parts[2][known] / parts[3][known]
+        low, high = np.percentile(changes, [tail, 100.0 - tail])
+        result[name] = (float(low), float(high))
+    return result
+
+
+def sign_test(wins: int, losses: int) -> float:
+    """How likely wins and losses as uneven as these, or more, are by chance: exact, two-sided (McNemar).
+
+    >>> sign_test(0, 6), sign_test(3, 3), sign_test(0, 0)
+    (0.03125, 1.0, 1.0)
+    """
+    return min(1.0, 2.0 * float(special.bdtr(min(wins, losses), wins + losses, 0.5)))
+
+
+def _expanded(share: float, units: int) -> float:
+    """The share of the resamples between the percentiles that a t interval over so many units needs."""
+    t = float(special.stdtrit(units - 1, 0.5 + 0.5 * share))
+    return 2.0 * float(special.ndtr(t * np.sqrt(units / (units - 1)))) - 1.0
+
+
+def _draws(units: Sequence[Hashable], resamples: int, seed: int) -> tuple[Int64, Int64]:
+    """Which unit each row is of (N,), and how often each unit is drawn in each resample (R, U)."""
+    number = {unit: k for k, unit in enumerate(dict.fromkeys(units))}
+    index = np.array([number[unit] for unit in units], np.int64)
+    even = np.full(len(number), 1.0 / len(number))
+    return index, np.random.default_rng(seed).multinomial(len(number), even, resamples)
+
+
+def _sums(values: Float, index: Int64) -> Float64:
+    return np.asarray(np.bincount(index, weights=np.asarray(values, np.float64)))

@@ -86,17 +86,17 @@ def report(moments: Sequence[Moment]) -> StateReport:
     losses = find_losses(moments)
     suspect = [_declared(moments, loss, not_tracking=True) for loss in losses]
     lost = [_declared(moments, loss, not_tracking=False) for loss in losses]
-    tracking, coverable = _coverage(moments)
+    counting = coverable(moments)
     appeared = next((i for i, m in enumerate(moments) if m.visible), None)
     acquired = _first_right(moments, appeared)
     confirmed = _first_right(moments, appeared, confirmed=True)
     reacquired = [_reacquired(moments, loss) for loss in losses]
     return StateReport(
         frames=len(moments),
-        false_tracking_frames=_false_tracking(moments),
+        false_tracking_frames=sum(false_tracking(moments)),
         lost_frames=sum(not m.gone and m.state == "LOST" for m in moments),
-        tracking_frames=tracking,
-        coverable_frames=coverable,
+        tracking_frames=sum(c and m.state == "TRACKING" for c, m in zip(counting, moments, strict=True)),
+        coverable_frames=sum(counting),
         visible_frames=sum(m.visible for m in moments),
         declared_suspect_after_frames=_worst(suspect, SUSPECT_WITHIN_FRAMES),
         declared_lost_after_frames=_worst(lost, LOST_WITHIN_FRAMES),
@@ -176,28 +176,27 @@ def _worst(declarations: Sequence[_Declaration], within: int) -> int | None:
     return max(delays) if delays else None
 
 
-def _false_tracking(moments: Sequence[Moment]) -> int:
-    count = gone_for = 0
+def false_tracking(moments: Sequence[Moment]) -> list[bool]:
+    """For each frame of one instance, in order: TRACKING that is wrong, or of an object that is long gone."""
+    wrong, gone_for = [], 0
     for moment in moments:
         gone_for = gone_for + 1 if moment.gone else 0
-        if moment.state == "TRACKING" and (gone_for > LOST_WITHIN_FRAMES or not moment.right):
-            count += 1
-    return count
+        believed = gone_for <= LOST_WITHIN_FRAMES and moment.right
+        wrong.append(moment.state == "TRACKING" and not believed)
+    return wrong
 
 
-def _coverage(moments: Sequence[Moment]) -> tuple[int, int]:
-    """TRACKING frames and visible frames between a confirmation and the object's disappearance."""
-    tracking = coverable = 0
-    counting = False
+def coverable(moments: Sequence[Moment]) -> list[bool]:
+    """For each frame of one instance, in order: visible, and between a confirmation and the object's
+    disappearance, so that it counts in the coverage."""
+    counts, counting = [], False
     for moment in moments:
         if moment.gone:
             counting = False
         elif moment.right and moment.state == "TRACKING":
             counting = True
-        if counting and moment.visible:
-            coverable += 1
-            tracking += moment.state == "TRACKING"
-    return tracking, coverable
+        counts.append(counting and moment.visible)
+    return counts
 
 
 def _first_right(moments: Sequence[Moment], start: int | None, *, confirmed: bool = False) -> int | None:

@@ -28,8 +28,8 @@ _WORST = (
 class TrackRow:
     """One instance of an object in one frame, and what was published for it.
 
-    error and gt_instance are None where the frame has no label of it; seconds: the frame's wall time, all
-    objects, None where not known."""
+    ordinal: which of several instances of its object it is, from 0; error and gt_instance are None where the
+    frame has no label of it; seconds: the frame's wall time, all objects, None where not known."""
 
     sequence: str
     frame: int
@@ -67,6 +67,7 @@ class TrackRow:
             "sequence": self.sequence,
             "frame": self.frame,
             "object": self.object,
+            "ordinal": self.ordinal,
             "gt_instance": self.gt_instance,
             "track": self.track,
             "T_cam_obj": self.T_cam_obj,
@@ -74,6 +75,8 @@ class TrackRow:
             "adds_m": None if self.error is None else self.error.adds_m,
             "diameter_m": self.diameter_m,
             "visib_fract": self.visib_fract,
+            "visible": self.visible,
+            "gone": self.gone,
             "state": self.state,
             "right": None if self.error is None else self.error.right,
             "quality": self.quality,
@@ -185,7 +188,14 @@ class TrackResult:
 
     def as_json(self) -> dict[str, Any]:
         """The result file."""
-        return {"summary": self.summary(), "rows": [row.as_json() for row in self.rows]}
+        return {
+            "summary": self.summary(),
+            "rows": [row.as_json() for row in self.rows],
+            "phantoms": [
+                {"sequence": sequence, "seed": seed, "frames": frames}
+                for (sequence, seed), frames in self.phantoms.items()
+            ],
+        }
 
 
 _COUNTS = (

@@ -7,10 +7,10 @@ import doctest
 import pytest
 
 from huepose.datasets import fast_ycb
-from huepose.evaluation import metrics, result_files, summary
+from huepose.evaluation import bootstrap, metrics, result_files, summary
 
 
-@pytest.mark.parametrize("module", [metrics, result_files, summary, fast_ycb])
+@pytest.mark.parametrize("module", [bootstrap, metrics, result_files, summary, fast_ycb])
 def test_examples_in_docstrings(module) -> None:
     result = doctest.testmod(module)
     assert (result.failed, result.attempted > 0) == (0, True)

@@ -18,6 +18,7 @@ def add_parser(subparsers: Any) -> None:
     _add_poses(verbs)
     _add_calibration(verbs)
     _add_ablation(verbs)
+    _add_compare(verbs)
     parser.set_defaults(call=call)
 
 
@@ -188,3 +189,24 @@ def _add_calibration(verbs: Any) -> None:
     parser.add_argument("results", type=Path, nargs="+", metavar="RESULT.json")
     parser.add_argument("--method", choices=("full", "colorpair"), default="full")
     _path(parser, "--plots", "DIR", "reliability pictures")
+
+
+def _add_compare(verbs: Any) -> None:
+    parser = verbs.add_parser(
+        "compare",
+        help="two states of the program, row against row",
+        description="Pairs the rows of two result files of `huepose eval estimate`, `track`, `poses` or "
+        "`perception`, or of two folders with files of the same names. Says of each set what was won and "
+        "lost, and how much its figures changed, with a 95 % interval. Exit code 1 when a set became worse "
+        "by more than its interval allows.",
+    )
+    parser.add_argument("before", type=Path, metavar="BEFORE", help="a result file, or a folder of them")
+    parser.add_argument("after", type=Path, metavar="AFTER", help="the same of the other state")
+    _path(parser, "--json", "FILE", "the comparison with all rows that were won and lost")
+    parser.add_argument(
+        "--margin",
+        type=float,
+        default=0.1,
+        metavar="POINTS",
+        help="percentage points within which a change is none (0.1)",
+    )

@@ -1,0 +1,291 @@
+"""Result files of `huepose eval` read back, row by row, with all that a comparison of two of them needs."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Callable, Hashable, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from huepose.datasets import files
+from huepose.evaluation import metrics
+from huepose.evaluation.bootstrap import Share
+from huepose.evaluation.states import Moment, coverable, false_tracking
+from huepose.evaluation.summary import grouped
+from huepose.geometry.arrays import Float64
+from huepose.support.errors import InputError
+
+BLOCK_NS = 500_000_000
+"""Frames of a sequence within half a second are one unit: three times as long as a tracker may take to say
+LOST (5 frames at 30 Hz). A track that is lost often stays lost for longer, so these intervals are rather too
+narrow."""
+
+ENOUGH_SEQUENCES = 10
+"""From so many sequences on, whole sequences are the units instead."""
+
+Row = Mapping[str, Any]
+
+_EXPECTED = "a result of `huepose eval estimate`, `track`, `poses` or `perception`"
+
+
+@dataclass(frozen=True)
+class Figure:
+    """A figure of a set. better: 1 where more is better, -1 where less is, 0 where neither; steps: rows are
+    right or wrong, so that wins and losses can be counted; judged: it decides whether a set is worse, and is
+    in percent or per 100 frames; digits: after the decimal point."""
+
+    key: str
+    label: str
+    better: int = 1
+    steps: bool = False
+    judged: bool = True
+    digits: int = 1
+
+
+_POSES = (
+    Figure("recall_add", "recall ADD", steps=True),
+    Figure("recall_adds", "recall ADD-S", steps=True),
+    Figure("auc_add", "AUC ADD"),
+    Figure("auc_adds", "AUC ADD-S"),
+)
+_QUALITY = (
+    Figure("quality", "mean quality", better=0, judged=False, digits=3),
+    Figure("brier", "squared error of quality", better=-1, judged=False, digits=3),
+)
+FALSE_PER_FRAME = Figure("false_per_100_frames", "false poses, per 100 frames", better=-1, steps=True)
+
+
+@dataclass(frozen=True)
+class Kind:
+    """What a verb of `huepose eval` writes. unit: what is drawn again, in words; settings: keys of the
+    summary that say how it was run."""
+
+    verb: str
+    unit: str
+    figures: tuple[Figure, ...]
+    settings: tuple[str, ...]
+
+
+ESTIMATE = Kind(
+    "estimate",
+    "an instance with all its boxes",
+    _POSES + _QUALITY,
+    ("method", "profile", "boxes", "masks", "seed"),
+)
+TRACK = Kind(
+    "track",
+    "",
+    (
+        *_POSES,
+        Figure("coverage_tracking", "coverage"),
+        Figure("false_tracking_rate", "false TRACKING", better=-1, steps=True),
+        *_QUALITY,
+    ),
+    ("method", "profile", "protocol", "every", "init", "delayed", "seed"),
+)
+PERCEPTION = Kind(
+    "perception",
+    "an instance",
+    (
+        Figure("recall_iou50", "found", steps=True),
+        Figure("proposed", "proposed", steps=True),
+        Figure("mask_iou", "IoU of first mask"),
+        Figure("final_mask_iou", "IoU of final mask"),
+    ),
+    ("profile", "asked_for"),
+)
+
+
+@dataclass(frozen=True, eq=False)
+class Measured:
+    """A result file. keys: what identifies each of the N rows, unique; names: the parts of a key in words;
+    units: what each row is drawn with, where sequences are not the units; groups: its scene or sequence;
+    shares: by the keys of the kind's figures; frames: those that have rows; false: poses or boxes that are no
+    label's, by frame, as a mean over seeds; phantoms: tracked poses of no instance, over all frames."""
+
+    path: Path
+    kind: Kind
+    settings: Mapping[str, Any]
+    names: tuple[str, ...]
+    rows: Sequence[Row]
+    keys: Sequence[tuple[Hashable, ...]]
+    units: Sequence[Hashable]
+    groups: Sequence[str]
+    shares: Mapping[str, Share]
+    frames: frozenset[tuple[str, int]]
+    false: Mapping[tuple[str, int], float]
+    phantoms: float = 0.0
+
+
+def read_measured(path: Path) -> Measured:
+    """A result of `huepose eval estimate`, `track`, `poses` or `perception`.
+
+    Raises InputError for another file, for no rows, and for two rows of one identity."""
+    record = files.read_json(path, "Make it with `huepose eval ... --json`.")
+    rows = record.get("rows")
+    if not isinstance(rows, list) or not rows or not isinstance(rows[0], dict):
+        raise InputError(path, found="no rows", expected=_EXPECTED)
+    keys = rows[0].keys()
+    reader = next((read for mark, read in _READERS.items() if set(mark) <= keys), None)
+    if reader is None:
+        raise InputError(path, found=f"rows with {', '.join(sorted(keys))}", expected=_EXPECTED)
+    try:
+        measured = reader(path, rows, record)
+    except (KeyError, TypeError, ValueError) as error:
+        raise InputError(
+            path,
+            found=f"a row that lacks something ({type(error).__name__}: {error})",
+            fix="Measure it again with `huepose eval`.",
+        ) from None
+    twice = [key for key, n in Counter(measured.keys).items() if n > 1]
+    if twice:
+        named = ", ".join(f"{name} {part}" for name, part in zip(measured.names, twice[0], strict=True))
+        raise InputError(
+            path,
+            found=f"two rows of {named}",
+            fix="Measure folders of the same name into files of their own.",
+        )
+    return measured
+
+
+def _estimate(path: Path, rows: Sequence[Row], record: Row) -> Measured:
+    names = ("scene", "image", "instance", "object", "seed")
+    right = np.array([bool(row["right"]) for row in rows])
+    every = np.ones(len(rows), bool)
+    seeds = len({row["seed"] for row in rows})
+    return Measured(
+        path,
+        ESTIMATE,
+        _settings(ESTIMATE, record),
+        names,
+        rows,
+        [tuple(row[name] for name in names) for row in rows],
+        [tuple(row[name] for name in names[:-1]) for row in rows],
+        [str(row["scene"]) for row in rows],
+        {**_pose_shares(rows, every), **_quality_shares(rows, right, every)},
+        frozenset((row["scene"], row["image"]) for row in rows),
+        _false(record, seeds),
+    )
+
+
+def _track(path: Path, rows: Sequence[Row], record: Row) -> Measured:
+    names = ("sequence", "frame", "object", "ordinal", "seed")
+    ordinals = _ordinals(rows)
+    keys = [
+        (r["sequence"], r["frame"], r["object"], k, r["seed"]) for r, k in zip(rows, ordinals, strict=True)
+    ]
+    labelled = np.array([row["right"] is not None for row in rows])
+    moments = [_moment(row) for row in rows]
+    gone = np.array([moment.gone for moment in moments])
+    tracking = np.array([moment.state == "TRACKING" for moment in moments])
+    false, counts = np.zeros(len(rows)), np.zeros(len(rows), bool)
+    tracks = grouped(range(len(rows)), lambda i: (keys[i][0], *keys[i][2:]))
+    for track in tracks.values():
+        in_order = sorted(track, key=lambda i: moments[i].stamp_ns)
+        own = [moments[i] for i in in_order]
+        false[in_order] = false_tracking(own)
+        counts[in_order] = coverable(own)
+    first_ns: dict[str, int] = {}
+    for row in rows:
+        first_ns[row["sequence"]] = min(row["stamp_ns"], first_ns.get(row["sequence"], row["stamp_ns"]))
+    seeds = len({row["seed"] for row in rows})
+    return Measured(
+        path,
+        TRACK,
+        _settings(TRACK, record),
+        names,
+        rows,
+        keys,
+        [(r["sequence"], (r["stamp_ns"] - first_ns[r["sequence"]]) // BLOCK_NS) for r in rows],
+        [str(row["sequence"]) for row in rows],
+        {
+            **_pose_shares(rows, labelled & ~gone),
+            "coverage_tracking": Share.of(100.0 * tracking, counts),
+            "false_tracking_rate": Share.of(100.0 * false),
+            **_quality_shares(rows, np.array([m.right for m in moments]), labelled),
+        },
+        frozenset((row["sequence"], row["frame"]) for row in rows),
+        {},
+        sum(entry["frames"] for entry in record.get("phantoms", [])) / seeds,
+    )
+
+
+def _perception(path: Path, rows: Sequence[Row], record: Row) -> Measured:
+    names = ("scene", "image", "instance", "object")
+    keys = [tuple(row[name] for name in names) for row in rows]
+    shares = {
+        "recall_iou50": Share.of(np.array([100.0 * bool(row["found"]) for row in rows])),
+        "proposed": Share.of(np.array([100.0 * (row["rank"] is not None) for row in rows])),
+    }
+    for name in ("mask_iou", "final_mask_iou"):
+        known = np.array([row[name] is not None for row in rows])
+        shares[name] = Share.of(np.array([100.0 * (row[name] or 0.0) for row in rows]), known)
+    return Measured(
+        path,
+        PERCEPTION,
+        _settings(PERCEPTION, record),
+        names,
+        rows,
+        keys,
+        keys,
+        [str(row["scene"]) for row in rows],
+        shares,
+        frozenset((row["scene"], row["image"]) for row in rows),
+        _false(record, 1),
+    )
+
+
+_READERS: Mapping[tuple[str, ...], Callable[[Path, Sequence[Row], Row], Measured]] = {
+    ("sequence", "add_m"): _track,
+    ("scene", "add_m"): _estimate,
+    ("scene", "rank"): _perception,
+}
+
+
+def _pose_shares(rows: Sequence[Row], scored: np.ndarray) -> dict[str, Share]:
+    shares = {}
+    diameters = np.array([float(row["diameter_m"]) for row in rows])
+    for name in ("add", "adds"):
+        errors = np.array([np.inf if (e := row[f"{name}_m"]) is None else float(e) for row in rows])
+        shares[f"recall_{name}"] = Share.of(100.0 * (errors < metrics.RECALL_FRACTION * diameters), scored)
+        near = np.maximum(0.0, 1.0 - errors / metrics.AUC_LIMIT_M)
+        shares[f"auc_{name}"] = Share.of(100.0 * near, scored)
+    return shares
+
+
+def _quality_shares(rows: Sequence[Row], right: np.ndarray, known: np.ndarray) -> dict[str, Share]:
+    """The Brier score: a quality that is a probability has the least squared error that can be."""
+    quality: Float64 = np.array([float(row["quality"]) for row in rows])
+    return {"quality": Share.of(quality), "brier": Share.of((quality - right) ** 2, known)}
+
+
+def _settings(kind: Kind, record: Row) -> dict[str, Any]:
+    summary = record.get("summary", {})
+    return {key: summary[key] for key in kind.settings if key in summary}
+
+
+def _false(record: Row, seeds: int) -> dict[tuple[str, int], float]:
+    counts = Counter((pose["scene"], int(pose["image"])) for pose in record.get("false", []))
+    return {frame: count / seeds for frame, count in counts.items()}
+
+
+def _ordinals(rows: Sequence[Row]) -> list[int]:
+    """As the rows say, else, in older files, by their order within a frame."""
+    before: Counter[tuple[Hashable, ...]] = Counter()
+    ordinals = []
+    for row in rows:
+        place = (row["sequence"], row["frame"], row["object"], row["seed"])
+        ordinals.append(int(row.get("ordinal", before[place])))
+        before[place] += 1
+    return ordinals
+
+
+def _moment(row: Row) -> Moment:
+    """Rows of older files say how much is visible, and not what that is called."""
+    share, labelled = row["visib_fract"], row["right"] is not None
+    visible = row.get("visible", labelled and (share is None or share >= 0.3))
+    gone = row.get("gone", not labelled or (share is not None and share < 0.1))
+    return Moment(row["stamp_ns"], visible, gone, row["state"], row["right"] in (None, True))

@@ -1,0 +1,114 @@
+"""Questions that need nothing but the code: the built-in objects, drawn and learned here.
+
+Single frames: two heaps and three piles (`datasets.rendered_scene`), asked in the true boxes of what is
+visible by 30 % or more, with both methods. Sequences: 25 frames of the built-in scene (`datasets.synthetic`),
+started at the true pose: every frame; every fifth frame; and one in which a board hides everything for ten
+frames, after which a correction arrives for a frame that is two frames old.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import replace
+from functools import cache, partial
+from pathlib import Path
+
+import numpy as np
+from huepose.datasets.rendered_scene import PILES, rendered_frame
+from huepose.datasets.shapes import demo_objects
+from huepose.datasets.synthetic_frame import Stage, shoot
+from huepose.datasets.synthetic_plan import CAMERA, plan
+from huepose.datasets.synthetic_sensor import COLOR, STEREO
+
+from huepose import Correction, ObjectQuery, ReferenceModel, RgbdFrame
+from huepose.geometry import Mesh
+from huepose.onboarding import onboard_mesh
+from tests.golden.answers import Answers
+from tests.golden.asking import METHODS, Step, estimated, tracked
+
+FILE = Path(__file__).parent / "builtin.json"
+_SEED = 5
+_RATE_HZ = 30.0
+_LOOP_FRAMES = 240
+_FRAMES = 25
+_HIDDEN = range(8, 18)
+_LATE = 18, 20
+"""The frame that the late estimate is about, and the frame with which it arrives."""
+
+
+@cache
+def meshes() -> Mapping[str, Mesh]:
+    """The built-in objects."""
+    return demo_objects(_SEED)
+
+
+@cache
+def models() -> Mapping[str, ReferenceModel]:
+    """Their reference models."""
+    return {name: onboard_mesh(mesh, name) for name, mesh in meshes().items()}
+
+
+@cache
+def shown() -> Sequence[tuple[RgbdFrame, Sequence[ObjectQuery]]]:
+    """Two heaps and three piles with what is asked about them."""
+    frames = []
+    for number in range(5):
+        drawn = rendered_frame(meshes(), _SEED, number, PILES if number >= 2 else None)
+        frame = RgbdFrame(drawn.shot.color, drawn.shot.depth, drawn.camera, number)
+        labels = drawn.shot.labels
+        seen = zip(drawn.names, labels.box_visib, labels.visib_fract, strict=True)
+        frames.append((frame, [ObjectQuery(name, box) for name, box, share in seen if box and share >= 0.3]))
+    return frames
+
+
+@cache
+def stage() -> Stage:
+    """The built-in scene, of which frames are drawn one by one."""
+    return plan(meshes(), _SEED, _LOOP_FRAMES, CAMERA, _RATE_HZ)
+
+
+def frames(first: int, every: int, names: Sequence[str]) -> Iterator[tuple[RgbdFrame, list[Correction]]]:
+    """So many frames of the scene, with the true pose of each object as the first correction about it."""
+    order = list(meshes())
+    for i in range(first, first + every * _FRAMES, every):
+        shot = shoot(stage(), i, _SEED, COLOR, STEREO)
+        frame = RgbdFrame(shot.color, shot.depth, CAMERA, i, round(i * 1e9 / _RATE_HZ))
+        poses = shot.labels.T_cam_obj
+        yield frame, [Correction.first(name, poses[order.index(name)], frame) for name in names]
+
+
+def sequence(question: str, first: int, every: int, names: Sequence[str]) -> Answers:
+    """Started once, then alone."""
+    steps = (
+        Step(frame, truth if k == 0 else ()) for k, (frame, truth) in enumerate(frames(first, every, names))
+    )
+    return tracked(question, {name: models()[name] for name in names}, steps)
+
+
+def hidden(question: str, first: int, names: Sequence[str]) -> Answers:
+    """Hidden altogether for ten frames, then told again by an estimate that comes late."""
+
+    def steps() -> Iterator[Step]:
+        late: list[Correction] = []
+        for k, (frame, truth) in enumerate(frames(first, 1, names)):
+            if k in _HIDDEN:
+                color = np.full_like(frame.color, 120)
+                frame = replace(frame, color=color, depth=np.full_like(frame.depth, 0.35))
+            if k == _LATE[0]:
+                late = [replace(correction, seq=2) for correction in truth]
+            yield Step(frame, truth if k == 0 else late if k == _LATE[1] else ())
+
+    return tracked(question, {name: models()[name] for name in names}, steps())
+
+
+def _single(question: str, method: str) -> Answers:
+    return estimated(question, models(), method, shown())
+
+
+QUESTIONS: Mapping[str, Callable[[str], Answers]] = {
+    **{f"frames, {method}": partial(_single, method=method) for method in METHODS},
+    "every frame": partial(sequence, first=60, every=1, names=("tea_box", "corner_bracket")),
+    "every fifth frame": partial(sequence, first=60, every=5, names=("soup_can", "parts_tray")),
+    "hidden for a while": partial(hidden, first=120, names=("juice_bottle", "tea_box")),
+}
+"""By name: each is called with its name."""

@@ -17,12 +17,32 @@ import numpy as np
 from huepose.geometry import se3
 from huepose.geometry.arrays import Float, Float64, Int32
 from huepose.geometry.depth_noise import depth_noise_m
-from huepose.geometry.kernels import rotation_exp_into, solve_symmetric
 from huepose.judge.arrays import ModelArrays, RegionArrays
 from huepose.judge.open_region import SCALES_M, OpenRegion
 from huepose.judge.surface import PreparedSurface
 from huepose.refine.light import fit_light
-from huepose.refine.samples import AGREES, BEHIND, HIDDEN, Samples, colors, empty_samples, project
+from huepose.refine.robust import tukey
+from huepose.refine.samples import (
+    AGREES,
+    BEHIND,
+    HIDDEN,
+    NO_DEPTH,
+    Samples,
+    colors,
+    empty_samples,
+    project,
+)
+from huepose.refine.solver import (
+    Body,
+    NormalEquations,
+    add_residual,
+    advance,
+    clear,
+    information,
+    motion_row,
+    motion_row_cam,
+    normal_equations,
+)
 from huepose.support.jit import jit
 
 COLOR_SHARE = 3.0
@@ -89,7 +109,7 @@ class _Settings(NamedTuple):
     reaches_px: Int32
     samples: int
     depth_sigma_m: float
-    radius_m: float
+    body: Body
 
 
 @dataclass(frozen=True, eq=False)
@@ -111,7 +131,7 @@ def refine(
     A = np.zeros((6, 6))
     done = _refine(T, surface.arrays, region.arrays, settings, A)
     T = se3.orthonormalised(T)
-    return Refined(T, _about_origin(A, surface, T), int(done))
+    return Refined(T, information(A, T, settings.body), int(done))
 
 
 def refine_all(
@@ -134,26 +154,16 @@ def _settings(schedule: Schedule, surface: PreparedSurface, distance_m: float, f
     reaches = np.array([max(1, round(min(1.5 * s, widest) * px_per_m)) for s in SCALES_M], np.int32)
     coarsest = max(1, sum(s <= SCALE_SHARE * surface.thickness_m for s in SCALES_M) - 1)
     levels = np.minimum(np.array(schedule.levels, np.int32), np.int32(coarsest))
-    return _Settings(levels, gates, reaches, schedule.samples, sigma, surface.radius_m)
-
-
-def _about_origin(A: Float64, surface: PreparedSurface, T: Float64) -> Float64:
-    """Information about [translation, radius * rotation about the centre] as information about
-    `se3.perturb`."""
-    lever = T[:3, :3] @ surface.arrays.centre
-    to_step = np.eye(6)
-    # Turning about the origin also carries the centre along.
-    to_step[:3, 3:] = -se3.hat(lever)
-    to_step[3:, 3:] *= surface.radius_m
-    return np.asarray(to_step.T @ A @ to_step)
+    body = Body(surface.arrays.centre, surface.radius_m)
+    return _Settings(levels, gates, reaches, schedule.samples, sigma, body)
 
 
 @jit
 def _refine_all(poses: Float64, surface: ModelArrays, region: RegionArrays, settings: _Settings) -> None:
     """Move poses in place."""
-    information = np.empty((6, 6))
+    A = np.empty((6, 6))
     for k in range(poses.shape[0]):
-        _refine(poses[k], surface, region, settings, information)
+        _refine(poses[k], surface, region, settings, A)
 
 
 @jit
@@ -162,33 +172,28 @@ def _refine(
     surface: ModelArrays,
     region: RegionArrays,
     settings: _Settings,
-    information: Float64,
+    known: Float64,
 ) -> int:
-    """Move T in place; the last normal equations are left in `information`. Returns the iterations done."""
-    levels, gates, limit, radius = settings.levels, settings.gates_m, settings.samples, settings.radius_m
+    """Move T in place; the last normal equations are left in `known`. Returns the iterations done."""
+    levels, gates, limit, body = settings.levels, settings.gates_m, settings.samples, settings.body
     samples = empty_samples(limit)
     weight, color_weight, trust = np.empty(limit), np.empty(limit), np.empty(limit)
     color, gradient, residual = np.empty((limit, 3)), np.empty((limit, 3, 2)), np.empty((limit, 3))
     correlation, rms, share = np.zeros(3), np.zeros(3), np.zeros(3)
-    A, b, x = np.empty((6, 6)), np.empty(6), np.empty(6)
-    D, centre = np.empty((3, 3)), np.empty(3)
+    equations = normal_equations(6)
+    A = equations.A
     done = 0
     still_at = -1
     for iteration in range(levels.shape[0]):
         level, gate = levels[iteration], gates[iteration]
         if level == still_at and iteration < levels.shape[0] - 1:
             continue
-        for i in range(3):
-            centre[i] = T[i, 3]
-            for j in range(3):
-                centre[i] += T[i, j] * surface.centre[j]
         n = project(T, surface, region, limit, gate, settings.reaches_px[level], samples)
         for k in range(n):
             facing = min(1.0, 2.0 * samples.cosine[k])
             weight[k] = facing * (OUTLINE_FLOOR + (1.0 - OUTLINE_FLOOR) * samples.inside[k])
             color_weight[k] = weight[k] if samples.kind[k] == AGREES else NO_DEPTH_WEIGHT * facing
-        A[:] = 0.0
-        b[:] = 0.0
+        clear(equations)
         left = colors(n, samples, region, level, color, gradient, color_weight)
         if left >= MIN_COLORS:
             fit_light(
@@ -205,24 +210,17 @@ def _refine(
                 if color_weight[k] > 0.0:
                     color_weight[k] *= trust[k]
                     weight[k] *= DISTRUST_FLOOR + (1.0 - DISTRUST_FLOOR) * trust[k]
-            _add_color(n, samples, color_weight, gradient, residual, region, centre, radius, share, A, b)
+            _add_color(
+                T, n, samples, surface, color_weight, gradient, residual, region, body, share, equations
+            )
         variance = max(settings.depth_sigma_m**2, _depth_variance(n, samples, weight, gate))
-        _add_depth(n, samples, weight, gate, 1.0 / variance, centre, radius, A, b)
-        for i in range(6):
-            for j in range(i):
-                A[j, i] = A[i, j]
-        information[:] = A
+        _add_depth(n, samples, surface, weight, gate, 1.0 / variance, body, equations)
+        known[:] = A
         # In proportion to what is known, so that colours alone move a pose as freely as depth does.
-        damping = DAMPING * (A[0, 0] + A[1, 1] + A[2, 2]) + 1.0
-        for i in range(6):
-            A[i, i] += damping
-        if not solve_symmetric(A, b, x):
+        largest = advance(T, equations, body, DAMPING * (A[0, 0] + A[1, 1] + A[2, 2]) + 1.0)
+        if largest < 0.0:
             break
-        _move(T, x, surface.centre, radius, centre, D)
         done += 1
-        largest = 0.0
-        for i in range(6):
-            largest = max(largest, abs(x[i]))
         still_at = level if largest < STILL_M else -1
     return done
 
@@ -236,7 +234,7 @@ def _depth_variance(n: int, samples: Samples, weight: Float64, gate: float) -> f
         if samples.kind[k] == AGREES or (
             (samples.kind[k] == BEHIND or samples.kind[k] == HIDDEN) and abs(e) < gate
         ):
-            w = weight[k] * (1.0 - (e / gate) ** 2) ** 2
+            w = weight[k] * tukey((e / gate) ** 2)
             total += w
             square += w * e * e
     return square / total
@@ -246,77 +244,45 @@ def _depth_variance(n: int, samples: Samples, weight: Float64, gate: float) -> f
 def _add_depth(
     n: int,
     samples: Samples,
+    surface: ModelArrays,
     weight: Float64,
     gate: float,
-    information: float,
-    centre: Float64,
-    radius: float,
-    A: Float64,
-    b: Float64,
+    sharpness: float,
+    body: Body,
+    equations: NormalEquations,
 ) -> None:
-    """Add point-to-plane residuals (Tukey's biweight) to the lower triangle of the normal equations of the
-    step [translation, radius * rotation about the centre] of the object, camera axes."""
-    J = np.empty(6)
+    """Add the distances of the readings from the samples' planes; sharpness: 1 / variance of one."""
     for k in range(n):
         e = samples.offset[k]
-        if samples.kind[k] >= 3 or abs(e) >= gate:
+        if samples.kind[k] >= NO_DEPTH or abs(e) >= gate:
             continue
-        w = weight[k] * (1.0 - (e / gate) ** 2) ** 2 * information
-        p0 = (samples.points[k, 0] - centre[0]) / radius
-        p1 = (samples.points[k, 1] - centre[1]) / radius
-        p2 = (samples.points[k, 2] - centre[2]) / radius
-        J[0], J[1], J[2] = samples.normals[k, 0], samples.normals[k, 1], samples.normals[k, 2]
-        J[3], J[4], J[5] = p1 * J[2] - p2 * J[1], p2 * J[0] - p0 * J[2], p0 * J[1] - p1 * J[0]
-        for i in range(6):
-            b[i] += w * J[i] * e
-            for j in range(i + 1):
-                A[i, j] += w * J[i] * J[j]
+        p, m = surface.points[samples.which[k]], surface.normals[samples.which[k]]
+        row = motion_row(p[0], p[1], p[2], m[0], m[1], m[2], body)
+        add_residual(equations, weight[k] * tukey((e / gate) ** 2) * sharpness, e, row)
 
 
 @jit
 def _add_color(
+    T: Float64,
     n: int,
     samples: Samples,
+    surface: ModelArrays,
     weight: Float64,
     gradient: Float64,
     residual: Float64,
     region: RegionArrays,
-    centre: Float64,
-    radius: float,
-    information: Float64,
-    A: Float64,
-    b: Float64,
+    body: Body,
+    sharpness: Float64,
+    equations: NormalEquations,
 ) -> None:
-    """Add the photometric residuals, image at the projected sample minus lit texture, to the same
-    equations."""
-    J = np.empty(6)
+    """Add the photometric residuals: lit texture less image at the projected sample."""
     for k in range(n):
         if weight[k] <= 0.0:
             continue
-        x, y, inv_z = samples.points[k, 0], samples.points[k, 1], 1.0 / samples.points[k, 2]
-        p0, p1 = (x - centre[0]) / radius, (y - centre[1]) / radius
-        p2 = (samples.points[k, 2] - centre[2]) / radius
+        x, y, inverse = samples.points[k, 0], samples.points[k, 1], 1.0 / samples.points[k, 2]
+        p = surface.points[samples.which[k]]
         for c in range(3):
-            J[0] = gradient[k, c, 0] * region.fx * inv_z
-            J[1] = gradient[k, c, 1] * region.fy * inv_z
-            J[2] = -(J[0] * x + J[1] * y) * inv_z
-            J[3], J[4], J[5] = p1 * J[2] - p2 * J[1], p2 * J[0] - p0 * J[2], p0 * J[1] - p1 * J[0]
-            w = weight[k] * information[c]
-            for i in range(6):
-                b[i] -= w * J[i] * residual[k, c]
-                for j in range(i + 1):
-                    A[i, j] += w * J[i] * J[j]
-
-
-@jit
-def _move(T: Float64, x: Float64, middle: Float64, radius: float, centre: Float64, D: Float64) -> None:
-    """Apply a step to the pose: the centre moves by x[:3], the object turns about it by x[3:] / radius."""
-    rotation_exp_into(x[3] / radius, x[4] / radius, x[5] / radius, D)
-    for j in range(3):
-        r0, r1, r2 = T[0, j], T[1, j], T[2, j]
-        for i in range(3):
-            T[i, j] = D[i, 0] * r0 + D[i, 1] * r1 + D[i, 2] * r2
-    for i in range(3):
-        T[i, 3] = centre[i] + x[i]
-        for j in range(3):
-            T[i, 3] -= T[i, j] * middle[j]
+            g0 = gradient[k, c, 0] * region.fx * inverse
+            g1 = gradient[k, c, 1] * region.fy * inverse
+            row = motion_row_cam(T, p[0], p[1], p[2], g0, g1, -(g0 * x + g1 * y) * inverse, body)
+            add_residual(equations, weight[k] * sharpness[c], -residual[k, c], row)

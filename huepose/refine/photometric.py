@@ -257,7 +257,8 @@ def _add_depth(
         if samples.kind[k] >= NO_DEPTH or abs(e) >= gate:
             continue
         p, m = surface.points[samples.which[k]], surface.normals[samples.which[k]]
-        row = motion_row(p[0], p[1], p[2], m[0], m[1], m[2], body)
+        m0, m1, m2 = np.float64(m[0]), np.float64(m[1]), np.float64(m[2])
+        row = motion_row(p[0], p[1], p[2], m0, m1, m2, body)
         add_residual(equations, weight[k] * tukey((e / gate) ** 2) * sharpness, e, row)
 
 

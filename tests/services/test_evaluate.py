@@ -23,6 +23,7 @@ def small_model(name: str, object_id: int) -> ReferenceModel:
     faces = np.array([[0, 2, 1], [0, 1, 3], [1, 2, 3], [0, 3, 2]], np.int32)
     z = np.zeros
     none3, none_i, unit = z((0, 3), np.float32), z(0, np.int32), np.eye(4)[None]
+    one3 = z((1, 3), np.float32)
     return ReferenceModel(
         name,
         object_id,
@@ -33,7 +34,7 @@ def small_model(name: str, object_id: int) -> ReferenceModel:
         unit,
         unit,
         np.array([0.0, 0.0, 0.01]),
-        Surface(none3, none3, z((2, 0, 3), np.float32), none3, none_i, none_i),
+        Surface(one3, one3, z((2, 1, 3), np.float32), none3, none_i, z(1, np.int32)),
         DistanceGrid(z(3), 0.01, z((1, 1, 1), np.int16)),
         ViewTemplates(none3, z((0, 1, 5, 1, 1), np.float16), none3, 1.2),
         PairReference(none3, none3, none3, z((0, 2, 3), np.float32), none_i),

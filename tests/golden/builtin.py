@@ -45,7 +45,7 @@ def meshes() -> Mapping[str, Mesh]:
 @cache
 def models() -> Mapping[str, ReferenceModel]:
     """Their reference models."""
-    return {name: onboard_mesh(mesh, name) for name, mesh in meshes().items()}
+    return {name: onboard_mesh(mesh, name, paper=True) for name, mesh in meshes().items()}
 
 
 @cache

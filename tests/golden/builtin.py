@@ -6,8 +6,8 @@ the true pose: every frame; every fifth frame; and one in which a board hides ev
 which a correction arrives for a frame that is two frames old.
 
 The frames are some whose answers stay within the tolerances when all kernels are compiled for a processor
-without vector extensions (NUMBA_CPU_NAME=generic). In other piles `colorpair` then decides otherwise, and a can
-in the dark is turned by some degrees.
+without vector extensions (NUMBA_CPU_NAME=generic). In other piles `colorpair` then decides otherwise, and a
+can in the dark is turned by some degrees.
 """
 
 from __future__ import annotations

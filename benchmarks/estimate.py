@@ -16,10 +16,10 @@ from typing import Any
 from estimate_record import Image, Record
 from open3d_rivals import Features, ManyStarts
 from ppf_rival import PointPairFeatures
-from rival import Ours, Rival, RivalEstimator, SomeImages
+from rival import Ours, Rival, RivalEstimator
 
 from huepose.datasets.bop import BopScene
-from huepose.datasets.types import GroundTruth
+from huepose.datasets.types import GroundTruth, SomeImages
 from huepose.estimation import Estimator, EstimatorConfig
 from huepose.evaluation.equivalents import read_equivalents
 from huepose.evaluation.estimate_protocol import EstimateOptions, evaluate_estimates

@@ -19,11 +19,12 @@ from pathlib import Path
 
 import numpy as np
 
-from huepose.datasets.synthetic import SyntheticScene
 from huepose.evaluation.metrics import add
 from huepose.model import load_models
+from huepose.scenes.builtin import SyntheticScene
 from huepose_protos.client import Reader
 from huepose_protos.keys import last
+from huepose_protos.local import endpoint
 from huepose_protos.messages import Estimates, HealthMessage, PoseMessage, TruthMessage
 from huepose_services.builtin import builtin_bundles
 from huepose_services.convert import optional_pose_from_wire, pose_of
@@ -103,7 +104,7 @@ class LivePipeline:
     @property
     def endpoints(self) -> list[str]:
         """Where the workers listen."""
-        return [f"tcp/127.0.0.1:{self.base_port + place}" for place in range(len(CHAIN))]
+        return [endpoint(self.base_port + place) for place in range(len(CHAIN))]
 
     @property
     def live(self) -> set[str]:

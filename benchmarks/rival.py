@@ -13,7 +13,6 @@ from typing import Protocol
 
 import numpy as np
 
-from huepose.datasets.bop import BopScene
 from huepose.estimation import Estimator, ObjectQuery, PoseEstimate
 from huepose.geometry import RgbdFrame
 from huepose.geometry.arrays import Float64
@@ -106,15 +105,6 @@ class Ours:
             answers += self.estimator.estimate(frame, asked)
             self.cpu_s += [(time.process_time() - start) / len(asked)] * len(asked)
         return answers
-
-
-class SomeImages:
-    """A scene of which only some images are used."""
-
-    def __init__(self, scene: BopScene, image_ids: Sequence[int]) -> None:
-        self.image_ids = tuple(image_ids)
-        self.name, self.frame, self.truths = scene.name, scene.frame, scene.truths
-        self.sample, self.stamp_ns = scene.sample, scene.stamp_ns
 
 
 def seen_under(frame: RgbdFrame, mask: np.ndarray) -> Seen:

@@ -17,10 +17,10 @@ import numpy as np
 from huepose.geometry import Box, RgbdFrame, se3
 from huepose.geometry.arrays import Float64
 from huepose.model import ReferenceModel
+from huepose.propose import flow as optical_flow
+from huepose.propose.correspondences import match
+from huepose.propose.relative_pose import RobustKabsch, lift_matches
 from huepose.rendering import render_depth
-from huepose.tracking import flow as optical_flow
-from huepose.tracking.correspondences import match
-from huepose.tracking.relative_pose import RobustKabsch, lift_matches
 from huepose.tracking.types import Applied, Correction, State, TrackedPose
 
 Step = Callable[[ReferenceModel, Float64, RgbdFrame | None, RgbdFrame], Float64]

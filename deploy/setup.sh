@@ -1,5 +1,5 @@
 #!/usr/bin/env bash
-# Makes .venv with everything of `edge`, `viewer`, both cameras and `dev`, where there is only Python, pip and apt.
+# Makes .venv with everything of `edge`, `onboard`, `viewer`, both cameras and `dev`, where there is only Python, pip and apt.
 # Idempotent: a second call with nothing to do takes about a second.
 set -euo pipefail
 cd "$(dirname "$0")/.."
@@ -21,13 +21,14 @@ find_python() {
 
 # Shared libraries that the wheels expect from the system.
 system_libraries() {
-    local missing=() row
+    local missing=() row known
+    known=$(ldconfig -p)
     for row in libusb-1.0.so.0:libusb-1.0-0 libudev.so.1:libudev1 libGL.so.1:libgl1 libEGL.so.1:libegl1 \
                libX11.so.6:libx11-6 libidn2.so.0:libidn2-0 libgomp.so.1:libgomp1; do
-        ldconfig -p | grep -q "${row%%:*}" || missing+=("${row##*:}")
+        [[ $known == *"${row%%:*}"* ]] || missing+=("${row##*:}")
     done
     if [ "$(uname -m)" = aarch64 ]; then
-        ldconfig -p | grep -q libgfortran.so.5 || missing+=(libgfortran5)
+        [[ $known == *libgfortran.so.5* ]] || missing+=(libgfortran5)
     fi
     [ ${#missing[@]} -eq 0 ] && return
     if [ "$(id -u)" -eq 0 ] && command -v apt-get >/dev/null; then
@@ -48,4 +49,4 @@ if [ ! -x "$UV/bin/uv" ]; then
 fi
 export UV_PYTHON_DOWNLOADS=never
 "$UV/bin/uv" sync --frozen --quiet --python "$python" \
-    --extra edge --extra viewer --extra realsense --extra oak --group dev
+    --extra edge --extra onboard --extra viewer --extra realsense --extra oak --group dev

@@ -16,13 +16,13 @@ import numpy as np
 
 from huepose import Estimator, ObjectQuery, load_models
 from huepose.colorpair.extract import extract
-from huepose.datasets.synthetic import SyntheticScene
+from huepose.datasets.boxes import disturbed
 from huepose.drawing.contact_sheet import contact_sheet
 from huepose.drawing.depth_color import depth_to_color
 from huepose.drawing.overlay import blend, draw_color_pairs, draw_pose
-from huepose.evaluation.boxes import disturbed
 from huepose.evaluation.metrics import add
 from huepose.rendering.render import render
+from huepose.scenes.builtin import SyntheticScene
 from huepose_services.builtin import builtin_bundles
 
 SEED, FRAME = 0, 150

@@ -1,4 +1,6 @@
-"""Write a scene in the layout of the BOP benchmark, frame by frame: it may be stopped, and gone on with.
+"""Write scenes and models folders in the layout of the BOP benchmark.
+
+A scene is written frame by frame: it may be stopped, and gone on with.
 
 What `datasets.bop` reads: `rgb/` (JPEG), `depth/` (16 bit, tenths of a millimetre), `mask_visib/`,
 `scene_camera.json`, `scene_gt.json`, `scene_gt_info.json`; and `rendered.json`, which says what the folder
@@ -9,7 +11,7 @@ from __future__ import annotations
 
 import json
 import os
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -20,6 +22,7 @@ import numpy as np
 from huepose.datasets import files
 from huepose.geometry import Box, Camera
 from huepose.geometry.arrays import Bool, Float32, Float64, UInt8
+from huepose.geometry.mesh import Mesh
 from huepose.support.errors import InputError
 
 DEPTH_SCALE_MM = 0.1
@@ -145,3 +148,40 @@ def _write(path: Path, data: bytes) -> None:
         part.replace(path)
     finally:
         part.unlink(missing_ok=True)
+
+
+def write_models_folder(folder: Path, meshes: Mapping[str, Mesh], object_ids: Mapping[str, int]) -> None:
+    """Write meshes (metres, by name) under their ids, and `models_info.json` with their names and extents.
+
+    Raises InputError where the folder cannot be written."""
+    infos = {}
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        for name, mesh in meshes.items():
+            stem = f"obj_{object_ids[name]:06d}"
+            write_obj(folder / f"{stem}.obj", mesh, scale=1000.0)
+            low, high = 1000.0 * mesh.vertices.min(0), 1000.0 * mesh.vertices.max(0)
+            sizes = {f"size_{axis}": float(s) for axis, s in zip("xyz", high - low, strict=True)}
+            lows = {f"min_{axis}": float(s) for axis, s in zip("xyz", low, strict=True)}
+            infos[str(object_ids[name])] = {"name": name, **lows, **sizes}
+        (folder / "models_info.json").write_text(json.dumps(infos, indent=1))
+    except OSError as error:
+        raise InputError(
+            folder, found=error.strerror or str(error), expected="a folder that can be written"
+        ) from None
+
+
+def write_obj(path: Path, mesh: Mesh, scale: float = 1.0) -> None:
+    """Write PATH with a material file and a PNG of the same stem; lengths times `scale`. Raises OSError."""
+    lines = [f"mtllib {path.stem}.mtl", "usemtl print"]
+    lines += ["v {:.6f} {:.6f} {:.6f}".format(*(scale * v)) for v in mesh.vertices.astype(np.float64)]
+    lines += [f"vt {u:.7f} {1.0 - v:.7f}" for u, v in mesh.uv.reshape(-1, 2).astype(np.float64)]
+    lines += [
+        "f " + " ".join(f"{corner + 1}/{3 * k + j + 1}" for j, corner in enumerate(face))
+        for k, face in enumerate(mesh.faces)
+    ]
+    path.write_text("\n".join(lines) + "\n")
+    path.with_suffix(".mtl").write_text(f"newmtl print\nKd 1 1 1\nmap_Kd {path.stem}.png\n")
+    ok, data = cv2.imencode(".png", np.ascontiguousarray(mesh.texture[..., ::-1]))
+    assert ok
+    path.with_suffix(".png").write_bytes(data.tobytes())

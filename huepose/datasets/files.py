@@ -13,6 +13,7 @@ import numpy as np
 from huepose.geometry import se3
 from huepose.geometry.arrays import Bool, Float32, Float64, UInt8
 from huepose.support.errors import InputError
+from huepose.support.picture_size import MAX_PIXELS, picture_size
 
 _COLOR_SUFFIXES = (".png", ".jpg", ".jpeg")
 _FRAME_NS = 1e9 / 30.0
@@ -42,8 +43,10 @@ def read_json(path: Path, fix: str = "") -> dict[str, Any]:
     """A JSON object. Raises InputError when the file is missing, is not JSON, or holds something else."""
     try:
         value = json.loads(read_bytes(path, fix))
-    except (json.JSONDecodeError, UnicodeDecodeError) as error:
-        raise InputError(path, found=f"no valid JSON ({error})", fix="Write the file again.") from None
+    except (ValueError, RecursionError) as error:
+        raise InputError(
+            path, found=f"no valid JSON ({str(error)[:200]})", fix="Write the file again."
+        ) from None
     if not isinstance(value, dict):
         raise InputError(path, found=f"a JSON {type(value).__name__}", expected="a JSON object")
     return value
@@ -91,8 +94,17 @@ def rigid(R: Float64, t_m: Float64, where: object) -> Float64:
 
 
 def _decode(path: Path, flags: int, fix: str) -> np.ndarray:
-    data = np.frombuffer(read_bytes(path, fix), dtype=np.uint8)
-    image = cv2.imdecode(data, flags) if data.size else None
+    content = read_bytes(path, fix)
+    width, height = picture_size(content) or (0, 0)
+    if width * height > MAX_PIXELS:
+        raise InputError(
+            path, found=f"{width} x {height} pixels", expected=f"{MAX_PIXELS} at most", fix="Make it smaller."
+        )
+    data = np.frombuffer(content, dtype=np.uint8)
+    try:
+        image = cv2.imdecode(data, flags) if data.size else None
+    except cv2.error:
+        image = None
     if image is None:
         raise InputError(path, found="no picture that can be decoded", fix="Copy or export the file again.")
     return image

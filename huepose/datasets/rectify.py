@@ -33,7 +33,7 @@ def checked_coefficients(model: str, coefficients: Sequence[float], where: objec
     if len(values) not in COEFFICIENTS[model] or not np.isfinite(values).all():
         counts = " or ".join(str(n) for n in COEFFICIENTS[model])
         raise InputError(
-            where, found=f"distortion {list(coefficients)!r:.60}", expected=f"{counts} numbers for '{model}'"
+            where, found=f"distortion {coefficients!r:.60}", expected=f"{counts} numbers for '{model}'"
         )
     return values if values.any() else np.empty(0)
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from typing import Protocol
 
@@ -87,3 +87,12 @@ class Scene(Protocol):
     def sample(self, image: int) -> Sample:
         """Frame and labels."""
         ...
+
+
+class SomeImages:
+    """A scene of which only some images are used."""
+
+    def __init__(self, scene: Scene, image_ids: Sequence[int]) -> None:
+        self.image_ids = tuple(image_ids)
+        self.name, self.frame, self.truths = scene.name, scene.frame, scene.truths
+        self.sample, self.stamp_ns = scene.sample, scene.stamp_ns

@@ -1,4 +1,4 @@
-"""From the poses that were found to the answer: settled on the depth, with quality and alternatives."""
+"""From the poses that were found to the answer: refined on depth and edges, with quality and alternatives."""
 
 from __future__ import annotations
 
@@ -6,32 +6,36 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from huepose.estimation.confirm import MARGIN
+from huepose.believe.covariance import covariance
+from huepose.believe.quality import QualityFit, QualityTerms
+from huepose.estimation.config import ConfirmConfig
 from huepose.estimation.explanation import Explanation
-from huepose.estimation.near_ties import different_answers
-from huepose.estimation.outline import projected_box
-from huepose.estimation.print_evidence import print_evidence
-from huepose.estimation.quality import QualityFit, QualityTerms, covariance
-from huepose.estimation.settle import settle
-from huepose.estimation.size_evidence import stretch
+from huepose.estimation.reasons import why_absent
 from huepose.estimation.types import ObjectQuery, PoseEstimate
 from huepose.geometry import se3
 from huepose.geometry.arrays import Float64
 from huepose.geometry.frame import RgbdFrame
+from huepose.judge.contrast_disagreement import otherwise_many
+from huepose.judge.pair_agreement import agreement_many
+from huepose.judge.pair_terms import pair_picture
+from huepose.judge.region import Region
+from huepose.judge.silhouette import projected_box, visible_mask
+from huepose.judge.terms import score as dense_score
+from huepose.judge.texture_evidence import print_evidence
 from huepose.model.types import ReferenceModel
-from huepose.verification.dense import score
-from huepose.verification.other_print import otherwise_many
-from huepose.verification.pairs import pair_picture
-from huepose.verification.pairs_agreement import agreement_many
-from huepose.verification.region import Region
+from huepose.refine.final import final_refinement
+from huepose.refine.scale import scale_residual
+from huepose.select.answers import different_answers
 
 
 @dataclass(frozen=True)
 class Levels:
-    """acquired: quality from which a pose is TRACKING; found: presence under which nothing is there."""
+    """acquired: quality from which a pose is TRACKING; found: presence under which nothing is there;
+    unrivalled: the margin that a prior counts with which was only confirmed."""
 
     acquired: float
     found: float
+    unrivalled: float = ConfirmConfig().margin
 
 
 def answer_of(
@@ -51,15 +55,17 @@ def answer_of(
     if region is not None and len(poses):
         kept = different_answers(model, poses)
         poses, totals = poses[kept], totals[kept]
-        terms = _terms(model, region, poses[0], totals, explanation.confirmed)
-    if region is None or terms is None or fit.present(terms) < levels.found:
+        terms = _terms(model, region, poses[0], totals, levels.unrivalled if explanation.confirmed else None)
+    present = 0.0 if terms is None else fit.present(terms)
+    if region is None or terms is None or present < levels.found:
         total = float(totals[0]) if len(totals) else 0.0
+        reason = why_absent(explanation, terms, present, levels.found)
         return PoseEstimate(
             query.object, query.instance, False, None, 0.0, "LOST", total, 0.0, None, None,
-            query.box, prior_score, prior_T, (), 0.0, terms,
+            query.box, prior_score, prior_T, (), 0.0, terms, reason,
         )  # fmt: skip
     chances = fit.probabilities(terms)
-    T, alignment, mask = settle(model, frame, region, se3.orthonormalised(poses[0]))
+    T, alignment, mask = final_refinement(model, frame, region, se3.orthonormalised(poses[0]))
     others = zip(poses[1:], chances[1 : len(poses)], strict=True)
     return PoseEstimate(
         query.object,
@@ -81,15 +87,37 @@ def answer_of(
     )
 
 
+def bare_answer(
+    frame: RgbdFrame, query: ObjectQuery, model: ReferenceModel, explanation: Explanation
+) -> PoseEstimate:
+    """The answer of a method whose best pose stands as it is. Its score is given as quality, which is not a
+    probability, so it is never more than SUSPECT; there are no covariance and no terms."""
+    if explanation.evidence is None or not len(explanation.poses):
+        return PoseEstimate(
+            query.object, query.instance, False, None, 0.0, "LOST", 0.0, 0.0, None, None,
+            query.box, None, None, (), 0.0,
+        )  # fmt: skip
+    T, score = se3.orthonormalised(explanation.poses[0]), float(explanation.totals[0])
+    mask = visible_mask(model, frame, T, explanation.evidence.region.tolerance_m)
+    return PoseEstimate(
+        query.object, query.instance, True, T, score, "SUSPECT", score, 0.0, None, mask,
+        projected_box(model, frame, T), None, None, (), 0.0,
+    )  # fmt: skip
+
+
 def _terms(
-    model: ReferenceModel, region: Region, T_cam_obj: Float64, totals: Float64, confirmed: bool
+    model: ReferenceModel,
+    region: Region,
+    T_cam_obj: Float64,
+    totals: Float64,
+    most_behind: float | None,
 ) -> QualityTerms:
-    """Of the first of different answers. Where a prior was only confirmed, little else was looked at: then
-    the best other answer is taken to be at most MARGIN worse."""
+    """Of the first of different answers. most_behind: where a prior was only confirmed, little else was
+    looked at; then the best other answer is taken to be at most so much worse."""
     gaps = totals[0] - totals[1:]
-    if confirmed:
-        gaps = np.concatenate([[min(MARGIN, *gaps[:1])], gaps[1:]]) if len(gaps) else np.array([MARGIN])
-    dense, seen = score(model, region, T_cam_obj), print_evidence(model, region, T_cam_obj)
+    if most_behind is not None:
+        gaps = np.concatenate([[min([most_behind, *gaps[:1]])], gaps[1:]])
+    dense, seen = dense_score(model, region, T_cam_obj), print_evidence(model, region, T_cam_obj)
     contrasts, pose = pair_picture(model, region.crop, region.median_depth_m), T_cam_obj[None]
     return QualityTerms(
         float(totals[0]),
@@ -104,7 +132,7 @@ def _terms(
         seen.missing,
         seen.foreign,
         seen.detail,
-        stretch(model, region, T_cam_obj),
+        scale_residual(model, region, T_cam_obj),
         float(np.count_nonzero(region.mask)),
         seen.turned,
         float(otherwise_many(model, region, contrasts, pose)[0]),

@@ -13,39 +13,35 @@ from dataclasses import replace
 
 import numpy as np
 
+from huepose.estimation.config import CompetitionConfig
 from huepose.estimation.types import ObjectQuery, PoseEstimate
 from huepose.geometry.arrays import Bool
 from huepose.geometry.box import Box
 from huepose.geometry.frame import RgbdFrame
 
-SURE = 0.5
-"""Quality from which a pose keeps its pixels; from other instances of its object it always does."""
-
-CONTESTED = 0.25
-"""Share of a pose's visible pixels on those of surer poses from which it is judged again without them."""
-
-DOUBTFUL, TAKEN = 0.8, 0.05
-"""A pose under the quality DOUBTFUL is judged again, too, when surer poses have this share of its box."""
-
 LookAgain = Callable[[RgbdFrame, ObjectQuery], PoseEstimate]
 
 
 def compete(
-    frame: RgbdFrame, queries: Sequence[ObjectQuery], answers: Sequence[PoseEstimate], look_again: LookAgain
+    frame: RgbdFrame,
+    queries: Sequence[ObjectQuery],
+    answers: Sequence[PoseEstimate],
+    look_again: LookAgain,
+    config: CompetitionConfig | None = None,
 ) -> list[PoseEstimate]:
     """Answers, in the order of the queries, of which no two explain the same surface.
 
     `look_again` estimates a query in a frame from whose depth that of surer poses was taken away. A pose that
     lived on it gives way to what is found then; one that was only doubtful does so when that is surer.
     """
-    out = list(answers)
+    config, out = config or CompetitionConfig(), list(answers)
     before: list[PoseEstimate] = []
     for k in sorted(range(len(out)), key=lambda i: _rank(out[i])):
         taken = np.zeros(frame.depth.shape, bool)
         for other in before:
-            if other.mask is not None and (other.quality >= SURE or other.object == out[k].object):
+            if other.mask is not None and (other.quality >= config.sure or other.object == out[k].object):
                 taken |= other.mask
-        out[k] = _without(frame, queries[k], out[k], taken, look_again)
+        out[k] = _without(frame, queries[k], out[k], taken, look_again, config)
         before.append(out[k])
     return out
 
@@ -56,11 +52,16 @@ def _rank(answer: PoseEstimate) -> tuple[float, float, str, int]:
 
 
 def _without(
-    frame: RgbdFrame, query: ObjectQuery, answer: PoseEstimate, taken: Bool, look_again: LookAgain
+    frame: RgbdFrame,
+    query: ObjectQuery,
+    answer: PoseEstimate,
+    taken: Bool,
+    look_again: LookAgain,
+    config: CompetitionConfig,
 ) -> PoseEstimate:
     """The answer, or what is found instead where it may not use the pixels that are taken."""
-    contested = answer.mask is not None and _share(answer.mask, taken) > CONTESTED
-    doubtful = answer.quality < DOUBTFUL and _share_of_box(query.box, taken) > TAKEN
+    contested = answer.mask is not None and _share(answer.mask, taken) > config.contested
+    doubtful = answer.quality < config.doubtful and _share_of_box(query.box, taken) > config.taken
     if not contested and not doubtful:
         return answer
     free = replace(frame, depth=np.where(taken, np.float32(0.0), frame.depth))

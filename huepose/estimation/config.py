@@ -1,88 +1,158 @@
-"""What can be chosen about the estimator; defaults are what was measured best."""
+"""What can be chosen about the estimator; the defaults are those of a live pipeline."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass, field, replace
-from typing import Literal, get_args
+from typing import TYPE_CHECKING, Literal, get_args
 
+from huepose.judge.figure_ground import USUAL
+from huepose.propose.config import EvidenceConfig, RetrievalConfig
+from huepose.select.config import NearTieConfig
 from huepose.support.errors import InputError
 
-Method = Literal["full", "colorpair"]
+if TYPE_CHECKING:
+    from huepose.paper.config import PaperConfig
+    from huepose.paper.extended.config import ColorpairPathConfig
+
+Method = Literal["full", "colorpair", "paper"]
 
 
 @dataclass(frozen=True)
 class FullPathConfig:
-    """How much the full method tries. retrieved: views a mask; kept: of them after ICP; turned: those whose
-    near-symmetric turns are tried; searched: poses a mask that are searched; judged: poses judged by all
-    masks; finished: poses searched finely; alternatives: different poses that are returned; closer:
-    templates a mask that get a close look, and that are tried at neighbouring places; samples: of the surface
-    in the search; unregistered: whether views are tried as they were found, too, besides after registration;
-    poor: a total under which no pose is taken for the answer before it was looked harder."""
+    """How much the full method tries. Origin, where nothing else is said: chosen, by `huepose eval estimate`
+    on drawn heaps and piles, as few as lose no recall there.
 
-    retrieved: int = 30
+    kept: views a mask that stay after registration; turned: those whose near-symmetric turns are tried;
+    searched: poses a mask that are searched; judged: poses judged by all masks; finished: poses searched
+    finely; alternatives: different poses that are returned.
+
+    coarse_samples, samples: of the surface, by which poses are ranked before the search, and in it.
+    search_deg, fine_deg, prior_deg: steps of the search, coarse to fine, in degrees: of proposed poses, of
+    the best of them, and of a prior, which is nearer. registered_within: after the search, poses whose total
+    is farther behind the best are not registered again.
+
+    figure_weight: what it counts in the order of poses that figure and ground differ in colour. Origin:
+    chosen on drawn heaps by `huepose eval estimate`.
+
+    unregistered: whether views are tried as they were found, too, besides after registration. poor: a total
+    under which a pose is looked for harder, where that is allowed; nothing in open view is under it.
+    """
+
+    retrieval: RetrievalConfig = field(default_factory=RetrievalConfig)
     kept: int = 8
     turned: int = 5
     searched: int = 18
     judged: int = 40
     finished: int = 5
     alternatives: int = 6
-    closer: tuple[int, int] = (1500, 200)
+    coarse_samples: int = 350
     samples: int = 220
+    search_deg: tuple[float, ...] = (8.0, 4.0, 2.0, 1.0)
+    fine_deg: tuple[float, ...] = (3.0, 1.5, 0.7)
+    prior_deg: tuple[float, ...] = (4.0, 2.0, 1.0)
+    registered_within: float = 0.5
+    figure_weight: float = 0.75
     unregistered: bool = False
     poor: float = 1.4
 
+    @property
+    def figure_within(self) -> float:
+        """How far behind the best a total may be for figure and ground to be looked at: hardly any pose gains
+        more by it."""
+        return self.figure_weight * USUAL
+
     def harder(self) -> FullPathConfig:
         """To look harder: two to three times as much of everything."""
+        views = self.retrieval
         return replace(
             self,
-            retrieved=3 * self.retrieved,
+            retrieval=replace(
+                views, views=3 * views.views, closer=2 * views.closer, closest=2 * views.closest
+            ),
             kept=3 * self.kept,
             turned=2 * self.turned,
             searched=2 * self.searched,
             finished=2 * self.finished,
-            closer=(2 * self.closer[0], 2 * self.closer[1]),
             unregistered=True,
         )
 
 
 @dataclass(frozen=True)
-class ColorpairPathConfig:
-    """How much the colour-pair path tries. refined: hypotheses a mask that are registered; kept: different
-    ones after that; turned: of them whose near-symmetric turns are tried; searched: poses a mask that are
-    searched; finished: poses searched finely in the end; alternatives: different poses that are returned.
-    semantic: whether semantic ICP adds a pose to each of the best different ones; ppf: whether point pair
-    features may be used (see `matching.ppf` for why one may not want to)."""
+class ConfirmConfig:
+    """When a refined prior is plainly right, so that no views are sought. Origin: chosen.
 
-    refined: int = 30
-    kept: int = 8
-    turned: int = 5
-    searched: int = 8
-    finished: int = 3
-    alternatives: int = 6
-    semantic: bool = True
-    ppf: bool = True
+    score: total from which it may be. margin: how much better than its near-symmetric turns it must be, and
+    the most that its margin counts then. turns: those that are searched, by steps_deg,
+    chosen by so many surface samples. look_anew_every: one
+    in so many frames is searched in full all the same, 1 for all of them.
+    """
+
+    score: float = 1.9
+    margin: float = 0.12
+    turns: int = 3
+    samples: int = 350
+    steps_deg: tuple[float, ...] = (3.0, 1.0)
+    look_anew_every: int = 3
+
+
+@dataclass(frozen=True)
+class CompetitionConfig:
+    """When poses of one frame compete for its depth. Origin: chosen.
+
+    sure: quality from which a pose keeps its pixels; from other instances of its object it always does.
+    contested: a pose is judged again when surer ones have this share of its visible pixels. doubtful, taken:
+    so is one under this quality when surer ones have this share of its box.
+    """
+
+    sure: float = 0.5
+    contested: float = 0.25
+    doubtful: float = 0.8
+    taken: float = 0.05
+
+
+@dataclass(frozen=True)
+class StandingConfig:
+    """Which poses at proposed places stand.
+
+    present: probability that the object is there from which a pose stands. Origin: chosen on evaluation
+    frames of `huepose eval perception` (docs/detection.md). claimed: a pose of which better poses explain
+    this share of the visible pixels has nothing of its own: the half.
+
+    most_sure: no pose speaks more for its object than one of this quality. other_texture: another texture
+    must be so many times likelier than the object's own before it speaks against it. Origin: chosen.
+    """
+
+    present: float = 0.6
+    claimed: float = 0.5
+    most_sure: float = 0.99
+    other_texture: float = 2.0
 
 
 @dataclass(frozen=True)
 class EstimatorConfig:
-    """method: "full" (the best that there is) or "colorpair" (the paper's path alone); seed: of all random
-    choices; threads: objects of a frame that are estimated at the same time; acquisition_level: the quality
-    over which a pose is TRACKING, None for the calibrated one of the method; found_level: the probability
-    that the object is there under which nothing is found, None for the calibrated one; competition: whether
-    the poses of a frame compete for its depth; look_anew_every: one in so many frames is searched in full
-    even when a prior is plainly right (see `confirm`), 1 for all of them; look_harder: whether poor poses are
-    looked for again with more effort, which is a waste where boxes are proposals or the next frame is due."""
+    """method: "full" (the best that there is), "colorpair" (colour pairs alone, with what was added to the
+    paper's path) or "paper" (the paper's path as it is); seed: of all random choices; threads: objects of a
+    frame that are estimated at the same time; acquisition_level: the quality over which a pose is TRACKING,
+    None for the calibrated one of the method; found_level: the probability that the object is there under
+    which nothing is found, None for the calibrated one; competing: whether the poses of a frame compete for
+    its depth; look_harder: whether poor poses are looked for again with more effort, which is a waste where
+    boxes are proposals or the next frame is due; colorpair, paper: what can be set about the method of that
+    name, None for its defaults. `paper` has no levels and no competition."""
 
     method: Method = "full"
     seed: int = 0
     threads: int = 1
     acquisition_level: float | None = None
     found_level: float | None = None
-    competition: bool = True
-    look_anew_every: int = 3
-    look_harder: bool = True
+    competing: bool = True
+    look_harder: bool = False
+    evidence: EvidenceConfig = field(default_factory=EvidenceConfig)
     full: FullPathConfig = field(default_factory=FullPathConfig)
-    colorpair: ColorpairPathConfig = field(default_factory=ColorpairPathConfig)
+    confirm: ConfirmConfig = field(default_factory=ConfirmConfig)
+    near_ties: NearTieConfig = field(default_factory=NearTieConfig)
+    competition: CompetitionConfig = field(default_factory=CompetitionConfig)
+    colorpair: ColorpairPathConfig | None = None
+    paper: PaperConfig | None = None
 
     def __post_init__(self) -> None:
         if self.method not in get_args(Method):

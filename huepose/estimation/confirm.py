@@ -1,7 +1,7 @@
 """A tracked pose that is plainly still right needs no search of all views: most of what live use costs.
 
 The refined prior is held against its own near-symmetric turns on the same pixels. When it scores high and
-clearly better than they do, that is the answer; its margin counts no more than MARGIN then, because nothing
+clearly better than they do, that is the answer; its margin counts no more than `margin` then, because nothing
 else was looked at. A share of the frames is looked at in full all the same, so that a wrong pose that looks
 right to itself is found out.
 """
@@ -10,19 +10,14 @@ from __future__ import annotations
 
 import numpy as np
 
-from huepose.estimation.different import different_poses
-from huepose.estimation.full_path import COARSE_SAMPLES, FINAL_SHIFT, FINAL_TURN_RAD, FINE_SAMPLES, judge
+from huepose.estimation.config import ConfirmConfig
 from huepose.geometry.arrays import Float64
+from huepose.judge.region import Region
+from huepose.judge.terms import CLOSE_SAMPLES, score_many
+from huepose.judge.terms import totals as totals_of
 from huepose.model.types import ReferenceModel
-from huepose.verification.dense import score_many
-from huepose.verification.local_search import RACE, search
-from huepose.verification.region import Region
-
-SCORE, MARGIN = 1.9, 0.12
-"""Total from which a prior may be confirmed, and how much better than its turns it has to be."""
-
-TURNS = 3
-"""Turns that are searched before they are compared."""
+from huepose.refine.coordinate_search import RACE, search
+from huepose.select.distinct import FINAL_SHIFT, FINAL_TURN_RAD, different_poses
 
 
 def looks_in_full(frame_id: int, every: int) -> bool:
@@ -31,17 +26,23 @@ def looks_in_full(frame_id: int, every: int) -> bool:
     return every <= 1 or (frame_id * 2654435761 >> 16) % every == 0
 
 
-def confirm(model: ReferenceModel, region: Region, T_cam_obj: Float64) -> tuple[Float64, Float64] | None:
+def confirm(
+    model: ReferenceModel,
+    region: Region,
+    T_cam_obj: Float64,
+    config: ConfirmConfig | None = None,
+) -> tuple[Float64, Float64] | None:
     """The refined prior (4, 4) first, then its best different turns: poses (K, 4, 4) and totals (K,); None
     when the prior is not plainly right."""
-    if judge(model, region, T_cam_obj[None])[0] < SCORE:
+    config = config or ConfirmConfig()
+    if totals_of(model, region, T_cam_obj[None])[0] < config.score:
         return None
     turned = T_cam_obj @ model.turns[1:]
-    best = np.argsort(-score_many(model, region, turned, COARSE_SAMPLES)[:, 0], kind="stable")[:TURNS]
-    searched, _ = search(model, region, turned[best], (3.0, 1.0), FINE_SAMPLES, race=RACE)
+    best = np.argsort(-score_many(model, region, turned, config.samples)[:, 0], kind="stable")[: config.turns]
+    searched, _ = search(model, region, turned[best], config.steps_deg, CLOSE_SAMPLES, race=RACE)
     poses = np.concatenate([T_cam_obj[None], searched])
-    totals = judge(model, region, poses)
+    totals = totals_of(model, region, poses)
     order = different_poses(model, poses, totals, len(poses), FINAL_TURN_RAD, FINAL_SHIFT)
-    if len(order) > 1 and (order[0] != 0 or totals[0] - totals[order[1]] < MARGIN):
+    if len(order) > 1 and (order[0] != 0 or totals[0] - totals[order[1]] < config.margin):
         return None
     return poses[order], totals[order]

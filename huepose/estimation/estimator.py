@@ -15,25 +15,27 @@ from zlib import crc32
 
 import numpy as np
 
-from huepose.estimation.answer import Levels, answer_of
+from huepose.believe.quality import quality_fits
+from huepose.estimation.answer import Levels, answer_of, bare_answer
 from huepose.estimation.competition import compete
 from huepose.estimation.config import EstimatorConfig
 from huepose.estimation.confirm import confirm, looks_in_full
-from huepose.estimation.decision import Contest, decided
-from huepose.estimation.evidence import Evidence, gather
 from huepose.estimation.explanation import Explanation
-from huepose.estimation.full_path import Trail, estimate_full, judge, refine_prior
-from huepose.estimation.outline import projected_box
+from huepose.estimation.full_path import Trail, estimate_full, refine_prior
+from huepose.estimation.methods import PairMethod, method_of
 from huepose.estimation.prepared import PreparedModels
-from huepose.estimation.quality import quality_fits
 from huepose.estimation.rehearsal import rehearse
 from huepose.estimation.types import ObjectQuery, PoseEstimate
 from huepose.geometry.arrays import Bool, Float64
 from huepose.geometry.box import Box
 from huepose.geometry.frame import RgbdFrame
+from huepose.judge.silhouette import projected_box
+from huepose.judge.terms import totals as totals_of
 from huepose.model.types import ReferenceModel
 from huepose.perception.embedded import DepthSegmenter
 from huepose.perception.types import Segmenter
+from huepose.propose.evidence import Evidence, gather
+from huepose.select.near_ties import Contest, decided
 from huepose.support.errors import InputError
 from huepose.support.stages import stage
 
@@ -54,6 +56,7 @@ class Estimator:
         self.config = config or EstimatorConfig()
         self._models = PreparedModels(models)
         self._segmenter: Segmenter = segmenter or DepthSegmenter()
+        self._method = method_of(self.config)
 
     @property
     def objects(self) -> tuple[str, ...]:
@@ -82,7 +85,7 @@ class Estimator:
         for query in queries:
             self._models.model(query.object)
         looks = self._alone(frame, queries)
-        if len(queries) < 2 or not self.config.competition:
+        if len(queries) < 2 or not self.config.competing or self._bare:
             return looks
         again: list[tuple[PoseEstimate, Explanation]] = []
 
@@ -90,7 +93,9 @@ class Estimator:
             again.append(self.explain(free, query))
             return again[-1][0]
 
-        answers = compete(frame, queries, [answer for answer, _ in looks], look_again)
+        answers = compete(
+            frame, queries, [answer for answer, _ in looks], look_again, self.config.competition
+        )
         return [
             (answer, next((x for a, x in again if _same(a, answer)), explanation))
             for answer, (_, explanation) in zip(answers, looks, strict=True)
@@ -107,6 +112,10 @@ class Estimator:
         with ThreadPoolExecutor(workers) as pool:
             return list(pool.map(lambda c, q: c.run(self.explain, frame, q), contexts, queries))
 
+    @property
+    def _bare(self) -> bool:
+        return self._method is not None and self._method.bare
+
     def explain(self, frame: RgbdFrame, query: ObjectQuery) -> tuple[PoseEstimate, Explanation]:
         """The answer to one query, as if there were no other, and what led to it."""
         start = time.perf_counter()
@@ -114,18 +123,20 @@ class Estimator:
         model = prepared.model
         box, masks = self._box_and_masks(frame, query, model)
         with stage("evidence"):
-            evidence = gather(frame, masks, box, model.diameter_m)
+            evidence = gather(frame, masks, box, model.diameter_m, self.config.evidence)
         poses, totals = np.zeros((0, 4, 4)), np.zeros(0)
         trail: Trail | None = None
         held: Contest | None = None
         prior: tuple[Float64, float] | None = None
-        full = self.config.method == "full"
+        method, full = self._method, self._method is None
+        if method is not None:
+            method.check(model)
         if evidence is not None and full and query.prior is not None:
             with stage("prior"):
-                refined = refine_prior(model, evidence, query.prior.T_cam_obj)
-                prior = refined, float(judge(model, evidence.region, refined[None])[0])
-                anew = looks_in_full(frame.frame_id, self.config.look_anew_every)
-                confirmed = None if anew else confirm(model, evidence.region, refined)
+                refined = refine_prior(model, evidence, query.prior.T_cam_obj, self.config.full)
+                prior = refined, float(totals_of(model, evidence.region, refined[None])[0])
+                anew = looks_in_full(frame.frame_id, self.config.confirm.look_anew_every)
+                confirmed = None if anew else confirm(model, evidence.region, refined, self.config.confirm)
             if confirmed is not None:
                 explanation = Explanation(box, tuple(masks), evidence, *confirmed, confirmed=True)
                 answer = self._answer(frame, query, model, explanation, prior)
@@ -137,12 +148,12 @@ class Estimator:
                 model, prepared.table, evidence, self.config.full, extra, self.config.look_harder
             )
             if prior is not None and believed is not evidence:  # judged as the answer is
-                prior = prior[0], float(judge(model, believed.region, prior[0][None])[0])
+                prior = prior[0], float(totals_of(model, believed.region, prior[0][None])[0])
             evidence = believed
             with stage("contest"):
-                poses, totals, held = decided(model, evidence.region, poses, totals)
-        elif evidence is not None:
-            poses, totals = self._by_pairs(model, frame, evidence, query)
+                poses, totals, held = decided(model, evidence.region, poses, totals, self.config.near_ties)
+        elif evidence is not None and method is not None:
+            poses, totals = self._by_pairs(method, model, frame, evidence, query)
         explanation = Explanation(box, tuple(masks), evidence, poses, totals, trail=trail, contest=held)
         with stage("answer"):
             answer = self._answer(frame, query, model, explanation, prior)
@@ -157,11 +168,12 @@ class Estimator:
         if not names:
             return
         most = max((self._models.model(name) for name in names), key=lambda m: len(m.pairs.points))
-        rehearse(self.explain, most, self.config.method == "full")
-        if self.config.method == "colorpair":
-            from huepose.estimation.colorpair_path import warm_up
-
-            warm_up([self._models.model(name) for name in names], self.config.colorpair)
+        if self._method is not None:
+            models = [self._models.model(name) for name in names]
+            for model in models:
+                self._method.check(model)
+            self._method.warm_up(models)
+        rehearse(self.explain, most, self._method is None)
 
     def _box_and_masks(
         self, frame: RgbdFrame, query: ObjectQuery, model: ReferenceModel
@@ -195,18 +207,14 @@ class Estimator:
 
     def _by_pairs(
         self,
+        method: PairMethod,
         model: ReferenceModel,
         frame: RgbdFrame,
         evidence: Evidence,
         query: ObjectQuery,
     ) -> tuple[Float64, Float64]:
-        from huepose.estimation.colorpair_path import estimate_by_pairs
-
         rng = np.random.default_rng([self.config.seed, crc32(query.object.encode()), _content_seed(frame)])
-        scored = estimate_by_pairs(model, evidence, self.config.colorpair, rng)
-        if not scored:
-            return np.zeros((0, 4, 4)), np.zeros(0)
-        return np.array([T for _, T in scored]), np.array([s for s, _ in scored])
+        return method.poses(model, evidence, rng)
 
     def _answer(
         self,
@@ -216,10 +224,13 @@ class Estimator:
         explanation: Explanation,
         prior: tuple[Float64, float] | None,
     ) -> PoseEstimate:
+        if self._bare:
+            return bare_answer(frame, query, model, explanation)
         config, fit = self.config, quality_fits()[self.config.method]
         levels = Levels(
             fit.level if config.acquisition_level is None else config.acquisition_level,
             fit.found if config.found_level is None else config.found_level,
+            config.confirm.margin,
         )
         return answer_of(frame, query, model, explanation, fit, levels, prior)
 

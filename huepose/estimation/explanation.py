@@ -4,11 +4,11 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from huepose.estimation.decision import Contest
-from huepose.estimation.evidence import Evidence
 from huepose.estimation.full_path import Trail
 from huepose.geometry.arrays import Bool, Float64
 from huepose.geometry.box import Box
+from huepose.propose.evidence import Evidence
+from huepose.select.near_ties import Contest
 
 
 @dataclass(frozen=True, eq=False)

@@ -7,37 +7,24 @@ order of score and of how well figure and ground differ.
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
 
 from huepose.estimation.config import FullPathConfig
-from huepose.estimation.different import different_poses
-from huepose.estimation.evidence import Evidence, doubted
 from huepose.geometry.arrays import Float, Float64
-from huepose.matching.retrieval import retrieve
-from huepose.matching.template_table import TemplateTable
+from huepose.judge.figure_ground import USUAL, set_off
+from huepose.judge.region import Region
+from huepose.judge.terms import CLOSE_SAMPLES, score_many
+from huepose.judge.terms import totals as totals_of
 from huepose.model.types import ReferenceModel
-from huepose.registration.surface_icp import align_many
+from huepose.propose.evidence import Evidence, doubted
+from huepose.propose.template_table import TemplateTable
+from huepose.propose.views import retrieve
+from huepose.refine.coordinate_search import RACE, search
+from huepose.refine.point_to_plane import align_many
+from huepose.select.distinct import FINAL_SHIFT, FINAL_TURN_RAD, different_poses
 from huepose.support.stages import stage
-from huepose.verification.dense import score_many
-from huepose.verification.figure import USUAL, set_off
-from huepose.verification.local_search import RACE, search
-from huepose.verification.region import Region
-
-RIVALS = 0.5
-"""Poses of which the total lies farther behind the best after the search are not registered again."""
-
-COARSE_SAMPLES, FINE_SAMPLES = 350, 800
-FINAL_TURN_RAD, FINAL_SHIFT = 0.2, 0.05
-"""Poses closer than this (shift in diameters) are one answer."""
-
-FIGURE_WEIGHT = 0.75
-"""What it counts that a figure stands out from the ground."""
-
-FIGURE_WITHIN = FIGURE_WEIGHT * USUAL
-"""How far behind the best a pose may be for that to be looked at: hardly any gains more by it."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -73,7 +60,7 @@ def _look(
     model: ReferenceModel, table: TemplateTable, evidence: Evidence, config: FullPathConfig, extra: Float64
 ) -> tuple[Float64, Float64, Trail]:
     with stage("retrieval"):
-        views = retrieve(table, evidence.picture, evidence.sources, config.retrieved, config.closer)
+        views = retrieve(table, evidence.picture, evidence.sources, config.retrieval)
     with stage("icp"):
         aligned = [
             _icp(model, points, views.poses[views.masks == k], 0.1 * model.diameter_m, 0.008, 12)
@@ -85,46 +72,38 @@ def _look(
     return poses, totals, Trail(views.poses, registered, searched)
 
 
-def refine_coarse(
-    model: ReferenceModel,
-    region: Region,
-    poses: Float64,
-    config: FullPathConfig,
-    rate: Callable[[Float64], Float64] | None = None,
-) -> Float64:
-    """Aligned poses (N, 4, 4) brought home: near-symmetric turns, search on the score, ICP (M, 4, 4).
-
-    rate: totals (K,) of poses (K, 4, 4) that choose which are searched, the dense score unless given.
-    """
+def refine_coarse(model: ReferenceModel, region: Region, poses: Float64, config: FullPathConfig) -> Float64:
+    """Aligned poses (N, 4, 4) brought home: near-symmetric turns, search on the score, ICP (M, 4, 4)."""
     if not len(poses):
         return poses
-    rate = rate or (lambda some: score_many(model, region, some, COARSE_SAMPLES)[:, 0])
     with stage("turns"):
-        totals = rate(poses)
+        totals = score_many(model, region, poses, config.coarse_samples)[:, 0]
         best = different_poses(model, poses, totals, config.kept)
         poses, totals = poses[best], totals[best]
         turned = np.einsum("nij,mjk->nmik", poses[: config.turned], model.turns[1:]).reshape(-1, 4, 4)
-        turned_totals = rate(turned)
+        turned_totals = score_many(model, region, turned, config.coarse_samples)[:, 0]
         poses, totals = np.concatenate([poses, turned]), np.concatenate([totals, turned_totals])
         poses = poses[different_poses(model, poses, totals, config.searched)]
     with stage("search"):
-        searched, totals = search(model, region, poses, (8.0, 4.0, 2.0, 1.0), config.samples, race=RACE)
+        searched, totals = search(model, region, poses, config.search_deg, config.samples, race=RACE)
     with stage("icp"):
-        rivals = searched[totals > totals.max() - RIVALS]
+        rivals = searched[totals > totals.max() - config.registered_within]
         settled = _icp(model, region.points_cam, rivals, 0.012, 0.006, 5)
     return np.concatenate([searched, settled])
 
 
-def refine_prior(model: ReferenceModel, evidence: Evidence, T_cam_obj: Float) -> Float64:
+def refine_prior(
+    model: ReferenceModel, evidence: Evidence, T_cam_obj: Float, config: FullPathConfig | None = None
+) -> Float64:
     """A predicted pose (4, 4) brought onto the region: the best of ICP and search from it."""
-    region = evidence.region
+    config, region = config or FullPathConfig(), evidence.region
     start = np.asarray(T_cam_obj, dtype=np.float64)[None]
     aligned = [_icp(model, p, start, 0.15 * model.diameter_m, 0.008, 20) for p in evidence.points_cam]
     starts = np.concatenate([start, *aligned])
-    searched, _ = search(model, region, starts, (4.0, 2.0, 1.0), FINE_SAMPLES, race=RACE)
+    searched, _ = search(model, region, starts, config.prior_deg, CLOSE_SAMPLES, race=RACE)
     settled = _icp(model, region.points_cam, searched, 0.012, 0.006, 5)
     poses = np.concatenate([starts, searched, settled])
-    return np.asarray(poses[np.argmax(judge(model, region, poses))])
+    return np.asarray(poses[np.argmax(totals_of(model, region, poses))])
 
 
 def finish(
@@ -134,40 +113,41 @@ def finish(
     if not len(poses):
         return poses, np.zeros(0)
     with stage("judge"):
-        totals = judge(model, region, poses)
+        totals = totals_of(model, region, poses)
         best = different_poses(model, poses, totals, config.judged, FINAL_TURN_RAD, FINAL_SHIFT)
         poses, totals = poses[best], totals[best]
     with stage("search"):
         fine, fine_totals = search(
-            model, region, poses[: config.finished], (3.0, 1.5, 0.7), FINE_SAMPLES, race=RACE
+            model, region, poses[: config.finished], config.fine_deg, CLOSE_SAMPLES, race=RACE
         )
         poses, totals = np.concatenate([poses, fine]), np.concatenate([totals, fine_totals])
         best = different_poses(model, poses, totals, config.alternatives, FINAL_TURN_RAD, FINAL_SHIFT)
     with stage("judge"):
-        return by_figure(model, region, poses[best], totals[best])
+        return by_figure(model, region, poses[best], totals[best], config)
 
 
 def by_figure(
-    model: ReferenceModel, region: Region, poses: Float64, totals: Float64
+    model: ReferenceModel,
+    region: Region,
+    poses: Float64,
+    totals: Float64,
+    config: FullPathConfig | None = None,
 ) -> tuple[Float64, Float64]:
     """Different poses (K, 4, 4) and totals (K,), best first, in the order of totals and of how well they
     stand out from what is round them. The first keeps its total, the others' say how far they are behind."""
     if len(poses) < 2:
         return poses, totals
-    both = totals + FIGURE_WEIGHT * USUAL
+    config = config or FullPathConfig()
+    weight = config.figure_weight
+    both = totals + weight * USUAL
     # Who cannot come first even if no colour of its ground is in its figure need not be looked at.
-    near = totals > totals[0] - FIGURE_WITHIN
+    near = totals > totals[0] - config.figure_within
     if near[1]:
-        both[0] = totals[0] + FIGURE_WEIGHT * set_off(model, region, poses[:1])[0]
-        asked = 1 + np.flatnonzero(near[1:] & (totals[1:] + FIGURE_WEIGHT > both[0]))
-        both[asked] = totals[asked] + FIGURE_WEIGHT * set_off(model, region, poses[asked])
+        both[0] = totals[0] + weight * set_off(model, region, poses[:1])[0]
+        asked = 1 + np.flatnonzero(near[1:] & (totals[1:] + weight > both[0]))
+        both[asked] = totals[asked] + weight * set_off(model, region, poses[asked])
     order = np.argsort(-both, kind="stable")
     return poses[order], totals[order[0]] - (both[order[0]] - both[order])
-
-
-def judge(model: ReferenceModel, region: Region, poses: Float64) -> Float64:
-    """Total (M,) of poses (M, 4, 4)."""
-    return score_many(model, region, poses, FINE_SAMPLES)[:, 0]
 
 
 def _icp(

@@ -6,9 +6,9 @@ import threading
 from collections.abc import Mapping
 from dataclasses import dataclass
 
-from huepose.matching.template_table import TemplateTable, build_table
 from huepose.model.named import model_named
 from huepose.model.types import ReferenceModel
+from huepose.propose.template_table import TemplateTable, build_table
 
 
 @dataclass(frozen=True, eq=False)

@@ -10,54 +10,58 @@ from collections.abc import Callable, Mapping, Sequence
 
 import numpy as np
 
-from huepose.estimation.config import Method
-from huepose.estimation.quality import features, quality_fits
+from huepose.believe.quality import features, quality_fits
+from huepose.estimation.config import Method, StandingConfig
 from huepose.estimation.types import PoseEstimate
 from huepose.geometry.frame import RgbdFrame
 from huepose.model.types import ReferenceModel
 from huepose.perception.clear_view import clear_view
 from huepose.perception.presence import presences, probability
 
-MOST_SURE = 0.99
-OTHER_PRINT = 2.0
-"""So many times likelier another print than its own has to be before it speaks against the object."""
-
 Presence = Callable[[RgbdFrame, Sequence[PoseEstimate]], Sequence[float]]
 """Of the answers of a frame, the probability of each that its object is there."""
 
 
-def presence_by(models: Mapping[str, ReferenceModel], method: Method) -> Presence:
+def presence_by(
+    models: Mapping[str, ReferenceModel], method: Method, config: StandingConfig | None = None
+) -> Presence:
     """By `perception.presence`, of the objects of these models, for answers of a method."""
-    return lambda frame, answers: presences_of(frame, models, answers, method)
+    return lambda frame, answers: presences_of(frame, models, answers, method, config)
 
 
 def presences_of(
-    frame: RgbdFrame, models: Mapping[str, ReferenceModel], answers: Sequence[PoseEstimate], method: Method
+    frame: RgbdFrame,
+    models: Mapping[str, ReferenceModel],
+    answers: Sequence[PoseEstimate],
+    method: Method,
+    config: StandingConfig | None = None,
 ) -> list[float]:
     """Probability for each answer of a method that its object is there, 0 where none was found. Raises
     KeyError for an answer about an object that is not in `models`."""
+    config = config or StandingConfig()
     view = clear_view(frame, max((m.diameter_m for m in models.values()), default=0.0))
     poses = [(a.object, a.T_cam_obj) for a in answers if a.T_cam_obj is not None]
     logits = iter(np.full(len(poses), -np.inf) if view is None else presences(view, models, poses))
-    return [0.0 if a.T_cam_obj is None else _chance(float(next(logits)), a, method) for a in answers]
+    return [0.0 if a.T_cam_obj is None else _chance(float(next(logits)), a, method, config) for a in answers]
 
 
-def _chance(logit: float, answer: PoseEstimate, method: Method) -> float:
+def _chance(logit: float, answer: PoseEstimate, method: Method, config: StandingConfig) -> float:
     """Probability that the object is there: what is seen, and what its pose says about it."""
-    return float(probability(np.float64(logit + certainty(answer)))) * _own_print(answer, method)
+    there = float(probability(np.float64(logit + certainty(answer, config.most_sure))))
+    return there * _own_print(answer, method, config.other_texture)
 
 
-def certainty(answer: PoseEstimate) -> float:
+def certainty(answer: PoseEstimate, most_sure: float = StandingConfig().most_sure) -> float:
     """How sure a pose is of itself, in log odds, 0 or more: one that is surely right speaks for its object;
     one that is not, for want of print to tell its turn by, does not speak against it."""
-    sure = min(max(answer.quality, 0.5), MOST_SURE)
+    sure = min(max(answer.quality, 0.5), most_sure)
     return float(np.log(sure / (1.0 - sure)))
 
 
-def _own_print(answer: PoseEstimate, method: Method) -> float:
+def _own_print(answer: PoseEstimate, method: Method, other_texture: float) -> float:
     """1, or less where the same shape plainly wears another print, and so is another thing, by what this
     method knows of prints."""
     if answer.terms is None:
         return 1.0
     own = quality_fits()[method].this_print(features(answer.terms))
-    return min(1.0, OTHER_PRINT * own / max(1.0 - own, 1e-9))
+    return min(1.0, other_texture * own / max(1.0 - own, 1e-9))

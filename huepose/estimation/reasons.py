@@ -3,15 +3,17 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from typing import Protocol
 
 import numpy as np
 
+from huepose.believe.quality import QualityTerms
 from huepose.estimation.explanation import Explanation
 from huepose.estimation.types import PoseEstimate
 from huepose.geometry import se3
 from huepose.geometry.arrays import Bool, Float, Float64
+from huepose.judge.terms import score
 from huepose.model.types import ReferenceModel
-from huepose.verification.dense import PoseScore, score
 
 CLOSE_MARGIN = 0.1
 """Totals closer than this are a near tie: light and noise move them as far."""
@@ -53,7 +55,36 @@ def _of_masks(mask: Bool | None, masks: Sequence[Bool]) -> list[str]:
     return [f"the masks show something else: {covering(best, mask, 'the pose')}"]
 
 
-def _of_terms(terms: PoseScore) -> list[str]:
+def why_absent(explanation: Explanation, terms: QualityTerms | None, chance: float, least: float) -> str:
+    """Why an answer says that nothing is there, in one sentence. terms: of the best pose, if there is one;
+    chance: probability that the object is there; least: that from which it is."""
+    if explanation.evidence is None:
+        return "There is no depth in the box, so there is nothing to look at."
+    if terms is None:
+        return "No view of the object resembles what is in the box."
+    against = _of_terms(terms) or [f"the best pose scores {terms.total:.2f}"]
+    return (
+        f"The object is here with a probability of {chance:.2f}, which is under {least:.2f}: "
+        f"{' and '.join(against[:2])}."
+    )
+
+
+class _Measured(Protocol):
+    """What both the score of a pose and the terms of its quality say."""
+
+    @property
+    def violation(self) -> float: ...
+    @property
+    def occluded(self) -> float: ...
+    @property
+    def seen(self) -> float: ...
+    @property
+    def color(self) -> float: ...
+    @property
+    def box_iou(self) -> float: ...
+
+
+def _of_terms(terms: _Measured) -> list[str]:
     unknown = max(0.0, 1.0 - terms.seen - terms.occluded)
     said = (
         (terms.violation > MUCH_SEEN_THROUGH, f"one looks through {100 * terms.violation:.0f} % of the pose"),

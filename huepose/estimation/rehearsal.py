@@ -8,17 +8,17 @@ from collections.abc import Callable
 import numpy as np
 
 from huepose.estimation.confirm import confirm
-from huepose.estimation.decision import decided
 from huepose.estimation.explanation import Explanation
 from huepose.estimation.full_path import refine_prior
-from huepose.estimation.outline import projected_box
 from huepose.estimation.types import ObjectQuery, PoseEstimate
 from huepose.geometry import se3
 from huepose.geometry.camera import Camera
 from huepose.geometry.frame import RgbdFrame
+from huepose.judge.figure_ground import set_off
+from huepose.judge.silhouette import projected_box
 from huepose.model.types import ReferenceModel
 from huepose.rendering.render import render
-from huepose.verification.figure import set_off
+from huepose.select.near_ties import decided
 
 Explain = Callable[[RgbdFrame, ObjectQuery], tuple[PoseEstimate, Explanation]]
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from huepose.estimation.quality import QualityTerms
+from huepose.believe.quality import QualityTerms
 from huepose.geometry.arrays import Bool, Float64
 from huepose.geometry.box import Box
 
@@ -42,9 +42,11 @@ class PoseEstimate:
     found is False when nothing was there to estimate; then T_cam_obj, covariance and mask are None. score:
     the dense score of the pose, comparable between poses on the same pixels; prior_score: that of the
     refined prior, None without one; prior_T_cam_obj: the refined prior. margin: score above the best clearly
-    different pose. quality: calibrated probability that the pose is right. state: "TRACKING" over the
+    different pose. quality: calibrated probability that the pose is right (of the method `paper`: its fitness
+    in 0..1, which is no probability). state: "TRACKING" over the
     acquisition level, else "SUSPECT"; "LOST" when not found. alternatives: other poses and their
-    probabilities. terms: what the quality was made of.
+    probabilities. terms: what the quality was made of. reason: where not found, why, in one sentence; empty
+    where found.
     """
 
     object: str
@@ -63,3 +65,4 @@ class PoseEstimate:
     alternatives: tuple[tuple[Float64, float], ...]
     seconds: float
     terms: QualityTerms | None = None
+    reason: str = ""

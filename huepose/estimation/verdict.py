@@ -11,38 +11,56 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from huepose.estimation.config import StandingConfig
 from huepose.estimation.types import PoseEstimate
 from huepose.geometry.arrays import Bool
 
-PRESENT = 0.6
-"""Probability that the object is there from which a pose at a place that was only proposed stands."""
-
-CLAIMED = 0.5
-"""A pose whose visible pixels were explained by better poses to this share has nothing of its own."""
-
 
 def standing(
-    answers: Sequence[PoseEstimate], chances: Sequence[float], least: float = PRESENT
+    answers: Sequence[PoseEstimate], chances: Sequence[float], config: StandingConfig | None = None
 ) -> list[PoseEstimate]:
     """The answers that stand, likeliest first. chances: of each, the probability that its object is there.
 
     Answers that were not found are left out; one without a mask claims nothing and is not contested."""
+    config = config or StandingConfig()
     order = sorted(range(len(answers)), key=lambda i: -chances[i])
     taken: Bool | None = None
     out: list[PoseEstimate] = []
-    for answer in (answers[i] for i in order if answers[i].found and chances[i] >= least):
+    for answer in (answers[i] for i in order if answers[i].found and chances[i] >= config.present):
         if answer.mask is not None:
             taken = np.zeros_like(answer.mask) if taken is None else taken
             size = np.count_nonzero(answer.mask)
-            if not size or np.count_nonzero(answer.mask & taken) > CLAIMED * size:
+            if not size or np.count_nonzero(answer.mask & taken) > config.claimed * size:
                 continue
             taken |= answer.mask
         out.append(answer)
     return out
 
 
-def absent(name: str, seconds: float = 0.0) -> PoseEstimate:
+def absent(name: str, reason: str, seconds: float = 0.0) -> PoseEstimate:
     """The answer for an object of which no pose stands."""
     return PoseEstimate(
-        name, 0, False, None, 0.0, "LOST", 0.0, 0.0, None, None, None, None, None, (), seconds
+        name, 0, False, None, 0.0, "LOST", 0.0, 0.0, None, None, None, None, None, (), seconds, None, reason
     )
+
+
+def why_none_stands(
+    name: str,
+    answers: Sequence[PoseEstimate],
+    chances: Sequence[float],
+    config: StandingConfig | None = None,
+) -> str:
+    """Why no pose of an object stands, in one sentence: of the likeliest of its answers where it has any.
+
+    answers, chances: as for `standing`, of all objects of the frame."""
+    least = (config or StandingConfig()).present
+    mine = [(chance, a) for a, chance in zip(answers, chances, strict=True) if a.object == name]
+    if not mine:
+        return "The detector found no place in the frame that looks like the object."
+    chance, best = max(mine, key=lambda item: item[0])
+    if not best.found:
+        return best.reason
+    places = "the only place" if len(mine) == 1 else f"the best of {len(mine)} places"
+    if chance >= least:
+        return f"Another object explains the surface at {places} better."
+    return f"At {places} the object is there with a probability of {chance:.2f}, which is under {least:.2f}."

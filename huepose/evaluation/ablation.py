@@ -28,15 +28,15 @@ from huepose.geometry import kabsch, se3
 from huepose.geometry.arrays import Bool, Float, Float64
 from huepose.geometry.box import Box
 from huepose.geometry.camera import Camera
+from huepose.judge.silhouette import visible_within
 from huepose.model.types import ReferenceModel
+from huepose.paper.rotation_network import SHIPPED, OnnxRotation, ResidualRotation
+from huepose.propose.correspondences import Correspondences, match
+from huepose.propose.flow import Flow, compute
+from huepose.propose.relative_pose import LiftedMatches, Motion, RelativePose, RobustKabsch, lift_matches
 from huepose.rendering import render_depth
 from huepose.support.errors import InputError
 from huepose.support.progress import progress
-from huepose.tracking.correspondences import Correspondences, match
-from huepose.tracking.flow import Flow, compute
-from huepose.tracking.relative_pose import LiftedMatches, Motion, RelativePose, RobustKabsch, lift_matches
-from huepose.tracking.rotation_network import SHIPPED, OnnxRotation, ResidualRotation
-from huepose.tracking.silhouette import visible_mask
 
 LEAST_M, LEAST_RAD = 0.001, np.radians(1.0)
 """Relative errors of pairs that move less say nothing: they are left out and counted."""
@@ -146,7 +146,7 @@ def compare(
         flow = compute(a.frame.color, b.frame.color, window, cv2.DISOPTICAL_FLOW_PRESET_MEDIUM)
     if flow is None or boxes[0] is None:
         return [(f"{c}/{e}", None, None, None, 0) for c in CHOICES for e in estimators]
-    mask = visible_mask(model.mesh, T_a, a.frame, boxes[0])
+    mask = visible_within(model.mesh, T_a, a.frame, boxes[0])
     surface = render_depth(model.mesh, T_a, camera)
     true_motion = se3.compose(T_b, se3.inverse(T_a))
     out: list[tuple[str, float | None, float | None, float | None, int]] = []

@@ -4,19 +4,18 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 
 import numpy as np
 
-from huepose.datasets.synthetic import SyntheticScene
+from huepose.datasets.boxes import disturbed
 from huepose.estimation import Estimator, EstimatorConfig, ObjectQuery
-from huepose.estimation.config import Method
-from huepose.evaluation.boxes import disturbed
 from huepose.model.types import ReferenceModel
+from huepose.scenes.builtin import SyntheticScene
 from huepose.support.progress import progress
 from huepose.support.stages import StageClock, listening
-from huepose.tracking import Tracker
+from huepose.tracking import Tracker, TrackerConfig
 from huepose.tracking.types import Correction
 
 
@@ -40,15 +39,19 @@ class StageTime:
 
 
 def bench_estimate(
-    scene: SyntheticScene, models: Mapping[str, ReferenceModel], method: Method = "full", frames: int = 12
+    scene: SyntheticScene,
+    models: Mapping[str, ReferenceModel],
+    config: EstimatorConfig | None = None,
+    frames: int = 12,
 ) -> list[StageTime]:
     """All objects of the scene in disturbed true boxes, frame by frame: `estimate` as a whole on two threads,
     then each of its stages on one, summed over the objects of a frame."""
-    estimator = Estimator(models, EstimatorConfig(method=method, threads=2))
-    alone = Estimator(models, EstimatorConfig(method=method, threads=1))
+    config = config or EstimatorConfig()
+    estimator = Estimator(models, replace(config, threads=2))
+    alone = Estimator(models, replace(config, threads=1))
     rows: dict[str, list[tuple[float, float]]] = {"estimate": []}
     steps = np.linspace(0, len(scene), frames + 1, endpoint=False).astype(int)
-    for k, i in enumerate(progress(steps, f"estimating ({method})")):
+    for k, i in enumerate(progress(steps, f"estimating ({config.method})")):
         frame, queries = scene.frame(int(i)), []
         for truth in scene.truth(int(i)):
             if truth.box_visib is not None and truth.object is not None:
@@ -66,11 +69,14 @@ def bench_estimate(
 
 
 def bench_track(
-    scene: SyntheticScene, models: Mapping[str, ReferenceModel], frames: int = 120
+    scene: SyntheticScene,
+    models: Mapping[str, ReferenceModel],
+    config: TrackerConfig | None = None,
+    frames: int = 120,
 ) -> list[StageTime]:
     """All objects of the scene, started from the truth, tracked through its frames: each step as a whole,
     and its stages."""
-    tracker = Tracker(models)
+    tracker = Tracker(models, config)
     tracker.warm_up()
     first = scene.frame(0)
     for truth in scene.truth(0):

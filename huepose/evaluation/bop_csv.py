@@ -15,10 +15,10 @@ from pathlib import Path
 import numpy as np
 
 from huepose.datasets import files
-from huepose.evaluation.result_files import write_text
 from huepose.geometry import se3
 from huepose.geometry.arrays import Float64
 from huepose.support.errors import InputError
+from huepose.support.files import write_text
 
 _HEADER = ("scene_id", "im_id", "obj_id", "score", "R", "t", "time")
 

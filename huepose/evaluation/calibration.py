@@ -1,83 +1,70 @@
-"""Fitting quality: from estimates with known truth to the probabilities that `estimation.quality` states.
-
-Four kinds of estimates are needed. Of objects that were asked for in their own boxes (labels): which of the
-published answers was right. Of objects asked for where they are not (others): whether something is there. Of
-the same shapes in another print (alike) or in another size (sizes): whether it is this one. What is reported
-of a fit is measured on frames that it has not seen: the frames are dealt into folds, and each fold is judged
-by the fit of the rest.
-"""
+"""Is quality true? Estimates with known truth, and how well the quality they state agrees with it."""
 
 from __future__ import annotations
 
 from collections.abc import Hashable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from huepose.estimation.quality import Logistic, QualityFit, QualityTerms, features
+from huepose.believe.quality import QualityTerms
+from huepose.datasets import files
 from huepose.evaluation import metrics
-from huepose.evaluation.judged import NONE, Judged
-from huepose.evaluation.likelihood import choice, logistic
 from huepose.geometry.arrays import Bool, Float64, Int64
 from huepose.support.errors import InputError
 
-
-@dataclass(frozen=True)
-class Names:
-    """Which of `estimation.quality.features` enter each part of a fit."""
-
-    presence: Sequence[str]
-    this_print: Sequence[str]
-    this_size: Sequence[str]
-    listed: Sequence[str]
-    sharpness: Sequence[str]
-
-
-FEATURES: Mapping[str, Names] = {
-    "full": Names(
-        presence=("total", "coverage", "box_iou", "nothing_foreign", "detail", "agreed", "near_size"),
-        this_print=("same_hues", "same_way", "agreed"),
-        this_size=("same_size", "box_iou", "no_violation", "detail", "print_complete"),
-        listed=("margin", "total", "box_iou", "detail"),
-        sharpness=("detail_seen",),
-    ),
-    "colorpair": Names(
-        presence=("margin", "total", "coverage", "box_iou"),
-        this_print=("total", "same_hues", "same_way", "agreed"),
-        this_size=("same_size", "box_iou", "no_violation", "depth_fit"),
-        listed=("margin", "total", "box_iou", "depth_fit"),
-        sharpness=(),
-    ),
-}
-"""By method: the fewest whose likelihood on frames that the fit has not seen is as good as that of more."""
-
-ALIKE_WEIGHT, SIZE_WEIGHT = 0.05, 0.2
-"""Of a look-alike in print, and of one in size; with more, objects in dim light, whose colours fade, are
-taken for the one, and those half hidden for the other."""
-
-LEVEL_SHARE = 0.99
-LOST_SHARE = 0.002
-"""Of the poses that lie on their objects, so many may be taken for "nothing there"."""
-
-FOLDS = 10
-FEWEST = 50
-"""Fewer poses than this over a level say nothing about 99 %."""
+FALSE_WEIGHT = 0.05
+"""Of a pose where the object is not, against one where it is: whether it is there at all is a question of its
+own, and enough of them would make every doubtful pose look false."""
 
 
 @dataclass(frozen=True, eq=False)
-class Fitted:
-    """A fit, and what it states about what it was fitted to, each by the fit of other frames: quality of the
-    labels, the others, the look-alikes and the other sizes; present_labels, present_others: that they are
-    there."""
+class Judged:
+    """Estimates with truth: terms; which (N,): the number of the answer that is right, 0 the pose itself, -1
+    none; placed (N,): whether the pose lies on the object, turned as it may be; frames: which frame each is
+    of; instances: which object of which frame, however often it was asked for; stated (N,): the quality that
+    was published for each; weights (N,); missed: how many more instances got no pose."""
 
-    fit: QualityFit
-    labels: Float64
-    others: Float64
-    alike: Float64
-    sizes: Float64
-    present_labels: Float64
-    present_others: Float64
+    terms: Sequence[QualityTerms]
+    which: Int64
+    placed: Bool
+    frames: Sequence[Hashable]
+    instances: Sequence[Hashable]
+    stated: Float64
+    weights: Float64
+    missed: int = 0
+
+    @property
+    def right(self) -> Bool:
+        """Whether the pose itself is right (N,)."""
+        return np.asarray(self.which == 0)
+
+    def __add__(self, other: Judged) -> Judged:
+        return Judged(
+            [*self.terms, *other.terms],
+            np.concatenate([self.which, other.which]),
+            np.concatenate([self.placed, other.placed]),
+            [*self.frames, *other.frames],
+            [*self.instances, *other.instances],
+            np.concatenate([self.stated, other.stated]),
+            np.concatenate([self.weights, other.weights]),
+            self.missed + other.missed,
+        )
+
+    def only(self, chosen: Bool) -> Judged:
+        """Those of a mask (N,); none counts as missed."""
+        keep = np.flatnonzero(chosen).tolist()
+        return Judged(
+            [self.terms[k] for k in keep],
+            self.which[keep],
+            self.placed[keep],
+            [self.frames[k] for k in keep],
+            [self.instances[k] for k in keep],
+            self.stated[keep],
+            self.weights[keep],
+        )
 
 
 @dataclass(frozen=True)
@@ -96,52 +83,60 @@ class Worth:
     found: float
 
 
-def fit(
-    labels: Judged, names: Names, others: Judged = NONE, alike: Judged = NONE, sizes: Judged = NONE
-) -> Fitted:
-    """The fit on all of them, its levels from folds that their own fit has not seen. Without others
-    everything is present, without look-alikes every print is the right one, and so with sizes. Raises
-    InputError when all or none of the labels are right."""
-    if labels.right.all() or not labels.right.any():
+def read_judged(path: Path | str) -> Judged:
+    """The found poses of a result file of `huepose eval estimate`; poses that belong to no label are none of
+    them right. Raises InputError."""
+    rows, false = read_rows(path)
+    found = [row for row in rows if row.get("found")]
+    every = [*found, *false]
+    return Judged(
+        [quality_terms(row, path) for row in every],
+        np.array([_which(row) for row in found] + [-1] * len(false), dtype=np.int64),
+        np.array([_placed(row) for row in found] + [False] * len(false)),
+        [frame_key(row, path) for row in every],
+        [(*frame_key(row, path), row.get("instance", k)) for k, row in enumerate(every)],
+        np.array([float(row["quality"]) for row in every]),
+        np.array([1.0] * len(found) + [FALSE_WEIGHT] * len(false)),
+        len(rows) - len(found),
+    )
+
+
+def read_rows(path: Path | str) -> tuple[list[dict[str, Any]], list[dict[str, Any]]]:
+    """Rows and false poses of a result file of `huepose eval estimate`. Raises InputError."""
+    record = files.read_json(Path(path), "Make it with `huepose eval estimate --json`.")
+    rows, false = files.field(record, "rows", path), record.get("false", [])
+    if not rows and not false:
+        raise InputError(path, found="no pose", expected="a result of `huepose eval estimate`")
+    return rows, false
+
+
+def frame_key(row: Mapping[str, Any], path: Path | str) -> tuple[str, str, int]:
+    """Which frame a row is of: file, scene, image."""
+    return str(path), str(row["scene"]), int(row["image"])
+
+
+def quality_terms(row: Mapping[str, Any], path: Path | str) -> QualityTerms:
+    """What the quality of a row was made of. Raises InputError where the file does not say it."""
+    try:
+        return QualityTerms(**{**row["terms"], "gaps": tuple(row["terms"]["gaps"])})
+    except (TypeError, KeyError):
         raise InputError(
-            "calibration",
-            found=f"{int(labels.right.sum())} right of {len(labels.which)} poses",
-            expected="right ones and wrong ones",
-            fix="Use more or harder scenes.",
-        )
-    parts = (labels, others, alike, sizes)
-    folds = [_folds(part) for part in parts]
-    quality = [np.zeros(len(part.which)) for part in parts]
-    present = [np.ones(len(part.which)) for part in (labels, others)]
-    for k in range(FOLDS):
-        seen = [part.only(f != k) for part, f in zip(parts, folds, strict=True)]
-        mine = [np.flatnonzero(f == k).tolist() for f in folds]
-        if not any(len(m) for m in mine) or seen[0].right.all() or not seen[0].right.any():
-            continue
-        held = _fit_once(names, *seen)
-        for part, where, q in zip(parts, mine, quality, strict=True):
-            q[where] = [held.probabilities(part.terms[i])[0] for i in where]
-        for part, where, p in zip(parts[:2], mine[:2], present, strict=True):
-            p[where] = [held.present(part.terms[i]) for i in where]
-    level = level_of(quality[0], labels.right, labels.weights)
-    found = float(np.quantile(present[0][labels.placed], LOST_SHARE)) if len(others.which) else 0.0
-    whole = replace(_fit_once(names, *parts), level=level, found=found)
-    return Fitted(whole, *quality, *present)
+            path,
+            found="poses without the terms of their quality",
+            expected="a result of `huepose eval estimate`",
+            fix="Make it again.",
+        ) from None
 
 
-def level_of(
-    quality: Float64, right: Bool, weights: Float64 | None = None, share: float = LEVEL_SHARE
-) -> float:
-    """The lowest quality such that of the poses with it or more the share `share` is right; quality (N,),
-    right, weights (N,). One more wrong pose than was seen is counted, lest chance choose the level. Where
-    there is none, or it stands for fewer than 50 poses: that of the 50 surest."""
-    order = np.argsort(-quality, kind="stable")
-    each = np.ones(len(order)) if weights is None else weights[order]
-    true = np.cumsum(each * right[order]) / (np.cumsum(each) + 1.0)
-    good = np.flatnonzero(true >= share)
-    good = good[good >= min(FEWEST, len(order)) - 1]
-    last = int(good[-1]) if len(good) else min(FEWEST, len(order)) - 1
-    return float(np.clip(quality[order[last]], 0.01, 0.999))
+def _which(row: Mapping[str, Any]) -> int:
+    """The number of the first answer that is right, -1 for none."""
+    chances = [row["right"], *(other["right"] for other in row.get("alternatives", []))]
+    return next((k for k, right in enumerate(chances) if right), -1)
+
+
+def _placed(row: Mapping[str, Any]) -> bool:
+    """ADD-S under a tenth of the diameter."""
+    return bool(row["right"] or row["adds_m"] < metrics.RECALL_FRACTION * row["diameter_m"])
 
 
 def worth(quality: Float64, judged: Judged, level: float, found: Bool | None = None) -> Worth:
@@ -176,89 +171,3 @@ def by_chance(
         for _ in range(draws)
     ]
     return float(np.mean(errors)), float(np.quantile(errors, 0.95))
-
-
-def stated_by(quality_fit: QualityFit, judged: Judged) -> Float64:
-    """Quality (N,) by a fit."""
-    return np.array([quality_fit.probabilities(terms)[0] for terms in judged.terms])
-
-
-def as_json(quality_fit: QualityFit) -> dict[str, Any]:
-    """The entry of `quality_fits.json`: factors of nothing are left out."""
-    parts = {name: getattr(quality_fit, name) for name in ("presence", "this_print", "this_size", "listed")}
-    return {
-        **{
-            name: {"constant": round(part.constant, 4), "factors": _rounded(part.factors)}
-            for name, part in parts.items()
-        },
-        "sharpness": _rounded(quality_fit.sharpness),
-        "handicap": round(quality_fit.handicap, 4),
-        "level": round(quality_fit.level, 4),
-        "found": round(quality_fit.found, 4),
-    }
-
-
-def _fit_once(names: Names, labels: Judged, others: Judged, alike: Judged, sizes: Judged) -> QualityFit:
-    right, placed = labels.only(labels.right), labels.only(labels.placed)
-    presence = _against(placed, replace(others, weights=np.ones(len(others.which))), names.presence)
-    alike = replace(alike, weights=np.full(len(alike.which), ALIKE_WEIGHT))
-    sizes = replace(sizes, weights=np.full(len(sizes.which), SIZE_WEIGHT))
-    this_print = _against(right, alike, names.this_print)
-    this_size = _against(right, sizes, names.this_size)
-    both = labels + others
-    table = _table(both.terms)
-    sharpeners = np.stack([np.ones(len(both.which)), *(table[n] for n in names.sharpness)], axis=1)
-    known = [features(t) for t in both.terms]
-    itself = np.array([this_print(k) * this_size(k) for k in known])
-    listed, sharpness, handicap = choice(
-        _columns(table, names.listed), _gaps(both.terms), np.maximum(sharpeners, 0.0), both.which,
-        both.weights, names.listed, itself,
-    )  # fmt: skip
-    return QualityFit(
-        presence=presence,
-        this_print=this_print,
-        this_size=this_size,
-        listed=listed,
-        sharpness=dict(zip(("constant", *names.sharpness), sharpness.tolist(), strict=True)),
-        handicap=handicap,
-        level=0.5,
-        found=0.0,
-    )
-
-
-def _against(right: Judged, wrong: Judged, names: Sequence[str]) -> Logistic:
-    """What tells the first from the second; without a second, everything is one of the first."""
-    both = right + wrong
-    x = _columns(_table(both.terms), names)
-    if not len(wrong.which):
-        x = np.zeros_like(x)
-    is_right = np.arange(len(both.which)) < len(right.which)
-    return logistic(x, is_right, both.weights, names)
-
-
-def _folds(judged: Judged) -> Int64:
-    """The fold (N,) of each, one for all of a frame."""
-    frames = {frame: k for k, frame in enumerate(dict.fromkeys(judged.frames))}
-    order = np.random.default_rng(0).permutation(len(frames))
-    return np.array([order[frames[frame]] % FOLDS for frame in judged.frames], dtype=np.int64)
-
-
-def _table(terms: Sequence[QualityTerms]) -> dict[str, Float64]:
-    rows = [features(t) for t in terms]
-    return {name: np.array([row[name] for row in rows]) for name in rows[0]}
-
-
-def _columns(table: Mapping[str, Float64], names: Sequence[str]) -> Float64:
-    return np.stack([table[name] for name in names], axis=1)
-
-
-def _gaps(terms: Sequence[QualityTerms]) -> Float64:
-    """Gaps (N, A): 0 of the pose itself first, inf where there is no such answer."""
-    gaps = np.full((len(terms), 1 + max(len(t.gaps) for t in terms)), np.inf)
-    for row, t in zip(gaps, terms, strict=True):
-        row[: 1 + len(t.gaps)] = [0.0, *(max(gap, 0.0) for gap in t.gaps)]
-    return gaps
-
-
-def _rounded(factors: Mapping[str, float]) -> dict[str, float]:
-    return {name: round(f, 4) for name, f in factors.items() if f > 1e-4}

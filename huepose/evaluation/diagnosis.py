@@ -14,14 +14,13 @@ from typing import Literal
 import numpy as np
 
 from huepose.estimation.explanation import Explanation
-from huepose.estimation.full_path import FINE_SAMPLES
 from huepose.estimation.reasons import covering, displacement, overlap
 from huepose.estimation.types import PoseEstimate
 from huepose.evaluation import metrics
 from huepose.geometry.arrays import Bool, Float64
+from huepose.judge.terms import CLOSE_SAMPLES, DEFAULT_WEIGHTS, Terms, score
 from huepose.model.types import ReferenceModel
-from huepose.verification.dense import DEFAULT_WEIGHTS, PoseScore, score
-from huepose.verification.local_search import search
+from huepose.refine.coordinate_search import search
 
 Cause = Literal["no depth", "not proposed", "lost", "settled away", "tie", "mask", "verification"]
 """no depth: nothing to look at; not proposed: no view near the right pose, which would have won; lost: it was
@@ -49,8 +48,8 @@ class Diagnosis:
     cause: Cause
     line: str
     nearest: dict[str, float]
-    answer: PoseScore | None
-    truth: PoseScore | None
+    answer: Terms | None
+    truth: Terms | None
     mask_iou: float | None
     best: Float64 | None
 
@@ -67,7 +66,7 @@ def diagnose(
     if evidence is None:
         return Diagnosis("no depth", "no depth in the box: nothing to look at", {}, None, None, None, None)
     region = evidence.region
-    found, totals = search(model, region, np.stack(truths), STEPS_DEG, FINE_SAMPLES)
+    found, totals = search(model, region, np.stack(truths), STEPS_DEG, CLOSE_SAMPLES)
     best = found[int(np.argmax(totals))]
     truth = score(model, region, best)
     said = score(model, region, explanation.poses[0]) if len(explanation.poses) else None
@@ -100,8 +99,8 @@ def _cause(
     model: ReferenceModel,
     explanation: Explanation,
     truths: Sequence[Float64],
-    said: PoseScore | None,
-    truth: PoseScore,
+    said: Terms | None,
+    truth: Terms,
     nearest: dict[str, float],
     mask_iou: float | None,
 ) -> Cause:
@@ -143,7 +142,7 @@ def _fate(nearest: dict[str, float]) -> str:
     return f"a view {nearest['views']:.2f} diameters off was proposed, and was not led home"
 
 
-def _judged(cause: Cause, said: PoseScore | None, truth: PoseScore, trust: float) -> str:
+def _judged(cause: Cause, said: Terms | None, truth: Terms, trust: float) -> str:
     if said is None:
         return f"the right pose scores {truth.total:.2f}"
     words = f"the right pose scores {truth.total:.2f}, the answer {said.total:.2f}"
@@ -155,7 +154,7 @@ def _judged(cause: Cause, said: PoseScore | None, truth: PoseScore, trust: float
     return words.replace(" ()", "")
 
 
-def _gains(said: PoseScore, truth: PoseScore, trust: float) -> dict[str, float]:
+def _gains(said: Terms, truth: Terms, trust: float) -> dict[str, float]:
     """What each term of the score gives the answer over the right pose."""
     w = DEFAULT_WEIGHTS
     return {

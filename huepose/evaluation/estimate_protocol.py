@@ -9,11 +9,11 @@ from typing import Literal, Protocol
 
 import numpy as np
 
+from huepose.datasets.boxes import Disturbance, disturbed, projected_box, truth_box
 from huepose.datasets.types import GroundTruth, Sample, Scene
 from huepose.estimation.present import Presence
 from huepose.estimation.types import ObjectQuery, PoseEstimate
-from huepose.estimation.verdict import standing
-from huepose.evaluation.boxes import Disturbance, disturbed, projected_box, truth_box
+from huepose.estimation.verdict import standing, why_none_stands
 from huepose.evaluation.equivalents import Key
 from huepose.evaluation.estimate_rows import EstimateResult, EstimateRow, FalsePose
 from huepose.evaluation.targets import Targets, object_number
@@ -176,7 +176,7 @@ class _FrameRun:
                 return None
             masks = (mask,)
         kind = "gt" if self.options.boxes == "detect" else self.options.boxes
-        true_box = truth_box(truth, label.model, camera)
+        true_box = truth_box(truth, label.model.mesh, camera)
         if true_box is None:
             return None
         box = disturbed(
@@ -203,11 +203,23 @@ class _FrameRun:
         queries = [ObjectQuery(d.object, box=d.box, instance=i) for i, d in enumerate(detections)]
         answers = estimator.estimate(self.sample.frame, queries) if queries else []
         chances = [a.quality for a in answers] if presence is None else presence(self.sample.frame, answers)
-        answers = standing(answers, chances)
+        poses = standing(answers, chances)
         seconds = time.perf_counter() - start
-        taken, spare = assigned(answers, self.labels, self._box_of)
+        taken, spare = assigned(poses, self.labels, self._box_of)
+
+        def why(name: str) -> str:
+            if any(pose.object == name for pose in poses):
+                return "The poses of the object that stand are at other places."
+            return why_none_stands(name, answers, chances)
+
         rows = [
-            self._row(label, taken.get(i), seconds, queries[taken[i].instance] if i in taken else None)
+            self._row(
+                label,
+                taken.get(i),
+                seconds,
+                queries[taken[i].instance] if i in taken else None,
+                "" if i in taken else why(label.model.name),
+            )
             for i, label in enumerate(self.labels)
             if label.counted
         ]
@@ -215,7 +227,7 @@ class _FrameRun:
 
     def _box_of(self, name: str, T_cam_obj: Float64) -> Box | None:
         model = self.targets.named(name)
-        return None if model is None else projected_box(model, T_cam_obj, self.sample.frame.camera)
+        return None if model is None else projected_box(model.mesh, T_cam_obj, self.sample.frame.camera)
 
     def _false(self, answer: PoseEstimate, T_cam_obj: Float64) -> FalsePose:
         model = self.targets.named(answer.object)
@@ -231,8 +243,14 @@ class _FrameRun:
         )
 
     def _row(
-        self, label: _Label, answer: PoseEstimate | None, seconds: float, query: ObjectQuery | None
+        self,
+        label: _Label,
+        answer: PoseEstimate | None,
+        seconds: float,
+        query: ObjectQuery | None,
+        why: str = "The box is empty: nothing of the object is in the image.",
     ) -> EstimateRow:
+        """why: nothing was found, where there is no answer to say it."""
         T_cam_obj = answer.T_cam_obj if answer is not None and answer.found else None
         truth = label.truth
         key = (self.sample.scene, self.sample.image, truth.instance)
@@ -252,6 +270,7 @@ class _FrameRun:
             state=answer.state if answer is not None else "LOST",
             seconds=seconds,
             seed=self.seed,
+            reason=why if answer is None else answer.reason,
             box=None if query is None else query.box,
             terms=None if answer is None else answer.terms,
             alternatives=tuple(

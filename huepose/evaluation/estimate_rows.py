@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from huepose.estimation.quality import QualityTerms
+from huepose.believe.quality import QualityTerms
 from huepose.evaluation import metrics
 from huepose.evaluation.bootstrap import Interval, frame_intervals
 from huepose.evaluation.summary import Figures, grouped, mean_figures
@@ -25,7 +25,8 @@ class EstimateRow:
 
     seconds: wall time of the whole frame, all its objects; box: what the estimator was given, x y w h;
     terms: what the quality was made of, None where nothing could be looked at; alternatives: the other
-    answers' probabilities, and whether each is right."""
+    answers' probabilities, and whether each is right; reason: why nothing was found, empty where something
+    was."""
 
     scene: str
     image: int
@@ -42,6 +43,7 @@ class EstimateRow:
     box: Box | None
     terms: QualityTerms | None = None
     alternatives: tuple[tuple[float, bool], ...] = ()
+    reason: str = ""
 
     def as_json(self) -> dict[str, Any]:
         """The row in its file form."""
@@ -52,6 +54,7 @@ class EstimateRow:
             "object": self.object,
             "visib_fract": self.visib_fract,
             "found": self.T_cam_obj is not None,
+            "reason": self.reason or None,
             "T_cam_obj": self.T_cam_obj,
             "add_m": self.error.add_m,
             "adds_m": self.error.adds_m,

@@ -9,28 +9,32 @@ from functools import partial
 
 import numpy as np
 
-from huepose.datasets.synthetic import SyntheticScene
 from huepose.datasets.types import GroundTruth
 from huepose.evaluation.benches import StageTime
 from huepose.geometry.box import Box
 from huepose.geometry.frame import RgbdFrame
 from huepose.model.types import ReferenceModel
 from huepose.perception.colorpair_detector import ColorPairDetector
+from huepose.perception.config import DetectorConfig
 from huepose.perception.embedded import DepthSegmenter
+from huepose.scenes.builtin import SyntheticScene
 from huepose.support.progress import progress
 from huepose.support.stages import listening
 
-LIVE_PROPOSALS, AT_ONCE = 2, 2
-"""Boxes of an object that a running pipeline takes, and objects that it asks for at once."""
+AT_ONCE = 2
+"""Objects that a running pipeline asks for at once, by default (reinit.objects_per_tick)."""
 
 
 def bench_perception(
-    scene: SyntheticScene, models: Mapping[str, ReferenceModel], frames: int = 12
+    scene: SyntheticScene,
+    models: Mapping[str, ReferenceModel],
+    config: DetectorConfig | None = None,
+    frames: int = 12,
 ) -> list[StageTime]:
     """`detect`: all objects of the scene asked for at once, as a running pipeline asks, one of them searched
     everywhere where a first look does not find it; its stages. `detect two`: two of them. `detect missing`:
     one that was taken out of the picture. `segment`: masks in the boxes of all."""
-    detector, segmenter = ColorPairDetector(models, LIVE_PROPOSALS), DepthSegmenter()
+    detector, segmenter = ColorPairDetector(models, config), DepthSegmenter()
     detector.warm_up()
     names = list(models)
     rows: dict[str, list[tuple[float, float]]] = {}

@@ -9,11 +9,12 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from huepose.datasets.boxes import disturbed, truth_box
 from huepose.datasets.types import GroundTruth, Sample, Scene
+from huepose.estimation.config import StandingConfig
 from huepose.estimation.present import Presence
 from huepose.estimation.types import ObjectQuery, PoseEstimate
-from huepose.estimation.verdict import PRESENT, standing
-from huepose.evaluation.boxes import disturbed, truth_box
+from huepose.estimation.verdict import standing
 from huepose.evaluation.estimate_protocol import PoseEstimator
 from huepose.evaluation.perception_rows import FalseBox, FrameFigures, PerceptionResult, PerceptionRow
 from huepose.evaluation.targets import Targets, object_number
@@ -35,9 +36,9 @@ class PerceptionOptions:
     it are neither asked for nor false; onboarded: numbers of objects that are asked for; subsets: how many
     random choices of each number; masks: whether outlines are measured."""
 
-    judged: int = 3
+    judged: int = 2
     least: float = 0.0
-    accepted: float = PRESENT
+    accepted: float = StandingConfig().present
     min_visib: float = 0.3
     onboarded: tuple[int, ...] = (5, 10, 20)
     subsets: int = 10
@@ -100,7 +101,7 @@ def _labels(sample: Sample, targets: Targets) -> list[_Label]:
         model = targets.model_of(truth)
         if model is None or not targets.wants(truth):
             continue
-        box = truth_box(truth, model, sample.frame.camera)
+        box = truth_box(truth, model.mesh, sample.frame.camera)
         if box is not None:
             labels.append(_Label(truth, model, box))
     return labels
@@ -134,7 +135,7 @@ def _frame(
 
     def verdict(asked: Sequence[str]) -> tuple[dict[int, PoseEstimate], list[FalseBox]]:
         mine = [(a, p) for a, p in zip(answers, chances, strict=True) if a.object in set(asked)]
-        poses = standing([a for a, _ in mine], [p for _, p in mine], options.accepted)
+        poses = standing([a for a, _ in mine], [p for _, p in mine], StandingConfig(options.accepted))
         return _assigned(sample, poses, labels, targets, options)
 
     return FrameFigures(sample.scene, sample.image, rows, names, verdict, found_s, seconds)

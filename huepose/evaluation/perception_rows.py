@@ -95,6 +95,7 @@ class PerceptionResult:
                         **vars(row),
                         "box": list(row.box),
                         "found": pose is not None,
+                        "reason": None if pose is not None else _why_lost(row),
                         "quality": 0.0 if pose is None else pose.quality,
                     }
                 )
@@ -141,6 +142,13 @@ class PerceptionResult:
             recalls.append(100.0 * hits / total if total else None)
             wrong.append(false / len(self.frames))
         return {"recall_iou50": mean_of(recalls), "false_boxes_per_frame": mean_of(wrong)}
+
+
+def _why_lost(row: PerceptionRow) -> str:
+    """Why no standing pose has the label's box, in one sentence."""
+    if row.rank is None:
+        return f"No proposal has its box; the best one overlaps it by IoU {row.best_iou:.2f}."
+    return f"Proposal {row.rank} of the object has its box, and no pose stands there."
 
 
 def _figures(

@@ -14,6 +14,7 @@ from huepose.drawing.overlay import draw_label, draw_mask_outline, silhouette
 from huepose.drawing.plots import bar_chart, line_plot, reliability_plot
 from huepose.evaluation import metrics
 from huepose.evaluation.estimate_rows import EstimateResult, EstimateRow
+from huepose.evaluation.perception_rows import FrameFigures
 from huepose.evaluation.summary import grouped
 from huepose.evaluation.targets import Targets
 from huepose.evaluation.track_rows import TrackResult, TrackRow
@@ -22,6 +23,7 @@ from huepose.geometry.box import Box
 from huepose.support.errors import InputError
 
 RIGHT, WRONG, TRUTH = (60, 200, 80), (235, 60, 50), (255, 255, 255)
+MISSED = (250, 200, 40)
 _THRESHOLDS_M = np.linspace(0.0, metrics.AUC_LIMIT_M, 201)
 
 
@@ -150,3 +152,42 @@ def write_picture(path: Path, picture: UInt8) -> None:
 
 def _millimetres(row: TrackRow) -> float:
     return 1000 * row.error.add_m if row.error is not None and row.T_cam_obj is not None else np.nan
+
+
+class PerceptionPictures:
+    """Writes SCENE_IMAGE.png into a folder: found labels green, missed ones yellow, false boxes red."""
+
+    def __init__(self, folder: Path) -> None:
+        self._folder = folder
+        try:
+            folder.mkdir(parents=True, exist_ok=True)
+        except OSError as error:
+            raise InputError(folder, found=error.strerror or str(error), expected="a folder") from None
+
+    def frame(self, sample: Sample, figures: FrameFigures) -> None:
+        """Draw and write one frame."""
+        picture = draw_perception(sample, figures)
+        ok = cv2.imwrite(
+            str(self._folder / f"{sample.scene}_{sample.image:06d}.png"),
+            np.ascontiguousarray(picture[..., ::-1]),
+        )
+        if not ok:
+            raise InputError(self._folder, found="a picture could not be written")
+
+
+def draw_perception(sample: Sample, figures: FrameFigures) -> UInt8:
+    """The frame (H, W, 3) uint8 RGB with boxes and names."""
+    picture = sample.frame.color.copy()
+    taken, false = figures.verdict(figures.asked)
+    for row in figures.rows:
+        pose = taken.get(row.instance)
+        note = row.name if pose is None else f"{row.name} {pose.quality:.2f}"
+        picture = _named_box(picture, row.box, note, MISSED if pose is None else RIGHT)
+    for wrong in false:
+        picture = _named_box(picture, wrong.box, f"{wrong.name} {wrong.quality:.2f}", WRONG)
+    return picture
+
+
+def _named_box(picture: UInt8, box: Box, note: str, color: tuple[int, int, int]) -> UInt8:
+    cv2.rectangle(picture, (round(box.x), round(box.y)), (round(box.x1) - 1, round(box.y1) - 1), color, 2)
+    return draw_label(picture, note, (box.x, box.y), color, 0.4)

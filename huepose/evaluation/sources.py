@@ -1,4 +1,7 @@
-"""Where a tracker's first pose and its late results come from: our estimator, the labels, or a file."""
+"""Where a tracker's first pose and its late results come from: our estimator, the labels, or a file.
+
+What a late estimate means offline is decided by the rule of the live re-initialisation loop.
+"""
 
 from __future__ import annotations
 
@@ -6,13 +9,18 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Protocol
 
+from huepose.datasets.boxes import disturbed, truth_box
 from huepose.datasets.types import GroundTruth, Sample
 from huepose.estimation.types import ObjectQuery, PoseEstimate, PosePrior
-from huepose.evaluation.boxes import disturbed, truth_box
 from huepose.evaluation.estimate_protocol import PoseEstimator
 from huepose.evaluation.instances import Place
 from huepose.evaluation.pose_files import PoseTable
 from huepose.geometry.arrays import Bool, Float64
+from huepose.model.types import ReferenceModel
+from huepose.reinit.config import ReinitConfig
+from huepose.reinit.judge import judge_tracked, usable
+from huepose.reinit.types import ObjectSlot, Prior
+from huepose.tracking.types import TrackedPose, Verdict
 
 
 @dataclass(frozen=True, eq=False)
@@ -75,7 +83,7 @@ class EstimatorSource:
         asked: dict[int, Place] = {}
         queries = []
         for place, truth in _present(places):
-            box = truth_box(truth, place.model, camera)
+            box = truth_box(truth, place.model.mesh, camera)
             if box is None:
                 continue
             box = disturbed(
@@ -119,3 +127,27 @@ class FileSource:
 
 def _present(places: Sequence[Place]) -> list[tuple[Place, GroundTruth]]:
     return [(p, p.truth) for p in places if p.truth is not None and not p.truth.gone]
+
+
+class LoopJudge:
+    """Verdicts on late poses. Those without an estimate (labels, files) are taken as they are.
+
+    The instance that an estimate is of is known here, so that an object without a pose takes every usable
+    estimate at once; the tracker still verifies it on its own frame before it is published."""
+
+    def __init__(self, models: Mapping[str, ReferenceModel], config: ReinitConfig | None = None) -> None:
+        self._config = config or ReinitConfig()
+        self._slots = {
+            name: ObjectSlot(name, 1, model.diameter_m, tuple(model.equivalents))
+            for name, model in models.items()
+        }
+
+    def __call__(self, pose: SourcedPose, tracked: TrackedPose | None) -> Verdict:
+        """tracked: what was published at the frame that the estimate looked at, None without a pose."""
+        if pose.estimate is None:
+            return Verdict.CORRECT if tracked is not None else Verdict.ACQUIRE
+        if tracked is None or tracked.T_cam_obj is None:
+            return Verdict.ACQUIRE if usable(pose.estimate, self._config) else Verdict.REJECT
+        slot = self._slots[pose.place.model.name]
+        prior = Prior(tracked.T_cam_obj, tracked.velocity, tracked.covariance, tracked.stamp_ns)
+        return judge_tracked(pose.estimate, prior, tracked.stamp_ns, tracked.state, slot, self._config)

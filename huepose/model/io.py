@@ -15,11 +15,23 @@ import cv2
 import numpy as np
 
 from huepose.geometry.mesh import Mesh
-from huepose.model.types import DistanceGrid, PairReference, ReferenceModel, Surface, ViewTemplates
+from huepose.model.archive import Archive, picture
+from huepose.model.plausible import check_model
+from huepose.model.types import (
+    DistanceGrid,
+    PairReference,
+    PaperTables,
+    ReferenceModel,
+    Surface,
+    ViewTemplates,
+)
 from huepose.support.errors import InputError
 
 SUFFIX = ".huepose"
-VERSION = 1
+VERSION = 2
+_WITH_TABLES = 1
+"""The version before: every file had the tables of the paper's method, among the colour pairs."""
+
 _FORMAT = "huepose reference model"
 _AGAIN = "Onboard the object again with `huepose onboard` or `huepose onboard-bop`."
 _EPOCH = (1980, 1, 1, 0, 0, 0)  # no clock in the file: the same model gives the same bytes
@@ -57,6 +69,7 @@ def save_model(model: ReferenceModel, path: Path | str) -> None:
         "grid_step": model.grid.step,
         "template_span": model.templates.span,
         "pair_parameters": model.pairs.parameters,
+        "table_parameters": None if model.tables is None else model.tables.parameters,
     }
     arrays: dict[str, Any] = {
         "mesh.vertices": model.mesh.vertices,
@@ -72,9 +85,9 @@ def save_model(model: ReferenceModel, path: Path | str) -> None:
     }
     if model.frame_offset_m is not None:
         arrays["frame_offset_m"] = model.frame_offset_m
-    for room in ("surface", "templates", "pairs"):
+    for room in ("surface", "templates", "pairs", "tables"):
         part = getattr(model, room)
-        for name in _array_fields(type(part)):
+        for name in _array_fields(type(part)) if part is not None else ():
             arrays[f"{room}.{name}"] = getattr(part, name)
     arrays = {name: np.ascontiguousarray(array) for name, array in arrays.items()}
     header["types"] = {name: array.dtype.str for name, array in arrays.items()}
@@ -95,25 +108,27 @@ def load_model(path: Path | str) -> ReferenceModel:
     version of the format."""
     path = Path(path)
     try:
-        with zipfile.ZipFile(path) as archive:
-            header = json.loads(archive.read("header.json"))
-            if header.get("format") != _FORMAT or header.get("version") != VERSION:
+        with Archive(path) as archive:
+            header = archive.header()
+            if header.get("format") != _FORMAT or header.get("version") not in (VERSION, _WITH_TABLES):
                 raise InputError(
                     path,
-                    found=f"{header.get('format')} of version {header.get('version')}",
+                    found=f"{str(header.get('format'))[:80]} of version {str(header.get('version'))[:20]}",
                     expected=f"{_FORMAT} of version {VERSION}",
                     fix=_AGAIN,
                 )
-            arrays = {name: _read(archive, name, kind) for name, kind in header["types"].items()}
-        return _assembled(header, arrays)
+            arrays = {name: archive.array(name, kind) for name, kind in header["types"].items()}
+        model = _assembled(header, arrays)
+        check_model(model)
+        return model
+    except InputError:
+        raise
     except FileNotFoundError:
         raise InputError(path, found="no such file", expected="a reference model", fix=_AGAIN) from None
-    except (zipfile.BadZipFile, KeyError, ValueError, TypeError, OSError, AttributeError) as error:
-        if isinstance(error, InputError):
-            raise
-        raise InputError(
-            path, found=f"a damaged or foreign file ({error})", expected="a reference model", fix=_AGAIN
-        ) from None
+    except Exception as error:
+        # A damaged file may fail anywhere in zip, JSON, NumPy and OpenCV, each with errors of its own.
+        found = f"a damaged or foreign file ({type(error).__name__}: {str(error)[:200]})"
+        raise InputError(path, found=found, expected="a reference model", fix=_AGAIN) from None
 
 
 def load_models(bundles_dir: Path | str, names: Iterable[str] | None = None) -> dict[str, ReferenceModel]:
@@ -150,24 +165,20 @@ def _narrowed(array: np.ndarray) -> np.ndarray:
     return array.astype(np.promote_types(np.min_scalar_type(array.min()), np.min_scalar_type(array.max())))
 
 
-def _read(archive: zipfile.ZipFile, name: str, kind: str) -> np.ndarray:
-    with archive.open(f"{name}.npy") as entry:
-        array = np.lib.format.read_array(entry, allow_pickle=False)
-    return np.asarray(array.astype(kind, copy=False))
-
-
 def _assembled(header: dict[str, Any], arrays: dict[str, Any]) -> ReferenceModel:
     def part(room: str, kind: type) -> dict[str, Any]:
         return {name: arrays[f"{room}.{name}"] for name in _array_fields(kind)}
 
-    texture = cv2.imdecode(arrays["mesh.texture_png"], cv2.IMREAD_COLOR)
-    if texture is None:
-        raise ValueError("its texture is damaged")
-    picture = np.ascontiguousarray(texture[..., ::-1]).astype(np.uint8)
+    texture = picture(arrays["mesh.texture_png"])
     return ReferenceModel(
-        name=header["name"],
+        name=check_name(header["name"]),
         object_id=header["object_id"],
-        mesh=Mesh(arrays["mesh.vertices"], arrays["mesh.faces"], arrays["mesh.uv"], picture),
+        mesh=Mesh(
+            arrays["mesh.vertices"],
+            arrays["mesh.faces"],
+            arrays["mesh.uv"],
+            texture,
+        ),
         eval_points=arrays["eval_points"],
         diameter_m=header["diameter_m"],
         symmetries=arrays["symmetries"],
@@ -178,4 +189,16 @@ def _assembled(header: dict[str, Any], arrays: dict[str, Any]) -> ReferenceModel
         grid=DistanceGrid(arrays["grid.origin"], header["grid_step"], arrays["grid.nearest"]),
         templates=ViewTemplates(**part("templates", ViewTemplates), span=header["template_span"]),
         pairs=PairReference(**part("pairs", PairReference), parameters=header["pair_parameters"]),
+        tables=_tables(header, arrays),
     )
+
+
+def _tables(header: dict[str, Any], arrays: dict[str, Any]) -> PaperTables | None:
+    old = header["version"] == _WITH_TABLES
+    room, parameters = ("pairs", "pair_parameters") if old else ("tables", "table_parameters")
+    if header[parameters] is None:
+        return None
+    part = {name: arrays[f"{room}.{name}"] for name in _array_fields(PaperTables)}
+    coarse = int(header["pair_parameters"]["coarse_pairs"])
+    part["side_classes"] = part["side_classes"][:coarse]  # the version before had those of all pairs
+    return PaperTables(**part, parameters=header[parameters])

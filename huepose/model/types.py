@@ -59,16 +59,13 @@ class ViewTemplates:
 
 @dataclass(frozen=True, eq=False)
 class PairReference:
-    """The colour-pair side of a model (paper, section III-C).
+    """The colour pairs of a model, coarse ones first, then fine ones (`model.pairs` tells them apart).
 
     points (N, 3), normals (N, 3) float32: ridge points lifted to the surface; tangents (N, 3): unit direction
     in the surface that crosses the edge from side 0 to side 1; colors (N, 2, 3): CIELAB of both sides;
     views (N,) int32: index of the view it came from.
-    centers (K, 3): the semantic classes, as CIELAB prototypes of side colours; side_classes (N, 2) uint8.
-    cloud_points, cloud_normals (M, 3), cloud_classes (M,) uint8, cloud_weights (M,): the classified cloud.
-    triangle_keys (T,) int64 sorted; triangles (T, 3) int32: indices into the cloud, in canonical class order.
-    ppf_keys (Q,) int64 sorted; ppf (Q, 2) int32: indices into the cloud; ppf_alpha (Q,) float32 radians.
-    parameters: the bin sizes and so on that the tables were built with, by name.
+    parameters: "coarse_pairs", how many rows are coarse, and the two scales "coarse_pixels_per_m" and
+    "fine_pixels_per_m".
     """
 
     points: Float32
@@ -76,6 +73,22 @@ class PairReference:
     tangents: Float32
     colors: Float32
     views: Int32
+    parameters: dict[str, float] = field(default_factory=dict)
+
+
+@dataclass(frozen=True, eq=False)
+class PaperTables:
+    """What only the paper's method needs of a model (section III-C), made of its coarse pairs when asked for.
+
+    centers (K, 3): the semantic classes, as CIELAB prototypes of side colours; side_classes (N, 2) uint8: of
+    the coarse pairs.
+    cloud_points, cloud_normals (M, 3), cloud_classes (M,) uint8, cloud_weights (M,): the classified cloud.
+    triangle_keys (T,) int64 sorted; triangles (T, 3) int32: indices into the cloud, in canonical class order.
+    ppf_keys (Q,) int64 sorted; ppf (Q, 2) int32: indices into the cloud; ppf_alpha (Q,) float32 radians.
+    parameters: "side_offset_m", of the classified points from their edge, and the bins of the two tables,
+    "triangle_bin_m" and "ppf_bin_m".
+    """
+
     centers: Float32
     side_classes: UInt8
     cloud_points: Float32
@@ -101,6 +114,7 @@ class ReferenceModel:
     equivalents (E, 4, 4): turns under which shape *and print* look the same (identity first).
     T = T_cam_obj @ turn is another pose in each case.
     frame_offset_m: translation that takes a point of the PoseCNN/YCB-Video frame to this one, or None.
+    tables: what the methods `paper` and `colorpair` need besides, None unless onboarding was asked for it.
     """
 
     name: str
@@ -116,3 +130,4 @@ class ReferenceModel:
     grid: DistanceGrid
     templates: ViewTemplates
     pairs: PairReference
+    tables: PaperTables | None = None

@@ -34,11 +34,13 @@ class Job:
     info: Mapping[str, Any] | None = None
     symmetric: Mapping[str, Any] | None = None
     frame_offset_m: Float64 | None = None
+    paper: bool = False
 
 
 @dataclass(frozen=True)
 class Onboarded:
-    """What became of an object: its file, extents (x, y, z) and diameter in metres, and counts."""
+    """What became of an object: its file, extents (x, y, z) and diameter in metres, counts, and whether it
+    has the tables of the paper's method."""
 
     name: str
     path: Path
@@ -48,6 +50,7 @@ class Onboarded:
     equivalents: int
     file_bytes: int
     seconds: float
+    paper: bool
 
 
 @dataclass(frozen=True)
@@ -84,6 +87,7 @@ def onboard_one(job: Job, bundles_dir: Path, report: Callable[[str], None]) -> O
         info=job.info,
         symmetric=job.symmetric,
         frame_offset_m=job.frame_offset_m,
+        paper=job.paper,
         report=report,
     )
     path = model_path(bundles_dir, job.name)
@@ -98,6 +102,7 @@ def onboard_one(job: Job, bundles_dir: Path, report: Callable[[str], None]) -> O
         len(model.equivalents),
         path.stat().st_size,
         time.monotonic() - start,
+        model.tables is not None,
     )
 
 

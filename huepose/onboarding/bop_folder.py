@@ -9,9 +9,9 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-
+from huepose.datasets import files
 from huepose.geometry.arrays import Float64
+from huepose.onboarding.declared import check_symmetries
 from huepose.support.errors import InputError
 
 
@@ -58,7 +58,7 @@ def bop_models(folder: Path | str, ids: Collection[int] | None = None) -> list[B
             expected=f"one of {', '.join(str(i) for i in sorted(meshes))}",
             fix="Correct --ids.",
         )
-    out = [_entry(i, meshes[i], infos, offsets) for i in sorted(meshes) if not ids or i in ids]
+    out = [_entry(i, meshes[i], folder, infos, offsets) for i in sorted(meshes) if not ids or i in ids]
     names = [m.name for m in out]
     twice = next((n for n in names if names.count(n) > 1), None)
     if twice:
@@ -75,12 +75,21 @@ def safe_name(text: str) -> str:
     return re.sub(r"[^a-z0-9_-]+", "_", text.lower()).strip("_")[:64]
 
 
-def _entry(i: int, path: Path, infos: Mapping[str, Any], offsets: Mapping[str, Any]) -> BopModel:
+def _entry(
+    i: int, path: Path, folder: Path, infos: Mapping[str, Any], offsets: Mapping[str, Any]
+) -> BopModel:
     info = infos.get(str(i), {})
+    where = f"{folder / 'models_info.json'} object {i}"
+    if not isinstance(info, dict):
+        raise InputError(where, found=str(info)[:80], expected="an object with its diameter")
+    if "diameter" in info:
+        files.positive(info, "diameter", where)
+    check_symmetries(info, where)
     key = next((k for k, v in offsets.items() if isinstance(v, dict) and v.get("bop_obj_id") == i), None)
     offset = None
     if key is not None and "posecnn_to_bop_t_mm" in offsets[key]:
-        offset = np.asarray(offsets[key]["posecnn_to_bop_t_mm"], np.float64) / 1000.0
+        where = f"{folder / 'frame_offsets.json'} {key}"
+        offset = files.numbers(offsets[key], "posecnn_to_bop_t_mm", (3,), where) / 1000.0
     name = safe_name(key or "") or safe_name(str(info.get("name", ""))) or f"obj_{i:06d}"
     return BopModel(i, name, path, info, offset)
 
@@ -90,7 +99,7 @@ def _read(path: Path) -> dict[str, Any]:
         return {}
     try:
         tree = json.loads(path.read_text())
-    except ValueError as error:
+    except (ValueError, RecursionError) as error:
         raise InputError(path, found=f"broken JSON ({error})", fix="Download the file again.") from None
     if not isinstance(tree, dict):
         raise InputError(

@@ -1,8 +1,9 @@
-"""Symmetries that a user declares in a file, in the form of BOP's models_info.json."""
+"""Symmetries that a file declares, in the form of BOP's models_info.json."""
 
 from __future__ import annotations
 
 import json
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
@@ -11,6 +12,7 @@ import numpy as np
 from huepose.geometry import se3
 from huepose.support.errors import InputError
 
+_NAMES = ("symmetries_discrete", "symmetries_continuous")
 _FORM = (
     '{"symmetries_discrete": [[16 numbers, row by row], ...], '
     '"symmetries_continuous": [{"axis": [x, y, z], "offset": [x, y, z]}, ...]}, in millimetres'
@@ -27,28 +29,35 @@ def read_symmetries(path: Path | str) -> dict[str, Any]:
         tree = json.loads(path.read_text())
     except FileNotFoundError:
         raise InputError(path, found="no such file", expected="a file of symmetries") from None
-    except ValueError as error:
+    except (ValueError, RecursionError) as error:
         raise InputError(path, found=f"broken JSON ({error})", expected=_FORM) from None
-    names = ("symmetries_discrete", "symmetries_continuous")
-    if not isinstance(tree, dict) or not any(n in tree for n in names):
+    if not isinstance(tree, dict) or not any(n in tree for n in _NAMES):
         raise InputError(path, found="neither of the two lists", expected=_FORM)
-    entry = {n: tree.get(n, []) for n in names}
-    for k, row in enumerate(entry["symmetries_discrete"]):
+    entry = {n: tree.get(n, []) for n in _NAMES}
+    check_symmetries(entry, str(path))
+    return entry
+
+
+def check_symmetries(entry: Mapping[str, Any], where: str) -> None:
+    """Raises InputError, naming `where`, for symmetries of an entry that are no turns or no axes."""
+    for name in _NAMES:
+        if not isinstance(entry.get(name, []), list):
+            raise InputError(f"{where} {name}", found=str(entry[name])[:80], expected=f"a list as in {_FORM}")
+    for k, row in enumerate(entry.get("symmetries_discrete", [])):
         T = _numbers(row, 16)
         if T is None or not se3.is_rigid(T.reshape(4, 4), tolerance=1e-2):
             raise InputError(
-                f"{path} symmetries_discrete[{k}]", found=str(row)[:80], expected="a rigid 4x4 turn"
+                f"{where} symmetries_discrete[{k}]", found=str(row)[:80], expected="a rigid 4x4 turn"
             )
-    for k, item in enumerate(entry["symmetries_continuous"]):
+    for k, item in enumerate(entry.get("symmetries_continuous", [])):
         axis = _numbers(item.get("axis"), 3) if isinstance(item, dict) else None
         offset = _numbers(item.get("offset", [0, 0, 0]), 3) if isinstance(item, dict) else None
         if axis is None or offset is None or np.linalg.norm(axis) < 1e-6:
             raise InputError(
-                f"{path} symmetries_continuous[{k}]",
+                f"{where} symmetries_continuous[{k}]",
                 found=str(item)[:80],
                 expected='{"axis": [x, y, z], "offset": [x, y, z]}',
             )
-    return entry
 
 
 def _numbers(value: Any, count: int) -> np.ndarray | None:

@@ -5,14 +5,16 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Literal
 
+import cv2
 import numpy as np
 
 from huepose.geometry.arrays import Float64, Int32
 from huepose.geometry.mesh import Mesh
 from huepose.onboarding.gltf import read_gltf
+from huepose.onboarding.mesh_files import MeshFiles
 from huepose.onboarding.obj import read_obj
 from huepose.onboarding.ply import read_ply
-from huepose.onboarding.raw_mesh import RawMesh
+from huepose.onboarding.raw_mesh import RE_EXPORT, RawMesh
 from huepose.onboarding.texture import single_texture
 from huepose.onboarding.winding import outward_sign
 from huepose.support.errors import InputError
@@ -21,6 +23,8 @@ Unit = Literal["mm", "cm", "m", "in"]
 METRES: dict[Unit, float] = {"mm": 0.001, "cm": 0.01, "m": 1.0, "in": 0.0254}
 
 SMALLEST_M, LARGEST_M = 0.01, 2.0
+# What code raises that reads a damaged file, beside the errors that it foresees.
+_DAMAGE = (ArithmeticError, AttributeError, LookupError, MemoryError, TypeError, ValueError, cv2.error)
 _READERS = {".obj": read_obj, ".ply": read_ply, ".glb": read_gltf, ".gltf": read_gltf}
 
 
@@ -32,6 +36,17 @@ def read_mesh(path: Path | str, unit: Unit | None = None) -> Mesh:
     what was found and what to do; for implausible sizes it shows both.
     """
     path = Path(path)
+    try:
+        with np.errstate(all="ignore"):  # what is not finite is refused, not warned of
+            return _read(path, unit)
+    except InputError:
+        raise
+    except _DAMAGE as error:
+        found = f"damaged content ({type(error).__name__}: {str(error)[:80]})"
+        raise InputError(path, found=found, expected="a mesh", fix=RE_EXPORT) from None
+
+
+def _read(path: Path, unit: Unit | None) -> Mesh:
     reader = _READERS.get(path.suffix.lower())
     if reader is None:
         raise InputError(
@@ -42,7 +57,7 @@ def read_mesh(path: Path | str, unit: Unit | None = None) -> Mesh:
         )
     if path.is_dir():
         raise InputError(path, found="a folder", expected="a mesh file")
-    raw = reader(path)
+    raw = reader(MeshFiles(path))
     standard: Unit | None = "m" if reader is read_gltf else None
     vertices, faces = _referenced(raw)
     scale = _metres_per_unit(vertices, unit or standard, unit is not None, path)

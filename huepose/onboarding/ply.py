@@ -1,19 +1,25 @@
 """PLY, ascii and binary: colours per vertex, BOP's texture_u and texture_v, MeshLab's texcoord lists.
 
-The texture's file is named by `comment TextureFile NAME`. (open3d drops texture coordinates of PLY, hence
-our own reader.)
+The texture's file is named by `comment TextureFile NAME`, or is a picture of the mesh's own name. An ascii
+body is read as a binary one in which every number is a double.
+
+trimesh refuses binary files with polygons of different sizes or a newline at their end, and comments that are
+not UTF-8; it takes the last of several textures for all, and says nothing of a missing texture or a cut file.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+import os
+import warnings
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from huepose.geometry.arrays import Float32, Int32, UInt8
-from huepose.onboarding.raw_mesh import RE_EXPORT, Material, RawMesh, check_faces, read_bytes, read_texture
+from huepose.geometry.arrays import Float32, Int32, Int64, UInt8
+from huepose.onboarding.mesh_files import MeshFiles, decoded
+from huepose.onboarding.raw_mesh import RE_EXPORT, Material, RawMesh, check_count, check_faces
 from huepose.support.errors import InputError
 
 _TYPES = {
@@ -26,62 +32,71 @@ _TYPES = {
     **dict.fromkeys(("float", "float32"), "f4"),
     **dict.fromkeys(("double", "float64"), "f8"),
 }
+_ORDERS = {"ascii": "=", "binary_little_endian": "<", "binary_big_endian": ">"}
 _U_NAMES, _V_NAMES = ("texture_u", "u", "s"), ("texture_v", "v", "t")
 
 
-@dataclass
+@dataclass(frozen=True)
 class _Property:
     name: str
     kind: str
     count_kind: str | None = None  # of a list
 
 
-@dataclass
+@dataclass(frozen=True)
 class _Element:
     name: str
     count: int
     properties: list[_Property]
 
 
-@dataclass
+@dataclass(frozen=True)
 class _Header:
     form: str
     elements: list[_Element]
     textures: list[str]
-    body: bytes
+    body_at: int
 
 
 Table = dict[str, Any]  # property name to a column: an array, or a list of arrays for list properties
 
 
-def read_ply(path: Path) -> RawMesh:
+def read_ply(files: MeshFiles) -> RawMesh:
     """Mesh of a PLY file. Raises InputError naming the file and what to do."""
-    header = _header(path)
-    read = _ascii_tables if header.form == "ascii" else _binary_tables
+    path = files.mesh
+    data = files.read_mesh()
+    header = _header(path, data)
+    for element in header.elements:
+        if any(p.count_kind is not None for p in element.properties):
+            check_count(path, element.count)
     try:
-        tables = read(header)
-    except (ValueError, IndexError):
+        tables = _tables(header, memoryview(data)[header.body_at :])
+    except (ValueError, IndexError, ArithmeticError):
         raise InputError(
             path, found="fewer values than its header announces", fix="The file is cut off. " + RE_EXPORT
         ) from None
-    vertex, face = tables.get("vertex", {}), tables.get("face", {})
+    vertex = {k: column for k, column in tables.get("vertex", {}).items() if np.ndim(column) == 1}
+    face = tables.get("face", {})
     lists = face.get("vertex_indices", face.get("vertex_index"))
-    if not {"x", "y", "z"} <= vertex.keys() or lists is None or len(lists) == 0:
+    if not {"x", "y", "z"} <= vertex.keys() or lists is None or not _is_lists(lists) or len(lists) == 0:
         raise InputError(path, found="no vertices or no faces", expected="a triangle mesh", fix=RE_EXPORT)
     vertices = np.stack([vertex[k] for k in "xyz"], 1).astype(np.float64)
-    corner_lists = [np.asarray(polygon, np.int64) for polygon in lists]
-    faces, origin, corners = _triangulated(corner_lists)
+    faces, origin, corners = _triangulated(path, lists)
     check_faces(path, vertices, faces)
-    uv = _uv(vertex, face, faces, origin, corners)
+    try:
+        uv = _uv(vertex, face, faces, origin, corners)
+    except (ValueError, IndexError):
+        found = "texture coordinates that do not fit their faces"
+        raise InputError(path, found=found, expected="two for each corner", fix=RE_EXPORT) from None
     colors = _vertex_colors(vertex)
     materials = [Material("")]
     face_materials = np.zeros(len(faces), np.int32)
     if uv is not None:
         names = header.textures or _textures_beside(path)
         if names:
-            materials = [Material(n, texture=read_texture(path.parent / n, path)) for n in names]
-            if "texnumber" in face and len(names) > 1:
-                face_materials = np.asarray(face["texnumber"])[origin].astype(np.int32)
+            materials = [Material(n, texture=files.texture(n, path)) for n in names]
+            if len(names) > 1 and not _is_lists(face.get("texnumber", [])):
+                face_materials = face["texnumber"][origin].astype(np.int32)
             colors = None
         else:
             uv = None
@@ -97,26 +112,30 @@ def read_ply(path: Path) -> RawMesh:
             path, found="a texnumber without texture", expected=f"0 to {len(materials) - 1}", fix=RE_EXPORT
         )
     corner_colors = None if colors is None else colors[faces]
-    return RawMesh(vertices, faces, uv, corner_colors, face_materials, tuple(materials))
+    return RawMesh(vertices, faces.astype(np.int32), uv, corner_colors, face_materials, tuple(materials))
 
 
-def _header(path: Path) -> _Header:
-    data = read_bytes(path, "mesh")
+def _is_lists(column: Any) -> bool:
+    """Whether a column is of a list property."""
+    return isinstance(column, list) or column.ndim == 2
+
+
+def _header(path: Path, data: bytes) -> _Header:
     end = data.find(b"end_header")
     if not data.startswith(b"ply") or end < 0:
         raise InputError(path, found="no PLY header", expected="a PLY file", fix=RE_EXPORT)
-    body = data[data.index(b"\n", end) + 1 :] if b"\n" in data[end:] else b""
+    newline = data.find(b"\n", end)
     form, elements, textures = "", list[_Element](), list[str]()
-    for line in data[:end].decode("latin-1").splitlines():
+    for line in decoded(data[:end]).splitlines():
         words = line.split()
         try:
             match words:
                 case ["format", form_name, *_]:
                     form = form_name
-                case ["comment", "TextureFile", *_]:
-                    textures.append(line.split(None, 2)[2].strip().replace("\\", "/"))
+                case ["comment", "TextureFile", _, *_]:
+                    textures.append(line.split(None, 2)[2].strip())
                 case ["element", name, count]:
-                    elements.append(_Element(name, int(count), []))
+                    elements.append(_Element(name, _count(count), []))
                 case ["property", "list", count_kind, kind, name]:
                     elements[-1].properties.append(_Property(name, _TYPES[kind], _TYPES[count_kind]))
                 case ["property", kind, name]:
@@ -124,58 +143,78 @@ def _header(path: Path) -> _Header:
                 case _:
                     pass
         except (KeyError, ValueError, IndexError):
-            raise InputError(path, found=f"header line '{line}'", expected="PLY 1.0", fix=RE_EXPORT) from None
-    if form not in ("ascii", "binary_little_endian", "binary_big_endian"):
-        raise InputError(path, found=f"format {form or 'unknown'}", expected="ascii or binary", fix=RE_EXPORT)
-    return _Header(form, elements, textures, body)
+            raise InputError(
+                path, found=f"header line '{line[:60]}'", expected="PLY 1.0", fix=RE_EXPORT
+            ) from None
+    if form not in _ORDERS:
+        found = f"format {form[:20] or 'unknown'}"
+        raise InputError(path, found=found, expected="ascii or binary", fix=RE_EXPORT)
+    return _Header(form, elements, textures, newline + 1 if newline >= 0 else len(data))
 
 
-def _ascii_tables(header: _Header) -> dict[str, Table]:
-    words = header.body.split()
+def _count(word: str) -> int:
+    number = int(word)
+    if number < 0:
+        raise ValueError("a negative count")
+    return number
+
+
+def _tables(header: _Header, body: memoryview) -> dict[str, Table]:
+    """The elements' tables by name. Raises ValueError, IndexError or ArithmeticError for a damaged body."""
+    elements = header.elements
+    if header.form == "ascii":
+        body = memoryview(_numbers(body)).cast("B")
+        elements = [replace(e, properties=[_as_double(p) for p in e.properties]) for e in elements]
+    order = _ORDERS[header.form]
     at = 0
     tables: dict[str, Table] = {}
-    for element in header.elements:
-        if all(p.count_kind is None for p in element.properties):
-            width = len(element.properties)
-            block = np.array(words[at : at + width * element.count], np.float64)
-            block = block.reshape(element.count, width)
-            columns = enumerate(element.properties)
-            tables[element.name] = {p.name: block[:, k].astype(p.kind) for k, p in columns}
-            at += width * element.count
-            continue
-        table: Table = {p.name: [] for p in element.properties}
-        for _ in range(element.count):
-            for p in element.properties:
-                if p.count_kind is None:
-                    table[p.name].append(float(words[at]))
-                    at += 1
-                else:
-                    n = int(words[at])
-                    if at + n >= len(words):
-                        raise ValueError("cut off")
-                    table[p.name].append([float(w) for w in words[at + 1 : at + 1 + n]])
-                    at += 1 + n
+    for element, declared in zip(elements, header.elements, strict=True):
+        table, at = _table(element, order, body, at)
+        if header.form == "ascii":
+            table = {p.name: _cast(table[p.name], p) for p in declared.properties}
         tables[element.name] = table
     return tables
 
 
-def _binary_tables(header: _Header) -> dict[str, Table]:
-    order = "<" if header.form == "binary_little_endian" else ">"
-    at = 0
-    tables: dict[str, Table] = {}
-    for element in header.elements:
-        dtype = _row_type(element, order, header.body, at)
-        rows = np.frombuffer(header.body, dtype, element.count, at)
-        lists = [p for p in element.properties if p.count_kind is not None]
+def _numbers(body: memoryview) -> Any:
+    """All numbers of an ascii body, float64. Raises ValueError where there is anything else."""
+    text = bytes(body).strip()
+    if not text:
+        return np.empty(0)
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")  # what is no number is a warning to older numpy
+        try:
+            return np.fromstring(text, sep=" ")
+        except DeprecationWarning as error:
+            raise ValueError(str(error)) from None
+
+
+def _as_double(p: _Property) -> _Property:
+    return _Property(p.name, "f8", None if p.count_kind is None else "f8")
+
+
+def _cast(column: Any, p: _Property) -> Any:
+    """A column of an ascii file in its declared type. Raises FloatingPointError where it does not fit."""
+    with np.errstate(invalid="raise"):
+        return [row.astype(p.kind) for row in column] if isinstance(column, list) else column.astype(p.kind)
+
+
+def _table(element: _Element, order: str, body: memoryview, at: int) -> tuple[Table, int]:
+    """An element's table that begins at byte `at`, and where the next begins."""
+    lists = [p for p in element.properties if p.count_kind is not None]
+    dtype = _row_type(element, order, body, at)
+    if at + dtype.itemsize * element.count <= len(body):
+        rows = np.empty(0, dtype)
+        if element.count and dtype.itemsize:
+            rows = np.frombuffer(body, dtype, element.count, at)
         if all((rows[f"#{p.name}"] == dtype[p.name].shape[0]).all() for p in lists):
-            tables[element.name] = {p.name: rows[p.name] for p in element.properties}
-            at += dtype.itemsize * element.count
-        else:
-            tables[element.name], at = _walk(element, order, header.body, at)
-    return tables
+            return {p.name: rows[p.name] for p in element.properties}, at + dtype.itemsize * element.count
+    if not lists:
+        raise ValueError("cut off")
+    return _walk(element, order, body, at)
 
 
-def _row_type(element: _Element, order: str, body: bytes, at: int) -> np.dtype[Any]:
+def _row_type(element: _Element, order: str, body: memoryview, at: int) -> np.dtype[Any]:
     """Type of a row if all rows have lists as long as the first row's."""
     fields: list[Any] = []
     for p in element.properties:
@@ -191,7 +230,7 @@ def _row_type(element: _Element, order: str, body: bytes, at: int) -> np.dtype[A
     return np.dtype(fields)
 
 
-def _walk(element: _Element, order: str, body: bytes, at: int) -> tuple[Table, int]:
+def _walk(element: _Element, order: str, body: memoryview, at: int) -> tuple[Table, int]:
     """Rows with lists of different lengths, one by one."""
     table: Table = {p.name: [] for p in element.properties}
     for _ in range(element.count):
@@ -201,29 +240,39 @@ def _walk(element: _Element, order: str, body: bytes, at: int) -> tuple[Table, i
                 count_type = np.dtype(order + p.count_kind)
                 n = int(np.frombuffer(body, count_type, 1, at)[0])
                 at += count_type.itemsize
-            values = np.frombuffer(body, order + p.kind, n, at)
+            if n < 0:
+                raise ValueError("a list of negative length")
+            values = np.frombuffer(body, order + p.kind, n, at) if n else np.empty(0, order + p.kind)
             at += values.nbytes
             table[p.name].append(values if p.count_kind is not None else values[0])
-    return table, at
+    scalars = [p for p in element.properties if p.count_kind is None]
+    return table | {p.name: np.array(table[p.name]) for p in scalars}, at
 
 
-def _triangulated(polygons: list[Any]) -> tuple[Int32, Int32, Int32]:
+def _triangulated(path: Path, polygons: Any) -> tuple[Int64, Int32, Int32]:
     """Fans: faces (F, 3), the polygon each came from (F,), and its corners within that polygon (F, 3)."""
-    if all(len(p) == 3 for p in polygons):
-        count = len(polygons)
-        corners = np.tile(np.arange(3, dtype=np.int32), (count, 1))
-        return np.array(polygons).astype(np.int32), np.arange(count, dtype=np.int32), corners
-    rows = [(i, 0, k, k + 1) for i, p in enumerate(polygons) for k in range(1, len(p) - 1)]
-    table = np.array(rows, np.int32).reshape(-1, 4)
-    faces = np.array([[polygons[i][a], polygons[i][b], polygons[i][c]] for i, a, b, c in rows], np.int32)
-    return faces.reshape(-1, 3), table[:, 0].copy(), table[:, 1:].copy()
+    if isinstance(polygons, np.ndarray):
+        sizes = np.full(len(polygons), polygons.shape[1])
+        flat = polygons.reshape(-1).astype(np.int64)
+    else:
+        sizes = np.array([len(p) for p in polygons])
+        flat = np.concatenate(polygons).astype(np.int64)
+    fans = np.maximum(sizes - 2, 0)
+    check_count(path, int(fans.sum()))
+    starts = np.cumsum(sizes) - sizes
+    origin = np.repeat(np.arange(len(sizes)), fans)
+    step = np.arange(len(origin)) - (np.cumsum(fans) - fans)[origin] + 1
+    corners = np.stack([np.zeros_like(step), step, step + 1], 1)
+    return flat[starts[origin][:, None] + corners], origin.astype(np.int32), corners.astype(np.int32)
 
 
-def _uv(vertex: Table, face: Table, faces: Int32, origin: Int32, corners: Int32) -> Float32 | None:
+def _uv(vertex: Table, face: Table, faces: Int64, origin: Int32, corners: Int32) -> Float32 | None:
     lists = face.get("texcoord")
     u = next((vertex[k] for k in _U_NAMES if k in vertex), None)
     v = next((vertex[k] for k in _V_NAMES if k in vertex), None)
-    if lists is not None and any(len(row) for row in lists):
+    if isinstance(lists, np.ndarray) and lists.ndim == 2 and lists.shape[1]:
+        uv = lists.astype(np.float64).reshape(len(lists), -1, 2)[origin[:, None], corners]
+    elif isinstance(lists, list) and any(len(row) for row in lists):
         blank = np.zeros(2 * (int(corners.max()) + 1))
         rows = [np.asarray(row if len(row) else blank, np.float64).reshape(-1, 2) for row in lists]
         uv = np.stack([rows[i][c] for i, c in zip(origin, corners, strict=True)])
@@ -246,4 +295,4 @@ def _vertex_colors(vertex: Table) -> UInt8 | None:
 def _textures_beside(path: Path) -> list[str]:
     """A picture of the mesh's own name, for files whose writer forgot to name it."""
     names = [path.with_suffix(s).name for s in (".png", ".jpg", ".jpeg")]
-    return [n for n in names if (path.parent / n).exists()][:1]
+    return [n for n in names if os.path.exists(path.parent / n)][:1]

@@ -5,13 +5,14 @@ from __future__ import annotations
 from dataclasses import dataclass
 from pathlib import Path
 
-import cv2
 import numpy as np
 
 from huepose.geometry.arrays import Float, Float32, Float64, Int, Int32, UInt8
 from huepose.support.errors import InputError
 
 RE_EXPORT = "Export the mesh again as OBJ, PLY or GLB with its texture."
+LARGEST_FACES = 5_000_000
+"""Triangles of a mesh: a scan of a hand-sized object at a tenth of a millimetre has fewer."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -36,6 +37,17 @@ class RawMesh:
     materials: tuple[Material, ...]
 
 
+def check_count(path: Path, faces: int) -> None:
+    """Raises InputError for more triangles than are read; asked before memory is taken for them."""
+    if faces > LARGEST_FACES:
+        raise InputError(
+            path,
+            found=f"{faces} triangles",
+            expected=f"at most {LARGEST_FACES}",
+            fix="Simplify the mesh (decimate it); 20,000 triangles are kept of it.",
+        )
+
+
 def check_faces(path: Path, vertices: Float, faces: Int) -> None:
     """Raises InputError unless there are finite vertices, and faces that point at them."""
     if len(vertices) == 0 or len(faces) == 0:
@@ -55,54 +67,3 @@ def check_faces(path: Path, vertices: Float, faces: Int) -> None:
             expected=f"indices from 0 to {len(vertices) - 1}",
             fix="The file is cut off or damaged. " + RE_EXPORT,
         )
-
-
-def read_bytes(path: Path, role: str, named_in: Path | None = None) -> bytes:
-    """Content of a file; raises InputError that says which file named it."""
-    try:
-        return path.read_bytes()
-    except FileNotFoundError:
-        where = f", which {named_in.name} names" if named_in else ""
-        raise InputError(
-            path, found="no such file", expected=f"the {role}{where}", fix=_missing_fix(role, named_in)
-        ) from None
-    except OSError as error:
-        raise InputError(path, found=str(error), expected=f"a readable {role}") from None
-
-
-def _missing_fix(role: str, named_in: Path | None) -> str:
-    if named_in is None:
-        return "Check the path."
-    return f"Put the {role} beside {named_in.name}, or correct the name in it."
-
-
-def read_texture(path: Path, named_in: Path) -> UInt8:
-    """Image file named in a mesh or material file, as (H, W, 3) uint8 RGB.
-
-    Names that differ in case only are forgiven, and folders of the machine that exported the mesh.
-    """
-    if not path.exists():
-        places = [path.parent, named_in.parent]
-        alike = [p for folder in places for p in _listing(folder) if p.name.lower() == path.name.lower()]
-        path = alike[0] if alike else path
-    return decode_texture(read_bytes(path, "texture", named_in), str(path))
-
-
-def _listing(folder: Path) -> list[Path]:
-    return sorted(folder.iterdir()) if folder.is_dir() else []
-
-
-def decode_texture(data: bytes, what: str) -> UInt8:
-    """PNG, JPEG and so on to (H, W, 3) uint8 RGB; raises InputError naming `what`."""
-    image = None
-    if data:
-        flags = cv2.IMREAD_COLOR | cv2.IMREAD_IGNORE_ORIENTATION
-        image = cv2.imdecode(np.frombuffer(data, np.uint8), flags)
-    if image is None:
-        raise InputError(
-            what,
-            found=f"{len(data)} bytes that are no picture",
-            expected="a PNG or JPEG texture",
-            fix="Open the texture in an image editor and save it again as PNG.",
-        )
-    return np.ascontiguousarray(image[..., ::-1])

@@ -15,13 +15,14 @@ _SEARCH = 0.01  # of the size: how far the simplified surface may lie from the t
 
 
 def simplified(mesh: Mesh) -> Mesh:
-    """The mesh itself up to 60,000 triangles, else one of at most 20,000, its texture baked anew.
+    """The mesh itself up to 60,000 triangles, else one of at most 20,000, its texture baked anew with Open3D.
 
     Vertices of one small cell that face alike become one (Rossignac and Borrel 1993, with the normals in the
     key: sides of thin walls and sharp edges stay apart). Cells grow until few enough triangles are left.
     """
     if len(mesh.faces) <= MOST:
         return mesh
+    original = _Original(mesh)
     stay, numbers = welded(mesh.vertices)
     vertices, faces = mesh.vertices[stay].astype(np.float64), numbers[mesh.faces]
     normals = _vertex_normals(vertices, faces)
@@ -36,7 +37,7 @@ def simplified(mesh: Mesh) -> Mesh:
         return mesh
     layout = fitting_patches(lean_vertices, lean_faces)
     lean = Mesh(lean_vertices, lean_faces, layout.uv, mesh.texture)
-    original, facing = _Original(mesh), lean.face_normals()[0]
+    facing = lean.face_normals()[0]
     corners = lean_vertices.astype(np.float64)[lean_faces]
     texture = layout.baked(
         lambda chosen, w: original.colors(np.einsum("fk,fkd->fd", w, corners[chosen]), facing[chosen])

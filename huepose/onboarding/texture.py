@@ -13,17 +13,27 @@ import cv2
 import numpy as np
 
 from huepose.geometry.arrays import Float32, Float64, Int32, UInt8
+from huepose.onboarding.mesh_files import LARGEST_TEXTURE
 from huepose.onboarding.patches import LARGEST, equal_patches
 from huepose.onboarding.raw_mesh import RawMesh
 from huepose.support.errors import InputError
 
 _MOST_REPEATS = 8
 _PATCH = 16  # texels of a material without texture
+_MOST_COVERED = 64  # times that triangles may cover their picture
+_MOST_MATERIALS = 4096  # of those without texture an atlas holds some ten thousand
 _MARGIN = 4  # texels between the materials of an atlas
 
 
 def single_texture(raw: RawMesh, path: Path) -> tuple[Float32, UInt8]:
     """(uv (F, 3, 2), texture (H, W, 3) uint8 RGB) as in geometry.Mesh, of a mesh as its file has it."""
+    if len(raw.materials) > _MOST_MATERIALS:
+        raise InputError(
+            path,
+            found=f"{len(raw.materials)} materials",
+            expected=f"at most {_MOST_MATERIALS}",
+            fix="Join materials in the modelling program and export again.",
+        )
     textured = any(m.texture is not None for m in raw.materials)
     if raw.colors is not None and not textured:
         return _baked(raw, raw.colors, path)
@@ -45,12 +55,21 @@ def single_texture(raw: RawMesh, path: Path) -> tuple[Float32, UInt8]:
 
 
 def used_texels(uv: Float32, height: int, width: int) -> UInt8:
-    """Mask (H, W) uint8 of the texels that triangles (F, 3, 2) touch."""
+    """Mask (H, W) uint8 of the texels that triangles (F, 3, 2) touch; all where they cover the picture many
+    times over, which would take as many times to draw."""
+    if _areas(uv).sum() > _MOST_COVERED:
+        return np.ones((height, width), np.uint8)
     used = np.zeros((height, width), np.uint8)
     corners = np.round((uv * [width, height] - 0.5) * 16).astype(np.int32)
     for triangle in corners:
         cv2.fillConvexPoly(used, triangle, 1, shift=4)
     return used
+
+
+def _areas(uv: Float32) -> Float64:
+    """Areas of triangles (F, 3, 2)."""
+    a, b = (uv[:, 1:] - uv[:, :1]).astype(np.float64).transpose(1, 0, 2)
+    return np.asarray(np.abs(a[:, 0] * b[:, 1] - a[:, 1] * b[:, 0]) / 2.0)
 
 
 def reduced(texture: UInt8, used: UInt8, largest: int = LARGEST) -> UInt8:
@@ -109,14 +128,20 @@ def _unrolled(uv: Float32, texture: UInt8, path: Path) -> tuple[Float32, UInt8]:
         return np.clip(uv, 0.0, 1.0), texture
     uv = uv.copy()
     uv[outside] -= np.floor(uv[outside].min(1, keepdims=True) + slack)
-    tiles = np.maximum(1, np.ceil(uv.max((0, 1)) - slack)).astype(int)
-    if tiles.max() > _MOST_REPEATS:
+    repeats = np.maximum(1, np.ceil(uv.max((0, 1)) - slack))
+    if repeats.max() > _MOST_REPEATS:
         raise InputError(
             path,
-            found=f"a texture that repeats {tiles.max()} times across one triangle",
+            found=f"a texture that repeats {repeats.max():.0f} times across one triangle",
             expected=f"at most {_MOST_REPEATS}",
             fix="Bake the texture in the modelling program and export again.",
         )
+    tiles = repeats.astype(int)
+    texels = texture.shape[0] * texture.shape[1] * int(tiles.prod())
+    if texels > LARGEST_TEXTURE:
+        scale = float(np.sqrt(LARGEST_TEXTURE / texels))
+        size = (max(1, int(texture.shape[1] * scale)), max(1, int(texture.shape[0] * scale)))
+        texture = np.asarray(cv2.resize(texture, size, interpolation=cv2.INTER_AREA), np.uint8)
     return np.clip(uv / tiles, 0.0, 1.0).astype(np.float32), np.tile(texture, (tiles[1], tiles[0], 1))
 
 

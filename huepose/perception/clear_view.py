@@ -12,10 +12,10 @@ from huepose.geometry.arrays import Bool, Float32, Float64, Int32, UInt8
 from huepose.geometry.box import Box
 from huepose.geometry.camera import Camera
 from huepose.geometry.frame import RgbdFrame
+from huepose.judge.region import COLOR_SCALES_M, SATURATED, Crop, Region, tolerance_m
 from huepose.perception.depth_pieces import depth_steps
 from huepose.perception.ground import large_planes, standing_clear
 from huepose.support.jit import jit
-from huepose.verification.region import COLOR_SCALES_M, SATURATED, Crop, Region, tolerance_m
 
 FAR_M = 9.0
 """The depth that pixels of a plane get: an object that claims them is seen through there."""
@@ -35,7 +35,7 @@ WIDE_PX = 1.5
 class ClearView:
     """The part of a frame where something stands. crop: that part, depth of planes moved far away; clear
     (h, w): pixels that stand clear of planes; colors (h, w, 6) float32: opponents at two scales, as in
-    `verification.region`; pieces (P, 4): of the parts without a step in depth: pixel of the middle, mean
+    `judge.region`; pieces (P, 4): of the parts without a step in depth: pixel of the middle, mean
     depth, the longer side of the bounds in metres; size: width and height of the whole frame."""
 
     crop: Crop

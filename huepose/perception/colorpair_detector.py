@@ -21,6 +21,7 @@ from huepose.geometry.frame import RgbdFrame
 from huepose.model.named import model_named
 from huepose.model.types import ReferenceModel
 from huepose.perception.clear_view import ClearView, clear_view
+from huepose.perception.config import DetectorConfig
 from huepose.perception.contest import contested
 from huepose.perception.presence import presences, probability
 from huepose.perception.scouting import EFFORTS, Effort, Proposal, propose
@@ -29,27 +30,12 @@ from huepose.perception.window_table import WindowTable, window_table
 from huepose.rendering.render import render
 from huepose.support.stages import stage
 
-PROPOSALS = 3
-POOL = 3
-"""Places of each object that compete with those of the others."""
-
-MIN_SCORE = 0.02
-
 
 class ColorPairDetector:
-    """Finds known objects in whole frames by their reference models alone. Keeps nothing of a frame.
+    """Finds known objects in whole frames by their reference models alone. Keeps nothing of a frame."""
 
-    proposals: most boxes of one object; min_score: places that are the object's with less than this
-    probability are not worth a look.
-    """
-
-    def __init__(
-        self,
-        models: Mapping[str, ReferenceModel],
-        proposals: int = PROPOSALS,
-        min_score: float = MIN_SCORE,
-    ) -> None:
-        self._proposals, self._min_score = proposals, min_score
+    def __init__(self, models: Mapping[str, ReferenceModel], config: DetectorConfig | None = None) -> None:
+        self.config = config or DetectorConfig()
         self._models: dict[str, ReferenceModel] = {}
         self._tables: dict[str, WindowTable] = {}
         self._lock = threading.Lock()
@@ -81,7 +67,8 @@ class ColorPairDetector:
             view = clear_view(frame, max((m.diameter_m for m in list(self._models.values())), default=0.0))
         if view is None:
             return []
-        most = max(self._proposals, POOL) if len(names) > 1 else self._proposals
+        proposals = self.config.proposals
+        most = max(proposals, self.config.pool) if len(names) > 1 else proposals
         places = {
             name: propose(self._model(name), self._table(name), view, most, _efforts(name, thorough))
             for name in names
@@ -93,9 +80,9 @@ class ColorPairDetector:
         found = [
             Detection(name, p.box, float(probability(np.float64(p.score))), p.T_cam_obj)
             for name, mine in places.items()
-            for p in mine[: self._proposals]
+            for p in mine[:proposals]
         ]
-        return sorted((d for d in found if d.score >= self._min_score), key=lambda d: -d.score)
+        return sorted((d for d in found if d.score >= self.config.min_score), key=lambda d: -d.score)
 
     def _rated(self, view: ClearView, places: Mapping[str, list[Proposal]]) -> dict[str, list[Proposal]]:
         """The same places, scored by the logit of the probability that they are the object's."""

@@ -2,12 +2,24 @@
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 import numpy as np
 
 from huepose.geometry.arrays import Bool, Float32, Float64
 from huepose.model.types import ReferenceModel
 from huepose.perception.clear_view import ClearView
-from huepose.registration.surface_icp import SurfaceArrays, align_kernel, surface_arrays
+from huepose.refine.point_to_plane import (
+    Gates,
+    Reports,
+    ScenePoints,
+    SurfaceArrays,
+    align_kernel,
+    grid_body,
+    no_reports,
+    surface_arrays,
+)
+from huepose.refine.solver import Body
 from huepose.support.jit import jit
 
 POINTS, ITERATIONS = 150, 10
@@ -18,21 +30,26 @@ REACH = 0.55
 """Points farther than this from the object's middle, in diameters, are others'."""
 
 
+class _View(NamedTuple):
+    """Depth (h, w) metres, which of it stands clear (h, w), and its camera's fx, fy, cx, cy."""
+
+    depth: Float32
+    clear: Bool
+    camera: Float64
+
+
 def align_in_view(model: ReferenceModel, view: ClearView, poses: Float64) -> Float64:
     """Poses (M, 4, 4) after a robust point-to-plane fit to the standing points round each of them."""
     out = np.array(poses)
     camera = view.crop.camera
     _align(
         out,
-        model.mesh.centre,
-        REACH * model.diameter_m,
-        view.clear,
-        view.crop.depth,
-        np.array([camera.fx, camera.fy, camera.cx, camera.cy]),
+        _View(view.crop.depth, view.clear, np.array([camera.fx, camera.fy, camera.cx, camera.cy])),
         surface_arrays(model.surface, model.grid),
-        GATE_START * model.diameter_m,
-        GATE_END_M,
-        ITERATIONS,
+        grid_body(model.grid),
+        Body(model.mesh.centre, REACH * model.diameter_m),
+        Gates(GATE_START * model.diameter_m, GATE_END_M, ITERATIONS),
+        no_reports(),
     )
     return out
 
@@ -40,41 +57,34 @@ def align_in_view(model: ReferenceModel, view: ClearView, poses: Float64) -> Flo
 @jit
 def _align(
     poses: Float64,
-    middle: Float64,
-    reach: float,
-    clear: Bool,
-    depth: Float32,
-    camera: Float64,
+    view: _View,
     surface: SurfaceArrays,
-    gate_start: float,
-    gate_end: float,
-    iterations: int,
+    body: Body,
+    sphere: Body,
+    gates: Gates,
+    reports: Reports,
 ) -> None:
-    points = np.empty((4 * POINTS, 3))
-    report = np.zeros((1, 4))
-    equations = np.zeros((0, 6, 6))  # are not asked for
+    points, weights = np.empty((4 * POINTS, 3)), np.ones(4 * POINTS)
     for m in range(poses.shape[0]):
         T = poses[m]
         x, y, z = T[0, 3], T[1, 3], T[2, 3]
         for c in range(3):
-            x += T[0, c] * middle[c]
-            y += T[1, c] * middle[c]
-            z += T[2, c] * middle[c]
+            x += T[0, c] * sphere.centre[c]
+            y += T[1, c] * sphere.centre[c]
+            z += T[2, c] * sphere.centre[c]
         if z < 0.05:
             continue
-        count = points_round(x, y, z, reach, clear, depth, camera, points)
+        count = points_round(x, y, z, sphere.radius, view, points)
         if count < 10:
             continue
-        align_kernel(
-            poses[m : m + 1], points[:count], surface, gate_start, gate_end, iterations, report, equations
-        )
+        scene = ScenePoints(points[:count], weights[:count])
+        align_kernel(poses[m : m + 1], scene, surface, body, gates, reports)
 
 
 @jit
-def points_round(
-    x: float, y: float, z: float, reach: float, clear: Bool, depth: Float32, camera: Float64, points: Float64
-) -> int:
+def points_round(x: float, y: float, z: float, reach: float, view: _View, points: Float64) -> int:
     """Fill `points` (N, 3) with standing points within `reach` of a point; returns how many there are."""
+    depth, clear, camera = view.depth, view.clear, view.camera
     fx, fy, cx, cy = camera[0], camera[1], camera[2], camera[3]
     height, width = depth.shape
     u, v, r = x / z * fx + cx, y / z * fy + cy, reach / z * fx

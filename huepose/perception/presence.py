@@ -21,32 +21,18 @@ from importlib import resources
 import numpy as np
 
 from huepose.geometry.arrays import Float64
+from huepose.judge.arrays import model_arrays
+from huepose.judge.continuation import continuation_many
+from huepose.judge.hue import LEAST_HUES, hue_log_ratio, hue_samples
+from huepose.judge.region import Region
+from huepose.judge.terms import score_many
 from huepose.model.types import ReferenceModel
 from huepose.perception.clear_view import ClearView
-from huepose.perception.rim import rims
-from huepose.verification.dense import score_many
-from huepose.verification.kernel_arrays import model_arrays, nearest_view
-from huepose.verification.region import Region
 
-SAMPLES, RIM_SAMPLES, HUES = 800, 400, 120
-HUE_LEAST, HUE_MOST = -3.0, 5.0
-"""Hue says no more than this, in natural logarithms: its errors are not independent."""
-
-NOISE, NOISE_SHARE = 4.0, 0.15
-"""Deviation of a hue from the object's, units of opponents: so much, and this share of its distance from
-grey."""
-
-ODD, ODD_SPREAD = 0.05, 45.0
-"""Share of samples whose hue is anything (glare, dirt, a reflection), and the spread of that."""
-
-WORLD_SHARES, WORLD_SPREADS = (0.35, 0.4, 0.25), (8.0, 20.0, 45.0)
-"""Hues of things under white light: much is grey, little is strongly coloured."""
+SAMPLES, RIM_SAMPLES = 800, 400
 
 LIGHT_SPREAD, LIGHT_NOISE, LIGHT_REACH = 15.0, 8.0, 25.0
 """Of the hue of lights; of a place's mean hue under it; places farther off than this say little about it."""
-
-FACING = 0.1
-LEAST_HUES = 5
 
 
 @dataclass(frozen=True, eq=False)
@@ -125,7 +111,12 @@ def hues_of(names: Sequence[str], sights: Sequence[Sight], logits: Float64) -> F
     shifts = np.array([s.shift for s in sights]).reshape(-1, 2)
     each = np.array(names)
     lights = {name: light_of(logits[each != name], shifts[each != name]) for name in set(names)}
-    return np.array([hue_evidence(s, lights[name]) for name, s in zip(names, sights, strict=True)])
+    return np.array(
+        [
+            hue_log_ratio(s.hues, lights[name].shift, lights[name].spread)
+            for name, s in zip(names, sights, strict=True)
+        ]
+    )
 
 
 def probability(logit: Float64 | np.float64) -> Float64:
@@ -141,33 +132,16 @@ def sight(view: ClearView, region: Region, model: ReferenceModel, T_cam_obj: Flo
     """Look at a pose (4, 4); `region`: the view as one for this model."""
     T = np.ascontiguousarray(T_cam_obj, dtype=np.float64)
     terms = score_many(model, region, T[None], SAMPLES)[0]
-    rim = rims(view, model_arrays(model), T[None], RIM_SAMPLES)[0]
+    crop, arrays = view.crop, model_arrays(model)
+    rim = continuation_many(arrays, crop.depth, view.clear, crop.camera, T[None], RIM_SAMPLES)[0]
+    hues = hue_samples(arrays, crop.depth, view.colors, crop.saturated, crop.camera, region.tolerance_m, T)
     return Sight(
         float(terms[1]),
         float(terms[3]),
         float(terms[4]),
         float(rim),
-        _hues(view, region.tolerance_m, model, T),
+        hues,
     )
-
-
-def _hues(view: ClearView, tolerance_m: float, model: ReferenceModel, T: Float64) -> Float64:
-    arrays = model_arrays(model)
-    k = nearest_view(T, arrays.directions)
-    seen = arrays.visible[arrays.offsets[k] : arrays.offsets[k + 1]]
-    seen = seen[:: max(1, len(seen) // (2 * HUES))]
-    points = arrays.points[seen] @ T[:3, :3].T + T[:3, 3]
-    facing = -(points * (arrays.normals[seen] @ T[:3, :3].T)).sum(1) / np.linalg.norm(points, axis=1)
-    pixels = np.rint(view.crop.camera.project(points))
-    height, width = view.clear.shape
-    inside = (facing > FACING) & (points[:, 2] > 0.0) & np.isfinite(pixels).all(1)
-    inside &= (pixels >= 0).all(1) & (pixels[:, 0] < width) & (pixels[:, 1] < height)
-    seen, facing, points = seen[inside], facing[inside], points[inside]
-    u, v = pixels[inside].astype(int).T
-    depth = view.crop.depth[v, u]
-    fits = (depth > 0) & (np.abs((depth - points[:, 2]) * facing) < tolerance_m) & ~view.crop.saturated[v, u]
-    coarse = arrays.colors[1][seen[fits], 1:], view.colors[v[fits], u[fits], 4:]
-    return np.column_stack([facing[fits], *coarse]).astype(np.float64)
 
 
 def light_of(logits: Float64, shifts: Float64) -> Light:
@@ -180,24 +154,3 @@ def light_of(logits: Float64, shifts: Float64) -> Light:
         weights = chances * np.exp(-((shifts - mean) ** 2).sum(1) / (2.0 * LIGHT_REACH**2))
         mean = weights @ shifts / (weights.sum() + (LIGHT_NOISE / LIGHT_SPREAD) ** 2)
     return Light(mean, float((1.0 / LIGHT_SPREAD**2 + weights.sum() / LIGHT_NOISE**2) ** -0.5))
-
-
-def hue_evidence(seen: Sight, light: Light) -> float:
-    """How much likelier the hues are the object's than anything's, as a mean log ratio of the samples."""
-    if len(seen.hues) < LEAST_HUES:
-        return 0.0
-    weights, own, shown = seen.hues[:, 0], seen.hues[:, 1:3], seen.hues[:, 3:] - light.shift
-    variance = (NOISE + NOISE_SHARE * np.linalg.norm(own, axis=1)) ** 2 + light.spread**2
-    away = ((shown - own) ** 2).sum(1)
-    # Student's t of three degrees of freedom, in the plane.
-    likely = (1.0 - ODD) / (2.0 * np.pi * variance) * (1.0 + away / (3.0 * variance)) ** -2.5
-    likely += ODD * _round_normal(away, ODD_SPREAD)
-    common = (shown**2).sum(1)
-    anything = sum(a * _round_normal(common, s) for a, s in zip(WORLD_SHARES, WORLD_SPREADS, strict=True))
-    ratio = np.log(likely) - np.log(anything + 1e-9)
-    return float(np.clip(np.average(ratio, weights=weights), HUE_LEAST, HUE_MOST))
-
-
-def _round_normal(away: Float64, spread: float) -> Float64:
-    """Density of a round normal distribution in the plane at squared distances (N,)."""
-    return np.asarray(np.exp(-away / (2.0 * spread**2)) / (2.0 * np.pi * spread**2))

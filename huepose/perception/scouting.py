@@ -9,19 +9,19 @@ import numpy as np
 
 from huepose.geometry.arrays import Float32, Float64, Int64
 from huepose.geometry.box import Box
+from huepose.judge.arrays import ModelArrays, model_arrays, nearest_view
+from huepose.judge.continuation import continuation_many
+from huepose.judge.region import Region
+from huepose.judge.terms import score_many
 from huepose.model.types import ReferenceModel
 from huepose.perception.clear_view import ClearView
 from huepose.perception.nearby import align_in_view
-from huepose.perception.rim import rims
 from huepose.perception.window_look import look, promising
 from huepose.perception.window_table import WindowTable
 from huepose.perception.windows import Windows, filled, windows_of
+from huepose.refine.coordinate_search import search
 from huepose.support.jit import jit
 from huepose.support.stages import stage
-from huepose.verification.dense import score_many
-from huepose.verification.kernel_arrays import ModelArrays, model_arrays, nearest_view
-from huepose.verification.local_search import search
-from huepose.verification.region import Region
 
 FIRST_SAMPLES, SECOND_SAMPLES = 60, 200
 LOOK_WEIGHT = 0.7
@@ -126,7 +126,9 @@ def likeliest_turns(model: ReferenceModel, region: Region, poses: Float64) -> Fl
 def _judged(model: ReferenceModel, view: ClearView, region: Region, poses: Float64) -> Float64:
     """Score (M,) of poses (M, 4, 4) on the picture."""
     terms = score_many(model, region, poses, SECOND_SAMPLES)
-    return evidence(terms) - RIM_WEIGHT * rims(view, model_arrays(model), poses, SECOND_SAMPLES)
+    return evidence(terms) - RIM_WEIGHT * continuation_many(
+        model_arrays(model), view.crop.depth, view.clear, view.crop.camera, poses, SECOND_SAMPLES
+    )
 
 
 def evidence(terms: Float64) -> Float64:
@@ -216,7 +218,7 @@ def _seen(
     """Fill bounds (4,) with the left, top, right and bottom pixel, patches (N,) with one number for each
     sample that agrees; returns how many do."""
     height, width = depth.shape
-    view = nearest_view(T, model.directions)
+    view = nearest_view(T, model)
     first = model.offsets[view]
     last = min(model.offsets[view + 1], first + patches.shape[0])
     count = 0

@@ -8,11 +8,11 @@ import numpy as np
 
 from huepose.geometry.arrays import Float32, Float64, Int64
 from huepose.geometry.camera import Camera
-from huepose.matching.quick_look import product
-from huepose.matching.retrieval import onto_rays
-from huepose.matching.template_table import MILLIMETRES
 from huepose.perception.window_table import WindowTable, middle_hues
 from huepose.perception.windows import Windows
+from huepose.propose.quick_look import product
+from huepose.propose.template_table import MILLIMETRES
+from huepose.propose.views import onto_rays
 from huepose.support.jit import jit
 
 RELIEF = 0.05

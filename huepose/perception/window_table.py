@@ -8,8 +8,8 @@ import cv2
 import numpy as np
 
 from huepose.geometry.arrays import Float32
-from huepose.matching.template_table import COARSE_SIDE, TemplateTable, build_table
 from huepose.model.types import ReferenceModel, ViewTemplates
+from huepose.propose.template_table import COARSE_SIDE, TemplateTable, build_table
 
 VIEWS, ROLL_STRIDE = 42, 2
 """The first 42 directions are the icosphere of level 1, 32 degrees apart; every second roll, 30 degrees."""

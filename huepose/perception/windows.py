@@ -7,8 +7,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from huepose.geometry.arrays import Bool, Float32, Float64
-from huepose.matching.template_table import COARSE_SIDE, MILLIMETRES
 from huepose.perception.clear_view import ClearView
+from huepose.propose.template_table import COARSE_SIDE, MILLIMETRES
 from huepose.support.jit import jit
 
 SPACING = 0.2

@@ -29,6 +29,10 @@ from huepose.tracking.types import Correction, TrackedPose, Verdict
 PATIENCE_PERIODS = 2.0
 """For so many periods nothing else is asked for in place of an acquired instance that is not there yet."""
 
+ADOPTED_BELOW = 2**20
+"""Instances that a loop before this one made are taken over up to this number. It leaves two thousand million
+for new ones, whatever number somebody says an instance has."""
+
 SIGHTING_S = 1.0
 """A first sighting waits this long for a second one, or until its object had another turn."""
 
@@ -263,8 +267,7 @@ class ReinitLoop:
     def _correction(
         self, key: Key, estimate: PoseEstimate, result: PerceptionResult, verdict: Verdict, quality: float
     ) -> Correction:
-        track = self._tracks.get(key)
-        seq = self._outbox.next_seq(key, 0 if track is None else track.applied_correction_seq)
+        seq = self._outbox.next_seq(key, self._now_ns)
         return Correction(
             key[0],
             key[1],
@@ -297,13 +300,18 @@ class ReinitLoop:
         if tracks:
             newest = max(tracks, key=lambda t: t.stamp_ns)
             self._observe_epoch(newest.epoch, newest.stamp_ns)
-        self._tracks = {(t.object, t.instance): t for t in tracks if t.epoch == self._epoch}
+        self._tracks = {(t.object, t.instance): t for t in tracks if self._may_be_tracked(t)}
         for track in self._tracks.values():
             self._past.note(track)
         for name, instance in self._tracks:
             # New ones come before those that were looked at now.
             self._looked_ns.setdefault((name, instance), now_ns - 1)
             self._last_instance[name] = max(self._last_instance.get(name, -1), instance)
+
+    def _may_be_tracked(self, track: TrackedPose) -> bool:
+        """Whether it is of this epoch, and of an instance that a loop may have made."""
+        mine = track.instance <= self._last_instance.get(track.object, -1)
+        return track.epoch == self._epoch and (mine or track.instance < ADOPTED_BELOW)
 
     def _observe_epoch(self, epoch: int, stamp_ns: int) -> None:
         """A newer epoch makes everything void that was about the older one."""

@@ -1,4 +1,8 @@
-"""Corrections on their way: numbered per instance, repeated until a pose shows that they were applied."""
+"""Corrections on their way: numbered per instance, repeated until a pose shows that they were applied.
+
+A correction's number is the time of its making in ns: above those of a loop that ran before this one, and
+nothing that anybody else says moves it.
+"""
 
 from __future__ import annotations
 
@@ -23,9 +27,9 @@ class Outbox:
         self._sent: dict[Key, _Sent] = {}
         self._seq: dict[Key, int] = {}
 
-    def next_seq(self, key: Key, applied_seq: int) -> int:
+    def next_seq(self, key: Key, now_ns: int) -> int:
         """The next number of an instance: above all that were used, also by a loop before this one."""
-        self._seq[key] = max(self._seq.get(key, 0), applied_seq) + 1
+        self._seq[key] = max(self._seq.get(key, 0) + 1, now_ns)
         return self._seq[key]
 
     def send(self, correction: Correction, now_ns: int) -> None:

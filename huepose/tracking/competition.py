@@ -13,8 +13,8 @@ import numpy as np
 
 from huepose.geometry.arrays import Float32, Float64, Int64
 from huepose.geometry.camera import Camera
-from huepose.tracking.scoring import tolerance_m
-from huepose.tracking.surface import TrackedSurface
+from huepose.judge.open_region import tolerance_m
+from huepose.judge.surface import PreparedSurface
 
 CELL_PX = 6
 """Claims are compared in cells of this size: about the spacing of the samples on a near object."""
@@ -28,7 +28,7 @@ CONTESTED = 0.5
 class Claim:
     """A pose and how well it explains its readings."""
 
-    surface: TrackedSurface
+    surface: PreparedSurface
     T_cam_obj: Float64
     total: float
 

@@ -1,71 +1,70 @@
-"""From what a pose explains of one frame to a quality, and from qualities to a state.
+"""From what is seen at a pose to the log-odds that it is right, and from qualities to a state.
 
-The quality is a probability that the pose is right. It is a logistic function of agreement in depth,
-violation of free space and agreement of texture, fitted on refined poses of labelled frames, half of them
-wrong; to that comes what is known beforehand: a pose that was right one frame ago is likely to be right
-still, and one that suddenly explains the image worse than usual for this object in this light is not.
-"""
+The log-odds are a weighted sum of what speaks for a pose, fitted on refined poses of drawn sequences
+(`believe.frame`); to that comes what is known beforehand: a pose that was right in the last frame is likely
+to be right still."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
-from math import erf
+from math import erf, exp, log
 
 import numpy as np
 
+from huepose.believe.frame import FrameFit, frame_fit
+from huepose.geometry.arrays import Float64
+from huepose.judge.terms import Terms
 from huepose.tracking.config import TrackerConfig
-from huepose.tracking.scoring import Fit, Tint
 from huepose.tracking.types import State
 
-CONSTANT, PER_DEPTH_FIT, PER_BEHIND, PER_COLOR = -5.65, 3.56, -6.21, 8.95
-CARRIED = 1.0
-"""Log-odds that a pose gains from having been right in the last frame."""
-
-FULLY_SEEN, BLIND_SHARE = 0.15, 0.3
-"""With less of the surface confirmed in depth its colours say less: few samples correlate by chance. Surface
-without a reading counts in part."""
+MEMORY, MOST_MEMORY = 0.6, 2.0
+"""Share of the log-odds of the last frame that is carried to the next, and the most of it: frames that follow
+each other err alike."""
 
 LEAST_SEEN, ONE_SENSE = 0.15, 0.45
-"""With less confirmed in depth, colours alone hold the pose; in a saturated image depth alone does. Either
-way it is doubtful at best."""
+"""With less of the surface confirmed in depth, colours alone hold the pose; with less of it in colour, depth
+alone does. Either way it is doubtful at best."""
 
 HIDDEN, SCARCE_FADE = 0.6, 0.93
 """With more than this behind something, trust in the little that is left fades by this factor a frame."""
 
-MUTE_COLOR = 0.35
-"""What colours that cannot be seen neither add nor take away."""
-
-USUAL_SLACK, HIDDEN_SLACK = 0.3, 0.3
-PER_DROP = 6.0
-"""Log-odds lost per score under the usual one, beyond the slack: more of it where something is in front."""
-
 RIGHT = 0.1
 """A pose is right when its points lie off by less than this share of the diameter."""
 
-USUAL_SHARE = 0.15
-TINT_SHARE = 0.2
-"""Weight of a new frame in what is usual."""
+BASELINE_SHARE, LIGHT_SHARE = 0.15, 0.2
+"""Weight of a new frame in the baseline total, and in the light."""
 
 RETURNED_AFTER = 2
 """Supported frames in a row after which a SUSPECT object is TRACKING again."""
 
 
-def quality(fit: Fit, usual: float | None, was_right: float) -> float:
-    """Probability in 0..1 that the pose is right; was_right: the quality one frame ago.
+def log_odds(terms: Terms, baseline: float | None, before: float, fit: FrameFit | None = None) -> float:
+    """Log-odds that a pose is right: by what is seen of it, by the total that is its baseline, and by the
+    log-odds of the pose that it was followed from.
 
-    >>> from huepose.tracking.scoring import NOTHING
-    >>> quality(NOTHING, None, 0.0) < 0.01
+    >>> from huepose.judge.terms import NOTHING
+    >>> log_odds(NOTHING, None, 0.0) < -4.0
     True
     """
-    mute = fit.tint[0] <= 0.0 and fit.seen >= FULLY_SEEN
-    heard = min(1.0, (fit.seen + BLIND_SHARE * fit.no_depth) / FULLY_SEEN)
-    color = MUTE_COLOR if mute else heard * fit.color
-    x = CONSTANT + PER_DEPTH_FIT * fit.depth_fit + PER_BEHIND * fit.behind + PER_COLOR * color
-    x += CARRIED * was_right
-    if usual is not None and not mute:
-        x -= PER_DROP * max(0.0, usual - fit.total - USUAL_SLACK - HIDDEN_SLACK * fit.hidden)
-    q = float(1.0 / (1.0 + np.exp(-x)))
-    return min(q, ONE_SENSE) if mute or fit.seen < LEAST_SEEN else q
+    fit = fit or frame_fit()
+    x = fit.log_odds(terms, baseline)
+    return x + min(max(MEMORY * before, -MOST_MEMORY), MOST_MEMORY)
+
+
+def probability(x: float) -> float:
+    """Of log-odds."""
+    return 1.0 / (1.0 + exp(-min(max(x, -30.0), 30.0)))
+
+
+def odds_of(p: float) -> float:
+    """Log-odds of a probability, at most 4.6 to both sides (99 %)."""
+    q = min(max(p, 0.01), 0.99)
+    return log(q / (1.0 - q))
+
+
+def one_sense(terms: Terms) -> bool:
+    """Whether only depth, or only colour, holds a pose."""
+    return terms.seen < LEAST_SEEN or terms.colored < LEAST_SEEN
 
 
 def vouched(quality: float, spread: float) -> float:
@@ -79,10 +78,10 @@ def vouched(quality: float, spread: float) -> float:
     return min(quality, max(quality * within, ONE_SENSE))
 
 
-def scarce(fit: Fit) -> bool:
+def scarce(terms: Terms) -> bool:
     """Whether something hides so much of the object that the rest can be followed for a moment only: a strip
     of it fits in many places along itself."""
-    return fit.seen < LEAST_SEEN and fit.hidden > HIDDEN
+    return terms.seen < LEAST_SEEN and terms.hidden > HIDDEN
 
 
 def bounded(quality: float, scarce_frames: int) -> float:
@@ -90,19 +89,17 @@ def bounded(quality: float, scarce_frames: int) -> float:
     return min(quality, ONE_SENSE * SCARCE_FADE**scarce_frames) if scarce_frames else quality
 
 
-def usual_after(usual: float | None, total: float) -> float:
-    """What score is usual after a supported frame."""
-    return total if usual is None else usual + USUAL_SHARE * (total - usual)
+def baseline_after(baseline: float | None, total: float) -> float:
+    """The baseline total after a supported frame."""
+    return total if baseline is None else baseline + BASELINE_SHARE * (total - baseline)
 
 
-def tint_after(tint: Tint, seen: Tint) -> Tint:
-    """What the light does to the object's mean colour, after a supported frame."""
-    if tint[0] <= 0.0:
-        return seen
-    if seen[0] <= 0.0:
-        return tint
-    a, b, c = (t + TINT_SHARE * (s - t) for t, s in zip(tint, seen, strict=True))
-    return (a, b, c)
+def light_after(light: Float64 | None, terms: Terms) -> Float64 | None:
+    """What the light adds to the object's opponents, after a supported frame."""
+    if terms.colored < LEAST_SEEN:
+        return light
+    seen = np.array(terms.light)
+    return seen if light is None else light + LIGHT_SHARE * (seen - light)
 
 
 @dataclass(frozen=True)

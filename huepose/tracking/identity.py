@@ -13,7 +13,7 @@ import numpy as np
 
 from huepose.geometry import se3
 from huepose.geometry.arrays import Float64
-from huepose.tracking.scoring import Fit
+from huepose.judge.terms import Terms
 
 TURN = np.radians(25.0)
 """From a viewpoint this much different the print is new evidence."""
@@ -55,8 +55,8 @@ class Identity:
             left = max(left, DOUBT_LEFT)
         return Identity.of(max(quality, 1.0 - (1.0 - self.value) * left), view)
 
-    def carried(self, fit: Fit, view: Float64) -> Identity:
+    def carried(self, terms: Terms, view: Float64) -> Identity:
         """After a frame that supports the pose, seen from `view`."""
-        if fit.color < COLOR or float(view @ self.view) > np.cos(TURN):
+        if terms.color < COLOR or float(view @ self.view) > np.cos(TURN):
             return self
         return Identity.of(1.0 - (1.0 - self.value) * DOUBT_LEFT, view)

@@ -8,12 +8,12 @@ import numpy as np
 
 from huepose.geometry import se3
 from huepose.geometry.arrays import Float64
+from huepose.judge.surface import PreparedSurface
 from huepose.tracking.config import TrackerConfig
-from huepose.tracking.motion import MAX_AHEAD_S
-from huepose.tracking.surface import TrackedSurface
+from huepose.tracking.motion import MAX_AHEAD_S, predicted
 
 SLACK_M, SLACK_RAD = 0.02, np.radians(10.0)
-MAX_M, MAX_RAD = 0.25, np.radians(75.0)
+MAX_M, MAX_RAD = 0.35, np.pi
 TRUSTED_VELOCITY = 0.5
 """A known velocity halves the reach: the object's acceleration is left to be found."""
 
@@ -36,7 +36,7 @@ class Reach:
 
 
 def reaches(
-    surface: TrackedSurface,
+    surface: PreparedSurface,
     T_last: Float64,
     velocity: Float64 | None,
     expected: Float64,
@@ -57,3 +57,27 @@ def reaches(
         surface.centre_cam(expected), (going_on,), TRUSTED_VELOCITY * metres, TRUSTED_VELOCITY * radians
     )
     return near, far
+
+
+JUMP, MOST_JUMP = 4.0, 4.0
+"""Log-odds that a pose loses for each reach by which it lies farther off than anything is carried, and the
+most."""
+
+
+def jump_odds(
+    surface: PreparedSurface,
+    T_last: Float64,
+    velocity: Float64 | None,
+    T_found: Float64,
+    seconds: float,
+    gone_s: float,
+    config: TrackerConfig,
+) -> float:
+    """What the motion model says of a pose that was not followed but found, 0 or less: nothing within what
+    the search covers in `gone_s` seconds from where the object was last or should be now."""
+    metres, radians = SLACK_M + config.max_search_m_s * gone_s, SLACK_RAD + config.max_search_rad_s * gone_s
+    away = []
+    for T in (T_last, predicted(T_last, velocity, seconds)):
+        shift = float(np.linalg.norm(surface.centre_cam(T_found) - surface.centre_cam(T)))
+        away.append(max(shift / metres, se3.rotation_angle(T, T_found) / radians))
+    return -min(MOST_JUMP, JUMP * max(0.0, float(min(away)) - 1.0))

@@ -16,15 +16,17 @@ import cv2
 import numpy as np
 
 from huepose.geometry import icosphere, se3
-from huepose.geometry.arrays import Float64, Int64
+from huepose.geometry.arrays import Float64
 from huepose.geometry.box import Box
 from huepose.geometry.frame import RgbdFrame
-from huepose.support.jit import jit
+from huepose.judge.open_region import OpenRegion, open_region
+from huepose.judge.surface import PreparedSurface
+from huepose.judge.terms import score_arrays
+from huepose.propose.hue_map import averaged, hue_map
+from huepose.refine.photometric import COARSE, FINE, QUICK, refine, refine_all
+from huepose.select.distinct import first_distinct
+from huepose.tracking.look import totals
 from huepose.tracking.reach import Reach
-from huepose.tracking.refinement import COARSE, FINE, QUICK, refine, refine_all
-from huepose.tracking.region import Region, prepare
-from huepose.tracking.scoring import UNKNOWN_TINT, Tint, score, score_all, tolerance_m
-from huepose.tracking.surface import TrackedSurface
 
 POSITION_SAMPLES, ROTATION_SAMPLES, POSE_SAMPLES = 60, 100, 250
 POSITION_STEP = 0.12
@@ -33,10 +35,18 @@ POSITION_STEP = 0.12
 POSITION_TURN = np.radians(40.0)
 """Positions are tried with the expected rotations and these far turns of them."""
 
-ROTATION_STEP = np.radians(18.0)
+HUE, HUE_SIDE = 0.5, 0.7
+"""What it counts where an object could be that its hues are there, whatever its rotation (a natural logarithm
+of the ratio), averaged over a square of this share of its thickness."""
+
+ROTATION_STEP, WIDE_STEP = np.radians(18.0), np.radians(25.0)
+WIDE = np.radians(80.0)
+"""Spacing of the tried rotations, and where more than WIDE is in reach, of all of them."""
+
 DIFFERENT_TURN = np.radians(10.0)
-LEVEL = 2
-"""Coarse colours have the widest basins."""
+FINAL_SAMPLES = 400
+FOUND, APART_TURN, APART = 2, np.radians(25.0), 0.15
+"""So many poses come out, which differ by more than the angle or by this share of the diameter."""
 
 
 @dataclass(frozen=True)
@@ -54,36 +64,37 @@ GREAT_EFFORT = Effort(8, 250, 40, 6)
 
 
 def search(
-    surface: TrackedSurface,
+    surface: PreparedSurface,
     frame: RgbdFrame,
     reach: Reach,
     effort: Effort = USUAL_EFFORT,
-    tint: Tint = UNKNOWN_TINT,
-) -> tuple[Float64, float] | None:
-    """The best pose (4, 4) within reach and its score at the fine texture level; None when no depth is
-    there."""
+    light: Float64 | None = None,
+) -> list[Float64]:
+    """The best clearly different poses (4, 4) within reach, best first, at most two; none where no depth
+    is."""
     region = _region(surface, frame, reach)
     if region is None:
-        return None
+        return []
+    region = region.lit(light)
     z = float(reach.centre_cam[2])
-    tau = tolerance_m(surface.diameter_m, z)
-    positions = _positions(surface, region, reach, effort.positions, tint)
+    tolerance = region.arrays.tolerance
+    positions = _positions(surface, region, reach, effort.positions)
     if not positions:
-        return None
-    poses = _rotations(surface, region, reach, positions, effort.quick, tint)
+        return []
+    poses = _rotations(surface, region, reach, positions, effort.quick)
     poses = refine_all(surface, region, poses, QUICK, z)
-    poses = _best(
-        surface, region, poses, LEVEL, ROTATION_SAMPLES, 2.0 * tau, effort.poses, DIFFERENT_TURN, tint
-    )
+    poses = _best(surface, region, poses, ROTATION_SAMPLES, 2.0 * tolerance, effort.poses, DIFFERENT_TURN)
     poses = refine_all(surface, region, poses, COARSE, z)
-    poses = _best(surface, region, poses, 1, POSE_SAMPLES, tau, effort.finalists, 0.5 * DIFFERENT_TURN, tint)
-    fine = [refine(surface, region, T, FINE).T_cam_obj for T in poses]
-    totals = [score(surface, region, T, 0, tint=tint).total for T in fine]
-    best = int(np.argmax(totals))
-    return fine[best], totals[best]
+    poses = _best(surface, region, poses, POSE_SAMPLES, tolerance, effort.finalists, 0.5 * DIFFERENT_TURN)
+    fine = np.array([refine(surface, region, T, FINE).T_cam_obj for T in poses])
+    arrays = region.arrays
+    rated = score_arrays(surface.arrays, arrays, fine, FINAL_SAMPLES)[:, 0]
+    order = np.argsort(-rated, kind="stable")
+    kept = first_distinct(fine[order], float(np.cos(APART_TURN)), APART * surface.diameter_m, FOUND)
+    return list(fine[order][kept])
 
 
-def _region(surface: TrackedSurface, frame: RgbdFrame, reach: Reach) -> Region | None:
+def _region(surface: PreparedSurface, frame: RgbdFrame, reach: Reach) -> OpenRegion | None:
     """The window that may hold the object."""
     z = float(reach.centre_cam[2])
     if z < 0.05:
@@ -91,12 +102,11 @@ def _region(surface: TrackedSurface, frame: RgbdFrame, reach: Reach) -> Region |
     u, v = frame.camera.project(reach.centre_cam)
     extent = reach.distance_m + surface.radius_m
     w, h = extent / z * frame.camera.fx, extent / z * frame.camera.fy
-    return prepare(frame, Box(float(u) - w, float(v) - h, 2 * w, 2 * h), z)
+    box = Box(float(u) - w, float(v) - h, 2 * w, 2 * h)
+    return open_region(frame, box, z, surface.diameter_m)
 
 
-def _positions(
-    surface: TrackedSurface, region: Region, reach: Reach, count: int, tint: Tint
-) -> list[Float64]:
+def _positions(surface: PreparedSurface, region: OpenRegion, reach: Reach, count: int) -> list[Float64]:
     """Up to `count` centres of the object, best first: the middle of its surface is put on a grid of pixels,
     at the depth that is there."""
     camera, depth = region.camera, cv2.medianBlur(region.arrays.depth, 5)
@@ -108,18 +118,21 @@ def _positions(
     known = depth[v, u] > 0
     u, v = u[known], v[known]
     seen = camera.rays(np.stack([u, v], 1)) * depth[v, u].astype(np.float64)[:, None]
-    poses, centres = [], []
+    own = averaged(hue_map(surface.arrays, region.arrays), HUE_SIDE * surface.thickness_m / z * camera.fx)
+    poses, centres, hues = [], [], []
     for R in _turned(reach.rotations, POSITION_TURN, POSITION_TURN):
         at = seen + R @ (surface.arrays.centre - _middle(surface, R))
-        for c in at[np.linalg.norm(at - reach.centre_cam, axis=1) < reach.distance_m]:
+        within = np.linalg.norm(at - reach.centre_cam, axis=1) < reach.distance_m
+        for c, hue in zip(at[within], own[v, u][within], strict=True):
             poses.append(se3.make(R, c - R @ surface.arrays.centre))
             centres.append(c)
+            hues.append(hue)
     if not poses:
         return []
     tolerance = 0.15 * surface.diameter_m
-    totals = score_all(surface, region, np.array(poses), LEVEL, POSITION_SAMPLES, tolerance, tint)
+    rated = totals(surface, region, np.array(poses), POSITION_SAMPLES, tolerance) + HUE * np.array(hues)
     out: list[Float64] = []
-    for i in np.argsort(-totals, kind="stable"):
+    for i in np.argsort(-rated, kind="stable"):
         if all(np.linalg.norm(centres[i] - c) > tolerance for c in out):
             out.append(centres[i])
             if len(out) == count:
@@ -127,7 +140,7 @@ def _positions(
     return out
 
 
-def _middle(surface: TrackedSurface, R: Float64) -> Float64:
+def _middle(surface: PreparedSurface, R: Float64) -> Float64:
     """The point (3,) of the surface that is seen nearest to the object's centre, object axes. The centre
     itself may lie in a hole."""
     a = surface.arrays
@@ -140,61 +153,35 @@ def _middle(surface: TrackedSurface, R: Float64) -> Float64:
 
 
 def _rotations(
-    surface: TrackedSurface, region: Region, reach: Reach, positions: list[Float64], count: int, tint: Tint
+    surface: PreparedSurface, region: OpenRegion, reach: Reach, positions: list[Float64], count: int
 ) -> Float64:
     """The best clearly different poses over all rotations in reach at the positions."""
     poses = np.array(
-        [
-            se3.make(R, c - R @ surface.arrays.centre)
-            for R in _turned(reach.rotations, ROTATION_STEP, reach.angle_rad)
-            for c in positions
-        ]
+        [se3.make(R, c - R @ surface.arrays.centre) for R in _in_reach(reach) for c in positions]
     )
-    tolerance = 0.1 * surface.diameter_m
-    return _best(surface, region, poses, LEVEL, ROTATION_SAMPLES, tolerance, count, DIFFERENT_TURN, tint)
+    return _best(surface, region, poses, ROTATION_SAMPLES, 0.1 * surface.diameter_m, count, DIFFERENT_TURN)
+
+
+def _in_reach(reach: Reach) -> list[Float64]:
+    """Rotations (3, 3) within reach, evenly."""
+    if reach.angle_rad <= WIDE:
+        return _turned(reach.rotations, ROTATION_STEP, reach.angle_rad)
+    return _turned(reach.rotations[-1:], WIDE_STEP, reach.angle_rad)
 
 
 def _best(
-    surface: TrackedSurface,
-    region: Region,
+    surface: PreparedSurface,
+    region: OpenRegion,
     poses: Float64,
-    level: int,
     samples: int,
-    tolerance: float,
+    tolerance_m: float,
     count: int,
     turn_rad: float,
-    tint: Tint,
 ) -> Float64:
     """The `count` best poses that differ by the turn, or by a twentieth of the diameter."""
-    order = np.argsort(-score_all(surface, region, poses, level, samples, tolerance, tint), kind="stable")
-    kept = different(poses[order], float(np.cos(turn_rad)), 0.05 * surface.diameter_m, count)
+    order = np.argsort(-totals(surface, region, poses, samples, tolerance_m), kind="stable")
+    kept = first_distinct(poses[order], float(np.cos(turn_rad)), 0.05 * surface.diameter_m, count)
     return np.ascontiguousarray(poses[order][kept])
-
-
-@jit
-def different(poses: Float64, least_cosine: float, shift: float, count: int) -> Int64:
-    """Indices of the first `count` poses that differ from those before by an angle over that of the cosine,
-    or by more than `shift` metres."""
-    out = np.empty(min(count, poses.shape[0]), np.int64)
-    n = 0
-    for k in range(poses.shape[0]):
-        if n == out.shape[0]:
-            break
-        alike = False
-        for j in range(n):
-            P, Q = poses[k], poses[out[j]]
-            trace = d2 = 0.0
-            for r in range(3):
-                d2 += (P[r, 3] - Q[r, 3]) ** 2
-                for c in range(3):
-                    trace += P[r, c] * Q[r, c]
-            if (trace - 1.0) / 2.0 > least_cosine and d2 < shift * shift:
-                alike = True
-                break
-        if not alike:
-            out[n] = k
-            n += 1
-    return out[:n]
 
 
 def _turned(rotations: tuple[Float64, ...], step_rad: float, limit_rad: float) -> list[Float64]:

@@ -1,13 +1,14 @@
-"""One step: from where an object was in one frame to where it is in another. Pure; everything is passed in.
+"""One step: from where an object was in one frame to where it may be in another. Pure; everything is passed
+in.
 
-Starts are tried from cheap to dear, and each is believed only when the image agrees: where it was, where its
-velocity takes it, where optical flow takes it (paper, section III-F), and at last the tracker's own search.
-What is usual for this object in this light decides when a result is doubtful.
-"""
+Sources are asked from cheap to dear: where the object was, where its velocity takes it, where optical flow
+takes it (paper, section III-E), and at last a search of what it can have reached. Each proposal is refined
+and looked at by the same judge; what comes back are different hypotheses, and the track decides what to
+believe."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -16,28 +17,23 @@ from huepose.geometry.arrays import Bool, Float64
 from huepose.geometry.box import Box
 from huepose.geometry.frame import RgbdFrame
 from huepose.geometry.mesh import Mesh
+from huepose.judge.open_region import OpenRegion, open_region
+from huepose.judge.silhouette import visible_within
+from huepose.judge.surface import PreparedSurface
+from huepose.judge.terms import NOTHING
 from huepose.model.types import ReferenceModel
-from huepose.tracking import evidence
-from huepose.tracking import flow as optical_flow
+from huepose.propose import flow as optical_flow
+from huepose.propose.correspondences import match
+from huepose.propose.relative_pose import RelativePose, RobustKabsch, lift_matches
+from huepose.refine.photometric import FINE, refine
 from huepose.tracking.config import TrackerConfig
-from huepose.tracking.correspondences import match
+from huepose.tracking.hypothesis import Hypothesis
+from huepose.tracking.look import look, totals
 from huepose.tracking.motion import predicted
-from huepose.tracking.reach import Reach, reaches
-from huepose.tracking.refinement import FINE, Refined, refine
-from huepose.tracking.region import Region, prepare
-from huepose.tracking.relative_pose import RelativePose, RobustKabsch, lift_matches
-from huepose.tracking.scoring import NOTHING, UNKNOWN_TINT, Fit, Tint, score
-from huepose.tracking.search import GREAT_EFFORT, USUAL_EFFORT, Effort, search
-from huepose.tracking.silhouette import visible_mask
-from huepose.tracking.surface import TrackedSurface
+from huepose.tracking.reach import reaches
+from huepose.tracking.search import GREAT_EFFORT, USUAL_EFFORT, search
 
 START_SAMPLES = 150
-DOUBT = 0.25
-"""A score this much under the usual one is looked into."""
-
-DOUBTFUL_TOTAL = 0.9
-"""So is any score under this one."""
-
 HIDDEN_COSTS = 0.5
 """A right pose loses about this share of what is hidden of its object: no reason to look elsewhere."""
 
@@ -48,78 +44,61 @@ SETTLED_M = 0.004
 MORE_PASSES = 3
 """A refinement that moved the object's rim by more than this is repeated, a few times."""
 
-LONG_STEP_S = 0.1
-"""After a longer time flow finds too little to be worth its own, and there is time for a search: it is made
-unless the result is close to the usual score and near to where the object was expected."""
-
-LONG_DOUBT = 0.1
-SURPRISING_M = 0.03
-RETURNING_SEEN = 0.2
-"""When this much of an object is seen again after it was hidden, it may have turned meanwhile: it is searched
-for, even if the predicted pose explains something."""
-
-WHOLLY_HIDDEN = 0.9
-"""With less hidden there is a strip to be followed."""
-
 DRAWN_AWAY = 0.1
 """A refinement that explains this much less than its start has followed something else."""
 
-RIVAL_MARGIN = 0.1
-"""The pose before a correction must explain the image this much better to be taken back."""
-
-TURN_MARGIN = 0.1
-"""A near-symmetric turn of the object must explain the image this much better before it is believed."""
-
 FLOW_GROWTH = 0.3
+WHOLLY_HIDDEN = 0.9
+"""With less hidden there is a strip to be followed."""
+
+RETURNING_SEEN = 0.2
+"""When this much of an object is seen again after it was hidden, it may have turned meanwhile."""
 
 
 @dataclass(frozen=True, eq=False)
 class Subject:
-    """The object: its prepared surface, its mesh, and the turns (M, 4, 4) that nearly map its shape to
+    """The object: its prepared surface, its mesh, and the rotations (M, 4, 4) that nearly map its shape to
     itself, without the identity."""
 
-    surface: TrackedSurface
+    surface: PreparedSurface
     mesh: Mesh
     turns: Float64
 
     @staticmethod
     def of(model: ReferenceModel) -> Subject:
         """Prepare a reference model for tracking."""
-        return Subject(TrackedSurface.of(model), model.mesh, np.asarray(model.turns[1:], np.float64))
+        return Subject(PreparedSurface.of(model), model.mesh, np.asarray(model.turns[1:], np.float64))
 
 
 @dataclass(frozen=True, eq=False)
 class Anchor:
-    """Where an object was last: pose, velocity (6,) or None, the frame, the score that is usual for it or
-    None, and the tint of the light; its mask (H, W) in that frame where one is known better than by
-    rendering; a rival: the pose that has just been corrected away; unseen_s: for how long the pose had
-    only been predicted by then; tired: flow and search were tried in vain for some frames, and shall rest."""
+    """Where an object was last: what was believed there, best first; the frame; the total that is its
+    baseline, or None; what the light adds to opponents (3,), or None; its mask (H, W) in that frame where one
+    is known better than by rendering; unseen_s: for how long the pose had only been predicted by then."""
 
-    T_cam_obj: Float64
-    velocity: Float64 | None
+    hypotheses: tuple[Hypothesis, ...]
     frame: RgbdFrame
-    usual: float | None
-    tint: Tint = UNKNOWN_TINT
+    baseline: float | None = None
+    light: Float64 | None = None
     mask: Bool | None = None
-    rival: Float64 | None = None
     unseen_s: float = 0.0
-    tired: bool = False
+
+    @property
+    def first(self) -> Hypothesis:
+        """What was believed most."""
+        return self.hypotheses[0]
 
 
 @dataclass(frozen=True, eq=False)
-class Step:
-    """Where it is now: pose, what that explains of the frame, information (6, 6) of the refinement, and
-    which start led there ("still", "velocity", "flow", "search", "turn", "rival"); doubtful: it explains less
-    than it should; searched: the tracker's own search was made; near: what starts near by had led to where
-    the search found something that explains more."""
+class Advance:
+    """What may be believed of a frame: followed, one for each hypothesis of the anchor in their order;
+    proposed: others, by flow, search and near-symmetric rotations; searched: whether a search was made;
+    doubtful: the best of them explains less than the object should."""
 
-    T_cam_obj: Float64
-    fit: Fit
-    information: Float64
-    start: str
-    doubtful: bool = False
+    followed: tuple[Hypothesis, ...]
+    proposed: tuple[Hypothesis, ...] = ()
     searched: bool = False
-    near: Step | None = None
+    doubtful: bool = False
 
 
 def advance(
@@ -128,57 +107,76 @@ def advance(
     frame: RgbdFrame,
     config: TrackerConfig,
     relative_pose: RelativePose | None = None,
-) -> Step:
-    """Find the object of `anchor` in a later frame."""
-    surface = subject.surface
+    resting: bool = False,
+) -> Advance:
+    """Find the object of `anchor` in a later frame. resting: flow and search were tried in vain and may
+    wait."""
+    surface, first = subject.surface, anchor.first
     seconds = (frame.stamp_ns - anchor.frame.stamp_ns) * 1e-9
-    expected = predicted(anchor.T_cam_obj, anchor.velocity, seconds)
-    starts = [(anchor.T_cam_obj, "still")]
-    if expected is not anchor.T_cam_obj:
-        starts.append((expected, "velocity"))
-    gone_s = seconds + anchor.unseen_s
-    near, far = reaches(surface, anchor.T_cam_obj, anchor.velocity, expected, gone_s, config)
+    expected = predicted(first.T_cam_obj, first.velocity, seconds)
     if anchor.unseen_s > 0.0:
-        waiting = _unmoved(surface, frame, expected, anchor.tint)
-        if waiting.fit.hidden > WHOLLY_HIDDEN:
+        waiting = unmoved(surface, frame, expected, anchor.light)
+        if waiting.terms.hidden > WHOLLY_HIDDEN:
             # Still behind something. A refinement would lead to that, where its depth fits.
-            return replace(waiting, doubtful=True)
-    best = best_of(surface, frame, starts, anchor.tint)
-    if not far.holds(surface.centre_cam(best.T_cam_obj)):
+            return Advance((waiting,), doubtful=True)
+    gone_s = seconds + anchor.unseen_s
+    near, far = reaches(surface, first.T_cam_obj, first.velocity, expected, gone_s, config)
+    followed = [_followed(surface, frame, h, seconds, anchor.light) for h in anchor.hypotheses]
+    if not far.holds(surface.centre_cam(followed[0].T_cam_obj)):
         # Nothing moves that fast: what was followed is what came in front.
-        best = _unmoved(surface, frame, expected, anchor.tint)
-    if anchor.rival is not None:
-        best = _better(best, best_of(surface, frame, [(anchor.rival, "rival")], anchor.tint), by=RIVAL_MARGIN)
-    long = seconds > LONG_STEP_S
-    doubt = LONG_DOUBT if long else DOUBT
-    surprising = long and _moved_m(surface, best.T_cam_obj, expected) > SURPRISING_M
-    returning = anchor.unseen_s > 0.0 and best.fit.seen >= RETURNING_SEEN
-    doubtful = not _convincing(best, anchor.usual, doubt)
-    # Behind something, where it is expected, there is nothing to look for.
-    resting = (anchor.tired or best.fit.hidden > evidence.HIDDEN) and not long and not returning
-    if resting or not (doubtful or surprising or returning):
-        return replace(best, doubtful=doubtful)
+        followed[0] = unmoved(surface, frame, expected, anchor.light)
+    best = max(followed, key=lambda h: h.terms.total)
+    long = seconds > config.long_step_s
+    doubt = config.long_doubt if long else config.doubt
+    returning = anchor.unseen_s > 0.0 and best.terms.seen >= RETURNING_SEEN
+    surprising = long and moved_m(surface, best.T_cam_obj, expected) > config.surprising_m
+    if convincing(best, anchor.baseline, doubt, config) and not (surprising or returning):
+        return Advance(tuple(followed))
+    if (resting or best.terms.hidden > config.hidden) and not (long or returning):
+        return Advance(tuple(followed), doubtful=True)
+    proposed: list[Hypothesis] = []
     # What was not seen in the last frame has no pixels there to be followed.
-    if 0.0 < seconds <= LONG_STEP_S and anchor.unseen_s == 0.0:
+    if 0.0 < seconds <= config.long_step_s and anchor.unseen_s == 0.0:
         T_flow = flow_start(subject, anchor, frame, expected, relative_pose or RobustKabsch(), config.flow)
         if T_flow is not None and far.holds(surface.centre_cam(T_flow)):
-            best = _better(best, best_of(surface, frame, [(T_flow, "flow")], anchor.tint))
-    doubtful = not _convincing(best, anchor.usual, doubt)
-    searching = config.search and (doubtful or surprising or returning)
-    local = best
-    if searching:
-        best = _searched(best, surface, frame, near, USUAL_EFFORT, anchor.tint)
-        if not _convincing(best, anchor.usual, doubt) and (long or returning):
-            best = _searched(best, surface, frame, far, GREAT_EFFORT, anchor.tint)
-        if len(subject.turns) and best.fit.seen >= RETURNING_SEEN:
-            turned = [(best.T_cam_obj @ turn, "turn") for turn in subject.turns]
-            best = _better(best, best_of(surface, frame, turned, anchor.tint), by=TURN_MARGIN)
-    return replace(
-        best,
-        doubtful=not _convincing(best, anchor.usual, doubt),
-        searched=searching,
-        near=None if best is local else local,
-    )
+            proposed.append(best_of(surface, frame, [(T_flow, "flow")], anchor.light))
+            best = max(best, proposed[-1], key=lambda h: h.terms.total)
+    if not config.search or (
+        convincing(best, anchor.baseline, doubt, config) and not (surprising or returning)
+    ):
+        return Advance(
+            tuple(followed), tuple(proposed), doubtful=not convincing(best, anchor.baseline, doubt, config)
+        )
+    efforts = ((near, USUAL_EFFORT), (far, GREAT_EFFORT)) if long or returning else ((near, USUAL_EFFORT),)
+    for reach, effort in efforts:
+        found = search(surface, frame, reach, effort, anchor.light)
+        proposed += [best_of(surface, frame, [(T, "search")], anchor.light) for T in found]
+        best = max([best, *proposed], key=lambda h: h.terms.total)
+        if convincing(best, anchor.baseline, doubt, config):
+            break
+    if len(subject.turns) and best.terms.seen >= RETURNING_SEEN:
+        starts = [(best.T_cam_obj @ turn, "turn") for turn in subject.turns]
+        proposed.append(best_of(surface, frame, starts, anchor.light))
+        best = max(best, proposed[-1], key=lambda h: h.terms.total)
+    doubtful = not convincing(best, anchor.baseline, doubt, config)
+    return Advance(tuple(followed), tuple(proposed), True, doubtful)
+
+
+def convincing(found: Hypothesis, baseline: float | None, doubt: float, config: TrackerConfig) -> bool:
+    """Whether a hypothesis explains as much as it should: no reason to look further."""
+    total, allowed = found.terms.total, doubt + HIDDEN_COSTS * found.terms.hidden
+    return total >= config.doubtful_total and (baseline is None or total >= baseline - allowed)
+
+
+def _followed(
+    surface: PreparedSurface, frame: RgbdFrame, before: Hypothesis, seconds: float, light: Float64 | None
+) -> Hypothesis:
+    """A hypothesis of an earlier frame in this one."""
+    starts = [(before.T_cam_obj, "still")]
+    expected = predicted(before.T_cam_obj, before.velocity, seconds)
+    if expected is not before.T_cam_obj:
+        starts.append((expected, "velocity"))
+    return best_of(surface, frame, starts, light)
 
 
 def flow_start(
@@ -193,8 +191,8 @@ def flow_start(
     """The pose that optical flow from the anchor's frame gives: flow on the region of the old and the
     expected outline, matches filtered by mask and colour pairs, lifted, and a relative pose. None where it
     fails."""
-    surface, camera = subject.surface, frame.camera
-    old, new = surface.box(anchor.T_cam_obj, camera), surface.box(expected, camera)
+    surface, camera, T_last = subject.surface, frame.camera, anchor.first.T_cam_obj
+    old, new = surface.box(T_last, camera), surface.box(expected, camera)
     if old is None or new is None:
         return None
     flow = flow_source(anchor.frame.color, frame.color, _union(old, new).grown(FLOW_GROWTH, 8.0))
@@ -202,91 +200,77 @@ def flow_start(
         return None
     mask = anchor.mask
     if mask is None:
-        mask = visible_mask(subject.mesh, anchor.T_cam_obj, anchor.frame, old)
+        mask = visible_within(subject.mesh, T_last, anchor.frame, old)
     matches = match(anchor.frame.color, frame.color, mask, flow, use_pairs)
     motion = relative_pose.estimate(lift_matches(anchor.frame, frame, matches))
-    return None if motion is None else se3.compose(motion.T_b_a, anchor.T_cam_obj)
+    return None if motion is None else se3.compose(motion.T_b_a, T_last)
 
 
 def best_of(
-    surface: TrackedSurface,
+    surface: PreparedSurface,
     frame: RgbdFrame,
     starts: list[tuple[Float64, str]],
-    tint: Tint = UNKNOWN_TINT,
-) -> Step:
-    """Refine the start that explains the image best before refinement."""
+    light: Float64 | None = None,
+) -> Hypothesis:
+    """Refine the start that explains the image best before refinement, and look at where it leads."""
     boxes = [b for b in (surface.box(T, frame.camera) for T, _ in starts) if b is not None]
     region = None
     if boxes:
         z = float(surface.centre_cam(starts[-1][0])[2])
-        region = prepare(frame, _with_margin(_union(*boxes), frame, z), z)
+        region = _window(surface, frame, _union(*boxes), z)
     if region is None:
-        return Step(starts[-1][0], NOTHING, np.zeros((6, 6)), starts[-1][1])
-    totals = [score(surface, region, T, 2, START_SAMPLES, tint).total for T, _ in starts]
-    T_start, name = starts[int(np.argmax(totals))]
+        return Hypothesis(starts[-1][0], NOTHING, np.zeros((6, 6)), starts[-1][1])
+    region = region.lit(light)
+    poses = np.array([T for T, _ in starts])
+    chosen = int(np.argmax(totals(surface, region, poses, START_SAMPLES))) if len(starts) > 1 else 0
+    T_start, name = starts[chosen]
     refined, T = refine(surface, region, T_start), T_start
     for _ in range(MORE_PASSES):
-        if _moved_m(surface, T, refined.T_cam_obj) < SETTLED_M:
+        if moved_m(surface, T, refined.T_cam_obj) < SETTLED_M:
             break
         T = refined.T_cam_obj
         refined = refine(surface, region, T)
-    best = _scored(surface, region, refined, name, tint)
-    unmoved = score(surface, region, T_start, 0, tint=tint)
-    if unmoved.total > best.fit.total + DRAWN_AWAY:
+    best = Hypothesis(refined.T_cam_obj, look(surface, region, refined.T_cam_obj), refined.information, name)
+    unmoved_terms = look(surface, region, T_start)
+    if unmoved_terms.total > best.terms.total + DRAWN_AWAY:
         # Drawn away by something close by, a hand that holds the object for one: only what is near counts.
-        careful = _scored(surface, region, refine(surface, region, T_start, FINE), name, tint)
-        best = max(best, careful, key=lambda step: step.fit.total)
-        if unmoved.total > best.fit.total:
-            best = replace(best, T_cam_obj=T_start, fit=unmoved)
+        careful = refine(surface, region, T_start, FINE)
+        seen = look(surface, region, careful.T_cam_obj)
+        if seen.total > best.terms.total:
+            best = Hypothesis(careful.T_cam_obj, seen, careful.information, name)
+        if unmoved_terms.total > best.terms.total:
+            best = Hypothesis(T_start, unmoved_terms, best.information, name)
     return best
 
 
 def found_nearby(
-    surface: TrackedSurface, T_cam_obj: Float64, frame: RgbdFrame, apart_s: float, config: TrackerConfig
-) -> Step:
+    surface: PreparedSurface, T_cam_obj: Float64, frame: RgbdFrame, apart_s: float, config: TrackerConfig
+) -> tuple[Hypothesis, bool]:
     """A pose of a frame settled on that frame, or on one that was taken so many seconds before or after:
-    there the object is searched for, if it is not found where it was."""
+    there the object is searched for, if it is not found where it was; and whether it was searched for."""
     best = best_of(surface, frame, [(T_cam_obj, "correction")])
-    if apart_s == 0.0 or not config.search or _convincing(best, None, DOUBT):
-        return best
+    if apart_s == 0.0 or not config.search or convincing(best, None, config.doubt, config):
+        return best, False
     reach, _ = reaches(surface, T_cam_obj, None, T_cam_obj, apart_s, config)
-    return replace(_searched(best, surface, frame, reach, USUAL_EFFORT, UNKNOWN_TINT), searched=True)
+    found = search(surface, frame, reach, USUAL_EFFORT, None)
+    more = [best_of(surface, frame, [(T, "search")]) for T in found]
+    return max([best, *more], key=lambda h: h.terms.total), True
 
 
-def _unmoved(surface: TrackedSurface, frame: RgbdFrame, T_cam_obj: Float64, tint: Tint) -> Step:
-    """A pose as it is, with what it explains."""
+def unmoved(
+    surface: PreparedSurface, frame: RgbdFrame, T_cam_obj: Float64, light: Float64 | None
+) -> Hypothesis:
+    """A pose as it is, with what is seen of it."""
     box, z = surface.box(T_cam_obj, frame.camera), float(surface.centre_cam(T_cam_obj)[2])
-    region = None if box is None else prepare(frame, _with_margin(box, frame, z), z)
-    fit = NOTHING if region is None else score(surface, region, T_cam_obj, 0, tint=tint)
-    return Step(T_cam_obj, fit, np.zeros((6, 6)), "velocity")
+    region = None if box is None else _window(surface, frame, box, z)
+    terms = NOTHING if region is None else look(surface, region.lit(light), T_cam_obj)
+    return Hypothesis(T_cam_obj, terms, np.zeros((6, 6)), "velocity")
 
 
-def _scored(surface: TrackedSurface, region: Region, refined: Refined, start: str, tint: Tint) -> Step:
-    fit = score(surface, region, refined.T_cam_obj, 0, tint=tint)
-    return Step(refined.T_cam_obj, fit, refined.information, start)
-
-
-def _moved_m(surface: TrackedSurface, T_a: Float64, T_b: Float64) -> float:
+def moved_m(surface: PreparedSurface, T_a: Float64, T_b: Float64) -> float:
     """How far the object's centre and rim moved at most."""
     shift = float(np.linalg.norm(surface.centre_cam(T_a) - surface.centre_cam(T_b)))
     return shift + surface.radius_m * se3.rotation_angle(T_a, T_b)
-
-
-def _searched(
-    best: Step, surface: TrackedSurface, frame: RgbdFrame, reach: Reach, effort: Effort, tint: Tint
-) -> Step:
-    found = search(surface, frame, reach, effort, tint)
-    return best if found is None else _better(best, best_of(surface, frame, [(found[0], "search")], tint))
-
-
-def _better(a: Step, b: Step, by: float = 0.0) -> Step:
-    return b if b.fit.total > a.fit.total + by else a
-
-
-def _convincing(step: Step, usual: float | None, doubt: float) -> bool:
-    total = step.fit.total
-    allowed = doubt + HIDDEN_COSTS * step.fit.hidden
-    return total >= DOUBTFUL_TOTAL and (usual is None or total >= usual - allowed)
 
 
 def _union(*boxes: Box) -> Box:
@@ -295,5 +279,6 @@ def _union(*boxes: Box) -> Box:
     return Box(x0, y0, x1 - x0, y1 - y0)
 
 
-def _with_margin(box: Box, frame: RgbdFrame, z: float) -> Box:
-    return box.grown(0.0, max(8.0, MARGIN_M / max(z, 0.05) * frame.camera.fx))
+def _window(surface: PreparedSurface, frame: RgbdFrame, box: Box, z: float) -> OpenRegion | None:
+    margin = max(8.0, MARGIN_M / max(z, 0.05) * frame.camera.fx)
+    return open_region(frame, box.grown(0.0, margin), z, surface.diameter_m)

@@ -1,4 +1,5 @@
-"""One tracked instance: what is known of it, and what a frame or a correction changes about that."""
+"""One tracked instance: up to three hypotheses of where it is, and what a frame or a correction changes about
+them."""
 
 from __future__ import annotations
 
@@ -6,19 +7,19 @@ from dataclasses import replace
 
 import numpy as np
 
-from huepose.geometry.arrays import Float64
+from huepose.geometry.arrays import Bool, Float64
 from huepose.geometry.frame import RgbdFrame
+from huepose.judge.terms import NOTHING, Terms
+from huepose.propose.relative_pose import RelativePose
 from huepose.tracking import evidence
-from huepose.tracking.catching_up import Pursuit
 from huepose.tracking.config import TrackerConfig
-from huepose.tracking.evidence import Standing, next_standing, usual_after
+from huepose.tracking.evidence import Standing, next_standing
 from huepose.tracking.history import PoseHistory
+from huepose.tracking.hypothesis import Hypothesis, distinct, share_of_first
 from huepose.tracking.identity import Identity, turned_over
 from huepose.tracking.motion import filtered, increment_velocity, predicted
-from huepose.tracking.relative_pose import RelativePose
-from huepose.tracking.scoring import NOTHING, UNKNOWN_TINT, Fit
-from huepose.tracking.second_thought import SecondThought, leapt
-from huepose.tracking.step import Anchor, Step, Subject, advance
+from huepose.tracking.reach import jump_odds
+from huepose.tracking.step import Advance, Anchor, Subject, advance, found_nearby
 from huepose.tracking.types import State, TrackedPose
 from huepose.tracking.uncertainty import covariance, spread_m, unseen
 
@@ -29,7 +30,7 @@ COASTING_DAMPING = 0.85
 """Factor of the velocity in every frame without support."""
 
 FORGOTTEN_PER_S = 0.25
-"""Score by which less is asked, each second, of an object that returns: the light may have changed."""
+"""Total by which less is asked, each second, of an object that returns: the light may have changed."""
 
 SPREAD_POINTS = 48
 MAX_TRIES = 3
@@ -44,149 +45,186 @@ class Track:
     def __init__(self, subject: Subject, object_name: str, instance: int, config: TrackerConfig) -> None:
         self.subject, self.object, self.instance = subject, object_name, instance
         self.history = PoseHistory()
-        self.state = State.SEARCHING
-        self.T_cam_obj: Float64 | None = None
-        self.velocity: Float64 | None = None
+        self.hypotheses: tuple[Hypothesis, ...] = ()
         self.covariance: Float64 | None = None
-        self.fit: Fit = NOTHING
         self.quality = 0.0
-        self.start = ""
         self.applied_seq = 0
+        self.baseline: float | None = None
+        self.light: Float64 | None = None
+        self.frame: RgbdFrame | None = None
+        self.evidence = 0.0
         self._config = config
         self._standing = Standing(State.SEARCHING)
         self._identity: Identity | None = None
-        self._evidence = 0.0
-        self._usual: float | None = None
-        self._tint = UNKNOWN_TINT
-        self._frame: RgbdFrame | None = None
+        self._corrected_from: Identity | None = None
         self._doubtful_frames = self._scarce_frames = 0
         self._unseen_s = 0.0
         self._supported_ns = 0
-        self._rival: Float64 | None = None
-        self._rival_identity: Identity | None = None
-        self._second: SecondThought | None = None
+
+    @property
+    def state(self) -> State:
+        """What may be believed of its pose."""
+        return self._standing.state
+
+    @property
+    def T_cam_obj(self) -> Float64 | None:
+        """The pose (4, 4) that is believed most, None where there is none."""
+        return self.hypotheses[0].T_cam_obj if self.hypotheses else None
+
+    @property
+    def velocity(self) -> Float64 | None:
+        """Of that pose (6,), a second."""
+        return self.hypotheses[0].velocity if self.hypotheses else None
+
+    @property
+    def terms(self) -> Terms:
+        """What is seen of that pose."""
+        return self.hypotheses[0].terms if self.hypotheses else NOTHING
 
     def look(
-        self, frame: RgbdFrame, relative_pose: RelativePose | None = None, may_search: bool = True
+        self,
+        frame: RgbdFrame,
+        relative_pose: RelativePose | None = None,
+        may_search: bool = True,
+        mask: Bool | None = None,
     ) -> bool:
-        """Find the object in the next frame, if it has a pose; says whether that took a search."""
-        if self.T_cam_obj is None or self._frame is None:
+        """Find the object in the next frame, if it has a pose; says whether that took a search. mask (H, W):
+        of the object in the last frame, where it is known."""
+        if not self.hypotheses or self.frame is None:
             return False
-        tired = self._doubtful_frames >= MAX_TRIES and self._doubtful_frames % TRY_AGAIN_AFTER != 0
-        anchor = Anchor(
-            self.T_cam_obj,
-            self.velocity,
-            self._frame,
-            self._usual,
-            self._tint,
-            rival=self._rival,
-            unseen_s=self._unseen_s,
-            tired=tired,
-        )
-        self._rival = None
+        resting = self._doubtful_frames >= MAX_TRIES and self._doubtful_frames % TRY_AGAIN_AFTER != 0
+        anchor = Anchor(self.hypotheses, self.frame, self.baseline, self.light, mask, self._unseen_s)
         config = self._config if may_search else replace(self._config, search=False)
-        step = advance(self.subject, anchor, frame, config, relative_pose)
-        seconds = (frame.stamp_ns - self._frame.stamp_ns) * 1e-9
-        step = self._decided(anchor, step, frame, seconds)
-        sure = evidence.quality(step.fit, self._usual, self._evidence)
-        if step.near is not None and sure < self._config.suspect_quality:
-            # What is found somewhere else and not believed must not draw a half hidden object away.
-            step = replace(step.near, doubtful=True, searched=True)
-            sure = evidence.quality(step.fit, self._usual, self._evidence)
-        self._scarce_frames = self._scarce_frames + 1 if evidence.scarce(step.fit) else 0
+        found = advance(self.subject, anchor, frame, config, relative_pose, resting)
+        self._take(anchor, found, frame)
+        return found.searched
+
+    def _take(self, anchor: Anchor, found: Advance, frame: RgbdFrame) -> None:
+        """Believe what was found as far as the image, the past and what can move so fast allow."""
+        surface, before = self.subject.surface, anchor.first
+        seconds = (frame.stamp_ns - anchor.frame.stamp_ns) * 1e-9
+        opinions = [
+            self._believed(h, parent.log_odds, parent, seconds)
+            for h, parent in zip(found.followed, anchor.hypotheses, strict=False)
+        ]
+        gone_s = seconds + anchor.unseen_s
+        for h in found.proposed:
+            jump = jump_odds(
+                surface, before.T_cam_obj, before.velocity, h.T_cam_obj, seconds, gone_s, self._config
+            )
+            opinions.append(self._believed(h, before.log_odds + jump, before, seconds))
+        corrected = self._corrected_from
+        self._corrected_from = None
+        self.hypotheses = distinct(surface, opinions)
+        first = self.hypotheses[0]
+        sure = evidence.probability(first.log_odds) * share_of_first(self.hypotheses)
+        if evidence.one_sense(first.terms):
+            sure = min(sure, evidence.ONE_SENSE)
+        self._scarce_frames = self._scarce_frames + 1 if evidence.scarce(first.terms) else 0
         sure = evidence.bounded(sure, self._scarce_frames)
-        self.fit, self.start, self._frame, self._evidence = step.fit, step.start, frame, sure
-        if step.start == "rival":
-            self._identity = self._rival_identity
-        if self._evidence >= self._config.lost_quality:
-            measured = increment_velocity(self.T_cam_obj, step.T_cam_obj, seconds)
-            self.velocity = filtered(self.velocity, measured, seconds)
-            self.T_cam_obj, self.covariance = step.T_cam_obj, self._covariance(step)
-            self._evidence = evidence.vouched(sure, self._spread())
+        if corrected is not None and len(opinions) > 1 and first.T_cam_obj is opinions[1].T_cam_obj:
+            self._identity = corrected  # The image prefers what was believed before the correction.
+        self.frame, self.evidence = frame, sure
+        if sure >= self._config.lost_quality:
+            self.covariance = self._covariance(first)
+            self.evidence = evidence.vouched(sure, self._spread())
             self._unseen_s = 0.0
         else:
-            self._coast(step, seconds)
+            self._coast(before, seconds)
             self._unseen_s += seconds
-        self._doubtful_frames = self._doubtful_frames + 1 if step.doubtful else 0
-        return step.searched
+        self._doubtful_frames = self._doubtful_frames + 1 if found.doubtful else 0
 
-    def _decided(self, anchor: Anchor, step: Step, frame: RgbdFrame, seconds: float) -> Step:
-        """What is believed of a frame where there are two opinions about the object since a leap."""
-        if self._second is not None:
-            surface = self.subject.surface
-            self._second, own = self._second.followed(surface, frame, seconds, self._tint, step)
-            if self._second.borne_out:
-                step = replace(own, doubtful=step.doubtful, searched=step.searched)
-            if self._second.borne_out or self._second.refuted:
-                self._second = None
-        elif step.start != "rival" and leapt(
-            self.subject.surface, anchor.T_cam_obj, step.T_cam_obj, seconds, self._config
-        ):
-            self._second = SecondThought.left_behind(anchor, step, seconds)
-        return step
+    def _believed(self, h: Hypothesis, odds_before: float, parent: Hypothesis, seconds: float) -> Hypothesis:
+        """A hypothesis with its log-odds, and the velocity that led to it."""
+        measured = increment_velocity(parent.T_cam_obj, h.T_cam_obj, seconds)
+        velocity = filtered(parent.velocity, measured, seconds)
+        return replace(h, velocity=velocity, log_odds=evidence.log_odds(h.terms, self.baseline, odds_before))
 
     def settle(self, frame: RgbdFrame, contested: bool = False, since_ns: int = 0) -> None:
         """Judge what `look` found; contested: another pose holds the same surface with better right. Poses
         since a stamp are remembered."""
-        if self.T_cam_obj is not None:
+        if self.hypotheses:
             if contested:
-                self._evidence = 0.0
-            elif self._evidence >= self._config.suspect_quality:
+                self.evidence = 0.0
+            elif self.evidence >= self._config.suspect_quality:
                 # Less becomes usual only for a pose that is believed already.
-                if self.state is State.TRACKING or self._usual is None or self.fit.total > self._usual:
-                    self._usual = usual_after(self._usual, self.fit.total)
+                total = self.terms.total
+                if self.state is State.TRACKING or self.baseline is None or total > self.baseline:
+                    self.baseline = evidence.baseline_after(self.baseline, total)
                 self._supported_ns = frame.stamp_ns
-                self._tint = evidence.tint_after(self._tint, self.fit.tint)
-                if self._identity is not None and self._evidence >= self._config.tracking_quality:
-                    self._identity = self._identity.carried(self.fit, self._view())
+                self.light = evidence.light_after(self.light, self.terms)
+                if self._identity is not None and self.evidence >= self._config.tracking_quality:
+                    self._identity = self._identity.carried(self.terms, self._view())
             self._judge()
         self.history.append(frame.frame_id, frame.stamp_ns, self.T_cam_obj)
         self.history.forget_before(since_ns)
 
-    def place(self, pursuit: Pursuit, step: Step, frame: RgbdFrame) -> None:
-        """Start, or start again, with a pose that was verified on `frame`. Only a correction does this."""
-        self.T_cam_obj, self.fit, self.start, self._frame = step.T_cam_obj, step.fit, step.start, frame
-        self.velocity, self.covariance = pursuit.velocity, self._covariance(step)
-        self._identity = Identity.of(pursuit.correction.quality, self._view())
-        self._usual, self._tint, self._evidence = pursuit.usual, pursuit.tint, pursuit.evidence
-        self._doubtful_frames, self._scarce_frames, self._unseen_s, self._rival = 0, 0, 0.0, None
-        self._second = None
+    def start(self, T_cam_obj: Float64, quality: float, frame: RgbdFrame, apart_s: float) -> bool:
+        """Begin with a pose of perception that is `apart_s` seconds off `frame`; says whether that took a
+        search."""
+        found, searched = found_nearby(self.subject.surface, T_cam_obj, frame, apart_s, self._config)
+        odds = evidence.log_odds(found.terms, self.baseline, evidence.odds_of(quality))
+        self.hypotheses, self.frame = (found.believed(odds),), frame
+        self.evidence = evidence.probability(odds)
+        self.covariance = self._covariance(found)
+        self.learn()
+        return searched
+
+    def learn(self) -> None:
+        """Take a frame that supports the pose as what is usual, on the way to now. What was usual before it
+        was lost is asked for again: a pose that fits worse must not make that usual."""
+        total = self.terms.total
+        if self.evidence >= self._config.suspect_quality and (
+            self.baseline is None or total >= self.baseline
+        ):
+            self.baseline = evidence.baseline_after(self.baseline, total)
+            self.light = evidence.light_after(self.light, self.terms)
+
+    def place(self, verified: Track, quality: float, frame: RgbdFrame) -> None:
+        """Start, or start again, with what another track of the same object found on `frame`. Only a
+        correction does this."""
+        self.hypotheses, self.covariance = verified.hypotheses[:1], verified.covariance
+        self.baseline, self.light, self.evidence = verified.baseline, verified.light, verified.evidence
+        self.frame = frame
+        self._identity, self._corrected_from = Identity.of(quality, self._view()), None
+        self._doubtful_frames, self._scarce_frames, self._unseen_s = 0, 0, 0.0
         self._supported_ns = frame.stamp_ns
         # A verified pose may be TRACKING at once.
         self._standing = Standing(State.TRACKING)
         self._judge()
 
     def remembered(self, stamp_ns: int) -> float | None:
-        """The score that was usual before the object was lost; the older, the less it asks for."""
-        if self._usual is None:
+        """The baseline from before the object was lost; the older, the less it asks for."""
+        if self.baseline is None:
             return None
-        return self._usual - FORGOTTEN_PER_S * max(0.0, (stamp_ns - self._supported_ns) * 1e-9)
+        return self.baseline - FORGOTTEN_PER_S * max(0.0, (stamp_ns - self._supported_ns) * 1e-9)
 
     def replay(self, stamp_ns: int, T_cam_obj: Float64, quality: float) -> None:
-        """Take a correction of a kept pose: the increments since then carry it to now.
+        """Take a correction of a kept pose: the increments since then carry it to now. What was believed
+        before stays a hypothesis, and comes back if the next frames say so.
 
         Raises ValueError where the history does not reach back unbroken."""
         moved = self.history.replay(stamp_ns, T_cam_obj)
-        self._second = None
-        if self.velocity is not None and self.T_cam_obj is not None:
+        before = self.hypotheses[0]
+        velocity = before.velocity
+        if velocity is not None:
             # The same motion, about an origin that has moved.
-            lever = moved[:3, 3] - self.T_cam_obj[:3, 3]
-            self.velocity = np.concatenate(
-                [self.velocity[:3] + np.cross(self.velocity[3:], lever), self.velocity[3:]]
-            )
-        # What was there before may come back if the next frame says so.
-        self._rival, self.T_cam_obj = self.T_cam_obj, moved
-        self._rival_identity = self._identity
-        if self._rival is None or self._identity is None or turned_over(self._rival, moved):
+            lever = moved[:3, 3] - before.T_cam_obj[:3, 3]
+            velocity = np.concatenate([velocity[:3] + np.cross(velocity[3:], lever), velocity[3:]])
+        odds = max(evidence.odds_of(quality), before.log_odds)
+        corrected = replace(before, T_cam_obj=moved, velocity=velocity, source="correction", log_odds=odds)
+        self.hypotheses = (corrected, before)
+        self._corrected_from = self._identity
+        if self._identity is None or turned_over(before.T_cam_obj, moved):
             self._identity = Identity.of(quality, self._view())
         else:
             self._identity = self._identity.agreed(quality, self._view())
 
     def agree(self, quality: float) -> None:
         """Perception found the same pose by itself."""
-        self._second = None
-        if self._identity is not None and self.T_cam_obj is not None:
-            self._usual = self.fit.total
+        if self._identity is not None and self.hypotheses:
+            self.hypotheses = self.hypotheses[:1]
+            self.baseline = self.terms.total
             self._identity = self._identity.agreed(quality, self._view())
 
     def published(self, frame: RgbdFrame) -> TrackedPose:
@@ -205,39 +243,37 @@ class Track:
             self.applied_seq,
         )
 
-    def _coast(self, step: Step, seconds: float) -> None:
+    def _coast(self, before: Hypothesis, seconds: float) -> None:
         """A frame that does not support the pose: keep to the prediction where hardly anything is seen."""
-        assert self.T_cam_obj is not None
-        hardly = step.fit.seen < COASTING_SEEN
-        self.T_cam_obj = predicted(self.T_cam_obj, self.velocity, seconds) if hardly else step.T_cam_obj
-        if self.velocity is not None:
-            self.velocity = self.velocity * COASTING_DAMPING
+        first = self.hypotheses[0]
+        velocity = None if before.velocity is None else before.velocity * COASTING_DAMPING
+        T = first.T_cam_obj
+        if first.terms.seen < COASTING_SEEN:
+            T = predicted(before.T_cam_obj, before.velocity, seconds)
+        self.hypotheses = (replace(first, T_cam_obj=T, velocity=velocity), *self.hypotheses[1:])
         if self.covariance is not None:
             self.covariance = unseen(self.covariance, seconds)
 
     def _judge(self) -> None:
         identity = 0.0 if self._identity is None else self._identity.value
-        self.quality = self._evidence * identity
-        confirmed = identity >= self._config.confirmed_identity and self._second is None
-        self._standing = next_standing(self._standing, self._evidence, confirmed, self._config)
-        self.state = self._standing.state
+        self.quality = self.evidence * identity
+        confirmed = identity >= self._config.confirmed_identity
+        self._standing = next_standing(self._standing, self.evidence, confirmed, self._config)
         if self.state is State.LOST:
-            self.T_cam_obj = self.velocity = self.covariance = None
-            self.quality = 0.0
+            self.hypotheses, self.covariance, self.quality = (), None, 0.0
 
     def _view(self) -> Float64:
         """Direction (3,) from the object to the camera, object axes."""
-        assert self.T_cam_obj is not None
-        eye = -self.T_cam_obj[:3, :3].T @ self.subject.surface.centre_cam(self.T_cam_obj)
+        T = self.hypotheses[0].T_cam_obj
+        eye = -T[:3, :3].T @ self.subject.surface.centre_cam(T)
         return np.asarray(eye / max(float(np.linalg.norm(eye)), 1e-9))
 
     def _spread(self) -> float:
         """By how much the pose may be off, as a share of the diameter."""
-        assert self.T_cam_obj is not None
         assert self.covariance is not None
         surface = self.subject.surface
         points = surface.arrays.points[:SPREAD_POINTS]
-        return spread_m(self.covariance, self.T_cam_obj, points) / surface.diameter_m
+        return spread_m(self.covariance, self.hypotheses[0].T_cam_obj, points) / surface.diameter_m
 
-    def _covariance(self, step: Step) -> Float64:
-        return covariance(step.information, float(self.subject.surface.centre_cam(step.T_cam_obj)[2]))
+    def _covariance(self, h: Hypothesis) -> Float64:
+        return covariance(h.information, float(self.subject.surface.centre_cam(h.T_cam_obj)[2]))

@@ -3,19 +3,18 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import replace
 
 from huepose.geometry.frame import RgbdFrame
+from huepose.judge.silhouette import silhouette_iou
 from huepose.model.types import ReferenceModel
+from huepose.propose.relative_pose import RelativePose
 from huepose.support.errors import InputError
 from huepose.support.stages import stage
-from huepose.tracking.catching_up import Pursuit, needs_search, pursue
+from huepose.tracking.catching_up import Pursuit
 from huepose.tracking.competition import Claim, losers
 from huepose.tracking.config import TrackerConfig
 from huepose.tracking.history import FrameHistory
-from huepose.tracking.relative_pose import RelativePose
-from huepose.tracking.silhouette import overlap
-from huepose.tracking.step import Step, Subject
+from huepose.tracking.step import Subject
 from huepose.tracking.track import Track
 from huepose.tracking.types import Applied, Correction, State, TrackedPose, Verdict
 from huepose.tracking.warm_up import rehearse
@@ -194,8 +193,8 @@ class Tracker:
             if correction.verdict is Verdict.AGREE:
                 track.agree(correction.quality)
         elif track is None or not self._same_surface(track, correction):
-            usual = None if track is None else track.remembered(correction.stamp_ns)
-            self._pursuits[key] = Pursuit.of(correction, usual)
+            baseline = None if track is None else track.remembered(correction.stamp_ns)
+            self._pursuits[key] = Pursuit(correction, self._subjects[key[0]], self.config, baseline)
             newest = self._frames.newest
             if newest is None or correction.stamp_ns < newest.stamp_ns:
                 return Applied.CATCHING_UP
@@ -216,7 +215,7 @@ class Tracker:
             return False
         surface, camera = track.subject.surface, frame.camera
         new = correction.T_cam_obj
-        shared = overlap(
+        shared = silhouette_iou(
             track.subject.mesh, old, new, surface.box(old, camera), surface.box(new, camera), camera
         )
         return shared > SAME_SURFACE_IOU
@@ -237,19 +236,16 @@ class Tracker:
         """One step of catching up; on arrival the pose is verified and taken, or dropped."""
         newest, pursuit = self._frames.newest, self._pursuits[key]
         assert newest is not None
-        if pursuit.reached is None:
+        reached = pursuit.track.frame
+        if reached is None:
             kept = self._frames.from_nearest(pursuit.correction.stamp_ns)
         else:
-            kept = self._frames.since(pursuit.reached.stamp_ns)
-        config = self.config
-        if not self._may_search():
-            if needs_search(pursuit, kept, config):
-                return
-            config = replace(config, search=False)
-        pursuit = pursue(pursuit, self._subjects[key[0]], kept, config, self._relative_pose)
-        self._searched += pursuit.step is not None and pursuit.step.searched
-        self._pursuits[key] = pursuit
-        if pursuit.supported(self.config) and not pursuit.arrived(newest):
+            kept = self._frames.since(reached.stamp_ns)
+        may_search = self._may_search()
+        if not may_search and pursuit.needs_search(kept):
+            return
+        self._searched += pursuit.follow(kept, self._relative_pose, may_search)
+        if pursuit.supported and not pursuit.arrived(newest):
             return
         del self._pursuits[key]
         self._arrive(key, pursuit, newest)
@@ -257,32 +253,35 @@ class Tracker:
     def _arrive(self, key: Key, pursuit: Pursuit, frame: RgbdFrame) -> None:
         """Verify a pose that has reached now against the frame, and against the pose that is there. One that
         is not borne out is dropped, and counts as dealt with."""
-        correction, step = pursuit.correction, pursuit.step
+        correction, found = pursuit.correction, pursuit.track
         track = self._tracks.get(key)
         if track is not None:
             track.applied_seq = max(track.applied_seq, correction.seq)
-        if step is None or not pursuit.supported(self.config) or self._held(key, step, frame):
+        if not pursuit.supported or self._held(key, found):
             return
         if track is None:
             track = Track(self._subjects[key[0]], *key, self.config)
             self._tracks[key] = track
             track.history.append(frame.frame_id, frame.stamp_ns, None)
-        elif track.T_cam_obj is not None and track.fit.total > step.fit.total:
+        elif track.T_cam_obj is not None and track.terms.total > found.terms.total:
             return
-        track.place(pursuit, step, frame)
+        track.place(found, correction.quality, frame)
         for stamp_ns, T in pursuit.poses:
             track.history.put(stamp_ns, T)
         track.applied_seq = max(track.applied_seq, correction.seq)
 
-    def _held(self, key: Key, step: Step, frame: RgbdFrame) -> bool:
+    def _held(self, key: Key, found: Track) -> bool:
         """Whether what a pose explains is another instance's already. A twin's surface explains it as well as
         its own would: there the one that is followed keeps it."""
+        frame = self._frames.newest
+        if frame is None or found.T_cam_obj is None:
+            return False
         claims = [
-            Claim(t.subject.surface, t.T_cam_obj, t.fit.total + (TWIN if other[0] == key[0] else 0.0))
+            Claim(t.subject.surface, t.T_cam_obj, t.terms.total + (TWIN if other[0] == key[0] else 0.0))
             for other, t in self._tracks.items()
             if other != key and t.T_cam_obj is not None
         ]
-        mine = Claim(self._subjects[key[0]].surface, step.T_cam_obj, step.fit.total)
+        mine = Claim(found.subject.surface, found.T_cam_obj, found.terms.total)
         return len(claims) in losers([*claims, mine], frame.depth, frame.camera)
 
     def _contested(self, frame: RgbdFrame) -> set[Key]:
@@ -294,7 +293,7 @@ class Tracker:
             assert track.T_cam_obj is not None
             # Or two that refine to one pose would lose in turns, and neither be believed nor lost.
             standing = STANDING if track.state is State.TRACKING else 0.0
-            claims.append(Claim(track.subject.surface, track.T_cam_obj, track.fit.total + standing))
+            claims.append(Claim(track.subject.surface, track.T_cam_obj, track.terms.total + standing))
         return {keys[i] for i in losers(claims, frame.depth, frame.camera)}
 
     def _forget(self) -> None:

@@ -10,8 +10,8 @@ from __future__ import annotations
 import numpy as np
 
 from huepose.geometry.arrays import Float32, Float64
+from huepose.geometry.depth_noise import depth_noise_m
 from huepose.geometry.uncertainty import grown
-from huepose.tracking.refinement import depth_noise_m
 
 RESIDUALS_PER_READING = 12.0
 """This many residuals are worth one independent one."""

@@ -12,7 +12,9 @@ from huepose.geometry import se3
 from huepose.geometry.arrays import Float64
 from huepose.geometry.camera import Camera
 from huepose.geometry.frame import RgbdFrame
+from huepose.judge.terms import NOTHING
 from huepose.rendering.render import render
+from huepose.tracking.hypothesis import Hypothesis
 from huepose.tracking.step import Anchor, Subject, advance
 from huepose.tracking.types import Correction, Verdict
 
@@ -48,8 +50,10 @@ def rehearse(tracker: Tracker, subjects: Mapping[str, Subject]) -> None:
                 tracker.correct(_correction(name, past, T_cam_obj, verdict, number))
             elif number == 5:
                 tracker.correct(_correction(name, past, T_cam_obj, Verdict.AGREE, number))
-    # A step that tries everything there is: nothing explains as much as it is told to be usual.
-    hard = Anchor(_pose(shown[0], 0, 0), np.zeros(6), frames[0], usual=9.0, unseen_s=0.1)
+    # A step that tries everything there is: nothing explains as much as its baseline asks.
+    T_start = _pose(shown[0], 0, 0)
+    before = Hypothesis(T_start, NOTHING, np.zeros((6, 6)), "still", velocity=np.zeros(6))
+    hard = Anchor((before,), frames[0], baseline=9.0, light=np.zeros(3), unseen_s=0.1)
     advance(shown[0], hard, frames[1], tracker.config)
 
 

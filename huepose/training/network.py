@@ -1,6 +1,6 @@
 """Attention-DGCNN: edge convolutions on moving neighbourhoods, then attention in place of a global maximum.
 
-Paper, section III-F; edge convolution after Wang et al., Dynamic Graph CNN for Learning on Point Clouds
+Paper, section III-E; edge convolution after Wang et al., Dynamic Graph CNN for Learning on Point Clouds
 (2019); the six numbers of a rotation after Zhou et al. (2019).
 """
 

@@ -18,8 +18,8 @@ from torch.utils.data import IterableDataset
 
 from huepose.drawing.plots import line_plot
 from huepose.geometry.arrays import Float
-from huepose.tracking.canonical import FEATURES
-from huepose.tracking.rotation_network import POINTS, Kind
+from huepose.paper.canonical import FEATURES
+from huepose.paper.rotation_network import POINTS, Kind
 from huepose.training.network import AttentionDgcnn, geodesic
 from huepose.training.runs import (
     Course,
@@ -30,7 +30,7 @@ from huepose.training.runs import (
     stream_number,
     timed_batches,
 )
-from huepose.training.samples import RotationSample, endless
+from huepose.training.turns import RotationSample, endless
 
 VALIDATION_STREAM = 1_000_000
 REACH = {"residual": 0.1, "direct": 1.0}

@@ -1,4 +1,4 @@
-"""What all trainings have in common: how far they have come, checkpoints, the course of the learning rate."""
+"""The frame of a training: how far it has come, checkpoints, the course of the learning rate, the export."""
 
 from __future__ import annotations
 
@@ -111,10 +111,9 @@ def export_onnx(
     file: Path,
     examples: Mapping[str, Tensor],
     output: str,
-    properties: Mapping[str, str] | None = None,
 ) -> None:
-    """Write a network as ONNX: its inputs by name, each with an example, and its one output. `properties` go
-    into the file; what the exporter notes there about the source files and their folders does not."""
+    """Write a network as ONNX: its inputs by name, each with an example, and its one output, without what the
+    exporter notes there about the source files and their folders."""
     import onnx
 
     torch.onnx.export(
@@ -129,7 +128,7 @@ def export_onnx(
     )
     model = onnx.load(str(file))
     without_notes(model.graph)
-    onnx.helper.set_model_props(model, dict(properties or {}))
+    del model.metadata_props[:]
     onnx.save(model, str(file))
 
 

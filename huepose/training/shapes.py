@@ -1,7 +1,7 @@
 """An endless supply of objects: bent and dented superquadrics, a few of them grown together.
 
 Superquadrics run from boxes over cylinders and balls to octahedra; taper, bend, twist and smooth dents make
-each one unlike any other, so that nothing of a shape can be learned by heart (paper, section III-F).
+each one unlike any other, so that nothing of a shape can be learned by heart (paper, section III-E).
 """
 
 from __future__ import annotations

@@ -2,11 +2,13 @@
 
 A shape is rendered twice, with something in front of it. Its visible points are followed with the errors
 that flow makes (a jitter, a smooth drift, matches that are simply wrong), and both ends are lifted to 3D from
-noisy depth by the very function that the tracker uses.
+noisy depth by the very function that the tracker uses. Each such turn is a question to the rotation network,
+whose true answer is known.
 """
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass
 
 import cv2
@@ -14,9 +16,10 @@ import numpy as np
 
 from huepose.geometry import Camera, Mesh, se3
 from huepose.geometry.arrays import Bool, Float32, Float64
+from huepose.paper.rotation_network import Kind, fixed_count, posed
+from huepose.propose.lifting import lift
+from huepose.propose.relative_pose import LiftedMatches, RobustKabsch
 from huepose.rendering.render import Rendering, render
-from huepose.tracking.lifting import lift
-from huepose.tracking.relative_pose import LiftedMatches
 from huepose.training.shapes import random_rotation, random_shape
 
 CANDIDATES = 260
@@ -171,3 +174,33 @@ def _noisy(rng: np.random.Generator, depth: Float32, sigma: float) -> Float32:
     noise = cv2.GaussianBlur(rng.normal(size=depth.shape).astype(np.float32), (0, 0), 1.5)
     scale = sigma / max(float(noise.std()), 1e-6)
     return np.where(depth > 0, depth + scale * noise * depth**2, 0.0).astype(np.float32)
+
+
+@dataclass(frozen=True, eq=False)
+class RotationSample:
+    """features (128, 15), weights (128,) as the network gets them; R_canon (3, 3) that it has to answer."""
+
+    features: Float32
+    weights: Float32
+    R_canon: Float32
+
+
+def sample_of(turn: Turn, kind: Kind) -> RotationSample | None:
+    """The question that the tracker would ask about a turn, with its true answer."""
+    question = posed(turn.matches, kind, RobustKabsch())
+    if question is None:
+        return None
+    features, weights = fixed_count(question.seen.features, turn.matches.weights)
+    left = turn.T_b_a[:3, :3] @ question.R_first.T
+    return RotationSample(features, weights, question.seen.canonical_rotation(left).astype(np.float32))
+
+
+def endless(seed: int, stream: int, kind: Kind, ranges: TurnRange | None = None) -> Iterator[RotationSample]:
+    """Samples without end; the same seed and stream give the same ones. Neighbours share a shape: shuffle."""
+    rng = np.random.default_rng([seed, stream])
+    ranges = TurnRange() if ranges is None else ranges
+    while True:
+        for turn in draw_turns(rng, ranges):
+            sample = sample_of(turn, kind)
+            if sample is not None:
+                yield sample

@@ -44,7 +44,11 @@ def unpack(specs: Sequence[BufferSpec], payload: bytes) -> dict[str, Array]:
         size = math.prod(spec.shape) * dtype.itemsize
         if spec.offset != at or at + size > len(payload) or spec.name in arrays:
             raise WireError(f"buffer {spec.name}: offset {spec.offset} and {size} bytes do not fit")
-        arrays[spec.name] = np.frombuffer(payload, dtype, math.prod(spec.shape), at).reshape(spec.shape)
+        flat = np.frombuffer(payload, dtype, math.prod(spec.shape), at)
+        try:
+            arrays[spec.name] = flat.reshape(spec.shape)
+        except ValueError as error:  # without an element, and with sides that are too long all the same
+            raise WireError(f"buffer {spec.name}: {error}") from None
         at += size
     if at != len(payload):
         raise WireError(f"payload of {len(payload)} bytes, the buffers describe {at}")

@@ -32,12 +32,17 @@ from huepose_protos.fields import (
     check_finite,
     check_pose,
 )
-from huepose_protos.parts import KIB
+from huepose_protos.parts import KIB, check_masks
 from huepose_protos.parts import BufferSpec as BufferSpec
 from huepose_protos.parts import Clock as Clock
 from huepose_protos.parts import Intrinsics as Intrinsics
 from huepose_protos.parts import MaskRuns as MaskRuns
 from huepose_protos.parts import Message as Message
+
+MAX_CANDIDATE_PIXELS = 2**28
+"""Of all masks of a message: 8 candidates each of 16 objects in a picture of 1920 x 1080."""
+MAX_ESTIMATE_PIXELS = 2**27
+"""The same where each object has one: of 16 objects in a picture of 3840 x 2160."""
 
 
 class FrameHeader(Message, frozen=True, kw_only=True):
@@ -135,6 +140,9 @@ class Masks(Message, frozen=True, kw_only=True):
     frame: FrameHeader
     objects: Annotated[list[MaskedObject], Meta(max_length=64)]
 
+    def __post_init__(self) -> None:
+        check_masks((mask for item in self.objects for mask in item.masks), MAX_CANDIDATE_PIXELS)
+
 
 class EstimatedObject(Struct, frozen=True, kw_only=True):
     """The estimator's answer for one requested object; instance as it was requested.
@@ -178,6 +186,9 @@ class Estimates(Message, frozen=True, kw_only=True):
     frame_id: Count
     capture_ns: Stamp
     estimates: Annotated[list[EstimatedObject], Meta(max_length=64)]
+
+    def __post_init__(self) -> None:
+        check_masks((item.mask for item in self.estimates), MAX_ESTIMATE_PIXELS)
 
 
 class CorrectionMessage(Message, frozen=True, kw_only=True):

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from typing import Annotated, ClassVar, Literal
 
 from msgspec import Meta, Struct
@@ -19,6 +20,10 @@ class Message(Struct, frozen=True, kw_only=True):
     publish_ns: Stamp
 
 
+MAX_FRAME_PIXELS = 64 * 1024 * KIB // 5
+"""A pixel of a frame takes five bytes, colour and depth, of at most 64 MiB."""
+
+
 class MaskRuns(Struct, frozen=True, kw_only=True):
     """A mask of the size of its image: runs of pixels row by row, the first of them outside, then in turn."""
 
@@ -27,8 +32,16 @@ class MaskRuns(Struct, frozen=True, kw_only=True):
     runs: Annotated[list[Index], Meta(max_length=200_000)]
 
     def __post_init__(self) -> None:
+        if self.width * self.height > MAX_FRAME_PIXELS:
+            raise ValueError(f"a mask has more pixels than a frame may have, {MAX_FRAME_PIXELS}")
         if sum(self.runs) != self.width * self.height:
             raise ValueError("mask runs do not add up to width x height")
+
+
+def check_masks(masks: Iterable[MaskRuns | None], most_pixels: int) -> None:
+    """Raise ValueError for masks that would take more memory than that: a few bytes can stand for much."""
+    if sum(mask.width * mask.height for mask in masks if mask is not None) > most_pixels:
+        raise ValueError(f"the masks have more than {most_pixels} pixels together")
 
 
 class BufferSpec(Struct, frozen=True, kw_only=True):

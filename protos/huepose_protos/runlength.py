@@ -9,6 +9,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from huepose_protos.errors import WireError
 from huepose_protos.messages import MaskRuns
 
 
@@ -20,7 +21,10 @@ def runs_of(mask: NDArray[np.bool_]) -> MaskRuns:
     return MaskRuns(width=mask.shape[1], height=mask.shape[0], runs=runs.tolist())
 
 
-def mask_of(mask: MaskRuns) -> NDArray[np.bool_]:
-    """Mask (H, W) of run lengths; MaskRuns has checked that they add up."""
+def mask_of(mask: MaskRuns, image_size: tuple[int, int] | None = None) -> NDArray[np.bool_]:
+    """Mask (H, W) of run lengths; MaskRuns has checked that they add up. image_size: height and width that it
+    must have. Raises WireError for another size, before memory is taken."""
+    if image_size not in (None, (mask.height, mask.width)):
+        raise WireError(f"a mask of {mask.width} x {mask.height} pixels has not the size of its frame")
     inside = np.arange(len(mask.runs)) % 2 == 1
     return np.repeat(inside, mask.runs).reshape(mask.height, mask.width)

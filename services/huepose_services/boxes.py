@@ -10,7 +10,7 @@ from collections import deque
 from collections.abc import Mapping
 from typing import Protocol
 
-from huepose.evaluation.boxes import disturbed
+from huepose.datasets.boxes import disturbed
 from huepose.geometry import Box, Camera
 from huepose.model import ReferenceModel
 from huepose_protos.messages import (

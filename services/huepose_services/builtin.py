@@ -13,23 +13,25 @@ from functools import cache
 from pathlib import Path
 
 import huepose
-from huepose.datasets.shapes import demo_objects
-from huepose.datasets.synthetic_store import cache_folder
 from huepose.geometry.mesh import Mesh
 from huepose.model.io import model_path, save_model
+from huepose.scenes.shapes import demo_objects
 from huepose.support.errors import InputError
+from huepose.support.files import cache_folder
 from huepose.support.progress import progress
 
-_MAKERS = ("onboarding", "model", "colorpair", "matching/views.py", "matching/pair_reference.py")
+_MAKERS = ("onboarding", "model", "colorpair", "propose/templates.py")
 
 
 @cache
-def builtin_bundles(seed: int) -> Path:
+def builtin_bundles(seed: int, paper: bool = False) -> Path:
     """The folder with the reference models of the built-in scene; those that are missing are made.
+
+    paper: with the tables of the paper's method, in a folder of their own.
 
     Of several processes one makes them, and the others wait for it."""
     meshes = demo_objects(seed)
-    folder = cache_folder() / "builtin" / _digest(meshes)
+    folder = cache_folder() / "builtin" / (_digest(meshes) + ("-paper" if paper else ""))
     if all(model_path(folder, name).exists() for name in meshes):
         return folder
     try:
@@ -50,10 +52,11 @@ def builtin_bundles(seed: int) -> Path:
             fcntl.flock(lock, fcntl.LOCK_EX)
         missing = [name for name in meshes if not model_path(folder, name).exists()]
         if missing:
-            from huepose.onboarding import onboard_mesh
+            from huepose.onboarding.reference import reference_model
 
             for name in progress(missing, "learning the built-in objects"):
-                save_model(onboard_mesh(meshes[name], name), model_path(folder, name))
+                model = reference_model(meshes[name], name, paper=paper)
+                save_model(model, model_path(folder, name))
     return folder
 
 

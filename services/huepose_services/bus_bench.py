@@ -8,12 +8,14 @@ from __future__ import annotations
 
 import multiprocessing
 import socket
+import tempfile
 import time
 from typing import TYPE_CHECKING
 
 import numpy as np
 import zenoh
 
+from huepose_protos.local import endpoint
 from huepose_services.runtime.inbox import Inbox, Ring
 from huepose_services.runtime.session import MIB, zenoh_config
 
@@ -46,9 +48,21 @@ def hop_spans(shared_memory: bool, seconds: float) -> list[tuple[float, float]]:
 
     Raises RuntimeError when none arrives by the asked way."""
     pool_bytes = _POOL_BYTES if shared_memory else 0
+    with tempfile.TemporaryDirectory() as folder:
+        return _hop_spans(_endpoint(shared_memory, folder), pool_bytes, seconds)
+
+
+def _endpoint(shared_memory: bool, folder: str) -> str:
+    """The way of a pipeline, or TCP for comparison."""
+    if shared_memory:
+        return endpoint(1, folder)
     with socket.socket() as probe:
         probe.bind(("127.0.0.1", 0))
-        endpoint = f"tcp/127.0.0.1:{probe.getsockname()[1]}"
+        return f"tcp/127.0.0.1:{probe.getsockname()[1]}"
+
+
+def _hop_spans(endpoint: str, pool_bytes: int, seconds: float) -> list[tuple[float, float]]:
+    shared_memory = pool_bytes > 0
     context = multiprocessing.get_context("spawn")
     sender = context.Process(target=_send, args=(endpoint, pool_bytes, seconds), daemon=True)
     session = zenoh.open(zenoh_config([endpoint], [], shared_memory=shared_memory))

@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 from huepose.geometry import Box
 from huepose.model import ReferenceModel
 from huepose.perception.colorpair_detector import ColorPairDetector
+from huepose.profiles import profile
 from huepose_protos import WireError
 from huepose_protos.messages import Detections, FrameHeader, PerceptionRequest, TruthMessage
 from huepose_services import models, networks
@@ -16,9 +19,6 @@ from huepose_services.runtime.clock import now_ns
 from huepose_services.runtime.config import Config
 from huepose_services.searched_boxes import SearchedBoxes
 from huepose_services.seen_boxes import SeenBoxes
-
-# That it is the object's: of a place that is worth the estimator's time while others wait for it.
-_LEAST_SCORE = 0.05
 
 
 def make(bus: Bus, config: Config) -> DetectorWork:
@@ -33,7 +33,10 @@ def make(bus: Bus, config: Config) -> DetectorWork:
         bus.health.count(f"provider_{network.provider}")
         return DetectorWork(bus, SeenBoxes(outlines, detector), follower)
     if config.detector.kind == "colorpair":
-        searcher = ColorPairDetector(models.load(config), max(2, _most_instances(config)), _LEAST_SCORE)
+        settings = profile(config.profile).detector
+        # Of an object with several instances, each may have its box.
+        settings = replace(settings, proposals=max(settings.proposals, _most_instances(config)))
+        searcher = ColorPairDetector(models.load(config), settings)
         searcher.warm_up()
         return DetectorWork(bus, SearchedBoxes(outlines, searcher), follower)
     boxes = {name: Box(*box) for name, box in config.detector.boxes.items()}
@@ -54,7 +57,7 @@ class DetectorWork:
         self._hints = Hints()
         keys = bus.keys
         self._requests = bus.inbox.queue(keys.request)
-        self._frames = bus.inbox.ring(keys.frame, wakes=False)
+        self._frames = bus.frames(wakes=False)
         self._truths = bus.inbox.queue(keys.truth) if isinstance(finder, TruthBoxes) else None
         self._frame: tuple[FrameHeader, bytes] | None = None
 

@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 from huepose.estimation import Estimator, ObjectQuery, PoseEstimate
-from huepose.estimation.config import EstimatorConfig
 from huepose.estimation.types import PosePrior
 from huepose.model import ReferenceModel
+from huepose.profiles import profile
 from huepose_protos import WireError
 from huepose_protos.messages import EstimatedObject, Estimates, MaskedObject, Masks
 from huepose_protos.runlength import mask_of, runs_of
@@ -26,8 +28,10 @@ from huepose_services.runtime.config import Config
 
 def make(bus: Bus, config: Config) -> EstimatorWork:
     """The estimator worker's work, with its kernels compiled."""
-    settings = EstimatorConfig(
-        method=config.estimator.method, threads=config.estimator.threads, look_harder=False
+    settings = replace(
+        profile(config.profile).estimator,
+        method=config.estimator.method,
+        threads=config.estimator.threads,
     )
     estimator = Estimator(models.load(config), settings)
     estimator.warm_up()
@@ -66,7 +70,8 @@ class EstimatorWork:
         self._bus.health.count("unknown_objects", len(message.objects) - len(objects))
         try:
             frame = frame_from_wire(message.frame, payload)
-            queries = [self._query(item, frame.stamp_ns, frame.depth.shape) for item in objects]
+            size = (frame.camera.height, frame.camera.width)
+            queries = [self._query(item, frame.stamp_ns, size) for item in objects]
         except WireError as error:
             self._bus.refuse(self._bus.keys.masks, error)
             return
@@ -92,15 +97,13 @@ class EstimatorWork:
         health.count("found", sum(e.found for e in estimates))
         health.worked(started, frame.stamp_ns)
 
-    def _query(self, item: MaskedObject, stamp_ns: int, shape: tuple[int, ...]) -> ObjectQuery:
+    def _query(self, item: MaskedObject, stamp_ns: int, size: tuple[int, int]) -> ObjectQuery:
         request = item.detection.request
         prior = None
         if request.prior is not None:
             tracked = prior_from_wire(request.prior)
             prior = PosePrior(tracked.predicted(stamp_ns), tracked.covariance)
-        masks = tuple(mask_of(runs) for runs in item.masks)
-        if any(mask.shape != shape for mask in masks):
-            raise WireError(f"a mask of {request.object} has not the size of its frame")
+        masks = tuple(mask_of(runs, size) for runs in item.masks)
         return ObjectQuery(
             request.object,
             box=box_from_wire(item.detection.box),

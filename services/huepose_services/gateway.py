@@ -14,6 +14,7 @@ import zenoh
 
 from huepose_protos import encode
 from huepose_protos.messages import CameraMessage, HealthMessage, Message, ObjectsMessage, PoseMessage
+from huepose_services.gateway_door import Door
 from huepose_services.gateway_session import open_outside
 from huepose_services.holdback import Holdback
 from huepose_services.runtime.bus import Bus
@@ -26,11 +27,11 @@ _FORGET_NS = 10 * SECOND
 
 def make(bus: Bus, config: Config) -> GatewayWork:
     """The gateway's work, its port open."""
-    outside, warnings = open_outside(config.gateway)
+    outside, door, warnings = open_outside(config.gateway, lambda why: bus.log.seldom("refused", why))
     bus.health.warnings += warnings
     for warning in warnings:
         bus.log.warn(warning)
-    return GatewayWork(bus, outside, config.gateway.max_rate_hz)
+    return GatewayWork(bus, outside, door, config.gateway.max_rate_hz)
 
 
 @dataclass(frozen=True)
@@ -47,8 +48,8 @@ class GatewayWork:
 
     finished = False
 
-    def __init__(self, bus: Bus, outside: zenoh.Session, max_rate_hz: float) -> None:
-        self._bus, self._outside = bus, outside
+    def __init__(self, bus: Bus, outside: zenoh.Session, door: Door, max_rate_hz: float) -> None:
+        self._bus, self._outside, self._door = bus, outside, door
         keys, inbox = bus.keys, bus.inbox
         self._poses = inbox.queue(keys.poses)
         self._objects = inbox.queue(keys.objects, wakes=False)
@@ -128,7 +129,13 @@ class GatewayWork:
         counters = self._bus.health.counters
         counters["held_back"] = self._limit.held
         counters["asked"] = self._asked
+        counters["refused_readers"] = self._door.refused
         counters["readers_now"] = len(self._outside.info.peers_zid())
+
+    def close(self) -> None:
+        """Send all readers away."""
+        self._door.close()
+        self._outside.close()
 
     def _answer(self, query: zenoh.Query) -> None:
         """The latest value of each key that is asked for."""

@@ -1,21 +1,23 @@
-"""The gateway's outer session: the one listener that other machines reach, and all that zenoh forbids on it.
+"""The gateway's outer session: what readers get, and all that zenoh forbids them.
 
 It has no link to the pipeline's own sessions, so nothing that comes from outside can reach a worker, whatever
 its key. The access rules come on top: a reader may subscribe to and ask for keys under `remote/`, and may put
-nothing. With TLS it must show a certificate of the configured authority, with a listed name where there are
-any.
+nothing. It listens on a socket in the pipeline's folder; the door lets those through who may read.
 """
 
 from __future__ import annotations
 
 import json
+from collections.abc import Callable
 from pathlib import Path
 
 import zenoh
 
 from huepose.support.errors import InputError
+from huepose_services.gateway_door import Door
 from huepose_services.pem import check_pem
 from huepose_services.runtime.config import GatewayConfig, TlsConfig
+from huepose_services.runtime.run_folder import make_folder
 
 # Broader than one site, so that readers may use `*` for site and camera: zenoh silently ignores subscriptions
 # that are broader than the rule. This session has keys of one camera only.
@@ -23,59 +25,52 @@ READABLE = "huepose/*/*/remote/**"
 _MAX_MESSAGE = 64 * 1024
 
 
-def open_outside(gateway: GatewayConfig) -> tuple[zenoh.Session, list[str]]:
-    """The session, and warnings for health. Raises InputError for files or a port that cannot be used."""
+def open_outside(
+    gateway: GatewayConfig, tell: Callable[[str], None]
+) -> tuple[zenoh.Session, Door, list[str]]:
+    """The session, its door, and warnings for health; tell: called with why a reader is not let in.
+
+    Raises InputError for files or a port that cannot be used."""
     if gateway.tls is not None:
         _check_files(gateway.tls)
+    inside = make_folder() / f"outside-{gateway.listen.rsplit(':', 1)[1]}"
     config = zenoh.Config()
-    for name, value in outside_settings(gateway).items():
+    for name, value in outside_settings(gateway, inside).items():
         config.insert_json5(name, json.dumps(value))
+    door = Door(gateway, inside, tell)
     try:
         session = zenoh.open(config)
     except zenoh.ZError as error:
+        door.close()
         raise InputError(
-            f"gateway.listen {gateway.listen}",
-            found="another program there" if "in use" in str(error) else " ".join(str(error).split())[:300],
-            expected="a free port, and certificate and key in PEM that belong together",
-            fix="Set gateway.listen, or make the certificate again.",
+            f"socket {inside}",
+            found=" ".join(str(error).split())[:300],
+            expected="that no other gateway of this user is there",
+            fix="Stop the other pipeline, or set gateway.listen.",
         ) from None
     host = gateway.listen.rsplit(":", 1)[0]
     if gateway.tls is None and not (host == "localhost" or host.startswith("127.")):
-        return session, [f"anyone who reaches {gateway.listen} can read poses: gateway.tls is not set"]
-    return session, []
+        return session, door, [f"anyone who reaches {gateway.listen} can read poses: gateway.tls is not set"]
+    return session, door, []
 
 
-def outside_settings(gateway: GatewayConfig) -> dict[str, object]:
+def outside_settings(gateway: GatewayConfig, inside: Path) -> dict[str, object]:
     """What differs from zenoh's defaults."""
-    settings: dict[str, object] = {
+    return {
         "mode": "peer",
         "scouting/multicast/enabled": False,
         "scouting/gossip/enabled": False,
         "connect/endpoints": [],
-        "listen/endpoints": [f"{'tcp' if gateway.tls is None else 'tls'}/{gateway.listen}"],
+        "listen/endpoints": [f"unixsock-stream/{inside}"],
         "transport/shared_memory/enabled": False,
         "transport/link/rx/max_message_size": _MAX_MESSAGE,
         "transport/unicast/max_sessions": gateway.max_sessions,
         "transport/unicast/accept_pending": 8,
-        "access_control": _access(gateway.tls),
+        "access_control": _access(),
     }
-    if gateway.tls is not None:
-        settings["transport/link/tls"] = {
-            "root_ca_certificate": gateway.tls.authority,
-            "listen_certificate": gateway.tls.certificate,
-            "listen_private_key": gateway.tls.key,
-            "enable_mtls": True,
-            "close_link_on_expiration": True,
-        }
-    return settings
 
 
-def _access(tls: TlsConfig | None) -> dict[str, object]:
-    reader: dict[str, object] = {"id": "reader"}
-    if tls is not None:
-        reader["link_protocols"] = ["tls"]
-        if tls.readers:
-            reader["cert_common_names"] = list(tls.readers)
+def _access() -> dict[str, object]:
     rule = {"permission": "allow", "key_exprs": [READABLE]}
     return {
         "enabled": True,
@@ -89,7 +84,7 @@ def _access(tls: TlsConfig | None) -> dict[str, object]:
                 "messages": ["put", "delete", "reply", "declare_queryable"],
             },
         ],
-        "subjects": [reader],
+        "subjects": [{"id": "reader"}],
         "policies": [{"rules": ["ask", "hear"], "subjects": ["reader"]}],
     }
 

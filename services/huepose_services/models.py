@@ -10,7 +10,6 @@ import numpy as np
 from huepose.geometry import Box, Camera, se3
 from huepose.geometry.arrays import Float, Float32, Float64
 from huepose.model import ReferenceModel, load_models
-from huepose_services.builtin import builtin_bundles
 from huepose_services.runtime.config import Config, ObjectConfig
 
 _OUTLINE_POINTS = 1500
@@ -37,8 +36,12 @@ class Outline:
 
 
 def bundles_folder(config: Config) -> Path:
-    """Where the reference models are."""
-    return builtin_bundles(config.camera.seed) if config.bundles is None else Path(config.bundles)
+    """Where the reference models are; those of the built-in scene are made at their first use."""
+    if config.bundles is not None:
+        return Path(config.bundles)
+    from huepose_services.builtin import builtin_bundles
+
+    return builtin_bundles(config.camera.seed, config.estimator.method != "full")
 
 
 def load(config: Config) -> dict[str, ReferenceModel]:

@@ -6,21 +6,16 @@ from pathlib import Path
 
 import msgspec
 
-from huepose.datasets.synthetic_store import cache_folder
+from huepose.perception.flow_network import NetworkFlow
 from huepose.perception.sam import SamSegmenter
 from huepose.perception.sessions import Network, NetworkSettings, open_network
 from huepose.perception.yolo import YoloDetector, class_names
+from huepose.propose.flow import FlowSource, compute
+from huepose.propose.relative_pose import RelativePose, RobustKabsch
 from huepose.support.errors import InputError
-from huepose.tracking.flow import FlowSource, compute
-from huepose.tracking.flow_network import NetworkFlow
-from huepose.tracking.relative_pose import RelativePose, RobustKabsch
-from huepose.tracking.rotation_first import RotationFirst
-from huepose.tracking.rotation_network import SHIPPED, OnnxRotation, ResidualRotation
+from huepose.support.files import cache_folder
 from huepose_services.catalogue import entry_of
 from huepose_services.runtime.config import Config
-
-BUILTIN_DETECTOR = Path(__file__).parent / "weights" / "builtin_detector.onnx"
-"""Finds the objects of the built-in scene; the file beside it says how it was made."""
 
 SAM_ENCODER, SAM_DECODER = "nanosam-encoder", "nanosam-decoder"
 """Names of `huepose models`: what the segmenter sam takes where none is configured."""
@@ -74,7 +69,8 @@ def check(config: Config) -> None:
 def yolo(config: Config) -> tuple[YoloDetector, Network]:
     """The detector of the configuration, warmed up."""
     detector = config.detector
-    network = opened(config, detector.model or str(BUILTIN_DETECTOR))
+    assert detector.model is not None  # checked when the configuration was read
+    network = opened(config, detector.model)
     classes = {
         name: given if isinstance(given, list) else [given] for name, given in detector.classes.items()
     }
@@ -123,5 +119,9 @@ def relative_pose(config: Config) -> RelativePose:
     rotation, model = config.tracker.rotation, config.tracker.rotation_model
     if rotation == "kabsch":
         return RobustKabsch()
+    # Nothing of the paper's room is loaded by a tracker that does without.
+    from huepose.paper.rotation_first import RotationFirst
+    from huepose.paper.rotation_network import SHIPPED, OnnxRotation, ResidualRotation
+
     regressor = OnnxRotation(SHIPPED if model is None else Path(model))
     return ResidualRotation(regressor) if rotation == "residual" else RotationFirst(regressor)

@@ -81,13 +81,22 @@ def _speaks_tls(link: socket.socket) -> str | None:
     return "it speaks TLS: give --tls AUTHORITY CERTIFICATE KEY"
 
 
+def _is_kept(secured: ssl.SSLSocket) -> bool:
+    """Whether the other side holds the link: it says nothing before it is spoken to, and does not end it."""
+    try:
+        return bool(secured.recv(1))
+    except ConnectionError:
+        return False
+
+
 def _refusal(link: socket.socket, host: str, credentials: Credentials) -> str | None:
     try:
         with credentials.context().wrap_socket(link, server_hostname=host) as secured:
             # With TLS 1.3 a refusal of our certificate comes after the handshake, otherwise there is silence.
             secured.settimeout(_REFUSED_WITHIN_S)
             with suppress(TimeoutError):
-                secured.recv(1)
+                if not _is_kept(secured):
+                    return "it does not accept this certificate, or has no place for it"
     except ssl.SSLCertVerificationError as error:
         return f"its certificate is not accepted: {error.verify_message}"
     except ssl.SSLError as error:

@@ -9,6 +9,7 @@ from huepose.reinit import ReinitConfig, ReinitLoop, rehearse
 from huepose.reinit.types import ObjectSlot, PerceptionResult, Request
 from huepose.reinit.types import Prior as LoopPrior
 from huepose.tracking.types import Correction, State, TrackedPose
+from huepose_protos import WireError
 from huepose_protos.messages import (
     CorrectionMessage,
     EstimatedObject,
@@ -36,6 +37,8 @@ from huepose_services.following import Retired, recall
 from huepose_services.runtime.bus import Bus
 from huepose_services.runtime.clock import SECOND, now_ns
 from huepose_services.runtime.config import Config
+from huepose_services.runtime.future import check_number
+from huepose_services.runtime.one_camera import OneCamera
 from huepose_services.steering import Desk, ObjectList
 
 _LOOK_NS = SECOND // 30
@@ -80,6 +83,7 @@ class ReinitWork:
         self._retired = Retired(objects.entries())
         self._poses = bus.inbox.queue(bus.keys.poses, wakes=False)
         self._answers = bus.inbox.queue(bus.keys.estimates)
+        self._camera = OneCamera()
         self._tracks: dict[tuple[str, int], TrackedPose] = {}
         self._next_look_ns = self._next_objects_ns = now_ns()
 
@@ -92,9 +96,11 @@ class ReinitWork:
         started = now_ns()
         self._obey()
         while (pose := self._bus.take(self._poses, PoseMessage)) is not None:
-            if not self._retired.includes(pose.object, pose.camera_epoch, pose.instance):
-                self._tracks[pose.object, pose.instance] = track_from_wire(pose)
+            self._observe(pose)
         while (answer := self._bus.take(self._answers, Estimates)) is not None:
+            if not self._camera.agrees(answer.camera_epoch, now_ns()):
+                self._bus.health.count("answers_of_another_camera")
+                continue
             for correction in self._loop.answer(now_ns(), result_from_wire(answer)):
                 self._send(correction)
             self._bus.health.camera_epoch, self._bus.health.frame_id = answer.camera_epoch, answer.frame_id
@@ -112,6 +118,17 @@ class ReinitWork:
         if now >= self._next_objects_ns:
             self._next_objects_ns = max(self._next_objects_ns + SECOND, now)
             self._say_objects()
+
+    def _observe(self, pose: PoseMessage) -> None:
+        try:
+            check_number(pose, now_ns())
+        except WireError as error:
+            self._bus.refuse(self._bus.keys.poses, error)
+            return
+        if not self._camera.accepts(pose.camera_epoch, now_ns()):
+            self._bus.health.count("poses_of_another_camera")
+        elif not self._retired.includes(pose.object, pose.camera_epoch, pose.instance):
+            self._tracks[pose.object, pose.instance] = track_from_wire(pose)
 
     def _obey(self) -> None:
         """Take over what was ordered at the desk."""

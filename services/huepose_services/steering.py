@@ -21,6 +21,8 @@ from huepose_services.runtime.bus import Bus
 from huepose_services.runtime.clock import now_ns
 
 MOST_OBJECTS = 64
+# Followers look whether the number of resets changed: it may begin anew.
+_RESETS = 2**31
 
 
 @dataclass(frozen=True)
@@ -78,7 +80,7 @@ class ObjectList:
         if request.action == "remove":
             self._accept(Order(name, None))
             return True, f"{name} is no longer looked for"
-        entry = msgspec.structs.replace(known, resets=known.resets + 1, box=request.box)
+        entry = msgspec.structs.replace(known, resets=(known.resets + 1) % _RESETS, box=request.box)
         self._accept(Order(name, entry, anew=True))
         return True, f"{name} is searched for anew"
 

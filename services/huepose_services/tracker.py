@@ -6,8 +6,9 @@ import math
 from dataclasses import replace
 
 from huepose.model import ReferenceModel
+from huepose.profiles import profile
 from huepose.support.errors import InputError
-from huepose.tracking import Tracker, TrackerConfig
+from huepose.tracking import Tracker
 from huepose.tracking.history import CLOSE_S, WIDE_S
 from huepose.tracking.types import Applied, Correction, State, TrackedPose, Verdict
 from huepose_protos import WireError
@@ -25,6 +26,7 @@ from huepose_services.following import Follower, Retired
 from huepose_services.runtime.bus import Bus
 from huepose_services.runtime.clock import now_ns
 from huepose_services.runtime.config import Config
+from huepose_services.runtime.future import check_number
 from huepose_services.runtime.log import StateChanges
 
 _REFUSED_EVERY_S = 10.0
@@ -33,12 +35,10 @@ _REFUSED_EVERY_S = 10.0
 def make(bus: Bus, config: Config) -> TrackerWork:
     """The tracker worker's work, with its kernels compiled."""
     known = models.load(config)
-    # Time is short in a live pipeline: one search a step, and catching up in strides that need none.
-    settings = TrackerConfig(
+    settings = replace(
+        profile(config.profile).tracker,
         history_frames=config.tracker.history_frames,
         older_frames=config.tracker.older_frames,
-        searches_per_step=1,
-        catch_up_stride=3,
         flow=networks.flow(config),
     )
     tracker = Tracker(known, settings, networks.relative_pose(config))
@@ -62,7 +62,7 @@ class TrackerWork:
         self._told = StateChanges(bus.log)
         self._refused: tuple[str, int] | None = None
         self._corrections = bus.inbox.queue(bus.keys.correction)
-        self._frames = bus.inbox.ring(bus.keys.frame)
+        self._frames = bus.frames()
         self._header: FrameHeader | None = None
         self._published: set[tuple[str, int]] = set()
 
@@ -106,7 +106,13 @@ class TrackerWork:
             self._bus.health.count("corrections_of_retired")
             return
         try:
-            applied = self._tracker.correct(correction_from_wire(message))
+            check_number(message, now_ns())
+            header = self._header
+            same = header is not None and header.camera_epoch == message.camera_epoch
+            applied = self._tracker.correct(correction_from_wire(message, header if same else None))
+        except WireError as error:
+            self._bus.refuse(self._bus.keys.correction, error)
+            return
         except InputError as error:
             self._bus.refuse(self._bus.keys.correction, WireError(str(error)))
             return
@@ -194,8 +200,10 @@ def _frame_of(header: FrameHeader) -> tuple[int, int]:
     return header.camera_epoch, header.frame_id
 
 
-def correction_from_wire(message: CorrectionMessage) -> Correction:
-    """The correction of a message."""
+def correction_from_wire(message: CorrectionMessage, header: FrameHeader | None = None) -> Correction:
+    """The correction of a message. header: of a frame of the camera that it is about; raises WireError for a
+    mask that has not that frame's size."""
+    size = None if header is None else (header.intrinsics.height, header.intrinsics.width)
     return Correction(
         object=message.object,
         instance=message.instance,
@@ -206,7 +214,7 @@ def correction_from_wire(message: CorrectionMessage) -> Correction:
         quality=message.quality,
         verdict=Verdict(message.verdict),
         seq=message.seq,
-        mask=None if message.mask is None else mask_of(message.mask),
+        mask=None if message.mask is None else mask_of(message.mask, size),
     )
 
 

@@ -34,6 +34,11 @@ WorkingDirectory=/var/lib/huepose
 StateDirectory=huepose
 CacheDirectory=huepose
 Environment=XDG_CACHE_HOME=/var/cache/huepose NUMBA_CACHE_DIR=/var/cache/huepose/numba
+# The workers' sockets: nobody but this user opens the folder, which outlives the single worker.
+RuntimeDirectory=huepose
+RuntimeDirectoryMode=0700
+RuntimeDirectoryPreserve=yes
+Environment=HUEPOSE_RUN=/run/huepose
 Environment=HUEPOSE_NETWORKS=/var/lib/huepose/networks
 Environment={threads}
 # A worker that is ended for hanging says where it hung.

@@ -6,7 +6,6 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from huepose.datasets.shapes import demo_objects
 from huepose.evaluation import metrics
 from huepose.geometry import se3
 from huepose.model.types import ReferenceModel
@@ -14,7 +13,6 @@ from huepose.rendering import render_depth
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[2] / "benchmarks"))
 
-from changed_print import KINDS, changed, patches
 from open3d_rivals import Features, ManyStarts, different
 from rival import Seen, seen_under
 from track_rivals import LastPoseTracker, careful_icp, color_icp, flow_pairs
@@ -87,16 +85,3 @@ def test_different_transforms_are_turned_against_each_other() -> None:
     kept = different(turns, 3)
     assert [k is t for k, t in zip(kept, (turns[0], turns[2], turns[4]), strict=True)] == [True] * 3
     assert len(different(turns, 2)) == 2
-
-
-def test_the_share_of_print_that_is_wanted_is_changed() -> None:
-    mesh = demo_objects(0)["tea_box"]
-    filled = patches(mesh, 1.0, 0).mean()
-    for share in (0.1, 0.3):
-        assert patches(mesh, share, 0).mean() / filled == pytest.approx(share, abs=0.04)
-    where = patches(mesh, 0.2, 3)
-    for kind in KINDS:
-        other = changed(mesh, kind, 0.2, 3)
-        differs = (other.texture != mesh.texture).any(-1)
-        assert not differs[~where].any()
-        assert differs[where].mean() > 0.5

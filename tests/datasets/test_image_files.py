@@ -9,6 +9,7 @@ import cv2
 import numpy as np
 import pytest
 
+from huepose.datasets.files import read_color
 from huepose.datasets.image_files import read_camera, read_frame
 from huepose.datasets.rectify import Rectifier, checked_coefficients
 from huepose.geometry import Camera
@@ -145,3 +146,25 @@ def test_a_picture_without_any_depth_is_an_error(files) -> None:
     write(depth, np.zeros((HEIGHT, WIDTH), np.uint16))
     with pytest.raises(InputError, match=r"depth.png: found no depth in any pixel"):
         read_frame(color, depth, camera)
+
+
+@pytest.mark.parametrize(
+    "text", ["[" * 100_000, '{"fx": ' + "9" * 5000 + "}", '{"distortion": 7, "cam_K": 1}']
+)
+def test_whatever_a_camera_file_says_it_is_an_input_error(tmp_path, text):
+    (tmp_path / "camera.json").write_text(text)
+    with pytest.raises(InputError):
+        read_camera(tmp_path / "camera.json")
+
+
+@pytest.mark.parametrize(
+    "data",
+    [
+        b"\x89PNG\r\n\x1a\n\x00\x00\x00\rIHDR\x00\x00\x40\x00\x00\x00\x40\x00\x08\x02\x00\x00\x00",
+        b"\xff\xd8\xff\xe0\x00\x04\x00\x00\xff\xc0\x00\x11\x08\x40\x00\x40\x00\x03" + bytes(20),
+    ],
+)
+def test_a_picture_of_too_many_pixels_is_refused_before_it_is_unpacked(tmp_path, data):
+    (tmp_path / "large.png").write_bytes(data)
+    with pytest.raises(InputError, match="16384 x 16384 pixels"):
+        read_color(tmp_path / "large.png")

@@ -86,7 +86,7 @@ def test_two_instances_in_one_box_are_both_found(
     box = Box.of_mask(both)
     queries = [ObjectQuery("tea_box", box, instance=k) for k in range(2)]
     found = Estimator({"tea_box": tea_box}).estimate(frame, queries)
-    alone = Estimator({"tea_box": tea_box}, EstimatorConfig(competition=False)).estimate(frame, queries)
+    alone = Estimator({"tea_box": tea_box}, EstimatorConfig(competing=False)).estimate(frame, queries)
     assert np.array_equal(alone[0].T_cam_obj, alone[1].T_cam_obj)
     for T in (standing, beside):
         assert (

@@ -8,7 +8,8 @@ from dataclasses import replace
 import numpy as np
 
 from huepose.estimation import Estimator, EstimatorConfig, ObjectQuery, PosePrior
-from huepose.estimation.confirm import MARGIN, looks_in_full
+from huepose.estimation.config import ConfirmConfig
+from huepose.estimation.confirm import looks_in_full
 from huepose.geometry import Box, RgbdFrame, se3
 from huepose.model.types import ReferenceModel
 from huepose.rendering.render import render_depth
@@ -33,7 +34,7 @@ def test_a_plainly_right_prior_needs_no_views_and_a_wrong_one_is_not_confirmed(
     near = PosePrior(se3.perturb(standing, np.array([0.004, -0.003, 0.005, 0.04, -0.03, 0.03])))
     turned = PosePrior(se3.compose(standing, se3.make(np.diag([-1.0, 1.0, -1.0]), np.zeros(3))))
     models = {"tea_box": tea_box}
-    always = Estimator(models, EstimatorConfig(look_anew_every=1))
+    always = Estimator(models, EstimatorConfig(confirm=ConfirmConfig(look_anew_every=1)))
     for estimator, prior, sought in (
         (Estimator(models), near, False),
         (Estimator(models), turned, True),
@@ -45,4 +46,4 @@ def test_a_plainly_right_prior_needs_no_views_and_a_wrong_one_is_not_confirmed(
         assert answer.T_cam_obj is not None
         assert np.linalg.norm(answer.T_cam_obj[:3, 3] - standing[:3, 3]) < 0.002
         assert se3.rotation_angle(answer.T_cam_obj, standing) < np.radians(1.0)
-        assert sought or answer.margin <= MARGIN
+        assert sought or answer.margin <= ConfirmConfig().margin

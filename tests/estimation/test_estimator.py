@@ -9,7 +9,6 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from huepose.datasets.shapes import demo_objects
 from huepose.estimation import (
     Estimator,
     EstimatorConfig,
@@ -20,6 +19,7 @@ from huepose.estimation import (
 from huepose.geometry import Box, RgbdFrame, se3
 from huepose.model.types import ReferenceModel
 from huepose.rendering.render import render_depth
+from huepose.scenes.shapes import demo_objects
 from huepose.support.errors import InputError
 
 TakePicture = Callable[..., RgbdFrame]
@@ -166,6 +166,7 @@ def test_nothing_there_is_not_found(
         assert not answer.found
         assert (answer.T_cam_obj, answer.covariance, answer.mask) == (None, None, None)
         assert (answer.state, answer.quality) == ("LOST", 0.0)
+        assert answer.reason == "There is no depth in the box, so there is nothing to look at."
 
 
 def test_wrong_queries_say_what_to_do(

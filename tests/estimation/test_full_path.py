@@ -9,13 +9,13 @@ import numpy as np
 import pytest
 
 from huepose.estimation import Estimator, EstimatorConfig, ObjectQuery
-from huepose.estimation.config import FullPathConfig
+from huepose.estimation.config import ConfirmConfig, FullPathConfig
 from huepose.estimation.explanation import Explanation
 from huepose.estimation.types import PoseEstimate, PosePrior
 from huepose.geometry import Box, RgbdFrame, se3
+from huepose.judge.terms import score
 from huepose.model.types import ReferenceModel
 from huepose.rendering.render import render_depth
-from huepose.verification.dense import score
 
 TakePicture = Callable[..., RgbdFrame]
 
@@ -23,7 +23,7 @@ TakePicture = Callable[..., RgbdFrame]
 def explained(
     model: ReferenceModel, frame: RgbdFrame, box: Box, full: FullPathConfig
 ) -> tuple[PoseEstimate, Explanation]:
-    estimator = Estimator({model.name: model}, EstimatorConfig(full=full))
+    estimator = Estimator({model.name: model}, EstimatorConfig(full=full, look_harder=True))
     return estimator.explain(frame, ObjectQuery(model.name, box))
 
 
@@ -60,7 +60,9 @@ def test_a_prior_is_judged_on_what_is_believed_in_the_end(
     right = mask & (np.arange(640) > np.nonzero(mask)[1].mean())[None, :]
     covered = replace(frame, depth=np.where(right, frame.depth - np.float32(0.1), frame.depth))
     query = ObjectQuery(tea_box.name, masks=(mask,), prior=PosePrior(standing))
-    config = EstimatorConfig(full=FullPathConfig(poor=9.0), look_anew_every=1)
+    config = EstimatorConfig(
+        full=FullPathConfig(poor=9.0), confirm=ConfirmConfig(look_anew_every=1), look_harder=True
+    )
     answer, explanation = Estimator({tea_box.name: tea_box}, config).explain(covered, query)
     assert explanation.evidence is not None
     assert answer.prior_T_cam_obj is not None
@@ -81,7 +83,7 @@ def test_what_is_not_there_is_looked_for_harder_and_not_believed(
     assert len(explanation.trail.registered) == 2 * len(explanation.trail.retrieved)
     assert explanation.totals[0] < FullPathConfig().poor
     assert answer.quality < 0.2
-    stream = Estimator({tea_box.name: tea_box}, EstimatorConfig(look_harder=False))
+    stream = Estimator({tea_box.name: tea_box}, EstimatorConfig())
     _, once = stream.explain(take_picture([]), ObjectQuery(tea_box.name, box))
     assert once.trail is not None
     assert len(once.trail.registered) == len(once.trail.retrieved)

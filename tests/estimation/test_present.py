@@ -7,9 +7,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from huepose.believe.quality import features, quality_fits
 from huepose.estimation import Estimator, ObjectQuery
-from huepose.estimation.present import OTHER_PRINT, presences_of
-from huepose.estimation.quality import features, quality_fits
+from huepose.estimation.config import StandingConfig
+from huepose.estimation.present import presences_of
 from huepose.estimation.verdict import absent
 from huepose.geometry import Box
 from huepose.rendering.render import render_depth
@@ -22,7 +23,7 @@ def test_an_answer_is_as_likely_as_its_object_is_there(tea_box, take_picture, st
     (there,) = Estimator(models).estimate(frame, [ObjectQuery("tea_box", box)])
     beside = standing.copy()
     beside[0, 3] += 0.5 * tea_box.diameter_m
-    answers = [there, replace(there, T_cam_obj=beside), absent("tea_box")]
+    answers = [there, replace(there, T_cam_obj=beside), absent("tea_box", "")]
     chances = presences_of(frame, models, answers, "full")
     assert chances[0] > 0.9
     assert chances[1] < 0.1
@@ -50,6 +51,8 @@ def test_another_print_is_judged_by_the_method_that_answered(tea_box, take_pictu
         own, other = (presences_of(frame, models, [a], method)[0] for a in (answer, lacking))
         chance = quality_fits()[method].this_print(features(lacking.terms))
         left[method] = other / own
-        assert left[method] == pytest.approx(min(1.0, OTHER_PRINT * chance / (1.0 - chance)), rel=1e-6)
+        assert left[method] == pytest.approx(
+            min(1.0, StandingConfig().other_texture * chance / (1.0 - chance)), rel=1e-6
+        )
         assert left[method] < 0.5
     assert left["full"] != pytest.approx(left["colorpair"], rel=0.05)

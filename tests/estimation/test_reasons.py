@@ -10,7 +10,7 @@ import pytest
 
 from huepose.estimation import Estimator, ObjectQuery
 from huepose.estimation.explanation import Explanation
-from huepose.estimation.reasons import covering, displacement, overlap, reasons
+from huepose.estimation.reasons import covering, displacement, overlap, reasons, why_absent
 from huepose.estimation.types import PoseEstimate
 from huepose.geometry import Box, RgbdFrame, se3
 from huepose.model.types import ReferenceModel
@@ -79,6 +79,23 @@ def test_without_depth_or_views_that_is_all(
     assert reasons(tea_box, answer, replace(explanation, poses=np.zeros((0, 4, 4)))) == [
         "no view of the object was proposed"
     ]
+
+
+def test_why_nothing_is_there_is_said_by_what_was_measured(
+    looked: tuple[PoseEstimate, Explanation],
+) -> None:
+    answer, explanation = looked
+    terms = answer.terms
+    assert terms is not None
+    through = replace(terms, violation=0.35, color=0.12, seen=0.9, occluded=0.0, box_iou=0.8)
+    assert why_absent(explanation, through, 0.04, 0.12) == (
+        "The object is here with a probability of 0.04, which is under 0.12: one looks through 35 % of the "
+        "pose and the print agrees little (correlation 0.12)."
+    )
+    poor = replace(terms, total=0.71, violation=0.0, color=0.5, seen=0.9, occluded=0.0, box_iou=0.8)
+    assert why_absent(explanation, poor, 0.04, 0.12).endswith("under 0.12: the best pose scores 0.71.")
+    assert why_absent(explanation, None, 0.0, 0.12).startswith("No view of the object")
+    assert why_absent(replace(explanation, evidence=None), None, 0.0, 0.12).startswith("There is no depth")
 
 
 def test_masks_in_numbers_and_words() -> None:

@@ -10,12 +10,12 @@ import pytest
 
 from huepose.estimation import Estimator, EstimatorConfig, ObjectQuery
 from huepose.estimation.config import Method
-from huepose.estimation.decision import decided
 from huepose.estimation.types import PosePrior
 from huepose.geometry import Box, RgbdFrame, se3
+from huepose.judge.figure_ground import set_off
 from huepose.model.types import ReferenceModel
 from huepose.rendering.render import render_depth
-from huepose.verification.figure import set_off
+from huepose.select.near_ties import decided
 from tests.kernels import compiled
 
 
@@ -27,7 +27,7 @@ def test_no_kernel_is_compiled_after_the_warm_up(
     estimator.warm_up()
     before = compiled()
     if method == "colorpair":
-        assert before["huepose.matching.ppf._vote"] >= 1  # asked only where few classes are in sight
+        assert before["huepose.paper.ppf._vote"] >= 1  # asked only where few classes are in sight
     frame = take_picture([(tea_box.mesh, standing)])
     outline = render_depth(tea_box.mesh, standing, frame.camera) > 0
     corner = outline.copy()

@@ -20,13 +20,13 @@ from huepose.evaluation.ablation_rows import AblationResult, AblationRow
 from huepose.evaluation.targets import Targets
 from huepose.geometry import Camera, RgbdFrame, se3
 from huepose.geometry.box import Box
+from huepose.judge.silhouette import visible_within
 from huepose.model.types import ReferenceModel
+from huepose.propose.correspondences import Correspondences
+from huepose.propose.flow import compute
+from huepose.propose.relative_pose import LiftedMatches, RobustKabsch, lift_matches
 from huepose.rendering import render
 from huepose.support.errors import InputError
-from huepose.tracking.correspondences import Correspondences
-from huepose.tracking.flow import compute
-from huepose.tracking.relative_pose import LiftedMatches, RobustKabsch, lift_matches
-from huepose.tracking.silhouette import visible_mask
 
 CAMERA = Camera(420.0, 420.0, 159.5, 119.5, 320, 240)
 WHOLE = Box(0.0, 0.0, CAMERA.width, CAMERA.height)
@@ -118,7 +118,7 @@ def test_wrong_matches_spoil_the_plain_fit_only(tea_box) -> None:
     a, b = film.sample(0), film.sample(2)
     flow = compute(a.frame.color, b.frame.color, WHOLE)
     assert flow is not None
-    mask = visible_mask(tea_box.mesh, pose(0), a.frame, WHOLE)
+    mask = visible_within(tea_box.mesh, pose(0), a.frame, WHOLE)
     matches = chosen("flow", a, b, mask, flow)
     pixels = matches.pixels_b.copy()
     pixels[::4] += [15.0, 9.0]

@@ -7,7 +7,7 @@ import zlib
 import numpy as np
 import pytest
 
-from huepose.evaluation.boxes import disturbed, projected_box, truth_box
+from huepose.datasets.boxes import disturbed, projected_box, truth_box
 from huepose.geometry import Box
 
 from .conftest import CAMERA, pose_at, truth
@@ -54,18 +54,20 @@ def test_the_true_box_is_the_sets_else_of_the_mask_else_of_the_mesh(models) -> N
     T = pose_at(0.0)
     stated = truth(0, 5, T, box=Box(1, 2, 3, 4), mask_loader=lambda: mask)
     masked = truth(0, 5, T, mask_loader=lambda: mask)
-    assert truth_box(stated, models["box"], CAMERA) == Box(1, 2, 3, 4)
-    assert truth_box(masked, models["box"], CAMERA) == Box(50, 30, 25, 10)
-    assert truth_box(truth(0, 5, T), models["box"], CAMERA) == projected_box(models["box"], T, CAMERA)
-    assert truth_box(truth(0, 5, pose_at(5.0)), models["box"], CAMERA) is None
+    assert truth_box(stated, models["box"].mesh, CAMERA) == Box(1, 2, 3, 4)
+    assert truth_box(masked, models["box"].mesh, CAMERA) == Box(50, 30, 25, 10)
+    assert truth_box(truth(0, 5, T), models["box"].mesh, CAMERA) == projected_box(
+        models["box"].mesh, T, CAMERA
+    )
+    assert truth_box(truth(0, 5, pose_at(5.0)), models["box"].mesh, CAMERA) is None
 
 
 def test_a_projected_box_bounds_the_corners(models) -> None:
     T = np.eye(4)
     T[2, 3] = 0.68  # the front face is 0.6 m away
-    box = projected_box(models["box"], T, CAMERA)
+    box = projected_box(models["box"].mesh, T, CAMERA)
     u = 79.5 + 120 * 0.03 / 0.6
     assert box.x == pytest.approx(2 * 79.5 - u)
     assert box.w == pytest.approx(2 * (u - 79.5) + 1)
     T[2, 3] = -1.0
-    assert projected_box(models["box"], T, CAMERA) is None
+    assert projected_box(models["box"].mesh, T, CAMERA) is None

@@ -5,17 +5,13 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from huepose.estimation.quality import MAX_MARGIN, TIE, QualityTerms, features, quality, quality_fits
-from huepose.evaluation import calibration
-from huepose.evaluation.calibration import FEATURES, Names
-from huepose.evaluation.judged import FALSE_WEIGHT, Judged, read_absent, read_judged
-from huepose.evaluation.likelihood import choice, logistic
+from huepose.believe.quality import LIMITS, QualityTerms
+from huepose.evaluation.calibration import FALSE_WEIGHT, Judged, by_chance, read_judged, worth
 from huepose.support.errors import InputError
 
 PLAIN = QualityTerms(
     1.5, (0.1, 0.3), 0.4, 0.8, 0.7, 0.7, 0.1, 0.1, 0.7, 0.2, 10.0, 0.4, 0.0, 2000.0, 0.0, 0.1, 1.0
 )
-NAMES = Names(("total",), ("print_complete",), ("same_size",), ("total",), ())
 
 
 def judged(terms: list[QualityTerms], which: np.ndarray, per_frame: int = 5) -> Judged:
@@ -31,169 +27,31 @@ def judged(terms: list[QualityTerms], which: np.ndarray, per_frame: int = 5) -> 
     )
 
 
-def drawn(n: int, seed: int) -> tuple[Judged, np.ndarray]:
-    """Poses with one rival each: that any of the two is right is logistic in the total, and they share it by
-    40 times the gap; and the chance of each first one."""
-    rng = np.random.default_rng(seed)
-    totals, gaps = rng.uniform(0.5, 2.5, n), rng.uniform(0.0, 0.3, n)
-    listed = 1 / (1 + np.exp(-(-3.0 + 4.0 * totals)))
-    first = 1 / (1 + np.exp(-40.0 * gaps))
-    which = np.where(rng.random(n) < listed, np.where(rng.random(n) < first, 0, 1), -1)
-    terms = [replace(PLAIN, total=float(t), gaps=(float(g),)) for t, g in zip(totals, gaps, strict=True)]
-    return judged(terms, which), listed * first
-
-
-def test_the_law_behind_constructed_data_is_found() -> None:
-    labels, chance = drawn(6000, 0)
-    fitted = calibration.fit(labels, NAMES)
-    assert fitted.fit.listed.factors["total"] == pytest.approx(4.0, rel=0.1)
-    assert fitted.fit.sharpness["constant"] == pytest.approx(40.0, rel=0.1)
-    assert fitted.fit.handicap < 0.15
-    np.testing.assert_allclose(calibration.stated_by(fitted.fit, labels), chance, atol=0.05)
-    fresh, _ = drawn(4000, 1)
-    worth = calibration.worth(calibration.stated_by(fitted.fit, fresh), fresh, fitted.fit.level)
-    assert worth.ece is not None
-    assert worth.ece < 0.02
-    assert worth.precision == pytest.approx(0.99, abs=0.008)
-
-
-def test_in_an_exact_tie_the_first_has_no_advantage_and_a_clear_second_has_a_handicap() -> None:
-    rng = np.random.default_rng(8)
-    n = 6000
-    gaps = rng.choice([0.0, 0.002, 0.02, 0.05, 0.1], n)
-    first = 1 / (1 + np.exp(-20.0 * gaps - 1.5 * np.tanh(gaps / TIE)))
-    which = np.where(rng.random(n) < 0.9, np.where(rng.random(n) < first, 0, 1), -1)
-    labels = judged([replace(PLAIN, gaps=(float(g),)) for g in gaps], which)
-    fit = calibration.fit(labels, NAMES).fit
-    assert fit.handicap == pytest.approx(1.5, abs=0.3)
-    assert fit.sharpness["constant"] == pytest.approx(20.0, abs=6.0)
-    tied = fit.probabilities(replace(PLAIN, gaps=(0.0,)))
-    assert tied[0] == tied[1]
-
-
-def test_alternatives_are_right_as_often_as_they_say() -> None:
-    labels, _ = drawn(6000, 2)
-    fit = calibration.fit(labels, NAMES).fit
-    fresh, _ = drawn(12000, 3)
-    second = np.array([fit.probabilities(t)[1] for t in fresh.terms])
-    for low, high in ((0.1, 0.2), (0.2, 0.3), (0.3, 0.5)):
-        chosen = (second >= low) & (second < high)
-        assert chosen.sum() > 300
-        assert (fresh.which[chosen] == 1).mean() == pytest.approx(second[chosen].mean(), abs=0.05)
-
-
-def test_what_is_elsewhere_is_not_present_and_look_alikes_are_doubted() -> None:
-    labels, _ = drawn(2000, 4)
-    rng = np.random.default_rng(5)
-    others = judged([replace(PLAIN, total=float(t)) for t in rng.uniform(-1.0, 0.2, 300)], np.full(300, -1))
-    foreign = [replace(PLAIN, total=2.5, missing=float(m)) for m in rng.uniform(0.45, 0.7, 300)]
-    alike = judged(foreign, np.full(300, -1))
-    fitted = calibration.fit(labels, NAMES, others, alike)
-    assert (fitted.present_others >= fitted.fit.found).mean() < 0.05
-    lost = fitted.present_labels[labels.right] < fitted.fit.found
-    assert lost.mean() == pytest.approx(calibration.LOST_SHARE, abs=0.003)
-    assert (fitted.alike >= fitted.fit.level).mean() < 0.05
-    own = replace(PLAIN, total=2.5)
-    assert fitted.fit.probabilities(own)[0] > 2 * fitted.fit.probabilities(foreign[0])[0]
-    without = calibration.fit(labels, NAMES)
-    assert without.fit.found == 0.0
-    assert without.fit.this_print(features(foreign[0])) > 0.97
-
-
-def test_no_factor_is_negative_even_where_the_data_say_so() -> None:
-    rng = np.random.default_rng(2)
-    x = rng.normal(size=(2000, 2))
-    right = rng.random(2000) < 1 / (1 + np.exp(2.0 * x[:, 0]))
-    found = logistic(x, right, np.ones(2000), ("falls", "nothing"))
-    assert found.factors["falls"] == 0.0
-    gaps = np.tile([0.0, 0.1], (2000, 1))
-    listed, sharpness, handicap = choice(
-        x, gaps, np.ones((2000, 1)), np.where(right, 1, -1), np.ones(2000), ("falls", "nothing")
-    )
-    assert listed.factors["falls"] == 0.0
-    assert sharpness[0] == pytest.approx(0.0, abs=0.01)
-    assert handicap == pytest.approx(0.0, abs=0.01)
-
-
-def test_the_level_is_where_the_share_of_right_ones_falls_under_the_wanted() -> None:
-    quality_of = np.linspace(1.0, 0.0, 1001)
-    right = quality_of > 0.6  # 400 right ones, then wrong ones only
-    assert calibration.level_of(quality_of, right, share=0.8) == pytest.approx(0.5, abs=0.003)
-    right[:] = True
-    assert calibration.level_of(quality_of, right) == pytest.approx(0.01)
-    right[:] = False
-    assert calibration.level_of(quality_of, right) == pytest.approx(0.951)  # that of the 50 surest
-
-
 def test_coverage_counts_what_got_no_pose() -> None:
     few = replace(judged([PLAIN] * 4, np.array([0, 0, -1, 0])), missed=4)
-    worth = calibration.worth(np.array([0.9, 0.95, 0.97, 0.2]), few, 0.9)
-    assert (worth.poses, worth.right) == (8, 3)
-    assert worth.coverage == pytest.approx(3 / 8)
-    assert worth.found == pytest.approx(0.5)
-    assert worth.precision == pytest.approx(2 / 3)
+    known = worth(np.array([0.9, 0.95, 0.97, 0.2]), few, 0.9)
+    assert (known.poses, known.right) == (8, 3)
+    assert known.coverage == pytest.approx(3 / 8)
+    assert known.found == pytest.approx(0.5)
+    assert known.precision == pytest.approx(2 / 3)
 
 
 def test_what_calibration_error_is_by_chance_depends_on_how_many_instances_there_are() -> None:
     """A thousand poses of quality one half: in bins of a hundred the mean error is that of a mean of a
     hundred coins, 0.04; of the same instances asked for five times, that of twenty coins."""
     quality = np.full(1000, 0.5)
-    alone, _ = calibration.by_chance(quality, range(1000)) or (0.0, 0.0)
+    alone, _ = by_chance(quality, range(1000)) or (0.0, 0.0)
     assert alone == pytest.approx(0.5 * np.sqrt(2 / np.pi / 100), rel=0.05)
-    often, high = calibration.by_chance(quality, [k // 5 for k in range(1000)]) or (0.0, 0.0)
+    often, high = by_chance(quality, [k // 5 for k in range(1000)]) or (0.0, 0.0)
     assert often == pytest.approx(0.5 * np.sqrt(2 / np.pi / 20), rel=0.1)
     assert often < high < 2.0 * often
-    assert calibration.by_chance(np.zeros(0), []) is None
-
-
-def test_a_frame_is_never_judged_by_itself() -> None:
-    """Frames right and wrong in turn, without any law: a fit that saw them would agree with them, one that
-    saw only the others leans the other way."""
-    terms = [replace(PLAIN, pixels=10.0 ** (1 + k // 20)) for k in range(200)]
-    right = np.array([k // 20 % 2 == 0 for k in range(200)])
-    labels = judged(terms, np.where(right, 0, -1), per_frame=20)
-    stated = calibration.fit(labels, replace(NAMES, listed=("size",))).labels
-    assert np.corrcoef(stated, right)[0, 1] < 0
-    assert len(np.unique(np.round(stated, 6))) <= 10
-
-
-def test_one_kind_of_outcome_cannot_be_fitted() -> None:
-    with pytest.raises(InputError, match="3 right of 3"):
-        calibration.fit(judged([PLAIN] * 3, np.zeros(3)), NAMES)
-
-
-def test_every_shipped_fit_rises_with_every_feature() -> None:
-    better = replace(
-        PLAIN, total=1.7, gaps=(0.2, 0.3), color=0.5, box_iou=0.9, depth_fit=0.8, coverage=0.8,
-        violation=0.05, occluded=0.05, seen=0.8, missing=0.1, foreign=5.0, detail=0.6, pixels=4000.0,
-        turned=0.05, otherwise=0.1, agreed=1.1,
-    )  # fmt: skip
-    for name, fit in quality_fits().items():
-        for part in ("presence", "this_print", "this_size", "listed"):
-            factors = getattr(fit, part).factors
-            assert set(factors) <= set(getattr(FEATURES[name], part)) <= set(features(PLAIN))
-            assert all(factor > 0 for factor in factors.values())
-        assert 0.5 < fit.level < 1.0
-        assert 0.0 <= fit.found < 0.5
-        assert fit.probabilities(PLAIN).sum() <= 1.0
-        assert fit.present(better) > fit.present(PLAIN)
-        assert quality(name, better) > quality(name, PLAIN)
-
-
-def test_a_weight_counts_as_so_many_poses() -> None:
-    labels, _ = drawn(400, 5)
-    x = np.array([[t.total, t.margin] for t in labels.terms])
-    three = np.where(labels.right, 3, 1)
-    weighted = logistic(x, labels.right, three.astype(float), ("total", "margin"))
-    again = np.repeat(np.arange(400), three)
-    repeated = logistic(x[again], labels.right[again], np.ones(len(again)), ("total", "margin"))
-    assert weighted.factors["total"] == pytest.approx(repeated.factors["total"], rel=0.03)
+    assert by_chance(np.zeros(0), []) is None
 
 
 def test_the_margin_is_that_to_the_best_other_answer() -> None:
-    assert replace(PLAIN, gaps=()).margin == MAX_MARGIN
+    assert replace(PLAIN, gaps=()).margin == LIMITS.margin
     assert replace(PLAIN, gaps=(0.05, 0.2)).margin == 0.05
-    assert replace(PLAIN, gaps=(1.0,)).margin == MAX_MARGIN
+    assert replace(PLAIN, gaps=(1.0,)).margin == LIMITS.margin
 
 
 def test_results_are_read_with_what_was_right(tmp_path: Path) -> None:
@@ -212,9 +70,6 @@ def test_results_are_read_with_what_was_right(tmp_path: Path) -> None:
     assert shown.weights.tolist() == [1.0, 1.0, FALSE_WEIGHT]
     assert shown.missed == 1
     assert shown.terms[0] == PLAIN
-    absent = read_absent(path)
-    assert absent.which.tolist() == [-1] * 4
-    assert absent.missed == 0
     old = {key: value for key, value in asdict(PLAIN).items() if key != "missing"}
     path.write_text(json.dumps({"rows": [{**row, "terms": old}]}))
     with pytest.raises(InputError, match="Make it again"):

@@ -7,13 +7,13 @@ from collections.abc import Callable
 import numpy as np
 import pytest
 
-from huepose.estimation.evidence import gather
 from huepose.estimation.explanation import Explanation
 from huepose.estimation.full_path import Trail
 from huepose.estimation.types import ObjectQuery, PoseEstimate
 from huepose.evaluation.diagnosis import Diagnosis, diagnose
 from huepose.geometry import Box, RgbdFrame, se3
 from huepose.model.types import ReferenceModel
+from huepose.propose.evidence import gather
 from huepose.rendering.render import render_depth
 
 from .conftest import estimate_of

@@ -7,7 +7,7 @@ import json
 import numpy as np
 import pytest
 
-from huepose.evaluation.boxes import disturbed, truth_box
+from huepose.datasets.boxes import disturbed, truth_box
 from huepose.evaluation.estimate_protocol import EstimateOptions, assigned, evaluate_estimates
 from huepose.evaluation.result_files import plain
 from huepose.evaluation.targets import Targets
@@ -68,7 +68,9 @@ def test_the_estimator_gets_the_documented_boxes(models, scene) -> None:
     estimator = answering(scene)
     evaluate_estimates([scene], Targets(models), estimator, EstimateOptions(seeds=(4,)))
     label = scene.truths(8)[1]
-    expected = disturbed(truth_box(label, models["box"], CAMERA), "perturbed", 4, "000001", 8, 1, 160, 120)
+    expected = disturbed(
+        truth_box(label, models["box"].mesh, CAMERA), "perturbed", 4, "000001", 8, 1, 160, 120
+    )
     asked = {(image, query.instance): query for image, query in estimator.asked}
     assert asked[8, 1].box == expected
     assert asked[8, 1].object == "box"
@@ -184,6 +186,8 @@ def test_detected_poses_are_assigned_one_to_one_by_quality(models) -> None:
     assert result.rows[0].error.add_m == pytest.approx(0.01)
     assert result.rows[2].T_cam_obj is None
     assert [(f.object, f.quality) for f in result.false] == [(5, 0.9), (5, 0.86)]
+    assert [r.reason for r in result.rows[:2]] == ["", ""]
+    assert result.rows[2].reason.startswith("The detector found no place")
     assert result.summary()["false_poses"] == 2
     # Two of four poses are right: false ones are part of the calibration.
     assert result.summary()["ece"] == pytest.approx((0.05 + 0.12 + 0.9 + 0.86) / 4)
@@ -205,6 +209,7 @@ def test_boxes_that_hardly_overlap_are_not_assigned(models) -> None:
     options = EstimateOptions(boxes="detect")
     result = evaluate_estimates([scene], Targets(models), estimator, options, detector=detector)
     assert (result.rows[0].T_cam_obj, len(result.false)) == (None, 1)
+    assert result.rows[0].reason == "The poses of the object that stand are at other places."
 
 
 def test_nothing_to_assign() -> None:
@@ -226,3 +231,4 @@ def test_a_label_outside_the_image_is_not_found(models) -> None:
     scene = MemoryScene("s", {0: (truth(0, 5, pose_at(5.0)),)})
     result = evaluate_estimates([scene], Targets(models), answering(scene), EstimateOptions())
     assert result.rows[0].T_cam_obj is None
+    assert result.rows[0].as_json()["reason"].startswith("The box is empty")

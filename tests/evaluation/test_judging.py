@@ -9,8 +9,7 @@ import pytest
 
 from huepose.estimation.types import ObjectQuery
 from huepose.evaluation.instances import Place
-from huepose.evaluation.judging import LoopJudge
-from huepose.evaluation.sources import SourcedPose
+from huepose.evaluation.sources import LoopJudge, SourcedPose
 from huepose.geometry import se3
 from huepose.tracking.types import State, TrackedPose, Verdict
 

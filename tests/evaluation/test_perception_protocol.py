@@ -8,10 +8,12 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from huepose.estimation.config import StandingConfig
 from huepose.estimation.types import PoseEstimate
-from huepose.estimation.verdict import absent, standing
-from huepose.evaluation.perception_pictures import FALSE, FOUND, MISSED, draw_perception
+from huepose.estimation.verdict import absent, standing, why_none_stands
+from huepose.evaluation import pictures
 from huepose.evaluation.perception_protocol import PerceptionOptions, evaluate_perception
+from huepose.evaluation.pictures import draw_perception
 from huepose.evaluation.result_files import plain
 from huepose.evaluation.targets import Targets
 from huepose.geometry import Box
@@ -139,9 +141,9 @@ def test_the_picture_shows_found_missed_and_false(models, scene) -> None:
         scene, models, [Detection("box", LEFT, 0.9), Detection("brick", Box(60, 5, 20, 20), 0.9)], {}
     )
     picture = draw_perception(scene.sample(3), result.frames[0])
-    assert tuple(picture[69, 30]) == FOUND
-    assert tuple(picture[89, 120]) == MISSED
-    assert tuple(picture[24, 70]) == FALSE
+    assert tuple(picture[69, 30]) == pictures.RIGHT
+    assert tuple(picture[89, 120]) == pictures.MISSED
+    assert tuple(picture[24, 70]) == pictures.WRONG
 
 
 def test_nothing_labelled_is_an_error(models) -> None:
@@ -151,13 +153,25 @@ def test_nothing_labelled_is_an_error(models) -> None:
 
 def test_one_surface_stands_for_one_pose() -> None:
     def answer(name: str, box: Box) -> PoseEstimate:
-        return replace(absent(name), found=True, mask=mask_of(box))
+        return replace(absent(name, ""), found=True, mask=mask_of(box))
 
     better, worse = answer("box", LEFT), answer("brick", LEFT)
     beside, doubtful = answer("brick", RIGHT), answer("can", NOWHERE)
     assert standing([worse, doubtful, beside, better], [0.9, 0.3, 0.7, 0.95]) == [better, beside]
-    assert standing([worse, absent("box")], [0.9, 1.0]) == [worse]
-    assert standing([doubtful], [0.3], 0.2) == [doubtful]
+    assert standing([worse, absent("box", "")], [0.9, 1.0]) == [worse]
+    assert standing([doubtful], [0.3], StandingConfig(present=0.2)) == [doubtful]
+
+
+def test_why_none_of_an_object_stands() -> None:
+    found = replace(absent("brick", ""), found=True, mask=mask_of(LEFT))
+    assert why_none_stands("box", [found], [0.9]).startswith("The detector found no place")
+    assert why_none_stands("brick", [found, found], [0.2, 0.31]) == (
+        "At the best of 2 places the object is there with a probability of 0.31, which is under 0.60."
+    )
+    assert why_none_stands("brick", [found], [0.9]) == (
+        "Another object explains the surface at the only place better."
+    )
+    assert why_none_stands("brick", [absent("brick", "Nothing.")], [0.0]) == "Nothing."
 
 
 def test_what_stands_is_there_however_sure_its_pose_is(models, scene) -> None:

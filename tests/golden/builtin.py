@@ -18,13 +18,13 @@ from functools import cache, partial
 from pathlib import Path
 
 import numpy as np
-
-from huepose import Correction, ObjectQuery, ReferenceModel, RgbdFrame
 from huepose.datasets.rendered_scene import PILES, rendered_frame
 from huepose.datasets.shapes import demo_objects
 from huepose.datasets.synthetic_frame import Stage, shoot
 from huepose.datasets.synthetic_plan import CAMERA, plan
 from huepose.datasets.synthetic_sensor import COLOR, STEREO
+
+from huepose import Correction, ObjectQuery, ReferenceModel, RgbdFrame
 from huepose.geometry import Mesh
 from huepose.onboarding import onboard_mesh
 from tests.golden.answers import Answers

@@ -1,13 +1,18 @@
 from __future__ import annotations
 
 import json
+import os
+import struct
 import time
+import tracemalloc
 import zipfile
 from dataclasses import fields, replace
 from pathlib import Path
 
 import numpy as np
 import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
 
 from huepose.model import io, load_model, load_models, save_model
 from huepose.model.types import ReferenceModel
@@ -79,6 +84,35 @@ def test_another_version_is_refused(saved: Path, tmp_path: Path) -> None:
         load_model(other)
 
 
+def test_a_file_of_the_version_before_is_read(saved: Path, tmp_path: Path) -> None:
+    """It had the tables of the paper's method among the pairs, and classes of the fine pairs as well."""
+    path = tmp_path / "tea_box.huepose"
+    with zipfile.ZipFile(saved) as new, zipfile.ZipFile(path, "w") as old:
+        for entry in new.infolist():
+            data, name = new.read(entry), entry.filename.replace("tables.", "pairs.")
+            if name == "header.json":
+                header = json.loads(data) | {"version": 1}
+                header["pair_parameters"] |= header.pop("table_parameters")
+                header["types"] = {k.replace("tables.", "pairs."): v for k, v in header["types"].items()}
+                data = json.dumps(header).encode()
+            old.writestr(name, data)
+    before, now = load_model(path), load_model(saved)
+    assert before.tables is not None
+    assert now.tables is not None
+    np.testing.assert_array_equal(before.pairs.colors, now.pairs.colors)
+    np.testing.assert_array_equal(before.tables.triangles, now.tables.triangles)
+    np.testing.assert_array_equal(before.tables.side_classes, now.tables.side_classes)
+    assert before.tables.parameters["ppf_bin_m"] == now.tables.parameters["ppf_bin_m"]
+
+
+def test_tables_are_kept_where_there_are_any(tea_box: ReferenceModel, saved: Path, tmp_path: Path) -> None:
+    assert load_model(saved).tables is not None
+    bare = replace(tea_box, tables=None)
+    save_model(bare, tmp_path / "bare.huepose")
+    assert load_model(tmp_path / "bare.huepose").tables is None
+    assert (tmp_path / "bare.huepose").stat().st_size < saved.stat().st_size - 1e6
+
+
 @pytest.mark.parametrize("content", [b"", b"no zip", None])
 def test_damaged_files_are_refused(saved: Path, tmp_path: Path, content: bytes | None) -> None:
     path = tmp_path / "tea_box.huepose"
@@ -136,3 +170,110 @@ def test_a_failed_write_leaves_the_old_file(saved: Path, tea_box: ReferenceModel
 def test_names_are_checked(tea_box: ReferenceModel, tmp_path: Path, name: str) -> None:
     with pytest.raises(InputError, match="1 to 64 of a-z"):
         save_model(replace(tea_box, name=name), tmp_path / "m.huepose")
+
+
+def packed(source: Path, target: Path, compression: int = zipfile.ZIP_STORED, **entries: bytes) -> Path:
+    """A copy with other bytes in some entries."""
+    with zipfile.ZipFile(source) as old, zipfile.ZipFile(target, "w", compression) as new:
+        for entry in old.infolist():
+            new.writestr(
+                entry.filename, entries[entry.filename] if entry.filename in entries else old.read(entry)
+            )
+    return target
+
+
+def npy(shape: str, kind: str = "<f4", data: bytes = b"") -> bytes:
+    """The bytes of an array as its header states it."""
+    header = f"{{'descr': '{kind}', 'fortran_order': False, 'shape': {shape}, }}".encode()
+    header += b" " * (118 - len(header)) + b"\n"
+    return b"\x93NUMPY\x01\x00" + len(header).to_bytes(2, "little") + header + data
+
+
+def png(width: int, height: int) -> bytes:
+    """The beginning of a picture of that size."""
+    return (
+        b"\x89PNG\r\n\x1a\n\x00\x00\x00\rIHDR" + struct.pack(">II", width, height) + b"\x08\x02\x00\x00\x00"
+    )
+
+
+def peak_bytes(path: Path, reason: str) -> int:
+    """The most memory that Python took to refuse a file."""
+    tracemalloc.start()
+    try:
+        with pytest.raises(InputError, match=reason):
+            load_model(path)
+        return tracemalloc.get_traced_memory()[1]
+    finally:
+        tracemalloc.stop()
+
+
+def test_a_compressed_file_is_refused_before_it_is_unpacked(saved: Path, tmp_path: Path) -> None:
+    large = {"surface.lab.npy": npy("(2, 40000000, 3)", data=bytes(240_000_000))}
+    path = packed(saved, tmp_path / "tea_box.huepose", zipfile.ZIP_DEFLATED, **large)
+    assert path.stat().st_size < 20e6
+    assert peak_bytes(path, "compressed entries") < 10e6
+
+
+@pytest.mark.parametrize(
+    ("entry", "data", "reason"),
+    [
+        ("surface.lab.npy", npy("(2, 1000000000000, 3)"), "not the size that it states"),
+        ("surface.lab.npy", npy("(2, 3, 3)", "|O", bytes(72)), "no plain array"),
+        ("surface.lab.npy", npy("(2, 0, 3"), "damaged"),  # tokenize's own error
+        ("surface.lab.npy", npy("(" * 100), "damaged"),
+        ("surface.lab.npy", b"\x93NUMPY\x07\x00", "damaged"),
+        ("surface.lab.npy", b"", "damaged"),
+        ("surface.lab.npy", npy("(2, 5, 3)", data=bytes(120)), "surface.lab has the shape"),
+        ("header.json", b"[" * 100_000, "damaged"),
+        ("header.json", b"[]", "no JSON object"),
+        ("header.json", b'{"a": ' + b"9" * 5000 + b"}", "damaged"),
+    ],
+)
+def test_whatever_is_wrong_in_a_file_it_is_an_input_error(
+    saved: Path, tmp_path: Path, entry: str, data: bytes, reason: str
+) -> None:
+    path = packed(saved, tmp_path / "tea_box.huepose", **{entry: data})
+    assert peak_bytes(path, reason) < 100e6
+
+
+def test_a_texture_of_too_many_pixels_is_refused(saved: Path, tmp_path: Path) -> None:
+    data = png(16384, 16384)
+    entry = {"mesh.texture_png.npy": npy(f"({len(data)},)", "|u1", data)}
+    path = packed(saved, tmp_path / "tea_box.huepose", **entry)
+    assert peak_bytes(path, "16384 x 16384 pixels") < 100e6
+
+
+@pytest.mark.parametrize("name", ["mesh.faces", "surface.visible", "grid.nearest", "tables.ppf"])
+def test_an_index_that_points_at_nothing_is_refused(
+    tea_box: ReferenceModel, saved: Path, tmp_path: Path, name: str
+) -> None:
+    room, field = name.split(".")
+    array = getattr(getattr(tea_box, room), field).copy()
+    array.flat[-1] = np.iinfo(array.dtype).max
+    data = npy(str(array.shape), array.dtype.str, array.tobytes())
+    with pytest.raises(InputError, match=f"{name} points at what is not there"):
+        load_model(packed(saved, tmp_path / "tea_box.huepose", **{f"{name}.npy": data}))
+
+
+def test_what_is_no_file_is_refused(tmp_path: Path) -> None:
+    os.mkfifo(tmp_path / "tea_box.huepose")
+    with pytest.raises(InputError, match="it is no file"):
+        load_model(tmp_path / "tea_box.huepose")
+
+
+@settings(max_examples=150, deadline=None)
+@given(at=st.integers(0, 20_000_000), junk=st.binary(min_size=1, max_size=40))
+def test_bytes_that_were_changed_anywhere_are_an_input_error_or_change_nothing(
+    saved: Path, tmp_path_factory: pytest.TempPathFactory, at: int, junk: bytes
+) -> None:
+    data = bytearray(saved.read_bytes())
+    at %= len(data)
+    data[at : at + len(junk)] = junk
+    path = tmp_path_factory.mktemp("changed") / "tea_box.huepose"
+    path.write_bytes(data)
+    try:
+        load_model(path)
+    except InputError as error:
+        assert "found" in str(error)  # noqa: PT017  # either is right
+    finally:
+        path.unlink()

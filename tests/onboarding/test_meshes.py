@@ -2,6 +2,7 @@ from __future__ import annotations
 
 import base64
 import json
+import struct
 from pathlib import Path
 
 import numpy as np
@@ -117,6 +118,32 @@ def test_polygons_of_a_ply_become_fans(tmp_path: Path) -> None:
     assert read_mesh(tmp_path / "m.ply").faces.tolist() == [[0, 1, 2], [0, 2, 3], [0, 1, 4]]
 
 
+def test_a_binary_ply_may_mix_polygons(tmp_path: Path) -> None:
+    header = "ply\nformat binary_little_endian 1.0\nelement vertex 5\n"
+    header += "".join(f"property float {p}\n" for p in "xyz")
+    header += "".join(f"property uchar {p}\n" for p in ("red", "green", "blue"))
+    header += "element face 3\nproperty list uchar int vertex_indices\nend_header\n"
+    corners = [(0, 0, 0), (40, 0, 0), (40, 40, 0), (0, 40, 0), (0, 0, 40)]
+    body = b"".join(struct.pack("<3f3B", *c, 90, 90, 90) for c in corners)
+    for polygon in ([0, 1, 2, 3], [0, 1, 4], [4, 3, 2, 1, 0]):
+        body += struct.pack(f"<B{len(polygon)}i", len(polygon), *polygon)
+    (tmp_path / "m.ply").write_bytes(header.encode() + body)
+    fans = [[0, 1, 2], [0, 2, 3], [0, 1, 4], [4, 3, 2], [4, 2, 1], [4, 1, 0]]
+    assert read_mesh(tmp_path / "m.ply").faces.tolist() == fans
+
+
+@pytest.mark.parametrize("encoding", ["utf-8", "latin-1"])
+def test_names_may_be_of_any_letters(tmp_path: Path, printed_box: Mesh, encoding: str) -> None:
+    files.write_obj(tmp_path / "m.obj", printed_box)
+    files.write_ply(tmp_path / "m.ply", printed_box, binary=True, lists=False)
+    (tmp_path / "m.png").rename(tmp_path / "Körper.png")
+    for name in ("m.mtl", "m.ply"):
+        file = tmp_path / name
+        file.write_bytes(file.read_bytes().replace(b"m.png", "Körper.png".encode(encoding)))
+    for name in ("m.obj", "m.ply"):
+        assert_same(read_mesh(tmp_path / name), printed_box)
+
+
 def test_several_materials_become_one_texture(tmp_path: Path) -> None:
     text = "mtllib m.mtl\nv 0 0 0\nv 60 0 0\nv 0 60 0\nv 0 0 60\nvt 0 0\nvt 1 0\nvt 0 1\n"
     text += "usemtl red\nf 1/1 2/2 3/3\nusemtl plain\nf 1 2 4\nusemtl blue\nf 1/1 3/2 4/3\n"
@@ -159,7 +186,7 @@ def test_textures_that_repeat_are_unrolled(tmp_path: Path) -> None:
 
 
 def test_a_mirrored_export_is_turned_outwards(tmp_path: Path, printed_box: Mesh) -> None:
-    from huepose.datasets.shapes import demo_objects
+    from huepose.scenes.shapes import demo_objects
 
     closed = next(iter(demo_objects(0).values()))
     welded, index = np.unique(np.round(closed.vertices, 7), axis=0, return_inverse=True)
@@ -320,7 +347,7 @@ def broken(tmp_path: Path, mesh: Mesh, how: str) -> Path:
         ("no such material", "m.obj: found usemtl print; expected that material in m.mtl"),
         ("cut obj", "m.obj: found a face that names vertex 998"),
         ("no faces", "m.obj: found 1 vertices and 0 faces"),
-        ("words for numbers", "m.obj: found a vertex that is not made of numbers"),
+        ("words for numbers", "m.obj line 3: found v forty 39.9"),
         ("cut ply", "m.ply: found fewer values than its header announces"),
         ("no ply", "m.ply: found no PLY header"),
         ("ply without its texture", "m.png: found no such file; expected the texture, which m.ply names"),

@@ -13,7 +13,8 @@ from huepose.model.types import ReferenceModel
 from huepose.onboarding.batch import Failed, Job, Onboarded, StageBegun, onboard_many
 from huepose.onboarding.bop_folder import bop_models, safe_name
 from huepose.onboarding.declared import read_symmetries
-from huepose.onboarding.onboard import STAGES, diameter_of, onboard_mesh
+from huepose.onboarding.onboard import onboard_mesh
+from huepose.onboarding.reference import STAGES, diameter_of
 from huepose.support.errors import InputError
 from tests.onboarding import mesh_files as files
 from tests.onboarding import solids
@@ -33,13 +34,22 @@ def arrays_of(part: object, prefix: str = "") -> dict[str, np.ndarray]:
 
 def test_onboarding_is_deterministic_and_says_its_stages(tea_box: ReferenceModel) -> None:
     stages: list[str] = []
-    again = onboard_mesh(tea_box.mesh, "tea_box", report=stages.append)
+    again = onboard_mesh(tea_box.mesh, "tea_box", paper=True, report=stages.append)
     assert stages == list(STAGES[1:])  # reading a mesh is the first
     first, second = arrays_of(tea_box), arrays_of(again)
     assert first.keys() == second.keys()
     for name, array in first.items():
         assert array.dtype == second[name].dtype, name
         np.testing.assert_array_equal(array, second[name], err_msg=name)
+
+
+def test_tables_are_made_only_when_asked_for(tea_box: ReferenceModel) -> None:
+    bare = onboard_mesh(tea_box.mesh, "tea_box")
+    assert bare.tables is None
+    with_tables, without = arrays_of(tea_box), arrays_of(bare)
+    assert without.keys() == {name for name in with_tables if not name.startswith("tables.")}
+    for name, array in without.items():
+        np.testing.assert_array_equal(array, with_tables[name], err_msg=name)
 
 
 def test_a_model_is_whole(tea_box: ReferenceModel) -> None:
@@ -130,6 +140,22 @@ def test_wrong_bop_folders_are_named(tmp_path: Path) -> None:
     (folder / "models_info.json").write_text("{")
     with pytest.raises(InputError, match=r"models_info.json: found broken JSON"):
         bop_models(folder)
+    for info, message in (
+        ("[" * 100_000, "models_info.json: found broken JSON"),
+        ('{"3": 5}', "models_info.json object 3: found 5"),
+        ('{"3": {"diameter": "large"}}', "models_info.json object 3: found 'diameter': 'large'"),
+        ('{"3": {"symmetries_discrete": [[1, 2]]}}', r"object 3 symmetries_discrete\[0\]: found \[1, 2\]"),
+    ):
+        (folder / "models_info.json").write_text(info)
+        with pytest.raises(InputError, match=message):
+            bop_models(folder)
+    (folder / "models_info.json").unlink()
+    offsets = {"021_tall": {"bop_obj_id": 12, "posecnn_to_bop_t_mm": [1, 2]}}
+    (folder / "frame_offsets.json").write_text(json.dumps(offsets))
+    with pytest.raises(
+        InputError, match=r"frame_offsets.json 021_tall: found 'posecnn_to_bop_t_mm': \[1, 2\]"
+    ):
+        bop_models(folder)
 
 
 def test_names_are_made_safe() -> None:
@@ -146,6 +172,8 @@ def test_declared_symmetries_are_checked(tmp_path: Path) -> None:
     wrong = [
         ("[1]", "neither of the two lists"),
         ("{", "broken JSON"),
+        ("[" * 100_000, "broken JSON"),
+        (json.dumps({"symmetries_discrete": 5}), "symmetries_discrete: found 5; expected a list"),
         (json.dumps({"symmetries_discrete": [turn[:12]]}), r"symmetries_discrete\[0\]"),
         (json.dumps({"symmetries_discrete": [[2 * x for x in turn]]}), r"symmetries_discrete\[0\]"),
         (json.dumps({"symmetries_continuous": [{"axis": [0, 0, 0]}]}), r"symmetries_continuous\[0\]"),

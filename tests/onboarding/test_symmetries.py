@@ -6,7 +6,7 @@ import pytest
 from huepose.geometry import Mesh, se3
 from huepose.onboarding.cloud import visible_cloud
 from huepose.onboarding.grid import build_grid
-from huepose.onboarding.onboard import diameter_of
+from huepose.onboarding.reference import diameter_of
 from huepose.onboarding.surface import build_surface
 from huepose.onboarding.symmetries import equivalent_turns
 from huepose.onboarding.turns import NearSymmetries, even_rotations, near_symmetries

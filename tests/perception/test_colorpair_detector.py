@@ -9,17 +9,18 @@ import numpy as np
 import pytest
 
 from huepose.geometry import Box, RgbdFrame, se3
+from huepose.judge.arrays import model_arrays
+from huepose.judge.continuation import continuation_many
 from huepose.model.types import ReferenceModel
 from huepose.perception.clear_view import clear_view
 from huepose.perception.colorpair_detector import ColorPairDetector
+from huepose.perception.config import DetectorConfig
 from huepose.perception.ground import large_planes, standing_clear
 from huepose.perception.nearby import align_in_view
-from huepose.perception.rim import rims
 from huepose.perception.scouting import likeliest_turns
 from huepose.perception.window_table import window_table
 from huepose.rendering.render import render_depth
 from huepose.support.errors import InputError
-from huepose.verification.kernel_arrays import model_arrays
 
 TakePicture = Callable[..., RgbdFrame]
 
@@ -74,7 +75,7 @@ def test_of_a_pose_that_is_turned_the_wrong_way_the_right_turn_is_the_likeliest(
 def test_both_of_a_kind_are_found_where_they_are(
     frame: RgbdFrame, tea_box: ReferenceModel, standing: np.ndarray, beside: np.ndarray
 ) -> None:
-    found = ColorPairDetector({"tea_box": tea_box}, proposals=2).detect(frame, ["tea_box"])
+    found = ColorPairDetector({"tea_box": tea_box}).detect(frame, ["tea_box"])
     assert [d.object for d in found] == ["tea_box", "tea_box"]
     for T in (standing, beside):
         best = max(found, key=lambda d: d.box.iou(box_of(tea_box, frame, T)))
@@ -87,7 +88,7 @@ def test_both_of_a_kind_are_found_where_they_are(
 def test_a_place_without_the_object_scores_less(
     frame: RgbdFrame, tea_box: ReferenceModel, standing: np.ndarray, take_picture: TakePicture
 ) -> None:
-    detector = ColorPairDetector({"tea_box": tea_box}, proposals=1, min_score=0.0)
+    detector = ColorPairDetector({"tea_box": tea_box}, DetectorConfig(proposals=1, min_score=0.0))
     (there,) = detector.detect(frame, ["tea_box"])
     grey = replace(tea_box.mesh, texture=np.full_like(tea_box.mesh.texture, 90))
     (other,) = detector.detect(take_picture([(grey, standing)]), ["tea_box"])
@@ -130,7 +131,11 @@ def test_a_rim_goes_on_inside_a_face_and_not_round_the_object(
     middle = points[np.argmax(normals @ (eye / np.linalg.norm(eye)) - 5.0 * np.abs(points[:, 2]))]
     shrunk = middle + np.float32(0.4) * (points - middle)
     small = replace(tea_box, surface=replace(tea_box.surface, points=shrunk))
-    alone, inside = (rims(view, model_arrays(m), standing[None], 250)[0] for m in (tea_box, small))
+    crop, clear = view.crop, view.clear
+    alone, inside = (
+        continuation_many(model_arrays(m), crop.depth, clear, crop.camera, standing[None], 250)[0]
+        for m in (tea_box, small)
+    )
     assert alone < 0.1
     assert inside > 0.5
 

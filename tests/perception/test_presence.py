@@ -9,13 +9,13 @@ import numpy as np
 import pytest
 
 from huepose.geometry import RgbdFrame, se3
+from huepose.judge.hue import hue_log_ratio
 from huepose.model.types import ReferenceModel
 from huepose.perception.clear_view import clear_view
 from huepose.perception.presence import (
     LIGHT_SPREAD,
     Light,
     Sight,
-    hue_evidence,
     light_of,
     presences,
     probability,
@@ -24,6 +24,10 @@ from huepose.perception.presence import (
 TakePicture = Callable[..., RgbdFrame]
 
 WHITE = Light(np.zeros(2), 2.0)
+
+
+def hue_evidence(sight: Sight, light: Light) -> float:
+    return hue_log_ratio(sight.hues, light.shift, light.spread)
 
 
 def seen(own: tuple[float, float], shown: tuple[float, float]) -> Sight:

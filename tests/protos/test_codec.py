@@ -12,7 +12,7 @@ from huepose_protos import WireError, decode, encode
 from huepose_protos.buffers import frame_images, pack, unpack
 from huepose_protos.examples import images, messages
 from huepose_protos.keys import Keys
-from huepose_protos.messages import MESSAGES, FrameHeader, MaskRuns, PoseMessage
+from huepose_protos.messages import MESSAGES, BufferSpec, FrameHeader, MaskRuns, Masks, PoseMessage
 from huepose_protos.runlength import mask_of, runs_of
 
 EXAMPLES = {type(m): m for m in messages()}
@@ -182,3 +182,40 @@ class TestBuffers:
         moved = [specs[0], msgspec.structs.replace(specs[1], offset=offset)]
         with pytest.raises(WireError):
             unpack(moved, payload)
+
+
+@pytest.mark.parametrize(
+    ("kind", "few_bytes"),
+    [
+        (MaskRuns, {"width": 16384, "height": 16384, "runs": [16384 * 16384]}),
+        (MaskRuns, {"width": 16384, "height": 820, "runs": [16384 * 820]}),
+    ],
+)
+def test_a_mask_of_more_pixels_than_a_frame_may_have_is_refused(kind, few_bytes):
+    with pytest.raises(msgspec.ValidationError, match="more pixels than a frame may have"):
+        msgspec.convert(few_bytes, kind)
+
+
+def test_many_masks_in_a_few_bytes_are_refused_before_memory_is_taken():
+    large = MaskRuns(width=4096, height=3200, runs=[4096 * 3200])
+    example = EXAMPLES[Masks]
+    item = msgspec.structs.replace(example.objects[0], masks=[large] * 8)
+    many = msgspec.to_builtins(msgspec.structs.replace(example, objects=[item]))
+    many["objects"] *= 8
+    data = msgspec.msgpack.encode(many)
+    assert len(data) < 10_000
+    with pytest.raises(WireError, match="pixels together"):
+        decode(data, Masks)
+
+
+def test_a_mask_of_another_size_than_its_frame_is_refused():
+    mask = MaskRuns(width=4096, height=3200, runs=[4096 * 3200])
+    with pytest.raises(WireError, match="has not the size of its frame"):
+        mask_of(mask, (480, 640))
+    assert mask_of(MaskRuns(width=3, height=2, runs=[6]), (2, 3)).shape == (2, 3)
+
+
+@pytest.mark.parametrize("shape", [[2**24, 2**24, 2**24, 0], [0, 2**24, 2**24, 2**24]])
+def test_sides_that_no_array_can_have_are_refused(shape):
+    with pytest.raises(WireError, match="buffer color"):
+        unpack([BufferSpec(name="color", dtype="uint8", shape=shape, offset=0)], b"")

@@ -16,7 +16,7 @@ def test_a_sure_estimate_acquires_and_instances_get_new_numbers() -> None:
     found = loop.answer(100 * MS, result(request, 10, estimate(T=pose(-0.2)), estimate(T=pose(0.2))))
     assert [c.verdict for c in found] == [Verdict.ACQUIRE, Verdict.ACQUIRE]
     assert sorted(c.instance for c in found) == [0, 1]
-    assert [c.seq for c in found] == [1, 1]
+    assert [c.seq for c in found] == [100 * MS, 100 * MS]
     assert all(c.frame_id == round(10 / 33.3) and c.epoch == EPOCH for c in found)
 
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from huepose.reinit import ObjectSlot, ReinitLoop
+from huepose.reinit.loop import ADOPTED_BELOW
 from huepose.tracking.types import State, Verdict
 
 from .conftest import EPOCH, MS, asked, estimate, pose, result, track
@@ -29,7 +30,7 @@ def test_corrections_are_repeated_until_applied() -> None:
     again = loop.repeats(300 * MS)
     assert again == sent, "the very same correction, the same number"
     assert loop.counters.resent == 1
-    loop.tick(400 * MS, [track(applied=1, stamp_ms=400)])
+    loop.tick(400 * MS, [track(applied=sent[0].seq, stamp_ms=400)])
     assert loop.repeats(600 * MS) == []
 
 
@@ -54,7 +55,8 @@ def test_a_result_for_an_object_just_lost_acquires_it_again() -> None:
     assert asked(request) == [("mug", 0)]
     loop.tick(150 * MS, [track(state=State.LOST, applied=4, stamp_ms=150)])
     found = loop.answer(160 * MS, result(request, 0, estimate(instance=0, prior_score=1.9)))
-    assert [(c.verdict, c.instance, c.seq) for c in found] == [(Verdict.ACQUIRE, 0, 5)]
+    assert [(c.verdict, c.instance) for c in found] == [(Verdict.ACQUIRE, 0)]
+    assert found[0].seq > 4
 
 
 def test_a_late_answer_counts_but_is_used() -> None:
@@ -73,7 +75,7 @@ def test_two_results_out_of_order_the_older_is_ignored() -> None:
     first = loop.tick(0, [track()])
     second = loop.tick(600 * MS, [track(stamp_ms=600)])
     newer = loop.answer(700 * MS, result(second, 610, estimate(T=pose(0.03), instance=0, prior_score=1.0)))
-    assert [c.seq for c in newer] == [1]
+    assert [c.seq for c in newer] == [700 * MS]
     older = loop.answer(710 * MS, result(first, 10, estimate(T=pose(-0.03), instance=0, prior_score=1.0)))
     assert older == []
 
@@ -87,7 +89,7 @@ def test_a_new_epoch_voids_everything() -> None:
     # The camera was opened anew: the tracker publishes nothing, and perception sees the new epoch first.
     new = EPOCH + 1
     found = loop.answer(500 * MS, result(late, 480, estimate(instance=0), epoch=new))
-    assert [(c.epoch, c.instance, c.seq, c.verdict) for c in found] == [(new, 0, 1, Verdict.ACQUIRE)]
+    assert [(c.epoch, c.instance, c.seq, c.verdict) for c in found] == [(new, 0, 500 * MS, Verdict.ACQUIRE)]
     old = loop.answer(510 * MS, result(1, 450, estimate(), epoch=EPOCH))
     assert old == []
     assert loop.counters.wrong_epoch == 1
@@ -122,13 +124,48 @@ def test_a_loop_that_was_started_anew_counts_on_from_what_was_applied() -> None:
     loop = ReinitLoop(objects=[ObjectSlot("mug", 2)])
     request = loop.tick(0, [track(instance=3, applied=17)])
     found = loop.answer(
-        MS,
+        40 * MS,
         result(request, 0, estimate(instance=3, prior_score=2.0), estimate(T=pose(0.4))),
     )
     assert [(c.instance, c.seq, c.verdict) for c in found] == [
-        (3, 18, Verdict.AGREE),
-        (4, 1, Verdict.ACQUIRE),
+        (3, 40 * MS, Verdict.AGREE),
+        (4, 40 * MS, Verdict.ACQUIRE),
     ]
+
+
+def test_no_number_that_a_pose_says_moves_those_of_the_loop() -> None:
+    """Poses with the highest numbers that a message can have: of a correction, and of an instance."""
+    loop = ReinitLoop(objects=[ObjectSlot("mug", 2)])
+    forged = [
+        track(instance=0, applied=2**63 - 1),
+        track(instance=2**31 - 1, T=pose(0.9), applied=2**63 - 1),
+    ]
+    for k in range(3):
+        loop.tick(k * 250 * MS, forged)
+    request = loop.tick(750 * MS, forged)
+    found = loop.answer(
+        800 * MS,
+        result(
+            request,
+            750,
+            estimate(T=pose(0.02), instance=0, prior_score=1.0),
+            estimate(T=pose(0.4)),
+        ),
+    )
+    assert [(c.instance, c.seq) for c in found] == [(0, 800 * MS), (1, 800 * MS)]
+
+
+def test_an_instance_that_the_loop_has_made_is_known_however_high_its_number() -> None:
+    loop = ReinitLoop(objects=[ObjectSlot("mug", 2)])
+    adopted = track(instance=ADOPTED_BELOW - 1)
+    request = loop.tick(0, [adopted])
+    (_, new) = loop.answer(
+        50 * MS, result(request, 0, estimate(instance=0, prior_score=2.0), estimate(T=pose(0.4)))
+    )
+    assert new.instance == ADOPTED_BELOW
+    assert loop.searching()[0].missing == 1
+    loop.tick(100 * MS, [adopted, track(instance=ADOPTED_BELOW, T=pose(0.4), stamp_ms=100)])
+    assert loop.searching() == []
 
 
 def test_an_acquisition_that_the_tracker_cannot_use_is_not_waited_for() -> None:

@@ -182,3 +182,43 @@ def test_without_a_limit_the_pool_grows_with_its_readers():
     assert pool_size(Config(), 8 * MIB) == pool_size(Config(), None) == 6 * MIB
     assert pool_size(watched, 8 * MIB) == 6 * MIB
     assert pool_size(watched, None) == 9 * MIB
+
+
+@pytest.mark.parametrize("name", ["publish_ns", "capture_ns"])
+def test_what_says_it_is_of_the_future_is_refused(buses, name):
+    camera, tracker = buses
+    queue = tracker.inbox.queue("t/future")
+    _until_heard(lambda m: camera.put_control("t/future", m), queue, tracker)
+    camera.put_control("t/future", msgspec.structs.replace(POSE, **{name: 2**63 - 1}))
+    camera.put_control("t/future", _numbered(7))
+    deadline = time.monotonic() + 5.0
+    message = None
+    while message is None and time.monotonic() < deadline:
+        tracker.inbox.wait(0.1)
+        message = tracker.take(queue, PoseMessage)
+    assert message.frame_id == 7
+    assert tracker.health.counters["wire_errors"] == 1
+
+
+def test_frames_of_a_second_camera_take_the_place_of_none_and_are_told(buses):
+    camera, tracker = buses
+    ring = tracker.frames()
+    specs, payload = pack(images())
+    deadline = time.monotonic() + 10.0
+    while not ring:
+        assert time.monotonic() < deadline
+        camera.put_pixels(camera.keys.frame, msgspec.structs.replace(HEADER, buffers=specs), payload)
+        tracker.inbox.wait(0.05)
+    second = msgspec.structs.replace(HEADER, buffers=specs, camera_epoch=2)
+    for number in range(30):
+        mine = msgspec.structs.replace(HEADER, buffers=specs, frame_id=number)
+        camera.put_pixels(camera.keys.frame, mine, payload)
+        camera.put_pixels(camera.keys.frame, second, payload)
+        time.sleep(0.02)
+        if number in (9, 19, 29):
+            tracker.say_health()
+    header, _ = tracker.take_with_payload(ring, FrameHeader)
+    assert (header.camera_epoch, header.frame_id) == (HEADER.camera_epoch, 29)
+    health = tracker.health.message()
+    assert health.counters["frames_of_another_camera"] >= 20
+    assert any("second camera" in warning for warning in health.warnings)

@@ -5,6 +5,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 
 import cv2
@@ -73,7 +74,17 @@ def test_a_pose_as_json_a_picture_and_an_explanation(
     )
     assert code == 0
     (pose,) = json.loads(out.read_text())["poses"]
-    assert set(pose) == {"object", "found", "T_cam_obj", "quality", "covariance", "state", "box", "seconds"}
+    assert set(pose) == {
+        "object",
+        "found",
+        "reason",
+        "T_cam_obj",
+        "quality",
+        "covariance",
+        "state",
+        "box",
+        "seconds",
+    }
     assert pose["found"]
     assert pose["state"] == "TRACKING"
     assert np.abs(np.array(pose["T_cam_obj"]) - standing).max() < 0.01
@@ -94,13 +105,46 @@ def test_without_a_box_the_object_is_found_in_the_whole_picture(
     assert main(files) == 0
     (pose,) = json.loads(capsys.readouterr().out)["poses"]
     assert pose["found"]
+    assert pose["reason"] is None
     assert np.abs(np.array(pose["T_cam_obj"]) - standing).max() < 0.01
+
+
+def test_the_papers_method_answers_and_never_says_that_it_is_sure(
+    files: list[str], box: list[str], tmp_path: Path, standing: np.ndarray
+) -> None:
+    out, why = tmp_path / "out.json", tmp_path / "why"
+    arguments = [*files, *box, "--method", "paper", "--json", str(out), "--explain", str(why)]
+    assert main(arguments) == 0
+    (pose,) = json.loads(out.read_text())["poses"]
+    assert (pose["found"], pose["state"], pose["covariance"]) == (True, "SUSPECT", None)
+    assert np.abs(np.array(pose["T_cam_obj"]) - standing).max() < 0.05
+    assert (why / "tea_box_pose.png").is_file()
+
+
+@pytest.mark.parametrize("method", ["paper", "colorpair"])
+def test_a_model_without_tables_says_what_adds_them(
+    files: list[str],
+    box: list[str],
+    tea_box: ReferenceModel,
+    tmp_path: Path,
+    capsys: pytest.CaptureFixture[str],
+    method: str,
+) -> None:
+    save_model(replace(tea_box, tables=None), tmp_path / "tea_box.huepose")
+    arguments = [*files[:-1], str(tmp_path), *box]
+    assert main([*arguments, "--method", method]) == 2
+    said = capsys.readouterr().err
+    assert "reference model 'tea_box': found no tables of the paper's method" in said
+    assert "huepose onboard" in said
+    assert "--paper" in said
+    assert main(arguments) == 0
 
 
 def test_nothing_in_the_box_is_an_answer(files: list[str], capsys: pytest.CaptureFixture[str]) -> None:
     assert main([*files, "--box", "0", "0", "4", "4"]) == 0
     (pose,) = json.loads(capsys.readouterr().out)["poses"]
     assert (pose["found"], pose["T_cam_obj"], pose["state"]) == (False, None, "LOST")
+    assert pose["reason"].endswith(".")
 
 
 @pytest.mark.parametrize(

@@ -13,6 +13,7 @@ import numpy as np
 import pytest
 
 from huepose.model import load_models
+from huepose.onboarding import simplify
 from huepose_services.cli.main import main
 from tests.onboarding import mesh_files as files
 from tests.onboarding import solids
@@ -39,6 +40,19 @@ def test_a_mesh_becomes_a_model(mesh: Path, tmp_path: Path, capsys: pytest.Captu
     model = load_models(out)["red_brick"]
     assert model.object_id == 5
     assert len(model.equivalents) == 72
+    assert "tables" not in line
+    assert model.tables is None
+
+
+def test_a_model_gets_the_papers_tables_when_asked(
+    mesh: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    out = tmp_path / "bundles"
+    assert main(["onboard", str(mesh), "--name", "brick", "--out", str(out), "--paper"]) == 0
+    assert "with the paper's tables" in capsys.readouterr().out
+    tables = load_models(out)["brick"].tables
+    assert tables is not None
+    assert len(tables.cloud_points) > 0
 
 
 def test_a_small_mesh_may_be_in_another_unit_and_that_can_be_said(
@@ -54,6 +68,17 @@ def test_a_small_mesh_may_be_in_another_unit_and_that_can_be_said(
     said = capsys.readouterr()
     assert "1.5 x 0.8 x 0.6 cm" in said.out
     assert "--unit cm" in said.err
+
+
+def test_a_large_mesh_says_which_extra_it_needs(
+    mesh: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setattr(simplify, "MOST", 11)  # the brick has twelve triangles
+    monkeypatch.setitem(sys.modules, "open3d", None)  # as where it is not installed
+    assert main(["onboard", str(mesh), "--name", "brick", "--out", str(tmp_path / "out")]) == 2
+    said = capsys.readouterr().err
+    assert "this needs the Python package open3d; install it with: pip install 'huepose[onboard]'" in said
+    assert not (tmp_path / "out").exists()
 
 
 def test_bundles_go_into_a_folder(mesh: Path, capsys: pytest.CaptureFixture[str]) -> None:
@@ -79,7 +104,8 @@ def test_ctrl_c_while_the_processes_start_ends_them_all(tmp_path: Path) -> None:
     finally:
         with suppress(ProcessLookupError):
             os.killpg(running.pid, signal.SIGKILL)
-    said = running.stderr.read()
+    with running.stderr:
+        said = running.stderr.read()
     assert said.endswith("huepose onboard-bop: interrupted\n")
     assert "Traceback" not in said
 

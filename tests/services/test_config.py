@@ -1,9 +1,13 @@
 """pipeline.yaml: what is wrong is named by path, value and what is allowed."""
 
+import contextlib
+import time
 from pathlib import Path
 
 import msgspec
 import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
 
 from huepose.support.errors import InputError
 from huepose_services.runtime.config import WORKERS, Config, Section, load, parse
@@ -83,3 +87,52 @@ def test_the_default_file_shows_every_key_with_its_default():
     # It is the built-in scene, which publishes its truth for the detector.
     camera = msgspec.structs.replace(default.camera, truth=True)
     assert config == msgspec.structs.replace(default, camera=camera)
+
+
+BOMB = "a0: &a0 [x, x, x, x, x, x, x, x, x, x]\n" + "".join(
+    f"a{i}: &a{i} [{', '.join([f'*a{i - 1}'] * 10)}]\n" for i in range(1, 9)
+)
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        "[" * 5000,
+        "{a: " * 2000,
+        "objects: &a [*a]",
+        "camera: {device: {options: &a {x: *a}}}",
+        "site: 2020-99-99",
+        "site: !!int",
+        "site: !!timestamp 'x'",
+        "bus: {base_port: " + "9" * 5000 + "}",
+        "bundles: ~nobody_of_that_name/x",
+        'bundles: "a\\0b"',
+        "gateway: {tls: {authority: a, certificate: b, kee: c}}",
+        "gateway: {tls: {authority: a, certificate: null, key: c}}",
+        "site:\n  " + BOMB.replace("\n", "\n  "),
+        BOMB + "objects: *a8",
+    ],
+)
+def test_whatever_a_file_says_it_is_an_input_error_soon(text):
+    started = time.process_time()
+    with pytest.raises(InputError) as error:
+        parse(text, Path("pipeline.yaml"))
+    assert len(str(error.value)) < 1000
+    assert time.process_time() - started < 20.0
+
+
+@settings(max_examples=300, deadline=None)
+@given(
+    st.sampled_from(["site: a\n", "objects: [{name: a}]\n", "detector: {boxes: {a: [1, 2, 3, 4]}}\n"]),
+    st.lists(st.tuples(st.integers(0, 60), st.sampled_from([*"[]{}:&*!-#|?,'\"\n\t x0", "!!int"]))),
+)
+def test_a_spoilt_file_is_read_or_an_input_error(text, changes):
+    for at, what in changes:
+        text = text[:at] + what + text[at + 1 :]
+    with contextlib.suppress(InputError):
+        parse(text, Path("pipeline.yaml"))
+
+
+def test_a_file_that_never_ends_is_refused():
+    with pytest.raises(InputError, match="over 1048576 bytes"):
+        load(Path("/dev/zero"))

@@ -1,4 +1,4 @@
-"""Every command line in a block of the documentation is one that the program takes."""
+"""Every command line in a block of the documentation is one that the program takes, every script is there."""
 
 from __future__ import annotations
 
@@ -16,6 +16,7 @@ PAGES = [
     *ROOT.glob("docs/*.md"),
     *ROOT.glob("protos/*.md"),
     *ROOT.glob("benchmarks/*.md"),
+    *ROOT.glob("studies/*.md"),
 ]
 # What stands for a number, or for two of a choice.
 STANDS_FOR = {"N": "1", "S": "1", "X": "1", "Y": "1", "W": "1", "H": "1", "F": "0.5", "DIR|builtin": "DIR"}
@@ -43,3 +44,20 @@ def test_a_documented_command_is_one(line):
     words = [STANDS_FOR.get(word, word) for word in shlex.split(re.sub(r"[\[\]]|\.\.\.", "", line))]
     parsed = build_parser().parse_args(words)
     assert parsed.verb == words[0]
+
+
+def test_every_script_that_is_named_is_there():
+    text = "\n".join(page.read_text() for page in PAGES)
+    modules = set(re.findall(r"(?<=-m )(?:studies|benchmarks)\.\w+", text))
+    files = set(re.findall(r"\b(?:studies|benchmarks)/\w+\.(?:py|sh)", text))
+    assert len(modules) > 8
+    homes = [ROOT / module.replace(".", "/") for module in modules]
+    absent = [str(h) for h in homes if not (h / "__main__.py").exists() and not h.with_suffix(".py").exists()]
+    assert not absent + [name for name in files if not (ROOT / name).exists()]
+
+
+def test_every_study_is_listed():
+    homes = ROOT / "studies"
+    studies = {path.parent.name for path in homes.glob("*/__main__.py")}
+    studies |= {path.stem for path in homes.glob("*.py") if 'if __name__ == "__main__"' in path.read_text()}
+    assert studies == set(re.findall(r"-m studies\.(\w+)", (homes / "README.md").read_text()))

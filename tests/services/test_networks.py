@@ -10,11 +10,11 @@ from http.server import BaseHTTPRequestHandler, HTTPServer
 import numpy as np
 import pytest
 
+from huepose.paper.rotation_network import ResidualRotation
+from huepose.perception.flow_network import NetworkFlow
+from huepose.propose.flow import compute
+from huepose.propose.relative_pose import RobustKabsch
 from huepose.support.errors import InputError
-from huepose.tracking.flow import compute
-from huepose.tracking.flow_network import NetworkFlow
-from huepose.tracking.relative_pose import RobustKabsch
-from huepose.tracking.rotation_network import ResidualRotation
 from huepose_services import catalogue
 from huepose_services import networks as deployed
 from huepose_services.cli.main import main
@@ -243,7 +243,7 @@ def test_the_trackers_networks_are_checked_and_taken(tmp_path):
 @pytest.mark.parametrize(
     ("text", "says"),
     [
-        ("bundles: models\ndetector: {kind: yolo}", "detector.model"),
+        ("detector: {kind: yolo}", "detector.model"),
         (
             "detector: {kind: yolo, model: a.onnx, classes: {cup: 0}}\nobjects: [{name: mug}]",
             "one of objects: mug",

@@ -14,11 +14,11 @@ import numpy as np
 import pytest
 
 from benchmarks.poison import flood
-from huepose.datasets.shapes import demo_objects
-from huepose.datasets.synthetic import SyntheticScene
 from huepose.evaluation.metrics import add
 from huepose.model.io import model_path, save_model
 from huepose.onboarding import onboard_mesh
+from huepose.scenes.builtin import SyntheticScene
+from huepose.scenes.shapes import demo_objects
 from huepose_protos.messages import ControlRequest
 from huepose_services.cli.graph import mermaid
 from huepose_services.cli.main import main
@@ -149,7 +149,16 @@ def test_it_says_how_it_is_and_nobody_outside_can_reach_a_worker(running):
     assert view.well
     assert 'camera -- "frame, ' in mermaid(view)
     assert NAME in as_text(view)
-    assert {a for m in view.health.values() for a in _listening(m.pid)} == {"127.0.0.1"}
+    assert {a for m in view.health.values() for a in _listening(m.pid)} == set()
+    assert all(m.shared_memory for w, m in view.health.items() if w in ("tracker", "detector"))
+
+
+def test_no_worker_has_loaded_what_only_onboarding_needs(running):
+    running.watch.look_at_all(1.0, 20.0)
+    health = running.watch.view().health
+    loaded = {worker: Path(f"/proc/{message.pid}/maps").read_text() for worker, message in health.items()}
+    assert "/cv2/" in loaded["tracker"]
+    assert [worker for worker, maps in loaded.items() if "/open3d/" in maps] == []
 
 
 def test_a_thousand_bad_messages_a_second_on_every_key_are_counted_and_disturb_nobody(running, wait_until):

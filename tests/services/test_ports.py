@@ -1,14 +1,16 @@
 import socket
 
 from huepose_services.runtime.ports import free_ports
+from huepose_services.runtime.run_folder import is_taken, make_folder
 
 
-def test_ports_that_somebody_has_are_passed_over():
+def test_ports_that_somebody_has_are_passed_over(tmp_path, monkeypatch):
+    monkeypatch.setenv("HUEPOSE_RUN", str(tmp_path / "run"))
     first = free_ports(3)
-    with socket.socket() as taken:
-        taken.bind(("127.0.0.1", first + 1))
+    with socket.socket(socket.AF_UNIX) as taken:
+        taken.bind(str(make_folder() / str(first + 1)))
+        taken.listen()
+        assert is_taken(make_folder(), first + 1)
         second = free_ports(3)
         assert second > first
-        for place in range(3):
-            with socket.socket() as mine:
-                mine.bind(("127.0.0.1", second + place))
+    assert free_ports(3) == first, "a socket that its process left behind is nobody's"

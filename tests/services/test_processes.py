@@ -1,5 +1,6 @@
 """Real worker processes: the camera, its readers, the supervisor, the command line."""
 
+import fcntl
 import json
 import os
 import signal
@@ -10,8 +11,10 @@ from itertools import pairwise
 import pytest
 
 from huepose_protos.client import Reader
+from huepose_protos.local import endpoint, run_folder
 from huepose_protos.messages import HealthMessage, TruthMessage
 from huepose_services.cli.main import main
+from huepose_services.runtime.run_folder import make_folder
 from tests.services.conftest import STAMPS_NS
 
 pytestmark = pytest.mark.live
@@ -37,7 +40,7 @@ def test_a_recording_is_played_once_on_time_and_ends_the_pipeline(
     monkeypatch.chdir(tmp_path / "elsewhere")
     printer = huepose("poses", "health/*", "--json")
     assert "waiting for a pipeline" in printer.stderr.readline()
-    with Reader([f"tcp/127.0.0.1:{base_port}"], "huepose/*/*/truth") as reader:
+    with Reader([endpoint(base_port)], "huepose/*/*/truth") as reader:
         process = huepose("up", path)
         # The first frame is said again and again while it stands.
         truths = list({t.frame_id: t for t in _messages(reader, TruthMessage)}.values())
@@ -77,10 +80,10 @@ def test_readers_that_leave_and_foreign_bytes_change_nothing_and_ctrl_c_ends_all
     printer.stdout.close()
     assert printer.wait(15.0) == 0
     assert "Traceback" not in printer.stderr.read()
-    endpoint = f"tcp/127.0.0.1:{base_port}"
-    with Reader([endpoint], "huepose/*/*/health/*") as reader:
+    camera = endpoint(base_port)
+    with Reader([camera], "huepose/*/*/health/*") as reader:
         first = reader.next(30.0)
-        session = open_reader_session([endpoint])
+        session = open_reader_session([camera])
         time.sleep(0.3)
         for key in ("frame", "control", "health/tracker", "correction", "live/x"):
             session.put(f"huepose/local/cam0/{key}", b"\xc1" * 100)
@@ -107,7 +110,7 @@ def test_a_worker_that_is_killed_or_hangs_is_started_again_and_ends_with_its_sup
     path = pipeline(once=False, rate=30)
     path.write_text(json.dumps(json.loads(path.read_text()) | {"restarts": {"hung_after_s": 0.5}}))
     process = huepose("up", path)
-    with Reader([f"tcp/127.0.0.1:{base_port}"], "huepose/*/*/health/*") as reader:
+    with Reader([endpoint(base_port)], "huepose/*/*/health/*") as reader:
         first = reader.next(30.0)
         os.kill(first.pid, signal.SIGKILL)
         deadline = time.monotonic() + 30.0
@@ -151,8 +154,9 @@ def test_bad_input_is_a_paragraph_and_exit_code_2(pipeline, huepose, capsys, ver
 
 @pytest.mark.parametrize("verb", [("up",), ("run", "camera")])
 def test_a_port_in_use_is_a_paragraph_and_exit_code_2(pipeline, huepose, base_port, verb):
-    with socket.socket() as other:
-        other.bind(("127.0.0.1", base_port))
+    with socket.socket(socket.AF_UNIX) as other, open(f"{make_folder()}/{base_port}.lock", "w") as lock:
+        fcntl.flock(lock, fcntl.LOCK_EX)  # as zenoh does
+        other.bind(str(make_folder() / str(base_port)))
         other.listen()
         process = huepose(*verb, pipeline())
         out, err = process.communicate(timeout=30.0)
@@ -171,7 +175,7 @@ def test_validate_says_what_a_pipeline_is(pipeline, capsys, base_port):
     assert main(["validate", str(pipeline())]) == 0
     out = capsys.readouterr().out
     assert "huepose/local/cam0" in out
-    assert f"on 127.0.0.1: camera {base_port}" in out
+    assert f"in {run_folder()}: camera {base_port}" in out
     assert "frames   by " in out
 
 
@@ -195,7 +199,7 @@ def test_a_worker_that_keeps_dying_is_given_up(pipeline, huepose, base_port):
     path = pipeline(once=False, rate=30)
     path.write_text(json.dumps(json.loads(path.read_text()) | {"restarts": {"limit": 0}}))
     process = huepose("up", path)
-    with Reader([f"tcp/127.0.0.1:{base_port}"], "huepose/*/*/health/*") as reader:
+    with Reader([endpoint(base_port)], "huepose/*/*/health/*") as reader:
         os.kill(reader.next(30.0).pid, signal.SIGKILL)
     _, err = process.communicate(timeout=15.0)
     assert process.returncode == 1

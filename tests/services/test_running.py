@@ -5,17 +5,19 @@ import os
 import pytest
 
 from huepose.support.errors import InputError
+from huepose_protos.local import run_folder
 from huepose_services.runtime.config import BusConfig, Config
 from huepose_services.runtime.running import Pipeline, noted, occupant, pick, running
-
-HERE = Pipeline(base_port=18100, site="lab", camera="cam0", file="/etc/lab.yaml")
 
 
 @pytest.fixture(autouse=True)
 def runtime_folder(tmp_path, monkeypatch):
     monkeypatch.setenv("XDG_RUNTIME_DIR", str(tmp_path))
     monkeypatch.chdir(tmp_path)
-    return tmp_path / "huepose"
+    global HERE
+    folder = tmp_path / "huepose"
+    HERE = Pipeline(base_port=18100, site="lab", camera="cam0", file="/etc/lab.yaml", folder=str(folder))
+    return folder
 
 
 def test_a_pipeline_is_found_while_it_runs():
@@ -24,7 +26,7 @@ def test_a_pipeline_is_found_while_it_runs():
     with noted(HERE):
         assert running() == [HERE]
         assert pick() == HERE
-        assert HERE.endpoints[1] == "tcp/127.0.0.1:18101"
+        assert HERE.endpoints[1] == f"unixsock-stream/{run_folder()}/18101"
         assert HERE.key("pose/**") == "huepose/lab/cam0/pose/**"
     assert running() == []
 

@@ -84,7 +84,7 @@ def test_no_frame_is_lost_by_an_ordinary_user_also_when_the_camera_was_started_a
             monkeypatch.setenv("HUEPOSE_RESTARTS", "1")
             with start(_CAMERA, "camera", base_port, 100) as camera:
                 (warning,) = json.loads(camera.communicate(timeout=30.0)[0])
-            assert "no room for another; frames go by TCP" in warning
+            assert "no room for another; frames go by the socket" in warning
             seen = json.loads(reader.communicate(timeout=30.0)[0])
         finally:
             reader.kill()

@@ -119,7 +119,7 @@ def test_repeats_are_held_back_and_counted(capsys):
         log.seldom("kind", "again", every_s=0.05)
     time.sleep(0.06)
     log.seldom("kind", "again", every_s=0.05)
-    assert capsys.readouterr().err.splitlines()[-1].endswith("again (4 more like it before)")
+    assert capsys.readouterr().err.splitlines()[-1].endswith("again (4 more in 0 s)")
 
 
 def test_a_change_of_state_is_one_line_and_a_flicker_is_none(capsys):

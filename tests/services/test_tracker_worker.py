@@ -12,7 +12,7 @@ from huepose.tracking.types import Applied, State, TrackedPose
 from huepose_protos import decode, encode
 from huepose_protos.buffers import pack
 from huepose_protos.examples import images, messages
-from huepose_protos.messages import CorrectionMessage, FrameHeader, ObjectEntry, PoseMessage
+from huepose_protos.messages import CorrectionMessage, FrameHeader, MaskRuns, ObjectEntry, PoseMessage
 from huepose_services.following import Change
 from huepose_services.runtime.clock import now_ns
 from huepose_services.runtime.config import CameraConfig, Config, TrackerConfig
@@ -69,6 +69,9 @@ class _Bus:
 
     queue = ring
 
+    def frames(self):
+        return self
+
     def pose(self, name, instance):
         return f"pose/{name}/{instance}"
 
@@ -77,6 +80,9 @@ class _Bus:
 
     def take_with_payload(self, place, kind):
         return self.waiting["frame"].pop(0) if self.waiting["frame"] else None
+
+    def refuse(self, key, error):
+        self.health.count("wire_errors")
 
     def put(self, key, message):
         self.out.append(decode(encode(message), PoseMessage))
@@ -180,3 +186,28 @@ def test_a_change_of_state_is_in_the_log_once(capfd):
         work.step()
         time.sleep(0.01)
     assert capfd.readouterr().err.count("mug/0 TRACKING") == 1
+
+
+def test_no_correction_of_the_far_future_is_taken():
+    """Its number would be above those of all that come after it."""
+    work, bus, _ = _worker(np.eye(4))
+    now = now_ns()
+    bus.waiting["correction"] = [
+        msgspec.structs.replace(CORRECTION, seq=2**63 - 1, instance=1),
+        msgspec.structs.replace(CORRECTION, seq=now, instance=2),
+    ]
+    work.step()
+    assert work._tracker.corrections == [2]
+    assert bus.health.counters["wire_errors"] == 1
+
+
+def test_a_correction_with_a_mask_of_another_size_than_the_frame_is_refused():
+    work, bus, _ = _worker(se3.make(np.eye(3), np.array([0.0, 0.0, 0.5])))
+    bus.waiting["frame"] = [_frame(1, 0.0)]
+    work.step()
+    large = MaskRuns(width=4096, height=3200, runs=[4096 * 3200])
+    same = msgspec.structs.replace(CORRECTION, camera_epoch=HEADER.camera_epoch)
+    bus.waiting["correction"] = [msgspec.structs.replace(same, mask=large), same]
+    work.step()
+    assert len(work._tracker.corrections) == 1
+    assert bus.health.counters["wire_errors"] == 1

@@ -47,7 +47,7 @@ def test_the_digest_is_of_kernels(monkeypatch: pytest.MonkeyPatch) -> None:
 
     def changed(path: Path) -> bytes:
         text = read(path)
-        return text + b"#" if path == package / "verification" / "score_kernel.py" else text
+        return text + b"#" if path == package / "judge" / "kernel.py" else text
 
     before = jit.kernel_sources.__wrapped__()
     assert jit.kernel_sources.__wrapped__() == before

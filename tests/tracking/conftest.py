@@ -7,11 +7,11 @@ from collections.abc import Callable, Sequence
 import numpy as np
 import pytest
 
-from huepose.datasets.shapes import demo_objects
 from huepose.geometry import Camera, Mesh, RgbdFrame, se3
 from huepose.model.types import ReferenceModel
 from huepose.onboarding.onboard import onboard_mesh
 from huepose.rendering.render import render
+from huepose.scenes.shapes import demo_objects
 
 CAMERA = Camera(420.0, 420.0, 159.5, 119.5, 320, 240)
 PERIOD_NS = 33_333_333

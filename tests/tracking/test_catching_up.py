@@ -9,11 +9,11 @@ import pytest
 
 from huepose.geometry import se3
 from huepose.tracking import Applied, Correction, State, Tracker, TrackerConfig, Verdict
-from huepose.tracking.catching_up import Pursuit, pursue
+from huepose.tracking.catching_up import Pursuit
 from huepose.tracking.step import Subject
 
-CONFIG = TrackerConfig()
-LIVE = TrackerConfig(searches_per_step=1, catch_up_stride=3)
+CONFIG = TrackerConfig(searches_per_step=None, catch_up_stride=5)
+LIVE = TrackerConfig()
 
 
 def late(frame, T, stamp_ns=None) -> Correction:
@@ -25,16 +25,17 @@ def late(frame, T, stamp_ns=None) -> Correction:
 def test_it_reaches_now_in_few_strides(tea_box, shoot, path, behind) -> None:
     subject = Subject.of(tea_box)
     frames = [shoot([(tea_box.mesh, path(k))], k) for k in range(behind + 1)]
-    pursuit, steps = Pursuit.of(late(frames[0], path(0))), 0
+    pursuit, steps = Pursuit(late(frames[0], path(0)), subject, CONFIG), 0
     while not pursuit.arrived(frames[-1]):
-        since = frames[0] if pursuit.reached is None else pursuit.reached
-        kept = [f for f in frames if f.stamp_ns >= since.stamp_ns]
-        pursuit = pursue(pursuit, subject, kept, CONFIG)
+        since = frames[0] if pursuit.track.frame is None else pursuit.track.frame
+        pursuit.follow([f for f in frames if f.stamp_ns >= since.stamp_ns])
         steps += 1
         assert steps <= 5
-    assert pursuit.supported(CONFIG)
-    assert np.linalg.norm(pursuit.T_cam_obj[:3, 3] - path(behind)[:3, 3]) < 1e-3
-    assert se3.rotation_angle(pursuit.T_cam_obj, path(behind)) < np.radians(0.4)
+    assert pursuit.supported
+    T = pursuit.track.T_cam_obj
+    assert T is not None
+    assert np.linalg.norm(T[:3, 3] - path(behind)[:3, 3]) < 1e-3
+    assert se3.rotation_angle(T, path(behind)) < np.radians(0.4)
     stamps = [stamp for stamp, _ in pursuit.poses]
     assert stamps == sorted(stamps)
     assert stamps[-1] == frames[-1].stamp_ns
@@ -43,15 +44,17 @@ def test_it_reaches_now_in_few_strides(tea_box, shoot, path, behind) -> None:
 def test_no_stride_is_longer_than_allowed(tea_box, shoot, path) -> None:
     subject = Subject.of(tea_box)
     frames = [shoot([(tea_box.mesh, path(k))], k) for k in range(13)]
-    pursuit = pursue(Pursuit.of(late(frames[0], path(0))), subject, frames, CONFIG)
-    assert pursuit.reached is frames[CONFIG.catch_up_stride]
+    pursuit = Pursuit(late(frames[0], path(0)), subject, CONFIG)
+    pursuit.follow(frames)
+    assert pursuit.track.frame is frames[CONFIG.catch_up_stride]
 
 
 def test_a_frame_that_was_skipped_settles_on_the_next_one(tea_box, shoot, path) -> None:
     subject = Subject.of(tea_box)
     frames = [shoot([(tea_box.mesh, path(k))], k) for k in (2, 3, 4)]
     correction = late(frames[0], path(1.5), stamp_ns=50_000_000)
-    pursuit = pursue(Pursuit.of(correction), subject, frames, CONFIG)
+    pursuit = Pursuit(correction, subject, CONFIG)
+    pursuit.follow(frames)
     assert pursuit.poses[0][0] == frames[0].stamp_ns
     assert np.linalg.norm(pursuit.poses[0][1][:3, 3] - path(2)[:3, 3]) < 1e-3
     assert pursuit.arrived(frames[-1])
@@ -59,9 +62,10 @@ def test_a_frame_that_was_skipped_settles_on_the_next_one(tea_box, shoot, path) 
 
 def test_what_the_image_denies_is_not_supported(tea_box, shoot, path) -> None:
     frame = shoot([])
-    pursuit = pursue(Pursuit.of(late(frame, path(0))), Subject.of(tea_box), [frame], CONFIG)
+    pursuit = Pursuit(late(frame, path(0)), Subject.of(tea_box), CONFIG)
+    pursuit.follow([frame])
     assert pursuit.arrived(frame)
-    assert not pursuit.supported(CONFIG)
+    assert not pursuit.supported
 
 
 @pytest.mark.parametrize("looked_at", [12, 15])

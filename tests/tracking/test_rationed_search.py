@@ -5,10 +5,10 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from huepose.evaluation.moments.scripts import printed_board
 from huepose.geometry import se3
 from huepose.tracking import Correction, State, Tracker, TrackerConfig, Verdict
 from huepose.tracking import step as one_step
+from studies.hard_moments.scripts import printed_board
 
 TWO = (0, 1)
 
@@ -44,7 +44,7 @@ def _tracked(tea_box, soup_can, shoot, path, config):
 
 
 def test_without_a_ration_a_long_step_searches_for_all(tea_box, soup_can, shoot, path, searched):
-    tracker, frames = _tracked(tea_box, soup_can, shoot, path, TrackerConfig())
+    tracker, frames = _tracked(tea_box, soup_can, shoot, path, TrackerConfig(searches_per_step=None))
     tracker.step(frames[1])
     assert len(set(searched)) == 2
 
@@ -52,7 +52,7 @@ def test_without_a_ration_a_long_step_searches_for_all(tea_box, soup_can, shoot,
 def test_with_a_ration_each_long_step_searches_for_one_and_all_get_their_turn(
     tea_box, soup_can, shoot, path, searched
 ):
-    tracker, frames = _tracked(tea_box, soup_can, shoot, path, TrackerConfig(searches_per_step=1))
+    tracker, frames = _tracked(tea_box, soup_can, shoot, path, TrackerConfig())
     found = []
     for frame in frames[1:]:
         searched.clear()

@@ -8,24 +8,31 @@ import numpy as np
 import pytest
 
 from huepose.geometry import Camera, se3
+from huepose.judge.silhouette import silhouette_iou, visible_within
+from huepose.judge.surface import PreparedSurface
+from huepose.judge.terms import NOTHING, Terms
 from huepose.tracking import State, TrackerConfig
 from huepose.tracking.competition import Claim, losers
 from huepose.tracking.evidence import (
     Standing,
+    baseline_after,
     bounded,
+    light_after,
+    log_odds,
     next_standing,
-    quality,
+    odds_of,
+    one_sense,
+    probability,
     scarce,
-    tint_after,
-    usual_after,
 )
 from huepose.tracking.identity import Identity
-from huepose.tracking.scoring import NOTHING, UNKNOWN_TINT, Fit
-from huepose.tracking.silhouette import overlap, visible_mask
-from huepose.tracking.surface import TrackedSurface
 from huepose.tracking.uncertainty import covariance, unseen
 
-GOOD = Fit(1.5, 0.85, 0.0, 0.7, 0.0, 0.9, 0.001, 0.0, 0.05, 40.0, (0.9, 1.0, 1.0))
+GOOD = Terms(
+    total=1.5, depth_fit=0.85, coverage=0.0, violation=0.0, color=0.7, occluded=0.0, seen=0.9, box_iou=0.0,
+    through=0.0, hidden=0.0, blind=0.05, outside=0.0, contrast=30.0,
+    light_l=-3.0, light_rg=1.0, light_yb=1.0, colored=0.85,
+)  # fmt: skip
 CONFIG = TrackerConfig()
 
 
@@ -38,38 +45,52 @@ def run(qualities: list[float], confirmed: bool = True, start: State = State.TRA
 
 
 def test_good_and_bad_evidence() -> None:
-    assert quality(GOOD, None, 0.0) > 0.9
-    assert quality(NOTHING, None, 1.0) < 0.05
-    assert quality(replace(GOOD, color=0.0, depth_fit=0.5), None, 0.0) < 0.1
-    assert quality(GOOD, None, 1.0) > quality(GOOD, None, 0.0), "right a frame ago"
+    assert probability(log_odds(GOOD, None, 0.0)) > 0.9
+    assert probability(log_odds(NOTHING, None, 3.0)) < 0.05
+    assert probability(log_odds(replace(GOOD, color=0.0, seen=0.5), None, 0.0)) < 0.1
+    assert log_odds(GOOD, None, 2.0) > log_odds(GOOD, None, 0.0), "right a frame ago"
+    assert log_odds(GOOD, None, 20.0) < log_odds(GOOD, None, 0.0) + 3.0, "which does not outweigh the image"
 
 
 def test_each_piece_of_evidence_counts() -> None:
     base = replace(GOOD, color=0.3)
-    q = quality(base, None, 0.0)
-    assert quality(replace(base, depth_fit=0.6), None, 0.0) < q
-    assert quality(replace(base, behind=0.2), None, 0.0) < q
-    assert quality(replace(base, color=0.1), None, 0.0) < q
+    x = log_odds(base, None, 0.0)
+    for worse in (
+        replace(base, seen=0.2),
+        replace(base, through=0.2),
+        replace(base, color=0.1),
+    ):
+        assert log_odds(worse, None, 0.0) < x
 
 
-def test_a_sudden_drop_under_the_usual_counts() -> None:
-    fit = replace(GOOD, total=0.8, color=0.35)
-    assert quality(fit, 1.6, 1.0) < quality(fit, 0.9, 1.0)
+def test_colours_of_few_pixels_say_little() -> None:
+    """On a floor that is overexposed all over a few samples correlate by chance."""
+    lucky = replace(GOOD, colored=0.03, color=0.8)
+    assert log_odds(lucky, None, 0.0) < log_odds(GOOD, None, 0.0) - 1.0
+    assert one_sense(lucky)
+
+
+def test_a_sudden_drop_under_the_baseline_counts() -> None:
+    terms = replace(GOOD, total=0.8, color=0.35)
+    assert log_odds(terms, 1.6, 1.0) < log_odds(terms, 0.9, 1.0)
 
 
 def test_one_sense_alone_is_doubtful_at_best() -> None:
-    blind = replace(GOOD, seen=0.0, depth_fit=0.0, no_depth=0.95)
-    dazzled = replace(GOOD, color=0.0, texture=0.0, tint=UNKNOWN_TINT)
-    for fit in (blind, dazzled):
-        assert CONFIG.lost_quality < quality(fit, 1.5, 1.0) < CONFIG.suspect_quality
-    assert quality(replace(dazzled, depth_fit=0.2, behind=0.6), None, 1.0) < CONFIG.lost_quality
+    assert one_sense(replace(GOOD, seen=0.0, depth_fit=0.0, blind=0.95))
+    assert one_sense(replace(GOOD, colored=0.0))
+    assert not one_sense(GOOD)
+
+
+def test_odds_and_probabilities() -> None:
+    assert probability(odds_of(0.8)) == pytest.approx(0.8)
+    assert probability(odds_of(1.0)) == pytest.approx(0.99), "nothing is certain"
 
 
 def test_a_strip_beside_a_hand_is_followed_for_a_moment_only() -> None:
     strip = replace(GOOD, seen=0.1, hidden=0.8)
     assert scarce(strip)
-    assert not scarce(replace(strip, seen=0.3))
-    assert not scarce(replace(strip, hidden=0.0, no_depth=0.9)), "a blind sensor hides nothing"
+    assert not scarce(replace(GOOD, seen=0.3, hidden=0.8))
+    assert not scarce(replace(GOOD, seen=0.1, hidden=0.0, blind=0.9)), "a blind sensor hides nothing"
     trust = [bounded(0.9, k) for k in range(12)]
     assert trust[0] == 0.9
     assert CONFIG.lost_quality < trust[5] < CONFIG.suspect_quality
@@ -103,12 +124,16 @@ def test_up_from_nothing_only_by_correction(start: State) -> None:
     assert set(run([0.99] * 10, start=start)) == {start}
 
 
-def test_what_is_usual_follows_slowly() -> None:
-    assert usual_after(None, 1.4) == 1.4
-    assert 1.4 < usual_after(1.4, 1.6) < 1.45
-    assert tint_after(UNKNOWN_TINT, GOOD.tint) == GOOD.tint
-    assert tint_after(GOOD.tint, UNKNOWN_TINT) == GOOD.tint
-    assert 0.9 < tint_after(GOOD.tint, (1.4, 1.0, 1.0))[0] < 1.1
+def test_baseline_and_light_follow_slowly() -> None:
+    assert baseline_after(None, 1.4) == 1.4
+    assert 1.4 < baseline_after(1.4, 1.6) < 1.45
+    first = light_after(None, GOOD)
+    assert first is not None
+    assert first.tolist() == [-3.0, 1.0, 1.0]
+    assert light_after(first, replace(GOOD, colored=0.0)) is first, "where no colour was seen"
+    later = light_after(first, replace(GOOD, light_l=7.0))
+    assert later is not None
+    assert later.tolist() == [-1.0, 1.0, 1.0]
 
 
 def test_identity_grows_with_agreement_and_new_viewpoints() -> None:
@@ -128,7 +153,7 @@ def test_identity_grows_with_agreement_and_new_viewpoints() -> None:
 
 
 def test_the_weaker_of_two_poses_on_one_surface_loses(tea_box, shoot, path) -> None:
-    surface = TrackedSurface.of(tea_box)
+    surface = PreparedSurface.of(tea_box)
     beside = se3.make(path(0)[:3, :3], path(0)[:3, 3] + [0.15, 0.0, 0.0])
     frame = shoot([(tea_box.mesh, path(0)), (tea_box.mesh, beside)])
     good, same = Claim(surface, path(0), 1.6), Claim(surface, se3.perturb(path(0), np.full(6, 0.003)), 1.2)
@@ -141,32 +166,34 @@ def test_the_weaker_of_two_poses_on_one_surface_loses(tea_box, shoot, path) -> N
 
 
 def test_masks_are_what_is_seen_of_the_object(tea_box, soup_can, shoot, path) -> None:
-    surface = TrackedSurface.of(tea_box)
+    surface = PreparedSurface.of(tea_box)
     box = surface.box(path(0), shoot([]).camera)
     assert box is not None
-    alone = visible_mask(tea_box.mesh, path(0), shoot([(tea_box.mesh, path(0))]), box)
+    alone = visible_within(tea_box.mesh, path(0), shoot([(tea_box.mesh, path(0))]), box)
     near = se3.make(np.eye(3), path(0)[:3, 3] * 0.7)
-    covered = visible_mask(
+    covered = visible_within(
         tea_box.mesh, path(0), shoot([(tea_box.mesh, path(0)), (soup_can.mesh, near)]), box
     )
     assert alone.sum() > 3000
     assert covered.sum() < 0.8 * alone.sum()
     assert not (covered & ~alone).any()
-    assert visible_mask(tea_box.mesh, path(0), shoot([]), box).sum() == 0
+    assert visible_within(tea_box.mesh, path(0), shoot([]), box).sum() == 0
 
 
 def test_overlap_of_outlines(tea_box, path) -> None:
     camera = Camera(420.0, 420.0, 159.5, 119.5, 320, 240)
-    surface, T = TrackedSurface.of(tea_box), path(0)
+    surface, T = PreparedSurface.of(tea_box), path(0)
 
     def iou(other: np.ndarray) -> float:
-        return overlap(tea_box.mesh, T, other, surface.box(T, camera), surface.box(other, camera), camera)
+        return silhouette_iou(
+            tea_box.mesh, T, other, surface.box(T, camera), surface.box(other, camera), camera
+        )
 
     assert iou(T) == 1.0
     assert iou(T @ se3.make(np.diag([-1.0, -1.0, 1.0]), np.zeros(3))) > 0.97, "half a turn of a box"
     assert 0.6 < iou(se3.perturb(T, np.array([0.01, 0, 0, 0, 0, 0]))) < 0.95
     assert iou(se3.perturb(T, np.array([0.3, 0, 0, 0, 0, 0]))) == 0.0
-    assert overlap(tea_box.mesh, T, T, None, None, camera) == 0.0
+    assert silhouette_iou(tea_box.mesh, T, T, None, None, camera) == 0.0
 
 
 def test_covariance_follows_information_and_grows_unseen() -> None:

@@ -5,9 +5,9 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from huepose.datasets.synthetic_sensor import STEREO, stereo_depth
 from huepose.geometry import Camera, RgbdFrame, se3
 from huepose.rendering.render import render
+from huepose.scenes.sensor import STEREO, stereo_depth
 from huepose.tracking import Correction, State, Tracker
 
 CAMERA = Camera(420.0, 420.0, 159.5, 119.5, 320, 240)

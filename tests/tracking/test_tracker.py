@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -314,7 +316,8 @@ def test_of_two_tracks_that_meet_on_one_surface_one_is_lost(tea_box, shoot, path
     tracker.correct(correction(both, path(0), instance=0))
     tracker.correct(correction(both, beside @ path(0), instance=1))
     assert [p.state for p in tracker.step(both)] == [State.TRACKING] * 2
-    tracker._tracks["tea_box", 1].T_cam_obj = path(0)
+    track = tracker._tracks["tea_box", 1]
+    track.hypotheses = (replace(track.hypotheses[0], T_cam_obj=path(0)),)
     for k in range(1, 7):
         poses = tracker.step(shoot([(tea_box.mesh, path(0))], k))
         assert sum(p.state is State.TRACKING for p in poses) == 1

@@ -5,11 +5,11 @@ from __future__ import annotations
 from dataclasses import replace
 
 from huepose.geometry import Box, Camera
+from huepose.judge.open_region import open_region
 from huepose.tracking import Tracker
 from huepose.tracking import step as one_step
-from huepose.tracking.region import prepare
 
-PARTS = {"search", "flow_start", "refine", "score"}
+PARTS = {"search", "flow_start", "refine", "look"}
 
 
 def test_everything_is_tried_and_nothing_is_left_behind(tea_box, soup_can, monkeypatch) -> None:
@@ -39,6 +39,7 @@ def test_a_tracker_of_nothing_is_warm() -> None:
 
 def test_a_camera_of_whole_numbers_compiles_nothing_anew(shoot) -> None:
     frame = replace(shoot([], 0), camera=Camera(420, 420, 160, 120, 320, 240))
-    region = prepare(frame, Box(40, 40, 64, 64), 0.5)
+    region = open_region(frame, Box(40, 40, 64, 64), 0.5, 0.1)
     assert region is not None
-    assert all(type(x) is float for x in region.arrays[-4:])
+    arrays = region.arrays
+    assert all(type(x) is float for x in (arrays.fx, arrays.fy, arrays.cx, arrays.cy))

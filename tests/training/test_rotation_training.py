@@ -6,8 +6,8 @@ import pytest
 
 torch = pytest.importorskip("torch", reason="the extra `train` is not installed")
 
+from huepose.paper.rotation_network import OnnxRotation  # noqa: E402
 from huepose.support.errors import InputError  # noqa: E402
-from huepose.tracking.rotation_network import OnnxRotation  # noqa: E402
 from huepose.training.network import (  # noqa: E402
     AttentionDgcnn,
     EdgeConvolution,

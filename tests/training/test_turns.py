@@ -2,12 +2,11 @@ import numpy as np
 import pytest
 
 from huepose.geometry import Camera, kabsch, se3
+from huepose.paper.rotation_network import fixed_count, posed
+from huepose.propose.relative_pose import RobustKabsch
 from huepose.rendering.render import render_depth
-from huepose.tracking.relative_pose import RobustKabsch
-from huepose.tracking.rotation_network import fixed_count, posed
-from huepose.training.samples import endless, sample_of
 from huepose.training.shapes import random_shape
-from huepose.training.turns import TurnRange, draw_turns
+from huepose.training.turns import TurnRange, draw_turns, endless, sample_of
 
 PERFECT = TurnRange(depth_noise=(0.0, 0.0), jitter_px=(1e-9, 2e-9), drift_px=(0.0, 0.0), wrong=(0.0, 0.0))
 

@@ -18,6 +18,7 @@ from importlib import import_module
 from huepose.datasets.types import GroundTruth, Scene
 from huepose_protos.messages import TruthMessage, TruthObject
 from huepose_services.camera.audience import Audience
+from huepose_services.camera.busy import Busy
 from huepose_services.camera.live_ingest import LiveIngest
 from huepose_services.camera.publish import FramePublisher, Packed, packed
 from huepose_services.camera.schedule import Schedule
@@ -72,6 +73,7 @@ class Ingest:
         self._shot = self._prepare(source.image_ids[0])
         self._schedule: Schedule | None = None
         self._stand: _Stand | None = None
+        self._busy = Busy()
         self._ended_ns: int | None = None
         bus.health.camera_epoch = self._epoch
         bus.health.state = "waiting"
@@ -129,9 +131,10 @@ class Ingest:
         due = schedule.due_ns(self._index)
         if now < due:
             return
+        self._bus.health.warn_while("busy", self._busy.warning(now))
         if now - due > _BEHIND_NS:
             self._bus.health.count("late")
-            self._bus.log.seldom("late", f"behind by {(now - due) * 1e-6:.0f} ms: moving the schedule")
+            self._bus.log.seldom("late", self._busy.late(now - due, now))
             schedule.postpone(now - due)
             due = now
         self._publish(schedule.frame_id(self._index), due)

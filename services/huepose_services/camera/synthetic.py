@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from huepose.datasets.synthetic import SyntheticScene
 from huepose.datasets.types import GroundTruth, Sample, Scene
 from huepose.geometry import RgbdFrame
+from huepose.scenes.builtin import SyntheticScene
 from huepose_services.runtime.config import Config
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import os
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -30,10 +31,14 @@ def chosen(arguments: argparse.Namespace) -> Pipeline:
 
 def chosen_config(arguments: argparse.Namespace) -> Config:
     """The configuration of the pipeline that is meant; names and ports alone where its file is not known."""
+    from huepose_protos.local import FOLDER
     from huepose_services.runtime.config import BusConfig, Config, load
     from huepose_services.runtime.config_perception import CameraConfig
 
     pipeline = chosen(arguments)
+    if pipeline.folder:
+        # Its sockets may be in another folder than those that this user's own pipelines would have.
+        os.environ[FOLDER] = pipeline.folder
     if pipeline.file:
         return load(Path(pipeline.file))
     return Config(

@@ -15,6 +15,12 @@ def add_parser(subparsers: Any) -> None:
     parser.add_argument("what", nargs="?", choices=_WHAT, default="all", help="default: all")
     parser.add_argument("--json", type=Path, metavar="FILE", help="write the figures to a file as well")
     parser.add_argument("--seed", type=int, default=0, metavar="N", help="which built-in scene (0)")
+    parser.add_argument(
+        "--profile",
+        choices=("live", "patient"),
+        default="live",
+        help="live: as the workers of a pipeline; patient: answers may take longer (live)",
+    )
     parser.set_defaults(call=call)
 
 
@@ -23,28 +29,29 @@ def call(arguments: argparse.Namespace) -> int:
     import resource
     from dataclasses import asdict
 
-    from huepose.datasets.synthetic import SyntheticScene
     from huepose.evaluation.benches import StageTime, bench_estimate, bench_track
     from huepose.evaluation.perception_bench import bench_perception
     from huepose.evaluation.result_files import write_json
     from huepose.model import load_models
+    from huepose.profiles import profile
+    from huepose.scenes.builtin import SyntheticScene
     from huepose_services.builtin import builtin_bundles
     from huepose_services.bus_bench import bench_bus
 
     stages: list[StageTime] = []
-    summary: dict[str, float] = {}
-    what = arguments.what
+    summary: dict[str, float | str] = {"profile": arguments.profile}
+    what, settings = arguments.what, profile(arguments.profile)
     if what != "bus":
         models = load_models(builtin_bundles(arguments.seed))
         scene = SyntheticScene(arguments.seed)
     if what in ("track", "all"):
-        stages += bench_track(scene, models)
+        stages += bench_track(scene, models, settings.tracker)
         summary["track_five_objects_ms_p50"] = _p50(stages, "track")
     if what in ("estimate", "all"):
-        stages += bench_estimate(scene, models)
+        stages += bench_estimate(scene, models, settings.estimator)
         summary["estimate_five_objects_ms_p50"] = _p50(stages, "estimate")
     if what in ("detect", "all"):
-        stages += bench_perception(scene, models)
+        stages += bench_perception(scene, models, settings.detector)
         for name in ("detect", "detect two", "detect missing", "segment"):
             summary[f"{name.replace(' ', '_')}_cpu_ms_p50"] = next(
                 s for s in stages if s.name == name

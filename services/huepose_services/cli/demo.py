@@ -15,12 +15,6 @@ def add_parser(subparsers: Any) -> None:
     parser.add_argument("--seconds", type=float, default=25.0, metavar="S", help="how long (default: 25)")
     parser.add_argument("--seed", type=int, default=0, metavar="N", help="which scene (default: 0)")
     parser.add_argument(
-        "--detector",
-        choices=("colorpair", "yolo"),
-        default="colorpair",
-        help="how boxes are found: by the models alone, or by the network in the package (colorpair)",
-    )
-    parser.add_argument(
         "--segmenter",
         choices=("depth", "sam"),
         default="depth",
@@ -69,7 +63,7 @@ def call(arguments: argparse.Namespace) -> int:
     signal.signal(signal.SIGTERM, stop)
     signal.signal(signal.SIGINT, stop)
     try:
-        chosen = Perception(arguments.detector, arguments.segmenter, arguments.sam)
+        chosen = Perception(arguments.segmenter, arguments.sam)
         live = not arguments.headless
         result = run_demo(arguments.seconds, arguments.seed, live, lambda: interrupted, chosen)
     except DemoError as error:

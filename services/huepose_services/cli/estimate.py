@@ -7,6 +7,7 @@ import json
 import math
 import sys
 from collections.abc import Mapping
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -14,6 +15,7 @@ if TYPE_CHECKING:
     from huepose.estimation import Estimator, PoseEstimate
     from huepose.geometry import Box, RgbdFrame
     from huepose.model import ReferenceModel
+    from huepose.perception.colorpair_detector import ColorPairDetector
 
 
 def add_parser(subparsers: Any) -> None:
@@ -34,7 +36,19 @@ def add_parser(subparsers: Any) -> None:
         "--bundles", type=Path, required=True, metavar="DIR", help="folder of reference models"
     )
     parser.add_argument("--object", nargs="+", default=None, metavar="NAME", help="all of the folder without")
-    parser.add_argument("--method", choices=("full", "colorpair"), default="full")
+    parser.add_argument(
+        "--method",
+        choices=("full", "colorpair", "paper"),
+        default="full",
+        help="full: the best; colorpair: by colour pairs alone; paper: the paper's method as it is "
+        "(the last two need models that were onboarded with --paper)",
+    )
+    parser.add_argument(
+        "--profile",
+        choices=("live", "patient"),
+        default="live",
+        help="live: as the workers of a pipeline; patient: answers may take longer (live)",
+    )
     parser.add_argument(
         "--box",
         nargs=4,
@@ -54,20 +68,24 @@ def add_parser(subparsers: Any) -> None:
 def call(arguments: argparse.Namespace) -> int:
     """Estimate, write, draw."""
     from huepose.datasets.image_files import read_frame
-    from huepose.estimation import Estimator, EstimatorConfig
+    from huepose.estimation import Estimator
     from huepose.model import load_models
+    from huepose.perception.colorpair_detector import ColorPairDetector
+    from huepose.profiles import profile
 
     frame = read_frame(arguments.color, arguments.depth, arguments.camera)
     box = _box(arguments.box, frame)
     models = load_models(arguments.bundles, arguments.object)
     names = list(dict.fromkeys(arguments.object or sorted(models)))
+    settings = profile(arguments.profile)
     # In a detector's boxes it is the presence that says what is found.
     found_level = 0.0 if box is None else None
-    config = EstimatorConfig(method=arguments.method, found_level=found_level, look_harder=box is not None)
+    config = replace(settings.estimator, method=arguments.method, found_level=found_level)
     estimator = Estimator(models, config)
     estimator.warm_up(names)  # so that `seconds` is the time of an answer
     if box is None:
-        answers = _detected(arguments, frame, models, estimator, names)
+        detector = ColorPairDetector(models, settings.detector)
+        answers = _detected(arguments, frame, models, estimator, detector, names)
     else:
         answers = [_answer(arguments, frame, models, estimator, name, box) for name in names]
     _say_offset(frame, models, answers)
@@ -88,7 +106,7 @@ def call(arguments: argparse.Namespace) -> int:
 
 def _say_offset(frame: RgbdFrame, models: Mapping[str, ReferenceModel], answers: list[PoseEstimate]) -> None:
     """A line on standard error where depth plainly does not lie on the colours."""
-    from huepose.registration.depth_offset import depth_offset
+    from huepose.estimation.depth_offset import depth_offset
 
     sure = [a for a in answers if a.state == "TRACKING"]
     offset = depth_offset(frame, [(models[a.object], a.T_cam_obj) for a in sure if a.T_cam_obj is not None])
@@ -138,26 +156,32 @@ def _detected(
     frame: RgbdFrame,
     models: Mapping[str, ReferenceModel],
     estimator: Estimator,
+    detector: ColorPairDetector,
     names: list[str],
 ) -> list[PoseEstimate]:
     """The poses that stand at the places which the detector proposes; an object without any is not found."""
     from huepose.estimation.present import presences_of
-    from huepose.estimation.verdict import absent, standing
-    from huepose.perception.colorpair_detector import ColorPairDetector
+    from huepose.estimation.verdict import absent, standing, why_none_stands
 
-    detector = ColorPairDetector(models)
     places = detector.detect(frame, names)
     places = places[::-1]  # The best place last: its explanation is the one that is kept.
     answers = [_answer(arguments, frame, models, estimator, p.object, p.box) for p in places]
-    poses = standing(answers, presences_of(frame, models, answers, arguments.method))
-    return [pose for name in names for pose in [p for p in poses if p.object == name] or [absent(name)]]
+    chances = presences_of(frame, models, answers, arguments.method)
+    poses = standing(answers, chances)
+    out = []
+    for name in names:
+        none = absent(name, why_none_stands(name, answers, chances))
+        out += [pose for pose in poses if pose.object == name] or [none]
+    return out
 
 
 def as_record(answer: PoseEstimate) -> dict[str, Any]:
-    """An estimate in the form of the JSON file: metres, T_cam_obj as 4x4, box as x y w h."""
+    """An estimate in the form of the JSON file: metres, T_cam_obj as 4x4, box as x y w h; reason: why nothing
+    was found, None where something was."""
     return {
         "object": answer.object,
         "found": answer.found,
+        "reason": answer.reason or None,
         "T_cam_obj": None if answer.T_cam_obj is None else answer.T_cam_obj.tolist(),
         "quality": answer.quality,
         "covariance": None if answer.covariance is None else answer.covariance.tolist(),

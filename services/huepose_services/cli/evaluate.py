@@ -16,9 +16,8 @@ def add_parser(subparsers: Any) -> None:
     _add_perception(verbs)
     _add_track(verbs)
     _add_poses(verbs)
-    _add_calibrate(verbs)
+    _add_calibration(verbs)
     _add_ablation(verbs)
-    _add_pairs(verbs)
     _add_compare(verbs)
     parser.set_defaults(call=call)
 
@@ -37,6 +36,15 @@ def _common(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--json", type=Path, required=True, metavar="FILE", help="result file")
 
 
+def _profile(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument(
+        "--profile",
+        choices=("live", "patient"),
+        default="live",
+        help="live: as the workers of a pipeline; patient: answers may take longer (live)",
+    )
+
+
 def _seeds(parser: argparse.ArgumentParser, text: str = "of the perturbed boxes; results average") -> None:
     parser.add_argument("--seed", type=int, nargs="+", default=[0], metavar="N", help=text)
 
@@ -51,10 +59,6 @@ def _path(parser: argparse.ArgumentParser, option: str, metavar: str, text: str)
     parser.add_argument(option, type=Path, default=None, metavar=metavar, help=text)
 
 
-def _results(parser: argparse.ArgumentParser, option: str, text: str) -> None:
-    parser.add_argument(option, type=Path, nargs="+", default=[], metavar="RESULT.json", help=text)
-
-
 def _add_estimate(verbs: Any) -> None:
     parser = verbs.add_parser(
         "estimate",
@@ -63,7 +67,8 @@ def _add_estimate(verbs: Any) -> None:
     )
     parser.add_argument("--bop", type=Path, nargs="+", required=True, metavar="SCENE_DIR")
     _common(parser)
-    parser.add_argument("--method", choices=("full", "colorpair"), default="full")
+    parser.add_argument("--method", choices=("full", "colorpair", "paper"), default="full")
+    _profile(parser)
     parser.add_argument("--boxes", choices=("perturbed", "paper", "gt", "detect"), default="perturbed")
     parser.add_argument("--masks", choices=("auto", "gt"), default="auto", help="gt: the true visible mask")
     _objects(parser)
@@ -97,6 +102,7 @@ def _add_perception(verbs: Any) -> None:
     parser.add_argument("--bop", type=Path, nargs="+", required=True, metavar="SCENE_DIR")
     _common(parser)
     _objects(parser)
+    _profile(parser)
     parser.add_argument("--detector", choices=("colorpair",), default="colorpair")
     parser.add_argument("--segmenter", choices=("depth",), default="depth")
     parser.add_argument(
@@ -106,9 +112,6 @@ def _add_perception(verbs: Any) -> None:
         default=[1, 5, 20],
         metavar="N",
         help="numbers of boxes an object at which recall is given (1 5 20)",
-    )
-    parser.add_argument(
-        "--judged", type=int, default=3, metavar="N", help="boxes an object that the estimator judges (3)"
     )
     parser.add_argument("--seed", type=int, default=0, metavar="N", help="of the perturbed boxes of masks")
     parser.add_argument("--threads", type=int, default=2, metavar="N", help="objects at the same time (2)")
@@ -121,6 +124,10 @@ def _add_track(verbs: Any) -> None:
     source.add_argument("--fast-ycb", type=Path, nargs="+", metavar="SEQ_DIR")
     source.add_argument("--bop", type=Path, nargs="+", metavar="SCENE_DIR")
     _common(parser)
+    _profile(parser)
+    parser.add_argument(
+        "--method", choices=("full", "paper"), default="full", help="paper: the paper's tracker as it is"
+    )
     parser.add_argument(
         "--protocol",
         choices=("free", "roft"),
@@ -172,73 +179,16 @@ def _add_ablation(verbs: Any) -> None:
     _path(parser, "--plots", "DIR", "where ablation.png goes")
 
 
-def _add_calibrate(verbs: Any) -> None:
+def _add_calibration(verbs: Any) -> None:
     parser = verbs.add_parser(
-        "calibrate",
-        help="fit quality to estimates with known truth",
-        description="Fit quality to results of `huepose eval estimate`, find the level over which 99 % are "
-        "right, and say what it is worth on other results. Without results to fit to: the fit in use.",
+        "calibration",
+        help="whether stated quality is true",
+        description="What the quality of results of `huepose eval estimate` is worth: how far it is from the "
+        "share that is right, and how many of the poses over the level are right.",
     )
-    parser.add_argument("results", type=Path, nargs="*", metavar="RESULT.json", help="to fit to")
-    _results(parser, "--check", "to say what it is worth on")
-    _results(
-        parser,
-        "--others",
-        "to fit to as well: objects asked for where they are not (benchmarks/wrong_boxes.py)",
-    )
-    _results(
-        parser,
-        "--alike",
-        "to fit to as well: scenes of look-alikes (the same shapes with other prints), where every pose "
-        "is wrong",
-    )
-    _results(parser, "--sizes", "the same of objects in other sizes")
+    parser.add_argument("results", type=Path, nargs="+", metavar="RESULT.json")
     parser.add_argument("--method", choices=("full", "colorpair"), default="full")
-    _path(
-        parser,
-        "--out",
-        "FILE",
-        "where the fit is kept; huepose/estimation/quality_fits.json is the one in use",
-    )
     _path(parser, "--plots", "DIR", "reliability pictures")
-
-
-def _add_pairs(verbs: Any) -> None:
-    parser = verbs.add_parser(
-        "pairs",
-        help="colour pairs, step by step",
-        description="What colour pairs are worth on rendered views, where the answer is known: how many are "
-        "found again, how well their similarity tells places apart, which triangles vote right, from how far "
-        "semantic ICP comes home; the picture of their classes on real frames; and what they give in the "
-        "full method, place by place, on labelled scenes.",
-    )
-    parser.add_argument(
-        "study",
-        nargs="?",
-        choices=("repeatability", "similarity", "triangles", "icp", "figure", "places"),
-        help="only this one (default: all; figure and places only with --bop)",
-    )
-    _common(parser)
-    _objects(parser)
-    parser.add_argument("--views", type=int, default=3, metavar="N", help="rendered views of each object (3)")
-    _seeds(parser, "of views, disturbances and boxes (0)")
-    parser.add_argument(
-        "--bop", type=Path, nargs="+", metavar="SCENE_DIR", help="frames for the figure and the places"
-    )
-    parser.add_argument(
-        "--min-visib", type=float, default=0.3, metavar="F", help="of labels, for the places (0.3)"
-    )
-    _path(parser, "--equivalent", "FILE", "poses that count as the labelled one does, for the places")
-    _path(
-        parser,
-        "--sets",
-        "FILE",
-        "sets of scenes for the places, each with its own models (docs/colour-pairs.md)",
-    )
-    parser.add_argument(
-        "--kinds", nargs="+", default=None, metavar="KIND", help="of places; only these (default: all)"
-    )
-    _path(parser, "--plots", "DIR", "curves and pictures")
 
 
 def _add_compare(verbs: Any) -> None:

@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 import argparse
+from dataclasses import replace
 from typing import Any
 
 from huepose.datasets.types import Sample
-from huepose.estimation import Estimator, EstimatorConfig
+from huepose.estimation import Estimator
 from huepose.estimation.present import presence_by
 from huepose.evaluation.bop_csv import BopResult, write_bop_csv
 from huepose.evaluation.equivalents import read_equivalents
@@ -18,6 +19,7 @@ from huepose.evaluation.result_files import write_json
 from huepose.evaluation.targets import Targets
 from huepose.model import load_models
 from huepose.perception.colorpair_detector import ColorPairDetector
+from huepose.profiles import profile
 from huepose_services.cli.evaluate_scenes import FIGURES, figure_table, open_bop, shown
 
 
@@ -30,16 +32,17 @@ def call(arguments: argparse.Namespace) -> int:
     targets = Targets(models, arguments.objects)
     # In a detector's boxes it is the presence that says what is found.
     found_level = 0.0 if arguments.boxes == "detect" else None
-    config = EstimatorConfig(
+    settings = profile(arguments.profile)
+    config = replace(
+        settings.estimator,
         method=arguments.method,
         threads=arguments.threads,
         found_level=found_level,
-        look_harder=arguments.boxes != "detect",
     )
     estimator = Estimator(models, config)
     detector = None
     if arguments.boxes == "detect":
-        detector = ColorPairDetector({model.name: model for model in targets.models})
+        detector = ColorPairDetector({model.name: model for model in targets.models}, settings.detector)
         detector.warm_up()
         estimator.warm_up([model.name for model in targets.models])
     else:
@@ -66,7 +69,7 @@ def call(arguments: argparse.Namespace) -> int:
         on_frame=on_frame,
     )
     record = result.as_json()
-    record["summary"]["method"] = arguments.method
+    record["summary"] |= {"method": arguments.method, "profile": arguments.profile}
     write_json(arguments.json, record)
     if pictures is not None:
         pictures.estimates(result)
@@ -102,7 +105,8 @@ def _report(summary: dict[str, Any]) -> str:
         lines.append(f"poses that belong to no label: {summary['false_poses']:g}")
     ece = "-" if summary["ece"] is None else f"{summary['ece']:.3f}"
     lines.append(
-        f"{summary['method']}, boxes {summary['boxes']}, masks {summary['masks']}, seed {summary['seed']}; "
+        f"{summary['method']}, {summary['profile']}, boxes {summary['boxes']}, masks {summary['masks']}, "
+        f"seed {summary['seed']}; "
         f"calibration error {ece}; {summary['seconds_per_frame_p50']:.2f} s a frame; "
         f"{summary['skipped_no_bundle']} labels without reference model skipped"
     )

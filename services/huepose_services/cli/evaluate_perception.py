@@ -3,18 +3,20 @@
 from __future__ import annotations
 
 import argparse
+from dataclasses import replace
 from typing import Any
 
-from huepose.estimation import Estimator, EstimatorConfig
+from huepose.estimation import Estimator
 from huepose.estimation.present import presence_by
-from huepose.evaluation.perception_pictures import PerceptionPictures
 from huepose.evaluation.perception_protocol import PerceptionOptions, evaluate_perception
+from huepose.evaluation.pictures import PerceptionPictures
 from huepose.evaluation.result_files import write_json
 from huepose.evaluation.summary import table
 from huepose.evaluation.targets import Targets
 from huepose.model import load_models
-from huepose.perception.colorpair_detector import MIN_SCORE, ColorPairDetector
+from huepose.perception.colorpair_detector import ColorPairDetector
 from huepose.perception.embedded import DepthSegmenter
+from huepose.profiles import profile
 from huepose_services.cli.evaluate_scenes import open_bop
 
 
@@ -23,12 +25,16 @@ def call(arguments: argparse.Namespace) -> int:
     scenes = open_bop(arguments.bop)
     targets = Targets(load_models(arguments.bundles), arguments.objects)
     models = {model.name: model for model in targets.models}
-    detector = ColorPairDetector(models, max(arguments.proposals), min_score=0.0)
+    settings = profile(arguments.profile)
+    judged, least = settings.detector.proposals, settings.detector.min_score
+    # More boxes than are judged, for the recall of the first so many.
+    asked = replace(settings.detector, proposals=max(judged, *arguments.proposals), min_score=0.0)
+    detector = ColorPairDetector(models, asked)
     detector.warm_up()
     segmenter = DepthSegmenter()
-    estimator = Estimator(
-        models, EstimatorConfig(threads=arguments.threads, found_level=0.0, look_harder=False), segmenter
-    )
+    # Which boxes show their object is the presence's to say.
+    config = replace(settings.estimator, threads=arguments.threads, found_level=0.0)
+    estimator = Estimator(models, config, segmenter)
     estimator.warm_up()
     pictures = PerceptionPictures(arguments.plots) if arguments.plots else None
     result = evaluate_perception(
@@ -37,12 +43,16 @@ def call(arguments: argparse.Namespace) -> int:
         detector,
         segmenter,
         estimator,
-        PerceptionOptions(judged=arguments.judged, least=MIN_SCORE, seed=arguments.seed),
+        PerceptionOptions(judged, least, seed=arguments.seed),
         presence=presence_by(models, estimator.config.method),
         on_frame=None if pictures is None else pictures.frame,
     )
     record = result.as_json(arguments.proposals)
-    record["summary"] |= {"detector": arguments.detector, "segmenter": arguments.segmenter}
+    record["summary"] |= {
+        "detector": arguments.detector,
+        "segmenter": arguments.segmenter,
+        "profile": arguments.profile,
+    }
     write_json(arguments.json, record)
     print(_report(record["summary"]))
     return 0
@@ -71,7 +81,7 @@ def _report(summary: dict[str, Any]) -> str:
             f"{n} objects onboarded: recall {recall}, {block['false_boxes_per_frame']:.2f} false a frame"
         )
     text.append(
-        f"{summary['frames']} frames, {summary['asked_for']} objects asked for; "
+        f"{summary['profile']}: {summary['frames']} frames, {summary['asked_for']} objects asked for; "
         f"detector {summary['detector_seconds_per_frame_p50']:.2f} s a frame, "
         f"with the estimator's verdict {summary['seconds_per_frame_p50']:.2f} s"
     )

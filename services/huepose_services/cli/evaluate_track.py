@@ -7,14 +7,21 @@ from collections.abc import Mapping
 from typing import Any
 
 from huepose.datasets.types import Scene
-from huepose.estimation import Estimator, EstimatorConfig
-from huepose.evaluation.judging import LoopJudge
+from huepose.estimation import Estimator
+from huepose.evaluation.paper_tracker import PaperTracker
 from huepose.evaluation.pictures import PictureFolder
 from huepose.evaluation.result_files import write_json
-from huepose.evaluation.sources import EstimatorSource, FileSource, PoseSource, TruthSource
+from huepose.evaluation.sources import EstimatorSource, FileSource, LoopJudge, PoseSource, TruthSource
 from huepose.evaluation.targets import Targets
-from huepose.evaluation.track_protocol import SourceNames, Sources, TrackOptions, evaluate_tracking
+from huepose.evaluation.track_protocol import (
+    SourceNames,
+    Sources,
+    TrackerFactory,
+    TrackOptions,
+    evaluate_tracking,
+)
 from huepose.model import ReferenceModel
+from huepose.profiles import profile
 from huepose.support.errors import InputError
 from huepose.tracking import Tracker
 from huepose_services.cli.evaluate_scenes import figure_table, open_scenes, shown, states_line
@@ -28,9 +35,9 @@ def call(arguments: argparse.Namespace) -> int:
     cv2.setNumThreads(1)  # as the tracker's worker does
     names = _source_names(arguments)
     scenes, models = open_scenes(arguments.fast_ycb, arguments.bop, arguments.bundles)
-    targets = Targets(models, arguments.objects)
+    targets, settings = Targets(models, arguments.objects), profile(arguments.profile)
     used = {name: models[name] for name in shown(scenes, targets)}
-    estimator = Estimator(used, EstimatorConfig())
+    estimator = Estimator(used, settings.estimator)
     if "estimate" in (names.init, names.delayed):
         estimator.warm_up()
     tables = PoseTables(arguments.frame, arguments.nvdu_frames, used)
@@ -52,21 +59,24 @@ def call(arguments: argparse.Namespace) -> int:
     judge = LoopJudge(used) if names.delayed == "estimate" else None
     pictures = PictureFolder(arguments.plots, targets) if arguments.plots else None
     on_frame = None if pictures is None else pictures.frame
+
+    def ours(models: Mapping[str, ReferenceModel]) -> Tracker:
+        tracker = Tracker(models, settings.tracker)
+        tracker.warm_up()
+        return tracker
+
+    tracker: TrackerFactory = PaperTracker if arguments.method == "paper" else ours
     result = evaluate_tracking(
-        scenes, targets, _tracker, sources, options, names, judge=judge, on_frame=on_frame
+        scenes, targets, tracker, sources, options, names, judge=judge, on_frame=on_frame
     )
     record = result.as_json()
+    record["summary"]["method"] = arguments.method
+    record["summary"]["profile"] = arguments.profile
     write_json(arguments.json, record)
     if pictures is not None:
         pictures.tracks(result)
     print(_report(record["summary"]))
     return 0
-
-
-def _tracker(models: Mapping[str, ReferenceModel]) -> Tracker:
-    tracker = Tracker(models)
-    tracker.warm_up()
-    return tracker
 
 
 def _source_names(arguments: argparse.Namespace) -> SourceNames:
@@ -89,7 +99,7 @@ def _report(summary: dict[str, Any]) -> str:
         [
             figure_table("sequence", blocks, more),
             states_line(summary),
-            f"{summary['protocol']}, every {summary['every']}, first pose {summary['init']}{delayed}, "
-            f"seed {summary['seed']}; {fps} frames/s",
+            f"{summary['method']}, {summary['profile']}, {summary['protocol']}, every {summary['every']}, "
+            f"first pose {summary['init']}{delayed}, seed {summary['seed']}; {fps} frames/s",
         ]
     )

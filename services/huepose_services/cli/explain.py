@@ -14,18 +14,19 @@ from huepose.drawing.contact_sheet import contact_sheet
 from huepose.drawing.overlay import draw_pose
 from huepose.drawing.text import paragraph
 from huepose.estimation import PoseEstimate
-from huepose.estimation.decision import TERMS
 from huepose.estimation.explanation import Explanation
 from huepose.estimation.panels import LEGEND, Panels
 from huepose.estimation.reasons import displacement, reasons
 from huepose.geometry import Box, RgbdFrame
 from huepose.geometry.arrays import Bool, UInt8
-from huepose.matching.retrieval import retrieve
-from huepose.matching.template_table import build_table
+from huepose.judge.terms import score
 from huepose.model import ReferenceModel
+from huepose.propose.config import RetrievalConfig
+from huepose.propose.template_table import build_table
+from huepose.propose.views import retrieve
 from huepose.rendering.render import render
+from huepose.select.near_ties import TERMS
 from huepose.support.errors import InputError
-from huepose.verification.dense import score
 
 COLORS = ((60, 220, 60), (255, 170, 30), (70, 160, 255), (255, 80, 160), (240, 240, 60))
 VIEWS = 12
@@ -115,7 +116,7 @@ def _write_views(path: Path, model: ReferenceModel, explanation: Explanation) ->
         return
     picture = evidence.picture
     table = build_table(model.templates, model.diameter_m)
-    views = retrieve(table, picture, evidence.sources, VIEWS)
+    views = retrieve(table, picture, evidence.sources, RetrievalConfig(views=VIEWS))
     x0, y0, x1, y1 = (float(x) for x in picture.bounds)
     around = Box(x0, y0, x1 - x0, y1 - y0).grown(0.3, 5)
     rows, columns = around.slices(picture.camera.width, picture.camera.height)

@@ -21,7 +21,8 @@ _VERBS = (
 )
 # What the base installation, for subscribers, does without.
 _OF_EXTRAS = {
-    **dict.fromkeys(("cv2", "numba", "scipy", "onnxruntime", "open3d"), "edge"),
+    **dict.fromkeys(("cv2", "numba", "scipy", "onnxruntime", "PIL"), "edge"),
+    "open3d": "onboard",
     **dict.fromkeys(("torch", "onnx", "onnxscript"), "train"),
     "rerun": "viewer",
 }

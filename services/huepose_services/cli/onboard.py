@@ -42,6 +42,7 @@ def add_parser(subparsers: Any) -> None:
         help="JSON with symmetries of shape and print: symmetries_discrete and symmetries_continuous as in "
         "BOP's models_info.json, millimetres",
     )
+    _paper(one)
     one.add_argument("--out", type=Path, required=True, metavar="BUNDLES", help="folder of reference models")
     one.set_defaults(call=call)
 
@@ -53,8 +54,17 @@ def add_parser(subparsers: Any) -> None:
     many.add_argument("models_dir", type=Path, metavar="MODELS_DIR", help="BOP models folder")
     many.add_argument("--out", type=Path, required=True, metavar="BUNDLES", help="folder of reference models")
     many.add_argument("--ids", type=int, nargs="+", default=None, metavar="N", help="only these objects")
+    _paper(many)
     many.add_argument("--processes", type=int, default=2, metavar="N", help="worker processes (2)")
     many.set_defaults(call=call_bop)
+
+
+def _paper(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument(
+        "--paper",
+        action="store_true",
+        help="with the tables of the paper's method, for --method paper and --method colorpair",
+    )
 
 
 def call(arguments: argparse.Namespace) -> int:
@@ -63,13 +73,14 @@ def call(arguments: argparse.Namespace) -> int:
     from huepose.model.io import check_name
     from huepose.onboarding.batch import Job, onboard_one
     from huepose.onboarding.declared import read_symmetries
-    from huepose.onboarding.onboard import STAGES
+    from huepose.onboarding.reference import STAGES
     from huepose.support.progress import progress
 
     check_name(arguments.name)
     _check_folder(arguments.out)
     symmetric = read_symmetries(arguments.symmetric) if arguments.symmetric else None
-    job = Job(arguments.mesh, arguments.name, arguments.id, arguments.unit, symmetric=symmetric)
+    given = (arguments.mesh, arguments.name, arguments.id, arguments.unit)
+    job = Job(*given, symmetric=symmetric, paper=arguments.paper)
     steps = progress(range(len(STAGES) + 1), f"onboarding {job.name}")
     try:
         result = onboard_one(job, arguments.out, lambda stage: _advance(steps))
@@ -91,12 +102,20 @@ def call_bop(arguments: argparse.Namespace) -> int:
     """Onboard a folder; an object that fails is reported and the others go on."""
     from huepose.onboarding.batch import Job, Onboarded, StageBegun, onboard_many
     from huepose.onboarding.bop_folder import bop_models
-    from huepose.onboarding.onboard import STAGES
+    from huepose.onboarding.reference import STAGES
     from huepose.support.progress import progress
 
     _check_folder(arguments.out)
     jobs = [
-        Job(m.mesh_path, m.name, m.object_id, "mm", info=m.info, frame_offset_m=m.frame_offset_m)
+        Job(
+            m.mesh_path,
+            m.name,
+            m.object_id,
+            "mm",
+            info=m.info,
+            frame_offset_m=m.frame_offset_m,
+            paper=arguments.paper,
+        )
         for m in bop_models(arguments.models_dir, arguments.ids)
     ]
     events = onboard_many(jobs, arguments.out, max(1, min(arguments.processes, len(jobs))))
@@ -153,6 +172,8 @@ def _line(result: Onboarded) -> str:
         shape = "no near-symmetry"
     else:
         shape = f"{result.turns} turns of like shape, {same}"
+    if result.paper:
+        shape += "; with the paper's tables"
     return (
         f"{result.name:28s} {size} cm, diameter {result.diameter_m * 100:.1f} cm; {shape}; "
         f"{result.file_bytes / 1e6:.1f} MB, {result.seconds:.1f} s"

@@ -45,10 +45,10 @@ def add_parser(subparsers: Any) -> None:
 def call(arguments: argparse.Namespace) -> int:
     """Read the meshes, draw, say what is there."""
     from huepose.datasets.bop import BopScene
-    from huepose.datasets.obj_writer import write_models_folder
-    from huepose.datasets.rendered_scene import PILES, SceneRanges
-    from huepose.datasets.rendered_set import write_rendered_set
-    from huepose.datasets.shapes import demo_objects
+    from huepose.datasets.bop_writer import write_models_folder
+    from huepose.scenes.rendered import PILES, SceneRanges
+    from huepose.scenes.rendered_set import write_rendered_set
+    from huepose.scenes.shapes import demo_objects
     from huepose.support.errors import InputError
 
     if arguments.models == "builtin":

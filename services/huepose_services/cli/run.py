@@ -19,6 +19,11 @@ def add_parser(subparsers: Any) -> None:
 
 def call(arguments: argparse.Namespace) -> int:
     """Run until told to stop."""
+    from huepose_services.runtime.tied import SUPERVISOR, end_with
+
+    # Before anything that takes time: whoever started this process may die meanwhile.
+    if (supervisor := os.environ.get(SUPERVISOR)) is not None:
+        end_with(int(supervisor), ask_first=arguments.worker == "camera")
     from huepose.support.errors import InputError
     from huepose_services.runtime.config import WORKERS, load
     from huepose_services.runtime.threads import single_threaded
@@ -32,11 +37,10 @@ def call(arguments: argparse.Namespace) -> int:
     from contextlib import nullcontext
 
     from huepose_services.runtime.running import described, noted
-    from huepose_services.runtime.worker import SUPERVISOR, run_worker
+    from huepose_services.runtime.worker import run_worker
 
     # Under a supervisor that one has noted the whole pipeline.
-    alone = SUPERVISOR not in os.environ
-    with noted(described(config, arguments.config)) if alone else nullcontext():
+    with noted(described(config, arguments.config)) if supervisor is None else nullcontext():
         code = run_worker(arguments.worker, config)
     # All is closed; taking numba and OpenCV apart would only make stopping take longer.
     sys.stderr.flush()

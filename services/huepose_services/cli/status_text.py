@@ -40,7 +40,7 @@ def as_text(view: View) -> str:
 
 def _worker(m: HealthMessage, silent: bool) -> str:
     state = "silent" if silent else m.state
-    path = {None: "-", True: "memory", False: "TCP"}[m.shared_memory]
+    path = {None: "-", True: "memory", False: "socket"}[m.shared_memory]
     return (
         f"{m.worker:10s} {state:9s} {m.rate_hz:6.1f} {_pair(m.work_ms):>13s} {_pair(m.age_ms):>13s} "
         f"{m.cpu_percent:4.0f}% {m.memory_mib:5.0f} {m.locked_mib:6.1f} {path:>10s} {m.drops:7d} "

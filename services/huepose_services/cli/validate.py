@@ -19,6 +19,7 @@ def add_parser(subparsers: Any) -> None:
 
 def call(arguments: argparse.Namespace) -> int:
     """Read it, look for what it names, say what it is."""
+    from huepose_protos.local import run_folder
     from huepose_services.runtime.config import load
     from huepose_services.runtime.prepare import check
 
@@ -32,7 +33,7 @@ def call(arguments: argparse.Namespace) -> int:
     print(f"  objects  {names}")
     print(f"  keys     huepose/{config.site}/{config.camera.name}/...")
     ports = ", ".join(f"{worker} {config.port(worker)}" for worker in config.workers)
-    print(f"  ports    on 127.0.0.1: {ports}")
+    print(f"  ports    in {run_folder()}: {ports}")
     print(f"  frames   {_way_of_frames(config)}")
     return 0
 
@@ -43,8 +44,10 @@ def _way_of_frames(config: Config) -> str:
     limit = lock_limit()
     pool = pool_size(config, limit) / MIB
     if pool == 0:
-        return "by TCP, as bus.frame_pool_mib is 0"
+        return "by the socket, as bus.frame_pool_mib is 0"
     kib = "no limit" if limit is None else f"limit {limit // 1024} KiB"
     if pool_fits(int(pool * MIB), limit):
         return f"by shared memory, a pool of {pool:g} MiB (ulimit -l: {kib})"
-    return f"by TCP: a pool of {pool:g} MiB does not fit the memory that may be locked (ulimit -l: {kib})"
+    return (
+        f"by the socket: a pool of {pool:g} MiB does not fit the memory that may be locked (ulimit -l: {kib})"
+    )

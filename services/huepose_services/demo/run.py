@@ -13,15 +13,14 @@ from typing import Any, TextIO
 
 import yaml
 
-from huepose.datasets.synthetic import SyntheticScene
 from huepose.model import load_models
+from huepose.scenes.builtin import SyntheticScene
 from huepose.support.errors import InputError
 from huepose_protos.client import Reader
 from huepose_protos.messages import HealthMessage, Message, PoseMessage, TruthMessage
 from huepose_services.builtin import builtin_bundles
 from huepose_services.demo.score import Score, Yardstick
 from huepose_services.demo.table import Table
-from huepose_services.networks import BUILTIN_DETECTOR
 from huepose_services.runtime.clock import SECOND, now_ns
 from huepose_services.runtime.config import WORKERS, Config, load
 from huepose_services.runtime.ports import free_ports
@@ -40,9 +39,8 @@ class DemoError(RuntimeError):
 
 @dataclass(frozen=True)
 class Perception:
-    """Kinds of detector and segmenter; sam: the two networks of the segmenter sam, files or names."""
+    """The kind of segmenter; sam: the two networks of the segmenter sam, files or names."""
 
-    detector: str = "colorpair"
     segmenter: str = "depth"
     sam: Sequence[str] | None = None
 
@@ -53,10 +51,7 @@ class Perception:
             # The demo's configuration lies elsewhere: a path from here has to be a whole one.
             files = [str(Path(one).absolute()) if _is_path(one) else one for one in self.sam]
             segmenter |= dict(zip(("encoder", "decoder"), files, strict=True))
-        detector = {"kind": self.detector}
-        if self.detector == "yolo":
-            detector["model"] = str(BUILTIN_DETECTOR)
-        return {"detector": detector, "segmenter": segmenter}
+        return {"segmenter": segmenter}
 
 
 def _is_path(text: str) -> bool:

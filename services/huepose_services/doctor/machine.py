@@ -57,11 +57,11 @@ def memory(pool_mib: float) -> Iterator[Finding]:
     yield Finding(
         "locked memory",
         "ok" if fits else "note",
-        f"{text}; frames need a pool of {pool_mib:g} MiB" + ("" if fits else ", so they go by TCP"),
+        f"{text}; frames need a pool of {pool_mib:g} MiB" + ("" if fits else ", so they go by the socket"),
         "" if fits else "Raise it (ulimit -l unlimited, LimitMEMLOCK=infinity), or lower bus.frame_pool_mib.",
     )
     if not os.access(_SHM, os.W_OK):
-        fix = "Mount it: frames go by TCP without it. In a container: --shm-size=256m."
+        fix = "Mount it: frames go by the socket without it. In a container: --shm-size=256m."
         yield Finding("shared memory", "note", f"{_SHM} is not there, or not writable", fix)
         return
     free = shutil.disk_usage(_SHM).free / MIB

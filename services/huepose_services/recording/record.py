@@ -30,7 +30,7 @@ class Recorder:
     def __init__(self, bus: Bus, writer: SceneWriter, with_frames: bool) -> None:
         self._bus, self._writer = bus, writer
         keys, inbox = bus.keys, bus.inbox
-        self._frames = inbox.ring(keys.frame) if with_frames else None
+        self._frames = bus.frames() if with_frames else None
         kinds: list[tuple[str, type[Message]]] = [
             (keys.poses, PoseMessage),
             (keys.truth, TruthMessage),

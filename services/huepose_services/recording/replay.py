@@ -6,18 +6,16 @@ Stamps are moved to now, together, so that ages and intervals are those of the r
 
 from __future__ import annotations
 
-import json
 import secrets
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any, TypeVar
 
 import msgspec
 
 from huepose.datasets.bop import BopScene
 from huepose.support.errors import InputError
-from huepose_protos import WireError
 from huepose_protos.buffers import pack
 from huepose_protos.client import kind_of
 from huepose_protos.messages import FrameHeader, Message, PoseMessage
@@ -27,6 +25,10 @@ from huepose_services.runtime.bus import Bus
 from huepose_services.runtime.clock import this_clock
 
 _DEPTH_SCALE_M = 0.0001
+# The longest messages are those with masks.
+_LONGEST_LINE = 4 * 1024 * 1024
+T = TypeVar("T")
+M = TypeVar("M", bound=Message)
 
 
 @dataclass(frozen=True)
@@ -61,16 +63,15 @@ class Recording:
         if self.scene is not None:
             for image in self.scene.image_ids:
                 yield Event(self.scene.stamp_ns(image), image=image)
-        for record, where in _lines(self.folder / POSES):
-            message = _message(record, PoseMessage, where)
-            tail = f"pose/{message.object}/{message.instance}"
-            yield Event(message.publish_ns, tail=tail, message=message)
-        for record, where in _lines(self.folder / MESSAGES):
-            tail = str(record.get("key"))
-            kind = kind_of(f"huepose/site/camera/{tail}")
+        for line, where in _lines(self.folder / POSES):
+            pose = _message(line, PoseMessage, where)
+            yield Event(pose.publish_ns, tail=f"pose/{pose.object}/{pose.instance}", message=pose)
+        for line, where in _lines(self.folder / MESSAGES):
+            record = _decoded(line, _Keyed, where, "a JSON object with key and message")
+            kind = kind_of(f"huepose/site/camera/{record.key}")
             if kind is not None:
-                message = _message(record.get("message"), kind, where)
-                yield Event(message.publish_ns, tail=tail, message=message)
+                message = _message(record.message, kind, where)
+                yield Event(message.publish_ns, tail=record.key, message=message)
 
     @property
     def seconds(self) -> float:
@@ -78,30 +79,39 @@ class Recording:
         return (self.events[-1].stamp_ns - self.events[0].stamp_ns) * 1e-9
 
 
-def _lines(path: Path) -> Iterator[tuple[Any, str]]:
-    """JSON objects and where they stand. A last line without its end was never finished."""
+class _Keyed(msgspec.Struct):
+    """A line of the messages: the end of a key, and what was said under it."""
+
+    key: Annotated[str, msgspec.Meta(pattern=r"^[a-z0-9_-]+(/[a-z0-9_-]+)*$")]
+    message: msgspec.Raw
+
+
+def _lines(path: Path) -> Iterator[tuple[bytes, str]]:
+    """Lines and where they stand. A last line without its end was never finished."""
     if not path.is_file():
         return
-    for number, line in enumerate(path.read_text().split("\n")[:-1], 1):
-        where = f"{path}, line {number}"
-        yield _object(line, where), where
-
-
-def _object(line: str, where: str) -> dict[str, Any]:
     try:
-        record = json.loads(line)
-    except json.JSONDecodeError:
-        record = None
-    if not isinstance(record, dict):
-        raise InputError(where, found=line[:60], expected="a JSON object")
-    return record
+        with path.open("rb") as file:
+            for number, line in enumerate(iter(lambda: file.readline(_LONGEST_LINE), b""), 1):
+                where = f"{path}, line {number}"
+                if not line.endswith(b"\n"):
+                    if len(line) == _LONGEST_LINE:
+                        raise InputError(where, found=f"over {_LONGEST_LINE} bytes", expected="a message")
+                    return
+                yield line, where
+    except OSError as error:
+        raise InputError(path, found=error.strerror or str(error), expected="a readable file") from None
 
 
-def _message(record: Any, kind: type[Any], where: str) -> Any:
+def _message(line: bytes | msgspec.Raw, kind: type[M], where: str) -> M:
+    return _decoded(line, kind, where, f"a {kind.__name__}")
+
+
+def _decoded(line: bytes | msgspec.Raw, kind: type[T], where: str, expected: str) -> T:
     try:
-        return msgspec.convert(record, kind)
-    except (msgspec.ValidationError, WireError, ValueError) as error:
-        raise InputError(where, found=str(error)[:200], expected=f"a {kind.__name__}") from None
+        return msgspec.json.decode(line, type=kind)
+    except (msgspec.MsgspecError, ValueError, RecursionError, OverflowError) as error:
+        raise InputError(where, found=str(error)[:200] or type(error).__name__, expected=expected) from None
 
 
 class Player:

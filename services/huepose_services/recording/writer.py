@@ -17,8 +17,8 @@ from typing import Any
 import cv2
 import numpy as np
 
-from huepose.evaluation.result_files import write_text
 from huepose.support.errors import InputError
+from huepose.support.files import write_text
 from huepose_protos import to_json
 from huepose_protos.buffers import Array
 from huepose_protos.keys import tail_of

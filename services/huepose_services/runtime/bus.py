@@ -4,17 +4,34 @@ from __future__ import annotations
 
 from typing import Any, TypeVar
 
+import msgspec
 import zenoh
 
 from huepose_protos import WireError, decode, encode
 from huepose_protos.keys import Keys
 from huepose_protos.messages import Message
+from huepose_services.runtime.clock import now_ns
+from huepose_services.runtime.future import check_stamps
 from huepose_services.runtime.health import Health
 from huepose_services.runtime.inbox import Inbox, Queue, Ring
 from huepose_services.runtime.log import Log
+from huepose_services.runtime.one_camera import OneCamera
 
 M = TypeVar("M", bound=Message)
 Place = Ring | Queue
+_FOREIGN_FRAMES = (
+    "frames of a second camera arrive under the key of this one, and are left out: another program publishes "
+    "there; end it, or give its camera another name"
+)
+
+
+class _Epoch(msgspec.Struct):
+    """What has to be known of a frame before it may take the place of another."""
+
+    camera_epoch: int
+
+
+_epoch_decoder = msgspec.msgpack.Decoder(_Epoch)
 
 
 class Bus:
@@ -25,6 +42,20 @@ class Bus:
         self.log, self.health = log, health
         self.inbox = Inbox(session)
         self._publishers: dict[str, zenoh.Publisher] = {}
+        self._camera = OneCamera()
+        self._foreign = (0, 0)
+
+    def frames(self, wakes: bool = True) -> Ring:
+        """The newest frame of the camera; those of a second one beside it are counted and left out."""
+        return self.inbox.ring(self.keys.frame, wakes, self._is_of_the_camera)
+
+    def _is_of_the_camera(self, sample: zenoh.Sample) -> bool:
+        header = b"" if sample.attachment is None else sample.attachment.to_bytes()
+        try:
+            epoch = _epoch_decoder.decode(header).camera_epoch
+        except (msgspec.MsgspecError, RecursionError):
+            return True  # no header at all: refused and counted where it is taken
+        return self._camera.accepts(epoch, now_ns())
 
     def take(self, place: Place, kind: type[M]) -> M | None:
         """The next good message there, or None."""
@@ -36,7 +67,9 @@ class Bus:
 
     def _decoded(self, key: str, data: bytes, kind: type[M]) -> M | None:
         try:
-            return decode(data, kind)
+            message = decode(data, kind)
+            check_stamps(message, now_ns())
+            return message
         except WireError as error:
             self.refuse(key, error)
             return None
@@ -54,7 +87,7 @@ class Bus:
                 continue
             if key == self.keys.frame:
                 self.health.shared_memory = shared
-                self.health.count("frames_by_shared_memory" if shared else "frames_by_tcp")
+                self.health.count("frames_by_shared_memory" if shared else "frames_by_socket")
             return message, payload
         return None
 
@@ -68,7 +101,18 @@ class Bus:
     def say_health(self) -> None:
         """Publish how the worker is."""
         self.health.drops = self.inbox.drops
+        if self._camera.refused:
+            self._say_foreign_frames()
         self.put(self.keys.health(self.worker), self.health.message())
+        self.log.flush()
+
+    def _say_foreign_frames(self) -> None:
+        """A camera that is opened anew has a few before the old one counts as silent; more are no chance."""
+        refused = self._camera.refused
+        self.health.counters["frames_of_another_camera"] = refused
+        go_on = refused > self._foreign[1] > self._foreign[0]
+        self._foreign = (self._foreign[1], refused)
+        self.health.warn_while("foreign frames", _FOREIGN_FRAMES if go_on else None)
 
     def put(self, key: str, message: Message) -> None:
         """Publish a message that may be lost on a reader that does not read, but waits for nobody."""

@@ -16,7 +16,8 @@ from huepose_services.runtime.log import Log, is_log_line
 from huepose_services.runtime.pulse import COMPILING, READY_FD
 from huepose_services.runtime.session import RESTARTS
 from huepose_services.runtime.threads import THREAD_VARIABLES
-from huepose_services.runtime.worker import SUPERVISOR, TELL_WHERE
+from huepose_services.runtime.tied import SUPERVISOR
+from huepose_services.runtime.worker import TELL_WHERE
 
 # What systemd told the supervisor is not meant for its workers.
 _NOT_FOR_WORKERS = ("NOTIFY_SOCKET", "WATCHDOG_USEC", "WATCHDOG_PID", "JOURNAL_STREAM")

@@ -11,6 +11,7 @@ from msgspec import Meta
 from huepose.support.errors import InputError
 from huepose_protos.fields import Name
 from huepose_protos.keys import Keys
+from huepose_protos.local import BASE_PORT, endpoint
 from huepose_services.runtime.config_errors import explain
 from huepose_services.runtime.config_perception import (
     CameraConfig,
@@ -21,6 +22,7 @@ from huepose_services.runtime.config_perception import (
     SegmenterConfig,
     absolute_network,
     absolute_networks,
+    absolute_path,
     check_camera,
     check_detector,
     check_segmenter,
@@ -28,6 +30,7 @@ from huepose_services.runtime.config_perception import (
 from huepose_services.runtime.config_text import read_yaml
 
 DEFAULT_FILE = "pipeline.yaml"
+_MAX_BYTES = 1024 * 1024
 
 WorkerName = Literal["camera", "tracker", "reinit", "detector", "segmenter", "estimator", "gateway", "viewer"]
 # Those that poses need; the others look at them.
@@ -87,6 +90,7 @@ class GatewayConfig(Section, frozen=True, kw_only=True):
     listen: Annotated[str, Meta(pattern=r"^[^/\s]+:\d{1,5}$")] = "127.0.0.1:7447"
     max_rate_hz: Rate = 60.0
     max_sessions: Annotated[int, Meta(ge=1, le=1000)] = 32
+    sessions_per_reader: Annotated[int, Meta(ge=1, le=1000)] = 8
     tls: TlsConfig | None = None
 
 
@@ -101,9 +105,9 @@ class ViewerConfig(Section, frozen=True, kw_only=True):
 
 
 class BusConfig(Section, frozen=True, kw_only=True):
-    """How the workers reach each other, on this machine only."""
+    """How the workers reach each other: by sockets in a folder that only their user can open."""
 
-    base_port: Annotated[int, Meta(ge=1024, le=65_000)] = 17447
+    base_port: Annotated[int, Meta(ge=1024, le=65_000)] = BASE_PORT
     frame_pool_mib: Annotated[float, Meta(ge=0.0, le=1024.0)] = 6.0
 
 
@@ -122,6 +126,7 @@ class Config(Section, frozen=True, kw_only=True):
     site: Name = "local"
     workers: tuple[WorkerName, ...] = CHAIN
     bundles: str | None = None
+    profile: Literal["live", "patient"] = "live"
     objects: list[ObjectConfig] = msgspec.field(default_factory=list)
     camera: CameraConfig = CameraConfig()
     detector: DetectorConfig = DetectorConfig()
@@ -152,22 +157,27 @@ class Config(Section, frozen=True, kw_only=True):
         return learned or self.detector.kind == "yolo" or self.segmenter.kind == "sam"
 
     def port(self, worker: str) -> int:
-        """The loopback port that a worker listens on."""
+        """The port of a worker: the name of its socket."""
         return self.bus.base_port + WORKERS.index(worker)
 
     def endpoint(self, worker: str) -> str:
         """The zenoh endpoint of a worker."""
-        return f"tcp/127.0.0.1:{self.port(worker)}"
+        return endpoint(self.port(worker))
 
 
 def load(path: Path) -> Config:
     """The configuration of a file. Raises InputError that names the key, the value and what is allowed."""
     try:
-        text = path.read_text(encoding="utf-8")
-    except (OSError, UnicodeDecodeError) as error:
+        with path.open("rb") as file:
+            data = file.read(_MAX_BYTES + 1)
+        if len(data) > _MAX_BYTES:
+            raise ValueError(f"over {_MAX_BYTES} bytes")
+        text = data.decode()
+    except (OSError, ValueError) as error:
+        found = "no text" if isinstance(error, UnicodeDecodeError) else str(error)[:200]
         raise InputError(
             f"configuration {path}",
-            found=getattr(error, "strerror", None) or "no text",
+            found=getattr(error, "strerror", None) or found,
             expected="a YAML file that describes a pipeline",
             fix="Give the path of one: huepose up PIPELINE.yaml.",
         ) from None
@@ -181,14 +191,19 @@ def parse(text: str, path: Path) -> Config:
         config = msgspec.convert(data if data is not None else {}, Config)
     except msgspec.ValidationError as error:
         raise explain(error, data, Config, path) from None
-    config = _absolute(config, path.absolute().parent)
+    except RecursionError:
+        raise InputError(f"configuration {path}", found="values within values without an end") from None
+    try:
+        config = _absolute(config, path.absolute().parent)
+    except (RuntimeError, ValueError) as error:
+        raise InputError(f"{path}: a path in it", found=str(error)[:200], expected="a path") from None
     _check(config, path)
     return config
 
 
 def _absolute(config: Config, folder: Path) -> Config:
     def absolute(text: str | None) -> str | None:
-        return None if text is None else str(folder / Path(text).expanduser())
+        return None if text is None else absolute_path(text, folder)
 
     tls = config.gateway.tls
     return msgspec.structs.replace(
@@ -227,8 +242,7 @@ def _check(config: Config, path: Path) -> None:
     if camera.source != "synthetic" and config.bundles is None and (config.uses_models or config.objects):
         expected = f"the folder of your reference models (the source {camera.source} brings none)"
         refuse("bundles", "null", expected, "Make them: huepose onboard MESH --name NAME --out DIR.")
-    builtin = config.bundles is None
-    check_detector(detector, "detector" in config.workers, camera.truth, builtin, names, refuse)
+    check_detector(detector, "detector" in config.workers, camera.truth, names, refuse)
     check_segmenter(config.segmenter, refuse)
     if config.tracker.rotation == "direct" and config.tracker.rotation_model is None:
         fix = "`huepose train rotation --kind direct` makes one."

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import difflib
 import re
+import reprlib
 import types
 import typing
 from pathlib import Path
@@ -32,6 +33,11 @@ _WORDS = (
     (r" < ([\d.]+?)(?:\.0)?$", r" under \1"),
 )
 
+_SHORT = reprlib.Repr()
+_SHORT.maxstring = _SHORT.maxother = 80
+_SHORT.maxlist = _SHORT.maxdict = 8
+_SHORT.maxlevel = 3
+
 
 def explain(error: msgspec.ValidationError, data: Any, config: type, path: Path) -> InputError:
     """The error for a person; `data` is what the file says, `config` the type that it should be."""
@@ -42,7 +48,8 @@ def explain(error: msgspec.ValidationError, data: Any, config: type, path: Path)
     named = unknown or missing
     if named is not None:
         key = named["key"]
-        allowed = [f.name for f in msgspec.structs.fields(_type(config, at))]
+        section = next(part for part in _parts(_type(config, at)) if part is not type(None))
+        allowed = [f.name for f in msgspec.structs.fields(section)]
         close = difflib.get_close_matches(key, allowed, 1)
         return InputError(
             f"{path}: {at}.{key}".replace(": .", ": "),
@@ -100,7 +107,8 @@ def _value(data: Any, at: str) -> Any:
 
 
 def _shown(value: Any) -> str:
-    text = "null" if value is None else repr(value) if isinstance(value, str) else str(value)
+    # Never all of it: aliases make a few lines stand for more than any memory holds.
+    text = "null" if value is None else _SHORT.repr(value)
     return text if len(text) <= 80 else text[:77] + "..."
 
 
@@ -108,6 +116,8 @@ def _type(config: type, at: str) -> Any:
     """The type of what belongs at a path."""
     kind: Any = config
     for step in _steps(at):
+        # A section that may be left out is a union with None.
+        kind = next(part for part in _parts(kind) if part is not type(None))
         if step.startswith("["):
             arguments = typing.get_args(kind)
             kind = arguments[1] if typing.get_origin(kind) is dict else arguments[0]

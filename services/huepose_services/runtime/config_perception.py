@@ -87,18 +87,25 @@ class NetworksConfig(Section, frozen=True, kw_only=True):
     sha256: dict[str, Sha256] = {}
 
 
+def absolute_path(text: str, folder: Path) -> str:
+    """A path that holds anywhere. Raises ValueError or RuntimeError for what can be none."""
+    if "\0" in text:
+        raise ValueError("a character that no path has")
+    return str(folder / Path(text).expanduser())
+
+
 def absolute_network(text: str | None, folder: Path) -> str | None:
     """A network by path, relative to `folder`; a name that `huepose models` knows stays as it is."""
     if text is None or not (text.endswith(".onnx") or "/" in text):
         return text
-    return str(folder / Path(text).expanduser())
+    return absolute_path(text, folder)
 
 
 def absolute_networks(
     detector: DetectorConfig, segmenter: SegmenterConfig, networks: NetworksConfig, folder: Path
 ) -> dict[str, Section]:
     """The three sections with paths that hold anywhere."""
-    cache = networks.cache and str(folder / Path(networks.cache).expanduser())
+    cache = networks.cache and absolute_path(networks.cache, folder)
     return {
         "detector": msgspec.structs.replace(detector, model=absolute_network(detector.model, folder)),
         "segmenter": msgspec.structs.replace(
@@ -129,10 +136,9 @@ def check_camera(camera: CameraConfig, refuse: Refuse) -> None:
 
 
 def check_detector(
-    detector: DetectorConfig, runs: bool, truth: bool, builtin: bool, names: Collection[str], refuse: Refuse
+    detector: DetectorConfig, runs: bool, truth: bool, names: Collection[str], refuse: Refuse
 ) -> None:
-    """The same for the detector; `runs`: whether it is among the workers, `builtin`: whether the objects are
-    those of the built-in scene, `names`: the objects by name."""
+    """The same for the detector; `runs`: whether it is among the workers, `names`: the objects by name."""
     if detector.kind == "truth" and runs and not truth:
         refuse("detector.kind", "truth", "camera.truth: true beside it", "Set camera.truth to true.")
     if detector.kind == "first_box" and not detector.boxes and runs:
@@ -144,7 +150,7 @@ def check_detector(
             refuse(f"detector.boxes.{name}", f"{list(box)}", "[x, y, w, h] with w, h >= 1", "Correct it.")
     if detector.kind != "yolo":
         return
-    if detector.model is None and not builtin:
+    if detector.model is None:
         refuse("detector.model", "null", "an ONNX file, or a name", "`huepose models list` shows the names.")
     for name in detector.classes:
         if names and name not in names:

@@ -37,3 +37,9 @@ def read_yaml(text: str, path: Path) -> Any:
             found=said if twice else f"no valid YAML ({said})",
             expected="each key once" if twice else "",
         ) from None
+    except Exception as error:
+        # Brackets in brackets in brackets; a date that is none; a number of thousands of digits: what YAML
+        # reads it makes into values by Python's own functions, and their errors come through.
+        deep = isinstance(error, RecursionError)
+        found = "values within values without an end" if deep else f"no valid YAML ({error})"[:200]
+        raise InputError(f"configuration {path}", found=found, expected="a pipeline's keys") from None

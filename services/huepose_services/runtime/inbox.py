@@ -9,23 +9,31 @@ from __future__ import annotations
 
 import threading
 from collections import deque
+from collections.abc import Callable
 from typing import Any
 
 import zenoh
 
 _QUEUE_CAPACITY = 4096
+Accepts = Callable[[zenoh.Sample], bool]
 
 
 class Ring:
-    """The newest sample of a subscription; it replaced at least `skipped` others."""
+    """The newest sample of a subscription; it replaced at least `skipped` others. What `accepts` refuses
+    replaces none."""
 
-    def __init__(self, ready: threading.Condition, wakes: bool = True) -> None:
+    def __init__(
+        self, ready: threading.Condition, wakes: bool = True, accepts: Accepts | None = None
+    ) -> None:
         self._ready = ready
         self._wakes = wakes
+        self._accepts = accepts
         self._sample: zenoh.Sample | None = None
         self.skipped = 0
 
     def _put(self, sample: zenoh.Sample) -> None:
+        if self._accepts is not None and not self._accepts(sample):
+            return
         with self._ready:
             self.skipped += self._sample is not None
             self._sample = sample
@@ -79,10 +87,13 @@ class Inbox:
         self._ready = threading.Condition()
         self._subscriptions: dict[Ring | Queue, tuple[Any, threading.Thread]] = {}
 
-    def ring(self, key: str, wakes: bool = True) -> Ring:
-        """Subscribe for the newest only; `wakes` False: the loop need not look at it when it arrives."""
-        ring = Ring(self._ready, wakes)
-        self._start(self._session.declare_subscriber(key, zenoh.handlers.RingChannel(1)), ring)
+    def ring(self, key: str, wakes: bool = True, accepts: Accepts | None = None) -> Ring:
+        """Subscribe for the newest only; `wakes` False: the loop need not look at it when it arrives;
+        `accepts`: called in the subscription's thread with each, None for all."""
+        ring = Ring(self._ready, wakes, accepts)
+        # Room for one that is refused beside one that counts.
+        channel: Any = zenoh.handlers.RingChannel(1 if accepts is None else 2)
+        self._start(self._session.declare_subscriber(key, channel), ring)
         return ring
 
     def queue(self, key: str, wakes: bool = True) -> Queue:

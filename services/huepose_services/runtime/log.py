@@ -14,6 +14,8 @@ import time
 from functools import cache
 from typing import Literal, TextIO
 
+from huepose_services.runtime.repeats import Repeats
+
 Level = Literal["info", "warn", "error"]
 _JOURNAL = {"info": "<6>", "warn": "<4>", "error": "<3>"}
 _OWN_LINE = re.compile(r'\d\d:\d\d:\d\d\.\d{3} (info |warn |error) |\{"time": ')
@@ -24,8 +26,8 @@ class Log:
 
     def __init__(self, worker: str, out: TextIO | None = None) -> None:
         self._worker, self._out = worker, out
-        self._last: dict[str, float] = {}
-        self._held: dict[str, int] = {}
+        self._repeats = Repeats()
+        self._levels: dict[str, Level] = {}
 
     def say(self, text: str, level: Level = "info") -> None:
         """Write a line; each line of a longer text gets the same beginning."""
@@ -42,14 +44,19 @@ class Log:
         self.say(text, "error")
 
     def seldom(self, kind: str, text: str, every_s: float = 1.0, level: Level = "warn") -> None:
-        """Write a line of a kind at most once in a while, saying how many were held back."""
-        now = time.monotonic()
-        if now - self._last.get(kind, -1e9) < every_s:
-            self._held[kind] = self._held.get(kind, 0) + 1
-            return
-        held = self._held.pop(kind, 0)
-        self._last[kind] = now
-        self.say(text + (f" ({held} more like it before)" if held else ""), level)
+        """Write a line of a kind, the more seldom the more often it comes, with how many were held back;
+        every_s: from the first line to the second at least."""
+        self._levels[kind] = level
+        self._write(kind, self._repeats.offer(kind, text, time.monotonic(), every_s))
+
+    def flush(self) -> None:
+        """Write the number of lines that are held back and have waited long enough; to be called often."""
+        for kind, text in self._repeats.due(time.monotonic()):
+            self._write(kind, text)
+
+    def _write(self, kind: str, text: str | None) -> None:
+        if text is not None:
+            self.say(text, self._levels[kind])
 
 
 class StateChanges:

@@ -2,14 +2,11 @@
 
 from __future__ import annotations
 
-import errno
-import socket
 from importlib import import_module
 
-from huepose.datasets.shapes import demo_objects
 from huepose.support.errors import InputError
-from huepose_services.builtin import builtin_bundles
 from huepose_services.runtime.config import Config
+from huepose_services.runtime.run_folder import is_taken, make_folder
 from huepose_services.runtime.running import occupant
 
 
@@ -18,7 +15,9 @@ def prepare(config: Config) -> None:
     check(config)
     check_ports(config)
     if config.bundles is None and config.uses_models:
-        builtin_bundles(config.camera.seed)
+        from huepose_services.builtin import builtin_bundles
+
+        builtin_bundles(config.camera.seed, config.estimator.method != "full")
     if config.camera.source == "synthetic" and "camera" in config.workers:
         import_module("huepose_services.camera.synthetic").open_source(config)
 
@@ -41,6 +40,8 @@ def check(config: Config) -> None:
 
 
 def _check_builtin(config: Config) -> None:
+    from huepose.scenes.shapes import demo_objects
+
     known = demo_objects(config.camera.seed)
     for item in config.objects:
         if item.name not in known:
@@ -69,15 +70,12 @@ def _unknown(config: Config, name: str) -> None:
 
 def check_ports(config: Config) -> None:
     """Raises InputError when a worker's port is taken."""
+    folder = make_folder()
     for worker in config.workers:
-        with socket.socket() as probe:
-            probe.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
-            try:
-                probe.bind(("127.0.0.1", config.port(worker)))
-            except OSError as error:
-                raise InputError(
-                    f"port {config.port(worker)} of worker {worker}",
-                    found=occupant(config, worker) if error.errno == errno.EADDRINUSE else str(error),
-                    expected="a free port on 127.0.0.1",
-                    fix="Stop the other pipeline, or set bus.base_port in the configuration.",
-                ) from None
+        if is_taken(folder, config.port(worker)):
+            raise InputError(
+                f"port {config.port(worker)} of worker {worker}",
+                found=occupant(config, worker),
+                expected=f"that nobody listens there (in {folder})",
+                fix="Stop the other pipeline, or set bus.base_port in the configuration.",
+            )

@@ -7,7 +7,6 @@ whose process is gone is ignored and removed.
 from __future__ import annotations
 
 import os
-import tempfile
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
@@ -15,7 +14,9 @@ from pathlib import Path
 import msgspec
 
 from huepose.support.errors import InputError
+from huepose_protos.local import endpoint, run_folder
 from huepose_services.runtime.config import DEFAULT_FILE, WORKERS, Config, load
+from huepose_services.runtime.run_folder import is_private, known_folders, make_folder
 
 
 class Pipeline(msgspec.Struct, frozen=True, kw_only=True):
@@ -26,6 +27,8 @@ class Pipeline(msgspec.Struct, frozen=True, kw_only=True):
     camera: str = "*"
     workers: tuple[str, ...] = ()
     file: str = ""
+    folder: str = ""
+    """Where its sockets are; empty: in the folder of whoever looks."""
 
     @property
     def name(self) -> str:
@@ -35,7 +38,7 @@ class Pipeline(msgspec.Struct, frozen=True, kw_only=True):
     @property
     def endpoints(self) -> list[str]:
         """Where its workers listen, if they run."""
-        return [f"tcp/127.0.0.1:{self.base_port + place}" for place in range(len(WORKERS))]
+        return [endpoint(self.base_port + place, self.folder) for place in range(len(WORKERS))]
 
     def key(self, tail: str) -> str:
         """A key, or an expression for it, of this pipeline."""
@@ -53,53 +56,39 @@ def described(config: Config, path: Path) -> Pipeline:
     )
 
 
-def _folder() -> Path:
-    base = os.environ.get("XDG_RUNTIME_DIR")
-    return Path(base) / "huepose" if base else Path(tempfile.gettempdir()) / f"huepose-{os.getuid()}"
-
-
-def _is_mine(folder: Path) -> bool:
-    try:
-        status = folder.lstat()
-    except OSError:
-        return False
-    return folder.is_dir() and status.st_uid == os.getuid() and not status.st_mode & 0o022
-
-
 @contextmanager
 def noted(pipeline: Pipeline) -> Iterator[None]:
     """While a pipeline runs in this process. Without a folder to write, nobody finds it: that is all."""
-    folder = _folder()
+    folder = run_folder()
     note = folder / f"{os.getpid()}.json"
-    with suppress(OSError):
-        folder.mkdir(mode=0o700, parents=True, exist_ok=True)
-        if _is_mine(folder):
-            # A reader sees all of it or nothing.
-            fresh = note.with_suffix(".new")
-            fresh.write_bytes(msgspec.json.encode(pipeline))
-            fresh.replace(note)
+    with suppress(OSError, InputError):
+        make_folder()
+        # A reader sees all of it or nothing.
+        fresh = note.with_suffix(".new")
+        fresh.write_bytes(
+            msgspec.json.encode(msgspec.structs.replace(pipeline, folder=str(folder.absolute())))
+        )
+        fresh.replace(note)
     try:
         yield
     finally:
-        if _is_mine(folder):
+        if is_private(folder):
             note.unlink(missing_ok=True)
 
 
 def running(without_this: bool = False) -> list[Pipeline]:
     """The pipelines that run now, each once; perhaps without what this process has noted."""
-    folder = _folder()
-    if not _is_mine(folder):
-        return []
     found = {}
-    for note in sorted(folder.glob("*.json")):
+    for note in [note for folder in known_folders() for note in sorted(folder.glob("*.json"))]:
         if not note.stem.isdigit() or not _runs(int(note.stem)):
-            note.unlink(missing_ok=True)
+            with suppress(OSError):
+                note.unlink(missing_ok=True)
             continue
         if without_this and int(note.stem) == os.getpid():
             continue
         with suppress(OSError, msgspec.MsgspecError):
             pipeline = msgspec.json.decode(note.read_bytes(), type=Pipeline)
-            found[pipeline.base_port, pipeline.name] = pipeline
+            found[pipeline.folder, pipeline.base_port, pipeline.name] = pipeline
     return list(found.values())
 
 
@@ -117,9 +106,12 @@ def pick(path: Path | None = None, which: str | None = None) -> Pipeline:
 
     which: SITE/CAMERA, or one of the two, or the first port. Raises InputError where several run and it is
     not said which one, or none is the one that was said."""
-    if path is not None:
-        return described(load(path), path)
     found = running()
+    if path is not None:
+        wanted = described(load(path), path)
+        same = [p for p in found if (p.base_port, p.name) == (wanted.base_port, wanted.name)]
+        # It may run in a folder that is not this user's.
+        return msgspec.structs.replace(wanted, folder=same[0].folder) if same else wanted
     if which is not None:
         meant = [p for p in found if which in (p.name, p.site, p.camera, str(p.base_port))]
         if not meant:

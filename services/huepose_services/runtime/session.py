@@ -1,4 +1,5 @@
-"""The zenoh session of a worker: peers on loopback, explicit endpoints, shared memory where it is safe.
+"""The zenoh session of a worker: peers by sockets that only their user can open, explicit endpoints, shared
+memory where it is safe.
 
 A worker listens on its own port and connects to the workers before it in the list, so there is one link
 for each pair and each may start, die and come back at any time. Only the camera makes a pool of shared
@@ -17,6 +18,7 @@ import zenoh
 
 from huepose.support.errors import InputError
 from huepose_services.runtime.config import WORKERS, Config
+from huepose_services.runtime.run_folder import make_folder
 from huepose_services.runtime.running import occupant
 
 RESTARTS = "HUEPOSE_RESTARTS"
@@ -105,14 +107,16 @@ def open_worker_session(config: Config, worker: str) -> tuple[zenoh.Session, lis
         shared = False
         warnings.append(
             f"shared memory is off: frames need {(pool + _POOL_OVERHEAD) // 1024} KiB of locked memory, "
-            f"the limit (ulimit -l) is {(limit or 0) // 1024} KiB; frames go by TCP"
+            f"the limit (ulimit -l) is {(limit or 0) // 1024} KiB; frames go by the socket"
         )
     elif shared and worker == "camera" and not pool_fits(pool, limit, 1 + restarts()):
         shared = False
         warnings.append(
             f"shared memory is off after {restarts()} restarts: readers keep the old pools locked, and the "
-            f"limit (ulimit -l) of {(limit or 0) // 1024} KiB has no room for another; frames go by TCP"
+            f"limit (ulimit -l) of {(limit or 0) // 1024} KiB has no room for another; frames go by "
+            "the socket"
         )
+    make_folder()
     before = WORKERS[: WORKERS.index(worker)]
     settings = zenoh_config(
         [config.endpoint(worker)],
@@ -126,13 +130,13 @@ def open_worker_session(config: Config, worker: str) -> tuple[zenoh.Session, lis
         raise InputError(
             f"port {config.port(worker)} of worker {worker}",
             found=_holder(config, worker, error),
-            expected="a free port on 127.0.0.1",
+            expected="that nobody listens there",
             fix="Stop the other pipeline, or set bus.base_port in the configuration.",
         ) from None
 
 
 def _holder(config: Config, worker: str, error: zenoh.ZError) -> str:
-    return occupant(config, worker) if "in use" in str(error) else " ".join(str(error).split())[:200]
+    return occupant(config, worker) if "acquire lock" in str(error) else " ".join(str(error).split())[:200]
 
 
 def open_reader_session(endpoints: Sequence[str]) -> zenoh.Session:
@@ -143,12 +147,13 @@ def open_reader_session(endpoints: Sequence[str]) -> zenoh.Session:
 def open_player_session(config: Config) -> zenoh.Session:
     """A session in the place of a whole pipeline: it listens on the ports of all of its workers, so that who
     looks for one of them finds it. Raises InputError when one of them is taken."""
+    make_folder()
     try:
         return zenoh.open(zenoh_config([config.endpoint(worker) for worker in config.workers], []))
     except zenoh.ZError as error:
         raise InputError(
             f"ports from {config.bus.base_port}",
             found=_holder(config, config.workers[0], error),
-            expected="free ports on 127.0.0.1",
+            expected="that nobody listens there",
             fix="Stop the other pipeline, or give --config with another bus.base_port.",
         ) from None

@@ -1,7 +1,6 @@
 """One worker process: open the session, make the work, then wait, step and say how it is, until told to stop.
 
-A worker under a supervisor finds two variables: HUEPOSE_READY_FD, the pipe of its pulse, and
-HUEPOSE_SUPERVISOR, the process that it must not outlive. Under systemd the pulse is READY=1 and WATCHDOG=1.
+Under a supervisor the pulse goes through a pipe, under systemd it is READY=1 and WATCHDOG=1.
 """
 
 from __future__ import annotations
@@ -28,7 +27,6 @@ from huepose_services.runtime.log import Log
 from huepose_services.runtime.pulse import Pulse
 from huepose_services.runtime.session import open_worker_session
 
-SUPERVISOR = "HUEPOSE_SUPERVISOR"
 TELL_WHERE = signal.SIGUSR2
 
 _HOMES = {
@@ -129,7 +127,6 @@ def run_worker(worker: str, config: Config) -> int:
 
 
 def _loop(bus: Bus, work: Work, stop: _Stop, pulse: Pulse) -> None:
-    supervisor = int(os.environ.get(SUPERVISOR, 0))
     errors = 0
     next_health_ns = now_ns()
     said_ready = False
@@ -158,9 +155,6 @@ def _loop(bus: Bus, work: Work, stop: _Stop, pulse: Pulse) -> None:
         if now_ns() >= next_health_ns:
             next_health_ns = max(next_health_ns + SECOND, now_ns())
             bus.say_health()
-            if supervisor and os.getppid() != supervisor:
-                bus.log.warn("the supervisor is gone: stopping")
-                return
 
 
 def _close(bus: Bus, session: zenoh.Session) -> None:

@@ -54,7 +54,7 @@ class ViewerWork:
         self._period_ns = int(SECOND / image_rate_hz)
         keys, inbox = bus.keys, bus.inbox
         # Frames wake nobody: they are looked at when the next picture is due.
-        self._frames = inbox.ring(keys.frame, wakes=False)
+        self._frames = bus.frames(wakes=False)
         self._poses = inbox.queue(keys.poses)
         self._live = inbox.liveliness(keys.live())
         self._next_picture_ns = now_ns()

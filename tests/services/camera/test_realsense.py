@@ -10,6 +10,7 @@ import pytest
 
 from huepose.support.errors import InputError
 from huepose_protos.client import Reader
+from huepose_protos.local import endpoint
 from huepose_protos.messages import CameraMessage, HealthMessage
 from huepose_services.camera import realsense
 from huepose_services.camera.live import CameraError
@@ -157,7 +158,7 @@ def test_the_camera_worker_publishes_a_recording_and_says_what_the_camera_is(
 ):
     path = pipeline(**_device(path=str(recording), device={"width": WIDTH, "height": HEIGHT}))
     process = huepose("run", "camera", path)
-    with Reader([f"tcp/127.0.0.1:{base_port}"], "huepose/*/*/camera") as reader:
+    with Reader([endpoint(base_port)], "huepose/*/*/camera") as reader:
         info = reader.next(30.0)
     assert isinstance(info, CameraMessage), process.poll()
     assert (info.intrinsics.fx, info.intrinsics.width) == (FOCAL, WIDTH)
@@ -172,7 +173,7 @@ def test_the_camera_worker_says_that_no_camera_is_there(pipeline, huepose, base_
         status = ""
         while not status.startswith("STATUS=RealSense"):
             status = systemd.recv(4096).decode()
-    with Reader([f"tcp/127.0.0.1:{base_port}"], "huepose/*/*/health/*") as reader:
+    with Reader([endpoint(base_port)], "huepose/*/*/health/*") as reader:
         deadline = time.monotonic() + 30.0
         while time.monotonic() < deadline:
             health = reader.next(5.0)

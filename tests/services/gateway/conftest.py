@@ -54,7 +54,7 @@ class Running:
     def stop_gateway(self):
         self._stopping.set()
         self._thread.join()
-        self.work._outside.close()
+        self.work.close()
         self.gateway.close()
         self.gateway.session.close()
 

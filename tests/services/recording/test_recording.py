@@ -13,6 +13,7 @@ from huepose.support.errors import InputError
 from huepose_protos.buffers import frame_images, pack
 from huepose_protos.client import Reader
 from huepose_protos.examples import messages
+from huepose_protos.local import endpoint
 from huepose_protos.messages import FrameHeader, HealthMessage, PoseMessage, TruthMessage
 from huepose_services.cli.main import main
 from huepose_services.recording.replay import Recording
@@ -109,13 +110,29 @@ def test_a_full_disk_is_an_error_that_leaves_what_was_committed(tmp_path, monkey
 
 @pytest.mark.parametrize(
     ("line", "reason"),
-    [("nonsense\n", "a JSON object"), ('{"object": "x"}\n', "PoseMessage"), ("[]\n", "a JSON object")],
+    [
+        (b"nonsense\n", "a PoseMessage"),
+        (b'{"object": "x"}\n', "a PoseMessage"),
+        (b"[]\n", "a PoseMessage"),
+        (b"\xff\xfe{}\n", "a PoseMessage"),
+        (b"[" * 100_000 + b"\n", "a PoseMessage"),
+        (b'{"quality": ' + b"9" * 10_000 + b"}\n", "a PoseMessage"),
+        (b" " * 5_000_000 + b"\n", "over 4194304 bytes"),
+    ],
 )
 def test_what_is_no_recording_is_refused_with_its_line(tmp_path, line, reason):
-    (tmp_path / "poses.jsonl").write_text(line)
+    (tmp_path / "poses.jsonl").write_bytes(line)
     with pytest.raises(InputError, match=r"poses.jsonl, line 1.*") as error:
         Recording(tmp_path)
     assert reason in str(error.value)
+
+
+@pytest.mark.parametrize("key", ["health/../frame", "health/**", "", "health//camera", "Health/camera"])
+def test_a_message_under_what_is_no_key_is_refused(tmp_path, key):
+    (tmp_path / "poses.jsonl").write_text("")
+    (tmp_path / "messages.jsonl").write_text(json.dumps({"key": key, "message": {}}) + "\n")
+    with pytest.raises(InputError, match=r"messages.jsonl, line 1"):
+        Recording(tmp_path)
 
 
 def test_a_last_line_without_an_end_is_passed_over(tmp_path):
@@ -152,7 +169,7 @@ def test_a_camera_is_recorded_and_replayed(pipeline, scene, huepose, base_port, 
     assert taken.labelled
 
     before = {number: signal.getsignal(number) for number in (signal.SIGINT, signal.SIGTERM)}
-    with Reader([f"tcp/127.0.0.1:{base_port}"], "huepose/*/*/health/*") as reader:
+    with Reader([endpoint(base_port)], "huepose/*/*/health/*") as reader:
         assert main(["replay", str(out), "--config", str(path), "--speed", "20"]) == 0
         assert reader.next(5.0).worker == "camera"
     for number, handler in before.items():

@@ -4,8 +4,8 @@ import msgspec
 import numpy as np
 import pytest
 
-from huepose.datasets.shapes import demo_objects
 from huepose.geometry import Camera, se3
+from huepose.scenes.shapes import demo_objects
 from huepose_protos.examples import images, messages
 from huepose_protos.messages import FrameHeader, PoseMessage
 from huepose_services.viewer.shapes import Body, axes, cloud, depth_range, drawable, outlines

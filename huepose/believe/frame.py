@@ -1,0 +1,76 @@
+"""That a pose in a frame is right: one logistic in what the judge sees at it, without any mask.
+
+`frame_fit.json` holds the weights, as fitted on poses that tracking reached on drawn sequences.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping
+from dataclasses import dataclass
+from functools import cache
+from importlib import resources
+
+from huepose.judge.open_region import BLIND
+from huepose.judge.terms import Terms
+
+SLACK, HIDDEN_SLACK = 0.25, 0.3
+"""Of the judge's total: so much less than its baseline is usual, and more where something is in front."""
+
+PLAIN = 4.0
+"""Contrast (opponent units) at which half of the colour that there could be is texture."""
+
+FEW = 0.1
+"""Share of the surface seen in colour that counts half."""
+
+
+LEAST_THERE, ABSENT = 0.1, 5.0
+"""With less of the surface there than this share nothing speaks for a pose: so many log-odds less where none
+is."""
+
+MARGIN = 0.15
+"""Share of the surface that a pose with little to see explains less, as in the judge's terms."""
+
+
+def features(terms: Terms, baseline: float | None) -> dict[str, float]:
+    """What speaks for a pose (the larger, the more), by name. baseline: the total that is usual for it, or
+    None."""
+    heard = terms.colored / (terms.colored + FEW)
+    # Where no colour is seen it is not known how much there would be.
+    possible = terms.contrast / (terms.contrast + PLAIN) if terms.contrast > 0.0 else 1.0
+    drop = 0.0
+    if baseline is not None:
+        drop = max(0.0, baseline - terms.total - SLACK - HIDDEN_SLACK * terms.hidden)
+    there = _there(terms)
+    through = terms.through * (terms.seen + MARGIN) / max(1.0 - terms.through, 1e-6)
+    return {
+        "explained": there / (there + through + MARGIN),
+        "color": -max(possible - heard * terms.color, 0.0),
+        "no_drop": -drop,
+    }
+
+
+@dataclass(frozen=True)
+class FrameFit:
+    """constant, factors: of the log-odds, a factor for each of `features`."""
+
+    constant: float
+    factors: Mapping[str, float]
+
+    def log_odds(self, terms: Terms, baseline: float | None) -> float:
+        """That the pose is right, with nothing known beforehand."""
+        known = features(terms, baseline)
+        x = self.constant + sum(factor * known[name] for name, factor in self.factors.items())
+        return x - ABSENT * (1.0 - min(_there(terms) / LEAST_THERE, 1.0))
+
+
+def _there(terms: Terms) -> float:
+    """Share of the surface that depth, or where there is none, colour, says is there."""
+    return terms.seen + BLIND * terms.blind
+
+
+@cache
+def frame_fit() -> FrameFit:
+    """The calibrated weights."""
+    text = resources.files("huepose.believe").joinpath("frame_fit.json").read_text()
+    return FrameFit(**json.loads(text))

@@ -1,0 +1,190 @@
+"""How far a pose may be trusted: a probability that it is right.
+
+Quality is the product of three probabilities: that it is this print that is seen and not another one on such
+a shape, that it is this size, and that the pose is right then. The last one is a choice: the chance that any
+of the poses that were found is right is shared out by their scores, so that a near-tie is published as one,
+each pose with its probability. Whether an object is there at all is a question of its own, which decides
+whether anything is said to be found. `quality_fits.json` holds the numbers, as fitted on drawn scenes
+(`studies.quality`).
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping
+from dataclasses import dataclass
+from functools import cache
+from importlib import resources
+from typing import Any
+
+import numpy as np
+
+from huepose.geometry.arrays import Float64
+
+
+@dataclass(frozen=True)
+class FeatureLimits:
+    """Beyond which a term says nothing more. Part of the fit: another value needs a new one
+    (`studies.quality`). Origin: chosen before the fit.
+
+    margin: of the totals, to the next other pose; also that of a pose without any other. size: of the scale
+    residual, for whether it is this size. near_size: of the same, for whether the object is there at all: so
+    much may come of what is not the object's among the points. tie: gaps of totals much smaller than this are
+    ties, in which chance has put one answer first.
+    """
+
+    margin: float = 0.3
+    size: float = 0.15
+    near_size: float = 0.05
+    tie: float = 0.02
+
+
+LIMITS = FeatureLimits()
+
+
+@dataclass(frozen=True)
+class QualityTerms:
+    """What quality is a function of. total: score of the pose; gaps: how much less the other answers score,
+    best first; color, box_iou, depth_fit, coverage, violation, occluded, seen: terms of its dense score (see
+    `judge.terms.Terms`); missing, foreign, detail, turned: see `print_evidence.PrintEvidence`;
+    stretch: by how much the depth would have the object larger (see `size_evidence`); pixels: of the image
+    that are believed to show the object; otherwise: share of the contrasts at the model's pairs that point in
+    another colour (see `judge.contrast_disagreement`); agreed: what those that agree say (see
+    `judge.pair_agreement`)."""
+
+    total: float
+    gaps: tuple[float, ...]
+    color: float
+    box_iou: float
+    depth_fit: float
+    coverage: float
+    violation: float
+    occluded: float
+    seen: float
+    missing: float
+    foreign: float
+    detail: float
+    stretch: float
+    pixels: float
+    turned: float
+    otherwise: float
+    agreed: float
+
+    @property
+    def margin(self) -> float:
+        """To the best other answer, at most LIMITS.margin, which it also is where there is no other."""
+        return min(max(self.gaps[0], 0.0), LIMITS.margin) if self.gaps else LIMITS.margin
+
+
+@dataclass(frozen=True)
+class Logistic:
+    """A probability: logistic in a constant plus a factor times each feature."""
+
+    constant: float
+    factors: Mapping[str, float]
+
+    def __call__(self, known: Mapping[str, float]) -> float:
+        """In 0..1, of features by name."""
+        x = self.constant + sum(factor * known[name] for name, factor in self.factors.items())
+        return float(1.0 / (1.0 + np.exp(-min(max(x, -30.0), 30.0))))
+
+
+@dataclass(frozen=True)
+class QualityFit:
+    """presence: that the object is there, in whatever print; this_print, this_size: that it is not another
+    print or another size of it; listed: that one of the poses is right. They share it by exp(-sharpness x
+    gap), where sharpness is a constant and a factor times each feature, all but the best lowered further, by
+    exp(-handicap) where they are clearly behind and by nothing where they are not (`behind`). level: the
+    quality over which 99 % of the poses of the calibration scenes were right; found: the presence under which
+    nothing is there."""
+
+    presence: Logistic
+    this_print: Logistic
+    this_size: Logistic
+    listed: Logistic
+    sharpness: Mapping[str, float]
+    handicap: float
+    level: float
+    found: float
+
+    def probabilities(self, terms: QualityTerms) -> Float64:
+        """Of the pose and of each other answer (1 + K,), that it is the right one; at most 1 in sum."""
+        known = features(terms)
+        known["constant"] = 1.0
+        sharpness = sum(factor * max(known[name], 0.0) for name, factor in self.sharpness.items())
+        one_of_them = self.this_print(known) * self.this_size(known) * self.listed(known)
+        return np.asarray(one_of_them * shares(terms, sharpness, self.handicap))
+
+    def present(self, terms: QualityTerms) -> float:
+        """Probability in 0..1 that the object is here at all."""
+        return self.presence(features(terms))
+
+
+def shares(terms: QualityTerms, sharpness: float, handicap: float) -> Float64:
+    """How the pose and the other answers share what there is (1 + K,), 1 in sum.
+
+    >>> from dataclasses import replace
+    >>> tied = QualityTerms(2.0, (0.0,), 0.6, 0.9, 0.9, 0.9, 0.0, 0.0, 0.9, 0.1, 9.0, 0.5, 0.0, 4000, 0, 0, 1)
+    >>> shares(tied, 40.0, 1.0).tolist()
+    [0.5, 0.5]
+    >>> shares(replace(tied, gaps=(0.1, 0.3)), 40.0, 0.0).round(3).tolist()
+    [0.982, 0.018, 0.0]
+    """
+    gaps = np.maximum(np.array(terms.gaps), 0.0)
+    weight = np.exp(-sharpness * gaps - handicap * behind(gaps))
+    every = np.concatenate([[1.0], weight])
+    return np.asarray(every / every.sum())
+
+
+def behind(gaps: Float64) -> Float64:
+    """How far answers with these gaps, of any shape, are behind at all: 0 for a tie, 1 for a clear second."""
+    return np.asarray(np.tanh(gaps / LIMITS.tie))
+
+
+def features(terms: QualityTerms) -> dict[str, float]:
+    """The terms in the form in which they enter a logit: the larger, the surer, for every one of them."""
+    return {
+        "margin": terms.margin,
+        "total": terms.total,
+        "color": terms.color,
+        "box_iou": terms.box_iou,
+        "depth_fit": terms.depth_fit,
+        "coverage": terms.coverage,
+        "no_violation": 1.0 - terms.violation,
+        "not_occluded": 1.0 - terms.occluded,
+        "seen": terms.seen,
+        "print_complete": 1.0 - terms.missing,
+        "nothing_foreign": 1.0 - terms.foreign / 25.0,
+        "detail": terms.detail,
+        "detail_seen": max(terms.detail, 0.0) * float(np.sqrt(terms.pixels / 1000.0)),
+        "same_hues": 1.0 - terms.turned,
+        "same_way": 1.0 - terms.otherwise,
+        "agreed": terms.agreed,
+        "same_size": -min(abs(terms.stretch), LIMITS.size),
+        "near_size": -min(abs(terms.stretch), LIMITS.near_size),
+        "size": float(np.log10(max(terms.pixels, 1.0))),
+    }
+
+
+def fit_of(entry: Mapping[str, Any]) -> QualityFit:
+    """The fit that an entry of `quality_fits.json` describes."""
+    logistics = {name: Logistic(**entry[name]) for name in ("presence", "this_print", "this_size", "listed")}
+    return QualityFit(**{**entry, **logistics})
+
+
+@cache
+def quality_fits() -> dict[str, QualityFit]:
+    """The calibrated fits by method."""
+    text = resources.files("huepose.believe").joinpath("quality_fits.json").read_text()
+    return {method: fit_of(entry) for method, entry in json.loads(text).items()}
+
+
+def quality(method: str, terms: QualityTerms) -> float:
+    """Probability in 0..1 that a pose of this method is right.
+
+    >>> sure = QualityTerms(2.4, (0.3, 0.5), 0.6, 0.9, 0.9, 0.9, 0, 0.1, 0.9, 0.1, 9, 0.5, 0, 4000, 0, 0, 1)
+    >>> doubtful = QualityTerms(1.3, (0.01,), 0.2, 0.5, 0.5, 0.4, 0.2, 0, 0.4, 0.4, 20, 0.1, 0, 500, 0, 1, 0)
+    >>> quality("full", sure) > 0.9 > 0.3 > quality("full", doubtful)
+    True
+    """
+    return float(quality_fits()[method].probabilities(terms)[0])

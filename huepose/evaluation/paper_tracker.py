@@ -1,0 +1,104 @@
+"""The paper's tracker as the tracking protocol asks for it: frames in, poses out, late poses in between.
+
+It has no states and no confidence: what it follows is published as `TRACKING` with quality 1. A pose that
+comes late replaces the one at its frame, and the motions since then carry it to now, as ROFT does; the paper
+says no more of it than that its tracker is run by ROFT's protocol.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+
+from huepose.geometry.arrays import Bool, Float64
+from huepose.geometry.frame import RgbdFrame
+from huepose.model.types import ReferenceModel
+from huepose.paper.tracking import PaperStep
+from huepose.support.stages import stage
+from huepose.tracking.history import PoseHistory
+from huepose.tracking.types import Applied, Correction, State, TrackedPose, Verdict
+
+HISTORY_NS = 2_000_000_000
+"""How far back late poses are taken."""
+
+Key = tuple[str, int]
+
+
+@dataclass(eq=False)
+class _Followed:
+    """One instance: its poses at the frames so far, and its mask in the newest where one was given."""
+
+    history: PoseHistory = field(default_factory=PoseHistory)
+    mask: Bool | None = None
+    applied_seq: int = 0
+
+
+class PaperTracker:
+    """Follows instances of known objects through the frames of one camera, as the paper does."""
+
+    def __init__(self, models: Mapping[str, ReferenceModel], step: PaperStep | None = None) -> None:
+        self._models = dict(models)
+        self._step = step or PaperStep.shipped()
+        self._followed: dict[Key, _Followed] = {}
+        self._waiting: list[Correction] = []
+        self._last: RgbdFrame | None = None
+
+    def correct(self, correction: Correction) -> Applied:
+        """Take a pose for a past frame, or for the one that comes next."""
+        if self._last is None or correction.stamp_ns > self._last.stamp_ns:
+            self._waiting.append(correction)
+            return Applied.CATCHING_UP
+        followed = self._followed.get((correction.object, correction.instance))
+        if followed is None or not _replayable(followed.history, correction.stamp_ns):
+            return Applied.REFUSED_OLD
+        if correction.verdict in (Verdict.ACQUIRE, Verdict.CORRECT):
+            followed.history.replay(correction.stamp_ns, correction.T_cam_obj)
+        followed.applied_seq = max(followed.applied_seq, correction.seq)
+        return Applied.APPLIED
+
+    def step(self, frame: RgbdFrame) -> list[TrackedPose]:
+        """Follow everything to a new frame."""
+        with stage("follow"):
+            for key, followed in self._followed.items():
+                followed.history.append(frame.frame_id, frame.stamp_ns, self._moved(key, followed, frame))
+                followed.history.forget_before(frame.stamp_ns - HISTORY_NS)
+                followed.mask = None
+        self._last = frame
+        due = [c for c in self._waiting if c.stamp_ns <= frame.stamp_ns]
+        self._waiting = [c for c in self._waiting if c.stamp_ns > frame.stamp_ns]
+        for correction in due:
+            self._start(correction, frame)
+        return [self._published(key, f, frame) for key, f in sorted(self._followed.items())]
+
+    def _moved(self, key: Key, followed: _Followed, frame: RgbdFrame) -> Float64 | None:
+        newest = followed.history.newest
+        if newest is None or newest.T_cam_obj is None or self._last is None:
+            return None
+        return self._step(self._models[key[0]], newest.T_cam_obj, self._last, frame, followed.mask)
+
+    def _start(self, correction: Correction, frame: RgbdFrame) -> None:
+        """An instance begins, or begins anew, at this frame."""
+        followed = _Followed(mask=correction.mask, applied_seq=correction.seq)
+        followed.history.append(frame.frame_id, frame.stamp_ns, correction.T_cam_obj)
+        self._followed[correction.object, correction.instance] = followed
+
+    def _published(self, key: Key, followed: _Followed, frame: RgbdFrame) -> TrackedPose:
+        newest = followed.history.newest
+        T = None if newest is None else newest.T_cam_obj
+        return TrackedPose(
+            object=key[0],
+            instance=key[1],
+            epoch=frame.epoch,
+            frame_id=frame.frame_id,
+            stamp_ns=frame.stamp_ns,
+            state=State.LOST if T is None else State.TRACKING,
+            T_cam_obj=T,
+            velocity=None,
+            quality=0.0 if T is None else 1.0,
+            covariance=None,
+            applied_correction_seq=followed.applied_seq,
+        )
+
+
+def _replayable(history: PoseHistory, stamp_ns: int) -> bool:
+    return history.at(stamp_ns) is not None and history.unbroken_since(stamp_ns)

@@ -1,0 +1,142 @@
+"""Do the print and the picture agree in colour, whatever the light? A correlation from sums over samples."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from huepose.geometry.arrays import Float64
+from huepose.judge.arrays import RegionArrays
+from huepose.support.jit import jit_dividing
+
+SHADING_RIDGE = 0.03
+"""Keeps the fit of lightness to normals small where normals hardly vary (variance of a normal's
+component)."""
+
+
+PLAIN = 4.0
+"""Contrast (opponent units) that counts as none: so much is added to the sum of the channels' weights, and of
+that share the mean colour decides where the light is known."""
+
+LIGHT_SIGMA = (14.0, 7.0, 7.0)
+"""Opponent units by which the mean colour of a known object in known light may be off: shading, mostly."""
+
+
+@jit_dividing
+def color_agreement(
+    samples: Float64, count: int, weight: float, weights: Float64, region: RegionArrays, seen: Float64
+) -> float:
+    """Correlation of texture and image over channels and scales, each weighted by how much print there is.
+
+    samples (20 or more, N): of the first `count` columns rows 4..6 the normal, 7 the weight (sum `weight`),
+    8..13 the texture's colours at both scales, 14..19 the image's.
+
+    Lightness is compared after what the surface's normals explain of it is taken off both sides (shading by
+    distant lights is linear in the normal). PLAIN added to the sum of weights lowers the colour of objects
+    without texture; where the light is known, their mean colour makes up for it. seen (4,) gets the contrast
+    of the texture in view and the mean colour of the image less that of the texture: the light's.
+    """
+    lightness, coarse, floor = weights[6], weights[7], weights[9]
+    n0, n1, n2, a00, a11, a22, a01, a02, a12 = _spread_of_normals(samples, count, weight)
+    # Cholesky factor of the ridged spread, once for all four right sides.
+    l00 = np.sqrt(a00 + SHADING_RIDGE)
+    l10, l20 = a01 / l00, a02 / l00
+    l11 = np.sqrt(a11 + SHADING_RIDGE - l10 * l10)
+    l21 = (a12 - l20 * l10) / l11
+    l22 = np.sqrt(a22 + SHADING_RIDGE - l20 * l20 - l21 * l21)
+    total, total_weight, off = 0.0, PLAIN, 0.0
+    for q in range(6):
+        s_m, s_i, s_mm, s_ii, s_mi = 0.0, 0.0, 0.0, 0.0, 0.0
+        for k in range(count):
+            g, m, i = samples[7, k], samples[8 + q, k], samples[14 + q, k]
+            gm, gi = g * m, g * i
+            s_m += gm
+            s_i += gi
+            s_mm += gm * m
+            s_ii += gi * i
+            s_mi += gm * i
+        mean_m, mean_i = s_m / weight, s_i / weight
+        var_m = s_mm / weight - mean_m * mean_m
+        var_i = s_ii / weight - mean_i * mean_i
+        covariance = s_mi / weight - mean_m * mean_i
+        if q < 3:
+            seen[1 + q] = mean_i - mean_m
+            off += ((mean_i - mean_m - region.light[q]) / LIGHT_SIGMA[q]) ** 2
+        w = 1.0 if q < 3 else coarse
+        if q % 3 == 0:
+            w *= lightness
+            m0, m1, m2, i0, i1, i2 = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
+            for k in range(count):
+                gm, gi = samples[7, k] * samples[8 + q, k], samples[7, k] * samples[14 + q, k]
+                m0 += gm * samples[4, k]
+                m1 += gm * samples[5, k]
+                m2 += gm * samples[6, k]
+                i0 += gi * samples[4, k]
+                i1 += gi * samples[5, k]
+                i2 += gi * samples[6, k]
+            m0, m1, m2 = m0 / weight - n0 * mean_m, m1 / weight - n1 * mean_m, m2 / weight - n2 * mean_m
+            i0, i1, i2 = i0 / weight - n0 * mean_i, i1 / weight - n1 * mean_i, i2 / weight - n2 * mean_i
+            # Slopes of both lightnesses over the normal.
+            f0 = m0 / l00
+            f1 = (m1 - l10 * f0) / l11
+            x2 = (m2 - l20 * f0 - l21 * f1) / l22 / l22
+            x1 = (f1 - l21 * x2) / l11
+            x0 = (f0 - l10 * x1 - l20 * x2) / l00
+            f0 = i0 / l00
+            f1 = (i1 - l10 * f0) / l11
+            y2 = (i2 - l20 * f0 - l21 * f1) / l22 / l22
+            y1 = (f1 - l21 * y2) / l11
+            y0 = (f0 - l10 * y1 - l20 * y2) / l00
+            ax0, ax1, ax2 = (
+                a00 * x0 + a01 * x1 + a02 * x2,
+                a01 * x0 + a11 * x1 + a12 * x2,
+                a02 * x0 + a12 * x1 + a22 * x2,
+            )
+            ay0, ay1, ay2 = (
+                a00 * y0 + a01 * y1 + a02 * y2,
+                a01 * y0 + a11 * y1 + a12 * y2,
+                a02 * y0 + a12 * y1 + a22 * y2,
+            )
+            var_m += x0 * (ax0 - 2.0 * m0) + x1 * (ax1 - 2.0 * m1) + x2 * (ax2 - 2.0 * m2)
+            var_i += y0 * (ay0 - 2.0 * i0) + y1 * (ay1 - 2.0 * i1) + y2 * (ay2 - 2.0 * i2)
+            covariance += x0 * (ay0 - i0) + x1 * (ay1 - i1) + x2 * (ay2 - i2)
+            covariance -= y0 * m0 + y1 * m1 + y2 * m2
+        var_m, var_i = max(var_m, 0.0), max(var_i, 0.0)
+        w *= np.sqrt(var_m)
+        total += w * covariance / (np.sqrt(var_m * var_i) + floor)
+        total_weight += w
+    seen[0] = total_weight - PLAIN
+    if region.lit:
+        total += PLAIN * np.exp(-0.5 * off)
+    return float(total / total_weight)
+
+
+@jit_dividing
+def _spread_of_normals(
+    samples: Float64, count: int, weight: float
+) -> tuple[float, float, float, float, float, float, float, float, float]:
+    """Weighted mean of the normals, and their covariance: 00, 11, 22, 01, 02, 12."""
+    n0, n1, n2, a00, a11, a22, a01, a02, a12 = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
+    for k in range(count):
+        g, x, y, z = samples[7, k], samples[4, k], samples[5, k], samples[6, k]
+        gx, gy, gz = g * x, g * y, g * z
+        n0 += gx
+        n1 += gy
+        n2 += gz
+        a00 += gx * x
+        a11 += gy * y
+        a22 += gz * z
+        a01 += gx * y
+        a02 += gx * z
+        a12 += gy * z
+    n0, n1, n2 = n0 / weight, n1 / weight, n2 / weight
+    return (
+        n0,
+        n1,
+        n2,
+        a00 / weight - n0 * n0,
+        a11 / weight - n1 * n1,
+        a22 / weight - n2 * n2,
+        a01 / weight - n0 * n1,
+        a02 / weight - n0 * n2,
+        a12 / weight - n1 * n2,
+    )

@@ -1,0 +1,285 @@
+"""The dense score of one pose, compiled: what `dense` describes, in three passes over the visible samples.
+
+The first places all samples, the second compares them with depth and reads the picture's colours where it
+fits, the third sums. Each pass is a plain loop over rows of a scratch array, which the compiler does several
+samples at a time. Whoever only asks whether a pose is better than another is answered as soon as it is not.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from huepose.geometry.arrays import Float64
+from huepose.judge.arrays import ModelArrays, RegionArrays, nearest_view
+from huepose.judge.color_correlation import color_agreement
+from huepose.support.jit import jit_dividing
+
+TERMS = 17
+"""Length of the kernel's output: the fields of `terms.Terms` in order."""
+
+SCRATCH_ROWS = 23
+"""Rows of the kernel's scratch. Of all samples: 0 facing, 1..2 pixel, 3 depth, 4..6 normal in camera axes. Of
+those that fit, moved up: 4..6 the normal, 7 weight, 8..13 the print's colours, 14..19 the picture's, 20 the
+sample, 21..22 pixel."""
+
+STICKING = 3.0
+"""A surface less than so many tolerances behind what is seen does not stand behind it but sticks in it, which
+solid things do not: a pose may not hide by sinking into its support or its neighbour."""
+
+SUNK = 0.5
+"""What it counts to stick in something, beside 1 for being seen through."""
+
+
+BLOCK = 64
+"""Believed points that are looked at before it is asked whether that is enough."""
+
+
+@jit_dividing
+def score_kernel(
+    T: Float64,
+    model: ModelArrays,
+    region: RegionArrays,
+    samples: int,
+    weights: Float64,
+    scratch: Float64,
+    out: Float64,
+    needed: float,
+) -> float:
+    """Judge one pose; `scratch` (SCRATCH_ROWS, samples), `out` (TERMS,) gets the terms, the total is
+    returned.
+
+    A pose whose total cannot be over `needed` may be left half judged: then some number that is at least its
+    total and not over `needed` is returned, and `out` says nothing.
+    """
+    w_fit, w_coverage, w_violation, w_color = weights[0], weights[1], weights[2], weights[3]
+    w_occluded, w_box, w_outside = weights[4], weights[5], weights[8]
+    depth, belief, saturated = region.depth, region.belief, region.saturated
+    height, width = depth.shape
+    tolerance = region.tolerance
+    fit, near, violation, occluded, total, color_weight = 0.0, 0.0, 0.0, 0.0, 1e-9, 0.0
+    through, hidden, blind, outside, colored = 0.0, 0.0, 0.0, 0.0, 0.0
+    left, top, right, bottom = 1e9, 1e9, -1e9, -1e9
+
+    view = nearest_view(T, model)
+    first = model.offsets[view]
+    seen = min(model.offsets[view + 1] - first, samples)
+    _place(T, model, region, first, seen, scratch)
+    fitting = 0
+    for k in range(seen):
+        facing = scratch[0, k]
+        if facing < 0.1:
+            continue
+        total += facing
+        uf, vf, z = scratch[1, k], scratch[2, k], scratch[3, k]
+        if uf < -0.5 or vf < -0.5 or uf >= width - 0.5 or vf >= height - 0.5:
+            outside += facing
+            continue
+        u, v = int(uf + 0.5), int(vf + 0.5)
+        observed = depth[v, u]
+        # Distance along the ray, measured across the surface: slanted surfaces forgive more.
+        gap = (observed - z) * facing
+        fits = abs(gap) < tolerance
+        if observed == 0.0 or fits:
+            left, right, top, bottom = min(left, uf), max(right, uf), min(top, vf), max(bottom, vf)
+        if observed == 0.0:
+            blind += facing
+            if region.blind == 0.0:
+                continue
+        if fits or observed == 0.0:
+            g = facing * (w_outside + (1.0 - w_outside) * belief[v, u])
+            if fits:
+                fit += g * (1.0 - (gap / tolerance) ** 2)
+                near += facing
+            else:
+                g *= region.blind
+            if saturated[v, u]:
+                continue
+            color_weight += g
+            colored += facing if fits else region.blind * facing
+            scratch[4, fitting], scratch[5, fitting] = scratch[4, k], scratch[5, k]
+            scratch[6, fitting], scratch[7, fitting] = scratch[6, k], g
+            scratch[20, fitting], scratch[21, fitting], scratch[22, fitting] = (
+                model.visible[first + k],
+                uf,
+                vf,
+            )
+            fitting += 1
+        elif gap > 0.0:
+            violation += facing  # We see through the model.
+            through += facing
+        else:
+            # What is in front hides the object, unless it is believed to be the object itself, or the object
+            # would stick in it.
+            hidden += facing
+            sticks = gap > -STICKING * tolerance
+            violation += facing * (SUNK if sticks else region.hides * belief[v, u])
+            occluded += facing * (1.0 - belief[v, u])
+
+    out[1] = fit / (near + violation + 0.15 * total)
+    out[3] = violation / (near + violation + 0.15 * total)
+    out[5] = occluded / total
+    out[6] = near / total
+    out[7] = _box_iou(left, top, right, bottom, region.bounds)
+    out[8] = through / (near + through + 0.15 * total)
+    out[9] = hidden / total
+    out[10] = blind / total
+    out[11] = outside / total
+    out[12], out[13], out[14], out[15] = 0.0, 0.0, 0.0, 0.0
+    out[16] = colored / total
+    known = w_fit * out[1] - w_violation * out[3] - w_occluded * out[5] + w_box * out[7]
+    full_coverage, full_color = max(w_coverage * region.trust, 0.0), abs(w_color)
+    if known + full_coverage + full_color <= needed:
+        return float(known + full_coverage + full_color)
+    has_color = w_color != 0.0 and color_weight > 0.02 * total
+    out[4] = 0.0
+    if has_color:
+        _read_colors(model, region, fitting, scratch)
+        out[4] = color_agreement(scratch, fitting, color_weight, weights, region, out[12:])
+    known += w_color * out[4]
+    if known + full_coverage <= needed:
+        return float(known + full_coverage)
+    enough = (needed - known) / full_coverage if full_coverage > 0.0 else -np.inf
+    out[2] = _coverage(T, model, region, enough, scratch)
+    out[0] = known + w_coverage * region.trust * out[2]
+    return float(out[0])
+
+
+@jit_dividing
+def _place(
+    T: Float64, model: ModelArrays, region: RegionArrays, first: int, count: int, scratch: Float64
+) -> None:
+    """Facing (0 behind the camera), pixel, depth and normal of the visible samples of a view; in plain loops
+    over few rows each, since the compiler gives up on more."""
+    # Flat and without a sign, so that the compiler need not think of indices counted from the end.
+    points, normals, visible = model.points.ravel(), model.normals.ravel(), model.visible
+    r00, r01, r02, r10, r11, r12 = T[0, 0], T[0, 1], T[0, 2], T[1, 0], T[1, 1], T[1, 2]
+    r20, r21, r22, t0, t1, t2 = T[2, 0], T[2, 1], T[2, 2], T[0, 3], T[1, 3], T[2, 3]
+    fx, fy, cx, cy = region.fx, region.fy, region.cx, region.cy
+    one, two, start = np.uint64(1), np.uint64(2), np.uint64(first)
+    facing, u, v, depth = scratch[0], scratch[1], scratch[2], scratch[3]
+    m0, m1, m2 = scratch[4], scratch[5], scratch[6]
+    for k in range(np.uint64(count)):
+        i = np.uint64(3 * visible[start + k])
+        u[k], v[k], depth[k] = points[i], points[i + one], points[i + two]
+        m0[k], m1[k], m2[k] = normals[i], normals[i + one], normals[i + two]
+    for k in range(count):
+        s0, s1, s2 = u[k], v[k], depth[k]
+        u[k] = r00 * s0 + r01 * s1 + r02 * s2 + t0
+        v[k] = r10 * s0 + r11 * s1 + r12 * s2 + t1
+        depth[k] = r20 * s0 + r21 * s1 + r22 * s2 + t2
+    for k in range(count):
+        n0, n1, n2 = m0[k], m1[k], m2[k]
+        m0[k] = r00 * n0 + r01 * n1 + r02 * n2
+        m1[k] = r10 * n0 + r11 * n1 + r12 * n2
+        m2[k] = r20 * n0 + r21 * n1 + r22 * n2
+    for k in range(count):
+        x, y, z = u[k], v[k], depth[k]
+        cosine = -(m0[k] * x + m1[k] * y + m2[k] * z) / np.sqrt(x * x + y * y + z * z)
+        facing[k] = cosine if z >= 0.02 else 0.0
+    for k in range(count):
+        inverse = 1.0 / depth[k]
+        u[k] = u[k] * inverse * fx + cx
+        v[k] = v[k] * inverse * fy + cy
+
+
+@jit_dividing
+def _read_colors(model: ModelArrays, region: RegionArrays, count: int, scratch: Float64) -> None:
+    """Colours of the print, and of the picture between its pixels, of the samples that fit."""
+    height, width = region.depth.shape
+    # Flat and without a sign, so that the compiler need not think of indices counted from the end.
+    fine, coarse = model.colors[region.finest].ravel(), model.colors[region.finest + 1].ravel()
+    colors = region.colors.ravel()
+    channels = np.uint64(region.colors.shape[2])
+    first, below = np.uint64(3 * region.finest), channels * np.uint64(width)
+    for k in range(count):
+        uf, vf = scratch[21, k], scratch[22, k]
+        u0, v0 = min(max(int(uf), 0), width - 2), min(max(int(vf), 0), height - 2)
+        a, b = min(max(uf - u0, 0.0), 1.0), min(max(vf - v0, 0.0), 1.0)
+        c00, c01 = np.float32((1.0 - a) * (1.0 - b)), np.float32(a * (1.0 - b))
+        c10, c11 = np.float32((1.0 - a) * b), np.float32(a * b)
+        i = np.uint64(3 * int(scratch[20, k]))
+        p = channels * np.uint64(v0 * width + u0) + first
+        for q in range(np.uint64(3)):
+            scratch[8 + q, k] = fine[i + q]
+            scratch[11 + q, k] = coarse[i + q]
+        for q in range(np.uint64(6)):
+            upper = c00 * colors[p + q] + c01 * colors[p + q + channels]
+            lower = c10 * colors[p + q + below] + c11 * colors[p + q + below + channels]
+            scratch[14 + q, k] = upper + lower
+
+
+@jit_dividing
+def _coverage(T: Float64, model: ModelArrays, region: RegionArrays, enough: float, scratch: Float64) -> float:
+    """Share of the believed points that lie on the side of the surface which the camera sees; where it cannot
+    be over `enough`, some number between. `scratch` has 11 rows or more."""
+    point_weights = region.point_weights
+    total = 1e-9
+    for i in range(point_weights.shape[0]):
+        total += point_weights[i]
+    # What the points may lose altogether before the answer cannot be over `enough`.
+    spare = total * (1.0 - enough + 1e-9)
+    lost = 0.0
+    block = min(BLOCK, scratch.shape[1])
+    for first in range(0, point_weights.shape[0], block):
+        if lost > spare:
+            break
+        count = min(block, point_weights.shape[0] - first)
+        lost += _lost(T, model, region, first, count, scratch)
+    return float((total - lost) / total)
+
+
+@jit_dividing
+def _lost(
+    T: Float64, model: ModelArrays, region: RegionArrays, first: int, count: int, scratch: Float64
+) -> float:
+    """How much of the weight of some of the believed points does not lie on the surface."""
+    points_cam, point_weights, tolerance = region.points_cam.ravel(), region.point_weights, region.tolerance
+    points, normals, cells = model.points.ravel(), model.normals.ravel(), model.nearest.ravel()
+    o0, o1, o2, scale = model.origin[0], model.origin[1], model.origin[2], 1.0 / model.step
+    d0, d1, d2 = model.nearest.shape
+    r00, r01, r02, r10, r11, r12 = T[0, 0], T[0, 1], T[0, 2], T[1, 0], T[1, 1], T[1, 2]
+    r20, r21, r22, t0, t1, t2 = T[2, 0], T[2, 1], T[2, 2], T[0, 3], T[1, 3], T[2, 3]
+    one, two, three, start = np.uint64(1), np.uint64(2), np.uint64(3), np.uint64(first)
+    p0, p1, p2, place, given = scratch[0], scratch[1], scratch[2], scratch[3], scratch[4]
+    s0, s1, s2, m0, m1, m2 = scratch[5], scratch[6], scratch[7], scratch[8], scratch[9], scratch[10]
+    for k in range(np.uint64(count)):
+        i = three * (start + k)
+        x, y, z = points_cam[i] - t0, points_cam[i + one] - t1, points_cam[i + two] - t2
+        p0[k] = r00 * x + r10 * y + r20 * z
+        p1[k] = r01 * x + r11 * y + r21 * z
+        p2[k] = r02 * x + r12 * y + r22 * z
+    for k in range(np.uint64(count)):
+        f0, f1, f2 = (p0[k] - o0) * scale + 0.5, (p1[k] - o1) * scale + 0.5, (p2[k] - o2) * scale + 0.5
+        inside = (f0 >= 0.0) & (f1 >= 0.0) & (f2 >= 0.0) & (f0 < d0) & (f1 < d1) & (f2 < d2)
+        cell = np.floor(f0) * (d1 * d2) + np.floor(f1) * d2 + np.floor(f2)
+        place[k] = cell if inside else 0.0
+        given[k] = point_weights[start + k] if inside else 0.0
+    for k in range(count):
+        j = np.uint64(3 * cells[np.uint64(place[k])])
+        s0[k], s1[k], s2[k] = points[j], points[j + one], points[j + two]
+        m0[k], m1[k], m2[k] = normals[j], normals[j + one], normals[j + two]
+    # The camera's place in object axes is -eye.
+    eye0 = r00 * t0 + r10 * t1 + r20 * t2
+    eye1 = r01 * t0 + r11 * t1 + r21 * t2
+    eye2 = r02 * t0 + r12 * t1 + r22 * t2
+    reach2, sharpness = 9.0 * tolerance * tolerance, 1.0 / (tolerance * tolerance)
+    weight, kept = 0.0, 0.0
+    for k in range(count):
+        n0, n1, n2 = m0[k], m1[k], m2[k]
+        e0, e1, e2 = p0[k] - s0[k], p1[k] - s1[k], p2[k] - s2[k]
+        gap = e0 * n0 + e1 * n1 + e2 * n2
+        shown = n0 * (p0[k] + eye0) + n1 * (p1[k] + eye1) + n2 * (p2[k] + eye2) <= 0.0
+        near = (abs(gap) < tolerance) & (e0 * e0 + e1 * e1 + e2 * e2 < reach2)
+        kept += given[k] * (1.0 - gap * gap * sharpness) if shown & near else 0.0
+        weight += point_weights[first + k]
+    return weight - kept
+
+
+@jit_dividing
+def _box_iou(left: float, top: float, right: float, bottom: float, bounds: Float64) -> float:
+    w = min(right, bounds[2]) - max(left, bounds[0])
+    h = min(bottom, bounds[3]) - max(top, bounds[1])
+    if w <= 0.0 or h <= 0.0:
+        return 0.0
+    area = (right - left) * (bottom - top) + (bounds[2] - bounds[0]) * (bounds[3] - bounds[1])
+    return float(w * h / (area - w * h))

@@ -1,0 +1,87 @@
+"""Does the picture have an edge where the object ends? The outline of a pose against the image's gradients.
+
+Thin and far objects have hardly any depth of their own, and what they have is that of their surroundings as
+much as theirs; their outline in colour is sharp all the same. Only the direction of a gradient counts fully:
+noise and clutter have strong ones, but rarely along the rim (LINEMOD's observation, Hinterstoisser et al.
+2012).
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import cv2
+import numpy as np
+
+from huepose.colorpair.opponents import opponents_of_bytes
+from huepose.geometry.arrays import Float32, Float64, UInt8
+from huepose.judge.arrays import RegionArrays
+from huepose.support.jit import jit_dividing
+
+SMOOTHING_PX = 1.0
+FAINT = 3.0
+"""Gradient (opponent units a pixel) that counts half: fainter ones are noise."""
+
+REACH_PX = 1
+HIDDEN = 1.5
+"""Depth in front of the rim by so many tolerances hides it."""
+
+PRIOR, PRIOR_COUNT = 0.35, 10.0
+"""What a rim in no place in particular agrees, and how many points say so before any is looked at."""
+
+
+class Rim(NamedTuple):
+    """points (N, 3): of the outline, object axes; inward (N, 3): from there to where one pixel further inside
+    is, object axes; edges (h, w, 3): structure tensor of the picture, xx, xy, yy; weight: of the agreement in
+    a total, 0 where there is no rim."""
+
+    points: Float64
+    inward: Float64
+    edges: Float32
+    weight: float
+
+
+NO_RIM = Rim(np.zeros((0, 3)), np.zeros((0, 3)), np.zeros((1, 1, 3), np.float32), 0.0)
+
+
+def edge_tensor(color: UInt8) -> Float32:
+    """Structure tensor (h, w, 3), as xx, xy, yy, of a picture's opponents, summed over the channels."""
+    smooth = cv2.GaussianBlur(opponents_of_bytes(color), (0, 0), SMOOTHING_PX)
+    x = cv2.Sobel(smooth, cv2.CV_32F, 1, 0, ksize=3, scale=1 / 8)
+    y = cv2.Sobel(smooth, cv2.CV_32F, 0, 1, ksize=3, scale=1 / 8)
+    tensor = np.stack([(x * x).sum(-1), (x * y).sum(-1), (y * y).sum(-1)], axis=-1)
+    return np.ascontiguousarray(tensor, dtype=np.float32)
+
+
+@jit_dividing
+def rim_agreement(T: Float64, rim: Rim, region: RegionArrays) -> float:
+    """How well the picture's gradients run across the outline of a pose, 0..1, hidden parts left out."""
+    height, width = region.depth.shape
+    total, count = PRIOR * PRIOR_COUNT, PRIOR_COUNT
+    for i in range(rim.points.shape[0]):
+        p0, p1, p2 = rim.points[i, 0], rim.points[i, 1], rim.points[i, 2]
+        z = T[2, 0] * p0 + T[2, 1] * p1 + T[2, 2] * p2 + T[2, 3]
+        if z < 0.02:
+            continue
+        u = (T[0, 0] * p0 + T[0, 1] * p1 + T[0, 2] * p2 + T[0, 3]) / z * region.fx + region.cx
+        v = (T[1, 0] * p0 + T[1, 1] * p1 + T[1, 2] * p2 + T[1, 3]) / z * region.fy + region.cy
+        if u < 1.5 or v < 1.5 or u >= width - 2.5 or v >= height - 2.5:
+            continue
+        observed = region.depth[int(v + 0.5), int(u + 0.5)]
+        if observed > 0.0 and observed < z - HIDDEN * region.tolerance:
+            continue
+        q0, q1, q2 = rim.inward[i, 0], rim.inward[i, 1], rim.inward[i, 2]
+        x = T[0, 0] * q0 + T[0, 1] * q1 + T[0, 2] * q2
+        y = T[1, 0] * q0 + T[1, 1] * q1 + T[1, 2] * q2
+        length = np.sqrt(x * x + y * y) + 1e-12
+        x, y = x / length, y / length
+        best = 0.0
+        for k in range(-REACH_PX, REACH_PX + 1):
+            a, b = int(u + k * x + 0.5), int(v + k * y + 0.5)
+            xx, xy, yy = rim.edges[b, a, 0], rim.edges[b, a, 1], rim.edges[b, a, 2]
+            strength = np.sqrt(xx + yy) + 1e-6
+            across = (xx * x * x + 2.0 * xy * x * y + yy * y * y) / (strength * (strength + FAINT))
+            best = max(best, across)
+        total += best
+        count += 1.0
+    return float(total / count)

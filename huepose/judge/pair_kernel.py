@@ -1,0 +1,207 @@
+"""The score of one pose by colour pairs, compiled: what `pairs` describes.
+
+Sums over the visible pairs are read off the picture in one pass, and two correlations follow from the sums.
+Whoever only asks whether a pose is better than another is answered as soon as it is not.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+
+from huepose.geometry.arrays import Float32, Float64
+from huepose.judge.arrays import ModelArrays, RegionArrays
+from huepose.judge.kernel import SCRATCH_ROWS, TERMS, score_kernel
+from huepose.support.jit import jit
+
+PAIR_TERMS = 4
+
+MIN_FACING = 0.25
+
+
+class PairArrays(NamedTuple):
+    """The model's pairs as kernels read them, spread evenly over the database."""
+
+    points: Float32
+    normals: Float32
+    tangents: Float32
+    colors: Float32
+    reach: float
+
+
+class PairPicture(NamedTuple):
+    """A crop's colours at the scale at which pairs are compared: colors (h, w, 3) float32 opponents; su,
+    sv: pixels of the crop for one of these, so that (u, v) of the crop is ((u + 0.5) / su - 0.5, ...)
+    here."""
+
+    colors: Float32
+    su: float
+    sv: float
+
+
+class Judged(NamedTuple):
+    """What a pose is judged on. samples: most of the surface that are looked at; geometry, weights: of the
+    dense score's terms and of the pairs'."""
+
+    model: ModelArrays
+    region: RegionArrays
+    samples: int
+    geometry: Float64
+    pairs: PairArrays
+    picture: PairPicture
+    weights: Float64
+
+
+class Room(NamedTuple):
+    """Scratch of the kernel, and `out` (5,), which gets the terms of the last pose."""
+
+    moments: Float64
+    rows: Float64
+    terms: Float64
+    out: Float64
+
+
+def scratch(samples: int) -> Room:
+    """Room for the kernel."""
+    return Room(
+        np.empty((6, 5)), np.empty((SCRATCH_ROWS, samples)), np.empty(TERMS), np.empty(PAIR_TERMS + 1)
+    )
+
+
+@jit
+def pair_kernel(T: Float64, on: Judged, room: Room, needed: float) -> float:
+    """Judge one pose: the total is returned, the terms stand in the room's `out`.
+
+    A pose whose total cannot be over `needed` may be left half judged: then some number that is at least its
+    total and not over `needed` is returned, and `out` says nothing.
+    """
+    moments, out, weights = room.moments, room.out, on.weights
+    moments[:] = 0.0
+    visible = _read_pairs(T, on.region, on.pairs, on.picture, moments)
+    few = visible / (visible + weights[5])
+    color = few * _correlation(moments, 0, weights)
+    contrast = few * _correlation(moments, 3, weights)
+    colors = weights[0] * color + weights[1] * contrast
+    # What geometry has to give; the slack is more than rounding.
+    enough = needed - colors - 1e-9
+    geometry = score_kernel(T, on.model, on.region, on.samples, on.geometry, room.rows, room.terms, enough)
+    out[0] = geometry + colors
+    out[1] = geometry
+    out[2] = color
+    out[3] = contrast
+    out[4] = visible
+    return float(out[0])
+
+
+@jit
+def read_pair(
+    T: Float64, i: int, region: RegionArrays, pairs: PairArrays, picture: PairPicture, read: Float64
+) -> float:
+    """Read the picture on both sides of pair `i` into `read` (2, 3); returns how far the surface faces the
+    camera there, or 0 for a pair that is not to be seen."""
+    points, normals, tangents = pairs.points, pairs.normals, pairs.tangents
+    depth, shown = region.depth, picture.colors
+    height, width = depth.shape
+    rows, columns = shown.shape[0], shown.shape[1]
+    r00, r01, r02, r10, r11, r12 = T[0, 0], T[0, 1], T[0, 2], T[1, 0], T[1, 1], T[1, 2]
+    r20, r21, r22, t0, t1, t2 = T[2, 0], T[2, 1], T[2, 2], T[0, 3], T[1, 3], T[2, 3]
+    p0, p1, p2 = points[i, 0], points[i, 1], points[i, 2]
+    n0, n1, n2 = normals[i, 0], normals[i, 1], normals[i, 2]
+    x = r00 * p0 + r01 * p1 + r02 * p2 + t0
+    y = r10 * p0 + r11 * p1 + r12 * p2 + t1
+    z = r20 * p0 + r21 * p1 + r22 * p2 + t2
+    if z < 0.02:
+        return 0.0
+    away = (
+        (r00 * n0 + r01 * n1 + r02 * n2) * x
+        + (r10 * n0 + r11 * n1 + r12 * n2) * y
+        + (r20 * n0 + r21 * n1 + r22 * n2) * z
+    )
+    facing = -away / np.sqrt(x * x + y * y + z * z)
+    if facing < MIN_FACING:
+        return 0.0
+    uf, vf = x / z * region.fx + region.cx, y / z * region.fy + region.cy
+    if uf < 0.0 or vf < 0.0 or uf > width - 1.0 or vf > height - 1.0:
+        return 0.0
+    observed = depth[int(vf + 0.5), int(uf + 0.5)]
+    if observed <= 0.0 or abs(observed - z) * facing > region.tolerance:
+        return 0.0
+    q0, q1, q2 = tangents[i, 0] * pairs.reach, tangents[i, 1] * pairs.reach, tangents[i, 2] * pairs.reach
+    s0 = r00 * q0 + r01 * q1 + r02 * q2
+    s1 = r10 * q0 + r11 * q1 + r12 * q2
+    s2 = r20 * q0 + r21 * q1 + r22 * q2
+    for side in range(2):
+        sign = -1.0 if side == 0 else 1.0
+        w = z + sign * s2
+        uf = (x + sign * s0) / w * region.fx + region.cx
+        vf = (y + sign * s1) / w * region.fy + region.cy
+        if uf < 0.0 or vf < 0.0 or uf > width - 1.0 or vf > height - 1.0:
+            return 0.0
+        if region.saturated[int(vf + 0.5), int(uf + 0.5)]:
+            return 0.0
+        uf = (uf + 0.5) / picture.su - 0.5
+        vf = (vf + 0.5) / picture.sv - 0.5
+        u, v = min(max(int(uf), 0), columns - 2), min(max(int(vf), 0), rows - 2)
+        a, b = min(max(uf - u, 0.0), 1.0), min(max(vf - v, 0.0), 1.0)
+        c00, c01, c10, c11 = (1 - a) * (1 - b), a * (1 - b), (1 - a) * b, a * b
+        for c in range(3):
+            read[side, c] = (
+                c00 * shown[v, u, c]
+                + c01 * shown[v, u + 1, c]
+                + c10 * shown[v + 1, u, c]
+                + c11 * shown[v + 1, u + 1, c]
+            )
+    return float(facing)
+
+
+@jit
+def _read_pairs(
+    T: Float64, region: RegionArrays, pairs: PairArrays, picture: PairPicture, moments: Float64
+) -> int:
+    """Sums over the visible pairs into `moments` (6, 5): rows 0..2 of both sides' channels (weight, model,
+    image and so on as below), rows 3..5 of the differences between the sides. Returns how many were
+    visible."""
+    colors, read = pairs.colors, np.empty((2, 3))
+    visible = 0
+    for i in range(pairs.points.shape[0]):
+        facing = read_pair(T, i, region, pairs, picture, read)
+        if facing == 0.0:
+            continue
+        visible += 1
+        for c in range(3):
+            for side in range(2):
+                m, s = colors[i, side, c], read[side, c]
+                moments[c, 0] += facing * m
+                moments[c, 1] += facing * s
+                moments[c, 2] += facing * m * m
+                moments[c, 3] += facing * s * s
+                moments[c, 4] += facing * m * s
+            m, s = colors[i, 1, c] - colors[i, 0, c], read[1, c] - read[0, c]
+            moments[3 + c, 0] += facing  # the sum of weights: differences have no mean to take off
+            moments[3 + c, 2] += facing * m * m
+            moments[3 + c, 3] += facing * s * s
+            moments[3 + c, 4] += facing * m * s
+    return visible
+
+
+@jit
+def _correlation(moments: Float64, first: int, weights: Float64) -> float:
+    """Correlation over the three channels from row `first` on, each weighted by how much the model varies."""
+    count = moments[3, 0]
+    if count <= 0.0:
+        return 0.0
+    readings = 2.0 * count if first == 0 else count
+    total, total_weight = 0.0, weights[4]
+    for c in range(3):
+        q = first + c
+        mean_m, mean_s = 0.0, 0.0
+        if first == 0:
+            mean_m, mean_s = moments[q, 0] / readings, moments[q, 1] / readings
+        var_m = max(moments[q, 2] / readings - mean_m * mean_m, 0.0)
+        var_s = max(moments[q, 3] / readings - mean_s * mean_s, 0.0)
+        covariance = moments[q, 4] / readings - mean_m * mean_s
+        w = (weights[2] if c == 0 else 1.0) * np.sqrt(var_m)
+        total += w * covariance / (np.sqrt(var_m * var_s) + weights[3])
+        total_weight += w
+    return float(total / total_weight)

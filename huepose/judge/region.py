@@ -1,0 +1,252 @@
+"""What judging a pose needs of a frame: a crop round the object, its colours smoothed at two scales.
+
+A region is a crop seen through one mask, or through several candidate masks at once, each believed a little.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+
+from huepose.colorpair.opponents import DARKEST, SCALE, linear_rgb
+from huepose.geometry.arrays import Bool, Float32, Float64, Int64, UInt8
+from huepose.geometry.box import Box
+from huepose.geometry.camera import Camera
+from huepose.geometry.frame import RgbdFrame
+from huepose.support.jit import jit_dividing
+
+COLOR_SCALES_M = (0.0010, 0.0035)
+"""Standard deviations of the two smoothings, as in `Surface.lab`."""
+
+SATURATED = 250
+"""A channel at or over this says nothing of the colour any more."""
+
+HALVED_FROM_PX = 2.0
+"""Smoothing from which half the resolution will do."""
+
+OUTSIDE_WEIGHT = 0.02
+MASK_POINTS = 500
+
+HIDES = 0.5
+"""What it counts against a pose that it lies behind something that is believed to be the object itself, as
+far as it is believed; as much as if one saw through half of it."""
+
+_LINEAR = linear_rgb(np.arange(256, dtype=np.uint8))
+
+
+@dataclass(frozen=True, eq=False)
+class Crop:
+    """A part of a frame. camera: of the crop; x0, y0: its top-left pixel in the frame; color (h, w, 3) uint8
+    RGB; depth (h, w) float32 metres; saturated (h, w) bool."""
+
+    camera: Camera
+    x0: int
+    y0: int
+    color: UInt8
+    depth: Float32
+    saturated: Bool
+
+
+@dataclass(frozen=True, eq=False)
+class Region:
+    """A crop seen through what is believed to show the object.
+
+    belief (h, w) float32: how likely a pixel shows the object, 0 where it has no depth (with a single mask:
+    1 on it); mask (h, w): belief over a half of its largest; colors (h, w, 6) float32: opponents smoothed
+    over about 1 mm, then over 3.5 mm, inside the mask without a look outside; points_cam (N, 3) and
+    point_weights (N,) float64: at most 500 believed points in random order, away from rims; trust: 0..1, how
+    far the belief itself may be believed; bounds (4,): left, top, right, bottom of the box in the crop;
+    tolerance_m: how far depth and surface may be apart; median_depth_m: of the mask; hides: what it counts
+    to lie behind what is believed (HIDES, or 0 for whoever doubts the masks); light (3,): what the light adds
+    to opponents, where that is known.
+    """
+
+    crop: Crop
+    belief: Float32
+    mask: Bool
+    colors: Float32
+    points_cam: Float64
+    point_weights: Float64
+    trust: float
+    bounds: Float64
+    tolerance_m: float
+    median_depth_m: float
+    hides: float = HIDES
+    light: Float64 | None = None
+
+
+def prepare_crop(frame: RgbdFrame, window: Box) -> Crop:
+    """Cut a window (clipped to the image, at least two pixels in each direction) out of a frame."""
+    rows, columns = window.slices(frame.camera.width, frame.camera.height)
+    x0 = min(columns.start, frame.camera.width - 2)
+    y0 = min(rows.start, frame.camera.height - 2)
+    x1, y1 = max(columns.stop, x0 + 2), max(rows.stop, y0 + 2)
+    color = np.ascontiguousarray(frame.color[y0:y1, x0:x1])
+    return Crop(
+        frame.camera.cropped(x0, y0, x1 - x0, y1 - y0),
+        x0,
+        y0,
+        color,
+        np.ascontiguousarray(frame.depth[y0:y1, x0:x1]),
+        np.asarray(cv2.inRange(color, (0, 0, 0), (SATURATED - 1,) * 3) == 0),
+    )
+
+
+def prepare_region(frame: RgbdFrame, mask: Bool, box: Box, diameter_m: float) -> Region | None:
+    """The region of a mask (H, W) in a box; None when no pixel of the mask has depth."""
+    window = object_window(frame, mask, diameter_m)
+    if window is None:
+        return None
+    return prepare_masked(prepare_crop(frame, window), mask, box, diameter_m)
+
+
+def object_window(frame: RgbdFrame, mask: Bool, diameter_m: float) -> Box | None:
+    """Bounds of a mask (H, W) grown by 0.7 diameters at its depth: the whole object lies inside, wherever the
+    mask shows a part of it. None when no pixel of the mask has depth."""
+    mask = mask & (frame.depth > 0)
+    bounds = Box.of_mask(mask)
+    if bounds is None:
+        return None
+    reach = 0.7 * diameter_m / float(np.median(frame.depth[mask])) * frame.camera.fx
+    return bounds.grown(0.0, reach).clipped(frame.camera.width, frame.camera.height)
+
+
+def prepare_masked(crop: Crop, mask: Bool, box: Box, diameter_m: float) -> Region | None:
+    """See a crop through a mask (H, W) of the frame; None when no pixel of it has depth there."""
+    return prepare_believed(crop, [mask], [1.0], 1.0, box, diameter_m)
+
+
+def prepare_believed(
+    crop: Crop, masks: Sequence[Bool], weights: Sequence[float], trust: float, box: Box, diameter_m: float
+) -> Region | None:
+    """See a crop through several candidate masks (H, W) of the frame at once, each with its weight (sum over
+    0); None when no pixel of any of them has depth there."""
+    h, w = crop.depth.shape
+    belief = np.zeros((h, w), np.float32)
+    for mask, weight in zip(masks, weights, strict=True):
+        belief += np.float32(weight) * mask[crop.y0 : crop.y0 + h, crop.x0 : crop.x0 + w]
+    belief *= crop.depth > 0
+    largest = float(belief.max(initial=0.0))
+    if largest <= 0.0:
+        return None
+    belief *= np.float32(1.0 / max(largest, float(np.sum(weights))))
+    seen = belief > 0.5 * belief.max()
+    median_depth = float(np.median(crop.depth[seen]))
+    points, point_weights = _believed_points(crop, belief)
+    return Region(
+        crop,
+        belief,
+        seen,
+        _masked_colors(crop, belief, median_depth),
+        points,
+        point_weights,
+        trust,
+        np.array([box.x - crop.x0, box.y - crop.y0, box.x1 - crop.x0, box.y1 - crop.y0], dtype=np.float64),
+        tolerance_m(diameter_m, median_depth),
+        median_depth,
+    )
+
+
+def tolerance_m(diameter_m: float, depth_m: float) -> float:
+    """How far depth and surface may be apart: 6 to 12 mm by the object's size, more where depth is far."""
+    return max(0.006, min(0.012, 0.05 * diameter_m)) + (0.002 if depth_m > 1.1 else 0.0)
+
+
+def _masked_colors(crop: Crop, belief: Float32, depth_m: float) -> Float32:
+    """Opponent colours smoothed at both scales; a pixel that is not believed counts little, so that inside
+    the mask colours are the mask's, and outside those of the place."""
+    weight = np.maximum(belief, np.float32(OUTSIDE_WEIGHT))
+    sigmas = [max(0.5, sigma_m / depth_m * crop.camera.fx) for sigma_m in COLOR_SCALES_M]
+    return smoothed_opponents(crop.color, weight, sigmas)
+
+
+def smoothed_opponents(color: UInt8, weight: Float32, sigmas_px: Sequence[float]) -> Float32:
+    """Opponents (h, w, 3 for each sigma) of a picture (h, w, 3) whose linear colours are averaged under a
+    Gaussian, each pixel with its weight (h, w), over 0."""
+    weighted = _weighted(color, _LINEAR, weight)
+    out = np.empty((*weight.shape, 3 * len(sigmas_px)), np.float32)
+    for scale, sigma in enumerate(sigmas_px):
+        if sigma < HALVED_FROM_PX:
+            _opposed(_smoothed(weighted, sigma), 3 * scale, out)
+        else:
+            out[..., 3 * scale : 3 * scale + 3] = _smoothed_at_half(weighted, sigma)
+    return out
+
+
+def _smoothed_at_half(weighted: Float32, sigma: float) -> Float32:
+    """Opponents (h, w, 3) of weighted colours smoothed by `sigma` pixels, by way of half the resolution."""
+    height, width = weighted.shape[:2]
+    half = cv2.resize(weighted, ((width + 1) // 2, (height + 1) // 2), interpolation=cv2.INTER_AREA)
+    # Averaging pairs and reading between the means smooth as well, with about this variance together.
+    log = _smoothed(np.asarray(half, dtype=np.float32), 0.5 * float(np.sqrt(sigma * sigma - 0.75)))
+    small = np.empty((*log.shape[1:], 3), np.float32)
+    _opposed(log, 0, small)
+    return np.asarray(cv2.resize(small, (width, height), interpolation=cv2.INTER_LINEAR), dtype=np.float32)
+
+
+def _smoothed(weighted: Float32, sigma: float) -> Float32:
+    """Logarithms (3, h, w) of the weighted mean of colours (h, w, 4) over `sigma` pixels, plus DARKEST."""
+    smooth = np.asarray(cv2.GaussianBlur(weighted, (0, 0), sigma), dtype=np.float32)
+    log = np.empty((3, *weighted.shape[:2]), np.float32)
+    _brightened(smooth, log)
+    np.log(log, out=log)
+    return log
+
+
+@jit_dividing
+def _weighted(color: UInt8, linear: Float32, weight: Float32) -> Float32:
+    """Linear values of colours (h, w, 3) times weights (h, w), and the weights behind them: (h, w, 4)."""
+    height, width = weight.shape
+    out = np.empty((height, width, 4), np.float32)
+    for v in range(height):
+        for u in range(width):
+            w = weight[v, u]
+            out[v, u, 0], out[v, u, 1] = linear[color[v, u, 0]] * w, linear[color[v, u, 1]] * w
+            out[v, u, 2], out[v, u, 3] = linear[color[v, u, 2]] * w, w
+    return out
+
+
+@jit_dividing
+def _brightened(smooth: Float32, out: Float32) -> None:
+    """Weighted colours (h, w, 4) divided by their weight, plus DARKEST, as planes (3, h, w)."""
+    darkest = np.float32(DARKEST)
+    for v in range(smooth.shape[0]):
+        for u in range(smooth.shape[1]):
+            share = np.float32(1.0) / smooth[v, u, 3]
+            for q in range(3):
+                out[q, v, u] = smooth[v, u, q] * share + darkest
+
+
+@jit_dividing
+def _opposed(log: Float32, first: int, out: Float32) -> None:
+    """Opponents of logarithms (3, h, w), as in `colorpair.opponents`, into channels `first`.. of `out`."""
+    scale, half, third = np.float32(SCALE), np.float32(0.5 * SCALE), np.float32(SCALE / 3.0)
+    for v in range(log.shape[1]):
+        for u in range(log.shape[2]):
+            red, green, blue = log[0, v, u], log[1, v, u], log[2, v, u]
+            out[v, u, first] = (red + green + blue) * third
+            out[v, u, first + 1] = (red - green) * scale
+            out[v, u, first + 2] = (red + green) * half - blue * scale
+
+
+def _believed_points(crop: Crop, belief: Float32) -> tuple[Float64, Float64]:
+    """Camera-frame points (N, 3) of believed pixels, and their belief (N,), in an order that depends on the
+    number of pixels alone."""
+    inner = cv2.erode((belief > 0).astype(np.uint8), np.ones((3, 3), np.uint8)) > 0
+    if np.count_nonzero(inner) <= 120:
+        inner = belief > 0
+    points, rows, columns = sampled_points(crop, inner, MASK_POINTS)
+    return points, belief[rows, columns].astype(np.float64)
+
+
+def sampled_points(crop: Crop, mask: Bool, count: int) -> tuple[Float64, Int64, Int64]:
+    """At most `count` camera-frame points (N, 3) of the pixels with depth of a mask (h, w) of the crop, in
+    random order, with their rows (N,) and columns (N,)."""
+    flat = np.flatnonzero(mask & (crop.depth > 0))
+    chosen = np.random.default_rng(len(flat)).choice(flat, min(count, len(flat)), replace=False)
+    rows, columns = np.divmod(chosen, crop.depth.shape[1])
+    points = crop.camera.backproject(np.stack([columns, rows], -1), crop.depth[rows, columns])
+    return points, rows, columns

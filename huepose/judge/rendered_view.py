@@ -1,0 +1,116 @@
+"""A portrait: what an object at a pose would look like in this very picture, at its resolution and sharpness.
+
+The samples of a surface (`model.types.Surface`) carry its print at two fixed scales, whatever the camera sees
+of it. A portrait is drawn for one pose and one camera: its samples are pixels, their colours the print as
+this camera would see it, in the same bands of detail as the picture is split into, and it has an outline. It
+holds for small steps from its pose.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+
+from huepose.geometry.arrays import Bool, Float, Float32, Float64, Int64, UInt8
+from huepose.geometry.camera import Camera
+from huepose.judge.arrays import ModelArrays, model_arrays
+from huepose.judge.region import smoothed_opponents
+from huepose.model.types import ReferenceModel
+from huepose.rendering.render import render
+
+SHARP_PX, BLUNT_PX = 0.6, 2.5
+"""Detail is what lies between these two smoothings (standard deviations): light varies more slowly than
+that, and of what is finer a camera sees little."""
+
+RIM_POINTS = 120
+ROOM_PX = 6
+LARGEST_PX = 640
+
+
+@dataclass(frozen=True, eq=False)
+class Portrait:
+    """arrays: the model with the pixels as its visible samples, detail and blunt colours in the place of the
+    two scales; rim_points, rim_inward (N, 3): of the outline (see `rim.Rim`)."""
+
+    arrays: ModelArrays
+    rim_points: Float64
+    rim_inward: Float64
+
+
+def detail_colors(color: UInt8, weight: Float32) -> Float32:
+    """Detail and blunt colours (h, w, 6) of a picture (h, w, 3); pixels count by their weight (h, w), over
+    0."""
+    colors = smoothed_opponents(color, weight, (SHARP_PX, BLUNT_PX))
+    colors[..., :3] -= colors[..., 3:]
+    return colors
+
+
+def draw_portrait(model: ReferenceModel, T_cam_obj: Float, camera: Camera, samples: int) -> Portrait | None:
+    """The portrait of a pose (4, 4) with at most `samples` samples; None where it shows too little of the
+    object, or is too near for a picture of it."""
+    window = _window(model, T_cam_obj, camera)
+    if window is None:
+        return None
+    T = np.ascontiguousarray(T_cam_obj, dtype=np.float64)
+    seen = render([(model.mesh, T)], window, normals=True, points=True)
+    shown = seen.depth > 0
+    rows, columns = _some(shown, samples)
+    rim_rows, rim_columns, inward_px = _rim(shown)
+    if len(rows) < 20 or not len(rim_rows):
+        return None
+    colors = detail_colors(seen.color, np.maximum(shown, np.float32(1e-6)))
+    picked = colors[rows, columns]
+    R = T[:3, :3]
+    metres = seen.depth[rim_rows, rim_columns][:, None] / np.array([window.fx, window.fy])
+    inward = np.zeros((len(rim_rows), 3))
+    inward[:, :2] = inward_px * metres
+    base = model_arrays(model)
+    first, count = len(base.points), len(rows)
+    # Behind the samples of the surface, to which the distance grid refers.
+    arrays = base._replace(
+        points=_joined(base.points, seen.points_obj[rows, columns]),
+        normals=_joined(base.normals, seen.normals_cam[rows, columns] @ R),
+        colors=np.stack([_joined(base.colors[k], picked[:, 3 * k : 3 * k + 3]) for k in range(2)]),
+        directions=np.array([[0.0, 0.0, 1.0]], np.float32),
+        visible=np.arange(first, first + count, dtype=np.int32),
+        offsets=np.array([0, count], np.int32),
+    )
+    points = seen.points_obj[rim_rows, rim_columns].astype(np.float64)
+    return Portrait(arrays, np.ascontiguousarray(points), inward @ R)
+
+
+def _window(model: ReferenceModel, T_cam_obj: Float, camera: Camera) -> Camera | None:
+    """The camera of the window round a pose, which may reach out of the picture."""
+    points = model.surface.points @ T_cam_obj[:3, :3].T + T_cam_obj[:3, 3]
+    if points[:, 2].min() < 0.05:
+        return None
+    pixels = camera.project(points)
+    low, high = np.floor(pixels.min(0)).astype(int) - ROOM_PX, np.ceil(pixels.max(0)).astype(int) + ROOM_PX
+    width, height = (int(x) for x in high - low)
+    if max(width, height) > LARGEST_PX:
+        return None
+    return camera.cropped(int(low[0]), int(low[1]), width, height)
+
+
+def _some(mask: Bool, count: int) -> tuple[Int64, Int64]:
+    """Rows and columns of at most `count` pixels of a mask, in random order."""
+    rows, columns = np.nonzero(mask)
+    keep = np.random.default_rng(len(rows)).permutation(len(rows))[:count]
+    return rows[keep], columns[keep]
+
+
+def _rim(shown: Bool) -> tuple[Int64, Int64, Float64]:
+    """Rows, columns and inward directions (N, 2), x and y, of at most RIM_POINTS pixels of the outline."""
+    filled = shown.astype(np.uint8)
+    rows, columns = _some(shown & (cv2.erode(filled, np.ones((3, 3), np.uint8)) == 0), RIM_POINTS)
+    soft = cv2.GaussianBlur(filled.astype(np.float32), (0, 0), 1.2)
+    x = cv2.Sobel(soft, cv2.CV_32F, 1, 0, ksize=3)[rows, columns]
+    y = cv2.Sobel(soft, cv2.CV_32F, 0, 1, ksize=3)[rows, columns]
+    inward = np.stack([x, y], axis=-1).astype(np.float64)
+    return rows, columns, inward / (np.linalg.norm(inward, axis=-1, keepdims=True) + 1e-9)
+
+
+def _joined(base: Float32, more: Float) -> Float32:
+    return np.ascontiguousarray(np.concatenate([base, more]), dtype=np.float32)

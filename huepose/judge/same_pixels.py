@@ -1,0 +1,180 @@
+"""Which of several poses explains the same pixels best? Prints against the picture where any of them lies.
+
+A score of one pose alone reads the picture where that pose fits it, and under the light that suits it. Of
+poses that compete for one answer more can be asked: that they explain the same pixels, where what shows and
+is not in their print speaks against them, and that the print is as strong in one as in the other. Fine detail
+is compared as the mesh has it, and moved as a whole as far as labels are glued on elsewhere; of broader
+print no more is asked than that it is there within a pixel or two.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+
+from huepose.geometry.arrays import Bool, Float32, Float64
+from huepose.geometry.camera import Camera
+from huepose.judge.displacement import aligned
+from huepose.judge.rendered_view import detail_colors
+from huepose.model.types import ReferenceModel
+from huepose.rendering.render import render
+
+BROAD_PX = 5.0
+"""Broader print lies between the blunt smoothing of a portrait and this one; shading is broader."""
+
+REACH = 1
+"""Half-size pixels by which a piece of the print may be elsewhere."""
+
+PIECE = 5
+"""Side of such a piece, in half-size pixels."""
+
+NOISE = 1.0
+"""Opponents: of the detail of a picture that shows nothing."""
+
+WEAKEST, STRONGEST = 0.3, 1.2
+"""Of a print against that of the mesh: veiled by gloss and blur, or sharper than it was scanned."""
+
+MOVED = 0.7
+"""So much of the detail's correlation is that after the print was moved where it suits the picture best."""
+
+FEWEST = 20
+"""Pixels on which poses can be compared."""
+
+
+@dataclass(frozen=True, eq=False)
+class Part:
+    """A part of a picture. camera: of the part; colors (h, w, 6): as `detail_colors` has them; depth (h, w)
+    metres; saturated (h, w); a pixel shows a pose when its depth is at most `tolerance_m` off, or unknown."""
+
+    camera: Camera
+    colors: Float32
+    depth: Float32
+    saturated: Bool
+    tolerance_m: float
+
+
+@dataclass(frozen=True, eq=False)
+class Likeness:
+    """Of each pose (K,): `detail`, correlation of fine detail times the share of the pixels on which it could
+    be compared, in -1..1; `broad`, how much of the broader print it explains, robustly, in -3..3; `open`, how
+    much of what it shows is neither hidden nor seen through, in 0..1."""
+
+    detail: Float64
+    broad: Float64
+    open: Float64
+
+
+@dataclass(frozen=True, eq=False)
+class _Seen:
+    """What a pose shows in the window: detail and blunt colours (h, w, 6), where they may be compared, and
+    which share of its pixels that is."""
+
+    colors: Float32
+    comparable: Bool
+    open: float
+
+
+def likeness(model: ReferenceModel, part: Part, poses: Float64) -> Likeness | None:
+    """How well each of the poses (K, 4, 4) explains what a picture shows where any of them lies; None where
+    that is too few pixels."""
+    seen = [_seen(model, part, T) for T in poses]
+    shared = np.any([one.comparable for one in seen], axis=0)
+    if int(shared.sum()) < FEWEST:
+        return None
+    return Likeness(
+        _detail(part.colors, seen, shared),
+        _broad(part.colors, seen, shared),
+        np.array([one.open for one in seen]),
+    )
+
+
+def _seen(model: ReferenceModel, part: Part, T_cam_obj: Float64) -> _Seen:
+    picture = render([(model.mesh, np.ascontiguousarray(T_cam_obj))], part.camera)
+    shown = picture.depth > 0
+    fits = (part.depth == 0) | (np.abs(part.depth - picture.depth) < part.tolerance_m)
+    colors = detail_colors(picture.color, np.maximum(shown, np.float32(1e-6)))
+    comparable = shown & fits & ~part.saturated
+    return _Seen(colors, comparable, float(comparable.sum()) / max(float(shown.sum()), 1.0))
+
+
+def _detail(colors: Float32, seen: Sequence[_Seen], shared: Bool) -> Float64:
+    count = float(shared.sum())
+    everywhere = np.ascontiguousarray(colors[..., :3] * shared[..., None])
+    out = []
+    for one in seen:
+        there = one.comparable[..., None]
+        print_ = np.ascontiguousarray(one.colors[..., :3] * there)
+        moved = aligned(everywhere, print_, one.comparable)
+        as_drawn = _correlation(everywhere * there, print_, count)
+        correlation = as_drawn + MOVED * (_correlation(everywhere, moved, count) - as_drawn)
+        out.append(correlation * float(one.comparable.sum()) / count)
+    return np.array(out)
+
+
+def _correlation(picture: Float32, print_: Float32, count: float) -> float:
+    strength = float((picture * picture).sum()) * float((print_ * print_).sum())
+    return float((picture * print_).sum()) / float(np.sqrt(strength + (count * NOISE**2) ** 2))
+
+
+def _broad(colors: Float32, seen: Sequence[_Seen], shared: Bool) -> Float64:
+    everywhere = _halved(shared.astype(np.float32))
+    picture = _band(_halved(colors[..., 3:] * shared[..., None]), everywhere)
+    weights = [_halved(one.comparable.astype(np.float32)) for one in seen]
+    prints = [
+        _band(_halved(one.colors[..., 3:] * one.comparable[..., None]), weight)
+        for one, weight in zip(seen, weights, strict=True)
+    ]
+    count = float(everywhere.sum())
+    energy = np.einsum("ijk,ijk->k", picture, picture)
+    spread = np.sqrt(energy / count) + NOISE
+    gain = _shared_gain(picture, prints, count)
+    unexplained = _pieces(_saturating(picture / spread))
+    out = []
+    for print_, weight in zip(prints, weights, strict=True):
+        strong = print_ * gain
+        left = np.full(weight.shape, np.inf, np.float32)
+        for dx in range(-REACH, REACH + 1):
+            for dy in range(-REACH, REACH + 1):
+                moved = np.roll(strong, (dy, dx), axis=(0, 1))
+                left = np.minimum(left, _pieces(_saturating((picture - moved) / spread)))
+        out.append(float(((unexplained - left) * weight).sum()) / count)
+    return np.array(out)
+
+
+def _shared_gain(picture: Float32, prints: Sequence[Float32], count: float) -> Float32:
+    """How strong the print shows in the picture (3,), by channel, after whom it suits best."""
+    gains = [
+        np.einsum("ijk,ijk->k", picture, print_)
+        / (np.einsum("ijk,ijk->k", print_, print_) + NOISE * np.sqrt(count))
+        for print_ in prints
+    ]
+    return np.asarray(np.clip(np.max(gains, axis=0), WEAKEST, STRONGEST), dtype=np.float32)
+
+
+def _halved(picture: Float32) -> Float32:
+    height, width = picture.shape[:2]
+    size = (max(width // 2, 1), max(height // 2, 1))
+    return np.asarray(cv2.resize(picture, size, interpolation=cv2.INTER_AREA), dtype=np.float32)
+
+
+def _band(weighted: Float32, weight: Float32) -> Float32:
+    """Weighted colours (h, w, 3) less their mean round about, 0 where the weight (h, w) is."""
+    sigma = 0.5 * BROAD_PX
+    mean = cv2.GaussianBlur(weighted, (0, 0), sigma) / (
+        cv2.GaussianBlur(weight, (0, 0), sigma)[..., None] + 1e-3
+    )
+    return np.asarray(weighted - mean * weight[..., None], dtype=np.float32)
+
+
+def _saturating(x: Float32) -> Float32:
+    square = x * x
+    return np.asarray(square / (1.0 + square), dtype=np.float32)
+
+
+def _pieces(x: Float32) -> Float32:
+    """Sum over the channels, averaged over the piece round each pixel."""
+    total = x[..., 0] + x[..., 1] + x[..., 2]
+    return np.asarray(cv2.boxFilter(total, -1, (PIECE, PIECE)), dtype=np.float32)

@@ -1,0 +1,80 @@
+"""The surface samples of a reference model with their colours at three scales, for regions without a mask.
+
+The samples are in random order and the lists of visible samples are increasing, so the first n of a list are
+an even, sparser cover of what is seen: cheap scores read few, refinement reads more.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.spatial import cKDTree
+
+from huepose.geometry.arrays import Float, Float32, Float64
+from huepose.geometry.box import Box
+from huepose.geometry.camera import Camera
+from huepose.judge.arrays import ModelArrays, model_arrays
+from huepose.judge.open_region import SCALES_M
+from huepose.model.types import ReferenceModel
+
+
+@dataclass(frozen=True, eq=False)
+class PreparedSurface:
+    """arrays: what kernels read, colours as opponents at SCALES_M; diameter_m of the model; thickness_m along
+    its thinnest axis; radius_m: of the sphere about the centre of the samples that holds them."""
+
+    arrays: ModelArrays
+    diameter_m: float
+    thickness_m: float
+    radius_m: float
+
+    @staticmethod
+    def of(model: ReferenceModel) -> PreparedSurface:
+        """Prepare a reference model (some 10 ms)."""
+        arrays = model_arrays(model)
+        points, colors = arrays.points, arrays.colors
+        coarse = _averaged(points, arrays.normals, colors[1], SCALES_M[1], SCALES_M[2])
+        return PreparedSurface(
+            arrays._replace(colors=np.ascontiguousarray(np.concatenate([colors[:2], coarse[None]]))),
+            float(model.diameter_m),
+            _thickness(points),
+            float(np.linalg.norm(points - arrays.centre, axis=1).max()),
+        )
+
+    def centre_cam(self, T_cam_obj: Float) -> Float64:
+        """The object's centre (3,) in camera axes."""
+        return np.asarray(T_cam_obj[:3, :3] @ self.arrays.centre + T_cam_obj[:3, 3], np.float64)
+
+    def box(self, T_cam_obj: Float, camera: Camera) -> Box | None:
+        """Bounds of the object in the image, from every fourth sample; None when it reaches behind the
+        camera. Not clipped to the image."""
+        p = self.arrays.points[::4] @ np.asarray(T_cam_obj[:3, :3], np.float32).T
+        p += np.asarray(T_cam_obj[:3, 3], np.float32)
+        if float(p[:, 2].min()) < 0.02:
+            return None
+        u, v = p[:, 0] / p[:, 2] * camera.fx + camera.cx, p[:, 1] / p[:, 2] * camera.fy + camera.cy
+        x, y = float(u.min()), float(v.min())
+        return Box(x, y, float(u.max()) - x, float(v.max()) - y)
+
+
+def _thickness(points: Float32) -> float:
+    """Extent of the points along the axis in which they spread least, metres."""
+    q = points - points.mean(0)
+    along = q @ np.linalg.eigh((q.T @ q).astype(np.float64))[1][:, 0]
+    return float(np.ptp(along))
+
+
+def _averaged(points: Float32, normals: Float32, colors: Float32, have_m: float, want_m: float) -> Float32:
+    """Colours (N, 3) averaged further over neighbours that face the same way, from one sigma to a larger
+    one."""
+    sigma = float(np.sqrt(want_m**2 - have_m**2))
+    pairs = cKDTree(points).query_pairs(2.5 * sigma, output_type="ndarray")
+    own = np.arange(len(points))
+    i, j = np.concatenate([pairs[:, 0], pairs[:, 1], own]), np.concatenate([pairs[:, 1], pairs[:, 0], own])
+    d2 = ((points[i] - points[j]) ** 2).sum(1)
+    w = np.exp(-d2 / (2 * sigma**2)) * np.maximum((normals[i] * normals[j]).sum(1), 0.0)
+    total = np.bincount(i, w, len(points))
+    return np.stack([np.bincount(i, w * colors[j, c], len(points)) / total for c in range(3)], 1).astype(
+        np.float32
+    )

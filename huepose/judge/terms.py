@@ -1,0 +1,151 @@
+"""The dense score of a pose: does this object, there, explain the depth and the colours of a region?
+
+Samples of the model's surface that the pose shows are compared with the image (depth where the surface
+should be, nothing in front of it that we see through, the print's colours), and points of the mask with the
+surface (is the mask explained?). Colours are compared by the correlation of their opponents with the
+texture's at two scales, so that the light's colour and strength do not matter; lightness also after shading
+is taken off.
+"""
+
+from __future__ import annotations
+
+from dataclasses import astuple, dataclass
+from functools import lru_cache
+
+import numpy as np
+
+from huepose.geometry.arrays import Float, Float64
+from huepose.judge.arrays import ModelArrays, RegionArrays, model_arrays, region_arrays
+from huepose.judge.kernel import SCRATCH_ROWS, TERMS, score_kernel
+from huepose.judge.region import Region
+from huepose.model.types import ReferenceModel
+from huepose.support.jit import jit
+
+CLOSE_SAMPLES = 800
+"""Surface samples by which single poses are judged; 0.5 % of noise in a share of the surface."""
+
+
+@dataclass(frozen=True)
+class ScoreWeights:
+    """What each term weighs. `lightness` and `coarse` are relative weights of lightness against the other two
+    channels and of the 3.5 mm scale against the 1 mm scale, `outside` of depth that fits outside the mask,
+    `color_floor` (units of opponents) keeps the correlation of even surfaces down."""
+
+    depth_fit: float = 0.9
+    coverage: float = 0.7
+    violation: float = 1.0
+    color: float = 1.0
+    occluded: float = 0.05
+    box: float = 0.5
+    lightness: float = 0.8
+    coarse: float = 0.5
+    outside: float = 0.6
+    color_floor: float = 1.5
+
+
+DEFAULT_WEIGHTS = ScoreWeights()
+
+
+@dataclass(frozen=True)
+class Terms:
+    """What a pose explains of a region. Shares are of the visible surface, weighted by how squarely it is
+    seen.
+
+    total: the weighted sum, about 0 for nonsense, 3 for a perfect view through a right mask, 1.9 where there
+    is no mask (open regions); depth_fit 0..1: agreement of the depth that speaks; coverage 0..1: share of the
+    mask that the surface explains; violation 0..1: free space violated, or the surface sticks in something,
+    or hides behind what is believed to be the object; color -1..1: correlation of texture and image, light
+    taken out, lowered where there is little texture; occluded 0..1: something not believed to be the object
+    is in front; seen 0..1: agrees in depth; box_iou 0..1: of the bounds with the given box; through 0..1:
+    seen through; hidden 0..1: anything is in front; blind 0..1: no depth reading; outside 0..1: out of the
+    image; contrast: opponent units of texture in view; light_l, light_rg, light_yb: mean colour of image less
+    texture; colored 0..1: seen in colour."""
+
+    total: float
+    depth_fit: float
+    coverage: float
+    violation: float
+    color: float
+    occluded: float
+    seen: float
+    box_iou: float
+    through: float
+    hidden: float
+    blind: float
+    outside: float
+    contrast: float
+    light_l: float
+    light_rg: float
+    light_yb: float
+    colored: float
+
+    @property
+    def light(self) -> tuple[float, float, float]:
+        """What the light adds to opponents, by the mean colours; zeros where no colour was seen."""
+        return self.light_l, self.light_rg, self.light_yb
+
+
+NOTHING = Terms(*(0.0,) * 11, 1.0, 0.0, 0.0, 0.0, 0.0, 0.0)
+"""Of a pose outside of the image."""
+
+
+def weight_array(weights: ScoreWeights) -> Float64:
+    """The weights as the kernels read them, in the order of ScoreWeights."""
+    return np.array(_numbers(weights), dtype=np.float64)
+
+
+@lru_cache(maxsize=64)
+def _numbers(weights: ScoreWeights) -> tuple[float, ...]:
+    """`astuple` copies deeply, which takes longer than to judge a pose."""
+    return astuple(weights)
+
+
+def score(
+    model: ReferenceModel,
+    region: Region,
+    T_cam_obj: Float,
+    samples: int = 800,
+    weights: ScoreWeights = DEFAULT_WEIGHTS,
+) -> Terms:
+    """Judge one pose (4, 4) in a region by at most `samples` surface samples."""
+    return Terms(*(float(x) for x in score_many(model, region, T_cam_obj[None], samples, weights)[0]))
+
+
+def score_many(
+    model: ReferenceModel,
+    region: Region,
+    poses: Float,
+    samples: int = 800,
+    weights: ScoreWeights = DEFAULT_WEIGHTS,
+) -> Float64:
+    """Judge poses (M, 4, 4) in one compiled call: (M, 17), columns in the order of the fields of Terms."""
+    return score_arrays(model_arrays(model), region_arrays(region), poses, samples, weights)
+
+
+def score_arrays(
+    model: ModelArrays,
+    region: RegionArrays,
+    poses: Float,
+    samples: int,
+    weights: ScoreWeights = DEFAULT_WEIGHTS,
+) -> Float64:
+    """`score_many` of what was bundled for the kernels before: (M, 17)."""
+    out = np.zeros((len(poses), TERMS))
+    _score_all(
+        np.ascontiguousarray(poses, dtype=np.float64), model, region, samples, weight_array(weights), out
+    )
+    return out
+
+
+def totals(model: ReferenceModel, region: Region, poses: Float) -> Float64:
+    """Totals (M,) of poses (M, 4, 4), looked at closely."""
+    return score_many(model, region, poses, CLOSE_SAMPLES)[:, 0]
+
+
+@jit
+def _score_all(
+    poses: Float64, model: ModelArrays, region: RegionArrays, samples: int, weights: Float64, out: Float64
+) -> None:
+    scratch = np.empty((SCRATCH_ROWS, samples))
+    for i in range(poses.shape[0]):
+        score_kernel(poses[i], model, region, samples, weights, scratch, out[i], -np.inf)

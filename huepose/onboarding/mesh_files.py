@@ -1,0 +1,184 @@
+"""The files of a mesh: itself and what it names (materials, textures, buffers), read with bounds.
+
+A mesh may come from anywhere. So only regular files under the mesh's folder are read, and sizes are checked
+before memory is taken: of a file before it is read, of a picture before it is decoded.
+"""
+
+from __future__ import annotations
+
+import os
+import stat
+import warnings
+from io import BytesIO
+from pathlib import Path
+
+import cv2
+import numpy as np
+
+from huepose.geometry.arrays import UInt8
+from huepose.support.errors import InputError
+
+LARGEST_BYTES = 2**30
+"""Of all files of one mesh together; a scan of five million triangles as OBJ text takes a third of it."""
+LARGEST_TEXTURE = 2**26
+"""Texels of one texture: 8192 x 8192. Decoded it takes 200 MB; the reference model keeps 1024 x 1024."""
+LARGEST_TEXTURES = 2**28
+"""Texels of all textures of one mesh together: 0.8 GB."""
+_LONGEST_NAME = 1000  # letters of a name that are read and shown
+_PICTURE_FORMATS = ("PNG", "JPEG", "BMP", "TIFF", "WEBP")
+
+
+class MeshFiles:
+    """Reads a mesh file and the files that it names, and counts what they take."""
+
+    def __init__(self, mesh: Path) -> None:
+        self.mesh = mesh
+        self._bytes_left, self._texels_left = LARGEST_BYTES, LARGEST_TEXTURES
+        self._textures: dict[Path, UInt8] = {}
+
+    def read_mesh(self) -> bytes:
+        """Content of the mesh file. Raises InputError."""
+        return self._read(self.mesh, "mesh", None)
+
+    def read(self, name: str, role: str, named_in: Path) -> tuple[Path, bytes]:
+        """Place and content of a file that `named_in` names. Raises InputError that says who named it.
+
+        name: as written there, relative to the folder of `named_in`. Names that differ in case only are
+        forgiven. Of a name that leads out of the mesh's folder (the folders of the machine that exported the
+        mesh) only the last part counts.
+        """
+        path = self._find(name, role, named_in)
+        return path, self._read(path, role, named_in)
+
+    def texture(self, name: str, named_in: Path) -> UInt8:
+        """Picture (H, W, 3) uint8 RGB of an image file that `named_in` names. Raises InputError."""
+        path = self._find(name, "texture", named_in)
+        if path not in self._textures:
+            self._textures[path] = self.picture(self._read(path, "texture", named_in), str(path))
+        return self._textures[path]
+
+    def picture(self, data: bytes, what: str) -> UInt8:
+        """PNG, JPEG and so on to (H, W, 3) uint8 RGB. Raises InputError naming `what`."""
+        texels = _texels(data, what)
+        self._texels_left -= texels
+        if self._texels_left < 0:
+            raise InputError(
+                what,
+                found="a texture too many for one mesh",
+                expected=f"at most {LARGEST_TEXTURES / 1e6:.0f} million texels in all",
+                fix="Make the textures smaller.",
+            )
+        flags = cv2.IMREAD_COLOR | cv2.IMREAD_IGNORE_ORIENTATION
+        try:
+            image = cv2.imdecode(np.frombuffer(data, np.uint8), flags)
+        except cv2.error:
+            image = None
+        if image is None:
+            raise _no_picture(data, what)
+        return np.ascontiguousarray(image[..., ::-1])
+
+    def _find(self, name: str, role: str, named_in: Path) -> Path:
+        """Where a named file is. Raises InputError where it is not, or not under the mesh's folder."""
+        written = name.replace("\\", "/")[:_LONGEST_NAME]
+        path = named_in.parent / written
+        inside = Path(os.path.abspath(path)).is_relative_to(os.path.abspath(self.mesh.parent))
+        if not (inside and os.path.exists(path)):
+            folders = [path.parent, named_in.parent] if inside else [named_in.parent]
+            last = written.rsplit("/", 1)[-1].lower()
+            alike = [p for folder in folders for p in _listing(folder) if p.name.lower() == last]
+            if not alike and inside:
+                raise InputError(
+                    path,
+                    found="no such file",
+                    expected=f"the {role}, which {named_in.name} names",
+                    fix=f"Put the {role} beside {named_in.name}, or correct the name in it.",
+                )
+            if not alike:
+                raise self._outside(named_in, f"the {role} {written[:80]}", role)
+            path = alike[0]
+        # A link may lead to where the mesh file itself lies: some data sets are folders of links.
+        homes = (self.mesh.parent.resolve(), self.mesh.resolve().parent)
+        if not any(path.resolve().is_relative_to(home) for home in homes):
+            raise self._outside(path, f"a link to {path.resolve()}", role)
+        return path
+
+    def _outside(self, where: Path, what: str, role: str) -> InputError:
+        return InputError(
+            where,
+            found=f"{what}, outside of the mesh's folder",
+            expected=f"a {role} under {self.mesh.parent}",
+            fix=f"Copy the {role} there, and name it without a path.",
+        )
+
+    def _read(self, path: Path, role: str, named_in: Path | None) -> bytes:
+        expected = f"the {role}" if named_in is None else f"the {role}, which {named_in.name} names"
+        try:
+            status = path.stat()
+            if not stat.S_ISREG(status.st_mode):
+                raise InputError(path, found="no regular file", expected=expected)
+            if status.st_size > self._bytes_left:
+                raise InputError(
+                    path,
+                    found=f"{status.st_size / 1e6:.0f} MB",
+                    expected=f"at most {LARGEST_BYTES / 1e6:.0f} MB for a mesh and all that it names",
+                    fix="Simplify the mesh or make its textures smaller.",
+                )
+            self._bytes_left -= status.st_size
+            with path.open("rb") as file:
+                return file.read(status.st_size)
+        except FileNotFoundError:
+            raise InputError(path, found="no such file", expected=expected, fix="Check the path.") from None
+        except OSError as error:
+            found = error.strerror or str(error)
+            raise InputError(path, found=found, expected=f"a readable {role}") from None
+
+
+def decoded(data: bytes) -> str:
+    """Text of a mesh or material file: UTF-8, and where it is not, Latin-1 as older exporters write."""
+    try:
+        return data.decode("utf-8-sig")
+    except UnicodeDecodeError:
+        return data.decode("latin-1")
+
+
+def _texels(data: bytes, what: str) -> int:
+    """Width times height as a picture's header says. Raises InputError for none, and for too many."""
+    from PIL import Image
+
+    try:
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore", Image.DecompressionBombWarning)
+            with Image.open(BytesIO(data), formats=_PICTURE_FORMATS) as header:
+                width, height = header.size
+    except Image.DecompressionBombError as error:
+        raise _too_large(what, str(error)) from None
+    except (OSError, ValueError, SyntaxError):
+        raise _no_picture(data, what) from None
+    if width * height > LARGEST_TEXTURE:
+        raise _too_large(what, f"{width} x {height} texels")
+    return width * height
+
+
+def _too_large(what: str, found: str) -> InputError:
+    return InputError(
+        what,
+        found=found,
+        expected=f"at most {LARGEST_TEXTURE / 1e6:.0f} million texels (8192 x 8192)",
+        fix="Make the texture smaller; 1024 x 1024 texels are kept of it.",
+    )
+
+
+def _no_picture(data: bytes, what: str) -> InputError:
+    return InputError(
+        what,
+        found=f"{len(data)} bytes that are no picture",
+        expected="a PNG or JPEG texture",
+        fix="Open the texture in an image editor and save it again as PNG.",
+    )
+
+
+def _listing(folder: Path) -> list[Path]:
+    try:
+        return sorted(folder.iterdir())
+    except (OSError, ValueError):
+        return []

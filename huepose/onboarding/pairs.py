@@ -1,0 +1,244 @@
+"""Offline: the colour pairs of a model, from rendered views (paper, section III-C).
+
+Pairs are extracted from every view, lifted onto the surface and merged over views: a pair that many views
+agree on is one row, with the number of views as its weight. This is done at two scales. Every model has these
+pairs; the tables of the paper's method are made of the coarse ones (`paper.tables`), when asked for.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from huepose.colorpair.extract import ExtractionConfig, extract
+from huepose.colorpair.lifting import lift
+from huepose.colorpair.similarity import paired_similarity
+from huepose.colorpair.types import SurfacePairs
+from huepose.geometry import icosphere, se3
+from huepose.geometry.arrays import Float32, Float64, Int32, UInt8
+from huepose.geometry.camera import Camera
+from huepose.model.types import PairReference
+from huepose.support.errors import InputError
+from huepose.support.jit import jit
+
+DISTANCE = 4.0
+"""Of the camera from the object in the views, in diameters."""
+
+
+@dataclass(frozen=True, eq=False)
+class PairView:
+    """One rendered view: color (H, W, 3) uint8 RGB; depth (H, W) float32 metres, 0 = nothing; T_cam_obj (4,
+    4)."""
+
+    color: UInt8
+    depth: Float32
+    camera: Camera
+    T_cam_obj: Float64
+
+
+@dataclass(frozen=True, eq=False)
+class MergedPairs:
+    """Pairs of one scale in the object's frame, those seen by most views first; views (N,) int32: the view
+    that each came from; seen (N,) int32: how many views saw it."""
+
+    pairs: SurfacePairs
+    views: Int32
+    seen: Int32
+
+
+@dataclass(frozen=True)
+class Scale:
+    """How large the object is in views: pixels_per_mm, but at least min_pixels and at most max_pixels for its
+    diameter."""
+
+    pixels_per_mm: float
+    min_pixels: float
+    max_pixels: float
+
+    def pixels(self, diameter_m: float) -> float:
+        """Pixels that the diameter spans."""
+        return float(np.clip(diameter_m * 1000 * self.pixels_per_mm, self.min_pixels, self.max_pixels))
+
+
+@dataclass(frozen=True)
+class ReferenceConfig:
+    """coarse, fine: scales of the views for hypotheses (large print, few pairs) and for verification (small
+    print); level: of the icosphere of views; min_facing: cosine under which a pair of a view is dropped;
+    max_pairs: rows of the database for each scale; merge: distance within which pairs of different views
+    are one, in diameters."""
+
+    coarse: Scale = Scale(0.75, 110.0, 190.0)
+    fine: Scale = Scale(1.0, 130.0, 240.0)
+    level: int = 1
+    min_facing: float = 0.35
+    max_pairs: int = 8000
+    merge: float = 0.012
+    extraction: ExtractionConfig = field(default_factory=lambda: ExtractionConfig(max_pairs=4000))
+
+
+def reference_cameras(
+    diameter_m: float, config: ReferenceConfig | None = None
+) -> list[tuple[Camera, Float64]]:
+    """The views that the database is made of: cameras and poses `T_cam_obj` of an object centred on its
+    origin, coarse and fine.
+
+    For an object with its centre elsewhere, compose with the translation that centres it.
+    """
+    config = config or ReferenceConfig()
+    distance = DISTANCE * diameter_m
+    t = np.array([0.0, 0.0, distance])
+    views = []
+    for scale in (config.coarse, config.fine):
+        pixels = scale.pixels(diameter_m)
+        side = int(np.ceil(pixels * 1.1)) + 8
+        focal = pixels * DISTANCE
+        camera = Camera(focal, focal, (side - 1) / 2, (side - 1) / 2, side, side)
+        views += [(camera, se3.make(icosphere.look_at(d), t)) for d in icosphere.directions(config.level)]
+    return views
+
+
+def coarse_and_fine(
+    views: Sequence[PairView], diameter_m: float, config: ReferenceConfig | None = None
+) -> tuple[MergedPairs, MergedPairs]:
+    """The colour pairs of a model at both scales, from the views of `reference_cameras`, in any order.
+
+    Views count as coarse or fine by their focal length, whichever is nearer. An object without texture has
+    few pairs or none. Raises InputError without views.
+    """
+    config = config or ReferenceConfig()
+    if not views:
+        raise InputError("colour pairs of a model", found="no views", expected="at least one rendered view")
+    limits = [scale.pixels(diameter_m) * DISTANCE for scale in (config.coarse, config.fine)]
+    is_fine = [abs(v.camera.fx - limits[1]) < abs(v.camera.fx - limits[0]) for v in views]
+    coarse, fine = (
+        MergedPairs(
+            *merged(
+                *_all_pairs([v for v, f in zip(views, is_fine, strict=True) if f == wanted], config),
+                config.merge * diameter_m,
+                config.max_pairs,
+            )
+        )
+        for wanted in (False, True)
+    )
+    return coarse, fine
+
+
+def pair_reference(
+    coarse: MergedPairs, fine: MergedPairs, diameter_m: float, config: ReferenceConfig | None = None
+) -> PairReference:
+    """The pairs of both scales as a model keeps them, the rows of coarse ones first."""
+    config = config or ReferenceConfig()
+    every = SurfacePairs.joined([coarse.pairs, fine.pairs])
+    return PairReference(
+        points=every.points,
+        normals=every.normals,
+        tangents=every.tangents,
+        colors=every.colors,
+        views=np.concatenate([coarse.views, fine.views]),
+        parameters={
+            "coarse_pairs": float(len(coarse.pairs)),
+            "coarse_pixels_per_m": config.coarse.pixels(diameter_m) / diameter_m,
+            "fine_pixels_per_m": config.fine.pixels(diameter_m) / diameter_m,
+        },
+    )
+
+
+def _all_pairs(views: Sequence[PairView], config: ReferenceConfig) -> tuple[SurfacePairs, Int32]:
+    """Pairs of all views in the object's frame, and the view that each came from."""
+    if not views:
+        return SurfacePairs.empty(), np.zeros(0, np.int32)
+    parts, owners = [], []
+    for index, view in enumerate(views):
+        seen = view.depth > 0
+        pairs = extract(view.color, seen, config.extraction)
+        lifted, _ = lift(
+            pairs, view.depth, seen, view.camera, radius_px=2, gate_m=0.02, min_facing=config.min_facing
+        )
+        parts.append(lifted.transformed(se3.inverse(view.T_cam_obj)))
+        owners.append(np.full(len(lifted), index, np.int32))
+    return SurfacePairs.joined(parts), np.concatenate(owners)
+
+
+def merged(
+    pairs: SurfacePairs, owners: Int32, radius_m: float, limit: int
+) -> tuple[SurfacePairs, Int32, Int32]:
+    """Pairs of one place, one direction and like colours made one: the one of the sharpest edge stays, with
+    the mean colours of all. Also returns the owner of each, and the number of views that saw it; the pairs
+    seen by most views come first, and at most `limit` stay."""
+    if not len(pairs):
+        return pairs, owners, np.zeros(0, np.int32)
+    contrast = np.linalg.norm(pairs.colors[:, 1] - pairs.colors[:, 0], axis=1)
+    order = np.argsort(-contrast, kind="stable")
+    pairs, owners = pairs[order], owners[order]
+    leader = _leaders(pairs.points, pairs.normals, pairs.tangents, pairs.colors, radius_m)
+    swapped = (pairs.tangents * pairs.tangents[leader]).sum(1) < 0
+    colors = np.where(swapped[:, None, None], pairs.colors[:, ::-1], pairs.colors)
+    alike = paired_similarity(colors, pairs.colors[leader])
+    total = np.zeros((len(pairs), 2, 3))
+    weight = np.zeros(len(pairs))
+    np.add.at(total, leader, colors * alike[:, None, None])
+    np.add.at(weight, leader, alike)
+    seen = np.zeros(len(pairs), np.int32)
+    distinct = np.unique(leader.astype(np.int64) * (int(owners.max()) + 1) + owners)
+    np.add.at(seen, distinct // (int(owners.max()) + 1), 1)
+    heads = np.flatnonzero(leader == np.arange(len(pairs)))
+    heads = heads[np.argsort(-seen[heads], kind="stable")][:limit]
+    mean = (total[heads] / weight[heads][:, None, None]).astype(np.float32)
+    chosen = pairs[heads]
+    return (
+        SurfacePairs(chosen.points, chosen.normals, chosen.tangents, mean),
+        owners[heads],
+        seen[heads],
+    )
+
+
+@jit
+def _leaders(points: Float32, normals: Float32, tangents: Float32, colors: Float32, radius: float) -> Int32:
+    """Index of the first pair near each: within the radius, facing alike, across alike, coloured alike."""
+    n = points.shape[0]
+    low = np.empty(3)
+    size = np.empty(3, np.int64)
+    for a in range(3):
+        low[a] = points[:, a].min()
+        size[a] = int((points[:, a].max() - low[a]) / radius) + 1
+    head = np.full((size[0], size[1], size[2]), -1, np.int32)
+    follow = np.full(n, -1, np.int32)
+    leader = np.arange(n).astype(np.int32)
+    cell = np.empty(3, np.int64)
+    for i in range(n):
+        for a in range(3):
+            cell[a] = int((points[i, a] - low[a]) / radius)
+        best = radius * radius
+        found = -1
+        for x in range(max(cell[0] - 1, 0), min(cell[0] + 2, size[0])):
+            for y in range(max(cell[1] - 1, 0), min(cell[1] + 2, size[1])):
+                for z in range(max(cell[2] - 1, 0), min(cell[2] + 2, size[2])):
+                    j = head[x, y, z]
+                    while j >= 0:
+                        d = 0.0
+                        facing = 0.0
+                        across = 0.0
+                        for a in range(3):
+                            d += (points[i, a] - points[j, a]) ** 2
+                            facing += normals[i, a] * normals[j, a]
+                            across += tangents[i, a] * tangents[j, a]
+                        if d < best and facing > 0.7 and abs(across) > 0.8:
+                            apart = 0.0
+                            for side in range(2):
+                                other = side if across > 0 else 1 - side
+                                e = 0.0
+                                for c in range(3):
+                                    e += (colors[i, side, c] - colors[j, other, c]) ** 2
+                                apart = max(apart, e)
+                            if apart < 400.0:
+                                best = d
+                                found = j
+                        j = follow[j]
+        if found >= 0:
+            leader[i] = found
+        else:
+            follow[i] = head[cell[0], cell[1], cell[2]]
+            head[cell[0], cell[1], cell[2]] = i
+    return leader

@@ -1,0 +1,147 @@
+"""From a mesh to a reference model: everything that estimation and tracking need, computed once."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from typing import Any
+
+import numpy as np
+
+from huepose.geometry import se3
+from huepose.geometry.arrays import Float64
+from huepose.geometry.mesh import Mesh
+from huepose.geometry.symmetry import sampled
+from huepose.model.io import check_name
+from huepose.model.types import PaperTables, ReferenceModel
+from huepose.onboarding.cloud import visible_cloud
+from huepose.onboarding.grid import build_grid
+from huepose.onboarding.pairs import (
+    MergedPairs,
+    PairView,
+    coarse_and_fine,
+    pair_reference,
+    reference_cameras,
+)
+from huepose.onboarding.surface import build_surface
+from huepose.onboarding.symmetries import equivalent_turns
+from huepose.onboarding.turns import near_symmetries
+from huepose.onboarding.visibility import depth_views
+from huepose.propose.templates import build_templates
+from huepose.rendering.render import render
+from huepose.support.errors import InputError
+
+STAGES = ("mesh", "visibility", "surface", "symmetries", "templates", "colour pairs")
+EVAL_POINTS = 20_000
+_BLOCK = 1000  # points whose distances to all others are in memory at once
+_STEP_RAD = np.pi / 36  # of declared continuous symmetries
+
+Report = Callable[[str], None]
+
+
+def silent(stage: str) -> None:
+    """A report to nobody."""
+
+
+def reference_model(
+    mesh: Mesh,
+    name: str,
+    *,
+    lean: Mesh | None = None,
+    object_id: int | None = None,
+    info: Mapping[str, Any] | None = None,
+    symmetric: Mapping[str, Any] | None = None,
+    frame_offset_m: Float64 | None = None,
+    paper: bool = False,
+    report: Report = silent,
+) -> ReferenceModel:
+    """Reference model of a mesh.
+
+    lean: the mesh simplified, for the model and its pictures (surfels are taken from the full mesh); without
+    it the mesh itself serves. info: the object's entry of `models_info.json` (millimetres), for its diameter
+    and the symmetries of its shape; symmetric: an entry of the same form whose symmetries hold for shape and
+    print; frame_offset_m (3,): takes points of the PoseCNN/YCB-Video frame to the mesh's frame; paper:
+    whether the model gets the tables of the paper's method, too; report:
+    called with each stage's name as it begins. Deterministic: one mesh gives one model, bit for bit.
+    """
+    check_name(name)
+    diameter = _diameter(mesh, info or {}, name)
+    report("visibility")
+    lean = mesh if lean is None else lean
+    views = depth_views(lean, diameter)
+    cloud = visible_cloud(mesh, views)
+    report("surface")
+    surface = build_surface(cloud, views)
+    grid = build_grid(surface.points, diameter)
+    report("symmetries")
+    near = near_symmetries(surface, grid, diameter)
+    if symmetric is None:
+        equivalents = equivalent_turns(surface, cloud, near, diameter)
+    else:
+        equivalents = sampled(symmetric, _STEP_RAD)
+    report("templates")
+    templates = build_templates(lean, diameter)
+    report("colour pairs")
+    coarse, fine = coarse_and_fine(_pair_views(lean, diameter), diameter)
+    return ReferenceModel(
+        name=name,
+        object_id=object_id,
+        mesh=lean,
+        eval_points=np.ascontiguousarray(mesh.vertices[:: -(-len(mesh.vertices) // EVAL_POINTS)]),
+        diameter_m=diameter,
+        symmetries=sampled(info or symmetric or {}, _STEP_RAD),
+        turns=near.turns,
+        equivalents=equivalents,
+        frame_offset_m=None if frame_offset_m is None else np.asarray(frame_offset_m, np.float64),
+        surface=surface,
+        grid=grid,
+        templates=templates,
+        pairs=pair_reference(coarse, fine, diameter),
+        tables=_tables(coarse, diameter) if paper else None,
+    )
+
+
+def _diameter(mesh: Mesh, info: Mapping[str, Any], name: str) -> float:
+    """The diameter as the data set states it, if that fits the mesh at all, else the mesh's own."""
+    own = diameter_of(mesh)
+    if "diameter" not in info:
+        return own
+    stated = float(info["diameter"]) / 1000.0
+    if not 0.9 < stated / own < 1.1:
+        raise InputError(
+            name,
+            found=f"diameters of {stated * 100:.4g} cm (models_info.json) and {own * 100:.4g} cm (mesh)",
+            expected="the same",
+            fix="Are both in millimetres, and of the same object?",
+        )
+    return stated
+
+
+def diameter_of(mesh: Mesh) -> float:
+    """The largest distance of two vertices, metres."""
+    from scipy.spatial import ConvexHull, QhullError
+    from scipy.spatial.distance import cdist
+
+    points = mesh.vertices.astype(np.float64)
+    try:
+        points = points[ConvexHull(points).vertices]
+    except QhullError:
+        raise InputError(
+            "the mesh", found="all vertices in one plane", expected="a solid object", fix="Give it thickness."
+        ) from None
+    return max(float(cdist(points[i : i + _BLOCK], points).max()) for i in range(0, len(points), _BLOCK))
+
+
+def _pair_views(mesh: Mesh, diameter_m: float) -> list[PairView]:
+    centring = se3.make(np.eye(3), -mesh.centre)
+    views = []
+    for camera, T_cam_centred in reference_cameras(diameter_m):
+        T_cam_obj = T_cam_centred @ centring
+        r = render([(mesh, T_cam_obj)], camera)
+        views.append(PairView(r.color, r.depth, camera, T_cam_obj))
+    return views
+
+
+def _tables(coarse: MergedPairs, diameter_m: float) -> PaperTables:
+    from huepose.paper.tables import build_tables  # nobody else needs that room
+
+    return build_tables(coarse.pairs, coarse.seen, diameter_m)

@@ -1,0 +1,125 @@
+"""Scene pairs become classified points: robust matching, then decoupling into two colours (paper, section
+III-C).
+
+Every scene pair votes, by its similarity to the pairs of the reference database, for a pair of classes (one a
+side). The winner counts as far as it beats the second; a confident match is taken apart into its two side
+points, each with its class and that confidence as its weight.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from huepose.colorpair.similarity import SimilarityConfig, parameters, shapes
+from huepose.colorpair.types import SurfacePairs
+from huepose.geometry.arrays import Float32, UInt8
+from huepose.paper.cloud import ClassifiedCloud, decoupled
+from huepose.support.jit import jit
+
+
+@dataclass(frozen=True)
+class ClassConfig:
+    """model_pairs: most that are compared; sharpness: exponent on the similarity of a vote; least: confidence
+    under which a pair is not used."""
+
+    model_pairs: int = 600
+    sharpness: float = 3.0
+    least: float = 0.1
+
+
+def classified(
+    scene: SurfacePairs,
+    model: SurfacePairs,
+    side_classes: UInt8,
+    classes: int,
+    offset_m: float,
+    config: ClassConfig | None = None,
+) -> ClassifiedCloud:
+    """The classified cloud of a scene whose colours (N, 2, 3) are those under the model's light.
+
+    model pairs with side_classes (M, 2) in 0..classes-1; the side points lie `offset_m` off the edge.
+    """
+    config = config or ClassConfig()
+    chosen, confidence = classify(scene.colors, model.colors, side_classes, classes, config)
+    sure = confidence >= config.least
+    weights = np.repeat(confidence[sure][:, None], 2, 1)
+    return decoupled(
+        scene.points[sure], scene.normals[sure], scene.tangents[sure], chosen[sure], weights, offset_m
+    )
+
+
+def classify(
+    scene: Float32, model: Float32, side_classes: UInt8, classes: int, config: ClassConfig | None = None
+) -> tuple[UInt8, Float32]:
+    """Classes (N, 2) of the sides of scene pairs (N, 2, 3), and confidences (N,) in 0..1: the similarity of
+    the nearest model pair times how far the winning classes are ahead of the second."""
+    config = config or ClassConfig()
+    if not len(scene) or not len(model):
+        return np.zeros((len(scene), 2), np.uint8), np.zeros(len(scene), np.float32)
+    step = -(-len(model) // config.model_pairs)
+    c = SimilarityConfig()
+    return _classify(
+        shapes(scene, c),
+        shapes(model[::step], c),
+        np.ascontiguousarray(side_classes[::step]),
+        classes,
+        *parameters(c),
+        config.sharpness,
+    )
+
+
+@jit
+def _classify(
+    x: Float32,
+    y: Float32,
+    side_classes: UInt8,
+    classes: int,
+    direction: float,
+    contrast: float,
+    luminance: float,
+    sharpness: float,
+) -> tuple[UInt8, Float32]:
+    chosen = np.zeros((x.shape[0], 2), np.uint8)
+    confidence = np.zeros(x.shape[0], np.float32)
+    votes = np.empty(classes * classes)
+    turned = np.empty(x.shape[1], np.float32)
+    for i in range(x.shape[0]):
+        for q in range(6):
+            turned[q] = x[i, (q + 3) % 6]
+        for q in range(6, 9):
+            turned[q] = -x[i, q]
+        turned[9] = x[i, 9]
+        turned[10] = -x[i, 10]
+        votes[:] = 0.0
+        nearest = 1e9
+        for j in range(y.shape[0]):
+            straight = pair_cost(x[i], y[j], direction, contrast, luminance)
+            crossed = pair_cost(turned, y[j], direction, contrast, luminance)
+            a, b = int(side_classes[j, 0]), int(side_classes[j, 1])
+            votes[a * classes + b] += np.exp(-sharpness * straight)
+            votes[b * classes + a] += np.exp(-sharpness * crossed)
+            nearest = min(nearest, straight, crossed)
+        best, second, at = 0.0, 0.0, 0
+        for k in range(votes.shape[0]):
+            if votes[k] > best:
+                second = best
+                best = votes[k]
+                at = k
+            elif votes[k] > second:
+                second = votes[k]
+        if best > 0.0:
+            chosen[i, 0] = at // classes
+            chosen[i, 1] = at % classes
+            confidence[i] = np.exp(-nearest) * (1.0 - second / best)
+    return chosen, confidence
+
+
+@jit
+def pair_cost(x: Float32, y: Float32, direction: float, contrast: float, luminance: float) -> float:
+    """Minus the logarithm of the similarity of two shapes, without exchanging sides."""
+    d = 2 - (x[0] * y[0] + x[1] * y[1] + x[2] * y[2]) - (x[3] * y[3] + x[4] * y[4] + x[5] * y[5])
+    c = 1 - (x[6] * y[6] + x[7] * y[7] + x[8] * y[8]) - x[9] * y[9]
+    r = x[10] - y[10]
+    return float(direction * d + contrast * c + luminance * r * r)

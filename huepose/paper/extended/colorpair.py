@@ -1,0 +1,206 @@
+"""The method `colorpair`: colour pairs alone, without templates and without dense colour, and with what was
+added to the paper's path.
+
+Per source mask: pairs > hypotheses (matching.hypotheses), with starts from shape where they are few >
+registration on depth. Then together: near-symmetric turns of the best > coordinate search by pairs >
+settling on depth > the best searched finely, and all judged by pairs.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import cv2
+import numpy as np
+
+from huepose.geometry.arrays import Bool, Float64
+from huepose.geometry.frame import RgbdFrame
+from huepose.judge.pair_agreement import agreement_many
+from huepose.judge.pair_kernel import PairPicture
+from huepose.judge.pair_terms import pair_picture, pair_score_many
+from huepose.judge.region import Region
+from huepose.model.types import ReferenceModel
+from huepose.paper.extended import hypotheses
+from huepose.paper.extended.config import ColorpairPathConfig
+from huepose.paper.extended.hypotheses import HypothesesConfig, hypotheses_of, read_scene
+from huepose.paper.extended.pair_search import search_pairs
+from huepose.paper.extended.shape import shape_hypotheses
+from huepose.paper.scene import extract_at_model_scale
+from huepose.paper.semantic_icp import ClassifiedScene, semantic_icp_many
+from huepose.paper.tables import tables_of
+from huepose.propose.evidence import Evidence
+from huepose.refine.point_to_plane import align_many
+from huepose.select.distinct import different_poses
+from huepose.support.stages import stage
+
+RIM_PX = 3
+"""Side of the square by which a mask is made smaller: pairs at its rim belong to what is behind, too."""
+
+COARSE_PAIRS, COARSE_SAMPLES = 300, 200
+SEARCH_PAIRS, SEARCH_SAMPLES = 600, 300
+FINAL_PAIRS, FINAL_SAMPLES = 1500, 600
+"""Pairs and surface samples by which poses are judged: many poses quickly, the last few closely."""
+
+FINAL_TURN_RAD, FINAL_SHIFT = 0.2, 0.05
+"""Poses closer than this (shift in diameters) are one answer."""
+
+CORRELATED, AGREED = 0.5, 0.5
+"""What the score's correlations count in the end, and the agreement in which a pair that disagrees wholly
+counts as nothing (`judge.pair_agreement`): chosen on drawn heaps."""
+
+SHAPES = 20
+"""Most starts from shape alone, where colours propose too few poses."""
+
+
+class ColorpairMethod:
+    """The method `colorpair` as the estimator runs it."""
+
+    bare = False
+
+    def __init__(self, config: ColorpairPathConfig | None = None) -> None:
+        self.config = config or ColorpairPathConfig()
+
+    def check(self, model: ReferenceModel) -> None:
+        """Raises InputError for a model without the tables of the paper's method."""
+        tables_of(model)
+
+    def warm_up(self, models: Sequence[ReferenceModel]) -> None:
+        """Compile what the first picture may do without and a later one needs."""
+        hypotheses.warm_up(models, _sources(self.config))
+
+    def poses(
+        self, model: ReferenceModel, evidence: Evidence, rng: np.random.Generator
+    ) -> tuple[Float64, Float64]:
+        """See `estimate_by_pairs`."""
+        return estimate_by_pairs(model, evidence, self.config, rng)
+
+
+def estimate_by_pairs(
+    model: ReferenceModel,
+    evidence: Evidence,
+    config: ColorpairPathConfig,
+    rng: np.random.Generator,
+) -> tuple[Float64, Float64]:
+    """Poses T_cam_obj (K, 4, 4) of one object and their scores (K,), best first.
+
+    Every source mask proposes poses; the score is that of `judge.pair_terms` on the evidence's region.
+    Empty when nothing is to be seen: no depth, no pairs and no plausible start from shape.
+    """
+    region = evidence.region
+    with stage("picture"):
+        picture = pair_picture(model, region.crop, region.median_depth_m)
+    poses = proposed_by_pairs(model, evidence, picture, config, rng)
+    if not len(poses):
+        return poses, np.zeros(0)
+    with stage("turns"):
+        poses = _with_turns(model, region, picture, poses, config)
+    with stage("search"):
+        searched, _ = search_pairs(model, region, picture, poses, (8.0, 4.0, 2.0, 1.0))
+    with stage("icp"):
+        settled = align_many(model.surface, model.grid, region.points_cam, searched, 0.012, 0.006, 5)
+        poses = np.concatenate([searched, settled])
+    with stage("judge"):
+        terms = _judge(model, region, picture, poses)
+        most = config.alternatives + config.finished
+        best = different_poses(model, poses, terms[:, 0], most, FINAL_TURN_RAD, FINAL_SHIFT)
+        poses, terms = poses[best], terms[best]
+    with stage("search"):
+        fine, _ = search_pairs(
+            model, region, picture, poses[: config.finished], (3.0, 1.5, 0.7), SEARCH_PAIRS, SEARCH_SAMPLES
+        )
+        poses = np.concatenate([poses, fine])
+        terms = np.concatenate([terms, _judge(model, region, picture, fine)])
+        best = different_poses(model, poses, terms[:, 0], config.alternatives, FINAL_TURN_RAD, FINAL_SHIFT)
+    with stage("decide"):
+        return _decided(model, region, picture, poses[best], terms[best])
+
+
+def proposed_by_pairs(
+    model: ReferenceModel,
+    evidence: Evidence,
+    picture: PairPicture,
+    config: ColorpairPathConfig,
+    rng: np.random.Generator,
+) -> Float64:
+    """The best different poses (N, 4, 4) that the sources of the evidence propose, laid on their points."""
+    crop = evidence.region.crop
+    part = RgbdFrame(np.ascontiguousarray(crop.color), np.ascontiguousarray(crop.depth), crop.camera)
+    sources = zip(evidence.sources, evidence.points_cam, strict=True)
+    poses = [_proposed(model, part, evidence.region, picture, m, p, rng, config) for m, p in sources]
+    return np.concatenate([np.zeros((0, 4, 4)), *poses])
+
+
+def _proposed(
+    model: ReferenceModel,
+    part: RgbdFrame,
+    region: Region,
+    picture: PairPicture,
+    source: Bool,
+    points_cam: Float64,
+    rng: np.random.Generator,
+    config: ColorpairPathConfig,
+) -> Float64:
+    """The best different poses (N, 4, 4) that one source mask (h, w) proposes; `part`: the crop's pixels."""
+    mask = cv2.erode(source.astype(np.uint8), np.ones((RIM_PX, RIM_PX), np.uint8)) > 0
+    with stage("extract"):
+        pairs = extract_at_model_scale(model.pairs, part, mask)
+    with stage("hypotheses"):
+        sources = _sources(config)
+        readings = read_scene(model, pairs, part, mask, sources, rng)
+        found = hypotheses_of(model, readings, part, mask, sources, rng)[: config.refined]
+        missing = min(config.refined - len(found), SHAPES)
+        found += shape_hypotheses(model, part, mask, missing)
+    if not found:
+        return np.zeros((0, 4, 4))
+    poses = np.stack([h.T_cam_obj for h in found])
+    with stage("icp"):
+        poses = align_many(model.surface, model.grid, points_cam, poses, 0.15 * model.diameter_m, 0.008, 25)
+    with stage("judge"):
+        totals = pair_score_many(model, region, picture, poses, COARSE_PAIRS, COARSE_SAMPLES)[:, 0]
+        poses = poses[different_poses(model, poses, totals, config.kept)]
+    if config.semantic and readings:
+        with stage("semantic_icp"):
+            seen = readings[0].cloud
+            scene = ClassifiedScene(seen.points, seen.classes, seen.weights)
+            slid = semantic_icp_many(tables_of(model), scene, poses)
+            poses = np.concatenate([poses, [a.T_cam_obj for a in slid]])
+    return np.asarray(poses)
+
+
+def _sources(config: ColorpairPathConfig) -> HypothesesConfig:
+    return HypothesesConfig() if config.ppf else HypothesesConfig(ppf=None)
+
+
+def _with_turns(
+    model: ReferenceModel,
+    region: Region,
+    picture: PairPicture,
+    poses: Float64,
+    config: ColorpairPathConfig,
+) -> Float64:
+    """The best different ones among poses (N, 4, 4) and the near-symmetric turns of the best of them."""
+    totals = pair_score_many(model, region, picture, poses, COARSE_PAIRS, COARSE_SAMPLES)[:, 0]
+    best = different_poses(model, poses, totals, config.kept)
+    poses, totals = poses[best], totals[best]
+    turned = np.einsum("nij,mjk->nmik", poses[: config.turned], model.turns[1:]).reshape(-1, 4, 4)
+    if len(turned):
+        more = pair_score_many(model, region, picture, turned, COARSE_PAIRS, COARSE_SAMPLES)[:, 0]
+        poses, totals = np.concatenate([poses, turned]), np.concatenate([totals, more])
+    return np.asarray(poses[different_poses(model, poses, totals, config.searched)])
+
+
+def _decided(
+    model: ReferenceModel, region: Region, picture: PairPicture, poses: Float64, terms: Float64
+) -> tuple[Float64, Float64]:
+    """Different poses (K, 4, 4), judged already (K, 5), put in order by what agrees as well as by how it
+    correlates. The first keeps its score, and the others' say how far they are behind."""
+    totals, geometry = terms[:, 0], terms[:, 1]
+    agreed = agreement_many(model, region, picture, poses, FINAL_PAIRS)
+    weighed = geometry + CORRELATED * (totals - geometry) + AGREED * agreed
+    order = np.argsort(-weighed, kind="stable")
+    return poses[order], totals[order[0]] - weighed[order[0]] + weighed[order]
+
+
+def _judge(model: ReferenceModel, region: Region, picture: PairPicture, poses: Float64) -> Float64:
+    """Terms (M, 5) of `pair_score_many` of poses (M, 4, 4), looked at closely."""
+    return pair_score_many(model, region, picture, poses, FINAL_PAIRS, FINAL_SAMPLES)

@@ -1,0 +1,136 @@
+"""A colour pair on a surface is a whole coordinate frame: one good match names a pose.
+
+A ridge point has a position, a surface normal and the direction across the edge; which side is which is known
+from the colours. So a single match of a scene pair with a model pair determines all six degrees of freedom,
+roughly, where a triangle needs three points of three classes. This makes use of all that the paper's features
+carry, costs little, and works with two colours; the votes go the same way as those of triangles and point
+pairs.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from huepose.colorpair.similarity import SimilarityConfig, parameters, shapes
+from huepose.colorpair.types import SurfacePairs
+from huepose.geometry.arrays import Float32, Int32
+from huepose.paper.classes import pair_cost
+from huepose.propose.types import Votes
+from huepose.support.jit import jit
+
+
+@dataclass(frozen=True)
+class FrameConfig:
+    """model_pairs: most that are compared; matches: most of one scene pair; least: similarity
+    under which a match is not counted; sharpness: exponent on the similarity where matches share a pair's
+    vote."""
+
+    model_pairs: int = 2500
+    matches: int = 80
+    least: float = 0.3
+    sharpness: float = 3.0
+
+
+def frame_votes(
+    scene: SurfacePairs,
+    model: SurfacePairs,
+    config: FrameConfig | None = None,
+    similarity: SimilarityConfig | None = None,
+) -> Votes:
+    """Poses T_cam_obj from single matches; `scene` in camera axes, `model` in the object's."""
+    config = config or FrameConfig()
+    if not len(scene) or not len(model):
+        return Votes.empty()
+    c = similarity or SimilarityConfig()
+    model = model[:: -(-len(model) // config.model_pairs)]
+    return Votes(
+        *_vote(
+            shapes(scene.colors, c),
+            _frames(scene),
+            scene.points,
+            shapes(model.colors, c),
+            _frames(model),
+            model.points,
+            *parameters(c),
+            config.matches,
+            config.least,
+            config.sharpness,
+        )
+    )
+
+
+def _frames(pairs: SurfacePairs) -> Float32:
+    """Rotations (N, 3, 3) float32 whose columns are tangent, edge direction and normal."""
+    n = pairs.normals
+    t = pairs.tangents - (pairs.tangents * n).sum(1, keepdims=True) * n
+    t /= np.maximum(np.linalg.norm(t, axis=1, keepdims=True), 1e-9)
+    return np.ascontiguousarray(np.stack([t, np.cross(n, t), n], 2), np.float32)
+
+
+@jit
+def _vote(
+    x: Float32,
+    frames: Float32,
+    points: Float32,
+    y: Float32,
+    model_frames: Float32,
+    model_points: Float32,
+    direction: float,
+    contrast: float,
+    luminance: float,
+    limit: int,
+    least: float,
+    sharpness: float,
+) -> tuple[Float32, Float32, Float32, Int32]:
+    room = points.shape[0] * limit
+    out_R = np.empty((room, 3, 3), np.float32)
+    out_t = np.empty((room, 3), np.float32)
+    out_w = np.empty(room, np.float32)
+    out_f = np.empty(room, np.int32)
+    count = 0
+    m = model_points.shape[0]
+    farthest = -np.log(least)
+    found = np.empty(2 * m, np.int32)
+    cost = np.empty(2 * m, np.float32)
+    turned = np.empty(x.shape[1], np.float32)
+    for i in range(points.shape[0]):
+        # the pair as it is, and with its sides exchanged: the frame is then turned about the normal
+        for q in range(6):
+            turned[q] = x[i, (q + 3) % 6]
+        for q in range(6, 9):
+            turned[q] = -x[i, q]
+        turned[9] = x[i, 9]
+        turned[10] = -x[i, 10]
+        near = 0
+        total = 0.0
+        for j in range(m):
+            for way in range(2):
+                z = turned if way else x[i]
+                c = pair_cost(z, y[j], direction, contrast, luminance)
+                if c < farthest:
+                    found[near] = j + way * m
+                    cost[near] = c
+                    total += np.exp(-sharpness * c)
+                    near += 1
+        order = np.argsort(cost[:near])
+        for k in range(min(limit, near)):
+            j = found[order[k]]
+            flip = np.float32(1.0) if j < m else np.float32(-1.0)
+            j = j % m
+            for a in range(3):
+                moved = np.float32(0.0)
+                for b in range(3):
+                    r = (
+                        flip * frames[i, a, 0] * model_frames[j, b, 0]
+                        + flip * frames[i, a, 1] * model_frames[j, b, 1]
+                        + frames[i, a, 2] * model_frames[j, b, 2]
+                    )
+                    out_R[count, a, b] = r
+                    moved += r * model_points[j, b]
+                out_t[count, a] = points[i, a] - moved
+            out_w[count] = np.exp(-sharpness * cost[order[k]]) / total
+            out_f[count] = i
+            count += 1
+    return out_R[:count].copy(), out_t[:count].copy(), out_w[:count].copy(), out_f[:count].copy()

@@ -1,0 +1,134 @@
+"""Poses from colour pairs: light, classes, votes of three kinds, plausibility, clusters (paper, section
+III-C).
+
+Votes come from single pairs as frames and from triangles of three classes; where fewer than three classes
+are in sight, from point pairs with classes too. All are asked under each of the few lights that could
+explain the scene's colours, weighed by whether depth allows them, and clustered together.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+
+from huepose.colorpair.lifting import lift
+from huepose.colorpair.light import relit
+from huepose.colorpair.types import ColorPairs, SurfacePairs
+from huepose.geometry.arrays import Bool, Float64
+from huepose.geometry.frame import RgbdFrame
+from huepose.model.pairs import reference_pairs
+from huepose.model.types import ReferenceModel
+from huepose.paper.classes import ClassConfig
+from huepose.paper.cloud import ClassifiedCloud
+from huepose.paper.extended.frames import FrameConfig, frame_votes
+from huepose.paper.extended.light import LightConfig, lights_of
+from huepose.paper.extended.plausible import plausible
+from huepose.paper.ppf import PpfConfig
+from huepose.paper.scene import (
+    NEEDED_CLASSES,
+    classes_in_sight,
+    classified_scene,
+    votes_of_point_pairs,
+    votes_of_triangles,
+)
+from huepose.paper.tables import reference_cloud, tables_of
+from huepose.paper.triangles import TriangleConfig
+from huepose.paper.voting import VotingConfig, cluster
+from huepose.propose.types import Hypothesis, Votes
+
+
+@dataclass(frozen=True)
+class HypothesesConfig:
+    """scene_pairs: most that are used; each source of votes can be switched off with None (`ppf`, the
+    fallback, for legal reasons: see its module)."""
+
+    scene_pairs: int = 220
+    light: LightConfig = field(default_factory=LightConfig)
+    classes: ClassConfig = field(default_factory=ClassConfig)
+    frames: FrameConfig | None = field(default_factory=FrameConfig)
+    triangles: TriangleConfig | None = field(default_factory=TriangleConfig)
+    ppf: PpfConfig | None = field(default_factory=PpfConfig)
+    voting: VotingConfig = field(default_factory=VotingConfig)
+
+
+@dataclass(frozen=True, eq=False)
+class Reading:
+    """The scene's pairs read under one light. light (3,): gains (see `colorpair.light`); share: of the
+    pairs that it explains, 0..1; pairs: on the surface, camera axes, colours as under the model's light;
+    cloud: their two sides, classified."""
+
+    light: Float64
+    share: float
+    pairs: SurfacePairs
+    cloud: ClassifiedCloud
+
+
+def hypotheses_of(
+    model: ReferenceModel,
+    readings: Sequence[Reading],
+    frame: RgbdFrame,
+    mask: Bool,
+    config: HypothesesConfig,
+    rng: np.random.Generator,
+) -> list[Hypothesis]:
+    """Likely poses of a model from the readings of a mask (H, W), best first, before any refinement.
+
+    Empty without readings: `paper.shape` has starts for that case.
+    """
+    if not readings:
+        return []
+    first = [v for r in readings for v in _first_votes(model, r, config, rng)]
+    votes = plausible(Votes.joined(first), model.surface, frame.depth, mask, frame.camera, model.diameter_m)
+    in_sight = max(classes_in_sight(r.cloud) for r in readings)
+    if config.ppf is not None and (not first or in_sight < NEEDED_CLASSES):
+        fallback = Votes.joined([votes_of_point_pairs(model, r.cloud, config.ppf, rng) for r in readings])
+        more = plausible(fallback, model.surface, frame.depth, mask, frame.camera, model.diameter_m)
+        votes = Votes.joined([votes, more])
+    return cluster(votes, model.mesh.centre, model.diameter_m, "pairs", config.voting, model.equivalents)
+
+
+def read_scene(
+    model: ReferenceModel,
+    pairs: ColorPairs,
+    frame: RgbdFrame,
+    mask: Bool,
+    config: HypothesesConfig,
+    rng: np.random.Generator,
+) -> list[Reading]:
+    """The pairs of a mask (H, W) on their surface, under each light that could be, best first.
+
+    Empty when there is no depth under the pairs, or when the model has none.
+    """
+    scene, _ = lift(pairs, frame.depth, mask, frame.camera)
+    reference = reference_pairs(model.pairs)
+    if not len(scene) or not len(reference):
+        return []
+    scene = scene[rng.permutation(len(scene))[: config.scene_pairs]]
+    readings = []
+    for light, share in lights_of(scene.colors, reference.colors, rng, config.light):
+        relit_scene = replace(scene, colors=relit(scene.colors, 1.0 / light))
+        cloud = classified_scene(model, relit_scene, config.classes)
+        readings.append(Reading(light, share, relit_scene, cloud))
+    return readings
+
+
+def warm_up(models: Sequence[ReferenceModel], config: HypothesesConfig) -> None:
+    """Compile the fallback, which most pictures do without, on the cloud of the first model that has a
+    table for it."""
+    model = next((m for m in models if len(tables_of(m).ppf_keys)), None)
+    if config.ppf is not None and model is not None:
+        cloud = reference_cloud(tables_of(model))
+        votes_of_point_pairs(model, cloud, config.ppf, np.random.default_rng(0))
+
+
+def _first_votes(
+    model: ReferenceModel, reading: Reading, config: HypothesesConfig, rng: np.random.Generator
+) -> list[Votes]:
+    votes = []
+    if config.frames is not None:
+        votes.append(frame_votes(reading.pairs, reference_pairs(model.pairs), config.frames))
+    if config.triangles is not None:
+        votes.append(votes_of_triangles(model, reading.cloud, config.triangles, rng))
+    return votes

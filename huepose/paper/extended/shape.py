@@ -1,0 +1,80 @@
+"""Starts from shape alone, for where colours say too little: few pairs, one colour, a blurred or distant
+object.
+
+Rotations spread evenly over all turns are placed so that the part of the surface which each of them shows
+lies where the mask's depth is; those that depth finds most plausible are starts for registration like any
+other.
+"""
+
+from __future__ import annotations
+
+from functools import lru_cache
+
+import numpy as np
+
+from huepose.geometry import icosphere, se3
+from huepose.geometry.arrays import Bool, Float32, Float64
+from huepose.geometry.frame import RgbdFrame
+from huepose.geometry.rotations import angles_to
+from huepose.model.types import ReferenceModel, Surface
+from huepose.paper.extended.plausible import plausible
+from huepose.propose.types import Hypothesis, Votes
+
+LEVEL, ROLLS = 1, 16
+"""Views of the icosphere and rolls about the viewing ray: a rotation is at most about 20 degrees from one."""
+
+DISTINCT_DEG = 20.0
+POINTS = 400
+
+
+def shape_hypotheses(model: ReferenceModel, frame: RgbdFrame, mask: Bool, count: int) -> list[Hypothesis]:
+    """The `count` most plausible different starts under a mask (H, W), best first; none without depth."""
+    v, u = np.nonzero(mask & (frame.depth > 0))
+    if not len(v):
+        return []
+    step = -(-len(v) // POINTS)
+    chosen = np.stack([u[::step], v[::step]], 1)
+    depths = frame.depth[chosen[:, 1], chosen[:, 0]]
+    middle = np.median(frame.camera.backproject(chosen.astype(np.float64), depths), axis=0)
+    rotations, views = _rotations()
+    shown = _shown_middles(model.surface, icosphere.directions(LEVEL))[views]
+    translations = middle - np.einsum("nij,nj->ni", rotations, shown)
+    votes = Votes(
+        rotations.astype(np.float32),
+        translations.astype(np.float32),
+        np.ones(len(rotations), np.float32),
+        np.arange(len(rotations), dtype=np.int32),
+    )
+    votes = plausible(votes, model.surface, frame.depth, mask, frame.camera, model.diameter_m)
+    out: list[Hypothesis] = []
+    for k in np.argsort(-votes.weights, kind="stable"):
+        if len(out) >= count:
+            break
+        R = votes.rotations[k].astype(np.float64)
+        if out and angles_to(np.stack([h.T_cam_obj[:3, :3] for h in out]), R).min() < np.radians(
+            DISTINCT_DEG
+        ):
+            continue
+        out.append(Hypothesis(se3.make(R, votes.translations[k]), float(votes.weights[k]), "shape"))
+    return out
+
+
+@lru_cache(maxsize=1)
+def _rotations() -> tuple[Float64, np.ndarray]:
+    """Rotations R_cam_obj (N, 3, 3) evenly over all turns, and the index (N,) of the view of each."""
+    out, views = [], []
+    for index, direction in enumerate(icosphere.directions(LEVEL)):
+        for roll in range(ROLLS):
+            turn = se3.rotation_exp(np.array([0.0, 0.0, 2 * np.pi * roll / ROLLS]))
+            out.append(turn @ icosphere.look_at(direction))
+            views.append(index)
+    return np.stack(out), np.array(views)
+
+
+def _shown_middles(surface: Surface, directions: Float64) -> Float32:
+    """Middle (V, 3) of the surface samples that are seen from each direction (V, 3)."""
+    out = np.empty((len(directions), 3), np.float32)
+    for i, k in enumerate((directions @ surface.directions.T).argmax(1)):
+        seen = surface.visible[surface.offsets[k] : surface.offsets[k + 1]][:150]
+        out[i] = np.median(surface.points[seen], axis=0) if len(seen) else 0.0
+    return out

@@ -1,0 +1,111 @@
+"""The learned turn between two frames: a network over matched points, run by onnxruntime.
+
+Two uses, one kind of network (paper, section III-E): it may regress the whole turn, or what the closed form
+left over. Training prepares its inputs with the functions of this module, so both see the same numbers.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Literal
+
+import numpy as np
+
+from huepose.geometry import se3
+from huepose.geometry.arrays import Float, Float32, Float64
+from huepose.paper.canonical import FEATURES, Canonical, canonical
+from huepose.paper.rotation_first import RotationRegressor, motion_given
+from huepose.propose.relative_pose import LiftedMatches, Motion, RobustKabsch
+from huepose.support.errors import InputError
+
+Kind = Literal["residual", "direct"]
+POINTS = 128
+"""Matches that the network looks at."""
+
+SHIPPED = Path(__file__).parent / "weights" / "rotation.onnx"
+"""A network of the kind "residual"; the file beside it says how it was made."""
+
+
+@dataclass(frozen=True, eq=False)
+class Posed:
+    """A question for the network: features of matches (`seen`), after the first of the two clouds was turned
+    by R_first (3, 3)."""
+
+    seen: Canonical
+    R_first: Float64
+
+
+def posed(matches: LiftedMatches, kind: Kind, first: RobustKabsch) -> Posed | None:
+    """The matches as the network sees them. For "residual" the closed form moves the first cloud onto the
+    second before; None where it finds no motion."""
+    if kind == "direct":
+        return Posed(canonical(matches.points_a, matches.points_b, matches.weights), np.eye(3))
+    motion = first.estimate(matches)
+    if motion is None:
+        return None
+    moved = se3.apply(motion.T_b_a, matches.points_a)
+    return Posed(canonical(moved, matches.points_b, matches.weights), motion.T_b_a[:3, :3])
+
+
+def fixed_count(features: Float32, weights: Float, count: int = POINTS) -> tuple[Float32, Float32]:
+    """Exactly `count` rows of features (N, 15) and weights (N,), heaviest first; few are repeated."""
+    order = np.argsort(-np.asarray(weights), kind="stable")
+    rows = order[np.arange(count) % len(order)]
+    return features[rows].astype(np.float32), np.asarray(weights)[rows].astype(np.float32)
+
+
+class OnnxRotation:
+    """A RotationRegressor from a file that `huepose train rotation` made; one thread.
+
+    The file takes `features` (1, 128, 15) and `weights` (1, 128) and gives `rotation` (1, 3, 3), all float32.
+    Raises InputError for a file that is not there or is something else.
+    """
+
+    def __init__(self, file: Path) -> None:
+        import onnxruntime as ort
+
+        if not file.is_file():
+            raise InputError(f"rotation network {file}", found="no such file", fix="name an existing .onnx")
+        options = ort.SessionOptions()
+        options.intra_op_num_threads = 1
+        options.log_severity_level = 3
+        try:
+            self._session = ort.InferenceSession(str(file), options, providers=["CPUExecutionProvider"])
+        except Exception as error:  # onnxruntime has no common class for its errors
+            raise InputError(
+                f"rotation network {file}",
+                found=str(error).split("\n")[0],
+                expected="a network by `huepose train rotation`",
+            ) from error
+        shapes = {i.name: list(i.shape) for i in self._session.get_inputs()}
+        if shapes != {"features": [1, POINTS, FEATURES], "weights": [1, POINTS]}:
+            raise InputError(
+                f"rotation network {file}",
+                found=f"inputs {shapes}",
+                expected=f"features [1, {POINTS}, {FEATURES}] and weights [1, {POINTS}]",
+                fix="use a network by `huepose train rotation` of this version",
+            )
+
+    def regress(self, features: Float32, weights: Float64) -> Float64:
+        """See RotationRegressor."""
+        rows, heavy = fixed_count(features, weights)
+        (R,) = self._session.run(["rotation"], {"features": rows[None], "weights": heavy[None]})
+        return np.asarray(R[0], np.float64)
+
+
+@dataclass(frozen=True)
+class ResidualRotation:
+    """A RelativePose: the closed form first, then the network turns what is left, then the translation."""
+
+    regressor: RotationRegressor
+    first: RobustKabsch = field(default_factory=RobustKabsch)
+
+    def estimate(self, matches: LiftedMatches) -> Motion | None:
+        """See RelativePose."""
+        question = posed(matches, "residual", self.first)
+        if question is None:
+            return None
+        left = question.seen.rotation(self.regressor.regress(question.seen.features, matches.weights))
+        R = left @ question.R_first
+        return motion_given(R, matches, self.first.inlier_m, self.first.min_inliers)

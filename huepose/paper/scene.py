@@ -1,0 +1,95 @@
+"""Online: the classified point cloud of a scene, and the votes that it casts (paper, section III-C).
+
+Colour pairs of the object's region are extracted, lifted onto their surface and classified by the model's
+database. The paper leaves open at which resolution pairs are compared: here the picture is brought to the
+scale of the model's views, so that both show the same print.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from huepose.colorpair.extract import ExtractionConfig, extract
+from huepose.colorpair.types import ColorPairs, SurfacePairs
+from huepose.geometry.arrays import Bool
+from huepose.geometry.frame import RgbdFrame
+from huepose.model.pairs import reference_pairs
+from huepose.model.types import PairReference, ReferenceModel
+from huepose.paper.classes import ClassConfig, classified
+from huepose.paper.cloud import ClassifiedCloud
+from huepose.paper.ppf import PpfConfig, ppf_votes
+from huepose.paper.tables import reference_cloud, tables_of
+from huepose.paper.triangles import TriangleConfig, triangle_votes
+from huepose.propose.types import Votes
+
+NEEDED_CLASSES, NEEDED_POINTS = 3, 30
+"""Triangles need three classes, each with so many points in sight; where fewer are, point pairs are asked."""
+
+
+def extract_at_model_scale(
+    pairs: PairReference, frame: RgbdFrame, mask: Bool, config: ExtractionConfig | None = None
+) -> ColorPairs:
+    """Colour pairs of a mask (H, W), extracted at the scale at which the model's were.
+
+    Empty when no pixel of the mask has depth.
+    """
+    depths = frame.depth[mask & (frame.depth > 0)]
+    if not len(depths):
+        return ColorPairs.empty()
+    scale = pairs.parameters["coarse_pixels_per_m"] * float(np.median(depths)) / frame.camera.fx
+    return extract(frame.color, mask, config, scale=min(scale, 1.0))
+
+
+def classified_scene(
+    model: ReferenceModel, scene: SurfacePairs, config: ClassConfig | None = None
+) -> ClassifiedCloud:
+    """The classified cloud of a scene's pairs on their surface, camera axes. Raises InputError for a model
+    without the tables of the paper's method."""
+    tables, reference = tables_of(model), reference_pairs(model.pairs)
+    return classified(
+        scene,
+        reference,
+        tables.side_classes,
+        len(tables.centers),
+        tables.parameters["side_offset_m"],
+        config,
+    )
+
+
+def classes_in_sight(cloud: ClassifiedCloud) -> int:
+    """How many classes have enough points for triangles."""
+    return int((np.bincount(cloud.classes, minlength=1) >= NEEDED_POINTS).sum())
+
+
+def votes_of_triangles(
+    model: ReferenceModel, cloud: ClassifiedCloud, config: TriangleConfig, rng: np.random.Generator
+) -> Votes:
+    """Poses from the triangles of a scene's classified cloud."""
+    tables = tables_of(model)
+    return triangle_votes(
+        cloud,
+        reference_cloud(tables),
+        tables.triangle_keys,
+        tables.triangles,
+        tables.parameters["triangle_bin_m"],
+        config,
+        rng,
+    )
+
+
+def votes_of_point_pairs(
+    model: ReferenceModel, cloud: ClassifiedCloud, config: PpfConfig, rng: np.random.Generator
+) -> Votes:
+    """Poses from the point pair features of a scene's classified cloud."""
+    tables = tables_of(model)
+    return ppf_votes(
+        cloud,
+        reference_cloud(tables),
+        tables.ppf_keys,
+        tables.ppf,
+        tables.ppf_alpha,
+        tables.parameters["ppf_bin_m"],
+        model.diameter_m,
+        config,
+        rng,
+    )

@@ -1,0 +1,289 @@
+"""Semantic ICP: every class of the classified cloud and all of them together pull at one pose (paper, III-D).
+
+In each iteration, scene points look for their nearest model point twice: among those of their own class,
+which keeps the parts of the texture where they belong, and among all, which holds the whole together where a
+class has few points. Both kinds of correspondences enter one weighted system for one increment of the pose.
+Residuals are those of point to plane; same-class correspondences also pull a little along the surface,
+because a plane cannot tell where on a face its colours are. The hierarchy goes from few points and a wide
+gate to all points and a narrow one; weights are Tukey's within the gate, and the step is damped.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+
+from huepose.geometry import se3
+from huepose.geometry.arrays import Float, Float64, Int32, Int64, UInt8
+from huepose.model.types import PaperTables
+from huepose.refine.robust import tukey
+from huepose.refine.solver import (
+    Body,
+    NormalEquations,
+    add_residual,
+    advance,
+    clear,
+    motion_row,
+    normal_equations,
+)
+from huepose.support.jit import jit
+
+DAMPING = 1e-3
+"""Of the correspondences' weight."""
+
+FEWEST_FOR_A_STEP = 6
+STEP_TOLERANCE_M = 2e-6
+
+
+@dataclass(frozen=True)
+class SemanticIcpConfig:
+    """gates: of the levels, in diameters of the model's cloud, wide to narrow; strides, model_strides: every
+    how many-th scene and model point a level uses; iterations: of a level; semantic, aggregate: weights of
+    the two kinds of correspondences; sliding: weight of the residual along the surface against that across
+    it, for points of one class."""
+
+    gates: tuple[float, ...] = (0.35, 0.15, 0.06, 0.02)
+    strides: tuple[int, ...] = (4, 3, 2, 1)
+    model_strides: tuple[int, ...] = (8, 4, 2, 1)
+    iterations: tuple[int, ...] = (10, 8, 6, 6)
+    semantic: float = 1.0
+    aggregate: float = 0.5
+    sliding: float = 0.1
+
+
+@dataclass(frozen=True, eq=False)
+class ClassifiedScene:
+    """points_cam (N, 3) metres in camera axes, classes (N,), weights (N,): what a camera saw of a cloud."""
+
+    points_cam: Float
+    classes: UInt8
+    weights: Float
+
+
+class _Scene(NamedTuple):
+    """The scene's points of one level as kernels read them."""
+
+    points: Float64
+    classes: UInt8
+    weights: Float64
+
+
+class _Cloud(NamedTuple):
+    """The model's points of one level, and a grid of cells over them: shape (3,); for each cell where it
+    stands among those that have points, or -1; the points in order of their cells, and where each cell's
+    start; the lowest corner; the side of a cell, which is the gate of the level."""
+
+    points: Float64
+    normals: Float64
+    classes: UInt8
+    shape: Int64
+    table: Int32
+    order: Int32
+    starts: Int32
+    low: Float64
+    gate: float
+
+
+class _Shares(NamedTuple):
+    """What of the configuration is the same for all levels."""
+
+    semantic: float
+    aggregate: float
+    sliding: float
+
+
+@dataclass(frozen=True, eq=False)
+class SemanticAlignment:
+    """T_cam_obj (4, 4); iterations done; matched: correspondences with weight in the last iteration, of both
+    kinds; rms_m: their weighted root mean square residual."""
+
+    T_cam_obj: Float64
+    iterations: int
+    matched: int
+    rms_m: float
+
+
+def semantic_icp(
+    reference: PaperTables,
+    points_cam: Float,
+    classes: UInt8,
+    weights: Float,
+    T_cam_obj: Float,
+    config: SemanticIcpConfig | None = None,
+) -> SemanticAlignment:
+    """Move the object so that the model's classified cloud lies on the scene's.
+
+    points_cam (N, 3) metres in camera axes, classes (N,), weights (N,): the scene's classified cloud. Without
+    points near the model the pose comes back unchanged.
+    """
+    scene = ClassifiedScene(points_cam, classes, weights)
+    return semantic_icp_many(reference, scene, np.asarray(T_cam_obj, np.float64)[None], config)[0]
+
+
+def semantic_icp_many(
+    reference: PaperTables,
+    scene: ClassifiedScene,
+    poses: Float,
+    config: SemanticIcpConfig | None = None,
+) -> list[SemanticAlignment]:
+    """`semantic_icp` from each of the poses (M, 4, 4): what does not depend on the pose is made once."""
+    config = config or SemanticIcpConfig()
+    model = np.ascontiguousarray(reference.cloud_points, np.float64)
+    T = np.array(poses, dtype=np.float64)
+    points = np.ascontiguousarray(scene.points_cam, np.float64)
+    if not len(model) or not len(points):
+        return [SemanticAlignment(start, 0, 0, 0.0) for start in T]
+    low = model.min(0)
+    centre = 0.5 * (low + model.max(0))
+    radius = float(np.linalg.norm(model - centre, axis=1).max())
+    done, reports = np.zeros(len(T), np.int64), np.zeros((len(T), 2))
+    shares, body = _Shares(config.semantic, config.aggregate, config.sliding), Body(centre, radius)
+    levels = (config.gates, config.strides, config.model_strides, config.iterations)
+    for share, stride, thinner, rounds in zip(*levels, strict=True):
+        seen = _Scene(
+            points[::stride],
+            np.ascontiguousarray(scene.classes[::stride]),
+            np.ascontiguousarray(scene.weights[::stride], np.float64),
+        )
+        cloud = _cloud(reference, thinner, 2.0 * radius * share)
+        _align_all(T, seen, cloud, shares, body, rounds, reports, done)
+    return [
+        SemanticAlignment(se3.orthonormalised(pose), int(n), int(matched), float(rms))
+        for pose, n, (matched, rms) in zip(T, done, reports, strict=True)
+    ]
+
+
+def _cloud(reference: PaperTables, thinner: int, gate: float) -> _Cloud:
+    """Every `thinner`-th point of the model's classified cloud, in cells as large as the gate."""
+    low = np.ascontiguousarray(reference.cloud_points, np.float64).min(0)
+    points = np.ascontiguousarray(reference.cloud_points[::thinner], np.float64)
+    cell = np.floor((points - low) / gate).astype(np.int64)
+    shape = cell.max(0) + 1
+    flat = (cell[:, 0] * shape[1] + cell[:, 1]) * shape[2] + cell[:, 2]
+    order = np.argsort(flat, kind="stable").astype(np.int32)
+    numbers, starts = np.unique(flat[order], return_index=True)
+    table = np.full(int(shape.prod()) + 1, -1, np.int32)
+    table[numbers] = np.arange(len(numbers))
+    return _Cloud(
+        points,
+        np.ascontiguousarray(reference.cloud_normals[::thinner], np.float64),
+        np.ascontiguousarray(reference.cloud_classes[::thinner]),
+        shape,
+        table,
+        order,
+        np.append(starts, len(points)).astype(np.int32),
+        low,
+        gate,
+    )
+
+
+@jit
+def _nearest(q0: float, q1: float, q2: float, kind: int, cloud: _Cloud) -> int:
+    """Index of the model point nearest to q within one cell's size, of one class (or any, for -1); -1 for
+    none."""
+    model, classes, low, size = cloud.points, cloud.classes, cloud.low, cloud.gate
+    shape, table, order, starts = cloud.shape, cloud.table, cloud.order, cloud.starts
+    c0 = int(np.floor((q0 - low[0]) / size))
+    c1 = int(np.floor((q1 - low[1]) / size))
+    c2 = int(np.floor((q2 - low[2]) / size))
+    best, at = size * size, -1
+    for x in range(max(c0 - 1, 0), min(c0 + 2, shape[0])):
+        for y in range(max(c1 - 1, 0), min(c1 + 2, shape[1])):
+            for z in range(max(c2 - 1, 0), min(c2 + 2, shape[2])):
+                k = table[(x * shape[1] + y) * shape[2] + z]
+                if k < 0:
+                    continue
+                for s in range(starts[k], starts[k + 1]):
+                    j = order[s]
+                    if kind >= 0 and classes[j] != kind:
+                        continue
+                    d = (model[j, 0] - q0) ** 2 + (model[j, 1] - q1) ** 2 + (model[j, 2] - q2) ** 2
+                    if d < best:
+                        best = d
+                        at = j
+    return at
+
+
+@jit
+def _align_all(
+    poses: Float64,
+    scene: _Scene,
+    cloud: _Cloud,
+    shares: _Shares,
+    body: Body,
+    rounds: int,
+    reports: Float64,
+    done: Int64,
+) -> None:
+    equations = normal_equations(6)
+    for m in range(poses.shape[0]):
+        done[m] += _align(poses[m], scene, cloud, shares, body, rounds, reports[m], equations)
+
+
+@jit
+def _align(
+    T: Float64,
+    scene: _Scene,
+    cloud: _Cloud,
+    shares: _Shares,
+    body: Body,
+    rounds: int,
+    report: Float64,
+    equations: NormalEquations,
+) -> int:
+    """Move a pose on one level; returns the iterations done."""
+    for iteration in range(rounds):
+        clear(equations)
+        matched, weight, squares = _add_semantic(T, scene, cloud, shares, body, equations)
+        report[0] = matched
+        report[1] = np.sqrt(squares / weight) if weight > 0.0 else 0.0
+        if matched < FEWEST_FOR_A_STEP:
+            return iteration
+        largest = advance(T, equations, body, DAMPING * weight)
+        if largest < 0.0:
+            return iteration
+        if largest < STEP_TOLERANCE_M:
+            return iteration + 1
+    return rounds
+
+
+@jit
+def _add_semantic(
+    T: Float64, scene: _Scene, cloud: _Cloud, shares: _Shares, body: Body, equations: NormalEquations
+) -> tuple[int, float, float]:
+    """Factor: add the residuals of both kinds of correspondences; returns how many there are, their weight,
+    and the weighted squares of the distances along normals."""
+    points, model, normals = scene.points, cloud.points, cloud.normals
+    matched, total, squares = 0, 0.0, 0.0
+    for i in range(points.shape[0]):
+        p0, p1, p2 = points[i, 0] - T[0, 3], points[i, 1] - T[1, 3], points[i, 2] - T[2, 3]
+        q0 = T[0, 0] * p0 + T[1, 0] * p1 + T[2, 0] * p2
+        q1 = T[0, 1] * p0 + T[1, 1] * p1 + T[2, 1] * p2
+        q2 = T[0, 2] * p0 + T[1, 2] * p1 + T[2, 2] * p2
+        for which in range(2):
+            kind = int(scene.classes[i]) if which == 0 else -1
+            j = _nearest(q0, q1, q2, kind, cloud)
+            if j < 0:
+                continue
+            e0, e1, e2 = q0 - model[j, 0], q1 - model[j, 1], q2 - model[j, 2]
+            w = scene.weights[i] * (shares.semantic if which == 0 else shares.aggregate)
+            w *= tukey((e0 * e0 + e1 * e1 + e2 * e2) / (cloud.gate * cloud.gate))
+            n0, n1, n2 = normals[j, 0], normals[j, 1], normals[j, 2]
+            across = e0 * n0 + e1 * n1 + e2 * n2
+            add_residual(equations, w, across, motion_row(q0, q1, q2, n0, n1, n2, body))
+            matched += 1
+            total += w
+            squares += w * across * across
+            if which == 0 and shares.sliding > 0.0:
+                # The residual along the surface, axis by axis.
+                for a in range(3):
+                    n = n0 if a == 0 else n1 if a == 1 else n2
+                    u0 = (1.0 if a == 0 else 0.0) - n * n0
+                    u1 = (1.0 if a == 1 else 0.0) - n * n1
+                    u2 = (1.0 if a == 2 else 0.0) - n * n2
+                    along = e0 * u0 + e1 * u1 + e2 * u2
+                    row = motion_row(q0, q1, q2, u0, u1, u2, body)
+                    add_residual(equations, w * shares.sliding, along, row)
+    return matched, total, squares

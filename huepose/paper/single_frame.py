@@ -1,0 +1,115 @@
+"""The paper's method on a single frame, and nothing that the paper does not have (section III, A to D).
+
+One mask > colour pairs > classified cloud > semantic triangles, or point pair features where fewer than three
+classes are in sight > two-stage Hough voting > semantic ICP > the best fit of the refined poses.
+
+Not here, because the paper does not have it: a light that is read from the scene, votes of single pairs, a
+test of votes against depth, turns of near-symmetric objects, a search on a score, dense colour, and the other
+objects of the frame. What the paper leaves open, and what is done here:
+
+- III, first paragraph: the mask is that of a segmenter in the detector's box. Where a segmenter gives
+  several, its first one counts.
+- III-C, "high-confidence matches": a scene pair whose best pair of classes is ahead of the second by enough
+  (`paper.classes`).
+- III-C, "a small, consistent set of initial alignments": the 30 strongest modes of the vote.
+- III-D: correspondences are those of the classified clouds alone, as the aggregated cloud "combines all
+  individual classes": depth between the edges is not used.
+- III-D says how one pose is refined, not which of the refined ones is the answer: here the one with the
+  largest weight of correspondences (`paper.fitness`), which is what the ICP makes larger.
+- The paper has no confidence. The fitness in 0..1 is handed on in its place: it is not a probability, so a
+  pose of this method is never more than `SUSPECT`.
+- Symmetric objects are not treated apart.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from huepose.colorpair.lifting import lift
+from huepose.geometry.arrays import Bool, Float64
+from huepose.geometry.frame import RgbdFrame
+from huepose.model.types import ReferenceModel
+from huepose.paper.cloud import ClassifiedCloud
+from huepose.paper.config import PaperConfig
+from huepose.paper.fitness import fitness_of
+from huepose.paper.scene import (
+    NEEDED_CLASSES,
+    classes_in_sight,
+    classified_scene,
+    extract_at_model_scale,
+    votes_of_point_pairs,
+    votes_of_triangles,
+)
+from huepose.paper.semantic_icp import ClassifiedScene, semantic_icp_many
+from huepose.paper.tables import reference_cloud, tables_of
+from huepose.paper.voting import cluster
+from huepose.propose.evidence import Evidence
+from huepose.propose.types import Votes
+from huepose.support.stages import stage
+
+NO_POSES = np.zeros((0, 4, 4)), np.zeros(0)
+
+
+class PaperMethod:
+    """The method `paper` as the estimator runs it."""
+
+    bare = True
+    """Its best pose is the answer as it is."""
+
+    def __init__(self, config: PaperConfig | None = None) -> None:
+        self.config = config or PaperConfig()
+
+    def check(self, model: ReferenceModel) -> None:
+        """Raises InputError for a model without the tables of this method."""
+        tables_of(model)
+
+    def warm_up(self, models: Sequence[ReferenceModel]) -> None:
+        """Compile the fallback, which most pictures do without."""
+        model = next((m for m in models if len(tables_of(m).ppf_keys)), None)
+        if model is not None and self.config.ppf is not None:
+            cloud = reference_cloud(tables_of(model))
+            votes_of_point_pairs(model, cloud, self.config.ppf, np.random.default_rng(0))
+
+    def poses(
+        self, model: ReferenceModel, evidence: Evidence, rng: np.random.Generator
+    ) -> tuple[Float64, Float64]:
+        """Poses T_cam_obj (K, 4, 4) and their fitness (K,) in 0..1, best first; none without pairs."""
+        crop = evidence.region.crop
+        frame = RgbdFrame(np.ascontiguousarray(crop.color), np.ascontiguousarray(crop.depth), crop.camera)
+        return self.in_mask(model, frame, evidence.sources[0], rng)
+
+    def in_mask(
+        self, model: ReferenceModel, frame: RgbdFrame, mask: Bool, rng: np.random.Generator
+    ) -> tuple[Float64, Float64]:
+        """The same for a frame and the object's mask (H, W) in it. Raises InputError for a model without
+        tables."""
+        config, tables = self.config, tables_of(model)
+        with stage("extract"):
+            pairs = extract_at_model_scale(model.pairs, frame, mask)
+            seen, _ = lift(pairs, frame.depth, mask, frame.camera)
+        if not len(seen):
+            return NO_POSES
+        with stage("classes"):
+            cloud = classified_scene(model, seen, config.classes)
+        with stage("votes"):
+            votes = self._votes(model, cloud, rng)
+            found = cluster(votes, model.mesh.centre, model.diameter_m, "paper", config.voting)
+        if not found:
+            return NO_POSES
+        starts = np.stack([h.T_cam_obj for h in found[: config.refined]])
+        with stage("semantic_icp"):
+            scene = ClassifiedScene(cloud.points, cloud.classes, cloud.weights)
+            poses = np.stack([a.T_cam_obj for a in semantic_icp_many(tables, scene, starts, config.icp)])
+        with stage("judge"):
+            fitness = fitness_of(tables, scene, poses, config.icp)
+        order = np.argsort(-fitness, kind="stable")
+        return poses[order], fitness[order]
+
+    def _votes(self, model: ReferenceModel, cloud: ClassifiedCloud, rng: np.random.Generator) -> Votes:
+        """Of triangles; of point pairs where too few classes are in sight for them."""
+        config = self.config
+        if config.ppf is None or classes_in_sight(cloud) >= NEEDED_CLASSES:
+            return votes_of_triangles(model, cloud, config.triangles, rng)
+        return votes_of_point_pairs(model, cloud, config.ppf, rng)

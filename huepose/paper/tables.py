@@ -1,0 +1,100 @@
+"""Offline: the tables of the paper's method, from the colour pairs of a model (paper, section III-C).
+
+Side colours are clustered into semantic classes; each side's point enters the classified cloud, from which
+the tables of triangles and of point pairs are built. The paper leaves open how many classes there are and
+how they are found (here at most eight, k-means in CIELAB), how dense the cloud is (a fiftieth of the
+diameter), and what a point weighs (how many views saw its pair, and how strong its contrast is).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from huepose.colorpair.types import SurfacePairs
+from huepose.geometry.arrays import Int32
+from huepose.model.types import PaperTables, ReferenceModel
+from huepose.paper.cloud import ClassifiedCloud, color_classes, decoupled, nearest_class, sparse
+from huepose.paper.ppf import PpfConfig, build_ppf
+from huepose.paper.triangles import TriangleConfig, build_triangles
+from huepose.support.errors import InputError
+
+SURE_VIEWS, SURE_CONTRAST = 3.0, 25.0
+"""A pair that so many views saw, with a contrast of so many CIELAB units, has the full weight of 1."""
+
+
+@dataclass(frozen=True)
+class TableConfig:
+    """classes: most semantic classes; side_offset: of the classified points from the edge, in diameters;
+    cloud_spacing: of points of one class, in diameters; ppf: None for none (see `paper.ppf` for why)."""
+
+    classes: int = 8
+    side_offset: float = 0.012
+    cloud_spacing: float = 0.02
+    triangles: TriangleConfig = field(default_factory=TriangleConfig)
+    ppf: PpfConfig | None = field(default_factory=PpfConfig)
+
+
+def build_tables(
+    pairs: SurfacePairs, seen: Int32, diameter_m: float, config: TableConfig | None = None
+) -> PaperTables:
+    """Classes, classified cloud, triangles and point pairs of a model.
+
+    pairs: its coarse colour pairs (N), in the object's frame; seen (N,): how many views saw each. Without
+    pairs all tables are empty. Deterministic.
+    """
+    config = config or TableConfig()
+    if len(pairs):
+        centers = color_classes(pairs.colors.reshape(-1, 3), config.classes)
+    else:
+        centers = np.zeros((1, 3), np.float32)
+    classes = nearest_class(pairs.colors, centers)
+    share = np.minimum(seen / SURE_VIEWS, 1.0).astype(np.float32)
+    contrast = np.linalg.norm(pairs.colors[:, 1] - pairs.colors[:, 0], axis=1)
+    weights = share * np.minimum(contrast / SURE_CONTRAST, 1.0)
+    offset_m = config.side_offset * diameter_m
+    sides = np.stack([weights, weights], 1)
+    cloud = decoupled(pairs.points, pairs.normals, pairs.tangents, classes, sides, offset_m)
+    cloud = cloud[sparse(cloud, config.cloud_spacing * diameter_m)]
+    triangle_keys, triangles = build_triangles(cloud, diameter_m, config.triangles)
+    ppf_config = config.ppf or PpfConfig(points=0)
+    ppf_keys, ppf, ppf_alpha = build_ppf(cloud, diameter_m, ppf_config)
+    return PaperTables(
+        centers=centers,
+        side_classes=classes,
+        cloud_points=cloud.points,
+        cloud_normals=cloud.normals,
+        cloud_classes=cloud.classes,
+        cloud_weights=cloud.weights,
+        triangle_keys=triangle_keys,
+        triangles=triangles,
+        ppf_keys=ppf_keys,
+        ppf=ppf,
+        ppf_alpha=ppf_alpha,
+        parameters={
+            "side_offset_m": offset_m,
+            "triangle_bin_m": config.triangles.bin * diameter_m,
+            "ppf_bin_m": ppf_config.bin * diameter_m,
+        },
+    )
+
+
+def tables_of(model: ReferenceModel) -> PaperTables:
+    """The tables of a model. Raises InputError for a model without them."""
+    if model.tables is None:
+        raise InputError(
+            f"reference model '{model.name}'",
+            found="no tables of the paper's method",
+            expected="a model with classes, triangles and point pairs, for --method paper or colorpair",
+            fix="Make it again with `huepose onboard` or `huepose onboard-bop` and --paper; "
+            "--method full needs no tables.",
+        )
+    return model.tables
+
+
+def reference_cloud(tables: PaperTables) -> ClassifiedCloud:
+    """The model's classified cloud."""
+    return ClassifiedCloud(
+        tables.cloud_points, tables.cloud_normals, tables.cloud_classes, tables.cloud_weights
+    )

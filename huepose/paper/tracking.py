@@ -1,0 +1,91 @@
+"""One step of the paper's tracker, and nothing that the paper does not have (section III-E, "Pose Tracking").
+
+Optical flow on the object's region > matches that the carried mask and their colour pairs confirm > lifted to
+3D > canonical features > the network's rotation > the translation that the matches agree on > a fixed small
+number of point-to-plane iterations. There is no velocity, no search, no colour in the refinement, no belief.
+What the paper leaves open, and what is done here:
+
+- The mask of the last frame, where no segmenter gives one: the object's outline at its last pose, where depth
+  agrees with it. Flow carries it to the new frame; there it filters matches and cuts out the depth.
+- The region of the flow: the outline's box and as much again on each side, so that a step may be as long as
+  the object is large in the picture.
+- The network in the package does not regress the whole rotation, as the paper's does, but what a closed form
+  leaves over (`rotation_network`, kind "residual"). One that regresses all of it can be trained and given
+  instead: `PaperStep(RotationFirst(OnnxRotation(FILE)))`.
+- Where the matches give no motion the last pose goes on, and the refinement has to find the object.
+- ICP: ten iterations, a gate from 20 to 8 mm, a thousand points.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from huepose.geometry import se3
+from huepose.geometry.arrays import Bool, Float64
+from huepose.geometry.frame import RgbdFrame
+from huepose.judge.silhouette import projected_box, visible_mask
+from huepose.model.types import ReferenceModel
+from huepose.paper.rotation_network import SHIPPED, OnnxRotation, ResidualRotation
+from huepose.propose import flow as optical_flow
+from huepose.propose.correspondences import match
+from huepose.propose.mask_propagation import propagate
+from huepose.propose.relative_pose import RelativePose, lift_matches
+from huepose.refine.point_to_plane import align
+
+GROWTH = 1.0
+"""Of the region of the flow on each side, in sizes of the object's box."""
+
+VISIBLE_M = 0.015
+"""Depth may lie this far from the model's surface and still be the object's."""
+
+GATE_START_M, GATE_END_M, ITERATIONS, POINTS = 0.02, 0.008, 10, 1000
+
+
+@dataclass(frozen=True)
+class PaperStep:
+    """From an object's pose in one frame to its pose in the next.
+
+    relative_pose: from matches to a motion; flow: where optical flow comes from.
+    """
+
+    relative_pose: RelativePose
+    flow: optical_flow.FlowSource = optical_flow.compute
+
+    @staticmethod
+    def shipped() -> PaperStep:
+        """With the network that comes with the library."""
+        return PaperStep(ResidualRotation(OnnxRotation(SHIPPED)))
+
+    def __call__(
+        self,
+        model: ReferenceModel,
+        T_cam_obj: Float64,
+        before: RgbdFrame,
+        after: RgbdFrame,
+        mask: Bool | None = None,
+    ) -> Float64:
+        """T_cam_obj (4, 4) in the frame `after`, from that in `before`. mask (H, W): the object's pixels in
+        `before`, where a segmenter gave them. The pose comes back as it is where the object is out of sight.
+        """
+        box = projected_box(model, before, T_cam_obj)
+        flow = None if box is None else self.flow(before.color, after.color, box.grown(GROWTH))
+        if flow is None:
+            return T_cam_obj
+        if mask is None:
+            mask = visible_mask(model, before, T_cam_obj, VISIBLE_M)
+        matches = lift_matches(before, after, match(before.color, after.color, mask, flow))
+        motion = self.relative_pose.estimate(matches)
+        T = T_cam_obj if motion is None else se3.compose(motion.T_b_a, T_cam_obj)
+        points = _depth_points(after, propagate(mask, flow))
+        return align(model.surface, model.grid, points, T, GATE_START_M, GATE_END_M, ITERATIONS).T_cam_obj
+
+
+def _depth_points(frame: RgbdFrame, mask: Bool) -> Float64:
+    """About POINTS points (N, 3), camera axes, of the mask's pixels (H, W) that have depth."""
+    rows, columns = np.nonzero(mask & (frame.depth > 0))
+    step = max(1, -(-len(rows) // POINTS))
+    rows, columns = rows[::step], columns[::step]
+    pixels = np.stack([columns, rows], 1).astype(np.float64)
+    return frame.camera.backproject(pixels, frame.depth[rows, columns])

@@ -1,0 +1,291 @@
+"""Semantic triangles: three points of three different classes name a pose (paper, section III-C).
+
+Offline, triangles that are large and whose centroid lies far from the object's centre are hashed under a
+seven-dimensional key that no rigid motion changes: three class ids in ascending order (which also orders the
+corners), three quantised sides, and the chirality, which is the sign of the triangle's normal against the
+mean normal of the surface at its corners: it tells a triangle from its mirror image. Online, scene
+triangles are looked up with their neighbouring bins; of many entries under one key a few are taken at equal
+steps of the distance between centroid and object centre. Each match gives a pose by Kabsch's fit of three
+points.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from huepose.geometry.arrays import Float32, Float64, Int32, Int64, UInt8
+from huepose.paper.cloud import ClassifiedCloud
+from huepose.propose.types import Votes
+from huepose.support.jit import jit
+
+MAX_CLASSES = 16
+MAX_BINS = 64
+
+
+@dataclass(frozen=True)
+class TriangleConfig:
+    """bin: of the sides, in diameters; min_height: smallest height of a triangle, in bins; area,
+    eccentricity: weights of the two terms of quality; candidates: drawn offline; rows: kept;
+    scene_triangles: drawn online; per_key: entries taken from one key; tolerance: on the sides, in bins;
+    facing: smallest mean cosine between matched normals."""
+
+    bin: float = 0.035
+    min_height: float = 3.0
+    area: float = 1.0
+    eccentricity: float = 0.05
+    candidates: int = 600_000
+    rows: int = 15_000
+    scene_triangles: int = 1800
+    per_key: int = 3
+    tolerance: float = 1.0
+    facing: float = 0.8
+
+
+def build_triangles(
+    cloud: ClassifiedCloud, diameter_m: float, config: TriangleConfig, seed: int = 0
+) -> tuple[Int64, Int32]:
+    """Keys (T,) int64, sorted, and corners (T, 3) int32 into the cloud in class order; under one key the
+    entries are in order of the distance between centroid and object centre."""
+    rng = np.random.default_rng(seed)
+    corners = draw_triples(cloud, config.candidates, rng)
+    p = cloud.points[corners].astype(np.float64)
+    n = cloud.normals[corners].astype(np.float64)
+    normal = np.cross(p[:, 1] - p[:, 0], p[:, 2] - p[:, 0])
+    area = 0.5 * np.linalg.norm(normal, axis=1)
+    sides = np.stack([np.linalg.norm(p[:, (k + 1) % 3] - p[:, k], axis=1) for k in range(3)], 1)
+    mean = n.sum(1)
+    mean /= np.maximum(np.linalg.norm(mean, axis=1, keepdims=True), 1e-9)
+    bin_m = config.bin * diameter_m
+    height = 2 * area / np.maximum(sides.max(1), 1e-12)
+    together = ((n * mean[:, None]).sum(2) > 0.25).all(1)  # some camera sees all three corners
+    usable = together & (height > config.min_height * bin_m) & (sides.max(1) < (MAX_BINS - 2) * bin_m)
+    centre = 0.5 * (cloud.points.min(0) + cloud.points.max(0)) if len(cloud) else np.zeros(3)
+    distance = np.linalg.norm(p.mean(1) - centre, axis=1)
+    quality = config.area * area / diameter_m**2 + config.eccentricity * distance / diameter_m
+    rows = np.flatnonzero(usable)
+    rows = rows[np.argsort(-quality[rows], kind="stable")][: config.rows]
+    chirality = (normal[rows] * mean[rows]).sum(1) > 0
+    classes = cloud.classes[corners[rows]].astype(np.int64)
+    keys = pack(classes, np.floor(sides[rows] / bin_m).astype(np.int64), chirality)
+    order = np.lexsort((distance[rows], keys))
+    return keys[order], corners[rows][order].astype(np.int32)
+
+
+def draw_triples(cloud: ClassifiedCloud, count: int, rng: np.random.Generator) -> Int32:
+    """At most `count` triples (T, 3) int32 of points of three different classes, corners in class order.
+
+    Points are drawn by weight, those of rare classes more often.
+    """
+    if len(cloud) < 3:
+        return np.zeros((0, 3), np.int32)
+    sizes = np.bincount(cloud.classes, minlength=MAX_CLASSES)
+    p = np.maximum(cloud.weights, 1e-6) / np.sqrt(sizes[cloud.classes])
+    triples = rng.choice(len(cloud), (count, 3), p=p / p.sum()).astype(np.int32)
+    classes = cloud.classes[triples]
+    order = np.argsort(classes, axis=1, kind="stable")
+    triples, classes = np.take_along_axis(triples, order, 1), np.take_along_axis(classes, order, 1)
+    return triples[(classes[:, 0] < classes[:, 1]) & (classes[:, 1] < classes[:, 2])]
+
+
+def pack(classes: Int64, bins: Int64, chirality: np.ndarray) -> Int64:
+    """Keys (T,) of classes (T, 3) ascending, side bins (T, 3), chirality (T,) bool."""
+    c = (classes[:, 0] * MAX_CLASSES + classes[:, 1]) * MAX_CLASSES + classes[:, 2]
+    q = (bins[:, 0] * MAX_BINS + bins[:, 1]) * MAX_BINS + bins[:, 2]
+    return np.asarray((c * MAX_BINS**3 + q) * 2 + chirality, np.int64)
+
+
+def triangle_votes(
+    scene: ClassifiedCloud,
+    model: ClassifiedCloud,
+    keys: Int64,
+    triangles: Int32,
+    bin_m: float,
+    config: TriangleConfig,
+    rng: np.random.Generator,
+) -> Votes:
+    """Poses from matching triangles of the scene's classified cloud (camera axes) with the table."""
+    if not len(keys) or len(scene) < 3:
+        return Votes.empty()
+    # about two in three draws have three different classes and a useful shape
+    triples = draw_triples(scene, 3 * config.scene_triangles, rng)
+    R, t, w, f = _look_up(
+        scene.points,
+        scene.normals,
+        scene.classes,
+        scene.weights,
+        triples,
+        model.points,
+        model.normals,
+        keys,
+        triangles,
+        bin_m,
+        config.min_height,
+        config.scene_triangles,
+        config.per_key,
+        config.tolerance,
+        config.facing,
+    )
+    return Votes(R, t, w, f)
+
+
+@jit
+def _fit(p: Float64, q: Float64, R: Float64, t: Float64) -> None:
+    """Kabsch's rotation and translation from triangle p (3, 3 by rows) to q, in closed form: both are planar,
+    so the best rotation lays plane on plane and turns within it."""
+    pc = np.zeros(3)
+    qc = np.zeros(3)
+    for a in range(3):
+        for k in range(3):
+            pc[a] += p[k, a] / 3.0
+            qc[a] += q[k, a] / 3.0
+    frames = np.empty((2, 3, 3))
+    for which in range(2):
+        x = p if which == 0 else q
+        e0, e1, e2 = x[1, 0] - x[0, 0], x[1, 1] - x[0, 1], x[1, 2] - x[0, 2]
+        g0, g1, g2 = x[2, 0] - x[0, 0], x[2, 1] - x[0, 1], x[2, 2] - x[0, 2]
+        n0, n1, n2 = e1 * g2 - e2 * g1, e2 * g0 - e0 * g2, e0 * g1 - e1 * g0
+        length = np.sqrt(n0 * n0 + n1 * n1 + n2 * n2)
+        n0, n1, n2 = n0 / length, n1 / length, n2 / length
+        length = np.sqrt(e0 * e0 + e1 * e1 + e2 * e2)
+        e0, e1, e2 = e0 / length, e1 / length, e2 / length
+        f = frames[which]
+        f[0, 0], f[0, 1], f[0, 2] = e0, e1, e2
+        f[1, 0], f[1, 1], f[1, 2] = n1 * e2 - n2 * e1, n2 * e0 - n0 * e2, n0 * e1 - n1 * e0
+        f[2, 0], f[2, 1], f[2, 2] = n0, n1, n2
+    dot = 0.0
+    cross = 0.0
+    for k in range(3):
+        px, py, qx, qy = 0.0, 0.0, 0.0, 0.0
+        for a in range(3):
+            px += frames[0, 0, a] * (p[k, a] - pc[a])
+            py += frames[0, 1, a] * (p[k, a] - pc[a])
+            qx += frames[1, 0, a] * (q[k, a] - qc[a])
+            qy += frames[1, 1, a] * (q[k, a] - qc[a])
+        dot += px * qx + py * qy
+        cross += px * qy - py * qx
+    length = np.sqrt(dot * dot + cross * cross)
+    c, s = dot / length, cross / length
+    for i in range(3):
+        x1 = c * frames[1, 0, i] + s * frames[1, 1, i]
+        x2 = c * frames[1, 1, i] - s * frames[1, 0, i]
+        for j in range(3):
+            R[i, j] = x1 * frames[0, 0, j] + x2 * frames[0, 1, j] + frames[1, 2, i] * frames[0, 2, j]
+    for i in range(3):
+        t[i] = qc[i] - (R[i, 0] * pc[0] + R[i, 1] * pc[1] + R[i, 2] * pc[2])
+
+
+@jit
+def _look_up(
+    points: Float32,
+    normals: Float32,
+    classes: UInt8,
+    weights: Float32,
+    triples: Int32,
+    model_points: Float32,
+    model_normals: Float32,
+    keys: Int64,
+    triangles: Int32,
+    bin_m: float,
+    min_height: float,
+    limit: int,
+    per_key: int,
+    tolerance: float,
+    facing: float,
+) -> tuple[Float32, Float32, Float32, Int32]:
+    room = 1 << 16
+    out_R = np.empty((room, 3, 3), np.float32)
+    out_t = np.empty((room, 3), np.float32)
+    out_w = np.empty(room, np.float32)
+    out_f = np.empty(room, np.int32)
+    count = 0
+    used = 0
+    p = np.empty((3, 3))
+    q = np.empty((3, 3))
+    R = np.empty((3, 3))
+    t = np.empty(3)
+    side = np.empty(3)
+    mean = np.empty(3)
+    shift = np.empty(3, np.int64)
+    for i in range(triples.shape[0]):
+        if used >= limit or count > room - 27 * per_key:
+            break
+        weight = 1.0
+        for k in range(3):
+            weight *= weights[triples[i, k]]
+            for a in range(3):
+                q[k, a] = points[triples[i, k], a]
+        longest = 0.0
+        for k in range(3):
+            m = (k + 1) % 3
+            side[k] = np.sqrt((q[k, 0] - q[m, 0]) ** 2 + (q[k, 1] - q[m, 1]) ** 2 + (q[k, 2] - q[m, 2]) ** 2)
+            longest = max(longest, side[k])
+        if longest >= (MAX_BINS - 2) * bin_m or longest < 1e-9:
+            continue
+        e0, e1, e2 = q[1, 0] - q[0, 0], q[1, 1] - q[0, 1], q[1, 2] - q[0, 2]
+        g0, g1, g2 = q[2, 0] - q[0, 0], q[2, 1] - q[0, 1], q[2, 2] - q[0, 2]
+        n0, n1, n2 = e1 * g2 - e2 * g1, e2 * g0 - e0 * g2, e0 * g1 - e1 * g0
+        if np.sqrt(n0 * n0 + n1 * n1 + n2 * n2) / longest < min_height * bin_m:
+            continue
+        for a in range(3):
+            mean[a] = normals[triples[i, 0], a] + normals[triples[i, 1], a] + normals[triples[i, 2], a]
+        turn = 1 if n0 * mean[0] + n1 * mean[1] + n2 * mean[2] > 0 else 0
+        head = np.int64(classes[triples[i, 0]])
+        head = (head * MAX_CLASSES + classes[triples[i, 1]]) * MAX_CLASSES + classes[triples[i, 2]]
+        first = count
+        used += 1
+        for combination in range(27):
+            shift[0] = combination // 9 - 1
+            shift[1] = (combination // 3) % 3 - 1
+            shift[2] = combination % 3 - 1
+            key = head
+            inside = True
+            for k in range(3):
+                b = int(side[k] / bin_m) + shift[k]
+                if b < 0 or b >= MAX_BINS:
+                    inside = False
+                key = key * MAX_BINS + b
+            if not inside:
+                continue
+            key = key * 2 + turn
+            low = np.searchsorted(keys, key)
+            high = low
+            while high < keys.shape[0] and keys[high] == key:
+                high += 1
+            entries = high - low
+            taken = min(entries, per_key)
+            for e in range(taken):
+                # equal steps over the list, which is in order of the distance from the object's centre
+                row = low + int((e + 0.5) * entries / taken)
+                alike = True
+                for k in range(3):
+                    for a in range(3):
+                        p[k, a] = model_points[triangles[row, k], a]
+                for k in range(3):
+                    m = (k + 1) % 3
+                    s = np.sqrt(
+                        (p[k, 0] - p[m, 0]) ** 2 + (p[k, 1] - p[m, 1]) ** 2 + (p[k, 2] - p[m, 2]) ** 2
+                    )
+                    if abs(s - side[k]) > tolerance * bin_m:
+                        alike = False
+                if not alike:
+                    continue
+                _fit(p, q, R, t)
+                agreement = 0.0
+                for k in range(3):
+                    for a in range(3):
+                        turned = 0.0
+                        for b in range(3):
+                            turned += R[a, b] * model_normals[triangles[row, k], b]
+                        agreement += turned * normals[triples[i, k], a] / 3.0
+                if agreement < facing:
+                    continue
+                out_R[count] = R
+                out_t[count] = t
+                out_w[count] = weight
+                out_f[count] = used - 1
+                count += 1
+        for j in range(first, count):
+            out_w[j] /= np.sqrt(count - first)
+    return out_R[:count].copy(), out_t[:count].copy(), out_w[:count].copy(), out_f[:count].copy()

@@ -1,0 +1,176 @@
+"""From thousands of weak poses to a few good ones: two-stage Hough voting, coarse to fine (paper, section
+III-C).
+
+First the position: cells of a tenth of the diameter collect votes for the object's centre, neighbours
+included. Then, inside the best cells, the rotation: votes within a geodesic radius and a distance of each
+other support one another. In both stages a scene feature counts once, with its strongest vote, so that an
+ambiguous feature cannot fill a cell alone. Modes are the weighted means of their supporters (chordal mean,
+free of quaternion signs), and suppress what is near them in pose space.
+
+Of an object that looks the same after a turn every pose has equals. Votes for equals support each other, and
+each is replaced by the equal nearest to the mode before means are taken: the mean of a pose and its half
+turn is neither.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from huepose.geometry import se3
+from huepose.geometry.arrays import Float, Float32, Float64, Int32, Int64
+from huepose.paper.modes import distinct_modes, modes_of
+from huepose.propose.types import Hypothesis, Votes
+from huepose.support.jit import jit
+
+
+@dataclass(frozen=True)
+class VotingConfig:
+    """cell: of the centre's position, and radius of a mode's support, in diameters; angle_deg: radius of a
+    mode's support; cells: searched; modes: of one cell; seeds: tried in one cell; members: votes looked at
+    in one cell; distinct_deg, distinct: hypotheses nearer than both (degrees, diameters) are one;
+    hypotheses: returned."""
+
+    cell: float = 0.1
+    angle_deg: float = 20.0
+    cells: int = 8
+    modes: int = 10
+    seeds: int = 120
+    members: int = 2500
+    distinct_deg: float = 15.0
+    distinct: float = 0.07
+    hypotheses: int = 60
+
+
+def cluster(
+    votes: Votes,
+    centre_obj: Float,
+    diameter_m: float,
+    source: str,
+    config: VotingConfig | None = None,
+    equivalents: Float | None = None,
+) -> list[Hypothesis]:
+    """The densest poses among the votes, best first; `centre_obj` (3,) is the point whose position is voted
+    for; `equivalents` (E, 4, 4), identity first: turns after which shape and print look the same.
+
+    The score is the summed weight of a mode's supporters, each scene feature counted once. Of equal poses
+    one is returned.
+    """
+    config = config or VotingConfig()
+    if not len(votes):
+        return []
+    turns = np.eye(4)[None] if equivalents is None else np.asarray(equivalents, np.float64)
+    # the one point that no equal pose moves
+    c = np.asarray(turns[:, :3, :3] @ np.asarray(centre_obj, np.float64) + turns[:, :3, 3]).mean(0)
+    centres = votes.rotations @ c.astype(np.float32) + votes.translations
+    quaternions = np.stack([_quaternions(votes.rotations @ t[:3, :3].astype(np.float32)) for t in turns])
+    cell_m, angle = config.cell * diameter_m, float(np.radians(config.angle_deg))
+    found = []
+    for members in dense_cells(centres, votes.weights, votes.features, cell_m, config.cells):
+        if len(members) > config.members:
+            members = members[:: -(-len(members) // config.members)]
+        found.append(
+            modes_of(
+                np.ascontiguousarray(quaternions[:, members]),
+                centres[members],
+                votes.weights[members],
+                votes.features[members],
+                cell_m,
+                angle,
+                config.seeds,
+                config.modes,
+            )
+        )
+    if not found:
+        return []
+    scores, rotations, places = (np.concatenate(parts) for parts in zip(*found, strict=True))
+    order = np.argsort(-scores, kind="stable")
+    scores, rotations, places = scores[order], rotations[order], places[order]
+    by_turns = np.stack([se3.quaternion_from_rotation(t[:3, :3]) for t in turns])
+    kept = distinct_modes(
+        _products(rotations, by_turns),
+        places,
+        float(np.radians(config.distinct_deg)),
+        config.distinct * diameter_m,
+        config.hypotheses,
+    )
+    out = []
+    for k in kept:
+        R = se3.rotation_from_quaternion(rotations[k])
+        out.append(Hypothesis(se3.make(R, places[k] - R @ c), float(scores[k]), source))
+    return out
+
+
+def _products(a: Float64, b: Float64) -> Float64:
+    """Quaternions xyzw (N, M, 4) of the turns a (N, 4) after the turns b (M, 4)."""
+    x, w = a[:, None, :3], a[:, None, 3:]
+    y, v = b[None, :, :3], b[None, :, 3:]
+    axis = w * y + v * x + np.cross(x, y)
+    return np.ascontiguousarray(np.concatenate([axis, w * v - (x * y).sum(-1, keepdims=True)], -1))
+
+
+def dense_cells(
+    centres: Float32, weights: Float32, features: Int32, cell_m: float, count: int
+) -> list[Int64]:
+    """The votes (indices) in and around the cells with most votes, best cell first; no two chosen cells
+    touch."""
+    low = np.percentile(centres, 1, axis=0).astype(np.float32) - 2 * cell_m
+    high = np.percentile(centres, 99, axis=0).astype(np.float32) + 2 * cell_m
+    size = np.minimum(np.ceil((high - low) / cell_m).astype(np.int64) + 1, 64)
+    cells = np.floor((centres - low) / np.float32(cell_m)).astype(np.int64)
+    inside = ((cells >= 1) & (cells < size - 1)).all(1)
+    flat = np.where(inside, (cells[:, 0] * size[1] + cells[:, 1]) * size[2] + cells[:, 2], -1)
+    total = _cell_votes(flat, weights, features, int(size.prod())).reshape(size)
+    around = total.copy()
+    for axis in range(3):
+        around = around + np.roll(around, 1, axis) + np.roll(around, -1, axis)
+    chosen: list[Int64] = []
+    for _ in range(count):
+        k = np.array(np.unravel_index(int(around.argmax()), around.shape))
+        if around[tuple(k)] <= 0:
+            break
+        near = (np.abs(cells - k) <= 1).all(1) & inside
+        chosen.append(np.flatnonzero(near))
+        a, b = np.maximum(k - 1, 0), k + 2
+        around[a[0] : b[0], a[1] : b[1], a[2] : b[2]] = 0.0
+    return chosen
+
+
+def _quaternions(R: Float32) -> Float32:
+    """Unit quaternions xyzw (N, 4) of rotations (N, 3, 3), by the largest of the four components."""
+    m = np.asarray(R, np.float64)
+    xx, yy, zz = m[:, 0, 0], m[:, 1, 1], m[:, 2, 2]
+    yz, zx, xy = m[:, 2, 1] - m[:, 1, 2], m[:, 0, 2] - m[:, 2, 0], m[:, 1, 0] - m[:, 0, 1]
+    sxy, szx, syz = m[:, 1, 0] + m[:, 0, 1], m[:, 0, 2] + m[:, 2, 0], m[:, 2, 1] + m[:, 1, 2]
+    rows = np.stack(
+        [
+            np.stack([1 + xx - yy - zz, sxy, szx, yz], 1),
+            np.stack([sxy, 1 - xx + yy - zz, syz, zx], 1),
+            np.stack([szx, syz, 1 - xx - yy + zz, xy], 1),
+            np.stack([yz, zx, xy, 1 + xx + yy + zz], 1),
+        ],
+        1,
+    )
+    best = np.einsum("nkk->nk", rows).argmax(1)
+    q = rows[np.arange(len(m)), best]
+    return np.asarray(q / np.linalg.norm(q, axis=1, keepdims=True), np.float32)
+
+
+@jit
+def _cell_votes(cells: Int64, weights: Float32, features: Int32, count: int) -> Float32:
+    """Sum over features of the strongest vote of each feature in each cell; features come in order."""
+    total = np.zeros(count, np.float32)
+    owner = np.full(count, -1, np.int32)
+    counted = np.zeros(count, np.float32)
+    for i in range(cells.shape[0]):
+        k = cells[i]
+        if k < 0:
+            continue
+        if owner[k] != features[i]:
+            owner[k] = features[i]
+            counted[k] = 0.0
+        if weights[i] > counted[k]:
+            total[k] += weights[i] - counted[k]
+            counted[k] = weights[i]
+    return total

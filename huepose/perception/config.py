@@ -1,0 +1,30 @@
+"""What can be set about the detector that needs no network; the defaults are those of a live pipeline."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from huepose.support.errors import InputError
+
+
+@dataclass(frozen=True)
+class DetectorConfig:
+    """proposals: most boxes of one object; min_score: a place that is the object's with less than this
+    probability is not worth an estimate; pool: places of each object that compete with those of the others.
+
+    Origin: chosen for time. Two boxes instead of three lose 0 to 3 % of the labels (docs/detection.md, first
+    1 / 2 / 5 proposals), and each box costs an estimate.
+    """
+
+    proposals: int = 2
+    min_score: float = 0.05
+    pool: int = 3
+
+    def __post_init__(self) -> None:
+        for name in ("proposals", "pool"):
+            if getattr(self, name) < 1:
+                raise InputError(f"detector: {name}", found=str(getattr(self, name)), expected="1 or more")
+        if not 0.0 <= self.min_score < 1.0:
+            raise InputError(
+                "detector: min_score", found=str(self.min_score), expected="a probability from 0, under 1"
+            )

@@ -1,0 +1,28 @@
+"""An object's mask carried from one frame to the next by optical flow."""
+
+from __future__ import annotations
+
+import cv2
+import numpy as np
+
+from huepose.geometry.arrays import Bool
+from huepose.propose.flow import Flow
+
+
+def propagate(mask: Bool, flow: Flow) -> Bool:
+    """The mask (H, W) of the first frame as seen in the second: every pixel of the flow's window asks its
+    backward flow whether it came from the object. What lies outside of the window is lost."""
+    h, w = flow.consistent.shape
+    window = np.s_[flow.y0 : flow.y0 + h, flow.x0 : flow.x0 + w]
+    columns, rows = np.meshgrid(np.arange(w, dtype=np.float32), np.arange(h, dtype=np.float32))
+    came = cv2.remap(
+        np.ascontiguousarray(mask[window]).view(np.uint8),
+        columns + flow.backward[..., 0],
+        rows + flow.backward[..., 1],
+        cv2.INTER_NEAREST,
+        borderMode=cv2.BORDER_CONSTANT,
+        borderValue=0,
+    )
+    out = np.zeros_like(mask)
+    out[window] = came > 0
+    return out

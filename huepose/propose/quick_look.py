@@ -1,0 +1,160 @@
+"""The quick look: all templates against all windows of a picture, by matrix products.
+
+Opponent colours are compared by correlation (so light does not matter), depth by the deviation of its relief;
+what the mask covers should be covered, and no template should lie where the background is seen. All these are
+sums over cells, so thousands of templates take a few milliseconds.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from huepose.geometry.arrays import Float32, Int64
+from huepose.propose.template_table import MILLIMETRES, TemplateTable
+from huepose.support.jit import jit_dividing
+
+RELIEF = 0.05
+"""Deviation of relief, in diameters, at which the depth term has fallen to 0.6."""
+
+CHANNEL_WEIGHTS = (0.35, 1.0, 1.0)
+CHANNEL_FLOOR = 9.0
+DEPTH_WEIGHT, OVERLAP_WEIGHT, FREE_WEIGHT, FULL_WEIGHT = 0.8, 1.0, 0.8, 0.3
+
+MAX_PRODUCT = 4 * 65536
+"""Multiplications up to which OpenBLAS keeps a matrix product in one thread."""
+
+ROWS = 64
+"""Fewest rows of a piece of a product."""
+
+
+def quick_look(table: TemplateTable, windows: Float32, places: int) -> tuple[Int64, Float32]:
+    """Index (M, N) of the best of `places` windows, and its score (M, N), for each of M groups of windows
+    (M * places, P, 6) and each template of the table's quick look."""
+    count = len(windows)
+    by_coverage, crossed, weight = _columns(windows, table.used)
+    groups = count // places
+    which = np.zeros((groups, len(table.area)), np.int64)
+    scores = np.zeros((groups, len(table.area)), np.float32)
+    area = np.maximum(windows[:, table.used, 4].sum(1), np.float32(1))
+    relief_mm = RELIEF * table.diameter_m * MILLIMETRES
+    by_value = np.empty((4, len(table.area), 2 * count), np.float32)
+    by_square = np.empty((4, len(table.area), count), np.float32)
+    for c in range(4):
+        product(table.first[c], crossed[c], by_value[c])
+        product(table.second[c], weight, by_square[c])
+    _score_windows(
+        product(table.coverage, by_coverage),
+        by_value,
+        by_square,
+        table.area,
+        area,
+        places,
+        relief_mm,
+        which,
+        scores,
+    )
+    return which, scores
+
+
+@jit_dividing
+def _columns(windows: Float32, used: Int64) -> tuple[Float32, Float32, Float32]:
+    """What the cells `used` (P,) of windows (C, Q, 6) are multiplied with: (P, 10 C) by coverage (weights,
+    background, and weighted the four values and their squares), (4, P, 2 C) by the templates' values (weights
+    and weighted value) and (P, C) by their squares (weights)."""
+    count, cells = windows.shape[0], used.shape[0]
+    by_coverage = np.empty((cells, 10 * count), np.float32)
+    crossed = np.empty((4, cells, 2 * count), np.float32)
+    weights = np.empty((cells, count), np.float32)
+    for p in range(cells):
+        for k in range(count):
+            cell = windows[k, used[p]]
+            w = cell[4]
+            weights[p, k] = by_coverage[p, k] = w
+            by_coverage[p, count + k] = cell[5]
+            for c in range(4):
+                weighted = w * cell[c]
+                by_coverage[p, (2 + c) * count + k] = weighted
+                by_coverage[p, (6 + c) * count + k] = weighted * cell[c]
+                crossed[c, p, k] = w
+                crossed[c, p, count + k] = weighted
+    return by_coverage, crossed, weights
+
+
+def product(table: Float32, columns: Float32, out: Float32 | None = None) -> Float32:
+    """The matrix product (N, C), into `out` where it is given: in pieces, each too small for the linear
+    algebra library to call threads, which would cost several times what they give."""
+    columns = np.ascontiguousarray(columns)
+    out = np.empty((len(table), columns.shape[1]), np.float32) if out is None else out
+    wide = max(1, MAX_PRODUCT // (ROWS * len(columns)))
+    wide = -(-columns.shape[1] // -(-columns.shape[1] // wide))  # pieces of even width
+    tall = max(ROWS, MAX_PRODUCT // (wide * len(columns)))
+    for left in range(0, columns.shape[1], wide):
+        piece = columns[:, left : left + wide]
+        for top in range(0, len(table), tall):
+            np.matmul(table[top : top + tall], piece, out=out[top : top + tall, left : left + wide])
+    return out
+
+
+@jit_dividing
+def _score_windows(
+    by_coverage: Float32,
+    crossed: Float32,
+    squared: Float32,
+    template_area: Float32,
+    window_area: Float32,
+    places: int,
+    relief_mm: float,
+    which: Int64,
+    scores: Float32,
+) -> None:
+    """Best of `places` windows of each group for each template, from the products' columns."""
+    count = window_area.shape[0]
+    common, color, weights = (
+        np.empty(count, np.float32),
+        np.empty(count, np.float32),
+        np.empty(count, np.float32),
+    )
+    without_depth, deviation = np.empty(count, np.float32), np.empty(count, np.float32)
+    one, zero, floor = np.float32(1.0), np.float32(0.0), np.float32(CHANNEL_FLOOR)
+    sharpness = 1.0 / (2.0 * relief_mm * relief_mm)
+    for i in range(template_area.shape[0]):
+        free = np.float32(FREE_WEIGHT) / max(template_area[i], one)
+        full = np.float32(FULL_WEIGHT) / max(template_area[i], one)
+        sums = by_coverage[i]
+        for k in range(count):
+            common[k] = one / max(sums[k], one)
+            color[k] = zero
+            weights[k] = np.float32(2.0)
+        for c in range(3):
+            channel = np.float32(CHANNEL_WEIGHTS[c])
+            mean, square = sums[(2 + c) * count : (3 + c) * count], sums[(6 + c) * count : (7 + c) * count]
+            first, both, second = crossed[c, i, :count], crossed[c, i, count:], squared[c, i]
+            for k in range(count):
+                mean_w, mean_t = mean[k] * common[k], first[k] * common[k]
+                var_w = max(square[k] * common[k] - mean_w * mean_w, zero)
+                var_t = max(second[k] * common[k] - mean_t * mean_t, zero)
+                w = channel * np.sqrt(var_t)
+                color[k] += w * (both[k] * common[k] - mean_w * mean_t) / (np.sqrt(var_w * var_t) + floor)
+                weights[k] += w
+        mean, square = sums[5 * count : 6 * count], sums[9 * count :]
+        first, both, second = crossed[3, i, :count], crossed[3, i, count:], squared[3, i]
+        for k in range(count):
+            apart = (mean[k] - first[k]) * common[k]
+            deviation[k] = max((square[k] + second[k] - both[k] - both[k]) * common[k] - apart * apart, zero)
+            without_depth[k] = (
+                color[k] / weights[k]
+                + np.float32(OVERLAP_WEIGHT) * sums[k] / window_area[k]
+                - free * sums[count + k]
+                + full * sums[k]
+            )
+        for g in range(which.shape[0]):
+            best = -1e9
+            for k in range(places):
+                now = without_depth[g * places + k]
+                if now + DEPTH_WEIGHT <= best:
+                    continue  # Not even a perfect relief would help.
+                total = now + DEPTH_WEIGHT * np.exp(-deviation[g * places + k] * sharpness)
+                if total > best:
+                    best = total
+                    which[g, i] = k
+            scores[g, i] = best

@@ -1,0 +1,228 @@
+"""Hypotheses by view: which of the model's small pictures looks like what is in the box?
+
+A quick look (`quick_look`) compares the templates (views times rolls) with the picture at several places
+round each candidate mask, at metric scale. A close look (`template_check`) then judges the better ones
+without the mask. So a mask need not be right, only the object somewhere in it: the whole box will do for one
+(LINEMOD's idea of view templates, Hinterstoisser et al. 2012, with the products of a nearest-neighbour
+search).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from huepose.geometry.arrays import Bool, Float, Float32, Float64, Int64, UInt8
+from huepose.geometry.camera import Camera
+from huepose.propose.config import RetrievalConfig
+from huepose.propose.picture_cells import known_cells, masked_cells, nearest, sampled
+from huepose.propose.quick_look import quick_look
+from huepose.propose.template_check import Canvas, check_templates
+from huepose.propose.template_table import COARSE_SIDE, MILLIMETRES, TemplateTable
+from huepose.support.jit import jit_dividing
+
+SHIFTS = (-1, 0, 1)
+"""Places of the window round the mask's centroid, in cells of the quick look, along both image axes."""
+
+MEDIAN_PIXELS = 4000
+"""So many readings say at which depth a mask lies: more do not move their median."""
+
+
+@dataclass(frozen=True, eq=False)
+class Picture:
+    """Where to look. color (h, w, 3) uint8 RGB, depth (h, w) float32 metres, with their camera; bounds (4,):
+    left, top, right, bottom of the object's box in its pixels."""
+
+    color: UInt8
+    depth: Float32
+    camera: Camera
+    bounds: Float64
+
+
+@dataclass(frozen=True, eq=False)
+class Retrieved:
+    """Different views, best first: poses T_cam_obj (K, 4, 4), scores (K,), and the mask (K,) that each came
+    from."""
+
+    poses: Float64
+    scores: Float64
+    masks: Int64
+
+
+@dataclass(frozen=True, eq=False)
+class _Place:
+    """Where a mask says to look. centre (2,): a pixel; span: of a template's window there, in pixels;
+    middle_m: depth; windows (W, P, 6): the picture in cells of the quick look, in windows about it."""
+
+    centre: Float64
+    span: float
+    middle_m: float
+    windows: Float32
+
+
+@dataclass(frozen=True, eq=False)
+class _Found:
+    """Templates (K,) seen at pixels (K, 2) and depths (K,), and their scores (K,)."""
+
+    templates: Int64
+    pixels: Float64
+    depth_m: Float64
+    scores: Float64
+
+
+def retrieve(
+    table: TemplateTable,
+    picture: Picture,
+    masks: Sequence[Bool],
+    config: RetrievalConfig | None = None,
+) -> Retrieved:
+    """The best different views under candidate masks (h, w); none where no mask has a pixel with depth."""
+    config = config or RetrievalConfig()
+    seen = [(k, mask & (picture.depth > 0)) for k, mask in enumerate(masks)]
+    seen = [(k, mask) for k, mask in seen if mask.any()]
+    if not seen:
+        return Retrieved(np.zeros((0, 4, 4)), np.zeros(0), np.zeros(0, np.int64))
+    places = [_place(table, picture, mask) for _, mask in seen]
+    which, quick = quick_look(table, np.concatenate([p.windows for p in places]), len(SHIFTS) ** 2)
+    found = [
+        _look_closer(table, picture, p, w, q, config) for p, w, q in zip(places, which, quick, strict=True)
+    ]
+    scores = np.concatenate([f.scores for f in found])
+    order = np.argsort(-scores, kind="stable")
+    every = _poses(
+        table,
+        np.concatenate([f.templates for f in found])[order],
+        np.concatenate([f.pixels for f in found])[order],
+        np.concatenate([f.depth_m for f in found])[order],
+        picture.camera,
+    )
+    chosen = distinct(every, config.views, np.radians(config.apart_deg))
+    origin = np.repeat([k for k, _ in seen], [len(f.scores) for f in found])
+    return Retrieved(every[chosen], scores[order[chosen]], origin[order[chosen]])
+
+
+def distinct(poses: Float64, count: int, apart_rad: float) -> list[int]:
+    """Indices of the first `count` poses (N, 4, 4) whose rotations are so far from all chosen before."""
+    flat = poses[:, :3, :3].reshape(len(poses), 9)
+    limit = 1.0 + 2.0 * np.cos(apart_rad)
+    return [int(i) for i in _distinct(np.ascontiguousarray(flat), limit, count)]
+
+
+@jit_dividing
+def _distinct(flat: Float64, limit: float, count: int) -> Int64:
+    chosen = np.empty(min(count, len(flat)), np.int64)
+    n = 0
+    for i in range(len(flat)):
+        if n == len(chosen):
+            break
+        is_new = True
+        for k in range(n):
+            trace = 0.0
+            for c in range(9):
+                trace += flat[chosen[k], c] * flat[i, c]
+            if trace >= limit:
+                is_new = False
+                break
+        if is_new:
+            chosen[n] = i
+            n += 1
+    return chosen[:n]
+
+
+def _place(table: TemplateTable, picture: Picture, mask: Bool) -> _Place:
+    """Where one mask says to look."""
+    depths = picture.depth[mask]
+    middle_m = float(np.median(depths[:: -(-len(depths) // MEDIAN_PIXELS)]))
+    centre = _middle(mask)
+    span = table.span_m / middle_m * picture.camera.fx
+    margin = max(SHIFTS)
+    wide = COARSE_SIDE + 2 * margin
+    fine, color, depth, to_picture = sampled(picture.color, picture.depth, centre, span / COARSE_SIDE, wide)
+    inside = nearest(mask.view(np.uint8), to_picture, len(depth))
+    cells = masked_cells(color, depth, inside, fine, middle_m, middle_m - 0.1 * table.diameter_m)
+    starts = [(margin + x, margin + y) for y in SHIFTS for x in SHIFTS]
+    windows = [cells[y : y + COARSE_SIDE, x : x + COARSE_SIDE].reshape(-1, 6) for x, y in starts]
+    return _Place(centre, span, middle_m, np.stack(windows))
+
+
+@jit_dividing
+def _middle(mask: Bool) -> Float64:
+    """Mean column and row (2,) of the pixels of a mask (h, w)."""
+    count, across, down = 0, 0, 0
+    for v in range(mask.shape[0]):
+        row, sums = 0, 0
+        for u in range(mask.shape[1]):
+            inside = 1 if mask[v, u] else 0
+            row += inside
+            sums += inside * u
+        count += row
+        across += sums
+        down += row * v
+    return np.array([across / count, down / count])
+
+
+def _look_closer(
+    table: TemplateTable,
+    picture: Picture,
+    place: _Place,
+    which: Int64,
+    quick: Float32,
+    config: RetrievalConfig,
+) -> _Found:
+    """The best templates round one place; `which` (N,) and `quick` (N,): best window of the quick look, and
+    its score."""
+    side = table.side
+    coarse = np.array([(x, y) for y in SHIFTS for x in SHIFTS]) * (side / COARSE_SIDE)
+    margin = int(np.abs(coarse).max()) + 1
+    wide, cell = side + 2 * margin, place.span / side
+    fine, color, depth, _ = sampled(picture.color, picture.depth, place.centre, cell, wide)
+    bounds = (picture.bounds - np.concatenate([place.centre, place.centre])) / cell + wide / 2.0
+    canvas = Canvas(*known_cells(color, depth, fine, place.middle_m), bounds)
+
+    templates = _best(quick, config.closer)
+    corners = margin + np.rint(coarse[which[templates]]).astype(np.int64)
+    rated, depth_mm = check_templates(table, canvas, templates, corners)
+    rated += config.quick_weight * quick[templates]
+
+    best = _best(rated, config.closest)
+    steps = np.array([(x, y) for y in (-1, 0, 1) for x in (-1, 0, 1) if x or y])
+    near = np.clip(corners[best][:, None] + steps, 0, 2 * margin).reshape(-1, 2)
+    again = np.repeat(templates[best], len(steps))
+    rated_again, depth_again = check_templates(table, canvas, again, near)
+    rated_again += config.quick_weight * quick[again]
+
+    templates, corners = np.concatenate([templates, again]), np.concatenate([corners, near])
+    rated, depth_mm = np.concatenate([rated, rated_again]), np.concatenate([depth_mm, depth_again])
+    best = _best(rated, config.ranked)
+    pixels = place.centre + (corners[best] - margin) * cell
+    return _Found(templates[best], pixels, place.middle_m + depth_mm[best] / MILLIMETRES, rated[best])
+
+
+def _best(scores: Float, count: int) -> Int64:
+    """Indices (K,) of the `count` largest of scores (N,), the same ones in the same order each time."""
+    if count >= len(scores):
+        return np.arange(len(scores))
+    return np.sort(np.argpartition(scores, len(scores) - count)[len(scores) - count :])
+
+
+def _poses(
+    table: TemplateTable, templates: Int64, pixels: Float64, depth_m: Float64, camera: Camera
+) -> Float64:
+    """Poses (K, 4, 4) of templates whose windows' middles lie at pixels (K, 2) and depths (K,)."""
+    rays = camera.rays(pixels)
+    turns = onto_rays(rays)
+    poses = np.tile(np.eye(4), (len(templates), 1, 1))
+    poses[:, :3, :3] = turns @ table.rotations[templates]
+    poses[:, :3, 3] = rays * depth_m[:, None] + np.einsum("nij,nj->ni", turns, table.origins[templates])
+    return poses
+
+
+def onto_rays(rays: Float64) -> Float64:
+    """The shortest rotations (K, 3, 3) that take the optical axis onto rays (K, 3)."""
+    d = rays / np.linalg.norm(rays, axis=1, keepdims=True)
+    K = np.zeros((len(d), 3, 3))
+    K[:, 0, 2], K[:, 1, 2] = d[:, 0], d[:, 1]
+    K[:, 2, 0], K[:, 2, 1] = -d[:, 0], -d[:, 1]
+    return np.asarray(np.eye(3) + K + K @ K / (1.0 + d[:, 2])[:, None, None])

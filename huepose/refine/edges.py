@@ -1,0 +1,182 @@
+"""Factor: the edges of the model's texture onto the edges of the image (paper, section V: the 2D cues that
+its authors leave to later work).
+
+The model's colour pairs are projected; each looks near its place for a colour pair of the image of like
+direction and like contrast, and the distance across the edge is its residual, in metres at its depth. Along
+the edge nothing is asked. Contrasts are differences of opponents (see `colorpair.opponents`), which coloured
+light leaves as they are.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+
+from huepose.colorpair.opponents import opponents_of_lab
+from huepose.colorpair.types import ColorPairs, SurfacePairs
+from huepose.geometry.arrays import Float, Float32, Float64, Int32
+from huepose.refine.depth_samples import NEAREST_M, DepthImage
+from huepose.refine.robust import tukey
+from huepose.refine.solver import Body, NormalEquations, add_residual, image_row
+from huepose.support.jit import jit, jit_dividing
+
+MIN_FACING = 0.25
+"""Cosine between a surface's normal and the view, under which its edges are not looked for."""
+
+CELL_PX = 8.0
+ALONG_SHARE = 0.3
+"""What a distance along the edge counts, against one across it, in the choice of an edge's partner."""
+
+
+class ImageEdges(NamedTuple):
+    """Edges of an image: pixels (N, 2), directions (N, 2) across them, contrasts (N, 3) as unit opponents."""
+
+    pixels: Float64
+    directions: Float64
+    contrasts: Float64
+
+
+class ModelEdges(NamedTuple):
+    """Edges of a model's texture: places (N, 3), normals (N, 3) and tangents (N, 3) across them in the
+    object's axes, contrasts (N, 3) as unit opponents."""
+
+    points: Float32
+    normals: Float32
+    tangents: Float32
+    contrasts: Float64
+
+
+class EdgeCells(NamedTuple):
+    """Lists of the image's edges in each cell: the first of each, and the next after each, -1 for none."""
+
+    head: Int32
+    follow: Int32
+
+
+class EdgeLimits(NamedTuple):
+    """along_px: how far along an edge is looked for its partner; min_cosine: of their directions;
+    min_contrast: cosine of their contrasts; depth_m: how far the depth may be from an edge's place."""
+
+    along_px: float
+    min_cosine: float
+    min_contrast: float
+    depth_m: float
+
+
+def image_edges(pairs: ColorPairs) -> ImageEdges:
+    """What of an image's colour pairs is compared."""
+    directions = np.stack([np.cos(pairs.directions), np.sin(pairs.directions)], 1)
+    return ImageEdges(pairs.pixels.astype(np.float64), directions.astype(np.float64), contrasts(pairs.colors))
+
+
+def model_edges(pairs: SurfacePairs) -> ModelEdges:
+    """What of a model's colour pairs is compared: made once for a model, used for every pose of it."""
+    return ModelEdges(
+        np.ascontiguousarray(pairs.points, dtype=np.float32),
+        np.ascontiguousarray(pairs.normals, dtype=np.float32),
+        np.ascontiguousarray(pairs.tangents, dtype=np.float32),
+        contrasts(pairs.colors),
+    )
+
+
+def contrasts(colors: Float) -> Float64:
+    """Unit differences (N, 3) of the opponents of CIELAB colours (N, 2, 3), side 1 less side 0."""
+    ends = opponents_of_lab(colors).astype(np.float64)
+    steps = ends[:, 1] - ends[:, 0]
+    return np.asarray(steps / np.maximum(np.linalg.norm(steps, axis=1, keepdims=True), 1e-9))
+
+
+@jit
+def edge_cells(edges: ImageEdges, height: int, width: int) -> EdgeCells:
+    """The edges of an image of that size by cells of CELL_PX."""
+    pixels = edges.pixels
+    head = np.full((int(height / CELL_PX) + 1, int(width / CELL_PX) + 1), -1, np.int32)
+    follow = np.full(pixels.shape[0], -1, np.int32)
+    for j in range(pixels.shape[0]):
+        row = min(max(int(pixels[j, 1] / CELL_PX), 0), head.shape[0] - 1)
+        column = min(max(int(pixels[j, 0] / CELL_PX), 0), head.shape[1] - 1)
+        follow[j] = head[row, column]
+        head[row, column] = j
+    return EdgeCells(head, follow)
+
+
+@jit_dividing
+def add_edges(
+    T: Float64,
+    model: ModelEdges,
+    edges: ImageEdges,
+    cells: EdgeCells,
+    image: DepthImage,
+    body: Body,
+    gate_px: float,
+    limits: EdgeLimits,
+    equations: NormalEquations,
+) -> tuple[int, float, float]:
+    """Add the distances across the model's edges to their partners in the image; returns how many have one
+    within `gate_px`, their weight, and their weighted squares in pixels."""
+    depth, points, model_contrasts = image.depth, model.points, model.contrasts
+    pixels, directions, scene_contrasts = edges.pixels, edges.directions, edges.contrasts
+    head, follow = cells.head, cells.follow
+    fx, fy, cx, cy = image.camera[0], image.camera[1], image.camera[2], image.camera[3]
+    height, width = depth.shape
+    P, n, s = np.empty(3), np.empty(3), np.empty(3)
+    matched, total, squares = 0, 0.0, 0.0
+    for i in range(points.shape[0]):
+        _in_camera(T, model.points, i, 1.0, P)
+        _in_camera(T, model.normals, i, 0.0, n)
+        facing = -(n[0] * P[0] + n[1] * P[1] + n[2] * P[2])
+        facing /= np.sqrt(P[0] * P[0] + P[1] * P[1] + P[2] * P[2])
+        if P[2] < NEAREST_M or facing < MIN_FACING:
+            continue
+        u, v = P[0] / P[2] * fx + cx, P[1] / P[2] * fy + cy
+        if u < 0.0 or v < 0.0 or u > width - 1.0 or v > height - 1.0:
+            continue
+        seen = depth[int(v + 0.5), int(u + 0.5)]
+        if seen <= 0.0 or abs(seen - P[2]) * facing > limits.depth_m:
+            continue
+        _in_camera(T, model.tangents, i, 0.0, s)
+        a0, a1 = (s[0] - P[0] / P[2] * s[2]) * fx, (s[1] - P[1] / P[2] * s[2]) * fy
+        length = np.sqrt(a0 * a0 + a1 * a1)
+        if length < 1e-9:
+            continue
+        a0, a1 = a0 / length, a1 / length
+        # Its partner: squared distance in gates, and pixels across.
+        best, across = 1.0, 0.0
+        row, column = int(v / CELL_PX), int(u / CELL_PX)
+        for y in range(max(row - 1, 0), min(row + 2, head.shape[0])):
+            for z in range(max(column - 1, 0), min(column + 2, head.shape[1])):
+                j = head[y, z]
+                while j >= 0:
+                    d0, d1 = pixels[j, 0] - u, pixels[j, 1] - v
+                    e, f = d0 * a0 + d1 * a1, d1 * a0 - d0 * a1
+                    apart = (e / gate_px) ** 2 + ALONG_SHARE * (f / limits.along_px) ** 2
+                    cosine = directions[j, 0] * a0 + directions[j, 1] * a1
+                    if apart < best and abs(f) < limits.along_px and abs(cosine) > limits.min_cosine:
+                        alike = 0.0
+                        for c in range(3):
+                            alike += scene_contrasts[j, c] * model_contrasts[i, c]
+                        if alike * (1.0 if cosine > 0.0 else -1.0) > limits.min_contrast:
+                            best, across = apart, e
+                    j = follow[j]
+        if best >= 1.0:
+            continue
+        p0, p1, p2 = (
+            np.float64(points[i, 0]),
+            np.float64(points[i, 1]),
+            np.float64(points[i, 2]),
+        )
+        w, metres = facing * tukey(best), P[2] / fx
+        jacobian = image_row(T, p0, p1, p2, a0, a1, image.camera, body)
+        add_residual(equations, w * metres * metres, across, jacobian)  # weighed as metres at its depth
+        matched += 1
+        total += w
+        squares += w * across * across
+    return matched, total, squares
+
+
+@jit_dividing
+def _in_camera(T: Float64, rows: Float32, i: int, shift: float, out: Float64) -> None:
+    """Row i in camera axes: a point with shift 1, a direction with shift 0."""
+    for r in range(3):
+        out[r] = T[r, 0] * rows[i, 0] + T[r, 1] * rows[i, 1] + T[r, 2] * rows[i, 2] + shift * T[r, 3]

@@ -1,0 +1,289 @@
+"""What improves a pose inside a frame: depth and texture in one Gauss-Newton loop.
+
+The paper refines with point-to-plane ICP alone (section III-E). Depth cannot see a rotation about an axis of
+symmetry or a slide along a flat face, so here every step also aligns the model's own colours with the image
+(Lucas and Kanade's residual, on surface samples instead of pixels). Both terms are anchored to the model, so
+nothing drifts; the light is fitted anew in every iteration (`light`), samples whose colour does not belong to
+the object lose their say in depth as well, and coarse averages of the texture come before fine ones.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+
+from huepose.geometry import se3
+from huepose.geometry.arrays import Float, Float64, Int32
+from huepose.geometry.depth_noise import depth_noise_m
+from huepose.judge.arrays import ModelArrays, RegionArrays
+from huepose.judge.open_region import SCALES_M, OpenRegion
+from huepose.judge.surface import PreparedSurface
+from huepose.refine.light import fit_light
+from huepose.refine.robust import tukey
+from huepose.refine.samples import (
+    AGREES,
+    BEHIND,
+    HIDDEN,
+    NO_DEPTH,
+    Samples,
+    colors,
+    empty_samples,
+    project,
+)
+from huepose.refine.solver import (
+    Body,
+    NormalEquations,
+    add_residual,
+    advance,
+    clear,
+    information,
+    motion_row,
+    motion_row_cam,
+    normal_equations,
+)
+from huepose.support.jit import jit
+
+COLOR_SHARE = 3.0
+"""Weight of a colour residual against a depth residual, each in units of its own noise. Depth errors of real
+sensors agree with their neighbours', so each of them is worth less than it seems."""
+
+COLOR_SIGMA_FLOOR = 2.5
+"""Opponent units."""
+
+LIGHTNESS_WEIGHT = 0.5
+NO_DEPTH_WEIGHT = 0.3
+"""Of colours where there is no depth to say whether the object is in front."""
+
+DISTRUST_FLOOR = 0.2
+"""Smallest factor of a depth residual whose colour does not fit: highlights are not the object's fault."""
+
+OUTLINE_FLOOR = 0.1
+"""Weight of samples at the outline, where colours and depth are mixed with the background's."""
+
+INSIDE_SHARE, SCALE_SHARE = 0.25, 0.25
+"""Of the object's thickness: within the first of a sample its own surface goes on; a texture averaged over
+more than the second mixes its sides."""
+
+LIGHT_ROUNDS = 3
+DAMPING = 2e-3
+"""Of Levenberg and Marquardt, as a share of the information about the translation."""
+
+MIN_COLORS = 20
+STILL_M = 2e-5
+"""A step smaller than this (metres, and metres at the object's rim) ends a level."""
+
+
+@dataclass(frozen=True)
+class Schedule:
+    """Iterations of a refinement: the texture level (0 fine, 2 coarse) and the depth gate in metres of each,
+    and the number of samples."""
+
+    levels: tuple[int, ...]
+    gates_m: tuple[float, ...]
+    samples: int
+
+
+FULL = Schedule(
+    (2, 2, 1, 1, 1, 0, 0, 0),
+    (0.025, 0.02, 0.015, 0.012, 0.01, 0.01, 0.008, 0.008),
+    600,
+)
+"""From a start within about a centimetre."""
+
+QUICK = Schedule((2, 2, 2), (0.04, 0.03, 0.025), 100)
+COARSE = Schedule((2, 2, 2, 2, 2), (0.03, 0.025, 0.02, 0.02, 0.015), 200)
+"""From far off, for hypotheses that are sorted afterwards: of many, and of those that are left."""
+
+FINE = Schedule((1, 1, 1, 0, 0, 0, 0), (0.012, 0.012, 0.012, 0.01, 0.01, 0.008, 0.008), 400)
+"""What is left after COARSE."""
+
+
+class _Settings(NamedTuple):
+    """A schedule at a distance. reaches_px: of each scale, how far away the neighbours are that tell whether
+    a sample lies inside the object."""
+
+    levels: Int32
+    gates_m: Float64
+    reaches_px: Int32
+    samples: int
+    depth_sigma_m: float
+    body: Body
+
+
+@dataclass(frozen=True, eq=False)
+class Refined:
+    """T_cam_obj (4, 4) and information (6, 6) of it with respect to `se3.perturb`, as if the residuals'
+    errors were independent (`uncertainty` says what that is worth); iterations done."""
+
+    T_cam_obj: Float64
+    information: Float64
+    iterations: int
+
+
+def refine(
+    surface: PreparedSurface, region: OpenRegion, T_cam_obj: Float, schedule: Schedule = FULL
+) -> Refined:
+    """Improve a pose whose object lies in `region`."""
+    T = np.array(T_cam_obj, np.float64, order="C")
+    settings = _settings(schedule, surface, float(surface.centre_cam(T)[2]), region.camera.fx)
+    A = np.zeros((6, 6))
+    done = _refine(T, surface.arrays, region.arrays, settings, A)
+    T = se3.orthonormalised(T)
+    return Refined(T, information(A, T, settings.body), int(done))
+
+
+def refine_all(
+    surface: PreparedSurface, region: OpenRegion, poses: Float, schedule: Schedule, distance_m: float
+) -> Float64:
+    """Improve poses (K, 4, 4) of an object at about that distance; the improved ones (K, 4, 4)."""
+    out = np.array(poses, np.float64, order="C")
+    settings = _settings(schedule, surface, distance_m, region.camera.fx)
+    _refine_all(out, surface.arrays, region.arrays, settings)
+    return out
+
+
+def _settings(schedule: Schedule, surface: PreparedSurface, distance_m: float, fx: float) -> _Settings:
+    """What a schedule means at a distance."""
+    sigma = depth_noise_m(distance_m)
+    gates = np.maximum(np.array(schedule.gates_m), 3.5 * sigma)
+    px_per_m = fx / max(distance_m, 0.05)
+    # On a thin object a neighbour further off than this would always lie beside it.
+    widest = INSIDE_SHARE * surface.thickness_m
+    reaches = np.array([max(1, round(min(1.5 * s, widest) * px_per_m)) for s in SCALES_M], np.int32)
+    coarsest = max(1, sum(s <= SCALE_SHARE * surface.thickness_m for s in SCALES_M) - 1)
+    levels = np.minimum(np.array(schedule.levels, np.int32), np.int32(coarsest))
+    body = Body(surface.arrays.centre, surface.radius_m)
+    return _Settings(levels, gates, reaches, schedule.samples, sigma, body)
+
+
+@jit
+def _refine_all(poses: Float64, surface: ModelArrays, region: RegionArrays, settings: _Settings) -> None:
+    """Move poses in place."""
+    A = np.empty((6, 6))
+    for k in range(poses.shape[0]):
+        _refine(poses[k], surface, region, settings, A)
+
+
+@jit
+def _refine(
+    T: Float64,
+    surface: ModelArrays,
+    region: RegionArrays,
+    settings: _Settings,
+    known: Float64,
+) -> int:
+    """Move T in place; the last normal equations are left in `known`. Returns the iterations done."""
+    levels, gates, limit, body = settings.levels, settings.gates_m, settings.samples, settings.body
+    samples = empty_samples(limit)
+    weight, color_weight, trust = np.empty(limit), np.empty(limit), np.empty(limit)
+    color, gradient, residual = np.empty((limit, 3)), np.empty((limit, 3, 2)), np.empty((limit, 3))
+    correlation, rms, share = np.zeros(3), np.zeros(3), np.zeros(3)
+    equations = normal_equations(6)
+    A = equations.A
+    done = 0
+    still_at = -1
+    for iteration in range(levels.shape[0]):
+        level, gate = levels[iteration], gates[iteration]
+        if level == still_at and iteration < levels.shape[0] - 1:
+            continue
+        n = project(T, surface, region, limit, gate, settings.reaches_px[level], samples)
+        for k in range(n):
+            facing = min(1.0, 2.0 * samples.cosine[k])
+            weight[k] = facing * (OUTLINE_FLOOR + (1.0 - OUTLINE_FLOOR) * samples.inside[k])
+            color_weight[k] = weight[k] if samples.kind[k] == AGREES else NO_DEPTH_WEIGHT * facing
+        clear(equations)
+        left = colors(n, samples, region, level, color, gradient, color_weight)
+        if left >= MIN_COLORS:
+            fit_light(
+                n, samples, color_weight, surface.colors[level], color, LIGHT_ROUNDS, residual, trust,
+                correlation, rms,
+            )  # fmt: skip
+            for c in range(3):
+                # Where texture and image have nothing in common their difference says nothing.
+                share[c] = (
+                    COLOR_SHARE * (0.1 + max(correlation[c], 0.0)) * (LIGHTNESS_WEIGHT if c == 0 else 1.0)
+                )
+                share[c] /= max(COLOR_SIGMA_FLOOR, rms[c]) ** 2
+            for k in range(n):
+                if color_weight[k] > 0.0:
+                    color_weight[k] *= trust[k]
+                    weight[k] *= DISTRUST_FLOOR + (1.0 - DISTRUST_FLOOR) * trust[k]
+            _add_color(
+                T, n, samples, surface, color_weight, gradient, residual, region, body, share, equations
+            )
+        variance = max(settings.depth_sigma_m**2, _depth_variance(n, samples, weight, gate))
+        _add_depth(n, samples, surface, weight, gate, 1.0 / variance, body, equations)
+        known[:] = A
+        # In proportion to what is known, so that colours alone move a pose as freely as depth does.
+        largest = advance(T, equations, body, DAMPING * (A[0, 0] + A[1, 1] + A[2, 2]) + 1.0)
+        if largest < 0.0:
+            break
+        done += 1
+        still_at = level if largest < STILL_M else -1
+    return done
+
+
+@jit
+def _depth_variance(n: int, samples: Samples, weight: Float64, gate: float) -> float:
+    """Weighted mean square of the offsets within the gate."""
+    total, square = 1e-12, 0.0
+    for k in range(n):
+        e = samples.offset[k]
+        if samples.kind[k] == AGREES or (
+            (samples.kind[k] == BEHIND or samples.kind[k] == HIDDEN) and abs(e) < gate
+        ):
+            w = weight[k] * tukey((e / gate) ** 2)
+            total += w
+            square += w * e * e
+    return square / total
+
+
+@jit
+def _add_depth(
+    n: int,
+    samples: Samples,
+    surface: ModelArrays,
+    weight: Float64,
+    gate: float,
+    sharpness: float,
+    body: Body,
+    equations: NormalEquations,
+) -> None:
+    """Add the distances of the readings from the samples' planes; sharpness: 1 / variance of one."""
+    for k in range(n):
+        e = samples.offset[k]
+        if samples.kind[k] >= NO_DEPTH or abs(e) >= gate:
+            continue
+        p, m = surface.points[samples.which[k]], surface.normals[samples.which[k]]
+        m0, m1, m2 = np.float64(m[0]), np.float64(m[1]), np.float64(m[2])
+        row = motion_row(p[0], p[1], p[2], m0, m1, m2, body)
+        add_residual(equations, weight[k] * tukey((e / gate) ** 2) * sharpness, e, row)
+
+
+@jit
+def _add_color(
+    T: Float64,
+    n: int,
+    samples: Samples,
+    surface: ModelArrays,
+    weight: Float64,
+    gradient: Float64,
+    residual: Float64,
+    region: RegionArrays,
+    body: Body,
+    sharpness: Float64,
+    equations: NormalEquations,
+) -> None:
+    """Add the photometric residuals: lit texture less image at the projected sample."""
+    for k in range(n):
+        if weight[k] <= 0.0:
+            continue
+        x, y, inverse = samples.points[k, 0], samples.points[k, 1], 1.0 / samples.points[k, 2]
+        p = surface.points[samples.which[k]]
+        for c in range(3):
+            g0 = gradient[k, c, 0] * region.fx * inverse
+            g1 = gradient[k, c, 1] * region.fy * inverse
+            row = motion_row_cam(T, p[0], p[1], p[2], g0, g1, -(g0 * x + g1 * y) * inverse, body)
+            add_residual(equations, weight[k] * sharpness[c], -residual[k, c], row)

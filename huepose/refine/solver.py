@@ -1,0 +1,164 @@
+"""The one Gauss-Newton solver: all that refines a pose adds residuals here and takes its step from here.
+
+A step x (6,) is a small motion of the object, along the object's own axes, about its centre (`Body`):
+[translation, radius * rotation vector]. All six are metres, so one damping serves all. `move` applies it,
+the shift v = x[:3] first, then the turn w = x[3:6] / radius: T_cam_obj becomes
+T_cam_obj o (p -> exp(w) (p + v - centre) + centre). A seventh unknown, where there is one, is the caller's
+(`refine.scale`).
+
+A factor is what pulls at a pose: a kernel that gives, for each of its samples, a weight, a residual and the
+row (6,) of the Jacobian. The residual is wanted minus present, of whatever is compared (metres along a
+normal, metres across an edge, intensity); the row says how the present value changes with the step. So a
+step minimises sum(weight * (residual - row @ x)**2), and A = sum(weight * row row^T) is the information of
+the step, where weights are 1 / variance. The robust kernel (`refine.robust`) is part of the weight.
+
+An example, in plain Python instead of a compiled kernel: a factor of five lines that pulls the corners of a
+square to where they were seen.
+
+>>> def add_corners(T, corners, seen, body, equations):
+...     for p, wanted in zip(corners, seen):
+...         gap = T[:3, :3].T @ (wanted - T[:3, 3]) - p  # object axes
+...         for axis, direction in enumerate(np.eye(3)):
+...             add_residual(equations, 1.0, gap[axis], motion_row(*p, *direction, body))
+>>> body, equations = Body(np.zeros(3), 0.05), normal_equations(6)
+>>> corners, T = np.array([[0.05, 0, 0], [0, 0.05, 0], [-0.05, 0, 0], [0, -0.05, 0]]), np.eye(4)
+>>> for _ in range(8):
+...     clear(equations)
+...     add_corners(T, corners, corners[[1, 2, 3, 0]] + [0, 0, 0.6], body, equations)
+...     largest = advance(T, equations, body, 0.0)
+>>> bool(largest < 1e-9), np.round(T @ [0.05, 0, 0, 1], 6).tolist()
+(True, [0.0, 0.05, 0.6, 1.0])
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+
+from huepose.geometry import se3
+from huepose.geometry.arrays import Float, Float64
+from huepose.geometry.kernels import rotation_exp_into, solve_symmetric
+from huepose.support.jit import jit, jit_dividing
+
+Row = tuple[float, float, float, float, float, float]
+"""How the present value of a residual changes with the six of a step."""
+
+
+class Body(NamedTuple):
+    """centre (3,): metres, object axes, what a step turns about; radius: metres, by which a rotation in
+    radians becomes a length."""
+
+    centre: Float64
+    radius: float
+
+
+class NormalEquations(NamedTuple):
+    """`A @ step = b` of N unknowns: A (N, N), of which only the lower triangle is kept; b (N,); step (N,) is
+    written by `advance`."""
+
+    A: Float64
+    b: Float64
+    step: Float64
+
+
+@jit
+def normal_equations(unknowns: int) -> NormalEquations:
+    """Empty equations."""
+    return NormalEquations(np.zeros((unknowns, unknowns)), np.zeros(unknowns), np.zeros(unknowns))
+
+
+@jit
+def clear(equations: NormalEquations) -> None:
+    """Forget all residuals."""
+    equations.A[:] = 0.0
+    equations.b[:] = 0.0
+
+
+@jit_dividing
+def motion_row(p0: float, p1: float, p2: float, g0: float, g1: float, g2: float, body: Body) -> Row:
+    """By how much the point p of the object (object axes) moves along g (object axes) with a step."""
+    c, radius = body.centre, body.radius
+    a0, a1, a2 = (p0 - c[0]) / radius, (p1 - c[1]) / radius, (p2 - c[2]) / radius
+    return (g0, g1, g2, a1 * g2 - a2 * g1, a2 * g0 - a0 * g2, a0 * g1 - a1 * g0)
+
+
+@jit_dividing
+def motion_row_cam(
+    T: Float64, p0: float, p1: float, p2: float, g0: float, g1: float, g2: float, body: Body
+) -> Row:
+    """The same for a direction g along camera axes; p is still in object axes."""
+    o0 = T[0, 0] * g0 + T[1, 0] * g1 + T[2, 0] * g2
+    o1 = T[0, 1] * g0 + T[1, 1] * g1 + T[2, 1] * g2
+    o2 = T[0, 2] * g0 + T[1, 2] * g1 + T[2, 2] * g2
+    return motion_row(p0, p1, p2, o0, o1, o2, body)
+
+
+@jit_dividing
+def image_row(
+    T: Float64, p0: float, p1: float, p2: float, gu: float, gv: float, camera: Float64, body: Body
+) -> Row:
+    """By how much a function of the image changes under the point p (object axes), where its gradient is
+    (gu, gv) per pixel right and down; camera (4,): fx, fy, cx, cy."""
+    x = T[0, 0] * p0 + T[0, 1] * p1 + T[0, 2] * p2 + T[0, 3]
+    y = T[1, 0] * p0 + T[1, 1] * p1 + T[1, 2] * p2 + T[1, 3]
+    z = T[2, 0] * p0 + T[2, 1] * p1 + T[2, 2] * p2 + T[2, 3]
+    g0, g1 = gu * camera[0] / z, gv * camera[1] / z
+    return motion_row_cam(T, p0, p1, p2, g0, g1, -(g0 * x + g1 * y) / z, body)
+
+
+@jit_dividing
+def add_residual(equations: NormalEquations, weight: float, residual: float, row: Row) -> None:
+    """Add one residual to the lower triangle."""
+    A, b = equations.A, equations.b
+    for i in range(len(row)):
+        weighted = weight * row[i]
+        b[i] += weighted * residual
+        for j in range(i + 1):
+            A[i, j] += weighted * row[j]
+
+
+@jit
+def advance(T: Float64, equations: NormalEquations, body: Body, damping: float) -> float:
+    """Solve, and move the pose T (4, 4) by the step; `A` is overwritten.
+
+    damping: added to the diagonal, so in the unit of `A`. Returns the largest of the step's six, metres; -1
+    where nothing could be solved and nothing was moved.
+    """
+    A, x = equations.A, equations.step
+    for i in range(A.shape[0]):
+        A[i, i] += damping + 1e-12
+    if not solve_symmetric(A, equations.b, x):
+        return -1.0
+    move(T, x, body)
+    return float(max(abs(x[0]), abs(x[1]), abs(x[2]), abs(x[3]), abs(x[4]), abs(x[5])))
+
+
+@jit
+def move(T: Float64, step: Float64, body: Body) -> None:
+    """Apply a step (6,) to the pose T (4, 4), in place."""
+    centre, radius = body.centre, body.radius
+    D = np.empty((3, 3))
+    rotation_exp_into(step[3] / radius, step[4] / radius, step[5] / radius, D)
+    s0, s1, s2 = centre[0] - step[0], centre[1] - step[1], centre[2] - step[2]
+    o0 = centre[0] - D[0, 0] * s0 - D[0, 1] * s1 - D[0, 2] * s2
+    o1 = centre[1] - D[1, 0] * s0 - D[1, 1] * s1 - D[1, 2] * s2
+    o2 = centre[2] - D[2, 0] * s0 - D[2, 1] * s1 - D[2, 2] * s2
+    for r in range(3):
+        a0, a1, a2 = T[r, 0], T[r, 1], T[r, 2]
+        T[r, 3] += a0 * o0 + a1 * o1 + a2 * o2
+        for k in range(3):
+            T[r, k] = a0 * D[0, k] + a1 * D[1, k] + a2 * D[2, k]
+
+
+def information(A: Float, T_cam_obj: Float, body: Body) -> Float64:
+    """What the normal equations (their lower triangle (6, 6), before `advance`) say of a pose (4, 4):
+    information (6, 6) about `se3.perturb`, so tx ty tz rx ry rz in metres and radians, camera axes, about the
+    object's origin. Its inverse is the covariance, where the weights were 1 / variance."""
+    R_t = np.asarray(T_cam_obj, np.float64)[:3, :3].T
+    to_step = np.zeros((6, 6))
+    to_step[:3, :3] = R_t
+    to_step[:3, 3:] = -se3.hat(body.centre) @ R_t  # a turn about the origin also carries the centre along
+    to_step[3:, 3:] = body.radius * R_t
+    lower = np.tril(np.asarray(A, np.float64))
+    return np.asarray(to_step.T @ (lower + np.tril(lower, -1).T) @ to_step)

@@ -1,0 +1,149 @@
+"""The built-in scene: a loop of RGB-D frames at 30 Hz with exact ground truth, made by code from a seed.
+
+Several printed objects move over a table with clutter, turn, pass before each other, and are hidden in part
+by a bar now and then, under light that moves; depth is as noisy as an active stereo camera's. The loop is
+computed once (about 20 s on two cores) and kept on disk; it closes, so it can be played for ever.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import os
+from collections.abc import Iterator, Mapping
+from concurrent.futures import Future, ThreadPoolExecutor
+from dataclasses import asdict
+from functools import cached_property, partial
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from huepose.datasets.types import GroundTruth, Sample
+from huepose.geometry import Box, Camera, Mesh, RgbdFrame
+from huepose.geometry.arrays import Bool
+from huepose.scenes.frame import Shot, Stage, shoot, visible_mask
+from huepose.scenes.loop_file import Loop, open_loop, write_loop
+from huepose.scenes.plan import CAMERA, plan
+from huepose.scenes.sensor import COLOR, STEREO, StereoSensor
+from huepose.scenes.shapes import demo_objects
+from huepose.support.errors import InputError
+from huepose.support.files import cache_folder
+from huepose.support.progress import progress
+
+VERSION = 3  # of what the code below this module draws: raise it when any pixel changes
+RATE_HZ = 30.0
+
+
+class SyntheticScene:
+    """A closed loop of frames with truth. Indices beyond the loop go round: frame(len) shows what frame(0)
+    does, with its own number and stamp.
+
+    meshes: the labelled objects by name; camera: its intrinsics; len(scene): frames in the loop.
+    """
+
+    def __init__(
+        self,
+        seed: int = 0,
+        seconds: float = 8.0,
+        objects: Mapping[str, Mesh] | None = None,
+        camera: Camera = CAMERA,
+        depth_sensor: StereoSensor | None = STEREO,
+        cache: Path | None = None,
+    ) -> None:
+        """Open the loop, computing it first where the cache folder (default `~/.cache/huepose`) has none.
+
+        objects: meshes in metres by name, default `demo_objects(seed)`; without a depth sensor, depth is
+        exact.
+        Raises InputError when there is no object, too many to fit in view, under a second, or no cache.
+        """
+        if seconds < 1.0:
+            raise InputError("synthetic scene", found=f"{seconds:g} s", expected="at least 1 s")
+        self.meshes: dict[str, Mesh] = dict(demo_objects(seed) if objects is None else objects)
+        if not self.meshes:
+            raise InputError("synthetic scene", found="no object", expected="one mesh or more")
+        self.seed, self.camera, self.rate_hz = seed, camera, RATE_HZ
+        self._n_frames, self._depth_sensor = round(seconds * RATE_HZ), depth_sensor
+        self.path = (cache or cache_folder()) / f"scene-{seed}-{self._key()}.loop"
+        self._loop, self._rows = self._opened()
+
+    def __len__(self) -> int:
+        return len(self._loop)
+
+    def __iter__(self) -> Iterator[Sample]:
+        """Once round the loop."""
+        return (self.sample(i) for i in range(len(self)))
+
+    def frame(self, i: int) -> RgbdFrame:
+        """Frame i, stamped i / 30 s."""
+        k = i % len(self)
+        stamp_ns = round(i * 1e9 / RATE_HZ)
+        return RgbdFrame(self._loop.color(k), self._loop.depth(k), self.camera, frame_id=i, stamp_ns=stamp_ns)
+
+    def truth(self, i: int) -> list[GroundTruth]:
+        """The truth of frame i, one entry per object, also for those that are hidden; exact to float64."""
+        k = i % len(self)
+        row = self._rows[k]
+        return [
+            GroundTruth(
+                instance=n,
+                object=name,
+                T_cam_obj=np.array(row["T_cam_obj"][n]),
+                visib_fract=row["visib_fract"][n],
+                box_visib=None if row["box_visib"][n] is None else Box(*row["box_visib"][n]),
+                mask_loader=partial(self._mask, k, n),
+            )
+            for n, name in enumerate(self.meshes)
+        ]
+
+    def sample(self, i: int) -> Sample:
+        """Frame and truth."""
+        return Sample(self.frame(i), tuple(self.truth(i)), f"synthetic-{self.seed}", i)
+
+    @cached_property
+    def stage(self) -> Stage:
+        """Everything that is there and how it moves."""
+        return plan(self.meshes, self.seed, self._n_frames, self.camera, RATE_HZ)
+
+    def _mask(self, i: int, k: int) -> Bool:
+        return visible_mask(self.stage, i, k)
+
+    def _key(self) -> str:
+        """Changes with anything that changes a pixel."""
+        digest = hashlib.sha256()
+        sensor = None if self._depth_sensor is None else asdict(self._depth_sensor)
+        digest.update(json.dumps([VERSION, self.seed, self._n_frames, asdict(self.camera), sensor]).encode())
+        for name, mesh in self.meshes.items():
+            digest.update(name.encode())
+            for array in (mesh.vertices, mesh.faces, mesh.uv, mesh.texture):
+                digest.update(np.ascontiguousarray(array).tobytes())
+        return digest.hexdigest()[:12]
+
+    def _opened(self) -> tuple[Loop, list[dict[str, Any]]]:
+        found = open_loop(self.path)
+        if found is None:
+            write_loop(self.path, self._computed(), {"seed": self.seed, "objects": list(self.meshes)})
+            found = open_loop(self.path)
+        if found is None:
+            raise InputError(self.path, found="a file that changed while it was written", fix="Try again.")
+        return found
+
+    def _computed(self) -> Iterator[tuple[np.ndarray, np.ndarray, dict[str, Any]]]:
+        """Every frame in order, drawn by up to four threads (the kernels release the interpreter lock)."""
+        take = partial(shoot, self.stage, seed=self.seed, color_sensor=COLOR, depth_sensor=self._depth_sensor)
+        workers = max(1, min(4, os.cpu_count() or 1))
+        with ThreadPoolExecutor(workers) as pool:
+            ahead: list[Future[Shot]] = []
+            for i in progress(range(self._n_frames), "drawing the built-in scene, once"):
+                while len(ahead) < 2 * workers and i + len(ahead) < self._n_frames:
+                    ahead.append(pool.submit(take, i + len(ahead)))
+                shot = ahead.pop(0).result()
+                yield shot.color, shot.depth, _row(shot)
+
+
+def _row(shot: Shot) -> dict[str, Any]:
+    return {
+        "T_cam_obj": shot.labels.T_cam_obj.tolist(),
+        "visib_fract": shot.labels.visib_fract.tolist(),
+        "box_visib": [None if box is None else list(box) for box in shot.labels.box_visib],
+    }

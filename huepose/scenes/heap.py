@@ -1,0 +1,135 @@
+"""Heaps of things on a table, and a box around them: each is let down until it touches what is there.
+
+Surfaces are height maps, seen from far above and from far below, so nothing ever goes through anything else
+where it can be seen. There is no balance of forces: a thing may rest on a single point.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+import numpy as np
+from scipy.spatial import ConvexHull, QhullError
+from scipy.spatial.transform import Rotation
+
+from huepose.geometry import Camera, Mesh, se3
+from huepose.geometry.arrays import Float32, Float64, UInt8
+from huepose.rendering import render_depth
+from huepose.scenes import prints
+from huepose.scenes.charts import blocks
+from huepose.scenes.prints import Palette
+from huepose.scenes.shapes import printed
+
+Rng = np.random.Generator
+
+CELL_M = 0.002
+_FAR_M = 200.0
+"""Distance of the camera that takes the height maps: its rays are parallel to a part in a thousand."""
+
+_GAP_M = 0.0005
+_LYING_SHARE = 0.7
+
+
+@dataclass(eq=False)
+class Heap:
+    """A square of the table, z up, the middle at the origin; heights (N, N) m, row 0 at the far end (+y)."""
+
+    side_m: float = 1.0
+    heights: Float32 = field(init=False)
+
+    def __post_init__(self) -> None:
+        n = round(self.side_m / CELL_M)
+        self.heights = np.zeros((n, n), np.float32)
+
+    def drop(self, mesh: Mesh, R: Float64, places: Float64) -> Float64:
+        """Let a mesh, turned by R (3, 3), down at that of `places` (K, 2) m where it comes to lie lowest.
+
+        Returns T_table_mesh (4, 4). Raises ValueError when it does not fit on the square there."""
+        T = se3.make(R, -(R @ mesh.centre))
+        reach = float(np.abs(se3.apply(T, mesh.vertices)[:, :2]).max())
+        n = 2 * (int(reach / CELL_M) + 2) + 1
+        top, bottom = _seen(mesh, T, n, above=True), _seen(mesh, T, n, above=False)
+        best_z, best_at = np.inf, (0, 0)
+        middle = self.heights.shape[0] // 2
+        for x, y in places:
+            row, column = middle - round(y / CELL_M) - n // 2, middle + round(x / CELL_M) - n // 2
+            under = self.heights[row : row + n, column : column + n]
+            if row < 0 or column < 0 or under.shape != (n, n):
+                raise ValueError(f"a thing of {2 * reach:.2f} m does not fit at ({x:.2f}, {y:.2f})")
+            z = float((under - bottom)[np.isfinite(bottom)].max()) + _GAP_M
+            if z < best_z:
+                best_z, best_at = z, (row, column)
+        row, column = best_at
+        under = self.heights[row : row + n, column : column + n]
+        np.maximum(under, np.where(np.isfinite(top), top + np.float32(best_z), under), out=under)
+        shift = [(column + n // 2 - middle) * CELL_M, (middle - row - n // 2) * CELL_M, best_z]
+        return se3.make(np.eye(3), np.array(shift)) @ T
+
+
+def _seen(mesh: Mesh, T: Float64, n: int, *, above: bool) -> Float32:
+    """Heights (n, n) of the highest or the lowest surface of a mesh at T, infinite where there is none."""
+    points = se3.apply(T, mesh.vertices)
+    # Seen from above, rows run against y and depth against z. Seen from below with the same rows and columns
+    # the picture would be mirrored, so the mesh is mirrored instead.
+    seen = points * ([1.0, -1.0, -1.0] if above else [1.0, -1.0, 1.0]) + [0.0, 0.0, _FAR_M]
+    focal = _FAR_M / CELL_M
+    camera = Camera(focal, focal, (n - 1) / 2, (n - 1) / 2, n, n)
+    placed = Mesh(seen.astype(np.float32), mesh.faces, mesh.uv, mesh.texture)
+    depth = render_depth(placed, np.eye(4), camera)
+    height = _FAR_M - depth if above else depth - _FAR_M
+    return np.where(depth > 0, height, np.inf if not above else -np.inf).astype(np.float32)
+
+
+def resting_turns(mesh: Mesh) -> tuple[Float64, Float64]:
+    """Rotations (K, 3, 3) that lay a flat side of the convex hull on the table, and their areas (K,) m^2.
+
+    Only sides that carry the middle of the bounding box; a shape without any rests as it is."""
+    try:
+        hull = ConvexHull(mesh.vertices.astype(np.float64))
+    except QhullError:
+        return np.eye(3)[None], np.ones(1)
+    corners = mesh.vertices[hull.simplices].astype(np.float64)
+    areas = np.linalg.norm(np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), axis=1) / 2
+    normals = hull.equations[:, :3]
+    sides: list[tuple[Float64, float]] = []
+    left = np.ones(len(areas), bool)
+    for k in np.argsort(-areas):
+        if not left[k]:
+            continue
+        same = left & (normals @ normals[k] > np.cos(np.radians(4.0)))
+        left &= ~same
+        foot = corners[same].reshape(-1, 3)
+        aside = mesh.centre - foot.mean(0)
+        aside = aside - normals[k] * (aside @ normals[k])
+        if np.linalg.norm(aside) < 0.6 * np.linalg.norm(foot - foot.mean(0), axis=1).max():
+            sides.append((normals[k], float(areas[same].sum())))
+    sides = sorted(sides, key=lambda s: -s[1])[:12]
+    if not sides:
+        return np.eye(3)[None], np.ones(1)
+    down = np.array([0.0, 0.0, -1.0])
+    turns = [Rotation.align_vectors(down[None], n[None])[0].as_matrix() for n, _ in sides]
+    return np.array(turns), np.array([a for _, a in sides])
+
+
+def random_turn(mesh: Mesh, rng: Rng, lying: float = _LYING_SHARE) -> Float64:
+    """A rotation (3, 3): with the chance `lying` on a flat side, large ones more often, else any."""
+    if rng.random() >= lying:
+        return np.asarray(Rotation.random(random_state=rng).as_matrix())
+    turns, areas = resting_turns(mesh)
+    k = int(rng.choice(len(turns), p=areas / areas.sum()))
+    return np.asarray(se3.rotation_exp(np.array([0.0, 0.0, rng.uniform(0, 2 * np.pi)])) @ turns[k])
+
+
+def open_box(half_side_m: float, height_m: float, rng: Rng) -> Mesh:
+    """An open box with walls of 8 mm about the origin, one side up to a fifth longer than the other."""
+    x, y = half_side_m * rng.uniform(1.0, 1.2), half_side_m
+    z, wall = height_m / 2.0, 0.008
+    filled = np.ones((3, 3, 2), bool)
+    filled[1, 1, 1] = False
+    lattice = [-x - wall, -x, x, x + wall], [-y - wall, -y, y, y + wall], [-z, wall - z, z]
+    charts = blocks(*lattice, filled, 0.05)
+    return printed(charts, [_plain] * len(charts), prints.palette(rng.uniform(), rng), rng, 256)
+
+
+def _plain(rng: Rng, height: int, width: int, p: Palette) -> UInt8:
+    return prints.mixed(p.base, p.dark, 0.15 * prints.clouds(rng, height, width, max(height, width) / 3, 3))

@@ -1,0 +1,124 @@
+"""The file that a computed loop is kept in: pictures one after another, an index of them at the end.
+
+Colour is JPEG (as most cameras deliver it), depth raw uint16, so that playing it costs little. A file is
+written beside its name and moved there when complete; on opening, everything is checked, and whoever asked
+computes the loop anew when it does not hold.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import zlib
+from collections.abc import Iterable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+
+from huepose.geometry.arrays import Float32, UInt8, UInt16
+from huepose.support.errors import InputError
+
+MAGIC = b"HUELOOP1"
+DEPTH_SCALE_M = 1e-4
+_ALIGN = 16
+
+
+@dataclass(frozen=True, eq=False)
+class Loop:
+    """An opened loop: `facts` as they were stored, and the pictures."""
+
+    facts: dict[str, Any]
+    _bytes: UInt8
+    _index: list[tuple[int, int, int]]
+    _size: tuple[int, int]
+
+    def __len__(self) -> int:
+        return len(self._index)
+
+    def color(self, i: int) -> UInt8:
+        """Colour (H, W, 3) uint8 RGB."""
+        at, length, _ = self._index[i]
+        image = cv2.imdecode(self._bytes[at : at + length], cv2.IMREAD_COLOR_RGB)
+        assert image is not None
+        return np.asarray(image, np.uint8)
+
+    def depth(self, i: int) -> Float32:
+        """Depth (H, W) float32 metres, 0 = none."""
+        at = self._index[i][2]
+        height, width = self._size
+        raw: UInt16 = self._bytes[at : at + 2 * height * width].view(np.uint16)
+        return raw.reshape(height, width) * np.float32(DEPTH_SCALE_M)
+
+
+def write_loop(
+    path: Path, frames: Iterable[tuple[UInt8, Float32, dict[str, Any]]], facts: dict[str, Any]
+) -> None:
+    """Write colour, depth and facts of every frame, and facts of the whole, then put the file in place.
+
+    Raises InputError where the folder cannot be written.
+    """
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        part = path.with_name(f"{path.name}.{os.getpid()}.part")
+        try:
+            with part.open("wb") as out:
+                _write(out, frames, facts)
+            part.replace(path)
+        finally:
+            part.unlink(missing_ok=True)
+    except OSError as error:
+        raise InputError(
+            path.parent,
+            found=f"{error.strerror or error}",
+            expected="a folder with room for about 200 MB",
+            fix="Set XDG_CACHE_HOME to another one.",
+        ) from error
+
+
+def _write(out: Any, frames: Iterable[tuple[UInt8, Float32, dict[str, Any]]], facts: dict[str, Any]) -> None:
+    index: list[tuple[int, int, int]] = []
+    rows: list[dict[str, Any]] = []
+    size, place, check = (0, 0), 0, 0
+
+    def put(data: bytes) -> int:
+        nonlocal place, check
+        at = place
+        data += b"\0" * (-len(data) % _ALIGN)
+        out.write(data)
+        place, check = place + len(data), zlib.crc32(data, check)
+        return at
+
+    for color, depth, row in frames:
+        ok, jpeg = cv2.imencode(
+            ".jpg", cv2.cvtColor(color, cv2.COLOR_RGB2BGR), [cv2.IMWRITE_JPEG_QUALITY, 95]
+        )
+        assert ok
+        steps = np.rint(depth / DEPTH_SCALE_M)
+        raw = np.where(steps > 65535, 0, steps).astype(np.uint16)
+        index.append((put(jpeg.tobytes()), len(jpeg), put(raw.tobytes())))
+        size = raw.shape
+        rows.append(row)
+    tail = json.dumps({"facts": facts, "rows": rows, "index": index, "size": size}).encode()
+    check = zlib.crc32(tail, check)
+    out.write(tail + len(tail).to_bytes(8, "little") + check.to_bytes(8, "little") + MAGIC)
+
+
+def open_loop(path: Path) -> tuple[Loop, list[dict[str, Any]]] | None:
+    """The loop in `path` and the facts of its frames; None when there is none, or not a whole one."""
+    try:
+        data = np.memmap(path, np.uint8, "r")
+    except (OSError, ValueError):
+        return None
+    end = bytes(data[-24:])
+    if len(end) < 24 or end[16:] != MAGIC:
+        return None
+    length, check = int.from_bytes(end[:8], "little"), int.from_bytes(end[8:16], "little")
+    if length > len(data) - 24 or zlib.crc32(data[:-24].data) != check:
+        return None
+    stored = json.loads(bytes(data[len(data) - 24 - length : -24]))
+    height, width = stored["size"]
+    index = [(int(a), int(b), int(c)) for a, b, c in stored["index"]]
+    return Loop(stored["facts"], data, index, (height, width)), stored["rows"]

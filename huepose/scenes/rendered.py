@@ -1,0 +1,215 @@
+"""Single labelled frames of heaps and piles of objects, drawn by code: to calibrate and to judge changes on.
+
+A frame is a heap of some of the objects and of other things on a printed table, seen by a hand-held colour
+and stereo depth camera. Everything varies from frame to frame, and follows from the seed and the number of
+the frame alone: which objects, how close together, the lenses, how far and from where, the direction, colour
+and strength of light, shadows, gloss, exposure, hand shake, noise of colour and depth. A pile is a heap that
+is denser, farther away and in worse light, half of them in an open box, with depth as cameras lose it there.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from functools import lru_cache
+
+import numpy as np
+
+from huepose.geometry import Camera, Mesh, se3
+from huepose.geometry.arrays import Float64
+from huepose.scenes.frame import SHUTTER, Shot, Stage, shoot
+from huepose.scenes.heap import Heap, Rng, open_box, random_turn
+from huepose.scenes.light import Light
+from huepose.scenes.motion import PITCH, TABLE_M, UP_ROOM, upright
+from huepose.scenes.plan import CAMERA
+from huepose.scenes.room import clutter, room
+from huepose.scenes.sensor import COLOR, STEREO, lost_in_bad_light, shifted
+from huepose.support.errors import InputError
+
+AHEAD_ROOM = np.array([0.0, -np.sin(PITCH), np.cos(PITCH)])
+HEAP_ROOM = -TABLE_M * UP_ROOM + 0.8 * AHEAD_ROOM
+"""Where the middle of the heap lies on the table."""
+
+T_ROOM_TABLE = se3.make(upright(0.0), HEAP_ROOM)
+
+LARGEST_M = 0.45
+_ROOMS = 8
+
+HEAP_PLACES, PILE_PLACES = 5, 24
+BOXED, BOX_HALF_SIDE_M, BOX_HEIGHT_M = 0.5, (0.13, 0.2), (0.06, 0.13)
+MISALIGNED, SHIFT_PX = 0.25, 2
+
+
+@dataclass(frozen=True)
+class SceneRanges:
+    """From what range each thing is drawn, evenly. objects, others: counts in a frame; spread_m: radius of
+    the heap; distance_m, elevation_deg: of the camera from the heap; exposure: in stops; tint: natural
+    logarithm of red and blue against green; key, sky, gloss: see `synthetic_light.Light`; shake_px: motion
+    during the exposure, in every third frame; subpixel: see `synthetic_sensor.StereoSensor`; pile: whether
+    there are a second lamp, in every second frame an open box around the heap, in every fourth depth that
+    lies up to 2 px off the picture, and always depth that is lost in the dark and in glare."""
+
+    objects: tuple[int, int] = (6, 9)
+    others: tuple[int, int] = (2, 5)
+    spread_m: tuple[float, float] = (0.14, 0.34)
+    distance_m: tuple[float, float] = (0.55, 1.2)
+    elevation_deg: tuple[float, float] = (25.0, 75.0)
+    exposure: tuple[float, float] = (-1.3, 0.8)
+    tint: tuple[float, float] = (-0.3, 0.3)
+    key: tuple[float, float] = (0.25, 1.0)
+    sky: tuple[float, float] = (0.15, 0.5)
+    gloss: tuple[float, float] = (0.0, 0.35)
+    shake_px: tuple[float, float] = (0.5, 4.0)
+    subpixel: tuple[float, float] = (0.05, 0.13)
+    pile: bool = False
+
+
+PILES = SceneRanges(
+    objects=(5, 9),
+    others=(2, 6),
+    spread_m=(0.1, 0.2),
+    distance_m=(0.65, 1.5),
+    exposure=(-3.3, 1.0),
+    tint=(-0.8, 0.8),
+    key=(0.3, 1.1),
+    sky=(0.04, 0.35),
+    gloss=(0.05, 0.6),
+    shake_px=(1.0, 6.0),
+    pile=True,
+)
+"""From what ranges piles are drawn."""
+
+
+@dataclass(frozen=True, eq=False)
+class Drawn:
+    """A frame: what the camera delivers and the truth, the names of the labelled objects in the order of the
+    labels, and the camera with its intrinsics."""
+
+    shot: Shot
+    names: tuple[str, ...]
+    camera: Camera
+
+
+def rendered_frame(
+    meshes: Mapping[str, Mesh], seed: int, number: int, ranges: SceneRanges | None = None
+) -> Drawn:
+    """Frame `number` of the set `seed`. The same arguments give the same pixels.
+
+    Raises InputError for no mesh, or for one too large for a heap on the table."""
+    ranges = ranges or SceneRanges()
+    check_sizes(meshes)
+    rng = np.random.default_rng([seed, number, 61])
+    known = sorted(meshes)
+    low, high = ranges.objects
+    count = min(len(known), int(rng.integers(low, high + 1)))
+    names = tuple(str(n) for n in rng.permutation(known)[:count])
+    things = [meshes[name] for name in names]
+    things += [clutter(rng) for _ in range(int(rng.integers(ranges.others[0], ranges.others[1] + 1)))]
+    spread_m = rng.uniform(*ranges.spread_m)
+    backdrop = list(_room(seed, number % _ROOMS))
+    heap, pile = Heap(), np.random.default_rng([seed, number, 63])
+    if ranges.pile and pile.random() < BOXED:
+        half_side_m = pile.uniform(*BOX_HALF_SIDE_M)
+        around = open_box(half_side_m, pile.uniform(*BOX_HEIGHT_M), pile)
+        turn = se3.rotation_exp(np.array([0.0, 0.0, pile.uniform(0, 2 * np.pi)]))
+        backdrop.append((around, T_ROOM_TABLE @ heap.drop(around, turn, np.zeros((1, 2)))))
+        spread_m = 0.8 * half_side_m
+    poses = _heaped(heap, things, spread_m, rng, PILE_PLACES if ranges.pile else HEAP_PLACES)
+    camera, T_cam_room = _view(ranges, rng)
+    stage = Stage(
+        meshes=(*things, *(mesh for mesh, _ in backdrop)),
+        labelled=count,
+        T_room_mesh=np.repeat(np.array([*poses, *(T for _, T in backdrop)])[:, None], 3, axis=1),
+        T_cam_room=_shaken(T_cam_room, camera, ranges, rng),
+        lights=(_light(ranges, rng),) * 3,
+        camera=camera,
+        lamp=replace(_light(ranges, pile), sky=0.0) if ranges.pile else None,
+    )
+    depth_sensor = replace(STEREO, subpixel=rng.uniform(*ranges.subpixel))
+    color_sensor = replace(
+        COLOR, full_well=COLOR.full_well * rng.uniform(0.3, 1.2), blur_px=rng.uniform(0.4, 0.8)
+    )
+    # The middle one of three frames: the exposure reaches into its neighbours.
+    shot = shoot(stage, 1, int(rng.integers(2**31)), color_sensor, depth_sensor)
+    if ranges.pile:
+        depth = lost_in_bad_light(shot.depth, shot.color, pile)
+        if pile.random() < MISALIGNED:
+            right_px, down_px = pile.integers(-SHIFT_PX, SHIFT_PX + 1, 2)
+            depth = shifted(depth, int(right_px), int(down_px))
+        shot = replace(shot, depth=depth)
+    return Drawn(shot, names, camera)
+
+
+def check_sizes(meshes: Mapping[str, Mesh]) -> None:
+    """Raises InputError for no mesh, or for one that is too large for a heap on the table."""
+    if not meshes:
+        raise InputError("rendered scene", found="no object", expected="one mesh or more")
+    for name, mesh in meshes.items():
+        side = float(np.ptp(mesh.vertices, axis=0).max())
+        if side > LARGEST_M:
+            raise InputError(
+                f"object '{name}'",
+                found=f"a largest side of {side:.2f} m",
+                expected=f"at most {LARGEST_M:.2f} m, so that it fits on the table",
+                fix="Leave it out with --objects.",
+            )
+
+
+@lru_cache(maxsize=_ROOMS)
+def _room(seed: int, k: int) -> tuple[tuple[Mesh, Float64], ...]:
+    """One of the rooms of a set, with its table and what stands at the back of it."""
+    rng = np.random.default_rng([seed, k, 62])
+    return tuple(room(rng, n_clutter=int(rng.integers(2, 12))))
+
+
+def _heaped(heap: Heap, things: list[Mesh], spread_m: float, rng: Rng, places: int) -> list[Float64]:
+    """Poses T_room_mesh (4, 4) of things heaped up within that radius, large ones first, each in the lowest
+    of so many places."""
+    poses: list[Float64] = [np.eye(4)] * len(things)
+    sizes = [float(np.ptp(mesh.vertices, axis=0).max()) * rng.uniform(0.6, 1.4) for mesh in things]
+    for k in np.argsort(sizes)[::-1]:
+        R = random_turn(things[k], rng)
+        angle, share = rng.uniform(0, 2 * np.pi, places), np.sqrt(rng.uniform(0, 1, places))
+        at = spread_m * share[:, None] * np.stack([np.cos(angle), np.sin(angle)], -1)
+        poses[int(k)] = T_ROOM_TABLE @ heap.drop(things[k], R, at)
+    return poses
+
+
+def _view(ranges: SceneRanges, rng: Rng) -> tuple[Camera, Float64]:
+    """A camera, and T_cam_room (4, 4) of one that looks at the heap from the front."""
+    zoom = rng.uniform(0.9, 1.1)
+    camera = replace(CAMERA, fx=CAMERA.fx * zoom, fy=CAMERA.fy * zoom)
+    elevation, azimuth = np.radians(rng.uniform(*ranges.elevation_deg)), rng.uniform(-0.7, 0.7)
+    right = np.cross(AHEAD_ROOM, UP_ROOM)
+    level = -np.cos(azimuth) * AHEAD_ROOM + np.sin(azimuth) * right
+    towards = np.cos(elevation) * level + np.sin(elevation) * UP_ROOM
+    at = HEAP_ROOM + 0.04 * UP_ROOM + rng.normal(0, 0.04, 3)
+    x = np.cross(-towards, UP_ROOM)
+    x /= np.linalg.norm(x)
+    R = np.stack([x, np.cross(-towards, x), -towards])
+    R = se3.rotation_exp(np.array([0.0, 0.0, np.radians(rng.normal(0, 10.0))])) @ R
+    return camera, se3.make(R, -R @ (at + rng.uniform(*ranges.distance_m) * towards))
+
+
+def _shaken(T_cam_room: Float64, camera: Camera, ranges: SceneRanges, rng: Rng) -> Float64:
+    """T_cam_room (3, 4, 4) a frame before, at and after: still, but for every third camera, which turns."""
+    shaken, angle = rng.random() < 1 / 3, rng.uniform(0, 2 * np.pi)
+    turn = rng.uniform(*ranges.shake_px) / camera.fx / SHUTTER * (1.0 if shaken else 0.0)
+    step = turn * np.array([np.cos(angle), np.sin(angle), 0.0])
+    return np.array([se3.make(se3.rotation_exp(k * step), np.zeros(3)) @ T_cam_room for k in (-1, 0, 1)])
+
+
+def _light(ranges: SceneRanges, rng: Rng) -> Light:
+    angle = rng.uniform(0, 2 * np.pi)
+    right = np.cross(AHEAD_ROOM, UP_ROOM)
+    towards = UP_ROOM + rng.uniform(0.1, 1.6) * (np.cos(angle) * AHEAD_ROOM + np.sin(angle) * right)
+    gain = 2.0 ** rng.uniform(*ranges.exposure) * np.exp(
+        [rng.uniform(*ranges.tint), 0.0, rng.uniform(*ranges.tint)]
+    )
+    return Light(
+        towards / np.linalg.norm(towards),
+        rng.uniform(*ranges.key),
+        rng.uniform(*ranges.sky),
+        np.asarray(gain),
+        rng.uniform(*ranges.gloss),
+    )

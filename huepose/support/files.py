@@ -1,0 +1,37 @@
+"""Where the program keeps what it can make again, and how it writes a file: as a whole or not at all."""
+
+from __future__ import annotations
+
+import os
+import tempfile
+from pathlib import Path
+
+from huepose.support.errors import InputError
+
+
+def cache_folder() -> Path:
+    """`$XDG_CACHE_HOME/huepose`, or `~/.cache/huepose`."""
+    base = os.environ.get("XDG_CACHE_HOME")
+    return (Path(base) if base else Path.home() / ".cache") / "huepose"
+
+
+def write_text(path: Path | str, text: str) -> None:
+    """Write a file at once: a reader never sees a part of it. Makes missing folders. Raises InputError."""
+    path = Path(path)
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        handle, name = tempfile.mkstemp(dir=path.parent, prefix=f".{path.name}.")
+        try:
+            with os.fdopen(handle, "w", encoding="utf-8") as file:
+                file.write(text)
+            umask = os.umask(0)
+            os.umask(umask)
+            os.chmod(name, 0o666 & ~umask)
+            os.replace(name, path)
+        except BaseException:
+            os.unlink(name)
+            raise
+    except OSError as error:
+        raise InputError(
+            path, found=error.strerror or str(error), expected="a place that can be written"
+        ) from None

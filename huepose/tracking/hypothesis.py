@@ -1,0 +1,70 @@
+"""One opinion about where an object is. A track holds up to three, and time decides between them."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from huepose.geometry import se3
+from huepose.geometry.arrays import Float64
+from huepose.judge.surface import PreparedSurface
+from huepose.judge.terms import Terms
+
+MOST = 3
+SAME = 0.05
+"""Poses whose surfaces lie this share of the diameter apart are one pose."""
+
+HOPELESS = 4.0
+"""An opinion whose log-odds lie this far behind the best is dropped."""
+
+POINTS = 48
+
+
+@dataclass(frozen=True, eq=False)
+class Hypothesis:
+    """T_cam_obj (4, 4); velocity (6,) or None; what is seen of it; information (6, 6) of the refinement;
+    source: which start led there ("still", "velocity", "flow", "search", "turn", "correction"); log_odds:
+    that it is right, filtered over the frames."""
+
+    T_cam_obj: Float64
+    terms: Terms
+    information: Float64
+    source: str
+    velocity: Float64 | None = None
+    log_odds: float = 0.0
+
+    def believed(self, log_odds: float) -> Hypothesis:
+        """The same with other log-odds."""
+        return replace(self, log_odds=log_odds)
+
+
+def same_pose(surface: PreparedSurface, T_a: Float64, T_b: Float64) -> bool:
+    """Whether two poses (4, 4) are one for all practical purposes."""
+    points = surface.arrays.points[:POINTS].astype(np.float64)
+    apart = np.linalg.norm(se3.apply(T_a, points) - se3.apply(T_b, points), axis=1).mean()
+    return bool(apart < SAME * surface.diameter_m)
+
+
+def distinct(surface: PreparedSurface, opinions: Sequence[Hypothesis]) -> tuple[Hypothesis, ...]:
+    """The likeliest different ones, at most three, best first; those without a chance are left out."""
+    kept: list[Hypothesis] = []
+    for one in sorted(opinions, key=lambda h: -h.log_odds):
+        if kept and one.log_odds < kept[0].log_odds - HOPELESS:
+            break
+        if len(kept) < MOST and not any(same_pose(surface, one.T_cam_obj, k.T_cam_obj) for k in kept):
+            kept.append(one)
+    return tuple(kept)
+
+
+def share_of_first(opinions: Sequence[Hypothesis]) -> float:
+    """What part of the belief the first of different opinions has.
+
+    >>> share_of_first([])
+    0.0
+    """
+    if not opinions:
+        return 0.0
+    logs = np.array([h.log_odds for h in opinions])
+    return float(1.0 / np.exp(logs - logs[0]).sum())

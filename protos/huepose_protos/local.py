@@ -1,0 +1,37 @@
+"""Where the workers of a pipeline are reached on this machine: sockets in a folder that only their user can
+open. Nobody else can say or hear anything there; other users and machines read through the gateway.
+
+The folder is `$HUEPOSE_RUN`, else `huepose` in `$XDG_RUNTIME_DIR`, else `/tmp/huepose-UID`.
+"""
+
+from __future__ import annotations
+
+import os
+import tempfile
+from pathlib import Path
+
+FOLDER = "HUEPOSE_RUN"
+BASE_PORT = 17447
+"""The first port where `bus.base_port` says nothing else."""
+
+
+def run_folder() -> Path:
+    """The folder of this user; it need not be there."""
+    if own := os.environ.get(FOLDER):
+        return Path(own)
+    base = os.environ.get("XDG_RUNTIME_DIR")
+    return Path(base) / "huepose" if base else Path(tempfile.gettempdir()) / f"huepose-{os.getuid()}"
+
+
+def endpoint(port: int, folder: Path | str | None = None) -> str:
+    """The zenoh endpoint of a worker; its port is the name of its socket.
+
+    >>> endpoint(17448, "/run/huepose")
+    'unixsock-stream//run/huepose/17448'
+    """
+    return f"unixsock-stream/{Path(folder or run_folder()).absolute()}/{port}"
+
+
+def tracker_endpoint(base_port: int = BASE_PORT, folder: Path | str | None = None) -> str:
+    """Where poses are read on the pipeline's own machine, by its own user."""
+    return endpoint(base_port + 1, folder)

@@ -1,0 +1,214 @@
+"""The gateway's door: it looks who comes, and lets each have a share of the places and of the time, no more.
+
+It alone listens where other machines reach. A reader is known by the common name of its certificate, without
+TLS by its address. Behind the door its bytes go to the gateway's outer session, through a socket in the
+pipeline's own folder, and back.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import socket
+import ssl
+import threading
+import time
+from collections import Counter
+from collections.abc import Callable
+from contextlib import suppress
+from dataclasses import dataclass, field
+from pathlib import Path
+
+from huepose.support.errors import InputError
+from huepose_services.runtime.config import GatewayConfig
+
+HANDSHAKE_S = 3.0
+PENDING, PENDING_OF_ONE = 32, 8
+"""Of those who have not shown yet who they are: altogether, and from one address."""
+RATE_BYTES_S, BURST_BYTES = 16 * 1024, 64 * 1024
+"""What a reader may say, on all its sessions: it asks, and says that it is there."""
+_CHUNK = 16 * 1024
+_SECONDS_A_DAY = 86_400.0
+
+
+@dataclass
+class _Reader:
+    """What one reader has taken."""
+
+    sessions: int = 0
+    allowance: float = BURST_BYTES
+    at: float = field(default_factory=time.monotonic)
+
+    def wait_s(self, said: int) -> float:
+        """How long to read no more of it after so many bytes."""
+        now = time.monotonic()
+        self.allowance = min(BURST_BYTES, self.allowance + (now - self.at) * RATE_BYTES_S) - said
+        self.at = now
+        return max(0.0, -self.allowance / RATE_BYTES_S)
+
+
+class Door:
+    """Open from when it is made until `close`. `refused`: how many were not let in; tell: called with why.
+
+    Raises InputError for a port that is taken, and certificates that do not fit."""
+
+    def __init__(self, gateway: GatewayConfig, inside: Path, tell: Callable[[str], None]) -> None:
+        self._gateway, self._inside, self._tell = gateway, inside, tell
+        self.refused = 0
+        self._tls = _context(gateway)
+        self._listener = _listener(gateway)
+        self._readers: dict[str, _Reader] = {}
+        self._pending: Counter[str] = Counter()
+        self._tasks: set[asyncio.Task[None]] = set()
+        self._loop = asyncio.new_event_loop()
+        self._thread = threading.Thread(target=self._run, name="door", daemon=True)
+        self._thread.start()
+
+    def close(self) -> None:
+        """Let nobody in any more, and send all away."""
+        self._loop.call_soon_threadsafe(self._loop.stop)
+        self._thread.join()
+
+    def _run(self) -> None:
+        accepting = self._loop.create_task(self._accept())
+        self._loop.run_forever()
+        tasks = [accepting, *self._tasks]
+        for task in tasks:
+            task.cancel()
+        self._loop.run_until_complete(asyncio.gather(*tasks, return_exceptions=True))
+        self._listener.close()
+        self._loop.close()
+
+    async def _accept(self) -> None:
+        while True:
+            try:
+                link, address = await self._loop.sock_accept(self._listener)
+            except OSError:
+                await asyncio.sleep(0.1)  # no more files may be open: wait until some are closed
+                continue
+            host = str(address[0])
+            if self._pending.total() >= PENDING or self._pending[host] >= PENDING_OF_ONE:
+                link.close()
+                self._refuse(f"{host} comes too often")
+                continue
+            self._pending[host] += 1
+            task = self._loop.create_task(self._serve(link, host))
+            self._tasks.add(task)
+            task.add_done_callback(self._tasks.discard)
+
+    async def _serve(self, link: socket.socket, host: str) -> None:
+        writer = None
+        try:
+            try:
+                reader, writer = await self._greet(link)
+                name, until_s = self._known(writer, host)
+            except (OSError, asyncio.TimeoutError) as error:
+                self._refuse(f"{host}: {' '.join(str(error).split())[:200] or 'it said nothing'}")
+                return
+            finally:
+                self._pending[host] -= 1
+                self._pending += Counter()  # forgets those at zero
+            if (why := self._why_not(name)) is not None:
+                self._refuse(why)
+                return
+            self._readers.setdefault(name, _Reader()).sessions += 1
+            try:
+                await asyncio.wait_for(self._pass_on(name, reader, writer), until_s)
+            finally:
+                self._readers[name].sessions -= 1
+        except (OSError, asyncio.TimeoutError):
+            pass  # it went, or its certificate has expired
+        finally:
+            if writer is not None:
+                writer.transport.abort()
+            link.close()
+
+    async def _greet(self, link: socket.socket) -> tuple[asyncio.StreamReader, asyncio.StreamWriter]:
+        link.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
+        reader = asyncio.StreamReader(_CHUNK, self._loop)
+        protocol = asyncio.StreamReaderProtocol(reader, loop=self._loop)
+        timeout_s = None if self._tls is None else HANDSHAKE_S
+        transport, _ = await self._loop.connect_accepted_socket(
+            lambda: protocol, link, ssl=self._tls, ssl_handshake_timeout=timeout_s
+        )
+        return reader, asyncio.StreamWriter(transport, protocol, reader, self._loop)
+
+    def _known(self, writer: asyncio.StreamWriter, host: str) -> tuple[str, float | None]:
+        """Who it is, and for how many seconds its certificate holds."""
+        certificate = writer.get_extra_info("peercert")
+        if self._tls is None:
+            return host, None
+        names = [value for part in certificate["subject"] for key, value in part if key == "commonName"]
+        left_s = ssl.cert_time_to_seconds(certificate["notAfter"]) - time.time()
+        # A timer cannot wait for years.
+        return (names or ["(no name)"])[0], min(left_s, 24.0 * _SECONDS_A_DAY)
+
+    def _why_not(self, name: str) -> str | None:
+        gateway, reader = self._gateway, self._readers.get(name)
+        if gateway.tls is not None and gateway.tls.readers and name not in gateway.tls.readers:
+            return f"{name} is not one of gateway.tls.readers"
+        if reader is not None and reader.sessions >= gateway.sessions_per_reader:
+            return f"{name} has {reader.sessions} sessions (gateway.sessions_per_reader)"
+        if sum(reader.sessions for reader in self._readers.values()) >= gateway.max_sessions:
+            return f"no place for {name}: there are {gateway.max_sessions} sessions (gateway.max_sessions)"
+        return None
+
+    def _refuse(self, why: str) -> None:
+        self.refused += 1
+        self._tell(f"a reader is not let in: {why}")
+
+    async def _pass_on(self, name: str, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
+        back, forth = await asyncio.open_unix_connection(str(self._inside), limit=_CHUNK)
+        pumps = [
+            self._loop.create_task(_pump(reader, forth, self._readers[name])),
+            self._loop.create_task(_pump(back, writer, None)),
+        ]
+        try:
+            await asyncio.wait(pumps, return_when=asyncio.FIRST_COMPLETED)
+        finally:
+            for pump in pumps:
+                pump.cancel()
+            await asyncio.gather(*pumps, return_exceptions=True)
+            forth.transport.abort()
+
+
+async def _pump(source: asyncio.StreamReader, sink: asyncio.StreamWriter, limit: _Reader | None) -> None:
+    """Bytes from one to the other, no faster than they are taken."""
+    with suppress(OSError):
+        while data := await source.read(_CHUNK):
+            sink.write(data)
+            await sink.drain()
+            if limit is not None and (wait_s := limit.wait_s(len(data))) > 0.0:
+                await asyncio.sleep(wait_s)
+
+
+def _context(gateway: GatewayConfig) -> ssl.SSLContext | None:
+    tls = gateway.tls
+    if tls is None:
+        return None
+    try:
+        context = ssl.create_default_context(ssl.Purpose.CLIENT_AUTH, cafile=tls.authority)
+        context.load_cert_chain(tls.certificate, tls.key)
+    except (ssl.SSLError, OSError) as error:
+        raise InputError(
+            "gateway.tls",
+            found=getattr(error, "reason", None) or str(error),
+            expected="the authority's certificate, the gateway's own, and the key that belongs to it",
+            fix="Make the certificates again (docs/subscribers.md).",
+        ) from None
+    context.verify_mode = ssl.CERT_REQUIRED
+    return context
+
+
+def _listener(gateway: GatewayConfig) -> socket.socket:
+    host, port = gateway.listen.rsplit(":", 1)
+    try:
+        listener = socket.create_server((host.strip("[]"), int(port)), backlog=PENDING)
+    except (OSError, OverflowError) as error:
+        raise InputError(
+            f"gateway.listen {gateway.listen}",
+            found=getattr(error, "strerror", None) or str(error),
+            expected="an address of this computer and a free port",
+            fix="Set gateway.listen, or end the other program.",
+        ) from None
+    listener.setblocking(False)
+    return listener

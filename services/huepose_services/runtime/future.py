@@ -1,0 +1,32 @@
+"""What a message says happened later than now was not said by this pipeline, whose workers share one clock.
+
+Stamps and the numbers of corrections, which are stamps too, decide what is newest. One of the far future
+would be the newest for ever.
+"""
+
+from __future__ import annotations
+
+from huepose_protos import WireError
+from huepose_protos.messages import CorrectionMessage, Message, PoseMessage
+
+TOLERANCE_NS = 1_000_000_000
+"""A camera's clock may run ahead by a little."""
+
+
+def check_stamps(message: Message, now_ns: int) -> None:
+    """Raises WireError for a message that was sent, or is of a frame that was captured, later than now."""
+    for name in ("publish_ns", "capture_ns"):
+        _check(name, getattr(message, name, None), now_ns)
+
+
+def check_number(message: CorrectionMessage | PoseMessage, now_ns: int) -> None:
+    """The same for the number of the correction that it is, or that a pose contains."""
+    if isinstance(message, CorrectionMessage):
+        _check("seq", message.seq, now_ns)
+    else:
+        _check("applied_correction_seq", message.applied_correction_seq, now_ns)
+
+
+def _check(name: str, value: int | None, now_ns: int) -> None:
+    if value is not None and value > now_ns + TOLERANCE_NS:
+        raise WireError(f"{name} {value} is {(value - now_ns) * 1e-9:.1f} s from now")

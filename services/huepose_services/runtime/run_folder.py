@@ -1,0 +1,72 @@
+"""The folder of this user's pipelines: their sockets, and notes of what runs. Only its user can open it.
+
+What a service manager runs has `/run/huepose`, which only root could have made; root and its own user find
+the pipeline there.
+"""
+
+from __future__ import annotations
+
+import os
+import socket
+import stat
+from pathlib import Path
+
+from huepose.support.errors import InputError
+from huepose_protos.local import FOLDER, run_folder
+
+SYSTEM_FOLDER = Path("/run/huepose")
+_LONGEST_PATH = 100
+"""A socket's path has at most 107 bytes; a lock file beside it has five more."""
+
+
+def is_private(folder: Path) -> bool:
+    """Whether it is a folder of this user, and nobody else can open it."""
+    try:
+        status = folder.lstat()
+    except OSError:
+        return False
+    return stat.S_ISDIR(status.st_mode) and status.st_uid == os.getuid() and not status.st_mode & 0o077
+
+
+def make_folder() -> Path:
+    """The folder, made when it is not there. Raises InputError where it cannot be, or is somebody else's."""
+    folder = run_folder().absolute()
+    found = ""
+    try:
+        folder.mkdir(mode=0o700, parents=True, exist_ok=True)
+        if not folder.is_symlink() and folder.stat().st_uid == os.getuid():
+            folder.chmod(0o700)
+    except OSError as error:
+        found = error.strerror or str(error)
+    if len(str(folder)) > _LONGEST_PATH - len("/65535"):
+        found = f"a path of {len(str(folder))} bytes, which is too long for sockets"
+    if found or not is_private(folder):
+        raise InputError(
+            f"folder {folder} for the workers' sockets",
+            found=found or "another user's, or a link",
+            expected="a folder that is this user's own",
+            fix=f"Set {FOLDER} to one, for all that belongs to the pipeline.",
+        )
+    return folder
+
+
+def known_folders() -> list[Path]:
+    """Where pipelines may be noted that this user may look at."""
+    own = run_folder()
+    folders = [own] if is_private(own) else []
+    if own != SYSTEM_FOLDER and os.access(SYSTEM_FOLDER, os.R_OK | os.X_OK):
+        folders.append(SYSTEM_FOLDER)
+    return folders
+
+
+def is_taken(folder: Path, port: int) -> bool:
+    """Whether somebody listens on the socket of that name."""
+    with socket.socket(socket.AF_UNIX) as probe:
+        probe.setblocking(False)
+        try:
+            probe.connect(str(folder / str(port)))
+        except BlockingIOError:
+            return True  # it listens, and has no time
+        except OSError:
+            return False
+        return True

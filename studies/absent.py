@@ -1,0 +1,161 @@
+"""Is it said that an object is not there? Each is asked for alone, in boxes of others and of nothing.
+
+    .venv/bin/python -m studies.absent --bop SCENE... --bundles DIR --json OUT.json
+
+Only objects that do not stand in the picture are asked for. Quality is fitted to such rows, too
+(`studies.quality`): there all that was looked at counts, found or not.
+"""
+
+from __future__ import annotations
+
+import argparse
+from collections.abc import Iterator, Sequence
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from huepose.datasets.bop import BopScene
+from huepose.datasets.boxes import disturbed, truth_box
+from huepose.datasets.types import GroundTruth, Scene
+from huepose.estimation import Estimator, EstimatorConfig, ObjectQuery, PoseEstimate
+from huepose.evaluation.calibration import FALSE_WEIGHT, Judged, frame_key, quality_terms, read_rows
+from huepose.evaluation.result_files import write_json
+from huepose.evaluation.summary import table
+from huepose.evaluation.targets import Targets, object_number
+from huepose.geometry.box import Box
+from huepose.model import ReferenceModel, load_models
+from huepose.support.progress import progress
+
+NOTHING = "nothing"
+
+LEAST_VISIBLE = 0.3
+"""Share of an object that is seen in the box of which others are asked for."""
+
+
+@dataclass(frozen=True, eq=False)
+class Question:
+    """An object that is not in the image, and the box in which it is asked for; shown: the object whose box
+    it is, or NOTHING where the box was put anywhere."""
+
+    scene: Scene
+    image: int
+    number: int
+    model: ReferenceModel
+    box: Box
+    shown: str
+
+
+def questions(scenes: Sequence[Scene], targets: Targets, per_frame: int, seed: int = 0) -> Iterator[Question]:
+    """`per_frame` a frame, the last of them in a box put anywhere; of objects that have no label in it."""
+    rng = np.random.default_rng([seed, 41])
+    for scene in scenes:
+        for image in scene.image_ids:
+            truths = scene.truths(image)
+            here = {model.name for t in truths if (model := targets.model_of(t)) is not None}
+            away = [model for model in targets.models if model.name not in here]
+            places = _places(scene, image, truths, targets) if away else []
+            for number in range(per_frame if places else 0):
+                model = away[rng.integers(len(away))]
+                box, shown = places[rng.integers(len(places))]
+                if number == per_frame - 1:
+                    camera = scene.frame(image).camera
+                    x = rng.uniform(0.0, max(1.0, camera.width - box.w))
+                    y = rng.uniform(0.0, max(1.0, camera.height - box.h))
+                    box, shown = Box(x, y, box.w, box.h).clipped(camera.width, camera.height), NOTHING
+                yield Question(scene, image, number, model, box, shown)
+
+
+def answers_where_absent(estimator: Estimator, asked: Sequence[Question]) -> list[dict[str, Any]]:
+    """Rows as those of `huepose eval estimate`, none of them right, of questions that are asked alone."""
+    rows = []
+    for q in progress(asked, "absent"):
+        answer, _ = estimator.explain(q.scene.frame(q.image), ObjectQuery(q.model.name, q.box))
+        rows.append({**_row(answer, q.model), "scene": q.scene.name, "image": q.image,
+                     "instance": q.number, "shown": q.shown, "box": list(q.box)})  # fmt: skip
+    return rows
+
+
+def _row(answer: PoseEstimate, model: ReferenceModel) -> dict[str, Any]:
+    return {
+        "object": object_number(model),
+        "found": answer.found,
+        "right": False,
+        "quality": answer.quality,
+        "state": answer.state,
+        "terms": None if answer.terms is None else asdict(answer.terms),
+    }
+
+
+def _places(
+    scene: Scene, image: int, truths: Sequence[GroundTruth], targets: Targets
+) -> list[tuple[Box, str]]:
+    """Disturbed boxes of what is seen, with its name."""
+    camera = scene.frame(image).camera
+    places = []
+    for truth in truths:
+        model = targets.model_of(truth)
+        if model is None or truth.T_cam_obj is None or not truth.shows(LEAST_VISIBLE):
+            continue
+        box = truth_box(truth, model.mesh, camera)
+        if box is None:
+            continue
+        box = disturbed(box, "perturbed", 0, scene.name, image, truth.instance, camera.width, camera.height)
+        if box.area > 0:
+            places.append((box, model.name))
+    return places
+
+
+def read_absent(path: Path | str) -> Judged:
+    """All that was looked at where the object is not, found or not: none is right. Raises InputError."""
+    rows, false = read_rows(path)
+    every = [row for row in [*rows, *false] if row.get("terms") is not None]
+    return Judged(
+        [quality_terms(row, path) for row in every],
+        np.full(len(every), -1, dtype=np.int64),
+        np.zeros(len(every), bool),
+        [frame_key(row, path) for row in every],
+        [(*frame_key(row, path), row.get("instance", k)) for k, row in enumerate(every)],
+        np.array([float(row["quality"]) for row in every]),
+        np.full(len(every), FALSE_WEIGHT),
+    )
+
+
+def asking(description: str) -> argparse.ArgumentParser:
+    """A parser of scenes, models, the result file, which objects to ask for and the method."""
+    parser = argparse.ArgumentParser(description=description)
+    parser.add_argument("--bop", type=Path, nargs="+", required=True, metavar="SCENE_DIR")
+    parser.add_argument("--bundles", type=Path, required=True, metavar="DIR")
+    parser.add_argument("--json", type=Path, required=True, metavar="FILE")
+    parser.add_argument("--objects", nargs="+", default=None, metavar="ID")
+    parser.add_argument("--method", choices=("full", "colorpair"), default="full")
+    return parser
+
+
+def main(words: Sequence[str] | None = None) -> None:
+    """Ask, print how often something is found and how often it is acquired."""
+    parser = asking("How often something is found where the object is not.")
+    parser.add_argument("--per-frame", type=int, default=3, metavar="N", help="questions a frame (3)")
+    arguments = parser.parse_args(words)
+    models = load_models(arguments.bundles)
+    targets = Targets(models, arguments.objects)
+    asked = list(questions([BopScene(path) for path in arguments.bop], targets, arguments.per_frame))
+    estimator = Estimator(models, EstimatorConfig(method=arguments.method))
+    estimator.warm_up([model.name for model in targets.models])
+    rows = answers_where_absent(estimator, asked)
+    lines = []
+    for name, chosen in (
+        ("boxes of others", [row for row in rows if row["shown"] != NOTHING]),
+        ("boxes of nothing", [row for row in rows if row["shown"] == NOTHING]),
+        ("all", rows),
+    ):
+        found = [row["found"] for row in chosen]
+        acquired = [row["state"] == "TRACKING" for row in chosen]
+        lines.append([name, len(chosen), 100.0 * np.mean(found), 100.0 * np.mean(acquired)])
+    write_json(arguments.json, {"rows": rows})
+    print(table(["asked where it is not", "n", "found %", "acquired %"], lines))
+
+
+if __name__ == "__main__":
+    main()

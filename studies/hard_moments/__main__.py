@@ -1,0 +1,241 @@
+"""Hard moments for the tracker, and minutes of it.
+
+    .venv/bin/python -m studies.hard_moments --json FILE [--plots DIR] [--long 60]
+
+Draws each moment with the project's own renderer at first use (kept under the cache folder), plays it to a
+new tracker with late perception, and says for all of them: coverage, false TRACKING, how soon a loss is
+declared, how soon an object is back, and how well the stated quality agrees with the share that is right.
+Perception is an oracle with small errors, which also gives the first poses; with `--perception estimate` it
+is the project's own estimator, which has to find the objects first.
+`--long SECONDS` adds a can, a box, a bottle and a marker that are carried about for so long, tracked alone
+from the first frame.
+"""
+
+from __future__ import annotations
+
+import argparse
+import hashlib
+import sys
+from dataclasses import asdict
+from pathlib import Path
+
+import cv2
+import numpy as np
+
+from huepose.drawing.plots import line_plot, reliability_bins, reliability_plot
+from huepose.evaluation import metrics
+from huepose.evaluation.pictures import write_picture
+from huepose.evaluation.result_files import write_json
+from huepose.evaluation.states import StateReport, combined, report
+from huepose.evaluation.summary import table
+from huepose.model import ReferenceModel, load_model, save_model
+from huepose.onboarding import onboard_mesh
+from huepose.support.files import cache_folder
+from huepose.tracking import Tracker
+from studies.hard_moments.challenge import challenge
+from studies.hard_moments.film import Film
+from studies.hard_moments.perception import Oracle, OwnEstimates
+from studies.hard_moments.picture import bands
+from studies.hard_moments.play import Played, Told, play
+from studies.hard_moments.scripts import MOMENTS, REST, at_rest, long_run, meshes
+from studies.hard_moments.steadiness import AHEAD_FRAMES, covered, foretold, lag_s, stillness
+from studies.hard_moments.traps import TRAPS
+
+ALL = {**MOMENTS, **TRAPS}
+PERCEPTION: dict[str, type[Oracle] | type[OwnEstimates]] = {"oracle": Oracle, "estimate": OwnEstimates}
+
+SETTLED = 10
+"""Frames after which a filter has settled on an object at rest."""
+
+MOTION = (
+    "covered_2_sigma",
+    *(f"ahead_{round(a * 1000 / 30)}_ms_{u}" for a in AHEAD_FRAMES for u in ("mm", "deg")),
+)
+
+STATES = {
+    "coverage_tracking": "coverage %",
+    "false_tracking_frames": "false",
+    "declared_suspect_after_frames": "SUSPECT after",
+    "declared_lost_after_frames": "LOST after",
+    "undeclared_losses": "undeclared",
+    "reacquired_after_s": "back after s",
+    "never_reacquired": "never back",
+}
+
+
+def models(cache: Path) -> dict[str, ReferenceModel]:
+    """Reference models of the objects, made once."""
+    out = {}
+    for name, mesh in meshes().items():
+        digest = hashlib.sha256(mesh.vertices.tobytes() + mesh.texture.tobytes()).hexdigest()[:12]
+        path = cache / f"{name}-{digest}.huepose"
+        if not path.exists():
+            print(f"learning {name}", file=sys.stderr)
+            cache.mkdir(parents=True, exist_ok=True)
+            save_model(onboard_mesh(mesh, name), path)
+        out[name] = load_model(path)
+    return out
+
+
+def figures(played: Played, states: StateReport) -> dict[str, object]:
+    """One line of the table."""
+    errors = [t for own in played.told for t in own if t.visib_fract >= 0.3]
+    add = [t.add_m for t in errors]
+    return {
+        **{key: getattr(states, key) for key in STATES},
+        "false_tracking_rate": states.false_tracking_rate,
+        "frames": states.frames,
+        "auc_add": metrics.auc(np.array(add)),
+        "add_mm_p50": 1e3 * float(np.median(add)),
+        "cpu_ms_p50": 1e3 * float(np.median(played.cpu_s)),
+        "cpu_ms_p99": 1e3 * float(np.percentile(played.cpu_s, 99)),
+    }
+
+
+def main() -> int:
+    """Play, write, print."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--json", type=Path, required=True)
+    parser.add_argument("--plots", type=Path, default=None, help="folder for the pictures")
+    parser.add_argument("--only", nargs="*", default=list(ALL), choices=list(ALL))
+    parser.add_argument("--perception", choices=list(PERCEPTION), default="oracle")
+    parser.add_argument("--long", type=float, default=0.0, metavar="SECONDS", help="add long runs (60)")
+    parser.add_argument("--rest", nargs="+", default=[], choices=list(meshes()), help="add objects at rest")
+    parser.add_argument("--challenge", action="store_true", help="judge wrong poses too: is quality true?")
+    parser.add_argument(
+        "--seed", type=int, nargs="+", default=[0], help="of the errors of late poses, or boxes"
+    )
+    parser.add_argument("--cache", type=Path, default=cache_folder() / "moments")
+    arguments = parser.parse_args()
+    cv2.setNumThreads(1)
+    known = models(arguments.cache)
+    rows: list[tuple[str, list[Told]]] = []
+    reports: list[StateReport] = []
+    judged: list[tuple[np.ndarray, np.ndarray]] = []
+    lines: dict[str, dict[str, object]] = {}
+    for name in arguments.only:
+        film = Film(ALL[name](), arguments.cache)
+        if arguments.challenge:
+            judged.append(challenge(film, known))
+        for seed in arguments.seed:
+            perception = PERCEPTION[arguments.perception](film.script, known, seed)
+            played = play(film, known, _tracker(film, known), perception=perception)
+            own = [report([t.moment() for t in told]) for told in played.told]
+            reports += own
+            label = film.script.name + (f", seed {seed}" if len(arguments.seed) > 1 else "")
+            lines[label] = figures(played, combined(own))
+            rows += [(label, told) for told in played.told]
+    drift = {}
+    for name in meshes() if arguments.long else ():
+        film = Film(long_run(name, arguments.long), arguments.cache)
+        played = play(film, known, _tracker(film, known))
+        lines[film.script.name] = figures(played, report([t.moment() for t in played.told[0]]))
+        drift[name] = played.told[0]
+    rest = {}
+    for name in arguments.rest:
+        film = Film(at_rest(name), arguments.cache)
+        (told,) = play(film, known, _tracker(film, known)).told
+        rest[name] = {**asdict(stillness(told[SETTLED:REST])), "lag_ms": 1e3 * lag_s(told[REST:])}
+    hard = combined(reports) if reports else None
+    every = [t for _, told in rows for t in told if t.pose is not None and t.pose.T_cam_obj is not None]
+    quality, right = np.array([t.quality for t in every]), np.array([t.right for t in every])
+    ece = _ece(quality, right) if every else None
+    summary: dict[str, object] = {
+        "ece": ece,
+        "moments": lines,
+        "rest": rest,
+        **_motion([told for _, told in rows]),
+    }
+    if judged:
+        asked, true = (np.concatenate([part[i] for part in judged]) for i in (0, 1))
+        summary["challenge"] = {"poses": len(asked), "right": float(true.mean()), "ece": _ece(asked, true)}
+        print(
+            f"quality of {len(asked)} poses, {100 * true.mean():.0f} % right: error {_ece(asked, true):.3f}"
+        )
+        if arguments.plots is not None:
+            title = "right and wrong poses, judged"
+            write_picture(arguments.plots / "challenge.png", reliability_plot(asked, true, title=title))
+    if hard is not None:
+        summary |= {key: getattr(hard, key) for key in (*STATES, "false_tracking_rate", "frames")}
+    if drift:
+        summary["drift_mm"] = {name: median.tolist() for name, (_, median) in _by_second(drift).items()}
+    write_json(arguments.json, {"summary": summary})
+    if arguments.plots is not None and every:
+        write_picture(arguments.plots / "moments.png", bands(rows, "hard moments, frame by frame"))
+        write_picture(arguments.plots / "reliability.png", reliability_plot(quality, right, title="tracking"))
+    if arguments.plots is not None and drift:
+        write_picture(arguments.plots / "drift.png", _drift_picture(drift))
+    print(_report(lines, hard, ece))
+    for name, block in rest.items():
+        print(f"{name} at rest: " + ", ".join(f"{key} {value:.3g}" for key, value in block.items()))
+    print(", ".join(f"{key} {summary[key]:.3g}" for key in MOTION if key in summary))
+    return 0
+
+
+def _motion(films: list[list[Told]]) -> dict[str, float]:
+    """How true the covariances are where the pose is right, and how well motion is foretold: medians."""
+    if not films:
+        return {}
+    right = [t for told in films for t in told if t.right]
+    out = {"covered_2_sigma": covered(right)}
+    for ahead in AHEAD_FRAMES:
+        parts = [foretold(told, ahead) for told in films]
+        out[f"ahead_{round(ahead * 1000 / 30)}_ms_mm"] = float(
+            np.median(np.concatenate([p[0] for p in parts]))
+        )
+        out[f"ahead_{round(ahead * 1000 / 30)}_ms_deg"] = float(
+            np.median(np.concatenate([p[1] for p in parts]))
+        )
+    return out
+
+
+def _tracker(film: Film, known: dict[str, ReferenceModel]) -> Tracker:
+    tracker = Tracker({name: known[name] for name in dict.fromkeys(film.script.objects)})
+    tracker.warm_up()
+    return tracker
+
+
+def _ece(quality: np.ndarray, right: np.ndarray) -> float:
+    stated, true, count = reliability_bins(quality, right)
+    return float((np.abs(stated - true) * count).sum() / count.sum())
+
+
+def _by_second(drift: dict[str, list[Told]]) -> dict[str, tuple[np.ndarray, np.ndarray]]:
+    """Middle of each second, and the median of the ADD in it, millimetres."""
+    lines = {}
+    for name, told in drift.items():
+        add = 1e3 * np.array([t.add_m for t in told])
+        seconds = len(add) // 30
+        lines[name] = (np.arange(seconds) + 0.5, np.median(add[: 30 * seconds].reshape(seconds, 30), 1))
+    return lines
+
+
+def _drift_picture(drift: dict[str, list[Told]]) -> np.ndarray:
+    """ADD over time."""
+    lines = _by_second(drift)
+    return line_plot(lines, "tracked alone", "seconds", "ADD in mm, median of a second", None, (0.0, 6.0))
+
+
+def _report(lines: dict[str, dict[str, object]], hard: StateReport | None, ece: float | None) -> str:
+    columns = {
+        **STATES,
+        "auc_add": "AUC",
+        "add_mm_p50": "mm p50",
+        "cpu_ms_p50": "ms p50",
+        "cpu_ms_p99": "p99",
+    }
+    rows = [[name, *(line[key] for key in columns)] for name, line in lines.items()]
+    text = table(["moment", *columns.values()], rows)
+    if hard is None:
+        return text
+    coverage = "-" if hard.coverage_tracking is None else f"{hard.coverage_tracking:.1f} %"
+    return (
+        f"{text}\nall hard moments: TRACKING in {coverage} of visible frames, false TRACKING "
+        f"{hard.false_tracking_rate:.2f} %, SUSPECT after {hard.declared_suspect_after_frames}, LOST after "
+        f"{hard.declared_lost_after_frames} frames, undeclared {hard.undeclared_losses}; back after "
+        f"{hard.reacquired_after_s} s at most, never {hard.never_reacquired}; calibration error {ece:.3f}"
+    )
+
+
+if __name__ == "__main__":
+    sys.exit(main())

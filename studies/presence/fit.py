@@ -1,0 +1,106 @@
+"""Fitting presence: from answers at a detector's places, of which it is known whether the object is there, to
+the weights of `perception.presence`.
+
+What hue says depends on the light of the frame, and that on what the other places say: so the weights are
+fitted, hues read anew by them, and so on. A pose's own certainty enters as it does in the verdict
+(`estimation.present`), so that the sum of all is a probability.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from huepose.datasets.boxes import truth_box
+from huepose.datasets.types import Sample
+from huepose.estimation.present import certainty
+from huepose.estimation.types import ObjectQuery
+from huepose.evaluation.estimate_protocol import PoseEstimator
+from huepose.evaluation.perception_protocol import SAME
+from huepose.evaluation.targets import Targets
+from huepose.geometry.arrays import Bool, Float64
+from huepose.geometry.box import Box
+from huepose.perception.clear_view import clear_view
+from huepose.perception.presence import PresenceFit, Sight, hues_of, logits_of, sight
+from huepose.perception.types import Detector
+from studies.likelihood import logistic, sigmoid
+
+NAMES = ("fit", "violation", "print", "free_rim", "hue")
+PLACES = 2
+"""Of each object, the best that are looked at."""
+
+PLAUSIBLE = 0.01
+"""Poses that are the object's with less than this probability say where nothing is; they are so many, and so
+easily told, that the weights would be made for them and not for what is doubtful."""
+
+ROUNDS = 4
+
+
+@dataclass(frozen=True, eq=False)
+class SeenPlaces:
+    """The poses of a frame: names of their objects, what is seen there, how sure each pose is of itself
+    (N,), in log odds, and whether its object is there (N,)."""
+
+    names: tuple[str, ...]
+    sights: tuple[Sight, ...]
+    certain: Float64
+    there: Bool
+
+
+def look(sample: Sample, targets: Targets, detector: Detector, estimator: PoseEstimator) -> SeenPlaces:
+    """All objects of `targets` are asked for in a frame. An object is there where the box of what its pose
+    explains overlaps the box of one of its labels by IoU 0.5."""
+    models = targets.models_by_name
+    view = clear_view(sample.frame, max(m.diameter_m for m in models.values()))
+    count: dict[str, int] = {}
+    queries: list[ObjectQuery] = []
+    for d in detector.detect(sample.frame, list(models)):
+        count[d.object] = count.get(d.object, 0) + 1
+        if count[d.object] <= PLACES:
+            queries.append(ObjectQuery(d.object, box=d.box, instance=len(queries)))
+    answers = estimator.estimate(sample.frame, queries) if queries and view is not None else []
+    boxes = [
+        (model.name, truth_box(t, model.mesh, sample.frame.camera))
+        for t in sample.truths
+        if t.T_cam_obj is not None and (model := targets.model_of(t)) is not None
+    ]
+    regions = {name: view.region(m.diameter_m) for name, m in models.items()} if view is not None else {}
+    names, sights, certain, there = [], [], [], []
+    for answer in answers:
+        own = None if answer.mask is None else Box.of_mask(answer.mask)
+        if view is None or answer.T_cam_obj is None or own is None:
+            continue
+        names.append(answer.object)
+        sights.append(sight(view, regions[answer.object], models[answer.object], answer.T_cam_obj))
+        certain.append(certainty(answer))
+        there.append(any(n == answer.object and b is not None and b.iou(own) >= SAME for n, b in boxes))
+    return SeenPlaces(tuple(names), tuple(sights), np.array(certain), np.array(there, dtype=bool))
+
+
+def fit_presence(frames: Sequence[SeenPlaces], start: PresenceFit) -> PresenceFit:
+    """The weights of largest likelihood on the plausible poses of these frames; `start` says which those are,
+    and how lights are guessed at first."""
+    frames = [frame for frame in frames if frame.names]
+    plausible = np.concatenate([chances(frame, start) for frame in frames]) >= PLAUSIBLE
+    there = np.concatenate([frame.there for frame in frames])[plausible]
+    certain = np.concatenate([frame.certain for frame in frames])[plausible]
+    shape = np.array([terms(s) for frame in frames for s in frame.sights])
+    found = start
+    for _ in range(ROUNDS):
+        hue = [hues_of(f.names, f.sights, logits_of(f.names, f.sights, found)) for f in frames]
+        x = np.column_stack([shape, np.concatenate(hue)])[plausible]
+        fitted = logistic(x, there, np.ones(len(there)), NAMES, certain)
+        found = PresenceFit(constant=fitted.constant, **fitted.factors)
+    return found
+
+
+def terms(seen: Sight) -> tuple[float, float, float, float]:
+    """What is seen, but for hue, as the weights count it."""
+    return seen.fit, seen.violation, seen.print, 1.0 - seen.rim
+
+
+def chances(frame: SeenPlaces, weights: PresenceFit) -> Float64:
+    """Probability (N,) that each object is there."""
+    return sigmoid(logits_of(frame.names, frame.sights, weights) + frame.certain)

@@ -1,0 +1,281 @@
+"""Fit quality anew, whole, in one go: draw scenes, estimate in them, fit both methods, write the fits.
+
+    .venv/bin/python -m studies.quality --models MODELS_DIR --work build/quality
+
+What is drawn and onboarded under `--work` is kept for the next time; estimates are made anew each time. Heaps
+and piles are both fitted to, because in piles, where light is dim and much is hidden, the same evidence says
+less.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+from collections.abc import Callable, Sequence
+from concurrent.futures import ProcessPoolExecutor
+from dataclasses import dataclass, replace
+from functools import partial, reduce
+from multiprocessing import get_context
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+
+import huepose
+from huepose.datasets.bop import BopScene
+from huepose.datasets.types import SomeImages
+from huepose.drawing.plots import reliability_plot
+from huepose.estimation import Estimator, EstimatorConfig
+from huepose.evaluation.calibration import Judged, read_judged, worth
+from huepose.evaluation.estimate_protocol import EstimateOptions, evaluate_estimates
+from huepose.evaluation.result_files import write_json
+from huepose.evaluation.summary import table
+from huepose.evaluation.targets import Targets
+from huepose.geometry.arrays import Bool
+from huepose.geometry.mesh import Mesh
+from huepose.model import load_models
+from huepose.scenes.rendered_set import write_rendered_set
+from huepose.scenes.shapes import demo_objects
+from huepose_services.cli.evaluate_calibration import worth_row
+from huepose_services.cli.main import main as run_huepose
+from studies.absent import answers_where_absent, questions, read_absent
+from studies.quality.fit import FEATURES, Fitted, as_json, fit
+
+FITS = Path(huepose.__file__).parent / "believe" / "quality_fits.json"
+MIN_VISIB = 0.1
+ABSENT_PER_FRAME = 3
+SIZES = (1.2, 1.0 / 1.2)
+OWN = "cal_own"
+"""The scene of the built-in objects, whose numbers are not those of the others."""
+
+ALIKE = {"cal_alike": (1, 25, 103), "cal_alike_9": (9, 10, 409), "cal_alike_11": (11, 10, 411)}
+"""Scenes of the built-in shapes in other prints: which prints, how many frames, drawn from which seed. Their
+hues are turned by 291, 77 and 29 degrees against those that were learned."""
+
+MIRRORED = "cal_alike_mirrored"
+"""The scene of the built-in objects with their prints mirrored: the same hues, another layout everywhere."""
+
+SHARE = {"full": 1, "colorpair": 3}
+"""One in so many frames is used, because the second method takes longer."""
+
+HEADING = ["held out", "n", "right", "error", "by chance", "found %", "over the level %", "right of them %"]
+
+MOST_RIGHT = 0.98
+"""Where more is right than this, there is nothing to see in a picture of reliability."""
+
+
+@dataclass(frozen=True)
+class Part:
+    """A share of a scene's frames, from `first` on every `step`, by one method."""
+
+    kind: str
+    method: str
+    scene: Path
+    bundles: Path
+    first: int
+    step: int
+
+    @property
+    def name(self) -> str:
+        """Of its result file."""
+        return f"{self.method}_{self.scene.name}_{self.kind}_{self.first}of{self.step}"
+
+
+def main() -> None:
+    """Prepare, estimate in processes, fit, write, print."""
+    arguments = _arguments()
+    work: Path = arguments.work
+    own, builtin = work / "builtin", work / OWN
+    ycb, piles = drawn_ycb(arguments.models, work)
+    bundles = bundles_of(arguments.models, arguments.bundles, work)
+    drawn(builtin, "builtin", 30, 102)
+    alike = [
+        drawn(work / name, "builtin", frames, seed, "--prints", str(prints))
+        for name, (prints, frames, seed) in ALIKE.items()
+    ]
+    alike.append(_altered(work / MIRRORED, _mirrored, 421))
+    sizes = [
+        _altered(work / f"cal_size_{k}", partial(_resized, factor=factor), 104 + k)
+        for k, factor in enumerate(SIZES)
+    ]
+    if not any(own.glob("*.huepose")):
+        run_huepose(["onboard-bop", str(builtin / "models"), "--out", str(own), "--paper"])
+    parts = []
+    for method in arguments.methods:
+        n = arguments.processes * SHARE[method]
+        for first in range(0, n, SHARE[method]):
+            parts += [
+                Part("labels", method, ycb, bundles, first, n),
+                Part("labels", method, piles, bundles, first, n),
+                Part("others", method, ycb, bundles, first, n),
+                Part("labels", method, builtin, own, first, n),
+                *(Part("alike", method, scene, own, first, n) for scene in alike),
+                *(Part("sizes", method, scene, own, first, n) for scene in sizes),
+            ]
+    with ProcessPoolExecutor(arguments.processes, mp_context=get_context("spawn")) as pool:
+        list(pool.map(_estimated, parts, [work] * len(parts)))
+    fits = json.loads(FITS.read_text()) if FITS.exists() else {}
+    for method in arguments.methods:
+        files = {
+            kind: [work / f"{p.name}.json" for p in parts if (p.method, p.kind) == (method, kind)]
+            for kind in ("labels", "others", "alike", "sizes")
+        }
+        labels = _all([read_judged(path) for path in files["labels"]])
+        wrong = [_all([read_absent(path) for path in files[kind]]) for kind in ("others", "alike", "sizes")]
+        fitted = fit(labels, FEATURES[method], *wrong)
+        fits[method] = as_json(fitted.fit)
+        _print(method, fitted, labels, *wrong)
+        apart = fit(by_object(labels, files["labels"]), FEATURES[method], *wrong)
+        rows = [
+            worth_row(name, worth(apart.labels[chosen], labels.only(chosen), apart.fit.level))
+            for name, chosen in _by_scene(labels).items()
+        ]
+        print(table(["objects held out", *HEADING[1:]], rows))
+        if arguments.picture is not None and method == "full":
+            _draw(arguments.picture, fitted, labels)
+    FITS.write_text(json.dumps(fits, indent=1) + "\n")
+
+
+def _estimated(part: Part, work: Path) -> None:
+    """The estimates of a part, as a file. Nothing is hidden as not found, so that all is fitted to."""
+    models = load_models(part.bundles)
+    targets, whole = Targets(models), BopScene(part.scene)
+    scene = SomeImages(whole, whole.image_ids[part.first :: part.step])
+    estimator = Estimator(models, EstimatorConfig(method=part.method, found_level=0.0))  # type: ignore[arg-type]
+    path = work / f"{part.name}.json"
+    if part.kind == "others":
+        asked = list(questions([scene], targets, ABSENT_PER_FRAME))
+        write_json(path, {"rows": answers_where_absent(estimator, asked)})
+    else:
+        options = EstimateOptions(min_visib=MIN_VISIB)
+        write_json(path, evaluate_estimates([scene], targets, estimator, options).as_json())
+
+
+def _print(method: str, fitted: Fitted, labels: Judged, others: Judged, alike: Judged, sizes: Judged) -> None:
+    level, found = fitted.fit.level, fitted.fit.found
+    rows: list[list[Any]] = []
+    for name, chosen in _by_scene(labels).items():
+        present = fitted.present_labels[chosen] >= found
+        rows.append(worth_row(name, worth(fitted.labels[chosen], labels.only(chosen), level, present)))
+    rows.append(worth_row("all labels", worth(fitted.labels, labels, level, fitted.present_labels >= found)))
+    rows.append(worth_row("others", worth(fitted.others, others, level, fitted.present_others >= found)))
+    for kind, judged, quality in (("prints", alike, fitted.alike), ("sizes", sizes, fitted.sizes)):
+        rows += [
+            worth_row(f"other {kind}: {name}", worth(quality[chosen], judged.only(chosen), level))
+            for name, chosen in _by_scene(judged, kind).items()
+        ]
+    print(f"{method}: level {level:.3f}, found {found:.3f}")
+    print(table(HEADING, rows))
+    print(_near_ties(fitted, labels))
+
+
+def by_object(labels: Judged, paths: Sequence[Path]) -> Judged:
+    """The same poses as if each object were one frame: folds then leave whole objects out."""
+    objects = {
+        (str(path), row["scene"], int(row["image"]), row["instance"]): (
+            row["scene"] == OWN,
+            row["object"],
+        )
+        for path in paths
+        for row in json.loads(path.read_text())["rows"]
+    }
+    return replace(labels, frames=[objects[instance] for instance in labels.instances])  # type: ignore[index]
+
+
+def _by_scene(judged: Judged, kind: str = "labels") -> dict[str, Bool]:
+    """Which poses are of each calibration scene, by its name."""
+    end = {"prints": "_alike_"}.get(kind, f"_{kind}_")
+    scenes = np.array([Path(frame[0]).name.rpartition(end)[0] for frame in judged.frames])  # type: ignore[index]
+    return {str(name).split("_", 1)[1]: scenes == name for name in dict.fromkeys(scenes.tolist())}
+
+
+def _near_ties(fitted: Fitted, labels: Judged) -> str:
+    """How often the first pose and its best alternative are right, by what is said of the alternative."""
+    stated = [fitted.fit.probabilities(terms) for terms in labels.terms]
+    second = np.array([p[1] if len(p) > 1 else 0.0 for p in stated])
+    first = np.array([p[0] for p in stated])
+    rows = []
+    for low, high in ((0.05, 0.1), (0.1, 0.2), (0.2, 0.3), (0.3, 0.5)):
+        tied = (second >= low) & (second < high)
+        if tied.any():
+            right = labels.which[tied]
+            rows.append([f"{low} to {high}", int(tied.sum()), 100.0 * first[tied].mean(),
+                         100.0 * (right == 0).mean(), 100.0 * second[tied].mean(),
+                         100.0 * (right == 1).mean()])  # fmt: skip
+    heading = ["first alternative", "n", "first stated %", "first right %", "it stated %", "it right %"]
+    return table(heading, rows)
+
+
+def _draw(path: Path, fitted: Fitted, labels: Judged) -> None:
+    """Stated quality against the share that is right, of each calibration scene, side by side."""
+    plots = [
+        reliability_plot(fitted.labels[chosen], labels.right[chosen], title=f"held out: {name}")
+        for name, chosen in _by_scene(labels).items()
+        if labels.right[chosen].mean() < MOST_RIGHT
+    ]
+    cv2.imwrite(str(path), np.ascontiguousarray(np.hstack(plots)[..., ::-1]))
+
+
+def _all(parts: Sequence[Judged]) -> Judged:
+    return reduce(lambda a, b: a + b, parts)
+
+
+def _altered(scene: Path, change: Callable[[Mesh], Mesh], seed: int) -> Path:
+    """The built-in objects, each changed."""
+    if not (scene / "scene_gt.json").exists():
+        meshes = {name: change(mesh) for name, mesh in demo_objects().items()}
+        write_rendered_set(scene, meshes, {name: k for k, name in enumerate(meshes, 1)}, 12, seed)
+    return scene
+
+
+def _resized(mesh: Mesh, factor: float) -> Mesh:
+    return replace(mesh, vertices=np.float32(factor) * mesh.vertices)
+
+
+def _mirrored(mesh: Mesh) -> Mesh:
+    assert mesh.texture is not None
+    return replace(mesh, texture=np.ascontiguousarray(mesh.texture[::-1]))
+
+
+def drawn(scene: Path, models: str, frames: int, seed: int, *more: str) -> Path:
+    """A scene of `huepose render-scenes`, drawn where it is missing or not whole."""
+    there = len(BopScene(scene).image_ids) if (scene / "scene_gt.json").exists() else 0
+    if there < frames:
+        run_huepose(["render-scenes", "--models", models, "--out", str(scene),
+                 "--frames", str(frames), "--seed", str(seed), *more])  # fmt: skip
+    return scene
+
+
+def drawn_ycb(models: Path, work: Path) -> tuple[Path, Path]:
+    """Heaps and piles of the objects of a BOP models folder."""
+    return (
+        drawn(work / "cal_ycb", str(models), 100, 101),
+        drawn(work / "cal_piles", str(models), 80, 106, "--kind", "piles"),
+    )
+
+
+def bundles_of(models: Path, bundles: Path | None, work: Path) -> Path:
+    """The reference models of a BOP models folder; they are learned under `work` where none are given."""
+    if bundles is not None:
+        return bundles
+    here = work / "bundles"
+    if not any(here.glob("*.huepose")):
+        run_huepose(["onboard-bop", str(models), "--out", str(here), "--paper"])
+    return here
+
+
+def _arguments() -> argparse.Namespace:
+    parser = argparse.ArgumentParser(description="Fit quality anew, whole, in one go.")
+    parser.add_argument("--models", type=Path, required=True, metavar="DIR", help="BOP models folder")
+    parser.add_argument("--bundles", type=Path, default=None, metavar="DIR",
+                        help="their reference models (learned under --work)")  # fmt: skip
+    parser.add_argument("--work", type=Path, default=Path("build/quality"), metavar="DIR")
+    parser.add_argument("--methods", nargs="+", choices=tuple(FEATURES), default=list(FEATURES))
+    parser.add_argument("--picture", type=Path, default=None, metavar="FILE.png", help="of reliability")
+    parser.add_argument("--processes", type=int, default=2, metavar="N")
+    return parser.parse_args()
+
+
+if __name__ == "__main__":
+    main()

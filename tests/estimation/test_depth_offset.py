@@ -1,0 +1,51 @@
+"""Colours that do not lie on depth are noticed, with how far and which way; noise and hidden rims are not."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from huepose.estimation.depth_offset import DepthOffset, depth_offset
+from huepose.geometry import RgbdFrame
+from huepose.model.types import ReferenceModel
+
+
+@pytest.fixture(scope="module")
+def frame(tea_box: ReferenceModel, take_picture: Callable[..., RgbdFrame], standing: np.ndarray) -> RgbdFrame:
+    return take_picture([(tea_box.mesh, standing)], light=(0.9, 0.8, 0.6))
+
+
+@pytest.mark.parametrize(("right", "down"), [(0, 0), (3, -2), (-4, 0), (0, 5)])
+def test_how_far_and_which_way(
+    frame: RgbdFrame, tea_box: ReferenceModel, standing: np.ndarray, right: int, down: int
+) -> None:
+    carried = replace(frame, color=np.roll(frame.color, (down, right), axis=(0, 1)))
+    found = depth_offset(carried, [(tea_box, standing)])
+    assert found is not None
+    assert np.hypot(found.right_px - right, found.down_px - down) <= 0.75
+    assert found.clear == bool(right or down)
+
+
+def test_noise_has_no_offset(tea_box: ReferenceModel, frame: RgbdFrame, standing: np.ndarray) -> None:
+    noise = np.random.default_rng(0).integers(0, 255, frame.color.shape).astype(np.uint8)
+    found = depth_offset(replace(frame, color=noise), [(tea_box, standing)])
+    assert found is not None
+    assert not found.clear
+
+
+def test_a_hidden_outline_says_nothing(
+    frame: RgbdFrame, tea_box: ReferenceModel, standing: np.ndarray
+) -> None:
+    wall = replace(frame, depth=np.full_like(frame.depth, 0.2))
+    assert depth_offset(wall, [(tea_box, standing)]) is None
+    assert depth_offset(frame, []) is None
+
+
+def test_it_is_said_in_words() -> None:
+    said = "the image shows outlines 3.0 px to the left and 1.5 px below where depth has them"
+    assert str(DepthOffset(-3.0, 1.5, 9.0, 400)) == said
+    assert not DepthOffset(-3.0, 1.5, 2.0, 400).clear
+    assert not DepthOffset(0.25, 0.5, 9.0, 400).clear

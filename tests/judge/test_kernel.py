@@ -1,0 +1,64 @@
+"""The compiled score: who only asks for something better gets the same answer for less work."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+
+from huepose.geometry import RgbdFrame, se3
+from huepose.judge.arrays import model_arrays, region_arrays
+from huepose.judge.kernel import SCRATCH_ROWS, TERMS, score_kernel
+from huepose.judge.terms import DEFAULT_WEIGHTS, score_many, weight_array
+from huepose.model.types import ReferenceModel
+from tests.judge.regions import region_of
+
+
+def test_a_needed_total_decides_as_the_whole_total_does(
+    tea_box: ReferenceModel, take_picture: Callable[..., RgbdFrame], standing: np.ndarray
+) -> None:
+    frame = take_picture([(tea_box.mesh, standing)])
+    region = region_of(frame, tea_box, standing)
+    model, seen, weights = model_arrays(tea_box), region_arrays(region), weight_array(DEFAULT_WEIGHTS)
+    rng = np.random.default_rng(3)
+    poses = [
+        se3.perturb(standing, rng.normal(size=6) * ([0.01] * 3 + [0.2] * 3) * size)
+        for size in np.linspace(0.02, 3.0, 60)
+    ]
+    scratch, terms = np.empty((SCRATCH_ROWS, 220)), np.empty(TERMS)
+
+    def judged(T: np.ndarray, needed: float) -> float:
+        return score_kernel(T, model, seen, 220, weights, scratch, terms, needed)
+
+    totals = [judged(T, -np.inf) for T in poses]
+    shortened = 0
+    for T, total in zip(poses, totals, strict=True):
+        assert judged(T, total - 1e-6) == total  # what is better is judged in full
+        for needed in (total + 1e-6, total + 0.1, total + 0.5, total + 1.5):
+            answer = judged(T, needed)
+            assert total - 1e-9 <= answer <= needed
+            shortened += answer != total
+    assert shortened > len(poses)
+
+
+def test_coverage_is_that_of_the_plain_formula(
+    tea_box: ReferenceModel, take_picture: Callable[..., RgbdFrame], standing: np.ndarray
+) -> None:
+    region = region_of(take_picture([(tea_box.mesh, standing)]), tea_box, standing)
+    model, seen = model_arrays(tea_box), region_arrays(region)
+    rng = np.random.default_rng(4)
+    for size in np.linspace(0.0, 5.0, 12):
+        T = se3.perturb(standing, rng.normal(size=6) * ([0.01] * 3 + [0.2] * 3) * size)
+        points = (seen.points_cam - T[:3, 3]) @ T[:3, :3]
+        cell = np.floor((points - model.origin) / model.step + 0.5).astype(int)
+        inside = ((cell >= 0) & (cell < model.nearest.shape)).all(1)
+        index = model.nearest[tuple(np.where(inside[:, None], cell, 0).T)]
+        offset, normals = points - model.points[index], model.normals[index]
+        gap = (offset * normals).sum(1)
+        near = inside & (abs(gap) < seen.tolerance)
+        near &= np.linalg.norm(offset, axis=1) < 3.0 * seen.tolerance
+        near &= (normals * (points + T[:3, :3].T @ T[:3, 3])).sum(1) <= 0.0
+        weights = seen.point_weights
+        expected = (weights * np.where(near, 1.0 - (gap / seen.tolerance) ** 2, 0.0)).sum() / weights.sum()
+        got = score_many(tea_box, region, T[None], 50)[0, 2]
+        np.testing.assert_allclose(got, expected, atol=1e-6)

@@ -1,0 +1,129 @@
+"""The pair score: one for a perfect print, blind to light, and a search that climbs it."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from huepose.geometry import RgbdFrame, se3
+from huepose.judge.pair_kernel import PairPicture, pair_kernel, scratch
+from huepose.judge.pair_terms import judged_on, pair_score, pair_score_many
+from huepose.judge.region import Region
+from huepose.model.types import ReferenceModel
+from huepose.paper.extended.pair_search import search_pairs
+from tests.judge.regions import seen_by_pairs
+
+TakePicture = Callable[..., RgbdFrame]
+
+
+@pytest.fixture(scope="module")
+def view(
+    tea_box: ReferenceModel, standing: np.ndarray, take_picture: TakePicture
+) -> tuple[Region, PairPicture]:
+    return seen_by_pairs(tea_box, take_picture([(tea_box.mesh, standing)]), standing)
+
+
+def test_the_right_pose_nearly_correlates_fully(
+    tea_box: ReferenceModel, standing: np.ndarray, view: tuple[Region, PairPicture]
+) -> None:
+    score = pair_score(tea_box, *view, standing)
+    assert score.visible > 50
+    assert score.color > 0.7
+    assert score.contrast > 0.6
+    assert score.total == pytest.approx(score.geometry + score.color + 0.6 * score.contrast)
+
+
+def test_light_is_normalised_at_the_pose(
+    tea_box: ReferenceModel, standing: np.ndarray, take_picture: TakePicture, view: tuple[Region, PairPicture]
+) -> None:
+    white = pair_score(tea_box, *view, standing)
+    for light in ((0.9, 0.6, 0.4), (0.45, 0.5, 0.6)):
+        region, picture = seen_by_pairs(
+            tea_box, take_picture([(tea_box.mesh, standing)], light=light), standing
+        )
+        score = pair_score(tea_box, region, picture, standing)
+        assert score.color == pytest.approx(white.color, abs=0.12)
+        assert score.contrast == pytest.approx(white.contrast, abs=0.15)
+
+
+def test_an_offset_of_all_colours_changes_nothing(
+    tea_box: ReferenceModel, standing: np.ndarray, view: tuple[Region, PairPicture]
+) -> None:
+    region, picture = view
+    shifted = picture._replace(colors=picture.colors + np.array([5.0, -20.0, 12.0], np.float32))
+    a, b = pair_score(tea_box, region, picture, standing), pair_score(tea_box, region, shifted, standing)
+    assert b.color == pytest.approx(a.color, abs=1e-3)
+    assert b.contrast == pytest.approx(a.contrast, abs=1e-3)
+
+
+def test_inverted_colours_anticorrelate(
+    tea_box: ReferenceModel, standing: np.ndarray, view: tuple[Region, PairPicture]
+) -> None:
+    region, picture = view
+    score = pair_score(tea_box, region, picture._replace(colors=-picture.colors), standing)
+    assert score.color < -0.7
+    assert score.contrast < -0.6
+
+
+def test_hidden_pairs_are_not_read(
+    tea_box: ReferenceModel, standing: np.ndarray, view: tuple[Region, PairPicture]
+) -> None:
+    region, picture = view
+    behind = se3.perturb(standing, np.array([0.0, 0.0, 0.1, 0.0, 0.0, 0.0]))
+    assert pair_score(tea_box, region, picture, behind).visible == 0
+    blind = replace(region, crop=replace(region.crop, saturated=np.ones_like(region.crop.saturated)))
+    score = pair_score(tea_box, blind, picture, standing)
+    assert score.visible == 0
+    assert score.color == score.contrast == 0.0
+    assert score.geometry > 1.0
+
+
+def test_many_poses_are_judged_as_one_by_one(
+    tea_box: ReferenceModel, standing: np.ndarray, view: tuple[Region, PairPicture]
+) -> None:
+    poses = np.stack([se3.perturb(standing, d) for d in np.diag([0.004] * 3 + [0.05] * 3)])
+    table = pair_score_many(tea_box, *view, poses)
+    for T, row in zip(poses, table, strict=True):
+        assert pair_score(tea_box, *view, T).total == pytest.approx(row[0])
+
+
+def test_search_climbs_back(
+    tea_box: ReferenceModel, standing: np.ndarray, view: tuple[Region, PairPicture]
+) -> None:
+    rng = np.random.default_rng(0)
+    turns, shifts = rng.normal(size=(6, 3)), rng.normal(size=(6, 3))
+    turns *= np.radians(7.0) / np.linalg.norm(turns, axis=1, keepdims=True)
+    shifts *= 0.005 / np.linalg.norm(shifts, axis=1, keepdims=True)
+    starts = np.stack([se3.perturb(standing, np.concatenate(x)) for x in zip(shifts, turns, strict=True)])
+    before = pair_score_many(tea_box, *view, starts, 300, 150)[:, 0]
+    found, totals = search_pairs(tea_box, *view, starts, (8.0, 4.0, 2.0, 1.0, 0.5))
+    assert (totals >= before).all()
+    np.testing.assert_allclose(pair_score_many(tea_box, *view, found, 300, 150)[:, 0], totals)
+    angles = [np.degrees(se3.rotation_angle(T, standing)) for T in found]
+    assert np.median(angles) < 1.5
+    assert np.median(np.linalg.norm(found[:, :3, 3] - standing[:3, 3], axis=1)) < 0.002
+
+
+def test_a_needed_total_decides_as_the_whole_total_does(
+    tea_box: ReferenceModel, standing: np.ndarray, view: tuple[Region, PairPicture]
+) -> None:
+    region, picture = view
+    on, room = judged_on(tea_box, region, picture, 300, 150), scratch(150)
+
+    def judged(T: np.ndarray, needed: float) -> float:
+        return pair_kernel(T, on, room, needed)
+
+    rng = np.random.default_rng(3)
+    shortened = 0
+    for size in np.linspace(0.02, 3.0, 40):
+        T = se3.perturb(standing, rng.normal(size=6) * ([0.01] * 3 + [0.2] * 3) * size)
+        total = judged(T, -np.inf)
+        assert judged(T, total - 1e-6) == total  # what is better is judged in full
+        for needed in (total + 1e-6, total + 0.3, total + 1.5):
+            answer = judged(T, needed)
+            assert total - 1e-8 <= answer <= needed
+            shortened += answer != total
+    assert shortened > 20

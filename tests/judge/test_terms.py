@@ -1,0 +1,184 @@
+"""The dense score: highest at the truth, blind to light, and each term says what it should."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from huepose.geometry import Box, RgbdFrame, se3
+from huepose.judge.region import prepare_region
+from huepose.judge.terms import Terms, score, score_many
+from huepose.model.types import ReferenceModel
+from huepose.rendering.render import render_depth
+from huepose.scenes.shapes import demo_objects
+from tests.judge.regions import region_of
+
+TakePicture = Callable[..., RgbdFrame]
+
+
+@pytest.fixture(scope="module")
+def seen(tea_box: ReferenceModel, take_picture: TakePicture, standing: np.ndarray) -> Terms:
+    frame = take_picture([(tea_box.mesh, standing)])
+    return score(tea_box, region_of(frame, tea_box, standing), standing)
+
+
+def test_the_truth_scores_high_in_every_term(seen: Terms) -> None:
+    assert seen.depth_fit > 0.8
+    assert seen.coverage > 0.9
+    assert seen.violation < 0.03
+    assert seen.color > 0.7
+    assert seen.occluded == 0.0
+    assert seen.seen > 0.9
+    assert seen.box_iou > 0.9
+
+
+def test_the_truth_beats_every_other_pose(
+    tea_box: ReferenceModel, take_picture: TakePicture, standing: np.ndarray
+) -> None:
+    frame = take_picture([(tea_box.mesh, standing)])
+    region = region_of(frame, tea_box, standing)
+    steps = [np.eye(6)[k] * s for k in range(3) for s in (-0.02, -0.006, 0.006, 0.02)]
+    steps += [np.eye(6)[3 + k] * np.radians(s) for k in range(3) for s in (-90, -20, -5, 5, 20, 90, 180)]
+    poses = np.array([standing] + [se3.perturb(standing, s) for s in steps])
+    totals = score_many(tea_box, region, poses)[:, 0]
+    assert (totals[1:] < totals[0] - 0.02).all()
+
+
+def test_light_changes_nothing(
+    tea_box: ReferenceModel, take_picture: TakePicture, standing: np.ndarray, seen: Terms
+) -> None:
+    """A gain on each channel leaves the colour term almost as it was."""
+    for light in ((0.4, 0.4, 0.4), (0.9, 0.7, 0.45), (0.5, 0.6, 0.9)):
+        frame = take_picture([(tea_box.mesh, standing)], light)
+        lit = score(tea_box, region_of(frame, tea_box, standing), standing)
+        assert lit.color == pytest.approx(seen.color, abs=0.06)
+        assert lit.depth_fit == seen.depth_fit
+
+
+def test_another_print_on_the_same_shape_scores_lower(
+    tea_box: ReferenceModel, take_picture: TakePicture, standing: np.ndarray, seen: Terms
+) -> None:
+    other = take_picture([(demo_objects(1)["tea_box"], standing)])
+    wrong = score(tea_box, region_of(other, tea_box, standing), standing)
+    assert wrong.color < seen.color - 0.4
+    assert wrong.total < seen.total - 0.4
+
+
+def test_what_stands_in_front_is_occlusion_and_what_we_see_through_is_violation(
+    tea_box: ReferenceModel, take_picture: TakePicture, standing: np.ndarray
+) -> None:
+    frame = take_picture([(tea_box.mesh, standing)])
+    silhouette = render_depth(tea_box.mesh, standing, frame.camera) > 0
+    middle = int(np.nonzero(silhouette)[1].mean())
+    right = silhouette & (np.arange(640) > middle)[None, :]
+    left = silhouette & ~right
+    covered = replace(frame, depth=np.where(right, frame.depth - np.float32(0.1), frame.depth))
+    empty = replace(frame, depth=np.where(right, frame.depth + np.float32(0.1), frame.depth))
+    scores = []
+    for changed in (covered, empty):
+        box = Box.of_mask(left)
+        assert box is not None
+        region = prepare_region(changed, left, box, tea_box.diameter_m)
+        assert region is not None
+        scores.append(score(tea_box, region, standing))
+    occluded, violated = scores
+    assert 0.3 < occluded.occluded < 0.7
+    assert occluded.violation < 0.03
+    assert 0.3 < occluded.seen < 0.7
+    assert violated.violation > 0.3
+    assert violated.occluded < 0.03
+    assert occluded.total > violated.total + 0.3
+
+
+def test_a_pose_may_hide_behind_something_but_not_stick_in_it(
+    tea_box: ReferenceModel, take_picture: TakePicture, standing: np.ndarray
+) -> None:
+    """Two thirds of an object are hidden: by what stands 10 cm in front of them, or, as when it sinks into
+    its support, by what is seen 15 mm in front of them."""
+    frame = take_picture([(tea_box.mesh, standing)])
+    silhouette = render_depth(tea_box.mesh, standing, frame.camera) > 0
+    shown = silhouette & (np.arange(640) < np.quantile(np.nonzero(silhouette)[1], 0.33))[None, :]
+    box = Box.of_mask(shown)
+    assert box is not None
+    scores = []
+    for nearer_m in (0.1, 0.015):
+        near = np.where(silhouette & ~shown, frame.depth - np.float32(nearer_m), frame.depth)
+        region = prepare_region(replace(frame, depth=near), shown, box, tea_box.diameter_m)
+        assert region is not None
+        scores.append(score(tea_box, region, standing))
+    behind, sunk = scores
+    assert behind.violation < 0.03
+    assert sunk.violation > 0.25
+    assert behind.occluded > sunk.occluded > 0.4
+    assert sunk.total < behind.total - 0.25
+
+
+def test_behind_what_is_believed_to_be_the_object_hides_less_where_masks_are_doubted(
+    tea_box: ReferenceModel, take_picture: TakePicture, standing: np.ndarray
+) -> None:
+    """A mask on what stands 10 cm in front of the whole object: all of the surface lies behind it."""
+    frame = take_picture([(tea_box.mesh, standing)])
+    silhouette = render_depth(tea_box.mesh, standing, frame.camera) > 0
+    near = replace(frame, depth=np.where(silhouette, frame.depth - np.float32(0.1), frame.depth))
+    box = Box.of_mask(silhouette)
+    assert box is not None
+    region = prepare_region(near, silhouette, box, tea_box.diameter_m)
+    assert region is not None
+    believing, doubting = (score(tea_box, replace(region, hides=h), standing) for h in (0.5, 0.0))
+    assert believing.violation == pytest.approx(0.5 / 0.65, abs=0.03)  # beside the 0.15 of all terms
+    assert doubting.violation < 0.03
+    assert believing.occluded == doubting.occluded
+    assert doubting.coverage == believing.coverage < 1e-6
+
+
+def test_saturated_pixels_do_not_count(
+    tea_box: ReferenceModel, take_picture: TakePicture, standing: np.ndarray, seen: Terms
+) -> None:
+    """A glare of pure white over a third of the object leaves the colour of the rest."""
+    frame = take_picture([(tea_box.mesh, standing)])
+    silhouette = render_depth(tea_box.mesh, standing, frame.camera) > 0
+    top = int(np.nonzero(silhouette)[0].mean())
+    glare = frame.color.copy()
+    glare[top : top + 40] = 255
+    lit = score(tea_box, region_of(replace(frame, color=glare), tea_box, standing), standing)
+    assert lit.color > seen.color - 0.15
+
+
+def test_many_equal_one_by_one_and_repeat(
+    tea_box: ReferenceModel, take_picture: TakePicture, standing: np.ndarray
+) -> None:
+    frame = take_picture([(tea_box.mesh, standing)])
+    region = region_of(frame, tea_box, standing)
+    rng = np.random.default_rng(0)
+    poses = np.array([se3.perturb(standing, rng.normal(0, 0.02, 6)) for _ in range(6)])
+    many = score_many(tea_box, region, poses)
+    assert np.array_equal(many, score_many(tea_box, region_of(frame, tea_box, standing), poses))
+    for row, T in zip(many, poses, strict=True):
+        one = score(tea_box, region, T)
+        assert (one.total, one.color, one.box_iou) == (row[0], row[4], row[7])
+
+
+def test_poses_behind_the_camera_or_far_outside_are_scored_not_crashed(
+    tea_box: ReferenceModel, take_picture: TakePicture, standing: np.ndarray
+) -> None:
+    frame = take_picture([(tea_box.mesh, standing)])
+    region = region_of(frame, tea_box, standing)
+    away = [
+        se3.make(np.eye(3), np.array(t)) for t in ([0, 0, -1.0], [0, 0, 0.0], [9.0, 0, 0.1], [0, 0, 50.0])
+    ]
+    scores = score_many(tea_box, region, np.array(away))
+    assert np.isfinite(scores).all()
+    assert (scores[:, 0] < 0.2).all()
+
+
+def test_a_mask_without_depth_has_no_region(
+    tea_box: ReferenceModel, take_picture: TakePicture, standing: np.ndarray
+) -> None:
+    frame = take_picture([(tea_box.mesh, standing)])
+    blind = replace(frame, depth=np.zeros_like(frame.depth))
+    mask = np.ones(frame.depth.shape, bool)
+    assert prepare_region(blind, mask, Box(0, 0, 640, 480), 0.2) is None
+    assert prepare_region(frame, np.zeros_like(mask), Box(0, 0, 640, 480), 0.2) is None

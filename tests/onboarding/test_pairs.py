@@ -1,0 +1,108 @@
+"""The reference database of a box: pairs on its surface, seen by several views, two scales, small enough."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from huepose.colorpair.types import SurfacePairs
+from huepose.geometry import se3
+from huepose.model.types import ReferenceModel
+from huepose.onboarding.pairs import (
+    PairView,
+    ReferenceConfig,
+    coarse_and_fine,
+    merged,
+    pair_reference,
+    reference_cameras,
+)
+from huepose.paper.tables import TableConfig, build_tables
+from huepose.rendering.render import render
+from huepose.support.errors import InputError
+
+
+def test_pairs_lie_on_the_surface_and_across_it(tea_box: ReferenceModel) -> None:
+    p = tea_box.pairs
+    low, high = tea_box.mesh.vertices.min(0), tea_box.mesh.vertices.max(0)
+    outside = np.maximum(np.maximum(low - p.points, p.points - high), 0).max(1)
+    depth = np.minimum(p.points - low, high - p.points).min(1)
+    assert (outside < 0.002).all()
+    assert (np.abs(depth) < 0.002).mean() > 0.97
+    np.testing.assert_allclose(np.linalg.norm(p.tangents, axis=1), 1.0, atol=1e-3)
+    assert np.abs((p.tangents * p.normals).sum(1)).max() < 0.02
+    # away from the edges of the box, normals are those of its faces
+    clear = np.sort(np.minimum(p.points - low, high - p.points), axis=1)[:, 1] > 0.008
+    assert (np.abs(p.normals[clear]).max(1) > 0.99).mean() > 0.98
+
+
+def test_two_scales(tea_box: ReferenceModel) -> None:
+    p = tea_box.pairs
+    coarse = int(p.parameters["coarse_pairs"])
+    assert 200 < coarse < len(p.points)
+    assert len(p.points) < 20_000
+    assert p.parameters["fine_pixels_per_m"] > p.parameters["coarse_pixels_per_m"]
+
+
+def test_cameras_see_the_whole_object() -> None:
+    diameter = 0.2
+    rng = np.random.default_rng(0)
+    p = rng.normal(size=(200, 3))
+    p *= 0.5 * diameter / np.linalg.norm(p, axis=1, keepdims=True)
+    for camera, T in reference_cameras(diameter):
+        pixels = camera.project(se3.apply(T, p))
+        assert pixels.min() > 0
+        assert pixels.max() < camera.width - 1
+
+
+def test_the_same_views_give_the_same_reference(tea_box: ReferenceModel) -> None:
+    config = replace(ReferenceConfig(), level=0)
+    centring = se3.make(np.eye(3), -tea_box.mesh.centre)
+    views = []
+    for camera, T_cam_centred in reference_cameras(tea_box.diameter_m, config):
+        T = T_cam_centred @ centring
+        r = render([(tea_box.mesh, T)], camera)
+        views.append(PairView(r.color, r.depth, camera, T))
+    diameter_m = tea_box.diameter_m
+    both = [coarse_and_fine(views, diameter_m, config) for _ in range(2)]
+    a, b = (pair_reference(coarse, fine, diameter_m, config) for coarse, fine in both)
+    np.testing.assert_array_equal(a.points, b.points)
+    s, t = (build_tables(coarse.pairs, coarse.seen, diameter_m) for coarse, _ in both)
+    np.testing.assert_array_equal(s.triangle_keys, t.triangle_keys)
+    coarse, _ = both[0]
+    no_ppf = build_tables(coarse.pairs, coarse.seen, diameter_m, TableConfig(ppf=None))
+    assert len(no_ppf.ppf_keys) == 0
+    assert len(no_ppf.triangle_keys) > 0
+
+
+def test_views_are_needed_but_texture_is_not() -> None:
+    with pytest.raises(InputError, match="no views"):
+        coarse_and_fine([], 0.2)
+    camera, T = reference_cameras(0.2)[0]
+    grey = np.full((camera.height, camera.width, 3), 128, np.uint8)
+    depth = np.full((camera.height, camera.width), 0.8, np.float32)
+    coarse, fine = coarse_and_fine([PairView(grey, depth, camera, T)], 0.2)
+    tables = build_tables(coarse.pairs, coarse.seen, 0.2)
+    assert len(pair_reference(coarse, fine, 0.2).points) == 0
+    assert len(tables.triangle_keys) == len(tables.ppf_keys) == len(tables.cloud_points) == 0
+
+
+def test_the_same_pair_seen_thrice_is_one() -> None:
+    f = np.float32
+    one = SurfacePairs(
+        np.array([[0, 0, 0]], f),
+        np.array([[0, 0, 1]], f),
+        np.array([[1, 0, 0]], f),
+        np.array([[[20, 0, 0], [70, 0, 0]]], f),
+    )
+    swapped = SurfacePairs(one.points + f(0.0005), one.normals, -one.tangents, one.colors[:, ::-1] + f(2))
+    elsewhere = SurfacePairs(one.points + f(0.05), one.normals, one.tangents, one.colors)
+    crossing = SurfacePairs(one.points, one.normals, np.array([[0, 1, 0]], f), one.colors)
+    every = SurfacePairs.joined([one, swapped, elsewhere, one, crossing])
+    pairs, owners, seen = merged(every, np.array([0, 1, 1, 2, 2], np.int32), 0.002, 100)
+    assert sorted(seen.tolist()) == [1, 1, 3]
+    assert seen[0] == 3  # most seen first
+    assert len(owners) == len(pairs) == 3
+    np.testing.assert_allclose(np.sort(pairs.colors[0, :, 0]), [20.67, 70.67], atol=0.3)
+    assert len(merged(every, np.zeros(5, np.int32), 0.002, 2)[0]) == 2

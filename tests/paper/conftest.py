@@ -1,0 +1,48 @@
+"""Classified clouds made by code, and what a camera sees of them."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+import pytest
+
+from huepose.paper.cloud import ClassifiedCloud
+
+SeenFrom = Callable[..., ClassifiedCloud]
+
+
+@pytest.fixture(scope="session")
+def painted() -> ClassifiedCloud:
+    """600 points of five classes, in patches of 2 cm, on a box of 8 x 6 x 12 cm (diameter 15.6 cm)."""
+    rng = np.random.default_rng(1)
+    half = np.array([0.04, 0.03, 0.06])
+    points, normals = [], []
+    for axis in range(3):
+        for sign in (-1.0, 1.0):
+            p = rng.uniform(-1, 1, (100, 3)) * half
+            p[:, axis] = sign * half[axis]
+            points.append(p)
+            normals.append(np.tile(sign * np.eye(3)[axis], (100, 1)))
+    every = np.concatenate(points)
+    cell = np.floor(every / 0.02).astype(int) + 10
+    kinds = np.random.default_rng(9).integers(0, 5, (20, 20, 20))[cell[:, 0], cell[:, 1], cell[:, 2]]
+    f = np.float32
+    ones = np.ones(len(every), f)
+    return ClassifiedCloud(every.astype(f), np.concatenate(normals).astype(f), kinds.astype(np.uint8), ones)
+
+
+@pytest.fixture(scope="session")
+def seen_from() -> SeenFrom:
+    """A function of a cloud, T_cam_obj and `noise`: the points that face the camera, in camera axes."""
+
+    def seen(cloud: ClassifiedCloud, T_cam_obj: np.ndarray, noise: float = 0.0) -> ClassifiedCloud:
+        rng = np.random.default_rng(5)
+        R, t = T_cam_obj[:3, :3], T_cam_obj[:3, 3]
+        points, normals = cloud.points @ R.T + t, cloud.normals @ R.T
+        front = (normals * points).sum(1) < -0.2 * np.linalg.norm(points, axis=1)
+        points = points + rng.normal(0, noise, points.shape)
+        f = np.float32
+        return ClassifiedCloud(points.astype(f), normals.astype(f), cloud.classes, cloud.weights)[front]
+
+    return seen

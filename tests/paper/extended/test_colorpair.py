@@ -1,0 +1,68 @@
+"""The paper's path alone: colour pairs find a printed box, and tell its right pose from its flip."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+import pytest
+
+from huepose.estimation import Estimator, EstimatorConfig, ObjectQuery
+from huepose.geometry import Box, RgbdFrame, se3
+from huepose.judge.pair_terms import pair_picture, pair_score
+from huepose.judge.region import prepare_region
+from huepose.model.types import ReferenceModel
+from huepose.paper.extended.colorpair import FINAL_PAIRS, FINAL_SAMPLES, estimate_by_pairs
+from huepose.paper.extended.config import ColorpairPathConfig
+from huepose.propose.evidence import gather
+from huepose.rendering.render import render_depth
+
+TakePicture = Callable[..., RgbdFrame]
+
+
+def test_the_box_is_found_by_colour_pairs_alone(
+    tea_box: ReferenceModel, take_picture: TakePicture, standing: np.ndarray
+) -> None:
+    frame = take_picture([(tea_box.mesh, standing)], light=(0.9, 0.75, 0.6))
+    box = Box.of_mask(render_depth(tea_box.mesh, standing, frame.camera) > 0)
+    estimator = Estimator({"tea_box": tea_box}, EstimatorConfig(method="colorpair"))
+    (answer,) = estimator.estimate(frame, [ObjectQuery("tea_box", box)])
+    assert answer.found
+    assert answer.T_cam_obj is not None
+    assert np.linalg.norm(answer.T_cam_obj[:3, 3] - standing[:3, 3]) < 0.003
+    assert se3.rotation_angle(answer.T_cam_obj, standing) < np.radians(2.0)
+    (again,) = estimator.estimate(frame, [ObjectQuery("tea_box", box)])
+    np.testing.assert_array_equal(again.T_cam_obj, answer.T_cam_obj)
+
+
+def test_pairs_judge_the_right_pose_over_its_flips_and_over_small_errors_in_any_light(
+    tea_box: ReferenceModel, take_picture: TakePicture, standing: np.ndarray
+) -> None:
+    for light in ((1.0, 1.0, 1.0), (0.9, 0.6, 0.45)):
+        frame = take_picture([(tea_box.mesh, standing)], light=light)
+        mask = render_depth(tea_box.mesh, standing, frame.camera) > 0
+        region = prepare_region(frame, mask, Box.of_mask(mask), tea_box.diameter_m)
+        assert region is not None
+        picture = pair_picture(tea_box, region.crop, region.median_depth_m)
+        right = pair_score(tea_box, region, picture, standing)
+        flips = [pair_score(tea_box, region, picture, standing @ turn) for turn in tea_box.turns[1:]]
+        assert len(flips) >= 1
+        assert right.total > max(f.total for f in flips) + 0.1
+        moved = [se3.perturb(standing, d) for d in np.diag([0.01] * 3 + [np.radians(8.0)] * 3)]
+        assert right.total > max(pair_score(tea_box, region, picture, T).total for T in moved)
+
+
+def test_the_first_keeps_its_score_and_the_others_say_how_far_they_are_behind(
+    tea_box: ReferenceModel, take_picture: TakePicture, standing: np.ndarray
+) -> None:
+    frame = take_picture([(tea_box.mesh, standing)])
+    mask = render_depth(tea_box.mesh, standing, frame.camera) > 0
+    evidence = gather(frame, [mask], Box.of_mask(mask), tea_box.diameter_m)
+    assert evidence is not None
+    poses, scores = estimate_by_pairs(tea_box, evidence, ColorpairPathConfig(), np.random.default_rng(0))
+    region = evidence.region
+    picture = pair_picture(tea_box, region.crop, region.median_depth_m)
+    first = pair_score(tea_box, region, picture, poses[0], FINAL_PAIRS, FINAL_SAMPLES)
+    assert scores[0] == pytest.approx(first.total, abs=1e-12)
+    assert len(scores) > 1
+    assert (np.diff(scores) <= 0.0).all()

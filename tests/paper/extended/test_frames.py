@@ -1,0 +1,58 @@
+"""One pair of colours on a surface is one frame: a single right match is the whole pose."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from huepose.colorpair.types import SurfacePairs
+from huepose.geometry import se3
+from huepose.geometry.rotations import angles_to
+from huepose.paper.extended.frames import FrameConfig, frame_votes
+
+T = se3.make(se3.rotation_exp(np.array([0.5, 1.5, -0.8])), np.array([0.1, -0.05, 0.8]))
+
+
+def random_pairs(count: int, seed: int) -> SurfacePairs:
+    rng = np.random.default_rng(seed)
+    n = rng.normal(size=(count, 3))
+    n /= np.linalg.norm(n, axis=1, keepdims=True)
+    t = np.cross(n, rng.normal(size=(count, 3)))
+    t /= np.linalg.norm(t, axis=1, keepdims=True)
+    colors = np.concatenate([rng.uniform(15, 90, (count, 2, 1)), rng.normal(0, 30, (count, 2, 2))], 2)
+    points = rng.uniform(-0.05, 0.05, (count, 3))
+    return SurfacePairs(*(x.astype(np.float32) for x in (points, n, t)), colors.astype(np.float32))
+
+
+def test_the_best_match_of_each_pair_is_the_pose() -> None:
+    model = random_pairs(60, 0)
+    scene = model[np.arange(0, 60, 3)].transformed(T)
+    votes = frame_votes(scene, model, FrameConfig(matches=1))
+    assert len(votes) == 20
+    np.testing.assert_allclose(angles_to(votes.rotations, T[:3, :3]), 0.0, atol=2e-3)
+    np.testing.assert_allclose(votes.translations, np.tile(T[:3, 3], (20, 1)), atol=1e-5)
+
+
+def test_exchanged_sides_give_the_same_pose() -> None:
+    model = random_pairs(30, 1)
+    moved = model.transformed(T)
+    swapped = SurfacePairs(moved.points, moved.normals, -moved.tangents, moved.colors[:, ::-1].copy())
+    votes = frame_votes(swapped, model, FrameConfig(matches=1))
+    np.testing.assert_allclose(angles_to(votes.rotations, T[:3, :3]), 0.0, atol=2e-3)
+
+
+def test_a_pair_that_fits_many_says_less_of_each() -> None:
+    model = random_pairs(40, 2)
+    model.colors[10:] = model.colors[10]
+    votes = frame_votes(model.transformed(T), model, FrameConfig(least=0.9))
+    per_feature = np.bincount(votes.features, votes.weights)
+    assert (per_feature < 1.0 + 1e-5).all()
+    rare, common = votes.weights[votes.features < 10], votes.weights[votes.features >= 10]
+    assert rare.min() > 5 * common.max()
+
+
+def test_unlike_colours_do_not_vote() -> None:
+    model, scene = random_pairs(5, 3), random_pairs(5, 4)
+    model.colors[:] = (20, 40, 30), (60, 40, 30)
+    scene.colors[:] = (20, -40, -30), (60, -40, -30)
+    assert len(frame_votes(scene, model)) == 0
+    assert len(frame_votes(scene, SurfacePairs.empty())) == 0

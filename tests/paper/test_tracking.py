@@ -1,0 +1,84 @@
+"""The paper's tracker follows a carried box, one step at a time."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+import pytest
+
+from huepose.evaluation.paper_tracker import PaperTracker
+from huepose.geometry import RgbdFrame, se3
+from huepose.model.types import ReferenceModel
+from huepose.paper.tracking import PaperStep
+from huepose.propose.relative_pose import LiftedMatches, Motion
+from huepose.tracking.types import Applied, Correction, State, Verdict
+
+PERIOD_NS = 33_333_333
+Take = Callable[[int], RgbdFrame]
+
+
+def pose_at(standing: np.ndarray, number: int) -> np.ndarray:
+    """The box is carried 4 mm and turned 2 degrees a frame."""
+    turn = se3.make(se3.rotation_exp(np.radians([0.0, 2.0 * number, 0.0])), np.array([0.004 * number, 0, 0]))
+    return standing @ turn
+
+
+@pytest.fixture(scope="module")
+def film(tea_box: ReferenceModel, take_picture: Callable[..., RgbdFrame], standing: np.ndarray) -> Take:
+    def take(number: int) -> RgbdFrame:
+        shot = take_picture([(tea_box.mesh, pose_at(standing, number))], frame_id=number)
+        return RgbdFrame(shot.color, shot.depth, shot.camera, number, number * PERIOD_NS, 1)
+
+    return take
+
+
+def right(T: np.ndarray | None, truth: np.ndarray) -> bool:
+    assert T is not None
+    near = np.linalg.norm(T[:3, 3] - truth[:3, 3]) < 0.004
+    return bool(near and se3.rotation_angle(T, truth) < np.radians(2.0))
+
+
+def test_it_follows_and_takes_late_poses(tea_box: ReferenceModel, film: Take, standing: np.ndarray) -> None:
+    tracker = PaperTracker({"tea_box": tea_box})
+    first = Correction.first("tea_box", standing, film(0))
+    assert tracker.correct(first) is Applied.CATCHING_UP
+    for number in range(4):
+        (pose,) = tracker.step(film(number))
+        assert pose.state is State.TRACKING
+        assert right(pose.T_cam_obj, pose_at(standing, number)), number
+    # a pose that is 10 cm off at a past frame carries to now by the motions since then
+    off = se3.compose(se3.make(np.eye(3), np.array([0.1, 0.0, 0.0])), pose_at(standing, 1))
+    late = Correction("tea_box", 0, 1, 1, PERIOD_NS, off, 1.0, Verdict.CORRECT, 2)
+    before = pose.T_cam_obj
+    assert tracker.correct(late) is Applied.APPLIED
+    followed = tracker._followed["tea_box", 0]
+    assert followed.history.newest is not None
+    assert followed.history.newest.T_cam_obj is not None
+    moved = followed.history.newest.T_cam_obj[:3, 3] - before[:3, 3]
+    assert np.linalg.norm(moved) == pytest.approx(0.1, abs=0.01)
+    too_old = Correction("tea_box", 0, 1, -9, -9 * PERIOD_NS, off, 1.0, Verdict.CORRECT, 3)
+    assert tracker.correct(too_old) is Applied.REFUSED_OLD
+
+
+def test_the_rotation_comes_from_what_it_is_given(
+    tea_box: ReferenceModel, film: Take, standing: np.ndarray
+) -> None:
+    seen: list[int] = []
+
+    class Known:
+        def estimate(self, matches: LiftedMatches) -> Motion | None:
+            seen.append(len(matches))
+            T = se3.compose(pose_at(standing, 3), se3.inverse(standing))
+            miss = np.linalg.norm(se3.apply(T, matches.points_a) - matches.points_b, axis=1)
+            assert np.median(miss) < 0.003, "matches are of the object's motion"
+            return Motion(T, len(matches), len(matches))
+
+    T = PaperStep(Known())(tea_box, standing, film(0), film(3))
+    assert seen[0] > 30
+    assert right(T, pose_at(standing, 3))
+
+
+def test_out_of_sight_the_pose_stays(tea_box: ReferenceModel, film: Take, standing: np.ndarray) -> None:
+    aside = se3.compose(se3.make(np.eye(3), np.array([3.0, 0.0, 0.0])), standing)
+    np.testing.assert_array_equal(PaperStep.shipped()(tea_box, aside, film(0), film(1)), aside)

@@ -1,0 +1,111 @@
+"""Triangles: keys that no motion changes, poses that are exact on a moved copy of the model."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+import pytest
+
+from huepose.geometry import kabsch, se3
+from huepose.geometry.rotations import angles_to
+from huepose.paper.cloud import ClassifiedCloud
+from huepose.paper.triangles import (
+    TriangleConfig,
+    _fit,
+    build_triangles,
+    draw_triples,
+    pack,
+    triangle_votes,
+)
+from huepose.paper.voting import cluster
+
+DIAMETER = 0.156
+CONFIG = TriangleConfig(candidates=200_000, rows=20_000)
+T = se3.make(se3.rotation_exp(np.array([0.7, -0.4, 1.1])), np.array([0.03, -0.02, 0.65]))
+
+
+@pytest.fixture(scope="module")
+def table(painted: ClassifiedCloud) -> tuple[np.ndarray, np.ndarray]:
+    return build_triangles(painted, DIAMETER, CONFIG)
+
+
+def test_draws_have_three_classes_in_order(painted: ClassifiedCloud) -> None:
+    triples = draw_triples(painted, 5000, np.random.default_rng(0))
+    classes = painted.classes[triples].astype(int)
+    assert len(triples) > 1000
+    assert (np.diff(classes, axis=1) > 0).all()
+
+
+def test_the_table_is_sorted_and_its_triangles_are_large(
+    painted: ClassifiedCloud, table: tuple[np.ndarray, np.ndarray]
+) -> None:
+    keys, triangles = table
+    assert len(keys) == len(triangles) > 10_000
+    assert (np.diff(keys) >= 0).all()
+    p = painted.points[triangles].astype(float)
+    sides = np.linalg.norm(p - np.roll(p, 1, axis=1), axis=2)
+    area = 0.5 * np.linalg.norm(np.cross(p[:, 1] - p[:, 0], p[:, 2] - p[:, 0]), axis=1)
+    assert (2 * area / sides.max(1) > CONFIG.min_height * CONFIG.bin * DIAMETER * 0.999).all()
+    # what is kept is larger than what can be drawn
+    drawn = painted.points[draw_triples(painted, 20_000, np.random.default_rng(1))].astype(float)
+    all_areas = 0.5 * np.linalg.norm(np.cross(drawn[:, 1] - drawn[:, 0], drawn[:, 2] - drawn[:, 0]), axis=1)
+    assert area.mean() > all_areas.mean()
+
+
+def test_keys_do_not_move_but_know_mirror_images() -> None:
+    classes, bins = np.array([[0, 2, 5]]), np.array([[3, 7, 4]])
+    key = pack(classes, bins, np.array([True]))
+    assert key == pack(classes.copy(), bins.copy(), np.array([True]))
+    assert key != pack(classes, bins, np.array([False]))
+    assert key != pack(classes, bins[:, ::-1], np.array([True]))
+
+
+def test_the_closed_form_is_kabschs(painted: ClassifiedCloud) -> None:
+    rng = np.random.default_rng(2)
+    R, t = np.empty((3, 3)), np.empty(3)
+    for _ in range(20):
+        p = rng.normal(0, 0.05, (3, 3))
+        q = se3.apply(T, p) + rng.normal(0, 0.002, (3, 3))
+        _fit(p, q, R, t)
+        expected = kabsch.fit(p, q)
+        np.testing.assert_allclose(R, expected[:3, :3], atol=1e-6)
+        np.testing.assert_allclose(t, expected[:3, 3], atol=1e-6)
+
+
+def test_a_moved_copy_is_found(
+    painted: ClassifiedCloud, table: tuple[np.ndarray, np.ndarray], seen_from: Callable[..., ClassifiedCloud]
+) -> None:
+    scene = seen_from(painted, T)
+    bin_m = CONFIG.bin * DIAMETER
+    votes = triangle_votes(scene, painted, *table, bin_m, CONFIG, np.random.default_rng(0))
+    right = (angles_to(votes.rotations, T[:3, :3]) < np.radians(8)) & (
+        np.linalg.norm(votes.translations - T[:3, 3], axis=1) < 0.012
+    )
+    assert len(votes) > 500
+    assert right.mean() > 0.05
+    best = cluster(votes, np.zeros(3), DIAMETER, "triangles")[0]
+    assert np.degrees(se3.rotation_angle(best.T_cam_obj, T)) < 4.0
+    assert np.linalg.norm(best.T_cam_obj[:3, 3] - T[:3, 3]) < 0.005
+
+
+def test_a_mirrored_scene_is_not_found(
+    painted: ClassifiedCloud, table: tuple[np.ndarray, np.ndarray], seen_from: Callable[..., ClassifiedCloud]
+) -> None:
+    scene = seen_from(painted, T)
+    flip = np.array([-1, 1, 1], np.float32)
+    mirrored = ClassifiedCloud(scene.points * flip, scene.normals * flip, scene.classes, scene.weights)
+    bin_m = CONFIG.bin * DIAMETER
+    real = triangle_votes(scene, painted, *table, bin_m, CONFIG, np.random.default_rng(0))
+    fake = triangle_votes(mirrored, painted, *table, bin_m, CONFIG, np.random.default_rng(0))
+    best_real = cluster(real, np.zeros(3), DIAMETER, "triangles")[0].score
+    best_fake = cluster(fake, np.zeros(3), DIAMETER, "triangles")
+    assert not best_fake or best_fake[0].score < 0.5 * best_real
+
+
+def test_two_classes_have_no_triangles(painted: ClassifiedCloud) -> None:
+    two = painted[painted.classes < 2]
+    keys, triangles = build_triangles(two, DIAMETER, CONFIG)
+    assert len(keys) == 0
+    votes = triangle_votes(two, two, keys, triangles, 0.005, CONFIG, np.random.default_rng(0))
+    assert len(votes) == 0

@@ -1,0 +1,76 @@
+from __future__ import annotations
+
+import cv2
+import numpy as np
+import pytest
+
+from huepose.geometry import Camera, icosphere, se3
+from huepose.model.types import ReferenceModel, ViewTemplates
+from huepose.propose.templates import build_templates
+from huepose.rendering.render import render
+
+
+@pytest.fixture(scope="module")
+def shifted(tea_box: ReferenceModel) -> ViewTemplates:
+    """Few templates of the box, its origin far off its middle."""
+    return build_templates(off_centre(tea_box), tea_box.diameter_m, level=1, rolls=8)
+
+
+def off_centre(model: ReferenceModel):  # type: ignore[no-untyped-def]
+    from huepose.geometry import Mesh
+
+    m = model.mesh
+    return Mesh(m.vertices + np.array([0.03, -0.02, 0.05], np.float32), m.faces, m.uv, m.texture)
+
+
+@pytest.mark.parametrize(("view", "roll"), [(0, 0), (5, 1), (17, 3), (29, 6), (41, 7)])
+def test_a_template_is_the_picture_at_its_pose(
+    tea_box: ReferenceModel, shifted: ViewTemplates, view: int, roll: int
+) -> None:
+    """Rendered afresh at the pose that the documentation gives, from elsewhere, with another camera."""
+    angle = 2 * np.pi * roll / 8
+    Rz = se3.rotation_exp(np.array([0.0, 0.0, angle]))
+    distance = 0.85
+    R = Rz @ icosphere.look_at(shifted.directions[view])
+    middle = np.array([0.0, 0.0, distance])
+    T_cam_obj = se3.make(R, middle + Rz @ shifted.origins[view].astype(np.float64))
+    window_m = shifted.span * tea_box.diameter_m
+    pixels = 256
+    focal = pixels * distance / window_m
+    camera = Camera(focal, focal, (pixels - 1) / 2, (pixels - 1) / 2, pixels, pixels)
+    picture = render([(off_centre(tea_box), T_cam_obj)], camera)
+    covered = (picture.depth > 0).astype(np.float32)
+    coverage = cv2.resize(covered, (16, 16), interpolation=cv2.INTER_AREA)
+    lab = cv2.cvtColor(picture.color.astype(np.float32) / 255, cv2.COLOR_RGB2Lab) * covered[..., None]
+    lab = cv2.resize(lab, (16, 16), interpolation=cv2.INTER_AREA) / np.maximum(coverage, 1e-3)[..., None]
+    depth = cv2.resize((picture.depth - distance) * covered, (16, 16), interpolation=cv2.INTER_AREA)
+    depth /= np.maximum(coverage, 1e-3)
+    L, a, b, relative, known = shifted.planes[view, roll].astype(np.float32)
+    assert np.abs(known - coverage).max() < 0.12
+    assert np.abs(known - coverage).mean() < 0.01
+    sure = (known > 0.9) & (coverage > 0.9)
+    assert sure.sum() > 20
+    assert np.median(np.abs(np.stack([L, a, b], -1) - lab)[sure]) < 1.5
+    assert np.abs(relative - depth)[sure].max() < 0.03 * tea_box.diameter_m
+
+
+def test_templates_are_normal(shifted: ViewTemplates) -> None:
+    L, a, b, depth, coverage = np.moveaxis(shifted.planes.astype(np.float32), 2, 0)
+    assert coverage.min() >= 0
+    assert coverage.max() <= 1
+    assert (np.stack([L, a, b, depth])[:, coverage == 0] == 0).all()
+    weights = coverage / coverage.sum((2, 3), keepdims=True)
+    y, x = np.mgrid[:16, :16] - 7.5
+    for axis in (x, y):  # the silhouette's centroid is the middle of the window
+        assert np.abs((weights * axis).sum((2, 3))).max() < 0.15
+    full = shifted.planes[:, :, 4].astype(np.float32).sum((2, 3))
+    assert (np.ptp(full, axis=1) / full.mean(1)).max() < 0.05  # rolls show the same area
+
+
+def test_quarter_rolls_are_turned_pictures(shifted: ViewTemplates) -> None:
+    """Turning by 90 degrees from x to y takes right to below: clockwise in the picture."""
+    for view in (0, 7, 23):
+        for roll in range(6):
+            now, later = (shifted.planes[view, r].astype(np.float32) for r in (roll, roll + 2))
+            turned = np.rot90(now, k=-1, axes=(1, 2))
+            assert np.abs(turned[4] - later[4]).max() < 0.02

@@ -1,0 +1,88 @@
+"""The loop's file: what goes in comes out, and what is not whole is not opened."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+
+from huepose.scenes.loop_file import open_loop, write_loop
+from huepose.support.errors import InputError
+from huepose.support.files import cache_folder
+
+
+def frames(n: int = 5) -> list:
+    rng = np.random.default_rng(0)
+    pictures = []
+    for k in range(n):
+        color = cv2.GaussianBlur(rng.integers(0, 256, (60, 80, 3), dtype=np.uint8), (0, 0), 4)
+        depth = rng.uniform(0.3, 7.0, (60, 80)).astype(np.float32)
+        depth[:3] = 0
+        pictures.append((color, depth, {"number": k}))
+    return pictures
+
+
+def test_round_trip(tmp_path: Path) -> None:
+    path, made = tmp_path / "sub" / "a.loop", frames()
+    write_loop(path, made, {"seed": 3})
+    opened = open_loop(path)
+    assert opened is not None
+    loop, rows = opened
+    assert loop.facts == {"seed": 3}
+    assert rows == [{"number": k} for k in range(5)]
+    assert len(loop) == 5
+    for k, (color, depth, _) in enumerate(made):
+        seen = loop.depth(k)
+        near, far = depth < 6.553, depth > 6.554
+        np.testing.assert_allclose(seen[near], depth[near], atol=0.000051)
+        assert not seen[far].any()
+        assert seen.dtype == np.float32
+        assert np.abs(loop.color(k).astype(int) - color).mean() < 2.0
+    assert [p.name for p in path.parent.iterdir()] == ["a.loop"]
+
+
+@pytest.mark.parametrize(
+    "damage", ["flip a bit of a picture", "flip a bit of the index", "cut", "empty", "other"]
+)
+def test_what_is_not_whole_is_not_opened(tmp_path: Path, damage: str) -> None:
+    path = tmp_path / "a.loop"
+    write_loop(path, frames(), {})
+    data = bytearray(path.read_bytes())
+    if damage == "flip a bit of a picture":
+        data[1000] ^= 4
+    elif damage == "flip a bit of the index":
+        data[-60] ^= 1
+    elif damage == "cut":
+        del data[len(data) // 2 :]
+    elif damage == "empty":
+        data.clear()
+    else:
+        data = bytearray(b"something else altogether, longer than the tail of a loop")
+    path.write_bytes(data)
+    assert open_loop(path) is None
+
+
+def test_nothing_is_left_when_drawing_fails(tmp_path: Path) -> None:
+    def broken():
+        yield frames()[0]
+        raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        write_loop(tmp_path / "a.loop", broken(), {})
+    assert not list(tmp_path.iterdir())
+    assert open_loop(tmp_path / "a.loop") is None
+
+
+def test_a_folder_that_cannot_be_written_is_explained(tmp_path: Path) -> None:
+    (tmp_path / "file").write_text("in the way")
+    with pytest.raises(InputError, match="XDG_CACHE_HOME"):
+        write_loop(tmp_path / "file" / "a.loop", frames(), {})
+
+
+def test_the_cache_folder_follows_the_environment(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
+    assert cache_folder() == tmp_path / "huepose"
+    monkeypatch.delenv("XDG_CACHE_HOME")
+    assert cache_folder() == Path.home() / ".cache" / "huepose"

@@ -1,0 +1,86 @@
+"""Near ties are decided by all that tells the poses apart, and clear leads are left alone."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import astuple
+
+import numpy as np
+import pytest
+
+from huepose.geometry import RgbdFrame, se3
+from huepose.judge.region import Region
+from huepose.judge.terms import totals as judge
+from huepose.model.types import ReferenceModel
+from huepose.select.config import NearTieConfig, NearTieWeights
+from huepose.select.near_ties import TERMS, contest, decided, pair_colors
+from tests.judge.regions import region_of
+
+UPSIDE_DOWN = se3.make(np.diag([1.0, -1.0, -1.0]), np.zeros(3))
+
+
+@pytest.fixture(scope="module")
+def region(tea_box: ReferenceModel, take_picture: Callable[..., RgbdFrame], standing: np.ndarray) -> Region:
+    frame = take_picture([(tea_box.mesh, standing)], light=(0.9, 0.7, 0.5))
+    return region_of(frame, tea_box, standing)
+
+
+def test_the_right_way_round_wins_though_the_score_preferred_the_other(
+    region: Region, tea_box: ReferenceModel, standing: np.ndarray
+) -> None:
+    wrong = standing @ UPSIDE_DOWN
+    poses, totals, _ = decided(tea_box, region, np.stack([wrong, standing]), np.array([1.95, 1.94]))
+    assert se3.rotation_angle(poses[0], standing) < np.radians(1.0)
+    assert totals[0] == pytest.approx(judge(tea_box, region, poses[:1])[0])
+    assert totals[0] - totals[1] > 0.1
+
+
+def test_poses_far_apart_in_score_are_left_as_they_are(
+    region: Region, tea_box: ReferenceModel, standing: np.ndarray
+) -> None:
+    poses = np.stack([standing, standing @ UPSIDE_DOWN])
+    same, totals, _ = decided(tea_box, region, poses, np.array([2.0, 1.0]))
+    assert np.array_equal(same, poses)
+    assert totals.tolist() == [2.0, 1.0]
+    assert len(decided(tea_box, region, poses[:0], np.zeros(0))[0]) == 0
+
+
+def test_who_does_not_contend_stays_behind(
+    region: Region, tea_box: ReferenceModel, standing: np.ndarray
+) -> None:
+    aside = se3.compose(se3.make(np.eye(3), [0.05, 0.0, 0.0]), standing)
+    poses = np.stack([standing @ UPSIDE_DOWN, standing, aside])
+    found, totals, _ = decided(
+        tea_box, region, poses, np.array([1.95, 1.94, 1.95 - NearTieConfig().within - 0.2])
+    )
+    assert se3.rotation_angle(found[0], standing) < np.radians(1.0)
+    k = next(k for k, T in enumerate(found) if np.array_equal(T, aside))
+    assert totals[0] - totals[k] == pytest.approx(NearTieConfig().within + 0.2)
+
+
+def weighing(pairs: float) -> NearTieConfig:
+    return NearTieConfig(weights=NearTieWeights(pairs=pairs))
+
+
+def test_pairs_say_how_much_more(region: Region, tea_box: ReferenceModel, standing: np.ndarray) -> None:
+    poses = np.stack([standing, standing @ UPSIDE_DOWN])
+    right, wrong = pair_colors(tea_box, region, poses)
+    assert right > wrong + 0.3
+    near = np.array([1.95, 1.94])
+    _, without, _ = decided(tea_box, region, poses, near, weighing(0.0))
+    _, much, _ = decided(tea_box, region, poses, near, weighing(2.0))
+    more = (much[0] - much[1]) - (without[0] - without[1])
+    assert more == pytest.approx(NearTieConfig().share * 2.0 * (right - wrong))
+
+
+def test_every_term_is_for_the_right_one(
+    region: Region, tea_box: ReferenceModel, standing: np.ndarray
+) -> None:
+    held = contest(tea_box, region, np.stack([standing @ UPSIDE_DOWN, standing]), np.array([1.95, 1.94]))
+    assert held is not None
+    wrong, right = held.terms
+    better = dict(zip(TERMS, right - wrong, strict=True))
+    assert better["dense"] == pytest.approx(-0.01)
+    assert min(better[name] for name in ("close", "detail", "broad", "pairs")) > 0.1
+    assert better["open"] == pytest.approx(0.0, abs=0.02)  # a box upside down hides as much
+    assert held.weighed() == pytest.approx(held.terms @ list(astuple(NearTieWeights())))

@@ -1,0 +1,51 @@
+"""Frames of a second camera epoch change nothing while the first one's come; a camera opened anew counts."""
+
+from huepose_services.runtime.one_camera import OneCamera
+
+SECOND = 1_000_000_000
+
+
+def heard(camera, *streams, until_s, start_s=0.0):
+    """(epoch, rate in Hz) at the same time; returns the epochs that counted, in order."""
+    times = sorted(
+        (start_s + k / rate + 0.001 * number, epoch)
+        for number, (epoch, rate) in enumerate(streams)
+        for k in range(int((until_s - start_s) * rate))
+    )
+    return [epoch for at_s, epoch in times if camera.accepts(epoch, int(at_s * SECOND))]
+
+
+def test_another_epoch_ten_times_a_second_never_counts():
+    camera = OneCamera()
+    assert set(heard(camera, (1, 30.0), (2, 10.0), until_s=60.0)) == {1}
+    assert camera.refused == 600
+    assert camera.agrees(1, 60 * SECOND)
+    assert not camera.agrees(2, 60 * SECOND)
+
+
+def test_a_burst_does_not_count():
+    camera = OneCamera()
+    heard(camera, (1, 30.0), until_s=2.0)
+    assert heard(camera, (2, 1000.0), start_s=2.0, until_s=2.05) == []
+    assert heard(camera, (1, 30.0), start_s=2.05, until_s=3.0) != []
+
+
+def test_a_camera_that_is_opened_anew_counts_after_half_a_second():
+    camera = OneCamera()
+    heard(camera, (1, 30.0), until_s=2.0)
+    assert len(heard(camera, (2, 30.0), start_s=2.0, until_s=3.0)) in (14, 15, 16)
+    assert heard(camera, (1, 1.0), start_s=3.0, until_s=3.1) == []
+
+
+def test_a_slow_camera_is_waited_for():
+    camera = OneCamera()
+    heard(camera, (1, 1.0), until_s=3.0)
+    assert set(heard(camera, (1, 1.0), (2, 1.5), start_s=3.0, until_s=30.0)) == {1}
+
+
+def test_who_was_there_first_and_says_less_gives_way():
+    camera = OneCamera()
+    heard(camera, (2, 10.0), until_s=5.0)
+    counted = heard(camera, (2, 10.0), (1, 30.0), start_s=5.0, until_s=12.0)
+    assert counted[-1] == 1
+    assert set(counted[counted.index(1) :]) == {1}

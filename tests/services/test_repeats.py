@@ -1,0 +1,54 @@
+"""A log that is flooded: what comes again and again is counted and summed up."""
+
+from huepose_services.camera.busy import Busy
+from huepose_services.runtime.repeats import Repeats
+
+SECOND = 1_000_000_000
+
+
+def test_a_warning_every_three_seconds_for_thirteen_minutes_is_a_handful_of_lines():
+    repeats, lines = Repeats(), []
+    for k in range(230):
+        line = repeats.offer("late", "late", 3.4 * k)
+        lines += [] if line is None else [line]
+        lines += [text for _, text in repeats.due(3.4 * k + 1.0)]
+    assert len(lines) < 10
+    assert lines[:2] == ["late", "late"]
+    told = len(lines) + sum(int(line.split("(")[1].split(" ")[0]) for line in lines[2:] if "more" in line)
+    assert 230 - 90 <= told <= 230, "but for those of the last five minutes all are counted"
+
+
+def test_what_was_held_back_is_told_also_when_nothing_follows():
+    repeats = Repeats()
+    assert [repeats.offer("a", "bad bytes", t / 10) for t in range(5)] == ["bad bytes", *[None] * 4]
+    assert repeats.due(0.9) == []
+    assert repeats.due(1.1) == [("a", "bad bytes (4 more in 1 s)")]
+    assert repeats.due(100.0) == []
+
+
+def test_what_comes_again_after_long_is_told_at_once():
+    repeats = Repeats()
+    assert repeats.offer("a", "x", 0.0) == "x"
+    assert repeats.offer("a", "x", 0.5) is None
+    assert repeats.offer("b", "y", 0.6) == "y"
+    assert repeats.offer("a", "x", 200.0) == "x"
+
+
+def test_lines_that_are_each_another_one_take_no_memory():
+    repeats = Repeats()
+    for k in range(10_000):
+        repeats.offer(f"line {k}", "text", 0.001 * k)
+    assert len(repeats._kinds) <= 256
+
+
+def test_a_camera_that_is_late_again_and_again_says_what_that_means():
+    busy = Busy()
+    assert busy.late(104_000_000, 0) == "frames come 104 ms late: this computer is busy"
+    assert busy.warning(SECOND) is None, "once means nothing"
+    for k in range(1, 5):
+        busy.late(150_000_000, k * SECOND)
+    warning = busy.warning(6 * SECOND)
+    assert warning.startswith(
+        "this computer is busy: the camera was late 5 times in the last minute, by up to 150"
+    )
+    assert busy.warning(70 * SECOND) is None

@@ -1,0 +1,23 @@
+"""What a worker imports, and what it does without."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+
+IMPORT_ALL = """
+import sys
+from importlib import import_module
+from huepose_services.runtime.worker import _HOMES
+for home in _HOMES.values():
+    import_module(home)
+import huepose.onboarding.reference  # a worker learns the built-in objects where nobody did
+from huepose import Estimator, Tracker, load_models
+assert "huepose.tracking.tracker" in sys.modules
+print(*sorted({name.split(".")[0] for name in sys.modules} & {"open3d", "dash", "trimesh", "torch", "PIL"}))
+"""
+
+
+def test_workers_do_without_what_only_onboarding_and_training_need() -> None:
+    done = subprocess.run([sys.executable, "-c", IMPORT_ALL], capture_output=True, text=True, timeout=100.0)
+    assert (done.returncode, done.stdout.strip()) == (0, ""), done.stderr

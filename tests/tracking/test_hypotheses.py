@@ -1,0 +1,111 @@
+"""Up to three hypotheses, between which time decides; and a pose says itself how far off it may be."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from huepose.geometry import se3
+from huepose.judge.surface import PreparedSurface
+from huepose.judge.terms import NOTHING
+from huepose.tracking import Correction, State, Tracker, TrackerConfig
+from huepose.tracking.evidence import ONE_SENSE, vouched
+from huepose.tracking.hypothesis import Hypothesis, distinct, same_pose, share_of_first
+from huepose.tracking.reach import jump_odds
+from huepose.tracking.uncertainty import spread_m
+
+FLIP = se3.make(np.diag([-1.0, -1.0, 1.0]), np.zeros(3))
+FRAME_S = 1.0 / 30.0
+
+
+def test_the_spread_of_a_turn_grows_with_the_distance_from_the_axis() -> None:
+    covariance = np.diag([0.0, 0.0, 0.0, 0.0, 0.0, 0.1**2])
+    points = np.array([[0.05, 0.0, 7.0], [0.0, -0.05, 0.0]], np.float32)
+    assert spread_m(covariance, np.eye(4), points) == pytest.approx(0.005)
+    assert spread_m(np.diag([4e-6, 0, 0, 0, 0, 0]), np.eye(4), points) == pytest.approx(0.002)
+
+
+def test_the_spread_is_that_of_poses_drawn_from_the_covariance() -> None:
+    rng = np.random.default_rng(0)
+    root = rng.normal(0.0, 0.01, (6, 6))
+    covariance = root @ root.T
+    T = se3.make(se3.rotation_exp(np.array([0.4, -1.0, 0.3])), np.array([0.1, 0.2, 0.7]))
+    points = rng.uniform(-0.05, 0.05, (20, 3)).astype(np.float32)
+    moved = [se3.perturb(T, delta) for delta in rng.multivariate_normal(np.zeros(6), covariance, 4000)]
+    squares = [((se3.apply(M, points) - se3.apply(T, points)) ** 2).sum(1).mean() for M in moved]
+    assert spread_m(covariance, T, points) == pytest.approx(np.sqrt(np.mean(squares)), rel=0.03)
+
+
+def test_a_quality_is_no_better_than_what_the_covariance_vouches_for() -> None:
+    assert vouched(0.99, 0.01) == pytest.approx(0.99)
+    assert vouched(1.0, 0.1) == pytest.approx(0.6827, abs=1e-4)
+    assert vouched(1.0, 1.0) == ONE_SENSE
+    assert vouched(0.1, 1.0) == 0.1
+
+
+def turned(degrees: float) -> np.ndarray:
+    return se3.make(se3.rotation_exp(np.array([0.0, 0.0, np.radians(degrees)])), np.zeros(3))
+
+
+def opinion(T: np.ndarray, log_odds: float) -> Hypothesis:
+    return Hypothesis(T, NOTHING, np.zeros((6, 6)), "still", log_odds=log_odds)
+
+
+def test_a_turn_that_no_hand_makes_costs_log_odds(tea_box) -> None:
+    surface, config, T = PreparedSurface.of(tea_box), TrackerConfig(), np.eye(4)
+
+    def odds(degrees: float, seconds: float) -> float:
+        return jump_odds(surface, T, None, turned(degrees), seconds, seconds, config)
+
+    assert odds(15.0, FRAME_S) == 0.0
+    assert odds(40.0, FRAME_S) < -0.5
+    assert odds(180.0, FRAME_S) == -4.0
+    assert odds(40.0, 5.0 * FRAME_S) == 0.0, "there was time for it"
+
+
+def test_one_pose_is_one_hypothesis_and_the_hopeless_are_dropped(tea_box) -> None:
+    surface = PreparedSurface.of(tea_box)
+    best, twin, other = opinion(turned(0), 3.0), opinion(turned(2), 2.9), opinion(turned(90), 1.0)
+    hopeless = opinion(turned(180), -2.0)
+    assert same_pose(surface, best.T_cam_obj, twin.T_cam_obj)
+    assert distinct(surface, [hopeless, twin, other, best]) == (best, other)
+    assert len(distinct(surface, [opinion(turned(60 * k), 1.0) for k in range(6)])) == 3
+
+
+def test_a_near_tie_is_shared() -> None:
+    one = opinion(turned(0), 2.0)
+    assert share_of_first((one,)) == 1.0
+    assert share_of_first((one, opinion(turned(90), 2.0))) == pytest.approx(0.5)
+    assert share_of_first((one, opinion(turned(90), 0.0))) == pytest.approx(1 / (1 + np.exp(-2.0)))
+
+
+@pytest.mark.parametrize("right", [True, False])
+def test_the_image_decides_between_two_hypotheses(tea_box, shoot, path, right) -> None:
+    """Two sides of the box are believed alike: within a few frames the one that is seen is left."""
+    frames = [shoot([(tea_box.mesh, path(k))], k) for k in range(12)]
+    tracker = Tracker({"tea_box": tea_box})
+    tracker.correct(Correction.first("tea_box", path(0), frames[0]))
+    for frame in frames[:4]:
+        tracker.step(frame)
+    track = tracker._tracks["tea_box", 0]
+    seen = track.hypotheses[0]
+    flipped = replace(seen, T_cam_obj=seen.T_cam_obj @ FLIP)
+    track.hypotheses = (seen, flipped) if right else (flipped, seen)
+    poses = [tracker.step(frame)[0] for frame in frames[4:]]
+    assert poses[-1].state is State.TRACKING
+    assert np.linalg.norm(poses[-1].T_cam_obj[:3, 3] - path(11)[:3, 3]) < 0.002
+    assert se3.rotation_angle(poses[-1].T_cam_obj, path(11)) < np.radians(1.0)
+    assert len(track.hypotheses) == 1
+
+
+def test_a_wrong_correction_is_taken_back_by_the_image(tea_box, shoot, path) -> None:
+    frames = [shoot([(tea_box.mesh, path(k))], k) for k in range(9)]
+    tracker = Tracker({"tea_box": tea_box})
+    tracker.correct(Correction.first("tea_box", path(0), frames[0]))
+    for frame in frames[:5]:
+        tracker.step(frame)
+    tracker._tracks["tea_box", 0].replay(frames[3].stamp_ns, path(3) @ FLIP, 0.95)
+    poses = [tracker.step(frame)[0] for frame in frames[5:]]
+    assert se3.rotation_angle(poses[-1].T_cam_obj, path(8)) < np.radians(1.0)

@@ -1,7 +1,7 @@
 """Questions that need nothing but the code: the built-in objects, drawn and learned here.
 
-Single frames: two heaps with both methods, and three piles (`datasets.rendered_scene`), in the true boxes of
-what is visible by 30 % or more. Sequences: 25 frames of the built-in scene (`datasets.synthetic`), started at
+Single frames: two heaps with both methods, and three piles (`scenes.rendered`), in the true boxes of
+what is visible by 30 % or more. Sequences: 25 frames of the built-in scene (`scenes.builtin`), started at
 the true pose: every frame; every fifth frame; and one in which a board hides everything for ten frames, after
 which a correction arrives for a frame that is two frames old.
 
@@ -18,15 +18,15 @@ from functools import cache, partial
 from pathlib import Path
 
 import numpy as np
-from huepose.datasets.rendered_scene import PILES, rendered_frame
-from huepose.datasets.shapes import demo_objects
-from huepose.datasets.synthetic_frame import Stage, shoot
-from huepose.datasets.synthetic_plan import CAMERA, plan
-from huepose.datasets.synthetic_sensor import COLOR, STEREO
 
 from huepose import Correction, ObjectQuery, ReferenceModel, RgbdFrame
 from huepose.geometry import Mesh
 from huepose.onboarding import onboard_mesh
+from huepose.scenes.frame import Stage, shoot
+from huepose.scenes.plan import CAMERA, plan
+from huepose.scenes.rendered import PILES, rendered_frame
+from huepose.scenes.sensor import COLOR, STEREO
+from huepose.scenes.shapes import demo_objects
 from tests.golden.answers import Answers
 from tests.golden.asking import Step, estimated, tracked
 
@@ -49,8 +49,8 @@ def meshes() -> Mapping[str, Mesh]:
 
 @cache
 def models() -> Mapping[str, ReferenceModel]:
-    """Their reference models."""
-    return {name: onboard_mesh(mesh, name) for name, mesh in meshes().items()}
+    """Their reference models, with the tables of the colour-pair methods."""
+    return {name: onboard_mesh(mesh, name, paper=True) for name, mesh in meshes().items()}
 
 
 @cache

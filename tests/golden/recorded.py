@@ -58,7 +58,8 @@ def model(number: int) -> ReferenceModel:
     """One of the objects, learned; its name is that of its file."""
     name = f"obj_{number:06d}"
     info = files.read_json(_folder() / "models" / "models_info.json").get(str(number))
-    return onboard(_folder() / "models" / f"{name}.obj", name, object_id=number, unit="mm", info=info)
+    mesh = _folder() / "models" / f"{name}.obj"
+    return onboard(mesh, name, object_id=number, unit="mm", info=info, paper=True)
 
 
 def _shown(name: str) -> list[tuple[RgbdFrame, list[GroundTruth]]]:

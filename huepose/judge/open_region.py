@@ -23,6 +23,9 @@ SCALES_M = (*COLOR_SCALES_M, 0.008)
 """Gaussian sigmas of the three averages on the object; the first two come with a model's surface."""
 
 MIN_SIDE = 16
+REACH_SIGMAS = 2.0
+"""A Gaussian is cut off there: 4 % of its weight lies beyond."""
+
 BLIND = 0.3
 """Weight of colours where there is no depth to say whether the object is in front."""
 
@@ -109,12 +112,14 @@ def _averaged(plain: Float32, px_per_m: float) -> Float32:
     """Opponents (h, w, 9) averaged over SCALES_M; each scale at a half of the resolution of the one
     before."""
     height, width = plain.shape[:2]
-    levels = []
+    levels, image = [], plain
     for scale_m, step in zip(SCALES_M, (1, 2, 4), strict=True):
-        size = (width // step, height // step)
-        image = plain if step == 1 else cv2.resize(plain, size, interpolation=cv2.INTER_AREA)
+        if step > 1:
+            size = (width // step, height // step)
+            image = np.asarray(cv2.resize(image, size, interpolation=cv2.INTER_AREA), np.float32)
         # About half a sample of blur is there already, from the lens and from averaging areas.
         sigma = float(np.sqrt(max((scale_m * px_per_m / step) ** 2 - 0.25, 0.16)))
-        smooth = cv2.GaussianBlur(image, (0, 0), sigma)
+        side = 2 * int(np.ceil(REACH_SIGMAS * sigma)) + 1
+        smooth = cv2.GaussianBlur(image, (side, side), sigma)
         levels.append(smooth if step == 1 else cv2.resize(smooth, (width, height)))
     return np.asarray(cv2.merge(levels), dtype=np.float32)

@@ -13,7 +13,7 @@ from huepose.geometry.arrays import Float32, Float64
 from huepose.geometry.kernels import solve_symmetric
 from huepose.refine.robust import cauchy
 from huepose.refine.samples import Samples
-from huepose.support.jit import jit
+from huepose.support.jit import jit_dividing
 
 GAIN_PRIOR = 4.0
 """Weight of the expectation that contrast is kept, as a variance in opponent units."""
@@ -30,7 +30,7 @@ CORRELATION_FLOOR = 6.0
 little."""
 
 
-@jit
+@jit_dividing
 def fit_light(
     n: int,
     samples: Samples,

@@ -43,7 +43,7 @@ from huepose.refine.solver import (
     motion_row_cam,
     normal_equations,
 )
-from huepose.support.jit import jit
+from huepose.support.jit import jit, jit_dividing
 
 COLOR_SHARE = 3.0
 """Weight of a colour residual against a depth residual, each in units of its own noise. Depth errors of real
@@ -225,7 +225,7 @@ def _refine(
     return done
 
 
-@jit
+@jit_dividing
 def _depth_variance(n: int, samples: Samples, weight: Float64, gate: float) -> float:
     """Weighted mean square of the offsets within the gate."""
     total, square = 1e-12, 0.0
@@ -240,7 +240,7 @@ def _depth_variance(n: int, samples: Samples, weight: Float64, gate: float) -> f
     return square / total
 
 
-@jit
+@jit_dividing
 def _add_depth(
     n: int,
     samples: Samples,
@@ -262,7 +262,7 @@ def _add_depth(
         add_residual(equations, weight[k] * tukey((e / gate) ** 2) * sharpness, e, row)
 
 
-@jit
+@jit_dividing
 def _add_color(
     T: Float64,
     n: int,

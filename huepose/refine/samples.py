@@ -9,7 +9,7 @@ import numpy as np
 
 from huepose.geometry.arrays import Float64, Int32
 from huepose.judge.arrays import ModelArrays, RegionArrays, nearest_view
-from huepose.support.jit import jit
+from huepose.support.jit import jit, jit_dividing
 
 MIN_COSINE = 0.12
 """Samples seen more obliquely than this are left out: their depth and colour are mostly their neighbours'."""
@@ -57,7 +57,7 @@ def empty_samples(count: int) -> Samples:
     )
 
 
-@jit
+@jit_dividing
 def placed(
     T: Float64, surface: ModelArrays, i: int
 ) -> tuple[float, float, float, float, float, float, float]:
@@ -75,7 +75,7 @@ def placed(
     return x, y, z, n0, n1, n2, -(n0 * x + n1 * y + n2 * z) / np.sqrt(x * x + y * y + z * z)
 
 
-@jit
+@jit_dividing
 def project(
     T: Float64,
     surface: ModelArrays,
@@ -140,7 +140,7 @@ def project(
     return n
 
 
-@jit
+@jit_dividing
 def colors(
     n: int,
     samples: Samples,

@@ -6,7 +6,7 @@ The environment variable HUEPOSE_DATA names a folder with
     ycbv/, clutter/, hard/      BOP scenes: real YCB-Video frames, path-traced clutter, path-traced piles
     video/mustard0_a            a real video of a mustard bottle as a BOP scene
 
-Single frames: two or three of each set, in the true boxes of eight of the objects where they are visible by
+Single frames: two of each set, in the true boxes of eight of the objects where they are visible by
 30 % or more, with both methods. Sequence: the video at every fifth frame, started at its first label.
 """
 
@@ -14,6 +14,7 @@ from __future__ import annotations
 
 import os
 from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import replace
 from functools import cache, partial
 from pathlib import Path
 
@@ -31,7 +32,7 @@ IDS = (2, 3, 5, 7, 9, 17, 18, 19)
 _FRAMES = {
     "ycbv": (("000001", 3), ("000002", 3)),
     "clutter": (("000001", 0), ("000003", 1)),
-    "hard": (("000001", 3), ("000002", 0), ("000002", 5)),
+    "hard": (("000002", 0), ("000002", 5)),
 }
 _VIDEO, _VIDEO_ID, _EVERY = "video/mustard0_a", 5, 5
 
@@ -57,18 +58,18 @@ def model(number: int) -> ReferenceModel:
     """One of the objects, learned; its name is that of its file."""
     name = f"obj_{number:06d}"
     info = files.read_json(_folder() / "models" / "models_info.json").get(str(number))
-    return onboard(
-        _folder() / "models" / f"{name}.obj", name, object_id=number, unit="mm", info=info, paper=True
-    )
+    mesh = _folder() / "models" / f"{name}.obj"
+    return onboard(mesh, name, object_id=number, unit="mm", info=info, paper=True)
 
 
 def _shown(name: str) -> list[tuple[RgbdFrame, list[GroundTruth]]]:
     """The frames of a set, with the labels that are asked about."""
     frames = []
-    for scene, image in _FRAMES[name]:
+    for number, (scene, image) in enumerate(_FRAMES[name]):
         opened = BopScene(_folder() / name / scene)
         truths = [t for t in opened.truths(image) if t.object_id in IDS and t.visible and t.box_visib]
-        frames.append((opened.frame(image), truths))
+        # Numbered by their place in the list: two scenes may have an image of the same number.
+        frames.append((replace(opened.frame(image), frame_id=number), truths))
     return frames
 
 

@@ -45,7 +45,23 @@ def _compiled(function: F, more: dict[str, Any]) -> F:
         return cast(F, numba.njit(**options)(function))
     if not numba.config.DISABLE_JIT:  # else it is the function itself
         kernel._cache._cache_file._source_stamp = kernel_sources()
+        _forgive(kernel._cache)
     return cast(F, kernel)
+
+
+def _forgive(kept: Any) -> None:
+    """Compile anew where a cache names modules or classes that are no more: an older version of the package
+    wrote it."""
+    load = kept.load_overload
+
+    def load_overload(*arguments: Any) -> Any:
+        try:
+            return load(*arguments)
+        except (ImportError, AttributeError):
+            kept._cache_file.flush()
+            return None
+
+    kept.load_overload = load_overload
 
 
 @cache

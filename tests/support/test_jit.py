@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import importlib.metadata
 import importlib.util
+import pickle
 from pathlib import Path
 from typing import Any
 
@@ -39,6 +41,19 @@ def test_a_kernel_is_compiled_anew_when_another_source_has_changed(
     assert sum(compiled(path).cache_hits.values()) == 1
     monkeypatch.setattr(jit, "kernel_sources", lambda: "of another version")
     assert not compiled(path).cache_hits
+
+
+def test_a_cache_that_names_what_is_no_more_is_made_anew(tmp_path: Path) -> None:
+    """As a version of the package before left it, whose modules had other names."""
+    path = tmp_path / "kernels.py"
+    path.write_text(KERNEL)
+    compiled(path)
+    (index,) = (tmp_path / "__pycache__").glob("*.nbi")
+    version = pickle.dumps(importlib.metadata.version("numba"))
+    foreign = b"\x80\x04\x8c\x0bno.such.one\x8c\x05Thing\x93."  # a class of a module that is not there
+    index.write_bytes(version + foreign)
+    assert not compiled(path).cache_hits
+    assert sum(compiled(path).cache_hits.values()) == 1
 
 
 def test_the_digest_is_of_kernels(monkeypatch: pytest.MonkeyPatch) -> None:

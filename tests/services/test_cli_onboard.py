@@ -93,7 +93,13 @@ def test_ctrl_c_while_the_processes_start_ends_them_all(tmp_path: Path) -> None:
         files.write_obj(tmp_path / f"obj_{number:06d}.obj", solids.box((0.05, 0.04, 0.03), pictures))
     command = [sys.executable, "-m", "huepose_services.cli.main", "onboard-bop", str(tmp_path)]
     running = subprocess.Popen(
-        [*command, "--out", str(tmp_path / "out")], stderr=subprocess.PIPE, text=True, start_new_session=True
+        [*command, "--out", str(tmp_path / "out")],
+        stderr=subprocess.PIPE,
+        text=True,
+        start_new_session=True,
+        preexec_fn=lambda: signal.signal(
+            signal.SIGINT, signal.SIG_DFL
+        ),  # what starts the tests may ignore it
     )
     assert running.stderr is not None
     assert "onboarding 2 objects" in running.stderr.readline()

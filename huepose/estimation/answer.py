@@ -15,7 +15,7 @@ from huepose.estimation.types import ObjectQuery, PoseEstimate
 from huepose.geometry import se3
 from huepose.geometry.arrays import Float64
 from huepose.geometry.frame import RgbdFrame
-from huepose.judge.contrast_disagreement import otherwise_many
+from huepose.judge.contrast_disagreement import contrast_disagreement_many
 from huepose.judge.pair_agreement import agreement_many
 from huepose.judge.pair_terms import pair_picture
 from huepose.judge.region import Region
@@ -135,6 +135,6 @@ def _terms(
         scale_residual(model, region, T_cam_obj),
         float(np.count_nonzero(region.mask)),
         seen.turned,
-        float(otherwise_many(model, region, contrasts, pose)[0]),
+        float(contrast_disagreement_many(model, region, contrasts, pose)[0]),
         float(agreement_many(model, region, contrasts, pose)[0]),
     )

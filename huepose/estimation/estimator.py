@@ -24,8 +24,8 @@ from huepose.estimation.explanation import Explanation
 from huepose.estimation.full_path import Trail, estimate_full, refine_prior
 from huepose.estimation.methods import PairMethod, method_of
 from huepose.estimation.prepared import PreparedModels
-from huepose.estimation.rehearsal import rehearse
 from huepose.estimation.types import ObjectQuery, PoseEstimate
+from huepose.estimation.warm_up import rehearse
 from huepose.geometry.arrays import Bool, Float64
 from huepose.geometry.box import Box
 from huepose.geometry.frame import RgbdFrame

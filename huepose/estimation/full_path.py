@@ -13,7 +13,7 @@ import numpy as np
 
 from huepose.estimation.config import FullPathConfig
 from huepose.geometry.arrays import Float, Float64
-from huepose.judge.figure_ground import USUAL, set_off
+from huepose.judge.figure_ground import USUAL, figure_ground_contrast
 from huepose.judge.region import Region
 from huepose.judge.terms import CLOSE_SAMPLES, score_many
 from huepose.judge.terms import totals as totals_of
@@ -143,9 +143,9 @@ def by_figure(
     # Who cannot come first even if no colour of its ground is in its figure need not be looked at.
     near = totals > totals[0] - config.figure_within
     if near[1]:
-        both[0] = totals[0] + weight * set_off(model, region, poses[:1])[0]
+        both[0] = totals[0] + weight * figure_ground_contrast(model, region, poses[:1])[0]
         asked = 1 + np.flatnonzero(near[1:] & (totals[1:] + weight > both[0]))
-        both[asked] = totals[asked] + weight * set_off(model, region, poses[asked])
+        both[asked] = totals[asked] + weight * figure_ground_contrast(model, region, poses[asked])
     order = np.argsort(-both, kind="stable")
     return poses[order], totals[order[0]] - (both[order[0]] - both[order])
 

@@ -34,7 +34,7 @@ NEUTRAL = 3.0
 """So many clear contrasts are taken to agree beforehand: without print nothing speaks against it."""
 
 
-def otherwise_many(
+def contrast_disagreement_many(
     model: ReferenceModel, region: Region, picture: PairPicture, poses: Float, pairs: int = 1500
 ) -> Float64:
     """Share (M,), 0..1, of the contrasts that point elsewhere, at poses (M, 4, 4), by at most `pairs` of the

@@ -37,7 +37,7 @@ USUAL, USUAL_COUNT = 0.55, 50.0
 HULL_POINTS = 400
 
 
-def set_off(model: ReferenceModel, region: Region, poses: Float) -> Float64:
+def figure_ground_contrast(model: ReferenceModel, region: Region, poses: Float) -> Float64:
     """How far the colours of figure and ground differ at poses (N, 4, 4): (N,), 0 where they are the same, 1
     where no colour is in both (one minus the Bhattacharyya coefficient of their histograms)."""
     out = np.full(len(poses), USUAL)

@@ -1,10 +1,10 @@
-"""A portrait: what an object at a pose would look like in this very picture, at its resolution and sharpness.
+"""A rendered view: what an object at a pose would look like in this very picture, at its resolution and
+sharpness.
 
 The samples of a surface (`model.types.Surface`) carry its print at two fixed scales, whatever the camera sees
-of it. A portrait is drawn for one pose and one camera: its samples are pixels, their colours the print as
-this camera would see it, in the same bands of detail as the picture is split into, and it has an outline. It
-holds for small steps from its pose.
-"""
+of it. A rendered view is drawn for one pose and one camera: its samples are pixels, their colours the print
+as this camera would see it, in the same bands of detail as the picture is split into, and it has an outline.
+It holds for small steps from its pose."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ LARGEST_PX = 640
 
 
 @dataclass(frozen=True, eq=False)
-class Portrait:
+class RenderedView:
     """arrays: the model with the pixels as its visible samples, detail and blunt colours in the place of the
     two scales; rim_points, rim_inward (N, 3): of the outline (see `rim.Rim`)."""
 
@@ -47,9 +47,11 @@ def detail_colors(color: UInt8, weight: Float32) -> Float32:
     return colors
 
 
-def draw_portrait(model: ReferenceModel, T_cam_obj: Float, camera: Camera, samples: int) -> Portrait | None:
-    """The portrait of a pose (4, 4) with at most `samples` samples; None where it shows too little of the
-    object, or is too near for a picture of it."""
+def draw_rendered_view(
+    model: ReferenceModel, T_cam_obj: Float, camera: Camera, samples: int
+) -> RenderedView | None:
+    """The rendered view of a pose (4, 4) with at most `samples` samples; None where it shows too little of
+    the object, or is too near for a picture of it."""
     window = _window(model, T_cam_obj, camera)
     if window is None:
         return None
@@ -78,7 +80,7 @@ def draw_portrait(model: ReferenceModel, T_cam_obj: Float, camera: Camera, sampl
         offsets=np.array([0, count], np.int32),
     )
     points = seen.points_obj[rim_rows, rim_columns].astype(np.float64)
-    return Portrait(arrays, np.ascontiguousarray(points), inward @ R)
+    return RenderedView(arrays, np.ascontiguousarray(points), inward @ R)
 
 
 def _window(model: ReferenceModel, T_cam_obj: Float, camera: Camera) -> Camera | None:

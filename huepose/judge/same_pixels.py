@@ -23,7 +23,7 @@ from huepose.model.types import ReferenceModel
 from huepose.rendering.render import render
 
 BROAD_PX = 5.0
-"""Broader print lies between the blunt smoothing of a portrait and this one; shading is broader."""
+"""Broader print lies between the blunt smoothing of a rendered view and this one; shading is broader."""
 
 REACH = 1
 """Half-size pixels by which a piece of the print may be elsewhere."""

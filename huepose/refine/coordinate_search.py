@@ -62,9 +62,9 @@ def search(
     return out, totals
 
 
-def search_portrait(
+def search_rendered_view(
     model: ReferenceModel,
-    portrait: ModelArrays,
+    drawn: ModelArrays,
     region: RegionArrays,
     rim: Rim,
     T_cam_obj: Float,
@@ -72,11 +72,11 @@ def search_portrait(
     samples: int,
     weights: ScoreWeights,
 ) -> tuple[Float64, float]:
-    """The same for one pose (4, 4) with the arrays of its portrait, its outline counting as well."""
+    """The same for one pose (4, 4) with the arrays of its rendered view, its outline counting as well."""
     out, totals = np.array(T_cam_obj, dtype=np.float64)[None], np.zeros(1)
     _search_all(
         out,
-        portrait,
+        drawn,
         region,
         model.mesh.centre,
         model.diameter_m * SHIFT_PER_RADIAN,

@@ -3,7 +3,6 @@
 from huepose.reinit.config import ReinitConfig
 from huepose.reinit.judge import judge_tracked
 from huepose.reinit.loop import ReinitLoop
-from huepose.reinit.rehearsal import rehearse
 from huepose.reinit.types import (
     Counters,
     ObjectSlot,
@@ -13,6 +12,7 @@ from huepose.reinit.types import (
     RequestedObject,
     Searching,
 )
+from huepose.reinit.warm_up import rehearse
 
 __all__ = [
     "Counters",

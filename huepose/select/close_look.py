@@ -2,9 +2,8 @@
 
 Rolls of a can, the two faces of a box, a marker's sides share shape and mean colours; what tells them apart
 is the fine print and, for what is thin, the outline. Both only speak of a pose that is exact to a pixel, so
-each contender is refined on them first, with a portrait drawn for it (`portrait`), and then judged, alone and
-on the pixels of all of them (`same_pixels`).
-"""
+each contender is refined on them first, with a rendered view drawn for it (`rendered_view`), and then judged,
+alone and on the pixels of all of them (`same_pixels`)."""
 
 from __future__ import annotations
 
@@ -17,10 +16,10 @@ from huepose.geometry.box import Box
 from huepose.judge.arrays import region_arrays
 from huepose.judge.outline import Rim, edge_tensor
 from huepose.judge.region import OUTSIDE_WEIGHT, Region
-from huepose.judge.rendered_view import detail_colors, draw_portrait
+from huepose.judge.rendered_view import detail_colors, draw_rendered_view
 from huepose.judge.same_pixels import Likeness, Part, likeness
 from huepose.model.types import ReferenceModel
-from huepose.refine.coordinate_search import search_portrait
+from huepose.refine.coordinate_search import search_rendered_view
 from huepose.select.config import CloseLookConfig
 
 HULL_POINTS = 200
@@ -52,12 +51,12 @@ def close_look(
     arrays = region_arrays(region)._replace(colors=colors)
     refined, totals = poses.copy(), np.zeros(len(poses))
     for k, T in enumerate(poses):
-        portrait = draw_portrait(model, T, region.crop.camera, config.samples)
-        if portrait is None:
+        drawn = draw_rendered_view(model, T, region.crop.camera, config.samples)
+        if drawn is None:
             return None
-        rim = Rim(portrait.rim_points, portrait.rim_inward, edges, config.rim_weight)
-        refined[k], totals[k] = search_portrait(
-            model, portrait.arrays, arrays, rim, T, config.steps_deg, config.samples, config.weights
+        rim = Rim(drawn.rim_points, drawn.rim_inward, edges, config.rim_weight)
+        refined[k], totals[k] = search_rendered_view(
+            model, drawn.arrays, arrays, rim, T, config.steps_deg, config.samples, config.weights
         )
     alike = likeness(model, _part(region, rows, columns, colors, config.tolerances), refined)
     return None if alike is None else CloseLook(refined, totals, alike)

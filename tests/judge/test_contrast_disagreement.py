@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from huepose.geometry import RgbdFrame
-from huepose.judge.contrast_disagreement import otherwise_many
+from huepose.judge.contrast_disagreement import contrast_disagreement_many
 from huepose.model.types import ReferenceModel
 from huepose.scenes.shapes import demo_objects
 from tests.judge.regions import seen_by_pairs
@@ -18,7 +18,7 @@ TakePicture = Callable[..., RgbdFrame]
 
 
 def _otherwise(model: ReferenceModel, frame: RgbdFrame, T: np.ndarray) -> float:
-    return float(otherwise_many(model, *seen_by_pairs(model, frame, T), T[None])[0])
+    return float(contrast_disagreement_many(model, *seen_by_pairs(model, frame, T), T[None])[0])
 
 
 @pytest.mark.parametrize("light", [(1.0, 1.0, 1.0), (0.9, 0.6, 0.4), (0.35, 0.3, 0.3)])
@@ -54,4 +54,4 @@ def test_nothing_speaks_against_a_print_of_which_nothing_is_seen(
     view = seen_by_pairs(tea_box, take_picture([(tea_box.mesh, standing)]), standing)
     away = standing.copy()
     away[2, 3] += 1.0
-    assert otherwise_many(tea_box, *view, away[None]).tolist() == [0.0]
+    assert contrast_disagreement_many(tea_box, *view, away[None]).tolist() == [0.0]

@@ -11,7 +11,7 @@ import pytest
 from huepose.estimation.config import FullPathConfig
 from huepose.estimation.full_path import by_figure
 from huepose.geometry import RgbdFrame, se3
-from huepose.judge.figure_ground import USUAL, figure_and_ground, set_off
+from huepose.judge.figure_ground import USUAL, figure_and_ground, figure_ground_contrast
 from huepose.judge.region import Region
 from huepose.model.types import ReferenceModel
 from huepose.rendering.render import render_depth
@@ -36,7 +36,7 @@ def shifted(T: np.ndarray, x_m: float) -> np.ndarray:
 def test_an_even_object_stands_out_where_it_is(
     tea_box: ReferenceModel, even: Region, standing: np.ndarray
 ) -> None:
-    right, aside = set_off(tea_box, even, np.stack([standing, shifted(standing, 0.03)]))
+    right, aside = figure_ground_contrast(tea_box, even, np.stack([standing, shifted(standing, 0.03)]))
     assert right > 0.9
     assert aside < right - 0.2
 
@@ -45,12 +45,12 @@ def test_what_has_the_colour_of_its_ground_does_not_stand_out(
     tea_box: ReferenceModel, even: Region, standing: np.ndarray
 ) -> None:
     plain = replace(even, colors=np.zeros_like(even.colors))
-    assert set_off(tea_box, plain, standing[None])[0] < 0.05
+    assert figure_ground_contrast(tea_box, plain, standing[None])[0] < 0.05
 
 
 def test_nothing_is_said_of_a_pose_that_is_not_in_the_picture(tea_box: ReferenceModel, even: Region) -> None:
     away = [se3.make(np.eye(3), np.array(t)) for t in ([0.0, 0.0, -1.0], [9.0, 0.0, 1.0])]
-    assert set_off(tea_box, even, np.array(away)).tolist() == [USUAL, USUAL]
+    assert figure_ground_contrast(tea_box, even, np.array(away)).tolist() == [USUAL, USUAL]
 
 
 def test_what_stands_in_front_is_neither_figure_nor_ground() -> None:
@@ -74,7 +74,7 @@ def test_of_poses_that_score_alike_the_one_that_stands_out_comes_first(
 ) -> None:
     poses = np.stack([shifted(standing, 0.03), standing, shifted(standing, -0.05)])
     totals = np.array([1.5, 1.48, 1.5 - FullPathConfig().figure_within - 0.1])
-    out = set_off(tea_box, even, poses)
+    out = figure_ground_contrast(tea_box, even, poses)
     ordered, behind = by_figure(tea_box, even, poses, totals)
     assert np.array_equal(ordered[0], standing)
     assert behind[0] == 1.48

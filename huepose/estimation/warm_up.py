@@ -14,7 +14,7 @@ from huepose.estimation.types import ObjectQuery, PoseEstimate
 from huepose.geometry import se3
 from huepose.geometry.camera import Camera
 from huepose.geometry.frame import RgbdFrame
-from huepose.judge.figure_ground import set_off
+from huepose.judge.figure_ground import figure_ground_contrast
 from huepose.judge.silhouette import projected_box
 from huepose.model.types import ReferenceModel
 from huepose.rendering.render import render
@@ -41,5 +41,5 @@ def rehearse(explain: Explain, model: ReferenceModel, full: bool) -> None:
     refined = refine_prior(model, seen.evidence, T)
     confirm(model, region, refined)
     turned = se3.perturb(refined, np.array([0.0, 0.0, 0.0, 0.0, 0.0, 0.1]))
-    set_off(model, region, refined[None])
+    figure_ground_contrast(model, region, refined[None])
     decided(model, region, np.stack([refined, turned]), np.array([2.0, 1.95]))

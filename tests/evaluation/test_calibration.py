@@ -5,26 +5,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from huepose.believe.quality import LIMITS, QualityTerms
-from huepose.evaluation.calibration import FALSE_WEIGHT, Judged, by_chance, read_judged, worth
+from huepose.believe.quality import LIMITS
+from huepose.evaluation.calibration import FALSE_WEIGHT, by_chance, read_judged, worth
 from huepose.support.errors import InputError
-
-PLAIN = QualityTerms(
-    1.5, (0.1, 0.3), 0.4, 0.8, 0.7, 0.7, 0.1, 0.1, 0.7, 0.2, 10.0, 0.4, 0.0, 2000.0, 0.0, 0.1, 1.0
-)
-
-
-def judged(terms: list[QualityTerms], which: np.ndarray, per_frame: int = 5) -> Judged:
-    n = len(terms)
-    return Judged(
-        terms,
-        which.astype(np.int64),
-        which == 0,
-        [k // per_frame for k in range(n)],
-        range(n),
-        np.full(n, 0.5),
-        np.ones(n),
-    )
+from tests.evaluation.judged import PLAIN, judged
 
 
 def test_coverage_counts_what_got_no_pose() -> None:

@@ -3,29 +3,14 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from huepose.believe.quality import LIMITS, QualityTerms, features, quality, quality_fits
+from huepose.believe.quality import LIMITS, features, quality, quality_fits
 from huepose.evaluation.calibration import Judged, worth
 from huepose.support.errors import InputError
 from studies.quality import fit as quality_fit
 from studies.quality.fit import FEATURES, Names, stated_by
+from tests.evaluation.judged import PLAIN, judged
 
-PLAIN = QualityTerms(
-    1.5, (0.1, 0.3), 0.4, 0.8, 0.7, 0.7, 0.1, 0.1, 0.7, 0.2, 10.0, 0.4, 0.0, 2000.0, 0.0, 0.1, 1.0
-)
 NAMES = Names(("total",), ("print_complete",), ("same_size",), ("total",), ())
-
-
-def judged(terms: list[QualityTerms], which: np.ndarray, per_frame: int = 5) -> Judged:
-    n = len(terms)
-    return Judged(
-        terms,
-        which.astype(np.int64),
-        which == 0,
-        [k // per_frame for k in range(n)],
-        range(n),
-        np.full(n, 0.5),
-        np.ones(n),
-    )
 
 
 def drawn(n: int, seed: int) -> tuple[Judged, np.ndarray]:

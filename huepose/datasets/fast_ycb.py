@@ -33,6 +33,37 @@ def object_of(path: Path | str) -> str:
     return files.folder_name(Path(path)).removesuffix("_real")
 
 
+def labelled_sequences(path: Path | str) -> tuple[list[Path], list[str]]:
+    """The labelled sequences of a download, by name, and notes in words on what is not there or left out.
+
+    path: the folder of the data set, or one sequence. Raises InputError where there is no labelled one."""
+    root = Path(path)
+    folders = [root] if (root / "rgb").is_dir() else sorted(p for p in root.glob("*") if p.is_dir())
+    found, notes = [], []
+    for folder in folders:
+        name, colors = files.folder_name(folder), len(list(folder.glob("rgb/*")))
+        if not colors:
+            notes += [f"{name}: no rgb/, left out"] if (folder / "cam_K.json").exists() else []
+        elif not (folder / "gt" / "poses_ycb.txt").exists():
+            notes.append(f"{name}: no gt/poses_ycb.txt, so not labelled; left out")
+        else:
+            stated = len(files.read_bytes(folder / "data.txt").splitlines())
+            depths = len(list(folder.glob("depth/*.float")))
+            found.append(folder)
+            if min(colors, depths) < stated:
+                notes.append(
+                    f"{name}: {colors} pictures and {depths} depth files of {stated} frames are there"
+                )
+    if not found:
+        raise InputError(
+            root,
+            found="; ".join(notes) or "no sequence",
+            expected="sequences with rgb/, depth/, gt/poses_ycb.txt, cam_K.json and data.txt",
+            fix=_UNPACK,
+        )
+    return found, notes
+
+
 def axis_angle_poses(path: Path) -> Float64:
     """Poses (N, 4, 4) of rows `x y z ax ay az angle`; a row of zeros, as for a missing pose, gives nan.
 
@@ -97,6 +128,12 @@ class FastYcbSequence:
     def image_ids(self) -> tuple[int, ...]:
         """Numbers of the images on disk, ascending."""
         return tuple(self._colors)
+
+    @property
+    def with_depth(self) -> tuple[int, ...]:
+        """Those of `image_ids` that have a depth file."""
+        there = {path.stem for path in self.path.glob("depth/*.float")}
+        return tuple(image for image in self._colors if str(image) in there)
 
     @property
     def labelled(self) -> bool:

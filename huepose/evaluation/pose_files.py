@@ -1,8 +1,8 @@
-"""Files of poses that were made elsewhere: our CSV, and DOPE's `poses.txt` in NVIDIA's model frame.
+"""Files of poses that were made elsewhere: our CSV, and those of DOPE as ROFT ships them.
 
 CSV: `frame,object,x,y,z,qx,qy,qz,qw`, metres, the reference model's frame; object is a name or a BOP id.
-DOPE: row i is frame i, `x y z ax ay az angle`, zeros where nothing was found; points of its frame are
-p_nvdu = R p_posecnn + t, and p_bop = p_posecnn + offset.
+DOPE: row i is frame i, `x y z ax ay az angle`, zeros where nothing was found; in the model frame of NVIDIA
+(`poses.txt`) or PoseCNN (`poses_ycb.txt`): p_nvdu = R p_posecnn + t, and p_bop = p_posecnn + offset.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ import numpy as np
 from huepose.datasets import files
 from huepose.datasets.fast_ycb import axis_angle_poses
 from huepose.geometry import se3
-from huepose.geometry.arrays import Float, Float64
+from huepose.geometry.arrays import Float64
 from huepose.support.errors import InputError
 
 COLUMNS = ("frame", "object", "x", "y", "z", "qx", "qy", "qz", "qw")
@@ -72,7 +72,7 @@ def read_pose_csv(path: Path | str) -> PoseTable:
 
 
 def read_dope_poses(path: Path | str, name: str) -> PoseTable:
-    """Read DOPE's poses of one object, as they are, in its own model frame. Raises InputError."""
+    """Read DOPE's poses of one object, in the model frame in which they are. Raises InputError."""
     return PoseTable(
         {
             (frame, name): T_cam_nvdu
@@ -82,21 +82,12 @@ def read_dope_poses(path: Path | str, name: str) -> PoseTable:
     )
 
 
-def nvdu_from_reference(R_nvdu_posecnn: Float, t_nvdu_posecnn_m: Float, frame_offset_m: Float) -> Float64:
-    """`T_nvdu_obj` (4, 4), from the reference model's frame to NVIDIA's.
-
-    R_nvdu_posecnn (3, 3), t_nvdu_posecnn_m (3,): from the PoseCNN to the NVDU frame; frame_offset_m (3,):
-    from the PoseCNN to the reference model's frame."""
-    T_posecnn_obj = se3.make(np.eye(3), -np.asarray(frame_offset_m, dtype=np.float64))
-    return se3.compose(se3.make(R_nvdu_posecnn, t_nvdu_posecnn_m), T_posecnn_obj)
-
-
-def read_nvdu_frames(path: Path | str) -> dict[str, tuple[Float64, Float64]]:
-    """By object name: `posecnn_to_dope_R` (3, 3) and `posecnn_to_dope_t_m` (3,). Raises InputError."""
+def read_nvdu_frames(path: Path | str) -> dict[str, Float64]:
+    """`T_nvdu_posecnn` (4, 4) by object name, of `posecnn_to_dope_R` (3, 3) and `posecnn_to_dope_t_m` (3,).
+    Raises InputError."""
     frames = {}
     for name, entry in files.read_json(Path(path)).items():
         where = f"{path}, '{name}'"
         R = files.numbers(entry, "posecnn_to_dope_R", (3, 3), where)
-        t_m = files.numbers(entry, "posecnn_to_dope_t_m", (3,), where)
-        frames[name] = (files.rigid(R, t_m, where)[:3, :3], t_m)
+        frames[name] = files.rigid(R, files.numbers(entry, "posecnn_to_dope_t_m", (3,), where), where)
     return frames

@@ -9,6 +9,7 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from huepose.datasets.types import GroundTruth
+from huepose.datasets.ycb_objects import ycb_named
 from huepose.evaluation import metrics
 from huepose.geometry.arrays import Float, Float64
 from huepose.model.types import ReferenceModel
@@ -124,6 +125,15 @@ class Targets:
             for T in labelled
             for turn in model.equivalents
         )
+
+
+def posecnn_offset_m(model: ReferenceModel) -> Float64 | None:
+    """Takes a point of the PoseCNN (YCB-Video) frame to the reference model's (3,): the model's own, else
+    that of BOP's mesh of the YCB object of that name; None for other objects."""
+    known = ycb_named(model.name)
+    if model.frame_offset_m is not None or known is None:
+        return model.frame_offset_m
+    return known.frame_offset_m
 
 
 def object_number(model: ReferenceModel) -> int | str:

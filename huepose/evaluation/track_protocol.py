@@ -168,21 +168,17 @@ class _Run:
             yield sample, *self._judge(sample, here, tracked, seconds)
 
     def _first_poses(self, sample: Sample, here: Sequence[Place]) -> list[Correction]:
-        """Each instance is asked for once: in the first fed frame that shows it."""
+        """Each instance is asked for once: in the first fed frame that shows it. A file is asked until it has
+        a pose: a detector's poses may begin later (ROFT waits, too)."""
         new = [
             p
             for p in here
             if p.truth is not None and not p.truth.gone and (p.model.name, p.ordinal) not in self.asked_for
         ]
-        self.asked_for |= {(p.model.name, p.ordinal) for p in new}
         found = self.sources.init.poses(sample, new, {}) if new else []
-        alone = self.options.protocol == "free"
-        if new and not found and alone and isinstance(self.sources.init, FileSource):
-            raise InputError(
-                f"poses for sequence {self.scene.name}",
-                found=f"none of {', '.join(p.model.name for p in new)} at frame {sample.image}",
-                expected="the pose of the first frame that is fed",
-            )
+        from_file = isinstance(self.sources.init, FileSource)
+        asked = [pose.place for pose in found] if from_file else new
+        self.asked_for |= {(p.model.name, p.ordinal) for p in asked}
         return [self._correction(sample.frame, pose, Verdict.ACQUIRE) for pose in found]
 
     def _look(

@@ -5,11 +5,12 @@ from __future__ import annotations
 import json
 import re
 from collections.abc import Collection, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
 from huepose.datasets import files
+from huepose.datasets.ycb_objects import YcbObject, is_ycbv, ycb_objects
 from huepose.geometry.arrays import Float64
 from huepose.onboarding.declared import check_symmetries
 from huepose.support.errors import InputError
@@ -30,8 +31,9 @@ class BopModel:
 def bop_models(folder: Path | str, ids: Collection[int] | None = None) -> list[BopModel]:
     """The objects `obj_NNNNNN.ply` or `.obj` of a folder, by id; `ids`: only these.
 
-    Names come from frame_offsets.json, else from models_info.json, else they are `obj_NNNNNN`. Raises
-    InputError for a folder without meshes, a missing id, a broken file, and names that are not unique.
+    Names come from frame_offsets.json, else from models_info.json; BOP's own download has neither, there
+    YCB-V is known by its diameters; else they are `obj_NNNNNN`. Raises InputError for a folder without
+    meshes, a missing id, a broken file, and names that are not unique.
     """
     folder = Path(folder)
     if not folder.is_dir():
@@ -59,6 +61,8 @@ def bop_models(folder: Path | str, ids: Collection[int] | None = None) -> list[B
             fix="Correct --ids.",
         )
     out = [_entry(i, meshes[i], folder, infos, offsets) for i in sorted(meshes) if not ids or i in ids]
+    if is_ycbv({m.object_id: float(m.info["diameter"]) for m in out if "diameter" in m.info}):
+        out = [_as_ycb(m, ycb_objects().get(m.object_id)) for m in out]
     names = [m.name for m in out]
     twice = next((n for n in names if names.count(n) > 1), None)
     if twice:
@@ -92,6 +96,15 @@ def _entry(
         offset = files.numbers(offsets[key], "posecnn_to_bop_t_mm", (3,), where) / 1000.0
     name = safe_name(key or "") or safe_name(str(info.get("name", ""))) or f"obj_{i:06d}"
     return BopModel(i, name, path, info, offset)
+
+
+def _as_ycb(model: BopModel, known: YcbObject | None) -> BopModel:
+    """With what is known of the object, where the folder does not say it."""
+    if known is None:
+        return model
+    unnamed = model.name == f"obj_{model.object_id:06d}"
+    offset = known.frame_offset_m if model.frame_offset_m is None else model.frame_offset_m
+    return replace(model, name=known.name if unnamed else model.name, frame_offset_m=offset)
 
 
 def _read(path: Path) -> dict[str, Any]:

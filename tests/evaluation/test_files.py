@@ -8,10 +8,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from huepose.datasets.ycb_objects import T_posecnn_obj
 from huepose.evaluation.bop_csv import BopResult, read_bop_csv, write_bop_csv
 from huepose.evaluation.equivalents import read_equivalents
 from huepose.evaluation.pose_files import (
-    nvdu_from_reference,
     read_dope_poses,
     read_nvdu_frames,
     read_pose_csv,
@@ -121,7 +121,7 @@ def test_dope_poses_are_taken_through_both_frames(tmp_path: Path) -> None:
     path = tmp_path / "poses.txt"
     row = " ".join(f"{v:.12f}" for v in (*T[:3, 3], *(w / angle), angle))
     path.write_text(f"0 0 0 0 0 0 0\n{row}\n")
-    table = read_dope_poses(path, "box").moved({"box": nvdu_from_reference(R, t, offset)})
+    table = read_dope_poses(path, "box").moved({"box": se3.compose(se3.make(R, t), T_posecnn_obj(offset))})
     assert table.pose(0, "box", None) is None
     point_posecnn = np.array([0.03, -0.01, 0.05])
     expected = se3.apply(T, R @ point_posecnn + t)
@@ -134,9 +134,8 @@ def test_nvdu_frames(tmp_path: Path) -> None:
     path = tmp_path / "nvdu.json"
     entry = {"posecnn_to_dope_R": T[:3, :3].tolist(), "posecnn_to_dope_t_m": [0.1, 0.2, 0.3]}
     path.write_text(json.dumps({"box": entry}))
-    R, t = read_nvdu_frames(path)["box"]
-    np.testing.assert_allclose(R, T[:3, :3], atol=1e-12)
-    np.testing.assert_array_equal(t, [0.1, 0.2, 0.3])
+    expected = se3.make(T[:3, :3], [0.1, 0.2, 0.3])
+    np.testing.assert_allclose(read_nvdu_frames(path)["box"], expected, atol=1e-12)
 
 
 def test_equivalents(tmp_path: Path) -> None:

@@ -221,9 +221,11 @@ def test_poses_from_a_file_and_a_judge_that_refuses(run) -> None:
     assert trusting.summary()["recall_add"] == pytest.approx(100 * 12 / 20)  # wrong from frame 12 on
 
 
-def test_a_file_without_the_first_pose_is_named(run) -> None:
-    with pytest.raises(InputError, match="none of box at frame 0"):
-        run(sequence(5), TrackOptions(), Sources(FileSource(PoseTable({(3, "box"): motion(3)}))))
+def test_a_file_that_begins_later_is_waited_for(run) -> None:
+    source = FileSource(PoseTable({(3, "box"): motion(3)}))
+    result, tracker = run(sequence(5), TrackOptions(), Sources(source))
+    assert [c.frame_id for _, c in tracker.taken] == [3]
+    assert result.summary()["recall_add"] == pytest.approx(100 * 2 / 5)
 
 
 def test_sequences_count_alike_whatever_their_length(models) -> None:

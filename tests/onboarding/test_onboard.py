@@ -127,6 +127,11 @@ def test_a_bop_folder_is_read(tmp_path: Path) -> None:
     assert [m.object_id for m in bop_models(tmp_path / "models", [12])] == [12]
     (tmp_path / "models" / "frame_offsets.json").unlink()
     assert bop_models(tmp_path / "models", [12])[0].name == "obj_000012"
+    ycbv = {"3": {"diameter": 198.38}, "12": {"diameter": 259.57}}
+    (tmp_path / "models" / "models_info.json").write_text(json.dumps(ycbv))
+    sugar, bleach = bop_models(tmp_path / "models")
+    assert (sugar.name, bleach.name) == ("004_sugar_box", "021_bleach_cleanser")
+    np.testing.assert_allclose(bleach.frame_offset_m, [0.004979, -0.002456, -0.013279])
 
 
 def test_wrong_bop_folders_are_named(tmp_path: Path) -> None:

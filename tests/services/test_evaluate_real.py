@@ -131,7 +131,16 @@ def test_poses_of_a_file_start_the_tracker_in_either_frame(
     dope.write_text(" ".join(f"{v:.9f}" for v in row))
     q = se3.quaternion_from_rotation(T)
     table.write_text("0,tea_box," + ",".join(f"{v:.9f}" for v in (*T[:3, 3], *q)))
-    ways = [["--init", str(tmp_path)], ["--init", str(dope), "--frame", "nvdu", "--nvdu-frames", str(nvdu)]]
+    T_cam_posecnn = T @ se3.make(np.eye(3), OFFSET_M)
+    w = se3.rotation_log(T_cam_posecnn)
+    posecnn = tmp_path / "poses_ycb.txt"
+    row = (*T_cam_posecnn[:3, 3], *(w / np.linalg.norm(w)), np.linalg.norm(w))
+    posecnn.write_text(" ".join(f"{v:.9f}" for v in row))
+    ways = [
+        ["--init", str(tmp_path)],
+        ["--init", str(dope), "--nvdu-frames", str(nvdu)],
+        ["--init", str(posecnn)],
+    ]
     command = ["eval", "track", "--fast-ycb", str(sequence), "--bundles", str(bundles)]
     for way in ways:
         assert main([*command, *way, "--json", str(tmp_path / "r.json")]) == 0
@@ -145,7 +154,7 @@ def test_poses_of_a_file_start_the_tracker_in_either_frame(
         (["--init", "nowhere.csv"], "nowhere.csv"),
         (["--delayed", "gt"], "--delayed"),
         (["--init", "gt", "--every", "0"], "--every"),
-        (["--init", "gt", "--frame", "nvdu"], "--nvdu-frames"),
+        (["--init", "gt", "--nvdu-frames", "nowhere.json"], "nowhere.json"),
     ],
 )
 def test_wrong_usage_is_named(

@@ -65,7 +65,11 @@ def _add_estimate(verbs: Any) -> None:
         help="single frames",
         description="Single-frame accuracy; one row for each labelled instance of an onboarded object.",
     )
-    parser.add_argument("--bop", type=Path, nargs="+", required=True, metavar="SCENE_DIR")
+    source = parser.add_mutually_exclusive_group(required=True)
+    source.add_argument("--bop", type=Path, nargs="+", metavar="SCENE_DIR")
+    source.add_argument(
+        "--ycbv", type=Path, metavar="DIR", help="YCB-Video as downloaded: BOP's folder or YCB_Video_Dataset"
+    )
     _common(parser)
     parser.add_argument("--method", choices=("full", "colorpair", "paper"), default="full")
     _profile(parser)
@@ -75,9 +79,9 @@ def _add_estimate(verbs: Any) -> None:
     parser.add_argument(
         "--min-visib",
         type=float,
-        default=0.0,
+        default=0.1,
         metavar="F",
-        help="leave out labels less visible than this (0)",
+        help="leave out labels less visible than this (0.1, as BOP does)",
     )
     _path(parser, "--equivalent", "FILE", "poses that count as the labelled one does")
     _seeds(parser)
@@ -121,7 +125,9 @@ def _add_perception(verbs: Any) -> None:
 def _add_track(verbs: Any) -> None:
     parser = verbs.add_parser("track", help="sequences", description="Tracking accuracy on sequences.")
     source = parser.add_mutually_exclusive_group(required=True)
-    source.add_argument("--fast-ycb", type=Path, nargs="+", metavar="SEQ_DIR")
+    source.add_argument(
+        "--fast-ycb", type=Path, nargs="+", metavar="DIR", help="sequences, or the folder that holds them"
+    )
     source.add_argument("--bop", type=Path, nargs="+", metavar="SCENE_DIR")
     _common(parser)
     _profile(parser)
@@ -144,9 +150,14 @@ def _add_track(verbs: Any) -> None:
         "--delayed", default=None, metavar="estimate|gt|DIR", help="the late results of roft (estimate)"
     )
     parser.add_argument(
-        "--frame", choices=("bop", "nvdu"), default="bop", help="model frame of the files of poses (bop)"
+        "--frame",
+        choices=("bop", "posecnn", "nvdu"),
+        default=None,
+        help="model frame of the files of poses (CSV: bop; poses_ycb.txt: posecnn; poses.txt: nvdu)",
     )
-    _path(parser, "--nvdu-frames", "FILE", "JSON of NVDU model frames, for --frame nvdu")
+    _path(
+        parser, "--nvdu-frames", "FILE", "JSON of other NVDU model frames than those of YCB-Video's objects"
+    )
     _objects(parser)
     _seeds(parser)
     _path(parser, "--plots", "DIR", "curves and pictures")

@@ -20,15 +20,15 @@ from huepose.evaluation.targets import Targets
 from huepose.model import load_models
 from huepose.perception.colorpair_detector import ColorPairDetector
 from huepose.profiles import profile
-from huepose_services.cli.evaluate_scenes import FIGURES, figure_table, open_bop, shown
+from huepose_services.cli.evaluate_scenes import FIGURES, figure_table, open_bop, open_ycbv_scenes, shown
 
 
 def call(arguments: argparse.Namespace) -> int:
     """Evaluate, write, print a table."""
-    scenes = open_bop(arguments.bop)
+    models = load_models(arguments.bundles)
+    scenes = open_ycbv_scenes(arguments.ycbv, models) if arguments.ycbv else open_bop(arguments.bop)
     equivalents = read_equivalents(arguments.equivalent) if arguments.equivalent else {}
     options = EstimateOptions(arguments.boxes, arguments.masks, arguments.min_visib, tuple(arguments.seed))
-    models = load_models(arguments.bundles)
     targets = Targets(models, arguments.objects)
     # In a detector's boxes it is the presence that says what is found.
     found_level = 0.0 if arguments.boxes == "detect" else None

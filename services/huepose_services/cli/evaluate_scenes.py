@@ -2,16 +2,18 @@
 
 from __future__ import annotations
 
+import sys
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
 from huepose.datasets.bop import BopScene
-from huepose.datasets.fast_ycb import FastYcbSequence, object_of
-from huepose.datasets.types import Scene
+from huepose.datasets.fast_ycb import FastYcbSequence, labelled_sequences, object_of
+from huepose.datasets.types import Scene, SomeImages
+from huepose.datasets.ycbv_folder import open_ycbv
 from huepose.evaluation.instances import instance_counts
 from huepose.evaluation.summary import table
-from huepose.evaluation.targets import Targets
+from huepose.evaluation.targets import Targets, posecnn_offset_m
 from huepose.model import ReferenceModel, load_models
 from huepose.support.errors import InputError
 
@@ -31,26 +33,43 @@ def open_bop(paths: Sequence[Path]) -> list[Scene]:
     return scenes
 
 
-def open_fast_ycb(paths: Sequence[Path], bundles: Path) -> tuple[list[Scene], dict[str, ReferenceModel]]:
-    """Fast-YCB sequences with the reference models of their objects. Raises InputError."""
+def open_ycbv_scenes(path: Path, models: Mapping[str, ReferenceModel]) -> tuple[Scene, ...]:
+    """The test images of a download of YCB-Video; says what is missing. Raises InputError."""
+    offsets = {m.object_id: posecnn_offset_m(m) for m in models.values() if m.object_id is not None}
+    folder = open_ycbv(path, {i: offset for i, offset in offsets.items() if offset is not None})
+    say([f"{path}: {folder.layout} layout", *folder.coverage.lines()])
+    return folder.scenes
+
+
+def say(notes: Sequence[str]) -> None:
+    """Notes on what is evaluated, beside the results."""
+    for note in notes:
+        print(note, file=sys.stderr, flush=True)
+
+
+def open_fast_ycb(given: Sequence[Path], bundles: Path) -> tuple[list[Scene], dict[str, ReferenceModel]]:
+    """Fast-YCB sequences, or all those of a download, with the reference models of their objects; says what
+    is missing. Raises InputError."""
+    paths: list[Path] = []
+    for folder in given:
+        found, notes = labelled_sequences(folder)
+        paths += found
+        say(notes)
     models = load_models(bundles, sorted({object_of(path) for path in paths}))
     scenes: list[Scene] = []
     for path in paths:
         model = models[object_of(path)]
-        if model.frame_offset_m is None:
+        offset_m = posecnn_offset_m(model)
+        if offset_m is None:
             raise InputError(
                 f"reference model '{model.name}'",
                 found="no frame offset, so the labels cannot be brought to its frame",
-                fix="Onboard it with `huepose onboard-bop` from a folder with frame_offsets.json.",
+                fix="Name it as YCB-Video does, or onboard it with `huepose onboard-bop` from a folder with "
+                "frame_offsets.json.",
             )
-        sequence = FastYcbSequence(path, model.frame_offset_m)
-        if not sequence.labelled:
-            raise InputError(
-                path / "gt" / "poses_ycb.txt",
-                found="no such file",
-                expected="ground truth to measure against",
-            )
-        scenes.append(sequence)
+        sequence = FastYcbSequence(path, offset_m)
+        # A partial download: the frames without depth are left out, and were counted.
+        scenes.append(SomeImages(sequence, sequence.with_depth or sequence.image_ids))
     return scenes, models
 
 

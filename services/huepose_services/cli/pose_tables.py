@@ -6,61 +6,67 @@ from collections.abc import Mapping
 from pathlib import Path
 
 from huepose.datasets.fast_ycb import object_of
-from huepose.evaluation.pose_files import (
-    PoseTable,
-    nvdu_from_reference,
-    read_dope_poses,
-    read_nvdu_frames,
-    read_pose_csv,
-)
+from huepose.datasets.ycb_objects import T_posecnn_obj, ycb_named
+from huepose.evaluation.pose_files import PoseTable, read_dope_poses, read_nvdu_frames, read_pose_csv
+from huepose.evaluation.targets import posecnn_offset_m
+from huepose.geometry import se3
 from huepose.geometry.arrays import Float64
 from huepose.model import ReferenceModel
 from huepose.support.errors import InputError
 
+_FRAME_OF = {"poses_ycb.txt": "posecnn", "poses.txt": "nvdu"}
+"""Model frames of the files that Fast-YCB and ROFT call so."""
+
 
 class PoseTables:
-    """Finds and reads them, in the reference models' frames or in NVIDIA's (`frame` is "nvdu")."""
+    """Finds and reads them. frame: `bop` (the reference models' own), `posecnn` or `nvdu`; None: told by the
+    file's name; nvdu_frames: a file with other NVDU frames than the known ones."""
 
-    def __init__(self, frame: str, nvdu_frames: Path | None, models: Mapping[str, ReferenceModel]) -> None:
-        self._models = models
-        self._T_theirs_obj: dict[str, Float64] | None = None
-        if frame == "nvdu":
-            if nvdu_frames is None:
-                raise InputError(
-                    "--frame nvdu",
-                    found="no description of that frame",
-                    expected="--nvdu-frames FILE with posecnn_to_dope_R and posecnn_to_dope_t_m by object",
-                )
-            self._T_theirs_obj = self._nvdu(nvdu_frames)
-
-    def _nvdu(self, path: Path) -> dict[str, Float64]:
-        frames = read_nvdu_frames(path)
-        result = {}
-        for model in self._models.values():
-            if model.name not in frames or model.frame_offset_m is None:
-                raise InputError(
-                    path if model.name not in frames else f"reference model '{model.name}'",
-                    found=f"no frame of '{model.name}'" if model.name not in frames else "no frame offset",
-                    fix="Give poses in the reference model's frame, without --frame nvdu.",
-                )
-            T_nvdu_obj = nvdu_from_reference(*frames[model.name], model.frame_offset_m)
-            result[model.name] = T_nvdu_obj
-            if model.object_id is not None:
-                result[str(model.object_id)] = T_nvdu_obj
-        return result
+    def __init__(
+        self, frame: str | None, nvdu_frames: Path | None, models: Mapping[str, ReferenceModel]
+    ) -> None:
+        self._models, self._frame = models, frame
+        self._nvdu_frames = None if nvdu_frames is None else (nvdu_frames, read_nvdu_frames(nvdu_frames))
 
     def of(self, given: str, sequence: str) -> PoseTable:
         """The poses of a sequence. Raises InputError, listing where they were looked for."""
         path = self._find(Path(given), sequence)
-        if path.suffix == ".csv":
-            table = read_pose_csv(path)
-        elif self._T_theirs_obj is None:
-            raise InputError(
-                path, found="poses in DOPE's form", expected="--frame nvdu", fix="Or convert them to CSV."
-            )
-        else:
-            table = read_dope_poses(path, object_of(sequence))
-        return table if self._T_theirs_obj is None else table.moved(self._T_theirs_obj)
+        table = read_pose_csv(path) if path.suffix == ".csv" else read_dope_poses(path, object_of(sequence))
+        frame = self._frame or ("bop" if path.suffix == ".csv" else _FRAME_OF.get(path.name))
+        if frame is None:
+            raise InputError(path, found="poses in DOPE's form", expected="--frame posecnn, nvdu or bop")
+        shown = {name for model in self._models.values() for name in (model.name, str(model.object_id))}
+        if not shown & {name for _, name in table.poses}:
+            raise InputError(path, found=f"no pose of {', '.join(self._models)}", fix="Give another file.")
+        return table if frame == "bop" else table.moved(self._T_theirs_obj(frame, table))
+
+    def _T_theirs_obj(self, frame: str, table: PoseTable) -> dict[str, Float64]:
+        """By object as the table calls it, from the reference model's frame to the table's (4, 4)."""
+        called = {name for _, name in table.poses}
+        result: dict[str, Float64] = {}
+        for model in self._models.values():
+            keys = {model.name, str(model.object_id)} & called
+            if keys:
+                result |= dict.fromkeys(keys, self._T_frame_obj(frame, model))
+        return result
+
+    def _T_frame_obj(self, frame: str, model: ReferenceModel) -> Float64:
+        offset_m = posecnn_offset_m(model)
+        fix = "Give poses in the reference model's frame, with --frame bop."
+        if offset_m is None:
+            raise InputError(f"reference model '{model.name}'", found="no frame offset", fix=fix)
+        T_posecnn = T_posecnn_obj(offset_m)
+        if frame == "posecnn":
+            return T_posecnn
+        known = ycb_named(model.name)
+        T_nvdu = None if known is None else known.T_nvdu_posecnn
+        where: object = "--frame nvdu"
+        if self._nvdu_frames is not None:
+            where, frames = self._nvdu_frames
+            T_nvdu = frames.get(model.name)
+        if T_nvdu is None:
+            raise InputError(where, found=f"no frame of '{model.name}'", fix=fix)
+        return se3.compose(T_nvdu, T_posecnn)
 
     @staticmethod
     def _find(given: Path, sequence: str) -> Path:
@@ -70,6 +76,7 @@ class PoseTables:
             given / f"{sequence}.csv",
             given / f"{sequence}.txt",
             given / sequence / "poses.txt",
+            given / sequence / "dope" / "poses_ycb.txt",
             given / sequence / "dope" / "poses.txt",
         ]
         for place in places:

@@ -1,0 +1,230 @@
+"""YCB-Video as it is downloaded, told by looking: BOP's folder (`test/`, `test_targets_bop19.json`), or the
+raw data set (`data/0048/`, `keyframe.txt`); and what of it is missing.
+
+The images that count are those of the targets or key frames, where the folder has that list.
+"""
+
+from __future__ import annotations
+
+import json
+from collections import Counter
+from collections.abc import Collection, Mapping, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+
+from huepose.datasets import files
+from huepose.datasets.bop import BopScene
+from huepose.datasets.types import GroundTruth, Sample, Scene, SomeImages
+from huepose.datasets.ycb_objects import ycb_objects
+from huepose.datasets.ycb_video import YcbVideoSequence
+from huepose.geometry.arrays import Float, Float64
+from huepose.geometry.frame import RgbdFrame
+from huepose.support.errors import InputError
+
+Targets = Mapping[tuple[int, int], Mapping[int, int]]
+"""By (scene, image), how many instances of which object are asked for."""
+
+TEST_SCENES = tuple(range(48, 60))
+
+
+@dataclass(frozen=True, eq=False)
+class Coverage:
+    """What is there of what is asked for. asked: images by scene, of the list; there: of these on disk;
+    targets, targets_there: labels by object id; listed: the file with the list, None where there is none."""
+
+    asked: Mapping[int, int]
+    there: Mapping[int, int]
+    targets: Mapping[int, int] = field(default_factory=dict)
+    targets_there: Mapping[int, int] = field(default_factory=dict)
+    listed: str | None = None
+
+    def lines(self) -> list[str]:
+        """In words; one line where all is there."""
+        if self.listed is None:
+            return [
+                f"no list of test images: all {sum(self.there.values())} images of "
+                f"{len(self.there)} scenes are evaluated"
+            ]
+        total, found = sum(self.asked.values()), sum(self.there.values())
+        lines = [f"{found} of {total} images of {self.listed} are there"]
+        if self.targets:
+            lines[0] += f", {sum(self.targets_there.values())} of {sum(self.targets.values())} labels"
+        gone = [f"{scene:06d}" for scene in sorted(self.asked) if not self.there.get(scene)]
+        if gone:
+            lines.append(f"missing scenes: {', '.join(gone)}")
+        part = [
+            f"{scene:06d} ({n - self.there[scene]} of {n})"
+            for scene, n in sorted(self.asked.items())
+            if 0 < self.there.get(scene, 0) < n
+        ]
+        if part:
+            lines.append(f"missing images: {', '.join(part)}")
+        return lines
+
+
+@dataclass(frozen=True, eq=False)
+class YcbvFolder:
+    """scenes: with the images that count; coverage: what is missing; models: folder of textured meshes, None
+    where there is none; info: models_info.json of the meshes that errors are measured on, or None."""
+
+    layout: str
+    scenes: tuple[Scene, ...]
+    coverage: Coverage
+    models: Path | None
+    info: Path | None
+
+
+def open_ycbv(path: Path | str, offsets_m: Mapping[int, Float64] | None = None) -> YcbvFolder:
+    """Look what is there. offsets_m: by object id, from the PoseCNN frame to the reference model's (3,), for
+    the raw layout (default: BOP's models). Raises InputError for a folder of another layout."""
+    root = Path(path)
+    if not root.is_dir():
+        raise InputError(root, found="no such folder", expected="a download of YCB-Video")
+    raw = next((d for d in (root / "data", root) if any(d.glob("[0-9][0-9][0-9][0-9]/*-color.*"))), None)
+    if raw is not None:
+        return _raw(root, raw, offsets_m or {i: o.frame_offset_m for i, o in ycb_objects().items()})
+    scenes = next((d for d in (root / "test", root) if any(d.glob("*/scene_camera.json"))), None)
+    if scenes is None:
+        names = ", ".join(sorted(p.name for p in root.iterdir())[:8]) or "nothing"
+        raise InputError(
+            root,
+            found=names,
+            expected="test/NNNNNN/scene_camera.json (BOP) or data/NNNN/NNNNNN-color.png (YCB_Video_Dataset)",
+            fix="Unpack the archive, and give the folder that holds it.",
+        )
+    return _bop(root, scenes)
+
+
+def _bop(root: Path, folder: Path) -> YcbvFolder:
+    there = {
+        int(p.name): BopScene(p)
+        for p in sorted(folder.iterdir())
+        if p.name.isdigit() and (p / "scene_gt.json").exists() and (p / "rgb").is_dir()
+    }
+    if not there:
+        raise InputError(
+            folder, found="no scene with rgb/ and scene_gt.json", expected="test/000048 and so on"
+        )
+    listed = root / "test_targets_bop19.json"
+    targets = read_targets(listed) if listed.exists() else None
+    return YcbvFolder(
+        "BOP",
+        *_chosen(there, targets, listed.name if targets is not None else None),
+        _first(root, ("models", "models_fine", "models_eval")),
+        _first(root, ("models_eval/models_info.json", "models/models_info.json")),
+    )
+
+
+def _raw(root: Path, folder: Path, offsets_m: Mapping[int, Float]) -> YcbvFolder:
+    there = {
+        int(p.name): YcbVideoSequence(p, offsets_m)
+        for p in sorted(folder.iterdir())
+        if p.name.isdigit() and any(p.glob("*-color.*"))
+    }
+    listed = _first(root, ("image_sets/keyframe.txt", "keyframe.txt"))
+    images = None if listed is None else {key: dict[int, int]() for key in _keyframes(listed)}
+    if listed is None:
+        there = {n: scene for n, scene in there.items() if n in TEST_SCENES} or there
+    return YcbvFolder(
+        "YCB_Video_Dataset",
+        *_chosen(there, images, None if listed is None else listed.name),
+        _first(root, ("models",)),
+        None,
+    )
+
+
+def read_targets(path: Path) -> Targets:
+    """`test_targets_bop19.json`: a list of scene_id, im_id, obj_id, inst_count. Raises InputError."""
+    try:
+        entries = json.loads(files.read_bytes(path))
+        targets: dict[tuple[int, int], dict[int, int]] = {}
+        for entry in entries:
+            key = int(entry["scene_id"]), int(entry["im_id"])
+            targets.setdefault(key, {})[int(entry["obj_id"])] = int(entry["inst_count"])
+    except (ValueError, KeyError, TypeError) as error:
+        raise InputError(
+            path, found=f"{type(error).__name__}: {error}", expected="scene_id, im_id, obj_id, inst_count"
+        ) from None
+    return targets
+
+
+def _keyframes(path: Path) -> list[tuple[int, int]]:
+    """Lines `0048/000001`. Raises InputError."""
+    keys = []
+    for number, line in enumerate(files.read_bytes(path).decode("utf-8", "replace").split(), 1):
+        parts = line.split("/")
+        if len(parts) != 2 or not all(part.isdigit() for part in parts):
+            raise InputError(f"{path}, line {number}", found=line[:40], expected="0048/000001")
+        keys.append((int(parts[0]), int(parts[1])))
+    return keys
+
+
+def _chosen(
+    there: Mapping[int, Scene], targets: Targets | None, listed: str | None
+) -> tuple[tuple[Scene, ...], Coverage]:
+    """The scenes with the images that are asked for, and what is missing."""
+    if targets is None:
+        found = {n: len(scene.image_ids) for n, scene in there.items()}
+        return tuple(there.values()), Coverage(found, found)
+    asked, found = Counter(scene for scene, _ in targets), Counter[int]()
+    labels, labels_there = Counter[int](), Counter[int]()
+    scenes: list[Scene] = []
+    for number in sorted(asked):
+        wanted = {image: objects for (scene, image), objects in targets.items() if scene == number}
+        on_disk = set(there[number].image_ids) if number in there else set()
+        for image, objects in wanted.items():
+            labels.update(objects)
+            if image in on_disk:
+                found[number] += 1
+                labels_there.update(objects)
+        if found[number]:
+            scenes.append(TargetImages(there[number], {i: wanted[i] for i in sorted(wanted) if i in on_disk}))
+    if not scenes:
+        raise InputError(
+            ", ".join(f"{n:06d}" for n in there),
+            found=f"no image that {listed} asks for",
+            expected=f"some of its {len(targets)} images",
+            fix="Give the folder of the test images.",
+        )
+    return tuple(scenes), Coverage(asked, found, labels, labels_there, listed)
+
+
+class TargetImages:
+    """A scene of which only some images count, and of their labels only the objects that are asked for."""
+
+    def __init__(self, scene: Scene, wanted: Mapping[int, Collection[int]]) -> None:
+        """wanted: object ids by image; none named: all labels of the image."""
+        self._scene, self._wanted = scene, wanted
+        self.name, self.image_ids = scene.name, tuple(wanted)
+        self.stamp_ns = scene.stamp_ns
+
+    def frame(self, image: int) -> RgbdFrame:
+        """Colour and depth."""
+        return self._scene.frame(image)
+
+    def truths(self, image: int) -> tuple[GroundTruth, ...]:
+        """The labels that are asked for."""
+        wanted = self._wanted[image]
+        return tuple(t for t in self._scene.truths(image) if not wanted or t.object_id in wanted)
+
+    def sample(self, image: int) -> Sample:
+        """Frame and labels."""
+        return Sample(self.frame(image), self.truths(image), self.name, image)
+
+
+def spread(scenes: Sequence[Scene], count: int) -> tuple[Scene, ...]:
+    """About `count` images, the same share of every scene and evenly spaced in it; one a scene at least.
+
+    In a scene of YCB-Video the same objects lie in all images, so this is even over objects as well."""
+    total = sum(len(scene.image_ids) for scene in scenes)
+    chosen: list[Scene] = []
+    for scene in scenes:
+        n = len(scene.image_ids)
+        few = min(n, max(1, round(count * n / total)))
+        images = [scene.image_ids[int((k + 0.5) * n / few)] for k in range(few)]
+        chosen.append(SomeImages(scene, images))
+    return tuple(chosen)
+
+
+def _first(root: Path, names: Sequence[str]) -> Path | None:
+    return next((root / name for name in names if (root / name).exists()), None)

@@ -1,0 +1,122 @@
+"""Downloads of YCB-Video and Fast-YCB as they are, whole and in part."""
+
+from __future__ import annotations
+
+import json
+import shutil
+from pathlib import Path
+
+import numpy as np
+import pytest
+from scipy.io import savemat
+
+from huepose.datasets.fast_ycb import FastYcbSequence, labelled_sequences
+from huepose.datasets.ycb_objects import T_posecnn_obj, ycb_objects
+from huepose.datasets.ycbv_folder import open_ycbv, spread
+from huepose.geometry import se3
+from huepose.support.errors import InputError
+
+from .conftest import OFFSET_M, color_of, depth_of, mask_of, pose_of, write
+
+
+@pytest.fixture
+def bop_download(tmp_path: Path, bop_scene: Path) -> Path:
+    """Scene 3 of two that the targets name, with images 2, 10 and 100 of four; object 7 in image 2 alone."""
+    root = tmp_path / "ycbv"
+    (root / "test").mkdir(parents=True)
+    bop_scene.rename(root / "test" / "000003")
+    asked = [(3, 2, 5), (3, 2, 7), (3, 10, 5), (3, 50, 5), (4, 1, 5)]
+    targets = [{"scene_id": s, "im_id": i, "obj_id": o, "inst_count": 1} for s, i, o in asked]
+    (root / "test_targets_bop19.json").write_text(json.dumps(targets))
+    (root / "models").mkdir()
+    return root
+
+
+def test_the_targets_say_which_images_and_labels_count(bop_download: Path) -> None:
+    folder = open_ycbv(bop_download)
+    (scene,) = folder.scenes
+    assert (folder.layout, scene.name, scene.image_ids) == ("BOP", "000003", (2, 10))
+    assert [[t.object_id for t in scene.truths(i)] for i in scene.image_ids] == [[5, 7], [5]]
+    assert (folder.models, folder.info) == (bop_download / "models", None)
+    assert folder.coverage.lines() == [
+        "2 of 4 images of test_targets_bop19.json are there, 3 of 5 labels",
+        "missing scenes: 000004",
+        "missing images: 000003 (1 of 3)",
+    ]
+
+
+def test_without_targets_all_images_count(bop_download: Path) -> None:
+    (bop_download / "test_targets_bop19.json").unlink()
+    folder = open_ycbv(bop_download / "test")
+    assert folder.scenes[0].image_ids == (2, 10, 100)
+    assert folder.coverage.lines()[0].startswith("no list of test images: all 3 images of 1 scenes")
+
+
+def test_the_raw_layout_is_told_by_looking_and_brought_to_bops_frame(tmp_path: Path) -> None:
+    root = tmp_path / "YCB_Video_Dataset"
+    T_bop = pose_of(1, 1)
+    T_posecnn = T_bop @ se3.inverse(T_posecnn_obj(ycb_objects()[5].frame_offset_m))
+    for number in (1, 2):
+        stem = root / "data" / "0048" / f"{number:06d}"
+        write(Path(f"{stem}-color.png"), color_of(number))
+        write(Path(f"{stem}-depth.png"), depth_of(number))
+        write(Path(f"{stem}-label.png"), mask_of(0) // 255 * 5)
+        meta = {
+            "cls_indexes": np.array([[5]]),
+            "poses": T_posecnn[:3, :, None],
+            "intrinsic_matrix": np.array([[20.0, 0, 7], [0, 21.0, 5], [0, 0, 1]]),
+            "factor_depth": 10000,
+        }
+        savemat(f"{stem}-meta.mat", meta)
+    (root / "image_sets").mkdir()
+    (root / "image_sets" / "keyframe.txt").write_text("0048/000002\n0049/000001\n")
+    folder = open_ycbv(root)
+    (scene,) = folder.scenes
+    assert (folder.layout, scene.name, scene.image_ids) == ("YCB_Video_Dataset", "0048", (2,))
+    (truth,) = scene.truths(2)
+    np.testing.assert_allclose(truth.T_cam_obj, T_bop, atol=1e-9)
+    np.testing.assert_array_equal(truth.mask(), mask_of(0) > 0)
+    assert folder.coverage.lines() == [
+        "1 of 2 images of keyframe.txt are there",
+        "missing scenes: 000049",
+    ]
+    (root / "image_sets" / "keyframe.txt").write_text("0048-000002\n")
+    with pytest.raises(InputError, match=r"keyframe\.txt, line 1"):
+        open_ycbv(root)
+
+
+def test_other_folders_are_named(tmp_path: Path, bop_download: Path) -> None:
+    (tmp_path / "other" / "images").mkdir(parents=True)
+    with pytest.raises(InputError, match="images"):
+        open_ycbv(tmp_path / "other")
+    (bop_download / "test_targets_bop19.json").write_text('[{"scene_id": 3}]')
+    with pytest.raises(InputError, match=r"test_targets_bop19\.json"):
+        open_ycbv(bop_download)
+    elsewhere = [{"scene_id": 48, "im_id": 1, "obj_id": 5, "inst_count": 1}]
+    (bop_download / "test_targets_bop19.json").write_text(json.dumps(elsewhere))
+    with pytest.raises(InputError, match="no image that test_targets"):
+        open_ycbv(bop_download)
+
+
+def test_a_sample_is_spread_over_scenes_and_within_them(bop_download: Path) -> None:
+    (bop_download / "test_targets_bop19.json").unlink()
+    shutil.copytree(bop_download / "test" / "000003", bop_download / "test" / "000007")
+    scenes = open_ycbv(bop_download).scenes
+    assert [(s.name, s.image_ids) for s in spread(scenes, 2)] == [("000003", (10,)), ("000007", (10,))]
+    assert [s.image_ids for s in spread(scenes, 4)] == [(2, 100)] * 2
+    assert [s.image_ids for s in spread(scenes, 100)] == [(2, 10, 100)] * 2
+
+
+def test_fast_ycb_is_found_below_a_folder_and_what_is_missing_is_said(fast_sequence: Path) -> None:
+    root = fast_sequence.parent
+    unlabelled = root / "003_cracker_box_real"
+    shutil.copytree(fast_sequence, unlabelled)
+    (unlabelled / "gt" / "poses_ycb.txt").unlink()
+    (fast_sequence / "depth" / "1.float").unlink()
+    found, notes = labelled_sequences(root)
+    assert found == [fast_sequence]
+    assert "not labelled" in notes[0]
+    assert notes[1] == "006_mustard_bottle_real: 3 pictures and 2 depth files of 3 frames are there"
+    assert FastYcbSequence(fast_sequence, OFFSET_M).with_depth == (0, 2)
+    with pytest.raises(InputError, match="not labelled"):
+        labelled_sequences(unlabelled)

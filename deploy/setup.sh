@@ -50,3 +50,11 @@ fi
 export UV_PYTHON_DOWNLOADS=never
 "$UV/bin/uv" sync --frozen --quiet --python "$python" \
     --extra edge --extra onboard --extra viewer --extra realsense --extra oak --group dev
+if [ ! -e .venv/.welcomed ]; then
+    touch .venv/.welcomed
+    cat <<'NEXT'
+setup: done. `huepose` is .venv/bin/huepose; put it on your path for this shell with: source .venv/bin/activate
+  huepose demo                        the whole pipeline on a built-in scene (its first start compiles, a minute or two)
+  huepose new tea_box tea_box.obj     start with an object of your own: reference model, test frame, pipeline.yaml
+NEXT
+fi

@@ -1,4 +1,4 @@
-"""The built-in scene: a loop of RGB-D frames at 30 Hz with exact ground truth, made by code from a seed.
+"""A drawn scene: a loop of RGB-D frames at 30 Hz with exact ground truth, made by code from a seed.
 
 Several printed objects move over a table with clutter, turn, pass before each other, and are hidden in part
 by a bar now and then, under light that moves; depth is as noisy as an active stereo camera's. The loop is
@@ -134,11 +134,16 @@ class SyntheticScene:
         workers = max(1, min(4, os.cpu_count() or 1))
         with ThreadPoolExecutor(workers) as pool:
             ahead: list[Future[Shot]] = []
-            for i in progress(range(self._n_frames), "drawing the built-in scene, once"):
+            for i in progress(range(self._n_frames), "drawing the scene, once"):
                 while len(ahead) < 2 * workers and i + len(ahead) < self._n_frames:
                     ahead.append(pool.submit(take, i + len(ahead)))
                 shot = ahead.pop(0).result()
                 yield shot.color, shot.depth, _row(shot)
+
+
+def first_shot(objects: Mapping[str, Mesh], seed: int = 0, seconds: float = 8.0) -> Shot:
+    """Frame 0 of `SyntheticScene(seed, seconds, objects)`, without drawing the others. Raises InputError."""
+    return shoot(plan(objects, seed, round(seconds * RATE_HZ), CAMERA, RATE_HZ), 0, seed, COLOR, STEREO)
 
 
 def _row(shot: Shot) -> dict[str, Any]:

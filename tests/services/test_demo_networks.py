@@ -13,6 +13,8 @@ from tests.perception import networks
 def test_the_demo_switches_the_segmenter_by_one_word(segmenter, tmp_path):
     made = networks.sam_encoder(tmp_path / "encoder.onnx"), networks.sam_decoder(tmp_path / "decoder.onnx")
     perception = Perception(segmenter, [str(path) for path in made] if segmenter == "sam" else None)
-    config = parse(yaml.safe_dump(pipeline(0, tmp_path / "bundles", perception)), tmp_path / "pipeline.yaml")
+    config = parse(
+        yaml.safe_dump(pipeline(0, tmp_path / "bundles", (), perception)), tmp_path / "pipeline.yaml"
+    )
     assert (config.detector.kind, config.segmenter.kind) == ("colorpair", segmenter)
     deployed.check(config)

@@ -15,6 +15,19 @@ def add_parser(subparsers: Any) -> None:
     parser.add_argument("--seconds", type=float, default=25.0, metavar="S", help="how long (default: 25)")
     parser.add_argument("--seed", type=int, default=0, metavar="N", help="which scene (default: 0)")
     parser.add_argument(
+        "--bundles",
+        type=Path,
+        metavar="DIR",
+        help="a scene of your own objects: folder of reference models (default: built-in objects)",
+    )
+    parser.add_argument(
+        "--object",
+        nargs="+",
+        default=[],
+        metavar="NAME",
+        help="only these; up to five or so have room side by side",
+    )
+    parser.add_argument(
         "--segmenter",
         choices=("depth", "sam"),
         default="depth",
@@ -65,7 +78,15 @@ def call(arguments: argparse.Namespace) -> int:
     try:
         chosen = Perception(arguments.segmenter, arguments.sam)
         live = not arguments.headless
-        result = run_demo(arguments.seconds, arguments.seed, live, lambda: interrupted, chosen)
+        result = run_demo(
+            arguments.seconds,
+            arguments.seed,
+            live,
+            lambda: interrupted,
+            chosen,
+            arguments.bundles,
+            arguments.object,
+        )
     except DemoError as error:
         print(f"huepose demo: {error}", file=sys.stderr)
         return 1

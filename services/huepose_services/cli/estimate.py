@@ -6,6 +6,7 @@ import argparse
 import json
 import math
 import sys
+import time
 from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
@@ -73,6 +74,7 @@ def call(arguments: argparse.Namespace) -> int:
     from huepose.perception.colorpair_detector import ColorPairDetector
     from huepose.profiles import profile
 
+    begun = time.monotonic()
     frame = read_frame(arguments.color, arguments.depth, arguments.camera)
     box = _box(arguments.box, frame)
     models = load_models(arguments.bundles, arguments.object)
@@ -83,11 +85,17 @@ def call(arguments: argparse.Namespace) -> int:
     config = replace(settings.estimator, method=arguments.method, found_level=found_level)
     estimator = Estimator(models, config)
     estimator.warm_up(names)  # so that `seconds` is the time of an answer
+    prepared = time.monotonic()
     if box is None:
         detector = ColorPairDetector(models, settings.detector)
         answers = _detected(arguments, frame, models, estimator, detector, names)
     else:
         answers = [_answer(arguments, frame, models, estimator, name, box) for name in names]
+    print(
+        f"{prepared - begun:.1f} s to load and prepare {len(names)} models, "
+        f"{time.monotonic() - prepared:.1f} s to answer",
+        file=sys.stderr,
+    )
     _say_offset(frame, models, answers)
     text = json.dumps({"poses": [as_record(a) for a in answers]}, indent=2)
     if arguments.json:

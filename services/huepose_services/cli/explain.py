@@ -37,12 +37,14 @@ SURE = "nothing speaks against this answer"
 def draw_answers(
     frame: RgbdFrame, models: Mapping[str, ReferenceModel], answers: Sequence[PoseEstimate]
 ) -> UInt8:
-    """The colour image (H, W, 3) with the outline and the axes of every pose that was found."""
+    """The colour image (H, W, 3) with outline, axes, name, state and quality of every pose that was found."""
     picture = frame.color
     for k, answer in enumerate(answers):
         if answer.T_cam_obj is not None:
             mesh = models[answer.object].mesh
-            picture = draw_pose(picture, frame.camera, mesh, answer.T_cam_obj, COLORS[k % len(COLORS)])
+            label = f"{answer.object} {answer.state} {answer.quality:.2f}"
+            color = COLORS[k % len(COLORS)]
+            picture = draw_pose(picture, frame.camera, mesh, answer.T_cam_obj, color, label)
     return picture
 
 

@@ -10,15 +10,19 @@ import argparse
 import errno
 import os
 import sys
+from contextlib import AbstractContextManager, nullcontext
 from importlib import import_module
 from pathlib import Path
+from typing import Any
 
 # In the order in which `huepose --help` lists them.
 _VERBS = (
-    *("demo", "onboard", "estimate", "evaluate", "render_scenes", "train", "bench"),
+    *("demo", "new", "onboard", "estimate", "evaluate", "render_scenes", "train", "bench"),
     *("up", "run", "status", "top", "graph", "objects", "poses", "view", "record", "replay", "validate"),
     *("doctor", "models", "units"),
 )
+# Those that run compiled kernels in their own process.
+_COMPILING = frozenset({"new", "onboard", "onboard-bop", "estimate", "eval", "render-scenes", "bench"})
 # What the base installation, for subscribers, does without.
 _OF_EXTRAS = {
     **dict.fromkeys(("cv2", "numba", "scipy", "onnxruntime", "PIL"), "edge"),
@@ -70,6 +74,15 @@ def check_outputs(parsed: argparse.Namespace) -> None:
         raise InputError(f"--{option} {path}", found=found, expected="a place that can be written")
 
 
+def _told(verb: str) -> AbstractContextManager[Any]:
+    """What says that kernels are compiled, around a verb that may have to."""
+    if verb not in _COMPILING:
+        return nullcontext()
+    from huepose_services.cli.compiling import telling_of_compiling
+
+    return telling_of_compiling()
+
+
 def main(arguments: list[str] | None = None) -> int:
     """Run a command line. Returns the exit code."""
     parsed = build_parser().parse_args(arguments)
@@ -77,7 +90,8 @@ def main(arguments: list[str] | None = None) -> int:
 
     try:
         check_outputs(parsed)
-        code: int = parsed.call(parsed)
+        with _told(parsed.verb):
+            code: int = parsed.call(parsed)
         return code
     except InputError as error:
         print(f"huepose {parsed.verb}: {error}", file=sys.stderr)

@@ -10,10 +10,10 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from huepose.onboarding.batch import Onboarded
+    from huepose.onboarding.batch import Job, Onboarded
 
-# Few objects are smaller; a mesh in centimetres seems to be.
-_SMALL_M = 0.03
+# Few objects that are handled are smaller or larger; a mesh in another unit seems to be.
+_SMALL_M, _LARGE_M = 0.03, 0.6
 
 
 def add_parser(subparsers: Any) -> None:
@@ -69,33 +69,39 @@ def _paper(parser: argparse.ArgumentParser) -> None:
 
 def call(arguments: argparse.Namespace) -> int:
     """Onboard one mesh."""
+    from huepose.onboarding.batch import Job
+    from huepose.onboarding.declared import read_symmetries
+
+    symmetric = read_symmetries(arguments.symmetric) if arguments.symmetric else None
+    given = (arguments.mesh, arguments.name, arguments.id, arguments.unit)
+    onboard_one(Job(*given, symmetric=symmetric, paper=arguments.paper), arguments.out)
+    return 0
+
+
+def onboard_one(job: Job, out: Path) -> None:
+    """Onboard a mesh into a folder of reference models, with a progress bar and a line on what it is."""
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # small matrices: threads only cost
     from huepose.model.io import check_name
-    from huepose.onboarding.batch import Job, onboard_one
-    from huepose.onboarding.declared import read_symmetries
+    from huepose.onboarding import batch
     from huepose.onboarding.reference import STAGES
     from huepose.support.progress import progress
 
-    check_name(arguments.name)
-    _check_folder(arguments.out)
-    symmetric = read_symmetries(arguments.symmetric) if arguments.symmetric else None
-    given = (arguments.mesh, arguments.name, arguments.id, arguments.unit)
-    job = Job(*given, symmetric=symmetric, paper=arguments.paper)
+    check_name(job.name)
+    _check_folder(out)
     steps = progress(range(len(STAGES) + 1), f"onboarding {job.name}")
     try:
-        result = onboard_one(job, arguments.out, lambda stage: _advance(steps))
+        result = batch.onboard_one(job, out, lambda stage: _advance(steps))
         for _ in steps:
             pass
     finally:
         _close(steps)
     print(_line(result))
-    if arguments.unit is None and result.diameter_m < _SMALL_M:
+    if job.unit is None and not _SMALL_M < result.diameter_m < _LARGE_M:
         print(
             f"note: the mesh was taken as metres or millimetres, by its size. If the object is not "
             f"{result.diameter_m * 100:.1f} cm large, say what its unit is: --unit cm, for example",
             file=sys.stderr,
         )
-    return 0
 
 
 def call_bop(arguments: argparse.Namespace) -> int:

@@ -14,11 +14,11 @@ from typing import Any, TextIO
 import yaml
 
 from huepose.model import load_models
-from huepose.scenes.builtin import SyntheticScene
 from huepose.support.errors import InputError
 from huepose_protos.client import Reader
 from huepose_protos.messages import HealthMessage, Message, PoseMessage, TruthMessage
 from huepose_services.builtin import builtin_bundles
+from huepose_services.camera.synthetic import open_source
 from huepose_services.demo.score import Score, Yardstick
 from huepose_services.demo.table import Table
 from huepose_services.runtime.clock import SECOND, now_ns
@@ -59,21 +59,25 @@ def _is_path(text: str) -> bool:
 
 
 def run_demo(
-    seconds: float, seed: int, live: bool, stopping: Callable[[], bool], perception: Perception
+    seconds: float,
+    seed: int,
+    live: bool,
+    stopping: Callable[[], bool],
+    perception: Perception,
+    bundles: Path | None = None,
+    objects: Sequence[str] = (),
 ) -> dict[str, Any]:
     """The summary of a run of so many seconds, with the health of each worker at its end.
 
+    bundles: of one's own objects, all or those that are named; None: the built-in ones.
     Raises InputError when the pipeline cannot start, DemoError when it breaks."""
-    bundles = builtin_bundles(seed)
-    SyntheticScene(seed)  # computed here, with progress, where it is not in the cache folder
+    models = load_models(builtin_bundles(seed) if bundles is None else bundles, list(objects) or None)
     folder = Path(tempfile.mkdtemp(prefix="huepose-demo-"))
     path = folder / "pipeline.yaml"
-    path.write_text(yaml.safe_dump(pipeline(seed, bundles, perception)))
+    path.write_text(yaml.safe_dump(pipeline(seed, bundles, objects, perception)))
     config = load(path)
-    yardsticks = {
-        name: Yardstick.of(model.eval_points, model.diameter_m)
-        for name, model in load_models(bundles).items()
-    }
+    open_source(config)  # drawn here, with progress, where it is not in the cache folder
+    yardsticks = {name: Yardstick.of(model.eval_points, model.diameter_m) for name, model in models.items()}
     score = Score(yardsticks)
     log_path = folder / "huepose.log"
     try:
@@ -92,11 +96,15 @@ def run_demo(
     return {"summary": summary, "workers": {name: _brief(message) for name, message in health.items()}}
 
 
-def pipeline(seed: int, bundles: Path, perception: Perception) -> dict[str, Any]:
+def pipeline(
+    seed: int, bundles: Path | None, objects: Sequence[str], perception: Perception
+) -> dict[str, Any]:
     """The pipeline.yaml of the demo."""
+    own = {} if bundles is None else {"bundles": str(bundles.absolute())}
     return {
         "site": "demo",
-        "bundles": str(bundles),
+        **own,
+        "objects": [{"name": name} for name in objects],
         "camera": {"source": "synthetic", "seed": seed, "truth": True},
         **perception.sections(),
         "bus": {"base_port": free_ports(len(WORKERS))},

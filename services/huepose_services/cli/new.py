@@ -1,0 +1,84 @@
+"""`huepose new`: from a mesh to a folder with all that a first pose and a first live pipeline need."""
+
+from __future__ import annotations
+
+import argparse
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from huepose.geometry import Camera
+    from huepose.scenes.frame import Shot
+
+_PIPELINE = """\
+# What each key means: pipeline.yaml of the repository.
+bundles: bundles
+objects: [{{name: {name}}}]
+camera:
+  source: synthetic   # your object in a drawn scene; your camera: realsense or oak
+  truth: true         # what is drawn is known: take this line out with a camera
+"""
+
+
+def add_parser(subparsers: Any) -> None:
+    """Add the verb."""
+    parser = subparsers.add_parser(
+        "new",
+        help="start with an object of your own: reference model, test frame, pipeline.yaml",
+        description="Make a folder with the reference model of a mesh, a drawn frame to try `huepose "
+        "estimate` on, and a pipeline.yaml that plays a drawn scene of the moving object.",
+    )
+    parser.add_argument("name", metavar="NAME", help="the object's name: 1 to 64 of a-z, 0-9, _ and -")
+    parser.add_argument("mesh", type=Path, metavar="MESH", help="textured mesh (OBJ, PLY, GLB or glTF)")
+    parser.add_argument(
+        "--unit",
+        choices=("mm", "cm", "m", "in"),
+        default=None,
+        help="the mesh's unit; without it metres or millimetres, whichever is likelier by its size",
+    )
+    parser.add_argument("--out", type=Path, default=None, metavar="DIR", help="the folder (NAME)")
+    parser.set_defaults(call=call)
+
+
+def call(arguments: argparse.Namespace) -> int:
+    """Onboard, draw, write, and say what to do next."""
+    from huepose.model import load_models
+    from huepose.onboarding.batch import Job
+    from huepose.scenes.builtin import first_shot
+    from huepose.scenes.plan import CAMERA
+    from huepose.support.errors import InputError
+    from huepose_services.cli.onboard import onboard_one
+
+    out: Path = arguments.out or Path(arguments.name)
+    path = out / "pipeline.yaml"
+    if path.exists():
+        raise InputError(path, found="a file that is there already", expected="a new folder", fix="--out DIR")
+    onboard_one(Job(arguments.mesh, arguments.name, unit=arguments.unit), out / "bundles")
+    (model,) = load_models(out / "bundles", [arguments.name]).values()
+    write_frame(out, first_shot({model.name: model.mesh}), CAMERA)
+    path.write_text(_PIPELINE.format(name=model.name))
+    files = f"--color {out}/color.png --depth {out}/depth.png --camera {out}/camera.json"
+    print(
+        f"""
+{out} is ready. Next:
+  huepose estimate {files} --bundles {out}/bundles --image {out}/pose.png
+  huepose demo --bundles {out}/bundles      # the whole pipeline on it, with its accuracy
+  huepose up {path}      # live, until Ctrl-C; in another terminal: huepose poses, huepose view"""
+    )
+    return 0
+
+
+def write_frame(folder: Path, shot: Shot, camera: Camera) -> None:
+    """A frame as `huepose estimate` reads it: color.png, depth.png in tenths of a millimetre, camera.json."""
+    import json
+
+    import cv2
+    import numpy as np
+
+    from huepose_services.cli.explain import write_picture
+
+    write_picture(folder / "color.png", shot.color)
+    depth = np.rint(shot.depth * 10_000.0).clip(0, np.iinfo(np.uint16).max).astype(np.uint16)
+    (folder / "depth.png").write_bytes(cv2.imencode(".png", depth)[1].tobytes())
+    intrinsics = {key: getattr(camera, key) for key in ("fx", "fy", "cx", "cy", "width", "height")}
+    (folder / "camera.json").write_text(json.dumps({**intrinsics, "depth_scale_m": 0.0001}) + "\n")

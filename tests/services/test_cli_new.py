@@ -1,0 +1,51 @@
+"""`huepose new`: from a mesh to a folder that `estimate` and a pipeline run on; compiling is told."""
+
+from __future__ import annotations
+
+import io
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+from numba.core import event
+
+from huepose.datasets.bop_writer import write_obj
+from huepose.model import ReferenceModel
+from huepose.scenes.builtin import first_shot
+from huepose_services.cli.compiling import CompilingNotice
+from huepose_services.cli.main import main
+from huepose_services.runtime.config import load
+
+
+def test_a_mesh_becomes_a_folder_whose_frame_gives_its_pose(
+    tea_box: ReferenceModel, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    write_obj(tmp_path / "box.obj", tea_box.mesh)
+    out = tmp_path / "mine"
+    assert main(["new", "box", str(tmp_path / "box.obj"), "--unit", "m", "--out", str(out)]) == 0
+    assert f"huepose demo --bundles {out}/bundles" in capsys.readouterr().out
+    names = {"color": "color.png", "depth": "depth.png", "camera": "camera.json"}
+    files = [word for key, name in names.items() for word in (f"--{key}", str(out / name))]
+    assert main(["estimate", *files, "--bundles", str(out / "bundles"), "--json", str(out / "o.json")]) == 0
+    (pose,) = json.loads((out / "o.json").read_text())["poses"]
+    assert pose["state"] == "TRACKING"
+    truth = first_shot({"box": tea_box.mesh}).labels
+    assert truth.visib_fract[0] > 0.95
+    assert np.abs(truth.T_cam_obj[0] - np.array(pose["T_cam_obj"])).max() < 0.005
+    assert load(out / "pipeline.yaml").objects[0].name == "box"
+
+
+def test_a_folder_that_is_there_is_left_alone(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    (tmp_path / "pipeline.yaml").write_text("site: mine\n")
+    assert main(["new", "box", "box.obj", "--out", str(tmp_path)]) == 2
+    assert "is there already" in capsys.readouterr().err
+    assert (tmp_path / "pipeline.yaml").read_text() == "site: mine\n"
+
+
+def test_compiling_is_told_once() -> None:
+    said = io.StringIO()
+    notice = CompilingNotice(said)
+    for kind in (event.EventStatus.START, event.EventStatus.END) * 2:
+        notice.notify(event.Event("numba:compile", kind))
+    assert said.getvalue().count("compiling kernels for this computer") == 1

@@ -6,7 +6,7 @@ import hashlib
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
+from typing import Any, Protocol
 
 import cv2
 import numpy as np
@@ -35,6 +35,20 @@ class Seen:
     visib_fract: Float64
 
 
+class Shown(Protocol):
+    """Anything that can be played: the objects that it shows (a name stands there once per instance), and its
+    frames in order."""
+
+    @property
+    def objects(self) -> tuple[str, ...]:
+        """Names."""
+        ...
+
+    def __iter__(self) -> Iterator[Seen]:
+        """Frames."""
+        ...
+
+
 class Film:
     """The frames of a script, drawn at first use and kept in a folder."""
 
@@ -45,6 +59,11 @@ class Film:
 
     def __len__(self) -> int:
         return len(self.script.shown)
+
+    @property
+    def objects(self) -> tuple[str, ...]:
+        """The script's."""
+        return self.script.objects
 
     def __iter__(self) -> Iterator[Seen]:
         camera = self.script.stage.camera

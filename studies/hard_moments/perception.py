@@ -21,7 +21,7 @@ from huepose.model.types import ReferenceModel
 from huepose.profiles import profile
 from huepose.reinit.association import displacement_m
 from huepose.reinit.types import ObjectSlot, Request, RequestedObject
-from studies.hard_moments.film import Seen, noisy
+from studies.hard_moments.film import Seen, Shown, noisy
 from studies.hard_moments.scripts import Script
 
 SHIFT_M, TURN_RAD = 0.002, 0.02
@@ -58,7 +58,7 @@ class Oracle:
 
     starts_known = True
 
-    def __init__(self, script: Script, models: Mapping[str, ReferenceModel], seed: int = 0) -> None:
+    def __init__(self, script: Script | Shown, models: Mapping[str, ReferenceModel], seed: int = 0) -> None:
         self._objects = script.objects
         self._slots = {slot.object: slot for slot in slots_of(script.objects, models)}
         self._rng = np.random.default_rng([seed, 50])

@@ -20,7 +20,7 @@ from huepose.model.types import ReferenceModel
 from huepose.reinit.loop import ReinitLoop
 from huepose.reinit.types import PerceptionResult
 from huepose.tracking import Correction, TrackedPose, Tracker
-from studies.hard_moments.film import Film, Seen
+from studies.hard_moments.film import Seen, Shown
 from studies.hard_moments.perception import Perception, slots_of
 
 CHAIN_S = 0.35
@@ -60,22 +60,26 @@ class Played:
 
 
 def play(
-    film: Film,
+    film: Shown,
     models: Mapping[str, ReferenceModel],
     tracker: Tracker,
     *,
     perception: Perception | None = None,
     chain_s: float = CHAIN_S,
+    first: tuple[Float64, float] | None = None,
     on_frame: Callable[[Seen, list[TrackedPose]], None] | None = None,
 ) -> Played:
-    """Track a film. Without `perception` the tracker is alone after the true first poses."""
-    objects = film.script.objects
+    """Track a film. Without `perception` the tracker is alone after the true first poses, or after the pose
+    and the quality `first`, of a film of one object."""
+    objects = film.objects
     loop = ReinitLoop(objects=slots_of(objects, models))
     due: list[tuple[int, PerceptionResult]] = []
     played = Played([[] for _ in objects])
-    for seen in film:
+    for number, seen in enumerate(film):
         now_ns = seen.frame.stamp_ns
-        if seen.frame.frame_id == 0 and (perception is None or perception.starts_known):
+        if number == 0 and first is not None:
+            tracker.correct(Correction.first(objects[0], first[0], seen.frame, first[1]))
+        elif number == 0 and (perception is None or perception.starts_known):
             for k, name in enumerate(objects):
                 tracker.correct(_first(name, objects[:k].count(name), seen, k))
         for item in [d for d in due if d[0] <= now_ns]:
@@ -124,7 +128,10 @@ def _told(
     for k, name in enumerate(objects):
         for j, pose in enumerate(poses):
             if pose.object == name and pose.T_cam_obj is not None:
-                add = metrics.add(models[name].eval_points, pose.T_cam_obj, seen.T_cam_obj[k])
+                add = min(
+                    metrics.add(models[name].eval_points, pose.T_cam_obj, seen.T_cam_obj[k] @ turn)
+                    for turn in models[name].equivalents
+                )
                 errors[k, j] = add / models[name].diameter_m
     cost = np.minimum(errors, 10.0)
     for k, name in enumerate(objects):

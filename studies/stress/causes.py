@@ -1,0 +1,151 @@
+"""What is fed of a film, by cause: large steps, jumps, wrong starts, what a loaded machine leaves."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
+from itertools import accumulate, cycle, takewhile
+
+import numpy as np
+
+from huepose.geometry import se3
+from huepose.geometry.arrays import Float64
+from huepose.model import ReferenceModel
+from studies.hard_moments.film import Seen
+from studies.stress.films import Film
+
+STEPS = (1, 3, 5, 7, 10, 15)
+OFFSETS = 3
+"""Runs of one step, each from another first frame."""
+
+WRONG_STARTS = ("shifted", "turned", "turned over", "elsewhere", "on another object", "in the table")
+CLAIMED = 0.9
+"""Quality that a wrong first pose comes with."""
+
+JUMP_AT, JUMP_FRAMES = 15, 20
+LEAST_VISIBLE = 0.5
+"""A run begins with a frame that shows this much of the object."""
+
+LOADED_GAPS = (1, 2, 1, 2, 1, 1, 2, 1, 2, 1, 1, 1, 1, 1, 1, 3, 1, 1, 1, 1, 2, 1, 1, 26)
+"""Frames between those that a tracker got to see, as recorded with six busy processes on two cores; the last
+gap is a search that had to wait for the processor."""
+
+Rng = np.random.Generator
+
+
+@dataclass(frozen=True, eq=False)
+class Run:
+    """What a tracker is fed: frames in order with their stamps, and the first pose with its quality."""
+
+    name: str
+    cause: str
+    film: Film
+    frames: tuple[Seen, ...]
+    first: Float64
+    quality: float = 1.0
+
+    @property
+    def objects(self) -> tuple[str, ...]:
+        """The one object."""
+        return (self.film.object,)
+
+    def __iter__(self) -> Iterator[Seen]:
+        """The frames."""
+        return iter(self.frames)
+
+
+def runs(film: Film, model: ReferenceModel, seed: int) -> Iterator[Run]:
+    """All runs of a film that it allows."""
+    rng = np.random.default_rng([seed, *film.name.encode()])
+    if film.kind in ("carried", "recorded"):
+        for step in STEPS:
+            for k in range(min(step, OFFSETS)):
+                offset = k * step // min(step, OFFSETS)
+                yield from _run(
+                    film, f"step {step}", range(offset, len(film.frames), step), f" from {offset}"
+                )
+        last = range(JUMP_AT + JUMP_FRAMES, len(film.frames))
+        yield from _run(film, "jump", (*range(JUMP_AT), *last), at_once=True)
+        yield from _run(film, "loaded machine", loaded_schedule(len(film.frames)))
+        for cause in WRONG_STARTS:
+            yield from _wrong(film, model, cause, rng)
+    else:
+        for step in (1, 5):
+            yield from _run(film, film.kind, range(0, len(film.frames), step), f" step {step}")
+
+
+def loaded_schedule(count: int) -> list[int]:
+    """Which of `count` frames of a camera at 30 Hz a tracker gets to see on a loaded machine."""
+    kept = accumulate(cycle(LOADED_GAPS), initial=0)
+    return list(takewhile(lambda i: i < count, kept))
+
+
+def _run(
+    film: Film,
+    cause: str,
+    chosen: Sequence[int],
+    suffix: str = "",
+    at_once: bool = False,
+) -> Iterator[Run]:
+    kept = [film.frames[i] for i in chosen]
+    while kept and kept[0].visib_fract[0] < LEAST_VISIBLE:
+        kept.pop(0)
+    if len(kept) < 2:
+        return
+    if at_once:
+        # The frames between are cut out, as if the object had been put elsewhere in no time.
+        stamps = [round(k * 1e9 / 30.0) for k in range(len(kept))]
+        kept = [
+            replace(s, frame=replace(s.frame, frame_id=k, stamp_ns=t))
+            for k, (s, t) in enumerate(zip(kept, stamps, strict=True))
+        ]
+    yield Run(f"{film.name}: {cause}{suffix}", cause, film, tuple(kept), kept[0].T_cam_obj[0])
+
+
+def _wrong(film: Film, model: ReferenceModel, cause: str, rng: Rng) -> Iterator[Run]:
+    begin = int(rng.integers(0, len(film.frames) // 3))
+    shown = [s for s in film.frames[begin:] if s.visib_fract[0] >= LEAST_VISIBLE]
+    if not shown:
+        return
+    kept = film.frames[shown[0].frame.frame_id :][:40]
+    truth, frame = kept[0].T_cam_obj[0], kept[0].frame
+    centre, R = truth[:3, :3] @ model.mesh.centre + truth[:3, 3], truth[:3, :3]
+    if cause == "shifted":
+        shift = rng.normal(0, 1, 3)
+        centre = centre + shift / np.linalg.norm(shift) * model.diameter_m * rng.uniform(0.2, 2.0)
+    elif cause == "turned":
+        R = _turn(rng, rng.uniform(np.pi / 4, np.pi)) @ R
+    elif cause == "turned over":
+        if len(model.turns) < 2:
+            return
+        turn = model.turns[1 + int(rng.integers(len(model.turns) - 1))]
+        R, centre = (truth @ turn)[:3, :3], (truth @ turn @ np.append(model.mesh.centre, 1.0))[:3]
+    elif cause == "elsewhere":
+        centre, R = _on_a_surface(kept[0], rng), _turn(rng, rng.uniform(0, np.pi)) @ R
+    elif cause == "in the table":
+        at = _on_a_surface(kept[0], rng)
+        centre = at * (1.0 + 0.5 * model.diameter_m / float(at[2]))
+    elif not len(film.others):
+        return
+    else:
+        other = film.others[int(rng.integers(len(film.others)))]
+        R, centre = other[:3, :3], other[:3, 3]
+        pixel = frame.camera.project(centre[None])[0]
+        if not (0 <= pixel[0] < frame.camera.width and 0 <= pixel[1] < frame.camera.height):
+            return
+    first = se3.make(R, centre - R @ model.mesh.centre)
+    yield Run(f"{film.name}: {cause}", cause, film, kept, first, CLAIMED)
+
+
+def _turn(rng: Rng, angle: float) -> Float64:
+    axis = rng.normal(size=3)
+    return se3.rotation_exp(axis / np.linalg.norm(axis) * angle)
+
+
+def _on_a_surface(seen: Seen, rng: Rng) -> Float64:
+    """A point (3,) that the camera sees."""
+    rows, columns = np.nonzero(seen.frame.depth > 0.3)
+    k = int(rng.integers(len(rows)))
+    pixel = np.array([[columns[k], rows[k]]], float)
+    depth = seen.frame.depth[rows[k : k + 1], columns[k : k + 1]]
+    return np.asarray(seen.frame.camera.backproject(pixel, depth)[0])

@@ -1,0 +1,164 @@
+"""Drawn films of one object for two seconds, kept on disk, and recorded sequences in the same form."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from huepose.datasets.fast_ycb import FastYcbSequence, object_of
+from huepose.geometry import RgbdFrame, se3
+from huepose.geometry.arrays import Float64
+from huepose.model import ReferenceModel
+from huepose.scenes.frame import Stage, shoot
+from huepose.scenes.loop_file import open_loop, write_loop
+from huepose.scenes.sensor import COLOR, STEREO
+from huepose.support.errors import InputError
+from studies.drawn_sequences import FRAMES, RATE_HZ, staged
+from studies.hard_moments.film import Seen
+from studies.hard_moments.scripts import smooth
+from studies.stress.objects import look_alike
+
+VERSION = 1  # raise it when any pixel changes
+AWAY = se3.make(np.eye(3), np.array([0.0, 0.0, -2.0]))
+"""Behind the camera."""
+
+LEFT, BACK, RAMP, ASIDE_M = 22, 36, 8, 0.9
+SWAPPED = 30
+RESTS, LIFTED, SLIDES_M_S = 18, 32, 0.15
+
+Rng = np.random.Generator
+
+
+@dataclass(frozen=True, eq=False)
+class Film:
+    """Frames of one object with the truth. kind: "carried", "leaves", "swapped", "plain" or "recorded";
+    others (K, 4, 4): poses T_cam_mesh of what stands around."""
+
+    name: str
+    kind: str
+    object: str
+    frames: tuple[Seen, ...]
+    others: Float64
+
+
+def drawn(
+    cache: Path,
+    kind: str,
+    model: ReferenceModel,
+    models: Mapping[str, ReferenceModel],
+    seed: int,
+    number: int,
+) -> Film | None:
+    """Film `number` of a seed, from disk where it was drawn before; None for a swap that nobody could see."""
+    rng = np.random.default_rng([seed, number])
+    stage = _stage(kind, model, [m for m in models.values() if m is not model], rng)
+    if stage is None:
+        return None
+    name = f"{seed}-{number:03d}-{kind}-{model.name}"
+    path = cache / f"{name}-{VERSION}.loop"
+    found = open_loop(path)
+    if found is None:
+        write_loop(path, _frames(stage, seed * 1000 + number, stereo=number % 2 == 1), {"name": name})
+        found = open_loop(path)
+    if found is None:
+        raise InputError(path, found="a file that changed while it was written", fix="Try again.")
+    loop, rows = found
+    frames = []
+    for i, row in enumerate(rows):
+        frame = RgbdFrame(loop.color(i), loop.depth(i), stage.camera, i, round(i * 1e9 / RATE_HZ), 1)
+        frames.append(Seen(frame, np.array(row["T_cam_obj"]), np.array(row["visib_fract"])))
+    others = [stage.T_room_mesh[k, 0] for k in range(2, len(stage.meshes))]
+    return Film(name, kind, model.name, tuple(frames), np.array(others).reshape(-1, 4, 4))
+
+
+def recorded(path: Path, models: Mapping[str, ReferenceModel]) -> Film:
+    """A sequence in Fast-YCB's layout; without `visib_fract.json` the object counts as wholly visible."""
+    model = models[object_of(path)]
+    offset = np.zeros(3) if model.frame_offset_m is None else model.frame_offset_m
+    sequence, shares = FastYcbSequence(path, offset), path / "visib_fract.json"
+    visible = json.loads(shares.read_text()) if shares.exists() else None
+    frames = []
+    for k, i in enumerate(sequence.image_ids):
+        T = sequence.truths(i)[0].T_cam_obj
+        if T is None:
+            raise InputError(path, found=f"no pose in frame {i}", expected="a label in every frame")
+        share = 1.0 if visible is None else visible[k]
+        frame = replace(sequence.frame(i), frame_id=k, epoch=1)
+        frames.append(Seen(frame, T[None], np.array([share])))
+    return Film(path.name, "recorded", model.name, tuple(frames), np.zeros((0, 4, 4)))
+
+
+def _frames(stage: Stage, seed: int, stereo: bool) -> Iterator[tuple[Any, Any, dict[str, Any]]]:
+    for i in range(FRAMES):
+        shot = shoot(stage, i, seed, COLOR, STEREO if stereo else None)
+        row = {"T_cam_obj": shot.labels.T_cam_obj.tolist(), "visib_fract": shot.labels.visib_fract.tolist()}
+        yield shot.color, shot.depth, row
+
+
+def _stage(kind: str, model: ReferenceModel, others: list[ReferenceModel], rng: Rng) -> Stage | None:
+    stage = staged(model, others, rng)
+    path = stage.T_room_mesh[0].copy()
+    if kind == "leaves":
+        return _moved(stage, _leaving(path, model.mesh.centre, rng))
+    if kind == "swapped":
+        other = look_alike(model.mesh)
+        if other is None:
+            return None
+        coming = path.copy()
+        coming[:SWAPPED], path[SWAPPED:] = AWAY, AWAY
+        all_paths = np.concatenate([path[None], stage.T_room_mesh[1:], coming[None]])
+        return replace(stage, meshes=(*stage.meshes, other), T_room_mesh=all_paths)
+    if kind == "plain":
+        ground = stage.meshes[1]
+        plain = np.full((64, 64, 3), rng.integers(90, 256, 3), np.uint8)
+        bare = replace(ground, texture=plain)
+        stage = replace(stage, meshes=(stage.meshes[0], bare, *stage.meshes[2:]))
+        return _moved(stage, _lifted(path, model, stage.T_room_mesh[1, 0], rng))
+    return stage
+
+
+def _moved(stage: Stage, path: Float64) -> Stage:
+    return replace(stage, T_room_mesh=np.concatenate([path[None], stage.T_room_mesh[1:]]))
+
+
+def _leaving(path: Float64, centre_obj: Float64, rng: Rng) -> Float64:
+    """Out of the picture on one side and back from the other, turned meanwhile."""
+    frames = np.arange(len(path))
+    away, middle = smooth(len(path), LEFT, BACK, RAMP), (LEFT + BACK) // 2
+    out, turn = path.copy(), se3.rotation_exp(rng.normal(0, 1.0, 3))
+    centres = path[:, :3, :3] @ centre_obj + path[:, :3, 3]
+    centres[:, 0] += ASIDE_M * away * np.where(frames < middle, -1.0, 1.0)
+    out[middle:, :3, :3] = out[middle:, :3, :3] @ turn
+    out[:, :3, 3] = centres - out[:, :3, :3] @ centre_obj
+    return out
+
+
+def _lifted(path: Float64, model: ReferenceModel, T_room_ground: Float64, rng: Rng) -> Float64:
+    """It slides on the ground, one face up, and is then picked up and carried away."""
+    up, mesh = T_room_ground[:3, 2], model.mesh
+    up = up if up[2] < 0 else -up
+    axis, sign = int(rng.integers(3)), float(rng.choice([-1.0, 1.0]))
+    side = np.zeros(3)
+    side[axis] = sign
+    x = np.cross(up, rng.normal(0, 1, 3))
+    x /= np.linalg.norm(x)
+    frame_room = np.stack([x, np.cross(up, x), up], -1)
+    first = np.eye(3)[(axis + 1) % 3]
+    second = np.cross(side, first)
+    R = frame_room @ np.stack([first, second, side])
+    height = float(-(mesh.vertices @ side).min())
+    start = path[0, :3, :3] @ mesh.centre + path[0, :3, 3]
+    ray = start / start[2]
+    foot = ray * float(up @ T_room_ground[:3, 3]) / float(up @ ray)
+    out = path.copy()
+    for k in range(len(path)):
+        centre = foot + x * SLIDES_M_S * (k - RESTS / 2) / RATE_HZ + up * (height + float(mesh.centre @ side))
+        resting = se3.make(R, centre - R @ mesh.centre)
+        share = float(np.clip((k - RESTS) / (LIFTED - RESTS), 0.0, 1.0))
+        out[k] = se3.interpolate(resting, path[k], share * share * (3 - 2 * share))
+    return out

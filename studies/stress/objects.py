@@ -1,0 +1,105 @@
+"""Objects by code that a tracker finds hard: plain ones, ones with plain sides or repeated labels."""
+
+from __future__ import annotations
+
+import hashlib
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+
+import numpy as np
+
+from huepose.geometry import Mesh
+from huepose.geometry.arrays import UInt8
+from huepose.model import ReferenceModel, load_model, save_model
+from huepose.onboarding import onboard_mesh
+from huepose.scenes import prints
+from huepose.scenes.charts import blocks, revolved
+from huepose.scenes.prints import Art, Palette, Rng
+from huepose.scenes.shapes import demo_objects, printed
+
+
+def builtin_meshes(seed: int) -> dict[str, Mesh]:
+    """Twelve objects of 9 to 19 cm in metres; another seed gives other colours, pictures and texts."""
+    rng = np.random.default_rng([seed, 21])
+
+    def drawn(charts: Sequence, arts: Sequence[Art], hue: float) -> Mesh:
+        return printed(charts, arts, prints.palette(hue, rng), rng, 512)
+
+    box = blocks([-0.05, 0.05], [-0.032, 0.032], [-0.07, 0.07], np.ones((1, 1, 1), bool))
+    slab = blocks([-0.06, 0.06], [-0.045, 0.045], [-0.016, 0.016], np.ones((1, 1, 1), bool))
+    corner = blocks(
+        [-0.06, -0.03, 0.06], [-0.03, 0.03], [-0.05, -0.02, 0.05], np.array([[[1, 1]], [[1, 0]]], bool)
+    )
+    tray = blocks(
+        [-0.07, -0.05, 0.05, 0.07],
+        [-0.05, -0.035, 0.035, 0.05],
+        [-0.03, -0.02, 0.03],
+        _hollow(),
+    )
+    can = revolved([_lid(-1), [(0.04, z) for z in np.linspace(-0.05, 0.05, 8)], _lid(1)])
+    hues = rng.uniform() + np.arange(7) / 7.0
+    front = prints.front("BRAND", "plain sides", "NEW")
+    own = {
+        "half_printed_box": drawn(
+            box, [_plain, _plain, front, _plain, prints.blocks("LOT 41"), _plain], hues[0]
+        ),
+        "plain_slab": drawn(slab, [_plain] * (len(slab) - 1) + [front], hues[1]),
+        "plain_bracket": drawn(corner, [_plain] * len(corner), hues[2]),
+        "plain_tray": drawn(tray, [_plain] * (len(tray) - 1) + [prints.sticker("NO 7", 1)], hues[3]),
+        "repeated_can": drawn(can, [prints.lid("BASE"), _repeated, prints.lid("PULL")], hues[4]),
+        "half_plain_can": drawn(can, [prints.lid("BASE"), _one_label, prints.lid("TOP")], hues[5]),
+        "plain_box": drawn(box, [_plain] * 5 + [prints.sticker("THIS WAY", 2)], hues[6]),
+    }
+    return {**demo_objects(seed), **own}
+
+
+def look_alike(mesh: Mesh) -> Mesh | None:
+    """The same shape in other colours; None for one so grey that nobody could tell."""
+    other = np.ascontiguousarray(mesh.texture[..., [1, 2, 0]])
+    differs = np.abs(other.astype(int) - mesh.texture).mean()
+    return Mesh(mesh.vertices, mesh.faces, mesh.uv, other) if differs > LEAST_DIFFERENCE else None
+
+
+LEAST_DIFFERENCE = 25.0
+"""Of 255, mean over the texture: what anybody can tell."""
+
+
+def builtin_models(seed: int, cache: Path) -> Mapping[str, ReferenceModel]:
+    """Reference models of the built-in objects, made once."""
+    out = {}
+    for name, mesh in builtin_meshes(seed).items():
+        digest = hashlib.sha256(mesh.vertices.tobytes() + mesh.texture.tobytes()).hexdigest()[:12]
+        path = cache / f"{name}-{digest}.huepose"
+        if not path.exists():
+            cache.mkdir(parents=True, exist_ok=True)
+            save_model(onboard_mesh(mesh, name), path)
+        out[name] = load_model(path)
+    return out
+
+
+def _plain(rng: Rng, height: int, width: int, p: Palette) -> UInt8:
+    return prints.plain(height, width, p.base)
+
+
+def _repeated(rng: Rng, height: int, width: int, p: Palette) -> UInt8:
+    """Three labels alike, as on many cans."""
+    once = prints.wrapper("SOUP", "daily", "1")(rng, height, max(8, width // 3), p)
+    return np.ascontiguousarray(np.tile(once, (1, 4, 1))[:, :width])
+
+
+def _one_label(rng: Rng, height: int, width: int, p: Palette) -> UInt8:
+    """A label on a third of the way round, the rest plain."""
+    image, part = prints.plain(height, width, p.base), width // 3
+    image[:, :part] = prints.front("OIL", "cold pressed", "BIO")(rng, height, part, p)
+    return image
+
+
+def _hollow() -> np.ndarray:
+    filled = np.ones((3, 3, 2), bool)
+    filled[1, 1, 1] = False
+    return filled
+
+
+def _lid(side: int) -> list[tuple[float, float]]:
+    profile = [(0.0, side * 0.05), (0.02, side * 0.05), (0.04, side * 0.05)]
+    return profile if side < 0 else profile[::-1]

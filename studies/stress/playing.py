@@ -1,0 +1,108 @@
+"""Playing the films of a split to trackers, each film a job of its own."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from functools import cache
+from pathlib import Path
+from typing import Any
+
+import cv2
+
+from huepose.model import ReferenceModel, load_models
+from huepose.support.files import cache_folder
+from huepose.tracking import Tracker
+from studies.hard_moments.perception import Oracle
+from studies.hard_moments.play import play
+from studies.stress.causes import runs
+from studies.stress.films import drawn, recorded
+from studies.stress.objects import builtin_models
+
+
+@dataclass(frozen=True)
+class Split:
+    """seed: of films, and of the prints of the built-in objects; objects: BOP ids of reference models."""
+
+    seed: int
+    objects: tuple[int, ...]
+
+
+SPLITS = {
+    "fit": Split(41, (1, 3, 5, 8, 12, 15, 18, 20)),
+    "choose": Split(42, (2, 4, 7, 17)),
+    "report": Split(43, (6, 9, 10, 11, 14, 19, 21)),
+}
+KINDS = ("carried", "plain", "leaves", "carried", "swapped")
+MODES = ("alone", "with_loop")
+
+Row = dict[str, Any]
+
+
+@dataclass(frozen=True)
+class Job:
+    """One film: of a split and its number there, or recorded."""
+
+    split: str
+    number: int
+    bundles: Path | None
+    recorded: Path | None
+    modes: tuple[str, ...]
+
+    @property
+    def name(self) -> str:
+        """Unique in a folder of results."""
+        kind = "builtin" if self.bundles is None else "bundles"
+        return str(self.recorded) if self.recorded is not None else f"{self.split}-{kind}-{self.number}"
+
+
+@cache
+def models_of(split: str, bundles: Path | None) -> Mapping[str, ReferenceModel]:
+    if bundles is not None:
+        return load_models(bundles)
+    seed = SPLITS[split].seed
+    return builtin_models(seed, cache_folder() / "stress" / f"objects-{seed}")
+
+
+def played(job: Job) -> list[Row]:
+    """All runs of a film: what was published in every frame; one row without frames where there is none."""
+    cv2.setNumThreads(1)
+    split, models = SPLITS[job.split], models_of(job.split, job.bundles)
+    if job.recorded is not None:
+        film = recorded(job.recorded, models)
+    else:
+        names = sorted(models)
+        if job.bundles is not None:
+            names = sorted(n for n, m in models.items() if m.object_id in split.objects)
+        model = models[names[job.number % len(names)]]
+        kind = KINDS[job.number % len(KINDS)]
+        found = drawn(cache_folder() / "stress", kind, model, models, split.seed, job.number)
+        if found is None:
+            return [{"job": job.name, "frames": []}]
+        film = found
+    model, rows = models[film.object], []
+    for run in runs(film, model, split.seed):
+        for mode in job.modes:
+            tracker = Tracker({film.object: model})
+            perception = Oracle(run, models, split.seed) if mode == "with_loop" else None
+            (told,) = play(run, models, tracker, perception=perception, first=(run.first, run.quality)).told
+            frames = [
+                (
+                    t.stamp_ns,
+                    t.visib_fract,
+                    t.state,
+                    t.right,
+                    round(t.quality, 3),
+                    round(min(t.error, 99.0), 4),
+                )
+                for t in told
+            ]
+            facts = {
+                "job": job.name,
+                "mode": mode,
+                "cause": run.cause,
+                "run": run.name,
+                "object": film.object,
+            }
+            rows.append({**facts, "film": film.name, "frames": frames})
+    return rows or [{"job": job.name, "frames": []}]

@@ -1,0 +1,80 @@
+"""What is fed to a tracker under stress, and how it counts."""
+
+import numpy as np
+import pytest
+
+from huepose.geometry import Camera, RgbdFrame, se3
+from huepose.model import ReferenceModel
+from studies.hard_moments.film import Seen
+from studies.stress.causes import JUMP_AT, JUMP_FRAMES, loaded_schedule, runs
+from studies.stress.films import Film
+from studies.stress.objects import builtin_meshes, look_alike
+from studies.stress.report import figures
+
+FRAME_NS = round(1e9 / 30)
+
+
+@pytest.fixture
+def film() -> Film:
+    """An object that moves 1 cm to the right in every frame, before a wall at 1 m."""
+    camera = Camera(100.0, 100.0, 31.5, 23.5, 64, 48)
+    color, depth = np.zeros((48, 64, 3), np.uint8), np.full((48, 64), 1.0, np.float32)
+    frames = []
+    for k in range(60):
+        T = se3.make(np.eye(3), np.array([0.01 * k, 0.0, 0.6]))
+        frame = RgbdFrame(color, depth, camera, frame_id=k, stamp_ns=k * FRAME_NS)
+        frames.append(Seen(frame, T[None], np.array([1.0])))
+    return Film("film", "carried", "box", tuple(frames), np.zeros((0, 4, 4)))
+
+
+def test_steps_keep_their_time_and_a_jump_takes_none(film: Film, tea_box: ReferenceModel) -> None:
+    by_cause = {run.cause: run for run in runs(film, tea_box, 0)}
+    stamps = [s.frame.stamp_ns for s in by_cause["step 10"].frames]
+    assert set(np.diff(stamps)) == {10 * FRAME_NS}
+    jump = by_cause["jump"].frames
+    moved = jump[JUMP_AT].T_cam_obj[0, 0, 3] - jump[JUMP_AT - 1].T_cam_obj[0, 0, 3]
+    assert moved == pytest.approx(0.01 * (JUMP_FRAMES + 1))
+    assert jump[JUMP_AT].frame.stamp_ns - jump[JUMP_AT - 1].frame.stamp_ns == pytest.approx(FRAME_NS, abs=2)
+
+
+def test_wrong_starts_are_wrong_and_claim_to_be_right(film: Film, tea_box: ReferenceModel) -> None:
+    by_cause = {run.cause: run for run in runs(film, tea_box, 0)}
+    for cause in ("shifted", "turned", "elsewhere", "in the table"):
+        run = by_cause[cause]
+        off = run.first @ np.linalg.inv(run.frames[0].T_cam_obj[0])
+        apart = np.linalg.norm(se3.apply(off, tea_box.eval_points) - tea_box.eval_points, axis=1).mean()
+        assert run.quality == 0.9
+        assert apart > 0.1 * tea_box.diameter_m
+    assert by_cause["shifted"].first[:3, :3] == pytest.approx(np.eye(3))
+
+
+def test_a_loaded_machine_drops_frames() -> None:
+    kept = loaded_schedule(60)
+    assert kept[0] == 0
+    assert kept == sorted(set(kept))
+    assert 30 in kept
+    assert 31 not in kept
+
+
+def test_a_look_alike_has_the_shape_and_other_colours() -> None:
+    mesh = builtin_meshes(1)["tea_box"]
+    other = look_alike(mesh)
+    assert other is not None
+    assert np.array_equal(other.vertices, mesh.vertices)
+    assert not np.array_equal(other.texture, mesh.texture)
+
+
+def test_figures_of_a_run_that_is_known() -> None:
+    """Ten frames: right, two wrong and believed, one wrong and doubted, right again."""
+    states = ["TRACKING"] * 5 + ["SUSPECT"] + ["TRACKING"] * 4
+    right = [True] * 3 + [False] * 3 + [True] * 4
+    frames = [
+        (k * FRAME_NS, 1.0, state, ok, 0.9, 0.0)
+        for k, (state, ok) in enumerate(zip(states, right, strict=True))
+    ]
+    found = figures([{"film": "one", "frames": frames}])
+    assert found["false_frames"] == 2
+    assert found["false_twice_in_a_row"] == 1
+    assert found["coverage"] == pytest.approx(70.0)
+    assert found["suspect_after_frames_most"] == 2
+    assert found["back_after_s_median"] == pytest.approx(3 / 30, abs=1e-6)

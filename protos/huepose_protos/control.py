@@ -15,7 +15,8 @@ class ObjectEntry(Struct, frozen=True, kw_only=True):
 
     `resets`: how often it was told to be searched for anew; `retired`: [camera epoch, number], instances of
     that epoch below that number are over for that reason, null when there are none; `box`: where it was said
-    to be at the last time, null when nothing was said."""
+    to be at the last time, null when nothing was said; `reason`: why it is not seen, as far as perception
+    knows, empty when all of it is."""
 
     object: Name
     max_instances: Annotated[int, Meta(ge=1, le=64)]
@@ -23,6 +24,7 @@ class ObjectEntry(Struct, frozen=True, kw_only=True):
     resets: Count = 0
     retired: tuple[Epoch, Index] | None = None
     box: BoxXYWH | None = None
+    reason: Text = ""
 
     def __post_init__(self) -> None:
         check_box(self.box)

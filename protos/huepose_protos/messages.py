@@ -148,7 +148,8 @@ class EstimatedObject(Struct, frozen=True, kw_only=True):
     """The estimator's answer for one requested object; instance as it was requested.
 
     score judges the pose, prior_score the refined prior on the same pixels; prior_translation and
-    prior_quaternion are that refined prior. quality: the probability that the pose is right."""
+    prior_quaternion are that refined prior. quality: the probability that the pose is right.
+    reason: why nothing was found, empty where something was."""
 
     object: Name
     instance: Index | None
@@ -166,6 +167,7 @@ class EstimatedObject(Struct, frozen=True, kw_only=True):
     box: BoxXYWH | None = None
     mask: MaskRuns | None = None
     seconds: Annotated[float, Meta(ge=0.0)] = 0.0
+    reason: Text = ""
 
     def __post_init__(self) -> None:
         check_pose(self.translation, self.quaternion)

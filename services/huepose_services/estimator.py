@@ -134,4 +134,5 @@ def estimate_to_wire(answer: PoseEstimate, instance: int | None) -> EstimatedObj
         box=None if answer.box is None else box_to_wire(answer.box),
         mask=None if answer.mask is None else runs_of(answer.mask),
         seconds=answer.seconds,
+        reason=answer.reason,
     )

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from dataclasses import asdict
 
 from huepose.estimation.types import PoseEstimate
@@ -85,6 +86,8 @@ class ReinitWork:
         self._answers = bus.inbox.queue(bus.keys.estimates)
         self._camera = OneCamera()
         self._tracks: dict[tuple[str, int], TrackedPose] = {}
+        self._sought: dict[int, tuple[str, ...]] = {}
+        self._reasons: dict[str, str] = {}
         self._next_look_ns = self._next_objects_ns = now_ns()
 
     def due_ns(self) -> int | None:
@@ -101,6 +104,7 @@ class ReinitWork:
             if not self._camera.agrees(answer.camera_epoch, now_ns()):
                 self._bus.health.count("answers_of_another_camera")
                 continue
+            self._reasons |= reasons_not_seen(self._sought.get(answer.request_seq, ()), answer)
             for correction in self._loop.answer(now_ns(), result_from_wire(answer)):
                 self._send(correction)
             self._bus.health.camera_epoch, self._bus.health.frame_id = answer.camera_epoch, answer.frame_id
@@ -112,6 +116,8 @@ class ReinitWork:
         self._next_look_ns = max(self._next_look_ns + _LOOK_NS, now)
         request = self._loop.tick(now, self._living())
         if request is not None:
+            new = tuple(item.object for item in request.objects if item.instance is None)
+            self._sought = {request.number: new}  # one request is in flight
             self._bus.put_control(self._bus.keys.request, request_to_wire(request))
         for correction in self._loop.repeats(now):
             self._send(correction)
@@ -158,7 +164,9 @@ class ReinitWork:
         missing = {item.object: item.missing for item in self._loop.searching()}
         for entry in self._objects.entries():
             name = entry.object
-            self._objects.tell(name, missing.get(name, 0), self._retired.of(name))
+            count = missing.get(name, 0)
+            reason = self._reasons.get(name, "") if count else ""
+            self._objects.tell(name, count, self._retired.of(name), reason)
         self._bus.put(
             self._bus.keys.objects, ObjectsMessage(publish_ns=now_ns(), objects=self._objects.entries())
         )
@@ -173,6 +181,21 @@ def slow_text(age_s: float) -> str | None:
         "later. `huepose top` shows which worker takes how long; fewer other programs, fewer objects, or one "
         "at a time (reinit.objects_per_tick: 1) make it faster"
     )
+
+
+def reasons_not_seen(sought: Iterable[str], answer: Estimates) -> dict[str, str]:
+    """Why each object of which a new instance was sought in a picture is not seen there, by name."""
+    out = {}
+    for name in sought:
+        mine = [e for e in answer.estimates if e.object == name and e.instance is None]
+        best = max(mine, key=lambda e: e.quality, default=None)
+        if best is None:
+            out[name] = "No place in the picture looks like the object."
+        elif best.found:
+            out[name] = f"Something like it is seen, too doubtful to follow (quality {best.quality:.2f})."
+        else:
+            out[name] = best.reason
+    return out
 
 
 def track_from_wire(message: PoseMessage) -> TrackedPose:
@@ -220,6 +243,7 @@ def _estimate_from_wire(e: EstimatedObject) -> PoseEstimate:
         prior_T_cam_obj=optional_pose_from_wire(e.prior_translation, e.prior_quaternion),
         alternatives=(),
         seconds=e.seconds,
+        reason=e.reason,
     )
 
 

@@ -58,12 +58,12 @@ class ObjectList:
             out, self._orders = self._orders, []
             return out
 
-    def tell(self, name: str, searching: int, retired: tuple[int, int] | None) -> None:
+    def tell(self, name: str, searching: int, retired: tuple[int, int] | None, reason: str) -> None:
         """Take over what the loop knows of an object, if it is still looked for."""
         with self._lock:
             if name in self._entries:
                 self._entries[name] = msgspec.structs.replace(
-                    self._entries[name], searching=searching, retired=retired
+                    self._entries[name], searching=searching, retired=retired, reason=reason
                 )
 
     def decide(self, request: ControlRequest) -> tuple[bool, str]:

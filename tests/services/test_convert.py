@@ -1,5 +1,7 @@
 """What goes over the wire comes back as it was: poses, priors, corrections, estimates, depth."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from hypothesis import given
@@ -14,7 +16,13 @@ from huepose_protos.examples import messages
 from huepose_protos.messages import CorrectionMessage, Estimates, FrameHeader, PerceptionRequest, PoseMessage
 from huepose_services.convert import depth_to_wire, pose_from_wire, pose_to_wire, prior_from_wire
 from huepose_services.estimator import estimate_to_wire
-from huepose_services.reinit import correction_to_wire, request_to_wire, result_from_wire, track_from_wire
+from huepose_services.reinit import (
+    correction_to_wire,
+    reasons_not_seen,
+    request_to_wire,
+    result_from_wire,
+    track_from_wire,
+)
 from huepose_services.tracker import correction_from_wire
 from huepose_services.tracker import pose_to_wire as tracked_to_wire
 
@@ -96,7 +104,23 @@ def test_estimates_come_back(instance):
         "thing", -1, True, T, 0.9, "TRACKING", 1.5, 0.2, COVARIANCE, MASK, Box(1, 2, 3, 4), 1.4, T, (), 0.1
     )
     lost = PoseEstimate(
-        "thing", -1, False, None, 0.0, "LOST", 0.1, 0.0, None, None, None, None, None, (), 0.1
+        "thing",
+        -1,
+        False,
+        None,
+        0.0,
+        "LOST",
+        0.1,
+        0.0,
+        None,
+        None,
+        None,
+        None,
+        None,
+        (),
+        0.1,
+        None,
+        "Hidden.",
     )
     message = Estimates(
         publish_ns=1,
@@ -116,6 +140,30 @@ def test_estimates_come_back(instance):
     assert (back.score, back.prior_score, back.margin, back.quality) == (1.5, 1.4, 0.2, 0.9)
     assert not nothing.found
     assert nothing.T_cam_obj is None
+    assert (back.reason, nothing.reason) == ("", "Hidden.")
+
+
+def test_why_objects_that_are_sought_are_not_seen():
+    def seen(name, quality, reason="", instance=None):
+        T_found = None if reason else T
+        pose = PoseEstimate(
+            name, -1, not reason, T_found, quality, "SUSPECT", 1.0, 0.0, None, None, None, None, None, (), 0.1
+        )
+        return estimate_to_wire(replace(pose, reason=reason), instance)
+
+    answer = Estimates(
+        publish_ns=1,
+        request_seq=8,
+        camera_epoch=5,
+        frame_id=9,
+        capture_ns=123,
+        estimates=[seen("mug", 0.0, "Hidden."), seen("jar", 0.62), seen("can", 0.9, instance=2)],
+    )
+    assert reasons_not_seen(["mug", "jar", "can"], answer) == {
+        "mug": "Hidden.",
+        "jar": "Something like it is seen, too doubtful to follow (quality 0.62).",
+        "can": "No place in the picture looks like the object.",
+    }
 
 
 def test_depth_is_rounded_to_its_unit_and_what_it_cannot_hold_is_no_reading():

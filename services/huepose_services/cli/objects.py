@@ -116,7 +116,7 @@ def _print_list(reply: ControlReply, as_json: bool) -> None:
         print(msgspec.json.encode(reply.objects).decode())
         return
     for entry in reply.objects:
-        missing = f", {entry.searching} not seen yet" if entry.searching else ""
+        missing = f", {entry.searching} not seen yet. {entry.reason}" if entry.searching else ""
         print(f"{entry.object:32s} up to {entry.max_instances}{missing}")
     if not reply.objects:
         print("nothing is looked for")

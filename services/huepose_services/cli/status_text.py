@@ -35,6 +35,8 @@ def as_text(view: View) -> str:
             lines.append(
                 f"{entry.object:32s} SEARCHING  {entry.searching} of {entry.max_instances} never seen"
             )
+            if entry.reason:
+                lines.append(f"  {entry.reason}")
     return "\n".join(lines)
 
 

@@ -14,6 +14,7 @@ from huepose.datasets.types import GroundTruth, Sample, Scene
 from huepose.estimation.present import Presence
 from huepose.estimation.types import ObjectQuery, PoseEstimate
 from huepose.estimation.verdict import standing, why_none_stands
+from huepose.evaluation.bop_errors import BopObject, bop_errors
 from huepose.evaluation.equivalents import Key
 from huepose.evaluation.estimate_rows import EstimateResult, EstimateRow, FalsePose
 from huepose.evaluation.targets import Targets, object_number
@@ -76,9 +77,11 @@ def evaluate_estimates(
     detector: Detector | None = None,
     presence: Presence | None = None,
     on_frame: Callable[[Sample, list[EstimateRow]], None] | None = None,
+    bop_objects: Mapping[int, BopObject] | None = None,
 ) -> EstimateResult:
     """Run the estimator over all labelled images of the scenes. `on_frame` sees each frame with its rows.
     `presence`: says which answers in a detector's boxes stand; their quality does without it.
+    `bop_objects`: by BOP id, what the errors of the BOP challenge are measured on, where they are wanted.
 
     Raises InputError when nothing is labelled, or `boxes` is `detect` without a detector."""
     if options.boxes == "detect" and detector is None:
@@ -95,7 +98,7 @@ def evaluate_estimates(
             continue
         sample = Sample(scene.frame(image), truths, scene.name, image)
         for seed in options.seeds:
-            run = _FrameRun(sample, labels, targets, options, seed, equivalents or {})
+            run = _FrameRun(sample, labels, targets, options, seed, equivalents or {}, bop_objects or {})
             if detector is not None and options.boxes == "detect":
                 new, wrong = run.detected(estimator, detector, presence)
                 false += wrong
@@ -140,6 +143,7 @@ class _FrameRun:
     options: EstimateOptions
     seed: int
     equivalents: Mapping[Key, Sequence[Float64]]
+    bop_objects: Mapping[int, BopObject]
 
     def boxed(self, estimator: PoseEstimator) -> list[EstimateRow]:
         """One query for each label."""
@@ -256,6 +260,11 @@ class _FrameRun:
         key = (self.sample.scene, self.sample.image, truth.instance)
         equivalents = self.equivalents.get(key, ())
         error = self.targets.error(label.model, T_cam_obj, label.T_cam_obj, equivalents)
+        measured = self.bop_objects.get(label.model.object_id) if label.model.object_id is not None else None
+        bop = None
+        if measured is not None:
+            frame = self.sample.frame
+            bop = bop_errors(measured, T_cam_obj, label.T_cam_obj, frame.depth, frame.camera)
         others = answer.alternatives if answer is not None and answer.found else ()
         return EstimateRow(
             scene=self.sample.scene,
@@ -273,6 +282,7 @@ class _FrameRun:
             reason=why if answer is None else answer.reason,
             box=None if query is None else query.box,
             terms=None if answer is None else answer.terms,
+            bop=bop,
             alternatives=tuple(
                 (p, self.targets.right(label.model, T, label.T_cam_obj, equivalents)) for T, p in others
             ),

@@ -11,6 +11,7 @@ import numpy as np
 from huepose.believe.quality import QualityTerms
 from huepose.evaluation import metrics
 from huepose.evaluation.bootstrap import Interval, frame_intervals
+from huepose.evaluation.bop_errors import BopErrors, average_recalls
 from huepose.evaluation.summary import Figures, grouped, mean_figures
 from huepose.evaluation.targets import PoseError
 from huepose.geometry.arrays import Float64
@@ -26,7 +27,7 @@ class EstimateRow:
     seconds: wall time of the whole frame, all its objects; box: what the estimator was given, x y w h;
     terms: what the quality was made of, None where nothing could be looked at; alternatives: the other
     answers' probabilities, and whether each is right; reason: why nothing was found, empty where something
-    was."""
+    was; bop: the errors of the BOP challenge, None where not measured."""
 
     scene: str
     image: int
@@ -44,6 +45,7 @@ class EstimateRow:
     terms: QualityTerms | None = None
     alternatives: tuple[tuple[float, bool], ...] = ()
     reason: str = ""
+    bop: BopErrors | None = None
 
     def as_json(self) -> dict[str, Any]:
         """The row in its file form."""
@@ -68,6 +70,7 @@ class EstimateRow:
             "box": None if self.box is None else list(self.box),
             "terms": None if self.terms is None else asdict(self.terms),
             "alternatives": [{"probability": p, "right": right} for p, right in self.alternatives],
+            **({} if self.bop is None else {"bop": self.bop.as_json()}),
         }
 
 
@@ -159,12 +162,14 @@ def _pose_figures(rows: Sequence[EstimateRow]) -> Figures:
     add = np.array([r.error.add_m for r in rows])
     adds = np.array([r.error.adds_m for r in rows])
     official = np.array([r.error.official_add_m for r in rows])
+    measured = [row.bop.as_json() for row in rows if row.bop is not None]
     return {
         **metrics.four_figures(add, adds, diameters),
         "recall_add_official": metrics.recall(official, diameters) if len(rows) else None,
         "auc_add_official": metrics.auc(official) if len(rows) else None,
         "auc_voc_add": metrics.auc_voc(add) if len(rows) else None,
         "auc_voc_adds": metrics.auc_voc(adds) if len(rows) else None,
+        **({} if not measured else average_recalls(measured)),
     }
 
 

@@ -24,13 +24,14 @@ _FAR_M = 10.0
 
 @dataclass(frozen=True, eq=False)
 class PublishedPose:
-    """What a tracker said of one track at one frame; T_cam_obj (4, 4) or None."""
+    """What a tracker said of one track at one frame; T_cam_obj (4, 4) and velocity (6,) or None."""
 
     object: str
     track: int
     T_cam_obj: Float64 | None
     state: str | None
     quality: float
+    velocity: Float64 | None = None
 
 
 @dataclass(frozen=True, eq=False)

@@ -229,7 +229,8 @@ class _Run:
         self, sample: Sample, here: Sequence[Place], tracked: Sequence[TrackedPose], seconds: float
     ) -> tuple[list[TrackRow], int]:
         published = [
-            PublishedPose(t.object, t.instance, t.T_cam_obj, t.state.value, t.quality) for t in tracked
+            PublishedPose(t.object, t.instance, t.T_cam_obj, t.state.value, t.quality, t.velocity)
+            for t in tracked
         ]
         chosen, phantoms = match(here, published)
         stamp_ns = sample.frame.stamp_ns

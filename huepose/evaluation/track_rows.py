@@ -10,6 +10,7 @@ import numpy as np
 
 from huepose.evaluation import metrics
 from huepose.evaluation.instances import Place, PublishedPose
+from huepose.evaluation.roft_errors import FIGURES, roft_figures
 from huepose.evaluation.states import Moment, StateReport, combined, report
 from huepose.evaluation.summary import Figures, grouped, largest, mean_figures
 from huepose.evaluation.targets import PoseError, Targets, object_number
@@ -29,7 +30,8 @@ class TrackRow:
     """One instance of an object in one frame, and what was published for it.
 
     ordinal: which of several instances of its object it is, from 0; error and gt_instance are None where the
-    frame has no label of it; seconds: the frame's wall time, all objects, None where not known."""
+    frame has no label of it; seconds: the frame's wall time, all objects, None where not known; T_truth: the
+    labelled pose (4, 4); velocity (6,): as published."""
 
     sequence: str
     frame: int
@@ -48,6 +50,8 @@ class TrackRow:
     quality: float
     seconds: float | None
     seed: int
+    T_truth: Float64 | None = None
+    velocity: Float64 | None = None
 
     @property
     def scored(self) -> bool:
@@ -71,6 +75,8 @@ class TrackRow:
             "gt_instance": self.gt_instance,
             "track": self.track,
             "T_cam_obj": self.T_cam_obj,
+            "T_truth": self.T_truth,
+            "velocity": self.velocity,
             "add_m": None if self.error is None else self.error.add_m,
             "adds_m": None if self.error is None else self.error.adds_m,
             "diameter_m": self.diameter_m,
@@ -120,6 +126,8 @@ def row_of(
         quality=0.0 if pose is None else pose.quality,
         seconds=seconds,
         seed=seed,
+        T_truth=None if truth is None else truth.T_cam_obj,
+        velocity=None if pose is None else pose.velocity,
     )
 
 
@@ -162,14 +170,13 @@ class TrackResult:
         rows = [row for row in self.rows if row.seed == seed]
         sequences, reports = {}, []
         for name, own in grouped(rows, lambda r: r.sequence).items():
-            states = [
-                report([row.moment for row in instance])
-                for instance in grouped(own, lambda r: (r.object, r.ordinal)).values()
-            ]
+            instances = list(grouped(own, lambda r: (r.object, r.ordinal)).values())
+            states = [report([row.moment for row in instance]) for instance in instances]
             reports += states
             phantoms = self.phantoms.get((name, seed), 0)
             sequences[name] = {
                 **_pose_figures(own),
+                **mean_figures(_roft_figures(instance) for instance in instances),
                 **_state_figures(combined(states), phantoms),
                 **_fps(own),
             }
@@ -208,7 +215,10 @@ _COUNTS = (
     "declared_suspect_after_frames",
     "declared_lost_after_frames",
 )
-_MEANS = ("recall_add", "recall_adds", "auc_add", "auc_adds", "auc_voc_add", "coverage_tracking")
+_MEANS = (
+    *("recall_add", "recall_adds", "auc_add", "auc_adds", "auc_voc_add", "auc_voc_adds", "coverage_tracking"),
+    *FIGURES,
+)
 
 
 def _counts_as_whole(figures: Figures) -> Figures:
@@ -224,8 +234,24 @@ def _pose_figures(rows: Sequence[TrackRow]) -> Figures:
     add = np.array([error.add_m for error, _ in errors])
     adds = np.array([error.adds_m for error, _ in errors])
     diameters = np.array([diameter for _, diameter in errors])
-    voc = metrics.auc_voc(add) if len(add) else None
-    return {**metrics.four_figures(add, adds, diameters), "auc_voc_add": voc, "instances": float(len(add))}
+    return {
+        **metrics.four_figures(add, adds, diameters),
+        "auc_voc_add": metrics.auc_voc(add) if len(add) else None,
+        "auc_voc_adds": metrics.auc_voc(adds) if len(add) else None,
+        "instances": float(len(add)),
+    }
+
+
+def _roft_figures(rows: Sequence[TrackRow]) -> Figures:
+    """Of the frames of one instance that count, in order."""
+    scored = [row for row in rows if row.scored]
+    velocities = [row.velocity for row in scored]
+    return roft_figures(
+        [row.T_cam_obj for row in scored],
+        [row.T_truth for row in scored],
+        [row.stamp_ns for row in scored],
+        velocities if any(v is not None for v in velocities) else None,
+    )
 
 
 def _state_figures(states: StateReport, phantoms: int) -> Figures:

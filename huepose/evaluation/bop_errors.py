@@ -1,0 +1,142 @@
+"""The pose errors of the BOP challenge, and its average recall. Pure functions; errors in metres and pixels.
+
+Hodan et al., *BOP Challenge 2020 on 6D Object Localization*; thresholds as in bop_toolkit's
+`scripts/eval_bop19_pose.py`. A missing pose is wrong at every threshold. Each label is scored with the pose
+that was asked for it: where an image shows an object once, as in YCB-V, this is what BOP's matching does.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from huepose.geometry import Camera, Mesh, se3, symmetry
+from huepose.geometry.arrays import Float, Float32, Float64
+from huepose.rendering import render_depth
+
+VSD_DELTA_M = 0.015
+"""Tolerance of the visibility masks on YCB-V."""
+
+FRACTIONS = np.arange(0.05, 0.51, 0.05)
+"""Misalignment tolerances of VSD and thresholds of MSSD, as shares of the diameter; thresholds of VSD."""
+
+PIXELS = np.arange(5, 51, 5)
+"""Thresholds of MSPD in an image 640 pixels wide."""
+
+_SYMMETRY_STEP_RAD = 0.02
+"""A point turns by a hundredth of the diameter at most between two samples of a continuous symmetry."""
+
+
+@dataclass(frozen=True, eq=False)
+class BopObject:
+    """What an object's errors are measured on. mesh: in metres; diameter_m: as the data set states it;
+    symmetries (S, 4, 4): T_cam_obj and T_cam_obj @ symmetry count alike."""
+
+    mesh: Mesh
+    diameter_m: float
+    symmetries: Float64
+
+    @staticmethod
+    def of(mesh: Mesh, info: Mapping[str, Any]) -> BopObject:
+        """mesh and its entry of `models_info.json` (millimetres)."""
+        return BopObject(
+            mesh, float(info["diameter"]) / 1000.0, symmetry.sampled(info, step_rad=_SYMMETRY_STEP_RAD)
+        )
+
+
+@dataclass(frozen=True)
+class BopErrors:
+    """vsd: by misalignment tolerance, 0..1; mssd: over the diameter; mspd_px: in an image 640 wide."""
+
+    vsd: tuple[float, ...]
+    mssd: float
+    mspd_px: float
+
+    @staticmethod
+    def missing() -> BopErrors:
+        """No pose."""
+        return BopErrors((1.0,) * len(FRACTIONS), np.inf, np.inf)
+
+    def as_json(self) -> dict[str, Any]:
+        """The errors in their file form."""
+        return {"vsd": list(self.vsd), "mssd": self.mssd, "mspd_px": self.mspd_px}
+
+
+def bop_errors(
+    obj: BopObject, T_estimate: Float | None, T_truth: Float, depth_m: Float32, camera: Camera
+) -> BopErrors:
+    """All three errors of a pose (4, 4), or of None, in a frame with this depth (H, W)."""
+    if T_estimate is None:
+        return BopErrors.missing()
+    rendered = [render_depth(obj.mesh, T, camera) for T in (T_estimate, T_truth)]
+    discrepancy = vsd(rendered[0], rendered[1], depth_m, camera, obj.diameter_m)
+    surface, projection = mssd_mspd(obj.mesh.vertices, T_estimate, T_truth, obj.symmetries, camera)
+    return BopErrors(tuple(discrepancy.tolist()), surface / obj.diameter_m, projection * 640.0 / camera.width)
+
+
+def vsd(
+    depth_estimate_m: Float32,
+    depth_truth_m: Float32,
+    depth_m: Float32,
+    camera: Camera,
+    diameter_m: float,
+    delta_m: float = VSD_DELTA_M,
+) -> Float64:
+    """Visible surface discrepancy (10,) at the tolerances FRACTIONS, of rendered and measured depths (H, W).
+
+    A pixel without depth hides nothing, and what is visible of the label is visible of the estimate."""
+    columns, rows = np.meshgrid(np.arange(camera.width), np.arange(camera.height))
+    slope_x, slope_y = (columns - camera.cx) / camera.fx, (rows - camera.cy) / camera.fy
+
+    def distance(depth: Float32) -> Float64:
+        return np.asarray(np.sqrt((slope_x * depth) ** 2 + (slope_y * depth) ** 2 + depth.astype(float) ** 2))
+
+    measured, truth, estimate = distance(depth_m), distance(depth_truth_m), distance(depth_estimate_m)
+    seen_truth = (truth > 0) & ((truth - measured <= delta_m) | (measured == 0))
+    seen_estimate = (estimate > 0) & ((estimate - measured <= delta_m) | (measured == 0) | seen_truth)
+    both, either = seen_truth & seen_estimate, int((seen_truth | seen_estimate).sum())
+    if not either:
+        return np.ones(len(FRACTIONS))
+    apart = np.sort(np.abs(truth[both] - estimate[both]) / diameter_m)
+    wrong = len(apart) - np.searchsorted(apart, FRACTIONS, side="left")
+    return np.asarray((wrong + (either - len(apart))) / either, np.float64)
+
+
+def mssd_mspd(
+    points_obj: Float, T_estimate: Float, T_truth: Float, symmetries: Float, camera: Camera
+) -> tuple[float, float]:
+    """Maximum symmetry-aware distances of surface points (N, 3), metres, and of their projections, pixels."""
+    points = np.asarray(points_obj, np.float64)
+    estimate = se3.apply(T_estimate, points)
+    pixels = _projected(estimate, camera)
+    surface = projection = np.inf
+    for turn in symmetries:
+        truth = se3.apply(T_truth @ turn, points)
+        surface = min(surface, float(((estimate - truth) ** 2).sum(1).max()))
+        projection = min(projection, float(((pixels - _projected(truth, camera)) ** 2).sum(1).max()))
+    return float(np.sqrt(surface)), float(np.sqrt(projection))
+
+
+def _projected(points_cam: Float64, camera: Camera) -> Float64:
+    focal, centre = np.array([camera.fx, camera.fy]), np.array([camera.cx, camera.cy])
+    with np.errstate(divide="ignore", invalid="ignore"):  # a point at the camera is far from any pixel
+        return np.nan_to_num(points_cam[:, :2] / points_cam[:, 2:] * focal + centre, nan=np.inf)
+
+
+def average_recalls(errors: Sequence[Mapping[str, Any]]) -> dict[str, float | None]:
+    """`ar` and its parts `ar_vsd`, `ar_mssd`, `ar_mspd` of N errors in their file form, percent.
+
+    `mssd` and `mspd_px` of None are a missing pose's. Each part is the mean recall over its thresholds (VSD:
+    and its tolerances), AR the mean of the three."""
+    if not errors:
+        return dict.fromkeys(("ar", "ar_vsd", "ar_mssd", "ar_mspd"))
+    discrepancy = np.array([e["vsd"] for e in errors], np.float64)
+    parts = [float((discrepancy[..., None] < FRACTIONS).mean())]
+    for key, limits in (("mssd", FRACTIONS), ("mspd_px", PIXELS)):
+        values = np.array([np.inf if e[key] is None else e[key] for e in errors], np.float64)
+        parts.append(float((values[:, None] < limits).mean()))
+    v, s, p = (100.0 * part for part in parts)
+    return {"ar": (v + s + p) / 3.0, "ar_vsd": v, "ar_mssd": s, "ar_mspd": p}

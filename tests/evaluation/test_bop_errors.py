@@ -1,0 +1,103 @@
+"""VSD, MSSD, MSPD and average recall on cases worked by hand."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from huepose.evaluation.bop_errors import BopErrors, BopObject, average_recalls, bop_errors, mssd_mspd, vsd
+from huepose.geometry import Camera, se3
+
+from .conftest import CAMERA, HALF_TURN, box_mesh
+
+LONG = Camera(1e5, 1e5, 4.5, 4.5, 10, 10)
+"""All its rays run along z, so that distances are depths."""
+
+
+def at(x: float, y: float, z: float, angle: float = 0.0) -> np.ndarray:
+    """T_cam_obj, turned about the camera's z axis."""
+    return se3.make(se3.rotation_exp([0, 0, angle]), [x, y, z])
+
+
+def flat(depth_m: float, columns: slice = slice(None)) -> np.ndarray:
+    depth = np.zeros((10, 10), np.float32)
+    depth[:, columns] = depth_m
+    return depth
+
+
+def test_vsd_counts_pixels_that_are_farther_apart_than_the_tolerance() -> None:
+    """20.1 mm of a diameter of 100 mm: wrong at 5, 10, 15 and 20 %, right from 25 % on."""
+    errors = vsd(flat(1.0201), flat(1.0), flat(0.0), LONG, 0.1)
+    np.testing.assert_allclose(errors, [1, 1, 1, 1, 0, 0, 0, 0, 0, 0])
+
+
+def test_vsd_counts_pixels_of_one_surface_alone() -> None:
+    """Of the 10 columns of the label the estimate covers 6, and 2 of these are 30 mm too far: 4/10, 6/10."""
+    estimate = flat(1.0, slice(0, 6))
+    estimate[:, :2] = 1.0301
+    errors = vsd(estimate, flat(1.0), flat(1.0), LONG, 0.1)
+    np.testing.assert_allclose(errors, [0.6] * 6 + [0.4] * 4)
+
+
+def test_vsd_leaves_out_what_is_hidden_and_keeps_what_has_no_depth() -> None:
+    """3 columns are hidden by a thing 20 mm nearer, 2 have no depth; the estimate lacks one visible one."""
+    measured = flat(1.0)
+    measured[:, :3], measured[:, 8:] = 0.98, 0.0
+    estimate = flat(1.0, slice(0, 9))
+    np.testing.assert_allclose(vsd(estimate, flat(1.0), measured, LONG, 0.1), [1 / 7] * 10)
+    measured[:, :3] = 0.986  # within 15 mm: not hidden
+    np.testing.assert_allclose(vsd(estimate, flat(1.0), measured, LONG, 0.1), [1 / 10] * 10)
+
+
+def test_vsd_of_nothing_visible_is_one() -> None:
+    np.testing.assert_array_equal(vsd(flat(0.0), flat(0.0), flat(1.0), LONG, 0.1), np.ones(10))
+
+
+def test_surface_and_projection_distances_by_hand() -> None:
+    """A plate at 0.5 m moved by 10 mm along x: 10 mm, and 120 px * 0.01 / 0.5 = 2.4 px."""
+    plate = np.array([[x, y, 0.0] for x in (-0.05, 0.05) for y in (-0.02, 0.02)])
+    T, moved = at(0.0, 0.0, 0.5), at(0.01, 0.0, 0.5)
+    only = np.eye(4)[None]
+    np.testing.assert_allclose(mssd_mspd(plate, moved, T, only, CAMERA), (0.01, 2.4))
+    turned = T @ HALF_TURN
+    wide = 2 * np.hypot(0.05, 0.02)
+    np.testing.assert_allclose(mssd_mspd(plate, turned, T, only, CAMERA), (wide, wide * 120 / 0.5))
+    both = np.stack([np.eye(4), HALF_TURN])
+    np.testing.assert_allclose(mssd_mspd(plate, turned, T, both, CAMERA), (0, 0), atol=1e-12)
+
+
+def test_an_object_takes_symmetries_and_diameter_from_the_data_set() -> None:
+    info = {"diameter": 200.0, "symmetries_continuous": [{"axis": [0, 0, 1], "offset": [0, 0, 0]}]}
+    obj = BopObject.of(box_mesh((0.1, 0.1, 0.1)), info)
+    assert (obj.diameter_m, len(obj.symmetries)) == (0.2, 315)
+    T = at(0.0, 0.0, 0.6)
+    depth = np.zeros((CAMERA.height, CAMERA.width), np.float32)
+    right = bop_errors(obj, T, T, depth, CAMERA)
+    assert (max(right.vsd), right.mssd, right.mspd_px) == (0.0, 0.0, 0.0)
+    farther = bop_errors(obj, at(0.0, 0.0, 0.62), T, depth, CAMERA)
+    assert farther.mssd == pytest.approx(0.1)  # 20 mm of 200
+    # The corner nearest to the camera moves most: 50 mm off the axis, from 550 to 570 mm away; 160 columns.
+    assert farther.mspd_px == pytest.approx(4 * 120 * np.hypot(0.05, 0.05) * (1 / 0.55 - 1 / 0.57))
+    assert bop_errors(obj, None, T, depth, CAMERA) == BopErrors.missing()
+
+
+def test_average_recall_by_hand() -> None:
+    """One exact pose, one missing, one with 12 % MSSD, 22 px, and VSD 0.3 at all tolerances."""
+    exact = BopErrors((0.0,) * 10, 0.0, 0.0).as_json()
+    middle = BopErrors((0.3,) * 10, 0.12, 22.0).as_json()
+    missing = {**BopErrors.missing().as_json(), "mssd": None, "mspd_px": None}
+    recalls = average_recalls([exact, middle, missing])
+    assert recalls["ar_vsd"] == pytest.approx(100 * (1 + 0.4) / 3)  # right at 35, 40, 45 and 50 %
+    assert recalls["ar_mssd"] == pytest.approx(100 * (1 + 0.8) / 3)  # right from 15 % on
+    assert recalls["ar_mspd"] == pytest.approx(100 * (1 + 0.6) / 3)  # right from 25 px on
+    assert recalls["ar"] == pytest.approx(100 * (3 + 1.8) / 9)
+    assert average_recalls([])["ar"] is None
+
+
+def test_errors_do_not_change_when_the_world_is_turned_with_the_camera() -> None:
+    points = box_mesh((0.1, 0.2, 0.3)).vertices
+    T, other = at(0.02, 0.0, 0.6, 0.3), at(0.03, 0.01, 0.62, 0.4)
+    roll = se3.make(se3.rotation_exp([0, 0, 1.1]), np.zeros(3))
+    square = Camera(120.0, 120.0, 79.5, 79.5, 160, 160)
+    here = mssd_mspd(points, other, T, np.eye(4)[None], square)
+    np.testing.assert_allclose(mssd_mspd(points, roll @ other, roll @ T, np.eye(4)[None], square), here)

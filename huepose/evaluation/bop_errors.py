@@ -123,7 +123,8 @@ def mssd_mspd(
 def _projected(points_cam: Float64, camera: Camera) -> Float64:
     focal, centre = np.array([camera.fx, camera.fy]), np.array([camera.cx, camera.cy])
     with np.errstate(divide="ignore", invalid="ignore"):  # a point at the camera is far from any pixel
-        return np.nan_to_num(points_cam[:, :2] / points_cam[:, 2:] * focal + centre, nan=np.inf)
+        pixels = points_cam[:, :2] / points_cam[:, 2:] * focal + centre
+    return np.asarray(np.nan_to_num(pixels, nan=np.inf), np.float64)
 
 
 def average_recalls(errors: Sequence[Mapping[str, Any]]) -> dict[str, float | None]:

@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import time
+from collections import Counter
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Literal, Protocol
 
 import numpy as np
 
+from huepose.datasets.bop_detections import BopDetections
 from huepose.datasets.boxes import Disturbance, disturbed, projected_box, truth_box
 from huepose.datasets.types import GroundTruth, Sample, Scene
 from huepose.estimation.present import Presence
@@ -39,19 +41,20 @@ class PoseEstimator(Protocol):
 
 @dataclass(frozen=True)
 class EstimateOptions:
-    """boxes `detect` asks a detector for all objects in every image; masks `gt` gives the true visible mask.
+    """boxes `detect` asks a detector for all objects in every image, `file` takes the surest box of each
+    label's object from a file; masks `gt` gives the true visible mask.
 
     Labels under `min_visib` are left out; those of unknown visibility are kept."""
 
-    boxes: Disturbance | Literal["detect"] = "perturbed"
+    boxes: Disturbance | Literal["detect", "file"] = "perturbed"
     masks: Literal["auto", "gt"] = "auto"
     min_visib: float = 0.0
     seeds: tuple[int, ...] = (0,)
 
     def __post_init__(self) -> None:
-        if self.boxes == "detect" and self.masks == "gt":
+        if self.boxes in ("detect", "file") and self.masks == "gt":
             raise InputError(
-                "--boxes detect with --masks gt",
+                f"--boxes {self.boxes} with --masks gt",
                 found="true masks for boxes that belong to no label",
                 fix="Use --masks auto.",
             )
@@ -78,12 +81,14 @@ def evaluate_estimates(
     presence: Presence | None = None,
     on_frame: Callable[[Sample, list[EstimateRow]], None] | None = None,
     bop_objects: Mapping[int, BopObject] | None = None,
+    given: BopDetections | None = None,
 ) -> EstimateResult:
     """Run the estimator over all labelled images of the scenes. `on_frame` sees each frame with its rows.
     `presence`: says which answers in a detector's boxes stand; their quality does without it.
     `bop_objects`: by BOP id, what the errors of the BOP challenge are measured on, where they are wanted.
 
-    Raises InputError when nothing is labelled, or `boxes` is `detect` without a detector."""
+    `given`: the boxes for `file`. Raises InputError when nothing is labelled, or `boxes` is `detect` without
+    a detector."""
     if options.boxes == "detect" and detector is None:
         raise InputError("--boxes detect", found="no detector", fix="Give one, or use --boxes perturbed.")
     rows: list[EstimateRow] = []
@@ -101,6 +106,9 @@ def evaluate_estimates(
             run = _FrameRun(sample, labels, targets, options, seed, equivalents or {}, bop_objects or {})
             if detector is not None and options.boxes == "detect":
                 new, wrong = run.detected(estimator, detector, presence)
+                false += wrong
+            elif given is not None and options.boxes == "file":
+                new, wrong = run.given(estimator, given)
                 false += wrong
             else:
                 new = run.boxed(estimator)
@@ -179,7 +187,8 @@ class _FrameRun:
             if not mask.any():
                 return None
             masks = (mask,)
-        kind = "gt" if self.options.boxes == "detect" else self.options.boxes
+        boxes = self.options.boxes
+        kind: Disturbance = "gt" if boxes == "detect" or boxes == "file" else boxes
         true_box = truth_box(truth, label.model.mesh, camera)
         if true_box is None:
             return None
@@ -208,14 +217,47 @@ class _FrameRun:
         answers = estimator.estimate(self.sample.frame, queries) if queries else []
         chances = [a.quality for a in answers] if presence is None else presence(self.sample.frame, answers)
         poses = standing(answers, chances)
-        seconds = time.perf_counter() - start
-        taken, spare = assigned(poses, self.labels, self._box_of)
 
         def why(name: str) -> str:
             if any(pose.object == name for pose in poses):
                 return "The poses of the object that stand are at other places."
             return why_none_stands(name, answers, chances)
 
+        return self._matched(queries, poses, time.perf_counter() - start, why)
+
+    def given(
+        self, estimator: PoseEstimator, boxes: BopDetections
+    ) -> tuple[list[EstimateRow], list[FalsePose]]:
+        """As BOP's task of localisation has it: which objects are there, and how often, is known; the surest
+        boxes of each are looked at."""
+        start = time.perf_counter()
+        due = Counter(label.model.name for label in self.labels if label.counted)
+        queries: list[ObjectQuery] = []
+        for box in boxes.of(self.sample.scene, self.sample.image):
+            model = self.targets.named(box.object_id)
+            if model is not None and due[model.name] > 0:
+                due[model.name] -= 1
+                queries.append(ObjectQuery(model.name, box=box.box, instance=len(queries)))
+        answers = estimator.estimate(self.sample.frame, queries) if queries else []
+        reasons = {answer.object: answer.reason for answer in answers}
+
+        def why(name: str) -> str:
+            if name not in reasons:
+                return "The file has no box of the object in this image."
+            return reasons[name] or "The pose of the object is at another place."
+
+        return self._matched(queries, answers, time.perf_counter() - start, why)
+
+    def _matched(
+        self,
+        queries: Sequence[ObjectQuery],
+        poses: Sequence[PoseEstimate],
+        seconds: float,
+        why: Callable[[str], str],
+    ) -> tuple[list[EstimateRow], list[FalsePose]]:
+        """A row for each label with the pose that is assigned to it, and the poses that are left.
+        why: of an object's name, what to say of a label without a pose."""
+        taken, spare = assigned(poses, self.labels, self._box_of)
         rows = [
             self._row(
                 label,

@@ -146,14 +146,11 @@ class EstimateResult:
 
 def _intervals(rows: Sequence[EstimateRow]) -> dict[str, Interval]:
     """The four figures' intervals over frames; a frame's boxes of all seeds count as one frame."""
-    diameters = np.array([r.diameter_m for r in rows])
-    values = {}
-    for name, errors in (
-        ("add", np.array([r.error.add_m for r in rows])),
-        ("adds", np.array([r.error.adds_m for r in rows])),
-    ):
-        values[f"recall_{name}"] = 100.0 * (errors < metrics.RECALL_FRACTION * diameters)
-        values[f"auc_{name}"] = 100.0 * np.maximum(0.0, 1.0 - errors / metrics.AUC_LIMIT_M)
+    values = metrics.pose_scores(
+        np.array([r.error.add_m for r in rows]),
+        np.array([r.error.adds_m for r in rows]),
+        np.array([r.diameter_m for r in rows]),
+    )
     return frame_intervals(values, [(r.scene, r.image) for r in rows])
 
 

@@ -84,6 +84,17 @@ def expected_calibration_error(quality: Float, right: Bool) -> float | None:
     return float((np.abs(stated - true) * count).sum() / count.sum())
 
 
+def pose_scores(add_m: Float, adds_m: Float, diameters_m: Float) -> dict[str, Float64]:
+    """What the four figures are the means of: a number for each of N poses, percent."""
+    scores: dict[str, Float64] = {}
+    for name, errors_m in (("add", add_m), ("adds", adds_m)):
+        errors = np.asarray(errors_m, np.float64)
+        right = errors < RECALL_FRACTION * np.asarray(diameters_m, np.float64)
+        scores[f"recall_{name}"] = np.where(right, 100.0, 0.0)
+        scores[f"auc_{name}"] = np.asarray(100.0 * np.maximum(0.0, 1.0 - errors / AUC_LIMIT_M), np.float64)
+    return scores
+
+
 def four_figures(add_m: Float, adds_m: Float, diameters_m: Float) -> dict[str, float | None]:
     """`recall_add`, `recall_adds`, `auc_add`, `auc_adds` of N poses, percent; None when N is 0."""
     if not len(add_m):

@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 
 from huepose.estimation.types import PoseEstimate
+from huepose.evaluation.bootstrap import Interval, frame_intervals
 from huepose.evaluation.summary import grouped, mean_of
 from huepose.geometry.box import Box
 
@@ -119,11 +120,24 @@ class PerceptionResult:
             "false_boxes_per_frame": len(false) / len(self.frames),
             "seconds_per_frame_p50": float(np.median([f.seconds for f in self.frames])),
             "detector_seconds_per_frame_p50": float(np.median([f.detector_s for f in self.frames])),
+            "interval95": self._intervals(found, false),
             "frames": len(self.frames),
             "asked_for": len(self.names),
             "per_object": per_object,
             "by_onboarded": {n: self._with(n) for n in self.onboarded if n <= len(self.names)},
             "confusion": _confusion(every, found, false),
+        }
+
+    def _intervals(self, found: dict[int, bool], false: Sequence[FalseBox]) -> dict[str, Interval]:
+        """Of recall over the frames with labels, of false boxes over all frames."""
+        rows = [row for frame in self.frames for row in frame.rows]
+        wrong = Counter((f.scene, f.image) for f in false)
+        frames = [(frame.scene, frame.image) for frame in self.frames]
+        recall = {"recall_iou50": np.array([100.0 * found[id(row)] for row in rows])}
+        per_frame = {"false_boxes_per_frame": np.array([float(wrong[key]) for key in frames])}
+        return {
+            **frame_intervals(recall, [(row.scene, row.image) for row in rows]),
+            **frame_intervals(per_frame, frames),
         }
 
     def _with(self, count: int) -> dict[str, float | None]:

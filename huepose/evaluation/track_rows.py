@@ -9,7 +9,9 @@ from typing import Any
 import numpy as np
 
 from huepose.evaluation import metrics
+from huepose.evaluation.bootstrap import Interval, frame_intervals
 from huepose.evaluation.instances import Place, PublishedPose
+from huepose.evaluation.measured import BLOCK_NS, ENOUGH_SEQUENCES
 from huepose.evaluation.roft_errors import FIGURES, roft_figures
 from huepose.evaluation.states import Moment, StateReport, combined, report
 from huepose.evaluation.summary import Figures, grouped, largest, mean_figures
@@ -163,6 +165,7 @@ class TrackResult:
                 name: _counts_as_whole(mean_figures(block["sequences"][name] for block in blocks.values()))
                 for name in names
             },
+            "interval95": _intervals(self.rows),
             "by_seed": {seed: {k: v for k, v in b.items() if k != "sequences"} for seed, b in blocks.items()},
         }
 
@@ -240,6 +243,21 @@ def _pose_figures(rows: Sequence[TrackRow]) -> Figures:
         "auc_voc_adds": metrics.auc_voc(adds) if len(add) else None,
         "instances": float(len(add)),
     }
+
+
+def _intervals(rows: Sequence[TrackRow]) -> dict[str, Interval]:
+    """Of the figures of all frames. Neighbouring frames are drawn together: half a second, or whole
+    sequences where there are many (`huepose eval compare` does the same)."""
+    scored = [row for row in rows if row.error is not None and row.scored]
+    many = len({row.sequence for row in scored}) >= ENOUGH_SEQUENCES
+    errors = [(row.error, row.diameter_m) for row in scored if row.error is not None]
+    values = metrics.pose_scores(
+        np.array([error.add_m for error, _ in errors]),
+        np.array([error.adds_m for error, _ in errors]),
+        np.array([diameter_m for _, diameter_m in errors]),
+    )
+    units = [(row.sequence, 0 if many else row.stamp_ns // BLOCK_NS) for row in scored]
+    return frame_intervals(values, units)
 
 
 def _roft_figures(rows: Sequence[TrackRow]) -> Figures:

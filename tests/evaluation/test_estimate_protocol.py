@@ -7,6 +7,7 @@ import json
 import numpy as np
 import pytest
 
+from huepose.datasets.bop_detections import BopDetection, BopDetections
 from huepose.datasets.boxes import disturbed, truth_box
 from huepose.evaluation.estimate_protocol import EstimateOptions, assigned, evaluate_estimates
 from huepose.evaluation.result_files import plain
@@ -107,6 +108,25 @@ def test_a_pose_not_found_is_null_wrong_and_worth_nothing(models, scene) -> None
     assert result.summary()["recall_add"] == 0.0
     assert result.summary()["auc_adds"] == 0.0
     assert result.summary()["ece"] is None
+
+
+def test_boxes_of_a_file_are_looked_at_as_often_as_the_object_is_labelled(models, scene) -> None:
+    """Image 3 has a box of object 5 at its label, a worse one, and one of an object without a model; none
+    of object 7. Image 8 has none at all."""
+    right = truth_box(scene.truths(3)[0], models["box"].mesh, CAMERA)
+    found = [BopDetection(5, right, 0.9), BopDetection(16, right, 0.8), BopDetection(5, Box(0, 0, 5, 5), 0.7)]
+    estimator = ScriptedEstimator(lambda frame, query: estimate_of(query, scene.truths(3)[0].T_cam_obj))
+    result = evaluate_estimates(
+        [scene],
+        Targets(models),
+        estimator,
+        EstimateOptions("file", min_visib=0.1),
+        given=BopDetections({(1, 3): found}),
+    )
+    assert [(image, query.object, query.box) for image, query in estimator.asked] == [(3, "box", right)]
+    assert [r.error.right for r in result.rows] == [True, False, False, False]
+    assert {r.reason for r in result.rows} == {"", "The file has no box of the object in this image."}
+    assert result.summary()["recall_add"] == 25.0
 
 
 def test_true_masks_are_handed_on_and_missing_ones_named(models, scene) -> None:

@@ -73,7 +73,13 @@ def _add_estimate(verbs: Any) -> None:
     _common(parser)
     parser.add_argument("--method", choices=("full", "colorpair", "paper"), default="full")
     _profile(parser)
-    parser.add_argument("--boxes", choices=("perturbed", "paper", "gt", "detect"), default="perturbed")
+    parser.add_argument(
+        "--boxes",
+        default="perturbed",
+        metavar="perturbed|paper|gt|detect|FILE",
+        help="true boxes, disturbed ones (paper: moved by up to a tenth; perturbed: scaled as well), those "
+        "of the detector, or of a JSON file in BOP's format (perturbed)",
+    )
     parser.add_argument("--masks", choices=("auto", "gt"), default="auto", help="gt: the true visible mask")
     _objects(parser)
     parser.add_argument(
@@ -93,6 +99,7 @@ def _add_estimate(verbs: Any) -> None:
         help="objects estimated at the same time (2, as when live)",
     )
     _path(parser, "--csv", "BOP19.csv", "poses for the BOP toolkit")
+    _path(parser, "--models-info", "FILE", "models_info.json of the set: BOP's errors and AR as well")
     _path(parser, "--plots", "DIR", "curves and pictures")
     _path(parser, "--failures", "DIR", "a page of pictures and a line why for every wrong pose")
 

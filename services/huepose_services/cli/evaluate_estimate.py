@@ -6,6 +6,7 @@ import argparse
 from dataclasses import replace
 from typing import Any
 
+from huepose.datasets.bop_detections import BopDetections, read_detections
 from huepose.datasets.types import Sample
 from huepose.estimation import Estimator
 from huepose.estimation.present import presence_by
@@ -20,7 +21,16 @@ from huepose.evaluation.targets import Targets
 from huepose.model import load_models
 from huepose.perception.colorpair_detector import ColorPairDetector
 from huepose.profiles import profile
-from huepose_services.cli.evaluate_scenes import FIGURES, figure_table, open_bop, open_ycbv_scenes, shown
+from huepose_services.cli.evaluate_scenes import (
+    bop_objects,
+    figure_table,
+    intervals_line,
+    open_bop,
+    open_ycbv_scenes,
+    shown,
+)
+
+_BOP = ("AR", "AR_VSD", "AR_MSSD", "AR_MSPD")
 
 
 def call(arguments: argparse.Namespace) -> int:
@@ -28,10 +38,11 @@ def call(arguments: argparse.Namespace) -> int:
     models = load_models(arguments.bundles)
     scenes = open_ycbv_scenes(arguments.ycbv, models) if arguments.ycbv else open_bop(arguments.bop)
     equivalents = read_equivalents(arguments.equivalent) if arguments.equivalent else {}
-    options = EstimateOptions(arguments.boxes, arguments.masks, arguments.min_visib, tuple(arguments.seed))
+    boxes, given = box_source(arguments.boxes)
+    options = EstimateOptions(boxes, arguments.masks, arguments.min_visib, tuple(arguments.seed))
     targets = Targets(models, arguments.objects)
     # In a detector's boxes it is the presence that says what is found.
-    found_level = 0.0 if arguments.boxes == "detect" else None
+    found_level = 0.0 if boxes == "detect" else None
     settings = profile(arguments.profile)
     config = replace(
         settings.estimator,
@@ -41,7 +52,7 @@ def call(arguments: argparse.Namespace) -> int:
     )
     estimator = Estimator(models, config)
     detector = None
-    if arguments.boxes == "detect":
+    if boxes == "detect":
         detector = ColorPairDetector({model.name: model for model in targets.models}, settings.detector)
         detector.warm_up()
         estimator.warm_up([model.name for model in targets.models])
@@ -67,6 +78,8 @@ def call(arguments: argparse.Namespace) -> int:
         detector=detector,
         presence=presence_by(models, arguments.method),
         on_frame=on_frame,
+        given=given,
+        bop_objects=bop_objects(arguments.models_info, models) if arguments.models_info else None,
     )
     record = result.as_json()
     record["summary"] |= {"method": arguments.method, "profile": arguments.profile}
@@ -79,6 +92,13 @@ def call(arguments: argparse.Namespace) -> int:
     if failures is not None:
         print(failures.finish())
     return 0
+
+
+def box_source(given: str) -> tuple[Any, BopDetections | None]:
+    """What `--boxes` means: a word, or `file` with the detections of that file. Raises InputError."""
+    if given in ("perturbed", "paper", "gt", "detect"):
+        return given, None
+    return "file", read_detections(given)
 
 
 def _bop_results(result: EstimateResult) -> list[BopResult]:
@@ -95,9 +115,9 @@ def _report(summary: dict[str, Any]) -> str:
     blocks = {**summary["per_object"], "all": summary}
     lines = [figure_table("object", blocks, {"instances": "n"})]
     if summary["interval95"]:
-        spans = [summary["interval95"][key] for key in FIGURES]
-        words = ", ".join(f"{low:.1f} to {high:.1f}" for low, high in spans)
-        lines.append(f"95 % intervals over frames: {words}")
+        lines.append(intervals_line(summary, "frames"))
+    if summary.get("ar") is not None:
+        lines.append("BOP: " + ", ".join(f"{k.upper()} {summary[k.lower()]:.1f}" for k in _BOP))
     if summary["recall_add_official"] != summary["recall_add"]:
         official = f"{summary['recall_add_official']:.1f}, AUC {summary['auc_add_official']:.1f}"
         lines.append(f"against the labels as they are: ADD {official}")

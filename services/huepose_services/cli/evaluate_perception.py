@@ -80,6 +80,11 @@ def _report(summary: dict[str, Any]) -> str:
         text.append(
             f"{n} objects onboarded: recall {recall}, {block['false_boxes_per_frame']:.2f} false a frame"
         )
+    recall, false = (summary["interval95"][key] for key in ("recall_iou50", "false_boxes_per_frame"))
+    text.append(
+        f"95 % intervals over frames: recall {recall[0]:.1f} to {recall[1]:.1f}, "
+        f"false a frame {false[0]:.2f} to {false[1]:.2f}"
+    )
     text.append(
         f"{summary['profile']}: {summary['frames']} frames, {summary['asked_for']} objects asked for; "
         f"detector {summary['detector_seconds_per_frame_p50']:.2f} s a frame, "

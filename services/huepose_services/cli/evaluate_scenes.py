@@ -7,10 +7,12 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
+from huepose.datasets import files
 from huepose.datasets.bop import BopScene
 from huepose.datasets.fast_ycb import FastYcbSequence, labelled_sequences, object_of
 from huepose.datasets.types import Scene, SomeImages
 from huepose.datasets.ycbv_folder import open_ycbv
+from huepose.evaluation.bop_errors import BopObject
 from huepose.evaluation.instances import instance_counts
 from huepose.evaluation.summary import table
 from huepose.evaluation.targets import Targets, posecnn_offset_m
@@ -85,6 +87,33 @@ def open_scenes(
 def shown(scenes: Sequence[Scene], targets: Targets) -> list[str]:
     """Names of the reference models that the scenes have labels of, of those that are wanted."""
     return sorted({name for scene in scenes for name in instance_counts(scene, scene.image_ids, targets)})
+
+
+def bop_objects(info: Path, models: Mapping[str, ReferenceModel]) -> dict[int, BopObject]:
+    """What BOP's errors are measured on, by id: a reference model's mesh with the data set's diameter and
+    symmetries. Raises InputError."""
+    infos = files.read_json(info)
+    return {
+        m.object_id: BopObject.of(m.mesh, infos[str(m.object_id)])
+        for m in models.values()
+        if m.object_id is not None and "diameter" in infos.get(str(m.object_id), {})
+    }
+
+
+def intervals_line(summary: Mapping[str, Any], units: str) -> str:
+    """Where the four figures lie in 95 % of draws of the units, in words."""
+    spans = [summary["interval95"][key] for key in FIGURES]
+    return f"95 % intervals over {units}: " + ", ".join(f"{low:.1f} to {high:.1f}" for low, high in spans)
+
+
+def roft_line(summary: Mapping[str, Any]) -> str:
+    """ROFT's errors in words."""
+    units = {"rmse_cm": "cm", "rmse_deg": "degrees", "rmse_cm_s": "cm/s", "rmse_deg_s": "degrees/s"}
+    values = [
+        f"{summary[key]:.2f} {unit}" if summary.get(key) is not None else f"- {unit}"
+        for key, unit in units.items()
+    ]
+    return "RMSE " + ", ".join(values)
 
 
 def figure_table(

@@ -24,7 +24,14 @@ from huepose.model import ReferenceModel
 from huepose.profiles import profile
 from huepose.support.errors import InputError
 from huepose.tracking import Tracker
-from huepose_services.cli.evaluate_scenes import figure_table, open_scenes, shown, states_line
+from huepose_services.cli.evaluate_scenes import (
+    figure_table,
+    intervals_line,
+    open_scenes,
+    roft_line,
+    shown,
+    states_line,
+)
 from huepose_services.cli.pose_tables import PoseTables
 
 
@@ -98,6 +105,8 @@ def _report(summary: dict[str, Any]) -> str:
     return "\n".join(
         [
             figure_table("sequence", blocks, more),
+            *([intervals_line(summary, "half seconds")] if summary["interval95"] else []),
+            roft_line(summary),
             states_line(summary),
             f"{summary['method']}, {summary['profile']}, {summary['protocol']}, every {summary['every']}, "
             f"first pose {summary['init']}{delayed}, seed {summary['seed']}; {fps} frames/s",

@@ -1,0 +1,62 @@
+"""Detections in the format of the BOP challenge: a JSON list of boxes with scores, as CNOS has them.
+
+https://bop.felk.cvut.cz/challenges/bop-challenge-2023/: `scene_id`, `image_id`, `category_id` (the object),
+`bbox` (x, y, width, height, pixels), `score`; masks and times are not read.
+"""
+
+from __future__ import annotations
+
+import json
+from collections import Counter
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+from huepose.datasets import files
+from huepose.geometry.box import Box
+from huepose.support.errors import InputError
+
+
+@dataclass(frozen=True)
+class BopDetection:
+    """A box of an object in an image; score: higher is surer."""
+
+    object_id: int
+    box: Box
+    score: float
+
+
+@dataclass(frozen=True)
+class BopDetections:
+    """Detections by (scene, image), the surest first."""
+
+    by_image: Mapping[tuple[int, int], Sequence[BopDetection]]
+
+    def of(self, scene: str, image: int) -> Sequence[BopDetection]:
+        """Those of an image; none where the scene is not named by a number."""
+        return self.by_image.get((int(scene), image), ()) if scene.isdigit() else ()
+
+    @property
+    def objects(self) -> Counter[int]:
+        """How many detections there are of each object."""
+        return Counter(d.object_id for found in self.by_image.values() for d in found)
+
+
+def read_detections(path: Path | str) -> BopDetections:
+    """Read a file. Raises InputError, naming the entry."""
+    try:
+        entries = json.loads(files.read_bytes(Path(path)))
+    except ValueError as error:
+        raise InputError(path, found=f"no valid JSON ({str(error)[:80]})") from None
+    if not isinstance(entries, list):
+        raise InputError(path, found=f"a JSON {type(entries).__name__}", expected="a list of detections")
+    found: dict[tuple[int, int], list[BopDetection]] = {}
+    for number, entry in enumerate(entries):
+        where = f"{path}, entry {number}"
+        scene, image, object_id = (
+            int(files.numbers(entry, key, (), where)) for key in ("scene_id", "image_id", "category_id")
+        )
+        box = Box(*(float(v) for v in files.numbers(entry, "bbox", (4,), where)))
+        score = float(files.numbers(entry, "score", (), where))
+        found.setdefault((scene, image), []).append(BopDetection(object_id, box, score))
+    return BopDetections({key: sorted(own, key=lambda d: -d.score) for key, own in found.items()})

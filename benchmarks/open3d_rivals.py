@@ -1,5 +1,5 @@
 """Rivals from Open3D: features with RANSAC, features with Fast Global Registration, ICP from many starts,
-and the same with the print, chosen by colour.
+and the same with the texture, chosen by colour.
 
 Scene points are registered to the model (a part to the whole), then the transform is turned round. Each ends
 with point-to-plane ICP on the model's surface samples.

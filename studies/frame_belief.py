@@ -111,18 +111,18 @@ def collect(bundles: Path, path: Path) -> list[Row]:
             if i - step < 1:
                 continue
             known = rng.random() < KNOWN
-            usual, lit = (baseline, light) if known else (None, None)
+            baseline_now, lit = (baseline, light) if known else (None, None)
             velocity = increment_velocity(truth[i - step - 1], truth[i - step], 1 / 30)
             start = Hypothesis(truth[i - step], NOTHING, np.zeros((6, 6)), "still", velocity)
             reached = advance(
-                subject, Anchor((start,), frames[i - step], usual, lit), frames[i], TrackerConfig()
+                subject, Anchor((start,), frames[i - step], baseline_now, lit), frames[i], TrackerConfig()
             )
-            found += [(f"step {step}", usual, h) for h in (*reached.followed, *reached.proposed)]
+            found += [(f"step {step}", baseline_now, h) for h in (*reached.followed, *reached.proposed)]
         for kind, T in wrong_starts(model, truth[i], frames[i], rng):
             found.append((kind, baseline, best_of(subject.surface, frames[i], [(T, "still")], light)))
-        for kind, usual, h in found:
+        for kind, baseline_now, h in found:
             error = error_of(model, h.T_cam_obj, truth[i])
-            seen = features(h.terms, usual)
+            seen = features(h.terms, baseline_now)
             rows.append(Row(path.parent.name, i, kind, h.source, seen, error))
     return rows
 
@@ -143,8 +143,13 @@ def wrong_starts(
         axis = rng.normal(size=3)
         turn = axis / np.linalg.norm(axis) * rng.uniform(0.3, np.pi)
         out.append(("shifted", at(turn, centre + rng.normal(0, 0.5 * model.diameter_m, 3) * (1, 1, 0.5))))
-    if len(model.turns) > 1:
-        out.append(("turned over", T_cam_obj @ model.turns[1 + int(rng.integers(len(model.turns) - 1))]))
+    if len(model.near_symmetries) > 1:
+        out.append(
+            (
+                "turned over",
+                T_cam_obj @ model.near_symmetries[1 + int(rng.integers(len(model.near_symmetries) - 1))],
+            )
+        )
     rows, columns = np.nonzero(frame.depth > 0.3)
     if len(rows):
         k = int(rng.integers(len(rows)))

@@ -1,9 +1,9 @@
 """How far a pose may be trusted: a probability that it is right.
 
-Quality is the product of three probabilities: that it is this print that is seen and not another one on such
-a shape, that it is this size, and that the pose is right then. The last one is a choice: the chance that any
-of the poses that were found is right is shared out by their scores, so that a near-tie is published as one,
-each pose with its probability. Whether an object is there at all is a question of its own, which decides
+Quality is the product of three probabilities: that it is this texture that is seen and not another one on
+such a shape, that it is this size, and that the pose is right then. The last one is a choice: the chance that
+any of the poses that were found is right is shared out by their scores, so that a near-tie is published as
+one, each pose with its probability. Whether an object is there at all is a question of its own, which decides
 whether anything is said to be found. `quality_fits.json` holds the numbers, as fitted on drawn scenes
 (`studies.quality`).
 """
@@ -46,10 +46,10 @@ LIMITS = FeatureLimits()
 class QualityTerms:
     """What quality is a function of. total: score of the pose; gaps: how much less the other answers score,
     best first; color, box_iou, depth_fit, coverage, violation, occluded, seen: terms of its dense score (see
-    `judge.terms.Terms`); missing, foreign, detail, turned: see `print_evidence.PrintEvidence`;
-    stretch: by how much the depth would have the object larger (see `size_evidence`); pixels: of the image
-    that are believed to show the object; otherwise: share of the contrasts at the model's pairs that point in
-    another colour (see `judge.contrast_disagreement`); agreed: what those that agree say (see
+    `judge.terms.Terms`); missing, foreign, detail, turned: see `texture_evidence.TextureEvidence`;
+    scale_residual: by how much the depth would have the object larger (see `size_evidence`); pixels: of the
+    image that are believed to show the object; otherwise: share of the contrasts at the model's pairs that
+    point in another colour (see `judge.contrast_disagreement`); agreed: what those that agree say (see
     `judge.pair_agreement`)."""
 
     total: float
@@ -64,7 +64,7 @@ class QualityTerms:
     missing: float
     foreign: float
     detail: float
-    stretch: float
+    scale_residual: float
     pixels: float
     turned: float
     otherwise: float
@@ -91,15 +91,15 @@ class Logistic:
 
 @dataclass(frozen=True)
 class QualityFit:
-    """presence: that the object is there, in whatever print; this_print, this_size: that it is not another
-    print or another size of it; listed: that one of the poses is right. They share it by exp(-sharpness x
-    gap), where sharpness is a constant and a factor times each feature, all but the best lowered further, by
-    exp(-handicap) where they are clearly behind and by nothing where they are not (`behind`). level: the
-    quality over which 99 % of the poses of the calibration scenes were right; found: the presence under which
-    nothing is there."""
+    """presence: that the object is there, in whatever texture; this_texture, this_size: that it is not
+    another texture or another size of it; listed: that one of the poses is right. They share it by
+    exp(-sharpness x gap), where sharpness is a constant and a factor times each feature, all but the best
+    lowered further, by exp(-handicap) where they are clearly behind and by nothing where they are not
+    (`behind`). level: the quality over which 99 % of the poses of the calibration scenes were right; found:
+    the presence under which nothing is there."""
 
     presence: Logistic
-    this_print: Logistic
+    this_texture: Logistic
     this_size: Logistic
     listed: Logistic
     sharpness: Mapping[str, float]
@@ -112,7 +112,7 @@ class QualityFit:
         known = features(terms)
         known["constant"] = 1.0
         sharpness = sum(factor * max(known[name], 0.0) for name, factor in self.sharpness.items())
-        one_of_them = self.this_print(known) * self.this_size(known) * self.listed(known)
+        one_of_them = self.this_texture(known) * self.this_size(known) * self.listed(known)
         return np.asarray(one_of_them * shares(terms, sharpness, self.handicap))
 
     def present(self, terms: QualityTerms) -> float:
@@ -153,22 +153,24 @@ def features(terms: QualityTerms) -> dict[str, float]:
         "no_violation": 1.0 - terms.violation,
         "not_occluded": 1.0 - terms.occluded,
         "seen": terms.seen,
-        "print_complete": 1.0 - terms.missing,
+        "texture_complete": 1.0 - terms.missing,
         "nothing_foreign": 1.0 - terms.foreign / 25.0,
         "detail": terms.detail,
         "detail_seen": max(terms.detail, 0.0) * float(np.sqrt(terms.pixels / 1000.0)),
         "same_hues": 1.0 - terms.turned,
         "same_way": 1.0 - terms.otherwise,
         "agreed": terms.agreed,
-        "same_size": -min(abs(terms.stretch), LIMITS.size),
-        "near_size": -min(abs(terms.stretch), LIMITS.near_size),
+        "same_size": -min(abs(terms.scale_residual), LIMITS.size),
+        "near_size": -min(abs(terms.scale_residual), LIMITS.near_size),
         "size": float(np.log10(max(terms.pixels, 1.0))),
     }
 
 
 def fit_of(entry: Mapping[str, Any]) -> QualityFit:
     """The fit that an entry of `quality_fits.json` describes."""
-    logistics = {name: Logistic(**entry[name]) for name in ("presence", "this_print", "this_size", "listed")}
+    logistics = {
+        name: Logistic(**entry[name]) for name in ("presence", "this_texture", "this_size", "listed")
+    }
     return QualityFit(**{**entry, **logistics})
 
 

@@ -21,7 +21,7 @@ from huepose.judge.pair_terms import pair_picture
 from huepose.judge.region import Region
 from huepose.judge.silhouette import projected_box, visible_mask
 from huepose.judge.terms import score as dense_score
-from huepose.judge.texture_evidence import print_evidence
+from huepose.judge.texture_evidence import texture_evidence
 from huepose.model.types import ReferenceModel
 from huepose.refine.final import final_refinement
 from huepose.refine.scale import scale_residual
@@ -117,7 +117,7 @@ def _terms(
     gaps = totals[0] - totals[1:]
     if most_behind is not None:
         gaps = np.concatenate([[min([most_behind, *gaps[:1]])], gaps[1:]])
-    dense, seen = dense_score(model, region, T_cam_obj), print_evidence(model, region, T_cam_obj)
+    dense, seen = dense_score(model, region, T_cam_obj), texture_evidence(model, region, T_cam_obj)
     contrasts, pose = pair_picture(model, region.crop, region.median_depth_m), T_cam_obj[None]
     return QualityTerms(
         float(totals[0]),

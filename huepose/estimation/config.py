@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, Literal, get_args
 
-from huepose.judge.figure_ground import USUAL
+from huepose.judge.figure_ground import PRIOR_CONTRAST
 from huepose.propose.config import EvidenceConfig, RetrievalConfig
 from huepose.select.config import NearTieConfig
 from huepose.support.errors import InputError
@@ -22,9 +22,9 @@ class FullPathConfig:
     """How much the full method tries. Origin, where nothing else is said: chosen, by `huepose eval estimate`
     on drawn heaps and piles, as few as lose no recall there.
 
-    kept: views a mask that stay after registration; turned: those whose near-symmetric turns are tried;
-    searched: poses a mask that are searched; judged: poses judged by all masks; finished: poses searched
-    finely; alternatives: different poses that are returned.
+    kept: views a mask that stay after registration; with_near_symmetries: those whose near-symmetric
+    rotations are tried; searched: poses a mask that are searched; judged: poses judged by all masks;
+    finished: poses searched finely; alternatives: different poses that are returned.
 
     coarse_samples, samples: of the surface, by which poses are ranked before the search, and in it.
     search_deg, fine_deg, prior_deg: steps of the search, coarse to fine, in degrees: of proposed poses, of
@@ -40,7 +40,7 @@ class FullPathConfig:
 
     retrieval: RetrievalConfig = field(default_factory=RetrievalConfig)
     kept: int = 8
-    turned: int = 5
+    with_near_symmetries: int = 5
     searched: int = 18
     judged: int = 40
     finished: int = 5
@@ -59,7 +59,7 @@ class FullPathConfig:
     def figure_within(self) -> float:
         """How far behind the best a total may be for figure and ground to be looked at: hardly any pose gains
         more by it."""
-        return self.figure_weight * USUAL
+        return self.figure_weight * PRIOR_CONTRAST
 
     def harder(self) -> FullPathConfig:
         """To look harder: two to three times as much of everything."""
@@ -70,7 +70,7 @@ class FullPathConfig:
                 views, views=3 * views.views, closer=2 * views.closer, closest=2 * views.closest
             ),
             kept=3 * self.kept,
-            turned=2 * self.turned,
+            with_near_symmetries=2 * self.with_near_symmetries,
             searched=2 * self.searched,
             finished=2 * self.finished,
             unregistered=True,
@@ -81,15 +81,15 @@ class FullPathConfig:
 class ConfirmConfig:
     """When a refined prior is plainly right, so that no views are sought. Origin: chosen.
 
-    score: total from which it may be. margin: how much better than its near-symmetric turns it must be, and
-    the most that its margin counts then. turns: those that are searched, by steps_deg,
+    score: total from which it may be. margin: how much better than its near-symmetric rotations it must be,
+    and the most that its margin counts then. near_symmetries: those that are searched, by steps_deg,
     chosen by so many surface samples. look_anew_every: one
     in so many frames is searched in full all the same, 1 for all of them.
     """
 
     score: float = 1.9
     margin: float = 0.12
-    turns: int = 3
+    near_symmetries: int = 3
     samples: int = 350
     steps_deg: tuple[float, ...] = (3.0, 1.0)
     look_anew_every: int = 3

@@ -1,6 +1,6 @@
 """A tracked pose that is plainly still right needs no search of all views: most of what live use costs.
 
-The refined prior is held against its own near-symmetric turns on the same pixels. When it scores high and
+The refined prior is held against its own near-symmetric rotations on the same pixels. When it scores high and
 clearly better than they do, that is the answer; its margin counts no more than `margin` then, because nothing
 else was looked at. A share of the frames is looked at in full all the same, so that a wrong pose that looks
 right to itself is found out.
@@ -32,14 +32,16 @@ def confirm(
     T_cam_obj: Float64,
     config: ConfirmConfig | None = None,
 ) -> tuple[Float64, Float64] | None:
-    """The refined prior (4, 4) first, then its best different turns: poses (K, 4, 4) and totals (K,); None
-    when the prior is not plainly right."""
+    """The refined prior (4, 4) first, then its best different near-symmetric rotations: poses (K, 4, 4) and
+    totals (K,); None when the prior is not plainly right."""
     config = config or ConfirmConfig()
     if totals_of(model, region, T_cam_obj[None])[0] < config.score:
         return None
-    turned = T_cam_obj @ model.turns[1:]
-    best = np.argsort(-score_many(model, region, turned, config.samples)[:, 0], kind="stable")[: config.turns]
-    searched, _ = search(model, region, turned[best], config.steps_deg, CLOSE_SAMPLES, race=RACE)
+    near_symmetric = T_cam_obj @ model.near_symmetries[1:]
+    best = np.argsort(-score_many(model, region, near_symmetric, config.samples)[:, 0], kind="stable")[
+        : config.near_symmetries
+    ]
+    searched, _ = search(model, region, near_symmetric[best], config.steps_deg, CLOSE_SAMPLES, race=RACE)
     poses = np.concatenate([T_cam_obj[None], searched])
     totals = totals_of(model, region, poses)
     order = different_poses(model, poses, totals, len(poses), FINAL_TURN_RAD, FINAL_SHIFT)

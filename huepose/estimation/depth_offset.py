@@ -1,7 +1,7 @@
 """Does depth lie on the colours? Outlines of known objects, placed by depth, against the edges of the image.
 
 Cameras register depth to colour by a calibration that ages, and by clocks that differ; two to four pixels
-between the two are common, in published data as well. Poses follow depth, so their prints and outlines then
+between the two are common, in published data as well. Poses follow depth, so their textures and outlines then
 lie beside what the image shows. One object may wear its label elsewhere; the outlines of all objects of a
 frame do not lie.
 """

@@ -161,7 +161,7 @@ class Estimator:
 
     def warm_up(self, names: Sequence[str] | None = None) -> None:
         """Prepare models (all by default) and compile the kernels on an artificial view of the one with most
-        print."""
+        texture."""
         names = self._models.names if names is None else list(names)
         for name in names:
             self._models.prepared(name)

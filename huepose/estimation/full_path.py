@@ -1,8 +1,8 @@
-"""The full method: views retrieved under all candidate masks, refined on depth and print, judged together.
+"""The full method: views retrieved under all candidate masks, refined on depth and texture, judged together.
 
 Retrieval of views, without trust in the masks > ICP on the points of the mask that proposed it > near-
-symmetric turns of the best > coordinate search on the dense score > ICP > the best searched finely > in the
-order of score and of how well figure and ground differ.
+symmetric rotations of the best > coordinate search on the dense score > ICP > the best searched finely > in
+the order of score and of how well figure and ground differ.
 """
 
 from __future__ import annotations
@@ -13,7 +13,7 @@ import numpy as np
 
 from huepose.estimation.config import FullPathConfig
 from huepose.geometry.arrays import Float, Float64
-from huepose.judge.figure_ground import USUAL, figure_ground_contrast
+from huepose.judge.figure_ground import PRIOR_CONTRAST, figure_ground_contrast
 from huepose.judge.region import Region
 from huepose.judge.terms import CLOSE_SAMPLES, score_many
 from huepose.judge.terms import totals as totals_of
@@ -73,23 +73,28 @@ def _look(
 
 
 def refine_coarse(model: ReferenceModel, region: Region, poses: Float64, config: FullPathConfig) -> Float64:
-    """Aligned poses (N, 4, 4) brought home: near-symmetric turns, search on the score, ICP (M, 4, 4)."""
+    """Aligned poses (N, 4, 4) brought home: near-symmetric rotations, search on the score, ICP (M, 4, 4)."""
     if not len(poses):
         return poses
     with stage("turns"):
         totals = score_many(model, region, poses, config.coarse_samples)[:, 0]
         best = different_poses(model, poses, totals, config.kept)
         poses, totals = poses[best], totals[best]
-        turned = np.einsum("nij,mjk->nmik", poses[: config.turned], model.turns[1:]).reshape(-1, 4, 4)
-        turned_totals = score_many(model, region, turned, config.coarse_samples)[:, 0]
-        poses, totals = np.concatenate([poses, turned]), np.concatenate([totals, turned_totals])
+        near_symmetric = np.einsum(
+            "nij,mjk->nmik", poses[: config.with_near_symmetries], model.near_symmetries[1:]
+        ).reshape(-1, 4, 4)
+        near_symmetric_totals = score_many(model, region, near_symmetric, config.coarse_samples)[:, 0]
+        poses, totals = (
+            np.concatenate([poses, near_symmetric]),
+            np.concatenate([totals, near_symmetric_totals]),
+        )
         poses = poses[different_poses(model, poses, totals, config.searched)]
     with stage("search"):
         searched, totals = search(model, region, poses, config.search_deg, config.samples, race=RACE)
     with stage("icp"):
         rivals = searched[totals > totals.max() - config.registered_within]
-        settled = _icp(model, region.points_cam, rivals, 0.012, 0.006, 5)
-    return np.concatenate([searched, settled])
+        registered = _icp(model, region.points_cam, rivals, 0.012, 0.006, 5)
+    return np.concatenate([searched, registered])
 
 
 def refine_prior(
@@ -101,8 +106,8 @@ def refine_prior(
     aligned = [_icp(model, p, start, 0.15 * model.diameter_m, 0.008, 20) for p in evidence.points_cam]
     starts = np.concatenate([start, *aligned])
     searched, _ = search(model, region, starts, config.prior_deg, CLOSE_SAMPLES, race=RACE)
-    settled = _icp(model, region.points_cam, searched, 0.012, 0.006, 5)
-    poses = np.concatenate([starts, searched, settled])
+    registered = _icp(model, region.points_cam, searched, 0.012, 0.006, 5)
+    poses = np.concatenate([starts, searched, registered])
     return np.asarray(poses[np.argmax(totals_of(model, region, poses))])
 
 
@@ -139,7 +144,7 @@ def by_figure(
         return poses, totals
     config = config or FullPathConfig()
     weight = config.figure_weight
-    both = totals + weight * USUAL
+    both = totals + weight * PRIOR_CONTRAST
     # Who cannot come first even if no colour of its ground is in its figure need not be looked at.
     near = totals > totals[0] - config.figure_within
     if near[1]:

@@ -31,14 +31,14 @@ AGREES, DIFFERS, SEEN_THROUGH, HIDDEN, UNKNOWN = (
     (70, 120, 230),
     (120, 120, 120),
 )
-"""Pixels of a pose: depth fits and the print agrees; depth fits, the print differs; we see through it;
+"""Pixels of a pose: depth fits and the texture agrees; depth fits, the texture differs; we see through it;
 something is in front; no depth."""
 
-LEGEND = "green: agrees, yellow: print differs, red: seen through, blue: hidden, grey: no depth"
+LEGEND = "green: agrees, yellow: texture differs, red: seen through, blue: hidden, grey: no depth"
 
 BOX, MASK, TRUTH = (250, 250, 250), (80, 220, 120), (255, 120, 220)
 DIFFERENT = 16.0
-"""Difference of opponents at which the print plainly differs."""
+"""Difference of opponents at which the texture plainly differs."""
 
 
 @dataclass(frozen=True)
@@ -109,7 +109,7 @@ class Panels:
         return self._grown(picture)
 
     def _difference(self, color: UInt8, fits: Bool) -> Float64:
-        """How much the print differs (h, w), 0..1, up to the colour and strength of the light."""
+        """How much the texture differs (h, w), 0..1, up to the colour and strength of the light."""
         seen, drawn = (
             opponents_of_bytes(np.asarray(cv2.GaussianBlur(picture, (0, 0), 0.7), dtype=np.uint8))
             for picture in (self.frame.color[self.rows, self.columns], color)

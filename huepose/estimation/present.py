@@ -1,7 +1,7 @@
 """Whether the objects of a frame's answers are there at all.
 
 Quality says whether a *pose* is right. Whether the object is there is another question, which even an object
-without print answers: `perception.presence` does, on all answers of a frame together.
+without texture answers: `perception.presence` does, on all answers of a frame together.
 """
 
 from __future__ import annotations
@@ -48,20 +48,20 @@ def presences_of(
 def _chance(logit: float, answer: PoseEstimate, method: Method, config: StandingConfig) -> float:
     """Probability that the object is there: what is seen, and what its pose says about it."""
     there = float(probability(np.float64(logit + certainty(answer, config.most_sure))))
-    return there * _own_print(answer, method, config.other_texture)
+    return there * _own_texture(answer, method, config.other_texture)
 
 
 def certainty(answer: PoseEstimate, most_sure: float = StandingConfig().most_sure) -> float:
     """How sure a pose is of itself, in log odds, 0 or more: one that is surely right speaks for its object;
-    one that is not, for want of print to tell its turn by, does not speak against it."""
+    one that is not, for want of texture to tell its turn by, does not speak against it."""
     sure = min(max(answer.quality, 0.5), most_sure)
     return float(np.log(sure / (1.0 - sure)))
 
 
-def _own_print(answer: PoseEstimate, method: Method, other_texture: float) -> float:
-    """1, or less where the same shape plainly wears another print, and so is another thing, by what this
-    method knows of prints."""
+def _own_texture(answer: PoseEstimate, method: Method, other_texture: float) -> float:
+    """1, or less where the same shape plainly wears another texture, and so is another thing, by what this
+    method knows of textures."""
     if answer.terms is None:
         return 1.0
-    own = quality_fits()[method].this_print(features(answer.terms))
+    own = quality_fits()[method].this_texture(features(answer.terms))
     return min(1.0, other_texture * own / max(1.0 - own, 1e-9))

@@ -18,7 +18,7 @@ from huepose.model.types import ReferenceModel
 CLOSE_MARGIN = 0.1
 """Totals closer than this are a near tie: light and noise move them as far."""
 
-MUCH_SEEN_THROUGH, MUCH_HIDDEN, LITTLE_PRINT, LITTLE_BOX, LITTLE_MASK = 0.1, 0.4, 0.3, 0.5, 0.5
+MUCH_SEEN_THROUGH, MUCH_HIDDEN, LITTLE_TEXTURE, LITTLE_BOX, LITTLE_MASK = 0.1, 0.4, 0.3, 0.5, 0.5
 MUCH_WITHOUT_DEPTH = 0.3
 
 
@@ -93,7 +93,7 @@ def _of_terms(terms: _Measured) -> list[str]:
             unknown > MUCH_WITHOUT_DEPTH,
             f"on {100 * unknown:.0f} % of the pose depth is missing, off, or of something else",
         ),
-        (terms.color < LITTLE_PRINT, f"the print agrees little (correlation {terms.color:.2f})"),
+        (terms.color < LITTLE_TEXTURE, f"the texture agrees little (correlation {terms.color:.2f})"),
         (terms.box_iou < LITTLE_BOX, f"the pose's bounds overlap the box by {terms.box_iou:.2f} only"),
     )
     return [text for holds, text in said if holds]

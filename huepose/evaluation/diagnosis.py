@@ -160,7 +160,7 @@ def _gains(said: Terms, truth: Terms, trust: float) -> dict[str, float]:
     return {
         "depth": w.depth_fit * (said.depth_fit - truth.depth_fit),
         "seen through": w.violation * (truth.violation - said.violation),
-        "print": w.color * (said.color - truth.color),
+        "texture": w.color * (said.color - truth.color),
         "mask": w.coverage * trust * (said.coverage - truth.coverage),
         "box": w.box * (said.box_iou - truth.box_iou),
     }

@@ -1,4 +1,4 @@
-"""Labels that the print contradicts or cannot confirm: the poses that count as well (`--equivalent`).
+"""Labels that the texture contradicts or cannot confirm: the poses that count as well (`--equivalent`).
 
 `{"SCENE/IMAGE/INSTANCE": {"T_obj_obj": [4x4, ...]}}`, metres; the labelled pose times each counts as right.
 """

@@ -180,7 +180,7 @@ def failure_page(
 
 
 def _scored(name: str, terms: Any) -> str:
-    return name if terms is None else f"{name}: {terms.total:.2f}, print {terms.color:.2f}"
+    return name if terms is None else f"{name}: {terms.total:.2f}, texture {terms.color:.2f}"
 
 
 def _percent(share: float | None) -> str:

@@ -22,7 +22,7 @@ class PoseError:
 
     add_m: the nearest of the labelled pose and those that were declared as good; official_add_m: the labelled
     pose alone; adds_m: ADD-S; right: ADD under a tenth of the diameter to any of these, or to a turn under
-    which the object's shape and print look the same."""
+    which the object's shape and texture look the same."""
 
     add_m: float
     adds_m: float

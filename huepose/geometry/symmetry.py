@@ -15,7 +15,7 @@ from huepose.geometry import se3
 from huepose.geometry.arrays import Float, Float64
 
 
-def turn_about(axis: Float, angle_rad: float, offset_m: Float) -> Float64:
+def rotation_about(axis: Float, angle_rad: float, offset_m: Float) -> Float64:
     """Turn (4, 4) by an angle about the line through `offset_m` (3,) along `axis` (3,)."""
     a = np.asarray(axis, np.float64)
     R = se3.rotation_exp(a / np.linalg.norm(a) * angle_rad)
@@ -38,5 +38,7 @@ def sampled(entry: Mapping[str, Any], step_rad: float = np.pi / 36, unit_m: floa
     for symmetry in entry.get("symmetries_continuous", []):
         steps = int(np.ceil(2 * np.pi / step_rad))
         offset = np.array(symmetry.get("offset", [0, 0, 0]), np.float64) * unit_m
-        continuous += [turn_about(symmetry["axis"], 2 * np.pi * k / steps, offset) for k in range(1, steps)]
+        continuous += [
+            rotation_about(symmetry["axis"], 2 * np.pi * k / steps, offset) for k in range(1, steps)
+        ]
     return np.stack([d @ c for d in discrete for c in continuous])

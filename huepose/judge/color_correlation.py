@@ -1,4 +1,5 @@
-"""Do the print and the picture agree in colour, whatever the light? A correlation from sums over samples."""
+"""Do the texture and the picture agree in colour, whatever the light? A correlation from sums over
+samples."""
 
 from __future__ import annotations
 
@@ -25,7 +26,7 @@ LIGHT_SIGMA = (14.0, 7.0, 7.0)
 def color_agreement(
     samples: Float64, count: int, weight: float, weights: Float64, region: RegionArrays, seen: Float64
 ) -> float:
-    """Correlation of texture and image over channels and scales, each weighted by how much print there is.
+    """Correlation of texture and image over channels and scales, each weighted by how much texture there is.
 
     samples (20 or more, N): of the first `count` columns rows 4..6 the normal, 7 the weight (sum `weight`),
     8..13 the texture's colours at both scales, 14..19 the image's.

@@ -1,9 +1,9 @@
-"""How much speaks for another print: the share of seen contrasts at the model's pairs that point elsewhere.
+"""How much speaks for another texture: the share of seen contrasts at the model's pairs that point elsewhere.
 
 A correlation of colours says that something disagrees, not how much of the surface does: a third of the
 print in strong other hues pulls it down as far as a look-alike does, which has another print all over. So
 pairs are counted. The contrast of a pair is a direction in colour; light, shadow and exposure change its
-length, noise turns what is short, and only another colour turns what is long. Where the same object's print
+length, noise turns what is short, and only another colour turns what is long. Where the same object's texture
 is partly out of date, the contrasts of the rest still point their way; of a look-alike hardly any do.
 """
 
@@ -28,10 +28,10 @@ ASIDE = 0.75
 
 NOISE = 3.0
 """Units of opponents by which a contrast may be off for no reason; one as long as this counts half, on the
-print and in the picture."""
+texture and in the picture."""
 
 NEUTRAL = 3.0
-"""So many clear contrasts are taken to agree beforehand: without print nothing speaks against it."""
+"""So many clear contrasts are taken to agree beforehand: without texture nothing speaks against it."""
 
 
 def contrast_disagreement_many(
@@ -80,8 +80,8 @@ def _compare(
     strengths: Float64,
     elsewhere: Bool,
 ) -> None:
-    """Of each pair that is seen, how clear its contrast is on the print and in the picture, how strong it is
-    on the print, and whether the picture's points elsewhere."""
+    """Of each pair that is seen, how clear its contrast is on the texture and in the picture, how strong it
+    is on the texture, and whether the picture's points elsewhere."""
     read = np.empty((2, 3))
     for i in range(pairs.points.shape[0]):
         facing = read_pair(T, i, region, pairs, picture, read)
@@ -95,9 +95,9 @@ def _compare(
             mm += a * a
             ss += b * b
             dot += a * b
-        of_print, seen = np.sqrt(mm), np.sqrt(ss)
-        along = dot / of_print
+        of_texture, seen = np.sqrt(mm), np.sqrt(ss)
+        along = dot / of_texture
         across = np.sqrt(max(ss - along * along, 0.0))
-        voices[i] = facing * of_print / (of_print + NOISE) * seen / (seen + NOISE)
-        strengths[i] = of_print
+        voices[i] = facing * of_texture / (of_texture + NOISE) * seen / (seen + NOISE)
+        strengths[i] = of_texture
         elsewhere[i] = across > ASIDE * along + NOISE

@@ -1,8 +1,9 @@
-"""A print that lies a little elsewhere than the mesh has it: labels are glued on by hand, textures stitched.
+"""A texture that lies a little elsewhere than the mesh has it: labels are glued on by hand, textures
+stitched.
 
-On scanned objects the print is off by one to three hundredths of what one sees of them. Fine detail then
-correlates with nothing, and a pose can win because a wrong part of the print happens to lie better. So a
-print may be moved as a whole before it is compared: an affine map of the picture, small by its prior, found
+On scanned objects the texture is off by one to three hundredths of what one sees of them. Fine detail then
+correlates with nothing, and a pose can win because a wrong part of the texture happens to lie better. So a
+texture may be moved as a whole before it is compared: an affine map of the picture, small by its prior, found
 by robust Gauss-Newton steps (B. Lucas, T. Kanade: An iterative image registration technique, IJCAI 1981).
 """
 
@@ -15,18 +16,18 @@ import numpy as np
 
 from huepose.geometry.arrays import Bool, Float32, Float64
 
-USUAL = 0.01
-"""Displacement of a print, as a share of the diagonal of what shows of it: one standard deviation."""
+SPREAD = 0.01
+"""Displacement of a texture, as a share of the diagonal of what shows of it: one standard deviation."""
 
 LEVELS = ((4, 5), (2, 4))
 """Pictures shrunk by the first number, so many steps on each, coarse to fine."""
 
 LARGEST_STEP_PX = 2.0
 WEAKEST, STRONGEST = 0.2, 1.5
-"""Of a print in the picture against that of the mesh: gloss veils it."""
+"""Of a texture in the picture against that of the mesh: gloss veils it."""
 
 FEWEST = 30
-"""Pixels of a level on which a print can be aligned."""
+"""Pixels of a level on which a texture can be aligned."""
 
 
 class Moved(NamedTuple):
@@ -38,30 +39,36 @@ class Moved(NamedTuple):
     spread: float
 
 
-def aligned(picture: Float32, print_: Float32, there: Bool) -> Float32:
-    """The print (h, w, C), moved to where it suits the picture (h, w, C) best; its first channel decides.
+def aligned(picture: Float32, texture: Float32, there: Bool) -> Float32:
+    """The texture (h, w, C), moved to where it suits the picture (h, w, C) best; its first channel decides.
 
-    `there` (h, w) is where the print shows. Returned unmoved where that is too little.
+    `there` (h, w) is where the texture shows. Returned unmoved where that is too little.
     """
     rows, columns = np.nonzero(there)
     if len(rows) < FEWEST:
-        return print_
+        return texture
     center = np.array([columns.mean(), rows.mean()])
     spread = max(float(columns.std()), float(rows.std()), 1.0)
-    usual_px = USUAL * float(np.hypot(np.ptp(columns), np.ptp(rows)))
+    spread_px = SPREAD * float(np.hypot(np.ptp(columns), np.ptp(rows)))
     moved = Moved(np.zeros((2, 3)), center, spread)
     shown = there.astype(np.float32)
-    own = print_[..., 0] * shown
+    own = texture[..., 0] * shown
     for shrink, steps in LEVELS:
-        moved = _at_level(picture[..., 0], own, shown, moved, usual_px, shrink, steps)
+        moved = _at_level(picture[..., 0], own, shown, moved, spread_px, shrink, steps)
     x, y = _grid(there.shape[0], there.shape[1], 1, moved)
-    return _warped(print_, *_from(x, y, moved, 1))
+    return _warped(texture, *_from(x, y, moved, 1))
 
 
 def _at_level(
-    picture: Float32, print_: Float32, shown: Float32, moved: Moved, usual_px: float, shrink: int, steps: int
+    picture: Float32,
+    texture: Float32,
+    shown: Float32,
+    moved: Moved,
+    spread_px: float,
+    shrink: int,
+    steps: int,
 ) -> Moved:
-    small = [_shrunk(image, shrink) for image in (picture, print_, shown)]
+    small = [_shrunk(image, shrink) for image in (picture, texture, shown)]
     target, source, weight = small
     across = cv2.Sobel(source, cv2.CV_32F, 1, 0, ksize=3) / (8.0 * shrink)
     down = cv2.Sobel(source, cv2.CV_32F, 0, 1, ksize=3) / (8.0 * shrink)
@@ -74,11 +81,11 @@ def _at_level(
         inside = values[..., 3] > 0.5
         if int(inside.sum()) < FEWEST:
             break
-        A = A + _step(target[inside], values[inside], x[inside], y[inside], A, usual_px)
+        A = A + _step(target[inside], values[inside], x[inside], y[inside], A, spread_px)
     return Moved(A, moved.center, moved.spread)
 
 
-def _step(target: Float32, values: Float32, x: Float32, y: Float32, A: Float64, usual_px: float) -> Float64:
+def _step(target: Float32, values: Float32, x: Float32, y: Float32, A: Float64, spread_px: float) -> Float64:
     """One robust Gauss-Newton step (2, 3) towards the target's values (N,), with the prior's pull to none."""
     source, across, down = values[:, 0], values[:, 1], values[:, 2]
     gain = np.clip(float(target @ source) / (float(source @ source) + 1e-6), WEAKEST, STRONGEST)
@@ -87,7 +94,7 @@ def _step(target: Float32, values: Float32, x: Float32, y: Float32, A: Float64, 
     weight = 1.0 / (1.0 + (left / noise) ** 2)
     slope = -gain * np.stack([across * x, across * y, across, down * x, down * y, down], axis=-1)
     weighed = slope * weight[:, None]
-    prior = (noise / usual_px) ** 2 * np.array([4.0, 4.0, 1.0, 4.0, 4.0, 1.0])
+    prior = (noise / spread_px) ** 2 * np.array([4.0, 4.0, 1.0, 4.0, 4.0, 1.0])
     system = weighed.T @ slope + np.diag(prior + 1e-6)
     step = np.linalg.solve(system.astype(np.float64), weighed.T @ left - prior * A.ravel())
     return np.clip(step, -LARGEST_STEP_PX, LARGEST_STEP_PX).reshape(2, 3)

@@ -1,10 +1,10 @@
 """Figure and ground: does the object, where a pose has it, stand out in colour from what is round it?
 
-The dense score asks whether the print is there. Of an object that shows hardly any print, a clamp or the back
-of a box, it cannot tell the object from a patch of something else as even; nor does it mind a pose that lies
-across two things. But an object ends where its pose ends: the colours in the visible part of its outline are
-others than those just outside of it (the region statistics of silhouette trackers, Prisacariu and Reid 2012,
-used here to judge and not to descend).
+The dense score asks whether the texture is there. Of an object that shows hardly any texture, a clamp or the
+back of a box, it cannot tell the object from a patch of something else as even; nor does it mind a pose that
+lies across two things. But an object ends where its pose ends: the colours in the visible part of its outline
+are others than those just outside of it (the region statistics of silhouette trackers, Prisacariu and Reid
+2012, used here to judge and not to descend).
 """
 
 from __future__ import annotations
@@ -31,7 +31,7 @@ LOWEST = (-120.0, -40.0, -60.0)
 WIDTHS = (10.0, 5.0, 7.0)
 """Of the histogram of opponents: bins a channel, least values and widths."""
 
-USUAL, USUAL_COUNT = 0.55, 50.0
+PRIOR_CONTRAST, PRIOR_PIXELS = 0.55, 50.0
 """How far figure and ground differ in general, and how many pixels say so before any is looked at."""
 
 HULL_POINTS = 400
@@ -40,7 +40,7 @@ HULL_POINTS = 400
 def figure_ground_contrast(model: ReferenceModel, region: Region, poses: Float) -> Float64:
     """How far the colours of figure and ground differ at poses (N, 4, 4): (N,), 0 where they are the same, 1
     where no colour is in both (one minus the Bhattacharyya coefficient of their histograms)."""
-    out = np.full(len(poses), USUAL)
+    out = np.full(len(poses), PRIOR_CONTRAST)
     points = model.surface.points[:HULL_POINTS]
     camera = region.crop.camera
     lowest, widths = np.array(LOWEST), np.array(WIDTHS)
@@ -76,7 +76,7 @@ def figure_and_ground(rendered: Float32, observed: Float32, tolerance_m: float) 
 
 @jit_dividing
 def _difference(figure: Bool, ground: Bool, colors: Float32, lowest: Float64, widths: Float64) -> float:
-    """One minus the overlap of both sides' histograms, from USUAL where few pixels say so."""
+    """One minus the overlap of both sides' histograms, from PRIOR_CONTRAST where few pixels say so."""
     bins = np.zeros((2, BINS * BINS * BINS), np.int32)
     counts = np.zeros(2)
     for v in range(figure.shape[0]):
@@ -91,11 +91,11 @@ def _difference(figure: Bool, ground: Bool, colors: Float32, lowest: Float64, wi
             bins[side, cell] += 1
             counts[side] += 1.0
     if counts[0] < 1.0 or counts[1] < 1.0:
-        return USUAL
+        return PRIOR_CONTRAST
     overlap = 0.0
     for i in range(bins.shape[1]):
         if bins[0, i] and bins[1, i]:
             overlap += np.sqrt(float(bins[0, i]) * float(bins[1, i]))
     overlap /= np.sqrt(counts[0] * counts[1])
     known = min(counts[0], counts[1])
-    return float(((1.0 - overlap) * known + USUAL * USUAL_COUNT) / (known + USUAL_COUNT))
+    return float(((1.0 - overlap) * known + PRIOR_CONTRAST * PRIOR_PIXELS) / (known + PRIOR_PIXELS))

@@ -19,7 +19,7 @@ TERMS = 17
 
 SCRATCH_ROWS = 23
 """Rows of the kernel's scratch. Of all samples: 0 facing, 1..2 pixel, 3 depth, 4..6 normal in camera axes. Of
-those that fit, moved up: 4..6 the normal, 7 weight, 8..13 the print's colours, 14..19 the picture's, 20 the
+those that fit, moved up: 4..6 the normal, 7 weight, 8..13 the texture's colours, 14..19 the picture's, 20 the
 sample, 21..22 pixel."""
 
 STICKING = 3.0
@@ -184,7 +184,7 @@ def _place(
 
 @jit_dividing
 def _read_colors(model: ModelArrays, region: RegionArrays, count: int, scratch: Float64) -> None:
-    """Colours of the print, and of the picture between its pixels, of the samples that fit."""
+    """Colours of the texture, and of the picture between its pixels, of the samples that fit."""
     height, width = region.depth.shape
     # Flat and without a sign, so that the compiler need not think of indices counted from the end.
     fine, coarse = model.colors[region.finest].ravel(), model.colors[region.finest + 1].ravel()

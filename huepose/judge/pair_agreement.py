@@ -1,4 +1,4 @@
-"""How much of the print agrees with the picture, when some of it may be out of date or hidden?
+"""How much of the texture agrees with the picture, when some of it may be out of date or hidden?
 
 A correlation (see `pairs`) is pulled most by what disagrees most: a third of a surface in other, stronger
 colours outweighs the rest, and the wrong way round may correlate better than the right one. So here every
@@ -69,7 +69,7 @@ def _agree_all(
 
 @jit
 def _contrasts(weights: Float64, model: Float64, seen: Float64) -> float:
-    """Share of the print's contrasts that the picture shows, each between nothing and all of its own; none
+    """Share of the texture's contrasts that the picture shows, each between nothing and all of its own; none
     speaks louder than the usual one."""
     n = weights.shape[0]
     along, ours, theirs = np.empty(n), np.empty(n), np.empty(n)
@@ -82,11 +82,11 @@ def _contrasts(weights: Float64, model: Float64, seen: Float64) -> float:
             mm += a * a
             ss += b * b
         along[i], ours[i], theirs[i] = dot, np.sqrt(mm) + 1e-9, np.sqrt(ss) + 1e-9
-    usual = np.median(ours)
-    gain = min(max(np.median(theirs) / usual, 0.3), 3.0)
+    typical = np.median(ours)
+    gain = min(max(np.median(theirs) / typical, 0.3), 3.0)
     total, agreed = 0.0, 0.0
     for i in range(n):
-        longer, voice = max(ours[i], theirs[i] / gain), weights[i] * min(ours[i], usual)
+        longer, voice = max(ours[i], theirs[i] / gain), weights[i] * min(ours[i], typical)
         total += voice
         agreed += voice * max(along[i] / gain / (longer * longer), 0.0)
     return float(agreed / total)

@@ -49,7 +49,7 @@ the candidates of a sharp edge."""
 class PairWeights:
     """What colour and contrast weigh beside the geometry; lightness: its weight against the other two
     channels; floor: units of opponents that keep the correlation of even surfaces down; even: added to the
-    sum of the channels' weights, which lowers objects without print; few: number of visible pairs at which
+    sum of the channels' weights, which lowers objects without texture; few: number of visible pairs at which
     colours count half."""
 
     color: float = 1.0

@@ -1,10 +1,10 @@
 """A rendered view: what an object at a pose would look like in this very picture, at its resolution and
 sharpness.
 
-The samples of a surface (`model.types.Surface`) carry its print at two fixed scales, whatever the camera sees
-of it. A rendered view is drawn for one pose and one camera: its samples are pixels, their colours the print
-as this camera would see it, in the same bands of detail as the picture is split into, and it has an outline.
-It holds for small steps from its pose."""
+The samples of a surface (`model.types.Surface`) carry its texture at two fixed scales, whatever the camera
+sees of it. A rendered view is drawn for one pose and one camera: its samples are pixels, their colours the
+texture as this camera would see it, in the same bands of detail as the picture is split into, and it has an
+outline. It holds for small steps from its pose."""
 
 from __future__ import annotations
 

@@ -1,10 +1,10 @@
-"""Which of several poses explains the same pixels best? Prints against the picture where any of them lies.
+"""Which of several poses explains the same pixels best? Textures against the picture where any of them lies.
 
 A score of one pose alone reads the picture where that pose fits it, and under the light that suits it. Of
 poses that compete for one answer more can be asked: that they explain the same pixels, where what shows and
-is not in their print speaks against them, and that the print is as strong in one as in the other. Fine detail
-is compared as the mesh has it, and moved as a whole as far as labels are glued on elsewhere; of broader
-print no more is asked than that it is there within a pixel or two.
+is not in their texture speaks against them, and that the texture is as strong in one as in the other. Fine
+detail is compared as the mesh has it, and moved as a whole as far as labels are glued on elsewhere; of
+broader texture no more is asked than that it is there within a pixel or two.
 """
 
 from __future__ import annotations
@@ -23,10 +23,10 @@ from huepose.model.types import ReferenceModel
 from huepose.rendering.render import render
 
 BROAD_PX = 5.0
-"""Broader print lies between the blunt smoothing of a rendered view and this one; shading is broader."""
+"""Broader texture lies between the blunt smoothing of a rendered view and this one; shading is broader."""
 
 REACH = 1
-"""Half-size pixels by which a piece of the print may be elsewhere."""
+"""Half-size pixels by which a piece of the texture may be elsewhere."""
 
 PIECE = 5
 """Side of such a piece, in half-size pixels."""
@@ -35,10 +35,10 @@ NOISE = 1.0
 """Opponents: of the detail of a picture that shows nothing."""
 
 WEAKEST, STRONGEST = 0.3, 1.2
-"""Of a print against that of the mesh: veiled by gloss and blur, or sharper than it was scanned."""
+"""Of a texture against that of the mesh: veiled by gloss and blur, or sharper than it was scanned."""
 
 MOVED = 0.7
-"""So much of the detail's correlation is that after the print was moved where it suits the picture best."""
+"""So much of the detail's correlation is that after the texture was moved where it suits the picture best."""
 
 FEWEST = 20
 """Pixels on which poses can be compared."""
@@ -59,8 +59,8 @@ class Part:
 @dataclass(frozen=True, eq=False)
 class Likeness:
     """Of each pose (K,): `detail`, correlation of fine detail times the share of the pixels on which it could
-    be compared, in -1..1; `broad`, how much of the broader print it explains, robustly, in -3..3; `open`, how
-    much of what it shows is neither hidden nor seen through, in 0..1."""
+    be compared, in -1..1; `broad`, how much of the broader texture it explains, robustly, in -3..3; `open`,
+    how much of what it shows is neither hidden nor seen through, in 0..1."""
 
     detail: Float64
     broad: Float64
@@ -106,35 +106,35 @@ def _detail(colors: Float32, seen: Sequence[_Seen], shared: Bool) -> Float64:
     out = []
     for one in seen:
         there = one.comparable[..., None]
-        print_ = np.ascontiguousarray(one.colors[..., :3] * there)
-        moved = aligned(everywhere, print_, one.comparable)
-        as_drawn = _correlation(everywhere * there, print_, count)
+        texture = np.ascontiguousarray(one.colors[..., :3] * there)
+        moved = aligned(everywhere, texture, one.comparable)
+        as_drawn = _correlation(everywhere * there, texture, count)
         correlation = as_drawn + MOVED * (_correlation(everywhere, moved, count) - as_drawn)
         out.append(correlation * float(one.comparable.sum()) / count)
     return np.array(out)
 
 
-def _correlation(picture: Float32, print_: Float32, count: float) -> float:
-    strength = float((picture * picture).sum()) * float((print_ * print_).sum())
-    return float((picture * print_).sum()) / float(np.sqrt(strength + (count * NOISE**2) ** 2))
+def _correlation(picture: Float32, texture: Float32, count: float) -> float:
+    strength = float((picture * picture).sum()) * float((texture * texture).sum())
+    return float((picture * texture).sum()) / float(np.sqrt(strength + (count * NOISE**2) ** 2))
 
 
 def _broad(colors: Float32, seen: Sequence[_Seen], shared: Bool) -> Float64:
     everywhere = _halved(shared.astype(np.float32))
     picture = _band(_halved(colors[..., 3:] * shared[..., None]), everywhere)
     weights = [_halved(one.comparable.astype(np.float32)) for one in seen]
-    prints = [
+    textures = [
         _band(_halved(one.colors[..., 3:] * one.comparable[..., None]), weight)
         for one, weight in zip(seen, weights, strict=True)
     ]
     count = float(everywhere.sum())
     energy = np.einsum("ijk,ijk->k", picture, picture)
     spread = np.sqrt(energy / count) + NOISE
-    gain = _shared_gain(picture, prints, count)
+    gain = _shared_gain(picture, textures, count)
     unexplained = _pieces(_saturating(picture / spread))
     out = []
-    for print_, weight in zip(prints, weights, strict=True):
-        strong = print_ * gain
+    for texture, weight in zip(textures, weights, strict=True):
+        strong = texture * gain
         left = np.full(weight.shape, np.inf, np.float32)
         for dx in range(-REACH, REACH + 1):
             for dy in range(-REACH, REACH + 1):
@@ -144,12 +144,12 @@ def _broad(colors: Float32, seen: Sequence[_Seen], shared: Bool) -> Float64:
     return np.array(out)
 
 
-def _shared_gain(picture: Float32, prints: Sequence[Float32], count: float) -> Float32:
-    """How strong the print shows in the picture (3,), by channel, after whom it suits best."""
+def _shared_gain(picture: Float32, textures: Sequence[Float32], count: float) -> Float32:
+    """How strong the texture shows in the picture (3,), by channel, after whom it suits best."""
     gains = [
-        np.einsum("ijk,ijk->k", picture, print_)
-        / (np.einsum("ijk,ijk->k", print_, print_) + NOISE * np.sqrt(count))
-        for print_ in prints
+        np.einsum("ijk,ijk->k", picture, texture)
+        / (np.einsum("ijk,ijk->k", texture, texture) + NOISE * np.sqrt(count))
+        for texture in textures
     ]
     return np.asarray(np.clip(np.max(gains, axis=0), WEAKEST, STRONGEST), dtype=np.float32)
 

@@ -1,7 +1,7 @@
 """The dense score of a pose: does this object, there, explain the depth and the colours of a region?
 
 Samples of the model's surface that the pose shows are compared with the image (depth where the surface
-should be, nothing in front of it that we see through, the print's colours), and points of the mask with the
+should be, nothing in front of it that we see through, the texture's colours), and points of the mask with the
 surface (is the mask explained?). Colours are compared by the correlation of their opponents with the
 texture's at two scales, so that the light's colour and strength do not matter; lightness also after shading
 is taken off.

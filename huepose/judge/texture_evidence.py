@@ -1,10 +1,10 @@
-"""Is it this print that is seen? What the dense score cannot say, measured on the pose that is answered.
+"""Is it this texture that is seen? What the dense score cannot say, measured on the pose that is answered.
 
-A look-alike (the same shape in another print) agrees in colour less than the object itself, but no less than
-an object without much print does. So what is asked for is what is lacking: how much higher the agreement of
-the two opponent colours would be if the picture showed just this print, which is little where there is little
-print. And at which contrast details are seen: sharp ones tell poses apart that blurred ones do not.
-"""
+A look-alike (the same shape in another texture) agrees in colour less than the object itself, but no less
+than an object without much texture does. So what is asked for is what is lacking: how much higher the
+agreement of the two opponent colours would be if the picture showed just this texture, which is little where
+there is little texture. And at which contrast details are seen: sharp ones tell poses apart that blurred ones
+do not."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ FEWEST = 15
 """Samples that fit the depth, under which nothing is said."""
 
 BASE = 4.0
-"""Added to the weights of the channels, as in `judge.color_correlation`: without print nothing lacks."""
+"""Added to the weights of the channels, as in `judge.color_correlation`: without texture nothing lacks."""
 
 DETAIL_FLOOR = 0.75
 """Variance of detail (opponent units) that is noise."""
@@ -33,12 +33,12 @@ HUE_FLOOR = 40.0
 
 
 @dataclass(frozen=True)
-class PrintEvidence:
-    """missing: agreement of the opponent colours that the picture owes to the print, 0 (all is there) to
-    about 0.8; foreign: deviation of the picture's opponent colours from the print's, up to one offset
+class TextureEvidence:
+    """missing: agreement of the opponent colours that the picture owes to the texture, 0 (all is there) to
+    about 0.8; foreign: deviation of the picture's opponent colours from the texture's, up to one offset
     (standard deviation, opponent units); detail: correlation of what is smaller than 3.5 mm, -1..1, low
-    where it cannot be seen; turned: how far the hues of picture and print are turned against each other as a
-    whole, 0..1."""
+    where it cannot be seen; turned: how far the hues of picture and texture are turned against each other as
+    a whole, 0..1."""
 
     missing: float
     foreign: float
@@ -46,55 +46,57 @@ class PrintEvidence:
     turned: float
 
 
-def print_evidence(model: ReferenceModel, region: Region, T_cam_obj: Float) -> PrintEvidence:
+def texture_evidence(model: ReferenceModel, region: Region, T_cam_obj: Float) -> TextureEvidence:
     """Of a pose (4, 4). Where too little of the surface is seen, nothing is missing, nothing foreign and no
     detail is there."""
-    seen = _seen_print(model, region, np.ascontiguousarray(T_cam_obj, dtype=np.float64))
+    seen = _seen_texture(model, region, np.ascontiguousarray(T_cam_obj, dtype=np.float64))
     if seen is None:
-        return PrintEvidence(0.0, 0.0, 0.0, 0.0)
-    weight, print_colors, picture = seen
+        return TextureEvidence(0.0, 0.0, 0.0, 0.0)
+    weight, texture_colors, picture = seen
     share = weight / weight.sum()
-    print_colors = print_colors - share @ print_colors
+    texture_colors = texture_colors - share @ texture_colors
     picture = picture - share @ picture
-    of_print, of_picture = share @ print_colors**2, share @ picture**2
-    both = share @ (print_colors * picture)
+    of_texture, of_picture = share @ texture_colors**2, share @ picture**2
+    both = share @ (texture_colors * picture)
     w = DEFAULT_WEIGHTS
     # Columns: lightness, red-green, yellow-blue at 1 mm, then at 3.5 mm.
-    importance = np.sqrt(of_print) * np.repeat([1.0, w.coarse], 3) * np.tile([w.lightness, 1.0, 1.0], 2)
-    agreement = both / (np.sqrt(of_print * of_picture) + w.color_floor)
-    possible = of_print / (of_print + w.color_floor)
+    importance = np.sqrt(of_texture) * np.repeat([1.0, w.coarse], 3) * np.tile([w.lightness, 1.0, 1.0], 2)
+    agreement = both / (np.sqrt(of_texture * of_picture) + w.color_floor)
+    possible = of_texture / (of_texture + w.color_floor)
     chroma = [1, 2, 4, 5]
     missing = (importance * (possible - agreement))[chroma].sum() / (BASE + importance.sum())
-    foreign = np.sqrt(max((of_print + of_picture - 2.0 * both)[1:3].sum(), 0.0))
-    turned = _turned(share, print_colors[:, chroma], picture[:, chroma])
-    return PrintEvidence(float(missing), float(foreign), _detail(share, print_colors, picture), turned)
+    foreign = np.sqrt(max((of_texture + of_picture - 2.0 * both)[1:3].sum(), 0.0))
+    turned = _turned(share, texture_colors[:, chroma], picture[:, chroma])
+    return TextureEvidence(float(missing), float(foreign), _detail(share, texture_colors, picture), turned)
 
 
-def _turned(share: Float64, print_colors: Float64, picture: Float64) -> float:
-    """Correlation of the picture's hues with the print's turned by a right angle, of both scales (N, 4).
+def _turned(share: Float64, texture_colors: Float64, picture: Float64) -> float:
+    """Correlation of the picture's hues with the texture's turned by a right angle, of both scales (N, 4).
 
     Light and exposure move hues and make them fainter, all alike; they turn none towards its neighbour."""
     across, strength = 0.0, HUE_FLOOR
     for k in (0, 2):
-        p, q = print_colors[:, k : k + 2], picture[:, k : k + 2]
+        p, q = texture_colors[:, k : k + 2], picture[:, k : k + 2]
         across += float(share @ (p[:, 0] * q[:, 1] - p[:, 1] * q[:, 0]))
         strength += float(np.sqrt((share @ p**2).sum() * (share @ q**2).sum()))
     return abs(across) / strength
 
 
-def _detail(share: Float64, print_colors: Float64, picture: Float64) -> float:
+def _detail(share: Float64, texture_colors: Float64, picture: Float64) -> float:
     """Correlation of the differences between the two scales, over all three channels."""
-    fine_print = print_colors[:, :3] - print_colors[:, 3:]
+    fine_texture = texture_colors[:, :3] - texture_colors[:, 3:]
     fine_picture = picture[:, :3] - picture[:, 3:]
-    of_print = float((share @ fine_print**2).sum())
+    of_texture = float((share @ fine_texture**2).sum())
     of_picture = float((share @ fine_picture**2).sum())
-    both = float((share @ (fine_print * fine_picture)).sum())
-    return both / float(np.sqrt(of_print * of_picture) + DETAIL_FLOOR)
+    both = float((share @ (fine_texture * fine_picture)).sum())
+    return both / float(np.sqrt(of_texture * of_picture) + DETAIL_FLOOR)
 
 
-def _seen_print(model: ReferenceModel, region: Region, T: Float64) -> tuple[Float64, Float64, Float64] | None:
-    """Of the samples that the pose shows and the depth confirms: weights (N,), opponents of the print and of
-    the picture, both (N, 6). None where there are too few."""
+def _seen_texture(
+    model: ReferenceModel, region: Region, T: Float64
+) -> tuple[Float64, Float64, Float64] | None:
+    """Of the samples that the pose shows and the depth confirms: weights (N,), opponents of the texture and
+    of the picture, both (N, 6). None where there are too few."""
     m, r = model_arrays(model), region_arrays(region)
     view = nearest_view(T, m)
     index = m.visible[m.offsets[view] : m.offsets[view + 1]][:SAMPLES]
@@ -113,8 +115,8 @@ def _seen_print(model: ReferenceModel, region: Region, T: Float64) -> tuple[Floa
         return None
     outside = DEFAULT_WEIGHTS.outside
     weight = facing[fits] * (outside + (1.0 - outside) * r.belief[row[fits], column[fits]])
-    print_colors = np.concatenate([m.colors[0][index[fits]], m.colors[1][index[fits]]], axis=1)
-    return weight, print_colors.astype(np.float64), _between_pixels(r.colors, u[fits], v[fits])
+    texture_colors = np.concatenate([m.colors[0][index[fits]], m.colors[1][index[fits]]], axis=1)
+    return weight, texture_colors.astype(np.float64), _between_pixels(r.colors, u[fits], v[fits])
 
 
 def _between_pixels(colors: Float, u: Float64, v: Float64) -> Float64:

@@ -20,7 +20,7 @@ def check_model(model: ReferenceModel) -> None:
         ("mesh.uv", mesh.uv, (len(mesh.faces), 3, 2)),
         ("eval_points", model.eval_points, (None, 3)),
         ("symmetries", model.symmetries, (None, 4, 4)),
-        ("turns", model.turns, (None, 4, 4)),
+        ("turns", model.near_symmetries, (None, 4, 4)),
         ("equivalents", model.equivalents, (None, 4, 4)),
         ("surface.points", surface.points, (samples, 3)),
         ("surface.normals", surface.normals, (samples, 3)),

@@ -109,9 +109,9 @@ class ReferenceModel:
 
     mesh: for drawing and tracking (texture at most 1024 px); eval_points (P, 3) float32: at most 20,000
     vertices at a fixed stride, as errors are measured; diameter_m: the largest distance of two points.
-    symmetries (S, 4, 4): declared turns of the *shape* (identity first; continuous ones sampled);
-    turns (M, 4, 4): near-symmetric turns found on the geometry, as hypotheses only (identity first);
-    equivalents (E, 4, 4): turns under which shape *and print* look the same (identity first).
+    symmetries (S, 4, 4): declared rotations of the *shape* (identity first; continuous ones sampled);
+    near_symmetries (M, 4, 4): near-symmetric rotations found on the geometry, as hypotheses only (identity
+    first); equivalents (E, 4, 4): rotations under which shape *and texture* look the same (identity first).
     T = T_cam_obj @ turn is another pose in each case.
     frame_offset_m: translation that takes a point of the PoseCNN/YCB-Video frame to this one, or None.
     tables: what the methods `paper` and `colorpair` need besides, None unless onboarding was asked for it.
@@ -123,7 +123,7 @@ class ReferenceModel:
     eval_points: Float32
     diameter_m: float
     symmetries: Float64
-    turns: Float64
+    near_symmetries: Float64
     equivalents: Float64
     frame_offset_m: Float64 | None
     surface: Surface

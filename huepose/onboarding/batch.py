@@ -46,7 +46,7 @@ class Onboarded:
     path: Path
     size_m: tuple[float, float, float]
     diameter_m: float
-    turns: int
+    near_symmetries: int
     equivalents: int
     file_bytes: int
     seconds: float
@@ -98,7 +98,7 @@ def onboard_one(job: Job, bundles_dir: Path, report: Callable[[str], None]) -> O
         path,
         (x, y, z),
         model.diameter_m,
-        len(model.turns),
+        len(model.near_symmetries),
         len(model.equivalents),
         path.stat().st_size,
         time.monotonic() - start,

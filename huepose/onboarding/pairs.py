@@ -64,8 +64,8 @@ class Scale:
 
 @dataclass(frozen=True)
 class ReferenceConfig:
-    """coarse, fine: scales of the views for hypotheses (large print, few pairs) and for verification (small
-    print); level: of the icosphere of views; min_facing: cosine under which a pair of a view is dropped;
+    """coarse, fine: scales of the views for hypotheses (large texture, few pairs) and for verification (small
+    texture); level: of the icosphere of views; min_facing: cosine under which a pair of a view is dropped;
     max_pairs: rows of the database for each scale; merge: distance within which pairs of different views
     are one, in diameters."""
 

@@ -15,6 +15,7 @@ from huepose.model.io import check_name
 from huepose.model.types import PaperTables, ReferenceModel
 from huepose.onboarding.cloud import visible_cloud
 from huepose.onboarding.grid import build_grid
+from huepose.onboarding.near_symmetries import near_symmetries
 from huepose.onboarding.pairs import (
     MergedPairs,
     PairView,
@@ -23,8 +24,7 @@ from huepose.onboarding.pairs import (
     reference_cameras,
 )
 from huepose.onboarding.surface import build_surface
-from huepose.onboarding.symmetries import equivalent_turns
-from huepose.onboarding.turns import near_symmetries
+from huepose.onboarding.symmetries import equivalent_rotations
 from huepose.onboarding.visibility import depth_views
 from huepose.propose.templates import build_templates
 from huepose.rendering.render import render
@@ -59,7 +59,7 @@ def reference_model(
     lean: the mesh simplified, for the model and its pictures (surfels are taken from the full mesh); without
     it the mesh itself serves. info: the object's entry of `models_info.json` (millimetres), for its diameter
     and the symmetries of its shape; symmetric: an entry of the same form whose symmetries hold for shape and
-    print; frame_offset_m (3,): takes points of the PoseCNN/YCB-Video frame to the mesh's frame; paper:
+    texture; frame_offset_m (3,): takes points of the PoseCNN/YCB-Video frame to the mesh's frame; paper:
     whether the model gets the tables of the paper's method, too; report:
     called with each stage's name as it begins. Deterministic: one mesh gives one model, bit for bit.
     """
@@ -75,7 +75,7 @@ def reference_model(
     report("symmetries")
     near = near_symmetries(surface, grid, diameter)
     if symmetric is None:
-        equivalents = equivalent_turns(surface, cloud, near, diameter)
+        equivalents = equivalent_rotations(surface, cloud, near, diameter)
     else:
         equivalents = sampled(symmetric, _STEP_RAD)
     report("templates")
@@ -89,7 +89,7 @@ def reference_model(
         eval_points=np.ascontiguousarray(mesh.vertices[:: -(-len(mesh.vertices) // EVAL_POINTS)]),
         diameter_m=diameter,
         symmetries=sampled(info or symmetric or {}, _STEP_RAD),
-        turns=near.turns,
+        near_symmetries=near.transforms,
         equivalents=equivalents,
         frame_offset_m=None if frame_offset_m is None else np.asarray(frame_offset_m, np.float64),
         surface=surface,

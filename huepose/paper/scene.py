@@ -2,7 +2,7 @@
 
 Colour pairs of the object's region are extracted, lifted onto their surface and classified by the model's
 database. The paper leaves open at which resolution pairs are compared: here the picture is brought to the
-scale of the model's views, so that both show the same print.
+scale of the model's views, so that both show the same texture.
 """
 
 from __future__ import annotations

@@ -52,7 +52,7 @@ def cluster(
     equivalents: Float | None = None,
 ) -> list[Hypothesis]:
     """The densest poses among the votes, best first; `centre_obj` (3,) is the point whose position is voted
-    for; `equivalents` (E, 4, 4), identity first: turns after which shape and print look the same.
+    for; `equivalents` (E, 4, 4), identity first: rotations after which shape and texture look the same.
 
     The score is the summed weight of a mode's supporters, each scene feature counted once. Of equal poses
     one is returned.

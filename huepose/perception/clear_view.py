@@ -107,7 +107,7 @@ def _sums(labels: Int32, depth: Float32, count: int) -> Float64:
 
 
 def _smoothed(color: UInt8, pixels_per_m: float) -> Float32:
-    """Opponents (h, w, 6) float32 smoothed at the two scales of the print."""
+    """Opponents (h, w, 6) float32 smoothed at the two scales of the texture."""
     plain = opponents_of_bytes(color)
     fine, coarse = (max(0.5, sigma_m * pixels_per_m) for sigma_m in COLOR_SCALES_M)
     return np.asarray(cv2.merge([cv2.GaussianBlur(plain, (0, 0), fine), _blurred(plain, coarse)]), np.float32)

@@ -1,12 +1,12 @@
 """Is the object here at all, whichever way round it is?
 
-Whether a pose is right asks for print that tells it from its turns; a plain mug has none, and is there all
+Whether a pose is right asks for texture that tells it from its turns; a plain mug has none, and is there all
 the same. What speaks for an object being there is a shape that explains the depth, without a surface that
 goes on where the object ends, and colours that are the object's, up to the one light that all of the frame
 has. How much a colour says depends on how common it is: grey is everywhere, a strong red is not.
 
 The weighted sum of these is a logit; the weights, in `presence_fit.json`, were fitted on drawn scenes
-(`evaluation.presence_fit`). (The light: what probable places of the *other* objects say about
+(`studies.presence`). (The light: what probable places of the *other* objects say about
 it, as log colours are only shifted by it, after von Kries.)
 """
 
@@ -37,13 +37,13 @@ LIGHT_SPREAD, LIGHT_NOISE, LIGHT_REACH = 15.0, 8.0, 25.0
 
 @dataclass(frozen=True, eq=False)
 class Sight:
-    """What is seen where a pose says that an object is. fit, violation 0..1, print -1..1: terms of the dense
-    score; rim 0..1: where the surface goes on beside it; hues (N, 5): of samples that fit the depth, weight,
-    the object's two colour opponents, and the picture's."""
+    """What is seen where a pose says that an object is. fit, violation 0..1, texture -1..1: terms of the
+    dense score; rim 0..1: where the surface goes on beside it; hues (N, 5): of samples that fit the depth,
+    weight, the object's two colour opponents, and the picture's."""
 
     fit: float
     violation: float
-    print: float
+    texture: float
     rim: float
     hues: Float64
 
@@ -58,20 +58,20 @@ class Sight:
 @dataclass(frozen=True)
 class PresenceFit:
     """Weights of the logit, none of them negative but the constant, which speaks against any place: depth
-    that fits; what is seen through, which the fit counts already, and too much; print; a rim where the
+    that fits; what is seen through, which the fit counts already, and too much; texture; a rim where the
     surface does not go on; hue."""
 
     constant: float
     fit: float
     violation: float
-    print: float
+    texture: float
     free_rim: float
     hue: float
 
     def logit(self, seen: Sight) -> float:
         """Of the object being where it is looked for, by all but hue."""
         shape = self.fit * seen.fit + self.violation * seen.violation + self.free_rim * (1.0 - seen.rim)
-        return shape + self.print * seen.print + self.constant
+        return shape + self.texture * seen.texture + self.constant
 
 
 @cache

@@ -25,7 +25,7 @@ from huepose.support.stages import stage
 
 FIRST_SAMPLES, SECOND_SAMPLES = 60, 200
 LOOK_WEIGHT = 0.7
-FIT_WEIGHT, VIOLATION_WEIGHT, PRINT_WEIGHT, SEEN_WEIGHT, RIM_WEIGHT = 0.9, 1.0, 1.5, 0.3, 0.7
+FIT_WEIGHT, VIOLATION_WEIGHT, TEXTURE_WEIGHT, SEEN_WEIGHT, RIM_WEIGHT = 0.9, 1.0, 1.5, 0.3, 0.7
 SEARCH_SAMPLES, SEARCH_STEPS_DEG = 100, (8.0, 4.0)
 SAME_SHIFT, SAME_IOU = 0.25, 0.6
 """Poses nearer than this (in diameters), or whose boxes overlap so, are one proposal."""
@@ -44,7 +44,7 @@ class Effort:
     aligned: int
     aligned_each: int
     searched: int
-    turned: int
+    with_near_symmetries: int
 
 
 EFFORTS = (Effort(28, 200, 15, 16, 2, 3, 0), Effort(80, 700, 25, 96, 5, 10, 3))
@@ -107,20 +107,25 @@ def _tried(
         rated = _judged(model, view, region, poses)
     with stage("third"):
         best = _apart(model, poses, rated, effort.searched)
-        starts = np.concatenate([poses[best], likeliest_turns(model, region, poses[best[: effort.turned]])])
+        starts = np.concatenate(
+            [
+                poses[best],
+                likeliest_near_symmetries(model, region, poses[best[: effort.with_near_symmetries]]),
+            ]
+        )
         found, _ = search(model, region, starts, SEARCH_STEPS_DEG, SEARCH_SAMPLES)
         rated = np.concatenate([_judged(model, view, region, found), rated])
         return np.concatenate([found, poses]), rated
 
 
-def likeliest_turns(model: ReferenceModel, region: Region, poses: Float64) -> Float64:
-    """The likeliest near-symmetric turns of poses (N, 4, 4), as many as there are poses or fewer: a coarse
-    view tells the faces of a box less well than it tells where it stands."""
-    turned: Float64 = np.einsum("nij,mjk->nmik", poses, model.turns[1:]).reshape(-1, 4, 4)
-    if not len(turned):
-        return turned
-    rated = evidence(score_many(model, region, turned, FIRST_SAMPLES))
-    return np.asarray(turned[np.argsort(-rated, kind="stable")[: len(poses)]])
+def likeliest_near_symmetries(model: ReferenceModel, region: Region, poses: Float64) -> Float64:
+    """The likeliest near-symmetric rotations of poses (N, 4, 4), as many as there are poses or fewer: a
+    coarse view tells the faces of a box less well than it tells where it stands."""
+    near_symmetric: Float64 = np.einsum("nij,mjk->nmik", poses, model.near_symmetries[1:]).reshape(-1, 4, 4)
+    if not len(near_symmetric):
+        return near_symmetric
+    rated = evidence(score_many(model, region, near_symmetric, FIRST_SAMPLES))
+    return np.asarray(near_symmetric[np.argsort(-rated, kind="stable")[: len(poses)]])
 
 
 def _judged(model: ReferenceModel, view: ClearView, region: Region, poses: Float64) -> Float64:
@@ -137,7 +142,7 @@ def evidence(terms: Float64) -> Float64:
     return np.asarray(
         FIT_WEIGHT * fit
         - VIOLATION_WEIGHT * violation
-        + PRINT_WEIGHT * color
+        + TEXTURE_WEIGHT * color
         + SEEN_WEIGHT * np.sqrt(np.clip(seen, 0.0, 1.0))
     )
 

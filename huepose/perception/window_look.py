@@ -24,7 +24,7 @@ LIGHT = 16.0
 LIGHTNESS_WEIGHT = 0.35
 FLOOR = 9.0
 MIN_CELLS = 1.2
-DEPTH_WEIGHT, PRINT_WEIGHT, HUE_WEIGHT = 0.8, 1.0, 0.8
+DEPTH_WEIGHT, TEXTURE_WEIGHT, HUE_WEIGHT = 0.8, 1.0, 0.8
 RIM_WEIGHT, FREE_WEIGHT, FULL_WEIGHT = 0.6, 0.8, 0.8
 
 
@@ -129,7 +129,7 @@ def _rate(
                     relief[i, k] = mean_w - mean_t
             scores[i, k] = (
                 DEPTH_WEIGHT * depth
-                + PRINT_WEIGHT * color / color_weight
+                + TEXTURE_WEIGHT * color / color_weight
                 + HUE_WEIGHT * np.exp(-hue / (2.0 * LIGHT * LIGHT))
                 - RIM_WEIGHT * going_on[i, k]
                 - FREE_WEIGHT * by_coverage[i, count + k] / area

@@ -1,5 +1,5 @@
 """Coordinate search on the dense score: what depth alone cannot fix (a can's turn, a slide along a face) is
-found by small turns and shifts that the print likes better."""
+found by small turns and shifts that the texture likes better."""
 
 from __future__ import annotations
 

@@ -21,7 +21,7 @@ from huepose.reinit.config import ReinitConfig
 from huepose.reinit.judge import SAME_POSE, acquires, judge_tracked, same_sight, usable
 from huepose.reinit.outbox import Outbox
 from huepose.reinit.pace import Pace
-from huepose.reinit.past import Past
+from huepose.reinit.published_history import PublishedHistory
 from huepose.reinit.schedule import candidates, choose
 from huepose.reinit.types import Counters, Key, ObjectSlot, PerceptionResult, Request, Searching
 from huepose.tracking.types import Correction, TrackedPose, Verdict
@@ -55,7 +55,7 @@ class ReinitLoop:
         self.counters = Counters()
         self._slots: dict[str, ObjectSlot] = {}
         self._tracks: dict[Key, TrackedPose] = {}
-        self._past = Past()
+        self._past = PublishedHistory()
         self._outbox = Outbox()
         self._pace = Pace()
         self._sightings: dict[str, list[_Sighting]] = {}

@@ -24,7 +24,7 @@ class ObjectSlot:
     """An object to look for, and how many of it there may be.
 
     diameter_m: of its model; what counts as the same pose scales with it. equivalents: turns (4, 4) under
-    which shape and print look the same; poses that differ by one of them are the same."""
+    which shape and texture look the same; poses that differ by one of them are the same."""
 
     object: str
     max_instances: int = 1

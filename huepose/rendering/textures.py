@@ -1,7 +1,7 @@
-"""Texture pyramids, so that a small picture of a fine print does not alias.
+"""Texture pyramids, so that a small picture of a fine texture does not alias.
 
 Each level halves the one below. Only texels that lie on the surface are averaged, and the others are filled
-from the coarser level: the blank between the charts of an unwrapped mesh does not bleed into the print.
+from the coarser level: the blank between the charts of an unwrapped mesh does not bleed into the texture.
 """
 
 from __future__ import annotations

@@ -1,6 +1,6 @@
-"""Closed shapes built from charts: flat pieces of surface of known size that a print can be put on.
+"""Closed shapes built from charts: flat pieces of surface of known size that a texture can be put on.
 
-Two ways to build: blocks on an uneven lattice, and surfaces of revolution. z is up; prints are upright and
+Two ways to build: blocks on an uneven lattice, and surfaces of revolution. z is up; textures are upright and
 not mirrored when seen from outside.
 """
 
@@ -28,7 +28,7 @@ _VIEWS = {
 @dataclass(frozen=True, eq=False)
 class Chart:
     """corners (N, 3, 3) m: triangles, outward by the right-hand rule; flat (N, 3, 2) m: where their corners
-    lie on the print, from its top-left, right and down; size (width, height) of the print in metres."""
+    lie on the texture, from its top-left, right and down; size (width, height) of the texture in metres."""
 
     corners: Float64
     flat: Float64

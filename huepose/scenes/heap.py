@@ -15,10 +15,10 @@ from scipy.spatial.transform import Rotation
 from huepose.geometry import Camera, Mesh, se3
 from huepose.geometry.arrays import Float32, Float64, UInt8
 from huepose.rendering import render_depth
-from huepose.scenes import prints
+from huepose.scenes import textures
 from huepose.scenes.charts import blocks
-from huepose.scenes.prints import Palette
 from huepose.scenes.shapes import printed
+from huepose.scenes.textures import Palette
 
 Rng = np.random.Generator
 
@@ -128,8 +128,10 @@ def open_box(half_side_m: float, height_m: float, rng: Rng) -> Mesh:
     filled[1, 1, 1] = False
     lattice = [-x - wall, -x, x, x + wall], [-y - wall, -y, y, y + wall], [-z, wall - z, z]
     charts = blocks(*lattice, filled, 0.05)
-    return printed(charts, [_plain] * len(charts), prints.palette(rng.uniform(), rng), rng, 256)
+    return printed(charts, [_plain] * len(charts), textures.palette(rng.uniform(), rng), rng, 256)
 
 
 def _plain(rng: Rng, height: int, width: int, p: Palette) -> UInt8:
-    return prints.mixed(p.base, p.dark, 0.15 * prints.clouds(rng, height, width, max(height, width) / 3, 3))
+    return textures.mixed(
+        p.base, p.dark, 0.15 * textures.clouds(rng, height, width, max(height, width) / 3, 3)
+    )

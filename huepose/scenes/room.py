@@ -11,11 +11,11 @@ import numpy as np
 from huepose.geometry import se3
 from huepose.geometry.arrays import Float64, UInt8
 from huepose.geometry.mesh import Mesh
-from huepose.scenes import prints
+from huepose.scenes import textures
 from huepose.scenes.charts import Chart, blocks, revolved
 from huepose.scenes.motion import PITCH, TABLE_M, UP_ROOM, upright
-from huepose.scenes.prints import Palette, Rng
 from huepose.scenes.shapes import printed
+from huepose.scenes.textures import Palette, Rng
 
 Placed = tuple[Mesh, Float64]
 
@@ -59,16 +59,18 @@ def room(rng: Rng, n_clutter: int = 11) -> list[Placed]:
 def table_top(rng: Rng, pixels: tuple[int, int] = (1200, 1560)) -> UInt8:
     """A wooden table with a runner cloth and a few coasters and notes on it."""
     height, width = pixels
-    p = prints.palette(rng.uniform(0.03, 0.12), rng)
+    p = textures.palette(rng.uniform(0.03, 0.12), rng)
     wood = tuple(int(c) for c in rng.uniform(0.75, 1.15) * np.array([150, 112, 78]))
     dark = tuple(int(0.62 * c) for c in wood)
-    grain = cv2.resize(prints.clouds(rng, height, 90, 14, 3), (width, height)).astype(np.float32)
-    image = prints.mixed((wood[0], wood[1], wood[2]), (dark[0], dark[1], dark[2]), grain)
+    grain = cv2.resize(textures.clouds(rng, height, 90, 14, 3), (width, height)).astype(np.float32)
+    image = textures.mixed((wood[0], wood[1], wood[2]), (dark[0], dark[1], dark[2]), grain)
     for k in range(1, 7):
         cv2.line(image, (0, k * height // 7), (width, k * height // 7), dark, 3, cv2.LINE_AA)
-    cloth = prints.palette(rng.uniform(), rng)
+    cloth = textures.palette(rng.uniform(), rng)
     low, high = round(rng.uniform(0.28, 0.36) * width), round(rng.uniform(0.6, 0.68) * width)
-    weave = prints.mixed(cloth.light, cloth.base, 0.1 + 0.12 * prints.clouds(rng, height, high - low, 160, 6))
+    weave = textures.mixed(
+        cloth.light, cloth.base, 0.1 + 0.12 * textures.clouds(rng, height, high - low, 160, 6)
+    )
     for at, breadth, colour in (
         (0.06, 0.05, cloth.base),
         (0.14, 0.015, cloth.accent),
@@ -81,35 +83,35 @@ def table_top(rng: Rng, pixels: tuple[int, int] = (1200, 1560)) -> UInt8:
         cv2.circle(weave, spot, 20, cloth.light, -1, cv2.LINE_AA)
     image[:, low:high] = weave
     for _ in range(12):
-        note = prints.palette(rng.uniform(), rng)
+        note = textures.palette(rng.uniform(), rng)
         h, w = (int(rng.integers(60, 110)) for _ in range(2))
         x, y = int(rng.integers(0, width - w)), int(rng.integers(0, height - h))
-        image[y : y + h, x : x + w] = prints.plain(h, w, note.light)
-        prints.paragraph(image[y : y + h, x : x + w], rng, (0.1, 0.1, 0.8, 0.8), 5, p.dark)
+        image[y : y + h, x : x + w] = textures.plain(h, w, note.light)
+        textures.paragraph(image[y : y + h, x : x + w], rng, (0.1, 0.1, 0.8, 0.8), 5, p.dark)
     return image
 
 
 def wallpaper(rng: Rng, pixels: tuple[int, int] = (720, 1500)) -> UInt8:
     """A painted wall with a skirting, pictures and a shelf edge."""
     height, width = pixels
-    p = prints.palette(rng.uniform(), rng)
-    image = prints.mixed(p.light, p.base, 0.25 + 0.25 * prints.clouds(rng, height, width, width / 5, 5))
+    p = textures.palette(rng.uniform(), rng)
+    image = textures.mixed(p.light, p.base, 0.25 + 0.25 * textures.clouds(rng, height, width, width / 5, 5))
     image[round(0.93 * height) :] = p.dark
     for k in range(7):
         h, w = int(rng.integers(150, 320)), int(rng.integers(130, 200))
         x = min(round((k + rng.uniform(0.05, 0.3)) * width / 7), width - w)
         y = int(rng.integers(0, height - h - 60))
-        q = prints.palette(rng.uniform(), rng)
-        image[y : y + h, x : x + w] = prints.plain(h, w, q.dark)
-        image[y + 8 : y + h - 8, x + 8 : x + w - 8] = prints.picture(rng, h - 16, w - 16, q)
+        q = textures.palette(rng.uniform(), rng)
+        image[y : y + h, x : x + w] = textures.plain(h, w, q.dark)
+        image[y + 8 : y + h - 8, x + 8 : x + w - 8] = textures.picture(rng, h - 16, w - 16, q)
     return image
 
 
 def clutter(rng: Rng) -> Mesh:
     """A thing of 5 to 16 cm that is none of the objects: plain or printed; box, ball, cup or step."""
     kind = int(rng.integers(4))
-    p = prints.palette(rng.uniform(), rng)
-    art = [_paint, prints.sticker("STORE 3", int(rng.integers(4))), prints.blocks("misc")][
+    p = textures.palette(rng.uniform(), rng)
+    art = [_paint, textures.sticker("STORE 3", int(rng.integers(4))), textures.blocks("misc")][
         int(rng.integers(3))
     ]
     if kind == 0:
@@ -130,7 +132,7 @@ def clutter(rng: Rng) -> Mesh:
 
 def bar(rng: Rng) -> Mesh:
     """A stick of 3 x 2 x 60 cm along y, painted in bands: it passes before the objects."""
-    p = prints.palette(rng.uniform(), rng)
+    p = textures.palette(rng.uniform(), rng)
     charts = blocks([-0.015, 0.015], [-0.3, 0.3], [-0.01, 0.01], np.ones((1, 1, 1), bool), 0.1)
     return printed(charts, [_bands] * len(charts), p, rng, 512)
 
@@ -144,7 +146,9 @@ def ball(radius: float) -> list[Chart]:
 
 
 def _paint(rng: Rng, height: int, width: int, p: Palette) -> UInt8:
-    return prints.mixed(p.base, p.accent, 0.12 * prints.clouds(rng, height, width, max(height, width) / 3, 3))
+    return textures.mixed(
+        p.base, p.accent, 0.12 * textures.clouds(rng, height, width, max(height, width) / 3, 3)
+    )
 
 
 def _bands(rng: Rng, height: int, width: int, p: Palette) -> UInt8:

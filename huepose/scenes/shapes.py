@@ -13,22 +13,22 @@ import numpy as np
 
 from huepose.geometry.arrays import Float64, UInt8
 from huepose.geometry.mesh import Mesh
-from huepose.scenes import prints
+from huepose.scenes import textures
 from huepose.scenes.charts import Chart, blocks, revolved
-from huepose.scenes.prints import Art, Palette, Rng
+from huepose.scenes.textures import Art, Palette, Rng
 
 TEXTURE_PX = 1024
-GAP_PX = 8  # between charts; each print also bleeds over half of it
+GAP_PX = 8  # between charts; each texture also bleeds over half of it
 
 
 def demo_objects(seed: int = 0) -> dict[str, Mesh]:
     """Five objects of 10 to 19 cm in metres, z up, the origin in the middle of the bounding box.
 
-    The same seed gives the same prints to the pixel; another seed other colours, pictures and texts.
+    The same seed gives the same textures to the pixel; another seed other colours, pictures and texts.
     """
     rng = np.random.default_rng([seed, 20])
     hues = (rng.uniform() + np.array([0.0, 0.42, 0.2, 0.63, 0.83])) % 1.0
-    colours = [prints.palette(float(hue), rng) for hue in hues]
+    colours = [textures.palette(float(hue), rng) for hue in hues]
     built = (("tea_box", tea_box), ("soup_can", soup_can), ("juice_bottle", juice_bottle),
              ("corner_bracket", corner_bracket), ("parts_tray", parts_tray))  # fmt: skip
     return {name: build(colour, rng) for (name, build), colour in zip(built, colours, strict=True)}
@@ -38,12 +38,12 @@ def tea_box(p: Palette, rng: Rng) -> Mesh:
     """A box of 9 x 6 x 15 cm, every side printed differently."""
     charts = blocks([-0.045, 0.045], [-0.03, 0.03], [-0.075, 0.075], np.ones((1, 1, 1), bool))
     arts = [
-        prints.blocks("TEA TIME"),
-        prints.blocks("40 BAGS"),
-        prints.front("EVENING", "herbal tea", "NEW"),
-        prints.facts,
-        prints.blocks("LOT 2719"),
-        prints.front("OPEN", "tear here", "TOP"),
+        textures.blocks("TEA TIME"),
+        textures.blocks("40 BAGS"),
+        textures.front("EVENING", "herbal tea", "NEW"),
+        textures.facts,
+        textures.blocks("LOT 2719"),
+        textures.front("OPEN", "tear here", "TOP"),
     ]
     return printed(charts, arts, p, rng)
 
@@ -54,7 +54,7 @@ def soup_can(p: Palette, rng: Rng) -> Mesh:
     bottom = [(0.0, -h), (0.018, -h), (r - 0.002, -h), (r, -h + 0.002)]
     side = [(r, z) for z in np.linspace(-h + 0.002, h - 0.002, 10)]
     top = [(r, h - 0.002), (r - 0.002, h), (r - 0.004, h - 0.003), (0.018, h - 0.003), (0.0, h - 0.003)]
-    arts = [prints.lid("BASE"), prints.wrapper("TOMATO", "soup", "HOT"), prints.lid("PULL")]
+    arts = [textures.lid("BASE"), textures.wrapper("TOMATO", "soup", "HOT"), textures.lid("PULL")]
     return printed(revolved([bottom, side, top]), arts, p, rng)
 
 
@@ -66,7 +66,7 @@ def juice_bottle(p: Palette, rng: Rng) -> Mesh:
     neck = [(0.014, 0.068), (0.018, 0.0685), (0.018, 0.09)]
     bottom = [(0.0, -0.095), (0.016, -0.095), (0.031, -0.095), body[0]]
     cap = [neck[-1], (0.016, 0.095), (0.008, 0.095), (0.0, 0.095)]
-    arts = [prints.lid("PET 1"), prints.wrapper("CITRUS", "fresh juice", "1+1"), prints.lid("TURN")]
+    arts = [textures.lid("PET 1"), textures.wrapper("CITRUS", "fresh juice", "1+1"), textures.lid("TURN")]
     return printed(revolved([bottom, body + shoulder + neck, cap]), arts, p, rng)
 
 
@@ -76,7 +76,7 @@ def corner_bracket(p: Palette, rng: Rng) -> Mesh:
         [-0.065, -0.039, 0.065], [-0.035, 0.035], [-0.05, -0.024, 0.05], np.array([[[1, 1]], [[1, 0]]], bool)
     )
     words = ("LEFT 01", "INSIDE", "TIP 35", "FRONT A", "REAR B7", "BASE L-120", "SHELF", "TOP")
-    return printed(charts, [prints.sticker(word, k) for k, word in enumerate(words)], p, rng)
+    return printed(charts, [textures.sticker(word, k) for k, word in enumerate(words)], p, rng)
 
 
 def parts_tray(p: Palette, rng: Rng) -> Mesh:
@@ -98,7 +98,7 @@ def parts_tray(p: Palette, rng: Rng) -> Mesh:
         "FLOOR 5",
         "RIM",
     )
-    return printed(charts, [prints.sticker(word, k) for k, word in enumerate(words)], p, rng)
+    return printed(charts, [textures.sticker(word, k) for k, word in enumerate(words)], p, rng)
 
 
 def printed(

@@ -1,7 +1,7 @@
 """Which of the poses that were found are different answers, and not the same answer twice?
 
 Poses are told apart by what counts as right: two that lie within a tenth of the diameter of each other, up to
-the turns under which shape and print look the same, are one answer, of which the better one is kept.
+the rotations under which shape and texture look the same, are one answer, of which the better one is kept.
 """
 
 from __future__ import annotations

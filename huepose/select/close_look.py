@@ -1,7 +1,7 @@
 """Near ties, looked at closely: poses that the dense score hardly tells apart compete by detail and outline.
 
 Rolls of a can, the two faces of a box, a marker's sides share shape and mean colours; what tells them apart
-is the fine print and, for what is thin, the outline. Both only speak of a pose that is exact to a pixel, so
+is the fine texture and, for what is thin, the outline. Both only speak of a pose that is exact to a pixel, so
 each contender is refined on them first, with a rendered view drawn for it (`rendered_view`), and then judged,
 alone and on the pixels of all of them (`same_pixels`)."""
 
@@ -29,7 +29,7 @@ HULL_POINTS = 200
 @dataclass(frozen=True, eq=False)
 class CloseLook:
     """poses (K, 4, 4) refined on detail and outline; totals (K,): how well each agrees with both and with
-    depth; alike: how well their prints explain the same pixels."""
+    depth; alike: how well their textures explain the same pixels."""
 
     poses: Float64
     totals: Float64

@@ -82,8 +82,8 @@ class Pursuit:
         if reached is not kept[-1]:
             ahead = _next(reached, kept, self._config.catch_up_stride)
             apart_ns = max(apart_ns, ahead.stamp_ns - reached.stamp_ns)
-        usual_ns = self._config.catch_up_stride * _interval_ns(kept, self._config.catch_up_stride)
-        return self._config.search and apart_ns > SLACK * usual_ns
+        normal_ns = self._config.catch_up_stride * _interval_ns(kept, self._config.catch_up_stride)
+        return self._config.search and apart_ns > SLACK * normal_ns
 
     def _remember(self, frame: RgbdFrame) -> None:
         T = self.track.T_cam_obj

@@ -1,8 +1,8 @@
 """How sure it is that the pose that is followed was the right one to begin with.
 
-What one frame shows cannot settle everything: a can whose print repeats, a box seen on a blank side. So the
+What one frame shows cannot settle everything: a can whose texture repeats, a box seen on a blank side. So the
 quality of the estimate that started a track stays with it, and doubt shrinks when perception agrees on its
-own, or when the object has been carried to another viewpoint and its print still agrees.
+own, or when the object has been carried to another viewpoint and its texture still agrees.
 """
 
 from __future__ import annotations
@@ -16,10 +16,10 @@ from huepose.geometry.arrays import Float64
 from huepose.judge.terms import Terms
 
 TURN = np.radians(25.0)
-"""From a viewpoint this much different the print is new evidence."""
+"""From a viewpoint this much different the texture is new evidence."""
 
 COLOR = 0.45
-"""Agreement of the print that counts."""
+"""Agreement of the texture that counts."""
 
 DOUBT_LEFT = 0.5
 """Share of the doubt that a new viewpoint leaves."""

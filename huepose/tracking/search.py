@@ -59,7 +59,7 @@ class Effort:
     finalists: int
 
 
-USUAL_EFFORT = Effort(5, 80, 20, 4)
+NORMAL_EFFORT = Effort(5, 80, 20, 4)
 GREAT_EFFORT = Effort(8, 250, 40, 6)
 
 
@@ -67,7 +67,7 @@ def search(
     surface: PreparedSurface,
     frame: RgbdFrame,
     reach: Reach,
-    effort: Effort = USUAL_EFFORT,
+    effort: Effort = NORMAL_EFFORT,
     light: Float64 | None = None,
 ) -> list[Float64]:
     """The best clearly different poses (4, 4) within reach, best first, at most two; none where no depth

@@ -31,7 +31,7 @@ from huepose.tracking.hypothesis import Hypothesis
 from huepose.tracking.look import look, totals
 from huepose.tracking.motion import predicted
 from huepose.tracking.reach import reaches
-from huepose.tracking.search import GREAT_EFFORT, USUAL_EFFORT, search
+from huepose.tracking.search import GREAT_EFFORT, NORMAL_EFFORT, search
 
 START_SAMPLES = 150
 HIDDEN_COSTS = 0.5
@@ -62,12 +62,14 @@ class Subject:
 
     surface: PreparedSurface
     mesh: Mesh
-    turns: Float64
+    near_symmetries: Float64
 
     @staticmethod
     def of(model: ReferenceModel) -> Subject:
         """Prepare a reference model for tracking."""
-        return Subject(PreparedSurface.of(model), model.mesh, np.asarray(model.turns[1:], np.float64))
+        return Subject(
+            PreparedSurface.of(model), model.mesh, np.asarray(model.near_symmetries[1:], np.float64)
+        )
 
 
 @dataclass(frozen=True, eq=False)
@@ -147,15 +149,15 @@ def advance(
         return Advance(
             tuple(followed), tuple(proposed), doubtful=not convincing(best, anchor.baseline, doubt, config)
         )
-    efforts = ((near, USUAL_EFFORT), (far, GREAT_EFFORT)) if long or returning else ((near, USUAL_EFFORT),)
+    efforts = ((near, NORMAL_EFFORT), (far, GREAT_EFFORT)) if long or returning else ((near, NORMAL_EFFORT),)
     for reach, effort in efforts:
         found = search(surface, frame, reach, effort, anchor.light)
         proposed += [best_of(surface, frame, [(T, "search")], anchor.light) for T in found]
         best = max([best, *proposed], key=lambda h: h.terms.total)
         if convincing(best, anchor.baseline, doubt, config):
             break
-    if len(subject.turns) and best.terms.seen >= RETURNING_SEEN:
-        starts = [(best.T_cam_obj @ turn, "turn") for turn in subject.turns]
+    if len(subject.near_symmetries) and best.terms.seen >= RETURNING_SEEN:
+        starts = [(best.T_cam_obj @ turn, "turn") for turn in subject.near_symmetries]
         proposed.append(best_of(surface, frame, starts, anchor.light))
         best = max(best, proposed[-1], key=lambda h: h.terms.total)
     doubtful = not convincing(best, anchor.baseline, doubt, config)
@@ -252,7 +254,7 @@ def found_nearby(
     if apart_s == 0.0 or not config.search or convincing(best, None, config.doubt, config):
         return best, False
     reach, _ = reaches(surface, T_cam_obj, None, T_cam_obj, apart_s, config)
-    found = search(surface, frame, reach, USUAL_EFFORT, None)
+    found = search(surface, frame, reach, NORMAL_EFFORT, None)
     more = [best_of(surface, frame, [(T, "search")]) for T in found]
     return max([best, *more], key=lambda h: h.terms.total), True
 

@@ -140,7 +140,7 @@ class Track:
         velocity = filtered(parent.velocity, measured, seconds)
         return replace(h, velocity=velocity, log_odds=evidence.log_odds(h.terms, self.baseline, odds_before))
 
-    def settle(self, frame: RgbdFrame, contested: bool = False, since_ns: int = 0) -> None:
+    def update_state(self, frame: RgbdFrame, contested: bool = False, since_ns: int = 0) -> None:
         """Judge what `look` found; contested: another pose holds the same surface with better right. Poses
         since a stamp are remembered."""
         if self.hypotheses:

@@ -127,7 +127,7 @@ class Tracker:
             self._look(frame)
             contested = self._contested(frame)
             for key, track in self._tracks.items():
-                track.settle(frame, key in contested, oldest.stamp_ns)
+                track.update_state(frame, key in contested, oldest.stamp_ns)
         self._apply_waiting(frame)
         with stage("catch up"):
             self._catch_up()

@@ -18,7 +18,7 @@ _OUTLINE_POINTS = 1500
 @dataclass(frozen=True, eq=False)
 class Outline:
     """What perception and the loop know of an object: points (N, 3) float32 of its surface, its diameter,
-    the turns (4, 4) under which shape and print look the same."""
+    the rotations (4, 4) under which shape and texture look the same."""
 
     name: str
     object_id: int | None

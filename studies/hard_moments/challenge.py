@@ -34,7 +34,7 @@ def challenge(
     """Qualities (N,) and which poses were right (N,), over the frames of a film and its visible objects."""
     rng = np.random.default_rng([seed, 90])
     subjects = {name: Subject.of(models[name]) for name in set(film.script.objects)}
-    usual: dict[int, float] = {}
+    baseline: dict[int, float] = {}
     qualities: list[float] = []
     right: list[bool] = []
     for seen in film:
@@ -48,19 +48,24 @@ def challenge(
             for i, start in enumerate(starts):
                 step = best_of(subject.surface, seen.frame, [(start, "still")])
                 add = metrics.add(model.eval_points, step.T_cam_obj, truth)
-                qualities.append(evidence.probability(evidence.log_odds(step.terms, usual.get(k), UNDECIDED)))
+                qualities.append(
+                    evidence.probability(evidence.log_odds(step.terms, baseline.get(k), UNDECIDED))
+                )
                 right.append(add < metrics.RECALL_FRACTION * model.diameter_m)
                 if i == 0:
-                    usual[k] = evidence.baseline_after(usual.get(k), step.terms.total)
+                    baseline[k] = evidence.baseline_after(baseline.get(k), step.terms.total)
     return np.array(qualities), np.array(right, bool)
 
 
 def wrong_starts(truth: Float64, model: ReferenceModel, rng: np.random.Generator) -> list[Float64]:
-    """Poses off by up to half a diameter and by up to half a turn, and near-symmetric turns of the object."""
+    """Poses off by up to half a diameter and by up to half a turn, and near-symmetric rotations of the
+    object."""
     out = []
     for _ in range(WRONG):
         shift = rng.normal(0.0, 0.15 * model.diameter_m, 3)
         axis = rng.normal(size=3)
         turn = axis / np.linalg.norm(axis) * rng.uniform(0.1, np.pi)
         out.append(se3.perturb(truth, np.concatenate([shift, turn])))
-    return out + [truth @ turn for turn in model.turns[1:][:: max(1, len(model.turns) // 3)]]
+    return out + [
+        truth @ turn for turn in model.near_symmetries[1:][:: max(1, len(model.near_symmetries) // 3)]
+    ]

@@ -15,7 +15,7 @@ import numpy as np
 
 from huepose.geometry import Camera, Mesh, se3
 from huepose.geometry.arrays import Bool, Float64
-from huepose.scenes import prints
+from huepose.scenes import textures
 from huepose.scenes.charts import blocks, revolved
 from huepose.scenes.frame import Stage
 from huepose.scenes.light import Light, random_light
@@ -53,8 +53,8 @@ def marker(seed: int = 0) -> Mesh:
     rng = np.random.default_rng([seed, 41])
     r, h = 0.009, 0.0625
     bottom, side = [(0.0, -h), (r, -h)], [(r, z) for z in np.linspace(-h, h, 6)]
-    arts = [prints.lid("PEN"), prints.wrapper("MARKER", "permanent", "8+"), prints.lid("TIP")]
-    return printed(revolved([bottom, side, [(r, h), (0.0, h)]], 24), arts, prints.palette(0.1, rng), rng)
+    arts = [textures.lid("PEN"), textures.wrapper("MARKER", "permanent", "8+"), textures.lid("TIP")]
+    return printed(revolved([bottom, side, [(r, h), (0.0, h)]], 24), arts, textures.palette(0.1, rng), rng)
 
 
 @lru_cache(maxsize=1)
@@ -130,7 +130,9 @@ def printed_board(width_m: float, height_m: float) -> Mesh:
         np.ones((1, 1, 1), bool),
         0.1,
     )
-    return printed(charts, [prints.sticker("BOARD", 1)] * len(charts), prints.palette(0.07, rng), rng, 256)
+    return printed(
+        charts, [textures.sticker("BOARD", 1)] * len(charts), textures.palette(0.07, rng), rng, 256
+    )
 
 
 def smooth(frames: int, begin: int, end: int, ramp: int = 6) -> Float64:
@@ -216,7 +218,7 @@ def crossing() -> Script:
 
 
 def spinning() -> Script:
-    """A can turns about its own axis at 150 degrees a second, so that only the print moves."""
+    """A can turns about its own axis at 150 degrees a second, so that only the texture moves."""
     tilt, place = se3.rotation_exp(np.array([1.9, 0.2, 0.3])), np.array([0.0, 0.0, 0.6])
     step = np.array([0.0, 0.0, np.radians(150.0) / RATE_HZ])
     path = np.array([se3.make(tilt @ se3.rotation_exp(step * k), place) for k in range(FRAMES)])

@@ -32,13 +32,13 @@ AWAY_M = -2.0
 HIDDEN_FROM, CHANGED, SEEN_FROM = 60, 75, 90
 """Frames at which the board has come, behind it something changes, and the board goes."""
 
-OTHER_PRINT = 3
-"""Seed of the prints of look-alikes: another picture, other colours, the same words in other places."""
+OTHER_TEXTURE = 3
+"""Seed of the textures of look-alikes: another picture, other colours, the same words in other places."""
 
 
 def look_alike(name: str) -> Mesh:
-    """The same shape in another print."""
-    return demo_objects(OTHER_PRINT)[name]
+    """The same shape in another texture."""
+    return demo_objects(OTHER_TEXTURE)[name]
 
 
 def _curtain(frames: int = FRAMES) -> tuple[Mesh, Float64]:

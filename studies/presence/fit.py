@@ -27,7 +27,7 @@ from huepose.perception.presence import PresenceFit, Sight, hues_of, logits_of, 
 from huepose.perception.types import Detector
 from studies.likelihood import logistic, sigmoid
 
-NAMES = ("fit", "violation", "print", "free_rim", "hue")
+NAMES = ("fit", "violation", "texture", "free_rim", "hue")
 PLACES = 2
 """Of each object, the best that are looked at."""
 
@@ -98,7 +98,7 @@ def fit_presence(frames: Sequence[SeenPlaces], start: PresenceFit) -> PresenceFi
 
 def terms(seen: Sight) -> tuple[float, float, float, float]:
     """What is seen, but for hue, as the weights count it."""
-    return seen.fit, seen.violation, seen.print, 1.0 - seen.rim
+    return seen.fit, seen.violation, seen.texture, 1.0 - seen.rim
 
 
 def chances(frame: SeenPlaces, weights: PresenceFit) -> Float64:

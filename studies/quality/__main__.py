@@ -50,11 +50,12 @@ OWN = "cal_own"
 """The scene of the built-in objects, whose numbers are not those of the others."""
 
 ALIKE = {"cal_alike": (1, 25, 103), "cal_alike_9": (9, 10, 409), "cal_alike_11": (11, 10, 411)}
-"""Scenes of the built-in shapes in other prints: which prints, how many frames, drawn from which seed. Their
-hues are turned by 291, 77 and 29 degrees against those that were learned."""
+"""Scenes of the built-in shapes in other textures: which textures, how many frames, drawn from which seed.
+Their hues are turned by 291, 77 and 29 degrees against those that were learned."""
 
 MIRRORED = "cal_alike_mirrored"
-"""The scene of the built-in objects with their prints mirrored: the same hues, another layout everywhere."""
+"""The scene of the built-in objects with their textures mirrored: the same hues, another layout
+everywhere."""
 
 SHARE = {"full": 1, "colorpair": 3}
 """One in so many frames is used, because the second method takes longer."""
@@ -91,8 +92,8 @@ def main() -> None:
     bundles = bundles_of(arguments.models, arguments.bundles, work)
     drawn(builtin, "builtin", 30, 102)
     alike = [
-        drawn(work / name, "builtin", frames, seed, "--prints", str(prints))
-        for name, (prints, frames, seed) in ALIKE.items()
+        drawn(work / name, "builtin", frames, seed, "--textures", str(textures))
+        for name, (textures, frames, seed) in ALIKE.items()
     ]
     alike.append(_altered(work / MIRRORED, _mirrored, 421))
     sizes = [
@@ -160,7 +161,7 @@ def _print(method: str, fitted: Fitted, labels: Judged, others: Judged, alike: J
         rows.append(worth_row(name, worth(fitted.labels[chosen], labels.only(chosen), level, present)))
     rows.append(worth_row("all labels", worth(fitted.labels, labels, level, fitted.present_labels >= found)))
     rows.append(worth_row("others", worth(fitted.others, others, level, fitted.present_others >= found)))
-    for kind, judged, quality in (("prints", alike, fitted.alike), ("sizes", sizes, fitted.sizes)):
+    for kind, judged, quality in (("textures", alike, fitted.alike), ("sizes", sizes, fitted.sizes)):
         rows += [
             worth_row(f"other {kind}: {name}", worth(quality[chosen], judged.only(chosen), level))
             for name, chosen in _by_scene(judged, kind).items()
@@ -185,7 +186,7 @@ def by_object(labels: Judged, paths: Sequence[Path]) -> Judged:
 
 def _by_scene(judged: Judged, kind: str = "labels") -> dict[str, Bool]:
     """Which poses are of each calibration scene, by its name."""
-    end = {"prints": "_alike_"}.get(kind, f"_{kind}_")
+    end = {"textures": "_alike_"}.get(kind, f"_{kind}_")
     scenes = np.array([Path(frame[0]).name.rpartition(end)[0] for frame in judged.frames])  # type: ignore[index]
     return {str(name).split("_", 1)[1]: scenes == name for name in dict.fromkeys(scenes.tolist())}
 

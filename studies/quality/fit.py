@@ -2,9 +2,9 @@
 
 Four kinds of estimates are needed. Of objects that were asked for in their own boxes (labels): which of the
 published answers was right. Of objects asked for where they are not (others): whether something is there. Of
-the same shapes in another print (alike) or in another size (sizes): whether it is this one. What is reported
-of a fit is measured on frames that it has not seen: the frames are dealt into folds, and each fold is judged
-by the fit of the rest.
+the same shapes in another texture (alike) or in another size (sizes): whether it is this one. What is
+reported of a fit is measured on frames that it has not seen: the frames are dealt into folds, and each fold
+is judged by the fit of the rest.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ class Names:
     """Which of `believe.quality.features` enter each part of a fit."""
 
     presence: Sequence[str]
-    this_print: Sequence[str]
+    this_texture: Sequence[str]
     this_size: Sequence[str]
     listed: Sequence[str]
     sharpness: Sequence[str]
@@ -36,14 +36,14 @@ class Names:
 FEATURES: Mapping[str, Names] = {
     "full": Names(
         presence=("total", "coverage", "box_iou", "nothing_foreign", "detail", "agreed", "near_size"),
-        this_print=("same_hues", "same_way", "agreed"),
-        this_size=("same_size", "box_iou", "no_violation", "detail", "print_complete"),
+        this_texture=("same_hues", "same_way", "agreed"),
+        this_size=("same_size", "box_iou", "no_violation", "detail", "texture_complete"),
         listed=("margin", "total", "box_iou", "detail"),
         sharpness=("detail_seen",),
     ),
     "colorpair": Names(
         presence=("margin", "total", "coverage", "box_iou"),
-        this_print=("total", "same_hues", "same_way", "agreed"),
+        this_texture=("total", "same_hues", "same_way", "agreed"),
         this_size=("same_size", "box_iou", "no_violation", "depth_fit"),
         listed=("margin", "total", "box_iou", "depth_fit"),
         sharpness=(),
@@ -52,7 +52,7 @@ FEATURES: Mapping[str, Names] = {
 """By method: the fewest whose likelihood on frames that the fit has not seen is as good as that of more."""
 
 ALIKE_WEIGHT, SIZE_WEIGHT = 0.05, 0.2
-"""Of a look-alike in print, and of one in size; with more, objects in dim light, whose colours fade, are
+"""Of a look-alike in texture, and of one in size; with more, objects in dim light, whose colours fade, are
 taken for the one, and those half hidden for the other."""
 
 LEVEL_SHARE = 0.99
@@ -85,7 +85,7 @@ def fit(
     labels: Judged, names: Names, others: Judged = NONE, alike: Judged = NONE, sizes: Judged = NONE
 ) -> Fitted:
     """The fit on all of them, its levels from folds that their own fit has not seen. Without others
-    everything is present, without look-alikes every print is the right one, and so with sizes. Raises
+    everything is present, without look-alikes every texture is the right one, and so with sizes. Raises
     InputError when all or none of the labels are right."""
     if labels.right.all() or not labels.right.any():
         raise InputError(
@@ -136,7 +136,7 @@ def stated_by(quality_fit: QualityFit, judged: Judged) -> Float64:
 
 def as_json(quality_fit: QualityFit) -> dict[str, Any]:
     """The entry of `quality_fits.json`: factors of nothing are left out."""
-    parts = {name: getattr(quality_fit, name) for name in ("presence", "this_print", "this_size", "listed")}
+    parts = {name: getattr(quality_fit, name) for name in ("presence", "this_texture", "this_size", "listed")}
     return {
         **{
             name: {"constant": round(part.constant, 4), "factors": _rounded(part.factors)}
@@ -154,20 +154,20 @@ def _fit_once(names: Names, labels: Judged, others: Judged, alike: Judged, sizes
     presence = _against(placed, replace(others, weights=np.ones(len(others.which))), names.presence)
     alike = replace(alike, weights=np.full(len(alike.which), ALIKE_WEIGHT))
     sizes = replace(sizes, weights=np.full(len(sizes.which), SIZE_WEIGHT))
-    this_print = _against(right, alike, names.this_print)
+    this_texture = _against(right, alike, names.this_texture)
     this_size = _against(right, sizes, names.this_size)
     both = labels + others
     table = _table(both.terms)
     sharpeners = np.stack([np.ones(len(both.which)), *(table[n] for n in names.sharpness)], axis=1)
     known = [features(t) for t in both.terms]
-    itself = np.array([this_print(k) * this_size(k) for k in known])
+    itself = np.array([this_texture(k) * this_size(k) for k in known])
     listed, sharpness, handicap = choice(
         _columns(table, names.listed), _gaps(both.terms), np.maximum(sharpeners, 0.0), both.which,
         both.weights, names.listed, itself,
     )  # fmt: skip
     return QualityFit(
         presence=presence,
-        this_print=this_print,
+        this_texture=this_texture,
         this_size=this_size,
         listed=listed,
         sharpness=dict(zip(("constant", *names.sharpness), sharpness.tolist(), strict=True)),

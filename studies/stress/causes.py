@@ -116,9 +116,9 @@ def _wrong(film: Film, model: ReferenceModel, cause: str, rng: Rng) -> Iterator[
     elif cause == "turned":
         R = _turn(rng, rng.uniform(np.pi / 4, np.pi)) @ R
     elif cause == "turned over":
-        if len(model.turns) < 2:
+        if len(model.near_symmetries) < 2:
             return
-        turn = model.turns[1 + int(rng.integers(len(model.turns) - 1))]
+        turn = model.near_symmetries[1 + int(rng.integers(len(model.near_symmetries) - 1))]
         R, centre = (truth @ turn)[:3, :3], (truth @ turn @ np.append(model.mesh.centre, 1.0))[:3]
     elif cause == "elsewhere":
         centre, R = _on_a_surface(kept[0], rng), _turn(rng, rng.uniform(0, np.pi)) @ R

@@ -12,10 +12,10 @@ from huepose.geometry import Mesh
 from huepose.geometry.arrays import UInt8
 from huepose.model import ReferenceModel, load_model, save_model
 from huepose.onboarding import onboard_mesh
-from huepose.scenes import prints
+from huepose.scenes import textures
 from huepose.scenes.charts import blocks, revolved
-from huepose.scenes.prints import Art, Palette, Rng
 from huepose.scenes.shapes import demo_objects, printed
+from huepose.scenes.textures import Art, Palette, Rng
 
 
 def builtin_meshes(seed: int) -> dict[str, Mesh]:
@@ -23,7 +23,7 @@ def builtin_meshes(seed: int) -> dict[str, Mesh]:
     rng = np.random.default_rng([seed, 21])
 
     def drawn(charts: Sequence, arts: Sequence[Art], hue: float) -> Mesh:
-        return printed(charts, arts, prints.palette(hue, rng), rng, 512)
+        return printed(charts, arts, textures.palette(hue, rng), rng, 512)
 
     box = blocks([-0.05, 0.05], [-0.032, 0.032], [-0.07, 0.07], np.ones((1, 1, 1), bool))
     slab = blocks([-0.06, 0.06], [-0.045, 0.045], [-0.016, 0.016], np.ones((1, 1, 1), bool))
@@ -38,17 +38,17 @@ def builtin_meshes(seed: int) -> dict[str, Mesh]:
     )
     can = revolved([_lid(-1), [(0.04, z) for z in np.linspace(-0.05, 0.05, 8)], _lid(1)])
     hues = rng.uniform() + np.arange(7) / 7.0
-    front = prints.front("BRAND", "plain sides", "NEW")
+    front = textures.front("BRAND", "plain sides", "NEW")
     own = {
         "half_printed_box": drawn(
-            box, [_plain, _plain, front, _plain, prints.blocks("LOT 41"), _plain], hues[0]
+            box, [_plain, _plain, front, _plain, textures.blocks("LOT 41"), _plain], hues[0]
         ),
         "plain_slab": drawn(slab, [_plain] * (len(slab) - 1) + [front], hues[1]),
         "plain_bracket": drawn(corner, [_plain] * len(corner), hues[2]),
-        "plain_tray": drawn(tray, [_plain] * (len(tray) - 1) + [prints.sticker("NO 7", 1)], hues[3]),
-        "repeated_can": drawn(can, [prints.lid("BASE"), _repeated, prints.lid("PULL")], hues[4]),
-        "half_plain_can": drawn(can, [prints.lid("BASE"), _one_label, prints.lid("TOP")], hues[5]),
-        "plain_box": drawn(box, [_plain] * 5 + [prints.sticker("THIS WAY", 2)], hues[6]),
+        "plain_tray": drawn(tray, [_plain] * (len(tray) - 1) + [textures.sticker("NO 7", 1)], hues[3]),
+        "repeated_can": drawn(can, [textures.lid("BASE"), _repeated, textures.lid("PULL")], hues[4]),
+        "half_plain_can": drawn(can, [textures.lid("BASE"), _one_label, textures.lid("TOP")], hues[5]),
+        "plain_box": drawn(box, [_plain] * 5 + [textures.sticker("THIS WAY", 2)], hues[6]),
     }
     return {**demo_objects(seed), **own}
 
@@ -78,19 +78,19 @@ def builtin_models(seed: int, cache: Path) -> Mapping[str, ReferenceModel]:
 
 
 def _plain(rng: Rng, height: int, width: int, p: Palette) -> UInt8:
-    return prints.plain(height, width, p.base)
+    return textures.plain(height, width, p.base)
 
 
 def _repeated(rng: Rng, height: int, width: int, p: Palette) -> UInt8:
     """Three labels alike, as on many cans."""
-    once = prints.wrapper("SOUP", "daily", "1")(rng, height, max(8, width // 3), p)
+    once = textures.wrapper("SOUP", "daily", "1")(rng, height, max(8, width // 3), p)
     return np.ascontiguousarray(np.tile(once, (1, 4, 1))[:, :width])
 
 
 def _one_label(rng: Rng, height: int, width: int, p: Palette) -> UInt8:
     """A label on a third of the way round, the rest plain."""
-    image, part = prints.plain(height, width, p.base), width // 3
-    image[:, :part] = prints.front("OIL", "cold pressed", "BIO")(rng, height, part, p)
+    image, part = textures.plain(height, width, p.base), width // 3
+    image[:, :part] = textures.front("OIL", "cold pressed", "BIO")(rng, height, part, p)
     return image
 
 

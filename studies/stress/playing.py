@@ -22,7 +22,7 @@ from studies.stress.objects import builtin_models
 
 @dataclass(frozen=True)
 class Split:
-    """seed: of films, and of the prints of the built-in objects; objects: BOP ids of reference models."""
+    """seed: of films, and of the textures of the built-in objects; objects: BOP ids of reference models."""
 
     seed: int
     objects: tuple[int, ...]

@@ -11,7 +11,7 @@ import pytest
 from huepose.estimation import Estimator, EstimatorConfig, ObjectQuery
 from huepose.geometry import Box, Mesh, RgbdFrame, se3
 from huepose.judge.region import prepare_region
-from huepose.judge.texture_evidence import print_evidence
+from huepose.judge.texture_evidence import texture_evidence
 from huepose.model.types import ReferenceModel
 from huepose.rendering.render import render_depth
 from huepose.scenes.shapes import demo_objects
@@ -36,11 +36,11 @@ def test_poses_within_a_tenth_of_the_diameter_are_one_answer(tea_box: ReferenceM
     turned = here @ se3.make(UPSIDE_DOWN, np.zeros(3))
     poses = np.stack([here, near, far, turned])
     assert different_answers(tea_box, poses).tolist() == [0, 2, 3]
-    same_print = replace(tea_box, equivalents=np.stack([np.eye(4), se3.make(UPSIDE_DOWN, np.zeros(3))]))
-    assert different_answers(same_print, poses).tolist() == [0, 2]
+    same_texture = replace(tea_box, equivalents=np.stack([np.eye(4), se3.make(UPSIDE_DOWN, np.zeros(3))]))
+    assert different_answers(same_texture, poses).tolist() == [0, 2]
 
 
-def test_the_print_is_complete_in_its_own_picture_and_lacks_in_another(
+def test_the_texture_is_complete_in_its_own_picture_and_lacks_in_another(
     tea_box: ReferenceModel, take_picture: TakePicture, standing: np.ndarray
 ) -> None:
     other = demo_objects(1)["tea_box"]
@@ -57,13 +57,13 @@ def test_the_print_is_complete_in_its_own_picture_and_lacks_in_another(
         mask = render_depth(mesh, standing, frame.camera) > 0
         region = prepare_region(frame, mask, box_of(mask), tea_box.diameter_m)
         assert region is not None
-        found[name] = print_evidence(tea_box, region, standing)
+        found[name] = texture_evidence(tea_box, region, standing)
     assert found["own"].missing < 0.15
     assert found["own"].detail > 0.6
     assert found["other"].missing > 0.4
     assert found["other"].foreign > 2.0 * found["own"].foreign
     assert found["grey"].detail < 0.2
-    # Light moves hues, all alike; the other print's are turned by 69 degrees.
+    # Light moves hues, all alike; the other texture's are turned by 69 degrees.
     assert max(found["own"].turned, found["in blue light"].turned, found["grey"].turned) < 0.1
     assert found["other"].turned > 0.4
 
@@ -98,7 +98,7 @@ def test_a_look_alike_is_doubted_and_an_empty_box_holds_nothing(
 def test_what_is_published_of_a_tie_is_one_in_sum(
     tea_box: ReferenceModel, take_picture: TakePicture, standing: np.ndarray
 ) -> None:
-    """A print that is the same upside down: two poses, as likely as each other."""
+    """A texture that is the same upside down: two poses, as likely as each other."""
     half = tea_box.mesh
     answer = asked(tea_box, take_picture([(half, standing)], light=(0.3, 0.3, 0.3)), standing)
     total = answer.quality + sum(p for _, p in answer.alternatives)

@@ -90,7 +90,7 @@ def test_given_masks_are_used(
     assert np.linalg.norm(answer.T_cam_obj[:3, 3] - standing[:3, 3]) < 0.001
 
 
-def test_another_print_is_doubted(
+def test_another_texture_is_doubted(
     estimator: Estimator, tea_box: ReferenceModel, take_picture: TakePicture, standing: np.ndarray
 ) -> None:
     """The same shape with other colours: found with a lower score and less trust."""

@@ -30,7 +30,7 @@ def test_an_answer_is_as_likely_as_its_object_is_there(tea_box, take_picture, st
     assert chances[2] == 0.0
 
 
-def test_a_shape_in_another_print_is_another_thing(tea_box, take_picture, standing) -> None:
+def test_a_shape_in_another_texture_is_another_thing(tea_box, take_picture, standing) -> None:
     models = {"tea_box": tea_box}
     texture = np.ascontiguousarray(tea_box.mesh.texture[::-1, ::-1, ::-1])
     frame = take_picture([(replace(tea_box.mesh, texture=texture), standing)])
@@ -39,7 +39,7 @@ def test_a_shape_in_another_print_is_another_thing(tea_box, take_picture, standi
     assert presences_of(frame, models, [replace(answer, T_cam_obj=standing)], "full")[0] < 0.5
 
 
-def test_another_print_is_judged_by_the_method_that_answered(tea_box, take_picture, standing) -> None:
+def test_another_texture_is_judged_by_the_method_that_answered(tea_box, take_picture, standing) -> None:
     """Contrasts that point elsewhere speak against an answer by as much as its method's own fit says."""
     models = {"tea_box": tea_box}
     frame = take_picture([(tea_box.mesh, standing)])
@@ -49,7 +49,7 @@ def test_another_print_is_judged_by_the_method_that_answered(tea_box, take_pictu
     left = {}
     for method in ("full", "colorpair"):
         own, other = (presences_of(frame, models, [a], method)[0] for a in (answer, lacking))
-        chance = quality_fits()[method].this_print(features(lacking.terms))
+        chance = quality_fits()[method].this_texture(features(lacking.terms))
         left[method] = other / own
         assert left[method] == pytest.approx(
             min(1.0, StandingConfig().other_texture * chance / (1.0 - chance)), rel=1e-6

@@ -59,7 +59,7 @@ def reference_model(
         eval_points=points,
         diameter_m=float(np.linalg.norm(size)),
         symmetries=np.eye(4)[None],
-        turns=np.eye(4)[None],
+        near_symmetries=np.eye(4)[None],
         equivalents=turns,
         frame_offset_m=np.zeros(3),
         surface=Surface(none3, none3, z((2, 0, 3), np.float32), none3, none_i, none_i),

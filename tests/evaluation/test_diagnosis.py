@@ -83,7 +83,7 @@ def test_a_label_that_the_picture_contradicts_loses_in_verification(look: Look, 
     found = look(np.stack([standing, label]), searched=label[None], truth=label)
     assert found.cause == "verification"
     assert "the right pose was among the answers" in found.line
-    assert "print +" in found.line
+    assert "texture +" in found.line
 
 
 def test_a_wrong_mask_is_said_to_be_one(look: Look, standing: np.ndarray) -> None:

@@ -22,13 +22,13 @@ def _otherwise(model: ReferenceModel, frame: RgbdFrame, T: np.ndarray) -> float:
 
 
 @pytest.mark.parametrize("light", [(1.0, 1.0, 1.0), (0.9, 0.6, 0.4), (0.35, 0.3, 0.3)])
-def test_hardly_any_contrast_of_the_same_print_points_elsewhere_in_any_light(
+def test_hardly_any_contrast_of_the_same_texture_points_elsewhere_in_any_light(
     tea_box: ReferenceModel, standing: np.ndarray, take_picture: TakePicture, light: tuple[float, ...]
 ) -> None:
     assert _otherwise(tea_box, take_picture([(tea_box.mesh, standing)], light=light), standing) < 0.25
 
 
-def test_of_a_print_that_is_partly_out_of_date_that_part_does(
+def test_of_a_texture_that_is_partly_out_of_date_that_part_does(
     tea_box: ReferenceModel, standing: np.ndarray, take_picture: TakePicture
 ) -> None:
     frame = take_picture([(tea_box.mesh, standing)])
@@ -48,7 +48,7 @@ def test_most_of_those_of_a_look_alike_do(
     assert _otherwise(tea_box, take_picture([(other, standing)]), standing) > 0.6
 
 
-def test_nothing_speaks_against_a_print_of_which_nothing_is_seen(
+def test_nothing_speaks_against_a_texture_of_which_nothing_is_seen(
     tea_box: ReferenceModel, standing: np.ndarray, take_picture: TakePicture
 ) -> None:
     view = seen_by_pairs(tea_box, take_picture([(tea_box.mesh, standing)]), standing)

@@ -11,7 +11,7 @@ import pytest
 from huepose.estimation.config import FullPathConfig
 from huepose.estimation.full_path import by_figure
 from huepose.geometry import RgbdFrame, se3
-from huepose.judge.figure_ground import USUAL, figure_and_ground, figure_ground_contrast
+from huepose.judge.figure_ground import PRIOR_CONTRAST, figure_and_ground, figure_ground_contrast
 from huepose.judge.region import Region
 from huepose.model.types import ReferenceModel
 from huepose.rendering.render import render_depth
@@ -22,7 +22,7 @@ RED, GREY = (150, 40, 30), (90, 95, 90)
 
 @pytest.fixture(scope="module")
 def even(tea_box: ReferenceModel, take_picture: Callable[..., RgbdFrame], standing: np.ndarray) -> Region:
-    """A box without any print, red on grey."""
+    """A box without any texture, red on grey."""
     frame = take_picture([(tea_box.mesh, standing)])
     shown = render_depth(tea_box.mesh, standing, frame.camera) > 0
     color = np.where(shown[..., None], RED, GREY).astype(np.uint8)
@@ -50,7 +50,7 @@ def test_what_has_the_colour_of_its_ground_does_not_stand_out(
 
 def test_nothing_is_said_of_a_pose_that_is_not_in_the_picture(tea_box: ReferenceModel, even: Region) -> None:
     away = [se3.make(np.eye(3), np.array(t)) for t in ([0.0, 0.0, -1.0], [9.0, 0.0, 1.0])]
-    assert figure_ground_contrast(tea_box, even, np.array(away)).tolist() == [USUAL, USUAL]
+    assert figure_ground_contrast(tea_box, even, np.array(away)).tolist() == [PRIOR_CONTRAST, PRIOR_CONTRAST]
 
 
 def test_what_stands_in_front_is_neither_figure_nor_ground() -> None:

@@ -1,4 +1,4 @@
-"""The pair score: one for a perfect print, blind to light, and a search that climbs it."""
+"""The pair score: one for a perfect texture, blind to light, and a search that climbs it."""
 
 from __future__ import annotations
 

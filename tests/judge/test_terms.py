@@ -58,7 +58,7 @@ def test_light_changes_nothing(
         assert lit.depth_fit == seen.depth_fit
 
 
-def test_another_print_on_the_same_shape_scores_lower(
+def test_another_texture_on_the_same_shape_scores_lower(
     tea_box: ReferenceModel, take_picture: TakePicture, standing: np.ndarray, seen: Terms
 ) -> None:
     other = take_picture([(demo_objects(1)["tea_box"], standing)])

@@ -159,7 +159,7 @@ def test_empty_and_missing_folders_are_told_apart(tmp_path: Path) -> None:
 def test_a_failed_write_leaves_the_old_file(saved: Path, tea_box: ReferenceModel, tmp_path: Path) -> None:
     path = tmp_path / "tea_box.huepose"
     path.write_bytes(b"the old one")
-    broken = replace(tea_box, turns=np.array([object()]))
+    broken = replace(tea_box, near_symmetries=np.array([object()]))
     with pytest.raises(ValueError, match="allow_pickle"):
         save_model(broken, path)
     assert path.read_bytes() == b"the old one"

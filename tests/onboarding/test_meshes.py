@@ -162,7 +162,7 @@ def test_several_materials_become_one_texture(tmp_path: Path) -> None:
 
 def test_large_textures_are_reduced_without_their_background(tmp_path: Path) -> None:
     mesh = solids.box((0.08, 0.06, 0.04))
-    uv = (0.3 + 0.4 * mesh.uv).astype(np.float32)  # the print fills the middle; round it lies magenta
+    uv = (0.3 + 0.4 * mesh.uv).astype(np.float32)  # the texture fills the middle; round it lies magenta
     size = 2560
     picture = np.full((size, size, 3), (255, 0, 255), np.uint8)
     a, b = int(0.3 * size), int(0.7 * size)

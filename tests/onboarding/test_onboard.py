@@ -57,7 +57,7 @@ def test_a_model_is_whole(tea_box: ReferenceModel) -> None:
     assert len(tea_box.surface.points) == 2000
     assert tea_box.surface.directions.shape == (642, 3)
     assert tea_box.templates.planes.shape == (162, 24, 5, 16, 16)
-    assert len(tea_box.turns) == 4
+    assert len(tea_box.near_symmetries) == 4
     assert len(tea_box.equivalents) == 1
     assert len(tea_box.pairs.points) > 300
     assert tea_box.eval_points.dtype == np.float32
@@ -209,7 +209,7 @@ def test_workers_onboard_what_they_can_and_name_what_they_cannot(tmp_path: Path)
     assert [p.name for p in (tmp_path / "out").iterdir()] == ["sugar_box_small.huepose"]
     model = load_model(done[0].path)
     assert (model.object_id, model.diameter_m) == (3, 0.1077)
-    assert se3.is_rigid(model.turns[-1])
+    assert se3.is_rigid(model.near_symmetries[-1])
 
 
 def test_stopping_early_leaves_no_file(tmp_path: Path) -> None:

@@ -60,12 +60,12 @@ def test_too_many_triangles_have_no_layout() -> None:
     assert equal_patches(np.zeros((3, 3)), np.zeros((1_050_000, 3), np.int32)) is None
 
 
-def test_dense_meshes_are_simplified_and_keep_their_print() -> None:
+def test_dense_meshes_are_simplified_and_keep_their_texture() -> None:
     rng = np.random.default_rng(0)
-    print_ = np.kron(rng.integers(0, 256, (16, 32, 3)), np.ones((16, 16, 1))).astype(np.uint8)
+    texture = np.kron(rng.integers(0, 256, (16, 32, 3)), np.ones((16, 16, 1))).astype(np.uint8)
     z = np.linspace(-0.05, 0.05, 120)
     profile = [(0.0, -0.05), *((0.03 + 0.004 * np.sin(60 * h), h) for h in z), (0.0, 0.05)]
-    dense = solids.lathe(profile, print_, segments=300)
+    dense = solids.lathe(profile, texture, segments=300)
     assert len(dense.faces) > MOST
     lean = simplified(dense)
     assert len(lean.faces) <= TARGET

@@ -6,10 +6,10 @@ import pytest
 from huepose.geometry import Mesh, se3
 from huepose.onboarding.cloud import visible_cloud
 from huepose.onboarding.grid import build_grid
+from huepose.onboarding.near_symmetries import NearSymmetries, even_rotations, near_symmetries
 from huepose.onboarding.reference import diameter_of
 from huepose.onboarding.surface import build_surface
-from huepose.onboarding.symmetries import equivalent_turns
-from huepose.onboarding.turns import NearSymmetries, even_rotations, near_symmetries
+from huepose.onboarding.symmetries import equivalent_rotations
 from huepose.onboarding.visibility import depth_views
 from tests.onboarding import solids
 
@@ -20,7 +20,7 @@ def analysed(mesh: Mesh) -> tuple[NearSymmetries, np.ndarray]:
     cloud = visible_cloud(mesh, views)
     surface = build_surface(cloud, views)
     near = near_symmetries(surface, build_grid(surface.points, diameter), diameter)
-    return near, equivalent_turns(surface, cloud, near, diameter)
+    return near, equivalent_rotations(surface, cloud, near, diameter)
 
 
 def angles_to(turns: np.ndarray, R: np.ndarray) -> np.ndarray:
@@ -33,7 +33,7 @@ def half_turn(axis: int) -> np.ndarray:
 
 @pytest.fixture(scope="module")
 def bricks() -> tuple[tuple[NearSymmetries, np.ndarray], tuple[NearSymmetries, np.ndarray]]:
-    """A box off its origin, with a print on every side, and the same box in one colour."""
+    """A box off its origin, with a texture on every side, and the same box in one colour."""
     rng = np.random.default_rng(4)
     blots = {
         side: np.kron(rng.integers(0, 256, (4, 4, 3)), np.ones((16, 16, 1))).astype(np.uint8)
@@ -46,12 +46,12 @@ def bricks() -> tuple[tuple[NearSymmetries, np.ndarray], tuple[NearSymmetries, n
 
 def test_a_printed_box_has_flips_of_its_shape_only(bricks) -> None:  # type: ignore[no-untyped-def]
     near, equivalents = bricks[0]
-    np.testing.assert_array_equal(near.turns[0], np.eye(4))
+    np.testing.assert_array_equal(near.transforms[0], np.eye(4))
     for axis in range(3):
-        k = angles_to(near.turns, half_turn(axis)).argmin()
-        assert angles_to(near.turns[k : k + 1], half_turn(axis))[0] < 1.5
+        k = angles_to(near.transforms, half_turn(axis)).argmin()
+        assert angles_to(near.transforms[k : k + 1], half_turn(axis))[0] < 1.5
         centre = np.array([0.02, 0.0, -0.01])
-        np.testing.assert_allclose(se3.apply(near.turns[k], centre), centre, atol=1e-3)
+        np.testing.assert_allclose(se3.apply(near.transforms[k], centre), centre, atol=1e-3)
         assert near.errors[k] < 0.01
     assert len(equivalents) == 1
     np.testing.assert_array_equal(equivalents[0], np.eye(4))
@@ -64,17 +64,17 @@ def test_a_blank_box_has_equivalent_flips(bricks) -> None:  # type: ignore[no-un
         assert angles_to(equivalents, half_turn(axis)).min() < 1.5
 
 
-def test_turns_do_not_depend_on_the_print(bricks) -> None:  # type: ignore[no-untyped-def]
-    np.testing.assert_array_equal(bricks[0][0].turns, bricks[1][0].turns)
+def test_turns_do_not_depend_on_the_texture(bricks) -> None:  # type: ignore[no-untyped-def]
+    np.testing.assert_array_equal(bricks[0][0].transforms, bricks[1][0].transforms)
 
 
 def test_a_cube_has_its_24_turns() -> None:
     near, equivalents = analysed(solids.box((0.07, 0.07, 0.07)))
-    assert len(near.turns) == 24
+    assert len(near.transforms) == 24
     assert len(equivalents) == 24
-    rounded = np.round(near.turns[:, :3, :3])
+    rounded = np.round(near.transforms[:, :3, :3])
     assert len({tuple(R.reshape(-1)) for R in rounded}) == 24
-    np.testing.assert_allclose(near.turns[:, :3, :3], rounded, atol=0.05)
+    np.testing.assert_allclose(near.transforms[:, :3, :3], rounded, atol=0.05)
 
 
 def test_a_plain_cylinder_turns_about_its_axis_and_flips() -> None:
@@ -83,7 +83,7 @@ def test_a_plain_cylinder_turns_about_its_axis_and_flips() -> None:
     assert near.offset is not None
     assert abs(near.axis[2]) > np.cos(np.radians(0.5))
     np.testing.assert_allclose(near.offset[:2], [0.0, 0.04], atol=5e-4)
-    assert len(near.turns) == 48
+    assert len(near.transforms) == 48
     assert len(equivalents) == 144
     up = equivalents[:, 2, 2]
     assert (np.abs(up) > 0.999).all()
@@ -103,7 +103,7 @@ def label(repeats: int) -> np.ndarray:
 
 def test_a_printed_can_is_unlike_itself_turned() -> None:
     near, equivalents = analysed(solids.cylinder(0.03, 0.1, label(1)))
-    assert len(near.turns) == 48
+    assert len(near.transforms) == 48
     assert len(equivalents) == 1
 
 

@@ -11,15 +11,15 @@ from huepose.paper.cloud import nearest_class
 INKS = np.array([[85, 2, 5], [30, 5, -30], [45, 55, 35], [80, -5, 70], [25, 0, 0]], np.float32)
 
 
-def prints(count: int, seed: int, spread: float = 2.0) -> tuple[np.ndarray, np.ndarray]:
+def textures(count: int, seed: int, spread: float = 2.0) -> tuple[np.ndarray, np.ndarray]:
     rng = np.random.default_rng(seed)
     which = np.array([rng.choice(5, 2, replace=False) for _ in range(count)])
     return (INKS[which] + rng.normal(0, spread, (count, 2, 3))).astype(np.float32), which
 
 
 def test_sides_get_their_classes_in_their_order() -> None:
-    model, _ = prints(400, 0)
-    scene, truth = prints(200, 1)
+    model, _ = textures(400, 0)
+    scene, truth = textures(200, 1)
     classes, confidence = classify(scene, model, nearest_class(model, INKS), 5)
     sure = confidence > 0.3
     assert sure.mean() > 0.8
@@ -27,7 +27,7 @@ def test_sides_get_their_classes_in_their_order() -> None:
 
 
 def test_confidence_falls_with_ambiguity_and_distance() -> None:
-    model, _ = prints(400, 0)
+    model, _ = textures(400, 0)
     model_classes = nearest_class(model, INKS)
     clear = np.array([[[85, 2, 5], [45, 55, 35]]], np.float32)
     between = np.array([[[85, 2, 5], [62, 25, 52]]], np.float32)
@@ -39,8 +39,8 @@ def test_confidence_falls_with_ambiguity_and_distance() -> None:
 
 
 def test_the_cloud_has_both_sides_of_the_sure_ones() -> None:
-    model, _ = prints(400, 0)
-    scene, truth = prints(50, 1, spread=0.5)
+    model, _ = textures(400, 0)
+    scene, truth = textures(50, 1, spread=0.5)
     scene[25:] = [[50, -60, 60], [50, 60, -60]]
     f = np.float32
     pairs = SurfacePairs(

@@ -17,7 +17,7 @@ from huepose.perception.colorpair_detector import ColorPairDetector
 from huepose.perception.config import DetectorConfig
 from huepose.perception.ground import large_planes, standing_clear
 from huepose.perception.nearby import align_in_view
-from huepose.perception.scouting import likeliest_turns
+from huepose.perception.scouting import likeliest_near_symmetries
 from huepose.perception.window_table import window_table
 from huepose.rendering.render import render_depth
 from huepose.support.errors import InputError
@@ -65,11 +65,11 @@ def test_of_a_pose_that_is_turned_the_wrong_way_the_right_turn_is_the_likeliest(
     view = clear_view(frame, tea_box.diameter_m)
     assert view is not None
     region = view.region(tea_box.diameter_m)
-    for turn in tea_box.turns[1:]:
-        found = likeliest_turns(tea_box, region, (standing @ np.linalg.inv(turn))[None])
+    for turn in tea_box.near_symmetries[1:]:
+        found = likeliest_near_symmetries(tea_box, region, (standing @ np.linalg.inv(turn))[None])
         assert len(found) == 1
         np.testing.assert_allclose(found[0], standing, atol=1e-6)
-    assert len(likeliest_turns(tea_box, region, np.zeros((0, 4, 4)))) == 0
+    assert len(likeliest_near_symmetries(tea_box, region, np.zeros((0, 4, 4)))) == 0
 
 
 def test_both_of_a_kind_are_found_where_they_are(

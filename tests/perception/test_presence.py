@@ -58,7 +58,7 @@ def test_the_light_is_what_probable_places_agree_on() -> None:
     assert unknown.spread == LIGHT_SPREAD
 
 
-def test_an_object_is_there_even_turned_but_not_beside_itself_and_less_likely_without_its_print(
+def test_an_object_is_there_even_turned_but_not_beside_itself_and_less_likely_without_its_texture(
     tea_box: ReferenceModel, take_picture: TakePicture, standing: np.ndarray
 ) -> None:
     def chance(frame: RgbdFrame, T: np.ndarray) -> float:

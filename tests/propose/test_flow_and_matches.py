@@ -128,7 +128,7 @@ def test_no_relative_pose_from_nothing() -> None:
     assert RobustKabsch().estimate(LiftedMatches(few, few, pixels, pixels, np.ones(4))) is None
 
 
-def test_colour_pairs_drop_matches_whose_print_changed() -> None:
+def test_colour_pairs_drop_matches_whose_texture_changed() -> None:
     """Half of the picture gets another hue: flow (on lightness) follows, colour pairs object."""
     a, b = shifted(3, 1)
     lab = cv2.cvtColor(b, cv2.COLOR_RGB2LAB)

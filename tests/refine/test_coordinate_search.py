@@ -43,7 +43,7 @@ def test_a_pose_far_behind_its_rivals_is_left_as_it_is(
     near = se3.perturb(standing, np.array([0.004, -0.003, 0.002, 0.05, -0.03, 0.04]))
     upside_down = standing.copy()
     upside_down[:3, 0] *= -1.0
-    upside_down[:3, 1] *= -1.0  # half a turn about its own axis shows another print
+    upside_down[:3, 1] *= -1.0  # half a turn about its own axis shows another texture
     poses = np.stack([near, upside_down])
     alone, alone_totals = search(tea_box, region, poses, (1.0, 0.5), 800)
     raced, raced_totals = search(tea_box, region, poses, (1.0, 0.5), 800, race=RACE)

@@ -84,7 +84,7 @@ def test_colour_is_the_bilinear_texture_at_the_analytic_uv() -> None:
     assert error.max() <= 0.51
 
 
-def test_fine_print_turns_grey_instead_of_aliasing() -> None:
+def test_fine_texture_turns_grey_instead_of_aliasing() -> None:
     checker = np.zeros((1024, 1024, 3), np.uint8)
     checker[::2, ::2] = checker[1::2, 1::2] = 255
     drawn = render([(quad(texture=checker), se3.make(np.eye(3), np.array([0, 0, 3.0])))], CAMERA)
@@ -92,7 +92,7 @@ def test_fine_print_turns_grey_instead_of_aliasing() -> None:
     assert np.abs(drawn.color[inside].astype(int) - 128).max() <= 4
 
 
-def test_blank_between_charts_does_not_bleed_into_the_print() -> None:
+def test_blank_between_charts_does_not_bleed_into_the_texture() -> None:
     texture = np.zeros((512, 512, 3), np.uint8)
     texture[201:311, 201:311] = (250, 120, 30)
     mesh = quad(texture=texture)

@@ -1,4 +1,4 @@
-"""Charts of blocks and of surfaces of revolution: areas, volumes, prints the right way round."""
+"""Charts of blocks and of surfaces of revolution: areas, volumes, textures the right way round."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ def test_an_open_box_has_eleven_faces_and_the_volume_of_its_walls() -> None:
     assert area(rim[0]) == pytest.approx(0.1 * 0.06 - 0.08 * 0.04)
 
 
-def test_prints_on_blocks_are_true_to_scale_upright_and_not_mirrored() -> None:
+def test_textures_on_blocks_are_true_to_scale_upright_and_not_mirrored() -> None:
     charts = blocks([0, 0.1], [0, 0.06], [0, 0.04], np.ones((1, 1, 1), bool))
     for chart in charts:
         # Counter-clockwise seen from outside is clockwise in image coordinates, where v points down.

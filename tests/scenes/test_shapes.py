@@ -46,7 +46,7 @@ def test_charts_lie_inside_the_texture_apart_from_each_other(name: str) -> None:
     assert GAP_PX >= 4
 
 
-def test_same_seed_same_pixels_other_seed_other_prints() -> None:
+def test_same_seed_same_pixels_other_seed_other_textures() -> None:
     again, other = demo_objects(0), demo_objects(1)
     for name, mesh in OBJECTS.items():
         assert np.array_equal(again[name].texture, mesh.texture)
@@ -64,7 +64,7 @@ def view(mesh: Mesh, turn: np.ndarray) -> np.ndarray:
 
 @pytest.mark.parametrize("name", OBJECTS)
 @pytest.mark.parametrize("angle_deg", [90, 180, 270])
-def test_the_print_tells_turns_about_the_vertical_apart(name: str, angle_deg: int) -> None:
+def test_the_texture_tells_turns_about_the_vertical_apart(name: str, angle_deg: int) -> None:
     mesh = OBJECTS[name]
     turn = se3.rotation_exp(np.array([0, 0, np.radians(angle_deg)]))
     one, two = view(mesh, np.eye(3)), view(mesh, turn)

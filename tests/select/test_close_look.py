@@ -64,11 +64,11 @@ def depth_shape(region: Region) -> tuple[int, ...]:
 
 def test_detail_is_without_the_colour_of_the_light() -> None:
     rng = np.random.default_rng(0)
-    print_ = rng.integers(60, 200, (40, 40, 3)).astype(np.uint8)
+    texture = rng.integers(60, 200, (40, 40, 3)).astype(np.uint8)
     even = np.full((40, 40, 3), (90, 140, 200), np.uint8)
     weight = np.ones((40, 40), np.float32)
     assert np.abs(detail_colors(even, weight)[..., :3]).max() < 1e-3
-    assert detail_colors(print_, weight)[..., :3].std() > 3.0
+    assert detail_colors(texture, weight)[..., :3].std() > 3.0
     assert SHARP_PX < 1.0
 
 

@@ -10,7 +10,7 @@ from huepose_services.cli.main import BAD_INPUT, DONE, main
 TERMS = {
     "total": 1.5, "gaps": [0.1], "color": 0.4, "box_iou": 0.8, "depth_fit": 0.7, "coverage": 0.7,
     "violation": 0.1, "occluded": 0.1, "seen": 0.7,
-    "missing": 0.2, "foreign": 10.0, "detail": 0.4, "stretch": 0.0, "pixels": 2000.0,
+    "missing": 0.2, "foreign": 10.0, "detail": 0.4, "scale_residual": 0.0, "pixels": 2000.0,
     "turned": 0.0, "otherwise": 0.1, "agreed": 1.0,
 }  # fmt: skip
 
@@ -32,11 +32,11 @@ def test_scenes_of_the_builtin_objects_are_drawn_with_their_meshes(
     assert main(["render-scenes", "--models", "builtin", "--out", str(out), "--frames", "0"]) == BAD_INPUT
 
 
-def test_look_alikes_stand_where_the_objects_would_in_other_prints(tmp_path: Path) -> None:
+def test_look_alikes_stand_where_the_objects_would_in_other_textures(tmp_path: Path) -> None:
     scenes = []
-    for prints in ("0", "1"):
-        out = tmp_path / prints
-        command = ["render-scenes", "--models", "builtin", "--prints", prints, "--out", str(out)]
+    for textures in ("0", "1"):
+        out = tmp_path / textures
+        command = ["render-scenes", "--models", "builtin", "--textures", textures, "--out", str(out)]
         assert main([*command, "--objects", "1", "--frames", "1", "--seed", "3"]) == DONE
         scenes.append(BopScene(out))
     (demo,), (alike,) = (scene.truths(0) for scene in scenes)

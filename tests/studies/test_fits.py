@@ -10,7 +10,7 @@ from studies.quality import fit as quality_fit
 from studies.quality.fit import FEATURES, Names, stated_by
 from tests.evaluation.judged import PLAIN, judged
 
-NAMES = Names(("total",), ("print_complete",), ("same_size",), ("total",), ())
+NAMES = Names(("total",), ("texture_complete",), ("same_size",), ("total",), ())
 
 
 def drawn(n: int, seed: int) -> tuple[Judged, np.ndarray]:
@@ -68,7 +68,7 @@ def test_what_is_elsewhere_is_not_present_and_look_alikes_are_doubted() -> None:
     assert fitted.fit.probabilities(own)[0] > 2 * fitted.fit.probabilities(foreign[0])[0]
     without = quality_fit.fit(labels, NAMES)
     assert without.fit.found == 0.0
-    assert without.fit.this_print(features(foreign[0])) > 0.97
+    assert without.fit.this_texture(features(foreign[0])) > 0.97
 
 
 def test_the_level_is_where_the_share_of_right_ones_falls_under_the_wanted() -> None:
@@ -104,7 +104,7 @@ def test_every_shipped_fit_rises_with_every_feature() -> None:
         turned=0.05, otherwise=0.1, agreed=1.1,
     )  # fmt: skip
     for name, fit in quality_fits().items():
-        for part in ("presence", "this_print", "this_size", "listed"):
+        for part in ("presence", "this_texture", "this_size", "listed"):
             factors = getattr(fit, part).factors
             assert set(factors) <= set(getattr(FEATURES[name], part)) <= set(features(PLAIN))
             assert all(factor > 0 for factor in factors.values())

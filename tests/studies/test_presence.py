@@ -6,7 +6,7 @@ import pytest
 from huepose.perception.presence import PresenceFit, Sight, presence_fit
 from studies.presence.fit import SeenPlaces, chances, fit_presence, terms
 
-LAW = PresenceFit(constant=-8.0, fit=6.0, violation=1.0, print=3.0, free_rim=5.0, hue=0.7)
+LAW = PresenceFit(constant=-8.0, fit=6.0, violation=1.0, texture=3.0, free_rim=5.0, hue=0.7)
 
 
 def drawn(frames: int, seed: int, law: PresenceFit = LAW) -> list[SeenPlaces]:
@@ -30,9 +30,9 @@ def drawn(frames: int, seed: int, law: PresenceFit = LAW) -> list[SeenPlaces]:
 
 
 def test_the_weights_behind_constructed_frames_are_found_from_a_poor_start() -> None:
-    start = PresenceFit(constant=-1.0, fit=1.0, violation=0.0, print=1.0, free_rim=1.0, hue=0.1)
+    start = PresenceFit(constant=-1.0, fit=1.0, violation=0.0, texture=1.0, free_rim=1.0, hue=0.1)
     found = fit_presence(drawn(200, 0), start)
-    for name in ("fit", "print", "free_rim", "hue"):
+    for name in ("fit", "texture", "free_rim", "hue"):
         assert getattr(found, name) == pytest.approx(getattr(LAW, name), rel=0.35), name
     fresh = drawn(50, 1)
     stated = np.concatenate([chances(f, found) for f in fresh])
@@ -44,7 +44,7 @@ def test_terms_are_in_the_order_of_the_weights_and_grow_with_presence() -> None:
     sight = Sight(0.7, 0.1, 0.4, 0.2, np.zeros((0, 5)))
     assert terms(sight) == (0.7, 0.1, 0.4, 0.8)
     shipped = presence_fit()
-    whole = sum(w * t for w, t in zip((shipped.fit, shipped.violation, shipped.print, shipped.free_rim),
+    whole = sum(w * t for w, t in zip((shipped.fit, shipped.violation, shipped.texture, shipped.free_rim),
                                       terms(sight), strict=True))  # fmt: skip
     assert shipped.logit(sight) == pytest.approx(shipped.constant + whole)
-    assert min(shipped.fit, shipped.violation, shipped.print, shipped.free_rim, shipped.hue) >= 0.0
+    assert min(shipped.fit, shipped.violation, shipped.texture, shipped.free_rim, shipped.hue) >= 0.0

@@ -4,12 +4,12 @@ import numpy as np
 import pytest
 
 from huepose.scenes.shapes import demo_objects
-from studies.changed_print import KINDS, changed, patches
+from studies.changed_texture import KINDS, changed, patches
 from studies.confusion import best_is_right
 from studies.near_ties import Held, fitted
 
 
-def test_the_share_of_print_that_is_wanted_is_changed() -> None:
+def test_the_share_of_texture_that_is_wanted_is_changed() -> None:
     mesh = demo_objects(0)["tea_box"]
     filled = patches(mesh, 1.0, 0).mean()
     for share in (0.1, 0.3):

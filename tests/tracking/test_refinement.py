@@ -59,7 +59,7 @@ def test_a_box_is_refined_to_the_truth(tea_box, shoot, path, start) -> None:
     assert np.linalg.eigvalsh(refined.information).min() > 0
 
 
-def test_print_settles_the_turn_about_an_axis_of_symmetry(soup_can, shoot, path) -> None:
+def test_texture_settles_the_turn_about_an_axis_of_symmetry(soup_can, shoot, path) -> None:
     """Eight degrees about the can's axis: invisible to depth."""
     surface, truth = PreparedSurface.of(soup_can), path(0)
     frame = shoot([(soup_can.mesh, truth)])
@@ -118,7 +118,7 @@ def test_score_says_what_is_there(tea_box, soup_can, shoot, path) -> None:
     assert right.color > 0.6
     turned = truth @ se3.make(np.diag([-1.0, -1.0, 1.0]), np.zeros(3))
     wrong = score(surface, region_of(surface, frame, truth), turned)
-    assert wrong.total < right.total - 0.5, "the same shape with another print"
+    assert wrong.total < right.total - 0.5, "the same shape with another texture"
     gone = shoot([])
     nothing = score(surface, region_of(surface, gone, truth), truth)
     assert nothing.through > 0.5

@@ -144,7 +144,7 @@ def test_identity_grows_with_agreement_and_new_viewpoints() -> None:
     assert doubtful.agreed(0.95, front).value == pytest.approx(0.95)
     assert doubtful.agreed(0.8, side).value == pytest.approx(0.92)
     assert doubtful.carried(GOOD, front) is doubtful, "the same side says nothing new"
-    assert doubtful.carried(replace(GOOD, color=0.2), side) is doubtful, "nor does a side without a print"
+    assert doubtful.carried(replace(GOOD, color=0.2), side) is doubtful, "nor does a side without a texture"
     carried = doubtful.carried(GOOD, side)
     assert carried.value == pytest.approx(0.8)
     assert carried.carried(GOOD, side) is carried

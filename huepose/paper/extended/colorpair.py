@@ -2,7 +2,7 @@
 added to the paper's path.
 
 Per source mask: pairs > hypotheses (`paper.hypotheses`), with starts from shape where they are few >
-registration on depth. Then together: near-symmetric turns of the best > coordinate search by pairs >
+registration on depth. Then together: near-symmetric rotations of the best > coordinate search by pairs >
 settling on depth > the best searched finely, and all judged by pairs.
 """
 
@@ -93,12 +93,12 @@ def estimate_by_pairs(
     if not len(poses):
         return poses, np.zeros(0)
     with stage("turns"):
-        poses = _with_turns(model, region, picture, poses, config)
+        poses = _with_near_symmetries(model, region, picture, poses, config)
     with stage("search"):
         searched, _ = search_pairs(model, region, picture, poses, (8.0, 4.0, 2.0, 1.0))
     with stage("icp"):
-        settled = align_many(model.surface, model.grid, region.points_cam, searched, 0.012, 0.006, 5)
-        poses = np.concatenate([searched, settled])
+        registered = align_many(model.surface, model.grid, region.points_cam, searched, 0.012, 0.006, 5)
+        poses = np.concatenate([searched, registered])
     with stage("judge"):
         terms = _judge(model, region, picture, poses)
         most = config.alternatives + config.finished
@@ -171,21 +171,23 @@ def _sources(config: ColorpairPathConfig) -> HypothesesConfig:
     return HypothesesConfig() if config.ppf else HypothesesConfig(ppf=None)
 
 
-def _with_turns(
+def _with_near_symmetries(
     model: ReferenceModel,
     region: Region,
     picture: PairPicture,
     poses: Float64,
     config: ColorpairPathConfig,
 ) -> Float64:
-    """The best different ones among poses (N, 4, 4) and the near-symmetric turns of the best of them."""
+    """The best different ones among poses (N, 4, 4) and the near-symmetric rotations of the best of them."""
     totals = pair_score_many(model, region, picture, poses, COARSE_PAIRS, COARSE_SAMPLES)[:, 0]
     best = different_poses(model, poses, totals, config.kept)
     poses, totals = poses[best], totals[best]
-    turned = np.einsum("nij,mjk->nmik", poses[: config.turned], model.turns[1:]).reshape(-1, 4, 4)
-    if len(turned):
-        more = pair_score_many(model, region, picture, turned, COARSE_PAIRS, COARSE_SAMPLES)[:, 0]
-        poses, totals = np.concatenate([poses, turned]), np.concatenate([totals, more])
+    near_symmetric = np.einsum(
+        "nij,mjk->nmik", poses[: config.with_near_symmetries], model.near_symmetries[1:]
+    ).reshape(-1, 4, 4)
+    if len(near_symmetric):
+        more = pair_score_many(model, region, picture, near_symmetric, COARSE_PAIRS, COARSE_SAMPLES)[:, 0]
+        poses, totals = np.concatenate([poses, near_symmetric]), np.concatenate([totals, more])
     return np.asarray(poses[different_poses(model, poses, totals, config.searched)])
 
 

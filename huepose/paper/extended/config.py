@@ -8,14 +8,14 @@ from dataclasses import dataclass
 @dataclass(frozen=True)
 class ColorpairPathConfig:
     """How much the colour-pair path tries. refined: hypotheses a mask that are registered; kept: different
-    ones after that; turned: of them whose near-symmetric turns are tried; searched: poses a mask that are
-    searched; finished: poses searched finely in the end; alternatives: different poses that are returned.
-    semantic: whether semantic ICP adds a pose to each of the best different ones; ppf: whether point pair
-    features may be used (see `paper.ppf` for why one may not want to)."""
+    ones after that; with_near_symmetries: of them whose near-symmetric rotations are tried; searched: poses a
+    mask that are searched; finished: poses searched finely in the end; alternatives: different poses that are
+    returned. semantic: whether semantic ICP adds a pose to each of the best different ones; ppf: whether
+    point pair features may be used (see `paper.ppf` for why one may not want to)."""
 
     refined: int = 30
     kept: int = 8
-    turned: int = 5
+    with_near_symmetries: int = 5
     searched: int = 8
     finished: int = 3
     alternatives: int = 6

@@ -1,4 +1,4 @@
-"""Coordinate search on the pair score: the print decides what depth leaves open, by pairs alone."""
+"""Coordinate search on the pair score: the texture decides what depth leaves open, by pairs alone."""
 
 from __future__ import annotations
 

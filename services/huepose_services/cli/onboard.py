@@ -39,7 +39,7 @@ def add_parser(subparsers: Any) -> None:
         type=Path,
         default=None,
         metavar="FILE",
-        help="JSON with symmetries of shape and print: symmetries_discrete and symmetries_continuous as in "
+        help="JSON with symmetries of shape and texture: symmetries_discrete and symmetries_continuous as in "
         "BOP's models_info.json, millimetres",
     )
     _paper(one)
@@ -173,11 +173,11 @@ def _say(line: str) -> None:
 
 def _line(result: Onboarded) -> str:
     size = " x ".join(f"{s * 100:.1f}" for s in result.size_m)
-    same = f"{result.equivalents} look the same" if result.equivalents > 1 else "the print tells all apart"
-    if result.turns == 1:
+    same = f"{result.equivalents} look the same" if result.equivalents > 1 else "the texture tells all apart"
+    if result.near_symmetries == 1:
         shape = "no near-symmetry"
     else:
-        shape = f"{result.turns} turns of like shape, {same}"
+        shape = f"{result.near_symmetries} near-symmetric rotations, {same}"
     if result.paper:
         shape += "; with the paper's tables"
     return (

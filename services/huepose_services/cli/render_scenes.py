@@ -23,11 +23,11 @@ def add_parser(subparsers: Any) -> None:
         help="BOP models folder; builtin: those of the demo, whose meshes are written to OUT/models",
     )
     parser.add_argument(
-        "--prints",
+        "--textures",
         type=int,
         default=0,
         metavar="N",
-        help="with builtin: the same shapes in other prints, look-alikes of the demo's (0: the demo's own)",
+        help="with builtin: the same shapes in other textures, look-alikes of the demo's (0: the demo's own)",
     )
     parser.add_argument(
         "--kind",
@@ -52,7 +52,7 @@ def call(arguments: argparse.Namespace) -> int:
     from huepose.support.errors import InputError
 
     if arguments.models == "builtin":
-        meshes = demo_objects(arguments.prints)
+        meshes = demo_objects(arguments.textures)
         ids = {name: k for k, name in enumerate(meshes, 1)}
         wanted = set(arguments.objects or ids.values())
         if wanted - set(ids.values()):

@@ -45,7 +45,9 @@ def test_pairs_judge_the_right_pose_over_its_flips_and_over_small_errors_in_any_
         assert region is not None
         picture = pair_picture(tea_box, region.crop, region.median_depth_m)
         right = pair_score(tea_box, region, picture, standing)
-        flips = [pair_score(tea_box, region, picture, standing @ turn) for turn in tea_box.turns[1:]]
+        flips = [
+            pair_score(tea_box, region, picture, standing @ turn) for turn in tea_box.near_symmetries[1:]
+        ]
         assert len(flips) >= 1
         assert right.total > max(f.total for f in flips) + 0.1
         moved = [se3.perturb(standing, d) for d in np.diag([0.01] * 3 + [np.radians(8.0)] * 3)]

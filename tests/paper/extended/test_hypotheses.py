@@ -144,7 +144,7 @@ def test_shape_alone_has_a_start_near_the_pose_or_its_like(
 ) -> None:
     starts = shape_hypotheses(tea_box, frame, mask, 20)
     assert len(starts) == 20
-    likes = [standing @ turn for turn in tea_box.turns]
+    likes = [standing @ turn for turn in tea_box.near_symmetries]
     turns = [min(np.degrees(se3.rotation_angle(h.T_cam_obj, T)) for T in likes) for h in starts]
     assert min(turns) < 20.0
     assert shape_hypotheses(tea_box, frame, np.zeros_like(mask), 20) == []

@@ -11,8 +11,8 @@ from huepose.colorpair.light import relit
 from huepose.paper.extended.light import lights_of
 
 
-def prints(seed: int) -> np.ndarray:
-    """300 pairs of six print colours, each a little uneven."""
+def textures(seed: int) -> np.ndarray:
+    """300 pairs of six texture colours, each a little uneven."""
     rng = np.random.default_rng(seed)
     inks = np.array([[85, 2, 5], [30, 5, -30], [45, 55, 35], [80, -5, 70], [25, 0, 0], [55, -35, 25]])
     which = np.array([rng.choice(6, 2, replace=False) for _ in range(300)])
@@ -21,9 +21,9 @@ def prints(seed: int) -> np.ndarray:
 
 @pytest.mark.parametrize("gain", [(1.0, 1.0, 1.0), (0.72, 0.7, 0.66), (0.9, 0.87, 0.75), (1.22, 1.2, 1.3)])
 def test_gains_are_found(gain: tuple[float, float, float]) -> None:
-    model = prints(0)
+    model = textures(0)
     rng = np.random.default_rng(1)
-    scene = relit(prints(2)[:120], np.array(gain))
+    scene = relit(textures(2)[:120], np.array(gain))
     scene[:40] = rng.uniform([10, -40, -40], [90, 40, 40], (40, 2, 3))  # a third belongs to something else
     scene = np.where(rng.random((120, 1, 1)) < 0.5, scene, scene[:, ::-1]).astype(np.float32)
     light, share = lights_of(scene, model, np.random.default_rng(0))[0]
@@ -32,7 +32,7 @@ def test_gains_are_found(gain: tuple[float, float, float]) -> None:
 
 
 def test_lights_are_different_and_best_first() -> None:
-    found = lights_of(prints(2), prints(0), np.random.default_rng(0))
+    found = lights_of(textures(2), textures(0), np.random.default_rng(0))
     shares = [share for _, share in found]
     assert shares == sorted(shares, reverse=True)
     for (a, _), (b, _) in pairwise(found):
@@ -41,6 +41,6 @@ def test_lights_are_different_and_best_first() -> None:
 
 def test_no_pairs_no_change() -> None:
     none = np.zeros((0, 2, 3), np.float32)
-    light, share = lights_of(none, prints(0), np.random.default_rng(0))[0]
+    light, share = lights_of(none, textures(0), np.random.default_rng(0))[0]
     np.testing.assert_array_equal(light, 1.0)
     assert share == 0.0

@@ -14,7 +14,7 @@ from huepose.reinit.types import Key, Prior
 from huepose.tracking.types import TrackedPose
 
 
-class Past:
+class PublishedHistory:
     """The newest published poses of every instance."""
 
     def __init__(self) -> None:

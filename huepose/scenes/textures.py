@@ -1,6 +1,6 @@
 """Printed matter by code: labels, pictures, tables, bar codes, warning stickers, wood. All RGB uint8.
 
-Every function draws into its own image of a given size; nothing here repeats, so that a print tells which
+Every function draws into its own image of a given size; nothing here repeats, so that a texture tells which
 way round an object is.
 """
 

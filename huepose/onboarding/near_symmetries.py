@@ -1,4 +1,4 @@
-"""Turns that bring a shape nearly onto itself: where a depth image alone cannot tell poses apart.
+"""Rotations that bring a shape nearly onto itself: where a depth image alone cannot tell poses apart.
 
 Starts all over SO(3) are fitted to the object's own surface; what ends close to it is a near-symmetry.
 """
@@ -12,15 +12,15 @@ import numpy as np
 
 from huepose.geometry import se3
 from huepose.geometry.arrays import Float, Float64
-from huepose.geometry.symmetry import turn_about
+from huepose.geometry.symmetry import rotation_about
 from huepose.model.types import DistanceGrid, Surface
 from huepose.onboarding.sided import SidedSurface
 from huepose.support.jit import jit
 
 NEAR = 0.03  # mean distance to the own surface over the diameter: loose, for a turn too many costs little
 NEAR_ABOUT_AXIS = 0.025
-STEP_RAD = np.radians(15.0)  # of turns about an axis
-DISTINCT_RAD = np.radians(20.0)  # of other turns: what is closer, a fit reaches by itself
+STEP_RAD = np.radians(15.0)  # of transforms about an axis
+DISTINCT_RAD = np.radians(20.0)  # of other transforms: what is closer, a fit reaches by itself
 MOST = 64
 _STARTS = 1500
 _POINTS = 400
@@ -32,10 +32,10 @@ _SAME_AXIS = np.cos(np.radians(7.0))
 
 @dataclass(frozen=True, eq=False)
 class NearSymmetries:
-    """turns (M, 4, 4), identity first; errors (M,): mean distance to the own surface over the diameter;
+    """transforms (M, 4, 4), identity first; errors (M,): mean distance to the own surface over the diameter;
     axis, offset (3,): of the axis of revolution, or None; flip (4, 4): a turn that reverses it, or None."""
 
-    turns: Float64
+    transforms: Float64
     errors: Float64
     axis: Float64 | None = None
     offset: Float64 | None = None
@@ -43,7 +43,7 @@ class NearSymmetries:
 
 
 def near_symmetries(surface: Surface, grid: DistanceGrid, diameter_m: float) -> NearSymmetries:
-    """Near-symmetric turns of a surface, at most `MOST`; about an axis of revolution every 15 degrees."""
+    """Near-symmetric rotations of a surface, at most `MOST`; about an axis of revolution every 15 degrees."""
     sided = SidedSurface.of(surface.points, surface.normals, diameter_m)
     points = surface.points[:_POINTS].astype(np.float64)
     normals = surface.normals[:_POINTS].astype(np.float64)
@@ -57,43 +57,43 @@ def near_symmetries(surface: Surface, grid: DistanceGrid, diameter_m: float) -> 
     order = np.argsort(rough, kind="stable")
     order = order[rough[order] < _WORTH_A_LOOK]
     order = order[distinct(fits[order], np.radians(8.0), 4 * MOST)]
-    turns, errors = _nearest_first(fits[order], error)
-    axis = axis_of_revolution(turns, centre, error)
+    transforms, errors = _nearest_first(fits[order], error)
+    axis = axis_of_revolution(transforms, centre, error)
     if axis is None:
-        kept = turns[distinct(turns, DISTINCT_RAD, MOST - 1)]
+        kept = transforms[distinct(transforms, DISTINCT_RAD, MOST - 1)]
         polished = np.array([sided.polished(T, points, normals) for T in kept])
-        turns, errors = _nearest_first(polished, error)
-        last = distinct(turns, DISTINCT_RAD, MOST - 1)
-        with_identity = np.concatenate([np.eye(4)[None], turns[last]])
+        transforms, errors = _nearest_first(polished, error)
+        last = distinct(transforms, DISTINCT_RAD, MOST - 1)
+        with_identity = np.concatenate([np.eye(4)[None], transforms[last]])
         return NearSymmetries(with_identity, np.concatenate([[0.0], errors[last]]))
     direction, offset = axis
-    about = turns_about(direction, offset, STEP_RAD)
-    reversing = [T for T in turns if T[:3, :3] @ direction @ direction < -_SAME_AXIS]
+    about = rotations_about(direction, offset, STEP_RAD)
+    reversing = [T for T in transforms if T[:3, :3] @ direction @ direction < -_SAME_AXIS]
     flip = sided.polished(reversing[0], points, normals) if reversing else None
     every = about if flip is None else np.concatenate([about, flip @ about])
     return NearSymmetries(every, np.array([error(T) for T in every]), direction, offset, flip)
 
 
-def _nearest_first(turns: Float64, error: Callable[[Float64], float]) -> tuple[Float64, Float64]:
-    """The turns of small error, best first, and their errors."""
-    turns = turns.reshape(-1, 4, 4)
-    errors = np.array([error(T) for T in turns]).reshape(-1)
+def _nearest_first(transforms: Float64, error: Callable[[Float64], float]) -> tuple[Float64, Float64]:
+    """The transforms of small error, best first, and their errors."""
+    transforms = transforms.reshape(-1, 4, 4)
+    errors = np.array([error(T) for T in transforms]).reshape(-1)
     order = np.argsort(errors, kind="stable")
     order = order[errors[order] < NEAR]
-    return turns[order], errors[order]
+    return transforms[order], errors[order]
 
 
-def turns_about(axis: Float, offset: Float, step_rad: float) -> Float64:
+def rotations_about(axis: Float, offset: Float, step_rad: float) -> Float64:
     """Turns (S, 4, 4) about a line, identity first, the whole circle round."""
     count = round(2 * np.pi / step_rad)
-    return np.stack([turn_about(axis, 2 * np.pi * k / count, offset) for k in range(count)])
+    return np.stack([rotation_about(axis, 2 * np.pi * k / count, offset) for k in range(count)])
 
 
-def distinct(turns: Float64, apart_rad: float, most: int) -> list[int]:
-    """Indices of turns that differ by `apart_rad` from the identity and from those before them."""
+def distinct(transforms: Float64, apart_rad: float, most: int) -> list[int]:
+    """Indices of transforms that differ by `apart_rad` from the identity and from those before them."""
     kept: list[int] = []
     rotations = [np.eye(3)]
-    for i, T in enumerate(turns):
+    for i, T in enumerate(transforms):
         traces = np.einsum("kij,ij->k", np.stack(rotations), T[:3, :3])
         if (traces < 1 + 2 * np.cos(apart_rad)).all():
             kept.append(i)
@@ -104,16 +104,16 @@ def distinct(turns: Float64, apart_rad: float, most: int) -> list[int]:
 
 
 def axis_of_revolution(
-    turns: Float64, centre: Float, error: Callable[[Float64], float]
+    transforms: Float64, centre: Float, error: Callable[[Float64], float]
 ) -> tuple[Float64, Float64] | None:
     """(direction, a point on it) of the axis about which every turn is a near-symmetry, or None.
 
-    turns (N, 4, 4): near-symmetries, best first. A ball has no single axis: its best one is taken.
+    transforms (N, 4, 4): near-symmetries, best first. A ball has no single axis: its best one is taken.
     """
-    vectors = np.array([se3.rotation_log(T[:3, :3]) for T in turns]).reshape(-1, 3)
+    vectors = np.array([se3.rotation_log(T[:3, :3]) for T in transforms]).reshape(-1, 3)
     angles = np.linalg.norm(vectors, axis=1)
     usable = (angles > np.radians(20)) & (angles < np.radians(170))
-    axes, members = vectors[usable] / angles[usable, None], turns[usable]
+    axes, members = vectors[usable] / angles[usable, None], transforms[usable]
     best: tuple[float, Float64, Float64] | None = None
     tried: list[Float64] = []
     for seed in axes:
@@ -125,11 +125,12 @@ def axis_of_revolution(
             continue
         direction = np.linalg.eigh(axes[same].T @ axes[same])[1][:, 2]
         direction = direction * np.sign(direction[int(np.argmax(np.abs(direction)))])
-        # Points that the turns leave in place: (I - R) p = t for each; of those the nearest to the centre.
+        # Points that the transforms leave in place: (I - R) p = t for each; of those the nearest to the
+        # centre.
         A = np.concatenate([np.eye(3) - T[:3, :3] for T in members[same]] + [1e-3 * np.eye(3)])
         b = np.concatenate([T[:3, 3] for T in members[same]] + [1e-3 * centre])
         offset = np.linalg.lstsq(A, b, rcond=None)[0]
-        errors = np.array([error(T) for T in turns_about(direction, offset, STEP_RAD)])
+        errors = np.array([error(T) for T in rotations_about(direction, offset, STEP_RAD)])
         if errors.max() < NEAR_ABOUT_AXIS and (best is None or errors.mean() < best[0]):
             best = (float(errors.mean()), direction, offset)
     return None if best is None else best[1:]
@@ -146,12 +147,12 @@ def even_rotations(count: int) -> Float64:
 
 
 def fitted(
-    turns: Float64, surface: Surface, grid: DistanceGrid, diameter_m: float
+    transforms: Float64, surface: Surface, grid: DistanceGrid, diameter_m: float
 ) -> tuple[Float64, Float64]:
     """Turns (M, 4, 4) after point-to-plane fits of the surface onto itself, and their mean error (M,) over
     the diameter. A surfel that lands where the surface faces elsewhere counts with a twentieth of a diameter
     at least."""
-    out = np.ascontiguousarray(turns, np.float64).copy()
+    out = np.ascontiguousarray(transforms, np.float64).copy()
     errors = np.empty(len(out))
     points = surface.points[:_FIT_POINTS].astype(np.float64)
     normals = surface.normals[:_FIT_POINTS].astype(np.float64)
@@ -173,7 +174,7 @@ def fitted(
 
 @jit
 def _fit_all(
-    turns: Float64,
+    transforms: Float64,
     errors: Float64,
     points: Float64,
     normals: Float64,
@@ -186,8 +187,8 @@ def _fit_all(
     iterations: int,
 ) -> None:
     J = np.empty(6)
-    for m in range(turns.shape[0]):
-        T = turns[m]
+    for m in range(transforms.shape[0]):
+        T = transforms[m]
         for it in range(iterations + 1):
             scale = d * (0.10 + (0.03 - 0.10) * min(1.0, it / max(1.0, 0.6 * iterations)))
             A = np.zeros((6, 6))

@@ -1,8 +1,8 @@
-"""A mesh whose print is out of date: accuracy with a share of the texture replaced, blurred or recoloured.
+"""A mesh whose texture is out of date: accuracy with a share of the texture replaced, blurred or recoloured.
 
     .venv/bin/python -m studies.changed_print --models DIR --ids 2 4 5 9 --bop SCENE... --json OUT.json
 
-The images show the true print; the reference model is learned from a changed one. Round patches of the
+The images show the true texture; the reference model is learned from a changed one. Round patches of the
 surface, of a sixth of the diameter, are changed until they make up the share.
 """
 
@@ -34,7 +34,7 @@ from huepose.model import ReferenceModel, load_model, save_model
 from huepose.onboarding import onboard_mesh
 from huepose.onboarding.bop_folder import BopModel, bop_models
 from huepose.onboarding.meshes import read_mesh
-from huepose.scenes import prints
+from huepose.scenes import textures
 from huepose.support.errors import InputError
 from huepose.support.progress import progress
 
@@ -46,7 +46,7 @@ COMMON = ("ids", "bop", "images", "method", "seed")
 
 
 def changed(mesh: Mesh, kind: str, share: float, seed: int) -> Mesh:
-    """The mesh with `share` of its surface in another print."""
+    """The mesh with `share` of its surface in another texture."""
     where = patches(mesh, share, seed)
     texture = mesh.texture.copy()
     texture[where] = _other(mesh.texture, kind, seed)[where]
@@ -78,7 +78,7 @@ def patches(mesh: Mesh, share: float, seed: int) -> Bool:
 
 
 def _other(texture: UInt8, kind: str, seed: int) -> UInt8:
-    """The whole texture in another print."""
+    """The whole texture in another texture."""
     height, width = texture.shape[:2]
     rng = np.random.default_rng([seed, 91])
     if kind == "blurred":
@@ -89,8 +89,8 @@ def _other(texture: UInt8, kind: str, seed: int) -> UInt8:
         hsv[..., 1] = np.clip(hsv[..., 1] + 60, 0, 255)
         return np.asarray(cv2.cvtColor(hsv.astype(np.uint8), cv2.COLOR_HSV2RGB), np.uint8)
     tiles = [
-        prints.front("NEW", "recipe", "OFFER")(
-            rng, height // 4, width // 4, prints.palette(rng.uniform(), rng)
+        textures.front("NEW", "recipe", "OFFER")(
+            rng, height // 4, width // 4, textures.palette(rng.uniform(), rng)
         )
         for _ in range(16)
     ]
@@ -114,7 +114,7 @@ def main() -> None:
             )
         record["variants"] = held["variants"]
     done = {(v["kind"], v["share"]) for v in record["variants"]}
-    for kind, share in progress([v for v in variants if v not in done], "prints"):
+    for kind, share in progress([v for v in variants if v not in done], "textures"):
         models = {o.name: _learned(o, kind, share, arguments) for o in objects}
         estimator = Estimator(models, EstimatorConfig(method=arguments.method))
         options = EstimateOptions(min_visib=0.3, seeds=(0,))
@@ -132,8 +132,8 @@ def thinned(scene: BopScene, most: int) -> SomeImages:
 
 
 def lines(variants: Sequence[Mapping[str, Any]]) -> str:
-    """The table: figures of each print, and what ADD recall and its AUC are above those of the right print,
-    with the interval that holds 95 % of draws of frames; then ADD recall by object."""
+    """The table: figures of each texture, and what ADD recall and its AUC are above those of the right
+    texture, with the interval that holds 95 % of draws of frames; then ADD recall by object."""
     base = _values(variants[0]["rows"])
     rows = []
     for variant in variants:
@@ -147,7 +147,7 @@ def lines(variants: Sequence[Mapping[str, Any]]) -> str:
         found = 100.0 * np.mean([r["found"] for r in variant["rows"]])
         figures = [variant[key] for key in ("recall_add", "recall_adds", "auc_add", "auc_adds")]
         rows.append([variant["kind"], 100.0 * variant["share"], len(frames), *figures, found, *shown])
-    header = ["print", "changed %", "n", "ADD", "ADD-S", "AUC", "AUC-S", "found", "more ADD", "more AUC"]
+    header = ["texture", "changed %", "n", "ADD", "ADD-S", "AUC", "AUC-S", "found", "more ADD", "more AUC"]
     names = list(variants[0]["per_object"])
     by_object = [
         [f"{v['kind']} {100.0 * v['share']:.0f}", *(v["per_object"][n]["recall_add"] for n in names)]
@@ -183,13 +183,13 @@ def _learned(entry: BopModel, kind: str, share: float, arguments: argparse.Names
 
 
 def _arguments() -> argparse.Namespace:
-    parser = argparse.ArgumentParser(description="Accuracy with reference models of an out-of-date print.")
+    parser = argparse.ArgumentParser(description="Accuracy with reference models of an out-of-date texture.")
     parser.add_argument("--models", type=Path, required=True, metavar="DIR", help="BOP models folder")
     parser.add_argument("--ids", type=int, nargs="+", required=True, metavar="ID")
     parser.add_argument("--bop", type=Path, nargs="+", required=True, metavar="SCENE_DIR")
     parser.add_argument("--json", type=Path, required=True, metavar="FILE",
                         help="results; what it holds already is not measured again")  # fmt: skip
-    parser.add_argument("--work", type=Path, default=Path("build/changed_print"), metavar="DIR",
+    parser.add_argument("--work", type=Path, default=Path("build/changed_texture"), metavar="DIR",
                         help="where the changed reference models are kept")  # fmt: skip
     parser.add_argument("--kinds", nargs="+", choices=KINDS, default=list(KINDS))
     parser.add_argument("--shares", type=float, nargs="+", default=[0.1, 0.2, 0.3], metavar="F")

@@ -7,7 +7,7 @@ import pytest
 
 from huepose.geometry import se3
 from huepose.geometry.arrays import Float64
-from huepose.reinit.past import Past
+from huepose.reinit.published_history import PublishedHistory
 from huepose.tracking.types import State, TrackedPose
 
 
@@ -17,7 +17,7 @@ def published(stamp_ns: int, x: float | None, covariance: Float64 | None = None)
 
 
 def test_between_two_poses_it_is_interpolated_and_less_sure() -> None:
-    past, small = Past(), np.eye(6) * 1e-8
+    past, small = PublishedHistory(), np.eye(6) * 1e-8
     past.note(published(0, 0.0, small))
     newest = published(100_000_000, 0.1, small)
     between = past.at(newest, 25_000_000)
@@ -30,7 +30,7 @@ def test_between_two_poses_it_is_interpolated_and_less_sure() -> None:
 
 
 def test_what_is_no_pose_or_old_is_not_remembered() -> None:
-    past = Past()
+    past = PublishedHistory()
     for track in (published(10, 0.1), published(10, 0.2), published(5, 0.3), published(20, None)):
         past.note(track)
     assert past.at(published(30, 0.4), 9).T_cam_obj[0, 3] == 0.1

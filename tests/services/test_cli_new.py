@@ -23,7 +23,7 @@ def test_a_mesh_becomes_a_folder_whose_frame_gives_its_pose(
 ) -> None:
     write_obj(tmp_path / "box.obj", tea_box.mesh)
     out = tmp_path / "mine"
-    assert main(["new", "box", str(tmp_path / "box.obj"), "--unit", "m", "--out", str(out)]) == 0
+    assert main(["new", "box", str(tmp_path / "box.obj"), "--unit", "m", "--no-test", "--out", str(out)]) == 0
     assert f"huepose demo --bundles {out}/bundles" in capsys.readouterr().out
     names = {"color": "color.png", "depth": "depth.png", "camera": "camera.json"}
     files = [word for key, name in names.items() for word in (f"--{key}", str(out / name))]

@@ -31,7 +31,7 @@ def test_a_mesh_becomes_a_model(mesh: Path, tmp_path: Path, capsys: pytest.Captu
     declared = tmp_path / "symmetric.json"
     declared.write_text(json.dumps({"symmetries_continuous": [{"axis": [0, 0, 1]}]}))
     out = tmp_path / "bundles"
-    arguments = ["onboard", str(mesh), "--name", "red_brick", "--id", "5", "--out", str(out)]
+    arguments = ["onboard", "--no-test", str(mesh), "--name", "red_brick", "--id", "5", "--out", str(out)]
     assert main([*arguments, "--symmetric", str(declared)]) == 0
     line = capsys.readouterr().out
     assert line.startswith("red_brick")
@@ -48,7 +48,7 @@ def test_a_model_gets_the_papers_tables_when_asked(
     mesh: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     out = tmp_path / "bundles"
-    assert main(["onboard", str(mesh), "--name", "brick", "--out", str(out), "--paper"]) == 0
+    assert main(["onboard", "--no-test", str(mesh), "--name", "brick", "--out", str(out), "--paper"]) == 0
     assert "with the paper's tables" in capsys.readouterr().out
     tables = load_models(out)["brick"].tables
     assert tables is not None
@@ -63,7 +63,15 @@ def test_a_small_mesh_may_be_in_another_unit_and_that_can_be_said(
     folder = tmp_path / "Körper mit Lücke"
     folder.mkdir()
     files.write_obj(folder / "brick ä.obj", solids.box((0.15, 0.08, 0.06), pictures), scale=100.0)
-    arguments = ["onboard", str(folder / "brick ä.obj"), "--name", "brick", "--out", str(folder / "out")]
+    arguments = [
+        "onboard",
+        "--no-test",
+        str(folder / "brick ä.obj"),
+        "--name",
+        "brick",
+        "--out",
+        str(folder / "out"),
+    ]
     assert main(arguments) == 0
     said = capsys.readouterr()
     assert "1.5 x 0.8 x 0.6 cm" in said.out
@@ -75,14 +83,14 @@ def test_a_large_mesh_says_which_extra_it_needs(
 ) -> None:
     monkeypatch.setattr(simplify, "MOST", 11)  # the brick has twelve triangles
     monkeypatch.setitem(sys.modules, "open3d", None)  # as where it is not installed
-    assert main(["onboard", str(mesh), "--name", "brick", "--out", str(tmp_path / "out")]) == 2
+    assert main(["onboard", "--no-test", str(mesh), "--name", "brick", "--out", str(tmp_path / "out")]) == 2
     said = capsys.readouterr().err
     assert "this needs the Python package open3d; install it with: pip install 'huepose[onboard]'" in said
     assert not (tmp_path / "out").exists()
 
 
 def test_bundles_go_into_a_folder(mesh: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    assert main(["onboard", str(mesh), "--name", "brick", "--out", str(mesh)]) == 2
+    assert main(["onboard", "--no-test", str(mesh), "--name", "brick", "--out", str(mesh)]) == 2
     assert "found a file; expected a folder" in capsys.readouterr().err
 
 
@@ -128,7 +136,7 @@ def test_wrong_input_ends_with_2_and_a_fix(
     mesh: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], extra: list[str], message: str
 ) -> None:
     out = tmp_path / "bundles"
-    assert main(["onboard", str(mesh), "--out", str(out), *extra]) == 2
+    assert main(["onboard", "--no-test", str(mesh), "--out", str(out), *extra]) == 2
     assert message in capsys.readouterr().err
     assert not out.exists()
 

@@ -6,6 +6,8 @@ import argparse
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from huepose_services.cli.onboard import add_test
+
 if TYPE_CHECKING:
     from huepose.geometry import Camera
     from huepose.scenes.frame import Shot
@@ -36,6 +38,7 @@ def add_parser(subparsers: Any) -> None:
         default=None,
         help="the mesh's unit; without it metres or millimetres, whichever is likelier by its size",
     )
+    add_test(parser)
     parser.add_argument("--out", type=Path, default=None, metavar="DIR", help="the folder (NAME)")
     parser.set_defaults(call=call)
 
@@ -47,7 +50,7 @@ def call(arguments: argparse.Namespace) -> int:
     from huepose.scenes.builtin import first_shot
     from huepose.scenes.plan import CAMERA
     from huepose.support.errors import InputError
-    from huepose_services.cli.onboard import onboard_one
+    from huepose_services.cli.onboard import onboard_one, self_test
 
     out: Path = arguments.out or Path(arguments.name)
     path = out / "pipeline.yaml"
@@ -55,6 +58,8 @@ def call(arguments: argparse.Namespace) -> int:
         raise InputError(path, found="a file that is there already", expected="a new folder", fix="--out DIR")
     onboard_one(Job(arguments.mesh, arguments.name, unit=arguments.unit), out / "bundles")
     (model,) = load_models(out / "bundles", [arguments.name]).values()
+    if arguments.test:
+        self_test(out / "bundles", model.name)
     write_frame(out, first_shot({model.name: model.mesh}), CAMERA)
     path.write_text(_PIPELINE.format(name=model.name))
     files = f"--color {out}/color.png --depth {out}/depth.png --camera {out}/camera.json"

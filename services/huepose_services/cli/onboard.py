@@ -43,6 +43,7 @@ def add_parser(subparsers: Any) -> None:
         "BOP's models_info.json, millimetres",
     )
     _paper(one)
+    add_test(one)
     one.add_argument("--out", type=Path, required=True, metavar="BUNDLES", help="folder of reference models")
     one.set_defaults(call=call)
 
@@ -57,6 +58,16 @@ def add_parser(subparsers: Any) -> None:
     _paper(many)
     many.add_argument("--processes", type=int, default=2, metavar="N", help="worker processes (2)")
     many.set_defaults(call=call_bop)
+
+
+def add_test(parser: argparse.ArgumentParser) -> None:
+    """Add the option that leaves the self-test out."""
+    parser.add_argument(
+        "--no-test",
+        dest="test",
+        action="store_false",
+        help="without the self-test in drawn scenes, which says how well the object suits (half a minute)",
+    )
 
 
 def _paper(parser: argparse.ArgumentParser) -> None:
@@ -75,7 +86,27 @@ def call(arguments: argparse.Namespace) -> int:
     symmetric = read_symmetries(arguments.symmetric) if arguments.symmetric else None
     given = (arguments.mesh, arguments.name, arguments.id, arguments.unit)
     onboard_one(Job(*given, symmetric=symmetric, paper=arguments.paper), arguments.out)
+    if arguments.test:
+        self_test(arguments.out, arguments.name)
     return 0
+
+
+def self_test(bundles: Path, name: str) -> None:
+    """Say in words and in a picture, BUNDLES/NAME.png, how well an object suits."""
+    from huepose.evaluation import suitability
+    from huepose.model import load_models
+    from huepose.support.errors import InputError
+    from huepose_services.cli.explain import write_picture
+
+    model = load_models(bundles, [name])[name]
+    try:
+        found = suitability.self_test(model)
+    except InputError as error:
+        print(f"{name} was not tried in drawn scenes: {error}", file=sys.stderr)
+        return
+    picture = bundles / f"{name}.png"
+    write_picture(picture, suitability.sheet(model, found))
+    print(f"{suitability.in_words(model, found)}\nWhat was tried, and how it went: {picture}")
 
 
 def onboard_one(job: Job, out: Path) -> None:

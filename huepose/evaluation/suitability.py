@@ -1,0 +1,220 @@
+"""Does an object suit the method? Its pose is asked for in drawn scenes, where the truth is known.
+
+The scenes are those of `huepose.scenes.rendered`: the object on a table among other things, in any light,
+from 0.45 to 2 m away, with the noise of a colour and a stereo depth camera.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+
+from huepose.datasets.boxes import disturbed
+from huepose.drawing.contact_sheet import contact_sheet
+from huepose.drawing.overlay import draw_axes, draw_mask_outline, silhouette
+from huepose.drawing.text import paragraph
+from huepose.estimation import Estimator, ObjectQuery
+from huepose.evaluation.metrics import RECALL_FRACTION, add, adds
+from huepose.geometry import Box, Camera, RgbdFrame, se3
+from huepose.geometry.arrays import Float64, UInt8
+from huepose.model import ReferenceModel
+from huepose.profiles import profile
+from huepose.rendering.render import render
+from huepose.scenes.rendered import SceneRanges, rendered_frame
+from huepose.support.progress import progress
+
+Verdict = Literal["suits", "suits with limits", "does not suit"]
+
+TRIALS = 16
+"""Drawn frames of a self-test: 15 right ones of 16 leave 72 to 99 % (Clopper-Pearson, 95 %)."""
+
+RANGES = SceneRanges(distance_m=(0.45, 2.0))
+SEEN = 0.3
+"""Visible share from which a trial counts, as everywhere in the evaluation."""
+
+WELL, SOMETIMES = 0.9, 0.5
+"""Shares of right poses from which an object suits, and from which it suits with limits: what a user would
+call reliable, and what tracking still confirms over several frames."""
+
+NOTICEABLE = 2.3
+"""CIELAB distance of two colours that are just told apart (Mahy, Van Eycken and Oosterlinck 1994)."""
+
+VIEW_PX, CROP_PX = 220, 200
+
+
+@dataclass(frozen=True, eq=False)
+class Trial:
+    """One drawn question. size_px: the object's diameter in the picture; right: ADD under a tenth of the
+    diameter, to the nearest of the poses that look the same; shape_right: the same of ADD-S; crop: the
+    picture (H, W, 3) around it with the answer."""
+
+    distance_m: float
+    size_px: float
+    visib_fract: float
+    state: str
+    quality: float
+    right: bool
+    shape_right: bool
+    crop: UInt8
+
+
+@dataclass(frozen=True, eq=False)
+class Suitability:
+    """What the trials say. right, tracking: shares of the trials with a right pose, and with one published as
+    TRACKING; smallest_px: size from which on WELL of the poses are right, None where none is; reasons: what
+    limits it, in sentences."""
+
+    verdict: Verdict
+    right: float
+    tracking: float
+    false_tracking: int
+    smallest_px: float | None
+    reasons: tuple[str, ...]
+    trials: tuple[Trial, ...]
+
+
+def self_test(model: ReferenceModel, count: int = TRIALS, seed: int = 0) -> Suitability:
+    """Ask for the object's pose in `count` drawn frames. Raises InputError for an object that is too large to
+    stand on the drawn table."""
+    estimator = Estimator({model.name: model}, profile("live").estimator)
+    return judged(model, list(_trials(model, estimator, count, seed)))
+
+
+def _trials(model: ReferenceModel, estimator: Estimator, count: int, seed: int) -> Iterator[Trial]:
+    for number in progress(range(count), f"trying {model.name} in drawn scenes"):
+        drawn = rendered_frame({model.name: model.mesh}, seed, number, RANGES)
+        labels, mask = drawn.shot.labels, drawn.shot.owner == 0
+        around = Box.of_mask(mask)
+        if around is None or labels.visib_fract[0] < SEEN:
+            continue
+        T_true = labels.T_cam_obj[0]
+        frame = RgbdFrame(drawn.shot.color, drawn.shot.depth, drawn.camera)
+        box = disturbed(
+            around, "perturbed", seed, model.name, number, 0, drawn.camera.width, drawn.camera.height
+        )
+        answer = estimator.estimate(frame, [ObjectQuery(model.name, box)])[0]
+        T = answer.T_cam_obj
+        limit_m = RECALL_FRACTION * model.diameter_m
+        distance_m = float(se3.apply(T_true, model.mesh.centre[None])[0, 2])
+        yield Trial(
+            distance_m,
+            drawn.camera.fx * model.diameter_m / distance_m,
+            float(labels.visib_fract[0]),
+            answer.state,
+            answer.quality,
+            T is not None and min(add(model.eval_points, T, T_true @ E) for E in model.equivalents) < limit_m,
+            T is not None and adds(model.eval_points, T, T_true) < limit_m,
+            _crop(model, frame.color, drawn.camera, around, T),
+        )
+
+
+def judged(model: ReferenceModel, trials: Sequence[Trial]) -> Suitability:
+    """The verdict on an object of which these trials are known."""
+    right = np.array([t.right for t in trials], bool)
+    sure = np.array([t.state == "TRACKING" for t in trials], bool)
+    share = float(right.mean()) if len(trials) else 0.0
+    shape = float(np.mean([t.shape_right for t in trials])) if len(trials) else 0.0
+    reasons = []
+    lab = model.surface.lab[0]
+    contrast = float(np.sqrt(((lab - lab.mean(0)) ** 2).sum(1).mean()))
+    if contrast < 2.0 * NOTICEABLE:
+        reasons.append(
+            f"It is of one colour (its colours differ by {contrast:.1f} in CIELAB): only its shape tells its "
+            "pose."
+        )
+    if shape - share > 1.0 - WELL:
+        reasons.append(
+            "Where it is is found more often than how it is turned: its sides look too much alike."
+        )
+    if len(model.equivalents) > 1:
+        reasons.append(
+            f"{len(model.equivalents)} rotations of it look the same: any of them is answered, and counts as "
+            "right."
+        )
+    smallest = _smallest(trials)
+    if smallest is not None and smallest > min(t.size_px for t in trials):
+        reasons.append(
+            f"It has to be {smallest:.0f} pixels large: nearer than "
+            f"{trials[0].size_px * trials[0].distance_m / smallest:.1f} m with this camera."
+        )
+    verdict: Verdict = "suits" if share >= WELL else "does not suit"
+    if verdict != "suits" and max(share, shape) >= SOMETIMES:
+        verdict = "suits with limits"
+    if len(trials) and verdict == "does not suit" and not reasons:
+        reasons.append("Its pose is seldom right, alone or among other things: look at the trials.")
+    return Suitability(
+        verdict,
+        share,
+        float((right & sure).mean()) if len(trials) else 0.0,
+        int((sure & ~right).sum()),
+        smallest,
+        tuple(reasons),
+        tuple(trials),
+    )
+
+
+def _smallest(trials: Sequence[Trial]) -> float | None:
+    """The smallest size so that of the trials of that size and more WELL are right."""
+    by_size = sorted(trials, key=lambda t: -t.size_px)
+    shares = np.cumsum([t.right for t in by_size]) / np.arange(1, len(by_size) + 1)
+    fits = np.flatnonzero(shares >= WELL)
+    return by_size[int(fits[-1])].size_px if len(fits) else None
+
+
+def in_words(model: ReferenceModel, found: Suitability) -> str:
+    """Some lines for people."""
+    n = len(found.trials)
+    size = " x ".join(f"{100 * s:.1f}" for s in np.ptp(model.mesh.vertices, axis=0))
+    lines = [
+        f"{model.name} {found.verdict}: {size} cm, "
+        f"right in {100 * found.right:.0f} % of {n} drawn scenes, surely so (TRACKING) in "
+        f"{100 * found.tracking:.0f} %, wrongly sure in {found.false_tracking}."
+    ]
+    return "\n".join([*lines, *found.reasons])
+
+
+def sheet(model: ReferenceModel, found: Suitability) -> UInt8:
+    """A page (H, W, 3): the verdict, the object from six sides with its colour pairs, and every trial."""
+    views = [_view(model, k) for k in _sides(model)]
+    pictures = [*(picture for picture, _ in views), *(t.crop for t in found.trials)]
+    labels = [text for _, text in views]
+    for t in found.trials:
+        word = "right" if t.right else "no pose" if t.state == "LOST" else "WRONG"
+        labels.append(f"{word} {t.quality:.2f}, {t.distance_m:.1f} m")
+    page = contact_sheet(pictures, 6, labels, (VIEW_PX, VIEW_PX))
+    return np.vstack([paragraph(in_words(model, found), page.shape[1]), page])
+
+
+def _sides(model: ReferenceModel) -> list[int]:
+    """The views of the model that are nearest to its axes."""
+    axes = np.vstack([np.eye(3), -np.eye(3)])
+    return [int(k) for k in np.argmax(axes @ model.templates.directions.T, axis=1)]
+
+
+def _view(model: ReferenceModel, k: int) -> tuple[UInt8, str]:
+    """The object as seen from a view, its colour pairs as dots, and how many these are."""
+    camera = Camera(8.0 * VIEW_PX, 8.0 * VIEW_PX, VIEW_PX / 2, VIEW_PX / 2, VIEW_PX, VIEW_PX)
+    z = model.templates.directions[k].astype(np.float64)
+    x = np.cross([0.0, 0.0, 1.0] if abs(z[2]) < 0.9 else [0.0, 1.0, 0.0], z)
+    x /= np.linalg.norm(x)
+    R = np.stack([x, -np.cross(z, x), -z])
+    T = se3.make(R, np.array([0.0, 0.0, 9.0 * model.diameter_m]) - R @ model.mesh.centre)
+    picture = render([(model.mesh, T)], camera).color
+    facing = model.pairs.normals @ z > SEEN
+    pixels = camera.project(se3.apply(T, model.pairs.points[facing]))
+    picture = np.where(picture.any(2, keepdims=True), picture, 235).astype(np.uint8)
+    for u, v in np.rint(pixels[:: max(1, len(pixels) // 400)]).astype(int):
+        picture[v.clip(0, VIEW_PX - 1), u.clip(0, VIEW_PX - 1)] = (255, 60, 200)
+    return draw_axes(picture, camera, T, 0.3 * model.diameter_m), f"{int(facing.sum())} colour pairs"
+
+
+def _crop(model: ReferenceModel, color: UInt8, camera: Camera, around: Box, T: Float64 | None) -> UInt8:
+    if T is not None:
+        color = draw_mask_outline(color, silhouette(model.mesh, T, camera), (60, 220, 60), 1)
+    side = max(around.w, around.h, CROP_PX / 2)
+    x, y = around.x + around.w / 2 - 0.7 * side, around.y + around.h / 2 - 0.7 * side
+    rows, columns = Box(x, y, 1.4 * side, 1.4 * side).slices(camera.width, camera.height)
+    return color[rows, columns].copy()

@@ -1,0 +1,66 @@
+"""Whether an object suits: what trials say, and a self-test of one that does."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from huepose.evaluation.suitability import Trial, in_words, judged, self_test, sheet
+from huepose.model import ReferenceModel
+
+CROP = np.zeros((20, 30, 3), np.uint8)
+
+
+def trial(right: bool, size_px: float = 100.0, *, state: str = "TRACKING", shape: bool = True) -> Trial:
+    return Trial(61.4 / size_px, size_px, 0.9, state, 0.9, right, right or shape, CROP)
+
+
+def test_an_object_that_is_always_right_suits_without_reasons(tea_box: ReferenceModel) -> None:
+    found = judged(tea_box, [trial(True, size) for size in (50.0, 80.0, 120.0)])
+    assert (found.verdict, found.right, found.tracking, found.smallest_px) == ("suits", 1.0, 1.0, 50.0)
+    assert found.reasons == ()
+
+
+def test_wrong_sides_and_small_pictures_are_said(tea_box: ReferenceModel) -> None:
+    trials = [*(trial(True, 100.0 + k) for k in range(9)), *(trial(False, 30.0 + k) for k in range(4))]
+    found = judged(tea_box, trials)
+    assert found.verdict == "suits with limits"
+    assert found.false_tracking == 4
+    # Nine right ones and then one wrong one are 90 %.
+    assert found.smallest_px == 33.0
+    assert any("how it is turned" in reason for reason in found.reasons)
+    assert any("33 pixels" in reason and "1.9 m" in reason for reason in found.reasons)
+
+
+def test_an_object_whose_poses_are_wrong_does_not_suit(tea_box: ReferenceModel) -> None:
+    found = judged(tea_box, [trial(False, shape=False, state="LOST")] * 5)
+    assert (found.verdict, found.smallest_px, found.false_tracking) == ("does not suit", None, 0)
+    assert found.reasons
+    assert judged(tea_box, []).verdict == "does not suit"
+
+
+def test_one_colour_is_said(tea_box: ReferenceModel) -> None:
+    grey = replace(tea_box.surface, lab=np.full_like(tea_box.surface.lab, 50.0))
+    found = judged(replace(tea_box, surface=grey), [trial(True)])
+    assert found.reasons[0].startswith("It is of one colour (its colours differ by 0.0")
+
+
+def test_the_self_test_and_its_sheet(tea_box: ReferenceModel) -> None:
+    found = self_test(tea_box, count=3)
+    assert found.right == 1.0
+    assert 0 < len(found.trials) <= 3
+    assert in_words(tea_box, found).startswith("tea_box suits: 9.0 x 6.0 x 15.0 cm, right in 100 %")
+    assert sheet(tea_box, found).shape[2] == 3
+
+
+def test_the_same_seed_asks_the_same(tea_box: ReferenceModel) -> None:
+    one, two = (self_test(tea_box, count=1, seed=4) for _ in range(2))
+    assert [(t.distance_m, t.quality) for t in one.trials] == [(t.distance_m, t.quality) for t in two.trials]
+
+
+def test_what_is_too_large_for_the_table_is_refused(tea_box: ReferenceModel) -> None:
+    large = replace(tea_box.mesh, vertices=tea_box.mesh.vertices * np.float32(10.0))
+    with pytest.raises(ValueError, match="largest side"):
+        self_test(replace(tea_box, mesh=large), count=1)

@@ -133,6 +133,15 @@ class Canvas:
         low, high = (tuple(round(v / 2**_SHIFT) for v in p) for p in (a, b))
         cv2.rectangle(self._frame(), (low[0], low[1]), (high[0], high[1]), color, -1)
 
+    def band(self, x0: float, x1: float, color: Colour) -> None:
+        """The whole height of the frame between two x, under what is drawn already."""
+        inner = self._frame()
+        (left, _), (right, _) = (
+            (round(u / 2**_SHIFT), v) for u, v in self._fixed(np.array([[x0, 0.0], [x1, 0.0]]))
+        )
+        part = inner[:, max(left, 0) : max(right, 0)]
+        part[:] = np.minimum(part, np.array(color, np.uint8))
+
     def note(self, text: str, x: float, y: float, color: Colour = INK) -> None:
         """Text centred just above a data point."""
         at = self.pixels(np.array([[x, y]]))[0]

@@ -33,6 +33,24 @@ def line_plot(
     return canvas.picture
 
 
+def time_plot(
+    series: Series,
+    bands: Sequence[tuple[float, float, Colour]],
+    title: str = "",
+    x_label: str = "",
+    y_label: str = "",
+    size: tuple[int, int] = (1100, 320),
+) -> UInt8:
+    """Lines by name as in `line_plot`, over bands from one x to another in their colours."""
+    canvas = _over(series, title, x_label, y_label, None, None, size)
+    for left, right, color in bands:
+        canvas.band(left, right, color)
+    for (x, y), color in zip(series.values(), _colours(len(series)), strict=True):
+        canvas.line(x, y, color)
+    canvas.legend(list(series), _colours(len(series)))
+    return canvas.picture
+
+
 def histogram(
     values: Float,
     bins: int = 30,
@@ -64,8 +82,9 @@ def bar_chart(
     y_label: str = "",
     y_range: Range | None = None,
     size: tuple[int, int] = (720, 460),
+    notes: bool = True,
 ) -> UInt8:
-    """Bars side by side for each group, one per series, with their values on top."""
+    """Bars side by side for each group, one per series, with their values on top when `notes`."""
     heights = np.array([list(v) for v in series.values()], np.float64).reshape(len(series), len(groups))
     span = y_range or (0.0, 1.22 * float(np.nanmax(heights, initial=1e-9)))
     canvas = Canvas.empty((-0.6, len(groups) - 0.4), span, title, "", y_label, size, x_names=groups)
@@ -73,7 +92,10 @@ def bar_chart(
     for row, color, k in zip(heights, _colours(len(series)), range(len(series)), strict=True):
         for group, height in enumerate(row):
             left = group - 0.4 + k * width
-            canvas.bar(left + 0.06 * width, left + 0.94 * width, span[0], float(height), color)
+            if np.isfinite(height):
+                canvas.bar(left + 0.06 * width, left + 0.94 * width, span[0], float(height), color)
+            if not notes or not np.isfinite(height):
+                continue
             canvas.note(f"{height:.3g}", left + width / 2, min(float(height), span[1]))
     canvas.legend(list(series), _colours(len(series)))
     return canvas.picture

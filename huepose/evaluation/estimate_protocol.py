@@ -5,8 +5,8 @@ from __future__ import annotations
 import time
 from collections import Counter
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass
-from typing import Literal, Protocol
+from dataclasses import dataclass, field
+from typing import Any, Literal, Protocol
 
 import numpy as np
 
@@ -70,51 +70,81 @@ class _Label:
     counted: bool
 
 
+@dataclass(frozen=True, eq=False)
+class EstimateSetup:
+    """What is evaluated, and how.
+
+    equivalents: poses that count as the labelled one does; detector: for boxes `detect`; presence: says which
+    answers in a detector's boxes stand, their quality does without it; bop_objects: by BOP id, what BOP's
+    errors are measured on, where they are wanted; given: the boxes for `file`."""
+
+    targets: Targets
+    estimator: PoseEstimator
+    options: EstimateOptions
+    equivalents: Mapping[Key, Sequence[Float64]] = field(default_factory=dict)
+    detector: Detector | None = None
+    presence: Presence | None = None
+    bop_objects: Mapping[int, BopObject] = field(default_factory=dict)
+    given: BopDetections | None = None
+
+    def __post_init__(self) -> None:
+        if self.options.boxes == "detect" and self.detector is None:
+            raise InputError("--boxes detect", found="no detector", fix="Give one, or use --boxes perturbed.")
+
+    def image(self, scene: Scene, image: int) -> ImageAnswers:
+        """Run the estimator over one image, under every seed. Raises InputError where a file is broken."""
+        truths = scene.truths(image)
+        labels, without_model = _labels(truths, self.targets, self.options.min_visib)
+        rows: list[EstimateRow] = []
+        false: list[FalsePose] = []
+        sample = None
+        if labels or self.options.boxes == "detect":
+            sample = Sample(scene.frame(image), truths, scene.name, image)
+            for seed in self.options.seeds:
+                run = _FrameRun(sample, labels, self, seed)
+                new, wrong = run.answers()
+                rows += new
+                false += wrong
+        return ImageAnswers(rows, false, without_model, sample)
+
+
+@dataclass(frozen=True, eq=False)
+class ImageAnswers:
+    """What came of one image: rows of all seeds, poses of no label, number of labels without a model; sample:
+    the image, None where nothing was asked."""
+
+    rows: list[EstimateRow]
+    false: list[FalsePose]
+    without_model: int
+    sample: Sample | None
+
+
 def evaluate_estimates(
     scenes: Sequence[Scene],
     targets: Targets,
     estimator: PoseEstimator,
     options: EstimateOptions,
     *,
-    equivalents: Mapping[Key, Sequence[Float64]] | None = None,
-    detector: Detector | None = None,
-    presence: Presence | None = None,
     on_frame: Callable[[Sample, list[EstimateRow]], None] | None = None,
-    bop_objects: Mapping[int, BopObject] | None = None,
-    given: BopDetections | None = None,
+    **more: Any,
 ) -> EstimateResult:
-    """Run the estimator over all labelled images of the scenes. `on_frame` sees each frame with its rows.
-    `presence`: says which answers in a detector's boxes stand; their quality does without it.
-    `bop_objects`: by BOP id, what the errors of the BOP challenge are measured on, where they are wanted.
+    """Run the estimator over all labelled images of the scenes. `on_frame` sees each frame with its rows;
+    `more`: the other fields of EstimateSetup.
 
-    `given`: the boxes for `file`. Raises InputError when nothing is labelled, or `boxes` is `detect` without
-    a detector."""
-    if options.boxes == "detect" and detector is None:
-        raise InputError("--boxes detect", found="no detector", fix="Give one, or use --boxes perturbed.")
+    Raises InputError when nothing is labelled, or `boxes` is `detect` without a detector."""
+    setup = EstimateSetup(targets, estimator, options, **more)
     rows: list[EstimateRow] = []
     false: list[FalsePose] = []
     skipped = 0
     images = [(scene, image) for scene in scenes for image in scene.image_ids]
     for scene, image in progress(images, "frames"):
-        truths = scene.truths(image)
-        labels, without_model = _labels(truths, targets, options.min_visib)
-        skipped += without_model
-        if not labels and options.boxes != "detect":
-            continue
-        sample = Sample(scene.frame(image), truths, scene.name, image)
-        for seed in options.seeds:
-            run = _FrameRun(sample, labels, targets, options, seed, equivalents or {}, bop_objects or {})
-            if detector is not None and options.boxes == "detect":
-                new, wrong = run.detected(estimator, detector, presence)
-                false += wrong
-            elif given is not None and options.boxes == "file":
-                new, wrong = run.given(estimator, given)
-                false += wrong
-            else:
-                new = run.boxed(estimator)
-            rows += new
-            if on_frame is not None:
-                on_frame(sample, new)
+        answers = setup.image(scene, image)
+        rows += answers.rows
+        false += answers.false
+        skipped += answers.without_model
+        if on_frame is not None and answers.sample is not None:
+            for seed in options.seeds:
+                on_frame(answers.sample, [row for row in answers.rows if row.seed == seed])
     if not rows:
         raise InputError(
             "scenes " + ", ".join(scene.name for scene in scenes),
@@ -147,11 +177,27 @@ class _FrameRun:
 
     sample: Sample
     labels: Sequence[_Label]
-    targets: Targets
-    options: EstimateOptions
+    setup: EstimateSetup
     seed: int
-    equivalents: Mapping[Key, Sequence[Float64]]
-    bop_objects: Mapping[int, BopObject]
+
+    @property
+    def targets(self) -> Targets:
+        """The objects that are asked for."""
+        return self.setup.targets
+
+    @property
+    def options(self) -> EstimateOptions:
+        """Boxes, masks and so on."""
+        return self.setup.options
+
+    def answers(self) -> tuple[list[EstimateRow], list[FalsePose]]:
+        """A row for each label that counts, and the poses that belong to none."""
+        setup = self.setup
+        if setup.detector is not None and self.options.boxes == "detect":
+            return self.detected(setup.estimator, setup.detector, setup.presence)
+        if setup.given is not None and self.options.boxes == "file":
+            return self.given(setup.estimator, setup.given)
+        return self.boxed(setup.estimator), []
 
     def boxed(self, estimator: PoseEstimator) -> list[EstimateRow]:
         """One query for each label."""
@@ -300,9 +346,11 @@ class _FrameRun:
         T_cam_obj = answer.T_cam_obj if answer is not None and answer.found else None
         truth = label.truth
         key = (self.sample.scene, self.sample.image, truth.instance)
-        equivalents = self.equivalents.get(key, ())
+        equivalents = self.setup.equivalents.get(key, ())
         error = self.targets.error(label.model, T_cam_obj, label.T_cam_obj, equivalents)
-        measured = self.bop_objects.get(label.model.object_id) if label.model.object_id is not None else None
+        measured = (
+            self.setup.bop_objects.get(label.model.object_id) if label.model.object_id is not None else None
+        )
         bop = None
         if measured is not None:
             frame = self.sample.frame

@@ -9,23 +9,37 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from huepose.datasets import files
 from huepose.datasets.ycb_objects import YcbObject, is_ycbv, ycb_objects
 from huepose.geometry.arrays import Float64
 from huepose.onboarding.declared import check_symmetries
+from huepose.onboarding.meshes import Unit
 from huepose.support.errors import InputError
 
 
 @dataclass(frozen=True, eq=False)
 class BopModel:
-    """mesh_path: in millimetres, as BOP has it; info: the object's entry of models_info.json; frame_offset_m
-    (3,): takes points of the PoseCNN/YCB-Video frame to the mesh's frame, or None."""
+    """mesh_path: in `unit`, millimetres as BOP has it; info: the object's entry of models_info.json;
+    frame_offset_m (3,): takes points of the PoseCNN/YCB-Video frame to the mesh's frame, or None."""
 
     object_id: int
     name: str
     mesh_path: Path
     info: Mapping[str, Any]
     frame_offset_m: Float64 | None
+    unit: Unit = "mm"
+
+
+def ycb_video_models(folder: Path | str) -> list[BopModel]:
+    """The meshes that come with YCB_Video_Dataset, `models/NNN_name/textured.obj`, in metres and in the frame
+    of its labels (PoseCNN's), by id. None where there are none."""
+    return [
+        BopModel(known.object_id, known.name, path, {}, np.zeros(3), "m")
+        for known in ycb_objects().values()
+        if (path := Path(folder) / known.name / "textured.obj").exists()
+    ]
 
 
 def bop_models(folder: Path | str, ids: Collection[int] | None = None) -> list[BopModel]:

@@ -19,6 +19,7 @@ def add_parser(subparsers: Any) -> None:
     _add_calibration(verbs)
     _add_ablation(verbs)
     _add_compare(verbs)
+    _add_tables(verbs)
     parser.set_defaults(call=call)
 
 
@@ -228,3 +229,55 @@ def _add_compare(verbs: Any) -> None:
         metavar="POINTS",
         help="percentage points within which a change is none (0.1)",
     )
+
+
+def _add_tables(verbs: Any) -> None:
+    parser = verbs.add_parser(
+        "tables",
+        help="the paper's tables from the official data",
+        description="The paper's Tables I and II from YCB-Video and Fast-YCB as they are downloaded, "
+        "published columns beside what this code gives, as text, Markdown, LaTeX, CSV and one HTML page. "
+        "What is done is kept in OUT/runs: an interrupted command goes on where it stopped.",
+    )
+    _path(parser, "--ycbv", "DIR", "YCB-Video: BOP's folder, or YCB_Video_Dataset")
+    _path(parser, "--fast-ycb", "DIR", "Fast-YCB: the folder of its sequences, or one of them")
+    parser.add_argument("--out", type=Path, required=True, metavar="DIR", help="where everything goes")
+    _path(parser, "--bundles", "DIR", "reference models; without it they are made from the models folder")
+    _path(parser, "--models", "DIR", "textured meshes to make them from (the models folder of --ycbv)")
+    parser.add_argument(
+        "--methods",
+        nargs="+",
+        choices=("paper", "colorpair", "full"),
+        default=["paper", "colorpair", "full"],
+        help="side by side (all three); tracking has paper and full",
+    )
+    parser.add_argument(
+        "--quick",
+        type=int,
+        default=None,
+        metavar="N",
+        help="about N images spread over the scenes, and the first N frames of each sequence",
+    )
+    parser.add_argument(
+        "--boxes",
+        default="paper",
+        metavar="paper|perturbed|gt|FILE",
+        help="as in the paper, true boxes moved by up to a tenth; or a JSON file in BOP's format (paper)",
+    )
+    parser.add_argument(
+        "--every", type=int, nargs="+", default=[1, 5], metavar="N", help="feed every N-th frame (1 5)"
+    )
+    parser.add_argument(
+        "--protocol", choices=("free", "roft"), default="free", help="as in eval track (free)"
+    )
+    parser.add_argument(
+        "--start",
+        choices=("dope", "gt", "estimate"),
+        default=None,
+        help="first poses of tracks (DOPE's where the download has them, else the labels)",
+    )
+    _path(parser, "--equivalent", "FILE", "poses that count as the labelled one does, in states and quality")
+    _objects(parser)
+    _profile(parser)
+    parser.add_argument("--seed", type=int, default=0, metavar="N", help="of the moved boxes (0)")
+    parser.add_argument("--threads", type=int, default=2, metavar="N", help="objects at the same time (2)")

@@ -79,7 +79,7 @@ def call(arguments: argparse.Namespace) -> int:
         presence=presence_by(models, arguments.method),
         on_frame=on_frame,
         given=given,
-        bop_objects=bop_objects(arguments.models_info, models) if arguments.models_info else None,
+        bop_objects=bop_objects(arguments.models_info, models) if arguments.models_info else {},
     )
     record = result.as_json()
     record["summary"] |= {"method": arguments.method, "profile": arguments.profile}

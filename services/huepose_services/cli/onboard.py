@@ -5,12 +5,13 @@ from __future__ import annotations
 import argparse
 import os
 import sys
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from huepose.onboarding.batch import Job, Onboarded
+    from huepose.onboarding.bop_folder import BopModel
 
 # Few objects that are handled are smaller or larger; a mesh in another unit seems to be.
 _SMALL_M, _LARGE_M = 0.03, 0.6
@@ -137,25 +138,37 @@ def onboard_one(job: Job, out: Path) -> None:
 
 def call_bop(arguments: argparse.Namespace) -> int:
     """Onboard a folder; an object that fails is reported and the others go on."""
-    from huepose.onboarding.batch import Job, Onboarded, StageBegun, onboard_many
     from huepose.onboarding.bop_folder import bop_models
+
+    _check_folder(arguments.out)
+    models = bop_models(arguments.models_dir, arguments.ids)
+    failed = onboard_models(models, arguments.out, arguments.paper, arguments.processes)
+    if failed:
+        names = ", ".join(failed)
+        print(f"huepose onboard-bop: {len(failed)} of {len(models)} failed: {names}", file=sys.stderr)
+        return 2
+    return 0
+
+
+def onboard_models(models: Sequence[BopModel], out: Path, paper: bool, processes: int) -> list[str]:
+    """Onboard them, say what became of each, and return the names of those that failed."""
+    from huepose.onboarding.batch import Job, Onboarded, StageBegun, onboard_many
     from huepose.onboarding.reference import STAGES
     from huepose.support.progress import progress
 
-    _check_folder(arguments.out)
     jobs = [
         Job(
             m.mesh_path,
             m.name,
             m.object_id,
-            "mm",
+            m.unit,
             info=m.info,
             frame_offset_m=m.frame_offset_m,
-            paper=arguments.paper,
+            paper=paper,
         )
-        for m in bop_models(arguments.models_dir, arguments.ids)
+        for m in models
     ]
-    events = onboard_many(jobs, arguments.out, max(1, min(arguments.processes, len(jobs))))
+    events = onboard_many(jobs, out, max(1, min(processes, len(jobs))))
     steps = progress(range(len(jobs) * (len(STAGES) + 1)), f"onboarding {len(jobs)} objects")
     failures = []
     try:
@@ -163,7 +176,7 @@ def call_bop(arguments: argparse.Namespace) -> int:
             if isinstance(event, Onboarded):
                 _say(_line(event))
             elif not isinstance(event, StageBegun):
-                failures.append(event)
+                failures.append(event.name)
                 _say(f"{event.name:28s} failed: {event.reason}")
             _advance(steps)
         for _ in steps:
@@ -171,11 +184,7 @@ def call_bop(arguments: argparse.Namespace) -> int:
     finally:
         _close(events)
         _close(steps)
-    if failures:
-        names = ", ".join(f.name for f in failures)
-        print(f"huepose onboard-bop: {len(failures)} of {len(jobs)} failed: {names}", file=sys.stderr)
-        return 2
-    return 0
+    return failures
 
 
 def _check_folder(out: Path) -> None:

@@ -1,0 +1,63 @@
+"""What was published, as data: `published.json` has each value with its metric and source."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from functools import cache
+from pathlib import Path
+from typing import Any
+
+from huepose.evaluation.tables.table import Cell, Head
+
+
+@dataclass(frozen=True, eq=False)
+class Published:
+    """One of the paper's tables. rows: names, in its order; columns: head, values in that order, average."""
+
+    rows: tuple[str, ...]
+    columns: tuple[tuple[Head, Mapping[str, float], float], ...]
+    notes: tuple[str, ...]
+
+    @property
+    def heads(self) -> tuple[Head, ...]:
+        """Of the columns."""
+        return tuple(head for head, _, _ in self.columns)
+
+    def cells(self, name: str) -> tuple[Cell, ...]:
+        """A row; empty for an object that the paper does not have."""
+        return tuple(values.get(name) for _, values, _ in self.columns)
+
+    @property
+    def average(self) -> tuple[Cell, ...]:
+        """The row of averages as printed."""
+        return tuple(average for _, _, average in self.columns)
+
+
+@cache
+def _record() -> dict[str, Any]:
+    path = Path(__file__).with_name("published.json")
+    record: dict[str, Any] = json.loads(path.read_text())
+    return record
+
+
+def published(table: str) -> Published:
+    """`table1` (single frames) or `table2` (tracking)."""
+    record = _record()[table]
+    rows = tuple(record["rows"])
+    columns = tuple(
+        (
+            Head(c["method"], c["figure"], c["metric"], measured=False),
+            dict(zip(rows, c["values"], strict=True)),
+            c["average"],
+        )
+        for c in record["columns"]
+    )
+    return Published(rows, columns, (f"Published: {_record()['source']}.", *record["notes"]))
+
+
+def others() -> Sequence[Mapping[str, Any]]:
+    """Figures from elsewhere: method, rows, figures, source."""
+    found: Sequence[Mapping[str, Any]] = _record()["others"]
+    return found

@@ -1,0 +1,158 @@
+"""A table as data, and its forms: text, Markdown, LaTeX, CSV, HTML."""
+
+from __future__ import annotations
+
+import csv
+import html
+import io
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass
+from typing import Any
+
+Cell = float | int | str | None
+
+
+@dataclass(frozen=True)
+class Head:
+    """What a column holds. method: whose figures; figure: which; metric: what that means; measured: by this
+    code, here."""
+
+    method: str
+    figure: str
+    metric: str = ""
+    measured: bool = True
+
+
+@dataclass(frozen=True)
+class Table:
+    """rows: name and cells, one for each head; notes: what must be known to read them."""
+
+    key: str
+    title: str
+    heads: tuple[Head, ...]
+    rows: tuple[tuple[str, tuple[Cell, ...]], ...]
+    notes: tuple[str, ...] = ()
+    digits: int = 1
+
+    def as_json(self) -> dict[str, Any]:
+        """The table in its file form."""
+        return asdict(self)
+
+    @staticmethod
+    def of_json(record: dict[str, Any]) -> Table:
+        """The table of its file form."""
+        heads = tuple(Head(**head) for head in record["heads"])
+        rows = tuple((name, tuple(cells)) for name, cells in record["rows"])
+        return Table(record["key"], record["title"], heads, rows, tuple(record["notes"]), record["digits"])
+
+    def cell(self, value: Cell) -> str:
+        """A cell as it is shown."""
+        if value is None:
+            return "-"
+        return f"{value:.{self.digits}f}" if isinstance(value, float) else str(value)
+
+    @property
+    def groups(self) -> list[tuple[str, int]]:
+        """Methods of neighbouring columns, and how many columns each has."""
+        out: list[tuple[str, int]] = []
+        for head in self.heads:
+            if out and out[-1][0] == head.method:
+                out[-1] = (head.method, out[-1][1] + 1)
+            else:
+                out.append((head.method, 1))
+        return out
+
+    def text(self) -> str:
+        """For a terminal; methods stand above their columns."""
+        cells = [[name, *(self.cell(v) for v in values)] for name, values in self.rows]
+        heads = ["", *(head.figure for head in self.heads)]
+        widths = [max(len(row[i]) for row in [heads, *cells]) for i in range(len(heads))]
+        column = 1
+        for method, count in self.groups:
+            wide = sum(widths[column : column + count]) + 2 * (count - 1)
+            widths[column] += max(0, len(method) - wide)
+            column += count
+        over, column = [" " * widths[0]], 1
+        for method, count in self.groups:
+            over.append(method.rjust(sum(widths[column : column + count]) + 2 * (count - 1)))
+            column += count
+        lines = ["  ".join(over).rstrip()]
+        for row in [heads, *cells]:
+            aligned = [
+                row[0].ljust(widths[0]),
+                *(v.rjust(w) for v, w in zip(row[1:], widths[1:], strict=True)),
+            ]
+            lines.append("  ".join(aligned).rstrip())
+        return "\n".join([self.title, "", *lines, "", *(f"- {note}" for note in self.notes)])
+
+    def markdown(self) -> str:
+        """For a document; a method and its figure share a head."""
+        heads = ["", *(f"{head.method} {head.figure}".strip() for head in self.heads)]
+        lines = [_piped(heads), _piped(["---"] * len(heads))]
+        lines += [_piped([name, *(self.cell(v) for v in values)]) for name, values in self.rows]
+        return "\n".join([f"### {self.title}", "", *lines, "", *(f"- {note}" for note in self.notes), ""])
+
+    def latex(self) -> str:
+        """A `tabular` as the paper sets it."""
+        columns = "l|" + "|".join("c" * count for _, count in self.groups)
+        over = [rf"\multicolumn{{{n}}}{{c}}{{{_tex(m)}}}" if n > 1 else _tex(m) for m, n in self.groups]
+        lines = [rf"% {self.title}", rf"\begin{{tabular}}{{{columns}}}", r"\hline"]
+        lines += [" & ".join(["", *over]) + r" \\"]
+        lines += [" & ".join(["", *(_tex(head.figure) for head in self.heads)]) + r" \\", r"\hline"]
+        lines += [
+            " & ".join([_tex(name), *(_tex(self.cell(v)) for v in values)]) + r" \\"
+            for name, values in self.rows
+        ]
+        return "\n".join([*lines, r"\hline", r"\end{tabular}", *(f"% {note}" for note in self.notes), ""])
+
+    def csv(self) -> str:
+        """Values with all their digits; two lines of heads, and a third that says what each figure means."""
+        out = io.StringIO()
+        writer = csv.writer(out, lineterminator="\n")
+        for part in ("method", "figure", "metric"):
+            writer.writerow([part, *(getattr(head, part) for head in self.heads)])
+        for name, values in self.rows:
+            writer.writerow([name, *("" if v is None else v for v in values)])
+        return out.getvalue()
+
+    def html(self) -> str:
+        """A table element with its title and notes; cells carry what their figure means."""
+        over = "".join(f'<th colspan="{n}">{html.escape(m)}</th>' for m, n in self.groups)
+        under = "".join(
+            f'<th class="{_kind(head)}" title="{html.escape(head.metric)}">{html.escape(head.figure)}</th>'
+            for head in self.heads
+        )
+        body = "".join(
+            f"<tr><th>{html.escape(name)}</th>"
+            + "".join(
+                f'<td class="{_kind(head)}">{html.escape(self.cell(v))}</td>'
+                for head, v in zip(self.heads, values, strict=True)
+            )
+            + "</tr>"
+            for name, values in self.rows
+        )
+        notes = "".join(f"<li>{html.escape(note)}</li>" for note in self.notes)
+        return (
+            f'<h2 id="{self.key}">{html.escape(self.title)}</h2><div class="wide"><table><thead><tr><th></th>'
+            f"{over}</tr><tr><th></th>{under}</tr></thead><tbody>{body}</tbody></table></div><ul>{notes}</ul>"
+        )
+
+
+def _kind(head: Head) -> str:
+    return "measured" if head.measured else "published"
+
+
+def _piped(cells: Sequence[str]) -> str:
+    return "| " + " | ".join(cells) + " |"
+
+
+def _tex(text: str) -> str:
+    for plain, escaped in (
+        ("\\", r"\textbackslash "),
+        ("_", r"\_"),
+        ("%", r"\%"),
+        ("&", r"\&"),
+        ("#", r"\#"),
+    ):
+        text = text.replace(plain, escaped)
+    return text

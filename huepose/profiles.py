@@ -2,7 +2,7 @@
 
 The workers of a pipeline, the command line and the evaluation load the same objects, so that what is measured
 is what runs. `live` is for a stream of frames, where time is short and the next frame is due; `patient` is
-for single frames, where an answer may take two to three times as long.
+for single frames, where an answer may take longer.
 
 >>> profile("live").tracker.searches_per_step
 1
@@ -40,7 +40,7 @@ PROFILES: Mapping[ProfileName, Profile] = MappingProxyType(
         "live": Profile(),
         "patient": Profile(
             DetectorConfig(proposals=3, min_score=0.02),
-            EstimatorConfig(look_harder=True),
+            EstimatorConfig(),
             TrackerConfig(searches_per_step=None, catch_up_stride=5),
         ),
     }

@@ -22,7 +22,9 @@ from pathlib import Path
 
 import numpy as np
 
+from huepose.believe.fits import write_fit
 from huepose.believe.frame import features
+from huepose.believe.logistic import Logistic
 from huepose.datasets.fast_ycb import FastYcbSequence, object_of
 from huepose.evaluation import metrics
 from huepose.geometry import RgbdFrame, se3
@@ -34,16 +36,14 @@ from huepose.tracking import TrackerConfig, evidence
 from huepose.tracking.hypothesis import Hypothesis
 from huepose.tracking.motion import increment_velocity
 from huepose.tracking.step import Anchor, Subject, advance, best_of
+from studies.likelihood import logistic
 
-FIT = Path(__file__).parents[1] / "huepose" / "believe" / "frame_fit.json"
 EVERY = 3
 NEAR, FAR = (3, 5, 7), (10, 15)
 """Frames apart, beside neighbours."""
 
 KNOWN = 0.8
 """Share of the questions in which baseline and light are known."""
-
-RIDGE = 1e-3
 
 
 @dataclass(frozen=True)
@@ -70,13 +70,14 @@ def main() -> None:
     parser.add_argument("--write", action="store_true")
     arguments = parser.parse_args()
     parts = {name: rows_of(arguments.bundles, getattr(arguments, name)) for name in ("fit", "choose")}
-    constant, factors = fitted(parts["fit"])
-    report = {name: worth(rows, constant, factors) for name, rows in parts.items()}
-    entry = {"constant": round(constant, 3), "factors": {k: round(v, 3) for k, v in factors.items() if v > 0}}
+    fit = fitted(parts["fit"])
+    report = {name: worth(rows, fit) for name, rows in parts.items()}
+    factors = {k: round(v, 3) for k, v in fit.factors.items() if v > 0}
+    entry = {"constant": round(fit.constant, 3), "factors": factors}
     rows = {name: [asdict(row) for row in rows] for name, rows in parts.items()}
     arguments.json.write_text(json.dumps({"fit": entry, "report": report, "rows": rows}))
     if arguments.write:
-        FIT.write_text(json.dumps(entry, indent=1) + "\n")
+        write_fit("frame", entry)
     print(json.dumps({"fit": entry, "report": report}, indent=1))
 
 
@@ -173,41 +174,18 @@ def _table(rows: Sequence[Row]) -> tuple[list[str], Float64, Bool]:
     return names, X, np.array([row.error < metrics.RECALL_FRACTION for row in rows])
 
 
-def fitted(rows: Sequence[Row]) -> tuple[float, dict[str, float]]:
-    """Constant and factors of the largest likelihood, right and wrong weighing alike; no feature may speak
-    against a pose the more of it there is, those that would are left out one by one."""
+def fitted(rows: Sequence[Row]) -> Logistic:
+    """The fit of the largest likelihood, right and wrong weighing alike."""
     names, X, right = _table(rows)
     weight = np.where(right, 0.5 / right.mean(), 0.5 / (1.0 - right.mean()))
-    spread = X.std(0) + 1e-9
-    Z, used = (X - X.mean(0)) / spread, list(range(len(names)))
-    while True:
-        b = _logistic(np.column_stack([np.ones(len(Z)), Z[:, used]]), right, weight)
-        if (b[1:] >= 0.0).all():
-            break
-        used.pop(int(np.argmin(b[1:])))
-    factors = np.zeros(len(names))
-    factors[used] = b[1:] / spread[used]
-    return float(b[0] - factors @ X.mean(0)), dict(zip(names, factors.tolist(), strict=True))
+    return logistic(X, right, weight, names)
 
 
-def _logistic(A: Float64, right: Bool, weight: Float64) -> Float64:
-    """Weights (K,) of the largest likelihood, drawn to 0 a little, by Newton's steps."""
-    b = np.zeros(A.shape[1])
-    ridge = np.full(len(b), RIDGE * weight.sum())
-    ridge[0] = 0.0
-    for _ in range(60):
-        p = 1.0 / (1.0 + np.exp(-A @ b))
-        slope = A.T @ (weight * (p - right)) + ridge * b
-        bend = (A * (weight * p * (1.0 - p))[:, None]).T @ A + np.diag(ridge + 1e-9)
-        b -= np.clip(np.linalg.solve(bend, slope), -2.0, 2.0)
-    return b
-
-
-def worth(rows: Sequence[Row], constant: float, factors: Mapping[str, float]) -> dict[str, float]:
+def worth(rows: Sequence[Row], fit: Logistic) -> dict[str, float]:
     """What a fit is worth on rows: mean log likelihood, calibration error over ten bins of equal count, share
     of the right under and of the wrong over the level of TRACKING, percent."""
-    names, X, right = _table(rows)
-    p = 1.0 / (1.0 + np.exp(-(constant + X @ np.array([factors[n] for n in names]))))
+    right = np.array([row.error < metrics.RECALL_FRACTION for row in rows])
+    p = np.array([fit(row.features) for row in rows])
     bins = np.array_split(np.argsort(p), 10)
     level = TrackerConfig().tracking_quality
     return {

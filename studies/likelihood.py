@@ -7,7 +7,8 @@ from collections.abc import Sequence
 import numpy as np
 from scipy.optimize import minimize
 
-from huepose.believe.quality import Logistic, behind
+from huepose.believe.logistic import Logistic, probabilities
+from huepose.believe.quality import behind
 from huepose.geometry.arrays import Bool, Float64, Int64
 
 RIDGE = 2.0
@@ -26,7 +27,7 @@ def logistic(
 
     def loss(p: Float64) -> tuple[float, Float64]:
         s = sign * (p[0] + z @ p[1:] + known)
-        pull = -weights * sign * sigmoid(-s)
+        pull = -weights * sign * probabilities(-s)
         slope = np.concatenate([[pull.sum()], pull @ z + RIDGE * p[1:]])
         return float((weights * np.logaddexp(0.0, -s)).sum() + 0.5 * RIDGE * (p[1:] ** 2).sum()), slope
 
@@ -60,7 +61,7 @@ def choice(
 
     def loss(p: Float64) -> tuple[float, Float64]:
         factors, handicap = p[1 : 1 + count], p[-1]
-        one = sigmoid(p[0] + z @ factors)
+        one = probabilities(p[0] + z @ factors)
         listed = known_part * one
         steep = sharpeners @ p[1 + count : 1 + count + sharp]
         weight = np.where(there, np.exp(-steep[:, None] * known - handicap * less), 0.0)
@@ -79,11 +80,6 @@ def choice(
     found = minimize(loss, start, jac=True, bounds=bounds, method="L-BFGS-B").x
     listed = _named(found[0], found[1 : 1 + count] / spread, centre, names)
     return listed, np.asarray(found[1 + count : -1]), float(found[-1])
-
-
-def sigmoid(x: Float64) -> Float64:
-    """1 / (1 + exp(-x))."""
-    return np.asarray(1.0 / (1.0 + np.exp(-np.clip(x, -30.0, 30.0))))
 
 
 def _standard(x: Float64) -> tuple[Float64, Float64, Float64]:

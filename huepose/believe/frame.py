@@ -1,16 +1,14 @@
 """That a pose in a frame is right: one logistic in what the judge sees at it, without any mask.
 
-`frame_fit.json` holds the weights, as fitted on poses that tracking reached on drawn sequences.
+The weights are fitted on poses that tracking reached on drawn sequences (`believe.fits`).
 """
 
 from __future__ import annotations
 
-import json
-from collections.abc import Mapping
-from dataclasses import dataclass
 from functools import cache
-from importlib import resources
 
+from huepose.believe.fits import fitted
+from huepose.believe.logistic import Logistic
 from huepose.judge.open_region import BLIND
 from huepose.judge.terms import Terms
 
@@ -50,18 +48,10 @@ def features(terms: Terms, baseline: float | None) -> dict[str, float]:
     }
 
 
-@dataclass(frozen=True)
-class FrameFit:
-    """constant, factors: of the log-odds, a factor for each of `features`."""
-
-    constant: float
-    factors: Mapping[str, float]
-
-    def log_odds(self, terms: Terms, baseline: float | None) -> float:
-        """That the pose is right, with nothing known beforehand."""
-        known = features(terms, baseline)
-        x = self.constant + sum(factor * known[name] for name, factor in self.factors.items())
-        return x - ABSENT * (1.0 - min(_there(terms) / LEAST_THERE, 1.0))
+def log_odds(terms: Terms, baseline: float | None) -> float:
+    """That the pose is right, with nothing known beforehand."""
+    x = frame_fit().log_odds(features(terms, baseline))
+    return x - ABSENT * (1.0 - min(_there(terms) / LEAST_THERE, 1.0))
 
 
 def _there(terms: Terms) -> float:
@@ -70,7 +60,6 @@ def _there(terms: Terms) -> float:
 
 
 @cache
-def frame_fit() -> FrameFit:
-    """The calibrated weights."""
-    text = resources.files("huepose.believe").joinpath("frame_fit.json").read_text()
-    return FrameFit(**json.loads(text))
+def frame_fit() -> Logistic:
+    """The fitted weights of `features`."""
+    return Logistic(**fitted("frame"))

@@ -4,21 +4,20 @@ Quality is the product of three probabilities: that it is this texture that is s
 such a shape, that it is this size, and that the pose is right then. The last one is a choice: the chance that
 any of the poses that were found is right is shared out by their scores, so that a near-tie is published as
 one, each pose with its probability. Whether an object is there at all is a question of its own, which decides
-whether anything is said to be found. `quality_fits.json` holds the numbers, as fitted on drawn scenes
-(`studies.quality`).
+whether anything is said to be found. The numbers are fitted on drawn scenes (`believe.fits`).
 """
 
 from __future__ import annotations
 
-import json
 from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cache
-from importlib import resources
 from typing import Any
 
 import numpy as np
 
+from huepose.believe.fits import fitted
+from huepose.believe.logistic import Logistic
 from huepose.geometry.arrays import Float64
 
 
@@ -74,19 +73,6 @@ class QualityTerms:
     def margin(self) -> float:
         """To the best other answer, at most LIMITS.margin, which it also is where there is no other."""
         return min(max(self.gaps[0], 0.0), LIMITS.margin) if self.gaps else LIMITS.margin
-
-
-@dataclass(frozen=True)
-class Logistic:
-    """A probability: logistic in a constant plus a factor times each feature."""
-
-    constant: float
-    factors: Mapping[str, float]
-
-    def __call__(self, known: Mapping[str, float]) -> float:
-        """In 0..1, of features by name."""
-        x = self.constant + sum(factor * known[name] for name, factor in self.factors.items())
-        return float(1.0 / (1.0 + np.exp(-min(max(x, -30.0), 30.0))))
 
 
 @dataclass(frozen=True)
@@ -167,7 +153,7 @@ def features(terms: QualityTerms) -> dict[str, float]:
 
 
 def fit_of(entry: Mapping[str, Any]) -> QualityFit:
-    """The fit that an entry of `quality_fits.json` describes."""
+    """The fit of a method, as `fits.json` has it."""
     logistics = {
         name: Logistic(**entry[name]) for name in ("presence", "this_texture", "this_size", "listed")
     }
@@ -177,8 +163,7 @@ def fit_of(entry: Mapping[str, Any]) -> QualityFit:
 @cache
 def quality_fits() -> dict[str, QualityFit]:
     """The calibrated fits by method."""
-    text = resources.files("huepose.believe").joinpath("quality_fits.json").read_text()
-    return {method: fit_of(entry) for method, entry in json.loads(text).items()}
+    return {method: fit_of(entry) for method, entry in fitted("quality").items()}
 
 
 def quality(method: str, terms: QualityTerms) -> float:

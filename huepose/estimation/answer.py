@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -11,9 +11,8 @@ from huepose.believe.quality import QualityFit, QualityTerms
 from huepose.estimation.config import ConfirmConfig
 from huepose.estimation.explanation import Explanation
 from huepose.estimation.reasons import why_absent
-from huepose.estimation.types import ObjectQuery, PoseEstimate
+from huepose.estimation.types import ObjectQuery, PoseEstimate, absent
 from huepose.geometry import se3
-from huepose.geometry.arrays import Float64
 from huepose.geometry.frame import RgbdFrame
 from huepose.judge.contrast_disagreement import contrast_disagreement_many
 from huepose.judge.pair_agreement import agreement_many
@@ -26,6 +25,7 @@ from huepose.model.types import ReferenceModel
 from huepose.refine.final import final_refinement
 from huepose.refine.scale import scale_residual
 from huepose.select.answers import different_answers
+from huepose.select.ranked import NONE, Ranked
 
 
 @dataclass(frozen=True)
@@ -42,85 +42,78 @@ def answer_of(
     frame: RgbdFrame,
     query: ObjectQuery,
     model: ReferenceModel,
-    explanation: Explanation,
+    look: Explanation,
     fit: QualityFit,
     levels: Levels,
-    prior: tuple[Float64, float] | None,
 ) -> PoseEstimate:
-    """The answer to a query. prior: the refined prior (4, 4) and its total, if there was one."""
-    prior_T, prior_score = prior if prior is not None else (None, None)
-    region = None if explanation.evidence is None else explanation.evidence.region
-    poses, totals = explanation.poses, explanation.totals
-    terms = None
-    if region is not None and len(poses):
-        kept = different_answers(model, poses)
-        poses, totals = poses[kept], totals[kept]
-        terms = _terms(model, region, poses[0], totals, levels.unrivalled if explanation.confirmed else None)
+    """The answer to a query."""
+    region, ranked, terms = None if look.evidence is None else look.evidence.region, look.ranked, None
+    if region is not None and len(ranked):
+        ranked = ranked.these(different_answers(model, ranked.poses))
+        terms = _terms(model, region, ranked, levels.unrivalled if look.confirmed else None)
     present = 0.0 if terms is None else fit.present(terms)
+    answer = _of_none(query, look.prior)
     if region is None or terms is None or present < levels.found:
-        total = float(totals[0]) if len(totals) else 0.0
-        reason = why_absent(explanation, terms, present, levels.found)
-        return PoseEstimate(
-            query.object, query.instance, False, None, 0.0, "LOST", total, 0.0, None, None,
-            query.box, prior_score, prior_T, (), 0.0, terms, reason,
-        )  # fmt: skip
+        score = float(ranked.totals[0]) if len(ranked) else 0.0
+        reason = why_absent(look, terms, present, levels.found)
+        return replace(answer, score=score, terms=terms, reason=reason)
     chances = fit.probabilities(terms)
-    T, alignment, mask = final_refinement(model, frame, region, se3.orthonormalised(poses[0]))
-    others = zip(poses[1:], chances[1 : len(poses)], strict=True)
-    return PoseEstimate(
-        query.object,
-        query.instance,
-        True,
-        T,
-        float(chances[0]),
-        "TRACKING" if chances[0] >= levels.acquired else "SUSPECT",
-        float(totals[0]),
-        terms.margin,
-        covariance(alignment),
-        mask,
-        projected_box(model, frame, T),
-        prior_score,
-        prior_T,
-        tuple((se3.orthonormalised(other), float(p)) for other, p in others),
-        0.0,
-        terms,
+    T, alignment, mask = final_refinement(model, frame, region, se3.orthonormalised(ranked.poses[0]))
+    others = zip(ranked.poses[1:], chances[1:], strict=True)
+    return replace(
+        answer,
+        found=True,
+        T_cam_obj=T,
+        quality=float(chances[0]),
+        state="TRACKING" if chances[0] >= levels.acquired else "SUSPECT",
+        score=float(ranked.totals[0]),
+        margin=terms.margin,
+        covariance=covariance(alignment),
+        mask=mask,
+        box=projected_box(model, frame, T),
+        alternatives=tuple((se3.orthonormalised(other), float(p)) for other, p in others),
+        terms=terms,
     )
 
 
 def bare_answer(
-    frame: RgbdFrame, query: ObjectQuery, model: ReferenceModel, explanation: Explanation
+    frame: RgbdFrame, query: ObjectQuery, model: ReferenceModel, look: Explanation
 ) -> PoseEstimate:
     """The answer of a method whose best pose stands as it is. Its score is given as quality, which is not a
     probability, so it is never more than SUSPECT; there are no covariance and no terms."""
-    if explanation.evidence is None or not len(explanation.poses):
-        return PoseEstimate(
-            query.object, query.instance, False, None, 0.0, "LOST", 0.0, 0.0, None, None,
-            query.box, None, None, (), 0.0,
-        )  # fmt: skip
-    T, score = se3.orthonormalised(explanation.poses[0]), float(explanation.totals[0])
-    mask = visible_mask(model, frame, T, explanation.evidence.region.tolerance_m)
-    return PoseEstimate(
-        query.object, query.instance, True, T, score, "SUSPECT", score, 0.0, None, mask,
-        projected_box(model, frame, T), None, None, (), 0.0,
-    )  # fmt: skip
+    answer = _of_none(query)
+    if look.evidence is None or not len(look.ranked):
+        return answer
+    T, score = se3.orthonormalised(look.ranked.poses[0]), float(look.ranked.totals[0])
+    mask = visible_mask(model, frame, T, look.evidence.region.tolerance_m)
+    box = projected_box(model, frame, T)
+    return replace(
+        answer, found=True, T_cam_obj=T, quality=score, state="SUSPECT", score=score, mask=mask, box=box
+    )
 
 
-def _terms(
-    model: ReferenceModel,
-    region: Region,
-    T_cam_obj: Float64,
-    totals: Float64,
-    most_behind: float | None,
-) -> QualityTerms:
+def _of_none(query: ObjectQuery, prior: Ranked = NONE) -> PoseEstimate:
+    """The answer to a query for which nothing was found."""
+    T, score = (prior.poses[0], float(prior.totals[0])) if len(prior) else (None, None)
+    return replace(
+        absent(query.object),
+        instance=query.instance,
+        box=query.box,
+        prior_score=score,
+        prior_T_cam_obj=T,
+    )
+
+
+def _terms(model: ReferenceModel, region: Region, ranked: Ranked, most_behind: float | None) -> QualityTerms:
     """Of the first of different answers. most_behind: where a prior was only confirmed, little else was
     looked at; then the best other answer is taken to be at most so much worse."""
-    gaps = totals[0] - totals[1:]
+    gaps, T_cam_obj = ranked.behind[1:], ranked.poses[0]
     if most_behind is not None:
         gaps = np.concatenate([[min([most_behind, *gaps[:1]])], gaps[1:]])
     dense, seen = dense_score(model, region, T_cam_obj), texture_evidence(model, region, T_cam_obj)
     contrasts, pose = pair_picture(model, region.crop, region.median_depth_m), T_cam_obj[None]
     return QualityTerms(
-        float(totals[0]),
+        float(ranked.totals[0]),
         tuple(float(gap) for gap in gaps),
         dense.color,
         dense.box_iou,

@@ -18,6 +18,7 @@ from huepose.estimation.types import ObjectQuery, PoseEstimate
 from huepose.geometry.arrays import Bool
 from huepose.geometry.box import Box
 from huepose.geometry.frame import RgbdFrame
+from huepose.select.surfaces import pixels, share_held
 
 LookAgain = Callable[[RgbdFrame, ObjectQuery], PoseEstimate]
 
@@ -37,10 +38,8 @@ def compete(
     config, out = config or CompetitionConfig(), list(answers)
     before: list[PoseEstimate] = []
     for k in sorted(range(len(out)), key=lambda i: _rank(out[i])):
-        taken = np.zeros(frame.depth.shape, bool)
-        for other in before:
-            if other.mask is not None and (other.quality >= config.sure or other.object == out[k].object):
-                taken |= other.mask
+        sure = [o for o in before if o.quality >= config.sure or o.object == out[k].object]
+        taken = np.any([o.mask for o in sure if o.mask is not None] or [np.zeros(frame.depth.shape, bool)], 0)
         out[k] = _without(frame, queries[k], out[k], taken, look_again, config)
         before.append(out[k])
     return out
@@ -60,7 +59,7 @@ def _without(
     config: CompetitionConfig,
 ) -> PoseEstimate:
     """The answer, or what is found instead where it may not use the pixels that are taken."""
-    contested = answer.mask is not None and _share(answer.mask, taken) > config.contested
+    contested = share_held(pixels(answer.mask), pixels(taken)) > config.contested
     doubtful = answer.quality < config.doubtful and _share_of_box(query.box, taken) > config.taken
     if not contested and not doubtful:
         return answer
@@ -69,11 +68,6 @@ def _without(
     again = look_again(free, replace(query, masks=masks))
     again = replace(again, seconds=again.seconds + answer.seconds)
     return again if contested or again.quality > answer.quality else answer
-
-
-def _share(mask: Bool, taken: Bool) -> float:
-    size = np.count_nonzero(mask)
-    return np.count_nonzero(mask & taken) / size if size else 0.0
 
 
 def _share_of_box(box: Box | None, taken: Bool) -> float:

@@ -2,10 +2,9 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Literal, get_args
 
-from huepose.judge.figure_ground import PRIOR_CONTRAST
 from huepose.propose.config import EvidenceConfig, RetrievalConfig
 from huepose.select.config import NearTieConfig
 from huepose.support.errors import InputError
@@ -33,9 +32,6 @@ class FullPathConfig:
 
     figure_weight: what it counts in the order of poses that figure and ground differ in colour. Origin:
     chosen on drawn heaps by `huepose eval estimate`.
-
-    unregistered: whether views are tried as they were found, too, besides after registration. poor: a total
-    under which a pose is looked for harder, where that is allowed; nothing in open view is under it.
     """
 
     retrieval: RetrievalConfig = field(default_factory=RetrievalConfig)
@@ -52,29 +48,6 @@ class FullPathConfig:
     prior_deg: tuple[float, ...] = (4.0, 2.0, 1.0)
     registered_within: float = 0.5
     figure_weight: float = 0.75
-    unregistered: bool = False
-    poor: float = 1.4
-
-    @property
-    def figure_within(self) -> float:
-        """How far behind the best a total may be for figure and ground to be looked at: hardly any pose gains
-        more by it."""
-        return self.figure_weight * PRIOR_CONTRAST
-
-    def harder(self) -> FullPathConfig:
-        """To look harder: two to three times as much of everything."""
-        views = self.retrieval
-        return replace(
-            self,
-            retrieval=replace(
-                views, views=3 * views.views, closer=2 * views.closer, closest=2 * views.closest
-            ),
-            kept=3 * self.kept,
-            with_near_symmetries=2 * self.with_near_symmetries,
-            searched=2 * self.searched,
-            finished=2 * self.finished,
-            unregistered=True,
-        )
 
 
 @dataclass(frozen=True)
@@ -135,9 +108,8 @@ class EstimatorConfig:
     frame that are estimated at the same time; acquisition_level: the quality over which a pose is TRACKING,
     None for the calibrated one of the method; found_level: the probability that the object is there under
     which nothing is found, None for the calibrated one; competing: whether the poses of a frame compete for
-    its depth; look_harder: whether poor poses are looked for again with more effort, which is a waste where
-    boxes are proposals or the next frame is due; colorpair, paper: what can be set about the method of that
-    name, None for its defaults. `paper` has no levels and no competition."""
+    its depth; colorpair, paper: what can be set about the method of that name, None for its defaults. `paper`
+    has no levels and no competition."""
 
     method: Method = "full"
     seed: int = 0
@@ -145,7 +117,6 @@ class EstimatorConfig:
     acquisition_level: float | None = None
     found_level: float | None = None
     competing: bool = True
-    look_harder: bool = False
     evidence: EvidenceConfig = field(default_factory=EvidenceConfig)
     full: FullPathConfig = field(default_factory=FullPathConfig)
     confirm: ConfirmConfig = field(default_factory=ConfirmConfig)

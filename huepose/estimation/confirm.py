@@ -11,13 +11,12 @@ from __future__ import annotations
 import numpy as np
 
 from huepose.estimation.config import ConfirmConfig
-from huepose.geometry.arrays import Float64
 from huepose.judge.region import Region
 from huepose.judge.terms import CLOSE_SAMPLES, score_many
-from huepose.judge.terms import totals as totals_of
 from huepose.model.types import ReferenceModel
 from huepose.refine.coordinate_search import RACE, search
 from huepose.select.distinct import FINAL_SHIFT, FINAL_TURN_RAD, different_poses
+from huepose.select.ranked import Ranked
 
 
 def looks_in_full(frame_id: int, every: int) -> bool:
@@ -27,24 +26,19 @@ def looks_in_full(frame_id: int, every: int) -> bool:
 
 
 def confirm(
-    model: ReferenceModel,
-    region: Region,
-    T_cam_obj: Float64,
-    config: ConfirmConfig | None = None,
-) -> tuple[Float64, Float64] | None:
-    """The refined prior (4, 4) first, then its best different near-symmetric rotations: poses (K, 4, 4) and
-    totals (K,); None when the prior is not plainly right."""
+    model: ReferenceModel, region: Region, prior: Ranked, config: ConfirmConfig | None = None
+) -> Ranked | None:
+    """The refined prior first, then its best different near-symmetric rotations; None when the prior is not
+    plainly right."""
     config = config or ConfirmConfig()
-    if totals_of(model, region, T_cam_obj[None])[0] < config.score:
+    if prior.totals[0] < config.score:
         return None
-    near_symmetric = T_cam_obj @ model.near_symmetries[1:]
-    best = np.argsort(-score_many(model, region, near_symmetric, config.samples)[:, 0], kind="stable")[
-        : config.near_symmetries
-    ]
-    searched, _ = search(model, region, near_symmetric[best], config.steps_deg, CLOSE_SAMPLES, race=RACE)
-    poses = np.concatenate([T_cam_obj[None], searched])
-    totals = totals_of(model, region, poses)
+    rotated = prior.poses[0] @ model.near_symmetries[1:]
+    first = score_many(model, region, rotated, config.samples)[:, 0]
+    best = np.argsort(-first, kind="stable")[: config.near_symmetries]
+    searched, totals = search(model, region, rotated[best], config.steps_deg, CLOSE_SAMPLES, race=RACE)
+    poses, totals = np.concatenate([prior.poses, searched]), np.concatenate([prior.totals, totals])
     order = different_poses(model, poses, totals, len(poses), FINAL_TURN_RAD, FINAL_SHIFT)
     if len(order) > 1 and (order[0] != 0 or totals[0] - totals[order[1]] < config.margin):
         return None
-    return poses[order], totals[order]
+    return Ranked.of(poses[order], totals[order])

@@ -21,21 +21,20 @@ from huepose.estimation.competition import compete
 from huepose.estimation.config import EstimatorConfig
 from huepose.estimation.confirm import confirm, looks_in_full
 from huepose.estimation.explanation import Explanation
-from huepose.estimation.full_path import Trail, estimate_full, refine_prior
-from huepose.estimation.methods import PairMethod, method_of
+from huepose.estimation.full_path import estimate_full, refine_prior
+from huepose.estimation.methods import method_of
 from huepose.estimation.prepared import PreparedModels
 from huepose.estimation.types import ObjectQuery, PoseEstimate
 from huepose.estimation.warm_up import rehearse
-from huepose.geometry.arrays import Bool, Float64
+from huepose.geometry.arrays import Bool
 from huepose.geometry.box import Box
 from huepose.geometry.frame import RgbdFrame
 from huepose.judge.silhouette import projected_box
-from huepose.judge.terms import totals as totals_of
 from huepose.model.types import ReferenceModel
 from huepose.perception.embedded import DepthSegmenter
 from huepose.perception.types import Segmenter
-from huepose.propose.evidence import Evidence, gather
-from huepose.select.near_ties import Contest, decided
+from huepose.propose.evidence import gather
+from huepose.select.near_ties import decided
 from huepose.support.errors import InputError
 from huepose.support.stages import stage
 
@@ -119,45 +118,48 @@ class Estimator:
     def explain(self, frame: RgbdFrame, query: ObjectQuery) -> tuple[PoseEstimate, Explanation]:
         """The answer to one query, as if there were no other, and what led to it."""
         start = time.perf_counter()
-        prepared = self._models.prepared(query.object)
-        model = prepared.model
+        look = self._look(frame, query)
+        answer = None
+        if look.confirmed:
+            answer = self._answer(frame, query, look)
+        if answer is None or answer.state != "TRACKING":
+            look = self._found(frame, query, replace(look, confirmed=False))
+            with stage("answer"):
+                answer = self._answer(frame, query, look)
+        return replace(answer, seconds=time.perf_counter() - start), look
+
+    def _look(self, frame: RgbdFrame, query: ObjectQuery) -> Explanation:
+        """What there is to see, and the refined prior, with its rivals where it is confirmed."""
+        model = self._models.model(query.object)
         box, masks = self._box_and_masks(frame, query, model)
         with stage("evidence"):
             evidence = gather(frame, masks, box, model.diameter_m, self.config.evidence)
-        poses, totals = np.zeros((0, 4, 4)), np.zeros(0)
-        trail: Trail | None = None
-        held: Contest | None = None
-        prior: tuple[Float64, float] | None = None
-        method, full = self._method, self._method is None
+        look = Explanation(box, tuple(masks), evidence)
+        if evidence is None or query.prior is None or self._method is not None:
+            return look
+        with stage("prior"):
+            prior = refine_prior(model, evidence, query.prior.T_cam_obj, self.config.full)
+            look = replace(look, prior=prior)
+            if looks_in_full(frame.frame_id, self.config.confirm.look_anew_every):
+                return look
+            confirmed = confirm(model, evidence.region, prior, self.config.confirm)
+            return look if confirmed is None else replace(look, ranked=confirmed, confirmed=True)
+
+    def _found(self, frame: RgbdFrame, query: ObjectQuery, look: Explanation) -> Explanation:
+        """The same with the poses that the method finds."""
+        prepared, method = self._models.prepared(query.object), self._method
+        model, evidence = prepared.model, look.evidence
         if method is not None:
             method.check(model)
-        if evidence is not None and full and query.prior is not None:
-            with stage("prior"):
-                refined = refine_prior(model, evidence, query.prior.T_cam_obj, self.config.full)
-                prior = refined, float(totals_of(model, evidence.region, refined[None])[0])
-                anew = looks_in_full(frame.frame_id, self.config.confirm.look_anew_every)
-                confirmed = None if anew else confirm(model, evidence.region, refined, self.config.confirm)
-            if confirmed is not None:
-                explanation = Explanation(box, tuple(masks), evidence, *confirmed, confirmed=True)
-                answer = self._answer(frame, query, model, explanation, prior)
-                if answer.state == "TRACKING":
-                    return _timed(answer, time.perf_counter() - start), explanation
-        if evidence is not None and full:
-            extra = np.zeros((0, 4, 4)) if prior is None else prior[0][None]
-            poses, totals, trail, believed = estimate_full(
-                model, prepared.table, evidence, self.config.full, extra, self.config.look_harder
-            )
-            if prior is not None and believed is not evidence:  # judged as the answer is
-                prior = prior[0], float(totals_of(model, believed.region, prior[0][None])[0])
-            evidence = believed
-            with stage("contest"):
-                poses, totals, held = decided(model, evidence.region, poses, totals, self.config.near_ties)
-        elif evidence is not None and method is not None:
-            poses, totals = self._by_pairs(method, model, frame, evidence, query)
-        explanation = Explanation(box, tuple(masks), evidence, poses, totals, trail=trail, contest=held)
-        with stage("answer"):
-            answer = self._answer(frame, query, model, explanation, prior)
-        return _timed(answer, time.perf_counter() - start), explanation
+        if evidence is None:
+            return look
+        if method is not None:
+            seed = [self.config.seed, crc32(query.object.encode()), _content_seed(frame)]
+            return replace(look, ranked=method.poses(model, evidence, np.random.default_rng(seed)))
+        found, trail = estimate_full(model, prepared.table, evidence, self.config.full, look.prior)
+        with stage("contest"):
+            ranked, held = decided(model, evidence.region, found, self.config.near_ties)
+        return replace(look, ranked=ranked, trail=trail, contest=held)
 
     def warm_up(self, names: Sequence[str] | None = None) -> None:
         """Prepare models (all by default) and compile the kernels on an artificial view of the one with most
@@ -205,43 +207,22 @@ class Estimator:
                 masks = self._segmenter.segment(frame, box, model.diameter_m)
         return box, masks
 
-    def _by_pairs(
-        self,
-        method: PairMethod,
-        model: ReferenceModel,
-        frame: RgbdFrame,
-        evidence: Evidence,
-        query: ObjectQuery,
-    ) -> tuple[Float64, Float64]:
-        rng = np.random.default_rng([self.config.seed, crc32(query.object.encode()), _content_seed(frame)])
-        return method.poses(model, evidence, rng)
-
-    def _answer(
-        self,
-        frame: RgbdFrame,
-        query: ObjectQuery,
-        model: ReferenceModel,
-        explanation: Explanation,
-        prior: tuple[Float64, float] | None,
-    ) -> PoseEstimate:
+    def _answer(self, frame: RgbdFrame, query: ObjectQuery, look: Explanation) -> PoseEstimate:
+        model = self._models.model(query.object)
         if self._bare:
-            return bare_answer(frame, query, model, explanation)
+            return bare_answer(frame, query, model, look)
         config, fit = self.config, quality_fits()[self.config.method]
         levels = Levels(
             fit.level if config.acquisition_level is None else config.acquisition_level,
             fit.found if config.found_level is None else config.found_level,
             config.confirm.margin,
         )
-        return answer_of(frame, query, model, explanation, fit, levels, prior)
+        return answer_of(frame, query, model, look, fit, levels)
 
 
 def _same(one: PoseEstimate, other: PoseEstimate) -> bool:
     """Whether these are one answer, up to the time it took."""
     return one.T_cam_obj is not None and one.T_cam_obj is other.T_cam_obj
-
-
-def _timed(answer: PoseEstimate, seconds: float) -> PoseEstimate:
-    return replace(answer, seconds=seconds)
 
 
 def _content_seed(frame: RgbdFrame) -> int:

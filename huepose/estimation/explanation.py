@@ -5,24 +5,25 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from huepose.estimation.full_path import Trail
-from huepose.geometry.arrays import Bool, Float64
+from huepose.geometry.arrays import Bool
 from huepose.geometry.box import Box
 from huepose.propose.evidence import Evidence
 from huepose.select.near_ties import Contest
+from huepose.select.ranked import NONE, Ranked
 
 
 @dataclass(frozen=True, eq=False)
 class Explanation:
     """What led to an answer: the box, the candidate masks (H, W), what was looked at (None where there is no
-    depth), and the different poses (K, 4, 4) with their totals (K,), best first; confirmed: the prior was
-    plainly right, and no other views were sought; trail: what the full method's steps left on the way;
+    depth), and the different poses, best first; prior: the refined prior, where there was one; confirmed: it
+    was plainly right, and no other views were sought; trail: what the full method's steps left on the way;
     contest: between the best poses, where they scored nearly alike."""
 
     box: Box
     masks: tuple[Bool, ...]
     evidence: Evidence | None
-    poses: Float64
-    totals: Float64
+    ranked: Ranked = NONE
+    prior: Ranked = NONE
     confirmed: bool = False
     trail: Trail | None = None
     contest: Contest | None = None

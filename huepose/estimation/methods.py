@@ -11,9 +11,9 @@ from typing import Protocol
 import numpy as np
 
 from huepose.estimation.config import EstimatorConfig
-from huepose.geometry.arrays import Float64
 from huepose.model.types import ReferenceModel
 from huepose.propose.evidence import Evidence
+from huepose.select.ranked import Ranked
 
 
 class PairMethod(Protocol):
@@ -33,10 +33,8 @@ class PairMethod(Protocol):
         """Compile what a first picture may do without and a later one needs."""
         ...
 
-    def poses(
-        self, model: ReferenceModel, evidence: Evidence, rng: np.random.Generator
-    ) -> tuple[Float64, Float64]:
-        """Poses T_cam_obj (K, 4, 4) and their scores (K,), best first; none where nothing is found."""
+    def poses(self, model: ReferenceModel, evidence: Evidence, rng: np.random.Generator) -> Ranked:
+        """Poses by its own score, best first; none where nothing is found."""
         ...
 
 

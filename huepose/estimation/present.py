@@ -10,13 +10,14 @@ from collections.abc import Callable, Mapping, Sequence
 
 import numpy as np
 
+from huepose.believe.logistic import probability
 from huepose.believe.quality import features, quality_fits
 from huepose.estimation.config import Method, StandingConfig
 from huepose.estimation.types import PoseEstimate
 from huepose.geometry.frame import RgbdFrame
 from huepose.model.types import ReferenceModel
 from huepose.perception.clear_view import clear_view
-from huepose.perception.presence import presences, probability
+from huepose.perception.presence import presences
 
 Presence = Callable[[RgbdFrame, Sequence[PoseEstimate]], Sequence[float]]
 """Of the answers of a frame, the probability of each that its object is there."""
@@ -47,7 +48,7 @@ def presences_of(
 
 def _chance(logit: float, answer: PoseEstimate, method: Method, config: StandingConfig) -> float:
     """Probability that the object is there: what is seen, and what its pose says about it."""
-    there = float(probability(np.float64(logit + certainty(answer, config.most_sure))))
+    there = probability(logit + certainty(answer, config.most_sure))
     return there * _own_texture(answer, method, config.other_texture)
 
 

@@ -27,9 +27,9 @@ def reasons(model: ReferenceModel, answer: PoseEstimate, explanation: Explanatio
     evidence = explanation.evidence
     if evidence is None:
         return ["no depth in the box: nothing to look at"]
-    if not len(explanation.poses):
+    if not len(explanation.ranked):
         return ["no view of the object was proposed"]
-    terms = score(model, evidence.region, explanation.poses[0])
+    terms = score(model, evidence.region, explanation.ranked.poses[0])
     out = [f"the best pose scores {terms.total:.2f} only: nothing like the object is here"]
     if answer.found:
         out = []
@@ -37,11 +37,11 @@ def reasons(model: ReferenceModel, answer: PoseEstimate, explanation: Explanatio
 
 
 def _ties(model: ReferenceModel, explanation: Explanation) -> list[str]:
-    poses, totals = explanation.poses, explanation.totals
+    ranked = explanation.ranked
     return [
-        f"a near tie: {displacement(model, T, poses[0])}, it scores {total:.2f} against {totals[0]:.2f}"
-        for T, total in zip(poses[1:3], totals[1:3], strict=True)
-        if totals[0] - total < CLOSE_MARGIN
+        f"a near tie: {displacement(model, T, ranked.poses[0])}, it is behind by {behind:.2f} only"
+        for T, behind in zip(ranked.poses[1:3], ranked.behind[1:3], strict=True)
+        if behind < CLOSE_MARGIN
     ]
 
 

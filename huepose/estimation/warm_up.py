@@ -19,6 +19,7 @@ from huepose.judge.silhouette import projected_box
 from huepose.model.types import ReferenceModel
 from huepose.rendering.render import render
 from huepose.select.near_ties import decided
+from huepose.select.ranked import Ranked
 
 Explain = Callable[[RgbdFrame, ObjectQuery], tuple[PoseEstimate, Explanation]]
 
@@ -40,6 +41,7 @@ def rehearse(explain: Explain, model: ReferenceModel, full: bool) -> None:
     region = seen.evidence.region
     refined = refine_prior(model, seen.evidence, T)
     confirm(model, region, refined)
-    turned = se3.perturb(refined, np.array([0.0, 0.0, 0.0, 0.0, 0.0, 0.1]))
-    figure_ground_contrast(model, region, refined[None])
-    decided(model, region, np.stack([refined, turned]), np.array([2.0, 1.95]))
+    pose = refined.poses[0]
+    turned = se3.perturb(pose, np.array([0.0, 0.0, 0.0, 0.0, 0.0, 0.1]))
+    figure_ground_contrast(model, region, refined.poses)
+    decided(model, region, Ranked.of(np.stack([pose, turned]), np.array([2.0, 1.95])))

@@ -69,8 +69,8 @@ def diagnose(
     found, totals = search(model, region, np.stack(truths), STEPS_DEG, CLOSE_SAMPLES)
     best = found[int(np.argmax(totals))]
     truth = score(model, region, best)
-    said = score(model, region, explanation.poses[0]) if len(explanation.poses) else None
-    steps: dict[str, Float64] = {"answers": explanation.poses}
+    said = score(model, region, explanation.ranked.poses[0]) if len(explanation.ranked) else None
+    steps: dict[str, Float64] = {"answers": explanation.ranked.poses}
     if trail is not None:
         steps = {
             "views": trail.retrieved,
@@ -104,7 +104,10 @@ def _cause(
     nearest: dict[str, float],
     mask_iou: float | None,
 ) -> Cause:
-    if len(explanation.poses) and _nearest(model, explanation.poses[:1], truths) < metrics.RECALL_FRACTION:
+    if (
+        len(explanation.ranked)
+        and _nearest(model, explanation.ranked.poses[:1], truths) < metrics.RECALL_FRACTION
+    ):
         return "settled away"
     if said is not None and abs(said.total - truth.total) < HARDLY:
         return "tie"

@@ -14,8 +14,8 @@ from huepose.datasets.bop_detections import BopDetections
 from huepose.datasets.boxes import Disturbance, disturbed, projected_box, truth_box
 from huepose.datasets.types import GroundTruth, Sample, Scene
 from huepose.estimation.present import Presence
+from huepose.estimation.standing import standing_answers, why_none_stands
 from huepose.estimation.types import ObjectQuery, PoseEstimate
-from huepose.estimation.verdict import standing, why_none_stands
 from huepose.evaluation.bop_errors import BopObject, bop_errors
 from huepose.evaluation.equivalents import Key
 from huepose.evaluation.estimate_rows import EstimateResult, EstimateRow, FalsePose
@@ -262,7 +262,7 @@ class _FrameRun:
         queries = [ObjectQuery(d.object, box=d.box, instance=i) for i, d in enumerate(detections)]
         answers = estimator.estimate(self.sample.frame, queries) if queries else []
         chances = [a.quality for a in answers] if presence is None else presence(self.sample.frame, answers)
-        poses = standing(answers, chances)
+        poses = standing_answers(answers, chances)
 
         def why(name: str) -> str:
             if any(pose.object == name for pose in poses):

@@ -172,7 +172,7 @@ def failure_page(
         _scored("the right pose", diagnosis.truth),
     ]
     if answer.T_cam_obj is not None:
-        pictures.append(panels.judged(model, explanation.poses[0]))
+        pictures.append(panels.judged(model, explanation.ranked.poses[0]))
         labels.append(_scored("the answer", diagnosis.answer))
     sheet = contact_sheet(pictures, PANELS_A_ROW, labels)
     where = f"{sample.scene}, image {sample.image}, {model.name}"

@@ -13,8 +13,8 @@ from huepose.datasets.boxes import disturbed, truth_box
 from huepose.datasets.types import GroundTruth, Sample, Scene
 from huepose.estimation.config import StandingConfig
 from huepose.estimation.present import Presence
+from huepose.estimation.standing import standing_answers
 from huepose.estimation.types import ObjectQuery, PoseEstimate
-from huepose.estimation.verdict import standing
 from huepose.evaluation.estimate_protocol import PoseEstimator
 from huepose.evaluation.perception_rows import FalseBox, FrameFigures, PerceptionResult, PerceptionRow
 from huepose.evaluation.targets import Targets, object_number
@@ -135,7 +135,7 @@ def _frame(
 
     def verdict(asked: Sequence[str]) -> tuple[dict[int, PoseEstimate], list[FalseBox]]:
         mine = [(a, p) for a, p in zip(answers, chances, strict=True) if a.object in set(asked)]
-        poses = standing([a for a, _ in mine], [p for _, p in mine], StandingConfig(options.accepted))
+        poses = standing_answers([a for a, _ in mine], [p for _, p in mine], StandingConfig(options.accepted))
         return _assigned(sample, poses, labels, targets, options)
 
     return FrameFigures(sample.scene, sample.image, rows, names, verdict, found_s, seconds)

@@ -47,6 +47,7 @@ from huepose.paper.tables import reference_cloud, tables_of
 from huepose.paper.voting import cluster
 from huepose.propose.evidence import Evidence
 from huepose.propose.types import Votes
+from huepose.select.ranked import Ranked
 from huepose.support.stages import stage
 
 NO_POSES = np.zeros((0, 4, 4)), np.zeros(0)
@@ -72,13 +73,11 @@ class PaperMethod:
             cloud = reference_cloud(tables_of(model))
             votes_of_point_pairs(model, cloud, self.config.ppf, np.random.default_rng(0))
 
-    def poses(
-        self, model: ReferenceModel, evidence: Evidence, rng: np.random.Generator
-    ) -> tuple[Float64, Float64]:
-        """Poses T_cam_obj (K, 4, 4) and their fitness (K,) in 0..1, best first; none without pairs."""
+    def poses(self, model: ReferenceModel, evidence: Evidence, rng: np.random.Generator) -> Ranked:
+        """Poses by their fitness in 0..1, best first; none without pairs."""
         crop = evidence.region.crop
         frame = RgbdFrame(np.ascontiguousarray(crop.color), np.ascontiguousarray(crop.depth), crop.camera)
-        return self.in_mask(model, frame, evidence.sources[0], rng)
+        return Ranked.of(*self.in_mask(model, frame, evidence.sources[0], rng))
 
     def in_mask(
         self, model: ReferenceModel, frame: RgbdFrame, mask: Bool, rng: np.random.Generator

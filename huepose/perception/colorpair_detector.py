@@ -15,6 +15,7 @@ from dataclasses import replace
 
 import numpy as np
 
+from huepose.believe.logistic import probability
 from huepose.geometry import se3
 from huepose.geometry.camera import Camera
 from huepose.geometry.frame import RgbdFrame
@@ -23,7 +24,7 @@ from huepose.model.types import ReferenceModel
 from huepose.perception.clear_view import ClearView, clear_view
 from huepose.perception.config import DetectorConfig
 from huepose.perception.contest import contested
-from huepose.perception.presence import presences, probability
+from huepose.perception.presence import presences
 from huepose.perception.scouting import EFFORTS, Effort, Proposal, propose
 from huepose.perception.types import Detection
 from huepose.perception.window_table import WindowTable, window_table
@@ -78,7 +79,7 @@ class ColorPairDetector:
         with stage("contest"):
             places = contested(places)
         found = [
-            Detection(name, p.box, float(probability(np.float64(p.score))), p.T_cam_obj)
+            Detection(name, p.box, probability(p.score), p.T_cam_obj)
             for name, mine in places.items()
             for p in mine[:proposals]
         ]

@@ -8,12 +8,11 @@ from dataclasses import replace
 import numpy as np
 
 from huepose.perception.scouting import Proposal
+from huepose.select.surfaces import HALF, share_held
 
 LEAD = 0.7
-"""A place is another object's when its score there, a logit, is higher by this."""
-
-SHARED = 0.5
-"""...and this share of the patches is common."""
+"""A place is another object's when its score there, a logit, is higher by this, and it holds half of the
+place's surface."""
 
 FALL = 1.5
 """What the score of a place falls by when it is another object's."""
@@ -32,9 +31,5 @@ def contested(proposals: Mapping[str, Sequence[Proposal]]) -> dict[str, list[Pro
 
 
 def _lost(place: Proposal, rivals: Sequence[Proposal]) -> bool:
-    for rival in rivals:
-        if rival.score > place.score + LEAD:
-            common = np.intersect1d(place.support, rival.support, assume_unique=True)
-            if len(common) > SHARED * len(place.support):
-                return True
-    return False
+    better = [rival.support for rival in rivals if rival.score > place.score + LEAD]
+    return bool(better) and share_held(place.support, np.unique(np.concatenate(better))) > HALF

@@ -7,7 +7,7 @@ proposes poses but is not believed. So a wrong mask costs little: it proposes in
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -66,14 +66,6 @@ def gather(
         counts.append(config.box_points)
     points = tuple(sampled_points(crop, m, n)[0] for m, n in zip(sources, counts, strict=True))
     return Evidence(region, _picture(crop, region), tuple(sources), points)
-
-
-def doubted(evidence: Evidence) -> Evidence:
-    """The same for whoever doubts the masks: a pose may lie behind what they take for the object.
-
-    In piles the mask that fits the box is often that of a neighbour in front. What it shows and a pose does
-    not explain is held against the pose once, as not covered, but no longer a second time, as in its way."""
-    return replace(evidence, region=replace(evidence.region, hides=0.0))
 
 
 def _picture(crop: Crop, region: Region) -> Picture:

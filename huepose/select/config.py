@@ -11,9 +11,9 @@ from huepose.judge.terms import ScoreWeights
 class NearTieWeights:
     """What each term of a contest weighs.
 
-    dense: the dense score's total; close: that of the close look; detail, broad: how well the texture's
-    detail and its broader parts explain the same pixels; open: what is open to view; pairs: the pairs'
-    colours.
+    dense: how far behind the first, by total, figure and ground (never over 0); close: that of the close
+    look; detail, broad: how well the texture's detail and its broader parts explain the same pixels; open:
+    what is open to view; pairs: the pairs' colours.
 
     Origin: fitted, `studies.near_ties --fit` on drawn heaps, path-traced piles and real frames, near
     the largest likelihood that the right contender wins (a softmax of their weighted sums).

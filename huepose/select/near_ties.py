@@ -19,6 +19,7 @@ from huepose.model.types import ReferenceModel
 from huepose.select.close_look import close_look
 from huepose.select.config import NearTieConfig, NearTieWeights
 from huepose.select.distinct import FINAL_SHIFT, FINAL_TURN_RAD, different_poses
+from huepose.select.ranked import Ranked
 
 TERMS = tuple(term.name for term in fields(NearTieWeights))
 """What contenders are told apart by, see `NearTieWeights`."""
@@ -37,51 +38,38 @@ class Contest:
 
 
 def contest(
-    model: ReferenceModel,
-    region: Region,
-    poses: Float64,
-    totals: Float64,
-    config: NearTieConfig | None = None,
+    model: ReferenceModel, region: Region, found: Ranked, config: NearTieConfig | None = None
 ) -> Contest | None:
-    """The best few of different poses (K, 4, 4) with their dense totals (K,), best first, looked at closely;
-    None where one is clearly ahead, or one cannot be looked at."""
+    """The best few of different poses looked at closely; None where one is clearly ahead, or one cannot be
+    looked at."""
     config = config or NearTieConfig()
-    near = totals[: config.contenders] > totals[:1] - config.within
-    rivals = int(near.sum())
+    rivals = int((found.behind[: config.contenders] < config.within).sum())
     if rivals < 2:
         return None
-    look = close_look(model, region, poses[:rivals], config.close)
+    poses = found.poses[:rivals]
+    look = close_look(model, region, poses, config.close)
     if look is None:
         return None
-    alike, pairs = look.alike, pair_colors(model, region, poses[:rivals], config)
-    columns = [totals[:rivals], look.totals, alike.detail, alike.broad, alike.open, pairs]
+    alike, pairs = look.alike, pair_colors(model, region, poses, config)
+    columns = [-found.behind[:rivals], look.totals, alike.detail, alike.broad, alike.open, pairs]
     return Contest(look.poses, np.stack(columns, axis=-1))
 
 
 def decided(
-    model: ReferenceModel,
-    region: Region,
-    poses: Float64,
-    totals: Float64,
-    config: NearTieConfig | None = None,
-) -> tuple[Float64, Float64, Contest | None]:
-    """Different poses (K, 4, 4) and their dense totals (K,), best first, after the best few were looked at
-    closely, and the contest where there was one.
-
-    The winner's total is that of the dense score; the others' say how far they are behind.
-    """
+    model: ReferenceModel, region: Region, found: Ranked, config: NearTieConfig | None = None
+) -> tuple[Ranked, Contest | None]:
+    """Different poses after the best few were looked at closely, and the contest where there was one."""
     config = config or NearTieConfig()
-    held = contest(model, region, poses, totals, config)
+    held = contest(model, region, found, config)
     if held is None:
-        return poses, totals, None
+        return found, None
     rivals, weighed = len(held.poses), held.weighed(config.weights)
-    winner = int(np.argmax(weighed))
-    top = float(totals_of(model, region, held.poses[winner : winner + 1])[0])
-    every = np.concatenate([held.poses, poses[rivals:]])
-    behind = config.share * (weighed[winner] - weighed)
-    behind = np.concatenate([behind, np.maximum(totals[0] - totals[rivals:], config.within)])
-    order = different_poses(model, every, -behind, len(every), FINAL_TURN_RAD, FINAL_SHIFT)
-    return every[order], top - behind[order], held
+    poses = np.concatenate([held.poses, found.poses[rivals:]])
+    totals = np.concatenate([totals_of(model, region, held.poses), found.totals[rivals:]])
+    others = np.maximum(found.behind[rivals:], config.within)
+    ranked = Ranked.of(poses, totals, np.concatenate([config.share * (weighed - weighed.max()), -others]))
+    kept = different_poses(model, ranked.poses, -ranked.behind, len(ranked), FINAL_TURN_RAD, FINAL_SHIFT)
+    return ranked.these(kept), held
 
 
 def pair_colors(

@@ -15,13 +15,12 @@ from huepose.geometry.arrays import Float32, Float64, Int64
 from huepose.geometry.camera import Camera
 from huepose.judge.open_region import tolerance_m
 from huepose.judge.surface import PreparedSurface
+from huepose.select.surfaces import standing
 
 CELL_PX = 6
 """Claims are compared in cells of this size: about the spacing of the samples on a near object."""
 
 CLAIM_SAMPLES = 200
-CONTESTED = 0.5
-"""The weaker of two poses that share this much of its surface loses."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -35,19 +34,9 @@ class Claim:
 
 def losers(claims: Sequence[Claim], depth: Float32, camera: Camera) -> list[int]:
     """Indices of the claims that others hold with better right; earlier ones win ties."""
-    if len(claims) < 2:
-        return []
-    cells = [_cells(c, depth, camera) for c in claims]
-    order = sorted(range(len(claims)), key=lambda i: (-claims[i].total, i))
-    out: list[int] = []
-    for k, i in enumerate(order):
-        for j in order[:k]:
-            if j in out or not len(cells[i]):
-                continue
-            if len(np.intersect1d(cells[i], cells[j], assume_unique=True)) > CONTESTED * len(cells[i]):
-                out.append(i)
-                break
-    return sorted(out)
+    surfaces = [_cells(claim, depth, camera) for claim in claims] if len(claims) > 1 else []
+    stand = standing(surfaces, [claim.total for claim in claims])
+    return sorted(set(range(len(surfaces))) - set(stand))
 
 
 def _cells(claim: Claim, depth: Float32, camera: Camera) -> Int64:

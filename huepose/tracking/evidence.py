@@ -7,11 +7,11 @@ to be right still."""
 from __future__ import annotations
 
 from dataclasses import dataclass
-from math import erf, exp, log
+from math import erf, log
 
 import numpy as np
 
-from huepose.believe.frame import FrameFit, frame_fit
+from huepose.believe import frame
 from huepose.geometry.arrays import Float64
 from huepose.judge.terms import Terms
 from huepose.tracking.config import TrackerConfig
@@ -38,7 +38,7 @@ RETURNED_AFTER = 2
 """Supported frames in a row after which a SUSPECT object is TRACKING again."""
 
 
-def log_odds(terms: Terms, baseline: float | None, before: float, fit: FrameFit | None = None) -> float:
+def log_odds(terms: Terms, baseline: float | None, before: float) -> float:
     """Log-odds that a pose is right: by what is seen of it, by the total that is its baseline, and by the
     log-odds of the pose that it was followed from.
 
@@ -46,14 +46,7 @@ def log_odds(terms: Terms, baseline: float | None, before: float, fit: FrameFit 
     >>> log_odds(NOTHING, None, 0.0) < -4.0
     True
     """
-    fit = fit or frame_fit()
-    x = fit.log_odds(terms, baseline)
-    return x + min(max(MEMORY * before, -MOST_MEMORY), MOST_MEMORY)
-
-
-def probability(x: float) -> float:
-    """Of log-odds."""
-    return 1.0 / (1.0 + exp(-min(max(x, -30.0), 30.0)))
+    return frame.log_odds(terms, baseline) + min(max(MEMORY * before, -MOST_MEMORY), MOST_MEMORY)
 
 
 def odds_of(p: float) -> float:

@@ -7,6 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 
+from huepose.believe.logistic import probability
 from huepose.geometry.arrays import Bool, Float64
 from huepose.geometry.frame import RgbdFrame
 from huepose.judge.terms import NOTHING, Terms
@@ -117,7 +118,7 @@ class Track:
         self._corrected_from = None
         self.hypotheses = distinct(surface, opinions)
         first = self.hypotheses[0]
-        sure = evidence.probability(first.log_odds) * share_of_first(self.hypotheses)
+        sure = probability(first.log_odds) * share_of_first(self.hypotheses)
         if evidence.one_sense(first.terms):
             sure = min(sure, evidence.ONE_SENSE)
         self._scarce_frames = self._scarce_frames + 1 if evidence.scarce(first.terms) else 0
@@ -165,7 +166,7 @@ class Track:
         found, searched = found_nearby(self.subject.surface, T_cam_obj, frame, apart_s, self._config)
         odds = evidence.log_odds(found.terms, self.baseline, evidence.odds_of(quality))
         self.hypotheses, self.frame = (found.believed(odds),), frame
-        self.evidence = evidence.probability(odds)
+        self.evidence = probability(odds)
         self.covariance = self._covariance(found)
         self.learn()
         return searched

@@ -12,6 +12,7 @@ from collections.abc import Mapping
 
 import numpy as np
 
+from huepose.believe.logistic import probability
 from huepose.evaluation import metrics
 from huepose.geometry import se3
 from huepose.geometry.arrays import Bool, Float64
@@ -48,9 +49,7 @@ def challenge(
             for i, start in enumerate(starts):
                 step = best_of(subject.surface, seen.frame, [(start, "still")])
                 add = metrics.add(model.eval_points, step.T_cam_obj, truth)
-                qualities.append(
-                    evidence.probability(evidence.log_odds(step.terms, baseline.get(k), UNDECIDED))
-                )
+                qualities.append(probability(evidence.log_odds(step.terms, baseline.get(k), UNDECIDED)))
                 right.append(add < metrics.RECALL_FRACTION * model.diameter_m)
                 if i == 0:
                     baseline[k] = evidence.baseline_after(baseline.get(k), step.terms.total)

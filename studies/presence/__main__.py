@@ -9,16 +9,15 @@ fitted first, because a pose that is surely right speaks for its object.
 from __future__ import annotations
 
 import argparse
-import json
 from collections.abc import Sequence
 from concurrent.futures import ProcessPoolExecutor
-from dataclasses import asdict
 from multiprocessing import get_context
 from pathlib import Path
 
 import numpy as np
 
-import huepose
+from huepose.believe.fits import write_fit
+from huepose.believe.presence import presence_fit
 from huepose.datasets.bop import BopScene
 from huepose.datasets.types import Sample
 from huepose.estimation import Estimator, EstimatorConfig
@@ -28,12 +27,10 @@ from huepose.evaluation.targets import Targets
 from huepose.model import load_models
 from huepose.perception.colorpair_detector import ColorPairDetector
 from huepose.perception.config import DetectorConfig
-from huepose.perception.presence import presence_fit
 from huepose.support.progress import progress
 from studies.presence.fit import SeenPlaces, chances, fit_presence, look
 from studies.quality.__main__ import bundles_of, drawn_ycb
 
-FIT = Path(huepose.__file__).parent / "perception" / "presence_fit.json"
 EVERY = 5
 """So many frames of the drawn ones are one that is used."""
 
@@ -54,7 +51,8 @@ def main() -> None:
         [chances(f, fit_presence(_but(frames, k), presence_fit())) for k, f in _dealt(frames)]
     )
     found = fit_presence(frames, presence_fit())
-    FIT.write_text(json.dumps({name: round(x, 4) for name, x in asdict(found).items()}, indent=1) + "\n")
+    factors = {name: round(x, 4) for name, x in found.factors.items()}
+    write_fit("presence", {"constant": round(found.constant, 4), "factors": factors})
     rows = []
     for name, stated in (
         ("before", np.concatenate([chances(f, presence_fit()) for f in frames])),
@@ -64,7 +62,7 @@ def main() -> None:
         over = stated >= StandingConfig().present
         rows.append([name, len(there), 100.0 * there.mean(), 100.0 * over[there].mean(),
                      100.0 * there[over].mean(), f"{stated.mean():.3f}"])  # fmt: skip
-    print(asdict(found))
+    print(found)
     print(table(["weights", "poses", "there %", "of them over the level %", "right over it %", "mean"], rows))
 
 

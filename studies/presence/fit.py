@@ -13,6 +13,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from huepose.believe.logistic import Logistic, probabilities
+from huepose.believe.presence import Sight, features, hues_of, logits_of
 from huepose.datasets.boxes import truth_box
 from huepose.datasets.types import Sample
 from huepose.estimation.present import certainty
@@ -23,11 +25,10 @@ from huepose.evaluation.targets import Targets
 from huepose.geometry.arrays import Bool, Float64
 from huepose.geometry.box import Box
 from huepose.perception.clear_view import clear_view
-from huepose.perception.presence import PresenceFit, Sight, hues_of, logits_of, sight
+from huepose.perception.presence import sight
 from huepose.perception.types import Detector
-from studies.likelihood import logistic, sigmoid
+from studies.likelihood import logistic
 
-NAMES = ("fit", "violation", "texture", "free_rim", "hue")
 PLACES = 2
 """Of each object, the best that are looked at."""
 
@@ -79,28 +80,25 @@ def look(sample: Sample, targets: Targets, detector: Detector, estimator: PoseEs
     return SeenPlaces(tuple(names), tuple(sights), np.array(certain), np.array(there, dtype=bool))
 
 
-def fit_presence(frames: Sequence[SeenPlaces], start: PresenceFit) -> PresenceFit:
+def fit_presence(frames: Sequence[SeenPlaces], start: Logistic) -> Logistic:
     """The weights of largest likelihood on the plausible poses of these frames; `start` says which those are,
     and how lights are guessed at first."""
     frames = [frame for frame in frames if frame.names]
     plausible = np.concatenate([chances(frame, start) for frame in frames]) >= PLAUSIBLE
     there = np.concatenate([frame.there for frame in frames])[plausible]
     certain = np.concatenate([frame.certain for frame in frames])[plausible]
-    shape = np.array([terms(s) for frame in frames for s in frame.sights])
+    sights = [s for frame in frames for s in frame.sights]
     found = start
     for _ in range(ROUNDS):
-        hue = [hues_of(f.names, f.sights, logits_of(f.names, f.sights, found)) for f in frames]
-        x = np.column_stack([shape, np.concatenate(hue)])[plausible]
-        fitted = logistic(x, there, np.ones(len(there)), NAMES, certain)
-        found = PresenceFit(constant=fitted.constant, **fitted.factors)
+        hues = [
+            hue for f in frames for hue in hues_of(f.names, f.sights, logits_of(f.names, f.sights, found))
+        ]
+        rows = [features(s, hue) for s, hue in zip(sights, hues, strict=True)]
+        x = np.array([list(row.values()) for row in rows])[plausible]
+        found = logistic(x, there, np.ones(len(there)), list(rows[0]), certain)
     return found
 
 
-def terms(seen: Sight) -> tuple[float, float, float, float]:
-    """What is seen, but for hue, as the weights count it."""
-    return seen.fit, seen.violation, seen.texture, 1.0 - seen.rim
-
-
-def chances(frame: SeenPlaces, weights: PresenceFit) -> Float64:
+def chances(frame: SeenPlaces, fit: Logistic) -> Float64:
     """Probability (N,) that each object is there."""
-    return sigmoid(logits_of(frame.names, frame.sights, weights) + frame.certain)
+    return probabilities(logits_of(frame.names, frame.sights, fit) + frame.certain)

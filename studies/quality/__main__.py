@@ -22,7 +22,7 @@ from typing import Any
 import cv2
 import numpy as np
 
-import huepose
+from huepose.believe.fits import fitted, write_fit
 from huepose.datasets.bop import BopScene
 from huepose.datasets.types import SomeImages
 from huepose.drawing.plots import reliability_plot
@@ -42,7 +42,6 @@ from huepose_services.cli.main import main as run_huepose
 from studies.absent import answers_where_absent, questions, read_absent
 from studies.quality.fit import FEATURES, Fitted, as_json, fit
 
-FITS = Path(huepose.__file__).parent / "believe" / "quality_fits.json"
 MIN_VISIB = 0.1
 ABSENT_PER_FRAME = 3
 SIZES = (1.2, 1.0 / 1.2)
@@ -116,7 +115,7 @@ def main() -> None:
             ]
     with ProcessPoolExecutor(arguments.processes, mp_context=get_context("spawn")) as pool:
         list(pool.map(_estimated, parts, [work] * len(parts)))
-    fits = json.loads(FITS.read_text()) if FITS.exists() else {}
+    fits = dict(fitted("quality"))
     for method in arguments.methods:
         files = {
             kind: [work / f"{p.name}.json" for p in parts if (p.method, p.kind) == (method, kind)]
@@ -124,9 +123,9 @@ def main() -> None:
         }
         labels = _all([read_judged(path) for path in files["labels"]])
         wrong = [_all([read_absent(path) for path in files[kind]]) for kind in ("others", "alike", "sizes")]
-        fitted = fit(labels, FEATURES[method], *wrong)
-        fits[method] = as_json(fitted.fit)
-        _print(method, fitted, labels, *wrong)
+        result = fit(labels, FEATURES[method], *wrong)
+        fits[method] = as_json(result.fit)
+        _print(method, result, labels, *wrong)
         apart = fit(by_object(labels, files["labels"]), FEATURES[method], *wrong)
         rows = [
             worth_row(name, worth(apart.labels[chosen], labels.only(chosen), apart.fit.level))
@@ -134,8 +133,8 @@ def main() -> None:
         ]
         print(table(["objects held out", *HEADING[1:]], rows))
         if arguments.picture is not None and method == "full":
-            _draw(arguments.picture, fitted, labels)
-    FITS.write_text(json.dumps(fits, indent=1) + "\n")
+            _draw(arguments.picture, result, labels)
+    write_fit("quality", fits)
 
 
 def _estimated(part: Part, work: Path) -> None:

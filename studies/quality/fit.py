@@ -15,7 +15,8 @@ from typing import Any
 
 import numpy as np
 
-from huepose.believe.quality import Logistic, QualityFit, QualityTerms, features
+from huepose.believe.logistic import Logistic
+from huepose.believe.quality import QualityFit, QualityTerms, features
 from huepose.evaluation.calibration import Judged
 from huepose.geometry.arrays import Bool, Float64, Int64
 from huepose.support.errors import InputError
@@ -135,7 +136,7 @@ def stated_by(quality_fit: QualityFit, judged: Judged) -> Float64:
 
 
 def as_json(quality_fit: QualityFit) -> dict[str, Any]:
-    """The entry of `quality_fits.json`: factors of nothing are left out."""
+    """The entry of a method in `fits.json`: factors of nothing are left out."""
     parts = {name: getattr(quality_fit, name) for name in ("presence", "this_texture", "this_size", "listed")}
     return {
         **{

@@ -11,7 +11,7 @@ from huepose.believe.quality import features, quality_fits
 from huepose.estimation import Estimator, ObjectQuery
 from huepose.estimation.config import StandingConfig
 from huepose.estimation.present import presences_of
-from huepose.estimation.verdict import absent
+from huepose.estimation.types import absent
 from huepose.geometry import Box
 from huepose.rendering.render import render_depth
 

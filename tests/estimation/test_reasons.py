@@ -15,6 +15,7 @@ from huepose.estimation.types import PoseEstimate
 from huepose.geometry import Box, RgbdFrame, se3
 from huepose.model.types import ReferenceModel
 from huepose.rendering.render import render_depth
+from huepose.select.ranked import NONE, Ranked
 
 
 def turned(T: np.ndarray, degrees: float, axis: int) -> np.ndarray:
@@ -41,11 +42,11 @@ def test_nothing_speaks_against_a_plain_view(
 
 def test_a_near_tie_is_named(tea_box: ReferenceModel, looked: tuple[PoseEstimate, Explanation]) -> None:
     answer, explanation = looked
-    twin = np.stack([explanation.poses[0], turned(explanation.poses[0], 180.0, 2)])
-    close = replace(explanation, poses=twin, totals=np.array([2.0, 1.97]))
+    twin = np.stack([explanation.ranked.poses[0], turned(explanation.ranked.poses[0], 180.0, 2)])
+    close = replace(explanation, ranked=Ranked.of(twin, np.array([2.0, 1.97])))
     (said,) = reasons(tea_box, answer, close)
     assert said.startswith("a near tie: turned 180 deg about its z axis, shifted")
-    assert said.endswith("it scores 1.97 against 2.00")
+    assert said.endswith("it is behind by 0.03 only")
 
 
 def test_a_mask_on_something_else_is_named(
@@ -63,8 +64,8 @@ def test_a_pose_in_the_air_is_seen_through(
     tea_box: ReferenceModel, looked: tuple[PoseEstimate, Explanation]
 ) -> None:
     answer, explanation = looked
-    nearer = se3.compose(se3.make(np.eye(3), [0.0, 0.0, -0.1]), explanation.poses[0])
-    said = reasons(tea_box, answer, replace(explanation, poses=nearer[None], totals=np.ones(1)))
+    nearer = se3.compose(se3.make(np.eye(3), [0.0, 0.0, -0.1]), explanation.ranked.poses[0])
+    said = reasons(tea_box, answer, replace(explanation, ranked=Ranked.of(nearer[None], np.ones(1))))
     assert any(text.startswith("one looks through") for text in said)
     assert any(text.startswith("the texture agrees little") for text in said)
 
@@ -76,7 +77,7 @@ def test_without_depth_or_views_that_is_all(
     assert reasons(tea_box, answer, replace(explanation, evidence=None)) == [
         "no depth in the box: nothing to look at"
     ]
-    assert reasons(tea_box, answer, replace(explanation, poses=np.zeros((0, 4, 4)))) == [
+    assert reasons(tea_box, answer, replace(explanation, ranked=NONE)) == [
         "no view of the object was proposed"
     ]
 

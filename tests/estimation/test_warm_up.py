@@ -16,6 +16,7 @@ from huepose.judge.figure_ground import figure_ground_contrast
 from huepose.model.types import ReferenceModel
 from huepose.rendering.render import render_depth
 from huepose.select.near_ties import decided
+from huepose.select.ranked import Ranked
 from tests.kernels import compiled
 
 
@@ -50,7 +51,7 @@ def test_no_near_tie_and_no_prior_waits_for_the_compiler(
     _, seen = estimator.explain(frame, ObjectQuery("tea_box", box, prior=prior))
     assert seen.evidence is not None
     rivals = np.stack([standing, se3.perturb(standing, np.array([0.0, 0.0, 0.0, 0.0, 0.2, 0.0]))])
-    _, _, held = decided(tea_box, seen.evidence.region, rivals, np.array([2.0, 1.99]))
+    _, held = decided(tea_box, seen.evidence.region, Ranked.of(rivals, np.array([2.0, 1.99])))
     assert held is not None
     assert 0.0 <= figure_ground_contrast(tea_box, seen.evidence.region, rivals).min() <= 1.0
     assert compiled() == before

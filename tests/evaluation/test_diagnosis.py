@@ -15,6 +15,7 @@ from huepose.geometry import Box, RgbdFrame, se3
 from huepose.model.types import ReferenceModel
 from huepose.propose.evidence import gather
 from huepose.rendering.render import render_depth
+from huepose.select.ranked import Ranked
 
 from .conftest import estimate_of
 
@@ -50,7 +51,9 @@ def look(
     ) -> Diagnosis:
         evidence = gather(frame, [shown], box, tea_box.diameter_m)
         trail = Trail(retrieved, retrieved, searched)
-        explanation = Explanation(box, (shown,), evidence, poses, np.zeros(len(poses)), trail=trail)
+        explanation = Explanation(
+            box, (shown,), evidence, Ranked.of(poses, np.zeros(len(poses))), trail=trail
+        )
         T = answer if answer is not None else poses[0] if len(poses) else None
         return diagnose(tea_box, answer_of(T), explanation, [truth], mask)
 
@@ -107,6 +110,6 @@ def test_a_tie_is_called_one(look: Look, standing: np.ndarray) -> None:
 
 
 def test_without_depth_there_is_nothing_to_look_at(tea_box: ReferenceModel, standing: np.ndarray) -> None:
-    explanation = Explanation(Box(0, 0, 9, 9), (), None, NOTHING, np.zeros(0))
+    explanation = Explanation(Box(0, 0, 9, 9), (), None)
     found = diagnose(tea_box, answer_of(None), explanation, [standing], None)
     assert (found.cause, found.nearest) == ("no depth", {})

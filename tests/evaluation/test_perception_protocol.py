@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 
 from huepose.estimation.config import StandingConfig
-from huepose.estimation.types import PoseEstimate
-from huepose.estimation.verdict import absent, standing, why_none_stands
+from huepose.estimation.standing import standing_answers, why_none_stands
+from huepose.estimation.types import PoseEstimate, absent
 from huepose.evaluation import pictures
 from huepose.evaluation.perception_protocol import PerceptionOptions, evaluate_perception
 from huepose.evaluation.pictures import draw_perception
@@ -157,9 +157,9 @@ def test_one_surface_stands_for_one_pose() -> None:
 
     better, worse = answer("box", LEFT), answer("brick", LEFT)
     beside, doubtful = answer("brick", RIGHT), answer("can", NOWHERE)
-    assert standing([worse, doubtful, beside, better], [0.9, 0.3, 0.7, 0.95]) == [better, beside]
-    assert standing([worse, absent("box", "")], [0.9, 1.0]) == [worse]
-    assert standing([doubtful], [0.3], StandingConfig(present=0.2)) == [doubtful]
+    assert standing_answers([worse, doubtful, beside, better], [0.9, 0.3, 0.7, 0.95]) == [better, beside]
+    assert standing_answers([worse, absent("box", "")], [0.9, 1.0]) == [worse]
+    assert standing_answers([doubtful], [0.3], StandingConfig(present=0.2)) == [doubtful]
 
 
 def test_why_none_of_an_object_stands() -> None:

@@ -8,8 +8,6 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from huepose.estimation.config import FullPathConfig
-from huepose.estimation.full_path import by_figure
 from huepose.geometry import RgbdFrame, se3
 from huepose.judge.figure_ground import PRIOR_CONTRAST, figure_and_ground, figure_ground_contrast
 from huepose.judge.region import Region
@@ -67,26 +65,3 @@ def test_what_stands_in_front_is_neither_figure_nor_ground() -> None:
     assert ground[12:28, 4:9].all()
     assert not ground[:3].any()
     assert not (figure & ground).any()
-
-
-def test_of_poses_that_score_alike_the_one_that_stands_out_comes_first(
-    tea_box: ReferenceModel, even: Region, standing: np.ndarray
-) -> None:
-    poses = np.stack([shifted(standing, 0.03), standing, shifted(standing, -0.05)])
-    totals = np.array([1.5, 1.48, 1.5 - FullPathConfig().figure_within - 0.1])
-    out = figure_ground_contrast(tea_box, even, poses)
-    ordered, behind = by_figure(tea_box, even, poses, totals)
-    assert np.array_equal(ordered[0], standing)
-    assert behind[0] == 1.48
-    assert behind[0] - behind[1] == pytest.approx(FullPathConfig().figure_weight * (out[1] - out[0]) - 0.02)
-    assert (np.diff(behind) <= 0).all()
-
-
-def test_one_that_is_far_ahead_is_not_asked(
-    tea_box: ReferenceModel, even: Region, standing: np.ndarray
-) -> None:
-    poses = np.stack([shifted(standing, 0.03), standing])
-    totals = np.array([1.5, 1.5 - FullPathConfig().figure_within - 0.01])
-    ordered, behind = by_figure(tea_box, even, poses, totals)
-    assert np.array_equal(ordered, poses)
-    assert np.array_equal(behind, totals)

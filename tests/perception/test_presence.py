@@ -1,4 +1,4 @@
-"""Whether an object is there: shape, print, and hues in the light that all of a frame has."""
+"""Whether an object is there: shape, texture, and hues in the light that all of a frame has."""
 
 from __future__ import annotations
 
@@ -8,18 +8,13 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from huepose.believe.logistic import probabilities
+from huepose.believe.presence import LIGHT_SPREAD, Light, Sight, light_of
 from huepose.geometry import RgbdFrame, se3
 from huepose.judge.hue import hue_log_ratio
 from huepose.model.types import ReferenceModel
 from huepose.perception.clear_view import clear_view
-from huepose.perception.presence import (
-    LIGHT_SPREAD,
-    Light,
-    Sight,
-    light_of,
-    presences,
-    probability,
-)
+from huepose.perception.presence import presences
 
 TakePicture = Callable[..., RgbdFrame]
 
@@ -64,7 +59,7 @@ def test_an_object_is_there_even_turned_but_not_beside_itself_and_less_likely_wi
     def chance(frame: RgbdFrame, T: np.ndarray) -> float:
         view = clear_view(frame, 0.3)
         assert view is not None
-        return float(probability(presences(view, {"tea_box": tea_box}, [("tea_box", T)]))[0])
+        return float(probabilities(presences(view, {"tea_box": tea_box}, [("tea_box", T)]))[0])
 
     frame = take_picture([(tea_box.mesh, standing)])
     beside = standing.copy()

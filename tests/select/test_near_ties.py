@@ -14,8 +14,10 @@ from huepose.judge.terms import totals as judge
 from huepose.model.types import ReferenceModel
 from huepose.select.config import NearTieConfig, NearTieWeights
 from huepose.select.near_ties import TERMS, contest, decided, pair_colors
+from huepose.select.ranked import NONE, Ranked
 from tests.judge.regions import region_of
 
+EVERY_TIE = NearTieConfig(within=3.0)
 UPSIDE_DOWN = se3.make(np.diag([1.0, -1.0, -1.0]), np.zeros(3))
 
 
@@ -29,20 +31,30 @@ def test_the_right_way_round_wins_though_the_score_preferred_the_other(
     region: Region, tea_box: ReferenceModel, standing: np.ndarray
 ) -> None:
     wrong = standing @ UPSIDE_DOWN
-    poses, totals, _ = decided(tea_box, region, np.stack([wrong, standing]), np.array([1.95, 1.94]))
-    assert se3.rotation_angle(poses[0], standing) < np.radians(1.0)
-    assert totals[0] == pytest.approx(judge(tea_box, region, poses[:1])[0])
-    assert totals[0] - totals[1] > 0.1
+    found, _ = decided(tea_box, region, Ranked.of(np.stack([wrong, standing]), np.array([1.95, 1.94])))
+    assert se3.rotation_angle(found.poses[0], standing) < np.radians(1.0)
+    assert found.behind[0] == 0.0
+    assert found.behind[1] > 0.1
+
+
+def test_totals_stay_what_the_judge_says(
+    region: Region, tea_box: ReferenceModel, standing: np.ndarray
+) -> None:
+    poses = np.stack([standing @ UPSIDE_DOWN, standing])
+    found, held = decided(tea_box, region, Ranked.of(poses, judge(tea_box, region, poses)), EVERY_TIE)
+    assert held is not None
+    assert found.totals == pytest.approx(judge(tea_box, region, found.poses))
 
 
 def test_poses_far_apart_in_score_are_left_as_they_are(
     region: Region, tea_box: ReferenceModel, standing: np.ndarray
 ) -> None:
     poses = np.stack([standing, standing @ UPSIDE_DOWN])
-    same, totals, _ = decided(tea_box, region, poses, np.array([2.0, 1.0]))
-    assert np.array_equal(same, poses)
-    assert totals.tolist() == [2.0, 1.0]
-    assert len(decided(tea_box, region, poses[:0], np.zeros(0))[0]) == 0
+    same, held = decided(tea_box, region, Ranked.of(poses, np.array([2.0, 1.0])))
+    assert held is None
+    assert np.array_equal(same.poses, poses)
+    assert same.totals.tolist() == [2.0, 1.0]
+    assert len(decided(tea_box, region, NONE)[0]) == 0
 
 
 def test_who_does_not_contend_stays_behind(
@@ -50,12 +62,12 @@ def test_who_does_not_contend_stays_behind(
 ) -> None:
     aside = se3.compose(se3.make(np.eye(3), [0.05, 0.0, 0.0]), standing)
     poses = np.stack([standing @ UPSIDE_DOWN, standing, aside])
-    found, totals, _ = decided(
-        tea_box, region, poses, np.array([1.95, 1.94, 1.95 - NearTieConfig().within - 0.2])
-    )
-    assert se3.rotation_angle(found[0], standing) < np.radians(1.0)
-    k = next(k for k, T in enumerate(found) if np.array_equal(T, aside))
-    assert totals[0] - totals[k] == pytest.approx(NearTieConfig().within + 0.2)
+    totals = np.array([1.95, 1.94, 1.95 - NearTieConfig().within - 0.2])
+    found, _ = decided(tea_box, region, Ranked.of(poses, totals))
+    assert se3.rotation_angle(found.poses[0], standing) < np.radians(1.0)
+    k = next(k for k, T in enumerate(found.poses) if np.array_equal(T, aside))
+    assert found.behind[k] == pytest.approx(NearTieConfig().within + 0.2)
+    assert found.totals[k] == totals[2]
 
 
 def weighing(pairs: float) -> NearTieConfig:
@@ -66,17 +78,17 @@ def test_pairs_say_how_much_more(region: Region, tea_box: ReferenceModel, standi
     poses = np.stack([standing, standing @ UPSIDE_DOWN])
     right, wrong = pair_colors(tea_box, region, poses)
     assert right > wrong + 0.3
-    near = np.array([1.95, 1.94])
-    _, without, _ = decided(tea_box, region, poses, near, weighing(0.0))
-    _, much, _ = decided(tea_box, region, poses, near, weighing(2.0))
-    more = (much[0] - much[1]) - (without[0] - without[1])
-    assert more == pytest.approx(NearTieConfig().share * 2.0 * (right - wrong))
+    near = Ranked.of(poses, np.array([1.95, 1.94]))
+    without, _ = decided(tea_box, region, near, weighing(0.0))
+    much, _ = decided(tea_box, region, near, weighing(2.0))
+    assert much.behind[1] - without.behind[1] == pytest.approx(NearTieConfig().share * 2.0 * (right - wrong))
 
 
 def test_every_term_is_for_the_right_one(
     region: Region, tea_box: ReferenceModel, standing: np.ndarray
 ) -> None:
-    held = contest(tea_box, region, np.stack([standing @ UPSIDE_DOWN, standing]), np.array([1.95, 1.94]))
+    near = Ranked.of(np.stack([standing @ UPSIDE_DOWN, standing]), np.array([1.95, 1.94]))
+    held = contest(tea_box, region, near)
     assert held is not None
     wrong, right = held.terms
     better = dict(zip(TERMS, right - wrong, strict=True))

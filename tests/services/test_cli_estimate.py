@@ -95,7 +95,7 @@ def test_a_pose_as_json_a_picture_and_an_explanation(
     record = json.loads((why / "tea_box_scores.json").read_text())
     assert record["doubts"] == []
     scores = record["poses"]
-    assert scores[0]["total"] > scores[1]["total"]
+    assert 0.0 == scores[0]["behind"] < scores[1]["behind"]
     assert scores[0]["terms"]["color"] > 0.5
 
 

@@ -3,13 +3,14 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from huepose.perception.presence import PresenceFit, Sight, presence_fit
-from studies.presence.fit import SeenPlaces, chances, fit_presence, terms
+from huepose.believe.logistic import Logistic
+from huepose.believe.presence import Sight, features, presence_fit
+from studies.presence.fit import SeenPlaces, chances, fit_presence
 
-LAW = PresenceFit(constant=-8.0, fit=6.0, violation=1.0, texture=3.0, free_rim=5.0, hue=0.7)
+LAW = Logistic(-8.0, {"fit": 6.0, "violation": 1.0, "texture": 3.0, "free_rim": 5.0, "hue": 0.7})
 
 
-def drawn(frames: int, seed: int, law: PresenceFit = LAW) -> list[SeenPlaces]:
+def drawn(frames: int, seed: int, law: Logistic = LAW) -> list[SeenPlaces]:
     """Frames of twelve places each, whose objects are there with the chance that the law says; in each frame
     another light, in which what is there looks as its model does and what is not looks like anything."""
     rng = np.random.default_rng(seed)
@@ -30,21 +31,20 @@ def drawn(frames: int, seed: int, law: PresenceFit = LAW) -> list[SeenPlaces]:
 
 
 def test_the_weights_behind_constructed_frames_are_found_from_a_poor_start() -> None:
-    start = PresenceFit(constant=-1.0, fit=1.0, violation=0.0, texture=1.0, free_rim=1.0, hue=0.1)
+    start = Logistic(-1.0, {"fit": 1.0, "violation": 0.0, "texture": 1.0, "free_rim": 1.0, "hue": 0.1})
     found = fit_presence(drawn(200, 0), start)
     for name in ("fit", "texture", "free_rim", "hue"):
-        assert getattr(found, name) == pytest.approx(getattr(LAW, name), rel=0.35), name
+        assert found.factors[name] == pytest.approx(LAW.factors[name], rel=0.35), name
     fresh = drawn(50, 1)
     stated = np.concatenate([chances(f, found) for f in fresh])
     true = np.concatenate([chances(f, LAW) for f in fresh])
     assert np.abs(stated - true).mean() < 0.03
 
 
-def test_terms_are_in_the_order_of_the_weights_and_grow_with_presence() -> None:
+def test_everything_that_is_seen_speaks_for_presence_the_more_of_it_there_is() -> None:
     sight = Sight(0.7, 0.1, 0.4, 0.2, np.zeros((0, 5)))
-    assert terms(sight) == (0.7, 0.1, 0.4, 0.8)
+    known = {"fit": 0.7, "violation": 0.1, "texture": 0.4, "free_rim": 0.8, "hue": 1.5}
+    assert features(sight, 1.5) == pytest.approx(known)
     shipped = presence_fit()
-    whole = sum(w * t for w, t in zip((shipped.fit, shipped.violation, shipped.texture, shipped.free_rim),
-                                      terms(sight), strict=True))  # fmt: skip
-    assert shipped.logit(sight) == pytest.approx(shipped.constant + whole)
-    assert min(shipped.fit, shipped.violation, shipped.texture, shipped.free_rim, shipped.hue) >= 0.0
+    assert set(shipped.factors) == set(known)
+    assert min(shipped.factors.values()) >= 0.0

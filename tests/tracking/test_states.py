@@ -7,6 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from huepose.believe.logistic import probability
 from huepose.geometry import Camera, se3
 from huepose.judge.silhouette import silhouette_iou, visible_within
 from huepose.judge.surface import PreparedSurface
@@ -22,7 +23,6 @@ from huepose.tracking.evidence import (
     next_standing,
     odds_of,
     one_sense,
-    probability,
     scarce,
 )
 from huepose.tracking.identity import Identity

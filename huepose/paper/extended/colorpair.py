@@ -31,6 +31,7 @@ from huepose.paper.tables import tables_of
 from huepose.propose.evidence import Evidence
 from huepose.refine.point_to_plane import align_many
 from huepose.select.distinct import different_poses
+from huepose.select.ranked import NONE, Ranked
 from huepose.support.stages import stage
 
 RIM_PX = 3
@@ -68,9 +69,7 @@ class ColorpairMethod:
         """Compile what the first picture may do without and a later one needs."""
         hypotheses.warm_up(models, _sources(self.config))
 
-    def poses(
-        self, model: ReferenceModel, evidence: Evidence, rng: np.random.Generator
-    ) -> tuple[Float64, Float64]:
+    def poses(self, model: ReferenceModel, evidence: Evidence, rng: np.random.Generator) -> Ranked:
         """See `estimate_by_pairs`."""
         return estimate_by_pairs(model, evidence, self.config, rng)
 
@@ -80,8 +79,8 @@ def estimate_by_pairs(
     evidence: Evidence,
     config: ColorpairPathConfig,
     rng: np.random.Generator,
-) -> tuple[Float64, Float64]:
-    """Poses T_cam_obj (K, 4, 4) of one object and their scores (K,), best first.
+) -> Ranked:
+    """Poses of one object, best first.
 
     Every source mask proposes poses; the score is that of `judge.pair_terms` on the evidence's region.
     Empty when nothing is to be seen: no depth, no pairs and no plausible start from shape.
@@ -91,7 +90,7 @@ def estimate_by_pairs(
         picture = pair_picture(model, region.crop, region.median_depth_m)
     poses = proposed_by_pairs(model, evidence, picture, config, rng)
     if not len(poses):
-        return poses, np.zeros(0)
+        return NONE
     with stage("turns"):
         poses = _with_near_symmetries(model, region, picture, poses, config)
     with stage("search"):
@@ -193,14 +192,13 @@ def _with_near_symmetries(
 
 def _decided(
     model: ReferenceModel, region: Region, picture: PairPicture, poses: Float64, terms: Float64
-) -> tuple[Float64, Float64]:
+) -> Ranked:
     """Different poses (K, 4, 4), judged already (K, 5), put in order by what agrees as well as by how it
-    correlates. The first keeps its score, and the others' say how far they are behind."""
+    correlates."""
     totals, geometry = terms[:, 0], terms[:, 1]
     agreed = agreement_many(model, region, picture, poses, FINAL_PAIRS)
     weighed = geometry + CORRELATED * (totals - geometry) + AGREED * agreed
-    order = np.argsort(-weighed, kind="stable")
-    return poses[order], totals[order[0]] - weighed[order[0]] + weighed[order]
+    return Ranked.of(poses, totals, weighed)
 
 
 def _judge(model: ReferenceModel, region: Region, picture: PairPicture, poses: Float64) -> Float64:

@@ -169,13 +169,14 @@ def _detected(
 ) -> list[PoseEstimate]:
     """The poses that stand at the places which the detector proposes; an object without any is not found."""
     from huepose.estimation.present import presences_of
-    from huepose.estimation.verdict import absent, standing, why_none_stands
+    from huepose.estimation.standing import standing_answers, why_none_stands
+    from huepose.estimation.types import absent
 
     places = detector.detect(frame, names)
     places = places[::-1]  # The best place last: its explanation is the one that is kept.
     answers = [_answer(arguments, frame, models, estimator, p.object, p.box) for p in places]
     chances = presences_of(frame, models, answers, arguments.method)
-    poses = standing(answers, chances)
+    poses = standing_answers(answers, chances)
     out = []
     for name in names:
         none = absent(name, why_none_stands(name, answers, chances))

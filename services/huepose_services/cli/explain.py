@@ -66,14 +66,14 @@ def write_explanation(
         write_picture(folder / f"{model.name}_masks.png", contact_sheet(cut, 4, labels[: len(cut)]))
     _write_views(folder / f"{model.name}_views.png", model, explanation)
     write_picture(folder / f"{model.name}_pose.png", draw_answers(frame, {model.name: model}, [answer]))
-    evidence = explanation.evidence
+    evidence, ranked = explanation.evidence, explanation.ranked
     poses = [
         {
             "T_cam_obj": T.tolist(),
-            "total": float(total),
+            "behind": float(behind),
             "terms": asdict(score(model, evidence.region, T)),
         }
-        for T, total in zip(explanation.poses, explanation.totals, strict=True)
+        for T, behind in zip(ranked.poses, ranked.behind, strict=True)
         if evidence is not None
     ]
     record = {"quality": answer.quality, "state": answer.state, "doubts": doubts, "poses": poses}
@@ -95,14 +95,15 @@ def _page(
     doubts: Sequence[str],
 ) -> UInt8:
     """What the estimator saw, and where its best poses agree with it: a page with the doubts in words."""
-    evidence, poses, totals = explanation.evidence, explanation.poses, explanation.totals
+    evidence, ranked = explanation.evidence, explanation.ranked
+    poses = ranked.poses
     tolerance = 0.01 if evidence is None else evidence.region.tolerance_m
     own = [] if answer.mask is None else [answer.mask]
     panels = Panels.around(frame, explanation.box, own, tolerance)
     pictures = [panels.photo(explanation.box), panels.depth()]
     pictures.append(panels.masks(explanation.masks[0] if explanation.masks else None, answer.mask))
     labels = [model.name, "depth", f"first of {len(explanation.masks)} masks, the pose's outline"]
-    for k, (T, total) in enumerate(zip(poses[:POSES], totals[:POSES], strict=True)):
+    for k, (T, total) in enumerate(zip(poses[:POSES], ranked.totals[:POSES], strict=True)):
         pictures += [panels.worn(model, T), panels.judged(model, T)]
         note = "the best" if k == 0 else displacement(model, T, poses[0])
         labels += [f"pose {k + 1}: {note}", f"pose {k + 1}: {total:.2f}"]

@@ -54,17 +54,18 @@ def test_pairs_judge_the_right_pose_over_its_flips_and_over_small_errors_in_any_
         assert right.total > max(pair_score(tea_box, region, picture, T).total for T in moved)
 
 
-def test_the_first_keeps_its_score_and_the_others_say_how_far_they_are_behind(
+def test_totals_are_scores_and_behind_says_how_far_the_others_are(
     tea_box: ReferenceModel, take_picture: TakePicture, standing: np.ndarray
 ) -> None:
     frame = take_picture([(tea_box.mesh, standing)])
     mask = render_depth(tea_box.mesh, standing, frame.camera) > 0
     evidence = gather(frame, [mask], Box.of_mask(mask), tea_box.diameter_m)
     assert evidence is not None
-    poses, scores = estimate_by_pairs(tea_box, evidence, ColorpairPathConfig(), np.random.default_rng(0))
+    found = estimate_by_pairs(tea_box, evidence, ColorpairPathConfig(), np.random.default_rng(0))
     region = evidence.region
     picture = pair_picture(tea_box, region.crop, region.median_depth_m)
-    first = pair_score(tea_box, region, picture, poses[0], FINAL_PAIRS, FINAL_SAMPLES)
-    assert scores[0] == pytest.approx(first.total, abs=1e-12)
-    assert len(scores) > 1
-    assert (np.diff(scores) <= 0.0).all()
+    first = pair_score(tea_box, region, picture, found.poses[0], FINAL_PAIRS, FINAL_SAMPLES)
+    assert found.totals[0] == pytest.approx(first.total, abs=1e-12)
+    assert len(found) > 1
+    assert found.behind[0] == 0.0
+    assert (np.diff(found.behind) >= 0.0).all()

@@ -9,39 +9,25 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-import numpy as np
-
 from huepose.estimation.config import StandingConfig
 from huepose.estimation.types import PoseEstimate
-from huepose.geometry.arrays import Bool
+from huepose.select.surfaces import pixels, standing
 
 
-def standing(
+def standing_answers(
     answers: Sequence[PoseEstimate], chances: Sequence[float], config: StandingConfig | None = None
 ) -> list[PoseEstimate]:
     """The answers that stand, likeliest first. chances: of each, the probability that its object is there.
 
     Answers that were not found are left out; one without a mask claims nothing and is not contested."""
     config = config or StandingConfig()
-    order = sorted(range(len(answers)), key=lambda i: -chances[i])
-    taken: Bool | None = None
-    out: list[PoseEstimate] = []
-    for answer in (answers[i] for i in order if answers[i].found and chances[i] >= config.present):
-        if answer.mask is not None:
-            taken = np.zeros_like(answer.mask) if taken is None else taken
-            size = np.count_nonzero(answer.mask)
-            if not size or np.count_nonzero(answer.mask & taken) > config.claimed * size:
-                continue
-            taken |= answer.mask
-        out.append(answer)
-    return out
-
-
-def absent(name: str, reason: str, seconds: float = 0.0) -> PoseEstimate:
-    """The answer for an object of which no pose stands."""
-    return PoseEstimate(
-        name, 0, False, None, 0.0, "LOST", 0.0, 0.0, None, None, None, None, None, (), seconds, None, reason
-    )
+    likely = [
+        (chance, answer)
+        for chance, answer in zip(chances, answers, strict=True)
+        if answer.found and chance >= config.present and (answer.mask is None or answer.mask.any())
+    ]
+    surfaces = [pixels(answer.mask) for _, answer in likely]
+    return [likely[i][1] for i in standing(surfaces, [chance for chance, _ in likely], config.claimed)]
 
 
 def why_none_stands(
@@ -52,7 +38,7 @@ def why_none_stands(
 ) -> str:
     """Why no pose of an object stands, in one sentence: of the likeliest of its answers where it has any.
 
-    answers, chances: as for `standing`, of all objects of the frame."""
+    answers, chances: as for `standing_answers`, of all objects of the frame."""
     least = (config or StandingConfig()).present
     mine = [(chance, a) for a, chance in zip(answers, chances, strict=True) if a.object == name]
     if not mine:

@@ -1,0 +1,49 @@
+"""How beliefs are made: a probability that is logistic in a constant plus a factor times each named term."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from math import exp
+
+import numpy as np
+
+from huepose.geometry.arrays import Float64
+
+MOST_LOG_ODDS = 30.0
+"""Beyond it a probability is 0 or 1 to the last digit that anybody reads."""
+
+
+@dataclass(frozen=True)
+class Logistic:
+    """constant: the log-odds where all terms are 0; factors: what a unit of each named term adds.
+
+    >>> fair = Logistic(-2.0, {"depth": 4.0})
+    >>> fair.log_odds({"depth": 0.5, "not asked": 9.0}), fair({"depth": 0.5})
+    (0.0, 0.5)
+    """
+
+    constant: float
+    factors: Mapping[str, float]
+
+    def log_odds(self, known: Mapping[str, float]) -> float:
+        """Of terms by name; those without a factor say nothing."""
+        return self.constant + sum(factor * known[name] for name, factor in self.factors.items())
+
+    def __call__(self, known: Mapping[str, float]) -> float:
+        """The probability, 0..1."""
+        return probability(self.log_odds(known))
+
+
+def probability(log_odds: float) -> float:
+    """Of log-odds, 0..1.
+
+    >>> round(probability(np.log(3.0)), 2)
+    0.75
+    """
+    return 1.0 / (1.0 + exp(-min(max(log_odds, -MOST_LOG_ODDS), MOST_LOG_ODDS)))
+
+
+def probabilities(log_odds: Float64) -> Float64:
+    """Of log-odds of any shape."""
+    return np.asarray(1.0 / (1.0 + np.exp(-np.clip(log_odds, -MOST_LOG_ODDS, MOST_LOG_ODDS))))

@@ -1,5 +1,5 @@
 #!/usr/bin/env bash
-# Makes .venv with everything of `edge`, `onboard`, `viewer`, both cameras and `dev`, where there is only Python, pip and apt.
+# Makes .venv with everything of `edge`, `onboard`, `viewer`, `ros2`, both cameras and `dev`, where there is only Python, pip and apt.
 # Idempotent: a second call with nothing to do takes about a second.
 set -euo pipefail
 cd "$(dirname "$0")/.."
@@ -49,7 +49,7 @@ if [ ! -x "$UV/bin/uv" ]; then
 fi
 export UV_PYTHON_DOWNLOADS=never
 "$UV/bin/uv" sync --frozen --quiet --python "$python" \
-    --extra edge --extra onboard --extra viewer --extra realsense --extra oak --group dev
+    --extra edge --extra onboard --extra viewer --extra realsense --extra oak --extra ros2 --group dev
 if [ ! -e .venv/.welcomed ]; then
     touch .venv/.welcomed
     cat <<'NEXT'

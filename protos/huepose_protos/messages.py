@@ -38,6 +38,7 @@ from huepose_protos.parts import Clock as Clock
 from huepose_protos.parts import Intrinsics as Intrinsics
 from huepose_protos.parts import MaskRuns as MaskRuns
 from huepose_protos.parts import Message as Message
+from huepose_protos.parts import Mount as Mount
 
 MAX_CANDIDATE_PIXELS = 2**28
 """Of all masks of a message: 8 candidates each of 16 objects in a picture of 1920 x 1080."""
@@ -59,12 +60,14 @@ class FrameHeader(Message, frozen=True, kw_only=True):
 
 
 class CameraMessage(Message, frozen=True, kw_only=True):
-    """The camera that is open, once a second: what a frame's header says, for readers without frames."""
+    """The camera that is open, once a second: what a frame's header says, for readers without frames.
+    `mount`: where it is fixed, null where nobody said it."""
 
     camera_epoch: Epoch
     clock: Clock
     frame: Annotated[str, Meta(max_length=64, description="name of the camera's coordinate frame")]
     intrinsics: Intrinsics
+    mount: Mount | None = None
 
 
 class Prior(Struct, frozen=True, kw_only=True):

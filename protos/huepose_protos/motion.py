@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from huepose_protos.fields import StateName
-from huepose_protos.messages import PoseMessage
+from huepose_protos.messages import Mount, PoseMessage
 
 Array = NDArray[np.float64]
 SECOND = 1_000_000_000
@@ -33,7 +33,8 @@ class PoseAt:
     """A pose at a time. `ahead_s`: how far it was predicted beyond the newest pose; 0 for one in between.
 
     covariance: that of the pose, grown by what may have happened since; None where the pose has none.
-    basis: the newest message that it was made of."""
+    basis: the newest message that it was made of. mount: where the camera is fixed, None where that is not
+    known."""
 
     translation: Array
     quaternion: Array
@@ -42,6 +43,7 @@ class PoseAt:
     quality: float
     ahead_s: float
     basis: PoseMessage
+    mount: Mount | None = None
 
     @property
     def T_cam_obj(self) -> Array:
@@ -50,6 +52,16 @@ class PoseAt:
         T_cam_obj[:3, :3] = rotation_matrix(self.quaternion)
         T_cam_obj[:3, 3] = self.translation
         return T_cam_obj
+
+    @property
+    def T_parent_obj(self) -> Array | None:
+        """The same in the frame `mount.parent`, that of the robot for example; None without a mount."""
+        if self.mount is None:
+            return None
+        T_parent_cam = np.eye(4)
+        T_parent_cam[:3, :3] = rotation_matrix(np.array(self.mount.quaternion))
+        T_parent_cam[:3, 3] = self.mount.translation
+        return np.asarray(T_parent_cam @ self.T_cam_obj)
 
 
 def pose_at(poses: Sequence[PoseMessage], stamp_ns: int) -> PoseAt | None:

@@ -7,7 +7,19 @@ from typing import Annotated, ClassVar, Literal
 
 from msgspec import Meta, Struct
 
-from huepose_protos.fields import VERSION, Count, Index, Positive, Size, Stamp, Version, check_finite
+from huepose_protos.fields import (
+    VERSION,
+    Count,
+    Index,
+    Positive,
+    Quaternion,
+    Size,
+    Stamp,
+    Vector3,
+    Version,
+    check_finite,
+    check_pose,
+)
 
 KIB = 1024
 
@@ -68,6 +80,17 @@ class Intrinsics(Struct, frozen=True, kw_only=True):
 
     def __post_init__(self) -> None:
         check_finite(fx=self.fx, fy=self.fy, cx=self.cx, cy=self.cy, depth_scale_m=self.depth_scale_m)
+
+
+class Mount(Struct, frozen=True, kw_only=True):
+    """Where a camera is fixed: the pose of its optical frame in the frame `parent` of a robot or a room."""
+
+    parent: Annotated[str, Meta(min_length=1, max_length=64)]
+    translation: Vector3
+    quaternion: Quaternion = (0.0, 0.0, 0.0, 1.0)
+
+    def __post_init__(self) -> None:
+        check_pose(self.translation, self.quaternion)
 
 
 class Clock(Struct, frozen=True, kw_only=True):

@@ -14,6 +14,7 @@ import threading
 import time
 from collections import deque
 from collections.abc import Iterator, Sequence
+from dataclasses import replace
 from functools import cache
 from pathlib import Path
 from types import TracebackType
@@ -24,7 +25,7 @@ from huepose_protos.client import open_session
 from huepose_protos.codec import decode
 from huepose_protos.errors import WireError
 from huepose_protos.keys import Keys
-from huepose_protos.messages import PoseMessage
+from huepose_protos.messages import CameraMessage, Mount, PoseMessage
 from huepose_protos.motion import PoseAt, pose_at
 
 _KEPT = 64
@@ -61,6 +62,7 @@ class PoseClient:
         self._waiting: deque[PoseMessage] = deque()
         self._history: dict[Instance, deque[PoseMessage]] = {}
         self._arrived: dict[Instance, float] = {}
+        self._mounts: dict[str, Mount | None] = {}
         self._closed = threading.Event()
         keys = Keys(site, camera)
         inside = keys.poses if object is None else keys.poses.replace("**", f"{object}/*")
@@ -69,6 +71,9 @@ class PoseClient:
         self._session = open_session(endpoints, authority, certificate, key)
         for expression in (inside, self._outside):
             self._session.declare_subscriber(expression, self._on_sample)
+        self._camera = keys.outside(keys.camera_info)
+        for expression in (keys.camera_info, self._camera):
+            self._session.declare_subscriber(expression, self._on_camera)
         self._asker = threading.Thread(target=self._ask_whoever_is_new, daemon=True)
         self._asker.start()
 
@@ -78,11 +83,24 @@ class PoseClient:
             peers = {str(zid) for zid in self._session.info.peers_zid()}
             if peers - known:
                 self._session.get(self._outside, self._on_reply, timeout=_ASK_TIMEOUT_S)
+                self._session.get(self._camera, self._on_camera_reply, timeout=_ASK_TIMEOUT_S)
             known = peers
 
     def _on_reply(self, reply: zenoh.Reply) -> None:
         if reply.ok is not None:
             self._on_sample(reply.ok)
+
+    def _on_camera_reply(self, reply: zenoh.Reply) -> None:
+        if reply.ok is not None:
+            self._on_camera(reply.ok)
+
+    def _on_camera(self, sample: zenoh.Sample) -> None:
+        try:
+            camera = decode(sample.payload.to_bytes(), CameraMessage)
+        except WireError:
+            self.refused += 1
+            return
+        self._mounts[camera.frame] = camera.mount
 
     def _on_sample(self, sample: zenoh.Sample) -> None:
         try:
@@ -155,14 +173,16 @@ class PoseClient:
 
         Between two poses of the last two seconds it is interpolated; after the newest it is predicted by its
         velocity for up to 100 ms, with a covariance that grows. None where that says nothing: no pose, LOST,
-        stale. On another machine it is as right as the two wall clocks agree (NTP: some milliseconds)."""
+        stale. Where the camera's place is configured, `T_parent_obj` is the same in the robot's frame.
+        On another machine it is as right as the two wall clocks agree (NTP: some milliseconds)."""
         with self._changed:
             which = self._which(object, instance)
             poses = [] if which is None else list(self._history[which])
         if not poses:
             return None
         unix_ns = time.time_ns() if unix_ns is None else unix_ns
-        return pose_at(poses, unix_ns - _offset_ns(poses[-1]))
+        found = pose_at(poses, unix_ns - _offset_ns(poses[-1]))
+        return None if found is None else replace(found, mount=self._mounts.get(poses[-1].frame))
 
     def _which(self, object: str | None, instance: int | None) -> Instance | None:
         known = [key for key in self._history if object in (None, key[0]) and instance in (None, key[1])]

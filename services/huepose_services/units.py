@@ -150,7 +150,7 @@ def _extra(config: Config, worker: str) -> str:
     if worker == "camera" and config.camera.source in ("realsense", "oak"):
         service += _CAMERA
         service += _NETWORK if config.camera.source == "oak" else ""
-    if worker in ("gateway", "viewer"):
+    if worker in ("gateway", "viewer", "ros2"):
         unit = "Wants=network-online.target\nAfter=network-online.target\n"
         service += _NETWORK
     if _uses_gpu(config, worker):

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from huepose_protos.messages import CameraMessage, FrameHeader
+from huepose_protos.messages import CameraMessage, FrameHeader, Mount
 from huepose_services.runtime.bus import Bus
 from huepose_services.runtime.clock import SECOND, now_ns
 
@@ -10,8 +10,8 @@ from huepose_services.runtime.clock import SECOND, now_ns
 class CameraInfo:
     """Publishes a CameraMessage when the camera is new, and then once a second while there are frames."""
 
-    def __init__(self, bus: Bus) -> None:
-        self._bus = bus
+    def __init__(self, bus: Bus, mount: Mount | None) -> None:
+        self._bus, self._mount = bus, mount
         self._epoch: int | None = None
         self._next_ns = 0
 
@@ -27,5 +27,6 @@ class CameraInfo:
             clock=header.clock,
             frame=header.frame,
             intrinsics=header.intrinsics,
+            mount=self._mount,
         )
         self._bus.put(self._bus.keys.camera_info, message)

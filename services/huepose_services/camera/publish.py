@@ -37,7 +37,7 @@ class FramePublisher:
         self._bus, self._keys = bus, config.keys
         self._frame_name = f"{config.camera.name}_color_optical"
         self._clock = this_clock()
-        self._info = CameraInfo(bus)
+        self._info = CameraInfo(bus, config.camera.mount)
 
     def publish(
         self, picture: Packed, epoch: int, frame_id: int, capture_ns: int, counted_as: str = "frames"

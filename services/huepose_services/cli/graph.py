@@ -25,6 +25,7 @@ _EDGES = (
     ("tracker", "gateway", "pose", "pose"),
     ("tracker", "viewer", "pose", "pose"),
     ("camera", "viewer", "frame", "camera"),
+    ("tracker", "ros2", "pose", "pose"),
 )
 _COUNTED = ("request", "estimates", "correction", "pose")
 

@@ -29,6 +29,7 @@ _OF_EXTRAS = {
     "open3d": "onboard",
     **dict.fromkeys(("torch", "onnx", "onnxscript"), "train"),
     "rerun": "viewer",
+    "rosbags": "ros2",
 }
 # Options that say where results go.
 _OUTPUTS = ("out", "json", "csv", "image", "explain", "plots", "save")

@@ -32,11 +32,13 @@ from huepose_services.runtime.config_text import read_yaml
 DEFAULT_FILE = "pipeline.yaml"
 _MAX_BYTES = 1024 * 1024
 
-WorkerName = Literal["camera", "tracker", "reinit", "detector", "segmenter", "estimator", "gateway", "viewer"]
+WorkerName = Literal[
+    "camera", "tracker", "reinit", "detector", "segmenter", "estimator", "gateway", "viewer", "ros2"
+]
 # Those that poses need; the others look at them.
 CHAIN: tuple[WorkerName, ...] = ("camera", "tracker", "reinit", "detector", "segmenter", "estimator")
 # The order gives each worker its port: base_port plus its place. New workers go to the end.
-WORKERS: tuple[WorkerName, ...] = (*CHAIN, "gateway", "viewer")
+WORKERS: tuple[WorkerName, ...] = (*CHAIN, "gateway", "viewer", "ros2")
 
 
 class ObjectConfig(Section, frozen=True, kw_only=True):
@@ -104,6 +106,15 @@ class ViewerConfig(Section, frozen=True, kw_only=True):
     memory_mib: Annotated[int, Meta(ge=16, le=16_384)] = 64
 
 
+class Ros2Config(Section, frozen=True, kw_only=True):
+    """Where poses go as messages of ROS 2: router, domain, whose keys, namespace of the topics."""
+
+    connect: Annotated[str, Meta(pattern=r"^(tcp|udp|tls|quic|unixsock-stream)/\S+$")] = "tcp/localhost:7447"
+    domain: Annotated[int, Meta(ge=0, le=232)] = 0
+    keys: Literal["rmw_zenoh", "bridge"] = "rmw_zenoh"
+    namespace: Annotated[str, Meta(pattern=r"^[a-zA-Z_][a-zA-Z0-9_/]{0,63}$")] = "huepose"
+
+
 class BusConfig(Section, frozen=True, kw_only=True):
     """How the workers reach each other: by sockets in a folder that only their user can open."""
 
@@ -137,6 +148,7 @@ class Config(Section, frozen=True, kw_only=True):
     reinit: ReinitConfig = ReinitConfig()
     gateway: GatewayConfig = GatewayConfig()
     viewer: ViewerConfig = ViewerConfig()
+    ros2: Ros2Config = Ros2Config()
     bus: BusConfig = BusConfig()
     restarts: RestartConfig = RestartConfig()
 

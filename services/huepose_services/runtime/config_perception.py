@@ -10,6 +10,7 @@ import msgspec
 from msgspec import Meta, Struct
 
 from huepose_protos.fields import Name
+from huepose_protos.parts import Mount
 
 Rate = Annotated[float, Meta(gt=0.0, le=240.0)]
 Seconds = Annotated[float, Meta(ge=0.0, le=60.0)]
@@ -54,6 +55,7 @@ class CameraConfig(Section, frozen=True, kw_only=True):
     truth: bool = False
     depth_scale_m: Annotated[float, Meta(gt=0.0, le=0.01)] = 0.0001
     device: DeviceConfig = DeviceConfig()
+    mount: Mount | None = None
 
 
 class DetectorConfig(Section, frozen=True, kw_only=True):

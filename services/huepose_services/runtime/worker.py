@@ -38,6 +38,7 @@ _HOMES = {
     "estimator": "huepose_services.estimator",
     "gateway": "huepose_services.gateway",
     "viewer": "huepose_services.viewer",
+    "ros2": "huepose_services.ros2",
 }
 # Frames and tracking come first where the cores do not suffice. To raise a priority needs the right to
 # do so (root, LimitNICE of a unit); to lower that of perception and of what only looks needs none.

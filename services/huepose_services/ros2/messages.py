@@ -1,0 +1,156 @@
+"""What ROS 2 calls a pose, a transform, a detection and a camera, as CDR.
+
+The types are those of ROS 2 Jazzy; vision_msgs (4.1), which is no core package, is described here.
+Serialised by rosbags, which also computes the hashes of the types.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
+from functools import cache
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from huepose_protos.messages import CameraMessage, PoseMessage
+from huepose_protos.motion import rotation_matrix
+
+if TYPE_CHECKING:
+    from rosbags.typesys.store import Typestore
+
+SECOND = 1_000_000_000
+POSE = "geometry_msgs/msg/PoseStamped"
+TRANSFORMS = "tf2_msgs/msg/TFMessage"
+DETECTIONS = "vision_msgs/msg/Detection3DArray"
+CAMERA = "sensor_msgs/msg/CameraInfo"
+
+VISION_MSGS = {
+    "vision_msgs/msg/ObjectHypothesis": "string class_id\nfloat64 score\n",
+    "vision_msgs/msg/ObjectHypothesisWithPose": "vision_msgs/ObjectHypothesis hypothesis\n"
+    "geometry_msgs/PoseWithCovariance pose\n",
+    "vision_msgs/msg/BoundingBox3D": "geometry_msgs/Pose center\ngeometry_msgs/Vector3 size\n",
+    "vision_msgs/msg/Detection3D": "std_msgs/Header header\nvision_msgs/ObjectHypothesisWithPose[] results\n"
+    "vision_msgs/BoundingBox3D bbox\nstring id\n",
+    DETECTIONS: "std_msgs/Header header\nvision_msgs/Detection3D[] detections\n",
+}
+
+
+@dataclass(frozen=True)
+class BoxM:
+    """Bounds of an object along its own axes, metres: middle and sides (3,)."""
+
+    centre: tuple[float, float, float]
+    size: tuple[float, float, float]
+
+
+NO_BOX = BoxM((0.0, 0.0, 0.0), (0.0, 0.0, 0.0))
+
+
+@cache
+def types() -> Typestore:
+    """All types that are used."""
+    from rosbags.typesys import Stores, get_types_from_msg, get_typestore
+
+    store = get_typestore(Stores.ROS2_JAZZY)
+    for name, text in VISION_MSGS.items():
+        store.register(get_types_from_msg(text, name))
+    return store
+
+
+def type_hash(name: str) -> str:
+    """Of a type, as `RIHS01_...` (REP 2016)."""
+    return str(types().hash_rihs01(name))
+
+
+def cdr(message: Any) -> bytes:
+    """A message as it travels, little-endian, with the four bytes that say so."""
+    return bytes(types().serialize_cdr(message, message.__msgtype__))
+
+
+def pose_stamped(pose: PoseMessage) -> Any:
+    """geometry_msgs/PoseStamped of a pose that is there, in the camera's optical frame."""
+    return types().types[POSE](_header(pose), _pose(pose))
+
+
+def transforms(poses: Iterable[PoseMessage], camera: CameraMessage | None) -> Any:
+    """tf2_msgs/TFMessage: each object in the camera's frame, called OBJECT_INSTANCE; and the camera in the
+    frame that it is mounted in, where that is configured."""
+    make = types().types
+    out = []
+    newest = None
+    for pose in poses:
+        newest = pose
+        stamped = _header(pose)
+        move = make["geometry_msgs/msg/Transform"](_vector(pose.translation), _quaternion(pose.quaternion))
+        name = f"{pose.object}_{pose.instance}"
+        out.append(make["geometry_msgs/msg/TransformStamped"](stamped, name, move))
+    mount = None if camera is None else camera.mount
+    if camera is not None and mount is not None:
+        stamp_ns = camera.publish_ns if newest is None else newest.capture_ns
+        stamped = header(stamp_ns + camera.clock.realtime_offset_ns, mount.parent)
+        move = make["geometry_msgs/msg/Transform"](_vector(mount.translation), _quaternion(mount.quaternion))
+        out.append(make["geometry_msgs/msg/TransformStamped"](stamped, camera.frame, move))
+    return make[TRANSFORMS](out)
+
+
+def detections(poses: Sequence[PoseMessage], boxes: Mapping[str, BoxM]) -> Any:
+    """vision_msgs/Detection3DArray of the poses of one frame, one or more; score is the quality.
+
+    boxes: by object, its bounds along its own axes."""
+    make = types().types
+    found = []
+    for pose in poses:
+        covariance = np.zeros(36) if pose.covariance is None else np.array(pose.covariance)
+        where = _pose(pose)
+        hypothesis = make["vision_msgs/msg/ObjectHypothesis"](pose.object, pose.quality)
+        spread = make["geometry_msgs/msg/PoseWithCovariance"](where, covariance)
+        result = make["vision_msgs/msg/ObjectHypothesisWithPose"](hypothesis, spread)
+        bounds = boxes.get(pose.object, NO_BOX)
+        middle = np.array(pose.translation) + rotation_matrix(np.array(pose.quaternion)) @ bounds.centre
+        at = make["geometry_msgs/msg/Pose"](make["geometry_msgs/msg/Point"](*middle), where.orientation)
+        box = make["vision_msgs/msg/BoundingBox3D"](at, _vector(bounds.size))
+        name = f"{pose.object}_{pose.instance}"
+        found.append(make["vision_msgs/msg/Detection3D"](_header(pose), [result], box, name))
+    return make[DETECTIONS](_header(poses[0]), found)
+
+
+def camera_info(camera: CameraMessage, stamp_ns: int) -> Any:
+    """sensor_msgs/CameraInfo of a rectified camera; stamp_ns: of its clock."""
+    make, k = types().types, camera.intrinsics
+    K = np.array([k.fx, 0.0, k.cx, 0.0, k.fy, k.cy, 0.0, 0.0, 1.0])
+    P = np.array([k.fx, 0.0, k.cx, 0.0, 0.0, k.fy, k.cy, 0.0, 0.0, 0.0, 1.0, 0.0])
+    region = make["sensor_msgs/msg/RegionOfInterest"](0, 0, 0, 0, False)
+    stamped = header(stamp_ns + camera.clock.realtime_offset_ns, camera.frame)
+    return make[CAMERA](
+        stamped, k.height, k.width, "plumb_bob", np.zeros(5), K, np.eye(3).ravel(), P, 0, 0, region
+    )
+
+
+def header(unix_ns: int, frame: str) -> Any:
+    """std_msgs/Header."""
+    make = types().types
+    stamp = make["builtin_interfaces/msg/Time"](unix_ns // SECOND, unix_ns % SECOND)
+    return make["std_msgs/msg/Header"](stamp, frame)
+
+
+def _header(pose: PoseMessage) -> Any:
+    return header(pose.capture_ns + pose.realtime_offset_ns, pose.frame)
+
+
+def _pose(pose: PoseMessage) -> Any:
+    point = types().types["geometry_msgs/msg/Point"](*_there(pose.translation))
+    return types().types["geometry_msgs/msg/Pose"](point, _quaternion(pose.quaternion))
+
+
+def _vector(xyz: Iterable[float] | None) -> Any:
+    return types().types["geometry_msgs/msg/Vector3"](*_there(xyz))
+
+
+def _quaternion(xyzw: Iterable[float] | None) -> Any:
+    return types().types["geometry_msgs/msg/Quaternion"](*_there(xyzw))
+
+
+def _there(values: Iterable[float] | None) -> Iterable[float]:
+    assert values is not None  # only poses that are there come here
+    return values

@@ -1,0 +1,94 @@
+"""Topics of ROS 2 on zenoh: keys, liveliness tokens and attachments as rmw_zenoh has them, or as
+zenoh-bridge-ros2dds does.
+
+rmw_zenoh (ROS 2 Jazzy and later; its docs/design.md and liveliness_utils.cpp): a topic is the key
+DOMAIN/TOPIC/TYPE/HASH, every message has an attachment (number, time, identifier of the publisher), and a
+node and each of its publishers have a liveliness token, by which `ros2 topic list` knows them. The bridge
+takes a topic by its name alone, with nothing attached.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import struct
+import time
+from typing import Literal
+
+import zenoh
+
+from huepose_services.ros2.messages import type_hash
+
+Style = Literal["rmw_zenoh", "bridge"]
+
+DEPTH = 10
+"""Messages that a publisher keeps, as ROS 2 has it by default."""
+_QOS = f"::,{DEPTH}:,:,:,,"
+"""Reliable, volatile, keep last: what rmw_zenoh takes where nothing is said, but for the depth."""
+_NODE_ID = 0
+
+
+def topic_key(topic: str, type_name: str, domain: int, style: Style) -> str:
+    """The key of a topic, `/huepose/tea_box/0/pose` for example."""
+    name = topic.strip("/")
+    if style == "bridge":
+        return name
+    return f"{domain}/{name}/{dds_type(type_name)}/{type_hash(type_name)}"
+
+
+def dds_type(type_name: str) -> str:
+    """`geometry_msgs/msg/PoseStamped` as DDS calls it."""
+    package, kind, name = type_name.split("/")
+    return f"{package}::{kind}::dds_::{name}_"
+
+
+def node_token(domain: int, session: str, node: str) -> str:
+    """The liveliness token of a node without a namespace of its own."""
+    return f"@ros2_lv/{domain}/{session}/{_NODE_ID}/{_NODE_ID}/NN/%/%/{node}"
+
+
+def publisher_token(domain: int, session: str, node: str, number: int, topic: str, type_name: str) -> str:
+    """That of one of its publishers; number: from 1 on, different for each."""
+    mangled = topic.replace("/", "%")
+    where = f"@ros2_lv/{domain}/{session}/{_NODE_ID}/{number}/MP/%/%/{node}"
+    return f"{where}/{mangled}/{dds_type(type_name)}/{type_hash(type_name)}/{_QOS}"
+
+
+def attachment(number: int, unix_ns: int, token: str) -> bytes:
+    """What rmw_zenoh attaches to a message: its number, when it was sent, and 16 bytes for the publisher."""
+    gid = hashlib.blake2b(token.encode(), digest_size=16).digest()
+    return struct.pack("<qqB16s", number, unix_ns, len(gid), gid)
+
+
+class Node:
+    """A node of ROS 2 whose publishers are made when they first say something."""
+
+    def __init__(self, session: zenoh.Session, name: str, domain: int, style: Style) -> None:
+        self._session, self._name, self._domain, self._style = session, name, domain, style
+        self._zid = str(session.info.zid())
+        self._topics: dict[str, tuple[zenoh.Publisher, str]] = {}
+        self._tokens: list[zenoh.LivelinessToken] = []
+        self._sent: dict[str, int] = {}
+        if style == "rmw_zenoh":
+            self._announce(node_token(domain, self._zid, name))
+
+    def _announce(self, token: str) -> None:
+        self._tokens.append(self._session.liveliness().declare_token(token))
+
+    def publish(self, topic: str, type_name: str, payload: bytes) -> None:
+        """A message in CDR on a topic, `/tf` for example."""
+        if topic not in self._topics:
+            token = publisher_token(
+                self._domain, self._zid, self._name, len(self._topics) + 1, topic, type_name
+            )
+            key = topic_key(topic, type_name, self._domain, self._style)
+            # A reader that does not read loses messages; it holds up nobody.
+            publisher = self._session.declare_publisher(key, congestion_control=zenoh.CongestionControl.DROP)
+            self._topics[topic] = (publisher, token)
+            if self._style == "rmw_zenoh":
+                self._announce(token)
+        publisher, token = self._topics[topic]
+        if self._style == "bridge":
+            publisher.put(payload)
+            return
+        self._sent[topic] = self._sent.get(topic, 0) + 1
+        publisher.put(payload, attachment=attachment(self._sent[topic], time.time_ns(), token))

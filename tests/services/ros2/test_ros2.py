@@ -1,0 +1,190 @@
+"""Poses for ROS 2: decoded by a library that did not write them, on keys and with tokens that are known."""
+
+from __future__ import annotations
+
+import struct
+import time
+from dataclasses import dataclass
+from typing import Any
+
+import msgspec
+import numpy as np
+import pytest
+import zenoh
+from mcap_ros2._dynamic import generate_dynamic
+
+from huepose_protos import decode, encode
+from huepose_protos.examples import messages
+from huepose_protos.messages import CameraMessage, Mount, PoseMessage
+from huepose_protos.motion import pose_at
+from huepose_services.ros2.messages import (
+    CAMERA,
+    DETECTIONS,
+    POSE,
+    TRANSFORMS,
+    BoxM,
+    camera_info,
+    cdr,
+    detections,
+    pose_stamped,
+    transforms,
+    type_hash,
+    types,
+)
+from huepose_services.ros2.publisher import Node, attachment, node_token, publisher_token, topic_key
+from huepose_services.ros2.work import Ros2Work, open_ros_session
+from huepose_services.runtime.bus import Bus
+from huepose_services.runtime.config import BusConfig, Config, Ros2Config
+from huepose_services.runtime.health import Health
+from huepose_services.runtime.log import Log
+from huepose_services.runtime.session import open_worker_session
+
+EXAMPLE = next(m for m in messages() if isinstance(m, PoseMessage))
+MOUNT = Mount(parent="base_link", translation=(1.0, 2.0, 3.0), quaternion=(0.0, 0.0, 0.5**0.5, 0.5**0.5))
+CAMERA_SEEN = msgspec.structs.replace(
+    next(m for m in messages() if isinstance(m, CameraMessage)), mount=MOUNT
+)
+# As the documentation of rmw_zenoh has it.
+STRING_HASH = "RIHS01_df668c740482bbd48fb39d76a70dfd4bd59db1288021743503259e948f6b1a18"
+
+
+def pose(**changes: Any) -> PoseMessage:
+    return msgspec.structs.replace(EXAMPLE, **{"state": "TRACKING", **changes})
+
+
+def read(kind: str, payload: bytes) -> Any:
+    """What a library makes of CDR that knows nothing of the one that wrote it."""
+    text, _ = types().generate_msgdef(kind, ros_version=2)
+    short = kind.replace("/msg/", "/")
+    return generate_dynamic(short, text)[short](payload)
+
+
+def unix_ns(header: Any) -> int:
+    return int(header.stamp.sec) * 10**9 + int(header.stamp.nanosec)
+
+
+def test_a_pose() -> None:
+    back = read(POSE, cdr(pose_stamped(pose())))
+    assert unix_ns(back.header) == EXAMPLE.capture_ns + EXAMPLE.realtime_offset_ns
+    assert back.header.frame_id == EXAMPLE.frame
+    p, q = back.pose.position, back.pose.orientation
+    assert (p.x, p.y, p.z) == tuple(EXAMPLE.translation)
+    assert (q.x, q.y, q.z, q.w) == tuple(EXAMPLE.quaternion)
+
+
+def test_the_tree_leads_from_the_robot_to_the_object() -> None:
+    shown = pose(object="tea_box", instance=3)
+    back = read(TRANSFORMS, cdr(transforms([shown], CAMERA_SEEN))).transforms
+    names = [(t.header.frame_id, t.child_frame_id) for t in back]
+    assert names == [(EXAMPLE.frame, "tea_box_3"), ("base_link", CAMERA_SEEN.frame)]
+
+    def matrix(transform: Any) -> np.ndarray:
+        q, t = transform.rotation, transform.translation
+        turned = pose(quaternion=(q.x, q.y, q.z, q.w), translation=(t.x, t.y, t.z))
+        found = pose_at([turned], turned.capture_ns)
+        assert found is not None
+        return found.T_cam_obj
+
+    T_parent_obj = matrix(back[1].transform) @ matrix(back[0].transform)
+    found = pose_at([shown], shown.capture_ns)
+    assert found is not None
+    assert found.T_parent_obj is None
+    mounted = type(found)(**{**vars(found), "mount": MOUNT}).T_parent_obj
+    assert mounted is not None
+    assert np.allclose(T_parent_obj, mounted)
+    # A quarter turn about z, then the shift: x of the camera is y of the robot.
+    x, y, z = EXAMPLE.translation
+    assert np.allclose(mounted[:3, 3], [1.0 - y, 2.0 + x, 3.0 + z])
+
+
+def test_detections_and_the_camera() -> None:
+    box = BoxM((0.0, 0.0, 0.1), (0.1, 0.2, 0.3))
+    upright = pose(quaternion=(0.0, 0.0, 0.0, 1.0))
+    (found,) = read(DETECTIONS, cdr(detections([upright], {upright.object: box}))).detections
+    assert found.id == f"{upright.object}_{upright.instance}"
+    (result,) = found.results
+    assert (result.hypothesis.class_id, result.hypothesis.score) == (upright.object, upright.quality)
+    assert list(result.pose.covariance) == upright.covariance
+    assert found.bbox.center.position.z == pytest.approx(upright.translation[2] + 0.1)
+    assert (found.bbox.size.x, found.bbox.size.y, found.bbox.size.z) == box.size
+    seen = read(CAMERA, cdr(camera_info(CAMERA_SEEN, CAMERA_SEEN.publish_ns)))
+    k = CAMERA_SEEN.intrinsics
+    assert (seen.k[0], seen.k[2], seen.k[4], seen.k[5]) == (k.fx, k.cx, k.fy, k.cy)
+    assert (seen.width, seen.height, seen.header.frame_id) == (k.width, k.height, CAMERA_SEEN.frame)
+
+
+def test_keys_and_tokens_are_those_of_rmw_zenoh() -> None:
+    kind = "std_msgs/msg/String"
+    assert type_hash(kind) == STRING_HASH
+    assert (
+        topic_key("/chatter", kind, 0, "rmw_zenoh") == f"0/chatter/std_msgs::msg::dds_::String_/{STRING_HASH}"
+    )
+    assert topic_key("/robot/chatter", kind, 0, "bridge") == "robot/chatter"
+    session = "aac3178e146ba6f1fc6e6a4085e77f21"
+    assert node_token(2, session, "talker") == f"@ros2_lv/2/{session}/0/0/NN/%/%/talker"
+    assert publisher_token(2, session, "talker", 10, "/chatter", kind) == (
+        f"@ros2_lv/2/{session}/0/10/MP/%/%/talker/%chatter/std_msgs::msg::dds_::String_/{STRING_HASH}"
+        "/::,10:,:,:,,"
+    )
+    number, at_ns, length, gid = struct.unpack("<qqB16s", attachment(7, 123, "token"))
+    assert (number, at_ns, length) == (7, 123, 16)
+    assert gid == attachment(8, 9, "token")[-16:] != attachment(7, 123, "other")[-16:]
+
+
+@dataclass
+class Heard:
+    samples: list[zenoh.Sample]
+
+    def of(self, part: str) -> list[zenoh.Sample]:
+        return [s for s in self.samples if part in str(s.key_expr)]
+
+
+@pytest.mark.live
+def test_what_is_tracked_arrives_at_a_router(base_port: int) -> None:
+    router_config = zenoh.Config()
+    router_config.insert_json5("mode", '"router"')
+    router_config.insert_json5("listen/endpoints", f'["tcp/127.0.0.1:{base_port + 9}"]')
+    router_config.insert_json5("scouting/multicast/enabled", "false")
+    config = Config(
+        bus=BusConfig(base_port=base_port), ros2=Ros2Config(connect=f"tcp/127.0.0.1:{base_port + 9}")
+    )
+    inner, _ = open_worker_session(config, "ros2")
+    tracker, _ = open_worker_session(config, "tracker")
+    bus = Bus(inner, config.keys, "ros2", Log("ros2"), Health("ros2"))
+    with zenoh.open(router_config) as router:
+        heard = Heard([])
+        router.declare_subscriber("0/**", heard.samples.append)
+        session = open_ros_session(config.ros2)
+        work = Ros2Work(bus, Node(session, "huepose", 0, "rmw_zenoh"), config.ros2, {})
+        shown = pose(frame_id=1)
+        doubted = pose(state="SUSPECT", instance=9)
+        until = time.monotonic() + 10.0
+        while time.monotonic() < until and not heard.of("/detections/"):
+            for message in (shown, doubted):
+                tracker.put(config.keys.pose(message.object, message.instance), encode(message))
+            tracker.put(config.keys.camera_info, encode(CAMERA_SEEN))
+            time.sleep(0.05)
+            work.step()
+        tokens = {str(r.ok.key_expr) for r in router.liveliness().get("@ros2_lv/**") if r.ok is not None}
+        session.close()
+    bus.close()
+    inner.close()
+    tracker.close()
+    name = f"huepose/{shown.object}/{shown.instance}/pose"
+    sample = heard.of(name)[0]
+    assert str(sample.key_expr) == f"0/{name}/geometry_msgs::msg::dds_::PoseStamped_/{type_hash(POSE)}"
+    assert read(POSE, sample.payload.to_bytes()).pose.position.x == shown.translation[0]
+    assert sample.attachment is not None
+    assert struct.unpack("<q", sample.attachment.to_bytes()[:8]) == (1,)
+    assert not heard.of(f"/{doubted.object}/9/")
+    assert heard.of("0/tf/")
+    assert heard.of("/camera_info/")
+    assert any("/MP/%/%/huepose/%tf/" in token for token in tokens)
+    assert any(token.endswith("/NN/%/%/huepose") for token in tokens)
+
+
+def test_the_camera_says_where_it_is_fixed() -> None:
+    back = decode(encode(CAMERA_SEEN), CameraMessage)
+    assert back.mount == MOUNT
+    with pytest.raises(ValueError, match="unit length"):
+        Mount(parent="base", translation=(0.0, 0.0, 0.0), quaternion=(0.0, 0.0, 0.0, 2.0))

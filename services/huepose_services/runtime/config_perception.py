@@ -23,7 +23,7 @@ Class = Annotated[int, Meta(ge=0, le=100_000)] | str
 Sha256 = Annotated[str, Meta(pattern="^[0-9a-f]{64}$")]
 Refuse = Callable[[str, str, str, str], None]
 
-LIVE_SOURCES = ("realsense", "oak")
+LIVE_SOURCES = ("realsense", "oak", "python")
 
 
 class Section(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
@@ -46,7 +46,7 @@ class CameraConfig(Section, frozen=True, kw_only=True):
     """Where frames come from, and when."""
 
     name: Name = "cam0"
-    source: Literal["synthetic", "bop", "fast_ycb", "realsense", "oak"] = "synthetic"
+    source: Literal["synthetic", "bop", "fast_ycb", "realsense", "oak", "python"] = "synthetic"
     path: str | None = None
     seed: Annotated[int, Meta(ge=0)] = 0
     rate: Rate | Literal["recorded"] = 30.0
@@ -126,6 +126,8 @@ def check_camera(camera: CameraConfig, refuse: Refuse) -> None:
         refuse("camera.path", camera.path, f"no path with the source {source}", "Set it to null.")
     if source in ("bop", "fast_ycb") and camera.path is None:
         refuse("camera.path", "null", "the folder of the recording", "Set it to the scene's folder.")
+    if source == "python" and camera.path is None:
+        refuse("camera.path", "null", "a Python file with a function frames()", "docs/cameras.md has one.")
     if (live or source == "synthetic") and camera.rate == "recorded":
         refuse("camera.rate", "recorded", f"frames per second with the source {source}", "Set it to 30.")
     if live and (camera.once or camera.truth):

@@ -1,0 +1,80 @@
+"""A camera of one's own: a Python file whose `frames()` gives pictures, one after the other.
+
+    # my_camera.py
+    def frames():
+        while True:
+            yield RgbdFrame(color, depth, camera, stamp_ns=time.monotonic_ns())
+
+color (H, W, 3) uint8 RGB, rectified; depth (H, W) float32 metres in the pixels of colour, 0 for no reading;
+stamp_ns: when it was captured, CLOCK_MONOTONIC, 0 for now. It may block as long as a picture takes.
+"""
+
+from __future__ import annotations
+
+import runpy
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from huepose.geometry import RgbdFrame
+from huepose.support.errors import InputError
+from huepose_services.camera.live import CameraError, Shot
+from huepose_services.runtime.clock import now_ns
+from huepose_services.runtime.config import Config
+
+
+def open_source(config: Config) -> PythonSource:
+    """The file `camera.path`. Raises InputError for one that cannot be read or has no `frames`."""
+    assert config.camera.path is not None  # the configuration was checked
+    return PythonSource(Path(config.camera.path))
+
+
+class PythonSource:
+    """Runs the file once, and its `frames()` at every opening."""
+
+    def __init__(self, path: Path) -> None:
+        self.name = path.name
+        if not path.is_file():
+            raise InputError(path, found="no such file", expected="a Python file with a function frames()")
+        try:
+            names = runpy.run_path(str(path), run_name="huepose_camera")
+        except Exception as error:
+            found = f"{type(error).__name__}: {' '.join(str(error).split())[:200]}"
+            raise InputError(path, found=found, expected="a Python file that runs") from error
+        frames = names.get("frames")
+        if not callable(frames):
+            raise InputError(
+                path, found="no function frames()", expected="one that gives RgbdFrame after RgbdFrame"
+            )
+        self._frames: Callable[[], Iterator[RgbdFrame]] = frames
+
+    def open(self) -> PythonCamera:
+        """Begin anew."""
+        return PythonCamera(iter(self._frames()))
+
+
+class PythonCamera:
+    """Takes what the iterator gives."""
+
+    device_clock_is_host = True
+
+    def __init__(self, frames: Iterator[Any]) -> None:
+        self._frames, self._number = frames, 0
+
+    def read(self, timeout_s: float) -> Shot | None:
+        """The next picture, however long it takes. Raises CameraError for none and for what is none."""
+        frame = next(self._frames, None)
+        if frame is None:
+            raise CameraError("frames() has ended. It is called again.")
+        if not isinstance(frame, RgbdFrame):
+            raise CameraError(f"frames() gave {type(frame).__name__}, expected huepose.RgbdFrame")
+        if not np.isfinite(frame.depth).all():
+            raise CameraError("depth has values that are not finite: 0 means no reading")
+        self._number += 1
+        now = now_ns()
+        return Shot(frame.color, frame.depth, frame.camera, self._number, frame.stamp_ns or now, now)
+
+    def close(self) -> None:
+        """Nothing is held."""

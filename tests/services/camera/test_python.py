@@ -1,0 +1,65 @@
+"""A camera that is a Python file: the one in the documentation, and what is said of those that are none."""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from huepose.support.errors import InputError
+from huepose_services.camera.live import CameraError
+from huepose_services.camera.python import PythonSource, open_source
+from huepose_services.runtime.config import load
+
+PAGE = Path(__file__).parents[3] / "docs" / "cameras.md"
+
+
+def source(folder: Path, text: str) -> PythonSource:
+    (folder / "my_camera.py").write_text(text)
+    (folder / "pipeline.yaml").write_text(
+        "camera: {source: python, path: my_camera.py}\nworkers: [camera]\nbundles: bundles\n"
+    )
+    return open_source(load(folder / "pipeline.yaml"))
+
+
+def test_the_camera_of_the_documentation_gives_pictures(tmp_path: Path) -> None:
+    (text,) = re.findall(r"```python\n(# my_camera.py.*?)```", PAGE.read_text(), re.DOTALL)
+    camera = source(tmp_path, text).open()
+    one, two = camera.read(1.0), camera.read(1.0)
+    assert one is not None
+    assert two is not None
+    assert (one.color.shape, one.depth.dtype, one.camera.width) == ((480, 640, 3), np.float32, 640)
+    assert (one.number, two.number) == (1, 2)
+    assert one.device_ns < two.device_ns <= two.arrived_ns
+
+
+@pytest.mark.parametrize(
+    ("text", "says"),
+    [
+        ("frames = 3", "no function frames"),
+        ("import nothing_of_that_name", "ModuleNotFoundError"),
+        ("def frames(:", "SyntaxError"),
+    ],
+)
+def test_a_file_that_is_no_camera_is_refused(tmp_path: Path, text: str, says: str) -> None:
+    with pytest.raises(InputError, match=says):
+        source(tmp_path, text)
+
+
+@pytest.mark.parametrize(
+    ("text", "says"),
+    [("def frames():\n    return iter(())", "has ended"), ("def frames():\n    yield 3", "gave int")],
+)
+def test_what_is_no_picture_is_said_and_tried_again(tmp_path: Path, text: str, says: str) -> None:
+    with pytest.raises(CameraError, match=says):
+        source(tmp_path, text).open().read(1.0)
+
+
+def test_a_path_is_needed(tmp_path: Path) -> None:
+    (tmp_path / "pipeline.yaml").write_text("camera: {source: python}\n")
+    with pytest.raises(InputError, match="frames"):
+        load(tmp_path / "pipeline.yaml")
+    with pytest.raises(InputError, match="no such file"):
+        PythonSource(tmp_path / "gone.py")

@@ -21,6 +21,10 @@ class StageClock:
     def __init__(self) -> None:
         self.spans: dict[str, list[tuple[float, float]]] = {}
 
+    def ended(self, name: str, wall_s: float, cpu_s: float) -> None:
+        """A stage is over."""
+        self.spans.setdefault(name, []).append((wall_s, cpu_s))
+
     def totals(self) -> dict[str, tuple[float, float]]:
         """Sum of wall and CPU seconds by stage, in order of first appearance."""
         return {name: (sum(w for w, _ in s), sum(c for _, c in s)) for name, s in self.spans.items()}
@@ -30,9 +34,9 @@ _listener: ContextVar[StageClock | None] = ContextVar("stage_clock", default=Non
 
 
 @contextmanager
-def listening() -> Iterator[StageClock]:
-    """Collect the stages that run in this context."""
-    clock = StageClock()
+def listening(clock: StageClock | None = None) -> Iterator[StageClock]:
+    """Collect the stages that run in this context, with a clock of one's own where it does something else."""
+    clock = clock or StageClock()
     token = _listener.set(clock)
     try:
         yield clock
@@ -51,5 +55,4 @@ def stage(name: str) -> Iterator[None]:
     try:
         yield
     finally:
-        span = (time.perf_counter() - wall, time.thread_time() - cpu)
-        clock.spans.setdefault(name, []).append(span)
+        clock.ended(name, time.perf_counter() - wall, time.thread_time() - cpu)

@@ -24,6 +24,8 @@ from huepose_protos.messages import (
     CorrectionMessage,
     Estimates,
     HealthMessage,
+    IntakeMessage,
+    MemoryMessage,
     Message,
     ObjectsMessage,
     PerceptionRequest,
@@ -41,6 +43,8 @@ _KINDS: dict[str, type[Message]] = {
     "correction": CorrectionMessage,
     "perception/request": PerceptionRequest,
     "perception/estimates": Estimates,
+    "tracker/intake": IntakeMessage,
+    "tracker/memory": MemoryMessage,
 }
 
 

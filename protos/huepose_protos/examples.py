@@ -17,17 +17,21 @@ from huepose_protos.messages import (
     Estimates,
     FrameHeader,
     HealthMessage,
+    IntakeMessage,
     Intrinsics,
     MaskedObject,
     MaskRuns,
     Masks,
+    MemoryMessage,
     Message,
+    ObjectChange,
     ObjectEntry,
     ObjectsMessage,
     PerceptionRequest,
     PoseMessage,
     Prior,
     RequestedObject,
+    StageMark,
     TruthMessage,
     TruthObject,
 )
@@ -71,6 +75,20 @@ def messages() -> list[Message]:
     anywhere = RequestedObject(object="003_cracker_box", instance=None, wanted=2)
     detected = DetectedObject(request=known, box=(1.0, 0.0, 2.0, 2.0), score=0.875)
     mask = MaskRuns(width=4, height=2, runs=[1, 2, 2, 2, 1])
+    correction = CorrectionMessage(
+        publish_ns=_PUBLISH,
+        object="006_mustard_bottle",
+        instance=3,
+        camera_epoch=_EPOCH,
+        frame_id=42,
+        capture_ns=_CAPTURE,
+        translation=_TRANSLATION,
+        quaternion=_QUATERNION,
+        quality=0.96875,
+        verdict="correct",
+        seq=5,
+        mask=mask,
+    )
     return [
         frame,
         CameraMessage(
@@ -132,20 +150,7 @@ def messages() -> list[Message]:
                 ),
             ],
         ),
-        CorrectionMessage(
-            publish_ns=_PUBLISH,
-            object="006_mustard_bottle",
-            instance=3,
-            camera_epoch=_EPOCH,
-            frame_id=42,
-            capture_ns=_CAPTURE,
-            translation=_TRANSLATION,
-            quaternion=_QUATERNION,
-            quality=0.96875,
-            verdict="correct",
-            seq=5,
-            mask=mask,
-        ),
+        correction,
         PoseMessage(
             publish_ns=_PUBLISH,
             object="006_mustard_bottle",
@@ -233,5 +238,27 @@ def messages() -> list[Message]:
                     box=(1.0, 0.0, 2.0, 2.0),
                 )
             ],
+        ),
+        IntakeMessage(
+            publish_ns=_PUBLISH,
+            seq=360,
+            clock_ns=[_CAPTURE, _PUBLISH],
+            changes=[
+                ObjectChange(
+                    action="add",
+                    entry=ObjectEntry(object="003_cracker_box", max_instances=2, searching=2),
+                )
+            ],
+            corrections=[correction],
+            camera_epoch=_EPOCH,
+            frame_id=42,
+            marks=[StageMark(stage="follow", checksum=3_735_928_559)],
+        ),
+        MemoryMessage(
+            publish_ns=_PUBLISH,
+            seq=360,
+            config='{"site":"local"}',
+            objects=["006_mustard_bottle"],
+            memory=b"\x80",
         ),
     ]

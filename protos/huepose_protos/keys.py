@@ -92,6 +92,16 @@ class Keys:
         """PoseMessage of one instance of an object."""
         return self._key(f"pose/{object_name}/{instance}")
 
+    @property
+    def intake(self) -> str:
+        """IntakeMessage, while somebody listens."""
+        return self._key("tracker/intake")
+
+    @property
+    def memory(self) -> str:
+        """MemoryMessage, now and then while somebody listens to the intake."""
+        return self._key("tracker/memory")
+
     def health(self, worker: str = "*") -> str:
         """HealthMessage of a worker."""
         return self._key(f"health/{worker}")

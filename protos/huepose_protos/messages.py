@@ -306,6 +306,49 @@ class TruthMessage(Message, frozen=True, kw_only=True):
     objects: Annotated[list[TruthObject], Meta(max_length=256)]
 
 
+class ObjectChange(Struct, frozen=True, kw_only=True):
+    """What the tracker was told about an object that it looks for, or no longer."""
+
+    action: Literal["add", "remove", "reset"]
+    entry: ObjectEntry
+
+
+class StageMark(Struct, frozen=True, kw_only=True):
+    """A checksum of what the tracker believes after a stage of a step."""
+
+    stage: Annotated[str, Meta(max_length=32)]
+    checksum: Annotated[int, Meta(ge=0, lt=2**32)]
+
+
+class IntakeMessage(Message, frozen=True, kw_only=True):
+    """What the tracker took in one step, in this order: changes, corrections, a frame (null: none); and the
+    times that it read meanwhile. With these and the frame its poses can be computed again, bit by bit.
+
+    `seq` counts the steps that took something since the tracker began."""
+
+    max_bytes: ClassVar[int] = 4096 * KIB
+    seq: Count
+    clock_ns: Annotated[list[Stamp], Meta(max_length=16_384)]
+    changes: list[ObjectChange]
+    corrections: list[CorrectionMessage]
+    camera_epoch: Epoch | None
+    frame_id: Count | None
+    marks: list[StageMark]
+
+
+class MemoryMessage(Message, frozen=True, kw_only=True):
+    """All that the tracker believes after step `seq`, for whoever computes its poses again from there.
+
+    `config`: the pipeline's configuration in JSON; `objects`: those that it knows; `memory`: MessagePack, for
+    the same version of the library only."""
+
+    max_bytes: ClassVar[int] = 16 * 1024 * KIB
+    seq: Count
+    config: Annotated[str, Meta(max_length=1024 * KIB)]
+    objects: list[Name]
+    memory: bytes
+
+
 MESSAGES: tuple[type[Message], ...] = (
     FrameHeader,
     CameraMessage,
@@ -320,4 +363,6 @@ MESSAGES: tuple[type[Message], ...] = (
     ControlReply,
     HealthMessage,
     TruthMessage,
+    IntakeMessage,
+    MemoryMessage,
 )

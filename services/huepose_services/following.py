@@ -133,20 +133,20 @@ class Retired:
     about them does not count. [camera epoch, number] by object: those of that epoch below that number."""
 
     def __init__(self, entries: Iterable[ObjectEntry] = ()) -> None:
-        self._below: dict[str, tuple[int, int]] = {}
+        self.below: dict[str, tuple[int, int]] = {}
         for entry in entries:
             self.add(entry.object, entry.retired)
 
     def add(self, name: str, below: tuple[int, int] | None) -> None:
         """Note it for an object."""
         if below is not None:
-            self._below[name] = below
+            self.below[name] = below
 
     def of(self, name: str) -> tuple[int, int] | None:
         """What was noted for an object."""
-        return self._below.get(name)
+        return self.below.get(name)
 
     def includes(self, name: str, epoch: int, instance: int) -> bool:
         """Whether that instance is over."""
-        below = self._below.get(name)
+        below = self.below.get(name)
         return below is not None and below[0] == epoch and instance < below[1]

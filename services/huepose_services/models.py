@@ -2,14 +2,18 @@
 
 from __future__ import annotations
 
+import hashlib
+from collections.abc import Iterable
 from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 
+from huepose.datasets.files import read_bytes
 from huepose.geometry import Box, Camera, se3
 from huepose.geometry.arrays import Float, Float32, Float64
 from huepose.model import ReferenceModel, load_models
+from huepose.model.io import model_path
 from huepose_services.runtime.config import Config, ObjectConfig
 
 _OUTLINE_POINTS = 1500
@@ -52,6 +56,12 @@ def load(config: Config) -> dict[str, ReferenceModel]:
 def load_one(config: Config, name: str) -> ReferenceModel:
     """The model of one object, configured or not. Raises InputError that says which there are."""
     return load_models(bundles_folder(config), [name])[name]
+
+
+def digests(config: Config, names: Iterable[str]) -> dict[str, str]:
+    """SHA-256 of the files of these reference models. Raises InputError for one that is not there."""
+    folder = bundles_folder(config)
+    return {name: hashlib.sha256(read_bytes(model_path(folder, name))).hexdigest() for name in names}
 
 
 def outline(model: ReferenceModel) -> Outline:

@@ -3,16 +3,20 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable, Mapping
 from dataclasses import replace
 
+import msgspec
+
+from huepose.geometry import RgbdFrame
 from huepose.model import ReferenceModel
 from huepose.profiles import profile
 from huepose.support.errors import InputError
-from huepose.tracking import Tracker
+from huepose.tracking import Tracker, memory
 from huepose.tracking.history import CLOSE_S, WIDE_S
 from huepose.tracking.types import Applied, Correction, State, TrackedPose, Verdict
 from huepose_protos import WireError
-from huepose_protos.messages import CorrectionMessage, FrameHeader, PoseMessage
+from huepose_protos.messages import CorrectionMessage, FrameHeader, MemoryMessage, PoseMessage
 from huepose_protos.runlength import mask_of
 from huepose_services import models, networks
 from huepose_services.convert import (
@@ -23,6 +27,7 @@ from huepose_services.convert import (
     twist_to_wire,
 )
 from huepose_services.following import Follower, Retired
+from huepose_services.intake import MEMORY_EVERY_NS, Clock, Intake
 from huepose_services.runtime.bus import Bus
 from huepose_services.runtime.clock import now_ns
 from huepose_services.runtime.config import Config
@@ -30,21 +35,30 @@ from huepose_services.runtime.future import check_number
 from huepose_services.runtime.log import StateChanges
 
 _REFUSED_EVERY_S = 10.0
+_Frame = tuple[int, int]
+# Beside the tracker's memory: the newest frame, the first, whose poses were published, who is retired.
+_Own = tuple[_Frame | None, _Frame | None, set[tuple[str, int]], dict[str, tuple[int, int]]]
+FrameOf = Callable[[int, int], tuple[FrameHeader, RgbdFrame] | None]
 
 
 def make(bus: Bus, config: Config) -> TrackerWork:
     """The tracker worker's work, with its kernels compiled."""
     known = models.load(config)
+    tracker = tracker_of(config, known)
+    tracker.warm_up()
+    follower = Follower(bus, lambda name: models.load_one(config, name), known, remembers=True)
+    return TrackerWork(bus, tracker, follower, config)
+
+
+def tracker_of(config: Config, known: Mapping[str, ReferenceModel]) -> Tracker:
+    """The library's tracker as it is configured."""
     settings = replace(
         profile(config.profile).tracker,
         history_frames=config.tracker.history_frames,
         older_frames=config.tracker.older_frames,
         flow=networks.flow(config),
     )
-    tracker = Tracker(known, settings, networks.relative_pose(config))
-    tracker.warm_up()
-    follower = Follower(bus, lambda name: models.load_one(config, name), known, remembers=True)
-    return TrackerWork(bus, tracker, follower, config)
+    return Tracker(known, settings, networks.relative_pose(config))
 
 
 class TrackerWork:
@@ -52,8 +66,18 @@ class TrackerWork:
 
     finished = False
 
-    def __init__(self, bus: Bus, tracker: Tracker, objects: Follower[ReferenceModel], config: Config) -> None:
-        self._bus, self._tracker, self._objects = bus, tracker, objects
+    def __init__(
+        self,
+        bus: Bus,
+        tracker: Tracker,
+        objects: Follower[ReferenceModel],
+        config: Config,
+        clock: Clock = now_ns,
+    ) -> None:
+        self._bus, self._tracker, self._objects, self._config = bus, tracker, objects, config
+        self._clock = clock
+        self._intake = Intake(clock)
+        self._seq = self._memory_due_ns = 0
         self._max_age_ns = int(config.tracker.max_age_ms * 1e6)
         # A recording that is played once stands on its first frame: that one does not get old.
         self._first_stands = config.camera.once
@@ -72,23 +96,78 @@ class TrackerWork:
 
     def step(self) -> None:
         """Apply what arrived, then track the newest frame."""
+        self._intake = Intake(self._clock, self._bus.is_heard(self._bus.keys.intake))
+        try:
+            self._take()
+        finally:
+            if not self._intake.empty:
+                self._seq += 1
+                self._tell()
+
+    def _take(self) -> None:
         self._follow()
         corrected = False
         while (message := self._bus.take(self._corrections, CorrectionMessage)) is not None:
+            self._intake.corrections.append(message)
             self._correct(message)
             corrected = True
+        if not self._intake.empty:
+            self._intake.mark("corrections", self._tracker)
         taken = self._bus.take_with_payload(self._frames, FrameHeader)
-        if taken is not None:
-            self._track(*taken)
-        elif corrected and self._header is not None:
+        tracked = taken is not None and self._track(*taken)
+        if corrected and not tracked and self._header is not None:
             # Instances that a correction has made are published on the frame that is there, which may stand
             # for long; what was published of a frame is never said anew.
             new = [p for p in self._tracker.poses() if (p.object, p.instance) not in self._published]
             self._publish_all(new, self._header)
 
+    def _tell(self) -> None:
+        """What was taken, and now and then what is believed after it, to who records."""
+        bus, keys = self._bus, self._bus.keys
+        if not self._intake.heard:
+            self._memory_due_ns = 0
+            return
+        bus.put_aside(keys.intake, self._intake.message(self._seq))
+        now = now_ns()
+        if now >= self._memory_due_ns:
+            self._memory_due_ns = now + MEMORY_EVERY_NS
+            bus.put_aside(keys.memory, self.memory())
+
+    def memory(self) -> MemoryMessage:
+        """All that is believed now."""
+        header = None if self._header is None else _frame_of(self._header)
+        own = (header, self._first, sorted(self._published), self._retired.below)
+        return MemoryMessage(
+            publish_ns=now_ns(),
+            seq=self._seq,
+            config=msgspec.json.encode(self._config).decode(),
+            objects=list(self._tracker.objects),
+            memory=msgspec.msgpack.encode((memory.told(self._tracker), own)),
+        )
+
+    def take_over(self, message: MemoryMessage, frame_of: FrameOf) -> None:
+        """Believe what another worker of the same objects and configuration did; frame_of: from camera epoch
+        and number to a frame and its header. Raises InputError where that cannot be."""
+
+        def pixels(epoch: int, frame_id: int) -> RgbdFrame | None:
+            found = frame_of(epoch, frame_id)
+            return None if found is None else found[1]
+
+        try:
+            plain, own = msgspec.msgpack.decode(message.memory)
+            header, first, published, below = msgspec.convert(own, _Own)
+        except (msgspec.MsgspecError, ValueError, TypeError, RecursionError) as error:
+            raise InputError("the tracker's memory", found=str(error)[:200], expected="MessagePack") from None
+        memory.taken_over(self._tracker, plain, pixels)
+        found = None if header is None else frame_of(*header)
+        self._header = None if found is None else found[0]
+        self._first, self._published, self._retired.below = first, published, below
+        self._seq = message.seq
+
     def _follow(self) -> None:
         """Objects that came, went, or are to be searched for anew."""
         for change in self._objects.changes():
+            self._intake.change(change)
             name = change.entry.object
             self._retired.add(name, change.entry.retired)
             if change.removed:
@@ -106,7 +185,7 @@ class TrackerWork:
             self._bus.health.count("corrections_of_retired")
             return
         try:
-            check_number(message, now_ns())
+            check_number(message, self._intake.now())
             header = self._header
             same = header is not None and header.camera_epoch == message.camera_epoch
             applied = self._tracker.correct(correction_from_wire(message, header if same else None))
@@ -138,27 +217,32 @@ class TrackerWork:
             text = f"correction {message.seq} of {name} is refused: {why}"
             self._bus.log.seldom("refused", text, _REFUSED_EVERY_S)
 
-    def _track(self, header: FrameHeader, payload: bytes) -> None:
+    def _track(self, header: FrameHeader, payload: bytes) -> bool:
+        """Whether it is a new frame, and a good one."""
         started = now_ns()
         health = self._bus.health
         before = self._header
         if before is not None and _frame_of(before) == _frame_of(header):
             health.count("frames_repeated")
-            return
+            return False
         try:
             frame = frame_from_wire(header, payload)
         except WireError as error:
             self._bus.refuse(self._bus.keys.frame, error)
-            return
+            return False
         if before is None or before.camera_epoch != header.camera_epoch:
             self._first = _frame_of(header)
         self._published.clear()
-        self._publish_all(self._tracker.step(frame), header)
+        self._intake.frame = header
+        with self._intake.stages(self._tracker):
+            poses = self._tracker.step(frame)
+        self._publish_all(poses, header)
         self._header = header
         health.camera_epoch, health.frame_id = header.camera_epoch, header.frame_id
         health.counters["frames_skipped"] = self._frames.skipped
         health.count("frames")
         health.worked(started, header.capture_ns)
+        return True
 
     def _publish_all(self, poses: list[TrackedPose], header: FrameHeader) -> None:
         for pose in poses:
@@ -166,14 +250,15 @@ class TrackerWork:
             self._published.add((pose.object, pose.instance))
 
     def _publish(self, pose: TrackedPose, header: FrameHeader) -> None:
-        old = now_ns() - pose.stamp_ns > self._max_age_ns
+        now = self._intake.now()
+        old = now - pose.stamp_ns > self._max_age_ns
         stands = self._first_stands and _frame_of(header) == self._first
         if pose.state is State.TRACKING and old and not stands:
             # Where things were so long ago is not to be acted on, however sure it is.
             pose = replace(pose, state=State.SUSPECT)
             self._bus.health.count("poses_too_old")
         try:
-            message = pose_to_wire(pose, header)
+            message = pose_to_wire(pose, header, now)
         except ValueError as error:
             # Not a number, not a rotation: nobody must see it, and the other objects go on.
             self._bus.health.count("poses_refused")
@@ -218,12 +303,12 @@ def correction_from_wire(message: CorrectionMessage, header: FrameHeader | None 
     )
 
 
-def pose_to_wire(pose: TrackedPose, header: FrameHeader) -> PoseMessage:
+def pose_to_wire(pose: TrackedPose, header: FrameHeader, publish_ns: int) -> PoseMessage:
     """The message of a tracked pose; the header names the camera's frame and clock."""
     translation, quaternion = optional_pose_to_wire(pose.T_cam_obj)
     linear, angular = twist_to_wire(pose.velocity)
     return PoseMessage(
-        publish_ns=now_ns(),
+        publish_ns=publish_ns,
         object=pose.object,
         instance=pose.instance,
         camera_epoch=pose.epoch,

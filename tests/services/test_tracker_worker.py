@@ -58,7 +58,7 @@ class _Bus:
     def __init__(self):
         self.health, self.log = Health("tracker"), Log("tracker")
         self.inbox = self.keys = self
-        self.frame, self.correction = "frame", "correction"
+        self.frame, self.correction, self.intake = "frame", "correction", "intake"
         self.waiting = {"frame": [], "correction": []}
         self.out = []
         self.skipped = 0
@@ -71,6 +71,9 @@ class _Bus:
 
     def frames(self):
         return self
+
+    def is_heard(self, key):
+        return False
 
     def pose(self, name, instance):
         return f"pose/{name}/{instance}"

@@ -1,4 +1,4 @@
-"""`huepose record`: what a running pipeline sees and says, into a folder, until Ctrl-C or its end."""
+"""`huepose record`: what a running pipeline sees, says and takes in, into a file, until Ctrl-C or its end."""
 
 from __future__ import annotations
 
@@ -13,8 +13,8 @@ from typing import TYPE_CHECKING, Any
 from huepose_services.cli.attach import add_choice, chosen_config
 
 if TYPE_CHECKING:
+    from huepose_services.recording.parts import Parts
     from huepose_services.recording.record import Recorder
-    from huepose_services.recording.writer import SceneWriter
 
 _NOTHING_HEARD_AFTER_S = 2.0
 
@@ -22,22 +22,43 @@ _NOTHING_HEARD_AFTER_S = 2.0
 def add_parser(subparsers: Any) -> None:
     """Add the verb."""
     parser = subparsers.add_parser("record", help="record a running pipeline: frames, poses, health")
-    parser.add_argument("out", type=Path, metavar="FOLDER", help="a new folder: a BOP scene and messages")
+    parser.add_argument("out", type=Path, metavar="FILE", help="a new file (.mcap)")
     add_choice(parser)
     parser.add_argument("--seconds", type=float, metavar="S", help="stop after so long")
     parser.add_argument("--no-frames", action="store_true", help="messages alone")
+    parser.add_argument(
+        "--jpeg", action="store_true", help="colour as JPEG: a third of the size, but not exact (no --verify)"
+    )
+    parser.add_argument(
+        "--part", type=int, default=2048, metavar="MIB", help="go on in a new file at this size (2048)"
+    )
+    parser.add_argument(
+        "--keep", type=int, metavar="MIB", help="delete the oldest files beyond this (default: none)"
+    )
+    parser.add_argument(
+        "--free", type=int, default=1024, metavar="MIB", help="end before the disk has less left (1024)"
+    )
     parser.set_defaults(call=call)
 
 
 def call(arguments: argparse.Namespace) -> int:
     """Record until it ends or is interrupted."""
-    from huepose_services.recording.record import Recorder
-    from huepose_services.recording.writer import SceneWriter
+    from huepose.support.errors import InputError
+    from huepose_services.recording.parts import Limits, Parts
+    from huepose_services.recording.record import Recorder, about_this_machine
     from huepose_services.runtime.bus import Bus
+    from huepose_services.runtime.clock import this_clock
     from huepose_services.runtime.health import Health
     from huepose_services.runtime.log import Log
     from huepose_services.runtime.session import open_reader_session
 
+    part, keep, free = arguments.part, arguments.keep, arguments.free
+    if part < 1 or free < 0 or (keep is not None and keep < part):
+        raise InputError(
+            "huepose record",
+            found=f"--part {part} --keep {keep} --free {free}",
+            expected="--part 1 or more, --keep no less than that, --free 0 or more",
+        )
     config = chosen_config(arguments)
     stopping = False
 
@@ -47,11 +68,13 @@ def call(arguments: argparse.Namespace) -> int:
 
     signal.signal(signal.SIGTERM, stop)
     signal.signal(signal.SIGINT, stop)
-    writer = SceneWriter(arguments.out)
+    limits = Limits(part << 20, None if keep is None else keep << 20, free << 20)
+    about = about_this_machine() | {"site": config.site, "camera": config.camera.name}
+    parts = Parts(arguments.out, limits, this_clock().realtime_offset_ns, about, arguments.jpeg)
     session = open_reader_session([config.endpoint(worker) for worker in config.workers])
     bus = Bus(session, config.keys, "record", Log("record"), Health("record"))
-    recorder = Recorder(bus, writer, with_frames=not arguments.no_frames)
-    progress = _Progress(recorder, writer)
+    recorder = Recorder(bus, parts, with_frames=not arguments.no_frames)
+    progress = _Progress(recorder, parts)
     code, say_at = 0, time.monotonic() + _NOTHING_HEARD_AFTER_S
     try:
         while not stopping and not recorder.finished:
@@ -70,7 +93,7 @@ def call(arguments: argparse.Namespace) -> int:
     bus.close()
     session.close()
     try:
-        writer.close()
+        parts.close()
     except OSError as error:
         print(f"\nhuepose record: {error.strerror or error}; the end is missing", file=sys.stderr)
         code = 1
@@ -81,15 +104,15 @@ def call(arguments: argparse.Namespace) -> int:
 class _Progress:
     """How much there is, in one line that is written over once a second."""
 
-    def __init__(self, recorder: Recorder, writer: SceneWriter) -> None:
-        self._recorder, self._writer = recorder, writer
+    def __init__(self, recorder: Recorder, parts: Parts) -> None:
+        self._recorder, self._parts = recorder, parts
         self._next = 0.0
         self._live = sys.stderr.isatty()
 
     def _line(self) -> str:
-        r, w = self._recorder, self._writer
-        missed = f", {r.missed} frames missed" if r.missed else ""
-        return f"{w.folder}: {w.frames} frames, {r.seconds:.1f} s, {w.bytes / 1e6:.1f} MB{missed}"
+        r, p = self._recorder, self._parts
+        missed = f", {r.missed} messages missed" if r.missed else ""
+        return f"{p.path}: {p.frames} frames, {r.seconds:.1f} s, {p.size / 1e6:.1f} MB{missed}"
 
     def show(self) -> None:
         """Draw, if it is time and anyone looks."""

@@ -1,4 +1,4 @@
-"""`huepose replay`: plays a recording back on the bus, for viewers and subscribers."""
+"""`huepose replay`: plays a recording on the bus, computes its poses again, or writes it as a BOP scene."""
 
 from __future__ import annotations
 
@@ -6,9 +6,14 @@ import argparse
 import signal
 import sys
 import time
+from collections.abc import Iterator
+from itertools import chain
 from pathlib import Path
 from types import FrameType
-from typing import Any
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from huepose_services.recording.read import Event, Recording
 
 _SETTLE_S = 1.0
 
@@ -17,24 +22,67 @@ def add_parser(subparsers: Any) -> None:
     """Add the verb."""
     parser = subparsers.add_parser(
         "replay",
-        help="play a recording back, for huepose poses, view and subscribers",
+        help="play a recording back, compute its poses again (--verify), or write it as a BOP scene (--bop)",
         description="Publishes what huepose record wrote, at its times, on the ports of a pipeline. To let a "
-        "pipeline estimate poses in the frames anew, set camera.source: bop and camera.path instead.",
+        "pipeline estimate poses in the frames anew, set camera.source: recording, or play its camera alone.",
     )
-    parser.add_argument("folder", type=Path, metavar="FOLDER")
+    parser.add_argument(
+        "files", type=Path, nargs="+", metavar="FILE", help="in their order, where there are several"
+    )
     parser.add_argument("--config", type=Path, metavar="PIPELINE", help="for names and ports")
     parser.add_argument("--speed", type=float, default=1.0, metavar="X", help="1: as it was (default)")
     parser.add_argument("--loop", action="store_true", help="again and again")
+    parser.add_argument("--only", metavar="WORKER", help="what this worker said: camera, tracker, ...")
+    instead = parser.add_mutually_exclusive_group()
+    instead.add_argument(
+        "--verify", action="store_true", help="compute the poses again and compare them bit by bit"
+    )
+    instead.add_argument("--bop", type=Path, metavar="DIR", help="write a BOP scene to a new folder instead")
+    parser.add_argument("--bundles", type=Path, metavar="DIR", help="the reference models for --verify")
     parser.set_defaults(call=call)
 
 
 def call(arguments: argparse.Namespace) -> int:
-    """Play until the end, or until interrupted."""
+    """Play until the end, or until interrupted; or verify; or export."""
+    from huepose_services.recording.read import Recording
+
+    recordings = [Recording(path) for path in arguments.files]
+    if arguments.verify:
+        return _verify(recordings, arguments.bundles)
+    if arguments.bop is not None:
+        from huepose_services.recording.export import export_bop
+
+        print(f"{arguments.bop}: {export_bop(_events(recordings), arguments.bop)} frames")
+        _say_cut(recordings)
+        return 0
+    return _play(arguments, recordings)
+
+
+def _events(recordings: list[Recording]) -> Iterator[Event]:
+    return chain.from_iterable(recording.events() for recording in recordings)
+
+
+def _say_cut(recordings: list[Recording]) -> None:
+    for recording in recordings:
+        if recording.cut:
+            print(f"{recording.path}: {recording.cut}; what came before was read", file=sys.stderr)
+
+
+def _verify(recordings: list[Recording], bundles: Path | None) -> int:
+    from huepose_services.recording.verify import verify
+
+    report = verify(recordings, bundles)
+    _say_cut(recordings)
+    print(report.text)
+    return 0 if report.steps and not report.difference else 1
+
+
+def _play(arguments: argparse.Namespace, recordings: list[Recording]) -> int:
     from huepose.support.errors import InputError
-    from huepose_services.recording.replay import Player, Recording
+    from huepose_services.recording.play import Player
     from huepose_services.runtime.bus import Bus
     from huepose_services.runtime.clock import SECOND, now_ns
-    from huepose_services.runtime.config import Config, load
+    from huepose_services.runtime.config import WORKERS, Config, load
     from huepose_services.runtime.health import Health
     from huepose_services.runtime.log import Log
     from huepose_services.runtime.running import described, noted
@@ -42,7 +90,9 @@ def call(arguments: argparse.Namespace) -> int:
 
     if not 0.05 <= arguments.speed <= 20.0:
         raise InputError("--speed", found=f"{arguments.speed:g}", expected="0.05 to 20")
-    recording = Recording(arguments.folder)
+    only = arguments.only
+    if only is not None and only not in WORKERS:
+        raise InputError("--only", found=only, expected=f"one of {', '.join(WORKERS)}")
     config = Config() if arguments.config is None else load(arguments.config)
     stopping = False
 
@@ -50,26 +100,32 @@ def call(arguments: argparse.Namespace) -> int:
         nonlocal stopping
         stopping = True
 
+    def player() -> Player:
+        return Player(_events(recordings), bus, now_ns(), arguments.speed, only)
+
     signal.signal(signal.SIGTERM, stop)
     signal.signal(signal.SIGINT, stop)
-    session = open_player_session(config)
+    session = open_player_session(config, config.workers if only is None else [only])
     bus = Bus(session, config.keys, "replay", Log("replay"), Health("replay"))
-    token = session.liveliness().declare_token(config.keys.live("replay"))
-    print(f"{arguments.folder}: {recording.seconds:.1f} s, {len(recording.events)} events", file=sys.stderr)
-    with noted(described(config, arguments.config or arguments.folder)):
+    token = session.liveliness().declare_token(config.keys.live(only or "replay"))
+    with noted(described(config, arguments.config or arguments.files[0])):
         # Who waits for a pipeline needs a moment to connect.
         time.sleep(_SETTLE_S)
         again = True
         while again and not stopping:
-            player = Player(recording, bus, now_ns(), arguments.speed)
-            while not player.finished and not stopping:
-                wait_s = (player.due_ns() - now_ns()) / SECOND
+            playing, played = player(), 0
+            while not playing.finished and not stopping:
+                wait_s = (playing.due_ns() - now_ns()) / SECOND
                 if wait_s > 0:
                     time.sleep(min(wait_s, 0.1))
                 else:
-                    player.play()
+                    playing.play()
+                    played += 1
+            if not played and not stopping:
+                raise InputError(arguments.files[0], found="nothing to play", expected="messages")
             again = arguments.loop
         time.sleep(_SETTLE_S / 4.0)
+    _say_cut(recordings)
     token.undeclare()
     bus.close()
     session.close()

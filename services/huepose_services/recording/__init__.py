@@ -1,1 +1,1 @@
-"""Recordings of a running pipeline: what it saw and said, as a BOP scene with its messages beside it."""
+"""Recordings of a running pipeline as MCAP: what it saw, said and took in; played and computed again."""

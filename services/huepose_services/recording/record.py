@@ -1,51 +1,70 @@
-"""Listens to a running pipeline and writes what it hears, until the camera is opened anew or the end."""
+"""Listens to a running pipeline and writes what it hears, until the pipeline's end."""
 
 from __future__ import annotations
 
+import platform
 import time
+from importlib.metadata import PackageNotFoundError, version
 
+import msgspec
+
+from huepose.support.errors import InputError
 from huepose_protos import WireError
 from huepose_protos.buffers import frame_images
-from huepose_protos.messages import (
-    CameraMessage,
-    FrameHeader,
-    HealthMessage,
-    Message,
-    ObjectsMessage,
-    PoseMessage,
-    TruthMessage,
-)
-from huepose_services.recording.writer import SceneWriter
+from huepose_protos.client import kind_of
+from huepose_protos.messages import FrameHeader, MemoryMessage, Message
+from huepose_services import models
+from huepose_services.recording.parts import Parts
 from huepose_services.runtime.bus import Bus, Place
+from huepose_services.runtime.config import Config
 
-_COMMIT_EVERY_S = 1.0
-# Writing the list of all frames grows with the recording; it may take this share of the time.
-_COMMIT_SHARE = 0.03
 _GONE_AFTER_S = 1.0
+_FRAMES_WAITING = 128
+"""Frames that a slow disk may leave waiting, 190 MB at 640 x 480."""
+_PACKAGES = ("huepose", "numpy", "numba", "opencv-python-headless")
+
+
+def about_this_machine() -> dict[str, str]:
+    """What poses may depend on in their last bits."""
+    about = {"python": platform.python_version(), "machine": platform.machine(), "cpu": _cpu()}
+    return about | {name: _version(name) for name in _PACKAGES}
+
+
+def _version(package: str) -> str:
+    try:
+        return version(package)
+    except PackageNotFoundError:
+        return "not installed"
+
+
+def _cpu() -> str:
+    try:
+        with open("/proc/cpuinfo") as file:
+            return next(line.split(":")[1].strip() for line in file if line.startswith("model name"))
+    except (OSError, StopIteration, IndexError):
+        return platform.processor() or "unknown"
 
 
 class Recorder:
-    """One recording. `finished` says why it is over: the camera was opened anew, or the pipeline is gone."""
+    """One recording. `finished` says why it is over: the pipeline is gone."""
 
-    def __init__(self, bus: Bus, writer: SceneWriter, with_frames: bool) -> None:
-        self._bus, self._writer = bus, writer
+    def __init__(self, bus: Bus, parts: Parts, with_frames: bool) -> None:
+        self._bus, self._parts = bus, parts
         keys, inbox = bus.keys, bus.inbox
-        self._frames = bus.frames() if with_frames else None
-        kinds: list[tuple[str, type[Message]]] = [
-            (keys.poses, PoseMessage),
-            (keys.truth, TruthMessage),
-            (keys.objects, ObjectsMessage),
-            (keys.camera_info, CameraMessage),
-            (keys.health(), HealthMessage),
-        ]
+        # Frames first: what the tracker took in then comes after the frame that it took.
+        self._frames = inbox.queue(keys.frame, capacity=_FRAMES_WAITING) if with_frames else None
+        said = (
+            *(keys.truth, keys.camera_info, keys.request, keys.estimates, keys.correction, keys.objects),
+            *(keys.poses, keys.health()),
+            *((keys.intake, keys.memory) if with_frames else ()),
+        )
         self._queues: list[tuple[Place, type[Message]]] = [
-            (inbox.queue(key, wakes=False), kind) for key, kind in kinds
+            (inbox.queue(key, wakes=False), kind) for key in said if (kind := kind_of(key)) is not None
         ]
         self._live = inbox.liveliness(keys.live())
         self._there: set[str] = set()
         self._gone_since: float | None = None
-        self._epoch: int | None = None
-        self._next_commit = time.monotonic() + _COMMIT_EVERY_S
+        self._digests: dict[str, str] = {}
         self.finished = ""
         self.first_ns: int | None = None
         self.last_ns = 0
@@ -57,29 +76,22 @@ class Recorder:
 
     @property
     def missed(self) -> int:
-        """Frames that came and were not written."""
-        return self._writer.dropped + (0 if self._frames is None else self._frames.skipped)
+        """Messages, most of them frames, that came and were not written."""
+        return self._bus.inbox.drops
 
     def step(self) -> None:
-        """Write what arrived."""
-        for place, kind in self._queues:
-            while (message := self._bus.take(place, kind)) is not None:
-                self._take(message)
-        if self._frames is not None:
+        """Write what arrived. Raises OSError for a full disk."""
+        while self._frames is not None:
             taken = self._bus.take_with_payload(self._frames, FrameHeader)
-            if taken is not None and self._is_same_camera(taken[0].camera_epoch):
-                self._frame(*taken)
+            if taken is None:
+                break
+            self._frame(*taken)
+            self._parts.commit()
+        for place, kind in self._queues:
+            while (said := self._bus.take_with_key(place, kind)) is not None:
+                self._said(*said)
+        self._parts.commit()
         self._look_who_is_there()
-        if time.monotonic() >= self._next_commit:
-            took = self._writer.commit()
-            self._next_commit = time.monotonic() + max(_COMMIT_EVERY_S, took / _COMMIT_SHARE)
-
-    def _is_same_camera(self, epoch: int) -> bool:
-        if self._epoch is None:
-            self._epoch = epoch
-        if epoch != self._epoch:
-            self.finished = "the camera was opened anew: frames are counted from the start again"
-        return epoch == self._epoch
 
     def _frame(self, header: FrameHeader, payload: bytes) -> None:
         try:
@@ -87,23 +99,26 @@ class Recorder:
         except WireError as error:
             self._bus.refuse(self._bus.keys.frame, error)
             return
-        self._writer.frame(header, color, depth)
-        self._saw(header.capture_ns)
+        self._parts.frame(header, color, depth, self._bus.keys.frame)
+        self._saw(header.publish_ns)
 
-    def _take(self, message: Message) -> None:
-        keys = self._bus.keys
-        if isinstance(message, PoseMessage):
-            if not self._is_same_camera(message.camera_epoch):
-                return
-            key = keys.pose(message.object, message.instance)
-        elif isinstance(message, HealthMessage):
-            key = keys.health(message.worker)
-        elif isinstance(message, TruthMessage):
-            key = keys.truth
-        else:
-            key = keys.objects if isinstance(message, ObjectsMessage) else keys.camera_info
-        self._writer.message(key, message)
+    def _said(self, key: str, message: Message) -> None:
+        if isinstance(message, MemoryMessage):
+            self._note_models(message)
+        self._parts.message(key, message)
         self._saw(message.publish_ns)
+
+    def _note_models(self, message: MemoryMessage) -> None:
+        """Who computes the poses again needs the same reference models."""
+        fresh = [name for name in message.objects if name not in self._digests]
+        if fresh:
+            try:
+                config = msgspec.json.decode(message.config, type=Config)
+                self._digests |= models.digests(config, fresh)
+            except (msgspec.MsgspecError, InputError) as error:
+                self._digests |= dict.fromkeys(fresh, "")
+                self._bus.log.warn(f"reference models are not noted: {error}")
+            self._parts.note("models", self._digests)
 
     def _saw(self, stamp_ns: int) -> None:
         self.first_ns = stamp_ns if self.first_ns is None else min(self.first_ns, stamp_ns)

@@ -59,10 +59,16 @@ class Bus:
 
     def take(self, place: Place, kind: type[M]) -> M | None:
         """The next good message there, or None."""
+        said = self.take_with_key(place, kind)
+        return None if said is None else said[1]
+
+    def take_with_key(self, place: Place, kind: type[M]) -> tuple[str, M] | None:
+        """The same, with the key that it came under."""
         while (sample := place.take()) is not None:
-            message = self._decoded(str(sample.key_expr), sample.payload.to_bytes(), kind)
+            key = str(sample.key_expr)
+            message = self._decoded(key, sample.payload.to_bytes(), kind)
             if message is not None:
-                return message
+                return key, message
         return None
 
     def _decoded(self, key: str, data: bytes, kind: type[M]) -> M | None:
@@ -118,6 +124,18 @@ class Bus:
         """Publish a message that may be lost on a reader that does not read, but waits for nobody."""
         drop = zenoh.CongestionControl.DROP
         self._publisher(key, drop, zenoh.Priority.REAL_TIME, True).put(encode(message))
+
+    def put_aside(self, key: str, message: Message) -> None:
+        """Publish a message that is in no hurry: others go before it."""
+        self._aside(key).put(encode(message))
+
+    def is_heard(self, key: str) -> bool:
+        """Whether anybody listens to what `put_aside` publishes there."""
+        status: Any = self._aside(key).matching_status  # zenoh's stubs take it for a bool
+        return bool(status.matching)
+
+    def _aside(self, key: str) -> zenoh.Publisher:
+        return self._publisher(key, zenoh.CongestionControl.DROP, zenoh.Priority.DATA, False)
 
     def put_control(self, key: str, message: Message) -> None:
         """Publish a message that must arrive, before all others."""

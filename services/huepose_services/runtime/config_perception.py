@@ -46,7 +46,7 @@ class CameraConfig(Section, frozen=True, kw_only=True):
     """Where frames come from, and when."""
 
     name: Name = "cam0"
-    source: Literal["synthetic", "bop", "fast_ycb", "realsense", "oak", "python"] = "synthetic"
+    source: Literal["synthetic", "bop", "fast_ycb", "recording", "realsense", "oak", "python"] = "synthetic"
     path: str | None = None
     seed: Annotated[int, Meta(ge=0)] = 0
     rate: Rate | Literal["recorded"] = 30.0
@@ -128,6 +128,8 @@ def check_camera(camera: CameraConfig, refuse: Refuse) -> None:
         refuse("camera.path", "null", "the folder of the recording", "Set it to the scene's folder.")
     if source == "python" and camera.path is None:
         refuse("camera.path", "null", "a Python file with a function frames()", "docs/cameras.md has one.")
+    if source == "recording" and camera.path is None:
+        refuse("camera.path", "null", "a file of `huepose record`", "Set it to the .mcap file.")
     if (live or source == "synthetic") and camera.rate == "recorded":
         refuse("camera.rate", "recorded", f"frames per second with the source {source}", "Set it to 30.")
     if live and (camera.once or camera.truth):

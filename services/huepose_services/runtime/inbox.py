@@ -54,15 +54,18 @@ class Ring:
 class Queue:
     """All samples of a subscription in order; `lost` counts what a stuck loop made it drop."""
 
-    def __init__(self, ready: threading.Condition, wakes: bool = True) -> None:
+    def __init__(
+        self, ready: threading.Condition, wakes: bool = True, capacity: int = _QUEUE_CAPACITY
+    ) -> None:
         self._ready = ready
         self._wakes = wakes
+        self._capacity = capacity
         self._samples: deque[zenoh.Sample] = deque()
         self.lost = 0
 
     def _put(self, sample: zenoh.Sample) -> None:
         with self._ready:
-            if len(self._samples) >= _QUEUE_CAPACITY:
+            if len(self._samples) >= self._capacity:
                 self._samples.popleft()
                 self.lost += 1
             self._samples.append(sample)
@@ -96,9 +99,9 @@ class Inbox:
         self._start(self._session.declare_subscriber(key, channel), ring)
         return ring
 
-    def queue(self, key: str, wakes: bool = True) -> Queue:
-        """Subscribe for everything."""
-        queue = Queue(self._ready, wakes)
+    def queue(self, key: str, wakes: bool = True, capacity: int = _QUEUE_CAPACITY) -> Queue:
+        """Subscribe for everything; the oldest of more than `capacity` samples that wait is lost."""
+        queue = Queue(self._ready, wakes, capacity)
         self._start(self._session.declare_subscriber(key, zenoh.handlers.FifoChannel(256)), queue)
         return queue
 

@@ -26,6 +26,8 @@ MIB = 1024 * 1024
 # What zenoh locks beside a pool, and for the links (measured with zenoh 1.10).
 _POOL_OVERHEAD = 1280 * 1024
 _LINK_OVERHEAD = 24 * 1024
+# Of 64 KiB, for each priority that is used; the most that zenoh allows.
+_BATCHES = 16
 FRAME_WORKERS = ("camera", "tracker", "detector", "viewer")
 
 
@@ -86,6 +88,9 @@ def zenoh_config(
         # Do not wait half a second for peers that may not be there yet.
         "open/return_conditions/connect_scouted": False,
         "transport/link/rx/max_message_size": 64 * MIB,
+        # A process that has to wait for its turn must not lose what is said meanwhile: the default of two
+        # batches overflows with the poses of one frame.
+        "transport/link/tx/queue/size": {"real_time": _BATCHES, "data": _BATCHES},
         "transport/shared_memory/enabled": shared_memory,
         "transport/shared_memory/transport_optimization/enabled": pool_bytes > 0,
     }
@@ -144,16 +149,16 @@ def open_reader_session(endpoints: Sequence[str]) -> zenoh.Session:
     return zenoh.open(zenoh_config([], endpoints))
 
 
-def open_player_session(config: Config) -> zenoh.Session:
-    """A session in the place of a whole pipeline: it listens on the ports of all of its workers, so that who
-    looks for one of them finds it. Raises InputError when one of them is taken."""
+def open_player_session(config: Config, workers: Sequence[str]) -> zenoh.Session:
+    """A session in the place of these workers of a pipeline: it listens on their ports, so that who looks for
+    one of them finds it. Raises InputError when one of them is taken."""
     make_folder()
     try:
-        return zenoh.open(zenoh_config([config.endpoint(worker) for worker in config.workers], []))
+        return zenoh.open(zenoh_config([config.endpoint(worker) for worker in workers], []))
     except zenoh.ZError as error:
         raise InputError(
             f"ports from {config.bus.base_port}",
-            found=_holder(config, config.workers[0], error),
+            found=_holder(config, workers[0], error),
             expected="that nobody listens there",
             fix="Stop the other pipeline, or give --config with another bus.base_port.",
         ) from None

@@ -1,0 +1,159 @@
+"""All that a tracker believes as plain values, and back: another tracker goes on from there, bit by bit.
+
+Frames are named, not copied: they are large, and who goes on has them. Only the classes below are made again,
+without calling anything of them: a file with such values can do nothing.
+"""
+
+from __future__ import annotations
+
+import math
+import zlib
+from collections import deque
+from collections.abc import Callable, Iterator
+from enum import Enum
+from typing import Any
+
+import numpy as np
+
+from huepose.geometry.frame import RgbdFrame
+from huepose.judge.terms import Terms
+from huepose.support.errors import InputError
+from huepose.tracking.catching_up import Pursuit
+from huepose.tracking.config import TrackerConfig
+from huepose.tracking.evidence import Standing
+from huepose.tracking.history import Entry, FrameHistory, PoseHistory, _Stretch
+from huepose.tracking.hypothesis import Hypothesis
+from huepose.tracking.identity import Identity
+from huepose.tracking.step import Subject
+from huepose.tracking.track import Track
+from huepose.tracking.tracker import Tracker
+from huepose.tracking.types import Correction, State, Verdict
+
+_CLASSES: dict[str, type] = {
+    one.__name__: one
+    for one in (
+        *(Correction, Entry, FrameHistory, Hypothesis, Identity, PoseHistory),
+        *(Pursuit, Standing, Terms, Track, _Stretch),
+    )
+}
+_ENUMS: dict[str, type[Enum]] = {"State": State, "Verdict": Verdict}
+_DTYPES = ("<f8", "<f4", "<i8", "<i4", "|u1", "|b1")
+# What a tracker is made with, beside what it learns.
+_GIVEN = ("config", "_relative_pose", "_subjects")
+
+FrameOf = Callable[[int, int], RgbdFrame | None]
+
+
+def told(tracker: Tracker) -> dict[str, Any]:
+    """What the tracker believes: None, numbers, text, bytes, lists, and dicts by text."""
+    names = {id(subject): name for name, subject in tracker._subjects.items()}
+    return {name: _plain(value, names) for name, value in vars(tracker).items() if name not in _GIVEN}
+
+
+def frames_of(memory: Any) -> Iterator[tuple[int, int]]:
+    """(epoch, frame_id) of the frames that are named in what `told` gave."""
+    if isinstance(memory, dict):
+        if isinstance(memory.get("frame"), list):
+            epoch, frame_id = memory["frame"]
+            yield epoch, frame_id
+        memory = list(memory.values())
+    if isinstance(memory, list):
+        for one in memory:
+            yield from frames_of(one)
+
+
+def taken_over(tracker: Tracker, memory: Any, frame_of: FrameOf) -> None:
+    """Make a tracker of the same objects and settings believe it; frame_of: from epoch and frame_id to the
+    frame. Raises InputError for values that are no tracker's memory, or name a frame that is not there."""
+    learnt = [name for name in vars(tracker) if name not in _GIVEN]
+    try:
+        restored = {name: _restored(memory[name], tracker, frame_of) for name in learnt}
+    except (KeyError, TypeError, ValueError, AttributeError, IndexError, RecursionError) as error:
+        raise InputError(
+            "the tracker's memory",
+            found=f"{type(error).__name__}: {error}"[:200],
+            expected="what a tracker of this version believes",
+        ) from None
+    vars(tracker).update(restored)
+
+
+def checksum(tracker: Tracker) -> int:
+    """CRC-32 of where everything is believed to be, and how sure that is."""
+    crc = 0
+    tracks = [*tracker._tracks.values(), *(pursuit.track for pursuit in tracker._pursuits.values())]
+    for track in tracks:
+        for h in track.hypotheses:
+            crc = zlib.crc32(np.append(h.T_cam_obj, h.log_odds).tobytes(), crc)
+        crc = zlib.crc32(np.array((track.evidence, track.quality)).tobytes(), crc)
+    return crc
+
+
+def _plain(value: Any, names: dict[int, str]) -> Any:
+    match value:
+        case Enum():
+            return {"enum": type(value).__name__, "value": value.value}
+        case np.ndarray() | np.generic():
+            array = np.asarray(value)
+            columns = array.ndim > 1 and array.flags.f_contiguous and not array.flags.c_contiguous
+            return {
+                "array": array.tobytes("F" if columns else "C"),
+                "dtype": array.dtype.str,
+                "shape": list(array.shape),
+                # How numbers lie in memory decides in which order they are added up.
+                "order": "F" if columns else "C",
+                "scalar": isinstance(value, np.generic),
+            }
+        case None | bool() | int() | float() | str():
+            return value
+        case RgbdFrame():
+            return {"frame": [value.epoch, value.frame_id]}
+        case Subject():
+            return {"subject": names[id(value)]}
+        case TrackerConfig():
+            return {"config": True}
+        case dict():
+            return {"dict": [[_plain(k, names), _plain(v, names)] for k, v in value.items()]}
+        case list() | tuple() | deque():
+            return {type(value).__name__: [_plain(one, names) for one in value]}
+    if type(value) is not _CLASSES.get(type(value).__name__):
+        raise TypeError(f"a tracker remembers a {type(value).__name__}, which memory.py does not know")
+    return {"class": type(value).__name__, "has": {k: _plain(v, names) for k, v in vars(value).items()}}
+
+
+def _restored(plain: Any, tracker: Tracker, frame_of: FrameOf) -> Any:
+    def each(values: list[Any]) -> Iterator[Any]:
+        return (_restored(one, tracker, frame_of) for one in values)
+
+    match plain:
+        case None | bool() | int() | float() | str():
+            return plain
+        case {"enum": str(kind), "value": value}:
+            return _ENUMS[kind](value)
+        case {"array": bytes(data), "dtype": str(dtype), "shape": [*shape], "order": "F" | "C" as order}:
+            if dtype not in _DTYPES or math.prod(shape) * np.dtype(dtype).itemsize != len(data):
+                raise ValueError(f"an array of {dtype} {shape} in {len(data)} bytes")
+            array = np.frombuffer(data, dtype).reshape(shape, order=order).copy(order)
+            return array[()] if plain["scalar"] else array
+        case {"frame": [epoch, frame_id]}:
+            frame = frame_of(epoch, frame_id)
+            if frame is None:
+                raise ValueError(f"frame {frame_id} of epoch {epoch} is not there")
+            return frame
+        case {"subject": str(name)}:
+            return tracker._subjects[name]
+        case {"config": True}:
+            return tracker.config
+        case {"dict": [*pairs]}:
+            return {k: v for k, v in (tuple(each(pair)) for pair in pairs)}
+        case {"list": [*values]}:
+            return list(each(values))
+        case {"tuple": [*values]}:
+            return tuple(each(values))
+        case {"deque": [*values]}:
+            return deque(each(values))
+        case {"class": str(name), "has": dict(attributes)}:
+            made: Any = object.__new__(_CLASSES[name])
+            for attribute, value in attributes.items():
+                object.__setattr__(made, attribute, _restored(value, tracker, frame_of))
+            return made
+    raise ValueError(f"{str(plain)[:60]}")

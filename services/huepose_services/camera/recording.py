@@ -1,0 +1,86 @@
+"""A recording of `huepose record` as a camera."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from huepose.datasets.types import GroundTruth, Sample, Scene
+from huepose.geometry import RgbdFrame
+from huepose.support.errors import InputError
+from huepose_protos.messages import FrameHeader, TruthMessage
+from huepose_services.convert import box_from_wire, frame_from_wire, optional_pose_from_wire
+from huepose_services.recording.read import Recording
+from huepose_services.runtime.config import Config
+
+_Key = tuple[int, int]
+
+
+def open_source(config: Config) -> Scene:
+    """The frames of the file `camera.path`."""
+    assert config.camera.path is not None  # the configuration was checked
+    return RecordedScene(Path(config.camera.path))
+
+
+class RecordedScene:
+    """Frames by their places in the file, from 0; one that was shown again counts once. Raises InputError for
+    a file without frames."""
+
+    def __init__(self, path: Path) -> None:
+        self.name = path.stem
+        self._recording = Recording(path)
+        self._frames: list[FrameHeader] = []
+        self._places: list[int] = []
+        self._truths: dict[_Key, TruthMessage] = {}
+        self._near: dict[_Key, RgbdFrame] = {}
+        seen: set[_Key] = set()
+        for place, chunk in self._recording.chunks():
+            for event in self._recording.inside(chunk, pixels=False):
+                message = event.message
+                if isinstance(message, FrameHeader) and _key(message) not in seen:
+                    seen.add(_key(message))
+                    self._frames.append(message)
+                    self._places.append(place)
+                elif isinstance(message, TruthMessage):
+                    self._truths[_key(message)] = message
+        if not self._frames:
+            raise InputError(path, found="no frame", expected="a recording with frames")
+        self.image_ids = tuple(range(len(self._frames)))
+
+    def stamp_ns(self, image: int) -> int:
+        """When it was captured."""
+        return self._frames[image].capture_ns
+
+    def frame(self, image: int) -> RgbdFrame:
+        """Colour and depth."""
+        key = _key(self._frames[image])
+        if key not in self._near:
+            chunk = self._recording.chunk(self._places[image])
+            self._near = {
+                _key(event.message): frame_from_wire(event.message, event.payload)
+                for event in self._recording.inside(chunk)
+                if isinstance(event.message, FrameHeader)
+            }
+        return self._near[key]
+
+    def truths(self, image: int) -> tuple[GroundTruth, ...]:
+        """Where everything was, as the recorded camera said."""
+        said = self._truths.get(_key(self._frames[image]))
+        return tuple(
+            GroundTruth(
+                instance=o.instance,
+                T_cam_obj=optional_pose_from_wire(o.translation, o.quaternion),
+                object_id=o.object_id,
+                object=o.object,
+                visib_fract=o.visib_fract,
+                box_visib=None if o.box is None else box_from_wire(o.box),
+            )
+            for o in ([] if said is None else said.objects)
+        )
+
+    def sample(self, image: int) -> Sample:
+        """Frame and truth."""
+        return Sample(self.frame(image), self.truths(image), self.name, image)
+
+
+def _key(message: FrameHeader | TruthMessage) -> _Key:
+    return message.camera_epoch, message.frame_id

@@ -1,0 +1,105 @@
+"""A recording as a BOP scene: `rgb`, `depth`, `scene_camera.json`, where the truth is known `scene_gt.json`
+and `scene_gt_info.json`, and its poses in `poses.jsonl`."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterable
+from pathlib import Path
+from typing import Any
+
+import cv2
+import msgspec
+import numpy as np
+
+from huepose.geometry import se3
+from huepose.support.errors import InputError
+from huepose.support.files import write_text
+from huepose_protos import to_json
+from huepose_protos.buffers import frame_images
+from huepose_protos.messages import FrameHeader, PoseMessage, TruthMessage
+from huepose_services.recording.read import Event
+
+_PNG = [cv2.IMWRITE_PNG_COMPRESSION, 1]
+
+
+def export_bop(events: Iterable[Event], folder: Path) -> int:
+    """Write them to a new or empty folder; returns the number of frames. Frames keep their numbers; those of
+    a camera that was opened anew go on counting. Truths without BOP numbers are left out.
+
+    Raises InputError for a folder that has something in it."""
+    if folder.exists() and (not folder.is_dir() or any(folder.iterdir())):
+        raise InputError(folder, found="something there", expected="a new or empty folder")
+    for name in ("rgb", "depth"):
+        (folder / name).mkdir(parents=True)
+    cameras: dict[str, Any] = {}
+    truths: dict[str, list[Any]] = {}
+    details: dict[str, list[Any]] = {}
+    numbers = _Numbers()
+    with (folder / "poses.jsonl").open("w") as poses:
+        for event in events:
+            message = event.message
+            if not isinstance(message, FrameHeader | PoseMessage | TruthMessage):
+                continue
+            number = numbers.of(message.camera_epoch, message.frame_id)
+            if isinstance(message, FrameHeader):
+                if str(number) not in cameras:
+                    _write_images(folder, number, message, event.payload)
+                    cameras[str(number)] = _camera(message)
+            elif isinstance(message, PoseMessage):
+                poses.write(to_json(msgspec.structs.replace(message, frame_id=number)) + "\n")
+            elif all(o.object_id is not None and o.translation is not None for o in message.objects):
+                truths[str(number)], details[str(number)] = _labels(message)
+    write_text(folder / "scene_camera.json", json.dumps(cameras))
+    if truths:
+        for name, values in (("scene_gt.json", truths), ("scene_gt_info.json", details)):
+            write_text(folder / name, json.dumps({n: v for n, v in values.items() if n in cameras}))
+    return len(cameras)
+
+
+class _Numbers:
+    """Numbers of images: those of frames, moved on where a camera's epoch begins."""
+
+    def __init__(self) -> None:
+        self._offsets: dict[int, int] = {}
+        self._next = 0
+
+    def of(self, epoch: int, frame_id: int) -> int:
+        """The number of the image of a frame."""
+        number = self._offsets.setdefault(epoch, self._next) + frame_id
+        self._next = max(self._next, number + 1)
+        return number
+
+
+def _write_images(folder: Path, number: int, header: FrameHeader, payload: bytes) -> None:
+    color, depth = frame_images(header, payload)
+    for name, image in (("rgb", cv2.cvtColor(color, cv2.COLOR_RGB2BGR)), ("depth", depth)):
+        (folder / name / f"{number:06d}.png").write_bytes(cv2.imencode(".png", image, _PNG)[1].tobytes())
+
+
+def _camera(header: FrameHeader) -> dict[str, Any]:
+    i = header.intrinsics
+    return {
+        "cam_K": [i.fx, 0.0, i.cx, 0.0, i.fy, i.cy, 0.0, 0.0, 1.0],
+        # Millimetres for one step of depth.
+        "depth_scale": i.depth_scale_m * 1000.0,
+        "timestamp_ns": header.capture_ns,
+    }
+
+
+def _labels(message: TruthMessage) -> tuple[list[Any], list[Any]]:
+    labels, details = [], []
+    for o in sorted(message.objects, key=lambda one: one.instance):
+        assert o.translation is not None
+        assert o.quaternion is not None
+        rotation = se3.rotation_from_quaternion(np.array(o.quaternion))
+        labels.append(
+            {
+                "cam_R_m2c": rotation.ravel().tolist(),
+                "cam_t_m2c": [1000.0 * v for v in o.translation],
+                "obj_id": o.object_id,
+            }
+        )
+        box = [-1, -1, -1, -1] if o.box is None else list(o.box)
+        details.append({"visib_fract": o.visib_fract, "bbox_visib": box})
+    return labels, details

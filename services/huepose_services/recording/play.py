@@ -1,0 +1,109 @@
+"""Plays a recording back on the bus: frames, poses and messages at their times, as if the pipeline ran.
+
+Stamps are moved to now, together, so that ages and intervals are those of the recording. `huepose poses`,
+`view` and every subscriber take it for a pipeline; each camera epoch of each pass has a number of its own.
+"""
+
+from __future__ import annotations
+
+import heapq
+import secrets
+from collections.abc import Iterable, Iterator
+from typing import Any
+
+import msgspec
+
+from huepose_protos.keys import tail_of
+from huepose_protos.messages import FrameHeader, IntakeMessage, MemoryMessage, Message
+from huepose_services.recording.read import Event
+from huepose_services.runtime.bus import Bus
+from huepose_services.runtime.clock import SECOND, this_clock
+
+_REORDER_NS = SECOND // 2
+_SAID_BY = {
+    **dict.fromkeys(("frame", "camera", "truth"), "camera"),
+    **dict.fromkeys(("pose", "tracker"), "tracker"),
+    **dict.fromkeys(("objects", "correction"), "reinit"),
+}
+_PERCEPTION = {"request": "reinit", "estimates": "estimator"}
+
+
+def said_by(key: str) -> str:
+    """The worker that says what comes under a key.
+
+    >>> said_by("huepose/lab/cam0/pose/mug/0"), said_by("huepose/lab/cam0/health/camera")
+    ('tracker', 'camera')
+    """
+    head, *rest = tail_of(key).split("/")
+    if head == "health":
+        return rest[-1] if rest else ""
+    return _PERCEPTION.get(rest[-1], "") if head == "perception" and rest else _SAID_BY.get(head, "")
+
+
+def in_order(events: Iterable[Event]) -> Iterator[Event]:
+    """Events by the times at which they were said; they are written only nearly so."""
+    waiting: list[tuple[int, int, Event]] = []
+    for number, event in enumerate(events):
+        stamp_ns = event.message.publish_ns
+        heapq.heappush(waiting, (stamp_ns, number, event))
+        while waiting and waiting[0][0] < stamp_ns - _REORDER_NS:
+            yield heapq.heappop(waiting)[2]
+    while waiting:
+        yield heapq.heappop(waiting)[2]
+
+
+class Player:
+    """One pass through a recording. Ask `due_ns`, then call `play`.
+
+    only: the worker whose messages are played; None: all."""
+
+    def __init__(
+        self, events: Iterable[Event], bus: Bus, start_ns: int, speed: float, only: str | None = None
+    ) -> None:
+        said = (event for event in events if not isinstance(event.message, IntakeMessage | MemoryMessage))
+        self._events = (event for event in in_order(said) if only in (None, said_by(event.key)))
+        self._bus, self._speed, self._start_ns = bus, speed, start_ns
+        self._epochs: dict[int, int] = {}
+        self._next = next(self._events, None)
+        self._first_ns = 0 if self._next is None else self._next.message.publish_ns
+
+    @property
+    def finished(self) -> bool:
+        """Whether all was played."""
+        return self._next is None
+
+    def due_ns(self) -> int:
+        """When the next event is due."""
+        return self._start_ns if self._next is None else self._moved(self._next.message.publish_ns)
+
+    def _moved(self, stamp_ns: int) -> int:
+        return self._start_ns + round((stamp_ns - self._first_ns) / self._speed)
+
+    def play(self) -> None:
+        """Publish the next event."""
+        event = self._next
+        if event is None:
+            return
+        self._next = next(self._events, None)
+        key, message = self._bus.keys.of_tail(tail_of(event.key)), self._now(event.message)
+        if isinstance(message, FrameHeader):
+            self._bus.put_pixels(key, message, event.payload)
+        else:
+            self._bus.put(key, message)
+
+    def _now(self, message: Message) -> Message:
+        """The message with its stamps moved, on this machine's clock and of this pass's camera."""
+        changes: dict[str, Any] = {"publish_ns": self._moved(message.publish_ns)}
+        capture_ns = getattr(message, "capture_ns", None)
+        if capture_ns is not None:
+            # The age is kept, at any speed.
+            changes["capture_ns"] = changes["publish_ns"] - (message.publish_ns - capture_ns)
+        epoch = getattr(message, "camera_epoch", None)
+        if epoch is not None:
+            changes["camera_epoch"] = self._epochs.setdefault(epoch, secrets.randbits(62))
+        clock = this_clock()
+        if hasattr(message, "clock"):
+            changes["clock"] = clock
+        if hasattr(message, "clock_id"):
+            changes |= {"clock_id": clock.clock_id, "realtime_offset_ns": clock.realtime_offset_ns}
+        return msgspec.structs.replace(message, **changes)

@@ -1,0 +1,371 @@
+"""Computes the poses of a recording again, and compares them bit by bit.
+
+It is the tracker worker itself that runs, on a bus that gives what the recording says it took, step by step,
+and on a clock that shows what it read then. It begins with the first memory of the tracker all of whose
+frames are in the recording; after a step that is missing it begins again with the next.
+"""
+
+from __future__ import annotations
+
+import heapq
+import io
+from collections.abc import Iterator
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any, cast
+
+import cv2
+import msgspec
+
+from huepose.geometry import RgbdFrame
+from huepose.model import ReferenceModel, load_models
+from huepose.support.errors import InputError
+from huepose.tracking.memory import frames_of
+from huepose_protos import WireError, encode
+from huepose_protos.keys import Keys
+from huepose_protos.messages import (
+    CorrectionMessage,
+    FrameHeader,
+    IntakeMessage,
+    MemoryMessage,
+    Message,
+    PoseMessage,
+)
+from huepose_services import models
+from huepose_services.convert import frame_from_wire
+from huepose_services.following import Change, Follower
+from huepose_services.recording.read import Event, Recording
+from huepose_services.recording.record import about_this_machine
+from huepose_services.runtime.bus import Bus
+from huepose_services.runtime.config import Config
+from huepose_services.runtime.health import Health
+from huepose_services.runtime.log import Log
+from huepose_services.tracker import TrackerWork, tracker_of
+
+_LAG = 60
+"""Messages of the tracker that are held back, so that frames and poses written a little later are there."""
+_FRAMES = 256
+"""Frames that are kept: more than a tracker remembers."""
+
+_FrameKey = tuple[int, int]
+_Pixels = tuple[FrameHeader, bytes]
+_PoseKey = tuple[str, int, int]
+
+
+@dataclass
+class Report:
+    """What came of it. `difference`: where the first one is, and in what; empty: there is none."""
+
+    steps: int = 0
+    skipped: int = 0
+    poses: int = 0
+    unrecorded: int = 0
+    memories: int = 0
+    gaps: list[str] = field(default_factory=list)
+    difference: str = ""
+
+    @property
+    def text(self) -> str:
+        """In words."""
+        lines = [
+            f"{self.steps} steps of the tracker computed again: {self.poses} poses and {self.memories} times "
+            "all that it believed are the same, bit by bit"
+        ]
+        if self.difference:
+            lines[0] += f", then not: {self.difference}"
+        if self.skipped:
+            lines.append(f"{self.skipped} steps were not: there was no memory of the tracker to begin from")
+        lines += [f"a gap: {gap}" for gap in self.gaps]
+        if self.unrecorded:
+            lines.append(f"{self.unrecorded} poses are not in the recording")
+        return "\n".join(lines)
+
+
+def verify(recordings: list[Recording], bundles: Path | None = None) -> Report:
+    """Compute it all again. bundles: where the reference models are, if not where they were.
+
+    Raises InputError for what cannot be computed again: inexact pictures, other reference models."""
+    cv2.setNumThreads(1)  # as in the worker
+    verifier = _Verifier(recordings, bundles)
+    for recording in recordings:
+        for event in recording.events():
+            if not recording.exact:
+                raise InputError(
+                    recording.path,
+                    found="pictures as JPEG",
+                    expected="exact ones",
+                    fix="Record without --jpeg.",
+                )
+            verifier.take(event)
+            if verifier.report.difference:
+                return verifier.report
+    verifier.finish()
+    return verifier.report
+
+
+class _Verifier:
+    def __init__(self, recordings: list[Recording], bundles: Path | None) -> None:
+        self.report = Report()
+        self._recordings, self._bundles = recordings, bundles
+        self._models: dict[str, ReferenceModel] = {}
+        self._frames: dict[_FrameKey, _Pixels] = {}
+        self._taken: dict[_FrameKey, None] = {}
+        self._poses: dict[_PoseKey, PoseMessage] = {}
+        self._held: list[tuple[int, int, IntakeMessage | MemoryMessage]] = []
+        self._order = self._last_seq = 0
+        self._again: _Again | None = None
+        self._first_ns: int | None = None
+
+    def take(self, event: Event) -> None:
+        """The next event of the recording."""
+        message = event.message
+        if isinstance(message, FrameHeader):
+            self._frames[message.camera_epoch, message.frame_id] = (message, event.payload)
+            while len(self._frames) > _FRAMES:
+                del self._frames[next(iter(self._frames))]
+        elif isinstance(message, PoseMessage):
+            self._poses[message.object, message.instance, message.publish_ns] = message
+        elif isinstance(message, IntakeMessage | MemoryMessage):
+            self._order += 1
+            heapq.heappush(self._held, (message.publish_ns, self._order, message))
+            if len(self._held) > _LAG:
+                self._next()
+
+    def finish(self) -> None:
+        """What was held back."""
+        while self._held and not self.report.difference:
+            self._next()
+
+    def _next(self) -> None:
+        _, _, message = heapq.heappop(self._held)
+        self._first_ns = message.publish_ns if self._first_ns is None else self._first_ns
+        if isinstance(message, MemoryMessage):
+            self._remember(message)
+        else:
+            self._step(message)
+
+    def _remember(self, message: MemoryMessage) -> None:
+        again = self._again
+        if again is not None and again.seq == message.seq:
+            if again.work.memory().memory != message.memory:
+                self._differs(None, "memory", "what it believes, beside the poses")
+            self.report.memories += 1
+            return
+        try:
+            plain, _ = msgspec.msgpack.decode(message.memory)
+            there = all(key in self._frames for key in frames_of(plain))
+        except (msgspec.MsgspecError, ValueError, TypeError, RecursionError) as error:
+            raise InputError("the tracker's memory", found=str(error)[:200], expected="MessagePack") from None
+        if there:
+            self._again = _Again(message, self._config(message), self._known, self._frames)
+
+    def _config(self, message: MemoryMessage) -> Config:
+        try:
+            config = msgspec.json.decode(message.config, type=Config)
+        except (msgspec.MsgspecError, RecursionError) as error:
+            raise InputError("the recorded configuration", found=str(error)[:200]) from None
+        bundles = config.bundles if self._bundles is None else str(self._bundles)
+        return msgspec.structs.replace(config, bundles=bundles)
+
+    def _known(self, config: Config, name: str) -> ReferenceModel:
+        """A reference model, which must be the one that was there."""
+        if name not in self._models:
+            expected = next((n for r in self._recordings if (n := r.notes.get("models", {}).get(name))), None)
+            found = models.digests(config, [name])[name]
+            if expected and found != expected:
+                raise InputError(
+                    f"reference model {name}",
+                    found=f"one with SHA-256 {found[:12]}...",
+                    expected=f"the one that was used, {expected[:12]}...",
+                    fix="Give the folder that has it: --bundles DIR.",
+                )
+            self._models[name] = load_models(models.bundles_folder(config), [name])[name]
+        return self._models[name]
+
+    def _step(self, intake: IntakeMessage) -> None:
+        again = self._again
+        key = _frame_key(intake)
+        pixels = None if key is None else self._frames.get(key)
+        if again is not None and (intake.seq != again.seq + 1 or (key is not None and pixels is None)):
+            what = f"step {again.seq + 1} is missing" if pixels or not key else f"frame {key[1]} is missing"
+            self.report.gaps.append(f"{self._at(intake)}: {what}, which the tracker took")
+            again = self._again = None
+        if again is None:
+            self.report.skipped += 1
+        else:
+            self._compare(intake, *again.step(intake, pixels))
+        if intake.seq != self._last_seq + 1:
+            self._taken |= dict.fromkeys(self._frames)  # who knows
+        self._last_seq = intake.seq
+        if key is not None:
+            self._taken[key] = None
+            self._forget_before(key)
+
+    def _forget_before(self, newest: _FrameKey) -> None:
+        """Frames that the tracker passed over."""
+        if newest in self._frames:
+            for key in list(self._frames):
+                if key == newest:
+                    break
+                if key not in self._taken:
+                    del self._frames[key]
+        while len(self._taken) > _FRAMES:
+            del self._taken[next(iter(self._taken))]
+
+    def _compare(self, was: IntakeMessage, now: IntakeMessage, poses: list[PoseMessage], error: str) -> None:
+        self.report.steps += 1
+        for before, after in zip(was.marks, [*now.marks, *[None] * len(was.marks)], strict=False):
+            if before != after:
+                self._differs(was, before.stage, error or "what is believed after it")
+                return
+        if (was.clock_ns, len(was.marks)) != (now.clock_ns, len(now.marks)):
+            self._differs(was, "publish", error or "how often it looked at the clock")
+            return
+        for pose in poses:
+            recorded = self._poses.pop((pose.object, pose.instance, pose.publish_ns), None)
+            if recorded is None:
+                self.report.unrecorded += 1
+                continue
+            if encode(recorded) != encode(pose):
+                self._differs(was, "publish", _fields(recorded, pose))
+                return
+            self.report.poses += 1
+        left = [key for key in self._poses if key[2] in was.clock_ns]
+        if left:
+            self._differs(was, "publish", f"{left[0][0]}/{left[0][1]} has no pose now")
+
+    def _differs(self, intake: IntakeMessage | None, stage: str, what: str) -> None:
+        where = "a frame" if intake is None else self._at(intake)
+        text = f"{where}, stage {stage}: {what}"
+        here, there = about_this_machine(), self._recordings[0].notes.get("huepose", {})
+        other = [f"{k} {there[k]} there, {here[k]} here" for k in here if there.get(k, here[k]) != here[k]]
+        self.report.difference = text + (f" (not the same: {'; '.join(other)})" if other else "")
+
+    def _at(self, intake: IntakeMessage) -> str:
+        key, at_s = _frame_key(intake), (intake.publish_ns - (self._first_ns or 0)) * 1e-9
+        where = f"step {intake.seq}" if key is None else f"frame {key[1]} of epoch {key[0]}"
+        return f"{where} ({at_s:.2f} s after the beginning)"
+
+
+def _frame_key(intake: IntakeMessage) -> _FrameKey | None:
+    if intake.camera_epoch is None or intake.frame_id is None:
+        return None
+    return intake.camera_epoch, intake.frame_id
+
+
+def _fields(recorded: PoseMessage, again: PoseMessage) -> str:
+    a, b = msgspec.structs.asdict(recorded), msgspec.structs.asdict(again)
+    different = [f"{name} {a[name]} recorded, {b[name]} now" for name in a if a[name] != b[name]]
+    return f"{again.object}/{again.instance}: {different[0][:200] if different else 'bytes'}"
+
+
+class _Again:
+    """The tracker worker, from a memory on."""
+
+    def __init__(
+        self, memory: MemoryMessage, config: Config, known: Any, frames: dict[_FrameKey, _Pixels]
+    ) -> None:
+        self._config, self._known = config, known
+        self._desk = _Desk()
+        objects = {name: known(config, name) for name in memory.objects}
+        tracker = tracker_of(config, objects)
+        self.work = TrackerWork(
+            cast(Bus, self._desk), tracker, cast(Follower, self._desk), config, self._desk.read_clock
+        )
+        decoded: dict[_FrameKey, tuple[FrameHeader, RgbdFrame]] = {}
+
+        def frame_of(epoch: int, frame_id: int) -> tuple[FrameHeader, RgbdFrame] | None:
+            # Each frame is one object, however often it is named.
+            key = (epoch, frame_id)
+            if key not in decoded and key in frames:
+                decoded[key] = (frames[key][0], frame_from_wire(*frames[key]))
+            return decoded.get(key)
+
+        self.work.take_over(memory, frame_of)
+        self.seq = memory.seq
+
+    def step(
+        self, intake: IntakeMessage, pixels: _Pixels | None
+    ) -> tuple[IntakeMessage, list[PoseMessage], str]:
+        """Take the same again: what is told of it, the poses, and what was raised, if anything."""
+        desk, self.seq, error = self._desk, intake.seq, ""
+        desk.give(intake, pixels, [self._change(one) for one in intake.changes])
+        try:
+            self.work.step()
+        except Exception as raised:  # the worker goes on after it, too
+            error = f"{type(raised).__name__}: {raised}"
+        return desk.told or msgspec.structs.replace(intake, clock_ns=[], marks=[]), desk.poses, error
+
+    def _change(self, change: Any) -> Change[ReferenceModel]:
+        if change.action == "add":
+            return Change(change.entry, added=self._known(self._config, change.entry.object))
+        return Change(change.entry, removed=change.action == "remove")
+
+
+class _Desk:
+    """What the tracker worker takes for its bus, its list of objects, and its clock."""
+
+    skipped = 0
+
+    def __init__(self) -> None:
+        self.keys, self.health = Keys("replay", "replay"), Health("tracker")
+        self.log = Log("tracker", io.StringIO())
+        self.inbox = self
+        self.poses: list[PoseMessage] = []
+        self.told: IntakeMessage | None = None
+        self._corrections: list[CorrectionMessage] = []
+        self._changes: list[Change[ReferenceModel]] = []
+        self._pixels: _Pixels | None = None
+        self._clock: Iterator[int] = iter(())
+        self._last_ns = 0
+
+    def give(
+        self, intake: IntakeMessage, pixels: _Pixels | None, changes: list[Change[ReferenceModel]]
+    ) -> None:
+        """What is there to be taken in the next step."""
+        self.poses, self.told = [], None
+        self._corrections, self._changes, self._pixels = list(intake.corrections), changes, pixels
+        self._clock = iter(intake.clock_ns)
+
+    def read_clock(self) -> int:
+        """What was read then; the last of it where more is read than then."""
+        self._last_ns = next(self._clock, self._last_ns)
+        return self._last_ns
+
+    def changes(self) -> list[Change[ReferenceModel]]:
+        """The list of objects."""
+        changes, self._changes = self._changes, []
+        return changes
+
+    def queue(self, key: str) -> str:
+        """The corrections' place."""
+        return key
+
+    def frames(self) -> _Desk:
+        """The frames' place."""
+        return self
+
+    def is_heard(self, key: str) -> bool:
+        """By whoever compares."""
+        return True
+
+    def take(self, place: object, kind: type[Message]) -> Message | None:
+        """A correction."""
+        return self._corrections.pop(0) if self._corrections else None
+
+    def take_with_payload(self, place: object, kind: type[Message]) -> _Pixels | None:
+        """The frame."""
+        pixels, self._pixels = self._pixels, None
+        return pixels
+
+    def refuse(self, key: str, error: WireError) -> None:
+        """As it was refused then."""
+
+    def put(self, key: str, message: PoseMessage) -> None:
+        """A pose, to be compared."""
+        self.poses.append(message)
+
+    def put_aside(self, key: str, message: Message) -> None:
+        """What it took, to be compared."""
+        if isinstance(message, IntakeMessage):
+            self.told = message

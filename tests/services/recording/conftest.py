@@ -1,0 +1,141 @@
+"""A recording of a tracker worker that follows a box, made in this process; and frames of a few pixels."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+
+import msgspec
+import numpy as np
+import pytest
+
+from huepose.geometry import se3
+from huepose.model.io import model_path, save_model
+from huepose_protos.buffers import frame_images, pack
+from huepose_protos.examples import messages
+from huepose_protos.messages import CorrectionMessage, FrameHeader, IntakeMessage
+from huepose_services import models
+from huepose_services.convert import depth_to_wire, intrinsics_to_wire, pose_to_wire
+from huepose_services.recording.parts import Limits, Parts
+from huepose_services.recording.read import Event, Recording
+from huepose_services.recording.verify import _Desk
+from huepose_services.runtime.clock import now_ns
+from huepose_services.runtime.config import Config, TrackerConfig
+from huepose_services.tracker import TrackerWork, tracker_of
+
+EXAMPLES = {type(m): m for m in messages()}
+KEY = "huepose/a/cam0/"
+UNIX_NS = 1_700_000_000_000_000_000
+NAME, STEPS = "tea_box", 14
+
+
+def tiny_frame(number):
+    """Header, colour and depth of a frame of 6 x 4 pixels."""
+    rng = np.random.default_rng(number)
+    color = rng.integers(0, 255, (4, 6, 3), dtype=np.uint8)
+    depth = rng.integers(0, 65535, (4, 6), dtype=np.uint16)
+    example = EXAMPLES[FrameHeader]
+    size = msgspec.structs.replace(example.intrinsics, width=6, height=4)
+    specs, payload = pack({"color": color, "depth": depth})
+    stamp_ns = 10**9 + number * 33_333_333
+    stamps = {"capture_ns": stamp_ns, "publish_ns": stamp_ns + 5_000_000}
+    header = msgspec.structs.replace(example, frame_id=number, intrinsics=size, buffers=specs, **stamps)
+    assert frame_images(header, payload)[0].shape == (4, 6, 3)
+    return header, color, depth
+
+
+def parts(path, limits=None, jpeg=False, **about):
+    """A recording that is begun."""
+    return Parts(path, limits or Limits(2**40, None, 0), UNIX_NS, {"site": "a"} | about, jpeg)
+
+
+class _Bus(_Desk):
+    """Keeps what the worker says, in order."""
+
+    def put(self, key, message):
+        super().put(key, message)
+        self.said.append((KEY + f"pose/{message.object}/{message.instance}", message))
+
+    def put_aside(self, key, message):
+        kind = "intake" if isinstance(message, IntakeMessage) else "memory"
+        self.said.append((KEY + f"tracker/{kind}", message))
+
+
+@dataclass
+class Followed:
+    """The recording, the folder of the model, and how to write it anew with changes."""
+
+    path: Path
+    bundles: Path
+    folder: Path
+
+    def rewritten(self, change: Callable[[Event], Event | None], **options) -> Path:
+        """Another recording of the same with what `change` makes of each event; None: it is left out."""
+        recording, out = Recording(self.path), None
+        path = self.folder / f"{len(list(self.folder.iterdir()))}.mcap"
+        for event in recording.events():
+            if out is None:
+                out = parts(path, **options)
+                out.note("models", recording.notes["models"])
+            event = change(event)
+            if event is not None and isinstance(event.message, FrameHeader):
+                out.frame(event.message, *frame_images(event.message, event.payload), event.key)
+            elif event is not None:
+                out.message(event.key, event.message)
+        out.close()
+        return path
+
+
+@pytest.fixture(scope="session")
+def followed(tea_box, take_picture, standing, tmp_path_factory):
+    """A second and a half of a box that is found, followed, agreed with and corrected."""
+    folder = tmp_path_factory.mktemp("followed")
+    bundles = folder / "bundles"
+    save_model(tea_box, model_path(bundles, NAME))
+    config = Config(bundles=str(bundles), tracker=TrackerConfig(max_age_ms=10_000.0))
+    tracker = tracker_of(config, models.load(config))
+    bus = _Bus()
+    work = TrackerWork(bus, tracker, bus, config)
+    (folder / "recordings").mkdir()
+    path = folder / "recordings" / "0.mcap"
+    out = parts(path)
+    out.note("models", models.digests(config, [NAME]))
+    began_ns, before = now_ns(), None
+    for number in range(STEPS):
+        T = se3.perturb(standing, np.array([0.004 * number, 0.0, 0.0, 0.0, 0.01 * number, 0.0]))
+        frame = take_picture([(tea_box.mesh, T)])
+        color, depth = frame.color, depth_to_wire(frame.depth, 0.0001)
+        specs, payload = pack({"color": color, "depth": depth})
+        stamp_ns = began_ns + number * 33_333_333
+        header = msgspec.structs.replace(
+            EXAMPLES[FrameHeader],
+            **{"frame_id": number, "capture_ns": stamp_ns, "publish_ns": stamp_ns, "buffers": specs},
+            intrinsics=intrinsics_to_wire(frame.camera, 0.0001),
+        )
+        out.frame(header, color, depth, KEY + "frame")
+        corrections = []
+        if number in (3, 6, 9):
+            # About the frame before.
+            verdict = {3: "acquire", 6: "agree", 9: "correct"}[number]
+            nearly = se3.perturb(before[1], np.full(6, 0.003 if verdict == "correct" else 0.0))
+            translation, quaternion = pose_to_wire(nearly)
+            corrections.append(
+                CorrectionMessage(
+                    **{"publish_ns": stamp_ns, "object": NAME, "instance": 0, "quality": 0.9},
+                    **{"camera_epoch": header.camera_epoch, "frame_id": before[0].frame_id},
+                    **{"capture_ns": before[0].capture_ns, "translation": translation},
+                    **{"quaternion": quaternion, "verdict": verdict, "seq": number},
+                )
+            )
+        before = (header, T)
+        bus.said = []
+        bus.give(
+            msgspec.structs.replace(EXAMPLES[IntakeMessage], corrections=corrections), (header, payload), []
+        )
+        work._memory_due_ns = 0 if number in (0, 7) else 2**62
+        work.step()
+        for key, message in bus.said:
+            out.message(key, message)
+    out.close()
+    return Followed(path, bundles, folder / "recordings")

@@ -1,0 +1,151 @@
+"""What is computed again is the same bit by bit; what is not the same is named with its frame and stage."""
+
+import shutil
+
+import msgspec
+import numpy as np
+import pytest
+
+from huepose.model.io import model_path
+from huepose.support.errors import InputError
+from huepose_protos.messages import FrameHeader, IntakeMessage, MemoryMessage, PoseMessage
+from huepose_services.cli.main import main
+from huepose_services.recording.read import Recording
+from huepose_services.recording.verify import verify
+
+from .conftest import NAME, STEPS
+
+
+def _verified(path, bundles=None):
+    return verify([Recording(path)], bundles)
+
+
+def test_all_of_it_is_the_same_bit_by_bit(followed):
+    report = _verified(followed.path)
+    assert report.difference == ""
+    assert (report.skipped, report.steps, report.gaps, report.unrecorded) == (1, STEPS - 1, [], 0)
+    assert report.memories == 1
+    assert STEPS - 3 <= report.poses <= STEPS - 1
+
+
+def _change(kind, frame_id, **changes):
+    """Change messages of a kind at a frame."""
+
+    def change(event):
+        message = event.message
+        if isinstance(message, kind) and message.frame_id == frame_id:
+            made = {name: make(message) for name, make in changes.items()}
+            message = msgspec.structs.replace(message, **made)
+        return type(event)(event.key, message, event.payload)
+
+    return change
+
+
+def _nudged(message):
+    x, y, z = message.translation
+    return float(np.nextafter(x, 1.0)), y, z
+
+
+def _other_pixels(event):
+    if isinstance(event.message, FrameHeader) and event.message.frame_id == 8:
+        payload = bytearray(event.payload)
+        middle = 640 * 3 * 240 + 3 * 320
+        payload[middle - 300 : middle + 300] = bytes(600)
+        return type(event)(event.key, event.message, bytes(payload))
+    return event
+
+
+def _other_corrections(message):
+    return [msgspec.structs.replace(one, translation=_nudged(one)) for one in message.corrections]
+
+
+@pytest.mark.parametrize(
+    ("change", "where"),
+    [
+        (
+            _change(PoseMessage, 5, translation=_nudged),
+            ["frame 5 of epoch", "stage publish", "tea_box/0", "translation"],
+        ),
+        (
+            _change(PoseMessage, 5, state=lambda _: "SUSPECT"),
+            ["frame 5", "publish", "SUSPECT recorded, TRACKING now"],
+        ),
+        (_other_pixels, ["frame 8 of epoch", "stage follow"]),
+        (
+            _change(IntakeMessage, 9, corrections=_other_corrections),
+            ["frame 9 of epoch", "stage corrections"],
+        ),
+        (
+            _change(IntakeMessage, 9, clock_ns=lambda m: m.clock_ns[:-1]),
+            ["frame 9", "stage publish", "clock"],
+        ),
+    ],
+)
+def test_a_difference_is_named_with_its_first_frame_and_stage(followed, change, where, capsys):
+    path = followed.rewritten(change)
+    report = _verified(path)
+    for text in where:
+        assert text in report.difference
+    assert main(["replay", "--verify", str(path)]) == 1
+    assert report.difference in capsys.readouterr().out
+
+
+def test_what_it_believed_beside_the_poses_is_compared_as_well(followed):
+    seen = []
+
+    def change(event):
+        if isinstance(event.message, MemoryMessage):
+            seen.append(event.message)
+            if len(seen) == 2:
+                plain, own = msgspec.msgpack.decode(event.message.memory)
+                other = msgspec.msgpack.encode((plain | {"_steps": 99}, own))
+                message = msgspec.structs.replace(event.message, memory=other)
+                return type(event)(event.key, message)
+        return event
+
+    assert "stage memory" in _verified(followed.rewritten(change)).difference
+
+
+@pytest.mark.parametrize("kind", [IntakeMessage, FrameHeader])
+def test_after_what_is_missing_it_goes_on_from_the_next_memory(followed, kind):
+    report = _verified(
+        followed.rewritten(lambda e: None if isinstance(e.message, kind) and e.message.frame_id == 5 else e)
+    )
+    assert report.difference == ""
+    assert len(report.gaps) == 1
+    assert "5 is missing" in report.gaps[0] or "step 6 is missing" in report.gaps[0]
+    if kind is IntakeMessage:
+        assert report.steps == 4 + (STEPS - 8)
+    else:
+        # The memory names the frame that is missing.
+        assert report.steps == 4
+
+
+def test_poses_that_were_not_recorded_are_counted(followed):
+    report = _verified(
+        followed.rewritten(
+            lambda e: None if isinstance(e.message, PoseMessage) and e.message.frame_id == 5 else e
+        )
+    )
+    assert (report.difference, report.unrecorded, report.steps) == ("", 1, STEPS - 1)
+
+
+def test_jpeg_cannot_be_verified(followed):
+    with pytest.raises(InputError, match="Record without --jpeg"):
+        _verified(followed.rewritten(lambda e: e, jpeg=True))
+
+
+def test_other_reference_models_are_refused(followed, tea_box, tmp_path):
+    other = tmp_path / "bundles"
+    shutil.copytree(followed.bundles, other)
+    assert _verified(followed.path, other).difference == ""
+    content = bytearray(model_path(other, NAME).read_bytes())
+    model_path(other, NAME).write_bytes(bytes(content) + b" ")
+    with pytest.raises(InputError, match=r"reference model tea_box.*--bundles"):
+        _verified(followed.path, other)
+
+
+def test_a_recording_without_frames_has_nothing_to_verify(followed, capsys):
+    path = followed.rewritten(lambda e: e if isinstance(e.message, PoseMessage) else None)
+    assert main(["replay", "--verify", str(path)]) == 1
+    assert "0 steps" in capsys.readouterr().out

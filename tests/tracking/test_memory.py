@@ -1,0 +1,85 @@
+"""A tracker that takes over another one's memory goes on as that one does, bit by bit."""
+
+from dataclasses import astuple
+
+import numpy as np
+import pytest
+
+from huepose.support.errors import InputError
+from huepose.tracking import Correction, Tracker, Verdict
+from huepose.tracking.memory import checksum, frames_of, taken_over, told
+
+
+@pytest.fixture
+def film(tea_box, shoot, path):
+    """Frames of the carried box; of frame 9 on it has jumped."""
+    return [shoot([(tea_box.mesh, path(k if k < 9 else k + 12))], k) for k in range(14)]
+
+
+def _correction(frame, T, seq, verdict):
+    mask = np.zeros(frame.depth.shape, bool)
+    return Correction("tea_box", 0, frame.epoch, frame.frame_id, frame.stamp_ns, T, 0.9, verdict, seq, mask)
+
+
+def _bits(pose):
+    return [x.tobytes() if isinstance(x, np.ndarray) else x for x in astuple(pose)]
+
+
+@pytest.mark.parametrize("told_after", [0, 3, 7, 10])
+def test_another_tracker_goes_on_as_the_first_does(tea_box, film, path, told_after):
+    first, other = (Tracker({"tea_box": tea_box}) for _ in range(2))
+    kept = {}
+    for k, frame in enumerate(film):
+        kept[frame.epoch, frame.frame_id] = frame
+        trackers = [first] if k <= told_after else [first, other]
+        for tracker in trackers:
+            if k == 2:
+                # It waits for its frame, or is caught up: both are part of the memory.
+                tracker.correct(_correction(film[0], path(0), 1, Verdict.ACQUIRE))
+            if k == 7:
+                tracker.correct(_correction(film[4], path(4), 2, Verdict.AGREE))
+            if k == 10:
+                tracker.correct(_correction(film[9], path(21), 3, Verdict.CORRECT))
+        poses = [[_bits(pose) for pose in tracker.step(frame)] for tracker in trackers]
+        assert poses[0] == poses[-1]
+        assert len({checksum(tracker) for tracker in trackers}) == 1
+        if k == told_after:
+            memory = told(first)
+            assert set(frames_of(memory)) <= set(kept)
+            taken_over(other, memory, lambda epoch, frame_id: kept.get((epoch, frame_id)))
+    assert len(poses[0]) == 1
+
+
+def test_a_checksum_tells_a_bit(tea_box, film, path):
+    tracker = Tracker({"tea_box": tea_box})
+    tracker.correct(_correction(film[0], path(0), 1, Verdict.ACQUIRE))
+    tracker.step(film[0])
+    before = checksum(tracker)
+    tracker._tracks["tea_box", 0].hypotheses[0].T_cam_obj[0, 3] += 1e-16
+    assert checksum(tracker) != before
+
+
+@pytest.mark.parametrize(
+    "damage",
+    [
+        lambda memory: {},
+        lambda memory: [],
+        lambda memory: memory | {"_tracks": {"class": "Popen", "has": {}}},
+        lambda memory: memory | {"_steps": {"frame": [1, 99]}},
+        lambda memory: memory | {"_steps": {"subject": "mug"}},
+        lambda memory: (
+            memory
+            | {"_steps": {"array": b"1234", "dtype": "|O", "shape": [1], "order": "C", "scalar": False}}
+        ),
+        lambda memory: (
+            memory
+            | {"_steps": {"array": b"", "dtype": "<f8", "shape": [2**40], "order": "C", "scalar": False}}
+        ),
+    ],
+)
+def test_what_is_no_memory_is_refused_and_changes_nothing(tea_box, damage):
+    tracker = Tracker({"tea_box": tea_box})
+    before = told(tracker)
+    with pytest.raises(InputError, match="the tracker's memory"):
+        taken_over(tracker, damage(before), lambda epoch, frame_id: None)
+    assert told(tracker) == before

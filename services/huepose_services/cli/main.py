@@ -19,7 +19,7 @@ from typing import Any
 _VERBS = (
     *("demo", "new", "onboard", "estimate", "evaluate", "render_scenes", "train", "bench"),
     *("up", "run", "status", "top", "graph", "objects", "poses", "view", "record", "replay", "validate"),
-    *("doctor", "models", "units"),
+    *("doctor", "models", "calibrate", "units"),
 )
 # Those that run compiled kernels in their own process.
 _COMPILING = frozenset({"new", "onboard", "onboard-bop", "estimate", "eval", "render-scenes", "bench"})

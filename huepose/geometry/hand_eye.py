@@ -1,0 +1,88 @@
+"""Where a camera is on a robot, from poses of the hand and poses of one object (hand-eye calibration).
+
+With A_i X B_i = Y for all i: rotations of the moves are aligned as in Park and Martin, Robot sensor
+calibration: solving AX = XB on the Euclidean group (1994), translations follow by least squares, and both are
+refined together over all measurements. OpenCV 5 has no function for it any more.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.optimize import least_squares
+
+from huepose.geometry import se3
+from huepose.geometry.arrays import Float64
+from huepose.geometry.kabsch import fit
+from huepose.support.errors import InputError
+
+FEWEST = 4
+"""Measurements: three moves are the fewest whose rotations also show how well they agree."""
+
+LEAST_SPREAD_RAD = np.radians(10.0)
+"""How far the moves have to turn about a second axis: under that, a degree of error in a pose becomes
+several centimetres in the answer."""
+
+
+@dataclass(frozen=True, eq=False)
+class HandEye:
+    """X and Y (4, 4); what is left of each measurement, shift in metres (N,) and turn in radians (N,)."""
+
+    X: Float64
+    Y: Float64
+    shift_m: Float64
+    turn_rad: Float64
+
+
+def solve(A: Float64, B: Float64) -> HandEye:
+    """X and Y of A_i X B_i = Y, A and B (N, 4, 4).
+
+    A camera on the hand that looks at an object which stands still: A = T_base_hand, B = T_cam_obj; X is
+    T_hand_cam, Y is T_base_obj. A camera that is fixed and looks at an object in the hand: A = T_hand_base;
+    X is T_base_cam, Y is T_hand_obj. Raises InputError for too few measurements, or moves about one axis."""
+    A, B = np.asarray(A, np.float64), np.asarray(B, np.float64)
+    if len(A) < FEWEST:
+        raise InputError(
+            "hand-eye calibration",
+            found=f"{len(A)} measurements",
+            expected=f"{FEWEST} or more, better twelve, with the hand turned about different axes",
+        )
+    i, j = np.triu_indices(len(A), 1)
+    moves_a = np.array([se3.inverse(A[n]) @ A[m] for m, n in zip(i, j, strict=True)])  # M X = X N
+    moves_b = np.array([B[n] @ se3.inverse(B[m]) for m, n in zip(i, j, strict=True)])
+    alpha = np.array([se3.rotation_log(M[:3, :3]) for M in moves_a])
+    beta = np.array([se3.rotation_log(N[:3, :3]) for N in moves_b])
+    spread = np.linalg.svd(alpha, compute_uv=False)[1] / np.sqrt(len(alpha))
+    if spread < LEAST_SPREAD_RAD:
+        raise InputError(
+            "hand-eye calibration",
+            found=f"turns about one axis alone ({np.degrees(spread):.1f} degrees about any other)",
+            expected="the hand turned about two axes or more, by 20 degrees or more",
+        )
+    # Rotation vectors of moves are the same vectors, turned; opposite ones make the fit one about the origin.
+    R = fit(np.vstack([beta, -beta]), np.vstack([alpha, -alpha]))[:3, :3]
+    left = np.vstack([M[:3, :3] - np.eye(3) for M in moves_a])
+    right = np.concatenate([R @ N[:3, 3] - M[:3, 3] for M, N in zip(moves_a, moves_b, strict=True)])
+    X = se3.make(R, np.linalg.lstsq(left, right, rcond=None)[0])
+    return _refined(A, B, X, A[0] @ X @ B[0])
+
+
+def _refined(A: Float64, B: Float64, X: Float64, Y: Float64) -> HandEye:
+    """Least squares over all measurements; a radian counts as much as the distance at which it is seen."""
+    lever_m = float(np.median(np.linalg.norm(B[:, :3, 3], axis=1)))
+
+    def moved(steps: Float64) -> tuple[Float64, Float64]:
+        return X @ se3.exp(steps[:6]), Y @ se3.exp(steps[6:])
+
+    def residuals(steps: Float64) -> Float64:
+        X_now, Y_now = moved(steps)
+        left = np.array([se3.inverse(Y_now) @ a @ X_now @ b for a, b in zip(A, B, strict=True)])
+        turns = np.array([se3.rotation_log(T[:3, :3]) for T in left])
+        return np.concatenate([left[:, :3, 3].ravel(), lever_m * turns.ravel()])
+
+    found = least_squares(residuals, np.zeros(12), loss="soft_l1", f_scale=0.01)
+    X_now, Y_now = moved(found.x)
+    rest = residuals(found.x).reshape(2, -1, 3)
+    shift_m, turn_rad = np.linalg.norm(rest[0], axis=1), np.linalg.norm(rest[1], axis=1) / lever_m
+    return HandEye(X_now, Y_now, shift_m, turn_rad)

@@ -1,0 +1,93 @@
+"""`huepose calibrate`: where the camera is on the robot."""
+
+from __future__ import annotations
+
+import argparse
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from huepose.geometry.arrays import Float64
+    from huepose.geometry.hand_eye import HandEye
+
+_COLUMNS = "frame,object,x,y,z,qx,qy,qz,qw"
+
+
+def add_parser(subparsers: Any) -> None:
+    """Add the verb."""
+    parser = subparsers.add_parser("calibrate", help="where the camera is on the robot")
+    kinds = parser.add_subparsers(dest="kind", required=True, metavar="WHAT")
+    one = kinds.add_parser(
+        "hand-eye",
+        help="from poses of the hand and of one object",
+        description="Hand-eye calibration. Both files are CSV with the columns "
+        f"{_COLUMNS}; rows of the same frame belong together.",
+    )
+    one.add_argument("--object", type=Path, required=True, metavar="FILE.csv", help="T_cam_obj of one object")
+    one.add_argument("--hand", type=Path, required=True, metavar="FILE.csv", help="T_base_hand of the robot")
+    one.add_argument(
+        "--camera",
+        choices=("fixed", "on-hand"),
+        required=True,
+        help="fixed: beside the robot, the object in the hand; on-hand: the object stands still",
+    )
+    one.add_argument("--parent", default=None, metavar="FRAME", help="name of the frame (base_link or tool0)")
+    one.add_argument("--json", type=Path, default=None, metavar="FILE")
+    one.add_argument("--image", type=Path, default=None, metavar="OUT.png", help="what is left at each pose")
+    one.set_defaults(call=call)
+
+
+def call(arguments: argparse.Namespace) -> int:
+    """Read, solve, say."""
+    import json
+
+    import numpy as np
+
+    from huepose.evaluation.pose_files import read_pose_csv
+    from huepose.geometry import hand_eye, se3
+    from huepose.support.errors import InputError
+
+    seen = {frame: T for (frame, _), T in read_pose_csv(arguments.object).poses.items()}
+    hand = {frame: T for (frame, _), T in read_pose_csv(arguments.hand).poses.items()}
+    frames = sorted(set(seen) & set(hand))
+    if not frames:
+        raise InputError(arguments.hand, found="no frame that is in both files", expected="the same frames")
+    fixed = arguments.camera == "fixed"
+    A = np.array([se3.inverse(hand[f]) if fixed else hand[f] for f in frames])
+    found = hand_eye.solve(A, np.array([seen[f] for f in frames]))
+    parent = arguments.parent or ("base_link" if fixed else "tool0")
+    mount = {
+        "parent": parent,
+        "translation": np.round(found.X[:3, 3], 6).tolist(),
+        "quaternion": np.round(se3.quaternion_from_rotation(found.X[:3, :3]), 6).tolist(),
+    }
+    shift_mm, turn_deg = 1e3 * found.shift_m, np.degrees(found.turn_rad)
+    rest = {"poses": len(frames), "shift_mm": _of(shift_mm), "turn_deg": _of(turn_deg)}
+    if arguments.json:
+        arguments.json.write_text(json.dumps({"mount": mount, "left": rest}, indent=2) + "\n")
+    if arguments.image:
+        _draw(arguments.image, frames, found)
+    inner = ", ".join(f"{key}: {value}" for key, value in mount.items())
+    print(f"mount: {{{inner}}}")
+    print(
+        f"of {len(frames)} poses there are left {np.median(shift_mm):.1f} mm and {np.median(turn_deg):.2f} "
+        f"degrees (largest {shift_mm.max():.1f} mm, {turn_deg.max():.2f} degrees)"
+    )
+    if not fixed:
+        print("A camera that moves with the hand: a transform for the robot's tree, not for camera.mount.")
+    return 0
+
+
+def _of(values: Float64) -> dict[str, float]:
+    return {"median": float(sorted(values)[len(values) // 2]), "largest": float(max(values))}
+
+
+def _draw(path: Path, frames: list[int], found: HandEye) -> None:
+    import numpy as np
+
+    from huepose.drawing.plots import line_plot
+    from huepose_services.cli.explain import write_picture
+
+    x = np.array(frames, float)
+    series = {"shift, mm": (x, 1e3 * found.shift_m), "turn, degrees": (x, np.degrees(found.turn_rad))}
+    write_picture(path, line_plot(series, "what is left of each pose", "frame", "", marks=True))

@@ -1,0 +1,89 @@
+"""Hand-eye calibration: known answers, noise, and moves that cannot tell."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+from huepose.geometry import hand_eye, se3
+from huepose.support.errors import InputError
+from huepose_services.cli.main import main
+
+X = se3.make(Rotation.from_euler("xyz", [20, -130, 75], degrees=True).as_matrix(), np.array([0.4, -0.2, 0.9]))
+Y = se3.make(
+    Rotation.from_euler("xyz", [-80, 10, 30], degrees=True).as_matrix(), np.array([0.02, 0.05, 0.12])
+)
+
+
+def measured(count: int, noise: float = 0.0, axis: np.ndarray | None = None) -> tuple[np.ndarray, np.ndarray]:
+    """A and B of a camera X and an object Y; noise: of the shift in metres and, times two, of the turn."""
+    rng = np.random.default_rng(3)
+    A, B = [], []
+    for _ in range(count):
+        turn = rng.uniform(-0.8, 0.8) * axis if axis is not None else rng.uniform(-0.8, 0.8, 3)
+        a = se3.make(se3.rotation_exp(turn), rng.uniform(-0.3, 0.3, 3))
+        b = se3.inverse(a @ X) @ Y
+        A.append(a)
+        B.append(se3.perturb(b, rng.normal(0.0, noise, 6) * [1, 1, 1, 2, 2, 2]))
+    return np.array(A), np.array(B)
+
+
+def test_without_noise_the_answer_is_exact() -> None:
+    found = hand_eye.solve(*measured(6))
+    assert np.allclose(found.X, X, atol=1e-7)
+    assert np.allclose(found.Y, Y, atol=1e-7)
+    assert found.shift_m.max() < 1e-7
+
+
+def test_with_noise_it_is_better_than_one_measurement() -> None:
+    found = hand_eye.solve(*measured(20, 0.002))
+    assert np.linalg.norm(found.X[:3, 3] - X[:3, 3]) < 0.004
+    assert np.degrees(se3.rotation_angle(found.X[:3, :3], X[:3, :3])) < 0.3
+    assert 0.001 < np.median(found.shift_m) < 0.006
+
+
+def test_a_wild_measurement_is_seen_and_does_little() -> None:
+    A, B = measured(12, 0.0005)
+    B[4] = se3.perturb(B[4], np.array([0.1, 0.0, 0.0, 0.0, 0.4, 0.0]))
+    found = hand_eye.solve(A, B)
+    assert int(np.argmax(found.shift_m)) == 4
+    assert np.linalg.norm(found.X[:3, 3] - X[:3, 3]) < 0.02
+
+
+def test_moves_that_cannot_tell_are_refused() -> None:
+    with pytest.raises(InputError, match="one axis"):
+        hand_eye.solve(*measured(8, axis=np.array([0.0, 0.0, 1.0])))
+    with pytest.raises(InputError, match="3 measurements"):
+        hand_eye.solve(*measured(3))
+
+
+def rows(poses: np.ndarray) -> str:
+    out = ["frame,object,x,y,z,qx,qy,qz,qw"]
+    for k, T in enumerate(poses):
+        values = [*T[:3, 3], *se3.quaternion_from_rotation(T[:3, :3])]
+        out.append(f"{k},thing," + ",".join(f"{v:.9f}" for v in values))
+    return "\n".join(out) + "\n"
+
+
+@pytest.mark.parametrize("camera", ["fixed", "on-hand"])
+def test_the_command_says_what_to_configure(
+    tmp_path: Path, camera: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    A, B = measured(8)
+    hand = np.array([se3.inverse(a) for a in A]) if camera == "fixed" else A
+    (tmp_path / "hand.csv").write_text(rows(hand))
+    (tmp_path / "object.csv").write_text(rows(B))
+    out = tmp_path / "out.json"
+    files = ["--object", str(tmp_path / "object.csv"), "--hand", str(tmp_path / "hand.csv")]
+    outputs = ["--json", str(out), "--image", str(tmp_path / "left.png")]
+    assert main(["calibrate", "hand-eye", *files, "--camera", camera, *outputs]) == 0
+    mount = json.loads(out.read_text())["mount"]
+    assert mount["parent"] == ("base_link" if camera == "fixed" else "tool0")
+    assert np.allclose(mount["translation"], X[:3, 3], atol=1e-5)
+    assert np.allclose(se3.rotation_from_quaternion(np.array(mount["quaternion"])), X[:3, :3], atol=1e-4)
+    assert "mount: {parent: " in capsys.readouterr().out
+    assert (tmp_path / "left.png").stat().st_size > 1000

@@ -4,8 +4,8 @@ The workers of a pipeline, the command line and the evaluation load the same obj
 is what runs. `live` is for a stream of frames, where time is short and the next frame is due; `patient` is
 for single frames, where an answer may take longer.
 
->>> profile("live").tracker.searches_per_step
-1
+>>> profile("live").tracker.tries_per_s
+30.0
 """
 
 from __future__ import annotations
@@ -41,7 +41,7 @@ PROFILES: Mapping[ProfileName, Profile] = MappingProxyType(
         "patient": Profile(
             DetectorConfig(proposals=3, min_score=0.02),
             EstimatorConfig(),
-            TrackerConfig(searches_per_step=None, catch_up_stride=5),
+            TrackerConfig(tries_per_s=None, catch_up_stride=5),
         ),
     }
 )

@@ -26,16 +26,16 @@ def hue_map(model: ModelArrays, region: RegionArrays) -> Float32:
     """How much likelier each pixel's hue is the object's than the region's (h, w), a natural logarithm; 0
     where the pixel is saturated or has no depth."""
     shift = region.light[1:] if region.lit else np.zeros(2)
-    own = _histogram(model.colors[1][:, 1:] + shift.astype(np.float32))
+    own = _histogram(_bins(model.colors[1][:, 1:] + shift.astype(np.float32)))
     own = _blurred(own, LIGHT_BINS if region.lit else ANY_LIGHT_BINS)
     hues = region.colors[..., 4:6]
     speaks = (region.depth > 0) & ~region.saturated
     place = _bins(hues)
     if not speaks.any():
         return np.zeros(region.depth.shape, np.float32)
-    around = _blurred(_histogram(hues[speaks]), 1.0)
-    ratio = np.clip(np.log((own + FLOOR) / (around + FLOOR)), -MOST, MOST)
-    return np.where(speaks, ratio.ravel()[place], 0.0).astype(np.float32)
+    around = _blurred(_histogram(place[speaks]), 1.0)
+    ratio = np.clip(np.log((own + FLOOR) / (around + FLOOR)), -MOST, MOST).astype(np.float32)
+    return np.where(speaks, ratio.ravel()[place], np.float32(0.0))
 
 
 def averaged(values: Float32, side_px: float) -> Float32:
@@ -46,13 +46,14 @@ def averaged(values: Float32, side_px: float) -> Float32:
 
 def _bins(hues: Float32) -> np.ndarray:
     """Number of the bin of each hue (..., 2)."""
-    cells = np.clip(np.rint(hues / WIDTH).astype(np.int32) + BINS // 2, 0, BINS - 1)
-    return np.asarray(cells[..., 0] * BINS + cells[..., 1])
+    cells = np.clip(np.rint(hues / np.float32(WIDTH)), -(BINS // 2), BINS - 1 - BINS // 2)
+    number: np.ndarray = cells[..., 0] * BINS + cells[..., 1] + (BINS // 2) * (BINS + 1)
+    return number.astype(np.int32)
 
 
-def _histogram(hues: Float32) -> Float64:
-    """Share of hues (N, 2) in each bin (BINS, BINS)."""
-    counts = np.bincount(_bins(hues).ravel(), minlength=BINS * BINS).astype(np.float64)
+def _histogram(bins: np.ndarray) -> Float64:
+    """Share of hues, by the numbers of their bins, in each bin (BINS, BINS)."""
+    counts = np.bincount(bins.ravel(), minlength=BINS * BINS).astype(np.float64)
     return np.asarray((counts / max(counts.sum(), 1.0)).reshape(BINS, BINS))
 
 

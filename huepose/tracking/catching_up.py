@@ -52,27 +52,27 @@ class Pursuit:
         return self.track.evidence >= self._config.lost_quality
 
     def follow(
-        self, kept: Sequence[RgbdFrame], relative_pose: RelativePose | None = None, may_search: bool = True
-    ) -> bool:
+        self, kept: Sequence[RgbdFrame], relative_pose: RelativePose | None = None, tries: float = np.inf
+    ) -> int:
         """One step towards the newest of the kept frames (oldest first, none before the correction's); says
-        whether that took a search."""
-        mask, searched = None, False
+        how many of at most `tries` dear proposals that took."""
+        mask, tried = None, 0
         if self.track.frame is None:
             # Settled on its own frame first, or on the one next to it: so it is known how well it should fit.
             first = kept[0]
             if first.stamp_ns == self.correction.stamp_ns:
                 mask = self.correction.mask
             apart_s = abs(first.stamp_ns - self.correction.stamp_ns) * 1e-9
-            searched = self.track.start(self.correction.T_cam_obj, self.correction.quality, first, apart_s)
+            tried = self.track.start(self.correction.T_cam_obj, self.correction.quality, first, apart_s)
             self._remember(first)
             if first is kept[-1] or not self.supported:
-                return searched
+                return tried
         assert self.track.frame is not None
         frame = _next(self.track.frame, kept, self._config.catch_up_stride)
-        searched |= self.track.look(frame, relative_pose, may_search, mask)
+        tried += self.track.look(frame, relative_pose, tries - tried, mask)
         self.track.learn()
         self._remember(frame)
-        return searched
+        return tried
 
     def needs_search(self, kept: Sequence[RgbdFrame]) -> bool:
         """Whether the next step leads to a frame so far off that it cannot do without a search."""

@@ -23,10 +23,11 @@ class TrackerConfig:
     doubt: so is one this much under its baseline, long_doubt: after more than long_step_s, when flow finds
     too little and there is time for a search, as there is when it moved by more than surprising_m; hidden:
     share of the surface behind something from which there is nothing to look for. search: whether the tracker
-    may look for an object on its own; searches_per_step: for how many objects in one step, None for all that
-    need it (a search takes several frames' time, so in a live pipeline many of them would make the next step
-    too large as well); max_search_m_s, max_search_rad_s: the fastest motion that the search covers. flow:
-    where optical flow comes from."""
+    may look for an object on its own; max_search_m_s, max_search_rad_s: the fastest motion that the search
+    covers; tries_per_s: how many dear proposals (optical flow, a search or a part of a wide one,
+    near-symmetric rotations) all objects together may make in a second of the frames' time, None for as many
+    as they need: a live step that takes longer than its frame makes the next one larger. flow: where optical
+    flow comes from."""
 
     history_frames: int = 20
     older_frames: int = 24
@@ -43,7 +44,7 @@ class TrackerConfig:
     surprising_m: float = 0.03
     hidden: float = 0.6
     search: bool = True
-    searches_per_step: int | None = 1
+    tries_per_s: float | None = 30.0
     max_search_m_s: float = 0.8
     max_search_rad_s: float = 7.0
     flow: FlowSource = compute

@@ -58,9 +58,17 @@ class Effort:
     poses: int
     finalists: int
 
+    def share(self, parts: int, of: int) -> Effort:
+        """The same for some of so many parts of the rotations; all positions are looked at for each."""
+        return Effort(
+            self.positions, *(-(-n * parts // of) for n in (self.quick, self.poses, self.finalists))
+        )
+
 
 NORMAL_EFFORT = Effort(5, 80, 20, 4)
 GREAT_EFFORT = Effort(8, 250, 40, 6)
+PARTS = 3
+"""A wide search can be made in so many parts, each of which takes about as long as a normal one."""
 
 
 def search(
@@ -69,19 +77,21 @@ def search(
     reach: Reach,
     effort: Effort = NORMAL_EFFORT,
     light: Float64 | None = None,
+    parts: range = range(PARTS),
 ) -> list[Float64]:
     """The best clearly different poses (4, 4) within reach, best first, at most two; none where no depth
-    is."""
+    is. parts: which of the PARTS of the rotations are tried; each is spread over all of the reach."""
+    effort = effort.share(len(parts), PARTS)
     region = _region(surface, frame, reach)
     if region is None:
         return []
     region = region.lit(light)
     z = float(reach.centre_cam[2])
     tolerance = region.arrays.tolerance
-    positions = _positions(surface, region, reach, effort.positions)
+    positions = _positions(surface, region, reach, effort.positions, parts)
     if not positions:
         return []
-    poses = _rotations(surface, region, reach, positions, effort.quick)
+    poses = _rotations(surface, region, reach, positions, effort.quick, parts)
     poses = refine_all(surface, region, poses, QUICK, z)
     poses = _best(surface, region, poses, ROTATION_SAMPLES, 2.0 * tolerance, effort.poses, DIFFERENT_TURN)
     poses = refine_all(surface, region, poses, COARSE, z)
@@ -106,7 +116,9 @@ def _region(surface: PreparedSurface, frame: RgbdFrame, reach: Reach) -> OpenReg
     return open_region(frame, box, z, surface.diameter_m)
 
 
-def _positions(surface: PreparedSurface, region: OpenRegion, reach: Reach, count: int) -> list[Float64]:
+def _positions(
+    surface: PreparedSurface, region: OpenRegion, reach: Reach, count: int, parts: range
+) -> list[Float64]:
     """Up to `count` centres of the object, best first: the middle of its surface is put on a grid of pixels,
     at the depth that is there."""
     camera, depth = region.camera, cv2.medianBlur(region.arrays.depth, 5)
@@ -120,23 +132,21 @@ def _positions(surface: PreparedSurface, region: OpenRegion, reach: Reach, count
     seen = camera.rays(np.stack([u, v], 1)) * depth[v, u].astype(np.float64)[:, None]
     own = averaged(hue_map(surface.arrays, region.arrays), HUE_SIDE * surface.thickness_m / z * camera.fx)
     poses, centres, hues = [], [], []
-    for R in _turned(reach.rotations, POSITION_TURN, POSITION_TURN):
+    for R in _some(_turned(reach.rotations, POSITION_TURN, POSITION_TURN), parts):
         at = seen + R @ (surface.arrays.centre - _middle(surface, R))
         within = np.linalg.norm(at - reach.centre_cam, axis=1) < reach.distance_m
-        for c, hue in zip(at[within], own[v, u][within], strict=True):
-            poses.append(se3.make(R, c - R @ surface.arrays.centre))
-            centres.append(c)
-            hues.append(hue)
-    if not poses:
+        poses.append(_at(surface, R, at[within]))
+        centres.append(at[within])
+        hues.append(own[v[within], u[within]])
+    if not any(len(few) for few in poses):
         return []
     tolerance = 0.15 * surface.diameter_m
-    rated = totals(surface, region, np.array(poses), POSITION_SAMPLES, tolerance) + HUE * np.array(hues)
+    rated = totals(surface, region, np.concatenate(poses), POSITION_SAMPLES, tolerance)
+    left = np.concatenate(centres)[np.argsort(-rated - HUE * np.concatenate(hues), kind="stable")]
     out: list[Float64] = []
-    for i in np.argsort(-rated, kind="stable"):
-        if all(np.linalg.norm(centres[i] - c) > tolerance for c in out):
-            out.append(centres[i])
-            if len(out) == count:
-                break
+    while len(left) and len(out) < count:
+        out.append(left[0])
+        left = left[np.linalg.norm(left - left[0], axis=1) > tolerance]
     return out
 
 
@@ -153,13 +163,30 @@ def _middle(surface: PreparedSurface, R: Float64) -> Float64:
 
 
 def _rotations(
-    surface: PreparedSurface, region: OpenRegion, reach: Reach, positions: list[Float64], count: int
+    surface: PreparedSurface,
+    region: OpenRegion,
+    reach: Reach,
+    positions: list[Float64],
+    count: int,
+    parts: range,
 ) -> Float64:
-    """The best clearly different poses over all rotations in reach at the positions."""
-    poses = np.array(
-        [se3.make(R, c - R @ surface.arrays.centre) for R in _in_reach(reach) for c in positions]
-    )
+    """The best clearly different poses over these parts of the rotations in reach at the positions."""
+    centres = np.array(positions)
+    poses = np.concatenate([_at(surface, R, centres) for R in _some(_in_reach(reach), parts)])
     return _best(surface, region, poses, ROTATION_SAMPLES, 0.1 * surface.diameter_m, count, DIFFERENT_TURN)
+
+
+def _at(surface: PreparedSurface, R: Float64, centres: Float64) -> Float64:
+    """Poses (K, 4, 4) of one rotation with the object's centre at each of `centres` (K, 3)."""
+    poses = np.zeros((len(centres), 4, 4))
+    poses[:, :3, :3], poses[:, 3, 3] = R, 1.0
+    poses[:, :3, 3] = centres - R @ surface.arrays.centre
+    return poses
+
+
+def _some(rotations: list[Float64], parts: range) -> list[Float64]:
+    """Those rotations that belong to the parts."""
+    return [R for k, R in enumerate(rotations) if k % PARTS in parts]
 
 
 def _in_reach(reach: Reach) -> list[Float64]:
@@ -185,9 +212,15 @@ def _best(
 
 
 def _turned(rotations: tuple[Float64, ...], step_rad: float, limit_rad: float) -> list[Float64]:
-    """Rotations on shells of `step_rad` about the given ones, up to `limit_rad` (rounded to whole shells)."""
+    """Rotations on shells of `step_rad` about the given ones, up to `limit_rad` (rounded to whole shells);
+    where the shells of two overlap, those of the first."""
     shells = max(1, round(limit_rad / step_rad))
-    return [turn @ R for R in rotations for turn in _ball(round(float(step_rad), 6), shells)]
+    ball = np.array(_ball(round(float(step_rad), 6), shells))
+    turned = np.zeros((len(rotations) * len(ball), 4, 4))
+    turned[:, :3, :3] = np.concatenate([ball @ R for R in rotations])
+    if len(rotations) == 1:
+        return list(turned[:, :3, :3])
+    return list(turned[first_distinct(turned, float(np.cos(0.5 * step_rad)), 1.0, len(turned)), :3, :3])
 
 
 @lru_cache(maxsize=32)

@@ -2,9 +2,9 @@
 in.
 
 Sources are asked from cheap to dear: where the object was, where its velocity takes it, where optical flow
-takes it (paper, section III-E), and at last a search of what it can have reached. Each proposal is refined
-and looked at by the same judge; what comes back are different hypotheses, and the track decides what to
-believe."""
+takes it (paper, section III-E), and at last a search of what it can have reached. What a frame has no time
+for is left to the next. Each proposal is refined and looked at by the same judge; what comes back are
+different hypotheses, and the track decides what to believe."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ from huepose.tracking.hypothesis import Hypothesis
 from huepose.tracking.look import look, totals
 from huepose.tracking.motion import predicted
 from huepose.tracking.reach import reaches
-from huepose.tracking.search import GREAT_EFFORT, NORMAL_EFFORT, search
+from huepose.tracking.search import GREAT_EFFORT, NORMAL_EFFORT, PARTS, search
 
 START_SAMPLES = 150
 HIDDEN_COSTS = 0.5
@@ -42,7 +42,8 @@ MARGIN_M = 0.012
 
 SETTLED_M = 0.004
 MORE_PASSES = 3
-"""A refinement that moved the object's rim by more than this is repeated, a few times."""
+"""A refinement that moved the object's rim by more than this is repeated, a few times; that of another than
+the first hypothesis goes on in the next frame."""
 
 DRAWN_AWAY = 0.1
 """A refinement that explains this much less than its start has followed something else."""
@@ -91,16 +92,25 @@ class Anchor:
         return self.hypotheses[0]
 
 
+FLOW, NEAR, FAR = 0, 1, 2
+TURN = FAR + PARTS
+END = TURN + 1
+"""What is tried where the best explains too little, in this order: optical flow, a search near by, the parts
+of a wide one, near-symmetric rotations."""
+
+
 @dataclass(frozen=True, eq=False)
 class Advance:
     """What may be believed of a frame: followed, one for each hypothesis of the anchor in their order;
-    proposed: others, by flow, search and near-symmetric rotations; searched: whether a search was made;
-    doubtful: the best of them explains less than the object should."""
+    proposed: others, by flow, search and near-symmetric rotations; tried: how many dear proposals were made;
+    doubtful: the best of them explains less than the object should; begun: what is to be tried next, END when
+    all was."""
 
     followed: tuple[Hypothesis, ...]
     proposed: tuple[Hypothesis, ...] = ()
-    searched: bool = False
+    tried: int = 0
     doubtful: bool = False
+    begun: int = FLOW
 
 
 def advance(
@@ -110,9 +120,11 @@ def advance(
     config: TrackerConfig,
     relative_pose: RelativePose | None = None,
     resting: bool = False,
+    begun: int = FLOW,
+    tries: float = np.inf,
 ) -> Advance:
-    """Find the object of `anchor` in a later frame. resting: flow and search were tried in vain and may
-    wait."""
+    """Find the object of `anchor` in a later frame. resting: all was tried in vain and may wait; begun: what
+    is to be tried next, as the last frame left it; tries: how much of it this frame has time for."""
     surface, first = subject.surface, anchor.first
     seconds = (frame.stamp_ns - anchor.frame.stamp_ns) * 1e-9
     expected = predicted(first.T_cam_obj, first.velocity, seconds)
@@ -123,7 +135,10 @@ def advance(
             return Advance((waiting,), doubtful=True)
     gone_s = seconds + anchor.unseen_s
     near, far = reaches(surface, first.T_cam_obj, first.velocity, expected, gone_s, config)
-    followed = [_followed(surface, frame, h, seconds, anchor.light) for h in anchor.hypotheses]
+    followed = [
+        _followed(surface, frame, h, seconds, anchor.light, MORE_PASSES if h is first else 0)
+        for h in anchor.hypotheses
+    ]
     if not far.holds(surface.centre_cam(followed[0].T_cam_obj)):
         # Nothing moves that fast: what was followed is what came in front.
         followed[0] = unmoved(surface, frame, expected, anchor.light)
@@ -132,36 +147,56 @@ def advance(
     doubt = config.long_doubt if long else config.doubt
     returning = anchor.unseen_s > 0.0 and best.terms.seen >= RETURNING_SEEN
     surprising = long and moved_m(surface, best.T_cam_obj, expected) > config.surprising_m
-    if convincing(best, anchor.baseline, doubt, config) and not (surprising or returning):
-        return Advance(tuple(followed))
-    if (resting or best.terms.hidden > config.hidden) and not (long or returning):
-        return Advance(tuple(followed), doubtful=True)
-    proposed: list[Hypothesis] = []
-    # What was not seen in the last frame has no pixels there to be followed.
-    if 0.0 < seconds <= config.long_step_s and anchor.unseen_s == 0.0:
-        T_flow = flow_start(subject, anchor, frame, expected, relative_pose or RobustKabsch(), config.flow)
-        if T_flow is not None and far.holds(surface.centre_cam(T_flow)):
-            proposed.append(best_of(surface, frame, [(T_flow, "flow")], anchor.light))
-            best = max(best, proposed[-1], key=lambda h: h.terms.total)
-    if not config.search or (
-        convincing(best, anchor.baseline, doubt, config) and not (surprising or returning)
-    ):
-        return Advance(
-            tuple(followed), tuple(proposed), doubtful=not convincing(best, anchor.baseline, doubt, config)
-        )
-    efforts = ((near, NORMAL_EFFORT), (far, GREAT_EFFORT)) if long or returning else ((near, NORMAL_EFFORT),)
-    for reach, effort in efforts:
-        found = search(surface, frame, reach, effort, anchor.light)
-        proposed += [best_of(surface, frame, [(T, "search")], anchor.light) for T in found]
-        best = max([best, *proposed], key=lambda h: h.terms.total)
-        if convincing(best, anchor.baseline, doubt, config):
-            break
-    if len(subject.near_symmetries) and best.terms.seen >= RETURNING_SEEN:
-        starts = [(best.T_cam_obj @ turn, "turn") for turn in subject.near_symmetries]
-        proposed.append(best_of(surface, frame, starts, anchor.light))
-        best = max(best, proposed[-1], key=lambda h: h.terms.total)
     doubtful = not convincing(best, anchor.baseline, doubt, config)
-    return Advance(tuple(followed), tuple(proposed), True, doubtful)
+    uneasy = surprising or returning or begun > NEAR
+    if not (doubtful or uneasy):
+        return Advance(tuple(followed))
+    if doubtful and (resting or best.terms.hidden > config.hidden) and not (long or returning):
+        return Advance(tuple(followed), doubtful=True)
+    # What is back in full view as it was before was followed rightly, or is taken for another side of itself.
+    back = not long and begun <= NEAR and in_full(best, anchor.baseline, config)
+    proposed: list[Hypothesis] = []
+    tried, rung = 0, begun
+    while rung < END:
+        wide = FAR <= rung < TURN
+        if rung == FLOW:
+            # What was not seen in the last frame has no pixels there to be followed.
+            wanted = doubtful and 0.0 < seconds <= config.long_step_s and anchor.unseen_s == 0.0
+        elif rung == TURN:
+            seen = len(subject.near_symmetries) > 0 and best.terms.seen >= RETURNING_SEEN
+            wanted = seen and (doubtful or uneasy)
+        else:
+            wanted = doubtful or (rung == NEAR and uneasy and not back)
+        if not wanted or not (config.search or rung == FLOW):
+            rung += 1
+            continue
+        left = tries - tried
+        if left < 1:
+            break
+        steps = int(min(left, TURN - rung)) if wide else 1
+        if rung == FLOW:
+            T = flow_start(subject, anchor, frame, expected, relative_pose or RobustKabsch(), config.flow)
+            starts = [[(T, "flow")]] if T is not None and far.holds(surface.centre_cam(T)) else []
+        elif rung == TURN:
+            starts = [[(best.T_cam_obj @ turn, "turn") for turn in subject.near_symmetries]]
+        elif wide:
+            parts = range(rung - FAR, rung - FAR + steps)
+            found = search(surface, frame, far, GREAT_EFFORT, anchor.light, parts)
+            starts = [[(T, "search")] for T in found]
+        else:
+            found = search(surface, frame, near, NORMAL_EFFORT, anchor.light)
+            starts = [[(T, "search")] for T in found]
+        proposed += [best_of(surface, frame, one, anchor.light, 0) for one in starts]
+        best = max([best, *proposed], key=lambda h: h.terms.total)
+        doubtful = not convincing(best, anchor.baseline, doubt, config)
+        tried, rung = tried + steps, rung + steps
+    return Advance(tuple(followed), tuple(proposed), tried, doubtful, rung)
+
+
+def in_full(found: Hypothesis, baseline: float | None, config: TrackerConfig) -> bool:
+    """Whether a hypothesis explains as much as the object does in full view."""
+    total = found.terms.total
+    return total >= config.doubtful_total and baseline is not None and total >= baseline - config.long_doubt
 
 
 def convincing(found: Hypothesis, baseline: float | None, doubt: float, config: TrackerConfig) -> bool:
@@ -171,14 +206,19 @@ def convincing(found: Hypothesis, baseline: float | None, doubt: float, config: 
 
 
 def _followed(
-    surface: PreparedSurface, frame: RgbdFrame, before: Hypothesis, seconds: float, light: Float64 | None
+    surface: PreparedSurface,
+    frame: RgbdFrame,
+    before: Hypothesis,
+    seconds: float,
+    light: Float64 | None,
+    more_passes: int,
 ) -> Hypothesis:
     """A hypothesis of an earlier frame in this one."""
     starts = [(before.T_cam_obj, "still")]
     expected = predicted(before.T_cam_obj, before.velocity, seconds)
     if expected is not before.T_cam_obj:
         starts.append((expected, "velocity"))
-    return best_of(surface, frame, starts, light)
+    return best_of(surface, frame, starts, light, more_passes)
 
 
 def flow_start(
@@ -213,6 +253,7 @@ def best_of(
     frame: RgbdFrame,
     starts: list[tuple[Float64, str]],
     light: Float64 | None = None,
+    more_passes: int = MORE_PASSES,
 ) -> Hypothesis:
     """Refine the start that explains the image best before refinement, and look at where it leads."""
     boxes = [b for b in (surface.box(T, frame.camera) for T, _ in starts) if b is not None]
@@ -227,7 +268,7 @@ def best_of(
     chosen = int(np.argmax(totals(surface, region, poses, START_SAMPLES))) if len(starts) > 1 else 0
     T_start, name = starts[chosen]
     refined, T = refine(surface, region, T_start), T_start
-    for _ in range(MORE_PASSES):
+    for _ in range(more_passes):
         if moved_m(surface, T, refined.T_cam_obj) < SETTLED_M:
             break
         T = refined.T_cam_obj
@@ -247,16 +288,16 @@ def best_of(
 
 def found_nearby(
     surface: PreparedSurface, T_cam_obj: Float64, frame: RgbdFrame, apart_s: float, config: TrackerConfig
-) -> tuple[Hypothesis, bool]:
+) -> tuple[Hypothesis, int]:
     """A pose of a frame settled on that frame, or on one that was taken so many seconds before or after:
-    there the object is searched for, if it is not found where it was; and whether it was searched for."""
+    there the object is searched for, if it is not found where it was; and how many searches that took."""
     best = best_of(surface, frame, [(T_cam_obj, "correction")])
     if apart_s == 0.0 or not config.search or convincing(best, None, config.doubt, config):
-        return best, False
+        return best, 0
     reach, _ = reaches(surface, T_cam_obj, None, T_cam_obj, apart_s, config)
     found = search(surface, frame, reach, NORMAL_EFFORT, None)
     more = [best_of(surface, frame, [(T, "search")]) for T in found]
-    return max([best, *more], key=lambda h: h.terms.total), True
+    return max([best, *more], key=lambda h: h.terms.total), 1
 
 
 def unmoved(

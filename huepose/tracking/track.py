@@ -20,7 +20,7 @@ from huepose.tracking.hypothesis import Hypothesis, distinct, share_of_first
 from huepose.tracking.identity import Identity, turned_over
 from huepose.tracking.motion import filtered, increment_velocity, predicted
 from huepose.tracking.reach import jump_odds
-from huepose.tracking.step import Advance, Anchor, Subject, advance, found_nearby
+from huepose.tracking.step import END, FLOW, Advance, Anchor, Subject, advance, found_nearby
 from huepose.tracking.types import State, TrackedPose
 from huepose.tracking.uncertainty import covariance, spread_m, unseen
 
@@ -36,7 +36,7 @@ FORGOTTEN_PER_S = 0.25
 SPREAD_POINTS = 48
 MAX_TRIES = 3
 TRY_AGAIN_AFTER = 15
-"""Doubtful frames in a row after which flow and search rest, and every how many they are tried again: an
+"""After so many times in vain flow and search rest, and are tried again every so many doubtful frames: an
 object that is half hidden for seconds must not cost more than one that is not."""
 
 
@@ -58,7 +58,7 @@ class Track:
         self._standing = Standing(State.SEARCHING)
         self._identity: Identity | None = None
         self._corrected_from: Identity | None = None
-        self._doubtful_frames = self._scarce_frames = 0
+        self._doubtful_frames = self._in_vain = self._begun = self._scarce_frames = 0
         self._unseen_s = 0.0
         self._supported_ns = 0
 
@@ -86,19 +86,19 @@ class Track:
         self,
         frame: RgbdFrame,
         relative_pose: RelativePose | None = None,
-        may_search: bool = True,
+        tries: float = np.inf,
         mask: Bool | None = None,
-    ) -> bool:
-        """Find the object in the next frame, if it has a pose; says whether that took a search. mask (H, W):
-        of the object in the last frame, where it is known."""
+    ) -> int:
+        """Find the object in the next frame, if it has a pose; says how many of at most `tries` dear
+        proposals that took. mask (H, W): of the object in the last frame, where it is known."""
         if not self.hypotheses or self.frame is None:
-            return False
-        resting = self._doubtful_frames >= MAX_TRIES and self._doubtful_frames % TRY_AGAIN_AFTER != 0
+            return 0
+        tried_enough = self._begun == FLOW and self._in_vain >= MAX_TRIES
+        resting = tried_enough and self._doubtful_frames % TRY_AGAIN_AFTER != 0
         anchor = Anchor(self.hypotheses, self.frame, self.baseline, self.light, mask, self._unseen_s)
-        config = self._config if may_search else replace(self._config, search=False)
-        found = advance(self.subject, anchor, frame, config, relative_pose, resting)
+        found = advance(self.subject, anchor, frame, self._config, relative_pose, resting, self._begun, tries)
         self._take(anchor, found, frame)
-        return found.searched
+        return found.tried
 
     def _take(self, anchor: Anchor, found: Advance, frame: RgbdFrame) -> None:
         """Believe what was found as far as the image, the past and what can move so fast allow."""
@@ -134,6 +134,8 @@ class Track:
             self._coast(before, seconds)
             self._unseen_s += seconds
         self._doubtful_frames = self._doubtful_frames + 1 if found.doubtful else 0
+        self._in_vain = self._in_vain + (found.begun == END) if found.doubtful else 0
+        self._begun = found.begun % END
 
     def _believed(self, h: Hypothesis, odds_before: float, parent: Hypothesis, seconds: float) -> Hypothesis:
         """A hypothesis with its log-odds, and the velocity that led to it."""
@@ -160,16 +162,16 @@ class Track:
         self.history.append(frame.frame_id, frame.stamp_ns, self.T_cam_obj)
         self.history.forget_before(since_ns)
 
-    def start(self, T_cam_obj: Float64, quality: float, frame: RgbdFrame, apart_s: float) -> bool:
-        """Begin with a pose of perception that is `apart_s` seconds off `frame`; says whether that took a
-        search."""
-        found, searched = found_nearby(self.subject.surface, T_cam_obj, frame, apart_s, self._config)
+    def start(self, T_cam_obj: Float64, quality: float, frame: RgbdFrame, apart_s: float) -> int:
+        """Begin with a pose of perception that is `apart_s` seconds off `frame`; says how many dear proposals
+        that took."""
+        found, tried = found_nearby(self.subject.surface, T_cam_obj, frame, apart_s, self._config)
         odds = evidence.log_odds(found.terms, self.baseline, evidence.odds_of(quality))
         self.hypotheses, self.frame = (found.believed(odds),), frame
         self.evidence = probability(odds)
         self.covariance = self._covariance(found)
         self.learn()
-        return searched
+        return tried
 
     def learn(self) -> None:
         """Take a frame that supports the pose as what is usual, on the way to now. What was usual before it
@@ -188,7 +190,8 @@ class Track:
         self.baseline, self.light, self.evidence = verified.baseline, verified.light, verified.evidence
         self.frame = frame
         self._identity, self._corrected_from = Identity.of(quality, self._view()), None
-        self._doubtful_frames, self._scarce_frames, self._unseen_s = 0, 0, 0.0
+        self._doubtful_frames = self._in_vain = self._begun = self._scarce_frames = 0
+        self._unseen_s = 0.0
         self._supported_ns = frame.stamp_ns
         # A verified pose may be TRACKING at once.
         self._standing = Standing(State.TRACKING)

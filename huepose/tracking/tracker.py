@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 
+import numpy as np
+
 from huepose.geometry.frame import RgbdFrame
 from huepose.judge.silhouette import silhouette_iou
 from huepose.model.types import ReferenceModel
@@ -57,7 +59,7 @@ class Tracker:
         self._seen_seq: dict[Key, int] = {}
         self._waiting: list[Correction] = []
         self._frames = FrameHistory(self.config.history_frames, self.config.older_frames)
-        self._steps = self._searched = 0
+        self._steps, self._tries = 0, 1.0
         for model in models.values():
             self.add_object(model)
 
@@ -121,6 +123,7 @@ class Tracker:
             self._forget()
         elif newest is not None and frame.stamp_ns <= newest.stamp_ns:
             return []
+        self._earn(0.0 if newest is None else (frame.stamp_ns - newest.stamp_ns) * 1e-9)
         self._frames.append(frame)
         oldest = self._frames.oldest or frame
         with stage("follow"):
@@ -134,18 +137,23 @@ class Tracker:
         return self.poses()
 
     def _look(self, frame: RgbdFrame) -> None:
-        """Every instance, another one first each time: where searches are rationed, each gets its turn."""
+        """Every instance, another one first each time: where tries are rationed, each gets its turn."""
         tracks = list(self._tracks.values())
         first = self._steps % max(len(tracks), 1)
         self._steps += 1
-        self._searched = 0
         for track in tracks[first:] + tracks[:first]:
-            self._searched += track.look(frame, self._relative_pose, self._may_search())
+            self._tries -= track.look(frame, self._relative_pose, self._whole_tries)
 
-    def _may_search(self) -> bool:
-        """Whether the ration of this step is not used up."""
-        ration = self.config.searches_per_step
-        return ration is None or self._searched < ration
+    def _earn(self, seconds: float) -> None:
+        """Tries for the time since the last frame. What was not used is not saved for a costly step."""
+        rate = self.config.tries_per_s
+        earned = np.inf if rate is None else rate * seconds
+        self._tries = min(self._tries + earned, max(1.0, earned))
+
+    @property
+    def _whole_tries(self) -> float:
+        """How many are left in this step."""
+        return float(np.floor(self._tries + 0.5))
 
     def correct(self, correction: Correction) -> Applied:
         """Take a verdict on a past frame, or on the one that comes next. Raises InputError for an unknown
@@ -241,10 +249,9 @@ class Tracker:
             kept = self._frames.from_nearest(pursuit.correction.stamp_ns)
         else:
             kept = self._frames.since(reached.stamp_ns)
-        may_search = self._may_search()
-        if not may_search and pursuit.needs_search(kept):
+        if self._whole_tries < 1.0 and pursuit.needs_search(kept):
             return
-        self._searched += pursuit.follow(kept, self._relative_pose, may_search)
+        self._tries -= pursuit.follow(kept, self._relative_pose, self._whole_tries)
         if pursuit.supported and not pursuit.arrived(newest):
             return
         del self._pursuits[key]

@@ -12,7 +12,7 @@ from huepose.tracking import Applied, Correction, State, Tracker, TrackerConfig,
 from huepose.tracking.catching_up import Pursuit
 from huepose.tracking.step import Subject
 
-CONFIG = TrackerConfig(searches_per_step=None, catch_up_stride=5)
+CONFIG = TrackerConfig(tries_per_s=None, catch_up_stride=5)
 LIVE = TrackerConfig()
 
 

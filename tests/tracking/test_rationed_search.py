@@ -15,26 +15,29 @@ TWO = (0, 1)
 
 @pytest.fixture
 def searched(monkeypatch):
-    """Names of the surfaces that were searched for, by the real search."""
+    """Surfaces that were searched for, once for each part of a search, by the real search."""
     seen: list[int] = []
     real = one_step.search
 
-    def search(surface, *rest):
-        seen.append(id(surface))
-        return real(surface, *rest)
+    def search(surface, frame, reach, effort, light=None, parts=range(1)):
+        seen.extend([id(surface)] * len(parts))
+        return real(surface, frame, reach, effort, light, parts)
 
     monkeypatch.setattr(one_step, "search", search)
     return seen
 
 
-def _tracked(tea_box, soup_can, shoot, path, config):
-    """Two objects, acquired in frame 0, and a film of every tenth frame."""
+def _tracked(tea_box, soup_can, shoot, path, config, apart):
+    """Two objects, acquired in frame 0, and a film that shows where they are ten frames later each time, in
+    frames that many apart."""
     models = (tea_box, soup_can)
 
     def place(which, number):
         return se3.compose(se3.make(np.eye(3), np.array([0.12 * (2 * which - 1), 0.0, 0.1])), path(number))
 
-    frames = [shoot([(models[which].mesh, place(which, k)) for which in TWO], k) for k in (0, 10, 20, 30, 40)]
+    frames = [
+        shoot([(models[which].mesh, place(which, 10 * k)) for which in TWO], apart * k) for k in range(9)
+    ]
     tracker = Tracker({m.name: m for m in models}, config)
     tracker.step(frames[0])
     for which in TWO:
@@ -43,23 +46,52 @@ def _tracked(tea_box, soup_can, shoot, path, config):
     return tracker, frames
 
 
-def test_without_a_ration_a_long_step_searches_for_all(tea_box, soup_can, shoot, path, searched):
-    tracker, frames = _tracked(tea_box, soup_can, shoot, path, TrackerConfig(searches_per_step=None))
+def test_a_long_step_has_time_for_all(tea_box, soup_can, shoot, path, searched):
+    tracker, frames = _tracked(tea_box, soup_can, shoot, path, TrackerConfig(), 10)
     tracker.step(frames[1])
     assert len(set(searched)) == 2
+    assert len(searched) <= 10
 
 
-def test_with_a_ration_each_long_step_searches_for_one_and_all_get_their_turn(
-    tea_box, soup_can, shoot, path, searched
-):
-    tracker, frames = _tracked(tea_box, soup_can, shoot, path, TrackerConfig())
+def test_a_short_step_has_time_for_one_and_all_get_their_turn(tea_box, soup_can, shoot, path, searched):
+    tracker, frames = _tracked(tea_box, soup_can, shoot, path, TrackerConfig(), 1)
     found = []
     for frame in frames[1:]:
         searched.clear()
         tracker.step(frame)
-        assert len(set(searched)) <= 1
+        assert len(searched) <= 1
         found += searched
     assert len(set(found)) == 2
+
+
+def test_without_a_ration_a_short_step_searches_for_all(tea_box, soup_can, shoot, path, searched):
+    tracker, frames = _tracked(tea_box, soup_can, shoot, path, TrackerConfig(tries_per_s=None), 1)
+    tracker.step(frames[1])
+    assert len(set(searched)) == 2
+
+
+def test_a_search_that_takes_several_frames_finds_what_turned_behind_a_board(
+    soup_can, shoot, path, searched
+) -> None:
+    """Hidden for two frames; what comes back is turned by 45 degrees and 3 cm away."""
+    board, T = printed_board(0.3, 0.3), path(0)
+    turned = se3.perturb(T, np.array([0.03, 0.0, 0.0, 0.0, np.radians(45.0), 0.0]))
+    before = se3.make(np.eye(3), np.array([0.0, 0.0, T[2, 3] - 0.15]))
+    tracker = Tracker({"soup_can": soup_can})
+    for k in range(14):
+        scene = [(soup_can.mesh, T if k < 5 else turned)]
+        if k in (4, 5):
+            scene.append((board, before))
+        frame = shoot(scene, k)
+        if k == 0:
+            tracker.correct(Correction.first("soup_can", T, frame))
+        searched.clear()
+        (pose,) = tracker.step(frame)
+        assert len(searched) <= 1, k
+    assert pose.state is State.TRACKING
+    assert pose.T_cam_obj is not None
+    assert np.linalg.norm(pose.T_cam_obj[:3, 3] - turned[:3, 3]) < 0.003
+    assert se3.rotation_angle(pose.T_cam_obj, turned) < np.radians(3.0)
 
 
 def test_what_comes_in_front_is_not_followed_and_nothing_is_searched_behind_it(

@@ -49,7 +49,7 @@ if [ ! -x "$UV/bin/uv" ]; then
 fi
 export UV_PYTHON_DOWNLOADS=never
 "$UV/bin/uv" sync --frozen --quiet --python "$python" \
-    --extra edge --extra onboard --extra viewer --extra realsense --extra oak --extra ros2 --group dev
+    --extra edge --extra onboard --extra viewer --extra realsense --extra oak --extra secure --extra ros2 --group dev
 if [ ! -e .venv/.welcomed ]; then
     touch .venv/.welcomed
     cat <<'NEXT'

@@ -19,7 +19,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 from huepose.support.errors import InputError
-from huepose_services.runtime.config import GatewayConfig
+from huepose_services.runtime.config import TLS_FILES, GatewayConfig
 
 HANDSHAKE_S = 3.0
 PENDING, PENDING_OF_ONE = 32, 8
@@ -27,6 +27,7 @@ PENDING, PENDING_OF_ONE = 32, 8
 RATE_BYTES_S, BURST_BYTES = 16 * 1024, 64 * 1024
 """What a reader may say, on all its sessions: it asks, and says that it is there."""
 _CHUNK = 16 * 1024
+_LOOK_EVERY_S = 0.5
 _SECONDS_A_DAY = 86_400.0
 
 
@@ -69,9 +70,9 @@ class Door:
         self._thread.join()
 
     def _run(self) -> None:
-        accepting = self._loop.create_task(self._accept())
+        always = [self._loop.create_task(self._accept()), self._loop.create_task(self._watch())]
         self._loop.run_forever()
-        tasks = [accepting, *self._tasks]
+        tasks = [*always, *self._tasks]
         for task in tasks:
             task.cancel()
         self._loop.run_until_complete(asyncio.gather(*tasks, return_exceptions=True))
@@ -94,6 +95,22 @@ class Door:
             task = self._loop.create_task(self._serve(link, host))
             self._tasks.add(task)
             task.add_done_callback(self._tasks.discard)
+
+    async def _watch(self) -> None:
+        """Read the files of TLS anew when they change, and ask everyone again who he is."""
+        before = _changed(self._gateway)
+        while True:
+            await asyncio.sleep(_LOOK_EVERY_S)
+            if (now := _changed(self._gateway)) == before:
+                continue
+            before = now
+            try:
+                self._tls = _context(self._gateway)
+            except InputError as error:
+                self._tell(f"its certificates have changed, and the old ones stay in use: {error}")
+                continue
+            for task in self._tasks:
+                task.cancel()
 
     async def _serve(self, link: socket.socket, host: str) -> None:
         writer = None
@@ -188,6 +205,9 @@ def _context(gateway: GatewayConfig) -> ssl.SSLContext | None:
     try:
         context = ssl.create_default_context(ssl.Purpose.CLIENT_AUTH, cafile=tls.authority)
         context.load_cert_chain(tls.certificate, tls.key)
+        if tls.revoked is not None:
+            context.load_verify_locations(cafile=tls.revoked)
+            context.verify_flags |= ssl.VERIFY_CRL_CHECK_LEAF
     except (ssl.SSLError, OSError) as error:
         raise InputError(
             "gateway.tls",
@@ -197,6 +217,18 @@ def _context(gateway: GatewayConfig) -> ssl.SSLContext | None:
         ) from None
     context.verify_mode = ssl.CERT_REQUIRED
     return context
+
+
+def _changed(gateway: GatewayConfig) -> list[tuple[int, int]]:
+    """What differs when one of the files of TLS does."""
+    out = []
+    for name in TLS_FILES:
+        path = None if gateway.tls is None else getattr(gateway.tls, name)
+        with suppress(OSError):
+            if path is not None:
+                status = Path(path).stat()
+                out.append((status.st_mtime_ns, status.st_ino))
+    return out
 
 
 def _listener(gateway: GatewayConfig) -> socket.socket:

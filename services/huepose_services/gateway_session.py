@@ -16,7 +16,7 @@ import zenoh
 from huepose.support.errors import InputError
 from huepose_services.gateway_door import Door
 from huepose_services.pem import check_pem
-from huepose_services.runtime.config import GatewayConfig, TlsConfig
+from huepose_services.runtime.config import TLS_FILES, GatewayConfig, TlsConfig
 from huepose_services.runtime.run_folder import make_folder
 
 # Broader than one site, so that readers may use `*` for site and camera: zenoh silently ignores subscriptions
@@ -90,5 +90,6 @@ def _access() -> dict[str, object]:
 
 
 def _check_files(tls: TlsConfig) -> None:
-    for name in ("authority", "certificate", "key"):
-        check_pem(f"gateway.tls.{name}", Path(getattr(tls, name)))
+    for name in TLS_FILES:
+        if (path := getattr(tls, name)) is not None:
+            check_pem(f"gateway.tls.{name}", Path(path))

@@ -19,7 +19,7 @@ from typing import Any
 _VERBS = (
     *("demo", "new", "onboard", "estimate", "evaluate", "render_scenes", "train", "bench"),
     *("up", "run", "status", "top", "graph", "objects", "poses", "view", "record", "replay", "validate"),
-    *("doctor", "models", "calibrate", "units"),
+    *("doctor", "models", "calibrate", "units", "secure"),
 )
 # Those that run compiled kernels in their own process.
 _COMPILING = frozenset({"new", "onboard", "onboard-bop", "estimate", "eval", "render-scenes", "bench"})
@@ -29,6 +29,7 @@ _OF_EXTRAS = {
     "open3d": "onboard",
     **dict.fromkeys(("torch", "onnx", "onnxscript"), "train"),
     "rerun": "viewer",
+    "cryptography": "secure",
     "rosbags": "ros2",
 }
 # Options that say where results go.

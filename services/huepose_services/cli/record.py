@@ -50,7 +50,7 @@ def call(arguments: argparse.Namespace) -> int:
     from huepose_services.runtime.clock import this_clock
     from huepose_services.runtime.health import Health
     from huepose_services.runtime.log import Log
-    from huepose_services.runtime.session import open_reader_session
+    from huepose_services.runtime.session import open_recorder_session
 
     part, keep, free = arguments.part, arguments.keep, arguments.free
     if part < 1 or free < 0 or (keep is not None and keep < part):
@@ -71,7 +71,7 @@ def call(arguments: argparse.Namespace) -> int:
     limits = Limits(part << 20, None if keep is None else keep << 20, free << 20)
     about = about_this_machine() | {"site": config.site, "camera": config.camera.name}
     parts = Parts(arguments.out, limits, this_clock().realtime_offset_ns, about, arguments.jpeg)
-    session = open_reader_session([config.endpoint(worker) for worker in config.workers])
+    session = open_recorder_session(config)
     bus = Bus(session, config.keys, "record", Log("record"), Health("record"))
     recorder = Recorder(bus, parts, with_frames=not arguments.no_frames)
     progress = _Progress(recorder, parts)

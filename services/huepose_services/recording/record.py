@@ -52,7 +52,7 @@ class Recorder:
         self._bus, self._parts = bus, parts
         keys, inbox = bus.keys, bus.inbox
         # Frames first: what the tracker took in then comes after the frame that it took.
-        self._frames = inbox.queue(keys.frame, capacity=_FRAMES_WAITING) if with_frames else None
+        self._frames = inbox.queue(keys.frame, True, _FRAMES_WAITING, copies=True) if with_frames else None
         said = (
             *(keys.truth, keys.camera_info, keys.request, keys.estimates, keys.correction, keys.objects),
             *(keys.poses, keys.health()),

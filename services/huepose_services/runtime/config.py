@@ -76,13 +76,18 @@ class ReinitConfig(Section, frozen=True, kw_only=True):
     deadline_ms: Annotated[int, Meta(ge=50, le=10_000)] = 600
 
 
+TLS_FILES = ("authority", "certificate", "key", "revoked")
+
+
 class TlsConfig(Section, frozen=True, kw_only=True):
     """Files in PEM: the authority that signed the readers' certificates, the gateway's own certificate and
-    key. `readers`: common names of the certificates that may read; empty: all that the authority signed."""
+    key. `readers`: common names of the certificates that may read; empty: all that the authority signed.
+    `revoked`: those that it took back. The files are read anew when they change."""
 
     authority: str
     certificate: str
     key: str
+    revoked: str | None = None
     readers: list[Annotated[str, Meta(min_length=1, max_length=64)]] = msgspec.field(default_factory=list)
 
 
@@ -231,9 +236,7 @@ def _absolute(config: Config, folder: Path) -> Config:
         gateway=msgspec.structs.replace(
             config.gateway,
             tls=tls
-            and msgspec.structs.replace(
-                tls, **{name: absolute(getattr(tls, name)) for name in ("authority", "certificate", "key")}
-            ),
+            and msgspec.structs.replace(tls, **{name: absolute(getattr(tls, name)) for name in TLS_FILES}),
         ),
     )
 

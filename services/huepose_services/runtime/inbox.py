@@ -10,6 +10,7 @@ from __future__ import annotations
 import threading
 from collections import deque
 from collections.abc import Callable
+from dataclasses import dataclass
 from typing import Any
 
 import zenoh
@@ -51,28 +52,48 @@ class Ring:
         return self._wakes and self._sample is not None
 
 
+@dataclass(frozen=True)
+class Copied:
+    """A sample that holds no shared memory, as far as the bus looks at it."""
+
+    key_expr: zenoh.KeyExpr
+    attachment: zenoh.ZBytes | None
+    payload: zenoh.ZBytes
+
+    @staticmethod
+    def of(sample: zenoh.Sample) -> Copied:
+        """A sample's, to be kept for as long as one likes."""
+        return Copied(sample.key_expr, sample.attachment, zenoh.ZBytes(sample.payload.to_bytes()))
+
+
 class Queue:
-    """All samples of a subscription in order; `lost` counts what a stuck loop made it drop."""
+    """All samples of a subscription in order; `lost` counts what a stuck loop made it drop. `copies`: they
+    are copied as they come, for what has pixels in shared memory."""
 
     def __init__(
-        self, ready: threading.Condition, wakes: bool = True, capacity: int = _QUEUE_CAPACITY
+        self,
+        ready: threading.Condition,
+        wakes: bool = True,
+        capacity: int = _QUEUE_CAPACITY,
+        copies: bool = False,
     ) -> None:
         self._ready = ready
         self._wakes = wakes
-        self._capacity = capacity
-        self._samples: deque[zenoh.Sample] = deque()
+        self._capacity, self._copies = capacity, copies
+        self._samples: deque[zenoh.Sample | Copied] = deque()
         self.lost = 0
 
     def _put(self, sample: zenoh.Sample) -> None:
+        kept = Copied.of(sample) if self._copies else sample
         with self._ready:
             if len(self._samples) >= self._capacity:
                 self._samples.popleft()
                 self.lost += 1
-            self._samples.append(sample)
+            self._samples.append(kept)
             if self._wakes:
                 self._ready.notify()
 
-    def take(self) -> zenoh.Sample | None:
+    def take(self) -> Any:
         """The oldest sample; None when there is none."""
         with self._ready:
             return self._samples.popleft() if self._samples else None
@@ -99,9 +120,11 @@ class Inbox:
         self._start(self._session.declare_subscriber(key, channel), ring)
         return ring
 
-    def queue(self, key: str, wakes: bool = True, capacity: int = _QUEUE_CAPACITY) -> Queue:
+    def queue(
+        self, key: str, wakes: bool = True, capacity: int = _QUEUE_CAPACITY, copies: bool = False
+    ) -> Queue:
         """Subscribe for everything; the oldest of more than `capacity` samples that wait is lost."""
-        queue = Queue(self._ready, wakes, capacity)
+        queue = Queue(self._ready, wakes, capacity, copies)
         self._start(self._session.declare_subscriber(key, zenoh.handlers.FifoChannel(256)), queue)
         return queue
 

@@ -144,6 +144,14 @@ def _holder(config: Config, worker: str, error: zenoh.ZError) -> str:
     return occupant(config, worker) if "acquire lock" in str(error) else " ".join(str(error).split())[:200]
 
 
+def open_recorder_session(config: Config) -> zenoh.Session:
+    """A session that takes every frame, by shared memory where it may: sockets lose some where much runs."""
+    limit = lock_limit()
+    shared = pool_fits(pool_size(config, limit), limit)
+    endpoints = [config.endpoint(worker) for worker in config.workers]
+    return zenoh.open(zenoh_config([], endpoints, shared_memory=shared))
+
+
 def open_reader_session(endpoints: Sequence[str]) -> zenoh.Session:
     """A session that only looks: it listens nowhere and takes no shared memory."""
     return zenoh.open(zenoh_config([], endpoints))

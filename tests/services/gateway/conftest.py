@@ -5,12 +5,12 @@ import time
 
 import msgspec
 import pytest
-import trustme
 
 from huepose_protos.examples import messages
 from huepose_protos.messages import (
     PoseMessage,
 )
+from huepose_services.authority import Authority
 from huepose_services.gateway import GatewayWork, make
 from huepose_services.runtime.bus import Bus
 from huepose_services.runtime.config import BusConfig, Config, GatewayConfig, TlsConfig
@@ -101,32 +101,29 @@ def start(base_port):
 @pytest.fixture(scope="module")
 def authority(tmp_path_factory):
     """Files of an authority, a gateway and some readers; one of them has another authority's certificate."""
-    folder = tmp_path_factory.mktemp("certificates")
-    ours, theirs = trustme.CA(organization_name="ours"), trustme.CA(organization_name="theirs")
-    ours.cert_pem.write_to_path(folder / "ca.pem")
-    certificates = {
-        "gateway": ours.issue_cert("localhost", "127.0.0.1", common_name="gateway"),
-        "robot1": ours.issue_cert("robot1.local", common_name="robot1"),
-        "robot2": ours.issue_cert("robot2.local", common_name="robot2"),
-        "stranger": theirs.issue_cert("robot1.local", common_name="robot1"),
-    }
-    for name, certificate in certificates.items():
-        certificate.private_key_pem.write_to_path(folder / f"{name}.key")
-        certificate.cert_chain_pems[0].write_to_path(folder / f"{name}.pem")
+    folder, other = (tmp_path_factory.mktemp("certificates") for _ in range(2))
+    ours = Authority.make(folder, ["localhost", "127.0.0.1"], 30)
+    for name in ("robot1", "robot2"):
+        ours.add(name, 30)
+    theirs = Authority.make(other, ["localhost"], 30)
+    theirs.add("robot1", 30)
+    theirs.certificate("robot1").rename(folder / "stranger.pem")
+    theirs.key("robot1").rename(folder / "stranger.key")
     return folder
 
 
 def tls(folder, readers=()):
     return TlsConfig(
-        authority=str(folder / "ca.pem"),
+        authority=str(folder / "authority.pem"),
         certificate=str(folder / "gateway.pem"),
         key=str(folder / "gateway.key"),
+        revoked=str(folder / "revoked.pem"),
         readers=list(readers),
     )
 
 
 def credentials(folder, name):
-    files = {"authority": folder / "ca.pem"}
+    files = {"authority": folder / "authority.pem"}
     if name is not None:
         files |= {"certificate": folder / f"{name}.pem", "key": folder / f"{name}.key"}
     return files

@@ -77,9 +77,12 @@ def test_why_a_gateway_is_not_reached_is_said(start, authority, base_port, monke
     ("options", "said"),
     [
         (["--gateway", "a b"], "expected HOST or HOST:PORT"),
-        (["--tls", "{0}/ca.pem", "{0}/robot1.pem", "{0}/robot1.key"], "no --gateway"),
-        (["--gateway", "x", "--tls", "{0}/ca.pem", "{0}/robot1.pem", "{0}/nothing"], "--tls key"),
-        (["--gateway", "x", "--tls", "{0}/ca.pem", "{0}/robot1.pem", "{0}/robot2.key"], "key that belongs"),
+        (["--tls", "{0}/authority.pem", "{0}/robot1.pem", "{0}/robot1.key"], "no --gateway"),
+        (["--gateway", "x", "--tls", "{0}/authority.pem", "{0}/robot1.pem", "{0}/nothing"], "--tls key"),
+        (
+            ["--gateway", "x", "--tls", "{0}/authority.pem", "{0}/robot1.pem", "{0}/robot2.key"],
+            "key that belongs",
+        ),
     ],
 )
 def test_options_for_another_machine_that_cannot_work_are_refused(authority, capsys, options, said):

@@ -1,0 +1,204 @@
+"""A small authority for the gateway: its own certificate, one for each reader, and which no longer count.
+
+A folder that only its user can open holds `authority.pem` and `.key`, `gateway.pem` and `.key`,
+`revoked.pem`, and `NAME.pem` and `.key` of each reader, to be taken to where it reads.
+"""
+
+from __future__ import annotations
+
+import datetime
+import ipaddress
+import os
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import TypeVar
+
+from cryptography import x509
+from cryptography.hazmat.primitives import hashes, serialization
+from cryptography.hazmat.primitives.asymmetric import ec
+from cryptography.x509.oid import ExtendedKeyUsageOID, NameOID
+
+from huepose.support.errors import InputError
+from huepose_protos.fields import is_name
+
+AUTHORITY, GATEWAY, REVOKED = "authority", "gateway", "revoked"
+T = TypeVar("T")
+
+
+class Authority:
+    """That of a folder. Raises InputError where there is none, or its files are damaged."""
+
+    def __init__(self, folder: Path) -> None:
+        self.folder = folder
+        if not self.certificate(AUTHORITY).is_file():
+            raise InputError(
+                folder,
+                found="no authority",
+                expected=f"{AUTHORITY}.pem in it",
+                fix="Make one: huepose secure init.",
+            )
+        self._certificate = _read(self.certificate(AUTHORITY), x509.load_pem_x509_certificate)
+        key = _read(self.key(AUTHORITY), lambda data: serialization.load_pem_private_key(data, None))
+        if not isinstance(key, ec.EllipticCurvePrivateKey):
+            raise InputError(self.key(AUTHORITY), found="another kind of key", expected="an elliptic curve's")
+        self._key = key
+
+    @staticmethod
+    def make(folder: Path, hosts: Sequence[str], days: int) -> Authority:
+        """A new one, with the certificate of the gateway, which readers reach by these names and addresses.
+
+        Raises InputError for a folder that has something in it."""
+        if folder.exists() and (not folder.is_dir() or any(folder.iterdir())):
+            raise InputError(folder, found="something there", expected="a new or empty folder")
+        folder.mkdir(mode=0o700, parents=True, exist_ok=True)
+        folder.chmod(0o700)
+        key = ec.generate_private_key(ec.SECP256R1())
+        name = _name("huepose authority")
+        builder = _builder(name, name, key, days)
+        certificate = (
+            builder.add_extension(x509.BasicConstraints(ca=True, path_length=0), critical=True)
+            .add_extension(_usage(signs=True), critical=True)
+            .sign(key, hashes.SHA256())
+        )
+        _write(folder / f"{AUTHORITY}.key", _pem(key))
+        _write(folder / f"{AUTHORITY}.pem", certificate.public_bytes(serialization.Encoding.PEM))
+        authority = Authority(folder)
+        authority._issue(GATEWAY, [*map(_host, hosts)], ExtendedKeyUsageOID.SERVER_AUTH, days)
+        authority._revoke([])
+        return authority
+
+    def certificate(self, name: str) -> Path:
+        """The file of somebody's certificate."""
+        return self.folder / f"{name}.pem"
+
+    def key(self, name: str) -> Path:
+        """The file of somebody's key."""
+        return self.folder / f"{name}.key"
+
+    def add(self, name: str, days: int) -> None:
+        """A certificate for a reader. Raises InputError for a name that is taken or none."""
+        if not is_name(name) or name in (AUTHORITY, GATEWAY, REVOKED):
+            raise InputError(
+                name,
+                found="no name for a reader",
+                expected="up to 64 of a-z, 0-9, _ and -, not those of roles",
+            )
+        if self.certificate(name).exists():
+            raise InputError(
+                self.certificate(name),
+                found="a certificate of that name",
+                fix=f"huepose secure revoke {name} first.",
+            )
+        self._issue(name, [], ExtendedKeyUsageOID.CLIENT_AUTH, days)
+
+    def revoke(self, name: str) -> None:
+        """The certificate of a reader no longer counts, and its files here are deleted. Raises InputError for
+        one that is not there."""
+        if not is_name(name) or name in (AUTHORITY, GATEWAY, REVOKED) or not self.certificate(name).is_file():
+            readers = sorted(path.stem for path in self.folder.glob("*.key"))
+            known = ", ".join(n for n in readers if n not in (AUTHORITY, GATEWAY))
+            raise InputError(name, found="no reader of that name", expected=f"one of: {known or 'none'}")
+        serial = _read(self.certificate(name), x509.load_pem_x509_certificate).serial_number
+        before = _read(self.certificate(REVOKED), x509.load_pem_x509_crl)
+        self._revoke([*(entry.serial_number for entry in before), serial])
+        self.key(name).unlink(missing_ok=True)
+        self.certificate(name).unlink()
+
+    def _issue(self, name: str, hosts: list[x509.GeneralName], use: x509.ObjectIdentifier, days: int) -> None:
+        key = ec.generate_private_key(ec.SECP256R1())
+        builder = (
+            _builder(_name(name), self._certificate.subject, key, days)
+            .add_extension(x509.BasicConstraints(ca=False, path_length=None), critical=True)
+            .add_extension(_usage(signs=False), critical=True)
+            .add_extension(x509.ExtendedKeyUsage([use]), critical=False)
+            .add_extension(x509.SubjectAlternativeName(hosts or [x509.DNSName(name)]), critical=False)
+        )
+        certificate = builder.sign(self._key, hashes.SHA256())
+        _write(self.key(name), _pem(key))
+        _write(self.certificate(name), certificate.public_bytes(serialization.Encoding.PEM))
+
+    def _revoke(self, serials: list[int]) -> None:
+        now = _now()
+        builder = x509.CertificateRevocationListBuilder(
+            self._certificate.subject, now, self._certificate.not_valid_after_utc
+        )
+        for serial in serials:
+            entry = x509.RevokedCertificateBuilder(serial, now).build()
+            builder = builder.add_revoked_certificate(entry)
+        revoked = builder.sign(self._key, hashes.SHA256())
+        _write(self.certificate(REVOKED), revoked.public_bytes(serialization.Encoding.PEM))
+
+
+def _now() -> datetime.datetime:
+    return datetime.datetime.now(datetime.timezone.utc)
+
+
+def _name(common: str) -> x509.Name:
+    return x509.Name([x509.NameAttribute(NameOID.COMMON_NAME, common)])
+
+
+def _builder(
+    subject: x509.Name, issuer: x509.Name, key: ec.EllipticCurvePrivateKey, days: int
+) -> x509.CertificateBuilder:
+    # The clocks of two machines are never quite the same.
+    begin = _now() - datetime.timedelta(hours=1)
+    return x509.CertificateBuilder(
+        issuer,
+        subject,
+        key.public_key(),
+        x509.random_serial_number(),
+        begin,
+        begin + datetime.timedelta(days),
+    )
+
+
+def _usage(signs: bool) -> x509.KeyUsage:
+    return x509.KeyUsage(
+        digital_signature=not signs,
+        key_cert_sign=signs,
+        crl_sign=signs,
+        content_commitment=False,
+        key_encipherment=False,
+        data_encipherment=False,
+        key_agreement=False,
+        encipher_only=False,
+        decipher_only=False,
+    )
+
+
+def _host(text: str) -> x509.GeneralName:
+    try:
+        return x509.IPAddress(ipaddress.ip_address(text))
+    except ValueError:
+        pass
+    try:
+        return x509.DNSName(text)
+    except ValueError:
+        raise InputError("--host", found=text[:80], expected="a computer's name or address") from None
+
+
+def _pem(key: ec.EllipticCurvePrivateKey) -> bytes:
+    return key.private_bytes(
+        serialization.Encoding.PEM, serialization.PrivateFormat.PKCS8, serialization.NoEncryption()
+    )
+
+
+def _write(path: Path, data: bytes) -> None:
+    """All of it or nothing, for its user alone."""
+    fresh = path.with_name(path.name + ".new")
+    with os.fdopen(os.open(fresh, os.O_WRONLY | os.O_CREAT | os.O_TRUNC, 0o600), "wb") as file:
+        file.write(data)
+        file.flush()
+        os.fsync(file.fileno())
+    fresh.replace(path)
+
+
+def _read(path: Path, load: Callable[[bytes], T]) -> T:
+    try:
+        return load(path.read_bytes())
+    except OSError as error:
+        raise InputError(path, found=error.strerror or str(error), expected="a readable file") from None
+    except (ValueError, TypeError) as error:
+        raise InputError(
+            path, found=str(error)[:200], expected="PEM as huepose secure init writes it"
+        ) from None

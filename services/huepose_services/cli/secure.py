@@ -1,0 +1,71 @@
+"""`huepose secure`: an authority for the gateway, certificates for readers, and taking them back."""
+
+from __future__ import annotations
+
+import argparse
+import socket
+from pathlib import Path
+from typing import Any
+
+_DAYS = 3650
+
+
+def add_parser(subparsers: Any) -> None:
+    """Add the verb."""
+    parser = subparsers.add_parser("secure", help="certificates: who may read from other machines")
+    verbs = parser.add_subparsers(dest="action", required=True, metavar="ACTION")
+    init = verbs.add_parser("init", help="an authority and the gateway's certificate, in a new folder")
+    init.add_argument(
+        "--host",
+        action="append",
+        metavar="NAME",
+        help="a name or address by which readers reach this computer; again for more (its own names)",
+    )
+    add = verbs.add_parser("add", help="a certificate for a reader")
+    revoke = verbs.add_parser("revoke", help="the certificate of a reader no longer counts")
+    for verb in (add, revoke):
+        verb.add_argument("name", metavar="NAME")
+    for verb in (init, add):
+        verb.add_argument("--days", type=int, default=_DAYS, metavar="N", help=f"how long it holds ({_DAYS})")
+    for verb in (init, add, revoke):
+        verb.add_argument("--folder", type=Path, default=Path("secure"), metavar="DIR", help="where (secure)")
+    parser.set_defaults(call=call)
+
+
+def call(arguments: argparse.Namespace) -> int:
+    """Do it, and say what to do with it."""
+    from huepose.support.errors import InputError
+    from huepose_services.authority import AUTHORITY, GATEWAY, REVOKED, Authority
+
+    folder, action = arguments.folder.absolute(), arguments.action
+    if action != "revoke" and not 1 <= arguments.days <= 36_500:
+        raise InputError("--days", found=str(arguments.days), expected="1 to 36500")
+    if action == "init":
+        hosts = arguments.host or _own_names()
+        Authority.make(folder, hosts, arguments.days)
+        files = {"authority": AUTHORITY, "certificate": GATEWAY, "revoked": REVOKED}
+        print(f"{folder}: an authority, and the gateway's certificate for {', '.join(hosts)}.")
+        print("Keep the folder here. In pipeline.yaml, with `gateway` among the workers:\n")
+        print("gateway:\n  listen: 0.0.0.0:7447\n  tls:")
+        print("\n".join(f"    {key}: {folder / name}.pem" for key, name in files.items()))
+        print(f"    key: {folder / GATEWAY}.key\n\nThen, for each reader: huepose secure add NAME")
+        return 0
+    authority = Authority(folder)
+    if action == "add":
+        authority.add(arguments.name, arguments.days)
+        files_of_reader = [
+            authority.certificate(AUTHORITY),
+            authority.certificate(arguments.name),
+            authority.key(arguments.name),
+        ]
+        print(f"Take to {arguments.name}: {' '.join(map(str, files_of_reader))}")
+        print("There: huepose poses --gateway HOST --tls " + " ".join(path.name for path in files_of_reader))
+    else:
+        authority.revoke(arguments.name)
+        print(f"{arguments.name} no longer reads: a gateway that runs has noticed within a second.")
+    return 0
+
+
+def _own_names() -> list[str]:
+    name = socket.gethostname().split(".")[0]
+    return ["localhost", "127.0.0.1", name, f"{name}.local"]

@@ -1,0 +1,112 @@
+"""What `huepose secure` makes lets the right readers in, and one that was let in can be sent away."""
+
+import ssl
+import stat
+
+import pytest
+import yaml
+
+from huepose.support.errors import InputError
+from huepose_protos import PoseClient
+from huepose_services.authority import Authority
+from huepose_services.cli.main import main
+from huepose_services.runtime.config import parse
+
+from .conftest import credentials, tls
+
+
+def test_the_printed_section_is_a_configuration_with_files_that_are_there(tmp_path, capsys, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    assert main(["secure", "init", "--host", "robot.local", "--host", "10.0.0.7"]) == 0
+    text = capsys.readouterr().out
+    section = text[text.index("gateway:\n") : text.index("Then, for each")]
+    config = parse(section, tmp_path / "pipeline.yaml")
+    assert yaml.safe_load(section).keys() == {"gateway"}
+    tls = config.gateway.tls
+    context = ssl.create_default_context(ssl.Purpose.CLIENT_AUTH, cafile=tls.authority)
+    context.load_cert_chain(tls.certificate, tls.key)
+    context.load_verify_locations(cafile=tls.revoked)
+    names = ssl._ssl._test_decode_cert(tls.certificate)["subjectAltName"]
+    assert names == (("DNS", "robot.local"), ("IP Address", "10.0.0.7"))
+
+
+def test_keys_are_their_users_alone(tmp_path):
+    authority = Authority.make(tmp_path / "secure", ["localhost"], 30)
+    authority.add("arm", 30)
+    assert stat.S_IMODE((tmp_path / "secure").stat().st_mode) == 0o700
+    assert {stat.S_IMODE(path.stat().st_mode) for path in (tmp_path / "secure").iterdir()} == {0o600}
+
+
+@pytest.mark.parametrize("name", ["", "Arm", "../arm", "arm/..", "authority", "gateway", "revoked", "a" * 65])
+def test_what_is_no_readers_name_is_refused(tmp_path, name, capsys):
+    folder = tmp_path / "secure"
+    Authority.make(folder, ["localhost"], 30)
+    before = {path: path.read_bytes() for path in folder.iterdir()}
+    for action in ("add", "revoke"):
+        assert main(["secure", action, name, "--folder", str(folder)]) == 2
+    assert {path: path.read_bytes() for path in folder.iterdir()} == before
+    assert [path.name for path in tmp_path.iterdir()] == ["secure"]
+
+
+def test_nothing_is_overwritten(tmp_path, capsys):
+    folder = str(tmp_path / "secure")
+    assert main(["secure", "add", "arm", "--folder", folder]) == 2
+    assert "huepose secure init" in capsys.readouterr().err
+    assert main(["secure", "init", "--folder", folder]) == 0
+    assert main(["secure", "init", "--folder", folder]) == 2
+    assert main(["secure", "add", "arm", "--folder", folder]) == 0
+    assert main(["secure", "add", "arm", "--folder", folder]) == 2
+    assert "huepose secure revoke arm first" in capsys.readouterr().err
+    assert main(["secure", "revoke", "leg", "--folder", folder]) == 2
+    assert "one of: arm" in capsys.readouterr().err
+    assert main(["secure", "init", "--folder", str(tmp_path / "x"), "--host", "ä"]) == 2
+    assert main(["secure", "init", "--folder", str(tmp_path / "y"), "--days", "0"]) == 2
+
+
+@pytest.mark.parametrize("name", ["authority.pem", "authority.key", "revoked.pem"])
+def test_damaged_files_are_named(tmp_path, name):
+    authority = Authority.make(tmp_path / "secure", ["localhost"], 30)
+    authority.add("arm", 30)
+    (authority.folder / name).write_text("-----BEGIN nonsense")
+    with pytest.raises(InputError, match=name):
+        Authority(authority.folder).revoke("arm")
+
+
+@pytest.mark.live
+def test_a_reader_is_let_in_while_the_gateway_runs_and_sent_away_again(start, tmp_path, wait_until):
+    folder = tmp_path / "secure"
+    authority = Authority.make(folder, ["localhost", "127.0.0.1"], 30)
+    one = start(tls=tls(folder))
+    address = f"tls/localhost:{one.port}"
+    authority.add("arm", 30)
+    authority.add("leg", 30)
+    (tmp_path / "kept").mkdir()
+    for path in folder.iterdir():  # the reader has its files elsewhere
+        (tmp_path / "kept" / path.name).write_bytes(path.read_bytes())
+    arm, leg = (PoseClient(address, **credentials(tmp_path / "kept", name)) for name in ("arm", "leg"))
+    with arm, leg:
+        one.say_until(lambda: arm.latest() and leg.latest())
+        assert main(["secure", "revoke", "arm", "--folder", str(folder)]) == 0
+        refused = one.work._door.refused
+        # The other finds it again, and goes on.
+        one.say_until(lambda: one.work._door.refused > refused + 1 and leg.connected and not arm.connected)
+        last = one.say(5000)
+        wait_until(lambda: leg.latest().frame_id == last.frame_id)
+        assert arm.latest().frame_id < last.frame_id
+        # Another certificate of the same name counts: it is the certificate that was taken back.
+        authority.add("arm", 30)
+        with PoseClient(address, **credentials(folder, "arm")) as again:
+            one.say_until(lambda: again.latest() is not None)
+
+
+@pytest.mark.live
+def test_damaged_certificates_leave_the_old_ones_in_use(start, tmp_path, capfd):
+    folder = tmp_path / "secure"
+    authority = Authority.make(folder, ["localhost", "127.0.0.1"], 30)
+    authority.add("arm", 30)
+    one = start(tls=tls(folder))
+    with PoseClient(f"tls/localhost:{one.port}", **credentials(folder, "arm")) as arm:
+        one.say_until(lambda: arm.latest() is not None)
+        (folder / "gateway.pem").write_text("nonsense")
+        one.say_until(lambda: "old ones stay in use" in capfd.readouterr().err)
+        assert arm.connected

@@ -2,9 +2,10 @@
 
 A scene is written frame by frame: it may be stopped, and gone on with.
 
-What `datasets.bop` reads: `rgb/` (JPEG), `depth/` (16 bit, tenths of a millimetre), `mask_visib/`,
-`scene_camera.json`, `scene_gt.json`, `scene_gt_info.json`; and `rendered.json`, which says what the folder
-holds. The JSON files are written anew after each frame and name only frames whose pictures are whole.
+What `datasets.bop` reads: `rgb/` (JPEG, or PNG where asked), `depth/` (16 bit, tenths of a millimetre),
+`mask_visib/`, `scene_camera.json`, `scene_gt.json`, `scene_gt_info.json`; and `rendered.json`, which says
+what the folder holds. The JSON files are written anew after each frame and name only frames whose pictures
+are whole.
 """
 
 from __future__ import annotations
@@ -44,13 +45,14 @@ class Label:
 
 
 class BopWriter:
-    """A scene folder that grows. facts: what makes its frames; a folder with other facts is refused.
+    """A scene folder that grows. facts: what makes its frames; a folder with other facts is refused;
+    color_suffix: `.jpg` or `.png`.
 
     `done`: numbers of the frames that are there."""
 
-    def __init__(self, folder: Path, facts: dict[str, Any]) -> None:
+    def __init__(self, folder: Path, facts: dict[str, Any], color_suffix: str = ".jpg") -> None:
         """Open or make the folder. Raises InputError when it holds something else or cannot be written."""
-        self.folder, self._facts = folder, facts
+        self.folder, self._facts, self._color_suffix = folder, facts, color_suffix
         self._sheets: dict[str, dict[str, Any]] = {name: {} for name in _SHEETS}
         said = folder / "rendered.json"
         if said.exists():
@@ -92,9 +94,10 @@ class BopWriter:
         stem, key = f"{image:06d}", str(image)
         steps = np.rint(depth * np.float32(1000.0 / DEPTH_SCALE_MM))
         raw = np.where(steps > np.iinfo(np.uint16).max, 0, steps).astype(np.uint16)
-        quality = [cv2.IMWRITE_JPEG_QUALITY, JPEG_QUALITY]
+        suffix = self._color_suffix
+        quality = [cv2.IMWRITE_JPEG_QUALITY, JPEG_QUALITY] if suffix == ".jpg" else []
         try:
-            _write(self.folder / "rgb" / f"{stem}.jpg", _encoded(".jpg", color[..., ::-1], quality))
+            _write(self.folder / "rgb" / f"{stem}{suffix}", _encoded(suffix, color[..., ::-1], quality))
             _write(self.folder / "depth" / f"{stem}.png", _encoded(".png", raw))
             for k, label in enumerate(labels):
                 picture = label.mask.astype(np.uint8) * np.uint8(255)
@@ -171,6 +174,21 @@ def write_models_folder(folder: Path, meshes: Mapping[str, Mesh], object_ids: Ma
         ) from None
 
 
+def write_ply(path: Path, mesh: Mesh, scale: float = 1.0) -> None:
+    """Write PATH as BOP has its models, with a PNG of the same stem; lengths times `scale`. Texture
+    coordinates are the vertices' there, so each is written for every corner of a face. Raises OSError."""
+    corners = scale * mesh.vertices[mesh.faces].reshape(-1, 3).astype(np.float64)
+    uv = mesh.uv.reshape(-1, 2).astype(np.float64) * [1.0, -1.0] + [0.0, 1.0]
+    header = ["ply", "format ascii 1.0", f"comment TextureFile {path.stem}.png"]
+    header += [f"element vertex {len(corners)}"]
+    header += [f"property float {name}" for name in ("x", "y", "z", "texture_u", "texture_v")]
+    header += [f"element face {len(mesh.faces)}", "property list uchar int vertex_indices", "end_header"]
+    rows = [" ".join(f"{v:.7g}" for v in row) for row in np.concatenate([corners, uv], 1)]
+    faces = [f"3 {3 * k} {3 * k + 1} {3 * k + 2}" for k in range(len(mesh.faces))]
+    path.write_text("\n".join([*header, *rows, *faces]) + "\n")
+    path.with_suffix(".png").write_bytes(_encoded(".png", mesh.texture[..., ::-1]))
+
+
 def write_obj(path: Path, mesh: Mesh, scale: float = 1.0) -> None:
     """Write PATH with a material file and a PNG of the same stem; lengths times `scale`. Raises OSError."""
     lines = [f"mtllib {path.stem}.mtl", "usemtl print"]
@@ -182,6 +200,4 @@ def write_obj(path: Path, mesh: Mesh, scale: float = 1.0) -> None:
     ]
     path.write_text("\n".join(lines) + "\n")
     path.with_suffix(".mtl").write_text(f"newmtl print\nKd 1 1 1\nmap_Kd {path.stem}.png\n")
-    ok, data = cv2.imencode(".png", np.ascontiguousarray(mesh.texture[..., ::-1]))
-    assert ok
-    path.with_suffix(".png").write_bytes(data.tobytes())
+    path.with_suffix(".png").write_bytes(_encoded(".png", mesh.texture[..., ::-1]))

@@ -16,7 +16,7 @@ import numpy as np
 
 from huepose.datasets import files
 from huepose.geometry import se3
-from huepose.geometry.arrays import Float64
+from huepose.geometry.arrays import Float, Float64
 
 _SAME = 0.01
 """Share by which a diameter may differ: meshes of one object differ by 0.3 %, two objects by more."""
@@ -75,6 +75,6 @@ def is_ycbv(diameters_mm: Mapping[int, float]) -> bool:
     return bool(pairs) and all(abs(theirs - ours) <= _SAME * ours for theirs, ours in pairs)
 
 
-def T_posecnn_obj(frame_offset_m: Float64) -> Float64:
+def T_posecnn_obj(frame_offset_m: Float) -> Float64:
     """From the reference model's frame to PoseCNN's (4, 4), of the offset (3,) the other way round."""
     return se3.make(np.eye(3), -np.asarray(frame_offset_m, dtype=np.float64))

@@ -33,12 +33,16 @@ class BopModel:
 
 
 def ycb_video_models(folder: Path | str) -> list[BopModel]:
-    """The meshes that come with YCB_Video_Dataset, `models/NNN_name/textured.obj`, in metres and in the frame
-    of its labels (PoseCNN's), by id. None where there are none."""
+    """The meshes that come with YCB_Video_Dataset, `models/NAME/textured.obj`, in metres and in the frame of
+    its labels (PoseCNN's), by id: the line of the name in `image_sets/classes.txt` beside the folder, else
+    YCB-Video's own. Empty where there are none."""
+    folder = Path(folder)
+    listed = folder.parent / "image_sets" / "classes.txt"
+    names = listed.read_text().split() if listed.exists() else [o.name for o in ycb_objects().values()]
     return [
-        BopModel(known.object_id, known.name, path, {}, np.zeros(3), "m")
-        for known in ycb_objects().values()
-        if (path := Path(folder) / known.name / "textured.obj").exists()
+        BopModel(object_id, name, path, {}, np.zeros(3), "m")
+        for object_id, name in enumerate(names, 1)
+        if (path := folder / name / "textured.obj").exists()
     ]
 
 

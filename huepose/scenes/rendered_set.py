@@ -27,6 +27,7 @@ def write_rendered_set(
     frames: int,
     seed: int,
     ranges: SceneRanges | None = None,
+    color_suffix: str = ".jpg",
 ) -> None:
     """Draw frames 0 to `frames` - 1 of the set `seed` into a folder; those that are there already are kept.
 
@@ -42,7 +43,7 @@ def write_rendered_set(
         "objects": {name: object_ids[name] for name in sorted(meshes)},
         "ranges": asdict(ranges),
     }
-    writer = BopWriter(folder, facts)
+    writer = BopWriter(folder, facts, color_suffix)
     missing = [number for number in range(frames) if number not in writer.done]
     for number in progress(missing, f"drawing {folder.name}"):
         drawn = rendered_frame(meshes, seed, number, ranges)

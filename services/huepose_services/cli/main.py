@@ -17,12 +17,14 @@ from typing import Any
 
 # In the order in which `huepose --help` lists them.
 _VERBS = (
-    *("demo", "new", "onboard", "estimate", "evaluate", "render_scenes", "train", "bench"),
+    *("demo", "new", "onboard", "estimate", "evaluate", "render_scenes", "make_dataset", "train", "bench"),
     *("up", "run", "status", "top", "graph", "objects", "poses", "view", "record", "replay", "validate"),
     *("doctor", "models", "calibrate", "units", "secure"),
 )
 # Those that run compiled kernels in their own process.
-_COMPILING = frozenset({"new", "onboard", "onboard-bop", "estimate", "eval", "render-scenes", "bench"})
+_COMPILING = frozenset(
+    {"new", "onboard", "onboard-bop", "estimate", "eval", "render-scenes", "make-dataset", "bench"}
+)
 # What the base installation, for subscribers, does without.
 _OF_EXTRAS = {
     **dict.fromkeys(("cv2", "numba", "scipy", "onnxruntime", "PIL"), "edge"),

@@ -1,0 +1,202 @@
+"""Stand-ins for YCB-Video and Fast-YCB: their folders and files, filled with drawn frames of any meshes.
+
+What reads the official downloads can be tried on them, with known answers: light is even, little is hidden.
+The same seed gives the same frames in BOP's and in the raw layout.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from tempfile import TemporaryDirectory
+from typing import Any
+
+import cv2
+import numpy as np
+from scipy.io import savemat
+from scipy.spatial import ConvexHull
+from scipy.spatial.distance import pdist
+
+from huepose.datasets.bop import BopScene
+from huepose.datasets.bop_writer import write_obj, write_ply
+from huepose.datasets.fast_ycb_writer import FastYcbFrame, write_fast_ycb
+from huepose.datasets.types import Sample
+from huepose.datasets.ycb_objects import T_posecnn_obj
+from huepose.geometry import Mesh, se3
+from huepose.geometry.arrays import Float64
+from huepose.rendering import render_depth
+from huepose.scenes import carried
+from huepose.scenes.frame import Stage, shoot
+from huepose.scenes.rendered import SceneRanges
+from huepose.scenes.rendered_set import write_rendered_set
+from huepose.scenes.sensor import COLOR
+
+FIRST_SCENE = 48
+"""Of the test scenes of YCB-Video."""
+
+LEAST_VISIBLE = 0.1
+"""Share of an object that must be visible for BOP to ask for it."""
+
+EASY = SceneRanges(
+    objects=(4, 6),
+    others=(0, 1),
+    spread_m=(0.28, 0.34),
+    distance_m=(0.55, 0.75),
+    exposure=(-0.3, 0.3),
+    tint=(-0.05, 0.05),
+    key=(0.5, 0.7),
+    sky=(0.3, 0.4),
+    gloss=(0.0, 0.1),
+    shake_px=(0.5, 1.0),
+)
+_FACTOR_DEPTH = 10000
+_DOPE_MISSES = 7
+"""Every so many frames the stand-in for DOPE finds nothing, first in frame 0 of every second sequence."""
+
+
+@dataclass(frozen=True, eq=False)
+class SetObject:
+    """mesh: in metres, in BOP's frame; offset_m (3,): takes points of the PoseCNN frame to it; info: further
+    entries of models_info.json (symmetries)."""
+
+    object_id: int
+    name: str
+    mesh: Mesh
+    offset_m: Float64
+    info: Mapping[str, Any]
+
+
+def write_bop_ycbv(out: Path, objects: Sequence[SetObject], scenes: int, frames: int, seed: int) -> None:
+    """BOP's download: `test/NNNNNN/`, `test_targets_bop19.json`, `models/`, `models_eval/`. Scenes that were
+    begun are gone on with. Raises InputError."""
+    meshes, ids = {o.name: o.mesh for o in objects}, {o.name: o.object_id for o in objects}
+    by_id = {o.object_id: o for o in objects}
+    targets = []
+    for scene in range(FIRST_SCENE, FIRST_SCENE + scenes):
+        folder = out / "test" / f"{scene:06d}"
+        write_rendered_set(folder, meshes, ids, frames, seed * 1000 + scene, EASY, ".png")
+        reader = BopScene(folder)
+        for image in reader.image_ids:
+            camera = reader.frame(image).camera
+            for truth in reader.truths(image):
+                assert truth.object_id is not None  # the set was written with ids and poses
+                assert truth.T_cam_obj is not None
+                whole = render_depth(by_id[truth.object_id].mesh, truth.T_cam_obj, camera) > 0
+                _picture(folder / "mask" / f"{image:06d}_{truth.instance:06d}.png", np.uint8(255) * whole)
+                if truth.shows(LEAST_VISIBLE):
+                    targets.append(
+                        {"im_id": image, "inst_count": 1, "obj_id": truth.object_id, "scene_id": scene}
+                    )
+    (out / "test_targets_bop19.json").write_text(json.dumps(targets))
+    _write_models(out, objects)
+
+
+def _write_models(out: Path, objects: Sequence[SetObject]) -> None:
+    infos, offsets = {}, {}
+    for obj in objects:
+        path = out / "models" / f"obj_{obj.object_id:06d}.ply"
+        path.parent.mkdir(parents=True, exist_ok=True)
+        write_ply(path, obj.mesh, scale=1000.0)
+        points = 1000.0 * obj.mesh.vertices.astype(np.float64)
+        low, size = points.min(0), np.ptp(points, axis=0)
+        infos[str(obj.object_id)] = {
+            "diameter": float(pdist(points[ConvexHull(points).vertices]).max()),
+            **{f"min_{axis}": float(v) for axis, v in zip("xyz", low, strict=True)},
+            **{f"size_{axis}": float(v) for axis, v in zip("xyz", size, strict=True)},
+            **obj.info,
+            "name": obj.name,
+        }
+        offset_mm = (1000.0 * obj.offset_m).tolist()
+        offsets[obj.name] = {"bop_obj_id": obj.object_id, "posecnn_to_bop_t_mm": offset_mm}
+    for folder in ("models", "models_eval"):
+        (out / folder).mkdir(exist_ok=True)
+        (out / folder / "models_info.json").write_text(json.dumps(infos, indent=1))
+    (out / "models" / "frame_offsets.json").write_text(json.dumps(offsets, indent=1))
+
+
+def write_ycbv_raw(out: Path, objects: Sequence[SetObject], scenes: int, frames: int, seed: int) -> None:
+    """YCB_Video_Dataset: `data/NNNN/`, `image_sets/`, `models/NAME/textured.obj`. Raises InputError."""
+    by_id = {o.object_id: o for o in objects}
+    keyframes = []
+    with TemporaryDirectory() as drawn:
+        write_bop_ycbv(Path(drawn), objects, scenes, frames, seed)
+        for folder in sorted((Path(drawn) / "test").iterdir()):
+            reader = BopScene(folder)
+            for image in reader.image_ids:
+                name = f"{int(folder.name):04d}/{image + 1:06d}"
+                _write_raw(out / "data" / name, reader.sample(image), by_id)
+                keyframes.append(name)
+    sets = out / "image_sets"
+    sets.mkdir(parents=True, exist_ok=True)
+    (sets / "keyframe.txt").write_text("\n".join(keyframes) + "\n")
+    last = max(by_id)
+    names = [by_id[i].name if i in by_id else f"none_{i:03d}" for i in range(1, last + 1)]
+    (sets / "classes.txt").write_text("\n".join(names) + "\n")
+    for obj in objects:
+        folder = out / "models" / obj.name
+        folder.mkdir(parents=True, exist_ok=True)
+        moved = (obj.mesh.vertices - obj.offset_m).astype(np.float32)
+        write_obj(folder / "textured.obj", Mesh(moved, obj.mesh.faces, obj.mesh.uv, obj.mesh.texture))
+
+
+def _write_raw(stem: Path, sample: Sample, by_id: Mapping[int, SetObject]) -> None:
+    """One frame; of the objects that show at all."""
+    labels = np.zeros(sample.frame.depth.shape, np.uint8)
+    ids, poses, boxes = [], [], []
+    for truth in sample.truths:
+        mask = truth.mask()
+        if mask is None or not mask.any() or truth.T_cam_obj is None or truth.object_id is None:
+            continue
+        obj = by_id[truth.object_id]
+        labels[mask] = truth.object_id
+        ids.append(truth.object_id)
+        poses.append(se3.compose(truth.T_cam_obj, se3.inverse(T_posecnn_obj(obj.offset_m)))[:3])
+        rows, columns = np.nonzero(mask)
+        boxes.append(f"{obj.name} {columns.min()} {rows.min()} {columns.max()} {rows.max()}")
+    depth = np.rint(sample.frame.depth * _FACTOR_DEPTH).astype(np.uint16)
+    _picture(stem.with_name(f"{stem.name}-color.png"), sample.frame.color[..., ::-1])
+    _picture(stem.with_name(f"{stem.name}-depth.png"), depth)
+    _picture(stem.with_name(f"{stem.name}-label.png"), labels)
+    stem.with_name(f"{stem.name}-box.txt").write_text("\n".join(boxes) + "\n")
+    meta = {
+        "cls_indexes": np.array(ids, np.uint8)[:, None],
+        "factor_depth": np.array([[_FACTOR_DEPTH]], np.uint16),
+        "intrinsic_matrix": sample.frame.camera.K,
+        "poses": np.stack(poses, -1) if poses else np.empty((3, 4, 0)),
+    }
+    savemat(stem.with_name(f"{stem.name}-meta.mat"), meta)
+
+
+def write_fast_ycb_set(
+    out: Path, objects: Sequence[SetObject], sequences: int, frames: int, seed: int
+) -> None:
+    """Fast-YCB: a sequence of each of the first objects, with DOPE's poses; those there are kept."""
+    for number, obj in enumerate(objects[:sequences]):
+        folder = out / obj.name
+        if (folder / "gt" / "poses_ycb.txt").exists():
+            continue
+        rng = np.random.default_rng([seed, number, 67])
+        stage = carried.staged(obj.mesh, [o.mesh for o in objects if o is not obj], rng)
+        n = min(frames, carried.FRAMES)
+        missed = {i for i in range(n) if (i + 1 - number % 2) % _DOPE_MISSES == 0}
+        dope = [None if i in missed else _as_dope(stage.in_camera(i)[0][1], rng) for i in range(n)]
+        shots = _shots(stage, n, seed * 1000 + number)
+        write_fast_ycb(folder, obj.name, shots, stage.camera, carried.RATE_HZ, obj.offset_m, dope)
+
+
+def _shots(stage: Stage, frames: int, seed: int) -> Iterator[FastYcbFrame]:
+    for i in range(frames):
+        shot = shoot(stage, i, seed, COLOR, None)
+        yield FastYcbFrame(shot.color, shot.depth, shot.owner == 0, shot.labels.T_cam_obj[0])
+
+
+def _as_dope(T: Float64, rng: np.random.Generator) -> Float64:
+    """A few millimetres and degrees beside the truth."""
+    return se3.perturb(T, rng.normal(0.0, 1.0, 6) * (0.004, 0.004, 0.004, 0.03, 0.03, 0.03))
+
+
+def _picture(path: Path, picture: np.ndarray) -> None:
+    path.parent.mkdir(parents=True, exist_ok=True)
+    path.write_bytes(cv2.imencode(".png", np.ascontiguousarray(picture))[1].tobytes())

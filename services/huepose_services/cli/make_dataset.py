@@ -1,0 +1,82 @@
+"""`huepose make-dataset`: stand-ins in the layouts of the official data sets, from any meshes."""
+
+from __future__ import annotations
+
+import argparse
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from huepose.scenes.official_sets import SetObject
+
+
+def add_parser(subparsers: Any) -> None:
+    """Add the verb."""
+    parser = subparsers.add_parser(
+        "make-dataset",
+        help="draw a stand-in for YCB-Video or Fast-YCB",
+        description="Draw frames of any meshes in the exact layout of a data set as it is downloaded, to try "
+        "on it what reads the real one: BOP's YCB-V, YCB_Video_Dataset, Fast-YCB. The same seed gives the "
+        "same frames.",
+    )
+    parser.add_argument("--format", choices=("bop-ycbv", "ycbv-raw", "fast-ycb"), required=True)
+    parser.add_argument(
+        "--models", required=True, metavar="DIR|builtin", help="BOP models folder; builtin: those of the demo"
+    )
+    parser.add_argument("--out", type=Path, required=True, metavar="DIR", help="folder of the data set")
+    parser.add_argument("--scenes", type=int, default=2, metavar="N", help="scenes, or sequences (2)")
+    parser.add_argument(
+        "--frames", type=int, default=3, metavar="N", help="in each of them; of a sequence 60 at most (3)"
+    )
+    parser.add_argument("--objects", type=int, nargs="+", default=None, metavar="ID", help="only these ids")
+    parser.add_argument("--seed", type=int, default=0, metavar="N", help="of everything that varies (0)")
+    parser.set_defaults(call=call)
+
+
+def call(arguments: argparse.Namespace) -> int:
+    """Draw, and say what is there."""
+    from huepose.scenes import official_sets
+
+    write = {
+        "bop-ycbv": official_sets.write_bop_ycbv,
+        "ycbv-raw": official_sets.write_ycbv_raw,
+        "fast-ycb": official_sets.write_fast_ycb_set,
+    }[arguments.format]
+    objects = _objects(arguments.models, arguments.objects)
+    write(arguments.out, objects, arguments.scenes, arguments.frames, arguments.seed)
+    kind = "sequences" if arguments.format == "fast-ycb" else "scenes"
+    count = min(arguments.scenes, len(objects)) if kind == "sequences" else arguments.scenes
+    print(f"{arguments.out}: {count} {kind} of {arguments.frames} frames, {len(objects)} objects")
+    return 0
+
+
+def _objects(models: str, ids: list[int] | None) -> list[SetObject]:
+    import numpy as np
+
+    from huepose.onboarding.bop_folder import bop_models
+    from huepose.onboarding.meshes import read_mesh
+    from huepose.scenes.official_sets import SetObject
+    from huepose.scenes.shapes import demo_objects
+    from huepose.support.errors import InputError
+
+    if models != "builtin":
+        found = bop_models(Path(models), ids)
+        return [
+            SetObject(
+                m.object_id,
+                m.name,
+                read_mesh(m.mesh_path, m.unit),
+                np.zeros(3) if m.frame_offset_m is None else m.frame_offset_m,
+                {key: value for key, value in m.info.items() if key.startswith("symmetries")},
+            )
+            for m in found
+        ]
+    # The real frames lie apart as well, by millimetres to centimetres.
+    apart = np.array([0.003, -0.002, 0.008])
+    objects = [
+        SetObject(i, name, mesh, apart * i, {}) for i, (name, mesh) in enumerate(demo_objects().items(), 1)
+    ]
+    chosen = [obj for obj in objects if ids is None or obj.object_id in ids]
+    if not chosen or (ids and len(chosen) != len(set(ids))):
+        raise InputError("--objects", found=str(ids), expected=f"some of 1 to {len(objects)} with builtin")
+    return chosen

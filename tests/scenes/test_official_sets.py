@@ -1,0 +1,98 @@
+"""Stand-ins for the official data sets: read back, they hold the same frames and labels in every layout."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+
+from huepose.datasets.fast_ycb import FastYcbSequence, axis_angle_poses, labelled_sequences
+from huepose.datasets.ycbv_folder import open_ycbv
+from huepose.onboarding.bop_folder import bop_models, ycb_video_models
+from huepose.onboarding.meshes import read_mesh
+from huepose.rendering import render_depth
+from huepose.scenes.official_sets import SetObject, write_bop_ycbv, write_fast_ycb_set, write_ycbv_raw
+from huepose.scenes.shapes import demo_objects
+
+APART_M = np.array([0.003, -0.002, 0.008])
+
+
+@pytest.fixture(scope="module")
+def objects() -> list[SetObject]:
+    half_turn = {"symmetries_discrete": [[-1, 0, 0, 0, 0, -1, 0, 0, 0, 0, 1, 0, 0, 0, 0, 1]]}
+    named = list(demo_objects().items())[:3]
+    return [SetObject(i, name, mesh, i * APART_M, half_turn) for i, (name, mesh) in enumerate(named, 1)]
+
+
+@pytest.fixture(scope="module")
+def root(objects, tmp_path_factory) -> Path:
+    folder = tmp_path_factory.mktemp("sets")
+    write_bop_ycbv(folder / "bop", objects, 1, 2, 3)
+    write_ycbv_raw(folder / "raw", objects, 1, 2, 3)
+    write_fast_ycb_set(folder / "fast", objects, 2, 8, 3)
+    return folder
+
+
+def test_both_layouts_of_ycb_video_hold_the_same(root: Path, objects) -> None:
+    bop = open_ycbv(root / "bop")
+    raw = open_ycbv(root / "raw", {o.object_id: o.offset_m for o in objects})
+    assert (bop.layout, raw.layout) == ("BOP", "YCB_Video_Dataset")
+    assert [(s.name, s.image_ids) for s in bop.scenes] == [("000048", (0, 1))]
+    assert [(s.name, s.image_ids) for s in raw.scenes] == [("0048", (1, 2))]
+    for image in bop.scenes[0].image_ids:
+        ours, theirs = bop.scenes[0].sample(image), raw.scenes[0].sample(image + 1)
+        np.testing.assert_array_equal(ours.frame.color, theirs.frame.color)
+        np.testing.assert_allclose(ours.frame.depth, theirs.frame.depth, atol=1e-6)
+        np.testing.assert_allclose(ours.frame.camera.K, theirs.frame.camera.K)
+        labels = {t.object_id: t for t in theirs.truths}
+        assert len(ours.truths) >= 2
+        for truth in ours.truths:
+            np.testing.assert_allclose(truth.T_cam_obj, labels[truth.object_id].T_cam_obj, atol=1e-9)
+            np.testing.assert_array_equal(truth.mask(), labels[truth.object_id].mask())
+
+
+def test_the_raw_meshes_lie_in_the_frame_of_the_raw_labels(root: Path, objects) -> None:
+    for bop, raw, made in zip(
+        bop_models(root / "bop" / "models"), ycb_video_models(root / "raw" / "models"), objects, strict=True
+    ):
+        assert (bop.object_id, bop.name) == (raw.object_id, raw.name) == (made.object_id, made.name)
+        np.testing.assert_allclose(bop.frame_offset_m, made.offset_m)
+        theirs = read_mesh(raw.mesh_path, raw.unit)
+        low = made.mesh.vertices.min(0) - made.offset_m
+        np.testing.assert_allclose(theirs.vertices.min(0), low, atol=1e-5)
+        assert bop.info["symmetries_discrete"] == made.info["symmetries_discrete"]
+    info = json.loads((root / "bop" / "models_eval" / "models_info.json").read_text())
+    tea_box = info["1"]  # 9 x 6 x 15 cm
+    assert tea_box["diameter"] == pytest.approx(np.linalg.norm([90, 60, 150]), abs=0.1)
+
+
+def test_whole_silhouettes_are_there_beside_the_visible_masks(root: Path) -> None:
+    scene = open_ycbv(root / "bop").scenes[0]
+    (truth, *_) = scene.truths(0)
+    path = root / "bop" / "test" / "000048" / "mask" / f"000000_{truth.instance:06d}.png"
+    whole = cv2.imread(str(path), cv2.IMREAD_UNCHANGED) > 0
+    assert not (truth.mask() & ~whole).any()
+
+
+def test_sequences_have_labels_where_the_object_is_drawn_and_poses_of_a_detector(root: Path, objects) -> None:
+    found, notes = labelled_sequences(root / "fast")
+    assert ([p.name for p in found], notes) == (
+        [o.name for o in sorted(objects[:2], key=lambda o: o.name)],
+        [],
+    )
+    for made in objects[:2]:
+        sequence = FastYcbSequence(root / "fast" / made.name, made.offset_m)
+        sample = sequence.sample(5)
+        (truth,) = sample.truths
+        drawn = render_depth(made.mesh, truth.T_cam_obj, sample.frame.camera)
+        mask = truth.mask()
+        assert mask.sum() > 500
+        np.testing.assert_allclose(drawn[mask], sample.frame.depth[mask], atol=2e-3)
+        dope = axis_angle_poses(root / "fast" / made.name / "dope" / "poses_ycb.txt")
+        labels = axis_angle_poses(root / "fast" / made.name / "gt" / "poses_ycb.txt")
+        there = np.isfinite(dope).all((1, 2))
+        assert there[0] == (made is objects[0])
+        assert np.linalg.norm(dope[there][:, :3, 3] - labels[there][:, :3, 3], axis=1).max() < 0.02

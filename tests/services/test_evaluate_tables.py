@@ -1,0 +1,85 @@
+"""`huepose eval tables` from drawn stand-ins in the official layouts to the report."""
+
+from __future__ import annotations
+
+import csv
+import json
+from pathlib import Path
+
+import pytest
+
+from huepose.evaluation.bop_csv import read_bop_csv
+from huepose.evaluation.tables.table import Table
+from huepose_services.cli.main import main
+
+
+@pytest.fixture(scope="module")
+def data(tmp_path_factory) -> Path:
+    """One scene of two images of two objects, of which one image is lost; a sequence of six frames."""
+    root = tmp_path_factory.mktemp("data")
+    common = ["make-dataset", "--models", "builtin", "--objects", "1", "2"]
+    bop = ["--format", "bop-ycbv", "--out", str(root / "ycbv"), "--scenes", "1", "--frames", "2"]
+    fast = ["--format", "fast-ycb", "--out", str(root / "fast"), "--scenes", "1", "--frames", "6"]
+    assert main([*common, *bop]) == 0
+    assert main([*common, *fast]) == 0
+    (root / "ycbv" / "test" / "000048" / "rgb" / "000001.png").unlink()
+    return root
+
+
+def cells(table: Table, row: str) -> dict[tuple[str, str], object]:
+    values = dict(table.rows)[row]
+    return {(h.method, h.figure): v for h, v in zip(table.heads, values, strict=True)}
+
+
+@pytest.mark.timeout(900)
+def test_the_whole_command_on_stand_ins(data: Path, tmp_path: Path, capsys) -> None:
+    out = tmp_path / "results"
+    command = ["eval", "tables", "--ycbv", str(data / "ycbv"), "--fast-ycb", str(data / "fast")]
+    command += ["--out", str(out), "--threads", "1", "--every", "1", "5"]
+    assert main([*command, "--methods", "full", "paper"]) == 0
+    said = capsys.readouterr()
+    record = json.loads((out / "results.json").read_text())
+    tables = {t["key"]: Table.of_json(t) for t in record["tables"]}
+    targets = json.loads((data / "ycbv" / "test_targets_bop19.json").read_text())
+    there = sum(t["im_id"] == 0 for t in targets)
+
+    whole = cells(tables["table1"], "All labels")
+    assert whole["", "n"] == f"{there} of {len(targets)}"
+    assert (whole["full", "ADD"], whole["full", "ADD-S"]) == (100.0, 100.0)
+    assert cells(tables["table1"], "003_cracker_box")["Ours", "ADD"] == 73.3
+    figures = cells(tables["table1_figures"], "full, all labels")
+    assert figures["BOP", "AR"] > 90.0
+    assert figures["AUC", "ADD"] > 95.0
+    tracks = cells(tables["table2"], "Average")
+    assert tracks["full", "AUC ADD"] > 95.0
+    assert tracks["", "frames"] == 6
+    assert {"full", "full, every 5th", "paper", "paper, every 5th"} <= {
+        h.method for h in tables["table2"].heads
+    }
+    notes = " ".join(record["coverage"])
+    assert "1 of 2 images of test_targets_bop19.json are there" in notes
+    assert "missing sequences: 003_cracker_box" in notes
+    assert "first pose dope" in notes
+    assert str(tmp_path) not in record["origin"]["command"]
+
+    poses = read_bop_csv(out / "huepose-full_ycbv-test.csv")
+    assert len(poses) == there
+    rows = list(csv.reader((out / "table2.csv").open()))
+    assert rows[0][1] == "DOPE"
+    page = (out / "report.html").read_text()
+    assert page.count("<table>") == 4
+    assert (out / "tables.tex").read_text().count(r"\begin{tabular}") == 4
+    assert (out / "tables.txt").read_text().strip().endswith(said.out.split("\n\n\n")[-2].strip()[-40:])
+
+    # A second run measures nothing again.
+    before = (out / "runs" / "ycbv-full.jsonl").read_bytes()
+    assert main([*command, "--methods", "full", "paper"]) == 0
+    assert "YCB-Video, full:" not in capsys.readouterr().err
+    assert (out / "runs" / "ycbv-full.jsonl").read_bytes() == before
+
+
+def test_without_data_or_meshes_it_says_what_is_needed(data: Path, tmp_path: Path, capsys) -> None:
+    assert main(["eval", "tables", "--out", str(tmp_path / "o")]) == 2
+    assert "--ycbv" in capsys.readouterr().err
+    assert main(["eval", "tables", "--fast-ycb", str(data / "fast"), "--out", str(tmp_path / "o")]) == 2
+    assert "--models" in capsys.readouterr().err

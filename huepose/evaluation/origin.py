@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 import platform
 import re
+import shlex
 import sys
 from collections.abc import Sequence
 from datetime import datetime, timezone
@@ -21,7 +22,7 @@ def origin(arguments: Sequence[str] | None = None) -> dict[str, str]:
     words = sys.argv[1:] if arguments is None else list(arguments)
     return {
         "date": datetime.now(timezone.utc).strftime("%Y-%m-%d"),
-        "command": " ".join(["huepose", *(_SLASHED.sub("", word) for word in words)]),
+        "command": shlex.join(["huepose", *(_SLASHED.sub("", word) for word in words)]),
         "machine": f"{platform.machine()}, {os.cpu_count()} cores, {platform.system()}, "
         f"Python {platform.python_version()}",
         "versions": ", ".join(f"{name} {found}" for name in _PACKAGES if (found := _version(name))),

@@ -95,6 +95,7 @@ def test_table_one_has_the_papers_rows_and_ours_beside_them(models, scene, tmp_p
     assert rows["Average of objects"]["near", "ADD"] == pytest.approx((100 + 50 + 100) / 3)
     assert rows["All labels"]["near", "ADD"] == pytest.approx(80.0)
     assert table.notes[-1] == "a note"
+    assert "near, equivalent poses count" not in rows_by_name(everything)
     whole = rows_by_name(everything)["near, all labels"]
     assert (whole["AUC", "ADD"], whole["BOP", "AR"]) == (pytest.approx(0.8 * 90.0), None)
 
@@ -207,7 +208,7 @@ def test_the_page_holds_tables_and_pictures_and_nothing_from_elsewhere(models, s
     track = plain(track_of(models["tea_box"], "tea_box", [0.01, None, 0.02]).as_json())["rows"]
     tables = assemble.single_frame_tables({"full": entries}, NAMES, {}, [])
     text = page(
-        tables, {"date": "today"}, ["all"], {"full": assemble.rows_of(entries)}, {"full": track}, NAMES
+        tables, {"date": "today"}, ["all"], {"full": assemble.rows_of(entries)}, {("full", 1): track}, NAMES
     )
     assert text.count("<table>") == 2
     assert text.count("data:image/png;base64,") == 6  # two curves, objects, quality; a curve, a sequence

@@ -66,11 +66,12 @@ def errors(rows: Sequence[Row], key: str) -> Float64:
     return np.array([np.inf if row[key] is None else row[key] for row in rows], np.float64)
 
 
-def figures(rows: Sequence[Row]) -> dict[str, float | None]:
-    """Recall and AUC both ways of N rows, against the labels as they are; AR where it was measured."""
+def figures(rows: Sequence[Row], add_key: str = "add_official_m") -> dict[str, float | None]:
+    """Recall and AUC both ways of N rows, by default against the labels as they are; AR where it was
+    measured."""
     if not rows:
         return dict.fromkeys((*_COLUMNS, *_BOP_COLUMNS))
-    add = errors(rows, "add_official_m" if "add_official_m" in rows[0] else "add_m")
+    add = errors(rows, add_key if add_key in rows[0] else "add_m")
     adds, diameters = errors(rows, "adds_m"), np.array([row["diameter_m"] for row in rows])
     bop = [row["bop"] for row in rows if "bop" in row]
     return {
@@ -147,6 +148,10 @@ def _all_figures(
         for label, block in (("average of objects", means[method]), ("all labels", whole[method])):
             lines.append((f"{method}, {label}", (len(rows[method]), *(block.get(key) for key in columns))))
         lines.append((f"{method}, 95 % of draws", ("", *_spans(rows[method], columns, _frame))))
+        if any(row["add_m"] != row["add_official_m"] for row in rows[method]):
+            declared = figures(rows[method], "add_m") | dict.fromkeys(_BOP_COLUMNS)
+            cells = tuple(declared[key] for key in columns)
+            lines.append((f"{method}, equivalent poses count", (len(rows[method]), *cells)))
     for other in others():
         cells = tuple(other["figures"].get(key) for key in columns)
         lines.append((f"{other['method']} (published)", ("", *cells)))

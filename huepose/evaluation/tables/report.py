@@ -42,17 +42,20 @@ def page(
     origin: Mapping[str, str],
     coverage: Sequence[str],
     images: Mapping[str, Sequence[Row]],
-    tracks: Mapping[str, Sequence[Row]],
+    tracks: Mapping[tuple[str, int], Sequence[Row]],
     names: Mapping[str, str],
 ) -> str:
-    """The page as HTML. images: rows of single frames by method; tracks: rows of every frame of the sequences
-    by method; names: of objects, by how rows call them."""
+    """The page as HTML. images: rows of single frames by method; tracks: rows by method and every
+    N-th frame; names: of objects, by how rows call them."""
     facts = "".join(f"<dt>{html.escape(k)}</dt><dd>{html.escape(v)}</dd>" for k, v in origin.items())
     seen = "".join(f"<li>{html.escape(line)}</li>" for line in coverage)
     parts = [table.html() for table in tables if table.key.startswith("table1")]
     parts += _figures("Single frames", _image_pictures(images, names)) if any(images.values()) else []
     parts += [table.html() for table in tables if table.key.startswith("table2")]
-    parts += _figures("Tracks", _track_pictures(tracks)) if any(tracks.values()) else []
+    for every in sorted({every for _, every in tracks}):
+        runs = {method: rows for (method, n), rows in tracks.items() if n == every and rows}
+        title = "Tracks, every frame" if every == 1 else f"Tracks, every {every}th frame"
+        parts += _figures(title, _track_pictures(runs)) if runs else []
     return (
         '<!doctype html><html lang="en"><meta charset="utf-8"><title>HuePose: the tables of the paper</title>'
         f"<style>{_STYLE}</style><body><h1>The tables of the paper, and what this code gives</h1>"
@@ -122,7 +125,7 @@ def _track_pictures(by_method: Mapping[str, Sequence[Row]]) -> list[tuple[UInt8,
         if scored(rows)
     }
     picture = line_plot(curves, "all frames", "ADD threshold, mm", "% of frames", (0, 100), (0, 103))
-    pictures = [(picture, "Share of frames under each threshold of ADD, every frame fed.")]
+    pictures = [(picture, "Share of frames under each threshold of ADD.")]
     sequences = sorted({row["sequence"] for rows in by_method.values() for row in rows})
     for sequence in sequences:
         lines, bands = {}, []

@@ -20,6 +20,7 @@ def add_parser(subparsers: Any) -> None:
     _add_ablation(verbs)
     _add_compare(verbs)
     _add_tables(verbs)
+    _add_results(verbs)
     parser.set_defaults(call=call)
 
 
@@ -276,8 +277,22 @@ def _add_tables(verbs: Any) -> None:
         default=None,
         help="first poses of tracks (DOPE's where the download has them, else the labels)",
     )
-    _path(parser, "--equivalent", "FILE", "poses that count as the labelled one does, in states and quality")
+    _path(parser, "--equivalent", "FILE", "poses that count as the labelled one does, in rows of their own")
+    parser.add_argument(
+        "--note", default=None, metavar="TEXT", help="what the data are, where they are not the official ones"
+    )
     _objects(parser)
     _profile(parser)
     parser.add_argument("--seed", type=int, default=0, metavar="N", help="of the moved boxes (0)")
     parser.add_argument("--threads", type=int, default=2, metavar="N", help="objects at the same time (2)")
+
+
+def _add_results(verbs: Any) -> None:
+    parser = verbs.add_parser(
+        "results",
+        help="a page of results from their files",
+        description="Writes a Markdown page of result files of `huepose eval tables`, `estimate`, `track` or "
+        "`perception`, each with its command, machine, versions and date.",
+    )
+    parser.add_argument("results", type=Path, nargs="+", metavar="RESULT.json")
+    parser.add_argument("--out", type=Path, required=True, metavar="FILE.md", help="the page")

@@ -15,6 +15,7 @@ from huepose.evaluation.equivalents import read_equivalents
 from huepose.evaluation.estimate_protocol import EstimateOptions, evaluate_estimates
 from huepose.evaluation.estimate_rows import EstimateResult, EstimateRow
 from huepose.evaluation.failures import FailureFolder
+from huepose.evaluation.origin import origin
 from huepose.evaluation.pictures import PictureFolder
 from huepose.evaluation.result_files import write_json
 from huepose.evaluation.targets import Targets
@@ -83,7 +84,7 @@ def call(arguments: argparse.Namespace) -> int:
     )
     record = result.as_json()
     record["summary"] |= {"method": arguments.method, "profile": arguments.profile}
-    write_json(arguments.json, record)
+    write_json(arguments.json, record | {"origin": origin()})
     if pictures is not None:
         pictures.estimates(result)
     if arguments.csv:

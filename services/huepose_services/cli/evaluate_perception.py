@@ -8,6 +8,7 @@ from typing import Any
 
 from huepose.estimation import Estimator
 from huepose.estimation.present import presence_by
+from huepose.evaluation.origin import origin
 from huepose.evaluation.perception_protocol import PerceptionOptions, evaluate_perception
 from huepose.evaluation.pictures import PerceptionPictures
 from huepose.evaluation.result_files import write_json
@@ -53,7 +54,7 @@ def call(arguments: argparse.Namespace) -> int:
         "segmenter": arguments.segmenter,
         "profile": arguments.profile,
     }
-    write_json(arguments.json, record)
+    write_json(arguments.json, record | {"origin": origin()})
     print(_report(record["summary"]))
     return 0
 

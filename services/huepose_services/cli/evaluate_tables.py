@@ -56,7 +56,7 @@ def call(arguments: argparse.Namespace) -> int:
     bundles = arguments.bundles or _onboarded(arguments, folder)
     models = load_models(bundles)
     tables: list[Table] = []
-    coverage: list[str] = []
+    coverage: list[str] = [arguments.note] if arguments.note else []
     images: dict[str, list[Entry]] = {}
     tracks: dict[tuple[str, int], list[Entry]] = {}
     names = {str(m.object_id): name for name, m in models.items() if m.object_id is not None}
@@ -94,14 +94,13 @@ def _onboarded(arguments: argparse.Namespace, folder: YcbvFolder | None) -> Path
         )
     out: Path = arguments.out / "bundles"
     models = ycb_video_models(meshes) or bop_models(meshes)
-    shown = set(published("table1").rows)
-    if arguments.fast_ycb:
-        shown |= {object_of(path) for path in labelled_sequences(arguments.fast_ycb)[0]}
-    if arguments.objects:
-        shown |= {
-            n for o in arguments.objects for n in (o, *(m.name for m in models if o == str(m.object_id)))
-        }
-    chosen = [m for m in models if m.name in shown] or models
+    asked = set(arguments.objects or published("table1").rows)
+    chosen = [m for m in models if {m.name, str(m.object_id)} & asked]
+    if not chosen:  # other objects than the paper's: all of them
+        chosen = list(models)
+    elif arguments.fast_ycb:
+        shown = {object_of(path) for path in labelled_sequences(arguments.fast_ycb)[0]}
+        chosen += [m for m in models if m.name in shown and m not in chosen]
     missing = [m for m in chosen if not model_path(out, m.name).exists()]
     failed = onboard_models(missing, out, paper=True, processes=2) if missing else []
     if failed:
@@ -142,7 +141,7 @@ def _images(
         entries[method] = run_images(journal, scenes, setup, f"YCB-Video, {method}")
     n = sum(len(scene.image_ids) for scene in scenes)
     notes = [*folder.coverage.lines()]
-    if arguments.quick is not None:
+    if n < sum(len(scene.image_ids) for scene in folder.scenes):
         notes.append(f"a sample of {n} images, spread evenly over the scenes")
     notes.append(f"boxes {arguments.boxes}, own masks, seed {arguments.seed}, profile {arguments.profile}")
     notes += _left_out(next(iter(entries.values())))
@@ -296,7 +295,7 @@ def _write(
     for method, entries in images.items():
         write_bop_csv(out / f"huepose-{method}_ycbv-test.csv", _poses(entries))
     image_rows = {method: assemble.rows_of(entries) for method, entries in images.items()}
-    dense = {method: assemble.rows_of(entries) for (method, every), entries in tracks.items() if every == 1}
-    write_text(out / "report.html", page(tables, facts, coverage, image_rows, dense, names))
+    track_rows = {run: assemble.rows_of(entries) for run, entries in tracks.items()}
+    write_text(out / "report.html", page(tables, facts, coverage, image_rows, track_rows, names))
     print(text)
     print(f"\n{out}/report.html, tables.txt, .md, .tex, results.json, CSV of the tables and for BOP")

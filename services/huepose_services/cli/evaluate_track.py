@@ -8,6 +8,7 @@ from typing import Any
 
 from huepose.datasets.types import Scene
 from huepose.estimation import Estimator
+from huepose.evaluation.origin import origin
 from huepose.evaluation.paper_tracker import PaperTracker
 from huepose.evaluation.pictures import PictureFolder
 from huepose.evaluation.result_files import write_json
@@ -79,7 +80,7 @@ def call(arguments: argparse.Namespace) -> int:
     record = result.as_json()
     record["summary"]["method"] = arguments.method
     record["summary"]["profile"] = arguments.profile
-    write_json(arguments.json, record)
+    write_json(arguments.json, record | {"origin": origin()})
     if pictures is not None:
         pictures.tracks(result)
     print(_report(record["summary"]))

@@ -1,0 +1,62 @@
+"""`docs/results.md`: results as one page, made from their files alone, each with its origin."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+from huepose.evaluation.tables.table import Cell, Head, Table
+from huepose.support.errors import InputError
+
+_FIGURES = {
+    "instances": Head("", "n"),
+    "recall_add": Head("recall", "ADD"),
+    "recall_adds": Head("recall", "ADD-S"),
+    "auc_add": Head("AUC", "ADD"),
+    "auc_adds": Head("AUC", "ADD-S"),
+    "ar": Head("BOP", "AR"),
+    "recall_iou50": Head("boxes", "recall"),
+    "false_boxes_per_frame": Head("boxes", "false a frame"),
+    "coverage_tracking": Head("state", "TRACKING"),
+    "false_tracking_rate": Head("state", "false"),
+}
+_SETTINGS = ("method", "profile", "boxes", "masks", "protocol", "every", "init", "delayed", "seed")
+_INTRODUCTION = """# Results
+
+Made by `huepose eval results` from result files; what is written here by hand is lost. Recall:
+error under a tenth of the object's diameter; AUC: area under the accuracy curve from 0 to 0.1 m; in percent.
+"""
+
+
+def results_page(records: Mapping[str, Mapping[str, Any]]) -> str:
+    """The page as Markdown, of result files of `huepose eval` by name. Raises InputError for other files."""
+    return "\n".join([_INTRODUCTION, *(_section(name, record) for name, record in records.items())])
+
+
+def _section(name: str, record: Mapping[str, Any]) -> str:
+    facts = record.get("origin")
+    if not isinstance(facts, Mapping):
+        raise InputError(name, found="no origin", expected="a result of `huepose eval`", fix="Measure again.")
+    lines = [f"## {name}", "", f"`{facts['command']}`", ""]
+    lines += [f"{facts['date']}; {facts['machine']}; {facts['versions']}.", ""]
+    if "tables" in record:
+        lines += [f"- {note}" for note in record["coverage"]]
+        lines += ["", *(Table.of_json(table).markdown() for table in record["tables"])]
+    else:
+        lines += [_summary(name, record["summary"]).markdown()]
+    return "\n".join(lines)
+
+
+def _summary(name: str, summary: Mapping[str, Any]) -> Table:
+    """The figures of one result with their intervals; what it does not have is left out."""
+    shown = {key: head for key, head in _FIGURES.items() if summary.get(key) is not None}
+    spans = summary.get("interval95", {})
+    rows: list[tuple[str, tuple[Cell, ...]]] = [("all", tuple(summary[key] for key in shown))]
+    if spans:
+        cells = (f"{spans[k][0]:.1f} to {spans[k][1]:.1f}" if k in spans else "" for k in shown)
+        rows.append(("95 % of draws", tuple(cells)))
+    for part in ("per_object", "sequences"):
+        blocks = summary.get(part, {}).items()
+        rows += [(str(number), tuple(block.get(key) for key in shown)) for number, block in blocks]
+    settings = ", ".join(f"{key} {summary[key]}" for key in _SETTINGS if summary.get(key) is not None)
+    return Table(name, settings or name, tuple(shown.values()), tuple(rows))

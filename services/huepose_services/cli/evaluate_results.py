@@ -1,0 +1,20 @@
+"""`huepose eval results`: a page of results from their files."""
+
+from __future__ import annotations
+
+import argparse
+
+from huepose.datasets.files import read_json
+from huepose.evaluation.results_page import results_page
+from huepose.support.files import write_text
+
+
+def call(arguments: argparse.Namespace) -> int:
+    """Read, write."""
+    records = {
+        path.parent.name if path.name == "results.json" else path.stem: read_json(path)
+        for path in arguments.results
+    }
+    write_text(arguments.out, results_page(records))
+    print(f"{arguments.out}: {len(records)} results")
+    return 0

@@ -161,7 +161,8 @@ def advance(
         wide = FAR <= rung < TURN
         if rung == FLOW:
             # What was not seen in the last frame has no pixels there to be followed.
-            wanted = doubtful and 0.0 < seconds <= config.long_step_s and anchor.unseen_s == 0.0
+            followable = anchor.unseen_s == 0.0 and frame.camera == anchor.frame.camera
+            wanted = doubtful and followable and 0.0 < seconds <= config.long_step_s
         elif rung == TURN:
             seen = len(subject.near_symmetries) > 0 and best.terms.seen >= RETURNING_SEEN
             wanted = seen and (doubtful or uneasy)

@@ -197,6 +197,14 @@ class Track:
         self._standing = Standing(State.TRACKING)
         self._judge()
 
+    def set_back(self, stamp_ns: int) -> None:
+        """Go on as if the last frame had that stamp; where it was when, and how fast it moved, is not known."""
+        self.history = PoseHistory()
+        self._supported_ns = stamp_ns
+        if self.frame is not None and self.hypotheses:
+            self.frame = replace(self.frame, stamp_ns=stamp_ns)
+            self.hypotheses = tuple(replace(h, velocity=None) for h in self.hypotheses)
+
     def remembered(self, stamp_ns: int) -> float | None:
         """The baseline from before the object was lost; the older, the less it asks for."""
         if self.baseline is None:

@@ -30,6 +30,9 @@ STANDING = 0.1
 TWIN = 1.0
 """Score by which a newcomer must explain more than its twin to take the surface that the twin holds."""
 
+CLOCK_GAP_NS = 33_000_000
+"""Where a camera's clock was set back, this is taken to lie between two frames: 30 Hz."""
+
 Key = tuple[str, int]
 
 
@@ -116,13 +119,17 @@ class Tracker:
         """Track everything to a new frame and say how it stands there.
 
         A frame of another epoch starts afresh: all instances are forgotten. A frame that is not newer than
-        the last one is not looked at, and nothing is said about it.
+        the last one is not looked at, and nothing is said about it. One that was taken later by its number,
+        but not by its stamp, is the newest: the camera's clock was set back.
         """
         newest = self._frames.newest
         if newest is not None and frame.epoch != newest.epoch:
             self._forget()
         elif newest is not None and frame.stamp_ns <= newest.stamp_ns:
-            return []
+            if frame.frame_id <= newest.frame_id:
+                return []
+            self._set_back(frame.stamp_ns)
+            newest = None
         self._earn(0.0 if newest is None else (frame.stamp_ns - newest.stamp_ns) * 1e-9)
         self._frames.append(frame)
         oldest = self._frames.oldest or frame
@@ -302,6 +309,15 @@ class Tracker:
             standing = STANDING if track.state is State.TRACKING else 0.0
             claims.append(Claim(track.subject.surface, track.T_cam_obj, track.terms.total + standing))
         return {keys[i] for i in losers(claims, frame.depth, frame.camera)}
+
+    def _set_back(self, stamp_ns: int) -> None:
+        """The camera's clock was set back: what is remembered by its time is forgotten, and what is tracked
+        goes on as if the newest frame had come just before that stamp."""
+        self._frames.clear()
+        self._pursuits.clear()
+        self._waiting.clear()
+        for track in self._tracks.values():
+            track.set_back(stamp_ns - CLOCK_GAP_NS)
 
     def _forget(self) -> None:
         """A new camera epoch: nothing that was known of places and numbers holds."""

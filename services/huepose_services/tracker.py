@@ -26,6 +26,7 @@ from huepose_services.convert import (
     pose_from_wire,
     twist_to_wire,
 )
+from huepose_services.doubted_frames import complaint_about
 from huepose_services.following import Follower, Retired
 from huepose_services.intake import MEMORY_EVERY_NS, Clock, Intake
 from huepose_services.runtime.bus import Bus
@@ -88,11 +89,15 @@ class TrackerWork:
         self._corrections = bus.inbox.queue(bus.keys.correction)
         self._frames = bus.frames()
         self._header: FrameHeader | None = None
+        self._pixels: RgbdFrame | None = None
         self._published: set[tuple[str, int]] = set()
+        # What was said to be TRACKING of the newest frame, and until when that holds without a newer one.
+        self._acted_on: list[TrackedPose] = []
+        self._holds_until_ns = 0
 
     def due_ns(self) -> int | None:
-        """Only arrivals matter."""
-        return None
+        """When poses get too old without a newer frame."""
+        return self._holds_until_ns if self._acted_on else None
 
     def step(self) -> None:
         """Apply what arrived, then track the newest frame."""
@@ -120,6 +125,19 @@ class TrackerWork:
             # for long; what was published of a frame is never said anew.
             new = [p for p in self._tracker.poses() if (p.object, p.instance) not in self._published]
             self._publish_all(new, self._header)
+        if self._intake.empty and self._acted_on and now_ns() >= self._holds_until_ns:
+            self._take_back("no new frame came")
+
+    def _take_back(self, why: str) -> None:
+        """What was TRACKING is so no longer, though nothing newer is known."""
+        header, poses = self._header, self._acted_on
+        self._acted_on = []
+        if header is None:
+            return
+        self._bus.log.seldom("taken back", f"poses are SUSPECT: {why}")
+        for pose in poses:
+            self._bus.health.count("poses_too_old")
+            self._put(_doubted(pose), header, now_ns())
 
     def _tell(self) -> None:
         """What was taken, and now and then what is believed after it, to who records."""
@@ -160,7 +178,7 @@ class TrackerWork:
             raise InputError("the tracker's memory", found=str(error)[:200], expected="MessagePack") from None
         memory.taken_over(self._tracker, plain, pixels)
         found = None if header is None else frame_of(*header)
-        self._header = None if found is None else found[0]
+        self._header, self._pixels = (None, None) if found is None else found
         self._first, self._published, self._retired.below = first, published, below
         self._seq = message.seq
 
@@ -232,10 +250,17 @@ class TrackerWork:
             return False
         if before is None or before.camera_epoch != header.camera_epoch:
             self._first = _frame_of(header)
+            self._take_back("the camera was opened anew")
+        complaint = complaint_about(frame, self._pixels)
+        self._pixels, self._acted_on = frame, []
+        health.warn_while("frame", complaint)
         self._published.clear()
         self._intake.frame = header
         with self._intake.stages(self._tracker):
             poses = self._tracker.step(frame)
+        if complaint is not None:
+            health.count("frames_doubted")
+            poses = [_doubted(pose) for pose in poses]
         self._publish_all(poses, header)
         self._header = header
         health.camera_epoch, health.frame_id = header.camera_epoch, header.frame_id
@@ -251,12 +276,19 @@ class TrackerWork:
 
     def _publish(self, pose: TrackedPose, header: FrameHeader) -> None:
         now = self._intake.now()
-        old = now - pose.stamp_ns > self._max_age_ns
+        # A stamp of the future tells no more than an old one of how things are now.
+        old = abs(now - pose.stamp_ns) > self._max_age_ns
         stands = self._first_stands and _frame_of(header) == self._first
         if pose.state is State.TRACKING and old and not stands:
             # Where things were so long ago is not to be acted on, however sure it is.
-            pose = replace(pose, state=State.SUSPECT)
+            pose = _doubted(pose)
             self._bus.health.count("poses_too_old")
+        self._put(pose, header, now)
+        if pose.state is State.TRACKING and not stands:
+            self._acted_on.append(pose)
+            self._holds_until_ns = now + self._max_age_ns
+
+    def _put(self, pose: TrackedPose, header: FrameHeader, now: int) -> None:
         try:
             message = pose_to_wire(pose, header, now)
         except ValueError as error:
@@ -267,6 +299,10 @@ class TrackerWork:
         self._bus.put(self._bus.keys.pose(pose.object, pose.instance), message)
         self._told.note(f"{pose.object}/{pose.instance}", pose.state.value, f"quality {pose.quality:.2f}")
         self._bus.health.count(f"poses_{pose.state.value.lower()}")
+
+
+def _doubted(pose: TrackedPose) -> TrackedPose:
+    return replace(pose, state=State.SUSPECT) if pose.state is State.TRACKING else pose
 
 
 def too_late_text(age_s: float, reach_s: float, older_frames: int) -> str:

@@ -214,3 +214,88 @@ def test_a_correction_with_a_mask_of_another_size_than_the_frame_is_refused():
     work.step()
     assert len(work._tracker.corrections) == 1
     assert bus.health.counters["wire_errors"] == 1
+
+
+def test_without_a_new_frame_nothing_stays_to_be_acted_on():
+    work, bus, _ = _worker(se3.make(np.eye(3), np.array([0.0, 0.0, 0.5])))
+    assert work.due_ns() is None
+    bus.waiting["frame"] = [_frame(1, 0.0)]
+    work.step()
+    due_ns = work.due_ns()
+    assert due_ns is not None
+    assert 0 < due_ns - now_ns() <= 300 * MS
+    work.step()
+    assert [p.state for p in bus.out] == ["TRACKING"], "not before its time"
+    time.sleep((due_ns - now_ns()) * 1e-9 + 0.001)
+    work.step()
+    work.step()
+    assert [p.state for p in bus.out] == ["TRACKING", "SUSPECT"]
+    assert bus.out[1].frame_id == bus.out[0].frame_id
+    assert work.due_ns() is None
+    bus.waiting["frame"] = [_frame(2, 0.0)]
+    work.step()
+    assert bus.out[-1].state == "TRACKING"
+
+
+def test_the_first_frame_of_a_recording_stands_for_as_long_as_it_takes():
+    work, bus, _ = _worker(se3.make(np.eye(3), np.array([0.0, 0.0, 0.5])), once=True)
+    bus.waiting["frame"] = [_frame(1, 2000.0)]
+    work.step()
+    assert bus.out[0].state == "TRACKING"
+    assert work.due_ns() is None
+
+
+def test_a_pose_of_the_future_is_not_one_to_act_on():
+    work, bus, _ = _worker(se3.make(np.eye(3), np.array([0.0, 0.0, 0.5])))
+    bus.waiting["frame"] = [_frame(1, -400.0)]
+    work.step()
+    assert [p.state for p in bus.out] == ["SUSPECT"]
+
+
+def _other(number, color=0, depth=0, **intrinsics):
+    """A frame with other pixels or intrinsics."""
+    header, _ = _frame(number, 0.0)
+    pictures = images()
+    pictures["color"] = pictures["color"] + np.uint8(color)
+    pictures["depth"] = np.where(depth < 0, 0, pictures["depth"] + np.uint16(max(depth, 0))).astype(np.uint16)
+    specs, payload = pack(pictures)
+    changed = msgspec.structs.replace(header.intrinsics, **intrinsics)
+    return msgspec.structs.replace(header, buffers=specs, intrinsics=changed), payload
+
+
+@pytest.mark.parametrize(
+    ("bad", "reason"),
+    [
+        ({"color": 1, "depth": -1}, "no depth in the whole picture"),
+        ({"depth": 1}, "colour picture stands still"),
+        ({"color": 1, "depth": 1, "fx": 333.0}, "intrinsics changed"),
+    ],
+)
+def test_a_frame_that_is_wrong_as_such_gives_no_pose_to_act_on_and_health_says_why(bad, reason):
+    work, bus, _ = _worker(se3.make(np.eye(3), np.array([0.0, 0.0, 0.5])))
+    bus.waiting["frame"] = [_other(1), _other(2, **bad)]
+    work.step()
+    assert bus.health.message().warnings == []
+    work.step()
+    assert [p.state for p in bus.out] == ["TRACKING", "SUSPECT"]
+    (warning,) = bus.health.message().warnings
+    assert reason in warning
+    intrinsics = {"fx": bad["fx"]} if "fx" in bad else {}
+    bus.waiting["frame"] = [_other(3, color=2, depth=2, **intrinsics)]
+    work.step()
+    assert bus.out[-1].state == "TRACKING"
+    assert bus.health.message().warnings == []
+
+
+def test_what_was_tracked_before_the_camera_was_opened_anew_is_not_to_be_acted_on():
+    work, bus, _ = _worker(se3.make(np.eye(3), np.array([0.0, 0.0, 0.5])))
+    bus.waiting["frame"] = [_frame(1, 0.0)]
+    work.step()
+    header, payload = _frame(2, 0.0)
+    work._tracker.step = lambda frame: []
+    bus.waiting["frame"] = [(msgspec.structs.replace(header, camera_epoch=header.camera_epoch + 1), payload)]
+    work.step()
+    assert [(p.state, p.camera_epoch) for p in bus.out] == [
+        ("TRACKING", header.camera_epoch),
+        ("SUSPECT", header.camera_epoch),
+    ]

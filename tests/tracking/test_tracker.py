@@ -269,6 +269,18 @@ def test_a_new_epoch_forgets_everything(tea_box, shoot, path, started) -> None:
     assert started.poses()[0].epoch == 2
 
 
+def test_when_the_cameras_clock_is_set_back_the_newest_frame_is_the_one_that_comes(
+    film, started, path
+) -> None:
+    """Fifteen frames come half a second ahead of their time; then the clock is right again."""
+    for k, frame in enumerate(film(25, first=6), start=6):
+        ahead_ns = 500_000_000 if 10 <= k < 25 else 0
+        (pose,) = started.step(replace(frame, stamp_ns=frame.stamp_ns + ahead_ns))
+        assert pose.frame_id == k
+        assert pose.state is State.TRACKING, k
+        assert errors(pose, path(k))[0] < 3.0, k
+
+
 def test_frames_that_are_not_newer_are_not_looked_at(film, started) -> None:
     frames = film(6)
     before = started.poses()[0]

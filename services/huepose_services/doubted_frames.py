@@ -1,0 +1,23 @@
+"""What is wrong with a frame as such, so that no pose in it is to be acted on, however well it fits."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from huepose.geometry import RgbdFrame
+
+
+def complaint_about(frame: RgbdFrame, before: RgbdFrame | None) -> str | None:
+    """The reason to doubt a frame, by itself and beside the one before it; None where there is none."""
+    if not (frame.depth > 0.0).any():
+        return "there is no depth in the whole picture: is the depth camera covered, or its stream off?"
+    if before is None or before.epoch != frame.epoch:
+        return None
+    if before.camera != frame.camera:
+        return (
+            "the picture's size or intrinsics changed while the camera was open: a camera that is set anew "
+            "must begin a new epoch"
+        )
+    if np.array_equal(before.color, frame.color) and not np.array_equal(before.depth, frame.depth):
+        return "the colour picture stands still while depth goes on: is the colour stream stuck?"
+    return None

@@ -198,7 +198,7 @@ class Track:
         self._judge()
 
     def set_back(self, stamp_ns: int) -> None:
-        """Go on as if the last frame had that stamp; where it was when, and how fast it moved, is not known."""
+        """Go on as if the last frame had that stamp; how it moved before is not known."""
         self.history = PoseHistory()
         self._supported_ns = stamp_ns
         if self.frame is not None and self.hypotheses:

@@ -3,20 +3,21 @@
 Pairs of frames some frames apart; the raw relative pose between them, without refinement, re-initialisation
 or any memory; from different choices of flow correspondences (paper, section IV, "Ablation Study"):
 
-flow        all flow on the object's surface, sampled evenly, as it comes
-consistent  the part of it that flow backwards confirms and that ends on the carried mask
-colorpair   what is consistent, also at the ridge points of colour pairs, between the same two colours still
+flow                 all flow on the object's surface, sampled evenly, as it comes
+flow filtered        of these, those whose two colours are still the same pair: the filter, nothing else
+consistent           of `flow` what flow backwards confirms and what ends on the carried mask
+consistent filtered  of these, those whose two colours are still the same pair: the filter, nothing else
+colorpair            all that the tracker does: also points on the ridges of colour pairs, and weights
 
 and by different estimators behind the `RelativePose` protocol: `kabsch`, weighted least squares over all of
-them, `robust`, RANSAC and reweighting, as the tracker uses, and `network`, which corrects the rotation of the
-robust one.
+them, `robust`, RANSAC and reweighting, `residual`, a network that corrects the rotation of the robust one,
+and `direct`, a network that gives the whole rotation.
 """
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from pathlib import Path
 
 import cv2
 import numpy as np
@@ -30,8 +31,8 @@ from huepose.geometry.box import Box
 from huepose.geometry.camera import Camera
 from huepose.judge.silhouette import visible_within
 from huepose.model.types import ReferenceModel
-from huepose.paper.rotation_network import SHIPPED, OnnxRotation, ResidualRotation
-from huepose.propose.correspondences import Correspondences, match
+from huepose.paper.rotation_network import learned
+from huepose.propose.correspondences import MIN_SIMILARITY, Correspondences, match, similarity_beside
 from huepose.propose.flow import Flow, compute
 from huepose.propose.relative_pose import LiftedMatches, Motion, RelativePose, RobustKabsch, lift_matches
 from huepose.rendering import render_depth
@@ -65,9 +66,9 @@ class PlainKabsch:
 ESTIMATORS: Mapping[str, RelativePose] = {"kabsch": PlainKabsch(), "robust": RobustKabsch()}
 
 
-def with_network(file: Path = SHIPPED) -> dict[str, RelativePose]:
-    """These and a network of the kind "residual". Raises InputError when the file is something else."""
-    return {**ESTIMATORS, "network": ResidualRotation(OnnxRotation(file))}
+def with_networks() -> dict[str, RelativePose]:
+    """These and the networks of the package."""
+    return {**ESTIMATORS, "residual": learned("residual"), "direct": learned("direct")}
 
 
 def evaluate_ablation(
@@ -161,20 +162,24 @@ def compare(
     return out
 
 
-CHOICES = ("flow", "consistent", "colorpair")
+CHOICES = ("flow", "flow filtered", "consistent", "consistent filtered", "colorpair")
 
 
 def chosen(choice: str, a: Sample, b: Sample, mask: Bool, flow: Flow) -> Correspondences:
     """The correspondences of a choice, see above; `mask` (H, W) outlines the object in the first frame."""
-    if choice != "flow":
-        return match(
-            a.frame.color,
-            b.frame.color,
-            mask,
-            flow,
-            use_pairs=choice == "colorpair",
-            grid_step_px=FLOW_STEP_PX,
-        )
+    colors = (a.frame.color, b.frame.color)
+    if choice == "colorpair":
+        return match(*colors, mask, flow, grid_step_px=FLOW_STEP_PX)
+    if choice.startswith("consistent"):
+        found = match(*colors, mask, flow, use_pairs=False, grid_step_px=FLOW_STEP_PX)
+    else:
+        found = _all_flow(mask, flow)
+    if not choice.endswith("filtered"):
+        return found
+    return found[similarity_beside(*colors, found.pixels_a, flow) >= MIN_SIMILARITY]
+
+
+def _all_flow(mask: Bool, flow: Flow) -> Correspondences:
     rows, columns = np.nonzero(mask[::FLOW_STEP_PX, ::FLOW_STEP_PX])
     pixels = np.stack([columns, rows], 1).astype(np.float64) * FLOW_STEP_PX
     moved, _ = flow.at(pixels)

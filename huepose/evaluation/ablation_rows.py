@@ -9,11 +9,19 @@ from typing import Any
 import numpy as np
 
 from huepose.drawing.plots import bar_chart
+from huepose.evaluation.bootstrap import Interval, Share, difference_intervals
 from huepose.evaluation.summary import Figures, grouped
 from huepose.geometry.arrays import UInt8
 
 NO_ANSWER = 1.0
 """Relative error of a pair without a motion: as if the object had been taken to stand still."""
+
+BLOCK = 15
+"""Pairs of frames that overlap or follow each other share what is easy or hard: so many frames of a sequence,
+half a second, are one unit where intervals are drawn."""
+
+FILTERED = {"flow": "flow filtered", "consistent": "consistent filtered"}
+"""What the filter alone makes of which correspondences."""
 
 RELATIVE = {
     "rotation_error_rel": "rotation error / true rotation",
@@ -58,6 +66,7 @@ class AblationResult:
             "gap": self.gap,
             "variants": _by_variant(self.rows),
             "per_object": {str(number): _by_variant(rows) for number, rows in by_object.items()},
+            "filter_alone": _filter_alone(self.rows),
         }
 
     def picture(self) -> UInt8:
@@ -106,13 +115,41 @@ def _by_variant(rows: Sequence[AblationRow]) -> dict[str, Figures]:
     return {name: _figures(own) for name, own in grouped(rows, lambda row: row.variant).items()}
 
 
+def _filter_alone(rows: Sequence[AblationRow]) -> dict[str, dict[str, tuple[float, Interval | None]]]:
+    """By correspondences and estimator: by how much the filter changes each mean, and the 95 % interval."""
+    by_variant = grouped(rows, lambda row: row.variant)
+    out: dict[str, dict[str, tuple[float, Interval | None]]] = {}
+    for name, without in by_variant.items():
+        choice, estimator = name.split("/")
+        if choice not in FILTERED or f"{FILTERED[choice]}/{estimator}" not in by_variant:
+            continue
+        pairs = {}
+        for key in RELATIVE:
+            first, second = (
+                Share.of(np.array([_relative(row, key) for row in part]))
+                for part in (without, by_variant[f"{FILTERED[choice]}/{estimator}"])
+            )
+            pairs[key] = (first, second)
+        units = [(row.sequence, row.object, row.frame // BLOCK) for row in without]
+        intervals = difference_intervals(pairs, units)
+        out[name] = {
+            key: ((second.value or 0.0) - (first.value or 0.0), intervals[key])
+            for key, (first, second) in pairs.items()
+        }
+    return out
+
+
+def _relative(row: AblationRow, key: str) -> float:
+    value = getattr(row, key)
+    return NO_ANSWER if value is None else float(value)
+
+
 def _figures(rows: Sequence[AblationRow]) -> Figures:
     out: Figures = {"pairs": float(len(rows))}
     out["no_motion"] = float(sum(row.rotation_error_rel is None for row in rows))
     out["matches_median"] = float(np.median([row.matches for row in rows]))
-    for key in ("rotation_error_rel", "translation_error_rel"):
-        values = [getattr(row, key) for row in rows]
-        known = [NO_ANSWER if value is None else value for value in values]
+    for key in RELATIVE:
+        known = [_relative(row, key) for row in rows]
         out[f"{key}_mean"], out[f"{key}_median"] = float(np.mean(known)), float(np.median(known))
     epe = [row.epe_px for row in rows if row.epe_px is not None]
     out["epe_px_mean"] = float(np.mean(epe)) if epe else None

@@ -15,16 +15,23 @@ import numpy as np
 from huepose.geometry import se3
 from huepose.geometry.arrays import Float, Float32, Float64
 from huepose.paper.canonical import FEATURES, Canonical, canonical
-from huepose.paper.rotation_first import RotationRegressor, motion_given
-from huepose.propose.relative_pose import LiftedMatches, Motion, RobustKabsch
+from huepose.paper.rotation_first import RotationFirst, RotationRegressor, motion_given
+from huepose.propose.relative_pose import LiftedMatches, Motion, RelativePose, RobustKabsch
 from huepose.support.errors import InputError
 
 Kind = Literal["residual", "direct"]
 POINTS = 128
 """Matches that the network looks at."""
 
-SHIPPED = Path(__file__).parent / "weights" / "rotation.onnx"
-"""A network of the kind "residual"; the file beside it says how it was made."""
+WEIGHTS = Path(__file__).parent / "weights"
+"""KIND.onnx for each kind; rotation.json beside them says how they were made."""
+
+
+def learned(kind: Kind, file: Path | None = None) -> RelativePose:
+    """A motion by a network of a kind: that of a file, else the one that comes with the library. Raises
+    InputError for a file that is not there or is something else."""
+    regressor = OnnxRotation(WEIGHTS / f"{kind}.onnx" if file is None else file)
+    return ResidualRotation(regressor) if kind == "residual" else RotationFirst(regressor)
 
 
 @dataclass(frozen=True, eq=False)

@@ -9,9 +9,8 @@ What the paper leaves open, and what is done here:
   agrees with it. Flow carries it to the new frame; there it filters matches and cuts out the depth.
 - The region of the flow: the outline's box and as much again on each side, so that a step may be as long as
   the object is large in the picture.
-- The network in the package does not regress the whole rotation, as the paper's does, but what a closed form
-  leaves over (`rotation_network`, kind "residual"). One that regresses all of it can be trained and given
-  instead: `PaperStep(RotationFirst(OnnxRotation(FILE)))`.
+- The network regresses the whole rotation, as the paper's does (`rotation_network`, kind "direct"). Instead
+  of it, one that corrects a closed form may be given, or the closed form alone.
 - Where the matches give no motion the last pose goes on, and the refinement has to find the object.
 - ICP: ten iterations, a gate from 20 to 8 mm, a thousand points.
 """
@@ -19,6 +18,7 @@ What the paper leaves open, and what is done here:
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Literal
 
 import numpy as np
 
@@ -27,12 +27,14 @@ from huepose.geometry.arrays import Bool, Float64
 from huepose.geometry.frame import RgbdFrame
 from huepose.judge.silhouette import projected_box, visible_mask
 from huepose.model.types import ReferenceModel
-from huepose.paper.rotation_network import SHIPPED, OnnxRotation, ResidualRotation
+from huepose.paper.rotation_network import learned
 from huepose.propose import flow as optical_flow
 from huepose.propose.correspondences import match
 from huepose.propose.mask_propagation import propagate
-from huepose.propose.relative_pose import RelativePose, lift_matches
+from huepose.propose.relative_pose import RelativePose, RobustKabsch, lift_matches
 from huepose.refine.point_to_plane import align
+
+Rotation = Literal["direct", "residual", "kabsch"]
 
 GROWTH = 1.0
 """Of the region of the flow on each side, in sizes of the object's box."""
@@ -54,9 +56,9 @@ class PaperStep:
     flow: optical_flow.FlowSource = optical_flow.compute
 
     @staticmethod
-    def shipped() -> PaperStep:
-        """With the network that comes with the library."""
-        return PaperStep(ResidualRotation(OnnxRotation(SHIPPED)))
+    def shipped(rotation: Rotation = "direct") -> PaperStep:
+        """With a network that comes with the library, or with the closed form alone."""
+        return PaperStep(RobustKabsch() if rotation == "kabsch" else learned(rotation))
 
     def __call__(
         self,

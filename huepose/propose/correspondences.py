@@ -40,6 +40,12 @@ class Correspondences:
     def __len__(self) -> int:
         return len(self.pixels_a)
 
+    def __getitem__(self, chosen: Bool) -> Correspondences:
+        """Those that are chosen (N,)."""
+        return Correspondences(
+            self.pixels_a[chosen], self.pixels_b[chosen], self.weights[chosen], self.similarity[chosen]
+        )
+
 
 def lab_of(color: UInt8) -> Float32:
     """CIELAB (H, W, 3) float32, L 0..100, of sRGB bytes."""
@@ -80,7 +86,7 @@ def match(
         [
             np.stack([np.cos(ridge.directions), np.sin(ridge.directions)], 1)
             * (0.5 * ridge.widths + 1.0)[:, None],
-            np.tile(np.array([[SIDE_PX, 0.0]]), (len(grid), 1)),
+            _beside(len(grid)),
         ]
     ).astype(np.float32)
     weights = np.concatenate([np.ones(len(ridge)), np.full(len(grid), GRID_WEIGHT)])
@@ -91,13 +97,7 @@ def match(
     good &= mask_b[rows, columns]
     similarity = np.ones(len(pixels))
     if use_pairs:
-        sides_a = np.stack([sampled(lab_a, pixels - across), sampled(lab_a, pixels + across)], 1)
-        # The sides move with the surface, not with the ridge point: each follows its own flow.
-        sides_b = np.stack(
-            [sampled(lab_b, q + sampled(flow.forward, q)) for q in (pixels - across, pixels + across)],
-            1,
-        )
-        similarity = paired_similarity(sides_a, sides_b).astype(np.float64)
+        similarity = _similarity(lab_a, lab_b, pixels, across, flow)
         good &= similarity >= MIN_SIMILARITY
     return Correspondences(
         (pixels + corner)[good].astype(np.float64),
@@ -105,6 +105,30 @@ def match(
         (weights * similarity)[good],
         similarity[good],
     )
+
+
+def similarity_beside(color_a: UInt8, color_b: UInt8, pixels: Float64, flow: Flow) -> Float64:
+    """How alike the two colours beside points of the first image (N, 2) are to those where flow takes them,
+    (N,) in 0..1: what `match` asks of its grid."""
+    h, w = flow.consistent.shape
+    window = np.s_[flow.y0 : flow.y0 + h, flow.x0 : flow.x0 + w]
+    local = (pixels - np.array([flow.x0, flow.y0])).astype(np.float32)
+    lab_a, lab_b = lab_of(color_a[window]), lab_of(color_b[window])
+    return _similarity(lab_a, lab_b, local, _beside(len(local)).astype(np.float32), flow)
+
+
+def _beside(count: int) -> Float64:
+    """From each of so many grid points to one of its compared colours, (N, 2)."""
+    return np.tile(np.array([[SIDE_PX, 0.0]]), (count, 1))
+
+
+def _similarity(lab_a: Float32, lab_b: Float32, pixels: Float32, across: Float32, flow: Flow) -> Float64:
+    """Of the colours at both sides of pixels (N, 2) of the window, `across` (N, 2) away from them, to those
+    in the second image. The sides move with the surface, not with the point: each follows its own flow."""
+    sides = (pixels - across, pixels + across)
+    before = np.stack([sampled(lab_a, q) for q in sides], 1)
+    after = np.stack([sampled(lab_b, q + sampled(flow.forward, q)) for q in sides], 1)
+    return paired_similarity(before, after).astype(np.float64)
 
 
 def _grid(mask: Bool, step_px: int) -> Float32:

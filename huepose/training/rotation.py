@@ -1,10 +1,13 @@
-"""Training of the rotation network: endless samples, checkpoints, a validation curve, an ONNX file."""
+"""Training of the rotation network: endless samples, checkpoints, a validation curve, an ONNX file.
+
+Networks of several kinds may learn side by side, from the same turns.
+"""
 
 from __future__ import annotations
 
 import json
 import platform
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from dataclasses import asdict, dataclass
 from itertools import islice
 from pathlib import Path
@@ -20,6 +23,7 @@ from huepose.drawing.plots import line_plot
 from huepose.geometry.arrays import Float
 from huepose.paper.canonical import FEATURES
 from huepose.paper.rotation_network import POINTS, Kind
+from huepose.training.bank import Bank, Samples
 from huepose.training.network import AttentionDgcnn, geodesic
 from huepose.training.runs import (
     Course,
@@ -32,124 +36,154 @@ from huepose.training.runs import (
 )
 from huepose.training.turns import RotationSample, endless
 
-VALIDATION_STREAM = 1_000_000
+VALIDATION_ROUND = 10_000
+"""Its streams are none of a training's."""
+
+CHUNK = 32
+"""Samples that come from a process at a time."""
+
 REACH = {"residual": 0.1, "direct": 1.0}
 
 
 @dataclass(frozen=True)
 class RotationTraining:
     """How to train. hours: of wall time, the learning rate falls to zero over them; steps: end after so many,
-    for a trial; every: steps between two validations; workers: processes that make samples, 0: this one."""
+    for a trial; every: steps between two validations; workers: processes that make samples, 0: this one;
+    reuse: how often a sample is learned from in the mean, if the machine can; room: samples that are kept."""
 
-    kind: Kind = "residual"
+    kinds: tuple[Kind, ...] = ("residual",)
     hours: float = 1.0
     steps: int | None = None
     seed: int = 0
     batch: int = 64
     rate: float = 2e-3
-    every: int = 200
+    every: int = 500
     validation: int = 2000
     workers: int = 1
     device: str = "cpu"
+    reuse: int = 64
+    room: int = 400_000
 
 
-class _Endless(IterableDataset[tuple[Tensor, Tensor, Tensor]]):
-    """Batches of one process, shuffled within a window so that neighbours are not of one shape."""
+class _Endless(IterableDataset[Samples]):
+    """Samples of one process, a chunk at a time."""
 
     def __init__(self, config: RotationTraining, round_number: int) -> None:
         self.config, self.round = config, round_number
 
-    def __iter__(self) -> Iterator[tuple[Tensor, Tensor, Tensor]]:
-        stream = stream_number(self.round)
+    def __iter__(self) -> Iterator[Samples]:
         cv2.setNumThreads(1)
-        samples = endless(self.config.seed, stream, self.config.kind)
-        rng = np.random.default_rng([self.config.seed, stream, 1])
-        window = list(islice(samples, 8 * self.config.batch))
+        torch.set_num_threads(1)
+        samples = endless(self.config.seed, stream_number(self.round), self.config.kinds)
         while True:
-            chosen = rng.choice(len(window), self.config.batch, replace=False)
-            yield stack([window[k] for k in chosen])
-            for k in chosen:
-                window[k] = next(samples)
+            yield stack(list(islice(samples, CHUNK)))
 
 
-def stack(samples: list[RotationSample]) -> tuple[Tensor, Tensor, Tensor]:
-    """Features (B, 128, 15), weights (B, 128) and answers (B, 3, 3) of samples."""
+def stack(samples: list[list[RotationSample]]) -> Samples:
+    """Features (B, K, 128, 15), weights (B, 128) and answers (B, K, 3, 3) of turns in K kinds."""
     return (
-        torch.from_numpy(np.stack([s.features for s in samples])),
-        torch.from_numpy(np.stack([s.weights for s in samples])),
-        torch.from_numpy(np.stack([s.R_canon for s in samples])),
+        torch.from_numpy(np.array([[s.features for s in turn] for turn in samples])),
+        torch.from_numpy(np.array([turn[0].weights for turn in samples])),
+        torch.from_numpy(np.array([[s.R_canon for s in turn] for turn in samples])),
     )
 
 
-def train(config: RotationTraining, out: Path, resume: bool = False) -> dict[str, Any]:
-    """Train until `config.hours` are over, or until interrupted; leave `rotation.onnx`, `rotation.json`,
-    `curve.png` and `checkpoint.pt` in `out`. Returns what rotation.json says.
+def train(config: RotationTraining, out: Path, resume: bool = False) -> dict[Kind, dict[str, Any]]:
+    """Train until `config.hours` are over, or until interrupted; leave `KIND.onnx`, `KIND.json` and
+    `KIND.png`, its curve, in `out`, and `checkpoint.pt`. Returns what each KIND.json says.
 
-    Raises InputError where `resume` finds no checkpoint, or one of another kind.
+    Raises InputError where `resume` finds no checkpoint, or one of other kinds.
     """
     out.mkdir(parents=True, exist_ok=True)
     torch.manual_seed(config.seed)
-    torch.set_num_threads(max(1, torch.get_num_threads() - config.workers))
-    net = AttentionDgcnn(FEATURES, REACH[config.kind]).to(config.device)
-    optimiser = torch.optim.AdamW(net.parameters(), config.rate, weight_decay=1e-4)
-    parts = {"network": net, "optimiser": optimiser}
-    course = load_checkpoint(out, config.kind, parts) if resume else Course()
-    held_out = stack(list(islice(endless(config.seed, VALIDATION_STREAM, config.kind), config.validation)))
-    unturned = torch.eye(3).expand(len(held_out[2]), 3, 3)
-    without = np.degrees(geodesic(unturned, held_out[2]).numpy())
+    nets = [AttentionDgcnn(FEATURES, REACH[kind]).to(config.device) for kind in config.kinds]
+    optimiser = torch.optim.AdamW(
+        [p for net in nets for p in net.parameters()], config.rate, weight_decay=1e-4
+    )
+    parts = {"optimiser": optimiser, **dict(zip(config.kinds, nets, strict=True))}
+    named = "+".join(config.kinds)
+    course = load_checkpoint(out, named, parts) if resume else Course()
+    held_out = _held_out(config)
     loader = endless_loader(_Endless(config, course.rounds), config.workers)
     course.rounds += 1
     try:
-        for batch in timed_batches(loader, "rotation network", course, optimiser, config):
-            _step(net, optimiser, batch, config.device)
+        batches = _batches(loader, config)
+        for batch in timed_batches(batches, f"{named} rotation", course, optimiser, config):
+            _step(nets, optimiser, batch)
             course.steps += 1
             if course.steps % config.every == 0:
-                _validated(net, held_out, config.device, course)
-                save_checkpoint(out, config.kind, course, parts)
-                _draw(out, course, without)
+                _validated(nets, held_out, course)
+                save_checkpoint(out, named, course, parts)
     except KeyboardInterrupt:
         pass
-    errors = _validated(net, held_out, config.device, course)
-    save_checkpoint(out, config.kind, course, parts)
-    _draw(out, course, without)
-    export(net, out / "rotation.onnx")
-    report = {
-        "training": asdict(config),
-        "hours": round(course.hours, 3),
-        "steps": course.steps,
-        "machine": f"{platform.machine()}, {torch.get_num_threads()} threads, {config.device}",
-        "torch": torch.__version__,
-        "validation_deg": {"median": float(np.median(errors)), "mean": float(errors.mean())},
-        "without_network_deg": {"median": float(np.median(without)), "mean": float(without.mean())},
-    }
-    (out / "rotation.json").write_text(json.dumps(report, indent=2) + "\n")
-    return report
+    errors = _validated(nets, held_out, course)
+    save_checkpoint(out, named, course, parts)
+    unturned = torch.eye(3).expand(held_out[2].shape)
+    without = np.degrees(geodesic(unturned.flatten(0, 1), held_out[2].flatten(0, 1)).numpy())
+    without = without.reshape(-1, len(nets))
+    reports = {}
+    for k, kind in enumerate(config.kinds):
+        _draw(out / f"{kind}.png", course, k, without[:, k])
+        export(nets[k], out / f"{kind}.onnx")
+        reports[kind] = {
+            "training": asdict(config),
+            "hours": round(course.hours, 3),
+            "steps": course.steps,
+            "machine": f"{platform.machine()}, {config.workers} processes that draw, {config.device}",
+            "torch": torch.__version__,
+            "validation_deg": _figures(errors[:, k]),
+            "without_network_deg": _figures(without[:, k]),
+        }
+        (out / f"{kind}.json").write_text(json.dumps(reports[kind], indent=2) + "\n")
+    return reports
 
 
-def _step(
-    net: AttentionDgcnn, optimiser: torch.optim.Optimizer, batch: tuple[Tensor, Tensor, Tensor], device: str
-) -> None:
-    features, weights, answer = (part.to(device) for part in batch)
-    net.train()
-    loss = geodesic(net(features, weights), answer).mean()
+def _figures(errors: Float) -> dict[str, float]:
+    return {"median": float(np.median(errors)), "mean": float(errors.mean())}
+
+
+def _held_out(config: RotationTraining) -> Samples:
+    """Turns of objects that are not trained on."""
+    chunks = -(-config.validation // CHUNK)
+    drawn = list(islice(endless_loader(_Endless(config, VALIDATION_ROUND), config.workers), chunks))
+    features, weights, answers = (torch.cat(part)[: config.validation] for part in zip(*drawn, strict=True))
+    return features, weights, answers
+
+
+def _batches(fresh: Iterable[Samples], config: RotationTraining) -> Iterator[Samples]:
+    """What is learned from: of all samples so far, as often as `reuse` allows."""
+    bank, lent = Bank(config.room, len(config.kinds), config.device), 0
+    for samples in fresh:
+        bank.add(samples)
+        while lent + config.batch <= config.reuse * bank.drawn:
+            yield bank.batch(config.batch)
+            lent += config.batch
+
+
+def _step(nets: list[AttentionDgcnn], optimiser: torch.optim.Optimizer, batch: Samples) -> None:
+    features, weights, answers = batch
     optimiser.zero_grad()
-    loss.backward()
-    torch.nn.utils.clip_grad_norm_(net.parameters(), 1.0)
+    for k, net in enumerate(nets):
+        net.train()
+        geodesic(net(features[:, k], weights), answers[:, k]).mean().backward()
+        torch.nn.utils.clip_grad_norm_(net.parameters(), 1.0)
     optimiser.step()
 
 
-def _validated(
-    net: AttentionDgcnn, held_out: tuple[Tensor, Tensor, Tensor], device: str, course: Course
-) -> Float:
-    """Errors (N,) in degrees, noted on the curve."""
-    errors = validate(net, held_out, device)
-    course.curve.append([course.hours, course.steps, float(np.median(errors)), float(errors.mean())])
+def _validated(nets: list[AttentionDgcnn], held_out: Samples, course: Course) -> Float:
+    """Errors (N, K) in degrees, noted on the curve: hours, steps, then median and mean of each kind."""
+    features, weights, answers = held_out
+    kinds = [(net, (features[:, k], weights, answers[:, k])) for k, net in enumerate(nets)]
+    errors = np.stack([validate(net, samples) for net, samples in kinds], 1)
+    figures = np.stack([np.median(errors, 0), errors.mean(0)], 1).ravel()
+    course.curve.append([course.hours, course.steps, *figures.tolist()])
     return errors
 
 
-def validate(net: AttentionDgcnn, samples: tuple[Tensor, Tensor, Tensor], device: str) -> Float:
-    """Angles (N,) in degrees between answers and truth."""
+def validate(net: AttentionDgcnn, samples: tuple[Tensor, Tensor, Tensor]) -> Float:
+    """Angles (N,) in degrees between answers and truth; features (N, 128, 15), weights (N, 128)."""
     net.eval()
+    device = next(net.parameters()).device
     features, weights, answer = samples
     with torch.no_grad():
         angles = [
@@ -165,19 +199,19 @@ def export(net: AttentionDgcnn, file: Path) -> None:
     export_onnx(net, file, examples, "rotation")
 
 
-def _draw(out: Path, course: Course, without: Float) -> None:
+def _draw(file: Path, course: Course, kind: int, without: Float) -> None:
     table = np.array(course.curve)
-    steps = table[:, 1]
+    steps, median, mean = table[:, 1], table[:, 2 + 2 * kind], table[:, 3 + 2 * kind]
     picture = line_plot(
         {
-            "network, median": (steps, table[:, 2]),
-            "network, mean": (steps, table[:, 3]),
+            "network, median": (steps, median),
+            "network, mean": (steps, mean),
             "without, median": (steps, np.full(len(steps), np.median(without))),
             "without, mean": (steps, np.full(len(steps), without.mean())),
         },
-        "Turns that the network was not trained on",
+        f"{file.stem}: turns that it was not trained on",
         "steps",
         "rotation error, degrees",
-        y_range=(0.0, 1.2 * float(max(without.mean(), table[:, 3].min()))),
+        y_range=(0.0, 1.2 * float(max(without.mean(), mean.min()))),
     )
-    cv2.imwrite(str(out / "curve.png"), picture[..., ::-1])
+    cv2.imwrite(str(file), picture[..., ::-1])

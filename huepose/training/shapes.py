@@ -1,7 +1,9 @@
-"""An endless supply of objects: bent and dented superquadrics, a few of them grown together.
+"""An endless supply of textured objects: packages, cans and bottles of any size, and bent and dented
+superquadrics, a few of them grown together.
 
 Superquadrics run from boxes over cylinders and balls to octahedra; taper, bend, twist and smooth dents make
-each one unlike any other, so that nothing of a shape can be learned by heart (paper, section III-E).
+each one unlike any other, so that nothing of a shape can be learned by heart (paper, section III-E). Flow is
+found on texture, so everything carries some: pictures, text, stripes, and plain sides too.
 """
 
 from __future__ import annotations
@@ -9,18 +11,77 @@ from __future__ import annotations
 import numpy as np
 
 from huepose.geometry import se3
-from huepose.geometry.arrays import Float64, Int32
+from huepose.geometry.arrays import Float64, Int32, UInt8
 from huepose.geometry.mesh import Mesh
+from huepose.scenes import textures
+from huepose.scenes.charts import Chart, blocks, revolved
+from huepose.scenes.shapes import printed
+from huepose.scenes.textures import Art, Palette
 
 RINGS, SPOKES = 18, 30
 MAX_PARTS = 4
+PART_PX = 512
+"""Side of the texture of one part of a shape."""
+
+LETTERS = tuple("ABCDEFGHIJKLMNOPRSTUVWXYZ0123456789")
+
+
+def random_object(rng: np.random.Generator, diameter_m: float) -> Mesh:
+    """A closed, textured mesh about the origin whose bounding box's diagonal measures `diameter_m` metres: as
+    often a package, a can or a bottle as a shape that nothing has."""
+    if rng.random() < 0.5:
+        return random_shape(rng, diameter_m)
+    charts = _package(rng) if rng.random() < 0.5 else _can(rng)
+    arts = [random_art(rng) for _ in charts]
+    made = printed(charts, arts, textures.palette(rng.uniform(), rng), rng, 2 * PART_PX)
+    v = made.vertices - (made.vertices.min(0) + made.vertices.max(0)) / 2
+    v *= diameter_m / np.linalg.norm(v.max(0) - v.min(0))
+    return Mesh(v.astype(np.float32), made.faces, made.uv, made.texture)
+
+
+def random_art(rng: np.random.Generator) -> Art:
+    """Something for a side."""
+    word, other = ("".join(rng.choice(LETTERS, int(rng.integers(3, 9)))) for _ in range(2))
+    arts = (
+        *(textures.blocks(word), textures.front(word, other, word[:2]), textures.facts, textures.picture),
+        *(textures.sticker(word, int(rng.integers(4))), textures.lid(word), _plain),
+    )
+    return arts[int(rng.integers(len(arts)))]
+
+
+def _plain(rng: np.random.Generator, height: int, width: int, p: Palette) -> UInt8:
+    """Paint, a little uneven."""
+    uneven = textures.clouds(rng, height, width, max(height, width) / 3, 3)
+    return textures.mixed(p.base, p.accent, 0.12 * uneven)
+
+
+def _package(rng: np.random.Generator) -> list[Chart]:
+    """A box of any proportions, or a step."""
+    x, y, z = rng.uniform(0.2, 1.0, 3) * rng.choice([0.4, 1.0], 3)
+    if rng.random() < 0.7:
+        return blocks([-x, x], [-y, y], [-z, z], np.ones((1, 1, 1), bool), 0.5)
+    return blocks([-x, 0, x], [-y, y], [-z, 0, z], np.array([[[1, 1]], [[1, 0]]], bool), 0.5)
+
+
+def _can(rng: np.random.Generator) -> list[Chart]:
+    """A surface of revolution with a lid and a bottom: straight as a can or waisted as a bottle."""
+    height, knots = rng.uniform(0.15, 1.5), int(rng.integers(2, 7))
+    radii = rng.uniform(0.15, 0.5) * np.ones(12)
+    if rng.random() < 0.6:
+        radii *= np.interp(np.linspace(0, 1, 12), np.linspace(0, 1, knots), rng.uniform(0.4, 1.3, knots))
+    z = np.linspace(-height, height, 12)
+    side = [(float(r), float(h)) for r, h in zip(radii, z, strict=True)]
+    bottom, top = [(0.0, -height), side[0]], [side[-1], (0.0, height)]
+    return revolved([bottom, side, top], 32)
 
 
 def random_shape(rng: np.random.Generator, diameter_m: float) -> Mesh:
-    """A closed, untextured mesh of one to four parts about the origin; its bounding box's diagonal measures
-    `diameter_m` metres."""
+    """A closed mesh of one to four parts about the origin, each with a texture of its own; its bounding box's
+    diagonal measures `diameter_m` metres."""
     parts = [_part(rng) for _ in range(int(rng.integers(1, MAX_PARTS + 1)))]
     vertices, faces, first = [], [], 0
+    texture = np.zeros((2 * PART_PX, 2 * PART_PX, 3), np.uint8)
+    uv = []
     for k, (points, triangles) in enumerate(parts):
         # Later parts sit on the surface of the first, so that the whole hangs together.
         at = parts[0][0][rng.integers(len(parts[0][0]))] if k else np.zeros(3)
@@ -29,6 +90,11 @@ def random_shape(rng: np.random.Generator, diameter_m: float) -> Mesh:
         vertices.append(size * points @ turn.T + at)
         faces.append(triangles + first)
         first += len(points)
+        column, row = k % 2, k // 2
+        there = np.s_[row * PART_PX : (row + 1) * PART_PX, column * PART_PX : (column + 1) * PART_PX]
+        palette = textures.palette(rng.uniform(), rng)
+        texture[there] = random_art(rng)(rng, PART_PX, PART_PX, palette)
+        uv.append((_around() + np.array([column, row])) / 2)
     v = np.concatenate(vertices)
     v -= (v.min(0) + v.max(0)) / 2
     v *= diameter_m / np.linalg.norm(v.max(0) - v.min(0))
@@ -36,8 +102,8 @@ def random_shape(rng: np.random.Generator, diameter_m: float) -> Mesh:
     return Mesh(
         v.astype(np.float32),
         f.astype(np.int32),
-        np.zeros((len(f), 3, 2), np.float32),
-        np.full((2, 2, 3), 128, np.uint8),
+        np.concatenate(uv).astype(np.float32),
+        texture,
     )
 
 
@@ -91,3 +157,13 @@ def _faces() -> Int32:
     c, d = a + SPOKES, b + SPOKES
     faces = np.stack([np.stack([a, b, d], -1), np.stack([a, d, c], -1)], 2)
     return np.asarray(faces.reshape(-1, 3), np.int32)
+
+
+def _around() -> Float64:
+    """Where the corners of `_faces` (F, 3, 2) lie on a part's texture, 0..1, its rim left free."""
+    ring, spoke = np.meshgrid(np.arange(RINGS - 1), np.arange(SPOKES), indexing="ij")
+    left, right = spoke / SPOKES, (spoke + 1) / SPOKES
+    low, high = 1 - ring / (RINGS - 1), 1 - (ring + 1) / (RINGS - 1)
+    a, b, c, d = (np.stack(x, -1) for x in ((left, low), (right, low), (left, high), (right, high)))
+    corners = np.stack([np.stack([a, b, d], 2), np.stack([a, d, c], 2)], 2)
+    return np.asarray(0.01 + 0.98 * corners.reshape(-1, 3, 2))

@@ -120,8 +120,6 @@ def relative_pose(config: Config) -> RelativePose:
     if rotation == "kabsch":
         return RobustKabsch()
     # Nothing of the paper's room is loaded by a tracker that does without.
-    from huepose.paper.rotation_first import RotationFirst
-    from huepose.paper.rotation_network import SHIPPED, OnnxRotation, ResidualRotation
+    from huepose.paper.rotation_network import learned
 
-    regressor = OnnxRotation(SHIPPED if model is None else Path(model))
-    return ResidualRotation(regressor) if rotation == "residual" else RotationFirst(regressor)
+    return learned(rotation, None if model is None else Path(model))

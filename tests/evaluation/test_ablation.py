@@ -9,14 +9,15 @@ import pytest
 
 from huepose.datasets.types import GroundTruth, Sample
 from huepose.evaluation.ablation import (
+    CHOICES,
     PlainKabsch,
     chosen,
     endpoint_error_px,
     errors,
     evaluate_ablation,
-    with_network,
+    with_networks,
 )
-from huepose.evaluation.ablation_rows import AblationResult, AblationRow
+from huepose.evaluation.ablation_rows import FILTERED, AblationResult, AblationRow
 from huepose.evaluation.targets import Targets
 from huepose.geometry import Camera, RgbdFrame, se3
 from huepose.geometry.box import Box
@@ -75,10 +76,10 @@ def test_every_variant_of_every_pair_that_moves(tea_box) -> None:
         "sequence", "frame", "object", "variant", "rotation_error_rel", "translation_error_rel", "epe_px"
     }  # fmt: skip
     variants = record["summary"]["variants"]
-    assert set(variants) == {
-        f"{c}/{e}" for c in ("flow", "consistent", "colorpair") for e in ("kabsch", "robust")
-    }
-    assert len(record["rows"]) == 6 * 6
+    assert set(variants) == {f"{c}/{e}" for c in CHOICES for e in ("kabsch", "robust")}
+    assert len(record["rows"]) == 6 * 10
+    alone = record["summary"]["filter_alone"]
+    assert set(alone) == {f"{c}/{e}" for c in FILTERED for e in ("kabsch", "robust")}
     best, raw = variants["colorpair/robust"], variants["flow/kabsch"]
     assert best["no_motion"] == 0
     assert best["rotation_error_rel_median"] < 0.1
@@ -144,8 +145,8 @@ def test_a_pair_without_a_motion_counts_as_standing_still() -> None:
     assert (flow["epe_px_mean"], flow["no_motion"]) == (2.0, 1)
 
 
-def test_the_network_in_the_package_corrects_the_closed_form_a_little_at_most():
-    """On true matches there is nothing to correct."""
+@pytest.mark.parametrize(("kind", "degrees"), [("residual", 0.5), ("direct", 1.5)])
+def test_the_networks_in_the_package_find_a_turn_of_true_matches(kind, degrees):
     rng = np.random.default_rng(0)
     aside = rng.uniform(-0.05, 0.05, (150, 2))
     bulge = np.sqrt(0.08**2 - (aside**2).sum(1))
@@ -154,5 +155,5 @@ def test_the_network_in_the_package_corrects_the_closed_form_a_little_at_most():
     moved = se3.apply(T, points)
     pixels = [CAMERA.project(p) for p in (points, moved)]
     matches = LiftedMatches(points, moved, *pixels, np.ones(len(points)))
-    motion = with_network()["network"].estimate(matches)
-    assert np.degrees(se3.rotation_angle(motion.T_b_a, T)) < 0.5
+    motion = with_networks()[kind].estimate(matches)
+    assert np.degrees(se3.rotation_angle(motion.T_b_a, T)) < degrees

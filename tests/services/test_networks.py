@@ -10,6 +10,7 @@ from http.server import BaseHTTPRequestHandler, HTTPServer
 import numpy as np
 import pytest
 
+from huepose.paper.rotation_first import RotationFirst
 from huepose.paper.rotation_network import ResidualRotation
 from huepose.perception.flow_network import NetworkFlow
 from huepose.propose.flow import compute
@@ -233,8 +234,9 @@ def test_the_trackers_networks_are_checked_and_taken(tmp_path):
     plain = parse("", tmp_path / "p.yaml")
     assert deployed.flow(plain) is compute
     assert isinstance(deployed.relative_pose(plain), RobustKabsch)
-    learned = parse("tracker: {rotation: residual}", tmp_path / "p.yaml")
-    assert isinstance(deployed.relative_pose(learned), ResidualRotation), "the one in the package"
+    for kind, of_kind in (("residual", ResidualRotation), ("direct", RotationFirst)):
+        learned = parse(f"tracker: {{rotation: {kind}}}", tmp_path / "p.yaml")
+        assert isinstance(deployed.relative_pose(learned), of_kind), "the one in the package"
     wrong = parse("tracker: {rotation: residual, rotation_model: other.onnx}", tmp_path / "p.yaml")
     with pytest.raises(InputError, match="expected features"):
         deployed.check(wrong)
@@ -249,7 +251,6 @@ def test_the_trackers_networks_are_checked_and_taken(tmp_path):
             "one of objects: mug",
         ),
         ("camera: {truth: true}\nsegmenter: {kind: sam, encoder: a.onnx}", "segmenter.decoder"),
-        ("tracker: {rotation: direct}", "tracker.rotation_model"),
         ("camera: {source: oak, path: x}", "camera.path"),
         ("camera: {source: realsense, rate: recorded}", "camera.rate"),
         ("camera: {source: realsense, truth: true}", "camera.truth"),

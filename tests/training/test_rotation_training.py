@@ -64,17 +64,15 @@ def test_what_is_exported_answers_as_what_was_trained(tmp_path):
     assert pytest.approx(expected[0].numpy(), abs=1e-4) == R
 
 
-def test_training_leaves_a_network_and_goes_on_where_it_stopped(tmp_path):
-    short = RotationTraining(steps=3, batch=8, every=2, validation=16, workers=0)
+def test_training_leaves_networks_and_goes_on_where_it_stopped(tmp_path):
+    kinds = ("residual", "direct")
+    short = RotationTraining(kinds=kinds, steps=3, batch=8, every=2, validation=16, workers=0, room=64)
     first = train(short, tmp_path)
-    assert {p.name for p in tmp_path.iterdir()} == {
-        "rotation.onnx",
-        "rotation.json",
-        "curve.png",
-        "checkpoint.pt",
-    }
-    assert json.loads((tmp_path / "rotation.json").read_text())["steps"] == first["steps"]
+    made = {f"{kind}.{end}" for kind in kinds for end in ("onnx", "json", "png")}
+    assert {p.name for p in tmp_path.iterdir()} == made | {"checkpoint.pt"}
+    for kind in kinds:
+        assert json.loads((tmp_path / f"{kind}.json").read_text())["steps"] == first[kind]["steps"] == 3
     again = train(replace(short, steps=5, workers=1), tmp_path, True)
-    assert (first["steps"], again["steps"]) == (3, 5)
-    with pytest.raises(InputError, match="kind residual"):
-        train(RotationTraining(kind="direct"), tmp_path, True)
+    assert again["direct"]["steps"] == 5
+    with pytest.raises(InputError, match=r"kind residual\+direct"):
+        train(RotationTraining(kinds=("direct",)), tmp_path, True)

@@ -4,15 +4,23 @@ import pytest
 from huepose.geometry import Camera, kabsch, se3
 from huepose.paper.rotation_network import fixed_count, posed
 from huepose.propose.relative_pose import RobustKabsch
-from huepose.rendering.render import render_depth
-from huepose.training.shapes import random_shape
-from huepose.training.turns import TurnRange, draw_turns, endless, sample_of
+from huepose.rendering.render import is_closed, render_depth
+from huepose.training.shapes import random_object, random_shape
+from huepose.training.turns import draw_turns, endless, sample_of
+from huepose.training.views import Props, ViewRange, draw_views
 
-PERFECT = TurnRange(depth_noise=(0.0, 0.0), jitter_px=(1e-9, 2e-9), drift_px=(0.0, 0.0), wrong=(0.0, 0.0))
+CLEAN = ViewRange(hidden=0.0, flicker=0.0, stereo=0.0, turn_rad_s=(0.0, 2.0), speed_m_s=(0.0, 0.3))
+
+
+@pytest.fixture(scope="module")
+def turns():
+    rng = np.random.default_rng(3)
+    props = Props(rng)
+    return [turn for _ in range(4) for turn in draw_turns(rng, props, CLEAN)]
 
 
 @pytest.mark.parametrize("seed", range(4))
-def test_a_shape_is_closed_centred_and_as_large_as_asked(seed):
+def test_a_shape_is_centred_and_as_large_as_asked(seed):
     mesh = random_shape(np.random.default_rng(seed), 0.2)
     extent = mesh.vertices.max(0) - mesh.vertices.min(0)
     assert np.linalg.norm(extent) == pytest.approx(0.2, rel=1e-5)
@@ -26,22 +34,51 @@ def test_a_shape_is_closed_centred_and_as_large_as_asked(seed):
     assert z.min() - 1e-5 <= seen.min() <= seen.max() <= z.max() + 1e-5
 
 
-def test_without_errors_matches_are_the_true_motion():
-    """All but the few that went out of sight and that a check of flow would have missed."""
-    turns = [t for seed in range(6) for t in draw_turns(np.random.default_rng(seed), PERFECT, draws=1)]
-    assert len(turns) >= 4
+def test_objects_are_textured_and_of_the_size_asked():
+    rng = np.random.default_rng(0)
+    for _ in range(12):
+        mesh = random_object(rng, 0.15)
+        assert np.linalg.norm(np.ptp(mesh.vertices, axis=0)) == pytest.approx(0.15, rel=1e-5)
+        assert 0.0 <= mesh.uv.min() <= mesh.uv.max() <= 1.0
+        assert mesh.texture.std() > 5.0
+    packages = [mesh for mesh in (random_object(rng, 0.15) for _ in range(12)) if len(mesh.faces) < 100]
+    assert packages
+    assert all(is_closed(mesh.vertices, mesh.faces) for mesh in packages)
+
+
+def test_views_show_the_object_where_it_is():
+    rng = np.random.default_rng(5)
+    mesh = random_object(rng, 0.2)
+    views = draw_views(rng, mesh, Props(rng), 1.0, CLEAN)
+    assert len(views.frames) == len(views.masks) == len(views.T_cam_obj) == 6
+    for frame, mask, T, box in zip(views.frames, views.masks, views.T_cam_obj, views.boxes, strict=True):
+        alone = render_depth(mesh, T, frame.camera)
+        np.testing.assert_allclose(frame.depth[mask], alone[mask], atol=1e-5)
+        assert not (mask & (alone == 0)).any()
+        assert (frame.depth[~mask & (alone > 0)] < alone[~mask & (alone > 0)]).all(), "what hides is nearer"
+        rows, columns = np.nonzero(alone)
+        assert box.x - 1 <= columns.min() <= columns.max() <= box.x1 + 1
+        assert box.y - 1 <= rows.min() <= rows.max() <= box.y1 + 1
+
+
+def test_what_flow_finds_is_mostly_the_true_motion(turns):
+    """Slow objects in clean pictures."""
+    assert len(turns) > 100
+    errors = []
     for turn in turns:
         off = np.linalg.norm(se3.apply(turn.T_b_a, turn.matches.points_a) - turn.matches.points_b, axis=1)
-        assert np.median(off) < 2e-3
         T, _, _ = kabsch.robust_fit(
-            turn.matches.points_a, turn.matches.points_b, inlier_m=0.004, rng=np.random.default_rng(0)
+            turn.matches.points_a, turn.matches.points_b, inlier_m=0.006, rng=np.random.default_rng(0)
         )
-        assert np.degrees(se3.rotation_angle(T[:3, :3], turn.T_b_a[:3, :3])) < 1.0
+        errors.append((np.median(off), np.degrees(se3.rotation_angle(T[:3, :3], turn.T_b_a[:3, :3]))))
+    off_m, off_deg = np.median(errors, 0)
+    assert off_m < 3e-3
+    assert off_deg < 2.5
 
 
-def test_the_answer_turns_what_the_closed_form_left():
+def test_the_answer_turns_what_the_closed_form_left(turns):
     """Asked and answered in the canonical frame, and taken back, it is the true motion."""
-    turn = draw_turns(np.random.default_rng(3), TurnRange(), draws=1)[0]
+    turn = max(turns, key=lambda t: len(t.matches))
     first = RobustKabsch().estimate(turn.matches).T_b_a[:3, :3]
     question = posed(turn.matches, "residual", RobustKabsch())
     answer = sample_of(turn, "residual").R_canon.astype(np.float64)
@@ -53,7 +90,8 @@ def test_the_answer_turns_what_the_closed_form_left():
 
 def test_the_stream_repeats_itself_with_its_seed_only():
     def first(seed, stream):
-        return next(endless(seed, stream, "residual")).features
+        (sample,) = next(endless(seed, stream, ["residual"]))
+        return sample.features
 
     assert np.array_equal(first(1, 2), first(1, 2))
     assert not np.array_equal(first(1, 2), first(1, 3))

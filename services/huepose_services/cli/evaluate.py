@@ -144,6 +144,13 @@ def _add_track(verbs: Any) -> None:
         "--method", choices=("full", "paper"), default="full", help="paper: the paper's tracker as it is"
     )
     parser.add_argument(
+        "--rotation",
+        choices=("direct", "residual", "kabsch"),
+        default="direct",
+        help="of the method paper: a network for all of the turn, one that corrects the closed form, or the "
+        "closed form alone (direct)",
+    )
+    parser.add_argument(
         "--protocol",
         choices=("free", "roft"),
         default="free",

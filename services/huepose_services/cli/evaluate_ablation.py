@@ -5,7 +5,7 @@ from __future__ import annotations
 import argparse
 from typing import Any
 
-from huepose.evaluation.ablation import evaluate_ablation, with_network
+from huepose.evaluation.ablation import evaluate_ablation, with_networks
 from huepose.evaluation.pictures import write_picture
 from huepose.evaluation.result_files import write_json
 from huepose.evaluation.summary import table
@@ -29,7 +29,7 @@ def call(arguments: argparse.Namespace) -> int:
 
     cv2.setNumThreads(1)  # as the tracker's worker does
     scenes, models = open_fast_ycb(arguments.fast_ycb, arguments.bundles)
-    result = evaluate_ablation(scenes, Targets(models), arguments.gap, with_network())
+    result = evaluate_ablation(scenes, Targets(models), arguments.gap, with_networks())
     record = result.as_json()
     write_json(arguments.json, record)
     if arguments.plots is not None:

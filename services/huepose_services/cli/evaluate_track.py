@@ -22,6 +22,7 @@ from huepose.evaluation.track_protocol import (
     evaluate_tracking,
 )
 from huepose.model import ReferenceModel
+from huepose.paper.tracking import PaperStep
 from huepose.profiles import profile
 from huepose.support.errors import InputError
 from huepose.tracking import Tracker
@@ -73,12 +74,17 @@ def call(arguments: argparse.Namespace) -> int:
         tracker.warm_up()
         return tracker
 
-    tracker: TrackerFactory = PaperTracker if arguments.method == "paper" else ours
+    def papers(models: Mapping[str, ReferenceModel]) -> PaperTracker:
+        return PaperTracker(models, PaperStep.shipped(arguments.rotation))
+
+    tracker: TrackerFactory = papers if arguments.method == "paper" else ours
     result = evaluate_tracking(
         scenes, targets, tracker, sources, options, names, judge=judge, on_frame=on_frame
     )
     record = result.as_json()
     record["summary"]["method"] = arguments.method
+    if arguments.method == "paper":
+        record["summary"]["rotation"] = arguments.rotation
     record["summary"]["profile"] = arguments.profile
     write_json(arguments.json, record | {"origin": origin()})
     if pictures is not None:

@@ -25,14 +25,16 @@ def _add_rotation(whats: Any) -> None:
     parser = whats.add_parser(
         "rotation",
         help="the turn between two frames, from matched points",
-        description="Attention-DGCNN on canonical features of matched points of random shapes. Leaves "
-        "rotation.onnx, rotation.json, curve.png and checkpoint.pt.",
+        description="Attention-DGCNN on canonical features of matched points of random objects, followed by "
+        "flow as the tracker follows. Leaves KIND.onnx, KIND.json, KIND.png and checkpoint.pt.",
     )
     parser.add_argument(
         "--kind",
         choices=("residual", "direct"),
-        default="residual",
-        help="what is learned: what the closed form leaves over, or the whole turn (residual)",
+        nargs="+",
+        default=["residual"],
+        help="what is learned: what the closed form leaves over, the whole turn, or each by a network of its "
+        "own (residual)",
     )
     _add_limits(parser)
     parser.set_defaults(call=train_rotation)
@@ -45,6 +47,7 @@ def _add_limits(parser: argparse.ArgumentParser) -> None:
         "--seed", type=int, default=0, metavar="N", help="of what is drawn, and of the first weights (0)"
     )
     parser.add_argument("--workers", type=int, default=1, metavar="N", help="processes that draw (1)")
+    parser.add_argument("--batch", type=int, default=64, metavar="N", help="samples of one step (64)")
     parser.add_argument("--device", default="cpu", help="cpu or cuda (cpu)")
     parser.add_argument("--resume", action="store_true", help="go on from the checkpoint in DIR")
 
@@ -55,13 +58,15 @@ def train_rotation(arguments: argparse.Namespace) -> int:
     from huepose.training.rotation import RotationTraining, train
 
     config = RotationTraining(
-        kind=arguments.kind,
+        kinds=tuple(arguments.kind),
         hours=arguments.hours,
         seed=arguments.seed,
+        batch=arguments.batch,
         workers=arguments.workers,
         device=arguments.device,
     )
-    _told(arguments, train(config, arguments.out, arguments.resume))
+    for kind, report in train(config, arguments.out, arguments.resume).items():
+        _told(arguments.out / f"{kind}.json", report)
     return 0
 
 
@@ -74,11 +79,11 @@ def _check(arguments: argparse.Namespace) -> None:
         raise InputError("--workers", found=str(arguments.workers), expected="1 or more")
 
 
-def _told(arguments: argparse.Namespace, report: dict[str, Any]) -> None:
+def _told(file: Path, report: dict[str, Any]) -> None:
     """Print the report, which is also kept beside the network, with the command that made it."""
     import sys
 
     whole = {"command": shlex.join(["huepose", *sys.argv[1:]]), **report}
     text = json.dumps(whole, indent=2)
-    (arguments.out / f"{arguments.what}.json").write_text(text + "\n")
+    file.write_text(text + "\n")
     print(text)

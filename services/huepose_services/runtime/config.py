@@ -259,6 +259,3 @@ def _check(config: Config, path: Path) -> None:
         refuse("bundles", "null", expected, "Make them: huepose onboard MESH --name NAME --out DIR.")
     check_detector(detector, "detector" in config.workers, camera.truth, names, refuse)
     check_segmenter(config.segmenter, refuse)
-    if config.tracker.rotation == "direct" and config.tracker.rotation_model is None:
-        fix = "`huepose train rotation --kind direct` makes one."
-        refuse("tracker.rotation_model", "null", "an ONNX file", fix)

@@ -1,0 +1,244 @@
+"""A textured object that nobody has, carried through six frames of a camera at 30 Hz, with exact truth.
+
+What the tracker meets is drawn: a ground with other things on it, something in front, light of any strength
+that may change from frame to frame, motion blur and noise of the sensor, depth exact or as an active stereo
+camera gives it. Only the window that the tracker looks at is rendered.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+
+from huepose.geometry import Camera, Mesh, RgbdFrame, se3
+from huepose.geometry.arrays import Bool, Float32, Float64
+from huepose.geometry.box import Box
+from huepose.rendering.render import Rendering, render
+from huepose.scenes.light import Light, random_light, shine
+from huepose.scenes.room import clutter, sheet, table_top, wallpaper
+from huepose.scenes.sensor import COLOR, STEREO, expose, stereo_depth
+from huepose.training.shapes import random_object, random_rotation
+
+FRAMES, RATE_HZ = 6, 30.0
+SHUTTER = 0.25
+"""Of the frame time, in half of the sequences; in the other half it is as good as nothing."""
+
+OTHERS = 3
+"""Things on the ground."""
+
+MARGIN_PX = 12
+"""Round the object's box, for what moves while the shutter is open."""
+
+NO_SHADOW = np.zeros((4, 4), np.float32), np.eye(4)
+
+Rng = np.random.Generator
+
+
+@dataclass(frozen=True)
+class ViewRange:
+    """What is drawn. Sizes and distances in metres; fastest turns and ways as in the protocol that the paper
+    uses, and some beyond it; shares of the sequences with something in front, with changing light, with
+    depth of a stereo camera."""
+
+    diameter_m: tuple[float, float] = (0.1, 0.3)
+    distance_m: tuple[float, float] = (0.4, 0.9)
+    turn_rad_s: tuple[float, float] = (0.0, 7.0)
+    speed_m_s: tuple[float, float] = (0.0, 0.8)
+    hidden: float = 0.35
+    flicker: float = 0.25
+    stereo: float = 0.5
+
+
+@dataclass(frozen=True, eq=False)
+class Views:
+    """frames: windows of a camera's frames; masks (F, H, W): where the object is seen; boxes: of its whole
+    outline, in pixels of the window; T_cam_obj (F, 4, 4)."""
+
+    frames: list[RgbdFrame]
+    masks: list[Bool]
+    boxes: list[Box]
+    T_cam_obj: Float64
+
+
+@dataclass(eq=False)
+class Props:
+    """Grounds and things that are drawn once and used often; each is replaced now and then."""
+
+    rng: Rng
+    grounds: list[Mesh] = field(default_factory=list)
+    things: list[Mesh] = field(default_factory=list)
+
+    def ground(self) -> Mesh:
+        """A table, a wall or a plain sheet."""
+        return self._one(self.grounds, 8, self._new_ground)
+
+    def thing(self) -> Mesh:
+        """Clutter, or an object like those that are followed."""
+        return self._one(self.things, 24, self._new_thing)
+
+    def _one(self, kept: list[Mesh], most: int, new: Callable[[], Mesh]) -> Mesh:
+        if len(kept) < most:
+            kept.append(new())
+            return kept[-1]
+        k = int(self.rng.integers(most))
+        if self.rng.random() < 0.05:
+            kept[k] = new()
+        return kept[k]
+
+    def _new_ground(self) -> Mesh:
+        kind = self.rng.random()
+        texture = np.full((8, 8, 3), self.rng.integers(40, 256, 3), np.uint8)
+        if kind < 0.7:
+            texture = table_top(self.rng, (600, 780)) if kind < 0.35 else wallpaper(self.rng, (480, 800))
+        return sheet(2.6, 2.2, np.ascontiguousarray(texture))
+
+    def _new_thing(self) -> Mesh:
+        if self.rng.random() < 0.5:
+            return clutter(self.rng)
+        return random_object(self.rng, self.rng.uniform(0.06, 0.25))
+
+
+def draw_views(rng: Rng, mesh: Mesh, props: Props, growth: float, ranges: ViewRange) -> Views:
+    """The object on its way. growth: of the window on each side of the object's box, in sizes of the box."""
+    focal = rng.uniform(450.0, 700.0)
+    camera = Camera(focal, focal, 319.5, 239.5, 640, 480)
+    at = _carried(rng, camera, ranges)
+    T_cam_obj = np.array([at(i) for i in range(FRAMES)])
+    boxes = [_box(mesh, T, camera) for T in T_cam_obj]
+    rows, columns = _union([box.grown(growth) for box in boxes]).slices(camera.width, camera.height)
+    window = camera.cropped(columns.start, rows.start, columns.stop - columns.start, rows.stop - rows.start)
+    standing = _standing(rng, props, camera, T_cam_obj[FRAMES // 2][:3, 3], ranges)
+    still = _Still.seen(standing, window, _light(rng))
+    gains = np.exp(rng.normal(0.0, 0.05, FRAMES)) if rng.random() < ranges.flicker else np.ones(FRAMES)
+    stereo = rng.random() < ranges.stereo
+    instants = (-SHUTTER / 4, SHUTTER / 4) if rng.random() < 0.5 else (0.0,)
+    here = [box._replace(x=box.x - columns.start, y=box.y - rows.start) for box in boxes]
+    frames, masks = [], []
+    for i, (T, box) in enumerate(zip(T_cam_obj, here, strict=True)):
+        lit = np.mean([still.lit_with(mesh, at(i + part), box) for part in instants], 0)
+        color = expose(np.float32(gains[i]) * lit, COLOR, rng)
+        depth, normals, mask = still.with_one_more(mesh, T, box)
+        if stereo:
+            depth = stereo_depth(depth, normals, window, STEREO, rng)
+        frames.append(RgbdFrame(color, depth, window, i, round(i * 1e9 / RATE_HZ)))
+        masks.append(mask)
+    return Views(frames, masks, here, T_cam_obj)
+
+
+@dataclass(frozen=True, eq=False)
+class _Still:
+    """All that stands still, rendered once: linear light (H, W, 3), depth (H, W) and normals (H, W, 3)."""
+
+    camera: Camera
+    light: Light
+    shone: Float32
+    depth: Float32
+    normals: Float32
+
+    @staticmethod
+    def seen(standing: list[tuple[Mesh, Float64]], camera: Camera, light: Light) -> _Still:
+        """What a camera sees of it."""
+        seen = render(standing, camera, normals=True)
+        return _Still(camera, light, _shone(seen, camera, light, 0), seen.depth, seen.normals_cam)
+
+    def lit_with(self, mesh: Mesh, T_cam_obj: Float64, box: Box) -> Float32:
+        """The light (H, W, 3) that comes in where the object stands too, without cast shadows."""
+        window, part, seen = self._alone(mesh, T_cam_obj, box, color=True)
+        out = self.shone.copy()
+        ahead = _ahead(seen.depth, self.depth[window])
+        out[window][ahead] = _shone(seen, part, self.light, 1)[ahead]
+        return out
+
+    def with_one_more(self, mesh: Mesh, T_cam_obj: Float64, box: Box) -> tuple[Float32, Float32, Bool]:
+        """Depth and normals where the object stands too, and its pixels (H, W)."""
+        window, _, seen = self._alone(mesh, T_cam_obj, box, color=False)
+        depth, normals, mask = self.depth.copy(), self.normals.copy(), np.zeros(self.depth.shape, bool)
+        ahead = _ahead(seen.depth, depth[window])
+        depth[window][ahead], normals[window][ahead] = seen.depth[ahead], seen.normals_cam[ahead]
+        mask[window] = ahead
+        return depth, normals, mask
+
+    def _alone(
+        self, mesh: Mesh, T_cam_obj: Float64, box: Box, color: bool
+    ) -> tuple[tuple[slice, slice], Camera, Rendering]:
+        rows, columns = box.grown(0.0, MARGIN_PX).slices(self.camera.width, self.camera.height)
+        size = (max(columns.stop - columns.start, 0), max(rows.stop - rows.start, 0))
+        part = self.camera.cropped(columns.start, rows.start, *size)
+        return (rows, columns), part, render([(mesh, T_cam_obj)], part, color=color, normals=True)
+
+
+def _ahead(depth: Float32, other: Float32) -> Bool:
+    return np.asarray((depth > 0) & ((other == 0) | (depth < other)))
+
+
+def _shone(seen: Rendering, camera: Camera, light: Light, glossy: int) -> Float32:
+    """The light (H, W, 3) from what is seen; glossy: 1 where it shines."""
+    total: Float32 = np.zeros((camera.height, camera.width, 3), np.float32)
+    gloss = np.full(seen.depth.shape, glossy, np.uint8)
+    args = (seen.color, seen.normals_cam, seen.depth, gloss, camera, np.eye(4), light, NO_SHADOW)
+    shine(*args, total)
+    return total
+
+
+def _carried(rng: Rng, camera: Camera, ranges: ViewRange) -> Callable[[float], Float64]:
+    """The pose T_cam_obj (4, 4) at any time in frames: a hand's way, its speeds changing slowly."""
+    place = camera.backproject(
+        rng.uniform([90.0, 90.0], [camera.width - 90.0, camera.height - 90.0])[None],
+        np.array([rng.uniform(*ranges.distance_m)]),
+    )[0]
+    R = random_rotation(rng)
+    turn = rng.uniform(*ranges.turn_rad_s) * _unit(rng) / RATE_HZ
+    way = rng.uniform(*ranges.speed_m_s) * _unit(rng) / RATE_HZ
+    bend, bow = (0.5 * rng.normal(0.0, 0.1, 3) * np.linalg.norm(x) for x in (turn, way))
+    middle = (FRAMES - 1) / 2
+
+    def at(when: float) -> Float64:
+        t = when - middle
+        return se3.make(se3.rotation_exp(turn * t + bend * t**2) @ R, place + way * t + bow * t**2)
+
+    return at
+
+
+def _unit(rng: Rng) -> Float64:
+    v = rng.normal(size=3)
+    return np.asarray(v / np.linalg.norm(v))
+
+
+def _standing(
+    rng: Rng, props: Props, camera: Camera, centre: Float64, ranges: ViewRange
+) -> list[tuple[Mesh, Float64]]:
+    """The ground behind the object at `centre` (3,), what lies on it, and what may hang in front."""
+    ground_m = float(centre[2]) + rng.uniform(0.15, 0.6)
+    tilt = np.array([np.pi + rng.uniform(-0.5, 0.5), rng.uniform(-0.4, 0.4), 0.0])
+    out = [(props.ground(), se3.make(se3.rotation_exp(tilt), np.array([0.0, 0.0, ground_m])))]
+    pixel = camera.project(centre)
+    depths_m = OTHERS * [ground_m - 0.05]
+    if rng.random() < ranges.hidden:
+        depths_m.append(rng.uniform(0.65, 0.85) * float(centre[2]))
+    return out + [(props.thing(), _somewhere(rng, camera, pixel, z)) for z in depths_m]
+
+
+def _somewhere(rng: Rng, camera: Camera, pixel: Float64, depth_m: float) -> Float64:
+    """A pose near a pixel (2,), at a depth."""
+    point = camera.backproject((pixel + rng.normal(0.0, 90.0, 2))[None], np.array([depth_m]))[0]
+    return se3.make(random_rotation(rng), point)
+
+
+def _light(rng: Rng) -> Light:
+    """Of any strength: whites may be overexposed."""
+    light = random_light(rng)
+    key, sky = light.key * np.exp(rng.uniform(-0.9, 0.9)), light.sky * np.exp(rng.uniform(-0.7, 0.7))
+    return replace(light, key=float(key), sky=float(sky))
+
+
+def _box(mesh: Mesh, T_cam_obj: Float64, camera: Camera) -> Box:
+    pixels = camera.project(se3.apply(T_cam_obj, mesh.vertices))
+    low, high = np.nan_to_num(pixels.min(0)), np.nan_to_num(pixels.max(0))
+    return Box(*low, *(high - low + 1.0))
+
+
+def _union(boxes: Sequence[Box]) -> Box:
+    x, y = min(b.x for b in boxes), min(b.y for b in boxes)
+    return Box(x, y, max(b.x1 for b in boxes) - x, max(b.y1 for b in boxes) - y)

@@ -13,17 +13,19 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from huepose.datasets import files
+from huepose.geometry.arrays import Float64
 from huepose.geometry.box import Box
 from huepose.support.errors import InputError
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class BopDetection:
-    """A box of an object in an image; score: higher is surer."""
+    """A box of an object in an image, or its pose T_cam_obj (4, 4); score: higher is surer."""
 
     object_id: int
-    box: Box
+    box: Box | None
     score: float
+    T_cam_obj: Float64 | None = None
 
 
 @dataclass(frozen=True)

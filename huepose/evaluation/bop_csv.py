@@ -47,8 +47,9 @@ def write_bop_csv(path: Path | str, results: Iterable[BopResult]) -> None:
     write_text(path, "\n".join(lines) + "\n")
 
 
-def read_bop_csv(path: Path | str) -> list[BopResult]:
-    """Read a result file. Raises InputError, naming the line."""
+def read_bop_csv(path: Path | str, broken: list[str] | None = None) -> list[BopResult]:
+    """Read a result file. Raises InputError, naming the line; where `broken` is given, lines without a pose
+    (not a number, no rotation) are described there instead."""
     text = files.read_bytes(Path(path)).decode("utf-8", "replace")
     rows = list(csv.reader(io.StringIO(text)))
     results = []
@@ -66,6 +67,9 @@ def read_bop_csv(path: Path | str) -> list[BopResult]:
             ) from None
         T_cam_obj = se3.make(R, t_m)
         if not se3.is_rigid(T_cam_obj, 1e-2):
+            if broken is not None:
+                broken.append(f"line {number}: no rotation or not finite")
+                continue
             raise InputError(f"{path}, line {number}", found="a matrix that is no rotation")
         results.append(BopResult(scene, values[0], values[1], values[2], T_cam_obj, values[3]))
     return results

@@ -9,13 +9,15 @@ from dataclasses import dataclass, field
 from typing import Any, Literal, Protocol
 
 import numpy as np
+from scipy.optimize import linear_sum_assignment
 
 from huepose.datasets.bop_detections import BopDetections
 from huepose.datasets.boxes import Disturbance, disturbed, projected_box, truth_box
 from huepose.datasets.types import GroundTruth, Sample, Scene
 from huepose.estimation.present import Presence
 from huepose.estimation.standing import standing_answers, why_none_stands
-from huepose.estimation.types import ObjectQuery, PoseEstimate
+from huepose.estimation.types import ObjectQuery, PoseEstimate, PosePrior
+from huepose.evaluation import metrics
 from huepose.evaluation.bop_errors import BopObject, bop_errors
 from huepose.evaluation.equivalents import Key
 from huepose.evaluation.estimate_rows import EstimateResult, EstimateRow, FalsePose
@@ -269,7 +271,8 @@ class _FrameRun:
                 return "The poses of the object that stand are at other places."
             return why_none_stands(name, answers, chances)
 
-        return self._matched(queries, poses, time.perf_counter() - start, why)
+        matched = assigned(poses, self.labels, self._box_of)
+        return self._matched(queries, matched, time.perf_counter() - start, why)
 
     def given(
         self, estimator: PoseEstimator, boxes: BopDetections
@@ -283,7 +286,8 @@ class _FrameRun:
             model = self.targets.named(box.object_id)
             if model is not None and due[model.name] > 0:
                 due[model.name] -= 1
-                queries.append(ObjectQuery(model.name, box=box.box, instance=len(queries)))
+                prior = None if box.T_cam_obj is None else PosePrior(box.T_cam_obj)
+                queries.append(ObjectQuery(model.name, box.box, prior=prior, instance=len(queries)))
         answers = estimator.estimate(self.sample.frame, queries) if queries else []
         reasons = {answer.object: answer.reason for answer in answers}
 
@@ -292,18 +296,19 @@ class _FrameRun:
                 return "The file has no box of the object in this image."
             return reasons[name] or "The pose of the object is at another place."
 
-        return self._matched(queries, answers, time.perf_counter() - start, why)
+        taken = localised(answers, self.labels)
+        return self._matched(queries, (taken, []), time.perf_counter() - start, why)
 
     def _matched(
         self,
         queries: Sequence[ObjectQuery],
-        poses: Sequence[PoseEstimate],
+        matched: tuple[dict[int, PoseEstimate], list[tuple[PoseEstimate, Float64]]],
         seconds: float,
         why: Callable[[str], str],
     ) -> tuple[list[EstimateRow], list[FalsePose]]:
-        """A row for each label with the pose that is assigned to it, and the poses that are left.
-        why: of an object's name, what to say of a label without a pose."""
-        taken, spare = assigned(poses, self.labels, self._box_of)
+        """A row for each label with its pose, and the poses that are left. matched: answers by index of the
+        label, and spare ones; why: of an object's name, what to say of a label without a pose."""
+        taken, spare = matched
         rows = [
             self._row(
                 label,
@@ -403,6 +408,19 @@ def assigned(
         else:
             spare.append((answer, T_cam_obj))
     return taken, spare
+
+
+def localised(answers: Sequence[PoseEstimate], labels: Sequence[_Label]) -> dict[int, PoseEstimate]:
+    """Poses to labels that count, of their object, by least total ADD, wherever they lie: by index of the
+    label."""
+    taken: dict[int, PoseEstimate] = {}
+    for name in {label.model.name for label in labels if label.counted}:
+        mine = [(i, x) for i, x in enumerate(labels) if x.counted and x.model.name == name]
+        own = [(answer, T) for answer, T in _found(answers) if answer.object == name]
+        cost = [[metrics.add(x.model.eval_points, T, x.T_cam_obj) for _, T in own] for _, x in mine]
+        for row, column in zip(*linear_sum_assignment(np.reshape(cost, (len(mine), len(own)))), strict=True):
+            taken[mine[row][0]] = own[column][0]
+    return taken
 
 
 def _found(answers: Sequence[PoseEstimate]) -> Iterator[tuple[PoseEstimate, Float64]]:

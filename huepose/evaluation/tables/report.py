@@ -90,7 +90,7 @@ def _image_pictures(
     pictures.append((_objects(known, names), "Recall of ADD by object, with the paper's own column."))
     for method, rows in known.items():
         found = [row for row in rows if row["found"]]
-        if found and method != "paper":
+        if found and method in ("full", "colorpair"):
             quality = np.array([row["quality"] for row in found])
             right = np.array([row["right"] for row in found], bool)
             picture = reliability_plot(quality, right, title=method)

@@ -284,6 +284,13 @@ def _add_tables(verbs: Any) -> None:
         default=None,
         help="first poses of tracks (DOPE's where the download has them, else the labels)",
     )
+    parser.add_argument(
+        "--submission",
+        nargs="+",
+        default=[],
+        metavar="NAME=FILE.csv",
+        help="results of others in the form of the BOP challenge, measured beside ours",
+    )
     _path(parser, "--equivalent", "FILE", "poses that count as the labelled one does, in rows of their own")
     parser.add_argument(
         "--note", default=None, metavar="TEXT", help="what the data are, where they are not the official ones"

@@ -27,6 +27,7 @@ from huepose.evaluation.tables.journal import Entry, Journal
 from huepose.evaluation.tables.published import published
 from huepose.evaluation.tables.report import page
 from huepose.evaluation.tables.runs import run_images, run_tracks
+from huepose.evaluation.tables.submission import AsGiven, read_submission
 from huepose.evaluation.tables.table import Table
 from huepose.evaluation.targets import Targets, posecnn_offset_m
 from huepose.evaluation.track_protocol import SourceNames, Sources, TrackOptions, evaluate_tracking
@@ -119,6 +120,7 @@ def _images(
     say([f"{arguments.ycbv}: {folder.layout} layout", *folder.coverage.lines()])
     scenes = folder.scenes if arguments.quick is None else spread(folder.scenes, arguments.quick)
     targets = Targets(models, _wanted(arguments, models))
+    ids = [m.object_id for m in models.values() if m.object_id is not None]
     boxes, given = box_source(arguments.boxes)
     listed = bool(folder.coverage.targets)
     options = EstimateOptions(boxes, "auto", 0.0 if listed else 0.1, (arguments.seed,))
@@ -139,11 +141,25 @@ def _images(
         setup = EstimateSetup(targets, estimator, options, equivalents, bop_objects=measured_on, given=given)
         journal = Journal(arguments.out / "runs" / f"ycbv-{method}.jsonl", {**settings, "method": method})
         entries[method] = run_images(journal, scenes, setup, f"YCB-Video, {method}")
+    submissions = [read_submission(named, set(ids)) for named in arguments.submission]
+    for submission in submissions:
+        setup = EstimateSetup(
+            targets,
+            AsGiven(),
+            replace(options, boxes="file"),
+            equivalents,
+            bop_objects=measured_on,
+            given=submission.poses,
+        )
+        file = arguments.out / "runs" / f"ycbv-submission-{submission.name}.jsonl"
+        file.unlink(missing_ok=True)  # nothing is estimated, and the file may be another one
+        entries[submission.name] = run_images(Journal(file, settings), scenes, setup, submission.name)
     n = sum(len(scene.image_ids) for scene in scenes)
     notes = [*folder.coverage.lines()]
     if n < sum(len(scene.image_ids) for scene in folder.scenes):
         notes.append(f"a sample of {n} images, spread evenly over the scenes")
     notes.append(f"boxes {arguments.boxes}, own masks, seed {arguments.seed}, profile {arguments.profile}")
+    notes += [note for submission in submissions for note in submission.notes]
     notes += _left_out(next(iter(entries.values())))
     all_names = {i: o.name for i, o in ycb_objects().items()} | {
         m.object_id: m.name for m in models.values() if m.object_id is not None

@@ -1,0 +1,74 @@
+"""Results of others in the form of the BOP challenge: measured on the same labels, by the same figures."""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+from huepose.datasets.bop_detections import BopDetection, BopDetections
+from huepose.estimation.types import ObjectQuery, PoseEstimate, PosePrior, absent
+from huepose.evaluation.bop_csv import read_bop_csv
+from huepose.geometry.frame import RgbdFrame
+from huepose.support.errors import InputError
+
+
+@dataclass(frozen=True)
+class Submission:
+    """poses: by image, the surest first; notes: what of the file cannot count."""
+
+    name: str
+    poses: BopDetections
+    notes: tuple[str, ...]
+
+
+def read_submission(named: str, known_ids: Collection[int]) -> Submission:
+    """`NAME=FILE.csv`. known_ids: of the objects with a reference model. Raises InputError."""
+    name, _, path = named.partition("=")
+    if not name or not path:
+        raise InputError("--submission", found=named, expected="NAME=FILE.csv")
+    broken: list[str] = []
+    by_image: dict[tuple[int, int], list[BopDetection]] = {}
+    unknown = 0
+    for result in read_bop_csv(Path(path), broken):
+        unknown += result.object_id not in known_ids
+        if result.scene.isdigit():
+            found = BopDetection(result.object_id, None, result.score, result.T_cam_obj)
+            by_image.setdefault((int(result.scene), result.image), []).append(found)
+    notes = []
+    if broken:
+        notes.append(f"{name}: {len(broken)} lines hold no pose ({broken[0]}); their labels are missed")
+    if unknown:
+        notes.append(f"{name}: {unknown} poses are of objects without a reference model")
+    ordered = {key: sorted(own, key=lambda d: -d.score) for key, own in by_image.items()}
+    return Submission(name, BopDetections(ordered), tuple(notes))
+
+
+class AsGiven:
+    """Answers with the pose that a query brings along; its quality is not known."""
+
+    def estimate(self, frame: RgbdFrame, queries: Sequence[ObjectQuery]) -> list[PoseEstimate]:
+        """One answer for each query."""
+        return [_answer(query, query.prior) for query in queries]
+
+
+def _answer(query: ObjectQuery, prior: PosePrior | None) -> PoseEstimate:
+    if prior is None:
+        return absent(query.object)
+    return PoseEstimate(
+        object=query.object,
+        instance=query.instance,
+        found=True,
+        T_cam_obj=prior.T_cam_obj,
+        quality=0.0,
+        state="SUSPECT",
+        score=0.0,
+        margin=0.0,
+        covariance=None,
+        mask=None,
+        box=query.box,
+        prior_score=None,
+        prior_T_cam_obj=None,
+        alternatives=(),
+        seconds=0.0,
+    )

@@ -51,7 +51,7 @@ def robust_fit(
     if n < 3 or np.count_nonzero(w0) < 3:
         return np.eye(4), np.zeros(n, bool), np.zeros(n)
     draws = rng.choice(n, (trials, 3), p=w0 / w0.sum())
-    R, t = _fit_triples(p[draws], q[draws])
+    R, t = fit_triples(p[draws], q[draws])
     errors = np.linalg.norm(np.einsum("kij,nj->kni", R, p) + t[:, None] - q, axis=2)
     support = (np.maximum(1.0 - (errors / inlier_m) ** 2, 0.0) * w0).sum(1)
     best = int(np.argmax(support))
@@ -67,7 +67,7 @@ def robust_fit(
     return T, e < inlier_m, w
 
 
-def _fit_triples(p: Float64, q: Float64) -> tuple[Float64, Float64]:
+def fit_triples(p: Float64, q: Float64) -> tuple[Float64, Float64]:
     """Rigid fits of many triples at once: p, q (K, 3, 3) points by rows; returns R (K, 3, 3), t (K, 3)."""
     p0, q0 = p.mean(1), q.mean(1)
     H = np.einsum("kni,knj->kij", p - p0[:, None], q - q0[:, None])

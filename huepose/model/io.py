@@ -19,6 +19,7 @@ from huepose.model.archive import Archive, picture
 from huepose.model.plausible import check_model
 from huepose.model.types import (
     DistanceGrid,
+    Keypoints,
     PairReference,
     PaperTables,
     ReferenceModel,
@@ -70,6 +71,7 @@ def save_model(model: ReferenceModel, path: Path | str) -> None:
         "template_span": model.templates.span,
         "pair_parameters": model.pairs.parameters,
         "table_parameters": None if model.tables is None else model.tables.parameters,
+        "keypoint_source": None if model.keypoints is None else model.keypoints.source,
     }
     arrays: dict[str, Any] = {
         "mesh.vertices": model.mesh.vertices,
@@ -85,7 +87,7 @@ def save_model(model: ReferenceModel, path: Path | str) -> None:
     }
     if model.frame_offset_m is not None:
         arrays["frame_offset_m"] = model.frame_offset_m
-    for room in ("surface", "templates", "pairs", "tables"):
+    for room in ("surface", "templates", "pairs", "tables", "keypoints"):
         part = getattr(model, room)
         for name in _array_fields(type(part)) if part is not None else ():
             arrays[f"{room}.{name}"] = getattr(part, name)
@@ -155,7 +157,7 @@ def load_models(bundles_dir: Path | str, names: Iterable[str] | None = None) -> 
 
 
 def _array_fields(kind: type) -> list[str]:
-    return [f.name for f in fields(kind) if f.name not in ("span", "step", "parameters")]
+    return [f.name for f in fields(kind) if f.name not in ("span", "step", "parameters", "source")]
 
 
 def _narrowed(array: np.ndarray) -> np.ndarray:
@@ -170,6 +172,7 @@ def _assembled(header: dict[str, Any], arrays: dict[str, Any]) -> ReferenceModel
         return {name: arrays[f"{room}.{name}"] for name in _array_fields(kind)}
 
     texture = picture(arrays["mesh.texture_png"])
+    source = header.get("keypoint_source")  # not in older files
     return ReferenceModel(
         name=check_name(header["name"]),
         object_id=header["object_id"],
@@ -190,6 +193,7 @@ def _assembled(header: dict[str, Any], arrays: dict[str, Any]) -> ReferenceModel
         templates=ViewTemplates(**part("templates", ViewTemplates), span=header["template_span"]),
         pairs=PairReference(**part("pairs", PairReference), parameters=header["pair_parameters"]),
         tables=_tables(header, arrays),
+        keypoints=None if source is None else Keypoints(**part("keypoints", Keypoints), source=str(source)),
     )
 
 

@@ -47,6 +47,12 @@ def check_model(model: ReferenceModel) -> None:
     ]
     if model.tables is not None:
         _add_tables(model.tables, shapes, indices)
+    if model.keypoints is not None:
+        shapes += [
+            ("keypoints.points", model.keypoints.points, (None, 3)),
+            ("keypoints.normals", model.keypoints.normals, model.keypoints.points.shape),
+            ("keypoints.descriptors", model.keypoints.descriptors, (len(model.keypoints.points), None)),
+        ]
     for name, array, shape in shapes:
         if array.ndim != len(shape) or any(
             b not in (None, a) for a, b in zip(array.shape, shape, strict=True)

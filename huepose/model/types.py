@@ -104,6 +104,20 @@ class PaperTables:
 
 
 @dataclass(frozen=True, eq=False)
+class Keypoints:
+    """Features of the object that are found again in other pictures, the most reliable first.
+
+    points, normals (N, 3) float32: where they are on the surface; descriptors (N, D) uint8: what they look
+    like, in a common scale; source: name of what describes them (`propose.features`).
+    """
+
+    points: Float32
+    normals: Float32
+    descriptors: UInt8
+    source: str
+
+
+@dataclass(frozen=True, eq=False)
 class ReferenceModel:
     """One object.
 
@@ -115,6 +129,7 @@ class ReferenceModel:
     T = T_cam_obj @ turn is another pose in each case.
     frame_offset_m: translation that takes a point of the PoseCNN/YCB-Video frame to this one, or None.
     tables: what the methods `paper` and `colorpair` need besides, None unless onboarding was asked for it.
+    keypoints: None in files of older versions; the detector then makes them at its start.
     """
 
     name: str
@@ -131,3 +146,4 @@ class ReferenceModel:
     templates: ViewTemplates
     pairs: PairReference
     tables: PaperTables | None = None
+    keypoints: Keypoints | None = None

@@ -26,11 +26,12 @@ from huepose.onboarding.pairs import (
 from huepose.onboarding.surface import build_surface
 from huepose.onboarding.symmetries import equivalent_rotations
 from huepose.onboarding.visibility import depth_views
+from huepose.propose.keypoint_reference import build_keypoints
 from huepose.propose.templates import build_templates
 from huepose.rendering.render import render
 from huepose.support.errors import InputError
 
-STAGES = ("mesh", "visibility", "surface", "symmetries", "templates", "colour pairs")
+STAGES = ("mesh", "visibility", "surface", "symmetries", "templates", "keypoints", "colour pairs")
 EVAL_POINTS = 20_000
 _BLOCK = 1000  # points whose distances to all others are in memory at once
 _STEP_RAD = np.pi / 36  # of declared continuous symmetries
@@ -80,6 +81,8 @@ def reference_model(
         equivalents = sampled(symmetric, _STEP_RAD)
     report("templates")
     templates = build_templates(lean, diameter)
+    report("keypoints")
+    keypoints = build_keypoints(lean, diameter)
     report("colour pairs")
     coarse, fine = coarse_and_fine(_pair_views(lean, diameter), diameter)
     return ReferenceModel(
@@ -97,6 +100,7 @@ def reference_model(
         templates=templates,
         pairs=pair_reference(coarse, fine, diameter),
         tables=_tables(coarse, diameter) if paper else None,
+        keypoints=keypoints,
     )
 
 

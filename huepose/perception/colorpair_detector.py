@@ -1,8 +1,9 @@
 """The detector that needs no weights: it looks for the objects' own views over all that stands in the frame.
 
-Planes larger than any object are taken away; windows of the object's size over the rest are compared with
-its views at metric scale (colours by what light leaves of them, relief, outline); the best are judged as
-poses on the picture itself, brought onto the depth, and judged again. What is left are places, each with the
+Planes larger than any object are taken away. In the rest the keypoints of the models are sought, and windows
+of the object's size are compared with its views at metric scale (colours by what light leaves of them,
+relief, outline). What keypoints agree on and the best views are judged as poses on the picture itself,
+brought onto the depth, and judged again. What is left are places, each with the
 box of what is seen of the object there. An object that is not there gets places too, with low scores: the
 estimator's verdict on them is the last word.
 """
@@ -13,10 +14,12 @@ import threading
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import replace
 
+import cv2
 import numpy as np
 
 from huepose.believe.logistic import probability
 from huepose.geometry import se3
+from huepose.geometry.arrays import Float64
 from huepose.geometry.camera import Camera
 from huepose.geometry.frame import RgbdFrame
 from huepose.model.named import model_named
@@ -28,8 +31,14 @@ from huepose.perception.presence import presences
 from huepose.perception.scouting import EFFORTS, Effort, Proposal, propose
 from huepose.perception.types import Detection
 from huepose.perception.window_table import WindowTable, window_table
+from huepose.propose.features import FeatureSource, Sift
+from huepose.propose.keypoint_reference import build_keypoints
+from huepose.propose.keypoints import Sought, Spots, agreed, match
 from huepose.rendering.render import render
 from huepose.support.stages import stage
+
+HOLE_PX = 9
+"""Pixels without depth this near to what stands may be of it: sheen leaves holes."""
 
 
 class ColorPairDetector:
@@ -39,6 +48,8 @@ class ColorPairDetector:
         self.config = config or DetectorConfig()
         self._models: dict[str, ReferenceModel] = {}
         self._tables: dict[str, WindowTable] = {}
+        self._features: FeatureSource = Sift()
+        self._keypoints: dict[str, Sought] = {}
         self._lock = threading.Lock()
         for model in models.values():
             self.add(model)
@@ -48,12 +59,14 @@ class ColorPairDetector:
         with self._lock:
             self._models[model.name] = model
             self._tables.pop(model.name, None)
+            self._keypoints.pop(model.name, None)
 
     def remove(self, name: str) -> None:
         """Forget an object; nothing happens when it is not known."""
         with self._lock:
             self._models.pop(name, None)
             self._tables.pop(name, None)
+            self._keypoints.pop(name, None)
 
     def detect(
         self, frame: RgbdFrame, names: Sequence[str], thorough: Collection[str] | None = None
@@ -70,8 +83,11 @@ class ColorPairDetector:
             return []
         proposals = self.config.proposals
         most = max(proposals, self.config.pool) if len(names) > 1 else proposals
+        guesses = self._guesses(view, names)
         places = {
-            name: propose(self._model(name), self._table(name), view, most, _efforts(name, thorough))
+            name: propose(
+                self._model(name), self._table(name), view, most, self._efforts(name, thorough), guesses[name]
+            )
             for name in names
         }
         with stage("presence"):
@@ -85,6 +101,20 @@ class ColorPairDetector:
         ]
         return sorted((d for d in found if d.score >= self.config.min_score), key=lambda d: -d.score)
 
+    def _guesses(self, view: ClearView, names: Sequence[str]) -> dict[str, Float64]:
+        """Poses (K, 4, 4) that the keypoints of each object agree on."""
+        if "keypoints" not in self.config.sources:
+            return dict.fromkeys(names, np.zeros((0, 4, 4)))
+        with stage("features"):
+            near = cv2.dilate(view.clear.view(np.uint8), np.ones((HOLE_PX, HOLE_PX), np.uint8)) > 0
+            shown = view.clear | (near & (view.crop.depth == 0))
+            spots = Spots.of(self._features.extract(view.crop.color, shown))
+        with stage("keypoints"):
+            depth, camera = view.crop.depth, view.crop.camera
+            return {
+                name: agreed(match(self._keypoints_of(name), spots), depth, camera).poses for name in names
+            }
+
     def _rated(self, view: ClearView, places: Mapping[str, list[Proposal]]) -> dict[str, list[Proposal]]:
         """The same places, scored by the logit of the probability that they are the object's."""
         models = {name: self._model(name) for name in places}
@@ -96,6 +126,8 @@ class ColorPairDetector:
         """Lay out the views of all objects, and compile the kernels on an artificial view of the first."""
         for name in list(self._models):
             self._table(name)
+            if "keypoints" in self.config.sources:
+                self._keypoints_of(name)
         for model in list(self._models.values())[:1]:
             camera = Camera(300.0, 300.0, 159.5, 119.5, 320, 240)
             distance = max(0.5, 3.0 * model.diameter_m)
@@ -113,6 +145,17 @@ class ColorPairDetector:
                 self._tables[name] = window_table(self._model(name))
             return self._tables[name]
 
+    def _keypoints_of(self, name: str) -> Sought:
+        with self._lock:
+            if name not in self._keypoints:
+                model = self._model(name)
+                kept = model.keypoints
+                if kept is None or kept.source != self._features.name:
+                    kept = build_keypoints(model.mesh, model.diameter_m, self._features)
+                self._keypoints[name] = Sought.of(kept)
+            return self._keypoints[name]
 
-def _efforts(name: str, thorough: Collection[str] | None) -> tuple[Effort, ...]:
-    return EFFORTS if thorough is None or name in thorough else EFFORTS[:1]
+    def _efforts(self, name: str, thorough: Collection[str] | None) -> tuple[Effort, ...]:
+        if "views" not in self.config.sources:
+            return ()
+        return EFFORTS if thorough is None or name in thorough else EFFORTS[:1]

@@ -3,24 +3,34 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Literal, get_args
 
 from huepose.support.errors import InputError
+
+Source = Literal["keypoints", "views"]
+SOURCES: tuple[Source, ...] = get_args(Source)
 
 
 @dataclass(frozen=True)
 class DetectorConfig:
-    """proposals: most boxes of one object; min_score: a place that is the object's with less than this
-    probability is not worth an estimate; pool: places of each object that compete with those of the others.
+    """sources: what proposes poses; proposals: most boxes of one object; min_score: a place that is the
+    object's with less than this probability is not worth an estimate; pool: places of each object that
+    compete with those of the others.
 
     Origin: chosen for time. Two boxes instead of three lose 0 to 3 % of the labels (docs/detection.md, first
     1 / 2 / 5 proposals), and each box costs an estimate.
     """
 
+    sources: tuple[Source, ...] = SOURCES
     proposals: int = 2
     min_score: float = 0.05
     pool: int = 3
 
     def __post_init__(self) -> None:
+        if not self.sources or not set(self.sources) <= set(SOURCES):
+            raise InputError(
+                "detector: sources", found=str(self.sources), expected=f"some of {', '.join(SOURCES)}"
+            )
         for name in ("proposals", "pool"):
             if getattr(self, name) < 1:
                 raise InputError(f"detector: {name}", found=str(getattr(self, name)), expected="1 or more")

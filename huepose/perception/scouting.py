@@ -72,21 +72,40 @@ def propose(
     view: ClearView,
     count: int,
     efforts: Sequence[Effort] = EFFORTS,
+    guesses: Float64 | None = None,
 ) -> list[Proposal]:
     """The `count` best different places of an object in a view, best first.
 
-    `efforts`: what is tried, until a place is surely the object's."""
-    with stage("windows"):
-        windows = windows_of(view, model.diameter_m, table.views.span_m)
-        order = promising(table, windows)
-    poses, rated = np.zeros((0, 4, 4)), np.zeros(0)
-    for effort in efforts:
-        if not len(rated) or rated.max() < SURE:
-            with stage("windows"):
-                chosen = filled(windows[order[: effort.windows]], view, model.diameter_m)
-            poses, rated = _tried(model, table, view, chosen, effort)
+    `guesses`: poses (K, 4, 4) that keypoints agree on, most likely first; `efforts`: what is tried then,
+    until a place is surely the object's."""
+    poses, rated = _guessed(model, view, np.zeros((0, 4, 4)) if guesses is None else guesses)
+    if efforts:
+        with stage("windows"):
+            windows = windows_of(view, model.diameter_m, table.views.span_m)
+            order = promising(table, windows)
+        found = poses[:0], rated[:0]
+        for k, effort in enumerate(efforts):
+            if not k or max(rated.max(initial=-np.inf), found[1].max(initial=-np.inf)) < SURE:
+                with stage("windows"):
+                    chosen = filled(windows[order[: effort.windows]], view, model.diameter_m)
+                found = _tried(model, table, view, chosen, effort)
+        poses, rated = np.concatenate([poses, found[0]]), np.concatenate([rated, found[1]])
     with stage("thin"):
         return _thinned(model, view, poses, rated, count)
+
+
+def _guessed(model: ReferenceModel, view: ClearView, guesses: Float64) -> tuple[Float64, Float64]:
+    """Guessed poses, as they are, on the depth and searched (M, 4, 4), and their scores (M,)."""
+    if not len(guesses):
+        return guesses, np.zeros(0)
+    region = view.region(model.diameter_m)
+    with stage("guesses"):
+        poses = np.concatenate([guesses, align_in_view(model, view, guesses)])
+        rated = _judged(model, view, region, poses)
+        best = poses[_apart(model, poses, rated, len(guesses))]
+        found, _ = search(model, region, best, SEARCH_STEPS_DEG, SEARCH_SAMPLES)
+        rated = np.concatenate([_judged(model, view, region, found), rated])
+        return np.concatenate([found, poses]), rated
 
 
 def _tried(

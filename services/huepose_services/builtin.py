@@ -20,7 +20,14 @@ from huepose.support.errors import InputError
 from huepose.support.files import cache_folder
 from huepose.support.progress import progress
 
-_MAKERS = ("onboarding", "model", "colorpair", "propose/templates.py")
+_MAKERS = (
+    "onboarding",
+    "model",
+    "colorpair",
+    "propose/templates.py",
+    "propose/features.py",
+    "propose/keypoint_reference.py",
+)
 
 
 @cache

@@ -113,6 +113,29 @@ def test_tables_are_kept_where_there_are_any(tea_box: ReferenceModel, saved: Pat
     assert (tmp_path / "bare.huepose").stat().st_size < saved.stat().st_size - 1e6
 
 
+def test_keypoints_are_kept_and_a_file_of_before_there_were_any_loads(
+    tea_box: ReferenceModel, saved: Path, tmp_path: Path
+) -> None:
+    kept = load_model(saved).keypoints
+    assert kept is not None
+    assert tea_box.keypoints is not None
+    assert kept.source == tea_box.keypoints.source
+    np.testing.assert_array_equal(kept.descriptors, tea_box.keypoints.descriptors)
+    np.testing.assert_array_equal(kept.points, tea_box.keypoints.points)
+    older = tmp_path / "older.huepose"
+    save_model(replace(tea_box, keypoints=None), older)
+    bare = tmp_path / "bare.huepose"
+    with zipfile.ZipFile(older) as source, zipfile.ZipFile(bare, "w") as target:
+        for name in source.namelist():
+            data = source.read(name)
+            if name == "header.json":
+                header = json.loads(data)
+                del header["keypoint_source"]
+                data = json.dumps(header).encode()
+            target.writestr(name, data)
+    assert load_model(bare).keypoints is None
+
+
 @pytest.mark.parametrize("content", [b"", b"no zip", None])
 def test_damaged_files_are_refused(saved: Path, tmp_path: Path, content: bytes | None) -> None:
     path = tmp_path / "tea_box.huepose"

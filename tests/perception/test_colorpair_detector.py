@@ -14,7 +14,7 @@ from huepose.judge.continuation import continuation_many
 from huepose.model.types import ReferenceModel
 from huepose.perception.clear_view import clear_view
 from huepose.perception.colorpair_detector import ColorPairDetector
-from huepose.perception.config import DetectorConfig
+from huepose.perception.config import DetectorConfig, Source
 from huepose.perception.ground import large_planes, standing_clear
 from huepose.perception.nearby import align_in_view
 from huepose.perception.scouting import likeliest_near_symmetries
@@ -93,6 +93,43 @@ def test_a_place_without_the_object_scores_less(
     grey = replace(tea_box.mesh, texture=np.full_like(tea_box.mesh.texture, 90))
     (other,) = detector.detect(take_picture([(grey, standing)]), ["tea_box"])
     assert there.score > 0.9 > other.score + 0.3
+
+
+@pytest.mark.parametrize("source", ["keypoints", "views"])
+def test_each_source_alone_finds_the_object(
+    tea_box: ReferenceModel, take_picture: TakePicture, standing: np.ndarray, source: Source
+) -> None:
+    frame = take_picture([(tea_box.mesh, standing)], light=(0.7, 0.8, 0.9))
+    detector = ColorPairDetector({"tea_box": tea_box}, DetectorConfig(sources=(source,)))
+    best = detector.detect(frame, ["tea_box"])[0]
+    assert best.box.iou(box_of(tea_box, frame, standing)) > 0.75
+    assert best.score > 0.9
+
+
+def test_keypoints_alone_propose_nothing_where_there_is_no_print(
+    tea_box: ReferenceModel, take_picture: TakePicture, standing: np.ndarray
+) -> None:
+    grey = replace(tea_box.mesh, texture=np.full_like(tea_box.mesh.texture, 90))
+    detector = ColorPairDetector({"tea_box": tea_box}, DetectorConfig(sources=("keypoints",), min_score=0.0))
+    assert detector.detect(take_picture([(grey, standing)]), ["tea_box"]) == []
+
+
+def test_a_model_without_keypoints_gets_them(
+    tea_box: ReferenceModel, take_picture: TakePicture, standing: np.ndarray
+) -> None:
+    frame = take_picture([(tea_box.mesh, standing)])
+    config = DetectorConfig(sources=("keypoints",))
+    now, before = (
+        ColorPairDetector({"tea_box": model}, config).detect(frame, ["tea_box"])
+        for model in (tea_box, replace(tea_box, keypoints=None))
+    )
+    assert now
+    assert [(d.box, d.score) for d in now] == [(d.box, d.score) for d in before]
+
+
+def test_a_source_that_there_is_not_is_refused() -> None:
+    with pytest.raises(InputError, match="keypoints, views"):
+        DetectorConfig(sources=())
 
 
 def test_an_empty_table_gives_nothing(tea_box: ReferenceModel, take_picture: TakePicture) -> None:

@@ -1,0 +1,61 @@
+"""Local features of a picture: points that are found again in other pictures, and what they look like.
+
+Whatever finds and describes such points can stand behind `FeatureSource`. SIFT (Lowe 2004, OpenCV) needs no
+weights; its descriptors are compared as RootSIFT (Arandjelovic and Zisserman 2012).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Protocol
+
+import cv2
+import numpy as np
+
+from huepose.geometry.arrays import Bool, Float32, UInt8
+
+SIFT_WIDTH = 128
+
+
+@dataclass(frozen=True, eq=False)
+class Features:
+    """pixels (N, 2) float32: (u, v) in the picture; descriptors (N, D) float32 of unit length, no value
+    negative: the larger the product of two, the more alike they look."""
+
+    pixels: Float32
+    descriptors: Float32
+
+    def __len__(self) -> int:
+        return len(self.pixels)
+
+
+class FeatureSource(Protocol):
+    """Finds features. name: only features of one name can be compared."""
+
+    @property
+    def name(self) -> str:
+        """What the features are of."""
+        ...
+
+    def extract(self, color: UInt8, mask: Bool | None = None) -> Features:
+        """Features of a picture (H, W, 3) uint8 RGB, only those on the mask (H, W) where there is one."""
+        ...
+
+
+class Sift:
+    """SIFT with OpenCV's settings: its finest scale is that of a picture of twice the size."""
+
+    name = "sift"
+
+    def __init__(self) -> None:
+        self._sift = cv2.SIFT.create()
+
+    def extract(self, color: UInt8, mask: Bool | None = None) -> Features:
+        """Features of a picture (H, W, 3) uint8 RGB, only those on the mask (H, W) where there is one."""
+        grey = cv2.cvtColor(color, cv2.COLOR_RGB2GRAY)
+        found = self._sift.detect(grey, None if mask is None else mask.view(np.uint8))
+        if not found:
+            return Features(np.zeros((0, 2), np.float32), np.zeros((0, SIFT_WIDTH), np.float32))
+        found, plain = self._sift.compute(grey, found)
+        shares = plain / np.maximum(plain.sum(1, keepdims=True), np.float32(1.0))
+        return Features(np.array([p.pt for p in found], np.float32), np.sqrt(shares))

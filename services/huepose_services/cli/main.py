@@ -23,11 +23,11 @@ _VERBS = (
 )
 # Those that run compiled kernels in their own process.
 _COMPILING = frozenset(
-    {"new", "onboard", "onboard-bop", "estimate", "eval", "render-scenes", "make-dataset", "bench"}
+    {"new", "onboard", "onboard-bop", "estimate", "eval", "replay", "render-scenes", "make-dataset", "bench"}
 )
 # What the base installation, for subscribers, does without.
 _OF_EXTRAS = {
-    **dict.fromkeys(("cv2", "numba", "scipy", "onnxruntime", "PIL"), "edge"),
+    **dict.fromkeys(("cv2", "numba", "scipy", "onnxruntime", "PIL", "mcap", "lz4"), "edge"),
     "open3d": "onboard",
     **dict.fromkeys(("torch", "onnx", "onnxscript"), "train"),
     "rerun": "viewer",

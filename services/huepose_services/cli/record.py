@@ -78,8 +78,7 @@ def call(arguments: argparse.Namespace) -> int:
     code, say_at = 0, time.monotonic() + _NOTHING_HEARD_AFTER_S
     try:
         while not stopping and not recorder.finished:
-            bus.inbox.wait(0.1)
-            recorder.step()
+            recorder.step(0.1)
             progress.show()
             if time.monotonic() > say_at and recorder.first_ns is None:
                 say_at = float("inf")
@@ -90,6 +89,7 @@ def call(arguments: argparse.Namespace) -> int:
     except OSError as error:
         print(f"\nhuepose record: {error.strerror or error}; what was written stays", file=sys.stderr)
         code = 1
+    recorder.close()
     bus.close()
     session.close()
     try:
@@ -111,7 +111,7 @@ class _Progress:
 
     def _line(self) -> str:
         r, p = self._recorder, self._parts
-        missed = f", {r.missed} messages missed" if r.missed else ""
+        missed = f", {r.missed} frames missed" if r.missed else ""
         return f"{p.path}: {p.frames} frames, {r.seconds:.1f} s, {p.size / 1e6:.1f} MB{missed}"
 
     def show(self) -> None:

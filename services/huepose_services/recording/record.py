@@ -9,18 +9,20 @@ from importlib.metadata import PackageNotFoundError, version
 import msgspec
 
 from huepose.support.errors import InputError
-from huepose_protos import WireError
+from huepose_protos import WireError, decode
 from huepose_protos.buffers import frame_images
 from huepose_protos.client import kind_of
-from huepose_protos.messages import FrameHeader, MemoryMessage, Message
+from huepose_protos.messages import FrameHeader, MemoryMessage
 from huepose_services import models
+from huepose_services.recording.arrivals import Arrivals, Arrived
 from huepose_services.recording.parts import Parts
-from huepose_services.runtime.bus import Bus, Place
+from huepose_services.runtime.bus import Bus
 from huepose_services.runtime.config import Config
 
 _GONE_AFTER_S = 1.0
-_FRAMES_WAITING = 128
-"""Frames that a slow disk may leave waiting, 190 MB at 640 x 480."""
+_LOOK_EVERY_S = 0.5
+_MOST_WAITING = 256 * 1024 * 1024
+"""Bytes of pixels that a slow disk may leave waiting, six seconds at 640 x 480."""
 _PACKAGES = ("huepose", "numpy", "numba", "opencv-python-headless")
 
 
@@ -50,22 +52,20 @@ class Recorder:
 
     def __init__(self, bus: Bus, parts: Parts, with_frames: bool) -> None:
         self._bus, self._parts = bus, parts
-        keys, inbox = bus.keys, bus.inbox
-        # Frames first: what the tracker took in then comes after the frame that it took.
-        self._frames = inbox.queue(keys.frame, True, _FRAMES_WAITING, copies=True) if with_frames else None
+        keys = bus.keys
         said = (
             *(keys.truth, keys.camera_info, keys.request, keys.estimates, keys.correction, keys.objects),
             *(keys.poses, keys.health()),
-            *((keys.intake, keys.memory) if with_frames else ()),
+            *((keys.frame, keys.intake, keys.memory) if with_frames else ()),
         )
-        self._queues: list[tuple[Place, type[Message]]] = [
-            (inbox.queue(key, wakes=False), kind) for key in said if (kind := kind_of(key)) is not None
-        ]
-        self._live = inbox.liveliness(keys.live())
+        # In the order in which it comes: what the tracker took in then stands after the frame that it took.
+        self._arrivals = Arrivals(bus.session, said, _MOST_WAITING)
+        self._live = bus.inbox.liveliness(keys.live())
         self._there: set[str] = set()
         self._gone_since: float | None = None
         self._digests: dict[str, str] = {}
         self.finished = ""
+        self._look_at = 0.0
         self.first_ns: int | None = None
         self.last_ns = 0
 
@@ -76,37 +76,40 @@ class Recorder:
 
     @property
     def missed(self) -> int:
-        """Messages, most of them frames, that came and were not written."""
-        return self._bus.inbox.drops
+        """Frames that came and were not written."""
+        return self._arrivals.missed
 
-    def step(self) -> None:
-        """Write what arrived. Raises OSError for a full disk."""
-        while self._frames is not None:
-            taken = self._bus.take_with_payload(self._frames, FrameHeader)
-            if taken is None:
-                break
-            self._frame(*taken)
+    def step(self, timeout_s: float) -> None:
+        """Write what arrived; waits so long for the first. Raises OSError for a full disk."""
+        self._arrivals.wait(timeout_s)
+        while (arrived := self._arrivals.take()) is not None:
+            try:
+                self._write(arrived)
+            except WireError as error:
+                self._bus.refuse(arrived.key, error)
             self._parts.commit()
-        for place, kind in self._queues:
-            while (said := self._bus.take_with_key(place, kind)) is not None:
-                self._said(*said)
+            if time.monotonic() > self._look_at:
+                break
         self._parts.commit()
+        self._look_at = time.monotonic() + _LOOK_EVERY_S
         self._look_who_is_there()
 
-    def _frame(self, header: FrameHeader, payload: bytes) -> None:
-        try:
-            color, depth = frame_images(header, payload)
-        except WireError as error:
-            self._bus.refuse(self._bus.keys.frame, error)
-            return
-        self._parts.frame(header, color, depth, self._bus.keys.frame)
-        self._saw(header.publish_ns)
+    def close(self) -> None:
+        """Listen no longer."""
+        self._arrivals.close()
 
-    def _said(self, key: str, message: Message) -> None:
-        if isinstance(message, MemoryMessage):
-            self._note_models(message)
-        self._parts.message(key, message)
-        self._saw(message.publish_ns)
+    def _write(self, arrived: Arrived) -> None:
+        if arrived.key == self._bus.keys.frame:
+            header = decode(arrived.header, FrameHeader)
+            color, depth = frame_images(header, arrived.pixels)
+            self._parts.frame(header, color, depth, arrived.key)
+            self._saw(header.publish_ns)
+        elif (kind := kind_of(arrived.key)) is not None:
+            message = decode(arrived.header, kind)
+            if isinstance(message, MemoryMessage):
+                self._note_models(message)
+            self._parts.message(arrived.key, message)
+            self._saw(message.publish_ns)
 
     def _note_models(self, message: MemoryMessage) -> None:
         """Who computes the poses again needs the same reference models."""

@@ -59,16 +59,10 @@ class Bus:
 
     def take(self, place: Place, kind: type[M]) -> M | None:
         """The next good message there, or None."""
-        said = self.take_with_key(place, kind)
-        return None if said is None else said[1]
-
-    def take_with_key(self, place: Place, kind: type[M]) -> tuple[str, M] | None:
-        """The same, with the key that it came under."""
         while (sample := place.take()) is not None:
-            key = str(sample.key_expr)
-            message = self._decoded(key, sample.payload.to_bytes(), kind)
+            message = self._decoded(str(sample.key_expr), sample.payload.to_bytes(), kind)
             if message is not None:
-                return key, message
+                return message
         return None
 
     def _decoded(self, key: str, data: bytes, kind: type[M]) -> M | None:

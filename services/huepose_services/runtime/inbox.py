@@ -10,7 +10,6 @@ from __future__ import annotations
 import threading
 from collections import deque
 from collections.abc import Callable
-from dataclasses import dataclass
 from typing import Any
 
 import zenoh
@@ -52,48 +51,25 @@ class Ring:
         return self._wakes and self._sample is not None
 
 
-@dataclass(frozen=True)
-class Copied:
-    """A sample that holds no shared memory, as far as the bus looks at it."""
-
-    key_expr: zenoh.KeyExpr
-    attachment: zenoh.ZBytes | None
-    payload: zenoh.ZBytes
-
-    @staticmethod
-    def of(sample: zenoh.Sample) -> Copied:
-        """A sample's, to be kept for as long as one likes."""
-        return Copied(sample.key_expr, sample.attachment, zenoh.ZBytes(sample.payload.to_bytes()))
-
-
 class Queue:
-    """All samples of a subscription in order; `lost` counts what a stuck loop made it drop. `copies`: they
-    are copied as they come, for what has pixels in shared memory."""
+    """All samples of a subscription in order; `lost` counts what a stuck loop made it drop."""
 
-    def __init__(
-        self,
-        ready: threading.Condition,
-        wakes: bool = True,
-        capacity: int = _QUEUE_CAPACITY,
-        copies: bool = False,
-    ) -> None:
+    def __init__(self, ready: threading.Condition, wakes: bool = True) -> None:
         self._ready = ready
         self._wakes = wakes
-        self._capacity, self._copies = capacity, copies
-        self._samples: deque[zenoh.Sample | Copied] = deque()
+        self._samples: deque[zenoh.Sample] = deque()
         self.lost = 0
 
     def _put(self, sample: zenoh.Sample) -> None:
-        kept = Copied.of(sample) if self._copies else sample
         with self._ready:
-            if len(self._samples) >= self._capacity:
+            if len(self._samples) >= _QUEUE_CAPACITY:
                 self._samples.popleft()
                 self.lost += 1
-            self._samples.append(kept)
+            self._samples.append(sample)
             if self._wakes:
                 self._ready.notify()
 
-    def take(self) -> Any:
+    def take(self) -> zenoh.Sample | None:
         """The oldest sample; None when there is none."""
         with self._ready:
             return self._samples.popleft() if self._samples else None
@@ -120,11 +96,9 @@ class Inbox:
         self._start(self._session.declare_subscriber(key, channel), ring)
         return ring
 
-    def queue(
-        self, key: str, wakes: bool = True, capacity: int = _QUEUE_CAPACITY, copies: bool = False
-    ) -> Queue:
-        """Subscribe for everything; the oldest of more than `capacity` samples that wait is lost."""
-        queue = Queue(self._ready, wakes, capacity, copies)
+    def queue(self, key: str, wakes: bool = True) -> Queue:
+        """Subscribe for everything."""
+        queue = Queue(self._ready, wakes)
         self._start(self._session.declare_subscriber(key, zenoh.handlers.FifoChannel(256)), queue)
         return queue
 

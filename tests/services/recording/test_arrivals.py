@@ -1,0 +1,61 @@
+"""A recorder that is slow loses frames and counts them; what it has comes in order."""
+
+import time
+
+import pytest
+
+from huepose_services.recording.arrivals import Arrivals, Arrived
+
+
+class _Channel:
+    """As much of zenoh as is looked at: what is sent, and a subscription that can be ended."""
+
+    def __init__(self, samples):
+        self._samples = samples
+        self.handler = self
+
+    def declare_subscriber(self, key, handler):
+        return self
+
+    def recv(self):
+        import zenoh
+
+        if not self._samples:
+            raise zenoh.ZError("closed")
+        return self._samples.pop(0)
+
+    def undeclare(self):
+        pass
+
+
+class _Sample:
+    def __init__(self, key, data, pixels=None):
+        self.key_expr = key
+        self.attachment = None if pixels is None else _Bytes(data)
+        self.payload = _Bytes(data if pixels is None else pixels)
+
+
+class _Bytes(bytes):
+    def to_bytes(self):
+        return bytes(self)
+
+
+@pytest.mark.parametrize("most", [25, 100])
+def test_frames_beyond_the_bound_are_missed_and_messages_never(most):
+    samples = []
+    for number in range(5):
+        samples += [_Sample("frame", b"%d" % number, bytes(10)), _Sample("pose", b"p%d" % number)]
+    arrivals = Arrivals(_Channel(samples), ["all"], most)
+    arrivals.wait(5.0)
+    deadline = time.monotonic() + 5.0
+    while samples and time.monotonic() < deadline:
+        time.sleep(0.01)
+    arrivals.close()
+    out = []
+    while (arrived := arrivals.take()) is not None:
+        out.append(arrived)
+    kept = min(5, most // 10)
+    assert arrivals.missed == 5 - kept
+    assert [a.header for a in out if a.key == "pose"] == [b"p%d" % n for n in range(5)]
+    assert [a.header for a in out if a.key == "frame"] == [b"%d" % n for n in range(kept)]
+    assert out[:2] == [Arrived("frame", b"0", bytes(10)), Arrived("pose", b"p0", b"")]

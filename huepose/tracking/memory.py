@@ -27,13 +27,13 @@ from huepose.tracking.identity import Identity
 from huepose.tracking.step import Subject
 from huepose.tracking.track import Track
 from huepose.tracking.tracker import Tracker
-from huepose.tracking.types import Correction, State, Verdict
+from huepose.tracking.types import Correction, State, TrackedPose, Verdict
 
 _CLASSES: dict[str, type] = {
     one.__name__: one
     for one in (
         *(Correction, Entry, FrameHistory, Hypothesis, Identity, PoseHistory),
-        *(Pursuit, Standing, Terms, Track, _Stretch),
+        *(Pursuit, Standing, Terms, Track, TrackedPose, _Stretch),
     )
 }
 _ENUMS: dict[str, type[Enum]] = {"State": State, "Verdict": Verdict}
@@ -46,8 +46,7 @@ FrameOf = Callable[[int, int], RgbdFrame | None]
 
 def told(tracker: Tracker) -> dict[str, Any]:
     """What the tracker believes: None, numbers, text, bytes, lists, and dicts by text."""
-    names = {id(subject): name for name, subject in tracker._subjects.items()}
-    return {name: _plain(value, names) for name, value in vars(tracker).items() if name not in _GIVEN}
+    return {name: plain(value, tracker) for name, value in vars(tracker).items() if name not in _GIVEN}
 
 
 def frames_of(memory: Any) -> Iterator[tuple[int, int]]:
@@ -66,15 +65,26 @@ def taken_over(tracker: Tracker, memory: Any, frame_of: FrameOf) -> None:
     """Make a tracker of the same objects and settings believe it; frame_of: from epoch and frame_id to the
     frame. Raises InputError for values that are no tracker's memory, or name a frame that is not there."""
     learnt = [name for name in vars(tracker) if name not in _GIVEN]
+    if not isinstance(memory, dict):
+        memory = {}
+    vars(tracker).update({name: restored(memory.get(name, {}), tracker, frame_of) for name in learnt})
+
+
+def plain(value: Any, tracker: Tracker) -> Any:
+    """The same of something else that is made of what a tracker is made of."""
+    return _plain(value, {id(subject): name for name, subject in tracker._subjects.items()})
+
+
+def restored(plain: Any, tracker: Tracker, frame_of: FrameOf) -> Any:
+    """What `plain` was given. Raises InputError for what it did not give."""
     try:
-        restored = {name: _restored(memory[name], tracker, frame_of) for name in learnt}
+        return _restored(plain, tracker, frame_of)
     except (KeyError, TypeError, ValueError, AttributeError, IndexError, RecursionError) as error:
         raise InputError(
             "the tracker's memory",
             found=f"{type(error).__name__}: {error}"[:200],
             expected="what a tracker of this version believes",
         ) from None
-    vars(tracker).update(restored)
 
 
 def checksum(tracker: Tracker) -> int:

@@ -52,7 +52,7 @@ class Intake:
     @property
     def empty(self) -> bool:
         """Whether nothing was taken."""
-        return not (self.changes or self.corrections or self.frame)
+        return not (self.changes or self.corrections or self.frame or self.clock_ns)
 
     def mark(self, stage: str, tracker: Tracker) -> None:
         """Note what is believed after a stage."""

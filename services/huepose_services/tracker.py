@@ -37,8 +37,9 @@ from huepose_services.runtime.log import StateChanges
 
 _REFUSED_EVERY_S = 10.0
 _Frame = tuple[int, int]
-# Beside the tracker's memory: the newest frame, the first, whose poses were published, who is retired.
-_Own = tuple[_Frame | None, _Frame | None, set[tuple[str, int]], dict[str, tuple[int, int]]]
+# Beside the tracker's memory: the newest frame, the first, whose poses were published, who is retired, until
+# when poses hold.
+_Own = tuple[_Frame | None, _Frame | None, set[tuple[str, int]], dict[str, tuple[int, int]], int]
 FrameOf = Callable[[int, int], tuple[FrameHeader, RgbdFrame] | None]
 
 
@@ -125,7 +126,8 @@ class TrackerWork:
             # for long; what was published of a frame is never said anew.
             new = [p for p in self._tracker.poses() if (p.object, p.instance) not in self._published]
             self._publish_all(new, self._header)
-        if self._intake.empty and self._acted_on and now_ns() >= self._holds_until_ns:
+        if self._intake.empty and self._acted_on and (now := self._clock()) >= self._holds_until_ns:
+            self._intake.clock_ns.append(now)
             self._take_back("no new frame came")
 
     def _take_back(self, why: str) -> None:
@@ -137,7 +139,7 @@ class TrackerWork:
         self._bus.log.seldom("taken back", f"poses are SUSPECT: {why}")
         for pose in poses:
             self._bus.health.count("poses_too_old")
-            self._put(_doubted(pose), header, now_ns())
+            self._put(_doubted(pose), header, self._intake.now())
 
     def _tell(self) -> None:
         """What was taken, and now and then what is believed after it, to who records."""
@@ -154,13 +156,14 @@ class TrackerWork:
     def memory(self) -> MemoryMessage:
         """All that is believed now."""
         header = None if self._header is None else _frame_of(self._header)
-        own = (header, self._first, sorted(self._published), self._retired.below)
+        own = (header, self._first, sorted(self._published), self._retired.below, self._holds_until_ns)
+        acted_on = memory.plain(self._acted_on, self._tracker)
         return MemoryMessage(
             publish_ns=now_ns(),
             seq=self._seq,
             config=msgspec.json.encode(self._config).decode(),
             objects=list(self._tracker.objects),
-            memory=msgspec.msgpack.encode((memory.told(self._tracker), own)),
+            memory=msgspec.msgpack.encode((memory.told(self._tracker), own, acted_on)),
         )
 
     def take_over(self, message: MemoryMessage, frame_of: FrameOf) -> None:
@@ -172,11 +175,13 @@ class TrackerWork:
             return None if found is None else found[1]
 
         try:
-            plain, own = msgspec.msgpack.decode(message.memory)
-            header, first, published, below = msgspec.convert(own, _Own)
+            plain, own, acted_on = msgspec.msgpack.decode(message.memory)
+            header, first, published, below, holds_until_ns = msgspec.convert(own, _Own)
         except (msgspec.MsgspecError, ValueError, TypeError, RecursionError) as error:
             raise InputError("the tracker's memory", found=str(error)[:200], expected="MessagePack") from None
         memory.taken_over(self._tracker, plain, pixels)
+        self._acted_on = memory.restored(acted_on, self._tracker, pixels)
+        self._holds_until_ns = holds_until_ns
         found = None if header is None else frame_of(*header)
         self._header, self._pixels = (None, None) if found is None else found
         self._first, self._published, self._retired.below = first, published, below

@@ -152,7 +152,7 @@ class _Verifier:
             self.report.memories += 1
             return
         try:
-            plain, _ = msgspec.msgpack.decode(message.memory)
+            plain, *_ = msgspec.msgpack.decode(message.memory)
             there = all(key in self._frames for key in frames_of(plain))
         except (msgspec.MsgspecError, ValueError, TypeError, RecursionError) as error:
             raise InputError("the tracker's memory", found=str(error)[:200], expected="MessagePack") from None

@@ -50,6 +50,17 @@ def parts(path, limits=None, jpeg=False, **about):
     return Parts(path, limits or Limits(2**40, None, 0), UNIX_NS, {"site": "a"} | about, jpeg)
 
 
+class _Clock:
+    """Goes on by a microsecond with every look at it, and as it is told."""
+
+    def __init__(self):
+        self.now_ns = now_ns()
+
+    def __call__(self):
+        self.now_ns += 1000
+        return self.now_ns
+
+
 class _Bus(_Desk):
     """Keeps what the worker says, in order."""
 
@@ -96,18 +107,20 @@ def followed(tea_box, take_picture, standing, tmp_path_factory):
     config = Config(bundles=str(bundles), tracker=TrackerConfig(max_age_ms=10_000.0))
     tracker = tracker_of(config, models.load(config))
     bus = _Bus()
-    work = TrackerWork(bus, tracker, bus, config)
+    clock = _Clock()
+    work = TrackerWork(bus, tracker, bus, config, clock)
     (folder / "recordings").mkdir()
     path = folder / "recordings" / "0.mcap"
     out = parts(path)
     out.note("models", models.digests(config, [NAME]))
-    began_ns, before = now_ns(), None
+    before = None
     for number in range(STEPS):
         T = se3.perturb(standing, np.array([0.004 * number, 0.0, 0.0, 0.0, 0.01 * number, 0.0]))
         frame = take_picture([(tea_box.mesh, T)])
         color, depth = frame.color, depth_to_wire(frame.depth, 0.0001)
         specs, payload = pack({"color": color, "depth": depth})
-        stamp_ns = began_ns + number * 33_333_333
+        clock.now_ns += 33_333_333
+        stamp_ns = clock.now_ns
         header = msgspec.structs.replace(
             EXAMPLES[FrameHeader],
             **{"frame_id": number, "capture_ns": stamp_ns, "publish_ns": stamp_ns, "buffers": specs},
@@ -137,5 +150,12 @@ def followed(tea_box, take_picture, standing, tmp_path_factory):
         work.step()
         for key, message in bus.said:
             out.message(key, message)
+    # Then nothing comes for so long that the last pose is not to be acted on any more.
+    clock.now_ns += 11_000_000_000
+    bus.said = []
+    bus.give(msgspec.structs.replace(EXAMPLES[IntakeMessage], corrections=[]), None, [])
+    work.step()
+    for key, message in bus.said:
+        out.message(key, message)
     out.close()
     return Followed(path, bundles, folder / "recordings")

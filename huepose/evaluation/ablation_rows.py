@@ -23,6 +23,8 @@ half a second, are one unit where intervals are drawn."""
 FILTERED = {"flow": "flow filtered", "consistent": "consistent filtered"}
 """What the filter alone makes of which correspondences."""
 
+PICTURED = ("flow", "flow filtered", "colorpair")
+
 RELATIVE = {
     "rotation_error_rel": "rotation error / true rotation",
     "translation_error_rel": "translation error / true translation",
@@ -70,13 +72,14 @@ class AblationResult:
         }
 
     def picture(self) -> UInt8:
-        """The paper's figure: per object and over all, the mean errors of every choice of matches, one
-        panel for each estimator side by side; below them the end-point error, which belongs to the
-        correspondences, whoever estimates from them."""
+        """The paper's figure: per object and over all, the mean errors of all flow, of what the filter leaves
+        of it and of what the tracker uses, one panel for each estimator side by side; below them the
+        end-point error, which belongs to the correspondences, whoever estimates from them."""
         summary = self.summary()
         groups = {**summary["per_object"], "all": summary["variants"]}
         names = [name.split("/") for name in summary["variants"]]
-        choices, estimators = (list(dict.fromkeys(part)) for part in zip(*names, strict=True))
+        every, estimators = (list(dict.fromkeys(part)) for part in zip(*names, strict=True))
+        choices = [choice for choice in every if choice in PICTURED]
         panels = []
         for key, title in RELATIVE.items():
             values = {

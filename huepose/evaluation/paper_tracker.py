@@ -7,6 +7,7 @@ says no more of it than that its tracker is run by ROFT's protocol.
 
 from __future__ import annotations
 
+from collections import deque
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 
@@ -41,11 +42,11 @@ class PaperTracker:
         self._step = step or PaperStep.shipped()
         self._followed: dict[Key, _Followed] = {}
         self._waiting: list[Correction] = []
-        self._last: RgbdFrame | None = None
+        self._frames: deque[RgbdFrame] = deque()
 
     def correct(self, correction: Correction) -> Applied:
         """Take a pose for a past frame, or for the one that comes next."""
-        if self._last is None or correction.stamp_ns > self._last.stamp_ns:
+        if not self._frames or correction.stamp_ns > self._frames[-1].stamp_ns:
             self._waiting.append(correction)
             return Applied.CATCHING_UP
         followed = self._followed.get((correction.object, correction.instance))
@@ -53,6 +54,7 @@ class PaperTracker:
             return Applied.REFUSED_OLD
         if correction.verdict in (Verdict.ACQUIRE, Verdict.CORRECT):
             followed.history.replay(correction.stamp_ns, correction.T_cam_obj)
+            followed.mask = self._carried(correction, followed.history)
         followed.applied_seq = max(followed.applied_seq, correction.seq)
         return Applied.APPLIED
 
@@ -63,7 +65,9 @@ class PaperTracker:
                 followed.history.append(frame.frame_id, frame.stamp_ns, self._moved(key, followed, frame))
                 followed.history.forget_before(frame.stamp_ns - HISTORY_NS)
                 followed.mask = None
-        self._last = frame
+        self._frames.append(frame)
+        while self._frames[0].stamp_ns < frame.stamp_ns - HISTORY_NS:
+            self._frames.popleft()
         due = [c for c in self._waiting if c.stamp_ns <= frame.stamp_ns]
         self._waiting = [c for c in self._waiting if c.stamp_ns > frame.stamp_ns]
         for correction in due:
@@ -72,9 +76,19 @@ class PaperTracker:
 
     def _moved(self, key: Key, followed: _Followed, frame: RgbdFrame) -> Float64 | None:
         newest = followed.history.newest
-        if newest is None or newest.T_cam_obj is None or self._last is None:
+        if newest is None or newest.T_cam_obj is None or not self._frames:
             return None
-        return self._step(self._models[key[0]], newest.T_cam_obj, self._last, frame, followed.mask)
+        return self._step(self._models[key[0]], newest.T_cam_obj, self._frames[-1], frame, followed.mask)
+
+    def _carried(self, correction: Correction, history: PoseHistory) -> Bool | None:
+        """The mask of a late result in the newest frame."""
+        since = [frame for frame in self._frames if frame.stamp_ns >= correction.stamp_ns]
+        if correction.mask is None or since[0].stamp_ns != correction.stamp_ns:
+            return None
+        poses = [history.at(frame.stamp_ns) for frame in since[:-1]]
+        known = [T for T in poses if T is not None]
+        model = self._models[correction.object]
+        return self._step.carried(model, correction.mask, known, since) if len(known) == len(poses) else None
 
     def _start(self, correction: Correction, frame: RgbdFrame) -> None:
         """An instance begins, or begins anew, at this frame."""

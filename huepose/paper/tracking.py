@@ -5,8 +5,9 @@ Optical flow on the object's region > matches that the carried mask and their co
 number of point-to-plane iterations. There is no velocity, no search, no colour in the refinement, no belief.
 What the paper leaves open, and what is done here:
 
-- The mask of the last frame, where no segmenter gives one: the object's outline at its last pose, where depth
-  agrees with it. Flow carries it to the new frame; there it filters matches and cuts out the depth.
+- A mask that comes late, as a segmenter's at 5 Hz, is carried by flow to now and used in the next step. In
+  the others it is the object's outline at its last pose, where depth agrees with it. Flow carries it to the
+  new frame; there it filters matches and cuts out the depth.
 - The region of the flow: the outline's box and as much again on each side, so that a step may be as long as
   the object is large in the picture.
 - The network regresses the whole rotation, as the paper's does (`rotation_network`, kind "direct"). Instead
@@ -17,6 +18,7 @@ What the paper leaves open, and what is done here:
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Literal
 
@@ -82,6 +84,19 @@ class PaperStep:
         T = T_cam_obj if motion is None else se3.compose(motion.T_b_a, T_cam_obj)
         points = _depth_points(after, propagate(mask, flow))
         return align(model.surface, model.grid, points, T, GATE_START_M, GATE_END_M, ITERATIONS).T_cam_obj
+
+    def carried(
+        self, model: ReferenceModel, mask: Bool, T_cam_obj: Sequence[Float64], frames: Sequence[RgbdFrame]
+    ) -> Bool | None:
+        """A mask (H, W) in the first of some frames, carried by flow to the last; T_cam_obj: the poses (4, 4)
+        in all but the last, which say where to look. None where nothing of it arrives."""
+        for T, before, after in zip(T_cam_obj, frames, frames[1:], strict=False):
+            box = projected_box(model, before, T)
+            flow = None if box is None else self.flow(before.color, after.color, box.grown(GROWTH))
+            if flow is None:
+                return None
+            mask = propagate(mask, flow)
+        return mask if mask.any() else None
 
 
 def _depth_points(frame: RgbdFrame, mask: Bool) -> Float64:

@@ -9,6 +9,7 @@ import pytest
 
 from huepose.evaluation.paper_tracker import PaperTracker
 from huepose.geometry import RgbdFrame, se3
+from huepose.judge.silhouette import visible_mask
 from huepose.model.types import ReferenceModel
 from huepose.paper.tracking import PaperStep
 from huepose.propose.relative_pose import LiftedMatches, Motion
@@ -59,6 +60,23 @@ def test_it_follows_and_takes_late_poses(tea_box: ReferenceModel, film: Take, st
     assert np.linalg.norm(moved) == pytest.approx(0.1, abs=0.01)
     too_old = Correction("tea_box", 0, 1, -9, -9 * PERIOD_NS, off, 1.0, Verdict.CORRECT, 3)
     assert tracker.correct(too_old) is Applied.REFUSED_OLD
+
+
+def test_a_late_mask_is_carried_to_now(tea_box: ReferenceModel, film: Take, standing: np.ndarray) -> None:
+    tracker = PaperTracker({"tea_box": tea_box})
+    tracker.correct(Correction.first("tea_box", standing, film(0)))
+    for number in range(5):
+        tracker.step(film(number))
+    then, now = (visible_mask(tea_box, film(k), pose_at(standing, k), 0.01) for k in (1, 4))
+    pose = pose_at(standing, 1)
+    late = Correction("tea_box", 0, 1, 1, PERIOD_NS, pose, 1.0, Verdict.CORRECT, 2, then)
+    assert tracker.correct(late) is Applied.APPLIED
+    carried = tracker._followed["tea_box", 0].mask
+    assert carried is not None
+    assert (carried & now).sum() / (carried | now).sum() > 0.9 > (then & now).sum() / (then | now).sum()
+    (after,) = tracker.step(film(5))
+    assert right(after.T_cam_obj, pose_at(standing, 5))
+    assert tracker._followed["tea_box", 0].mask is None
 
 
 def test_the_rotation_comes_from_what_it_is_given(

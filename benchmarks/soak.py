@@ -14,9 +14,9 @@ from typing import Any
 
 import numpy as np
 
-from benchmarks.live import CHAIN, LivePipeline, SeenPose, gaps_s, too_old, wrong
 from huepose.drawing.plots import line_plot
 from huepose.evaluation.pictures import write_picture
+from huepose_services.chaos.system import CHAIN, LivePipeline, SeenPose, gaps_s, too_old, wrong
 
 _SETTLED_S = 60.0
 

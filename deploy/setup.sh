@@ -4,7 +4,7 @@
 set -euo pipefail
 cd "$(dirname "$0")/.."
 
-UV_VERSION=0.13.8
+UV_VERSION=$(sed -n 's/^uv==\([0-9.]*\).*/\1/p' deploy/uv.txt)
 UV=.tools/uv-$UV_VERSION
 
 fail() { printf 'setup: %s\n' "$*" >&2; exit 2; }
@@ -44,7 +44,8 @@ system_libraries
 python=$(find_python)
 if [ ! -x "$UV/bin/uv" ]; then
     echo "setup: fetching uv $UV_VERSION"
-    "$python" -m pip install --quiet --disable-pip-version-check --target "$UV" "uv==$UV_VERSION" \
+    "$python" -m pip install --quiet --disable-pip-version-check --target "$UV" --no-deps --only-binary :all: \
+        --require-hashes -r deploy/uv.txt \
         || fail "pip could not fetch uv $UV_VERSION: is the package index reachable?"
 fi
 export UV_PYTHON_DOWNLOADS=never

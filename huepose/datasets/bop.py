@@ -53,7 +53,10 @@ class BopScene:
 
     def _camera_record(self, image: int) -> tuple[dict[str, Any], str]:
         path = self.path / "scene_camera.json"
-        return files.field(self._cameras, str(image), path), f"{path}, image {image}"
+        record, where = files.field(self._cameras, str(image), path), f"{path}, image {image}"
+        if not isinstance(record, dict):
+            raise InputError(where, found=repr(record)[:60], expected="an object with cam_K and depth_scale")
+        return record, where
 
     def stamp_ns(self, image: int) -> int:
         """`timestamp_ns` where the scene has it, else the image number at 30 Hz."""

@@ -66,7 +66,7 @@ def numbers(record: dict[str, Any], key: str, shape: tuple[int, ...], where: obj
     count = int(np.prod(shape))
     try:
         array = np.asarray(value, dtype=np.float64)
-    except (TypeError, ValueError):
+    except (TypeError, ValueError, OverflowError):
         array = np.empty(0)
     if array.size != count or not np.isfinite(array).all():
         shown = repr(value) if len(repr(value)) < 60 else f"{repr(value)[:56]} ..."

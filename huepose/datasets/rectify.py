@@ -20,13 +20,13 @@ COEFFICIENTS = {"none": (0,), "brown_conrady": (4, 5), "rational": (8,)}
 
 def checked_coefficients(model: str, coefficients: Sequence[float], where: object) -> Float64:
     """The coefficients (N,) in OpenCV's order; empty for no distortion. Raises InputError, naming `where`."""
-    if model not in COEFFICIENTS:
+    if not isinstance(model, str) or model not in COEFFICIENTS:
         raise InputError(
             where, found=f"distortion_model '{model}'", expected="one of " + ", ".join(COEFFICIENTS)
         )
     try:
         values = np.asarray(coefficients, dtype=np.float64).ravel()
-    except (TypeError, ValueError):
+    except (TypeError, ValueError, OverflowError):
         values = np.array([np.nan])
     if model == "none" and not values.any():
         return np.empty(0)

@@ -239,7 +239,8 @@ def flow_start(
     if old is None or new is None:
         return None
     flow = flow_source(anchor.frame.color, frame.color, _union(old, new).grown(FLOW_GROWTH, 8.0))
-    if flow is None:
+    # A network may give what is no number.
+    if flow is None or not (np.isfinite(flow.forward).all() and np.isfinite(flow.backward).all()):
         return None
     mask = anchor.mask
     if mask is None:

@@ -12,6 +12,8 @@ from huepose_protos.messages import FrameHeader, Intrinsics, PoseMessage
 from huepose_protos.messages import Prior as WirePrior
 
 _ROTATION = 1e-2
+LARGEST_STEP = 65535
+"""Of depth on the wire; what sensors say where they have none."""
 
 Vector = tuple[float, float, float]
 Quaternion = tuple[float, float, float, float]
@@ -85,9 +87,10 @@ def pose_of(message: PoseMessage) -> Float64 | None:
 
 
 def depth_to_wire(depth_m: Float, depth_scale_m: float) -> UInt16:
-    """Depth in steps of depth_scale_m; 0 where there is no reading, also beyond 65535 steps."""
+    """Depth in steps of depth_scale_m; 0 where there is no reading, also from
+    LARGEST_STEP on."""
     steps = np.rint(np.nan_to_num(depth_m, posinf=0.0, neginf=0.0) / depth_scale_m)
-    return np.where((steps < 0) | (steps > 65535), 0, steps).astype(np.uint16)
+    return np.where((steps < 0) | (steps >= LARGEST_STEP), 0, steps).astype(np.uint16)
 
 
 def intrinsics_to_wire(camera: Camera, depth_scale_m: float) -> Intrinsics:

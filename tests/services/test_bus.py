@@ -13,6 +13,7 @@ from huepose_protos.examples import images, messages
 from huepose_protos.messages import FrameHeader, ObjectsMessage, PoseMessage
 from huepose_services.following import Memory, recall
 from huepose_services.runtime.bus import Bus
+from huepose_services.runtime.clock import now_ns
 from huepose_services.runtime.config import CHAIN, BusConfig, Config
 from huepose_services.runtime.health import Health
 from huepose_services.runtime.log import Log
@@ -222,3 +223,30 @@ def test_frames_of_a_second_camera_take_the_place_of_none_and_are_told(buses):
     health = tracker.health.message()
     assert health.counters["frames_of_another_camera"] >= 20
     assert any("second camera" in warning for warning in health.warnings)
+
+
+def test_an_older_frame_that_comes_later_takes_the_place_of_none(buses):
+    camera, tracker = buses
+    ring = tracker.frames()
+    specs, payload = pack(images())
+    now = now_ns()
+
+    def say(number, capture_ns):
+        header = msgspec.structs.replace(HEADER, buffers=specs, frame_id=number, capture_ns=capture_ns)
+        camera.put_pixels(camera.keys.frame, header, payload)
+
+    deadline = time.monotonic() + 10.0
+    while not ring:
+        assert time.monotonic() < deadline
+        say(5, now)
+        tracker.inbox.wait(0.05)
+    for number, back_ns in ((6, -1), (4, 1_000_000), (3, 2_000_000)):
+        say(number, now - back_ns)
+        time.sleep(0.05)
+    deadline = time.monotonic() + 5.0
+    while tracker.health.counters.get("frames_out_of_order", 0) < 2:
+        assert time.monotonic() < deadline
+        time.sleep(0.02)
+        tracker.say_health()
+    header, _ = tracker.take_with_payload(ring, FrameHeader)
+    assert header.frame_id == 6

@@ -168,5 +168,5 @@ def test_why_objects_that_are_sought_are_not_seen():
 
 
 def test_depth_is_rounded_to_its_unit_and_what_it_cannot_hold_is_no_reading():
-    depth = np.array([[0.0, 0.50004, 6.5535, 6.6, -1.0, np.nan, np.inf]], np.float32)
-    assert depth_to_wire(depth, 1e-4).tolist() == [[0, 5000, 65535, 0, 0, 0, 0]]
+    depth = np.array([[0.0, 0.50004, 6.5534, 6.5535, 6.6, -1.0, np.nan, np.inf]], np.float32)
+    assert depth_to_wire(depth, 1e-4).tolist() == [[0, 5000, 65534, 0, 0, 0, 0, 0]]

@@ -16,13 +16,11 @@ from dataclasses import dataclass
 from importlib import import_module
 
 from huepose.datasets.types import GroundTruth, Scene
-from huepose_protos.messages import TruthMessage, TruthObject
 from huepose_services.camera.audience import Audience
 from huepose_services.camera.busy import Busy
 from huepose_services.camera.live_ingest import LiveIngest
 from huepose_services.camera.publish import FramePublisher, Packed, packed
 from huepose_services.camera.schedule import Schedule
-from huepose_services.convert import box_to_wire, optional_pose_to_wire
 from huepose_services.runtime.bus import Bus
 from huepose_services.runtime.clock import SECOND, now_ns
 from huepose_services.runtime.config import Config
@@ -63,7 +61,7 @@ class Ingest:
     """Waits for the audience, plays, and waits until the last frame was read."""
 
     def __init__(self, bus: Bus, config: Config, source: Scene) -> None:
-        self._bus, self._keys, self._camera, self._source = bus, config.keys, config.camera, source
+        self._bus, self._camera, self._source = bus, config.camera, source
         self.finished = False
         self._epoch = secrets.randbits(62)
         self._audience = Audience(bus, config)
@@ -154,35 +152,12 @@ class Ingest:
         return _Shot(image, packed(frame, self._camera.depth_scale_m), truths)
 
     def _publish(self, frame_id: int, capture_ns: int, counted_as: str = "frames") -> None:
-        shot, bus, keys = self._shot, self._bus, self._keys
+        shot, publisher = self._shot, self._publisher
         if self._camera.truth:
-            bus.put(keys.truth, self._truth(shot, frame_id, capture_ns))
-        self._publisher.publish(shot.picture, self._epoch, frame_id, capture_ns, counted_as)
-
-    def _truth(self, shot: _Shot, frame_id: int, capture_ns: int) -> TruthMessage:
-        objects = []
-        for truth in shot.truths:
-            translation, quaternion = optional_pose_to_wire(truth.T_cam_obj)
-            objects.append(
-                TruthObject(
-                    object=truth.object,
-                    object_id=truth.object_id,
-                    instance=truth.instance,
-                    translation=translation,
-                    quaternion=quaternion,
-                    visib_fract=truth.visib_fract,
-                    box=None if truth.box_visib is None else box_to_wire(truth.box_visib),
-                )
+            publisher.publish_truth(
+                shot.truths, self._epoch, frame_id, capture_ns, self._source.name, shot.image
             )
-        return TruthMessage(
-            publish_ns=now_ns(),
-            camera_epoch=self._epoch,
-            frame_id=frame_id,
-            capture_ns=capture_ns,
-            scene=self._source.name,
-            image=shot.image,
-            objects=objects,
-        )
+        publisher.publish(shot.picture, self._epoch, frame_id, capture_ns, counted_as)
 
     def _wait_for_readers(self, ended_ns: int, now: int) -> None:
         """The pool of frames goes with this process: stay until the last frame was read."""

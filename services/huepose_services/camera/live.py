@@ -11,6 +11,9 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Protocol, TypeVar
 
+import numpy as np
+
+from huepose.datasets.types import GroundTruth
 from huepose.geometry import Camera
 from huepose.geometry.arrays import Float32, UInt8
 
@@ -22,7 +25,8 @@ class Shot:
     """One picture of a live camera, rectified, depth in the pixels of colour.
 
     color (H, W, 3) uint8 RGB; depth (H, W) float32 metres, 0 for no reading; number: the device's own count;
-    device_ns: capture time on the device's clock; arrived_ns: CLOCK_MONOTONIC when this machine had it.
+    device_ns: capture time on the device's clock, of colour; depth_ns: that of depth, None where it is not
+    known; arrived_ns: CLOCK_MONOTONIC when this machine had it; truths: of a camera that knows them.
     """
 
     color: UInt8
@@ -31,6 +35,16 @@ class Shot:
     number: int
     device_ns: int
     arrived_ns: int
+    depth_ns: int | None = None
+    truths: tuple[GroundTruth, ...] = ()
+
+    def shows_the_same(self, other: Shot) -> bool:
+        """Whether every pixel is the same: no sensor gives one picture twice, but of nothing at all."""
+        return (
+            bool(self.color.any())
+            and np.array_equal(self.color, other.color)
+            and np.array_equal(self.depth, other.depth)
+        )
 
 
 class CameraError(RuntimeError):
@@ -42,6 +56,9 @@ class LiveCamera(Protocol):
 
     device_clock_is_host: bool
     """Whether `device_ns` is CLOCK_MONOTONIC already, because the SDK converts it."""
+
+    is_sensor: bool
+    """Whether no two pictures are the same but by a fault, as those of every sensor."""
 
     def read(self, timeout_s: float) -> Shot | None:
         """The next picture; None when none came in time. Raises CameraError when it is gone."""

@@ -1,8 +1,9 @@
 """Publishes what a live camera gives, as soon as it comes, stamped in this machine's clock.
 
 A picture goes out once, the newest first. While there is none, health says `waiting` and why: what was looked
-for, what was found, what to do. Each opening of the camera, and each change of its intrinsics, begins a new
-camera epoch, so nothing that was believed about the old pictures is applied to new ones.
+for, what was found, what to do; it also says what is wrong with pictures that do come. Each opening of the
+camera, and each change of its intrinsics, begins a new camera epoch, so nothing that was believed about the
+old pictures is applied to new ones.
 """
 
 from __future__ import annotations
@@ -10,10 +11,12 @@ from __future__ import annotations
 import secrets
 
 from huepose.geometry import Camera, RgbdFrame
+from huepose_services.camera.condition import Condition
 from huepose_services.camera.device_clock import DeviceClock
 from huepose_services.camera.live import LiveSource
 from huepose_services.camera.publish import FramePublisher, packed
 from huepose_services.camera.reader import Reader, Taken
+from huepose_services.convert import LARGEST_STEP
 from huepose_services.runtime.bus import Bus
 from huepose_services.runtime.clock import SECOND, now_ns
 from huepose_services.runtime.config import Config
@@ -38,6 +41,8 @@ class LiveIngest:
         self._reader = Reader(source)
         self._name = source.name
         self._clock = DeviceClock()
+        self._condition = Condition(float(config.camera.rate), LARGEST_STEP * config.camera.depth_scale_m)
+        self._complaints: dict[str, str] = {}
         self._opening = -1
         self._camera: Camera | None = None
         self._epoch, self._frame_id = 0, 0
@@ -56,26 +61,55 @@ class LiveIngest:
         counters = self._bus.health.counters
         counters["frames_skipped"], counters["frames_repeated"] = self._reader.skipped, self._reader.repeated
         if taken is not None:
-            self._publish(taken)
+            self._take(taken)
         trouble = self._reader.trouble
+        self._complain(trouble is None)
         if trouble != self._told:
             self._told, self._say_ns = trouble, 0
             notify(f"STATUS={trouble or 'ready'}")  # for `systemctl status`
         if trouble is None:
-            self._bus.health.state = "ready" if self._frame_id else "waiting"
+            good = self._frame_id and "apart" not in self._complaints
+            self._bus.health.state = "ready" if good else "waiting"
             self._bus.health.warnings = self._warnings
             return
         self._bus.health.state = "waiting"
         self._bus.health.warnings = [*self._warnings, trouble]
         if now_ns() >= self._say_ns:
             self._say_ns = now_ns() + _SAY_AGAIN_NS
-            self._bus.log.seldom("trouble", trouble)
+            self._bus.log.seldom(trouble, trouble)
         if self._reader.stuck_s() > _GIVE_UP_AFTER_S:
             raise RuntimeError(f"{self._name}: the driver has not answered for {_GIVE_UP_AFTER_S:.0f} s")
 
     def close(self) -> None:
         """Let the camera go."""
         self._reader.close()
+
+    def _take(self, taken: Taken) -> None:
+        """Look at a picture, and publish it where colour and depth belong together."""
+        if taken.opening != self._opening:
+            self._condition.reopened()
+        if self._condition.look(taken.shot, now_ns()):
+            self._publish(taken)
+        else:
+            self._bus.health.count("pictures_apart")
+
+    def _complain(self, open_: bool) -> None:
+        """Say what is wrong with the pictures that come, as soon as it is."""
+        health, now = self._bus.health, now_ns()
+        if open_ and self._frame_id:
+            self._condition.count(self._reader.pictures, now)
+        else:
+            self._condition.reopened()
+        complaints = {kind: f"{self._name}: {text}" for kind, text in self._condition.complaints(now).items()}
+        for kind in {*complaints, *self._complaints}:
+            health.warn_while(kind, complaints.get(kind))
+        new = complaints.keys() - self._complaints.keys()
+        over = self._complaints.keys() - complaints.keys()
+        self._complaints = complaints
+        for kind in sorted(new):
+            self._bus.log.seldom(f"pictures: {kind}", complaints[kind])
+        if new or over:
+            self._bus.say_health()
 
     def _publish(self, taken: Taken) -> None:
         shot = taken.shot
@@ -88,6 +122,10 @@ class LiveIngest:
             self._bus.health.counters["clock_restarts"] = self._clock.restarts
         frame = RgbdFrame(shot.color, shot.depth, shot.camera)
         picture = packed(frame, self._config.camera.depth_scale_m)
+        if self._config.camera.truth:
+            self._publisher.publish_truth(
+                shot.truths, self._epoch, self._frame_id, capture_ns, self._name, shot.number
+            )
         self._publisher.publish(picture, self._epoch, self._frame_id, capture_ns)
         self._frame_id += 1
         self.ready = True

@@ -78,6 +78,7 @@ class OakCamera:
     """A running pipeline whose queue gives groups of `color` and `depth`."""
 
     device_clock_is_host = True
+    is_sensor = True
 
     def __init__(self, pipeline: Any, queue: Any, device: Any = None) -> None:
         self._pipeline, self._queue, self._device = pipeline, queue, device
@@ -111,12 +112,13 @@ def shot_of(color: Any, depth: Any, arrived_ns: int) -> Shot:
     if not (np.isfinite(K).all() and K[0, 0] > 0 and K[1, 1] > 0):
         raise CameraError("it has no calibration: write one with Luxonis' calibration tool.")
     metres: Float32 = depth.getFrame().astype(np.float32) * np.float32(0.001)
-    stamp = color.getTimestamp()
+    stamps = [round(one.getTimestamp() / timedelta(microseconds=1)) * 1000 for one in (color, depth)]
     return Shot(
         color=np.ascontiguousarray(color.getCvFrame()[..., ::-1]),
         depth=metres,
         camera=Camera.from_matrix(K, width, height),
         number=color.getSequenceNum(),
-        device_ns=round(stamp / timedelta(microseconds=1)) * 1000,
+        device_ns=stamps[0],
+        depth_ns=stamps[1],
         arrived_ns=arrived_ns,
     )

@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
+from huepose.datasets.types import GroundTruth
 from huepose.geometry import RgbdFrame
 from huepose_protos.buffers import pack
-from huepose_protos.messages import BufferSpec, FrameHeader, Intrinsics
+from huepose_protos.messages import BufferSpec, FrameHeader, Intrinsics, TruthMessage, TruthObject
 from huepose_services.camera.info import CameraInfo
-from huepose_services.convert import depth_to_wire, intrinsics_to_wire
+from huepose_services.convert import box_to_wire, depth_to_wire, intrinsics_to_wire, optional_pose_to_wire
 from huepose_services.runtime.bus import Bus
 from huepose_services.runtime.clock import now_ns, this_clock
 from huepose_services.runtime.config import Config
@@ -36,7 +38,6 @@ class FramePublisher:
     def __init__(self, bus: Bus, config: Config) -> None:
         self._bus, self._keys = bus, config.keys
         self._frame_name = f"{config.camera.name}_color_optical"
-        self._clock = this_clock()
         self._info = CameraInfo(bus, config.camera.mount)
 
     def publish(
@@ -49,7 +50,7 @@ class FramePublisher:
             camera_epoch=epoch,
             frame_id=frame_id,
             capture_ns=capture_ns,
-            clock=self._clock,
+            clock=this_clock(),
             frame=self._frame_name,
             intrinsics=picture.intrinsics,
             buffers=picture.buffers,
@@ -59,3 +60,38 @@ class FramePublisher:
         bus.health.camera_epoch, bus.health.frame_id = epoch, frame_id
         bus.health.count(counted_as)
         bus.health.worked(started, capture_ns)
+
+    def publish_truth(
+        self,
+        truths: Sequence[GroundTruth],
+        epoch: int,
+        frame_id: int,
+        capture_ns: int,
+        scene: str,
+        image: int,
+    ) -> None:
+        """What the source knows about a frame; said before the frame itself."""
+        objects = []
+        for truth in truths:
+            translation, quaternion = optional_pose_to_wire(truth.T_cam_obj)
+            objects.append(
+                TruthObject(
+                    object=truth.object,
+                    object_id=truth.object_id,
+                    instance=truth.instance,
+                    translation=translation,
+                    quaternion=quaternion,
+                    visib_fract=truth.visib_fract,
+                    box=None if truth.box_visib is None else box_to_wire(truth.box_visib),
+                )
+            )
+        message = TruthMessage(
+            publish_ns=now_ns(),
+            camera_epoch=epoch,
+            frame_id=frame_id,
+            capture_ns=capture_ns,
+            scene=scene,
+            image=image,
+            objects=objects,
+        )
+        self._bus.put(self._keys.truth, message)

@@ -59,6 +59,7 @@ class PythonCamera:
     """Takes what the iterator gives."""
 
     device_clock_is_host = True
+    is_sensor = False
 
     def __init__(self, frames: Iterator[Any]) -> None:
         self._frames, self._number = frames, 0

@@ -43,6 +43,8 @@ class Reader:
         self._call: tuple[str, int] | None = None
         self._stopping = threading.Event()
         self.openings = 0
+        self.pictures = 0
+        """Of this opening, those that were taken from here and those that were not."""
         self.skipped = 0
         self.repeated = 0
         self._thread = threading.Thread(target=self._run, name="camera", daemon=True)
@@ -86,6 +88,7 @@ class Reader:
                 self._trouble = _said(self._source.name, error)
             else:
                 self.openings += 1
+                self.pictures = 0
                 try:
                     self._read_on(camera)
                 except Exception as error:
@@ -104,14 +107,15 @@ class Reader:
 
     def _read_on(self, camera: LiveCamera) -> None:
         news_ns = now_ns()
-        last: tuple[int, int] | None = None
+        last: Shot | None = None
         while not self._stopping.is_set():
             shot = self._timed("reading", partial(camera.read, _READ_S))
-            if shot is not None and (shot.number, shot.device_ns) == last:
-                # Some cameras give their last picture for ever once they are unplugged.
+            if shot is not None and last is not None and _is_repeated(shot, last, camera):
+                # Some cameras give their last picture for ever once they are unplugged, some with new stamps.
                 self.repeated += 1
             elif shot is not None:
-                last, news_ns = (shot.number, shot.device_ns), now_ns()
+                last, news_ns = shot, now_ns()
+                self.pictures += 1
                 self._trouble = None
                 self._leave(Taken(shot, self.openings, camera.device_clock_is_host))
             if now_ns() - news_ns > _SILENT_NS:
@@ -125,6 +129,12 @@ class Reader:
             self.skipped += self._taken is not None
             self._taken = taken
             self._ready.notify()
+
+
+def _is_repeated(shot: Shot, last: Shot, camera: LiveCamera) -> bool:
+    if (shot.number, shot.device_ns) == (last.number, last.device_ns):
+        return True
+    return camera.is_sensor and shot.shows_the_same(last)
 
 
 def _said(name: str, error: Exception) -> str:

@@ -20,6 +20,7 @@ from huepose_services.camera.realsense_setup import (
     Rectification,
     apply_options,
     chosen_profiles,
+    made_filters,
     use_own_clock,
 )
 from huepose_services.runtime.clock import now_ns
@@ -85,6 +86,7 @@ class RealSenseCamera:
     """An open device of any kind that the SDK knows."""
 
     device_clock_is_host = False
+    is_sensor = True
 
     def __init__(self, rs: Any, device: Any, settings: CameraConfig) -> None:
         self._rs, self._device = rs, device
@@ -94,6 +96,7 @@ class RealSenseCamera:
         if not self._recorded:
             use_own_clock(rs, sensors)
             apply_options(rs, sensors, settings.device.options)
+        self._filters = made_filters(rs, settings.device.filters)
         self._align = rs.align(rs.stream.color) if settings.device.align else None
         self._syncer = rs.syncer(_QUEUE)
         self._rectification: Rectification | None = None
@@ -125,6 +128,12 @@ class RealSenseCamera:
         return None
 
     def _shot(self, frameset: Any, arrived_ns: int) -> Shot:
+        color, depth = frameset.get_color_frame(), frameset.get_depth_frame()
+        # Stamps of two clocks say nothing of each other.
+        one_clock = color.get_frame_timestamp_domain() == depth.get_frame_timestamp_domain()
+        depth_ns = round(depth.get_timestamp() * 1e6) if one_clock else None
+        for one in self._filters:
+            frameset = one.process(frameset).as_frameset()
         if self._align is not None:
             frameset = self._align.process(frameset).as_frameset()
         color, depth = frameset.get_color_frame(), frameset.get_depth_frame()
@@ -141,6 +150,7 @@ class RealSenseCamera:
             camera=self._rectification.camera,
             number=color.get_frame_number(),
             device_ns=round(color.get_timestamp() * 1e6),
+            depth_ns=depth_ns,
             arrived_ns=arrived_ns,
         )
 

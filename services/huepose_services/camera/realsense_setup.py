@@ -11,7 +11,7 @@ import numpy as np
 from huepose.datasets.rectify import Rectifier
 from huepose.geometry import Camera
 from huepose_services.camera.live import CameraError
-from huepose_services.runtime.config_perception import CameraConfig
+from huepose_services.runtime.config_perception import CameraConfig, Filter
 
 
 def chosen_profiles(
@@ -83,6 +83,44 @@ def apply_options(rs: Any, sensors: Iterable[Any], options: Mapping[str, float])
                 "Correct camera.device.options."
             )
         able[0].set_option(option, float(value))
+
+
+def made_filters(rs: Any, filters: Mapping[Filter, Mapping[str, float]]) -> list[Any]:
+    """The SDK's filters of depth with their options, in the order that Intel recommends: smoothing over
+    picture and time works on disparity, whose noise is the same near and far.
+
+    Raises CameraError for an option that a filter does not have, or a value outside its range."""
+    made = {}
+    for name, options in filters.items():
+        made[name] = getattr(rs, f"{name}_filter")()
+        for key, value in options.items():
+            _set_of_filter(rs, made[name], name, key, value)
+    smoothing = [made[name] for name in ("spatial", "temporal") if name in made]
+    if smoothing:
+        smoothing = [rs.disparity_transform(True), *smoothing, rs.disparity_transform(False)]
+    return [
+        *(made[name] for name in ("decimation", "threshold") if name in made),
+        *smoothing,
+        *(made[name] for name in ("hole_filling",) if name in made),
+    ]
+
+
+def _set_of_filter(rs: Any, made: Any, name: str, key: str, value: float) -> None:
+    option = getattr(rs.option, key, None)
+    if option not in made.get_supported_options():
+        names = sorted(
+            o.name for o in made.get_supported_options() if not o.name.startswith(("stream", "frames"))
+        )
+        raise CameraError(
+            f"no option {key} of the filter {name}; it has {', '.join(names)}. Correct camera.device.filters."
+        )
+    allowed = made.get_option_range(option)
+    if not allowed.min <= value <= allowed.max:
+        raise CameraError(
+            f"{key} = {value:g} of the filter {name} is outside {allowed.min:g} to {allowed.max:g}. "
+            "Correct camera.device.filters."
+        )
+    made.set_option(option, float(value))
 
 
 def use_own_clock(rs: Any, sensors: Iterable[Any]) -> None:

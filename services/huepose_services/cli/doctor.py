@@ -16,17 +16,28 @@ def add_parser(subparsers: Any) -> None:
     parser.add_argument(
         "config", nargs="?", type=Path, metavar="PIPELINE", help="also what this deployment needs"
     )
+    parser.add_argument(
+        "--camera", action="store_true", help="also open the camera of PIPELINE and look at its pictures"
+    )
     parser.add_argument("--json", action="store_true", help="print JSON")
     parser.set_defaults(call=call)
 
 
 def call(arguments: argparse.Namespace) -> int:
     """Look at everything; exit 1 when something has to be done."""
+    from huepose.support.errors import InputError
     from huepose_services.doctor.checks import examine
     from huepose_services.runtime.config import load
 
     config = load(arguments.config) if arguments.config is not None else None
+    if arguments.camera and config is None:
+        fix = "huepose doctor PIPELINE.yaml --camera"
+        raise InputError("--camera", found="no PIPELINE", expected="the file that names the camera", fix=fix)
     findings = examine(config)
+    if arguments.camera and config is not None:
+        from huepose_services.doctor.pictures import pictures
+
+        findings += pictures(config)
     if arguments.json:
         print(json.dumps([finding.facts() for finding in findings], indent=1))
     else:

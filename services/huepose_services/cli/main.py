@@ -18,6 +18,7 @@ from typing import Any
 # In the order in which `huepose --help` lists them.
 _VERBS = (
     *("demo", "new", "onboard", "estimate", "evaluate", "render_scenes", "make_dataset", "train", "bench"),
+    "chaos",
     *("up", "run", "status", "top", "graph", "objects", "poses", "view", "record", "replay", "validate"),
     *("doctor", "models", "calibrate", "units", "secure"),
 )
@@ -35,7 +36,7 @@ _OF_EXTRAS = {
     "rosbags": "ros2",
 }
 # Options that say where results go.
-_OUTPUTS = ("out", "json", "csv", "image", "explain", "plots", "save")
+_OUTPUTS = ("out", "json", "csv", "image", "explain", "plots", "save", "table")
 # What a full, protected or odd disk answers; any other error of the system is a mistake of ours.
 _OF_THE_DISK = (
     *(errno.EACCES, errno.EPERM, errno.EROFS, errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EIO),

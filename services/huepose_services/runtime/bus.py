@@ -25,13 +25,14 @@ _FOREIGN_FRAMES = (
 )
 
 
-class _Epoch(msgspec.Struct):
+class _Place(msgspec.Struct):
     """What has to be known of a frame before it may take the place of another."""
 
     camera_epoch: int
+    capture_ns: int = 0
 
 
-_epoch_decoder = msgspec.msgpack.Decoder(_Epoch)
+_place_decoder = msgspec.msgpack.Decoder(_Place)
 
 
 class Bus:
@@ -44,18 +45,29 @@ class Bus:
         self._publishers: dict[str, zenoh.Publisher] = {}
         self._camera = OneCamera()
         self._foreign = (0, 0)
+        self._newest = (0, 0)
+        self._out_of_order = 0
 
     def frames(self, wakes: bool = True) -> Ring:
-        """The newest frame of the camera; those of a second one beside it are counted and left out."""
-        return self.inbox.ring(self.keys.frame, wakes, self._is_of_the_camera)
+        """The newest frame of the camera; those of a second one beside it, and older ones that come
+        later, are counted and left out."""
+        return self.inbox.ring(self.keys.frame, wakes, self._is_news)
 
-    def _is_of_the_camera(self, sample: zenoh.Sample) -> bool:
+    def _is_news(self, sample: zenoh.Sample) -> bool:
         header = b"" if sample.attachment is None else sample.attachment.to_bytes()
         try:
-            epoch = _epoch_decoder.decode(header).camera_epoch
+            said = _place_decoder.decode(header)
         except (msgspec.MsgspecError, RecursionError):
             return True  # no header at all: refused and counted where it is taken
-        return self._camera.accepts(epoch, now_ns())
+        now = now_ns()
+        if not self._camera.accepts(said.camera_epoch, now):
+            return False
+        if said.camera_epoch == self._newest[0] and said.capture_ns < self._newest[1]:
+            self._out_of_order += 1
+            return False
+        # A stamp of the future is the newest until then, and no longer.
+        self._newest = (said.camera_epoch, min(said.capture_ns, now))
+        return True
 
     def take(self, place: Place, kind: type[M]) -> M | None:
         """The next good message there, or None."""
@@ -103,6 +115,8 @@ class Bus:
         self.health.drops = self.inbox.drops
         if self._camera.refused:
             self._say_foreign_frames()
+        if self._out_of_order:
+            self.health.counters["frames_out_of_order"] = self._out_of_order
         self.put(self.keys.health(self.worker), self.health.message())
         self.log.flush()
 

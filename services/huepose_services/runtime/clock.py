@@ -12,11 +12,14 @@ now_ns = time.monotonic_ns
 SECOND = 1_000_000_000
 
 
-@cache
 def this_clock() -> Clock:
-    """The clock of this boot; the offset to Unix time is read once a process, since it is a label only."""
+    """The clock of this boot, and its offset to Unix time now: the wall's clock may be set at any time."""
+    return Clock(clock_id=_boot(), realtime_offset_ns=time.time_ns() - time.monotonic_ns())
+
+
+@cache
+def _boot() -> str:
     try:
-        boot = Path("/proc/sys/kernel/random/boot_id").read_text().strip()
+        return Path("/proc/sys/kernel/random/boot_id").read_text().strip() or "unknown"
     except OSError:
-        boot = "unknown"
-    return Clock(clock_id=boot or "unknown", realtime_offset_ns=time.time_ns() - time.monotonic_ns())
+        return "unknown"

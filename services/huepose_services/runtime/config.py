@@ -14,6 +14,7 @@ from huepose_protos.keys import Keys
 from huepose_protos.local import BASE_PORT, endpoint
 from huepose_services.runtime.config_errors import explain
 from huepose_services.runtime.config_perception import (
+    DRAWN_SOURCES,
     CameraConfig,
     DetectorConfig,
     NetworksConfig,
@@ -106,7 +107,7 @@ class ViewerConfig(Section, frozen=True, kw_only=True):
 
     web_port: Annotated[int, Meta(ge=1024, le=65_535)] = 9090
     grpc_port: Annotated[int, Meta(ge=1024, le=65_535)] = 9876
-    bind: Literal["127.0.0.1", "0.0.0.0"] = "127.0.0.1"
+    bind: Literal["127.0.0.1", "0.0.0.0"] = "127.0.0.1"  # noqa: S104
     image_rate_hz: Annotated[float, Meta(gt=0.0, le=30.0)] = 10.0
     memory_mib: Annotated[int, Meta(ge=16, le=16_384)] = 64
 
@@ -254,7 +255,11 @@ def _check(config: Config, path: Path) -> None:
     if len(set(config.workers)) != len(config.workers) or not config.workers:
         refuse("workers", ", ".join(config.workers) or "none", "each worker at most once", "Name each once.")
     check_camera(camera, refuse)
-    if camera.source != "synthetic" and config.bundles is None and (config.uses_models or config.objects):
+    if (
+        camera.source not in DRAWN_SOURCES
+        and config.bundles is None
+        and (config.uses_models or config.objects)
+    ):
         expected = f"the folder of your reference models (the source {camera.source} brings none)"
         refuse("bundles", "null", expected, "Make them: huepose onboard MESH --name NAME --out DIR.")
     check_detector(detector, "detector" in config.workers, camera.truth, names, refuse)

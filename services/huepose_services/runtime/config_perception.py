@@ -23,7 +23,9 @@ Class = Annotated[int, Meta(ge=0, le=100_000)] | str
 Sha256 = Annotated[str, Meta(pattern="^[0-9a-f]{64}$")]
 Refuse = Callable[[str, str, str, str], None]
 
-LIVE_SOURCES = ("realsense", "oak", "python")
+DRAWN_SOURCES = ("synthetic", "faulty")
+LIVE_SOURCES = ("realsense", "oak", "python", "faulty")
+Filter = Literal["decimation", "threshold", "spatial", "temporal", "hole_filling"]
 
 
 class Section(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
@@ -40,13 +42,16 @@ class DeviceConfig(Section, frozen=True, kw_only=True):
     depth_height: Pixels | None = None
     align: bool = True
     options: dict[str, float] = {}
+    filters: dict[Filter, dict[str, float]] = {}
 
 
 class CameraConfig(Section, frozen=True, kw_only=True):
     """Where frames come from, and when."""
 
     name: Name = "cam0"
-    source: Literal["synthetic", "bop", "fast_ycb", "recording", "realsense", "oak", "python"] = "synthetic"
+    source: Literal["synthetic", "bop", "fast_ycb", "recording", "realsense", "oak", "python", "faulty"] = (
+        "synthetic"
+    )
     path: str | None = None
     seed: Annotated[int, Meta(ge=0)] = 0
     rate: Rate | Literal["recorded"] = 30.0
@@ -130,13 +135,17 @@ def check_camera(camera: CameraConfig, refuse: Refuse) -> None:
         refuse("camera.path", "null", "a Python file with a function frames()", "docs/cameras.md has one.")
     if source == "recording" and camera.path is None:
         refuse("camera.path", "null", "a file of `huepose record`", "Set it to the .mcap file.")
+    if source == "faulty" and camera.path is None:
+        refuse("camera.path", "null", "the file of the orders", "`huepose chaos` sets it.")
     if (live or source == "synthetic") and camera.rate == "recorded":
         refuse("camera.rate", "recorded", f"frames per second with the source {source}", "Set it to 30.")
-    if live and (camera.once or camera.truth):
+    if live and (camera.once or (camera.truth and source != "faulty")):
         key = "once" if camera.once else "truth"
         refuse(f"camera.{key}", "true", f"false with the source {source}", "Take the line out.")
     if not live and camera.device != DeviceConfig():
         refuse("camera.device", "settings", f"none with the source {source}", "Take the section out.")
+    if source != "realsense" and camera.device.filters:
+        refuse("camera.device.filters", "some", f"none with the source {source}", "Take the line out.")
     if (camera.device.depth_width is None) != (camera.device.depth_height is None):
         refuse("camera.device.depth_width", "one side", "depth_width and depth_height", "Set both or none.")
 

@@ -13,9 +13,12 @@ from huepose_services.camera.reader import Reader
 CAMERA = Camera(60.0, 60.0, 3.5, 2.5, 8, 6)
 
 
-def _shot(number):
+def _shot(number, color=None):
     now = time.monotonic_ns()
-    return Shot(np.full((6, 8, 3), number, np.uint8), np.ones((6, 8), np.float32), CAMERA, number, now, now)
+    number_of_color = number if color is None else color
+    return Shot(
+        np.full((6, 8, 3), number_of_color, np.uint8), np.ones((6, 8), np.float32), CAMERA, number, now, now
+    )
 
 
 class Device:
@@ -23,6 +26,7 @@ class Device:
 
     name = "test camera"
     device_clock_is_host = True
+    is_sensor = True
 
     def __init__(self, behave, plugged=True):
         self.plugged, self.behave, self.opened, self.closed, self.reads = plugged, behave, 0, 0, 0
@@ -121,3 +125,25 @@ def test_the_last_picture_over_and_over_is_no_news(reader_of, wait_until, monkey
     wait_until(lambda: device.closed > 0)
     assert reader.repeated > 10
     assert "no new picture" in reader.trouble
+
+
+@pytest.mark.parametrize("is_sensor", [True, False])
+def test_the_last_picture_with_new_stamps_is_no_news_of_a_sensor(
+    reader_of, wait_until, monkeypatch, is_sensor
+):
+    monkeypatch.setattr("huepose_services.camera.reader._SILENT_NS", 200_000_000)
+
+    def behave(device, timeout_s):
+        time.sleep(0.005)
+        return _shot(device.reads, color=7)
+
+    device = Device(behave)
+    device.is_sensor = is_sensor
+    reader = reader_of(device)
+    if is_sensor:
+        wait_until(lambda: device.closed > 0)
+        assert reader.repeated > 10
+        assert "no new picture" in reader.trouble
+    else:
+        wait_until(lambda: reader.take(0.1).shot.number > 50)
+        assert (reader.repeated, device.closed) == (0, 0)

@@ -15,7 +15,7 @@ from huepose_protos.messages import CameraMessage, HealthMessage
 from huepose_services.camera import realsense
 from huepose_services.camera.live import CameraError
 from huepose_services.camera.realsense import RealSense, RealSenseCamera
-from huepose_services.camera.realsense_setup import Rectification, apply_options
+from huepose_services.camera.realsense_setup import Rectification, apply_options, made_filters
 from huepose_services.runtime.config import Config
 from huepose_services.runtime.config_perception import CameraConfig, DeviceConfig
 from tests.services.camera.realsense_device import FOCAL, HEIGHT, WIDTH, SoftwareCamera, depth_of, intrinsics
@@ -81,6 +81,62 @@ def test_a_size_that_is_not_offered_is_refused_with_those_that_are(software):
 def test_an_option_that_it_does_not_have_is_refused_with_those_that_it_has(software):
     with pytest.raises(CameraError, match=r"no option depth\.laser_power; it has .*depth\.depth_units"):
         apply_options(rs, software.device.query_sensors(), {"depth.laser_power": 150.0})
+
+
+def test_depth_is_filtered_as_configured(software):
+    """A wall with a step: what is over half a metre away is left out, and then filled from its neighbours."""
+    filters = {"hole_filling": {"holes_fill": 1}, "threshold": {"max_distance": 0.5}}
+    farthest = {}
+    for chosen in ({}, {"threshold": filters["threshold"]}, filters):
+        camera = RealSenseCamera(rs, software.device, _settings(align=False, filters=chosen))
+        shot = _first_shot(software, camera, range(20 * len(farthest) + 1, 20 * len(farthest) + 20))
+        camera.close()
+        assert shot.depth_ns == shot.device_ns
+        farthest[len(chosen)] = (shot.depth.max(), (shot.depth > 0).mean())
+    assert farthest[0] == (pytest.approx(0.6), 1.0)
+    assert farthest[1] == (pytest.approx(0.3), pytest.approx(100 / 3072))
+    assert farthest[2][0] == pytest.approx(0.3)
+    assert farthest[2][1] > farthest[1][1]
+
+
+@pytest.mark.parametrize(
+    ("filters", "said"),
+    [
+        (
+            {"spatial": {"magnitude": 2}},
+            "no option magnitude of the filter spatial; it has .*filter_magnitude",
+        ),
+        (
+            {"temporal": {"filter_smooth_alpha": 3}},
+            "filter_smooth_alpha = 3 of the filter temporal is outside",
+        ),
+    ],
+)
+def test_a_filter_that_cannot_be_set_so_is_refused_with_what_can(filters, said):
+    with pytest.raises(CameraError, match=said):
+        made_filters(rs, filters)
+
+
+def test_filters_come_in_the_order_that_keeps_them_from_spoiling_each_other():
+    names = [
+        type(f).__name__ for f in made_filters(rs, {"hole_filling": {}, "temporal": {}, "decimation": {}})
+    ]
+    assert names == [
+        *("decimation_filter", "disparity_transform", "temporal_filter", "disparity_transform"),
+        "hole_filling_filter",
+    ]
+
+
+def test_exposure_is_set_through_the_options():
+    software = SoftwareCamera(rs)
+    sensor = software.device.query_sensors()[1]
+    allowed = rs.option_range()
+    allowed.min, allowed.max, allowed.step, allowed.default = 1.0, 10_000.0, 1.0, 156.0
+    software._color.add_option(rs.option.exposure, allowed, True)
+    apply_options(rs, software.device.query_sensors(), {"color.exposure": 80.0})
+    assert sensor.get_option(rs.option.exposure) == 80.0
+    with pytest.raises(CameraError, match=r"color.exposure = 0 is outside 1 to 10000"):
+        apply_options(rs, software.device.query_sensors(), {"color.exposure": 0.0})
 
 
 def test_a_missing_camera_is_named_at_once_with_what_to_do():

@@ -9,8 +9,6 @@ import tracemalloc
 import msgspec
 import numpy as np
 import pytest
-from hypothesis import HealthCheck, given, settings
-from hypothesis import strategies as st
 from mcap.reader import make_reader
 from mcap.writer import Writer
 from mcap_protobuf.decoder import DecoderFactory
@@ -269,28 +267,6 @@ def test_a_small_file_does_not_fill_the_memory(tmp_path):
         assert recording.cut
         assert tracemalloc.get_traced_memory()[1] < 2**24
         tracemalloc.stop()
-
-
-@settings(max_examples=150, deadline=2000, suppress_health_check=[HealthCheck.function_scoped_fixture])
-@given(st.data())
-def test_only_our_own_errors_come_out_of_damaged_files(tmp_path, data):
-    path = _written_once(tmp_path)
-    content = bytearray(path.read_bytes())
-    for _ in range(data.draw(st.integers(1, 6))):
-        at = data.draw(st.integers(0, len(content) - 1))
-        content[at : at + data.draw(st.integers(0, 4))] = data.draw(st.binary(max_size=8))
-    damaged = tmp_path / "damaged.mcap"
-    damaged.write_bytes(content)
-    try:
-        list(Recording(damaged).events())
-        RecordedScene(damaged).frame(0)
-    except InputError:
-        pass
-
-
-def _written_once(folder):
-    path = folder / "whole.mcap"
-    return path if path.exists() else _written(path, chunks=True).path
 
 
 def test_it_is_exported_as_a_bop_scene(tmp_path):

@@ -1,7 +1,7 @@
-"""A pipeline on the built-in scene as its operator and its subscribers see it: for soaks and for chaos.
+"""A pipeline on the built-in scene as its operator and its subscribers see it: for soaks and for faults.
 
 It is started by `huepose up` in a folder of its own and listened to over the bus like by anyone; what it says
-of itself is read in its log and its health.
+of itself is read in its log and its health. Its camera does wrong what it is ordered to.
 """
 
 from __future__ import annotations
@@ -9,14 +9,17 @@ from __future__ import annotations
 import json
 import shutil
 import signal
+import socket
 import subprocess
 import sys
 import tempfile
 import threading
 import time
+from collections import deque
 from dataclasses import dataclass
 from pathlib import Path
 
+import msgspec
 import numpy as np
 
 from huepose.evaluation.metrics import add
@@ -25,23 +28,28 @@ from huepose.scenes.builtin import SyntheticScene
 from huepose_protos.client import Reader
 from huepose_protos.keys import last
 from huepose_protos.local import endpoint
-from huepose_protos.messages import Estimates, HealthMessage, PoseMessage, TruthMessage
+from huepose_protos.messages import CorrectionMessage, Estimates, HealthMessage, PoseMessage, TruthMessage
 from huepose_services.builtin import builtin_bundles
+from huepose_services.camera.faulty import Orders
 from huepose_services.convert import optional_pose_from_wire, pose_of
-from huepose_services.runtime.config import WORKERS
+from huepose_services.runtime.config import CHAIN, WORKERS
 from huepose_services.runtime.ports import free_ports
+from huepose_services.runtime.running import Pipeline, pick
 
-CHAIN = ("camera", "tracker", "reinit", "detector", "segmenter", "estimator")
+_OLD_CORRECTIONS = 400
 
 
 @dataclass(frozen=True)
 class SeenPose:
-    """A pose message as it arrived: `error` is ADD over the diameter, None without pose or truth."""
+    """A pose message as it arrived: `age_ms` when it was published, `late_ms` when it arrived; `error` is
+    ADD over the diameter, None without pose or truth."""
 
     at: float
     capture_ns: int
     age_ms: float
+    late_ms: float
     name: str
+    instance: int
     frame: tuple[int, int]
     state: str
     error: float | None
@@ -50,10 +58,12 @@ class SeenPose:
 class LivePipeline:
     """Runs as long as the `with` block. All times are time.monotonic() seconds."""
 
-    def __init__(self, seed: int = 0, max_age_ms: float = 300.0) -> None:
+    def __init__(self, seed: int = 0, *, live: bool = False, slow: float = 1.0) -> None:
+        """live: by a live camera that does wrong what `order` says; else as a recording is played. slow: so
+        many times fewer pictures a second, and as much more time for everything."""
         bundles = builtin_bundles(seed)
         SyntheticScene(seed)  # computed here where it is not in the cache
-        self.max_age_ms = max_age_ms
+        self.max_age_ms = 300.0 * slow
         self._yardsticks = {
             name: (model.eval_points[:: max(1, len(model.eval_points) // 500)], model.diameter_m)
             for name, model in load_models(bundles).items()
@@ -61,15 +71,23 @@ class LivePipeline:
         self._folder = Path(tempfile.mkdtemp(prefix="huepose-live-"))
         self.path = self._folder / "pipeline.yaml"
         self.base_port = free_ports(len(WORKERS))
+        self._orders = self._folder / "orders.json"
+        self.workers = (*CHAIN, "gateway") if live else CHAIN
+        self.gateway_port = _free_tcp_port()
+        camera = {"source": "synthetic", "seed": seed, "truth": True, "rate": 30.0 / slow}
+        if live:
+            self.order()
+            camera |= {"source": "faulty", "path": str(self._orders)}
         self.path.write_text(
             json.dumps(
                 {
-                    "bundles": str(bundles),
-                    "workers": list(CHAIN),
-                    "camera": {"source": "synthetic", "seed": seed, "truth": True},
-                    "tracker": {"max_age_ms": max_age_ms},
+                    "workers": list(self.workers),
+                    "camera": camera,
+                    "tracker": {"max_age_ms": self.max_age_ms},
+                    "reinit": {"deadline_ms": int(600 * slow)},
+                    "gateway": {"listen": f"127.0.0.1:{self.gateway_port}"},
                     # Each fault is one death: none shall be given up for having died in the faults before.
-                    "restarts": {"limit": 100},
+                    "restarts": {"limit": 100, "hung_after_s": 2.0 * slow},
                     "bus": {"base_port": self.base_port},
                 }
             )
@@ -79,6 +97,9 @@ class LivePipeline:
         self.health_log: list[tuple[float, HealthMessage]] = []
         self.estimates: list[float] = []
         self.truths: list[tuple[float, int]] = []
+        self.epochs: set[int] = set()
+        """Of the camera of this pipeline, as it says itself."""
+        self.corrections: deque[CorrectionMessage] = deque(maxlen=_OLD_CORRECTIONS)
         self._truth: dict[tuple[int, int, str], tuple[TruthMessage, int]] = {}
         self._stopping = False
 
@@ -86,7 +107,7 @@ class LivePipeline:
         self._log = (self._folder / "log").open("w+")
         command = [sys.executable, "-m", "huepose_services.cli.main", "up", str(self.path)]
         self._process = subprocess.Popen(command, stderr=self._log, stdout=self._log)
-        keys = ("pose/**", "truth", "health/*", "perception/estimates")
+        keys = ("pose/**", "truth", "health/*", "perception/estimates", "correction")
         self.reader = Reader(self.endpoints, *(f"huepose/*/*/{key}" for key in keys))
         self._listener = threading.Thread(target=self._listen, daemon=True)
         self._listener.start()
@@ -104,7 +125,23 @@ class LivePipeline:
     @property
     def endpoints(self) -> list[str]:
         """Where the workers listen."""
-        return [endpoint(self.base_port + place) for place in range(len(CHAIN))]
+        return [endpoint(self.base_port + place) for place in range(len(self.workers))]
+
+    @property
+    def pipeline(self) -> Pipeline:
+        """As the commands that attach to it know it."""
+        return pick(self.path)
+
+    def order(self, **changes: object) -> None:
+        """What the camera shall do wrong from now on; nothing: without changes."""
+        fresh = self._orders.with_suffix(".new")
+        fresh.write_bytes(msgspec.json.encode(msgspec.convert(changes, Orders)))
+        fresh.replace(self._orders)
+
+    def forget(self) -> None:
+        """What subscribers saw until now."""
+        for seen in (self.poses, self.truths, self.estimates):
+            seen.clear()
 
     @property
     def live(self) -> set[str]:
@@ -127,6 +164,7 @@ class LivePipeline:
                 self._take_pose(message, now)
             elif isinstance(message, TruthMessage):
                 self.truths.append((now, message.capture_ns))
+                self.epochs.add(message.camera_epoch)
                 for place, item in enumerate(message.objects):
                     if item.object is not None:
                         key = (message.camera_epoch, message.frame_id, item.object)
@@ -138,6 +176,8 @@ class LivePipeline:
                 self.health_log.append((now, message))
             elif isinstance(message, Estimates):
                 self.estimates.append(now)
+            elif isinstance(message, CorrectionMessage):
+                self.corrections.append(message)
 
     def _take_pose(self, pose: PoseMessage, now: float) -> None:
         error = None
@@ -150,8 +190,13 @@ class LivePipeline:
                 points, diameter_m = self._yardsticks[pose.object]
                 error = add(points, T_cam_obj, T_true) / diameter_m
         age_ms = (pose.publish_ns - pose.capture_ns) * 1e-6
+        late_ms = (time.monotonic_ns() - pose.capture_ns) * 1e-6
         frame = (pose.camera_epoch, pose.frame_id)
-        self.poses.append(SeenPose(now, pose.capture_ns, age_ms, pose.object, frame, pose.state, error))
+        self.poses.append(
+            SeenPose(
+                now, pose.capture_ns, age_ms, late_ms, pose.object, pose.instance, frame, pose.state, error
+            )
+        )
 
     def tracking_now(self) -> set[str]:
         """Objects with a TRACKING pose in the last half second."""
@@ -162,7 +207,7 @@ class LivePipeline:
         """Until so many objects were TRACKING for a while; whether that came about."""
         until, since = time.monotonic() + within_s, None
         while time.monotonic() < until:
-            if len(self.live) == len(CHAIN) and len(self.tracking_now()) >= objects:
+            if len(self.live) == len(self.workers) and len(self.tracking_now()) >= objects:
                 since = since or time.monotonic()
                 if time.monotonic() - since > for_s:
                     return True
@@ -172,19 +217,37 @@ class LivePipeline:
         return False
 
 
+def _free_tcp_port() -> int:
+    with socket.socket() as probe:
+        probe.bind(("127.0.0.1", 0))
+        return int(probe.getsockname()[1])
+
+
 def gaps_s(poses: list[SeenPose], start: float, end: float) -> list[float]:
     """Times between frames with at least one pose message, from start to end."""
-    at = {}
+    at: dict[tuple[int, int], float] = {}
     for p in poses:
         if start <= p.at <= end:
             at.setdefault(p.frame, p.at)
     times = [start, *sorted(at.values()), end]
-    return list(np.diff(times))
+    return [float(gap) for gap in np.diff(times)]
 
 
 def wrong(poses: list[SeenPose], limit: float = 0.1) -> int:
     """TRACKING poses that are not right."""
     return sum(p.state == "TRACKING" and p.error is not None and p.error >= limit for p in poses)
+
+
+def longest_wrong(poses: list[SeenPose], limit: float = 0.1) -> int:
+    """The most messages in a row of one instance that were TRACKING and not right."""
+    runs: dict[tuple[str, int, int], int] = {}
+    longest = 0
+    for p in poses:
+        key = (p.name, p.instance, p.frame[0])
+        is_wrong = p.state == "TRACKING" and p.error is not None and p.error >= limit
+        runs[key] = runs.get(key, 0) + 1 if is_wrong else 0
+        longest = max(longest, runs[key])
+    return longest
 
 
 def too_old(poses: list[SeenPose], max_age_ms: float) -> int:

@@ -1,0 +1,46 @@
+#!/usr/bin/env bash
+# Builds sdist and wheel (from the sdist), and tries the wheel where nothing else is: what a subscriber needs
+# with the base installation, the parts of the demo with the extra `edge`.
+set -euo pipefail
+cd "$(dirname "$0")/.."
+UV=$PWD/$(echo .tools/uv-*/bin/uv)
+PYTHON=$PWD/.venv/bin/python
+unset PYTHONPATH
+
+rm -rf build/dist
+"$UV" build --quiet --python "$PYTHON" --out-dir build/dist
+wheel=$(echo "$PWD"/build/dist/*.whl)
+
+try=$(mktemp -d)
+trap 'rm -rf "$try"' EXIT
+cd "$try"
+# The versions of the lock, whose hashes are checked.
+(cd "$OLDPWD" && "$UV" export --frozen --quiet --no-dev --no-emit-project) > base.txt
+(cd "$OLDPWD" && "$UV" export --frozen --quiet --no-dev --no-emit-project --extra edge) > edge.txt
+"$UV" venv --quiet --python "$PYTHON" env
+install() { VIRTUAL_ENV=$try/env "$UV" pip install --quiet "$@"; }
+
+install --require-hashes -r base.txt
+install --no-deps "$wheel"
+env/bin/huepose --version
+env/bin/python -c "from huepose_protos import PoseClient; print('a subscriber can be made with the base installation')"
+
+install --require-hashes -r edge.txt
+env/bin/python - <<'END'
+import importlib, pkgutil
+import huepose, huepose_protos, huepose_services
+
+assert all("/env/lib" in package.__file__ for package in (huepose, huepose_protos, huepose_services))
+# Those of other extras, which say so when they are used.
+others = ("huepose.training", "huepose_services.viewer")
+names = [m.name for p in (huepose, huepose_services) for m in pkgutil.walk_packages(p.__path__, p.__name__ + ".")]
+wanted = [name for name in names if not name.startswith(others)]
+for name in wanted:
+    importlib.import_module(name)
+from huepose.scenes.shapes import demo_objects
+
+assert len(demo_objects(0)) == 5
+print(f"{len(wanted)} modules of the wheel can be imported, and the demo draws its objects")
+END
+env/bin/huepose demo --help > demo.txt
+env/bin/huepose doctor > doctor.txt || { cat doctor.txt; exit 1; }

@@ -1,0 +1,131 @@
+"""What is wrong with the pictures of a camera that gives some: in words, half a second after it began."""
+
+from __future__ import annotations
+
+from collections import deque
+
+import numpy as np
+
+from huepose.geometry import Camera
+from huepose_services.camera.live import Shot
+from huepose_services.runtime.clock import SECOND
+
+LASTS_NS = SECOND // 2
+"""So long must all pictures say the same: one that is spoilt is nothing."""
+
+RATE_WINDOW_NS = SECOND
+LEAST_OF_RATE = 0.8
+"""Share of the pictures that are due; fewer cannot be chance in a second."""
+
+DARK = 16
+"""Of 255: black, in levels of video. Where nothing is brighter there is nothing to see."""
+
+MOST_APART = 0.75
+"""Of the time between two pictures: synchronisers pair colour and depth that are up to half of it apart."""
+
+LEAST_DEPTH = 0.01
+"""Share of the picture with a reading: with less there is no surface of any object."""
+
+CHANGE_SAID_NS = 10 * SECOND
+_EVERY = 4
+"""Each such pixel of a row and column is looked at: enough for shares of a picture."""
+
+
+class Condition:
+    """Feed it every picture; `complaints` is what lasts now. rate_hz: how many should come;
+    farthest_m: what is farther counts as no reading."""
+
+    def __init__(self, rate_hz: float, farthest_m: float) -> None:
+        self._rate_hz, self._farthest_m = rate_hz, farthest_m
+        self._since: dict[str, tuple[int, str]] = {}
+        self._counts: deque[tuple[int, int]] = deque()
+        self._camera: Camera | None = None
+        self._change: tuple[int, str] | None = None
+
+    def look(self, shot: Shot, now_ns: int) -> bool:
+        """Take in a picture of the open camera; whether it may be used: colour and depth are of one time."""
+        apart = self._apart(shot)
+        for kind, text in (
+            ("dark", _dark(shot)),
+            ("depth", _no_depth(shot, self._farthest_m)),
+            ("apart", apart),
+        ):
+            if text is None:
+                self._since.pop(kind, None)
+            else:
+                self._since[kind] = (self._since.get(kind, (now_ns, ""))[0], text)
+        before, self._camera = self._camera, shot.camera
+        if before is not None and before != shot.camera:
+            self._change = (now_ns, _changed(before, shot.camera))
+        return apart is None
+
+    def count(self, pictures: int, now_ns: int) -> None:
+        """How many pictures came since the camera was opened; called often."""
+        if self._counts and pictures < self._counts[-1][1]:
+            self._counts.clear()
+        self._counts.append((now_ns, pictures))
+        while len(self._counts) > 2 and now_ns - self._counts[1][0] > RATE_WINDOW_NS:
+            self._counts.popleft()
+        seconds = (now_ns - self._counts[0][0]) / SECOND
+        came = pictures - self._counts[0][1]
+        if seconds < RATE_WINDOW_NS / SECOND or came >= LEAST_OF_RATE * self._rate_hz * seconds:
+            self._since.pop("rate", None)
+        else:
+            text = (
+                f"it gives {came / seconds:.0f} pictures a second instead of {self._rate_hz:g}: a long "
+                "exposure in the dark, a slow cable or port, or a busy computer"
+            )
+            # A second is counted already.
+            self._since["rate"] = (now_ns - LASTS_NS, text)
+
+    def reopened(self) -> None:
+        """What was said was of another opening of the camera."""
+        self._since.clear()
+        self._counts.clear()
+        self._camera = self._change = None
+
+    def complaints(self, now_ns: int) -> dict[str, str]:
+        """What lasts, by kind."""
+        lasting = {kind: text for kind, (since, text) in self._since.items() if now_ns - since >= LASTS_NS}
+        if self._change is not None and now_ns - self._change[0] < CHANGE_SAID_NS:
+            lasting["change"] = self._change[1]
+        return lasting
+
+    def _apart(self, shot: Shot) -> str | None:
+        """They show the world at different times."""
+        if shot.depth_ns is None:
+            return None
+        apart_ns = shot.device_ns - shot.depth_ns
+        if abs(apart_ns) <= MOST_APART * SECOND / self._rate_hz:
+            return None
+        return (
+            f"depth is {abs(apart_ns) * 1e-6:.0f} ms {'older' if apart_ns > 0 else 'newer'} than colour: "
+            "such pictures are left out. Both streams must have one rate; else plug the camera in again"
+        )
+
+
+def _dark(shot: Shot) -> str | None:
+    brightest = int(shot.color[::_EVERY, ::_EVERY].max())
+    if brightest > DARK:
+        return None
+    return (
+        f"its picture is black (nothing over {brightest} of 255): look at the lens, the light, the exposure"
+    )
+
+
+def _no_depth(shot: Shot, farthest_m: float) -> str | None:
+    depth = shot.depth[::_EVERY, ::_EVERY]
+    share = float(np.mean((depth > 0.0) & (depth < farthest_m)))
+    if share >= LEAST_DEPTH:
+        return None
+    return (
+        f"no depth: {100.0 * share:.1f} % of the picture has a reading up to {farthest_m:.1f} m. "
+        "Look at the lenses and the projector; what is too near gives none either"
+    )
+
+
+def _changed(a: Camera, b: Camera) -> str:
+    return (
+        f"its picture changed from {a.width} x {a.height}, fx {a.fx:.1f} to {b.width} x {b.height}, fx "
+        f"{b.fx:.1f} while it was open: all objects are searched for anew"
+    )

@@ -1,0 +1,142 @@
+"""Who sits on the bus and should not: repeats what he hears, older, twice, or as another camera's.
+
+Only a program of the same user can; what such a one may do is what a broken worker may.
+"""
+
+from __future__ import annotations
+
+import threading
+import time
+from collections import deque
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from typing import Any
+
+import msgspec
+import numpy as np
+import zenoh
+
+from huepose_protos import encode
+from huepose_protos.buffers import frame_images, pack
+from huepose_protos.codec import decode
+from huepose_protos.messages import (
+    CorrectionMessage,
+    DetectedObject,
+    FrameHeader,
+    MaskedObject,
+    MaskRuns,
+    Masks,
+    RequestedObject,
+)
+from huepose_services.chaos.system import LivePipeline
+from huepose_services.runtime.clock import now_ns
+from huepose_services.runtime.session import open_reader_session, zenoh_config
+
+Frame = tuple[FrameHeader, bytes]
+_KEPT = 30
+
+
+@contextmanager
+def repeating(
+    system: LivePipeline, rate_hz: float, say: Callable[[zenoh.Session, deque[Frame]], None]
+) -> Iterator[None]:
+    """A session that hears the last second of frames, and says something so often."""
+    session = open_reader_session(system.endpoints)
+    frames: deque[Frame] = deque(maxlen=_KEPT)
+
+    def hear(sample: zenoh.Sample) -> None:
+        if sample.attachment is not None:
+            header = decode(sample.attachment.to_bytes(), FrameHeader)
+            if header.camera_epoch in system.epochs:
+                frames.append((header, sample.payload.to_bytes()))
+
+    stopping = threading.Event()
+
+    def work() -> None:
+        while not stopping.wait(1.0 / rate_hz):
+            if len(frames) == _KEPT:
+                say(session, frames)
+
+    session.declare_subscriber(system.pipeline.key("frame"), hear)
+    thread = threading.Thread(target=work, daemon=True)
+    thread.start()
+    try:
+        yield
+    finally:
+        stopping.set()
+        thread.join(2.0)
+        session.close()
+
+
+def say_old_frames(session: zenoh.Session, frames: deque[Frame], key: str) -> None:
+    """One of half a second ago, and the newest a second time."""
+    for header, payload in (frames[_KEPT // 2], frames[-1]):
+        session.put(key, payload, attachment=encode(header), congestion_control=zenoh.CongestionControl.DROP)
+
+
+def say_frames_of_another_camera(session: zenoh.Session, frames: deque[Frame], key: str) -> None:
+    """The newest, mirrored, as if a second camera had it."""
+    header, payload = frames[-1]
+    color, depth = frame_images(header, payload)
+    _, mirrored = pack({"color": np.fliplr(color), "depth": np.fliplr(depth)})
+    foreign = msgspec.structs.replace(header, camera_epoch=7, publish_ns=now_ns())
+    session.put(key, mirrored, attachment=encode(foreign), congestion_control=zenoh.CongestionControl.DROP)
+
+
+def say_bad_masks(session: zenoh.Session, frames: deque[Frame], key: str, name: str) -> None:
+    """A mask without a pixel, and one that has not the frame's size."""
+    header, payload = frames[-1]
+    i = header.intrinsics
+    empty = MaskRuns(width=i.width, height=i.height, runs=[i.width * i.height])
+    other = MaskRuns(width=7, height=5, runs=[0, 35])
+    wanted = DetectedObject(
+        request=RequestedObject(object=name, instance=None), box=(10.0, 10.0, 200.0, 200.0), score=1.0
+    )
+    for mask in (empty, other):
+        message = Masks(
+            publish_ns=now_ns(),
+            request_seq=0,
+            request_ns=now_ns(),
+            frame=header,
+            objects=[MaskedObject(detection=wanted, masks=[mask])],
+        )
+        session.put(key, payload, attachment=encode(message))
+
+
+def say_late_corrections(
+    session: zenoh.Session, corrections: deque[CorrectionMessage], key: str, older_than_s: float
+) -> None:
+    """Those of long ago with new numbers, and elsewhere than it was right."""
+    old = [c for c in list(corrections) if now_ns() - c.capture_ns > older_than_s * 1e9]
+    for correction in old[-3:]:
+        x, y, z = correction.translation
+        moved = msgspec.structs.replace(correction, seq=now_ns(), translation=(x + 0.3, y, z))
+        session.put(key, encode(moved))
+
+
+@contextmanager
+def slow_reader(system: LivePipeline, delay_s: float) -> Iterator[None]:
+    """A subscriber that takes so long for each frame and each pose."""
+    session = open_reader_session(system.endpoints)
+    for tail in ("frame", "pose/**"):
+        session.declare_subscriber(system.pipeline.key(tail), lambda sample: time.sleep(delay_s))
+    try:
+        yield
+    finally:
+        session.close()
+
+
+@contextmanager
+def hoarder(system: LivePipeline) -> Iterator[None]:
+    """A reader by shared memory that never lets a frame go, so that the camera's pool has no room left."""
+    session = zenoh.open(zenoh_config([], [system.endpoints[0]], shared_memory=True))
+    kept: list[Any] = []
+    # Two hundred frames are more than any pool holds, and not the whole of this computer's memory.
+    session.declare_subscriber(
+        system.pipeline.key("frame"), lambda sample: kept.append(sample) if len(kept) < 200 else None
+    )
+    try:
+        yield
+    finally:
+        kept.clear()
+        session.close()

@@ -1,0 +1,169 @@
+"""What became of a fault, and whether what must hold held.
+
+In every fault: before it, objects are TRACKING. Nobody gets a pose that is not a rigid motion (it could not
+be read), one as TRACKING of a camera that is none, or one as TRACKING that was older than
+`tracker.max_age_ms` when it was published; one that is wrong (error over a tenth of the diameter) is TRACKING
+for no more frames than the tracker has to notice it. No other worker dies. What should be noticed is said, in
+the log or in the camera's health. Afterwards all workers work and objects are TRACKING again. Who reads
+beside a slow reader gets poses as soon as before.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Iterable, Sequence
+from dataclasses import asdict, dataclass, field
+from itertools import pairwise
+from typing import Any
+
+import numpy as np
+
+from huepose.evaluation.states import SUSPECT_WITHIN_FRAMES
+from huepose_services.chaos.faults import Fault
+from huepose_services.chaos.system import LivePipeline, SeenPose, gaps_s, longest_wrong, too_old, wrong
+
+STEADY_OBJECTS = 3
+_AWAY_S = 0.3
+_LATER = 4.0
+"""Times as late as before: the median a reader gets beside a fault. A computer that is busy for a moment is
+later by less, a queue that grows by far more."""
+
+
+@dataclass
+class Outcome:
+    """Seconds from the fault on; None: it did not come about. tracking_s: 0 when poses that may be acted on
+    were never away for longer than 0.3 s. broken: what did not hold."""
+
+    number: int
+    fault: str
+    noticed_s: float | None = None
+    tracking_s: float | None = None
+    longest_gap_s: float = 0.0
+    tracking_poses: int = 0
+    wrong_tracking: int = 0
+    wrong_in_a_row: int = 0
+    of_no_camera: int = 0
+    worst: str = ""
+    """Of the wrong ones: its object, its error over the diameter, when it was."""
+    too_old_tracking: int = 0
+    unreadable: int = 0
+    others_died: int = 0
+    late_ms: float = 0.0
+    broken: list[str] = field(default_factory=list)
+
+    def facts(self) -> dict[str, Any]:
+        """As JSON."""
+        return asdict(self)
+
+
+def strike(system: LivePipeline, fault: Fault, patience_s: float) -> Outcome:
+    """Break it, watch, mend it, watch on until all is well again, and judge."""
+    outcome = Outcome(fault.number, fault.name)
+    if not system.wait_until_steady(STEADY_OBJECTS, patience_s):
+        outcome.broken.append(f"before it fewer than {STEADY_OBJECTS} objects are TRACKING")
+        return outcome
+    calm_ms = _late_ms(system.poses[-300:])
+    system.forget()
+    before, log_length, refused = system.pids(), len(system.log()), system.reader.refused
+    start = time.monotonic()
+    with fault.strike(system) as broken:
+        until = max(time.monotonic(), start) + fault.seconds
+        while time.monotonic() < until or (
+            fault.said and outcome.noticed_s is None and time.monotonic() < until + patience_s
+        ):
+            _notice(outcome, fault, system, log_length, start)
+            time.sleep(0.02)
+    beside_ms = _late_ms(system.poses)
+    steady = system.wait_until_steady(STEADY_OBJECTS, patience_s)
+    _notice(outcome, fault, system, log_length, start)
+    seen = list(system.poses)
+    tracking = [p for p in seen if p.state == "TRACKING"]
+    outcome.longest_gap_s = max(gaps_s(seen, start, time.monotonic()))
+    outcome.tracking_s = back_after(tracking, start, time.monotonic()) if steady else None
+    outcome.tracking_poses = len(tracking)
+    outcome.wrong_tracking, outcome.wrong_in_a_row = wrong(seen), longest_wrong(seen)
+    outcome.of_no_camera = sum(p.frame[0] not in system.epochs for p in tracking)
+    worst = max(tracking, key=lambda p: p.error or 0.0, default=None)
+    outcome.worst = (
+        "" if worst is None else f"{worst.name} {worst.error or 0.0:.2f} after {worst.at - start:.0f} s"
+    )
+    outcome.too_old_tracking = too_old(seen, system.max_age_ms)
+    outcome.unreadable = 0 if fault.refused else system.reader.refused - refused
+    now = system.pids()
+    outcome.others_died = sum(now.get(w) != pid for w, pid in before.items() if w != fault.worker)
+    outcome.late_ms = beside_ms
+    outcome.broken = [*broken, *_broken(outcome, fault, steady, calm_ms)]
+    return outcome
+
+
+def _notice(outcome: Outcome, fault: Fault, system: LivePipeline, log_length: int, start: float) -> None:
+    if fault.said and outcome.noticed_s is None:
+        said = system.log()[log_length:] + " ".join(system.health["camera"].warnings)
+        if any(words in said for words in fault.said):
+            outcome.noticed_s = time.monotonic() - start
+
+
+def _broken(o: Outcome, fault: Fault, steady: bool, calm_ms: float) -> list[str]:
+    found = [
+        (o.unreadable > 0, f"{o.unreadable} messages of its own could not be read"),
+        (
+            o.wrong_in_a_row > SUSPECT_WITHIN_FRAMES,
+            f"{o.wrong_in_a_row} wrong TRACKING poses in a row (worst: {o.worst})",
+        ),
+        (o.of_no_camera > 0, f"{o.of_no_camera} TRACKING poses were of another camera"),
+        (o.too_old_tracking > 0, f"{o.too_old_tracking} TRACKING poses were too old"),
+        (o.others_died > 0, f"{o.others_died} other workers died"),
+        (bool(fault.said) and o.noticed_s is None, f"the log never said {' or '.join(fault.said)!r}"),
+        (not steady, "objects are not TRACKING again"),
+        (
+            fault.worker is None and fault.number == 12 and o.late_ms > _LATER * calm_ms,
+            f"others got poses after {o.late_ms:.0f} ms, before it after {calm_ms:.0f}",
+        ),
+    ]
+    return [text for is_so, text in found if is_so]
+
+
+def _late_ms(poses: Sequence[SeenPose]) -> float:
+    return float(np.median([p.late_ms for p in poses])) if poses else 0.0
+
+
+def back_after(tracking: Iterable[SeenPose], start: float, end: float) -> float | None:
+    """When TRACKING poses came again after they had been away; 0 when they never were."""
+    times = [start, *sorted({p.at for p in tracking}), end]
+    away = [(a, b) for a, b in pairwise(times) if b - a > _AWAY_S]
+    if not away:
+        return 0.0
+    return None if away[-1][1] == end else away[-1][1] - start
+
+
+_HEAD = (
+    "no.",
+    "fault",
+    "noticed",
+    "TRACKING again",
+    "longest without a pose",
+    "TRACKING poses",
+    "wrong",
+    "too old",
+    "held",
+)
+
+
+def table(outcomes: Iterable[Outcome]) -> str:
+    """As Markdown."""
+    lines = [" | ".join(_HEAD), "|".join("---" for _ in _HEAD)]
+    lines += [" | ".join(cells(o)) for o in outcomes]
+    return "\n".join(f"| {line} |" if "---" not in line else f"|{line}|" for line in lines)
+
+
+def cells(o: Outcome) -> tuple[str, ...]:
+    """One row."""
+
+    def seconds(value: float | None) -> str:
+        return "-" if value is None else "never away" if value == 0.0 else f"{value:.1f} s"
+
+    return (
+        *(str(o.number), o.fault, seconds(o.noticed_s), seconds(o.tracking_s), f"{o.longest_gap_s:.1f} s"),
+        *(str(o.tracking_poses), str(o.wrong_tracking), str(o.too_old_tracking)),
+        "yes" if not o.broken else "NO: " + "; ".join(o.broken),
+    )

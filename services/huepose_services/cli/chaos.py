@@ -1,0 +1,79 @@
+"""`huepose chaos`: breaks a running pipeline in every way it knows, and says what held."""
+
+from __future__ import annotations
+
+import argparse
+import json
+import sys
+import time
+from pathlib import Path
+from typing import Any
+
+
+def add_parser(subparsers: Any) -> None:
+    """Add the verb."""
+    parser = subparsers.add_parser(
+        "chaos", help="break a pipeline on the built-in scene in many ways, and say what held"
+    )
+    parser.add_argument(
+        "--minutes", type=float, metavar="N", help="go on for so long; by default once through"
+    )
+    parser.add_argument(
+        "--only", nargs="+", metavar="WORD", default=[], help="faults with such a word or number"
+    )
+    parser.add_argument(
+        "--slow",
+        type=float,
+        default=1.0,
+        metavar="F",
+        help="so many times fewer pictures, more time for all",
+    )
+    parser.add_argument("--json", type=Path, metavar="FILE")
+    parser.add_argument("--table", type=Path, metavar="FILE", help="the table as Markdown")
+    parser.add_argument("--image", type=Path, metavar="PNG", help="each worker's memory over time")
+    parser.set_defaults(call=call)
+
+
+def call(arguments: argparse.Namespace) -> int:
+    """Strike one after the other; exit 1 when something did not hold."""
+    from huepose.support.errors import InputError
+    from huepose_services.chaos.faults import FAULTS
+    from huepose_services.chaos.memory import draw, growth
+    from huepose_services.chaos.outcome import Outcome, cells, strike, table
+    from huepose_services.chaos.system import LivePipeline
+
+    words = arguments.only
+    chosen = [f for f in FAULTS if not words or any(w == str(f.number) or w in f.name.split() for w in words)]
+    if not chosen:
+        raise InputError(
+            "--only", found=" ".join(words), expected="numbers or words of faults (docs/reliability.md)"
+        )
+    outcomes: list[Outcome] = []
+    with LivePipeline(live=True, slow=arguments.slow) as system:
+        if not system.wait_until_steady(3, 300.0):
+            print(
+                f"huepose chaos: the pipeline does not become steady:\n{system.log()[-3000:]}",
+                file=sys.stderr,
+            )
+            return 1
+        start = time.monotonic()
+        until = start + 60.0 * (arguments.minutes or 0.0)
+        while not outcomes or time.monotonic() < until:
+            for fault in chosen:
+                outcomes.append(strike(system, fault, 60.0 + 30.0 * arguments.slow))
+                print("  ".join(cells(outcomes[-1])), file=sys.stderr, flush=True)
+                if arguments.minutes and time.monotonic() > until:
+                    break
+        grown = growth(system.health_log, start, until_s=time.monotonic())
+        if arguments.image is not None:
+            draw(system.health_log, start, arguments.image)
+    text = table(outcomes)
+    print(text)
+    for worker, mib in grown.items():
+        print(f"{worker:10s} {mib:+.1f} MiB an hour")
+    if arguments.table is not None:
+        arguments.table.write_text(text + "\n")
+    if arguments.json is not None:
+        found = {"faults": [o.facts() for o in outcomes], "memory_mib_per_hour": grown}
+        arguments.json.write_text(json.dumps(found, indent=2) + "\n")
+    return 1 if any(o.broken for o in outcomes) else 0

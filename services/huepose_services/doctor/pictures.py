@@ -1,0 +1,195 @@
+"""What a camera's pictures are like: whether they come, how bright, how far, in which units, and whether
+depth lies on the colours."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Iterator, Sequence
+from importlib import import_module
+
+import cv2
+import numpy as np
+
+from huepose.datasets.image_files import FARTHEST_M, NEAREST_M
+from huepose.geometry import RgbdFrame
+from huepose.geometry.arrays import Bool, Float32, Float64
+from huepose.support.errors import InputError
+from huepose_services.camera.condition import DARK, Condition
+from huepose_services.camera.live import CameraError, LiveSource
+from huepose_services.convert import LARGEST_STEP
+from huepose_services.doctor.finding import Finding
+from huepose_services.runtime.clock import now_ns
+from huepose_services.runtime.config import Config
+from huepose_services.runtime.config_perception import LIVE_SOURCES
+
+LOOK_S = 3.0
+_FRAMES = 10
+_GLARE = 255
+FEWEST_PIXELS = 400
+"""An object that shows fewer is seldom found, and seldom right."""
+
+REACH_PX = 8
+EDGE = 0.03
+"""Of the distance: so large a step between neighbours is an edge of something, not its slope."""
+SHADOW_PX = 12
+CLEAR_PX, CLEAR_SIGMAS = 3.0, 4.0
+_RELATED_PX = 6.0
+"""Neighbours along an edge say the same so far."""
+
+
+def pictures(config: Config) -> Iterator[Finding]:
+    """Open the configured camera, look for some seconds, and say what there is to say."""
+    try:
+        source = import_module(f"huepose_services.camera.{config.camera.source}").open_source(config)
+        live = config.camera.source in LIVE_SOURCES
+        frames, findings = _live(source, config) if live else (_recorded(source), [])
+    except (CameraError, InputError) as error:
+        yield Finding("camera", "bad", str(error))
+        return
+    yield from findings
+    if not frames:
+        yield Finding("camera", "bad", f"no picture in {LOOK_S:g} s", "Is another program using it?")
+        return
+    camera = frames[0].camera
+    yield Finding("camera", "ok", f"{camera.width} x {camera.height}, fx {camera.fx:.1f} fy {camera.fy:.1f}")
+    yield brightness(frames)
+    yield from depth(frames, config.camera.depth_scale_m)
+    yield alignment(frames)
+    yield from distance(frames, config)
+
+
+def _live(source: LiveSource, config: Config) -> tuple[list[RgbdFrame], list[Finding]]:
+    """Some of the pictures of a live camera, and what its worker would complain of."""
+    camera = source.open()
+    condition = Condition(float(config.camera.rate), LARGEST_STEP * config.camera.depth_scale_m)
+    frames: list[RgbdFrame] = []
+    complaints: dict[str, str] = {}
+    until, came = time.monotonic() + LOOK_S, 0
+    try:
+        while time.monotonic() < until:
+            shot = camera.read(0.25)
+            if shot is None:
+                continue
+            condition.look(shot, now_ns())
+            came += 1
+            condition.count(came, now_ns())
+            complaints |= condition.complaints(now_ns())
+            # Those of the first moments are dark until the exposure has settled.
+            frames = [*frames, RgbdFrame(shot.color, shot.depth, shot.camera)][-_FRAMES:]
+    finally:
+        camera.close()
+    return frames, [Finding("camera", "bad", text) for text in complaints.values()]
+
+
+def _recorded(source: object) -> list[RgbdFrame]:
+    ids: tuple[int, ...] = source.image_ids  # type: ignore[attr-defined]
+    return [source.frame(i) for i in ids[:: max(1, len(ids) // _FRAMES)]][:_FRAMES]  # type: ignore[attr-defined]
+
+
+def brightness(frames: Sequence[RgbdFrame]) -> Finding:
+    """Too dark, or too bright, to tell colours."""
+    brightest = np.stack([frame.color[::4, ::4].max(-1) for frame in frames])
+    dark, glare = float((brightest <= DARK).mean()), float((brightest >= _GLARE).mean())
+    found = f"median {np.median(brightest):.0f} of 255; {100 * dark:.0f} % black, {100 * glare:.0f} % white"
+    if dark > 0.5:
+        return Finding("picture", "bad", found, "Too dark: more light, a longer exposure (device.options).")
+    if glare > 0.25:
+        return Finding(
+            "picture", "note", found, "Too bright: less light, a shorter exposure (device.options)."
+        )
+    return Finding("picture", "ok", found)
+
+
+def depth(frames: Sequence[RgbdFrame], depth_scale_m: float) -> Iterator[Finding]:
+    """Whether there is depth, in the right unit, and within what can be sent."""
+    values = np.stack([frame.depth[::4, ::4] for frame in frames])
+    there = np.isfinite(values) & (values > 0.0)
+    share = float(there.mean())
+    if share < 0.01:
+        yield Finding("depth", "bad", f"{100 * share:.1f} % of the picture", "Look at lenses and projector.")
+        return
+    median_m = float(np.median(values[there]))
+    found = f"{100 * share:.0f} % of the picture, half of it nearer than {median_m:.3g} m"
+    if not NEAREST_M <= median_m <= FARTHEST_M:
+        fix = "It is in another unit: correct depth_scale of the recording, or the camera's depth_units."
+        yield Finding("depth", "bad", found, fix)
+        return
+    yield Finding("depth", "note" if share < 0.5 else "ok", found, "Much is missing." if share < 0.5 else "")
+    reach_m = LARGEST_STEP * depth_scale_m
+    beyond = float((values[there] >= reach_m).mean())
+    if beyond > 0.01:
+        fix = f"Set camera.depth_scale_m to {10 * depth_scale_m:g}, which reaches ten times as far."
+        yield Finding("depth", "note", f"{100 * beyond:.0f} % is over {reach_m:.1f} m and is not sent", fix)
+
+
+def alignment(frames: Sequence[RgbdFrame]) -> Finding:
+    """Whether edges of depth lie on edges of the colours."""
+    offset = edge_offset(frames)
+    if offset is None:
+        return Finding("alignment", "none", "too few edges to tell whether depth lies on the colours")
+    right, down, sigmas = offset
+    found = f"edges of the picture are {right:+.0f} px to the right and {down:+.0f} px below those of depth"
+    if np.hypot(right, down) >= CLEAR_PX and sigmas >= CLEAR_SIGMAS:
+        fix = "Depth is not registered to colour: camera.device.align, or the calibration of the recording."
+        return Finding("alignment", "bad", found, fix)
+    return Finding("alignment", "ok", f"{found}, which is no more than can be told")
+
+
+def edge_offset(frames: Sequence[RgbdFrame]) -> tuple[float, float, float] | None:
+    """(right, down) in pixels from edges of depth to where the picture's edges are strongest along them, and
+    by how many standard errors; None where there are too few."""
+    ticks = range(-REACH_PX, REACH_PX + 1)
+    rows, total = [], 0
+    for frame in frames:
+        inside = np.s_[REACH_PX:-REACH_PX, REACH_PX:-REACH_PX]
+        v, u = (axis + REACH_PX for axis in np.nonzero(_edges(frame.depth)[inside]))
+        strength = _strength(frame)
+        rows.append(np.stack([strength[v + dy, u + dx] for dy in ticks for dx in ticks], 1))
+        total += len(v)
+    if total < 200:
+        return None
+    at = np.concatenate(rows).astype(np.float64)
+    at /= at.mean(1, keepdims=True) + 1e-3
+    places = [(dx, dy) for dy in ticks for dx in ticks]
+    best = int(np.argmax(at.mean(0)))
+    gain: Float64 = at[:, best] - at[:, places.index((0, 0))]
+    error = float(gain.std()) * np.sqrt(_RELATED_PX / len(gain)) + 1e-9
+    return (float(places[best][0]), float(places[best][1]), float(gain.mean() / error))
+
+
+def _edges(depth: Float32) -> Bool:
+    """The near sides of steps in depth (H, W): where something ends before what is behind it."""
+    out = np.zeros(depth.shape, bool)
+    for axis in (0, 1):
+        for step in (1, -1):
+            other = np.roll(depth, step, axis)
+            # Beside what is near, stereo cameras often see nothing of what is behind it.
+            other = np.where(other > 0.0, other, np.roll(depth, SHADOW_PX * step, axis))
+            out |= (depth > 0.0) & (other > 0.0) & (other - depth > EDGE * depth)
+    return out
+
+
+def _strength(frame: RgbdFrame) -> Float32:
+    """How much the picture changes at each pixel (H, W), in all channels."""
+    smooth = cv2.GaussianBlur(frame.color.astype(np.float32), (0, 0), 0.8)
+    slopes = [cv2.Sobel(smooth, cv2.CV_32F, *axes) for axes in ((1, 0), (0, 1))]
+    return np.asarray(np.sqrt(sum((s**2).sum(-1) for s in slopes)), np.float32)
+
+
+def distance(frames: Sequence[RgbdFrame], config: Config) -> Iterator[Finding]:
+    """Whether the objects are large enough in the picture, as far as most of it is."""
+    from huepose_services import models
+
+    values = np.stack([frame.depth[::4, ::4] for frame in frames])
+    if config.bundles is None or not (values > 0.0).any():
+        return
+    median_m, camera = float(np.median(values[values > 0.0])), frames[0].camera
+    for name, one in models.outlines(config).items():
+        # About half of the square of its diameter, seen from anywhere.
+        pixels = 0.5 * camera.fx * camera.fy * (one.diameter_m / median_m) ** 2
+        if pixels < FEWEST_PIXELS:
+            near_m = median_m * np.sqrt(pixels / FEWEST_PIXELS)
+            fix = f"Bring it, or the camera, nearer than {near_m:.1f} m, or set a larger picture."
+            yield Finding(
+                "distance", "note", f"{name} would show {pixels:.0f} pixels at {median_m:.1f} m", fix
+            )

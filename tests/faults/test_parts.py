@@ -1,0 +1,203 @@
+"""Faults that no running pipeline can be given from outside: of clocks, networks, files, flow."""
+
+from __future__ import annotations
+
+import json
+import time
+from dataclasses import replace
+from types import SimpleNamespace
+
+import msgspec
+import numpy as np
+import pytest
+
+from huepose.evaluation.metrics import add
+from huepose.geometry import Camera, RgbdFrame
+from huepose.model import load_models
+from huepose.model.io import model_path
+from huepose.propose.flow import Flow, compute
+from huepose.scenes.builtin import SyntheticScene
+from huepose.tracking import Correction, Tracker, TrackerConfig
+from huepose.tracking.types import State
+from huepose_protos import PoseClient
+from huepose_protos.examples import messages
+from huepose_protos.messages import PoseMessage
+from huepose_services.builtin import builtin_bundles
+from huepose_services.camera.publish import FramePublisher, packed
+from huepose_services.runtime import clock, worker
+from huepose_services.runtime.config import Config
+from huepose_services.runtime.health import Health
+from huepose_services.runtime.log import Log
+from tests.services.conftest import free_port_range, processes
+
+POSE = next(m for m in messages() if isinstance(m, PoseMessage))
+SECOND = 1_000_000_000
+
+
+class _Bus:
+    """As much of a bus as a camera's publisher needs, and what was put on it."""
+
+    def __init__(self):
+        self.health, self.log, self.keys = Health("camera"), Log("camera"), Config().keys
+        self.headers = []
+
+    def put_pixels(self, key, header, payload):
+        self.headers.append(header)
+
+    def put(self, key, message):
+        pass
+
+
+def test_5_the_wall_clock_is_set_and_poses_stay_where_they_are_in_time(monkeypatch):
+    """Stamps are of a clock that nobody sets; what relates them to the wall's is of now."""
+    bus = _Bus()
+    publisher = FramePublisher(bus, Config())
+    camera = Camera(60.0, 60.0, 31.5, 23.5, 64, 48)
+    frame = RgbdFrame(np.zeros((48, 64, 3), np.uint8), np.ones((48, 64), np.float32), camera)
+    picture = packed(frame, 1e-4)
+    wall = time.time_ns
+    for number, step_s in enumerate((0, 3600, -3600)):
+        monkeypatch.setattr(clock.time, "time_ns", lambda s=step_s: wall() + s * SECOND)
+        publisher.publish(picture, 1, number, clock.now_ns())
+    before, forth, back = bus.headers
+    assert before.capture_ns <= forth.capture_ns <= back.capture_ns
+    offsets = [h.clock.realtime_offset_ns for h in bus.headers]
+    assert offsets[1] - offsets[0] == pytest.approx(3600 * SECOND, abs=SECOND)
+    assert offsets[2] - offsets[0] == pytest.approx(-3600 * SECOND, abs=SECOND)
+
+
+@pytest.mark.parametrize(("skew_s", "known"), [(0.0, True), (0.05, True), (3600.0, False), (-3600.0, False)])
+def test_23_a_subscriber_whose_clock_is_wrong_gets_no_old_pose_for_a_new_one(skew_s, known):
+    """What came and when is told by its own clock, where something is now by both."""
+    with PoseClient(f"tcp/127.0.0.1:{free_port_range(1)}") as client:
+        now = time.monotonic_ns()
+        offset_ns = time.time_ns() - now - round(skew_s * SECOND)
+        for back in (3, 2, 1):
+            stamp = now - back * SECOND // 100
+            client._add(
+                msgspec.structs.replace(
+                    POSE, clock_id="another", realtime_offset_ns=offset_ns, capture_ns=stamp, publish_ns=stamp
+                )
+            )
+        assert client.latest(max_age_s=5.0) is not None
+        assert client.silent_s() < 5.0
+        there = client.at()
+        assert (there is not None) == known
+        if there is not None:
+            assert there.ahead_s < 0.1, "it is predicted for a tenth of a second at most"
+            grown = np.diag(there.covariance)[:3] > np.array(POSE.covariance).reshape(6, 6).diagonal()[:3]
+            assert grown.all(), "and says how sure that is"
+        client._arrived = {key: at - 5.0 for key, at in client._arrived.items()}
+        assert client.latest(max_age_s=4.0) is None
+
+
+@pytest.fixture(scope="module")
+def film():
+    return SyntheticScene(0), load_models(builtin_bundles(0))
+
+
+def _nothing_but_nan(color_a, color_b, box):
+    flow = compute(color_a, color_b, box)
+    if flow is None:
+        return None
+    nan = np.full_like(flow.forward, np.nan)
+    return Flow(nan, nan, np.ones_like(flow.consistent), flow.x0, flow.y0)
+
+
+@pytest.mark.parametrize("every", [1, 8])
+def test_11_flow_that_is_no_number_gives_no_pose_that_is_none_and_no_wrong_one(film, every):
+    scene, models = film
+    asked = []
+
+    def flow(*arguments):
+        asked.append(1)
+        return _nothing_but_nan(*arguments)
+
+    tracker = Tracker(models, replace(TrackerConfig(), flow=flow))
+    first = scene.sample(0)
+    for truth in first.truths:
+        if truth.visible:
+            tracker.correct(Correction.first(truth.object, truth.T_cam_obj, first.frame))
+    believed = 0
+    for number, k in enumerate(range(0, 40 * every, every)):
+        # Faster than it was drawn: where a velocity leads to what is there, flow is not asked.
+        frame = replace(scene.frame(k), epoch=first.frame.epoch, stamp_ns=number * SECOND // 30)
+        for pose in tracker.step(frame):
+            if pose.T_cam_obj is not None:
+                R = pose.T_cam_obj[:3, :3]
+                assert np.allclose(R @ R.T, np.eye(3), atol=1e-6)
+                assert np.linalg.det(R) > 0.0
+                assert np.isfinite(pose.T_cam_obj).all()
+            if pose.state is State.TRACKING:
+                believed += 1
+                model = models[pose.object]
+                truth = next(t for t in scene.truth(k) if t.object == pose.object)
+                error = add(model.eval_points[::20], pose.T_cam_obj, truth.T_cam_obj)
+                assert error < 0.1 * model.diameter_m, (k, pose.object)
+    assert believed > 20
+    assert asked or every == 1, "things move too slowly for flow to be asked"
+
+
+def test_14_a_damaged_model_is_named_and_the_pipeline_ends(tmp_path):
+    bundles = tmp_path / "bundles"
+    bundles.mkdir()
+    whole = model_path(builtin_bundles(0), "tea_box").read_bytes()
+    damaged = bytearray(whole)
+    damaged[len(whole) // 2] ^= 0xFF
+    model_path(bundles, "tea_box").write_bytes(damaged)
+    path = tmp_path / "pipeline.yaml"
+    settings = {
+        "bundles": str(bundles),
+        "objects": [{"name": "tea_box"}],
+        "bus": {"base_port": free_port_range(10)},
+        "workers": ["camera", "segmenter"],
+    }
+    path.write_text(json.dumps(settings))
+    with processes() as start:
+        up = start("up", path)
+        _, said = up.communicate(timeout=100.0)
+    assert up.returncode == 2, said
+    assert "tea_box.huepose" in said
+    assert "Traceback" not in said
+
+
+class _Work:
+    """A worker's work that fails so often in a row, as a network does that gets no memory on its GPU."""
+
+    def __init__(self, fails):
+        self.fails, self.steps, self.finished = fails, 0, False
+
+    def due_ns(self):
+        return clock.now_ns()
+
+    def step(self):
+        self.steps += 1
+        if self.steps <= self.fails:
+            raise RuntimeError("Failed to allocate memory for requested buffer of size 2147483648")
+        self.finished = True
+
+
+def _looped(work):
+    health = Health("detector")
+    bus = SimpleNamespace(
+        health=health,
+        log=Log("detector"),
+        inbox=SimpleNamespace(wait=lambda seconds: None),
+        say_health=lambda: None,
+    )
+    pulse = SimpleNamespace(running=lambda: None, ready=lambda: None, beat=lambda: None)
+    worker._loop(bus, work, SimpleNamespace(requested=False), pulse)
+    return health
+
+
+def test_20_a_network_that_gets_no_memory_for_a_while_is_counted_and_tried_again(capfd):
+    work = _Work(fails=9)
+    health = _looped(work)
+    assert (work.steps, health.errors) == (10, 9)
+    assert "Failed to allocate memory" in health.last_error
+    assert "going on" in capfd.readouterr().err
+
+
+def test_20_one_that_never_gets_any_ends_its_worker_which_is_started_again(capfd):
+    with pytest.raises(RuntimeError, match="Failed to allocate memory"):
+        _looped(_Work(fails=100))

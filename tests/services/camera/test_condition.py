@@ -1,0 +1,134 @@
+"""What is wrong with pictures that come is said in words, soon, and no longer than it lasts."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from huepose.geometry import Camera
+from huepose_services.camera.condition import CHANGE_SAID_NS, Condition
+from huepose_services.camera.live import Shot
+
+SECOND = 1_000_000_000
+CAMERA = Camera(60.0, 60.0, 31.5, 23.5, 64, 48)
+RATE_HZ = 30.0
+FARTHEST_M = 6.5
+
+
+def shot(at_ns, **changes):
+    noise = np.random.default_rng(at_ns % 2**32).integers(90, 110, (48, 64, 3))
+    good = Shot(
+        noise.astype(np.uint8),
+        np.full((48, 64), 0.7, np.float32),
+        CAMERA,
+        at_ns,
+        at_ns,
+        at_ns,
+        depth_ns=at_ns,
+    )
+    return replace(good, **changes)
+
+
+def said_after(condition, seconds, spoil=lambda one: one, rate_hz=RATE_HZ, start_s=0.0, counted=0):
+    """Feeds pictures; what is complained of, by kind, with the time at which it was first."""
+    first = {}
+    for k in range(int(seconds * rate_hz)):
+        now = round((start_s + k / rate_hz) * SECOND)
+        condition.look(spoil(shot(now)), now)
+        condition.count(counted + k, now)
+        for kind, text in condition.complaints(now).items():
+            first.setdefault(kind, (k / rate_hz, text))
+    return first
+
+
+def test_good_pictures_are_not_complained_of():
+    assert said_after(Condition(RATE_HZ, FARTHEST_M), 20.0) == {}
+    assert said_after(Condition(RATE_HZ, FARTHEST_M), 20.0, rate_hz=0.9 * RATE_HZ) == {}
+
+
+def holes(one):
+    """Every eighth column is left: much for a broken sensor, little for a good one."""
+    depth = np.zeros_like(one.depth)
+    depth[:, ::8] = 0.7
+    return replace(one, depth=depth)
+
+
+@pytest.mark.parametrize(
+    ("kind", "words", "spoil"),
+    [
+        ("dark", "its picture is black", lambda one: replace(one, color=one.color // 10)),
+        ("depth", "no depth: 0.0 %", lambda one: replace(one, depth=np.zeros_like(one.depth))),
+        ("depth", "no depth: 0.0 %", lambda one: replace(one, depth=np.full_like(one.depth, np.nan))),
+        ("depth", "no depth: 0.0 %", lambda one: replace(one, depth=np.full_like(one.depth, np.inf))),
+        ("depth", "no depth: 0.0 %", lambda one: replace(one, depth=np.full_like(one.depth, 6.5535))),
+        (
+            "apart",
+            "depth is 67 ms older than colour",
+            lambda one: replace(one, depth_ns=one.device_ns - 66_700_000),
+        ),
+        (
+            "apart",
+            "depth is 40 ms newer than colour",
+            lambda one: replace(one, depth_ns=one.device_ns + 40_000_000),
+        ),
+    ],
+)
+def test_each_fault_is_named_within_a_second_and_forgotten_when_it_is_over(kind, words, spoil):
+    condition = Condition(RATE_HZ, FARTHEST_M)
+    said = said_after(condition, 3.0, spoil)
+    assert list(said) == [kind]
+    assert 0.4 < said[kind][0] < 1.0
+    assert words in said[kind][1]
+    assert said_after(condition, 1.0, start_s=3.0, counted=90) == {}
+
+
+def test_a_falling_rate_is_named_within_a_second():
+    condition = Condition(RATE_HZ, FARTHEST_M)
+    assert said_after(condition, 3.0) == {}
+    said = said_after(condition, 3.0, rate_hz=12.0, start_s=3.0, counted=90)
+    assert said["rate"][0] < 1.0
+    assert "pictures a second instead of 30" in said["rate"][1]
+    again = said_after(condition, 3.0, start_s=6.0, counted=126)
+    assert condition.complaints(9 * SECOND) == {}, again
+
+
+def test_a_picture_whose_depth_is_of_another_time_is_not_used():
+    condition = Condition(RATE_HZ, FARTHEST_M)
+    assert condition.look(shot(SECOND), SECOND)
+    # Half a period: two sensors that nothing ties together. A whole one: they do not belong together.
+    assert condition.look(shot(SECOND, depth_ns=SECOND - 20_000_000), SECOND)
+    assert not condition.look(shot(SECOND, depth_ns=SECOND - 30_000_000), SECOND)
+    assert condition.look(shot(SECOND, depth_ns=None), SECOND), "what is not known is not held against it"
+
+
+def test_one_spoilt_picture_is_nothing():
+    condition = Condition(RATE_HZ, FARTHEST_M)
+    spoilt = iter([False] * 30 + [True] + [False] * 59)
+    assert (
+        said_after(condition, 3.0, lambda one: replace(one, color=one.color * 0) if next(spoilt) else one)
+        == {}
+    )
+
+
+def test_another_size_or_focal_length_is_said_for_a_while():
+    condition = Condition(RATE_HZ, FARTHEST_M)
+    condition.look(shot(SECOND), SECOND)
+    condition.look(shot(2 * SECOND, camera=replace(CAMERA, fx=90.0)), 2 * SECOND)
+    assert "from 64 x 48, fx 60.0 to 64 x 48, fx 90.0" in condition.complaints(2 * SECOND)["change"]
+    assert condition.complaints(2 * SECOND + CHANGE_SAID_NS) == {}
+    condition.reopened()
+    condition.look(shot(3 * SECOND), 3 * SECOND)
+    assert condition.complaints(3 * SECOND) == {}
+
+
+def test_holes_are_no_missing_depth():
+    assert said_after(Condition(RATE_HZ, FARTHEST_M), 3.0, holes) == {}
+
+
+def test_a_picture_shows_the_same_only_where_every_pixel_does():
+    one = shot(SECOND)
+    assert one.shows_the_same(shot(SECOND, number=2, device_ns=5))
+    assert not one.shows_the_same(shot(2 * SECOND))
+    assert not one.shows_the_same(shot(SECOND, depth=one.depth + np.float32(1e-4)))
+    black = shot(SECOND, color=one.color * 0)
+    assert not black.shows_the_same(black), "a lid gives the same picture again and again"

@@ -1,0 +1,112 @@
+"""What is said of a camera's pictures: of the built-in scene as it is, and spoilt in known ways."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import replace
+
+import msgspec
+import numpy as np
+import pytest
+
+from huepose.scenes.builtin import SyntheticScene
+from huepose_services.camera.faulty import Orders
+from huepose_services.cli.main import main
+from huepose_services.doctor import pictures
+from huepose_services.doctor.pictures import alignment, brightness, depth, edge_offset
+
+
+@pytest.fixture(scope="module")
+def frames():
+    scene = SyntheticScene(0)
+    return [scene.frame(i) for i in range(0, 240, 48)]
+
+
+def shifted(frames, dx, dy):
+    return [replace(f, depth=np.roll(f.depth, (dy, dx), (0, 1))) for f in frames]
+
+
+def test_depth_that_lies_on_the_colours_is_right(frames):
+    assert alignment(frames).state == "ok"
+
+
+@pytest.mark.parametrize(("dx", "dy"), [(6, 0), (0, -5), (-4, 4)])
+def test_depth_that_lies_elsewhere_is_told_with_its_offset(frames, dx, dy):
+    moved = shifted(frames, dx, dy)
+    right, down, sigmas = edge_offset(moved)
+    assert right == pytest.approx(-dx, abs=1.0)
+    assert down == pytest.approx(-dy, abs=1.0)
+    assert sigmas > 4.0
+    finding = alignment(moved)
+    assert finding.bad
+    assert "camera.device.align" in finding.fix
+
+
+def test_a_wall_tells_nothing_of_alignment(frames):
+    assert alignment([replace(f, depth=np.ones_like(f.depth)) for f in frames]).state == "none"
+
+
+@pytest.mark.parametrize(
+    ("change", "state", "fix"),
+    [
+        (lambda d: d, "ok", ""),
+        (lambda d: d * 1000.0, "bad", "another unit"),
+        (lambda d: d * 0.001, "bad", "another unit"),
+        (lambda d: d * 0.0, "bad", "Look at lenses"),
+        (
+            lambda d: np.where(np.arange(d.shape[1]) % 3 == 0, d, 0.0).astype(np.float32),
+            "note",
+            "Much is missing",
+        ),
+    ],
+)
+def test_depth_in_another_unit_or_missing_is_told(frames, change, state, fix):
+    finding = next(iter(depth([replace(f, depth=change(f.depth)) for f in frames], 1e-4)))
+    assert (finding.state, fix in finding.fix) == (state, True)
+
+
+def test_depth_that_is_too_far_to_be_sent_is_told(frames):
+    far = [replace(f, depth=f.depth * np.float32(10.0)) for f in frames]
+    findings = list(depth(far, 1e-4))
+    assert "is over 6.6 m and is not sent" in findings[1].found
+    assert len(list(depth(far, 1e-3))) == 1
+
+
+@pytest.mark.parametrize(("factor", "state"), [(1.0, "ok"), (0.05, "bad"), (8.0, "note")])
+def test_too_dark_and_too_bright_are_told(frames, factor, state):
+    lit = [replace(f, color=np.clip(f.color * factor, 0, 255).astype(np.uint8)) for f in frames]
+    assert brightness(lit).state == state
+
+
+def _doctor(tmp_path, capsys, monkeypatch, **orders):
+    monkeypatch.setattr(pictures, "LOOK_S", 2.0)
+    path = tmp_path / "orders.json"
+    path.write_bytes(msgspec.json.encode(msgspec.convert(orders, Orders)))
+    pipeline = tmp_path / "pipeline.yaml"
+    # Slow, so that a busy machine keeps the rate.
+    pipeline.write_text(json.dumps({"camera": {"source": "faulty", "path": str(path), "rate": 4}}))
+    code = main(["doctor", str(pipeline), "--camera", "--json"])
+    return code, {f["subject"]: f for f in json.loads(capsys.readouterr().out)}
+
+
+def test_a_live_camera_is_opened_and_looked_at(tmp_path, capsys, monkeypatch):
+    _, found = _doctor(tmp_path, capsys, monkeypatch)
+    assert found["camera"]["found"] == "640 x 480, fx 614.2 fy 614.6"
+    assert (found["picture"]["state"], found["depth"]["state"], found["alignment"]["state"]) == ("ok",) * 3
+
+
+def test_what_its_worker_would_complain_of_is_told(tmp_path, capsys, monkeypatch):
+    code, found = _doctor(tmp_path, capsys, monkeypatch, dark=True, depth="zero")
+    assert code == 1
+    assert found["picture"]["state"] == found["depth"]["state"] == "bad"
+
+
+def test_a_camera_that_is_not_there_is_told(tmp_path, capsys, monkeypatch):
+    code, found = _doctor(tmp_path, capsys, monkeypatch, unplugged=True)
+    assert code == 1
+    assert "Plug it in" in found["camera"]["found"]
+
+
+def test_without_a_pipeline_nobody_knows_which_camera(capsys):
+    assert main(["doctor", "--camera"]) == 2
+    assert "huepose doctor PIPELINE.yaml --camera" in capsys.readouterr().err

@@ -25,13 +25,13 @@ _STATES: Mapping[str, Colour] = {
 }
 _SHARES = np.linspace(0.0, 0.3, 121)
 _STYLE = """
-body{font:15px/1.5 system-ui,sans-serif;color:#222;max-width:1240px;margin:2em auto;padding:0 1.2em}
+body{font:15px/1.5 system-ui,sans-serif;color:#222;max-width:1500px;margin:2em auto;padding:0 1.2em}
 h1{font-size:1.6em;margin-bottom:.2em} h2{font-size:1.15em;margin:2.2em 0 .6em;border-bottom:1px solid #ddd}
 .wide{overflow-x:auto} table{border-collapse:collapse;font-size:12px;font-variant-numeric:tabular-nums}
-th,td{padding:2px 6px;text-align:right;white-space:nowrap} tbody th{text-align:left;font-weight:500}
+th,td{padding:2px 5px;text-align:right;white-space:nowrap} tbody th{text-align:left;font-weight:500}
 thead th{border-bottom:1px solid #999;text-align:center} td.published,th.published{color:#777}
 td.measured{background:#eef5fb} tbody tr:hover td,tbody tr:hover th{background:#fdf6e3}
-ul{color:#555;font-size:13px;padding-left:1.2em} figure{display:inline-block;margin:.6em 1em .6em 0}
+ul{color:#555;font-size:13px;padding-left:1.2em} figure{display:inline-block;margin:.6em 12px .6em 0}
 figure img{max-width:100%;border:1px solid #eee} figcaption{font-size:13px;color:#555;max-width:720px}
 dl{display:grid;grid-template-columns:max-content auto;gap:0 1em;font-size:13px} dt{color:#777} dd{margin:0}
 """
@@ -100,7 +100,11 @@ def _image_pictures(
 
 def _objects(by_method: Mapping[str, Sequence[Row]], names: Mapping[str, str]) -> UInt8:
     paper = published("table1")
-    ours = next(values for head, values, _ in paper.columns if (head.method, head.figure) == ("Ours", "ADD"))
+    ours = next(
+        values
+        for head, values, _ in paper.columns
+        if (head.method, head.figure) == ("Ours (published)", "ADD")
+    )
     blocks = {
         method: grouped(rows, lambda row: names.get(str(row["object"]), str(row["object"])))
         for method, rows in by_method.items()

@@ -19,7 +19,7 @@ from huepose.colorpair.extract import extract
 from huepose.datasets.boxes import disturbed
 from huepose.drawing.contact_sheet import contact_sheet
 from huepose.drawing.depth_color import depth_to_color
-from huepose.drawing.overlay import blend, draw_color_pairs, draw_pose
+from huepose.drawing.overlay import draw_color_pairs, draw_pose
 from huepose.evaluation.metrics import add
 from huepose.rendering.render import render
 from huepose.scenes.builtin import SyntheticScene
@@ -54,7 +54,7 @@ def main() -> None:
         some = pairs[np.linspace(0, len(pairs) - 1, min(len(pairs), 120)).astype(int)]
         rgb = cv2.cvtColor(some.colors, cv2.COLOR_Lab2RGB)
         pairs_picture = draw_color_pairs(pairs_picture, some.pixels, np.rint(255 * rgb).astype(np.uint8))
-    models_picture = blend(frame.color // 4, drawn.color, drawn.depth > 0, strength=1.0)
+    models_picture = np.where((drawn.depth > 0)[..., None], drawn.color, frame.color // 4)
     sheet = contact_sheet(
         [picture, depth_to_color(frame.depth), pairs_picture, models_picture],
         2,

@@ -9,6 +9,7 @@ from functools import cache
 
 from huepose.believe.fits import fitted
 from huepose.believe.logistic import Logistic
+from huepose.judge.kernel import MARGIN
 from huepose.judge.open_region import BLIND
 from huepose.judge.terms import Terms
 
@@ -25,9 +26,6 @@ FEW = 0.1
 LEAST_THERE, ABSENT = 0.1, 5.0
 """With less of the surface there than this share nothing speaks for a pose: so many log-odds less where none
 is."""
-
-MARGIN = 0.15
-"""Share of the surface that a pose with little to see explains less, as in the judge's terms."""
 
 
 def features(terms: Terms, baseline: float | None) -> dict[str, float]:

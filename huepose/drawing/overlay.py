@@ -64,14 +64,6 @@ def tint(image: UInt8, mask: Bool, color: Colour, strength: float = 0.45) -> UIn
     return picture
 
 
-def blend(image: UInt8, rendering_color: UInt8, mask: Bool, strength: float = 0.6) -> UInt8:
-    """A rendering (H, W, 3) over the image where `mask` (H, W) is true: 1 hides the image there."""
-    picture = image.copy()
-    mixed = (1 - strength) * image[mask] + strength * rendering_color[mask]
-    picture[mask] = np.rint(mixed).astype(np.uint8)
-    return picture
-
-
 def draw_axes(image: UInt8, camera: Camera, T_cam_obj: Float, length_m: float) -> UInt8:
     """x red, y green, z blue from the object's origin, each `length_m` long, the farthest tip drawn first."""
     picture = image.copy()

@@ -51,7 +51,6 @@ class RegionArrays(NamedTuple):
     cy: float
     bounds: Float64
     tolerance: float
-    hides: float
     finest: int
     light: Float64
     lit: bool
@@ -102,7 +101,6 @@ def region_arrays(region: Region) -> RegionArrays:
         camera.cy,
         region.bounds,
         region.tolerance_m,
-        region.hides,
         0,
         _DARK if region.light is None else region.light,
         region.light is not None,

@@ -1,7 +1,7 @@
 """How much speaks for another texture: the share of seen contrasts at the model's pairs that point elsewhere.
 
 A correlation of colours says that something disagrees, not how much of the surface does: a third of the
-print in strong other hues pulls it down as far as a look-alike does, which has another print all over. So
+texture in strong other hues pulls it down as far as a look-alike does, which has another texture all over. So
 pairs are counted. The contrast of a pair is a direction in colour; light, shadow and exposure change its
 length, noise turns what is short, and only another colour turns what is long. Where the same object's texture
 is partly out of date, the contrasts of the rest still point their way; of a look-alike hardly any do.

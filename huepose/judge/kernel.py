@@ -26,8 +26,18 @@ STICKING = 3.0
 """A surface less than so many tolerances behind what is seen does not stand behind it but sticks in it, which
 solid things do not: a pose may not hide by sinking into its support or its neighbour."""
 
-SUNK = 0.5
-"""What it counts to stick in something, beside 1 for being seen through."""
+IMPLAUSIBLE = 0.5
+"""What it counts to hide where nothing hides, beside 1 for being seen through: sunk into something, or behind
+what is believed to be the object itself."""
+
+MARGIN = 0.15
+"""Share of the surface that is added to what is seen of a pose, so that little in view explains little."""
+
+GRAZING = 0.1
+"""Cosine under which a surface is seen too much from the side to be compared with readings."""
+
+SEEN_IN_COLOR = 0.02
+"""Share of the surface that must be seen in colour for its colours to be compared."""
 
 
 BLOCK = 64
@@ -67,7 +77,7 @@ def score_kernel(
     fitting = 0
     for k in range(seen):
         facing = scratch[0, k]
-        if facing < 0.1:
+        if facing < GRAZING:
             continue
         total += facing
         uf, vf, z = scratch[1, k], scratch[2, k], scratch[3, k]
@@ -112,15 +122,15 @@ def score_kernel(
             # would stick in it.
             hidden += facing
             sticks = gap > -STICKING * tolerance
-            violation += facing * (SUNK if sticks else region.hides * belief[v, u])
+            violation += facing * IMPLAUSIBLE * (1.0 if sticks else belief[v, u])
             occluded += facing * (1.0 - belief[v, u])
 
-    out[1] = fit / (near + violation + 0.15 * total)
-    out[3] = violation / (near + violation + 0.15 * total)
+    out[1] = fit / (near + violation + MARGIN * total)
+    out[3] = violation / (near + violation + MARGIN * total)
     out[5] = occluded / total
     out[6] = near / total
     out[7] = _box_iou(left, top, right, bottom, region.bounds)
-    out[8] = through / (near + through + 0.15 * total)
+    out[8] = through / (near + through + MARGIN * total)
     out[9] = hidden / total
     out[10] = blind / total
     out[11] = outside / total
@@ -130,7 +140,7 @@ def score_kernel(
     full_coverage, full_color = max(w_coverage * region.trust, 0.0), abs(w_color)
     if known + full_coverage + full_color <= needed:
         return float(known + full_coverage + full_color)
-    has_color = w_color != 0.0 and color_weight > 0.02 * total
+    has_color = w_color != 0.0 and color_weight > SEEN_IN_COLOR * total
     out[4] = 0.0
     if has_color:
         _read_colors(model, region, fitting, scratch)

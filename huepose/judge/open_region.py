@@ -93,7 +93,6 @@ def open_region(frame: RgbdFrame, box: Box, distance_m: float, diameter_m: float
         cy,
         _NOWHERE,
         tolerance_m(diameter_m, distance_m),
-        0.0,
         0,
         _NO_LIGHT,
         False,

@@ -63,19 +63,6 @@ class PairWeights:
 DEFAULT_PAIR_WEIGHTS = PairWeights()
 
 
-@dataclass(frozen=True)
-class PairScore:
-    """total: geometry plus weighted colour terms, comparable between poses on the same pixels; geometry: the
-    dense score without colour; color, contrast: correlations (-1..1), lowered where there is little to go
-    by; visible: number of pairs that were compared."""
-
-    total: float
-    geometry: float
-    color: float
-    contrast: float
-    visible: int
-
-
 def pair_picture(model: ReferenceModel, crop: Crop, depth_m: float) -> PairPicture:
     """The crop's colours at the scale of the model's fine reference views, for an object at `depth_m`."""
     h, w = crop.depth.shape
@@ -87,22 +74,6 @@ def pair_picture(model: ReferenceModel, crop: Crop, depth_m: float) -> PairPictu
     return PairPicture(opponents_of_bytes(color), w / color.shape[1], h / color.shape[0])
 
 
-def pair_score(
-    model: ReferenceModel,
-    region: Region,
-    picture: PairPicture,
-    T_cam_obj: Float,
-    pairs: int = 600,
-    samples: int = 300,
-    weights: PairWeights = DEFAULT_PAIR_WEIGHTS,
-) -> PairScore:
-    """Judge one pose (4, 4) by at most `pairs` of the model's pairs and `samples` of its surface."""
-    total, geometry, color, contrast, visible = pair_score_many(
-        model, region, picture, np.asarray(T_cam_obj)[None], pairs, samples, weights
-    )[0]
-    return PairScore(float(total), float(geometry), float(color), float(contrast), int(visible))
-
-
 def pair_score_many(
     model: ReferenceModel,
     region: Region,
@@ -112,7 +83,10 @@ def pair_score_many(
     samples: int = 300,
     weights: PairWeights = DEFAULT_PAIR_WEIGHTS,
 ) -> Float64:
-    """Judge poses (M, 4, 4): (M, 5), columns in the order of PairScore's fields."""
+    """Judge poses (M, 4, 4) by at most `pairs` of the model's pairs and `samples` of its surface: (M, 5), the
+    total, geometry plus weighted colours, comparable between poses on the same pixels; geometry, the dense
+    score without colour; color, contrast, correlations (-1..1), lowered where there is little to go by; the
+    number of pairs that were compared."""
     out = np.zeros((len(poses), PAIR_TERMS + 1))
     on = judged_on(model, region, picture, pairs, samples, weights)
     _score_all(np.ascontiguousarray(poses, dtype=np.float64), on, scratch(samples), out)

@@ -30,10 +30,6 @@ HALVED_FROM_PX = 2.0
 OUTSIDE_WEIGHT = 0.02
 MASK_POINTS = 500
 
-HIDES = 0.5
-"""What it counts against a pose that it lies behind something that is believed to be the object itself, as
-far as it is believed; as much as if one saw through half of it."""
-
 _LINEAR = linear_rgb(np.arange(256, dtype=np.uint8))
 
 
@@ -59,9 +55,8 @@ class Region:
     over about 1 mm, then over 3.5 mm, inside the mask without a look outside; points_cam (N, 3) and
     point_weights (N,) float64: at most 500 believed points in random order, away from rims; trust: 0..1, how
     far the belief itself may be believed; bounds (4,): left, top, right, bottom of the box in the crop;
-    tolerance_m: how far depth and surface may be apart; median_depth_m: of the mask; hides: what it counts
-    to lie behind what is believed (HIDES, or 0 for whoever doubts the masks); light (3,): what the light adds
-    to opponents, where that is known.
+    tolerance_m: how far depth and surface may be apart; median_depth_m: of the mask; light (3,): what the
+    light adds to opponents, where that is known.
     """
 
     crop: Crop
@@ -74,7 +69,6 @@ class Region:
     bounds: Float64
     tolerance_m: float
     median_depth_m: float
-    hides: float = HIDES
     light: Float64 | None = None
 
 
@@ -93,14 +87,6 @@ def prepare_crop(frame: RgbdFrame, window: Box) -> Crop:
         np.ascontiguousarray(frame.depth[y0:y1, x0:x1]),
         np.asarray(cv2.inRange(color, (0, 0, 0), (SATURATED - 1,) * 3) == 0),
     )
-
-
-def prepare_region(frame: RgbdFrame, mask: Bool, box: Box, diameter_m: float) -> Region | None:
-    """The region of a mask (H, W) in a box; None when no pixel of the mask has depth."""
-    window = object_window(frame, mask, diameter_m)
-    if window is None:
-        return None
-    return prepare_masked(prepare_crop(frame, window), mask, box, diameter_m)
 
 
 def object_window(frame: RgbdFrame, mask: Bool, diameter_m: float) -> Box | None:

@@ -3,8 +3,8 @@
 A score of one pose alone reads the picture where that pose fits it, and under the light that suits it. Of
 poses that compete for one answer more can be asked: that they explain the same pixels, where what shows and
 is not in their texture speaks against them, and that the texture is as strong in one as in the other. Fine
-detail is compared as the mesh has it, and moved as a whole as far as labels are glued on elsewhere; of
-broader texture no more is asked than that it is there within a pixel or two.
+detail is compared as the mesh has it; of broader texture no more is asked than that it is there within a
+pixel or two.
 """
 
 from __future__ import annotations
@@ -17,7 +17,6 @@ import numpy as np
 
 from huepose.geometry.arrays import Bool, Float32, Float64
 from huepose.geometry.camera import Camera
-from huepose.judge.displacement import aligned
 from huepose.judge.rendered_view import detail_colors
 from huepose.model.types import ReferenceModel
 from huepose.rendering.render import render
@@ -36,9 +35,6 @@ NOISE = 1.0
 
 WEAKEST, STRONGEST = 0.3, 1.2
 """Of a texture against that of the mesh: veiled by gloss and blur, or sharper than it was scanned."""
-
-MOVED = 0.7
-"""So much of the detail's correlation is that after the texture was moved where it suits the picture best."""
 
 FEWEST = 20
 """Pixels on which poses can be compared."""
@@ -106,10 +102,7 @@ def _detail(colors: Float32, seen: Sequence[_Seen], shared: Bool) -> Float64:
     out = []
     for one in seen:
         there = one.comparable[..., None]
-        texture = np.ascontiguousarray(one.colors[..., :3] * there)
-        moved = aligned(everywhere, texture, one.comparable)
-        as_drawn = _correlation(everywhere * there, texture, count)
-        correlation = as_drawn + MOVED * (_correlation(everywhere, moved, count) - as_drawn)
+        correlation = _correlation(everywhere * there, one.colors[..., :3] * there, count)
         out.append(correlation * float(one.comparable.sum()) / count)
     return np.array(out)
 

@@ -112,15 +112,9 @@ def ppf_votes(
     return Votes(R, t, w, f)
 
 
-def frame_of(normal: Float64) -> Float64:
-    """Rotation (3, 3) that takes a unit normal onto the x axis."""
-    R = np.empty((3, 3))
-    _frame(float(normal[0]), float(normal[1]), float(normal[2]), R)
-    return R
-
-
 @jit
-def _frame(x: float, y: float, z: float, R: Float64) -> None:
+def onto_x(x: float, y: float, z: float, R: Float64) -> None:
+    """Into R (3, 3): a rotation that takes the unit normal (x, y, z) onto the x axis."""
     if x < -0.999999:
         R[:] = 0.0
         R[0, 0], R[1, 1], R[2, 2] = -1.0, -1.0, 1.0
@@ -145,7 +139,7 @@ def _feature(
     for a in range(3):
         d[a] = points[j, a] - points[i, a]
     length = np.sqrt(d[0] * d[0] + d[1] * d[1] + d[2] * d[2])
-    _frame(normals[i, 0], normals[i, 1], normals[i, 2], R)
+    onto_x(normals[i, 0], normals[i, 1], normals[i, 2], R)
     y = R[1, 0] * d[0] + R[1, 1] * d[1] + R[1, 2] * d[2]
     z = R[2, 0] * d[0] + R[2, 1] * d[1] + R[2, 2] * d[2]
     for a in range(3):
@@ -261,8 +255,8 @@ def _vote(
             m, b = touched[k] // turns, touched[k] % turns
             v = votes[m, b]
             if v >= peaks * best and best > 0 and taken < 8 and count < room:
-                _frame(normals[i, 0], normals[i, 1], normals[i, 2], R)
-                _frame(model_normals[m, 0], model_normals[m, 1], model_normals[m, 2], Rm)
+                onto_x(normals[i, 0], normals[i, 1], normals[i, 2], R)
+                onto_x(model_normals[m, 0], model_normals[m, 1], model_normals[m, 2], Rm)
                 angle = (b + 0.5) / turns * 2 * np.pi
                 c, s = np.cos(angle), np.sin(angle)
                 for x in range(3):

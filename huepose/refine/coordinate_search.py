@@ -3,7 +3,8 @@ found by small turns and shifts that the texture likes better."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -91,63 +92,6 @@ def search_rendered_view(
 
 
 @jit
-def _search_all(
-    poses: Float64,
-    model: ModelArrays,
-    region: RegionArrays,
-    centre: Float64,
-    shift_per_radian: float,
-    steps: Float64,
-    samples: int,
-    weights: Float64,
-    rim: Rim,
-    race: float,
-    totals: Float64,
-) -> None:
-    scratch, terms = np.empty((SCRATCH_ROWS, samples)), np.empty(TERMS)
-    turn, trial = np.empty((3, 3)), np.empty((4, 4))
-    failed = np.empty((6, 2), np.int64)  # by axis and way: how many moves had been made then
-    for m in range(poses.shape[0]):
-        totals[m] = score_kernel(poses[m], model, region, samples, weights, scratch, terms, -np.inf)
-        if rim.weight > 0.0:
-            totals[m] += rim.weight * rim_agreement(poses[m], rim, region)
-    for level in range(steps.shape[0]):
-        least = totals.max() - race * np.degrees(steps[level]) if poses.shape[0] else 0.0
-        for m in range(poses.shape[0]):
-            if totals[m] < least:
-                continue
-            T, best = poses[m], totals[m]
-            moves = 0
-            failed[:] = -1
-            for _ in range(REPETITIONS):
-                before = moves
-                for axis in range(6):
-                    for way in range(2):
-                        if failed[axis, way] == moves:
-                            continue  # Tried already from this very pose.
-                        for _stride in range(STRIDES):
-                            step = steps[level] if way else -steps[level]
-                            stepped(T, axis, step, centre, shift_per_radian, turn, trial)
-                            needed = best + WORTH
-                            edge = 0.0
-                            if rim.weight > 0.0:
-                                edge = rim.weight * rim_agreement(trial, rim, region)
-                            total = edge + score_kernel(
-                                trial, model, region, samples, weights, scratch, terms, needed - edge
-                            )
-                            if total <= needed:
-                                failed[axis, way] = moves
-                                break
-                            best = total
-                            T[:] = trial
-                            moves += 1
-                            failed[axis, 1 - way] = moves  # It would only lead back.
-                if moves == before:
-                    break
-            totals[m] = best
-
-
-@jit
 def stepped(
     T: Float64,
     axis: int,
@@ -172,3 +116,93 @@ def stepped(
             out[r, k] = a * turn[0, k] + b * turn[1, k] + c * turn[2, k]
         for k in range(3):
             out[r, 3] += (T[r, k] - out[r, k]) * centre[k]
+
+
+Climb = Callable[[Float64, float, Any, float, Float64, float], float]
+"""Moves a pose (4, 4), of a known value, in place, by steps of one size along each axis in turn, judged on
+something, about a centre and with a shift a radian, while that makes the value larger; returns its value."""
+
+
+def climber(objective: Callable[[Float64, Any, float], float]) -> Climb:
+    """The loop for a compiled objective of a pose, what it is judged on, and the value that is needed."""
+
+    @jit
+    def climb(
+        T: Float64, best: float, on: Any, size: float, centre: Float64, shift_per_radian: float
+    ) -> float:
+        turn, trial = np.empty((3, 3)), np.empty((4, 4))
+        failed = np.full((6, 2), -1)  # by axis and way: how many moves had been made then
+        moves = 0
+        for _ in range(REPETITIONS):
+            before = moves
+            for axis in range(6):
+                for way in range(2):
+                    if failed[axis, way] == moves:
+                        continue  # Tried already from this very pose.
+                    for _stride in range(STRIDES):
+                        stepped(T, axis, size if way else -size, centre, shift_per_radian, turn, trial)
+                        needed = best + WORTH
+                        total = objective(trial, on, needed)
+                        if total <= needed:
+                            failed[axis, way] = moves
+                            break
+                        best = total
+                        T[:] = trial
+                        moves += 1
+                        failed[axis, 1 - way] = moves  # It would only lead back.
+            if moves == before:
+                break
+        return best
+
+    return climb
+
+
+class _Judged(NamedTuple):
+    """What a pose is judged on, by the dense score and by the outline of a rendered view."""
+
+    model: ModelArrays
+    region: RegionArrays
+    samples: int
+    weights: Float64
+    rim: Rim
+    scratch: Float64
+    terms: Float64
+
+
+@jit
+def _total(T: Float64, on: _Judged, needed: float) -> float:
+    """The total of a pose, or some number not over `needed` where that is not over it."""
+    edge = 0.0
+    if on.rim.weight > 0.0:
+        edge = on.rim.weight * rim_agreement(T, on.rim, on.region)
+    return edge + score_kernel(
+        T, on.model, on.region, on.samples, on.weights, on.scratch, on.terms, needed - edge
+    )
+
+
+_climb = climber(_total)
+
+
+@jit
+def _search_all(
+    poses: Float64,
+    model: ModelArrays,
+    region: RegionArrays,
+    centre: Float64,
+    shift_per_radian: float,
+    steps: Float64,
+    samples: int,
+    weights: Float64,
+    rim: Rim,
+    race: float,
+    totals: Float64,
+) -> None:
+    scratch, terms = np.empty((SCRATCH_ROWS, samples)), np.empty(TERMS)
+    on = _Judged(model, region, samples, weights, rim, scratch, terms)
+    for m in range(poses.shape[0]):
+        totals[m] = _total(poses[m], on, -np.inf)
+    for level in range(steps.shape[0]):
+        least = totals.max() - race * np.degrees(steps[level]) if poses.shape[0] else 0.0
+        for m in range(poses.shape[0]):
+            if totals[m] >= least:
+                totals[m] = _climb(poses[m], totals[m], on, steps[level], centre, shift_per_radian)

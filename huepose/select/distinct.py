@@ -1,4 +1,4 @@
-"""The best of scored poses that are really different: neighbours of a better pose are the same answer."""
+"""One answer, one pose: of poses that lie close to each other the best one stays."""
 
 from __future__ import annotations
 
@@ -23,20 +23,28 @@ def different_poses(
     """Indices (K,) of at most `count` poses (N, 4, 4), best total first, that differ from all better ones by
     `turn_rad` or by `shift` diameters at the object's centre."""
     order = np.argsort(-totals, kind="stable")
-    return _different(
-        poses, order, model.mesh.centre, 1.0 + 2.0 * np.cos(turn_rad), shift * model.diameter_m, count
-    )
+    first = first_different(poses[order], model.mesh.centre, turn_rad, shift * model.diameter_m, count)
+    return np.asarray(order[first])
+
+
+def first_different(
+    poses: Float64, centre: Float64, turn_rad: float, shift_m: float, count: int
+) -> np.ndarray:
+    """Indices (K,) of at most `count` poses (N, 4, 4), best first, that differ from all better ones by
+    `turn_rad` or by `shift_m` at `centre` (3,) of the object."""
+    least_trace = 1.0 + 2.0 * float(np.cos(turn_rad))
+    return np.asarray(_different(poses, np.asarray(centre, np.float64), least_trace, shift_m, count))
 
 
 @jit
 def _different(
-    poses: Float64, order: np.ndarray, centre: Float64, min_trace: float, min_shift: float, count: int
+    poses: Float64, centre: Float64, least_trace: float, min_shift: float, count: int
 ) -> np.ndarray:
     chosen = np.empty(count, np.int64)
     places = np.empty((count, 3))
     n = 0
     here = np.empty(3)
-    for i in order:
+    for i in range(poses.shape[0]):
         if n == count:
             break
         T = poses[i]
@@ -50,7 +58,7 @@ def _different(
                 shift2 += (here[r] - places[k, r]) ** 2
                 for c in range(3):
                     trace += T[r, c] * S[r, c]
-            if trace >= min_trace and shift2 <= min_shift * min_shift:
+            if trace >= least_trace and shift2 <= min_shift * min_shift:
                 is_new = False
                 break
         if is_new:
@@ -58,29 +66,3 @@ def _different(
             places[n] = here
             n += 1
     return chosen[:n]
-
-
-@jit
-def first_distinct(poses: Float64, least_cosine: float, shift_m: float, count: int) -> np.ndarray:
-    """Indices of the first `count` of poses (N, 4, 4), best first, that differ from those before by an angle
-    over that of the cosine, or by more than `shift_m` at the origin."""
-    out = np.empty(min(count, poses.shape[0]), np.int64)
-    n = 0
-    for k in range(poses.shape[0]):
-        if n == out.shape[0]:
-            break
-        alike = False
-        for j in range(n):
-            P, Q = poses[k], poses[out[j]]
-            trace, d2 = 0.0, 0.0
-            for r in range(3):
-                d2 += (P[r, 3] - Q[r, 3]) ** 2
-                for c in range(3):
-                    trace += P[r, c] * Q[r, c]
-            if (trace - 1.0) / 2.0 > least_cosine and d2 < shift_m * shift_m:
-                alike = True
-                break
-        if not alike:
-            out[n] = k
-            n += 1
-    return out[:n]

@@ -16,9 +16,9 @@ from huepose.judge.pair_terms import DEFAULT_PAIR_WEIGHTS, pair_picture, pair_sc
 from huepose.judge.region import Region
 from huepose.judge.terms import totals as totals_of
 from huepose.model.types import ReferenceModel
+from huepose.select.answers import different_answers
 from huepose.select.close_look import close_look
 from huepose.select.config import NearTieConfig, NearTieWeights
-from huepose.select.distinct import FINAL_SHIFT, FINAL_TURN_RAD, different_poses
 from huepose.select.ranked import Ranked
 
 TERMS = tuple(term.name for term in fields(NearTieWeights))
@@ -68,8 +68,7 @@ def decided(
     totals = np.concatenate([totals_of(model, region, held.poses), found.totals[rivals:]])
     others = np.maximum(found.behind[rivals:], config.within)
     ranked = Ranked.of(poses, totals, np.concatenate([config.share * (weighed - weighed.max()), -others]))
-    kept = different_poses(model, ranked.poses, -ranked.behind, len(ranked), FINAL_TURN_RAD, FINAL_SHIFT)
-    return ranked.these(kept), held
+    return ranked.these(different_answers(model, ranked.poses)), held
 
 
 def pair_colors(

@@ -24,7 +24,7 @@ from huepose.judge.surface import PreparedSurface
 from huepose.judge.terms import score_arrays
 from huepose.propose.hue_map import averaged, hue_map
 from huepose.refine.photometric import COARSE, FINE, QUICK, refine, refine_all
-from huepose.select.distinct import first_distinct
+from huepose.select.distinct import first_different
 from huepose.tracking.look import totals
 from huepose.tracking.reach import Reach
 
@@ -42,6 +42,8 @@ of the ratio), averaged over a square of this share of its thickness."""
 ROTATION_STEP, WIDE_STEP = np.radians(18.0), np.radians(25.0)
 WIDE = np.radians(80.0)
 """Spacing of the tried rotations, and where more than WIDE is in reach, of all of them."""
+
+ORIGIN = np.zeros(3)
 
 DIFFERENT_TURN = np.radians(10.0)
 FINAL_SAMPLES = 400
@@ -100,7 +102,7 @@ def search(
     arrays = region.arrays
     rated = score_arrays(surface.arrays, arrays, fine, FINAL_SAMPLES)[:, 0]
     order = np.argsort(-rated, kind="stable")
-    kept = first_distinct(fine[order], float(np.cos(APART_TURN)), APART * surface.diameter_m, FOUND)
+    kept = first_different(fine[order], ORIGIN, APART_TURN, APART * surface.diameter_m, FOUND)
     return list(fine[order][kept])
 
 
@@ -207,7 +209,7 @@ def _best(
 ) -> Float64:
     """The `count` best poses that differ by the turn, or by a twentieth of the diameter."""
     order = np.argsort(-totals(surface, region, poses, samples, tolerance_m), kind="stable")
-    kept = first_distinct(poses[order], float(np.cos(turn_rad)), 0.05 * surface.diameter_m, count)
+    kept = first_different(poses[order], ORIGIN, turn_rad, 0.05 * surface.diameter_m, count)
     return np.ascontiguousarray(poses[order][kept])
 
 
@@ -220,7 +222,7 @@ def _turned(rotations: tuple[Float64, ...], step_rad: float, limit_rad: float) -
     turned[:, :3, :3] = np.concatenate([ball @ R for R in rotations])
     if len(rotations) == 1:
         return list(turned[:, :3, :3])
-    return list(turned[first_distinct(turned, float(np.cos(0.5 * step_rad)), 1.0, len(turned)), :3, :3])
+    return list(turned[first_different(turned, ORIGIN, 0.5 * step_rad, 1.0, len(turned)), :3, :3])
 
 
 @lru_cache(maxsize=32)

@@ -10,12 +10,12 @@ import pytest
 
 from huepose.estimation import Estimator, EstimatorConfig, ObjectQuery
 from huepose.geometry import Box, Mesh, RgbdFrame, se3
-from huepose.judge.region import prepare_region
 from huepose.judge.texture_evidence import texture_evidence
 from huepose.model.types import ReferenceModel
 from huepose.rendering.render import render_depth
 from huepose.scenes.shapes import demo_objects
 from huepose.select.answers import ONE_ANSWER, different_answers
+from tests.judge.regions import prepare_region
 
 TakePicture = Callable[..., RgbdFrame]
 UPSIDE_DOWN = np.diag([-1.0, -1.0, 1.0])

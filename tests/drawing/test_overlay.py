@@ -70,15 +70,12 @@ def test_axes_end_where_the_unit_points_project() -> None:
     assert not changed(picture)[185:].any()
 
 
-def test_tint_and_blend_mix_inside_the_mask_only() -> None:
+def test_tint_mixes_inside_the_mask_only() -> None:
     mask = np.zeros((240, 320), bool)
     mask[10:20, 10:20] = True
     tinted = overlay.tint(IMAGE, mask, (200, 0, 100), 0.5)
     assert tinted[15, 15].tolist() == [150, 50, 100]
     assert np.array_equal(changed(tinted), mask)
-    over = overlay.blend(IMAGE, np.full_like(IMAGE, 200), mask, 1.0)
-    assert over[15, 15].tolist() == [200, 200, 200]
-    assert np.array_equal(changed(over), mask)
 
 
 def test_label_stays_inside() -> None:

@@ -1,13 +1,39 @@
 """What several tests of the judge look at."""
 
+from typing import NamedTuple
+
 import numpy as np
 
 from huepose.geometry import Box, RgbdFrame
+from huepose.geometry.arrays import Bool
 from huepose.judge.pair_kernel import PairPicture
-from huepose.judge.pair_terms import pair_picture
-from huepose.judge.region import Region, prepare_region
+from huepose.judge.pair_terms import pair_picture, pair_score_many
+from huepose.judge.region import Region, object_window, prepare_crop, prepare_masked
 from huepose.model.types import ReferenceModel
 from huepose.rendering.render import render_depth
+
+
+def prepare_region(frame: RgbdFrame, mask: Bool, box: Box, diameter_m: float) -> Region | None:
+    """The region of a mask (H, W) in a box; None when no pixel of the mask has depth."""
+    window = object_window(frame, mask, diameter_m)
+    return None if window is None else prepare_masked(prepare_crop(frame, window), mask, box, diameter_m)
+
+
+class PairScore(NamedTuple):
+    """What pairs say of one pose, as `pair_score_many` has it."""
+
+    total: float
+    geometry: float
+    color: float
+    contrast: float
+    visible: float
+
+
+def pair_score(
+    model: ReferenceModel, region: Region, picture: PairPicture, T: np.ndarray, *counts: int
+) -> PairScore:
+    """Of one pose (4, 4)."""
+    return PairScore(*pair_score_many(model, region, picture, T[None], *counts)[0].tolist())
 
 
 def region_of(frame: RgbdFrame, model: ReferenceModel, T: np.ndarray) -> Region:

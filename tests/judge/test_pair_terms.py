@@ -10,11 +10,11 @@ import pytest
 
 from huepose.geometry import RgbdFrame, se3
 from huepose.judge.pair_kernel import PairPicture, pair_kernel, scratch
-from huepose.judge.pair_terms import judged_on, pair_score, pair_score_many
+from huepose.judge.pair_terms import judged_on, pair_score_many
 from huepose.judge.region import Region
 from huepose.model.types import ReferenceModel
 from huepose.paper.extended.pair_search import search_pairs
-from tests.judge.regions import seen_by_pairs
+from tests.judge.regions import pair_score, seen_by_pairs
 
 TakePicture = Callable[..., RgbdFrame]
 

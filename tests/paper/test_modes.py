@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 import numpy as np
+from scipy.spatial.transform import Rotation
 
 from huepose.geometry import se3
-from huepose.geometry.rotations import mean_rotation
 from huepose.paper.modes import distinct_modes, modes_of
 
 
@@ -20,7 +20,7 @@ def test_a_mode_is_the_chordal_mean_of_votes_of_any_sign() -> None:
     # a radius so wide that all votes weigh as they are
     scores, means, places = modes_of(q[None].astype(f), centres.astype(f), weights, features, 1e3, 3.0, 30, 5)
     assert len(scores) == 1
-    expected = mean_rotation(np.stack(turns), weights)
+    expected = Rotation.from_matrix(np.stack(turns)).mean(weights).as_matrix()
     found = se3.rotation_from_quaternion(means[0])
     angle = np.arccos(np.clip((np.trace(found.T @ expected) - 1) / 2, -1, 1))
     assert angle < 1e-4

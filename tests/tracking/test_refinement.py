@@ -14,7 +14,7 @@ from huepose.judge.terms import NOTHING, Terms, score_arrays
 from huepose.model.types import ReferenceModel
 from huepose.propose.relative_pose import RobustKabsch
 from huepose.refine.photometric import FULL, QUICK, refine, refine_all
-from huepose.select.distinct import first_distinct
+from huepose.select.distinct import first_different
 from huepose.tracking.config import TrackerConfig
 from huepose.tracking.hypothesis import Hypothesis
 from huepose.tracking.look import totals
@@ -186,8 +186,8 @@ def test_different_poses_are_kept_in_order() -> None:
         return se3.make(se3.rotation_exp(np.array([0.0, 0.0, angle])), np.array([x, 0.0, 1.0]))
 
     poses = np.array([at(0, 0), at(0.001, 0.01), at(0.0, 0.5), at(0.1, 0.0), at(0.1, 0.45), at(0.0, 0.49)])
-    assert first_distinct(poses, float(np.cos(0.1)), 0.01, 10).tolist() == [0, 2, 3, 4]
-    assert first_distinct(poses, float(np.cos(0.1)), 0.01, 2).tolist() == [0, 2]
+    assert first_different(poses, np.zeros(3), 0.1, 0.01, 10).tolist() == [0, 2, 3, 4]
+    assert first_different(poses, np.zeros(3), 0.1, 0.01, 2).tolist() == [0, 2]
 
 
 def test_flow_gives_a_start_where_velocity_knows_nothing(tea_box, shoot, path) -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from typing import NamedTuple
 
 import numpy as np
 
@@ -11,7 +12,7 @@ from huepose.judge.pair_kernel import Judged, PairPicture, Room, pair_kernel, sc
 from huepose.judge.pair_terms import DEFAULT_PAIR_WEIGHTS, PairWeights, judged_on
 from huepose.judge.region import Region
 from huepose.model.types import ReferenceModel
-from huepose.refine.coordinate_search import REPETITIONS, SHIFT_PER_RADIAN, STRIDES, WORTH, stepped
+from huepose.refine.coordinate_search import SHIFT_PER_RADIAN, climber
 from huepose.support.jit import jit
 
 
@@ -41,42 +42,31 @@ def search_pairs(
     return out, totals
 
 
+class _On(NamedTuple):
+    judged: Judged
+    room: Room
+
+
+@jit
+def _total(T: Float64, on: _On, needed: float) -> float:
+    return pair_kernel(T, on.judged, on.room, needed)
+
+
+_climb = climber(_total)
+
+
 @jit
 def _search_all(
     poses: Float64,
-    on: Judged,
+    judged: Judged,
     room: Room,
     centre: Float64,
     shift_per_radian: float,
     steps: Float64,
     totals: Float64,
 ) -> None:
-    turn, trial = np.empty((3, 3)), np.empty((4, 4))
-    failed = np.empty((6, 2), np.int64)  # By axis and way: how many moves had been made then.
+    on = _On(judged, room)
     for m in range(poses.shape[0]):
-        T = poses[m]
-        best = pair_kernel(T, on, room, -np.inf)
+        totals[m] = _total(poses[m], on, -np.inf)
         for level in range(steps.shape[0]):
-            moves = 0
-            failed[:] = -1
-            for _ in range(REPETITIONS):
-                before = moves
-                for axis in range(6):
-                    for way in range(2):
-                        if failed[axis, way] == moves:
-                            continue  # Tried already from this very pose.
-                        for _stride in range(STRIDES):
-                            step = steps[level] if way else -steps[level]
-                            stepped(T, axis, step, centre, shift_per_radian, turn, trial)
-                            needed = best + WORTH
-                            total = pair_kernel(trial, on, room, needed)
-                            if total <= needed:
-                                failed[axis, way] = moves
-                                break
-                            best = total
-                            T[:] = trial
-                            moves += 1
-                            failed[axis, 1 - way] = moves  # It would only lead back.
-                if moves == before:
-                    break
-        totals[m] = best
+            totals[m] = _climb(poses[m], totals[m], on, steps[level], centre, shift_per_radian)

@@ -9,13 +9,13 @@ import pytest
 
 from huepose.estimation import Estimator, EstimatorConfig, ObjectQuery
 from huepose.geometry import Box, RgbdFrame, se3
-from huepose.judge.pair_terms import pair_picture, pair_score
-from huepose.judge.region import prepare_region
+from huepose.judge.pair_terms import pair_picture
 from huepose.model.types import ReferenceModel
 from huepose.paper.extended.colorpair import FINAL_PAIRS, FINAL_SAMPLES, estimate_by_pairs
 from huepose.paper.extended.config import ColorpairPathConfig
 from huepose.propose.evidence import gather
 from huepose.rendering.render import render_depth
+from tests.judge.regions import pair_score, prepare_region
 
 TakePicture = Callable[..., RgbdFrame]
 

@@ -18,6 +18,7 @@ ROOT = Path(__file__).parents[2]
 
 def test_each_of_the_25_is_in_the_table_of_the_manual_with_where_it_is_injected():
     page = (ROOT / "docs" / "reliability.md").read_text()
+    page = page[page.index("## The faults") : page.index("## Measured")]
     rows = dict(re.findall(r"^\| (\d+) \| .* \| (.*) \|$", page, re.MULTILINE))
     assert sorted(map(int, rows)) == list(range(1, 26))
     live = {fault.number for fault in FAULTS}

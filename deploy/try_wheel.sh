@@ -32,7 +32,7 @@ import huepose, huepose_protos, huepose_services
 
 assert all("/env/lib" in package.__file__ for package in (huepose, huepose_protos, huepose_services))
 # Those of other extras, which say so when they are used.
-others = ("huepose.training", "huepose_services.viewer")
+others = ("huepose.training", "huepose_services.viewer", "huepose_services.authority")
 names = [m.name for p in (huepose, huepose_services) for m in pkgutil.walk_packages(p.__path__, p.__name__ + ".")]
 wanted = [name for name in names if not name.startswith(others)]
 for name in wanted:

@@ -11,8 +11,9 @@ estimator's verdict on them is the last word.
 from __future__ import annotations
 
 import threading
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import replace
+from functools import cache, partial
 
 import cv2
 import numpy as np
@@ -83,10 +84,15 @@ class ColorPairDetector:
             return []
         proposals = self.config.proposals
         most = max(proposals, self.config.pool) if len(names) > 1 else proposals
-        guesses = self._guesses(view, names)
+        guesses = self._guesses(view)
         places = {
             name: propose(
-                self._model(name), self._table(name), view, most, self._efforts(name, thorough), guesses[name]
+                self._model(name),
+                self._table(name),
+                view,
+                most,
+                self._efforts(name, thorough),
+                None if guesses is None else partial(guesses, name),
             )
             for name in names
         }
@@ -101,19 +107,25 @@ class ColorPairDetector:
         ]
         return sorted((d for d in found if d.score >= self.config.min_score), key=lambda d: -d.score)
 
-    def _guesses(self, view: ClearView, names: Sequence[str]) -> dict[str, Float64]:
-        """Poses (K, 4, 4) that the keypoints of each object agree on."""
+    def _guesses(self, view: ClearView) -> Callable[[str], Float64] | None:
+        """What gives the poses (K, 4, 4) that the keypoints of an object agree on; the features of the view
+        are extracted once, for the first object that asks. None where keypoints are no source."""
         if "keypoints" not in self.config.sources:
-            return dict.fromkeys(names, np.zeros((0, 4, 4)))
-        with stage("features"):
-            near = cv2.dilate(view.clear.view(np.uint8), np.ones((HOLE_PX, HOLE_PX), np.uint8)) > 0
-            shown = view.clear | (near & (view.crop.depth == 0))
-            spots = Spots.of(self._features.extract(view.crop.color, shown))
-        with stage("keypoints"):
-            depth, camera = view.crop.depth, view.crop.camera
-            return {
-                name: agreed(match(self._keypoints_of(name), spots), depth, camera).poses for name in names
-            }
+            return None
+
+        @cache
+        def spots() -> Spots:
+            with stage("features"):
+                near = cv2.dilate(view.clear.view(np.uint8), np.ones((HOLE_PX, HOLE_PX), np.uint8)) > 0
+                shown = view.clear | (near & (view.crop.depth == 0))
+                return Spots.of(self._features.extract(view.crop.color, shown))
+
+        def guessed(name: str) -> Float64:
+            seen, sought = spots(), self._keypoints_of(name)
+            with stage("keypoints"):
+                return agreed(match(sought, seen), view.crop.depth, view.crop.camera).poses
+
+        return guessed
 
     def _rated(self, view: ClearView, places: Mapping[str, list[Proposal]]) -> dict[str, list[Proposal]]:
         """The same places, scored by the logit of the probability that they are the object's."""

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -72,29 +72,34 @@ def propose(
     view: ClearView,
     count: int,
     efforts: Sequence[Effort] = EFFORTS,
-    guesses: Float64 | None = None,
+    guessed: Callable[[], Float64] | None = None,
 ) -> list[Proposal]:
     """The `count` best different places of an object in a view, best first.
 
-    `guesses`: poses (K, 4, 4) that keypoints agree on, most likely first; `efforts`: what is tried then,
-    until a place is surely the object's."""
-    poses, rated = _guessed(model, view, np.zeros((0, 4, 4)) if guesses is None else guesses)
+    `guessed`: gives poses (K, 4, 4) that keypoints agree on; `efforts`: what is tried by views. Each of these
+    only until a place is surely the object's; keypoints after a first look by views, which costs less."""
+    none = np.zeros((0, 4, 4)), np.zeros(0)
+    by_keypoints, by_views = none, none
     if efforts:
         with stage("windows"):
             windows = windows_of(view, model.diameter_m, table.views.span_m)
             order = promising(table, windows)
-        found = poses[:0], rated[:0]
-        for k, effort in enumerate(efforts):
-            if not k or max(rated.max(initial=-np.inf), found[1].max(initial=-np.inf)) < SURE:
-                with stage("windows"):
-                    chosen = filled(windows[order[: effort.windows]], view, model.diameter_m)
-                found = _tried(model, table, view, chosen, effort)
-        poses, rated = np.concatenate([poses, found[0]]), np.concatenate([rated, found[1]])
+    for step in (*efforts[:1], guessed, *efforts[1:]):
+        if step is None or any((rated >= SURE).any() for _, rated in (by_keypoints, by_views)):
+            continue
+        if isinstance(step, Effort):
+            with stage("windows"):
+                chosen = filled(windows[order[: step.windows]], view, model.diameter_m)
+            by_views = _tried(model, table, view, chosen, step)
+        else:
+            by_keypoints = _followed(model, view, step())
+    poses = np.concatenate([by_keypoints[0], by_views[0]])
+    rated = np.concatenate([by_keypoints[1], by_views[1]])
     with stage("thin"):
         return _thinned(model, view, poses, rated, count)
 
 
-def _guessed(model: ReferenceModel, view: ClearView, guesses: Float64) -> tuple[Float64, Float64]:
+def _followed(model: ReferenceModel, view: ClearView, guesses: Float64) -> tuple[Float64, Float64]:
     """Guessed poses, as they are, on the depth and searched (M, 4, 4), and their scores (M,)."""
     if not len(guesses):
         return guesses, np.zeros(0)

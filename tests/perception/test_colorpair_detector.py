@@ -17,7 +17,7 @@ from huepose.perception.colorpair_detector import ColorPairDetector
 from huepose.perception.config import DetectorConfig, Source
 from huepose.perception.ground import large_planes, standing_clear
 from huepose.perception.nearby import align_in_view
-from huepose.perception.scouting import likeliest_near_symmetries
+from huepose.perception.scouting import likeliest_near_symmetries, propose
 from huepose.perception.window_table import window_table
 from huepose.rendering.render import render_depth
 from huepose.support.errors import InputError
@@ -130,6 +130,23 @@ def test_a_model_without_keypoints_gets_them(
 def test_a_source_that_there_is_not_is_refused() -> None:
     with pytest.raises(InputError, match="keypoints, views"):
         DetectorConfig(sources=())
+
+
+def test_keypoints_are_asked_for_only_where_a_first_look_is_not_sure(
+    tea_box: ReferenceModel, take_picture: TakePicture, standing: np.ndarray
+) -> None:
+    asked: list[bool] = []
+
+    def guessed() -> np.ndarray:
+        asked.append(True)
+        return np.zeros((0, 4, 4))
+
+    grey = replace(tea_box.mesh, texture=np.full_like(tea_box.mesh.texture, 90))
+    for mesh, times in ((tea_box.mesh, 0), (grey, 1)):
+        view = clear_view(take_picture([(mesh, standing)]), 0.3)
+        assert view is not None
+        propose(tea_box, window_table(tea_box), view, 1, guessed=guessed)
+        assert len(asked) == times
 
 
 def test_an_empty_table_gives_nothing(tea_box: ReferenceModel, take_picture: TakePicture) -> None:

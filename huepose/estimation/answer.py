@@ -59,7 +59,8 @@ def answer_of(
         return replace(answer, score=score, terms=terms, reason=reason)
     chances = fit.probabilities(terms)
     T, alignment, mask = final_refinement(model, frame, region, se3.orthonormalised(ranked.poses[0]))
-    others = zip(ranked.poses[1:], chances[1:], strict=True)
+    # A prior that was only confirmed has a chance for a rival that nobody looked for: it has no pose.
+    others = zip(ranked.poses[1:], chances[1:], strict=False)
     return replace(
         answer,
         found=True,

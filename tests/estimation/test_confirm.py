@@ -47,3 +47,16 @@ def test_a_plainly_right_prior_needs_no_views_and_a_wrong_one_is_not_confirmed(
         assert np.linalg.norm(answer.T_cam_obj[:3, 3] - standing[:3, 3]) < 0.002
         assert se3.rotation_angle(answer.T_cam_obj, standing) < np.radians(1.0)
         assert sought or answer.margin <= ConfirmConfig().margin
+
+
+def test_a_confirmed_prior_of_an_object_without_near_symmetries_is_an_answer_without_rivals(
+    tea_box: ReferenceModel, take_picture: TakePicture, standing: np.ndarray
+) -> None:
+    frame = replace(take_picture([(tea_box.mesh, standing)]), frame_id=NOT_IN_FULL)
+    box = Box.of_mask(render_depth(tea_box.mesh, standing, frame.camera) > 0)
+    alone = replace(tea_box, near_symmetries=tea_box.near_symmetries[:1])
+    (answer,) = Estimator({"tea_box": alone}).estimate(
+        frame, [ObjectQuery("tea_box", box, prior=PosePrior(standing))]
+    )
+    assert answer.state == "TRACKING"
+    assert answer.alternatives == ()

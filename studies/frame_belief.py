@@ -1,14 +1,12 @@
-"""Fit how sure a pose in a frame is (`believe.frame`): poses that tracking reaches, right and wrong, on drawn
-sequences.
+"""Fit how sure a pose in a frame is (`believe.frame`): poses that tracking reaches, right and wrong, on the
+films of `studies.stress`.
 
-    S="python -m studies.drawn_sequences --bundles BUNDLES"
-    $S --out build/fit --seed 21 --count 16 --objects 1 3 5 8 15 18 12 20
-    $S --out build/choose --seed 22 --count 8 --objects 2 4 7 17
-    python -m studies.frame_belief --bundles BUNDLES --fit build/fit --choose build/choose --json out.json
+    python -m studies.frame_belief --bundles BUNDLES --json out.json --processes 2
 
-Every third frame is reached from 1 to 15 frames before, from wrong places and turns, and from elsewhere in
-the picture. Each pose that comes out counts as right or wrong by where it is, whatever led there. `--write`
-puts the fit in the package."""
+Fitted on the split `fit`, looked at on `choose`: of each so many films of the objects made by code, and as
+many of the reference models in BUNDLES. Every few frames a pose is reached from 1 to 15 frames before, from
+wrong places and turns, and from elsewhere in the picture, also where the object is gone. Each pose that comes
+out counts as right or wrong by where it is, whatever led there. `--write` puts the fit in the package."""
 
 from __future__ import annotations
 
@@ -17,33 +15,35 @@ import json
 from collections.abc import Mapping, Sequence
 from concurrent.futures import ProcessPoolExecutor
 from dataclasses import asdict, dataclass
-from functools import partial
 from pathlib import Path
 
 import numpy as np
 
 from huepose.believe.fits import write_fit
-from huepose.believe.frame import features
+from huepose.believe.frame import features, frame_fit
 from huepose.believe.logistic import Logistic
-from huepose.datasets.fast_ycb import FastYcbSequence, object_of
 from huepose.evaluation import metrics
 from huepose.geometry import RgbdFrame, se3
 from huepose.geometry.arrays import Bool, Float64
+from huepose.judge.borders import outline
 from huepose.judge.terms import NOTHING
-from huepose.model import ReferenceModel, load_models
+from huepose.model import ReferenceModel
 from huepose.support.progress import progress
 from huepose.tracking import TrackerConfig, evidence
 from huepose.tracking.hypothesis import Hypothesis
 from huepose.tracking.motion import increment_velocity
 from huepose.tracking.step import Anchor, Subject, advance, best_of
 from studies.likelihood import logistic
+from studies.stress.playing import Job, film_of
 
-EVERY = 3
+EVERY = 8
 NEAR, FAR = (3, 5, 7), (10, 15)
 """Frames apart, beside neighbours."""
 
 KNOWN = 0.8
 """Share of the questions in which baseline and light are known."""
+
+FAR_OFF = 99.0
 
 
 @dataclass(frozen=True)
@@ -64,13 +64,20 @@ def main() -> None:
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )
     parser.add_argument("--bundles", type=Path, required=True)
-    parser.add_argument("--fit", type=Path, required=True)
-    parser.add_argument("--choose", type=Path, required=True)
+    parser.add_argument("--films", type=int, nargs=2, default=(15, 8), help="by code, of BUNDLES")
+    parser.add_argument("--only", nargs="+", default=[], help="features to fit; the others stay as they are")
     parser.add_argument("--json", type=Path, required=True)
+    parser.add_argument("--processes", type=int, default=1)
     parser.add_argument("--write", action="store_true")
     arguments = parser.parse_args()
-    parts = {name: rows_of(arguments.bundles, getattr(arguments, name)) for name in ("fit", "choose")}
-    fit = fitted(parts["fit"])
+    parts = {}
+    with ProcessPoolExecutor(arguments.processes) as pool:
+        for split in ("fit", "choose"):
+            kinds = zip((None, arguments.bundles), arguments.films, strict=True)
+            jobs = [Job(split, n, bundles, None, ()) for bundles, count in kinds for n in range(count)]
+            collected = progress(pool.map(collect, jobs), split, len(jobs))
+            parts[split] = [row for rows in collected for row in rows]
+    fit = fitted(parts["fit"], arguments.only)
     report = {name: worth(rows, fit) for name, rows in parts.items()}
     factors = {k: round(v, 3) for k, v in fit.factors.items() if v > 0}
     entry = {"constant": round(fit.constant, 3), "factors": factors}
@@ -81,50 +88,42 @@ def main() -> None:
     print(json.dumps({"fit": entry, "report": report}, indent=1))
 
 
-def rows_of(bundles: Path, folder: Path) -> list[Row]:
-    """Of all sequences in a folder of `studies.drawn_sequences`."""
-    sequences = sorted(path.parents[1] for path in folder.glob("*/*/gt/poses_ycb.txt"))
-    with ProcessPoolExecutor() as pool:
-        collected = pool.map(partial(collect, bundles), sequences)
-        return [row for rows in progress(collected, folder.name, len(sequences)) for row in rows]
-
-
-def collect(bundles: Path, path: Path) -> list[Row]:
-    """Poses that are reached in every third frame of a sequence."""
-    model = load_models(bundles)[object_of(path)]
-    offset = np.zeros(3) if model.frame_offset_m is None else model.frame_offset_m
-    sequence, subject = FastYcbSequence(path, offset), Subject.of(model)
-    visible = json.loads((path / "visib_fract.json").read_text())
-    rng = np.random.default_rng([len(path.name), *path.parent.name.encode()])
-    frames = [sequence.frame(i) for i in sequence.image_ids]
-    labels = [sequence.truths(i)[0].T_cam_obj for i in sequence.image_ids]
-    truth = [T for T in labels if T is not None]
+def collect(job: Job) -> list[Row]:
+    """Poses that are reached in every few frames of a film."""
+    film, models = film_of(job)
+    if film is None:
+        return []
+    model = models[film.object]
+    subject, rng = Subject.of(model), np.random.default_rng([job.number, *film.name.encode()])
+    frames, visible = [s.frame for s in film.frames], [float(s.visib_fract[0]) for s in film.frames]
+    truth = [s.T_cam_obj[0] for s in film.frames]
     baseline, light, rows = None, None, []
     for i in range(2, len(frames), EVERY):
-        if visible[i] < 0.1:
-            continue
-        before = best_of(subject.surface, frames[i - 1], [(truth[i - 1], "still")], light)
-        if error_of(model, before.T_cam_obj, truth[i - 1]) < metrics.RECALL_FRACTION:
-            baseline = evidence.baseline_after(baseline, before.terms.total)
-            light = evidence.light_after(light, before.terms)
+        gone = visible[i] < 0.1
         found: list[tuple[str, float | None, Hypothesis]] = []
+        if not gone and visible[i - 1] >= 0.1:
+            before = best_of(subject.surface, frames[i - 1], [(truth[i - 1], "still")], light)
+            if error_of(model, before.T_cam_obj, truth[i - 1]) < metrics.RECALL_FRACTION:
+                baseline = evidence.baseline_after(baseline, before.terms.total)
+                light = evidence.light_after(light, before.terms)
         for step in (1, int(rng.choice(NEAR)), int(rng.choice(FAR))):
-            if i - step < 1:
+            if gone or i - step < 1 or visible[i - step] < 0.1:
                 continue
-            known = rng.random() < KNOWN
-            baseline_now, lit = (baseline, light) if known else (None, None)
+            usual, lit = (baseline, light) if rng.random() < KNOWN else (None, None)
             velocity = increment_velocity(truth[i - step - 1], truth[i - step], 1 / 30)
             start = Hypothesis(truth[i - step], NOTHING, np.zeros((6, 6)), "still", velocity)
-            reached = advance(
-                subject, Anchor((start,), frames[i - step], baseline_now, lit), frames[i], TrackerConfig()
-            )
-            found += [(f"step {step}", baseline_now, h) for h in (*reached.followed, *reached.proposed)]
-        for kind, T in wrong_starts(model, truth[i], frames[i], rng):
-            found.append((kind, baseline, best_of(subject.surface, frames[i], [(T, "still")], light)))
-        for kind, baseline_now, h in found:
-            error = error_of(model, h.T_cam_obj, truth[i])
-            seen = features(h.terms, baseline_now)
-            rows.append(Row(path.parent.name, i, kind, h.source, seen, error))
+            anchor = Anchor((start,), frames[i - step], usual, lit)
+            reached = advance(subject, anchor, frames[i], TrackerConfig())
+            found += [(f"step {step}", usual, h) for h in (*reached.followed, *reached.proposed)]
+        # Where the object is gone, poses that are wrong in any case: about where it was.
+        at = truth[i] if not gone else truth[0]
+        for kind, T in wrong_starts(model, at, frames[i], rng):
+            usual, lit = (baseline, light) if rng.random() < KNOWN else (None, None)
+            found.append((kind, usual, best_of(subject.surface, frames[i], [(T, "still")], lit)))
+        for kind, usual, h in found:
+            error = np.inf if gone else error_of(model, h.T_cam_obj, truth[i])
+            seen = features(h.terms, usual, outline(subject.contours, h.T_cam_obj, frames[i]).goes_on)
+            rows.append(Row(film.name, i, kind, h.source, seen, min(error, FAR_OFF)))
     return rows
 
 
@@ -174,11 +173,18 @@ def _table(rows: Sequence[Row]) -> tuple[list[str], Float64, Bool]:
     return names, X, np.array([row.error < metrics.RECALL_FRACTION for row in rows])
 
 
-def fitted(rows: Sequence[Row]) -> Logistic:
-    """The fit of the largest likelihood, right and wrong weighing alike."""
+def fitted(rows: Sequence[Row], only: Sequence[str] = ()) -> Logistic:
+    """The fit of the largest likelihood, right and wrong weighing alike. only: features whose factors are
+    fitted beside the others that the package has; the constant may then only fall."""
     names, X, right = _table(rows)
     weight = np.where(right, 0.5 / right.mean(), 0.5 / (1.0 - right.mean()))
-    return logistic(X, right, weight, names)
+    if not only:
+        return logistic(X, right, weight, names)
+    kept = frame_fit()
+    kept = Logistic(kept.constant, {k: f for k, f in kept.factors.items() if k not in only})
+    known = np.array([kept.log_odds(row.features) for row in rows])
+    new = logistic(X[:, [names.index(name) for name in only]], right, weight, only, known)
+    return Logistic(kept.constant + min(new.constant, 0.0), {**kept.factors, **new.factors})
 
 
 def worth(rows: Sequence[Row], fit: Logistic) -> dict[str, float]:

@@ -28,9 +28,9 @@ LEAST_THERE, ABSENT = 0.1, 5.0
 is."""
 
 
-def features(terms: Terms, baseline: float | None) -> dict[str, float]:
+def features(terms: Terms, baseline: float | None, goes_on: float) -> dict[str, float]:
     """What speaks for a pose (the larger, the more), by name. baseline: the total that is usual for it, or
-    None."""
+    None; goes_on: share of the outline beyond which surface and colour go on."""
     heard = terms.colored / (terms.colored + FEW)
     # Where no colour is seen it is not known how much there would be.
     possible = terms.contrast / (terms.contrast + PLAIN) if terms.contrast > 0.0 else 1.0
@@ -43,12 +43,13 @@ def features(terms: Terms, baseline: float | None) -> dict[str, float]:
         "explained": there / (there + through + MARGIN),
         "color": -max(possible - heard * terms.color, 0.0),
         "no_drop": -drop,
+        "ends": -goes_on,
     }
 
 
-def log_odds(terms: Terms, baseline: float | None) -> float:
+def log_odds(terms: Terms, baseline: float | None, goes_on: float) -> float:
     """That the pose is right, with nothing known beforehand."""
-    x = frame_fit().log_odds(features(terms, baseline))
+    x = frame_fit().log_odds(features(terms, baseline, goes_on))
     return x - ABSENT * (1.0 - min(_there(terms) / LEAST_THERE, 1.0))
 
 

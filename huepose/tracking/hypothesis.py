@@ -26,7 +26,8 @@ POINTS = 48
 class Hypothesis:
     """T_cam_obj (4, 4); velocity (6,) or None; what is seen of it; information (6, 6) of the refinement;
     source: which start led there ("still", "velocity", "flow", "search", "turn", "correction"); log_odds:
-    that it is right, filtered over the frames."""
+    that it is right, filtered over the frames; goes_on: share of its outline beyond which the surface goes
+    on."""
 
     T_cam_obj: Float64
     terms: Terms
@@ -34,17 +35,18 @@ class Hypothesis:
     source: str
     velocity: Float64 | None = None
     log_odds: float = 0.0
+    goes_on: float = 0.0
 
     def believed(self, log_odds: float) -> Hypothesis:
         """The same with other log-odds."""
         return replace(self, log_odds=log_odds)
 
 
-def same_pose(surface: PreparedSurface, T_a: Float64, T_b: Float64) -> bool:
-    """Whether two poses (4, 4) are one for all practical purposes."""
+def same_pose(surface: PreparedSurface, T_a: Float64, T_b: Float64, share: float = SAME) -> bool:
+    """Whether two poses (4, 4) are one for all practical purposes, or nearer than a share of the diameter."""
     points = surface.arrays.points[:POINTS].astype(np.float64)
     apart = np.linalg.norm(se3.apply(T_a, points) - se3.apply(T_b, points), axis=1).mean()
-    return bool(apart < SAME * surface.diameter_m)
+    return bool(apart < share * surface.diameter_m)
 
 
 def distinct(surface: PreparedSurface, opinions: Sequence[Hypothesis]) -> tuple[Hypothesis, ...]:

@@ -24,6 +24,7 @@ from huepose.tracking.evidence import Standing
 from huepose.tracking.history import Entry, FrameHistory, PoseHistory, _Stretch
 from huepose.tracking.hypothesis import Hypothesis
 from huepose.tracking.identity import Identity
+from huepose.tracking.rival import Facing
 from huepose.tracking.step import Subject
 from huepose.tracking.track import Track
 from huepose.tracking.tracker import Tracker
@@ -32,7 +33,7 @@ from huepose.tracking.types import Correction, State, TrackedPose, Verdict
 _CLASSES: dict[str, type] = {
     one.__name__: one
     for one in (
-        *(Correction, Entry, FrameHistory, Hypothesis, Identity, PoseHistory),
+        *(Correction, Entry, Facing, FrameHistory, Hypothesis, Identity, PoseHistory),
         *(Pursuit, Standing, Terms, Track, TrackedPose, _Stretch),
     )
 }

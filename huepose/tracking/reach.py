@@ -35,6 +35,12 @@ class Reach:
         return float(np.linalg.norm(centre_cam - self.centre_cam)) < self.distance_m + REFINED_M
 
 
+def most_turned(velocity: Float64 | None, seconds: float, config: TrackerConfig) -> float:
+    """By how much an object can be turned otherwise than expected, so long after its last pose, radians."""
+    radians = float(min(SLACK_RAD + config.max_search_rad_s * seconds, MAX_RAD))
+    return radians if velocity is None or seconds > MAX_AHEAD_S else TRUSTED_VELOCITY * radians
+
+
 def reaches(
     surface: PreparedSurface,
     T_last: Float64,
@@ -46,7 +52,7 @@ def reaches(
     """Where an object can be so long after its last pose: if it moved on as it did, to where it is expected,
     and if it did not."""
     metres = min(SLACK_M + config.max_search_m_s * seconds, MAX_M)
-    radians = float(min(SLACK_RAD + config.max_search_rad_s * seconds, MAX_RAD))
+    radians = most_turned(None, seconds, config)
     last, going_on = T_last[:3, :3], expected[:3, :3]
     middle = se3.interpolate(T_last, expected, 0.5)
     rotations = (last,) if expected is T_last else (last, going_on)

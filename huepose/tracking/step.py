@@ -17,6 +17,7 @@ from huepose.geometry.arrays import Bool, Float64
 from huepose.geometry.box import Box
 from huepose.geometry.frame import RgbdFrame
 from huepose.geometry.mesh import Mesh
+from huepose.judge.borders import Contours
 from huepose.judge.open_region import OpenRegion, open_region
 from huepose.judge.silhouette import visible_within
 from huepose.judge.surface import PreparedSurface
@@ -27,6 +28,7 @@ from huepose.propose.correspondences import match
 from huepose.propose.relative_pose import RelativePose, RobustKabsch, lift_matches
 from huepose.refine.photometric import FINE, refine
 from huepose.tracking.config import TrackerConfig
+from huepose.tracking.evidence import RIGHT
 from huepose.tracking.hypothesis import Hypothesis
 from huepose.tracking.look import look, totals
 from huepose.tracking.motion import predicted
@@ -59,18 +61,32 @@ RETURNING_SEEN = 0.2
 @dataclass(frozen=True, eq=False)
 class Subject:
     """The object: its prepared surface, its mesh, and the rotations (M, 4, 4) that nearly map its shape to
-    itself, without the identity."""
+    itself, without the identity; other_turns: those of them after which a pose is wrong; contours: where it
+    ends, seen from anywhere."""
 
     surface: PreparedSurface
     mesh: Mesh
     near_symmetries: Float64
+    other_turns: Float64
+    contours: Contours
 
     @staticmethod
     def of(model: ReferenceModel) -> Subject:
         """Prepare a reference model for tracking."""
-        return Subject(
-            PreparedSurface.of(model), model.mesh, np.asarray(model.near_symmetries[1:], np.float64)
-        )
+        turns = np.asarray(model.near_symmetries[1:], np.float64)
+        other = [not _same_turn(model, turn) for turn in turns]
+        surface, wrong = PreparedSurface.of(model), turns[np.array(other, bool)]
+        return Subject(surface, model.mesh, turns, wrong, Contours(model.mesh, surface))
+
+
+def _same_turn(model: ReferenceModel, turn: Float64) -> bool:
+    """Whether a pose is right still after that turn (4, 4)."""
+    points = model.eval_points.astype(np.float64)
+    apart = [
+        np.linalg.norm(se3.apply(turn, points) - se3.apply(T, points), axis=1).mean()
+        for T in model.equivalents
+    ]
+    return bool(min(apart) < RIGHT * model.diameter_m)
 
 
 @dataclass(frozen=True, eq=False)
@@ -306,10 +322,15 @@ def unmoved(
     surface: PreparedSurface, frame: RgbdFrame, T_cam_obj: Float64, light: Float64 | None
 ) -> Hypothesis:
     """A pose as it is, with what is seen of it."""
-    box, z = surface.box(T_cam_obj, frame.camera), float(surface.centre_cam(T_cam_obj)[2])
-    region = None if box is None else _window(surface, frame, box, z)
+    region = region_of(surface, frame, T_cam_obj)
     terms = NOTHING if region is None else look(surface, region.lit(light), T_cam_obj)
     return Hypothesis(T_cam_obj, terms, np.zeros((6, 6)), "velocity")
+
+
+def region_of(surface: PreparedSurface, frame: RgbdFrame, T_cam_obj: Float64) -> OpenRegion | None:
+    """The window of a frame that a pose is looked at in; None outside of the image."""
+    box, z = surface.box(T_cam_obj, frame.camera), float(surface.centre_cam(T_cam_obj)[2])
+    return None if box is None else _window(surface, frame, box, z)
 
 
 def moved_m(surface: PreparedSurface, T_a: Float64, T_b: Float64) -> float:

@@ -8,8 +8,10 @@ from dataclasses import replace
 import numpy as np
 
 from huepose.believe.logistic import probability
+from huepose.geometry import se3
 from huepose.geometry.arrays import Bool, Float64
 from huepose.geometry.frame import RgbdFrame
+from huepose.judge.borders import outline
 from huepose.judge.terms import NOTHING, Terms
 from huepose.propose.relative_pose import RelativePose
 from huepose.tracking import evidence
@@ -19,7 +21,8 @@ from huepose.tracking.history import PoseHistory
 from huepose.tracking.hypothesis import Hypothesis, distinct, share_of_first
 from huepose.tracking.identity import Identity, turned_over
 from huepose.tracking.motion import filtered, increment_velocity, predicted
-from huepose.tracking.reach import jump_odds
+from huepose.tracking.reach import jump_odds, most_turned
+from huepose.tracking.rival import Facing, alike, best_rival, reached
 from huepose.tracking.step import END, FLOW, Advance, Anchor, Subject, advance, found_nearby
 from huepose.tracking.types import State, TrackedPose
 from huepose.tracking.uncertainty import covariance, spread_m, unseen
@@ -58,6 +61,7 @@ class Track:
         self._standing = Standing(State.SEARCHING)
         self._identity: Identity | None = None
         self._corrected_from: Identity | None = None
+        self._facing: Facing | None = None
         self._doubtful_frames = self._in_vain = self._begun = self._scarce_frames = 0
         self._unseen_s = 0.0
         self._supported_ns = 0
@@ -105,15 +109,17 @@ class Track:
         surface, before = self.subject.surface, anchor.first
         seconds = (frame.stamp_ns - anchor.frame.stamp_ns) * 1e-9
         opinions = [
-            self._believed(h, parent.log_odds, parent, seconds)
+            self._believed(h, parent.log_odds, parent, seconds, frame)
             for h, parent in zip(found.followed, anchor.hypotheses, strict=False)
         ]
         gone_s = seconds + anchor.unseen_s
         for h in found.proposed:
+            if self._cannot_be(h, found.followed[0], gone_s):
+                continue
             jump = jump_odds(
                 surface, before.T_cam_obj, before.velocity, h.T_cam_obj, seconds, gone_s, self._config
             )
-            opinions.append(self._believed(h, before.log_odds + jump, before, seconds))
+            opinions.append(self._believed(h, before.log_odds + jump, before, seconds, frame))
         corrected = self._corrected_from
         self._corrected_from = None
         self.hypotheses = distinct(surface, opinions)
@@ -136,12 +142,57 @@ class Track:
         self._doubtful_frames = self._doubtful_frames + 1 if found.doubtful else 0
         self._in_vain = self._in_vain + (found.begun == END) if found.doubtful else 0
         self._begun = found.begun % END
+        if self.evidence >= self._config.lost_quality:
+            self._face(anchor, frame)
 
-    def _believed(self, h: Hypothesis, odds_before: float, parent: Hypothesis, seconds: float) -> Hypothesis:
+    def _believed(
+        self, h: Hypothesis, odds_before: float, parent: Hypothesis, seconds: float, frame: RgbdFrame
+    ) -> Hypothesis:
         """A hypothesis with its log-odds, and the velocity that led to it."""
         measured = increment_velocity(parent.T_cam_obj, h.T_cam_obj, seconds)
         velocity = filtered(parent.velocity, measured, seconds)
-        return replace(h, velocity=velocity, log_odds=evidence.log_odds(h.terms, self.baseline, odds_before))
+        goes_on = outline(self.subject.contours, h.T_cam_obj, frame).goes_on
+        odds = evidence.log_odds(h.terms, self.baseline, odds_before, goes_on)
+        return replace(h, velocity=velocity, log_odds=odds, goes_on=goes_on)
+
+    def _face(self, anchor: Anchor, frame: RgbdFrame) -> None:
+        """Ask whether the object may be turned otherwise: by what it can have turned to since the anchor,
+        and, while that was open, by what could be meant before."""
+        before, seconds = anchor.first, (frame.stamp_ns - anchor.frame.stamp_ns) * 1e-9
+        first, turns, view = self.hypotheses[0], self.subject.other_turns, self._view()
+        expected = predicted(before.T_cam_obj, before.velocity, seconds)
+        gone_s = seconds + anchor.unseen_s
+        limit = most_turned(before.velocity, seconds, self._config)
+        T, velocity = before.T_cam_obj, before.velocity
+        moved = jump_odds(self.subject.surface, T, velocity, first.T_cam_obj, seconds, gone_s, self._config)
+        if moved < 0.0 or anchor.unseen_s > 0.0:
+            limit = np.pi  # It did not come here as things do, or was not seen coming.
+        new = reached(turns, first.T_cam_obj, expected, limit)
+        facing = self._facing or Facing.of(0.5, view)
+        if len(new):
+            turns = new if facing.settled else turns
+            facing = facing.jumped(view)
+        self._facing = facing
+        self._ask(turns, frame, anchor.light)
+
+    def _cannot_be(self, found: Hypothesis, followed: Hypothesis, gone_s: float) -> bool:
+        """Whether a pose is what was followed, turned as it can only be meant, since nothing turns so fast;
+        which way round the object is was settled."""
+        if self._facing is None or not self._facing.settled:
+            return False
+        turned = se3.rotation_angle(found.T_cam_obj, followed.T_cam_obj)
+        if turned < most_turned(None, gone_s, self._config):
+            return False
+        return len(alike(self.subject.other_turns, followed.T_cam_obj, found.T_cam_obj)) > 0
+
+    def _ask(self, turns: Float64, frame: RgbdFrame, light: Float64 | None) -> None:
+        """Judge the best of the turns of the pose, if one has a chance."""
+        view, first = self._view(), self.hypotheses[0]
+        if self._facing is None or not self._facing.open(view):
+            return
+        rival = best_rival(self.subject, first, turns, frame, light)
+        margin = np.inf if rival is None else first.terms.total - rival.terms.total
+        self._facing = self._facing.told(margin, view)
 
     def update_state(self, frame: RgbdFrame, contested: bool = False, since_ns: int = 0) -> None:
         """Judge what `look` found; contested: another pose holds the same surface with better right. Poses
@@ -166,10 +217,14 @@ class Track:
         """Begin with a pose of perception that is `apart_s` seconds off `frame`; says how many dear proposals
         that took."""
         found, tried = found_nearby(self.subject.surface, T_cam_obj, frame, apart_s, self._config)
-        odds = evidence.log_odds(found.terms, self.baseline, evidence.odds_of(quality))
-        self.hypotheses, self.frame = (found.believed(odds),), frame
+        goes_on = outline(self.subject.contours, found.T_cam_obj, frame).goes_on
+        odds = evidence.log_odds(found.terms, self.baseline, evidence.odds_of(quality), goes_on)
+        self.hypotheses, self.frame = (replace(found, log_odds=odds, goes_on=goes_on),), frame
         self.evidence = probability(odds)
         self.covariance = self._covariance(found)
+        if self.evidence >= self._config.lost_quality:
+            self._facing = Facing.of(quality, self._view())
+            self._ask(self.subject.other_turns, frame, None)
         self.learn()
         return tried
 
@@ -188,8 +243,12 @@ class Track:
         correction does this."""
         self.hypotheses, self.covariance = verified.hypotheses[:1], verified.covariance
         self.baseline, self.light, self.evidence = verified.baseline, verified.light, verified.evidence
-        self.frame = frame
-        self._identity, self._corrected_from = Identity.of(quality, self._view()), None
+        self.frame, self._facing = frame, verified._facing
+        first = self.hypotheses[0]
+        told = evidence.log_odds(first.terms, self.baseline, 0.0, first.goes_on)
+        # What perception saw in the same picture is not seen twice: this can only speak against it.
+        known = min(quality, probability(evidence.odds_of(quality) + told))
+        self._identity, self._corrected_from = Identity.of(known, self._view()), None
         self._doubtful_frames = self._in_vain = self._begun = self._scarce_frames = 0
         self._unseen_s = 0.0
         self._supported_ns = frame.stamp_ns
@@ -229,8 +288,10 @@ class Track:
         self._corrected_from = self._identity
         if self._identity is None or turned_over(before.T_cam_obj, moved):
             self._identity = Identity.of(quality, self._view())
+            self._facing = Facing.of(quality, self._view())
         else:
             self._identity = self._identity.agreed(quality, self._view())
+            self._assure(quality)
 
     def agree(self, quality: float) -> None:
         """Perception found the same pose by itself."""
@@ -238,6 +299,11 @@ class Track:
             self.hypotheses = self.hypotheses[:1]
             self.baseline = self.terms.total
             self._identity = self._identity.agreed(quality, self._view())
+            self._assure(quality)
+
+    def _assure(self, quality: float) -> None:
+        if self._facing is not None:
+            self._facing = self._facing.assured(quality)
 
     def published(self, frame: RgbdFrame) -> TrackedPose:
         """What is said of it about that frame."""
@@ -268,8 +334,9 @@ class Track:
 
     def _judge(self) -> None:
         identity = 0.0 if self._identity is None else self._identity.value
-        self.quality = self.evidence * identity
-        confirmed = identity >= self._config.confirmed_identity
+        turn = 1.0 if self._facing is None else self._facing.probability
+        self.quality = self.evidence * min(identity, turn)
+        confirmed = identity >= self._config.confirmed_identity and turn >= self._config.confirmed_turn
         self._standing = next_standing(self._standing, self.evidence, confirmed, self._config)
         if self.state is State.LOST:
             self.hypotheses, self.covariance, self.quality = (), None, 0.0

@@ -16,6 +16,7 @@ from huepose.believe.logistic import probability
 from huepose.evaluation import metrics
 from huepose.geometry import se3
 from huepose.geometry.arrays import Bool, Float64
+from huepose.judge.borders import outline
 from huepose.model.types import ReferenceModel
 from huepose.tracking import evidence
 from huepose.tracking.step import Subject, best_of
@@ -49,7 +50,9 @@ def challenge(
             for i, start in enumerate(starts):
                 step = best_of(subject.surface, seen.frame, [(start, "still")])
                 add = metrics.add(model.eval_points, step.T_cam_obj, truth)
-                qualities.append(probability(evidence.log_odds(step.terms, baseline.get(k), UNDECIDED)))
+                goes_on = outline(subject.contours, step.T_cam_obj, seen.frame).goes_on
+                odds = evidence.log_odds(step.terms, baseline.get(k), UNDECIDED, goes_on)
+                qualities.append(probability(odds))
                 right.append(add < metrics.RECALL_FRACTION * model.diameter_m)
                 if i == 0:
                     baseline[k] = evidence.baseline_after(baseline.get(k), step.terms.total)

@@ -16,7 +16,7 @@ from huepose.tracking import Tracker
 from studies.hard_moments.perception import Oracle
 from studies.hard_moments.play import play
 from studies.stress.causes import runs
-from studies.stress.films import drawn, recorded
+from studies.stress.films import Film, drawn, recorded
 from studies.stress.objects import builtin_models
 
 
@@ -64,27 +64,30 @@ def models_of(split: str, bundles: Path | None) -> Mapping[str, ReferenceModel]:
     return builtin_models(seed, cache_folder() / "stress" / f"objects-{seed}")
 
 
+def film_of(job: Job) -> tuple[Film | None, Mapping[str, ReferenceModel]]:
+    """The film of a job, None where its object has no look-alike to be swapped for, and all models."""
+    split, models = SPLITS[job.split], models_of(job.split, job.bundles)
+    if job.recorded is not None:
+        return recorded(job.recorded, models), models
+    names = sorted(models)
+    if job.bundles is not None:
+        names = sorted(n for n, m in models.items() if m.object_id in split.objects)
+    model, kind = models[names[job.number % len(names)]], KINDS[job.number % len(KINDS)]
+    return drawn(cache_folder() / "stress", kind, model, models, split.seed, job.number), models
+
+
 def played(job: Job) -> list[Row]:
     """All runs of a film: what was published in every frame; one row without frames where there is none."""
     cv2.setNumThreads(1)
-    split, models = SPLITS[job.split], models_of(job.split, job.bundles)
-    if job.recorded is not None:
-        film = recorded(job.recorded, models)
-    else:
-        names = sorted(models)
-        if job.bundles is not None:
-            names = sorted(n for n, m in models.items() if m.object_id in split.objects)
-        model = models[names[job.number % len(names)]]
-        kind = KINDS[job.number % len(KINDS)]
-        found = drawn(cache_folder() / "stress", kind, model, models, split.seed, job.number)
-        if found is None:
-            return [{"job": job.name, "frames": []}]
-        film = found
+    film, models = film_of(job)
+    if film is None:
+        return [{"job": job.name, "frames": []}]
+    seed = SPLITS[job.split].seed
     model, rows = models[film.object], []
-    for run in runs(film, model, split.seed):
+    for run in runs(film, model, seed):
         for mode in job.modes:
             tracker = Tracker({film.object: model})
-            perception = Oracle(run, models, split.seed) if mode == "with_loop" else None
+            perception = Oracle(run, models, seed) if mode == "with_loop" else None
             (told,) = play(run, models, tracker, perception=perception, first=(run.first, run.quality)).told
             frames = [
                 (

@@ -1,0 +1,123 @@
+"""Whether the object is turned as it is believed to be, where what is in view may not tell.
+
+Plain sides of a box, a label that repeats, a part of one colour: the object turned so that its shape nearly
+fits could be meant as well. Then only where it came from tells, and that only if it cannot have turned so
+far meanwhile. So the best of the other turns that it can have reached is judged, too, and while it has a
+chance it is remembered as one: until a view comes that tells them apart."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from huepose.believe.logistic import probability
+from huepose.geometry import se3
+from huepose.geometry.arrays import Float64
+from huepose.geometry.frame import RgbdFrame
+from huepose.judge.terms import score_arrays
+from huepose.tracking.evidence import RIGHT, odds_of
+from huepose.tracking.hypothesis import Hypothesis, same_pose
+from huepose.tracking.look import SAMPLES
+from huepose.tracking.step import Subject, best_of, region_of
+
+SHARPNESS = 12.0
+"""Log-odds for a total that is greater by 1, between the right pose and the turned one that is most like it:
+the likeliest on the drawn films of the split `fit` (`studies.stress`)."""
+
+NEW_VIEW = np.radians(25.0)
+"""From a viewpoint this much different, what is seen is new evidence."""
+
+SAME_VIEW = np.radians(8.0)
+"""Within this, it is what was seen before."""
+
+ABOUT = np.radians(15.0)
+"""A refinement of a turned pose turns it by no more."""
+
+TRIES = 3
+
+SETTLED, MOST = 4.6, 6.0
+"""Log-odds from which on nothing is asked any more (99 %), and the most."""
+
+
+@dataclass(frozen=True, eq=False)
+class Facing:
+    """That the object is turned as it is believed to be. value: log-odds; base: the same before what is seen
+    from about `view` (3,), a direction to the camera in object axes; asked (3,): the view that was judged
+    last."""
+
+    value: float
+    base: float
+    view: Float64
+    asked: Float64 | None = None
+
+    @staticmethod
+    def of(quality: float, view: Float64) -> Facing:
+        """Of a pose that perception is that sure of."""
+        return Facing(odds_of(quality), odds_of(quality), view)
+
+    @property
+    def probability(self) -> float:
+        """In 0..1."""
+        return probability(self.value)
+
+    @property
+    def settled(self) -> bool:
+        """No other turn has a chance."""
+        return self.value >= SETTLED
+
+    def open(self, view: Float64) -> bool:
+        """Whether another turn has a chance, and the view may tell more than the last one did."""
+        seen = self.asked is not None and float(view @ self.asked) > np.cos(SAME_VIEW)
+        return not self.settled and not seen
+
+    def jumped(self, view: Float64) -> Facing:
+        """After a step in which it can have turned into another one: nothing is known beforehand."""
+        return Facing(min(self.value, 0.0), min(self.value, 0.0), view)
+
+    def assured(self, quality: float) -> Facing:
+        """After perception found the same pose by itself, being that sure of it."""
+        base = max(self.base, odds_of(quality))
+        return replace(self, base=base, value=max(self.value, base))
+
+    def told(self, margin: float, view: Float64) -> Facing:
+        """After the total of the pose was found to be greater by that than that of its best rival."""
+        base, about = self.base, self.view
+        if float(view @ about) < np.cos(NEW_VIEW):
+            base, about = self.value, view
+        return Facing(float(np.clip(base + SHARPNESS * margin, -MOST, MOST)), base, about, view)
+
+
+def best_rival(
+    subject: Subject, first: Hypothesis, turns: Float64, frame: RgbdFrame, light: Float64 | None
+) -> Hypothesis | None:
+    """The best of a pose after the turns (M, 4, 4), refined; None where none can be, or the likeliest of them
+    lead back to the pose itself."""
+    surface = subject.surface
+    region = region_of(surface, frame, first.T_cam_obj) if len(turns) else None
+    if region is None:
+        return None
+    poses = np.ascontiguousarray(first.T_cam_obj @ turns)
+    rated = score_arrays(surface.arrays, region.lit(light).arrays, poses, SAMPLES)[:, 0]
+    for k in np.argsort(-rated, kind="stable")[:TRIES]:
+        found = best_of(surface, frame, [(poses[k], "turn")], light)
+        if not same_pose(surface, found.T_cam_obj, first.T_cam_obj, RIGHT):
+            return found
+    return None
+
+
+def reached(turns: Float64, T_cam_obj: Float64, expected: Float64, radians: float) -> Float64:
+    """Those of the turns (M, 4, 4) of a pose that it can have come to as well, by turning no farther than
+    that from where it is expected, or than to the pose itself."""
+    return _within(turns, T_cam_obj, expected, max(radians, se3.rotation_angle(T_cam_obj, expected)))
+
+
+def alike(turns: Float64, T_cam_obj: Float64, T_other: Float64) -> Float64:
+    """Those of the turns (M, 4, 4) that lead from a pose to about another."""
+    return _within(turns, T_cam_obj, T_other, ABOUT)
+
+
+def _within(turns: Float64, T_cam_obj: Float64, T_other: Float64, radians: float) -> Float64:
+    R = T_other[:3, :3].T @ T_cam_obj[:3, :3]
+    traces = np.einsum("ij,kji->k", R, turns[:, :3, :3])
+    return np.asarray(turns[(traces - 1.0) / 2.0 >= np.cos(min(radians, np.pi)) - 1e-9], np.float64)

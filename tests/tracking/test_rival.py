@@ -1,0 +1,102 @@
+"""What tells a plain face from a floor, and which way round a plain object is."""
+
+import numpy as np
+import pytest
+
+from huepose.geometry import Camera, Mesh, RgbdFrame, se3
+from huepose.judge.borders import Contours, outline
+from huepose.judge.surface import PreparedSurface
+from huepose.model import ReferenceModel
+from huepose.onboarding import onboard_mesh
+from huepose.rendering import render
+from huepose.scenes.room import sheet
+from huepose.tracking.hypothesis import Hypothesis
+from huepose.tracking.rival import NEW_VIEW, SETTLED, Facing, alike, best_rival, reached
+from huepose.tracking.step import Subject, best_of
+from studies.stress.objects import builtin_meshes
+
+CAMERA = Camera(420.0, 420.0, 159.5, 119.5, 320, 240)
+FLOOR_M = 0.8
+VIEW = np.array([0.0, 0.0, 1.0])
+HALF_TURN = se3.make(np.diag([-1.0, -1.0, 1.0]), np.zeros(3))
+
+
+@pytest.fixture(scope="module")
+def plain_box() -> ReferenceModel:
+    """Of one colour but for a sticker on the side that is hidden when it lies."""
+    return onboard_mesh(builtin_meshes(0)["plain_box"], "plain_box")
+
+
+def picture(mesh: Mesh | None, T_cam_obj: np.ndarray, floor: tuple[int, int, int]) -> RgbdFrame:
+    """A plain floor that is looked at from straight above, and a mesh before it."""
+    ground = sheet(3.0, 3.0, np.full((8, 8, 3), floor, np.uint8))
+    scene = [(ground, se3.make(np.diag([1.0, -1.0, -1.0]), np.array([0.0, 0.0, FLOOR_M])))]
+    seen = render([*scene, *([] if mesh is None else [(mesh, T_cam_obj)])], CAMERA)
+    return RgbdFrame(seen.color, seen.depth, CAMERA)
+
+
+def lying(model: ReferenceModel, x: float = 0.0) -> np.ndarray:
+    """On the floor with one face up, which is 6 cm above it."""
+    R = se3.rotation_exp(np.array([np.pi / 2, 0.0, 0.0]))
+    top = float((model.mesh.vertices @ R.T)[:, 2].max())
+    return se3.make(R, np.array([x, 0.0, FLOOR_M - top]))
+
+
+def test_a_box_ends_where_its_outline_says_and_a_floor_does_not(plain_box: ReferenceModel) -> None:
+    contours, T = Contours(plain_box.mesh, PreparedSurface.of(plain_box)), lying(plain_box)
+    there = outline(contours, T, picture(plain_box.mesh, T, (90, 130, 160)))
+    assert there.ended > 0.8
+    assert there.goes_on < 0.05
+    sunk = T.copy()
+    front = float((plain_box.mesh.vertices @ T[:3, :3].T)[:, 2].min())
+    sunk[2, 3] = FLOOR_M - front  # its upper face in the plane of the bare floor
+    bare = outline(contours, sunk, picture(None, T, (90, 130, 160)))
+    assert bare.goes_on > 0.8
+    assert bare.ended < 0.05
+
+
+def test_what_is_moved_along_its_own_face_goes_on_on_one_side(plain_box: ReferenceModel) -> None:
+    contours, T = Contours(plain_box.mesh, PreparedSurface.of(plain_box)), lying(plain_box)
+    frame = picture(plain_box.mesh, T, (170, 120, 90))
+    moved = outline(contours, lying(plain_box, 0.03), frame)
+    assert moved.goes_on > 0.15
+    assert outline(contours, T, frame).goes_on < 0.05
+
+
+def test_a_plain_box_has_a_rival_as_good_as_itself_and_a_printed_one_has_not(
+    plain_box: ReferenceModel, tea_box: ReferenceModel
+) -> None:
+    margins = []
+    for model in (plain_box, tea_box):
+        subject, T = Subject.of(model), lying(model)
+        assert len(subject.other_turns)
+        frame = picture(model.mesh, T, (90, 130, 160))
+        first = best_of(subject.surface, frame, [(T, "still")])
+        rival = best_rival(subject, first, subject.other_turns, frame, None)
+        assert isinstance(rival, Hypothesis)
+        margins.append(first.terms.total - rival.terms.total)
+    assert abs(margins[0]) < 0.03
+    assert margins[1] > 0.3
+
+
+def test_only_turns_that_it_can_have_made_are_rivals() -> None:
+    turns, T = HALF_TURN[None], se3.make(np.eye(3), np.array([0.0, 0.0, 0.6]))
+    assert len(reached(turns, T, T, np.radians(30.0))) == 0
+    assert len(reached(turns, T, T, np.pi)) == 1
+    half_way = se3.make(se3.rotation_exp(np.array([0.0, 0.0, np.radians(95.0)])), T[:3, 3])
+    assert len(reached(turns, T, half_way, np.radians(30.0))) == 1, "nearer to the other than to this"
+    assert len(alike(turns, T, T @ HALF_TURN)) == 1
+    assert len(alike(turns, T, half_way)) == 0
+
+
+def test_what_the_image_tells_of_one_view_counts_once() -> None:
+    facing = Facing.of(0.5, VIEW)
+    for _ in range(9):
+        facing = facing.told(0.1, VIEW)
+    assert facing.value == pytest.approx(1.2)
+    aside = se3.rotation_exp(np.array([1.1 * NEW_VIEW, 0.0, 0.0])) @ VIEW
+    assert facing.told(0.1, aside).value == pytest.approx(2.4)
+    assert not facing.open(VIEW)
+    assert facing.open(aside)
+    assert facing.told(1.0, aside).value > SETTLED
+    assert facing.told(1.0, aside).jumped(aside).probability == pytest.approx(0.5)

@@ -25,8 +25,8 @@ _LINEAR = np.where(
     np.arange(256) / 255 / 12.92,
     ((np.arange(256) / 255 + 0.055) / 1.055) ** 2.4,
 ).astype(np.float32)
-_LOGARITHMS = (np.log(_LINEAR + np.float32(DARKEST)) * np.float32(SCALE)).astype(np.float32)
-_OPPONENTS = np.array([[1 / 3, 1 / 3, 1 / 3], [1, -1, 0], [0.5, 0.5, -1]], np.float32)
+LOGARITHMS = (np.log(_LINEAR + np.float32(DARKEST)) * np.float32(SCALE)).astype(np.float32)
+OPPONENTS = np.array([[1 / 3, 1 / 3, 1 / 3], [1, -1, 0], [0.5, 0.5, -1]], np.float32)
 """Lightness, red-green, yellow-blue of three logarithms."""
 
 
@@ -57,11 +57,11 @@ def opponents_of_bytes(color: UInt8) -> Float32:
     if not color.size:  # OpenCV converts no empty pictures
         return np.zeros(color.shape, np.float32)
     flat = np.ascontiguousarray(color).reshape(-1, color.shape[-2] if color.ndim > 2 else 1, 3)
-    return np.asarray(cv2.transform(cv2.LUT(flat, _LOGARITHMS), _OPPONENTS), np.float32).reshape(color.shape)
+    return np.asarray(cv2.transform(cv2.LUT(flat, LOGARITHMS), OPPONENTS), np.float32).reshape(color.shape)
 
 
 def _of_logarithms(log: Float32) -> Float32:
-    return np.asarray(log @ _OPPONENTS.T, dtype=np.float32)
+    return np.asarray(log @ OPPONENTS.T, dtype=np.float32)
 
 
 def opponents_of_lab(lab: Float) -> Float32:

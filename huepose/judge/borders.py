@@ -12,14 +12,15 @@ from dataclasses import dataclass, field
 import cv2
 import numpy as np
 
-from huepose.colorpair.opponents import opponents_of_bytes
+from huepose.colorpair.opponents import LOGARITHMS, OPPONENTS
 from huepose.geometry import Camera, se3
-from huepose.geometry.arrays import Float, Float32, Float64
+from huepose.geometry.arrays import Float, Float32, Float64, UInt8
 from huepose.geometry.depth_noise import depth_noise_m
 from huepose.geometry.frame import RgbdFrame
 from huepose.geometry.mesh import Mesh
 from huepose.judge.surface import PreparedSurface
 from huepose.rendering.render import render_depth
+from huepose.support.jit import jit
 
 SIDE_PX, NOMINAL_DISTANCE = 160, 5.0
 """Contours are taken from pictures of that size, from that many radii away."""
@@ -103,31 +104,76 @@ def outline(contours: Contours, T_cam_obj: Float, frame: RgbdFrame) -> Outline:
     points, out = contours.at(T_cam_obj)
     if not len(points):
         return NO_OUTLINE
-    R, camera = T_cam_obj[:3, :3], frame.camera
-    p, o = points @ R.T + T_cam_obj[:3, 3], out @ R.T
-    inner, outer = (p[:, None] + s * BESIDE_M[None, :, None] * o[:, None] for s in (-1.0, 1.0))
-    z_in, color_in, known_in = _read(frame, camera, inner)
-    z_out, color_out, known_out = _read(frame, camera, outer)
+    camera = frame.camera
+    p = points @ T_cam_obj[:3, :3].T + T_cam_obj[:3, 3]
+    o = out @ T_cam_obj[:3, :3].T
+    lens = np.array([camera.fx, camera.fy, camera.cx, camera.cy])
     allowed = STEP_M + STEP_SIGMAS * depth_noise_m(float(p[:, 2].mean()))
-    # Continued by what was measured inside: level and slope, as far as three readings tell them.
-    there = known_in.all(1) & (np.abs(z_in - p[:, 2:3]) < 2.0 * allowed).all(1)
-    slope = (z_in[:, 0] - z_in[:, 2]) / (BESIDE_M[2] - BESIDE_M[0])
-    going_on = z_in.mean(1)[:, None] + slope[:, None] * (BESIDE_M.mean() + BESIDE_M)[None]
-    behind = z_out - going_on
-    seen = there & known_out.all(1) & (behind > -allowed).all(1)
-    farther = seen & (np.median(behind, 1) > allowed)
-    other = seen & (np.abs(color_in - color_out).max(1) > OTHER_COLOR)
-    ended = farther | other
-    return Outline(float(ended.mean()), float((seen & ~ended).mean()))
+    ended, goes_on = _looked(p, o, lens, frame.depth, frame.color, LOGARITHMS, OPPONENTS, BESIDE_M, allowed)
+    return Outline(ended / len(p), goes_on / len(p))
 
 
-def _read(frame: RgbdFrame, camera: Camera, points: Float64) -> tuple[Float64, Float32, np.ndarray]:
-    """Depth (K, N), mean opponents (K, 3) and which readings there are (K, N) at points (K, N, 3)."""
-    z = np.maximum(points[..., 2], 0.05)
-    u = np.rint(points[..., 0] / z * camera.fx + camera.cx).astype(np.int64)
-    v = np.rint(points[..., 1] / z * camera.fy + camera.cy).astype(np.int64)
-    within = (u >= 0) & (v >= 0) & (u < camera.width) & (v < camera.height)
-    u, v = np.clip(u, 0, camera.width - 1), np.clip(v, 0, camera.height - 1)
-    depth = np.nan_to_num(frame.depth[v, u].astype(np.float64), nan=0.0, posinf=0.0, neginf=0.0)
-    color = opponents_of_bytes(np.ascontiguousarray(frame.color[v, u])).mean(1)
-    return depth, color, within & (depth > 0.0)
+@jit
+def _looked(
+    points: Float64,
+    out: Float64,
+    lens: Float64,
+    depth: Float32,
+    color: UInt8,
+    logarithms: Float32,
+    opponents: Float32,
+    beside_m: Float64,
+    allowed: float,
+) -> tuple[int, int]:
+    """How many points (K, 3) of an outline end, and at how many the surface goes on; out (K, 3): away from
+    the object, both in camera axes. lens: fx, fy, cx, cy."""
+    ended = goes_on = 0
+    z = np.empty((2, 3))
+    logs = np.empty((2, 3), np.float32)
+    for k in range(len(points)):
+        known = True
+        logs[:] = 0.0
+        for side in range(2):
+            for n in range(3):
+                step = beside_m[n] if side else -beside_m[n]
+                q_z = points[k, 2] + step * out[k, 2]
+                far = max(q_z, 0.05)
+                u = int(np.rint((points[k, 0] + step * out[k, 0]) / far * lens[0] + lens[2]))
+                v = int(np.rint((points[k, 1] + step * out[k, 1]) / far * lens[1] + lens[3]))
+                if u < 0 or v < 0 or u >= depth.shape[1] or v >= depth.shape[0]:
+                    known = False
+                    continue
+                reading = depth[v, u]
+                if not (reading > 0.0 and reading < np.inf):
+                    known = False
+                    continue
+                z[side, n] = reading
+                for channel in range(3):
+                    logs[side, channel] += logarithms[color[v, u, channel]] / np.float32(3.0)
+        if not known:
+            continue
+        # Continued by what was measured inside: level and slope, as far as three readings tell them.
+        there = True
+        for n in range(3):
+            there = there and abs(z[0, n] - points[k, 2]) < 2.0 * allowed
+        slope = (z[0, 0] - z[0, 2]) / (beside_m[2] - beside_m[0])
+        level = (z[0, 0] + z[0, 1] + z[0, 2]) / 3.0
+        middle = (beside_m[0] + beside_m[1] + beside_m[2]) / 3.0
+        behind = np.empty(3)
+        for n in range(3):
+            behind[n] = z[1, n] - level - slope * (middle + beside_m[n])
+            there = there and behind[n] > -allowed
+        if not there:
+            continue
+        median = max(min(behind[0], behind[1]), min(max(behind[0], behind[1]), behind[2]))
+        other = median > allowed
+        for row in range(3):
+            change = np.float32(0.0)
+            for channel in range(3):
+                change += opponents[row, channel] * (logs[0, channel] - logs[1, channel])
+            other = other or abs(change) > OTHER_COLOR
+        if other:
+            ended += 1
+        else:
+            goes_on += 1
+    return ended, goes_on

@@ -15,9 +15,9 @@ class TrackerConfig:
     most frames skipped at once while catching up.
 
     States. tracking_quality, suspect_quality: a pose over the first goes to TRACKING, one under the second to
-    SUSPECT; confirmed_identity: how sure it must be that an acquired pose is the right one before it is
-    TRACKING; confirmed_turn: for that, too, how sure it must be which way round the object is; lost_quality:
-    under it a frame gives no support; lost_after such frames in a row make an object LOST.
+    SUSPECT; confirmed_identity: how sure it must be that an acquired pose is the right one, and which way
+    round the object is, before it is TRACKING; lost_quality: under it a frame gives no support; lost_after
+    such frames in a row make an object LOST.
 
     Looking further (totals of the judge, 0 to 1.9). doubtful_total: a pose that explains less is looked into;
     doubt: so is one this much under its baseline, long_doubt: after more than long_step_s, when flow finds
@@ -36,7 +36,6 @@ class TrackerConfig:
     suspect_quality: float = 0.5
     lost_quality: float = 0.25
     confirmed_identity: float = 0.9
-    confirmed_turn: float = 0.95
     lost_after: int = 5
     doubtful_total: float = 0.9
     doubt: float = 0.2

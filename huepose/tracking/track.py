@@ -336,7 +336,7 @@ class Track:
         identity = 0.0 if self._identity is None else self._identity.value
         turn = 1.0 if self._facing is None else self._facing.probability
         self.quality = self.evidence * min(identity, turn)
-        confirmed = identity >= self._config.confirmed_identity and turn >= self._config.confirmed_turn
+        confirmed = min(identity, turn) >= self._config.confirmed_identity
         self._standing = next_standing(self._standing, self.evidence, confirmed, self._config)
         if self.state is State.LOST:
             self.hypotheses, self.covariance, self.quality = (), None, 0.0

@@ -36,6 +36,10 @@ CLOCK_GAP_NS = 33_000_000
 Key = tuple[str, int]
 
 
+LONGEST_EARNED_S = 1.0 / 3.0
+"""A frame that comes later than this earns no more tries: else late steps would make later ones."""
+
+
 class Tracker:
     """Tracks instances of known objects through the frames of one camera. Deterministic; owns their states.
 
@@ -144,17 +148,20 @@ class Tracker:
         return self.poses()
 
     def _look(self, frame: RgbdFrame) -> None:
-        """Every instance, another one first each time: where tries are rationed, each gets its turn."""
+        """Every instance, first the one after the last that took a try: where these are rationed, each gets
+        its turn."""
         tracks = list(self._tracks.values())
         first = self._steps % max(len(tracks), 1)
-        self._steps += 1
-        for track in tracks[first:] + tracks[:first]:
-            self._tries -= track.look(frame, self._relative_pose, self._whole_tries)
+        for offset, track in enumerate(tracks[first:] + tracks[:first], 1):
+            tried = track.look(frame, self._relative_pose, self._whole_tries)
+            self._tries -= tried
+            if tried:
+                self._steps = first + offset
 
     def _earn(self, seconds: float) -> None:
         """Tries for the time since the last frame. What was not used is not saved for a costly step."""
         rate = self.config.tries_per_s
-        earned = np.inf if rate is None else rate * seconds
+        earned = np.inf if rate is None else rate * min(seconds, LONGEST_EARNED_S)
         self._tries = min(self._tries + earned, max(1.0, earned))
 
     @property

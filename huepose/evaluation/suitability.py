@@ -20,6 +20,7 @@ from huepose.estimation import Estimator, ObjectQuery
 from huepose.evaluation.metrics import RECALL_FRACTION, add, adds
 from huepose.geometry import Box, Camera, RgbdFrame, se3
 from huepose.geometry.arrays import Float64, UInt8
+from huepose.geometry.icosphere import look_at
 from huepose.model import ReferenceModel
 from huepose.profiles import profile
 from huepose.rendering.render import render
@@ -41,6 +42,9 @@ call reliable, and what tracking still confirms over several frames."""
 
 NOTICEABLE = 2.3
 """CIELAB distance of two colours that are just told apart (Mahy, Van Eycken and Oosterlinck 1994)."""
+
+FACING = 0.3
+"""Cosine between a normal and the line of sight from which a colour pair is drawn in a view."""
 
 VIEW_PX, CROP_PX = 220, 200
 
@@ -197,13 +201,10 @@ def _sides(model: ReferenceModel) -> list[int]:
 def _view(model: ReferenceModel, k: int) -> tuple[UInt8, str]:
     """The object as seen from a view, its colour pairs as dots, and how many these are."""
     camera = Camera(8.0 * VIEW_PX, 8.0 * VIEW_PX, VIEW_PX / 2, VIEW_PX / 2, VIEW_PX, VIEW_PX)
-    z = model.templates.directions[k].astype(np.float64)
-    x = np.cross([0.0, 0.0, 1.0] if abs(z[2]) < 0.9 else [0.0, 1.0, 0.0], z)
-    x /= np.linalg.norm(x)
-    R = np.stack([x, -np.cross(z, x), -z])
+    R = look_at(model.templates.directions[k])
     T = se3.make(R, np.array([0.0, 0.0, 9.0 * model.diameter_m]) - R @ model.mesh.centre)
     picture = render([(model.mesh, T)], camera).color
-    facing = model.pairs.normals @ z > SEEN
+    facing = -model.pairs.normals @ R[2] > FACING
     pixels = camera.project(se3.apply(T, model.pairs.points[facing]))
     picture = np.where(picture.any(2, keepdims=True), picture, 235).astype(np.uint8)
     for u, v in np.rint(pixels[:: max(1, len(pixels) // 400)]).astype(int):

@@ -66,7 +66,7 @@ class Tracker:
         self._seen_seq: dict[Key, int] = {}
         self._waiting: list[Correction] = []
         self._frames = FrameHistory(self.config.history_frames, self.config.older_frames)
-        self._steps, self._tries = 0, 1.0
+        self._whose_turn, self._tries = 0, 1.0
         for model in models.values():
             self.add_object(model)
 
@@ -151,12 +151,12 @@ class Tracker:
         """Every instance, first the one after the last that took a try: where these are rationed, each gets
         its turn."""
         tracks = list(self._tracks.values())
-        first = self._steps % max(len(tracks), 1)
+        first = self._whose_turn % max(len(tracks), 1)
         for offset, track in enumerate(tracks[first:] + tracks[:first], 1):
             tried = track.look(frame, self._relative_pose, self._whole_tries)
             self._tries -= tried
             if tried:
-                self._steps = first + offset
+                self._whose_turn = first + offset
 
     def _earn(self, seconds: float) -> None:
         """Tries for the time since the last frame. What was not used is not saved for a costly step."""

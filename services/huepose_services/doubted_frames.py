@@ -6,6 +6,8 @@ import numpy as np
 
 from huepose.geometry import RgbdFrame
 
+_FEW = 16
+
 
 def complaint_about(frame: RgbdFrame, before: RgbdFrame | None) -> str | None:
     """The reason to doubt a frame, by itself and beside the one before it; None where there is none."""
@@ -18,6 +20,11 @@ def complaint_about(frame: RgbdFrame, before: RgbdFrame | None) -> str | None:
             "the picture's size or intrinsics changed while the camera was open: a camera that is set anew "
             "must begin a new epoch"
         )
-    if np.array_equal(before.color, frame.color) and not np.array_equal(before.depth, frame.depth):
+    if _equal(before.color, frame.color) and not _equal(before.depth, frame.depth):
         return "the colour picture stands still while depth goes on: is the colour stream stuck?"
     return None
+
+
+def _equal(one: np.ndarray, other: np.ndarray) -> bool:
+    """Whether two pictures are the same; a few of their rows tell nearly always that they are not."""
+    return np.array_equal(one[::_FEW], other[::_FEW]) and np.array_equal(one, other)

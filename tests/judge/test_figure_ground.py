@@ -12,8 +12,7 @@ from huepose.geometry import RgbdFrame, se3
 from huepose.judge.figure_ground import PRIOR_CONTRAST, figure_and_ground, figure_ground_contrast
 from huepose.judge.region import Region
 from huepose.model.types import ReferenceModel
-from huepose.rendering.render import render_depth
-from tests.judge.regions import region_of
+from tests.judge.regions import even_region, shifted
 
 RED, GREY = (150, 40, 30), (90, 95, 90)
 
@@ -21,14 +20,7 @@ RED, GREY = (150, 40, 30), (90, 95, 90)
 @pytest.fixture(scope="module")
 def even(tea_box: ReferenceModel, take_picture: Callable[..., RgbdFrame], standing: np.ndarray) -> Region:
     """A box without any texture, red on grey."""
-    frame = take_picture([(tea_box.mesh, standing)])
-    shown = render_depth(tea_box.mesh, standing, frame.camera) > 0
-    color = np.where(shown[..., None], RED, GREY).astype(np.uint8)
-    return region_of(replace(frame, color=color), tea_box, standing)
-
-
-def shifted(T: np.ndarray, x_m: float) -> np.ndarray:
-    return se3.perturb(T, np.array([x_m, 0.0, 0.0, 0.0, 0.0, 0.0]))
+    return even_region(tea_box, take_picture([(tea_box.mesh, standing)]), standing, RED, GREY)
 
 
 def test_an_even_object_stands_out_where_it_is(

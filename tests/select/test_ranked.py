@@ -3,19 +3,17 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import replace
 
 import numpy as np
 import pytest
 
 from huepose.estimation.config import FullPathConfig
-from huepose.geometry import RgbdFrame, se3
+from huepose.geometry import RgbdFrame
 from huepose.judge.figure_ground import PRIOR_CONTRAST, figure_ground_contrast
 from huepose.judge.region import Region
 from huepose.model.types import ReferenceModel
-from huepose.rendering.render import render_depth
 from huepose.select.ranked import Ranked, by_figure
-from tests.judge.regions import region_of
+from tests.judge.regions import even_region, shifted
 
 WEIGHT = FullPathConfig().figure_weight
 RED, GREY = (170, 40, 30), (128, 128, 128)
@@ -24,14 +22,7 @@ RED, GREY = (170, 40, 30), (128, 128, 128)
 @pytest.fixture(scope="module")
 def even(tea_box: ReferenceModel, take_picture: Callable[..., RgbdFrame], standing: np.ndarray) -> Region:
     """A box without any texture, red on grey."""
-    frame = take_picture([(tea_box.mesh, standing)])
-    shown = render_depth(tea_box.mesh, standing, frame.camera) > 0
-    color = np.where(shown[..., None], RED, GREY).astype(np.uint8)
-    return region_of(replace(frame, color=color), tea_box, standing)
-
-
-def shifted(T: np.ndarray, x_m: float) -> np.ndarray:
-    return se3.perturb(T, np.array([x_m, 0.0, 0.0, 0.0, 0.0, 0.0]))
+    return even_region(tea_box, take_picture([(tea_box.mesh, standing)]), standing, RED, GREY)
 
 
 def test_ranked_by_scores_the_totals_stay() -> None:

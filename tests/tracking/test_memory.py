@@ -65,15 +65,15 @@ def test_a_checksum_tells_a_bit(tea_box, film, path):
         lambda memory: {},
         lambda memory: [],
         lambda memory: memory | {"_tracks": {"class": "Popen", "has": {}}},
-        lambda memory: memory | {"_steps": {"frame": [1, 99]}},
-        lambda memory: memory | {"_steps": {"subject": "mug"}},
+        lambda memory: memory | {"_whose_turn": {"frame": [1, 99]}},
+        lambda memory: memory | {"_whose_turn": {"subject": "mug"}},
         lambda memory: (
             memory
-            | {"_steps": {"array": b"1234", "dtype": "|O", "shape": [1], "order": "C", "scalar": False}}
+            | {"_whose_turn": {"array": b"1234", "dtype": "|O", "shape": [1], "order": "C", "scalar": False}}
         ),
         lambda memory: (
             memory
-            | {"_steps": {"array": b"", "dtype": "<f8", "shape": [2**40], "order": "C", "scalar": False}}
+            | {"_whose_turn": {"array": b"", "dtype": "<f8", "shape": [2**40], "order": "C", "scalar": False}}
         ),
     ],
 )

@@ -29,6 +29,10 @@ UNDECIDED = 0.0
 
 LEAST_VISIBLE = 0.3
 
+UNTIL_SETTLED = 12
+"""Passes of the refinement. The tracker goes on with an unfinished one in its next frames; here there are
+none, and a pose that is still on its way is neither right nor wrong."""
+
 
 def challenge(
     film: Film, models: Mapping[str, ReferenceModel], seed: int = 0, every: int = EVERY
@@ -48,7 +52,7 @@ def challenge(
             model, subject, truth = models[name], subjects[name], seen.T_cam_obj[k]
             starts = [truth, *wrong_starts(truth, model, rng)]
             for i, start in enumerate(starts):
-                step = best_of(subject.surface, seen.frame, [(start, "still")])
+                step = best_of(subject.surface, seen.frame, [(start, "still")], more_passes=UNTIL_SETTLED)
                 add = metrics.add(model.eval_points, step.T_cam_obj, truth)
                 goes_on = outline(subject.contours, step.T_cam_obj, seen.frame).goes_on
                 odds = evidence.log_odds(step.terms, baseline.get(k), UNDECIDED, goes_on)

@@ -1,13 +1,18 @@
 """The zip of plain arrays that a reference model is stored in: every size is checked before memory is taken.
 
-Entries are stored, never compressed, so no file can hold more than it has bytes.
+Entries are stored, never compressed, so no file can hold more than it has bytes. Large arrays are not read
+but mapped: the processes of a machine share them, and what a process never looks at takes none of its memory.
 """
 
 from __future__ import annotations
 
+import io
 import json
 import math
+import mmap
+import struct
 import zipfile
+import zlib
 from pathlib import Path
 from typing import Any
 
@@ -22,6 +27,19 @@ MAX_FILE_BYTES = 256 * 1024 * 1024
 MAX_TEXTURE_SIDE = 4096
 """Onboarding makes 1024 px at most."""
 _MAX_HEADER_BYTES = 1024 * 1024
+_MAX_ARRAY_HEADER_BYTES = 4096
+
+MAPPED_BYTES = 64 * 1024
+"""Arrays from this size on are mapped; smaller ones share their pages with others anyway."""
+
+_ALIGNMENT = 64
+"""Bytes; also what NumPy aligns the data within an array's entry to."""
+
+_LOCAL_HEADER = struct.Struct("<4s22xHH")
+"""Of an entry in a zip file: signature, length of its name, length of its extra field."""
+
+_PADDING = 0xD935
+"""The kind of extra field that only aligns (as Android's zipalign writes it)."""
 
 
 class Archive:
@@ -34,6 +52,9 @@ class Archive:
         size = path.stat().st_size
         if size > MAX_FILE_BYTES:
             raise ValueError(f"{size} bytes are more than a reference model has")
+        with path.open("rb") as file:
+            # A private mapping: what a process writes to its arrays, it alone sees.
+            self._bytes = mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_COPY)
         self._zip = zipfile.ZipFile(path)
         entries = self._zip.infolist()
         if any(entry.compress_type != zipfile.ZIP_STORED for entry in entries):
@@ -53,31 +74,55 @@ class Archive:
         return header
 
     def array(self, name: str, kind: str) -> np.ndarray:
-        """An array as that type (numpy's name of it), which may be wider than the stored one."""
+        """An array as that type (numpy's name of it), which may be wider than the stored one. A large one of
+        the stored type is mapped from the file, which must not be written to meanwhile, only replaced."""
         wanted = np.dtype(kind)
         if wanted.kind not in "biuf" or wanted.itemsize > 8:
             raise ValueError(f"{name} is of no type of numbers: {kind[:20]}")
-        entry = self._zip.getinfo(f"{name}.npy")
-        with self._zip.open(entry) as file:
-            version = np.lib.format.read_magic(file)
-            read = {(1, 0): np.lib.format.read_array_header_1_0, (2, 0): np.lib.format.read_array_header_2_0}
-            shape, column_wise, stored = read[version](file)
-            if stored.kind not in "biuf" or (column_wise and len(shape) > 1):
-                raise ValueError(f"{name} is no plain array of numbers")
-            if math.prod(shape) * stored.itemsize != entry.file_size - file.tell():
-                raise ValueError(f"{name} has not the size that it states")
-            array = np.frombuffer(file.read(), stored).reshape(shape)
+        stored_bytes = self._stored(f"{name}.npy")
+        file = io.BytesIO(stored_bytes[:_MAX_ARRAY_HEADER_BYTES])
+        version = np.lib.format.read_magic(file)
+        read = {(1, 0): np.lib.format.read_array_header_1_0, (2, 0): np.lib.format.read_array_header_2_0}
+        shape, column_wise, stored = read[version](file)
+        if stored.kind not in "biuf" or (column_wise and len(shape) > 1):
+            raise ValueError(f"{name} is no plain array of numbers")
+        if math.prod(shape) * stored.itemsize != len(stored_bytes) - file.tell():
+            raise ValueError(f"{name} has not the size that it states")
+        array = np.frombuffer(stored_bytes, stored, offset=file.tell()).reshape(shape)
+        if stored == wanted and array.nbytes >= MAPPED_BYTES and array.flags.aligned:
+            return array
         return np.array(array, dtype=wanted)
 
+    def _stored(self, name: str) -> memoryview:
+        """The bytes of an entry, where they lie in the file."""
+        entry = self._zip.getinfo(name)
+        header = self._bytes[entry.header_offset : entry.header_offset + _LOCAL_HEADER.size]
+        signature, name_length, extra_length = _LOCAL_HEADER.unpack(header)
+        first = entry.header_offset + _LOCAL_HEADER.size + name_length + extra_length
+        content = memoryview(self._bytes)[first : first + entry.file_size]
+        if signature != b"PK\3\4" or len(content) != entry.file_size or zlib.crc32(content) != entry.CRC:
+            raise ValueError(f"{name} is damaged")
+        return content
+
     def close(self) -> None:
-        """Let go of the file."""
+        """Let go of the file, and of the memory that looking through it took; mapped arrays stay valid."""
         self._zip.close()
+        self._bytes.madvise(mmap.MADV_DONTNEED)
 
     def __enter__(self) -> Archive:
         return self
 
     def __exit__(self, *error: object) -> None:
         self.close()
+
+
+def aligned_entry(name: str, offset: int, time: tuple[int, int, int, int, int, int]) -> zipfile.ZipInfo:
+    """An entry whose content starts at a multiple of 64 bytes, when it is written at that offset."""
+    entry = zipfile.ZipInfo(name, time)
+    least = struct.calcsize("<HH")
+    padding = -(offset + _LOCAL_HEADER.size + len(name.encode()) + least) % _ALIGNMENT
+    entry.extra = struct.pack("<HH", _PADDING, padding) + bytes(padding)
+    return entry
 
 
 def picture(png: UInt8) -> UInt8:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import io
 import json
 import os
 import re
@@ -15,7 +16,7 @@ import cv2
 import numpy as np
 
 from huepose.geometry.mesh import Mesh
-from huepose.model.archive import Archive, picture
+from huepose.model.archive import Archive, aligned_entry, picture
 from huepose.model.plausible import check_model
 from huepose.model.types import (
     DistanceGrid,
@@ -98,8 +99,10 @@ def save_model(model: ReferenceModel, path: Path | str) -> None:
         with zipfile.ZipFile(temporary, "w", zipfile.ZIP_STORED) as archive:
             archive.writestr(zipfile.ZipInfo("header.json", _EPOCH), json.dumps(header, sort_keys=True))
             for name, array in arrays.items():
-                with archive.open(zipfile.ZipInfo(f"{name}.npy", _EPOCH), "w", force_zip64=True) as entry:
-                    np.lib.format.write_array(entry, _narrowed(array), allow_pickle=False)
+                content = io.BytesIO()
+                np.lib.format.write_array(content, _narrowed(name, array), allow_pickle=False)
+                entry = aligned_entry(f"{name}.npy", archive.start_dir, _EPOCH)
+                archive.writestr(entry, content.getbuffer())
         os.replace(temporary, path)
     finally:
         temporary.unlink(missing_ok=True)
@@ -120,8 +123,8 @@ def load_model(path: Path | str) -> ReferenceModel:
                     fix=_AGAIN,
                 )
             arrays = {name: archive.array(name, kind) for name, kind in header["types"].items()}
-        model = _assembled(header, arrays)
-        check_model(model)
+            model = _assembled(header, arrays)
+            check_model(model)
         return model
     except InputError:
         raise
@@ -160,9 +163,10 @@ def _array_fields(kind: type) -> list[str]:
     return [f.name for f in fields(kind) if f.name not in ("span", "step", "parameters", "source")]
 
 
-def _narrowed(array: np.ndarray) -> np.ndarray:
-    """Integers in the smallest type that holds them: a fifth of the file."""
-    if array.dtype.kind not in "iu" or not array.size:
+def _narrowed(name: str, array: np.ndarray) -> np.ndarray:
+    """Integers of the paper's tables in the smallest type that holds them. All others are stored as they are
+    used, so that they can be mapped."""
+    if not name.startswith("tables.") or array.dtype.kind not in "iu" or not array.size:
         return array
     return array.astype(np.promote_types(np.min_scalar_type(array.min()), np.min_scalar_type(array.max())))
 

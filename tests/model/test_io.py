@@ -65,6 +65,25 @@ def test_files_are_small_and_quick(saved: Path) -> None:
     assert min(seconds) < 0.1
 
 
+def test_large_arrays_are_mapped_and_writing_to_them_stays_private(saved: Path) -> None:
+    before = saved.read_bytes()
+    planes = load_model(saved).templates.planes
+    assert isinstance(planes.base.base, memoryview), "a view of the file, not a copy"
+    assert planes.flags.aligned
+    planes[0] = 1.0
+    assert saved.read_bytes() == before
+    assert (load_model(saved).templates.planes[0] != 1.0).any()
+
+
+def test_one_wrong_byte_is_noticed(saved: Path, tmp_path: Path) -> None:
+    content = bytearray(saved.read_bytes())
+    content[content.index(b"templates.planes.npy") + 100_000] ^= 1
+    other = tmp_path / "tea_box.huepose"
+    other.write_bytes(content)
+    with pytest.raises(InputError, match=r"templates\.planes\.npy is damaged"):
+        load_model(other)
+
+
 def rewritten(source: Path, target: Path, **changes: object) -> Path:
     """A copy with other values in its header."""
     with zipfile.ZipFile(source) as old, zipfile.ZipFile(target, "w") as new:

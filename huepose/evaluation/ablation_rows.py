@@ -71,14 +71,17 @@ class AblationResult:
             "filter_alone": _filter_alone(self.rows),
         }
 
-    def picture(self) -> UInt8:
+    def picture(self, names: Mapping[str, str] | None = None) -> UInt8:
         """The paper's figure: per object and over all, the mean errors of all flow, of what the filter leaves
         of it and of what the tracker uses, one panel for each estimator side by side; below them the
-        end-point error, which belongs to the correspondences, whoever estimates from them."""
-        summary = self.summary()
-        groups = {**summary["per_object"], "all": summary["variants"]}
-        names = [name.split("/") for name in summary["variants"]]
-        every, estimators = (list(dict.fromkeys(part)) for part in zip(*names, strict=True))
+        end-point error, which belongs to the correspondences, whoever estimates from them.
+
+        names: what to write under the bars of an object, by how rows call it."""
+        summary, known = self.summary(), names or {}
+        groups = {known.get(k, k): block for k, block in summary["per_object"].items()}
+        groups["all"] = summary["variants"]
+        variants = [name.split("/") for name in summary["variants"]]
+        every, estimators = (list(dict.fromkeys(part)) for part in zip(*variants, strict=True))
         choices = [choice for choice in every if choice in PICTURED]
         panels = []
         for key, title in RELATIVE.items():

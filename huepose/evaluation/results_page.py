@@ -33,6 +33,38 @@ def results_page(records: Mapping[str, Mapping[str, Any]]) -> str:
     return "\n".join([_INTRODUCTION, *(_section(name, record) for name, record in records.items())])
 
 
+BEGIN, END = "<!-- cut from docs/results by `huepose eval results` -->", "<!-- end of the cut -->"
+
+_ROWS = {
+    "table1": ("All labels", "Average of unseen, textured", "Average of unseen, little texture"),
+    "table2": ("Average", "Average of unseen, textured", "Average of unseen, little texture"),
+}
+
+
+def with_cut(document: str, records: Mapping[str, Mapping[str, Any]]) -> str:
+    """A document with the lines between BEGIN and END made anew: of the first result that has the paper's
+    tables, what this code gives on average. Raises InputError where there are no such lines or tables."""
+    before, begin, rest = document.partition(BEGIN)
+    _, end, after = rest.partition(END)
+    if not begin or not end:
+        raise InputError("--readme", found="no such lines", expected=f"{BEGIN} and {END}")
+    whole = next((record for record in records.values() if "tables" in record), None)
+    if whole is None:
+        raise InputError("--readme", found="no result of `huepose eval tables`")
+    parts = [_cut(Table.of_json(t)) for t in whole["tables"] if t["key"] in _ROWS]
+    return "\n".join([f"{before}{BEGIN}", *parts, f"{END}{after}"])
+
+
+def _cut(table: Table) -> str:
+    """The columns of this code, the rows of averages; how rows of one table are called is kept."""
+    ours = [k for k, head in enumerate(table.heads) if head.measured]
+    rows = {name: cells for name, cells in table.rows if name in _ROWS[table.key]}
+    heads = [f"{table.heads[k].method} {table.heads[k].figure}".strip() for k in ours]
+    lines = [[table.title, *heads], ["---"] * (len(ours) + 1)]
+    lines += [[name, *(table.cell(cells[k]) for k in ours)] for name, cells in rows.items()]
+    return "".join(f"| {' | '.join(cells)} |\n" for cells in lines)
+
+
 def _section(name: str, record: Mapping[str, Any]) -> str:
     facts = record.get("origin")
     if not isinstance(facts, Mapping):

@@ -76,10 +76,15 @@ def _plane(axes: list[Float64], cells: Int64, axis: int, side: int, plane: int) 
         quads[:, k, up] = axes[up][cells[:, up] + (high if up_sign > 0 else 1 - high)]
     corners = quads[:, [[0, 1, 2], [0, 2, 3]]].reshape(-1, 3, 3)
     flat = np.stack([corners[..., right] * right_sign, -corners[..., up] * up_sign], -1)
-    return _chart(corners, flat)
+    return flattened(corners, flat)
 
 
-def _chart(corners: Float64, flat: Float64) -> Chart:
+def flattened(corners: Float64, flat: Float64) -> Chart:
+    """A chart of triangles (N, 3, 3) m that lie on the texture like flat (N, 3, 2) m, wherever its origin is;
+    triangles without area are left out."""
+    sides = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    kept = np.linalg.norm(sides, axis=1) > 1e-12
+    corners, flat = corners[kept], flat[kept]
     flat = flat - flat.reshape(-1, 2).min(0)
     width, height = flat.reshape(-1, 2).max(0)
     return Chart(corners, flat, (float(width), float(height)))
@@ -110,14 +115,12 @@ def revolved(parts: Sequence[Sequence[tuple[float, float]]], segments: int = 48)
             rise = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(profile, axis=0), axis=1))])
             around = angle * profile[:, 0].max()
             flat = np.stack(np.broadcast_arrays(around[None], -rise[:, None]), -1)
-        corners, flat_corners = _grid_triangles(points), _grid_triangles(flat)
-        sides = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
-        kept = np.linalg.norm(sides, axis=1) > 1e-12
-        charts.append(_chart(corners[kept], flat_corners[kept]))
+        corners, flat_corners = grid_triangles(points), grid_triangles(flat)
+        charts.append(flattened(corners, flat_corners))
     return charts
 
 
-def _grid_triangles(grid: Float64) -> Float64:
+def grid_triangles(grid: Float64) -> Float64:
     """Triangles (N, 3, D) of a grid (R, C, D): rows go up the profile, columns around it."""
     a, b, c, d = grid[:-1, :-1], grid[:-1, 1:], grid[1:, 1:], grid[1:, :-1]
     dims = grid.shape[-1]

@@ -1,6 +1,7 @@
 """Stand-ins for YCB-Video and Fast-YCB: their folders and files, filled with drawn frames of any meshes.
 
-What reads the official downloads can be tried on them, with known answers: light is even, little is hidden.
+What reads the official downloads can be tried on them, with known answers: unless told otherwise, light is
+even, and little is hidden.
 The same seed gives the same frames in BOP's and in the raw layout.
 """
 
@@ -32,6 +33,7 @@ from huepose.scenes.frame import Stage, shoot
 from huepose.scenes.rendered import SceneRanges
 from huepose.scenes.rendered_set import write_rendered_set
 from huepose.scenes.sensor import COLOR
+from huepose.support.progress import progress
 
 FIRST_SCENE = 48
 """Of the test scenes of YCB-Video."""
@@ -68,7 +70,14 @@ class SetObject:
     info: Mapping[str, Any]
 
 
-def write_bop_ycbv(out: Path, objects: Sequence[SetObject], scenes: int, frames: int, seed: int) -> None:
+def write_bop_ycbv(
+    out: Path,
+    objects: Sequence[SetObject],
+    scenes: int,
+    frames: int,
+    seed: int,
+    ranges: SceneRanges = EASY,
+) -> None:
     """BOP's download: `test/NNNNNN/`, `test_targets_bop19.json`, `models/`, `models_eval/`. Scenes that were
     begun are gone on with. Raises InputError."""
     meshes, ids = {o.name: o.mesh for o in objects}, {o.name: o.object_id for o in objects}
@@ -76,7 +85,7 @@ def write_bop_ycbv(out: Path, objects: Sequence[SetObject], scenes: int, frames:
     targets = []
     for scene in range(FIRST_SCENE, FIRST_SCENE + scenes):
         folder = out / "test" / f"{scene:06d}"
-        write_rendered_set(folder, meshes, ids, frames, seed * 1000 + scene, EASY, ".png")
+        write_rendered_set(folder, meshes, ids, frames, seed * 1000 + scene, ranges, ".png")
         reader = BopScene(folder)
         for image in reader.image_ids:
             camera = reader.frame(image).camera
@@ -173,10 +182,10 @@ def write_fast_ycb_set(
     out: Path, objects: Sequence[SetObject], sequences: int, frames: int, seed: int
 ) -> None:
     """Fast-YCB: a sequence of each of the first objects, with DOPE's poses; those there are kept."""
-    for number, obj in enumerate(objects[:sequences]):
+    wanted = list(enumerate(objects[:sequences]))
+    missing = [(k, obj) for k, obj in wanted if not (out / obj.name / "gt" / "poses_ycb.txt").exists()]
+    for number, obj in progress(missing, "drawing sequences") if missing else ():
         folder = out / obj.name
-        if (folder / "gt" / "poses_ycb.txt").exists():
-            continue
         rng = np.random.default_rng([seed, number, 67])
         stage = carried.staged(obj.mesh, [o.mesh for o in objects if o is not obj], rng)
         n = min(frames, carried.FRAMES)

@@ -45,7 +45,7 @@ def write_rendered_set(
     }
     writer = BopWriter(folder, facts, color_suffix)
     missing = [number for number in range(frames) if number not in writer.done]
-    for number in progress(missing, f"drawing {folder.name}"):
+    for number in progress(missing, f"drawing {folder.name}") if missing else ():
         drawn = rendered_frame(meshes, seed, number, ranges)
         writer.add(
             number, drawn.shot.color, drawn.shot.depth, drawn.camera, _labels(drawn, meshes, object_ids)

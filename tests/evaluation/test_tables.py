@@ -13,6 +13,8 @@ from huepose.evaluation.estimate_protocol import EstimateOptions, EstimateSetup
 from huepose.evaluation.instances import Place, PublishedPose
 from huepose.evaluation.result_files import plain
 from huepose.evaluation.tables import assemble
+from huepose.evaluation.tables.assemble_tracks import tracking_tables
+from huepose.evaluation.tables.figures import Unseen, rows_of
 from huepose.evaluation.tables.journal import Journal
 from huepose.evaluation.tables.published import published
 from huepose.evaluation.tables.report import page
@@ -107,6 +109,31 @@ def test_table_one_has_the_papers_rows_and_ours_beside_them(models, scene, tmp_p
     assert (whole["AUC", "ADD"], whole["BOP", "AR"]) == (pytest.approx(0.8 * 90.0), None)
 
 
+def test_unseen_objects_have_rows_and_averages_of_their_own(models, scene, tmp_path: Path) -> None:
+    ours, theirs = (entries_of(models, scene, tmp_path, m, x) for m, x in (("full", 0.05), ("apart", 0.01)))
+    unseen = Unseen({"full": theirs}, {}, {"5": "duck", "7": "cup", "30": "boat"}, {"duck"}, ["by code"])
+    (table, everything), (alone, _) = (
+        assemble.single_frame_tables({"full": ours}, NAMES, {}, [], family) for family in (unseen, None)
+    )
+    rows = rows_by_name(table)
+    adds = {name: (rows[name]["", "n"], rows[name]["full", "ADD"]) for name in list(rows)[-7:]}
+    assert adds == {
+        "boat": (1, 100.0),
+        "cup": (2, 50.0),
+        "duck": (2, 100.0),
+        "Average of unseen objects": (5, pytest.approx(250 / 3)),
+        "Average of unseen, textured": (3, 75.0),
+        "Average of unseen, little texture": (2, 100.0),
+        "All labels of unseen objects": (5, 80.0),
+    }
+    assert rows["duck"]["Ours (published)", "ADD"] is None
+    assert table.rows[: len(alone.rows)] == alone.rows  # the data set's own figures do not change
+    assert table.notes[-1] == "by code"
+    everything = rows_by_name(everything)
+    assert everything["full, all labels of unseen objects"]["recall", "ADD"] == 80.0
+    assert everything["full, unseen objects, 95 % of draws"]["recall", "ADD"] == "67 to 100"
+
+
 def track_of(model, sequence: str, errors_m: list[float | None]) -> TrackResult:
     targets, T = Targets({model.name: model}), pose_at(0.0)
     rows = []
@@ -128,7 +155,7 @@ def test_table_two_averages_sequences_and_all_frames(models, tmp_path: Path) -> 
         "tea_box": track_of(models["tea_box"], "tea_box", [0.01, None]),
     }
     entries = run_tracks(Journal(tmp_path / "t.jsonl", {}), scenes, 1, lambda scene: tracks[scene.name])
-    table, everything = assemble.tracking_tables({("full", 1): entries, ("full", 5): entries}, [])
+    table, everything = tracking_tables({("full", 1): entries, ("full", 5): entries}, [])
     rows = rows_by_name(table)
     # Four equal errors: the toolbox takes the accuracy of the first, then 80 mm at that height.
     first = 100 / 0.1 * (0.02 * 0.25 + 0.08 * 1.0)
@@ -143,6 +170,16 @@ def test_table_two_averages_sequences_and_all_frames(models, tmp_path: Path) -> 
     assert errors["RMSE", "cm"] == pytest.approx((2.0 + 1.0) / 2)  # the missing pose is held
     # 20 mm are more than a tenth of the diameter, so the first track is never confirmed.
     assert errors["state", "TRACKING"] == pytest.approx((0 + 50) / 2)
+
+    # The same tracks as those of unseen objects: below, and of no weight in the averages.
+    runs = {("full", 1): [entries[0]]}
+    unseen = Unseen({}, {("full", 1): [entries[1]]}, {}, {"tea_box"})
+    rows = rows_by_name(tracking_tables(runs, [], unseen)[0])
+    assert rows["Average"]["full", "AUC ADD"] == pytest.approx(first)
+    assert rows["tea_box"]["full", "AUC ADD"] == pytest.approx(second)
+    assert rows["Average of unseen, little texture"]["full", "AUC ADD"] == pytest.approx(second)
+    assert rows["Average of unseen, textured"]["full", "AUC ADD"] is None
+    assert rows["All frames of unseen objects"]["", "frames"] == 2
 
 
 def test_what_cannot_be_read_is_kept_with_its_reason_and_tried_again(models, scene, tmp_path: Path) -> None:
@@ -214,9 +251,7 @@ def test_the_page_holds_tables_and_pictures_and_nothing_from_elsewhere(models, s
     entries = entries_of(models, scene, tmp_path, "full", 0.01)
     track = plain(track_of(models["tea_box"], "tea_box", [0.01, None, 0.02]).as_json())["rows"]
     tables = assemble.single_frame_tables({"full": entries}, NAMES, {}, [])
-    text = page(
-        tables, {"date": "today"}, ["all"], {"full": assemble.rows_of(entries)}, {("full", 1): track}, NAMES
-    )
+    text = page(tables, {"date": "today"}, ["all"], {"full": rows_of(entries)}, {("full", 1): track}, NAMES)
     assert text.count("<table>") == 2
     assert text.count("data:image/png;base64,") == 6  # two curves, objects, quality; a curve, a sequence
     assert "http" not in text.replace("https://", "")

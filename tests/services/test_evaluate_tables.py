@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import json
+from functools import partial
 from pathlib import Path
 
 import pytest
 
 from huepose.evaluation.bop_csv import read_bop_csv
 from huepose.evaluation.tables.table import Table
+from huepose.scenes.unseen.objects import unseen_objects
 from huepose_services.cli.main import main
 
 
@@ -87,6 +89,27 @@ def test_the_whole_command_on_stand_ins(data: Path, tmp_path: Path, capsys) -> N
     assert "theirs: 1 lines hold no pose" in notes
     assert "theirs: 1 poses are of objects without a reference model" in notes
     assert (out / "runs" / "ycbv-full.jsonl").read_bytes() == before
+
+
+@pytest.mark.timeout(600)
+def test_unseen_objects_are_drawn_onboarded_and_measured(tmp_path: Path, monkeypatch, capsys) -> None:
+    """Two of them, in one frame and one sequence."""
+    from huepose.scenes.unseen import data_set
+
+    family = {obj.name: obj for obj in unseen_objects()}
+    monkeypatch.setattr(data_set, "unseen_objects", lambda seed: [family["oval_tin"], family["duck"]])
+    small = partial(data_set.write_unseen, scenes=1, frames=1, sequences=1)
+    monkeypatch.setattr(data_set, "write_unseen", small)
+    out = tmp_path / "results"
+    command = ["eval", "tables", "--unseen", str(tmp_path / "unseen"), "--out", str(out), "--threads", "1"]
+    assert main([*command, "--methods", "full", "--quick", "6", "--every", "1"]) == 0
+    tables = {t["key"]: Table.of_json(t) for t in json.loads((out / "results.json").read_text())["tables"]}
+    assert cells(tables["table1"], "All labels")["", "n"] == 0
+    assert cells(tables["table1"], "oval_tin")["full", "ADD-S"] == 100.0
+    assert cells(tables["table1"], "Average of unseen, little texture")["", "n"] == 1
+    assert cells(tables["table2"], "Average of unseen, textured")["full", "AUC ADD"] > 95.0
+    assert "2 by code, 1 with little texture" in capsys.readouterr().out
+    assert "Unseen objects" in (out / "report.html").read_text()
 
 
 def test_without_data_or_meshes_it_says_what_is_needed(data: Path, tmp_path: Path, capsys) -> None:

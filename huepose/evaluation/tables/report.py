@@ -12,8 +12,9 @@ import numpy as np
 from huepose.drawing.canvas import Colour
 from huepose.drawing.plots import bar_chart, line_plot, reliability_plot, time_plot
 from huepose.evaluation import metrics
+from huepose.evaluation.ablation_rows import AblationResult
 from huepose.evaluation.summary import grouped
-from huepose.evaluation.tables.assemble import Row, errors, figures, scored
+from huepose.evaluation.tables.figures import Row, Unseen, errors, figures, rows_of, scored
 from huepose.evaluation.tables.published import published
 from huepose.evaluation.tables.table import Table
 from huepose.geometry.arrays import UInt8
@@ -23,6 +24,11 @@ _STATES: Mapping[str, Colour] = {
     "SUSPECT": (255, 243, 214),
     "LOST": (250, 224, 220),
 }
+_FLOW = (
+    "As the paper's figure: the raw motion between frames {0.gap} apart, from all flow, from what the filter "
+    "by colour pairs leaves of it, and from what the tracker uses. Errors as shares of the true motion; "
+    "end-point error of the flow. robust: the closed form, direct: a network. {0.pairs} pairs."
+)
 _SHARES = np.linspace(0.0, 0.3, 121)
 _STYLE = """
 body{font:15px/1.5 system-ui,sans-serif;color:#222;max-width:1500px;margin:2em auto;padding:0 1.2em}
@@ -32,7 +38,8 @@ th,td{padding:2px 5px;text-align:right;white-space:nowrap} tbody th{text-align:l
 thead th{border-bottom:1px solid #999;text-align:center} td.published,th.published{color:#777}
 td.measured{background:#eef5fb} tbody tr:hover td,tbody tr:hover th{background:#fdf6e3}
 ul{color:#555;font-size:13px;padding-left:1.2em} figure{display:inline-block;margin:.6em 12px .6em 0}
-figure img{max-width:100%;border:1px solid #eee} figcaption{font-size:13px;color:#555;max-width:720px}
+figure img{max-width:100%;height:auto;border:1px solid #eee}
+figcaption{font-size:13px;color:#555;max-width:720px}
 dl{display:grid;grid-template-columns:max-content auto;gap:0 1em;font-size:13px} dt{color:#777} dd{margin:0}
 """
 
@@ -44,18 +51,29 @@ def page(
     images: Mapping[str, Sequence[Row]],
     tracks: Mapping[tuple[str, int], Sequence[Row]],
     names: Mapping[str, str],
+    unseen: Unseen | None = None,
+    flow: AblationResult | None = None,
 ) -> str:
     """The page as HTML. images: rows of single frames by method; tracks: rows by method and every
-    N-th frame; names: of objects, by how rows call them."""
+    N-th frame; names: of objects, by how rows call them; unseen: objects that have pictures of their own;
+    flow: the ablation."""
     facts = "".join(f"<dt>{html.escape(k)}</dt><dd>{html.escape(v)}</dd>" for k, v in origin.items())
     seen = "".join(f"<li>{html.escape(line)}</li>" for line in coverage)
     parts = [table.html() for table in tables if table.key.startswith("table1")]
     parts += _figures("Single frames", _image_pictures(images, names)) if any(images.values()) else []
+    if unseen is not None:
+        rows = {method: rows_of(entries) for method, entries in unseen.images.items()}
+        parts += _figures("Unseen objects", _image_pictures(rows, unseen.names)) if any(rows.values()) else []
     parts += [table.html() for table in tables if table.key.startswith("table2")]
     for every in sorted({every for _, every in tracks}):
         runs = {method: rows for (method, n), rows in tracks.items() if n == every and rows}
         title = "Tracks, every frame" if every == 1 else f"Tracks, every {every}th frame"
         parts += _figures(title, _track_pictures(runs)) if runs else []
+    if flow is not None:
+        picture = flow.picture({k: _short(name) for k, name in names.items()})
+        parts += _figures(
+            "Ablation: flow, and what colour pairs leave of it", [(picture, _FLOW.format(flow))]
+        )
     return (
         '<!doctype html><html lang="en"><meta charset="utf-8"><title>HuePose: the tables of the paper</title>'
         f"<style>{_STYLE}</style><body><h1>The tables of the paper, and what this code gives</h1>"
@@ -87,7 +105,7 @@ def _image_pictures(
         title = f"recall by {name}"
         picture = line_plot(series, title, "threshold, % of the diameter", "% of labels", (0, 30), (0, 103))
         pictures.append((picture, f"Recall of {name} over the threshold; the tables take 10 %."))
-    pictures.append((_objects(known, names), "Recall of ADD by object, with the paper's own column."))
+    pictures.append((_objects(known, names), "Recall of ADD by object; published: the paper's own column."))
     for method, rows in known.items():
         found = [row for row in rows if row["found"]]
         if found and method in ("full", "colorpair"):
@@ -110,12 +128,16 @@ def _objects(by_method: Mapping[str, Sequence[Row]], names: Mapping[str, str]) -
         for method, rows in by_method.items()
     }
     shown = sorted({name for block in blocks.values() for name in block})
-    series = {"published": [ours.get(name, np.nan) for name in shown]}
+    series = {"published": [ours.get(name, np.nan) for name in shown]} if ours.keys() & set(shown) else {}
     for method, block in blocks.items():
         series[method] = [figures(block.get(name, []))["recall_add"] or 0.0 for name in shown]
-    short = [name.split("_")[0] if name[:3].isdigit() else name[:8] for name in shown]
+    short = [_short(name) for name in shown]
     size = (max(720, 30 * len(shown) * len(series)), 460)
     return bar_chart(short, series, "recall of ADD by object", "%", (0.0, 118.0), size, notes=False)
+
+
+def _short(name: str) -> str:
+    return name.split("_")[0] if name[:3].isdigit() else name[:8]
 
 
 def _track_pictures(by_method: Mapping[str, Sequence[Row]]) -> list[tuple[UInt8, str]]:

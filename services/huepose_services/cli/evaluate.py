@@ -249,6 +249,12 @@ def _add_tables(verbs: Any) -> None:
     )
     _path(parser, "--ycbv", "DIR", "YCB-Video: BOP's folder, or YCB_Video_Dataset")
     _path(parser, "--fast-ycb", "DIR", "Fast-YCB: the folder of its sequences, or one of them")
+    _path(
+        parser,
+        "--unseen",
+        "DIR",
+        "also a family of objects by code that nothing was fitted to: drawn there once (a few minutes)",
+    )
     parser.add_argument("--out", type=Path, required=True, metavar="DIR", help="where everything goes")
     _path(parser, "--bundles", "DIR", "reference models; without it they are made from the models folder")
     _path(parser, "--models", "DIR", "textured meshes to make them from (the models folder of --ycbv)")
@@ -310,3 +316,4 @@ def _add_results(verbs: Any) -> None:
     )
     parser.add_argument("results", type=Path, nargs="+", metavar="RESULT.json")
     parser.add_argument("--out", type=Path, required=True, metavar="FILE.md", help="the page")
+    _path(parser, "--readme", "FILE.md", "a document whose marked table is cut from the results as well")

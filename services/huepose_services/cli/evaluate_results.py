@@ -5,7 +5,7 @@ from __future__ import annotations
 import argparse
 
 from huepose.datasets.files import read_json
-from huepose.evaluation.results_page import results_page
+from huepose.evaluation.results_page import results_page, with_cut
 from huepose.support.files import write_text
 
 
@@ -16,5 +16,7 @@ def call(arguments: argparse.Namespace) -> int:
         for path in arguments.results
     }
     write_text(arguments.out, results_page(records))
+    if arguments.readme is not None:
+        write_text(arguments.readme, with_cut(arguments.readme.read_text(), records))
     print(f"{arguments.out}: {len(records)} results")
     return 0

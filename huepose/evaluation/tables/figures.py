@@ -1,0 +1,101 @@
+"""Figures of measured rows, and the columns that hold them.
+
+A label or frame without a pose is wrong in every figure.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from huepose.evaluation import metrics
+from huepose.evaluation.bootstrap import frame_intervals
+from huepose.evaluation.bop_errors import average_recalls
+from huepose.evaluation.tables.journal import Entry
+from huepose.evaluation.tables.table import Cell, Head
+from huepose.geometry.arrays import Float64
+
+Row = Mapping[str, Any]
+RECALL = "recall: error under a tenth of the diameter, against the labels as they are, percent"
+_AUC = "area under the accuracy curve from 0 to 0.1 m: mean of max(0, 1 - error / 0.1 m), percent"
+VOC = "the same area as the toolboxes of YCB-Video and ROFT sum it (VOCap), percent"
+_BOP = "average recall of the BOP challenge, percent"
+COLUMNS = {
+    "recall_add": Head("recall", "ADD", RECALL),
+    "recall_adds": Head("recall", "ADD-S", RECALL),
+    "auc_add": Head("AUC", "ADD", _AUC),
+    "auc_adds": Head("AUC", "ADD-S", _AUC),
+    "auc_voc_add": Head("AUC, VOCap", "ADD", VOC),
+    "auc_voc_adds": Head("AUC, VOCap", "ADD-S", VOC),
+}
+BOP_COLUMNS = {
+    "ar": Head("BOP", "AR", _BOP),
+    "ar_vsd": Head("BOP", "VSD", _BOP),
+    "ar_mssd": Head("BOP", "MSSD", _BOP),
+    "ar_mspd": Head("BOP", "MSPD", _BOP),
+}
+
+
+@dataclass(frozen=True, eq=False)
+class Unseen:
+    """Objects that nothing was fitted to. images: entries by method; tracks: by (method, every N-th frame);
+    names: by how rows call them; plain: names of those with little texture; notes: on what was measured."""
+
+    images: Mapping[str, Sequence[Entry]]
+    tracks: Mapping[tuple[str, int], Sequence[Entry]]
+    names: Mapping[str, str]
+    plain: Collection[str]
+    notes: Sequence[str] = ()
+
+    def parts(self, found: Collection[str]) -> dict[str, list[str]]:
+        """Of the names that were found: what averages are over."""
+        return {
+            "unseen objects": list(found),
+            "unseen, textured": [name for name in found if name not in self.plain],
+            "unseen, little texture": [name for name in found if name in self.plain],
+        }
+
+
+def rows_of(entries: Sequence[Entry]) -> list[Row]:
+    """All rows of the entries that could be read."""
+    return [row for entry in entries for row in entry.get("rows", [])]
+
+
+def scored(rows: Sequence[Row]) -> list[Row]:
+    """Rows of a track that count: labelled and not gone."""
+    return [row for row in rows if row["right"] is not None and not row["gone"]]
+
+
+def errors(rows: Sequence[Row], key: str) -> Float64:
+    """Errors (N,) in metres; inf where there is no pose."""
+    return np.array([np.inf if row[key] is None else row[key] for row in rows], np.float64)
+
+
+def figures(rows: Sequence[Row], add_key: str = "add_official_m") -> dict[str, float | None]:
+    """Recall and AUC both ways of N rows, by default against the labels as they are; AR where it was
+    measured."""
+    if not rows:
+        return dict.fromkeys((*COLUMNS, *BOP_COLUMNS))
+    add = errors(rows, add_key if add_key in rows[0] else "add_m")
+    adds, diameters = errors(rows, "adds_m"), np.array([row["diameter_m"] for row in rows])
+    bop = [row["bop"] for row in rows if "bop" in row]
+    return {
+        **metrics.four_figures(add, adds, diameters),
+        "auc_voc_add": metrics.auc_voc(add),
+        "auc_voc_adds": metrics.auc_voc(adds),
+        **average_recalls(bop if len(bop) == len(rows) else []),
+    }
+
+
+def spans(rows: Sequence[Row], columns: Mapping[str, Head], unit: Any) -> list[Cell]:
+    """`low to high` of the figures that are means over rows, nothing for the others."""
+    if not rows:
+        return [None] * len(columns)
+    add = errors(rows, "add_official_m" if "add_official_m" in rows[0] else "add_m")
+    diameters = np.array([row["diameter_m"] for row in rows])
+    scores = metrics.pose_scores(add, errors(rows, "adds_m"), diameters)
+    found = frame_intervals(scores, [unit(row) for row in rows])
+    return [f"{found[k][0]:.0f} to {found[k][1]:.0f}" if k in found else "" for k in columns]

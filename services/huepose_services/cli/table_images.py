@@ -1,0 +1,111 @@
+"""The runs of `huepose eval tables` over single frames."""
+
+from __future__ import annotations
+
+import argparse
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+from huepose.datasets.ycb_objects import ycb_named, ycb_objects
+from huepose.datasets.ycbv_folder import open_ycbv, spread
+from huepose.estimation import Estimator
+from huepose.evaluation.equivalents import read_equivalents
+from huepose.evaluation.estimate_protocol import EstimateOptions, EstimateSetup
+from huepose.evaluation.tables.journal import Entry, Journal
+from huepose.evaluation.tables.runs import run_images
+from huepose.evaluation.tables.submission import AsGiven, read_submission
+from huepose.evaluation.targets import Targets, posecnn_offset_m
+from huepose.model import ReferenceModel
+from huepose.profiles import profile
+from huepose_services.cli.evaluate_estimate import box_source
+from huepose_services.cli.evaluate_scenes import bop_objects, say
+
+
+@dataclass(frozen=True)
+class ImageSource:
+    """path: in a layout of YCB-Video; key: of its files in OUT/runs; objects: names or ids that are asked
+    for, None for all; submissions: `NAME=FILE.csv` of others."""
+
+    path: Path
+    key: str
+    title: str
+    objects: Sequence[str] | None
+    submissions: Sequence[str] = ()
+
+
+def images(
+    arguments: argparse.Namespace, source: ImageSource, models: Mapping[str, ReferenceModel]
+) -> tuple[dict[str, list[Entry]], list[str], dict[str, int]]:
+    """Entries by method, notes on what is not in them, labels of the whole set by object name."""
+    offsets = {m.object_id: posecnn_offset_m(m) for m in models.values() if m.object_id is not None}
+    folder = open_ycbv(source.path, {i: o for i, o in offsets.items() if o is not None})
+    say([f"{source.path}: {folder.layout} layout", *folder.coverage.lines()])
+    scenes = folder.scenes if arguments.quick is None else spread(folder.scenes, arguments.quick)
+    targets = Targets(models, source.objects)
+    ids = [m.object_id for m in models.values() if m.object_id is not None]
+    boxes, given = box_source(arguments.boxes)
+    listed = bool(folder.coverage.targets)
+    options = EstimateOptions(boxes, "auto", 0.0 if listed else 0.1, (arguments.seed,))
+    equivalents = read_equivalents(arguments.equivalent) if arguments.equivalent else {}
+    # BOP's symmetries are in the frame of BOP's meshes.
+    in_bops_frame = {
+        name: m
+        for name, m in models.items()
+        if m.frame_offset_m is None or m.frame_offset_m.any() or ycb_named(name) is None
+    }
+    measured_on = bop_objects(folder.info, in_bops_frame) if folder.info is not None else {}
+    common = settings(arguments, boxes=arguments.boxes, seed=arguments.seed, objects=arguments.objects)
+    entries = {}
+    for method in arguments.methods:
+        config = replace(profile(arguments.profile).estimator, method=method, threads=arguments.threads)
+        estimator = Estimator({m.name: m for m in targets.models}, config)
+        estimator.warm_up()
+        setup = EstimateSetup(targets, estimator, options, equivalents, bop_objects=measured_on, given=given)
+        journal = Journal(
+            arguments.out / "runs" / f"{source.key}-{method}.jsonl", {**common, "method": method}
+        )
+        entries[method] = run_images(journal, scenes, setup, f"{source.title}, {method}")
+    submissions = [read_submission(named, set(ids)) for named in source.submissions]
+    for submission in submissions:
+        setup = EstimateSetup(
+            targets,
+            AsGiven(),
+            replace(options, boxes="file"),
+            equivalents,
+            bop_objects=measured_on,
+            given=submission.poses,
+        )
+        file = arguments.out / "runs" / f"{source.key}-submission-{submission.name}.jsonl"
+        file.unlink(missing_ok=True)  # nothing is estimated, and the file may be another one
+        entries[submission.name] = run_images(Journal(file, common), scenes, setup, submission.name)
+    n = sum(len(scene.image_ids) for scene in scenes)
+    notes = [*folder.coverage.lines()]
+    if n < sum(len(scene.image_ids) for scene in folder.scenes):
+        notes.append(f"a sample of {n} images, spread evenly over the scenes")
+    notes.append(f"boxes {arguments.boxes}, own masks, seed {arguments.seed}, profile {arguments.profile}")
+    notes += [note for submission in submissions for note in submission.notes]
+    notes += left_out(next(iter(entries.values())))
+    all_names = {i: o.name for i, o in ycb_objects().items()} | {
+        m.object_id: m.name for m in models.values() if m.object_id is not None
+    }
+    expected = {all_names.get(i, f"obj_{i:06d}"): n for i, n in folder.coverage.targets.items()}
+    wanted = {m.name for m in targets.models}
+    return entries, notes, {name: n for name, n in expected.items() if name in wanted}
+
+
+def left_out(entries: Sequence[Entry]) -> list[str]:
+    """Of the first method; the others see the same files."""
+    broken = [entry for entry in entries if "error" in entry]
+    without = sum(entry.get("without_model", 0) for entry in entries)
+    lines = [f"{without} labels of objects without a reference model are not measured"] if without else []
+    if broken:
+        reasons = "; ".join(str(entry["error"]) for entry in broken[:3])
+        lines.append(f"{len(broken)} images or sequences could not be read: {reasons}")
+    return lines
+
+
+def settings(arguments: argparse.Namespace, **more: Any) -> dict[str, Any]:
+    """What results depend on; a journal of other settings is not gone on with."""
+    return {"profile": arguments.profile, **more}

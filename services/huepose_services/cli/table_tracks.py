@@ -1,0 +1,159 @@
+"""The runs of `huepose eval tables` over sequences."""
+
+from __future__ import annotations
+
+import argparse
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+
+from huepose.datasets.fast_ycb import labelled_sequences, object_of
+from huepose.datasets.types import Scene, SomeImages
+from huepose.estimation import Estimator
+from huepose.evaluation.ablation import evaluate_ablation, with_networks
+from huepose.evaluation.ablation_rows import AblationResult, AblationRow
+from huepose.evaluation.paper_tracker import PaperTracker
+from huepose.evaluation.sources import EstimatorSource, FileSource, LoopJudge, PoseSource, TruthSource
+from huepose.evaluation.tables.journal import Entry, Journal
+from huepose.evaluation.tables.runs import run_tracks
+from huepose.evaluation.targets import Targets
+from huepose.evaluation.track_protocol import SourceNames, Sources, TrackOptions, evaluate_tracking
+from huepose.evaluation.track_rows import TrackResult
+from huepose.model import ReferenceModel
+from huepose.profiles import profile
+from huepose.support.errors import InputError
+from huepose.tracking import Tracker
+from huepose_services.cli.evaluate_scenes import open_fast_ycb
+from huepose_services.cli.pose_tables import PoseTables
+from huepose_services.cli.table_images import left_out, settings
+
+ABLATION_GAP = 5
+"""Frames between the two of a pair, as in the paper."""
+
+
+@dataclass(frozen=True)
+class TrackSource:
+    """path: in Fast-YCB's layout; key: of its files in OUT/runs; expected: names of the objects that the
+    whole set has sequences of."""
+
+    path: Path
+    key: str
+    expected: tuple[str, ...]
+
+
+def tracks(
+    arguments: argparse.Namespace, source: TrackSource, bundles: Path
+) -> tuple[dict[tuple[str, int], list[Entry]], list[str]]:
+    """Entries by method and step, notes on what is not in them."""
+    import cv2
+
+    cv2.setNumThreads(1)  # as the tracker's worker does
+    found, notes = labelled_sequences(source.path)
+    scenes, models = open_fast_ycb([source.path], bundles)
+    absent = [name for name in source.expected if name not in {object_of(p) for p in found}]
+    if absent:
+        notes.append(f"missing sequences: {', '.join(absent)}")
+    if arguments.quick is not None:
+        scenes = [SomeImages(scene, scene.image_ids[: arguments.quick]) for scene in scenes]
+        notes.append(f"the first {arguments.quick} frames of each sequence")
+    starts = {scene.name: _start(arguments, path) for scene, path in zip(scenes, found, strict=True)}
+    for kind in sorted(set(starts.values())):
+        notes.append(f"first pose {kind}: {', '.join(n for n, start in starts.items() if start == kind)}")
+    notes.append(f"protocol {arguments.protocol}, profile {arguments.profile}")
+    common = settings(arguments, protocol=arguments.protocol, start=arguments.start, seed=arguments.seed)
+    paths = {scene.name: path for scene, path in zip(scenes, found, strict=True)}
+    track = _Tracking(arguments, models, starts, paths)
+    entries = {}
+    for method in arguments.methods:
+        if method == "colorpair":
+            continue
+        journal = Journal(
+            arguments.out / "runs" / f"{source.key}-{method}.jsonl", {**common, "method": method}
+        )
+        for every in arguments.every:
+            entries[method, every] = run_tracks(
+                journal,
+                scenes,
+                every,
+                lambda scene, m=method, k=every: track(scene, m, k),  # type: ignore[misc]
+            )
+    notes += left_out(next(iter(entries.values()), []))
+    return entries, notes
+
+
+def ablation(arguments: argparse.Namespace, source: TrackSource, bundles: Path) -> AblationResult | None:
+    """The paper's ablation by our closed form (`robust`) and a network as the paper's (`direct`); None where
+    no frames lie far enough apart."""
+    scenes, models = open_fast_ycb([source.path], bundles)
+    if arguments.quick is not None:
+        scenes = [SomeImages(scene, scene.image_ids[: arguments.quick]) for scene in scenes]
+    journal = Journal(arguments.out / "runs" / f"{source.key}-ablation.jsonl", {"gap": ABLATION_GAP})
+    estimators = {name: with_networks()[name] for name in ("robust", "direct")}
+    rows: list[AblationRow] = []
+    pairs = left_out = 0
+    for scene in scenes:
+        key = f"{scene.name}/{len(scene.image_ids)} frames"
+        if not journal.done(key):
+            try:
+                found = evaluate_ablation([scene], Targets(models), ABLATION_GAP, estimators)
+            except InputError as error:
+                journal.add(key, {"error": str(error)})
+                continue
+            of_scene = {"pairs": found.pairs, "left_out": found.left_out, **found.as_json()}
+            journal.add(key, of_scene)
+        entry = journal.entries[key]
+        rows += [AblationRow(**row) for row in entry["rows"]]
+        pairs, left_out = pairs + entry["pairs"], left_out + entry["left_out"]
+    return AblationResult(rows, pairs, left_out, ABLATION_GAP) if rows else None
+
+
+def _start(arguments: argparse.Namespace, path: Path) -> str:
+    there = any((path / "dope" / name).exists() for name in ("poses_ycb.txt", "poses.txt"))
+    return arguments.start or ("dope" if there else "gt")
+
+
+class _Tracking:
+    """One sequence by one method."""
+
+    def __init__(
+        self,
+        arguments: argparse.Namespace,
+        models: Mapping[str, ReferenceModel],
+        starts: Mapping[str, str],
+        paths: Mapping[str, Path],
+    ) -> None:
+        self.arguments, self.models, self.starts, self.paths = arguments, models, starts, paths
+        self.estimator: Estimator | None = None
+
+    def __call__(self, scene: Scene, method: str, every: int) -> TrackResult:
+        """Track it."""
+        arguments, settings = self.arguments, profile(self.arguments.profile)
+        roft = arguments.protocol == "roft"
+        first = self._source(self.starts[scene.name], scene)
+        delayed = self._source("estimate", scene) if roft else None
+
+        def ours(models: Mapping[str, ReferenceModel]) -> Tracker:
+            tracker = Tracker(models, settings.tracker)
+            tracker.warm_up()
+            return tracker
+
+        return evaluate_tracking(
+            [scene],
+            Targets(self.models),
+            PaperTracker if method == "paper" else ours,
+            lambda scene, seed: Sources(first, delayed),
+            TrackOptions(arguments.protocol, every, (arguments.seed,)),
+            SourceNames(self.starts[scene.name], "estimate" if roft else None),
+            judge=LoopJudge(self.models) if roft else None,
+        )
+
+    def _source(self, kind: str, scene: Scene) -> PoseSource:
+        if kind == "gt":
+            return TruthSource()
+        if kind == "dope":
+            tables = PoseTables(None, None, {object_of(scene.name): self.models[object_of(scene.name)]})
+            return FileSource(tables.of(str(self.paths[scene.name].parent), scene.name))
+        if self.estimator is None:
+            self.estimator = Estimator(self.models, profile(self.arguments.profile).estimator)
+            self.estimator.warm_up()
+        return EstimatorSource(self.estimator, self.arguments.seed)

@@ -110,7 +110,7 @@ def _unseen(arguments: argparse.Namespace) -> Unseen:
     plain = {m.name for m in listed if m.info.get("texture") == "little"}
     frames = ImageSource(folder / "ycbv", "unseen", "unseen objects", None)
     of_images, image_notes, _ = images(arguments, frames, models)
-    sequences = TrackSource(folder / "fast", "unseen-fast", tuple(models))
+    sequences = TrackSource(folder / "fast", "unseen-fast", tuple(models), "gt")
     of_tracks, track_notes = tracks(arguments, sequences, bundles)
     notes = [f"unseen objects: {note}" for note in dict.fromkeys([*image_notes, *track_notes])]
     said = (

@@ -51,6 +51,7 @@ def call(arguments: argparse.Namespace) -> int:
     from huepose_services.runtime.health import Health
     from huepose_services.runtime.log import Log
     from huepose_services.runtime.session import open_recorder_session
+    from huepose_services.runtime.worker import come_first
 
     part, keep, free = arguments.part, arguments.keep, arguments.free
     if part < 1 or free < 0 or (keep is not None and keep < part):
@@ -68,6 +69,7 @@ def call(arguments: argparse.Namespace) -> int:
 
     signal.signal(signal.SIGTERM, stop)
     signal.signal(signal.SIGINT, stop)
+    come_first("record")
     limits = Limits(part << 20, None if keep is None else keep << 20, free << 20)
     about = about_this_machine() | {"site": config.site, "camera": config.camera.name}
     parts = Parts(arguments.out, limits, this_clock().realtime_offset_ns, about, arguments.jpeg)

@@ -34,11 +34,12 @@ ABLATION_GAP = 5
 @dataclass(frozen=True)
 class TrackSource:
     """path: in Fast-YCB's layout; key: of its files in OUT/runs; expected: names of the objects that the
-    whole set has sequences of."""
+    whole set has sequences of; start: first poses, None for DOPE's where the set has them."""
 
     path: Path
     key: str
     expected: tuple[str, ...]
+    start: str | None = None
 
 
 def tracks(
@@ -56,11 +57,18 @@ def tracks(
     if arguments.quick is not None:
         scenes = [SomeImages(scene, scene.image_ids[: arguments.quick]) for scene in scenes]
         notes.append(f"the first {arguments.quick} frames of each sequence")
-    starts = {scene.name: _start(arguments, path) for scene, path in zip(scenes, found, strict=True)}
-    for kind in sorted(set(starts.values())):
-        notes.append(f"first pose {kind}: {', '.join(n for n, start in starts.items() if start == kind)}")
+    starts = {
+        scene.name: _start(arguments.start or source.start, path)
+        for scene, path in zip(scenes, found, strict=True)
+    }
+    kinds = sorted(set(starts.values()))
+    for kind in kinds:
+        own = ", ".join(name for name, start in starts.items() if start == kind)
+        notes.append(f"first pose {kind}: {own if len(kinds) > 1 else 'all'}")
     notes.append(f"protocol {arguments.protocol}, profile {arguments.profile}")
-    common = settings(arguments, protocol=arguments.protocol, start=arguments.start, seed=arguments.seed)
+    common = settings(
+        arguments, protocol=arguments.protocol, start=arguments.start or source.start, seed=arguments.seed
+    )
     paths = {scene.name: path for scene, path in zip(scenes, found, strict=True)}
     track = _Tracking(arguments, models, starts, paths)
     entries = {}
@@ -107,9 +115,9 @@ def ablation(arguments: argparse.Namespace, source: TrackSource, bundles: Path) 
     return AblationResult(rows, pairs, left_out, ABLATION_GAP) if rows else None
 
 
-def _start(arguments: argparse.Namespace, path: Path) -> str:
+def _start(asked: str | None, path: Path) -> str:
     there = any((path / "dope" / name).exists() for name in ("poses_ycb.txt", "poses.txt"))
-    return arguments.start or ("dope" if there else "gt")
+    return asked or ("dope" if there else "gt")
 
 
 class _Tracking:

@@ -42,7 +42,11 @@ _HOMES = {
 }
 # Frames and tracking come first where the cores do not suffice. To raise a priority needs the right to
 # do so (root, LimitNICE of a unit); to lower that of perception and of what only looks needs none.
-_NICENESS = {"camera": -5, "tracker": -5, "reinit": -2, "detector": 3, "segmenter": 3, "estimator": 3}
+# A recorder that does not come at once holds the places that the camera has for frames, until none is left.
+_NICENESS = {
+    **{"camera": -5, "tracker": -5, "record": -5, "reinit": -2},
+    **{"detector": 3, "segmenter": 3, "estimator": 3},
+}
 _NICENESS_OF_OTHERS = 3
 _LONGEST_WAIT_S = 0.1
 _FORCED_STOP_AFTER_S = 1.0
@@ -87,6 +91,12 @@ class _Stop:
         os._exit(0)
 
 
+def come_first(worker: str) -> None:
+    """This process comes before or after others as this worker does, where it has the right to."""
+    with suppress(PermissionError):
+        os.nice(_NICENESS.get(worker, _NICENESS_OF_OTHERS))
+
+
 def run_worker(worker: str, config: Config) -> int:
     """Run a worker until SIGTERM, SIGINT, its supervisor's end or its own. Returns the exit code.
 
@@ -96,8 +106,7 @@ def run_worker(worker: str, config: Config) -> int:
     stop = _Stop(log)
     # The supervisor asks a worker that hangs where it is before it ends it.
     faulthandler.register(TELL_WHERE, file=sys.stderr, all_threads=True)
-    with suppress(PermissionError):
-        os.nice(_NICENESS.get(worker, _NICENESS_OF_OTHERS))
+    come_first(worker)
     cv2.setNumThreads(1)
     session, health.warnings = open_worker_session(config, worker)
     for warning in health.warnings:

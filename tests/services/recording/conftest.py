@@ -9,12 +9,14 @@ from pathlib import Path
 import msgspec
 import numpy as np
 import pytest
+from mcap.reader import make_reader
+from mcap.writer import Writer
 
 from huepose.geometry import se3
 from huepose.model.io import model_path, save_model
 from huepose_protos.buffers import frame_images, pack
 from huepose_protos.examples import messages
-from huepose_protos.messages import CorrectionMessage, FrameHeader, IntakeMessage
+from huepose_protos.messages import CorrectionMessage, FrameHeader, IntakeMessage, PoseMessage
 from huepose_services import models
 from huepose_services.convert import depth_to_wire, intrinsics_to_wire, pose_to_wire
 from huepose_services.recording.parts import Limits, Parts
@@ -159,3 +161,45 @@ def followed(tea_box, take_picture, standing, tmp_path_factory):
         out.message(key, message)
     out.close()
     return Followed(path, bundles, folder / "recordings")
+
+
+def written(path, numbers=(7, 8, 12), jpeg=False, chunks=False):
+    """A recording of frames with a pose after each."""
+    out = parts(path, jpeg=jpeg)
+    for number in numbers:
+        header, color, depth = tiny_frame(number)
+        out.frame(header, color, depth, KEY + "frame")
+        pose = msgspec.structs.replace(
+            EXAMPLES[PoseMessage], frame_id=number, publish_ns=header.publish_ns + 1
+        )
+        out.message(KEY + "pose/x/1", pose)
+        if chunks:
+            out._part._due = 0.0
+            out.commit()
+    out.close()
+    return out
+
+
+def frames(events):
+    """Header, colour and depth of each."""
+    return [
+        (e.message, *frame_images(e.message, e.payload)) for e in events if isinstance(e.message, FrameHeader)
+    ]
+
+
+def mcap_of(path, **message):
+    """A file with one message of another program."""
+    message = {"topic": KEY + "pose/x/1", "encoding": "json", "data": b"{}"} | message
+    with path.open("wb") as file:
+        writer = Writer(file)
+        writer.start()
+        channel = writer.register_channel(message["topic"], message["encoding"], 0)
+        writer.add_message(channel, 1, message["data"], 1)
+        writer.finish()
+    return path
+
+
+def chunks_of(path):
+    """The index of its chunks."""
+    with path.open("rb") as file:
+        return make_reader(file).get_summary().chunk_indexes

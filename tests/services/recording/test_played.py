@@ -1,0 +1,210 @@
+"""A recording as a BOP scene, as a camera, as a pipeline that is played again and computed again."""
+
+import json
+import os
+import signal
+import time
+
+import msgspec
+import numpy as np
+import pytest
+
+from huepose.datasets.bop import BopScene
+from huepose.support.errors import InputError
+from huepose_protos.client import Reader
+from huepose_protos.local import endpoint
+from huepose_protos.messages import PoseMessage, TruthMessage
+from huepose_services.camera.recording import RecordedScene
+from huepose_services.chaos.system import LivePipeline
+from huepose_services.cli.main import main
+from huepose_services.recording.export import export_bop
+from huepose_services.recording.play import Player, in_order, said_by
+from huepose_services.recording.read import Recording
+from huepose_services.recording.verify import verify
+
+from .conftest import EXAMPLES, KEY, chunks_of, frames, mcap_of, parts, tiny_frame, written
+
+POSE = EXAMPLES[PoseMessage]
+
+
+def test_it_is_exported_as_a_bop_scene(tmp_path):
+    out = parts(tmp_path / "out")
+    truth = msgspec.structs.replace(EXAMPLES[TruthMessage], frame_id=8)
+    for epoch, number in ((1, 7), (1, 8), (2, 3)):
+        header, color, depth = tiny_frame(number)
+        out.frame(msgspec.structs.replace(header, camera_epoch=epoch), color, depth, KEY + "frame")
+        out.message(KEY + "truth", msgspec.structs.replace(truth, camera_epoch=epoch, frame_id=number))
+    out.message(KEY + "pose/x/1", msgspec.structs.replace(POSE, camera_epoch=2, frame_id=3))
+    out.close()
+    folder = tmp_path / "bop"
+    assert main(["replay", str(out.path), "--bop", str(folder)]) == 0
+    scene = BopScene(folder)
+    # The second opening of the camera goes on counting.
+    assert scene.image_ids == (7, 8, 12)
+    for image, number in ((7, 7), (8, 8), (12, 3)):
+        header, color, depth = tiny_frame(number)
+        frame = scene.frame(image)
+        assert (frame.color == color).all()
+        assert frame.depth == pytest.approx(depth * 0.0001, abs=1e-6)
+        assert frame.stamp_ns == header.capture_ns
+        assert (frame.camera.fx, frame.camera.cy) == (header.intrinsics.fx, header.intrinsics.cy)
+        (label,) = scene.truths(image)
+        assert label.T_cam_obj[:3, 3] == pytest.approx(truth.objects[0].translation)
+        assert (label.object_id, label.visib_fract) == (
+            truth.objects[0].object_id,
+            truth.objects[0].visib_fract,
+        )
+    assert json.loads((folder / "poses.jsonl").read_text())["frame_id"] == 12
+    with pytest.raises(InputError, match="a new or empty folder"):
+        export_bop([], folder)
+
+
+def test_it_is_a_camera(tmp_path):
+    out = parts(tmp_path / "out")
+    for number in (4, 4, 5):  # shown again, as the first frame of a recording is
+        out.frame(*tiny_frame(number), KEY + "frame")
+        out._part._due = 0.0
+        out.commit()
+    truth = msgspec.structs.replace(EXAMPLES[TruthMessage], frame_id=5)
+    out.message(KEY + "truth", msgspec.structs.replace(truth, camera_epoch=tiny_frame(5)[0].camera_epoch))
+    out.close()
+    scene = RecordedScene(out.path)
+    assert (scene.name, scene.image_ids) == ("out", (0, 1))
+    for image, number in ((1, 5), (0, 4), (1, 5)):
+        header, color, depth = tiny_frame(number)
+        frame = scene.frame(image)
+        assert (frame.color == color).all()
+        assert frame.depth == pytest.approx(depth * 0.0001, abs=1e-6)
+        assert scene.stamp_ns(image) == header.capture_ns
+    assert scene.truths(0) == ()
+    assert [t.object for t in scene.truths(1)] == ["006_mustard_bottle"]
+    with pytest.raises(InputError, match="no frame"):
+        RecordedScene(mcap_of(tmp_path / "x.mcap", topic="/other"))
+
+
+class _Bus:
+    """Keeps what is put."""
+
+    def __init__(self):
+        self.out = []
+        self.keys = self
+
+    def of_tail(self, tail):
+        return f"huepose/here/cam/{tail}"
+
+    def put(self, key, message):
+        self.out.append((key, message))
+
+    def put_pixels(self, key, message, payload):
+        self.out.append((key, message))
+
+
+def _played(events, **options):
+    bus = _Bus()
+    player = Player(events, bus, 5_000_000_000, **options)
+    due = []
+    while not player.finished:
+        due.append(player.due_ns())
+        player.play()
+    return bus.out, due
+
+
+def test_it_is_played_in_order_with_its_ages_at_any_speed(tmp_path):
+    events = list(Recording(written(tmp_path / "out").path).events())
+    out, due = _played(events[::-1], speed=2.0)
+    assert [m.frame_id for _, m in out] == [7, 7, 8, 8, 12, 12]
+    assert due[0] == 5_000_000_000
+    assert due[2] - due[0] == pytest.approx(33_333_333 / 2, abs=1)
+    assert [m.publish_ns for _, m in out] == due
+    assert [m.publish_ns - m.capture_ns for _, m in out] == [
+        e.message.publish_ns - e.message.capture_ns for e in in_order(events)
+    ]
+    assert {key for key, _ in out} == {"huepose/here/cam/frame", "huepose/here/cam/pose/x/1"}
+    # One camera, which is not the recorded one.
+    assert len({m.camera_epoch for _, m in out}) == 1
+    assert out[0][1].camera_epoch != events[0].message.camera_epoch
+
+
+@pytest.mark.parametrize(
+    ("only", "keys"), [("camera", {"frame"}), ("tracker", {"pose/x/1"}), ("reinit", set())]
+)
+def test_one_worker_alone_is_played(tmp_path, only, keys):
+    events = Recording(written(tmp_path / "out").path).events()
+    out, _ = _played(events, speed=1.0, only=only)
+    assert {key.removeprefix("huepose/here/cam/") for key, _ in out} == keys
+
+
+@pytest.mark.parametrize(
+    ("tail", "worker"),
+    [
+        ("frame", "camera"),
+        ("camera", "camera"),
+        ("health/estimator", "estimator"),
+        ("correction", "reinit"),
+        ("perception/estimates", "estimator"),
+        ("perception/request", "reinit"),
+        ("tracker/intake", "tracker"),
+    ],
+)
+def test_every_key_has_a_worker(tail, worker):
+    assert said_by(KEY + tail) == worker
+
+
+@pytest.mark.live
+def test_a_camera_is_recorded_and_replayed(pipeline, scene, huepose, base_port, tmp_path):
+    path = pipeline(once=False, rate=20)
+    out = tmp_path / "recording.mcap"
+    camera = huepose("run", "camera", path)
+    recorder = huepose("record", out, "--config", path, "--free", "0")
+    deadline = time.monotonic() + 60.0
+    while not out.exists() or len(frames(Recording(out).events())) < 20:
+        assert time.monotonic() < deadline
+        time.sleep(0.1)
+    recorder.send_signal(signal.SIGINT)
+    assert recorder.wait(15.0) == 0
+    camera.terminate()
+    camera.wait(5.0)
+    text = recorder.stderr.read()
+    taken, source = RecordedScene(out), BopScene(scene)
+    assert f"{len(taken.image_ids)} frames" in text
+    assert "MB" in text
+    for image in taken.image_ids:
+        again, number = taken.frame(image), taken.frame(image).frame_id
+        first = source.frame(3 + (number - 3) % 15)
+        assert (again.color == first.color).all()
+        assert again.depth == pytest.approx(first.depth, abs=1e-4)
+    assert taken.truths(taken.image_ids[len(taken.image_ids) // 2])
+
+    before = {number: signal.getsignal(number) for number in (signal.SIGINT, signal.SIGTERM)}
+    with Reader([endpoint(base_port)], "huepose/*/*/health/*") as reader:
+        assert main(["replay", str(out), "--config", str(path), "--speed", "20", "--only", "camera"]) == 0
+        assert reader.next(5.0).worker == "camera"
+    for number, handler in before.items():
+        signal.signal(number, handler)
+
+
+@pytest.mark.live
+@pytest.mark.timeout(900)
+def test_a_live_pipeline_is_computed_again_bit_by_bit(huepose, tmp_path):
+    """At 10 Hz: how much of 30 a busy computer can do is not what this is about. Recorded from before the
+    pipeline began, so nothing is skipped; cut anywhere, what comes before the last chunk stays."""
+    out = tmp_path / "live.mcap"
+    system = LivePipeline(slow=3.0)
+    recorder = huepose("record", out, "--config", system.path, "--free", "0")
+    with system:
+        assert system.wait_until_steady(3, 600.0), system.log()[-3000:]
+        time.sleep(5.0)
+        recorder.send_signal(signal.SIGINT)
+        assert recorder.wait(30.0) == 0
+        report = verify([Recording(out)])
+    assert report.difference == ""
+    assert report.steps > 20, report.text
+    assert report.poses > 20, report.text
+
+    recording = Recording(out)
+    keys = [[e.key for e in recording.inside(chunk, pixels=False)] for _, chunk in recording.chunks()]
+    ends = [index.chunk_start_offset + index.chunk_length for index in chunks_of(out)]
+    for cut in sorted(np.random.default_rng(0).integers(8, out.stat().st_size, 20), reverse=True):
+        os.truncate(out, cut)
+        whole = keys[: int(np.searchsorted(ends, cut, "right"))]
+        assert [e.key for e in Recording(out).events()] == [key for chunk in whole for key in chunk]

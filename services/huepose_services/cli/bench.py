@@ -14,6 +14,7 @@ def add_parser(subparsers: Any) -> None:
     parser = subparsers.add_parser("bench", help="time of every stage")
     parser.add_argument("what", nargs="?", choices=_WHAT, default="all", help="default: all")
     parser.add_argument("--json", type=Path, metavar="FILE", help="write the figures to a file as well")
+    parser.add_argument("--picture", type=Path, metavar="FILE.png", help="draw the stages' shares as bars")
     parser.add_argument("--seed", type=int, default=0, metavar="N", help="which built-in scene (0)")
     parser.add_argument(
         "--profile",
@@ -63,12 +64,33 @@ def call(arguments: argparse.Namespace) -> int:
     summary["peak_memory_mib"] = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024.0
     if arguments.json is not None:
         write_json(arguments.json, {"summary": summary, "stages": [asdict(s) for s in stages]})
+    if arguments.picture is not None:
+        draw_stages(arguments.picture, [(s.name, s.cpu_ms_p50, s.cpu_ms_p99) for s in stages])
     print(f"{'stage':28s} {'wall p50':>9s} {'p95':>8s} {'p99':>8s} {'CPU p50':>9s} {'p99':>8s}   ms")
     for s in stages:
         times = (s.wall_ms_p50, s.wall_ms_p95, s.wall_ms_p99, s.cpu_ms_p50, s.cpu_ms_p99)
         print(f"{s.name:28s} " + " ".join(f"{t:{w}.2f}" for t, w in zip(times, (9, 8, 8, 9, 8), strict=True)))
     print(f"peak memory {summary['peak_memory_mib']:.0f} MiB")
     return 0
+
+
+def draw_stages(path: Path, stages: list[tuple[str, float, float]]) -> None:
+    """Bars of stages (name, median, 99th percentile in CPU ms), a row for each thing that has any; no picture
+    where nothing has."""
+    import numpy as np
+
+    from huepose.drawing.plots import bar_chart
+    from huepose.evaluation.pictures import write_picture
+
+    rows = []
+    for whole in dict.fromkeys(name.split("/")[0].split()[0] for name, _, _ in stages):
+        own = [s for s in stages if s[0].split("/")[0].split()[0] == whole]
+        names = [name.split("/", 1)[-1] for name, _, _ in own]
+        times = {"median": [p50 for _, p50, _ in own], "99th percentile": [p99 for _, _, p99 in own]}
+        if len(own) > 1:
+            rows.append(bar_chart(names, times, whole, "CPU ms a frame", size=(1300, 320)))
+    if rows:
+        write_picture(path, np.concatenate(rows))
 
 
 def _p50(stages: list[Any], name: str) -> float:

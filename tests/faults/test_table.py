@@ -10,7 +10,7 @@ import pytest
 
 from huepose_services.chaos.faults import FAULTS
 from huepose_services.chaos.outcome import Outcome, back_after, table
-from huepose_services.chaos.system import SeenPose, gaps_s, longest_wrong, too_old, wrong
+from huepose_services.chaos.system import SeenPose, gaps_s, longest_wrong, may_be_wrong, too_old, wrong
 from tests.faults import test_live
 
 ROOT = Path(__file__).parents[2]
@@ -28,6 +28,18 @@ def test_each_of_the_25_is_in_the_table_of_the_manual_with_where_it_is_injected(
         assert ("chaos" in where) == (int(number) in live), number
         for name in files:
             assert (ROOT / name).exists(), name
+
+
+def test_each_attack_of_the_manual_is_a_test():
+    page = (ROOT / "docs" / "reliability.md").read_text()
+    page = page[page.index("## Attacks") : page.index("### The sandbox")]
+    rows = re.findall(r"^\|.*\|$", page, re.MULTILINE)[2:]
+    assert len(rows) == 19
+    for row in rows:
+        tests = re.findall(r"`(tests/[\w/.]+)::(\w+)`", row)
+        assert tests, row
+        for file, name in tests:
+            assert f"def {name}(" in (ROOT / file).read_text(), name
 
 
 def test_the_short_ones_are_among_all():
@@ -51,6 +63,14 @@ def test_wrong_poses_in_a_row_are_those_of_one_instance():
     assert longest_wrong([wrong_one, pose(0.1, "SUSPECT", error=0.2), wrong_one]) == 1
     other = replace(wrong_one, instance=1)
     assert longest_wrong([wrong_one, other, wrong_one, other, other]) == 3
+
+
+def test_as_many_may_be_wrong_as_they_say():
+    """Of 100 at 0.98 two are to be expected; nine or more come about in 0.02 % of cases, eight in 0.1 %."""
+    unsure = [replace(pose(0.1 * k), quality=0.98) for k in range(100)]
+    assert may_be_wrong(unsure) == 8
+    assert may_be_wrong([replace(p, state="SUSPECT") for p in unsure]) == 0
+    assert may_be_wrong([pose(0.0)] * 50) == 0  # sure of it: none
 
 
 @pytest.mark.parametrize(

@@ -21,6 +21,7 @@ from pathlib import Path
 
 import msgspec
 import numpy as np
+from scipy.stats import poisson
 
 from huepose.evaluation.metrics import add
 from huepose.model import load_models
@@ -42,7 +43,7 @@ _OLD_CORRECTIONS = 400
 @dataclass(frozen=True)
 class SeenPose:
     """A pose message as it arrived: `age_ms` when it was published, `late_ms` when it arrived; `error` is
-    ADD over the diameter, None without pose or truth."""
+    ADD over the diameter, None without pose or truth; `quality`: how sure it says it is."""
 
     at: float
     capture_ns: int
@@ -53,6 +54,7 @@ class SeenPose:
     frame: tuple[int, int]
     state: str
     error: float | None
+    quality: float = 1.0
 
 
 class LivePipeline:
@@ -192,11 +194,8 @@ class LivePipeline:
         age_ms = (pose.publish_ns - pose.capture_ns) * 1e-6
         late_ms = (time.monotonic_ns() - pose.capture_ns) * 1e-6
         frame = (pose.camera_epoch, pose.frame_id)
-        self.poses.append(
-            SeenPose(
-                now, pose.capture_ns, age_ms, late_ms, pose.object, pose.instance, frame, pose.state, error
-            )
-        )
+        seen = (pose.object, pose.instance, frame, pose.state, error, pose.quality)
+        self.poses.append(SeenPose(now, pose.capture_ns, age_ms, late_ms, *seen))
 
     def tracking_now(self) -> set[str]:
         """Objects with a TRACKING pose in the last half second."""
@@ -236,6 +235,13 @@ def gaps_s(poses: list[SeenPose], start: float, end: float) -> list[float]:
 def wrong(poses: list[SeenPose], limit: float = 0.1) -> int:
     """TRACKING poses that are not right."""
     return sum(p.state == "TRACKING" and p.error is not None and p.error >= limit for p in poses)
+
+
+def may_be_wrong(poses: list[SeenPose]) -> int:
+    """How many TRACKING poses may be wrong if each is right as often as its quality says: more come about
+    once in a thousand times (Poisson, which is a little more than the sum of unequal chances has)."""
+    told = [1.0 - p.quality for p in poses if p.state == "TRACKING" and p.error is not None]
+    return int(poisson.ppf(0.999, sum(told))) if told else 0
 
 
 def longest_wrong(poses: list[SeenPose], limit: float = 0.1) -> int:

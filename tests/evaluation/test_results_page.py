@@ -2,13 +2,17 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+
 import pytest
 
+from huepose.datasets.files import read_json
 from huepose.evaluation.origin import origin
-from huepose.evaluation.results_page import results_page
+from huepose.evaluation.results_page import BEGIN, END, results_page, with_cut
 from huepose.evaluation.tables.table import Head, Table
 from huepose.support.errors import InputError
 
+ROOT = Path(__file__).parents[2]
 ORIGIN = {"command": "huepose eval estimate", "date": "2026-01-02", "machine": "m", "versions": "v"}
 
 
@@ -43,6 +47,29 @@ def test_results_of_all_kinds_are_shown_with_their_origin() -> None:
         "| all | 27 | 100.0 | 97.1 |", "| 95 % of draws |  | 97.0 to 100.0 |  |", "| 5 | - | 99.0 | - |",
     ):  # fmt: skip
         assert line in page.splitlines()
+
+
+def test_a_marked_table_is_cut_from_the_first_result_of_the_tables() -> None:
+    heads = (Head("paper, published", "ADD", measured=False), Head("", "n"), Head("full", "ADD"))
+    rows = (("002_can", (1.0, 2, 3.0)), ("All labels", (4.0, 5, 66.66)))
+    tables = [Table("table1", "Table I", heads, rows).as_json(), Table("other", "O", heads, rows).as_json()]
+    before, after = f"# Mine\n\n{BEGIN}\n", f"{END}\n\nThe end.\n"
+    whole = with_cut(f"{before}old\n{after}", {"estimate": {}, "tables": {"tables": tables}})
+    cut = "| Table I | n | full ADD |\n| --- | --- | --- |\n| YCB-Video | 5 | 66.7 |\n\n"
+    assert whole == f"{before}{cut}{after}"
+    with pytest.raises(InputError, match="no such lines"):
+        with_cut("# Mine", {"tables": {"tables": tables}})
+    with pytest.raises(InputError, match="no result"):
+        with_cut(whole, {"estimate": {}})
+
+
+def test_what_the_documents_say_is_what_the_result_files_say() -> None:
+    """Else: `huepose eval results docs/results/*.json --out docs/results.md --readme README.md`."""
+    records = {path.stem: read_json(path) for path in sorted((ROOT / "docs" / "results").glob("*.json"))}
+    assert records
+    assert (ROOT / "docs" / "results.md").read_text() == results_page(records)
+    readme = (ROOT / "README.md").read_text()
+    assert readme == with_cut(readme, records)
 
 
 def test_a_result_without_origin_is_refused() -> None:

@@ -230,6 +230,8 @@ _WORKERS = ("camera", "tracker", "reinit", "detector", "segmenter", "estimator")
 NO_DEPTH = "no depth:"
 
 FAULTS: tuple[Fault, ...] = (
+    # What the scene itself gives: once round its loop.
+    camera(0, "nothing is broken", seconds=30.0),
     camera(1, "camera unplugged", "the connection is lost", 3.0, unplugged=True),
     camera(2, "last picture for ever", "no new picture for 2 s", 4.0, frozen="stamps"),
     camera(2, "last picture with new stamps", "no new picture for 2 s", 4.0, frozen="pixels"),

@@ -3,10 +3,10 @@
 In every fault: before it, objects are TRACKING. Nobody gets a pose that is not a rigid motion (it could not
 be read), one as TRACKING of a camera that is none, or one as TRACKING that was older than
 `tracker.max_age_ms` when it was published. A pose that is wrong (error over a tenth of the diameter) is
-TRACKING in one frame and not in the next, which sees it anew; and there are no more of these than the poses
-themselves say, whose quality is the chance of being right. No other worker dies. What should be noticed is
-said, in the log or in the camera's health. Afterwards all workers work and objects are TRACKING again. Who
-reads beside a slow reader gets poses as soon as before.
+TRACKING for no more frames than the evaluation of states gives the tracker to notice it, and there are no
+more of these than the poses themselves say, whose quality is the chance of being right. No other worker
+dies. What should be noticed is said, in the log or in the camera's health. Afterwards all workers work and
+objects are TRACKING again. Who reads beside a slow reader gets poses as soon as before.
 """
 
 from __future__ import annotations
@@ -19,6 +19,7 @@ from typing import Any
 
 import numpy as np
 
+from huepose.evaluation.states import SUSPECT_WITHIN_FRAMES
 from huepose_services.chaos.faults import Fault
 from huepose_services.chaos.system import (
     LivePipeline,
@@ -96,7 +97,9 @@ def strike(system: LivePipeline, fault: Fault, patience_s: float) -> Outcome:
     outcome.of_no_camera = sum(p.frame[0] not in system.epochs for p in tracking)
     worst = max(tracking, key=lambda p: p.error or 0.0, default=None)
     outcome.worst = (
-        "" if worst is None else f"{worst.name} {worst.error or 0.0:.2f} after {worst.at - start:.0f} s"
+        ""
+        if worst is None
+        else f"{worst.name} {worst.error or 0.0:.2f} after {worst.at - start:.0f} s, frame {worst.frame[1]}"
     )
     outcome.too_old_tracking = too_old(seen, system.max_age_ms)
     outcome.unreadable = 0 if fault.refused else system.reader.refused - refused
@@ -117,7 +120,10 @@ def _notice(outcome: Outcome, fault: Fault, system: LivePipeline, log_length: in
 def _broken(o: Outcome, fault: Fault, steady: bool, calm_ms: float) -> list[str]:
     found = [
         (o.unreadable > 0, f"{o.unreadable} messages of its own could not be read"),
-        (o.wrong_in_a_row > 1, f"{o.wrong_in_a_row} wrong TRACKING poses in a row (worst: {o.worst})"),
+        (
+            o.wrong_in_a_row > SUSPECT_WITHIN_FRAMES,
+            f"{o.wrong_in_a_row} wrong TRACKING poses in a row (worst: {o.worst})",
+        ),
         (
             o.wrong_tracking > o.may_be_wrong,
             f"{o.wrong_tracking} wrong TRACKING poses, {o.may_be_wrong} by what they say (worst: {o.worst})",

@@ -96,7 +96,11 @@ def bar_chart(
                 canvas.bar(left + 0.06 * width, left + 0.94 * width, span[0], float(height), color)
             if not notes or not np.isfinite(height):
                 continue
-            canvas.note(f"{height:.3g}", left + width / 2, min(float(height), span[1]))
+            canvas.note(
+                f"{height:.3g}" if height >= 0.1 else f"{height:.2f}",
+                left + width / 2,
+                min(float(height), span[1]),
+            )
     canvas.legend(list(series), _colours(len(series)))
     return canvas.picture
 

@@ -137,7 +137,7 @@ def _objects(by_method: Mapping[str, Sequence[Row]], names: Mapping[str, str]) -
 
 
 def _short(name: str) -> str:
-    return name.split("_")[0] if name[:3].isdigit() else name[:8]
+    return name.split("_")[0] if name[:3].isdigit() else name[:12]
 
 
 def _track_pictures(by_method: Mapping[str, Sequence[Row]]) -> list[tuple[UInt8, str]]:

@@ -3,7 +3,8 @@
 Whether a pose is right asks for texture that tells it from its turns; a plain mug has none, and is there all
 the same. What speaks for an object being there is a shape that explains the depth, without a surface that
 goes on where the object ends, and colours that are the object's, up to the one light that all of the frame
-has. How much a colour says depends on how common it is: grey is everywhere, a strong red is not.
+has. How much a colour says depends on how common it is: grey is everywhere, a strong red is not. All of it
+says the less the fewer pixels it is read from: in a speck of ten anything fits.
 
 The weighted sum of these is a logit; the weights are fitted on drawn scenes (`believe.fits`). (The light:
 what probable places of the *other* objects say about it, as log colours are only shifted by it, after von
@@ -14,28 +15,37 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cache
+from math import log
 
 import numpy as np
 
 from huepose.believe.fits import fitted
 from huepose.believe.logistic import Logistic, probabilities
 from huepose.geometry.arrays import Float64
+from huepose.judge.color_correlation import PLAIN
 from huepose.judge.hue import LEAST_HUES, hue_log_ratio
 
 LIGHT_SPREAD, LIGHT_NOISE, LIGHT_REACH = 15.0, 8.0, 25.0
 """Of the hue of lights; of a place's mean hue under it; places farther off than this say little about it."""
 
 
+ENOUGH_PIXELS, FEWEST_PIXELS = 400, 4
+"""More pixels say no more: their errors are not independent."""
+
+
 @dataclass(frozen=True, eq=False)
 class Sight:
-    """What is seen where a pose says that an object is. fit, violation 0..1, texture -1..1: terms of the
-    dense score; rim 0..1: where the surface goes on beside it; hues (N, 5): of samples that fit the depth,
-    weight, the object's two colour opponents, and the picture's."""
+    """What is seen where a pose says that an object is. fit 0..1, texture -1..1, contrast: terms of the dense
+    score; rim 0..1: where the surface goes on beside it; goes_on 0..1: share of the outline beyond which
+    surface and colour go on; pixels: of the picture that agree in depth; hues (N, 5): of samples that fit the
+    depth, weight, the object's two colour opponents, and the picture's."""
 
     fit: float
-    violation: float
     texture: float
+    contrast: float
     rim: float
+    goes_on: float
+    pixels: int
     hues: Float64
 
     @property
@@ -53,13 +63,15 @@ def presence_fit() -> Logistic:
 
 
 def features(seen: Sight, hue: float = 0.0) -> dict[str, float]:
-    """What the log-odds are made of: depth that fits; what is seen through, which the fit counts already, and
-    too much; texture; a rim where the surface does not go on; hue, the log ratio of `judge.hue`."""
+    """What the log-odds are made of: depth that fits; color, how much less texture there is than the object
+    would show, which says nothing of a plain one; a rim where the surface does not go on; an outline that
+    ends; pixels, by their logarithm; hue, the log ratio of `judge.hue`."""
     return {
         "fit": seen.fit,
-        "violation": seen.violation,
-        "texture": seen.texture,
+        "color": -max(seen.contrast / (seen.contrast + PLAIN) - seen.texture, 0.0),
         "free_rim": 1.0 - seen.rim,
+        "ends": -seen.goes_on,
+        "pixels": log(min(max(seen.pixels, FEWEST_PIXELS), ENOUGH_PIXELS)),
         "hue": hue,
     }
 

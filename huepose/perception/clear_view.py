@@ -33,16 +33,16 @@ WIDE_PX = 1.5
 
 @dataclass(frozen=True, eq=False)
 class ClearView:
-    """The part of a frame where something stands. crop: that part, depth of planes moved far away; clear
-    (h, w): pixels that stand clear of planes; colors (h, w, 6) float32: opponents at two scales, as in
-    `judge.region`; pieces (P, 4): of the parts without a step in depth: pixel of the middle, mean
-    depth, the longer side of the bounds in metres; size: width and height of the whole frame."""
+    """The part of a frame where something stands. frame: all of it, as it came; crop: that part, depth of
+    planes moved far away; clear (h, w): pixels that stand clear of planes; colors (h, w, 6) float32:
+    opponents at two scales, as in `judge.region`; pieces (P, 4): of the parts without a step in depth: pixel
+    of the middle, mean depth, the longer side of the bounds in metres."""
 
+    frame: RgbdFrame
     crop: Crop
     clear: Bool
     colors: Float32
     pieces: Float64
-    size: tuple[int, int]
 
     def region(self, diameter_m: float) -> Region:
         """All of the view as a region to judge poses of an object in, without any outline."""
@@ -63,8 +63,10 @@ class ClearView:
 
 def clear_view(frame: RgbdFrame, largest_m: float) -> ClearView | None:
     """The frame without planes that are larger than the largest object; None where nothing is left."""
-    planes = large_planes(frame.depth, frame.camera, PLANE_FACTOR * largest_m**2)
-    clear, pieces = _pieces(frame.depth, standing_clear(frame.depth, frame.camera, planes), frame.camera.fx)
+    larger_m2 = PLANE_FACTOR * largest_m**2
+    planes = large_planes(frame.depth, frame.camera, larger_m2)
+    standing = standing_clear(frame.depth, frame.camera, planes, larger_m2)
+    clear, pieces = _pieces(frame.depth, standing, frame.camera.fx)
     bounds = Box.of_mask(clear)
     if bounds is None:
         return None
@@ -78,7 +80,7 @@ def clear_view(frame: RgbdFrame, largest_m: float) -> ClearView | None:
     crop = Crop(camera, columns.start, rows.start, color, depth, np.asarray(saturated))
     pieces[:, :2] -= columns.start, rows.start
     colors = _smoothed(color, camera.fx / float(np.median(depth[clear])))
-    return ClearView(crop, clear, colors, pieces, (width, height))
+    return ClearView(frame, crop, clear, colors, pieces)
 
 
 def _pieces(depth: Float32, clear: Bool, focal: float) -> tuple[Bool, Float64]:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
+import cv2
 import numpy as np
 
 from huepose.geometry.arrays import Bool, Float32, Float64
@@ -15,6 +16,15 @@ MIN_SHARE = 0.06
 """A plane that holds less of the points that are left is not looked for."""
 
 NEAR_M, REFITS = 0.008, 3
+BAND_M, BAND_PER_M = 0.004, 0.004
+BEYOND = 2.0
+"""Depth this near to a plane, and so much more per square metre of depth squared, lies on it; what is more
+than so many times as far off stands in front of it."""
+
+BESIDE_PX, BOUNDED = 3, 0.25
+"""A small piece of a plane is the plane's where, of what is so far beside it, so much more stands in front of
+it or is the plane again than lies behind it. The floor, continued, also cuts through what stands on a table,
+and a table through the bottom of a bowl; there the surface goes on beside it, or crosses it."""
 
 
 def large_planes(depth: Float32, camera: Camera, larger_than_m2: float) -> list[Plane]:
@@ -43,17 +53,45 @@ def large_planes(depth: Float32, camera: Camera, larger_than_m2: float) -> list[
     return planes
 
 
-def standing_clear(depth: Float32, camera: Camera, planes: Sequence[Plane]) -> Bool:
-    """Pixels (H, W) with depth that lie on none of the planes."""
+def standing_clear(depth: Float32, camera: Camera, planes: Sequence[Plane], larger_than_m2: float) -> Bool:
+    """Pixels (H, W) with depth that lie on none of the planes. Of a plane those pieces count that are larger
+    than `larger_than_m2`, and what of it is seen between things that stand on it."""
     clear = depth > 0
     u = (np.arange(depth.shape[1], dtype=np.float32) - np.float32(camera.cx)) / np.float32(camera.fx)
     v = (np.arange(depth.shape[0], dtype=np.float32) - np.float32(camera.cy)) / np.float32(camera.fy)
-    band = np.float32(0.004) + np.float32(0.004) * depth * depth
+    band = np.float32(BAND_M) + np.float32(BAND_PER_M) * depth * depth
     for plane in planes:
-        n = plane.normal.astype(np.float32)
-        slope = (u * n[0])[None, :] + (v * n[1])[:, None] + n[2]
-        clear &= np.abs(depth * slope - np.float32(plane.point @ plane.normal)) > band
+        n, offset = plane.normal.astype(np.float32), np.float32(plane.point @ plane.normal)
+        # The normal points to the camera: what is in front of the plane has more height.
+        height = depth * ((u * n[0])[None, :] + (v * n[1])[:, None] + n[2]) - offset
+        on = clear & (np.abs(height) <= band)
+        # A pixel sees z^3 / (fx fy |offset|) of a plane.
+        area = depth * depth * depth * on * np.float32(1.0 / (camera.fx * camera.fy * abs(offset)))
+        bounds = (height > BEYOND * band) * 1.0 - (height < -BEYOND * band)
+        bounds[on | ~clear] = 1.0
+        clear &= ~_pieces_of(on, area, bounds, depth > 0, larger_than_m2)
     return np.asarray(clear)
+
+
+def _pieces_of(on: Bool, area: Float32, bounds: Float64, known: Bool, larger_than_m2: float) -> Bool:
+    """Which pixels (H, W) on a plane are of its large pieces, or of small ones that what is `known` beside
+    them bounds, by the mean of `bounds` there; area (H, W): that a pixel sees, 0 where it is not `on` it."""
+    count, labels = cv2.connectedComponents(on.view(np.uint8), connectivity=4)
+    small = np.bincount(labels.ravel(), area.ravel(), count) < larger_than_m2
+    small[0] = False
+    v, u = np.nonzero(small[labels])
+    own = labels[v, u]
+    seen, bounded = np.zeros(count), np.zeros(count)
+    for down, right in ((0, BESIDE_PX), (0, -BESIDE_PX), (BESIDE_PX, 0), (-BESIDE_PX, 0)):
+        b, a = v + down, u + right
+        within = (b >= 0) & (a >= 0) & (b < on.shape[0]) & (a < on.shape[1])
+        b, a, mine = b[within], a[within], own[within]
+        other = (labels[b, a] != mine) & known[b, a]
+        seen += np.bincount(mine[other], minlength=count)
+        bounded += np.bincount(mine[other], bounds[b, a][other], count)
+    kept = ~small | (bounded >= BOUNDED * seen)
+    kept[0] = False
+    return np.asarray(kept[labels])
 
 
 def _refitted(points: Float64, plane: Plane) -> tuple[Plane, Bool]:

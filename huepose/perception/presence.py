@@ -2,22 +2,33 @@
 
 from __future__ import annotations
 
+import threading
 from collections.abc import Mapping, Sequence
+from weakref import WeakKeyDictionary
 
 import numpy as np
 
 from huepose.believe.presence import Sight, logits_of
 from huepose.geometry.arrays import Float64
-from huepose.judge.arrays import model_arrays
+from huepose.geometry.frame import RgbdFrame
+from huepose.judge.arrays import model_arrays, nearest_view
+from huepose.judge.borders import Contours, outline
 from huepose.judge.continuation import continuation_many
 from huepose.judge.hue import hue_samples
 from huepose.judge.region import Region
-from huepose.judge.terms import score_many
+from huepose.judge.surface import PreparedSurface
+from huepose.judge.terms import Terms, score_many
 from huepose.model.types import ReferenceModel
 from huepose.perception.clear_view import ClearView
+from huepose.perception.scouting import SEEN_M
 
 SAMPLES, RIM_SAMPLES = 800, 400
 """Of the surface, and of its outline, by which a place is looked at."""
+
+NEAREST_M = 0.02
+
+_contours: WeakKeyDictionary[ReferenceModel, Contours] = WeakKeyDictionary()
+_lock = threading.Lock()
 
 
 def presences(
@@ -33,14 +44,31 @@ def presences(
 def sight(view: ClearView, region: Region, model: ReferenceModel, T_cam_obj: Float64) -> Sight:
     """Look at a pose (4, 4); `region`: the view as one for this model."""
     T = np.ascontiguousarray(T_cam_obj, dtype=np.float64)
-    terms = score_many(model, region, T[None], SAMPLES)[0]
+    terms = Terms(*(float(x) for x in score_many(model, region, T[None], SAMPLES)[0]))
     crop, arrays = view.crop, model_arrays(model)
     rim = continuation_many(arrays, crop.depth, view.clear, crop.camera, T[None], RIM_SAMPLES)[0]
     hues = hue_samples(arrays, crop.depth, view.colors, crop.saturated, crop.camera, region.tolerance_m, T)
-    return Sight(
-        float(terms[1]),
-        float(terms[3]),
-        float(terms[4]),
-        float(rim),
-        hues,
-    )
+    goes_on = outline(_contours_of(model), T, view.frame).goes_on
+    pixels = agreeing_pixels(model, view.frame, T)
+    return Sight(terms.depth_fit, terms.color, terms.contrast, float(rim), goes_on, pixels, hues)
+
+
+def agreeing_pixels(model: ReferenceModel, frame: RgbdFrame, T_cam_obj: Float64) -> int:
+    """How many pixels of a frame some of the samples of a pose (4, 4) fall on and agree with in depth."""
+    arrays, camera = model_arrays(model), frame.camera
+    view = nearest_view(T_cam_obj, arrays)
+    shown = arrays.visible[arrays.offsets[view] : arrays.offsets[view + 1]][:SAMPLES]
+    points = arrays.points[shown] @ T_cam_obj[:3, :3].T + T_cam_obj[:3, 3]
+    points = points[points[:, 2] > NEAREST_M]
+    u, v = np.rint(camera.project(points)).astype(int).T
+    inside = (u >= 0) & (v >= 0) & (u < camera.width) & (v < camera.height)
+    u, v, z = u[inside], v[inside], points[inside, 2]
+    agree = np.abs(frame.depth[v, u] - z) < SEEN_M
+    return len(np.unique(v[agree] * camera.width + u[agree]))
+
+
+def _contours_of(model: ReferenceModel) -> Contours:
+    with _lock:
+        if model not in _contours:
+            _contours[model] = Contours(model.mesh, PreparedSurface.of(model))
+        return _contours[model]

@@ -8,8 +8,10 @@ fitted, hues read anew by them, and so on. A pose's own certainty enters as it d
 
 from __future__ import annotations
 
+import pickle
 from collections.abc import Sequence
 from dataclasses import dataclass
+from pathlib import Path
 
 import numpy as np
 
@@ -17,6 +19,7 @@ from huepose.believe.logistic import Logistic, probabilities
 from huepose.believe.presence import Sight, features, hues_of, logits_of
 from huepose.datasets.boxes import truth_box
 from huepose.datasets.types import Sample
+from huepose.estimation import Estimator, EstimatorConfig
 from huepose.estimation.present import certainty
 from huepose.estimation.types import ObjectQuery
 from huepose.evaluation.estimate_protocol import PoseEstimator
@@ -24,10 +27,15 @@ from huepose.evaluation.perception_protocol import SAME
 from huepose.evaluation.targets import Targets
 from huepose.geometry.arrays import Bool, Float64
 from huepose.geometry.box import Box
+from huepose.model import load_models
 from huepose.perception.clear_view import clear_view
+from huepose.perception.colorpair_detector import ColorPairDetector
+from huepose.perception.config import DetectorConfig
 from huepose.perception.presence import sight
 from huepose.perception.types import Detector
+from huepose.support.progress import progress
 from studies.likelihood import logistic
+from studies.presence.sets import samples, scaled
 
 PLACES = 2
 """Of each object, the best that are looked at."""
@@ -50,9 +58,26 @@ class SeenPlaces:
     there: Bool
 
 
-def look(sample: Sample, targets: Targets, detector: Detector, estimator: PoseEstimator) -> SeenPlaces:
-    """All objects of `targets` are asked for in a frame. An object is there where the box of what its pose
-    explains overlaps the box of one of its labels by IoU 0.5."""
+def seen_in(folder: Path, bundles: Path) -> Sequence[SeenPlaces]:
+    """What is seen in the frames of a folder, everything asked for."""
+    kept = folder / "seen.pkl"
+    if kept.exists():
+        return list(pickle.loads(kept.read_bytes()))
+    targets = Targets(load_models(bundles))
+    models = targets.models_by_name
+    detector = ColorPairDetector(models, DetectorConfig(proposals=3, min_score=0.02))
+    estimator = Estimator(models, EstimatorConfig(found_level=0.0, threads=1))
+    out = [look(sample, smaller, targets, detector, estimator)
+           for sample, smaller in progress(list(samples(folder)), folder.name)]  # fmt: skip
+    kept.write_bytes(pickle.dumps(out))
+    return out
+
+
+def look(
+    sample: Sample, smaller: float, targets: Targets, detector: Detector, estimator: PoseEstimator
+) -> SeenPlaces:
+    """All objects of `targets` are asked for in a frame, which is so much smaller than its labels. An object
+    is there where the box of what its pose explains overlaps the box of one of its labels by IoU 0.5."""
     models = targets.models_by_name
     view = clear_view(sample.frame, max(m.diameter_m for m in models.values()))
     count: dict[str, int] = {}
@@ -63,9 +88,10 @@ def look(sample: Sample, targets: Targets, detector: Detector, estimator: PoseEs
             queries.append(ObjectQuery(d.object, box=d.box, instance=len(queries)))
     answers = estimator.estimate(sample.frame, queries) if queries and view is not None else []
     boxes = [
-        (model.name, truth_box(t, model.mesh, sample.frame.camera))
+        (model.name, scaled(box, smaller))
         for t in sample.truths
         if t.T_cam_obj is not None and (model := targets.model_of(t)) is not None
+        if (box := truth_box(t, model.mesh, sample.frame.camera)) is not None
     ]
     regions = {name: view.region(m.diameter_m) for name, m in models.items()} if view is not None else {}
     names, sights, certain, there = [], [], [], []
@@ -76,7 +102,7 @@ def look(sample: Sample, targets: Targets, detector: Detector, estimator: PoseEs
         names.append(answer.object)
         sights.append(sight(view, regions[answer.object], models[answer.object], answer.T_cam_obj))
         certain.append(certainty(answer))
-        there.append(any(n == answer.object and b is not None and b.iou(own) >= SAME for n, b in boxes))
+        there.append(any(n == answer.object and b.iou(own) >= SAME for n, b in boxes))
     return SeenPlaces(tuple(names), tuple(sights), np.array(certain), np.array(there, dtype=bool))
 
 

@@ -14,7 +14,8 @@ from huepose.geometry import RgbdFrame, se3
 from huepose.judge.hue import hue_log_ratio
 from huepose.model.types import ReferenceModel
 from huepose.perception.clear_view import clear_view
-from huepose.perception.presence import presences
+from huepose.perception.presence import agreeing_pixels, presences
+from huepose.rendering.render import render
 
 TakePicture = Callable[..., RgbdFrame]
 
@@ -26,7 +27,7 @@ def hue_evidence(sight: Sight, light: Light) -> float:
 
 
 def seen(own: tuple[float, float], shown: tuple[float, float]) -> Sight:
-    return Sight(0.5, 0.0, 0.0, 0.0, np.tile([1.0, *own, *shown], (20, 1)))
+    return Sight(0.5, 0.0, 0.0, 0.0, 0.0, 400, np.tile([1.0, *own, *shown], (20, 1)))
 
 
 def test_the_same_strong_hue_says_more_than_the_same_grey_and_another_hue_speaks_against() -> None:
@@ -70,3 +71,19 @@ def test_an_object_is_there_even_turned_but_not_beside_itself_and_less_likely_wi
     assert chance(frame, beside) < 0.05
     assert chance(frame, half_turn) > 0.5
     assert chance(take_picture([(grey, standing)]), standing) < chance(frame, standing) - 0.2
+
+
+def test_in_a_handful_of_pixels_nothing_is_believed(
+    tea_box: ReferenceModel, take_picture: TakePicture, standing: np.ndarray
+) -> None:
+    frame = take_picture([(tea_box.mesh, standing)])
+    assert agreeing_pixels(tea_box, frame, standing) > 300
+    far = replace(frame, camera=replace(frame.camera, fx=frame.camera.fx / 40.0, fy=frame.camera.fy / 40.0))
+    speck = render([(tea_box.mesh, standing)], far.camera)
+    pixels = int((speck.depth > 0).sum())
+    assert 5 < pixels < 30
+    far = replace(far, color=speck.color, depth=speck.depth.astype(np.float32))
+    assert 3 <= agreeing_pixels(tea_box, far, standing) <= pixels + 5
+    models, view = {"tea_box": tea_box}, clear_view(far, 0.3)
+    if view is not None:  # else it was taken for noise
+        assert probabilities(presences(view, models, [("tea_box", standing)]))[0] < 0.3

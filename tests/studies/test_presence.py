@@ -5,9 +5,11 @@ import pytest
 
 from huepose.believe.logistic import Logistic
 from huepose.believe.presence import Sight, features, presence_fit
+from huepose.geometry import Camera, RgbdFrame
 from studies.presence.fit import SeenPlaces, chances, fit_presence
+from studies.presence.sets import smaller_frame, specked
 
-LAW = Logistic(-8.0, {"fit": 6.0, "violation": 1.0, "texture": 3.0, "free_rim": 5.0, "hue": 0.7})
+LAW = Logistic(-6.0, {"fit": 6.0, "color": 4.0, "free_rim": 5.0, "ends": 5.0, "pixels": 0.7, "hue": 0.7})
 
 
 def drawn(frames: int, seed: int, law: Logistic = LAW) -> list[SeenPlaces]:
@@ -22,7 +24,8 @@ def drawn(frames: int, seed: int, law: Logistic = LAW) -> list[SeenPlaces]:
             own = rng.normal(0.0, 25.0, 2)
             shown = own + light + rng.normal(0.0, 4.0, 2) if k % 2 else rng.normal(0.0, 25.0, 2)
             hues = np.tile([1.0, *own, *shown], (20, 1))
-            sights.append(Sight(*rng.uniform(0.0, 1.0, 3), rng.uniform(0.0, 1.0), hues))
+            fit, texture, rim, goes_on = rng.uniform(0.0, 1.0, 4)
+            sights.append(Sight(fit, texture, 36.0, rim, goes_on, int(rng.integers(5, 400)), hues))
         names = tuple("abcdefghijkl")
         certain = rng.choice([0.0, 2.0], 12)
         seen = SeenPlaces(names, tuple(sights), certain, np.zeros(12, bool))
@@ -31,9 +34,11 @@ def drawn(frames: int, seed: int, law: Logistic = LAW) -> list[SeenPlaces]:
 
 
 def test_the_weights_behind_constructed_frames_are_found_from_a_poor_start() -> None:
-    start = Logistic(-1.0, {"fit": 1.0, "violation": 0.0, "texture": 1.0, "free_rim": 1.0, "hue": 0.1})
+    start = Logistic(
+        -1.0, {"fit": 1.0, "color": 1.0, "free_rim": 1.0, "ends": 1.0, "pixels": 0.1, "hue": 0.1}
+    )
     found = fit_presence(drawn(200, 0), start)
-    for name in ("fit", "texture", "free_rim", "hue"):
+    for name in LAW.factors:
         assert found.factors[name] == pytest.approx(LAW.factors[name], rel=0.35), name
     fresh = drawn(50, 1)
     stated = np.concatenate([chances(f, found) for f in fresh])
@@ -42,9 +47,24 @@ def test_the_weights_behind_constructed_frames_are_found_from_a_poor_start() -> 
 
 
 def test_everything_that_is_seen_speaks_for_presence_the_more_of_it_there_is() -> None:
-    sight = Sight(0.7, 0.1, 0.4, 0.2, np.zeros((0, 5)))
-    known = {"fit": 0.7, "violation": 0.1, "texture": 0.4, "free_rim": 0.8, "hue": 1.5}
+    sight = Sight(0.7, 0.4, 36.0, 0.2, 0.1, 100, np.zeros((0, 5)))
+    known = {"fit": 0.7, "color": -0.5, "free_rim": 0.8, "ends": -0.1, "pixels": np.log(100.0), "hue": 1.5}
     assert features(sight, 1.5) == pytest.approx(known)
+    assert features(replace(sight, contrast=0.0))["color"] == 0.0  # of a plain thing none was to be expected
     shipped = presence_fit()
     assert set(shipped.factors) == set(known)
     assert min(shipped.factors.values()) >= 0.0
+
+
+def test_a_frame_that_is_made_smaller_and_specked_keeps_its_camera_and_its_depth_elsewhere() -> None:
+    camera = Camera(300.0, 300.0, 79.5, 59.5, 160, 120)
+    frame = RgbdFrame(np.full((120, 160, 3), 90, np.uint8), np.full((120, 160), 1.5, np.float32), camera)
+    small = smaller_frame(frame, 0.5)
+    assert (small.camera.width, small.camera.height, small.camera.fx) == (80, 60, 150.0)
+    assert small.depth.shape == (60, 80)
+    assert np.all(small.depth == np.float32(1.5))
+    depth = specked(frame.depth, np.random.default_rng(0))
+    as_it_was = depth == np.float32(1.5)
+    assert 0.5 < as_it_was.mean() < 1.0
+    assert (depth == 0.0).any()
+    assert ((depth > 0.0) & ~as_it_was).any()

@@ -9,7 +9,7 @@ from functools import cache
 
 from huepose.believe.fits import fitted
 from huepose.believe.logistic import Logistic
-from huepose.judge.kernel import MARGIN
+from huepose.judge.kernel import MARGIN, SEEN_IN_COLOR
 from huepose.judge.open_region import BLIND
 from huepose.judge.terms import Terms
 
@@ -33,7 +33,7 @@ def features(terms: Terms, baseline: float | None, goes_on: float) -> dict[str, 
     None; goes_on: share of the outline beyond which surface and colour go on."""
     heard = terms.colored / (terms.colored + FEW)
     # Where no colour is seen it is not known how much there would be.
-    possible = terms.contrast / (terms.contrast + PLAIN) if terms.contrast > 0.0 else 1.0
+    possible = terms.contrast / (terms.contrast + PLAIN) if terms.colored > SEEN_IN_COLOR else 1.0
     drop = 0.0
     if baseline is not None:
         drop = max(0.0, baseline - terms.total - SLACK - HIDDEN_SLACK * terms.hidden)

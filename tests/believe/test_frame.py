@@ -1,0 +1,23 @@
+"""What a pose's terms say of it in a frame."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import pytest
+
+from huepose.believe.frame import features, log_odds
+from huepose.judge.terms import NOTHING
+
+IN_VIEW = replace(NOTHING, total=1.0, depth_fit=1.0, seen=0.9, outside=0.0, colored=0.9)
+
+
+def test_an_object_of_one_colour_misses_no_texture():
+    plain, nearly = replace(IN_VIEW, contrast=0.0), replace(IN_VIEW, contrast=1e-6)
+    assert log_odds(plain, None, 0.0) == pytest.approx(log_odds(nearly, None, 0.0), abs=1e-5)
+
+
+def test_where_no_colour_is_seen_it_may_be_missing():
+    unseen = replace(IN_VIEW, contrast=0.0, colored=0.0)
+    assert features(unseen, None, 0.0)["color"] == -1.0
+    assert features(replace(IN_VIEW, contrast=40.0), None, 0.0)["color"] < -0.9

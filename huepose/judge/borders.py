@@ -1,8 +1,9 @@
 """Does the object end where its outline says? The evidence that depth and print inside of it cannot give.
 
 A plain face fits on every plane. What tells it from a floor is that it ends: beyond the outline there is
-something farther away, or of another colour. Contours are rendered once for each direction of view, when it
-is first asked for; at a pose some hundred of their points are looked at, on both sides.
+something farther away, or of another colour. Contours are rendered once for each direction of view, all
+beforehand or each when it is first asked for; at a pose some hundred of their points are looked at, on both
+sides.
 """
 
 from __future__ import annotations
@@ -17,6 +18,7 @@ from huepose.geometry import Camera, se3
 from huepose.geometry.arrays import Float, Float32, Float64, UInt8
 from huepose.geometry.depth_noise import depth_noise_m
 from huepose.geometry.frame import RgbdFrame
+from huepose.geometry.icosphere import look_at
 from huepose.geometry.mesh import Mesh
 from huepose.judge.surface import PreparedSurface
 from huepose.rendering.render import render_depth
@@ -61,18 +63,21 @@ class Contours:
 
     def at(self, T_cam_obj: Float) -> tuple[Float32, Float32]:
         """Of the view that is nearest to that of a pose."""
-        eye = T_cam_obj[:3, :3].T @ -self.surface.centre_cam(T_cam_obj)
-        view = int(np.argmax(self.surface.arrays.directions @ eye.astype(np.float32)))
+        return self._of(self.surface.view_of(T_cam_obj))
+
+    def make_ready(self) -> None:
+        """Render those of all views (a fifth of a second, 2 MB), so that no frame waits for one."""
+        for view in range(len(self.surface.arrays.directions)):
+            self._of(view)
+
+    def _of(self, view: int) -> tuple[Float32, Float32]:
         if view not in self._known:
             self._known[view] = _contour(self.mesh, self.surface, self.surface.arrays.directions[view])
         return self._known[view]
 
 
 def _contour(mesh: Mesh, surface: PreparedSurface, direction: Float32) -> tuple[Float32, Float32]:
-    away = -direction.astype(np.float64)
-    x = np.cross(away, np.eye(3)[int(np.argmin(np.abs(away)))])
-    x /= np.linalg.norm(x)
-    R = np.stack([x, np.cross(away, x), away])
+    R = look_at(direction)
     distance = NOMINAL_DISTANCE * surface.radius_m
     T = se3.make(R, np.array([0.0, 0.0, distance]) - R @ surface.arrays.centre)
     focal = 0.45 * SIDE_PX * (distance - surface.radius_m) / surface.radius_m
@@ -88,9 +93,7 @@ def _contour(mesh: Mesh, surface: PreparedSurface, direction: Float32) -> tuple[
     # The contour of a hole runs outside of it, on the object, as that around the object does.
     blurred = cv2.GaussianBlur(inside.astype(np.float32), (0, 0), 3.0)
     u, v = pixels[:, 0], pixels[:, 1]
-    slope = np.stack(
-        [cv2.Sobel(blurred, cv2.CV_32F, 1, 0)[v, u], cv2.Sobel(blurred, cv2.CV_32F, 0, 1)[v, u]], 1
-    )
+    slope = np.stack([blurred[v, u + 1] - blurred[v, u - 1], blurred[v + 1, u] - blurred[v - 1, u]], 1)
     length = np.linalg.norm(slope, axis=1)
     on = (depth[v, u] > 0) & (length > 1e-6)
     out = -slope[on] / length[on][:, None]

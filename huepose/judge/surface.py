@@ -11,7 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.spatial import cKDTree
 
-from huepose.geometry.arrays import Float, Float32, Float64
+from huepose.geometry.arrays import Float, Float32, Float64, Int32
 from huepose.geometry.box import Box
 from huepose.geometry.camera import Camera
 from huepose.judge.arrays import ModelArrays, model_arrays
@@ -45,6 +45,16 @@ class PreparedSurface:
     def centre_cam(self, T_cam_obj: Float) -> Float64:
         """The object's centre (3,) in camera axes."""
         return np.asarray(T_cam_obj[:3, :3] @ self.arrays.centre + T_cam_obj[:3, 3], np.float64)
+
+    def view_of(self, T_cam_obj: Float) -> int:
+        """The view of the model that is nearest to that of a pose."""
+        eye = T_cam_obj[:3, :3].T @ -self.centre_cam(T_cam_obj)
+        return int(np.argmax(self.arrays.directions @ eye.astype(np.float32)))
+
+    def shown(self, T_cam_obj: Float, count: int) -> Int32:
+        """Up to `count` of the samples that a pose shows, spread evenly."""
+        a, view = self.arrays, self.view_of(T_cam_obj)
+        return a.visible[a.offsets[view] : a.offsets[view + 1]][:count]
 
     def box(self, T_cam_obj: Float, camera: Camera) -> Box | None:
         """Bounds of the object in the image, from every fourth sample; None when it reaches behind the

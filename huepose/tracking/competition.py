@@ -43,10 +43,7 @@ def _cells(claim: Claim, depth: Float32, camera: Camera) -> Int64:
     """Sorted numbers of the image cells in which depth agrees with the object's surface."""
     surface, T = claim.surface, claim.T_cam_obj
     a = surface.arrays
-    view = T[:3, :3].T @ -surface.centre_cam(T)
-    nearest = int(np.argmax(a.directions @ view))
-    index = a.visible[a.offsets[nearest] : a.offsets[nearest + 1]][:CLAIM_SAMPLES]
-    p = a.points[index] @ T[:3, :3].T + T[:3, 3]
+    p = a.points[surface.shown(T, CLAIM_SAMPLES)] @ T[:3, :3].T + T[:3, 3]
     z = p[:, 2]
     ahead = z > 0.02
     u = np.where(ahead, p[:, 0] / np.where(ahead, z, 1.0) * camera.fx + camera.cx, -1.0)

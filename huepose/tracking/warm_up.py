@@ -1,5 +1,6 @@
 """A rehearsal: all that a tracker will do, on made-up frames, so that every kernel is compiled and loaded
-before the first real one. Without it a first search, flow or correction waits for the compiler."""
+before the first real one, and the contours of all views. Without it a first search, flow or correction waits
+for the compiler, and each new view for its contour."""
 
 from __future__ import annotations
 
@@ -33,6 +34,8 @@ def rehearse(tracker: Tracker, subjects: Mapping[str, Subject]) -> None:
     """Let a new tracker of these objects (subjects by their names) acquire late, follow, agree, correct a
     little and grossly, jump and lose, two objects being partly before each other. It is of no use
     afterwards."""
+    for subject in subjects.values():
+        subject.contours.make_ready()
     cast = list(subjects.items())[:CAST]
     if not cast:
         return
@@ -53,8 +56,9 @@ def rehearse(tracker: Tracker, subjects: Mapping[str, Subject]) -> None:
     # A step that tries everything there is: nothing explains as much as its baseline asks.
     T_start = _pose(shown[0], 0, 0)
     before = Hypothesis(T_start, NOTHING, np.zeros((6, 6)), "still", velocity=np.zeros(6))
-    hard = Anchor((before,), frames[0], baseline=9.0, light=np.zeros(3), unseen_s=0.1)
-    advance(shown[0], hard, frames[1], tracker.config)
+    for unseen_s in (0.0, 0.1):
+        hard = Anchor((before,), frames[0], baseline=9.0, light=np.zeros(3), unseen_s=unseen_s)
+        advance(shown[0], hard, frames[1], tracker.config)
 
 
 def _pose(subject: Subject, place: int, number: int) -> Float64:

@@ -53,10 +53,10 @@ class Pursuit:
 
     def follow(
         self, kept: Sequence[RgbdFrame], relative_pose: RelativePose | None = None, tries: float = np.inf
-    ) -> int:
+    ) -> float:
         """One step towards the newest of the kept frames (oldest first, none before the correction's); says
         how many of at most `tries` dear proposals that took."""
-        mask, tried = None, 0
+        mask, tried = None, 0.0
         if self.track.frame is None:
             # Settled on its own frame first, or on the one next to it: so it is known how well it should fit.
             first = kept[0]

@@ -14,6 +14,7 @@ from huepose.geometry.frame import RgbdFrame
 from huepose.judge.borders import outline
 from huepose.judge.terms import NOTHING, Terms
 from huepose.propose.relative_pose import RelativePose
+from huepose.refine.ends import moved_to_ends
 from huepose.tracking import evidence
 from huepose.tracking.config import TrackerConfig
 from huepose.tracking.evidence import Standing, next_standing
@@ -22,8 +23,8 @@ from huepose.tracking.hypothesis import Hypothesis, distinct, share_of_first
 from huepose.tracking.identity import Identity, turned_over
 from huepose.tracking.motion import filtered, increment_velocity, predicted
 from huepose.tracking.reach import jump_odds, most_turned
-from huepose.tracking.rival import Facing, alike, best_rival, reached
-from huepose.tracking.step import END, FLOW, Advance, Anchor, Subject, advance, found_nearby
+from huepose.tracking.rival import COSTS, Facing, alike, best_rival, reached
+from huepose.tracking.step import END, FLOW, Advance, Anchor, Subject, advance, found_nearby, unmoved
 from huepose.tracking.types import State, TrackedPose
 from huepose.tracking.uncertainty import covariance, spread_m, unseen
 
@@ -35,6 +36,10 @@ COASTING_DAMPING = 0.85
 
 FORGOTTEN_PER_S = 0.25
 """Total by which less is asked, each second, of an object that returns: the light may have changed."""
+
+LOOSE = 0.012
+"""By more than this share of the diameter a pose may be off that what is inside the object does not hold: on
+textured ones it is half of that."""
 
 SPREAD_POINTS = 48
 MAX_TRIES = 3
@@ -62,6 +67,7 @@ class Track:
         self._identity: Identity | None = None
         self._corrected_from: Identity | None = None
         self._facing: Facing | None = None
+        self._seen: Hypothesis | None = None
         self._doubtful_frames = self._in_vain = self._begun = self._scarce_frames = 0
         self._unseen_s = 0.0
         self._supported_ns = 0
@@ -92,7 +98,7 @@ class Track:
         relative_pose: RelativePose | None = None,
         tries: float = np.inf,
         mask: Bool | None = None,
-    ) -> int:
+    ) -> float:
         """Find the object in the next frame, if it has a pose; says how many of at most `tries` dear
         proposals that took. mask (H, W): of the object in the last frame, where it is known."""
         if not self.hypotheses or self.frame is None:
@@ -102,7 +108,13 @@ class Track:
         anchor = Anchor(self.hypotheses, self.frame, self.baseline, self.light, mask, self._unseen_s)
         found = advance(self.subject, anchor, frame, self._config, relative_pose, resting, self._begun, tries)
         self._take(anchor, found, frame)
-        return found.tried
+        # A short step has time for one of the two; after a long one nothing can be told without asking.
+        short = (frame.stamp_ns - anchor.frame.stamp_ns) * 1e-9 <= self._config.long_step_s
+        hurry = short and (tries < 1.0 or (found.tried > 0 and tries < 2.0))
+        tried = found.tried + self._face(anchor, frame, hurry)
+        if self.evidence >= self._config.lost_quality:
+            self._seen = self.hypotheses[0]
+        return tried
 
     def _take(self, anchor: Anchor, found: Advance, frame: RgbdFrame) -> None:
         """Believe what was found as far as the image, the past and what can move so fast allow."""
@@ -113,6 +125,9 @@ class Track:
             for h, parent in zip(found.followed, anchor.hypotheses, strict=False)
         ]
         gone_s = seconds + anchor.unseen_s
+        held = self._held_by_its_ends(opinions[0], frame)
+        if held is not None:
+            opinions.append(self._believed(held, before.log_odds, before, seconds, frame))
         for h in found.proposed:
             if self._cannot_be(h, found.followed[0], gone_s):
                 continue
@@ -134,7 +149,7 @@ class Track:
         self.frame, self.evidence = frame, sure
         if sure >= self._config.lost_quality:
             self.covariance = self._covariance(first)
-            self.evidence = evidence.vouched(sure, self._spread())
+            self.evidence = evidence.vouched(sure, self._spread(first.T_cam_obj, self.covariance))
             self._unseen_s = 0.0
         else:
             self._coast(before, seconds)
@@ -142,8 +157,17 @@ class Track:
         self._doubtful_frames = self._doubtful_frames + 1 if found.doubtful else 0
         self._in_vain = self._in_vain + (found.begun == END) if found.doubtful else 0
         self._begun = found.begun % END
-        if self.evidence >= self._config.lost_quality:
-            self._face(anchor, frame)
+
+    def _held_by_its_ends(self, h: Hypothesis, frame: RgbdFrame) -> Hypothesis | None:
+        """A followed pose that could be slid along its surface, moved to where the object ends."""
+        cov = self._covariance(h)
+        surface, points = self.subject.surface, self.subject.surface.arrays.points[:SPREAD_POINTS]
+        if spread_m(cov, h.T_cam_obj, points) < LOOSE * surface.diameter_m and h.goes_on == 0.0:
+            return None
+        T = moved_to_ends(self.subject.contours, h.T_cam_obj, frame)
+        return (
+            None if T is None else replace(unmoved(surface, frame, T, self.light), information=h.information)
+        )
 
     def _believed(
         self, h: Hypothesis, odds_before: float, parent: Hypothesis, seconds: float, frame: RgbdFrame
@@ -155,25 +179,27 @@ class Track:
         odds = evidence.log_odds(h.terms, self.baseline, odds_before, goes_on)
         return replace(h, velocity=velocity, log_odds=odds, goes_on=goes_on)
 
-    def _face(self, anchor: Anchor, frame: RgbdFrame) -> None:
-        """Ask whether the object may be turned otherwise: by what it can have turned to since the anchor,
-        and, while that was open, by what could be meant before."""
-        before, seconds = anchor.first, (frame.stamp_ns - anchor.frame.stamp_ns) * 1e-9
+    def _face(self, anchor: Anchor, frame: RgbdFrame, hurry: bool) -> float:
+        """Ask whether the object may be turned otherwise: by what it can have turned to since it was seen
+        last, and, while that was open, by what could be meant before. In a hurry that stays open. Says how
+        many dear proposals it took."""
+        if self.evidence < self._config.lost_quality:
+            return 0
+        before = anchor.first if anchor.unseen_s == 0.0 or self._seen is None else self._seen
+        gone_s = (frame.stamp_ns - anchor.frame.stamp_ns) * 1e-9 + anchor.unseen_s
         first, turns, view = self.hypotheses[0], self.subject.other_turns, self._view()
-        expected = predicted(before.T_cam_obj, before.velocity, seconds)
-        gone_s = seconds + anchor.unseen_s
-        limit = most_turned(before.velocity, seconds, self._config)
         T, velocity = before.T_cam_obj, before.velocity
-        moved = jump_odds(self.subject.surface, T, velocity, first.T_cam_obj, seconds, gone_s, self._config)
-        if moved < 0.0 or anchor.unseen_s > 0.0:
-            limit = np.pi  # It did not come here as things do, or was not seen coming.
+        expected = predicted(T, velocity, gone_s)
+        limit = most_turned(velocity, gone_s, self._config)
+        if jump_odds(self.subject.surface, T, velocity, first.T_cam_obj, gone_s, gone_s, self._config) < 0.0:
+            limit = np.pi  # It did not come here as things do.
         new = reached(turns, first.T_cam_obj, expected, limit)
         facing = self._facing or Facing.of(0.5, view)
         if len(new):
             turns = new if facing.settled else turns
             facing = facing.jumped(view)
         self._facing = facing
-        self._ask(turns, frame, anchor.light)
+        return 0.0 if hurry else self._ask(turns, frame, anchor.light)
 
     def _cannot_be(self, found: Hypothesis, followed: Hypothesis, gone_s: float) -> bool:
         """Whether a pose is what was followed, turned as it can only be meant, since nothing turns so fast;
@@ -185,14 +211,16 @@ class Track:
             return False
         return len(alike(self.subject.other_turns, followed.T_cam_obj, found.T_cam_obj)) > 0
 
-    def _ask(self, turns: Float64, frame: RgbdFrame, light: Float64 | None) -> None:
-        """Judge the best of the turns of the pose, if one has a chance."""
+    def _ask(self, turns: Float64, frame: RgbdFrame, light: Float64 | None) -> float:
+        """Judge the best of the turns of the pose, if one has a chance; says how many dear proposals that
+        took."""
         view, first = self._view(), self.hypotheses[0]
         if self._facing is None or not self._facing.open(view):
-            return
+            return 0
         rival = best_rival(self.subject, first, turns, frame, light)
         margin = np.inf if rival is None else first.terms.total - rival.terms.total
         self._facing = self._facing.told(margin, view)
+        return COSTS if len(turns) else 0.0
 
     def update_state(self, frame: RgbdFrame, contested: bool = False, since_ns: int = 0) -> None:
         """Judge what `look` found; contested: another pose holds the same surface with better right. Poses
@@ -213,10 +241,11 @@ class Track:
         self.history.append(frame.frame_id, frame.stamp_ns, self.T_cam_obj)
         self.history.forget_before(since_ns)
 
-    def start(self, T_cam_obj: Float64, quality: float, frame: RgbdFrame, apart_s: float) -> int:
+    def start(self, T_cam_obj: Float64, quality: float, frame: RgbdFrame, apart_s: float) -> float:
         """Begin with a pose of perception that is `apart_s` seconds off `frame`; says how many dear proposals
         that took."""
-        found, tried = found_nearby(self.subject.surface, T_cam_obj, frame, apart_s, self._config)
+        found, searched = found_nearby(self.subject.surface, T_cam_obj, frame, apart_s, self._config)
+        tried = float(searched)
         goes_on = outline(self.subject.contours, found.T_cam_obj, frame).goes_on
         odds = evidence.log_odds(found.terms, self.baseline, evidence.odds_of(quality), goes_on)
         self.hypotheses, self.frame = (replace(found, log_odds=odds, goes_on=goes_on),), frame
@@ -224,7 +253,7 @@ class Track:
         self.covariance = self._covariance(found)
         if self.evidence >= self._config.lost_quality:
             self._facing = Facing.of(quality, self._view())
-            self._ask(self.subject.other_turns, frame, None)
+            tried += self._ask(self.subject.other_turns, frame, None)
         self.learn()
         return tried
 
@@ -243,7 +272,7 @@ class Track:
         correction does this."""
         self.hypotheses, self.covariance = verified.hypotheses[:1], verified.covariance
         self.baseline, self.light, self.evidence = verified.baseline, verified.light, verified.evidence
-        self.frame, self._facing = frame, verified._facing
+        self.frame, self._facing, self._seen = frame, verified._facing, verified._seen
         first = self.hypotheses[0]
         told = evidence.log_odds(first.terms, self.baseline, 0.0, first.goes_on)
         # What perception saw in the same picture is not seen twice: this can only speak against it.
@@ -284,7 +313,7 @@ class Track:
             velocity = np.concatenate([velocity[:3] + np.cross(velocity[3:], lever), velocity[3:]])
         odds = max(evidence.odds_of(quality), before.log_odds)
         corrected = replace(before, T_cam_obj=moved, velocity=velocity, source="correction", log_odds=odds)
-        self.hypotheses = (corrected, before)
+        self.hypotheses, self._seen = (corrected, before), None
         self._corrected_from = self._identity
         if self._identity is None or turned_over(before.T_cam_obj, moved):
             self._identity = Identity.of(quality, self._view())
@@ -347,12 +376,10 @@ class Track:
         eye = -T[:3, :3].T @ self.subject.surface.centre_cam(T)
         return np.asarray(eye / max(float(np.linalg.norm(eye)), 1e-9))
 
-    def _spread(self) -> float:
-        """By how much the pose may be off, as a share of the diameter."""
-        assert self.covariance is not None
+    def _spread(self, T_cam_obj: Float64, covariance: Float64) -> float:
+        """By how much a pose may be off, as a share of the diameter."""
         surface = self.subject.surface
-        points = surface.arrays.points[:SPREAD_POINTS]
-        return spread_m(self.covariance, self.hypotheses[0].T_cam_obj, points) / surface.diameter_m
+        return spread_m(covariance, T_cam_obj, surface.arrays.points[:SPREAD_POINTS]) / surface.diameter_m
 
     def _covariance(self, h: Hypothesis) -> Float64:
         return covariance(h.information, float(self.subject.surface.centre_cam(h.T_cam_obj)[2]))

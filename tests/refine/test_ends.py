@@ -1,0 +1,57 @@
+"""A pose that was slid along a plain face comes back to where the object ends."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from huepose.geometry import Camera, RgbdFrame, se3
+from huepose.judge.borders import Contours
+from huepose.judge.surface import PreparedSurface
+from huepose.model import ReferenceModel
+from huepose.refine.ends import moved_to_ends
+from huepose.rendering import render
+
+CAMERA = Camera(420.0, 420.0, 159.5, 119.5, 320, 240)
+T = se3.make(se3.rotation_exp(np.array([1.4, 0.2, 0.1])), np.array([0.02, -0.01, 0.6]))
+
+
+@pytest.fixture(scope="module")
+def contours(tea_box: ReferenceModel) -> Contours:
+    """Of a box; what is printed on it is not looked at."""
+    return Contours(tea_box.mesh, PreparedSurface.of(tea_box))
+
+
+def frame(contours: Contours, behind_m: float) -> RgbdFrame:
+    """The box before a wall, with noise of 1 mm."""
+    depth = render([(contours.mesh, T)], CAMERA).depth
+    depth = np.where(depth > 0, depth, behind_m) + np.random.default_rng(3).normal(0, 0.001, depth.shape)
+    return RgbdFrame(np.full((240, 320, 3), 180, np.uint8), depth.astype(np.float32), CAMERA)
+
+
+def error_m(contours: Contours, pose: np.ndarray) -> float:
+    points = contours.mesh.vertices
+    return float(np.linalg.norm(se3.apply(pose, points) - se3.apply(T, points), axis=1).mean())
+
+
+def test_a_plain_box_is_found_again_where_it_ends(contours: Contours) -> None:
+    face = T[:3, :3] @ np.array([0.0, 1.0, 0.0])  # the normal of its largest side that is seen
+    aside = np.cross(face, [0.0, 1.0, 0.0])
+    slid = T.copy()
+    slid[:3, 3] += 0.018 * aside / np.linalg.norm(aside)
+    assert error_m(contours, slid) > 0.017
+    found = moved_to_ends(contours, slid, frame(contours, 1.2))
+    assert found is not None
+    assert error_m(contours, found) < 0.003
+
+
+def test_what_lies_right_stays(contours: Contours) -> None:
+    found = moved_to_ends(contours, T, frame(contours, 1.2))
+    assert found is not None
+    assert error_m(contours, found) < 0.002
+
+
+def test_where_depth_does_not_jump_nothing_is_said(contours: Contours) -> None:
+    flat = frame(contours, 1.2)
+    wall = RgbdFrame(flat.color, np.full((240, 320), 0.57, np.float32), CAMERA)
+    assert moved_to_ends(contours, T, wall) is None

@@ -20,6 +20,8 @@ from huepose.support.errors import InputError
 
 _MOST_REPEATS = 8
 _PATCH = 16  # texels of a material without texture
+# Where its triangles lie there: over some texels, as texels that no triangle covers have no colour.
+_IN_PATCH = np.array([[0.4, 0.4], [0.6, 0.4], [0.5, 0.6]], np.float32)
 _MOST_COVERED = 64  # times that triangles may cover their picture
 _MOST_MATERIALS = 4096  # of those without texture an atlas holds some ten thousand
 _MARGIN = 4  # texels between the materials of an atlas
@@ -45,7 +47,7 @@ def single_texture(raw: RawMesh, path: Path) -> tuple[Float32, UInt8]:
         mine = raw.face_materials == i
         if material.texture is None:
             pictures.append(np.full((_PATCH, _PATCH, 3), material.color, np.uint8))
-            uv[mine] = 0.5
+            uv[mine] = _IN_PATCH
             continue
         uv[mine], picture = _unrolled(uv[mine], material.texture, path)
         pictures.append(reduced(picture, used_texels(uv[mine], *picture.shape[:2])))

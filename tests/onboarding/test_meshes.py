@@ -8,11 +8,14 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from huepose.geometry import Mesh, se3
+from huepose.geometry import Camera, Mesh, se3
 from huepose.onboarding.meshes import Unit, read_mesh
+from huepose.rendering.render import render
 from huepose.support.errors import InputError
 from tests.onboarding import mesh_files as files
 from tests.onboarding import solids
+
+CAMERA = Camera(600.0, 600.0, 159.5, 119.5, 320, 240)
 
 
 @pytest.fixture(scope="module")
@@ -158,6 +161,29 @@ def test_several_materials_become_one_texture(tmp_path: Path) -> None:
     for weights in ((1.0, 0, 0), (0.3, 0.3, 0.4), (0, 0, 1.0)):
         expected = [[200, 10, 10], [0, 255, 0], [10, 10, 200]]
         np.testing.assert_allclose(colors_at(mesh, weights), expected, atol=2)
+
+
+@pytest.mark.parametrize("materials", [1, 3])
+def test_what_has_colours_and_no_texture_is_drawn_in_them(tmp_path: Path, materials: int) -> None:
+    """Near by and from so far away that the coarsest levels of the texture are read."""
+    colors = [(51, 76, 204), (230, 26, 26), (26, 204, 51)][:materials]
+    lines = ["mtllib m.mtl"]
+    for k in range(materials):
+        # A fan of small triangles for each, side by side.
+        x, start = 0.05 * k, 42 * k + 1
+        lines += [f"usemtl m{k}", f"v {x:g} 0 0"]
+        lines += [f"v {x + 0.02 * np.cos(a):g} {0.02 * np.sin(a):g} 0" for a in np.linspace(0, 2 * np.pi, 41)]
+        lines += [f"f {start} {start + i + 1} {start + i}" for i in range(1, 41)]
+    (tmp_path / "m.obj").write_text("\n".join(lines))
+    kinds = [f"newmtl m{k}\nKd {r / 255} {g / 255} {b / 255}\n" for k, (r, g, b) in enumerate(colors)]
+    (tmp_path / "m.mtl").write_text("".join(kinds))
+    mesh = read_mesh(tmp_path / "m.obj", "m")
+    for distance_m in (0.5, 4.0):
+        T = se3.make(np.eye(3), np.array([0.0, 0.0, distance_m]))
+        picture = render([(mesh, T)], CAMERA)
+        pixels = np.rint(CAMERA.project(se3.apply(T, [[0.05 * k, 0.0, 0.0] for k in range(materials)])))
+        seen = [picture.color[int(v), int(u)] for u, v in pixels]
+        np.testing.assert_allclose(np.array(seen), colors, atol=3)
 
 
 def test_large_textures_are_reduced_without_their_background(tmp_path: Path) -> None:

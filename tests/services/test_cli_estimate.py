@@ -4,6 +4,7 @@ missing."""
 from __future__ import annotations
 
 import json
+import re
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
@@ -102,7 +103,7 @@ def test_a_pose_as_json_a_picture_and_an_explanation(
 def test_without_a_box_the_object_is_found_in_the_whole_picture(
     files: list[str], capsys: pytest.CaptureFixture[str], standing: np.ndarray
 ) -> None:
-    assert main(files) == 0
+    assert main([*files, "--json"]) == 0
     (pose,) = json.loads(capsys.readouterr().out)["poses"]
     assert pose["found"]
     assert pose["reason"] is None
@@ -141,10 +142,21 @@ def test_a_model_without_tables_says_what_adds_them(
 
 
 def test_nothing_in_the_box_is_an_answer(files: list[str], capsys: pytest.CaptureFixture[str]) -> None:
-    assert main([*files, "--box", "0", "0", "4", "4"]) == 0
+    arguments = [*files, "--box", "0", "0", "4", "4"]
+    assert main([*arguments, "--json"]) == 0
     (pose,) = json.loads(capsys.readouterr().out)["poses"]
     assert (pose["found"], pose["T_cam_obj"], pose["state"]) == (False, None, "LOST")
     assert pose["reason"].endswith(".")
+    assert main(arguments) == 0
+    assert capsys.readouterr().out.split() == f"tea_box not found: {pose['reason']}".split()
+
+
+def test_without_json_an_answer_is_a_line(files: list[str], capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(files) == 0
+    (line,) = capsys.readouterr().out.splitlines()
+    assert re.fullmatch(
+        r"tea_box +TRACKING +quality [01]\.\d\d( +[+-]\d\.\d{3}){3} m from the camera +\d+ ms", line
+    )
 
 
 @pytest.mark.parametrize(

@@ -42,3 +42,15 @@ def test_what_the_disk_says_is_told_and_anything_else_is_our_mistake(
     else:
         with pytest.raises(OSError, match="the reason"):
             command_line.main(["validate"])
+
+
+@pytest.mark.parametrize(
+    ("arguments", "meant"),
+    [(["estmate"], "estimate"), (["objects", "lst"], "list"), (["demo", "--segmenter", "deptj"], "depth")],
+)
+def test_a_mistyped_word_is_answered_with_the_one_that_may_be_meant(
+    arguments: list[str], meant: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    with pytest.raises(SystemExit):
+        main(arguments)
+    assert f"there is no '{arguments[-1]}': did you mean '{meant}'?" in capsys.readouterr().err

@@ -58,7 +58,15 @@ def add_parser(subparsers: Any) -> None:
         metavar=("X", "Y", "W", "H"),
         help="where it is; all over the picture without",
     )
-    parser.add_argument("--json", type=Path, default=None, metavar="FILE", help="standard output without")
+    parser.add_argument(
+        "--json",
+        type=Path,
+        nargs="?",
+        const=True,
+        default=None,
+        metavar="FILE",
+        help="all of each answer as JSON: in a file, or without its name instead of the summary",
+    )
     parser.add_argument(
         "--image", type=Path, default=None, metavar="OUT.png", help="the poses drawn over the picture"
     )
@@ -98,13 +106,10 @@ def call(arguments: argparse.Namespace) -> int:
     )
     _say_offset(frame, models, answers)
     text = json.dumps({"poses": [as_record(a) for a in answers]}, indent=2)
-    if arguments.json:
+    if isinstance(arguments.json, Path):
         arguments.json.parent.mkdir(parents=True, exist_ok=True)
         arguments.json.write_text(text + "\n")
-        for a in answers:
-            print(f"{a.object}: {a.state}, quality {a.quality:.2f}, {1000 * a.seconds:.0f} ms")
-    else:
-        print(text)
+    print(text if arguments.json is True else "\n".join(in_words(a) for a in answers))
     if arguments.image:
         from huepose_services.cli.explain import draw_answers, write_picture
 
@@ -182,6 +187,17 @@ def _detected(
         none = absent(name, why_none_stands(name, answers, chances))
         out += [pose for pose in poses if pose.object == name] or [none]
     return out
+
+
+def in_words(answer: PoseEstimate) -> str:
+    """An estimate as a line: state, quality and where the origin of the mesh is, or why nothing was found."""
+    if answer.T_cam_obj is None:
+        return f"{answer.object:24s} not found: {answer.reason}"
+    at = " ".join(f"{x:+.3f}" for x in answer.T_cam_obj[:3, 3])
+    spent = f"{1000 * answer.seconds:.0f} ms"
+    return (
+        f"{answer.object:24s} {answer.state:9s} quality {answer.quality:.2f}  {at} m from the camera  {spent}"
+    )
 
 
 def as_record(answer: PoseEstimate) -> dict[str, Any]:

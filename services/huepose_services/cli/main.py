@@ -7,6 +7,7 @@ imported when it runs, so that `huepose --help` answers at once.
 from __future__ import annotations
 
 import argparse
+import difflib
 import errno
 import os
 import sys
@@ -45,11 +46,24 @@ _OF_THE_DISK = (
 DONE, FAILED, BAD_INPUT, INTERRUPTED = 0, 1, 2, 130
 
 
+class _Parser(argparse.ArgumentParser):
+    """Says of a mistyped command or choice which one may be meant."""
+
+    def _check_value(self, action: argparse.Action, value: Any) -> None:
+        try:
+            super()._check_value(action, value)
+        except argparse.ArgumentError as error:
+            meant = difflib.get_close_matches(str(value), map(str, action.choices or ()), 1)
+            if meant:
+                error.message = f"there is no '{value}': did you mean '{meant[0]}'?"
+            raise
+
+
 def build_parser() -> argparse.ArgumentParser:
     """The whole command line."""
     from huepose import __version__
 
-    parser = argparse.ArgumentParser(
+    parser = _Parser(
         prog="huepose",
         description="Live 6D object poses from an RGB-D camera and textured CAD models.",
         epilog="Exit codes: 0 done, 1 the work failed, 2 wrong usage or bad input.",

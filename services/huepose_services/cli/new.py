@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import shlex
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -62,13 +63,14 @@ def call(arguments: argparse.Namespace) -> int:
         self_test(out / "bundles", model.name)
     write_frame(out, first_shot({model.name: model.mesh}), CAMERA)
     path.write_text(_PIPELINE.format(name=model.name))
-    files = f"--color {out}/color.png --depth {out}/depth.png --camera {out}/camera.json"
+    at = shlex.quote(str(out))
     print(
         f"""
 {out} is ready. Next:
-  huepose estimate {files} --bundles {out}/bundles --image {out}/pose.png
-  huepose demo --bundles {out}/bundles      # the whole pipeline on it, with its accuracy
-  huepose up {path}      # live, until Ctrl-C; in another terminal: huepose poses, huepose view"""
+  huepose estimate --color {at}/color.png --depth {at}/depth.png --camera {at}/camera.json \\
+      --bundles {at}/bundles --image {at}/pose.png
+  huepose demo --bundles {at}/bundles      # the whole pipeline on it, with its accuracy
+  huepose up {at}/pipeline.yaml      # live, until Ctrl-C; in another terminal: huepose poses, huepose view"""
     )
     return 0
 

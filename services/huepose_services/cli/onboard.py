@@ -116,10 +116,13 @@ def onboard_one(job: Job, out: Path) -> None:
     from huepose.model.io import check_name
     from huepose.onboarding import batch
     from huepose.onboarding.reference import STAGES
+    from huepose.support.errors import InputError
     from huepose.support.progress import progress
 
     check_name(job.name)
     _check_folder(out)
+    if not job.mesh_path.is_file():
+        raise InputError(job.mesh_path, found="no such file", expected="the mesh", fix="Check the path.")
     steps = progress(range(len(STAGES) + 1), f"onboarding {job.name}")
     try:
         result = batch.onboard_one(job, out, lambda stage: _advance(steps))

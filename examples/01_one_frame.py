@@ -1,0 +1,22 @@
+"""One frame, one answer: which of the known objects are in a picture, and where.
+
+huepose new tea_box tea_box.obj
+python examples/01_one_frame.py tea_box
+"""
+
+import sys
+from pathlib import Path
+
+from huepose import Estimator, ObjectQuery, load_models
+from huepose.datasets.image_files import read_frame
+from huepose.perception.colorpair_detector import ColorPairDetector
+
+folder = Path(sys.argv[1])
+models = load_models(folder / "bundles")
+frame = read_frame(folder / "color.png", folder / "depth.png", folder / "camera.json")
+
+places = ColorPairDetector(models).detect(frame, sorted(models))  # needs no training; or boxes of your own
+queries = [ObjectQuery(place.object, place.box) for place in places]
+for pose in Estimator(models).estimate(frame, queries):
+    if pose.T_cam_obj is not None:
+        print(pose.object, pose.state, f"{pose.quality:.2f}", pose.T_cam_obj[:3, 3].round(3), "m")

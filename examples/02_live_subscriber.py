@@ -1,0 +1,21 @@
+"""Poses as they come, from a pipeline on this machine or behind a gateway.
+
+huepose up tea_box/pipeline.yaml                              # in another terminal
+python examples/02_live_subscriber.py [tcp/robot.local:7447]
+"""
+
+import sys
+
+from huepose_protos import PoseClient
+from huepose_protos.local import tracker_endpoint
+
+where = sys.argv[1] if len(sys.argv) > 1 else tracker_endpoint()
+with PoseClient(where) as client:
+    while True:
+        pose = client.next(timeout_s=3.0)
+        if pose is not None:
+            print(pose.object, pose.instance, pose.state, f"{pose.quality:.2f}", pose.translation, flush=True)
+        elif client.connected:
+            print("connected, but no object is seen: `huepose status` says why", file=sys.stderr)
+        else:
+            print(f"nobody answers at {where}: does `huepose up` run?", file=sys.stderr)

@@ -1,0 +1,36 @@
+"""A pick loop: act on a pose only when it may be acted on and the object has come to rest.
+
+huepose up tea_box/pipeline.yaml
+python examples/03_pick_when_still.py tea_box [tcp/robot.local:7447]
+"""
+
+import sys
+import time
+
+import numpy as np
+
+from huepose_protos import PoseClient
+from huepose_protos.local import tracker_endpoint
+
+STILL_S, STILL_M = 0.5, 0.003  # so long within so little: choose what your gripper forgives
+
+
+def wait_until_still(client: PoseClient, name: str) -> np.ndarray:
+    """T_parent_obj where `camera.mount` says where the camera is, else T_cam_obj."""
+    began, start = 0.0, None
+    while True:
+        now = client.at(object=name)  # where it is at this moment; None where nothing is known that is new
+        sure = now is not None and now.state == "TRACKING"
+        if not sure or start is None or np.linalg.norm(now.T_cam_obj[:3, 3] - start) > STILL_M:
+            began, start = time.monotonic(), now.T_cam_obj[:3, 3] if sure else None
+        elif time.monotonic() - began > STILL_S:
+            return now.T_cam_obj if now.T_parent_obj is None else now.T_parent_obj
+        time.sleep(0.02)
+
+
+def pick(T: np.ndarray) -> None:
+    print("your robot goes to", T[:3, 3].round(3), flush=True)
+
+
+with PoseClient(sys.argv[2] if len(sys.argv) > 2 else tracker_endpoint()) as client:
+    pick(wait_until_still(client, sys.argv[1]))

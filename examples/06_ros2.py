@@ -1,0 +1,28 @@
+"""A topic of ROS 2 of your own, without ROS on this machine: the newest pose of one object to act on.
+
+For all objects with /tf and detections there is the worker `ros2` (docs/ros2.md). On the robot:
+
+    ros2 run rmw_zenoh_cpp rmw_zenohd
+    ros2 topic echo /pick/target
+
+huepose up tea_box/pipeline.yaml
+python examples/06_ros2.py tea_box [tcp/localhost:7447 [tcp/robot.local:7447]]
+"""
+
+import sys
+
+from huepose_protos import PoseClient
+from huepose_protos.local import tracker_endpoint
+from huepose_services.ros2.messages import POSE, cdr, pose_stamped
+from huepose_services.ros2.publisher import Node
+from huepose_services.ros2.work import open_ros_session
+from huepose_services.runtime.config import Ros2Config
+
+name = sys.argv[1]
+router = sys.argv[2] if len(sys.argv) > 2 else "tcp/localhost:7447"
+where = sys.argv[3] if len(sys.argv) > 3 else tracker_endpoint()
+node = Node(open_ros_session(Ros2Config(connect=router)), "pick_target", domain=0, style="rmw_zenoh")
+with PoseClient(where, object=name) as client:
+    for pose in client:
+        if pose.state == "TRACKING":
+            node.publish("/pick/target", POSE, cdr(pose_stamped(pose)))

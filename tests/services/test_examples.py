@@ -1,0 +1,178 @@
+"""Every example runs as it is written: on the folder of `huepose new`, at a pipeline, at a ROS 2 router."""
+
+from __future__ import annotations
+
+import ast
+import re
+import subprocess
+import sys
+import threading
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+import msgspec
+import numpy as np
+import pytest
+import zenoh
+from rosbags.typesys import Stores, get_typestore
+
+from huepose.model import ReferenceModel, save_model
+from huepose.scenes.builtin import first_shot
+from huepose.scenes.plan import CAMERA
+from huepose_protos import encode
+from huepose_protos.examples import messages
+from huepose_protos.keys import Keys
+from huepose_protos.messages import PoseMessage
+from huepose_services.camera.python import open_source
+from huepose_services.cli.new import write_frame
+from huepose_services.runtime.config import load
+
+ROOT = Path(__file__).parents[2]
+EXAMPLES = sorted((ROOT / "examples").glob("*.py"))
+EXAMPLE = next(m for m in messages() if isinstance(m, PoseMessage))
+
+
+@pytest.fixture(scope="module")
+def folder(tea_box: ReferenceModel, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """What `huepose new tea_box tea_box.obj` makes, without the mesh file."""
+    out = tmp_path_factory.mktemp("new") / "tea_box"
+    save_model(tea_box, out / "bundles" / "tea_box.huepose")
+    write_frame(out, first_shot({"tea_box": tea_box.mesh}), CAMERA)
+    return out
+
+
+@pytest.fixture(scope="module")
+def true_place(tea_box: ReferenceModel) -> np.ndarray:
+    return first_shot({"tea_box": tea_box.mesh}).labels.T_cam_obj[0][:3, 3]
+
+
+def example(name: str, *arguments: str | Path) -> list[str]:
+    return [sys.executable, str(ROOT / "examples" / name), *map(str, arguments)]
+
+
+def answer(name: str, folder: Path) -> tuple[str, list[float]]:
+    """The state of the first answer that an example prints, and where it is."""
+    done = subprocess.run(example(name, folder), check=True, capture_output=True, text=True)
+    words = done.stdout.splitlines()[0].split(maxsplit=3)
+    assert words[0] == "tea_box"
+    return words[1], [float(x) for x in re.findall(r"-?\d+\.\d*", words[3])]
+
+
+@pytest.mark.parametrize("name", ["01_one_frame.py", "05_own_detector.py"])
+def test_a_frame_is_answered(name: str, folder: Path, true_place: np.ndarray) -> None:
+    state, place = answer(name, folder)
+    assert state == "TRACKING"
+    assert np.allclose(place, true_place, atol=0.005)
+
+
+def test_the_camera_gives_frames(folder: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("FRAME_FOLDER", str(folder))
+    pipeline = tmp_path / "pipeline.yaml"
+    camera = ROOT / "examples" / "04_own_camera.py"
+    pipeline.write_text(f"camera: {{source: python, path: {camera}}}\nworkers: [camera]\nbundles: bundles\n")
+    opened = open_source(load(pipeline)).open()
+    one, two = opened.read(1.0), opened.read(1.0)
+    assert one is not None
+    assert two is not None
+    assert one.color.shape == (CAMERA.height, CAMERA.width, 3)
+    assert (one.color != two.color).any()
+    assert one.device_ns < two.device_ns
+
+
+@contextmanager
+def published(endpoint: str, pose: Callable[[int], PoseMessage]) -> Iterator[None]:
+    """A pipeline's poses, thirty a second, at an endpoint; pose: of the seconds so far."""
+    config = zenoh.Config()
+    config.insert_json5("listen/endpoints", f'["{endpoint}"]')
+    config.insert_json5("scouting/multicast/enabled", "false")
+    done = threading.Event()
+
+    def publish(session: zenoh.Session) -> None:
+        number = 0
+        while not done.wait(1 / 30):
+            number += 1
+            now = time.monotonic_ns()
+            changes = {"frame_id": number, "capture_ns": now, "publish_ns": now}
+            offset = time.time_ns() - now
+            message = msgspec.structs.replace(pose(number), **changes, realtime_offset_ns=offset)
+            session.put(Keys("lab", "cam0").pose(message.object, message.instance), encode(message))
+
+    with zenoh.open(config) as session:
+        thread = threading.Thread(target=publish, args=(session,))
+        thread.start()
+        try:
+            yield
+        finally:
+            done.set()
+            thread.join()
+
+
+def tracked(**changes: object) -> PoseMessage:
+    return msgspec.structs.replace(EXAMPLE, **{"object": "tea_box", "state": "TRACKING", **changes})
+
+
+@pytest.mark.live
+def test_the_subscriber_says_what_comes_and_why_nothing_comes(base_port: int) -> None:
+    endpoint = f"tcp/127.0.0.1:{base_port}"
+    with subprocess.Popen(
+        example("02_live_subscriber.py", endpoint), stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
+    ) as reader:
+        assert reader.stdout is not None
+        assert reader.stderr is not None
+        try:
+            assert f"nobody answers at {endpoint}" in reader.stderr.readline()
+            with published(endpoint, lambda number: tracked()):
+                assert reader.stdout.readline().startswith(f"tea_box {EXAMPLE.instance} TRACKING")
+        finally:
+            reader.terminate()
+
+
+@pytest.mark.live
+def test_nothing_is_picked_before_it_is_still(base_port: int) -> None:
+    endpoint, began = f"tcp/127.0.0.1:{base_port}", time.monotonic()
+
+    def falls(number: int) -> PoseMessage:
+        """Moves by 1 cm a frame for two seconds, then lies at z = 0.75 m."""
+        still = {"velocity_linear": (0.0, 0.0, 0.0), "velocity_angular": (0.0, 0.0, 0.0)}
+        return tracked(translation=(0.0, 0.0, 0.75 + 0.01 * max(60 - number, 0)), **still)
+
+    with published(endpoint, falls):
+        picked = subprocess.run(
+            example("03_pick_when_still.py", "tea_box", endpoint), check=True, capture_output=True, text=True
+        )
+    x, y, z = (float(n) for n in re.findall(r"\d\.\d*", picked.stdout))
+    assert (x, y) == (0.0, 0.0)
+    assert z == pytest.approx(0.75, abs=0.004)
+    assert time.monotonic() - began > 2.0
+
+
+@pytest.mark.live
+def test_a_topic_arrives_at_a_router(base_port: int) -> None:
+    router, poses = (f"tcp/127.0.0.1:{base_port + k}" for k in (0, 1))
+    config = zenoh.Config()
+    config.insert_json5("mode", '"router"')
+    config.insert_json5("listen/endpoints", f'["{router}"]')
+    config.insert_json5("scouting/multicast/enabled", "false")
+    heard: list[zenoh.Sample] = []
+    with zenoh.open(config) as session, published(poses, lambda number: tracked()):
+        session.declare_subscriber("0/pick/target/**", heard.append)
+        bridge = subprocess.Popen(example("06_ros2.py", "tea_box", router, poses))
+        try:
+            until = time.monotonic() + 60.0
+            while not heard and bridge.poll() is None and time.monotonic() < until:
+                time.sleep(0.05)
+        finally:
+            bridge.terminate()
+            bridge.wait()
+    kind = "geometry_msgs/msg/PoseStamped"
+    message = get_typestore(Stores.ROS2_JAZZY).deserialize_cdr(heard[0].payload.to_bytes(), kind)
+    assert message.pose.position.z == EXAMPLE.translation[2]
+
+
+def test_every_example_says_how_it_is_run_and_is_listed() -> None:
+    listed = re.findall(r"examples/(\w+\.py)", (ROOT / "docs" / "quickstart.md").read_text())
+    assert sorted(set(listed)) == [path.name for path in EXAMPLES]
+    for path in EXAMPLES:
+        assert f"examples/{path.name}" in (ast.get_docstring(ast.parse(path.read_text())) or "")

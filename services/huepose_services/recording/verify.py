@@ -42,10 +42,13 @@ from huepose_services.runtime.health import Health
 from huepose_services.runtime.log import Log
 from huepose_services.tracker import TrackerWork, tracker_of
 
-_LAG = 60
-"""Messages of the tracker that are held back, so that frames and poses written a little later are there."""
-_FRAMES = 256
+_LAG_NS = 2_000_000_000
+"""Messages of the tracker are held back for so long, so that frames and poses written a little later are
+there. By time: a tracker on a busy computer says few in it, and the camera goes on."""
+_TAKEN = 256
 """Frames that are kept: more than a tracker remembers."""
+_FRAMES = 1024
+"""With those that it may still take: half a minute, in case it is that far behind."""
 
 _FrameKey = tuple[int, int]
 _Pixels = tuple[FrameHeader, bytes]
@@ -112,13 +115,14 @@ class _Verifier:
         self._taken: dict[_FrameKey, None] = {}
         self._poses: dict[_PoseKey, PoseMessage] = {}
         self._held: list[tuple[int, int, IntakeMessage | MemoryMessage]] = []
-        self._order = self._last_seq = 0
+        self._order = self._last_seq = self._newest_ns = 0
         self._again: _Again | None = None
         self._first_ns: int | None = None
 
     def take(self, event: Event) -> None:
         """The next event of the recording."""
         message = event.message
+        self._newest_ns = max(self._newest_ns, message.publish_ns)
         if isinstance(message, FrameHeader):
             self._frames[message.camera_epoch, message.frame_id] = (message, event.payload)
             while len(self._frames) > _FRAMES:
@@ -128,8 +132,8 @@ class _Verifier:
         elif isinstance(message, IntakeMessage | MemoryMessage):
             self._order += 1
             heapq.heappush(self._held, (message.publish_ns, self._order, message))
-            if len(self._held) > _LAG:
-                self._next()
+        while self._held and self._held[0][0] < self._newest_ns - _LAG_NS and not self.report.difference:
+            self._next()
 
     def finish(self) -> None:
         """What was held back."""
@@ -209,8 +213,10 @@ class _Verifier:
                     break
                 if key not in self._taken:
                     del self._frames[key]
-        while len(self._taken) > _FRAMES:
-            del self._taken[next(iter(self._taken))]
+        while len(self._taken) > _TAKEN:
+            oldest = next(iter(self._taken))
+            del self._taken[oldest]
+            self._frames.pop(oldest, None)
 
     def _compare(self, was: IntakeMessage, now: IntakeMessage, poses: list[PoseMessage], error: str) -> None:
         self.report.steps += 1

@@ -185,21 +185,20 @@ def test_a_camera_is_recorded_and_replayed(pipeline, scene, huepose, base_port, 
 
 @pytest.mark.live
 @pytest.mark.timeout(900)
-def test_a_live_pipeline_is_computed_again_bit_by_bit(huepose, tmp_path):
+def test_a_live_pipeline_is_computed_again_bit_by_bit(huepose, wait_until, tmp_path):
     """At 10 Hz: how much of 30 a busy computer can do is not what this is about. Recorded from before the
     pipeline began, so nothing is skipped; cut anywhere, what comes before the last chunk stays."""
     out = tmp_path / "live.mcap"
     system = LivePipeline(slow=3.0)
     recorder = huepose("record", out, "--config", system.path, "--free", "0")
     with system:
-        assert system.wait_until_steady(3, 600.0), system.log()[-3000:]
-        time.sleep(5.0)
+        wait_until(lambda: len({p.frame for p in system.poses if p.error is not None}) >= 20, 600.0)
         recorder.send_signal(signal.SIGINT)
         assert recorder.wait(30.0) == 0
         report = verify([Recording(out)])
     assert report.difference == ""
-    assert report.steps > 20, report.text
-    assert report.poses > 20, report.text
+    assert report.steps >= 20, report.text
+    assert report.poses >= 20, report.text
 
     recording = Recording(out)
     keys = [[e.key for e in recording.inside(chunk, pixels=False)] for _, chunk in recording.chunks()]

@@ -1,6 +1,7 @@
 """What is computed again is the same bit by bit; what is not the same is named with its frame and stage."""
 
 import shutil
+from itertools import count, islice
 
 import msgspec
 import numpy as np
@@ -8,12 +9,13 @@ import pytest
 
 from huepose.model.io import model_path
 from huepose.support.errors import InputError
+from huepose_protos.buffers import frame_images
 from huepose_protos.messages import FrameHeader, IntakeMessage, MemoryMessage, PoseMessage
 from huepose_services.cli.main import main
 from huepose_services.recording.read import Recording
 from huepose_services.recording.verify import verify
 
-from .conftest import NAME, STEPS
+from .conftest import NAME, STEPS, parts, tiny_frame
 
 
 def _verified(path, bundles=None):
@@ -123,6 +125,25 @@ def test_after_what_is_missing_it_goes_on_from_the_next_memory(followed, kind):
     else:
         # The memory names the frame that is missing.
         assert report.steps == 4
+
+
+def test_a_tracker_that_takes_few_of_the_frames_is_followed(followed, tmp_path):
+    """As on a busy computer: the camera goes on meanwhile, and its frames do not push out those taken."""
+    out = parts(tmp_path / "slow")
+    numbers = count(100_000)
+    for event in Recording(followed.path).events():
+        message = event.message
+        if not isinstance(message, FrameHeader):
+            out.message(event.key, message)
+            continue
+        out.frame(message, *frame_images(message, event.payload), event.key)
+        for number in islice(numbers, 60):
+            tiny, color, depth = tiny_frame(number)
+            same = {name: getattr(message, name) for name in ("camera_epoch", "capture_ns", "publish_ns")}
+            out.frame(msgspec.structs.replace(tiny, **same), color, depth, event.key)
+    out.close()
+    report = _verified(out.path)
+    assert (report.difference, report.steps, report.gaps) == ("", STEPS, [])
 
 
 def test_poses_that_were_not_recorded_are_counted(followed):

@@ -1,5 +1,5 @@
 # Every target does its own set-up on a machine that has only Python, pip and apt.
-.PHONY: help setup demo test lint bench dist audit clean
+.PHONY: help setup demo test lint bench dist bundle audit clean
 
 help:
 	@echo "make demo    the whole pipeline on a built-in scene, with accuracy and latency at the end"
@@ -7,6 +7,7 @@ help:
 	@echo "make setup   .venv with everything (command line: .venv/bin/huepose)"
 	@echo "make lint    style, types, the import contract, insecure code, secrets"
 	@echo "make dist    wheel and sdist in build/dist, tried in an empty environment"
+	@echo "make bundle  all that an installation without internet needs, in build/bundle (TARGETS=\"aarch64-3.10 ...\")"
 	@echo "make audit   known holes in what it depends on (asks the network)"
 	@echo "make bench   time of every stage"
 
@@ -29,6 +30,9 @@ lint: setup
 
 dist: setup
 	@./deploy/try_wheel.sh
+
+bundle: setup
+	@./deploy/bundle.sh $(TARGETS)
 
 audit: setup
 	@./deploy/audit.sh

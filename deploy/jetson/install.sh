@@ -1,14 +1,20 @@
 #!/usr/bin/env bash
 # Installs HuePose as systemd services: a user, /opt/huepose, /etc/huepose/pipeline.yaml, units, udev rules.
-#   sudo deploy/jetson/install.sh [--config PIPELINE] [--prefix DIR] [--extras LIST] [--no-start]
-#   sudo deploy/jetson/install.sh --udev         only the rules for cameras
-#   sudo deploy/jetson/install.sh --uninstall    units, rules and programs; configuration and data stay
+# From the repository, by the lock; from what `make bundle` made, without internet. Where it is installed already, it
+# upgrades: the configuration is kept, and the version before comes back when the new one is not ready in time.
+#   sudo ./install.sh [--config PIPELINE] [--prefix DIR] [--extras LIST] [--no-start] [--ready-within SECONDS]
+#   sudo ./install.sh --rollback     back to the version before
+#   sudo ./install.sh --udev         only the rules for cameras
+#   sudo ./install.sh --uninstall    units, rules and programs; configuration and data stay
+#   sudo ./install.sh --purge        these as well, and the user
 # --dry-run prints what would be done and changes nothing. Run it again after a change of pipeline.yaml.
 set -euo pipefail
 here=$(cd "$(dirname "$0")" && pwd)
-repo=$(cd "$here/../.." && pwd)
+bundled=0
+if [ -f "$here/VERSION" ]; then bundled=1 repo=$here; else repo=$(cd "$here/../.." && pwd); fi
 
-config="" prefix=/opt/huepose extras="edge viewer realsense oak" user=huepose
+# The first start compiles the kernels, which takes minutes on a small board.
+config="" prefix=/opt/huepose extras="edge viewer realsense oak" user=huepose ready_within=900
 dry=0 what=install start=1
 units=/etc/systemd/system rules=/etc/udev/rules.d/70-huepose-cameras.rules home=/etc/huepose
 
@@ -17,14 +23,14 @@ fail() { printf 'install: %s\n' "$*" >&2; exit 2; }
 while [ $# -gt 0 ]; do
     case $1 in
         --dry-run) dry=1 ;;
-        --uninstall) what=uninstall ;;
-        --udev) what=udev ;;
+        --uninstall | --purge | --udev | --rollback) what=${1#--} ;;
         --no-start) start=0 ;;
-        --config | --prefix | --extras)
+        --config | --prefix | --extras | --ready-within)
             [ $# -ge 2 ] || fail "$1 needs a value"
-            declare "${1#--}=$2"
+            name=${1#--}
+            declare "${name//-/_}=$2"
             shift ;;
-        -h | --help) sed -n '2,6s/^# \{0,1\}//p' "$0"; exit 0 ;;
+        -h | --help) sed -n '2,11s/^# \{0,1\}//p' "$0"; exit 0 ;;
         *) fail "unknown option $1 (see --help)" ;;
     esac
     shift
@@ -42,7 +48,7 @@ run() {
 systemd_runs() { [ "$dry" = 1 ] || [ -d /run/systemd/system ]; }
 
 install_rules() {
-    run install -m 644 "$here/70-huepose-cameras.rules" "$rules"
+    run install -D -m 644 "$here/70-huepose-cameras.rules" "$rules"
     if [ "$dry" = 1 ] || command -v udevadm >/dev/null; then
         run udevadm control --reload || true
         run udevadm trigger --action=add --subsystem-match=usb || true
@@ -71,51 +77,144 @@ print(sys.executable)' 2>/dev/null && return
     fail "no Python 3.10, 3.11 or 3.12 outside of /home and /root. Install one: apt-get install python3"
 }
 
+# Each version lies in a folder of its own, so that the one before can come back; $prefix/.venv leads to the one in use.
+releases=$prefix/releases release=$prefix/releases/$(date -u +%Y%m%dT%H%M%S)
+in_use() { if [ -L "$prefix/.venv" ]; then dirname "$(readlink "$prefix/.venv")"; fi; }
+
 install_programs() {
     local python uv flags=() extra
     python=$(find_python)
+    run install -d -m 755 "$release"
+    if [ "$bundled" = 1 ]; then
+        run env UV_PYTHON_DOWNLOADS=never "$here/uv" venv --quiet --offline --python "$python" "$release/.venv"
+        install=(env VIRTUAL_ENV="$release/.venv" "$here/uv" pip install --quiet --offline --no-index --no-deps
+                 --find-links "$here/wheels")
+        run "${install[@]}" --require-hashes -r "$here/requirements.txt"
+        run "${install[@]}" "$here"/wheels/huepose-*.whl
+        return
+    fi
     uv=$(ls -d "$repo"/.tools/uv-*/bin/uv 2>/dev/null | tail -1 || true)
     if [ -z "$uv" ]; then
         run "$python" -m pip install --quiet --target "$repo/.tools/uv-latest" uv
         uv=$repo/.tools/uv-latest/bin/uv
     fi
     for extra in $extras; do flags+=(--extra "$extra"); done
-    run install -d -m 755 "$prefix"
-    run env UV_PYTHON_DOWNLOADS=never UV_PROJECT_ENVIRONMENT="$prefix/.venv" "$uv" sync --quiet --frozen \
+    run env UV_PYTHON_DOWNLOADS=never UV_PROJECT_ENVIRONMENT="$release/.venv" "$uv" sync --quiet --frozen \
         --no-dev --no-editable --project "$repo" --python "$python" "${flags[@]}"
+}
+
+# Units and the way to the programs, of a release. Nothing of the units of another one stays.
+use() {
+    remove_units
+    run rm -rf "$prefix/.venv"
+    run ln -s "$1/.venv" "$prefix/.venv"
+    run "$1/.venv/bin/huepose" units "$home/pipeline.yaml" --out "$units" --user "$user"
+    if systemd_runs; then
+        run systemctl daemon-reload
+        [ "$start" = 0 ] || {
+            run systemctl reset-failed 'huepose@*' || true
+            run systemctl enable huepose.target
+            run systemctl restart --no-block huepose.target
+        }
+    fi
+}
+
+remove_units() {
+    local folder
+    run rm -rf "$units/huepose.target" "$units/huepose@.service"
+    for folder in "$units"/huepose@*.service.d; do
+        if [ -d "$folder" ]; then run rm -rf "$folder"; fi
+    done
+}
+
+# Whether all workers say that they are ready, within the time that they have.
+all_ready() {
+    local worker end=$((SECONDS + ready_within))
+    if [ "$dry" = 1 ] || [ "$start" = 0 ] || ! systemd_runs; then return 0; fi
+    for worker in $(sed -n 's/^Wants=//p' "$units/huepose.target"); do
+        until systemctl is-active --quiet "$worker"; do
+            if [ $SECONDS -ge $end ]; then
+                printf 'install: %s is not ready after %s s\n' "$worker" "$ready_within" >&2
+                return 1
+            fi
+            sleep 1
+        done
+    done
+}
+
+# A configuration that was given with a version that does not stay does not stay, either.
+old_config() {
+    if [ -n "$config" ] && [ -f "$home/pipeline.yaml.before" ]; then
+        run mv "$home/pipeline.yaml.before" "$home/pipeline.yaml"
+    fi
+}
+
+# Of the versions before, the last one stays, for --rollback.
+forget_but() {
+    local old
+    for old in "$releases"/*; do
+        case $old in "$1" | "$2" | "$releases/*") ;; *) run rm -rf "$old" ;; esac
+    done
+}
+
+stop() {
+    if systemd_runs; then
+        run systemctl disable --now huepose.target || true
+        run systemctl stop 'huepose@*.service' || true
+    fi
 }
 
 case $what in
 udev)
     install_rules ;;
 install)
+    before=$(in_use)
     make_user
     install_programs
     run install -d -m 755 "$home"
     if [ -n "$config" ]; then
+        if [ -f "$home/pipeline.yaml" ]; then run cp "$home/pipeline.yaml" "$home/pipeline.yaml.before"; fi
         run install -m 644 "$config" "$home/pipeline.yaml"
     elif [ ! -f "$home/pipeline.yaml" ]; then
         run install -m 644 "$repo/pipeline.yaml" "$home/pipeline.yaml"
     fi
-    run "$prefix/.venv/bin/huepose" validate "$home/pipeline.yaml"
-    run "$prefix/.venv/bin/huepose" units "$home/pipeline.yaml" --out "$units" --user "$user"
+    run "$release/.venv/bin/huepose" validate "$home/pipeline.yaml" || {
+        run rm -rf "$release"
+        old_config
+        fail "the new version does not take $home/pipeline.yaml; what was installed runs on"
+    }
+    use "$release"
     install_rules
-    if systemd_runs; then
-        run systemctl daemon-reload
-        [ "$start" = 0 ] || { run systemctl enable huepose.target; run systemctl restart huepose.target; }
+    if ! all_ready; then
+        [ -n "$before" ] || fail "see journalctl -u 'huepose@*'"
+        old_config
+        use "$before"
+        run rm -rf "$release"
+        fail "the version before is back"
     fi
+    forget_but "$release" "$before"
     [ "$dry" = 1 ] || echo "installed: systemctl status 'huepose@*', journalctl -fu 'huepose@*', $prefix/.venv/bin/huepose status" ;;
-uninstall)
-    if systemd_runs; then
-        run systemctl disable --now huepose.target || true
-        run systemctl stop 'huepose@*.service' || true
-    fi
-    run rm -rf "$units/huepose.target" "$units/huepose@.service"
-    for folder in "$units"/huepose@*.service.d; do
-        [ -d "$folder" ] && run rm -rf "$folder"
+rollback)
+    now=$(in_use) before=""
+    for old in "$releases"/*; do
+        if [ -d "$old" ] && [ "$old" != "$now" ]; then before=$old; fi
     done
+    [ -n "$before" ] || fail "there is no version before"
+    use "$before"
+    all_ready || fail "see journalctl -u 'huepose@*'"
+    echo "back to $before" ;;
+uninstall | purge)
+    stop
+    remove_units
     run rm -f "$rules"
-    run rm -rf "$prefix/.venv"
+    run rm -rf "$prefix/.venv" "$releases"
     if systemd_runs; then run systemctl daemon-reload; fi
-    [ "$dry" = 1 ] || echo "removed; left: $home, /var/lib/huepose, /var/cache/huepose, user $user" ;;
+    if [ "$what" = purge ]; then
+        run rm -rf "$home" /var/lib/huepose /var/cache/huepose /run/huepose
+        if [ -d "$prefix" ]; then run rmdir --ignore-fail-on-non-empty "$prefix"; fi
+        if getent passwd "$user" >/dev/null; then run userdel "$user"; fi
+        [ "$dry" = 1 ] || echo "removed"
+    else
+        [ "$dry" = 1 ] || echo "removed; left: $home, /var/lib/huepose, /var/cache/huepose, user $user"
+    fi ;;
 esac

@@ -144,7 +144,7 @@ def test_a_dry_run_says_what_it_would_do_and_does_nothing():
     assert done.returncode == 0, done.stderr
     lines = done.stdout.splitlines()
     assert any("huepose units /etc/huepose/pipeline.yaml --out /etc/systemd/system" in line for line in lines)
-    assert any(line.strip() == "systemctl restart huepose.target" for line in lines)
+    assert any(line.strip() == "systemctl restart --no-block huepose.target" for line in lines)
     assert not Path("/etc/systemd/system/huepose.target").exists()
     assert not Path("/opt/huepose").exists()
 

@@ -149,6 +149,26 @@ def test_a_dry_run_says_what_it_would_do_and_does_nothing():
     assert not Path("/opt/huepose").exists()
 
 
+def test_a_bundle_is_installed_without_a_network_and_checked_by_its_hashes(tmp_path):
+    shutil.copy(INSTALL, tmp_path)
+    (tmp_path / "VERSION").write_text("0.1.0\n")
+    done = subprocess.run(
+        ["bash", str(tmp_path / INSTALL.name), "--dry-run"], capture_output=True, text=True, timeout=60
+    )
+    assert done.returncode == 0, done.stderr
+    lines = [line for line in done.stdout.splitlines() if "pip install" in line]
+    assert len(lines) == 2
+    assert all(f"{tmp_path}/uv" in line and "--offline --no-index" in line for line in lines)
+    assert "--require-hashes" in lines[0]
+    assert "sync" not in done.stdout
+
+
+def test_there_is_nothing_to_go_back_to_before_an_upgrade():
+    done = _install("--dry-run", "--rollback")
+    assert done.returncode == 2
+    assert "no version before" in done.stderr
+
+
 def test_uninstalling_leaves_the_configuration():
     done = _install("--dry-run", "--uninstall")
     assert done.returncode == 0, done.stderr

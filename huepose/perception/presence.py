@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import threading
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from weakref import WeakKeyDictionary
 
 import numpy as np
@@ -27,6 +28,9 @@ SAMPLES, RIM_SAMPLES = 800, 400
 
 NEAREST_M = 0.02
 
+WORTH = -4.0
+"""Log-odds under which nobody asks how a place's outline goes on: a place of 2 % is not proposed."""
+
 _contours: WeakKeyDictionary[ReferenceModel, Contours] = WeakKeyDictionary()
 _lock = threading.Lock()
 
@@ -37,20 +41,31 @@ def presences(
     """Logit (N,) of the probability for each named object that it is where its pose T_cam_obj (4, 4) says, in
     whatever turn."""
     regions = {name: view.region(models[name].diameter_m) for name, _ in poses}
+    names = [name for name, _ in poses]
     sights = [sight(view, regions[name], models[name], T) for name, T in poses]
-    return logits_of([name for name, _ in poses], sights)
+    # An outline that goes on speaks against an object; that one ends, not for it.
+    most = logits_of(names, sights)
+    sights = [
+        outlined(s, view, models[name], T) if x > WORTH else s
+        for s, x, (name, T) in zip(sights, most, poses, strict=True)
+    ]
+    return logits_of(names, sights)
 
 
 def sight(view: ClearView, region: Region, model: ReferenceModel, T_cam_obj: Float64) -> Sight:
-    """Look at a pose (4, 4); `region`: the view as one for this model."""
+    """Look at a pose (4, 4), but not along its outline; `region`: the view as one for this model."""
     T = np.ascontiguousarray(T_cam_obj, dtype=np.float64)
     terms = Terms(*(float(x) for x in score_many(model, region, T[None], SAMPLES)[0]))
     crop, arrays = view.crop, model_arrays(model)
     rim = continuation_many(arrays, crop.depth, view.clear, crop.camera, T[None], RIM_SAMPLES)[0]
     hues = hue_samples(arrays, crop.depth, view.colors, crop.saturated, crop.camera, region.tolerance_m, T)
-    goes_on = outline(_contours_of(model), T, view.frame).goes_on
     pixels = agreeing_pixels(model, view.frame, T)
-    return Sight(terms.depth_fit, terms.color, terms.contrast, float(rim), goes_on, pixels, hues)
+    return Sight(terms.depth_fit, terms.color, terms.contrast, float(rim), 0.0, pixels, hues)
+
+
+def outlined(seen: Sight, view: ClearView, model: ReferenceModel, T_cam_obj: Float64) -> Sight:
+    """What is seen at a pose (4, 4), and along its outline."""
+    return replace(seen, goes_on=outline(contours_of(model), T_cam_obj, view.frame).goes_on)
 
 
 def agreeing_pixels(model: ReferenceModel, frame: RgbdFrame, T_cam_obj: Float64) -> int:
@@ -67,7 +82,8 @@ def agreeing_pixels(model: ReferenceModel, frame: RgbdFrame, T_cam_obj: Float64)
     return len(np.unique(v[agree] * camera.width + u[agree]))
 
 
-def _contours_of(model: ReferenceModel) -> Contours:
+def contours_of(model: ReferenceModel) -> Contours:
+    """The contours of a model, kept as long as it is."""
     with _lock:
         if model not in _contours:
             _contours[model] = Contours(model.mesh, PreparedSurface.of(model))

@@ -31,7 +31,7 @@ from huepose.model import load_models
 from huepose.perception.clear_view import clear_view
 from huepose.perception.colorpair_detector import ColorPairDetector
 from huepose.perception.config import DetectorConfig
-from huepose.perception.presence import sight
+from huepose.perception.presence import outlined, sight
 from huepose.perception.types import Detector
 from huepose.support.progress import progress
 from studies.likelihood import logistic
@@ -100,7 +100,9 @@ def look(
         if view is None or answer.T_cam_obj is None or own is None:
             continue
         names.append(answer.object)
-        sights.append(sight(view, regions[answer.object], models[answer.object], answer.T_cam_obj))
+        model, T_cam_obj = models[answer.object], answer.T_cam_obj
+        plain = sight(view, regions[model.name], model, T_cam_obj)
+        sights.append(outlined(plain, view, model, T_cam_obj))
         certain.append(certainty(answer))
         there.append(any(n == answer.object and b.iou(own) >= SAME for n, b in boxes))
     return SeenPlaces(tuple(names), tuple(sights), np.array(certain), np.array(there, dtype=bool))

@@ -41,7 +41,7 @@ KINDS = {"apart": (APART, 7003), "heaps": (SceneRanges(), 7001), "piles": (PILES
 FRAMES: dict[SetName, tuple[int, ...]] = {
     "fit": (70, 50, 40),
     "choose": (40, 30, 24),
-    "report": (25, 16, 12),
+    "report": (32, 16, 12),
 }
 SEEDS_APART = 1000
 

@@ -166,7 +166,7 @@ def test_why_none_of_an_object_stands() -> None:
     found = replace(absent("brick", ""), found=True, mask=mask_of(LEFT))
     assert why_none_stands("box", [found], [0.9]).startswith("The detector found no place")
     assert why_none_stands("brick", [found, found], [0.2, 0.31]) == (
-        "At the best of 2 places the object is there with a probability of 0.31, which is under 0.50."
+        "At the best of 2 places the object is there with a probability of 0.31, which is under 0.60."
     )
     assert why_none_stands("brick", [found], [0.9]) == (
         "Another object explains the surface at the only place better."

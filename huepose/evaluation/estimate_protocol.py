@@ -4,20 +4,19 @@ from __future__ import annotations
 
 import time
 from collections import Counter
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any, Literal, Protocol
 
 import numpy as np
-from scipy.optimize import linear_sum_assignment
 
 from huepose.datasets.bop_detections import BopDetections
 from huepose.datasets.boxes import Disturbance, disturbed, projected_box, truth_box
-from huepose.datasets.types import GroundTruth, Sample, Scene
+from huepose.datasets.types import Sample, Scene
 from huepose.estimation.present import Presence
 from huepose.estimation.standing import standing_answers, why_none_stands
 from huepose.estimation.types import ObjectQuery, PoseEstimate, PosePrior
-from huepose.evaluation import metrics
+from huepose.evaluation.assignment import Label, assigned, labels_of, localised
 from huepose.evaluation.bop_errors import BopObject, bop_errors
 from huepose.evaluation.equivalents import Key
 from huepose.evaluation.estimate_rows import EstimateResult, EstimateRow, FalsePose
@@ -25,12 +24,9 @@ from huepose.evaluation.targets import Targets, object_number
 from huepose.geometry.arrays import Bool, Float64
 from huepose.geometry.box import Box
 from huepose.geometry.frame import RgbdFrame
-from huepose.model.types import ReferenceModel
 from huepose.perception.types import Detector
 from huepose.support.errors import InputError
 from huepose.support.progress import progress
-
-ASSIGNMENT_IOU = 0.3
 
 
 class PoseEstimator(Protocol):
@@ -63,16 +59,6 @@ class EstimateOptions:
 
 
 @dataclass(frozen=True, eq=False)
-class _Label:
-    """A label that is evaluated (`counted`), or that only takes its poses away from the false ones."""
-
-    truth: GroundTruth
-    model: ReferenceModel
-    T_cam_obj: Float64
-    counted: bool
-
-
-@dataclass(frozen=True, eq=False)
 class EstimateSetup:
     """What is evaluated, and how.
 
@@ -96,7 +82,7 @@ class EstimateSetup:
     def image(self, scene: Scene, image: int) -> ImageAnswers:
         """Run the estimator over one image, under every seed. Raises InputError where a file is broken."""
         truths = scene.truths(image)
-        labels, without_model = _labels(truths, self.targets, self.options.min_visib)
+        labels, without_model = labels_of(truths, self.targets, self.options.min_visib)
         rows: list[EstimateRow] = []
         false: list[FalsePose] = []
         sample = None
@@ -158,27 +144,12 @@ def evaluate_estimates(
     return EstimateResult(rows, false, skipped, options.boxes, options.masks, options.seeds)
 
 
-def _labels(truths: Sequence[GroundTruth], targets: Targets, min_visib: float) -> tuple[list[_Label], int]:
-    """Labels that have a model and a pose, and the number of wanted ones that have no model."""
-    labels, without_model = [], 0
-    for truth in truths:
-        if not targets.wants(truth) or truth.T_cam_obj is None:
-            continue
-        counted = truth.shows(min_visib)
-        model = targets.model_of(truth)
-        if model is not None:
-            labels.append(_Label(truth, model, truth.T_cam_obj, counted))
-        elif counted:
-            without_model += 1
-    return labels, without_model
-
-
 @dataclass(frozen=True, eq=False)
 class _FrameRun:
     """One frame under one seed."""
 
     sample: Sample
-    labels: Sequence[_Label]
+    labels: Sequence[Label]
     setup: EstimateSetup
     seed: int
 
@@ -219,7 +190,7 @@ class _FrameRun:
             if label.counted
         ]
 
-    def _query(self, label: _Label) -> ObjectQuery | None:
+    def _query(self, label: Label) -> ObjectQuery | None:
         """None where the true mask or the box is empty: nothing of the object is in the image."""
         camera, truth = self.sample.frame.camera, label.truth
         masks: tuple[Bool, ...] = ()
@@ -341,7 +312,7 @@ class _FrameRun:
 
     def _row(
         self,
-        label: _Label,
+        label: Label,
         answer: PoseEstimate | None,
         seconds: float,
         query: ObjectQuery | None,
@@ -382,48 +353,3 @@ class _FrameRun:
                 (p, self.targets.right(label.model, T, label.T_cam_obj, equivalents)) for T, p in others
             ),
         )
-
-
-def assigned(
-    answers: Sequence[PoseEstimate],
-    labels: Sequence[_Label],
-    box_of: Callable[[str, Float64], Box | None],
-) -> tuple[dict[int, PoseEstimate], list[tuple[PoseEstimate, Float64]]]:
-    """Poses to labels of their object, one to one, the surest pose first, each to the label whose projected
-    box it overlaps most, by IoU 0.3 at least. Returns answers by index of the label, and the spare poses."""
-    taken: dict[int, PoseEstimate] = {}
-    spare = []
-    boxes = [box_of(label.model.name, label.T_cam_obj) for label in labels]
-    for answer, T_cam_obj in sorted(_found(answers), key=lambda item: -item[0].quality):
-        box = box_of(answer.object, T_cam_obj)
-        overlaps = [
-            box.iou(other)
-            if box is not None and other is not None and i not in taken and label.model.name == answer.object
-            else 0.0
-            for i, (label, other) in enumerate(zip(labels, boxes, strict=True))
-        ]
-        best = int(np.argmax(overlaps)) if overlaps else 0
-        if overlaps and overlaps[best] >= ASSIGNMENT_IOU:
-            taken[best] = answer
-        else:
-            spare.append((answer, T_cam_obj))
-    return taken, spare
-
-
-def localised(answers: Sequence[PoseEstimate], labels: Sequence[_Label]) -> dict[int, PoseEstimate]:
-    """Poses to labels that count, of their object, by least total ADD, wherever they lie: by index of the
-    label."""
-    taken: dict[int, PoseEstimate] = {}
-    for name in {label.model.name for label in labels if label.counted}:
-        mine = [(i, x) for i, x in enumerate(labels) if x.counted and x.model.name == name]
-        own = [(answer, T) for answer, T in _found(answers) if answer.object == name]
-        cost = [[metrics.add(x.model.eval_points, T, x.T_cam_obj) for _, T in own] for _, x in mine]
-        for row, column in zip(*linear_sum_assignment(np.reshape(cost, (len(mine), len(own)))), strict=True):
-            taken[mine[row][0]] = own[column][0]
-    return taken
-
-
-def _found(answers: Sequence[PoseEstimate]) -> Iterator[tuple[PoseEstimate, Float64]]:
-    for answer in answers:
-        if answer.found and answer.T_cam_obj is not None:
-            yield answer, answer.T_cam_obj

@@ -1,0 +1,32 @@
+"""What was out of sight for a moment cannot have turned over meanwhile."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from huepose.geometry import se3
+from huepose.tracking import Correction, State, Tracker
+from huepose.tracking import track as one_track
+from studies.hard_moments.scripts import printed_board
+
+
+def test_after_two_frames_it_is_not_asked_which_way_round_it_is(tea_box, shoot, path, monkeypatch) -> None:
+    T = path(0)
+    board, before = printed_board(0.4, 0.4), se3.make(np.eye(3), np.array([0.0, 0.0, T[2, 3] - 0.2]))
+    seen, hidden = [(tea_box.mesh, T)], [(tea_box.mesh, T), (board, before)]
+    tracker = Tracker({"tea_box": tea_box})
+    tracker.step(shoot(seen, 0))
+    tracker.correct(Correction.first("tea_box", T, shoot(seen, 0)))
+    states = [tracker.step(shoot(seen, number))[0].state for number in range(1, 5)]
+    assert states == [State.TRACKING] * 4
+    asked: list[int] = []
+
+    def spied(subject, first, turns, frame, light):
+        asked.append(len(turns))
+
+    monkeypatch.setattr(one_track, "best_rival", spied)
+    states = [tracker.step(shoot(hidden, number))[0].state for number in (5, 6)]
+    assert states == [State.SUSPECT] * 2
+    states = [tracker.step(shoot(seen, number))[0].state for number in range(7, 10)]
+    assert states[-1] is State.TRACKING
+    assert asked == []

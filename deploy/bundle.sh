@@ -54,6 +54,9 @@ for target in "${targets[@]}"; do
     cp "$work/own/$wheel" "$folder/wheels/"
     cp deploy/jetson/install.sh deploy/jetson/70-huepose-cameras.rules pipeline.yaml "$folder/"
     printf '%s\n' "$version" > "$folder/VERSION"
+    # All that is needed there is in it, and fits.
+    "$UV" pip install --quiet --dry-run --offline --no-index --find-links "$folder/wheels" --target "$work/none" \
+        --python-version "$python" --python-platform "$arch-manylinux_2_$glibc" "huepose[${extras// /,}]==$version"
     mkdir -p "$OUT"
     tar -C "$work" -cf "$OUT/$name.tar" "$name"
     rm -rf "$folder"

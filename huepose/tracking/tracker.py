@@ -8,6 +8,7 @@ import numpy as np
 
 from huepose.geometry.frame import RgbdFrame
 from huepose.judge.silhouette import silhouette_iou
+from huepose.judge.surface import PreparedSurface
 from huepose.model.types import ReferenceModel
 from huepose.propose.relative_pose import RelativePose
 from huepose.support.errors import InputError
@@ -91,6 +92,10 @@ class Tracker:
     def objects(self) -> tuple[str, ...]:
         """Names of the known objects."""
         return tuple(self._subjects)
+
+    def surface(self, name: str) -> PreparedSurface:
+        """The prepared surface of a known object."""
+        return self._subjects[name].surface
 
     @property
     def reach_s(self) -> float | None:

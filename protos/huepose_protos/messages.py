@@ -217,7 +217,9 @@ class CorrectionMessage(Message, frozen=True, kw_only=True):
 
 
 class PoseMessage(Message, frozen=True, kw_only=True):
-    """One object at one frame. Pose, velocity and covariance are null while SEARCHING or LOST."""
+    """One object at one frame. Pose, velocity and covariance are null while SEARCHING or LOST.
+
+    reason: a sentence for people on why it is not TRACKING, empty where it is."""
 
     max_bytes: ClassVar[int] = 4 * KIB
     object: Name
@@ -236,6 +238,7 @@ class PoseMessage(Message, frozen=True, kw_only=True):
     velocity_angular: Vector3 | None
     covariance: Covariance | None
     applied_correction_seq: Count
+    reason: Text = ""
 
     def __post_init__(self) -> None:
         check_pose(self.translation, self.quaternion)

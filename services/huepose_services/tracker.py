@@ -27,6 +27,7 @@ from huepose_services.convert import (
     twist_to_wire,
 )
 from huepose_services.doubted_frames import complaint_about
+from huepose_services.doubted_poses import why_doubted
 from huepose_services.following import Follower, Retired
 from huepose_services.intake import MEMORY_EVERY_NS, Clock, Intake
 from huepose_services.runtime.bus import Bus
@@ -35,6 +36,7 @@ from huepose_services.runtime.config import Config
 from huepose_services.runtime.future import check_number
 from huepose_services.runtime.log import StateChanges
 
+TOO_OLD = "It is not known where it is now: this computer is too busy, or the camera's pictures come late."
 _REFUSED_EVERY_S = 10.0
 _Frame = tuple[int, int]
 # Beside the tracker's memory: the newest frame, the first, whose poses were published, who is retired, until
@@ -125,7 +127,7 @@ class TrackerWork:
             # Instances that a correction has made are published on the frame that is there, which may stand
             # for long; what was published of a frame is never said anew.
             new = [p for p in self._tracker.poses() if (p.object, p.instance) not in self._published]
-            self._publish_all(new, self._header)
+            self._publish_all(new, self._header, self._pixels)
         if self._intake.empty and self._acted_on and (now := self._clock()) >= self._holds_until_ns:
             self._intake.clock_ns.append(now)
             self._take_back("no new frame came")
@@ -139,7 +141,7 @@ class TrackerWork:
         self._bus.log.seldom("taken back", f"poses are SUSPECT: {why}")
         for pose in poses:
             self._bus.health.count("poses_too_old")
-            self._put(_doubted(pose), header, self._intake.now())
+            self._put(_doubted(pose), header, self._intake.now(), _sentence(why))
 
     def _tell(self) -> None:
         """What was taken, and now and then what is believed after it, to who records."""
@@ -266,7 +268,7 @@ class TrackerWork:
         if complaint is not None:
             health.count("frames_doubted")
             poses = [_doubted(pose) for pose in poses]
-        self._publish_all(poses, header)
+        self._publish_all(poses, header, frame, complaint)
         self._header = header
         health.camera_epoch, health.frame_id = header.camera_epoch, header.frame_id
         health.counters["frames_skipped"] = self._frames.skipped
@@ -274,28 +276,37 @@ class TrackerWork:
         health.worked(started, header.capture_ns)
         return True
 
-    def _publish_all(self, poses: list[TrackedPose], header: FrameHeader) -> None:
+    def _publish_all(
+        self,
+        poses: list[TrackedPose],
+        header: FrameHeader,
+        frame: RgbdFrame | None,
+        complaint: str | None = None,
+    ) -> None:
         for pose in poses:
-            self._publish(pose, header)
+            reason = _sentence(complaint or "")
+            if not reason and frame is not None and pose.state is not State.TRACKING:
+                reason = why_doubted(self._tracker.surface(pose.object), frame, pose.T_cam_obj)
+            self._publish(pose, header, reason)
             self._published.add((pose.object, pose.instance))
 
-    def _publish(self, pose: TrackedPose, header: FrameHeader) -> None:
+    def _publish(self, pose: TrackedPose, header: FrameHeader, reason: str) -> None:
         now = self._intake.now()
         # A stamp of the future tells no more than an old one of how things are now.
         old = abs(now - pose.stamp_ns) > self._max_age_ns
         stands = self._first_stands and _frame_of(header) == self._first
         if pose.state is State.TRACKING and old and not stands:
             # Where things were so long ago is not to be acted on, however sure it is.
-            pose = _doubted(pose)
+            pose, reason = _doubted(pose), TOO_OLD
             self._bus.health.count("poses_too_old")
-        self._put(pose, header, now)
+        self._put(pose, header, now, reason)
         if pose.state is State.TRACKING and not stands:
             self._acted_on.append(pose)
             self._holds_until_ns = now + self._max_age_ns
 
-    def _put(self, pose: TrackedPose, header: FrameHeader, now: int) -> None:
+    def _put(self, pose: TrackedPose, header: FrameHeader, now: int, reason: str) -> None:
         try:
-            message = pose_to_wire(pose, header, now)
+            message = pose_to_wire(pose, header, now, reason)
         except ValueError as error:
             # Not a number, not a rotation: nobody must see it, and the other objects go on.
             self._bus.health.count("poses_refused")
@@ -344,7 +355,11 @@ def correction_from_wire(message: CorrectionMessage, header: FrameHeader | None 
     )
 
 
-def pose_to_wire(pose: TrackedPose, header: FrameHeader, publish_ns: int) -> PoseMessage:
+def _sentence(text: str) -> str:
+    return text and text[0].upper() + text[1:].rstrip(".") + ("" if text.endswith("?") else ".")
+
+
+def pose_to_wire(pose: TrackedPose, header: FrameHeader, publish_ns: int, reason: str = "") -> PoseMessage:
     """The message of a tracked pose; the header names the camera's frame and clock."""
     translation, quaternion = optional_pose_to_wire(pose.T_cam_obj)
     linear, angular = twist_to_wire(pose.velocity)
@@ -366,4 +381,5 @@ def pose_to_wire(pose: TrackedPose, header: FrameHeader, publish_ns: int) -> Pos
         velocity_angular=angular,
         covariance=covariance_to_wire(pose.covariance),
         applied_correction_seq=pose.applied_correction_seq,
+        reason=reason,
     )

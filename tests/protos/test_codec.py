@@ -104,6 +104,12 @@ def test_a_newer_minor_version_with_more_fields_is_read():
     assert decode(_altered(POSE, version="1.9", colour="yellow"), PoseMessage).translation == POSE.translation
 
 
+def test_a_pose_of_an_older_version_has_no_reason():
+    pose = msgspec.msgpack.decode(encode(next(m for m in messages() if isinstance(m, PoseMessage))))
+    del pose["reason"]
+    assert decode(msgspec.msgpack.encode(pose), PoseMessage).reason == ""
+
+
 def test_a_message_over_its_cap_is_refused_both_ways():
     with pytest.raises(WireError, match="over 4096"):
         decode(encode(POSE) + b"\0" * 5000, PoseMessage)

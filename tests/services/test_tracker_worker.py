@@ -18,7 +18,7 @@ from huepose_services.runtime.clock import now_ns
 from huepose_services.runtime.config import CameraConfig, Config, TrackerConfig
 from huepose_services.runtime.health import Health
 from huepose_services.runtime.log import Log
-from huepose_services.tracker import TrackerWork
+from huepose_services.tracker import TOO_OLD, TrackerWork
 
 HEADER = next(m for m in messages() if isinstance(m, FrameHeader))
 CORRECTION = next(m for m in messages() if isinstance(m, CorrectionMessage))
@@ -119,6 +119,7 @@ def test_an_old_pose_is_never_one_to_act_on(age_ms, state):
     work.step()
     work.step()
     assert [p.state for p in bus.out] == ["TRACKING", state]
+    assert [p.reason for p in bus.out] == ["", "" if state == "TRACKING" else TOO_OLD]
     assert bus.health.counters.get("poses_too_old", 0) == (state == "SUSPECT")
 
 

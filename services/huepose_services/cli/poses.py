@@ -105,4 +105,4 @@ def _print(message: Message, as_json: bool) -> None:
         where = f"{x:+.4f} {y:+.4f} {z:+.4f} m   {qx:+.4f} {qy:+.4f} {qz:+.4f} {qw:+.4f}"
     age_ms = (message.publish_ns - message.capture_ns) * 1e-6
     who = f"{message.frame_id:6d} {message.object}/{message.instance:<3d} {message.state:9s}"
-    print(f"{who} {message.quality:.2f}  {where}  {age_ms:.0f} ms", flush=True)
+    print(f"{who} {message.quality:.2f}  {where}  {age_ms:.0f} ms  {message.reason}".rstrip(), flush=True)

@@ -129,7 +129,8 @@ class Show:
             colors += [colour] * len(border)
             highest = np.concatenate(border)
             tips.append((float(highest[:, 0].mean()), float(highest[:, 1].min()) - 12.0))
-            labels.append(f"{pose.object}  {pose.state.lower()} {pose.quality:.2f}")
+            why = f"\n{pose.reason}" if pose.reason else ""
+            labels.append(f"{pose.object}  {pose.state.lower()} {pose.quality:.2f}{why}")
             label_colors.append(colour)
             cross = axes(T_cam_obj, self._camera, 0.35 * body.diameter_m, body.mesh.centre)
             crosses += cross or []

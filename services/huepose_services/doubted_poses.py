@@ -1,0 +1,66 @@
+"""Why a pose is not to be acted on, as far as the frame shows it: a sentence for people, not a judgement. The
+state was decided by the tracker, from the same frame."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from huepose.geometry import RgbdFrame
+from huepose.geometry.arrays import Float64
+from huepose.geometry.depth_noise import depth_noise_m
+from huepose.judge.surface import PreparedSurface
+
+NOT_FOUND = "It is not where it was, and was not found elsewhere yet."
+OUTSIDE = "Most of it is outside of the picture."
+TOO_FAR = "It is too small in the picture: too far away."
+NO_DEPTH = "There is no depth on most of it: too near, shiny, transparent or dark."
+COVERED = "Most of it is covered."
+NOT_THERE = "The camera sees through to what is behind it: it is not there any more."
+DARK = "The picture is too dark there."
+LITTLE_SEEN = "Too little of its texture and shape is seen to be sure."
+
+_SAMPLES = 300
+_SMALL_PX = 24.0
+"""So many pixels across are some 450 readings, of which one in six is independent (`POINTS_PER_READING`): few
+for a pose, and for which of two like ones it is."""
+_DARK = 24
+"""Of 255: where eight bits have fewer than a tenth of their steps, noise of two steps hides colours."""
+
+
+def why_doubted(surface: PreparedSurface, frame: RgbdFrame, T_cam_obj: Float64 | None) -> str:
+    """What keeps an object at that pose (4, 4), None where it is lost, from being seen well in the frame."""
+    if T_cam_obj is None:
+        return NOT_FOUND
+    rotation, translation = T_cam_obj[:3, :3], T_cam_obj[:3, 3]
+    points = surface.arrays.points[:_SAMPLES].astype(np.float64) @ rotation.T + translation
+    normals = surface.arrays.normals[:_SAMPLES].astype(np.float64) @ rotation.T
+    points = points[((normals * points).sum(1) < 0.0) & (points[:, 2] > 0.0)]
+    if not len(points):
+        return OUTSIDE
+    pixels = np.rint(frame.camera.project(points)).astype(np.int64)
+    size = (frame.camera.width, frame.camera.height)
+    inside = np.all((pixels >= 0) & (pixels < size), axis=1)
+    if _few(inside):
+        return OUTSIDE
+    distance_m = float(np.median(points[:, 2]))
+    if frame.camera.fx * surface.diameter_m < _SMALL_PX * distance_m:
+        return TOO_FAR
+    columns, rows = pixels[inside].T
+    read_m, expected_m = frame.depth[rows, columns].astype(np.float64), points[inside, 2]
+    there = read_m > 0.0
+    if _few(there):
+        return NO_DEPTH
+    # As far off as neither noise nor a pose that is followed at all explains.
+    slack_m = 3.0 * depth_noise_m(distance_m) + 0.1 * surface.diameter_m
+    if not _few(read_m[there] < expected_m[there] - slack_m):
+        return COVERED
+    if not _few(read_m[there] > expected_m[there] + slack_m):
+        return NOT_THERE
+    if float(np.median(frame.color[rows, columns].max(1))) < _DARK:
+        return DARK
+    return LITTLE_SEEN
+
+
+def _few(which: np.ndarray) -> bool:
+    """Fewer than half."""
+    return bool(2 * np.count_nonzero(which) < len(which))

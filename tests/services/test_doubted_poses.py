@@ -1,0 +1,78 @@
+"""What is said of an object that is not tracked, in frames that were made so that it is true."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+from types import SimpleNamespace
+
+import msgspec
+import numpy as np
+import pytest
+
+from huepose.geometry import Camera, RgbdFrame, se3
+from huepose_protos.examples import messages
+from huepose_protos.messages import PoseMessage
+from huepose_services import doubted_poses as why
+from huepose_services.cli.status_text import as_text
+from huepose_services.runtime.running import Pipeline
+from huepose_services.watch import View
+
+CAMERA = Camera(600.0, 600.0, 319.5, 239.5, 640, 480)
+DIAMETER_M = 0.1
+NORMALS = np.random.default_rng(0).normal(size=(500, 3))
+NORMALS /= np.linalg.norm(NORMALS, axis=1, keepdims=True)
+# As much of a prepared surface as is asked for: a ball.
+BALL = SimpleNamespace(
+    arrays=SimpleNamespace(points=0.5 * DIAMETER_M * NORMALS, normals=NORMALS), diameter_m=DIAMETER_M
+)
+
+
+def at(x: float, y: float, z: float) -> np.ndarray:
+    return se3.make(np.eye(3), np.array([x, y, z]))
+
+
+def seen(T: np.ndarray) -> RgbdFrame:
+    """The ball, grey, before a wall 2 m behind it."""
+    rays = np.stack(np.meshgrid(np.arange(640), np.arange(480)), -1).astype(float)
+    rays = np.append((rays - (319.5, 239.5)) / 600.0, np.ones((480, 640, 1)), axis=2)
+    a, b = (rays**2).sum(-1), rays @ T[:3, 3]
+    inside = b**2 - a * (T[:3, 3] @ T[:3, 3] - (0.5 * DIAMETER_M) ** 2)
+    depth = np.where(inside > 0.0, (b - np.sqrt(np.maximum(inside, 0.0))) / a, T[2, 3] + 2.0)
+    return RgbdFrame(np.full((480, 640, 3), 120, np.uint8), depth.astype(np.float32), CAMERA)
+
+
+NEAR = at(0.0, 0.0, 0.8)
+Change = Callable[[RgbdFrame], RgbdFrame]
+CASES: dict[str, tuple[np.ndarray | None, Change]] = {
+    why.LITTLE_SEEN: (NEAR, lambda frame: frame),
+    why.OUTSIDE: (at(0.45, 0.0, 0.8), lambda frame: frame),
+    why.TOO_FAR: (at(0.0, 0.0, 6.0), lambda frame: frame),
+    why.NO_DEPTH: (NEAR, lambda frame: replace(frame, depth=np.zeros_like(frame.depth))),
+    why.COVERED: (NEAR, lambda frame: replace(frame, depth=np.full_like(frame.depth, 0.6))),
+    why.NOT_THERE: (NEAR, lambda frame: replace(frame, depth=np.full_like(frame.depth, 2.8))),
+    why.DARK: (NEAR, lambda frame: replace(frame, color=frame.color // 20)),
+    why.NOT_FOUND: (None, lambda frame: frame),
+}
+
+
+@pytest.mark.parametrize("expected", CASES)
+def test_the_reason_is_the_one_that_was_made(expected: str) -> None:
+    T, change = CASES[expected]
+    frame = change(seen(NEAR if T is None else T))
+    assert why.why_doubted(BALL, frame, T) == expected
+
+
+def test_behind_the_camera_is_outside() -> None:
+    frame = seen(NEAR)
+    assert why.why_doubted(BALL, frame, at(0.0, 0.0, -1.0)) == why.OUTSIDE
+
+
+def test_status_says_it_below_the_object() -> None:
+    example = next(m for m in messages() if isinstance(m, PoseMessage))
+    pose = msgspec.structs.replace(example, object="mug", instance=2, state="SUSPECT", reason=why.COVERED)
+    pipeline = Pipeline(base_port=17447)
+    view = View(pipeline, True, {}, frozenset(), (), [], {("mug", 2): pose})
+    said = as_text(view).splitlines()
+    (line,) = [number for number, text in enumerate(said) if text.startswith("mug/2")]
+    assert said[line + 1] == f"  {why.COVERED}"

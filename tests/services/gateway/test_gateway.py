@@ -160,11 +160,23 @@ def test_a_client_that_is_there_first_survives_a_gateway_that_comes_and_goes(bas
         one.close()
 
 
-def test_the_twenty_lines_of_the_manual_print_poses(start):
+def twenty_lines():
     page = (DOCS / "subscribers.md").read_text()
-    code = re.search(r"## Without our package.*?```python\n(.*?)```", page, re.DOTALL)[1]
+    return re.search(r"## Without our package.*?```python\n(.*?)```", page, re.DOTALL)[1]
+
+
+def test_the_twenty_lines_of_the_manual_say_that_there_is_no_gateway(base_port):
+    endpoint = f"tcp/127.0.0.1:{base_port}"
+    done = subprocess.run([sys.executable, "-c", twenty_lines(), endpoint], capture_output=True, text=True)
+    assert done.returncode == 1
+    assert "Unable to connect" in done.stderr
+    assert endpoint in done.stderr
+
+
+def test_the_twenty_lines_of_the_manual_print_poses(start):
+    code = twenty_lines()
     lines = [line for line in code.splitlines() if line.strip()]
-    assert len(lines) <= 22
+    assert len(lines) <= 20
     assert not {"huepose_protos", "msgspec"} & set(re.findall(r"import (\w+)", code))
     one = start()
     process = subprocess.Popen(

@@ -110,6 +110,19 @@ def test_without_a_box_the_object_is_found_in_the_whole_picture(
     assert np.abs(np.array(pose["T_cam_obj"]) - standing).max() < 0.01
 
 
+def test_depth_of_another_unit_is_named_where_nothing_is_found(
+    files: list[str], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    at = files.index("--camera") + 1
+    camera = json.loads(Path(files[at]).read_text())
+    wrong = tmp_path / "camera.json"
+    wrong.write_text(json.dumps({**camera, "depth_scale_m": 10.0 * camera["depth_scale_m"]}))
+    main([*files[:at], str(wrong), *files[at + 1 :], "--json"])
+    (pose,) = json.loads(capsys.readouterr().out)["poses"]
+    assert not pose["found"]
+    assert pose["reason"].endswith("is the depth scale right?")
+
+
 def test_the_papers_method_answers_and_never_says_that_it_is_sure(
     files: list[str], box: list[str], tmp_path: Path, standing: np.ndarray
 ) -> None:

@@ -173,6 +173,7 @@ def _detected(
     names: list[str],
 ) -> list[PoseEstimate]:
     """The poses that stand at the places which the detector proposes; an object without any is not found."""
+    from huepose.estimation.bad_picture import bad_picture
     from huepose.estimation.present import presences_of
     from huepose.estimation.standing import standing_answers, why_none_stands
     from huepose.estimation.types import absent
@@ -184,7 +185,8 @@ def _detected(
     poses = standing_answers(answers, chances)
     out = []
     for name in names:
-        none = absent(name, why_none_stands(name, answers, chances))
+        why = bad_picture(frame, models[name].diameter_m) or why_none_stands(name, answers, chances)
+        none = absent(name, why)
         out += [pose for pose in poses if pose.object == name] or [none]
     return out
 

@@ -1,0 +1,47 @@
+"""Frames in which nothing can be found say why; good ones say nothing."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from huepose.estimation.bad_picture import bad_picture
+from huepose.geometry import Camera, RgbdFrame
+
+CAMERA = Camera(300.0, 300.0, 79.5, 59.5, 160, 120)
+DIAMETER_M = 0.12
+
+
+@pytest.fixture
+def good() -> RgbdFrame:
+    rng = np.random.default_rng(0)
+    color = rng.integers(20, 220, (120, 160, 3), dtype=np.uint8)
+    return RgbdFrame(color, rng.uniform(0.6, 1.4, (120, 160)).astype(np.float32), CAMERA)
+
+
+def test_a_good_frame_has_nothing_wrong_with_it(good: RgbdFrame) -> None:
+    assert bad_picture(good, DIAMETER_M) is None
+    mostly_holes = np.where(np.arange(160) % 10 == 0, good.depth, np.float32(0.0))
+    assert bad_picture(replace(good, depth=mostly_holes), DIAMETER_M) is None
+
+
+def test_no_depth_and_depth_of_another_unit_are_named(good: RgbdFrame) -> None:
+    empty = bad_picture(replace(good, depth=np.zeros_like(good.depth)), DIAMETER_M)
+    far = bad_picture(replace(good, depth=10.0 * good.depth), DIAMETER_M)
+    near = bad_picture(replace(good, depth=good.depth / np.float32(1000.0)), DIAMETER_M)
+    assert empty is not None
+    assert empty.startswith("The frame has no depth")
+    for said in (far, near):
+        assert said is not None
+        assert said.endswith("is the depth scale right?")
+
+
+def test_black_and_grey_pictures_are_named(good: RgbdFrame) -> None:
+    black = bad_picture(replace(good, color=good.color // np.uint8(40)), DIAMETER_M)
+    grey = bad_picture(replace(good, color=np.repeat(good.color[..., :1], 3, axis=2)), DIAMETER_M)
+    assert black is not None
+    assert black.startswith("The picture is black")
+    assert grey is not None
+    assert grey.startswith("The picture is grey")

@@ -124,10 +124,11 @@ def judged(model: ReferenceModel, trials: Sequence[Trial]) -> Suitability:
     reasons = []
     lab = model.surface.lab[0]
     contrast = float(np.sqrt(((lab - lab.mean(0)) ** 2).sum(1).mean()))
-    if contrast < 2.0 * NOTICEABLE:
+    plain = contrast < 2.0 * NOTICEABLE
+    if plain:
         reasons.append(
             f"It is of one colour (its colours differ by {contrast:.1f} in CIELAB): only its shape tells its "
-            "pose."
+            "pose, and where no box says where it is, things of like shape are taken for it."
         )
     if shape - share > 1.0 - WELL:
         reasons.append(
@@ -145,7 +146,7 @@ def judged(model: ReferenceModel, trials: Sequence[Trial]) -> Suitability:
             f"{trials[0].size_px * trials[0].distance_m / smallest:.1f} m with this camera."
         )
     verdict: Verdict = "suits" if share >= WELL else "does not suit"
-    if verdict != "suits" and max(share, shape) >= SOMETIMES:
+    if (plain or verdict != "suits") and max(share, shape) >= SOMETIMES:
         verdict = "suits with limits"
     if len(trials) and verdict == "does not suit" and not reasons:
         reasons.append("Its pose is seldom right, alone or among other things: look at the trials.")

@@ -41,10 +41,11 @@ def test_an_object_whose_poses_are_wrong_does_not_suit(tea_box: ReferenceModel) 
     assert judged(tea_box, []).verdict == "does not suit"
 
 
-def test_one_colour_is_said(tea_box: ReferenceModel) -> None:
+def test_one_colour_is_said_and_limits_what_the_object_suits_for(tea_box: ReferenceModel) -> None:
     grey = replace(tea_box.surface, lab=np.full_like(tea_box.surface.lab, 50.0))
     found = judged(replace(tea_box, surface=grey), [trial(True)])
     assert found.reasons[0].startswith("It is of one colour (its colours differ by 0.0")
+    assert found.verdict == "suits with limits"
 
 
 def test_the_self_test_and_its_sheet(tea_box: ReferenceModel) -> None:

@@ -41,7 +41,7 @@ RIDGE = 0.005
 
 
 class Held(NamedTuple):
-    """A contest: terms (K, 6) of its contenders, and which are right (K,)."""
+    """A contest: terms (K, 4) of its contenders, and which are right (K,)."""
 
     terms: Float64
     right: Bool
@@ -87,7 +87,7 @@ def collect(arguments: argparse.Namespace) -> list[Held]:
 
 def likelihood(contests: Sequence[Held], weights: Float64) -> tuple[float, Float64]:
     """Mean negative logarithm of the chance that a softmax of the weighted terms gives the right ones, and
-    its gradient by the weights (6,)."""
+    its gradient by the weights (4,)."""
     total, gradient = 0.0, np.zeros(len(weights))
     for terms, right in contests:
         sums = terms @ weights
@@ -100,7 +100,7 @@ def likelihood(contests: Sequence[Held], weights: Float64) -> tuple[float, Float
 
 
 def fitted(sets: Sequence[Sequence[Held]]) -> Float64:
-    """Weights (6,) of the largest likelihood over sets of contests, each set counting alike."""
+    """Weights (4,) of the largest likelihood over sets of contests, each set counting alike."""
     spread = np.concatenate([held.terms - held.terms.mean(0) for one in sets for held in one]).std(0) + 1e-9
 
     def loss(x: Float64) -> tuple[float, Float64]:
@@ -114,7 +114,7 @@ def fitted(sets: Sequence[Sequence[Held]]) -> Float64:
 
 
 def best_scale(sets: Sequence[Sequence[Held]], weights: Mapping[str, float]) -> Float64:
-    """Weights (6,) in the proportion given, as sharp as suits the sets best."""
+    """Weights (4,) in the proportion given, as sharp as suits the sets best."""
     w = np.array([weights[name] for name in TERMS])
     scales = np.geomspace(1.0, 60.0, 60)
     losses = [np.mean([likelihood(one, scale * w)[0] for one in sets]) for scale in scales]

@@ -55,22 +55,18 @@ class Part:
 @dataclass(frozen=True, eq=False)
 class Likeness:
     """Of each pose (K,): `detail`, correlation of fine detail times the share of the pixels on which it could
-    be compared, in -1..1; `broad`, how much of the broader texture it explains, robustly, in -3..3; `open`,
-    how much of what it shows is neither hidden nor seen through, in 0..1."""
+    be compared, in -1..1; `broad`, how much of the broader texture it explains, robustly, in -3..3."""
 
     detail: Float64
     broad: Float64
-    open: Float64
 
 
 @dataclass(frozen=True, eq=False)
 class _Seen:
-    """What a pose shows in the window: detail and blunt colours (h, w, 6), where they may be compared, and
-    which share of its pixels that is."""
+    """What a pose shows in the window: detail and blunt colours (h, w, 6), and where they may be compared."""
 
     colors: Float32
     comparable: Bool
-    open: float
 
 
 def likeness(model: ReferenceModel, part: Part, poses: Float64) -> Likeness | None:
@@ -80,11 +76,7 @@ def likeness(model: ReferenceModel, part: Part, poses: Float64) -> Likeness | No
     shared = np.any([one.comparable for one in seen], axis=0)
     if int(shared.sum()) < FEWEST:
         return None
-    return Likeness(
-        _detail(part.colors, seen, shared),
-        _broad(part.colors, seen, shared),
-        np.array([one.open for one in seen]),
-    )
+    return Likeness(_detail(part.colors, seen, shared), _broad(part.colors, seen, shared))
 
 
 def _seen(model: ReferenceModel, part: Part, T_cam_obj: Float64) -> _Seen:
@@ -92,8 +84,7 @@ def _seen(model: ReferenceModel, part: Part, T_cam_obj: Float64) -> _Seen:
     shown = picture.depth > 0
     fits = (part.depth == 0) | (np.abs(part.depth - picture.depth) < part.tolerance_m)
     colors = detail_colors(picture.color, np.maximum(shown, np.float32(1e-6)))
-    comparable = shown & fits & ~part.saturated
-    return _Seen(colors, comparable, float(comparable.sum()) / max(float(shown.sum()), 1.0))
+    return _Seen(colors, shown & fits & ~part.saturated)
 
 
 def _detail(colors: Float32, seen: Sequence[_Seen], shared: Bool) -> Float64:

@@ -2,8 +2,8 @@
 
 Rolls of a can, the two faces of a box, a marker's sides share shape and mean colours; what tells them apart
 is the fine texture and, for what is thin, the outline. Both only speak of a pose that is exact to a pixel, so
-each contender is refined on them first, with a rendered view drawn for it (`rendered_view`), and then judged,
-alone and on the pixels of all of them (`same_pixels`)."""
+each contender is refined on them first, with a rendered view drawn for it (`rendered_view`), and then judged
+on the pixels of all of them (`same_pixels`)."""
 
 from __future__ import annotations
 
@@ -28,11 +28,10 @@ HULL_POINTS = 200
 
 @dataclass(frozen=True, eq=False)
 class CloseLook:
-    """poses (K, 4, 4) refined on detail and outline; totals (K,): how well each agrees with both and with
-    depth; alike: how well their textures explain the same pixels."""
+    """poses (K, 4, 4) refined on detail and outline; alike: how well their textures explain the same
+    pixels."""
 
     poses: Float64
-    totals: Float64
     alike: Likeness
 
 
@@ -49,17 +48,17 @@ def close_look(
     colors[rows, columns] = detail_colors(color, weight)
     edges[rows, columns] = edge_tensor(color)
     arrays = region_arrays(region)._replace(colors=colors)
-    refined, totals = poses.copy(), np.zeros(len(poses))
+    refined = poses.copy()
     for k, T in enumerate(poses):
         drawn = draw_rendered_view(model, T, region.crop.camera, config.samples)
         if drawn is None:
             return None
         rim = Rim(drawn.rim_points, drawn.rim_inward, edges, config.rim_weight)
-        refined[k], totals[k] = search_rendered_view(
+        refined[k], _ = search_rendered_view(
             model, drawn.arrays, arrays, rim, T, config.steps_deg, config.samples, config.weights
         )
     alike = likeness(model, _part(region, rows, columns, colors, config.tolerances), refined)
-    return None if alike is None else CloseLook(refined, totals, alike)
+    return None if alike is None else CloseLook(refined, alike)
 
 
 def _part(region: Region, rows: slice, columns: slice, colors: Float32, tolerances: float) -> Part:

@@ -11,9 +11,8 @@ from huepose.judge.terms import ScoreWeights
 class NearTieWeights:
     """What each term of a contest weighs.
 
-    dense: how far behind the first, by total, figure and ground (never over 0); close: that of the close
-    look; detail, broad: how well the texture's detail and its broader parts explain the same pixels; open:
-    what is open to view; pairs: the pairs' colours.
+    dense: how far behind the first, by total, figure and ground (never over 0); detail, broad: how well the
+    texture's detail and its broader parts explain the same pixels; pairs: the pairs' colours.
 
     Origin: fitted, `studies.near_ties --fit` on drawn heaps, path-traced piles and real frames, some of them
     those of docs/accuracy.md, near the largest likelihood that the right contender wins (a softmax of their
@@ -21,16 +20,14 @@ class NearTieWeights:
     """
 
     dense: float = 1.0
-    close: float = 0.5
     detail: float = 1.5
     broad: float = 6.5
-    open: float = 3.0
     pairs: float = 0.6
 
 
 @dataclass(frozen=True)
 class CloseLookConfig:
-    """How a pose is refined and judged on detail and outline. Origin of all numbers: chosen.
+    """How a pose is refined on detail and outline. Origin of all numbers: chosen.
 
     weights: of the dense score with detail and blunt colours; these count alike, and more than at first
     sight. rim_weight: of the agreement of the outline with the picture's edges, in units of the total.

@@ -27,7 +27,7 @@ TERMS = tuple(term.name for term in fields(NearTieWeights))
 
 @dataclass(frozen=True, eq=False)
 class Contest:
-    """Contenders for an answer: poses (K, 4, 4), refined by the close look, and of each its TERMS (K, 6)."""
+    """Contenders for an answer: poses (K, 4, 4), refined by the close look, and of each its TERMS (K, 4)."""
 
     poses: Float64
     terms: Float64
@@ -51,7 +51,7 @@ def contest(
     if look is None:
         return None
     alike, pairs = look.alike, pair_colors(model, region, poses, config)
-    columns = [-found.behind[:rivals], look.totals, alike.detail, alike.broad, alike.open, pairs]
+    columns = [-found.behind[:rivals], alike.detail, alike.broad, pairs]
     return Contest(look.poses, np.stack(columns, axis=-1))
 
 

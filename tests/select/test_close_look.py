@@ -113,7 +113,6 @@ def test_the_same_pixels_tell_the_right_way_round(
 ) -> None:
     look = close_look(tea_box, region, np.stack([standing @ UPSIDE_DOWN, standing]))
     assert look is not None
-    assert look.totals[1] > look.totals[0] + 0.1
     assert look.alike.detail[1] > 0.8 > 0.4 > look.alike.detail[0]
     assert look.alike.broad[1] > look.alike.broad[0] + 0.1
 

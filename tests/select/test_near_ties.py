@@ -93,6 +93,5 @@ def test_every_term_is_for_the_right_one(
     wrong, right = held.terms
     better = dict(zip(TERMS, right - wrong, strict=True))
     assert better["dense"] == pytest.approx(-0.01)
-    assert min(better[name] for name in ("close", "detail", "broad", "pairs")) > 0.1
-    assert better["open"] == pytest.approx(0.0, abs=0.02)  # a box upside down hides as much
+    assert min(better[name] for name in ("detail", "broad", "pairs")) > 0.1
     assert held.weighed() == pytest.approx(held.terms @ list(astuple(NearTieWeights())))

@@ -14,10 +14,10 @@ class TrackerConfig:
     behind them others that lie a tenth and a sixth of a second apart, half of them each; catch_up_stride:
     most frames skipped at once while catching up.
 
-    States. tracking_quality, suspect_quality: a pose over the first goes to TRACKING, one under the second to
-    SUSPECT; confirmed_identity: how sure it must be that an acquired pose is the right one, and which way
-    round the object is, before it is TRACKING; lost_quality: under it a frame gives no support; lost_after
-    such frames in a row make an object LOST.
+    States. tracking_quality, suspect_quality: evidence over the first in two frames in a row leads to
+    TRACKING, under the second to SUSPECT; confirmed_identity: how sure it must be that an acquired pose is
+    the right one, and which way round the object is, before it is TRACKING; lost_quality: under it a frame
+    gives no support; lost_after such frames in a row make an object LOST.
 
     Looking further (totals of the judge, 0 to 1.9). doubtful_total: a pose that explains less is looked into;
     doubt: so is one this much under its baseline, long_doubt: after more than long_step_s, when flow finds

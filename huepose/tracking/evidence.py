@@ -106,21 +106,22 @@ class Standing:
     supported: int = 0
 
 
-def next_standing(before: Standing, quality: float, confirmed: bool, config: TrackerConfig) -> Standing:
-    """The state after a frame of that quality; confirmed: the pose was the right one to begin with.
+def next_standing(before: Standing, evidence: float, confirmed: bool, config: TrackerConfig) -> Standing:
+    """The state after a frame with that evidence, which is not the published quality; confirmed: identity and
+    orientation both reach `confirmed_identity`.
 
-    Down at once, on the tracker's own evidence: SUSPECT under `suspect_quality`, LOST after `lost_after`
-    frames under `lost_quality`. Up to TRACKING by returning evidence while SUSPECT, if confirmed; never up
-    from LOST or SEARCHING.
+    SUSPECT at once when it is not confirmed or the evidence is under `suspect_quality`; LOST after
+    `lost_after` frames in a row under `lost_quality`. From SUSPECT to TRACKING after two frames in a row of
+    at least `tracking_quality`; never up from LOST or SEARCHING.
     """
     if before.state in (State.LOST, State.SEARCHING):
         return before
-    unsupported = before.unsupported + 1 if quality < config.lost_quality else 0
-    supported = before.supported + 1 if quality >= config.tracking_quality else 0
+    unsupported = before.unsupported + 1 if evidence < config.lost_quality else 0
+    supported = before.supported + 1 if evidence >= config.tracking_quality else 0
     if unsupported >= config.lost_after:
         state = State.LOST
     elif (
-        quality < config.suspect_quality
+        evidence < config.suspect_quality
         or not confirmed
         or (before.state is State.SUSPECT and supported < RETURNED_AFTER)
     ):

@@ -49,7 +49,7 @@ object that is half hidden for seconds must not cost more than one that is not."
 
 
 class Track:
-    """The state of one instance. Every live frame it is first `look`ed for, then `settle`d."""
+    """The state of one instance. In every live frame `look` finds it, then `update_state` judges what was found."""
 
     def __init__(self, subject: Subject, object_name: str, instance: int, config: TrackerConfig) -> None:
         self.subject, self.object, self.instance = subject, object_name, instance
@@ -111,7 +111,7 @@ class Track:
         # A short step has time for one of the two; after a long one nothing can be told without asking.
         short = (frame.stamp_ns - anchor.frame.stamp_ns) * 1e-9 <= self._config.long_step_s
         hurry = short and (tries < 1.0 or (found.tried > 0 and tries < 2.0))
-        tried = found.tried + self._face(anchor, frame, hurry)
+        tried = found.tried + self._check_orientation(anchor, frame, hurry)
         if self.evidence >= self._config.lost_quality:
             self._seen = self.hypotheses[0]
         return tried
@@ -129,7 +129,7 @@ class Track:
         if held is not None:
             opinions.append(self._believed(held, before.log_odds, before, seconds, frame))
         for h in found.proposed:
-            if self._cannot_be(h, found.followed[0], gone_s):
+            if self._turned_too_fast(h, found.followed[0], gone_s):
                 continue
             jump = jump_odds(
                 surface, before.T_cam_obj, before.velocity, h.T_cam_obj, seconds, gone_s, self._config
@@ -179,10 +179,11 @@ class Track:
         odds = evidence.log_odds(h.terms, self.baseline, odds_before, goes_on)
         return replace(h, velocity=velocity, log_odds=odds, goes_on=goes_on)
 
-    def _face(self, anchor: Anchor, frame: RgbdFrame, hurry: bool) -> float:
-        """Ask whether the object may be turned otherwise: by what it can have turned to since it was seen
-        last, and, while that was open, by what could be meant before. In a hurry that stays open. Says how
-        many dear proposals it took."""
+    def _check_orientation(self, anchor: Anchor, frame: RgbdFrame, hurry: bool) -> float:
+        """Test the pose against its near-symmetric rotations. If the object can have turned to one of them
+        since it was seen last, the log-odds of its orientation drop to at most 0. Those are tested alone if
+        the orientation was settled before, else all are; in a hurry none is. Returns the dear proposals that
+        it took."""
         if self.evidence < self._config.lost_quality:
             return 0
         before = anchor.first if anchor.unseen_s == 0.0 or self._seen is None else self._seen
@@ -201,9 +202,9 @@ class Track:
         self._facing = facing
         return 0.0 if hurry else self._ask(turns, frame, anchor.light)
 
-    def _cannot_be(self, found: Hypothesis, followed: Hypothesis, gone_s: float) -> bool:
-        """Whether a pose is what was followed, turned as it can only be meant, since nothing turns so fast;
-        which way round the object is was settled."""
+    def _turned_too_fast(self, found: Hypothesis, followed: Hypothesis, gone_s: float) -> bool:
+        """Whether a proposal is about the followed pose after a near-symmetric rotation that is larger than
+        the object can make in `gone_s`, while its orientation was settled. Such a proposal is dropped."""
         if self._facing is None or not self._facing.settled:
             return False
         turned = se3.rotation_angle(found.T_cam_obj, followed.T_cam_obj)
@@ -212,8 +213,8 @@ class Track:
         return len(alike(self.subject.other_turns, followed.T_cam_obj, found.T_cam_obj)) > 0
 
     def _ask(self, turns: Float64, frame: RgbdFrame, light: Float64 | None) -> float:
-        """Judge the best of the turns of the pose, if one has a chance; says how many dear proposals that
-        took."""
+        """Judge the best of the near-symmetric rotations of the pose, if one has a chance; returns the dear
+        proposals that it took."""
         view, first = self._view(), self.hypotheses[0]
         if self._facing is None or not self._facing.open(view):
             return 0

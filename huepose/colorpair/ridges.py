@@ -146,7 +146,7 @@ def _associate(magnitude: Float32, is_ridge: Bool, threshold: float, member_shar
                 continue
             if m < floor:
                 continue
-            # a ridge beside the pixel takes it; else the strongest neighbour does
+            # A ridge beside it that is as strong as every other neighbour takes it, else the strongest does.
             best = m
             best_ridge = np.float32(-1.0)
             at_ridge = -1
@@ -165,8 +165,6 @@ def _associate(magnitude: Float32, is_ridge: Bool, threshold: float, member_shar
                 target[i] = at_ridge
             elif at >= 0:
                 target[i] = at
-            elif at_ridge >= 0:
-                target[i] = at_ridge
     counts = np.zeros((height, width), np.int32)
     for i in range(height * width):
         j = target[i]

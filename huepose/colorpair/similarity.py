@@ -7,7 +7,7 @@ all but the darkest colours, where CIELAB is linear). Three factors compare the 
 
 - directional alignment of the sides from the origin, lightness down-weighted;
 - internal contrast: the direction of the third side, lightness down-weighted, relative to the triangle's
-size,   with a floor under which a contrast is too small to have a direction;
+  size, with a floor under which a contrast is too small to have a direction;
 - relative luminance: the ratio of the two lightnesses.
 
 The comparison is made with the second pair as it is and swapped; the larger value counts.
@@ -83,12 +83,14 @@ def score(x: Float32, y: Float32, direction: float, contrast: float, luminance: 
     d11 = x[3] * y[3] + x[4] * y[4] + x[5] * y[5]
     d01 = x[0] * y[3] + x[1] * y[4] + x[2] * y[5]
     d10 = x[3] * y[0] + x[4] * y[1] + x[5] * y[2]
-    chroma = x[6] * y[6] + x[7] * y[7] + x[8] * y[8]
+    third_side = x[6] * y[6] + x[7] * y[7] + x[8] * y[8]
     floor = x[9] * y[9]
     same = x[10] - y[10]
     swapped = x[10] + y[10]
-    straight = direction * (2 - d00 - d11) + contrast * (1 - chroma - floor) + luminance * same * same
-    crossed = direction * (2 - d01 - d10) + contrast * (1 + chroma - floor) + luminance * swapped * swapped
+    straight = direction * (2 - d00 - d11) + contrast * (1 - third_side - floor) + luminance * same * same
+    crossed = (
+        direction * (2 - d01 - d10) + contrast * (1 + third_side - floor) + luminance * swapped * swapped
+    )
     return float(np.exp(-max(min(straight, crossed), 0.0)))
 
 

@@ -1,4 +1,4 @@
-"""The dense score of one pose, compiled: what `dense` describes, in three passes over the visible samples.
+"""The score of one pose, compiled: what `judge.terms` describes, in three passes over the visible samples.
 
 The first places all samples, the second compares them with depth and reads the picture's colours where it
 fits, the third sums. Each pass is a plain loop over rows of a scratch array, which the compiler does several
@@ -115,7 +115,7 @@ def score_kernel(
             )
             fitting += 1
         elif gap > 0.0:
-            violation += facing  # We see through the model.
+            violation += facing  # Depth behind the surface: the camera sees through the model.
             through += facing
         else:
             # What is in front hides the object, unless it is believed to be the object itself, or the object

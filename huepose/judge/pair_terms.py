@@ -4,8 +4,8 @@ The model's pairs that the pose shows are projected, and the picture is read on 
 colours of which light is an offset (see `opponents`). Light is normalised at the pose itself, by the offset
 and the gain per channel that fit all read colours best, which makes the first term a correlation of colours.
 The second is that of the differences between the two sides, where light, and shading that changes slowly,
-cancel within each pair. Depth, free space and coverage of the mask are judged as for the dense score (see
-`dense`), with its dense colour switched off.
+cancel within each pair. Depth, free space and coverage of the mask are judged as for the dense score
+(`judge.terms`), with its dense colour switched off.
 """
 
 from __future__ import annotations

@@ -53,13 +53,13 @@ class Terms:
 
     total: the weighted sum, about 0 for nonsense, 3 for a perfect view through a right mask, 1.9 where there
     is no mask (open regions); depth_fit 0..1: agreement of the depth that speaks; coverage 0..1: share of the
-    mask that the surface explains; violation 0..1: free space violated, or the surface sticks in something,
-    or hides behind what is believed to be the object; color -1..1: correlation of texture and image, light
-    taken out, lowered where there is little texture; occluded 0..1: something not believed to be the object
-    is in front; seen 0..1: agrees in depth; box_iou 0..1: of the bounds with the given box; through 0..1:
-    seen through; hidden 0..1: anything is in front; blind 0..1: no depth reading; outside 0..1: out of the
-    image; contrast: opponent units of texture in view; light_l, light_rg, light_yb: mean colour of image less
-    texture; colored 0..1: seen in colour."""
+    mask that the surface explains; violation 0..1: seen through (free space violated), or, counting half,
+    sunk into something or behind what is believed to be the object; color -1..1: correlation of texture and
+    image, light taken out, lowered where there is little texture; occluded 0..1: something not believed to be
+    the object is in front; seen 0..1: agrees in depth; box_iou 0..1: of the bounds with the given box;
+    through 0..1: the seen-through part of the violation alone; hidden 0..1: anything is in front; blind 0..1:
+    no depth reading; outside 0..1: out of the image; contrast: opponent units of texture in view; light_l,
+    light_rg, light_yb: mean colour of image less texture; colored 0..1: seen in colour."""
 
     total: float
     depth_fit: float

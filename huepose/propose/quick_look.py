@@ -58,9 +58,10 @@ def quick_look(table: TemplateTable, windows: Float32, places: int) -> tuple[Int
 
 @jit_dividing
 def _columns(windows: Float32, used: Int64) -> tuple[Float32, Float32, Float32]:
-    """What the cells `used` (P,) of windows (C, Q, 6) are multiplied with: (P, 10 C) by coverage (weights,
-    background, and weighted the four values and their squares), (4, P, 2 C) by the templates' values (weights
-    and weighted value) and (P, C) by their squares (weights)."""
+    """Right-hand sides of the products, for the cells `used` (P,) of windows (C, Q, 6), in blocks of C
+    columns. by_coverage (P, 10 C): w, background, w times each of the four values v, w times their squares;
+    crossed (4, P, 2 C): w, w times v, for each value; weights (P, C): w. Of a cell, w is number 4, background
+    number 5, v are numbers 0 to 3: the three opponents and relief."""
     count, cells = windows.shape[0], used.shape[0]
     by_coverage = np.empty((cells, 10 * count), np.float32)
     crossed = np.empty((4, cells, 2 * count), np.float32)

@@ -49,7 +49,7 @@ object that is half hidden for seconds must not cost more than one that is not."
 
 
 class Track:
-    """The state of one instance. In every live frame `look` finds it, then `update_state` judges what was found."""
+    """The state of one instance. In every live frame `look` finds it, then `update_state` judges that."""
 
     def __init__(self, subject: Subject, object_name: str, instance: int, config: TrackerConfig) -> None:
         self.subject, self.object, self.instance = subject, object_name, instance

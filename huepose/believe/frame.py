@@ -9,6 +9,7 @@ from functools import cache
 
 from huepose.believe.fits import fitted
 from huepose.believe.logistic import Logistic
+from huepose.colorpair.opponents import SCALE
 from huepose.judge.kernel import MARGIN, SEEN_IN_COLOR
 from huepose.judge.open_region import BLIND
 from huepose.judge.terms import Terms
@@ -26,6 +27,16 @@ FEW = 0.1
 LEAST_THERE, ABSENT = 0.1, 5.0
 """With less of the surface there than this share nothing speaks for a pose: so many log-odds less where none
 is."""
+
+
+MOST_LIGHT = 2.0
+"""Natural logarithms: neither light nor a camera's white balance makes one channel seven times as strong as
+another. Of 285 labelled objects in real and path-traced frames, some under coloured lamps, the most is 1.7;
+what needs more is another colour, not another light."""
+
+LIGHT_STEP = 0.5
+"""Natural logarithms beyond it at which that is certain: such a difference counts as another colour beside an
+outline as well (`judge.borders`)."""
 
 
 def features(terms: Terms, baseline: float | None, goes_on: float) -> dict[str, float]:
@@ -50,12 +61,19 @@ def features(terms: Terms, baseline: float | None, goes_on: float) -> dict[str, 
 def log_odds(terms: Terms, baseline: float | None, goes_on: float) -> float:
     """That the pose is right, with nothing known beforehand."""
     x = frame_fit().log_odds(features(terms, baseline, goes_on))
-    return x - ABSENT * (1.0 - min(_there(terms) / LEAST_THERE, 1.0))
+    return x - ABSENT * max(1.0 - min(_there(terms) / LEAST_THERE, 1.0), _of_another_color(terms))
 
 
 def _there(terms: Terms) -> float:
     """Share of the surface that depth, or where there is none, colour, says is there."""
     return terms.seen + BLIND * terms.blind
+
+
+def _of_another_color(terms: Terms) -> float:
+    """In 0..1: the picture has a colour that no light gives the texture, where enough of it is seen."""
+    light = max(abs(terms.light_rg), abs(terms.light_yb)) / SCALE
+    heard = terms.colored / (terms.colored + FEW)
+    return heard * min(max((light - MOST_LIGHT) / LIGHT_STEP, 0.0), 1.0)
 
 
 @cache

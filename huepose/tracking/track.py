@@ -42,6 +42,9 @@ LOOSE = 0.012
 textured ones it is half of that."""
 
 SPREAD_POINTS = 48
+FOUND_AGAIN = ("search", "turn")
+"""Sources of poses that were looked for where the object may be, not followed from where it was."""
+
 MAX_TRIES = 3
 TRY_AGAIN_AFTER = 15
 """After so many times in vain flow and search rest, and are tried again every so many doubtful frames: an
@@ -192,8 +195,10 @@ class Track:
         T, velocity = before.T_cam_obj, before.velocity
         expected = predicted(T, velocity, gone_s)
         limit = most_turned(velocity, gone_s, self._config)
-        if jump_odds(self.subject.surface, T, velocity, first.T_cam_obj, gone_s, gone_s, self._config) < 0.0:
-            limit = np.pi  # It did not come here as things do.
+        jump = jump_odds(self.subject.surface, T, velocity, first.T_cam_obj, gone_s, gone_s, self._config)
+        found_again = anchor.unseen_s > 0.0 and first.source in FOUND_AGAIN
+        if jump < 0.0 or found_again:
+            limit = np.pi  # It did not come here as things do, or nobody saw it come.
         new = reached(turns, first.T_cam_obj, expected, limit)
         facing = self._facing or Facing.of(0.5, view)
         if len(new):

@@ -21,3 +21,14 @@ def test_where_no_colour_is_seen_it_may_be_missing():
     unseen = replace(IN_VIEW, contrast=0.0, colored=0.0)
     assert features(unseen, None, 0.0)["color"] == -1.0
     assert features(replace(IN_VIEW, contrast=40.0), None, 0.0)["color"] < -0.9
+
+
+def test_a_red_thing_is_no_green_one_in_red_light():
+    """A warm lamp makes red half a natural logarithm stronger than green (12 units), no lamp three."""
+    usual = log_odds(replace(IN_VIEW, contrast=0.0), None, 0.0)
+    warm = log_odds(replace(IN_VIEW, contrast=0.0, light_rg=12.0, light_yb=25.0), None, 0.0)
+    other = log_odds(replace(IN_VIEW, contrast=0.0, light_rg=-76.0, light_yb=16.0), None, 0.0)
+    assert warm == usual
+    assert other < usual - 4.0
+    dark = log_odds(replace(IN_VIEW, contrast=0.0, light_l=-76.0), None, 0.0)
+    assert dark == usual, "a shadow makes no other colour"

@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 
 from huepose.scenes.shapes import demo_objects
+from huepose.select.near_ties import TERMS
 from studies.changed_texture import KINDS, changed, patches
 from studies.confusion import best_is_right
 from studies.near_ties import Held, fitted
@@ -37,7 +38,7 @@ def test_only_the_term_that_tells_the_right_pose_gets_weight() -> None:
     rng = np.random.default_rng(3)
     contests = []
     for _ in range(2000):
-        terms = np.zeros((2, 6))
+        terms = np.zeros((2, len(TERMS)))
         terms[:, :2] = rng.normal(size=(2, 2))
         odds = 2.0 * (terms[0, 0] - terms[1, 0])
         first = rng.random() < 1.0 / (1.0 + np.exp(-odds))

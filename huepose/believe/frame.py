@@ -42,7 +42,6 @@ outline as well (`judge.borders`)."""
 def features(terms: Terms, baseline: float | None, goes_on: float) -> dict[str, float]:
     """What speaks for a pose (the larger, the more), by name. baseline: the total that is usual for it, or
     None; goes_on: share of the outline beyond which surface and colour go on."""
-    heard = terms.colored / (terms.colored + FEW)
     # Where no colour is seen it is not known how much there would be.
     possible = terms.contrast / (terms.contrast + PLAIN) if terms.colored > SEEN_IN_COLOR else 1.0
     drop = 0.0
@@ -52,7 +51,7 @@ def features(terms: Terms, baseline: float | None, goes_on: float) -> dict[str, 
     through = terms.through * (terms.seen + MARGIN) / max(1.0 - terms.through, 1e-6)
     return {
         "explained": there / (there + through + MARGIN),
-        "color": -max(possible - heard * terms.color, 0.0),
+        "color": -max(possible - _heard(terms) * terms.color, 0.0),
         "no_drop": -drop,
         "ends": -goes_on,
     }
@@ -69,11 +68,15 @@ def _there(terms: Terms) -> float:
     return terms.seen + BLIND * terms.blind
 
 
+def _heard(terms: Terms) -> float:
+    """In 0..1: how much what is seen in colour counts."""
+    return terms.colored / (terms.colored + FEW)
+
+
 def _of_another_color(terms: Terms) -> float:
     """In 0..1: the picture has a colour that no light gives the texture, where enough of it is seen."""
     light = max(abs(terms.light_rg), abs(terms.light_yb)) / SCALE
-    heard = terms.colored / (terms.colored + FEW)
-    return heard * min(max((light - MOST_LIGHT) / LIGHT_STEP, 0.0), 1.0)
+    return _heard(terms) * min(max((light - MOST_LIGHT) / LIGHT_STEP, 0.0), 1.0)
 
 
 @cache

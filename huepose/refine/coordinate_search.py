@@ -72,9 +72,9 @@ def search_rendered_view(
     steps_deg: Sequence[float],
     samples: int,
     weights: ScoreWeights,
-) -> tuple[Float64, float]:
+) -> Float64:
     """The same for one pose (4, 4) with the arrays of its rendered view, its outline counting as well."""
-    out, totals = np.array(T_cam_obj, dtype=np.float64)[None], np.zeros(1)
+    out = np.array(T_cam_obj, dtype=np.float64)[None]
     _search_all(
         out,
         drawn,
@@ -86,9 +86,9 @@ def search_rendered_view(
         weight_array(weights),
         rim,
         np.inf,
-        totals,
+        np.zeros(1),
     )
-    return out[0], float(totals[0])
+    return np.asarray(out[0])
 
 
 @jit

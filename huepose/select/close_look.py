@@ -54,7 +54,7 @@ def close_look(
         if drawn is None:
             return None
         rim = Rim(drawn.rim_points, drawn.rim_inward, edges, config.rim_weight)
-        refined[k], _ = search_rendered_view(
+        refined[k] = search_rendered_view(
             model, drawn.arrays, arrays, rim, T, config.steps_deg, config.samples, config.weights
         )
     alike = likeness(model, _part(region, rows, columns, colors, config.tolerances), refined)

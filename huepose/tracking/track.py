@@ -163,14 +163,13 @@ class Track:
 
     def _held_by_its_ends(self, h: Hypothesis, frame: RgbdFrame) -> Hypothesis | None:
         """A followed pose that could be slid along its surface, moved to where the object ends."""
-        cov = self._covariance(h)
-        surface, points = self.subject.surface, self.subject.surface.arrays.points[:SPREAD_POINTS]
-        if spread_m(cov, h.T_cam_obj, points) < LOOSE * surface.diameter_m and h.goes_on == 0.0:
+        if self._spread(h.T_cam_obj, self._covariance(h)) < LOOSE and h.goes_on == 0.0:
             return None
         T = moved_to_ends(self.subject.contours, h.T_cam_obj, frame)
-        return (
-            None if T is None else replace(unmoved(surface, frame, T, self.light), information=h.information)
-        )
+        if T is None:
+            return None
+        moved = unmoved(self.subject.surface, frame, T, self.light)
+        return replace(moved, information=h.information)
 
     def _believed(
         self, h: Hypothesis, odds_before: float, parent: Hypothesis, seconds: float, frame: RgbdFrame

@@ -7,9 +7,7 @@ import numpy as np
 
 from huepose.geometry.depth_noise import depth_noise_m
 from huepose.geometry.frame import RgbdFrame
-
-LEAST_WITH_DEPTH = 0.01
-"""A smaller share of readings is no depth picture."""
+from huepose.geometry.picture_faults import LEAST_DEPTH, all_dark, all_grey, depth_share, readings
 
 NEAREST_SHARE = 0.05
 """So many readings may be nearer than what a frame shows: specks."""
@@ -20,16 +18,13 @@ LARGEST_ERROR = 0.25
 NEVER_NEARER_M = 0.1
 """No depth camera measures nearer."""
 
-DARK, EQUAL = 12, 2
-"""Of 255: a picture of which 99 % is darker is black; one whose channels differ by no more is grey."""
-
 
 def bad_picture(frame: RgbdFrame, diameter_m: float) -> str | None:
     """What is wrong with a frame in which an object of that diameter is sought; None where nothing is."""
-    seen = frame.depth[(frame.depth > 0) & np.isfinite(frame.depth)]
-    share = len(seen) / frame.depth.size
-    if share < LEAST_WITH_DEPTH:
+    share = depth_share(frame.depth)
+    if share < LEAST_DEPTH:
         return f"The frame has no depth: {100 * share:.1f} % of its pixels have a reading."
+    seen = frame.depth[readings(frame.depth)]
     nearest, farthest = (float(x) for x in np.quantile(seen, [NEAREST_SHARE, 1.0 - NEAREST_SHARE]))
     error_m = depth_noise_m(nearest)
     if error_m > LARGEST_ERROR * diameter_m:
@@ -39,8 +34,8 @@ def bad_picture(frame: RgbdFrame, diameter_m: float) -> str | None:
         )
     if farthest < NEVER_NEARER_M:
         return f"All depth is nearer than {farthest:.3f} m, where nothing measures: is the depth scale right?"
-    if float(np.quantile(frame.color, 0.99)) <= DARK:
+    if all_dark(frame.color):
         return "The picture is black: is the lens covered, or the light off?"
-    if float(np.quantile(np.ptp(frame.color, axis=2), 0.99)) <= EQUAL:
+    if all_grey(frame.color):
         return "The picture is grey: objects are told by their colours. Is the camera's colour stream read?"
     return None

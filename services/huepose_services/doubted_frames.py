@@ -5,13 +5,14 @@ from __future__ import annotations
 import numpy as np
 
 from huepose.geometry import RgbdFrame
+from huepose.geometry.picture_faults import LEAST_DEPTH, depth_share
 
 _FEW = 16
 
 
 def complaint_about(frame: RgbdFrame, before: RgbdFrame | None) -> str | None:
     """The reason to doubt a frame, by itself and beside the one before it; None where there is none."""
-    if not (frame.depth > 0.0).any():
+    if depth_share(frame.depth) < LEAST_DEPTH:
         return "there is no depth in the whole picture: is the depth camera covered, or its stream off?"
     if before is None or before.epoch != frame.epoch:
         return None

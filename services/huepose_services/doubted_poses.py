@@ -8,6 +8,7 @@ import numpy as np
 from huepose.geometry import RgbdFrame
 from huepose.geometry.arrays import Float64
 from huepose.geometry.depth_noise import depth_noise_m
+from huepose.geometry.picture_faults import dark, readings
 from huepose.judge.surface import PreparedSurface
 
 NOT_FOUND = "It is not where it was, and was not found elsewhere yet."
@@ -23,8 +24,6 @@ _SAMPLES = 300
 _SMALL_PX = 24.0
 """So many pixels across are some 450 readings, of which one in six is independent (`POINTS_PER_READING`): few
 for a pose, and for which of two like ones it is."""
-_DARK = 24
-"""Of 255: where eight bits have fewer than a tenth of their steps, noise of two steps hides colours."""
 
 
 def why_doubted(surface: PreparedSurface, frame: RgbdFrame, T_cam_obj: Float64 | None) -> str:
@@ -47,7 +46,7 @@ def why_doubted(surface: PreparedSurface, frame: RgbdFrame, T_cam_obj: Float64 |
         return TOO_FAR
     columns, rows = pixels[inside].T
     read_m, expected_m = frame.depth[rows, columns].astype(np.float64), points[inside, 2]
-    there = read_m > 0.0
+    there = readings(frame.depth[rows, columns])
     if _few(there):
         return NO_DEPTH
     # As far off as neither noise nor a pose that is followed at all explains.
@@ -56,7 +55,7 @@ def why_doubted(surface: PreparedSurface, frame: RgbdFrame, T_cam_obj: Float64 |
         return COVERED
     if not _few(read_m[there] > expected_m[there] + slack_m):
         return NOT_THERE
-    if float(np.median(frame.color[rows, columns].max(1))) < _DARK:
+    if not _few(dark(frame.color[rows, columns])):
         return DARK
     return LITTLE_SEEN
 

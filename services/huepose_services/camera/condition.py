@@ -4,9 +4,8 @@ from __future__ import annotations
 
 from collections import deque
 
-import numpy as np
-
 from huepose.geometry import Camera
+from huepose.geometry.picture_faults import DARK, LEAST_DEPTH, all_dark, depth_share
 from huepose_services.camera.live import Shot
 from huepose_services.runtime.clock import SECOND
 
@@ -17,18 +16,10 @@ RATE_WINDOW_NS = SECOND
 LEAST_OF_RATE = 0.8
 """Share of the pictures that are due; fewer cannot be chance in a second."""
 
-DARK = 16
-"""Of 255: black, in levels of video. Where nothing is brighter there is nothing to see."""
-
 MOST_APART = 0.75
 """Of the time between two pictures: synchronisers pair colour and depth that are up to half of it apart."""
 
-LEAST_DEPTH = 0.01
-"""Share of the picture with a reading: with less there is no surface of any object."""
-
 CHANGE_SAID_NS = 10 * SECOND
-_EVERY = 4
-"""Each such pixel of a row and column is looked at: enough for shares of a picture."""
 
 
 class Condition:
@@ -105,17 +96,13 @@ class Condition:
 
 
 def _dark(shot: Shot) -> str | None:
-    brightest = int(shot.color[::_EVERY, ::_EVERY].max())
-    if brightest > DARK:
+    if not all_dark(shot.color):
         return None
-    return (
-        f"its picture is black (nothing over {brightest} of 255): look at the lens, the light, the exposure"
-    )
+    return f"its picture is black (under {DARK} of 255): look at the lens, the light, the exposure"
 
 
 def _no_depth(shot: Shot, farthest_m: float) -> str | None:
-    depth = shot.depth[::_EVERY, ::_EVERY]
-    share = float(np.mean((depth > 0.0) & (depth < farthest_m)))
+    share = depth_share(shot.depth, farthest_m)
     if share >= LEAST_DEPTH:
         return None
     return (

@@ -13,8 +13,9 @@ import numpy as np
 from huepose.datasets.image_files import FARTHEST_M, NEAREST_M
 from huepose.geometry import RgbdFrame
 from huepose.geometry.arrays import Bool, Float32, Float64
+from huepose.geometry.picture_faults import LEAST_DEPTH, dark, readings
 from huepose.support.errors import InputError
-from huepose_services.camera.condition import DARK, Condition
+from huepose_services.camera.condition import Condition
 from huepose_services.camera.live import CameraError, LiveSource
 from huepose_services.convert import LARGEST_STEP
 from huepose_services.doctor.finding import Finding
@@ -88,10 +89,11 @@ def _recorded(source: object) -> list[RgbdFrame]:
 
 def brightness(frames: Sequence[RgbdFrame]) -> Finding:
     """Too dark, or too bright, to tell colours."""
-    brightest = np.stack([frame.color[::4, ::4].max(-1) for frame in frames])
-    dark, glare = float((brightest <= DARK).mean()), float((brightest >= _GLARE).mean())
-    found = f"median {np.median(brightest):.0f} of 255; {100 * dark:.0f} % black, {100 * glare:.0f} % white"
-    if dark > 0.5:
+    colors = np.stack([frame.color[::4, ::4] for frame in frames])
+    brightest, black = colors.max(-1), float(dark(colors).mean())
+    glare = float((brightest >= _GLARE).mean())
+    found = f"median {np.median(brightest):.0f} of 255; {100 * black:.0f} % black, {100 * glare:.0f} % white"
+    if black > 0.5:
         return Finding("picture", "bad", found, "Too dark: more light, a longer exposure (device.options).")
     if glare > 0.25:
         return Finding(
@@ -103,9 +105,9 @@ def brightness(frames: Sequence[RgbdFrame]) -> Finding:
 def depth(frames: Sequence[RgbdFrame], depth_scale_m: float) -> Iterator[Finding]:
     """Whether there is depth, in the right unit, and within what can be sent."""
     values = np.stack([frame.depth[::4, ::4] for frame in frames])
-    there = np.isfinite(values) & (values > 0.0)
+    there = readings(values)
     share = float(there.mean())
-    if share < 0.01:
+    if share < LEAST_DEPTH:
         yield Finding("depth", "bad", f"{100 * share:.1f} % of the picture", "Look at lenses and projector.")
         return
     median_m = float(np.median(values[there]))

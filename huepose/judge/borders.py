@@ -8,7 +8,9 @@ sides.
 
 from __future__ import annotations
 
+import threading
 from dataclasses import dataclass, field
+from weakref import WeakKeyDictionary
 
 import cv2
 import numpy as np
@@ -21,6 +23,7 @@ from huepose.geometry.frame import RgbdFrame
 from huepose.geometry.icosphere import look_at
 from huepose.geometry.mesh import Mesh
 from huepose.judge.surface import PreparedSurface
+from huepose.model.types import ReferenceModel
 from huepose.rendering.render import render_depth
 from huepose.support.jit import jit
 
@@ -51,6 +54,9 @@ class Outline:
 
 NO_OUTLINE = Outline(0.0, 0.0)
 
+_contours: WeakKeyDictionary[ReferenceModel, Contours] = WeakKeyDictionary()
+_lock = threading.Lock()
+
 
 @dataclass(frozen=True, eq=False)
 class Contours:
@@ -60,6 +66,14 @@ class Contours:
     mesh: Mesh
     surface: PreparedSurface
     _known: dict[int, tuple[Float32, Float32]] = field(default_factory=dict)
+
+    @staticmethod
+    def of(model: ReferenceModel) -> Contours:
+        """Those of a reference model, kept as long as it is, for all who ask."""
+        with _lock:
+            if model not in _contours:
+                _contours[model] = Contours(model.mesh, PreparedSurface.of(model))
+            return _contours[model]
 
     def at(self, T_cam_obj: Float) -> tuple[Float32, Float32]:
         """Of the view that is nearest to that of a pose."""

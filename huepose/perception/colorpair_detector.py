@@ -23,12 +23,13 @@ from huepose.geometry import se3
 from huepose.geometry.arrays import Float64
 from huepose.geometry.camera import Camera
 from huepose.geometry.frame import RgbdFrame
+from huepose.judge.borders import Contours
 from huepose.model.named import model_named
 from huepose.model.types import ReferenceModel
 from huepose.perception.clear_view import ClearView, clear_view
 from huepose.perception.config import DetectorConfig
 from huepose.perception.contest import contested
-from huepose.perception.presence import contours_of, presences
+from huepose.perception.presence import presences
 from huepose.perception.scouting import EFFORTS, Effort, Proposal, propose
 from huepose.perception.types import Detection
 from huepose.perception.window_table import WindowTable, window_table
@@ -138,7 +139,7 @@ class ColorPairDetector:
         """Lay out the views of all objects, and compile the kernels on an artificial view of the first."""
         for name, model in list(self._models.items()):
             self._table(name)
-            contours_of(model)
+            Contours.of(model)
             if "keypoints" in self.config.sources:
                 self._keypoints_of(name)
         for model in list(self._models.values())[:1]:

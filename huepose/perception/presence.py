@@ -2,10 +2,8 @@
 
 from __future__ import annotations
 
-import threading
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
-from weakref import WeakKeyDictionary
 
 import numpy as np
 
@@ -17,7 +15,6 @@ from huepose.judge.borders import Contours, outline
 from huepose.judge.continuation import continuation_many
 from huepose.judge.hue import hue_samples
 from huepose.judge.region import Region
-from huepose.judge.surface import PreparedSurface
 from huepose.judge.terms import Terms, score_many
 from huepose.model.types import ReferenceModel
 from huepose.perception.clear_view import ClearView
@@ -30,9 +27,6 @@ NEAREST_M = 0.02
 
 WORTH = -4.0
 """Log-odds under which nobody asks how a place's outline goes on: a place of 2 % is not proposed."""
-
-_contours: WeakKeyDictionary[ReferenceModel, Contours] = WeakKeyDictionary()
-_lock = threading.Lock()
 
 
 def presences(
@@ -65,7 +59,7 @@ def sight(view: ClearView, region: Region, model: ReferenceModel, T_cam_obj: Flo
 
 def outlined(seen: Sight, view: ClearView, model: ReferenceModel, T_cam_obj: Float64) -> Sight:
     """What is seen at a pose (4, 4), and along its outline."""
-    return replace(seen, goes_on=outline(contours_of(model), T_cam_obj, view.frame).goes_on)
+    return replace(seen, goes_on=outline(Contours.of(model), T_cam_obj, view.frame).goes_on)
 
 
 def agreeing_pixels(model: ReferenceModel, frame: RgbdFrame, T_cam_obj: Float64) -> int:
@@ -80,11 +74,3 @@ def agreeing_pixels(model: ReferenceModel, frame: RgbdFrame, T_cam_obj: Float64)
     u, v, z = u[inside], v[inside], points[inside, 2]
     agree = np.abs(frame.depth[v, u] - z) < SEEN_M
     return len(np.unique(v[agree] * camera.width + u[agree]))
-
-
-def contours_of(model: ReferenceModel) -> Contours:
-    """The contours of a model, kept as long as it is."""
-    with _lock:
-        if model not in _contours:
-            _contours[model] = Contours(model.mesh, PreparedSurface.of(model))
-        return _contours[model]

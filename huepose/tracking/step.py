@@ -75,8 +75,8 @@ class Subject:
         """Prepare a reference model for tracking."""
         turns = np.asarray(model.near_symmetries[1:], np.float64)
         other = [not _same_turn(model, turn) for turn in turns]
-        surface, wrong = PreparedSurface.of(model), turns[np.array(other, bool)]
-        return Subject(surface, model.mesh, turns, wrong, Contours(model.mesh, surface))
+        contours, wrong = Contours.of(model), turns[np.array(other, bool)]
+        return Subject(contours.surface, model.mesh, turns, wrong, contours)
 
 
 def _same_turn(model: ReferenceModel, turn: Float64) -> bool:

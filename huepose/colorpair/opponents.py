@@ -42,9 +42,12 @@ def opponents(linear: Float) -> Float32:
     >>> bool(np.ptp(opponents(grey)[0, 1:]) == 0.0) and bool(opponents(grey * red_light)[0, 1] > 10)
     True
     """
-    return _of_logarithms(
-        np.log(np.maximum(linear, 0.0).astype(np.float32) + np.float32(DARKEST)) * np.float32(SCALE)
-    )
+    log = np.maximum(linear, 0.0).astype(np.float32, copy=False)
+    # In place: fresh memory costs more than the arithmetic.
+    log += np.float32(DARKEST)
+    np.log(log, out=log)
+    log *= np.float32(SCALE)
+    return np.asarray(log @ OPPONENTS.T, dtype=np.float32)
 
 
 def opponents_of_bytes(color: UInt8) -> Float32:
@@ -60,14 +63,10 @@ def opponents_of_bytes(color: UInt8) -> Float32:
     return np.asarray(cv2.transform(cv2.LUT(flat, LOGARITHMS), OPPONENTS), np.float32).reshape(color.shape)
 
 
-def _of_logarithms(log: Float32) -> Float32:
-    return np.asarray(log @ OPPONENTS.T, dtype=np.float32)
-
-
 def opponents_of_lab(lab: Float) -> Float32:
     """The same (..., 3) of CIELAB colours (..., 3), L 0..100."""
     if not lab.size:  # OpenCV converts no empty pictures
         return np.zeros(lab.shape, np.float32)
     flat = np.ascontiguousarray(lab, dtype=np.float32).reshape(1, -1, 3)
     linear = np.asarray(cv2.cvtColor(flat, cv2.COLOR_Lab2LRGB), dtype=np.float32)
-    return opponents(np.clip(linear, 0.0, 1.0)).reshape(lab.shape)
+    return opponents(np.clip(linear, 0.0, 1.0, out=linear)).reshape(lab.shape)

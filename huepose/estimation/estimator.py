@@ -161,21 +161,24 @@ class Estimator:
             ranked, held = decided(model, evidence.region, found, self.config.near_ties)
         return replace(look, ranked=ranked, trail=trail, contest=held)
 
+    def prepare(self, names: Sequence[str]) -> None:
+        """Derive from models what answers about them need, which the first of them does otherwise."""
+        for name in names:
+            self._models.prepared(name)
+            if self._method is not None:
+                self._method.check(self._models.model(name))
+
     def warm_up(self, names: Sequence[str] | None = None) -> None:
         """Prepare models (all by default) and compile the kernels on an artificial view of the one with most
         texture."""
         names = self._models.names if names is None else list(names)
-        for name in names:
-            self._models.prepared(name)
+        self.prepare(names)
         if not names:
             return
-        most = max((self._models.model(name) for name in names), key=lambda m: len(m.pairs.points))
+        models = [self._models.model(name) for name in names]
         if self._method is not None:
-            models = [self._models.model(name) for name in names]
-            for model in models:
-                self._method.check(model)
             self._method.warm_up(models)
-        rehearse(self.explain, most, self._method is None)
+        rehearse(self.explain, max(models, key=lambda m: len(m.pairs.points)), self._method is None)
 
     def _box_and_masks(
         self, frame: RgbdFrame, query: ObjectQuery, model: ReferenceModel

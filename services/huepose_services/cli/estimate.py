@@ -13,10 +13,10 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from huepose.estimation import Estimator, PoseEstimate
+    from huepose.estimation import Estimator, ObjectQuery, PoseEstimate
+    from huepose.estimation.config import Method
     from huepose.geometry import Box, RgbdFrame
     from huepose.model import ReferenceModel
-    from huepose.perception.colorpair_detector import ColorPairDetector
 
 
 def add_parser(subparsers: Any) -> None:
@@ -77,9 +77,8 @@ def add_parser(subparsers: Any) -> None:
 def call(arguments: argparse.Namespace) -> int:
     """Estimate, write, draw."""
     from huepose.datasets.image_files import read_frame
-    from huepose.estimation import Estimator
+    from huepose.estimation import Estimator, ObjectQuery
     from huepose.model import load_models
-    from huepose.perception.colorpair_detector import ColorPairDetector
     from huepose.profiles import profile
 
     begun = time.monotonic()
@@ -90,17 +89,26 @@ def call(arguments: argparse.Namespace) -> int:
     settings = profile(arguments.profile)
     # In a detector's boxes it is the presence that says what is found.
     found_level = 0.0 if box is None else None
-    config = replace(settings.estimator, method=arguments.method, found_level=found_level)
-    estimator = Estimator(models, config)
-    estimator.warm_up(names)  # so that `seconds` is the time of an answer
-    prepared = time.monotonic()
-    if box is None:
-        detector = ColorPairDetector(models, settings.detector)
-        answers = _detected(arguments, frame, models, estimator, detector, names)
+    estimator = Estimator(
+        models, replace(settings.estimator, method=arguments.method, found_level=found_level)
+    )
+    if box is not None:
+        queries = [ObjectQuery(name, box) for name in names]
     else:
-        answers = [_answer(arguments, frame, models, estimator, name, box) for name in names]
+        from huepose.perception.colorpair_detector import ColorPairDetector
+
+        places = ColorPairDetector(models, settings.detector).detect(frame, names)
+        # The best place last: its explanation is the one that is kept.
+        queries = [ObjectQuery(place.object, place.box) for place in places[::-1]]
+    estimator.prepare([query.object for query in queries])
+    for query in queries[:1]:
+        estimator.explain(frame, query)  # loads the kernels, so that `seconds` is the time of an answer
+    prepared = time.monotonic()
+    answers = [_answer(arguments, frame, models, estimator, query) for query in queries]
+    if box is None:
+        answers = _standing(frame, models, names, answers, arguments.method)
     print(
-        f"{prepared - begun:.1f} s to load and prepare {len(names)} models, "
+        f"{prepared - begun:.1f} s to load {len(names)} models and to find where they may be, "
         f"{time.monotonic() - prepared:.1f} s to answer",
         file=sys.stderr,
     )
@@ -149,13 +157,11 @@ def _answer(
     frame: RgbdFrame,
     models: Mapping[str, ReferenceModel],
     estimator: Estimator,
-    name: str,
-    box: Box,
+    query: ObjectQuery,
 ) -> PoseEstimate:
     """The answer for one object in one box, explained where that is wanted."""
-    from huepose.estimation import ObjectQuery
-
-    answer, explanation = estimator.explain(frame, ObjectQuery(name, box))
+    name = query.object
+    answer, explanation = estimator.explain(frame, query)
     if arguments.explain:
         from huepose_services.cli.explain import write_explanation
 
@@ -164,24 +170,20 @@ def _answer(
     return answer
 
 
-def _detected(
-    arguments: argparse.Namespace,
+def _standing(
     frame: RgbdFrame,
     models: Mapping[str, ReferenceModel],
-    estimator: Estimator,
-    detector: ColorPairDetector,
     names: list[str],
+    answers: list[PoseEstimate],
+    method: Method,
 ) -> list[PoseEstimate]:
-    """The poses that stand at the places which the detector proposes; an object without any is not found."""
+    """The poses that stand at the proposed places; an object without any is not found."""
     from huepose.estimation.bad_picture import bad_picture
     from huepose.estimation.present import presences_of
     from huepose.estimation.standing import standing_answers, why_none_stands
     from huepose.estimation.types import absent
 
-    places = detector.detect(frame, names)
-    places = places[::-1]  # The best place last: its explanation is the one that is kept.
-    answers = [_answer(arguments, frame, models, estimator, p.object, p.box) for p in places]
-    chances = presences_of(frame, models, answers, arguments.method)
+    chances = presences_of(frame, models, answers, method)
     poses = standing_answers(answers, chances)
     out = []
     for name in names:

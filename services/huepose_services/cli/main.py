@@ -27,6 +27,8 @@ _VERBS = (
 _COMPILING = frozenset(
     {"new", "onboard", "onboard-bop", "estimate", "eval", "replay", "render-scenes", "make-dataset", "bench"}
 )
+# Those whose work is too short for more threads of the numeric libraries than the workers have.
+_SHORT = frozenset({"estimate"})
 # What the base installation, for subscribers, does without.
 _OF_EXTRAS = {
     **dict.fromkeys(("cv2", "numba", "scipy", "onnxruntime", "PIL", "mcap", "lz4"), "edge"),
@@ -109,6 +111,10 @@ def main(arguments: list[str] | None = None) -> int:
 
     try:
         check_outputs(parsed)
+        if parsed.verb in _SHORT:
+            from huepose_services.runtime.threads import single_threaded
+
+            single_threaded()
         with _told(parsed.verb):
             code: int = parsed.call(parsed)
         return code

@@ -48,6 +48,6 @@ def test_every_measurement_is_of_what_runs_live_unless_told(command: list[str]) 
 
 def test_a_profile_cannot_be_changed_and_an_unknown_one_is_refused() -> None:
     with pytest.raises(FrozenInstanceError):
-        profile("live").tracker = TrackerConfig()  # type: ignore[misc]
+        profile("live").tracker = TrackerConfig()
     with pytest.raises(InputError, match="profile: found 'fast'; expected 'live' or 'patient'"):
         profile("fast")

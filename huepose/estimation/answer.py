@@ -24,7 +24,7 @@ from huepose.judge.texture_evidence import texture_evidence
 from huepose.model.types import ReferenceModel
 from huepose.refine.final import final_refinement
 from huepose.refine.scale import scale_residual
-from huepose.select.answers import different_answers
+from huepose.select.distinct import different_answers
 from huepose.select.ranked import NONE, Ranked
 
 

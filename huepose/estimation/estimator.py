@@ -19,9 +19,8 @@ from huepose.believe.quality import quality_fits
 from huepose.estimation.answer import Levels, answer_of, bare_answer
 from huepose.estimation.competition import compete
 from huepose.estimation.config import EstimatorConfig
-from huepose.estimation.confirm import confirm, looks_in_full
 from huepose.estimation.explanation import Explanation
-from huepose.estimation.full_path import estimate_full, refine_prior
+from huepose.estimation.full_path import confirm, estimate_full, looks_in_full, refine_prior
 from huepose.estimation.methods import method_of
 from huepose.estimation.prepared import PreparedModels
 from huepose.estimation.types import ObjectQuery, PoseEstimate

@@ -6,8 +6,7 @@ import threading
 from collections.abc import Mapping
 from dataclasses import dataclass
 
-from huepose.model.named import model_named
-from huepose.model.types import ReferenceModel
+from huepose.model.types import ReferenceModel, model_named
 from huepose.propose.template_table import TemplateTable, build_table
 
 

@@ -1,4 +1,5 @@
-"""What speaks against an answer, in words and from measurements: why a pose is doubtful, or was not found."""
+"""What speaks against an answer, in words and from measurements: why a pose is doubtful, why none was found,
+and why in such a frame none can be found."""
 
 from __future__ import annotations
 
@@ -12,6 +13,9 @@ from huepose.estimation.explanation import Explanation
 from huepose.estimation.types import PoseEstimate
 from huepose.geometry import se3
 from huepose.geometry.arrays import Bool, Float, Float64
+from huepose.geometry.depth_noise import depth_noise_m
+from huepose.geometry.frame import RgbdFrame
+from huepose.geometry.picture_faults import LEAST_DEPTH, all_dark, all_grey, depth_share, readings
 from huepose.judge.terms import score
 from huepose.model.types import ReferenceModel
 
@@ -20,6 +24,16 @@ CLOSE_MARGIN = 0.1
 
 MUCH_SEEN_THROUGH, MUCH_HIDDEN, LITTLE_TEXTURE, LITTLE_BOX, LITTLE_MASK = 0.1, 0.4, 0.3, 0.5, 0.5
 MUCH_WITHOUT_DEPTH = 0.3
+
+
+NEAREST_SHARE = 0.05
+"""So many readings may be nearer than what a frame shows: specks."""
+
+LARGEST_ERROR = 0.25
+"""Where readings err by more than this share of an object's diameter, its shape is not to be seen."""
+
+NEVER_NEARER_M = 0.1
+"""No depth camera measures nearer."""
 
 
 def reasons(model: ReferenceModel, answer: PoseEstimate, explanation: Explanation) -> list[str]:
@@ -130,3 +144,25 @@ def overlap(one: Bool, other: Bool) -> float:
     """Intersection over union of two masks (H, W), 0 for empty ones."""
     either = int((one | other).sum())
     return int((one & other).sum()) / either if either else 0.0
+
+
+def bad_picture(frame: RgbdFrame, diameter_m: float) -> str | None:
+    """What is wrong with a frame in which an object of that diameter is sought; None where nothing is."""
+    share = depth_share(frame.depth)
+    if share < LEAST_DEPTH:
+        return f"The frame has no depth: {100 * share:.1f} % of its pixels have a reading."
+    seen = frame.depth[readings(frame.depth)]
+    nearest, farthest = (float(x) for x in np.quantile(seen, [NEAREST_SHARE, 1.0 - NEAREST_SHARE]))
+    error_m = depth_noise_m(nearest)
+    if error_m > LARGEST_ERROR * diameter_m:
+        return (
+            f"All depth is {nearest:.1f} m away or farther, where readings err by {100 * error_m:.0f} cm and "
+            "the object has no shape: is the depth scale right?"
+        )
+    if farthest < NEVER_NEARER_M:
+        return f"All depth is nearer than {farthest:.3f} m, where nothing measures: is the depth scale right?"
+    if all_dark(frame.color):
+        return "The picture is black: is the lens covered, or the light off?"
+    if all_grey(frame.color):
+        return "The picture is grey: objects are told by their colours. Is the camera's colour stream read?"
+    return None

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Literal
 
 from huepose.believe.quality import QualityTerms
 from huepose.geometry.arrays import Bool, Float64
@@ -54,7 +55,7 @@ class PoseEstimate:
     found: bool
     T_cam_obj: Float64 | None
     quality: float
-    state: str
+    state: Literal["SEARCHING", "TRACKING", "SUSPECT", "LOST"]
     score: float
     margin: float
     covariance: Float64 | None

@@ -30,8 +30,8 @@ class Judged:
     terms: Sequence[QualityTerms]
     which: Int64
     placed: Bool
-    frames: Sequence[Hashable]
-    instances: Sequence[Hashable]
+    frames: Sequence[tuple[Any, ...]]
+    instances: Sequence[tuple[Any, ...]]
     stated: Float64
     weights: Float64
     missed: int = 0

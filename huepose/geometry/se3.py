@@ -161,3 +161,9 @@ def is_rigid(T: Float, tolerance: float = 1e-4) -> bool:
         and np.linalg.det(R) > 0
         and np.allclose(T[3], [0, 0, 0, 1], atol=tolerance)
     )
+
+
+def angles_to(rotations: Float, reference: Float) -> Float64:
+    """Geodesic distances (N,) in radians of rotations (N, 3, 3) to one (3, 3)."""
+    trace = np.einsum("nij,ij->n", np.asarray(rotations, np.float64), np.asarray(reference, np.float64))
+    return np.asarray(np.arccos(np.clip((trace - 1.0) / 2.0, -1.0, 1.0)))

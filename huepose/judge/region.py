@@ -89,22 +89,6 @@ def prepare_crop(frame: RgbdFrame, window: Box) -> Crop:
     )
 
 
-def object_window(frame: RgbdFrame, mask: Bool, diameter_m: float) -> Box | None:
-    """Bounds of a mask (H, W) grown by 0.7 diameters at its depth: the whole object lies inside, wherever the
-    mask shows a part of it. None when no pixel of the mask has depth."""
-    mask = mask & (frame.depth > 0)
-    bounds = Box.of_mask(mask)
-    if bounds is None:
-        return None
-    reach = 0.7 * diameter_m / float(np.median(frame.depth[mask])) * frame.camera.fx
-    return bounds.grown(0.0, reach).clipped(frame.camera.width, frame.camera.height)
-
-
-def prepare_masked(crop: Crop, mask: Bool, box: Box, diameter_m: float) -> Region | None:
-    """See a crop through a mask (H, W) of the frame; None when no pixel of it has depth there."""
-    return prepare_believed(crop, [mask], [1.0], 1.0, box, diameter_m)
-
-
 def prepare_believed(
     crop: Crop, masks: Sequence[Bool], weights: Sequence[float], trust: float, box: Box, diameter_m: float
 ) -> Region | None:

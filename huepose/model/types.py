@@ -5,12 +5,14 @@ Lengths in metres, in the object's own frame. Colours are CIELAB (L 0..100), flo
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 
 import numpy as np
 
 from huepose.geometry.arrays import Float32, Float64, Int32, UInt8
 from huepose.geometry.mesh import Mesh
+from huepose.support.errors import InputError
 
 
 @dataclass(frozen=True, eq=False)
@@ -147,3 +149,15 @@ class ReferenceModel:
     pairs: PairReference
     tables: PaperTables | None = None
     keypoints: Keypoints | None = None
+
+
+def model_named(models: Mapping[str, ReferenceModel], name: str) -> ReferenceModel:
+    """The model of that name. Raises InputError for an unknown one."""
+    if name not in models:
+        raise InputError(
+            f"object '{name}'",
+            found="no reference model of that name",
+            expected=f"one of {', '.join(sorted(models)) or 'no objects at all'}",
+            fix="Onboard it with `huepose onboard`, or check the spelling.",
+        )
+    return models[name]

@@ -14,7 +14,6 @@ from huepose.geometry.symmetry import sampled
 from huepose.model.io import check_name
 from huepose.model.types import PaperTables, ReferenceModel
 from huepose.onboarding.cloud import visible_cloud
-from huepose.onboarding.grid import build_grid
 from huepose.onboarding.near_symmetries import near_symmetries
 from huepose.onboarding.pairs import (
     MergedPairs,
@@ -23,7 +22,7 @@ from huepose.onboarding.pairs import (
     pair_reference,
     reference_cameras,
 )
-from huepose.onboarding.surface import build_surface
+from huepose.onboarding.surface import build_grid, build_surface
 from huepose.onboarding.symmetries import equivalent_rotations
 from huepose.onboarding.visibility import depth_views
 from huepose.propose.keypoint_reference import build_keypoints

@@ -105,23 +105,6 @@ class SemanticAlignment:
     rms_m: float
 
 
-def semantic_icp(
-    reference: PaperTables,
-    points_cam: Float,
-    classes: UInt8,
-    weights: Float,
-    T_cam_obj: Float,
-    config: SemanticIcpConfig | None = None,
-) -> SemanticAlignment:
-    """Move the object so that the model's classified cloud lies on the scene's.
-
-    points_cam (N, 3) metres in camera axes, classes (N,), weights (N,): the scene's classified cloud. Without
-    points near the model the pose comes back unchanged.
-    """
-    scene = ClassifiedScene(points_cam, classes, weights)
-    return semantic_icp_many(reference, scene, np.asarray(T_cam_obj, np.float64)[None], config)[0]
-
-
 def semantic_icp_many(
     reference: PaperTables,
     scene: ClassifiedScene,

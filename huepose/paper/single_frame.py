@@ -15,7 +15,7 @@ objects of the frame. What the paper leaves open, and what is done here:
 - III-D: correspondences are those of the classified clouds alone, as the aggregated cloud "combines all
   individual classes": depth between the edges is not used.
 - III-D says how one pose is refined, not which of the refined ones is the answer: here the one with the
-  largest weight of correspondences (`paper.fitness`), which is what the ICP makes larger.
+  largest weight of correspondences (`fitness_of`), which is what the ICP makes larger.
 - The paper has no confidence. The fitness in 0..1 is handed on in its place: it is not a probability, so a
   pose of this method is never more than `SUSPECT`.
 - Symmetric objects are not treated apart.
@@ -26,14 +26,14 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
+from scipy.spatial import cKDTree
 
 from huepose.colorpair.lifting import lift
 from huepose.geometry.arrays import Bool, Float64
 from huepose.geometry.frame import RgbdFrame
-from huepose.model.types import ReferenceModel
+from huepose.model.types import PaperTables, ReferenceModel
 from huepose.paper.cloud import ClassifiedCloud
 from huepose.paper.config import PaperConfig
-from huepose.paper.fitness import fitness_of
 from huepose.paper.scene import (
     NEEDED_CLASSES,
     classes_in_sight,
@@ -42,7 +42,7 @@ from huepose.paper.scene import (
     votes_of_point_pairs,
     votes_of_triangles,
 )
-from huepose.paper.semantic_icp import ClassifiedScene, semantic_icp_many
+from huepose.paper.semantic_icp import ClassifiedScene, SemanticIcpConfig, semantic_icp_many
 from huepose.paper.tables import reference_cloud, tables_of
 from huepose.paper.voting import cluster
 from huepose.propose.evidence import Evidence
@@ -51,6 +51,10 @@ from huepose.select.ranked import Ranked
 from huepose.support.stages import stage
 
 NO_POSES = np.zeros((0, 4, 4)), np.zeros(0)
+
+GATE = 0.06
+"""Distance from which two points are no correspondence, in diameters of the model's cloud: the third of the
+ICP's four gates, which bears the noise of depth. Not fitted."""
 
 
 class PaperMethod:
@@ -112,3 +116,35 @@ class PaperMethod:
         if config.ppf is None or classes_in_sight(cloud) >= NEEDED_CLASSES:
             return votes_of_triangles(model, cloud, config.triangles, rng)
         return votes_of_point_pairs(model, cloud, config.ppf, rng)
+
+
+def fitness_of(
+    tables: PaperTables, scene: ClassifiedScene, poses: Float64, config: SemanticIcpConfig | None = None
+) -> Float64:
+    """How well a classified scene lies on a model's classified cloud: what semantic ICP makes better.
+
+    Share (M,) of the scene's weight that has a partner at poses T_cam_obj (M, 4, 4), each point by Tukey's
+    biweight of its distance: to the nearest model point of its class and to the nearest of any, weighed as in
+    the ICP. 0 without points."""
+    config = config or SemanticIcpConfig()
+    model = np.asarray(tables.cloud_points, np.float64)
+    weights = np.asarray(scene.weights, np.float64)
+    if not len(model) or weights.sum() <= 0.0:
+        return np.zeros(len(poses))
+    centre = 0.5 * (model.min(0) + model.max(0))
+    gate_m = GATE * 2.0 * float(np.linalg.norm(model - centre, axis=1).max())
+    R, t = poses[:, :3, :3], poses[:, :3, 3]
+    points = (np.asarray(scene.points_cam, np.float64)[None] - t[:, None]) @ R  # object axes (M, N, 3)
+    total = config.aggregate * _kernel(cKDTree(model), points, gate_m)
+    for kind in np.unique(scene.classes):
+        same, of_kind = tables.cloud_classes == kind, scene.classes == kind
+        if same.any():
+            total[:, of_kind] += config.semantic * _kernel(cKDTree(model[same]), points[:, of_kind], gate_m)
+    return np.asarray(total @ weights / (weights.sum() * (config.semantic + config.aggregate)))
+
+
+def _kernel(tree: cKDTree, points: Float64, gate_m: float) -> Float64:
+    """Tukey's biweight (M, N) of the distances of points (M, N, 3) to their nearest ones."""
+    distance, _ = tree.query(points.reshape(-1, 3), distance_upper_bound=gate_m)
+    weight = np.maximum(1.0 - (np.minimum(distance, gate_m) / gate_m) ** 2, 0.0) ** 2
+    return np.asarray(weight.reshape(points.shape[:2]))

@@ -24,8 +24,7 @@ from huepose.geometry.arrays import Float64
 from huepose.geometry.camera import Camera
 from huepose.geometry.frame import RgbdFrame
 from huepose.judge.borders import Contours
-from huepose.model.named import model_named
-from huepose.model.types import ReferenceModel
+from huepose.model.types import ReferenceModel, model_named
 from huepose.perception.clear_view import ClearView, clear_view
 from huepose.perception.config import DetectorConfig
 from huepose.perception.contest import contested

@@ -16,9 +16,9 @@ from huepose.judge.pair_terms import DEFAULT_PAIR_WEIGHTS, pair_picture, pair_sc
 from huepose.judge.region import Region
 from huepose.judge.terms import totals as totals_of
 from huepose.model.types import ReferenceModel
-from huepose.select.answers import different_answers
 from huepose.select.close_look import close_look
 from huepose.select.config import NearTieConfig, NearTieWeights
+from huepose.select.distinct import different_answers
 from huepose.select.ranked import Ranked
 
 TERMS = tuple(term.name for term in fields(NearTieWeights))

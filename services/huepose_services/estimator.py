@@ -121,7 +121,7 @@ def estimate_to_wire(answer: PoseEstimate, instance: int | None) -> EstimatedObj
         object=answer.object,
         instance=instance,
         found=answer.found,
-        state=answer.state,  # type: ignore[arg-type]
+        state=answer.state,
         quality=answer.quality,
         score=answer.score,
         margin=answer.margin,

@@ -26,8 +26,7 @@ from huepose_services.convert import (
     pose_from_wire,
     twist_to_wire,
 )
-from huepose_services.doubted_frames import complaint_about
-from huepose_services.doubted_poses import why_doubted
+from huepose_services.doubts import complaint_about, why_doubted
 from huepose_services.following import Follower, Retired
 from huepose_services.intake import MEMORY_EVERY_NS, Clock, Intake
 from huepose_services.runtime.bus import Bus

@@ -27,6 +27,7 @@ from huepose.datasets.bop import BopScene
 from huepose.datasets.types import SomeImages
 from huepose.drawing.plots import reliability_plot
 from huepose.estimation import Estimator, EstimatorConfig
+from huepose.estimation.config import Method
 from huepose.evaluation.calibration import Judged, read_judged, worth
 from huepose.evaluation.estimate_protocol import EstimateOptions, evaluate_estimates
 from huepose.evaluation.result_files import write_json
@@ -70,7 +71,7 @@ class Part:
     """A share of a scene's frames, from `first` on every `step`, by one method."""
 
     kind: str
-    method: str
+    method: Method
     scene: Path
     bundles: Path
     first: int
@@ -142,7 +143,7 @@ def _estimated(part: Part, work: Path) -> None:
     models = load_models(part.bundles)
     targets, whole = Targets(models), BopScene(part.scene)
     scene = SomeImages(whole, whole.image_ids[part.first :: part.step])
-    estimator = Estimator(models, EstimatorConfig(method=part.method, found_level=0.0))  # type: ignore[arg-type]
+    estimator = Estimator(models, EstimatorConfig(method=part.method, found_level=0.0))
     path = work / f"{part.name}.json"
     if part.kind == "others":
         asked = list(questions([scene], targets, ABSENT_PER_FRAME))
@@ -180,13 +181,13 @@ def by_object(labels: Judged, paths: Sequence[Path]) -> Judged:
         for path in paths
         for row in json.loads(path.read_text())["rows"]
     }
-    return replace(labels, frames=[objects[instance] for instance in labels.instances])  # type: ignore[index]
+    return replace(labels, frames=[objects[instance] for instance in labels.instances])
 
 
 def _by_scene(judged: Judged, kind: str = "labels") -> dict[str, Bool]:
     """Which poses are of each calibration scene, by its name."""
     end = {"textures": "_alike_"}.get(kind, f"_{kind}_")
-    scenes = np.array([Path(frame[0]).name.rpartition(end)[0] for frame in judged.frames])  # type: ignore[index]
+    scenes = np.array([Path(frame[0]).name.rpartition(end)[0] for frame in judged.frames])
     return {str(name).split("_", 1)[1]: scenes == name for name in dict.fromkeys(scenes.tolist())}
 
 

@@ -14,7 +14,7 @@ from huepose.judge.texture_evidence import texture_evidence
 from huepose.model.types import ReferenceModel
 from huepose.rendering.render import render_depth
 from huepose.scenes.shapes import demo_objects
-from huepose.select.answers import ONE_ANSWER, different_answers
+from huepose.select.distinct import ONE_ANSWER, different_answers
 from tests.judge.regions import prepare_region
 
 TakePicture = Callable[..., RgbdFrame]
@@ -23,7 +23,7 @@ UPSIDE_DOWN = np.diag([-1.0, -1.0, 1.0])
 
 def asked(model: ReferenceModel, frame: RgbdFrame, T: np.ndarray, **config: float) -> object:
     box = Box.of_mask(render_depth(model.mesh, T, frame.camera) > 0)
-    estimator = Estimator({model.name: model}, EstimatorConfig(**config))  # type: ignore[arg-type]
+    estimator = Estimator({model.name: model}, EstimatorConfig(**config))
     return estimator.explain(frame, ObjectQuery(model.name, box))[0]
 
 

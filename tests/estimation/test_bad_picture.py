@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from huepose.estimation.bad_picture import bad_picture
+from huepose.estimation.reasons import bad_picture
 from huepose.geometry import Camera, RgbdFrame
 
 CAMERA = Camera(300.0, 300.0, 79.5, 59.5, 160, 120)

@@ -180,7 +180,7 @@ def test_wrong_queries_say_what_to_do(
     with pytest.raises(InputError, match="size of the frame"):
         estimator.estimate(frame, [ObjectQuery("tea_box", masks=(np.ones((4, 4), bool),))])
     with pytest.raises(InputError, match="colorpair"):
-        EstimatorConfig(method="best")  # type: ignore[arg-type]
+        EstimatorConfig(method="best")
 
 
 def test_warm_up_prepares_everything(tea_box: ReferenceModel) -> None:

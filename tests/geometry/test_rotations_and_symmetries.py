@@ -1,13 +1,13 @@
 import numpy as np
 import pytest
 
-from huepose.geometry import rotations, se3, symmetry, uncertainty
+from huepose.geometry import se3, symmetry, uncertainty
 from huepose.geometry.icosphere import directions, look_at
 
 
 def test_angles_are_those_of_the_rotation_between() -> None:
     poses = np.stack([se3.exp(np.array([s, 0, 0, 0, 0, s])) for s in (-0.5, 0.5)])
-    np.testing.assert_allclose(rotations.angles_to(poses[:, :3, :3], np.eye(3)), [0.5, 0.5])
+    np.testing.assert_allclose(se3.angles_to(poses[:, :3, :3], np.eye(3)), [0.5, 0.5])
 
 
 @pytest.mark.parametrize(("level", "count"), [(0, 12), (1, 42), (2, 162), (3, 642)])

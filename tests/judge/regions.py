@@ -9,15 +9,21 @@ from huepose.geometry import Box, RgbdFrame, se3
 from huepose.geometry.arrays import Bool
 from huepose.judge.pair_kernel import PairPicture
 from huepose.judge.pair_terms import pair_picture, pair_score_many
-from huepose.judge.region import Region, object_window, prepare_crop, prepare_masked
+from huepose.judge.region import Region, prepare_believed, prepare_crop
 from huepose.model.types import ReferenceModel
 from huepose.rendering.render import render_depth
 
 
 def prepare_region(frame: RgbdFrame, mask: Bool, box: Box, diameter_m: float) -> Region | None:
-    """The region of a mask (H, W) in a box; None when no pixel of the mask has depth."""
-    window = object_window(frame, mask, diameter_m)
-    return None if window is None else prepare_masked(prepare_crop(frame, window), mask, box, diameter_m)
+    """The region of a mask (H, W) in a box, in a crop that holds the whole object wherever the mask shows a
+    part of it; None when no pixel of the mask has depth."""
+    mask = mask & (frame.depth > 0)
+    bounds = Box.of_mask(mask)
+    if bounds is None:
+        return None
+    reach = 0.7 * diameter_m / float(np.median(frame.depth[mask])) * frame.camera.fx
+    window = bounds.grown(0.0, reach).clipped(frame.camera.width, frame.camera.height)
+    return prepare_believed(prepare_crop(frame, window), [mask], [1.0], 1.0, box, diameter_m)
 
 
 class PairScore(NamedTuple):

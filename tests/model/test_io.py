@@ -26,7 +26,7 @@ def saved(tea_box: ReferenceModel, tmp_path_factory: pytest.TempPathFactory) -> 
 
 
 def assert_equal(a: object, b: object, where: str) -> None:
-    for f in fields(a):  # type: ignore[arg-type]
+    for f in fields(a):
         x, y, name = getattr(a, f.name), getattr(b, f.name), f"{where}.{f.name}"
         if isinstance(x, np.ndarray):
             assert x.dtype == y.dtype, name

@@ -1,6 +1,6 @@
 import pytest
 
-from huepose.model.named import model_named
+from huepose.model.types import model_named
 from huepose.support.errors import InputError
 
 

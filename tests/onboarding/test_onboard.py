@@ -23,7 +23,7 @@ from tests.onboarding import solids
 def arrays_of(part: object, prefix: str = "") -> dict[str, np.ndarray]:
     """All arrays of nested dataclasses by name."""
     out = {}
-    for f in fields(part):  # type: ignore[arg-type]
+    for f in fields(part):
         value = getattr(part, f.name)
         if isinstance(value, np.ndarray):
             out[prefix + f.name] = value
@@ -219,5 +219,5 @@ def test_stopping_early_leaves_no_file(tmp_path: Path) -> None:
     for event in events:
         if isinstance(event, StageBegun) and event.stage == "surface":
             break
-    events.close()  # type: ignore[attr-defined]
+    events.close()
     assert not (tmp_path / "out").exists()

@@ -7,8 +7,7 @@ from scipy.spatial import cKDTree
 from huepose.geometry import Mesh
 from huepose.model.types import Surface
 from huepose.onboarding.cloud import averaged_lab, visible_cloud
-from huepose.onboarding.grid import build_grid
-from huepose.onboarding.surface import build_surface, even_order
+from huepose.onboarding.surface import build_grid, build_surface, even_order
 from huepose.onboarding.visibility import depth_views, seen
 from tests.onboarding import solids
 

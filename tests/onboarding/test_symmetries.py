@@ -5,10 +5,9 @@ import pytest
 
 from huepose.geometry import Mesh, se3
 from huepose.onboarding.cloud import visible_cloud
-from huepose.onboarding.grid import build_grid
 from huepose.onboarding.near_symmetries import NearSymmetries, even_rotations, near_symmetries
 from huepose.onboarding.reference import diameter_of
-from huepose.onboarding.surface import build_surface
+from huepose.onboarding.surface import build_grid, build_surface
 from huepose.onboarding.symmetries import equivalent_rotations
 from huepose.onboarding.visibility import depth_views
 from tests.onboarding import solids
@@ -44,7 +43,7 @@ def bricks() -> tuple[tuple[NearSymmetries, np.ndarray], tuple[NearSymmetries, n
     return analysed(printed), analysed(blank)
 
 
-def test_a_printed_box_has_flips_of_its_shape_only(bricks) -> None:  # type: ignore[no-untyped-def]
+def test_a_printed_box_has_flips_of_its_shape_only(bricks) -> None:
     near, equivalents = bricks[0]
     np.testing.assert_array_equal(near.transforms[0], np.eye(4))
     for axis in range(3):
@@ -57,14 +56,14 @@ def test_a_printed_box_has_flips_of_its_shape_only(bricks) -> None:  # type: ign
     np.testing.assert_array_equal(equivalents[0], np.eye(4))
 
 
-def test_a_blank_box_has_equivalent_flips(bricks) -> None:  # type: ignore[no-untyped-def]
+def test_a_blank_box_has_equivalent_flips(bricks) -> None:
     equivalents = bricks[1][1]
     assert len(equivalents) == 4
     for axis in range(3):
         assert angles_to(equivalents, half_turn(axis)).min() < 1.5
 
 
-def test_turns_do_not_depend_on_the_texture(bricks) -> None:  # type: ignore[no-untyped-def]
+def test_turns_do_not_depend_on_the_texture(bricks) -> None:
     np.testing.assert_array_equal(bricks[0][0].transforms, bricks[1][0].transforms)
 
 

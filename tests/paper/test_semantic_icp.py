@@ -9,8 +9,26 @@ import pytest
 
 from huepose.geometry import se3
 from huepose.model.types import PaperTables, ReferenceModel
-from huepose.paper.semantic_icp import SemanticIcpConfig, semantic_icp
+from huepose.paper.semantic_icp import (
+    ClassifiedScene,
+    SemanticAlignment,
+    SemanticIcpConfig,
+    semantic_icp_many,
+)
 from huepose.paper.tables import tables_of
+
+
+def semantic_icp(
+    reference: PaperTables,
+    points_cam: np.ndarray,
+    classes: np.ndarray,
+    weights: np.ndarray,
+    T_cam_obj: np.ndarray,
+    config: SemanticIcpConfig | None = None,
+) -> SemanticAlignment:
+    """From one pose."""
+    scene = ClassifiedScene(points_cam, classes, weights)
+    return semantic_icp_many(reference, scene, T_cam_obj[None], config)[0]
 
 
 def bare_reference(points: np.ndarray, normals: np.ndarray, classes: np.ndarray) -> PaperTables:

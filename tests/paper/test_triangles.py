@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from huepose.geometry import kabsch, se3
-from huepose.geometry.rotations import angles_to
+from huepose.geometry.se3 import angles_to
 from huepose.paper.cloud import ClassifiedCloud
 from huepose.paper.triangles import (
     TriangleConfig,

@@ -16,7 +16,7 @@ def shifted(tea_box: ReferenceModel) -> ViewTemplates:
     return build_templates(off_centre(tea_box), tea_box.diameter_m, level=1, rolls=8)
 
 
-def off_centre(model: ReferenceModel):  # type: ignore[no-untyped-def]
+def off_centre(model: ReferenceModel):
     from huepose.geometry import Mesh
 
     m = model.mesh

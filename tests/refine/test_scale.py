@@ -13,7 +13,7 @@ from huepose.geometry import RgbdFrame, se3
 from huepose.geometry.depth_noise import POINTS_PER_READING
 from huepose.judge.region import Region
 from huepose.model.types import ReferenceModel
-from huepose.onboarding.grid import build_grid
+from huepose.onboarding.surface import build_grid
 from huepose.refine import scale
 from huepose.refine.scale import scale_residual
 from tests.judge.regions import region_of

@@ -36,14 +36,14 @@ def moved(T: np.ndarray, step: np.ndarray) -> np.ndarray:
     return out
 
 
-def slopes(function) -> np.ndarray:  # type: ignore[no-untyped-def]
+def slopes(function) -> np.ndarray:
     """Central differences of a function of a step (6,)."""
     h = 1e-6 * np.eye(6)
     return np.array([(function(d) - function(-d)) / 2e-6 for d in h])
 
 
 @pytest.mark.parametrize("module", [solver, robust])
-def test_the_examples_in_the_docstrings(module) -> None:  # type: ignore[no-untyped-def]
+def test_the_examples_in_the_docstrings(module) -> None:
     result = doctest.testmod(module)
     assert result.attempted >= 2
     assert result.failed == 0
@@ -67,11 +67,11 @@ def test_rows_are_derivatives_with_respect_to_the_step() -> None:
 
     for p in POINTS[:4]:
         along = POSE[:3, :3] @ g_obj
-        expected = slopes(lambda d: along @ se3.apply(moved(POSE, d), p))  # noqa: B023
+        expected = slopes(lambda d, p=p, along=along: along @ se3.apply(moved(POSE, d), p))
         np.testing.assert_allclose(motion_row(*p, *g_obj, BODY), expected, atol=1e-8)
-        expected = slopes(lambda d: g_cam @ se3.apply(moved(POSE, d), p))  # noqa: B023
+        expected = slopes(lambda d, p=p: g_cam @ se3.apply(moved(POSE, d), p))
         np.testing.assert_allclose(motion_row_cam(POSE, *p, *g_cam, BODY), expected, atol=1e-8)
-        expected = slopes(lambda d: pixel(moved(POSE, d), p))  # noqa: B023
+        expected = slopes(lambda d, p=p: pixel(moved(POSE, d), p))
         np.testing.assert_allclose(image_row(POSE, *p, gu, gv, CAMERA, BODY), expected, atol=1e-4)
 
 
@@ -81,7 +81,7 @@ def test_information_is_that_of_perturb() -> None:
     equations, expected = normal_equations(6), np.zeros((6, 6))
     for p, g, w in zip(POINTS, directions, weights, strict=True):
         add_residual(equations, w, 0.0, motion_row_cam(POSE, *p, *g, BODY))
-        slope = slopes(lambda d: g @ se3.apply(se3.perturb(POSE, d), p))  # noqa: B023
+        slope = slopes(lambda d, p=p, g=g: g @ se3.apply(se3.perturb(POSE, d), p))
         expected += w * np.outer(slope, slope)
     np.testing.assert_allclose(information(equations.A, POSE, BODY), expected, rtol=1e-6, atol=1e-6)
     assert not np.triu(equations.A, 1).any()

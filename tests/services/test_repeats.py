@@ -1,6 +1,6 @@
 """A log that is flooded: what comes again and again is counted and summed up."""
 
-from huepose_services.camera.busy import Busy
+from huepose_services.camera.schedule import Busy
 from huepose_services.runtime.repeats import Repeats
 
 SECOND = 1_000_000_000

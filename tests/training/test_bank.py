@@ -1,11 +1,9 @@
 import numpy as np
-import pytest
+import torch
 
-torch = pytest.importorskip("torch", reason="the extra `train` is not installed")
-
-from huepose.geometry import se3  # noqa: E402
-from huepose.paper.canonical import canonical  # noqa: E402
-from huepose.training.bank import Bank, exchanged, varied  # noqa: E402
+from huepose.geometry import se3
+from huepose.paper.canonical import canonical
+from huepose.training.bank import Bank, exchanged, varied
 
 
 def asked(rng):

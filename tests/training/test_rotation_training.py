@@ -3,19 +3,18 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+import torch
 
-torch = pytest.importorskip("torch", reason="the extra `train` is not installed")
-
-from huepose.paper.rotation_network import OnnxRotation  # noqa: E402
-from huepose.support.errors import InputError  # noqa: E402
-from huepose.training.network import (  # noqa: E402
+from huepose.paper.rotation_network import OnnxRotation
+from huepose.support.errors import InputError
+from huepose.training.network import (
     AttentionDgcnn,
     EdgeConvolution,
     geodesic,
     neighbours,
     rotation_of_six,
 )
-from huepose.training.rotation import RotationTraining, export, train  # noqa: E402
+from huepose.training.rotation import RotationTraining, export, train
 
 pytestmark = pytest.mark.filterwarnings("ignore")
 

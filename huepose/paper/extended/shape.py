@@ -15,7 +15,7 @@ import numpy as np
 from huepose.geometry import icosphere, se3
 from huepose.geometry.arrays import Bool, Float32, Float64
 from huepose.geometry.frame import RgbdFrame
-from huepose.geometry.rotations import angles_to
+from huepose.geometry.se3 import angles_to
 from huepose.model.types import ReferenceModel, Surface
 from huepose.paper.extended.plausible import plausible
 from huepose.propose.types import Hypothesis, Votes

@@ -17,10 +17,9 @@ from importlib import import_module
 
 from huepose.datasets.types import GroundTruth, Scene
 from huepose_services.camera.audience import Audience
-from huepose_services.camera.busy import Busy
 from huepose_services.camera.live_ingest import LiveIngest
 from huepose_services.camera.publish import FramePublisher, Packed, packed
-from huepose_services.camera.schedule import Schedule
+from huepose_services.camera.schedule import Busy, Schedule
 from huepose_services.runtime.bus import Bus
 from huepose_services.runtime.clock import SECOND, now_ns
 from huepose_services.runtime.config import Config

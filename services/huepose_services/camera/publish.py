@@ -8,11 +8,17 @@ from dataclasses import dataclass
 from huepose.datasets.types import GroundTruth
 from huepose.geometry import RgbdFrame
 from huepose_protos.buffers import pack
-from huepose_protos.messages import BufferSpec, FrameHeader, Intrinsics, TruthMessage, TruthObject
-from huepose_services.camera.info import CameraInfo
+from huepose_protos.messages import (
+    BufferSpec,
+    CameraMessage,
+    FrameHeader,
+    Intrinsics,
+    TruthMessage,
+    TruthObject,
+)
 from huepose_services.convert import box_to_wire, depth_to_wire, intrinsics_to_wire, optional_pose_to_wire
 from huepose_services.runtime.bus import Bus
-from huepose_services.runtime.clock import now_ns, this_clock
+from huepose_services.runtime.clock import SECOND, now_ns, this_clock
 from huepose_services.runtime.config import Config
 
 
@@ -38,7 +44,9 @@ class FramePublisher:
     def __init__(self, bus: Bus, config: Config) -> None:
         self._bus, self._keys = bus, config.keys
         self._frame_name = f"{config.camera.name}_color_optical"
-        self._info = CameraInfo(bus, config.camera.mount)
+        self._mount = config.camera.mount
+        self._told: int | None = None
+        self._tell_ns = 0
 
     def publish(
         self, picture: Packed, epoch: int, frame_id: int, capture_ns: int, counted_as: str = "frames"
@@ -56,7 +64,7 @@ class FramePublisher:
             buffers=picture.buffers,
         )
         bus.put_pixels(self._keys.frame, header, picture.payload)
-        self._info.tell(header)
+        self._tell(header)
         bus.health.camera_epoch, bus.health.frame_id = epoch, frame_id
         bus.health.count(counted_as)
         bus.health.worked(started, capture_ns)
@@ -95,3 +103,19 @@ class FramePublisher:
             objects=objects,
         )
         self._bus.put(self._keys.truth, message)
+
+    def _tell(self, header: FrameHeader) -> None:
+        """Which camera is open, for readers that take no frames: when it is new, and then once a second."""
+        now = now_ns()
+        if header.camera_epoch == self._told and now < self._tell_ns:
+            return
+        self._told, self._tell_ns = header.camera_epoch, now + SECOND
+        message = CameraMessage(
+            publish_ns=now,
+            camera_epoch=header.camera_epoch,
+            clock=header.clock,
+            frame=header.frame,
+            intrinsics=header.intrinsics,
+            mount=self._mount,
+        )
+        self._bus.put(self._keys.camera_info, message)

@@ -1,7 +1,9 @@
-"""When the frames of a source are due, pass after pass: absolute times, so that nothing drifts."""
+"""When the frames of a source are due, pass after pass: absolute times, so that nothing drifts.
+And whether this computer is too busy for them: late once means nothing, again and again it does."""
 
 from __future__ import annotations
 
+from collections import deque
 from itertools import pairwise
 
 from huepose.datasets.types import Scene
@@ -9,6 +11,11 @@ from huepose_services.runtime.clock import SECOND
 from huepose_services.runtime.config_perception import CameraConfig
 
 _LONGEST_GAP_NS = 10 * SECOND
+
+
+_WINDOW_NS = 60 * SECOND
+
+_OFTEN = 3
 
 
 class Schedule:
@@ -50,3 +57,27 @@ class Schedule:
     def postpone(self, by_ns: int) -> None:
         """Move everything that is still to come."""
         self._start_ns += by_ns
+
+
+class Busy:
+    """Counts how often the camera was late in the last minute."""
+
+    def __init__(self) -> None:
+        self._late: deque[tuple[int, int]] = deque()
+
+    def late(self, by_ns: int, now_ns: int) -> str:
+        """The camera is late; the line for the log."""
+        self._late.append((now_ns, by_ns))
+        return f"frames come {by_ns * 1e-6:.0f} ms late: this computer is busy"
+
+    def warning(self, now_ns: int) -> str | None:
+        """What is to be said as long as it is so; None when all is well."""
+        while self._late and now_ns - self._late[0][0] > _WINDOW_NS:
+            self._late.popleft()
+        if len(self._late) < _OFTEN:
+            return None
+        worst_ms = max(by_ns for _, by_ns in self._late) * 1e-6
+        return (
+            f"this computer is busy: the camera was late {len(self._late)} times in the last minute, by up "
+            f"to {worst_ms:.0f} ms; end other programs, or set camera.rate lower"
+        )

@@ -178,8 +178,8 @@ def _standing(
     method: Method,
 ) -> list[PoseEstimate]:
     """The poses that stand at the proposed places; an object without any is not found."""
-    from huepose.estimation.bad_picture import bad_picture
     from huepose.estimation.present import presences_of
+    from huepose.estimation.reasons import bad_picture
     from huepose.estimation.standing import standing_answers, why_none_stands
     from huepose.estimation.types import absent
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import argparse
 from collections.abc import Mapping
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 
 from huepose.datasets.fast_ycb import labelled_sequences, object_of
@@ -80,10 +81,7 @@ def tracks(
         )
         for every in arguments.every:
             entries[method, every] = run_tracks(
-                journal,
-                scenes,
-                every,
-                lambda scene, m=method, k=every: track(scene, m, k),  # type: ignore[misc]
+                journal, scenes, every, partial(track, method=method, every=every)
             )
     notes += left_out(next(iter(entries.values()), []))
     return entries, notes

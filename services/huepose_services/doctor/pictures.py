@@ -11,6 +11,7 @@ import cv2
 import numpy as np
 
 from huepose.datasets.image_files import FARTHEST_M, NEAREST_M
+from huepose.datasets.types import Scene
 from huepose.geometry import RgbdFrame
 from huepose.geometry.arrays import Bool, Float32, Float64
 from huepose.geometry.picture_faults import LEAST_DEPTH, dark, readings
@@ -82,9 +83,9 @@ def _live(source: LiveSource, config: Config) -> tuple[list[RgbdFrame], list[Fin
     return frames, [Finding("camera", "bad", text) for text in complaints.values()]
 
 
-def _recorded(source: object) -> list[RgbdFrame]:
-    ids: tuple[int, ...] = source.image_ids  # type: ignore[attr-defined]
-    return [source.frame(i) for i in ids[:: max(1, len(ids) // _FRAMES)]][:_FRAMES]  # type: ignore[attr-defined]
+def _recorded(source: Scene) -> list[RgbdFrame]:
+    ids = source.image_ids
+    return [source.frame(i) for i in ids[:: max(1, len(ids) // _FRAMES)]][:_FRAMES]
 
 
 def brightness(frames: Sequence[RgbdFrame]) -> Finding:

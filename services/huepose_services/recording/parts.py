@@ -28,7 +28,7 @@ class Limits:
     free: int
 
 
-class DiskIsFull(OSError):  # noqa: N818 (what it says, not how it is raised)
+class DiskFullError(OSError):
     """There is not more free than is to be left."""
 
 
@@ -83,7 +83,7 @@ class Parts:
 
     def commit(self) -> None:
         """Make what is complete last, begin a new file and delete old ones where it is time. Raises
-        DiskIsFull before the disk is."""
+        DiskFullError before the disk is."""
         if not self._part.commit():
             return
         if time.monotonic() >= self._look_at:
@@ -91,7 +91,9 @@ class Parts:
             free = shutil.disk_usage(self.path.parent).free
             if free < self._limits.free:
                 left = self._limits.free >> 20
-                raise DiskIsFull(f"{free >> 20} MiB are free on the disk, and {left} are to be left (--free)")
+                raise DiskFullError(
+                    f"{free >> 20} MiB are free on the disk, and {left} are to be left (--free)"
+                )
         if self._part.size >= self._limits.part:
             self.close()
             self._done.append((self._part.path, self._part.size))

@@ -26,7 +26,7 @@ class _Loader(yaml.SafeLoader):
 def read_yaml(text: str, path: Path) -> Any:
     """The values in a text. Raises InputError that names the line, also where a key is there twice."""
     try:
-        return yaml.load(text, _Loader)  # noqa: S506  # a SafeLoader
+        return _Loader(text).get_single_data()
     except yaml.YAMLError as error:
         mark, problem = getattr(error, "problem_mark", None), getattr(error, "problem", None)
         at = f", line {mark.line + 1}, column {mark.column + 1}" if mark is not None else ""

@@ -6,7 +6,7 @@ import numpy as np
 
 from huepose.colorpair.types import SurfacePairs
 from huepose.geometry import se3
-from huepose.geometry.rotations import angles_to
+from huepose.geometry.se3 import angles_to
 from huepose.paper.extended.frames import FrameConfig, frame_votes
 
 T = se3.make(se3.rotation_exp(np.array([0.5, 1.5, -0.8])), np.array([0.1, -0.05, 0.8]))

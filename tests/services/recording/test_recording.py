@@ -13,7 +13,7 @@ from mcap_protobuf.decoder import DecoderFactory
 from huepose.support.errors import InputError
 from huepose_protos.messages import FrameHeader, PoseMessage
 from huepose_services.cli.main import main
-from huepose_services.recording.parts import DiskIsFull, Limits
+from huepose_services.recording.parts import DiskFullError, Limits
 from huepose_services.recording.read import Recording
 
 from .conftest import EXAMPLES, KEY, UNIX_NS, chunks_of, frames, mcap_of, parts, tiny_frame, written
@@ -154,7 +154,7 @@ def test_it_ends_before_the_disk_is_full(tmp_path):
     out = parts(tmp_path / "out", Limits(2**40, None, free=2**60))
     out.frame(*tiny_frame(0), KEY + "frame")
     out._part._due = 0.0
-    with pytest.raises(DiskIsFull, match="are to be left"):
+    with pytest.raises(DiskFullError, match="are to be left"):
         out.commit()
     out.close()
     assert len(list(Recording(out.path).events())) == 1

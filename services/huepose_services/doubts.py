@@ -1,5 +1,9 @@
-"""Why a pose is not to be acted on, as far as the frame shows it: a sentence for people, not a judgement. The
-state was decided by the tracker, from the same frame."""
+"""Why a pose is not to be acted on, as far as the frame shows it: a sentence for people.
+
+What is said of a pose (`why_doubted`) is no judgement: the state was decided by the tracker, from the same
+frame. What is wrong with a frame as such (`complaint_about`) is: no pose in it is to be acted on, however
+well it fits.
+"""
 
 from __future__ import annotations
 
@@ -8,7 +12,7 @@ import numpy as np
 from huepose.geometry import RgbdFrame
 from huepose.geometry.arrays import Float64
 from huepose.geometry.depth_noise import depth_noise_m
-from huepose.geometry.picture_faults import dark, readings
+from huepose.geometry.picture_faults import LEAST_DEPTH, dark, depth_share, readings
 from huepose.judge.surface import PreparedSurface
 
 NOT_FOUND = "It is not where it was, and was not found elsewhere yet."
@@ -24,6 +28,9 @@ _SAMPLES = 300
 _SMALL_PX = 24.0
 """So many pixels across are some 450 readings, of which one in six is independent (`POINTS_PER_READING`): few
 for a pose, and for which of two like ones it is."""
+
+
+_EVERY_ROW = 16
 
 
 def why_doubted(surface: PreparedSurface, frame: RgbdFrame, T_cam_obj: Float64 | None) -> str:
@@ -63,3 +70,24 @@ def why_doubted(surface: PreparedSurface, frame: RgbdFrame, T_cam_obj: Float64 |
 def _few(which: np.ndarray) -> bool:
     """Fewer than half."""
     return bool(2 * np.count_nonzero(which) < len(which))
+
+
+def complaint_about(frame: RgbdFrame, before: RgbdFrame | None) -> str | None:
+    """The reason to doubt a frame, by itself and beside the one before it; None where there is none."""
+    if depth_share(frame.depth) < LEAST_DEPTH:
+        return "there is no depth in the whole picture: is the depth camera covered, or its stream off?"
+    if before is None or before.epoch != frame.epoch:
+        return None
+    if before.camera != frame.camera:
+        return (
+            "the picture's size or intrinsics changed while the camera was open: a camera that is set anew "
+            "must begin a new epoch"
+        )
+    if _equal(before.color, frame.color) and not _equal(before.depth, frame.depth):
+        return "the colour picture stands still while depth goes on: is the colour stream stuck?"
+    return None
+
+
+def _equal(one: np.ndarray, other: np.ndarray) -> bool:
+    """Whether two pictures are the same; a few of their rows tell nearly always that they are not."""
+    return np.array_equal(one[::_EVERY_ROW], other[::_EVERY_ROW]) and np.array_equal(one, other)

@@ -1,0 +1,165 @@
+"""OBJ, PLY and glTF files of known meshes are read as these meshes."""
+
+from __future__ import annotations
+
+import base64
+import json
+import struct
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from huepose.geometry import Mesh, se3
+from huepose.onboarding.meshes import read_mesh
+from huepose.support.errors import InputError
+from tests.onboarding import mesh_files as files
+from tests.onboarding.mesh_checks import assert_same, assert_well_formed, colors_at
+
+
+def test_all_formats_of_one_box_read_alike(tmp_path: Path, printed_box: Mesh) -> None:
+    files.write_obj(tmp_path / "a.obj", printed_box)
+    files.write_glb(tmp_path / "b.glb", printed_box)
+    paths = [tmp_path / "a.obj", tmp_path / "b.glb"]
+    for binary in (False, True):
+        for lists in (False, True):
+            for order in ("<", ">")[: 1 + binary]:
+                path = tmp_path / f"c{binary}{lists}{ord(order)}.ply"
+                files.write_ply(path, printed_box, binary=binary, lists=lists, order=order)
+                paths.append(path)
+    for path in paths:
+        mesh = read_mesh(path)
+        assert_well_formed(mesh)
+        assert_same(mesh, printed_box)
+
+
+@pytest.mark.parametrize("face", ["1/1 2/2 3/3 4/4", "1/1/1 2/2/1 3/3/1 4/4/1", "-8/-4 -7/-3 -6/-2 -5/-1"])
+def test_forms_of_obj_faces(tmp_path: Path, face: str) -> None:
+    corners = ["0 0 0", "50 0 0", "50 30 0", "0 30 0", "0 0 20", "50 0 20", "50 30 20", "0 30 20"]
+    lines = ["mtllib m.mtl", "usemtl p", *(f"v {c}" for c in corners), "vn 0 0 1"]
+    lines += ["vt 0 0", "vt 1 0", "vt 1 1", "vt 0 1", f"f {face}", "f 5/1 6/2 7/3"]
+    (tmp_path / "m.obj").write_text("\n".join(lines))
+    (tmp_path / "m.mtl").write_text("newmtl p\nmap_Kd my print.png\n")
+    picture = np.zeros((32, 32, 3), np.uint8)
+    picture[:16], picture[16:] = (250, 0, 0), (0, 0, 250)  # red above
+    files.write_png(tmp_path / "my print.png", picture)
+    mesh = read_mesh(tmp_path / "m.obj")
+    assert mesh.faces.tolist() == [[0, 1, 2], [0, 2, 3], [4, 5, 6]]
+    np.testing.assert_allclose(mesh.vertices[2], [0.05, 0.03, 0.0], atol=1e-9)
+    np.testing.assert_allclose(mesh.uv[1], [[0, 1], [1, 0], [0, 0]], atol=1e-6)
+    low, high = colors_at(mesh, (0.9, 0.05, 0.05))[0], colors_at(mesh, (0.05, 0.05, 0.9))[0]
+    assert low[2] > 240 > 10 > low[0]
+    assert high[0] > 240 > 10 > high[2]
+
+
+def test_polygons_of_a_ply_become_fans(tmp_path: Path) -> None:
+    square = np.array([[0, 0, 0], [40, 0, 0], [40, 40, 0], [0, 40, 0], [0, 0, 40]], float)
+    files.write_colored_ply(tmp_path / "m.ply", square, np.full((5, 3), 90), [[0, 1, 2, 3], [0, 1, 4]])
+    assert read_mesh(tmp_path / "m.ply").faces.tolist() == [[0, 1, 2], [0, 2, 3], [0, 1, 4]]
+
+
+def test_a_binary_ply_may_mix_polygons(tmp_path: Path) -> None:
+    header = "ply\nformat binary_little_endian 1.0\nelement vertex 5\n"
+    header += "".join(f"property float {p}\n" for p in "xyz")
+    header += "".join(f"property uchar {p}\n" for p in ("red", "green", "blue"))
+    header += "element face 3\nproperty list uchar int vertex_indices\nend_header\n"
+    corners = [(0, 0, 0), (40, 0, 0), (40, 40, 0), (0, 40, 0), (0, 0, 40)]
+    body = b"".join(struct.pack("<3f3B", *c, 90, 90, 90) for c in corners)
+    for polygon in ([0, 1, 2, 3], [0, 1, 4], [4, 3, 2, 1, 0]):
+        body += struct.pack(f"<B{len(polygon)}i", len(polygon), *polygon)
+    (tmp_path / "m.ply").write_bytes(header.encode() + body)
+    fans = [[0, 1, 2], [0, 2, 3], [0, 1, 4], [4, 3, 2], [4, 2, 1], [4, 1, 0]]
+    assert read_mesh(tmp_path / "m.ply").faces.tolist() == fans
+
+
+@pytest.mark.parametrize("encoding", ["utf-8", "latin-1"])
+def test_names_may_be_of_any_letters(tmp_path: Path, printed_box: Mesh, encoding: str) -> None:
+    files.write_obj(tmp_path / "m.obj", printed_box)
+    files.write_ply(tmp_path / "m.ply", printed_box, binary=True, lists=False)
+    (tmp_path / "m.png").rename(tmp_path / "Körper.png")
+    for name in ("m.mtl", "m.ply"):
+        file = tmp_path / name
+        file.write_bytes(file.read_bytes().replace(b"m.png", "Körper.png".encode(encoding)))
+    for name in ("m.obj", "m.ply"):
+        assert_same(read_mesh(tmp_path / name), printed_box)
+
+
+def test_names_of_textures_may_differ_in_case_and_folder(tmp_path: Path, printed_box: Mesh) -> None:
+    files.write_obj(tmp_path / "m.obj", printed_box, texture_name="Print.PNG")
+    mtl = tmp_path / "m.mtl"
+    for name in ("print.png", "sub\\print.png", "C:\\Users\\me\\Print.PNG"):
+        mtl.write_text(f"newmtl print\nmap_Kd {name}\n")
+        assert_same(read_mesh(tmp_path / "m.obj"), printed_box)
+
+
+def test_a_mirrored_export_is_turned_outwards(tmp_path: Path, printed_box: Mesh) -> None:
+    from huepose.scenes.shapes import demo_objects
+
+    closed = next(iter(demo_objects(0).values()))
+    welded, index = np.unique(np.round(closed.vertices, 7), axis=0, return_inverse=True)
+    faces = index.reshape(-1)[closed.faces].astype(np.int32)
+    for flip in (1, -1):
+        mesh = Mesh(welded.astype(np.float32), faces[:, ::flip], closed.uv[:, ::flip], closed.texture)
+        files.write_obj(tmp_path / "m.obj", mesh)
+        read = read_mesh(tmp_path / "m.obj")
+        normals, areas = read.face_normals()
+        centres = read.vertices[read.faces].astype(np.float64).mean(1)
+        assert np.einsum("fd,fd,f->", normals, centres, areas) > 0
+        np.testing.assert_allclose(read.face_normals()[1].sum(), areas.sum())
+
+
+def test_nodes_place_scale_and_mirror_gltf_meshes(tmp_path: Path, printed_box: Mesh) -> None:
+    q = se3.quaternion_from_rotation(se3.rotation_exp(np.array([0.0, 0.0, np.pi / 2])))
+    node = {"rotation": q.tolist(), "translation": [0.1, 0.0, 0.0], "scale": [2.0, 1.0, -1.0]}
+    files.write_glb(tmp_path / "m.glb", printed_box, node)
+    read = read_mesh(tmp_path / "m.glb")
+    extents = np.ptp(read.vertices, axis=0)
+    np.testing.assert_allclose(extents, [0.06, 0.16, 0.04], atol=1e-6)
+    np.testing.assert_allclose(read.vertices.mean(0), [0.1, 0, 0], atol=1e-6)
+    normals = read.face_normals()[0]
+    centres = read.vertices[read.faces].mean(1) - [0.1, 0, 0]
+    assert (np.einsum("fd,fd->f", normals, centres) > 0).all()
+    assert sorted(map(tuple, np.round(colors_at(read)))) == sorted(
+        map(tuple, np.round(colors_at(printed_box, (0.2, 0.3, 0.5))))
+    )
+
+
+def test_meshes_of_a_gltf_are_merged_and_strips_and_colors_read(tmp_path: Path) -> None:
+    w = files.GlbWriter()
+    strip = np.array([[0, 0, 0], [0.1, 0, 0], [0, 0.1, 0], [0.1, 0.1, 0]], "<f4")
+    white = np.full((4, 4), 255, "<u1")
+    half = np.tile(np.array([[0.2140411, 0.0, 1.0]], "<f4"), (4, 1))  # linear; 0.5 in sRGB
+    first = w.mesh({"POSITION": w.accessor(strip, "VEC3"), "COLOR_0": w.accessor(white, "VEC4")}, mode=5)
+    second = w.mesh({"POSITION": w.accessor(strip, "VEC3"), "COLOR_0": w.accessor(half, "VEC3")}, mode=5)
+    matrix = np.eye(4)
+    matrix[2, 3] = 0.05
+    nodes = [{"children": [1, 2]}, {"mesh": first}, {"mesh": second, "matrix": matrix.T.reshape(-1).tolist()}]
+    w.write(tmp_path / "m.glb", nodes, [0])
+    read = read_mesh(tmp_path / "m.glb")
+    assert (len(read.faces), len(read.vertices)) == (4, 8)
+    np.testing.assert_allclose(read.face_normals()[0], np.tile([0, 0, 1], (4, 1)), atol=1e-6)
+    np.testing.assert_allclose(colors_at(read)[:2], 255)
+    np.testing.assert_allclose(colors_at(read)[2:], np.tile([127.5, 0, 255], (2, 1)), atol=1)
+    assert set(np.round(read.vertices[:, 2], 4)) == {0.0, np.float32(0.05)}
+
+
+def test_gltf_may_be_in_parts(tmp_path: Path, printed_box: Mesh) -> None:
+    w = files.GlbWriter()
+    attributes = {
+        "POSITION": w.accessor(printed_box.vertices[printed_box.faces].reshape(-1, 3).astype("<f4"), "VEC3"),
+        "TEXCOORD_0": w.accessor(printed_box.uv.reshape(-1, 2).astype("<f4"), "VEC2"),
+    }
+    index = w.mesh(attributes, material=0)
+    files.write_png(tmp_path / "my print.png", printed_box.texture)
+    tree = {k: w.tree[k] for k in ("asset", "bufferViews", "accessors", "meshes")}
+    tree |= {"images": [{"uri": "my%20print.png"}], "textures": [{"source": 0}]}
+    tree |= {"materials": [{"pbrMetallicRoughness": {"baseColorTexture": {"index": 0}}}]}
+    tree |= {"nodes": [{"mesh": index}], "scenes": [{"nodes": [0]}]}
+    inline = "data:application/octet-stream;base64," + base64.b64encode(w.chunk).decode()
+    (tmp_path / "m.bin").write_bytes(w.chunk)
+    for uri in ("m.bin", inline):
+        (tmp_path / "m.gltf").write_text(json.dumps(tree | {"buffers": [{"uri": uri}]}))
+        assert_same(read_mesh(tmp_path / "m.gltf"), printed_box)
+    (tmp_path / "m.gltf").write_text(json.dumps(tree | {"buffers": [{"uri": "gone.bin"}]}))
+    with pytest.raises(InputError, match=r"gone.bin: found no such file; expected the buffer, which m.gltf"):
+        read_mesh(tmp_path / "m.gltf")

@@ -1,0 +1,105 @@
+"""Whatever has colours becomes one texture that shows them."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from huepose.geometry import Camera, Mesh, se3
+from huepose.onboarding.meshes import read_mesh
+from huepose.rendering.render import render
+from tests.onboarding import mesh_files as files
+from tests.onboarding import solids
+from tests.onboarding.mesh_checks import assert_well_formed, colors_at
+
+CAMERA = Camera(600.0, 600.0, 159.5, 119.5, 320, 240)
+
+
+def test_faces_without_texture_coordinates(tmp_path: Path) -> None:
+    head = "v 0 0 0 1 0 0\nv 30 0 0 0 1 0\nv 0 30 0 0 0 1\nv 0 0 30 1 1 1\n"
+    (tmp_path / "m.obj").write_text(head + "vn 0 0 1\nf 1//1 2//1 3//1\nf 1 2 4\n")
+    mesh = read_mesh(tmp_path / "m.obj")
+    np.testing.assert_allclose(colors_at(mesh)[0], [127.5, 76.5, 51], atol=1.5)
+    np.testing.assert_allclose(colors_at(mesh)[1], [178.5, 127.5, 51], atol=1.5)
+
+
+@pytest.mark.parametrize("count", [1, 2, 12, 500, 20_000])
+def test_colors_of_vertices_are_baked_exactly(tmp_path: Path, count: int) -> None:
+    rng = np.random.default_rng(count)
+    vertices = rng.uniform(-50, 50, (3 * count, 3))
+    colors = rng.integers(86, 170, (3 * count, 3))  # where patches are small, starker contrasts are clipped
+    files.write_colored_ply(
+        tmp_path / "m.ply", vertices, colors, np.arange(3 * count).reshape(-1, 3).tolist()
+    )
+    mesh = read_mesh(tmp_path / "m.ply")
+    assert_well_formed(mesh)
+    assert max(mesh.texture.shape) <= 1024
+    for weights in ((0.5, 0.3, 0.2), (1.0, 0.0, 0.0), (0.0, 0.0, 1.0), (0.1, 0.8, 0.1)):
+        expected = np.einsum("k,fkc->fc", np.array(weights), colors.reshape(-1, 3, 3))
+        np.testing.assert_allclose(colors_at(mesh, weights), expected, atol=1.5)
+
+
+def test_several_materials_become_one_texture(tmp_path: Path) -> None:
+    text = "mtllib m.mtl\nv 0 0 0\nv 60 0 0\nv 0 60 0\nv 0 0 60\nvt 0 0\nvt 1 0\nvt 0 1\n"
+    text += "usemtl red\nf 1/1 2/2 3/3\nusemtl plain\nf 1 2 4\nusemtl blue\nf 1/1 3/2 4/3\n"
+    (tmp_path / "m.obj").write_text(text)
+    maps = "newmtl red\nmap_Kd red.png\nnewmtl plain\nKd 0 1 0\nnewmtl blue\nmap_Kd -clamp on blue.png\n"
+    (tmp_path / "m.mtl").write_text(maps)
+    files.write_png(tmp_path / "red.png", np.full((700, 900, 3), (200, 10, 10), np.uint8))
+    files.write_png(tmp_path / "blue.png", np.full((800, 300, 3), (10, 10, 200), np.uint8))
+    mesh = read_mesh(tmp_path / "m.obj")
+    assert_well_formed(mesh)
+    assert max(mesh.texture.shape) <= 1024
+    for weights in ((1.0, 0, 0), (0.3, 0.3, 0.4), (0, 0, 1.0)):
+        expected = [[200, 10, 10], [0, 255, 0], [10, 10, 200]]
+        np.testing.assert_allclose(colors_at(mesh, weights), expected, atol=2)
+
+
+@pytest.mark.parametrize("materials", [1, 3])
+def test_what_has_colours_and_no_texture_is_drawn_in_them(tmp_path: Path, materials: int) -> None:
+    """Near by and from so far away that the coarsest levels of the texture are read."""
+    colors = [(51, 76, 204), (230, 26, 26), (26, 204, 51)][:materials]
+    lines = ["mtllib m.mtl"]
+    for k in range(materials):
+        # A fan of small triangles for each, side by side.
+        x, start = 0.05 * k, 42 * k + 1
+        lines += [f"usemtl m{k}", f"v {x:g} 0 0"]
+        lines += [f"v {x + 0.02 * np.cos(a):g} {0.02 * np.sin(a):g} 0" for a in np.linspace(0, 2 * np.pi, 41)]
+        lines += [f"f {start} {start + i + 1} {start + i}" for i in range(1, 41)]
+    (tmp_path / "m.obj").write_text("\n".join(lines))
+    kinds = [f"newmtl m{k}\nKd {r / 255} {g / 255} {b / 255}\n" for k, (r, g, b) in enumerate(colors)]
+    (tmp_path / "m.mtl").write_text("".join(kinds))
+    mesh = read_mesh(tmp_path / "m.obj", "m")
+    for distance_m in (0.5, 4.0):
+        T = se3.make(np.eye(3), np.array([0.0, 0.0, distance_m]))
+        picture = render([(mesh, T)], CAMERA)
+        pixels = np.rint(CAMERA.project(se3.apply(T, [[0.05 * k, 0.0, 0.0] for k in range(materials)])))
+        seen = [picture.color[int(v), int(u)] for u, v in pixels]
+        np.testing.assert_allclose(np.array(seen), colors, atol=3)
+
+
+def test_large_textures_are_reduced_without_their_background(tmp_path: Path) -> None:
+    mesh = solids.box((0.08, 0.06, 0.04))
+    uv = (0.3 + 0.4 * mesh.uv).astype(np.float32)  # the texture fills the middle; round it lies magenta
+    size = 2560
+    picture = np.full((size, size, 3), (255, 0, 255), np.uint8)
+    a, b = int(0.3 * size), int(0.7 * size)
+    picture[a - 1 : b + 1, a - 1 : b + 1] = (20, 140, 60)
+    files.write_obj(tmp_path / "m.obj", Mesh(mesh.vertices, mesh.faces, uv, picture))
+    read = read_mesh(tmp_path / "m.obj")
+    assert read.texture.shape == (1024, 1024, 3)
+    assert np.abs(read.texture.astype(int) - [20, 140, 60]).max() <= 2
+
+
+def test_textures_that_repeat_are_unrolled(tmp_path: Path) -> None:
+    picture = np.zeros((32, 32, 3), np.uint8)
+    picture[:, :16] = 200
+    mesh = solids.box((0.08, 0.06, 0.04))
+    uv = np.tile(np.array([[-1, 3], [1, 3], [1, 4]], np.float32), (12, 1, 1))
+    files.write_obj(tmp_path / "m.obj", Mesh(mesh.vertices, mesh.faces, uv, picture))
+    read = read_mesh(tmp_path / "m.obj")
+    assert_well_formed(read)
+    for u, value in ((0.1, 200), (0.4, 0), (0.6, 200), (0.9, 0)):
+        np.testing.assert_allclose(colors_at(read, (1 - u, u, 0))[0], value, atol=1)

@@ -1,0 +1,44 @@
+"""In which unit a mesh is: told by its size, by the format or by the user."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from huepose.onboarding.meshes import Unit, read_mesh
+from huepose.support.errors import InputError
+from tests.onboarding import mesh_files as files
+from tests.onboarding import solids
+
+
+@pytest.mark.parametrize(("size", "expected"), [(0.2, 0.2), (200.0, 0.2), (1.5, 1.5), (15.0, 0.015)])
+def test_units_are_found_where_the_size_tells(tmp_path: Path, size: float, expected: float) -> None:
+    files.write_obj(tmp_path / "m.obj", solids.box((1.0, 0.5, 0.5)), scale=size)
+    np.testing.assert_allclose(np.ptp(read_mesh(tmp_path / "m.obj").vertices[:, 0]), expected, rtol=1e-5)
+
+
+@pytest.mark.parametrize(("unit", "metres"), [("mm", 0.015), ("cm", 0.15), ("in", 0.381)])
+def test_what_the_size_does_not_tell_can_be_said(tmp_path: Path, unit: Unit, metres: float) -> None:
+    files.write_obj(tmp_path / "m.obj", solids.box((15.0, 8.0, 6.0)), scale=1.0)
+    assert np.ptp(read_mesh(tmp_path / "m.obj", unit).vertices[:, 0]) == pytest.approx(metres)
+
+
+@pytest.mark.parametrize(("size", "unit"), [(5.0, None), (0.2, "mm"), (200.0, "m"), (4000.0, None)])
+def test_implausible_sizes_are_refused_with_both_readings(
+    tmp_path: Path, size: float, unit: str | None
+) -> None:
+    files.write_obj(tmp_path / "m.obj", solids.box((1.0, 0.5, 0.5)), scale=size)
+    with pytest.raises(InputError, match=r"if it is in m or .* if it is in mm.*--unit") as caught:
+        read_mesh(tmp_path / "m.obj", unit)
+    assert "m.obj" in str(caught.value)
+
+
+def test_gltf_is_metres_unless_told(tmp_path: Path) -> None:
+    files.write_glb(tmp_path / "m.glb", solids.box((80.0, 60.0, 40.0)))
+    with pytest.raises(InputError, match=r"80 m if it is in m or 8 cm if it is in mm.*Give --unit mm"):
+        read_mesh(tmp_path / "m.glb")
+    np.testing.assert_allclose(
+        np.ptp(read_mesh(tmp_path / "m.glb", "mm").vertices, axis=0), [0.08, 0.06, 0.04]
+    )

@@ -6,7 +6,6 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from huepose.believe.covariance import covariance
 from huepose.believe.quality import QualityFit, QualityTerms
 from huepose.estimation.config import ConfirmConfig
 from huepose.estimation.explanation import Explanation
@@ -22,7 +21,7 @@ from huepose.judge.silhouette import projected_box, visible_mask
 from huepose.judge.terms import score as dense_score
 from huepose.judge.texture_evidence import texture_evidence
 from huepose.model.types import ReferenceModel
-from huepose.refine.final import final_refinement
+from huepose.refine.final import covariance, final_refinement
 from huepose.refine.scale import scale_residual
 from huepose.select.distinct import different_answers
 from huepose.select.ranked import NONE, Ranked

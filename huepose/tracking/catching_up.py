@@ -83,7 +83,7 @@ class Pursuit:
             ahead = _next(reached, kept, self._config.catch_up_stride)
             apart_ns = max(apart_ns, ahead.stamp_ns - reached.stamp_ns)
         normal_ns = self._config.catch_up_stride * _interval_ns(kept, self._config.catch_up_stride)
-        return self._config.search and apart_ns > SLACK * normal_ns
+        return apart_ns > SLACK * normal_ns
 
     def _remember(self, frame: RgbdFrame) -> None:
         T = self.track.T_cam_obj

@@ -22,13 +22,12 @@ class TrackerConfig:
     Looking further (totals of the judge, 0 to 1.9). doubtful_total: a pose that explains less is looked into;
     doubt: so is one this much under its baseline, long_doubt: after more than long_step_s, when flow finds
     too little and there is time for a search, as there is when it moved by more than surprising_m; hidden:
-    share of the surface behind something from which there is nothing to look for. search: whether the tracker
-    may look for an object on its own; max_search_m_s, max_search_rad_s: the fastest motion that the search
-    covers; tries_per_s: how many dear proposals (optical flow, a search or a part of a wide one,
-    near-symmetric rotations) all objects together may make in a second of the frames' time, None for as many
-    as they need. They cost 10 to 30 ms each, and a live step that takes longer than its frame makes the next
-    one larger: so many take half of the time, and a step that is late is not given more than a third of a
-    second's. flow: where optical flow comes from."""
+    share of the surface behind something from which there is nothing to look for. max_search_m_s,
+    max_search_rad_s: the fastest motion that the search covers; tries_per_s: how many dear proposals (optical
+    flow, a search or a part of a wide one, near-symmetric rotations) all objects together may make in a
+    second of the frames' time, None for as many as they need. They cost 10 to 30 ms each, and a live step
+    that takes longer than its frame makes the next one larger: so many take half of the time, and a step that
+    is late is not given more than a third of a second's. flow: where optical flow comes from."""
 
     history_frames: int = 20
     older_frames: int = 24
@@ -44,7 +43,6 @@ class TrackerConfig:
     long_step_s: float = 0.1
     surprising_m: float = 0.03
     hidden: float = 0.6
-    search: bool = True
     tries_per_s: float | None = 15.0
     max_search_m_s: float = 0.8
     max_search_rad_s: float = 7.0

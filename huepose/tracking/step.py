@@ -184,7 +184,7 @@ def advance(
             wanted = seen and (doubtful or uneasy)
         else:
             wanted = doubtful or (rung == NEAR and uneasy and not back)
-        if not wanted or not (config.search or rung == FLOW):
+        if not wanted:
             rung += 1
             continue
         left = tries - tried
@@ -245,7 +245,6 @@ def flow_start(
     expected: Float64,
     relative_pose: RelativePose,
     flow_source: optical_flow.FlowSource = optical_flow.compute,
-    use_pairs: bool = True,
 ) -> Float64 | None:
     """The pose that optical flow from the anchor's frame gives: flow on the region of the old and the
     expected outline, matches filtered by mask and colour pairs, lifted, and a relative pose. None where it
@@ -261,7 +260,7 @@ def flow_start(
     mask = anchor.mask
     if mask is None:
         mask = visible_within(subject.mesh, T_last, anchor.frame, old)
-    matches = match(anchor.frame.color, frame.color, mask, flow, use_pairs)
+    matches = match(anchor.frame.color, frame.color, mask, flow)
     motion = relative_pose.estimate(lift_matches(anchor.frame, frame, matches))
     return None if motion is None else se3.compose(motion.T_b_a, T_last)
 
@@ -310,7 +309,7 @@ def found_nearby(
     """A pose of a frame settled on that frame, or on one that was taken so many seconds before or after:
     there the object is searched for, if it is not found where it was; and how many searches that took."""
     best = best_of(surface, frame, [(T_cam_obj, "correction")])
-    if apart_s == 0.0 or not config.search or convincing(best, None, config.doubt, config):
+    if apart_s == 0.0 or convincing(best, None, config.doubt, config):
         return best, 0
     reach, _ = reaches(surface, T_cam_obj, None, T_cam_obj, apart_s, config)
     found = search(surface, frame, reach, NORMAL_EFFORT, None)

@@ -11,6 +11,7 @@ from huepose.believe.logistic import probability
 from huepose.geometry import se3
 from huepose.geometry.arrays import Bool, Float64
 from huepose.geometry.frame import RgbdFrame
+from huepose.geometry.uncertainty import grown
 from huepose.judge.borders import outline
 from huepose.judge.terms import NOTHING, Terms
 from huepose.propose.relative_pose import RelativePose
@@ -26,7 +27,7 @@ from huepose.tracking.reach import jump_odds, most_turned
 from huepose.tracking.rival import COSTS, Facing, alike, best_rival, reached
 from huepose.tracking.step import END, FLOW, Advance, Anchor, Subject, advance, found_nearby, unmoved
 from huepose.tracking.types import State, TrackedPose
-from huepose.tracking.uncertainty import covariance, spread_m, unseen
+from huepose.tracking.uncertainty import covariance, spread_m
 
 COASTING_SEEN = 0.15
 """With less of the surface confirmed, the prediction is better than what was refined on it."""
@@ -364,7 +365,7 @@ class Track:
             T = predicted(before.T_cam_obj, before.velocity, seconds)
         self.hypotheses = (replace(first, T_cam_obj=T, velocity=velocity), *self.hypotheses[1:])
         if self.covariance is not None:
-            self.covariance = unseen(self.covariance, seconds)
+            self.covariance = grown(self.covariance, seconds)
 
     def _judge(self) -> None:
         identity = 0.0 if self._identity is None else self._identity.value

@@ -11,7 +11,6 @@ import numpy as np
 
 from huepose.geometry.arrays import Float32, Float64
 from huepose.geometry.depth_noise import depth_noise_m
-from huepose.geometry.uncertainty import grown
 
 RESIDUALS_PER_READING = 12.0
 """This many residuals are worth one independent one."""
@@ -31,11 +30,6 @@ def covariance(information: Float64, distance_m: float) -> Float64:
     bias = BIAS_SHARE * depth_noise_m(distance_m)
     floor = FLOOR_SIGMA**2 + np.array([0.0, 0.0, bias**2, 0.0, 0.0, 0.0])
     return np.asarray(independent + np.diag(floor))
-
-
-def unseen(before: Float64, seconds: float) -> Float64:
-    """Covariance of a pose that was only predicted over an interval."""
-    return grown(before, seconds)
 
 
 def spread_m(covariance: Float64, T_cam_obj: Float64, points_obj: Float32) -> float:

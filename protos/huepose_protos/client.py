@@ -12,7 +12,6 @@ import queue
 import time
 from collections.abc import Sequence
 from pathlib import Path
-from types import TracebackType
 
 import zenoh
 
@@ -177,10 +176,5 @@ class Reader:
     def __enter__(self) -> Reader:
         return self
 
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
+    def __exit__(self, *error: object) -> None:
         self.close()

@@ -9,6 +9,7 @@ import pytest
 
 from huepose.believe.logistic import probability
 from huepose.geometry import Camera, se3
+from huepose.geometry.uncertainty import grown
 from huepose.judge.silhouette import silhouette_iou, visible_within
 from huepose.judge.surface import PreparedSurface
 from huepose.judge.terms import NOTHING, Terms
@@ -26,7 +27,7 @@ from huepose.tracking.evidence import (
     scarce,
 )
 from huepose.tracking.identity import Identity
-from huepose.tracking.uncertainty import covariance, unseen
+from huepose.tracking.uncertainty import covariance
 
 GOOD = Terms(
     total=1.5, depth_fit=0.85, coverage=0.0, violation=0.0, color=0.7, occluded=0.0, seen=0.9, box_iou=0.0,
@@ -204,6 +205,6 @@ def test_covariance_follows_information_and_grows_unseen() -> None:
     assert np.sqrt(weak[5, 5]) > 0.2, "a turn that nothing fixes"
     assert covariance(np.zeros((6, 6)), 0.6)[0, 0] == pytest.approx(0.05**2, rel=1e-2)
     assert strong[2, 2] < covariance(np.diag([1e9] * 3 + [1e6] * 3), 1.5)[2, 2], "far away is less exact"
-    later = unseen(strong, 0.2)
+    later = grown(strong, 0.2)
     assert (np.diag(later) > np.diag(strong)).all()
     assert np.linalg.eigvalsh(later).min() > 0

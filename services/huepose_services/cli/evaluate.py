@@ -116,8 +116,6 @@ def _add_perception(verbs: Any) -> None:
     _common(parser)
     _objects(parser)
     _profile(parser)
-    parser.add_argument("--detector", choices=("colorpair",), default="colorpair")
-    parser.add_argument("--segmenter", choices=("depth",), default="depth")
     parser.add_argument(
         "--proposals",
         type=int,

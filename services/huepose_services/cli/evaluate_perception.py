@@ -49,11 +49,7 @@ def call(arguments: argparse.Namespace) -> int:
         on_frame=None if pictures is None else pictures.frame,
     )
     record = result.as_json(arguments.proposals)
-    record["summary"] |= {
-        "detector": arguments.detector,
-        "segmenter": arguments.segmenter,
-        "profile": arguments.profile,
-    }
+    record["summary"] |= {"detector": "colorpair", "segmenter": "depth", "profile": arguments.profile}
     write_json(arguments.json, record | {"origin": origin()})
     print(_report(record["summary"]))
     return 0

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from huepose.believe.covariance import PoseNoise, covariance
+from huepose.refine.final import PoseNoise, covariance
 from huepose.refine.point_to_plane import Alignment
 
 NOISE = PoseNoise()

@@ -89,7 +89,7 @@ def main() -> None:
         lines = {name: tuple(np.array(points).T) for name, points in curves.items()}
         write_picture(
             arguments.out / f"{axis}.png",
-            line_plot(lines, "", x_label, y_label, marks=True),  # type: ignore[arg-type]
+            line_plot(lines, "", x_label, y_label, marks=True),
         )
         for name, points in curves.items():
             ends = " to ".join(f"{x:g}" for x, _ in (points[0], points[-1]))
@@ -154,7 +154,7 @@ def tracked_ms(models: Models, count: int, camera: Camera = CAMERA) -> float:
     for k, (name, model) in enumerate(islice(models.items(), count)):
         tracker.correct(Correction.first(name, truth(model, k, 0, count), first))
     frames = (picture(models, count, i, camera) for i in range(FRAMES))
-    return median_ms([lambda f=f: tracker.step(f) for f in frames])  # type: ignore[misc]
+    return median_ms([lambda f=f: tracker.step(f) for f in frames])
 
 
 def estimated_ms(models: Models, count: int, camera: Camera = CAMERA) -> float:
@@ -174,7 +174,7 @@ def detected_ms(models: Models, asked: int, in_view: int, camera: Camera = CAMER
     detector = ColorPairDetector(models, profile("live").detector)
     absent = list(models)[-asked:]
     frames = [picture(models, in_view, i, camera) for i in range(8)]
-    return median_ms([lambda f=f: detector.detect(f, absent) for f in frames])  # type: ignore[misc]
+    return median_ms([lambda f=f: detector.detect(f, absent) for f in frames])
 
 
 def median_ms(works: Sequence[Callable[[], object]]) -> float:

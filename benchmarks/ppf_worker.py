@@ -41,7 +41,7 @@ def main() -> None:
 def _pose(detector: object, model: np.ndarray, scene: np.ndarray) -> tuple[np.ndarray, float] | None:
     """T_cam_obj (4, 4) in mm and the residual of the best of five hypotheses after ICP."""
     try:
-        hypotheses = list(detector.match(scene, 1.0 / 5.0, SAMPLING / 2))[:5]  # type: ignore[attr-defined]
+        hypotheses = list(detector.match(scene, 1.0 / 5.0, SAMPLING / 2))[:5]
     except cv2.error:
         return None
     if not hypotheses:

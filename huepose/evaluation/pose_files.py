@@ -80,14 +80,3 @@ def read_dope_poses(path: Path | str, name: str) -> PoseTable:
             if np.isfinite(T_cam_nvdu).all()
         }
     )
-
-
-def read_nvdu_frames(path: Path | str) -> dict[str, Float64]:
-    """`T_nvdu_posecnn` (4, 4) by object name, of `posecnn_to_dope_R` (3, 3) and `posecnn_to_dope_t_m` (3,).
-    Raises InputError."""
-    frames = {}
-    for name, entry in files.read_json(Path(path)).items():
-        where = f"{path}, '{name}'"
-        R = files.numbers(entry, "posecnn_to_dope_R", (3, 3), where)
-        frames[name] = files.rigid(R, files.numbers(entry, "posecnn_to_dope_t_m", (3,), where), where)
-    return frames

@@ -1,7 +1,8 @@
 """The surface samples of a reference model with their colours at three scales, for regions without a mask.
 
 The samples are in random order and the lists of visible samples are increasing, so the first n of a list are
-an even, sparser cover of what is seen: cheap scores read few, refinement reads more.
+an even, sparser cover of what is seen: cheap scores read few, refinement reads more. What the judge says of
+poses of it in an open region: closely of one (`look`), quickly of many (`totals`).
 """
 
 from __future__ import annotations
@@ -15,8 +16,12 @@ from huepose.geometry.arrays import Float, Float32, Float64, Int32
 from huepose.geometry.box import Box
 from huepose.geometry.camera import Camera
 from huepose.judge.arrays import ModelArrays, model_arrays
-from huepose.judge.open_region import SCALES_M
+from huepose.judge.open_region import SCALES_M, OpenRegion
+from huepose.judge.terms import Terms, score_arrays
 from huepose.model.types import ReferenceModel
+
+SAMPLES = 400
+"""Surface samples of a close look."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -88,3 +93,23 @@ def _averaged(points: Float32, normals: Float32, colors: Float32, have_m: float,
     return np.stack([np.bincount(i, w * colors[j, c], len(points)) / total for c in range(3)], 1).astype(
         np.float32
     )
+
+
+def look(surface: PreparedSurface, region: OpenRegion, T_cam_obj: Float64) -> Terms:
+    """Look at a pose (4, 4) closely."""
+    terms = score_arrays(surface.arrays, region.arrays, np.asarray(T_cam_obj)[None], SAMPLES)[0]
+    return Terms(*(float(x) for x in terms))
+
+
+def totals(
+    surface: PreparedSurface,
+    region: OpenRegion,
+    poses: Float64,
+    samples: int,
+    tolerance_m: float | None = None,
+) -> Float64:
+    """Totals (K,) of poses (K, 4, 4) by few samples and the coarser colours, whose basins are wide."""
+    arrays = region.blunt()
+    if tolerance_m is not None:
+        arrays = arrays._replace(tolerance=tolerance_m)
+    return np.asarray(score_arrays(surface.arrays, arrays, poses, samples)[:, 0])

@@ -16,12 +16,11 @@ from huepose.geometry import se3
 from huepose.geometry.arrays import Float64
 from huepose.geometry.frame import RgbdFrame
 from huepose.judge.open_region import OpenRegion
-from huepose.judge.surface import PreparedSurface
+from huepose.judge.surface import SAMPLES, PreparedSurface
 from huepose.judge.terms import score_arrays
 from huepose.refine.photometric import COARSE, refine_all
 from huepose.tracking.evidence import RIGHT, odds_of
 from huepose.tracking.hypothesis import Hypothesis, same_pose
-from huepose.tracking.look import SAMPLES
 from huepose.tracking.step import Subject, best_of, region_of
 
 SHARPNESS = 12.0

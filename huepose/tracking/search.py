@@ -20,12 +20,11 @@ from huepose.geometry.arrays import Float64
 from huepose.geometry.box import Box
 from huepose.geometry.frame import RgbdFrame
 from huepose.judge.open_region import OpenRegion, open_region
-from huepose.judge.surface import PreparedSurface
+from huepose.judge.surface import PreparedSurface, totals
 from huepose.judge.terms import score_arrays
 from huepose.propose.hue_map import averaged, hue_map
 from huepose.refine.photometric import COARSE, FINE, QUICK, refine, refine_all
 from huepose.select.distinct import first_different
-from huepose.tracking.look import totals
 from huepose.tracking.reach import Reach
 
 POSITION_SAMPLES, ROTATION_SAMPLES, POSE_SAMPLES = 60, 100, 250

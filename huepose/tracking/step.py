@@ -20,7 +20,7 @@ from huepose.geometry.mesh import Mesh
 from huepose.judge.borders import Contours
 from huepose.judge.open_region import OpenRegion, open_region
 from huepose.judge.silhouette import visible_within
-from huepose.judge.surface import PreparedSurface
+from huepose.judge.surface import PreparedSurface, look, totals
 from huepose.judge.terms import NOTHING
 from huepose.model.types import ReferenceModel
 from huepose.propose import flow as optical_flow
@@ -30,7 +30,6 @@ from huepose.refine.photometric import FINE, refine
 from huepose.tracking.config import TrackerConfig
 from huepose.tracking.evidence import RIGHT
 from huepose.tracking.hypothesis import Hypothesis
-from huepose.tracking.look import look, totals
 from huepose.tracking.motion import predicted
 from huepose.tracking.reach import reaches
 from huepose.tracking.search import GREAT_EFFORT, NORMAL_EFFORT, PARTS, search

@@ -13,7 +13,6 @@ from huepose.evaluation.bop_csv import BopResult, read_bop_csv, write_bop_csv
 from huepose.evaluation.equivalents import read_equivalents
 from huepose.evaluation.pose_files import (
     read_dope_poses,
-    read_nvdu_frames,
     read_pose_csv,
 )
 from huepose.evaluation.result_files import plain, write_json
@@ -128,14 +127,6 @@ def test_dope_poses_are_taken_through_both_frames(tmp_path: Path) -> None:
     np.testing.assert_allclose(
         se3.apply(table.pose(1, "box", None), point_posecnn + offset), expected, atol=1e-9
     )
-
-
-def test_nvdu_frames(tmp_path: Path) -> None:
-    path = tmp_path / "nvdu.json"
-    entry = {"posecnn_to_dope_R": T[:3, :3].tolist(), "posecnn_to_dope_t_m": [0.1, 0.2, 0.3]}
-    path.write_text(json.dumps({"box": entry}))
-    expected = se3.make(T[:3, :3], [0.1, 0.2, 0.3])
-    np.testing.assert_allclose(read_nvdu_frames(path)["box"], expected, atol=1e-12)
 
 
 def test_equivalents(tmp_path: Path) -> None:

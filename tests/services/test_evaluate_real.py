@@ -6,6 +6,7 @@ import json
 import struct
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
 
 import cv2
 import numpy as np
@@ -14,6 +15,7 @@ import pytest
 from huepose.evaluation.bop_csv import read_bop_csv
 from huepose.geometry import RgbdFrame, se3
 from huepose.model import save_model
+from huepose_services.cli import pose_tables
 from huepose_services.cli.main import main
 
 OFFSET_M = np.array([0.01, -0.02, 0.005])
@@ -117,13 +119,11 @@ def test_tracking_alone_and_with_late_results(bundles: Path, sequence: Path, tmp
 
 
 def test_poses_of_a_file_start_the_tracker_in_either_frame(
-    bundles: Path, sequence: Path, shots, tmp_path: Path
+    bundles: Path, sequence: Path, shots, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     T = shots[0][1]
     R, t = se3.rotation_exp([0.5, -1.0, 0.2]), np.array([0.01, 0.0, -0.03])
-    nvdu = tmp_path / "nvdu.json"
-    entry = {"posecnn_to_dope_R": R.tolist(), "posecnn_to_dope_t_m": t.tolist()}
-    nvdu.write_text(json.dumps({"tea_box": entry}))
+    monkeypatch.setattr(pose_tables, "ycb_named", lambda name: SimpleNamespace(T_nvdu_posecnn=se3.make(R, t)))
     T_cam_nvdu = T @ se3.make(np.eye(3), OFFSET_M) @ se3.inverse(se3.make(R, t))
     w = se3.rotation_log(T_cam_nvdu)
     dope, table = tmp_path / "poses.txt", tmp_path / "tea_box_real.csv"
@@ -138,7 +138,7 @@ def test_poses_of_a_file_start_the_tracker_in_either_frame(
     posecnn.write_text(" ".join(f"{v:.9f}" for v in row))
     ways = [
         ["--init", str(tmp_path)],
-        ["--init", str(dope), "--nvdu-frames", str(nvdu)],
+        ["--init", str(dope)],
         ["--init", str(posecnn)],
     ]
     command = ["eval", "track", "--fast-ycb", str(sequence), "--bundles", str(bundles)]
@@ -154,7 +154,6 @@ def test_poses_of_a_file_start_the_tracker_in_either_frame(
         (["--init", "nowhere.csv"], "nowhere.csv"),
         (["--delayed", "gt"], "--delayed"),
         (["--init", "gt", "--every", "0"], "--every"),
-        (["--init", "gt", "--nvdu-frames", "nowhere.json"], "nowhere.json"),
     ],
 )
 def test_wrong_usage_is_named(

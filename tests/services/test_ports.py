@@ -1,7 +1,6 @@
 import socket
 
-from huepose_services.runtime.ports import free_ports
-from huepose_services.runtime.run_folder import is_taken, make_folder
+from huepose_services.runtime.run_folder import free_ports, is_taken, make_folder
 
 
 def test_ports_that_somebody_has_are_passed_over(tmp_path, monkeypatch):

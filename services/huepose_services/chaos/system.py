@@ -34,7 +34,7 @@ from huepose_services.builtin import builtin_bundles
 from huepose_services.camera.faulty import Orders
 from huepose_services.convert import optional_pose_from_wire, pose_of
 from huepose_services.runtime.config import CHAIN, WORKERS
-from huepose_services.runtime.ports import free_ports
+from huepose_services.runtime.run_folder import free_ports
 from huepose_services.runtime.running import Pipeline, pick
 
 _OLD_CORRECTIONS = 400

@@ -163,15 +163,6 @@ def _add_track(verbs: Any) -> None:
     parser.add_argument(
         "--delayed", default=None, metavar="estimate|gt|DIR", help="the late results of roft (estimate)"
     )
-    parser.add_argument(
-        "--frame",
-        choices=("bop", "posecnn", "nvdu"),
-        default=None,
-        help="model frame of the files of poses (CSV: bop; poses_ycb.txt: posecnn; poses.txt: nvdu)",
-    )
-    _path(
-        parser, "--nvdu-frames", "FILE", "JSON of other NVDU model frames than those of YCB-Video's objects"
-    )
     _objects(parser)
     _seeds(parser)
     _path(parser, "--plots", "DIR", "curves and pictures")

@@ -49,7 +49,7 @@ def call(arguments: argparse.Namespace) -> int:
     estimator = Estimator(used, settings.estimator)
     if "estimate" in (names.init, names.delayed):
         estimator.warm_up()
-    tables = PoseTables(arguments.frame, arguments.nvdu_frames, used)
+    tables = PoseTables(used)
 
     def source(kind: str, scene: Scene, seed: int) -> PoseSource:
         if kind == "gt":

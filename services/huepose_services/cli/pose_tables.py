@@ -7,7 +7,7 @@ from pathlib import Path
 
 from huepose.datasets.fast_ycb import object_of
 from huepose.datasets.ycb_objects import T_posecnn_obj, ycb_named
-from huepose.evaluation.pose_files import PoseTable, read_dope_poses, read_nvdu_frames, read_pose_csv
+from huepose.evaluation.pose_files import PoseTable, read_dope_poses, read_pose_csv
 from huepose.evaluation.targets import posecnn_offset_m
 from huepose.geometry import se3
 from huepose.geometry.arrays import Float64
@@ -19,26 +19,23 @@ _FRAME_OF = {"poses_ycb.txt": "posecnn", "poses.txt": "nvdu"}
 
 
 class PoseTables:
-    """Finds and reads them. frame: `bop` (the reference models' own), `posecnn` or `nvdu`; None: told by the
-    file's name; nvdu_frames: a file with other NVDU frames than the known ones."""
+    """Finds and reads them, in the reference models' own frame. A CSV is in it; of DOPE's files the name
+    tells in which they are."""
 
-    def __init__(
-        self, frame: str | None, nvdu_frames: Path | None, models: Mapping[str, ReferenceModel]
-    ) -> None:
-        self._models, self._frame = models, frame
-        self._nvdu_frames = None if nvdu_frames is None else (nvdu_frames, read_nvdu_frames(nvdu_frames))
+    def __init__(self, models: Mapping[str, ReferenceModel]) -> None:
+        self._models = models
 
     def of(self, given: str, sequence: str) -> PoseTable:
         """The poses of a sequence. Raises InputError, listing where they were looked for."""
         path = self._find(Path(given), sequence)
-        table = read_pose_csv(path) if path.suffix == ".csv" else read_dope_poses(path, object_of(sequence))
-        frame = self._frame or ("bop" if path.suffix == ".csv" else _FRAME_OF.get(path.name))
-        if frame is None:
-            raise InputError(path, found="poses in DOPE's form", expected="--frame posecnn, nvdu or bop")
+        ours = path.suffix == ".csv"
+        table = read_pose_csv(path) if ours else read_dope_poses(path, object_of(sequence))
+        if not ours and path.name not in _FRAME_OF:
+            raise InputError(path, found="poses in DOPE's form", expected=f"a name of {', '.join(_FRAME_OF)}")
         shown = {name for model in self._models.values() for name in (model.name, str(model.object_id))}
         if not shown & {name for _, name in table.poses}:
             raise InputError(path, found=f"no pose of {', '.join(self._models)}", fix="Give another file.")
-        return table if frame == "bop" else table.moved(self._T_theirs_obj(frame, table))
+        return table if ours else table.moved(self._T_theirs_obj(_FRAME_OF[path.name], table))
 
     def _T_theirs_obj(self, frame: str, table: PoseTable) -> dict[str, Float64]:
         """By object as the table calls it, from the reference model's frame to the table's (4, 4)."""
@@ -52,7 +49,7 @@ class PoseTables:
 
     def _T_frame_obj(self, frame: str, model: ReferenceModel) -> Float64:
         offset_m = posecnn_offset_m(model)
-        fix = "Give poses in the reference model's frame, with --frame bop."
+        fix = "Give poses in the reference model's frame, as CSV."
         if offset_m is None:
             raise InputError(f"reference model '{model.name}'", found="no frame offset", fix=fix)
         T_posecnn = T_posecnn_obj(offset_m)
@@ -60,12 +57,8 @@ class PoseTables:
             return T_posecnn
         known = ycb_named(model.name)
         T_nvdu = None if known is None else known.T_nvdu_posecnn
-        where: object = "--frame nvdu"
-        if self._nvdu_frames is not None:
-            where, frames = self._nvdu_frames
-            T_nvdu = frames.get(model.name)
         if T_nvdu is None:
-            raise InputError(where, found=f"no frame of '{model.name}'", fix=fix)
+            raise InputError("NVDU's model frames", found=f"none of '{model.name}'", fix=fix)
         return se3.compose(T_nvdu, T_posecnn)
 
     @staticmethod

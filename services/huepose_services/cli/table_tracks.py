@@ -157,7 +157,7 @@ class _Tracking:
         if kind == "gt":
             return TruthSource()
         if kind == "dope":
-            tables = PoseTables(None, None, {object_of(scene.name): self.models[object_of(scene.name)]})
+            tables = PoseTables({object_of(scene.name): self.models[object_of(scene.name)]})
             return FileSource(tables.of(str(self.paths[scene.name].parent), scene.name))
         if self.estimator is None:
             self.estimator = Estimator(self.models, profile(self.arguments.profile).estimator)

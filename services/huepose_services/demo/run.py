@@ -23,7 +23,7 @@ from huepose_services.demo.score import Score, Yardstick
 from huepose_services.demo.table import Table
 from huepose_services.runtime.clock import SECOND, now_ns
 from huepose_services.runtime.config import WORKERS, Config, load
-from huepose_services.runtime.ports import free_ports
+from huepose_services.runtime.run_folder import free_ports
 from huepose_services.runtime.running import described, noted
 from huepose_services.runtime.supervisor import Supervisor
 

@@ -55,7 +55,8 @@ def layout() -> Any:
         name="Quality",
         origin=QUALITY,
         axis_y=rrb.ScalarAxis(range=(0.0, 1.05)),
-        plot_legend=rrb.PlotLegend(visible=False),
+        # Where the lines of objects that are tracked are not.
+        plot_legend=rrb.PlotLegend(corner=rrb.Corner2D.LeftBottom),
         time_ranges=recent,
     )
     latency = rrb.TimeSeriesView(

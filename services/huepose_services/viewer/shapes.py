@@ -95,6 +95,13 @@ def drawable(mesh: Mesh) -> Drawable:
     )
 
 
+def yuv(color: UInt8) -> tuple[bytes, int, int]:
+    """Planes Y, U and V of a picture (H, W, 3), the last two at half its size: half the bytes; and width and
+    height of the first, which are even."""
+    height, width = color.shape[0] // 2 * 2, color.shape[1] // 2 * 2
+    return cv2.cvtColor(color[:height, :width], cv2.COLOR_RGB2YUV_I420).tobytes(), width, height
+
+
 def halved(depth: UInt16) -> UInt16:
     """Every other pixel of a depth image."""
     return np.ascontiguousarray(depth[::2, ::2])

@@ -6,7 +6,6 @@ from collections import deque
 from collections.abc import Mapping
 from typing import Any
 
-import cv2
 import numpy as np
 
 from huepose.geometry import Camera
@@ -24,6 +23,7 @@ from huepose_services.viewer.shapes import (
     halved,
     outlines,
     turned,
+    yuv,
 )
 
 STATE_COLOURS: dict[StateName, tuple[int, int, int]] = {
@@ -45,7 +45,6 @@ _PALETTE = (
     (170, 220, 110),
 )
 _TRAIL = 90
-_JPEG_QUALITY = 85
 _CLOUD_STRIDE = 3
 Instance = tuple[str, int]
 
@@ -83,7 +82,7 @@ class Show:
         return _PALETTE[number % len(_PALETTE)]
 
     def frame(self, header: FrameHeader, color: Array, depth: Array, with_cloud: bool) -> None:
-        """Colour as JPEG, every other pixel of depth, and now and then the point cloud."""
+        """Colour, every other pixel of depth, and now and then the point cloud."""
         import rerun as rr
 
         camera = camera_from_wire(header.intrinsics)
@@ -96,9 +95,12 @@ class Show:
                 image_plane_distance=0.15,
             )
             self._log(place.CAMERA, pinhole, static=True)
-        bgr = cv2.cvtColor(color, cv2.COLOR_RGB2BGR)
-        _, jpeg = cv2.imencode(".jpg", bgr, [cv2.IMWRITE_JPEG_QUALITY, _JPEG_QUALITY])
-        self._log(place.COLOR, rr.EncodedImage(contents=jpeg.tobytes(), media_type="image/jpeg"))
+        planes, width, height = yuv(color)
+        # Not JPEG: a busy browser decodes that later than it draws what belongs on it.
+        picture = rr.Image(
+            bytes=planes, width=width, height=height, pixel_format=rr.PixelFormat.Y_U_V12_LimitedRange
+        )
+        self._log(place.COLOR, picture)
         if with_cloud:
             scale_m = header.intrinsics.depth_scale_m
             small = halved(depth)

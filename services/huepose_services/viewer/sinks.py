@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import socket
+from datetime import timedelta
 from pathlib import Path
 from typing import Any
 
@@ -12,6 +13,8 @@ from huepose_services.runtime.config import ViewerConfig
 from huepose_services.viewer.blueprint import layout
 
 _NAME = "huepose"
+_BATCH = timedelta(seconds=0.1)
+"""What is sent together. Row by row, as rerun does by itself, a slow page never catches up."""
 
 
 def _recording() -> Any:
@@ -26,7 +29,7 @@ def _recording() -> Any:
             expected="the extra `viewer`",
             fix="Install it with: pip install 'huepose[viewer]'.",
         ) from None
-    return rr.RecordingStream(_NAME)
+    return rr.RecordingStream(_NAME, batcher_config=rr.ChunkBatcherConfig(flush_tick=_BATCH))
 
 
 def served(config: ViewerConfig) -> tuple[Any, str]:
@@ -43,7 +46,8 @@ def served(config: ViewerConfig) -> tuple[Any, str]:
     host = "127.0.0.1" if config.bind == "127.0.0.1" else socket.gethostname()
     source = f"rerun+http://{host}:{config.grpc_port}/proxy"
     rr.serve_web_viewer(web_port=config.web_port, open_browser=False, connect_to=source)
-    return recording, f"http://{host}:{config.web_port}/?url={source.replace('+', '%2B')}"
+    # Dark, since the colours of states are made for it; a browser would take its own.
+    return recording, f"http://{host}:{config.web_port}/?url={source.replace('+', '%2B')}&theme=dark"
 
 
 def _check_free(name: str, port: int, bind: str) -> None:

@@ -1,5 +1,6 @@
 """What the viewer draws, against geometry that is known, and what it writes, read back."""
 
+import cv2
 import msgspec
 import numpy as np
 import pytest
@@ -8,7 +9,7 @@ from huepose.geometry import Camera, se3
 from huepose.scenes.shapes import demo_objects
 from huepose_protos.examples import images, messages
 from huepose_protos.messages import FrameHeader, PoseMessage
-from huepose_services.viewer.shapes import Body, axes, cloud, depth_range, drawable, outlines
+from huepose_services.viewer.shapes import Body, axes, cloud, depth_range, drawable, outlines, yuv
 
 CAMERA = Camera(100.0, 100.0, 50.0, 40.0, 101, 81)
 EXAMPLES = {type(m): m for m in messages()}
@@ -58,6 +59,14 @@ def test_graphics_get_the_same_triangles_and_a_small_texture():
     assert (shown.positions[shown.triangles] == mesh.vertices[mesh.faces]).all()
     assert (shown.texture_coordinates[shown.triangles] == mesh.uv).all()
     assert max(shown.texture.shape) <= 512
+
+
+def test_colours_survive_as_luma_and_chroma_planes():
+    color = np.full((7, 9, 3), (200, 60, 30), np.uint8)
+    planes, width, height = yuv(color)
+    assert (width, height) == (8, 6)
+    back = cv2.cvtColor(np.frombuffer(planes, np.uint8).reshape(9, 8), cv2.COLOR_YUV2RGB_I420)
+    assert np.abs(back.astype(int) - color[:6, :8]).max() <= 3
 
 
 def test_a_depth_image_without_readings_has_a_range():

@@ -1,5 +1,9 @@
 """What every verb has in common: a place that cannot be written is found before the work."""
 
+import json
+import os
+import subprocess
+import sys
 from pathlib import Path
 
 import pytest
@@ -54,3 +58,48 @@ def test_a_mistyped_word_is_answered_with_the_one_that_may_be_meant(
     with pytest.raises(SystemExit):
         main(arguments)
     assert f"there is no '{arguments[-1]}': did you mean '{meant}'?" in capsys.readouterr().err
+
+
+def test_a_shell_is_told_what_may_come_next(tmp_path: Path) -> None:
+    def choices(line: str) -> set[str]:
+        asked = {
+            "_ARGCOMPLETE": "1",
+            "_ARGCOMPLETE_STDOUT_FILENAME": str(tmp_path / "choices"),
+            "_ARGCOMPLETE_IFS": "\n",
+            "COMP_LINE": line,
+            "COMP_POINT": str(len(line)),
+        }
+        command = [sys.executable, "-m", "huepose_services.cli.main"]
+        subprocess.run(command, env={**os.environ, **asked}, check=True, timeout=60.0)
+        return {word.strip() for word in (tmp_path / "choices").read_text().split("\n")}
+
+    assert choices("huepose est") == {"estimate"}
+    assert {"list", "add", "remove", "reset"} <= choices("huepose objects ")
+    assert choices("huepose estimate --method co") == {"colorpair"}
+
+
+# What answers something, and does not run until it is stopped.
+ANSWERS = [
+    *("demo", "estimate --color C --depth D --camera J --bundles B", "onboard M --name N --out B", "bench"),
+    *("status", "objects list", "objects add N", "objects remove N", "objects reset N", "poses", "doctor"),
+    *(
+        "validate",
+        "models list",
+        "replay F --verify",
+        "calibrate hand-eye --object O --hand H --camera fixed",
+    ),
+]
+
+
+@pytest.mark.parametrize("line", ANSWERS)
+def test_every_answer_is_there_as_json(line: str) -> None:
+    assert command_line.build_parser().parse_args([*line.split(), "--json"]).json is True
+
+
+def test_an_answer_as_json_is_all_that_is_printed(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    path = tmp_path / "pipeline.yaml"
+    path.write_text("site: here\ncamera: {source: synthetic}\n")
+    assert main(["validate", str(path), "--json"]) == 0
+    answer = json.loads(capsys.readouterr().out)
+    assert answer["keys"] == "huepose/here/cam0/..."
+    assert list(answer["ports"]) == answer["workers"]

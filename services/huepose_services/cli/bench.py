@@ -6,6 +6,8 @@ import argparse
 from pathlib import Path
 from typing import Any
 
+from huepose_services.cli.answer import add_json, answered
+
 _WHAT = ("estimate", "track", "detect", "bus", "all")
 
 
@@ -13,7 +15,7 @@ def add_parser(subparsers: Any) -> None:
     """Add the verb."""
     parser = subparsers.add_parser("bench", help="time of every stage")
     parser.add_argument("what", nargs="?", choices=_WHAT, default="all", help="default: all")
-    parser.add_argument("--json", type=Path, metavar="FILE", help="write the figures to a file as well")
+    add_json(parser, to_file=True)
     parser.add_argument("--picture", type=Path, metavar="FILE.png", help="draw the stages' shares as bars")
     parser.add_argument("--seed", type=int, default=0, metavar="N", help="which built-in scene (0)")
     parser.add_argument(
@@ -32,7 +34,6 @@ def call(arguments: argparse.Namespace) -> int:
 
     from huepose.evaluation.benches import StageTime, bench_estimate, bench_track
     from huepose.evaluation.perception_bench import bench_perception
-    from huepose.evaluation.result_files import write_json
     from huepose.model import load_models
     from huepose.profiles import profile
     from huepose.scenes.builtin import SyntheticScene
@@ -62,15 +63,15 @@ def call(arguments: argparse.Namespace) -> int:
         summary["bus_frame_ms_p50"] = _p50(stages, "bus/shared_memory")
         summary["bus_frame_tcp_ms_p50"] = _p50(stages, "bus/tcp")
     summary["peak_memory_mib"] = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024.0
-    if arguments.json is not None:
-        write_json(arguments.json, {"summary": summary, "stages": [asdict(s) for s in stages]})
     if arguments.picture is not None:
         draw_stages(arguments.picture, [(s.name, s.cpu_ms_p50, s.cpu_ms_p99) for s in stages])
-    print(f"{'stage':28s} {'wall p50':>9s} {'p95':>8s} {'p99':>8s} {'CPU p50':>9s} {'p99':>8s}   ms")
+    lines = [f"{'stage':28s} {'wall p50':>9s} {'p95':>8s} {'p99':>8s} {'CPU p50':>9s} {'p99':>8s}   ms"]
     for s in stages:
         times = (s.wall_ms_p50, s.wall_ms_p95, s.wall_ms_p99, s.cpu_ms_p50, s.cpu_ms_p99)
-        print(f"{s.name:28s} " + " ".join(f"{t:{w}.2f}" for t, w in zip(times, (9, 8, 8, 9, 8), strict=True)))
-    print(f"peak memory {summary['peak_memory_mib']:.0f} MiB")
+        columns = (f"{t:{w}.2f}" for t, w in zip(times, (9, 8, 8, 9, 8), strict=True))
+        lines.append(f"{s.name:28s} {' '.join(columns)}")
+    lines.append(f"peak memory {summary['peak_memory_mib']:.0f} MiB")
+    answered(arguments, {"summary": summary, "stages": [asdict(s) for s in stages]}, "\n".join(lines))
     return 0
 
 

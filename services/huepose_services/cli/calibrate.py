@@ -6,6 +6,8 @@ import argparse
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from huepose_services.cli.answer import add_json, answered
+
 if TYPE_CHECKING:
     from huepose.geometry.arrays import Float64
     from huepose.geometry.hand_eye import HandEye
@@ -32,15 +34,13 @@ def add_parser(subparsers: Any) -> None:
         help="fixed: beside the robot, the object in the hand; on-hand: the object stands still",
     )
     one.add_argument("--parent", default=None, metavar="FRAME", help="name of the frame (base_link or tool0)")
-    one.add_argument("--json", type=Path, default=None, metavar="FILE")
+    add_json(one, to_file=True)
     one.add_argument("--image", type=Path, default=None, metavar="OUT.png", help="what is left at each pose")
     one.set_defaults(call=call)
 
 
 def call(arguments: argparse.Namespace) -> int:
     """Read, solve, say."""
-    import json
-
     import numpy as np
 
     from huepose.evaluation.pose_files import read_pose_csv
@@ -63,18 +63,19 @@ def call(arguments: argparse.Namespace) -> int:
     }
     shift_mm, turn_deg = 1e3 * found.shift_m, np.degrees(found.turn_rad)
     rest = {"poses": len(frames), "shift_mm": _of(shift_mm), "turn_deg": _of(turn_deg)}
-    if arguments.json:
-        arguments.json.write_text(json.dumps({"mount": mount, "left": rest}, indent=2) + "\n")
     if arguments.image:
         _draw(arguments.image, frames, found)
     inner = ", ".join(f"{key}: {value}" for key, value in mount.items())
-    print(f"mount: {{{inner}}}")
-    print(
+    summary = (
+        f"mount: {{{inner}}}\n"
         f"of {len(frames)} poses there are left {np.median(shift_mm):.1f} mm and {np.median(turn_deg):.2f} "
         f"degrees (largest {shift_mm.max():.1f} mm, {turn_deg.max():.2f} degrees)"
     )
     if not fixed:
-        print("A camera that moves with the hand: a transform for the robot's tree, not for camera.mount.")
+        summary += (
+            "\nA camera that moves with the hand: a transform for the robot's tree, not for camera.mount."
+        )
+    answered(arguments, {"mount": mount, "left": rest}, summary)
     return 0
 
 

@@ -8,6 +8,8 @@ from pathlib import Path
 from types import FrameType
 from typing import Any
 
+from huepose_services.cli.answer import add_json, answered
+
 
 def add_parser(subparsers: Any) -> None:
     """Add the verb."""
@@ -41,13 +43,12 @@ def add_parser(subparsers: Any) -> None:
         "nanosam-decoder)",
     )
     parser.add_argument("--headless", action="store_true", help="no live table")
-    parser.add_argument("--json", type=Path, metavar="FILE", help="write the summary to a file as well")
+    add_json(parser, to_file=True)
     parser.set_defaults(call=call)
 
 
 def call(arguments: argparse.Namespace) -> int:
     """Run, judge, print."""
-    import json
     import os
     import sys
 
@@ -59,8 +60,6 @@ def call(arguments: argparse.Namespace) -> int:
             found=f"--seconds {arguments.seconds:g} --seed {arguments.seed}",
             expected="5 seconds or more and a seed of 0 or more",
         )
-    if arguments.json is not None and not arguments.json.absolute().parent.is_dir():
-        raise InputError(arguments.json, found="no such folder", expected="a file that can be written")
     if arguments.sam is not None and arguments.segmenter != "sam":
         raise InputError("--sam", found=f"--segmenter {arguments.segmenter}", expected="--segmenter sam")
     from huepose_services.demo.run import DemoError, Perception, run_demo
@@ -77,7 +76,7 @@ def call(arguments: argparse.Namespace) -> int:
     signal.signal(signal.SIGINT, stop)
     try:
         chosen = Perception(arguments.segmenter, arguments.sam)
-        live = not arguments.headless
+        live = not arguments.headless and arguments.json is not True
         result = run_demo(
             arguments.seconds,
             arguments.seed,
@@ -93,15 +92,14 @@ def call(arguments: argparse.Namespace) -> int:
     if interrupted:
         print("huepose demo: interrupted", file=sys.stderr)
         return 130
-    if arguments.json is not None:
-        arguments.json.write_text(json.dumps(result, indent=2) + "\n")
-    print(report(result))
+    answered(arguments, result, report(result))
     load, cores = os.getloadavg()[0], os.cpu_count() or 1
     if load > 1.5 * cores + 2.0:
-        print(f"other programs kept {cores} processors busy (load {load:.0f}): alone it is better and faster")
+        text = f"other programs kept {cores} processors busy (load {load:.0f}): alone it is better and faster"
+        print(text, file=sys.stderr)
     for name, worker in result["workers"].items():
         for text in worker["warnings"]:
-            print(f"{name}: {text}")
+            print(f"{name}: {text}", file=sys.stderr)
     missing = shortcomings(result["summary"])
     if missing:
         print(f"huepose demo: not what it should be: {'; '.join(missing)}", file=sys.stderr)

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import argparse
-import json
 import math
 import sys
 import time
@@ -11,6 +10,8 @@ from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
+
+from huepose_services.cli.answer import add_json, answered
 
 if TYPE_CHECKING:
     from huepose.estimation import Estimator, ObjectQuery, PoseEstimate
@@ -58,15 +59,7 @@ def add_parser(subparsers: Any) -> None:
         metavar=("X", "Y", "W", "H"),
         help="where it is; all over the picture without",
     )
-    parser.add_argument(
-        "--json",
-        type=Path,
-        nargs="?",
-        const=True,
-        default=None,
-        metavar="FILE",
-        help="all of each answer as JSON: in a file, or without its name instead of the summary",
-    )
+    add_json(parser, to_file=True)
     parser.add_argument(
         "--image", type=Path, default=None, metavar="OUT.png", help="the poses drawn over the picture"
     )
@@ -113,11 +106,7 @@ def call(arguments: argparse.Namespace) -> int:
         file=sys.stderr,
     )
     _say_offset(frame, models, answers)
-    text = json.dumps({"poses": [as_record(a) for a in answers]}, indent=2)
-    if isinstance(arguments.json, Path):
-        arguments.json.parent.mkdir(parents=True, exist_ok=True)
-        arguments.json.write_text(text + "\n")
-    print(text if arguments.json is True else "\n".join(in_words(a) for a in answers))
+    answered(arguments, {"poses": [as_record(a) for a in answers]}, "\n".join(map(in_words, answers)))
     if arguments.image:
         from huepose_services.cli.explain import draw_answers, write_picture
 

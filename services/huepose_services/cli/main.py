@@ -1,3 +1,4 @@
+# PYTHON_ARGCOMPLETE_OK
 """`huepose`: reads the command line, calls the verb, turns errors into a paragraph and an exit code.
 
 Each verb is a module of this package with `add_parser(subparsers)`, light to import: what a verb needs is
@@ -106,7 +107,12 @@ def _told(verb: str) -> AbstractContextManager[Any]:
 
 def main(arguments: list[str] | None = None) -> int:
     """Run a command line. Returns the exit code."""
-    parsed = build_parser().parse_args(arguments)
+    parser = build_parser()
+    if "_ARGCOMPLETE" in os.environ:  # a shell asks what may come next
+        import argcomplete
+
+        argcomplete.autocomplete(parser)
+    parsed = parser.parse_args(arguments)
     from huepose.support.errors import InputError
 
     try:

@@ -51,16 +51,17 @@ def call(arguments: argparse.Namespace) -> int:
     from huepose.scenes.builtin import first_shot
     from huepose.scenes.plan import CAMERA
     from huepose.support.errors import InputError
-    from huepose_services.cli.onboard import onboard_one, self_test
+    from huepose_services.cli.onboard import in_words, onboard_one, self_test
 
     out: Path = arguments.out or Path(arguments.name)
     path = out / "pipeline.yaml"
     if path.exists():
         raise InputError(path, found="a file that is there already", expected="a new folder", fix="--out DIR")
-    onboard_one(Job(arguments.mesh, arguments.name, unit=arguments.unit), out / "bundles")
+    print(in_words(onboard_one(Job(arguments.mesh, arguments.name, unit=arguments.unit), out / "bundles")))
     (model,) = load_models(out / "bundles", [arguments.name]).values()
     if arguments.test:
-        self_test(out / "bundles", model.name)
+        _, words = self_test(out / "bundles", model.name)
+        print(words)
     write_frame(out, first_shot({model.name: model.mesh}), CAMERA)
     path.write_text(_PIPELINE.format(name=model.name))
     at = shlex.quote(str(out))

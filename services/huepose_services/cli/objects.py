@@ -7,6 +7,7 @@ import sys
 import time
 from typing import TYPE_CHECKING, Any
 
+from huepose_services.cli.answer import add_json, answered
 from huepose_services.cli.attach import add_choice, chosen
 
 if TYPE_CHECKING:
@@ -39,8 +40,7 @@ def add_parser(subparsers: Any) -> None:
             )
         if action == "add":
             one.add_argument("--instances", type=int, default=1, metavar="N", help="up to how many of it (1)")
-        if action == "list":
-            one.add_argument("--json", action="store_true", help="the list as JSON")
+        add_json(one)
         add_choice(one)
         one.set_defaults(call=call)
 
@@ -79,10 +79,8 @@ def call(arguments: argparse.Namespace) -> int:
     if not reply.done:
         print(f"huepose objects {arguments.action}: {reply.text}", file=sys.stderr)
         return 2
-    if arguments.action == "list":
-        _print_list(reply, arguments.json)
-    else:
-        print(reply.text)
+    summary = _listed(reply) if arguments.action == "list" else reply.text
+    answered(arguments, msgspec.to_builtins(reply.objects), summary)
     return 0
 
 
@@ -109,14 +107,9 @@ def ask(pipeline: Pipeline, request: ControlRequest) -> ControlReply | None:
     return None
 
 
-def _print_list(reply: ControlReply, as_json: bool) -> None:
-    if as_json:
-        import msgspec
-
-        print(msgspec.json.encode(reply.objects).decode())
-        return
+def _listed(reply: ControlReply) -> str:
+    lines = []
     for entry in reply.objects:
         missing = f", {entry.searching} not seen yet. {entry.reason}" if entry.searching else ""
-        print(f"{entry.object:32s} up to {entry.max_instances}{missing}")
-    if not reply.objects:
-        print("nothing is looked for")
+        lines.append(f"{entry.object:32s} up to {entry.max_instances}{missing}")
+    return "\n".join(lines) or "nothing is looked for"

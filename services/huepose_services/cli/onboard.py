@@ -6,8 +6,11 @@ import argparse
 import os
 import sys
 from collections.abc import Iterator, Sequence
+from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
+
+from huepose_services.cli.answer import add_json, answered
 
 if TYPE_CHECKING:
     from huepose.onboarding.batch import Job, Onboarded
@@ -45,6 +48,7 @@ def add_parser(subparsers: Any) -> None:
     )
     _paper(one)
     add_test(one)
+    add_json(one)
     one.add_argument("--out", type=Path, required=True, metavar="BUNDLES", help="folder of reference models")
     one.set_defaults(call=call)
 
@@ -86,14 +90,18 @@ def call(arguments: argparse.Namespace) -> int:
 
     symmetric = read_symmetries(arguments.symmetric) if arguments.symmetric else None
     given = (arguments.mesh, arguments.name, arguments.id, arguments.unit)
-    onboard_one(Job(*given, symmetric=symmetric, paper=arguments.paper), arguments.out)
-    if arguments.test:
-        self_test(arguments.out, arguments.name)
+    result = onboard_one(Job(*given, symmetric=symmetric, paper=arguments.paper), arguments.out)
+    if not arguments.json:
+        print(in_words(result), flush=True)
+    found, words = self_test(arguments.out, arguments.name) if arguments.test else (None, "")
+    answer = {**asdict(result), "path": str(result.path), "suitability": found}
+    if arguments.json or words:
+        answered(arguments, answer, words)
     return 0
 
 
-def self_test(bundles: Path, name: str) -> None:
-    """Say in words and in a picture, BUNDLES/NAME.png, how well an object suits."""
+def self_test(bundles: Path, name: str) -> tuple[dict[str, Any] | None, str]:
+    """How well an object suits: for programs, in words, and in a picture, BUNDLES/NAME.png."""
     from huepose.evaluation import suitability
     from huepose.model import load_models
     from huepose.support.errors import InputError
@@ -104,14 +112,19 @@ def self_test(bundles: Path, name: str) -> None:
         found = suitability.self_test(model)
     except InputError as error:
         print(f"{name} was not tried in drawn scenes: {error}", file=sys.stderr)
-        return
+        return None, ""
     picture = bundles / f"{name}.png"
     write_picture(picture, suitability.sheet(model, found))
-    print(f"{suitability.in_words(model, found)}\nWhat was tried, and how it went: {picture}")
+    facts = {
+        key: getattr(found, key)
+        for key in ("verdict", "right", "tracking", "false_tracking", "smallest_px", "reasons")
+    }
+    words = f"{suitability.in_words(model, found)}\nWhat was tried, and how it went: {picture}"
+    return {**facts, "trials": len(found.trials), "picture": str(picture)}, words
 
 
-def onboard_one(job: Job, out: Path) -> None:
-    """Onboard a mesh into a folder of reference models, with a progress bar and a line on what it is."""
+def onboard_one(job: Job, out: Path) -> Onboarded:
+    """Onboard a mesh into a folder of reference models, with a progress bar."""
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # small matrices: threads only cost
     from huepose.model.io import check_name
     from huepose.onboarding import batch
@@ -130,13 +143,13 @@ def onboard_one(job: Job, out: Path) -> None:
             pass
     finally:
         _close(steps)
-    print(_line(result))
     if job.unit is None and not _SMALL_M < result.diameter_m < _LARGE_M:
         print(
             f"note: the mesh was taken as metres or millimetres, by its size. If the object is not "
             f"{result.diameter_m * 100:.1f} cm large, say what its unit is: --unit cm, for example",
             file=sys.stderr,
         )
+    return result
 
 
 def call_bop(arguments: argparse.Namespace) -> int:
@@ -177,7 +190,7 @@ def onboard_models(models: Sequence[BopModel], out: Path, paper: bool, processes
     try:
         for event in events:
             if isinstance(event, Onboarded):
-                _say(_line(event))
+                _say(in_words(event))
             elif not isinstance(event, StageBegun):
                 failures.append(event.name)
                 _say(f"{event.name:28s} failed: {event.reason}")
@@ -214,7 +227,8 @@ def _say(line: str) -> None:
     print(line, flush=True)
 
 
-def _line(result: Onboarded) -> str:
+def in_words(result: Onboarded) -> str:
+    """A line on what was made."""
     size = " x ".join(f"{s * 100:.1f}" for s in result.size_m)
     same = f"{result.equivalents} look the same" if result.equivalents > 1 else "the texture tells all apart"
     if result.near_symmetries == 1:

@@ -7,10 +7,13 @@ import signal
 import sys
 import time
 from collections.abc import Iterator
+from dataclasses import asdict
 from itertools import chain
 from pathlib import Path
 from types import FrameType
 from typing import TYPE_CHECKING, Any
+
+from huepose_services.cli.answer import answered
 
 if TYPE_CHECKING:
     from huepose_services.recording.read import Event, Recording
@@ -39,6 +42,7 @@ def add_parser(subparsers: Any) -> None:
     )
     instead.add_argument("--bop", type=Path, metavar="DIR", help="write a BOP scene to a new folder instead")
     parser.add_argument("--bundles", type=Path, metavar="DIR", help="the reference models for --verify")
+    parser.add_argument("--json", action="store_true", help="what --verify found as JSON")
     parser.set_defaults(call=call)
 
 
@@ -48,7 +52,7 @@ def call(arguments: argparse.Namespace) -> int:
 
     recordings = [Recording(path) for path in arguments.files]
     if arguments.verify:
-        return _verify(recordings, arguments.bundles)
+        return _verify(recordings, arguments)
     if arguments.bop is not None:
         from huepose_services.recording.export import export_bop
 
@@ -68,12 +72,12 @@ def _say_cut(recordings: list[Recording]) -> None:
             print(f"{recording.path}: {recording.cut}; what came before was read", file=sys.stderr)
 
 
-def _verify(recordings: list[Recording], bundles: Path | None) -> int:
+def _verify(recordings: list[Recording], arguments: argparse.Namespace) -> int:
     from huepose_services.recording.verify import verify
 
-    report = verify(recordings, bundles)
+    report = verify(recordings, arguments.bundles)
     _say_cut(recordings)
-    print(report.text)
+    answered(arguments, asdict(report), report.text)
     return 0 if report.steps and not report.difference else 1
 
 

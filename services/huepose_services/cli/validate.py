@@ -6,6 +6,8 @@ import argparse
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from huepose_services.cli.answer import add_json, answered
+
 if TYPE_CHECKING:
     from huepose_services.runtime.config import Config
 
@@ -14,6 +16,7 @@ def add_parser(subparsers: Any) -> None:
     """Add the verb."""
     parser = subparsers.add_parser("validate", help="check a pipeline.yaml without starting anything")
     parser.add_argument("config", nargs="?", type=Path, default=Path("pipeline.yaml"), metavar="PIPELINE")
+    add_json(parser)
     parser.set_defaults(call=call)
 
 
@@ -25,16 +28,26 @@ def call(arguments: argparse.Namespace) -> int:
 
     config = load(arguments.config)
     check(config)
+    ports = {worker: config.port(worker) for worker in config.workers}
+    answer: dict[str, Any] = {
+        "file": str(arguments.config),
+        "workers": list(config.workers),
+        "camera": f"{config.camera.name}: {config.camera.source} {config.camera.path or ''}".rstrip(),
+        "objects": [item.name for item in config.objects],
+        "keys": f"huepose/{config.site}/{config.camera.name}/...",
+        "run_folder": str(run_folder()),
+        "ports": ports,
+        "frames": _way_of_frames(config),
+    }
     every = "the built-in ones" if config.bundles is None else f"all of {config.bundles}"
-    names = ", ".join(item.name for item in config.objects) or every
-    print(f"{arguments.config}: good")
-    print(f"  workers  {', '.join(config.workers)}")
-    print(f"  camera   {config.camera.name}: {config.camera.source} {config.camera.path or ''}".rstrip())
-    print(f"  objects  {names}")
-    print(f"  keys     huepose/{config.site}/{config.camera.name}/...")
-    ports = ", ".join(f"{worker} {config.port(worker)}" for worker in config.workers)
-    print(f"  ports    in {run_folder()}: {ports}")
-    print(f"  frames   {_way_of_frames(config)}")
+    summary = f"""{arguments.config}: good
+  workers  {", ".join(config.workers)}
+  camera   {answer["camera"]}
+  objects  {", ".join(answer["objects"]) or every}
+  keys     {answer["keys"]}
+  ports    in {run_folder()}: {", ".join(f"{worker} {port}" for worker, port in ports.items())}
+  frames   {answer["frames"]}"""
+    answered(arguments, answer, summary)
     return 0
 
 

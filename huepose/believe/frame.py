@@ -10,15 +10,13 @@ from functools import cache
 from huepose.believe.fits import fitted
 from huepose.believe.logistic import Logistic
 from huepose.colorpair.opponents import SCALE
+from huepose.judge.color_correlation import PLAIN
 from huepose.judge.kernel import MARGIN, SEEN_IN_COLOR
 from huepose.judge.open_region import BLIND
 from huepose.judge.terms import Terms
 
 SLACK, HIDDEN_SLACK = 0.25, 0.3
 """Of the judge's total: so much less than its baseline is usual, and more where something is in front."""
-
-PLAIN = 4.0
-"""Contrast (opponent units) at which half of the colour that there could be is texture."""
 
 FEW = 0.1
 """Share of the surface seen in colour that counts half."""

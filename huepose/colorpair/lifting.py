@@ -18,6 +18,7 @@ from huepose.support.jit import jit
 RADIUS_PX = 4
 GATE_M = 0.012
 MIN_FACING = 0.25
+"""Cosine between a surface's normal and the view, under which colour pairs and edges are not looked for."""
 
 
 def lift(

@@ -12,7 +12,7 @@ import numpy as np
 from huepose.geometry.arrays import Float, Int32, UInt8
 
 Colour = tuple[int, int, int]
-FONT = cv2.FONT_HERSHEY_SIMPLEX
+FONT, PAPER = cv2.FONT_HERSHEY_SIMPLEX, 248
 INK: Colour = (40, 40, 40)
 PALE: Colour = (225, 225, 225)
 # Okabe and Ito's colours, told apart also by those who do not see all of them.

@@ -7,11 +7,10 @@ from collections.abc import Sequence
 import cv2
 import numpy as np
 
-from huepose.drawing.overlay import FONT
+from huepose.drawing.canvas import FONT, PAPER
 from huepose.geometry.arrays import UInt8
 
 GAP_PX, LABEL_PX = 6, 22
-PAPER = 248
 
 
 def contact_sheet(

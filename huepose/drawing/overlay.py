@@ -8,6 +8,7 @@ from __future__ import annotations
 import cv2
 import numpy as np
 
+from huepose.drawing.canvas import FONT
 from huepose.geometry.arrays import Bool, Float, UInt8
 from huepose.geometry.box import Box
 from huepose.geometry.camera import Camera
@@ -15,7 +16,6 @@ from huepose.geometry.mesh import Mesh
 from huepose.geometry.se3 import apply
 
 Colour = tuple[int, int, int]
-FONT = cv2.FONT_HERSHEY_SIMPLEX
 AXES: tuple[Colour, Colour, Colour] = ((230, 60, 50), (60, 190, 70), (60, 110, 240))  # x, y, z
 _SUBPIXEL_BITS = 4
 

@@ -5,10 +5,9 @@ from __future__ import annotations
 import cv2
 import numpy as np
 
-from huepose.drawing.canvas import FONT, INK
+from huepose.drawing.canvas import FONT, INK, PAPER
 from huepose.geometry.arrays import UInt8
 
-PAPER = 248
 LINE_PX, MARGIN_PX = 18, 8
 
 

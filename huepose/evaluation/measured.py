@@ -173,10 +173,7 @@ def _estimate(path: Path, rows: Sequence[Row], record: Row) -> Measured:
 
 def _track(path: Path, rows: Sequence[Row], record: Row) -> Measured:
     names = ("sequence", "frame", "object", "ordinal", "seed")
-    ordinals = _ordinals(rows)
-    keys = [
-        (r["sequence"], r["frame"], r["object"], k, r["seed"]) for r, k in zip(rows, ordinals, strict=True)
-    ]
+    keys = [tuple(row[name] for name in names) for row in rows]
     labelled = np.array([row["right"] is not None for row in rows])
     moments = [_moment(row) for row in rows]
     gone = np.array([moment.gone for moment in moments])
@@ -272,20 +269,5 @@ def _false(record: Row, seeds: int) -> dict[tuple[str, int], float]:
     return {frame: count / seeds for frame, count in counts.items()}
 
 
-def _ordinals(rows: Sequence[Row]) -> list[int]:
-    """As the rows say, else, in older files, by their order within a frame."""
-    before: Counter[tuple[Hashable, ...]] = Counter()
-    ordinals = []
-    for row in rows:
-        place = (row["sequence"], row["frame"], row["object"], row["seed"])
-        ordinals.append(int(row.get("ordinal", before[place])))
-        before[place] += 1
-    return ordinals
-
-
 def _moment(row: Row) -> Moment:
-    """Rows of older files say how much is visible, and not what that is called."""
-    share, labelled = row["visib_fract"], row["right"] is not None
-    visible = row.get("visible", labelled and (share is None or share >= 0.3))
-    gone = row.get("gone", not labelled or (share is not None and share < 0.1))
-    return Moment(row["stamp_ns"], visible, gone, row["state"], row["right"] in (None, True))
+    return Moment(row["stamp_ns"], row["visible"], row["gone"], row["state"], row["right"] in (None, True))

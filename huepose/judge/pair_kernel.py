@@ -10,14 +10,13 @@ from typing import NamedTuple
 
 import numpy as np
 
+from huepose.colorpair.lifting import MIN_FACING
 from huepose.geometry.arrays import Float32, Float64
 from huepose.judge.arrays import ModelArrays, RegionArrays
 from huepose.judge.kernel import SCRATCH_ROWS, TERMS, score_kernel
 from huepose.support.jit import jit
 
 PAIR_TERMS = 4
-
-MIN_FACING = 0.25
 
 
 class PairArrays(NamedTuple):

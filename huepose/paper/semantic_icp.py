@@ -20,6 +20,7 @@ from huepose.geometry.arrays import Float, Float64, Int32, Int64, UInt8
 from huepose.model.types import PaperTables
 from huepose.refine.robust import tukey
 from huepose.refine.solver import (
+    FEWEST_FOR_A_STEP,
     Body,
     NormalEquations,
     add_residual,
@@ -33,7 +34,6 @@ from huepose.support.jit import jit
 DAMPING = 1e-3
 """Of the correspondences' weight."""
 
-FEWEST_FOR_A_STEP = 6
 STEP_TOLERANCE_M = 2e-6
 
 

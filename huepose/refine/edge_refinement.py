@@ -38,7 +38,7 @@ from huepose.refine.edges import (
     image_edges,
     model_edges,
 )
-from huepose.refine.solver import Body, advance, clear, normal_equations
+from huepose.refine.solver import FEWEST_FOR_A_STEP, Body, advance, clear, normal_equations
 from huepose.support.jit import jit
 
 PAIRS = 800
@@ -46,8 +46,6 @@ PAIRS = 800
 
 DAMPING = 1e-3
 """Of the residuals' weight: it holds what neither edges nor depth fix."""
-
-FEWEST_FOR_A_STEP = 6
 
 
 @dataclass(frozen=True)

@@ -13,6 +13,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from huepose.colorpair.lifting import MIN_FACING
 from huepose.colorpair.opponents import opponents_of_lab
 from huepose.colorpair.types import ColorPairs, SurfacePairs
 from huepose.geometry.arrays import Float, Float32, Float64, Int32
@@ -20,9 +21,6 @@ from huepose.refine.depth_samples import NEAREST_M, DepthImage
 from huepose.refine.robust import tukey
 from huepose.refine.solver import Body, NormalEquations, add_residual, image_row
 from huepose.support.jit import jit, jit_dividing
-
-MIN_FACING = 0.25
-"""Cosine between a surface's normal and the view, under which its edges are not looked for."""
 
 CELL_PX = 8.0
 ALONG_SHARE = 0.3

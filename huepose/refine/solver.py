@@ -44,6 +44,9 @@ from huepose.support.jit import jit, jit_dividing
 Row = tuple[float, float, float, float, float, float]
 """How the present value of a residual changes with the six of a step."""
 
+FEWEST_FOR_A_STEP = 6
+"""Samples: as many as a step has unknowns."""
+
 
 class Body(NamedTuple):
     """centre (3,): metres, object axes, what a step turns about; radius: metres, by which a rotation in

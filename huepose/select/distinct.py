@@ -16,8 +16,9 @@ from huepose.support.jit import jit
 FINAL_TURN_RAD, FINAL_SHIFT = 0.2, 0.05
 """Poses closer than this (shift in diameters) are one answer."""
 
-ONE_ANSWER = 0.1
-"""Mean distance of the surface's points, in diameters, up to which two poses are one answer."""
+RIGHT = 0.1
+"""Mean distance of the surface's points, in diameters, up to which a pose is right, as the field counts it,
+and two poses are one answer."""
 
 POINTS = 100
 
@@ -85,7 +86,7 @@ def different_answers(model: ReferenceModel, poses: Float64) -> Int64:
     kept: list[int] = []
     alike: list[list[Float64]] = []
     for k, here in enumerate(placed):
-        near = ONE_ANSWER * model.diameter_m
+        near = RIGHT * model.diameter_m
         if any(_distance(here, other) < near for group in alike for other in group):
             continue
         kept.append(k)

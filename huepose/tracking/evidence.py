@@ -14,6 +14,7 @@ import numpy as np
 from huepose.believe import frame
 from huepose.geometry.arrays import Float64
 from huepose.judge.terms import Terms
+from huepose.select.distinct import RIGHT
 from huepose.tracking.config import TrackerConfig
 from huepose.tracking.types import State
 
@@ -27,9 +28,6 @@ alone does. Either way it is doubtful at best."""
 
 HIDDEN, SCARCE_FADE = 0.6, 0.93
 """With more than this behind something, trust in the little that is left fades by this factor a frame."""
-
-RIGHT = 0.1
-"""A pose is right when its points lie off by less than this share of the diameter."""
 
 BASELINE_SHARE, LIGHT_SHARE = 0.15, 0.2
 """Weight of a new frame in the baseline total, and in the light."""

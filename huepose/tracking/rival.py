@@ -19,7 +19,8 @@ from huepose.judge.open_region import OpenRegion
 from huepose.judge.surface import SAMPLES, PreparedSurface
 from huepose.judge.terms import score_arrays
 from huepose.refine.photometric import COARSE, refine_all
-from huepose.tracking.evidence import RIGHT, odds_of
+from huepose.select.distinct import RIGHT
+from huepose.tracking.evidence import odds_of
 from huepose.tracking.hypothesis import Hypothesis, same_pose
 from huepose.tracking.step import Subject, best_of, region_of
 

@@ -27,8 +27,8 @@ from huepose.propose import flow as optical_flow
 from huepose.propose.correspondences import match
 from huepose.propose.relative_pose import RelativePose, RobustKabsch, lift_matches
 from huepose.refine.photometric import FINE, refine
+from huepose.select.distinct import RIGHT
 from huepose.tracking.config import TrackerConfig
-from huepose.tracking.evidence import RIGHT
 from huepose.tracking.hypothesis import Hypothesis
 from huepose.tracking.motion import predicted
 from huepose.tracking.reach import reaches

@@ -130,11 +130,6 @@ def level_of(
     return float(np.clip(quality[order[last]], 0.01, 0.999))
 
 
-def stated_by(quality_fit: QualityFit, judged: Judged) -> Float64:
-    """Quality (N,) by a fit."""
-    return np.array([quality_fit.probabilities(terms)[0] for terms in judged.terms])
-
-
 def as_json(quality_fit: QualityFit) -> dict[str, Any]:
     """The entry of a method in `fits.json`: factors of nothing are left out."""
     parts = {name: getattr(quality_fit, name) for name in ("presence", "this_texture", "this_size", "listed")}

@@ -14,7 +14,7 @@ from huepose.judge.texture_evidence import texture_evidence
 from huepose.model.types import ReferenceModel
 from huepose.rendering.render import render_depth
 from huepose.scenes.shapes import demo_objects
-from huepose.select.distinct import ONE_ANSWER, different_answers
+from huepose.select.distinct import RIGHT, different_answers
 from tests.judge.regions import prepare_region
 
 TakePicture = Callable[..., RgbdFrame]
@@ -29,7 +29,7 @@ def asked(model: ReferenceModel, frame: RgbdFrame, T: np.ndarray, **config: floa
 
 def test_poses_within_a_tenth_of_the_diameter_are_one_answer(tea_box: ReferenceModel) -> None:
     here = se3.make(np.eye(3), np.array([0.0, 0.0, 0.6]))
-    step = tea_box.diameter_m * ONE_ANSWER
+    step = tea_box.diameter_m * RIGHT
     near, far = here.copy(), here.copy()
     near[0, 3] += 0.9 * step
     far[0, 3] += 1.1 * step

@@ -145,20 +145,6 @@ def test_a_track_without_pose_is_lost_and_phantoms_are_said(tmp_path: Path) -> N
     assert comparison.phantoms == (0.0, 4.0)
 
 
-def test_older_files_of_tracks_lack_three_keys_and_are_read_all_the_same(tmp_path: Path) -> None:
-    right = [i < 30 for i in range(60)]
-    new = write_track(tmp_path / "a.json", right, ["TRACKING"] * 60)
-    record = json.loads(new.read_text())
-    for row in record["rows"]:
-        del row["ordinal"], row["visible"], row["gone"]
-    del record["phantoms"]
-    old = tmp_path / "old.json"
-    old.write_text(json.dumps(record))
-    comparison, changes = compared(old, new)
-    assert comparison.paired == 60
-    assert {c.verdict for c in changes.values() if c.figure.judged} == {"same"}
-
-
 def test_perception(tmp_path: Path) -> None:
     before = write_perception(tmp_path / "a.json", [True] * 10 + [False] * 2, [0])
     after = write_perception(tmp_path / "b.json", [True] * 9 + [False, True, False], [0, 1, 1])

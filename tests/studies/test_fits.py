@@ -7,7 +7,7 @@ from huepose.believe.quality import LIMITS, features, quality, quality_fits
 from huepose.evaluation.calibration import Judged, worth
 from huepose.support.errors import InputError
 from studies.quality import fit as quality_fit
-from studies.quality.fit import FEATURES, Names, stated_by
+from studies.quality.fit import FEATURES, Names
 from tests.evaluation.judged import PLAIN, judged
 
 NAMES = Names(("total",), ("texture_complete",), ("same_size",), ("total",), ())
@@ -28,12 +28,16 @@ def drawn(n: int, seed: int) -> tuple[Judged, np.ndarray]:
 def test_the_law_behind_constructed_data_is_found() -> None:
     labels, chance = drawn(6000, 0)
     fitted = quality_fit.fit(labels, NAMES)
+
+    def stated(judged: Judged) -> np.ndarray:
+        return np.array([fitted.fit.probabilities(terms)[0] for terms in judged.terms])
+
     assert fitted.fit.listed.factors["total"] == pytest.approx(4.0, rel=0.1)
     assert fitted.fit.sharpness["constant"] == pytest.approx(40.0, rel=0.1)
     assert fitted.fit.handicap < 0.15
-    np.testing.assert_allclose(stated_by(fitted.fit, labels), chance, atol=0.05)
+    np.testing.assert_allclose(stated(labels), chance, atol=0.05)
     fresh, _ = drawn(4000, 1)
-    known = worth(stated_by(fitted.fit, fresh), fresh, fitted.fit.level)
+    known = worth(stated(fresh), fresh, fitted.fit.level)
     assert known.ece is not None
     assert known.ece < 0.02
     assert known.precision == pytest.approx(0.99, abs=0.008)

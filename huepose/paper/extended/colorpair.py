@@ -30,7 +30,7 @@ from huepose.paper.semantic_icp import ClassifiedScene, semantic_icp_many
 from huepose.paper.tables import tables_of
 from huepose.propose.evidence import Evidence
 from huepose.refine.point_to_plane import align_many
-from huepose.select.distinct import different_poses
+from huepose.select.distinct import FINAL_SHIFT, FINAL_TURN_RAD, different_poses
 from huepose.select.ranked import NONE, Ranked
 from huepose.support.stages import stage
 
@@ -41,9 +41,6 @@ COARSE_PAIRS, COARSE_SAMPLES = 300, 200
 SEARCH_PAIRS, SEARCH_SAMPLES = 600, 300
 FINAL_PAIRS, FINAL_SAMPLES = 1500, 600
 """Pairs and surface samples by which poses are judged: many poses quickly, the last few closely."""
-
-FINAL_TURN_RAD, FINAL_SHIFT = 0.2, 0.05
-"""Poses closer than this (shift in diameters) are one answer."""
 
 CORRELATED, AGREED = 0.5, 0.5
 """What the score's correlations count in the end, and the agreement in which a pair that disagrees wholly

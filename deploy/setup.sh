@@ -53,7 +53,7 @@ export UV_PYTHON_DOWNLOADS=never
     --extra edge --extra onboard --extra viewer --extra realsense --extra oak --extra secure --extra ros2 --group dev
 # Compiled for the code as it is: again where a file of it is newer.
 if [ ! -e .venv/.compiled ] || [ -n "$(find huepose services -name '*.py' -newer .venv/.compiled -print -quit)" ]; then
-    echo "setup: compiling, and learning the built-in objects: two to four minutes of a processor, once"
+    echo "setup: compiling, learning the built-in objects and drawing their scene: three to five minutes of a processor, once"
     .venv/bin/python -m huepose_services.first_time
     touch .venv/.compiled
 fi

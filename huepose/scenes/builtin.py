@@ -130,11 +130,13 @@ class SyntheticScene:
 
     def _computed(self) -> Iterator[tuple[np.ndarray, np.ndarray, dict[str, Any]]]:
         """Every frame in order, drawn by up to four threads (the kernels release the interpreter lock)."""
-        take = partial(shoot, self.stage, seed=self.seed, color_sensor=COLOR, depth_sensor=self._depth_sensor)
         workers = max(1, min(4, os.cpu_count() or 1))
         with ThreadPoolExecutor(workers) as pool:
             ahead: list[Future[Shot]] = []
             for i in progress(range(self._n_frames), "drawing the scene, once"):
+                take = partial(
+                    shoot, self.stage, seed=self.seed, color_sensor=COLOR, depth_sensor=self._depth_sensor
+                )
                 while len(ahead) < 2 * workers and i + len(ahead) < self._n_frames:
                     ahead.append(pool.submit(take, i + len(ahead)))
                 shot = ahead.pop(0).result()

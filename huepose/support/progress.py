@@ -24,6 +24,9 @@ def progress(
     start = last = time.monotonic()
     if not live:
         print(f"{label}: {total or 'some'} steps", file=out, flush=True)
+    elif total:
+        out.write(_bar(label, 0, total, 0.0))
+        out.flush()
     done = 0
     try:
         for item in items:
@@ -45,5 +48,5 @@ def _bar(label: str, done: int, total: int, elapsed: float) -> str:
     if not total:
         return f"{label} {done}  {elapsed:.0f} s"
     filled = round(30 * done / total)
-    left = elapsed / done * (total - done) if done else 0.0
-    return f"{label} [{'#' * filled}{' ' * (30 - filled)}] {done}/{total}  {left:.0f} s left \x1b[K"
+    left = f"{elapsed / done * (total - done):.0f} s left" if done else ""
+    return f"{label} [{'#' * filled}{' ' * (30 - filled)}] {done}/{total}  {left} \x1b[K"

@@ -1,5 +1,5 @@
 """What a computer does once, when HuePose is set up: it compiles the numeric kernels, so that no command
-afterwards is silent for a minute, and learns the objects of the built-in scene, which the demo needs.
+afterwards is silent for a minute, learns the objects of the built-in scene, and draws that scene.
 
 `python -m huepose_services.first_time`, as deploy/setup.sh calls it.
 """
@@ -16,7 +16,7 @@ from huepose.model import ReferenceModel, load_models
 from huepose.perception.colorpair_detector import ColorPairDetector
 from huepose.profiles import profile
 from huepose.reinit import warm_up as reinit
-from huepose.scenes.builtin import first_shot
+from huepose.scenes.builtin import SyntheticScene, first_shot
 from huepose.scenes.plan import CAMERA
 from huepose.scenes.rendered import rendered_frame
 from huepose.support.progress import progress
@@ -40,6 +40,7 @@ def main() -> None:
     ]
     for step in progress(steps, "compiling numeric kernels for this computer"):
         step()
+    SyntheticScene(0)
 
 
 def _in_a_drawn_scene(model: ReferenceModel) -> None:

@@ -19,6 +19,20 @@ def test_progress_yields_everything_and_stays_short_without_a_terminal():
     assert "5 of 5" in out.getvalue()
 
 
+def test_progress_is_shown_before_the_first_step_is_done():
+    class Terminal(io.StringIO):
+        def isatty(self):
+            return True
+
+    out = Terminal()
+    steps = progress(range(2), "views", out=out)
+    next(steps)
+    assert "views [" in out.getvalue()
+    assert "0/2" in out.getvalue()
+    assert "left" not in out.getvalue()
+    assert list(steps) == [1]
+
+
 def test_kernels_keep_nan():
     @jit
     def first_nan(x):

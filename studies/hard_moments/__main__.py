@@ -32,7 +32,6 @@ from huepose.model import ReferenceModel, load_model, save_model
 from huepose.onboarding import onboard_mesh
 from huepose.support.files import cache_folder
 from huepose.tracking import Tracker
-from studies.hard_moments.challenge import challenge
 from studies.hard_moments.film import Film
 from studies.hard_moments.perception import Oracle, OwnEstimates
 from studies.hard_moments.picture import bands
@@ -101,7 +100,6 @@ def main() -> int:
     parser.add_argument("--perception", choices=list(PERCEPTION), default="oracle")
     parser.add_argument("--long", type=float, default=0.0, metavar="SECONDS", help="add long runs (60)")
     parser.add_argument("--rest", nargs="+", default=[], choices=list(meshes()), help="add objects at rest")
-    parser.add_argument("--challenge", action="store_true", help="judge wrong poses too: is quality true?")
     parser.add_argument(
         "--seed", type=int, nargs="+", default=[0], help="of the errors of late poses, or boxes"
     )
@@ -111,12 +109,9 @@ def main() -> int:
     known = models(arguments.cache)
     rows: list[tuple[str, list[Told]]] = []
     reports: list[StateReport] = []
-    judged: list[tuple[np.ndarray, np.ndarray]] = []
     lines: dict[str, dict[str, object]] = {}
     for name in arguments.only:
         film = Film(ALL[name](), arguments.cache)
-        if arguments.challenge:
-            judged.append(challenge(film, known))
         for seed in arguments.seed:
             perception = PERCEPTION[arguments.perception](film.script, known, seed)
             played = play(film, known, _tracker(film, known), perception=perception)
@@ -146,15 +141,6 @@ def main() -> int:
         "rest": rest,
         **_motion([told for _, told in rows]),
     }
-    if judged:
-        asked, true = (np.concatenate([part[i] for part in judged]) for i in (0, 1))
-        summary["challenge"] = {"poses": len(asked), "right": float(true.mean()), "ece": _ece(asked, true)}
-        print(
-            f"quality of {len(asked)} poses, {100 * true.mean():.0f} % right: error {_ece(asked, true):.3f}"
-        )
-        if arguments.plots is not None:
-            title = "right and wrong poses, judged"
-            write_picture(arguments.plots / "challenge.png", reliability_plot(asked, true, title=title))
     if hard is not None:
         summary |= {key: getattr(hard, key) for key in (*STATES, "false_tracking_rate", "frames")}
     if drift:

@@ -14,13 +14,13 @@ from huepose.reinit import Request, RequestedObject
 from huepose.scenes.frame import labels
 from huepose.tracking import State, TrackedPose, Tracker, TrackerConfig
 from studies.hard_moments import scripts
-from studies.hard_moments.challenge import challenge
 from studies.hard_moments.film import Film
 from studies.hard_moments.perception import Oracle, OwnEstimates
 from studies.hard_moments.play import Told, play
 from studies.hard_moments.scripts import FRAMES, Script
 from studies.hard_moments.steadiness import covered, foretold, lag_s, stillness
 from studies.hard_moments.traps import AWAY_M, TRAPS, swapped
+from tests.studies.challenge import challenge
 
 SIGMA = np.array([0.001] * 3 + [0.01] * 3)
 

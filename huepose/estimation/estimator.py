@@ -20,16 +20,15 @@ from huepose.estimation.answer import Levels, answer_of, bare_answer
 from huepose.estimation.competition import compete
 from huepose.estimation.config import EstimatorConfig
 from huepose.estimation.explanation import Explanation
-from huepose.estimation.full_path import confirm, estimate_full, looks_in_full, refine_prior
+from huepose.estimation.full_path import confirm, estimate_full, looks_in_full, refine_prior, table_of
 from huepose.estimation.methods import method_of
-from huepose.estimation.prepared import PreparedModels
 from huepose.estimation.types import ObjectQuery, PoseEstimate
 from huepose.estimation.warm_up import rehearse
 from huepose.geometry.arrays import Bool
 from huepose.geometry.box import Box
 from huepose.geometry.frame import RgbdFrame
 from huepose.judge.silhouette import projected_box
-from huepose.model.types import ReferenceModel
+from huepose.model.types import ReferenceModel, model_named
 from huepose.perception.embedded import DepthSegmenter
 from huepose.perception.types import Segmenter
 from huepose.propose.evidence import gather
@@ -52,23 +51,24 @@ class Estimator:
         segmenter: Segmenter | None = None,
     ) -> None:
         self.config = config or EstimatorConfig()
-        self._models = PreparedModels(models)
+        self._models = dict(models)
         self._segmenter: Segmenter = segmenter or DepthSegmenter()
         self._method = method_of(self.config)
 
     @property
     def objects(self) -> tuple[str, ...]:
         """Names of the known objects."""
-        return tuple(self._models.names)
+        return tuple(sorted(self._models))
 
     def add_object(self, model: ReferenceModel) -> None:
         """Know one more object; a known one of that name is replaced."""
-        self._models.add(model)
-        self._models.prepared(model.name)
+        self._models[model.name] = model
+        if self._method is None:
+            table_of(model)
 
     def remove_object(self, name: str) -> None:
         """Forget an object; nothing happens when it is not known."""
-        self._models.remove(name)
+        self._models.pop(name, None)
 
     def estimate(self, frame: RgbdFrame, queries: Sequence[ObjectQuery]) -> list[PoseEstimate]:
         """One answer a query, in their order, no two of them on the same surface. Raises InputError for an
@@ -81,7 +81,7 @@ class Estimator:
         """The same answers, each with what led to it: of a pose that was looked for again without the depth
         of others, what was seen then."""
         for query in queries:
-            self._models.model(query.object)
+            self._model(query.object)
         looks = self._alone(frame, queries)
         if len(queries) < 2 or not self.config.competing or self._bare:
             return looks
@@ -110,6 +110,9 @@ class Estimator:
         with ThreadPoolExecutor(workers) as pool:
             return list(pool.map(lambda c, q: c.run(self.explain, frame, q), contexts, queries))
 
+    def _model(self, name: str) -> ReferenceModel:
+        return model_named(self._models, name)
+
     @property
     def _bare(self) -> bool:
         return self._method is not None and self._method.bare
@@ -129,7 +132,7 @@ class Estimator:
 
     def _look(self, frame: RgbdFrame, query: ObjectQuery) -> Explanation:
         """What there is to see, and the refined prior, with its rivals where it is confirmed."""
-        model = self._models.model(query.object)
+        model = self._model(query.object)
         box, masks = self._box_and_masks(frame, query, model)
         with stage("evidence"):
             evidence = gather(frame, masks, box, model.diameter_m, self.config.evidence)
@@ -146,8 +149,7 @@ class Estimator:
 
     def _found(self, frame: RgbdFrame, query: ObjectQuery, look: Explanation) -> Explanation:
         """The same with the poses that the method finds."""
-        prepared, method = self._models.prepared(query.object), self._method
-        model, evidence = prepared.model, look.evidence
+        model, method, evidence = self._model(query.object), self._method, look.evidence
         if method is not None:
             method.check(model)
         if evidence is None:
@@ -155,7 +157,7 @@ class Estimator:
         if method is not None:
             seed = [self.config.seed, crc32(query.object.encode()), _content_seed(frame)]
             return replace(look, ranked=method.poses(model, evidence, np.random.default_rng(seed)))
-        found, trail = estimate_full(model, prepared.table, evidence, self.config.full, look.prior)
+        found, trail = estimate_full(model, evidence, self.config.full, look.prior)
         with stage("contest"):
             ranked, held = decided(model, evidence.region, found, self.config.near_ties)
         return replace(look, ranked=ranked, trail=trail, contest=held)
@@ -163,18 +165,19 @@ class Estimator:
     def prepare(self, names: Sequence[str]) -> None:
         """Derive from models what answers about them need, which the first of them does otherwise."""
         for name in names:
-            self._models.prepared(name)
-            if self._method is not None:
-                self._method.check(self._models.model(name))
+            if self._method is None:
+                table_of(self._model(name))
+            else:
+                self._method.check(self._model(name))
 
     def warm_up(self, names: Sequence[str] | None = None) -> None:
         """Prepare models (all by default) and compile the kernels on an artificial view of the one with most
         texture."""
-        names = self._models.names if names is None else list(names)
+        names = self.objects if names is None else list(names)
         self.prepare(names)
         if not names:
             return
-        models = [self._models.model(name) for name in names]
+        models = [self._model(name) for name in names]
         if self._method is not None:
             self._method.warm_up(models)
         rehearse(self.explain, max(models, key=lambda m: len(m.pairs.points)), self._method is None)
@@ -210,7 +213,7 @@ class Estimator:
         return box, masks
 
     def _answer(self, frame: RgbdFrame, query: ObjectQuery, look: Explanation) -> PoseEstimate:
-        model = self._models.model(query.object)
+        model = self._model(query.object)
         if self._bare:
             return bare_answer(frame, query, model, look)
         config, fit = self.config, quality_fits()[self.config.method]

@@ -13,7 +13,9 @@ pose that looks right to itself is found out.
 
 from __future__ import annotations
 
+import threading
 from dataclasses import dataclass
+from weakref import WeakKeyDictionary
 
 import numpy as np
 
@@ -24,13 +26,24 @@ from huepose.judge.terms import CLOSE_SAMPLES, score_many
 from huepose.judge.terms import totals as totals_of
 from huepose.model.types import ReferenceModel
 from huepose.propose.evidence import Evidence
-from huepose.propose.template_table import TemplateTable
+from huepose.propose.template_table import TemplateTable, build_table
 from huepose.propose.views import retrieve
 from huepose.refine.coordinate_search import RACE, search
 from huepose.refine.point_to_plane import align_many
 from huepose.select.distinct import FINAL_SHIFT, FINAL_TURN_RAD, different_poses
 from huepose.select.ranked import NONE, Ranked, by_figure
 from huepose.support.stages import stage
+
+_tables: WeakKeyDictionary[ReferenceModel, TemplateTable] = WeakKeyDictionary()
+_lock = threading.Lock()
+
+
+def table_of(model: ReferenceModel) -> TemplateTable:
+    """A model's view templates laid out for retrieval (0.1 s, 8 MB), kept as long as it is."""
+    with _lock:
+        if model not in _tables:
+            _tables[model] = build_table(model.templates, model.diameter_m)
+        return _tables[model]
 
 
 @dataclass(frozen=True, eq=False)
@@ -45,7 +58,6 @@ class Trail:
 
 def estimate_full(
     model: ReferenceModel,
-    table: TemplateTable,
     evidence: Evidence,
     config: FullPathConfig,
     prior: Ranked = NONE,
@@ -53,7 +65,7 @@ def estimate_full(
     """Different poses, best first, and the way to them. prior: refined poses from elsewhere, judged in the
     evidence's region, that stand for selection with the others."""
     with stage("retrieval"):
-        views = retrieve(table, evidence.picture, evidence.sources, config.retrieval)
+        views = retrieve(table_of(model), evidence.picture, evidence.sources, config.retrieval)
     with stage("icp"):
         aligned = [
             _icp(model, points, views.poses[views.masks == k], 0.1 * model.diameter_m, 0.008, 12)

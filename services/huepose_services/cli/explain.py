@@ -15,6 +15,7 @@ from huepose.drawing.overlay import draw_pose
 from huepose.drawing.text import paragraph
 from huepose.estimation import PoseEstimate
 from huepose.estimation.explanation import Explanation
+from huepose.estimation.full_path import table_of
 from huepose.estimation.panels import LEGEND, Panels
 from huepose.estimation.reasons import displacement, reasons
 from huepose.geometry import Box, RgbdFrame
@@ -22,7 +23,6 @@ from huepose.geometry.arrays import Bool, UInt8
 from huepose.judge.terms import score
 from huepose.model import ReferenceModel
 from huepose.propose.config import RetrievalConfig
-from huepose.propose.template_table import build_table
 from huepose.propose.views import retrieve
 from huepose.rendering.render import render
 from huepose.select.near_ties import TERMS
@@ -118,7 +118,7 @@ def _write_views(path: Path, model: ReferenceModel, explanation: Explanation) ->
     if evidence is None:
         return
     picture = evidence.picture
-    table = build_table(model.templates, model.diameter_m)
+    table = table_of(model)
     views = retrieve(table, picture, evidence.sources, RetrievalConfig(views=VIEWS))
     x0, y0, x1, y1 = (float(x) for x in picture.bounds)
     around = Box(x0, y0, x1 - x0, y1 - y0).grown(0.3, 5)

@@ -1,11 +1,12 @@
 # Every target does its own set-up on a machine that has only Python, pip and apt.
-.PHONY: help setup demo test lint bench dist bundle audit clean
+.PHONY: help setup demo test lint docs bench dist bundle audit clean
 
 help:
 	@echo "make demo    the whole pipeline on a built-in scene, with accuracy and latency at the end"
 	@echo "make test    all tests"
 	@echo "make setup   .venv with everything (command line: .venv/bin/huepose)"
 	@echo "make lint    style, types, the import contract, insecure code, secrets"
+	@echo "make docs    the documentation as a site in build/docs"
 	@echo "make dist    wheel and sdist in build/dist, tried in an empty environment"
 	@echo "make bundle  all that an installation without internet needs, in build/bundle (TARGETS=\"aarch64-3.10 ...\")"
 	@echo "make audit   known holes in what it depends on (asks the network)"
@@ -27,6 +28,9 @@ lint: setup
 	@.venv/bin/mypy
 	@.venv/bin/lint-imports
 	@git ls-files -z | xargs -0 .venv/bin/detect-secrets-hook --no-verify --exclude-lines 'sha256|"[0-9a-f]{64}"'
+
+docs: setup
+	@NO_MKDOCS_2_WARNING=1 .venv/bin/mkdocs build --strict
 
 dist: setup
 	@./deploy/try_wheel.sh

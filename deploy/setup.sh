@@ -1,5 +1,5 @@
 #!/usr/bin/env bash
-# Makes .venv with everything of `edge`, `onboard`, `viewer`, `ros2`, both cameras and `dev`, where there is only Python, pip and apt.
+# Makes .venv with everything of `edge`, `onboard`, `viewer`, `ros2`, `docs`, both cameras and `dev`, where there is only Python, pip and apt.
 # Idempotent: a second call with nothing to do takes about a second.
 set -euo pipefail
 cd "$(dirname "$0")/.."
@@ -50,7 +50,7 @@ if [ ! -x "$UV/bin/uv" ]; then
 fi
 export UV_PYTHON_DOWNLOADS=never
 "$UV/bin/uv" sync --frozen --quiet --python "$python" \
-    --extra edge --extra onboard --extra viewer --extra realsense --extra oak --extra secure --extra ros2 --group dev
+    --extra edge --extra onboard --extra viewer --extra realsense --extra oak --extra secure --extra ros2 --extra docs --group dev
 # Compiled for the code as it is: again where a file of it is newer.
 if [ ! -e .venv/.compiled ] || [ -n "$(find huepose services -name '*.py' -newer .venv/.compiled -print -quit)" ]; then
     echo "setup: compiling, learning the built-in objects and drawing their scene: three to five minutes of a processor, once"

@@ -1,0 +1,36 @@
+"""The documentation as a site: no link leads nowhere, and the reference of pipeline.yaml has every key."""
+
+import os
+import re
+import subprocess
+import sys
+from pathlib import Path
+
+from msgspec import structs
+
+from huepose_services.runtime.config import Config, ViewerConfig
+
+ROOT = Path(__file__).parents[1]
+
+
+def test_it_is_built_without_a_warning_and_explains_every_key(tmp_path):
+    command = [sys.executable, "-m", "mkdocs", "build", "--strict", "--site-dir", str(tmp_path)]
+    done = subprocess.run(
+        command,
+        cwd=ROOT,
+        capture_output=True,
+        text=True,
+        env={**os.environ, "NO_MKDOCS_2_WARNING": "1"},
+        check=False,
+    )
+    assert done.returncode == 0, done.stderr
+    page = (tmp_path / "configuration" / "index.html").read_text()
+    keys = [field.name for kind in (Config, ViewerConfig) for field in structs.fields(kind)]
+    assert not [key for key in keys if f"<code>{key}</code>" not in page]
+    row = re.search(r"<td><code>image_rate_hz</code></td>(.*?)</tr>", page, re.DOTALL)[1]
+    assert re.findall(r"<td>(.*?)</td>", row) == [
+        "number &gt; 0 ≤ 30",
+        "<code>10.0</code>",
+        "pictures a second; poses are all shown",
+    ]
+    assert "demo.webp" in (tmp_path / "index.html").read_text()

@@ -9,16 +9,14 @@ import argparse
 import json
 import sys
 import time
+from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from huepose.drawing.plots import line_plot
-from huepose.evaluation.pictures import write_picture
+from huepose_services.chaos.memory import draw, growth
 from huepose_services.chaos.system import CHAIN, LivePipeline, SeenPose, gaps_s, too_old, wrong
-
-_SETTLED_S = 60.0
 
 
 def main() -> None:
@@ -54,7 +52,7 @@ def main() -> None:
             "restarts": sum("starting" in line and "again" in line for line in lines),
         }
         if arguments.memory is not None:
-            _draw(pipeline, start, arguments.memory)
+            draw(pipeline.health_log, start, arguments.memory)
     print(json.dumps(result, indent=2))
     if arguments.json is not None:
         arguments.json.write_text(json.dumps(result, indent=2) + "\n")
@@ -79,15 +77,10 @@ def pose_figures(poses: list[SeenPose], start: float, end: float) -> dict[str, A
 
 def _worker(pipeline: LivePipeline, worker: str, start: float, end: float, cpu: float) -> dict[str, Any]:
     said = [(at, m) for at, m in pipeline.health_log if m.worker == worker and start <= at <= end]
-    settled = [(at, m) for at, m in said if at - start >= min(_SETTLED_S, (end - start) / 4.0)] or said
-    minutes = np.array([at - start for at, _ in settled]) / 60.0
-    memory = np.array([m.memory_mib for _, m in settled])
-    slope = float(np.polyfit(minutes, memory, 1)[0]) if len(settled) > 2 else 0.0
     last = said[-1][1]
     return {
         "cpu_percent": cpu,
-        "memory_mib_first_last_max": [float(memory[0]), float(memory[-1]), float(memory.max())],
-        "memory_mib_per_minute": slope,
+        "memory": asdict(growth(said, start, end)[worker]),
         "locked_mib": last.locked_mib,
         "drops": last.drops - said[0][1].drops,
         "errors": last.errors,
@@ -100,16 +93,6 @@ def _cpu_s(pid: int) -> float:
     """User and system time of a process, all threads."""
     fields = Path(f"/proc/{pid}/stat").read_text().rsplit(")", 1)[1].split()
     return (int(fields[11]) + int(fields[12])) / 100.0
-
-
-def _draw(pipeline: LivePipeline, start: float, path: Path) -> None:
-    """Memory of every worker over the minutes, as a picture."""
-    series = {}
-    for worker in CHAIN:
-        said = [(at, m) for at, m in pipeline.health_log if m.worker == worker and at >= start]
-        x = np.array([(at - start) / 60.0 for at, _ in said])
-        series[worker] = (x, np.array([m.memory_mib for _, m in said]))
-    write_picture(path, line_plot(series, "resident memory", "minutes", "MiB"))
 
 
 if __name__ == "__main__":

@@ -6,6 +6,7 @@ import argparse
 import json
 import sys
 import time
+from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
@@ -69,11 +70,14 @@ def call(arguments: argparse.Namespace) -> int:
             draw(system.health_log, start, arguments.image)
     text = table(outcomes)
     print(text)
-    for worker, mib in grown.items():
-        print(f"{worker:10s} {mib:+.1f} MiB an hour")
+    for worker, memory in grown.items():
+        print(f"{worker:10s} {memory}")
     if arguments.table is not None:
         arguments.table.write_text(text + "\n")
     if arguments.json is not None:
-        found = {"faults": [o.facts() for o in outcomes], "memory_mib_per_hour": grown}
+        found = {
+            "faults": [o.facts() for o in outcomes],
+            "memory": {worker: asdict(memory) for worker, memory in grown.items()},
+        }
         arguments.json.write_text(json.dumps(found, indent=2) + "\n")
     return 1 if any(o.broken for o in outcomes) else 0

@@ -1,0 +1,147 @@
+"""Has a stage become slower? Its CPU time, divided by that of fixed work beside it, and what it was.
+
+    OMP_NUM_THREADS=1 .venv/bin/python -m benchmarks.speed [--only track estimate detect] [--rounds N]
+
+Other load slows both. The least of many rounds is compared, for nothing makes work faster than it is.
+It exits with 1 when a stage costs more than ALARM times what it did. After a change that is meant to
+cost more or less, put what this says into RATIOS.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import sys
+import time
+from collections.abc import Callable, Mapping
+from dataclasses import replace
+
+import cv2
+import numpy as np
+
+from benchmarks.growth import copies, picture, truth
+from huepose.estimation import Estimator, ObjectQuery
+from huepose.judge.silhouette import projected_box
+from huepose.perception.colorpair_detector import ColorPairDetector
+from huepose.profiles import profile
+from huepose.tracking import Tracker
+from huepose.tracking.types import Correction
+
+RATIOS = {"track": 5.7, "estimate": 5.15, "detect": 6.7}
+"""CPU time of ten steps with two objects, one estimate, a search for two that are absent, in units of the
+fixed work."""
+
+ALARM = 1.2
+ROUNDS, MOST_ROUNDS = 8, 40
+"""At least and, while there is an alarm, at most."""
+
+Work = Callable[[], object]
+
+
+def fixed_work() -> Work:
+    """What the library is made of, and no line of it: filters, products, sorting, elementary functions."""
+    rng = np.random.default_rng(0)
+    image = rng.random((480, 640, 3), dtype=np.float32)
+    values, matrix = rng.random(60_000), rng.random((150, 150))
+    places = rng.integers(0, 480 * 640, 100_000)
+
+    def work() -> None:
+        blurred = cv2.bilateralFilter(image, 5, 0.1, 3.0)
+        np.sort(values)
+        np.einsum("ij,jk->ik", matrix, matrix)
+        np.exp(np.sqrt(values))
+        blurred.reshape(-1, 3)[places].sum(0)
+
+    return work
+
+
+def stages() -> dict[str, Work]:
+    """What is watched, each on one thread."""
+    models, settings = copies(4), profile("live")
+    seen = dict(list(models.items())[:2])
+    frames = [picture(seen, 2, i) for i in range(11)]
+    poses = {name: truth(model, k, 0, 2) for k, (name, model) in enumerate(seen.items())}
+    boxes = {name: projected_box(seen[name], frames[0], T) for name, T in poses.items()}
+    estimator = Estimator(models, replace(settings.estimator, threads=1))
+    detector = ColorPairDetector(models, settings.detector)
+    queries, absent = [ObjectQuery(*item) for item in boxes.items()], list(models)[2:]
+
+    def track() -> None:
+        tracker = Tracker(models, settings.tracker)
+        for name, T in poses.items():
+            tracker.correct(Correction.first(name, T, frames[0]))
+        for frame in frames[1:]:
+            tracker.step(frame)
+
+    return {
+        "track": track,
+        "estimate": lambda: estimator.estimate(frames[0], queries),
+        "detect": lambda: detector.detect(frames[0], absent),
+    }
+
+
+def measured(works: Mapping[str, Work], rounds: int = ROUNDS) -> dict[str, float]:
+    """CPU time of each, in units of the fixed work, of so many rounds, and more while one is too slow."""
+    fixed = fixed_work()
+    for work in works.values():
+        work()
+    least = dict.fromkeys([*works, ""], np.inf)
+    ratios: dict[str, float] = {}
+    for k in range(max(MOST_ROUNDS, rounds)):
+        for name, work in works.items():
+            least[""] = min(least[""], _cpu_s(fixed))
+            least[name] = min(least[name], _cpu_s(work))
+        ratios = {name: least[name] / least[""] for name in works}
+        if k + 1 >= rounds and not slower(ratios):
+            break
+    return ratios
+
+
+def slowed(work: Work, share: float) -> Work:
+    """The same, which costs so much more."""
+
+    def longer() -> None:
+        spent_s = _cpu_s(work)
+        start = time.process_time()
+        while time.process_time() - start < share * spent_s:
+            pass
+
+    return longer
+
+
+def slower(ratios: Mapping[str, float]) -> dict[str, float]:
+    """Those that cost more than they may, as multiples of what they did."""
+    return {name: found / RATIOS[name] for name, found in ratios.items() if found > ALARM * RATIOS[name]}
+
+
+def _cpu_s(work: Work) -> float:
+    start = time.process_time()
+    work()
+    return time.process_time() - start
+
+
+def main() -> None:
+    """Measure, print, compare."""
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
+    parser.add_argument("--only", nargs="+", choices=list(RATIOS), default=list(RATIOS))
+    parser.add_argument("--rounds", type=int, default=ROUNDS)
+    parser.add_argument(
+        "--slowed", type=float, default=0.0, metavar="SHARE", help="make them slower by so much"
+    )
+    arguments = parser.parse_args()
+    cv2.setNumThreads(1)
+    works = {
+        name: slowed(work, arguments.slowed) if arguments.slowed else work
+        for name, work in stages().items()
+        if name in arguments.only
+    }
+    found = measured(works, arguments.rounds)
+    late = slower(found)
+    print(json.dumps({"ratios": found, "slower": late}))
+    sys.exit(1 if late else 0)
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,38 @@
+"""No stage of the library costs more CPU time than it did, and where one does it is noticed."""
+
+from __future__ import annotations
+
+import json
+import os
+import subprocess
+import sys
+
+import pytest
+
+from huepose_services.runtime.threads import THREAD_VARIABLES
+
+
+def _speed(*arguments: str) -> tuple[int, dict[str, dict[str, float]]]:
+    """Exit status and findings, with numeric libraries on one thread: idle threads of theirs spin."""
+    done = subprocess.run(
+        [sys.executable, "-m", "benchmarks.speed", *arguments],
+        env=os.environ | dict.fromkeys(THREAD_VARIABLES, "1"),
+        capture_output=True,
+        text=True,
+        timeout=300.0,
+        check=False,
+    )
+    assert done.stdout, done.stderr
+    return done.returncode, json.loads(done.stdout)
+
+
+@pytest.mark.live
+def test_no_stage_became_slower():
+    code, found = _speed()
+    assert (code, found["slower"]) == (0, {}), found
+
+
+@pytest.mark.live
+def test_a_stage_that_is_slower_by_30_percent_is_noticed():
+    code, found = _speed("--only", "track", "--slowed", "0.3")
+    assert (code, list(found["slower"])) == (1, ["track"]), found

@@ -12,7 +12,7 @@ import numpy as np
 from huepose.geometry import RgbdFrame
 from huepose.geometry.arrays import Float64
 from huepose.geometry.depth_noise import depth_noise_m
-from huepose.geometry.picture_faults import LEAST_DEPTH, dark, depth_share, readings
+from huepose.geometry.picture_faults import dark, readings
 from huepose.judge.surface import PreparedSurface
 
 NOT_FOUND = "It is not where it was, and was not found elsewhere yet."
@@ -74,7 +74,7 @@ def _few(which: np.ndarray) -> bool:
 
 def complaint_about(frame: RgbdFrame, before: RgbdFrame | None) -> str | None:
     """The reason to doubt a frame, by itself and beside the one before it; None where there is none."""
-    if depth_share(frame.depth) < LEAST_DEPTH:
+    if not readings(frame.depth).any():  # a tracked object may be all that has depth
         return "there is no depth in the whole picture: is the depth camera covered, or its stream off?"
     if before is None or before.epoch != frame.epoch:
         return None

@@ -111,9 +111,11 @@ def export_onnx(
     file: Path,
     examples: Mapping[str, Tensor],
     output: str,
+    *,
+    any_count: bool = False,
 ) -> None:
     """Write a network as ONNX: its inputs by name, each with an example, and its one output, without what the
-    exporter notes there about the source files and their folders."""
+    exporter notes there about the source files and their folders. any_count: the first size is free."""
     import onnx
 
     torch.onnx.export(
@@ -122,6 +124,7 @@ def export_onnx(
         str(file),
         input_names=list(examples),
         output_names=[output],
+        dynamic_shapes=tuple({0: torch.export.Dim.DYNAMIC} for _ in examples) if any_count else None,
         dynamo=True,
         external_data=False,
         verbose=False,

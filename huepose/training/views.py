@@ -110,7 +110,7 @@ def draw_views(rng: Rng, mesh: Mesh, props: Props, growth: float, ranges: ViewRa
     rows, columns = _union([box.grown(growth) for box in boxes]).slices(camera.width, camera.height)
     window = camera.cropped(columns.start, rows.start, columns.stop - columns.start, rows.stop - rows.start)
     standing = _standing(rng, props, camera, T_cam_obj[FRAMES // 2][:3, 3], ranges)
-    still = _Still.seen(standing, window, _light(rng))
+    still = _Still.seen(standing, window, random_strong_light(rng))
     gains = np.exp(rng.normal(0.0, 0.05, FRAMES)) if rng.random() < ranges.flicker else np.ones(FRAMES)
     stereo = rng.random() < ranges.stereo
     instants = (-SHUTTER / 4, SHUTTER / 4) if rng.random() < 0.5 else (0.0,)
@@ -226,7 +226,7 @@ def _somewhere(rng: Rng, camera: Camera, pixel: Float64, depth_m: float) -> Floa
     return se3.make(random_rotation(rng), point)
 
 
-def _light(rng: Rng) -> Light:
+def random_strong_light(rng: Rng) -> Light:
     """Of any strength: whites may be overexposed."""
     light = random_light(rng)
     key, sky = light.key * np.exp(rng.uniform(-0.9, 0.9)), light.sky * np.exp(rng.uniform(-0.7, 0.7))

@@ -13,12 +13,13 @@ def add_parser(subparsers: Any) -> None:
     """Add the verb and what it trains."""
     parser = subparsers.add_parser(
         "train",
-        help="train the tracker's rotation network (extra: train)",
+        help="train the networks that come with HuePose anew (extra: train)",
         description="Train a network on what code draws, endlessly; no data is needed. Ctrl-C ends it early "
         "and keeps what was learned.",
     )
     whats = parser.add_subparsers(dest="what", required=True, metavar="WHAT")
     _add_rotation(whats)
+    _add_views(whats)
 
 
 def _add_rotation(whats: Any) -> None:
@@ -40,14 +41,28 @@ def _add_rotation(whats: Any) -> None:
     parser.set_defaults(call=train_rotation)
 
 
-def _add_limits(parser: argparse.ArgumentParser) -> None:
+def _add_views(whats: Any) -> None:
+    parser = whats.add_parser(
+        "views",
+        help="the detector's codes of views, from windows of drawn scenes",
+        description="A convolutional network by which the detector tells which view of an object is in which "
+        "window, learned from random objects in random scenes. Leaves views.onnx, views.json, views.png and "
+        "checkpoint.pt.",
+    )
+    _add_limits(parser, batch="objects of one step (24)", batch_default=24)
+    parser.set_defaults(call=train_views)
+
+
+def _add_limits(
+    parser: argparse.ArgumentParser, batch: str = "samples of one step (64)", batch_default: int = 64
+) -> None:
     parser.add_argument("--out", type=Path, required=True, metavar="DIR", help="where the network goes")
     parser.add_argument("--hours", type=float, default=2.0, metavar="H", help="wall time (2)")
     parser.add_argument(
         "--seed", type=int, default=0, metavar="N", help="of what is drawn, and of the first weights (0)"
     )
     parser.add_argument("--workers", type=int, default=1, metavar="N", help="processes that draw (1)")
-    parser.add_argument("--batch", type=int, default=64, metavar="N", help="samples of one step (64)")
+    parser.add_argument("--batch", type=int, default=batch_default, metavar="N", help=batch)
     parser.add_argument("--device", default="cpu", help="cpu or cuda (cpu)")
     parser.add_argument("--resume", action="store_true", help="go on from the checkpoint in DIR")
 
@@ -67,6 +82,22 @@ def train_rotation(arguments: argparse.Namespace) -> int:
     )
     for kind, report in train(config, arguments.out, arguments.resume).items():
         _told(arguments.out / f"{kind}.json", report)
+    return 0
+
+
+def train_views(arguments: argparse.Namespace) -> int:
+    """Train, and say how good it became."""
+    _check(arguments)
+    from huepose.training.view_codes import NAME, ViewCodeTraining, train
+
+    config = ViewCodeTraining(
+        hours=arguments.hours,
+        seed=arguments.seed,
+        objects=arguments.batch,
+        workers=arguments.workers,
+        device=arguments.device,
+    )
+    _told(arguments.out / f"{NAME}.json", train(config, arguments.out, arguments.resume))
     return 0
 
 

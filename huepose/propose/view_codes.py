@@ -1,0 +1,81 @@
+"""Codes of views: which view of a model looks like what is in a window, whatever light and sensor did to it?
+
+One small network reads a model's clean views and the windows of a frame alike (`view_pictures`). It gives
+each of 8 x 8 cells 16 numbers; the likeness of a window and a view is the sum of products over the cells that
+the view covers, so what is hidden costs its own cells only. It was trained on objects and scenes made by code
+(`huepose.training.view_codes`) and knows none of a user's objects. Local codes that are compared on the
+template's mask: Nguyen et al., Templates for 3D Object Pose Estimation Revisited (CVPR 2022).
+"""
+
+from __future__ import annotations
+
+from functools import cache
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from huepose.geometry.arrays import Float32, UInt8
+from huepose.geometry.mesh import Mesh
+from huepose.propose.view_pictures import SIDE, network_input, turned, unturned_views
+
+CELLS = 8
+"""Cells of a code along each side."""
+
+NUMBERS = 16
+"""Of each cell."""
+
+BATCH = 32
+WEIGHTS = Path(__file__).parent / "weights"
+"""views.onnx; views.json beside it says how it was made."""
+
+_SMALLEST = 1e-6
+
+
+def codes_of_views(mesh: Mesh, diameter_m: float) -> Float32:
+    """Codes (N, D) of unit length of all views of a mesh at all rolls (0.6 s)."""
+    return codes_of_pictures(*turned(*unturned_views(mesh, diameter_m)))
+
+
+def codes_of_pictures(colors: UInt8, reliefs: Float32) -> Float32:
+    """Codes (N, D) of unit length of clean views: colours (N, 64, 64, 3) and relief (N, 64, 64)."""
+    codes = _codes(colors, reliefs, clean=True) * in_cells(np.isfinite(reliefs))[:, None]
+    return _of_unit_length(codes.reshape(len(codes), -1))
+
+
+def in_cells(shares: np.ndarray) -> Float32:
+    """Means (N, 8, 8) of pictures (N, 64, 64)."""
+    each = SIDE // CELLS
+    return np.asarray(shares.reshape(-1, CELLS, each, CELLS, each).mean((2, 4)), np.float32)
+
+
+def codes_of_windows(colors: UInt8, reliefs: Float32) -> Float32:
+    """Codes (W, D) of the windows of a frame: the cosine of one with a view's code is the likeness."""
+    codes = _codes(colors, reliefs, clean=False)
+    length = np.maximum(np.linalg.norm(codes, axis=1, keepdims=True), np.float32(_SMALLEST))
+    return np.asarray((codes / (CELLS * length)).reshape(len(codes), NUMBERS * CELLS**2), np.float32)
+
+
+def _codes(colors: UInt8, reliefs: Float32, *, clean: bool) -> Float32:
+    """What the network says (N, C, 8, 8)."""
+    session, parts = _session(), []
+    for k in range(0, len(colors), BATCH):
+        some = slice(k, k + BATCH)
+        parts += session.run(None, {"window": network_input(colors[some], reliefs[some], clean=clean)})
+    return np.concatenate(parts) if parts else np.zeros((0, NUMBERS, CELLS, CELLS), np.float32)
+
+
+def _of_unit_length(codes: Float32) -> Float32:
+    length = np.maximum(np.linalg.norm(codes, axis=1, keepdims=True), np.float32(_SMALLEST))
+    return np.asarray(codes / length, np.float32)
+
+
+@cache
+def _session() -> Any:
+    """The network, opened once in a process; sessions of ONNX Runtime serve several threads."""
+    import onnxruntime as ort
+
+    options = ort.SessionOptions()
+    options.intra_op_num_threads, options.inter_op_num_threads = 1, 1
+    options.log_severity_level = 3
+    return ort.InferenceSession(str(WEIGHTS / "views.onnx"), options, providers=["CPUExecutionProvider"])

@@ -1,0 +1,414 @@
+"""Training of the network of view codes: endless objects, checkpoints, a validation curve, an ONNX file."""
+
+from __future__ import annotations
+
+import json
+import math
+import platform
+from collections.abc import Iterator
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+import torch
+from torch import Tensor
+from torch.nn import functional
+from torch.utils.data import DataLoader, IterableDataset
+
+from huepose.drawing.plots import line_plot
+from huepose.geometry import icosphere
+from huepose.propose.view_pictures import CHANNELS, NEAR, ROLLS, SIDE, SPAN, UNTURNED
+from huepose.propose.view_pictures import LEVEL as VIEW_LEVEL
+from huepose.training.runs import (
+    Course,
+    endless_loader,
+    export_onnx,
+    load_checkpoint,
+    save_checkpoint,
+    stream_number,
+    timed_batches,
+)
+from huepose.training.view_code_network import (
+    LARGEST_SHARPNESS,
+    ViewCodeNetwork,
+    loss_of,
+    view_codes,
+    window_codes,
+)
+from huepose.training.windows import PIXELS, WINDOWS, Drawn, endless
+
+VALIDATION_ROUND = 10_000
+"""Its streams are none of a training's."""
+
+SHIFT, LARGEST_SHIFT = 0.06, 0.13
+"""By how much a window's middle is off, in diameters: deviation and most. The detector's windows are a fifth
+of one apart."""
+
+STRETCH, DEEPER, DEEPEST = 0.06, 0.1, 0.25
+"""Deviation of a window's logarithmic size; of its depth, in diameters, and the most of it."""
+
+BESIDE = (0.3, 0.52)
+"""So far off, in diameters, a window shows something else."""
+
+SPREAD_DEG, REACH_DEG = 18.0, 38.0
+"""How fast the views round the true turn count less as answers, and where they end."""
+
+RIGHT_DEG = 25.0
+"""A view this near is right, in validation."""
+
+NAME = "views"
+
+
+@dataclass(frozen=True)
+class ViewCodeTraining:
+    """How to train. hours: of wall time, the learning rate falls to zero over them; steps: end after so many,
+    for a trial; every: steps between two validations; validation: objects; workers: processes that draw, 0:
+    this one. Of a step: objects, of each of them windows that show it, windows beside it, and views. room:
+    objects that are kept, the oldest replaced; first: of these before the first step; reuse: steps for each
+    new object, at most."""
+
+    hours: float = 1.0
+    steps: int | None = None
+    seed: int = 0
+    rate: float = 2e-3
+    every: int = 1000
+    validation: int = 48
+    workers: int = 1
+    device: str = "cpu"
+    objects: int = 24
+    windows: int = 6
+    beside: int = 3
+    views: int = 40
+    room: int = 6000
+    first: int = 200
+    reuse: float = 8.0
+
+
+class _Endless(IterableDataset[Drawn]):
+    """Objects of one process."""
+
+    def __init__(self, config: ViewCodeTraining, round_number: int) -> None:
+        self.config, self.round = config, round_number
+
+    def __iter__(self) -> Iterator[Drawn]:
+        cv2.setNumThreads(1)
+        torch.set_num_threads(1)
+        yield from endless(self.config.seed, stream_number(self.round))
+
+
+class Shelf:
+    """The newest objects on a device."""
+
+    def __init__(self, room: int, device: str) -> None:
+        views = len(icosphere.directions(VIEW_LEVEL))
+        byte, half = ({"dtype": kind, "device": device} for kind in (torch.uint8, torch.float16))
+        self.view_colors = torch.zeros(room, views, UNTURNED, UNTURNED, 3, **byte)
+        self.view_reliefs = torch.zeros(room, views, UNTURNED, UNTURNED, **half)
+        self.colors = torch.zeros(room, WINDOWS, PIXELS, PIXELS, 3, **byte)
+        self.reliefs = torch.zeros(room, WINDOWS, PIXELS, PIXELS, **half)
+        self.rotations = torch.zeros(room, WINDOWS, 3, 3, device=device)
+        self.drawn = 0
+
+    def __len__(self) -> int:
+        return min(self.drawn, len(self.rotations))
+
+    def add(self, one: Drawn) -> None:
+        """Keep one more."""
+        kept = self.view_colors, self.view_reliefs, self.colors, self.reliefs, self.rotations
+        for room, part in zip(kept, one, strict=True):
+            room[self.drawn % len(room)] = torch.as_tensor(part).to(room)
+        self.drawn += 1
+
+    def views_of(self, objects: Tensor, numbers: Tensor) -> tuple[Tensor, Tensor]:
+        """Colours (M, 3, 64, 64) from 0 to 1 and relief (M, 64, 64), NaN where nothing is, of the numbered
+        views, in the order of `view_pictures.turned`, of objects (M,)."""
+        view, roll = numbers // ROLLS, numbers % ROLLS
+        angle = 2.0 * math.pi * roll / ROLLS
+        c, s, zero = torch.cos(angle), torch.sin(angle), torch.zeros_like(angle)
+        share = SIDE / UNTURNED
+        rows = torch.stack([c * share, s * share, zero]), torch.stack([-s * share, c * share, zero])
+        to_picture = torch.stack(rows).permute(2, 0, 1)
+        return _cut(self.view_colors[objects, view], self.view_reliefs[objects, view], to_picture)
+
+    def windows_of(
+        self, objects: Tensor, numbers: Tensor, shift: Tensor, stretch: Tensor, deeper: Tensor
+    ) -> tuple[Tensor, Tensor]:
+        """Colours and relief, likewise, of the numbered windows of objects (M,), moved by `shift` (M, 2) and
+        `deeper` (M,) diameters and enlarged by `stretch` (M,)."""
+        share, zero = SIDE / PIXELS * stretch, torch.zeros_like(stretch)
+        half = PIXELS / SIDE * SPAN / 2.0
+        rows = (
+            torch.stack([share, zero, shift[:, 0] / half]),
+            torch.stack([zero, share, shift[:, 1] / half]),
+        )
+        to_picture = torch.stack(rows).permute(2, 0, 1)
+        colors, reliefs = _cut(self.colors[objects, numbers], self.reliefs[objects, numbers], to_picture)
+        return colors, reliefs + deeper[:, None, None]
+
+
+def _cut(colors: Tensor, reliefs: Tensor, to_picture: Tensor) -> tuple[Tensor, Tensor]:
+    """What lies at `to_picture` (M, 2, 3), in halves of the picture, of colours (M, n, n, 3) and relief."""
+    known = torch.isfinite(reliefs)
+    both = torch.stack([torch.where(known, reliefs, 0.0).float(), known.float()], 1)
+    grid = functional.affine_grid(to_picture.float(), [len(colors), 1, SIDE, SIDE], align_corners=False)
+    rgb = functional.grid_sample(colors.permute(0, 3, 1, 2).float() / 255.0, grid, align_corners=False)
+    both = functional.grid_sample(both, grid, mode="nearest", align_corners=False)
+    return rgb, torch.where(both[:, 1] > 0.5, both[:, 0], math.nan)
+
+
+def recolored(rgb: Tensor, strength: float) -> Tensor:
+    """Colours (N, 3, h, w) from 0 to 1 in another light, exposure, saturation and tone curve."""
+
+    def chance(spread: float, channels: int = 1) -> Tensor:
+        drawn = torch.randn(len(rgb), channels, 1, 1, device=rgb.device)
+        return torch.exp(strength * spread * drawn)
+
+    linear = rgb.clamp(0.0, 1.0) ** 2.2 * chance(0.15, 3) * chance(0.3)
+    grey = linear.mean(1, keepdim=True)
+    linear = grey + (linear - grey) * chance(0.3) * math.exp(-0.15 * strength)
+    return linear.clamp(1e-4, 1.0) ** (chance(0.18) / 2.2)
+
+
+def sensed(rgb: Tensor, relief: Tensor) -> tuple[Tensor, Tensor]:
+    """Windows as other sensors would give them: other colours, sharpened or soft, noisy; depth with holes."""
+    count, device = len(rgb), rgb.device
+
+    def share() -> Tensor:
+        return torch.rand(count, 1, 1, device=device)
+
+    rgb = recolored(rgb, 1.0)
+    soft = functional.avg_pool2d(functional.pad(rgb, (1, 1, 1, 1), mode="replicate"), 3, 1)
+    rgb = rgb + (1.6 * share()[:, None] - 0.8) * (rgb - soft)
+    rgb = rgb + 0.03 * share()[:, None] * torch.randn_like(rgb)
+    blobs = functional.interpolate(torch.randn(count, 1, 9, 9, device=device), (SIDE, SIDE), mode="bicubic")
+    holes = (blobs[:, 0] > 1.1 + 1.2 * share()) & (share() < 0.4)
+    relief = relief + 0.02 * share() ** 2 * torch.randn_like(relief)
+    return rgb.clamp(0.0, 1.0), torch.where(holes, math.nan, relief)
+
+
+def network_input(rgb: Tensor, relief: Tensor, *, clean: bool) -> Tensor:
+    """As `view_pictures.network_input`, of colours from 0 to 1."""
+    known = torch.isfinite(relief)
+    level = torch.where(known, relief, 0.0)
+    colors = (2.0 * rgb - 1.0) * (known[:, None] if clean else 1.0)
+    parts = [2.0 * level.clamp(-NEAR, NEAR), known.float(), (known & (level.abs() < NEAR)).float()]
+    return torch.cat([colors, torch.stack(parts, 1)], 1)
+
+
+def train(config: ViewCodeTraining, out: Path, resume: bool = False) -> dict[str, Any]:
+    """Train until `config.hours` are over, or until interrupted; leave `views.onnx`, `views.json`,
+    `views.png`, its curve, and `checkpoint.pt` in `out`. Returns what views.json says.
+
+    Raises InputError where `resume` finds no checkpoint, or one of another kind."""
+    out.mkdir(parents=True, exist_ok=True)
+    torch.manual_seed(config.seed)
+    net = ViewCodeNetwork().to(config.device)
+    optimiser = torch.optim.AdamW(net.parameters(), config.rate, weight_decay=1e-2)
+    parts = {"optimiser": optimiser, NAME: net}
+    course = load_checkpoint(out, NAME, parts) if resume else Course()
+    held_out = Shelf(config.validation, config.device)
+    for one in _loaded(config, VALIDATION_ROUND):
+        held_out.add(one)
+        if held_out.drawn == config.validation:
+            break
+    fresh = _loaded(config, course.rounds)
+    course.rounds += 1
+    try:
+        for shelf in timed_batches(_shelves(fresh, config), "view codes", course, optimiser, config):
+            _step(net, optimiser, shelf, config)
+            course.steps += 1
+            if course.steps % config.every == 0:
+                _validated(net, held_out, course)
+                save_checkpoint(out, NAME, course, parts)
+    except KeyboardInterrupt:
+        pass
+    first, fifth, median = _validated(net, held_out, course)
+    save_checkpoint(out, NAME, course, parts)
+    _draw(out / f"{NAME}.png", course)
+    export(net, held_out, out / f"{NAME}.onnx")
+    report = {
+        "training": asdict(config),
+        "hours": round(course.hours, 3),
+        "steps": course.steps,
+        "machine": f"{platform.machine()}, {config.workers} processes that draw, {config.device}",
+        "torch": torch.__version__,
+        "validation": {"first_right": first, "one_of_five_right": fifth, "median_rank": median},
+    }
+    (out / f"{NAME}.json").write_text(json.dumps(report, indent=2) + "\n")
+    return report
+
+
+def _loaded(config: ViewCodeTraining, round_number: int) -> DataLoader[Any]:
+    return endless_loader(_Endless(config, round_number), config.workers)
+
+
+def _shelves(fresh: DataLoader[Any], config: ViewCodeTraining) -> Iterator[Shelf]:
+    """The same shelf for each step, with what was drawn meanwhile."""
+    shelf, lent = Shelf(config.room, config.device), 0
+    for one in fresh:
+        shelf.add(one)
+        while shelf.drawn >= config.first and lent < config.reuse * shelf.drawn:
+            yield shelf
+            lent += 1
+
+
+def _step(
+    net: ViewCodeNetwork, optimiser: torch.optim.Optimizer, shelf: Shelf, config: ViewCodeTraining
+) -> None:
+    net.train()
+    with torch.no_grad():
+        windows, views, known, angles, wanted, asked = batch(shelf, config)
+    half = torch.autocast(config.device, dtype=torch.bfloat16, enabled=config.device != "cpu")
+    with half:
+        codes = net(torch.cat([windows, views])).float()
+    alike = window_codes(codes[: len(windows)]) @ view_codes(codes[len(windows) :], known).T
+    sharpness = net.log_sharpness.exp().clamp(max=LARGEST_SHARPNESS)
+    optimiser.zero_grad()
+    loss_of(sharpness * alike, angles, wanted, asked).backward()
+    torch.nn.utils.clip_grad_norm_(net.parameters(), 1.0)
+    optimiser.step()
+
+
+def batch(shelf: Shelf, config: ViewCodeTraining) -> tuple[Tensor, Tensor, Tensor, Tensor, Tensor, Tensor]:
+    """One question: pictures of windows (Q, 6, 64, 64) and of views (T, 6, 64, 64), what of the views is
+    covered (T, 64, 64), and what `loss_of` wants: angles (Q, T), answers (Q, T), views to ask for (T,)."""
+    device = shelf.rotations.device
+    count, each = config.objects, config.windows
+    objects = torch.randint(len(shelf), (count,), device=device)
+    numbers = torch.rand(count, WINDOWS, device=device).argsort(1)[:, :each]
+    apart = _angles(shelf.rotations[objects[:, None], numbers])
+    nearest = apart.topk(2, dim=2, largest=False).indices.flatten(1)
+    others = torch.randint(apart.shape[2], (count, config.views - nearest.shape[1]), device=device)
+    chosen = torch.cat([nearest, others], 1)
+    rgb, relief = shelf.views_of(objects.repeat_interleave(config.views), chosen.flatten())
+    views = network_input(recolored(rgb, 0.4), relief, clean=True)
+
+    q, beside = count * each, count * config.beside
+    shift = (SHIFT * torch.randn(q, 2, device=device)).clamp(-LARGEST_SHIFT, LARGEST_SHIFT)
+    way = 2.0 * math.pi * torch.rand(beside, device=device)
+    off = BESIDE[0] + (BESIDE[1] - BESIDE[0]) * torch.rand(beside, device=device)
+    shift = torch.cat([shift, off[:, None] * torch.stack([torch.cos(way), torch.sin(way)], 1)])
+    which = torch.cat([numbers.flatten(), torch.randint(WINDOWS, (beside,), device=device)])
+    whose = torch.cat([objects.repeat_interleave(each), objects.repeat_interleave(config.beside)])
+    stretch = torch.exp(STRETCH * torch.randn(len(whose), device=device))
+    deeper = (DEEPER * torch.randn(len(whose), device=device)).clamp(-DEEPEST, DEEPEST)
+    windows = network_input(*sensed(*shelf.windows_of(whose, which, shift, stretch, deeper)), clean=False)
+
+    own = apart.gather(2, chosen[:, None].expand(-1, each, -1))
+    asked = ~_repeated(chosen)
+    weight = torch.exp(-((own / SPREAD_DEG) ** 2)) * (own < REACH_DEG) * asked[:, None]
+    weight = weight / weight.sum(2, keepdim=True).clamp(min=1e-9)
+    angles = torch.full((len(whose), count, config.views), math.inf, device=device)
+    wanted = torch.zeros_like(angles)
+    owner = torch.arange(count, device=device).repeat_interleave(each)
+    rows = torch.arange(q, device=device)
+    angles[rows, owner], wanted[rows, owner] = own.flatten(0, 1), weight.flatten(0, 1)
+    return windows, views, torch.isfinite(relief), angles.flatten(1), wanted.flatten(1), asked.flatten()
+
+
+def _angles(rotations: Tensor) -> Tensor:
+    """Angles (..., N) in degrees between turns (..., 3, 3) and those of all views."""
+    turns = torch.from_numpy(view_rotations()).to(rotations)
+    cosines = (torch.einsum("...ij,nij->...n", rotations, turns) - 1.0) / 2.0
+    return torch.rad2deg(torch.acos(cosines.clamp(-1.0, 1.0)))
+
+
+def view_rotations() -> np.ndarray:
+    """Turns (N, 3, 3) of all views at all rolls."""
+    looks = np.stack([icosphere.look_at(direction) for direction in icosphere.directions(VIEW_LEVEL)])
+    angle = 2.0 * np.pi * np.arange(ROLLS) / ROLLS
+    rolls = np.zeros((ROLLS, 3, 3))
+    rolls[:, 0, 0] = rolls[:, 1, 1] = np.cos(angle)
+    rolls[:, 1, 0], rolls[:, 0, 1], rolls[:, 2, 2] = np.sin(angle), -np.sin(angle), 1.0
+    return np.asarray(np.einsum("rij,vjk->vrik", rolls, looks).reshape(-1, 3, 3))
+
+
+def _repeated(numbers: Tensor) -> Tensor:
+    """Which of the numbers (N, K) of a row were there before."""
+    ordered = numbers.sort(dim=1, stable=True)
+    again = torch.zeros_like(numbers, dtype=torch.bool)
+    again[:, 1:] = ordered.values[:, 1:] == ordered.values[:, :-1]
+    return torch.zeros_like(again).scatter(1, ordered.indices, again)
+
+
+def _validated(net: ViewCodeNetwork, held_out: Shelf, course: Course) -> tuple[float, float, float]:
+    """Share of the held-out windows whose likest view is right, for which one of the five likest is, and the
+    median rank of the first right one, all of an object's views asked for; noted on the curve."""
+    net.eval()
+    state = torch.random.get_rng_state()
+    torch.manual_seed(0)
+    with torch.no_grad():
+        ranks = [_ranks(net, held_out, k) for k in range(len(held_out))]
+    torch.random.set_rng_state(state)
+    rank = torch.cat(ranks).float()
+    figures = tuple(float(x) for x in ((rank < 1).float().mean(), (rank < 5).float().mean(), rank.median()))
+    course.curve.append([course.hours, course.steps, *figures])
+    return figures[0], figures[1], figures[2]
+
+
+def _ranks(net: ViewCodeNetwork, shelf: Shelf, k: int) -> Tensor:
+    """Ranks (Q,) of the first right view among all of an object's, in each of its windows."""
+    device = shelf.rotations.device
+    apart = _angles(shelf.rotations[k])
+    every = torch.arange(apart.shape[1], device=device)
+    rgb, relief = shelf.views_of(torch.full_like(every, k), every)
+    codes = view_codes(net(network_input(rgb, relief, clean=True)), torch.isfinite(relief))
+    n, still = torch.arange(WINDOWS, device=device), torch.zeros(WINDOWS, device=device)
+    seen = shelf.windows_of(torch.full_like(n, k), n, still[:, None].expand(-1, 2), still + 1.0, still)
+    alike = window_codes(net(network_input(*sensed(*seen), clean=False))) @ codes.T
+    best = torch.where(apart < RIGHT_DEG, alike, -math.inf).amax(1)
+    return (alike > best[:, None]).sum(1)
+
+
+def export(net: ViewCodeNetwork, shelf: Shelf, file: Path) -> None:
+    """Write the network as ONNX, any number of pictures at a time, in whole numbers of eight bits: half the
+    time of a processor, and its codes' cosines with the exact ones are 0.999. The ranges of the numbers
+    between are those of the objects of a shelf."""
+    from onnxruntime.quantization import QuantFormat, QuantType, quantize_static
+
+    exact = file.with_suffix(".exact.onnx")
+    export_onnx(net, exact, {"window": torch.zeros(2, CHANNELS, SIDE, SIDE)}, "code", any_count=True)
+    quantize_static(
+        str(exact),
+        str(file),
+        _Pictures(shelf),
+        quant_format=QuantFormat.QDQ,
+        per_channel=True,
+        weight_type=QuantType.QInt8,
+        activation_type=QuantType.QUInt8,
+        # Of seven bits: processors without the newer instructions would overflow where they add products.
+        reduce_range=True,
+    )
+    exact.unlink()
+
+
+class _Pictures:
+    """Some windows and views, a batch at a time, as the quantiser asks for them."""
+
+    def __init__(self, shelf: Shelf, objects: int = 12, each: int = 6) -> None:
+        self.batches = iter(_some(shelf, min(objects, len(shelf)), each))
+
+    def get_next(self) -> dict[str, np.ndarray] | None:
+        """One more batch, or None."""
+        return next(self.batches, None)
+
+
+def _some(shelf: Shelf, objects: int, each: int) -> Iterator[dict[str, np.ndarray]]:
+    device = shelf.rotations.device
+    still = torch.zeros(each, device=device)
+    for k in range(objects):
+        whose, which = torch.full((each,), k, device=device), torch.arange(each, device=device)
+        views = shelf.views_of(whose, which * ROLLS)
+        windows = shelf.windows_of(whose, which, still[:, None].expand(-1, 2), still + 1.0, still)
+        yield {"window": network_input(*views, clean=True).cpu().numpy()}
+        yield {"window": network_input(*windows, clean=False).cpu().numpy()}
+
+
+def _draw(file: Path, course: Course) -> None:
+    table = np.array(course.curve)
+    curves = {"likest": (table[:, 1], table[:, 2]), "one of five": (table[:, 1], table[:, 3])}
+    title = "windows of objects that it was not trained on"
+    picture = line_plot(curves, title, "steps", "share with a right view", y_range=(0.0, 1.0))
+    cv2.imwrite(str(file), picture[..., ::-1])

@@ -1,0 +1,230 @@
+"""Objects that nobody has, in windows of drawn scenes, with the clean views that they have to match.
+
+What the detector meets is drawn: an object on a ground among other things, something in front, any light,
+blur and noise of the sensor, depth of a stereo camera, of a time-of-flight camera, or exact. A window is
+drawn twice as wide as the network sees it, so that training can move it about.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+from typing import NamedTuple
+
+import cv2
+import numpy as np
+
+from huepose.geometry import Camera, Mesh, icosphere, se3
+from huepose.geometry.arrays import Bool, Float32, Float64, UInt8
+from huepose.propose.view_pictures import LEVEL, SIDE, SPAN, UNTURNED, clean_view, window_pictures
+from huepose.propose.views import onto_rays
+from huepose.rendering.render import Rendering, render
+from huepose.scenes.light import shine
+from huepose.scenes.sensor import COLOR, STEREO, expose, lost_in_bad_light, stereo_depth
+from huepose.training.shapes import random_object, random_rotation
+from huepose.training.views import NO_SHADOW, Props, random_strong_light
+
+WIDE = 2
+"""Width of a drawn window in widths of what the network sees."""
+
+WINDOWS = 10
+"""Of each object."""
+
+TRIES = 3
+"""So many windows are drawn for one that shows enough."""
+
+WIDTH, HEIGHT = 640, 480
+
+Rng = np.random.Generator
+
+
+@dataclass(frozen=True)
+class WindowRange:
+    """What is drawn. diameter_m, distance_m, focal_px: from and to; far_m: the distances of two fifths of the
+    windows; shares of the windows: on a ground, with a wall behind, with something in front, blurred by
+    motion, with depth of a stereo or of a time-of-flight camera (else exact); shown: least visible share."""
+
+    diameter_m: tuple[float, float] = (0.06, 0.35)
+    distance_m: tuple[float, float] = (0.4, 1.0)
+    far_m: tuple[float, float] = (0.7, 1.9)
+    focal_px: tuple[float, float] = (450.0, 950.0)
+    far: float = 0.4
+    on_ground: float = 0.8
+    wall: float = 0.4
+    in_front: float = 0.35
+    blurred: float = 0.3
+    stereo: float = 0.65
+    flight: float = 0.2
+    shown: float = 0.25
+
+
+class Drawn(NamedTuple):
+    """One object. view_colors (V, 92, 92, 3) uint8 and view_reliefs (V, 92, 92) float16: its clean views
+    without a roll; colors (Q, 128, 128, 3) uint8 and reliefs (Q, 128, 128) float16: windows about it, twice
+    as wide as the network sees; rotations (Q, 3, 3) float32: its turn there, seen along the window's ray."""
+
+    view_colors: UInt8
+    view_reliefs: np.ndarray
+    colors: UInt8
+    reliefs: np.ndarray
+    rotations: Float32
+
+
+def endless(seed: int, stream: int, ranges: WindowRange | None = None) -> Iterator[Drawn]:
+    """Objects without end; the same seed and stream give the same ones."""
+    ranges = ranges or WindowRange()
+    rng = np.random.default_rng([seed, stream])
+    props = Props(rng)
+    while True:
+        drawn = draw_object(rng, props, ranges)
+        if drawn is not None:
+            yield drawn
+
+
+def draw_object(rng: Rng, props: Props, ranges: WindowRange) -> Drawn | None:
+    """One object; None where it mostly cannot be seen."""
+    low, high = np.log(ranges.diameter_m)
+    mesh = random_object(rng, float(np.exp(rng.uniform(low, high))))
+    some = mesh.vertices[rng.integers(len(mesh.vertices), size=300)]
+    diameter_m = float(np.linalg.norm(some[:, None] - some[None], axis=-1).max())
+    windows = []
+    for _ in range(TRIES * WINDOWS):
+        window = _window(rng, mesh, diameter_m, props, ranges)
+        if window is not None:
+            windows.append(window)
+        if len(windows) == WINDOWS:
+            break
+    else:
+        return None
+    looks = [icosphere.look_at(direction) for direction in icosphere.directions(LEVEL)]
+    views = [clean_view(mesh, diameter_m, R, UNTURNED) for R in looks]
+    return Drawn(
+        np.stack([view.color for view in views]),
+        np.stack([view.relief for view in views]).astype(np.float16),
+        *(np.stack(part) for part in zip(*windows, strict=True)),
+    )
+
+
+def _window(
+    rng: Rng, mesh: Mesh, diameter_m: float, props: Props, ranges: WindowRange
+) -> tuple[UInt8, np.ndarray, Float32] | None:
+    """Colours, relief and turn of one window; None where too little of the object is seen."""
+    focal = rng.uniform(*ranges.focal_px)
+    whole = Camera(focal, focal, (WIDTH - 1) / 2, (HEIGHT - 1) / 2, WIDTH, HEIGHT)
+    z = rng.uniform(*(ranges.far_m if rng.random() < ranges.far else ranges.distance_m))
+    pixel = rng.uniform([40.0, 40.0], [WIDTH - 40.0, HEIGHT - 40.0])
+    centre = whole.backproject(pixel[None], np.array([z]))[0]
+    R = random_rotation(rng)
+    T = se3.make(R, centre - R @ mesh.centre)
+    half = int(0.525 * WIDE * SPAN * diameter_m / z * focal) + 2
+    left, top = int(pixel[0]) - half, int(pixel[1]) - half
+    camera = whole.cropped(left, top, 2 * half, 2 * half)
+    alone = render([(mesh, T)], camera, color=False).depth
+    inside = np.zeros(alone.shape, bool)
+    inside[max(0, -top) : HEIGHT - top, max(0, -left) : WIDTH - left] = True
+    seen = render([(mesh, T), *_round(rng, mesh, T, centre, diameter_m, props, ranges)], camera, normals=True)
+    own = (alone > 0) & (np.abs(seen.depth - alone) < 1e-4) & inside
+    if own.sum() < max(60, ranges.shown * (alone > 0).sum()):
+        return None
+    color = _color(rng, seen, camera, ranges)
+    depth = np.where(inside, _depth(rng, seen, color, camera, ranges), np.float32(0.0))
+    rows, columns = np.nonzero(alone)
+    middle, median = np.array([columns.mean(), rows.mean()]), float(np.median(alone[rows, columns]))
+    span_px = SPAN * diameter_m / median * focal
+    place = middle[None], np.array([median]), np.array([span_px])
+    shown = np.where(inside[..., None], color, 0).astype(np.uint8)
+    colors, reliefs = window_pictures(shown, depth, *place, diameter_m, wide=WIDE)
+    turn = onto_rays(camera.rays(middle[None]))[0]
+    return colors[0], np.clip(reliefs[0], -8.0, 8.0).astype(np.float16), (turn.T @ R).astype(np.float32)
+
+
+def _round(
+    rng: Rng, mesh: Mesh, T: Float64, centre: Float64, diameter_m: float, props: Props, ranges: WindowRange
+) -> list[tuple[Mesh, Float64]]:
+    """What is round the object: the ground that it touches, a wall, other things, something in front."""
+    out: list[tuple[Mesh, Float64]] = []
+    towards = -centre / np.linalg.norm(centre)
+    up, foot = None, centre
+    if rng.random() < ranges.on_ground:
+        up = _unit(rng)
+        while up @ towards < 0.2:
+            up = _unit(rng)
+        low = float((se3.apply(T, mesh.vertices) @ up).min())
+        foot = centre + up * (low - centre @ up - abs(rng.normal(0.0, 0.002)))
+        out.append((props.ground(), _lying(rng, up, foot)))
+    if up is None or rng.random() < ranges.wall:
+        behind = rng.uniform(0.5, 3.0) * diameter_m + rng.uniform(0.0, 1.5) * (rng.random() < 0.4)
+        facing = towards + 0.5 * rng.normal(size=3)
+        at = centre - behind * towards
+        out.append((props.ground(), _lying(rng, facing / np.linalg.norm(facing), at)))
+    for _ in range(int(rng.integers(0, 5))):
+        thing, turn = props.thing(), random_rotation(rng)
+        if up is None:
+            at = centre + _unit(rng) * rng.uniform(0.5, 1.2) * diameter_m
+        else:
+            side = np.cross(up, _unit(rng))
+            at = foot + side / np.linalg.norm(side) * (rng.uniform(0.3, 1.1) * diameter_m + 0.03)
+            at = at - up * float((thing.vertices @ turn.T @ up).min())
+        out.append((thing, se3.make(turn, at)))
+    if rng.random() < ranges.in_front:
+        aside = np.array([*(rng.normal(0.0, 0.5, 2) * diameter_m), 0.0])
+        out.append((props.thing(), se3.make(random_rotation(rng), centre * rng.uniform(0.7, 0.9) + aside)))
+    return out
+
+
+def _color(rng: Rng, seen: Rendering, camera: Camera, ranges: WindowRange) -> UInt8:
+    """What a camera makes of it in some light."""
+    light, gloss = random_strong_light(rng), np.uint8(rng.random() < 0.6)
+    shone: Float32 = np.zeros((camera.height, camera.width, 3), np.float32)
+    glossy = np.full(seen.depth.shape, gloss, np.uint8)
+    shine(seen.color, seen.normals_cam, seen.depth, glossy, camera, np.eye(4), light, NO_SHADOW, shone)
+    if rng.random() < ranges.blurred:
+        shone = np.asarray(cv2.filter2D(shone, -1, _motion(rng)), np.float32)
+    return expose(np.float32(2.0 ** rng.normal(0.0, 0.25)) * shone, COLOR, rng)
+
+
+def _motion(rng: Rng) -> Float32:
+    """A straight blur of 3 to 9 pixels, any way."""
+    kernel = np.zeros((15, 15), np.float32)
+    reach = int(rng.integers(1, 5))
+    kernel[7, 7 - reach : 8 + reach] = 1.0
+    turn = cv2.getRotationMatrix2D((7.0, 7.0), float(rng.uniform(0.0, 180.0)), 1.0)
+    kernel = np.asarray(cv2.warpAffine(kernel, turn, (15, 15)), np.float32)
+    return np.asarray(kernel / kernel.sum(), np.float32)
+
+
+def _depth(rng: Rng, seen: Rendering, color: UInt8, camera: Camera, ranges: WindowRange) -> Float32:
+    """What a depth camera makes of it."""
+    which = rng.random()
+    if which < ranges.stereo:
+        sensor = replace(STEREO, subpixel=rng.uniform(0.04, 0.15))
+        depth = stereo_depth(seen.depth, seen.normals_cam, camera, sensor, rng)
+        return lost_in_bad_light(depth, color, rng) if rng.random() < 0.3 else depth
+    if which < ranges.stereo + ranges.flight:
+        noise = rng.normal(0.0, 0.0015, seen.depth.shape) * (seen.depth > 0)
+        depth = (seen.depth + noise).astype(np.float32)
+        return np.where(_edges(rng, seen.depth), np.float32(0.0), depth) if rng.random() < 0.8 else depth
+    return seen.depth
+
+
+def _edges(rng: Rng, depth: Float32) -> Bool:
+    """Round steps in depth, where a time-of-flight camera sees both sides at once and gives nothing."""
+    wide = int(rng.integers(3, 8))
+    steps = cv2.morphologyEx(depth, cv2.MORPH_GRADIENT, np.ones((wide, wide), np.uint8))
+    return np.asarray(steps > 0.03)
+
+
+def _lying(rng: Rng, up: Float64, at: Float64) -> Float64:
+    """The pose (4, 4) of a sheet at a point (3,), its picture towards `up` (3,), in any turn about it."""
+    x = np.cross(up, _unit(rng))
+    x /= np.linalg.norm(x)
+    return se3.make(np.column_stack([x, np.cross(up, x), up]), at)
+
+
+def _unit(rng: Rng) -> Float64:
+    v = rng.normal(size=3)
+    return np.asarray(v / np.linalg.norm(v))
+
+
+PIXELS = WIDE * SIDE
+"""Side of a drawn window."""

@@ -1,0 +1,93 @@
+"""The network of view codes learns from what the detector sees: the same pictures, in the same order."""
+
+import json
+import math
+
+import numpy as np
+import pytest
+
+torch = pytest.importorskip("torch", reason="the extra `train` is not installed")
+
+from huepose.propose import view_pictures  # noqa: E402
+from huepose.training.view_code_network import loss_of, view_codes, window_codes  # noqa: E402
+from huepose.training.view_codes import (  # noqa: E402
+    Shelf,
+    ViewCodeTraining,
+    network_input,
+    train,
+    view_rotations,
+)
+from huepose.training.windows import Drawn, endless  # noqa: E402
+
+pytestmark = pytest.mark.filterwarnings("ignore")
+
+
+@pytest.fixture(scope="module")
+def drawn() -> Drawn:
+    return next(endless(5, 1))
+
+
+def test_views_come_as_the_detector_makes_them(drawn):
+    colors, reliefs = view_pictures.turned(drawn.view_colors, drawn.view_reliefs.astype(np.float32))
+    shelf = Shelf(1, "cpu")
+    shelf.add(drawn)
+    asked = torch.tensor([0, 7, 12 * 20 + 3, 503])
+    rgb, relief = shelf.views_of(torch.zeros_like(asked), asked)
+    theirs = view_pictures.network_input(colors[asked.numpy()], reliefs[asked.numpy()], clean=True)
+    ours = network_input(rgb, relief, clean=True).numpy()
+    # Both turn pictures, by other libraries: pixels at edges may differ, and hardly anything else.
+    assert np.mean(np.abs(ours - theirs) > 0.05) < 0.02
+
+
+def test_a_window_that_is_not_moved_is_the_middle_of_what_was_drawn(drawn):
+    shelf = Shelf(1, "cpu")
+    shelf.add(drawn)
+    one = torch.zeros(1)
+    rgb, relief = shelf.windows_of(one.long(), one.long(), torch.zeros(1, 2), one + 1.0, one)
+    assert np.allclose(255.0 * rgb[0].permute(1, 2, 0).numpy(), drawn.colors[0, 32:96, 32:96], atol=0.6)
+    middle = drawn.reliefs[0, 32:96, 32:96].astype(np.float32)
+    assert np.array_equal(np.isnan(relief[0].numpy()), np.isnan(middle))
+
+
+def test_the_turns_of_the_views_are_rolls_of_looks_from_all_around():
+    turns = view_rotations()
+    assert turns.shape == (504, 3, 3)
+    assert np.allclose(turns @ turns.transpose(0, 2, 1), np.eye(3), atol=1e-9)
+    roll = turns[1] @ turns[0].T
+    assert np.degrees(np.arccos((np.trace(roll) - 1) / 2)) == pytest.approx(30.0)
+    assert roll[1, 0] > 0  # clockwise in the picture, whose y points down
+
+
+def test_codes_are_of_unit_length_and_what_is_not_covered_has_none():
+    codes, known = torch.randn(3, 16, 8, 8), torch.zeros(3, 64, 64, dtype=torch.bool)
+    known[:, :32] = True
+    views = view_codes(codes, known).reshape(3, 16, 8, 8)
+    assert torch.allclose(views.flatten(1).norm(dim=1), torch.ones(3))
+    assert (views[:, :, 4:] == 0).all()
+    assert torch.allclose(window_codes(codes).norm(dim=1), torch.ones(3), atol=1e-5)
+
+
+def test_the_loss_is_small_where_each_window_finds_its_view_and_large_where_another():
+    angles = torch.tensor([[5.0, math.inf], [math.inf, 5.0], [math.inf, math.inf]])
+    wanted, asked = torch.tensor([[1.0, 0.0], [0.0, 1.0], [0.0, 0.0]]), torch.ones(2, dtype=torch.bool)
+    right = torch.tensor([[20.0, 0.0], [0.0, 20.0], [0.0, 0.0]])
+    assert loss_of(right, angles, wanted, asked).item() < 1e-6
+    assert loss_of(right.flip(1), angles, wanted, asked).item() > 30.0
+    # A view whose window is also claimed by one beside the object costs, though each window is right.
+    beside = torch.tensor([[20.0, 0.0], [0.0, 20.0], [20.0, 20.0]])
+    assert loss_of(beside, angles, wanted, asked).item() == pytest.approx(math.log(2.0), abs=1e-3)
+
+
+def test_a_training_leaves_a_network_that_runs(tmp_path):
+    import onnxruntime as ort
+
+    config = ViewCodeTraining(
+        steps=2, seed=3, validation=1, workers=0, objects=2, windows=2, beside=1, views=6, room=3, first=2
+    )
+    report = train(config, tmp_path)
+    assert report["steps"] == 2
+    assert json.loads((tmp_path / "views.json").read_text()) == report
+    session = ort.InferenceSession(str(tmp_path / "views.onnx"), providers=["CPUExecutionProvider"])
+    for count in (1, 3):
+        (codes,) = session.run(None, {"window": np.zeros((count, 6, 64, 64), np.float32)})
+        assert codes.shape == (count, 16, 8, 8)

@@ -44,6 +44,13 @@ class ClearView:
     colors: Float32
     pieces: Float64
 
+    @property
+    def depth(self) -> Float32:
+        """Depth (h, w) of the part, planes where they are."""
+        c = self.crop
+        h, w = c.depth.shape
+        return self.frame.depth[c.y0 : c.y0 + h, c.x0 : c.x0 + w]
+
     def region(self, diameter_m: float) -> Region:
         """All of the view as a region to judge poses of an object in, without any outline."""
         h, w = self.clear.shape

@@ -7,17 +7,17 @@ from dataclasses import replace
 
 import numpy as np
 
-from huepose.believe.presence import Sight, logits_of
+from huepose.believe.presence import MOST_ALIKE, Sight, logits_of
 from huepose.geometry.arrays import Float64
 from huepose.geometry.frame import RgbdFrame
 from huepose.judge.arrays import model_arrays, nearest_view
 from huepose.judge.borders import Contours, outline
 from huepose.judge.continuation import continuation_many
-from huepose.judge.hue import hue_samples
 from huepose.judge.region import Region
 from huepose.judge.terms import Terms, score_many
 from huepose.model.types import ReferenceModel
 from huepose.perception.clear_view import ClearView
+from huepose.perception.likeness import likenesses
 from huepose.perception.scouting import SEEN_M
 
 SAMPLES, RIM_SAMPLES = 800, 400
@@ -25,41 +25,57 @@ SAMPLES, RIM_SAMPLES = 800, 400
 
 NEAREST_M = 0.02
 
-WORTH = -4.0
-"""Log-odds under which nobody asks how a place's outline goes on: a place of 2 % is not proposed."""
+WORTH = -3.0
+"""Log-odds under which nobody looks closer at a place: one of 2 % is not proposed."""
 
 
 def presences(
     view: ClearView, models: Mapping[str, ReferenceModel], poses: Sequence[tuple[str, Float64]]
 ) -> Float64:
-    """Logit (N,) of the probability for each named object that it is where its pose T_cam_obj (4, 4) says, in
-    whatever turn."""
+    """Logit (N,) of the probability for each named object that it is where its pose T_cam_obj (4, 4) says. A
+    pose that is turned the wrong way looks less like it, and a plain thing the same."""
     regions = {name: view.region(models[name].diameter_m) for name, _ in poses}
-    names = [name for name, _ in poses]
     sights = [sight(view, regions[name], models[name], T) for name, T in poses]
-    # An outline that goes on speaks against an object; that one ends, not for it.
-    most = logits_of(names, sights)
-    sights = [
-        outlined(s, view, models[name], T) if x > WORTH else s
-        for s, x, (name, T) in zip(sights, most, poses, strict=True)
-    ]
-    return logits_of(names, sights)
+    # Until they are asked for, likeness and outline say the best that they could.
+    for closer in (alike, outlined):
+        doubtful = [int(k) for k in np.flatnonzero(logits_of(sights) > WORTH)]
+        asked = closer(view, models, [poses[k] for k in doubtful], [sights[k] for k in doubtful])
+        for k, seen in zip(doubtful, asked, strict=True):
+            sights[k] = seen
+    return logits_of(sights)
 
 
 def sight(view: ClearView, region: Region, model: ReferenceModel, T_cam_obj: Float64) -> Sight:
-    """Look at a pose (4, 4), but not along its outline; `region`: the view as one for this model."""
+    """Look at a pose (4, 4), but not along its outline, nor by codes; `region`: the view as one for this
+    model."""
     T = np.ascontiguousarray(T_cam_obj, dtype=np.float64)
     terms = Terms(*(float(x) for x in score_many(model, region, T[None], SAMPLES)[0]))
     crop, arrays = view.crop, model_arrays(model)
     rim = continuation_many(arrays, crop.depth, view.clear, crop.camera, T[None], RIM_SAMPLES)[0]
-    hues = hue_samples(arrays, crop.depth, view.colors, crop.saturated, crop.camera, region.tolerance_m, T)
     pixels = agreeing_pixels(model, view.frame, T)
-    return Sight(terms.depth_fit, terms.color, terms.contrast, float(rim), 0.0, pixels, hues)
+    return Sight(terms.depth_fit, terms.color, terms.contrast, float(rim), 0.0, MOST_ALIKE, pixels)
 
 
-def outlined(seen: Sight, view: ClearView, model: ReferenceModel, T_cam_obj: Float64) -> Sight:
-    """What is seen at a pose (4, 4), and along its outline."""
-    return replace(seen, goes_on=outline(Contours.of(model), T_cam_obj, view.frame).goes_on)
+Named = Sequence[tuple[str, Float64]]
+"""Objects with their poses T_cam_obj (4, 4)."""
+
+
+def alike(
+    view: ClearView, models: Mapping[str, ReferenceModel], poses: Named, sights: Sequence[Sight]
+) -> list[Sight]:
+    """The sights of poses, with how much what is seen there looks like the object."""
+    found = likenesses(view, models, poses)
+    return [replace(s, likeness=float(x)) for s, x in zip(sights, found, strict=True)]
+
+
+def outlined(
+    view: ClearView, models: Mapping[str, ReferenceModel], poses: Named, sights: Sequence[Sight]
+) -> list[Sight]:
+    """The sights of poses, with what is seen along their outlines."""
+    return [
+        replace(s, goes_on=outline(Contours.of(models[name]), T, view.frame).goes_on)
+        for s, (name, T) in zip(sights, poses, strict=True)
+    ]
 
 
 def agreeing_pixels(model: ReferenceModel, frame: RgbdFrame, T_cam_obj: Float64) -> int:

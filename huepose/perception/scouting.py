@@ -19,12 +19,16 @@ from huepose.perception.nearby import align_in_view
 from huepose.perception.window_look import look, promising
 from huepose.perception.window_table import WindowTable
 from huepose.perception.windows import Windows, filled, windows_of
+from huepose.propose.view_codes import codes_of_windows
+from huepose.propose.view_pictures import window_pictures
 from huepose.refine.coordinate_search import search
 from huepose.support.jit import jit
 from huepose.support.stages import stage
 
 FIRST_SAMPLES, SECOND_SAMPLES = 60, 200
-LOOK_WEIGHT = 0.7
+LOOK_WEIGHT = 7.0
+"""Of a likeness beside the evidence of a pose: 0.03, by which the right view mostly leads, is worth 0.2."""
+
 FIT_WEIGHT, VIOLATION_WEIGHT, TEXTURE_WEIGHT, SEEN_WEIGHT, RIM_WEIGHT = 0.9, 1.0, 1.5, 0.3, 0.7
 SEARCH_SAMPLES, SEARCH_STEPS_DEG = 100, (8.0, 4.0)
 SAME_SHIFT, SAME_IOU = 0.25, 0.6
@@ -47,7 +51,7 @@ class Effort:
     with_near_symmetries: int
 
 
-EFFORTS = (Effort(28, 200, 15, 16, 2, 3, 0), Effort(80, 700, 25, 96, 5, 10, 3))
+EFFORTS = (Effort(20, 36, 6, 6, 2, 2, 0), Effort(80, 64, 6, 20, 3, 4, 2))
 """What is tried first, and what is tried where that gives no place which is surely the object's: more of the
 same windows, too, so that nothing of the first is worth keeping."""
 
@@ -80,6 +84,7 @@ def propose(
     only until a place is surely the object's; keypoints after a first look by views, which costs less."""
     none = np.zeros((0, 4, 4)), np.zeros(0)
     by_keypoints, by_views = none, none
+    codes = np.zeros((0, table.codes.shape[1]), np.float32)
     if efforts:
         with stage("windows"):
             windows = windows_of(view, model.diameter_m, table.views.span_m)
@@ -90,7 +95,8 @@ def propose(
         if isinstance(step, Effort):
             with stage("windows"):
                 chosen = filled(windows[order[: step.windows]], view, model.diameter_m)
-            by_views = _tried(model, table, view, chosen, step)
+            codes = np.concatenate([codes, _codes(model, view, chosen, len(codes))])
+            by_views = _tried(model, table, view, chosen, codes, step)
         else:
             by_keypoints = _followed(model, view, step())
     poses = np.concatenate([by_keypoints[0], by_views[0]])
@@ -113,17 +119,31 @@ def _followed(model: ReferenceModel, view: ClearView, guesses: Float64) -> tuple
         return np.concatenate([found, poses]), rated
 
 
+def _codes(model: ReferenceModel, view: ClearView, windows: Windows, known: int) -> Float32:
+    """Codes (W - known, D) of windows (W) from number `known` on."""
+    with stage("codes"):
+        places = windows.pixels[known:], windows.depth_m[known:], windows.span_px[known:]
+        return codes_of_windows(*window_pictures(view.crop.color, view.depth, *places, model.diameter_m))
+
+
 def _tried(
-    model: ReferenceModel, table: WindowTable, view: ClearView, windows: Windows, effort: Effort
+    model: ReferenceModel,
+    table: WindowTable,
+    view: ClearView,
+    windows: Windows,
+    codes: Float32,
+    effort: Effort,
 ) -> tuple[Float64, Float64]:
-    """Poses (M, 4, 4) at what these windows show, and their scores (M,)."""
+    """Poses (M, 4, 4) at what these windows with their codes (W, D) show, and their scores (M,)."""
     with stage("look"):
-        looks = look(table, windows, view.crop.camera, effort.looks, effort.looks_each)
+        looks = look(table, windows, codes, view.crop.camera, effort.looks, effort.looks_each)
     if not len(looks.poses):
         return np.zeros((0, 4, 4)), np.zeros(0)
     region = view.region(model.diameter_m)
     with stage("first"):
-        rated = evidence(score_many(model, region, looks.poses, FIRST_SAMPLES)) + LOOK_WEIGHT * looks.scores
+        rated = (
+            evidence(score_many(model, region, looks.poses, FIRST_SAMPLES)) + LOOK_WEIGHT * looks.likenesses
+        )
         first = looks.poses[_varied(looks.windows, rated, effort)]
     with stage("icp"):
         poses = align_in_view(model, view, first)

@@ -1,9 +1,8 @@
 """Fitting presence: from answers at a detector's places, of which it is known whether the object is there, to
 the weights of `perception.presence`.
 
-What hue says depends on the light of the frame, and that on what the other places say: so the weights are
-fitted, hues read anew by them, and so on. A pose's own certainty enters as it does in the verdict
-(`estimation.present`), so that the sum of all is a probability.
+A pose's own certainty enters as it does in the verdict (`estimation.present`), so that the sum of all is a
+probability.
 """
 
 from __future__ import annotations
@@ -16,7 +15,7 @@ from pathlib import Path
 import numpy as np
 
 from huepose.believe.logistic import Logistic, probabilities
-from huepose.believe.presence import Sight, features, hues_of, logits_of
+from huepose.believe.presence import Sight, features, logits_of
 from huepose.datasets.boxes import truth_box
 from huepose.datasets.types import Sample
 from huepose.estimation import Estimator, EstimatorConfig
@@ -31,7 +30,7 @@ from huepose.model import load_models
 from huepose.perception.clear_view import clear_view
 from huepose.perception.colorpair_detector import ColorPairDetector
 from huepose.perception.config import DetectorConfig
-from huepose.perception.presence import outlined, sight
+from huepose.perception.presence import alike, outlined, sight
 from huepose.perception.types import Detector
 from huepose.support.progress import progress
 from studies.likelihood import logistic
@@ -43,8 +42,6 @@ PLACES = 2
 PLAUSIBLE = 0.01
 """Poses that are the object's with less than this probability say where nothing is; they are so many, and so
 easily told, that the weights would be made for them and not for what is doubtful."""
-
-ROUNDS = 4
 
 
 @dataclass(frozen=True, eq=False)
@@ -102,31 +99,25 @@ def look(
         names.append(answer.object)
         model, T_cam_obj = models[answer.object], answer.T_cam_obj
         plain = sight(view, regions[model.name], model, T_cam_obj)
-        sights.append(outlined(plain, view, model, T_cam_obj))
+        named = [(model.name, T_cam_obj)]
+        sights.extend(outlined(view, models, named, alike(view, models, named, [plain])))
         certain.append(certainty(answer))
         there.append(any(n == answer.object and b.iou(own) >= SAME for n, b in boxes))
     return SeenPlaces(tuple(names), tuple(sights), np.array(certain), np.array(there, dtype=bool))
 
 
 def fit_presence(frames: Sequence[SeenPlaces], start: Logistic) -> Logistic:
-    """The weights of largest likelihood on the plausible poses of these frames; `start` says which those are,
-    and how lights are guessed at first."""
+    """The weights of largest likelihood on the plausible poses of these frames; `start` says which those
+    are."""
     frames = [frame for frame in frames if frame.names]
     plausible = np.concatenate([chances(frame, start) for frame in frames]) >= PLAUSIBLE
     there = np.concatenate([frame.there for frame in frames])[plausible]
     certain = np.concatenate([frame.certain for frame in frames])[plausible]
-    sights = [s for frame in frames for s in frame.sights]
-    found = start
-    for _ in range(ROUNDS):
-        hues = [
-            hue for f in frames for hue in hues_of(f.names, f.sights, logits_of(f.names, f.sights, found))
-        ]
-        rows = [features(s, hue) for s, hue in zip(sights, hues, strict=True)]
-        x = np.array([list(row.values()) for row in rows])[plausible]
-        found = logistic(x, there, np.ones(len(there)), list(rows[0]), certain)
-    return found
+    rows = [features(s) for frame in frames for s in frame.sights]
+    x = np.array([list(row.values()) for row in rows])[plausible]
+    return logistic(x, there, np.ones(len(there)), list(rows[0]), certain)
 
 
 def chances(frame: SeenPlaces, fit: Logistic) -> Float64:
     """Probability (N,) that each object is there."""
-    return probabilities(logits_of(frame.names, frame.sights, fit) + frame.certain)
+    return probabilities(logits_of(frame.sights, fit) + frame.certain)

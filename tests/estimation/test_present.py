@@ -26,7 +26,7 @@ def test_an_answer_is_as_likely_as_its_object_is_there(tea_box, take_picture, st
     answers = [there, replace(there, T_cam_obj=beside), absent("tea_box", "")]
     chances = presences_of(frame, models, answers, "full")
     assert chances[0] > 0.9
-    assert chances[1] < 0.1
+    assert chances[1] < 0.5 * StandingConfig().present  # for all that it claims to be sure
     assert chances[2] == 0.0
 
 

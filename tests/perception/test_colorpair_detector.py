@@ -192,11 +192,3 @@ def test_a_rim_goes_on_inside_a_face_and_not_round_the_object(
     )
     assert alone < 0.1
     assert inside > 0.5
-
-
-def test_rims_lie_beside_what_views_cover(tea_box: ReferenceModel) -> None:
-    table = window_table(tea_box)
-    covered = np.zeros(table.rim.shape, bool)
-    covered[:, table.views.used] = table.views.coverage > 0
-    assert np.all(table.rim[covered] == 0)
-    assert np.allclose(table.rim.sum(1), 1.0)

@@ -9,23 +9,21 @@ from huepose.geometry import Camera, RgbdFrame
 from studies.presence.fit import SeenPlaces, chances, fit_presence
 from studies.presence.sets import smaller_frame, specked
 
-LAW = Logistic(-6.0, {"fit": 6.0, "color": 4.0, "free_rim": 5.0, "ends": 5.0, "pixels": 0.7, "hue": 0.7})
+LAW = Logistic(
+    -9.0, {"fit": 6.0, "color": 4.0, "free_rim": 5.0, "ends": 5.0, "likeness": 20.0, "pixels": 0.7}
+)
 
 
 def drawn(frames: int, seed: int, law: Logistic = LAW) -> list[SeenPlaces]:
-    """Frames of twelve places each, whose objects are there with the chance that the law says; in each frame
-    another light, in which what is there looks as its model does and what is not looks like anything."""
+    """Frames of twelve places each, whose objects are there with the chance that the law says."""
     rng = np.random.default_rng(seed)
     out = []
     for _ in range(frames):
-        light = rng.normal(0.0, 15.0, 2)
         sights = []
-        for k in range(12):
-            own = rng.normal(0.0, 25.0, 2)
-            shown = own + light + rng.normal(0.0, 4.0, 2) if k % 2 else rng.normal(0.0, 25.0, 2)
-            hues = np.tile([1.0, *own, *shown], (20, 1))
+        for _ in range(12):
             fit, texture, rim, goes_on = rng.uniform(0.0, 1.0, 4)
-            sights.append(Sight(fit, texture, 36.0, rim, goes_on, int(rng.integers(5, 400)), hues))
+            likeness = rng.uniform(0.0, 0.35)
+            sights.append(Sight(fit, texture, 36.0, rim, goes_on, likeness, int(rng.integers(5, 400))))
         names = tuple("abcdefghijkl")
         certain = rng.choice([0.0, 2.0], 12)
         seen = SeenPlaces(names, tuple(sights), certain, np.zeros(12, bool))
@@ -35,7 +33,7 @@ def drawn(frames: int, seed: int, law: Logistic = LAW) -> list[SeenPlaces]:
 
 def test_the_weights_behind_constructed_frames_are_found_from_a_poor_start() -> None:
     start = Logistic(
-        -1.0, {"fit": 1.0, "color": 1.0, "free_rim": 1.0, "ends": 1.0, "pixels": 0.1, "hue": 0.1}
+        -1.0, {"fit": 1.0, "color": 1.0, "free_rim": 1.0, "ends": 1.0, "likeness": 1.0, "pixels": 0.1}
     )
     found = fit_presence(drawn(200, 0), start)
     for name in LAW.factors:
@@ -47,9 +45,16 @@ def test_the_weights_behind_constructed_frames_are_found_from_a_poor_start() -> 
 
 
 def test_everything_that_is_seen_speaks_for_presence_the_more_of_it_there_is() -> None:
-    sight = Sight(0.7, 0.4, 36.0, 0.2, 0.1, 100, np.zeros((0, 5)))
-    known = {"fit": 0.7, "color": -0.5, "free_rim": 0.8, "ends": -0.1, "pixels": np.log(100.0), "hue": 1.5}
-    assert features(sight, 1.5) == pytest.approx(known)
+    sight = Sight(0.7, 0.4, 36.0, 0.2, 0.1, 0.25, 100)
+    known = {
+        "fit": 0.7,
+        "color": -0.5,
+        "free_rim": 0.8,
+        "ends": -0.1,
+        "likeness": 0.25,
+        "pixels": np.log(100.0),
+    }
+    assert features(sight) == pytest.approx(known)
     assert features(replace(sight, contrast=0.0))["color"] == 0.0  # of a plain thing none was to be expected
     shipped = presence_fit()
     assert set(shipped.factors) == set(known)

@@ -88,11 +88,10 @@ def build_table(templates: ViewTemplates, diameter_m: float, *, min_coverage: fl
 
 def _listed(planes: Float32) -> tuple[Int64, np.ndarray, np.ndarray]:
     """The covered cells of planes (N, 5, S, S): starts (N + 1,), places (M,), values (M, 4)."""
-    coverage, values = _described(planes)
-    which, row, column = np.nonzero(coverage >= COVERED)
+    which, row, column = np.nonzero(planes[:, 4] >= COVERED)
     starts = np.concatenate([[0], np.cumsum(np.bincount(which, minlength=len(planes)))]).astype(np.int64)
     places = (row << 8 | column).astype(np.uint16)
-    chosen = values[which, row, column]
+    chosen = _values(planes[which, :4, row, column])
     out = np.empty(chosen.shape, np.int16)
     out[:, :3] = np.rint(chosen[:, :3] * STEPS)
     out[:, 3] = np.rint(np.clip(chosen[:, 3] * RELIEF_STEPS, -32000, 32000))
@@ -102,10 +101,15 @@ def _listed(planes: Float32) -> tuple[Int64, np.ndarray, np.ndarray]:
 def _described(planes: Float) -> tuple[Float32, Float32]:
     """Coverage (N, S, S), and opponents with relief in millimetres (N, S, S, 4), of planes (N, 5, S, S) L,
     a, b, relief in metres, coverage."""
-    values = np.ascontiguousarray(planes[:, :4].transpose(0, 2, 3, 1))
+    return np.asarray(planes[:, 4], np.float32), _values(planes[:, :4].transpose(0, 2, 3, 1))
+
+
+def _values(cells: Float) -> Float32:
+    """Opponents with relief in millimetres (..., 4) of cells (..., 4) L, a, b, relief in metres."""
+    values = np.array(cells, np.float32, order="C")
     values[..., :3] = opponents_of_lab(np.ascontiguousarray(values[..., :3]))
     values[..., 3] *= np.float32(MILLIMETRES)
-    return np.asarray(planes[:, 4], np.float32), values.astype(np.float32)
+    return values
 
 
 def _averaging(side: int) -> Float32:

@@ -21,18 +21,16 @@ def likenesses(
     in that pose: 1 is the same, 0 nothing alike."""
     if not poses:
         return np.zeros(0)
-    clean, windows = [], []
-    camera = view.crop.camera
+    clean, middles = [], []
     for name, T in poses:
         model = models[name]
         centre = T[:3, :3] @ model.mesh.centre + T[:3, 3]
         turn = onto_rays(centre[None] / centre[2])[0]
-        seen = clean_view(model.mesh, model.diameter_m, turn.T @ T[:3, :3])
-        middle = centre + turn @ seen.middle_m
-        span_px = SPAN * model.diameter_m / middle[2] * camera.fx
-        place = camera.project(middle)[None], middle[2:], np.array([span_px])
-        clean.append(seen)
-        windows.append(window_pictures(view.crop.color, view.depth, *place, model.diameter_m))
+        clean.append(clean_view(model.mesh, model.diameter_m, turn.T @ T[:3, :3]))
+        middles.append(centre + turn @ clean[-1].middle_m)
     of_poses = codes_of_pictures(np.stack([c.color for c in clean]), np.stack([c.relief for c in clean]))
-    colors, reliefs = (np.concatenate(part) for part in zip(*windows, strict=True))
-    return np.asarray((of_poses * codes_of_windows(colors, reliefs)).sum(1), np.float64)
+    middle, diameters = np.stack(middles), np.array([models[name].diameter_m for name, _ in poses])
+    span_px = SPAN * diameters / middle[:, 2] * view.crop.camera.fx
+    place = view.crop.camera.project(middle), middle[:, 2], span_px
+    windows = codes_of_windows(*window_pictures(view.crop.color, view.depth, *place, diameters))
+    return np.asarray((of_poses * windows).sum(1), np.float64)

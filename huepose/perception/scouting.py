@@ -52,8 +52,8 @@ class Effort:
 
 
 EFFORTS = (Effort(20, 36, 6, 6, 2, 2, 0), Effort(80, 64, 6, 20, 3, 4, 2))
-"""What is tried first, and what is tried where that gives no place which is surely the object's: more of the
-same windows, too, so that nothing of the first is worth keeping."""
+"""What is tried first, and what is tried where that gives no place which is surely the object's: the same
+windows and more, of which the first keep their codes."""
 
 SURE = 1.35
 """A place with this score is the object's: nothing more is tried."""

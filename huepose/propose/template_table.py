@@ -123,13 +123,22 @@ def _averaging(side: int) -> Float32:
 
 def _poses(templates: ViewTemplates) -> tuple[Float64, Float64]:
     """Rotations (N, 3, 3) and origins (N, 3) of all views in all rolls."""
-    views, rolls = templates.planes.shape[:2]
+    rolls = templates.planes.shape[1]
+    origins = np.einsum("rij,vj->vri", _turns(rolls), templates.origins.astype(np.float64))
+    return view_rotations(templates.directions, rolls), origins.reshape(-1, 3)
+
+
+def view_rotations(directions: Float, rolls: int) -> Float64:
+    """Rotations R_cam_obj (V * rolls, 3, 3) of the views from directions (V, 3), each at all rolls."""
+    looks = np.stack([look_at(d) for d in directions])
+    return np.asarray(np.einsum("rij,vjk->vrik", _turns(rolls), looks).reshape(-1, 3, 3))
+
+
+def _turns(rolls: int) -> Float64:
+    """Turns (rolls, 3, 3) about the optical axis."""
     angles = 2 * np.pi * np.arange(rolls) / rolls
     turn = np.zeros((rolls, 3, 3))
     turn[:, 0, 0] = turn[:, 1, 1] = np.cos(angles)
     turn[:, 1, 0], turn[:, 0, 1] = np.sin(angles), -np.sin(angles)
     turn[:, 2, 2] = 1.0
-    looks = np.stack([look_at(d) for d in templates.directions])
-    rotations = np.einsum("rij,vjk->vrik", turn, looks)
-    origins = np.einsum("rij,vj->vri", turn, templates.origins.astype(np.float64))
-    return rotations.reshape(views * rolls, 3, 3), origins.reshape(views * rolls, 3)
+    return turn

@@ -109,14 +109,15 @@ def window_pictures(
     pixels: Float64,
     depth_m: Float64,
     span_px: Float64,
-    diameter_m: float,
+    diameter_m: float | Float64,
     wide: int = 1,
 ) -> tuple[UInt8, Float32]:
     """Colours (W, 64, 64, 3) and relief (W, 64, 64) in diameters, NaN where the depth is unknown, of windows
     with their middles at pixels (W, 2) and depths (W,), `span_px` (W,) wide, of a picture (H, W, 3) with
-    depth (H, W) metres. wide: so many times as wide, and of as many more pixels (training)."""
+    depth (H, W) metres. diameter_m: of one object, or of each window's (W,). wide: so many times as wide, and of
+    as many more pixels (training)."""
     side = wide * SIDE
-    smaller = [color]
+    smaller, diameters = [color], np.broadcast_to(diameter_m, len(pixels))
     colors = np.zeros((len(pixels), side, side, 3), np.uint8)
     reliefs = np.full((len(pixels), side, side), np.nan, np.float32)
     for k in range(len(pixels)):
@@ -130,7 +131,7 @@ def window_pictures(
         colors[k] = _warped(smaller[halvings], to_smaller, side, cv2.INTER_LINEAR)
         z = _warped(depth, to_picture, side, cv2.INTER_NEAREST)
         known = z > 0
-        reliefs[k][known] = (z[known] - np.float32(depth_m[k])) / np.float32(diameter_m)
+        reliefs[k][known] = (z[known] - np.float32(depth_m[k])) / np.float32(diameters[k])
     return colors, reliefs
 
 

@@ -19,6 +19,7 @@ from torch.utils.data import DataLoader, IterableDataset
 
 from huepose.drawing.plots import line_plot
 from huepose.geometry import icosphere
+from huepose.propose.template_table import view_rotations
 from huepose.propose.view_pictures import CHANNELS, NEAR, ROLLS, SIDE, SPAN, UNTURNED
 from huepose.propose.view_pictures import LEVEL as VIEW_LEVEL
 from huepose.training.runs import (
@@ -310,19 +311,9 @@ def batch(shelf: Shelf, config: ViewCodeTraining) -> tuple[Tensor, Tensor, Tenso
 
 def _angles(rotations: Tensor) -> Tensor:
     """Angles (..., N) in degrees between turns (..., 3, 3) and those of all views."""
-    turns = torch.from_numpy(view_rotations()).to(rotations)
+    turns = torch.from_numpy(view_rotations(icosphere.directions(VIEW_LEVEL), ROLLS)).to(rotations)
     cosines = (torch.einsum("...ij,nij->...n", rotations, turns) - 1.0) / 2.0
     return torch.rad2deg(torch.acos(cosines.clamp(-1.0, 1.0)))
-
-
-def view_rotations() -> np.ndarray:
-    """Turns (N, 3, 3) of all views at all rolls."""
-    looks = np.stack([icosphere.look_at(direction) for direction in icosphere.directions(VIEW_LEVEL)])
-    angle = 2.0 * np.pi * np.arange(ROLLS) / ROLLS
-    rolls = np.zeros((ROLLS, 3, 3))
-    rolls[:, 0, 0] = rolls[:, 1, 1] = np.cos(angle)
-    rolls[:, 1, 0], rolls[:, 0, 1], rolls[:, 2, 2] = np.sin(angle), -np.sin(angle), 1.0
-    return np.asarray(np.einsum("rij,vjk->vrik", rolls, looks).reshape(-1, 3, 3))
 
 
 def _repeated(numbers: Tensor) -> Tensor:

@@ -189,8 +189,8 @@ def _carried(rng: Rng, camera: Camera, ranges: ViewRange) -> Callable[[float], F
         np.array([rng.uniform(*ranges.distance_m)]),
     )[0]
     R = random_rotation(rng)
-    turn = rng.uniform(*ranges.turn_rad_s) * _unit(rng) / RATE_HZ
-    way = rng.uniform(*ranges.speed_m_s) * _unit(rng) / RATE_HZ
+    turn = rng.uniform(*ranges.turn_rad_s) * random_unit(rng) / RATE_HZ
+    way = rng.uniform(*ranges.speed_m_s) * random_unit(rng) / RATE_HZ
     bend, bow = (0.5 * rng.normal(0.0, 0.1, 3) * np.linalg.norm(x) for x in (turn, way))
     middle = (FRAMES - 1) / 2
 
@@ -201,7 +201,8 @@ def _carried(rng: Rng, camera: Camera, ranges: ViewRange) -> Callable[[float], F
     return at
 
 
-def _unit(rng: Rng) -> Float64:
+def random_unit(rng: Rng) -> Float64:
+    """A direction (3,), any as often as any other."""
     v = rng.normal(size=3)
     return np.asarray(v / np.linalg.norm(v))
 

@@ -14,15 +14,15 @@ from typing import NamedTuple
 import cv2
 import numpy as np
 
-from huepose.geometry import Camera, Mesh, icosphere, se3
+from huepose.geometry import Camera, Mesh, se3
 from huepose.geometry.arrays import Bool, Float32, Float64, UInt8
-from huepose.propose.view_pictures import LEVEL, SIDE, SPAN, UNTURNED, clean_view, window_pictures
+from huepose.propose.view_pictures import SIDE, SPAN, unturned_views, window_pictures
 from huepose.propose.views import onto_rays
 from huepose.rendering.render import Rendering, render
 from huepose.scenes.light import shine
 from huepose.scenes.sensor import COLOR, STEREO, expose, lost_in_bad_light, stereo_depth
 from huepose.training.shapes import random_object, random_rotation
-from huepose.training.views import NO_SHADOW, Props, random_strong_light
+from huepose.training.views import NO_SHADOW, Props, random_strong_light, random_unit
 
 WIDE = 2
 """Width of a drawn window in widths of what the network sees."""
@@ -96,11 +96,10 @@ def draw_object(rng: Rng, props: Props, ranges: WindowRange) -> Drawn | None:
             break
     else:
         return None
-    looks = [icosphere.look_at(direction) for direction in icosphere.directions(LEVEL)]
-    views = [clean_view(mesh, diameter_m, R, UNTURNED) for R in looks]
+    colors, reliefs = unturned_views(mesh, diameter_m)
     return Drawn(
-        np.stack([view.color for view in views]),
-        np.stack([view.relief for view in views]).astype(np.float16),
+        colors,
+        reliefs.astype(np.float16),
         *(np.stack(part) for part in zip(*windows, strict=True)),
     )
 
@@ -146,9 +145,9 @@ def _round(
     towards = -centre / np.linalg.norm(centre)
     up, foot = None, centre
     if rng.random() < ranges.on_ground:
-        up = _unit(rng)
+        up = random_unit(rng)
         while up @ towards < 0.2:
-            up = _unit(rng)
+            up = random_unit(rng)
         low = float((se3.apply(T, mesh.vertices) @ up).min())
         foot = centre + up * (low - centre @ up - abs(rng.normal(0.0, 0.002)))
         out.append((props.ground(), _lying(rng, up, foot)))
@@ -160,9 +159,9 @@ def _round(
     for _ in range(int(rng.integers(0, 5))):
         thing, turn = props.thing(), random_rotation(rng)
         if up is None:
-            at = centre + _unit(rng) * rng.uniform(0.5, 1.2) * diameter_m
+            at = centre + random_unit(rng) * rng.uniform(0.5, 1.2) * diameter_m
         else:
-            side = np.cross(up, _unit(rng))
+            side = np.cross(up, random_unit(rng))
             at = foot + side / np.linalg.norm(side) * (rng.uniform(0.3, 1.1) * diameter_m + 0.03)
             at = at - up * float((thing.vertices @ turn.T @ up).min())
         out.append((thing, se3.make(turn, at)))
@@ -216,14 +215,9 @@ def _edges(rng: Rng, depth: Float32) -> Bool:
 
 def _lying(rng: Rng, up: Float64, at: Float64) -> Float64:
     """The pose (4, 4) of a sheet at a point (3,), its picture towards `up` (3,), in any turn about it."""
-    x = np.cross(up, _unit(rng))
+    x = np.cross(up, random_unit(rng))
     x /= np.linalg.norm(x)
     return se3.make(np.column_stack([x, np.cross(up, x), up]), at)
-
-
-def _unit(rng: Rng) -> Float64:
-    v = rng.normal(size=3)
-    return np.asarray(v / np.linalg.norm(v))
 
 
 PIXELS = WIDE * SIDE

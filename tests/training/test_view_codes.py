@@ -8,14 +8,15 @@ import pytest
 
 torch = pytest.importorskip("torch", reason="the extra `train` is not installed")
 
+from huepose.geometry import icosphere  # noqa: E402
 from huepose.propose import view_pictures  # noqa: E402
+from huepose.propose.template_table import view_rotations  # noqa: E402
 from huepose.training.view_code_network import loss_of, view_codes, window_codes  # noqa: E402
 from huepose.training.view_codes import (  # noqa: E402
     Shelf,
     ViewCodeTraining,
     network_input,
     train,
-    view_rotations,
 )
 from huepose.training.windows import Drawn, endless  # noqa: E402
 
@@ -50,7 +51,7 @@ def test_a_window_that_is_not_moved_is_the_middle_of_what_was_drawn(drawn):
 
 
 def test_the_turns_of_the_views_are_rolls_of_looks_from_all_around():
-    turns = view_rotations()
+    turns = view_rotations(icosphere.directions(view_pictures.LEVEL), view_pictures.ROLLS)
     assert turns.shape == (504, 3, 3)
     assert np.allclose(turns @ turns.transpose(0, 2, 1), np.eye(3), atol=1e-9)
     roll = turns[1] @ turns[0].T

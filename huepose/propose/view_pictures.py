@@ -114,8 +114,8 @@ def window_pictures(
 ) -> tuple[UInt8, Float32]:
     """Colours (W, 64, 64, 3) and relief (W, 64, 64) in diameters, NaN where the depth is unknown, of windows
     with their middles at pixels (W, 2) and depths (W,), `span_px` (W,) wide, of a picture (H, W, 3) with
-    depth (H, W) metres. diameter_m: of one object, or of each window's (W,). wide: so many times as wide, and of
-    as many more pixels (training)."""
+    depth (H, W) metres. diameter_m: of one object, or of each window's (W,). wide: so many times as wide, and
+    of as many more pixels (training)."""
     side = wide * SIDE
     smaller, diameters = [color], np.broadcast_to(diameter_m, len(pixels))
     colors = np.zeros((len(pixels), side, side, 3), np.uint8)

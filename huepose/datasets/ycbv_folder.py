@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import json
 from collections import Counter
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 
@@ -192,8 +192,8 @@ def _chosen(
 class TargetImages:
     """A scene of which only some images count, and of their labels only the objects that are asked for."""
 
-    def __init__(self, scene: Scene, wanted: Mapping[int, Collection[int]]) -> None:
-        """wanted: object ids by image; none named: all labels of the image."""
+    def __init__(self, scene: Scene, wanted: Mapping[int, Mapping[int, int]]) -> None:
+        """wanted: by image, how many labels of which object id; none named: all labels of the image."""
         self._scene, self._wanted = scene, wanted
         self.name, self.image_ids = scene.name, tuple(wanted)
         self.stamp_ns = scene.stamp_ns
@@ -203,9 +203,16 @@ class TargetImages:
         return self._scene.frame(image)
 
     def truths(self, image: int) -> tuple[GroundTruth, ...]:
-        """The labels that are asked for."""
-        wanted = self._wanted[image]
-        return tuple(t for t in self._scene.truths(image) if not wanted or t.object_id in wanted)
+        """The labels that are asked for: of an object those that show most."""
+        truths, left = self._scene.truths(image), dict(self._wanted[image])
+        if not left:
+            return truths
+        chosen = set[int]()
+        for truth in sorted(truths, key=lambda t: -(t.visib_fract or 0.0)):
+            if truth.object_id is not None and left.get(truth.object_id, 0) > 0:
+                left[truth.object_id] -= 1
+                chosen.add(truth.instance)
+        return tuple(t for t in truths if t.instance in chosen)
 
     def sample(self, image: int) -> Sample:
         """Frame and labels."""

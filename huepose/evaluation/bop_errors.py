@@ -1,8 +1,7 @@
 """The pose errors of the BOP challenge, and its average recall. Pure functions; errors in metres and pixels.
 
 Hodan et al., *BOP Challenge 2020 on 6D Object Localization*; thresholds as in bop_toolkit's
-`scripts/eval_bop19_pose.py`. A missing pose is wrong at every threshold. Each label is scored with the pose
-that was asked for it: where an image shows an object once, as in YCB-V, this is what BOP's matching does.
+`scripts/eval_bop19_pose.py`. A missing pose is wrong at every threshold.
 """
 
 from __future__ import annotations
@@ -47,6 +46,10 @@ class BopObject:
         )
 
 
+_LIMITS = np.stack([*[FRACTIONS] * len(FRACTIONS), FRACTIONS, PIXELS])
+"""Thresholds (12, 10) of VSD by tolerance, MSSD, MSPD."""
+
+
 @dataclass(frozen=True)
 class BopErrors:
     """vsd: by misalignment tolerance, 0..1; mssd: over the diameter; mspd_px: in an image 640 wide."""
@@ -60,9 +63,19 @@ class BopErrors:
         """No pose."""
         return BopErrors((1.0,) * len(FRACTIONS), np.inf, np.inf)
 
+
+@dataclass(frozen=True)
+class BopScore:
+    """A label's errors with its own pose, and the share of the thresholds of VSD, MSSD and MSPD at which the
+    label is matched by a pose."""
+
+    errors: BopErrors
+    recalls: tuple[float, float, float]
+
     def as_json(self) -> dict[str, Any]:
-        """The errors in their file form."""
-        return {"vsd": list(self.vsd), "mssd": self.mssd, "mspd_px": self.mspd_px}
+        """The score in its file form."""
+        e = self.errors
+        return {"vsd": list(e.vsd), "mssd": e.mssd, "mspd_px": e.mspd_px, "recalls": list(self.recalls)}
 
 
 def bop_errors(
@@ -127,17 +140,26 @@ def _projected(points_cam: Float64, camera: Camera) -> Float64:
     return np.asarray(np.nan_to_num(pixels, nan=np.inf), np.float64)
 
 
-def average_recalls(errors: Sequence[Mapping[str, Any]]) -> dict[str, float | None]:
-    """`ar` and its parts `ar_vsd`, `ar_mssd`, `ar_mspd` of N errors in their file form, percent.
+def matched_recalls(errors: Sequence[Sequence[BopErrors]]) -> list[tuple[float, float, float]]:
+    """BopScore.recalls of an object's labels in an image. errors: by pose, the surest first, and label.
 
-    `mssd` and `mspd_px` of None are a missing pose's. Each part is the mean recall over its thresholds (VSD:
-    and its tolerances), AR the mean of the three."""
-    if not errors:
+    As in BOP's task of localisation: at each threshold the surest pose takes the label to which its error is
+    least, if that is below the threshold, and the next poses choose among the labels that are left."""
+    values = np.array([[(*e.vsd, e.mssd, e.mspd_px) for e in row] for row in errors], np.float64)
+    free = np.ones((values.shape[1], *_LIMITS.shape), bool)
+    for own in values[..., None]:
+        near = np.where(free & (own < _LIMITS), own, np.inf)
+        hit = np.isfinite(near).any(axis=0)
+        free[(near.argmin(axis=0)[hit], *np.nonzero(hit))] = False
+    n = len(FRACTIONS)
+    return [(float(t[:n].mean()), float(t[n].mean()), float(t[n + 1].mean())) for t in ~free]
+
+
+def average_recalls(scores: Sequence[Mapping[str, Any]]) -> dict[str, float | None]:
+    """`ar` and its parts `ar_vsd`, `ar_mssd`, `ar_mspd` of N scores in their file form, percent.
+
+    Each part is the mean recall over its thresholds (VSD: and its tolerances), AR the mean of the three."""
+    if not scores:
         return dict.fromkeys(("ar", "ar_vsd", "ar_mssd", "ar_mspd"))
-    discrepancy = np.array([e["vsd"] for e in errors], np.float64)
-    parts = [float((discrepancy[..., None] < FRACTIONS).mean())]
-    for key, limits in (("mssd", FRACTIONS), ("mspd_px", PIXELS)):
-        values = np.array([np.inf if e[key] is None else e[key] for e in errors], np.float64)
-        parts.append(float((values[:, None] < limits).mean()))
-    v, s, p = (100.0 * part for part in parts)
+    v, s, p = (100.0 * np.mean([score["recalls"] for score in scores], axis=0)).tolist()
     return {"ar": (v + s + p) / 3.0, "ar_vsd": v, "ar_mssd": s, "ar_mspd": p}

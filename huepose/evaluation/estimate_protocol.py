@@ -17,7 +17,7 @@ from huepose.estimation.present import Presence
 from huepose.estimation.standing import standing_answers, why_none_stands
 from huepose.estimation.types import ObjectQuery, PoseEstimate, PosePrior
 from huepose.evaluation.assignment import Label, assigned, labels_of, localised
-from huepose.evaluation.bop_errors import BopObject, bop_errors
+from huepose.evaluation.bop_errors import BopErrors, BopObject, BopScore, bop_errors, matched_recalls
 from huepose.evaluation.equivalents import Key
 from huepose.evaluation.estimate_rows import EstimateResult, EstimateRow, FalsePose
 from huepose.evaluation.targets import Targets, object_number
@@ -183,10 +183,16 @@ class _FrameRun:
         start = time.perf_counter()
         answers = estimator.estimate(self.sample.frame, list(queries.values())) if queries else []
         seconds = time.perf_counter() - start
-        found = {answer.instance: answer for answer in answers}
+        by_instance = {answer.instance: answer for answer in answers}
+        found = {
+            i: by_instance[label.truth.instance]
+            for i, label in enumerate(self.labels)
+            if label.counted and label.truth.instance in by_instance
+        }
+        scores = self._bop_scores(found)
         return [
-            self._row(label, found.get(label.truth.instance), seconds, queries.get(label.truth.instance))
-            for label in self.labels
+            self._row(label, found.get(i), seconds, queries.get(label.truth.instance), scores.get(i))
+            for i, label in enumerate(self.labels)
             if label.counted
         ]
 
@@ -280,12 +286,14 @@ class _FrameRun:
         """A row for each label with its pose, and the poses that are left. matched: answers by index of the
         label, and spare ones; why: of an object's name, what to say of a label without a pose."""
         taken, spare = matched
+        scores = self._bop_scores(taken)
         rows = [
             self._row(
                 label,
                 taken.get(i),
                 seconds,
                 queries[taken[i].instance] if i in taken else None,
+                scores.get(i),
                 "" if i in taken else why(label.model.name),
             )
             for i, label in enumerate(self.labels)
@@ -296,6 +304,37 @@ class _FrameRun:
     def _box_of(self, name: str, T_cam_obj: Float64) -> Box | None:
         model = self.targets.named(name)
         return None if model is None else projected_box(model.mesh, T_cam_obj, self.sample.frame.camera)
+
+    def _bop_scores(self, answers: Mapping[int, PoseEstimate]) -> dict[int, BopScore]:
+        """By index of the label, of the objects that are measured so. answers: by index of the label."""
+        groups: dict[int, list[int]] = {}
+        for i, label in enumerate(self.labels):
+            number = label.model.object_id
+            if label.counted and number is not None and number in self.setup.bop_objects:
+                groups.setdefault(number, []).append(i)
+        frame = self.sample.frame
+        scores: dict[int, BopScore] = {}
+        for number, labels in groups.items():
+            found = [i for i in labels if i in answers and answers[i].found]
+            found.sort(key=lambda i: (answers[i].quality, answers[i].score), reverse=True)
+            errors = {
+                i: [
+                    bop_errors(
+                        self.setup.bop_objects[number],
+                        answers[i].T_cam_obj,
+                        self.labels[k].T_cam_obj,
+                        frame.depth,
+                        frame.camera,
+                    )
+                    for k in labels
+                ]
+                for i in found
+            }
+            missing = [BopErrors.missing()] * len(labels)
+            recalls = matched_recalls([*errors.values(), missing])
+            for place, (i, share) in enumerate(zip(labels, recalls, strict=True)):
+                scores[i] = BopScore(errors.get(i, missing)[place], share)
+        return scores
 
     def _false(self, answer: PoseEstimate, T_cam_obj: Float64) -> FalsePose:
         model = self.targets.named(answer.object)
@@ -316,6 +355,7 @@ class _FrameRun:
         answer: PoseEstimate | None,
         seconds: float,
         query: ObjectQuery | None,
+        bop: BopScore | None,
         why: str = "The box is empty: nothing of the object is in the image.",
     ) -> EstimateRow:
         """why: nothing was found, where there is no answer to say it."""
@@ -324,13 +364,6 @@ class _FrameRun:
         key = (self.sample.scene, self.sample.image, truth.instance)
         equivalents = self.setup.equivalents.get(key, ())
         error = self.targets.error(label.model, T_cam_obj, label.T_cam_obj, equivalents)
-        measured = (
-            self.setup.bop_objects.get(label.model.object_id) if label.model.object_id is not None else None
-        )
-        bop = None
-        if measured is not None:
-            frame = self.sample.frame
-            bop = bop_errors(measured, T_cam_obj, label.T_cam_obj, frame.depth, frame.camera)
         others = answer.alternatives if answer is not None and answer.found else ()
         return EstimateRow(
             scene=self.sample.scene,

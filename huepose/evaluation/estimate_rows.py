@@ -11,7 +11,7 @@ import numpy as np
 from huepose.believe.quality import QualityTerms
 from huepose.evaluation import metrics
 from huepose.evaluation.bootstrap import Interval, frame_intervals
-from huepose.evaluation.bop_errors import BopErrors, average_recalls
+from huepose.evaluation.bop_errors import BopScore, average_recalls
 from huepose.evaluation.summary import Figures, grouped, mean_figures
 from huepose.evaluation.targets import PoseError
 from huepose.geometry.arrays import Float64
@@ -27,7 +27,7 @@ class EstimateRow:
     seconds: wall time of the whole frame, all its objects; box: what the estimator was given, x y w h;
     terms: what the quality was made of, None where nothing could be looked at; alternatives: the other
     answers' probabilities, and whether each is right; reason: why nothing was found, empty where something
-    was; bop: the errors of the BOP challenge, None where not measured."""
+    was; bop: by the errors of the BOP challenge, None where not measured."""
 
     scene: str
     image: int
@@ -45,7 +45,7 @@ class EstimateRow:
     terms: QualityTerms | None = None
     alternatives: tuple[tuple[float, bool], ...] = ()
     reason: str = ""
-    bop: BopErrors | None = None
+    bop: BopScore | None = None
 
     def as_json(self) -> dict[str, Any]:
         """The row in its file form."""

@@ -1,7 +1,7 @@
 """Symmetries of an object as a list of turns: T_cam_obj and T_cam_obj @ turn look the same.
 
 BOP's convention (bop_toolkit, misc.get_symmetry_transformations): discrete ones are 4x4, continuous ones an
-axis and an offset, sampled; every discrete turn is composed with every sampled one.
+axis and an offset, sampled; every sampled turn is applied after every discrete one.
 """
 
 from __future__ import annotations
@@ -41,4 +41,4 @@ def sampled(entry: Mapping[str, Any], step_rad: float = np.pi / 36, unit_m: floa
         continuous += [
             rotation_about(symmetry["axis"], 2 * np.pi * k / steps, offset) for k in range(1, steps)
         ]
-    return np.stack([d @ c for d in discrete for c in continuous])
+    return np.stack([c @ d for d in discrete for c in continuous])

@@ -105,9 +105,10 @@ def write_bop_ycbv(
 def _write_models(out: Path, objects: Sequence[SetObject]) -> None:
     infos, offsets = {}, {}
     for obj in objects:
-        path = out / "models" / f"obj_{obj.object_id:06d}.ply"
-        path.parent.mkdir(parents=True, exist_ok=True)
-        write_ply(path, obj.mesh, scale=1000.0)
+        for folder in ("models", "models_eval"):
+            path = out / folder / f"obj_{obj.object_id:06d}.ply"
+            path.parent.mkdir(parents=True, exist_ok=True)
+            write_ply(path, obj.mesh, scale=1000.0)
         points = 1000.0 * obj.mesh.vertices.astype(np.float64)
         low, size = points.min(0), np.ptp(points, axis=0)
         infos[str(obj.object_id)] = {
@@ -120,7 +121,6 @@ def _write_models(out: Path, objects: Sequence[SetObject]) -> None:
         offset_mm = (1000.0 * obj.offset_m).tolist()
         offsets[obj.name] = {"bop_obj_id": obj.object_id, "posecnn_to_bop_t_mm": offset_mm}
     for folder in ("models", "models_eval"):
-        (out / folder).mkdir(exist_ok=True)
         (out / folder / "models_info.json").write_text(json.dumps(infos, indent=1))
     (out / "models" / "frame_offsets.json").write_text(json.dumps(offsets, indent=1))
 

@@ -11,8 +11,9 @@ import pytest
 from scipy.io import savemat
 
 from huepose.datasets.fast_ycb import FastYcbSequence, labelled_sequences
+from huepose.datasets.types import GroundTruth
 from huepose.datasets.ycb_objects import T_posecnn_obj, ycb_objects
-from huepose.datasets.ycbv_folder import open_ycbv, spread
+from huepose.datasets.ycbv_folder import TargetImages, open_ycbv, spread
 from huepose.geometry import se3
 from huepose.support.errors import InputError
 
@@ -43,6 +44,20 @@ def test_the_targets_say_which_images_and_labels_count(bop_download: Path) -> No
         "missing scenes: 000004",
         "missing images: 000003 (1 of 3)",
     ]
+
+
+def test_of_alike_objects_those_count_that_show_most() -> None:
+    """Two are asked for, of three that show 30, 90 and 60 %."""
+
+    class Three:
+        name, image_ids, stamp_ns = "000048", (1,), None
+
+        def truths(self, image: int) -> tuple[GroundTruth, ...]:
+            shares = enumerate((0.3, 0.9, 0.6))
+            return tuple(GroundTruth(k, np.eye(4), 5, visib_fract=share) for k, share in shares)
+
+    assert [t.instance for t in TargetImages(Three(), {1: {5: 2, 7: 1}}).truths(1)] == [1, 2]
+    assert [t.instance for t in TargetImages(Three(), {1: {}}).truths(1)] == [0, 1, 2]
 
 
 def test_without_targets_all_images_count(bop_download: Path) -> None:

@@ -5,7 +5,16 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from huepose.evaluation.bop_errors import BopErrors, BopObject, average_recalls, bop_errors, mssd_mspd, vsd
+from huepose.evaluation.bop_errors import (
+    BopErrors,
+    BopObject,
+    BopScore,
+    average_recalls,
+    bop_errors,
+    matched_recalls,
+    mssd_mspd,
+    vsd,
+)
 from huepose.geometry import Camera, se3
 
 from .conftest import CAMERA, HALF_TURN, box_mesh
@@ -81,17 +90,47 @@ def test_an_object_takes_symmetries_and_diameter_from_the_data_set() -> None:
     assert bop_errors(obj, None, T, depth, CAMERA) == BopErrors.missing()
 
 
+def alone(errors: BopErrors) -> dict[str, object]:
+    """The file form of the only label of an object."""
+    return BopScore(errors, matched_recalls([[errors]])[0]).as_json()
+
+
+def mssd_of(error: float) -> BopErrors:
+    return BopErrors((error,) * 10, error, 100.0 * error)
+
+
 def test_average_recall_by_hand() -> None:
     """One exact pose, one missing, one with 12 % MSSD, 22 px, and VSD 0.3 at all tolerances."""
-    exact = BopErrors((0.0,) * 10, 0.0, 0.0).as_json()
-    middle = BopErrors((0.3,) * 10, 0.12, 22.0).as_json()
-    missing = {**BopErrors.missing().as_json(), "mssd": None, "mspd_px": None}
-    recalls = average_recalls([exact, middle, missing])
+    exact = alone(BopErrors((0.0,) * 10, 0.0, 0.0))
+    middle = alone(BopErrors((0.3,) * 10, 0.12, 22.0))
+    recalls = average_recalls([exact, middle, alone(BopErrors.missing())])
     assert recalls["ar_vsd"] == pytest.approx(100 * (1 + 0.4) / 3)  # right at 35, 40, 45 and 50 %
     assert recalls["ar_mssd"] == pytest.approx(100 * (1 + 0.8) / 3)  # right from 15 % on
     assert recalls["ar_mspd"] == pytest.approx(100 * (1 + 0.6) / 3)  # right from 25 px on
     assert recalls["ar"] == pytest.approx(100 * (3 + 1.8) / 9)
     assert average_recalls([])["ar"] is None
+
+
+def test_an_error_at_the_threshold_is_too_large() -> None:
+    assert matched_recalls([[BopErrors((0.5,) * 10, 0.5, 50.0)]]) == [(0.0, 0.0, 0.0)]
+    assert matched_recalls([[BopErrors((0.0,) * 10, 0.0, 45.0)]]) == [(1.0, 1.0, pytest.approx(0.1))]
+
+
+def test_poses_of_alike_objects_choose_their_labels_the_surest_first() -> None:
+    """The figures of bop_toolkit's pose_matching.match_poses. Two poses that were asked for crosswise are
+    right; one that is surer takes the label to which it is nearer, and leaves the other pose the rest."""
+    a, b, c = (mssd_of(error) for error in (0.02, 0.12, 0.32))
+    crossed = matched_recalls([[BopErrors.missing(), a], [a, BopErrors.missing()]])
+    assert crossed == [(1.0, 1.0, 1.0)] * 2
+    # From 5 % on the surer pose has the first label; the other would have been at 12 % there, is at 32 % now.
+    surer = matched_recalls([[a, b], [b, c]])
+    assert [s[1] for s in surer] == [pytest.approx(1.0), pytest.approx(0.4)]
+    # The surer is worse: up to 10 % it has no label, and the other one has the first; then it takes it away.
+    worse = matched_recalls([[b, c], [a, c]])
+    assert [s[1] for s in worse] == [pytest.approx(1.0), pytest.approx(0.4)]
+    # Both poses lie on one label: the other label is missed.
+    same = matched_recalls([[a, BopErrors.missing()], [b, BopErrors.missing()]])
+    assert [s[1] for s in same] == [1.0, 0.0]
 
 
 def test_errors_do_not_change_when_the_world_is_turned_with_the_camera() -> None:

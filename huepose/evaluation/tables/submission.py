@@ -45,7 +45,8 @@ def read_submission(named: str, known_ids: Collection[int]) -> Submission:
 
 
 class AsGiven:
-    """Answers with the pose that a query brings along; its quality is not known."""
+    """Answers with the pose that a query brings along; its quality is not known. Surer poses are asked for
+    first, and have the higher score."""
 
     def estimate(self, frame: RgbdFrame, queries: Sequence[ObjectQuery]) -> list[PoseEstimate]:
         """One answer for each query."""
@@ -62,7 +63,7 @@ def _answer(query: ObjectQuery, prior: PosePrior | None) -> PoseEstimate:
         T_cam_obj=prior.T_cam_obj,
         quality=0.0,
         state="SUSPECT",
-        score=0.0,
+        score=-float(query.instance),
         margin=0.0,
         covariance=None,
         mask=None,

@@ -17,6 +17,7 @@ from huepose.evaluation.instances import instance_counts
 from huepose.evaluation.summary import table
 from huepose.evaluation.targets import Targets, posecnn_offset_m
 from huepose.model import ReferenceModel, load_models
+from huepose.onboarding import read_mesh
 from huepose.support.errors import InputError
 
 FIGURES = {"recall_add": "ADD", "recall_adds": "ADD-S", "auc_add": "AUC ADD", "auc_adds": "AUC ADD-S"}
@@ -90,14 +91,17 @@ def shown(scenes: Sequence[Scene], targets: Targets) -> list[str]:
 
 
 def bop_objects(info: Path, models: Mapping[str, ReferenceModel]) -> dict[int, BopObject]:
-    """What BOP's errors are measured on, by id: a reference model's mesh with the data set's diameter and
-    symmetries. Raises InputError."""
+    """What BOP's errors are measured on, by id: the data set's diameter and symmetries, and the mesh beside
+    them (BOP's `obj_NNNNNN.ply`, millimetres), or else the reference model's. Raises InputError."""
     infos = files.read_json(info)
-    return {
-        m.object_id: BopObject.of(m.mesh, infos[str(m.object_id)])
-        for m in models.values()
-        if m.object_id is not None and "diameter" in infos.get(str(m.object_id), {})
-    }
+    measured = {}
+    for model in models.values():
+        number = model.object_id
+        if number is not None and "diameter" in infos.get(str(number), {}):
+            file = info.parent / f"obj_{number:06d}.ply"
+            mesh = read_mesh(file, "mm") if file.exists() else model.mesh
+            measured[number] = BopObject.of(mesh, infos[str(number)])
+    return measured
 
 
 def intervals_line(summary: Mapping[str, Any], units: str) -> str:

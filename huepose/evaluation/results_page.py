@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any
 
+from huepose.evaluation.tables.short import in_short
 from huepose.evaluation.tables.table import Cell, Head, Table
 from huepose.support.errors import InputError
 
@@ -35,16 +36,6 @@ def results_page(records: Mapping[str, Mapping[str, Any]]) -> str:
 
 BEGIN, END = "<!-- cut from docs/results by `huepose eval results` -->", "<!-- end of the cut -->"
 
-_UNSEEN = {
-    "Average of unseen, textured": "unseen objects, textured",
-    "Average of unseen, little texture": "unseen objects, little texture",
-}
-_ROWS: Mapping[str, Mapping[str, str]] = {
-    "table1": {"All labels": "YCB-Video", **_UNSEEN},
-    "table2": {"Average": "Fast-YCB, or like it", **_UNSEEN},
-}
-"""Of the paper's tables: the rows that are cut out, and how they are called there."""
-
 
 def with_cut(document: str, records: Mapping[str, Mapping[str, Any]]) -> str:
     """A document with the lines between BEGIN and END made anew: of the first result that has the paper's
@@ -56,18 +47,14 @@ def with_cut(document: str, records: Mapping[str, Mapping[str, Any]]) -> str:
     whole = next((record for record in records.values() if "tables" in record), None)
     if whole is None:
         raise InputError("--readme", found="no result of `huepose eval tables`")
-    parts = [_cut(Table.of_json(t)) for t in whole["tables"] if t["key"] in _ROWS]
+    parts = [_cut(table) for table in in_short([Table.of_json(t) for t in whole["tables"]])]
     return "\n".join([f"{before}{BEGIN}", *parts, f"{END}{after}"])
 
 
 def _cut(table: Table) -> str:
-    """The columns of this code, the rows of averages."""
-    ours = [k for k, head in enumerate(table.heads) if head.measured]
-    shown = _ROWS[table.key]
-    rows = {shown[name]: cells for name, cells in table.rows if name in shown}
-    heads = [f"{table.heads[k].method} {table.heads[k].figure}".strip() for k in ours]
-    lines = [[table.title, *heads], ["---"] * (len(ours) + 1)]
-    lines += [[name, *(table.cell(cells[k]) for k in ours)] for name, cells in rows.items()]
+    heads = [f"{head.method} {head.figure}".strip() for head in table.heads]
+    lines = [[table.title, *heads], ["---"] * (len(heads) + 1)]
+    lines += [[name, *map(table.cell, cells)] for name, cells in table.rows]
     return "".join(f"| {' | '.join(cells)} |\n" for cells in lines)
 
 

@@ -116,7 +116,7 @@ def test_unseen_objects_have_rows_and_averages_of_their_own(models, scene, tmp_p
         assemble.single_frame_tables({"full": ours}, NAMES, {}, [], family) for family in (unseen, None)
     )
     rows = rows_by_name(table)
-    adds = {name: (rows[name]["", "n"], rows[name]["full", "ADD"]) for name in list(rows)[-7:]}
+    adds = {name: (rows[name]["", "n"], rows[name]["full", "ADD"]) for name in list(rows)[-8:]}
     assert adds == {
         "boat": (1, 100.0),
         "cup": (2, 50.0),
@@ -124,6 +124,7 @@ def test_unseen_objects_have_rows_and_averages_of_their_own(models, scene, tmp_p
         "Average of unseen objects": (5, pytest.approx(250 / 3)),
         "Average of unseen, textured": (3, 75.0),
         "Average of unseen, little texture": (2, 100.0),
+        "All labels of unseen, textured": (3, pytest.approx(200 / 3)),
         "All labels of unseen objects": (5, 80.0),
     }
     assert rows["duck"]["Ours (published)", "ADD"] is None
@@ -132,6 +133,29 @@ def test_unseen_objects_have_rows_and_averages_of_their_own(models, scene, tmp_p
     everything = rows_by_name(everything)
     assert everything["full, all labels of unseen objects"]["recall", "ADD"] == 80.0
     assert everything["full, unseen objects, 95 % of draws"]["recall", "ADD"] == "67 to 100"
+    assert everything["full, all labels of unseen, textured"]["", "n"] == 3
+
+
+def test_labels_of_which_a_quarter_shows_have_a_row_of_their_own(models, tmp_path: Path) -> None:
+    """Of four labels the two that show little are lost; of one it is not known."""
+    shares = (0.1, 0.24, 0.25, None)
+    labels = tuple(truth(k, 5, pose_at(0.0), visib) for k, visib in enumerate(shares))
+    seen = MemoryScene("000048", {1: labels})
+
+    def answer(frame, query):
+        return estimate_of(query, labels[query.instance].T_cam_obj if query.instance > 1 else None)
+
+    setup = EstimateSetup(Targets(models), ScriptedEstimator(answer), EstimateOptions("paper"))
+    entries = run_images(Journal(tmp_path / "v.jsonl", {}), [seen], setup, "")
+    unseen = Unseen({"full": entries}, {}, {"5": "duck"}, set())
+    table, everything = assemble.single_frame_tables({"full": entries}, NAMES, {}, [], unseen)
+    figures = {
+        name: (cells["", "n"], cells["recall", "ADD"]) for name, cells in rows_by_name(everything).items()
+    }
+    assert figures["full, all labels"] == (4, 50.0)
+    for family in ("", " of unseen objects", " of unseen, textured"):
+        assert figures[f"full, all labels{family}, a quarter visible"] == (2, 100.0)
+    assert not any("quarter" in name for name, _ in table.rows)
 
 
 def track_of(model, sequence: str, errors_m: list[float | None]) -> TrackResult:
@@ -252,7 +276,7 @@ def test_the_page_holds_tables_and_pictures_and_nothing_from_elsewhere(models, s
     track = plain(track_of(models["tea_box"], "tea_box", [0.01, None, 0.02]).as_json())["rows"]
     tables = assemble.single_frame_tables({"full": entries}, NAMES, {}, [])
     text = page(tables, {"date": "today"}, ["all"], {"full": rows_of(entries)}, {("full", 1): track}, NAMES)
-    assert text.count("<table>") == 2
+    assert text.count("<table>") == 3  # in short, Table I, all figures
     assert text.count("data:image/png;base64,") == 6  # two curves, objects, quality; a curve, a sequence
     assert "http" not in text.replace("https://", "")
     assert 'src="data:' in text

@@ -17,6 +17,7 @@ from huepose.evaluation.tables.figures import (
     Row,
     Unseen,
     figures,
+    quarter_visible,
     rows_of,
     spans,
 )
@@ -66,9 +67,11 @@ def single_frame_tables(
     apart = _unseen_images(unseen, tuple(by_method)) if unseen else {}
     empty = (None,) * len(paper.columns)
     for label, (n, own, _) in apart.items():
-        ours = [own[m][key] for m in by_method for key in ("recall_add", "recall_adds")]
+        if label.endswith(_QUARTER):
+            continue
+        ours = [own[m].get(key) for m in by_method for key in ("recall_add", "recall_adds")]
         lines.append((label, (*empty, n, *ours)))
-    notes = (*notes, *unseen.notes) if unseen else tuple(notes)
+    notes = (*notes, *unseen.notes, *unseen.image_notes) if unseen else tuple(notes)
     note = f"Measured: {seen} objects; the average is over these. {RECALL[0].upper()}{RECALL[1:]}."
     scale = "The published columns but the last are of another scale than recall (hover, or see the CSV)."
     return [
@@ -91,6 +94,8 @@ def _by_name(rows: Mapping[str, Sequence[Row]], names: Mapping[str, str]) -> dic
     }
 
 
+_QUARTER = ", a quarter visible"
+
 _Block = tuple[int, Mapping[str, Mapping[str, float | None]], Mapping[str, Sequence[Row]]]
 """Labels, figures by method, and the rows that intervals are drawn from (none for averages of objects)."""
 
@@ -106,8 +111,16 @@ def _unseen_images(unseen: Unseen, methods: Sequence[str]) -> dict[str, _Block]:
     for label, part in unseen.parts(found).items():
         means = {m: mean_figures(measured[name][m] for name in part) for m in methods}
         out[f"Average of {label}"] = sum(counts[name] for name in part), means, {}
-    whole = {m: figures(rows[m]) for m in methods}
-    out["All labels of unseen objects"] = sum(counts.values()), whole, rows
+    textured = {
+        m: [row for row in own if unseen.names.get(str(row["object"])) not in unseen.plain]
+        for m, own in rows.items()
+    }
+    for label, chosen in (("unseen, textured", textured), ("unseen objects", rows)):
+        seen = {m: quarter_visible(own) for m, own in chosen.items()}
+        for suffix, kept in ((_QUARTER, seen), ("", chosen)):
+            whole = {m: figures(own) for m, own in kept.items()}
+            n = max(map(len, kept.values()), default=0)
+            out[f"All labels of {label}{suffix}"] = n, whole, {} if suffix else kept
     return out
 
 
@@ -123,6 +136,9 @@ def _all_figures(
     for method in rows:
         for label, block in (("average of objects", means[method]), ("all labels", whole[method])):
             lines.append((f"{method}, {label}", (len(rows[method]), *(block.get(key) for key in columns))))
+        shown = quarter_visible(rows[method])
+        seen = figures(shown)
+        lines.append((f"{method}, all labels{_QUARTER}", (len(shown), *(seen.get(key) for key in columns))))
         lines.append((f"{method}, 95 % of draws", ("", *spans(rows[method], columns, _frame))))
         if any(row["add_m"] != row["add_official_m"] for row in rows[method]):
             declared = figures(rows[method], "add_m") | dict.fromkeys(BOP_COLUMNS)
@@ -134,7 +150,7 @@ def _all_figures(
                 lines.append((f"{method}, {label[0].lower()}{label[1:]}", first))
             if drawn_from:
                 cells = ("", *spans(drawn_from[method], columns, _frame))
-                lines.append((f"{method}, unseen objects, 95 % of draws", cells))
+                lines.append((f"{method}, {label.removeprefix('All labels of ')}, 95 % of draws", cells))
     for other in others():
         cells = tuple(other["figures"].get(key) for key in columns)
         lines.append((f"{other['method']} (published)", ("", *cells)))

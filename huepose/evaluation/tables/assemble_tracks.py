@@ -112,7 +112,7 @@ def tracking_tables(
         lines.append(("All frames of unseen objects", (*empty, *pooled)))
         lower = {f"average of {label}": names for label, names in unseen.parts(apart.names).items()}
         more += [line for run in runs for line in apart.lines(run, " of unseen objects", lower)]
-        notes = (*notes, *unseen.notes)
+        notes = (*notes, *unseen.notes, *unseen.track_notes)
     drawn = (
         "95 % of draws: where the figure over all frames lies when half seconds are drawn with replacement."
     )

@@ -42,13 +42,16 @@ BOP_COLUMNS = {
 @dataclass(frozen=True, eq=False)
 class Unseen:
     """Objects that nothing was fitted to. images: entries by method; tracks: by (method, every N-th frame);
-    names: by how rows call them; plain: names of those with little texture; notes: on what was measured."""
+    names: by how rows call them; plain: names of those with little texture; notes: on the family;
+    image_notes, track_notes: on what was measured."""
 
     images: Mapping[str, Sequence[Entry]]
     tracks: Mapping[tuple[str, int], Sequence[Entry]]
     names: Mapping[str, str]
     plain: Collection[str]
     notes: Sequence[str] = ()
+    image_notes: Sequence[str] = ()
+    track_notes: Sequence[str] = ()
 
     def parts(self, found: Collection[str]) -> dict[str, list[str]]:
         """Of the names that were found: what averages are over."""
@@ -62,6 +65,11 @@ class Unseen:
 def rows_of(entries: Sequence[Entry]) -> list[Row]:
     """All rows of the entries that could be read."""
     return [row for entry in entries for row in entry.get("rows", [])]
+
+
+def quarter_visible(rows: Sequence[Row]) -> list[Row]:
+    """Rows of labels that show a quarter or more, or of which that is not known."""
+    return [row for row in rows if row["visib_fract"] is None or row["visib_fract"] >= 0.25]
 
 
 def scored(rows: Sequence[Row]) -> list[Row]:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import base64
 import html
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 
 import cv2
 import numpy as np
@@ -16,6 +17,7 @@ from huepose.evaluation.ablation_rows import AblationResult
 from huepose.evaluation.summary import grouped
 from huepose.evaluation.tables.figures import Row, Unseen, errors, figures, rows_of, scored
 from huepose.evaluation.tables.published import published
+from huepose.evaluation.tables.short import in_short
 from huepose.evaluation.tables.table import Table
 from huepose.geometry.arrays import UInt8
 
@@ -37,8 +39,10 @@ h1{font-size:1.6em;margin-bottom:.2em} h2{font-size:1.15em;margin:2.2em 0 .6em;b
 th,td{padding:2px 5px;text-align:right;white-space:nowrap} tbody th{text-align:left;font-weight:500}
 thead th{border-bottom:1px solid #999;text-align:center} td.published,th.published{color:#777}
 td.measured{background:#eef5fb} tbody tr:hover td,tbody tr:hover th{background:#fdf6e3}
-ul{color:#555;font-size:13px;padding-left:1.2em} figure{display:inline-block;margin:.6em 12px .6em 0}
-figure img{max-width:100%;height:auto;border:1px solid #eee}
+tr.whole{font-weight:600} tr.whole th{font-weight:600} tr:not(.whole)+tr.whole>*{border-top:1px solid #999}
+tr.whole+tr:not(.whole)>*{border-top:1px solid #999}
+ul{color:#555;font-size:13px;padding-left:1.2em} .figures{display:flex;flex-wrap:wrap;gap:12px}
+figure{margin:0;max-width:100%} figure img{max-width:100%;height:auto;border:1px solid #eee}
 figcaption{font-size:13px;color:#555;max-width:720px}
 dl{display:grid;grid-template-columns:max-content auto;gap:0 1em;font-size:13px} dt{color:#777} dd{margin:0}
 """
@@ -59,7 +63,8 @@ def page(
     flow: the ablation."""
     facts = "".join(f"<dt>{html.escape(k)}</dt><dd>{html.escape(v)}</dd>" for k, v in origin.items())
     seen = "".join(f"<li>{html.escape(line)}</li>" for line in coverage)
-    parts = [table.html() for table in tables if table.key.startswith("table1")]
+    parts = [replace(table, title=f"In short: {table.title}").html() for table in in_short(tables)]
+    parts += [table.html() for table in tables if table.key.startswith("table1")]
     parts += _figures("Single frames", _image_pictures(images, names)) if any(images.values()) else []
     if unseen is not None:
         rows = {method: rows_of(entries) for method, entries in unseen.images.items()}
@@ -82,7 +87,8 @@ def page(
 
 
 def _figures(title: str, pictures: Sequence[tuple[UInt8, str]]) -> list[str]:
-    return [f"<h2>{title}, as pictures</h2>", *(_figure(picture, text) for picture, text in pictures)]
+    shown = "".join(_figure(picture, text) for picture, text in pictures)
+    return [f'<h2>{title}, as pictures</h2><div class="figures">{shown}</div>']
 
 
 def _figure(picture: UInt8, text: str) -> str:
@@ -105,7 +111,9 @@ def _image_pictures(
         title = f"recall by {name}"
         picture = line_plot(series, title, "threshold, % of the diameter", "% of labels", (0, 30), (0, 103))
         pictures.append((picture, f"Recall of {name} over the threshold; the tables take 10 %."))
-    pictures.append((_objects(known, names), "Recall of ADD by object; published: the paper's own column."))
+    beside = published("table1").rows
+    paper = "; published: the paper's own column" if set(names.values()) & set(beside) else ""
+    pictures.append((_objects(known, names), f"Recall of ADD by object{paper}."))
     for method, rows in known.items():
         found = [row for row in rows if row["found"]]
         if found and method in ("full", "colorpair"):
@@ -167,7 +175,7 @@ def _track_pictures(by_method: Mapping[str, Sequence[Row]]) -> list[tuple[UInt8,
             if method == "full":
                 bands = _bands(seconds, [row["state"] for row in own])
         text = "ADD over time; behind it the state of `full`: green TRACKING, yellow SUSPECT, red LOST."
-        pictures.append((time_plot(lines, bands, sequence, "seconds", "ADD in mm"), text))
+        pictures.append((time_plot(lines, bands, sequence, "seconds", "ADD in mm", (720, 320)), text))
     return pictures
 
 

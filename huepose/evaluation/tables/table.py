@@ -123,9 +123,9 @@ class Table:
             for head in self.heads
         )
         body = "".join(
-            f"<tr><th>{html.escape(name)}</th>"
+            f"<tr{_weight(name)}><th>{html.escape(name)}</th>"
             + "".join(
-                f'<td class="{_kind(head)}">{html.escape(self.cell(v))}</td>'
+                f'<td class="{_kind(head)}">{html.escape(self.cell(v) if _shown(head, v) else "")}</td>'
                 for head, v in zip(self.heads, values, strict=True)
             )
             + "</tr>"
@@ -136,6 +136,15 @@ class Table:
             f'<h2 id="{self.key}">{html.escape(self.title)}</h2><div class="wide"><table><thead><tr><th></th>'
             f"{over}</tr><tr><th></th>{under}</tr></thead><tbody>{body}</tbody></table></div><ul>{notes}</ul>"
         )
+
+
+def _shown(head: Head, value: Cell) -> bool:
+    """Not where somebody else published nothing."""
+    return head.measured or value is not None
+
+
+def _weight(name: str) -> str:
+    return ' class="whole"' if name.startswith(("Average", "All ")) else ""
 
 
 def _kind(head: Head) -> str:

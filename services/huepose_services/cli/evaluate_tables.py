@@ -77,7 +77,7 @@ def call(arguments: argparse.Namespace) -> int:
         coverage += [f"Fast-YCB: {note}" for note in notes]
     if arguments.fast_ycb or unseen:
         tables += tracking_tables(of_tracks, notes if arguments.fast_ycb else [], unseen)
-    coverage += list(unseen.notes) if unseen else []
+    coverage += [*unseen.notes, *unseen.image_notes, *unseen.track_notes] if unseen else []
     _write(arguments.out, tables, coverage, of_images, of_tracks, names, unseen, flow)
     return 0
 
@@ -112,11 +112,11 @@ def _unseen(arguments: argparse.Namespace) -> Unseen:
     of_images, image_notes, _ = images(arguments, frames, models)
     sequences = TrackSource(folder / "fast", "unseen-fast", tuple(models), "gt")
     of_tracks, track_notes = tracks(arguments, sequences, bundles)
-    notes = [f"unseen objects: {note}" for note in dict.fromkeys([*image_notes, *track_notes])]
-    said = (
-        f"unseen objects: {len(models)} by code, {len(plain)} with little texture; nothing was fitted to them"
+    family = f"{len(models)} by code, {len(plain)} with little texture; nothing was fitted to them"
+    said, of_image_set, of_track_set = (
+        [f"unseen objects: {note}" for note in notes] for notes in ([family], image_notes, track_notes)
     )
-    return Unseen(of_images, of_tracks, _names(models), plain, (said, *notes))
+    return Unseen(of_images, of_tracks, _names(models), plain, said, of_image_set, of_track_set)
 
 
 def _onboarded(arguments: argparse.Namespace) -> Path:

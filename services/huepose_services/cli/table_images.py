@@ -85,6 +85,12 @@ def images(
     if n < sum(len(scene.image_ids) for scene in folder.scenes):
         notes.append(f"a sample of {n} images, spread evenly over the scenes")
     notes.append(f"boxes {arguments.boxes}, own masks, seed {arguments.seed}, profile {arguments.profile}")
+    if not measured_on:
+        notes.append("no models_info.json beside the data set's meshes: BOP's errors are not measured")
+    if equivalents:
+        notes.append(
+            f"{len(equivalents)} labels have declared equivalents; they count in the rows that say so alone"
+        )
     notes += [note for submission in submissions for note in submission.notes]
     notes += left_out(next(iter(entries.values())))
     all_names = {i: o.name for i, o in ycb_objects().items()} | {

@@ -3,14 +3,19 @@
 from __future__ import annotations
 
 import json
+import shutil
 from functools import partial
 from pathlib import Path
+from types import SimpleNamespace
 
+import numpy as np
 import pytest
 
 from huepose.evaluation.bop_csv import read_bop_csv
 from huepose.evaluation.tables.table import Table
 from huepose.scenes.unseen.objects import unseen_objects
+from huepose.support.errors import InputError
+from huepose_services.cli import evaluate_scenes
 from huepose_services.cli.main import main
 
 
@@ -68,7 +73,7 @@ def test_the_whole_command_on_stand_ins(data: Path, tmp_path: Path, capsys) -> N
     assert len(poses) == there
     assert (out / "table2.csv").read_text().startswith("method,DOPE,ROFT,")
     page = (out / "report.html").read_text()
-    assert page.count("<table>") == 4
+    assert page.count("<table>") == 6  # the two of the paper in short, as they are, in all figures
     assert (out / "tables.tex").read_text().count(r"\begin{tabular}") == 4
     text = (out / "tables.txt").read_text()
     assert "Table II: tracking" in text
@@ -110,6 +115,28 @@ def test_unseen_objects_are_drawn_onboarded_and_measured(tmp_path: Path, monkeyp
     assert cells(tables["table2"], "Average of unseen, textured")["full", "AUC ADD"] > 95.0
     assert "2 by code, 1 with little texture" in capsys.readouterr().out
     assert "Unseen objects" in (out / "report.html").read_text()
+
+
+def test_a_sequence_that_cannot_be_opened_is_named_and_the_others_stay(
+    data: Path, tmp_path: Path, monkeypatch
+) -> None:
+    (whole,) = (data / "fast").iterdir()
+    both = tmp_path / "fast"
+    for name in (whole.name, f"{whole.name}_real"):
+        shutil.copytree(whole, both / name)
+    (both / f"{whole.name}_real" / "gt" / "poses_ycb.txt").write_text("nan 0 0 0 0 1 0\n")
+    model = SimpleNamespace(name=whole.name, frame_offset_m=np.zeros(3))
+    monkeypatch.setattr(evaluate_scenes, "load_models", lambda *_: {whole.name: model})
+    broken: list[str] = []
+    scenes, _ = evaluate_scenes.open_fast_ycb([both], tmp_path, broken)
+    assert [scene.name for scene in scenes] == [whole.name]
+    (reason,) = broken
+    assert "poses_ycb.txt, line 1" in reason
+    with pytest.raises(InputError, match="line 1"):
+        evaluate_scenes.open_fast_ycb([both], tmp_path)
+    shutil.rmtree(both / whole.name)
+    with pytest.raises(InputError, match="no sequence that can be read"):
+        evaluate_scenes.open_fast_ycb([both], tmp_path, [])
 
 
 def test_without_data_or_meshes_it_says_what_is_needed(data: Path, tmp_path: Path, capsys) -> None:

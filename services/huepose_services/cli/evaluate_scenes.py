@@ -50,9 +50,12 @@ def say(notes: Sequence[str]) -> None:
         print(note, file=sys.stderr, flush=True)
 
 
-def open_fast_ycb(given: Sequence[Path], bundles: Path) -> tuple[list[Scene], dict[str, ReferenceModel]]:
+def open_fast_ycb(
+    given: Sequence[Path], bundles: Path, broken: list[str] | None = None
+) -> tuple[list[Scene], dict[str, ReferenceModel]]:
     """Fast-YCB sequences, or all those of a download, with the reference models of their objects; says what
-    is missing. Raises InputError."""
+    is missing. Raises InputError; where `broken` is given, sequences that cannot be opened are named there
+    instead, as long as one can."""
     paths: list[Path] = []
     for folder in given:
         found, notes = labelled_sequences(folder)
@@ -70,9 +73,17 @@ def open_fast_ycb(given: Sequence[Path], bundles: Path) -> tuple[list[Scene], di
                 fix="Name it as YCB-Video does, or onboard it with `huepose onboard-bop` from a folder with "
                 "frame_offsets.json.",
             )
-        sequence = FastYcbSequence(path, offset_m)
+        try:
+            sequence = FastYcbSequence(path, offset_m)
+        except InputError as error:
+            if broken is None:
+                raise
+            broken.append(str(error))
+            continue
         # A partial download: the frames without depth are left out, and were counted.
         scenes.append(SomeImages(sequence, sequence.with_depth or sequence.image_ids))
+    if not scenes:
+        raise InputError("Fast-YCB", found=f"no sequence that can be read: {'; '.join(broken or [])}")
     return scenes, models
 
 

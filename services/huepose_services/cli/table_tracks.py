@@ -8,6 +8,7 @@ from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 
+from huepose.datasets import files
 from huepose.datasets.fast_ycb import labelled_sequences, object_of
 from huepose.datasets.types import Scene, SomeImages
 from huepose.estimation import Estimator
@@ -51,17 +52,18 @@ def tracks(
 
     cv2.setNumThreads(1)  # as the tracker's worker does
     found, notes = labelled_sequences(source.path)
-    scenes, models = open_fast_ycb([source.path], bundles)
+    broken: list[str] = []
+    scenes, models = open_fast_ycb([source.path], bundles, broken)
     absent = [name for name in source.expected if name not in {object_of(p) for p in found}]
     if absent:
         notes.append(f"missing sequences: {', '.join(absent)}")
     if arguments.quick is not None:
         scenes = [SomeImages(scene, scene.image_ids[: arguments.quick]) for scene in scenes]
         notes.append(f"the first {arguments.quick} frames of each sequence")
-    starts = {
-        scene.name: _start(arguments.start or source.start, path)
-        for scene, path in zip(scenes, found, strict=True)
-    }
+    notes += [f"a sequence cannot be read, and is not measured: {reason}" for reason in broken]
+    by_name = {files.folder_name(path): path for path in found}
+    paths = {scene.name: by_name[scene.name] for scene in scenes}
+    starts = {name: _start(arguments.start or source.start, path) for name, path in paths.items()}
     kinds = sorted(set(starts.values()))
     for kind in kinds:
         own = ", ".join(name for name, start in starts.items() if start == kind)
@@ -70,7 +72,6 @@ def tracks(
     common = settings(
         arguments, protocol=arguments.protocol, start=arguments.start or source.start, seed=arguments.seed
     )
-    paths = {scene.name: path for scene, path in zip(scenes, found, strict=True)}
     track = _Tracking(arguments, models, starts, paths)
     entries = {}
     for method in arguments.methods:
@@ -90,7 +91,7 @@ def tracks(
 def ablation(arguments: argparse.Namespace, source: TrackSource, bundles: Path) -> AblationResult | None:
     """The paper's ablation by our closed form (`robust`) and a network as the paper's (`direct`); None where
     no frames lie far enough apart."""
-    scenes, models = open_fast_ycb([source.path], bundles)
+    scenes, models = open_fast_ycb([source.path], bundles, [])
     if arguments.quick is not None:
         scenes = [SomeImages(scene, scene.image_ids[: arguments.quick]) for scene in scenes]
     journal = Journal(arguments.out / "runs" / f"{source.key}-ablation.jsonl", {"gap": ABLATION_GAP})

@@ -26,6 +26,7 @@ _INTRODUCTION = """# Results
 
 Made by `huepose eval results` from result files; what is written here by hand is lost. Recall:
 error under a tenth of the object's diameter; AUC: area under the accuracy curve from 0 to 0.1 m; in percent.
+What is measured, and why families of objects differ: [tables](tables.md).
 """
 
 

@@ -64,7 +64,12 @@ def call(arguments: argparse.Namespace) -> int:
         names = _names(models)
     if arguments.ycbv:
         source = ImageSource(
-            arguments.ycbv, "ycbv", "YCB-Video", _wanted(arguments, models), arguments.submission
+            arguments.ycbv,
+            "ycbv",
+            "YCB-Video",
+            _wanted(arguments, models),
+            arguments.submission,
+            arguments.equivalent,
         )
         of_images, notes, expected = images(arguments, source, models)
         coverage += [f"YCB-Video: {note}" for note in notes]

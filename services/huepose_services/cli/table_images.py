@@ -26,13 +26,14 @@ from huepose_services.cli.evaluate_scenes import bop_objects, say
 @dataclass(frozen=True)
 class ImageSource:
     """path: in a layout of YCB-Video; key: of its files in OUT/runs; objects: names or ids that are asked
-    for, None for all; submissions: `NAME=FILE.csv` of others."""
+    for, None for all; submissions: `NAME=FILE.csv` of others; equivalent: a file of poses that count, too."""
 
     path: Path
     key: str
     title: str
     objects: Sequence[str] | None
     submissions: Sequence[str] = ()
+    equivalent: Path | None = None
 
 
 def images(
@@ -48,7 +49,7 @@ def images(
     boxes, given = box_source(arguments.boxes)
     listed = bool(folder.coverage.targets)
     options = EstimateOptions(boxes, "auto", 0.0 if listed else 0.1, (arguments.seed,))
-    equivalents = read_equivalents(arguments.equivalent) if arguments.equivalent else {}
+    equivalents = read_equivalents(source.equivalent) if source.equivalent else {}
     # BOP's symmetries are in the frame of BOP's meshes.
     in_bops_frame = {
         name: m

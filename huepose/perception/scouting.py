@@ -16,11 +16,9 @@ from huepose.judge.terms import score_many
 from huepose.model.types import ReferenceModel
 from huepose.perception.clear_view import ClearView
 from huepose.perception.nearby import align_in_view
-from huepose.perception.window_look import look, promising
+from huepose.perception.window_look import codes_of, look, promising
 from huepose.perception.window_table import WindowTable
 from huepose.perception.windows import Windows, filled, windows_of
-from huepose.propose.view_codes import codes_of_windows
-from huepose.propose.view_pictures import window_pictures
 from huepose.refine.coordinate_search import search
 from huepose.support.jit import jit
 from huepose.support.stages import stage
@@ -95,7 +93,8 @@ def propose(
         if isinstance(step, Effort):
             with stage("windows"):
                 chosen = filled(windows[order[: step.windows]], view, model.diameter_m)
-            codes = np.concatenate([codes, _codes(model, view, chosen, len(codes))])
+            with stage("codes"):
+                codes = np.concatenate([codes, codes_of(view, chosen, model.diameter_m, len(codes))])
             by_views = _tried(model, table, view, chosen, codes, step)
         else:
             by_keypoints = _followed(model, view, step())
@@ -117,13 +116,6 @@ def _followed(model: ReferenceModel, view: ClearView, guesses: Float64) -> tuple
         found, _ = search(model, region, best, SEARCH_STEPS_DEG, SEARCH_SAMPLES)
         rated = np.concatenate([_judged(model, view, region, found), rated])
         return np.concatenate([found, poses]), rated
-
-
-def _codes(model: ReferenceModel, view: ClearView, windows: Windows, known: int) -> Float32:
-    """Codes (W - known, D) of windows (W) from number `known` on."""
-    with stage("codes"):
-        places = windows.pixels[known:], windows.depth_m[known:], windows.span_px[known:]
-        return codes_of_windows(*window_pictures(view.crop.color, view.depth, *places, model.diameter_m))
 
 
 def _tried(

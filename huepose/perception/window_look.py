@@ -8,10 +8,13 @@ import numpy as np
 
 from huepose.geometry.arrays import Float32, Float64, Int64
 from huepose.geometry.camera import Camera
+from huepose.perception.clear_view import ClearView
 from huepose.perception.window_table import WindowTable, middle_hues
 from huepose.perception.windows import Windows
 from huepose.propose.quick_look import product
 from huepose.propose.template_table import MILLIMETRES
+from huepose.propose.view_codes import codes_of_windows
+from huepose.propose.view_pictures import window_pictures
 from huepose.propose.views import onto_rays
 
 
@@ -33,6 +36,12 @@ def promising(table: WindowTable, windows: Windows) -> Int64:
     apart = ((hues[:, None] - table.hues[None]) ** 2).sum(-1).min(1)
     apart[: windows.pieces] -= 1e6
     return np.argsort(apart, kind="stable")
+
+
+def codes_of(view: ClearView, windows: Windows, diameter_m: float, known: int = 0) -> Float32:
+    """Codes (W - known, D) of windows (W) of an object of that size, from number `known` on."""
+    places = windows.pixels[known:], windows.depth_m[known:], windows.span_px[known:]
+    return codes_of_windows(*window_pictures(view.crop.color, view.depth, *places, diameter_m))
 
 
 def look(

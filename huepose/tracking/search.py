@@ -66,6 +66,9 @@ class Effort:
         )
 
 
+SMALL_EFFORT = Effort(2, 24, 6, 2)
+"""Where place and turn are known roughly."""
+
 NORMAL_EFFORT = Effort(5, 80, 20, 4)
 GREAT_EFFORT = Effort(8, 250, 40, 6)
 PARTS = 3

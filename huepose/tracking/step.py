@@ -9,6 +9,7 @@ different hypotheses, and the track decides what to believe."""
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 
@@ -23,16 +24,18 @@ from huepose.judge.silhouette import visible_within
 from huepose.judge.surface import PreparedSurface, look, totals
 from huepose.judge.terms import NOTHING
 from huepose.model.types import ReferenceModel
+from huepose.perception.window_table import WindowTable, window_table
 from huepose.propose import flow as optical_flow
 from huepose.propose.correspondences import match
 from huepose.propose.relative_pose import RelativePose, RobustKabsch, lift_matches
 from huepose.refine.photometric import FINE, refine
 from huepose.select.distinct import RIGHT
 from huepose.tracking.config import TrackerConfig
+from huepose.tracking.elsewhere import likeliest_place
 from huepose.tracking.hypothesis import Hypothesis
 from huepose.tracking.motion import predicted
 from huepose.tracking.reach import reaches
-from huepose.tracking.search import GREAT_EFFORT, NORMAL_EFFORT, PARTS, search
+from huepose.tracking.search import GREAT_EFFORT, NORMAL_EFFORT, PARTS, SMALL_EFFORT, search
 
 START_SAMPLES = 150
 HIDDEN_COSTS = 0.5
@@ -59,12 +62,12 @@ RETURNING_SEEN = 0.2
 
 @dataclass(frozen=True, eq=False)
 class Subject:
-    """The object: its prepared surface, its mesh, and the rotations (M, 4, 4) that nearly map its shape to
-    itself, without the identity; other_turns: those of them after which a pose is wrong; contours: where it
-    ends, seen from anywhere."""
+    """The object: its reference model and prepared surface, and the rotations (M, 4, 4) that nearly map its
+    shape to itself, without the identity; other_turns: those of them after which a pose is wrong; contours:
+    where it ends, seen from anywhere."""
 
+    model: ReferenceModel
     surface: PreparedSurface
-    mesh: Mesh
     near_symmetries: Float64
     other_turns: Float64
     contours: Contours
@@ -75,7 +78,22 @@ class Subject:
         turns = np.asarray(model.near_symmetries[1:], np.float64)
         other = [not _same_turn(model, turn) for turn in turns]
         contours, wrong = Contours.of(model), turns[np.array(other, bool)]
-        return Subject(contours.surface, model.mesh, turns, wrong, contours)
+        return Subject(model, contours.surface, turns, wrong, contours)
+
+    @property
+    def mesh(self) -> Mesh:
+        """Of the model."""
+        return self.model.mesh
+
+    @cached_property
+    def views(self) -> WindowTable:
+        """What it looks like from all sides, made when it is first asked for (0.3 s)."""
+        return window_table(self.model)
+
+    def make_ready(self) -> None:
+        """Render all that will be asked for, so that no frame waits for it."""
+        self.contours.make_ready()
+        _ = self.views
 
 
 def _same_turn(model: ReferenceModel, turn: Float64) -> bool:
@@ -107,11 +125,11 @@ class Anchor:
         return self.hypotheses[0]
 
 
-FLOW, NEAR, FAR = 0, 1, 2
+FLOW, NEAR, ELSEWHERE, FAR = 0, 1, 2, 3
 TURN = FAR + PARTS
 END = TURN + 1
-"""What is tried where the best explains too little, in this order: optical flow, a search near by, the parts
-of a wide one, near-symmetric rotations."""
+"""What is tried where the best explains too little, in this order: optical flow, a search near by, one where
+the picture looks like the object, the parts of a wide one, near-symmetric rotations."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -199,6 +217,8 @@ def advance(
             parts = range(rung - FAR, rung - FAR + steps)
             found = search(surface, frame, far, GREAT_EFFORT, anchor.light, parts)
             starts = [[(T, "search")] for T in found]
+        elif rung == ELSEWHERE:
+            starts = [[(T, "views")] for T in found_elsewhere(subject, frame, anchor.light)]
         else:
             found = search(surface, frame, near, NORMAL_EFFORT, anchor.light)
             starts = [[(T, "search")] for T in found]
@@ -207,6 +227,14 @@ def advance(
         doubtful = not convincing(best, anchor.baseline, doubt, config)
         tried, rung = tried + steps, rung + steps
     return Advance(tuple(followed), tuple(proposed), tried, doubtful, rung)
+
+
+def found_elsewhere(
+    subject: Subject, frame: RgbdFrame, light: Float64 | None, part: int = 0
+) -> list[Float64]:
+    """The best poses (4, 4), at most two, where a part of the picture looks like the object."""
+    place = likeliest_place(subject.model, subject.views, frame, part)
+    return [] if place is None else search(subject.surface, frame, place, SMALL_EFFORT, light)
 
 
 def in_full(found: Hypothesis, baseline: float | None, config: TrackerConfig) -> bool:

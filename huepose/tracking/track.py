@@ -18,6 +18,7 @@ from huepose.propose.relative_pose import RelativePose
 from huepose.refine.ends import moved_to_ends
 from huepose.tracking import evidence
 from huepose.tracking.config import TrackerConfig
+from huepose.tracking.elsewhere import PARTS
 from huepose.tracking.evidence import Standing, next_standing
 from huepose.tracking.history import PoseHistory
 from huepose.tracking.hypothesis import Hypothesis, distinct, share_of_first
@@ -25,7 +26,18 @@ from huepose.tracking.identity import Identity, turned_over
 from huepose.tracking.motion import filtered, increment_velocity, predicted
 from huepose.tracking.reach import jump_odds, most_turned
 from huepose.tracking.rival import COSTS, Facing, alike, best_rival, reached
-from huepose.tracking.step import END, FLOW, Advance, Anchor, Subject, advance, found_nearby, unmoved
+from huepose.tracking.step import (
+    END,
+    FLOW,
+    Advance,
+    Anchor,
+    Subject,
+    advance,
+    best_of,
+    found_elsewhere,
+    found_nearby,
+    unmoved,
+)
 from huepose.tracking.types import State, TrackedPose
 from huepose.tracking.uncertainty import covariance, spread_m
 
@@ -43,7 +55,7 @@ LOOSE = 0.012
 textured ones it is half of that."""
 
 SPREAD_POINTS = 48
-FOUND_AGAIN = ("search", "turn")
+FOUND_AGAIN = ("search", "views", "turn")
 """Sources of poses that were looked for where the object may be, not followed from where it was."""
 
 MAX_TRIES = 3
@@ -105,8 +117,10 @@ class Track:
     ) -> float:
         """Find the object in the next frame, if it has a pose; says how many of at most `tries` dear
         proposals that took. mask (H, W): of the object in the last frame, where it is known."""
-        if not self.hypotheses or self.frame is None:
+        if self.frame is None:
             return 0
+        if not self.hypotheses:
+            return self._look_everywhere(frame, tries)
         tried_enough = self._begun == FLOW and self._in_vain >= MAX_TRIES
         resting = tried_enough and self._doubtful_frames % TRY_AGAIN_AFTER != 0
         anchor = Anchor(self.hypotheses, self.frame, self.baseline, self.light, mask, self._unseen_s)
@@ -119,6 +133,38 @@ class Track:
         if self.evidence >= self._config.lost_quality:
             self._seen = self.hypotheses[0]
         return tried
+
+    def _look_everywhere(self, frame: RgbdFrame, tries: float) -> float:
+        """Look for an object that is lost, a part of the picture in each frame; what is found is `SUSPECT`
+        until the next frames confirm it."""
+        self._doubtful_frames += 1
+        resting = self._in_vain >= MAX_TRIES
+        assert self.frame is not None
+        if tries < 1.0 or self._seen is None or (resting and self._doubtful_frames % TRY_AGAIN_AFTER):
+            return 0
+        part = 0 if resting else self._begun
+        surface, gone_s = self.subject.surface, (frame.stamp_ns - self._supported_ns) * 1e-9
+        found = []
+        for T in found_elsewhere(self.subject, frame, self.light, part):
+            h = best_of(surface, frame, [(T, "views")], self.light, 0)
+            goes_on = outline(self.subject.contours, h.T_cam_obj, frame).goes_on
+            jump = jump_odds(surface, self._seen.T_cam_obj, None, h.T_cam_obj, gone_s, gone_s, self._config)
+            odds = evidence.log_odds(h.terms, self.remembered(frame.stamp_ns), jump, goes_on)
+            found.append(replace(h, log_odds=odds, goes_on=goes_on))
+        self._begun = (part + 1) % PARTS
+        self._in_vain += self._begun == 0
+        opinions = distinct(surface, found)
+        sure = probability(opinions[0].log_odds) * share_of_first(opinions) if opinions else 0.0
+        if sure < self._config.suspect_quality or evidence.one_sense(opinions[0].terms):
+            return 1
+        anchor = Anchor((self._seen,), self.frame, unseen_s=gone_s)
+        self.hypotheses, self.frame, first = opinions, frame, opinions[0]
+        self.covariance = self._covariance(first)
+        self.evidence = evidence.vouched(sure, self._spread(first.T_cam_obj, self.covariance))
+        self._doubtful_frames = self._in_vain = self._begun = self._scarce_frames = 0
+        self._unseen_s = 0.0
+        self._standing = Standing(State.SUSPECT)
+        return 1 + self._check_orientation(anchor, frame, hurry=False)
 
     def _take(self, anchor: Anchor, found: Advance, frame: RgbdFrame) -> None:
         """Believe what was found as far as the image, the past and what can move so fast allow."""
@@ -138,7 +184,9 @@ class Track:
             jump = jump_odds(
                 surface, before.T_cam_obj, before.velocity, h.T_cam_obj, seconds, gone_s, self._config
             )
-            opinions.append(self._believed(h, before.log_odds + jump, before, seconds, frame))
+            opinion = self._believed(h, before.log_odds + jump, before, seconds, frame)
+            # What did not come here as things do says nothing of how it moves.
+            opinions.append(opinion if jump == 0.0 else replace(opinion, velocity=None))
         corrected = self._corrected_from
         self._corrected_from = None
         self.hypotheses = distinct(surface, opinions)
@@ -291,6 +339,12 @@ class Track:
         self._standing = Standing(State.TRACKING)
         self._judge()
 
+    def lose(self) -> None:
+        """Give up its pose."""
+        self._standing = Standing(State.LOST)
+        self.hypotheses, self.covariance, self.evidence, self.quality = (), None, 0.0, 0.0
+        self._doubtful_frames = self._in_vain = self._begun = 0
+
     def set_back(self, stamp_ns: int) -> None:
         """Go on as if the last frame had that stamp; how it moved before is not known."""
         self.history = PoseHistory()
@@ -374,7 +428,7 @@ class Track:
         confirmed = min(identity, turn) >= self._config.confirmed_identity
         self._standing = next_standing(self._standing, self.evidence, confirmed, self._config)
         if self.state is State.LOST:
-            self.hypotheses, self.covariance, self.quality = (), None, 0.0
+            self.lose()
 
     def _view(self) -> Float64:
         """Direction (3,) from the object to the camera, object axes."""

@@ -155,10 +155,13 @@ class Tracker:
     def _look(self, frame: RgbdFrame) -> None:
         """Every instance, first the one after the last that took a try: where these are rationed, each gets
         its turn."""
-        tracks = list(self._tracks.values())
+        tracks = list(self._tracks.items())
         first = self._whose_turn % max(len(tracks), 1)
-        for offset, track in enumerate(tracks[first:] + tracks[:first], 1):
+        for offset, (key, track) in enumerate(tracks[first:] + tracks[:first], 1):
+            was_lost = track.T_cam_obj is None
             tried = track.look(frame, self._relative_pose, self._whole_tries)
+            if was_lost and self._held(key, track):
+                track.lose()
             self._tries -= tried
             if tried:
                 self._whose_turn = first + offset

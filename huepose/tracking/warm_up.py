@@ -1,6 +1,6 @@
 """A rehearsal: all that a tracker will do, on made-up frames, so that every kernel is compiled and loaded
-before the first real one, and the contours of all views. Without it a first search, flow or correction waits
-for the compiler, and each new view for its contour."""
+before the first real one, and the contours and codes of all views. Without it a first search, flow or
+correction waits for the compiler, and each new view for its contour."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ def rehearse(tracker: Tracker, subjects: Mapping[str, Subject]) -> None:
     little and grossly, jump and lose, two objects being partly before each other. It is of no use
     afterwards."""
     for subject in subjects.values():
-        subject.contours.make_ready()
+        subject.make_ready()
     cast = list(subjects.items())[:CAST]
     if not cast:
         return

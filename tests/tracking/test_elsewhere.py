@@ -1,0 +1,106 @@
+"""What is lost is found again wherever it is in the picture, and nothing is found where it is not."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from huepose.geometry import se3
+from huepose.tracking import Correction, State, Tracker
+from huepose.tracking import track as one_track
+from huepose.tracking.elsewhere import likeliest_place
+from huepose.tracking.step import Subject
+
+HALF_A_SECOND = 15
+"""Frames at 30 Hz."""
+
+
+@pytest.fixture
+def asked(monkeypatch) -> list[int]:
+    """The parts of the picture that were looked at, one for each time."""
+    parts: list[int] = []
+    real = one_track.found_elsewhere
+
+    def spied(subject, frame, light, part):
+        parts.append(part)
+        return real(subject, frame, light, part)
+
+    monkeypatch.setattr(one_track, "found_elsewhere", spied)
+    return parts
+
+
+def _away(T: np.ndarray, x: float, turn: float = 0.0) -> np.ndarray:
+    """Moved aside and turned."""
+    return se3.perturb(T, np.array([x, 0.02, 0.05, 0.3 * turn, turn, 0.0]))
+
+
+def _tracked(model, shoot, T) -> Tracker:
+    tracker = Tracker({model.name: model})
+    for number in range(4):
+        tracker.step(shoot([(model.mesh, T)], number))
+        if number == 0:
+            tracker.correct(Correction.first(model.name, T, shoot([], 0)))
+    return tracker
+
+
+def test_the_likeliest_place_is_where_the_object_is(tea_box, soup_can, shoot, path) -> None:
+    subject = Subject.of(tea_box)
+    for number, x in enumerate((-0.2, 0.0, 0.2)):
+        T, other = _away(path(0), x, 0.8 * number), _away(path(0), x - 0.2 if x > 0 else x + 0.2)
+        frame = shoot([(tea_box.mesh, T), (soup_can.mesh, other)], number)
+        place = likeliest_place(tea_box, subject.views, frame)
+        assert place is not None
+        assert place.holds(subject.surface.centre_cam(T))
+
+
+def test_what_was_lost_is_found_on_the_other_side(tea_box, shoot, path) -> None:
+    T = path(0)
+    tracker, elsewhere = _tracked(tea_box, shoot, _away(T, -0.15)), _away(T, 0.2, 1.2)
+    states = [tracker.step(shoot([], number))[0].state for number in range(4, 14)]
+    assert states[-1] is State.LOST
+    states = []
+    for number in range(14, 14 + HALF_A_SECOND):
+        (pose,) = tracker.step(shoot([(tea_box.mesh, elsewhere)], number))
+        states.append(pose.state)
+    assert pose.T_cam_obj is not None
+    assert np.linalg.norm(pose.T_cam_obj[:3, 3] - elsewhere[:3, 3]) < 0.005
+    assert states[-1] is State.TRACKING
+    assert State.SUSPECT in states, "at first"
+
+
+def test_what_jumps_is_found_before_it_is_lost(tea_box, shoot, path) -> None:
+    T = path(0)
+    tracker, elsewhere = _tracked(tea_box, shoot, _away(T, -0.15)), _away(T, 0.2, 1.2)
+    for number in range(4, 4 + HALF_A_SECOND):
+        (pose,) = tracker.step(shoot([(tea_box.mesh, elsewhere)], number))
+        assert pose.state is not State.LOST
+    assert pose.state is State.TRACKING
+
+
+def test_where_it_is_not_nothing_is_found_and_soon_it_is_seldom_looked_for(
+    tea_box, soup_can, shoot, path, asked
+) -> None:
+    tracker = _tracked(tea_box, shoot, path(0))
+    assert asked == [], "as long as it is where it should be nobody asks"
+    other = [(soup_can.mesh, _away(path(0), 0.15))]
+    states = {tracker.step(shoot(other, number))[0].state for number in range(4, 80)}
+    assert states == {State.SUSPECT, State.LOST}
+    often = len(asked)
+    for number in range(80, 140):
+        assert tracker.step(shoot(other, number))[0].state is State.LOST
+    assert set(asked) == {0, 1, 2, 3, 4}
+    assert len(asked) - often <= 4
+
+
+def test_a_lost_one_does_not_take_what_its_twin_holds(tea_box, shoot, path) -> None:
+    here, gone = _away(path(0), -0.15), _away(path(0), 0.2)
+    tracker = Tracker({"tea_box": tea_box})
+    both = shoot([(tea_box.mesh, here), (tea_box.mesh, gone)], 0)
+    tracker.step(both)
+    for instance, T in enumerate((here, gone)):
+        first = Correction.first("tea_box", T, both)
+        tracker.correct(Correction(**{**vars(first), "instance": instance}))
+    for number in range(1, 40):
+        one, other = tracker.step(shoot([(tea_box.mesh, here)], number))
+        assert one.state is State.TRACKING
+    assert other.state is State.LOST

@@ -84,6 +84,7 @@ class Track:
         self._corrected_from: Identity | None = None
         self._facing: Facing | None = None
         self._seen: Hypothesis | None = None
+        self._seen_ns = 0
         self._doubtful_frames = self._in_vain = self._begun = self._scarce_frames = 0
         self._unseen_s = 0.0
         self._supported_ns = 0
@@ -130,8 +131,8 @@ class Track:
         short = (frame.stamp_ns - anchor.frame.stamp_ns) * 1e-9 <= self._config.long_step_s
         hurry = short and (tries < 1.0 or (found.tried > 0 and tries < 2.0))
         tried = found.tried + self._check_orientation(anchor, frame, hurry)
-        if self.evidence >= self._config.lost_quality:
-            self._seen = self.hypotheses[0]
+        if self.evidence >= self._config.tracking_quality:
+            self._seen, self._seen_ns = self.hypotheses[0], frame.stamp_ns
         return tried
 
     def _look_everywhere(self, frame: RgbdFrame, tries: float) -> float:
@@ -237,8 +238,11 @@ class Track:
         it took."""
         if self.evidence < self._config.lost_quality:
             return 0
-        before = anchor.first if anchor.unseen_s == 0.0 or self._seen is None else self._seen
-        gone_s = (frame.stamp_ns - anchor.frame.stamp_ns) * 1e-9 + anchor.unseen_s
+        # What it went through while it was doubted may have been one wrong pose after another.
+        before, since_ns = anchor.first, anchor.frame.stamp_ns
+        if self._seen is not None:
+            before, since_ns = self._seen, self._seen_ns
+        gone_s = (frame.stamp_ns - since_ns) * 1e-9
         first, turns, view = self.hypotheses[0], self.subject.other_turns, self._view()
         T, velocity = before.T_cam_obj, before.velocity
         expected = predicted(T, velocity, gone_s)
@@ -252,6 +256,7 @@ class Track:
         if len(new):
             turns = new if facing.settled else turns
             facing = facing.jumped(view)
+            self._seen, self._seen_ns = first, frame.stamp_ns  # From here on it knows of that doubt.
         self._facing = facing
         return 0.0 if hurry else self._ask(turns, frame, anchor.light)
 
@@ -326,7 +331,8 @@ class Track:
         correction does this."""
         self.hypotheses, self.covariance = verified.hypotheses[:1], verified.covariance
         self.baseline, self.light, self.evidence = verified.baseline, verified.light, verified.evidence
-        self.frame, self._facing, self._seen = frame, verified._facing, verified._seen
+        self.frame, self._facing = frame, verified._facing
+        self._seen, self._seen_ns = verified._seen, verified._seen_ns
         first = self.hypotheses[0]
         told = evidence.log_odds(first.terms, self.baseline, 0.0, first.goes_on)
         # What perception saw in the same picture is not seen twice: this can only speak against it.
@@ -348,7 +354,7 @@ class Track:
     def set_back(self, stamp_ns: int) -> None:
         """Go on as if the last frame had that stamp; how it moved before is not known."""
         self.history = PoseHistory()
-        self._supported_ns = stamp_ns
+        self._supported_ns, self._seen = stamp_ns, None
         if self.frame is not None and self.hypotheses:
             self.frame = replace(self.frame, stamp_ns=stamp_ns)
             self.hypotheses = tuple(replace(h, velocity=None) for h in self.hypotheses)

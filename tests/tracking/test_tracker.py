@@ -108,16 +108,31 @@ def test_a_covered_object_is_suspect_within_2_and_lost_within_5_frames(
     assert set(states[states.index(State.LOST) :]) == {State.LOST}
 
 
-def test_an_object_taken_away_is_lost_and_stays_lost(tea_box, shoot, path, started) -> None:
+def test_an_object_taken_away_is_lost_until_it_is_back(tea_box, shoot, path, started) -> None:
     states = [started.step(shoot([], k))[0].state for k in range(6, 12)]
     assert states[1] is not State.TRACKING
     assert states[4] is State.LOST
     back = shoot([(tea_box.mesh, path(12))], 12)
-    assert started.step(back)[0].state is State.LOST, "it comes back by a correction only"
-    started.correct(correction(back, path(12), seq=2))
+    assert started.step(back)[0].state is State.SUSPECT, "found, but not believed at once"
+    for k in range(13, 16):
+        (pose,) = started.step(shoot([(tea_box.mesh, path(k))], k))
+    assert pose.state is State.TRACKING
+    assert errors(pose, path(15))[0] < 1.0
+
+
+def test_a_lost_object_is_tracked_as_soon_as_a_correction_has_reached_now(tea_box, shoot, path) -> None:
+    # Without a try nothing is looked for.
+    started = Tracker({"tea_box": tea_box}, TrackerConfig(tries_per_s=0.0))
+    started.step(shoot([(tea_box.mesh, path(5))], 5))
+    started.correct(correction(shoot([], 5), path(5)))
+    states = [started.step(shoot([], k))[0].state for k in range(6, 14)]
+    assert states[-1] is State.LOST
+    back = shoot([(tea_box.mesh, path(14))], 14)
+    assert started.step(back)[0].state is State.LOST
+    started.correct(correction(back, path(14), seq=2))
     (pose,) = started.poses()
     assert pose.state is State.TRACKING
-    assert errors(pose, path(12))[0] < 1.0
+    assert errors(pose, path(14))[0] < 1.0
 
 
 def test_a_suspect_object_returns_by_its_own_evidence(tea_box, shoot, path, started) -> None:

@@ -85,7 +85,8 @@ def images(
     notes = [*folder.coverage.lines()]
     if n < sum(len(scene.image_ids) for scene in folder.scenes):
         notes.append(f"a sample of {n} images, spread evenly over the scenes")
-    notes.append(f"boxes {arguments.boxes}, own masks, seed {arguments.seed}, profile {arguments.profile}")
+    boxes_of = Path(arguments.boxes).name
+    notes.append(f"boxes {boxes_of}, own masks, seed {arguments.seed}, profile {arguments.profile}")
     if not measured_on:
         notes.append("no models_info.json beside the data set's meshes: BOP's errors are not measured")
     if equivalents:

@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 
 from huepose.model import load_models
-from huepose.onboarding import simplify
+from huepose.onboarding import read_mesh, simplify
 from huepose_services.cli.main import main
 from tests.onboarding import mesh_files as files
 from tests.onboarding import solids
@@ -144,3 +144,46 @@ def test_wrong_input_ends_with_2_and_a_fix(
 def test_a_folder_without_meshes_ends_with_2(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["onboard-bop", str(tmp_path), "--out", str(tmp_path / "out")]) == 2
     assert "no obj_NNNNNN.ply or .obj" in capsys.readouterr().err
+
+
+def test_a_recording_takes_the_place_of_a_mesh(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    pytest.importorskip("open3d")
+    from huepose.datasets.bop_writer import BopWriter
+    from huepose_services.cli import onboard
+    from tests.onboarding.test_from_video import CAMERA, box_of, drawn, pose
+
+    recording, out = tmp_path / "turned", tmp_path / "bundles"
+    writer = BopWriter(recording, {})
+    for k in range(3):
+        frame = drawn(pose(np.radians(6.0 * k)), k)
+        writer.add(k, frame.color, frame.depth, CAMERA, [])
+    jobs = []
+
+    def made(job: object, bundles: Path) -> None:
+        jobs.append(job)
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(onboard, "onboard_one", made)
+    box = [f"{x:.0f}" for x in box_of(pose(0.0)).box or ()]
+    given = ["onboard", "--from-video", str(recording), "--box", *box, "--name", "tea", "--out", str(out)]
+    main(given)
+    assert [(job.mesh_path, job.unit) for job in jobs] == [(out / "tea_mesh" / "tea.obj", "m")]
+    mesh = read_mesh(out / "tea_mesh" / "tea.obj", "m")
+    assert 0.1 < np.ptp(mesh.vertices, axis=0).max() < 0.2
+
+
+@pytest.mark.parametrize(
+    ("given", "said"),
+    [
+        ([], "found neither MESH nor --from-video"),
+        (["a.obj", "--from-video", "b.mcap"], "found MESH and --from-video"),
+        (["--from-video", "b.mcap"], "found neither --box nor --click"),
+        (["--from-video", "b.mcap", "--click", "1", "2", "--box", "1", "2", "3", "4"], "found both"),
+        (["--from-video", "b.mcap", "--click", "1", "2"], "b.mcap: found No such file"),
+    ],
+)
+def test_what_is_missing_for_a_recording_is_said(
+    given: list[str], said: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert main(["onboard", *given, "--name", "tea", "--out", str(tmp_path / "bundles")]) == 2
+    assert said in capsys.readouterr().err

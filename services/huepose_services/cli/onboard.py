@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from huepose_services.cli.answer import add_json, answered
+from huepose_services.cli.onboard_video import METRES, add_video, mesh_from_video
 
 if TYPE_CHECKING:
     from huepose.onboarding.batch import Job, Onboarded
@@ -24,10 +25,13 @@ def add_parser(subparsers: Any) -> None:
     """Add both verbs."""
     one = subparsers.add_parser(
         "onboard",
-        help="make a reference model from a textured mesh",
-        description="Make a reference model from a textured mesh (OBJ, PLY, GLB or glTF).",
+        help="make a reference model from a textured mesh, or from a recording of the object",
+        description="Make a reference model from a textured mesh (OBJ, PLY, GLB or glTF), or with "
+        "--from-video from an RGB-D recording in which the object is turned before a camera that stands "
+        "still.",
     )
-    one.add_argument("mesh", type=Path, metavar="MESH", help="mesh file")
+    one.add_argument("mesh", type=Path, nargs="?", metavar="MESH", help="mesh file")
+    add_video(one)
     one.add_argument("--name", required=True, help="the object's name: 1 to 64 of a-z, 0-9, _ and -")
     one.add_argument(
         "--id", type=int, default=None, metavar="N", help="the object's number in a BOP data set"
@@ -89,12 +93,18 @@ def call(arguments: argparse.Namespace) -> int:
     from huepose.onboarding.declared import read_symmetries
 
     symmetric = read_symmetries(arguments.symmetric) if arguments.symmetric else None
-    given = (arguments.mesh, arguments.name, arguments.id, arguments.unit)
+    made = mesh_from_video(arguments)
+    mesh, unit = (made.mesh, METRES) if made else (arguments.mesh, arguments.unit)
+    given = (mesh, arguments.name, arguments.id, unit)
     result = onboard_one(Job(*given, symmetric=symmetric, paper=arguments.paper), arguments.out)
     if not arguments.json:
         print(in_words(result), flush=True)
+        if made:
+            print(made.words, flush=True)
     found, words = self_test(arguments.out, arguments.name) if arguments.test else (None, "")
     answer = {**asdict(result), "path": str(result.path), "suitability": found}
+    if made:
+        answer["video"] = made.facts
     if arguments.json or words:
         answered(arguments, answer, words)
     return 0

@@ -1,0 +1,140 @@
+"""Views fused to one surface: Open3D's truncated signed distances, and the outline where nothing was seen."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from huepose.geometry.arrays import Bool, Float64, Int32
+from huepose.geometry.depth_noise import depth_noise_m
+from huepose.onboarding.from_video.views import View, votes
+
+CELLS, FEW_CELLS = 128, 64
+"""Of the volume along its longest side: for a mesh, and for what frames are followed on."""
+
+SMALLEST_CELL_M = 0.001
+
+MARGIN = 0.1
+"""Of the object's size: empty space around it."""
+
+SQUARELY = 0.25
+"""Cosine: readings seen more obliquely are not fused."""
+
+FACES = 20_000
+"""Triangles of the closed surface, as the reference model has of any mesh."""
+
+SMOOTHINGS = 10
+"""Rounds: the outline has steps of a cell."""
+
+_THIN = 2  # cells: a guess that is thinner is a gap between outlines
+
+
+@dataclass(frozen=True, eq=False)
+class Fused:
+    """vertices, normals (V, 3) object axes; faces (F, 3) int32; seen (V,): fused of readings, not taken from
+    the outline."""
+
+    vertices: Float64
+    normals: Float64
+    faces: Int32
+    seen: Bool
+
+
+def fused(views: Sequence[View], closed: bool = False, cells: int = CELLS) -> Fused:
+    """The surface that views show. closed: also where it was not seen, as far as nothing was seen through."""
+    points = np.concatenate([view.points_obj for view in views])
+    low, high = np.percentile(points, [0.5, 99.5], axis=0)
+    size = float((high - low).max()) * (1 + 2 * MARGIN)
+    size = max(size, SMALLEST_CELL_M * cells)
+    origin = (low + high) / 2 - size / 2
+    cell = size / cells
+    distance_m = float(np.median([view.T_cam_obj[2, 3] for view in views]))
+    reach = max(3 * cell, 4 * depth_noise_m(distance_m))
+    volume = _integrated(views, origin, size, cells, reach)
+    if closed:
+        _close(volume, views, origin, cell, cells)
+    mesh = volume.extract_triangle_mesh()
+    mesh = _largest_piece(mesh)
+    if closed:
+        mesh = mesh.filter_smooth_taubin(SMOOTHINGS).simplify_quadric_decimation(FACES)
+    mesh.compute_vertex_normals()
+    vertices = np.asarray(mesh.vertices)
+    # Of the vertices that views see, some were only closed over.
+    return Fused(
+        vertices,
+        np.asarray(mesh.vertex_normals),
+        np.asarray(mesh.triangles).astype(np.int32),
+        votes(vertices, views).there > 0,
+    )
+
+
+def _integrated(views: Sequence[View], origin: Float64, size: float, cells: int, reach: float) -> Any:
+    import open3d as o3d
+
+    integration = o3d.pipelines.integration
+    image: Any = o3d.geometry.Image  # its stubs know no arrays
+    volume = integration.UniformTSDFVolume(
+        length=size,
+        resolution=cells,
+        sdf_trunc=reach,
+        color_type=integration.TSDFVolumeColorType.NoColor,
+        origin=origin.reshape(3, 1),
+    )
+    for view in views:
+        frame, camera = view.frame, view.frame.camera
+        rows, columns = np.indices(frame.depth.shape)
+        rays = camera.rays(np.stack([columns, rows], -1))
+        cosine = -(view.normals_cam * rays).sum(-1) / np.linalg.norm(rays, axis=-1)
+        depth = np.where(view.inner & (cosine > SQUARELY), frame.depth, 0.0).astype(np.float32)
+        pair = o3d.geometry.RGBDImage.create_from_color_and_depth(
+            image(np.ascontiguousarray(frame.color)),
+            image(depth),
+            depth_scale=1.0,
+            depth_trunc=100.0,
+            convert_rgb_to_intensity=False,
+        )
+        K = o3d.camera.PinholeCameraIntrinsic(
+            camera.width, camera.height, camera.fx, camera.fy, camera.cx, camera.cy
+        )
+        volume.integrate(pair, K, view.T_cam_obj)
+    return volume
+
+
+def _close(volume: Any, views: Sequence[View], origin: Float64, cell: float, cells: int) -> None:
+    """Cells without a reading: solid where the object hides them and no view sees through, else empty."""
+    import open3d as o3d
+    from scipy.ndimage import binary_opening
+
+    field = np.asarray(volume.extract_volume_tsdf()).copy()
+    index = np.indices((cells,) * 3).reshape(3, -1).T
+    centres = origin + (index + 0.5) * cell
+    unknown = field[:, 1] == 0
+    hidden = np.zeros(len(field), bool)
+    left = np.flatnonzero(unknown)
+    for view in views:
+        said = votes(centres[left], [view])
+        hidden[left] |= said.behind > 0
+        left = left[(said.through == 0) & (said.beneath == 0)]
+    solid = np.zeros(len(field), bool)
+    solid[left] = hidden[left]
+    solid = binary_opening((solid | ~unknown).reshape((cells,) * 3), iterations=_THIN).ravel()
+    field[unknown, 0] = np.where(solid[unknown], -1.0, 1.0)
+    # Readings of what moved against the object: seen through more often than there.
+    known = np.flatnonzero(~unknown)
+    said = votes(centres[known], views)
+    field[known[said.through > said.there + said.behind], 0] = 1.0
+    field[:, 1] = np.maximum(field[:, 1], 1.0)
+    at_border = ((index == 0) | (index == cells - 1)).any(1)
+    field[at_border, 0] = 1.0
+    volume.inject_volume_tsdf(o3d.utility.Vector2dVector(field))
+
+
+def _largest_piece(mesh: Any) -> Any:
+    pieces, counts, _ = mesh.cluster_connected_triangles()
+    if len(counts):
+        mesh.remove_triangles_by_mask(np.asarray(pieces) != int(np.argmax(counts)))
+        mesh.remove_unreferenced_vertices()
+    return mesh

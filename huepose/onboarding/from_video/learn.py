@@ -1,0 +1,302 @@
+"""From a recording to a mesh: follow the object on what was seen of it, close turns, fuse, paint."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+
+from huepose.geometry import se3
+from huepose.geometry.arrays import Bool, Float64
+from huepose.geometry.frame import RgbdFrame
+from huepose.geometry.icosphere import directions
+from huepose.geometry.mesh import Mesh
+from huepose.judge.surface import PreparedSurface
+from huepose.onboarding.from_video.fusion import FEW_CELLS, Fused, fused
+from huepose.onboarding.from_video.loops import Edge, relaxed
+from huepose.onboarding.from_video.masks import cut, object_mask, view_at, window_of
+from huepose.onboarding.from_video.paint import painted
+from huepose.onboarding.from_video.registration import Registered, followed, registered, surface_of
+from huepose.onboarding.from_video.selection import Selection, first_mask
+from huepose.onboarding.from_video.views import View, eroded
+from huepose.onboarding.reference import Report, silent
+from huepose.support.errors import InputError
+
+VIEW_STEP = np.radians(5.0)
+"""Turn after which a frame is kept as another view."""
+
+LOCAL = np.radians(90.0)
+"""Of a turn: what was seen since is taken as right with respect to the newest view, before a loop closes."""
+
+AGAIN = np.radians(30.0)
+"""A view that differs by less from one of long ago shows mostly the same surface."""
+
+SEEN = 0.5
+"""Share of the surface that a frame must show where its pose says, in depth."""
+
+COLORED = 0.2
+"""Correlation of colours that a pose must have: round and flat sides agree in depth at wrong poses, too."""
+
+POLISHES = 2
+"""Rounds of fusing all views and registering each with what the others fused to."""
+
+WIDE = 0.3
+"""Radians about a direction that a view shows: a surface there is seen at 17 degrees more at most."""
+
+FEWEST_FOLLOWED = 0.5
+"""Share of the frames."""
+
+
+@dataclass(frozen=True, eq=False)
+class Learned:
+    """mesh: metres, origin at the middle of its bounds, z up from the ground that it stood on (without one:
+    axes of the camera in the first frame); seen (V,): its vertices that were seen, the others lie where
+    outlines leave room. T_cam_obj: of the frames that were followed, by their places in
+    the recording. frames: how many there were; views: of these, kept; directions: share of all directions
+    from which it was seen, 0..1; surface: share of the mesh that was seen; closing_m: how far apart the ends
+    of turns lay before they were joined, at most, None where none was closed."""
+
+    mesh: Mesh
+    seen: Bool
+    T_cam_obj: dict[int, Float64]
+    frames: int
+    views: int
+    directions: float
+    surface: float
+    closing_m: float | None
+
+
+def learn(frames: Iterable[RgbdFrame], selection: Selection, report: Report = silent) -> Learned:
+    """Mesh of the object that is selected in the first frame. report: called when all frames were seen, and
+    some seconds of work are left. Raises InputError that says what to record otherwise, ModuleNotFoundError
+    without the extra `onboard`."""
+    track: _Track | None = None
+    count, where = 0, {}
+    for count, frame in enumerate(frames, 1):
+        if track is None:
+            track = _Track.begun(frame, selection)
+        elif not track.follow(frame):
+            continue
+        where[count - 1] = (track.T_cam_obj, len(track.views) - 1)
+    if track is None:
+        raise InputError("the recording", found="no frame")
+    if len(where) < FEWEST_FOLLOWED * count:
+        raise InputError(
+            "the recording",
+            found=f"an object that could be followed in {len(where)} of {count} frames only; "
+            + track.why_not,
+            fix="Turn it more slowly, about 45 degrees a second, in full view of the camera.",
+        )
+    before = track.views
+    if len(track.views) == 1:
+        raise InputError(
+            "the recording",
+            found=f"an object that turned by less than {np.degrees(VIEW_STEP):.0f} degrees",
+            expected="one that is turned before the camera, best all round",
+        )
+    report("fusing and painting")
+    views = _polished(track.views, track.radius_m)
+    shape = fused(views, closed=True)
+    T_old_new = _frame_of(shape, views[0], track.ground)
+    mesh = painted(_moved(shape, se3.inverse(T_old_new)), [v.at(v.T_cam_obj @ T_old_new) for v in views])
+    # Frames between views moved with the view before them.
+    poses = {
+        number: T @ se3.inverse(before[k].T_cam_obj) @ views[k].T_cam_obj @ T_old_new
+        for number, (T, k) in where.items()
+    }
+    return Learned(
+        mesh,
+        shape.seen,
+        poses,
+        count,
+        len(views),
+        _directions(views, shape),
+        _share_seen(shape),
+        max(track.closing_m, default=None),
+    )
+
+
+@dataclass(eq=False)
+class _Track:
+    """What is known while frames come in. path: turn up to each view, radians."""
+
+    ground: Float64 | None
+    radius_m: float
+    views: list[View]
+    frame: RgbdFrame
+    mask: Bool
+    T_cam_obj: Float64
+    shape: Fused
+    surface: PreparedSurface
+    surface_T: Float64
+    edges: list[Edge] = field(default_factory=list)
+    path: list[float] = field(default_factory=lambda: [0.0])
+    closing_m: list[float] = field(default_factory=list)
+    misses: dict[str, int] = field(default_factory=dict)
+
+    @staticmethod
+    def begun(frame: RgbdFrame, selection: Selection) -> _Track:
+        """From the first frame."""
+        mask, near, ground = first_mask(frame, selection)
+        rows, columns = np.nonzero(eroded(mask))
+        points = frame.camera.backproject(np.stack([columns, rows], 1), frame.depth[rows, columns])
+        T = se3.make(np.eye(3), np.median(points, axis=0))
+        radius = float(np.percentile(np.linalg.norm(points - T[:3, 3], axis=1), 99))
+        window = window_of(frame, T, 2 * radius)
+        assert window is not None  # it holds the mask
+        part = cut(frame, *window)
+        view = View(part, mask[window], ~near[window], T, ground)
+        shape = fused([view])
+        surface = surface_of(shape, [view], T)
+        if surface is None:
+            raise InputError("the first frame", found="no surface", fix="Record it from nearer.")
+        return _Track(ground, radius, [view], frame, mask, T, shape, surface, T)
+
+    @property
+    def why_not(self) -> str:
+        """The commonest reason why it was not followed."""
+        return max(self.misses, key=lambda why: self.misses[why])
+
+    def follow(self, frame: RgbdFrame) -> bool:
+        """Find the object in the next frame, and keep it as a view where it shows something new."""
+        flowed = followed(self.frame, self.mask, self.T_cam_obj, frame)
+        guesses = [T for T in (flowed, self.T_cam_obj) if T is not None]
+        found = registered(self.surface, frame, guesses)
+        why = _doubt(found)
+        if found is None or why:
+            self.misses[why] = self.misses.get(why, 0) + 1
+            return False
+        T = found.T_cam_obj
+        view = view_at(frame, T, self.local(), self.ground, self.radius_m)
+        if view is None:
+            self.misses["it left the picture"] = self.misses.get("it left the picture", 0) + 1
+            return False
+        self.frame, self.T_cam_obj = frame, T
+        self.mask = np.zeros(frame.depth.shape, bool)
+        window = window_of(frame, T, 1.6 * self.radius_m)
+        assert window is not None
+        self.mask[window] = view.mask
+        turned = [se3.rotation_angle(v.T_cam_obj[:3, :3], T[:3, :3]) for v in self.local()]
+        if min(turned) > VIEW_STEP:
+            self._keep(view)
+        if se3.rotation_angle(self.surface_T[:3, :3], T[:3, :3]) > VIEW_STEP:
+            self._look_from(self.T_cam_obj)
+        return True
+
+    def local(self) -> list[View]:
+        """Views that are right with respect to the newest: the last, and those that loops join to them."""
+        recent = {k for k, way in enumerate(self.path) if self.path[-1] - way <= LOCAL}
+        joined = {edge.a for edge in self.edges if edge.loop and edge.b in recent}
+        near = {k for j in joined for k, way in enumerate(self.path) if abs(way - self.path[j]) <= LOCAL / 2}
+        return [self.views[k] for k in sorted(recent | near)]
+
+    def _look_from(self, T_cam_obj: Float64) -> None:
+        surface = surface_of(self.shape, self.local(), T_cam_obj)
+        if surface is not None:
+            self.surface, self.surface_T = surface, T_cam_obj
+
+    def _keep(self, view: View) -> None:
+        last = self.views[-1]
+        self.edges.append(_edge(len(self.views) - 1, last, len(self.views), view, loop=False))
+        turn = se3.rotation_angle(last.T_cam_obj[:3, :3], view.T_cam_obj[:3, :3])
+        self.path.append(self.path[-1] + turn)
+        self.views.append(view)
+        reach = np.linalg.norm(view.points_obj, axis=1)
+        self.radius_m = max(self.radius_m, float(np.percentile(reach, 99)))
+        if self._close():
+            self.T_cam_obj = self.views[-1].T_cam_obj
+        self.shape = fused(self.local(), cells=FEW_CELLS)
+        self._look_from(self.T_cam_obj)
+
+    def _close(self) -> bool:
+        """Join the newest view to one of long ago that shows the same, if there is one not joined yet."""
+        newest, number = self.views[-1], len(self.views) - 1
+        R, known = newest.T_cam_obj[:3, :3], {id(view) for view in self.local()}
+        others = [
+            (se3.rotation_angle(R, view.T_cam_obj[:3, :3]), k)
+            for k, view in enumerate(self.views)
+            if id(view) not in known
+        ]
+        if not others or min(others)[0] > AGAIN:
+            return False
+        k = min(others)[1]
+        beside = [
+            v for v, way in zip(self.views, self.path, strict=True) if abs(way - self.path[k]) < LOCAL / 2
+        ]
+        surface = surface_of(fused(beside, cells=FEW_CELLS), beside, newest.T_cam_obj)
+        found = None if surface is None else registered(surface, newest.frame, [newest.T_cam_obj])
+        if found is None or _doubt(found):
+            return False
+        apart = se3.inverse(found.T_cam_obj) @ newest.T_cam_obj
+        ends = se3.apply(apart, newest.points_obj) - newest.points_obj
+        self.closing_m.append(float(np.linalg.norm(ends, axis=1).mean()))
+        self.edges.append(_edge(k, self.views[k], number, newest.at(found.T_cam_obj), loop=True))
+        self.views = relaxed(self.views, self.edges, self.radius_m)
+        return True
+
+
+def _edge(a: int, view_a: View, b: int, view_b: View, loop: bool) -> Edge:
+    return Edge(a, b, view_b.T_cam_obj @ se3.inverse(view_a.T_cam_obj), loop)
+
+
+def _doubt(found: Registered | None) -> str:
+    """Why a pose is not taken; empty where it is."""
+    if found is None:
+        return "it left the picture"
+    if found.terms.blind > SEEN:
+        return "it had no depth"
+    if found.terms.hidden > SEEN:
+        return "something was before it"
+    if found.terms.seen < SEEN or found.terms.color < COLORED:
+        return "it turned or moved too far from one frame to the next"
+    return ""
+
+
+def _polished(views: Sequence[View], radius_m: float) -> list[View]:
+    """Views at poses and with masks that fit all others."""
+    out = list(views)
+    for _ in range(POLISHES):
+        shape = fused(out)
+        moved = []
+        for view in out:
+            surface = surface_of(shape, out, view.T_cam_obj)
+            found = None if surface is None else registered(surface, view.frame, [view.T_cam_obj])
+            moved.append(view if found is None or _doubt(found) else view.at(found.T_cam_obj))
+        masks = [object_mask(view.frame, view.T_cam_obj, moved, view.ground, radius_m) for view in moved]
+        out = [
+            replace(view, mask=mask, denied=denied)
+            for view, (mask, denied) in zip(moved, masks, strict=True)
+            if mask.any()
+        ]
+    return out
+
+
+def _frame_of(shape: Fused, first: View, ground: Float64 | None) -> Float64:
+    """T_old_new: axes with z up from the ground in the first view, origin at the middle of the bounds."""
+    R = np.eye(3)
+    if ground is not None:
+        up = first.T_cam_obj[:3, :3].T @ ground[:3]
+        right = np.cross(first.T_cam_obj[2, :3], up)  # across the view and level
+        right = right if np.linalg.norm(right) > 1e-3 else np.cross(first.T_cam_obj[1, :3], up)
+        right /= np.linalg.norm(right)
+        R = np.stack([right, np.cross(up, right), up], 1)
+    turned = shape.vertices @ R
+    return se3.make(R, R @ ((turned.min(0) + turned.max(0)) / 2))
+
+
+def _moved(shape: Fused, T: Float64) -> Fused:
+    return replace(shape, vertices=se3.apply(T, shape.vertices), normals=shape.normals @ T[:3, :3].T)
+
+
+def _directions(views: Sequence[View], shape: Fused) -> float:
+    centre = (shape.vertices.min(0) + shape.vertices.max(0)) / 2
+    eyes = np.array([se3.inverse(view.T_cam_obj)[:3, 3] - centre for view in views])
+    eyes /= np.linalg.norm(eyes, axis=1, keepdims=True)
+    return float(((directions(3) @ eyes.T).max(1) > np.cos(WIDE)).mean())
+
+
+def _share_seen(shape: Fused) -> float:
+    corners = shape.vertices[shape.faces]
+    areas = np.linalg.norm(np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), axis=1)
+    return float((areas * shape.seen[shape.faces].mean(1)).sum() / areas.sum())

@@ -1,0 +1,135 @@
+"""Where a frame sees the object: flow from the last frame, then depth and colours of the fused views."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from huepose.geometry import se3
+from huepose.geometry.arrays import Bool, Float32, Float64
+from huepose.geometry.box import Box
+from huepose.geometry.frame import RgbdFrame
+from huepose.judge.arrays import ModelArrays
+from huepose.judge.open_region import open_region
+from huepose.judge.surface import PreparedSurface, look
+from huepose.judge.terms import Terms
+from huepose.onboarding.from_video.fusion import Fused
+from huepose.onboarding.from_video.views import View, projected, tolerance_m
+from huepose.propose import flow
+from huepose.propose.lifting import lift
+from huepose.propose.relative_pose import LiftedMatches, RobustKabsch
+from huepose.refine.photometric import COARSE, FULL, refine
+
+SAMPLES = 3000
+"""Of a surface to align with."""
+
+MATCHES = 400
+"""Pixels whose flow is asked for."""
+
+WINDOW = 0.35
+"""Of the object's box: room around it for its motion in a frame."""
+
+
+@dataclass(frozen=True, eq=False)
+class Registered:
+    """T_cam_obj (4, 4); terms: what the pose explains; information (6, 6) as in `refine`."""
+
+    T_cam_obj: Float64
+    terms: Terms
+    information: Float64
+
+
+def surface_of(shape: Fused, views: Sequence[View], T_cam_obj: Float64) -> PreparedSurface | None:
+    """What a pose shows of a fused surface, with the colours of the views that see it most squarely; None
+    where it shows nothing that a view saw."""
+    R, t = T_cam_obj[:3, :3], T_cam_obj[:3, 3]
+    p_cam = shape.vertices @ R.T + t
+    facing = -((shape.normals @ R.T) * p_cam).sum(1) / np.linalg.norm(p_cam, axis=1) > 0.1
+    chosen = np.random.default_rng(0).permutation(np.flatnonzero(facing & shape.seen))[: 3 * SAMPLES]
+    points, normals = shape.vertices[chosen], shape.normals[chosen]
+    colors, known = _colors(points, normals, views)
+    keep = np.flatnonzero(known)[:SAMPLES]
+    if len(keep) < 100:
+        return None
+    points, normals, colors = points[keep], normals[keep], colors[keep]
+    spread = points - points.mean(0)
+    axes = np.linalg.eigh(spread.T @ spread)[1]
+    extents = np.sort(np.ptp(spread @ axes, axis=0))
+    centre = 0.5 * (points.min(0) + points.max(0))
+    direction = -R.T @ (R @ centre + t)
+    arrays = ModelArrays(
+        np.ascontiguousarray(points, np.float32),
+        np.ascontiguousarray(normals, np.float32),
+        np.ascontiguousarray(colors.transpose(1, 0, 2), np.float32),
+        (direction / np.linalg.norm(direction))[None].astype(np.float32),
+        np.arange(len(points), dtype=np.int32),
+        np.array([0, len(points)], np.int32),
+        np.zeros(3),
+        1.0,
+        np.zeros((1, 1, 1), np.int16),
+        centre,
+    )
+    # From one side the depth of an object is not known: taken as its smaller extent across.
+    return PreparedSurface(
+        arrays, float(extents[-1]), float(extents[-2]), float(np.linalg.norm(points - centre, axis=1).max())
+    )
+
+
+def _colors(points: Float64, normals: Float64, views: Sequence[View]) -> tuple[Float32, Bool]:
+    """Opponents (N, 3, 3) at three scales of points, each from the view that sees it most squarely, and which
+    points a view sees (N,)."""
+    best = np.full(len(points), -1.0)
+    colors = np.zeros((len(points), 3, 3), np.float32)
+    for view in views:
+        row, column, z = projected(points, view)
+        inside = row >= 0
+        T, depth = view.T_cam_obj, view.frame.depth
+        cosine = -((normals @ T[:3, :3].T) * se3.apply(T, points)).sum(1) / np.maximum(np.abs(z), 1e-6)
+        seen = inside & view.inner[row, column] & (np.abs(depth[row, column] - z) < tolerance_m(z))
+        better = np.flatnonzero(seen & (cosine > best + 0.02))
+        best[better] = cosine[better]
+        colors[better] = view.opponents[row[better], column[better]].reshape(-1, 3, 3)
+    return colors, best > 0
+
+
+def registered(surface: PreparedSurface, frame: RgbdFrame, guesses: Sequence[Float64]) -> Registered | None:
+    """The best of the poses that the guesses lead to; None where none lies in the picture."""
+    best: Registered | None = None
+    for guess in guesses:
+        box = surface.box(guess, frame.camera)
+        if box is None:
+            continue
+        distance = float(surface.centre_cam(guess)[2])
+        region = open_region(frame, box.grown(WINDOW, 8), distance, surface.diameter_m)
+        if region is None:
+            continue
+        coarse = refine(surface, region, guess, COARSE)
+        for start in (guess, coarse.T_cam_obj):
+            found = refine(surface, region, start, FULL)
+            terms = look(surface, region, found.T_cam_obj)
+            if best is None or terms.total > best.terms.total:
+                best = Registered(found.T_cam_obj, terms, found.information)
+    return best
+
+
+def followed(last: RgbdFrame, mask: Bool, T_cam_obj: Float64, frame: RgbdFrame) -> Float64 | None:
+    """The pose in a frame by the flow of a mask (H, W) since the last one; None where flow says nothing."""
+    rows, columns = np.nonzero(mask)
+    if not len(rows):
+        return None
+    box = Box.of_mask(mask)
+    assert box is not None
+    moved = flow.compute(last.color, frame.color, box.grown(WINDOW, 8))
+    if moved is None:
+        return None
+    some = np.random.default_rng(0).permutation(len(rows))[:MATCHES]
+    pixels = np.stack([columns[some], rows[some]], 1).astype(np.float64)
+    by, ok = moved.at(pixels)
+    a, known_a = lift(last.depth, last.camera, pixels)
+    b, known_b = lift(frame.depth, frame.camera, pixels + by)
+    k = ok & known_a & known_b
+    matches = LiftedMatches(a[k], b[k], pixels[k], (pixels + by)[k], np.ones(int(k.sum())))
+    motion = RobustKabsch().estimate(matches)
+    return None if motion is None else motion.T_b_a @ T_cam_obj

@@ -1,0 +1,138 @@
+"""`huepose onboard --from-video`: from a recording of an object to its mesh."""
+
+from __future__ import annotations
+
+import argparse
+import sys
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Literal
+
+if TYPE_CHECKING:
+    from huepose.datasets.types import Scene
+    from huepose.geometry import RgbdFrame
+    from huepose.onboarding.from_video import Learned, Selection
+
+METRES: Literal["m"] = "m"
+ALL_ROUND = 0.6
+"""Share of the surface under which a model is of one side: an object on a table shows four fifths of it."""
+
+
+@dataclass(frozen=True)
+class FromVideo:
+    """mesh: the file that was written; words: what it is worth; facts: the same for programs."""
+
+    mesh: Path
+    words: str
+    facts: dict[str, Any]
+
+
+def add_video(parser: argparse.ArgumentParser) -> None:
+    """Add the options of a recording in the place of a mesh."""
+    parser.add_argument(
+        "--from-video",
+        type=Path,
+        default=None,
+        metavar="RECORDING",
+        help="without a mesh: a recording of `huepose record` (.mcap) or a BOP scene's folder, in which the "
+        "object is turned by hand or on a turntable; with --box or --click",
+    )
+    parser.add_argument(
+        "--box",
+        type=float,
+        nargs=4,
+        default=None,
+        metavar=("X", "Y", "W", "H"),
+        help="the object in the recording's first frame, pixels",
+    )
+    parser.add_argument(
+        "--click",
+        type=float,
+        nargs=2,
+        default=None,
+        metavar=("X", "Y"),
+        help="or a pixel of it, where nothing but the ground touches it",
+    )
+
+
+def mesh_from_video(arguments: argparse.Namespace) -> FromVideo | None:
+    """The mesh of a recording, written to OUT/NAME_mesh; None where a mesh was given. Raises InputError where
+    both or neither were."""
+    from huepose.support.errors import InputError
+
+    video: Path | None = arguments.from_video
+    if (video is None) == (arguments.mesh is None):
+        raise InputError(
+            "huepose onboard",
+            found="neither MESH nor --from-video" if video is None else "MESH and --from-video",
+            expected="one of them",
+        )
+    if video is None:
+        return None
+    if (arguments.box is None) == (arguments.click is None):
+        raise InputError(
+            "--from-video",
+            found="both --box and --click" if arguments.box else "neither --box nor --click",
+            expected="one of them, on the object in the first frame",
+        )
+    from huepose.datasets.bop_writer import write_obj
+    from huepose.geometry import Box
+    from huepose.model.io import check_name
+    from huepose.onboarding.from_video import Selection
+
+    check_name(arguments.name)
+    selection = Selection(Box(*arguments.box)) if arguments.box else Selection(click=tuple(arguments.click))
+    made = _learned(_scene(video), selection, arguments.name)
+    folder = Path(arguments.out) / f"{arguments.name}_mesh"
+    folder.mkdir(parents=True, exist_ok=True)
+    path = folder / f"{arguments.name}.obj"
+    write_obj(path, made.mesh)
+    facts = {
+        "mesh": str(path),
+        "frames": made.frames,
+        "followed": len(made.T_cam_obj),
+        "views": made.views,
+        "directions": made.directions,
+        "surface": made.surface,
+        "closing_m": made.closing_m,
+    }
+    return FromVideo(path, _in_words(made, path), facts)
+
+
+def _scene(path: Path) -> Scene:
+    if path.suffix == ".mcap":
+        from huepose_services.camera.recording import RecordedScene
+
+        return RecordedScene(path)
+    from huepose.datasets.bop import BopScene
+
+    return BopScene(path)
+
+
+def _learned(scene: Scene, selection: Selection, name: str) -> Learned:
+    from huepose.onboarding.from_video import learn
+    from huepose.support.progress import progress
+
+    def frames() -> Iterator[RgbdFrame]:
+        for image in progress(scene.image_ids, f"following {name}"):
+            yield scene.frame(image)
+
+    return learn(frames(), selection, lambda stage: print(stage, file=sys.stderr, flush=True))
+
+
+def _in_words(made: Learned, path: Path) -> str:
+    closing = "no turn was closed"
+    if made.closing_m is not None:
+        closing = f"the ends of a turn lay {1000 * made.closing_m:.1f} mm apart before they were joined"
+    words = (
+        f"from the recording: followed in {len(made.T_cam_obj)} of {made.frames} frames, {made.views} views "
+        f"from {100 * made.directions:.0f} % of all directions; {100 * made.surface:.0f} % of the surface "
+        f"was seen; {closing}. {path}: metres, origin in the middle, z up from the ground"
+    )
+    if made.surface < ALL_ROUND:
+        words += (
+            "\nfrom the sides that were not seen it will not be found: record it turned all round, and tip "
+            "it over meanwhile"
+        )
+    return words

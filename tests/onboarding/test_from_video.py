@@ -1,0 +1,183 @@
+"""A mesh from a recording: drawn sequences of an object that turns, with exact truth."""
+
+from __future__ import annotations
+
+from functools import cache
+
+import numpy as np
+import pytest
+
+from huepose.geometry import Box, Camera, Mesh, RgbdFrame, se3
+from huepose.geometry.arrays import Float64
+from huepose.geometry.depth_noise import depth_noise_m
+from huepose.onboarding.from_video import Learned, Selection, learn
+from huepose.onboarding.from_video.loops import Edge, relaxed
+from huepose.onboarding.from_video.selection import first_mask
+from huepose.onboarding.from_video.views import View, votes
+from huepose.rendering import render
+from huepose.scenes.motion import UP_ROOM, upright
+from huepose.scenes.room import sheet, table_top
+from huepose.scenes.shapes import demo_objects
+from huepose.support.errors import InputError
+
+pytest.importorskip("open3d")
+
+CAMERA = Camera(330.0, 330.0, 159.5, 119.5, 320, 240)
+MIDDLE_CAM = np.array([0.0, 0.0, 0.5])
+BOX = demo_objects()["tea_box"]
+FRAMES, STEP_DEG = 18, 7.5
+
+
+@cache
+def table() -> Mesh:
+    return sheet(0.9, 0.8, table_top(np.random.default_rng(1)))
+
+
+def pose(angle: float) -> Float64:
+    return se3.make(upright(angle), MIDDLE_CAM)
+
+
+def drawn(T_cam_obj: Float64, number: int, *, hand: tuple[Mesh, Float64] | None = None) -> RgbdFrame:
+    ground = se3.make(upright(0.0), MIDDLE_CAM + float(BOX.vertices[:, 2].min()) * UP_ROOM)
+    scene = [(BOX, T_cam_obj), (table(), ground)] + ([] if hand is None else [hand])
+    seen = render(scene, CAMERA)
+    noise = np.random.default_rng(number).normal(0, depth_noise_m(0.5), seen.depth.shape)
+    depth = np.where(seen.depth > 0, seen.depth + noise, 0).astype(np.float32)
+    return RgbdFrame(seen.color, depth, CAMERA, number, number * 33_000_000)
+
+
+def box_of(T_cam_obj: Float64) -> Selection:
+    box = Box.of_mask(render([(BOX, T_cam_obj)], CAMERA, color=False).depth > 0)
+    assert box is not None
+    return Selection(box.grown(0.08))
+
+
+def off_m(points: Float64) -> Float64:
+    """Distances of points (N, 3) from the box's surface."""
+    half = np.ptp(BOX.vertices, axis=0) / 2
+    q = np.abs(points - BOX.centre) - half
+    outside = np.linalg.norm(np.maximum(q, 0), axis=1)
+    return np.asarray(outside + np.abs(np.minimum(q.max(1), 0)))
+
+
+@cache
+def learned() -> Learned:
+    poses = [pose(np.radians(STEP_DEG * k)) for k in range(FRAMES)]
+    return learn((drawn(T, k) for k, T in enumerate(poses)), box_of(poses[0]))
+
+
+def test_the_surface_that_was_seen_is_the_true_one() -> None:
+    made = learned()
+    T_true_made = se3.inverse(pose(np.radians(STEP_DEG * FRAMES // 2))) @ made.T_cam_obj[FRAMES // 2]
+    off = off_m(se3.apply(T_true_made, made.mesh.vertices[made.seen]))
+    assert off.mean() < 0.001
+    assert np.percentile(off, 90) < 0.003
+    assert np.abs(np.ptp(made.mesh.vertices, axis=0) - np.ptp(BOX.vertices, axis=0)).max() < 0.02
+    assert 0.5 < made.surface < 0.9  # not the underside, nor the side that faced away
+
+
+def test_its_frame_is_in_the_middle_and_upright() -> None:
+    vertices = learned().mesh.vertices
+    assert np.allclose((vertices.min(0) + vertices.max(0)) / 2, 0.0, atol=1e-4)
+    up = learned().T_cam_obj[0][:3, 2]
+    assert np.degrees(np.arccos(up @ UP_ROOM)) < 2.0
+
+
+def test_the_poses_follow_the_turn() -> None:
+    made = learned()
+    assert len(made.T_cam_obj) == made.frames == FRAMES
+    turned = [se3.rotation_angle(made.T_cam_obj[0][:3, :3], T[:3, :3]) for T in made.T_cam_obj.values()]
+    assert np.allclose(np.degrees(turned), STEP_DEG * np.arange(FRAMES), atol=1.5)
+
+
+def test_the_print_is_where_it_was() -> None:
+    made, number = learned(), FRAMES // 2
+    now = render([(made.mesh, made.T_cam_obj[number])], CAMERA)
+    true = render([(BOX, pose(np.radians(STEP_DEG * number)))], CAMERA)
+    both = (now.depth > 0) & (true.depth > 0)
+    difference = np.abs(now.color[both].astype(int) - true.color[both]).mean(1)
+    assert np.median(difference) < 12
+    assert both.sum() > 0.95 * (true.depth > 0).sum()
+
+
+@pytest.mark.parametrize("how", ["box", "click"])
+def test_the_first_mask_is_the_object_above_the_table(how: str) -> None:
+    T = pose(0.4)
+    true = render([(BOX, T)], CAMERA, color=False).depth > 0
+    selection = box_of(T) if how == "box" else Selection(click=(160.0, 118.0))
+    mask, _, ground = first_mask(drawn(T, 0), selection)
+    assert (mask & true).sum() > 0.9 * true.sum()
+    assert (mask & ~true).sum() < 0.02 * true.sum()
+    assert ground is not None
+    assert np.degrees(np.arccos(ground[:3] @ UP_ROOM)) < 1.0
+
+
+def test_the_table_and_holes_are_refused_as_an_object() -> None:
+    frame = drawn(pose(0.0), 0)
+    with pytest.raises(InputError, match=r"a surface over \d+ % of the picture"):
+        first_mask(frame, Selection(click=(40.0, 200.0)))
+    blind = RgbdFrame(frame.color, np.zeros_like(frame.depth), CAMERA)
+    with pytest.raises(InputError, match="no depth there"):
+        first_mask(blind, box_of(pose(0.0)))
+
+
+def test_an_object_that_stands_still_is_refused() -> None:
+    with pytest.raises(InputError, match="turned by less than 5 degrees"):
+        learn((drawn(pose(0.0), k) for k in range(3)), box_of(pose(0.0)))
+
+
+def test_an_object_that_leaves_is_refused_with_the_reason() -> None:
+    gone = se3.make(np.eye(3), np.array([0, 0, 5.0]))
+    frames = [drawn(pose(0.0), 0), *(drawn(gone, k) for k in range(1, 5))]
+    with pytest.raises(InputError, match=r"followed in 1 of 5 frames only; .*Turn it more slowly"):
+        learn(frames, box_of(pose(0.0)))
+
+
+def test_what_holds_the_object_elsewhere_later_is_seen_through() -> None:
+    """A view in which the place of a finger was free says so; one that looks at its front does not."""
+    T = pose(0.0)
+    finger = sheet(0.02, 0.02, np.full((8, 8, 3), 180, np.uint8))
+    at = se3.make(upright(0.0) @ se3.rotation_exp(np.array([np.pi / 2, 0, 0])), MIDDLE_CAM - [0, 0, 0.07])
+    frame, free = drawn(T, 0, hand=(finger, at)), drawn(T, 1)
+    everywhere, nowhere = np.ones(frame.depth.shape, bool), np.zeros(frame.depth.shape, bool)
+    held, bare = (View(f, everywhere, nowhere, T, None) for f in (frame, free))
+    place = se3.apply(se3.inverse(T), at[:3, 3][None])
+    said = votes(place, [held, bare])
+    assert (said.there[0], said.through[0], said.behind[0]) == (1, 1, 0)
+
+
+def ring(count: int) -> list[View]:
+    frame = drawn(pose(0.0), 0)
+    mask = np.zeros(frame.depth.shape, bool)
+    return [View(frame, mask, mask, pose(2 * np.pi * k / count), None) for k in range(count)]
+
+
+def test_a_closed_turn_shares_out_its_error() -> None:
+    """Each step of twelve errs by half a degree: the last view is almost six degrees off before."""
+    views, drift = ring(12), np.radians(0.5)
+    drifted = [v.at(v.T_cam_obj @ se3.make(upright_z(drift * k), np.zeros(3))) for k, v in enumerate(views)]
+    edges = [Edge(k, k + 1, edge(drifted[k], drifted[k + 1]), False) for k in range(11)]
+    closed = relaxed(drifted, [*edges, Edge(0, 11, edge(views[0], views[11]), True)], 0.09)
+    assert off_deg(drifted[11], views[11]) > 5.4
+    assert off_deg(closed[11], views[11]) < 0.6
+    assert off_deg(closed[6], views[6]) < off_deg(drifted[6], views[6])
+
+
+def test_a_wrong_closing_is_left_out() -> None:
+    views = ring(12)
+    edges = [Edge(k, k + 1, edge(views[k], views[k + 1]), False) for k in range(11)]
+    right = Edge(0, 11, edge(views[0], views[11]), True)
+    wrong = Edge(1, 10, edge(views[1], views[6]), True)
+    assert off_deg(relaxed(views, [*edges, right, wrong], 0.09)[10], views[10]) < 1.0
+
+
+def upright_z(angle: float) -> Float64:
+    return se3.rotation_exp(np.array([0.0, 0.0, angle]))
+
+
+def edge(a: View, b: View) -> Float64:
+    return np.asarray(b.T_cam_obj @ se3.inverse(a.T_cam_obj))
+
+
+def off_deg(a: View, b: View) -> float:
+    return float(np.degrees(se3.rotation_angle(a.T_cam_obj[:3, :3], b.T_cam_obj[:3, :3])))

@@ -21,6 +21,7 @@ from huepose.scenes.shapes import demo_objects
 from huepose.support.errors import InputError
 
 pytest.importorskip("open3d")
+pytestmark = pytest.mark.timeout(400)  # the first that asks makes the mesh, for all
 
 CAMERA = Camera(330.0, 330.0, 159.5, 119.5, 320, 240)
 MIDDLE_CAM = np.array([0.0, 0.0, 0.5])

@@ -32,6 +32,7 @@ from huepose.refine.coordinate_search import RACE, search
 from huepose.refine.point_to_plane import align_many
 from huepose.select.distinct import FINAL_SHIFT, FINAL_TURN_RAD, different_poses
 from huepose.select.ranked import NONE, Ranked, by_figure
+from huepose.support.kept import kept
 from huepose.support.stages import stage
 
 _tables: WeakKeyDictionary[ReferenceModel, TemplateTable] = WeakKeyDictionary()
@@ -39,10 +40,12 @@ _lock = threading.Lock()
 
 
 def table_of(model: ReferenceModel) -> TemplateTable:
-    """A model's view templates laid out for retrieval (0.1 s, 8 MB), kept as long as it is."""
+    """A model's view templates laid out for retrieval, mapped as long as it is there."""
     with _lock:
         if model not in _tables:
-            _tables[model] = build_table(model.templates, model.diameter_m)
+            _tables[model] = kept(
+                TemplateTable, model.digest, lambda: build_table(model.templates, model.diameter_m)
+            )
         return _tables[model]
 
 

@@ -14,12 +14,14 @@ from huepose.geometry.arrays import Float32, Float64, Int32, UInt8
 class Mesh:
     """vertices (V, 3) float32 metres; faces (F, 3) int32; uv (F, 3, 2) float32 per face corner in texture
     coordinates (u right, v *down*, 0..1 over the whole image: u * W - 0.5 is a column); texture (H, W, 3)
-    uint8 RGB. A mesh with colours per vertex is given a texture by its reader: nobody else has two cases."""
+    uint8 RGB. A mesh with colours per vertex is given a texture by its reader: nobody else has two cases.
+    digest: of the file that it is from, under which what is derived from it is kept, or None."""
 
     vertices: Float32
     faces: Int32
     uv: Float32
     texture: UInt8
+    digest: str | None = None
 
     @cached_property
     def centre(self) -> Float64:

@@ -1,15 +1,15 @@
 """Does the object end where its outline says? The evidence that depth and print inside of it cannot give.
 
 A plain face fits on every plane. What tells it from a floor is that it ends: beyond the outline there is
-something farther away, or of another colour. Contours are rendered once for each direction of view, all
-beforehand or each when it is first asked for; at a pose some hundred of their points are looked at, on both
-sides.
+something farther away, or of another colour. Contours are rendered once for each direction of view; at a pose
+some hundred of their points are looked at, on both sides.
 """
 
 from __future__ import annotations
 
 import threading
-from dataclasses import dataclass, field
+from dataclasses import dataclass
+from functools import cached_property
 from weakref import WeakKeyDictionary
 
 import cv2
@@ -17,7 +17,7 @@ import numpy as np
 
 from huepose.colorpair.opponents import LOGARITHMS, OPPONENTS
 from huepose.geometry import Camera, se3
-from huepose.geometry.arrays import Float, Float32, Float64, UInt8
+from huepose.geometry.arrays import Float, Float32, Float64, Int64, UInt8
 from huepose.geometry.depth_noise import depth_noise_m
 from huepose.geometry.frame import RgbdFrame
 from huepose.geometry.icosphere import look_at
@@ -26,6 +26,7 @@ from huepose.judge.surface import PreparedSurface
 from huepose.model.types import ReferenceModel
 from huepose.rendering.render import render_depth
 from huepose.support.jit import jit
+from huepose.support.kept import kept
 
 SIDE_PX, NOMINAL_DISTANCE = 160, 5.0
 """Contours are taken from pictures of that size, from that many radii away."""
@@ -59,35 +60,47 @@ _lock = threading.Lock()
 
 
 @dataclass(frozen=True, eq=False)
+class Lines:
+    """points, out (N, 3) of all contours, one view's after another's: starts (V + 1,) int64."""
+
+    points: Float32
+    out: Float32
+    starts: Int64
+
+
+@dataclass(frozen=True, eq=False)
 class Contours:
     """Contours of an object by direction of view: points (K, 3) on its surface and unit directions (K, 3)
-    that lead away from it across the line of sight, object axes."""
+    that lead away from it across the line of sight, object axes. digest: as of the model."""
 
     mesh: Mesh
     surface: PreparedSurface
-    _known: dict[int, tuple[Float32, Float32]] = field(default_factory=dict)
+    digest: str | None = None
 
     @staticmethod
     def of(model: ReferenceModel) -> Contours:
         """Those of a reference model, kept as long as it is, for all who ask."""
         with _lock:
             if model not in _contours:
-                _contours[model] = Contours(model.mesh, PreparedSurface.of(model))
+                _contours[model] = Contours(model.mesh, PreparedSurface.of(model), model.digest)
             return _contours[model]
 
     def at(self, T_cam_obj: Float) -> tuple[Float32, Float32]:
         """Of the view that is nearest to that of a pose."""
-        return self._of(self.surface.view_of(T_cam_obj))
+        view, lines = self.surface.view_of(T_cam_obj), self.lines
+        here = slice(lines.starts[view], lines.starts[view + 1])
+        return lines.points[here], lines.out[here]
 
-    def make_ready(self) -> None:
-        """Render those of all views (a fifth of a second, 2 MB), so that no frame waits for one."""
-        for view in range(len(self.surface.arrays.directions)):
-            self._of(view)
+    @cached_property
+    def lines(self) -> Lines:
+        """Those of all views, made (a fifth of a second) or mapped when they are first asked for."""
+        return kept(Lines, self.digest, self._drawn)
 
-    def _of(self, view: int) -> tuple[Float32, Float32]:
-        if view not in self._known:
-            self._known[view] = _contour(self.mesh, self.surface, self.surface.arrays.directions[view])
-        return self._known[view]
+    def _drawn(self) -> Lines:
+        directions = self.surface.arrays.directions
+        points, out = zip(*(_contour(self.mesh, self.surface, d) for d in directions), strict=True)
+        starts = np.cumsum([0, *(len(p) for p in points)])
+        return Lines(np.concatenate(points), np.concatenate(out), starts)
 
 
 def _contour(mesh: Mesh, surface: PreparedSurface, direction: Float32) -> tuple[Float32, Float32]:

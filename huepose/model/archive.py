@@ -6,6 +6,7 @@ but mapped: the processes of a machine share them, and what a process never look
 
 from __future__ import annotations
 
+import hashlib
 import io
 import json
 import math
@@ -72,6 +73,11 @@ class Archive:
         if not isinstance(header, dict):
             raise ValueError("its header is no JSON object")
         return header
+
+    def digest(self) -> str:
+        """Of names, sizes and checksums of all entries: another content has another one."""
+        entries = [(entry.filename, entry.file_size, entry.CRC) for entry in self._zip.infolist()]
+        return hashlib.sha256(repr(entries).encode()).hexdigest()[:32]
 
     def array(self, name: str, kind: str) -> np.ndarray:
         """An array as that type (numpy's name of it), which may be wider than the stored one. A large one of

@@ -8,13 +8,14 @@ import os
 import re
 import zipfile
 from collections.abc import Iterable
-from dataclasses import fields
+from dataclasses import dataclass, fields
 from pathlib import Path
 from typing import Any
 
 import cv2
 import numpy as np
 
+from huepose.geometry.arrays import UInt8
 from huepose.geometry.mesh import Mesh
 from huepose.model.archive import Archive, aligned_entry, picture
 from huepose.model.plausible import check_model
@@ -28,6 +29,7 @@ from huepose.model.types import (
     ViewTemplates,
 )
 from huepose.support.errors import InputError
+from huepose.support.kept import kept
 
 SUFFIX = ".huepose"
 VERSION = 2
@@ -36,6 +38,15 @@ _WITH_TABLES = 1
 
 _FORMAT = "huepose reference model"
 _AGAIN = "Onboard the object again with `huepose onboard` or `huepose onboard-bop`."
+
+
+@dataclass(frozen=True, eq=False)
+class _Texture:
+    """rgb (H, W, 3) uint8, decoded."""
+
+    rgb: UInt8
+
+
 _EPOCH = (1980, 1, 1, 0, 0, 0)  # no clock in the file: the same model gives the same bytes
 
 
@@ -123,7 +134,7 @@ def load_model(path: Path | str) -> ReferenceModel:
                     fix=_AGAIN,
                 )
             arrays = {name: archive.array(name, kind) for name, kind in header["types"].items()}
-            model = _assembled(header, arrays)
+            model = _assembled(header, arrays, archive.digest())
             check_model(model)
         return model
     except InputError:
@@ -171,11 +182,11 @@ def _narrowed(name: str, array: np.ndarray) -> np.ndarray:
     return array.astype(np.promote_types(np.min_scalar_type(array.min()), np.min_scalar_type(array.max())))
 
 
-def _assembled(header: dict[str, Any], arrays: dict[str, Any]) -> ReferenceModel:
+def _assembled(header: dict[str, Any], arrays: dict[str, Any], digest: str) -> ReferenceModel:
     def part(room: str, kind: type) -> dict[str, Any]:
         return {name: arrays[f"{room}.{name}"] for name in _array_fields(kind)}
 
-    texture = picture(arrays["mesh.texture_png"])
+    texture = kept(_Texture, digest, lambda: _Texture(picture(arrays["mesh.texture_png"])))
     source = header.get("keypoint_source")  # not in older files
     return ReferenceModel(
         name=check_name(header["name"]),
@@ -184,7 +195,8 @@ def _assembled(header: dict[str, Any], arrays: dict[str, Any]) -> ReferenceModel
             arrays["mesh.vertices"],
             arrays["mesh.faces"],
             arrays["mesh.uv"],
-            texture,
+            texture.rgb,
+            digest,
         ),
         eval_points=arrays["eval_points"],
         diameter_m=header["diameter_m"],
@@ -198,6 +210,7 @@ def _assembled(header: dict[str, Any], arrays: dict[str, Any]) -> ReferenceModel
         pairs=PairReference(**part("pairs", PairReference), parameters=header["pair_parameters"]),
         tables=_tables(header, arrays),
         keypoints=None if source is None else Keypoints(**part("keypoints", Keypoints), source=str(source)),
+        digest=digest,
     )
 
 

@@ -132,6 +132,7 @@ class ReferenceModel:
     frame_offset_m: translation that takes a point of the PoseCNN/YCB-Video frame to this one, or None.
     tables: what the methods `paper` and `colorpair` need besides, None unless onboarding was asked for it.
     keypoints: None in files of older versions; the detector then makes them at its start.
+    digest: of the file that it is from, by which what is derived from it is kept (`support.kept`), or None.
     """
 
     name: str
@@ -149,6 +150,7 @@ class ReferenceModel:
     pairs: PairReference
     tables: PaperTables | None = None
     keypoints: Keypoints | None = None
+    digest: str | None = None
 
 
 def model_named(models: Mapping[str, ReferenceModel], name: str) -> ReferenceModel:

@@ -36,6 +36,7 @@ from huepose.propose.features import FeatureSource, Sift
 from huepose.propose.keypoint_reference import build_keypoints
 from huepose.propose.keypoints import Sought, Spots, agreed, match
 from huepose.rendering.render import render
+from huepose.support.kept import kept
 from huepose.support.stages import stage
 
 HOLE_PX = 9
@@ -162,11 +163,14 @@ class ColorPairDetector:
         with self._lock:
             if name not in self._keypoints:
                 model = self._model(name)
-                kept = model.keypoints
-                if kept is None or kept.source != self._features.name:
-                    kept = build_keypoints(model.mesh, model.diameter_m, self._features)
-                self._keypoints[name] = Sought.of(kept)
+                self._keypoints[name] = kept(Sought, model.digest, lambda: self._sought(model))
             return self._keypoints[name]
+
+    def _sought(self, model: ReferenceModel) -> Sought:
+        found = model.keypoints
+        if found is None or found.source != self._features.name:
+            found = build_keypoints(model.mesh, model.diameter_m, self._features)
+        return Sought.of(found)
 
     def _efforts(self, name: str, thorough: Collection[str] | None) -> tuple[Effort, ...]:
         if "views" not in self.config.sources:

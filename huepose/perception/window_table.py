@@ -10,6 +10,7 @@ from huepose.geometry.arrays import Float32
 from huepose.model.types import ReferenceModel, ViewTemplates
 from huepose.propose.template_table import COARSE_SIDE, TemplateTable, build_table
 from huepose.propose.view_codes import codes_of_views
+from huepose.support.kept import kept
 
 VIEWS, ROLL_STRIDE = 42, 2
 """The first 42 directions are the icosphere of level 1, 32 degrees apart; every second roll, 30 degrees."""
@@ -31,7 +32,11 @@ class WindowTable:
 
 
 def window_table(model: ReferenceModel) -> WindowTable:
-    """The table of a model (about 5 MB, 0.3 s)."""
+    """The table of a model (about 5 MB, 0.3 s where it has to be made)."""
+    return kept(WindowTable, model.digest, lambda: _made(model))
+
+
+def _made(model: ReferenceModel) -> WindowTable:
     t = model.templates
     some = ViewTemplates(t.directions[:VIEWS], t.planes[:VIEWS, ::ROLL_STRIDE], t.origins[:VIEWS], t.span)
     table = build_table(some, model.diameter_m, min_coverage=MIN_COVERAGE)

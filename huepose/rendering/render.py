@@ -21,6 +21,7 @@ from huepose.rendering.corner_normals import corner_normals
 from huepose.rendering.raster import depth_of, facing, rasterise, transform
 from huepose.rendering.shade import locate, paint, turn_normals
 from huepose.rendering.textures import Pyramid, build_pyramid
+from huepose.support.kept import kept
 
 NEAR_M = 0.05
 _SNAP = 2.0**20
@@ -52,11 +53,11 @@ class _Prepared:
         self.vertices: Float32 = np.ascontiguousarray(mesh.vertices, dtype=np.float32)
         self.uv: Float32 = np.ascontiguousarray(mesh.uv, dtype=np.float32)
         # A mesh that refers to itself from the cache would never be freed: only arrays are kept.
-        self._parts = (mesh.vertices, mesh.faces, mesh.uv, mesh.texture)
+        self._parts, self._digest = (mesh.vertices, mesh.faces, mesh.uv, mesh.texture), mesh.digest
 
     @cached_property
     def pyramid(self) -> Pyramid:
-        return build_pyramid(Mesh(*self._parts))
+        return kept(Pyramid, self._digest, lambda: build_pyramid(Mesh(*self._parts)))
 
     @cached_property
     def corner_normals(self) -> Float32:

@@ -87,13 +87,12 @@ class Subject:
 
     @cached_property
     def views(self) -> WindowTable:
-        """What it looks like from all sides, made when it is first asked for (0.3 s)."""
+        """What it looks like from all sides, made or mapped when it is first asked for."""
         return window_table(self.model)
 
     def make_ready(self) -> None:
-        """Render all that will be asked for, so that no frame waits for it."""
-        self.contours.make_ready()
-        _ = self.views
+        """Make or map all that will be asked for, so that no frame waits for it."""
+        _ = self.contours.lines, self.views
 
 
 def _same_turn(model: ReferenceModel, turn: Float64) -> bool:

@@ -39,8 +39,19 @@ def assert_equal(a: object, b: object, where: str) -> None:
 
 
 def test_a_model_comes_back_bit_for_bit(tea_box: ReferenceModel, saved: Path) -> None:
-    expected = replace(tea_box, object_id=4, frame_offset_m=np.array([0.1, 0.0, 1e-17]))
-    assert_equal(expected, load_model(saved), "model")
+    loaded = load_model(saved)
+    mesh = replace(tea_box.mesh, digest=loaded.digest)
+    offset = np.array([0.1, 0.0, 1e-17])
+    expected = replace(tea_box, object_id=4, frame_offset_m=offset, mesh=mesh, digest=loaded.digest)
+    assert_equal(expected, loaded, "model")
+
+
+def test_the_digest_is_of_the_content(saved: Path, tea_box: ReferenceModel, tmp_path: Path) -> None:
+    (tmp_path / "copy.huepose").write_bytes(saved.read_bytes())
+    save_model(replace(tea_box, diameter_m=tea_box.diameter_m + 1e-9), tmp_path / "other.huepose")
+    copy, other = (load_model(tmp_path / f"{name}.huepose") for name in ("copy", "other"))
+    assert copy.digest == copy.mesh.digest == load_model(saved).digest
+    assert other.digest not in (None, copy.digest)
 
 
 def test_what_is_absent_comes_back_absent(tea_box: ReferenceModel, tmp_path: Path) -> None:

@@ -1,0 +1,120 @@
+from __future__ import annotations
+
+import os
+import time
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from huepose.support import kept as module
+from huepose.support.kept import code_version, kept
+
+
+@dataclass(frozen=True, eq=False)
+class Inner:
+    turns: np.ndarray
+    span_m: float
+
+
+@dataclass(frozen=True, eq=False)
+class Outer:
+    inner: Inner
+    places: np.ndarray
+    none: np.ndarray
+    side: int
+
+
+class Maker:
+    """Makes a value and counts how often."""
+
+    def __init__(self) -> None:
+        self.calls = 0
+
+    def __call__(self) -> Outer:
+        self.calls += 1
+        turns = np.arange(24.0).reshape(2, 3, 4).transpose(0, 2, 1)
+        return Outer(Inner(turns, 0.1), np.arange(5, dtype=np.uint16), np.zeros((0, 3), np.float32), 16)
+
+
+@pytest.fixture(autouse=True)
+def home(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
+    return tmp_path / "huepose" / "derived"
+
+
+def assert_same(one: Outer, other: Outer) -> None:
+    pairs = [
+        (one.inner.turns, other.inner.turns),
+        (one.places, other.places),
+        (one.none, other.none),
+    ]
+    for x, y in pairs:
+        assert (x.dtype, x.shape) == (y.dtype, y.shape)
+        np.testing.assert_array_equal(x, y)
+    assert (one.side, one.inner.span_m) == (other.side, other.inner.span_m)
+    assert type(one.side) is int
+    assert type(one.inner.span_m) is float
+
+
+def test_it_is_made_once_and_comes_back_bit_for_bit() -> None:
+    make = Maker()
+    for _ in range(3):
+        assert_same(kept(Outer, "tea", make), Maker()())
+    assert make.calls == 1
+    kept(Outer, "soup", make)
+    assert make.calls == 2
+
+
+def test_arrays_are_aligned_and_what_is_written_to_them_stays_private() -> None:
+    first = kept(Outer, "tea", Maker())
+    assert first.places.ctypes.data % 64 == 0
+    assert first.inner.turns.flags.c_contiguous
+    assert first.places.flags.writeable
+    first.places[:] = 9
+    assert_same(kept(Outer, "tea", Maker()), Maker()())
+
+
+def test_without_a_file_or_a_folder_it_is_made_and_not_kept(home: Path) -> None:
+    make = Maker()
+    for _ in range(2):
+        assert_same(kept(Outer, None, make), Maker()())
+    assert make.calls == 2
+    assert not home.exists()
+    home.parent.mkdir()
+    home.write_text("no folder")
+    assert_same(kept(Outer, "tea", make), Maker()())
+    assert make.calls == 3
+
+
+@pytest.mark.parametrize("size", [0, 7, 40, 600])
+def test_a_file_that_is_not_whole_is_made_anew(home: Path, size: int) -> None:
+    kept(Outer, "tea", Maker())
+    (path,) = (p for p in home.rglob("*") if p.is_file())
+    assert path.stat().st_size > 600
+    os.truncate(path, size)
+    make = Maker()
+    for _ in range(2):
+        assert_same(kept(Outer, "tea", make), Maker()())
+    assert make.calls == 1
+
+
+def test_another_version_of_the_code_makes_it_anew_and_only_the_newest_are_left(
+    home: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    make = Maker()
+    for number in range(3):
+        monkeypatch.setattr(module, "code_version", lambda n=number: f"version{n}")
+        kept(Outer, "tea", make)
+    assert make.calls == 3
+    assert sorted(p.name for p in (home / "tea").iterdir()) == ["version1", "version2"]
+
+
+def test_what_nobody_asks_for_goes(home: Path) -> None:
+    kept(Outer, "soup", Maker())
+    kept(Outer, "tea", Maker())
+    then = time.time() - 40 * 86400
+    os.utime(home / "soup" / code_version(), (then, then))
+    kept(Outer, "milk", Maker())
+    assert sorted(p.name for p in home.iterdir()) == ["milk", "tea"]

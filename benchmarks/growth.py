@@ -13,6 +13,7 @@ from __future__ import annotations
 import argparse
 import json
 import multiprocessing
+import os
 import resource
 import tempfile
 import time
@@ -34,7 +35,8 @@ from huepose.geometry import Camera, se3
 from huepose.geometry.arrays import Float64
 from huepose.geometry.frame import RgbdFrame
 from huepose.judge.silhouette import projected_box
-from huepose.model import load_models
+from huepose.model import load_models, save_model
+from huepose.model.io import model_path
 from huepose.model.types import ReferenceModel
 from huepose.perception.colorpair_detector import ColorPairDetector
 from huepose.profiles import profile
@@ -52,6 +54,7 @@ KNOWN, VISIBLE = (1, 2, 5, 10, 20, 50, 100), (1, 2, 5, 10, 20)
 SIZES = ((320, 240), (480, 360), (640, 480), (960, 720), (1280, 960))
 READERS = (1, 2, 5, 10, 20, 50, 100)
 IN_VIEW = 5
+WORKERS = ("tracker", "estimator", "detector")
 FRAMES, WARM = 24, 4
 POSE_BYTES, RATE_HZ, SECONDS = 600, 30.0, 4.0
 READERS_COME_S = 12.0
@@ -223,40 +226,49 @@ def pixels(which: Sequence[int]) -> Curves:
 
 
 def memory(counts: Sequence[int]) -> Curves:
-    """What a worker takes for itself, each started anew on files of their own."""
-    curves: Curves = {"tracker": [], "estimator": [], "detector": []}
+    """What a worker takes for itself, each started anew on files of its own, no two alike, and at its second
+    start, when what is derived from them is there. Five of the objects are asked for, or all."""
+    curves: Curves = {f"{worker}, {asked}": [] for asked in ("five seen", "all seen") for worker in WORKERS}
+    context = multiprocessing.get_context("spawn")
     with tempfile.TemporaryDirectory() as folder:
-        files = sorted(builtin_bundles(0).glob("*.huepose"))
-        context = multiprocessing.get_context("spawn")
         for count in progress(counts, "memory"):
-            for k, file in enumerate(islice(cycle(files), count)):
-                link = Path(folder, f"{file.stem}_{k:03d}.huepose")
-                if not link.exists():
-                    link.symlink_to(file)
-            for worker in curves:
-                with context.Pool(1) as pool:
-                    curves[worker].append((count, pool.apply(own_mib, (worker, folder))))
+            for name, model in copies(count).items():
+                if not model_path(folder, name).exists():
+                    save_model(model, model_path(folder, name))
+            for worker in WORKERS:
+                for asked in (count, min(count, IN_VIEW), count):
+                    with context.Pool(1) as pool:
+                        own = pool.apply(own_mib, (worker, folder, asked))
+                    curve = curves[f"{worker}, {'five' if asked == min(count, IN_VIEW) else 'all'} seen"]
+                    curve[:] = [*(point for point in curve if point[0] != count), (count, own)]
     return curves
 
 
-def own_mib(worker: str, folder: str) -> float:
-    """MiB that a process has for itself with all models of a folder ready."""
-    models = {}
-    for path in sorted(Path(folder).glob("*.huepose")):
-        (model,) = load_models(folder, [path.stem]).values()
-        models[path.stem] = replace(model, name=path.stem)
+def own_mib(worker: str, folder: str, asked: int) -> float:
+    """MiB that a process has for itself with all models of a folder ready, after the first `asked` of them
+    were in a picture."""
+    os.environ["XDG_CACHE_HOME"] = folder
+    models = load_models(folder)
+    names = list(models)[:asked]
+    shown = ((name, picture({name: models[name]}, 1, 0)) for name in names)
     held: Any
     if worker == "tracker":
         held = Tracker(models)
-        for name, model in models.items():
-            frame = picture({name: model}, 1, 0)
-            held.correct(Correction.first(name, truth(model, 0, 0, 1), frame))
+        held.warm_up()
+        for name, frame in shown:
+            held.correct(Correction.first(name, truth(models[name], 0, 0, 1), frame))
+            held.step(frame)
     elif worker == "estimator":
         held = Estimator(models)
         held.warm_up()
+        for name, frame in shown:
+            box = projected_box(models[name], frame, truth(models[name], 0, 0, 1))
+            held.estimate(frame, [ObjectQuery(name, box)])
     else:
         held = ColorPairDetector(models)
         held.warm_up()
+        for name, frame in shown:
+            held.detect(frame, [name])
     pages = Path("/proc/self/smaps_rollup").read_text().splitlines()
     own = sum(int(line.split()[1]) for line in pages if line.startswith(("Private_Dirty", "Private_Clean")))
     return own / 1024 if held is not None else 0.0

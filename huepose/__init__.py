@@ -5,7 +5,9 @@ The front door. Everything is imported when it is first used, so that importing 
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
+
+from huepose.support.deferred import deferred
 
 if TYPE_CHECKING:
     from huepose.estimation import Estimator, ObjectQuery, PoseEstimate
@@ -41,10 +43,4 @@ __all__ = [
     "load_models",
 ]
 
-
-def __getattr__(name: str) -> Any:
-    if name in _HOMES:
-        import importlib
-
-        return getattr(importlib.import_module(_HOMES[name]), name)
-    raise AttributeError(f"module 'huepose' has no attribute {name!r}")
+__getattr__ = deferred(__name__, _HOMES)

@@ -24,14 +24,18 @@ from huepose.support.errors import InputError
 MAGIC = b"HUELOOP1"
 DEPTH_SCALE_M = 1e-4
 _ALIGN = 16
+_END = 24
+"""Bytes after the table: its length, the checksum of all before, and MAGIC."""
+_CHUNK = 1024 * 1024
 
 
 @dataclass(frozen=True, eq=False)
 class Loop:
-    """An opened loop: `facts` as they were stored, and the pictures."""
+    """An opened loop: `facts` as they were stored, and the pictures. These are read, not mapped: a loop that
+    is played would lie whole in the process's memory."""
 
     facts: dict[str, Any]
-    _bytes: UInt8
+    _path: Path
     _index: list[tuple[int, int, int]]
     _size: tuple[int, int]
 
@@ -41,7 +45,7 @@ class Loop:
     def color(self, i: int) -> UInt8:
         """Colour (H, W, 3) uint8 RGB."""
         at, length, _ = self._index[i]
-        image = cv2.imdecode(self._bytes[at : at + length], cv2.IMREAD_COLOR_RGB)
+        image = cv2.imdecode(self._read(at, length), cv2.IMREAD_COLOR_RGB)
         assert image is not None
         return np.asarray(image, np.uint8)
 
@@ -49,8 +53,11 @@ class Loop:
         """Depth (H, W) float32 metres, 0 = none."""
         at = self._index[i][2]
         height, width = self._size
-        raw: UInt16 = self._bytes[at : at + 2 * height * width].view(np.uint16)
+        raw: UInt16 = self._read(at, 2 * height * width).view(np.uint16)
         return raw.reshape(height, width) * np.float32(DEPTH_SCALE_M)
+
+    def _read(self, at: int, length: int) -> UInt8:
+        return np.fromfile(self._path, np.uint8, length, offset=at)
 
 
 def write_loop(
@@ -109,16 +116,19 @@ def _write(out: Any, frames: Iterable[tuple[UInt8, Float32, dict[str, Any]]], fa
 def open_loop(path: Path) -> tuple[Loop, list[dict[str, Any]]] | None:
     """The loop in `path` and the facts of its frames; None when there is none, or not a whole one."""
     try:
-        data = np.memmap(path, np.uint8, "r")
-    except (OSError, ValueError):
+        with path.open("rb") as file:
+            size = max(os.fstat(file.fileno()).st_size - _END, 0)
+            check = 0
+            for at in range(0, size, _CHUNK):
+                check = zlib.crc32(file.read(min(_CHUNK, size - at)), check)
+            end = file.read(_END)
+            length = int.from_bytes(end[:8], "little")
+            if end[16:] != MAGIC or length > size or int.from_bytes(end[8:16], "little") != check:
+                return None
+            file.seek(size - length)
+            stored = json.loads(file.read(length))
+    except OSError:
         return None
-    end = bytes(data[-24:])
-    if len(end) < 24 or end[16:] != MAGIC:
-        return None
-    length, check = int.from_bytes(end[:8], "little"), int.from_bytes(end[8:16], "little")
-    if length > len(data) - 24 or zlib.crc32(data[:-24].data) != check:
-        return None
-    stored = json.loads(bytes(data[len(data) - 24 - length : -24]))
     height, width = stored["size"]
     index = [(int(a), int(b), int(c)) for a, b, c in stored["index"]]
-    return Loop(stored["facts"], data, index, (height, width)), stored["rows"]
+    return Loop(stored["facts"], path, index, (height, width)), stored["rows"]

@@ -17,12 +17,12 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
 from dataclasses import fields, is_dataclass
 from functools import cache
+from importlib.metadata import version
 from pathlib import Path
 from typing import Any, TypeVar, cast, get_type_hints
 
 import numpy as np
 from cv2 import __version__ as cv2_version
-from numba import __version__ as numba_version
 from numpy import __version__ as numpy_version
 
 from huepose.support.files import cache_folder
@@ -68,7 +68,7 @@ def code_version() -> str:
     for path in sorted(Path(__file__).parents[1].rglob("*")):
         if path.suffix in (".py", ".json", ".onnx"):
             digest.update(path.read_bytes())
-    digest.update(f"{numpy_version} {cv2_version} {numba_version}".encode())
+    digest.update(f"{numpy_version} {cv2_version} {version('numba')}".encode())
     return digest.hexdigest()[:16]
 
 

@@ -236,12 +236,17 @@ def memory(counts: Sequence[int]) -> Curves:
                 if not model_path(folder, name).exists():
                     save_model(model, model_path(folder, name))
             for worker in WORKERS:
-                for asked in (count, min(count, IN_VIEW), count):
-                    with context.Pool(1) as pool:
-                        own = pool.apply(own_mib, (worker, folder, asked))
-                    curve = curves[f"{worker}, {'five' if asked == min(count, IN_VIEW) else 'all'} seen"]
-                    curve[:] = [*(point for point in curve if point[0] != count), (count, own)]
+                in_fresh_process(context, own_mib, worker, folder, count)
+                for seen, asked in (("five seen", min(count, IN_VIEW)), ("all seen", count)):
+                    own = in_fresh_process(context, own_mib, worker, folder, asked)
+                    curves[f"{worker}, {seen}"].append((count, own))
     return curves
+
+
+def in_fresh_process(context: Any, work: Callable[..., float], *arguments: object) -> float:
+    """What a process that is started for it gives."""
+    with context.Pool(1) as pool:
+        return float(pool.apply(work, arguments))
 
 
 def own_mib(worker: str, folder: str, asked: int) -> float:

@@ -19,6 +19,7 @@ from huepose.judge.arrays import ModelArrays, model_arrays
 from huepose.judge.open_region import SCALES_M, OpenRegion
 from huepose.judge.terms import Terms, score_arrays
 from huepose.model.types import ReferenceModel
+from huepose.support.kept import kept
 
 SAMPLES = 400
 """Surface samples of a close look."""
@@ -36,12 +37,11 @@ class PreparedSurface:
 
     @staticmethod
     def of(model: ReferenceModel) -> PreparedSurface:
-        """Prepare a reference model (some 10 ms)."""
+        """Prepare a reference model."""
         arrays = model_arrays(model)
-        points, colors = arrays.points, arrays.colors
-        coarse = _averaged(points, arrays.normals, colors[1], SCALES_M[1], SCALES_M[2])
+        points = arrays.points
         return PreparedSurface(
-            arrays._replace(colors=np.ascontiguousarray(np.concatenate([colors[:2], coarse[None]]))),
+            arrays._replace(colors=kept(_Colors, model.digest, lambda: _colors(arrays)).scales),
             float(model.diameter_m),
             _thickness(points),
             float(np.linalg.norm(points - arrays.centre, axis=1).max()),
@@ -71,6 +71,19 @@ class PreparedSurface:
         u, v = p[:, 0] / p[:, 2] * camera.fx + camera.cx, p[:, 1] / p[:, 2] * camera.fy + camera.cy
         x, y = float(u.min()), float(v.min())
         return Box(x, y, float(u.max()) - x, float(v.max()) - y)
+
+
+@dataclass(frozen=True, eq=False)
+class _Colors:
+    """scales (3, N, 3) float32: opponents of the samples at SCALES_M."""
+
+    scales: Float32
+
+
+def _colors(arrays: ModelArrays) -> _Colors:
+    colors = arrays.colors
+    coarse = _averaged(arrays.points, arrays.normals, colors[1], SCALES_M[1], SCALES_M[2])
+    return _Colors(np.ascontiguousarray(np.concatenate([colors[:2], coarse[None]])))
 
 
 def _thickness(points: Float32) -> float:

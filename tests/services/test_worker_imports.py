@@ -21,3 +21,21 @@ print(*sorted({name.split(".")[0] for name in sys.modules} & {"open3d", "dash", 
 def test_workers_do_without_what_only_onboarding_and_training_need() -> None:
     done = subprocess.run([sys.executable, "-c", IMPORT_ALL], capture_output=True, text=True, timeout=100.0)
     assert (done.returncode, done.stdout.strip()) == (0, ""), done.stderr
+
+
+WITHOUT_KERNELS = """
+import sys
+from importlib import import_module
+from huepose_services.runtime.worker import _HOMES
+for worker in ("camera", "reinit"):
+    import_module(_HOMES[worker])
+print(*sorted({name.split(".")[0] for name in sys.modules} & {"numba", "scipy", "onnxruntime"}))
+"""
+
+
+def test_camera_and_reinitialisation_load_no_kernels() -> None:
+    """Kernels take 45 MiB and over a second of CPU time at every start."""
+    done = subprocess.run(
+        [sys.executable, "-c", WITHOUT_KERNELS], capture_output=True, text=True, timeout=100.0
+    )
+    assert (done.returncode, done.stdout.strip()) == (0, ""), done.stderr

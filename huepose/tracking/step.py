@@ -21,8 +21,8 @@ from huepose.geometry.mesh import Mesh
 from huepose.judge.borders import Contours
 from huepose.judge.open_region import OpenRegion, open_region
 from huepose.judge.silhouette import visible_within
-from huepose.judge.surface import PreparedSurface, look, totals
-from huepose.judge.terms import NOTHING
+from huepose.judge.surface import SAMPLES, PreparedSurface, look, totals
+from huepose.judge.terms import NOTHING, score_arrays
 from huepose.model.types import ReferenceModel
 from huepose.perception.window_table import WindowTable, window_table
 from huepose.propose import flow as optical_flow
@@ -60,16 +60,22 @@ RETURNING_SEEN = 0.2
 """When this much of an object is seen again after it was hidden, it may have turned meanwhile."""
 
 
+SMALL_TURN = np.radians(45.0)
+"""Only about an axis of revolution does a shape nearly fit itself after so little."""
+
+
 @dataclass(frozen=True, eq=False)
 class Subject:
     """The object: its reference model and prepared surface, and the rotations (M, 4, 4) that nearly map its
-    shape to itself, without the identity; other_turns: those of them after which a pose is wrong; contours:
+    shape to itself, without the identity; other_turns: those of them after which a pose is wrong;
+    small_turns: of these those about an axis of revolution, by which it can be slid in small steps; contours:
     where it ends, seen from anywhere."""
 
     model: ReferenceModel
     surface: PreparedSurface
     near_symmetries: Float64
     other_turns: Float64
+    small_turns: Float64
     contours: Contours
 
     @staticmethod
@@ -78,7 +84,8 @@ class Subject:
         turns = np.asarray(model.near_symmetries[1:], np.float64)
         other = [not _same_turn(model, turn) for turn in turns]
         contours, wrong = Contours.of(model), turns[np.array(other, bool)]
-        return Subject(model, contours.surface, turns, wrong, contours)
+        small = [se3.rotation_angle(turn, np.eye(4)) <= SMALL_TURN for turn in wrong]
+        return Subject(model, contours.surface, turns, wrong, wrong[np.array(small, bool)], contours)
 
     @property
     def mesh(self) -> Mesh:
@@ -136,13 +143,14 @@ class Advance:
     """What may be believed of a frame: followed, one for each hypothesis of the anchor in their order;
     proposed: others, by flow, search and near-symmetric rotations; tried: how many dear proposals were made;
     doubtful: the best of them explains less than the object should; begun: what is to be tried next, END when
-    all was."""
+    all was; margin: by how much the first that was followed explains more than after a small turn."""
 
     followed: tuple[Hypothesis, ...]
     proposed: tuple[Hypothesis, ...] = ()
     tried: int = 0
     doubtful: bool = False
     begun: int = FLOW
+    margin: float = np.inf
 
 
 def advance(
@@ -174,7 +182,8 @@ def advance(
     if not far.holds(surface.centre_cam(followed[0].T_cam_obj)):
         # Nothing moves that fast: what was followed is what came in front.
         followed[0] = unmoved(surface, frame, expected, anchor.light)
-    best = max(followed, key=lambda h: h.terms.total)
+    margin, proposed = _slid(subject, frame, followed[0], anchor.light)
+    best = max([*followed, *proposed], key=lambda h: h.terms.total)
     long = seconds > config.long_step_s
     doubt = config.long_doubt if long else config.doubt
     returning = anchor.unseen_s > 0.0 and best.terms.seen >= RETURNING_SEEN
@@ -182,12 +191,11 @@ def advance(
     doubtful = not convincing(best, anchor.baseline, doubt, config)
     uneasy = surprising or returning or begun > NEAR
     if not (doubtful or uneasy):
-        return Advance(tuple(followed))
+        return Advance(tuple(followed), proposed, margin=margin)
     if doubtful and (resting or best.terms.hidden > config.hidden) and not (long or returning):
-        return Advance(tuple(followed), doubtful=True)
+        return Advance(tuple(followed), proposed, doubtful=True, margin=margin)
     # What is back in full view as it was before was followed rightly, or is taken for another side of itself.
     back = not long and begun <= NEAR and in_full(best, anchor.baseline, config)
-    proposed: list[Hypothesis] = []
     tried, rung = 0, begun
     while rung < END:
         wide = FAR <= rung < TURN
@@ -221,11 +229,28 @@ def advance(
         else:
             found = search(surface, frame, near, NORMAL_EFFORT, anchor.light)
             starts = [[(T, "search")] for T in found]
-        proposed += [best_of(surface, frame, one, anchor.light, 0) for one in starts]
+        proposed += tuple(best_of(surface, frame, one, anchor.light, 0) for one in starts)
         best = max([best, *proposed], key=lambda h: h.terms.total)
         doubtful = not convincing(best, anchor.baseline, doubt, config)
         tried, rung = tried + steps, rung + steps
-    return Advance(tuple(followed), tuple(proposed), tried, doubtful, rung)
+    return Advance(tuple(followed), proposed, tried, doubtful, rung, margin)
+
+
+def _slid(
+    subject: Subject, frame: RgbdFrame, followed: Hypothesis, light: Float64 | None
+) -> tuple[float, tuple[Hypothesis, ...]]:
+    """By how much a pose explains more than after the likeliest small turn, which is proposed where it
+    explains more."""
+    T, surface = followed.T_cam_obj, subject.surface
+    region = region_of(surface, frame, T) if len(subject.small_turns) else None
+    if region is None:
+        return np.inf, ()
+    poses = np.ascontiguousarray(T @ subject.small_turns)
+    rated = score_arrays(surface.arrays, region.lit(light).arrays, poses, SAMPLES)[:, 0]
+    margin = followed.terms.total - float(rated.max())
+    if margin >= 0.0:
+        return margin, ()
+    return margin, (best_of(surface, frame, [(poses[int(rated.argmax())], "turn")], light, 0),)
 
 
 def found_elsewhere(

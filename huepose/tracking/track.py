@@ -25,7 +25,7 @@ from huepose.tracking.hypothesis import Hypothesis, distinct, share_of_first
 from huepose.tracking.identity import Identity, turned_over
 from huepose.tracking.motion import filtered, increment_velocity, predicted
 from huepose.tracking.reach import jump_odds, most_turned
-from huepose.tracking.rival import COSTS, Facing, alike, best_rival, reached
+from huepose.tracking.rival import COSTS, SHARPNESS, Facing, alike, best_rival, reached
 from huepose.tracking.step import (
     END,
     FLOW,
@@ -126,6 +126,8 @@ class Track:
         resting = tried_enough and self._doubtful_frames % TRY_AGAIN_AFTER != 0
         anchor = Anchor(self.hypotheses, self.frame, self.baseline, self.light, mask, self._unseen_s)
         found = advance(self.subject, anchor, frame, self._config, relative_pose, resting, self._begun, tries)
+        if self._facing is not None and probability(SHARPNESS * found.margin) < self._config.tracking_quality:
+            self._facing = self._facing.jumped(self._view())  # It may be slid about its axis unnoticed.
         self._take(anchor, found, frame)
         # A short step has time for one of the two; after a long one nothing can be told without asking.
         short = (frame.stamp_ns - anchor.frame.stamp_ns) * 1e-9 <= self._config.long_step_s

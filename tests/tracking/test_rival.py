@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 
+from huepose.evaluation import metrics
 from huepose.geometry import Camera, Mesh, RgbdFrame, se3
 from huepose.judge.borders import Contours, outline
 from huepose.judge.surface import PreparedSurface
@@ -10,6 +11,8 @@ from huepose.model import ReferenceModel
 from huepose.onboarding import onboard_mesh
 from huepose.rendering import render
 from huepose.scenes.room import sheet
+from huepose.select.distinct import RIGHT
+from huepose.tracking import Correction, State, Tracker
 from huepose.tracking.hypothesis import Hypothesis
 from huepose.tracking.rival import NEW_VIEW, SETTLED, Facing, alike, best_rival, reached
 from huepose.tracking.step import Subject, best_of
@@ -100,3 +103,46 @@ def test_what_the_image_tells_of_one_view_counts_once() -> None:
     assert facing.open(aside)
     assert facing.told(1.0, aside).value > SETTLED
     assert facing.told(1.0, aside).jumped(aside).probability == pytest.approx(0.5)
+
+
+@pytest.fixture(scope="module")
+def half_plain_can() -> ReferenceModel:
+    """A label on a third of the way round, the rest of one colour."""
+    return onboard_mesh(builtin_meshes(0)["half_plain_can"], "half_plain_can")
+
+
+def spinning(number: int) -> np.ndarray:
+    """Upright before the camera, turned about its axis by 9 degrees a frame, now faster and now slower."""
+    turned = 0.15 * number + 0.6 * np.sin(number / 5.0)
+    R = se3.rotation_exp(np.array([1.5, 0.1, 0.05])) @ se3.rotation_exp(np.array([0.0, 0.0, turned]))
+    return se3.make(R, np.array([0.03 * np.sin(number / 9.0), 0.0, 0.5]))
+
+
+def test_a_can_whose_label_is_behind_is_not_believed(half_plain_can: ReferenceModel) -> None:
+    tracker, rng, states = Tracker({"half_plain_can": half_plain_can}), np.random.default_rng(4), []
+    tiles = rng.integers(40, 200, (15, 20, 3)).astype(np.uint8)
+    wall = np.repeat(np.repeat(tiles, 16, 0), 16, 1)
+    for number in range(70):
+        T = spinning(number)
+        seen = render([(half_plain_can.mesh, T)], CAMERA)
+        there = seen.depth > 0
+        color = np.where(there[..., None], seen.color, wall) + rng.normal(0.0, 2.0, wall.shape)
+        depth = np.where(there, seen.depth, np.float32(1.1))
+        shown = np.clip(np.round(color), 0, 255).astype(np.uint8)
+        frame = RgbdFrame(shown, depth, CAMERA, number, number * 33_333_333, 1)
+        if number == 0:
+            tracker.correct(Correction.first("half_plain_can", T, frame))
+        (pose,) = tracker.step(frame)
+        states.append(pose.state)
+        if pose.state is State.TRACKING:
+            assert pose.T_cam_obj is not None
+            error_m = metrics.add(half_plain_can.eval_points, pose.T_cam_obj, T)
+            assert error_m < RIGHT * half_plain_can.diameter_m, number
+    assert states.count(State.TRACKING) >= 10, "while the label is seen"
+
+
+def test_only_what_is_round_can_be_slid_in_small_steps(plain_box, half_plain_can) -> None:
+    assert len(Subject.of(plain_box).small_turns) == 0
+    small = Subject.of(half_plain_can).small_turns
+    assert len(small) >= 2
+    assert all(se3.rotation_angle(turn, np.eye(4)) < np.radians(46.0) for turn in small)

@@ -51,7 +51,7 @@ def kept(kind: type[T], digest: str | None, make: Callable[[], T]) -> T:
         if (found := _mapped(path)) is not None:
             return _assembled(kind, found)
         path.parent.mkdir(parents=True, exist_ok=True)
-        with _alone(path.parent):
+        with _alone(path):
             if _mapped(path) is None:
                 _write(path, make())
                 _tidy(home)
@@ -137,14 +137,12 @@ def _mapped(path: Path) -> dict[str, np.ndarray] | None:
 
 
 @contextmanager
-def _alone(folder: Path) -> Iterator[None]:
-    """Of several processes one makes it, and the others wait for it."""
-    handle = os.open(folder, os.O_RDONLY)
-    try:
-        fcntl.flock(handle, fcntl.LOCK_EX)
+def _alone(path: Path) -> Iterator[None]:
+    """Of several processes one makes it, and the others wait for it. What it is made of may be kept as well:
+    each has a lock of its own."""
+    with path.with_name(f".{path.name}.lock").open("w") as lock:
+        fcntl.flock(lock, fcntl.LOCK_EX)
         yield
-    finally:
-        os.close(handle)
 
 
 def _tidy(home: Path) -> None:

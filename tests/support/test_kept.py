@@ -2,6 +2,7 @@ from __future__ import annotations
 
 import os
 import time
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -91,7 +92,7 @@ def test_without_a_file_or_a_folder_it_is_made_and_not_kept(home: Path) -> None:
 @pytest.mark.parametrize("size", [0, 7, 40, 600])
 def test_a_file_that_is_not_whole_is_made_anew(home: Path, size: int) -> None:
     kept(Outer, "tea", Maker())
-    (path,) = (p for p in home.rglob("*") if p.is_file())
+    (path,) = (p for p in home.rglob("tests*") if p.is_file())
     assert path.stat().st_size > 600
     os.truncate(path, size)
     make = Maker()
@@ -118,3 +119,30 @@ def test_what_nobody_asks_for_goes(home: Path) -> None:
     os.utime(home / "soup" / code_version(), (then, then))
     kept(Outer, "milk", Maker())
     assert sorted(p.name for p in home.iterdir()) == ["milk", "tea"]
+
+
+@pytest.mark.timeout(20)
+def test_it_may_be_made_of_what_is_kept_of_the_same_file() -> None:
+    def make() -> Outer:
+        return Outer(
+            kept(Inner, "tea", lambda: Maker()().inner),
+            np.arange(5, dtype=np.uint16),
+            np.zeros((0, 3), np.float32),
+            16,
+        )
+
+    assert_same(kept(Outer, "tea", make), Maker()())
+
+
+def test_two_threads_make_it_once() -> None:
+    make = Maker()
+
+    def slowly() -> Outer:
+        time.sleep(0.2)
+        return make()
+
+    with ThreadPoolExecutor(4) as pool:
+        found = list(pool.map(lambda _: kept(Outer, "tea", slowly), range(4)))
+    for one in found:
+        assert_same(one, Maker()())
+    assert make.calls == 1

@@ -17,7 +17,13 @@ from huepose.onboarding.from_video.fusion import FEW_CELLS, Fused, fused
 from huepose.onboarding.from_video.loops import Edge, relaxed
 from huepose.onboarding.from_video.masks import cut, object_mask, view_at, window_of
 from huepose.onboarding.from_video.paint import painted
-from huepose.onboarding.from_video.registration import Registered, followed, registered, surface_of
+from huepose.onboarding.from_video.registration import (
+    Registered,
+    followed,
+    registered,
+    surface_of,
+    turned_about,
+)
 from huepose.onboarding.from_video.selection import Selection, first_mask
 from huepose.onboarding.from_video.views import View, eroded
 from huepose.onboarding.reference import Report, silent
@@ -37,6 +43,9 @@ SEEN = 0.5
 
 COLORED = 0.2
 """Correlation of colours that a pose must have: round and flat sides agree in depth at wrong poses, too."""
+
+CLOSES = 0.9
+"""Of what a pose explains by the views before it, it must explain by those of long ago."""
 
 POLISHES = 2
 """Rounds of fusing all views and registering each with what the others fused to."""
@@ -119,7 +128,8 @@ def learn(frames: Iterable[RgbdFrame], selection: Selection, report: Report = si
 
 @dataclass(eq=False)
 class _Track:
-    """What is known while frames come in. path: turn up to each view, radians."""
+    """What is known while frames come in. path: turn up to each view, radians; total: what the last pose
+    explains of its frame."""
 
     ground: Float64 | None
     radius_m: float
@@ -134,6 +144,7 @@ class _Track:
     path: list[float] = field(default_factory=lambda: [0.0])
     closing_m: list[float] = field(default_factory=list)
     misses: dict[str, int] = field(default_factory=dict)
+    total: float = 0.0
 
     @staticmethod
     def begun(frame: RgbdFrame, selection: Selection) -> _Track:
@@ -163,6 +174,8 @@ class _Track:
         flowed = followed(self.frame, self.mask, self.T_cam_obj, frame)
         guesses = [T for T in (flowed, self.T_cam_obj) if T is not None]
         found = registered(self.surface, frame, guesses)
+        if _doubt(found):
+            found = registered(self.surface, frame, turned_about(guesses[0]))
         why = _doubt(found)
         if found is None or why:
             self.misses[why] = self.misses.get(why, 0) + 1
@@ -172,7 +185,7 @@ class _Track:
         if view is None:
             self.misses["it left the picture"] = self.misses.get("it left the picture", 0) + 1
             return False
-        self.frame, self.T_cam_obj = frame, T
+        self.frame, self.T_cam_obj, self.total = frame, T, found.terms.total
         self.mask = np.zeros(frame.depth.shape, bool)
         window = window_of(frame, T, 1.6 * self.radius_m)
         assert window is not None
@@ -225,8 +238,8 @@ class _Track:
             v for v, way in zip(self.views, self.path, strict=True) if abs(way - self.path[k]) < LOCAL / 2
         ]
         surface = surface_of(fused(beside, cells=FEW_CELLS), beside, newest.T_cam_obj)
-        found = None if surface is None else registered(surface, newest.frame, [newest.T_cam_obj])
-        if found is None or _doubt(found):
+        found = None if surface is None else registered(surface, newest.frame, turned_about(newest.T_cam_obj))
+        if found is None or _doubt(found) or found.terms.total < CLOSES * self.total:
             return False
         apart = se3.inverse(found.T_cam_obj) @ newest.T_cam_obj
         ends = se3.apply(apart, newest.points_obj) - newest.points_obj

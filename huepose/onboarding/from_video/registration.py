@@ -32,6 +32,10 @@ WINDOW = 0.35
 """Of the object's box: room around it for its motion in a frame."""
 
 
+TURNS = np.radians([-24.0, -12.0, 12.0, 24.0])
+"""From starts this far apart, to each side of a pose, the right one is reached."""
+
+
 @dataclass(frozen=True, eq=False)
 class Registered:
     """T_cam_obj (4, 4); terms: what the pose explains; information (6, 6) as in `refine`."""
@@ -112,6 +116,13 @@ def registered(surface: PreparedSurface, frame: RgbdFrame, guesses: Sequence[Flo
             if best is None or terms.total > best.terms.total:
                 best = Registered(found.T_cam_obj, terms, found.information)
     return best
+
+
+def turned_about(T_cam_obj: Float64) -> list[Float64]:
+    """A pose, and those turned from it about each of the camera's axes."""
+    turns = [se3.rotation_exp(angle * axis) for axis in np.eye(3) for angle in TURNS]
+    R, t = T_cam_obj[:3, :3], T_cam_obj[:3, 3]
+    return [T_cam_obj, *(se3.make(turn @ R, t) for turn in turns)]
 
 
 def followed(last: RgbdFrame, mask: Bool, T_cam_obj: Float64, frame: RgbdFrame) -> Float64 | None:

@@ -17,6 +17,9 @@ from huepose.support.errors import InputError
 REACH_M = 0.5
 """The ground is looked for this far around the object."""
 
+NARROWEST_M = 0.15
+"""What carries an object reaches beyond it on all sides: fingers and arms are narrower."""
+
 LARGEST_SHARE = 0.4
 """Of the picture: more than this is a room and no object."""
 
@@ -122,9 +125,11 @@ def _ground(frame: RgbdFrame, seed_cam: Float64, beside: Bool) -> Float64 | None
         found, inliers = cloud.segment_plane(slack / 2, 3, 1000)
         if len(inliers) < fewest:
             return None
+        spread = around[inliers] - around[inliers].mean(0)
+        across = np.ptp(spread @ np.linalg.eigh(spread.T @ spread)[1][:, 1])
         plane = np.asarray(found) / np.linalg.norm(found[:3])
         plane = plane if plane[3] > 0 else -plane  # the camera lies above it
-        if seed_cam @ plane[:3] + plane[3] > slack:
+        if across > NARROWEST_M and seed_cam @ plane[:3] + plane[3] > slack:
             return np.asarray(plane, np.float64)
         around = np.delete(around, inliers, axis=0)
     return None

@@ -64,6 +64,27 @@ def features(seen: Sight) -> dict[str, float]:
     }
 
 
+USUAL = {"fit": 0.43, "color": -0.23, "free_rim": 1.0, "ends": 0.0, "likeness": 0.28, "pixels": 5.99}
+"""Of poses that are right: medians on the 648 of the set that the weights are fitted to."""
+
+DOUBTS = {
+    "fit": "the depth fits its surface too little",
+    "color": "its texture is not seen there",
+    "free_rim": "a surface goes on where the object ends",
+    "ends": "surface and colour go on beyond its outline",
+    "likeness": "the picture looks unlike it",
+    "pixels": "too few pixels show it",
+}
+
+
+def greatest_doubt(seen: Sight, fit: Logistic | None = None) -> str:
+    """What speaks most against the object, in words: the feature that costs the most log-odds beside those
+    of poses that are right."""
+    fit, values = fit or presence_fit(), features(seen)
+    costs = {name: fit.factors[name] * (USUAL[name] - x) for name, x in values.items()}
+    return DOUBTS[max(costs, key=lambda name: costs[name])]
+
+
 def logits_of(sights: Sequence[Sight], fit: Logistic | None = None) -> Float64:
     """Logit (N,) of each sight."""
     fit = fit or presence_fit()

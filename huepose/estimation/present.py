@@ -11,13 +11,15 @@ from collections.abc import Callable, Mapping, Sequence
 import numpy as np
 
 from huepose.believe.logistic import probability
+from huepose.believe.presence import greatest_doubt, logits_of
 from huepose.believe.quality import features, quality_fits
 from huepose.estimation.config import Method, StandingConfig
 from huepose.estimation.types import PoseEstimate
+from huepose.geometry.arrays import Float64
 from huepose.geometry.frame import RgbdFrame
 from huepose.model.types import ReferenceModel
 from huepose.perception.clear_view import clear_view
-from huepose.perception.presence import presences
+from huepose.perception.presence import sights_of
 
 Presence = Callable[[RgbdFrame, Sequence[PoseEstimate]], Sequence[float]]
 """Of the answers of a frame, the probability of each that its object is there."""
@@ -39,11 +41,42 @@ def presences_of(
 ) -> list[float]:
     """Probability for each answer of a method that its object is there, 0 where none was found. Raises
     KeyError for an answer about an object that is not in `models`."""
+    return [chance for chance, _ in presences_with_doubts(frame, models, answers, method, config)]
+
+
+def presences_with_doubts(
+    frame: RgbdFrame,
+    models: Mapping[str, ReferenceModel],
+    answers: Sequence[PoseEstimate],
+    method: Method,
+    config: StandingConfig | None = None,
+) -> list[tuple[float, str]]:
+    """The same, each with what speaks most against the object, in words; empty where no pose was found."""
     config = config or StandingConfig()
     view = clear_view(frame, max((m.diameter_m for m in models.values()), default=0.0))
-    poses = [(a.object, a.T_cam_obj) for a in answers if a.T_cam_obj is not None]
-    logits = iter(np.full(len(poses), -np.inf) if view is None else presences(view, models, poses))
-    return [0.0 if a.T_cam_obj is None else _chance(float(next(logits)), a, method, config) for a in answers]
+    posed = [a for a in answers if a.T_cam_obj is not None]
+    if view is None:
+        return [(0.0, "")] * len(answers)
+    sights = sights_of(view, models, [(a.object, a.T_cam_obj) for a in posed if a.T_cam_obj is not None])
+    seen = {
+        id(a): (_chance(float(logit), a, method, config), greatest_doubt(sight))
+        for a, sight, logit in zip(posed, sights, logits_of(sights), strict=True)
+    }
+    return [seen.get(id(a), (0.0, "")) for a in answers]
+
+
+def places_with_doubts(
+    frame: RgbdFrame, models: Mapping[str, ReferenceModel], poses: Sequence[tuple[str, Float64]]
+) -> list[tuple[float, str]]:
+    """Of named objects at poses T_cam_obj (4, 4) that nobody estimated: the probability that they are there
+    by what is seen alone, and what speaks most against it, in words."""
+    view = clear_view(frame, max((m.diameter_m for m in models.values()), default=0.0))
+    if view is None:
+        return [(0.0, "nothing stands there")] * len(poses)
+    sights = sights_of(view, models, poses)
+    return [
+        (probability(float(x)), greatest_doubt(s)) for s, x in zip(sights, logits_of(sights), strict=True)
+    ]
 
 
 def _chance(logit: float, answer: PoseEstimate, method: Method, config: StandingConfig) -> float:

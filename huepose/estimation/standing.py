@@ -34,19 +34,23 @@ def why_none_stands(
     name: str,
     answers: Sequence[PoseEstimate],
     chances: Sequence[float],
+    doubts: Sequence[str] = (),
     config: StandingConfig | None = None,
 ) -> str:
     """Why no pose of an object stands, in one sentence: of the likeliest of its answers where it has any.
 
-    answers, chances: as for `standing_answers`, of all objects of the frame."""
+    answers, chances: as for `standing_answers`, of all objects of the frame; doubts: of each answer, what
+    speaks most against its object (`estimation.present`)."""
     least = (config or StandingConfig()).present
-    mine = [(chance, a) for a, chance in zip(answers, chances, strict=True) if a.object == name]
+    doubts = doubts or [""] * len(answers)
+    mine = [x for x in zip(chances, answers, doubts, strict=True) if x[1].object == name]
     if not mine:
         return "The detector found no place in the frame that looks like the object."
-    chance, best = max(mine, key=lambda item: item[0])
+    chance, best, doubt = max(mine, key=lambda item: item[0])
     if not best.found:
         return best.reason
     places = "the only place" if len(mine) == 1 else f"the best of {len(mine)} places"
     if chance >= least:
         return f"Another object explains the surface at {places} better."
-    return f"At {places} the object is there with a probability of {chance:.2f}, which is under {least:.2f}."
+    said = f"At {places} the object is there with a probability of {chance:.2f}, which is under {least:.2f}"
+    return f"{said}: {doubt}." if doubt else f"{said}."

@@ -32,6 +32,7 @@ from huepose.perception.presence import presences
 from huepose.perception.scouting import EFFORTS, Effort, Proposal, propose
 from huepose.perception.types import Detection
 from huepose.perception.window_table import WindowTable, window_table
+from huepose.perception.windows import WindowsBySize
 from huepose.propose.features import FeatureSource, Sift
 from huepose.propose.keypoint_reference import build_keypoints
 from huepose.propose.keypoints import Sought, Spots, agreed, match
@@ -85,12 +86,13 @@ class ColorPairDetector:
             return []
         proposals = self.config.proposals
         most = max(proposals, self.config.pool) if len(names) > 1 else proposals
-        guesses = self._guesses(view)
+        guesses, windows = self._guesses(view), WindowsBySize(view)
         places = {
             name: propose(
                 self._model(name),
                 self._table(name),
                 view,
+                windows.of(self._model(name).diameter_m),
                 most,
                 self._efforts(name, thorough),
                 None if guesses is None else partial(guesses, name),

@@ -34,6 +34,13 @@ def presences(
 ) -> Float64:
     """Logit (N,) of the probability for each named object that it is where its pose T_cam_obj (4, 4) says. A
     pose that is turned the wrong way looks less like it, and a plain thing the same."""
+    return logits_of(sights_of(view, models, poses))
+
+
+def sights_of(
+    view: ClearView, models: Mapping[str, ReferenceModel], poses: Sequence[tuple[str, Float64]]
+) -> list[Sight]:
+    """What is seen of each named object at its pose T_cam_obj (4, 4), only as closely as it is doubtful."""
     regions = {name: view.region(models[name].diameter_m) for name, _ in poses}
     sights = [sight(view, regions[name], models[name], T) for name, T in poses]
     # Until they are asked for, likeness and outline say the best that they could.
@@ -42,7 +49,7 @@ def presences(
         asked = closer(view, models, [poses[k] for k in doubtful], [sights[k] for k in doubtful])
         for k, seen in zip(doubtful, asked, strict=True):
             sights[k] = seen
-    return logits_of(sights)
+    return sights
 
 
 def sight(view: ClearView, region: Region, model: ReferenceModel, T_cam_obj: Float64) -> Sight:

@@ -16,9 +16,9 @@ from huepose.judge.terms import score_many
 from huepose.model.types import ReferenceModel
 from huepose.perception.clear_view import ClearView
 from huepose.perception.nearby import align_in_view
-from huepose.perception.window_look import codes_of, look, promising
+from huepose.perception.window_look import look, promising
 from huepose.perception.window_table import WindowTable
-from huepose.perception.windows import Windows, filled, windows_of
+from huepose.perception.windows import Windows
 from huepose.refine.coordinate_search import search
 from huepose.support.jit import jit
 from huepose.support.stages import stage
@@ -49,9 +49,9 @@ class Effort:
     with_near_symmetries: int
 
 
-EFFORTS = (Effort(20, 36, 6, 6, 2, 2, 0), Effort(80, 64, 6, 20, 3, 4, 2))
-"""What is tried first, and what is tried where that gives no place which is surely the object's: the same
-windows and more, of which the first keep their codes."""
+EFFORTS = (Effort(20, 36, 6, 6, 2, 2, 0), Effort(300, 128, 6, 40, 3, 8, 2))
+"""What is tried first, and what is tried where that gives no place which is surely the object's: nearly all
+windows, since a camera's white balance may put the object's own ones last."""
 
 SURE = 1.35
 """A place with this score is the object's: nothing more is tried."""
@@ -72,30 +72,25 @@ def propose(
     model: ReferenceModel,
     table: WindowTable,
     view: ClearView,
+    windows: Windows,
     count: int,
     efforts: Sequence[Effort] = EFFORTS,
     guessed: Callable[[], Float64] | None = None,
 ) -> list[Proposal]:
-    """The `count` best different places of an object in a view, best first.
+    """The `count` best different places of an object in a view, best first; windows: of its size.
 
     `guessed`: gives poses (K, 4, 4) that keypoints agree on; `efforts`: what is tried by views. Each of these
     only until a place is surely the object's; keypoints after a first look by views, which costs less."""
     none = np.zeros((0, 4, 4)), np.zeros(0)
     by_keypoints, by_views = none, none
-    codes = np.zeros((0, table.codes.shape[1]), np.float32)
     if efforts:
         with stage("windows"):
-            windows = windows_of(view, model.diameter_m, table.views.span_m)
             order = promising(table, windows)
     for step in (*efforts[:1], guessed, *efforts[1:]):
         if step is None or any((rated >= SURE).any() for _, rated in (by_keypoints, by_views)):
             continue
         if isinstance(step, Effort):
-            with stage("windows"):
-                chosen = filled(windows[order[: step.windows]], view, model.diameter_m)
-            with stage("codes"):
-                codes = np.concatenate([codes, codes_of(view, chosen, model.diameter_m, len(codes))])
-            by_views = _tried(model, table, view, chosen, codes, step)
+            by_views = _tried(model, table, view, windows, order[: step.windows], step)
         else:
             by_keypoints = _followed(model, view, step())
     poses = np.concatenate([by_keypoints[0], by_views[0]])
@@ -123,12 +118,11 @@ def _tried(
     table: WindowTable,
     view: ClearView,
     windows: Windows,
-    codes: Float32,
+    chosen: Int64,
     effort: Effort,
 ) -> tuple[Float64, Float64]:
-    """Poses (M, 4, 4) at what these windows with their codes (W, D) show, and their scores (M,)."""
-    with stage("look"):
-        looks = look(table, windows, codes, view.crop.camera, effort.looks, effort.looks_each)
+    """Poses (M, 4, 4) at what the chosen windows (W,) show, and their scores (M,)."""
+    looks = look(table, windows, chosen, view.crop.camera, effort.looks, effort.looks_each)
     if not len(looks.poses):
         return np.zeros((0, 4, 4)), np.zeros(0)
     region = view.region(model.diameter_m)

@@ -8,14 +8,12 @@ import numpy as np
 
 from huepose.geometry.arrays import Float32, Float64, Int64
 from huepose.geometry.camera import Camera
-from huepose.perception.clear_view import ClearView
 from huepose.perception.window_table import WindowTable, middle_hues
 from huepose.perception.windows import Windows
 from huepose.propose.quick_look import product
 from huepose.propose.template_table import MILLIMETRES
-from huepose.propose.view_codes import codes_of_windows
-from huepose.propose.view_pictures import window_pictures
 from huepose.propose.views import onto_rays
+from huepose.support.stages import stage
 
 
 @dataclass(frozen=True, eq=False)
@@ -30,40 +28,37 @@ class Looks:
 def promising(table: WindowTable, windows: Windows) -> Int64:
     """Indices (W,) of windows: first the pieces', then by how near the hue of their middle is to the
     object's."""
-    weight = windows.cells[..., 4]
-    weighted = np.stack([weight * windows.cells[..., 1], weight * windows.cells[..., 2]])
+    cells = windows.middles
+    weight = cells[..., 4]
+    weighted = np.stack([weight * cells[..., 1], weight * cells[..., 2]])
     hues = middle_hues(weight, weighted)
     apart = ((hues[:, None] - table.hues[None]) ** 2).sum(-1).min(1)
     apart[: windows.pieces] -= 1e6
     return np.argsort(apart, kind="stable")
 
 
-def codes_of(view: ClearView, windows: Windows, diameter_m: float, known: int = 0) -> Float32:
-    """Codes (W - known, D) of windows (W) of an object of that size, from number `known` on."""
-    places = windows.pixels[known:], windows.depth_m[known:], windows.span_px[known:]
-    return codes_of_windows(*window_pictures(view.crop.color, view.depth, *places, diameter_m))
-
-
-def look(
-    table: WindowTable, windows: Windows, codes: Float32, camera: Camera, count: int, each: int
-) -> Looks:
-    """The `count` likest pairs of all, at most `each` of one window; codes (W, D): of the windows."""
-    if not len(windows):
+def look(table: WindowTable, windows: Windows, chosen: Int64, camera: Camera, count: int, each: int) -> Looks:
+    """The `count` likest pairs of a view and one of the chosen windows (W,), at most `each` of one window."""
+    if not len(chosen):
         return Looks(np.zeros((0, 4, 4)), np.zeros(0), np.zeros(0, np.int64))
-    alike = product(table.codes, codes.T)
-    views = table.views
-    each = min(each, alike.shape[0])
-    best = np.argpartition(-alike, each - 1, axis=0)[:each]
-    window = np.broadcast_to(np.arange(len(windows)), best.shape).ravel()
-    view = best.ravel()
-    order = np.argsort(-alike[view, window], kind="stable")[:count]
-    view, window = view[order], window[order]
-    depth_m = windows.depth_m[window] + _behind_mm(table, windows.cells, view, window) / MILLIMETRES
-    rays = camera.rays(windows.pixels[window])
-    turns = onto_rays(rays)
-    poses = np.tile(np.eye(4), (len(order), 1, 1))
-    poses[:, :3, :3] = turns @ views.rotations[view]
-    poses[:, :3, 3] = rays * depth_m[:, None] + np.einsum("nij,nj->ni", turns, views.origins[view])
+    codes = windows.codes(chosen)
+    with stage("look"):
+        alike = product(table.codes, codes.T)
+        views = table.views
+        each = min(each, alike.shape[0])
+        best = np.argpartition(-alike, each - 1, axis=0)[:each]
+        window = np.broadcast_to(np.arange(len(chosen)), best.shape).ravel()
+        view = best.ravel()
+        order = np.argsort(-alike[view, window], kind="stable")[:count]
+        view, window = view[order], window[order]
+        among, again = np.unique(window, return_inverse=True)
+        behind_mm = _behind_mm(table, windows.cells(chosen[among]), view, again.reshape(-1))
+        depth_m = windows.depth_m[chosen[window]] + behind_mm / MILLIMETRES
+        rays = camera.rays(windows.pixels[chosen[window]])
+        turns = onto_rays(rays)
+        poses = np.tile(np.eye(4), (len(order), 1, 1))
+        poses[:, :3, :3] = turns @ views.rotations[view]
+        poses[:, :3, 3] = rays * depth_m[:, None] + np.einsum("nij,nj->ni", turns, views.origins[view])
     return Looks(poses, alike[view, window].astype(np.float64), window)
 
 

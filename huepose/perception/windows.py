@@ -1,18 +1,31 @@
-"""Where an object could be, and what is seen there: windows of its size, in a few cells."""
+"""Where an object could be, and what is seen there: windows of its size, in a few cells and as codes.
+
+Objects of nearly one size share their windows: a window is cut and coded once for all of them.
+"""
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from functools import cached_property
+from math import log
 
 import numpy as np
 
-from huepose.geometry.arrays import Bool, Float32, Float64
+from huepose.geometry.arrays import Bool, Float32, Float64, Int64
 from huepose.perception.clear_view import ClearView
 from huepose.propose.template_table import COARSE_SIDE, MILLIMETRES
+from huepose.propose.view_codes import CELLS as CODE_CELLS
+from huepose.propose.view_codes import NUMBERS, codes_of_windows
+from huepose.propose.view_pictures import SPAN, window_pictures
 from huepose.support.jit import jit
+from huepose.support.stages import stage
 
-SPACING = 0.2
-"""Distance of windows, in diameters."""
+SPACING = 0.25
+"""Distance of windows, in diameters: nobody's middle is farther from one than training moves it
+(`training.view_codes.LARGEST_SHIFT`)."""
+
+SIZES = 1.15
+"""Ratio of neighbouring sizes of windows. One that is 7 % too large or too small hardly looks different:
+training stretches windows by as much (`training.view_codes.STRETCH`)."""
 
 LATTICE_PX = 3
 BIG = 1 << 20
@@ -28,46 +41,72 @@ GATE = 0.6
 """Depth farther than this from the middle of a window, in diameters, is not the object."""
 
 
-@dataclass(frozen=True, eq=False)
 class Windows:
-    """W windows of one object's size. pixels (W, 2): their middles in the view; depth_m (W,): there;
-    span_px (W,): their sides; cells (W, P, 6) float32: opponents, relief in mm from depth_m, share that could
-    be the object, share of background behind it; pieces: how many of them, the first ones, are of pieces."""
+    """All W windows of one size of a view, what is in them only as far as somebody asks.
 
-    pixels: Float64
-    depth_m: Float64
-    span_px: Float64
-    cells: Float32
-    pieces: int
+    diameter_m: of an object that they suit; pixels (W, 2): their middles in the view; depth_m (W,): there;
+    span_px (W,): their sides; pieces: how many of them, the first ones, are of pieces."""
+
+    def __init__(self, view: ClearView, diameter_m: float) -> None:
+        pieces, focal = view.pieces, view.crop.camera.fx
+        fitting = (pieces[:, 3] > 0.2 * diameter_m) & (pieces[:, 3] < 1.3 * diameter_m)
+        grid = _places(view.clear, view.crop.depth, focal, SPACING * diameter_m)
+        places = np.concatenate([pieces[fitting, :3], grid])
+        self.diameter_m, self.pieces = diameter_m, int(fitting.sum())
+        self.pixels, self.depth_m = places[:, :2].copy(), places[:, 2].copy()
+        self.span_px = SPAN * diameter_m / places[:, 2] * focal
+        self._view = view
+        self._codes = np.zeros((len(places), NUMBERS * CODE_CELLS**2), np.float32)
+        self._coded = np.zeros(len(places), bool)
 
     def __len__(self) -> int:
         return len(self.pixels)
 
-    def __getitem__(self, index: np.ndarray) -> Windows:
-        return Windows(self.pixels[index], self.depth_m[index], self.span_px[index], self.cells[index], 0)
+    @cached_property
+    def middles(self) -> Float32:
+        """Cells (W, P, 6) of which only those in the middle are filled; else as `cells`."""
+        return self._filled(np.arange(len(self)), BORDER)
+
+    def cells(self, index: Int64) -> Float32:
+        """Cells (K, P, 6) of windows (K,): opponents, relief in mm from depth_m, share that could be the
+        object, share of background behind it."""
+        return self._filled(index, 0)
+
+    def codes(self, index: Int64) -> Float32:
+        """Codes (K, D) of windows (K,), each made once."""
+        new = index[~self._coded[index]]
+        if len(new):
+            with stage("codes"):
+                places = self.pixels[new], self.depth_m[new], self.span_px[new]
+                pictures = window_pictures(self._view.crop.color, self._view.depth, *places, self.diameter_m)
+                self._codes[new], self._coded[new] = codes_of_windows(*pictures), True
+        return np.asarray(self._codes[index])
+
+    def _filled(self, index: Int64, border: int) -> Float32:
+        cells = np.zeros((len(index), COARSE_SIDE * COARSE_SIDE, CHANNELS), np.float32)
+        view = self._view
+        _fill(
+            self.pixels[index], self.depth_m[index], self.span_px[index], view.clear, view.crop.depth,
+            view.colors, GATE * self.diameter_m, border, cells,
+        )  # fmt: skip
+        return cells
 
 
-def windows_of(view: ClearView, diameter_m: float, span_m: float) -> Windows:
-    """Windows of `span_m` over all that stands in the view, a fifth of a diameter apart, of which only the
-    cells of the middle are filled."""
-    pieces = view.pieces
-    fitting = (pieces[:, 3] > 0.2 * diameter_m) & (pieces[:, 3] < 1.3 * diameter_m)
-    grid = _places(view.clear, view.crop.depth, view.crop.camera.fx, SPACING * diameter_m)
-    places = np.concatenate([pieces[fitting, :3], grid])
-    span_px = span_m / places[:, 2] * view.crop.camera.fx
-    empty = np.zeros((len(places), 0, CHANNELS), np.float32)
-    windows = Windows(places[:, :2].copy(), places[:, 2].copy(), span_px, empty, int(fitting.sum()))
-    return filled(windows, view, diameter_m, BORDER)
+class WindowsBySize:
+    """The windows of a view, made once for all objects of nearly one size."""
 
+    def __init__(self, view: ClearView) -> None:
+        self._view = view
+        self._of: dict[int, Windows] = {}
 
-def filled(windows: Windows, view: ClearView, diameter_m: float, border: int = 0) -> Windows:
-    """The same windows with their cells filled, but for so many rows of them at each side."""
-    cells = np.zeros((len(windows), COARSE_SIDE * COARSE_SIDE, CHANNELS), np.float32)
-    _fill(
-        windows.pixels, windows.depth_m, windows.span_px, view.clear, view.crop.depth, view.colors,
-        GATE * diameter_m, border, cells,
-    )  # fmt: skip
-    return replace(windows, cells=cells)
+    def of(self, diameter_m: float) -> Windows:
+        """Those for an object of this diameter."""
+        step = log(SIZES)
+        size = round(log(diameter_m) / step)
+        if size not in self._of:
+            with stage("windows"):
+                self._of[size] = Windows(self._view, float(np.exp(size * step)))
+        return self._of[size]
 
 
 def _places(clear: Bool, depth: Float32, focal: float, spacing_m: float) -> Float64:

@@ -16,9 +16,9 @@ from huepose.geometry.arrays import Float64
 from huepose.geometry.frame import RgbdFrame
 from huepose.model.types import ReferenceModel
 from huepose.perception.clear_view import clear_view
-from huepose.perception.window_look import codes_of, look, promising
+from huepose.perception.window_look import look, promising
 from huepose.perception.window_table import WindowTable
-from huepose.perception.windows import filled, windows_of
+from huepose.perception.windows import Windows
 from huepose.tracking.reach import Reach
 
 WINDOWS, PARTS = 8, 5
@@ -50,13 +50,11 @@ def likeliest_place(
     view = clear_view(_smaller(frame), model.diameter_m)
     if view is None:
         return None
-    windows = windows_of(view, model.diameter_m, table.views.span_m)
+    windows = Windows(view, model.diameter_m)
     some = promising(table, windows)[part * WINDOWS : (part + 1) * WINDOWS]
     if not len(some):
         return None
-    windows = filled(windows[some], view, model.diameter_m)
-    codes = codes_of(view, windows, model.diameter_m)
-    poses = look(table, windows, codes, view.crop.camera, WINDOWS * LOOKS_EACH, LOOKS_EACH).poses
+    poses = look(table, windows, some, view.crop.camera, WINDOWS * LOOKS_EACH, LOOKS_EACH).poses
     centres = poses[:, :3, :3] @ model.mesh.centre + poses[:, :3, 3]
     here = np.linalg.norm(centres - centres[0], axis=1) < SAME_PLACE * model.diameter_m
     middle = np.asarray(np.median(centres[here], axis=0), np.float64)

@@ -44,8 +44,8 @@ VALIDATION_ROUND = 10_000
 """Its streams are none of a training's."""
 
 SHIFT, LARGEST_SHIFT = 0.06, 0.13
-"""By how much a window's middle is off, in diameters: deviation and most. The detector's windows are a fifth
-of one apart."""
+"""By how much a window's middle is off, in diameters: deviation and most. The detector's windows are a
+quarter of one apart."""
 
 STRETCH, DEEPER, DEEPEST = 0.06, 0.1, 0.25
 """Deviation of a window's logarithmic size; of its depth, in diameters, and the most of it."""

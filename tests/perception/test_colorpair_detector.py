@@ -19,6 +19,7 @@ from huepose.perception.ground import large_planes, standing_clear
 from huepose.perception.nearby import align_in_view
 from huepose.perception.scouting import likeliest_near_symmetries, propose
 from huepose.perception.window_table import window_table
+from huepose.perception.windows import WindowsBySize
 from huepose.rendering.render import render_depth
 from huepose.support.errors import InputError
 
@@ -145,7 +146,8 @@ def test_keypoints_are_asked_for_only_where_a_first_look_is_not_sure(
     for mesh, times in ((tea_box.mesh, 0), (grey, 1)):
         view = clear_view(take_picture([(mesh, standing)]), 0.3)
         assert view is not None
-        propose(tea_box, window_table(tea_box), view, 1, guessed=guessed)
+        windows = WindowsBySize(view).of(tea_box.diameter_m)
+        propose(tea_box, window_table(tea_box), view, windows, 1, guessed=guessed)
         assert len(asked) == times
 
 

@@ -123,6 +123,34 @@ def test_depth_of_another_unit_is_named_where_nothing_is_found(
     assert pose["reason"].endswith("is the depth scale right?")
 
 
+def test_why_an_object_is_not_found_is_said_and_drawn(
+    files: list[str],
+    tea_box: ReferenceModel,
+    take_picture: Callable[..., RgbdFrame],
+    standing: np.ndarray,
+    tmp_path: Path,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    """A thing of the same shape in another print stands where the object could."""
+    other = replace(tea_box.mesh, texture=np.ascontiguousarray(tea_box.mesh.texture[::-1, ::-1, ::-1]))
+    cv2.imwrite(str(tmp_path / "color.png"), take_picture([(other, standing)]).color[..., ::-1])
+    at = files.index("--color") + 1
+    arguments = [
+        *files[:at],
+        str(tmp_path / "color.png"),
+        *files[at + 1 :],
+        "--explain",
+        str(tmp_path / "why"),
+    ]
+    assert main([*arguments, "--json"]) == 0
+    (pose,) = json.loads(capsys.readouterr().out)["poses"]
+    assert not pose["found"]
+    assert re.search(r"probability of 0\.\d\d, which is under 0\.60: [a-z ]+\.$", pose["reason"])
+    page = cv2.imread(str(tmp_path / "why" / "tea_box_places.png"))
+    assert page.shape[0] > 480
+    assert page.shape[1] == 640
+
+
 def test_the_papers_method_answers_and_never_says_that_it_is_sure(
     files: list[str], box: list[str], tmp_path: Path, standing: np.ndarray
 ) -> None:

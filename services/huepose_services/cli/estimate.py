@@ -15,9 +15,9 @@ from huepose_services.cli.answer import add_json, answered
 
 if TYPE_CHECKING:
     from huepose.estimation import Estimator, ObjectQuery, PoseEstimate
-    from huepose.estimation.config import Method
     from huepose.geometry import Box, RgbdFrame
     from huepose.model import ReferenceModel
+    from huepose.perception.types import Detection
 
 
 def add_parser(subparsers: Any) -> None:
@@ -85,12 +85,17 @@ def call(arguments: argparse.Namespace) -> int:
     estimator = Estimator(
         models, replace(settings.estimator, method=arguments.method, found_level=found_level)
     )
+    proposed: list[Detection] = []
     if box is not None:
         queries = [ObjectQuery(name, box) for name in names]
     else:
         from huepose.perception.colorpair_detector import ColorPairDetector
 
-        places = ColorPairDetector(models, settings.detector).detect(frame, names)
+        least = settings.detector.min_score
+        # To explain, the places that are not worth an estimate are kept, too.
+        detector = replace(settings.detector, min_score=0.0 if arguments.explain else least)
+        proposed = ColorPairDetector(models, detector).detect(frame, names)
+        places = [place for place in proposed if place.score >= least]
         # The best place last: its explanation is the one that is kept.
         queries = [ObjectQuery(place.object, place.box) for place in places[::-1]]
     estimator.prepare([query.object for query in queries])
@@ -99,7 +104,7 @@ def call(arguments: argparse.Namespace) -> int:
     prepared = time.monotonic()
     answers = [_answer(arguments, frame, models, estimator, query) for query in queries]
     if box is None:
-        answers = _standing(frame, models, names, answers, arguments.method)
+        answers = _standing(arguments, frame, models, names, answers, proposed)
     print(
         f"{prepared - begun:.1f} s to load {len(names)} models and to find where they may be, "
         f"{time.monotonic() - prepared:.1f} s to answer",
@@ -160,25 +165,47 @@ def _answer(
 
 
 def _standing(
+    arguments: argparse.Namespace,
     frame: RgbdFrame,
     models: Mapping[str, ReferenceModel],
     names: list[str],
     answers: list[PoseEstimate],
-    method: Method,
+    proposed: list[Detection],
 ) -> list[PoseEstimate]:
-    """The poses that stand at the proposed places; an object without any is not found."""
-    from huepose.estimation.present import presences_of
+    """The poses that stand at the proposed places; an object without any is not found, and its places are
+    drawn where that is wanted."""
+    from huepose.estimation.present import presences_with_doubts
     from huepose.estimation.reasons import bad_picture
     from huepose.estimation.standing import standing_answers, why_none_stands
     from huepose.estimation.types import absent
 
-    chances = presences_of(frame, models, answers, method)
+    seen = presences_with_doubts(frame, models, answers, arguments.method)
+    chances, doubts = [chance for chance, _ in seen], [doubt for _, doubt in seen]
     poses = standing_answers(answers, chances)
     out = []
     for name in names:
-        why = bad_picture(frame, models[name].diameter_m) or why_none_stands(name, answers, chances)
-        none = absent(name, why)
-        out += [pose for pose in poses if pose.object == name] or [none]
+        mine = [pose for pose in poses if pose.object == name]
+        if mine:
+            out += mine
+            continue
+        why = bad_picture(frame, models[name].diameter_m) or why_none_stands(name, answers, chances, doubts)
+        out.append(absent(name, why))
+        if arguments.explain:
+            from huepose.estimation.present import places_with_doubts
+            from huepose_services.cli.explain import draw_places, write_picture
+
+            tried = [
+                (a.T_cam_obj, x)
+                for a, x in zip(answers, seen, strict=True)
+                if a.object == name and a.T_cam_obj is not None
+            ]
+            if not tried:
+                best = [p.T_cam_obj for p in proposed if p.object == name and p.T_cam_obj is not None]
+                said = places_with_doubts(frame, models, [(name, T) for T in best])
+                tried = list(zip(best, said, strict=True))
+            tried.sort(key=lambda place: -place[1][0])
+            page = draw_places(frame, models[name], why, [(T, *x) for T, x in tried])
+            write_picture(arguments.explain / f"{name}_places.png", page)
     return out
 
 

@@ -19,7 +19,7 @@ from huepose.estimation.full_path import table_of
 from huepose.estimation.panels import LEGEND, Panels
 from huepose.estimation.reasons import displacement, reasons
 from huepose.geometry import Box, RgbdFrame
-from huepose.geometry.arrays import Bool, UInt8
+from huepose.geometry.arrays import Bool, Float64, UInt8
 from huepose.judge.terms import score
 from huepose.model import ReferenceModel
 from huepose.propose.config import RetrievalConfig
@@ -46,6 +46,20 @@ def draw_answers(
             color = COLORS[k % len(COLORS)]
             picture = draw_pose(picture, frame.camera, mesh, answer.T_cam_obj, color, label)
     return picture
+
+
+def draw_places(
+    frame: RgbdFrame, model: ReferenceModel, why: str, places: Sequence[tuple[Float64, float, str]]
+) -> UInt8:
+    """A page (H, W, 3) about an object that was not found: why, and the poses at the places that were tried,
+    likeliest first, T_cam_obj (4, 4), each with the probability that the object is there and what speaks most
+    against it."""
+    picture, lines = frame.color, [f"{model.name} was not found. {why}"]
+    for k, (T_cam_obj, chance, doubt) in enumerate(places):
+        label = f"place {k + 1}: {chance:.2f}"
+        picture = draw_pose(picture, frame.camera, model.mesh, T_cam_obj, COLORS[k % len(COLORS)], label)
+        lines.append(f"place {k + 1}: there with a probability of {chance:.2f}; {doubt}")
+    return np.vstack([paragraph("\n".join(lines), picture.shape[1]), picture])
 
 
 def write_explanation(

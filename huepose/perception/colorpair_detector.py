@@ -131,11 +131,12 @@ class ColorPairDetector:
         return guessed
 
     def _rated(self, view: ClearView, places: Mapping[str, list[Proposal]]) -> dict[str, list[Proposal]]:
-        """The same places, scored by the logit of the probability that they are the object's."""
+        """The likeliest pose at each place, scored by the logit of the chance that it is the object's."""
         models = {name: self._model(name) for name in places}
         poses = [(name, p.T_cam_obj) for name, mine in places.items() for p in mine]
         logits = iter(presences(view, models, poses))
-        return {name: [replace(p, score=float(next(logits))) for p in mine] for name, mine in places.items()}
+        rated = {name: [replace(p, score=float(next(logits))) for p in mine] for name, mine in places.items()}
+        return {name: _likeliest_turns(mine) for name, mine in rated.items()}
 
     def warm_up(self) -> None:
         """Lay out the views of all objects, and compile the kernels on an artificial view of the first."""
@@ -178,3 +179,12 @@ class ColorPairDetector:
         if "views" not in self.config.sources:
             return ()
         return EFFORTS if thorough is None or name in thorough else EFFORTS[:1]
+
+
+def _likeliest_turns(proposals: Sequence[Proposal]) -> list[Proposal]:
+    """Of the poses at each place the one of the highest score."""
+    best: dict[int, Proposal] = {}
+    for p in proposals:
+        if p.place not in best or p.score > best[p.place].score:
+            best[p.place] = p
+    return list(best.values())

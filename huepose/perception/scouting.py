@@ -7,6 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from huepose.geometry import se3
 from huepose.geometry.arrays import Float32, Float64, Int64
 from huepose.geometry.box import Box
 from huepose.judge.arrays import ModelArrays, model_arrays, nearest_view
@@ -31,6 +32,10 @@ FIT_WEIGHT, VIOLATION_WEIGHT, TEXTURE_WEIGHT, SEEN_WEIGHT, RIM_WEIGHT = 0.9, 1.0
 SEARCH_SAMPLES, SEARCH_STEPS_DEG = 100, (8.0, 4.0)
 SAME_SHIFT, SAME_IOU = 0.25, 0.6
 """Poses nearer than this (in diameters), or whose boxes overlap so, are one proposal."""
+
+SAME_TURN, TURNS = np.radians(30.0), 2
+"""So many poses at one place are looked at more closely, turned by more than what is between views: where the
+handle of a plain mug points, its likeness tells better than its score does."""
 
 SEEN_M, PATCH_PX, LEAST_SEEN = 0.02, 6, 5
 
@@ -60,12 +65,14 @@ SURE = 1.35
 @dataclass(frozen=True, eq=False)
 class Proposal:
     """Where an object may be: a rough pose T_cam_obj (4, 4), the box of what is seen of it in the frame, and
-    a score; support (N,): numbers of the patches of the picture that show it."""
+    a score; support (N,): numbers of the patches of the picture that show it; place: poses of one object with
+    the same number are turned otherwise at one place."""
 
     T_cam_obj: Float64
     box: Box
     score: float
     support: Int64
+    place: int = 0
 
 
 def propose(
@@ -77,7 +84,7 @@ def propose(
     efforts: Sequence[Effort] = EFFORTS,
     guessed: Callable[[], Float64] | None = None,
 ) -> list[Proposal]:
-    """The `count` best different places of an object in a view, best first; windows: of its size.
+    """The poses of an object at its `count` best different places in a view; windows: of its size.
 
     `guessed`: gives poses (K, 4, 4) that keypoints agree on; `efforts`: what is tried by views. Each of these
     only until a place is surely the object's; keypoints after a first look by views, which costs less."""
@@ -206,17 +213,25 @@ def _apart(model: ReferenceModel, poses: Float64, rated: Float64, count: int) ->
 def _thinned(
     model: ReferenceModel, view: ClearView, poses: Float64, rated: Float64, count: int
 ) -> list[Proposal]:
+    """The best pose at each of `count` places, and the next ones there that are turned otherwise."""
     centres = poses[:, :3, :3] @ model.mesh.centre + poses[:, :3, 3]
     out: list[Proposal] = []
-    taken = np.zeros(len(poses), bool)
+    firsts: list[int] = []
     for k in np.argsort(-rated, kind="stable"):
-        seen = None if taken[k] else seen_part(model, view, poses[k])
-        if seen is None or any(seen[0].iou(p.box) > SAME_IOU for p in out):
-            continue
-        out.append(Proposal(poses[k], seen[0], float(rated[k]), seen[1]))
-        if len(out) == count:
-            break
-        taken |= np.linalg.norm(centres - centres[k], axis=1) < SAME_SHIFT * model.diameter_m
+        away = np.linalg.norm(centres[firsts] - centres[k], axis=1)
+        if (away < SAME_SHIFT * model.diameter_m).any():
+            place = int(away.argmin())
+            mine = [p for p in out if p.place == place]
+            told = all(se3.rotation_angle(p.T_cam_obj, poses[k]) > SAME_TURN for p in mine)
+            seen = seen_part(model, view, poses[k]) if told and 0 < len(mine) < TURNS else None
+            if seen is not None:
+                out.append(Proposal(poses[k], seen[0], float(rated[k]), seen[1], place))
+        elif len(firsts) < count:
+            seen = seen_part(model, view, poses[k])
+            if seen is None or any(seen[0].iou(p.box) > SAME_IOU for p in out):
+                continue
+            out.append(Proposal(poses[k], seen[0], float(rated[k]), seen[1], len(firsts)))
+            firsts.append(int(k))
     return out
 
 

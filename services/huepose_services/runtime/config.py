@@ -137,11 +137,16 @@ class RestartConfig(Section, frozen=True, kw_only=True):
     hung_after_s: Annotated[float, Meta(ge=0.5, le=600.0)] = 2.0
 
 
+Processors = Annotated[list[Annotated[int, Meta(ge=0, le=1023)]], Meta(min_length=1)]
+
+
 class Config(Section, frozen=True, kw_only=True):
-    """A whole deployment. `folder` is that of the file: relative paths start there."""
+    """A whole deployment. `folder` is that of the file: relative paths start there. cpus: the processors that
+    a worker keeps to; others go where they like."""
 
     site: Name = "local"
     workers: tuple[WorkerName, ...] = CHAIN
+    cpus: dict[WorkerName, Processors] = msgspec.field(default_factory=dict)
     bundles: str | None = None
     profile: Literal["live", "patient"] = "live"
     objects: list[ObjectConfig] = msgspec.field(default_factory=list)

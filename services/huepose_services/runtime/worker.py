@@ -11,17 +11,19 @@ import os
 import signal
 import sys
 import traceback
+from collections.abc import Collection
 from contextlib import suppress
 from importlib import import_module
 from types import FrameType
-from typing import Protocol
+from typing import Protocol, cast
 
 import cv2
 import zenoh
 
+from huepose.support.errors import InputError
 from huepose_services.runtime.bus import Bus
 from huepose_services.runtime.clock import SECOND, now_ns
-from huepose_services.runtime.config import Config
+from huepose_services.runtime.config import Config, WorkerName
 from huepose_services.runtime.health import Health
 from huepose_services.runtime.log import Log
 from huepose_services.runtime.pulse import Pulse
@@ -97,6 +99,20 @@ def come_first(worker: str) -> None:
         os.nice(_NICENESS.get(worker, _NICENESS_OF_OTHERS))
 
 
+def keep_to(processors: Collection[int]) -> None:
+    """This process and its threads to come run on these processors only; on any where there are none. Raises
+    InputError for one that it may not use."""
+    allowed = os.sched_getaffinity(0)
+    if strange := sorted(set(processors) - allowed):
+        raise InputError(
+            "cpus",
+            found=", ".join(map(str, strange)),
+            expected=f"processors of this computer that the pipeline may use: {sorted(allowed)}",
+        )
+    if processors:
+        os.sched_setaffinity(0, processors)
+
+
 def run_worker(worker: str, config: Config) -> int:
     """Run a worker until SIGTERM, SIGINT, its supervisor's end or its own. Returns the exit code.
 
@@ -107,6 +123,7 @@ def run_worker(worker: str, config: Config) -> int:
     # The supervisor asks a worker that hangs where it is before it ends it.
     faulthandler.register(TELL_WHERE, file=sys.stderr, all_threads=True)
     come_first(worker)
+    keep_to(config.cpus.get(cast(WorkerName, worker), ()))
     cv2.setNumThreads(1)
     session, health.warnings = open_worker_session(config, worker)
     for warning in health.warnings:

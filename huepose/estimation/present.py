@@ -53,16 +53,16 @@ def presences_with_doubts(
 ) -> list[tuple[float, str]]:
     """The same, each with what speaks most against the object, in words; empty where no pose was found."""
     config = config or StandingConfig()
-    view = clear_view(frame, max((m.diameter_m for m in models.values()), default=0.0))
-    posed = [a for a in answers if a.T_cam_obj is not None]
-    if view is None:
-        return [(0.0, "")] * len(answers)
-    sights = sights_of(view, models, [(a.object, a.T_cam_obj) for a in posed if a.T_cam_obj is not None])
-    seen = {
-        id(a): (_chance(float(logit), a, method, config), greatest_doubt(sight))
-        for a, sight, logit in zip(posed, sights, logits_of(sights), strict=True)
-    }
-    return [seen.get(id(a), (0.0, "")) for a in answers]
+    poses = [(a.object, a.T_cam_obj) for a in answers if a.T_cam_obj is not None]
+    seen = iter(_looked_at(frame, models, poses))
+    out = []
+    for answer in answers:
+        if answer.T_cam_obj is None:
+            out.append((0.0, ""))
+        else:
+            logit, doubt = next(seen)
+            out.append((_chance(logit, answer, method, config), doubt))
+    return out
 
 
 def places_with_doubts(
@@ -70,13 +70,18 @@ def places_with_doubts(
 ) -> list[tuple[float, str]]:
     """Of named objects at poses T_cam_obj (4, 4) that nobody estimated: the probability that they are there
     by what is seen alone, and what speaks most against it, in words."""
+    return [(probability(logit), doubt) for logit, doubt in _looked_at(frame, models, poses)]
+
+
+def _looked_at(
+    frame: RgbdFrame, models: Mapping[str, ReferenceModel], poses: Sequence[tuple[str, Float64]]
+) -> list[tuple[float, str]]:
+    """Of named objects at poses T_cam_obj (4, 4): the logit that they are there, and the greatest doubt."""
     view = clear_view(frame, max((m.diameter_m for m in models.values()), default=0.0))
     if view is None:
-        return [(0.0, "nothing stands there")] * len(poses)
+        return [(-np.inf, "nothing stands there")] * len(poses)
     sights = sights_of(view, models, poses)
-    return [
-        (probability(float(x)), greatest_doubt(s)) for s, x in zip(sights, logits_of(sights), strict=True)
-    ]
+    return [(float(x), greatest_doubt(s)) for s, x in zip(sights, logits_of(sights), strict=True)]
 
 
 def _chance(logit: float, answer: PoseEstimate, method: Method, config: StandingConfig) -> float:

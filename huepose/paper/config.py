@@ -13,12 +13,13 @@ from huepose.paper.voting import VotingConfig
 
 @dataclass(frozen=True)
 class PaperConfig:
-    """refined: initial alignments that are refined, the paper's "small, consistent set"; ppf: None to do
-    without point pair features (see `paper.ppf` for why one may not want them); the rest: of the steps."""
+    """refined: initial alignments that are refined, the paper's "small, consistent set"; triangles, ppf: None
+    to do without that source of votes (see `paper.ppf` for why one may not want point pair features, which
+    are always asked where triangles are not); the rest: of the steps."""
 
     refined: int = 30
     classes: ClassConfig = field(default_factory=ClassConfig)
-    triangles: TriangleConfig = field(default_factory=TriangleConfig)
+    triangles: TriangleConfig | None = field(default_factory=TriangleConfig)
     ppf: PpfConfig | None = field(default_factory=PpfConfig)
     voting: VotingConfig = field(default_factory=VotingConfig)
     icp: SemanticIcpConfig = field(default_factory=SemanticIcpConfig)

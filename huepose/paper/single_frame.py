@@ -112,10 +112,10 @@ class PaperMethod:
 
     def _votes(self, model: ReferenceModel, cloud: ClassifiedCloud, rng: np.random.Generator) -> Votes:
         """Of triangles; of point pairs where too few classes are in sight for them."""
-        config = self.config
-        if config.ppf is None or classes_in_sight(cloud) >= NEEDED_CLASSES:
-            return votes_of_triangles(model, cloud, config.triangles, rng)
-        return votes_of_point_pairs(model, cloud, config.ppf, rng)
+        triangles, ppf = self.config.triangles, self.config.ppf
+        if triangles is not None and (ppf is None or classes_in_sight(cloud) >= NEEDED_CLASSES):
+            return votes_of_triangles(model, cloud, triangles, rng)
+        return Votes.empty() if ppf is None else votes_of_point_pairs(model, cloud, ppf, rng)
 
 
 def fitness_of(

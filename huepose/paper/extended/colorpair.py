@@ -22,7 +22,7 @@ from huepose.judge.region import Region
 from huepose.model.types import ReferenceModel
 from huepose.paper.extended import hypotheses
 from huepose.paper.extended.config import ColorpairPathConfig
-from huepose.paper.extended.hypotheses import HypothesesConfig, hypotheses_of, read_scene
+from huepose.paper.extended.hypotheses import hypotheses_of, read_scene
 from huepose.paper.extended.pair_search import search_pairs
 from huepose.paper.extended.shape import shape_hypotheses
 from huepose.paper.scene import extract_at_model_scale
@@ -46,9 +46,6 @@ CORRELATED, AGREED = 0.5, 0.5
 """What the score's correlations count in the end, and the agreement in which a pair that disagrees wholly
 counts as nothing (`judge.pair_agreement`): chosen on drawn heaps."""
 
-SHAPES = 20
-"""Most starts from shape alone, where colours propose too few poses."""
-
 
 class ColorpairMethod:
     """The method `colorpair` as the estimator runs it."""
@@ -64,7 +61,7 @@ class ColorpairMethod:
 
     def warm_up(self, models: Sequence[ReferenceModel]) -> None:
         """Compile what the first picture may do without and a later one needs."""
-        hypotheses.warm_up(models, _sources(self.config))
+        hypotheses.warm_up(models, self.config.hypotheses)
 
     def poses(self, model: ReferenceModel, evidence: Evidence, rng: np.random.Generator) -> Ranked:
         """See `estimate_by_pairs`."""
@@ -141,10 +138,9 @@ def _proposed(
     with stage("extract"):
         pairs = extract_at_model_scale(model.pairs, part, mask)
     with stage("hypotheses"):
-        sources = _sources(config)
-        readings = read_scene(model, pairs, part, mask, sources, rng)
-        found = hypotheses_of(model, readings, part, mask, sources, rng)[: config.refined]
-        missing = min(config.refined - len(found), SHAPES)
+        readings = read_scene(model, pairs, part, mask, config.hypotheses, rng)
+        found = hypotheses_of(model, readings, part, mask, config.hypotheses, rng)[: config.refined]
+        missing = min(config.refined - len(found), config.shapes)
         found += shape_hypotheses(model, part, mask, missing)
     if not found:
         return np.zeros((0, 4, 4))
@@ -161,10 +157,6 @@ def _proposed(
             slid = semantic_icp_many(tables_of(model), scene, poses)
             poses = np.concatenate([poses, [a.T_cam_obj for a in slid]])
     return np.asarray(poses)
-
-
-def _sources(config: ColorpairPathConfig) -> HypothesesConfig:
-    return HypothesesConfig() if config.ppf else HypothesesConfig(ppf=None)
 
 
 def _with_near_symmetries(

@@ -41,11 +41,11 @@ from huepose.propose.types import Hypothesis, Votes
 
 @dataclass(frozen=True)
 class HypothesesConfig:
-    """scene_pairs: most that are used; each source of votes can be switched off with None (`ppf`, the
-    fallback, for legal reasons: see its module)."""
+    """scene_pairs: most that are used; light: None to take the scene's colours as they are; each source of
+    votes can be switched off with None (`ppf`, the fallback, for legal reasons: see its module)."""
 
     scene_pairs: int = 220
-    light: LightConfig = field(default_factory=LightConfig)
+    light: LightConfig | None = field(default_factory=LightConfig)
     classes: ClassConfig = field(default_factory=ClassConfig)
     frames: FrameConfig | None = field(default_factory=FrameConfig)
     triangles: TriangleConfig | None = field(default_factory=TriangleConfig)
@@ -106,8 +106,11 @@ def read_scene(
     if not len(scene) or not len(reference):
         return []
     scene = scene[rng.permutation(len(scene))[: config.scene_pairs]]
+    lights = [(np.ones(3), 0.0)]
+    if config.light is not None:
+        lights = lights_of(scene.colors, reference.colors, rng, config.light)
     readings = []
-    for light, share in lights_of(scene.colors, reference.colors, rng, config.light):
+    for light, share in lights:
         relit_scene = replace(scene, colors=relit(scene.colors, 1.0 / light))
         cloud = classified_scene(model, relit_scene, config.classes)
         readings.append(Reading(light, share, relit_scene, cloud))

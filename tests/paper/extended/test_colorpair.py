@@ -13,6 +13,7 @@ from huepose.judge.pair_terms import pair_picture
 from huepose.model.types import ReferenceModel
 from huepose.paper.extended.colorpair import FINAL_PAIRS, FINAL_SAMPLES, estimate_by_pairs
 from huepose.paper.extended.config import ColorpairPathConfig
+from huepose.paper.extended.hypotheses import HypothesesConfig
 from huepose.propose.evidence import gather
 from huepose.rendering.render import render_depth
 from tests.judge.regions import pair_score, prepare_region
@@ -69,3 +70,26 @@ def test_totals_are_scores_and_behind_says_how_far_the_others_are(
     assert len(found) > 1
     assert found.behind[0] == 0.0
     assert (np.diff(found.behind) >= 0.0).all()
+
+
+def test_starts_from_shape_are_a_source_of_their_own(
+    tea_box: ReferenceModel, take_picture: TakePicture, standing: np.ndarray
+) -> None:
+    frame = take_picture([(tea_box.mesh, standing)])
+    mask = render_depth(tea_box.mesh, standing, frame.camera) > 0
+    evidence = gather(frame, [mask], Box.of_mask(mask), tea_box.diameter_m)
+    assert evidence is not None
+    nothing_votes = HypothesesConfig(frames=None, triangles=None, ppf=None)
+    counts = {
+        shapes: len(
+            estimate_by_pairs(
+                tea_box,
+                evidence,
+                ColorpairPathConfig(shapes=shapes, hypotheses=nothing_votes),
+                np.random.default_rng(0),
+            )
+        )
+        for shapes in (0, 20)
+    }
+    assert counts[0] == 0
+    assert counts[20] > 0

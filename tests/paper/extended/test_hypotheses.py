@@ -113,6 +113,12 @@ def test_the_light_is_read(tea_box: ReferenceModel, frame: RgbdFrame, mask: np.n
     # under the model's light, scene colours are model colours
     distance = np.linalg.norm(read[:, None] - known[None, ::5], axis=2).min(1)
     assert np.median(distance) < 8.0
+    (as_seen,) = read_scene(
+        tea_box, pairs, frame, mask, HypothesesConfig(light=None), np.random.default_rng(0)
+    )
+    np.testing.assert_array_equal(as_seen.light, np.ones(3))
+    seen = {tuple(pair) for pair in pairs.colors.reshape(-1, 6).round(2)}
+    assert {tuple(pair) for pair in as_seen.pairs.colors.reshape(-1, 6).round(2)} <= seen
 
 
 def test_the_same_seed_gives_the_same_poses(

@@ -1,6 +1,6 @@
 """From meshes to reference models, once per object and without training."""
 
 from huepose.onboarding.meshes import read_mesh
-from huepose.onboarding.onboard import onboard, onboard_mesh
+from huepose.onboarding.onboard import onboard_mesh
 
-__all__ = ["onboard", "onboard_mesh", "read_mesh"]
+__all__ = ["onboard_mesh", "read_mesh"]

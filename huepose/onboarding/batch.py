@@ -18,14 +18,14 @@ import numpy as np
 
 from huepose.geometry.arrays import Float64
 from huepose.model.io import model_path, save_model
-from huepose.onboarding.meshes import Unit
-from huepose.onboarding.onboard import onboard
+from huepose.onboarding.meshes import Unit, read_mesh
+from huepose.onboarding.onboard import onboard_mesh
 from huepose.support.errors import InputError
 
 
 @dataclass(frozen=True, eq=False)
 class Job:
-    """One object to onboard; the fields are those of `onboard`."""
+    """One object to onboard; the fields are those of `read_mesh` and `onboard_mesh`."""
 
     mesh_path: Path
     name: str
@@ -63,7 +63,7 @@ class Failed:
 
 @dataclass(frozen=True)
 class StageBegun:
-    """The object `name` enters a stage (one of `onboard.STAGES`)."""
+    """The object `name` enters a stage (one of `reference.STAGES`)."""
 
     name: str
     stage: str
@@ -79,11 +79,11 @@ class _StoppedError(Exception):
 def onboard_one(job: Job, bundles_dir: Path, report: Callable[[str], None]) -> Onboarded:
     """Onboard an object in this process and save its model."""
     start = time.monotonic()
-    model = onboard(
-        job.mesh_path,
+    report("mesh")
+    model = onboard_mesh(
+        read_mesh(job.mesh_path, job.unit),
         job.name,
         object_id=job.object_id,
-        unit=job.unit,
         info=job.info,
         symmetric=job.symmetric,
         frame_offset_m=job.frame_offset_m,

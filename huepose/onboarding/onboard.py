@@ -1,45 +1,16 @@
-"""From a mesh file to a reference model. Meshes of more than 60,000 triangles are simplified on the way."""
+"""From a mesh to a reference model. Meshes of more than 60,000 triangles are simplified on the way."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping
-from pathlib import Path
 from typing import Any
 
 from huepose.geometry.arrays import Float64
 from huepose.geometry.mesh import Mesh
 from huepose.model.io import check_name
 from huepose.model.types import ReferenceModel
-from huepose.onboarding.meshes import Unit, read_mesh
 from huepose.onboarding.reference import Report, reference_model, silent
 from huepose.onboarding.simplify import simplified
-
-
-def onboard(
-    mesh_path: Path | str,
-    name: str,
-    *,
-    object_id: int | None = None,
-    unit: Unit | None = None,
-    info: Mapping[str, Any] | None = None,
-    symmetric: Mapping[str, Any] | None = None,
-    frame_offset_m: Float64 | None = None,
-    paper: bool = False,
-    report: Report = silent,
-) -> ReferenceModel:
-    """Reference model of a mesh file; see `read_mesh` for files and units, `onboard_mesh` for the rest."""
-    check_name(name)
-    report("mesh")
-    return onboard_mesh(
-        read_mesh(mesh_path, unit),
-        name,
-        object_id=object_id,
-        info=info,
-        symmetric=symmetric,
-        frame_offset_m=frame_offset_m,
-        paper=paper,
-        report=report,
-    )
 
 
 def onboard_mesh(

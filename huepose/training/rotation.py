@@ -5,10 +5,9 @@ Networks of several kinds may learn side by side, from the same turns.
 
 from __future__ import annotations
 
-import json
-import platform
 from collections.abc import Iterable, Iterator
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
+from functools import partial
 from itertools import islice
 from pathlib import Path
 from typing import Any
@@ -17,7 +16,6 @@ import cv2
 import numpy as np
 import torch
 from torch import Tensor
-from torch.utils.data import IterableDataset
 
 from huepose.drawing.plots import line_plot
 from huepose.geometry.arrays import Float
@@ -25,19 +23,8 @@ from huepose.paper.canonical import FEATURES
 from huepose.paper.rotation_network import POINTS, Kind
 from huepose.training.bank import Bank, Samples
 from huepose.training.network import AttentionDgcnn, geodesic
-from huepose.training.runs import (
-    Course,
-    endless_loader,
-    export_onnx,
-    load_checkpoint,
-    save_checkpoint,
-    stream_number,
-    timed_batches,
-)
+from huepose.training.runs import VALIDATION_ROUND, Course, Settings, Training, endless_loader, export_onnx
 from huepose.training.turns import RotationSample, endless
-
-VALIDATION_ROUND = 10_000
-"""Its streams are none of a training's."""
 
 CHUNK = 32
 """Samples that come from a process at a time."""
@@ -46,37 +33,21 @@ REACH = {"residual": 0.1, "direct": 1.0}
 
 
 @dataclass(frozen=True)
-class RotationTraining:
-    """How to train. hours: of wall time, the learning rate falls to zero over them; steps: end after so many,
-    for a trial; every: steps between two validations; workers: processes that make samples, 0: this one;
-    reuse: how often a sample is learned from in the mean, if the machine can; room: samples that are kept."""
+class RotationTraining(Settings):
+    """How to train. reuse: how often a sample is learned from in the mean, if the machine can; room: samples
+    that are kept."""
 
     kinds: tuple[Kind, ...] = ("residual",)
-    hours: float = 1.0
-    steps: int | None = None
-    seed: int = 0
     batch: int = 64
-    rate: float = 2e-3
-    every: int = 500
-    validation: int = 2000
-    workers: int = 1
-    device: str = "cpu"
     reuse: int = 64
     room: int = 400_000
 
 
-class _Endless(IterableDataset[Samples]):
-    """Samples of one process, a chunk at a time."""
-
-    def __init__(self, config: RotationTraining, round_number: int) -> None:
-        self.config, self.round = config, round_number
-
-    def __iter__(self) -> Iterator[Samples]:
-        cv2.setNumThreads(1)
-        torch.set_num_threads(1)
-        samples = endless(self.config.seed, stream_number(self.round), self.config.kinds)
-        while True:
-            yield stack(list(islice(samples, CHUNK)))
+def chunks(kinds: tuple[Kind, ...], seed: int, stream: int) -> Iterator[Samples]:
+    """Samples without end, a chunk at a time."""
+    samples = endless(seed, stream, kinds)
+    while True:
+        yield stack(list(islice(samples, CHUNK)))
 
 
 def stack(samples: list[list[RotationSample]]) -> Samples:
@@ -100,41 +71,25 @@ def train(config: RotationTraining, out: Path, resume: bool = False) -> dict[Kin
     optimiser = torch.optim.AdamW(
         [p for net in nets for p in net.parameters()], config.rate, weight_decay=1e-4
     )
-    parts = {"optimiser": optimiser, **dict(zip(config.kinds, nets, strict=True))}
-    named = "+".join(config.kinds)
-    course = load_checkpoint(out, named, parts) if resume else Course()
-    held_out = _held_out(config)
-    loader = endless_loader(_Endless(config, course.rounds), config.workers)
-    course.rounds += 1
-    try:
-        batches = _batches(loader, config)
-        for batch in timed_batches(batches, f"{named} rotation", course, optimiser, config):
-            _step(nets, optimiser, batch)
-            course.steps += 1
-            if course.steps % config.every == 0:
-                _validated(nets, held_out, course)
-                save_checkpoint(out, named, course, parts)
-    except KeyboardInterrupt:
-        pass
-    errors = _validated(nets, held_out, course)
-    save_checkpoint(out, named, course, parts)
+    by_kind = dict(zip(config.kinds, nets, strict=True))
+    training = Training.begun(out, "+".join(config.kinds), config, optimiser, by_kind, resume)
+    draw = partial(chunks, config.kinds)
+    held_out = _held_out(endless_loader(draw, config, VALIDATION_ROUND), config.validation)
+    fresh = endless_loader(draw, config, training.course.rounds)
+    training.run(
+        _batches(fresh, config), partial(_step, nets, optimiser), partial(_validated, nets, held_out)
+    )
+    errors = _errors(nets, held_out)
     unturned = torch.eye(3).expand(held_out[2].shape)
     without = np.degrees(geodesic(unturned.flatten(0, 1), held_out[2].flatten(0, 1)).numpy())
     without = without.reshape(-1, len(nets))
     reports = {}
     for k, kind in enumerate(config.kinds):
-        _draw(out / f"{kind}.png", course, k, without[:, k])
+        _draw(out / f"{kind}.png", training.course, k, without[:, k])
         export(nets[k], out / f"{kind}.onnx")
-        reports[kind] = {
-            "training": asdict(config),
-            "hours": round(course.hours, 3),
-            "steps": course.steps,
-            "machine": f"{platform.machine()}, {config.workers} processes that draw, {config.device}",
-            "torch": torch.__version__,
-            "validation_deg": _figures(errors[:, k]),
-            "without_network_deg": _figures(without[:, k]),
-        }
-        (out / f"{kind}.json").write_text(json.dumps(reports[kind], indent=2) + "\n")
+        reports[kind] = training.report(
+            kind, validation_deg=_figures(errors[:, k]), without_network_deg=_figures(without[:, k])
+        )
     return reports
 
 
@@ -142,11 +97,10 @@ def _figures(errors: Float) -> dict[str, float]:
     return {"median": float(np.median(errors)), "mean": float(errors.mean())}
 
 
-def _held_out(config: RotationTraining) -> Samples:
-    """Turns of objects that are not trained on."""
-    chunks = -(-config.validation // CHUNK)
-    drawn = list(islice(endless_loader(_Endless(config, VALIDATION_ROUND), config.workers), chunks))
-    features, weights, answers = (torch.cat(part)[: config.validation] for part in zip(*drawn, strict=True))
+def _held_out(drawn: Iterable[Samples], count: int) -> Samples:
+    """So many turns of objects that are not trained on."""
+    parts = zip(*islice(drawn, -(-count // CHUNK)), strict=True)
+    features, weights, answers = (torch.cat(part)[:count] for part in parts)
     return features, weights, answers
 
 
@@ -170,14 +124,18 @@ def _step(nets: list[AttentionDgcnn], optimiser: torch.optim.Optimizer, batch: S
     optimiser.step()
 
 
-def _validated(nets: list[AttentionDgcnn], held_out: Samples, course: Course) -> Float:
-    """Errors (N, K) in degrees, noted on the curve: hours, steps, then median and mean of each kind."""
-    features, weights, answers = held_out
-    kinds = [(net, (features[:, k], weights, answers[:, k])) for k, net in enumerate(nets)]
-    errors = np.stack([validate(net, samples) for net, samples in kinds], 1)
+def _validated(nets: list[AttentionDgcnn], held_out: Samples, course: Course) -> None:
+    """Note on the curve: hours, steps, then median and mean of each kind's errors in degrees."""
+    errors = _errors(nets, held_out)
     figures = np.stack([np.median(errors, 0), errors.mean(0)], 1).ravel()
     course.curve.append([course.hours, course.steps, *figures.tolist()])
-    return errors
+
+
+def _errors(nets: list[AttentionDgcnn], held_out: Samples) -> Float:
+    """Errors (N, K) in degrees."""
+    features, weights, answers = held_out
+    kinds = [(net, (features[:, k], weights, answers[:, k])) for k, net in enumerate(nets)]
+    return np.stack([validate(net, samples) for net, samples in kinds], 1)
 
 
 def validate(net: AttentionDgcnn, samples: tuple[Tensor, Tensor, Tensor]) -> Float:

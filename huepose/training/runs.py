@@ -1,15 +1,18 @@
-"""The frame of a training: how far it has come, checkpoints, the course of the learning rate, the export."""
+"""The frame of a training: endless samples, learning rate, validations, checkpoints, reports, the export."""
 
 from __future__ import annotations
 
+import json
 import math
+import platform
 import signal
 import time
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
-from typing import Any, Protocol, TypeVar
+from typing import Any, TypeVar
 
+import cv2
 import torch
 from torch import Tensor, nn
 from torch.utils.data import DataLoader, IterableDataset, get_worker_info
@@ -19,7 +22,11 @@ from huepose.support.progress import progress
 
 CHECKPOINT = "checkpoint.pt"
 
+VALIDATION_ROUND = 10_000
+"""Its streams of samples are none of a training's."""
+
 Batch = TypeVar("Batch")
+Sample = TypeVar("Sample")
 
 
 @dataclass
@@ -32,20 +39,20 @@ class Course:
     curve: list[list[float]] = field(default_factory=list)
 
 
-class Limits(Protocol):
-    """How long to train, in hours of wall time and in steps (None: without end), and how fast."""
+@dataclass(frozen=True)
+class Settings:
+    """How to train. hours: of wall time, the learning rate falls from `rate` to zero over them; steps: end
+    after so many, for a trial; every: steps between two validations; validation: samples that are held out;
+    workers: processes that draw, 0: this one."""
 
-    @property
-    def hours(self) -> float:
-        """Of wall time."""
-
-    @property
-    def steps(self) -> int | None:
-        """End after so many."""
-
-    @property
-    def rate(self) -> float:
-        """Learning rate at its highest."""
+    hours: float = 1.0
+    steps: int | None = None
+    seed: int = 0
+    rate: float = 2e-3
+    every: int = 500
+    validation: int = 2000
+    workers: int = 1
+    device: str = "cpu"
 
 
 def rate_factor(share: float, step: int) -> float:
@@ -53,29 +60,101 @@ def rate_factor(share: float, step: int) -> float:
     return min(1.0, (step + 1) / 200.0) * 0.5 * (1.0 + math.cos(math.pi * min(share, 1.0)))
 
 
-def timed_batches(
-    batches: Iterable[Batch], what: str, course: Course, optimiser: torch.optim.Optimizer, limits: Limits
-) -> Iterator[Batch]:
-    """Batches until the hours or the steps of `limits` are over, under a progress bar named `what`. Before
-    each one the course's hours and the optimiser's learning rate are brought up to date."""
-    before_h, begun = course.hours, time.monotonic()
-    for batch in progress((b for b in batches), what):
-        course.hours = before_h + (time.monotonic() - begun) / 3600.0
-        if course.hours >= limits.hours or course.steps == limits.steps:
-            return
-        for group in optimiser.param_groups:
-            group["lr"] = limits.rate * rate_factor(course.hours / limits.hours, course.steps)
-        yield batch
+@dataclass(frozen=True)
+class Training:
+    """One training. kind: what is trained, in a word; optimiser and nets: what a checkpoint holds."""
+
+    out: Path
+    kind: str
+    settings: Settings
+    optimiser: torch.optim.Optimizer
+    nets: Mapping[str, nn.Module]
+    course: Course
+
+    @staticmethod
+    def begun(
+        out: Path,
+        kind: str,
+        settings: Settings,
+        optimiser: torch.optim.Optimizer,
+        nets: Mapping[str, nn.Module],
+        resume: bool,
+    ) -> Training:
+        """Anew, or from the checkpoint in `out`. Raises InputError where none of this kind is there."""
+        parts = {"optimiser": optimiser, **nets}
+        course = load_checkpoint(out, kind, parts) if resume else Course()
+        return Training(out, kind, settings, optimiser, nets, course)
+
+    def run(
+        self, batches: Iterable[Batch], step: Callable[[Batch], None], validate: Callable[[Course], None]
+    ) -> None:
+        """Learn from batches until the time is over, or until interrupted. validate: notes what is reached on
+        the course's curve; at times, and at the end."""
+        course, settings = self.course, self.settings
+        course.rounds += 1
+        before_h, begun = course.hours, time.monotonic()
+        try:
+            for batch in progress((b for b in batches), f"training {self.kind}"):
+                course.hours = before_h + (time.monotonic() - begun) / 3600.0
+                if course.hours >= settings.hours or course.steps == settings.steps:
+                    break
+                for group in self.optimiser.param_groups:
+                    group["lr"] = settings.rate * rate_factor(course.hours / settings.hours, course.steps)
+                step(batch)
+                course.steps += 1
+                if course.steps % settings.every == 0:
+                    self._note(validate)
+        except KeyboardInterrupt:
+            pass
+        self._note(validate)
+
+    def _note(self, validate: Callable[[Course], None]) -> None:
+        validate(self.course)
+        save_checkpoint(self.out, self.kind, self.course, {"optimiser": self.optimiser, **self.nets})
+
+    def report(self, name: str, **figures: Any) -> dict[str, Any]:
+        """What came of it, also written as NAME.json."""
+        settings = self.settings
+        record = {
+            "training": asdict(settings),
+            "hours": round(self.course.hours, 3),
+            "steps": self.course.steps,
+            "machine": f"{platform.machine()}, {settings.workers} processes that draw, {settings.device}",
+            "torch": torch.__version__,
+            **figures,
+        }
+        (self.out / f"{name}.json").write_text(json.dumps(record, indent=2) + "\n")
+        return record
 
 
-def endless_loader(batches: IterableDataset[Any], workers: int) -> DataLoader[Any]:
-    """Batches from so many processes, or from this one. They are started afresh: a copy of this process would
-    hold locks of threads that it has not copied."""
-    context = "spawn" if workers else None
-    return DataLoader(batches, batch_size=None, num_workers=workers, multiprocessing_context=context)
+class _Endless(IterableDataset[Sample]):
+    """The samples of one process."""
+
+    def __init__(self, draw: Callable[[int, int], Iterator[Sample]], seed: int, round_number: int) -> None:
+        self.draw, self.seed, self.round = draw, seed, round_number
+
+    def __iter__(self) -> Iterator[Sample]:
+        cv2.setNumThreads(1)
+        torch.set_num_threads(1)
+        yield from self.draw(self.seed, _stream_number(self.round))
 
 
-def stream_number(round_number: int) -> int:
+def endless_loader(
+    draw: Callable[[int, int], Iterator[Sample]], settings: Settings, round_number: int
+) -> DataLoader[Sample]:
+    """Samples without end in this round of a training, from so many processes, or from this one. They are
+    started afresh: a copy of this process would hold locks of threads that it has not copied.
+
+    draw: (seed, stream) to samples, the same of the same; can be pickled."""
+    return DataLoader(
+        _Endless(draw, settings.seed, round_number),
+        batch_size=None,
+        num_workers=settings.workers,
+        multiprocessing_context="spawn" if settings.workers else None,
+    )
+
+
+def _stream_number(round_number: int) -> int:
     """Which stream of samples the process that asks has to draw in this round of a training. A worker that
     asks also leaves Ctrl-C to the process that trains."""
     worker = get_worker_info()

@@ -2,11 +2,10 @@
 
 from __future__ import annotations
 
-import json
 import math
-import platform
 from collections.abc import Iterator
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -15,22 +14,14 @@ import numpy as np
 import torch
 from torch import Tensor
 from torch.nn import functional
-from torch.utils.data import DataLoader, IterableDataset
+from torch.utils.data import DataLoader
 
 from huepose.drawing.plots import line_plot
 from huepose.geometry import icosphere
 from huepose.propose.template_table import view_rotations
 from huepose.propose.view_pictures import CHANNELS, NEAR, ROLLS, SIDE, SPAN, UNTURNED
 from huepose.propose.view_pictures import LEVEL as VIEW_LEVEL
-from huepose.training.runs import (
-    Course,
-    endless_loader,
-    export_onnx,
-    load_checkpoint,
-    save_checkpoint,
-    stream_number,
-    timed_batches,
-)
+from huepose.training.runs import VALIDATION_ROUND, Course, Settings, Training, endless_loader, export_onnx
 from huepose.training.view_code_network import (
     LARGEST_SHARPNESS,
     ViewCodeNetwork,
@@ -39,9 +30,6 @@ from huepose.training.view_code_network import (
     window_codes,
 )
 from huepose.training.windows import PIXELS, WINDOWS, Drawn, endless
-
-VALIDATION_ROUND = 10_000
-"""Its streams are none of a training's."""
 
 SHIFT, LARGEST_SHIFT = 0.06, 0.13
 """By how much a window's middle is off, in diameters: deviation and most. The detector's windows are a
@@ -60,24 +48,19 @@ RIGHT_DEG = 25.0
 """A view this near is right, in validation."""
 
 NAME = "views"
+FIGURES = ("first_right", "one_of_five_right", "median_rank")
+"""Of the held-out windows: the share whose likest view is right, the share for which one of the five likest
+is, and the median rank of the first right one, all of an object's views asked for."""
 
 
 @dataclass(frozen=True)
-class ViewCodeTraining:
-    """How to train. hours: of wall time, the learning rate falls to zero over them; steps: end after so many,
-    for a trial; every: steps between two validations; validation: objects; workers: processes that draw, 0:
-    this one. Of a step: objects, of each of them windows that show it, windows beside it, and views. room:
-    objects that are kept, the oldest replaced; first: of these before the first step; reuse: steps for each
-    new object, at most."""
+class ViewCodeTraining(Settings):
+    """How to train. validation: objects. Of a step: objects, of each of them windows that show it, windows
+    beside it, and views. room: objects that are kept, the oldest replaced; first: of these before the first
+    step; reuse: steps for each new object, at most."""
 
-    hours: float = 1.0
-    steps: int | None = None
-    seed: int = 0
-    rate: float = 2e-3
     every: int = 1000
     validation: int = 48
-    workers: int = 1
-    device: str = "cpu"
     objects: int = 24
     windows: int = 6
     beside: int = 3
@@ -85,18 +68,6 @@ class ViewCodeTraining:
     room: int = 6000
     first: int = 200
     reuse: float = 8.0
-
-
-class _Endless(IterableDataset[Drawn]):
-    """Objects of one process."""
-
-    def __init__(self, config: ViewCodeTraining, round_number: int) -> None:
-        self.config, self.round = config, round_number
-
-    def __iter__(self) -> Iterator[Drawn]:
-        cv2.setNumThreads(1)
-        torch.set_num_threads(1)
-        yield from endless(self.config.seed, stream_number(self.round))
 
 
 class Shelf:
@@ -207,42 +178,22 @@ def train(config: ViewCodeTraining, out: Path, resume: bool = False) -> dict[str
     torch.manual_seed(config.seed)
     net = ViewCodeNetwork().to(config.device)
     optimiser = torch.optim.AdamW(net.parameters(), config.rate, weight_decay=1e-2)
-    parts = {"optimiser": optimiser, NAME: net}
-    course = load_checkpoint(out, NAME, parts) if resume else Course()
+    training = Training.begun(out, NAME, config, optimiser, {NAME: net}, resume)
     held_out = Shelf(config.validation, config.device)
-    for one in _loaded(config, VALIDATION_ROUND):
+    for one in endless_loader(endless, config, VALIDATION_ROUND):
         held_out.add(one)
         if held_out.drawn == config.validation:
             break
-    fresh = _loaded(config, course.rounds)
-    course.rounds += 1
-    try:
-        for shelf in timed_batches(_shelves(fresh, config), "view codes", course, optimiser, config):
-            _step(net, optimiser, shelf, config)
-            course.steps += 1
-            if course.steps % config.every == 0:
-                _validated(net, held_out, course)
-                save_checkpoint(out, NAME, course, parts)
-    except KeyboardInterrupt:
-        pass
-    first, fifth, median = _validated(net, held_out, course)
-    save_checkpoint(out, NAME, course, parts)
-    _draw(out / f"{NAME}.png", course)
+    fresh = endless_loader(endless, config, training.course.rounds)
+    training.run(
+        _shelves(fresh, config),
+        lambda shelf: _step(net, optimiser, shelf, config),
+        partial(_validated, net, held_out),
+    )
+    _draw(out / f"{NAME}.png", training.course)
     export(net, held_out, out / f"{NAME}.onnx")
-    report = {
-        "training": asdict(config),
-        "hours": round(course.hours, 3),
-        "steps": course.steps,
-        "machine": f"{platform.machine()}, {config.workers} processes that draw, {config.device}",
-        "torch": torch.__version__,
-        "validation": {"first_right": first, "one_of_five_right": fifth, "median_rank": median},
-    }
-    (out / f"{NAME}.json").write_text(json.dumps(report, indent=2) + "\n")
-    return report
-
-
-def _loaded(config: ViewCodeTraining, round_number: int) -> DataLoader[Any]:
-    return endless_loader(_Endless(config, round_number), config.workers)
+    figures = dict(zip(FIGURES, training.course.curve[-1][2:], strict=True))
+    return training.report(NAME, validation=figures)
 
 
 def _shelves(fresh: DataLoader[Any], config: ViewCodeTraining) -> Iterator[Shelf]:
@@ -324,9 +275,8 @@ def _repeated(numbers: Tensor) -> Tensor:
     return torch.zeros_like(again).scatter(1, ordered.indices, again)
 
 
-def _validated(net: ViewCodeNetwork, held_out: Shelf, course: Course) -> tuple[float, float, float]:
-    """Share of the held-out windows whose likest view is right, for which one of the five likest is, and the
-    median rank of the first right one, all of an object's views asked for; noted on the curve."""
+def _validated(net: ViewCodeNetwork, held_out: Shelf, course: Course) -> None:
+    """Note on the curve: hours, steps, FIGURES."""
     net.eval()
     state = torch.random.get_rng_state()
     torch.manual_seed(0)
@@ -334,9 +284,8 @@ def _validated(net: ViewCodeNetwork, held_out: Shelf, course: Course) -> tuple[f
         ranks = [_ranks(net, held_out, k) for k in range(len(held_out))]
     torch.random.set_rng_state(state)
     rank = torch.cat(ranks).float()
-    figures = tuple(float(x) for x in ((rank < 1).float().mean(), (rank < 5).float().mean(), rank.median()))
-    course.curve.append([course.hours, course.steps, *figures])
-    return figures[0], figures[1], figures[2]
+    figures = ((rank < 1).float().mean(), (rank < 5).float().mean(), rank.median())
+    course.curve.append([course.hours, course.steps, *map(float, figures)])
 
 
 def _ranks(net: ViewCodeNetwork, shelf: Shelf, k: int) -> Tensor:

@@ -14,8 +14,8 @@ from huepose.evaluation.bop_errors import BopObject
 from huepose.evaluation.targets import Targets
 from huepose.geometry import RgbdFrame, se3
 from huepose.rendering import render_depth
-from studies.bop_toolkit import Question, Toolkit, compare
 
+from .bop_toolkit import Question, Toolkit, compare
 from .conftest import CAMERA, MemoryScene, box_mesh, reference_model, truth
 
 CHECKOUT = os.environ.get("BOP_TOOLKIT", "")

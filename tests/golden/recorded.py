@@ -22,7 +22,7 @@ from huepose import Correction, ObjectQuery, ReferenceModel, RgbdFrame
 from huepose.datasets import files
 from huepose.datasets.bop import BopScene
 from huepose.datasets.types import GroundTruth
-from huepose.onboarding import onboard
+from huepose.onboarding import onboard_mesh, read_mesh
 from tests.golden.answers import Answers
 from tests.golden.asking import METHODS, Step, estimated, tracked
 
@@ -59,7 +59,7 @@ def model(number: int) -> ReferenceModel:
     name = f"obj_{number:06d}"
     info = files.read_json(_folder() / "models" / "models_info.json").get(str(number))
     mesh = _folder() / "models" / f"{name}.obj"
-    return onboard(mesh, name, object_id=number, unit="mm", info=info, paper=True)
+    return onboard_mesh(read_mesh(mesh, "mm"), name, object_id=number, info=info, paper=True)
 
 
 def _shown(name: str) -> list[tuple[RgbdFrame, list[GroundTruth]]]:

@@ -6,7 +6,7 @@ import argparse
 from pathlib import Path
 from typing import Any
 
-from huepose_services.cli.answer import add_json, answered
+from huepose_services.cli.options import add_json, add_profile, answered
 
 _WHAT = ("estimate", "track", "detect", "bus", "all")
 
@@ -18,12 +18,7 @@ def add_parser(subparsers: Any) -> None:
     add_json(parser, to_file=True)
     parser.add_argument("--picture", type=Path, metavar="FILE.png", help="draw the stages' shares as bars")
     parser.add_argument("--seed", type=int, default=0, metavar="N", help="which built-in scene (0)")
-    parser.add_argument(
-        "--profile",
-        choices=("live", "patient"),
-        default="live",
-        help="live: as the workers of a pipeline; patient: answers may take longer (live)",
-    )
+    add_profile(parser)
     parser.set_defaults(call=call)
 
 

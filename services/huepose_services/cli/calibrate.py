@@ -6,7 +6,7 @@ import argparse
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from huepose_services.cli.answer import add_json, answered
+from huepose_services.cli.options import add_json, answered
 
 if TYPE_CHECKING:
     from huepose.geometry.arrays import Float64

@@ -3,12 +3,10 @@
 from __future__ import annotations
 
 import argparse
-import signal
 from pathlib import Path
-from types import FrameType
 from typing import Any
 
-from huepose_services.cli.answer import add_json, answered
+from huepose_services.cli.options import add_json, answered, until_told
 
 
 def add_parser(subparsers: Any) -> None:
@@ -66,14 +64,7 @@ def call(arguments: argparse.Namespace) -> int:
     from huepose_services.demo.score import shortcomings
     from huepose_services.demo.table import report
 
-    interrupted = False
-
-    def stop(number: int, frame: FrameType | None) -> None:
-        nonlocal interrupted
-        interrupted = True
-
-    signal.signal(signal.SIGTERM, stop)
-    signal.signal(signal.SIGINT, stop)
+    interrupted = until_told()
     try:
         chosen = Perception(arguments.segmenter, arguments.sam)
         live = not arguments.headless and arguments.json is not True
@@ -81,7 +72,7 @@ def call(arguments: argparse.Namespace) -> int:
             arguments.seconds,
             arguments.seed,
             live,
-            lambda: interrupted,
+            interrupted,
             chosen,
             arguments.bundles,
             arguments.object,
@@ -89,7 +80,7 @@ def call(arguments: argparse.Namespace) -> int:
     except DemoError as error:
         print(f"huepose demo: {error}", file=sys.stderr)
         return 1
-    if interrupted:
+    if interrupted():
         print("huepose demo: interrupted", file=sys.stderr)
         return 130
     answered(arguments, result, report(result))

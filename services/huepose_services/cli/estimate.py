@@ -11,7 +11,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from huepose_services.cli.answer import add_json, answered
+from huepose_services.cli.options import add_json, add_profile, answered
 
 if TYPE_CHECKING:
     from huepose.estimation import Estimator, ObjectQuery, PoseEstimate
@@ -45,12 +45,7 @@ def add_parser(subparsers: Any) -> None:
         help="full: the best; colorpair: by colour pairs alone; paper: the paper's method as it is "
         "(the last two need models that were onboarded with --paper)",
     )
-    parser.add_argument(
-        "--profile",
-        choices=("live", "patient"),
-        default="live",
-        help="live: as the workers of a pipeline; patient: answers may take longer (live)",
-    )
+    add_profile(parser)
     parser.add_argument(
         "--box",
         nargs=4,

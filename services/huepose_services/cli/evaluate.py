@@ -7,6 +7,8 @@ from importlib import import_module
 from pathlib import Path
 from typing import Any
 
+from huepose_services.cli.options import add_profile
+
 
 def add_parser(subparsers: Any) -> None:
     """Add the verb and its sub-verbs."""
@@ -38,15 +40,6 @@ def _common(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--json", type=Path, required=True, metavar="FILE", help="result file")
 
 
-def _profile(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument(
-        "--profile",
-        choices=("live", "patient"),
-        default="live",
-        help="live: as the workers of a pipeline; patient: answers may take longer (live)",
-    )
-
-
 def _seeds(parser: argparse.ArgumentParser, text: str = "of the perturbed boxes; results average") -> None:
     parser.add_argument("--seed", type=int, nargs="+", default=[0], metavar="N", help=text)
 
@@ -74,7 +67,7 @@ def _add_estimate(verbs: Any) -> None:
     )
     _common(parser)
     parser.add_argument("--method", choices=("full", "colorpair", "paper"), default="full")
-    _profile(parser)
+    add_profile(parser)
     parser.add_argument(
         "--boxes",
         default="perturbed",
@@ -115,7 +108,7 @@ def _add_perception(verbs: Any) -> None:
     parser.add_argument("--bop", type=Path, nargs="+", required=True, metavar="SCENE_DIR")
     _common(parser)
     _objects(parser)
-    _profile(parser)
+    add_profile(parser)
     parser.add_argument(
         "--proposals",
         type=int,
@@ -137,7 +130,7 @@ def _add_track(verbs: Any) -> None:
     )
     source.add_argument("--bop", type=Path, nargs="+", metavar="SCENE_DIR")
     _common(parser)
-    _profile(parser)
+    add_profile(parser)
     parser.add_argument(
         "--method", choices=("full", "paper"), default="full", help="paper: the paper's tracker as it is"
     )
@@ -304,7 +297,7 @@ def _add_tables(verbs: Any) -> None:
         "--note", default=None, metavar="TEXT", help="what the data are, where they are not the official ones"
     )
     _objects(parser)
-    _profile(parser)
+    add_profile(parser)
     parser.add_argument("--seed", type=int, default=0, metavar="N", help="of the moved boxes (0)")
     parser.add_argument("--threads", type=int, default=2, metavar="N", help="objects at the same time (2)")
 

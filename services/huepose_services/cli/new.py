@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from huepose_services.cli.onboard import add_test
+from huepose_services.cli.options import add_unit
 
 if TYPE_CHECKING:
     from huepose.geometry import Camera
@@ -33,12 +34,7 @@ def add_parser(subparsers: Any) -> None:
     )
     parser.add_argument("name", metavar="NAME", help="the object's name: 1 to 64 of a-z, 0-9, _ and -")
     parser.add_argument("mesh", type=Path, metavar="MESH", help="textured mesh (OBJ, PLY, GLB or glTF)")
-    parser.add_argument(
-        "--unit",
-        choices=("mm", "cm", "m", "in"),
-        default=None,
-        help="the mesh's unit; without it metres or millimetres, whichever is likelier by its size",
-    )
+    add_unit(parser)
     add_test(parser)
     parser.add_argument("--out", type=Path, default=None, metavar="DIR", help="the folder (NAME)")
     parser.set_defaults(call=call)

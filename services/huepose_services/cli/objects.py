@@ -7,8 +7,8 @@ import sys
 import time
 from typing import TYPE_CHECKING, Any
 
-from huepose_services.cli.answer import add_json, answered
 from huepose_services.cli.attach import add_choice, chosen
+from huepose_services.cli.options import add_json, answered
 
 if TYPE_CHECKING:
     from huepose_protos.messages import ControlReply, ControlRequest

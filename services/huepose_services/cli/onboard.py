@@ -10,8 +10,8 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from huepose_services.cli.answer import add_json, answered
 from huepose_services.cli.onboard_video import METRES, add_video, mesh_from_video
+from huepose_services.cli.options import add_json, add_unit, answered
 
 if TYPE_CHECKING:
     from huepose.onboarding.batch import Job, Onboarded
@@ -36,12 +36,7 @@ def add_parser(subparsers: Any) -> None:
     one.add_argument(
         "--id", type=int, default=None, metavar="N", help="the object's number in a BOP data set"
     )
-    one.add_argument(
-        "--unit",
-        choices=("mm", "cm", "m", "in"),
-        default=None,
-        help="the mesh's unit; without it metres or millimetres, whichever is likelier by its size",
-    )
+    add_unit(one)
     one.add_argument(
         "--symmetric",
         type=Path,

@@ -3,14 +3,13 @@
 from __future__ import annotations
 
 import argparse
-import signal
 import sys
 import time
 from collections.abc import Callable
-from types import FrameType
 from typing import TYPE_CHECKING, Any
 
 from huepose_services.cli.attach import add_choice, chosen
+from huepose_services.cli.options import until_told
 from huepose_services.cli.remote import add_gateway, gateway_of
 
 if TYPE_CHECKING:
@@ -39,18 +38,12 @@ def add_parser(subparsers: Any) -> None:
 
 def call(arguments: argparse.Namespace) -> int:
     """Print until interrupted, or until the pipeline that was seen here is gone."""
-    gateway, stopping = gateway_of(arguments), False
+    gateway, stopping = gateway_of(arguments), until_told()
 
-    def stop(number: int, frame: FrameType | None) -> None:
-        nonlocal stopping
-        stopping = True
-
-    signal.signal(signal.SIGTERM, stop)
-    signal.signal(signal.SIGINT, stop)
     if gateway is None:
-        _print_until_gone(arguments, lambda: stopping)
+        _print_until_gone(arguments, stopping)
     else:
-        for message in gateway.messages(arguments.key, lambda: stopping):
+        for message in gateway.messages(arguments.key, stopping):
             _print(message, arguments.json)
     return 0
 

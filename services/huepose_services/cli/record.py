@@ -3,14 +3,13 @@
 from __future__ import annotations
 
 import argparse
-import signal
 import sys
 import time
 from pathlib import Path
-from types import FrameType
 from typing import TYPE_CHECKING, Any
 
 from huepose_services.cli.attach import add_choice, chosen_config
+from huepose_services.cli.options import until_told
 
 if TYPE_CHECKING:
     from huepose_services.recording.parts import Parts
@@ -61,14 +60,8 @@ def call(arguments: argparse.Namespace) -> int:
             expected="--part 1 or more, --keep no less than that, --free 0 or more",
         )
     config = chosen_config(arguments)
-    stopping = False
+    stopping = until_told()
 
-    def stop(number: int, frame: FrameType | None) -> None:
-        nonlocal stopping
-        stopping = True
-
-    signal.signal(signal.SIGTERM, stop)
-    signal.signal(signal.SIGINT, stop)
     come_first("record")
     limits = Limits(part << 20, None if keep is None else keep << 20, free << 20)
     about = about_this_machine() | {"site": config.site, "camera": config.camera.name}
@@ -79,7 +72,7 @@ def call(arguments: argparse.Namespace) -> int:
     progress = _Progress(recorder, parts)
     code, say_at = 0, time.monotonic() + _NOTHING_HEARD_AFTER_S
     try:
-        while not stopping and not recorder.finished:
+        while not stopping() and not recorder.finished:
             recorder.step(0.1)
             progress.show()
             if time.monotonic() > say_at and recorder.first_ns is None:

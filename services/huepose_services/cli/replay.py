@@ -3,17 +3,15 @@
 from __future__ import annotations
 
 import argparse
-import signal
 import sys
 import time
 from collections.abc import Iterator
 from dataclasses import asdict
 from itertools import chain
 from pathlib import Path
-from types import FrameType
 from typing import TYPE_CHECKING, Any
 
-from huepose_services.cli.answer import answered
+from huepose_services.cli.options import answered, until_told
 
 if TYPE_CHECKING:
     from huepose_services.recording.read import Event, Recording
@@ -98,17 +96,11 @@ def _play(arguments: argparse.Namespace, recordings: list[Recording]) -> int:
     if only is not None and only not in WORKERS:
         raise InputError("--only", found=only, expected=f"one of {', '.join(WORKERS)}")
     config = Config() if arguments.config is None else load(arguments.config)
-    stopping = False
-
-    def stop(number: int, frame: FrameType | None) -> None:
-        nonlocal stopping
-        stopping = True
+    stopping = until_told()
 
     def player() -> Player:
         return Player(_events(recordings), bus, now_ns(), arguments.speed, only)
 
-    signal.signal(signal.SIGTERM, stop)
-    signal.signal(signal.SIGINT, stop)
     session = open_player_session(config, config.workers if only is None else [only])
     bus = Bus(session, config.keys, "replay", Log("replay"), Health("replay"))
     token = session.liveliness().declare_token(config.keys.live(only or "replay"))
@@ -116,16 +108,16 @@ def _play(arguments: argparse.Namespace, recordings: list[Recording]) -> int:
         # Who waits for a pipeline needs a moment to connect.
         time.sleep(_SETTLE_S)
         again = True
-        while again and not stopping:
+        while again and not stopping():
             playing, played = player(), 0
-            while not playing.finished and not stopping:
+            while not playing.finished and not stopping():
                 wait_s = (playing.due_ns() - now_ns()) / SECOND
                 if wait_s > 0:
                     time.sleep(min(wait_s, 0.1))
                 else:
                     playing.play()
                     played += 1
-            if not played and not stopping:
+            if not played and not stopping():
                 raise InputError(arguments.files[0], found="nothing to play", expected="messages")
             again = arguments.loop
         time.sleep(_SETTLE_S / 4.0)

@@ -69,17 +69,10 @@ def _add_limits(
 
 def train_rotation(arguments: argparse.Namespace) -> int:
     """Train, and say how good it became."""
-    _check(arguments)
+    common = _common(arguments)
     from huepose.training.rotation import RotationTraining, train
 
-    config = RotationTraining(
-        kinds=tuple(arguments.kind),
-        hours=arguments.hours,
-        seed=arguments.seed,
-        batch=arguments.batch,
-        workers=arguments.workers,
-        device=arguments.device,
-    )
+    config = RotationTraining(**common, kinds=tuple(arguments.kind), batch=arguments.batch)
     for kind, report in train(config, arguments.out, arguments.resume).items():
         _told(arguments.out / f"{kind}.json", report)
     return 0
@@ -87,27 +80,23 @@ def train_rotation(arguments: argparse.Namespace) -> int:
 
 def train_views(arguments: argparse.Namespace) -> int:
     """Train, and say how good it became."""
-    _check(arguments)
+    common = _common(arguments)
     from huepose.training.view_codes import NAME, ViewCodeTraining, train
 
-    config = ViewCodeTraining(
-        hours=arguments.hours,
-        seed=arguments.seed,
-        objects=arguments.batch,
-        workers=arguments.workers,
-        device=arguments.device,
-    )
+    config = ViewCodeTraining(**common, objects=arguments.batch)
     _told(arguments.out / f"{NAME}.json", train(config, arguments.out, arguments.resume))
     return 0
 
 
-def _check(arguments: argparse.Namespace) -> None:
+def _common(arguments: argparse.Namespace) -> dict[str, Any]:
+    """What both are told. Raises InputError."""
     from huepose.support.errors import InputError
 
     if not arguments.hours > 0:
         raise InputError("--hours", found=str(arguments.hours), expected="more than 0")
     if arguments.workers < 1:
         raise InputError("--workers", found=str(arguments.workers), expected="1 or more")
+    return {key: getattr(arguments, key) for key in ("hours", "seed", "workers", "device")}
 
 
 def _told(file: Path, report: dict[str, Any]) -> None:

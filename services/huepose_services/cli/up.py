@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 import argparse
-import signal
 from pathlib import Path
-from types import FrameType
 from typing import Any
+
+from huepose_services.cli.options import until_told
 
 
 def add_parser(subparsers: Any) -> None:
@@ -26,20 +26,14 @@ def call(arguments: argparse.Namespace) -> int:
 
     config = load(arguments.config)
     prepare(config)
-    stopping = False
+    stopping = until_told()
 
-    def stop(number: int, frame: FrameType | None) -> None:
-        nonlocal stopping
-        stopping = True
-
-    signal.signal(signal.SIGTERM, stop)
-    signal.signal(signal.SIGINT, stop)
     supervisor = Supervisor(config, arguments.config)
     with noted(described(config, arguments.config)):
         supervisor.start()
         try:
             told = False
-            while supervisor.exit_code is None and not stopping:
+            while supervisor.exit_code is None and not stopping():
                 supervisor.poll()
                 if supervisor.ready and not told:
                     told = True

@@ -3,15 +3,14 @@
 from __future__ import annotations
 
 import argparse
-import signal
 import sys
 import time
 from collections.abc import Callable
 from pathlib import Path
-from types import FrameType
 from typing import TYPE_CHECKING, Any
 
 from huepose_services.cli.attach import add_choice, chosen_config
+from huepose_services.cli.options import until_told
 
 if TYPE_CHECKING:
     from huepose_services.runtime.config import Config
@@ -44,16 +43,10 @@ def call(arguments: argparse.Namespace) -> int:
     single_threaded()
     config = chosen_config(arguments)
     recording = _open(arguments, config)
-    stopping = False
+    stopping = until_told()
 
-    def stop(number: int, frame: FrameType | None) -> None:
-        nonlocal stopping
-        stopping = True
-
-    signal.signal(signal.SIGTERM, stop)
-    signal.signal(signal.SIGINT, stop)
     seconds = float("inf") if arguments.seconds is None else arguments.seconds
-    _run(config, recording, seconds, lambda: stopping)
+    _run(config, recording, seconds, stopping)
     recording.flush()
     recording.disconnect()
     if arguments.save is not None:

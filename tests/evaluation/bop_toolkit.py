@@ -1,14 +1,10 @@
-"""Do the errors and the average recall of the BOP challenge agree with bop_toolkit's own functions?
+"""Errors and average recall of the BOP challenge by bop_toolkit's own functions.
 
-    .venv/bin/python -m studies.bop_toolkit --toolkit DIR --ycbv DIR --bundles DIR --results FILE.csv
-
-DIR: a checkout of https://github.com/thodan/bop_toolkit with what it imports installed. Both sides get the
-same poses, depth images and meshes; depth of the objects is drawn by our renderer for both.
+Both sides get the same poses, depth images and meshes; our renderer draws the depth of objects for both.
 """
 
 from __future__ import annotations
 
-import argparse
 import importlib
 import sys
 from collections.abc import Iterator, Mapping, Sequence
@@ -18,11 +14,9 @@ from typing import Any
 
 import numpy as np
 
-from huepose.datasets import files
-from huepose.datasets.bop import BopScene
 from huepose.datasets.bop_detections import BopDetections
 from huepose.datasets.types import GroundTruth, Scene
-from huepose.datasets.ycbv_folder import TargetImages, open_ycbv, read_targets
+from huepose.datasets.ycbv_folder import TargetImages
 from huepose.evaluation.bop_errors import (
     FRACTIONS,
     PIXELS,
@@ -32,15 +26,11 @@ from huepose.evaluation.bop_errors import (
     average_recalls,
 )
 from huepose.evaluation.estimate_protocol import EstimateOptions, EstimateSetup
-from huepose.evaluation.summary import table
-from huepose.evaluation.tables.submission import AsGiven, read_submission
+from huepose.evaluation.tables.submission import AsGiven
 from huepose.evaluation.targets import Targets
 from huepose.geometry import Camera, RgbdFrame, se3
 from huepose.geometry.arrays import Float64
-from huepose.model import load_models
 from huepose.rendering import render_depth
-from huepose.support.progress import progress
-from huepose_services.cli.evaluate_scenes import bop_objects
 
 KINDS = ("vsd", "mssd", "mspd")
 _SYMMETRY_STEP = 0.01
@@ -119,7 +109,7 @@ def compare(toolkit: Toolkit, question: Question) -> Comparison:
     )
     own: list[dict[str, Any]] = []
     their = _Theirs(toolkit, question)
-    for scene, number, image, asked in progress(list(question.images()), "images"):
+    for scene, number, image, asked in question.images():
         frame, labels = scene.frame(image), scene.truths(image)
         rows = setup.image(TargetImages(scene, {image: asked}), image).rows
         for row in rows:
@@ -243,48 +233,3 @@ class _Theirs:
         ids = {m["obj_id"] for m in matches}
         scores = self.toolkit.score.calc_localization_scores(list(self.labels), ids, matches, -1, False)
         return float(scores["recall"])
-
-
-def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawTextHelpFormatter)
-    for name, metavar in (("toolkit", "DIR"), ("ycbv", "DIR"), ("bundles", "DIR"), ("results", "FILE.csv")):
-        parser.add_argument(f"--{name}", metavar=metavar, type=Path, required=True)
-    arguments = parser.parse_args()
-    folder, models = open_ycbv(arguments.ycbv), load_models(arguments.bundles)
-    assert folder.info is not None, "models_info.json is missing"
-    root = next(d for d in (arguments.ycbv / "test", arguments.ycbv) if any(d.glob("*/scene_camera.json")))
-    scenes = [BopScene(root / scene.name) for scene in folder.scenes]
-    listed = arguments.ycbv / "test_targets_bop19.json"
-    wanted = read_targets(listed) if listed.exists() else _all_labels(scenes)
-    question = Question(
-        scenes,
-        wanted,
-        bop_objects(folder.info, models),
-        files.read_json(folder.info),
-        Targets(models),
-        read_submission(f"results={arguments.results}", ()).poses,
-    )
-    result = compare(Toolkit(arguments.toolkit), question)
-    print(f"{result.measured} poses; largest difference of an error and average recall, percent:\n")
-    rows = [[kind, f"{apart:.1e}", *_pair(result, f"ar_{kind}")] for kind, apart in result.apart.items()]
-    print(table(["", "apart", "ours", "bop_toolkit"], [*rows, ["AR", "", *_pair(result, "ar")]]))
-
-
-def _pair(result: Comparison, key: str) -> list[str]:
-    return [f"{result.ours[key]:.8f}", f"{result.theirs[key]:.8f}"]
-
-
-def _all_labels(scenes: Sequence[Scene]) -> dict[tuple[int, int], dict[int, int]]:
-    """Without a list of targets: all labels that show a tenth or more, as BOP chooses its targets."""
-    wanted: dict[tuple[int, int], dict[int, int]] = {}
-    for scene in scenes:
-        for image in scene.image_ids:
-            counts = wanted.setdefault((int(scene.name), image), {})
-            for truth in scene.truths(image):
-                if truth.object_id is not None and truth.shows(0.1):
-                    counts[truth.object_id] = counts.get(truth.object_id, 0) + 1
-    return wanted
-
-
-if __name__ == "__main__":
-    main()

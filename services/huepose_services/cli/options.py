@@ -1,0 +1,70 @@
+"""Options and habits that several verbs share."""
+
+from __future__ import annotations
+
+import argparse
+import json
+import signal
+from collections.abc import Callable
+from pathlib import Path
+from types import FrameType
+from typing import Any
+
+
+def add_json(parser: argparse.ArgumentParser, to_file: bool = False) -> None:
+    """Add `--json`, the answer for programs; to_file: it may name a file, which is written beside the
+    summary."""
+    if to_file:
+        parser.add_argument(
+            "--json",
+            type=Path,
+            nargs="?",
+            const=True,
+            default=None,
+            metavar="FILE",
+            help="the answer as JSON: in a file, or without its name instead of the summary",
+        )
+    else:
+        parser.add_argument("--json", action="store_true", help="the answer as JSON instead of the summary")
+
+
+def answered(arguments: argparse.Namespace, answer: Any, summary: str) -> None:
+    """Print the summary, or the answer as JSON; write it where a file was named."""
+    text = json.dumps(answer, indent=2)
+    if isinstance(arguments.json, Path):
+        arguments.json.parent.mkdir(parents=True, exist_ok=True)
+        arguments.json.write_text(text + "\n")
+    print(text if arguments.json is True else summary)
+
+
+def add_profile(parser: argparse.ArgumentParser) -> None:
+    """Add `--profile`."""
+    parser.add_argument(
+        "--profile",
+        choices=("live", "patient"),
+        default="live",
+        help="live: as the workers of a pipeline; patient: answers may take longer (live)",
+    )
+
+
+def add_unit(parser: argparse.ArgumentParser) -> None:
+    """Add `--unit`, of a mesh."""
+    parser.add_argument(
+        "--unit",
+        choices=("mm", "cm", "m", "in"),
+        default=None,
+        help="the mesh's unit; without it metres or millimetres, whichever is likelier by its size",
+    )
+
+
+def until_told() -> Callable[[], bool]:
+    """From now on Ctrl-C and SIGTERM end nothing by themselves: the answer is whether one of them came."""
+    told = False
+
+    def stop(number: int, frame: FrameType | None) -> None:
+        nonlocal told
+        told = True
+
+    signal.signal(signal.SIGTERM, stop)
+    signal.signal(signal.SIGINT, stop)
+    return lambda: told

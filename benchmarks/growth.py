@@ -30,7 +30,6 @@ import zenoh
 from huepose.drawing.plots import line_plot
 from huepose.estimation import Estimator, ObjectQuery
 from huepose.evaluation.origin import origin
-from huepose.evaluation.pictures import write_picture
 from huepose.geometry import Camera, se3
 from huepose.geometry.arrays import Float64
 from huepose.geometry.frame import RgbdFrame
@@ -41,6 +40,7 @@ from huepose.model.types import ReferenceModel
 from huepose.perception.colorpair_detector import ColorPairDetector
 from huepose.profiles import profile
 from huepose.rendering.render import render
+from huepose.support.files import write_picture
 from huepose.support.progress import progress
 from huepose.tracking import Tracker
 from huepose.tracking.types import Correction

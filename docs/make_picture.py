@@ -33,8 +33,9 @@ def main() -> None:
     """Estimate one frame, draw it, write the file."""
     scene, models = SyntheticScene(SEED), load_models(builtin_bundles(SEED))
     frame, truths = scene.frame(FRAME), scene.truth(FRAME)
-    size = (frame.camera.width, frame.camera.height)
-    boxes = [disturbed(t.box_visib, "perturbed", 0, "picture", FRAME, t.instance, *size) for t in truths]
+    boxes = [
+        disturbed(t.box_visib, "perturbed", 0, "picture", FRAME, t.instance, frame.camera) for t in truths
+    ]
     queries = [ObjectQuery(t.object, box) for t, box in zip(truths, boxes, strict=True)]
     answers = Estimator(models).estimate(frame, queries)
 

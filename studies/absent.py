@@ -101,7 +101,7 @@ def _places(
         box = truth_box(truth, model.mesh, camera)
         if box is None:
             continue
-        box = disturbed(box, "perturbed", 0, scene.name, image, truth.instance, camera.width, camera.height)
+        box = disturbed(box, "perturbed", 0, scene.name, image, truth.instance, camera)
         if box.area > 0:
             places.append((box, model.name))
     return places

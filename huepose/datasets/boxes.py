@@ -42,7 +42,7 @@ def truth_box(truth: GroundTruth, mesh: Mesh, camera: Camera) -> Box | None:
 
 
 def disturbed(
-    box: Box, kind: Disturbance, seed: int, scene: str, image: int, instance: int, width: int, height: int
+    box: Box, kind: Disturbance, seed: int, scene: str, image: int, instance: int, camera: Camera
 ) -> Box:
     """The box of one label as it is given to the estimator; the same whatever else is evaluated.
 
@@ -55,4 +55,4 @@ def disturbed(
     scale = rng.uniform(0.9, 1.1) if kind == "perturbed" else 1.0
     w, h = box.w * scale, box.h * scale
     x, y = box.x + dx + (box.w - w) / 2.0, box.y + dy + (box.h - h) / 2.0
-    return Box(x, y, w, h).clipped(width, height)
+    return Box(x, y, w, h).clipped(camera.width, camera.height)

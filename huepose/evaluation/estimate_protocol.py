@@ -217,16 +217,8 @@ class _FrameRun:
         true_box = truth_box(truth, label.model.mesh, camera)
         if true_box is None:
             return None
-        box = disturbed(
-            true_box,
-            kind,
-            self.seed,
-            self.sample.scene,
-            self.sample.image,
-            truth.instance,
-            camera.width,
-            camera.height,
-        )
+        where = (self.sample.scene, self.sample.image, truth.instance)
+        box = disturbed(true_box, kind, self.seed, *where, camera)
         if box.area == 0:
             return None
         return ObjectQuery(label.model.name, box=box, masks=masks, instance=truth.instance)

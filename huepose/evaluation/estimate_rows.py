@@ -49,29 +49,19 @@ class EstimateRow:
 
     def as_json(self) -> dict[str, Any]:
         """The row in its file form."""
-        return {
-            "scene": self.scene,
-            "image": self.image,
-            "instance": self.instance,
-            "object": self.object,
-            "visib_fract": self.visib_fract,
+        record = {name: value for name, value in vars(self).items() if name not in ("error", "bop")}
+        record |= {
             "found": self.T_cam_obj is not None,
             "reason": self.reason or None,
-            "T_cam_obj": self.T_cam_obj,
             "add_m": self.error.add_m,
             "adds_m": self.error.adds_m,
             "add_official_m": self.error.official_add_m,
-            "diameter_m": self.diameter_m,
             "right": self.error.right,
-            "quality": self.quality,
-            "state": self.state,
-            "seconds": self.seconds,
-            "seed": self.seed,
             "box": None if self.box is None else list(self.box),
             "terms": None if self.terms is None else asdict(self.terms),
             "alternatives": [{"probability": p, "right": right} for p, right in self.alternatives],
-            **({} if self.bop is None else {"bop": self.bop.as_json()}),
         }
+        return record if self.bop is None else record | {"bop": self.bop.as_json()}
 
 
 @dataclass(frozen=True, eq=False)

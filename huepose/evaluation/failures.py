@@ -24,12 +24,11 @@ from huepose.estimation.types import ObjectQuery, PoseEstimate
 from huepose.evaluation.diagnosis import Diagnosis, diagnose
 from huepose.evaluation.equivalents import Key
 from huepose.evaluation.estimate_rows import EstimateRow
-from huepose.evaluation.pictures import write_picture
 from huepose.evaluation.result_files import write_json
 from huepose.evaluation.targets import Targets
 from huepose.geometry.arrays import Bool, Float64, UInt8
 from huepose.model.types import ReferenceModel
-from huepose.support.files import write_text
+from huepose.support.files import write_picture, write_text
 
 PANELS_A_ROW = 4
 DEFAULT_TOLERANCE_M = 0.01

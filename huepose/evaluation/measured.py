@@ -243,14 +243,11 @@ _READERS: Mapping[tuple[str, ...], Callable[[Path, Sequence[Row], Row], Measured
 
 
 def _pose_shares(rows: Sequence[Row], scored: np.ndarray) -> dict[str, Share]:
-    shares = {}
-    diameters = np.array([float(row["diameter_m"]) for row in rows])
-    for name in ("add", "adds"):
-        errors = np.array([np.inf if (e := row[f"{name}_m"]) is None else float(e) for row in rows])
-        shares[f"recall_{name}"] = Share.of(100.0 * (errors < metrics.RECALL_FRACTION * diameters), scored)
-        near = np.maximum(0.0, 1.0 - errors / metrics.AUC_LIMIT_M)
-        shares[f"auc_{name}"] = Share.of(100.0 * near, scored)
-    return shares
+    add, adds = (
+        np.array([np.inf if r[key] is None else float(r[key]) for r in rows]) for key in ("add_m", "adds_m")
+    )
+    scores = metrics.pose_scores(add, adds, np.array([float(row["diameter_m"]) for row in rows]))
+    return {name: Share.of(each, scored) for name, each in scores.items()}
 
 
 def _quality_shares(rows: Sequence[Row], right: np.ndarray, known: np.ndarray) -> dict[str, Share]:

@@ -99,9 +99,4 @@ def four_figures(add_m: Float, adds_m: Float, diameters_m: Float) -> dict[str, f
     """`recall_add`, `recall_adds`, `auc_add`, `auc_adds` of N poses, percent; None when N is 0."""
     if not len(add_m):
         return dict.fromkeys(("recall_add", "recall_adds", "auc_add", "auc_adds"))
-    return {
-        "recall_add": recall(add_m, diameters_m),
-        "recall_adds": recall(adds_m, diameters_m),
-        "auc_add": auc(add_m),
-        "auc_adds": auc(adds_m),
-    }
+    return {name: float(each.mean()) for name, each in pose_scores(add_m, adds_m, diameters_m).items()}

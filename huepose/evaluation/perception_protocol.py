@@ -186,17 +186,8 @@ def _mask_ious(
     true_mask = label.truth.mask()
     if true_mask is None or not true_mask.any():
         return None, None
-    camera = sample.frame.camera
-    box = disturbed(
-        label.box,
-        "perturbed",
-        options.seed,
-        sample.scene,
-        sample.image,
-        label.truth.instance,
-        camera.width,
-        camera.height,
-    )
+    where = (sample.scene, sample.image, label.truth.instance)
+    box = disturbed(label.box, "perturbed", options.seed, *where, sample.frame.camera)
     if box.area == 0:
         return None, None
     mask = segmenter.segment(sample.frame, box, label.model.diameter_m)[0]

@@ -20,7 +20,7 @@ from huepose.evaluation.targets import Targets
 from huepose.evaluation.track_rows import TrackResult, TrackRow
 from huepose.geometry.arrays import Float, UInt8
 from huepose.geometry.box import Box
-from huepose.support.errors import InputError
+from huepose.support.files import write_picture
 
 RIGHT, WRONG, TRUTH = (60, 200, 80), (235, 60, 50), (255, 255, 255)
 MISSED = (250, 200, 40)
@@ -140,16 +140,6 @@ class PictureFolder:
         write_picture(self._folder / name, picture)
 
 
-def write_picture(path: Path, picture: UInt8) -> None:
-    """Write a picture (H, W, 3) RGB as PNG, its folder made when needed. Raises InputError."""
-    data = cv2.imencode(".png", np.ascontiguousarray(picture[..., ::-1]))[1].tobytes()
-    try:
-        path.parent.mkdir(parents=True, exist_ok=True)
-        path.write_bytes(data)
-    except OSError as error:
-        raise InputError(path, found=error.strerror or str(error), fix="Choose another folder.") from None
-
-
 def _millimetres(row: TrackRow) -> float:
     return 1000 * row.error.add_m if row.error is not None and row.T_cam_obj is not None else np.nan
 
@@ -159,20 +149,11 @@ class PerceptionPictures:
 
     def __init__(self, folder: Path) -> None:
         self._folder = folder
-        try:
-            folder.mkdir(parents=True, exist_ok=True)
-        except OSError as error:
-            raise InputError(folder, found=error.strerror or str(error), expected="a folder") from None
 
     def frame(self, sample: Sample, figures: FrameFigures) -> None:
         """Draw and write one frame."""
-        picture = draw_perception(sample, figures)
-        ok = cv2.imwrite(
-            str(self._folder / f"{sample.scene}_{sample.image:06d}.png"),
-            np.ascontiguousarray(picture[..., ::-1]),
-        )
-        if not ok:
-            raise InputError(self._folder, found="a picture could not be written")
+        path = self._folder / f"{sample.scene}_{sample.image:06d}.png"
+        write_picture(path, draw_perception(sample, figures))
 
 
 def draw_perception(sample: Sample, figures: FrameFigures) -> UInt8:

@@ -86,16 +86,8 @@ class EstimatorSource:
             box = truth_box(truth, place.model.mesh, camera)
             if box is None:
                 continue
-            box = disturbed(
-                box,
-                "perturbed",
-                self.seed,
-                sample.scene,
-                sample.image,
-                truth.instance,
-                camera.width,
-                camera.height,
-            )
+            where = (sample.scene, sample.image, truth.instance)
+            box = disturbed(box, "perturbed", self.seed, *where, camera)
             prior = priors.get((place.model.name, place.ordinal))
             queries.append(ObjectQuery(place.model.name, box=box, prior=prior, instance=truth.instance))
             asked[truth.instance] = place

@@ -112,7 +112,7 @@ def report(moments: Sequence[Moment]) -> StateReport:
 def combined(reports: Sequence[StateReport]) -> StateReport:
     """Counts summed, times and delays the largest."""
     total: dict[str, Any] = {name: sum(getattr(r, name) for r in reports) for name in _COUNTS}
-    worst = {name: largest(getattr(r, name) for r in reports) for name in _TIMES}
+    worst = {name: largest(getattr(r, name) for r in reports) for name in TIMES}
     return StateReport(**total | worst)
 
 
@@ -127,7 +127,7 @@ _COUNTS = (
     "never_confirmed",
     "never_reacquired",
 )
-_TIMES = (
+TIMES = (
     "declared_suspect_after_frames",
     "declared_lost_after_frames",
     "acquired_after_s",

@@ -96,9 +96,7 @@ def _trials(model: ReferenceModel, estimator: Estimator, count: int, seed: int) 
             continue
         T_true = labels.T_cam_obj[0]
         frame = RgbdFrame(drawn.shot.color, drawn.shot.depth, drawn.camera)
-        box = disturbed(
-            around, "perturbed", seed, model.name, number, 0, drawn.camera.width, drawn.camera.height
-        )
+        box = disturbed(around, "perturbed", seed, model.name, number, 0, drawn.camera)
         answer = estimator.estimate(frame, [ObjectQuery(model.name, box)])[0]
         T = answer.T_cam_obj
         limit_m = RECALL_FRACTION * model.diameter_m

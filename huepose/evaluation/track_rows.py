@@ -13,18 +13,10 @@ from huepose.evaluation.bootstrap import Interval, frame_intervals
 from huepose.evaluation.instances import Place, PublishedPose
 from huepose.evaluation.measured import BLOCK_NS, ENOUGH_SEQUENCES
 from huepose.evaluation.roft_errors import FIGURES, roft_figures
-from huepose.evaluation.states import Moment, StateReport, combined, report
+from huepose.evaluation.states import TIMES, Moment, StateReport, combined, report
 from huepose.evaluation.summary import Figures, grouped, largest, mean_figures
 from huepose.evaluation.targets import PoseError, Targets, object_number
 from huepose.geometry.arrays import Float64
-
-_WORST = (
-    "declared_suspect_after_frames",
-    "declared_lost_after_frames",
-    "acquired_after_s",
-    "confirmed_after_s",
-    "reacquired_after_s",
-)
 
 
 @dataclass(frozen=True, eq=False)
@@ -69,29 +61,8 @@ class TrackRow:
 
     def as_json(self) -> dict[str, Any]:
         """The row in its file form."""
-        return {
-            "sequence": self.sequence,
-            "frame": self.frame,
-            "object": self.object,
-            "ordinal": self.ordinal,
-            "gt_instance": self.gt_instance,
-            "track": self.track,
-            "T_cam_obj": self.T_cam_obj,
-            "T_truth": self.T_truth,
-            "velocity": self.velocity,
-            "add_m": None if self.error is None else self.error.add_m,
-            "adds_m": None if self.error is None else self.error.adds_m,
-            "diameter_m": self.diameter_m,
-            "visib_fract": self.visib_fract,
-            "visible": self.visible,
-            "gone": self.gone,
-            "state": self.state,
-            "right": None if self.error is None else self.error.right,
-            "quality": self.quality,
-            "seconds": self.seconds,
-            "stamp_ns": self.stamp_ns,
-            "seed": self.seed,
-        }
+        record = {name: value for name, value in vars(self).items() if name != "error"}
+        return record | {key: getattr(self.error, key, None) for key in ("add_m", "adds_m", "right")}
 
 
 def row_of(
@@ -153,7 +124,7 @@ class TrackResult:
             **self.settings,
             "seed": seeds[0] if len(seeds) == 1 else seeds,
             **_counts_as_whole(mean_figures(flat)),
-            **{key: largest(block[key] for block in flat) for key in _WORST},
+            **{key: largest(block[key] for block in flat) for key in TIMES},
             "min_auc_add": min(
                 (b["min_auc_add"] for b in flat if b["min_auc_add"] is not None), default=None
             ),
@@ -208,15 +179,10 @@ class TrackResult:
         }
 
 
-_COUNTS = (
-    "instances",
-    "lost_frames",
-    "false_tracking_frames",
-    "undeclared_losses",
-    "never_confirmed",
-    "never_reacquired",
-    "declared_suspect_after_frames",
-    "declared_lost_after_frames",
+_FAULTS = ("lost_frames", "undeclared_losses", "never_confirmed", "never_reacquired")
+_WHOLE = (
+    *("instances", "false_tracking_frames", "declared_suspect_after_frames", "declared_lost_after_frames"),
+    *_FAULTS,
 )
 _MEANS = (
     *("recall_add", "recall_adds", "auc_add", "auc_adds", "auc_voc_add", "auc_voc_adds", "coverage_tracking"),
@@ -227,7 +193,7 @@ _MEANS = (
 def _counts_as_whole(figures: Figures) -> Figures:
     """Counts without a fraction as integers; a mean over seeds may keep one."""
     return {
-        key: int(value) if value is not None and key in _COUNTS and value == int(value) else value
+        key: int(value) if value is not None and key in _WHOLE and value == int(value) else value
         for key, value in figures.items()
     }
 
@@ -275,18 +241,11 @@ def _roft_figures(rows: Sequence[TrackRow]) -> Figures:
 def _state_figures(states: StateReport, phantoms: int) -> Figures:
     false = states.false_tracking_frames + phantoms
     return {
+        **{name: float(getattr(states, name)) for name in _FAULTS},
+        **{name: getattr(states, name) for name in TIMES},
         "coverage_tracking": states.coverage_tracking,
-        "lost_frames": float(states.lost_frames),
         "false_tracking_frames": float(false),
         "false_tracking_rate": 100.0 * false / states.frames if states.frames else 0.0,
-        "declared_suspect_after_frames": states.declared_suspect_after_frames,
-        "declared_lost_after_frames": states.declared_lost_after_frames,
-        "undeclared_losses": float(states.undeclared_losses),
-        "acquired_after_s": states.acquired_after_s,
-        "confirmed_after_s": states.confirmed_after_s,
-        "reacquired_after_s": states.reacquired_after_s,
-        "never_confirmed": float(states.never_confirmed),
-        "never_reacquired": float(states.never_reacquired),
     }
 
 

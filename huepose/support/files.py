@@ -6,6 +6,8 @@ import os
 import tempfile
 from pathlib import Path
 
+import numpy as np
+
 from huepose.support.errors import InputError
 
 
@@ -35,3 +37,19 @@ def write_text(path: Path | str, text: str) -> None:
         raise InputError(
             path, found=error.strerror or str(error), expected="a place that can be written"
         ) from None
+
+
+def write_picture(path: Path, picture: np.ndarray) -> None:
+    """Write an RGB picture (H, W, 3) uint8 as its ending says, PNG without one. Makes missing folders. Raises
+    InputError."""
+    import cv2
+
+    ending = path.suffix.lower() or ".png"
+    if not cv2.haveImageWriter(f"picture{ending}"):
+        raise InputError(path, found="a picture that cannot be encoded", expected="an ending such as .png")
+    data = cv2.imencode(ending, np.ascontiguousarray(picture[..., ::-1]))[1].tobytes()
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        path.write_bytes(data)
+    except OSError as error:
+        raise InputError(path, found=error.strerror or str(error), fix="Choose another folder.") from None

@@ -12,7 +12,6 @@ from itertools import islice
 from pathlib import Path
 from typing import Any
 
-import cv2
 import numpy as np
 import torch
 from torch import Tensor
@@ -21,6 +20,7 @@ from huepose.drawing.plots import line_plot
 from huepose.geometry.arrays import Float
 from huepose.paper.canonical import FEATURES
 from huepose.paper.rotation_network import POINTS, Kind
+from huepose.support.files import write_picture
 from huepose.training.bank import Bank, Samples
 from huepose.training.network import AttentionDgcnn, geodesic
 from huepose.training.runs import VALIDATION_ROUND, Course, Settings, Training, endless_loader, export_onnx
@@ -172,4 +172,4 @@ def _draw(file: Path, course: Course, kind: int, without: Float) -> None:
         "rotation error, degrees",
         y_range=(0.0, 1.2 * float(max(without.mean(), mean.min()))),
     )
-    cv2.imwrite(str(file), picture[..., ::-1])
+    write_picture(file, picture)

@@ -9,7 +9,6 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
-import cv2
 import numpy as np
 import torch
 from torch import Tensor
@@ -21,6 +20,7 @@ from huepose.geometry import icosphere
 from huepose.propose.template_table import view_rotations
 from huepose.propose.view_pictures import CHANNELS, NEAR, ROLLS, SIDE, SPAN, UNTURNED
 from huepose.propose.view_pictures import LEVEL as VIEW_LEVEL
+from huepose.support.files import write_picture
 from huepose.training.runs import VALIDATION_ROUND, Course, Settings, Training, endless_loader, export_onnx
 from huepose.training.view_code_network import (
     LARGEST_SHARPNESS,
@@ -351,4 +351,4 @@ def _draw(file: Path, course: Course) -> None:
     curves = {"likest": (table[:, 1], table[:, 2]), "one of five": (table[:, 1], table[:, 3])}
     title = "windows of objects that it was not trained on"
     picture = line_plot(curves, title, "steps", "share with a right view", y_range=(0.0, 1.0))
-    cv2.imwrite(str(file), picture[..., ::-1])
+    write_picture(file, picture)

@@ -127,8 +127,7 @@ class TruthBoxes(ByOutline):
             box = outline.box(T_cam_obj, camera)
         if box is None:
             return None
-        size = (camera.width, camera.height)
-        return disturbed(box, "perturbed", self._seed, message.scene, message.image, truth.instance, *size)
+        return disturbed(box, "perturbed", self._seed, message.scene, message.image, truth.instance, camera)
 
 
 class FirstBoxes(ByOutline):

@@ -24,13 +24,12 @@ import numpy as np
 
 from huepose.drawing.plots import line_plot, reliability_bins, reliability_plot
 from huepose.evaluation import metrics
-from huepose.evaluation.pictures import write_picture
 from huepose.evaluation.result_files import write_json
 from huepose.evaluation.states import StateReport, combined, report
 from huepose.evaluation.summary import table
 from huepose.model import ReferenceModel, load_model, save_model
 from huepose.onboarding import onboard_mesh
-from huepose.support.files import cache_folder
+from huepose.support.files import cache_folder, write_picture
 from huepose.tracking import Tracker
 from studies.hard_moments.film import Film
 from studies.hard_moments.perception import Oracle, OwnEstimates

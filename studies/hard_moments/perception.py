@@ -136,8 +136,7 @@ class OwnEstimates:
         box = None if box is None else box.clipped(camera.width, camera.height)
         if box is None or min(box.w, box.h) < LEAST_BOX_PX:
             return None
-        size = (camera.width, camera.height)
-        return disturbed(box, "perturbed", self._seed, self._script.name, frame, number, *size)
+        return disturbed(box, "perturbed", self._seed, self._script.name, frame, number, camera)
 
 
 def _candidates(asked: RequestedObject, objects: Sequence[str], seen: Seen, taken: set[int]) -> list[int]:

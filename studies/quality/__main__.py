@@ -19,7 +19,6 @@ from multiprocessing import get_context
 from pathlib import Path
 from typing import Any
 
-import cv2
 import numpy as np
 
 from huepose.believe.fits import fitted, write_fit
@@ -38,6 +37,7 @@ from huepose.geometry.mesh import Mesh
 from huepose.model import load_models
 from huepose.scenes.rendered_set import write_rendered_set
 from huepose.scenes.shapes import demo_objects
+from huepose.support.files import write_picture
 from huepose_services.cli.evaluate_calibration import worth_row
 from huepose_services.cli.main import main as run_huepose
 from studies.absent import answers_where_absent, questions, read_absent
@@ -215,7 +215,7 @@ def _draw(path: Path, fitted: Fitted, labels: Judged) -> None:
         for name, chosen in _by_scene(labels).items()
         if labels.right[chosen].mean() < MOST_RIGHT
     ]
-    cv2.imwrite(str(path), np.ascontiguousarray(np.hstack(plots)[..., ::-1]))
+    write_picture(path, np.hstack(plots))
 
 
 def _all(parts: Sequence[Judged]) -> Judged:

@@ -1,6 +1,49 @@
+"""Percentiles, and what the bench of perception measures: all asked for, two, one that is absent, masks."""
+
+from __future__ import annotations
+
+import numpy as np
 import pytest
 
-from huepose.evaluation.benches import StageTime
+from huepose.datasets.types import GroundTruth
+from huepose.evaluation.benches import StageTime, _taken_out, bench_perception
+from huepose.geometry import Box
+from huepose.rendering.render import render_depth
+
+
+class Still:
+    """A scene of a single picture."""
+
+    def __init__(self, frame, truth) -> None:
+        self._frame, self._truth = frame, truth
+
+    def __len__(self) -> int:
+        return 1
+
+    def frame(self, i):
+        return self._frame
+
+    def truth(self, i):
+        return (self._truth,)
+
+
+def test_every_stage_is_measured_and_the_missing_object_is_missing(tea_box, take_picture, standing) -> None:
+    frame = take_picture([(tea_box.mesh, standing)])
+    mask = render_depth(tea_box.mesh, standing, frame.camera) > 0
+    truth = GroundTruth(0, standing, object="tea_box", box_visib=Box.of_mask(mask), mask_loader=lambda: mask)
+    stages = {s.name: s for s in bench_perception(Still(frame, truth), {"tea_box": tea_box}, frames=2)}
+    assert {
+        "detect",
+        "detect/clear view",
+        "detect/presence",
+        "detect two",
+        "detect missing",
+        "segment",
+    } <= set(stages)
+    assert all(s.cpu_ms_p50 > 0.0 for s in stages.values())
+    out = _taken_out(frame, truth)
+    assert not out.depth[mask].any()
+    assert np.array_equal(out.depth[~mask], frame.depth[~mask])
 
 
 def test_percentiles_are_in_milliseconds():

@@ -8,26 +8,28 @@ import numpy as np
 import pytest
 
 from huepose.datasets.boxes import disturbed, projected_box, truth_box
-from huepose.geometry import Box
+from huepose.geometry import Box, Camera
 
 from .conftest import CAMERA, pose_at, truth
+
+VGA = Camera(600.0, 600.0, 319.5, 239.5, 640, 480)
 
 
 def test_perturbed_boxes_follow_the_documented_draws() -> None:
     box = Box(100, 80, 60, 40)
     rng = np.random.default_rng([3, zlib.crc32(b"000002"), 17, 4])
     dx, dy, scale = rng.uniform(-0.1, 0.1) * 60, rng.uniform(-0.1, 0.1) * 40, rng.uniform(0.9, 1.1)
-    got = disturbed(box, "perturbed", 3, "000002", 17, 4, 640, 480)
+    got = disturbed(box, "perturbed", 3, "000002", 17, 4, VGA)
     assert (got.w, got.h) == pytest.approx((60 * scale, 40 * scale))
     assert (got.x + got.w / 2, got.y + got.h / 2) == pytest.approx((130 + dx, 100 + dy))
-    paper = disturbed(box, "paper", 3, "000002", 17, 4, 640, 480)
+    paper = disturbed(box, "paper", 3, "000002", 17, 4, VGA)
     assert paper == pytest.approx(Box(100 + dx, 80 + dy, 60, 40))
-    assert disturbed(box, "gt", 3, "000002", 17, 4, 640, 480) == box
+    assert disturbed(box, "gt", 3, "000002", 17, 4, VGA) == box
 
 
 def test_a_recorded_box_stays_what_it_was() -> None:
     """Pins the generator: results of different versions are comparable only while this holds."""
-    got = disturbed(Box(186, 132, 139, 191), "perturbed", 11, "000000", 1, 0, 640, 480)
+    got = disturbed(Box(186, 132, 139, 191), "perturbed", 11, "000000", 1, 0, VGA)
     assert got == pytest.approx(PINNED, abs=1e-6)
 
 
@@ -36,7 +38,7 @@ PINNED = Box(184.4044796, 123.0500595, 134.7873466, 185.2113899)
 
 def test_boxes_are_clipped_to_the_image() -> None:
     for seed in range(40):
-        box = disturbed(Box(0, 400, 640, 80), "perturbed", seed, "s", 0, 0, 640, 480)
+        box = disturbed(Box(0, 400, 640, 80), "perturbed", seed, "s", 0, 0, VGA)
         assert box.x >= 0
         assert box.y1 <= 480
         assert box.x1 <= 640
@@ -44,7 +46,7 @@ def test_boxes_are_clipped_to_the_image() -> None:
 
 def test_seed_scene_image_and_instance_all_matter() -> None:
     args = [(0, "a", 1, 1), (1, "a", 1, 1), (0, "b", 1, 1), (0, "a", 2, 1), (0, "a", 1, 2)]
-    boxes = {disturbed(Box(100, 100, 50, 50), "perturbed", *a, 640, 480) for a in args}
+    boxes = {disturbed(Box(100, 100, 50, 50), "perturbed", *a, VGA) for a in args}
     assert len(boxes) == len(args)
 
 

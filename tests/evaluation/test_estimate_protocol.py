@@ -70,9 +70,7 @@ def test_the_estimator_gets_the_documented_boxes(models, scene) -> None:
     estimator = answering(scene)
     evaluate_estimates([scene], Targets(models), estimator, EstimateOptions(seeds=(4,)))
     label = scene.truths(8)[1]
-    expected = disturbed(
-        truth_box(label, models["box"].mesh, CAMERA), "perturbed", 4, "000001", 8, 1, 160, 120
-    )
+    expected = disturbed(truth_box(label, models["box"].mesh, CAMERA), "perturbed", 4, "000001", 8, 1, CAMERA)
     asked = {(image, query.instance): query for image, query in estimator.asked}
     assert asked[8, 1].box == expected
     assert asked[8, 1].object == "box"

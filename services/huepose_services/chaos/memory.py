@@ -10,8 +10,8 @@ from pathlib import Path
 import numpy as np
 
 from huepose.drawing.plots import line_plot
-from huepose.evaluation.pictures import write_picture
 from huepose.geometry.arrays import Float64
+from huepose.support.files import write_picture
 from huepose_protos.messages import HealthMessage
 
 Said = Sequence[tuple[float, HealthMessage]]

@@ -27,8 +27,7 @@ def call(arguments: argparse.Namespace) -> int:
     import resource
     from dataclasses import asdict
 
-    from huepose.evaluation.benches import StageTime, bench_estimate, bench_track
-    from huepose.evaluation.perception_bench import bench_perception
+    from huepose.evaluation.benches import StageTime, bench_estimate, bench_perception, bench_track
     from huepose.model import load_models
     from huepose.profiles import profile
     from huepose.scenes.builtin import SyntheticScene
@@ -76,7 +75,7 @@ def draw_stages(path: Path, stages: list[tuple[str, float, float]]) -> None:
     import numpy as np
 
     from huepose.drawing.plots import bar_chart
-    from huepose.evaluation.pictures import write_picture
+    from huepose.support.files import write_picture
 
     rows = []
     for whole in dict.fromkeys(name.split("/")[0].split()[0] for name, _, _ in stages):

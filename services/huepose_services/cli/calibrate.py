@@ -87,7 +87,7 @@ def _draw(path: Path, frames: list[int], found: HandEye) -> None:
     import numpy as np
 
     from huepose.drawing.plots import line_plot
-    from huepose_services.cli.explain import write_picture
+    from huepose.support.files import write_picture
 
     x = np.array(frames, float)
     series = {"shift, mm": (x, 1e3 * found.shift_m), "turn, degrees": (x, np.degrees(found.turn_rad))}

@@ -108,7 +108,8 @@ def call(arguments: argparse.Namespace) -> int:
     _say_offset(frame, models, answers)
     answered(arguments, {"poses": [as_record(a) for a in answers]}, "\n".join(map(in_words, answers)))
     if arguments.image:
-        from huepose_services.cli.explain import draw_answers, write_picture
+        from huepose.support.files import write_picture
+        from huepose_services.cli.explain import draw_answers
 
         write_picture(arguments.image, draw_answers(frame, models, answers))
     return 0
@@ -187,7 +188,8 @@ def _standing(
         out.append(absent(name, why))
         if arguments.explain:
             from huepose.estimation.present import places_with_doubts
-            from huepose_services.cli.explain import draw_places, write_picture
+            from huepose.support.files import write_picture
+            from huepose_services.cli.explain import draw_places
 
             tried = [
                 (a.T_cam_obj, x)

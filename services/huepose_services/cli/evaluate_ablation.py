@@ -6,10 +6,10 @@ import argparse
 from typing import Any
 
 from huepose.evaluation.ablation import evaluate_ablation, with_networks
-from huepose.evaluation.pictures import write_picture
 from huepose.evaluation.result_files import write_json
 from huepose.evaluation.summary import table
 from huepose.evaluation.targets import Targets
+from huepose.support.files import write_picture
 from huepose_services.cli.evaluate_scenes import open_fast_ycb
 from huepose_services.cli.evaluate_sources import call as sources
 

@@ -9,8 +9,8 @@ from typing import Any
 from huepose.believe.quality import quality_fits
 from huepose.drawing.plots import reliability_plot
 from huepose.evaluation.calibration import Judged, Worth, read_judged, worth
-from huepose.evaluation.pictures import write_picture
 from huepose.evaluation.summary import table
+from huepose.support.files import write_picture
 
 HEADING = ("set", "n", "right %", "calibration error", "by chance", "found %", "over the level %",
            "right of them %")  # fmt: skip

@@ -11,7 +11,6 @@ from huepose.estimation import Estimator
 from huepose.evaluation.equivalents import read_equivalents
 from huepose.evaluation.estimate_protocol import EstimateOptions, EstimateSetup
 from huepose.evaluation.origin import origin
-from huepose.evaluation.pictures import write_picture
 from huepose.evaluation.result_files import write_json
 from huepose.evaluation.source_ablation import SourceRow, picture, run_variants, source_rows, variants
 from huepose.evaluation.summary import table
@@ -19,6 +18,7 @@ from huepose.evaluation.targets import Targets
 from huepose.model import load_models
 from huepose.profiles import profile
 from huepose.support.errors import InputError
+from huepose.support.files import write_picture
 from huepose_services.cli.evaluate_scenes import open_bop, shown
 
 _COLUMNS = {"recall_add": "ADD", "recall_adds": "ADD-S", "auc_add": "AUC ADD"}

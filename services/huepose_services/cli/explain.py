@@ -7,7 +7,6 @@ from collections.abc import Mapping, Sequence
 from dataclasses import asdict
 from pathlib import Path
 
-import cv2
 import numpy as np
 
 from huepose.drawing.contact_sheet import contact_sheet
@@ -26,7 +25,7 @@ from huepose.propose.config import RetrievalConfig
 from huepose.propose.views import retrieve
 from huepose.rendering.render import render
 from huepose.select.near_ties import TERMS
-from huepose.support.errors import InputError
+from huepose.support.files import write_picture, write_text
 
 COLORS = ((60, 220, 60), (255, 170, 30), (70, 160, 255), (255, 80, 160), (240, 240, 60))
 VIEWS = 12
@@ -97,7 +96,7 @@ def write_explanation(
             {"T_cam_obj": T.tolist(), **dict(zip(TERMS, terms.tolist(), strict=True)), "weighed": float(sum_)}
             for T, terms, sum_ in zip(held.poses, held.terms, held.weighed(), strict=True)
         ]
-    _write_text(folder / f"{model.name}_scores.json", json.dumps(record, indent=2) + "\n")
+    write_text(folder / f"{model.name}_scores.json", json.dumps(record, indent=2) + "\n")
     return doubts
 
 
@@ -146,18 +145,3 @@ def _write_views(path: Path, model: ReferenceModel, explanation: Explanation) ->
 def _tinted(frame: RgbdFrame, mask: Bool) -> UInt8:
     """The image, dark outside of a mask."""
     return np.where(mask[..., None], frame.color, frame.color // 4).astype(np.uint8)
-
-
-def write_picture(path: Path, picture: UInt8) -> None:
-    """Write an RGB picture (H, W, 3) as its ending says. Raises InputError where that cannot be."""
-    ending = path.suffix.lower() or ".png"
-    if not cv2.haveImageWriter(f"picture{ending}"):
-        raise InputError(path, found="a picture that cannot be encoded", expected="an ending such as .png")
-    data = cv2.imencode(ending, picture[..., ::-1])[1]
-    path.parent.mkdir(parents=True, exist_ok=True)
-    path.write_bytes(data.tobytes())
-
-
-def _write_text(path: Path, text: str) -> None:
-    path.parent.mkdir(parents=True, exist_ok=True)
-    path.write_text(text)

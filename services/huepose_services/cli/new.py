@@ -79,7 +79,7 @@ def write_frame(folder: Path, shot: Shot, camera: Camera) -> None:
     import cv2
     import numpy as np
 
-    from huepose_services.cli.explain import write_picture
+    from huepose.support.files import write_picture
 
     write_picture(folder / "color.png", shot.color)
     depth = np.rint(shot.depth * 10_000.0).clip(0, np.iinfo(np.uint16).max).astype(np.uint16)

@@ -110,7 +110,7 @@ def self_test(bundles: Path, name: str) -> tuple[dict[str, Any] | None, str]:
     from huepose.evaluation import suitability
     from huepose.model import load_models
     from huepose.support.errors import InputError
-    from huepose_services.cli.explain import write_picture
+    from huepose.support.files import write_picture
 
     model = load_models(bundles, [name])[name]
     try:

@@ -6,6 +6,7 @@ import numpy as np
 
 from huepose_protos.buffers import Array, pack
 from huepose_protos.messages import (
+    AgainRequest,
     CameraMessage,
     Clock,
     ControlReply,
@@ -260,5 +261,7 @@ def messages() -> list[Message]:
             config='{"site":"local"}',
             objects=["006_mustard_bottle"],
             memory=b"\x80",
+            frames=[(_EPOCH, 42)],
         ),
+        AgainRequest(publish_ns=_PUBLISH, frames=[(_EPOCH, 42)], steps=[359]),
     ]

@@ -102,6 +102,11 @@ class Keys:
         """MemoryMessage, now and then while somebody listens to the intake."""
         return self._key("tracker/memory")
 
+    @property
+    def again(self) -> str:
+        """Queryable of the tracker: AgainRequest, answered by the frames and the IntakeMessages."""
+        return self._key("tracker/again")
+
     def health(self, worker: str = "*") -> str:
         """HealthMessage of a worker."""
         return self._key(f"health/{worker}")

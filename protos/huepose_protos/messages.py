@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from typing import Annotated, ClassVar, Literal
 
-from msgspec import Meta, Struct
+from msgspec import Meta, Struct, field
 
 from huepose_protos.control import ControlReply as ControlReply
 from huepose_protos.control import ControlRequest as ControlRequest
@@ -343,13 +343,21 @@ class MemoryMessage(Message, frozen=True, kw_only=True):
     """All that the tracker believes after step `seq`, for whoever computes its poses again from there.
 
     `config`: the pipeline's configuration in JSON; `objects`: those that it knows; `memory`: MessagePack, for
-    the same version of the library only."""
+    the same version of the library only; `frames`: those that it remembers, by camera epoch and number."""
 
     max_bytes: ClassVar[int] = 16 * 1024 * KIB
     seq: Count
     config: Annotated[str, Meta(max_length=1024 * KIB)]
     objects: list[Name]
     memory: bytes
+    frames: Annotated[list[tuple[Epoch, Count]], Meta(max_length=4096)] = field(default_factory=list)
+
+
+class AgainRequest(Message, frozen=True, kw_only=True):
+    """What a recorder has not got of what the tracker took: frames by camera epoch and number, and steps."""
+
+    frames: Annotated[list[tuple[Epoch, Count]], Meta(max_length=64)]
+    steps: Annotated[list[Count], Meta(max_length=256)]
 
 
 MESSAGES: tuple[type[Message], ...] = (
@@ -368,4 +376,5 @@ MESSAGES: tuple[type[Message], ...] = (
     TruthMessage,
     IntakeMessage,
     MemoryMessage,
+    AgainRequest,
 )

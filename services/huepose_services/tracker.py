@@ -28,6 +28,7 @@ from huepose_services.convert import (
 )
 from huepose_services.doubts import complaint_about, why_doubted
 from huepose_services.following import Follower, Retired
+from huepose_services.given import Given
 from huepose_services.intake import MEMORY_EVERY_NS, Clock, Intake
 from huepose_services.runtime.bus import Bus
 from huepose_services.runtime.clock import now_ns
@@ -50,7 +51,7 @@ def make(bus: Bus, config: Config) -> TrackerWork:
     tracker = tracker_of(config, known)
     tracker.warm_up()
     follower = Follower(bus, lambda name: models.load_one(config, name), known, remembers=True)
-    return TrackerWork(bus, tracker, follower, config)
+    return TrackerWork(bus, tracker, follower, config, given=Given(bus))
 
 
 def tracker_of(config: Config, known: Mapping[str, ReferenceModel]) -> Tracker:
@@ -76,9 +77,10 @@ class TrackerWork:
         objects: Follower[ReferenceModel],
         config: Config,
         clock: Clock = now_ns,
+        given: Given | None = None,
     ) -> None:
         self._bus, self._tracker, self._objects, self._config = bus, tracker, objects, config
-        self._clock = clock
+        self._clock, self._given = clock, given
         self._intake = Intake(clock)
         self._seq = self._memory_due_ns = 0
         self._max_age_ns = int(config.tracker.max_age_ms * 1e6)
@@ -148,7 +150,10 @@ class TrackerWork:
         if not self._intake.heard:
             self._memory_due_ns = 0
             return
-        bus.put_aside(keys.intake, self._intake.message(self._seq))
+        said = self._intake.message(self._seq)
+        if self._given is not None:
+            self._given.step(said)
+        bus.put_aside(keys.intake, said)
         now = now_ns()
         if now >= self._memory_due_ns:
             self._memory_due_ns = now + MEMORY_EVERY_NS
@@ -158,13 +163,14 @@ class TrackerWork:
         """All that is believed now."""
         header = None if self._header is None else _frame_of(self._header)
         own = (header, self._first, sorted(self._published), self._retired.below, self._holds_until_ns)
-        acted_on = memory.plain(self._acted_on, self._tracker)
+        acted_on, told = memory.plain(self._acted_on, self._tracker), memory.told(self._tracker)
         return MemoryMessage(
             publish_ns=now_ns(),
             seq=self._seq,
             config=msgspec.json.encode(self._config).decode(),
             objects=list(self._tracker.objects),
-            memory=msgspec.msgpack.encode((memory.told(self._tracker), own, acted_on)),
+            memory=msgspec.msgpack.encode((told, own, acted_on)),
+            frames=list(dict.fromkeys([*memory.frames_of(told), *([] if header is None else [header])])),
         )
 
     def take_over(self, message: MemoryMessage, frame_of: FrameOf) -> None:
@@ -257,6 +263,8 @@ class TrackerWork:
         if before is None or before.camera_epoch != header.camera_epoch:
             self._first = _frame_of(header)
             self._take_back("the camera was opened anew")
+        if self._given is not None:
+            self._given.frame(header, payload, frame, self._intake.heard)
         complaint = complaint_about(frame, self._pixels)
         self._pixels, self._acted_on = frame, []
         health.warn_while("frame", complaint)

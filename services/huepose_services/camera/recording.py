@@ -7,8 +7,10 @@ from pathlib import Path
 from huepose.datasets.types import GroundTruth, Sample, Scene
 from huepose.geometry import RgbdFrame
 from huepose.support.errors import InputError
+from huepose_protos.keys import tail_of
 from huepose_protos.messages import FrameHeader, TruthMessage
 from huepose_services.convert import box_from_wire, frame_from_wire, optional_pose_from_wire
+from huepose_services.recording.part import GIVEN
 from huepose_services.recording.read import Recording
 from huepose_services.runtime.config import Config
 
@@ -36,6 +38,8 @@ class RecordedScene:
         for place, chunk in self._recording.chunks():
             for event in self._recording.inside(chunk, pixels=False):
                 message = event.message
+                if tail_of(event.key) == GIVEN:
+                    continue
                 if isinstance(message, FrameHeader) and _key(message) not in seen:
                     seen.add(_key(message))
                     self._frames.append(message)

@@ -107,6 +107,7 @@ class _Progress:
     def _line(self) -> str:
         r, p = self._recorder, self._parts
         missed = f", {r.missed} frames missed" if r.missed else ""
+        missed += f", {r.lost} of the tracker's" if r.lost else ""
         return f"{p.path}: {p.frames} frames, {r.seconds:.1f} s, {p.size / 1e6:.1f} MB{missed}"
 
     def show(self) -> None:

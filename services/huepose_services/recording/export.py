@@ -17,7 +17,9 @@ from huepose.support.errors import InputError
 from huepose.support.files import write_text
 from huepose_protos import to_json
 from huepose_protos.buffers import frame_images
+from huepose_protos.keys import tail_of
 from huepose_protos.messages import FrameHeader, PoseMessage, TruthMessage
+from huepose_services.recording.part import GIVEN
 from huepose_services.recording.read import Event
 
 _PNG = [cv2.IMWRITE_PNG_COMPRESSION, 1]
@@ -40,6 +42,8 @@ def export_bop(events: Iterable[Event], folder: Path) -> int:
         for event in events:
             message = event.message
             if not isinstance(message, FrameHeader | PoseMessage | TruthMessage):
+                continue
+            if tail_of(event.key) == GIVEN:
                 continue
             number = numbers.of(message.camera_epoch, message.frame_id)
             if isinstance(message, FrameHeader):

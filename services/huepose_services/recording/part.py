@@ -31,6 +31,8 @@ from huepose_protos.buffers import Array
 from huepose_protos.messages import FrameHeader, Message, PoseMessage
 
 COLOR, DEPTH = "color", "depth"
+GIVEN = "tracker/frame"
+"""The end of the key of frames that the tracker gave again, late and some from before the recording."""
 JPEG_QUALITY = 90
 _CHUNK_BYTES, _CHUNK_S = 8 * 1024 * 1024, 0.5
 """A chunk is on the disk for good when it is as large, or as old; what comes after it may be lost."""

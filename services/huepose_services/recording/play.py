@@ -15,6 +15,7 @@ import msgspec
 
 from huepose_protos.keys import tail_of
 from huepose_protos.messages import FrameHeader, IntakeMessage, MemoryMessage, Message
+from huepose_services.recording.part import GIVEN
 from huepose_services.recording.read import Event
 from huepose_services.runtime.bus import Bus
 from huepose_services.runtime.clock import SECOND, this_clock
@@ -52,6 +53,10 @@ def in_order(events: Iterable[Event]) -> Iterator[Event]:
         yield heapq.heappop(waiting)[2]
 
 
+def _is_for_verify(event: Event) -> bool:
+    return isinstance(event.message, IntakeMessage | MemoryMessage) or tail_of(event.key) == GIVEN
+
+
 class Player:
     """One pass through a recording. Ask `due_ns`, then call `play`.
 
@@ -60,7 +65,7 @@ class Player:
     def __init__(
         self, events: Iterable[Event], bus: Bus, start_ns: int, speed: float, only: str | None = None
     ) -> None:
-        said = (event for event in events if not isinstance(event.message, IntakeMessage | MemoryMessage))
+        said = (event for event in events if not _is_for_verify(event))
         self._events = (event for event in in_order(said) if only in (None, said_by(event.key)))
         self._bus, self._speed, self._start_ns = bus, speed, start_ns
         self._epochs: dict[int, int] = {}

@@ -4,22 +4,28 @@ from __future__ import annotations
 
 import platform
 import time
+from collections.abc import Iterator
 from importlib.metadata import PackageNotFoundError, version
 
 import msgspec
+import zenoh
 
 from huepose.support.errors import InputError
-from huepose_protos import WireError, decode
+from huepose_protos import WireError, decode, encode
 from huepose_protos.buffers import frame_images
 from huepose_protos.client import kind_of
-from huepose_protos.messages import FrameHeader, MemoryMessage
+from huepose_protos.messages import AgainRequest, FrameHeader, IntakeMessage, MemoryMessage
 from huepose_services import models
 from huepose_services.recording.arrivals import Arrivals, Arrived
+from huepose_services.recording.part import GIVEN
 from huepose_services.recording.parts import Parts
+from huepose_services.recording.taken import FrameKey
 from huepose_services.runtime.bus import Bus
+from huepose_services.runtime.clock import now_ns
 from huepose_services.runtime.config import Config
 
 _GONE_AFTER_S = 1.0
+_ANSWER_WITHIN_S = 2.0
 _LOOK_EVERY_S = 0.5
 _MOST_WAITING = 256 * 1024 * 1024
 """Bytes of pixels that a slow disk may leave waiting, six seconds at 640 x 480."""
@@ -59,7 +65,7 @@ class Recorder:
             *((keys.frame, keys.intake, keys.memory) if with_frames else ()),
         )
         # In the order in which it comes: what the tracker took in then stands after the frame that it took.
-        self._arrivals = Arrivals(bus.session, said, _MOST_WAITING)
+        self._arrivals = Arrivals(bus.session, said, _MOST_WAITING, self._ask if with_frames else None)
         self._live = bus.inbox.liveliness(keys.live())
         self._there: set[str] = set()
         self._gone_since: float | None = None
@@ -78,6 +84,18 @@ class Recorder:
     def missed(self) -> int:
         """Frames that came and were not written."""
         return self._arrivals.missed
+
+    @property
+    def lost(self) -> int:
+        """Frames and steps of the tracker that came neither by themselves nor when it was asked for them."""
+        return self._arrivals.taken.lost
+
+    def _ask(self, frames: list[FrameKey], steps: list[int]) -> Iterator[zenoh.Sample]:
+        request = AgainRequest(publish_ns=now_ns(), frames=frames, steps=steps)
+        key, data = self._bus.keys.again, encode(request)
+        for reply in self._bus.session.get(key, payload=data, timeout=_ANSWER_WITHIN_S):
+            if reply.ok is not None:
+                yield reply.ok
 
     def step(self, timeout_s: float) -> None:
         """Write what arrived; waits so long for the first. Raises OSError for a full disk."""
@@ -99,11 +117,15 @@ class Recorder:
         self._arrivals.close()
 
     def _write(self, arrived: Arrived) -> None:
-        if arrived.key == self._bus.keys.frame:
+        keys = self._bus.keys
+        if arrived.key == keys.frame or (arrived.key == keys.again and arrived.pixels):
             header = decode(arrived.header, FrameHeader)
             color, depth = frame_images(header, arrived.pixels)
-            self._parts.frame(header, color, depth, arrived.key)
+            given = arrived.key == keys.again
+            self._parts.frame(header, color, depth, keys.of_tail(GIVEN) if given else keys.frame)
             self._saw(header.publish_ns)
+        elif arrived.key == keys.again:
+            self._parts.message(keys.intake, decode(arrived.header, IntakeMessage))
         elif (kind := kind_of(arrived.key)) is not None:
             message = decode(arrived.header, kind)
             if isinstance(message, MemoryMessage):
@@ -128,8 +150,6 @@ class Recorder:
         self.last_ns = max(self.last_ns, stamp_ns)
 
     def _look_who_is_there(self) -> None:
-        import zenoh
-
         while (sample := self._live.take()) is not None:
             key = str(sample.key_expr)
             if sample.kind == zenoh.SampleKind.PUT:

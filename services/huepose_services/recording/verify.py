@@ -42,9 +42,10 @@ from huepose_services.runtime.health import Health
 from huepose_services.runtime.log import Log
 from huepose_services.tracker import TrackerWork, tracker_of
 
-_LAG_NS = 2_000_000_000
+_LAG_NS = 6_000_000_000
 """Messages of the tracker are held back for so long, so that frames and poses written a little later are
-there. By time: a tracker on a busy computer says few in it, and the camera goes on."""
+there, those too that it had to be asked for. By time: a tracker on a busy computer says few in it, and the
+camera goes on."""
 _TAKEN = 256
 """Frames that are kept: more than a tracker remembers."""
 _FRAMES = 1024
@@ -208,10 +209,9 @@ class _Verifier:
     def _forget_before(self, newest: _FrameKey) -> None:
         """Frames that the tracker passed over."""
         if newest in self._frames:
-            for key in list(self._frames):
-                if key == newest:
-                    break
-                if key not in self._taken:
+            said_ns = self._frames[newest][0].publish_ns
+            for key, (header, _) in list(self._frames.items()):
+                if header.publish_ns < said_ns and key not in self._taken:
                     del self._frames[key]
         while len(self._taken) > _TAKEN:
             oldest = next(iter(self._taken))

@@ -1,0 +1,95 @@
+"""A recording holds what the tracker took: what did not come is asked for; what it passed over goes first."""
+
+import time
+
+import msgspec
+
+from huepose_protos import encode
+from huepose_protos.examples import messages
+from huepose_protos.messages import FrameHeader, IntakeMessage, MemoryMessage
+from huepose_services.recording.arrivals import Arrivals
+from huepose_services.recording.taken import Taken
+
+from .test_arrivals import _Channel, _Sample
+
+EXAMPLES = {type(m): m for m in messages()}
+EPOCH = EXAMPLES[FrameHeader].camera_epoch
+LATER = 1e9
+"""When all patience is over."""
+
+
+def _frame(number):
+    return encode(msgspec.structs.replace(EXAMPLES[FrameHeader], frame_id=number, camera_epoch=EPOCH))
+
+
+def _step(seq, frame=None, again=False, publish_ns=None):
+    stamp = publish_ns or 10**12 + seq
+    message = msgspec.structs.replace(
+        EXAMPLES[IntakeMessage],
+        **{"seq": seq, "frame_id": frame, "camera_epoch": None if frame is None else EPOCH},
+        publish_ns=stamp,
+    )
+    return "huepose/a/cam0/tracker/" + ("again" if again else "intake"), encode(message)
+
+
+def test_what_the_tracker_took_and_did_not_come_is_asked_for_until_it_comes():
+    taken = Taken()
+    for number in (1, 2, 4):
+        taken.frame(_frame(number))
+    taken.message(*_step(11, 2))
+    taken.message(*_step(14, 4))
+    assert taken.wanted(0.0) == ([], [])  # it may still be on its way
+    assert taken.wanted(LATER) == ([], [12, 13])
+    taken.message(*_step(12, 3, again=True))
+    assert taken.wanted(LATER + 1.0) == ([(EPOCH, 3)], [13])
+    taken.frame(_frame(3))
+    taken.message(*_step(13, again=True))
+    assert taken.wanted(LATER + 2.0) == ([], [])
+    assert taken.lost == 0
+
+
+def test_what_the_tracker_remembers_is_asked_for_at_the_beginning():
+    taken = Taken()
+    frames = [(EPOCH, number) for number in range(6)]
+    memory = msgspec.structs.replace(EXAMPLES[MemoryMessage], frames=frames)
+    taken.message("huepose/a/cam0/tracker/memory", encode(memory))
+    assert taken.wanted(LATER) == (frames[:4], [])
+    assert taken.wanted(LATER) == (frames[4:], [])
+
+
+def test_what_never_comes_is_counted_and_a_tracker_that_was_started_again_owes_nothing():
+    taken = Taken()
+    taken.message(*_step(500))
+    taken.message(*_step(3, publish_ns=10**13))
+    assert taken.wanted(LATER) == ([], [])
+    taken.message(*_step(5, publish_ns=10**13 + 1))
+    asked = [taken.wanted(LATER * (n + 1)) for n in range(5)]
+    assert asked == [([], [4])] * 4 + [([], [])]
+    assert taken.lost == 1
+
+
+def test_a_slow_recorder_lets_go_of_frames_that_the_tracker_passed_over():
+    """Of ten frames each third is taken; there is room for four."""
+    samples = []
+    for number in range(10):
+        samples.append(_Sample("frame", _frame(number), bytes(10)))
+        if number % 3 == 0:
+            samples.append(_Sample(*_step(number, number)))
+
+    def ask(frames, steps):
+        return [_Sample("huepose/a/cam0/tracker/again", _frame(f[1]), bytes(10)) for f in frames]
+
+    arrivals = Arrivals(_Channel(samples), ["all"], 40, ask)
+    deadline = time.monotonic() + 10.0
+    while samples and time.monotonic() < deadline:
+        time.sleep(0.01)
+    # What was dropped before the tracker said that it took it is had again.
+    kept = set()
+    while not kept >= {0, 3, 6, 9} and time.monotonic() < deadline:
+        arrived = arrivals.take()
+        kept |= {arrived.frame[1]} if arrived is not None and arrived.frame else set()
+        time.sleep(0.001)
+    arrivals.close()
+    assert kept >= {0, 3, 6, 9}
+    assert not kept & {1, 2}
+    assert arrivals.missed >= 4

@@ -46,6 +46,10 @@ def add_parser(subparsers: Any) -> None:
 
 def call(arguments: argparse.Namespace) -> int:
     """Play until the end, or until interrupted; or verify; or export."""
+    from huepose_services.runtime.threads import single_threaded
+
+    # As in the tracker's worker: what a long sum comes to depends on how many threads share it.
+    single_threaded()
     from huepose_services.recording.read import Recording
 
     recordings = [Recording(path) for path in arguments.files]

@@ -6,9 +6,14 @@ origin where a covariance or a velocity is meant (see `perturb`); `exp` and `log
 
 from __future__ import annotations
 
+from math import atan2, cos, sin, sqrt
+
 import numpy as np
 
 from huepose.geometry.arrays import Float, Float64
+
+NEARLY_ORTHONORMAL = 1e-7
+"""Up to this norm of I - R^T R one step of Newton and Schulz, which squares it, ends at machine precision."""
 
 
 def make(R: Float, t: Float) -> Float64:
@@ -26,9 +31,21 @@ def inverse(T: Float) -> Float64:
 
 def orthonormalised(T: Float) -> Float64:
     """The nearest rigid transform to `T` (4, 4): singular values of its rotation set to one, det +1."""
-    U, _, Vt = np.linalg.svd(T[:3, :3])
-    U[:, 2] *= np.sign(np.linalg.det(U @ Vt))
+    R = np.asarray(T, np.float64)[:3, :3]
+    gap = _IDENTITY - R.T @ R
+    if np.vdot(gap, gap) < NEARLY_ORTHONORMAL**2 and _determinant(R) > 0.0:
+        return make(R + 0.5 * (R @ gap), T[:3, 3])
+    U, _, Vt = np.linalg.svd(R)
+    U[:, 2] *= np.sign(_determinant(U @ Vt))
     return make(U @ Vt, T[:3, 3])
+
+
+_IDENTITY = np.eye(3)
+
+
+def _determinant(R: Float64) -> float:
+    (a, b, c), (d, e, f), (g, h, i) = R.tolist()
+    return float(a * (e * i - f * h) - b * (d * i - f * g) + c * (d * h - e * g))
 
 
 def compose(*transforms: Float) -> Float64:
@@ -52,22 +69,25 @@ def hat(w: Float) -> Float64:
 
 def rotation_exp(w: Float) -> Float64:
     """Rotation matrix (3, 3) of a rotation vector (3,) in radians."""
-    angle = float(np.linalg.norm(w))
-    K = hat(w)
-    if angle < 1e-8:
-        return np.asarray(np.eye(3) + K + 0.5 * K @ K)
-    return np.asarray(np.eye(3) + np.sin(angle) / angle * K + (1 - np.cos(angle)) / angle**2 * (K @ K))
+    x, y, z = (float(a) for a in w)
+    square = x * x + y * y + z * z
+    angle = sqrt(square)
+    a, b = (1.0, 0.5) if angle < 1e-8 else (sin(angle) / angle, (1.0 - cos(angle)) / square)
+    return np.array(
+        [
+            [1.0 - b * (y * y + z * z), b * x * y - a * z, b * x * z + a * y],
+            [b * x * y + a * z, 1.0 - b * (x * x + z * z), b * y * z - a * x],
+            [b * x * z - a * y, b * y * z + a * x, 1.0 - b * (x * x + y * y)],
+        ]
+    )
 
 
 def rotation_log(R: Float) -> Float64:
     """Rotation vector (3,) of a rotation matrix (3, 3), angle in [0, pi]; exact near 0 and near pi."""
-    q = quaternion_from_rotation(R)
-    if q[3] < 0:
-        q = -q
-    s = float(np.linalg.norm(q[:3]))
-    if s < 1e-12:
-        return 2.0 * q[:3]
-    return np.asarray(q[:3] / s * 2.0 * np.arctan2(s, q[3]))
+    x, y, z, w = _quaternion(R)
+    s = sqrt(x * x + y * y + z * z)
+    factor = 2.0 if s < 1e-12 else 2.0 * atan2(s, abs(w)) / s
+    return np.array([x, y, z]) * (-factor if w < 0.0 else factor)
 
 
 def rotation_angle(R_a: Float, R_b: Float) -> float:
@@ -77,19 +97,23 @@ def rotation_angle(R_a: Float, R_b: Float) -> float:
 
 def quaternion_from_rotation(R: Float) -> Float64:
     """Unit quaternion xyzw (4,) of a rotation matrix (3, 3); from the largest of its four components."""
-    m = np.asarray(R, dtype=np.float64)
-    d = np.array([m[0, 0], m[1, 1], m[2, 2], m[0, 0] + m[1, 1] + m[2, 2]])
-    k = int(np.argmax(d))
-    if k == 3:
-        q = np.array([m[2, 1] - m[1, 2], m[0, 2] - m[2, 0], m[1, 0] - m[0, 1], 1.0 + d[3]])
+    return np.array(_quaternion(R))
+
+
+def _quaternion(R: Float) -> tuple[float, float, float, float]:
+    (a, b, c), (d, e, f), (g, h, i) = np.asarray(R, np.float64).tolist()
+    trace = a + e + i
+    largest = max(a, e, i, trace)
+    if largest == trace:
+        x, y, z, w = h - f, c - g, d - b, 1.0 + trace
+    elif largest == a:
+        x, y, z, w = 1.0 - trace + 2.0 * a, d + b, g + c, h - f
+    elif largest == e:
+        x, y, z, w = b + d, 1.0 - trace + 2.0 * e, h + f, c - g
     else:
-        i, j, l = k, (k + 1) % 3, (k + 2) % 3
-        q = np.empty(4)
-        q[i] = 1.0 - d[3] + 2.0 * m[i, i]
-        q[j] = m[j, i] + m[i, j]
-        q[l] = m[l, i] + m[i, l]
-        q[3] = m[l, j] - m[j, l]
-    return np.asarray(q / np.linalg.norm(q))
+        x, y, z, w = c + g, f + h, 1.0 - trace + 2.0 * i, d - b
+    length = sqrt(x * x + y * y + z * z + w * w)
+    return x / length, y / length, z / length, w / length
 
 
 def rotation_from_quaternion(q: Float) -> Float64:
@@ -140,8 +164,10 @@ def interpolate(T_0: Float, T_1: Float, s: float) -> Float64:
 def perturb(T_cam_obj: Float, delta: Float) -> Float64:
     """Move a pose by `delta` = tx ty tz rx ry rz (6,): a small translation and a small rotation about the
     object's origin, both along camera axes. The convention of every covariance and velocity here."""
-    d = np.asarray(delta, float)
-    return orthonormalised(make(rotation_exp(d[3:]) @ T_cam_obj[:3, :3], T_cam_obj[:3, 3] + d[:3]))
+    T = np.array(T_cam_obj, np.float64)
+    T[:3, :3] = rotation_exp(delta[3:]) @ T[:3, :3]
+    T[:3, 3] += delta[:3]
+    return orthonormalised(T)
 
 
 def difference(T_from: Float, T_to: Float) -> Float64:

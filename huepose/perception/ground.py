@@ -7,9 +7,10 @@ from collections.abc import Sequence
 import cv2
 import numpy as np
 
-from huepose.geometry.arrays import Bool, Float32, Float64
+from huepose.geometry.arrays import Bool, Float32, Float64, Int8, Int32, UInt8
 from huepose.geometry.camera import Camera
 from huepose.perception.support_plane import Plane, best_plane
+from huepose.support.jit import jit, jit_dividing
 
 POINTS, TRIALS, MOST = 1500, 120, 3
 MIN_SHARE = 0.06
@@ -57,41 +58,69 @@ def standing_clear(depth: Float32, camera: Camera, planes: Sequence[Plane], larg
     """Pixels (H, W) with depth that lie on none of the planes. Of a plane those pieces count that are larger
     than `larger_than_m2`, and what of it is seen between things that stand on it."""
     clear = depth > 0
-    u = (np.arange(depth.shape[1], dtype=np.float32) - np.float32(camera.cx)) / np.float32(camera.fx)
-    v = (np.arange(depth.shape[0], dtype=np.float32) - np.float32(camera.cy)) / np.float32(camera.fy)
-    band = np.float32(BAND_M) + np.float32(BAND_PER_M) * depth * depth
+    on, front = np.empty(depth.shape, np.uint8), np.empty(depth.shape, np.int8)
     for plane in planes:
-        n, offset = plane.normal.astype(np.float32), np.float32(plane.point @ plane.normal)
-        # The normal points to the camera: what is in front of the plane has more height.
-        height = depth * ((u * n[0])[None, :] + (v * n[1])[:, None] + n[2]) - offset
-        on = clear & (np.abs(height) <= band)
+        n, offset = plane.normal, float(plane.point @ plane.normal)
+        rows = np.array([n[0] / camera.fx, n[1] / camera.fy, n[2]])
+        rows[2] -= rows[0] * camera.cx + rows[1] * camera.cy
+        _sorted(depth, clear, rows, offset, on, front)
+        count, labels = cv2.connectedComponents(on, connectivity=4, ltype=cv2.CV_32S)
         # A pixel sees z^3 / (fx fy |offset|) of a plane.
-        area = depth * depth * depth * on * np.float32(1.0 / (camera.fx * camera.fy * abs(offset)))
-        bounds = (height > BEYOND * band) * 1.0 - (height < -BEYOND * band)
-        bounds[on | ~clear] = 1.0
-        clear &= ~_pieces_of(on, area, bounds, depth > 0, larger_than_m2)
+        _take_away(
+            np.asarray(labels, np.int32), count, depth, front,
+            larger_than_m2 * camera.fx * camera.fy * abs(offset), clear,
+        )  # fmt: skip
     return np.asarray(clear)
 
 
-def _pieces_of(on: Bool, area: Float32, bounds: Float64, known: Bool, larger_than_m2: float) -> Bool:
-    """Which pixels (H, W) on a plane are of its large pieces, or of small ones that what is `known` beside
-    them bounds, by the mean of `bounds` there; area (H, W): that a pixel sees, 0 where it is not `on` it."""
-    count, labels = cv2.connectedComponents(on.view(np.uint8), connectivity=4)
-    small = np.bincount(labels.ravel(), area.ravel(), count) < larger_than_m2
-    small[0] = False
-    v, u = np.nonzero(small[labels])
-    own = labels[v, u]
-    seen, bounded = np.zeros(count), np.zeros(count)
-    for down, right in ((0, BESIDE_PX), (0, -BESIDE_PX), (BESIDE_PX, 0), (-BESIDE_PX, 0)):
-        b, a = v + down, u + right
-        within = (b >= 0) & (a >= 0) & (b < on.shape[0]) & (a < on.shape[1])
-        b, a, mine = b[within], a[within], own[within]
-        other = (labels[b, a] != mine) & known[b, a]
-        seen += np.bincount(mine[other], minlength=count)
-        bounded += np.bincount(mine[other], bounds[b, a][other], count)
-    kept = ~small | (bounded >= BOUNDED * seen)
-    kept[0] = False
-    return np.asarray(kept[labels])
+@jit_dividing
+def _sorted(depth: Float32, clear: Bool, rows: Float64, offset: float, on: UInt8, front: Int8) -> None:
+    """Fill `on` (H, W) with 1 where what is clear lies on a plane, else 0; `front` (H, W) with 1 on it, in
+    front of it and where planes before took what is there, -1 behind it, 0 between. rows (3,): the product of
+    a pixel's ray with the normal is rows @ (u, v, 1)."""
+    right = np.float32(rows[0])
+    for v in range(depth.shape[0]):
+        first = np.float32(rows[1] * v + rows[2])
+        for u in range(depth.shape[1]):
+            z = depth[v, u]
+            # The normal points to the camera: what is in front of the plane has more height.
+            height = z * (right * np.float32(u) + first) - np.float32(offset)
+            band = np.float32(BAND_M) + np.float32(BAND_PER_M) * z * z
+            on[v, u] = clear[v, u] and abs(height) <= band
+            if on[v, u] or not clear[v, u]:
+                front[v, u] = 1
+            else:
+                beyond = np.float32(BEYOND) * band
+                front[v, u] = np.int8(height > beyond) - np.int8(height < -beyond)
+
+
+@jit
+def _take_away(
+    labels: Int32, count: int, depth: Float32, front: Int8, larger_than: float, clear: Bool
+) -> None:
+    """Clear away the pieces (labels 1 to count - 1) of a plane that are large (their sums of depth cubed), or
+    that what has depth beside them bounds, by the mean of `front` there."""
+    height, width = labels.shape
+    size, seen, bounded = np.zeros(count), np.zeros(count), np.zeros(count)
+    for v in range(height):
+        for u in range(width):
+            if labels[v, u] > 0:
+                size[labels[v, u]] += depth[v, u] ** 3
+    for v in range(height):
+        for u in range(width):
+            own = labels[v, u]
+            if own == 0 or size[own] >= larger_than:
+                continue
+            for q in range(4):
+                b, a = v + BESIDE_PX * ((q == 0) - (q == 1)), u + BESIDE_PX * ((q == 2) - (q == 3))
+                if 0 <= b < height and 0 <= a < width and labels[b, a] != own and depth[b, a] > 0.0:
+                    seen[own] += 1.0
+                    bounded[own] += front[b, a]
+    for v in range(height):
+        for u in range(width):
+            own = labels[v, u]
+            if own > 0 and (size[own] >= larger_than or bounded[own] >= BOUNDED * seen[own]):
+                clear[v, u] = False
 
 
 def _refitted(points: Float64, plane: Plane) -> tuple[Plane, Bool]:

@@ -8,9 +8,9 @@ from dataclasses import replace
 import numpy as np
 
 from huepose.believe.presence import MOST_ALIKE, Sight, logits_of
-from huepose.geometry.arrays import Float64
+from huepose.geometry.arrays import Float32, Float64
 from huepose.geometry.frame import RgbdFrame
-from huepose.judge.arrays import model_arrays, nearest_view
+from huepose.judge.arrays import ModelArrays, model_arrays, nearest_view
 from huepose.judge.borders import Contours, outline
 from huepose.judge.continuation import continuation_many
 from huepose.judge.region import Region
@@ -19,6 +19,7 @@ from huepose.model.types import ReferenceModel
 from huepose.perception.clear_view import ClearView
 from huepose.perception.likeness import likenesses
 from huepose.perception.scouting import SEEN_M
+from huepose.support.jit import jit
 
 SAMPLES, RIM_SAMPLES = 800, 400
 """Of the surface, and of its outline, by which a place is looked at."""
@@ -44,7 +45,7 @@ def sights_of(
     regions = {name: view.region(models[name].diameter_m) for name, _ in poses}
     sights = [sight(view, regions[name], models[name], T) for name, T in poses]
     # Until they are asked for, likeness and outline say the best that they could.
-    for closer in (alike, outlined):
+    for closer in (outlined, alike):
         doubtful = [int(k) for k in np.flatnonzero(logits_of(sights) > WORTH)]
         asked = closer(view, models, [poses[k] for k in doubtful], [sights[k] for k in doubtful])
         for k, seen in zip(doubtful, asked, strict=True):
@@ -87,13 +88,34 @@ def outlined(
 
 def agreeing_pixels(model: ReferenceModel, frame: RgbdFrame, T_cam_obj: Float64) -> int:
     """How many pixels of a frame some of the samples of a pose (4, 4) fall on and agree with in depth."""
-    arrays, camera = model_arrays(model), frame.camera
-    view = nearest_view(T_cam_obj, arrays)
-    shown = arrays.visible[arrays.offsets[view] : arrays.offsets[view + 1]][:SAMPLES]
-    points = arrays.points[shown] @ T_cam_obj[:3, :3].T + T_cam_obj[:3, 3]
-    points = points[points[:, 2] > NEAREST_M]
-    u, v = np.rint(camera.project(points)).astype(int).T
-    inside = (u >= 0) & (v >= 0) & (u < camera.width) & (v < camera.height)
-    u, v, z = u[inside], v[inside], points[inside, 2]
-    agree = np.abs(frame.depth[v, u] - z) < SEEN_M
-    return len(np.unique(v[agree] * camera.width + u[agree]))
+    camera = frame.camera
+    return int(
+        _agreeing(
+            np.ascontiguousarray(T_cam_obj, dtype=np.float64), model_arrays(model), frame.depth,
+            float(camera.fx), float(camera.fy), float(camera.cx), float(camera.cy),
+        )
+    )  # fmt: skip
+
+
+@jit
+def _agreeing(
+    T: Float64, model: ModelArrays, depth: Float32, fx: float, fy: float, cx: float, cy: float
+) -> int:
+    height, width = depth.shape
+    view = nearest_view(T, model)
+    first = model.offsets[view]
+    last = min(model.offsets[view + 1], first + SAMPLES)
+    pixels = np.empty(SAMPLES, np.int64)
+    count = 0
+    for k in range(first, last):
+        p = model.points[model.visible[k]]
+        z = T[2, 0] * p[0] + T[2, 1] * p[1] + T[2, 2] * p[2] + T[2, 3]
+        if z <= NEAREST_M:
+            continue
+        x = T[0, 0] * p[0] + T[0, 1] * p[1] + T[0, 2] * p[2] + T[0, 3]
+        y = T[1, 0] * p[0] + T[1, 1] * p[1] + T[1, 2] * p[2] + T[1, 3]
+        u, v = int(np.rint(x / z * fx + cx)), int(np.rint(y / z * fy + cy))
+        if u >= 0 and v >= 0 and u < width and v < height and abs(depth[v, u] - z) < SEEN_M:
+            pixels[count] = v * width + u
+            count += 1
+    return len(np.unique(pixels[:count]))

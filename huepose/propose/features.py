@@ -53,9 +53,8 @@ class Sift:
     def extract(self, color: UInt8, mask: Bool | None = None) -> Features:
         """Features of a picture (H, W, 3) uint8 RGB, only those on the mask (H, W) where there is one."""
         grey = cv2.cvtColor(color, cv2.COLOR_RGB2GRAY)
-        found = self._sift.detect(grey, None if mask is None else mask.view(np.uint8))
+        found, plain = self._sift.detectAndCompute(grey, None if mask is None else mask.view(np.uint8))
         if not found:
             return Features(np.zeros((0, 2), np.float32), np.zeros((0, SIFT_WIDTH), np.float32))
-        found, plain = self._sift.compute(grey, found)
         shares = plain / np.maximum(plain.sum(1, keepdims=True), np.float32(1.0))
         return Features(np.array([p.pt for p in found], np.float32), np.sqrt(shares))

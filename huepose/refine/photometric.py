@@ -276,14 +276,42 @@ def _add_color(
     sharpness: Float64,
     equations: NormalEquations,
 ) -> None:
-    """Add the photometric residuals: lit texture less image at the projected sample."""
+    """Add the photometric residuals: lit texture less image at the projected sample.
+
+    The rows of a sample's channels are all made of two, of a move of one pixel right and of one down."""
+    right, down, by_right, by_down = np.empty((6, n)), np.empty((6, n)), np.empty((6, n)), np.empty((6, n))
+    pull_right, pull_down = np.empty(n), np.empty(n)
+    m = 0
     for k in range(n):
         if weight[k] <= 0.0:
             continue
         x, y, inverse = samples.points[k, 0], samples.points[k, 1], 1.0 / samples.points[k, 2]
         p = surface.points[samples.which[k]]
+        fx, fy = region.fx * inverse, region.fy * inverse
+        along_u = motion_row_cam(T, p[0], p[1], p[2], fx, 0.0, -fx * x * inverse, body)
+        along_v = motion_row_cam(T, p[0], p[1], p[2], 0.0, fy, -fy * y * inverse, body)
+        uu, uv, vv, pull_right[m], pull_down[m] = 0.0, 0.0, 0.0, 0.0, 0.0
         for c in range(3):
-            g0 = gradient[k, c, 0] * region.fx * inverse
-            g1 = gradient[k, c, 1] * region.fy * inverse
-            row = motion_row_cam(T, p[0], p[1], p[2], g0, g1, -(g0 * x + g1 * y) * inverse, body)
-            add_residual(equations, weight[k] * sharpness[c], -residual[k, c], row)
+            w, gu, gv = weight[k] * sharpness[c], gradient[k, c, 0], gradient[k, c, 1]
+            uu += w * gu * gu
+            uv += w * gu * gv
+            vv += w * gv * gv
+            pull_right[m] -= w * gu * residual[k, c]
+            pull_down[m] -= w * gv * residual[k, c]
+        for i in range(6):
+            right[i, m], down[i, m] = along_u[i], along_v[i]
+            by_right[i, m], by_down[i, m] = (
+                uu * along_u[i] + uv * along_v[i],
+                uv * along_u[i] + vv * along_v[i],
+            )
+        m += 1
+    for i in range(6):
+        pull = 0.0
+        for k in range(m):
+            pull += right[i, k] * pull_right[k] + down[i, k] * pull_down[k]
+        equations.b[i] += pull
+        for j in range(i + 1):
+            known = 0.0
+            for k in range(m):
+                known += by_right[i, k] * right[j, k] + by_down[i, k] * down[j, k]
+            equations.A[i, j] += known

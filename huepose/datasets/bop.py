@@ -12,8 +12,7 @@ from pathlib import Path
 from typing import Any
 
 from huepose.datasets import files
-from huepose.datasets.types import GroundTruth, Sample
-from huepose.geometry.arrays import Bool
+from huepose.datasets.types import GroundTruth
 from huepose.geometry.box import Box
 from huepose.geometry.camera import Camera
 from huepose.geometry.frame import RgbdFrame
@@ -115,24 +114,12 @@ class BopScene:
             visib = float(files.numbers(detail, "visib_fract", (), where_detail))
         if detail.get("bbox_visib") is not None:
             box = Box(*(float(v) for v in files.numbers(detail, "bbox_visib", (4,), where_detail)))
-        has_mask = self._mask_path(image, instance).exists()
+        mask_path = self.path / "mask_visib" / f"{image:06d}_{instance:06d}.png"
         return GroundTruth(
             instance=instance,
             T_cam_obj=files.rigid(R, t_m, where),
             object_id=int(files.numbers(label, "obj_id", (), where)),
             visib_fract=visib,
             box_visib=box if box is not None and box.w > 0 and box.h > 0 else None,
-            mask_loader=partial(self.mask, image, instance) if has_mask else None,
+            mask_loader=partial(files.read_mask, mask_path) if mask_path.exists() else None,
         )
-
-    def _mask_path(self, image: int, instance: int) -> Path:
-        return self.path / "mask_visib" / f"{image:06d}_{instance:06d}.png"
-
-    def mask(self, image: int, instance: int) -> Bool:
-        """The visible mask (H, W) of a label. Raises InputError where it is missing or of another size."""
-        path = self._mask_path(image, instance)
-        return files.read_mask(path, "Masks of the visible parts are needed here.")
-
-    def sample(self, image: int) -> Sample:
-        """Frame and labels of an image."""
-        return Sample(self.frame(image), self.truths(image), self.name, image)

@@ -11,7 +11,6 @@ are whole.
 from __future__ import annotations
 
 import json
-import os
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -25,6 +24,7 @@ from huepose.geometry import Box, Camera
 from huepose.geometry.arrays import Bool, Float32, Float64, UInt8
 from huepose.geometry.mesh import Mesh
 from huepose.support.errors import InputError
+from huepose.support.files import whole, writing
 
 DEPTH_SCALE_MM = 0.1
 JPEG_QUALITY = 95
@@ -74,14 +74,10 @@ class BopWriter:
                 expected="a new or empty folder",
                 fix="Choose another --out.",
             )
-        try:
+        with writing(folder):
             for part in ("rgb", "depth", "mask_visib"):
                 (folder / part).mkdir(parents=True, exist_ok=True)
             _write(said, json.dumps(facts, indent=1).encode())
-        except OSError as error:
-            raise InputError(
-                folder, found=error.strerror or str(error), expected="a folder that can be written"
-            ) from None
 
     @property
     def done(self) -> frozenset[int]:
@@ -96,7 +92,7 @@ class BopWriter:
         raw = np.where(steps > np.iinfo(np.uint16).max, 0, steps).astype(np.uint16)
         suffix = self._color_suffix
         quality = [cv2.IMWRITE_JPEG_QUALITY, JPEG_QUALITY] if suffix == ".jpg" else []
-        try:
+        with writing(self.folder, "a folder with room for about 0.6 MB a frame"):
             _write(self.folder / "rgb" / f"{stem}{suffix}", _encoded(suffix, color[..., ::-1], quality))
             _write(self.folder / "depth" / f"{stem}.png", _encoded(".png", raw))
             for k, label in enumerate(labels):
@@ -110,12 +106,6 @@ class BopWriter:
             self._sheets["scene_gt_info"][key] = [_details(label) for label in labels]
             for name, sheet in self._sheets.items():
                 _write(self.folder / f"{name}.json", json.dumps(sheet).encode())
-        except OSError as error:
-            raise InputError(
-                self.folder,
-                found=error.strerror or str(error),
-                expected="a folder with room for about 0.6 MB a frame",
-            ) from None
 
 
 def _pose(label: Label) -> dict[str, Any]:
@@ -144,13 +134,8 @@ def _encoded(kind: str, picture: np.ndarray, parameters: Sequence[int] = ()) -> 
 
 
 def _write(path: Path, data: bytes) -> None:
-    """The file as a whole, or not at all."""
-    part = path.with_name(f".{path.name}.{os.getpid()}.part")
-    try:
+    with whole(path) as part:
         part.write_bytes(data)
-        part.replace(path)
-    finally:
-        part.unlink(missing_ok=True)
 
 
 def write_models_folder(folder: Path, meshes: Mapping[str, Mesh], object_ids: Mapping[str, int]) -> None:
@@ -158,7 +143,7 @@ def write_models_folder(folder: Path, meshes: Mapping[str, Mesh], object_ids: Ma
 
     Raises InputError where the folder cannot be written."""
     infos = {}
-    try:
+    with writing(folder):
         folder.mkdir(parents=True, exist_ok=True)
         for name, mesh in meshes.items():
             stem = f"obj_{object_ids[name]:06d}"
@@ -168,10 +153,6 @@ def write_models_folder(folder: Path, meshes: Mapping[str, Mesh], object_ids: Ma
             lows = {f"min_{axis}": float(s) for axis, s in zip("xyz", low, strict=True)}
             infos[str(object_ids[name])] = {"name": name, **lows, **sizes}
         (folder / "models_info.json").write_text(json.dumps(infos, indent=1))
-    except OSError as error:
-        raise InputError(
-            folder, found=error.strerror or str(error), expected="a folder that can be written"
-        ) from None
 
 
 def write_ply(path: Path, mesh: Mesh, scale: float = 1.0) -> None:

@@ -14,9 +14,9 @@ from pathlib import Path
 import numpy as np
 
 from huepose.datasets import files
-from huepose.datasets.types import GroundTruth, Sample
+from huepose.datasets.types import GroundTruth
 from huepose.geometry import se3
-from huepose.geometry.arrays import Bool, Float, Float64
+from huepose.geometry.arrays import Float, Float64
 from huepose.geometry.camera import Camera
 from huepose.geometry.frame import RgbdFrame
 from huepose.support.errors import InputError
@@ -194,15 +194,3 @@ class FastYcbSequence:
             T_cam_obj = se3.compose(self._poses[image], se3.make(np.eye(3), -self._offset))
         loader = partial(files.read_mask, self._masks[image]) if image in self._masks else None
         return (GroundTruth(0, T_cam_obj, object=self.object, mask_loader=loader),)
-
-    def mask(self, image: int, instance: int = 0) -> Bool:
-        """The visible mask (H, W). Raises InputError where there is none."""
-        if image not in self._masks or instance != 0:
-            raise InputError(
-                self.path / "masks" / "gt", found=f"no mask {image}", expected=f"{self.object}_{image}.png"
-            )
-        return files.read_mask(self._masks[image])
-
-    def sample(self, image: int) -> Sample:
-        """Frame and label."""
-        return Sample(self.frame(image), self.truths(image), self.name, image)

@@ -13,7 +13,7 @@ import numpy as np
 from huepose.datasets.ycb_objects import T_posecnn_obj
 from huepose.geometry import Camera, se3
 from huepose.geometry.arrays import Bool, Float, Float32, Float64, UInt8
-from huepose.support.errors import InputError
+from huepose.support.files import writing
 
 
 @dataclass(frozen=True, eq=False)
@@ -40,7 +40,7 @@ def write_fast_ycb(
     dope: poses for `dope/poses_ycb.txt`, None where nothing was found. Raises InputError."""
     T_obj_posecnn = se3.inverse(T_posecnn_obj(np.zeros(3) if frame_offset_m is None else frame_offset_m))
     rows = []
-    try:
+    with writing(folder):
         for part in ("rgb", "depth", "gt", "masks/gt", *(["dope"] if dope is not None else [])):
             (folder / part).mkdir(parents=True, exist_ok=True)
         size = np.array([camera.width, camera.height], "<u8").tobytes()
@@ -56,8 +56,6 @@ def write_fast_ycb(
             found = ["0 0 0 0 0 0 0" if T is None else _row(se3.compose(T, T_obj_posecnn)) for T in dope]
             (folder / "dope" / "poses_ycb.txt").write_text("\n".join(found) + "\n")
         (folder / "gt" / "poses_ycb.txt").write_text("\n".join(rows) + "\n")
-    except OSError as error:
-        raise InputError(folder, found=error.strerror or str(error), expected="a folder to write") from None
 
 
 def _row(T: Float64) -> str:

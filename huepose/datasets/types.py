@@ -58,6 +58,11 @@ class Sample:
     scene: str
     image: int
 
+    @staticmethod
+    def of(scene: Scene, image: int) -> Sample:
+        """Of a scene's image. Raises InputError on a broken file."""
+        return Sample(scene.frame(image), scene.truths(image), scene.name, image)
+
 
 class Scene(Protocol):
     """What readers of recorded scenes have in common. `image` is always the number in the file name."""
@@ -84,10 +89,6 @@ class Scene(Protocol):
         """The labels, without reading any picture."""
         ...
 
-    def sample(self, image: int) -> Sample:
-        """Frame and labels."""
-        ...
-
 
 class SomeImages:
     """A scene of which only some images are used."""
@@ -95,4 +96,4 @@ class SomeImages:
     def __init__(self, scene: Scene, image_ids: Sequence[int]) -> None:
         self.image_ids = tuple(image_ids)
         self.name, self.frame, self.truths = scene.name, scene.frame, scene.truths
-        self.sample, self.stamp_ns = scene.sample, scene.stamp_ns
+        self.stamp_ns = scene.stamp_ns

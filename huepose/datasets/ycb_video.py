@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 
 from huepose.datasets import files
-from huepose.datasets.types import GroundTruth, Sample
+from huepose.datasets.types import GroundTruth
 from huepose.geometry import se3
 from huepose.geometry.arrays import Bool, Float
 from huepose.geometry.camera import Camera
@@ -92,14 +92,3 @@ class YcbVideoSequence:
 
     def _mask_of(self, image: int, object_id: int) -> Bool:
         return np.asarray(files.read_labels(self._part(image, "label.png")) == object_id)
-
-    def mask(self, image: int, instance: int) -> Bool:
-        """The visible mask (H, W) of a label. Raises InputError where the label picture is missing."""
-        mask = self.truths(image)[instance].mask()
-        if mask is None:
-            raise InputError(self._part(image, "label.png"), found="no such file")
-        return mask
-
-    def sample(self, image: int) -> Sample:
-        """Frame and labels of an image."""
-        return Sample(self.frame(image), self.truths(image), self.name, image)

@@ -14,7 +14,7 @@ from pathlib import Path
 
 from huepose.datasets import files
 from huepose.datasets.bop import BopScene
-from huepose.datasets.types import GroundTruth, Sample, Scene, SomeImages
+from huepose.datasets.types import GroundTruth, Scene, SomeImages
 from huepose.datasets.ycb_objects import ycb_objects
 from huepose.datasets.ycb_video import YcbVideoSequence
 from huepose.geometry.arrays import Float, Float64
@@ -213,10 +213,6 @@ class TargetImages:
                 left[truth.object_id] -= 1
                 chosen.add(truth.instance)
         return tuple(t for t in truths if t.instance in chosen)
-
-    def sample(self, image: int) -> Sample:
-        """Frame and labels."""
-        return Sample(self.frame(image), self.truths(image), self.name, image)
 
 
 def spread(scenes: Sequence[Scene], count: int) -> tuple[Scene, ...]:

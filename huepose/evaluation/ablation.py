@@ -115,7 +115,7 @@ def _pair(
         if not moves(truth.T_cam_obj, later.T_cam_obj):
             out.append([])
             continue
-        samples = samples or (scene.sample(image), scene.sample(image + gap))
+        samples = samples or (Sample.of(scene, image), Sample.of(scene, image + gap))
         figures = compare(model, samples[0], samples[1], truth.T_cam_obj, later.T_cam_obj, estimators)
         number = object_number(model)
         out.append([AblationRow(scene.name, image, number, *figure) for figure in figures])

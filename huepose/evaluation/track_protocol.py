@@ -153,7 +153,7 @@ class _Run:
         by_looked_at = {d.looked_at: d for d in late_deliveries(self.stamps_ns)} if roft else {}
         due: dict[int, list[Correction]] = {}
         for i in progress(range(len(self.images)), f"track {self.scene.name}"):
-            sample = self.scene.sample(self.images[i])
+            sample = Sample.of(self.scene, self.images[i])
             here = places(sample.truths, self.targets, self.counts)
             corrections = due.pop(i, [])
             if i == 0 or not roft:

@@ -72,7 +72,8 @@ class SyntheticScene:
 
     def __iter__(self) -> Iterator[Sample]:
         """Once round the loop."""
-        return (self.sample(i) for i in range(len(self)))
+        name = f"synthetic-{self.seed}"
+        return (Sample(self.frame(i), tuple(self.truth(i)), name, i) for i in range(len(self)))
 
     def frame(self, i: int) -> RgbdFrame:
         """Frame i, stamped i / 30 s."""
@@ -95,10 +96,6 @@ class SyntheticScene:
             )
             for n, name in enumerate(self.meshes)
         ]
-
-    def sample(self, i: int) -> Sample:
-        """Frame and truth."""
-        return Sample(self.frame(i), tuple(self.truth(i)), f"synthetic-{self.seed}", i)
 
     @cached_property
     def stage(self) -> Stage:

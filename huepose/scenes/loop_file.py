@@ -19,7 +19,7 @@ import cv2
 import numpy as np
 
 from huepose.geometry.arrays import Float32, UInt8, UInt16
-from huepose.support.errors import InputError
+from huepose.support.files import whole, writing
 
 MAGIC = b"HUELOOP1"
 DEPTH_SCALE_M = 1e-4
@@ -67,22 +67,11 @@ def write_loop(
 
     Raises InputError where the folder cannot be written.
     """
-    try:
+    room = "a folder with room for about 200 MB"
+    with writing(path.parent, room, "Set XDG_CACHE_HOME to another one."):
         path.parent.mkdir(parents=True, exist_ok=True)
-        part = path.with_name(f"{path.name}.{os.getpid()}.part")
-        try:
-            with part.open("wb") as out:
-                _write(out, frames, facts)
-            part.replace(path)
-        finally:
-            part.unlink(missing_ok=True)
-    except OSError as error:
-        raise InputError(
-            path.parent,
-            found=f"{error.strerror or error}",
-            expected="a folder with room for about 200 MB",
-            fix="Set XDG_CACHE_HOME to another one.",
-        ) from error
+        with whole(path) as part, part.open("wb") as out:
+            _write(out, frames, facts)
 
 
 def _write(out: Any, frames: Iterable[tuple[UInt8, Float32, dict[str, Any]]], facts: dict[str, Any]) -> None:

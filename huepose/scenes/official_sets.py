@@ -135,7 +135,7 @@ def write_ycbv_raw(out: Path, objects: Sequence[SetObject], scenes: int, frames:
             reader = BopScene(folder)
             for image in reader.image_ids:
                 name = f"{int(folder.name):04d}/{image + 1:06d}"
-                _write_raw(out / "data" / name, reader.sample(image), by_id)
+                _write_raw(out / "data" / name, Sample.of(reader, image), by_id)
                 keyframes.append(name)
     sets = out / "image_sets"
     sets.mkdir(parents=True, exist_ok=True)

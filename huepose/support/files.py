@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import os
-import tempfile
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 
 import numpy as np
@@ -17,26 +18,35 @@ def cache_folder() -> Path:
     return (Path(base) if base else Path.home() / ".cache") / "huepose"
 
 
-def write_text(path: Path | str, text: str) -> None:
-    """Write a file at once: a reader never sees a part of it. Makes missing folders. Raises InputError."""
-    path = Path(path)
+@contextmanager
+def whole(path: Path) -> Iterator[Path]:
+    """A path beside this one to write to, which then takes its place: nobody ever reads a part of a file."""
+    part = path.with_name(f".{path.name}.{os.getpid()}.part")
     try:
-        path.parent.mkdir(parents=True, exist_ok=True)
-        handle, name = tempfile.mkstemp(dir=path.parent, prefix=f".{path.name}.")
-        try:
-            with os.fdopen(handle, "w", encoding="utf-8") as file:
-                file.write(text)
-            umask = os.umask(0)
-            os.umask(umask)
-            os.chmod(name, 0o666 & ~umask)
-            os.replace(name, path)
-        except BaseException:
-            os.unlink(name)
-            raise
+        yield part
+        part.replace(path)
+    finally:
+        part.unlink(missing_ok=True)
+
+
+@contextmanager
+def writing(
+    place: Path | str, expected: str = "a place that can be written", fix: str = ""
+) -> Iterator[None]:
+    """What the disk refuses inside becomes an InputError about this place."""
+    try:
+        yield
     except OSError as error:
-        raise InputError(
-            path, found=error.strerror or str(error), expected="a place that can be written"
-        ) from None
+        raise InputError(place, found=error.strerror or str(error), expected=expected, fix=fix) from None
+
+
+def write_text(path: Path | str, text: str) -> None:
+    """Write a file, whole or not at all. Makes missing folders. Raises InputError."""
+    path = Path(path)
+    with writing(path):
+        path.parent.mkdir(parents=True, exist_ok=True)
+        with whole(path) as part:
+            part.write_text(text, encoding="utf-8")
 
 
 def write_picture(path: Path, picture: np.ndarray) -> None:
@@ -48,8 +58,6 @@ def write_picture(path: Path, picture: np.ndarray) -> None:
     if not cv2.haveImageWriter(f"picture{ending}"):
         raise InputError(path, found="a picture that cannot be encoded", expected="an ending such as .png")
     data = cv2.imencode(ending, np.ascontiguousarray(picture[..., ::-1]))[1].tobytes()
-    try:
+    with writing(path):
         path.parent.mkdir(parents=True, exist_ok=True)
         path.write_bytes(data)
-    except OSError as error:
-        raise InputError(path, found=error.strerror or str(error), fix="Choose another folder.") from None

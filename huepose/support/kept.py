@@ -25,7 +25,7 @@ import numpy as np
 from cv2 import __version__ as cv2_version
 from numpy import __version__ as numpy_version
 
-from huepose.support.files import cache_folder
+from huepose.support.files import cache_folder, whole
 
 T = TypeVar("T")
 
@@ -98,19 +98,14 @@ def _write(path: Path, value: Any) -> None:
         end += -(-array.nbytes // _ALIGNMENT) * _ALIGNMENT
     header = json.dumps({"bytes": end, "arrays": where}).encode()
     first = -(-(8 + len(header)) // _ALIGNMENT) * _ALIGNMENT
-    temporary = path.with_name(f".{path.name}.{os.getpid()}")
-    try:
-        with temporary.open("wb") as file:
-            file.write(len(header).to_bytes(8, "little") + header)
-            for name, array in parts.items():
-                file.seek(first + where[name][2])
-                file.write(array.data if array.size else b"")
-            file.truncate(first + end)
-            file.flush()
-            os.fsync(file.fileno())
-        os.replace(temporary, path)
-    finally:
-        temporary.unlink(missing_ok=True)
+    with whole(path) as part, part.open("wb") as file:
+        file.write(len(header).to_bytes(8, "little") + header)
+        for name, array in parts.items():
+            file.seek(first + where[name][2])
+            file.write(array.data if array.size else b"")
+        file.truncate(first + end)
+        file.flush()
+        os.fsync(file.fileno())
 
 
 def _mapped(path: Path) -> dict[str, np.ndarray] | None:

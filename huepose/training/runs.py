@@ -18,6 +18,7 @@ from torch import Tensor, nn
 from torch.utils.data import DataLoader, IterableDataset, get_worker_info
 
 from huepose.support.errors import InputError
+from huepose.support.files import whole
 from huepose.support.progress import progress
 
 CHECKPOINT = "checkpoint.pt"
@@ -166,10 +167,9 @@ def _stream_number(round_number: int) -> int:
 def save_checkpoint(out: Path, kind: str, course: Course, parts: Mapping[str, Any]) -> None:
     """Write a checkpoint, whole or not at all. parts: things with a `state_dict`, by name; kind: what is
     trained, in a word: a checkpoint of another kind does not fit."""
-    unfinished = out / "checkpoint.tmp"
     states = {name: part.state_dict() for name, part in parts.items()}
-    torch.save({"kind": kind, "course": asdict(course), **states}, unfinished)
-    unfinished.replace(out / CHECKPOINT)
+    with whole(out / CHECKPOINT) as file:
+        torch.save({"kind": kind, "course": asdict(course), **states}, file)
 
 
 def load_checkpoint(out: Path, kind: str, parts: Mapping[str, Any]) -> Course:

@@ -16,8 +16,7 @@ import huepose
 from huepose.geometry.mesh import Mesh
 from huepose.model.io import model_path, save_model
 from huepose.scenes.shapes import demo_objects
-from huepose.support.errors import InputError
-from huepose.support.files import cache_folder
+from huepose.support.files import cache_folder, writing
 from huepose.support.progress import progress
 
 _MAKERS = (
@@ -41,16 +40,9 @@ def builtin_bundles(seed: int, paper: bool = False) -> Path:
     folder = cache_folder() / "builtin" / (_digest(meshes) + ("-paper" if paper else ""))
     if all(model_path(folder, name).exists() for name in meshes):
         return folder
-    try:
+    with writing(folder, fix="Set XDG_CACHE_HOME to one that can."):
         folder.mkdir(parents=True, exist_ok=True)
         lock = (folder / ".lock").open("w")
-    except OSError as error:
-        raise InputError(
-            folder,
-            found=error.strerror or str(error),
-            expected="a folder that can be written",
-            fix="Set XDG_CACHE_HOME to one.",
-        ) from None
     with lock:
         try:
             fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)

@@ -16,6 +16,7 @@ from pathlib import Path
 
 from huepose.perception.sessions import NetworkSettings, check_file, digest, open_network
 from huepose.support.errors import InputError
+from huepose.support.files import whole
 
 _NOTES = "networks.json"
 _NAME = re.compile(r"^[a-z0-9_-]{1,64}$")
@@ -140,9 +141,8 @@ def add(file: Path, name: str, *, licence: str = "", source: str = "") -> Entry:
     place.mkdir(parents=True, exist_ok=True)
     path = place / f"{name}.onnx"
     if file.resolve() != path.resolve():
-        part = path.with_suffix(".part")
-        shutil.copyfile(file, part)
-        part.replace(path)
+        with whole(path) as part:
+            shutil.copyfile(file, part)
     network = KnownNetwork(
         name,
         known.role if known else "yours",

@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 
 from huepose.datasets.bop import BopScene
+from huepose.datasets.types import Sample
 from huepose.geometry import Box
 from huepose.support.errors import InputError
 
@@ -30,7 +31,7 @@ def test_images_are_listed_in_numeric_order_and_only_those_on_disk(bop_scene: Pa
 
 
 def test_a_frame_is_what_was_written(bop_scene: Path) -> None:
-    sample = BopScene(bop_scene).sample(10)
+    sample = Sample.of(BopScene(bop_scene), 10)
     np.testing.assert_array_equal(sample.frame.color, color_of(10))
     np.testing.assert_allclose(sample.frame.depth, depth_of(10) * 1e-4, atol=1e-7)
     assert sample.frame.depth[0, 0] == 0
@@ -55,7 +56,7 @@ def test_time_stamps_are_the_scenes_own_else_30_hz(bop_scene: Path) -> None:
     assert BopScene(bop_scene).stamp_ns(2) == round(2e9 / 30)
     stamp = 1581120424148532296  # more digits than a double holds
     edit(bop_scene / "scene_camera.json", lambda r: r["10"].update(timestamp_ns=stamp))
-    assert BopScene(bop_scene).sample(10).frame.stamp_ns == stamp
+    assert BopScene(bop_scene).frame(10).stamp_ns == stamp
 
 
 def test_jpeg_images_and_scenes_without_details_or_masks(bop_scene: Path) -> None:
@@ -64,7 +65,7 @@ def test_jpeg_images_and_scenes_without_details_or_masks(bop_scene: Path) -> Non
     path.unlink()
     (bop_scene / "scene_gt_info.json").unlink()
     shutil.rmtree(bop_scene / "mask_visib")
-    sample = BopScene(bop_scene).sample(2)
+    sample = Sample.of(BopScene(bop_scene), 2)
     assert np.abs(sample.frame.color.astype(int) - color_of(2)).mean() < 6
     assert sample.truths[0].box_visib is None
     assert sample.truths[0].visible
@@ -76,7 +77,7 @@ def test_a_scene_without_labels_still_has_frames(bop_scene: Path) -> None:
     (bop_scene / "scene_gt_info.json").unlink()
     scene = BopScene(bop_scene)
     assert not scene.labelled
-    assert scene.sample(2).truths == ()
+    assert scene.truths(2) == ()
 
 
 def test_an_invisible_object_has_no_box(bop_scene: Path) -> None:
@@ -133,7 +134,7 @@ def depth_of_8_bits(scene: Path) -> None:
 def test_what_is_broken_is_named(bop_scene: Path, breakage, named: str) -> None:
     breakage(bop_scene)
     with pytest.raises(InputError, match=named.replace(".", r"\.")):
-        BopScene(bop_scene).sample(2)
+        Sample.of(BopScene(bop_scene), 2)
 
 
 def test_the_name_is_that_of_the_folder_as_it_is_given(

@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 from huepose.datasets.fast_ycb import FastYcbSequence, axis_angle_poses
+from huepose.datasets.types import Sample
 from huepose.geometry import se3
 from huepose.support.errors import InputError
 
@@ -24,7 +25,7 @@ def test_a_frame_is_what_was_written(fast_sequence: Path) -> None:
     expected[1, 1] = 0  # not a number on disk
     np.testing.assert_array_equal(frame.depth, expected)
     assert (frame.camera.width, frame.camera.height, frame.camera.fy) == (WIDTH, HEIGHT, 21.0)
-    np.testing.assert_array_equal(sequence.mask(2), mask_of(2) > 0)
+    np.testing.assert_array_equal(sequence.truths(2)[0].mask(), mask_of(2) > 0)
 
 
 def test_the_object_is_the_folder_less_real_and_poses_are_in_the_reference_frame(fast_sequence: Path) -> None:
@@ -98,7 +99,7 @@ def packed_depth(sequence: Path) -> None:
 def test_what_is_broken_is_named(fast_sequence: Path, breakage, named: str) -> None:
     breakage(fast_sequence)
     with pytest.raises(InputError, match=named):
-        FastYcbSequence(fast_sequence, OFFSET_M).sample(1)
+        Sample.of(FastYcbSequence(fast_sequence, OFFSET_M), 1)
 
 
 def test_a_camera_of_another_size_is_named(fast_sequence: Path) -> None:

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 from scipy.io import savemat
 
+from huepose.datasets.types import Sample
 from huepose.datasets.ycb_video import YcbVideoSequence
 from huepose.geometry import se3
 from huepose.support.errors import InputError
@@ -69,7 +70,7 @@ def test_what_is_broken_is_named(sequence: Path, name: str, data: bytes | None) 
     if data is not None:
         (sequence / name).write_bytes(data)
     with pytest.raises(InputError, match=name):
-        YcbVideoSequence(sequence, {5: OFFSET_M}).sample(1)
+        Sample.of(YcbVideoSequence(sequence, {5: OFFSET_M}), 1)
 
 
 def test_a_folder_without_images_is_named(tmp_path: Path) -> None:

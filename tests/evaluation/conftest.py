@@ -8,7 +8,7 @@ from dataclasses import dataclass, field
 import numpy as np
 import pytest
 
-from huepose.datasets.types import GroundTruth, Sample
+from huepose.datasets.types import GroundTruth
 from huepose.estimation.types import ObjectQuery, PoseEstimate
 from huepose.geometry import Box, Camera, Mesh, RgbdFrame, se3
 from huepose.model.types import (
@@ -95,9 +95,6 @@ class MemoryScene:
 
     def truths(self, image: int) -> tuple[GroundTruth, ...]:
         return self.labels[image]
-
-    def sample(self, image: int) -> Sample:
-        return Sample(self.frame(image), self.truths(image), self.name, image)
 
 
 def estimate_of(

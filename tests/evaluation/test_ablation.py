@@ -64,9 +64,6 @@ class Film:
         depth = np.where(there, seen.depth, 1.1).astype(np.float32)
         return RgbdFrame(color, depth, CAMERA, image, self.stamp_ns(image))
 
-    def sample(self, image: int) -> Sample:
-        return Sample(self.frame(image), self.truths(image), self.name, image)
-
 
 def test_every_variant_of_every_pair_that_moves(tea_box) -> None:
     result = evaluate_ablation([Film(tea_box)], Targets({tea_box.name: tea_box}), gap=2)
@@ -116,7 +113,7 @@ def test_the_endpoint_error_of_flow_that_is_off_by_a_known_length(tea_box) -> No
 
 def test_wrong_matches_spoil_the_plain_fit_only(tea_box) -> None:
     film = Film(tea_box)
-    a, b = film.sample(0), film.sample(2)
+    a, b = Sample.of(film, 0), Sample.of(film, 2)
     flow = compute(a.frame.color, b.frame.color, WHOLE)
     assert flow is not None
     mask = visible_within(tea_box.mesh, pose(0), a.frame, WHOLE)

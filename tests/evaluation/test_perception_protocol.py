@@ -8,6 +8,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from huepose.datasets.types import Sample
 from huepose.estimation.config import StandingConfig
 from huepose.estimation.standing import standing_answers, why_none_stands
 from huepose.estimation.types import PoseEstimate, absent
@@ -140,7 +141,7 @@ def test_the_picture_shows_found_missed_and_false(models, scene) -> None:
     result = run(
         scene, models, [Detection("box", LEFT, 0.9), Detection("brick", Box(60, 5, 20, 20), 0.9)], {}
     )
-    picture = draw_perception(scene.sample(3), result.frames[0])
+    picture = draw_perception(Sample.of(scene, 3), result.frames[0])
     assert tuple(picture[69, 30]) == pictures.RIGHT
     assert tuple(picture[89, 120]) == pictures.MISSED
     assert tuple(picture[24, 70]) == pictures.WRONG

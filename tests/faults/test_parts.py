@@ -114,7 +114,7 @@ def test_11_flow_that_is_no_number_gives_no_pose_that_is_none_and_no_wrong_one(f
         return _nothing_but_nan(*arguments)
 
     tracker = Tracker(models, replace(TrackerConfig(), flow=flow))
-    first = scene.sample(0)
+    first = next(iter(scene))
     for truth in first.truths:
         if truth.visible:
             tracker.correct(Correction.first(truth.object, truth.T_cam_obj, first.frame))

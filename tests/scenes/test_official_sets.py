@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 
 from huepose.datasets.fast_ycb import FastYcbSequence, axis_angle_poses, labelled_sequences
+from huepose.datasets.types import Sample
 from huepose.datasets.ycbv_folder import open_ycbv
 from huepose.onboarding.bop_folder import bop_models, ycb_video_models
 from huepose.onboarding.meshes import read_mesh
@@ -43,7 +44,7 @@ def test_both_layouts_of_ycb_video_hold_the_same(root: Path, objects) -> None:
     assert [(s.name, s.image_ids) for s in bop.scenes] == [("000048", (0, 1))]
     assert [(s.name, s.image_ids) for s in raw.scenes] == [("0048", (1, 2))]
     for image in bop.scenes[0].image_ids:
-        ours, theirs = bop.scenes[0].sample(image), raw.scenes[0].sample(image + 1)
+        ours, theirs = Sample.of(bop.scenes[0], image), Sample.of(raw.scenes[0], image + 1)
         np.testing.assert_array_equal(ours.frame.color, theirs.frame.color)
         np.testing.assert_allclose(ours.frame.depth, theirs.frame.depth, atol=1e-6)
         np.testing.assert_allclose(ours.frame.camera.K, theirs.frame.camera.K)
@@ -85,7 +86,7 @@ def test_sequences_have_labels_where_the_object_is_drawn_and_poses_of_a_detector
     )
     for made in objects[:2]:
         sequence = FastYcbSequence(root / "fast" / made.name, made.offset_m)
-        sample = sequence.sample(5)
+        sample = Sample.of(sequence, 5)
         (truth,) = sample.truths
         drawn = render_depth(made.mesh, truth.T_cam_obj, sample.frame.camera)
         mask = truth.mask()

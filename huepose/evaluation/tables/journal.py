@@ -9,6 +9,7 @@ from typing import Any
 
 from huepose.evaluation.result_files import plain
 from huepose.support.errors import InputError
+from huepose.support.files import write_text
 
 Entry = Mapping[str, Any]
 
@@ -35,11 +36,7 @@ class Journal:
         for line in lines[1:]:
             entry = json.loads(line)
             self.entries[entry["key"]] = entry
-        try:
-            path.parent.mkdir(parents=True, exist_ok=True)
-            path.write_text("".join(lines) if lines else json.dumps(wanted) + "\n")
-        except OSError as error:
-            raise InputError(path, found=error.strerror or str(error), expected="a folder to write") from None
+        write_text(path, "".join(lines) if lines else json.dumps(wanted) + "\n")
 
     def done(self, key: str) -> bool:
         """The piece of work is there, and was no failure."""

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from huepose.datasets.types import GroundTruth, Sample, Scene
+from huepose.datasets.types import GroundTruth, Scene
 from huepose.geometry import RgbdFrame
 from huepose.support.errors import InputError
 from huepose_protos.keys import tail_of
@@ -80,10 +80,6 @@ class RecordedScene:
             )
             for o in ([] if said is None else said.objects)
         )
-
-    def sample(self, image: int) -> Sample:
-        """Frame and truth."""
-        return Sample(self.frame(image), self.truths(image), self.name, image)
 
 
 def _key(message: FrameHeader | TruthMessage) -> _Key:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from huepose.datasets.types import GroundTruth, Sample, Scene
+from huepose.datasets.types import GroundTruth, Scene
 from huepose.geometry import RgbdFrame
 from huepose.model import load_models
 from huepose.scenes.builtin import SyntheticScene
@@ -40,7 +40,3 @@ class Synthetic:
     def truths(self, image: int) -> tuple[GroundTruth, ...]:
         """Where everything is."""
         return tuple(self._scene.truth(image))
-
-    def sample(self, image: int) -> Sample:
-        """Frame and truth."""
-        return self._scene.sample(image)

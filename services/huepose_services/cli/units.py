@@ -24,14 +24,14 @@ def add_parser(subparsers: Any) -> None:
 
 def call(arguments: argparse.Namespace) -> int:
     """Write them, and remove what an earlier pipeline had and this one has not."""
-    from huepose.support.errors import InputError
+    from huepose.support.files import writing
     from huepose_services.runtime.config import load
     from huepose_services.units import units
 
     config = load(arguments.config)
     command = (arguments.huepose or Path(sys.executable).parent / "huepose").absolute()
     files = units(config, command, arguments.config.absolute(), arguments.user)
-    try:
+    with writing(arguments.out, fix="Give another with --out, or run it as root."):
         for old in arguments.out.glob("huepose@*.service.d/needs.conf"):
             if str(old.relative_to(arguments.out)) not in files:
                 old.unlink()
@@ -40,11 +40,4 @@ def call(arguments: argparse.Namespace) -> int:
             path.parent.mkdir(parents=True, exist_ok=True)
             path.write_text(text)
             print(path)
-    except OSError as error:
-        raise InputError(
-            error.filename or arguments.out,
-            found=error.strerror or str(error),
-            expected="a folder that can be written",
-            fix="Give another with --out, or run it as root.",
-        ) from None
     return 0

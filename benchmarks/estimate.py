@@ -23,6 +23,7 @@ from huepose.datasets.types import GroundTruth, SomeImages
 from huepose.estimation import Estimator, EstimatorConfig
 from huepose.evaluation.equivalents import read_equivalents
 from huepose.evaluation.estimate_protocol import EstimateOptions, evaluate_estimates
+from huepose.evaluation.metrics import FIGURES
 from huepose.evaluation.summary import table
 from huepose.evaluation.targets import Targets
 from huepose.model import ReferenceModel, load_models
@@ -30,8 +31,6 @@ from huepose.support.progress import progress
 
 COMMON = ("boxes", "min_visib", "seed", "objects", "equivalent")
 """Options that all answers of a file have in common."""
-
-FIGURES = ("recall_add", "recall_adds", "auc_add", "auc_adds")
 
 
 def main() -> None:

@@ -30,9 +30,6 @@ from huepose.support.progress import progress
 
 NOTHING = "nothing"
 
-LEAST_VISIBLE = 0.3
-"""Share of an object that is seen in the box of which others are asked for."""
-
 
 @dataclass(frozen=True, eq=False)
 class Question:
@@ -96,7 +93,7 @@ def _places(
     places = []
     for truth in truths:
         model = targets.model_of(truth)
-        if model is None or truth.T_cam_obj is None or not truth.shows(LEAST_VISIBLE):
+        if model is None or truth.T_cam_obj is None or not truth.visible:
             continue
         box = truth_box(truth, model.mesh, camera)
         if box is None:

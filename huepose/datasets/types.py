@@ -10,6 +10,10 @@ from huepose.geometry.arrays import Bool, Float64
 from huepose.geometry.box import Box
 from huepose.geometry.frame import RgbdFrame
 
+VISIBLE, GONE = 0.3, 0.1
+"""Shares of an object from which it counts as visible, and under which it is as good as gone: what is between
+decides nothing. BOP asks for labels that show the second."""
+
 
 @dataclass(frozen=True, eq=False)
 class GroundTruth:
@@ -40,13 +44,13 @@ class GroundTruth:
 
     @property
     def visible(self) -> bool:
-        """At least 30 % is visible; unknown counts as visible."""
-        return self.shows(0.3)
+        """At least VISIBLE is; unknown counts as visible."""
+        return self.shows(VISIBLE)
 
     @property
     def gone(self) -> bool:
-        """Less than 10 % is visible."""
-        return self.visib_fract is not None and self.visib_fract < 0.1
+        """Less than GONE is visible."""
+        return self.visib_fract is not None and self.visib_fract < GONE
 
 
 @dataclass(frozen=True, eq=False)

@@ -1,4 +1,4 @@
-"""Plots as pictures (H, W, 3) uint8 RGB, by OpenCV alone: lines, dots, histograms, bars, reliability."""
+"""Plots as pictures (H, W, 3) uint8 RGB, by OpenCV alone: lines, dots, bars, reliability."""
 
 from __future__ import annotations
 
@@ -48,30 +48,6 @@ def time_plot(
     for (x, y), color in zip(series.values(), _colours(len(series)), strict=True):
         canvas.line(x, y, color)
     canvas.legend(list(series), _colours(len(series)))
-    return canvas.picture
-
-
-def histogram(
-    values: Float,
-    bins: int = 30,
-    title: str = "",
-    x_label: str = "",
-    x_range: Range | None = None,
-    size: tuple[int, int] = (720, 460),
-) -> UInt8:
-    """Counts of the finite values (N,) in `bins` equal intervals, and their median as a dashed line."""
-    finite = np.asarray(values, np.float64)
-    finite = finite[np.isfinite(finite)]
-    low, high = x_range or limits(finite)
-    counts, edges = np.histogram(finite, bins, (low, high))
-    canvas = Canvas.empty((low, high), (0.0, max(1.0, 1.08 * counts.max())), title, x_label, "count", size)
-    for count, left, right in zip(counts, edges[:-1], edges[1:], strict=True):
-        gap = 0.06 * (right - left)
-        canvas.bar(left + gap, right - gap, 0.0, float(count), COLOURS[0])
-    if len(finite):
-        middle = float(np.median(finite))
-        canvas.line(np.array([middle, middle]), np.array(canvas.y), COLOURS[1], 2, dashed=True)
-        canvas.legend([f"median {middle:.3g}, {len(finite)} values"], [COLOURS[1]])
     return canvas.picture
 
 

@@ -17,7 +17,7 @@ from huepose.evaluation.targets import PoseError
 from huepose.geometry.arrays import Float64
 from huepose.geometry.box import Box
 
-_FIGURES = ("recall_add", "recall_adds", "auc_add", "auc_adds", "recall_add_official", "auc_add_official")
+_FIGURES = (*metrics.FIGURES, "recall_add_official", "auc_add_official")
 
 
 @dataclass(frozen=True, eq=False)

@@ -14,6 +14,7 @@ from huepose.geometry.arrays import Bool, Float, Float64
 
 AUC_LIMIT_M = 0.1
 RECALL_FRACTION = 0.1
+FIGURES = ("recall_add", "recall_adds", "auc_add", "auc_adds")
 _CALIBRATION_BINS = 10
 
 
@@ -98,5 +99,5 @@ def pose_scores(add_m: Float, adds_m: Float, diameters_m: Float) -> dict[str, Fl
 def four_figures(add_m: Float, adds_m: Float, diameters_m: Float) -> dict[str, float | None]:
     """`recall_add`, `recall_adds`, `auc_add`, `auc_adds` of N poses, percent; None when N is 0."""
     if not len(add_m):
-        return dict.fromkeys(("recall_add", "recall_adds", "auc_add", "auc_adds"))
+        return dict.fromkeys(FIGURES)
     return {name: float(each.mean()) for name, each in pose_scores(add_m, adds_m, diameters_m).items()}

@@ -13,6 +13,7 @@ from typing import Literal
 import numpy as np
 
 from huepose.datasets.boxes import disturbed
+from huepose.datasets.types import VISIBLE
 from huepose.drawing.contact_sheet import contact_sheet
 from huepose.drawing.overlay import draw_axes, draw_mask_outline, silhouette
 from huepose.drawing.text import paragraph
@@ -33,8 +34,6 @@ TRIALS = 16
 """Drawn frames of a self-test: 15 right ones of 16 leave 72 to 99 % (Clopper-Pearson, 95 %)."""
 
 RANGES = SceneRanges(distance_m=(0.45, 2.0))
-SEEN = 0.3
-"""Visible share from which a trial counts, as everywhere in the evaluation."""
 
 WELL, SOMETIMES = 0.9, 0.5
 """Shares of right poses from which an object suits, and from which it suits with limits: what a user would
@@ -92,7 +91,7 @@ def _trials(model: ReferenceModel, estimator: Estimator, count: int, seed: int) 
         drawn = rendered_frame({model.name: model.mesh}, seed, number, RANGES)
         labels, mask = drawn.shot.labels, drawn.shot.owner == 0
         around = Box.of_mask(mask)
-        if around is None or labels.visib_fract[0] < SEEN:
+        if around is None or labels.visib_fract[0] < VISIBLE:
             continue
         T_true = labels.T_cam_obj[0]
         frame = RgbdFrame(drawn.shot.color, drawn.shot.depth, drawn.camera)

@@ -185,7 +185,8 @@ _WHOLE = (
     *_FAULTS,
 )
 _MEANS = (
-    *("recall_add", "recall_adds", "auc_add", "auc_adds", "auc_voc_add", "auc_voc_adds", "coverage_tracking"),
+    *metrics.FIGURES,
+    *("auc_voc_add", "auc_voc_adds", "coverage_tracking"),
     *FIGURES,
 )
 

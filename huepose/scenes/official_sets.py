@@ -23,7 +23,7 @@ from scipy.spatial.distance import pdist
 from huepose.datasets.bop import BopScene
 from huepose.datasets.bop_writer import write_obj, write_ply
 from huepose.datasets.fast_ycb_writer import FastYcbFrame, write_fast_ycb
-from huepose.datasets.types import Sample
+from huepose.datasets.types import GONE, Sample
 from huepose.datasets.ycb_objects import T_posecnn_obj
 from huepose.geometry import Mesh, se3
 from huepose.geometry.arrays import Float64
@@ -37,9 +37,6 @@ from huepose.support.progress import progress
 
 FIRST_SCENE = 48
 """Of the test scenes of YCB-Video."""
-
-LEAST_VISIBLE = 0.1
-"""Share of an object that must be visible for BOP to ask for it."""
 
 EASY = SceneRanges(
     objects=(4, 6),
@@ -94,7 +91,7 @@ def write_bop_ycbv(
                 assert truth.T_cam_obj is not None
                 whole = render_depth(by_id[truth.object_id].mesh, truth.T_cam_obj, camera) > 0
                 _picture(folder / "mask" / f"{image:06d}_{truth.instance:06d}.png", np.uint8(255) * whole)
-                if truth.shows(LEAST_VISIBLE):
+                if truth.shows(GONE):
                     targets.append(
                         {"im_id": image, "inst_count": 1, "obj_id": truth.object_id, "scene_id": scene}
                     )

@@ -16,13 +16,13 @@ from huepose.geometry import Camera, Mesh, RgbdFrame, se3
 from huepose.geometry.arrays import Bool, Float32, Float64
 from huepose.geometry.box import Box
 from huepose.rendering.render import Rendering, render
+from huepose.scenes.frame import SHUTTER
 from huepose.scenes.light import Light, random_light, shine
 from huepose.scenes.room import clutter, sheet, table_top, wallpaper
 from huepose.scenes.sensor import COLOR, STEREO, expose, stereo_depth
 from huepose.training.shapes import random_object, random_rotation
 
 FRAMES, RATE_HZ = 6, 30.0
-SHUTTER = 0.25
 """Of the frame time, in half of the sequences; in the other half it is as good as nothing."""
 
 OTHERS = 3

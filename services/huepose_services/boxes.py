@@ -1,4 +1,4 @@
-"""Where to look: boxes for requested objects, from the truth or from where an object was before.
+"""Where to look: boxes for requested objects, by a detector, from the truth, or from where an object was.
 
 `truth` stands for a perfect detector with an honest one's errors; `first_box` needs a box once and then
 follows the tracker's own prediction, so it needs no detector at all.
@@ -7,12 +7,13 @@ follows the tracker's own prediction, so it needs no detector at all.
 from __future__ import annotations
 
 from collections import deque
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import Protocol
 
 from huepose.datasets.boxes import disturbed
-from huepose.geometry import Box, Camera
+from huepose.geometry import Box, Camera, RgbdFrame
 from huepose.model import ReferenceModel
+from huepose.perception.types import Detection, Detector
 from huepose_protos.messages import (
     DetectedObject,
     FrameHeader,
@@ -31,7 +32,7 @@ from huepose_services.convert import (
 from huepose_services.models import Outline, outline
 
 _TRUTHS_KEPT = 90
-_SAME_BOX = 0.5
+SAME_BOX = 0.5
 _VISIBLE = 0.1
 # A prediction is trusted for so long; then the last box grows, and at last it is the image.
 _TRUST_S, _FORGET_S, _GROWTH_PER_S = 0.5, 3.0, 0.5
@@ -76,6 +77,54 @@ class ByOutline:
             return None
         return outline.box(prior_from_wire(wanted.prior).predicted(header.capture_ns), camera)
 
+    def fresh_box(self, wanted: RequestedObject, header: FrameHeader, camera: Camera) -> Box | None:
+        """A little more than the box of a prediction that may still be trusted; None where there is none."""
+        if wanted.prior is None or (header.capture_ns - wanted.prior.stamp_ns) * 1e-9 > _TRUST_S:
+            return None
+        box = self.prior_box(wanted, header, camera)
+        return None if box is None else box.grown(_MARGIN)
+
+    def given_out(
+        self, detections: Sequence[Detection], header: FrameHeader, request: PerceptionRequest
+    ) -> list[DetectedObject]:
+        """Detections, best first, to those who asked: a tracked instance gets the box that lies best on its
+        prediction, a new one the best boxes that lie on nothing tracked."""
+        camera = camera_from_wire(header.intrinsics)
+        priors = [self.prior_box(wanted, header, camera) for wanted in request.objects]
+        tracked = [box for box in priors if box is not None]
+        found: list[DetectedObject] = []
+        for wanted, prior in zip(request.objects, priors, strict=True):
+            mine = [d for d in detections if d.object == wanted.object]
+            if wanted.instance is None:
+                new = [d for d in mine if all(d.box.iou(other) < SAME_BOX for other in tracked)]
+                found += [detected(wanted, d.box, d.score) for d in new[: wanted.wanted]]
+            elif mine:
+                best = mine[0] if prior is None else max(mine, key=lambda d: (d.box.iou(prior), d.score))
+                found.append(detected(wanted, best.box, best.score))
+        return found
+
+
+class SeenBoxes(ByOutline):
+    """Shown a frame by `look`, it answers `find` about that frame's own pixels."""
+
+    def __init__(self, outlines: Mapping[str, Outline], detector: Detector) -> None:
+        super().__init__(outlines)
+        self._detector = detector
+        self._frame: RgbdFrame | None = None
+
+    def look(self, frame: RgbdFrame) -> None:
+        """The frame that the next request is about."""
+        self._frame = frame
+
+    def detections(self, names: list[str]) -> list[Detection]:
+        """What the detector sees of the named objects, best first."""
+        return self._detector.detect(self._frame, names) if self._frame is not None and names else []
+
+    def find(self, header: FrameHeader, request: PerceptionRequest) -> list[DetectedObject]:
+        """Boxes, in the request's order."""
+        names = list(dict.fromkeys(wanted.object for wanted in request.objects))
+        return self.given_out(self.detections(names), header, request)
+
 
 class TruthBoxes(ByOutline):
     """Boxes of the true objects, shifted by up to 10 % of their size and scaled by up to 10 %."""
@@ -98,18 +147,8 @@ class TruthBoxes(ByOutline):
             return []
         camera = camera_from_wire(header.intrinsics)
         boxes = [(self._name(t), self._box(t, truth, camera)) for t in truth.objects]
-        found = []
-        known = [b for r in request.objects if (b := self.prior_box(r, header, camera)) is not None]
-        for wanted in request.objects:
-            mine = [box for name, box in boxes if name == wanted.object and box is not None]
-            if wanted.instance is None:
-                new = [box for box in mine if all(box.iou(other) < _SAME_BOX for other in known)]
-                found += [_detected(wanted, box) for box in new[: wanted.wanted]]
-            elif mine:
-                prior = self.prior_box(wanted, header, camera)
-                best = mine[0] if prior is None else max(mine, key=prior.iou)
-                found.append(_detected(wanted, best))
-        return found
+        seen = [Detection(name, box, 1.0) for name, box in boxes if name is not None and box is not None]
+        return self.given_out(seen, header, request)
 
     def _name(self, truth: TruthObject) -> str | None:
         if truth.object is not None:
@@ -146,19 +185,17 @@ class FirstBoxes(ByOutline):
         for wanted in request.objects:
             box = self._look(wanted, header, camera)
             if box is not None:
-                found.append(_detected(wanted, box.clipped(camera.width, camera.height)))
+                found.append(detected(wanted, box.clipped(camera.width, camera.height)))
         return [d for d in found if d.box[2] >= 1.0 and d.box[3] >= 1.0]
 
     def _look(self, wanted: RequestedObject, header: FrameHeader, camera: Camera) -> Box | None:
-        name, outline = wanted.object, self._outlines.get(wanted.object)
-        if wanted.prior is not None and outline is not None:
+        name = wanted.object
+        if wanted.prior is not None and name in self._outlines:
             self._acquired.add(name)
-            age_s = (header.capture_ns - wanted.prior.stamp_ns) * 1e-9
-            box = outline.box(prior_from_wire(wanted.prior).predicted(header.capture_ns), camera)
-            if box is not None and age_s <= _TRUST_S:
-                box = box.grown(_MARGIN)
-                self._last[name] = (box, header.capture_ns)
-                return box
+        fresh = self.fresh_box(wanted, header, camera)
+        if fresh is not None:
+            self._last[name] = (fresh, header.capture_ns)
+            return fresh
         if name not in self._acquired:
             return self._given.get(name)
         image = Box(0.0, 0.0, float(camera.width), float(camera.height))
@@ -192,7 +229,7 @@ class Hints:
             clipped = box.clipped(header.intrinsics.width, header.intrinsics.height)
             if clipped.w >= 1.0 and clipped.h >= 1.0:
                 others = [d for d in found if d.request is not wanted]
-                found = [*others, _detected(wanted, clipped)]
+                found = [*others, detected(wanted, clipped)]
         return found
 
 
@@ -200,5 +237,6 @@ def _frame_of(header: FrameHeader) -> tuple[int, int]:
     return header.camera_epoch, header.frame_id
 
 
-def _detected(wanted: RequestedObject, box: Box) -> DetectedObject:
-    return DetectedObject(request=wanted, box=box_to_wire(box), score=1.0)
+def detected(wanted: RequestedObject, box: Box, score: float = 1.0) -> DetectedObject:
+    """A box as the answer to a request."""
+    return DetectedObject(request=wanted, box=box_to_wire(box), score=min(max(score, 0.0), 1.0))

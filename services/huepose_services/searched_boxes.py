@@ -10,12 +10,9 @@ from huepose.model import ReferenceModel
 from huepose.perception.colorpair_detector import ColorPairDetector
 from huepose.perception.types import Detection
 from huepose_protos.messages import DetectedObject, FrameHeader, PerceptionRequest, RequestedObject
+from huepose_services.boxes import SAME_BOX, SeenBoxes, detected
 from huepose_services.convert import camera_from_wire
 from huepose_services.models import Outline
-from huepose_services.seen_boxes import SeenBoxes, detected
-
-_TRUST_S, _MARGIN = 0.5, 0.08
-_SAME_BOX = 0.5
 
 
 class SearchedBoxes(SeenBoxes):
@@ -48,12 +45,11 @@ class SearchedBoxes(SeenBoxes):
         found: list[DetectedObject] = []
         for wanted, box in zip(request.objects, predicted, strict=True):
             if box is not None:
-                found.append(detected(wanted, Detection(wanted.object, box, 1.0)))
+                found.append(detected(wanted, box))
                 continue
-            free = [
-                d for d in seen if d.object == wanted.object and all(d.box.iou(b) < _SAME_BOX for b in taken)
-            ]
-            found += [detected(wanted, d) for d in free[: wanted.wanted]]
+            mine = [d for d in seen if d.object == wanted.object]
+            free = [d for d in mine if all(d.box.iou(other) < SAME_BOX for other in taken)]
+            found += [detected(wanted, d.box, d.score) for d in free[: wanted.wanted]]
         return found
 
     def detections(self, names: list[str]) -> list[Detection]:
@@ -66,11 +62,7 @@ class SearchedBoxes(SeenBoxes):
         return self._searcher.detect(self._frame, names, (turn,))
 
     def _predicted(self, wanted: RequestedObject, header: FrameHeader, camera: Camera) -> Box | None:
-        """The box of a fresh prediction, a little larger than it; None where there is none in the image."""
-        if wanted.prior is None or (header.capture_ns - wanted.prior.stamp_ns) * 1e-9 > _TRUST_S:
-            return None
-        box = self.prior_box(wanted, header, camera)
-        if box is None:
-            return None
-        box = box.grown(_MARGIN).clipped(camera.width, camera.height)
-        return box if box.w >= 1.0 and box.h >= 1.0 else None
+        """The box of a fresh prediction; None where there is none in the image."""
+        box = self.fresh_box(wanted, header, camera)
+        box = None if box is None else box.clipped(camera.width, camera.height)
+        return box if box is not None and box.w >= 1.0 and box.h >= 1.0 else None

@@ -14,7 +14,6 @@ from the first frame.
 from __future__ import annotations
 
 import argparse
-import hashlib
 import sys
 from dataclasses import asdict
 from pathlib import Path
@@ -22,13 +21,13 @@ from pathlib import Path
 import cv2
 import numpy as np
 
+from huepose.datasets.types import VISIBLE
 from huepose.drawing.plots import line_plot, reliability_bins, reliability_plot
 from huepose.evaluation import metrics
 from huepose.evaluation.result_files import write_json
 from huepose.evaluation.states import StateReport, combined, report
 from huepose.evaluation.summary import table
-from huepose.model import ReferenceModel, load_model, save_model
-from huepose.onboarding import onboard_mesh
+from huepose.model import ReferenceModel
 from huepose.support.files import cache_folder, write_picture
 from huepose.tracking import Tracker
 from studies.hard_moments.film import Film
@@ -38,6 +37,7 @@ from studies.hard_moments.play import Played, Told, play
 from studies.hard_moments.scripts import MOMENTS, REST, at_rest, long_run, meshes
 from studies.hard_moments.steadiness import AHEAD_FRAMES, covered, foretold, lag_s, stillness
 from studies.hard_moments.traps import TRAPS
+from studies.stress.objects import learned
 
 ALL = {**MOMENTS, **TRAPS}
 PERCEPTION: dict[str, type[Oracle] | type[OwnEstimates]] = {"oracle": Oracle, "estimate": OwnEstimates}
@@ -61,23 +61,9 @@ STATES = {
 }
 
 
-def models(cache: Path) -> dict[str, ReferenceModel]:
-    """Reference models of the objects, made once."""
-    out = {}
-    for name, mesh in meshes().items():
-        digest = hashlib.sha256(mesh.vertices.tobytes() + mesh.texture.tobytes()).hexdigest()[:12]
-        path = cache / f"{name}-{digest}.huepose"
-        if not path.exists():
-            print(f"learning {name}", file=sys.stderr)
-            cache.mkdir(parents=True, exist_ok=True)
-            save_model(onboard_mesh(mesh, name), path)
-        out[name] = load_model(path)
-    return out
-
-
 def figures(played: Played, states: StateReport) -> dict[str, object]:
     """One line of the table."""
-    errors = [t for own in played.told for t in own if t.visib_fract >= 0.3]
+    errors = [t for own in played.told for t in own if t.visib_fract >= VISIBLE]
     add = [t.add_m for t in errors]
     return {
         **{key: getattr(states, key) for key in STATES},
@@ -105,7 +91,7 @@ def main() -> int:
     parser.add_argument("--cache", type=Path, default=cache_folder() / "moments")
     arguments = parser.parse_args()
     cv2.setNumThreads(1)
-    known = models(arguments.cache)
+    known = learned(meshes(), arguments.cache)
     rows: list[tuple[str, list[Told]]] = []
     reports: list[StateReport] = []
     lines: dict[str, dict[str, object]] = {}

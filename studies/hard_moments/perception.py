@@ -13,6 +13,7 @@ from typing import Protocol
 import numpy as np
 
 from huepose.datasets.boxes import disturbed, projected_box
+from huepose.datasets.types import VISIBLE
 from huepose.estimation import Estimator, ObjectQuery
 from huepose.estimation.types import PoseEstimate, PosePrior
 from huepose.geometry.arrays import Float64
@@ -25,9 +26,6 @@ from studies.hard_moments.film import Seen, Shown, noisy
 from studies.hard_moments.scripts import Script
 
 SHIFT_M, TURN_RAD = 0.002, 0.02
-LEAST_VISIBLE = 0.3
-"""An object of which less is seen is not found."""
-
 SCORE, SCORE_PER_DIAMETER = 1.9, 2.5
 """Scores of the oracle's judge: of a right pose, and what is lost per diameter of displacement, up to 1.2."""
 
@@ -145,7 +143,7 @@ def _candidates(asked: RequestedObject, objects: Sequence[str], seen: Seen, take
     mine = [
         k
         for k, name in enumerate(objects)
-        if name == asked.object and k not in taken and seen.visib_fract[k] >= LEAST_VISIBLE
+        if name == asked.object and k not in taken and seen.visib_fract[k] >= VISIBLE
     ]
     if asked.prior is None:
         return mine

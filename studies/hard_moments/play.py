@@ -13,6 +13,7 @@ from dataclasses import dataclass, field
 import numpy as np
 from scipy.optimize import linear_sum_assignment
 
+from huepose.datasets.types import GONE, VISIBLE
 from huepose.evaluation import metrics
 from huepose.evaluation.states import Moment
 from huepose.geometry.arrays import Float64
@@ -48,7 +49,8 @@ class Told:
 
     def moment(self) -> Moment:
         """For the report of states."""
-        return Moment(self.stamp_ns, self.visib_fract >= 0.3, self.visib_fract < 0.1, self.state, self.right)
+        visible, gone = self.visib_fract >= VISIBLE, self.visib_fract < GONE
+        return Moment(self.stamp_ns, visible, gone, self.state, self.right)
 
 
 @dataclass(eq=False)

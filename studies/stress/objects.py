@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import hashlib
+import sys
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 
@@ -64,13 +65,14 @@ LEAST_DIFFERENCE = 25.0
 """Of 255, mean over the texture: what anybody can tell."""
 
 
-def builtin_models(seed: int, cache: Path) -> Mapping[str, ReferenceModel]:
-    """Reference models of the built-in objects, made once."""
+def learned(meshes: Mapping[str, Mesh], cache: Path) -> dict[str, ReferenceModel]:
+    """Reference models of meshes, made once."""
     out = {}
-    for name, mesh in builtin_meshes(seed).items():
+    for name, mesh in meshes.items():
         digest = hashlib.sha256(mesh.vertices.tobytes() + mesh.texture.tobytes()).hexdigest()[:12]
         path = cache / f"{name}-{digest}.huepose"
         if not path.exists():
+            print(f"learning {name}", file=sys.stderr)
             cache.mkdir(parents=True, exist_ok=True)
             save_model(onboard_mesh(mesh, name), path)
         out[name] = load_model(path)

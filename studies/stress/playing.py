@@ -17,7 +17,7 @@ from studies.hard_moments.perception import Oracle
 from studies.hard_moments.play import play
 from studies.stress.causes import runs
 from studies.stress.films import Film, drawn, recorded
-from studies.stress.objects import builtin_models
+from studies.stress.objects import builtin_meshes, learned
 
 
 @dataclass(frozen=True)
@@ -61,7 +61,7 @@ def models_of(split: str, bundles: Path | None) -> Mapping[str, ReferenceModel]:
     if bundles is not None:
         return load_models(bundles)
     seed = SPLITS[split].seed
-    return builtin_models(seed, cache_folder() / "stress" / f"objects-{seed}")
+    return learned(builtin_meshes(seed), cache_folder() / "stress" / f"objects-{seed}")
 
 
 def film_of(job: Job) -> tuple[Film | None, Mapping[str, ReferenceModel]]:

@@ -70,14 +70,6 @@ def test_line_is_broken_at_nan() -> None:
     assert marked.sum() > 200
 
 
-def test_histogram_has_bars_in_proportion() -> None:
-    picture = plots.histogram(np.array([0.5] * 30 + [1.5] * 10 + [np.nan]), 2, x_range=(0, 2))
-    bars = ink(picture, COLOURS[0])
-    columns = np.flatnonzero(bars.any(0))
-    left, right = columns[: len(columns) // 2], columns[len(columns) // 2 :]
-    assert np.median(bars[:, left].sum(0)) == pytest.approx(3 * np.median(bars[:, right].sum(0)), rel=0.04)
-
-
 def test_bar_chart_has_a_bar_per_series_and_group() -> None:
     picture = plots.bar_chart(["one", "two"], {"a": [50, 100], "b": [100, 25]}, y_range=(0, 120))
     first = ink(picture, COLOURS[0])
@@ -107,7 +99,6 @@ def test_every_plot_takes_nothing() -> None:
     for picture in (
         plots.line_plot({}),
         plots.line_plot({"a": (empty, empty)}),
-        plots.histogram(empty),
         plots.reliability_plot(empty, np.empty(0, bool)),
     ):
         assert picture.dtype == np.uint8

@@ -89,7 +89,7 @@ def test_a_broken_line_of_bop_csv_is_named(tmp_path: Path, line: str) -> None:
 
 @pytest.mark.parametrize("header", ["frame,object,x,y,z,qx,qy,qz,qw\n", ""])
 def test_pose_csv(tmp_path: Path, header: str) -> None:
-    q = se3.quaternion_from_rotation(T)
+    q = se3.quaternion_from_rotation(T[:3, :3])
     row = ",".join(str(v) for v in (*T[:3, 3], *q))
     path = tmp_path / "poses.csv"
     path.write_text(f"{header}4,box,{row}\n6,7,{row}\n8,box,nan,nan,nan,nan,nan,nan,nan\n")

@@ -129,7 +129,7 @@ def test_poses_of_a_file_start_the_tracker_in_either_frame(
     dope, table = tmp_path / "poses.txt", tmp_path / "tea_box_real.csv"
     row = (*T_cam_nvdu[:3, 3], *(w / np.linalg.norm(w)), np.linalg.norm(w))
     dope.write_text(" ".join(f"{v:.9f}" for v in row))
-    q = se3.quaternion_from_rotation(T)
+    q = se3.quaternion_from_rotation(T[:3, :3])
     table.write_text("0,tea_box," + ",".join(f"{v:.9f}" for v in (*T[:3, 3], *q)))
     T_cam_posecnn = T @ se3.make(np.eye(3), OFFSET_M)
     w = se3.rotation_log(T_cam_posecnn)

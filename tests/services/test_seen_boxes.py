@@ -3,7 +3,7 @@
 import pytest
 
 from huepose.perception.types import Detection
-from huepose_services.seen_boxes import SeenBoxes
+from huepose_services.boxes import SeenBoxes
 from tests.services.one_cube import LEFT, MIDDLE, RIGHT, Seer, answer, new, outlines, tracked
 
 

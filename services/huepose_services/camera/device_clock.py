@@ -11,7 +11,8 @@ from __future__ import annotations
 from collections import deque
 from itertools import pairwise
 
-SECOND = 1_000_000_000
+from huepose_services.runtime.clock import SECOND
+
 _BUCKET_NS = SECOND
 _BUCKETS = 60
 _EARLY_NS, _LATE_NS = SECOND // 2, 2 * SECOND

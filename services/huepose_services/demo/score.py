@@ -9,13 +9,13 @@ from typing import Any
 import numpy as np
 from scipy.spatial import cKDTree
 
+from huepose.datasets.types import GONE, VISIBLE
 from huepose.evaluation.metrics import RECALL_FRACTION, add, adds, four_figures
 from huepose.evaluation.states import Moment, StateReport, combined, report
 from huepose.geometry.arrays import Float32, Float64
 from huepose_protos.messages import PoseMessage, TruthMessage
 from huepose_services.convert import optional_pose_from_wire, pose_of
 
-_VISIBLE, _GONE = 0.3, 0.1
 _MIN_RECALL = 90.0
 _CONFIRMED_WITHIN_S = 3.0
 
@@ -155,8 +155,8 @@ class Score:
             if T_cam_obj is not None:
                 error = add(yardstick.points_obj, T_cam_obj, label.T_cam_obj)
                 error_s = adds(yardstick.points_obj, T_cam_obj, label.T_cam_obj, yardstick.tree)
-            visible = label.visib_fract is None or label.visib_fract >= _VISIBLE
-            gone = label.visib_fract is not None and label.visib_fract < _GONE
+            visible = label.visib_fract is None or label.visib_fract >= VISIBLE
+            gone = label.visib_fract is not None and label.visib_fract < GONE
             right = error < RECALL_FRACTION * yardstick.diameter_m
             state = None if pose is None else pose.state
             moments.append(Moment(label.stamp_ns, visible, gone, state, bool(right)))

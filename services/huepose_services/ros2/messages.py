@@ -15,11 +15,11 @@ import numpy as np
 
 from huepose_protos.messages import CameraMessage, PoseMessage
 from huepose_protos.motion import rotation_matrix
+from huepose_services.runtime.clock import SECOND
 
 if TYPE_CHECKING:
     from rosbags.typesys.store import Typestore
 
-SECOND = 1_000_000_000
 POSE = "geometry_msgs/msg/PoseStamped"
 TRANSFORMS = "tf2_msgs/msg/TFMessage"
 DETECTIONS = "vision_msgs/msg/Detection3DArray"

@@ -74,7 +74,7 @@ class Intrinsics(Struct, frozen=True, kw_only=True):
     cy: float
     width: Size
     height: Size
-    depth_scale_m: Positive
+    depth_scale_m: Annotated[float, Meta(gt=0.0, le=1.0)]
     distortion_model: Literal["none"] = "none"
     distortion: Annotated[list[float], Meta(max_length=0)] = []
 

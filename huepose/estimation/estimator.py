@@ -11,6 +11,7 @@ from collections.abc import Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from contextvars import copy_context
 from dataclasses import replace
+from threading import Barrier
 from zlib import crc32
 
 import numpy as np
@@ -54,6 +55,7 @@ class Estimator:
         self._models = dict(models)
         self._segmenter: Segmenter = segmenter or DepthSegmenter()
         self._method = method_of(self.config)
+        self._pool = _started(self.config.threads) if self.config.threads > 1 else None
 
     @property
     def objects(self) -> tuple[str, ...]:
@@ -103,12 +105,10 @@ class Estimator:
         self, frame: RgbdFrame, queries: Sequence[ObjectQuery]
     ) -> list[tuple[PoseEstimate, Explanation]]:
         """One answer a query, as if there were no other."""
-        workers = min(self.config.threads, len(queries))
-        if workers <= 1:
+        if self._pool is None or len(queries) <= 1:
             return [self.explain(frame, query) for query in queries]
         contexts = [copy_context() for _ in queries]
-        with ThreadPoolExecutor(workers) as pool:
-            return list(pool.map(lambda c, q: c.run(self.explain, frame, q), contexts, queries))
+        return list(self._pool.map(lambda c, q: c.run(self.explain, frame, q), contexts, queries))
 
     def _model(self, name: str) -> ReferenceModel:
         return model_named(self._models, name)
@@ -223,6 +223,14 @@ class Estimator:
             config.confirm.margin,
         )
         return answer_of(frame, query, model, look, fit, levels)
+
+
+def _started(threads: int) -> ThreadPoolExecutor:
+    """With all its threads: one that is started when memory is short may end before it says that it runs, and
+    is waited for without end."""
+    pool, together = ThreadPoolExecutor(threads), Barrier(threads)
+    list(pool.map(lambda _: together.wait(), range(threads)))
+    return pool
 
 
 def _same(one: PoseEstimate, other: PoseEstimate) -> bool:

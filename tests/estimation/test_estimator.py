@@ -5,6 +5,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import replace
+from threading import Thread
 
 import numpy as np
 import pytest
@@ -118,6 +119,20 @@ def test_results_repeat_in_any_order_and_with_threads(
     for answers in (again, turned, threaded):
         assert [a.instance for a in answers] == [0, 1]
         assert all(same(a, b) for a, b in zip(first, answers, strict=True))
+
+
+def test_no_thread_is_started_while_it_works(
+    tea_box: ReferenceModel,
+    take_picture: TakePicture,
+    standing: np.ndarray,
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """Without memory for its stack a new thread dies before it says that it runs, and is waited for."""
+    threaded = Estimator({"tea_box": tea_box}, EstimatorConfig(threads=2))
+    monkeypatch.setattr(Thread, "start", lambda _: pytest.fail("a thread is started"))
+    frame = take_picture([(tea_box.mesh, standing)])
+    query = ObjectQuery("tea_box", box_of(frame, tea_box, standing))
+    assert [answer.found for answer in threaded.estimate(frame, [query, query])] == [True, False]
 
 
 def test_a_prior_is_refined_and_scored_on_the_same_pixels(

@@ -57,6 +57,28 @@ def _until_heard(publish, place, bus):
         pass
 
 
+def test_a_reader_without_memory_for_one_message_hears_the_next(buses):
+    camera, tracker = buses
+    queue = tracker.inbox.queue(tracker.keys.pose("x", 1))
+    key = camera.keys.pose("x", 1)
+    take, scarce = queue._put, []
+
+    def put(sample):
+        if scarce and scarce.pop():
+            raise MemoryError
+        take(sample)
+
+    queue._put = put
+    _until_heard(lambda message: camera.put(key, message), queue, tracker)
+    drops = tracker.inbox.drops
+    scarce.append(True)
+    camera.put(key, _numbered(1))
+    camera.put(key, _numbered(2))
+    tracker.inbox.wait(5.0)
+    assert tracker.take(queue, PoseMessage).frame_id == 2
+    assert tracker.inbox.drops == drops + 1
+
+
 def test_a_slow_reader_of_a_ring_sees_the_newest(buses):
     camera, tracker = buses
     ring = tracker.inbox.ring("t/ring")

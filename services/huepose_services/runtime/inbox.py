@@ -20,7 +20,7 @@ Accepts = Callable[[zenoh.Sample], bool]
 
 class Ring:
     """The newest sample of a subscription; it replaced at least `skipped` others. What `accepts` refuses
-    replaces none."""
+    replaces none; `failed`: how many there was no memory to look at."""
 
     def __init__(
         self, ready: threading.Condition, wakes: bool = True, accepts: Accepts | None = None
@@ -29,7 +29,7 @@ class Ring:
         self._wakes = wakes
         self._accepts = accepts
         self._sample: zenoh.Sample | None = None
-        self.skipped = 0
+        self.skipped = self.failed = 0
 
     def _put(self, sample: zenoh.Sample) -> None:
         if self._accepts is not None and not self._accepts(sample):
@@ -52,13 +52,14 @@ class Ring:
 
 
 class Queue:
-    """All samples of a subscription in order; `lost` counts what a stuck loop made it drop."""
+    """All samples of a subscription in order; `lost` counts what a stuck loop made it drop, `failed`
+    what there was no memory to take."""
 
     def __init__(self, ready: threading.Condition, wakes: bool = True) -> None:
         self._ready = ready
         self._wakes = wakes
         self._samples: deque[zenoh.Sample] = deque()
-        self.lost = 0
+        self.lost = self.failed = 0
 
     def _put(self, sample: zenoh.Sample) -> None:
         with self._ready:
@@ -115,20 +116,30 @@ class Inbox:
         thread.start()
         self._subscriptions[place] = (subscriber, thread)
 
+    @classmethod
+    def _move(cls, channel: Any, place: Ring | Queue) -> None:
+        # A thread that ends for want of memory would be a worker that hears nothing any more.
+        while not cls._moved_all(channel, place):
+            place.failed += 1
+
     @staticmethod
-    def _move(channel: Any, place: Ring | Queue) -> None:
+    def _moved_all(channel: Any, place: Ring | Queue) -> bool:
+        """Until the subscription has ended; False: there was no memory for one."""
         try:
             while True:
                 place._put(channel.recv())
         except zenoh.ZError:
-            return  # the subscription has ended
+            return True
+        except Exception:
+            return False
 
     @property
     def drops(self) -> int:
         """Samples that were replaced or dropped before the loop took them, where it means to take each."""
         places = list(self._subscriptions)
         rings = sum(place.skipped for place in places if isinstance(place, Ring) and place._wakes)
-        return rings + sum(place.lost for place in places if isinstance(place, Queue))
+        failed = sum(place.failed for place in places)
+        return rings + failed + sum(place.lost for place in places if isinstance(place, Queue))
 
     def wait(self, timeout_s: float) -> None:
         """Until something is there to take, at most so long."""

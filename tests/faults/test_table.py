@@ -3,14 +3,24 @@
 from __future__ import annotations
 
 import re
+import time
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
 
 import pytest
 
 from huepose_services.chaos.faults import FAULTS
 from huepose_services.chaos.outcome import Outcome, back_after, table
-from huepose_services.chaos.system import SeenPose, gaps_s, longest_wrong, may_be_wrong, too_old, wrong
+from huepose_services.chaos.system import (
+    LivePipeline,
+    SeenPose,
+    gaps_s,
+    longest_wrong,
+    may_be_wrong,
+    too_old,
+    wrong,
+)
 from tests.faults import test_live
 
 ROOT = Path(__file__).parents[2]
@@ -89,3 +99,17 @@ def test_the_table_says_what_did_not_hold():
     text = table([Outcome(1, "camera unplugged", 0.04, 2.5), Outcome(9, "half", broken=["2 too old"])])
     assert "| 1 | camera unplugged | 0.0 s | 2.5 s |" in text
     assert "NO: 2 too old" in text
+
+
+def test_all_workers_have_to_say_that_they_work_before_a_fault_is_over():
+    """One that hangs keeps its token, and others track on: it is seen by its silence alone."""
+    system = object.__new__(LivePipeline)
+    system.workers = ("camera", "estimator")
+    system.reader = SimpleNamespace(live={"a/live/camera", "a/live/estimator"})
+    system.poses = [replace(pose(time.monotonic() + 60.0), name=name) for name in ("cup", "box", "can")]
+    said = {"state": "ready", "publish_ns": time.monotonic_ns() + 60_000_000_000}
+    system.health = {"camera": SimpleNamespace(**said), "estimator": SimpleNamespace(**said)}
+    assert system.wait_until_steady(3, within_s=1.0, for_s=0.0)
+    for change in ({"publish_ns": time.monotonic_ns()}, {"state": "starting"}):
+        system.health["estimator"] = SimpleNamespace(**{**said, **change})
+        assert not system.wait_until_steady(3, within_s=0.2, for_s=0.0)

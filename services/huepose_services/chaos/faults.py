@@ -28,6 +28,9 @@ from huepose_services.chaos.system import LivePipeline
 from huepose_services.cli.objects import ask
 from huepose_services.runtime.clock import now_ns
 
+_LONGER_THAN_KEPT_S = 6.0
+"""At 30 pictures a second, by the configuration as it comes."""
+
 Strike = Callable[[LivePipeline], AbstractContextManager[list[str]]]
 """Breaks something as long as it is entered; the list takes what did not hold, in words."""
 
@@ -138,7 +141,9 @@ def _intruded(system: LivePipeline, what: str) -> Iterator[list[str]]:
         "camera": (lambda s, f: intruder.say_frames_of_another_camera(s, f, key("frame")), 10.0),
         "masks": (lambda s, f: intruder.say_bad_masks(s, f, key("perception/masks"), name), 5.0),
         "corrections": (
-            lambda s, f: intruder.say_late_corrections(s, system.corrections, key("correction"), 6.0),
+            lambda s, f: intruder.say_late_corrections(
+                s, system.corrections, key("correction"), _LONGER_THAN_KEPT_S * system.slow
+            ),
             5.0,
         ),
     }[what]
@@ -269,11 +274,11 @@ FAULTS: tuple[Fault, ...] = (
         seconds=8.0,
     ),
     Fault(
-        # Longer than the log is silent about refused corrections after one that was late by itself.
+        # In the log, which may be silent for minutes where it said so before, or in the tracker's health.
         21,
         "corrections older than what is kept",
         partial(_intruded, what="corrections"),
-        ("is refused:",),
+        ("is refused:", "what it finds cannot be used"),
         seconds=12.0,
     ),
     Fault(22, "a second camera under one key", partial(_intruded, what="camera")),

@@ -65,7 +65,7 @@ class LivePipeline:
         many times fewer pictures a second, and as much more time for everything."""
         bundles = builtin_bundles(seed)
         SyntheticScene(seed)  # computed here where it is not in the cache
-        self.max_age_ms = 300.0 * slow
+        self.slow, self.max_age_ms = slow, 300.0 * slow
         self._yardsticks = {
             name: (model.eval_points[:: max(1, len(model.eval_points) // 500)], model.diameter_m)
             for name, model in load_models(bundles).items()
@@ -203,10 +203,12 @@ class LivePipeline:
         return {p.name for p in self.poses[-200:] if p.at > since and p.state == "TRACKING"}
 
     def wait_until_steady(self, objects: int, within_s: float = 120.0, for_s: float = 2.0) -> bool:
-        """Until so many objects were TRACKING for a while; whether that came about."""
-        until, since = time.monotonic() + within_s, None
+        """Until all workers said that they work, and so many objects were TRACKING for a while; whether that
+        came about."""
+        start = time.monotonic()
+        until, since = start + within_s, None
         while time.monotonic() < until:
-            if len(self.live) == len(self.workers) and len(self.tracking_now()) >= objects:
+            if self._all_work(start) and len(self.tracking_now()) >= objects:
                 since = since or time.monotonic()
                 if time.monotonic() - since > for_s:
                     return True
@@ -214,6 +216,11 @@ class LivePipeline:
                 since = None
             time.sleep(0.05)
         return False
+
+    def _all_work(self, start: float) -> bool:
+        """Whether each worker is there, and said since then that it works: its loop does, or it could not."""
+        said = {w for w, m in self.health.items() if m.publish_ns > start * 1e9 and m.state == "ready"}
+        return len(self.live) == len(self.workers) and said >= set(self.workers)
 
 
 def _free_tcp_port() -> int:

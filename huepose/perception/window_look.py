@@ -44,7 +44,6 @@ def look(table: WindowTable, windows: Windows, chosen: Int64, camera: Camera, co
     codes = windows.codes(chosen)
     with stage("look"):
         alike = product(table.codes, codes.T)
-        views = table.views
         each = min(each, alike.shape[0])
         best = np.argpartition(-alike, each - 1, axis=0)[:each]
         window = np.broadcast_to(np.arange(len(chosen)), best.shape).ravel()
@@ -57,18 +56,17 @@ def look(table: WindowTable, windows: Windows, chosen: Int64, camera: Camera, co
         rays = camera.rays(windows.pixels[chosen[window]])
         turns = onto_rays(rays)
         poses = np.tile(np.eye(4), (len(order), 1, 1))
-        poses[:, :3, :3] = turns @ views.rotations[view]
-        poses[:, :3, 3] = rays * depth_m[:, None] + np.einsum("nij,nj->ni", turns, views.origins[view])
+        poses[:, :3, :3] = turns @ table.rotations[view]
+        poses[:, :3, 3] = rays * depth_m[:, None] + np.einsum("nij,nj->ni", turns, table.origins[view])
     return Looks(poses, alike[view, window].astype(np.float64), window)
 
 
 def _behind_mm(table: WindowTable, cells: Float32, view: Int64, window: Int64) -> Float64:
     """By how many millimetres each view (K,) lies behind the middle of its window (K,), where both are
-    known: the views' relief is from their own median depth."""
-    t = table.views
-    seen = cells[:, t.used]
-    weight = t.coverage[view] * seen[window, :, 4]
-    gap = t.coverage[view] * seen[window, :, 3] - t.first[3, view]
+    known."""
+    seen = cells[:, table.used]
+    weight = table.coverage[view] * seen[window, :, 4]
+    gap = table.coverage[view] * seen[window, :, 3] - table.relief[view]
     return np.asarray(
         (seen[window, :, 4] * gap).sum(1) / np.maximum(weight.sum(1), np.float32(1e-3)), np.float64
     )

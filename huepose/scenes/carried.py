@@ -11,7 +11,7 @@ from scipy.spatial.transform import Rotation
 from huepose.geometry import Camera, Mesh, se3
 from huepose.geometry.arrays import Float64
 from huepose.scenes.frame import Stage
-from huepose.scenes.light import random_light
+from huepose.scenes.light import Light, random_light
 from huepose.scenes.motion import positions, rotations
 from huepose.scenes.room import sheet, table_top, wallpaper
 
@@ -48,16 +48,18 @@ def staged(mesh: Mesh, others: Sequence[Mesh], rng: Rng) -> Stage:
     if rng.random() < BEHIND:
         place = pixel + rng.uniform(-120, 120, 2), middle_m - rng.uniform(0.12, 0.2)
         standing.append(_somewhere(others[int(rng.integers(len(others)))], *place, rng))
-    light = random_light(rng)
-    light = replace(
-        light,
-        key=light.key * float(np.exp(rng.uniform(-0.9, 0.9))),
-        sky=light.sky * float(np.exp(rng.uniform(-0.7, 0.7))),
-    )
+    light = random_strong_light(rng)
     n = len(path)
     paths = np.array([path, *(np.broadcast_to(T, (n, 4, 4)) for _, T in standing)])
     meshes = (mesh, *(other for other, _ in standing))
     return Stage(meshes, 1, paths, np.tile(np.eye(4), (n, 1, 1)), (light,) * n, CAMERA)
+
+
+def random_strong_light(rng: Rng) -> Light:
+    """Of any strength: whites may be overexposed."""
+    light = random_light(rng)
+    key, sky = light.key * np.exp(rng.uniform(-0.9, 0.9)), light.sky * np.exp(rng.uniform(-0.7, 0.7))
+    return replace(light, key=float(key), sky=float(sky))
 
 
 def carried(rng: Rng, middle_cam: Float64, centre_obj: Float64) -> Float64:

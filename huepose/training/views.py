@@ -8,7 +8,7 @@ camera gives it. Only the window that the tracker looks at is rendered.
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 
 import numpy as np
 
@@ -16,15 +16,14 @@ from huepose.geometry import Camera, Mesh, RgbdFrame, se3
 from huepose.geometry.arrays import Bool, Float32, Float64
 from huepose.geometry.box import Box
 from huepose.rendering.render import Rendering, render
+from huepose.scenes.carried import random_strong_light
 from huepose.scenes.frame import SHUTTER
-from huepose.scenes.light import Light, random_light, shine
+from huepose.scenes.light import Light, shine
 from huepose.scenes.room import clutter, sheet, table_top, wallpaper
 from huepose.scenes.sensor import COLOR, STEREO, expose, stereo_depth
 from huepose.training.shapes import random_object, random_rotation
 
 FRAMES, RATE_HZ = 6, 30.0
-"""Of the frame time, in half of the sequences; in the other half it is as good as nothing."""
-
 OTHERS = 3
 """Things on the ground."""
 
@@ -113,6 +112,7 @@ def draw_views(rng: Rng, mesh: Mesh, props: Props, growth: float, ranges: ViewRa
     still = _Still.seen(standing, window, random_strong_light(rng))
     gains = np.exp(rng.normal(0.0, 0.05, FRAMES)) if rng.random() < ranges.flicker else np.ones(FRAMES)
     stereo = rng.random() < ranges.stereo
+    # In half of the sequences the shutter is open for no time at all.
     instants = (-SHUTTER / 4, SHUTTER / 4) if rng.random() < 0.5 else (0.0,)
     here = [box._replace(x=box.x - columns.start, y=box.y - rows.start) for box in boxes]
     frames, masks = [], []
@@ -225,13 +225,6 @@ def _somewhere(rng: Rng, camera: Camera, pixel: Float64, depth_m: float) -> Floa
     """A pose near a pixel (2,), at a depth."""
     point = camera.backproject((pixel + rng.normal(0.0, 90.0, 2))[None], np.array([depth_m]))[0]
     return se3.make(random_rotation(rng), point)
-
-
-def random_strong_light(rng: Rng) -> Light:
-    """Of any strength: whites may be overexposed."""
-    light = random_light(rng)
-    key, sky = light.key * np.exp(rng.uniform(-0.9, 0.9)), light.sky * np.exp(rng.uniform(-0.7, 0.7))
-    return replace(light, key=float(key), sky=float(sky))
 
 
 def _box(mesh: Mesh, T_cam_obj: Float64, camera: Camera) -> Box:

@@ -19,10 +19,11 @@ from huepose.geometry.arrays import Bool, Float32, Float64, UInt8
 from huepose.propose.view_pictures import SIDE, SPAN, unturned_views, window_pictures
 from huepose.propose.views import onto_rays
 from huepose.rendering.render import Rendering, render
+from huepose.scenes.carried import random_strong_light
 from huepose.scenes.light import shine
 from huepose.scenes.sensor import COLOR, STEREO, expose, lost_in_bad_light, stereo_depth
 from huepose.training.shapes import random_object, random_rotation
-from huepose.training.views import NO_SHADOW, Props, random_strong_light, random_unit
+from huepose.training.views import NO_SHADOW, Props, random_unit
 
 WIDE = 2
 """Width of a drawn window in widths of what the network sees."""

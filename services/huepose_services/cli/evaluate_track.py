@@ -7,17 +7,16 @@ from collections.abc import Mapping
 from typing import Any
 
 from huepose.datasets.types import Scene
-from huepose.estimation import Estimator
 from huepose.evaluation.origin import origin
 from huepose.evaluation.paper_tracker import PaperTracker
 from huepose.evaluation.pictures import PictureFolder
 from huepose.evaluation.result_files import write_json
-from huepose.evaluation.sources import EstimatorSource, FileSource, LoopJudge, PoseSource, TruthSource
+from huepose.evaluation.sources import LoopJudge
 from huepose.evaluation.targets import Targets
 from huepose.evaluation.track_protocol import (
     SourceNames,
     Sources,
-    TrackerFactory,
+    TrackerLike,
     TrackOptions,
     evaluate_tracking,
 )
@@ -25,7 +24,6 @@ from huepose.model import ReferenceModel
 from huepose.paper.tracking import PaperStep
 from huepose.profiles import profile
 from huepose.support.errors import InputError
-from huepose.tracking import Tracker
 from huepose_services.cli.evaluate_scenes import (
     figure_table,
     intervals_line,
@@ -34,7 +32,7 @@ from huepose_services.cli.evaluate_scenes import (
     shown,
     states_line,
 )
-from huepose_services.cli.pose_tables import PoseTables
+from huepose_services.cli.pose_tables import PoseSources, warm_tracker
 
 
 def call(arguments: argparse.Namespace) -> int:
@@ -46,38 +44,25 @@ def call(arguments: argparse.Namespace) -> int:
     scenes, models = open_scenes(arguments.fast_ycb, arguments.bop, arguments.bundles)
     targets, settings = Targets(models, arguments.objects), profile(arguments.profile)
     used = {name: models[name] for name in shown(scenes, targets)}
-    estimator = Estimator(used, settings.estimator)
-    if "estimate" in (names.init, names.delayed):
-        estimator.warm_up()
-    tables = PoseTables(used)
-
-    def source(kind: str, scene: Scene, seed: int) -> PoseSource:
-        if kind == "gt":
-            return TruthSource()
-        if kind == "estimate":
-            return EstimatorSource(estimator, seed)
-        return FileSource(tables.of(kind, scene.name))
+    named = PoseSources(used, settings.estimator)
 
     def sources(scene: Scene, seed: int) -> Sources:
-        first = source(names.init, scene, seed)
+        first = named.of(names.init, scene.name, seed)
         if names.delayed is None:
             return Sources(first)
-        return Sources(first, first if names.delayed == names.init else source(names.delayed, scene, seed))
+        same = names.delayed == names.init
+        return Sources(first, first if same else named.of(names.delayed, scene.name, seed))
 
     options = TrackOptions(arguments.protocol, arguments.every, tuple(arguments.seed))
     judge = LoopJudge(used) if names.delayed == "estimate" else None
     pictures = PictureFolder(arguments.plots, targets) if arguments.plots else None
     on_frame = None if pictures is None else pictures.frame
 
-    def ours(models: Mapping[str, ReferenceModel]) -> Tracker:
-        tracker = Tracker(models, settings.tracker)
-        tracker.warm_up()
-        return tracker
+    def tracker(models: Mapping[str, ReferenceModel]) -> TrackerLike:
+        if arguments.method == "paper":
+            return PaperTracker(models, PaperStep.shipped(arguments.rotation))
+        return warm_tracker(models, settings.tracker)
 
-    def papers(models: Mapping[str, ReferenceModel]) -> PaperTracker:
-        return PaperTracker(models, PaperStep.shipped(arguments.rotation))
-
-    tracker: TrackerFactory = papers if arguments.method == "paper" else ours
     result = evaluate_tracking(
         scenes, targets, tracker, sources, options, names, judge=judge, on_frame=on_frame
     )

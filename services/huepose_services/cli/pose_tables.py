@@ -1,26 +1,58 @@
-"""Files of poses as the command line names them: one file, or a folder with one for each sequence."""
+"""Poses as the command line names them: labels, our estimates, or files of poses."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping
+from functools import cached_property
 from pathlib import Path
 
 from huepose.datasets.fast_ycb import object_of
 from huepose.datasets.ycb_objects import T_posecnn_obj, ycb_named
+from huepose.estimation import Estimator, EstimatorConfig
 from huepose.evaluation.pose_files import PoseTable, read_dope_poses, read_pose_csv
+from huepose.evaluation.sources import EstimatorSource, FileSource, PoseSource, TruthSource
 from huepose.evaluation.targets import posecnn_offset_m
 from huepose.geometry import se3
 from huepose.geometry.arrays import Float64
 from huepose.model import ReferenceModel
 from huepose.support.errors import InputError
+from huepose.tracking import Tracker, TrackerConfig
 
 _FRAME_OF = {"poses_ycb.txt": "posecnn", "poses.txt": "nvdu"}
 """Model frames of the files that Fast-YCB and ROFT call so."""
 
 
+class PoseSources:
+    """The sources of poses by name: `gt`, `estimate`, or a file or folder of poses."""
+
+    def __init__(self, models: Mapping[str, ReferenceModel], config: EstimatorConfig) -> None:
+        self._tables, self._models, self._config = PoseTables(models), models, config
+
+    def of(self, name: str, sequence: str, seed: int) -> PoseSource:
+        """Of a sequence. Raises InputError where a file is missing or broken."""
+        if name == "gt":
+            return TruthSource()
+        if name == "estimate":
+            return EstimatorSource(self._estimator, seed)
+        return FileSource(self._tables.of(name, sequence))
+
+    @cached_property
+    def _estimator(self) -> Estimator:
+        estimator = Estimator(self._models, self._config)
+        estimator.warm_up()
+        return estimator
+
+
+def warm_tracker(models: Mapping[str, ReferenceModel], config: TrackerConfig) -> Tracker:
+    """Our tracker, ready."""
+    tracker = Tracker(models, config)
+    tracker.warm_up()
+    return tracker
+
+
 class PoseTables:
-    """Finds and reads them, in the reference models' own frame. A CSV is in it; of DOPE's files the name
-    tells in which they are."""
+    """Finds and reads files, one for all sequences or a folder of them, in the reference models' own
+    frame. A CSV is in it; of DOPE's files the name tells in which they are."""
 
     def __init__(self, models: Mapping[str, ReferenceModel]) -> None:
         self._models = models

@@ -11,11 +11,10 @@ from pathlib import Path
 from huepose.datasets import files
 from huepose.datasets.fast_ycb import labelled_sequences, object_of
 from huepose.datasets.types import Scene, SomeImages
-from huepose.estimation import Estimator
 from huepose.evaluation.ablation import evaluate_ablation, with_networks
 from huepose.evaluation.ablation_rows import AblationResult, AblationRow
 from huepose.evaluation.paper_tracker import PaperTracker
-from huepose.evaluation.sources import EstimatorSource, FileSource, LoopJudge, PoseSource, TruthSource
+from huepose.evaluation.sources import LoopJudge
 from huepose.evaluation.tables.journal import Entry, Journal
 from huepose.evaluation.tables.runs import run_tracks
 from huepose.evaluation.targets import Targets
@@ -24,9 +23,8 @@ from huepose.evaluation.track_rows import TrackResult
 from huepose.model import ReferenceModel
 from huepose.profiles import profile
 from huepose.support.errors import InputError
-from huepose.tracking import Tracker
 from huepose_services.cli.evaluate_scenes import open_fast_ycb
-from huepose_services.cli.pose_tables import PoseTables
+from huepose_services.cli.pose_tables import PoseSources, warm_tracker
 from huepose_services.cli.table_images import left_out, settings
 
 ABLATION_GAP = 5
@@ -130,37 +128,22 @@ class _Tracking:
         paths: Mapping[str, Path],
     ) -> None:
         self.arguments, self.models, self.starts, self.paths = arguments, models, starts, paths
-        self.estimator: Estimator | None = None
+        self.settings = profile(arguments.profile)
+        self.named = PoseSources(models, self.settings.estimator)
 
     def __call__(self, scene: Scene, method: str, every: int) -> TrackResult:
         """Track it."""
-        arguments, settings = self.arguments, profile(self.arguments.profile)
+        arguments, start = self.arguments, self.starts[scene.name]
         roft = arguments.protocol == "roft"
-        first = self._source(self.starts[scene.name], scene)
-        delayed = self._source("estimate", scene) if roft else None
-
-        def ours(models: Mapping[str, ReferenceModel]) -> Tracker:
-            tracker = Tracker(models, settings.tracker)
-            tracker.warm_up()
-            return tracker
-
+        name = str(self.paths[scene.name].parent) if start == "dope" else start
+        first = self.named.of(name, scene.name, arguments.seed)
+        delayed = self.named.of("estimate", scene.name, arguments.seed) if roft else None
         return evaluate_tracking(
             [scene],
             Targets(self.models),
-            PaperTracker if method == "paper" else ours,
+            PaperTracker if method == "paper" else partial(warm_tracker, config=self.settings.tracker),
             lambda scene, seed: Sources(first, delayed),
             TrackOptions(arguments.protocol, every, (arguments.seed,)),
-            SourceNames(self.starts[scene.name], "estimate" if roft else None),
+            SourceNames(start, "estimate" if roft else None),
             judge=LoopJudge(self.models) if roft else None,
         )
-
-    def _source(self, kind: str, scene: Scene) -> PoseSource:
-        if kind == "gt":
-            return TruthSource()
-        if kind == "dope":
-            tables = PoseTables({object_of(scene.name): self.models[object_of(scene.name)]})
-            return FileSource(tables.of(str(self.paths[scene.name].parent), scene.name))
-        if self.estimator is None:
-            self.estimator = Estimator(self.models, profile(self.arguments.profile).estimator)
-            self.estimator.warm_up()
-        return EstimatorSource(self.estimator, self.arguments.seed)

@@ -113,7 +113,7 @@ def _image_pictures(
         pictures.append((picture, f"Recall of {name} over the threshold; the tables take 10 %."))
     beside = published("table1").rows
     paper = "; published: the paper's own column" if set(names.values()) & set(beside) else ""
-    pictures.append((_objects(known, names), f"Recall of ADD by object{paper}."))
+    pictures.append((_objects(known, names), f"Recall of ADD by object{paper}; no bar is 0."))
     for method, rows in known.items():
         found = [row for row in rows if row["found"]]
         if found and method in ("full", "colorpair"):

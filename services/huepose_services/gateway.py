@@ -64,6 +64,12 @@ class GatewayWork:
         # Answered by zenoh's own thread for it, so at once; undeclared with the session.
         self._queryable = outside.declare_queryable(keys.remote, self._answer)
 
+    def reload(self, config: Config) -> list[str]:
+        """How often a key is said, and who may read how much."""
+        self._limit.at_rate(config.gateway.max_rate_hz)
+        self._door.reload(config.gateway)
+        return []
+
     def due_ns(self) -> int | None:
         """When something that was held back may go out."""
         held_ns = self._limit.next_ns()

@@ -18,6 +18,8 @@ from contextlib import suppress
 from dataclasses import dataclass, field
 from pathlib import Path
 
+from msgspec.structs import replace
+
 from huepose.support.errors import InputError
 from huepose_services.runtime.config import TLS_FILES, GatewayConfig
 
@@ -64,6 +66,21 @@ class Door:
         self._thread = threading.Thread(target=self._run, name="door", daemon=True)
         self._thread.start()
 
+    def reload(self, gateway: GatewayConfig) -> None:
+        """Other limits; where others may read than before, all are asked again who they are."""
+        before, self._gateway = self._gateway, self._limited(gateway)
+        if before.tls != self._gateway.tls:
+            self._loop.call_soon_threadsafe(self._ask_all)
+
+    def _limited(self, gateway: GatewayConfig) -> GatewayConfig:
+        now = self._gateway
+        tls = now.tls and gateway.tls and replace(now.tls, readers=gateway.tls.readers)
+        return replace(now, sessions_per_reader=gateway.sessions_per_reader, tls=tls or now.tls)
+
+    def _ask_all(self) -> None:
+        for task in self._tasks:
+            task.cancel()
+
     def close(self) -> None:
         """Let nobody in any more, and send all away."""
         self._loop.call_soon_threadsafe(self._loop.stop)
@@ -109,8 +126,7 @@ class Door:
             except InputError as error:
                 self._tell(f"its certificates have changed, and the old ones stay in use: {error}")
                 continue
-            for task in self._tasks:
-                task.cancel()
+            self._ask_all()
 
     async def _serve(self, link: socket.socket, host: str) -> None:
         writer = None

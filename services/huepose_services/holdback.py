@@ -27,10 +27,14 @@ class Holdback(Generic[T]):
     """
 
     def __init__(self, rate_hz: float) -> None:
-        self._period_ns = int(SECOND / rate_hz)
+        self.at_rate(rate_hz)
         self._keys: dict[str, _Key[T]] = {}
         self.held = 0
         """How many values were replaced by newer ones and never sent."""
+
+    def at_rate(self, rate_hz: float) -> None:
+        """From now on so often."""
+        self._period_ns = int(SECOND / rate_hz)
 
     def offer(self, key: str, value: T, now_ns: int, urgent: bool = False) -> T | None:
         """The value if it may be sent now, else None: then it is held. An urgent one is never held."""

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from dataclasses import asdict
+from typing import Literal
 
 from huepose.estimation.types import PoseEstimate
 from huepose.reinit import ReinitConfig, ReinitLoop, rehearse
@@ -12,6 +13,7 @@ from huepose.reinit.types import Prior as LoopPrior
 from huepose.tracking.types import Correction, State, TrackedPose
 from huepose_protos import WireError
 from huepose_protos.messages import (
+    ControlRequest,
     CorrectionMessage,
     EstimatedObject,
     Estimates,
@@ -37,7 +39,7 @@ from huepose_services.convert import (
 from huepose_services.following import Retired, recall
 from huepose_services.runtime.bus import Bus
 from huepose_services.runtime.clock import SECOND, now_ns
-from huepose_services.runtime.config import Config
+from huepose_services.runtime.config import Config, ObjectConfig
 from huepose_services.runtime.future import check_number
 from huepose_services.runtime.one_camera import OneCamera
 from huepose_services.steering import Desk, ObjectList
@@ -64,13 +66,17 @@ def make(bus: Bus, config: Config) -> ReinitWork:
             for item in configured
         ]
     slots = [load(entry.object, entry.max_instances) for entry in entries]
-    settings = ReinitConfig(
+    rehearse()
+    loop = ReinitLoop(_settings(config), slots)
+    return ReinitWork(bus, loop, ObjectList(entries, load), config.objects)
+
+
+def _settings(config: Config) -> ReinitConfig:
+    return ReinitConfig(
         period_ms=1000.0 / config.reinit.rate_hz,
         objects_per_request=config.reinit.objects_per_tick,
         deadline_ms=float(config.reinit.deadline_ms),
     )
-    rehearse()
-    return ReinitWork(bus, ReinitLoop(settings, slots), ObjectList(entries, load))
 
 
 class ReinitWork:
@@ -78,7 +84,10 @@ class ReinitWork:
 
     finished = False
 
-    def __init__(self, bus: Bus, loop: ReinitLoop, objects: ObjectList) -> None:
+    def __init__(
+        self, bus: Bus, loop: ReinitLoop, objects: ObjectList, configured: Sequence[ObjectConfig] = ()
+    ) -> None:
+        self._configured = configured
         self._bus, self._loop, self._objects = bus, loop, objects
         self._desk = Desk(bus, objects)
         self._retired = Retired(objects.entries())
@@ -89,6 +98,25 @@ class ReinitWork:
         self._sought: dict[int, tuple[str, ...]] = {}
         self._reasons: dict[str, str] = {}
         self._next_look_ns = self._next_objects_ns = now_ns()
+
+    def reload(self, config: Config) -> list[str]:
+        """How often is looked, and what for: what the file names now and did not before, and the other way
+        round. What was added by hand stays."""
+        self._loop.config = _settings(config)
+        before = {item.name: item.max_instances for item in self._configured}
+        after = {item.name: item.max_instances for item in config.objects}
+        if bool(before) != bool(after):
+            return ["until the next start as it was: objects (that all models are looked for, or some)"]
+        self._configured = config.objects
+        now = {entry.object: entry.max_instances for entry in self._objects.entries()}
+        orders = [_order("remove", name) for name in before if name not in after and name in now]
+        orders += [
+            _order("add", name, count)
+            for name, count in after.items()
+            if count not in (before.get(name), now.get(name))
+        ]
+        told = [self._objects.decide(order) for order in orders]
+        return [text for done, text in told if not done]
 
     def due_ns(self) -> int | None:
         """Poses are looked at once a frame, answers when they come."""
@@ -170,6 +198,10 @@ class ReinitWork:
         self._bus.put(
             self._bus.keys.objects, ObjectsMessage(publish_ns=now_ns(), objects=self._objects.entries())
         )
+
+
+def _order(action: Literal["add", "remove"], name: str, count: int = 1) -> ControlRequest:
+    return ControlRequest(publish_ns=now_ns(), action=action, object=name, max_instances=count)
 
 
 def slow_text(age_s: float) -> str | None:

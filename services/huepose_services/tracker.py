@@ -99,6 +99,16 @@ class TrackerWork:
         self._acted_on: list[TrackedPose] = []
         self._holds_until_ns = 0
 
+    def reload(self, config: Config) -> list[str]:
+        """How old a pose may be; who records is told from which step on."""
+        age_ms = config.tracker.max_age_ms
+        fresh = msgspec.structs.replace(self._config.tracker, max_age_ms=age_ms)
+        self._config = msgspec.structs.replace(self._config, tracker=fresh)
+        self._max_age_ns = int(age_ms * 1e6)
+        if self._bus.is_heard(self._bus.keys.intake):
+            self._bus.put_aside(self._bus.keys.memory, self.memory())
+        return []
+
     def due_ns(self) -> int | None:
         """When poses get too old without a newer frame."""
         return self._holds_until_ns if self._acted_on else None

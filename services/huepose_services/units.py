@@ -28,6 +28,8 @@ StartLimitBurst={burst}
 Type=notify
 NotifyAccess=main
 ExecStart={huepose} run %i {config}
+# Reads pipeline.yaml again, takes over what it can, and says what waits for a restart.
+ExecReload=/bin/kill -HUP $MAINPID
 User={user}
 Group={user}
 WorkingDirectory=/var/lib/huepose

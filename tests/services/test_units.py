@@ -110,6 +110,7 @@ def test_restarts_and_watchdog_are_those_of_the_file():
     assert float(_value(template, "WatchdogSec")) == config.restarts.hung_after_s
     assert float(_value(template, "TimeoutStartSec")) >= config.restarts.start_within_s
     assert _value(template, "RestartPreventExitStatus") == "2"
+    assert _value(template, "ExecReload") == "/bin/kill -HUP $MAINPID"
 
 
 def test_only_those_that_need_them_see_devices_and_the_network():

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 import os
+import signal
 import sys
 from pathlib import Path
 from typing import Any
@@ -28,6 +29,8 @@ def call(arguments: argparse.Namespace) -> int:
     from huepose_services.runtime.config import WORKERS, load
     from huepose_services.runtime.threads import single_threaded
 
+    # One that comes while it starts is for a file that it has yet to read.
+    signal.signal(signal.SIGHUP, signal.SIG_IGN)
     config = load(arguments.config)
     if arguments.worker not in WORKERS:
         raise InputError(
@@ -41,7 +44,7 @@ def call(arguments: argparse.Namespace) -> int:
 
     # Under a supervisor that one has noted the whole pipeline.
     with noted(described(config, arguments.config)) if supervisor is None else nullcontext():
-        code = run_worker(arguments.worker, config)
+        code = run_worker(arguments.worker, config, arguments.config.absolute())
     # All is closed; taking numba and OpenCV apart would only make stopping take longer.
     sys.stderr.flush()
     os._exit(code)

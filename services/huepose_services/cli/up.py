@@ -21,12 +21,13 @@ def call(arguments: argparse.Namespace) -> int:
     from huepose_services.runtime.config import load
     from huepose_services.runtime.notify import notify
     from huepose_services.runtime.prepare import prepare
+    from huepose_services.runtime.reload import asked_again
     from huepose_services.runtime.running import described, noted
     from huepose_services.runtime.supervisor import Supervisor
 
     config = load(arguments.config)
     prepare(config)
-    stopping = until_told()
+    stopping, again = until_told(), asked_again()
 
     supervisor = Supervisor(config, arguments.config)
     with noted(described(config, arguments.config)):
@@ -35,6 +36,8 @@ def call(arguments: argparse.Namespace) -> int:
             told = False
             while supervisor.exit_code is None and not stopping():
                 supervisor.poll()
+                if again():
+                    supervisor.reload()
                 if supervisor.ready and not told:
                     told = True
                     notify("READY=1")

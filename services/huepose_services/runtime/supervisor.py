@@ -8,6 +8,7 @@ camera that plays a recording once is the end of the pipeline.
 from __future__ import annotations
 
 import selectors
+import signal
 import sys
 import time
 from collections import deque
@@ -15,9 +16,12 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TextIO
 
+import msgspec
+
 from huepose_services.runtime.child import Child
 from huepose_services.runtime.config import Config
 from huepose_services.runtime.log import Log
+from huepose_services.runtime.reload import Reload
 
 _DRAIN_S = 1.5
 _STOP_WITHIN_S = 1.8
@@ -49,6 +53,8 @@ class Supervisor:
         self._config, self._path = config, path
         self._out = out or sys.stderr
         self._log = Log("huepose", self._out)
+        self._reload = Reload("huepose", path, config, self._log)
+        self._read_again: set[str] = set()
         self._children: dict[str, Child] = {}
         self._records: dict[str, _Record] = {worker: _Record() for worker in config.workers}
         self.exit_code: int | None = None
@@ -82,12 +88,23 @@ class Supervisor:
         record.restart_at = None
         self._children[worker] = Child(worker, self._path, self._out, record.restarts)
 
+    def reload(self) -> None:
+        """Read the configuration again, and have every worker do so, at last when it is ready."""
+        new = self._reload.take_over(lambda _: [])
+        if new is not None:
+            self._log.say("all workers read the configuration again")
+            self._config = msgspec.structs.replace(self._config, restarts=new.restarts)
+            self._read_again = set(self._records)
+
     def poll(self, timeout_s: float = 0.1) -> None:
         """Look after the workers for a while: readiness, signs of life, deaths, restarts, the end."""
         self._wait_for_something(timeout_s)
         self._forgive_standstill(timeout_s)
         for child in list(self._children.values()):
             child.listen()
+            if child.ready and child.worker in self._read_again:
+                self._read_again.discard(child.worker)
+                child.process.send_signal(signal.SIGHUP)
             code = child.process.poll()
             if code is not None:
                 self._bury(child, code)

@@ -11,9 +11,10 @@ import os
 import signal
 import sys
 import traceback
-from collections.abc import Collection
+from collections.abc import Callable, Collection
 from contextlib import suppress
 from importlib import import_module
+from pathlib import Path
 from types import FrameType
 from typing import Protocol, cast
 
@@ -27,6 +28,7 @@ from huepose_services.runtime.config import Config, WorkerName
 from huepose_services.runtime.health import Health
 from huepose_services.runtime.log import Log
 from huepose_services.runtime.pulse import Pulse
+from huepose_services.runtime.reload import Reload, TakeOver, asked_again
 from huepose_services.runtime.session import open_worker_session
 
 TELL_WHERE = signal.SIGUSR2
@@ -59,7 +61,8 @@ class Work(Protocol):
     """What one worker does. Made by `make(bus, config)` of its module, warmed up when that returns.
 
     It may have an attribute `ready: bool`, looked at after every step: as long as that is False, the worker
-    does not say that it is ready (a camera before its first good frame). Without it, it is ready at once."""
+    does not say that it is ready (a camera before its first good frame). Without it, it is ready at once.
+    What takes over something of a changed configuration (`reload.LIVE`) has a method for that: `reload`."""
 
     finished: bool
     """Set when there is nothing left to do: the worker then ends with exit code 0."""
@@ -113,13 +116,14 @@ def keep_to(processors: Collection[int]) -> None:
         os.sched_setaffinity(0, processors)
 
 
-def run_worker(worker: str, config: Config) -> int:
-    """Run a worker until SIGTERM, SIGINT, its supervisor's end or its own. Returns the exit code.
+def run_worker(worker: str, config: Config, path: Path) -> int:
+    """Run a worker until SIGTERM, SIGINT, its supervisor's end or its own; path: of the configuration, which
+    is read again at SIGHUP. Returns the exit code.
 
     Raises InputError for what the configuration names and is not there, or a port that is taken."""
     log, health = Log(worker), Health(worker)
     health.much_locked_mib = max(health.much_locked_mib, 10.0 * config.bus.frame_pool_mib)
-    stop = _Stop(log)
+    stop, again = _Stop(log), asked_again()
     # The supervisor asks a worker that hangs where it is before it ends it.
     faulthandler.register(TELL_WHERE, file=sys.stderr, all_threads=True)
     come_first(worker)
@@ -140,7 +144,9 @@ def run_worker(worker: str, config: Config) -> int:
         if "numba" in sys.modules:
             import_module("huepose_services.runtime.compiling").tell_of_late_compiling(pulse, health, log)
         token = session.liveliness().declare_token(config.keys.live(worker))
-        _loop(bus, work, stop, pulse)
+        reload = Reload(worker, path, config, log, health)
+        take_over: TakeOver = getattr(work, "reload", lambda _: [])
+        _loop(bus, work, stop, pulse, lambda: again() and reload.take_over(take_over))
         pulse.stopping()
         # A camera that is not let go has to be plugged in anew.
         getattr(work, "close", lambda: None)()
@@ -153,7 +159,7 @@ def run_worker(worker: str, config: Config) -> int:
     return 0
 
 
-def _loop(bus: Bus, work: Work, stop: _Stop, pulse: Pulse) -> None:
+def _loop(bus: Bus, work: Work, stop: _Stop, pulse: Pulse, reload: Callable[[], object]) -> None:
     errors = 0
     next_health_ns = now_ns()
     said_ready = False
@@ -169,6 +175,7 @@ def _loop(bus: Bus, work: Work, stop: _Stop, pulse: Pulse) -> None:
         until_ns = next_health_ns if due_ns is None else min(due_ns, next_health_ns)
         bus.inbox.wait(min((until_ns - now_ns()) / SECOND, _LONGEST_WAIT_S))
         try:
+            reload()
             work.step()
             errors = 0
         except Exception as error:

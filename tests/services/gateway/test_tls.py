@@ -13,7 +13,7 @@ from huepose_protos.client import open_session
 from huepose_protos.messages import CorrectionMessage
 from huepose_services.cli.main import main
 from huepose_services.pem import Credentials, why_unreachable
-from huepose_services.runtime.config import GatewayConfig
+from huepose_services.runtime.config import Config, GatewayConfig
 
 from .conftest import EXAMPLES, credentials, tls
 
@@ -56,6 +56,19 @@ def test_only_listed_names_read_and_a_reader_cannot_steer(start, authority):
     assert one.tracker.take(one.corrections, CorrectionMessage) is None
     for client in (listed, unlisted, steering):
         client.close()
+
+
+def test_other_readers_are_let_in_while_it_runs_and_these_sent_away(start, authority):
+    one = start(tls=tls(authority, ["robot1"]))
+    address = f"tls/localhost:{one.port}"
+    with (
+        PoseClient(address, **credentials(authority, "robot1")) as before,
+        PoseClient(address, **credentials(authority, "robot2")) as after,
+    ):
+        one.say_until(lambda: before.latest() is not None and one.work._door.refused > 0)
+        gateway = GatewayConfig(listen="0.0.0.0:1", max_rate_hz=7.0, tls=tls(authority, ["robot2"]))
+        assert one.work.reload(Config(gateway=gateway)) == []
+        one.say_until(lambda: after.latest() is not None and not before.connected)
 
 
 def test_why_a_gateway_is_not_reached_is_said(start, authority, base_port, monkeypatch):

@@ -1,0 +1,119 @@
+"""pipeline.yaml is read again while all runs (SIGHUP): what is taken over then, what waits for a new start.
+
+Each worker looks at what concerns it. A file that is wrong changes nothing.
+"""
+
+from __future__ import annotations
+
+import os
+import signal
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from types import FrameType
+from typing import Any
+
+import msgspec
+
+from huepose.support.errors import InputError
+from huepose_services.runtime.config import Config, load
+from huepose_services.runtime.health import Health
+from huepose_services.runtime.log import Log
+
+LIVE: dict[str, frozenset[str]] = {
+    "tracker": frozenset({"tracker.max_age_ms"}),
+    "reinit": frozenset({"objects", "reinit.rate_hz", "reinit.objects_per_tick", "reinit.deadline_ms"}),
+    "gateway": frozenset({"gateway.max_rate_hz", "gateway.sessions_per_reader", "gateway.tls.readers"}),
+}
+"""What a worker takes over while it runs; other workers are told by it, where they have to know."""
+
+_OF_ALL = ("site", "bundles", "profile", "networks", "bus", "cpus", "camera.name")
+
+TakeOver = Callable[[Config], list[str]]
+"""Called with a configuration of which what is live has changed: sentences on what of it cannot be done."""
+
+
+def asked_again() -> Callable[[], bool]:
+    """From now on SIGHUP ends nothing: the answer is whether one came since the last call. But one that says
+    that the terminal is gone is a SIGTERM."""
+    came, had_terminal = False, _has_terminal()
+
+    def note(number: int, frame: FrameType | None) -> None:
+        nonlocal came
+        came = True
+        if had_terminal and not _has_terminal():
+            signal.raise_signal(signal.SIGTERM)
+
+    def answer() -> bool:
+        nonlocal came
+        was, came = came, False
+        return was
+
+    signal.signal(signal.SIGHUP, note)
+    return answer
+
+
+def _has_terminal() -> bool:
+    try:
+        os.close(os.open("/dev/tty", os.O_RDONLY | os.O_NOCTTY))
+    except OSError:
+        return False
+    return True
+
+
+def changed(before: Any, after: Any, name: str = "") -> Iterator[tuple[str, str]]:
+    """Keys of a configuration that differ, each with both values in words."""
+    if isinstance(before, msgspec.Struct) and type(before) is type(after):
+        for field in before.__struct_fields__:
+            key = f"{name}.{field}" if name else field
+            yield from changed(getattr(before, field), getattr(after, field), key)
+    elif before != after:
+        yield name, f"{name} ({_words(before)} > {_words(after)})"
+
+
+def _words(value: Any) -> str:
+    text = msgspec.json.encode(value).decode()
+    return text if len(text) <= 60 else f"{text[:57]}..."
+
+
+class Reload:
+    """Of one worker, or of the supervisor ("huepose"), which takes over all of `restarts`."""
+
+    def __init__(
+        self, worker: str, path: Path, config: Config, log: Log, health: Health | None = None
+    ) -> None:
+        self._worker, self._path, self._log, self._health = worker, path, log, health
+        self._started = self._now = config
+
+    def take_over(self, take_over: TakeOver) -> Config | None:
+        """Read the file, take over what can be, and say what was and what was not. None: it is wrong."""
+        try:
+            new = load(self._path)
+        except InputError as error:
+            self._tell(f"{self._path} is not taken over: {error}")
+            return None
+        live = {key: text for key, text in changed(self._now, new) if self._is_live(key)}
+        waits = [text for key, text in changed(self._started, new) if self._waits(key)]
+        self._now = new
+        refused = take_over(new) if live else []
+        if live:
+            self._log.say(f"{self._path} was read again: {', '.join(live.values())}")
+        later = f"until the next start as it was: {', '.join(waits)}" if waits else ""
+        self._tell("; ".join([*refused, *([later] if later else [])]))
+        return new
+
+    def _tell(self, problem: str) -> None:
+        if problem:
+            self._log.warn(problem)
+        if self._health is not None:
+            self._health.warn_while("reload", problem or None)
+
+    def _is_live(self, key: str) -> bool:
+        if self._worker == "huepose":
+            return key.startswith("restarts.")
+        return key in LIVE.get(self._worker, ())
+
+    def _waits(self, key: str) -> bool:
+        if self._worker == "huepose":
+            return key == "workers"
+        own = (self._worker, *_OF_ALL)
+        return not self._is_live(key) and any(f"{key}.".startswith(f"{one}.") for one in own)

@@ -1,0 +1,153 @@
+"""pipeline.yaml is read again: what is taken over at once, what waits, and what is wrong."""
+
+import io
+import json
+import os
+import pty
+import signal
+import sys
+import time
+from types import SimpleNamespace
+
+import msgspec
+import pytest
+
+from huepose.reinit.types import ObjectSlot
+from huepose.support.errors import InputError
+from huepose_protos.messages import ObjectEntry
+from huepose_services.reinit import ReinitWork
+from huepose_services.runtime.config import Config, load
+from huepose_services.runtime.health import Health
+from huepose_services.runtime.log import Log
+from huepose_services.runtime.reload import LIVE, Reload, changed
+from huepose_services.steering import ObjectList
+
+
+@pytest.fixture
+def worker(tmp_path):
+    """Of a worker: writes a file and has it read again; returns what was taken over, and what was said."""
+    path = tmp_path / "pipeline.yaml"
+    path.write_text("{}")
+
+    def make(name):
+        out, health, taken = io.StringIO(), Health(name), []
+        reload = Reload(name, path, load(path), Log(name, out), health)
+
+        def write(text):
+            out.truncate(0)
+            path.write_text(text if isinstance(text, str) else json.dumps(text))
+            reload.take_over(lambda config: taken.append(config) or [])
+            return taken[-1] if taken else None, out.getvalue(), health.message().warnings
+
+        return write
+
+    return make
+
+
+def test_what_can_be_is_taken_over_and_the_rest_waits_in_words(worker):
+    write = worker("tracker")
+    config, said, warnings = write({"tracker": {"max_age_ms": 200, "history_frames": 30}, "site": "roof"})
+    assert config.tracker.max_age_ms == 200.0
+    assert "was read again: tracker.max_age_ms (300.0 > 200.0)" in said
+    assert warnings == [
+        'until the next start as it was: site ("local" > "roof"), tracker.history_frames (20 > 30)'
+    ]
+    # What waits is compared with how it was started; as it was, nothing waits.
+    config, said, warnings = write({"tracker": {"max_age_ms": 250}})
+    assert config.tracker.max_age_ms == 250.0
+    assert warnings == []
+
+
+def test_what_is_another_workers_is_not_told(worker):
+    write = worker("segmenter")
+    assert write({"tracker": {"max_age_ms": 200, "history_frames": 30}, "restarts": {"limit": 3}}) == (
+        *(None, ""),
+        [],
+    )
+
+
+def test_a_wrong_file_changes_nothing_and_is_told(worker):
+    write = worker("tracker")
+    config, said, warnings = write({"tracker": {"max_age_ms": -1}})
+    assert config is None
+    assert "is not taken over" in said
+    assert "tracker.max_age_ms" in warnings[0]
+    assert write({})[2] == []
+
+
+def test_every_key_that_is_live_is_one_of_the_configuration():
+    other = {"objects": [{"name": "mug"}], "gateway": {"tls": {"readers": ["robot"]}}}
+    before = {"gateway": {"tls": dict.fromkeys(("authority", "certificate", "key"), "x")}}
+    merged = {"gateway": {"tls": before["gateway"]["tls"] | other["gateway"]["tls"]}}
+    keys = {k for k, _ in changed(*(msgspec.convert(d, Config) for d in (before, other | merged)))}
+    assert keys == {"objects", "gateway.tls.readers"}
+    for key in set.union(*map(set, LIVE.values())) - keys:
+        section, name = key.split(".")
+        assert name in getattr(Config(), section).__struct_fields__
+
+
+def test_objects_come_and_go_with_the_file_and_those_added_by_hand_stay():
+    def slot(name, count):
+        if name == "ghost":
+            raise InputError("object 'ghost'", found="no such reference model", expected="one of mug, jar")
+        return ObjectSlot(name, count)
+
+    entries = [ObjectEntry(object=name, max_instances=1, searching=0) for name in ("mug", "jar", "by hand")]
+    objects = ObjectList(entries, slot)
+    loop = SimpleNamespace(config=None)
+    bus = SimpleNamespace(
+        inbox=SimpleNamespace(queue=lambda *_, **__: None),
+        keys=Config().keys,
+        session=SimpleNamespace(declare_queryable=lambda *_: None),
+    )
+
+    def config(**counts):
+        items = [{"name": name, "max_instances": count} for name, count in counts.items()]
+        return msgspec.convert({"objects": items, "reinit": {"rate_hz": 4}}, Config)
+
+    work = ReinitWork(bus, loop, objects, config(mug=1, jar=1).objects)
+    (refused,) = work.reload(config(mug=3, lid=1, ghost=1))
+    assert "ghost" in refused
+    assert {e.object: e.max_instances for e in objects.entries()} == {"mug": 3, "lid": 1, "by hand": 1}
+    assert loop.config.period_ms == 250.0
+    assert "objects" in work.reload(Config())[0]
+
+
+def test_a_terminal_that_is_closed_ends_it():
+    code = (
+        "import signal, time; from huepose_services.runtime.reload import asked_again\n"
+        "again = asked_again(); signal.raise_signal(signal.SIGHUP); assert again() and not again()\n"
+        "print('reads again', flush=True); time.sleep(60)"
+    )
+    pid, terminal = pty.fork()
+    if pid == 0:
+        os.execv(sys.executable, [sys.executable, "-c", code])
+    said = b""
+    while b"reads again" not in said:
+        said += os.read(terminal, 1000)
+    os.close(terminal)
+    deadline = time.monotonic() + 10.0
+    while (ended := os.waitpid(pid, os.WNOHANG))[0] == 0:
+        assert time.monotonic() < deadline
+        time.sleep(0.05)
+    assert os.waitstatus_to_exitcode(ended[1]) == -signal.SIGTERM
+
+
+@pytest.mark.live
+def test_a_running_pipeline_reads_its_file_again(pipeline, huepose, wait_until):
+    path = pipeline(once=False, rate=20)
+    process = huepose("up", path)
+    said = []
+    while "all workers are ready" not in "".join(said):
+        said.append(process.stderr.readline())
+    settings = json.loads(path.read_text())
+    settings["camera"]["rate"] = 10
+    settings["restarts"] = {"limit": 9}
+    path.write_text(json.dumps(settings))
+    process.send_signal(signal.SIGHUP)
+    while "camera.rate (20.0 > 10.0)" not in (text := "".join(said)):
+        said.append(process.stderr.readline())
+    assert "restarts.limit (5 > 9)" in text
+    assert process.poll() is None
+    process.terminate()
+    assert process.wait(10.0) == 0

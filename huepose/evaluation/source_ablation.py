@@ -178,7 +178,7 @@ def _joined(parts: Sequence[Measured], key: str) -> Share:
 
 def picture(rows: Sequence[SourceRow], key: str = "recall_add", label: str = "recall of ADD in %") -> UInt8:
     """Bars of a figure by set, a panel each for what is left without a source, for each source alone, and for
-    the paper's method."""
+    the paper's method; the place at the right is the legend's."""
     groups = list(dict.fromkeys(row.name for row in rows))
     values = {(row.name, row.variant): row.figures[key] for row in rows}
     panels = []
@@ -187,7 +187,12 @@ def picture(rows: Sequence[SourceRow], key: str = "recall_add", label: str = "re
             v for v in variants(EstimatorConfig()) if v == method or (v.startswith(method) and kind in v)
         ]
         series = {
-            v.replace("-", " "): [np.nan if (x := values[g, v]) is None else x for g in groups] for v in shown
+            v.removeprefix(f"{method}-").replace("-", " "): [
+                *(np.nan if (value := values[group, v]) is None else value for group in groups),
+                np.nan,
+            ]
+            for v in shown
         }
-        panels.append(bar_chart(groups, series, f"{method}: {label}", "", (0.0, 150.0), (1240, 360)))
+        title = f"{method}, {'without one source' if kind == 'without' else 'one source alone'}: {label}"
+        panels.append(bar_chart([*groups, ""], series, title, "", (0.0, 118.0), (1480, 340)))
     return np.vstack(panels)

@@ -201,6 +201,18 @@ def test_the_list_of_objects_is_changed_while_it_runs(running, recording, wait_u
     wait_until(instances, 60.0)
 
 
+def test_nothing_was_compiled_after_the_workers_said_that_they_are_ready(running):
+    """Through all that was asked of them above."""
+    running.watch.look_at_all(1.0, 20.0)
+    health = running.watch.view().health
+    assert {
+        w: m.counters["kernels_compiled_late"]
+        for w, m in health.items()
+        if "kernels_compiled_late" in m.counters
+    } == {}
+    assert {"tracker", "estimator", "detector", "segmenter"} <= set(health)
+
+
 def test_a_second_instance_of_a_worker_is_refused_and_the_first_ends_when_told_to(running):
     second = running.start("run", "segmenter", running.path)
     _, err = second.communicate(timeout=60.0)

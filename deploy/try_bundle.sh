@@ -1,7 +1,8 @@
 #!/usr/bin/env bash
 # Installs a bundle for real: in a Debian of its own whose systemd is process 1 and which has no network. There it is
-# installed, runs, is killed, upgraded, upgraded to a version that never gets ready (and rolls back), rolled back by
-# hand, uninstalled, and nothing is left. Needs root, mmdebstrap and systemd-nspawn; ends with 77 where it has them not.
+# installed, runs, reads its file again, is killed, upgraded, upgraded to a version that never gets ready (and rolls
+# back), rolled back by hand, uninstalled, and nothing is left. Needs root, mmdebstrap and systemd-nspawn; ends with 77
+# where it has them not.
 #   deploy/try_bundle.sh build/bundle/huepose-VERSION-x86_64-py3.11.tar [FOLDER]
 # FOLDER keeps the Debian for the next time. CACHE=~/.cache/huepose: what the built-in scene would have to compute first.
 set -euo pipefail
@@ -12,6 +13,7 @@ for tool in mmdebstrap systemd-nspawn; do
 done
 work=${2:-$(mktemp -d)}
 base=$work/base root=$work/root machine=huepose-try-$$
+mkdir -p "$work"
 [ -d "$base" ] || mmdebstrap --quiet --variant=apt --include=systemd,dbus,python3,procps,passwd bookworm "$base"
 rm -rf "$root"
 cp -a "$base" "$root"
@@ -62,6 +64,16 @@ say "installed; all workers are ready"
 must inside setpriv --reuid=huepose --regid=huepose --clear-groups env HUEPOSE_RUN=/run/huepose /opt/huepose/.venv/bin/huepose status
 
 old=$(pid tracker)
+inside sh -c 'echo "tracker: {max_age_ms: 250, history_frames: 30}" >> /etc/huepose/pipeline.yaml'
+must inside systemctl reload 'huepose@*'
+said() { inside journalctl --no-pager -u huepose@tracker | grep -qF "$1"; }
+for _ in $(seq 30); do said 'max_age_ms (300.0 > 250.0)' && break; sleep 1; done
+must said 'max_age_ms (300.0 > 250.0)'
+must said 'until the next start as it was: tracker.history_frames (20 > 30)'
+must active
+must test "$(pid tracker)" = "$old"
+say "reloaded: what can be is taken over, the rest is named"
+
 inside kill -9 "$old"
 for _ in $(seq "$within"); do [ "$(pid tracker)" != "$old" ] && active && break; sleep 1; done
 must active

@@ -81,13 +81,14 @@ print(sys.executable)' 2>/dev/null && return
 releases=$prefix/releases release=$prefix/releases/$(date -u +%Y%m%dT%H%M%S)
 in_use() { if [ -L "$prefix/.venv" ]; then dirname "$(readlink "$prefix/.venv")"; fi; }
 
+# With bytecode: the services may not write it, and would compile all that they import at every start.
 install_programs() {
     local python uv flags=() extra
     python=$(find_python)
     run install -d -m 755 "$release"
     if [ "$bundled" = 1 ]; then
         run env UV_PYTHON_DOWNLOADS=never "$here/uv" venv --quiet --offline --python "$python" "$release/.venv"
-        install=(env VIRTUAL_ENV="$release/.venv" "$here/uv" pip install --quiet --offline --no-index --no-deps
+        install=(env VIRTUAL_ENV="$release/.venv" "$here/uv" pip install --quiet --compile-bytecode --offline --no-index --no-deps
                  --find-links "$here/wheels")
         run "${install[@]}" --require-hashes -r "$here/requirements.txt"
         run "${install[@]}" "$here"/wheels/huepose-*.whl
@@ -99,7 +100,7 @@ install_programs() {
         uv=$repo/.tools/uv-latest/bin/uv
     fi
     for extra in $extras; do flags+=(--extra "$extra"); done
-    run env UV_PYTHON_DOWNLOADS=never UV_PROJECT_ENVIRONMENT="$release/.venv" "$uv" sync --quiet --frozen \
+    run env UV_PYTHON_DOWNLOADS=never UV_PROJECT_ENVIRONMENT="$release/.venv" "$uv" sync --quiet --compile-bytecode --frozen \
         --no-dev --no-editable --project "$repo" --python "$python" "${flags[@]}"
 }
 

@@ -10,7 +10,6 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.spatial import cKDTree
 
 from huepose.geometry.arrays import Float, Float32, Float64, Int32
 from huepose.geometry.box import Box
@@ -96,6 +95,8 @@ def _thickness(points: Float32) -> float:
 def _averaged(points: Float32, normals: Float32, colors: Float32, have_m: float, want_m: float) -> Float32:
     """Colours (N, 3) averaged further over neighbours that face the same way, from one sigma to a larger
     one."""
+    from scipy.spatial import cKDTree  # a fifth of a second, which no tracker of known objects needs
+
     sigma = float(np.sqrt(want_m**2 - have_m**2))
     pairs = cKDTree(points).query_pairs(2.5 * sigma, output_type="ndarray")
     own = np.arange(len(points))

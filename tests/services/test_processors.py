@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 import subprocess
 import sys
+from pathlib import Path
 
 import pytest
 
@@ -29,6 +30,24 @@ def test_a_worker_and_its_threads_keep_to_the_processors_that_are_named() -> Non
         [sys.executable, "-c", KEPT.format(processor=processor)], capture_output=True, text=True, check=True
     )
     assert said.stdout.strip() == f"{{{processor}}} {{{processor}}}"
+
+
+def test_a_worker_of_a_session_of_its_own_comes_after_other_sessions_as_after_its_own() -> None:
+    """Perception, which any user may put last: where sessions share time, their own niceness counts."""
+    if not Path("/proc/self/autogroup").exists():
+        pytest.skip("this kernel does not share time among sessions")
+    code = "from huepose_services.runtime.worker import come_first\n"
+    code += "come_first('estimator'); print(open('/proc/self/autogroup').read())"
+    said = {
+        own: subprocess.run(
+            [sys.executable, "-c", code], capture_output=True, text=True, check=True, start_new_session=own
+        ).stdout.split()
+        for own in (True, False)
+    }
+    expected = os.nice(0) + 3
+    assert said[True][1:] == ["nice", str(expected)]
+    # A session that others are in stays as it is.
+    assert said[False][1:] != ["nice", str(expected)]
 
 
 def test_a_processor_that_there_is_not_is_named() -> None:

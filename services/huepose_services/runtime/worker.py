@@ -100,6 +100,11 @@ def come_first(worker: str) -> None:
     """This process comes before or after others as this worker does, where it has the right to."""
     with suppress(PermissionError):
         os.nice(_NICENESS.get(worker, _NICENESS_OF_OTHERS))
+    # Where the kernel shares time among sessions (sched_autogroup), that counts within a session alone, and
+    # the session's own against others. In this one there is nobody else.
+    if os.getsid(0) == os.getpid():
+        with suppress(OSError):
+            Path("/proc/self/autogroup").write_text(str(os.nice(0)))
 
 
 def keep_to(processors: Collection[int]) -> None:

@@ -8,10 +8,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Mapping, Sequence
-from concurrent.futures import ThreadPoolExecutor
-from contextvars import copy_context
 from dataclasses import replace
-from threading import Barrier
 from zlib import crc32
 
 import numpy as np
@@ -35,6 +32,7 @@ from huepose.perception.types import Segmenter
 from huepose.propose.evidence import gather
 from huepose.select.near_ties import decided
 from huepose.support.errors import InputError
+from huepose.support.pool import Pool
 from huepose.support.stages import stage
 
 
@@ -55,7 +53,7 @@ class Estimator:
         self._models = dict(models)
         self._segmenter: Segmenter = segmenter or DepthSegmenter()
         self._method = method_of(self.config)
-        self._pool = _started(self.config.threads) if self.config.threads > 1 else None
+        self._pool = Pool(self.config.threads)
 
     @property
     def objects(self) -> tuple[str, ...]:
@@ -105,10 +103,7 @@ class Estimator:
         self, frame: RgbdFrame, queries: Sequence[ObjectQuery]
     ) -> list[tuple[PoseEstimate, Explanation]]:
         """One answer a query, as if there were no other."""
-        if self._pool is None or len(queries) <= 1:
-            return [self.explain(frame, query) for query in queries]
-        contexts = [copy_context() for _ in queries]
-        return list(self._pool.map(lambda c, q: c.run(self.explain, frame, q), contexts, queries))
+        return self._pool.map(lambda query: self.explain(frame, query), queries)
 
     def _model(self, name: str) -> ReferenceModel:
         return model_named(self._models, name)
@@ -223,14 +218,6 @@ class Estimator:
             config.confirm.margin,
         )
         return answer_of(frame, query, model, look, fit, levels)
-
-
-def _started(threads: int) -> ThreadPoolExecutor:
-    """With all its threads: one that is started when memory is short may end before it says that it runs, and
-    is waited for without end."""
-    pool, together = ThreadPoolExecutor(threads), Barrier(threads)
-    list(pool.map(lambda _: together.wait(), range(threads)))
-    return pool
 
 
 def _same(one: PoseEstimate, other: PoseEstimate) -> bool:

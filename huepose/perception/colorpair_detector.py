@@ -38,6 +38,7 @@ from huepose.propose.keypoint_reference import build_keypoints
 from huepose.propose.keypoints import Sought, Spots, agreed, match
 from huepose.rendering.render import render
 from huepose.support.kept import kept
+from huepose.support.pool import Pool
 from huepose.support.stages import stage
 
 HOLE_PX = 9
@@ -54,6 +55,7 @@ class ColorPairDetector:
         self._features: FeatureSource = Sift()
         self._keypoints: dict[str, Sought] = {}
         self._lock = threading.Lock()
+        self._pool = Pool(self.config.threads)
         for model in models.values():
             self.add(model)
 
@@ -87,20 +89,22 @@ class ColorPairDetector:
         proposals = self.config.proposals
         most = max(proposals, self.config.pool) if len(names) > 1 else proposals
         guesses, windows = self._guesses(view), WindowsBySize(view)
-        places = {
-            name: propose(
-                self._model(name),
+
+        def places_of(name: str) -> list[Proposal]:
+            model = self._model(name)
+            proposed = propose(
+                model,
                 self._table(name),
                 view,
-                windows.of(self._model(name).diameter_m),
+                windows.of(model.diameter_m),
                 most,
                 self._efforts(name, thorough),
                 None if guesses is None else partial(guesses, name),
             )
-            for name in names
-        }
-        with stage("presence"):
-            places = self._rated(view, places)
+            with stage("presence"):
+                return _rated(view, model, proposed)
+
+        places = dict(zip(names, self._pool.map(places_of, names), strict=True))
         with stage("contest"):
             places = contested(places)
         found = [
@@ -116,6 +120,8 @@ class ColorPairDetector:
         if "keypoints" not in self.config.sources:
             return None
 
+        one_at_a_time = threading.Lock()
+
         @cache
         def spots() -> Spots:
             with stage("features"):
@@ -124,19 +130,13 @@ class ColorPairDetector:
                 return Spots.of(self._features.extract(view.crop.color, shown))
 
         def guessed(name: str) -> Float64:
-            seen, sought = spots(), self._keypoints_of(name)
+            with one_at_a_time:
+                seen = spots()
+            sought = self._keypoints_of(name)
             with stage("keypoints"):
                 return agreed(match(sought, seen), view.crop.depth, view.crop.camera).poses
 
         return guessed
-
-    def _rated(self, view: ClearView, places: Mapping[str, list[Proposal]]) -> dict[str, list[Proposal]]:
-        """The likeliest pose at each place, scored by the logit of the chance that it is the object's."""
-        models = {name: self._model(name) for name in places}
-        poses = [(name, p.T_cam_obj) for name, mine in places.items() for p in mine]
-        logits = iter(presences(view, models, poses))
-        rated = {name: [replace(p, score=float(next(logits))) for p in mine] for name, mine in places.items()}
-        return {name: _likeliest_turns(mine) for name, mine in rated.items()}
 
     def warm_up(self) -> None:
         """Lay out the views of all objects, and compile the kernels on an artificial view of the first."""
@@ -179,6 +179,12 @@ class ColorPairDetector:
         if "views" not in self.config.sources:
             return ()
         return EFFORTS if thorough is None or name in thorough else EFFORTS[:1]
+
+
+def _rated(view: ClearView, model: ReferenceModel, proposals: Sequence[Proposal]) -> list[Proposal]:
+    """The likeliest pose at each place, scored by the logit of the chance that it is the object's."""
+    logits = presences(view, {model.name: model}, [(model.name, p.T_cam_obj) for p in proposals])
+    return _likeliest_turns([replace(p, score=float(x)) for p, x in zip(proposals, logits, strict=True)])
 
 
 def _likeliest_turns(proposals: Sequence[Proposal]) -> list[Proposal]:

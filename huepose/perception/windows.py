@@ -5,6 +5,7 @@ Objects of nearly one size share their windows: a window is cut and coded once f
 
 from __future__ import annotations
 
+import threading
 from functools import cached_property
 from math import log
 
@@ -42,7 +43,7 @@ GATE = 0.6
 
 
 class Windows:
-    """All W windows of one size of a view, what is in them only as far as somebody asks.
+    """All W windows of one size of a view, what is in them only as far as somebody asks; several threads may.
 
     diameter_m: of an object that they suit; pixels (W, 2): their middles in the view; depth_m (W,): there;
     span_px (W,): their sides; pieces: how many of them, the first ones, are of pieces."""
@@ -58,6 +59,7 @@ class Windows:
         self._view = view
         self._codes = np.zeros((len(places), NUMBERS * CODE_CELLS**2), np.float32)
         self._coded = np.zeros(len(places), bool)
+        self._lock = threading.Lock()
 
     def __len__(self) -> int:
         return len(self.pixels)
@@ -74,13 +76,15 @@ class Windows:
 
     def codes(self, index: Int64) -> Float32:
         """Codes (K, D) of windows (K,), each made once."""
-        new = index[~self._coded[index]]
-        if len(new):
-            with stage("codes"):
-                places = self.pixels[new], self.depth_m[new], self.span_px[new]
-                pictures = window_pictures(self._view.crop.color, self._view.depth, *places, self.diameter_m)
-                self._codes[new], self._coded[new] = codes_of_windows(*pictures), True
-        return np.asarray(self._codes[index])
+        with self._lock:
+            new = index[~self._coded[index]]
+            if len(new):
+                with stage("codes"):
+                    places = self.pixels[new], self.depth_m[new], self.span_px[new]
+                    view = self._view
+                    pictures = window_pictures(view.crop.color, view.depth, *places, self.diameter_m)
+                    self._codes[new], self._coded[new] = codes_of_windows(*pictures), True
+            return np.asarray(self._codes[index])
 
     def _filled(self, index: Int64, border: int) -> Float32:
         cells = np.zeros((len(index), COARSE_SIDE * COARSE_SIDE, CHANNELS), np.float32)
@@ -96,17 +100,18 @@ class WindowsBySize:
     """The windows of a view, made once for all objects of nearly one size."""
 
     def __init__(self, view: ClearView) -> None:
-        self._view = view
+        self._view, self._lock = view, threading.Lock()
         self._of: dict[int, Windows] = {}
 
     def of(self, diameter_m: float) -> Windows:
         """Those for an object of this diameter."""
         step = log(SIZES)
         size = round(log(diameter_m) / step)
-        if size not in self._of:
-            with stage("windows"):
-                self._of[size] = Windows(self._view, float(np.exp(size * step)))
-        return self._of[size]
+        with self._lock:
+            if size not in self._of:
+                with stage("windows"):
+                    self._of[size] = Windows(self._view, float(np.exp(size * step)))
+            return self._of[size]
 
 
 def _places(clear: Bool, depth: Float32, focal: float, spacing_m: float) -> Float64:

@@ -34,7 +34,8 @@ def make(bus: Bus, config: Config) -> DetectorWork:
     if config.detector.kind == "colorpair":
         settings = profile(config.profile).detector
         # Of an object with several instances, each may have its box.
-        settings = replace(settings, proposals=max(settings.proposals, _most_instances(config)))
+        proposals = max(settings.proposals, _most_instances(config))
+        settings = replace(settings, proposals=proposals, threads=config.detector.threads)
         searcher = ColorPairDetector(models.load(config), settings)
         searcher.warm_up()
         return DetectorWork(bus, SearchedBoxes(outlines, searcher), follower)

@@ -165,6 +165,13 @@ def test_the_same_frame_gives_the_same_boxes(frame: RgbdFrame, tea_box: Referenc
     assert [(d.box, d.score) for d in first] == [(d.box, d.score) for d in again]
 
 
+def test_on_several_threads_the_boxes_are_the_same(frame: RgbdFrame, tea_box: ReferenceModel) -> None:
+    models = {name: replace(tea_box, name=name) for name in ("tea_box", "twin", "third")}
+    found = [ColorPairDetector(models, DetectorConfig(threads=n)).detect(frame, list(models)) for n in (1, 3)]
+    assert [(d.object, d.box, d.score) for d in found[0]] == [(d.object, d.box, d.score) for d in found[1]]
+    assert {d.object for d in found[0]} == set(models)
+
+
 def test_a_pose_nearby_is_brought_onto_the_depth(
     frame: RgbdFrame, tea_box: ReferenceModel, standing: np.ndarray
 ) -> None:

@@ -19,6 +19,9 @@ if TYPE_CHECKING:
     from huepose.model import ReferenceModel
     from huepose.perception.types import Detection
 
+THREADS = 2
+"""Objects that are searched for at the same time: as many as in a pipeline, by default."""
+
 
 def add_parser(subparsers: Any) -> None:
     """Add the verb."""
@@ -88,7 +91,7 @@ def call(arguments: argparse.Namespace) -> int:
 
         least = settings.detector.min_score
         # To explain, the places that are not worth an estimate are kept, too.
-        detector = replace(settings.detector, min_score=0.0 if arguments.explain else least)
+        detector = replace(settings.detector, min_score=0.0 if arguments.explain else least, threads=THREADS)
         proposed = ColorPairDetector(models, detector).detect(frame, names)
         places = [place for place in proposed if place.score >= least]
         # The best place last: its explanation is the one that is kept.

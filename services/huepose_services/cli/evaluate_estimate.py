@@ -54,7 +54,8 @@ def call(arguments: argparse.Namespace) -> int:
     estimator = Estimator(models, config)
     detector = None
     if boxes == "detect":
-        detector = ColorPairDetector({model.name: model for model in targets.models}, settings.detector)
+        searching = replace(settings.detector, threads=arguments.threads)
+        detector = ColorPairDetector({model.name: model for model in targets.models}, searching)
         detector.warm_up()
         estimator.warm_up([model.name for model in targets.models])
     else:

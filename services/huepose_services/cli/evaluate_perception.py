@@ -29,7 +29,8 @@ def call(arguments: argparse.Namespace) -> int:
     settings = profile(arguments.profile)
     judged, least = settings.detector.proposals, settings.detector.min_score
     # More boxes than are judged, for the recall of the first so many.
-    asked = replace(settings.detector, proposals=max(judged, *arguments.proposals), min_score=0.0)
+    most = max(judged, *arguments.proposals)
+    asked = replace(settings.detector, proposals=most, min_score=0.0, threads=arguments.threads)
     detector = ColorPairDetector(models, asked)
     detector.warm_up()
     segmenter = DepthSegmenter()

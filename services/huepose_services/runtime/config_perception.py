@@ -74,6 +74,7 @@ class DetectorConfig(Section, frozen=True, kw_only=True):
     classes: dict[Name, Class | list[Class]] = {}
     confidence: Share = 0.25
     overlap: Share = 0.45
+    threads: Annotated[int, Meta(ge=1, le=64)] = 2
 
 
 class SegmenterConfig(Section, frozen=True, kw_only=True):

@@ -36,17 +36,19 @@ RETURNED_AFTER = 2
 """Supported frames in a row after which a SUSPECT object is TRACKING again."""
 
 
-def log_odds(terms: Terms, baseline: float | None, before: float, goes_on: float = 0.0) -> float:
-    """Log-odds that a pose is right: by what is seen of it, by the total that is its baseline, and by the
-    log-odds of the pose that it was followed from; goes_on: share of its outline beyond which the surface
-    goes on.
+def log_odds(
+    terms: Terms, baseline: float | None, before: float, goes_on: float = 0.0, jump: float = 0.0
+) -> float:
+    """Log-odds that a pose is right: by what is seen of it, by the total that is its baseline, by the
+    log-odds of the pose that it was followed from, and by what the motion model says of a jump from there;
+    goes_on: share of its outline beyond which the surface goes on.
 
     >>> from huepose.judge.terms import NOTHING
     >>> log_odds(NOTHING, None, 0.0) < -4.0
     True
     """
     x = frame.log_odds(terms, baseline, goes_on)
-    return x + min(max(MEMORY * before, -MOST_MEMORY), MOST_MEMORY)
+    return x + max(min(MEMORY * before, MOST_MEMORY) + jump, -MOST_MEMORY)
 
 
 def odds_of(p: float) -> float:

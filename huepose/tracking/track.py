@@ -23,6 +23,7 @@ from huepose.tracking.evidence import Standing, next_standing
 from huepose.tracking.history import PoseHistory
 from huepose.tracking.hypothesis import Hypothesis, distinct, share_of_first
 from huepose.tracking.identity import Identity, turned_over
+from huepose.tracking.lost import found_again
 from huepose.tracking.motion import filtered, increment_velocity, predicted
 from huepose.tracking.reach import jump_odds, most_turned
 from huepose.tracking.rival import COSTS, SHARPNESS, Facing, alike, best_rival, reached
@@ -33,8 +34,6 @@ from huepose.tracking.step import (
     Anchor,
     Subject,
     advance,
-    best_of,
-    found_elsewhere,
     found_nearby,
     unmoved,
 )
@@ -84,7 +83,7 @@ class Track:
         self._corrected_from: Identity | None = None
         self._facing: Facing | None = None
         self._seen: Hypothesis | None = None
-        self._seen_ns = 0
+        self._seen_ns = self._turned_ns = 0
         self._doubtful_frames = self._in_vain = self._begun = self._scarce_frames = 0
         self._unseen_s = 0.0
         self._supported_ns = 0
@@ -108,6 +107,12 @@ class Track:
     def terms(self) -> Terms:
         """What is seen of that pose."""
         return self.hypotheses[0].terms if self.hypotheses else NOTHING
+
+    @property
+    def worth(self) -> float:
+        """How much its pose explains, and how sure its turn is, in units of a total."""
+        turn = 0.0 if self._facing is None else self._facing.value / SHARPNESS
+        return self.terms.total + turn
 
     def look(
         self,
@@ -145,22 +150,17 @@ class Track:
         assert self.frame is not None
         if tries < 1.0 or self._seen is None or (resting and self._doubtful_frames % TRY_AGAIN_AFTER):
             return 0
-        part = 0 if resting else self._begun
-        surface, gone_s = self.subject.surface, (frame.stamp_ns - self._supported_ns) * 1e-9
-        found = []
-        for T in found_elsewhere(self.subject, frame, self.light, part):
-            h = best_of(surface, frame, [(T, "views")], self.light, 0)
-            goes_on = outline(self.subject.contours, h.T_cam_obj, frame).goes_on
-            jump = jump_odds(surface, self._seen.T_cam_obj, None, h.T_cam_obj, gone_s, gone_s, self._config)
-            odds = evidence.log_odds(h.terms, self.remembered(frame.stamp_ns), jump, goes_on)
-            found.append(replace(h, log_odds=odds, goes_on=goes_on))
+        part, gone_s = 0 if resting else self._begun, (frame.stamp_ns - self._supported_ns) * 1e-9
+        baseline = self.remembered(frame.stamp_ns)
+        opinions = found_again(
+            self.subject, self._seen, gone_s, frame, self.light, baseline, part, self._config
+        )
         self._begun = (part + 1) % PARTS
         self._in_vain += self._begun == 0
-        opinions = distinct(surface, found)
-        sure = probability(opinions[0].log_odds) * share_of_first(opinions) if opinions else 0.0
-        if sure < self._config.suspect_quality or evidence.one_sense(opinions[0].terms):
+        if not opinions:
             return 1
-        anchor = Anchor((self._seen,), self.frame, unseen_s=gone_s)
+        sure = probability(opinions[0].log_odds) * share_of_first(opinions)
+        anchor = Anchor((self._seen,), self.frame, light=self.light, unseen_s=gone_s)
         self.hypotheses, self.frame, first = opinions, frame, opinions[0]
         self.covariance = self._covariance(first)
         self.evidence = evidence.vouched(sure, self._spread(first.T_cam_obj, self.covariance))
@@ -181,21 +181,25 @@ class Track:
         held = self._held_by_its_ends(opinions[0], frame)
         if held is not None:
             opinions.append(self._believed(held, before.log_odds, before, seconds, frame))
+        leaps: list[Float64] = []
         for h in found.proposed:
             if self._turned_too_fast(h, found.followed[0], gone_s):
                 continue
             jump = jump_odds(
                 surface, before.T_cam_obj, before.velocity, h.T_cam_obj, seconds, gone_s, self._config
             )
-            opinion = self._believed(h, before.log_odds + jump, before, seconds, frame)
-            # What did not come here as things do says nothing of how it moves.
-            opinions.append(opinion if jump == 0.0 else replace(opinion, velocity=None))
+            opinion = self._believed(h, before.log_odds, before, seconds, frame, jump)
+            # What did not come here as things do, or nobody saw come, says nothing of how it moves.
+            came = jump == 0.0 and anchor.unseen_s == 0.0
+            opinions.append(opinion if came else replace(opinion, velocity=None))
+            leaps += [opinion.T_cam_obj] if jump < 0.0 else []
         corrected = self._corrected_from
         self._corrected_from = None
         self.hypotheses = distinct(surface, opinions)
         first = self.hypotheses[0]
         sure = probability(first.log_odds) * share_of_first(self.hypotheses)
-        if evidence.one_sense(first.terms):
+        if evidence.one_sense(first.terms) or any(first.T_cam_obj is T for T in leaps):
+            # What came as nothing moves has to be seen again where it is now.
             sure = min(sure, evidence.ONE_SENSE)
         self._scarce_frames = self._scarce_frames + 1 if evidence.scarce(first.terms) else 0
         sure = evidence.bounded(sure, self._scarce_frames)
@@ -224,13 +228,19 @@ class Track:
         return replace(moved, information=h.information)
 
     def _believed(
-        self, h: Hypothesis, odds_before: float, parent: Hypothesis, seconds: float, frame: RgbdFrame
+        self,
+        h: Hypothesis,
+        odds_before: float,
+        parent: Hypothesis,
+        seconds: float,
+        frame: RgbdFrame,
+        jump: float = 0.0,
     ) -> Hypothesis:
         """A hypothesis with its log-odds, and the velocity that led to it."""
         measured = increment_velocity(parent.T_cam_obj, h.T_cam_obj, seconds)
         velocity = filtered(parent.velocity, measured, seconds)
         goes_on = outline(self.subject.contours, h.T_cam_obj, frame).goes_on
-        odds = evidence.log_odds(h.terms, self.baseline, odds_before, goes_on)
+        odds = evidence.log_odds(h.terms, self.baseline, odds_before, goes_on, jump)
         return replace(h, velocity=velocity, log_odds=odds, goes_on=goes_on)
 
     def _check_orientation(self, anchor: Anchor, frame: RgbdFrame, hurry: bool) -> float:
@@ -250,9 +260,10 @@ class Track:
         expected = predicted(T, velocity, gone_s)
         limit = most_turned(velocity, gone_s, self._config)
         jump = jump_odds(self.subject.surface, T, velocity, first.T_cam_obj, gone_s, gone_s, self._config)
-        found_again = anchor.unseen_s > 0.0 and first.source in FOUND_AGAIN
-        if jump < 0.0 or found_again:
-            limit = np.pi  # It did not come here as things do, or nobody saw it come.
+        looked_for = anchor.unseen_s > 0.0 and first.source in FOUND_AGAIN
+        if jump < 0.0 or looked_for:
+            # It did not come here as things do, or nobody saw it come.
+            limit, self._turned_ns = np.pi, frame.stamp_ns
         new = reached(turns, first.T_cam_obj, expected, limit)
         facing = self._facing or Facing.of(0.5, view)
         if len(new):
@@ -290,12 +301,12 @@ class Track:
             if contested:
                 self.evidence = 0.0
             elif self.evidence >= self._config.suspect_quality:
-                # Less becomes usual only for a pose that is believed already.
+                # Less becomes usual, and other light, only for a pose that is believed already.
                 total = self.terms.total
                 if self.state is State.TRACKING or self.baseline is None or total > self.baseline:
                     self.baseline = evidence.baseline_after(self.baseline, total)
+                    self.light = evidence.light_after(self.light, self.terms)
                 self._supported_ns = frame.stamp_ns
-                self.light = evidence.light_after(self.light, self.terms)
                 if self._identity is not None and self.evidence >= self._config.tracking_quality:
                     self._identity = self._identity.carried(self.terms, self._view())
             self._judge()
@@ -315,7 +326,13 @@ class Track:
         if self.evidence >= self._config.lost_quality:
             self._facing = Facing.of(quality, self._view())
             tried += self._ask(self.subject.other_turns, frame, None)
+        known = self.baseline
         self.learn()
+        if known is None and self.baseline is not None:
+            # Its light is known from here on, and what is usual is what it explains in that.
+            lit = unmoved(self.subject.surface, frame, found.T_cam_obj, self.light)
+            self.hypotheses = (replace(self.hypotheses[0], terms=lit.terms),)
+            self.baseline = lit.terms.total
         return tried
 
     def learn(self) -> None:
@@ -334,7 +351,7 @@ class Track:
         self.hypotheses, self.covariance = verified.hypotheses[:1], verified.covariance
         self.baseline, self.light, self.evidence = verified.baseline, verified.light, verified.evidence
         self.frame, self._facing = frame, verified._facing
-        self._seen, self._seen_ns = verified._seen, verified._seen_ns
+        self._seen, self._seen_ns, self._turned_ns = verified._seen, verified._seen_ns, verified._turned_ns
         first = self.hypotheses[0]
         told = evidence.log_odds(first.terms, self.baseline, 0.0, first.goes_on)
         # What perception saw in the same picture is not seen twice: this can only speak against it.
@@ -357,6 +374,7 @@ class Track:
         """Go on as if the last frame had that stamp; how it moved before is not known."""
         self.history = PoseHistory()
         self._supported_ns, self._seen = stamp_ns, None
+        self._turned_ns = min(self._turned_ns, stamp_ns)
         if self.frame is not None and self.hypotheses:
             self.frame = replace(self.frame, stamp_ns=stamp_ns)
             self.hypotheses = tuple(replace(h, velocity=None) for h in self.hypotheses)
@@ -390,17 +408,23 @@ class Track:
             self._identity = self._identity.agreed(quality, self._view())
             self._assure(quality)
 
-    def agree(self, quality: float) -> None:
-        """Perception found the same pose by itself."""
+    def agree(self, quality: float, stamp_ns: int) -> None:
+        """Perception found the same pose by itself in the frame of that stamp."""
         if self._identity is not None and self.hypotheses:
-            self.hypotheses = self.hypotheses[:1]
-            self.baseline = self.terms.total
             self._identity = self._identity.agreed(quality, self._view())
-            self._assure(quality)
+            if not self.can_have_turned_since(stamp_ns):
+                self.hypotheses = self.hypotheses[:1]
+                self.baseline = self.terms.total
+                self._assure(quality)
 
     def _assure(self, quality: float) -> None:
         if self._facing is not None:
             self._facing = self._facing.assured(quality)
+
+    def can_have_turned_since(self, stamp_ns: int) -> bool:
+        """Whether it can have turned into a near-symmetric rotation after that stamp: what was true then
+        does not say which way round it is now."""
+        return self._turned_ns > stamp_ns
 
     def published(self, frame: RgbdFrame) -> TrackedPose:
         """What is said of it about that frame."""

@@ -221,7 +221,7 @@ class Tracker:
             if track is None:
                 return Applied.REFUSED_OLD
             if correction.verdict is Verdict.AGREE:
-                track.agree(correction.quality)
+                track.agree(correction.quality, correction.stamp_ns)
         elif track is None or not self._same_surface(track, correction):
             baseline = None if track is None else track.remembered(correction.stamp_ns)
             self._pursuits[key] = Pursuit(correction, self._subjects[key[0]], self.config, baseline)
@@ -242,6 +242,8 @@ class Tracker:
         if old is None or track.T_cam_obj is None or frame is None:
             return False
         if not track.history.unbroken_since(correction.stamp_ns):
+            return False
+        if track.can_have_turned_since(correction.stamp_ns):
             return False
         surface, camera = track.subject.surface, frame.camera
         new = correction.T_cam_obj
@@ -292,7 +294,7 @@ class Tracker:
             track = Track(self._subjects[key[0]], *key, self.config)
             self._tracks[key] = track
             track.history.append(frame.frame_id, frame.stamp_ns, None)
-        elif track.T_cam_obj is not None and track.terms.total > found.terms.total:
+        elif track.T_cam_obj is not None and track.worth > found.worth:
             return
         track.place(found, correction.quality, frame)
         for stamp_ns, T in pursuit.poses:

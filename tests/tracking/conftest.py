@@ -12,6 +12,7 @@ from huepose.model.types import ReferenceModel
 from huepose.onboarding.onboard import onboard_mesh
 from huepose.rendering.render import render
 from huepose.scenes.shapes import demo_objects
+from studies.stress.objects import builtin_meshes
 
 CAMERA = Camera(420.0, 420.0, 159.5, 119.5, 320, 240)
 PERIOD_NS = 33_333_333
@@ -24,6 +25,12 @@ Shoot = Callable[..., RgbdFrame]
 def soup_can() -> ReferenceModel:
     """A printed can of 7.4 cm across and 11 cm tall."""
     return onboard_mesh(demo_objects(0)["soup_can"], "soup_can")
+
+
+@pytest.fixture(scope="session")
+def plain_box() -> ReferenceModel:
+    """Of one colour but for a sticker on the side that is hidden when it lies."""
+    return onboard_mesh(builtin_meshes(0)["plain_box"], "plain_box")
 
 
 @pytest.fixture(scope="session")

@@ -6,8 +6,7 @@ import numpy as np
 import pytest
 
 from huepose.geometry import se3
-from huepose.tracking import Correction, State, Tracker
-from huepose.tracking import track as one_track
+from huepose.tracking import Correction, State, Tracker, lost
 from huepose.tracking.elsewhere import likeliest_place
 from huepose.tracking.step import Subject
 
@@ -19,13 +18,13 @@ HALF_A_SECOND = 15
 def asked(monkeypatch) -> list[int]:
     """The parts of the picture that were looked at, one for each time."""
     parts: list[int] = []
-    real = one_track.found_elsewhere
+    real = lost.found_elsewhere
 
     def spied(subject, frame, light, part):
         parts.append(part)
         return real(subject, frame, light, part)
 
-    monkeypatch.setattr(one_track, "found_elsewhere", spied)
+    monkeypatch.setattr(lost, "found_elsewhere", spied)
     return parts
 
 

@@ -24,12 +24,6 @@ VIEW = np.array([0.0, 0.0, 1.0])
 HALF_TURN = se3.make(np.diag([-1.0, -1.0, 1.0]), np.zeros(3))
 
 
-@pytest.fixture(scope="module")
-def plain_box() -> ReferenceModel:
-    """Of one colour but for a sticker on the side that is hidden when it lies."""
-    return onboard_mesh(builtin_meshes(0)["plain_box"], "plain_box")
-
-
 def picture(mesh: Mesh | None, T_cam_obj: np.ndarray, floor: tuple[int, int, int]) -> RgbdFrame:
     """A plain floor that is looked at from straight above, and a mesh before it."""
     ground = sheet(3.0, 3.0, np.full((8, 8, 3), floor, np.uint8))

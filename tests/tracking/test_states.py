@@ -53,6 +53,12 @@ def test_good_and_bad_evidence() -> None:
     assert log_odds(GOOD, None, 20.0) < log_odds(GOOD, None, 0.0) + 3.0, "which does not outweigh the image"
 
 
+def test_what_jumped_is_not_believed_because_it_was_right_before() -> None:
+    here = log_odds(GOOD, None, 6.0)
+    assert log_odds(GOOD, None, 6.0, jump=-1.0) == pytest.approx(here - 1.0)
+    assert log_odds(GOOD, None, 6.0, jump=-4.0) < log_odds(GOOD, None, 0.0) - 1.0
+
+
 def test_each_piece_of_evidence_counts() -> None:
     base = replace(GOOD, color=0.3)
     x = log_odds(base, None, 0.0)

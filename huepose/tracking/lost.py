@@ -1,0 +1,41 @@
+"""What may be believed of a lost object, looked for in a part of the whole picture."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+from huepose.believe.logistic import probability
+from huepose.geometry.arrays import Float64
+from huepose.geometry.frame import RgbdFrame
+from huepose.judge.borders import outline
+from huepose.tracking import evidence
+from huepose.tracking.config import TrackerConfig
+from huepose.tracking.hypothesis import Hypothesis, distinct
+from huepose.tracking.reach import jump_odds
+from huepose.tracking.step import Subject, best_of, found_elsewhere
+
+
+def found_again(
+    subject: Subject,
+    seen: Hypothesis,
+    gone_s: float,
+    frame: RgbdFrame,
+    light: Float64 | None,
+    baseline: float | None,
+    part: int,
+    config: TrackerConfig,
+) -> tuple[Hypothesis, ...]:
+    """Hypotheses, best first, of an object that was `seen` last `gone_s` seconds ago; none where it does not
+    seem to be. They are all of one place: which way round it is there need not be known."""
+    surface = subject.surface
+    found = []
+    for T in found_elsewhere(subject, frame, light, part):
+        h = best_of(surface, frame, [(T, "views")], light, 0)
+        goes_on = outline(subject.contours, h.T_cam_obj, frame).goes_on
+        jump = jump_odds(surface, seen.T_cam_obj, None, h.T_cam_obj, gone_s, gone_s, config)
+        odds = evidence.log_odds(h.terms, baseline, 0.0, goes_on, jump)
+        found.append(replace(h, log_odds=odds, goes_on=goes_on))
+    opinions = distinct(surface, found)
+    if not opinions or evidence.one_sense(opinions[0].terms):
+        return ()
+    return opinions if probability(opinions[0].log_odds) >= config.suspect_quality else ()

@@ -1,0 +1,72 @@
+"""What is found again is believed as far as what is seen says that it is not another turn."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from huepose.geometry import se3
+from huepose.tracking import Correction, State, Tracker, Verdict
+
+STICKER_BEHIND = se3.rotation_exp(np.array([np.pi / 2 + 0.3, 0.4, 0.0]))
+GONE, BACK, END = 5, 15, 40
+
+
+def _at(x: float) -> np.ndarray:
+    return se3.make(STICKER_BEHIND, np.array([x, 0.0, 0.6]))
+
+
+@pytest.fixture
+def back_again(plain_box, shoot) -> tuple[Tracker, list[State]]:
+    """A plain box that was taken away and is back elsewhere, and its states since."""
+    tracker, states = Tracker({"plain_box": plain_box}), []
+    for number in range(END):
+        scene = [(plain_box.mesh, _at(-0.1 if number < GONE else 0.1))]
+        frame = shoot([] if GONE <= number < BACK else scene, number)
+        if number == 0:
+            tracker.correct(Correction.first("plain_box", _at(-0.1), frame))
+        (pose,) = tracker.step(frame)
+        states.append(pose.state)
+    assert states[:GONE] == [State.TRACKING] * GONE
+    return tracker, states[BACK:]
+
+
+def test_what_is_usual_is_what_is_seen_in_its_own_light(plain_box, shoot) -> None:
+    tracker, baselines = Tracker({"plain_box": plain_box}), []
+    for number in range(3):
+        frame = shoot([(plain_box.mesh, _at(0.0))], number)
+        if number == 0:
+            tracker.correct(Correction.first("plain_box", _at(0.0), frame))
+        tracker.step(frame)
+        track = tracker._tracks["plain_box", 0]
+        assert track.baseline is not None
+        baselines.append(track.baseline)
+    assert baselines == pytest.approx([track.terms.total] * 3, abs=0.1)
+
+
+def test_a_plain_box_is_found_where_it_is_and_its_turn_is_doubted(back_again, plain_box) -> None:
+    tracker, states = back_again
+    assert State.TRACKING not in states
+    assert State.SUSPECT in states[: END - BACK - 5]
+    (pose,) = tracker.poses()
+    assert pose.T_cam_obj is not None
+    centre = plain_box.mesh.centre
+    assert se3.apply(pose.T_cam_obj, centre[None])[0] == pytest.approx(
+        se3.apply(_at(0.1), centre[None])[0], abs=0.004
+    )
+
+
+@pytest.mark.parametrize(("seen", "state"), [(GONE - 1, State.SUSPECT), (END - 1, State.TRACKING)])
+def test_what_perception_saw_before_it_was_gone_says_nothing_of_its_turn_now(
+    back_again, plain_box, shoot, seen: int, state: State
+) -> None:
+    tracker, _ = back_again
+    T = tracker.poses()[0].T_cam_obj
+    frame = shoot([(plain_box.mesh, _at(0.1))], seen)
+    agreed = replace(Correction.first("plain_box", T, frame, 0.95), verdict=Verdict.AGREE, seq=2)
+    tracker.correct(agreed)
+    for number in range(END, END + 3):
+        (pose,) = tracker.step(shoot([(plain_box.mesh, T)], number))
+    assert pose.state is state

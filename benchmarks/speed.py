@@ -27,7 +27,7 @@ from huepose.profiles import profile
 from huepose.tracking import Tracker
 from huepose.tracking.types import Correction
 
-RATIOS = {"track": 5.7, "estimate": 5.15, "detect": 10.6}
+RATIOS = {"track": 4.1, "estimate": 5.1, "detect": 9.1}
 """CPU time of ten steps with two objects, one estimate, a search for two that are absent, in units of the
 fixed work."""
 

@@ -139,7 +139,10 @@ def outline(contours: Contours, T_cam_obj: Float, frame: RgbdFrame) -> Outline:
     o = out @ T_cam_obj[:3, :3].T
     lens = np.array([camera.fx, camera.fy, camera.cx, camera.cy])
     allowed = STEP_M + STEP_SIGMAS * depth_noise_m(float(p[:, 2].mean()))
-    ended, goes_on = _looked(p, o, lens, frame.depth, frame.color, LOGARITHMS, OPPONENTS, BESIDE_M, allowed)
+    # A picture that came over the bus cannot be written: told so always, the kernel is compiled once.
+    color = frame.color.view()
+    color.flags.writeable = False
+    ended, goes_on = _looked(p, o, lens, frame.depth, color, LOGARITHMS, OPPONENTS, BESIDE_M, allowed)
     return Outline(ended / len(p), goes_on / len(p))
 
 

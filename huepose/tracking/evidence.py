@@ -7,12 +7,11 @@ to be right still."""
 from __future__ import annotations
 
 from dataclasses import dataclass
-from math import erf, exp, log
+from math import erf, log
 
 import numpy as np
 
 from huepose.believe import frame
-from huepose.believe.logistic import probability
 from huepose.geometry.arrays import Float64
 from huepose.judge.terms import Terms
 from huepose.select.distinct import RIGHT
@@ -50,17 +49,6 @@ def log_odds(
     """
     x = frame.log_odds(terms, baseline, goes_on)
     return x + max(min(MEMORY * before, MOST_MEMORY) + jump, -MOST_MEMORY)
-
-
-def jump_from(before: float, jump: float) -> float:
-    """Log-odds of a jump from a pose that is right with log-odds `before`: what the motion model says of it
-    where that pose is right, and nothing where it is not.
-
-    >>> round(jump_from(9.0, -3.0), 1), round(jump_from(0.0, -9.0), 1), jump_from(-9.0, 0.0)
-    (-3.0, -0.7, 0.0)
-    """
-    right = probability(before)
-    return log(right * exp(jump) + 1.0 - right)
 
 
 def odds_of(p: float) -> float:

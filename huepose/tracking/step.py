@@ -196,7 +196,9 @@ def advance(
         return Advance(tuple(followed), proposed, doubtful=True, margin=margin)
     # What is back in full view as it was before was followed rightly, or is taken for another side of itself.
     back = not long and begun <= NEAR and in_full(best, anchor.baseline, config)
-    tried, rung = 0, begun
+    # What explains so much less than in the last frame is missed anew: it is looked for nearby first.
+    missed = best.terms.total < anchor.first.terms.total - doubt
+    tried, rung = 0, FLOW if missed else begun
     while rung < END:
         wide = FAR <= rung < TURN
         if rung == FLOW:

@@ -188,8 +188,7 @@ class Track:
             jump = jump_odds(
                 surface, before.T_cam_obj, before.velocity, h.T_cam_obj, seconds, gone_s, self._config
             )
-            unlikely = evidence.jump_from(before.log_odds, jump)
-            opinion = self._believed(h, before.log_odds, before, seconds, frame, unlikely)
+            opinion = self._believed(h, before.log_odds, before, seconds, frame, jump)
             # What did not come here as things do, or nobody saw come, says nothing of how it moves.
             came = jump == 0.0 and anchor.unseen_s == 0.0
             opinions.append(opinion if came else replace(opinion, velocity=None))

@@ -186,7 +186,7 @@ def _looped(work):
         say_health=lambda: None,
     )
     pulse = SimpleNamespace(running=lambda: None, ready=lambda: None, beat=lambda: None)
-    worker._loop(bus, work, SimpleNamespace(requested=False), pulse)
+    worker._loop(bus, work, SimpleNamespace(requested=False), pulse, reload=lambda: None)
     return health
 
 

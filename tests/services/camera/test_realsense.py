@@ -209,6 +209,7 @@ def _device(**settings):
     return {"source": "realsense", "rate": 30, "once": False, "truth": False, **settings}
 
 
+@pytest.mark.live
 def test_the_camera_worker_publishes_a_recording_and_says_what_the_camera_is(
     pipeline, huepose, base_port, recording
 ):
@@ -220,6 +221,7 @@ def test_the_camera_worker_publishes_a_recording_and_says_what_the_camera_is(
     assert (info.intrinsics.fx, info.intrinsics.width) == (FOCAL, WIDTH)
 
 
+@pytest.mark.live
 def test_the_camera_worker_says_that_no_camera_is_there(pipeline, huepose, base_port, tmp_path, monkeypatch):
     with socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM) as systemd:
         systemd.bind(str(tmp_path / "notify"))

@@ -26,7 +26,7 @@ from huepose_services.convert import (
     pose_from_wire,
     twist_to_wire,
 )
-from huepose_services.doubts import complaint_about, why_doubted
+from huepose_services.doubts import complaint_about, lens_doubted, why_doubted
 from huepose_services.following import Follower, Retired
 from huepose_services.given import Given
 from huepose_services.intake import MEMORY_EVERY_NS, Clock, Intake
@@ -40,8 +40,16 @@ TOO_OLD = "It is not known where it is now: this computer is too busy, or the ca
 _REFUSED_EVERY_S = 10.0
 _Frame = tuple[int, int]
 # Beside the tracker's memory: the newest frame, the first, whose poses were published, who is retired, until
-# when poses hold.
-_Own = tuple[_Frame | None, _Frame | None, set[tuple[str, int]], dict[str, tuple[int, int]], int]
+# when poses hold, the first focal length of each picture size, what is complained of in the newest frame.
+_Own = tuple[
+    _Frame | None,
+    _Frame | None,
+    set[tuple[str, int]],
+    dict[str, tuple[int, int]],
+    int,
+    dict[str, float],
+    str | None,
+]
 FrameOf = Callable[[int, int], tuple[FrameHeader, RgbdFrame] | None]
 
 
@@ -94,6 +102,8 @@ class TrackerWork:
         self._frames = bus.frames()
         self._header: FrameHeader | None = None
         self._pixels: RgbdFrame | None = None
+        self._fx_of_size: dict[str, float] = {}
+        self._complaint: str | None = None
         self._published: set[tuple[str, int]] = set()
         # What was said to be TRACKING of the newest frame, and until when that holds without a newer one.
         self._acted_on: list[TrackedPose] = []
@@ -172,7 +182,15 @@ class TrackerWork:
     def memory(self) -> MemoryMessage:
         """All that is believed now."""
         header = None if self._header is None else _frame_of(self._header)
-        own = (header, self._first, sorted(self._published), self._retired.below, self._holds_until_ns)
+        own = (
+            header,
+            self._first,
+            sorted(self._published),
+            self._retired.below,
+            self._holds_until_ns,
+            self._fx_of_size,
+            self._complaint,
+        )
         acted_on, told = memory.plain(self._acted_on, self._tracker), memory.told(self._tracker)
         return MemoryMessage(
             publish_ns=now_ns(),
@@ -193,12 +211,14 @@ class TrackerWork:
 
         try:
             plain, own, acted_on = msgspec.msgpack.decode(message.memory)
-            header, first, published, below, holds_until_ns = msgspec.convert(own, _Own)
+            header, first, published, below, holds_until_ns, fx_of_size, complaint = msgspec.convert(
+                own, _Own
+            )
         except (msgspec.MsgspecError, ValueError, TypeError, RecursionError) as error:
             raise InputError("the tracker's memory", found=str(error)[:200], expected="MessagePack") from None
         memory.taken_over(self._tracker, plain, pixels)
         self._acted_on = memory.restored(acted_on, self._tracker, pixels)
-        self._holds_until_ns = holds_until_ns
+        self._holds_until_ns, self._fx_of_size, self._complaint = holds_until_ns, fx_of_size, complaint
         found = None if header is None else frame_of(*header)
         self._header, self._pixels = (None, None) if found is None else found
         self._first, self._published, self._retired.below = first, published, below
@@ -275,8 +295,8 @@ class TrackerWork:
             self._take_back("the camera was opened anew")
         if self._given is not None:
             self._given.frame(header, payload, frame, self._intake.heard)
-        complaint = complaint_about(frame, self._pixels)
-        self._pixels, self._acted_on = frame, []
+        complaint = complaint_about(frame, self._pixels) or lens_doubted(frame, self._fx_of_size)
+        self._pixels, self._acted_on, self._complaint = frame, [], complaint
         health.warn_while("frame", complaint)
         self._published.clear()
         self._intake.frame = header
@@ -284,8 +304,7 @@ class TrackerWork:
             poses = self._tracker.step(frame)
         if complaint is not None:
             health.count("frames_doubted")
-            poses = [_doubted(pose) for pose in poses]
-        self._publish_all(poses, header, frame, complaint)
+        self._publish_all(poses, header, frame)
         self._header = header
         health.camera_epoch, health.frame_id = header.camera_epoch, header.frame_id
         health.counters["frames_skipped"] = self._frames.skipped
@@ -293,15 +312,11 @@ class TrackerWork:
         health.worked(started, header.capture_ns)
         return True
 
-    def _publish_all(
-        self,
-        poses: list[TrackedPose],
-        header: FrameHeader,
-        frame: RgbdFrame | None,
-        complaint: str | None = None,
-    ) -> None:
+    def _publish_all(self, poses: list[TrackedPose], header: FrameHeader, frame: RgbdFrame | None) -> None:
+        if self._complaint is not None:
+            poses = [_doubted(pose) for pose in poses]
         for pose in poses:
-            reason = _sentence(complaint or "")
+            reason = _sentence(self._complaint or "")
             if not reason and frame is not None and pose.state is not State.TRACKING:
                 reason = why_doubted(self._tracker.surface(pose.object), frame, pose.T_cam_obj)
             self._publish(pose, header, reason)

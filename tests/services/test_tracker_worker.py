@@ -269,7 +269,7 @@ def _other(number, color=0, depth=0, **intrinsics):
     [
         ({"color": 1, "depth": -1}, "no depth in the whole picture"),
         ({"depth": 1}, "colour picture stands still"),
-        ({"color": 1, "depth": 1, "fx": 333.0}, "intrinsics changed"),
+        ({"color": 1, "depth": 1, "cx": 33.0}, "intrinsics changed"),
     ],
 )
 def test_a_frame_that_is_wrong_as_such_gives_no_pose_to_act_on_and_health_says_why(bad, reason):
@@ -281,11 +281,34 @@ def test_a_frame_that_is_wrong_as_such_gives_no_pose_to_act_on_and_health_says_w
     assert [p.state for p in bus.out] == ["TRACKING", "SUSPECT"]
     (warning,) = bus.health.message().warnings
     assert reason in warning
-    intrinsics = {"fx": bad["fx"]} if "fx" in bad else {}
+    intrinsics = {"cx": bad["cx"]} if "cx" in bad else {}
     bus.waiting["frame"] = [_other(3, color=2, depth=2, **intrinsics)]
     work.step()
     assert bus.out[-1].state == "TRACKING"
     assert bus.health.message().warnings == []
+
+
+def test_a_camera_that_states_another_focal_length_is_doubted_until_it_states_the_first_again():
+    """Also in a new epoch, and for what perception adds between two frames: through the wrong lens a pose may
+    fit and be elsewhere."""
+    work, bus, _ = _worker(se3.make(np.eye(3), np.array([0.0, 0.0, 0.5])))
+    header, payload = _other(1)
+    fx = header.intrinsics.fx
+    bus.waiting["frame"] = [(header, payload), _other(2, 1, 1, fx=1.5 * fx), _other(3, 2, 2, fx=1.5 * fx)]
+    for _ in range(3):
+        work.step()
+    header, payload = _other(4, 3, 3, fx=1.5 * fx)
+    bus.waiting["frame"] = [(msgspec.structs.replace(header, camera_epoch=header.camera_epoch + 1), payload)]
+    work.step()
+    work._publish_all(work._tracker.poses(), header, None)
+    focused, back = _other(5, 4, 4, fx=1.04 * fx), _other(6, 5, 5, fx=1.04 * fx)
+    bus.waiting["frame"] = [focused, back]
+    for _ in range(2):
+        work.step()
+    states = [p.state for p in bus.out]
+    assert set(states[1:-2]) == {"SUSPECT"}
+    assert (states[0], *states[-2:]) == ("TRACKING",) * 3
+    assert any("restart the tracker" in p.reason for p in bus.out)
 
 
 def test_what_was_tracked_before_the_camera_was_opened_anew_is_not_to_be_acted_on():

@@ -21,11 +21,10 @@ from rival import Ours, Rival, RivalEstimator
 from huepose.datasets.bop import BopScene
 from huepose.datasets.types import GroundTruth, SomeImages
 from huepose.estimation import Estimator, EstimatorConfig
-from huepose.evaluation.equivalents import read_equivalents
 from huepose.evaluation.estimate_protocol import EstimateOptions, evaluate_estimates
 from huepose.evaluation.metrics import FIGURES
 from huepose.evaluation.summary import table
-from huepose.evaluation.targets import Targets
+from huepose.evaluation.targets import Targets, read_equivalents
 from huepose.model import ReferenceModel, load_models
 from huepose.support.progress import progress
 

@@ -29,7 +29,7 @@ import zenoh
 
 from huepose.drawing.plots import line_plot
 from huepose.estimation import Estimator, ObjectQuery
-from huepose.evaluation.origin import origin
+from huepose.evaluation.result_files import origin
 from huepose.geometry import Camera, se3
 from huepose.geometry.arrays import Float64
 from huepose.geometry.frame import RgbdFrame

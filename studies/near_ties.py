@@ -23,11 +23,10 @@ from scipy.optimize import minimize
 
 from huepose.datasets.types import Sample
 from huepose.estimation import Estimator, ObjectQuery, PoseEstimate
-from huepose.evaluation.equivalents import read_equivalents
 from huepose.evaluation.estimate_protocol import EstimateOptions, evaluate_estimates
 from huepose.evaluation.estimate_rows import EstimateRow
 from huepose.evaluation.result_files import write_json
-from huepose.evaluation.targets import Targets
+from huepose.evaluation.targets import Targets, read_equivalents
 from huepose.geometry import RgbdFrame
 from huepose.geometry.arrays import Bool, Float64
 from huepose.model import load_models

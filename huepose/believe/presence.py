@@ -77,10 +77,10 @@ DOUBTS = {
 }
 
 
-def greatest_doubt(seen: Sight, fit: Logistic | None = None) -> str:
+def greatest_doubt(seen: Sight) -> str:
     """What speaks most against the object, in words: the feature that costs the most log-odds beside those
     of poses that are right."""
-    fit, values = fit or presence_fit(), features(seen)
+    fit, values = presence_fit(), features(seen)
     costs = {name: fit.factors[name] * (USUAL[name] - x) for name, x in values.items()}
     return DOUBTS[max(costs, key=lambda name: costs[name])]
 

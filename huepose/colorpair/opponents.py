@@ -20,19 +20,19 @@ DARKEST = 0.015
 SCALE = 25.0
 """Units a natural logarithm, so that numbers are about as large as those of CIELAB."""
 
-_LINEAR = np.where(
+LINEAR = np.where(
     np.arange(256) <= 0.04045 * 255,
     np.arange(256) / 255 / 12.92,
     ((np.arange(256) / 255 + 0.055) / 1.055) ** 2.4,
 ).astype(np.float32)
-LOGARITHMS = (np.log(_LINEAR + np.float32(DARKEST)) * np.float32(SCALE)).astype(np.float32)
+LOGARITHMS = (np.log(LINEAR + np.float32(DARKEST)) * np.float32(SCALE)).astype(np.float32)
 OPPONENTS = np.array([[1 / 3, 1 / 3, 1 / 3], [1, -1, 0], [0.5, 0.5, -1]], np.float32)
 """Lightness, red-green, yellow-blue of three logarithms."""
 
 
 def linear_rgb(color: UInt8) -> Float32:
     """Linear values 0..1 of sRGB bytes of any shape."""
-    return _LINEAR[color]
+    return LINEAR[color]
 
 
 def opponents(linear: Float) -> Float32:

@@ -142,10 +142,10 @@ class Canvas:
         part = inner[:, max(left, 0) : max(right, 0)]
         part[:] = np.minimum(part, np.array(color, np.uint8))
 
-    def note(self, text: str, x: float, y: float, color: Colour = INK) -> None:
+    def note(self, text: str, x: float, y: float) -> None:
         """Text centred just above a data point."""
         at = self.pixels(np.array([[x, y]]))[0]
-        _text(self.picture, text, (round(float(at[0])), round(float(at[1])) - 10), 0.46, "centre", 1, color)
+        _text(self.picture, text, (round(float(at[0])), round(float(at[1])) - 10), 0.46, "centre", 1, INK)
 
     def legend(self, names: Sequence[str], colors: Sequence[Colour]) -> None:
         """Names with their colours, in the corner of the frame that has the least drawn in it."""

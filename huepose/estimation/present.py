@@ -25,11 +25,9 @@ Presence = Callable[[RgbdFrame, Sequence[PoseEstimate]], Sequence[float]]
 """Of the answers of a frame, the probability of each that its object is there."""
 
 
-def presence_by(
-    models: Mapping[str, ReferenceModel], method: Method, config: StandingConfig | None = None
-) -> Presence:
+def presence_by(models: Mapping[str, ReferenceModel], method: Method) -> Presence:
     """By `perception.presence`, of the objects of these models, for answers of a method."""
-    return lambda frame, answers: presences_of(frame, models, answers, method, config)
+    return lambda frame, answers: presences_of(frame, models, answers, method)
 
 
 def presences_of(
@@ -37,11 +35,10 @@ def presences_of(
     models: Mapping[str, ReferenceModel],
     answers: Sequence[PoseEstimate],
     method: Method,
-    config: StandingConfig | None = None,
 ) -> list[float]:
     """Probability for each answer of a method that its object is there, 0 where none was found. Raises
     KeyError for an answer about an object that is not in `models`."""
-    return [chance for chance, _ in presences_with_doubts(frame, models, answers, method, config)]
+    return [chance for chance, _ in presences_with_doubts(frame, models, answers, method)]
 
 
 def presences_with_doubts(
@@ -49,10 +46,8 @@ def presences_with_doubts(
     models: Mapping[str, ReferenceModel],
     answers: Sequence[PoseEstimate],
     method: Method,
-    config: StandingConfig | None = None,
 ) -> list[tuple[float, str]]:
     """The same, each with what speaks most against the object, in words; empty where no pose was found."""
-    config = config or StandingConfig()
     poses = [(a.object, a.T_cam_obj) for a in answers if a.T_cam_obj is not None]
     seen = iter(_looked_at(frame, models, poses))
     out = []
@@ -61,7 +56,7 @@ def presences_with_doubts(
             out.append((0.0, ""))
         else:
             logit, doubt = next(seen)
-            out.append((_chance(logit, answer, method, config), doubt))
+            out.append((_chance(logit, answer, method), doubt))
     return out
 
 
@@ -84,23 +79,23 @@ def _looked_at(
     return [(float(x), greatest_doubt(s)) for s, x in zip(sights, logits_of(sights), strict=True)]
 
 
-def _chance(logit: float, answer: PoseEstimate, method: Method, config: StandingConfig) -> float:
+def _chance(logit: float, answer: PoseEstimate, method: Method) -> float:
     """Probability that the object is there: what is seen, and what its pose says about it."""
-    there = probability(logit + certainty(answer, config.most_sure))
-    return there * _own_texture(answer, method, config.other_texture)
+    there = probability(logit + certainty(answer))
+    return there * _own_texture(answer, method)
 
 
-def certainty(answer: PoseEstimate, most_sure: float = StandingConfig().most_sure) -> float:
+def certainty(answer: PoseEstimate) -> float:
     """How sure a pose is of itself, in log odds, 0 or more: one that is surely right speaks for its object;
     one that is not, for want of texture to tell its turn by, does not speak against it."""
-    sure = min(max(answer.quality, 0.5), most_sure)
+    sure = min(max(answer.quality, 0.5), StandingConfig().most_sure)
     return float(np.log(sure / (1.0 - sure)))
 
 
-def _own_texture(answer: PoseEstimate, method: Method, other_texture: float) -> float:
+def _own_texture(answer: PoseEstimate, method: Method) -> float:
     """1, or less where the same shape plainly wears another texture, and so is another thing, by what this
     method knows of textures."""
     if answer.terms is None:
         return 1.0
     own = quality_fits()[method].this_texture(features(answer.terms))
-    return min(1.0, other_texture * own / max(1.0 - own, 1e-9))
+    return min(1.0, StandingConfig().other_texture * own / max(1.0 - own, 1e-9))

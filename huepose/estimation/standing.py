@@ -35,13 +35,12 @@ def why_none_stands(
     answers: Sequence[PoseEstimate],
     chances: Sequence[float],
     doubts: Sequence[str] = (),
-    config: StandingConfig | None = None,
 ) -> str:
     """Why no pose of an object stands, in one sentence: of the likeliest of its answers where it has any.
 
     answers, chances: as for `standing_answers`, of all objects of the frame; doubts: of each answer, what
     speaks most against its object (`estimation.present`)."""
-    least = (config or StandingConfig()).present
+    least = StandingConfig().present
     doubts = doubts or [""] * len(answers)
     mine = [x for x in zip(chances, answers, doubts, strict=True) if x[1].object == name]
     if not mine:

@@ -69,8 +69,8 @@ class PoseEstimate:
     reason: str = ""
 
 
-def absent(name: str, reason: str = "", seconds: float = 0.0) -> PoseEstimate:
+def absent(name: str, reason: str = "") -> PoseEstimate:
     """The answer for an object of which no pose was found, or none stands."""
     return PoseEstimate(
-        name, 0, False, None, 0.0, "LOST", 0.0, 0.0, None, None, None, None, None, (), seconds, None, reason
+        name, 0, False, None, 0.0, "LOST", 0.0, 0.0, None, None, None, None, None, (), 0.0, None, reason
     )

@@ -28,7 +28,7 @@ from huepose.evaluation.targets import Targets, object_number
 from huepose.geometry import kabsch, se3
 from huepose.geometry.arrays import Bool, Float, Float64
 from huepose.geometry.box import Box
-from huepose.geometry.camera import Camera
+from huepose.geometry.camera import NEAREST_M, Camera
 from huepose.judge.silhouette import visible_within
 from huepose.model.types import ReferenceModel
 from huepose.paper.rotation_network import learned
@@ -213,7 +213,7 @@ def endpoint_error_px(
 
 def _box(model: ReferenceModel, T_cam_obj: Float64, camera: Camera) -> Box | None:
     points = se3.apply(T_cam_obj, model.eval_points)
-    if points[:, 2].min() < 0.02:
+    if points[:, 2].min() < NEAREST_M:
         return None
     uv = camera.project(points)
     (x, y), (x1, y1) = uv.min(0), uv.max(0)

@@ -155,9 +155,10 @@ def worth(quality: Float64, judged: Judged, level: float, found: Bool | None = N
     )
 
 
-def by_chance(
-    quality: Float64, instances: Sequence[Hashable], draws: int = 400, seed: int = 0
-) -> tuple[float, float] | None:
+CHANCE_DRAWS = 400
+
+
+def by_chance(quality: Float64, instances: Sequence[Hashable]) -> tuple[float, float] | None:
     """The calibration error of qualities (N,) that are all true: its mean, and what 95 % of the draws stay
     under; None without any. Few poses err by chance, and the same instance in several boxes is right or wrong
     nearly always together: so one number is drawn for each instance, under which quality is right."""
@@ -165,9 +166,9 @@ def by_chance(
         return None
     number = {instance: k for k, instance in enumerate(dict.fromkeys(instances))}
     index = np.array([number[instance] for instance in instances])
-    rng = np.random.default_rng(seed)
+    rng = np.random.default_rng(0)
     errors = [
         metrics.expected_calibration_error(quality, rng.random(len(number))[index] < quality) or 0.0
-        for _ in range(draws)
+        for _ in range(CHANCE_DRAWS)
     ]
     return float(np.mean(errors)), float(np.quantile(errors, 0.95))

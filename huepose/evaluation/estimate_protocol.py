@@ -18,9 +18,8 @@ from huepose.estimation.standing import standing_answers, why_none_stands
 from huepose.estimation.types import ObjectQuery, PoseEstimate, PosePrior
 from huepose.evaluation.assignment import Label, assigned, labels_of, localised
 from huepose.evaluation.bop_errors import BopErrors, BopObject, BopScore, bop_errors, matched_recalls
-from huepose.evaluation.equivalents import Key
 from huepose.evaluation.estimate_rows import EstimateResult, EstimateRow, FalsePose
-from huepose.evaluation.targets import Targets, object_number
+from huepose.evaluation.targets import Key, Targets, object_number
 from huepose.geometry.arrays import Bool, Float64
 from huepose.geometry.box import Box
 from huepose.geometry.frame import RgbdFrame

@@ -22,10 +22,9 @@ from huepose.estimation.explanation import Explanation
 from huepose.estimation.panels import LEGEND, Panels
 from huepose.estimation.types import ObjectQuery, PoseEstimate
 from huepose.evaluation.diagnosis import Diagnosis, diagnose
-from huepose.evaluation.equivalents import Key
 from huepose.evaluation.estimate_rows import EstimateRow
 from huepose.evaluation.result_files import write_json
-from huepose.evaluation.targets import Targets
+from huepose.evaluation.targets import Key, Targets
 from huepose.geometry.arrays import Bool, Float64, UInt8
 from huepose.model.types import ReferenceModel
 from huepose.support.files import write_picture, write_text

@@ -1,10 +1,18 @@
-"""Results as JSON: numbers that are none become null, and a file is there as a whole or not at all."""
+"""Results as JSON: numbers that are none become null, and a file is there as a whole or not at all. Each says
+where it comes from: machine, versions, command, date."""
 
 from __future__ import annotations
 
 import json
 import math
-from collections.abc import Mapping
+import os
+import platform
+import re
+import shlex
+import sys
+from collections.abc import Mapping, Sequence
+from datetime import datetime, timezone
+from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from typing import Any
 
@@ -48,3 +56,28 @@ def _layout(value: Any) -> str:
         else:
             parts.append(f"{json.dumps(key)}: {json.dumps(item, allow_nan=False)}")
     return "{" + ",\n".join(parts) + "}"
+
+
+_PACKAGES = ("huepose", "numpy", "scipy", "numba", "opencv-python-headless")
+_SLASHED = re.compile(r"(?:[\w.~-]*/)+(?=[\w.-])")
+
+
+def origin(arguments: Sequence[str] | None = None) -> dict[str, str]:
+    """`date` (UTC), `command` with paths cut to their last part, `machine` in general words, `versions`.
+
+    arguments: of the command, by default those of this process."""
+    words = sys.argv[1:] if arguments is None else list(arguments)
+    return {
+        "date": datetime.now(timezone.utc).strftime("%Y-%m-%d"),
+        "command": shlex.join(["huepose", *(_SLASHED.sub("", word) for word in words)]),
+        "machine": f"{platform.machine()}, {os.cpu_count()} cores, {platform.system()}, "
+        f"Python {platform.python_version()}",
+        "versions": ", ".join(f"{name} {found}" for name in _PACKAGES if (found := _version(name))),
+    }
+
+
+def _version(name: str) -> str | None:
+    try:
+        return version(name)
+    except PackageNotFoundError:
+        return None

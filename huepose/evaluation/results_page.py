@@ -5,8 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any
 
-from huepose.evaluation.tables.short import in_short
-from huepose.evaluation.tables.table import Cell, Head, Table
+from huepose.evaluation.tables.table import Cell, Head, Table, in_short
 from huepose.support.errors import InputError
 
 _FIGURES = {

@@ -1,16 +1,23 @@
-"""Which reference model a label means, and how far a pose is from that label."""
+"""Which reference model a label means, and how far a pose is from that label.
+
+Of labels that the texture contradicts or cannot confirm other poses count as well (`--equivalent`):
+`{"SCENE/IMAGE/INSTANCE": {"T_obj_obj": [4x4, ...]}}`, metres; the labelled pose times each counts as right.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
+from pathlib import Path
 
 import numpy as np
 from scipy.spatial import cKDTree
 
+from huepose.datasets import files
 from huepose.datasets.types import GroundTruth
 from huepose.datasets.ycb_objects import ycb_named
 from huepose.evaluation import metrics
+from huepose.geometry import se3
 from huepose.geometry.arrays import Float, Float64
 from huepose.model.types import ReferenceModel
 from huepose.support.errors import InputError
@@ -139,3 +146,26 @@ def posecnn_offset_m(model: ReferenceModel) -> Float64 | None:
 def object_number(model: ReferenceModel) -> int | str:
     """How results call an object: its BOP id, or its name where it has none."""
     return model.name if model.object_id is None else model.object_id
+
+
+Key = tuple[str, int, int]
+
+
+def read_equivalents(path: Path | str) -> dict[Key, tuple[Float64, ...]]:
+    """Transforms `T_obj_obj` (4, 4) by (scene, image, instance). Raises InputError, naming the entry."""
+    result: dict[Key, tuple[Float64, ...]] = {}
+    for key, entry in files.read_json(Path(path)).items():
+        where = f"{path}, '{key}'"
+        scene, _, rest = key.rpartition("/")[0].rpartition("/")
+        parts = [rest, key.rpartition("/")[2]]
+        if not scene or not all(part.isdigit() for part in parts):
+            raise InputError(where, found="this key", expected="SCENE/IMAGE/INSTANCE, as in '000001/4/2'")
+        transforms = files.field(entry, "T_obj_obj", where)
+        try:
+            array = np.asarray(transforms, dtype=np.float64).reshape(-1, 4, 4)
+        except (TypeError, ValueError):
+            array = np.full((1, 4, 4), np.nan)
+        if not all(se3.is_rigid(T, 1e-3) for T in array):
+            raise InputError(where, found="T_obj_obj that is no rigid transform", expected="4x4 matrices")
+        result[scene, int(parts[0]), int(parts[1])] = tuple(se3.orthonormalised(T) for T in array)
+    return result

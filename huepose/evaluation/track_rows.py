@@ -12,7 +12,7 @@ from huepose.evaluation import metrics
 from huepose.evaluation.bootstrap import Interval, frame_intervals
 from huepose.evaluation.instances import Place, PublishedPose
 from huepose.evaluation.measured import BLOCK_NS, ENOUGH_SEQUENCES
-from huepose.evaluation.roft_errors import FIGURES, roft_figures
+from huepose.evaluation.metrics import ROFT_FIGURES, roft_figures
 from huepose.evaluation.states import TIMES, Moment, StateReport, combined, report
 from huepose.evaluation.summary import Figures, grouped, largest, mean_figures
 from huepose.evaluation.targets import PoseError, Targets, object_number
@@ -187,7 +187,7 @@ _WHOLE = (
 _MEANS = (
     *metrics.FIGURES,
     *("auc_voc_add", "auc_voc_adds", "coverage_tracking"),
-    *FIGURES,
+    *ROFT_FIGURES,
 )
 
 

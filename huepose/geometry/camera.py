@@ -8,6 +8,9 @@ import numpy as np
 
 from huepose.geometry.arrays import Float, Float64
 
+NEAREST_M = 0.02
+"""Nothing is nearer to a camera."""
+
 
 @dataclass(frozen=True)
 class Camera:

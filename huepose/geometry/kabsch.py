@@ -11,6 +11,9 @@ import numpy as np
 from huepose.geometry import se3
 from huepose.geometry.arrays import Bool, Float, Float64
 
+REFINEMENTS = 5
+"""Rounds of reweighting after the best triple."""
+
 
 def fit(source: Float, target: Float, weights: Float | None = None) -> Float64:
     """Least-squares rigid T_target_source (4, 4) of paired points (N, 3), N >= 3, weights (N,) >= 0.
@@ -37,7 +40,6 @@ def robust_fit(
     inlier_m: float,
     rng: np.random.Generator,
     trials: int = 100,
-    refinements: int = 5,
 ) -> tuple[Float64, Bool, Float64]:
     """Rigid fit of paired points (N, 3) with wrong pairs among them.
 
@@ -57,7 +59,7 @@ def robust_fit(
     best = int(np.argmax(support))
     T = se3.make(R[best], t[best])
     w = w0
-    for _ in range(refinements):
+    for _ in range(REFINEMENTS):
         e = np.linalg.norm(se3.apply(T, p) - q, axis=1)
         w = w0 * np.maximum(1.0 - (e / inlier_m) ** 2, 0.0) ** 2
         if np.count_nonzero(w) < 3:

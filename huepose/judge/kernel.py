@@ -10,6 +10,7 @@ from __future__ import annotations
 import numpy as np
 
 from huepose.geometry.arrays import Float64
+from huepose.geometry.camera import NEAREST_M
 from huepose.judge.arrays import ModelArrays, RegionArrays, nearest_view
 from huepose.judge.color_correlation import color_agreement
 from huepose.support.jit import jit_dividing
@@ -185,7 +186,7 @@ def _place(
     for k in range(count):
         x, y, z = u[k], v[k], depth[k]
         cosine = -(m0[k] * x + m1[k] * y + m2[k] * z) / np.sqrt(x * x + y * y + z * z)
-        facing[k] = cosine if z >= 0.02 else 0.0
+        facing[k] = cosine if z >= NEAREST_M else 0.0
     for k in range(count):
         inverse = 1.0 / depth[k]
         u[k] = u[k] * inverse * fx + cx

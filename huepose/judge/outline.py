@@ -15,6 +15,7 @@ import numpy as np
 
 from huepose.colorpair.opponents import opponents_of_bytes
 from huepose.geometry.arrays import Float32, Float64, UInt8
+from huepose.geometry.camera import NEAREST_M
 from huepose.judge.arrays import RegionArrays
 from huepose.support.jit import jit_dividing
 
@@ -61,7 +62,7 @@ def rim_agreement(T: Float64, rim: Rim, region: RegionArrays) -> float:
     for i in range(rim.points.shape[0]):
         p0, p1, p2 = rim.points[i, 0], rim.points[i, 1], rim.points[i, 2]
         z = T[2, 0] * p0 + T[2, 1] * p1 + T[2, 2] * p2 + T[2, 3]
-        if z < 0.02:
+        if z < NEAREST_M:
             continue
         u = (T[0, 0] * p0 + T[0, 1] * p1 + T[0, 2] * p2 + T[0, 3]) / z * region.fx + region.cx
         v = (T[1, 0] * p0 + T[1, 1] * p1 + T[1, 2] * p2 + T[1, 3]) / z * region.fy + region.cy

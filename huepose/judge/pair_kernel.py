@@ -12,6 +12,7 @@ import numpy as np
 
 from huepose.colorpair.lifting import MIN_FACING
 from huepose.geometry.arrays import Float32, Float64
+from huepose.geometry.camera import NEAREST_M
 from huepose.judge.arrays import ModelArrays, RegionArrays
 from huepose.judge.kernel import SCRATCH_ROWS, TERMS, score_kernel
 from huepose.support.jit import jit
@@ -110,7 +111,7 @@ def read_pair(
     x = r00 * p0 + r01 * p1 + r02 * p2 + t0
     y = r10 * p0 + r11 * p1 + r12 * p2 + t1
     z = r20 * p0 + r21 * p1 + r22 * p2 + t2
-    if z < 0.02:
+    if z < NEAREST_M:
         return 0.0
     away = (
         (r00 * n0 + r01 * n1 + r02 * n2) * x

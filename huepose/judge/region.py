@@ -11,7 +11,7 @@ from dataclasses import dataclass
 import cv2
 import numpy as np
 
-from huepose.colorpair.opponents import DARKEST, SCALE, linear_rgb
+from huepose.colorpair.opponents import DARKEST, LINEAR, SCALE
 from huepose.geometry.arrays import Bool, Float32, Float64, Int64, UInt8
 from huepose.geometry.box import Box
 from huepose.geometry.camera import Camera
@@ -29,8 +29,6 @@ HALVED_FROM_PX = 2.0
 
 OUTSIDE_WEIGHT = 0.02
 MASK_POINTS = 500
-
-_LINEAR = linear_rgb(np.arange(256, dtype=np.uint8))
 
 
 @dataclass(frozen=True, eq=False)
@@ -136,7 +134,7 @@ def _masked_colors(crop: Crop, belief: Float32, depth_m: float) -> Float32:
 def smoothed_opponents(color: UInt8, weight: Float32, sigmas_px: Sequence[float]) -> Float32:
     """Opponents (h, w, 3 for each sigma) of a picture (h, w, 3) whose linear colours are averaged under a
     Gaussian, each pixel with its weight (h, w), over 0."""
-    weighted = _weighted(color, _LINEAR, weight)
+    weighted = _weighted(color, LINEAR, weight)
     out = np.empty((*weight.shape, 3 * len(sigmas_px)), np.float32)
     for scale, sigma in enumerate(sigmas_px):
         if sigma < HALVED_FROM_PX:

@@ -13,7 +13,7 @@ import numpy as np
 
 from huepose.geometry.arrays import Float, Float32, Float64, Int32
 from huepose.geometry.box import Box
-from huepose.geometry.camera import Camera
+from huepose.geometry.camera import NEAREST_M, Camera
 from huepose.judge.arrays import ModelArrays, model_arrays
 from huepose.judge.open_region import SCALES_M, OpenRegion
 from huepose.judge.terms import Terms, score_arrays
@@ -65,7 +65,7 @@ class PreparedSurface:
         camera. Not clipped to the image."""
         p = self.arrays.points[::4] @ np.asarray(T_cam_obj[:3, :3], np.float32).T
         p += np.asarray(T_cam_obj[:3, 3], np.float32)
-        if float(p[:, 2].min()) < 0.02:
+        if float(p[:, 2].min()) < NEAREST_M:
             return None
         u, v = p[:, 0] / p[:, 2] * camera.fx + camera.cx, p[:, 1] / p[:, 2] * camera.fy + camera.cy
         x, y = float(u.min()), float(v.min())

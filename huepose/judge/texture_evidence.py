@@ -15,10 +15,9 @@ import numpy as np
 from huepose.geometry.arrays import Float, Float64
 from huepose.judge.arrays import model_arrays, nearest_view, region_arrays
 from huepose.judge.region import Region
-from huepose.judge.terms import DEFAULT_WEIGHTS
+from huepose.judge.terms import CLOSE_SAMPLES, DEFAULT_WEIGHTS
 from huepose.model.types import ReferenceModel
 
-SAMPLES = 800
 FEWEST = 15
 """Samples that fit the depth, under which nothing is said."""
 
@@ -99,7 +98,7 @@ def _seen_texture(
     of the picture, both (N, 6). None where there are too few."""
     m, r = model_arrays(model), region_arrays(region)
     view = nearest_view(T, m)
-    index = m.visible[m.offsets[view] : m.offsets[view + 1]][:SAMPLES]
+    index = m.visible[m.offsets[view] : m.offsets[view + 1]][:CLOSE_SAMPLES]
     points = m.points[index] @ T[:3, :3].T + T[:3, 3]
     normals = m.normals[index] @ T[:3, :3].T
     facing = -(normals * points).sum(1) / np.linalg.norm(points, axis=1)

@@ -21,6 +21,7 @@ import cv2
 import numpy as np
 
 from huepose.geometry.arrays import UInt8
+from huepose.support.kept import ALIGNMENT
 from huepose.support.picture_size import picture_size
 
 MAX_FILE_BYTES = 256 * 1024 * 1024
@@ -32,9 +33,6 @@ _MAX_ARRAY_HEADER_BYTES = 4096
 
 MAPPED_BYTES = 64 * 1024
 """Arrays from this size on are mapped; smaller ones share their pages with others anyway."""
-
-_ALIGNMENT = 64
-"""Bytes; also what NumPy aligns the data within an array's entry to."""
 
 _LOCAL_HEADER = struct.Struct("<4s22xHH")
 """Of an entry in a zip file: signature, length of its name, length of its extra field."""
@@ -126,7 +124,7 @@ def aligned_entry(name: str, offset: int, time: tuple[int, int, int, int, int, i
     """An entry whose content starts at a multiple of 64 bytes, when it is written at that offset."""
     entry = zipfile.ZipInfo(name, time)
     least = struct.calcsize("<HH")
-    padding = -(offset + _LOCAL_HEADER.size + len(name.encode()) + least) % _ALIGNMENT
+    padding = -(offset + _LOCAL_HEADER.size + len(name.encode()) + least) % ALIGNMENT
     entry.extra = struct.pack("<HH", _PADDING, padding) + bytes(padding)
     return entry
 

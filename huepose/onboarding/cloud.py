@@ -46,13 +46,13 @@ class Cloud:
         return {}
 
 
-def visible_cloud(mesh: Mesh, views: DepthViews, seed: int = 0) -> Cloud:
+def visible_cloud(mesh: Mesh, views: DepthViews) -> Cloud:
     """Evenly random samples of the surface that some view sees.
 
     Hidden inner walls are left out. Normals point out of a closed mesh; in one that is open, or whose faces
     disagree, to the side that more views see.
     """
-    rng = np.random.default_rng(seed)
+    rng = np.random.default_rng(0)
     face_normals, areas = mesh.face_normals()
     total = float(areas.sum())
     count = int(np.clip(total * 1e6 * _PER_SQUARE_MM, _FEWEST, _MOST))

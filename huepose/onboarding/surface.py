@@ -28,11 +28,11 @@ _SMALLEST_STEP_M = 0.0015
 _STEPS_PER_DIAMETER = 70.0
 
 
-def build_surface(cloud: Cloud, views: DepthViews, count: int = COUNT) -> Surface:
+def build_surface(cloud: Cloud, views: DepthViews) -> Surface:
     """Surfels of a cloud, and which of them each view sees."""
-    candidates = min(len(cloud.points), _CANDIDATES * count)
+    candidates = min(len(cloud.points), _CANDIDATES * COUNT)
     points, normals = cloud.points[:candidates], cloud.normals[:candidates]
-    chosen = even_order(points, normals, cloud.area_m2, min(count, candidates))
+    chosen = even_order(points, normals, cloud.area_m2, min(COUNT, candidates))
     points = points[chosen]
     normals = smoothed_normals(cloud, points, normals[chosen], NORMAL_RADIUS_M)
     lab = np.stack([averaged_lab(cloud, points, normals, sigma) for sigma in COLOR_SIGMAS_M])

@@ -74,10 +74,10 @@ def _areas(uv: Float32) -> Float64:
     return np.asarray(np.abs(a[:, 0] * b[:, 1] - a[:, 1] * b[:, 0]) / 2.0)
 
 
-def reduced(texture: UInt8, used: UInt8, largest: int = LARGEST) -> UInt8:
-    """The texture at no more than `largest` texels a side, unused texels filled from their neighbours."""
+def reduced(texture: UInt8, used: UInt8) -> UInt8:
+    """The texture at no more than LARGEST texels a side, unused texels filled from their neighbours."""
     height, width = texture.shape[:2]
-    scale = min(1.0, largest / max(height, width))
+    scale = min(1.0, LARGEST / max(height, width))
     if scale == 1.0 and used.all():
         return texture
     size = (max(1, round(width * scale)), max(1, round(height * scale)))

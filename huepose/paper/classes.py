@@ -12,7 +12,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from huepose.colorpair.similarity import SimilarityConfig, parameters, shapes
+from huepose.colorpair.similarity import parameters, shapes
 from huepose.colorpair.types import SurfacePairs
 from huepose.geometry.arrays import Float32, UInt8
 from huepose.paper.cloud import ClassifiedCloud, decoupled
@@ -59,13 +59,12 @@ def classify(
     if not len(scene) or not len(model):
         return np.zeros((len(scene), 2), np.uint8), np.zeros(len(scene), np.float32)
     step = -(-len(model) // config.model_pairs)
-    c = SimilarityConfig()
     return _classify(
-        shapes(scene, c),
-        shapes(model[::step], c),
+        shapes(scene),
+        shapes(model[::step]),
         np.ascontiguousarray(side_classes[::step]),
         classes,
-        *parameters(c),
+        *parameters(),
         config.sharpness,
     )
 

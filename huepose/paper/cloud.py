@@ -17,6 +17,9 @@ from huepose.support.jit import jit
 LIGHTNESS = 0.5
 """Weight of L against a and b where colours are compared to classes: light changes it most."""
 
+MAX_CLASSES, MAX_BINS = 16, 64
+"""Most classes, and steps of a length, that a key of a triangle or of a point pair can tell apart."""
+
 
 @dataclass(frozen=True, eq=False)
 class ClassifiedCloud:

@@ -15,12 +15,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from huepose.geometry.arrays import Float, Float32, Float64, Int, Int32, Int64, UInt8
-from huepose.paper.cloud import ClassifiedCloud, sparse
+from huepose.paper.cloud import MAX_BINS, MAX_CLASSES, ClassifiedCloud, sparse
 from huepose.propose.types import Votes
 from huepose.support.jit import jit
-
-MAX_CLASSES = 16
-MAX_BINS = 64
 
 
 @dataclass(frozen=True)
@@ -39,15 +36,13 @@ class PpfConfig:
     peaks: float = 0.9
 
 
-def build_ppf(
-    cloud: ClassifiedCloud, diameter_m: float, config: PpfConfig, seed: int = 0
-) -> tuple[Int64, Int32, Float32]:
+def build_ppf(cloud: ClassifiedCloud, diameter_m: float, config: PpfConfig) -> tuple[Int64, Int32, Float32]:
     """Keys (Q,) int64, sorted; pairs (Q, 2) int32 into the cloud; alpha (Q,) float32 radians.
 
     A pair is made of points that one camera can see together; when there are more than `rows`, an even
     random share of them is kept.
     """
-    rng = np.random.default_rng(seed)
+    rng = np.random.default_rng(0)
     spacing = 0.03
     if not config.points:
         return np.zeros(0, np.int64), np.zeros((0, 2), np.int32), np.zeros(0, np.float32)

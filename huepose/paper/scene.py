@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from huepose.colorpair.extract import ExtractionConfig, extract
+from huepose.colorpair.extract import extract
 from huepose.colorpair.types import ColorPairs, SurfacePairs
 from huepose.geometry.arrays import Bool
 from huepose.geometry.frame import RgbdFrame
@@ -26,9 +26,7 @@ NEEDED_CLASSES, NEEDED_POINTS = 3, 30
 """Triangles need three classes, each with so many points in sight; where fewer are, point pairs are asked."""
 
 
-def extract_at_model_scale(
-    pairs: PairReference, frame: RgbdFrame, mask: Bool, config: ExtractionConfig | None = None
-) -> ColorPairs:
+def extract_at_model_scale(pairs: PairReference, frame: RgbdFrame, mask: Bool) -> ColorPairs:
     """Colour pairs of a mask (H, W), extracted at the scale at which the model's were.
 
     Empty when no pixel of the mask has depth.
@@ -37,7 +35,7 @@ def extract_at_model_scale(
     if not len(depths):
         return ColorPairs.empty()
     scale = pairs.parameters["coarse_pixels_per_m"] * float(np.median(depths)) / frame.camera.fx
-    return extract(frame.color, mask, config, scale=min(scale, 1.0))
+    return extract(frame.color, mask, scale=min(scale, 1.0))
 
 
 def classified_scene(

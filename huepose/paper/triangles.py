@@ -16,12 +16,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from huepose.geometry.arrays import Float32, Float64, Int32, Int64, UInt8
-from huepose.paper.cloud import ClassifiedCloud
+from huepose.paper.cloud import MAX_BINS, MAX_CLASSES, ClassifiedCloud
 from huepose.propose.types import Votes
 from huepose.support.jit import jit
-
-MAX_CLASSES = 16
-MAX_BINS = 64
 
 
 @dataclass(frozen=True)
@@ -43,12 +40,10 @@ class TriangleConfig:
     facing: float = 0.8
 
 
-def build_triangles(
-    cloud: ClassifiedCloud, diameter_m: float, config: TriangleConfig, seed: int = 0
-) -> tuple[Int64, Int32]:
+def build_triangles(cloud: ClassifiedCloud, diameter_m: float, config: TriangleConfig) -> tuple[Int64, Int32]:
     """Keys (T,) int64, sorted, and corners (T, 3) int32 into the cloud in class order; under one key the
     entries are in order of the distance between centroid and object centre."""
-    rng = np.random.default_rng(seed)
+    rng = np.random.default_rng(0)
     corners = draw_triples(cloud, config.candidates, rng)
     p = cloud.points[corners].astype(np.float64)
     n = cloud.normals[corners].astype(np.float64)

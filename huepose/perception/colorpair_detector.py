@@ -27,7 +27,6 @@ from huepose.judge.borders import Contours
 from huepose.model.types import ReferenceModel, model_named
 from huepose.perception.clear_view import ClearView, clear_view
 from huepose.perception.config import DetectorConfig
-from huepose.perception.contest import contested
 from huepose.perception.presence import presences
 from huepose.perception.scouting import EFFORTS, Effort, Proposal, propose
 from huepose.perception.types import Detection
@@ -37,6 +36,7 @@ from huepose.propose.features import FeatureSource, Sift
 from huepose.propose.keypoint_reference import build_keypoints
 from huepose.propose.keypoints import Sought, Spots, agreed, match
 from huepose.rendering.render import render
+from huepose.select.surfaces import HALF, share_held
 from huepose.support.kept import kept
 from huepose.support.pool import Pool
 from huepose.support.stages import stage
@@ -194,3 +194,28 @@ def _likeliest_turns(proposals: Sequence[Proposal]) -> list[Proposal]:
         if p.place not in best or p.score > best[p.place].score:
             best[p.place] = p
     return list(best.values())
+
+
+LEAD = 0.7
+"""A place is another object's when its score there, a logit, is higher by this, and it holds half of the
+place's surface."""
+
+FALL = 1.5
+"""What the score of a place falls by when it is another object's."""
+
+
+def contested(proposals: Mapping[str, Sequence[Proposal]]) -> dict[str, list[Proposal]]:
+    """The proposals of each object, best first, after those places have lost that other objects explain
+    better. The best place of an object speaks for it; the others do not."""
+    leaders = {name: max(places, key=lambda p: p.score) for name, places in proposals.items() if places}
+    out = {}
+    for name, places in proposals.items():
+        rivals = [leader for other, leader in leaders.items() if other != name]
+        fallen = [replace(p, score=p.score - FALL) if _lost(p, rivals) else p for p in places]
+        out[name] = sorted(fallen, key=lambda p: -p.score)
+    return out
+
+
+def _lost(place: Proposal, rivals: Sequence[Proposal]) -> bool:
+    better = [rival.support for rival in rivals if rival.score > place.score + LEAD]
+    return bool(better) and share_held(place.support, np.unique(np.concatenate(better))) > HALF

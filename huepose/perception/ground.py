@@ -9,14 +9,14 @@ import numpy as np
 
 from huepose.geometry.arrays import Bool, Float32, Float64, Int8, Int32, UInt8
 from huepose.geometry.camera import Camera
-from huepose.perception.support_plane import Plane, best_plane
+from huepose.perception.support_plane import NEAR_M, POINTS, Plane, best_plane
 from huepose.support.jit import jit, jit_dividing
 
-POINTS, TRIALS, MOST = 1500, 120, 3
+TRIALS, MOST = 120, 3
 MIN_SHARE = 0.06
 """A plane that holds less of the points that are left is not looked for."""
 
-NEAR_M, REFITS = 0.008, 3
+REFITS = 3
 BAND_M, BAND_PER_M = 0.004, 0.004
 BEYOND = 2.0
 """Depth this near to a plane, and so much more per square metre of depth squared, lies on it; what is more

@@ -9,22 +9,24 @@ import numpy as np
 
 from huepose.believe.presence import MOST_ALIKE, Sight, logits_of
 from huepose.geometry.arrays import Float32, Float64
+from huepose.geometry.camera import NEAREST_M
 from huepose.geometry.frame import RgbdFrame
 from huepose.judge.arrays import ModelArrays, model_arrays, nearest_view
 from huepose.judge.borders import Contours, outline
 from huepose.judge.continuation import continuation_many
 from huepose.judge.region import Region
-from huepose.judge.terms import Terms, score_many
+from huepose.judge.terms import CLOSE_SAMPLES, Terms, score_many
 from huepose.model.types import ReferenceModel
 from huepose.perception.clear_view import ClearView
-from huepose.perception.likeness import likenesses
 from huepose.perception.scouting import SEEN_M
+from huepose.propose.templates import SPAN
+from huepose.propose.view_codes import codes_of_pictures, codes_of_windows
+from huepose.propose.view_pictures import clean_view, window_pictures
+from huepose.propose.views import onto_rays
 from huepose.support.jit import jit
 
-SAMPLES, RIM_SAMPLES = 800, 400
-"""Of the surface, and of its outline, by which a place is looked at."""
-
-NEAREST_M = 0.02
+RIM_SAMPLES = 400
+"""Of the outline, by which a place is looked at."""
 
 WORTH = -3.0
 """Log-odds under which nobody looks closer at a place: one of 2 % is not proposed."""
@@ -57,7 +59,7 @@ def sight(view: ClearView, region: Region, model: ReferenceModel, T_cam_obj: Flo
     """Look at a pose (4, 4), but not along its outline, nor by codes; `region`: the view as one for this
     model."""
     T = np.ascontiguousarray(T_cam_obj, dtype=np.float64)
-    terms = Terms(*(float(x) for x in score_many(model, region, T[None], SAMPLES)[0]))
+    terms = Terms(*(float(x) for x in score_many(model, region, T[None], CLOSE_SAMPLES)[0]))
     crop, arrays = view.crop, model_arrays(model)
     rim = continuation_many(arrays, crop.depth, view.clear, crop.camera, T[None], RIM_SAMPLES)[0]
     pixels = agreeing_pixels(model, view.frame, T)
@@ -104,8 +106,8 @@ def _agreeing(
     height, width = depth.shape
     view = nearest_view(T, model)
     first = model.offsets[view]
-    last = min(model.offsets[view + 1], first + SAMPLES)
-    pixels = np.empty(SAMPLES, np.int64)
+    last = min(model.offsets[view + 1], first + CLOSE_SAMPLES)
+    pixels = np.empty(CLOSE_SAMPLES, np.int64)
     count = 0
     for k in range(first, last):
         p = model.points[model.visible[k]]
@@ -119,3 +121,25 @@ def _agreeing(
             pixels[count] = v * width + u
             count += 1
     return len(np.unique(pixels[:count]))
+
+
+def likenesses(
+    view: ClearView, models: Mapping[str, ReferenceModel], poses: Sequence[tuple[str, Float64]]
+) -> Float64:
+    """Cosines (N,) of the codes of what is seen at each named object's pose T_cam_obj (4, 4) and of its model
+    in that pose: 1 is the same, 0 nothing alike."""
+    if not poses:
+        return np.zeros(0)
+    clean, middles = [], []
+    for name, T in poses:
+        model = models[name]
+        centre = T[:3, :3] @ model.mesh.centre + T[:3, 3]
+        turn = onto_rays(centre[None] / centre[2])[0]
+        clean.append(clean_view(model.mesh, model.diameter_m, turn.T @ T[:3, :3]))
+        middles.append(centre + turn @ clean[-1].middle_m)
+    of_poses = codes_of_pictures(np.stack([c.color for c in clean]), np.stack([c.relief for c in clean]))
+    middle, diameters = np.stack(middles), np.array([models[name].diameter_m for name, _ in poses])
+    span_px = SPAN * diameters / middle[:, 2] * view.crop.camera.fx
+    place = view.crop.camera.project(middle), middle[:, 2], span_px
+    windows = codes_of_windows(*window_pictures(view.crop.color, view.depth, *place, diameters))
+    return np.asarray((of_poses * windows).sum(1), np.float64)

@@ -10,6 +10,7 @@ import numpy as np
 from huepose.geometry import se3
 from huepose.geometry.arrays import Float32, Float64, Int64
 from huepose.geometry.box import Box
+from huepose.geometry.camera import NEAREST_M
 from huepose.judge.arrays import ModelArrays, model_arrays, nearest_view
 from huepose.judge.continuation import continuation_many
 from huepose.judge.region import Region
@@ -276,7 +277,7 @@ def _seen(
     for k in range(first, last):
         p = model.points[model.visible[k]]
         z = T[2, 0] * p[0] + T[2, 1] * p[1] + T[2, 2] * p[2] + T[2, 3]
-        if z < 0.02:
+        if z < NEAREST_M:
             continue
         u = (T[0, 0] * p[0] + T[0, 1] * p[1] + T[0, 2] * p[2] + T[0, 3]) / z * fx + cx
         v = (T[1, 0] * p[0] + T[1, 1] * p[1] + T[1, 2] * p[2] + T[1, 3]) / z * fy + cy

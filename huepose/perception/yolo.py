@@ -14,12 +14,23 @@ import numpy as np
 from huepose.geometry.arrays import Float32, UInt8
 from huepose.geometry.box import Box
 from huepose.geometry.frame import RgbdFrame
-from huepose.perception.coco import COCO_CLASSES
 from huepose.perception.letterbox import Letterbox, suppress_overlaps
 from huepose.perception.sessions import Network
 from huepose.perception.types import Detection
 from huepose.perception.yolo_layouts import LAYOUTS, candidates, classes_in, is_raw, layouts_of
 from huepose.support.errors import InputError
+
+_NAMES = """
+person, bicycle, car, motorcycle, airplane, bus, train, truck, boat, traffic light, fire hydrant, stop sign,
+parking meter, bench, bird, cat, dog, horse, sheep, cow, elephant, bear, zebra, giraffe, backpack, umbrella,
+handbag, tie, suitcase, frisbee, skis, snowboard, sports ball, kite, baseball bat, baseball glove,
+skateboard, surfboard, tennis racket, bottle, wine glass, cup, fork, knife, spoon, bowl, banana, apple,
+sandwich, orange, broccoli, carrot, hot dog, pizza, donut, cake, chair, couch, potted plant, bed,
+dining table, toilet, tv, laptop, mouse, remote, keyboard, cell phone, microwave, oven, toaster, sink,
+refrigerator, book, clock, vase, scissors, teddy bear, hair drier, toothbrush
+"""
+COCO_CLASSES = tuple(name.strip() for name in _NAMES.split(","))
+
 
 Class = int | str
 

@@ -9,7 +9,7 @@ from __future__ import annotations
 import cv2
 import numpy as np
 
-from huepose.colorpair.opponents import DARKEST, SCALE, linear_rgb
+from huepose.colorpair.opponents import DARKEST, LINEAR, SCALE
 from huepose.geometry.arrays import Bool, Float32, Float64, UInt8
 from huepose.propose.template_table import MILLIMETRES
 from huepose.support.jit import jit_dividing
@@ -19,8 +19,6 @@ OVERSAMPLING = 4
 
 MIN_SHARE = 0.3
 """A cell of which less is known counts as unknown."""
-
-_LINEAR = linear_rgb(np.arange(256, dtype=np.uint8))
 
 
 def sampled(
@@ -50,7 +48,7 @@ def masked_cells(
     share that is (0 under MIN_SHARE), and the share outside of it that lies beyond the depth `behind_m`."""
     cells = len(depth) // fine
     out = np.zeros((cells, cells, 6), np.float32)
-    _masked(color, _LINEAR, depth, inside, fine, middle_m, behind_m, out)
+    _masked(color, LINEAR, depth, inside, fine, middle_m, behind_m, out)
     return out
 
 
@@ -62,7 +60,7 @@ def known_cells(color: UInt8, depth: Float32, fine: int, middle_m: float) -> tup
     colors, relief = np.zeros((cells, cells, 3), np.float32), np.zeros((cells, cells), np.float32)
     valid = np.zeros((cells, cells), bool)
     smooth = np.asarray(cv2.medianBlur(depth, 3), dtype=np.float32)
-    _known(color, _LINEAR, depth, smooth, fine, middle_m, colors, relief, valid)
+    _known(color, LINEAR, depth, smooth, fine, middle_m, colors, relief, valid)
     return colors, relief, valid
 
 

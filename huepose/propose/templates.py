@@ -21,20 +21,22 @@ LEVEL = 2  # 162 directions, 16 degrees apart
 ROLLS = 24
 SIDE = 16
 SPAN = 1.1
+"""Width of a view in diameters of the object, at the depth of its middle."""
+
 _OVERSAMPLING = 6
-_DISTANCE_M = 0.85
-_DISTANCE_DIAMETERS = 2.5  # at least, so that the perspective of large objects stays mild
+DISTANCE_M, DISTANCE_DIAMETERS = 0.85, 2.5
+"""Of the camera, the larger of both: the perspective of large objects stays mild."""
 
 
 def build_templates(
-    mesh: Mesh, diameter_m: float, *, level: int = LEVEL, rolls: int = ROLLS, side: int = SIDE
+    mesh: Mesh, diameter_m: float, *, level: int = LEVEL, rolls: int = ROLLS
 ) -> ViewTemplates:
     """Templates of a mesh seen from the directions of an icosphere, at `rolls` rolls each."""
     directions = icosphere.directions(level)
-    planes = np.empty((len(directions), rolls, 5, side, side), np.float16)
+    planes = np.empty((len(directions), rolls, 5, SIDE, SIDE), np.float16)
     origins = np.empty((len(directions), 3), np.float32)
-    window = side * _OVERSAMPLING
-    distance = max(_DISTANCE_M, _DISTANCE_DIAMETERS * diameter_m)
+    window = SIDE * _OVERSAMPLING
+    distance = max(DISTANCE_M, DISTANCE_DIAMETERS * diameter_m)
     focal = window * distance / (SPAN * diameter_m)
     camera = Camera(focal, focal, window - 0.5, window - 0.5, 2 * window, 2 * window)
     for v, direction in enumerate(directions):
@@ -52,22 +54,20 @@ def build_templates(
         picture[..., 3] = (rendering.depth - median) * covered
         picture[..., 4] = covered
         for r in range(rolls):
-            small = _turned(picture, centroid, 2 * np.pi * r / rolls, distance / median, window, side)
+            small = _turned(picture, centroid, 2 * np.pi * r / rolls, distance / median, window)
             planes[v, r] = small.transpose(2, 0, 1)
     return ViewTemplates(directions.astype(np.float32), planes, origins, SPAN)
 
 
-def _turned(
-    picture: Float32, centroid: np.ndarray, angle: float, scale: float, window: int, side: int
-) -> Float32:
-    """The window about `centroid`, its content turned by `angle`, box-averaged to (side, side, 5); `scale`:
+def _turned(picture: Float32, centroid: np.ndarray, angle: float, scale: float, window: int) -> Float32:
+    """The window about `centroid`, its content turned by `angle`, box-averaged to (SIDE, SIDE, 5); `scale`:
     pixels of the picture per pixel of the window. All but coverage are divided by coverage."""
     c, s = np.cos(angle), np.sin(angle)
     A = np.array([[c, s], [-s, c]]) * scale  # from the turned window back to the picture
     offset = centroid - A @ np.full(2, (window - 1) / 2.0)
     flags = cv2.INTER_LINEAR | cv2.WARP_INVERSE_MAP
     large = cv2.warpAffine(picture, np.column_stack([A, offset]), (window, window), flags=flags)
-    small = cv2.resize(large, (side, side), interpolation=cv2.INTER_AREA)
+    small = cv2.resize(large, (SIDE, SIDE), interpolation=cv2.INTER_AREA)
     known = small[..., 4:] > 1e-3
     small[..., :4] = np.where(known, small[..., :4] / np.maximum(small[..., 4:], 1e-3), 0.0)
     small[..., 4:] *= known

@@ -15,13 +15,11 @@ from huepose.geometry import icosphere, se3
 from huepose.geometry.arrays import Float32, Float64, UInt8
 from huepose.geometry.camera import Camera
 from huepose.geometry.mesh import Mesh
+from huepose.propose.templates import DISTANCE_DIAMETERS, DISTANCE_M, SPAN
 from huepose.rendering.render import render
 
 SIDE = 64
 """Pixels a side of what the network sees."""
-
-SPAN = 1.1
-"""Its width in diameters of the object, at the depth of its middle."""
 
 LEVEL, ROLLS = 1, 12
 """Views: directions of the icosphere (42, 32 degrees apart) times rolls. Nobody is farther from one of them
@@ -42,9 +40,6 @@ _ROOM = 1.6
 
 _SOFT_PX = 0.7
 """Deviation of the blur before every second pixel of the rendering is taken."""
-
-_DISTANCE_M, _DISTANCE_DIAMETERS = 0.85, 2.5
-"""Of the camera, the larger of both: the perspective stays mild."""
 
 MAX_STEP = 1.7
 """A frame that is larger than this times the window is halved before it is sampled."""
@@ -70,7 +65,7 @@ class CleanView:
 
 def clean_view(mesh: Mesh, diameter_m: float, R_cam_obj: Float64, side: int = SIDE) -> CleanView:
     """The view of a mesh in one turn (3, 3) on the optical axis."""
-    distance = max(_DISTANCE_M, _DISTANCE_DIAMETERS * diameter_m)
+    distance = max(DISTANCE_M, DISTANCE_DIAMETERS * diameter_m)
     focal = _FINER * SIDE * distance / (SPAN * diameter_m)
     wide = int(_ROOM * SPAN * _FINER * SIDE)
     camera = Camera(focal, focal, wide / 2 - 0.5, wide / 2 - 0.5, wide, wide)

@@ -11,14 +11,11 @@ from typing import NamedTuple
 import numpy as np
 
 from huepose.geometry.arrays import Float32, Float64
-from huepose.geometry.camera import Camera
+from huepose.geometry.camera import NEAREST_M, Camera
 from huepose.model.types import Surface
 from huepose.refine.robust import tukey
 from huepose.refine.solver import Body, NormalEquations, add_residual, motion_row
 from huepose.support.jit import jit_dividing
-
-NEAREST_M = 0.02
-"""Nothing is nearer to a camera."""
 
 
 class DepthImage(NamedTuple):

@@ -17,7 +17,8 @@ from huepose.colorpair.lifting import MIN_FACING
 from huepose.colorpair.opponents import opponents_of_lab
 from huepose.colorpair.types import ColorPairs, SurfacePairs
 from huepose.geometry.arrays import Float, Float32, Float64, Int32
-from huepose.refine.depth_samples import NEAREST_M, DepthImage
+from huepose.geometry.camera import NEAREST_M
+from huepose.refine.depth_samples import DepthImage
 from huepose.refine.robust import tukey
 from huepose.refine.solver import Body, NormalEquations, add_residual, image_row
 from huepose.support.jit import jit, jit_dividing

@@ -8,6 +8,7 @@ from typing import NamedTuple
 import numpy as np
 
 from huepose.geometry.arrays import Float64, Int32
+from huepose.geometry.camera import NEAREST_M
 from huepose.judge.arrays import ModelArrays, RegionArrays, nearest_view
 from huepose.support.jit import jit, jit_dividing
 
@@ -70,7 +71,7 @@ def placed(
     n0 = T[0, 0] * m0 + T[0, 1] * m1 + T[0, 2] * m2
     n1 = T[1, 0] * m0 + T[1, 1] * m1 + T[1, 2] * m2
     n2 = T[2, 0] * m0 + T[2, 1] * m1 + T[2, 2] * m2
-    if z < 0.02:
+    if z < NEAREST_M:
         return x, y, z, n0, n1, n2, -1.0
     return x, y, z, n0, n1, n2, -(n0 * x + n1 * y + n2 * z) / np.sqrt(x * x + y * y + z * z)
 

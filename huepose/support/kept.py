@@ -35,8 +35,8 @@ UNUSED_DAYS = 30
 VERSIONS = 2
 """So many versions of one file's are left: the running one's and the one before."""
 
-_ALIGNMENT = 64
-"""Bytes: of each array's first element."""
+ALIGNMENT = 64
+"""Bytes: of each array's first element; NumPy aligns the data within its own files to as many."""
 
 
 def kept(kind: type[T], digest: str | None, make: Callable[[], T]) -> T:
@@ -95,9 +95,9 @@ def _write(path: Path, value: Any) -> None:
     end, where = 0, {}
     for name, array in parts.items():
         where[name] = (array.dtype.str, array.shape, end)
-        end += -(-array.nbytes // _ALIGNMENT) * _ALIGNMENT
+        end += -(-array.nbytes // ALIGNMENT) * ALIGNMENT
     header = json.dumps({"bytes": end, "arrays": where}).encode()
-    first = -(-(8 + len(header)) // _ALIGNMENT) * _ALIGNMENT
+    first = -(-(8 + len(header)) // ALIGNMENT) * ALIGNMENT
     with whole(path) as part, part.open("wb") as file:
         file.write(len(header).to_bytes(8, "little") + header)
         for name, array in parts.items():
@@ -117,7 +117,7 @@ def _mapped(path: Path) -> dict[str, np.ndarray] | None:
     except (FileNotFoundError, ValueError):
         return None
     length = int.from_bytes(content[:8], "little")
-    first = -(-(8 + length) // _ALIGNMENT) * _ALIGNMENT
+    first = -(-(8 + length) // ALIGNMENT) * ALIGNMENT
     if len(content) < first:
         return None
     header = json.loads(content[8 : 8 + length])

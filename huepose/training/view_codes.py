@@ -18,7 +18,8 @@ from torch.utils.data import DataLoader
 from huepose.drawing.plots import line_plot
 from huepose.geometry import icosphere
 from huepose.propose.template_table import view_rotations
-from huepose.propose.view_pictures import CHANNELS, NEAR, ROLLS, SIDE, SPAN, UNTURNED
+from huepose.propose.templates import SPAN
+from huepose.propose.view_pictures import CHANNELS, NEAR, ROLLS, SIDE, UNTURNED
 from huepose.propose.view_pictures import LEVEL as VIEW_LEVEL
 from huepose.support.files import write_picture
 from huepose.training.runs import VALIDATION_ROUND, Course, Settings, Training, endless_loader, export_onnx

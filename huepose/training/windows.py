@@ -16,7 +16,8 @@ import numpy as np
 
 from huepose.geometry import Camera, Mesh, se3
 from huepose.geometry.arrays import Bool, Float32, Float64, UInt8
-from huepose.propose.view_pictures import SIDE, SPAN, unturned_views, window_pictures
+from huepose.propose.templates import SPAN
+from huepose.propose.view_pictures import SIDE, unturned_views, window_pictures
 from huepose.propose.views import onto_rays
 from huepose.rendering.render import Rendering, render
 from huepose.scenes.carried import random_strong_light

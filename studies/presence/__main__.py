@@ -2,7 +2,7 @@
 
     .venv/bin/python -m studies.presence --models MODELS_DIR --bundles DIR --work build/presence
 
-Three sets are drawn (`studies.presence.sets`): the weights are fitted on the first, features and level were
+Three sets are drawn (`studies.presence.fit`): the weights are fitted on the first, features and level were
 chosen on the second, and the third is reported. What is drawn and seen is kept in the folder. Quality should
 be fitted first, because a pose that is surely right speaks for its object.
 """
@@ -19,8 +19,7 @@ import numpy as np
 from huepose.believe.fits import write_fit
 from huepose.believe.presence import presence_fit
 from huepose.evaluation.summary import table
-from studies.presence.fit import chances, fit_presence, seen_in
-from studies.presence.sets import FRAMES, draw
+from studies.presence.fit import FRAMES, chances, draw, fit_presence, seen_in
 from studies.quality.__main__ import bundles_of
 
 LEVELS = (0.3, 0.4, 0.5, 0.6, 0.7)

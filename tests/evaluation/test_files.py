@@ -10,12 +10,12 @@ import pytest
 
 from huepose.datasets.ycb_objects import T_posecnn_obj
 from huepose.evaluation.bop_csv import BopResult, read_bop_csv, write_bop_csv
-from huepose.evaluation.equivalents import read_equivalents
 from huepose.evaluation.pose_files import (
     read_dope_poses,
     read_pose_csv,
 )
 from huepose.evaluation.result_files import plain, write_json
+from huepose.evaluation.targets import read_equivalents
 from huepose.geometry import se3
 from huepose.support.errors import InputError
 

@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 
 from huepose.datasets.files import read_json
-from huepose.evaluation.origin import origin
+from huepose.evaluation.result_files import origin
 from huepose.evaluation.results_page import BEGIN, END, results_page, with_cut
 from huepose.evaluation.tables.table import Head, Table
 from huepose.support.errors import InputError

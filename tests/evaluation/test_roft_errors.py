@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from huepose.evaluation.roft_errors import roft_figures
+from huepose.evaluation.metrics import roft_figures
 from huepose.geometry import se3
 
 STAMPS = [round(i * 1e8) for i in range(6)]  # ten frames a second

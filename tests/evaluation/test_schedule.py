@@ -6,8 +6,8 @@ import doctest
 
 import pytest
 
-from huepose.evaluation import schedule
-from huepose.evaluation.schedule import fed_images, late_deliveries
+from huepose.evaluation import track_protocol
+from huepose.evaluation.track_protocol import fed_images, late_deliveries
 from huepose.support.errors import InputError
 
 
@@ -16,7 +16,7 @@ def at_30_hz(*numbers: int) -> list[int]:
 
 
 def test_examples_in_docstrings() -> None:
-    assert doctest.testmod(schedule).failed == 0
+    assert doctest.testmod(track_protocol).failed == 0
 
 
 def test_at_30_hz_it_is_every_sixth_frame_with_the_result_of_six_frames_ago() -> None:

@@ -15,10 +15,9 @@ from huepose.evaluation.result_files import plain
 from huepose.evaluation.tables import assemble
 from huepose.evaluation.tables.assemble_tracks import tracking_tables
 from huepose.evaluation.tables.figures import Unseen, rows_of
-from huepose.evaluation.tables.journal import Journal
+from huepose.evaluation.tables.journal import Journal, run_images, run_tracks
 from huepose.evaluation.tables.published import published
 from huepose.evaluation.tables.report import page
-from huepose.evaluation.tables.runs import run_images, run_tracks
 from huepose.evaluation.tables.table import Head, Table
 from huepose.evaluation.targets import Targets
 from huepose.evaluation.track_rows import TrackResult, row_of

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from huepose.geometry import Box
-from huepose.perception.contest import FALL, contested
+from huepose.perception.colorpair_detector import FALL, contested
 from huepose.perception.scouting import Proposal
 
 

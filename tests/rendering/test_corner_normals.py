@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from huepose.geometry import Mesh
-from huepose.rendering.corner_normals import corner_normals
+from huepose.rendering.render import corner_normals
 
 
 def folded(angle_deg: float) -> Mesh:

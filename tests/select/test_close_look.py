@@ -16,7 +16,7 @@ from huepose.judge.region import Region
 from huepose.judge.rendered_view import SHARP_PX, detail_colors, draw_rendered_view
 from huepose.model.types import ReferenceModel
 from huepose.rendering.render import render_depth
-from huepose.select.close_look import close_look
+from huepose.select.near_ties import close_look
 from tests.judge.regions import region_of
 
 UPSIDE_DOWN = se3.make(np.diag([1.0, -1.0, -1.0]), np.zeros(3))

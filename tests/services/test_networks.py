@@ -10,8 +10,7 @@ from http.server import BaseHTTPRequestHandler, HTTPServer
 import numpy as np
 import pytest
 
-from huepose.paper.rotation_first import RotationFirst
-from huepose.paper.rotation_network import ResidualRotation
+from huepose.paper.rotation_network import ResidualRotation, RotationFirst
 from huepose.perception.flow_network import NetworkFlow
 from huepose.propose.flow import compute
 from huepose.propose.relative_pose import RobustKabsch

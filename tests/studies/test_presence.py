@@ -6,8 +6,7 @@ import pytest
 from huepose.believe.logistic import Logistic
 from huepose.believe.presence import Sight, features, presence_fit
 from huepose.geometry import Camera, RgbdFrame
-from studies.presence.fit import SeenPlaces, chances, fit_presence
-from studies.presence.sets import smaller_frame, specked
+from studies.presence.fit import SeenPlaces, chances, fit_presence, smaller_frame, specked
 
 LAW = Logistic(
     -9.0, {"fit": 6.0, "color": 4.0, "free_rim": 5.0, "ends": 5.0, "likeness": 20.0, "pixels": 0.7}

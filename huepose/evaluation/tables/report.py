@@ -17,8 +17,7 @@ from huepose.evaluation.ablation_rows import AblationResult
 from huepose.evaluation.summary import grouped
 from huepose.evaluation.tables.figures import Row, Unseen, errors, figures, rows_of, scored
 from huepose.evaluation.tables.published import published
-from huepose.evaluation.tables.short import in_short
-from huepose.evaluation.tables.table import Table
+from huepose.evaluation.tables.table import Table, in_short
 from huepose.geometry.arrays import UInt8
 
 _STATES: Mapping[str, Colour] = {

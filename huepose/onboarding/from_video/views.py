@@ -17,6 +17,7 @@ import numpy as np
 from huepose.geometry import se3
 from huepose.geometry.arrays import Bool, Float, Float32, Float64, Int64
 from huepose.geometry.box import Box
+from huepose.geometry.camera import NEAREST_M
 from huepose.geometry.depth_noise import FLOOR_M, STEREO_NOISE_PER_M
 from huepose.geometry.frame import RgbdFrame
 from huepose.judge.open_region import open_region
@@ -129,7 +130,9 @@ def projected(points_obj: Float, view: View) -> tuple[Int64, Int64, Float64]:
     z = np.maximum(p[:, 2], 1e-6)
     column = np.rint(p[:, 0] / z * camera.fx + camera.cx)
     row = np.rint(p[:, 1] / z * camera.fy + camera.cy)
-    inside = (column >= 0) & (row >= 0) & (column < camera.width) & (row < camera.height) & (p[:, 2] > 0.02)
+    inside = (
+        (column >= 0) & (row >= 0) & (column < camera.width) & (row < camera.height) & (p[:, 2] > NEAREST_M)
+    )
     return np.where(inside, row, -1).astype(np.int64), np.where(inside, column, -1).astype(np.int64), p[:, 2]
 
 
@@ -139,9 +142,9 @@ def tolerance_m(distance_m: Float | float) -> Float64:
     return np.asarray(SIGMAS * (FLOOR_M + STEREO_NOISE_PER_M * square))
 
 
-def eroded(mask: Bool, pixels: int = _RIM_PX) -> Bool:
+def eroded(mask: Bool) -> Bool:
     """A mask less its rim; the picture's border is none."""
-    kernel = np.ones((2 * pixels + 1,) * 2, np.uint8)
+    kernel = np.ones((2 * _RIM_PX + 1,) * 2, np.uint8)
     return np.asarray(cv2.erode(mask.astype(np.uint8), kernel) > 0)
 
 

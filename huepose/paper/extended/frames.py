@@ -13,7 +13,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from huepose.colorpair.similarity import SimilarityConfig, parameters, shapes
+from huepose.colorpair.similarity import parameters, shapes
 from huepose.colorpair.types import SurfacePairs
 from huepose.geometry.arrays import Float32, Int32
 from huepose.paper.classes import pair_cost
@@ -33,27 +33,21 @@ class FrameConfig:
     sharpness: float = 3.0
 
 
-def frame_votes(
-    scene: SurfacePairs,
-    model: SurfacePairs,
-    config: FrameConfig | None = None,
-    similarity: SimilarityConfig | None = None,
-) -> Votes:
+def frame_votes(scene: SurfacePairs, model: SurfacePairs, config: FrameConfig | None = None) -> Votes:
     """Poses T_cam_obj from single matches; `scene` in camera axes, `model` in the object's."""
     config = config or FrameConfig()
     if not len(scene) or not len(model):
         return Votes.empty()
-    c = similarity or SimilarityConfig()
     model = model[:: -(-len(model) // config.model_pairs)]
     return Votes(
         *_vote(
-            shapes(scene.colors, c),
+            shapes(scene.colors),
             _frames(scene),
             scene.points,
-            shapes(model.colors, c),
+            shapes(model.colors),
             _frames(model),
             model.points,
-            *parameters(c),
+            *parameters(),
             config.matches,
             config.least,
             config.sharpness,

@@ -11,14 +11,12 @@ from huepose.datasets.types import Sample
 from huepose.estimation import Estimator
 from huepose.estimation.present import presence_by
 from huepose.evaluation.bop_csv import BopResult, write_bop_csv
-from huepose.evaluation.equivalents import read_equivalents
 from huepose.evaluation.estimate_protocol import EstimateOptions, evaluate_estimates
 from huepose.evaluation.estimate_rows import EstimateResult, EstimateRow
 from huepose.evaluation.failures import FailureFolder
-from huepose.evaluation.origin import origin
 from huepose.evaluation.pictures import PictureFolder
-from huepose.evaluation.result_files import write_json
-from huepose.evaluation.targets import Targets
+from huepose.evaluation.result_files import origin, write_json
+from huepose.evaluation.targets import Targets, read_equivalents
 from huepose.model import load_models
 from huepose.perception.colorpair_detector import ColorPairDetector
 from huepose.profiles import profile

@@ -8,10 +8,9 @@ from typing import Any
 
 from huepose.estimation import Estimator
 from huepose.estimation.present import presence_by
-from huepose.evaluation.origin import origin
 from huepose.evaluation.perception_protocol import PerceptionOptions, evaluate_perception
 from huepose.evaluation.pictures import PerceptionPictures
-from huepose.evaluation.result_files import write_json
+from huepose.evaluation.result_files import origin, write_json
 from huepose.evaluation.summary import table
 from huepose.evaluation.targets import Targets
 from huepose.model import load_models

@@ -7,10 +7,9 @@ from collections.abc import Mapping
 from typing import Any
 
 from huepose.datasets.types import Scene
-from huepose.evaluation.origin import origin
 from huepose.evaluation.paper_tracker import PaperTracker
 from huepose.evaluation.pictures import PictureFolder
-from huepose.evaluation.result_files import write_json
+from huepose.evaluation.result_files import origin, write_json
 from huepose.evaluation.sources import LoopJudge
 from huepose.evaluation.targets import Targets
 from huepose.evaluation.track_protocol import (

@@ -11,12 +11,10 @@ from typing import Any
 from huepose.datasets.ycb_objects import ycb_named, ycb_objects
 from huepose.datasets.ycbv_folder import open_ycbv, spread
 from huepose.estimation import Estimator
-from huepose.evaluation.equivalents import read_equivalents
 from huepose.evaluation.estimate_protocol import EstimateOptions, EstimateSetup
-from huepose.evaluation.tables.journal import Entry, Journal
-from huepose.evaluation.tables.runs import run_images
+from huepose.evaluation.tables.journal import Entry, Journal, run_images
 from huepose.evaluation.tables.submission import AsGiven, read_submission
-from huepose.evaluation.targets import Targets, posecnn_offset_m
+from huepose.evaluation.targets import Targets, posecnn_offset_m, read_equivalents
 from huepose.model import ReferenceModel
 from huepose.profiles import profile
 from huepose_services.cli.evaluate_estimate import box_source

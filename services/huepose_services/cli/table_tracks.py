@@ -15,8 +15,7 @@ from huepose.evaluation.ablation import evaluate_ablation, with_networks
 from huepose.evaluation.ablation_rows import AblationResult, AblationRow
 from huepose.evaluation.paper_tracker import PaperTracker
 from huepose.evaluation.sources import LoopJudge
-from huepose.evaluation.tables.journal import Entry, Journal
-from huepose.evaluation.tables.runs import run_tracks
+from huepose.evaluation.tables.journal import Entry, Journal, run_tracks
 from huepose.evaluation.targets import Targets
 from huepose.evaluation.track_protocol import SourceNames, Sources, TrackOptions, evaluate_tracking
 from huepose.evaluation.track_rows import TrackResult

@@ -2,7 +2,6 @@
 
 What reads the official downloads can be tried on them, with known answers: unless told otherwise, light is
 even, and little is hidden.
-The same seed gives the same frames in BOP's and in the raw layout.
 """
 
 from __future__ import annotations
@@ -11,20 +10,17 @@ import json
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from tempfile import TemporaryDirectory
 from typing import Any
 
 import cv2
 import numpy as np
-from scipy.io import savemat
 from scipy.spatial import ConvexHull
 from scipy.spatial.distance import pdist
 
 from huepose.datasets.bop import BopScene
-from huepose.datasets.bop_writer import write_obj, write_ply
+from huepose.datasets.bop_writer import write_ply
 from huepose.datasets.fast_ycb_writer import FastYcbFrame, write_fast_ycb
-from huepose.datasets.types import GONE, Sample
-from huepose.datasets.ycb_objects import T_posecnn_obj
+from huepose.datasets.types import GONE
 from huepose.geometry import Mesh, se3
 from huepose.geometry.arrays import Float64
 from huepose.rendering import render_depth
@@ -50,7 +46,6 @@ EASY = SceneRanges(
     gloss=(0.0, 0.1),
     shake_px=(0.5, 1.0),
 )
-_FACTOR_DEPTH = 10000
 _DOPE_MISSES = 7
 """Every so many frames the stand-in for DOPE finds nothing, first in frame 0 of every second sequence."""
 
@@ -120,59 +115,6 @@ def _write_models(out: Path, objects: Sequence[SetObject]) -> None:
     for folder in ("models", "models_eval"):
         (out / folder / "models_info.json").write_text(json.dumps(infos, indent=1))
     (out / "models" / "frame_offsets.json").write_text(json.dumps(offsets, indent=1))
-
-
-def write_ycbv_raw(out: Path, objects: Sequence[SetObject], scenes: int, frames: int, seed: int) -> None:
-    """YCB_Video_Dataset: `data/NNNN/`, `image_sets/`, `models/NAME/textured.obj`. Raises InputError."""
-    by_id = {o.object_id: o for o in objects}
-    keyframes = []
-    with TemporaryDirectory() as drawn:
-        write_bop_ycbv(Path(drawn), objects, scenes, frames, seed)
-        for folder in sorted((Path(drawn) / "test").iterdir()):
-            reader = BopScene(folder)
-            for image in reader.image_ids:
-                name = f"{int(folder.name):04d}/{image + 1:06d}"
-                _write_raw(out / "data" / name, Sample.of(reader, image), by_id)
-                keyframes.append(name)
-    sets = out / "image_sets"
-    sets.mkdir(parents=True, exist_ok=True)
-    (sets / "keyframe.txt").write_text("\n".join(keyframes) + "\n")
-    last = max(by_id)
-    names = [by_id[i].name if i in by_id else f"none_{i:03d}" for i in range(1, last + 1)]
-    (sets / "classes.txt").write_text("\n".join(names) + "\n")
-    for obj in objects:
-        folder = out / "models" / obj.name
-        folder.mkdir(parents=True, exist_ok=True)
-        moved = (obj.mesh.vertices - obj.offset_m).astype(np.float32)
-        write_obj(folder / "textured.obj", Mesh(moved, obj.mesh.faces, obj.mesh.uv, obj.mesh.texture))
-
-
-def _write_raw(stem: Path, sample: Sample, by_id: Mapping[int, SetObject]) -> None:
-    """One frame; of the objects that show at all."""
-    labels = np.zeros(sample.frame.depth.shape, np.uint8)
-    ids, poses, boxes = [], [], []
-    for truth in sample.truths:
-        mask = truth.mask()
-        if mask is None or not mask.any() or truth.T_cam_obj is None or truth.object_id is None:
-            continue
-        obj = by_id[truth.object_id]
-        labels[mask] = truth.object_id
-        ids.append(truth.object_id)
-        poses.append(se3.compose(truth.T_cam_obj, se3.inverse(T_posecnn_obj(obj.offset_m)))[:3])
-        rows, columns = np.nonzero(mask)
-        boxes.append(f"{obj.name} {columns.min()} {rows.min()} {columns.max()} {rows.max()}")
-    depth = np.rint(sample.frame.depth * _FACTOR_DEPTH).astype(np.uint16)
-    _picture(stem.with_name(f"{stem.name}-color.png"), sample.frame.color[..., ::-1])
-    _picture(stem.with_name(f"{stem.name}-depth.png"), depth)
-    _picture(stem.with_name(f"{stem.name}-label.png"), labels)
-    stem.with_name(f"{stem.name}-box.txt").write_text("\n".join(boxes) + "\n")
-    meta = {
-        "cls_indexes": np.array(ids, np.uint8)[:, None],
-        "factor_depth": np.array([[_FACTOR_DEPTH]], np.uint16),
-        "intrinsic_matrix": sample.frame.camera.K,
-        "poses": np.stack(poses, -1) if poses else np.empty((3, 4, 0)),
-    }
-    savemat(stem.with_name(f"{stem.name}-meta.mat"), meta)
 
 
 def write_fast_ycb_set(

@@ -15,8 +15,9 @@ from huepose.datasets.ycbv_folder import open_ycbv
 from huepose.onboarding.bop_folder import bop_models, ycb_video_models
 from huepose.onboarding.meshes import read_mesh
 from huepose.rendering import render_depth
-from huepose.scenes.official_sets import SetObject, write_bop_ycbv, write_fast_ycb_set, write_ycbv_raw
+from huepose.scenes.official_sets import SetObject, write_bop_ycbv, write_fast_ycb_set
 from huepose.scenes.shapes import demo_objects
+from tests.scenes.raw_ycbv import write_ycbv_raw
 
 APART_M = np.array([0.003, -0.002, 0.008])
 

@@ -16,10 +16,9 @@ def add_parser(subparsers: Any) -> None:
         "make-dataset",
         help="draw a stand-in for YCB-Video or Fast-YCB",
         description="Draw frames of any meshes in the exact layout of a data set as it is downloaded, to try "
-        "on it what reads the real one: BOP's YCB-V, YCB_Video_Dataset, Fast-YCB. The same seed gives the "
-        "same frames.",
+        "on it what reads the real one: BOP's YCB-V, Fast-YCB. The same seed gives the same frames.",
     )
-    parser.add_argument("--format", choices=("bop-ycbv", "ycbv-raw", "fast-ycb"), required=True)
+    parser.add_argument("--format", choices=("bop-ycbv", "fast-ycb"), required=True)
     parser.add_argument(
         "--models", required=True, metavar="DIR|builtin", help="BOP models folder; builtin: those of the demo"
     )
@@ -37,15 +36,14 @@ def call(arguments: argparse.Namespace) -> int:
     """Draw, and say what is there."""
     from huepose.scenes import official_sets
 
-    write = {
-        "bop-ycbv": official_sets.write_bop_ycbv,
-        "ycbv-raw": official_sets.write_ycbv_raw,
-        "fast-ycb": official_sets.write_fast_ycb_set,
-    }[arguments.format]
     objects = _objects(arguments.models, arguments.objects)
-    write(arguments.out, objects, arguments.scenes, arguments.frames, arguments.seed)
-    kind = "sequences" if arguments.format == "fast-ycb" else "scenes"
-    count = min(arguments.scenes, len(objects)) if kind == "sequences" else arguments.scenes
+    asked = arguments.out, objects, arguments.scenes, arguments.frames, arguments.seed
+    if arguments.format == "fast-ycb":
+        official_sets.write_fast_ycb_set(*asked)
+        kind, count = "sequences", min(arguments.scenes, len(objects))
+    else:
+        official_sets.write_bop_ycbv(*asked)
+        kind, count = "scenes", arguments.scenes
     print(f"{arguments.out}: {count} {kind} of {arguments.frames} frames, {len(objects)} objects")
     return 0
 

@@ -43,13 +43,9 @@ def main() -> None:
         folder = arguments.out / f"{number:03d}" / model.name
         if not (folder / "gt" / "poses_ycb.txt").exists():
             rng = np.random.default_rng([arguments.seed, number])
-            stage = staged(model, [m for m in models.values() if m is not model], rng)
+            others = [m.mesh for m in models.values() if m is not model]
+            stage = carried.staged(model.mesh, others, rng)
             write(folder, model, stage, arguments.seed * 1000 + number, stereo=number % 2 == 1)
-
-
-def staged(model: ReferenceModel, others: list[ReferenceModel], rng: np.random.Generator) -> Stage:
-    """The object on its path, the ground, what lies on it, and a light."""
-    return carried.staged(model.mesh, [other.mesh for other in others], rng)
 
 
 def write(folder: Path, model: ReferenceModel, stage: Stage, seed: int, stereo: bool) -> None:

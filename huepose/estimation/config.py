@@ -63,7 +63,7 @@ class ConfirmConfig:
     score: float = 1.9
     margin: float = 0.12
     near_symmetries: int = 3
-    samples: int = 350
+    samples: int = FullPathConfig.coarse_samples
     steps_deg: tuple[float, ...] = (3.0, 1.0)
     look_anew_every: int = 3
 

@@ -14,23 +14,20 @@ import numpy as np
 from huepose.geometry.arrays import Float, Float64
 from huepose.judge.arrays import RegionArrays, region_arrays
 from huepose.judge.pair_kernel import PairArrays, PairPicture, read_pair
-from huepose.judge.pair_terms import pair_arrays
+from huepose.judge.pair_terms import DEFAULT_PAIR_WEIGHTS, pair_arrays
 from huepose.judge.region import Region
 from huepose.model.types import ReferenceModel
 from huepose.support.jit import jit
 
-LIGHTNESS = 0.4
-"""Of lightness against the other two channels."""
+LIGHTNESS, FLOOR, FEW = DEFAULT_PAIR_WEIGHTS.lightness, DEFAULT_PAIR_WEIGHTS.floor, DEFAULT_PAIR_WEIGHTS.few
+"""As the score of pairs has them."""
 
 HALF = 16.0
 """Units of opponents off the common light at which a colour counts half."""
 
-FLOOR = 1.5
-"""Units of opponents that keep the gain of even surfaces down."""
-
 ROUNDS = 3
-FEWEST, FEW = 5, 10.0
-"""Under so many visible pairs nothing is said, and with so many half."""
+FEWEST = 5
+"""Under so many visible pairs nothing is said."""
 
 
 def agreement_many(

@@ -11,7 +11,7 @@ cancel within each pair. Depth, free space and coverage of the mask are judged a
 from __future__ import annotations
 
 import threading
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from weakref import WeakKeyDictionary
 
 import cv2
@@ -20,6 +20,7 @@ import numpy as np
 from huepose.colorpair.opponents import opponents_of_bytes, opponents_of_lab
 from huepose.geometry.arrays import Float, Float32, Float64
 from huepose.judge.arrays import model_arrays, region_arrays
+from huepose.judge.color_correlation import PLAIN
 from huepose.judge.pair_kernel import (
     PAIR_TERMS,
     Judged,
@@ -30,12 +31,15 @@ from huepose.judge.pair_kernel import (
     scratch,
 )
 from huepose.judge.region import Crop, Region
-from huepose.judge.terms import ScoreWeights, weight_array
+from huepose.judge.terms import DEFAULT_WEIGHTS, weight_array
 from huepose.model.types import PairReference, ReferenceModel
 from huepose.support.jit import jit
 
-GEOMETRY = ScoreWeights(depth_fit=0.9, coverage=0.7, violation=1.0, color=0.0, occluded=0.05, box=0.2)
+GEOMETRY = replace(DEFAULT_WEIGHTS, color=0.0, box=0.2)
 """The dense score's terms without its colours, weighed for pairs."""
+
+CLOSE_PAIRS, CLOSE_PAIR_SAMPLES = 1500, 600
+"""Colour pairs and surface samples by which the last few poses are judged closely."""
 
 _opponents: WeakKeyDictionary[PairReference, Float32] = WeakKeyDictionary()
 _lock = threading.Lock()
@@ -55,8 +59,8 @@ class PairWeights:
     color: float = 1.0
     contrast: float = 0.6
     lightness: float = 0.4
-    floor: float = 1.5
-    even: float = 4.0
+    floor: float = DEFAULT_WEIGHTS.color_floor
+    even: float = PLAIN
     few: float = 10.0
 
 

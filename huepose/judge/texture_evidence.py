@@ -14,15 +14,13 @@ import numpy as np
 
 from huepose.geometry.arrays import Float, Float64
 from huepose.judge.arrays import model_arrays, nearest_view, region_arrays
+from huepose.judge.color_correlation import PLAIN
 from huepose.judge.region import Region
 from huepose.judge.terms import CLOSE_SAMPLES, DEFAULT_WEIGHTS
 from huepose.model.types import ReferenceModel
 
 FEWEST = 15
 """Samples that fit the depth, under which nothing is said."""
-
-BASE = 4.0
-"""Added to the weights of the channels, as in `judge.color_correlation`: without texture nothing lacks."""
 
 DETAIL_FLOOR = 0.75
 """Variance of detail (opponent units) that is noise."""
@@ -63,7 +61,7 @@ def texture_evidence(model: ReferenceModel, region: Region, T_cam_obj: Float) ->
     agreement = both / (np.sqrt(of_texture * of_picture) + w.color_floor)
     possible = of_texture / (of_texture + w.color_floor)
     chroma = [1, 2, 4, 5]
-    missing = (importance * (possible - agreement))[chroma].sum() / (BASE + importance.sum())
+    missing = (importance * (possible - agreement))[chroma].sum() / (PLAIN + importance.sum())
     foreign = np.sqrt(max((of_texture + of_picture - 2.0 * both)[1:3].sum(), 0.0))
     turned = _turned(share, texture_colors[:, chroma], picture[:, chroma])
     return TextureEvidence(float(missing), float(foreign), _detail(share, texture_colors, picture), turned)

@@ -20,6 +20,7 @@ from huepose.geometry.arrays import Float, Float64, Int32, Int64, UInt8
 from huepose.model.types import PaperTables
 from huepose.refine.robust import tukey
 from huepose.refine.solver import (
+    DAMPING,
     FEWEST_FOR_A_STEP,
     Body,
     NormalEquations,
@@ -30,9 +31,6 @@ from huepose.refine.solver import (
     normal_equations,
 )
 from huepose.support.jit import jit
-
-DAMPING = 1e-3
-"""Of the correspondences' weight."""
 
 STEP_TOLERANCE_M = 2e-6
 

@@ -14,7 +14,7 @@ from huepose.geometry.camera import NEAREST_M
 from huepose.judge.arrays import ModelArrays, model_arrays, nearest_view
 from huepose.judge.continuation import continuation_many
 from huepose.judge.region import Region
-from huepose.judge.terms import score_many
+from huepose.judge.terms import DEFAULT_WEIGHTS, score_many
 from huepose.model.types import ReferenceModel
 from huepose.perception.clear_view import ClearView
 from huepose.perception.nearby import align_in_view
@@ -29,7 +29,9 @@ FIRST_SAMPLES, SECOND_SAMPLES = 60, 200
 LOOK_WEIGHT = 7.0
 """Of a likeness beside the evidence of a pose: 0.03, by which the right view mostly leads, is worth 0.2."""
 
-FIT_WEIGHT, VIOLATION_WEIGHT, TEXTURE_WEIGHT, SEEN_WEIGHT, RIM_WEIGHT = 0.9, 1.0, 1.5, 0.3, 0.7
+TEXTURE_WEIGHT, SEEN_WEIGHT, RIM_WEIGHT = 1.5, 0.3, 0.7
+"""Of texture, visible share and outline; depth and free space count as in the dense score."""
+
 SEARCH_SAMPLES, SEARCH_STEPS_DEG = 100, (8.0, 4.0)
 SAME_SHIFT, SAME_IOU = 0.25, 0.6
 """Poses nearer than this (in diameters), or whose boxes overlap so, are one proposal."""
@@ -178,8 +180,8 @@ def evidence(terms: Float64) -> Float64:
     """Score (M,) of poses from the terms (M, 8) of the dense score without an outline."""
     fit, violation, color, seen = terms[:, 1], terms[:, 3], terms[:, 4], terms[:, 6]
     return np.asarray(
-        FIT_WEIGHT * fit
-        - VIOLATION_WEIGHT * violation
+        DEFAULT_WEIGHTS.depth_fit * fit
+        - DEFAULT_WEIGHTS.violation * violation
         + TEXTURE_WEIGHT * color
         + SEEN_WEIGHT * np.sqrt(np.clip(seen, 0.0, 1.0))
     )

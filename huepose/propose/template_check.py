@@ -12,10 +12,14 @@ from typing import NamedTuple
 import numpy as np
 
 from huepose.geometry.arrays import Bool, Float32, Float64, Int64
+from huepose.judge.terms import DEFAULT_WEIGHTS
 from huepose.propose.template_table import MILLIMETRES, RELIEF_STEPS, STEPS, TemplateTable
 from huepose.support.jit import jit_dividing
 
-FIT_WEIGHT, VIOLATION_WEIGHT, COLOR_WEIGHT, BOX_WEIGHT, OCCLUDED_WEIGHT = 0.9, 1.0, 0.7, 1.4, 0.1
+FIT_WEIGHT, VIOLATION_WEIGHT = DEFAULT_WEIGHTS.depth_fit, DEFAULT_WEIGHTS.violation
+COLOR_WEIGHT, BOX_WEIGHT, OCCLUDED_WEIGHT = 0.7, 1.4, 0.1
+"""Depth and free space count as in the dense score."""
+
 LIGHTNESS = 0.4
 COLOR_FLOOR = 3.0
 TOLERANCE, MIN_TOLERANCE_MM = 0.05, 8.0

@@ -38,14 +38,11 @@ from huepose.refine.edges import (
     image_edges,
     model_edges,
 )
-from huepose.refine.solver import FEWEST_FOR_A_STEP, Body, advance, clear, normal_equations
+from huepose.refine.solver import DAMPING, FEWEST_FOR_A_STEP, Body, advance, clear, normal_equations
 from huepose.support.jit import jit
 
 PAIRS = 800
 """Of the model, those that a view shows among them."""
-
-DAMPING = 1e-3
-"""Of the residuals' weight: it holds what neither edges nor depth fix."""
 
 
 @dataclass(frozen=True)

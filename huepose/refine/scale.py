@@ -13,6 +13,7 @@ from huepose.geometry.arrays import Float, Float64
 from huepose.geometry.depth_noise import POINTS_PER_READING, depth_noise_m
 from huepose.judge.region import Region
 from huepose.model.types import ReferenceModel
+from huepose.refine.final import GATE_M
 from huepose.refine.point_to_plane import (
     SCRATCH_ROWS,
     ScenePoints,
@@ -24,8 +25,8 @@ from huepose.refine.solver import Body, advance, clear, normal_equations
 from huepose.support.jit import jit
 
 STEPS = 3
-LEAST_GATE_M, GATE = 0.008, 0.06
-"""Points farther from the surface than this (the larger of metres and diameters) count nothing."""
+GATE = 0.06
+"""Points farther from the surface than this many diameters, and than the last fit's gate, count nothing."""
 
 SYSTEMATIC, COMMON_M = 1.3, 0.00085
 """Size is read off the difference of far parts, so it must bear errors that neighbouring readings share: a
@@ -38,7 +39,7 @@ PRIOR_SIGMA = np.array([0.02, 0.02, 0.02, 0.1, 0.1, 0.1, 0.05])
 def scale_residual(model: ReferenceModel, region: Region, T_cam_obj: Float) -> float:
     """By how much larger than the model the believed points would have the object at a pose (4, 4), as a
     natural logarithm; negative where it should be smaller."""
-    gate = max(LEAST_GATE_M, GATE * model.diameter_m)
+    gate = max(GATE_M, GATE * model.diameter_m)
     weights = region.point_weights / (size_sigma_m(region.median_depth_m) ** 2 * POINTS_PER_READING)
     scene = ScenePoints(np.ascontiguousarray(region.points_cam), weights)
     body = Body(model.mesh.centre, 0.5 * model.diameter_m)

@@ -44,6 +44,9 @@ from huepose.support.jit import jit, jit_dividing
 Row = tuple[float, float, float, float, float, float]
 """How the present value of a residual changes with the six of a step."""
 
+DAMPING = 1e-3
+"""Of the residuals' weight: it holds what they do not fix."""
+
 FEWEST_FOR_A_STEP = 6
 """Samples: as many as a step has unknowns."""
 

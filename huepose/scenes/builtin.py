@@ -23,7 +23,7 @@ from huepose.datasets.types import GroundTruth, Sample
 from huepose.geometry import Box, Camera, Mesh, RgbdFrame
 from huepose.geometry.arrays import Bool
 from huepose.scenes.frame import Shot, Stage, shoot, visible_mask
-from huepose.scenes.loop_file import Loop, open_loop, write_loop
+from huepose.scenes.loop_file import kept_loop
 from huepose.scenes.plan import CAMERA, plan
 from huepose.scenes.sensor import COLOR, STEREO, StereoSensor
 from huepose.scenes.shapes import demo_objects
@@ -65,7 +65,8 @@ class SyntheticScene:
         self.seed, self.camera, self.rate_hz = seed, camera, RATE_HZ
         self._n_frames, self._depth_sensor = round(seconds * RATE_HZ), depth_sensor
         self.path = (cache or cache_folder()) / f"scene-{seed}-{self._key()}.loop"
-        self._loop, self._rows = self._opened()
+        facts = {"seed": seed, "objects": list(self.meshes)}
+        self._loop, self._rows = kept_loop(self.path, self._computed, facts)
 
     def __len__(self) -> int:
         return len(self._loop)
@@ -115,15 +116,6 @@ class SyntheticScene:
             for array in (mesh.vertices, mesh.faces, mesh.uv, mesh.texture):
                 digest.update(np.ascontiguousarray(array).tobytes())
         return digest.hexdigest()[:12]
-
-    def _opened(self) -> tuple[Loop, list[dict[str, Any]]]:
-        found = open_loop(self.path)
-        if found is None:
-            write_loop(self.path, self._computed(), {"seed": self.seed, "objects": list(self.meshes)})
-            found = open_loop(self.path)
-        if found is None:
-            raise InputError(self.path, found="a file that changed while it was written", fix="Try again.")
-        return found
 
     def _computed(self) -> Iterator[tuple[np.ndarray, np.ndarray, dict[str, Any]]]:
         """Every frame in order, drawn by up to four threads (the kernels release the interpreter lock)."""

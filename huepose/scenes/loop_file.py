@@ -10,7 +10,7 @@ from __future__ import annotations
 import json
 import os
 import zlib
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -19,6 +19,7 @@ import cv2
 import numpy as np
 
 from huepose.geometry.arrays import Float32, UInt8, UInt16
+from huepose.support.errors import InputError
 from huepose.support.files import whole, writing
 
 MAGIC = b"HUELOOP1"
@@ -100,6 +101,20 @@ def _write(out: Any, frames: Iterable[tuple[UInt8, Float32, dict[str, Any]]], fa
     tail = json.dumps({"facts": facts, "rows": rows, "index": index, "size": size}).encode()
     check = zlib.crc32(tail, check)
     out.write(tail + len(tail).to_bytes(8, "little") + check.to_bytes(8, "little") + MAGIC)
+
+
+def kept_loop(
+    path: Path, draw: Callable[[], Iterable[tuple[UInt8, Float32, dict[str, Any]]]], facts: dict[str, Any]
+) -> tuple[Loop, list[dict[str, Any]]]:
+    """The loop in `path` and the facts of its frames; drawn and written first where there is none. Raises
+    InputError where the folder cannot be written."""
+    found = open_loop(path)
+    if found is None:
+        write_loop(path, draw(), facts)
+        found = open_loop(path)
+    if found is None:
+        raise InputError(path, found="a file that changed while it was written", fix="Try again.")
+    return found
 
 
 def open_loop(path: Path) -> tuple[Loop, list[dict[str, Any]]] | None:

@@ -54,14 +54,10 @@ class NearTieConfig:
 
     share: a weighed difference of one says as much
     as a difference of this of the total. Origin: chosen, so that quality reads both alike.
-
-    pairs, pair_samples: colour pairs and surface samples that the pairs' term looks at.
     """
 
     contenders: int = 4
     within: float = 0.12
     weights: NearTieWeights = NearTieWeights()
     share: float = 0.35
-    pairs: int = 1500
-    pair_samples: int = 600
     close: CloseLookConfig = field(default_factory=CloseLookConfig)

@@ -17,7 +17,13 @@ from huepose.geometry.arrays import Float32, Float64
 from huepose.geometry.box import Box
 from huepose.judge.arrays import region_arrays
 from huepose.judge.outline import Rim, edge_tensor
-from huepose.judge.pair_terms import DEFAULT_PAIR_WEIGHTS, pair_picture, pair_score_many
+from huepose.judge.pair_terms import (
+    CLOSE_PAIR_SAMPLES,
+    CLOSE_PAIRS,
+    DEFAULT_PAIR_WEIGHTS,
+    pair_picture,
+    pair_score_many,
+)
 from huepose.judge.region import OUTSIDE_WEIGHT, Region
 from huepose.judge.rendered_view import detail_colors, draw_rendered_view
 from huepose.judge.same_pixels import Likeness, Part, likeness
@@ -119,7 +125,7 @@ def contest(
     look = close_look(model, region, poses, config.close)
     if look is None:
         return None
-    alike, pairs = look.alike, pair_colors(model, region, poses, config)
+    alike, pairs = look.alike, pair_colors(model, region, poses)
     columns = [-found.behind[:rivals], alike.detail, alike.broad, pairs]
     return Contest(look.poses, np.stack(columns, axis=-1))
 
@@ -140,12 +146,9 @@ def decided(
     return ranked.these(different_answers(model, ranked.poses)), held
 
 
-def pair_colors(
-    model: ReferenceModel, region: Region, poses: Float64, config: NearTieConfig | None = None
-) -> Float64:
+def pair_colors(model: ReferenceModel, region: Region, poses: Float64) -> Float64:
     """How well the colours of the model's pairs agree at poses (K, 4, 4), 0 without pairs: (K,)."""
-    config = config or NearTieConfig()
     picture = pair_picture(model, region.crop, region.median_depth_m)
-    terms = pair_score_many(model, region, picture, poses, config.pairs, config.pair_samples)
+    terms = pair_score_many(model, region, picture, poses, CLOSE_PAIRS, CLOSE_PAIR_SAMPLES)
     weights = DEFAULT_PAIR_WEIGHTS
     return np.asarray(weights.color * terms[:, 2] + weights.contrast * terms[:, 3])

@@ -12,11 +12,10 @@ import cv2
 import numpy as np
 
 from huepose.geometry import RgbdFrame, se3
-from huepose.geometry.arrays import Float32, Float64
+from huepose.geometry.arrays import Float32, Float64, UInt8
 from huepose.scenes.frame import Shot, Stage, shoot
-from huepose.scenes.loop_file import Loop, open_loop, write_loop
+from huepose.scenes.loop_file import kept_loop
 from huepose.scenes.sensor import COLOR, STEREO, gaussian
-from huepose.support.errors import InputError
 from huepose.support.progress import progress
 from studies.hard_moments.scripts import RATE_HZ, Script
 
@@ -33,6 +32,12 @@ class Seen:
     frame: RgbdFrame
     T_cam_obj: Float64
     visib_fract: Float64
+
+
+def kept_row(shot: Shot) -> tuple[UInt8, Float32, dict[str, Any]]:
+    """A frame and its truth as they are kept in a loop."""
+    truth = {"T_cam_obj": shot.labels.T_cam_obj.tolist(), "visib_fract": shot.labels.visib_fract.tolist()}
+    return shot.color, shot.depth, truth
 
 
 class Shown(Protocol):
@@ -55,7 +60,7 @@ class Film:
     def __init__(self, script: Script, cache: Path) -> None:
         self.script = script
         self.path = cache / f"{script.name.replace(' ', '-').replace(',', '')}-{_key(script)}.loop"
-        self._loop, self._rows = self._opened()
+        self._loop, self._rows = kept_loop(self.path, self._drawn, {"name": script.name})
 
     def __len__(self) -> int:
         return len(self.script.shown)
@@ -73,23 +78,9 @@ class Film:
             row = self._rows[k]
             yield Seen(frame, np.array(row["T_cam_obj"]), np.array(row["visib_fract"]))
 
-    def _opened(self) -> tuple[Loop, list[dict[str, Any]]]:
-        found = open_loop(self.path)
-        if found is None:
-            write_loop(self.path, self._drawn(), {"name": self.script.name})
-            found = open_loop(self.path)
-        if found is None:
-            raise InputError(self.path, found="a file that changed while it was written", fix="Try again.")
-        return found
-
     def _drawn(self) -> Iterator[tuple[np.ndarray, np.ndarray, dict[str, Any]]]:
         for k in progress(range(len(self.script.stage) - 1), f"drawing {self.script.name}"):
-            shot = draw(self.script, k)
-            row = {
-                "T_cam_obj": shot.labels.T_cam_obj.tolist(),
-                "visib_fract": shot.labels.visib_fract.tolist(),
-            }
-            yield shot.color, shot.depth, row
+            yield kept_row(draw(self.script, k))
 
 
 def draw(script: Script, k: int) -> Shot:

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from scipy.optimize import linear_sum_assignment
@@ -108,18 +108,7 @@ def play(
 
 
 def _first(name: str, instance: int, seen: Seen, k: int) -> Correction:
-    first = Correction.first(name, seen.T_cam_obj[k], seen.frame)
-    return Correction(
-        first.object,
-        instance,
-        first.epoch,
-        first.frame_id,
-        first.stamp_ns,
-        first.T_cam_obj,
-        1.0,
-        first.verdict,
-        1,
-    )
+    return replace(Correction.first(name, seen.T_cam_obj[k], seen.frame), instance=instance)
 
 
 def _told(
@@ -140,27 +129,15 @@ def _told(
         for j, pose in enumerate(poses):
             # Any track of the object, also one without a pose, before one of another object.
             cost[k, j] += 0.0 if pose.object == name else 100.0
-    out: list[Told | None] = [None] * len(objects)
+    stamp_ns, shares = seen.frame.stamp_ns, seen.visib_fract.tolist()
+    out = [
+        Told(stamp_ns, share, None, 0.0, np.inf, np.inf, None, truth)
+        for share, truth in zip(shares, seen.T_cam_obj, strict=True)
+    ]
     for k, j in zip(*linear_sum_assignment(cost), strict=True):
         if j < len(poses) and poses[j].object == objects[k]:
             p = poses[j]
-            share = float(errors[k, j])
-            out[k] = Told(
-                seen.frame.stamp_ns, float(seen.visib_fract[k]), p.state.value, p.quality, share,
-                share * models[p.object].diameter_m, p, seen.T_cam_obj[k],
-            )  # fmt: skip
-    return [
-        t
-        if t is not None
-        else Told(
-            seen.frame.stamp_ns,
-            float(seen.visib_fract[k]),
-            None,
-            0.0,
-            np.inf,
-            np.inf,
-            None,
-            seen.T_cam_obj[k],
-        )
-        for k, t in enumerate(out)
-    ]
+            error = float(errors[k, j])
+            add_m = error * models[p.object].diameter_m
+            out[k] = Told(stamp_ns, shares[k], p.state.value, p.quality, error, add_m, p, seen.T_cam_obj[k])
+    return out

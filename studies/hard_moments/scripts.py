@@ -142,12 +142,37 @@ def smooth(frames: int, begin: int, end: int, ramp: int = 6) -> Float64:
     return np.asarray(s * s * (3 - 2 * s))
 
 
+HIDDEN_FROM, SEEN_FROM = 60, 90
+"""Frames at which what hides the object has come, and at which it goes."""
+
+
+def curtain(side_m: float) -> tuple[Mesh, Float64]:
+    """A board that hides everything in the middle of the image for a second."""
+    share = smooth(FRAMES, HIDDEN_FROM, SEEN_FROM)
+    path = np.tile(np.eye(4), (FRAMES, 1, 1))
+    path[:, :3, 3] = np.stack([0.45 * (1 - share), np.zeros(FRAMES), np.full(FRAMES, 0.40)], 1)
+    return printed_board(side_m, side_m), path
+
+
+def palm(path: Float64) -> tuple[Mesh, Float64]:
+    """Something held against an object on a path (N, 4, 4): it hides 80 % of it for a second, and moves with
+    it."""
+    share, own = smooth(FRAMES, HIDDEN_FROM, SEEN_FROM), np.tile(np.eye(4), (FRAMES, 1, 1))
+    own[:, :3, 3] = path[:, :3, 3] + np.stack([0.02 + 0.3 * (1 - share), 0 * share, -0.1 + 0 * share], 1)
+    return printed_board(0.088, 0.2), own
+
+
+def night(frames: range, gain: tuple[float, float, float]) -> list[Light]:
+    """The light of each frame: in these a dim, warm one from the other side."""
+    day = random_light(np.random.default_rng(9))
+    towards = day.towards_room * np.array([-1.0, 1.0, 1.0])
+    dim = replace(day, towards_room=towards, gain=day.gain * np.array(gain))
+    return [dim if k in frames else day for k in range(FRAMES)]
+
+
 def covered() -> Script:
     """A board hides the object wholly for a second; it moves on meanwhile."""
-    share = smooth(FRAMES, 60, 90)
-    board = np.tile(np.eye(4), (FRAMES, 1, 1))
-    board[:, :3, 3] = np.stack([0.45 * (1 - share), np.zeros(FRAMES), np.full(FRAMES, 0.40)], 1)
-    return scripted("covered for 1 s", "box", carried(FRAMES), others=[(printed_board(0.24, 0.24), board)])
+    return scripted("covered for 1 s", "box", carried(FRAMES), others=[curtain(0.24)])
 
 
 def elsewhere() -> Script:
@@ -163,21 +188,13 @@ def elsewhere() -> Script:
 
 def hand() -> Script:
     """Something held against the object hides 80 % of it for a second, moving with it."""
-    path, share = carried(FRAMES), smooth(FRAMES, 60, 90)
-    palm = np.tile(np.eye(4), (FRAMES, 1, 1))
-    palm[:, :3, 3] = path[:, :3, 3] + np.stack([0.02 + 0.3 * (1 - share), 0 * share, -0.1 + 0 * share], 1)
-    return scripted("80 % behind a hand for 1 s", "box", path, others=[(printed_board(0.088, 0.2), palm)])
+    path = carried(FRAMES)
+    return scripted("80 % behind a hand for 1 s", "box", path, others=[palm(path)])
 
 
 def light() -> Script:
     """The light is switched to a dim, warm one from the other side, and back."""
-    day = random_light(np.random.default_rng(9))
-    night = replace(
-        day,
-        towards_room=day.towards_room * np.array([-1.0, 1.0, 1.0]),
-        gain=day.gain * np.array([0.5, 0.36, 0.24]),
-    )
-    lights = [night if 60 <= k < 105 else day for k in range(FRAMES)]
+    lights = night(range(60, 105), (0.5, 0.36, 0.24))
     return scripted("light switched twice", "can", carried(FRAMES), lights=lights)
 
 

@@ -8,19 +8,20 @@ camera swings.
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from dataclasses import replace
 
 import numpy as np
 
 from huepose.geometry import Mesh, se3
 from huepose.geometry.arrays import Float64
-from huepose.scenes.light import random_light
 from huepose.scenes.shapes import demo_objects
 from studies.hard_moments.scripts import (
     FRAMES,
     RATE_HZ,
     Script,
     carried,
+    curtain,
+    night,
+    palm,
     printed_board,
     scripted,
     smooth,
@@ -29,8 +30,10 @@ from studies.hard_moments.scripts import (
 AWAY_M = -2.0
 """Behind the camera."""
 
-HIDDEN_FROM, CHANGED, SEEN_FROM = 60, 75, 90
-"""Frames at which the board has come, behind it something changes, and the board goes."""
+CHANGED = 75
+"""Frame at which something changes behind what hides the object."""
+
+CURTAIN_M = 0.26
 
 OTHER_TEXTURE = 3
 """Seed of the textures of look-alikes: another picture, other colours, the same words in other places."""
@@ -39,14 +42,6 @@ OTHER_TEXTURE = 3
 def look_alike(name: str) -> Mesh:
     """The same shape in another texture."""
     return demo_objects(OTHER_TEXTURE)[name]
-
-
-def _curtain(frames: int = FRAMES) -> tuple[Mesh, Float64]:
-    """A board that hides everything in the middle of the image for a second."""
-    share = smooth(frames, HIDDEN_FROM, SEEN_FROM)
-    path = np.tile(np.eye(4), (frames, 1, 1))
-    path[:, :3, 3] = np.stack([0.45 * (1 - share), np.zeros(frames), np.full(frames, 0.40)], 1)
-    return printed_board(0.26, 0.26), path
 
 
 def _leaving(path: Float64, at: int) -> Float64:
@@ -66,7 +61,7 @@ def _coming(path: Float64, at: int) -> Float64:
 def swapped() -> Script:
     """Behind a board the box is swapped for its look-alike, which lies as the box would."""
     path = carried(FRAMES)
-    others = [(look_alike("tea_box"), _coming(path, CHANGED)), _curtain()]
+    others = [(look_alike("tea_box"), _coming(path, CHANGED)), curtain(CURTAIN_M)]
     decoys = (("box", 1),)
     return scripted("swapped for a look-alike", "box", _leaving(path, CHANGED), others=others, decoys=decoys)
 
@@ -74,7 +69,7 @@ def swapped() -> Script:
 def can_swapped() -> Script:
     """Behind a board the can is swapped for one of another kind."""
     path = carried(FRAMES, 1.0)
-    others = [(look_alike("soup_can"), _coming(path, CHANGED)), _curtain()]
+    others = [(look_alike("soup_can"), _coming(path, CHANGED)), curtain(CURTAIN_M)]
     decoys = (("can", 1),)
     return scripted("a can for another can", "can", _leaving(path, CHANGED), others=others, decoys=decoys)
 
@@ -84,7 +79,7 @@ def taken() -> Script:
     path = carried(FRAMES)
     back = np.tile(np.eye(4), (FRAMES, 1, 1))
     back[:, :3, 3] = [0.0, 0.0, 0.78]
-    others = [(printed_board(0.5, 0.4), back), _curtain()]
+    others = [(printed_board(0.5, 0.4), back), curtain(CURTAIN_M)]
     return scripted("taken away behind a board", "bottle", _leaving(path, CHANGED), others=others)
 
 
@@ -102,18 +97,9 @@ def beside() -> Script:
 
 def dark() -> Script:
     """The light changes while a hand hides four fifths of the object, and stays so."""
-    path, share = carried(FRAMES), smooth(FRAMES, HIDDEN_FROM, SEEN_FROM)
-    palm = np.tile(np.eye(4), (FRAMES, 1, 1))
-    palm[:, :3, 3] = path[:, :3, 3] + np.stack([0.02 + 0.3 * (1 - share), 0 * share, -0.1 + 0 * share], 1)
-    day = random_light(np.random.default_rng(9))
-    night = replace(
-        day,
-        towards_room=day.towards_room * np.array([-1.0, 1.0, 1.0]),
-        gain=day.gain * np.array([0.4, 0.3, 0.22]),
-    )
-    lights = [night if k >= CHANGED else day for k in range(FRAMES)]
-    hand = [(printed_board(0.088, 0.2), palm)]
-    return scripted("light changes behind a hand", "box", path, others=hand, lights=lights)
+    path = carried(FRAMES)
+    lights = night(range(CHANGED, FRAMES), (0.4, 0.3, 0.22))
+    return scripted("light changes behind a hand", "box", path, others=[palm(path)], lights=lights)
 
 
 def swung() -> Script:

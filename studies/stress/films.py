@@ -3,10 +3,9 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
@@ -14,12 +13,12 @@ from huepose.datasets.fast_ycb import FastYcbSequence, object_of
 from huepose.geometry import RgbdFrame, se3
 from huepose.geometry.arrays import Float64
 from huepose.model import ReferenceModel
+from huepose.scenes.carried import FRAMES, RATE_HZ, staged
 from huepose.scenes.frame import Stage, shoot
-from huepose.scenes.loop_file import open_loop, write_loop
+from huepose.scenes.loop_file import kept_loop
 from huepose.scenes.sensor import COLOR, STEREO
 from huepose.support.errors import InputError
-from studies.drawn_sequences import FRAMES, RATE_HZ, staged
-from studies.hard_moments.film import Seen
+from studies.hard_moments.film import Seen, kept_row
 from studies.hard_moments.scripts import smooth
 from studies.stress.objects import look_alike
 
@@ -61,13 +60,9 @@ def drawn(
         return None
     name = f"{seed}-{number:03d}-{kind}-{model.name}"
     path = cache / f"{name}-{VERSION}.loop"
-    found = open_loop(path)
-    if found is None:
-        write_loop(path, _frames(stage, seed * 1000 + number, stereo=number % 2 == 1), {"name": name})
-        found = open_loop(path)
-    if found is None:
-        raise InputError(path, found="a file that changed while it was written", fix="Try again.")
-    loop, rows = found
+    sensor, first = STEREO if number % 2 == 1 else None, seed * 1000 + number
+    shots = (shoot(stage, i, first, COLOR, sensor) for i in range(FRAMES))
+    loop, rows = kept_loop(path, lambda: map(kept_row, shots), {"name": name})
     frames = []
     for i, row in enumerate(rows):
         frame = RgbdFrame(loop.color(i), loop.depth(i), stage.camera, i, round(i * 1e9 / RATE_HZ), 1)
@@ -93,15 +88,8 @@ def recorded(path: Path, models: Mapping[str, ReferenceModel]) -> Film:
     return Film(path.name, "recorded", model.name, tuple(frames), np.zeros((0, 4, 4)))
 
 
-def _frames(stage: Stage, seed: int, stereo: bool) -> Iterator[tuple[Any, Any, dict[str, Any]]]:
-    for i in range(FRAMES):
-        shot = shoot(stage, i, seed, COLOR, STEREO if stereo else None)
-        row = {"T_cam_obj": shot.labels.T_cam_obj.tolist(), "visib_fract": shot.labels.visib_fract.tolist()}
-        yield shot.color, shot.depth, row
-
-
 def _stage(kind: str, model: ReferenceModel, others: list[ReferenceModel], rng: Rng) -> Stage | None:
-    stage = staged(model, others, rng)
+    stage = staged(model.mesh, [other.mesh for other in others], rng)
     path = stage.T_room_mesh[0].copy()
     if kind == "leaves":
         return _moved(stage, _leaving(path, model.mesh.centre, rng))

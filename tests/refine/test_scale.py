@@ -80,7 +80,7 @@ def test_compiled_steps_are_those_of_the_formula(
 def plain(model: ReferenceModel, region: Region, T: np.ndarray) -> float:
     """Gauss-Newton steps of pose and size on the distances along normals, by arrays; all in object axes."""
     grid, surface, centre = model.grid, model.surface, model.mesh.centre
-    gate = max(scale.LEAST_GATE_M, scale.GATE * model.diameter_m)
+    gate = max(scale.GATE_M, scale.GATE * model.diameter_m)
     variance = scale.size_sigma_m(region.median_depth_m) ** 2 * POINTS_PER_READING
     prior, found = np.diag(1.0 / scale.PRIOR_SIGMA**2), np.zeros(7)
     for _ in range(scale.STEPS):

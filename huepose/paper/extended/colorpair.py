@@ -17,7 +17,7 @@ from huepose.geometry.arrays import Bool, Float64
 from huepose.geometry.frame import RgbdFrame
 from huepose.judge.pair_agreement import agreement_many
 from huepose.judge.pair_kernel import PairPicture
-from huepose.judge.pair_terms import pair_picture, pair_score_many
+from huepose.judge.pair_terms import CLOSE_PAIR_SAMPLES, CLOSE_PAIRS, pair_picture, pair_score_many
 from huepose.judge.region import Region
 from huepose.model.types import ReferenceModel
 from huepose.paper.extended import hypotheses
@@ -39,8 +39,7 @@ RIM_PX = 3
 
 COARSE_PAIRS, COARSE_SAMPLES = 300, 200
 SEARCH_PAIRS, SEARCH_SAMPLES = 600, 300
-FINAL_PAIRS, FINAL_SAMPLES = 1500, 600
-"""Pairs and surface samples by which poses are judged: many poses quickly, the last few closely."""
+"""Pairs and surface samples by which poses are judged; the last few are judged more closely."""
 
 CORRELATED, AGREED = 0.5, 0.5
 """What the score's correlations count in the end, and the agreement in which a pair that disagrees wholly
@@ -185,11 +184,11 @@ def _decided(
     """Different poses (K, 4, 4), judged already (K, 5), put in order by what agrees as well as by how it
     correlates."""
     totals, geometry = terms[:, 0], terms[:, 1]
-    agreed = agreement_many(model, region, picture, poses, FINAL_PAIRS)
+    agreed = agreement_many(model, region, picture, poses, CLOSE_PAIRS)
     weighed = geometry + CORRELATED * (totals - geometry) + AGREED * agreed
     return Ranked.of(poses, totals, weighed)
 
 
 def _judge(model: ReferenceModel, region: Region, picture: PairPicture, poses: Float64) -> Float64:
     """Terms (M, 5) of `pair_score_many` of poses (M, 4, 4), looked at closely."""
-    return pair_score_many(model, region, picture, poses, FINAL_PAIRS, FINAL_SAMPLES)
+    return pair_score_many(model, region, picture, poses, CLOSE_PAIRS, CLOSE_PAIR_SAMPLES)

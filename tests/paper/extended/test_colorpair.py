@@ -9,9 +9,9 @@ import pytest
 
 from huepose.estimation import Estimator, EstimatorConfig, ObjectQuery
 from huepose.geometry import Box, RgbdFrame, se3
-from huepose.judge.pair_terms import pair_picture
+from huepose.judge.pair_terms import CLOSE_PAIR_SAMPLES, CLOSE_PAIRS, pair_picture
 from huepose.model.types import ReferenceModel
-from huepose.paper.extended.colorpair import FINAL_PAIRS, FINAL_SAMPLES, estimate_by_pairs
+from huepose.paper.extended.colorpair import estimate_by_pairs
 from huepose.paper.extended.config import ColorpairPathConfig
 from huepose.paper.extended.hypotheses import HypothesesConfig
 from huepose.propose.evidence import gather
@@ -65,7 +65,7 @@ def test_totals_are_scores_and_behind_says_how_far_the_others_are(
     found = estimate_by_pairs(tea_box, evidence, ColorpairPathConfig(), np.random.default_rng(0))
     region = evidence.region
     picture = pair_picture(tea_box, region.crop, region.median_depth_m)
-    first = pair_score(tea_box, region, picture, found.poses[0], FINAL_PAIRS, FINAL_SAMPLES)
+    first = pair_score(tea_box, region, picture, found.poses[0], CLOSE_PAIRS, CLOSE_PAIR_SAMPLES)
     assert found.totals[0] == pytest.approx(first.total, abs=1e-12)
     assert len(found) > 1
     assert found.behind[0] == 0.0

@@ -47,7 +47,8 @@ class Follower(Generic[T]):
         self._list = bus.inbox.ring(bus.keys.objects, wakes=False)
         self._known: dict[str, ObjectEntry | None] = dict.fromkeys(known)
         self._loading: set[str] = set()
-        self._loaded: queue.SimpleQueue[tuple[str, T | None]] = queue.SimpleQueue()
+        # What was loaded, and whether to leave it at that.
+        self._loaded: queue.SimpleQueue[tuple[str, T | None, bool]] = queue.SimpleQueue()
         self._newest: dict[str, ObjectEntry] = {}
 
     def changes(self) -> list[Change[T]]:
@@ -61,13 +62,13 @@ class Follower(Generic[T]):
             out += self._gone() + self._anew()
             for name in self._newest:
                 if name not in self._known and name not in self._loading:
-                    self._loading.add(name)
                     threading.Thread(target=self._load_one, args=(name,), daemon=True).start()
+                    self._loading.add(name)
         while not self._loaded.empty():
-            name, item = self._loaded.get()
+            name, item, settled = self._loaded.get()
             self._loading.discard(name)
             entry = self._newest.get(name)
-            if entry is not None:
+            if entry is not None and settled:
                 self._known[name] = entry
                 out += [] if item is None else [Change(entry, added=item)]
         return out
@@ -89,13 +90,21 @@ class Follower(Generic[T]):
         return out
 
     def _load_one(self, name: str) -> None:
-        item = None
+        item, settled = None, False
         try:
-            item = self._load(name)
+            item, settled = self._load(name), True
         except InputError as error:
-            self._bus.health.failed(str(error))
-            self._bus.log.error(str(error))
-        self._loaded.put((name, item))
+            settled = True
+            self._fail(str(error))
+        except Exception as error:
+            # Memory or files may be short for a moment: it is tried again with the next list.
+            self._fail(f"{name} is not loaded yet: {type(error).__name__} {error}".rstrip())
+        finally:
+            self._loaded.put((name, item, settled))
+
+    def _fail(self, text: str) -> None:
+        self._bus.health.failed(text)
+        self._bus.log.seldom("load", text, level="error")
 
 
 class Memory:

@@ -98,7 +98,7 @@ class _Bus:
     def failed(self, text):
         pass
 
-    def error(self, text):
+    def seldom(self, kind, text, level):
         self.last = text
 
 
@@ -128,6 +128,32 @@ def test_a_worker_follows_the_list():
     assert (anew.entry.object, anew.added, anew.removed) == ("mug", None, False)
     bus.lists = [ObjectsMessage(publish_ns=3, objects=[entry("mug", resets=6)])]
     assert follower.changes() == []
+
+
+def test_an_object_that_could_not_be_loaded_for_want_of_memory_is_loaded_with_the_next_list():
+    bus, tries = _Bus(), []
+
+    def read(name):
+        tries.append(name)
+        if name == "ghost":
+            raise InputError("object 'ghost'", found="no such reference model")
+        if len(tries) < 3:
+            raise MemoryError
+        return name.upper()
+
+    follower = Follower(bus, read, [])
+    for _ in range(2):
+        bus.lists = [ObjectsMessage(publish_ns=1, objects=[entry("jar")])]
+        assert _changes(follower, 0.1) == []
+    assert bus.last == "jar is not loaded yet: MemoryError"
+    bus.lists = [ObjectsMessage(publish_ns=2, objects=[entry("jar"), entry("ghost")])]
+    (change,) = _changes(follower)
+    assert (change.entry.object, change.added) == ("jar", "JAR")
+    # What is not there is not looked for again and again.
+    for _ in range(2):
+        _changes(follower, 0.1)
+        bus.lists = [ObjectsMessage(publish_ns=3, objects=[entry("jar"), entry("ghost")])]
+    assert tries.count("ghost") == 1
 
 
 def test_retired_instances_are_those_of_their_epoch_below_a_number():

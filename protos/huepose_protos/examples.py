@@ -20,6 +20,7 @@ from huepose_protos.messages import (
     HealthMessage,
     IntakeMessage,
     Intrinsics,
+    Look,
     MaskedObject,
     MaskRuns,
     Masks,
@@ -90,6 +91,13 @@ def messages() -> list[Message]:
         seq=5,
         mask=mask,
     )
+    request = PerceptionRequest(
+        publish_ns=_PUBLISH,
+        seq=17,
+        camera_epoch=_EPOCH,
+        deadline_ns=_PUBLISH + 600_000_000,
+        objects=[known, anywhere],
+    )
     return [
         frame,
         CameraMessage(
@@ -99,13 +107,8 @@ def messages() -> list[Message]:
             frame="cam0_color_optical",
             intrinsics=frame.intrinsics,
         ),
-        PerceptionRequest(
-            publish_ns=_PUBLISH,
-            seq=17,
-            camera_epoch=_EPOCH,
-            deadline_ns=_PUBLISH + 600_000_000,
-            objects=[known, anywhere],
-        ),
+        request,
+        Look(publish_ns=_PUBLISH, request=request, frame=frame),
         Detections(publish_ns=_PUBLISH, request_seq=17, request_ns=_PUBLISH, frame=frame, objects=[detected]),
         Masks(
             publish_ns=_PUBLISH,

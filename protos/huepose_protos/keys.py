@@ -49,6 +49,11 @@ class Keys:
         return self._key("perception/request")
 
     @property
+    def look(self) -> str:
+        """Requests with the pixels to look at, where the detector runs on another computer."""
+        return self._key("perception/look")
+
+    @property
     def detections(self) -> str:
         """Detections with the pixels that they were found in."""
         return self._key("perception/detections")
@@ -127,6 +132,14 @@ class Keys:
         'huepose/lab/cam0/remote/objects'
         """
         return self._key("remote/" + tail_of(key))
+
+    def up(self, key: str) -> str:
+        """The name of one of the keys above on its way to the other computer of the pipeline."""
+        return self._key("up/" + tail_of(key))
+
+    def down(self, key: str) -> str:
+        """The same on its way back."""
+        return self._key("down/" + tail_of(key))
 
 
 def tail_of(key: str) -> str:

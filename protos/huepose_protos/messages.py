@@ -108,6 +108,14 @@ class PerceptionRequest(Message, frozen=True, kw_only=True):
     objects: Annotated[list[RequestedObject], Meta(max_length=64)]
 
 
+class Look(Message, frozen=True, kw_only=True):
+    """A request that brings the frame to look at, for a detector on another computer; the payload is that
+    frame's."""
+
+    request: PerceptionRequest
+    frame: FrameHeader
+
+
 class DetectedObject(Struct, frozen=True, kw_only=True):
     """A requested object and the box to look for it in."""
 
@@ -364,6 +372,7 @@ MESSAGES: tuple[type[Message], ...] = (
     FrameHeader,
     CameraMessage,
     PerceptionRequest,
+    Look,
     Detections,
     Masks,
     Estimates,

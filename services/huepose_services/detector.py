@@ -9,7 +9,7 @@ from huepose.model import ReferenceModel
 from huepose.perception.colorpair_detector import ColorPairDetector
 from huepose.profiles import profile
 from huepose_protos import WireError
-from huepose_protos.messages import Detections, FrameHeader, PerceptionRequest, TruthMessage
+from huepose_protos.messages import Detections, FrameHeader, Look, PerceptionRequest, TruthMessage
 from huepose_services import models, networks
 from huepose_services.boxes import BoxFinder, FirstBoxes, Hints, SeenBoxes, TruthBoxes
 from huepose_services.convert import box_from_wire, frame_from_wire
@@ -57,6 +57,7 @@ class DetectorWork:
         self._hints = Hints()
         keys = bus.keys
         self._requests = bus.inbox.queue(keys.request)
+        self._looks = bus.inbox.ring(keys.look)
         self._frames = bus.frames(wakes=False)
         self._truths = bus.inbox.queue(keys.truth) if isinstance(finder, TruthBoxes) else None
         self._frame: tuple[FrameHeader, bytes] | None = None
@@ -74,6 +75,9 @@ class DetectorWork:
         request = None
         while (newer := self._bus.take(self._requests, PerceptionRequest)) is not None:
             request = newer
+        if (brought := self._bus.take_with_payload(self._looks, Look)) is not None:
+            look, payload = brought
+            request, self._frame = look.request, (look.frame, payload)
         if request is not None:
             self._answer(request)
 
@@ -114,4 +118,4 @@ class DetectorWork:
         health.camera_epoch, health.frame_id = header.camera_epoch, header.frame_id
         health.count("requests")
         health.count("boxes", len(found))
-        health.worked(started, header.capture_ns)
+        health.worked_on(started, header)

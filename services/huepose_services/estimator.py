@@ -95,7 +95,7 @@ class EstimatorWork:
         health.camera_epoch, health.frame_id = frame.epoch, frame.frame_id
         health.count("estimates", len(estimates))
         health.count("found", sum(e.found for e in estimates))
-        health.worked(started, frame.stamp_ns)
+        health.worked_on(started, message.frame)
 
     def _query(self, item: MaskedObject, stamp_ns: int, size: tuple[int, int]) -> ObjectQuery:
         request = item.detection.request

@@ -37,6 +37,7 @@ _SECONDS_A_DAY = 86_400.0
 class _Reader:
     """What one reader has taken."""
 
+    rate_bytes_s: float = RATE_BYTES_S
     sessions: int = 0
     allowance: float = BURST_BYTES
     at: float = field(default_factory=time.monotonic)
@@ -44,21 +45,30 @@ class _Reader:
     def wait_s(self, said: int) -> float:
         """How long to read no more of it after so many bytes."""
         now = time.monotonic()
-        self.allowance = min(BURST_BYTES, self.allowance + (now - self.at) * RATE_BYTES_S) - said
+        self.allowance = min(BURST_BYTES, self.allowance + (now - self.at) * self.rate_bytes_s) - said
         self.at = now
-        return max(0.0, -self.allowance / RATE_BYTES_S)
+        return max(0.0, -self.allowance / self.rate_bytes_s)
 
 
 class Door:
-    """Open from when it is made until `close`. `refused`: how many were not let in; tell: called with why.
+    """Open from when it is made until `close`. `refused`: how many were not let in; tell: called with why;
+    rate_bytes_s: what a reader may say; section: of pipeline.yaml, for errors.
 
     Raises InputError for a port that is taken, and certificates that do not fit."""
 
-    def __init__(self, gateway: GatewayConfig, inside: Path, tell: Callable[[str], None]) -> None:
+    def __init__(
+        self,
+        gateway: GatewayConfig,
+        inside: Path,
+        tell: Callable[[str], None],
+        rate_bytes_s: float = RATE_BYTES_S,
+        section: str = "gateway",
+    ) -> None:
         self._gateway, self._inside, self._tell = gateway, inside, tell
+        self._rate_bytes_s, self._section = rate_bytes_s, section
         self.refused = 0
-        self._tls = _context(gateway)
-        self._listener = _listener(gateway)
+        self._tls = _context(gateway, section)
+        self._listener = _listener(gateway, section)
         self._readers: dict[str, _Reader] = {}
         self._pending: Counter[str] = Counter()
         self._tasks: set[asyncio.Task[None]] = set()
@@ -122,7 +132,7 @@ class Door:
                 continue
             before = now
             try:
-                self._tls = _context(self._gateway)
+                self._tls = _context(self._gateway, self._section)
             except InputError as error:
                 self._tell(f"its certificates have changed, and the old ones stay in use: {error}")
                 continue
@@ -143,7 +153,7 @@ class Door:
             if (why := self._why_not(name)) is not None:
                 self._refuse(why)
                 return
-            self._readers.setdefault(name, _Reader()).sessions += 1
+            self._readers.setdefault(name, _Reader(self._rate_bytes_s)).sessions += 1
             try:
                 await asyncio.wait_for(self._pass_on(name, reader, writer), until_s)
             finally:
@@ -214,7 +224,7 @@ async def _pump(source: asyncio.StreamReader, sink: asyncio.StreamWriter, limit:
                 await asyncio.sleep(wait_s)
 
 
-def _context(gateway: GatewayConfig) -> ssl.SSLContext | None:
+def _context(gateway: GatewayConfig, section: str) -> ssl.SSLContext | None:
     tls = gateway.tls
     if tls is None:
         return None
@@ -226,7 +236,7 @@ def _context(gateway: GatewayConfig) -> ssl.SSLContext | None:
             context.verify_flags |= ssl.VERIFY_CRL_CHECK_LEAF
     except (ssl.SSLError, OSError) as error:
         raise InputError(
-            "gateway.tls",
+            f"the certificates of {section}",
             found=getattr(error, "reason", None) or str(error),
             expected="the authority's certificate, the gateway's own, and the key that belongs to it",
             fix="Make the certificates again (docs/subscribers.md).",
@@ -247,16 +257,16 @@ def _changed(gateway: GatewayConfig) -> list[tuple[int, int]]:
     return out
 
 
-def _listener(gateway: GatewayConfig) -> socket.socket:
+def _listener(gateway: GatewayConfig, section: str) -> socket.socket:
     host, port = gateway.listen.rsplit(":", 1)
     try:
         listener = socket.create_server((host.strip("[]"), int(port)), backlog=PENDING)
     except (OSError, OverflowError) as error:
         raise InputError(
-            f"gateway.listen {gateway.listen}",
+            f"{section}.listen {gateway.listen}",
             found=getattr(error, "strerror", None) or str(error),
             expected="an address of this computer and a free port",
-            fix="Set gateway.listen, or end the other program.",
+            fix=f"Set {section}.listen, or end the other program.",
         ) from None
     listener.setblocking(False)
     return listener

@@ -14,7 +14,7 @@ from pathlib import Path
 import zenoh
 
 from huepose.support.errors import InputError
-from huepose_services.gateway_door import Door
+from huepose_services.gateway_door import RATE_BYTES_S, Door
 from huepose_services.pem import check_pem
 from huepose_services.runtime.config import TLS_FILES, GatewayConfig, TlsConfig
 from huepose_services.runtime.run_folder import make_folder
@@ -31,37 +31,51 @@ def open_outside(
     """The session, its door, and warnings for health; tell: called with why a reader is not let in.
 
     Raises InputError for files or a port that cannot be used."""
-    if gateway.tls is not None:
-        _check_files(gateway.tls)
-    inside = make_folder() / f"outside-{gateway.listen.rsplit(':', 1)[1]}"
-    config = zenoh.Config()
-    for name, value in outside_settings(gateway, inside).items():
-        config.insert_json5(name, json.dumps(value))
-    door = Door(gateway, inside, tell)
-    try:
-        session = zenoh.open(config)
-    except zenoh.ZError as error:
-        door.close()
-        raise InputError(
-            f"socket {inside}",
-            found=" ".join(str(error).split())[:300],
-            expected="that no other gateway of this user is there",
-            fix="Stop the other pipeline, or set gateway.listen.",
-        ) from None
+    session, door = open_behind_door(gateway, tell, outside_settings(gateway))
     host = gateway.listen.rsplit(":", 1)[0]
     if gateway.tls is None and not (host == "localhost" or host.startswith("127.")):
         return session, door, [f"anyone who reaches {gateway.listen} can read poses: gateway.tls is not set"]
     return session, door, []
 
 
-def outside_settings(gateway: GatewayConfig, inside: Path) -> dict[str, object]:
+def open_behind_door(
+    gateway: GatewayConfig,
+    tell: Callable[[str], None],
+    settings: dict[str, object],
+    rate_bytes_s: float = RATE_BYTES_S,
+    section: str = "gateway",
+) -> tuple[zenoh.Session, Door]:
+    """A session with these settings, reached through its door alone; what a reader may say; which section of
+    pipeline.yaml it is.
+
+    Raises InputError for files or a port that cannot be used."""
+    if gateway.tls is not None:
+        check_files(gateway.tls, section)
+    inside = make_folder() / f"outside-{gateway.listen.rsplit(':', 1)[1]}"
+    config = zenoh.Config()
+    config.insert_json5("listen/endpoints", json.dumps([f"unixsock-stream/{inside}"]))
+    for name, value in settings.items():
+        config.insert_json5(name, json.dumps(value))
+    door = Door(gateway, inside, tell, rate_bytes_s, section)
+    try:
+        return zenoh.open(config), door
+    except zenoh.ZError as error:
+        door.close()
+        raise InputError(
+            f"socket {inside}",
+            found=" ".join(str(error).split())[:300],
+            expected="that no other gateway of this user is there",
+            fix=f"Stop the other pipeline, or set {section}.listen.",
+        ) from None
+
+
+def outside_settings(gateway: GatewayConfig) -> dict[str, object]:
     """What differs from zenoh's defaults."""
     return {
         "mode": "peer",
         "scouting/multicast/enabled": False,
         "scouting/gossip/enabled": False,
         "connect/endpoints": [],
-        "listen/endpoints": [f"unixsock-stream/{inside}"],
         "transport/shared_memory/enabled": False,
         "transport/link/rx/max_message_size": _MAX_MESSAGE,
         "transport/unicast/max_sessions": gateway.max_sessions,
@@ -89,7 +103,8 @@ def _access() -> dict[str, object]:
     }
 
 
-def _check_files(tls: TlsConfig) -> None:
+def check_files(tls: TlsConfig, section: str = "gateway") -> None:
+    """Raises InputError unless the files of TLS are there."""
     for name in TLS_FILES:
         if (path := getattr(tls, name)) is not None:
-            check_pem(f"gateway.tls.{name}", Path(path))
+            check_pem(f"{section}.tls.{name}", Path(path))

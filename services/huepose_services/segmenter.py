@@ -85,7 +85,7 @@ class SegmenterWork:
         health.camera_epoch, health.frame_id = frame.epoch, frame.frame_id
         health.count("boxes", len(masked))
         health.count("masks", sum(len(m.masks) for m in masked))
-        health.worked(started, frame.stamp_ns)
+        health.worked_on(started, message.frame)
 
     def _outline(self, frame: RgbdFrame, detection: DetectedObject) -> MaskedObject:
         outline = self._outlines.get(detection.request.object)

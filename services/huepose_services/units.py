@@ -152,7 +152,7 @@ def _extra(config: Config, worker: str) -> str:
     if worker == "camera" and config.camera.source in ("realsense", "oak"):
         service += _CAMERA
         service += _NETWORK if config.camera.source == "oak" else ""
-    if worker in ("gateway", "viewer", "ros2"):
+    if worker in ("gateway", "viewer", "ros2", "uplink", "downlink"):
         unit = "Wants=network-online.target\nAfter=network-online.target\n"
         service += _NETWORK
     if _uses_gpu(config, worker):

@@ -83,7 +83,8 @@ def test_the_default_file_shows_every_key_with_its_default():
             assert list(shown[section]) == list(value.__struct_fields__)
     # It is the built-in scene, which publishes its truth for the detector.
     camera = msgspec.structs.replace(default.camera, truth=True)
-    assert config == msgspec.structs.replace(default, camera=camera)
+    link = msgspec.structs.replace(default.link, secure=str(path.parent / "secure"))
+    assert config == msgspec.structs.replace(default, camera=camera, link=link)
 
 
 BOMB = "a0: &a0 [x, x, x, x, x, x, x, x, x, x]\n" + "".join(

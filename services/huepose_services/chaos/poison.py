@@ -85,7 +85,12 @@ def _stream(keys: Keys) -> Iterator[tuple[str, bytes, bytes | None]]:
         keys.health("tracker"): "HealthMessage",
         keys.truth: "TruthMessage",
     }
-    pixels = {keys.frame: "FrameHeader", keys.detections: "Detections", keys.masks: "Masks"}
+    pixels = {
+        keys.frame: "FrameHeader",
+        keys.look: "Look",
+        keys.detections: "Detections",
+        keys.masks: "Masks",
+    }
     _, payload = pack(images())
     out: list[tuple[str, bytes, bytes | None]] = []
     for key, kind in small.items():

@@ -56,21 +56,44 @@ def mermaid(view: View) -> str:
     from huepose_services.runtime.config import CHAIN
 
     workers = list(view.pipeline.workers) or [*CHAIN, *(w for w in view.health if w not in CHAIN)]
+    far = set(view.pipeline.far)
     lines = ["flowchart LR"]
-    for worker in workers:
+
+    def add(worker: str) -> None:
         message = view.health.get(worker)
         doing = f"<br/>{message.cpu_percent:.0f} % CPU, {message.memory_mib:.0f} MiB" if message else ""
         lines.append(f'    {worker}["{worker}{doing}"]')
+
+    for worker in workers:
+        if worker not in far:
+            add(worker)
+    if far:
+        lines.append(f"    subgraph {view.pipeline.host}")
+        for worker in workers:
+            if worker in far:
+                add(worker)
+        lines.append("    end")
     for source, target, what, measure in _EDGES:
         if source not in workers or target not in workers:
             continue
+        crosses = (source in far) != (target in far)
+        if crosses and source == "camera":
+            continue  # the frame goes with the request
+        if crosses and what == "request":
+            what = "request + frame"
         rate = None
         if measure in _COUNTED:
             rate = view.rates.get(measure, 0.0) if view.seen else None
         elif measure in view.health:
             rate = view.health[measure].rate_hz
         label = what if rate is None else f"{what}, {rate:.1f} Hz"
-        lines.append(f'    {source} -- "{label}" --> {target}')
+        if not crosses:
+            lines.append(f'    {source} -- "{label}" --> {target}')
+            continue
+        there, back = ("uplink", "downlink") if target in far else ("downlink", "uplink")
+        lines.append(f'    {source} -- "{label}" --> {there}')
+        lines.append(f"    {there} == TLS ==> {back}")
+        lines.append(f"    {back} --> {target}")
     gone = [w for w in workers if w in view.missing] if view.seen else []
     if gone:
         lines += ["    classDef gone stroke-dasharray: 5 5", f"    class {','.join(gone)} gone"]

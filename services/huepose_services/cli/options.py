@@ -37,6 +37,13 @@ def answered(arguments: argparse.Namespace, answer: Any, summary: str) -> None:
     print(text if arguments.json is True else summary)
 
 
+def add_host(parser: argparse.ArgumentParser) -> None:
+    """Add `--host`."""
+    parser.add_argument(
+        "--host", metavar="NAME", help="the computer of `hosts` whose part it is; without it the camera's"
+    )
+
+
 def add_profile(parser: argparse.ArgumentParser) -> None:
     """Add `--profile`."""
     parser.add_argument(

@@ -31,7 +31,7 @@ def call(arguments: argparse.Namespace) -> int:
 
     # One that comes while it starts is for a file that it has yet to read.
     signal.signal(signal.SIGHUP, signal.SIG_IGN)
-    config = load(arguments.config)
+    config = load(arguments.config).beside(arguments.worker)
     if arguments.worker not in WORKERS:
         raise InputError(
             f"worker '{arguments.worker}'", found="no such worker", expected=f"one of {', '.join(WORKERS)}"

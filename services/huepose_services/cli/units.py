@@ -7,6 +7,8 @@ import sys
 from pathlib import Path
 from typing import Any
 
+from huepose_services.cli.options import add_host
+
 
 def add_parser(subparsers: Any) -> None:
     """Add the verb."""
@@ -19,6 +21,7 @@ def add_parser(subparsers: Any) -> None:
     parser.add_argument(
         "--huepose", type=Path, metavar="COMMAND", help="what the units call; default this command itself"
     )
+    add_host(parser)
     parser.set_defaults(call=call)
 
 
@@ -28,7 +31,7 @@ def call(arguments: argparse.Namespace) -> int:
     from huepose_services.runtime.config import load
     from huepose_services.units import units
 
-    config = load(arguments.config)
+    config = load(arguments.config).at(arguments.host)
     command = (arguments.huepose or Path(sys.executable).parent / "huepose").absolute()
     files = units(config, command, arguments.config.absolute(), arguments.user)
     with writing(arguments.out, fix="Give another with --out, or run it as root."):

@@ -6,13 +6,14 @@ import argparse
 from pathlib import Path
 from typing import Any
 
-from huepose_services.cli.options import until_told
+from huepose_services.cli.options import add_host, until_told
 
 
 def add_parser(subparsers: Any) -> None:
     """Add the verb."""
     parser = subparsers.add_parser("up", help="run a whole pipeline")
     parser.add_argument("config", nargs="?", type=Path, default=Path("pipeline.yaml"), metavar="PIPELINE")
+    add_host(parser)
     parser.set_defaults(call=call)
 
 
@@ -25,7 +26,7 @@ def call(arguments: argparse.Namespace) -> int:
     from huepose_services.runtime.running import described, noted
     from huepose_services.runtime.supervisor import Supervisor
 
-    config = load(arguments.config)
+    config = load(arguments.config).at(arguments.host)
     prepare(config)
     stopping, again = until_told(), asked_again()
 

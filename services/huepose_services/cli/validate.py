@@ -6,7 +6,7 @@ import argparse
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from huepose_services.cli.options import add_json, answered
+from huepose_services.cli.options import add_host, add_json, answered
 
 if TYPE_CHECKING:
     from huepose_services.runtime.config import Config
@@ -16,6 +16,7 @@ def add_parser(subparsers: Any) -> None:
     """Add the verb."""
     parser = subparsers.add_parser("validate", help="check a pipeline.yaml without starting anything")
     parser.add_argument("config", nargs="?", type=Path, default=Path("pipeline.yaml"), metavar="PIPELINE")
+    add_host(parser)
     add_json(parser)
     parser.set_defaults(call=call)
 
@@ -26,7 +27,7 @@ def call(arguments: argparse.Namespace) -> int:
     from huepose_services.runtime.config import load
     from huepose_services.runtime.prepare import check
 
-    config = load(arguments.config)
+    config = load(arguments.config).at(arguments.host)
     check(config)
     ports = {worker: config.port(worker) for worker in config.workers}
     answer: dict[str, Any] = {
@@ -38,6 +39,7 @@ def call(arguments: argparse.Namespace) -> int:
         "run_folder": str(run_folder()),
         "ports": ports,
         "frames": _way_of_frames(config),
+        "hosts": {host: list(workers) for host, workers in config.hosts.items()},
     }
     every = "the built-in ones" if config.bundles is None else f"all of {config.bundles}"
     summary = f"""{arguments.config}: good
@@ -47,6 +49,11 @@ def call(arguments: argparse.Namespace) -> int:
   keys     {answer["keys"]}
   ports    in {run_folder()}: {", ".join(f"{worker} {port}" for worker, port in ports.items())}
   frames   {answer["frames"]}"""
+    if config.host is not None:
+        summary += f"\n  link     to {config.link.connect} as {config.host}, by TLS ({config.link.secure})"
+    elif config.hosts:
+        there = f"{config.other_host}, which runs {', '.join(config.far)}"
+        summary += f"\n  link     at {config.link.listen} for {there}, by TLS ({config.link.secure})"
     answered(arguments, answer, summary)
     return 0
 

@@ -69,32 +69,34 @@ class Bus:
         self._newest = (said.camera_epoch, min(said.capture_ns, now))
         return True
 
-    def take(self, place: Place, kind: type[M]) -> M | None:
-        """The next good message there, or None."""
+    def take(self, place: Place, kind: type[M], foreign: bool = False) -> M | None:
+        """The next good message there, or None. foreign: its stamps may be of another computer's clock."""
         while (sample := place.take()) is not None:
-            message = self._decoded(str(sample.key_expr), sample.payload.to_bytes(), kind)
+            message = self._decoded(str(sample.key_expr), sample.payload.to_bytes(), kind, foreign)
             if message is not None:
                 return message
         return None
 
-    def _decoded(self, key: str, data: bytes, kind: type[M]) -> M | None:
+    def _decoded(self, key: str, data: bytes, kind: type[M], foreign: bool = False) -> M | None:
         try:
             message = decode(data, kind)
-            check_stamps(message, now_ns())
+            if not foreign:
+                check_stamps(message, now_ns())
             return message
         except WireError as error:
             self.refuse(key, error)
             return None
 
-    def take_with_payload(self, place: Place, kind: type[M]) -> tuple[M, bytes] | None:
-        """The next good header there, with its payload copied out; the sample is dropped at once."""
+    def take_with_payload(self, place: Place, kind: type[M], foreign: bool = False) -> tuple[M, bytes] | None:
+        """The next good header there, with its payload copied out; the sample is dropped at once. foreign:
+        as for `take`."""
         while (sample := place.take()) is not None:
             key = str(sample.key_expr)
             header = b"" if sample.attachment is None else sample.attachment.to_bytes()
             shared = sample.payload.as_shm() is not None
             payload = sample.payload.to_bytes()
             del sample
-            message = self._decoded(key, header, kind)
+            message = self._decoded(key, header, kind, foreign)
             if message is None:
                 continue
             if key == self.keys.frame:

@@ -19,6 +19,7 @@ from huepose_services.runtime.config_perception import (
     DetectorConfig,
     NetworksConfig,
     Rate,
+    Refuse,
     Section,
     SegmenterConfig,
     absolute_network,
@@ -34,12 +35,22 @@ DEFAULT_FILE = "pipeline.yaml"
 _MAX_BYTES = 1024 * 1024
 
 WorkerName = Literal[
-    "camera", "tracker", "reinit", "detector", "segmenter", "estimator", "gateway", "viewer", "ros2"
+    "camera",
+    "tracker",
+    "reinit",
+    "detector",
+    "segmenter",
+    "estimator",
+    "gateway",
+    "viewer",
+    "ros2",
+    "uplink",
+    "downlink",
 ]
 # Those that poses need; the others look at them.
 CHAIN: tuple[WorkerName, ...] = ("camera", "tracker", "reinit", "detector", "segmenter", "estimator")
 # The order gives each worker its port: base_port plus its place. New workers go to the end.
-WORKERS: tuple[WorkerName, ...] = (*CHAIN, "gateway", "viewer", "ros2")
+WORKERS: tuple[WorkerName, ...] = (*CHAIN, "gateway", "viewer", "ros2", "uplink", "downlink")
 
 
 class ObjectConfig(Section, frozen=True, kw_only=True):
@@ -92,10 +103,13 @@ class TlsConfig(Section, frozen=True, kw_only=True):
     readers: list[Annotated[str, Meta(min_length=1, max_length=64)]] = msgspec.field(default_factory=list)
 
 
+Address = Annotated[str, Meta(pattern=r"^[^/\s]+:\d{1,5}$")]
+
+
 class GatewayConfig(Section, frozen=True, kw_only=True):
     """What other machines may read, how often, and who they must be."""
 
-    listen: Annotated[str, Meta(pattern=r"^[^/\s]+:\d{1,5}$")] = "127.0.0.1:7447"
+    listen: Address = "127.0.0.1:7447"
     max_rate_hz: Rate = 60.0
     max_sessions: Annotated[int, Meta(ge=1, le=1000)] = 32
     sessions_per_reader: Annotated[int, Meta(ge=1, le=1000)] = 8
@@ -121,6 +135,15 @@ class Ros2Config(Section, frozen=True, kw_only=True):
     namespace: Annotated[str, Meta(pattern=r"^[a-zA-Z_][a-zA-Z0-9_/]{0,63}$")] = "huepose"
 
 
+class LinkConfig(Section, frozen=True, kw_only=True):
+    """Between the two computers of `hosts`: where the camera's listens, where the other one reaches it, and
+    the folder with the certificates of `huepose secure`."""
+
+    listen: Address = "0.0.0.0:7448"
+    connect: Address | None = None
+    secure: str = "secure"
+
+
 class BusConfig(Section, frozen=True, kw_only=True):
     """How the workers reach each other: by sockets in a folder that only their user can open."""
 
@@ -137,16 +160,20 @@ class RestartConfig(Section, frozen=True, kw_only=True):
     hung_after_s: Annotated[float, Meta(ge=0.5, le=600.0)] = 2.0
 
 
+Far = Literal["detector", "segmenter", "estimator"]
+Hosts = Annotated[dict[Name, tuple[Far, ...]], Meta(max_length=1)]
 Processors = Annotated[list[Annotated[int, Meta(ge=0, le=1023)]], Meta(min_length=1)]
 
 
 class Config(Section, frozen=True, kw_only=True):
     """A whole deployment. `folder` is that of the file: relative paths start there. cpus: the processors that
-    a worker keeps to; others go where they like."""
+    a worker keeps to; others go where they like. hosts: which workers run on another computer."""
 
     site: Name = "local"
     workers: tuple[WorkerName, ...] = CHAIN
     cpus: dict[WorkerName, Processors] = msgspec.field(default_factory=dict)
+    hosts: Hosts = msgspec.field(default_factory=dict)
+    link: LinkConfig = LinkConfig()
     bundles: str | None = None
     profile: Literal["live", "patient"] = "live"
     objects: list[ObjectConfig] = msgspec.field(default_factory=list)
@@ -169,9 +196,38 @@ class Config(Section, frozen=True, kw_only=True):
         return Keys(self.site, self.camera.name)
 
     @property
+    def other_host(self) -> str | None:
+        """The name of the second computer, where there is one."""
+        return next(iter(self.hosts), None)
+
+    @property
+    def far(self) -> tuple[WorkerName, ...]:
+        """The workers that run on the second computer, beside the downlink."""
+        return next(iter(self.hosts.values()), ())
+
+    @property
+    def host(self) -> str | None:
+        """Which computer's part this is; None: the camera's, or all."""
+        return self.other_host if "downlink" in self.workers else None
+
+    def at(self, host: str | None) -> Config:
+        """The part of one computer; None: the camera's. Raises InputError for one that is not in `hosts`."""
+        if host is not None and host not in self.hosts:
+            known = ", ".join(self.hosts) or "none: `hosts` is empty"
+            raise InputError("--host", found=host, expected=f"one of: {known}")
+        if not self.hosts:
+            return self
+        mine = self.far if host is not None else tuple(w for w in self.workers if w not in self.far)
+        return msgspec.structs.replace(self, workers=(*mine, "uplink" if host is None else "downlink"))
+
+    def beside(self, worker: str) -> Config:
+        """The part of the computer on which that worker runs."""
+        return self.at(self.other_host if worker in (*self.far, "downlink") else None)
+
+    @property
     def uses_models(self) -> bool:
         """Whether any of the workers needs reference models."""
-        return not {"camera", "gateway"}.issuperset(self.workers)
+        return not {"camera", "gateway", "uplink", "downlink"}.issuperset(self.workers)
 
     @property
     def uses_networks(self) -> bool:
@@ -232,6 +288,7 @@ def _absolute(config: Config, folder: Path) -> Config:
     return msgspec.structs.replace(
         config,
         bundles=absolute(config.bundles),
+        link=msgspec.structs.replace(config.link, secure=absolute_path(config.link.secure, folder)),
         **absolute_networks(config.detector, config.segmenter, config.networks, folder),
         camera=msgspec.structs.replace(config.camera, path=absolute(config.camera.path)),
         tracker=msgspec.structs.replace(
@@ -259,6 +316,7 @@ def _check(config: Config, path: Path) -> None:
         refuse("objects", ", ".join(names), "every name once", "Use max_instances for several of a kind.")
     if len(set(config.workers)) != len(config.workers) or not config.workers:
         refuse("workers", ", ".join(config.workers) or "none", "each worker at most once", "Name each once.")
+    _check_hosts(config, refuse)
     check_camera(camera, refuse)
     if (
         camera.source not in DRAWN_SOURCES
@@ -269,3 +327,19 @@ def _check(config: Config, path: Path) -> None:
         refuse("bundles", "null", expected, "Make them: huepose onboard MESH --name NAME --out DIR.")
     check_detector(detector, "detector" in config.workers, camera.truth, names, refuse)
     check_segmenter(config.segmenter, refuse)
+
+
+def _check_hosts(config: Config, refuse: Refuse) -> None:
+    perception = tuple(worker for worker in CHAIN[3:] if worker in config.workers)
+    if linked := {"uplink", "downlink"} & set(config.workers):
+        refuse("workers", ", ".join(sorted(linked)), "other workers", "They run where `hosts` says so.")
+    for host, workers in config.hosts.items():
+        if not workers or workers != perception[-len(workers) :]:
+            ends = " or ".join(", ".join(perception[i:]) for i in range(len(perception)))
+            fix = "What follows on the first of them runs there too: the pixels go there once."
+            refuse(f"hosts.{host}", ", ".join(workers) or "none", ends or "perception in `workers`", fix)
+        if config.detector.kind == "truth" and "detector" in workers:
+            refuse("detector.kind", "truth", "another, as it runs where the source is not", "See `hosts`.")
+        if config.link.connect is None:
+            expected = f"address and port by which {host} reaches the camera's computer"
+            refuse("link.connect", "null", expected, "Set it: robot.local:7448.")

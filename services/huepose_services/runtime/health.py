@@ -10,7 +10,7 @@ from typing import Literal
 
 import numpy as np
 
-from huepose_protos.messages import HealthMessage
+from huepose_protos.messages import FrameHeader, HealthMessage
 from huepose_services.runtime.clock import SECOND, now_ns, this_clock
 
 HealthState = Literal["starting", "ready", "waiting", "ended", "stopping"]
@@ -64,6 +64,11 @@ class Health:
         self._work.append((now, (now - started_ns) * 1e-6, age))
         while self._work and now - self._work[0][0] > _WINDOW_S * SECOND:
             self._work.popleft()
+
+    def worked_on(self, started_ns: int, frame: FrameHeader) -> None:
+        """The same of a frame: its age is known where its stamp is of this computer's clock."""
+        here = frame.clock.clock_id == this_clock().clock_id
+        self.worked(started_ns, frame.capture_ns if here else None)
 
     def message(self) -> HealthMessage:
         """The state of the worker now."""

@@ -88,19 +88,26 @@ class Inbox:
         self._ready = threading.Condition()
         self._subscriptions: dict[Ring | Queue, tuple[Any, threading.Thread]] = {}
 
-    def ring(self, key: str, wakes: bool = True, accepts: Accepts | None = None) -> Ring:
+    def ring(
+        self,
+        key: str,
+        wakes: bool = True,
+        accepts: Accepts | None = None,
+        session: zenoh.Session | None = None,
+    ) -> Ring:
         """Subscribe for the newest only; `wakes` False: the loop need not look at it when it arrives;
-        `accepts`: called in the subscription's thread with each, None for all."""
+        `accepts`: called in the subscription's thread with each, None for all; session: another one."""
         ring = Ring(self._ready, wakes, accepts)
         # Room for one that is refused beside one that counts.
         channel: Any = zenoh.handlers.RingChannel(1 if accepts is None else 2)
-        self._start(self._session.declare_subscriber(key, channel), ring)
+        self._start((session or self._session).declare_subscriber(key, channel), ring)
         return ring
 
-    def queue(self, key: str, wakes: bool = True) -> Queue:
-        """Subscribe for everything."""
+    def queue(self, key: str, wakes: bool = True, session: zenoh.Session | None = None) -> Queue:
+        """Subscribe for everything; session: another one."""
         queue = Queue(self._ready, wakes)
-        self._start(self._session.declare_subscriber(key, zenoh.handlers.FifoChannel(256)), queue)
+        channel: Any = zenoh.handlers.FifoChannel(256)
+        self._start((session or self._session).declare_subscriber(key, channel), queue)
         return queue
 
     def liveliness(self, key: str) -> Queue:

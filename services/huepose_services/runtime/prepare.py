@@ -37,6 +37,10 @@ def check(config: Config) -> None:
     if config.camera.source != "synthetic" and "camera" in config.workers:
         import_module(f"huepose_services.camera.{config.camera.source}").open_source(config)
     _check_networks(config)
+    if config.hosts:
+        from huepose_services.link import check_link
+
+        check_link(config)
 
 
 def _check_builtin(config: Config) -> None:

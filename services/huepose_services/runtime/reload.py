@@ -26,7 +26,7 @@ LIVE: dict[str, frozenset[str]] = {
 }
 """What a worker takes over while it runs; other workers are told by it, where they have to know."""
 
-_OF_ALL = ("site", "bundles", "profile", "networks", "bus", "cpus", "camera.name")
+_OF_ALL = ("site", "bundles", "profile", "networks", "bus", "cpus", "camera.name", "hosts", "link")
 
 TakeOver = Callable[[Config], list[str]]
 """Called with a configuration of which what is live has changed: sentences on what of it cannot be done."""
@@ -87,7 +87,7 @@ class Reload:
     def take_over(self, take_over: TakeOver) -> Config | None:
         """Read the file, take over what can be, and say what was and what was not. None: it is wrong."""
         try:
-            new = load(self._path)
+            new = load(self._path).at(self._started.host)
         except InputError as error:
             self._tell(f"{self._path} is not taken over: {error}")
             return None

@@ -29,6 +29,10 @@ class Pipeline(msgspec.Struct, frozen=True, kw_only=True):
     file: str = ""
     folder: str = ""
     """Where its sockets are; empty: in the folder of whoever looks."""
+    far: tuple[str, ...] = ()
+    """Of the workers, those on the other computer."""
+    host: str = ""
+    """What that one is called."""
 
     @property
     def name(self) -> str:
@@ -47,11 +51,15 @@ class Pipeline(msgspec.Struct, frozen=True, kw_only=True):
 
 def described(config: Config, path: Path) -> Pipeline:
     """The pipeline of a configuration."""
+    # At the camera's computer those of the other one are seen as well.
+    far = () if config.host is not None or not config.hosts else (*config.far, "downlink")
     return Pipeline(
         base_port=config.bus.base_port,
         site=config.site,
         camera=config.camera.name,
-        workers=tuple(config.workers),
+        workers=(*(worker for worker in config.workers if worker not in far), *far),
+        far=far,
+        host=(far and config.other_host) or "",
         file=str(path.absolute()),
     )
 
@@ -108,10 +116,10 @@ def pick(path: Path | None = None, which: str | None = None) -> Pipeline:
     not said which one, or none is the one that was said."""
     found = running()
     if path is not None:
-        wanted = described(load(path), path)
+        wanted = described(load(path).at(None), path)
         same = [p for p in found if (p.base_port, p.name) == (wanted.base_port, wanted.name)]
         # It may run in a folder that is not this user's.
-        return msgspec.structs.replace(wanted, folder=same[0].folder) if same else wanted
+        return msgspec.structs.replace(same[0], file=wanted.file) if same else wanted
     if which is not None:
         meant = [p for p in found if which in (p.name, p.site, p.camera, str(p.base_port))]
         if not meant:
@@ -136,7 +144,9 @@ def usual() -> Pipeline:
     """Where a pipeline would be: as the configuration in this folder says, else at the default port."""
     default = Path(DEFAULT_FILE)
     return (
-        described(load(default), default) if default.exists() else Pipeline(base_port=Config().bus.base_port)
+        described(load(default).at(None), default)
+        if default.exists()
+        else Pipeline(base_port=Config().bus.base_port)
     )
 
 

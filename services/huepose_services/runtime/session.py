@@ -28,7 +28,7 @@ _POOL_OVERHEAD = 1280 * 1024
 _LINK_OVERHEAD = 24 * 1024
 # Of 64 KiB, for each priority that is used; the most that zenoh allows.
 _BATCHES = 16
-FRAME_WORKERS = ("camera", "tracker", "detector", "viewer")
+FRAME_WORKERS = ("camera", "tracker", "detector", "viewer", "uplink")
 
 
 def lock_limit() -> int | None:

@@ -43,6 +43,8 @@ _HOMES = {
     "gateway": "huepose_services.gateway",
     "viewer": "huepose_services.viewer",
     "ros2": "huepose_services.ros2",
+    "uplink": "huepose_services.uplink",
+    "downlink": "huepose_services.downlink",
 }
 # Frames and tracking come first where the cores do not suffice. To raise a priority needs the right to
 # do so (root, LimitNICE of a unit); to lower that of perception and of what only looks needs none.

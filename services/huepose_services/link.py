@@ -1,0 +1,193 @@
+"""Between the two computers of a pipeline: a session on either side, what they allow, what goes up and down.
+
+Pixels and the list of objects go up from the camera's computer, answers and health come down. Both sessions
+are without a link to the workers. That of the camera's computer is behind a door, which lets in the other
+computer's certificate alone; who has it may say what is under `down/` and hear what is under `up/`. Stamps of
+frames stay those of the camera's clock, so the two clocks need not agree.
+"""
+
+from __future__ import annotations
+
+import json
+import queue
+import threading
+from collections.abc import Callable
+from pathlib import Path
+
+import zenoh
+
+from huepose.support.errors import InputError
+from huepose_protos.keys import Keys
+from huepose_protos.messages import Detections, Estimates, FrameHeader, Look, Masks
+from huepose_services.gateway_door import Door
+from huepose_services.gateway_session import check_files, open_behind_door
+from huepose_services.pem import Credentials
+from huepose_services.runtime.clock import SECOND, now_ns
+from huepose_services.runtime.config import Config, GatewayConfig, TlsConfig
+from huepose_services.runtime.session import MIB, zenoh_config
+
+SILENT_NS = 5 * SECOND // 2
+"""Health comes once a second: who was not heard for so long is not there."""
+_LEASE_MS = 3000
+"""A side that was not heard for so long is gone: then the connection is made anew."""
+_PATIENCE_US = 1_000_000
+"""So long a piece of a picture, 64 KiB, may wait for its turn; then the picture is given up."""
+_SESSIONS = 4
+"""Of the one other computer: those that a cut cable has left behind are there until the lease is over."""
+_ANSWERS_BYTES_S = 1.0 * MIB
+"""What the other computer may say. Its answers are some KiB, a few times a second."""
+_ABOVE = 64 * 1024
+_COMMON: dict[str, object] = {
+    "transport/link/tx/lease": _LEASE_MS,
+    "transport/link/tx/queue/congestion_control/drop/max_wait_before_drop_fragments": _PATIENCE_US,
+}
+
+
+def taken_up(config: Config, keys: Keys) -> tuple[str, type[Look] | type[Detections] | type[Masks]]:
+    """What goes up with its pixels: the input of the first worker of the other computer."""
+    if config.far[0] == "detector":
+        return keys.look, Look
+    return (keys.detections, Detections) if config.far[0] == "segmenter" else (keys.masks, Masks)
+
+
+def check_link(config: Config) -> None:
+    """Whether the files of this side are there. Raises InputError."""
+    if "uplink" in config.workers:
+        tls = _door(config).tls
+        assert tls is not None
+        check_files(tls, "link")
+    elif "downlink" in config.workers:
+        credentials(config).context()
+
+
+def open_uplink(config: Config, tell: Callable[[str], None]) -> tuple[zenoh.Session, Door]:
+    """The session of the camera's computer, and its door; tell: called with why somebody is not let in.
+
+    Raises InputError for files or a port that cannot be used."""
+    settings = _COMMON | {
+        "mode": "peer",
+        "scouting/multicast/enabled": False,
+        "scouting/gossip/enabled": False,
+        "connect/endpoints": [],
+        "transport/shared_memory/enabled": False,
+        "transport/link/rx/max_message_size": Estimates.max_bytes + _ABOVE,
+        "transport/unicast/max_sessions": _SESSIONS,
+        "transport/unicast/accept_pending": _SESSIONS,
+        "access_control": _access(config.keys),
+    }
+    return open_behind_door(_door(config), tell, settings, _ANSWERS_BYTES_S, "link")
+
+
+def open_downlink(config: Config) -> zenoh.Session:
+    """The session of the other computer: it goes on trying to reach the camera's. Raises InputError."""
+    files = credentials(config)
+    files.context()
+    settings = zenoh_config([], [f"tls/{config.link.connect}"])
+    more = _COMMON | {
+        "transport/link/tls/root_ca_certificate": str(files.authority),
+        "transport/link/tls/connect_certificate": str(files.certificate),
+        "transport/link/tls/connect_private_key": str(files.key),
+        "transport/link/tls/enable_mtls": True,
+    }
+    for name, value in more.items():
+        settings.insert_json5(name, json.dumps(value))
+    return zenoh.open(settings)
+
+
+def credentials(config: Config) -> Credentials:
+    """What the other computer shows."""
+    folder = Path(config.link.secure)
+    return Credentials(
+        folder / "authority.pem", folder / f"{config.other_host}.pem", folder / f"{config.other_host}.key"
+    )
+
+
+def address(config: Config) -> tuple[str, int]:
+    """Host and port at which the camera's computer is reached."""
+    host, port = str(config.link.connect).rsplit(":", 1)
+    return host.strip("[]"), int(port)
+
+
+def _door(config: Config) -> GatewayConfig:
+    if config.other_host is None:
+        raise InputError("uplink", found="no second computer", expected="one in `hosts`")
+    folder = Path(config.link.secure)
+    tls = TlsConfig(
+        authority=str(folder / "authority.pem"),
+        certificate=str(folder / "gateway.pem"),
+        key=str(folder / "gateway.key"),
+        revoked=str(folder / "revoked.pem"),
+        readers=[config.other_host],
+    )
+    return GatewayConfig(
+        listen=config.link.listen, max_sessions=_SESSIONS, sessions_per_reader=_SESSIONS, tls=tls
+    )
+
+
+def _access(keys: Keys) -> dict[str, object]:
+    def rule(name: str, flow: str, key: str, *messages: str) -> dict[str, object]:
+        return {
+            "id": name,
+            "permission": "allow",
+            "flows": [flow],
+            "key_exprs": [key],
+            "messages": list(messages),
+        }
+
+    up, down = keys.of_tail("up/**"), keys.of_tail("down/**")
+    rules = [
+        rule("ask", "ingress", up, "declare_subscriber"),
+        rule("hear", "egress", up, "put"),
+        rule("say", "ingress", down, "put"),
+        rule("listen", "egress", down, "declare_subscriber"),
+    ]
+    return {
+        "enabled": True,
+        "default_permission": "deny",
+        "rules": rules,
+        "subjects": [{"id": "other"}],
+        "policies": [{"rules": [r["id"] for r in rules], "subjects": ["other"]}],
+    }
+
+
+class Sender:
+    """Sends pixels in a thread, so that a slow network holds up nobody: what is newer replaces what waits."""
+
+    def __init__(self, session: zenoh.Session, key: str) -> None:
+        self._publisher = session.declare_publisher(
+            key, congestion_control=zenoh.CongestionControl.DROP, priority=zenoh.Priority.DATA
+        )
+        self._ready = threading.Condition()
+        self._waiting: tuple[FrameHeader, bytes, bytes] | None = None
+        self._open = True
+        self.replaced = 0
+        self.sent: queue.SimpleQueue[tuple[int, FrameHeader]] = queue.SimpleQueue()
+        """When it began, and of which frame."""
+        self._thread = threading.Thread(target=self._run, name="sender", daemon=True)
+        self._thread.start()
+
+    def offer(self, frame: FrameHeader, header: bytes, payload: bytes) -> None:
+        """Send it when its turn comes."""
+        with self._ready:
+            self.replaced += self._waiting is not None
+            self._waiting = (frame, header, payload)
+            self._ready.notify()
+
+    def close(self) -> None:
+        """Send nothing more."""
+        with self._ready:
+            self._open = False
+            self._ready.notify()
+        self._thread.join(0.5)
+
+    def _run(self) -> None:
+        while True:
+            with self._ready:
+                self._ready.wait_for(lambda: self._waiting is not None or not self._open)
+                if not self._open:
+                    return
+                assert self._waiting is not None
+                (frame, header, payload), self._waiting = self._waiting, None
+            started = now_ns()
+            self._publisher.put(payload, attachment=header)
+            self.sent.put((started, frame))

@@ -1,0 +1,257 @@
+"""A pipeline over two computers: which part is whose, what crosses between them, and what does not."""
+
+import threading
+import time
+
+import msgspec
+import pytest
+
+from huepose.support.errors import InputError
+from huepose_protos import encode
+from huepose_protos.buffers import pack
+from huepose_protos.client import open_session
+from huepose_protos.examples import images, messages
+from huepose_protos.messages import (
+    CorrectionMessage,
+    Detections,
+    Estimates,
+    FrameHeader,
+    HealthMessage,
+    Look,
+    Masks,
+    PerceptionRequest,
+)
+from huepose_services import downlink, uplink
+from huepose_services.authority import Authority
+from huepose_services.cli.graph import mermaid
+from huepose_services.runtime.bus import Bus
+from huepose_services.runtime.config import BusConfig, Config, LinkConfig, parse
+from huepose_services.runtime.health import Health
+from huepose_services.runtime.log import Log
+from huepose_services.runtime.running import described
+from huepose_services.runtime.session import open_worker_session
+from huepose_services.units import units
+from huepose_services.watch import View
+
+EXAMPLES = {type(m): m for m in messages()}
+_, PIXELS = pack(images())
+HOUR_NS = 3600 * 10**9
+ALL = ("detector", "segmenter", "estimator")
+
+
+def over_two(far=ALL, **more):
+    return Config(hosts={"desk": far}, link=LinkConfig(connect="localhost:7448"), **more)
+
+
+def test_each_computer_has_its_part():
+    config = over_two()
+    robot, desk = config.at(None), config.at("desk")
+    assert robot.workers == ("camera", "tracker", "reinit", "uplink")
+    assert desk.workers == (*ALL, "downlink")
+    assert (robot.host, desk.host) == (None, "desk")
+    assert [config.beside(w) for w in ("reinit", "uplink")] == [robot, robot]
+    assert [config.beside(w) for w in ("estimator", "downlink")] == [desk, desk]
+    with pytest.raises(InputError, match="--host: found roof; expected one of: desk"):
+        config.at("roof")
+    assert Config().at(None) == Config()
+
+
+@pytest.mark.parametrize(
+    ("text", "part"),
+    [
+        ("hosts: {desk: [detector]}", "expected detector, segmenter, estimator or segmenter, estimator"),
+        ("hosts: {desk: [segmenter, detector, estimator]}", "hosts.desk"),
+        ("hosts: {desk: []}", "hosts.desk: found none"),
+        ("hosts: {desk: [tracker]}", "hosts"),
+        ("hosts: {a: [estimator], b: [segmenter]}", "hosts"),
+        ("hosts: {desk: [estimator]}", "link.connect: found null"),
+        ("workers: [camera, uplink]", "workers: found uplink"),
+        (
+            "{hosts: {desk: [detector, segmenter, estimator]}, link: {connect: 'a:1'}, "
+            "detector: {kind: truth}}",
+            "detector.kind: found truth",
+        ),
+    ],
+)
+def test_what_cannot_be_is_said(tmp_path, text, part):
+    with pytest.raises(InputError, match=".*".join(part.split(" ... "))) as error:
+        parse(text, tmp_path / "pipeline.yaml")
+    assert "pipeline.yaml" in str(error.value)
+
+
+def test_units_and_graph_are_those_of_a_computer(tmp_path):
+    config = over_two()
+    files = units(config.at("desk"), tmp_path / "huepose", tmp_path / "p.yaml", "huepose")
+    assert "huepose@downlink.service.d/needs.conf" in files
+    assert "huepose@camera.service" not in files["huepose.target"]
+    pipeline = described(config.at(None), tmp_path / "p.yaml")
+    drawn = mermaid(View(pipeline, False, {}, frozenset(), (), [], {}))
+    there = drawn[drawn.index("subgraph desk") : drawn.index("    end")]
+    assert all(f'{worker}["' in there for worker in (*ALL, "downlink"))
+    assert 'reinit -- "request + frame" --> uplink\n    uplink == TLS ==> downlink' in drawn
+    assert "camera -- frame --> detector" not in drawn
+    assert described(config.at("desk"), tmp_path / "p.yaml").workers == (*ALL, "downlink")
+
+
+class Side:
+    """One end of the link with its bus, and a bus of another worker beside it."""
+
+    def __init__(self, config, link, other):
+        self.config = config
+        self.bus, self.other = self._bus(link), self._bus(other)
+        self.work = (uplink if link == "uplink" else downlink).make(self.bus, config)
+        self._stopping = threading.Event()
+        self._thread = threading.Thread(target=self._loop)
+        self._thread.start()
+
+    def _bus(self, worker):
+        session, _ = open_worker_session(self.config, worker)
+        return Bus(session, self.config.keys, worker, Log(worker), Health(worker))
+
+    def _loop(self):
+        while not self._stopping.is_set():
+            self.bus.inbox.wait(0.01)
+            self.work.step()
+
+    def close(self):
+        self._stopping.set()
+        self._thread.join()
+        self.work.close()
+        for bus in (self.bus, self.other):
+            bus.close()
+            bus.session.close()
+
+
+@pytest.fixture
+def folder(tmp_path):
+    ours = Authority.make(tmp_path / "ours", ["localhost"], 30)
+    for name in ("desk", "reader"):
+        ours.add(name, 30)
+    return ours.folder
+
+
+@pytest.fixture
+def sides(base_port, folder):
+    """Makes both, from which workers run at the desk."""
+    opened = []
+
+    def make(far=ALL):
+        link = LinkConfig(
+            listen=f"127.0.0.1:{base_port + 9}", connect=f"localhost:{base_port + 9}", secure=str(folder)
+        )
+        robot, desk = (
+            Config(hosts={"desk": far}, link=link, bus=BusConfig(base_port=base_port + more))
+            for more in (0, 20)
+        )
+        opened.append(Side(robot.at(None), "uplink", "reinit"))
+        opened.append(Side(desk.at("desk"), "downlink", "estimator"))
+        return opened
+
+    yield make
+    for one in opened:
+        one.close()
+
+
+def _until(condition, timeout_s=10.0):
+    deadline = time.monotonic() + timeout_s
+    while (found := condition()) is None or found is False:
+        assert time.monotonic() < deadline, "it did not come about in time"
+        time.sleep(0.02)
+    return found
+
+
+def _frame(capture_ns):
+    return msgspec.structs.replace(EXAMPLES[FrameHeader], publish_ns=capture_ns, capture_ns=capture_ns)
+
+
+@pytest.mark.live
+def test_a_request_takes_its_frame_along_and_the_answer_has_its_stamp(sides):
+    robot, desk = sides()
+    looks = desk.other.inbox.ring(desk.other.keys.look)
+    answers = robot.other.inbox.queue(robot.other.keys.estimates)
+    now = time.monotonic_ns()
+    request = msgspec.structs.replace(EXAMPLES[PerceptionRequest], publish_ns=now, deadline_ns=now + 10**9)
+    frame = _frame(now)
+
+    def crossed():
+        robot.other.put_pixels(robot.other.keys.frame, frame, PIXELS)
+        robot.other.put_control(robot.other.keys.request, request)
+        time.sleep(0.05)
+        return desk.other.take_with_payload(looks, Look)
+
+    look, pixels = _until(crossed)
+    assert (look.request, look.frame, pixels) == (request, frame, PIXELS)
+
+    def answer(**changes):
+        header = {"camera_epoch": frame.camera_epoch, "frame_id": frame.frame_id, "capture_ns": now}
+        said = msgspec.structs.replace(
+            EXAMPLES[Estimates], **header | {"publish_ns": now + HOUR_NS} | changes
+        )
+        # The desk's clock may be hours away: only its own bus would mind.
+        desk.work._outside.put(desk.bus.keys.down(desk.bus.keys.estimates), encode(said))
+
+    answer(frame_id=frame.frame_id + 1)  # of a frame that was never sent
+    answer(capture_ns=now + 1)
+    answer(request_seq=99)
+    got = _until(lambda: robot.other.take(answers, Estimates))
+    assert (got.request_seq, got.capture_ns) == (99, now)
+    assert abs(got.publish_ns - time.monotonic_ns()) < 10**10
+    assert robot.bus.health.counters["answers_about_frames_not_sent"] == 2
+
+
+@pytest.mark.live
+@pytest.mark.parametrize(("far", "kind"), [(ALL[1:], Detections), (ALL[2:], Masks)])
+def test_only_the_end_of_perception_may_be_there(sides, far, kind):
+    robot, desk = sides(far)
+    key = robot.bus.keys.detections if kind is Detections else robot.bus.keys.masks
+    found = desk.other.inbox.ring(key)
+    now = time.monotonic_ns()
+    said = msgspec.structs.replace(EXAMPLES[kind], publish_ns=now, frame=_frame(now))
+
+    def crossed():
+        robot.other.put_pixels(key, said, PIXELS)
+        time.sleep(0.05)
+        return desk.other.take_with_payload(found, kind)
+
+    got, pixels = _until(crossed)
+    assert (got.frame, got.objects, pixels) == (said.frame, said.objects, PIXELS)
+
+
+@pytest.mark.live
+def test_who_is_there_is_seen_and_nobody_else_comes_or_steers(sides, folder):
+    robot, desk = sides()
+    keys = robot.bus.keys
+    health = robot.other.inbox.queue(keys.health())
+    corrections = robot.other.inbox.queue(keys.correction)
+    heard = set()
+
+    def seen():
+        for worker in ("estimator", "tracker"):  # the second one is not of the desk
+            said = msgspec.structs.replace(EXAMPLES[HealthMessage], worker=worker)
+            desk.other.put(keys.health(worker), msgspec.structs.replace(said, publish_ns=time.monotonic_ns()))
+        desk.bus.say_health()
+        while (message := robot.other.take(health, HealthMessage)) is not None:
+            heard.add(message.worker)
+        time.sleep(0.05)
+        return {"estimator", "downlink"} <= heard
+
+    _until(seen)
+    assert "tracker" not in heard
+    assert not robot.bus.health.message().warnings
+    # What the desk says under other keys goes nowhere; who has another certificate of the authority does not
+    # come in.
+    where = f"tls/{robot.config.link.connect}"
+    bytes_of = encode(EXAMPLES[CorrectionMessage])
+    stranger = open_session([where], folder / "authority.pem", folder / "reader.pem", folder / "reader.key")
+    for session in (desk.work._outside, stranger):
+        for key in (keys.correction, keys.down(keys.correction), keys.up(keys.objects)):
+            session.put(key, bytes_of)
+    _until(lambda: robot.work._door.refused > 0)
+    time.sleep(0.3)
+    assert robot.other.take(corrections, CorrectionMessage) is None
+    assert not stranger.info.peers_zid()
+    stranger.close()
+    # Silent for 2.5 s: it is said, and they are no longer seen.
+    _until(lambda: "desk is not heard" in str(robot.bus.health.message().warnings), 5.0)
+    assert robot.bus.health.state == "waiting"
+    assert not robot.work._tokens

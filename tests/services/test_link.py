@@ -2,6 +2,7 @@
 
 import threading
 import time
+from types import SimpleNamespace
 
 import msgspec
 import pytest
@@ -23,6 +24,7 @@ from huepose_protos.messages import (
 )
 from huepose_services import downlink, uplink
 from huepose_services.authority import Authority
+from huepose_services.camera.audience import Audience
 from huepose_services.cli.graph import mermaid
 from huepose_services.runtime.bus import Bus
 from huepose_services.runtime.config import BusConfig, Config, LinkConfig, parse
@@ -77,6 +79,12 @@ def test_what_cannot_be_is_said(tmp_path, text, part):
     with pytest.raises(InputError, match=".*".join(part.split(" ... "))) as error:
         parse(text, tmp_path / "pipeline.yaml")
     assert "pipeline.yaml" in str(error.value)
+
+
+def test_a_recording_waits_for_the_workers_of_both():
+    inbox = SimpleNamespace(liveliness=lambda key: None)
+    audience = Audience(SimpleNamespace(inbox=inbox), over_two().at(None))
+    assert audience.missing == {"tracker", "reinit", "uplink", *ALL}
 
 
 def test_units_and_graph_are_those_of_a_computer(tmp_path):

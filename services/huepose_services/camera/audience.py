@@ -13,7 +13,7 @@ class Audience:
 
     def __init__(self, bus: Bus, config: Config) -> None:
         self._bus = bus
-        self.missing = {str(worker) for worker in config.workers if worker != "camera"}
+        self.missing = {str(worker) for worker in (*config.workers, *config.far) if worker != "camera"}
         self._not_acquired = {item.name for item in config.objects}
         self._read: tuple[int | None, int | None] = (None, None)
         self.reads = config.camera.once and "tracker" in config.workers

@@ -20,9 +20,6 @@ from huepose.support.jit import jit
 FAR_M = 9.0
 """The depth that pixels of a plane get: an object that claims them is seen through there."""
 
-PLANE_FACTOR = 1.0
-"""A plane of which more is seen than this times the square of the largest diameter is none of the objects."""
-
 SPECK_M2 = 1e-4
 """A piece of less than a square centimetre is noise."""
 
@@ -69,10 +66,10 @@ class ClearView:
 
 
 def clear_view(frame: RgbdFrame, largest_m: float) -> ClearView | None:
-    """The frame without planes that are larger than the largest object; None where nothing is left."""
-    larger_m2 = PLANE_FACTOR * largest_m**2
-    planes = large_planes(frame.depth, frame.camera, larger_m2)
-    standing = standing_clear(frame.depth, frame.camera, planes, larger_m2)
+    """The frame without planes of which more is seen than the square of the largest diameter; None where
+    nothing is left."""
+    planes = large_planes(frame.depth, frame.camera, largest_m**2)
+    standing = standing_clear(frame.depth, frame.camera, planes, largest_m**2)
     clear, pieces = _pieces(frame.depth, standing, frame.camera.fx)
     bounds = Box.of_mask(clear)
     if bounds is None:

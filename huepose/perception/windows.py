@@ -17,7 +17,7 @@ from huepose.propose.template_table import COARSE_SIDE, MILLIMETRES
 from huepose.propose.templates import SPAN
 from huepose.propose.view_codes import CELLS as CODE_CELLS
 from huepose.propose.view_codes import NUMBERS, codes_of_windows
-from huepose.propose.view_pictures import window_pictures
+from huepose.propose.view_pictures import NEAR, window_pictures
 from huepose.support.jit import jit
 from huepose.support.stages import stage
 
@@ -38,9 +38,6 @@ MIN_SHARE = 0.2
 
 BORDER = 2
 """The middle, which tells what hue is there, are the cells so far from the sides."""
-
-GATE = 0.6
-"""Depth farther than this from the middle of a window, in diameters, is not the object."""
 
 
 class Windows:
@@ -92,7 +89,7 @@ class Windows:
         view = self._view
         _fill(
             self.pixels[index], self.depth_m[index], self.span_px[index], view.clear, view.crop.depth,
-            view.colors, GATE * self.diameter_m, border, cells,
+            view.colors, NEAR * self.diameter_m, border, cells,
         )  # fmt: skip
         return cells
 

@@ -41,8 +41,8 @@ APART_M = 0.012
 SLACK_M, NOISE = 0.004, 2.0
 """Matches agree with a pose up to this and so many deviations of depth."""
 
-CELL_M, SPOT_PX = 0.004, 2.0
-"""Points of so much of the surface, or of the picture, count once."""
+SPOT_PX = 2.0
+"""Points of so much of the picture, or of SLACK_M of the surface, count once."""
 
 PIXEL_ERROR, LEAST_IN_PICTURE = 3.0, 7
 """Of a match, and points that agree, where there is no depth to agree with."""
@@ -137,7 +137,7 @@ def agreed(matches: Matches, depth: Float32, camera: Camera) -> Agreed:
         matches.normals,
         camera.backproject(matches.pixels, z),
         SLACK_M + NOISE * (FLOOR_M + STEREO_NOISE_PER_M * z**2),
-        _numbered(matches.points / CELL_M),
+        _numbered(matches.points / SLACK_M),
         _numbered(matches.pixels / SPOT_PX),
     )
     rng = np.random.default_rng(0)
@@ -246,7 +246,7 @@ def _agreed_in_picture(matches: Matches, camera: Camera) -> Agreed:
     if not ok or agree is None or t[2, 0] <= 0:
         return Agreed.none()
     mine = matches[agree.ravel()]
-    count = min(_numbered(x).max() + 1 for x in (mine.points / CELL_M, mine.pixels / SPOT_PX))
+    count = min(_numbered(x).max() + 1 for x in (mine.points / SLACK_M, mine.pixels / SPOT_PX))
     if count < LEAST_IN_PICTURE:
         return Agreed.none()
     R = np.asarray(cv2.Rodrigues(rotation)[0], np.float64)

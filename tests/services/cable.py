@@ -3,7 +3,8 @@
     python cable.py NAMESPACE ADDRESS NAMESPACE ADDRESS
 
 makes a device `cable` with that address in each. Orders are lines on standard input: `delay MS`, `loss SHARE`
-(of the packets, each way), `cut`, `mend`; each is answered with a line: how many bytes went each way so far.
+(of the packets, each way), `rate MBIT` (a second, each way), `cut`, `mend`; each is answered with a line: how
+many bytes went each way so far.
 """
 
 import ctypes
@@ -19,6 +20,8 @@ import time
 from contextlib import suppress
 
 _MTU = 1500
+_QUEUE_S = 0.1
+"""What would wait longer for its turn is lost."""
 
 
 def _device(namespace, address):
@@ -41,6 +44,7 @@ def main():
     ends = [_device(sys.argv[1], sys.argv[2]), _device(sys.argv[3], sys.argv[4])]
     delay_s, loss, whole = 0.0, 0.0, True
     chance, order = random.Random(1), 0
+    bytes_s, free = float("inf"), [0.0, 0.0]  # when the cable has sent what it has
     went = [0, 0]
     under_way = []  # when it arrives, which came first, where, what
     selector = selectors.DefaultSelector()
@@ -56,6 +60,7 @@ def main():
                     return
                 for what, *value in map(str.split, line.splitlines()):
                     delay_s = 1e-3 * float(value[0]) if what == "delay" else delay_s
+                    bytes_s = 1e6 / 8 * float(value[0]) if what == "rate" else bytes_s
                     loss = float(value[0]) if what == "loss" else loss
                     whole = what == "mend" or (whole and what != "cut")
                     print(*went, flush=True)
@@ -66,10 +71,12 @@ def main():
                     packet = os.read(key.fd, _MTU + 100)
                 except BlockingIOError:
                     break
-                if whole and chance.random() >= loss:
+                now = time.monotonic()
+                if whole and chance.random() >= loss and free[side] - now < _QUEUE_S:
                     went[side] += len(packet)
                     order += 1
-                    heapq.heappush(under_way, (time.monotonic() + delay_s, order, ends[1 - side], packet))
+                    free[side] = max(free[side], now) + len(packet) / bytes_s
+                    heapq.heappush(under_way, (free[side] + delay_s, order, ends[1 - side], packet))
         while under_way and under_way[0][0] <= time.monotonic():
             _, _, end, packet = heapq.heappop(under_way)
             with suppress(OSError):  # its queue is full, as a switch's may be

@@ -22,6 +22,9 @@ LEVEL = 1
 PIXELS_PER_M = 1100.0
 """Of the views: as 0.55 m before a camera of 600 px focal length, nearer than most frames show an object."""
 
+PICTURE_PX = 640.0
+"""An object has to fit into a picture: the diameter of a larger one than 0.58 m is this in its views."""
+
 FARTHEST = 0.5
 """Other pictures have as few as this of the views' pixels a metre."""
 
@@ -59,10 +62,13 @@ def build_keypoints(
     """The `most` keypoints of a mesh that are found again most often; deterministic."""
     source = source or Sift()
     rng = np.random.default_rng(0)
+    nearest = min(PIXELS_PER_M, PICTURE_PX / diameter_m)
     views, found = [], []
     for direction in icosphere.directions(LEVEL):
-        view = _view(mesh, *_stand(mesh, diameter_m, direction, PIXELS_PER_M), source)
-        others = [_found_again(mesh, diameter_m, direction, view, source, rng) for _ in range(OTHERS)]
+        view = _view(mesh, *_stand(mesh, diameter_m, direction, nearest), source)
+        others = [
+            _found_again(mesh, diameter_m, direction, nearest, view, source, rng) for _ in range(OTHERS)
+        ]
         views.append(view)
         found.append(np.sum(others, axis=0))
     points = np.concatenate([v.points for v in views])
@@ -105,14 +111,17 @@ def _found_again(
     mesh: Mesh,
     diameter_m: float,
     direction: Float,
+    nearest: float,
     view: _View,
     source: FeatureSource,
     rng: np.random.Generator,
 ) -> Float64:
-    """Which features (N,) of a view are found, 1, or not, 0, in another picture."""
+    """Which features (N,) of a view are found, 1, or not, 0, in another picture.
+
+    nearest: the most pixels a metre."""
     across = np.cross(direction, rng.normal(size=3))
     turn = se3.rotation_exp(np.radians(OFF_DEG) * across / np.linalg.norm(across))
-    pixels_per_m = PIXELS_PER_M * rng.uniform(FARTHEST, 1.0)
+    pixels_per_m = nearest * rng.uniform(FARTHEST, 1.0)
     T_cam_obj, camera = _stand(mesh, diameter_m, turn @ direction, pixels_per_m)
     roll = se3.rotation_exp(np.array([0.0, 0.0, rng.uniform(-np.pi, np.pi)]))
     T_cam_obj = se3.make(roll, np.zeros(3)) @ T_cam_obj

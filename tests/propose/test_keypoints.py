@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -10,7 +11,7 @@ import pytest
 from huepose.geometry import Camera, RgbdFrame, se3
 from huepose.model.types import Keypoints, ReferenceModel
 from huepose.propose.features import Features, Sift
-from huepose.propose.keypoint_reference import build_keypoints
+from huepose.propose.keypoint_reference import PICTURE_PX, build_keypoints
 from huepose.propose.keypoints import Matches, Sought, Spots, agreed, match
 
 TakePicture = Callable[..., RgbdFrame]
@@ -162,3 +163,16 @@ def test_two_objects_are_two_poses(
     found = agreed(matches_in(both, keypoints), both.depth, both.camera)
     for T in (standing, turned):
         assert min(np.linalg.norm(pose[:3, 3] - T[:3, 3]) for pose in found.poses) < 0.005
+
+
+def test_views_of_a_large_object_are_no_larger_than_a_picture(tea_box: ReferenceModel) -> None:
+    widths = []
+
+    class Watched(Sift):
+        def extract(self, color: np.ndarray, mask: np.ndarray | None = None) -> Features:
+            widths.append(color.shape[1])
+            return super().extract(color, mask)
+
+    large = replace(tea_box.mesh, vertices=tea_box.mesh.vertices * np.float32(10.0))
+    assert len(build_keypoints(large, 10.0 * tea_box.diameter_m, Watched()).points) > 100
+    assert max(widths) == 1.25 * PICTURE_PX + 24

@@ -126,7 +126,7 @@ def pair_arrays(reference: PairReference, count: int) -> PairArrays:
         np.ascontiguousarray(reference.points[rows]),
         np.ascontiguousarray(reference.normals[rows]),
         np.ascontiguousarray(reference.tangents[rows]),
-        _fine_opponents(reference)[::step],
+        np.ascontiguousarray(_fine_opponents(reference)[::step]),  # of one type, however many there are
         REACH_PX / reference.parameters["fine_pixels_per_m"],
     )
 

@@ -10,7 +10,7 @@ import pytest
 
 from huepose.geometry import RgbdFrame, se3
 from huepose.judge.pair_kernel import PairPicture, pair_kernel, scratch
-from huepose.judge.pair_terms import judged_on, pair_score_many
+from huepose.judge.pair_terms import judged_on, pair_arrays, pair_score_many
 from huepose.judge.region import Region
 from huepose.model.types import ReferenceModel
 from huepose.paper.extended.pair_search import search_pairs
@@ -127,3 +127,11 @@ def test_a_needed_total_decides_as_the_whole_total_does(
             assert total - 1e-8 <= answer <= needed
             shortened += answer != total
     assert shortened > 20
+
+
+@pytest.mark.parametrize("count", [10, 10_000_000])
+def test_kernels_get_arrays_of_one_type_however_many_pairs_there_are(
+    tea_box: ReferenceModel, count: int
+) -> None:
+    arrays = pair_arrays(tea_box.pairs, count)
+    assert all(a.flags.c_contiguous for a in arrays if isinstance(a, np.ndarray)), "or they are compiled anew"

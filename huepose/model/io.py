@@ -56,7 +56,7 @@ def check_name(name: str) -> str:
         raise InputError(
             f"object name '{name}'",
             expected="1 to 64 of a-z, 0-9, _ and -",
-            fix="Give another --name.",
+            fix="Give another name.",
         )
     return name
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import io
 import json
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -41,6 +42,17 @@ def test_a_folder_that_is_there_is_left_alone(tmp_path: Path, capsys: pytest.Cap
     assert main(["new", "box", "box.obj", "--out", str(tmp_path)]) == 2
     assert "is there already" in capsys.readouterr().err
     assert (tmp_path / "pipeline.yaml").read_text() == "site: mine\n"
+
+
+def test_a_mesh_in_another_unit_is_too_large_to_be_drawn_and_its_unit_is_asked_for(
+    tea_box: ReferenceModel, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    write_obj(tmp_path / "box.obj", replace(tea_box.mesh, vertices=tea_box.mesh.vertices * np.float32(10.0)))
+    out = tmp_path / "mine"
+    assert main(["new", "box", str(tmp_path / "box.obj"), "--no-test", "--out", str(out)]) == 2
+    said = capsys.readouterr().err
+    assert "found an object of 185 cm" in said
+    assert "say the mesh's unit" in said
 
 
 def test_compiling_is_told_once() -> None:

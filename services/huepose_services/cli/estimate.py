@@ -103,8 +103,9 @@ def call(arguments: argparse.Namespace) -> int:
     answers = [_answer(arguments, frame, models, estimator, query) for query in queries]
     if box is None:
         answers = _standing(arguments, frame, models, names, answers, proposed)
+    loaded = "one model" if len(names) == 1 else f"{len(names)} models"
     print(
-        f"{prepared - begun:.1f} s to load {len(names)} models and to find where they may be, "
+        f"{prepared - begun:.1f} s to load {loaded} and to find where objects may be, "
         f"{time.monotonic() - prepared:.1f} s to answer",
         file=sys.stderr,
     )

@@ -58,7 +58,17 @@ def call(arguments: argparse.Namespace) -> int:
     if arguments.test:
         _, words = self_test(out / "bundles", model.name)
         print(words)
-    write_frame(out, first_shot({model.name: model.mesh}), CAMERA)
+    try:
+        shot = first_shot({model.name: model.mesh})
+    except InputError as error:
+        raise InputError(
+            f"{model.name} is learnt ({out}/bundles), but no scene of it can be drawn",
+            found=f"an object of {model.diameter_m * 100:.0f} cm",
+            expected="one that can move in view of a camera",
+            fix="If it is smaller, remove the folder and say the mesh's unit (--unit mm, for example); else "
+            "go on with pictures of your camera.",
+        ) from error
+    write_frame(out, shot, CAMERA)
     path.write_text(_PIPELINE.format(name=model.name))
     at = shlex.quote(str(out))
     print(

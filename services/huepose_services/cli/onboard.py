@@ -235,7 +235,11 @@ def _say(line: str) -> None:
 def in_words(result: Onboarded) -> str:
     """A line on what was made."""
     size = " x ".join(f"{s * 100:.1f}" for s in result.size_m)
-    same = f"{result.equivalents} look the same" if result.equivalents > 1 else "the texture tells all apart"
+    same = (
+        f"{result.equivalents} look the same"
+        if result.equivalents > 1
+        else "shape and texture tell all apart"
+    )
     if result.near_symmetries == 1:
         shape = "no near-symmetry"
     else:

@@ -28,7 +28,7 @@ def tea_box() -> ReferenceModel:
 def take_picture() -> TakePicture:
     """A function of [(mesh, T_cam_obj), ...] and `light` (3,): the frame of a camera that looks down on a
     table of wood at these objects, every channel multiplied by its light."""
-    table, T_cam_table = _table()
+    table, T_cam_table = table_top()
 
     def take(
         scene: list[tuple[Mesh, np.ndarray]],
@@ -54,10 +54,10 @@ def standing_pose(yaw: float, x: float, y: float) -> np.ndarray:
     """T_cam_obj of the tea box that stands at (x, y) of the table."""
     up = 0.075
     on_table = se3.make(se3.rotation_exp(np.array([0.0, 0.0, yaw])), np.array([x, y, up]))
-    return se3.compose(_table()[1], on_table)
+    return se3.compose(table_top()[1], on_table)
 
 
-def _table() -> tuple[Mesh, np.ndarray]:
+def table_top() -> tuple[Mesh, np.ndarray]:
     """A table top of 1.2 m with grain, z up, and where the camera sees it: 35 degrees from above."""
     rng = np.random.default_rng(5)
     grain = np.cumsum(rng.normal(0, 3, (64, 256)), axis=0)

@@ -26,6 +26,8 @@ from huepose_protos.messages import (
     Masks,
     MemoryMessage,
     Message,
+    Mount,
+    MountMessage,
     ObjectChange,
     ObjectEntry,
     ObjectsMessage,
@@ -55,6 +57,7 @@ def images() -> dict[str, Array]:
 def messages() -> list[Message]:
     """One of each kind."""
     specs, _ = pack(images())
+    mount = Mount(parent="base_link", translation=_TRANSLATION, quaternion=_QUATERNION)
     frame = FrameHeader(
         publish_ns=_PUBLISH,
         camera_epoch=_EPOCH,
@@ -202,6 +205,7 @@ def messages() -> list[Message]:
             text="003_cracker_box is not looked for",
             objects=[ObjectEntry(object="006_mustard_bottle", max_instances=1, searching=0)],
         ),
+        MountMessage(publish_ns=_PUBLISH, capture_ns=_CAPTURE, mount=mount),
         HealthMessage(
             publish_ns=_PUBLISH,
             worker="tracker",

@@ -44,6 +44,11 @@ class Keys:
         return self._key("camera")
 
     @property
+    def mount(self) -> str:
+        """MountMessage: where a camera that moves is, told from outside of the pipeline."""
+        return self._key("mount")
+
+    @property
     def request(self) -> str:
         """PerceptionRequest."""
         return self._key("perception/request")

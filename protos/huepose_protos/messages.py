@@ -61,13 +61,23 @@ class FrameHeader(Message, frozen=True, kw_only=True):
 
 class CameraMessage(Message, frozen=True, kw_only=True):
     """The camera that is open, once a second: what a frame's header says, for readers without frames.
-    `mount`: where it is fixed, null where nobody said it."""
+    `mount`: where it is, null where nobody said it; `mount_ns`: when it was there, of a camera that moves,
+    null for one that is fixed. That of a camera that moves is said whenever it is told."""
 
     camera_epoch: Epoch
     clock: Clock
     frame: Annotated[str, Meta(max_length=64, description="name of the camera's coordinate frame")]
     intrinsics: Intrinsics
     mount: Mount | None = None
+    mount_ns: Stamp | None = None
+
+
+class MountMessage(Message, frozen=True, kw_only=True):
+    """Where a camera that moves, or the part of a robot that it is fixed to, was at a time of this machine's
+    CLOCK_MONOTONIC: what the robot's program tells the camera."""
+
+    capture_ns: Stamp
+    mount: Mount
 
 
 class Prior(Struct, frozen=True, kw_only=True):
@@ -371,6 +381,7 @@ class AgainRequest(Message, frozen=True, kw_only=True):
 MESSAGES: tuple[type[Message], ...] = (
     FrameHeader,
     CameraMessage,
+    MountMessage,
     PerceptionRequest,
     Look,
     Detections,

@@ -33,8 +33,8 @@ class PoseAt:
     """A pose at a time. `ahead_s`: how far it was predicted beyond the newest pose; 0 for one in between.
 
     covariance: that of the pose, grown by what may have happened since; None where the pose has none.
-    basis: the newest message that it was made of. mount: where the camera is fixed, None where that is not
-    known."""
+    basis: the newest message that it was made of. mount: where the camera is at that time, None where that
+    is not known."""
 
     translation: Array
     quaternion: Array
@@ -81,6 +81,40 @@ def pose_at(poses: Sequence[PoseMessage], stamp_ns: int) -> PoseAt | None:
     if gap_ns > _MAX_GAP_NS:
         return _predicted(before, stamp_ns - before.capture_ns)
     return _between(before, after, (stamp_ns - before.capture_ns) / gap_ns if gap_ns else 1.0)
+
+
+def mount_at(told: Sequence[tuple[int, Mount]], stamp_ns: int) -> Mount | None:
+    """Where a camera that moves was at a stamp, of stamps and places, oldest first.
+
+    Between two it is interpolated, after the newest it goes on as between the last two, for 100 ms. None
+    where that says nothing: before the first, later than that, in a gap, with a single one."""
+    after = next((k for k, (ns, _) in enumerate(told) if ns >= stamp_ns), len(told) - 1)
+    if not told or (after == 0 and told[0][0] != stamp_ns):
+        return None
+    (start_ns, start), (end_ns, end) = told[max(after - 1, 0)], told[after]
+    if stamp_ns == end_ns:
+        return end
+    if end_ns - start_ns > _MAX_GAP_NS or stamp_ns - end_ns > MAX_AHEAD_NS or end.parent != start.parent:
+        return None
+    share = (stamp_ns - start_ns) / (end_ns - start_ns)
+    a, b = np.array(start.quaternion), np.array(end.quaternion)
+    turn = rotation_vector(multiply(b, _inverse(a)))
+    place = (1.0 - share) * np.array(start.translation) + share * np.array(end.translation)
+    return mount_of(end.parent, place, multiply(quaternion_of(share * turn), a))
+
+
+def composed(outer: Mount, inner: Mount) -> Mount:
+    """A mount in the frame that another one is in."""
+    R = rotation_matrix(np.array(outer.quaternion))
+    place = R @ np.array(inner.translation) + np.array(outer.translation)
+    return mount_of(outer.parent, place, multiply(np.array(outer.quaternion), np.array(inner.quaternion)))
+
+
+def mount_of(parent: str, translation: Array, quaternion: Array) -> Mount:
+    """From arrays (3,) and xyzw (4,)."""
+    x, y, z = translation.tolist()
+    qx, qy, qz, qw = _normal(quaternion).tolist()
+    return Mount(parent=parent, translation=(x, y, z), quaternion=(qx, qy, qz, qw))
 
 
 def _predicted(pose: PoseMessage, ahead_ns: int) -> PoseAt | None:
@@ -156,6 +190,19 @@ def rotation_vector(q: Array) -> Array:
     if length < 1e-12:
         return np.asarray(2.0 * q[:3], dtype=np.float64)
     return np.asarray(2.0 * np.arctan2(length, q[3]) / length * q[:3], dtype=np.float64)
+
+
+def quaternion_from(R: Array) -> Array:
+    """xyzw of a rotation matrix (3, 3): the eigenvector of its largest agreement (Bar-Itzhack)."""
+    K = np.array(
+        [
+            [R[0, 0] - R[1, 1] - R[2, 2], 0.0, 0.0, 0.0],
+            [R[1, 0] + R[0, 1], R[1, 1] - R[0, 0] - R[2, 2], 0.0, 0.0],
+            [R[2, 0] + R[0, 2], R[2, 1] + R[1, 2], R[2, 2] - R[0, 0] - R[1, 1], 0.0],
+            [R[2, 1] - R[1, 2], R[0, 2] - R[2, 0], R[1, 0] - R[0, 1], R[0, 0] + R[1, 1] + R[2, 2]],
+        ]
+    )
+    return np.asarray(np.linalg.eigh(K)[1][:, -1])
 
 
 def rotation_matrix(q: Array) -> Array:

@@ -25,14 +25,15 @@ from huepose_protos.codec import decode
 from huepose_protos.errors import WireError
 from huepose_protos.keys import Keys
 from huepose_protos.messages import CameraMessage, Mount, PoseMessage
-from huepose_protos.motion import PoseAt, pose_at
+from huepose_protos.motion import PoseAt, mount_at, pose_at
 
-_KEPT = 64
+_KEPT, _TOLD = 64, 512
 _WAITING = 1024
 _LOOK_EVERY_S = 0.1
 _ASK_TIMEOUT_S = 2.0
 _FORGET_S = 60.0
-Instance = tuple[str, int]
+Instance = tuple[str, str, int]
+"""The camera's frame, the object, the instance."""
 
 
 class PoseClient:
@@ -40,7 +41,8 @@ class PoseClient:
 
     endpoints: `tcp/HOST:PORT` or `tls/HOST:PORT`; for TLS the files in PEM of `open_session`. It may be made
     before the pipeline runs, and finds it again when it was gone; each time it asks for the latest poses.
-    object: the only one that is of interest, else all. Can be used from several threads.
+    camera: the only one whose poses are read, else all, each for itself: `pose.frame` says which camera's a
+    pose is. object: the only one that is of interest, else all. Can be used from several threads.
 
     `refused`: messages that could not be read; `missed`: poses that were dropped because the iterator was not
     read for too long (`latest` and `at` always know the newest)."""
@@ -61,7 +63,8 @@ class PoseClient:
         self._waiting: deque[PoseMessage] = deque()
         self._history: dict[Instance, deque[PoseMessage]] = {}
         self._arrived: dict[Instance, float] = {}
-        self._mounts: dict[str, Mount | None] = {}
+        self._fixed: dict[str, Mount | None] = {}
+        self._moving: dict[str, deque[tuple[int, Mount]]] = {}
         self._closed = threading.Event()
         keys = Keys(site, camera)
         inside = keys.poses if object is None else keys.poses.replace("**", f"{object}/*")
@@ -99,7 +102,19 @@ class PoseClient:
         except WireError:
             self.refused += 1
             return
-        self._mounts[camera.frame] = camera.mount
+        with self._changed:
+            if camera.mount is None or camera.mount_ns is None:
+                self._fixed[camera.frame] = camera.mount
+                return
+            told = self._moving.setdefault(camera.frame, deque(maxlen=_TOLD))
+            if not told or camera.mount_ns > told[-1][0]:
+                told.append((camera.mount_ns, camera.mount))
+
+    def _mount(self, frame: str, stamp_ns: int) -> Mount | None:
+        """Where a camera is at a time of its own clock."""
+        with self._changed:
+            fixed, told = self._fixed.get(frame), list(self._moving.get(frame, ()))
+        return fixed or mount_at(told, stamp_ns)
 
     def _on_sample(self, sample: zenoh.Sample) -> None:
         try:
@@ -108,7 +123,7 @@ class PoseClient:
             self.refused += 1
 
     def _add(self, pose: PoseMessage) -> None:
-        instance = (pose.object, pose.instance)
+        instance = (pose.frame, pose.object, pose.instance)
         with self._changed:
             if instance not in self._history:
                 self._forget_old()
@@ -152,7 +167,8 @@ class PoseClient:
     ) -> PoseMessage | None:
         """The newest pose message of an instance; None where there is none, or it came longer ago.
 
-        Without an instance that of the object, without an object of all, that was heard last."""
+        Without an instance that of the object, without an object of all, that was heard last, by whichever
+        camera."""
         with self._changed:
             which = self._which(object, instance)
             if which is None or time.monotonic() - self._arrived[which] > max_age_s:
@@ -172,7 +188,8 @@ class PoseClient:
 
         Between two poses of the last two seconds it is interpolated; after the newest it is predicted by its
         velocity for up to 100 ms, with a covariance that grows. None where that says nothing: no pose, LOST,
-        stale. Where the camera's place is configured, `T_parent_obj` is the same in the robot's frame.
+        stale. Where the camera's place is configured, or told as it moves, `T_parent_obj` is the same in the
+        robot's frame; None at a time for which it was not told (`motion.mount_at`).
         On another machine it is as right as the two wall clocks agree (NTP: some milliseconds)."""
         with self._changed:
             which = self._which(object, instance)
@@ -180,11 +197,12 @@ class PoseClient:
         if not poses:
             return None
         unix_ns = time.time_ns() if unix_ns is None else unix_ns
-        found = pose_at(poses, unix_ns - _offset_ns(poses[-1]))
-        return None if found is None else replace(found, mount=self._mounts.get(poses[-1].frame))
+        stamp_ns = unix_ns - _offset_ns(poses[-1])
+        found = pose_at(poses, stamp_ns)
+        return None if found is None else replace(found, mount=self._mount(poses[-1].frame, stamp_ns))
 
     def _which(self, object: str | None, instance: int | None) -> Instance | None:
-        known = [key for key in self._history if object in (None, key[0]) and instance in (None, key[1])]
+        known = [key for key in self._history if object in (None, key[1]) and instance in (None, key[2])]
         return max(known, key=lambda key: self._arrived[key], default=None)
 
     def close(self) -> None:

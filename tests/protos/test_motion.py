@@ -9,7 +9,18 @@ import pytest
 
 from huepose_protos.examples import messages
 from huepose_protos.messages import PoseMessage
-from huepose_protos.motion import SECOND, multiply, pose_at, quaternion_of, rotation_matrix, rotation_vector
+from huepose_protos.motion import (
+    SECOND,
+    composed,
+    mount_at,
+    mount_of,
+    multiply,
+    pose_at,
+    quaternion_from,
+    quaternion_of,
+    rotation_matrix,
+    rotation_vector,
+)
 
 POSE = next(m for m in messages() if isinstance(m, PoseMessage))
 LINEAR, ANGULAR = np.array([0.3, -0.2, 0.1]), np.array([0.5, 1.0, -0.7])
@@ -88,3 +99,31 @@ def test_no_pose_while_lost_and_none_across_a_gap():
 @pytest.mark.parametrize("vector", [[0, 0, 0], [1e-9, 0, 0], [0.1, -0.2, 0.3], [3.1, 0.1, 0.0]])
 def test_rotation_vectors_come_back(vector):
     assert rotation_vector(quaternion_of(np.array(vector, float))) == pytest.approx(vector, abs=1e-12)
+
+
+def test_a_moving_camera_is_interpolated_and_goes_on_for_a_moment_and_no_longer():
+    turn = quaternion_of(np.array([0.0, 0.0, 0.2]))
+    start = mount_of("base", np.array([1.0, 0.0, 0.0]), np.array([0.0, 0.0, 0.0, 1.0]))
+    end = mount_of("base", np.array([1.1, 0.0, 0.0]), turn)
+    told = [(1_000_000_000, start), (1_100_000_000, end)]
+    for ms, share in ((1000, 0.0), (1050, 0.5), (1100, 1.0), (1150, 1.5)):
+        found = mount_at(told, ms * 1_000_000)
+        assert found is not None
+        assert np.allclose(found.translation, [1.0 + 0.1 * share, 0.0, 0.0])
+        assert np.allclose(rotation_vector(np.array(found.quaternion)), [0.0, 0.0, 0.2 * share])
+    assert mount_at(told, 999_000_000) is None
+    assert mount_at(told, 1_201_000_000) is None, "nobody knows where it went"
+    assert mount_at([told[0], (1_300_000_000, end)], 1_150_000_000) is None, "a gap"
+    assert mount_at(told[:1], 1_010_000_000) is None
+    assert mount_at([], 0) is None
+
+
+def test_a_mount_on_a_mount_and_quaternions_of_matrices():
+    rng = np.random.default_rng(3)
+    quaternions = rng.normal(size=(2, 4))
+    outer, inner = (mount_of("base", rng.normal(size=3), q) for q in quaternions)
+    both = composed(outer, inner)
+    R, S = (rotation_matrix(np.array(m.quaternion)) for m in (outer, inner))
+    assert np.allclose(rotation_matrix(np.array(both.quaternion)), R @ S)
+    assert np.allclose(both.translation, R @ np.array(inner.translation) + np.array(outer.translation))
+    assert np.allclose(rotation_matrix(quaternion_from(R)), R)

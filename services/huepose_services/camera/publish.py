@@ -13,13 +13,23 @@ from huepose_protos.messages import (
     CameraMessage,
     FrameHeader,
     Intrinsics,
+    Mount,
+    MountMessage,
     TruthMessage,
     TruthObject,
 )
+from huepose_protos.motion import composed
 from huepose_services.convert import box_to_wire, depth_to_wire, intrinsics_to_wire, optional_pose_to_wire
 from huepose_services.runtime.bus import Bus
 from huepose_services.runtime.clock import SECOND, now_ns, this_clock
 from huepose_services.runtime.config import Config
+from huepose_services.runtime.inbox import Queue
+
+_LATE_NS = SECOND // 2
+_NOT_TOLD = (
+    "nobody has told for half a second where the camera is (camera.moving): there are no poses in the frame "
+    "of the robot; MountSender of huepose_protos tells it"
+)
 
 
 @dataclass(frozen=True)
@@ -45,6 +55,9 @@ class FramePublisher:
         self._bus, self._keys = bus, config.keys
         self._frame_name = f"{config.camera.name}_color_optical"
         self._mount = config.camera.mount
+        self._told_mounts = bus.inbox.queue(self._keys.mount, wakes=False) if config.camera.moving else None
+        self._newest: MountMessage | None = None
+        self._made_ns = now_ns()
         self._told: int | None = None
         self._tell_ns = 0
 
@@ -65,6 +78,8 @@ class FramePublisher:
         )
         bus.put_pixels(self._keys.frame, header, picture.payload)
         self._tell(header)
+        if self._told_mounts is not None:
+            self._tell_mounts(header, self._told_mounts)
         bus.health.camera_epoch, bus.health.frame_id = epoch, frame_id
         bus.health.count(counted_as)
         bus.health.worked(started, capture_ns)
@@ -110,12 +125,26 @@ class FramePublisher:
         if header.camera_epoch == self._told and now < self._tell_ns:
             return
         self._told, self._tell_ns = header.camera_epoch, now + SECOND
+        self._say(header, self._mount if self._told_mounts is None else None, None)
+
+    def _tell_mounts(self, header: FrameHeader, told: Queue) -> None:
+        """Where a camera that moves was, as it was told since the last frame."""
+        while (message := self._bus.take(told, MountMessage)) is not None:
+            self._newest = message
+            fixed = self._mount
+            mount = message.mount if fixed is None else composed(message.mount, fixed)
+            self._say(header, mount, message.capture_ns)
+        since = self._made_ns if self._newest is None else self._newest.capture_ns
+        self._bus.health.warn_while("mount", _NOT_TOLD if now_ns() - since > _LATE_NS else None)
+
+    def _say(self, header: FrameHeader, mount: Mount | None, mount_ns: int | None) -> None:
         message = CameraMessage(
-            publish_ns=now,
+            publish_ns=now_ns(),
             camera_epoch=header.camera_epoch,
             clock=header.clock,
             frame=header.frame,
             intrinsics=header.intrinsics,
-            mount=self._mount,
+            mount=mount,
+            mount_ns=mount_ns,
         )
         self._bus.put(self._keys.camera_info, message)

@@ -75,7 +75,7 @@ def pose_stamped(pose: PoseMessage) -> Any:
 
 def transforms(poses: Iterable[PoseMessage], camera: CameraMessage | None) -> Any:
     """tf2_msgs/TFMessage: each object in the camera's frame, called OBJECT_INSTANCE; and the camera in the
-    frame that it is mounted in, where that is configured."""
+    frame that it is mounted in, where that is known; of one that moves only by itself, at its own time."""
     make = types().types
     out = []
     newest = None
@@ -86,8 +86,8 @@ def transforms(poses: Iterable[PoseMessage], camera: CameraMessage | None) -> An
         name = f"{pose.object}_{pose.instance}"
         out.append(make["geometry_msgs/msg/TransformStamped"](stamped, name, move))
     mount = None if camera is None else camera.mount
-    if camera is not None and mount is not None:
-        stamp_ns = camera.publish_ns if newest is None else newest.capture_ns
+    if camera is not None and mount is not None and (newest is None or camera.mount_ns is None):
+        stamp_ns = newest.capture_ns if newest else camera.mount_ns or camera.publish_ns
         stamped = header(stamp_ns + camera.clock.realtime_offset_ns, mount.parent)
         move = make["geometry_msgs/msg/Transform"](_vector(mount.translation), _quaternion(mount.quaternion))
         out.append(make["geometry_msgs/msg/TransformStamped"](stamped, camera.frame, move))

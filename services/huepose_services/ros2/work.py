@@ -84,7 +84,8 @@ class Ros2Work:
         """Publish the poses of each frame, and the camera."""
         while (camera := self._bus.take(self._cameras, CameraMessage)) is not None:
             self._camera = camera
-            self._say("camera_info", messages.camera_info(camera, camera.publish_ns))
+            if camera.mount_ns is None:
+                self._say("camera_info", messages.camera_info(camera, camera.publish_ns))
             if camera.mount is not None:
                 self._transform([])
         while (pose := self._bus.take(self._poses, PoseMessage)) is not None:

@@ -61,6 +61,7 @@ class CameraConfig(Section, frozen=True, kw_only=True):
     depth_scale_m: Annotated[float, Meta(gt=0.0, le=0.01)] = 0.0001
     device: DeviceConfig = DeviceConfig()
     mount: Mount | None = None
+    moving: bool = False
 
 
 class DetectorConfig(Section, frozen=True, kw_only=True):

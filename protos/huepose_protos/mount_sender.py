@@ -1,0 +1,50 @@
+"""Tells a pipeline where its camera is that moves, on the pipeline's own machine and as its user.
+
+>>> with MountSender("base_link") as sender:                # doctest: +SKIP
+...     while True:
+...         sender.tell(robot.T_base_tool())                # as often as the robot knows it
+"""
+
+from __future__ import annotations
+
+import time
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from huepose_protos.client import open_session
+from huepose_protos.codec import encode
+from huepose_protos.keys import Keys
+from huepose_protos.local import BASE_PORT, endpoint
+from huepose_protos.messages import MountMessage
+from huepose_protos.motion import mount_of, quaternion_from
+
+
+class MountSender:
+    """To the camera of a pipeline that says `camera.moving`; it may be made before that one runs.
+
+    parent: the frame of the robot or room that the transforms are in."""
+
+    def __init__(
+        self, parent: str, site: str = "local", camera: str = "cam0", base_port: int = BASE_PORT
+    ) -> None:
+        self._parent, self._key = parent, Keys(site, camera).mount
+        self._session = open_session([endpoint(base_port)])
+
+    def tell(self, T_parent: ArrayLike, stamp_ns: int | None = None) -> None:
+        """The pose (4, 4) in `parent` of what `camera.mount` is fixed to, or without that of the camera's
+        optical frame; stamp_ns: when, on this machine's CLOCK_MONOTONIC, by default now."""
+        T, now = np.asarray(T_parent, dtype=np.float64), time.monotonic_ns()
+        mount = mount_of(self._parent, T[:3, 3], quaternion_from(T[:3, :3]))
+        message = MountMessage(publish_ns=now, capture_ns=now if stamp_ns is None else stamp_ns, mount=mount)
+        self._session.put(self._key, encode(message))
+
+    def close(self) -> None:
+        """Leave the bus."""
+        self._session.close()
+
+    def __enter__(self) -> MountSender:
+        return self
+
+    def __exit__(self, *error: object) -> None:
+        self.close()

@@ -7,7 +7,7 @@ import msgspec
 import pytest
 
 from huepose.support.errors import InputError
-from huepose_services.runtime.config import WORKERS, Config, Section, load, parse
+from huepose_services.runtime.config import WORKERS, Config, Section, load, load_all, parse
 
 GOOD = "camera: {truth: true}\n"
 
@@ -68,6 +68,42 @@ def test_a_file_that_cannot_be_read_is_named(tmp_path, name):
 def test_every_worker_has_its_own_port():
     config = parse(GOOD, Path("p.yaml"))
     assert len({config.endpoint(worker) for worker in WORKERS}) == len(WORKERS)
+
+
+SEVERAL = """
+site: lab
+bundles: models
+gateway: {listen: "0.0.0.0:7000"}
+cameras: [{name: left, source: realsense}, {name: top-view, source: python, path: mine.py}]
+"""
+
+
+def test_each_of_several_cameras_has_a_configuration_of_its_own(tmp_path):
+    path = tmp_path / "p.yaml"
+    path.write_text(SEVERAL)
+    left, top = load_all(path)
+    assert [left.camera.name, top.camera.name] == ["left", "top-view"]
+    assert [left.keys.frame, top.keys.frame] == ["huepose/lab/left/frame", "huepose/lab/top-view/frame"]
+    assert top.camera.path == str(tmp_path / "mine.py")
+    assert top.bundles == left.bundles == str(tmp_path / "models")
+    ends = [{one.endpoint(w) for w in WORKERS} for one in (left, top)]
+    assert not ends[0] & ends[1]
+    assert [one.gateway.listen for one in (left, top)] == ["0.0.0.0:7000", "0.0.0.0:7001"]
+    assert [one.viewer.web_port for one in (left, top)] == [9090, 9091]
+    assert top.ros2.namespace == "huepose/top_view"
+    assert load(path, "left") == left
+    with pytest.raises(InputError, match="the cameras left, top-view"):
+        load(path)
+    with pytest.raises(InputError, match="camera right"):
+        load(path, "right")
+
+
+@pytest.mark.parametrize(
+    "text", [SEVERAL + "camera: {source: oak}", "cameras: [{name: a}, {name: b}, {name: a}]"]
+)
+def test_either_one_camera_or_several_each_with_a_name(text):
+    with pytest.raises(InputError, match="either `camera` or `cameras`"):
+        parse(text, Path("p.yaml"))
 
 
 def test_the_default_file_shows_every_key_with_its_default():

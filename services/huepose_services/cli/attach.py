@@ -40,7 +40,7 @@ def chosen_config(arguments: argparse.Namespace) -> Config:
         # Its sockets may be in another folder than those that this user's own pipelines would have.
         os.environ[FOLDER] = pipeline.folder
     if pipeline.file:
-        return load(Path(pipeline.file))
+        return load(Path(pipeline.file), pipeline.camera)
     return Config(
         site=pipeline.site,
         camera=CameraConfig(name=pipeline.camera),

@@ -15,6 +15,7 @@ def add_parser(subparsers: Any) -> None:
     parser = subparsers.add_parser("run", help="run one worker of a pipeline in this process")
     parser.add_argument("worker", metavar="WORKER", help="camera, tracker, reinit, detector, segmenter ...")
     parser.add_argument("config", nargs="?", type=Path, default=Path("pipeline.yaml"), metavar="PIPELINE")
+    parser.add_argument("--camera", metavar="NAME", help="which one, where the file has several cameras")
     parser.set_defaults(call=call)
 
 
@@ -31,7 +32,7 @@ def call(arguments: argparse.Namespace) -> int:
 
     # One that comes while it starts is for a file that it has yet to read.
     signal.signal(signal.SIGHUP, signal.SIG_IGN)
-    config = load(arguments.config).beside(arguments.worker)
+    config = load(arguments.config, arguments.camera).beside(arguments.worker)
     if arguments.worker not in WORKERS:
         raise InputError(
             f"worker '{arguments.worker}'", found="no such worker", expected=f"one of {', '.join(WORKERS)}"
@@ -44,7 +45,7 @@ def call(arguments: argparse.Namespace) -> int:
 
     # Under a supervisor that one has noted the whole pipeline.
     with noted(described(config, arguments.config)) if supervisor is None else nullcontext():
-        code = run_worker(arguments.worker, config, arguments.config.absolute())
+        code = run_worker(arguments.worker, config, arguments.config.absolute(), arguments.camera)
     # All is closed; taking numba and OpenCV apart would only make stopping take longer.
     sys.stderr.flush()
     os._exit(code)

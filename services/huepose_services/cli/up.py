@@ -3,10 +3,17 @@
 from __future__ import annotations
 
 import argparse
+from contextlib import ExitStack
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from huepose_services.cli.options import add_host, until_told
+
+if TYPE_CHECKING:
+    from huepose_services.runtime.supervisor import Supervisor
+
+BAD_INPUT = 2
+_POLL_S = 0.1
 
 
 def add_parser(subparsers: Any) -> None:
@@ -19,30 +26,46 @@ def add_parser(subparsers: Any) -> None:
 
 def call(arguments: argparse.Namespace) -> int:
     """Run until it ends or is interrupted."""
-    from huepose_services.runtime.config import load
+    from huepose_services.runtime.config import load_all
     from huepose_services.runtime.notify import notify
     from huepose_services.runtime.prepare import prepare
     from huepose_services.runtime.reload import asked_again
     from huepose_services.runtime.running import described, noted
     from huepose_services.runtime.supervisor import Supervisor
 
-    config = load(arguments.config).at(arguments.host)
-    prepare(config)
+    configs = [config.at(arguments.host) for config in load_all(arguments.config)]
+    for config in configs:
+        prepare(config)
     stopping, again = until_told(), asked_again()
 
-    supervisor = Supervisor(config, arguments.config)
-    with noted(described(config, arguments.config)):
-        supervisor.start()
+    supervisors = [
+        Supervisor(config, arguments.config, of=config.camera.name if len(configs) > 1 else None)
+        for config in configs
+    ]
+    with ExitStack() as notes:
+        for config in configs:
+            notes.enter_context(noted(described(config, arguments.config)))
         try:
+            for supervisor in supervisors:
+                supervisor.start()
             told = False
-            while supervisor.exit_code is None and not stopping():
-                supervisor.poll()
-                if again():
-                    supervisor.reload()
-                if supervisor.ready and not told:
+            while _go_on(supervisors) and not stopping():
+                asked = again()
+                for supervisor in supervisors:
+                    supervisor.poll(_POLL_S / len(supervisors))
+                    if asked:
+                        supervisor.reload()
+                if not told and all(supervisor.ready for supervisor in supervisors):
                     told = True
                     notify("READY=1")
         finally:
             notify("STOPPING=1")
-            supervisor.stop()
-    return supervisor.exit_code or 0
+            for supervisor in supervisors:
+                supervisor.stop()
+    return max(supervisor.exit_code or 0 for supervisor in supervisors)
+
+
+def _go_on(supervisors: list[Supervisor]) -> bool:
+    """Until the last camera's workers have come to their end, or one has a wrong configuration."""
+    codes = [supervisor.exit_code for supervisor in supervisors]
+    return None in codes and BAD_INPUT not in codes

@@ -23,15 +23,25 @@ def add_parser(subparsers: Any) -> None:
 
 def call(arguments: argparse.Namespace) -> int:
     """Read it, look for what it names, say what it is."""
-    from huepose_protos.local import run_folder
-    from huepose_services.runtime.config import load
+    from huepose_services.runtime.config import load_all
     from huepose_services.runtime.prepare import check
 
-    config = load(arguments.config).at(arguments.host)
-    check(config)
+    configs = [config.at(arguments.host) for config in load_all(arguments.config)]
+    for config in configs:
+        check(config)
+    answers, summaries = zip(*(_described(config, arguments.config) for config in configs), strict=True)
+    answer = answers[0] if len(answers) == 1 else {"file": str(arguments.config), "cameras": list(answers)}
+    answered(arguments, answer, "\n".join((f"{arguments.config}: good", *summaries)))
+    return 0
+
+
+def _described(config: Config, path: Path) -> tuple[dict[str, Any], str]:
+    """What a configuration is, for programs and in words."""
+    from huepose_protos.local import run_folder
+
     ports = {worker: config.port(worker) for worker in config.workers}
     answer: dict[str, Any] = {
-        "file": str(arguments.config),
+        "file": str(path),
         "workers": list(config.workers),
         "camera": f"{config.camera.name}: {config.camera.source} {config.camera.path or ''}".rstrip(),
         "objects": [item.name for item in config.objects],
@@ -42,8 +52,7 @@ def call(arguments: argparse.Namespace) -> int:
         "hosts": {host: list(workers) for host, workers in config.hosts.items()},
     }
     every = "the built-in ones" if config.bundles is None else f"all of {config.bundles}"
-    summary = f"""{arguments.config}: good
-  workers  {", ".join(config.workers)}
+    summary = f"""  workers  {", ".join(config.workers)}
   camera   {answer["camera"]}
   objects  {", ".join(answer["objects"]) or every}
   keys     {answer["keys"]}
@@ -54,8 +63,7 @@ def call(arguments: argparse.Namespace) -> int:
     elif config.hosts:
         there = f"{config.other_host}, which runs {', '.join(config.far)}"
         summary += f"\n  link     at {config.link.listen} for {there}, by TLS ({config.link.secure})"
-    answered(arguments, answer, summary)
-    return 0
+    return answer, summary
 
 
 def _way_of_frames(config: Config) -> str:

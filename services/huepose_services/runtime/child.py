@@ -28,8 +28,9 @@ class Child:
     """A worker's process. `ready`: it said so; `runs`: its loop gave a sign of life; `heard`: when it was
     started or last gave one; `compiling`: that it waits for the compiler is the last that it said."""
 
-    def __init__(self, worker: str, path: Path, out: TextIO, restarts: int) -> None:
+    def __init__(self, worker: str, path: Path, out: TextIO, restarts: int, camera: str | None) -> None:
         self.worker, self._out = worker, out
+        self._says = f"{camera}/{worker}" if camera else worker
         self.ready = self.runs = self.compiling = False
         self.started = self.heard = time.monotonic()
         read_end, write_end = os.pipe()
@@ -40,8 +41,9 @@ class Child:
             SUPERVISOR: str(os.getpid()),
             RESTARTS: str(restarts),
         }
+        choice = [] if camera is None else ["--camera", camera]
         self.process = subprocess.Popen(
-            [sys.executable, "-m", "huepose_services.cli.main", "run", worker, str(path)],
+            [sys.executable, "-m", "huepose_services.cli.main", "run", worker, str(path), *choice],
             env=environment,
             stdin=subprocess.DEVNULL,
             stdout=subprocess.PIPE,
@@ -59,7 +61,7 @@ class Child:
     def _copy_log(self) -> None:
         """Its log lines as they are; what libraries print as lines of the worker, repeats held back."""
         assert self.process.stdout is not None
-        foreign = Log(self.worker, self._out)
+        foreign = Log(self._says, self._out)
         for raw in self.process.stdout:
             line = raw.decode(errors="replace")
             if is_log_line(line):

@@ -52,6 +52,9 @@ CHAIN: tuple[WorkerName, ...] = ("camera", "tracker", "reinit", "detector", "seg
 # The order gives each worker its port: base_port plus its place. New workers go to the end.
 WORKERS: tuple[WorkerName, ...] = (*CHAIN, "gateway", "viewer", "ros2", "uplink", "downlink")
 
+PORTS_OF_A_CAMERA = 20
+"""Between the first ports of two cameras of a file: room for workers to come."""
+
 
 class ObjectConfig(Section, frozen=True, kw_only=True):
     """An object to look for, by the name of its reference model."""
@@ -167,7 +170,8 @@ Processors = Annotated[list[Annotated[int, Meta(ge=0, le=1023)]], Meta(min_lengt
 
 class Config(Section, frozen=True, kw_only=True):
     """A whole deployment. `folder` is that of the file: relative paths start there. cpus: the processors that
-    a worker keeps to; others go where they like. hosts: which workers run on another computer."""
+    a worker keeps to; others go where they like. hosts: which workers run on another computer. cameras:
+    several instead of `camera`; of each is made a configuration of its own, with workers of its own."""
 
     site: Name = "local"
     workers: tuple[WorkerName, ...] = CHAIN
@@ -178,6 +182,7 @@ class Config(Section, frozen=True, kw_only=True):
     profile: Literal["live", "patient"] = "live"
     objects: list[ObjectConfig] = msgspec.field(default_factory=list)
     camera: CameraConfig = CameraConfig()
+    cameras: list[CameraConfig] = msgspec.field(default_factory=list)
     detector: DetectorConfig = DetectorConfig()
     segmenter: SegmenterConfig = SegmenterConfig()
     networks: NetworksConfig = NetworksConfig()
@@ -244,8 +249,24 @@ class Config(Section, frozen=True, kw_only=True):
         return endpoint(self.port(worker))
 
 
-def load(path: Path) -> Config:
-    """The configuration of a file. Raises InputError that names the key, the value and what is allowed."""
+def load(path: Path, camera: str | None = None) -> Config:
+    """The configuration of a file; where it has several cameras, that of the one that is named. Raises
+    InputError that names the key, the value and what is allowed."""
+    configs = load_all(path)
+    of_camera = [config for config in configs if config.camera.name == camera]
+    if len(configs) == 1 or of_camera:
+        return (of_camera or configs)[0]
+    names = ", ".join(config.camera.name for config in configs)
+    raise InputError(
+        f"{path}: cameras" if camera is None else f"{path}: camera {camera}",
+        found=f"the cameras {names}",
+        expected="one camera" if camera is None else "one of them",
+        fix="Where the command has --pipeline or --camera, name one; else give it a file with one `camera`.",
+    )
+
+
+def load_all(path: Path) -> list[Config]:
+    """The configurations of a file: one for each camera. Raises InputError as `load` does."""
     try:
         with path.open("rb") as file:
             data = file.read(_MAX_BYTES + 1)
@@ -260,11 +281,18 @@ def load(path: Path) -> Config:
             expected="a YAML file that describes a pipeline",
             fix="Give the path of one: huepose up PIPELINE.yaml.",
         ) from None
-    return parse(text, path)
+    return parse_all(text, path)
 
 
 def parse(text: str, path: Path) -> Config:
-    """The configuration in a text; `path` names it in errors and is where relative paths start."""
+    """The configuration in a text of one camera; see `parse_all`."""
+    (config,) = parse_all(text, path)
+    return config
+
+
+def parse_all(text: str, path: Path) -> list[Config]:
+    """The configurations in a text, one for each camera; `path` names it in errors and is where relative
+    paths start."""
     data = read_yaml(text, path)
     try:
         config = msgspec.convert(data if data is not None else {}, Config)
@@ -273,11 +301,51 @@ def parse(text: str, path: Path) -> Config:
     except RecursionError:
         raise InputError(f"configuration {path}", found="values within values without an end") from None
     try:
-        config = _absolute(config, path.absolute().parent)
+        configs = [_absolute(one, path.absolute().parent) for one in _of_cameras(config, path)]
     except (RuntimeError, ValueError) as error:
         raise InputError(f"{path}: a path in it", found=str(error)[:200], expected="a path") from None
-    _check(config, path)
-    return config
+    for one in configs:
+        _check(one, path)
+    return configs
+
+
+def _of_cameras(config: Config, path: Path) -> list[Config]:
+    """For each camera what it would be alone: with ports of its own, and a namespace in ROS 2."""
+    if not config.cameras:
+        return [config]
+    names = [camera.name for camera in config.cameras]
+    if config.hosts:
+        raise InputError(
+            f"{path}: cameras",
+            found="`cameras` and `hosts`",
+            expected="one of them",
+            fix="Give each camera whose workers run on two computers a file of its own.",
+        )
+    if config.camera != CameraConfig() or len(set(names)) != len(names):
+        raise InputError(
+            f"{path}: cameras",
+            found=", ".join(names) if config.camera == CameraConfig() else "`camera` and `cameras`",
+            expected="either `camera` or `cameras`, and every name once",
+            fix="Give each of `cameras` a name of its own, and leave `camera` out.",
+        )
+    replace = msgspec.structs.replace
+    host, port = config.gateway.listen.rsplit(":", 1)
+    return [
+        replace(
+            config,
+            camera=camera,
+            cameras=[],
+            gateway=replace(config.gateway, listen=f"{host}:{int(port) + k}"),
+            viewer=replace(
+                config.viewer,
+                web_port=config.viewer.web_port + k,
+                grpc_port=config.viewer.grpc_port + k,
+            ),
+            ros2=replace(config.ros2, namespace=f"{config.ros2.namespace}/{camera.name.replace('-', '_')}"),
+            bus=replace(config.bus, base_port=config.bus.base_port + k * PORTS_OF_A_CAMERA),
+        )
+        for k, camera in enumerate(config.cameras)
+    ]
 
 
 def _absolute(config: Config, folder: Path) -> Config:

@@ -87,7 +87,7 @@ class Reload:
     def take_over(self, take_over: TakeOver) -> Config | None:
         """Read the file, take over what can be, and say what was and what was not. None: it is wrong."""
         try:
-            new = load(self._path).at(self._started.host)
+            new = load(self._path, self._started.camera.name).at(self._started.host)
         except InputError as error:
             self._tell(f"{self._path} is not taken over: {error}")
             return None

@@ -15,7 +15,7 @@ import msgspec
 
 from huepose.support.errors import InputError
 from huepose_protos.local import endpoint, run_folder
-from huepose_services.runtime.config import DEFAULT_FILE, WORKERS, Config, load
+from huepose_services.runtime.config import DEFAULT_FILE, WORKERS, Config, load_all
 from huepose_services.runtime.run_folder import is_private, known_folders, make_folder
 
 
@@ -68,7 +68,7 @@ def described(config: Config, path: Path) -> Pipeline:
 def noted(pipeline: Pipeline) -> Iterator[None]:
     """While a pipeline runs in this process. Without a folder to write, nobody finds it: that is all."""
     folder = run_folder()
-    note = folder / f"{os.getpid()}.json"
+    note = folder / f"{os.getpid()}-{pipeline.base_port}.json"
     with suppress(OSError, InputError):
         make_folder()
         # A reader sees all of it or nothing.
@@ -88,11 +88,12 @@ def running(without_this: bool = False) -> list[Pipeline]:
     """The pipelines that run now, each once; perhaps without what this process has noted."""
     found = {}
     for note in [note for folder in known_folders() for note in sorted(folder.glob("*.json"))]:
-        if not note.stem.isdigit() or not _runs(int(note.stem)):
+        process = note.stem.partition("-")[0]
+        if not process.isdigit() or not _runs(int(process)):
             with suppress(OSError):
                 note.unlink(missing_ok=True)
             continue
-        if without_this and int(note.stem) == os.getpid():
+        if without_this and int(process) == os.getpid():
             continue
         with suppress(OSError, msgspec.MsgspecError):
             pipeline = msgspec.json.decode(note.read_bytes(), type=Pipeline)
@@ -116,7 +117,16 @@ def pick(path: Path | None = None, which: str | None = None) -> Pipeline:
     not said which one, or none is the one that was said."""
     found = running()
     if path is not None:
-        wanted = described(load(path).at(None), path)
+        of_file = [described(config.at(None), path) for config in load_all(path)]
+        meant = [p for p in of_file if which in (None, p.name, p.camera, str(p.base_port))]
+        if len(meant) != 1:
+            raise InputError(
+                f"the camera of {path}",
+                found=_listed(of_file) if which is None else f"--pipeline {which}, and {_listed(of_file)}",
+                expected="one of them",
+                fix=f"Say which: --pipeline {of_file[0].camera}.",
+            )
+        (wanted,) = meant
         same = [p for p in found if (p.base_port, p.name) == (wanted.base_port, wanted.name)]
         # It may run in a folder that is not this user's.
         return msgspec.structs.replace(same[0], file=wanted.file) if same else wanted
@@ -143,11 +153,9 @@ def pick(path: Path | None = None, which: str | None = None) -> Pipeline:
 def usual() -> Pipeline:
     """Where a pipeline would be: as the configuration in this folder says, else at the default port."""
     default = Path(DEFAULT_FILE)
-    return (
-        described(load(default).at(None), default)
-        if default.exists()
-        else Pipeline(base_port=Config().bus.base_port)
-    )
+    if default.exists():
+        return described(load_all(default)[0].at(None), default)
+    return Pipeline(base_port=Config().bus.base_port)
 
 
 def _listed(pipelines: list[Pipeline]) -> str:

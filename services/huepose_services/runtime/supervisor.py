@@ -47,12 +47,15 @@ class _Record:
 
 
 class Supervisor:
-    """All workers of one configuration. Call `start`, then `poll` often, then `stop`."""
+    """All workers of one configuration. Call `start`, then `poll` often, then `stop`.
 
-    def __init__(self, config: Config, path: Path, out: TextIO | None = None) -> None:
+    of: the camera that they are of, where the file has several; the log then says so."""
+
+    def __init__(self, config: Config, path: Path, out: TextIO | None = None, of: str | None = None) -> None:
         self._config, self._path = config, path
         self._out = out or sys.stderr
-        self._log = Log("huepose", self._out)
+        self._log = Log(f"{of}/huepose" if of else "huepose", self._out)
+        self._of = of
         self._reload = Reload("huepose", path, config, self._log)
         self._read_again: set[str] = set()
         self._children: dict[str, Child] = {}
@@ -86,7 +89,7 @@ class Supervisor:
     def _spawn(self, worker: str) -> None:
         record = self._records[worker]
         record.restart_at = None
-        self._children[worker] = Child(worker, self._path, self._out, record.restarts)
+        self._children[worker] = Child(worker, self._path, self._out, record.restarts, self._of)
 
     def reload(self) -> None:
         """Read the configuration again, and have every worker do so, at last when it is ready."""

@@ -123,12 +123,12 @@ def keep_to(processors: Collection[int]) -> None:
         os.sched_setaffinity(0, processors)
 
 
-def run_worker(worker: str, config: Config, path: Path) -> int:
+def run_worker(worker: str, config: Config, path: Path, of: str | None = None) -> int:
     """Run a worker until SIGTERM, SIGINT, its supervisor's end or its own; path: of the configuration, which
-    is read again at SIGHUP. Returns the exit code.
+    is read again at SIGHUP; of: its camera, where the file has several, for the log. Returns the exit code.
 
     Raises InputError for what the configuration names and is not there, or a port that is taken."""
-    log, health = Log(worker), Health(worker)
+    log, health = Log(f"{of}/{worker}" if of else worker), Health(worker)
     health.much_locked_mib = max(health.much_locked_mib, 10.0 * config.bus.frame_pool_mib)
     stop, again = _Stop(log), asked_again()
     # The supervisor asks a worker that hangs where it is before it ends it.

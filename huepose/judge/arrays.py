@@ -34,7 +34,8 @@ class ModelArrays(NamedTuple):
 
 
 class RegionArrays(NamedTuple):
-    """The arrays of a region that kernels read. finest: of the scales of colours, the first of the two that
+    """The arrays of a region that kernels read. colors (S, h, w, 3) float32: opponents averaged at the
+    model's scales; finest: of the scales of colours, the first of the two that
     are compared; light (3,): what the light adds to opponents, where that is known (`lit`); blind: weight of
     colours where there is no depth to say whether the object is in front."""
 

@@ -56,7 +56,7 @@ def figure_ground_contrast(model: ReferenceModel, region: Region, poses: Float) 
         window = camera.cropped(columns.start, rows.start, width, height)
         rendered = render_depth(model.mesh, np.ascontiguousarray(T), window)
         figure, ground = figure_and_ground(rendered, region.crop.depth[rows, columns], region.tolerance_m)
-        out[k] = _difference(figure, ground, region.colors[rows, columns], lowest, widths)
+        out[k] = _difference(figure, ground, region.colors[0, rows, columns], lowest, widths)
     return out
 
 

@@ -200,8 +200,8 @@ def _read_colors(model: ModelArrays, region: RegionArrays, count: int, scratch: 
     # Flat and without a sign, so that the compiler need not think of indices counted from the end.
     fine, coarse = model.colors[region.finest].ravel(), model.colors[region.finest + 1].ravel()
     colors = region.colors.ravel()
-    channels = np.uint64(region.colors.shape[2])
-    first, below = np.uint64(3 * region.finest), channels * np.uint64(width)
+    scale, below = np.uint64(3 * height * width), np.uint64(3 * width)
+    first, right = scale * np.uint64(region.finest), np.uint64(3)
     for k in range(count):
         uf, vf = scratch[21, k], scratch[22, k]
         u0, v0 = min(max(int(uf), 0), width - 2), min(max(int(vf), 0), height - 2)
@@ -209,14 +209,18 @@ def _read_colors(model: ModelArrays, region: RegionArrays, count: int, scratch: 
         c00, c01 = np.float32((1.0 - a) * (1.0 - b)), np.float32(a * (1.0 - b))
         c10, c11 = np.float32((1.0 - a) * b), np.float32(a * b)
         i = np.uint64(3 * int(scratch[20, k]))
-        p = channels * np.uint64(v0 * width + u0) + first
+        p = np.uint64(3 * (v0 * width + u0)) + first
         for q in range(np.uint64(3)):
             scratch[8 + q, k] = fine[i + q]
             scratch[11 + q, k] = coarse[i + q]
-        for q in range(np.uint64(6)):
-            upper = c00 * colors[p + q] + c01 * colors[p + q + channels]
-            lower = c10 * colors[p + q + below] + c11 * colors[p + q + below + channels]
+        for q in range(np.uint64(3)):
+            upper = c00 * colors[p + q] + c01 * colors[p + q + right]
+            lower = c10 * colors[p + q + below] + c11 * colors[p + q + below + right]
             scratch[14 + q, k] = upper + lower
+            wide = p + q + scale
+            upper = c00 * colors[wide] + c01 * colors[wide + right]
+            lower = c10 * colors[wide + below] + c11 * colors[wide + below + right]
+            scratch[17 + q, k] = upper + lower
 
 
 @jit_dividing

@@ -35,7 +35,7 @@ _NO_POINTS, _NO_WEIGHTS, _NO_LIGHT = np.zeros((0, 3)), np.zeros(0), np.zeros(3)
 
 @dataclass(frozen=True, eq=False)
 class OpenRegion:
-    """arrays: what kernels read, colours (h, w, 9) at SCALES_M; its top-left pixel in the frame is (x0,
+    """arrays: what kernels read, colours (3, h, w, 3) at SCALES_M; its top-left pixel in the frame is (x0,
     y0)."""
 
     arrays: RegionArrays
@@ -108,17 +108,19 @@ def tolerance_m(diameter_m: float, distance_m: float) -> float:
 
 
 def _averaged(plain: Float32, px_per_m: float) -> Float32:
-    """Opponents (h, w, 9) averaged over SCALES_M; each scale at a half of the resolution of the one
+    """Opponents (3, h, w, 3) averaged over SCALES_M; each scale at a half of the resolution of the one
     before."""
     height, width = plain.shape[:2]
-    levels, image = [], plain
-    for scale_m, step in zip(SCALES_M, (1, 2, 4), strict=True):
+    averages, image = np.empty((len(SCALES_M), height, width, 3), np.float32), plain
+    for out, scale_m, step in zip(averages, SCALES_M, (1, 2, 4), strict=True):
         if step > 1:
             size = (width // step, height // step)
             image = np.asarray(cv2.resize(image, size, interpolation=cv2.INTER_AREA), np.float32)
         # About half a sample of blur is there already, from the lens and from averaging areas.
         sigma = float(np.sqrt(max((scale_m * px_per_m / step) ** 2 - 0.25, 0.16)))
         side = 2 * int(np.ceil(REACH_SIGMAS * sigma)) + 1
-        smooth = cv2.GaussianBlur(image, (side, side), sigma)
-        levels.append(smooth if step == 1 else cv2.resize(smooth, (width, height)))
-    return np.asarray(cv2.merge(levels), dtype=np.float32)
+        if step == 1:
+            cv2.GaussianBlur(image, (side, side), sigma, dst=out)
+        else:
+            cv2.resize(cv2.GaussianBlur(image, (side, side), sigma), (width, height), dst=out)
+    return averages

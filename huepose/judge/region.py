@@ -49,8 +49,8 @@ class Region:
     """A crop seen through what is believed to show the object.
 
     belief (h, w) float32: how likely a pixel shows the object, 0 where it has no depth (with a single mask:
-    1 on it); mask (h, w): belief over a half of its largest; colors (h, w, 6) float32: opponents smoothed
-    over about 1 mm, then over 3.5 mm, inside the mask without a look outside; points_cam (N, 3) and
+    1 on it); mask (h, w): belief over a half of its largest; colors (2, h, w, 3) float32: opponents
+    smoothed over about 1 mm, and over 3.5 mm, inside the mask without a look outside; points_cam (N, 3) and
     point_weights (N,) float64: at most 500 believed points in random order, away from rims; trust: 0..1, how
     far the belief itself may be believed; bounds (4,): left, top, right, bottom of the box in the crop;
     tolerance_m: how far depth and surface may be apart; median_depth_m: of the mask; light (3,): what the
@@ -132,27 +132,27 @@ def _masked_colors(crop: Crop, belief: Float32, depth_m: float) -> Float32:
 
 
 def smoothed_opponents(color: UInt8, weight: Float32, sigmas_px: Sequence[float]) -> Float32:
-    """Opponents (h, w, 3 for each sigma) of a picture (h, w, 3) whose linear colours are averaged under a
+    """Opponents (S, h, w, 3), of each sigma, of a picture (h, w, 3) whose linear colours are averaged under a
     Gaussian, each pixel with its weight (h, w), over 0."""
     weighted = _weighted(color, LINEAR, weight)
-    out = np.empty((*weight.shape, 3 * len(sigmas_px)), np.float32)
-    for scale, sigma in enumerate(sigmas_px):
+    out = np.empty((len(sigmas_px), *weight.shape, 3), np.float32)
+    for sigma, smooth in zip(sigmas_px, out, strict=True):
         if sigma < HALVED_FROM_PX:
-            _opposed(_smoothed(weighted, sigma), 3 * scale, out)
+            _opposed(_smoothed(weighted, sigma), smooth)
         else:
-            out[..., 3 * scale : 3 * scale + 3] = _smoothed_at_half(weighted, sigma)
+            _smoothed_at_half(weighted, sigma, smooth)
     return out
 
 
-def _smoothed_at_half(weighted: Float32, sigma: float) -> Float32:
+def _smoothed_at_half(weighted: Float32, sigma: float, out: Float32) -> None:
     """Opponents (h, w, 3) of weighted colours smoothed by `sigma` pixels, by way of half the resolution."""
     height, width = weighted.shape[:2]
     half = cv2.resize(weighted, ((width + 1) // 2, (height + 1) // 2), interpolation=cv2.INTER_AREA)
     # Averaging pairs and reading between the means smooth as well, with about this variance together.
     log = _smoothed(np.asarray(half, dtype=np.float32), 0.5 * float(np.sqrt(sigma * sigma - 0.75)))
     small = np.empty((*log.shape[1:], 3), np.float32)
-    _opposed(log, 0, small)
-    return np.asarray(cv2.resize(small, (width, height), interpolation=cv2.INTER_LINEAR), dtype=np.float32)
+    _opposed(log, small)
+    cv2.resize(small, (width, height), dst=out, interpolation=cv2.INTER_LINEAR)
 
 
 def _smoothed(weighted: Float32, sigma: float) -> Float32:
@@ -189,15 +189,15 @@ def _brightened(smooth: Float32, out: Float32) -> None:
 
 
 @jit_dividing
-def _opposed(log: Float32, first: int, out: Float32) -> None:
-    """Opponents of logarithms (3, h, w), as in `colorpair.opponents`, into channels `first`.. of `out`."""
+def _opposed(log: Float32, out: Float32) -> None:
+    """Opponents (h, w, 3) of logarithms (3, h, w), as in `colorpair.opponents`."""
     scale, half, third = np.float32(SCALE), np.float32(0.5 * SCALE), np.float32(SCALE / 3.0)
     for v in range(log.shape[1]):
         for u in range(log.shape[2]):
             red, green, blue = log[0, v, u], log[1, v, u], log[2, v, u]
-            out[v, u, first] = (red + green + blue) * third
-            out[v, u, first + 1] = (red - green) * scale
-            out[v, u, first + 2] = (red + green) * half - blue * scale
+            out[v, u, 0] = (red + green + blue) * third
+            out[v, u, 1] = (red - green) * scale
+            out[v, u, 2] = (red + green) * half - blue * scale
 
 
 def _believed_points(crop: Crop, belief: Float32) -> tuple[Float64, Float64]:

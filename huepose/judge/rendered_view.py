@@ -40,10 +40,10 @@ class RenderedView:
 
 
 def detail_colors(color: UInt8, weight: Float32) -> Float32:
-    """Detail and blunt colours (h, w, 6) of a picture (h, w, 3); pixels count by their weight (h, w), over
+    """Detail and blunt colours (2, h, w, 3) of a picture (h, w, 3); pixels count by their weight (h, w), over
     0."""
     colors = smoothed_opponents(color, weight, (SHARP_PX, BLUNT_PX))
-    colors[..., :3] -= colors[..., 3:]
+    colors[0] -= colors[1]
     return colors
 
 
@@ -63,7 +63,7 @@ def draw_rendered_view(
     if len(rows) < 20 or not len(rim_rows):
         return None
     colors = detail_colors(seen.color, np.maximum(shown, np.float32(1e-6)))
-    picked = colors[rows, columns]
+    picked = colors[:, rows, columns]
     R = T[:3, :3]
     metres = seen.depth[rim_rows, rim_columns][:, None] / np.array([window.fx, window.fy])
     inward = np.zeros((len(rim_rows), 3))
@@ -74,7 +74,7 @@ def draw_rendered_view(
     arrays = base._replace(
         points=_joined(base.points, seen.points_obj[rows, columns]),
         normals=_joined(base.normals, seen.normals_cam[rows, columns] @ R),
-        colors=np.stack([_joined(base.colors[k], picked[:, 3 * k : 3 * k + 3]) for k in range(2)]),
+        colors=np.stack([_joined(base.colors[k], picked[k]) for k in range(2)]),
         directions=np.array([[0.0, 0.0, 1.0]], np.float32),
         visible=np.arange(first, first + count, dtype=np.int32),
         offsets=np.array([0, count], np.int32),

@@ -42,8 +42,9 @@ FEWEST = 20
 
 @dataclass(frozen=True, eq=False)
 class Part:
-    """A part of a picture. camera: of the part; colors (h, w, 6): as `detail_colors` has them; depth (h, w)
-    metres; saturated (h, w); a pixel shows a pose when its depth is at most `tolerance_m` off, or unknown."""
+    """A part of a picture. camera: of the part; colors (2, h, w, 3): as `detail_colors` has them; depth
+    (h, w) metres; saturated (h, w); a pixel shows a pose when its depth is at most `tolerance_m` off, or
+    unknown."""
 
     camera: Camera
     colors: Float32
@@ -63,7 +64,8 @@ class Likeness:
 
 @dataclass(frozen=True, eq=False)
 class _Seen:
-    """What a pose shows in the window: detail and blunt colours (h, w, 6), and where they may be compared."""
+    """What a pose shows in the window: detail and blunt colours (2, h, w, 3), and where they may be
+    compared."""
 
     colors: Float32
     comparable: Bool
@@ -89,11 +91,11 @@ def _seen(model: ReferenceModel, part: Part, T_cam_obj: Float64) -> _Seen:
 
 def _detail(colors: Float32, seen: Sequence[_Seen], shared: Bool) -> Float64:
     count = float(shared.sum())
-    everywhere = np.ascontiguousarray(colors[..., :3] * shared[..., None])
+    everywhere = np.ascontiguousarray(colors[0] * shared[..., None])
     out = []
     for one in seen:
         there = one.comparable[..., None]
-        correlation = _correlation(everywhere * there, one.colors[..., :3] * there, count)
+        correlation = _correlation(everywhere * there, one.colors[0] * there, count)
         out.append(correlation * float(one.comparable.sum()) / count)
     return np.array(out)
 
@@ -105,10 +107,10 @@ def _correlation(picture: Float32, texture: Float32, count: float) -> float:
 
 def _broad(colors: Float32, seen: Sequence[_Seen], shared: Bool) -> Float64:
     everywhere = _halved(shared.astype(np.float32))
-    picture = _band(_halved(colors[..., 3:] * shared[..., None]), everywhere)
+    picture = _band(_halved(colors[1] * shared[..., None]), everywhere)
     weights = [_halved(one.comparable.astype(np.float32)) for one in seen]
     textures = [
-        _band(_halved(one.colors[..., 3:] * one.comparable[..., None]), weight)
+        _band(_halved(one.colors[1] * one.comparable[..., None]), weight)
         for one, weight in zip(seen, weights, strict=True)
     ]
     count = float(everywhere.sum())

@@ -113,7 +113,8 @@ def _seen_texture(
     outside = DEFAULT_WEIGHTS.outside
     weight = facing[fits] * (outside + (1.0 - outside) * r.belief[row[fits], column[fits]])
     texture_colors = np.concatenate([m.colors[0][index[fits]], m.colors[1][index[fits]]], axis=1)
-    return weight, texture_colors.astype(np.float64), _between_pixels(r.colors, u[fits], v[fits])
+    picture = np.concatenate([_between_pixels(colors, u[fits], v[fits]) for colors in r.colors], axis=1)
+    return weight, texture_colors.astype(np.float64), picture
 
 
 def _between_pixels(colors: Float, u: Float64, v: Float64) -> Float64:

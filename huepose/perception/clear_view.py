@@ -31,7 +31,7 @@ WIDE_PX = 1.5
 @dataclass(frozen=True, eq=False)
 class ClearView:
     """The part of a frame where something stands. frame: all of it, as it came; crop: that part, depth of
-    planes moved far away; clear (h, w): pixels that stand clear of planes; colors (h, w, 6) float32:
+    planes moved far away; clear (h, w): pixels that stand clear of planes; colors (2, h, w, 3) float32:
     opponents at two scales, as in `judge.region`; pieces (P, 4): of the parts without a step in depth: pixel
     of the middle, mean depth, the longer side of the bounds in metres."""
 
@@ -113,10 +113,10 @@ def _sums(labels: Int32, depth: Float32, count: int) -> Float64:
 
 
 def _smoothed(color: UInt8, pixels_per_m: float) -> Float32:
-    """Opponents (h, w, 6) float32 smoothed at the two scales of the texture."""
+    """Opponents (2, h, w, 3) float32 smoothed at the two scales of the texture."""
     plain = opponents_of_bytes(color)
     fine, coarse = (max(0.5, sigma_m * pixels_per_m) for sigma_m in COLOR_SCALES_M)
-    return np.asarray(cv2.merge([cv2.GaussianBlur(plain, (0, 0), fine), _blurred(plain, coarse)]), np.float32)
+    return np.stack([cv2.GaussianBlur(plain, (0, 0), fine), _blurred(plain, coarse)])
 
 
 def _blurred(picture: Float32, sigma: float) -> Float32:

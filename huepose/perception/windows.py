@@ -89,7 +89,7 @@ class Windows:
         view = self._view
         _fill(
             self.pixels[index], self.depth_m[index], self.span_px[index], view.clear, view.crop.depth,
-            view.colors, NEAR * self.diameter_m, border, cells,
+            view.colors[1], NEAR * self.diameter_m, border, cells,
         )  # fmt: skip
         return cells
 
@@ -156,9 +156,9 @@ def _fill(
                 away = depth[v, u] - middle
                 if clear[v, u] and abs(away) < gate_m:
                     # The wider smoothing stands for the mean of the samples between.
-                    cell[0] += colors[v, u, 3]
-                    cell[1] += colors[v, u, 4]
-                    cell[2] += colors[v, u, 5]
+                    cell[0] += colors[v, u, 0]
+                    cell[1] += colors[v, u, 1]
+                    cell[2] += colors[v, u, 2]
                     cell[3] += np.float32(away)
                     cell[4] += each
                 elif away > 0.0:

@@ -28,7 +28,7 @@ def hue_map(model: ModelArrays, region: RegionArrays) -> Float32:
     shift = region.light[1:] if region.lit else np.zeros(2)
     own = _histogram(_bins(model.colors[1][:, 1:] + shift.astype(np.float32)))
     own = _blurred(own, LIGHT_BINS if region.lit else ANY_LIGHT_BINS)
-    hues = region.colors[..., 4:6]
+    hues = region.colors[1, ..., 1:]
     speaks = (region.depth > 0) & ~region.saturated
     place = _bins(hues)
     if not speaks.any():

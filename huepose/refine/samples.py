@@ -156,7 +156,7 @@ def colors(
 
     Sets the weight of the others (outside, hidden, seen through, saturated) to 0. Returns how many are left.
     """
-    image = region.colors
+    image = region.colors[level]
     h, w = image.shape[0], image.shape[1]
     left = 0
     for k in range(n):
@@ -174,12 +174,11 @@ def colors(
             continue
         left += 1
         for c in range(3):
-            q = 3 * level + c
             p00, p01, p10, p11 = (
-                image[y0, x0, q],
-                image[y0, x0 + 1, q],
-                image[y0 + 1, x0, q],
-                image[y0 + 1, x0 + 1, q],
+                image[y0, x0, c],
+                image[y0, x0 + 1, c],
+                image[y0 + 1, x0, c],
+                image[y0 + 1, x0 + 1, c],
             )
             color[k, c] = (p00 * (1 - a) + p01 * a) * (1 - b) + (p10 * (1 - a) + p11 * a) * b
             gradient[k, c, 0] = (p01 - p00) * (1 - b) + (p11 - p10) * b

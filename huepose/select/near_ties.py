@@ -57,7 +57,7 @@ def close_look(
     weight = np.maximum(region.belief[rows, columns], np.float32(OUTSIDE_WEIGHT))
     color = region.crop.color[rows, columns]
     colors, edges = np.zeros_like(region.colors), np.zeros((*region.belief.shape, 3), np.float32)
-    colors[rows, columns] = detail_colors(color, weight)
+    colors[:, rows, columns] = detail_colors(color, weight)
     edges[rows, columns] = edge_tensor(color)
     arrays = region_arrays(region)._replace(colors=colors)
     refined = poses.copy()
@@ -74,11 +74,11 @@ def close_look(
 
 
 def _part(region: Region, rows: slice, columns: slice, colors: Float32, tolerances: float) -> Part:
-    """A part of the region's crop, with the colours (h, w, 6) of the whole crop."""
+    """A part of the region's crop, with the colours (2, h, w, 3) of the whole crop."""
     crop = region.crop
     return Part(
         crop.camera.cropped(columns.start, rows.start, columns.stop - columns.start, rows.stop - rows.start),
-        colors[rows, columns],
+        colors[:, rows, columns],
         crop.depth[rows, columns],
         crop.saturated[rows, columns],
         tolerances * region.tolerance_m,

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from huepose.geometry.arrays import Float32, Float64, Int64
+from huepose.geometry.arrays import Bool, Float32, Float64, Int64
 from huepose.geometry.camera import Camera
 from huepose.judge.open_region import tolerance_m
 from huepose.judge.surface import PreparedSurface
@@ -34,9 +34,31 @@ class Claim:
 
 def losers(claims: Sequence[Claim], depth: Float32, camera: Camera) -> list[int]:
     """Indices of the claims that others hold with better right; earlier ones win ties."""
-    surfaces = [_cells(claim, depth, camera) for claim in claims] if len(claims) > 1 else []
+    touched = _touched(claims, camera)
+    surfaces = [
+        _cells(claim, depth, camera) if touches else np.zeros(0, np.int64)
+        for claim, touches in zip(claims, touched, strict=True)
+    ]
     stand = standing(surfaces, [claim.total for claim in claims])
     return sorted(set(range(len(surfaces))) - set(stand))
+
+
+def _touched(claims: Sequence[Claim], camera: Camera) -> Bool:
+    """Which of the poses can share a cell with another (K,): the cones from the camera round their spheres
+    overlap, or nearly."""
+    out = np.zeros(len(claims), bool)
+    if len(claims) < 2:
+        return out
+    centres = np.array([claim.surface.centre_cam(claim.T_cam_obj) for claim in claims])
+    away = np.linalg.norm(centres, axis=1)
+    radii = np.array([claim.surface.radius_m for claim in claims])
+    # Two pixels of one cell are a diagonal of it apart; from within a sphere it is everywhere.
+    widths = np.arcsin(np.minimum(radii / np.maximum(away, 1e-9), 1.0)) + CELL_PX / min(camera.fx, camera.fy)
+    rays = centres / np.maximum(away, 1e-9)[:, None]
+    apart = np.arccos(np.clip(rays @ rays.T, -1.0, 1.0))
+    near = (apart <= widths[:, None] + widths) | (radii >= away)[:, None] | (radii >= away)
+    np.fill_diagonal(near, False)
+    return np.asarray(near.any(axis=1))
 
 
 def _cells(claim: Claim, depth: Float32, camera: Camera) -> Int64:

@@ -34,10 +34,10 @@ def covariance(information: Float64, distance_m: float) -> Float64:
 
 def spread_m(covariance: Float64, T_cam_obj: Float64, points_obj: Float32) -> float:
     """By how much the object's points (N, 3) lie off, RMS, if the pose errs as that covariance says."""
+    # A point p moves by t + r x p: its mean square needs the mean and the second moments of the points only.
     points = points_obj.astype(np.float64) @ T_cam_obj[:3, :3].T
-    shifts = np.zeros((len(points), 3, 6))
-    shifts[:, :, :3] = np.eye(3)
-    shifts[:, 0, 4], shifts[:, 0, 5] = points[:, 2], -points[:, 1]
-    shifts[:, 1, 3], shifts[:, 1, 5] = -points[:, 2], points[:, 0]
-    shifts[:, 2, 3], shifts[:, 2, 4] = points[:, 1], -points[:, 0]
-    return float(np.sqrt(np.einsum("nij,jk,nik->", shifts, covariance, shifts) / len(points)))
+    mean, second = points.mean(axis=0), points.T @ points / len(points)
+    moved, mixed, turned = covariance[:3, :3], covariance[:3, 3:], covariance[3:, 3:]
+    curl = np.array([mixed[1, 2] - mixed[2, 1], mixed[2, 0] - mixed[0, 2], mixed[0, 1] - mixed[1, 0]])
+    square = np.trace(moved) + 2.0 * mean @ curl + np.trace(turned) * np.trace(second)
+    return float(np.sqrt(square - (turned * second).sum()))

@@ -94,7 +94,7 @@ def _colors(points: Float64, normals: Float64, views: Sequence[View]) -> tuple[F
         seen = inside & view.inner[row, column] & (np.abs(depth[row, column] - z) < tolerance_m(z))
         better = np.flatnonzero(seen & (cosine > best + 0.02))
         best[better] = cosine[better]
-        colors[better] = view.opponents[row[better], column[better]].reshape(-1, 3, 3)
+        colors[better] = view.opponents[:, row[better], column[better]].transpose(1, 0, 2)
     return colors, best > 0
 
 

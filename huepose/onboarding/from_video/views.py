@@ -73,13 +73,13 @@ class View:
 
     @cached_property
     def opponents(self) -> Float32:
-        """Colours (H, W, 9) averaged over three lengths on the object."""
+        """Colours (3, H, W, 3) averaged over three lengths on the object."""
         camera, distance_m = self.frame.camera, float(self.T_cam_obj[2, 3])
         region = open_region(self.frame, Box(0, 0, camera.width, camera.height), distance_m, 0.1)
         assert region is not None  # a window about an object
         colors = region.arrays.colors
-        missing = (camera.height - colors.shape[0], camera.width - colors.shape[1])
-        return np.pad(colors, ((0, missing[0]), (0, missing[1]), (0, 0)), mode="edge")
+        missing = (camera.height - colors.shape[1], camera.width - colors.shape[2])
+        return np.pad(colors, ((0, 0), (0, missing[0]), (0, missing[1]), (0, 0)), mode="edge")
 
     @cached_property
     def points_cam(self) -> Float64:

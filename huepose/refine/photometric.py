@@ -77,26 +77,30 @@ STILL_M = 2e-5
 
 @dataclass(frozen=True)
 class Schedule:
-    """Iterations of a refinement: the texture level (0 fine, 2 coarse) and the depth gate in metres of each,
-    and the number of samples."""
+    """Iterations of a refinement: the texture level (0 fine, 2 coarse), the depth gate in metres and the
+    number of samples of each. What is averaged over more of the object is read at fewer places."""
 
     levels: tuple[int, ...]
     gates_m: tuple[float, ...]
-    samples: int
+    samples: tuple[int, ...]
 
 
 FULL = Schedule(
     (2, 2, 1, 1, 1, 0, 0, 0),
     (0.025, 0.02, 0.015, 0.012, 0.01, 0.01, 0.008, 0.008),
-    600,
+    (150, 150, 300, 300, 300, 600, 600, 600),
 )
 """From a start within about a centimetre."""
 
-QUICK = Schedule((2, 2, 2), (0.04, 0.03, 0.025), 100)
-COARSE = Schedule((2, 2, 2, 2, 2), (0.03, 0.025, 0.02, 0.02, 0.015), 200)
+QUICK = Schedule((2, 2, 2), (0.04, 0.03, 0.025), (100,) * 3)
+COARSE = Schedule((2, 2, 2, 2, 2), (0.03, 0.025, 0.02, 0.02, 0.015), (200,) * 5)
 """From far off, for hypotheses that are sorted afterwards: of many, and of those that are left."""
 
-FINE = Schedule((1, 1, 1, 0, 0, 0, 0), (0.012, 0.012, 0.012, 0.01, 0.01, 0.008, 0.008), 400)
+FINE = Schedule(
+    (1, 1, 1, 0, 0, 0, 0),
+    (0.012, 0.012, 0.012, 0.01, 0.01, 0.008, 0.008),
+    (400,) * 7,
+)
 """What is left after COARSE."""
 
 
@@ -107,7 +111,7 @@ class _Settings(NamedTuple):
     levels: Int32
     gates_m: Float64
     reaches_px: Int32
-    samples: int
+    samples: Int32
     depth_sigma_m: float
     body: Body
 
@@ -155,7 +159,7 @@ def _settings(schedule: Schedule, surface: PreparedSurface, distance_m: float, f
     coarsest = max(1, sum(s <= SCALE_SHARE * surface.thickness_m for s in SCALES_M) - 1)
     levels = np.minimum(np.array(schedule.levels, np.int32), np.int32(coarsest))
     body = Body(surface.arrays.centre, surface.radius_m)
-    return _Settings(levels, gates, reaches, schedule.samples, sigma, body)
+    return _Settings(levels, gates, reaches, np.array(schedule.samples, np.int32), sigma, body)
 
 
 @jit
@@ -175,7 +179,8 @@ def _refine(
     known: Float64,
 ) -> int:
     """Move T in place; the last normal equations are left in `known`. Returns the iterations done."""
-    levels, gates, limit, body = settings.levels, settings.gates_m, settings.samples, settings.body
+    levels, gates, body = settings.levels, settings.gates_m, settings.body
+    limit = settings.samples.max()
     samples = empty_samples(limit)
     weight, color_weight, trust = np.empty(limit), np.empty(limit), np.empty(limit)
     color, gradient, residual = np.empty((limit, 3)), np.empty((limit, 3, 2)), np.empty((limit, 3))
@@ -188,7 +193,9 @@ def _refine(
         level, gate = levels[iteration], gates[iteration]
         if level == still_at and iteration < levels.shape[0] - 1:
             continue
-        n = project(T, surface, region, limit, gate, settings.reaches_px[level], samples)
+        n = project(
+            T, surface, region, settings.samples[iteration], gate, settings.reaches_px[level], samples
+        )  # fmt: skip
         for k in range(n):
             facing = min(1.0, 2.0 * samples.cosine[k])
             weight[k] = facing * (OUTLINE_FLOOR + (1.0 - OUTLINE_FLOOR) * samples.inside[k])

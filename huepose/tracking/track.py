@@ -323,6 +323,8 @@ class Track:
         self.hypotheses, self.frame = (replace(found, log_odds=odds, goes_on=goes_on),), frame
         self.evidence = probability(odds)
         self.covariance = self._covariance(found)
+        if self.evidence >= self._config.tracking_quality:
+            self._seen, self._seen_ns = self.hypotheses[0], frame.stamp_ns
         if self.evidence >= self._config.lost_quality:
             self._facing = Facing.of(quality, self._view())
             tried += self._ask(self.subject.other_turns, frame, None)

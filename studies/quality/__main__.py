@@ -40,7 +40,7 @@ from huepose.scenes.shapes import demo_objects
 from huepose.support.files import write_picture
 from huepose_services.cli.evaluate_calibration import worth_row
 from huepose_services.cli.main import main as run_huepose
-from studies.quality.absent import answers_where_absent, questions, read_absent
+from studies.absent import answers_where_absent, questions, read_absent
 from studies.quality.fit import FEATURES, Fitted, as_json, fit
 
 MIN_VISIB = 0.1

@@ -8,7 +8,7 @@ import pytest
 from huepose.datasets.types import GroundTruth
 from huepose.evaluation.targets import Targets
 from huepose.geometry import se3
-from studies.quality.absent import NOTHING, questions
+from studies.absent import NOTHING, questions
 from tests.evaluation.conftest import CAMERA, MemoryScene, reference_model
 
 

@@ -40,8 +40,7 @@ def _common(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--json", type=Path, required=True, metavar="FILE", help="result file")
 
 
-def _seeds(parser: argparse.ArgumentParser) -> None:
-    text = "of the perturbed boxes; results average"
+def _seeds(parser: argparse.ArgumentParser, text: str = "of the perturbed boxes; results average") -> None:
     parser.add_argument("--seed", type=int, nargs="+", default=[0], metavar="N", help=text)
 
 
@@ -178,15 +177,28 @@ def _add_poses(verbs: Any) -> None:
 def _add_ablation(verbs: Any) -> None:
     parser = verbs.add_parser(
         "ablation",
-        help="what flow is worth",
-        description="The raw motion between frames some frames apart, from all flow and from filtered flow.",
+        help="what flow, and each source of votes, is worth",
+        description="Of sequences, the raw motion between frames some frames apart, from all flow and from "
+        "filtered flow. Of single frames, the methods `paper` and `colorpair` without one of their sources "
+        "of poses, and with each alone; one set of scenes a command, told with those that are in --runs.",
     )
-    parser.add_argument("--fast-ycb", type=Path, nargs="+", required=True, metavar="SEQ_DIR")
+    source = parser.add_mutually_exclusive_group(required=True)
+    source.add_argument("--fast-ycb", type=Path, nargs="+", metavar="SEQ_DIR")
+    source.add_argument("--bop", type=Path, nargs="+", metavar="SCENE_DIR")
     _common(parser)
     parser.add_argument(
-        "--gap", type=int, default=5, metavar="N", help="frames between the two of a pair (5)"
+        "--gap", type=int, default=5, metavar="N", help="sequences: frames between the two of a pair (5)"
     )
-    _path(parser, "--plots", "DIR", "where ablation.png goes")
+    _path(parser, "--plots", "DIR", "where ablation.png or sources.png goes")
+    _path(parser, "--runs", "DIR", "single frames: what is done, by variant; interrupted, it is gone on with")
+    parser.add_argument(
+        "--set", default=None, metavar="NAME", help="single frames: of the set (the folder of its scenes)"
+    )
+    parser.add_argument(
+        "--quick", type=int, default=None, metavar="N", help="single frames: about N images of all scenes"
+    )
+    _path(parser, "--equivalent", "FILE", "single frames: poses that count as the labelled one does")
+    _seeds(parser, "single frames: of the perturbed boxes")
 
 
 def _add_calibration(verbs: Any) -> None:

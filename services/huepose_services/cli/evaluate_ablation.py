@@ -11,6 +11,7 @@ from huepose.evaluation.summary import table
 from huepose.evaluation.targets import Targets
 from huepose.support.files import write_picture
 from huepose_services.cli.evaluate_scenes import open_fast_ycb
+from huepose_services.cli.evaluate_sources import call as sources
 
 COLUMNS = {
     "rotation_error_rel_median": "rotation",
@@ -25,6 +26,8 @@ COLUMNS = {
 
 def call(arguments: argparse.Namespace) -> int:
     """Compare, write, draw, print a table."""
+    if arguments.bop:
+        return sources(arguments)
     import cv2
 
     cv2.setNumThreads(1)  # as the tracker's worker does

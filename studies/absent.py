@@ -1,10 +1,14 @@
-"""Questions about objects that are not there, each asked for alone, in boxes of others and of nothing.
+"""Is it said that an object is not there? Each is asked for alone, in boxes of others and of nothing.
 
-All that was looked at counts, found or not.
+    .venv/bin/python -m studies.absent --bop SCENE... --bundles DIR --json OUT.json
+
+Only objects that do not stand in the picture are asked for. Quality is fitted to such rows, too
+(`studies.quality`): there all that was looked at counts, found or not.
 """
 
 from __future__ import annotations
 
+import argparse
 from collections.abc import Iterator, Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
@@ -12,13 +16,16 @@ from typing import Any
 
 import numpy as np
 
+from huepose.datasets.bop import BopScene
 from huepose.datasets.boxes import disturbed, truth_box
 from huepose.datasets.types import GroundTruth, Scene
-from huepose.estimation import Estimator, ObjectQuery, PoseEstimate
+from huepose.estimation import Estimator, EstimatorConfig, ObjectQuery, PoseEstimate
 from huepose.evaluation.calibration import FALSE_WEIGHT, Judged, frame_key, quality_terms, read_rows
+from huepose.evaluation.result_files import write_json
+from huepose.evaluation.summary import table
 from huepose.evaluation.targets import Targets, object_number
 from huepose.geometry.box import Box
-from huepose.model import ReferenceModel
+from huepose.model import ReferenceModel, load_models
 from huepose.support.progress import progress
 
 NOTHING = "nothing"
@@ -110,3 +117,42 @@ def read_absent(path: Path | str) -> Judged:
         np.array([float(row["quality"]) for row in every]),
         np.full(len(every), FALSE_WEIGHT),
     )
+
+
+def asking(description: str) -> argparse.ArgumentParser:
+    """A parser of scenes, models, the result file, which objects to ask for and the method."""
+    parser = argparse.ArgumentParser(description=description)
+    parser.add_argument("--bop", type=Path, nargs="+", required=True, metavar="SCENE_DIR")
+    parser.add_argument("--bundles", type=Path, required=True, metavar="DIR")
+    parser.add_argument("--json", type=Path, required=True, metavar="FILE")
+    parser.add_argument("--objects", nargs="+", default=None, metavar="ID")
+    parser.add_argument("--method", choices=("full", "colorpair"), default="full")
+    return parser
+
+
+def main(words: Sequence[str] | None = None) -> None:
+    """Ask, print how often something is found and how often it is acquired."""
+    parser = asking("How often something is found where the object is not.")
+    parser.add_argument("--per-frame", type=int, default=3, metavar="N", help="questions a frame (3)")
+    arguments = parser.parse_args(words)
+    models = load_models(arguments.bundles)
+    targets = Targets(models, arguments.objects)
+    asked = list(questions([BopScene(path) for path in arguments.bop], targets, arguments.per_frame))
+    estimator = Estimator(models, EstimatorConfig(method=arguments.method))
+    estimator.warm_up([model.name for model in targets.models])
+    rows = answers_where_absent(estimator, asked)
+    lines = []
+    for name, chosen in (
+        ("boxes of others", [row for row in rows if row["shown"] != NOTHING]),
+        ("boxes of nothing", [row for row in rows if row["shown"] == NOTHING]),
+        ("all", rows),
+    ):
+        found = [row["found"] for row in chosen]
+        acquired = [row["state"] == "TRACKING" for row in chosen]
+        lines.append([name, len(chosen), 100.0 * np.mean(found), 100.0 * np.mean(acquired)])
+    write_json(arguments.json, {"rows": rows})
+    print(table(["asked where it is not", "n", "found %", "acquired %"], lines))
+
+
+if __name__ == "__main__":
+    main()

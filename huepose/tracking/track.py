@@ -261,7 +261,8 @@ class Track:
         limit = most_turned(velocity, gone_s, self._config)
         jump = jump_odds(self.subject.surface, T, velocity, first.T_cam_obj, gone_s, gone_s, self._config)
         looked_for = anchor.unseen_s > 0.0 and first.source in FOUND_AGAIN
-        if jump < 0.0 or looked_for:
+        turned_too_far = se3.rotation_angle(first.T_cam_obj, expected) > limit
+        if jump < 0.0 or looked_for or turned_too_far:
             # It did not come here as things do, or nobody saw it come.
             limit, self._turned_ns = np.pi, frame.stamp_ns
         new = reached(turns, first.T_cam_obj, expected, limit)

@@ -156,6 +156,23 @@ def test_an_object_half_covered_after_its_start_may_have_turned_since_the_start(
     assert states == [State.TRACKING, *(State.SUSPECT,) * 4]
 
 
+def test_what_turned_farther_than_things_turn_may_have_turned_otherwise(plain_box: ReferenceModel) -> None:
+    """By 50 degrees more than its velocity says, in a sixth of a second, the limit being 38: what else it may
+    have done no picture from above shows."""
+    tracker, states = Tracker({"plain_box": plain_box}), []
+    for number, degrees in enumerate((0.0, 10.0, 20.0, 80.0, 90.0, 100.0)):
+        spun = se3.rotation_exp(np.array([0.0, 0.0, np.radians(degrees)]))
+        T = lying(plain_box)
+        T[:3, :3] = spun @ T[:3, :3]
+        seen = picture(plain_box.mesh, T, (90, 130, 160))
+        frame = replace(seen, frame_id=number, stamp_ns=int(1e9 * number / 6), epoch=1)
+        if number == 0:
+            tracker.correct(Correction.first("plain_box", T, frame))
+        (pose,) = tracker.step(frame)
+        states.append(pose.state)
+    assert states == [*(State.TRACKING,) * 3, *(State.SUSPECT,) * 3]
+
+
 def test_only_what_is_round_can_be_slid_in_small_steps(plain_box, half_plain_can) -> None:
     assert len(Subject.of(plain_box).small_turns) == 0
     small = Subject.of(half_plain_can).small_turns

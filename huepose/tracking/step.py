@@ -8,7 +8,7 @@ different hypotheses, and the track decides what to believe."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
@@ -362,7 +362,12 @@ def found_nearby(
     """A pose of a frame settled on that frame, or on one that was taken so many seconds before or after:
     there the object is searched for, if it is not found where it was; and how many searches that took."""
     best = best_of(surface, frame, [(T_cam_obj, "correction")])
-    if apart_s == 0.0 or convincing(best, None, config.doubt, config):
+    if apart_s == 0.0:
+        # Perception refined it more closely, on this very frame: what explains less is no improvement.
+        given = unmoved(surface, frame, T_cam_obj, None)
+        better = given.terms.total > best.terms.total
+        return (replace(given, information=best.information, source=best.source) if better else best), 0
+    if convincing(best, None, config.doubt, config):
         return best, 0
     reach, _ = reaches(surface, T_cam_obj, None, T_cam_obj, apart_s, config)
     found = search(surface, frame, reach, NORMAL_EFFORT, None)

@@ -143,7 +143,7 @@ def test_an_object_half_covered_after_its_start_may_have_turned_since_the_start(
     tracker, T, seconds = Tracker({"plain_box": plain_box}), lying(plain_box), 7 / 30
     free = picture(plain_box.mesh, T, (90, 130, 160))
     color, depth = free.color.copy(), free.depth.copy()
-    color[:, :176], depth[:, :176] = 30, 0.4
+    color[:, :184], depth[:, :184] = 30, 0.4
     covered = replace(free, color=color, depth=depth)
     states = []
     for number, seen in enumerate((free, covered, free, free, free)):

@@ -53,10 +53,12 @@ def _touched(claims: Sequence[Claim], camera: Camera) -> Bool:
     away = np.linalg.norm(centres, axis=1)
     radii = np.array([claim.surface.radius_m for claim in claims])
     # Two pixels of one cell are a diagonal of it apart; from within a sphere it is everywhere.
-    widths = np.arcsin(np.minimum(radii / np.maximum(away, 1e-9), 1.0)) + CELL_PX / min(camera.fx, camera.fy)
-    rays = centres / np.maximum(away, 1e-9)[:, None]
+    away = np.maximum(away, 1e-9)
+    halves = np.where(radii < away, np.arcsin(np.minimum(radii / away, 1.0)), np.pi)
+    widths = halves + CELL_PX / min(camera.fx, camera.fy)
+    rays = centres / away[:, None]
     apart = np.arccos(np.clip(rays @ rays.T, -1.0, 1.0))
-    near = (apart <= widths[:, None] + widths) | (radii >= away)[:, None] | (radii >= away)
+    near = apart <= widths[:, None] + widths
     np.fill_diagonal(near, False)
     return np.asarray(near.any(axis=1))
 

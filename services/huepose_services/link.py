@@ -20,7 +20,7 @@ from huepose.support.errors import InputError
 from huepose_protos.keys import Keys
 from huepose_protos.messages import Detections, Estimates, FrameHeader, Look, Masks
 from huepose_services.gateway_door import Door
-from huepose_services.gateway_session import check_files, open_behind_door
+from huepose_services.gateway_session import check_files, open_behind_door, outside_settings
 from huepose_services.pem import Credentials
 from huepose_services.runtime.clock import SECOND, now_ns
 from huepose_services.runtime.config import Config, GatewayConfig, TlsConfig
@@ -64,18 +64,14 @@ def open_uplink(config: Config, tell: Callable[[str], None]) -> tuple[zenoh.Sess
     """The session of the camera's computer, and its door; tell: called with why somebody is not let in.
 
     Raises InputError for files or a port that cannot be used."""
-    settings = _COMMON | {
-        "mode": "peer",
-        "scouting/multicast/enabled": False,
-        "scouting/gossip/enabled": False,
-        "connect/endpoints": [],
-        "transport/shared_memory/enabled": False,
+    door = _door(config)
+    own = {
         "transport/link/rx/max_message_size": Estimates.max_bytes + _ABOVE,
-        "transport/unicast/max_sessions": _SESSIONS,
         "transport/unicast/accept_pending": _SESSIONS,
         "access_control": _access(config.keys),
     }
-    return open_behind_door(_door(config), tell, settings, _ANSWERS_BYTES_S, "link")
+    settings = outside_settings(door) | _COMMON | own
+    return open_behind_door(door, tell, settings, _ANSWERS_BYTES_S, "link")
 
 
 def open_downlink(config: Config) -> zenoh.Session:

@@ -50,10 +50,9 @@ def _touched(claims: Sequence[Claim], camera: Camera) -> Bool:
     if len(claims) < 2:
         return out
     centres = np.array([claim.surface.centre_cam(claim.T_cam_obj) for claim in claims])
-    away = np.linalg.norm(centres, axis=1)
+    away = np.maximum(np.linalg.norm(centres, axis=1), 1e-9)
     radii = np.array([claim.surface.radius_m for claim in claims])
     # Two pixels of one cell are a diagonal of it apart; from within a sphere it is everywhere.
-    away = np.maximum(away, 1e-9)
     halves = np.where(radii < away, np.arcsin(np.minimum(radii / away, 1.0)), np.pi)
     widths = halves + CELL_PX / min(camera.fx, camera.fy)
     rays = centres / away[:, None]

@@ -1,1 +1,1 @@
-"""What every room needs and none owns: errors that say what to do, compiled kernels, progress bars."""
+"""What every room needs and none owns: errors that say what to do, compiled kernels, progress."""

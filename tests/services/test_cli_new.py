@@ -2,19 +2,16 @@
 
 from __future__ import annotations
 
-import io
 import json
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
-from numba.core import event
 
 from huepose.datasets.bop_writer import write_obj
 from huepose.model import ReferenceModel
 from huepose.scenes.builtin import first_shot
-from huepose_services.cli.compiling import CompilingNotice
 from huepose_services.cli.main import main
 from huepose_services.runtime.config import load
 
@@ -53,11 +50,3 @@ def test_a_mesh_in_another_unit_is_too_large_to_be_drawn_and_its_unit_is_asked_f
     said = capsys.readouterr().err
     assert "found an object of 185 cm" in said
     assert "say the mesh's unit" in said
-
-
-def test_compiling_is_told_once() -> None:
-    said = io.StringIO()
-    notice = CompilingNotice(said)
-    for kind in (event.EventStatus.START, event.EventStatus.END) * 2:
-        notice.notify(event.Event("numba:compile", kind))
-    assert said.getvalue().count("compiling kernels for this computer") == 1

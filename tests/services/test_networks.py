@@ -134,6 +134,12 @@ def test_progress_is_shown_on_a_terminal(server, entry):
     assert "of 0.3 MB, 100 %" in out.getvalue()
 
 
+def test_a_log_says_that_a_download_begins_and_that_it_is_there(server, entry):
+    out = io.StringIO()
+    fetch(entry, server.url, out)
+    assert out.getvalue().splitlines() == ["known: downloading 0.3 MB", "known: 0.3 MB are here"]
+
+
 def test_a_file_of_yours_is_added_listed_and_used_by_name(mine, folder, tmp_path, capsys):
     assert main(["models", "add", str(mine), "--licence", "MIT"]) == 0
     assert (folder / "mine_v2.onnx").read_bytes() == mine.read_bytes()

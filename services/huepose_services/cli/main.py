@@ -26,7 +26,8 @@ _VERBS = (
 )
 # Those that run compiled kernels in their own process.
 _COMPILING = frozenset(
-    {"new", "onboard", "onboard-bop", "estimate", "eval", "replay", "render-scenes", "make-dataset", "bench"}
+    {"demo", "new", "onboard", "onboard-bop", "estimate", "eval", "replay", "render-scenes", "make-dataset"}
+    | {"bench"}
 )
 # Those whose work is too short for more threads of the numeric libraries than the workers have.
 _SHORT = frozenset({"estimate"})
@@ -100,7 +101,7 @@ def _told(verb: str) -> AbstractContextManager[Any]:
     """What says that kernels are compiled, around a verb that may have to."""
     if verb not in _COMPILING:
         return nullcontext()
-    from huepose_services.cli.compiling import telling_of_compiling
+    from huepose.support.compiling import telling_of_compiling
 
     return telling_of_compiling()
 

@@ -15,6 +15,7 @@ import numpy as np
 from huepose.geometry import se3
 from huepose.support.errors import InputError
 from huepose.support.files import write_text
+from huepose.support.progress import progress
 from huepose_protos import to_json
 from huepose_protos.buffers import frame_images
 from huepose_protos.keys import tail_of
@@ -39,7 +40,7 @@ def export_bop(events: Iterable[Event], folder: Path) -> int:
     details: dict[str, list[Any]] = {}
     numbers = _Numbers()
     with (folder / "poses.jsonl").open("w") as poses:
-        for event in events:
+        for event in progress(events, f"{folder}: messages"):
             message = event.message
             if not isinstance(message, FrameHeader | PoseMessage | TruthMessage):
                 continue

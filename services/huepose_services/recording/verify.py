@@ -20,6 +20,7 @@ import msgspec
 from huepose.geometry import RgbdFrame
 from huepose.model import ReferenceModel, load_models
 from huepose.support.errors import InputError
+from huepose.support.progress import progress
 from huepose.tracking.memory import frames_of
 from huepose_protos import WireError, encode
 from huepose_protos.keys import Keys
@@ -92,7 +93,7 @@ def verify(recordings: list[Recording], bundles: Path | None = None) -> Report:
     cv2.setNumThreads(1)  # as in the worker
     verifier = _Verifier(recordings, bundles)
     for recording in recordings:
-        for event in recording.events():
+        for event in progress(recording.events(), f"{recording.path}: messages"):
             if not recording.exact:
                 raise InputError(
                     recording.path,

@@ -14,12 +14,19 @@ def prepare(config: Config) -> None:
     """Check it all, and make what the built-in scene needs at its first use. Raises InputError."""
     check(config)
     check_ports(config)
-    if config.bundles is None and config.uses_models:
-        from huepose_services.builtin import builtin_bundles
+    own_models = config.bundles is None and config.uses_models
+    drawn = config.camera.source == "synthetic" and "camera" in config.workers
+    if not own_models and not drawn:
+        return
+    from huepose.support.compiling import telling_of_compiling
 
-        builtin_bundles(config.camera.seed, config.estimator.method != "full")
-    if config.camera.source == "synthetic" and "camera" in config.workers:
-        import_module("huepose_services.camera.synthetic").open_source(config)
+    with telling_of_compiling():
+        if own_models:
+            from huepose_services.builtin import builtin_bundles
+
+            builtin_bundles(config.camera.seed, config.estimator.method != "full")
+        if drawn:
+            import_module("huepose_services.camera.synthetic").open_source(config)
 
 
 def check(config: Config) -> None:

@@ -12,7 +12,7 @@ import signal
 import sys
 import traceback
 from collections.abc import Callable, Collection
-from contextlib import suppress
+from contextlib import AbstractContextManager, nullcontext, suppress
 from importlib import import_module
 from pathlib import Path
 from types import FrameType
@@ -143,7 +143,7 @@ def run_worker(worker: str, config: Config, path: Path, of: str | None = None) -
     pulse = Pulse()
     try:
         bus.say_health()
-        work: Work = import_module(_HOMES[worker]).make(bus, config)
+        work = _made(worker, bus, config)
         # All that is loaded by now stays. To look through it for rubbish now and then would hold the work up,
         # the estimator's by a sixth of a second.
         gc.collect()
@@ -164,6 +164,17 @@ def run_worker(worker: str, config: Config, path: Path, of: str | None = None) -
         signal.setitimer(signal.ITIMER_REAL, 0)
         _close(bus, session)
     return 0
+
+
+def _made(worker: str, bus: Bus, config: Config) -> Work:
+    """Its work, warmed up; the log says when it has to compile kernels for that."""
+    home = import_module(_HOMES[worker])
+    telling: AbstractContextManager[object] = nullcontext()
+    if "numba" in sys.modules:
+        telling = import_module("huepose.support.compiling").telling_of_compiling(bus.log.say)
+    with telling:
+        work: Work = home.make(bus, config)
+    return work
 
 
 def _loop(bus: Bus, work: Work, stop: _Stop, pulse: Pulse, reload: Callable[[], object]) -> None:

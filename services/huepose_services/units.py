@@ -7,6 +7,7 @@ it sees no devices, no homes and no network but loopback, except where its work 
 
 from __future__ import annotations
 
+from collections.abc import Iterator, Sequence
 from pathlib import PurePath
 
 from huepose_services.runtime.config import Config
@@ -112,11 +113,12 @@ IPAddressAllow=
 """
 
 
-def units(config: Config, huepose: PurePath, config_path: PurePath, user: str) -> dict[str, str]:
+def units(configs: Sequence[Config], huepose: PurePath, config_path: PurePath, user: str) -> dict[str, str]:
     """The files by name, relative to the folder of the units.
 
-    huepose: the command, config_path: where pipeline.yaml will be, both absolute; user: whose processes."""
-    restarts = config.restarts
+    configs: of each camera of pipeline.yaml; huepose: the command,
+    config_path: where pipeline.yaml will be, both absolute; user: whose processes."""
+    restarts = configs[0].restarts
     files = {
         TEMPLATE: _UNIT.format(
             target=TARGET,
@@ -129,19 +131,25 @@ def units(config: Config, huepose: PurePath, config_path: PurePath, user: str) -
             start=f"{_FIRST_START * restarts.start_within_s:g}",
             watchdog=f"{restarts.hung_after_s:g}",
         ),
-        TARGET: _target(config),
+        TARGET: _target(configs),
     }
-    for worker in config.workers:
+    for config, worker, unit in _instances(configs):
         if extra := _extra(config, worker):
-            files[f"huepose@{worker}.service.d/needs.conf"] = extra
+            files[f"{unit}.d/needs.conf"] = extra
     return files
 
 
-def _target(config: Config) -> str:
-    wants = "".join(f"Wants=huepose@{worker}.service\n" for worker in config.workers)
-    return (
-        f"[Unit]\nDescription=HuePose, site {config.site}\n{wants}\n[Install]\nWantedBy=multi-user.target\n"
-    )
+def _instances(configs: Sequence[Config]) -> Iterator[tuple[Config, str, str]]:
+    """Each worker with its configuration and its unit, named as `huepose run` is told which one it is."""
+    for config in configs:
+        of = f"{config.camera.name}." if len(configs) > 1 else ""
+        yield from ((config, worker, f"huepose@{of}{worker}.service") for worker in config.workers)
+
+
+def _target(configs: Sequence[Config]) -> str:
+    wants = "".join(f"Wants={unit}\n" for _, _, unit in _instances(configs))
+    site = configs[0].site
+    return f"[Unit]\nDescription=HuePose, site {site}\n{wants}\n[Install]\nWantedBy=multi-user.target\n"
 
 
 def _extra(config: Config, worker: str) -> str:

@@ -107,6 +107,21 @@ def test_a_camera_that_is_not_there_is_told(tmp_path, capsys, monkeypatch):
     assert "Plug it in" in found["camera"]["found"]
 
 
+def test_each_of_several_cameras_is_looked_at(tmp_path, capsys, monkeypatch):
+    monkeypatch.setattr(pictures, "LOOK_S", 2.0)
+    orders = {"left": {}, "right": {"unplugged": True}}
+    for name, told in orders.items():
+        (tmp_path / name).write_bytes(msgspec.json.encode(msgspec.convert(told, Orders)))
+    cameras = [{"name": n, "source": "faulty", "path": str(tmp_path / n), "rate": 4} for n in orders]
+    path = tmp_path / "pipeline.yaml"
+    path.write_text(json.dumps({"cameras": cameras}))
+    assert main(["doctor", str(path), "--camera", "--json"]) == 1
+    found = {f["subject"]: f for f in json.loads(capsys.readouterr().out)}
+    assert found["left camera"]["found"] == "640 x 480, fx 614.2 fy 614.6"
+    assert "Plug it in" in found["right camera"]["found"]
+    assert "right picture" not in found
+
+
 def test_without_a_pipeline_nobody_knows_which_camera(capsys):
     assert main(["doctor", "--camera"]) == 2
     assert "huepose doctor PIPELINE.yaml --camera" in capsys.readouterr().err

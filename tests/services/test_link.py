@@ -89,7 +89,7 @@ def test_a_recording_waits_for_the_workers_of_both():
 
 def test_units_and_graph_are_those_of_a_computer(tmp_path):
     config = over_two()
-    files = units(config.at("desk"), tmp_path / "huepose", tmp_path / "p.yaml", "huepose")
+    files = units([config.at("desk")], tmp_path / "huepose", tmp_path / "p.yaml", "huepose")
     assert "IPAddressDeny=\n" in files["huepose@downlink.service.d/needs.conf"]
     assert "huepose@camera.service" not in files["huepose.target"]
     pipeline = described(config.at(None), tmp_path / "p.yaml")

@@ -10,7 +10,8 @@ from pathlib import Path, PurePosixPath
 
 import pytest
 
-from huepose_services.runtime.config import CHAIN, Config, ObjectConfig, load
+from huepose_services.cli.main import main
+from huepose_services.runtime.config import CHAIN, Config, ObjectConfig, load, load_all
 from huepose_services.runtime.config_perception import CameraConfig, DetectorConfig
 from huepose_services.units import units
 
@@ -24,6 +25,11 @@ LIVE = {
     "bundles": "bundles",
     "objects": [{"name": "mug"}],
 }
+PIPELINES = {
+    "synthetic": {"camera": {"truth": True}},
+    "live": LIVE,
+    "cameras": {"cameras": [{"name": "left"}, {"name": "right-2"}]},
+}
 HUEPOSE, CONFIG = PurePosixPath("/opt/huepose/.venv/bin/huepose"), PurePosixPath("/etc/huepose/pipeline.yaml")
 needs_systemd = pytest.mark.skipif(
     shutil.which("systemd-analyze") is None,
@@ -32,7 +38,7 @@ needs_systemd = pytest.mark.skipif(
 
 
 def _units(config):
-    return units(config, HUEPOSE, CONFIG, "huepose")
+    return units([config], HUEPOSE, CONFIG, "huepose")
 
 
 def _value(text, key):
@@ -40,11 +46,12 @@ def _value(text, key):
     return value
 
 
-@pytest.fixture(params=["synthetic", "live"])
+@pytest.fixture(params=["synthetic", "live", "cameras"])
 def installed(request, tmp_path):
-    """The units of the default pipeline, or of one with a camera, a GPU network and outside readers."""
+    """The units of the default pipeline, of one with a camera, a GPU network and outside readers, or with two
+    cameras."""
     path = tmp_path / "pipeline.yaml"
-    path.write_text(json.dumps(LIVE if request.param == "live" else {"camera": {"truth": True}}))
+    path.write_text(json.dumps(PIPELINES[request.param]))
     out = tmp_path / "units"
     command = Path(sys.executable).parent / "huepose"
     user = subprocess.run(["id", "-un"], capture_output=True, text=True, check=True).stdout.strip()
@@ -102,6 +109,29 @@ def test_the_target_starts_the_workers_of_the_file():
     assert "Nice=-5" in files["huepose@camera.service.d/needs.conf"]
 
 
+def test_each_camera_has_its_workers_named_as_run_is_told(tmp_path, monkeypatch):
+    path = tmp_path / "pipeline.yaml"
+    cameras = [{"name": "left", "source": "realsense"}, {"name": "right", "source": "bop", "path": "scene"}]
+    path.write_text(json.dumps({"workers": ["camera", "tracker"], "bundles": "bundles", "cameras": cameras}))
+    files = units(load_all(path), HUEPOSE, path, "huepose")
+    wants = re.findall(r"Wants=huepose@(.*)\.service", files["huepose.target"])
+    assert wants == ["left.camera", "left.tracker", "right.camera", "right.tracker"]
+    assert "char-usb_device" in files["huepose@left.camera.service.d/needs.conf"]
+    assert "char-usb_device" not in files["huepose@right.camera.service.d/needs.conf"]
+    ran = []
+
+    def run_worker(worker, config, file, of):
+        ran.append((f"{config.camera.name}.{worker}", of))
+        sys.exit()
+
+    monkeypatch.setattr("huepose_services.runtime.worker.run_worker", run_worker)
+    for worker in wants:
+        with pytest.raises(SystemExit):
+            main(["run", worker, str(path)])
+    assert ran == [(worker, worker.split(".")[0]) for worker in wants]
+    assert main(["run", "tracker", str(path)]) == 2  # of which camera?
+
+
 def test_restarts_and_watchdog_are_those_of_the_file():
     config = load(ROOT / "pipeline.yaml")
     template = _units(config)["huepose@.service"]
@@ -130,7 +160,7 @@ def test_only_those_that_need_them_see_devices_and_the_network():
 
 
 def test_paths_with_blanks_and_percent_signs_stay_one_word():
-    template = units(Config(), PurePosixPath("/opt/my apps/100%/huepose"), CONFIG, "huepose")[
+    template = units([Config()], PurePosixPath("/opt/my apps/100%/huepose"), CONFIG, "huepose")[
         "huepose@.service"
     ]
     assert _value(template, "ExecStart") == f'"/opt/my apps/100%%/huepose" run %i {CONFIG}'

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 import json
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -17,7 +18,7 @@ def add_parser(subparsers: Any) -> None:
         "config", nargs="?", type=Path, metavar="PIPELINE", help="also what this deployment needs"
     )
     parser.add_argument(
-        "--camera", action="store_true", help="also open the camera of PIPELINE and look at its pictures"
+        "--camera", action="store_true", help="also open each camera of PIPELINE and look at its pictures"
     )
     parser.add_argument("--json", action="store_true", help="print JSON")
     parser.set_defaults(call=call)
@@ -27,17 +28,19 @@ def call(arguments: argparse.Namespace) -> int:
     """Look at everything; exit 1 when something has to be done."""
     from huepose.support.errors import InputError
     from huepose_services.doctor.checks import examine
-    from huepose_services.runtime.config import load
+    from huepose_services.runtime.config import load_all
 
-    config = load(arguments.config) if arguments.config is not None else None
-    if arguments.camera and config is None:
+    configs = [] if arguments.config is None else load_all(arguments.config)
+    if arguments.camera and not configs:
         fix = "huepose doctor PIPELINE.yaml --camera"
         raise InputError("--camera", found="no PIPELINE", expected="the file that names the camera", fix=fix)
-    findings = examine(config)
-    if arguments.camera and config is not None:
+    findings = examine(configs)
+    if arguments.camera:
         from huepose_services.doctor.pictures import pictures
 
-        findings += pictures(config)
+        for config in configs:
+            of = f"{config.camera.name} " if len(configs) > 1 else ""
+            findings += [replace(one, subject=f"{of}{one.subject}") for one in pictures(config)]
     if arguments.json:
         print(json.dumps([finding.facts() for finding in findings], indent=1))
     else:

@@ -14,7 +14,11 @@ from typing import TYPE_CHECKING, Any
 from huepose_services.cli.options import answered, until_told
 
 if TYPE_CHECKING:
+    from contextlib import ExitStack
+
     from huepose_services.recording.read import Event, Recording
+    from huepose_services.runtime.bus import Bus
+    from huepose_services.runtime.config import Config
 
 _SETTLE_S = 1.0
 
@@ -31,6 +35,11 @@ def add_parser(subparsers: Any) -> None:
         "files", type=Path, nargs="+", metavar="FILE", help="in their order, where there are several"
     )
     parser.add_argument("--config", type=Path, metavar="PIPELINE", help="for names and ports")
+    parser.add_argument(
+        "--camera",
+        metavar="NAME",
+        help="as which of several cameras of PIPELINE; without it each file as the one that it is of",
+    )
     parser.add_argument("--speed", type=float, default=1.0, metavar="X", help="1: as it was (default)")
     parser.add_argument("--loop", action="store_true", help="again and again")
     parser.add_argument("--only", metavar="WORKER", help="what this worker said: camera, tracker, ...")
@@ -84,49 +93,93 @@ def _verify(recordings: list[Recording], arguments: argparse.Namespace) -> int:
 
 
 def _play(arguments: argparse.Namespace, recordings: list[Recording]) -> int:
+    from contextlib import ExitStack
+
     from huepose.support.errors import InputError
     from huepose_services.recording.play import Player
-    from huepose_services.runtime.bus import Bus
     from huepose_services.runtime.clock import SECOND, now_ns
-    from huepose_services.runtime.config import WORKERS, Config, load
-    from huepose_services.runtime.health import Health
-    from huepose_services.runtime.log import Log
+    from huepose_services.runtime.config import WORKERS
     from huepose_services.runtime.running import described, noted
-    from huepose_services.runtime.session import open_player_session
 
     if not 0.05 <= arguments.speed <= 20.0:
         raise InputError("--speed", found=f"{arguments.speed:g}", expected="0.05 to 20")
     only = arguments.only
     if only is not None and only not in WORKERS:
         raise InputError("--only", found=only, expected=f"one of {', '.join(WORKERS)}")
-    config = Config() if arguments.config is None else load(arguments.config)
+    cameras = _of_cameras(arguments, recordings)
     stopping = until_told()
-
-    def player() -> Player:
-        return Player(_events(recordings), bus, now_ns(), arguments.speed, only)
-
-    session = open_player_session(config, config.workers if only is None else [only])
-    bus = Bus(session, config.keys, "replay", Log("replay"), Health("replay"))
-    token = session.liveliness().declare_token(config.keys.live(only or "replay"))
-    with noted(described(config, arguments.config or arguments.files[0])):
+    with ExitStack() as stack:
+        buses = [_bus(config, only, stack) for config, _ in cameras]
+        for config, files in cameras:
+            stack.enter_context(noted(described(config, arguments.config or files[0].path)))
         # Who waits for a pipeline needs a moment to connect.
         time.sleep(_SETTLE_S)
         again = True
         while again and not stopping():
-            playing, played = player(), 0
-            while not playing.finished and not stopping():
-                wait_s = (playing.due_ns() - now_ns()) / SECOND
+            start_ns = now_ns()
+            players = [
+                Player(_events(files), bus, start_ns, arguments.speed, only)
+                for (_, files), bus in zip(cameras, buses, strict=True)
+            ]
+            left = [player for player in players if not player.finished]
+            if not left:
+                raise InputError(arguments.files[0], found="nothing to play", expected="messages")
+            first_ns = min(player.first_ns for player in left)
+            for player in left:
+                player.first_ns = first_ns
+            while left and not stopping():
+                soonest = min(left, key=Player.due_ns)
+                wait_s = (soonest.due_ns() - now_ns()) / SECOND
                 if wait_s > 0:
                     time.sleep(min(wait_s, 0.1))
-                else:
-                    playing.play()
-                    played += 1
-            if not played and not stopping():
-                raise InputError(arguments.files[0], found="nothing to play", expected="messages")
+                    continue
+                soonest.play()
+                if soonest.finished:
+                    left.remove(soonest)
             again = arguments.loop
         time.sleep(_SETTLE_S / 4.0)
-    _say_cut(recordings)
-    token.undeclare()
-    bus.close()
-    session.close()
+        _say_cut(recordings)
     return 0
+
+
+def _of_cameras(
+    arguments: argparse.Namespace, recordings: list[Recording]
+) -> list[tuple[Config, list[Recording]]]:
+    """Which recordings are played as which camera of the file."""
+    from huepose.support.errors import InputError
+    from huepose_services.runtime.config import Config, load, load_all
+
+    if arguments.config is None:
+        return [(Config(), recordings)]
+    configs = load_all(arguments.config)
+    if len(configs) == 1 or arguments.camera is not None:
+        return [(load(arguments.config, arguments.camera), recordings)]
+    of: dict[str, list[Recording]] = {config.camera.name: [] for config in configs}
+    for recording in recordings:
+        event = next(iter(recording.events()), None)
+        camera = "" if event is None else event.key.split("/")[2]
+        if camera not in of:
+            raise InputError(
+                recording.path,
+                found=f"a recording of camera '{camera}'" if camera else "no messages",
+                expected=f"one of {', '.join(of)}, which {arguments.config} has",
+                fix="Say as which camera it is played: --camera NAME.",
+            )
+        of[camera].append(recording)
+    return [(config, of[config.camera.name]) for config in configs if of[config.camera.name]]
+
+
+def _bus(config: Config, only: str | None, stack: ExitStack) -> Bus:
+    """In the place of a camera's workers, until the stack is left."""
+    from huepose_services.runtime.bus import Bus
+    from huepose_services.runtime.health import Health
+    from huepose_services.runtime.log import Log
+    from huepose_services.runtime.session import open_player_session
+
+    session = open_player_session(config, config.workers if only is None else [only])
+    stack.callback(session.close)
+    bus = Bus(session, config.keys, "replay", Log("replay"), Health("replay"))
+    stack.callback(bus.close)
+    token = session.liveliness().declare_token(config.keys.live(only or "replay"))
+    stack.callback(token.undeclare)
+    return bus

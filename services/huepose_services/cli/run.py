@@ -13,9 +13,13 @@ from typing import Any
 def add_parser(subparsers: Any) -> None:
     """Add the verb."""
     parser = subparsers.add_parser("run", help="run one worker of a pipeline in this process")
-    parser.add_argument("worker", metavar="WORKER", help="camera, tracker, reinit, detector, segmenter ...")
+    parser.add_argument(
+        "worker",
+        metavar="WORKER",
+        help="camera, tracker, reinit, detector, segmenter ...; where the file has several cameras, "
+        "CAMERA.WORKER",
+    )
     parser.add_argument("config", nargs="?", type=Path, default=Path("pipeline.yaml"), metavar="PIPELINE")
-    parser.add_argument("--camera", metavar="NAME", help="which one, where the file has several cameras")
     parser.set_defaults(call=call)
 
 
@@ -23,19 +27,20 @@ def call(arguments: argparse.Namespace) -> int:
     """Run until told to stop."""
     from huepose_services.runtime.tied import SUPERVISOR, end_with
 
+    camera, _, worker = arguments.worker.rpartition(".")
     # Before anything that takes time: whoever started this process may die meanwhile.
     if (supervisor := os.environ.get(SUPERVISOR)) is not None:
-        end_with(int(supervisor), ask_first=arguments.worker == "camera")
+        end_with(int(supervisor), ask_first=worker == "camera")
     from huepose.support.errors import InputError
     from huepose_services.runtime.config import WORKERS, load
     from huepose_services.runtime.threads import single_threaded
 
     # One that comes while it starts is for a file that it has yet to read.
     signal.signal(signal.SIGHUP, signal.SIG_IGN)
-    config = load(arguments.config, arguments.camera).beside(arguments.worker)
-    if arguments.worker not in WORKERS:
+    config = load(arguments.config, camera or None).beside(worker)
+    if worker not in WORKERS:
         raise InputError(
-            f"worker '{arguments.worker}'", found="no such worker", expected=f"one of {', '.join(WORKERS)}"
+            f"worker '{worker}'", found="no such worker", expected=f"one of {', '.join(WORKERS)}"
         )
     single_threaded()
     from contextlib import nullcontext
@@ -45,7 +50,7 @@ def call(arguments: argparse.Namespace) -> int:
 
     # Under a supervisor that one has noted the whole pipeline.
     with noted(described(config, arguments.config)) if supervisor is None else nullcontext():
-        code = run_worker(arguments.worker, config, arguments.config.absolute(), arguments.camera)
+        code = run_worker(worker, config, arguments.config.absolute(), camera or None)
     # All is closed; taking numba and OpenCV apart would only make stopping take longer.
     sys.stderr.flush()
     os._exit(code)

@@ -28,12 +28,12 @@ def add_parser(subparsers: Any) -> None:
 def call(arguments: argparse.Namespace) -> int:
     """Write them, and remove what an earlier pipeline had and this one has not."""
     from huepose.support.files import writing
-    from huepose_services.runtime.config import load
+    from huepose_services.runtime.config import load_all
     from huepose_services.units import units
 
-    config = load(arguments.config).at(arguments.host)
+    configs = [config.at(arguments.host) for config in load_all(arguments.config)]
     command = (arguments.huepose or Path(sys.executable).parent / "huepose").absolute()
-    files = units(config, command, arguments.config.absolute(), arguments.user)
+    files = units(configs, command, arguments.config.absolute(), arguments.user)
     with writing(arguments.out, fix="Give another with --out, or run it as root."):
         for old in arguments.out.glob("huepose@*.service.d/needs.conf"):
             if str(old.relative_to(arguments.out)) not in files:

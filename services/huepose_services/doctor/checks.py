@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Collection, Iterator, Sequence
 from functools import partial
 from importlib.util import find_spec
 from pathlib import Path
@@ -14,14 +14,16 @@ from huepose_services.doctor.finding import Finding
 from huepose_services.runtime.config import Config
 
 
-def examine(config: Config | None) -> list[Finding]:
-    """What was found; with a configuration, also whether what it names is there."""
+def examine(configs: Sequence[Config]) -> list[Finding]:
+    """What was found; with the configurations of a pipeline's cameras, also whether what they name is there:
+    all but the cameras is the same in each."""
+    config = configs[0] if configs else None
     wanted = config or Config()
     findings = [
         *machine.versions(),
         *providers(wanted),
         *machine.memory(wanted.bus.frame_pool_mib),
-        *cameras(wanted if config is not None else None),
+        *cameras({config.camera.source for config in configs if "camera" in config.workers}),
         *networks(config),
         *bundles(config),
         *machine.clock(),
@@ -49,19 +51,18 @@ def providers(config: Config) -> Iterator[Finding]:
         yield Finding("providers", "bad", f"{found}, none of {', '.join(config.networks.providers)}", fix)
 
 
-def cameras(config: Config | None) -> Iterator[Finding]:
-    """Which cameras are connected. One that the configuration needs and that is missing is bad."""
-    needed = config.camera.source if config is not None and "camera" in config.workers else None
+def cameras(needed: Collection[str]) -> Iterator[Finding]:
+    """Which cameras are connected. needed: the sources that are bad when they are missing."""
     for kind, package, look in (("realsense", "pyrealsense2", _realsense), ("oak", "depthai", _oak)):
         if find_spec(package) is None:
-            fix = f"pip install 'huepose[{kind}]'" if needed == kind else ""
-            yield Finding(kind, "bad" if needed == kind else "none", f"{package} is not installed", fix)
+            fix = f"pip install 'huepose[{kind}]'" if kind in needed else ""
+            yield Finding(kind, "bad" if kind in needed else "none", f"{package} is not installed", fix)
             continue
         try:
             seen = look()
         except (ImportError, RuntimeError, OSError) as error:
             fix = "It needs libusb-1.0-0 and libudev1: apt-get install them."
-            yield Finding(kind, "bad" if needed == kind else "note", " ".join(str(error).split())[:120], fix)
+            yield Finding(kind, "bad" if kind in needed else "note", " ".join(str(error).split())[:120], fix)
             continue
         if seen:
             slow = any("on USB 2" in one for one in seen)
@@ -69,7 +70,7 @@ def cameras(config: Config | None) -> Iterator[Finding]:
             yield Finding(kind, "note" if slow else "ok", ", ".join(seen), fix)
         else:
             fix = "Plug it into a USB 3 port; udev rules: sudo deploy/jetson/install.sh --udev"
-            missing = needed == kind
+            missing = kind in needed
             yield Finding(kind, "bad" if missing else "none", "no camera seen", fix if missing else "")
 
 

@@ -70,7 +70,8 @@ class Player:
         self._bus, self._speed, self._start_ns = bus, speed, start_ns
         self._epochs: dict[int, int] = {}
         self._next = next(self._events, None)
-        self._first_ns = 0 if self._next is None else self._next.message.publish_ns
+        self.first_ns = 0 if self._next is None else self._next.message.publish_ns
+        """Recorded then, it is played at `start_ns`. Players of one moment are given the earliest."""
 
     @property
     def finished(self) -> bool:
@@ -82,7 +83,7 @@ class Player:
         return self._start_ns if self._next is None else self._moved(self._next.message.publish_ns)
 
     def _moved(self, stamp_ns: int) -> int:
-        return self._start_ns + round((stamp_ns - self._first_ns) / self._speed)
+        return self._start_ns + round((stamp_ns - self.first_ns) / self._speed)
 
     def play(self) -> None:
         """Publish the next event."""

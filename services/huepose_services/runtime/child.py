@@ -41,9 +41,9 @@ class Child:
             SUPERVISOR: str(os.getpid()),
             RESTARTS: str(restarts),
         }
-        choice = [] if camera is None else ["--camera", camera]
+        which = f"{camera}.{worker}" if camera else worker
         self.process = subprocess.Popen(
-            [sys.executable, "-m", "huepose_services.cli.main", "run", worker, str(path), *choice],
+            [sys.executable, "-m", "huepose_services.cli.main", "run", which, str(path)],
             env=environment,
             stdin=subprocess.DEVNULL,
             stdout=subprocess.PIPE,

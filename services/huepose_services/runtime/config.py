@@ -261,7 +261,7 @@ def load(path: Path, camera: str | None = None) -> Config:
         f"{path}: cameras" if camera is None else f"{path}: camera {camera}",
         found=f"the cameras {names}",
         expected="one camera" if camera is None else "one of them",
-        fix="Where the command has --pipeline or --camera, name one; else give it a file with one `camera`.",
+        fix="Name one: with --pipeline or --camera, or as CAMERA.WORKER; else give a file with one `camera`.",
     )
 
 

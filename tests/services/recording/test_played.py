@@ -22,6 +22,8 @@ from huepose_services.cli.main import main
 from huepose_services.recording.export import export_bop
 from huepose_services.recording.play import Player, in_order, said_by
 from huepose_services.recording.read import Recording
+from huepose_services.runtime.bus import Bus
+from tests.services.conftest import free_port_range
 
 from .conftest import EXAMPLES, KEY, chunks_of, frames, mcap_of, parts, tiny_frame, written
 
@@ -149,6 +151,34 @@ def test_one_worker_alone_is_played(tmp_path, only, keys):
 )
 def test_every_key_has_a_worker(tail, worker):
     assert said_by(KEY + tail) == worker
+
+
+def test_recordings_of_several_cameras_are_played_each_as_its_own(tmp_path, monkeypatch, capsys):
+    """Together, as far apart as they were recorded; or one, as the camera that is named."""
+    for camera, number in (("left", 4), ("right", 7)):  # a tenth of a second later
+        out = parts(tmp_path / camera)
+        out.frame(*tiny_frame(number), f"huepose/a/{camera}/frame")
+        out.close()
+        assert out.path == tmp_path / f"{camera}.mcap"
+    path = tmp_path / "pipeline.yaml"
+    cameras = [{"name": "left"}, {"name": "right"}]
+    path.write_text(json.dumps({"site": "b", "cameras": cameras, "bus": {"base_port": free_port_range(40)}}))
+    played = []
+
+    def put(bus, key, header, payload):
+        played.append((key, header.publish_ns))
+
+    monkeypatch.setattr(Bus, "put_pixels", put)
+    left, right = (str(tmp_path / f"{name}.mcap") for name in ("left", "right"))
+    assert main(["replay", right, left, "--config", str(path)]) == 0
+    assert [key for key, _ in played] == ["huepose/b/left/frame", "huepose/b/right/frame"]
+    assert played[1][1] - played[0][1] == 3 * 33_333_333
+    played.clear()
+    assert main(["replay", left, "--config", str(path), "--camera", "right"]) == 0
+    assert [key for key, _ in played] == ["huepose/b/right/frame"]
+    path.write_text(json.dumps({"cameras": [{"name": "up"}, {"name": "down"}]}))
+    assert main(["replay", left, "--config", str(path)]) == 2
+    assert "a recording of camera 'left'" in capsys.readouterr().err
 
 
 @pytest.mark.live

@@ -77,9 +77,9 @@ class Learned:
 
 
 def learn(frames: Iterable[RgbdFrame], selection: Selection, report: Report = silent) -> Learned:
-    """Mesh of the object that is selected in the first frame. report: called when all frames were seen, and
-    some seconds of work are left. Raises InputError that says what to record otherwise, ModuleNotFoundError
-    without the extra `onboard`."""
+    """Mesh of the object that is selected in the first frame. report: called before each piece of the work
+    that is left when all frames were seen, some seconds each. Raises InputError that says what to record
+    otherwise, ModuleNotFoundError without the extra `onboard`."""
     track: _Track | None = None
     count, where = 0, {}
     for count, frame in enumerate(frames, 1):
@@ -104,9 +104,10 @@ def learn(frames: Iterable[RgbdFrame], selection: Selection, report: Report = si
             found=f"an object that turned by less than {np.degrees(VIEW_STEP):.0f} degrees",
             expected="one that is turned before the camera, best all round",
         )
-    report("fusing and painting")
-    views = _polished(track.views, track.radius_m)
+    views = _polished(track.views, track.radius_m, report)
+    report("fusing them and closing the surface")
     shape = fused(views, closed=True)
+    report("painting it")
     T_old_new = _frame_of(shape, views[0], track.ground)
     mesh = painted(_moved(shape, se3.inverse(T_old_new)), [v.at(v.T_cam_obj @ T_old_new) for v in views])
     # Frames between views moved with the view before them.
@@ -266,10 +267,11 @@ def _doubt(found: Registered | None) -> str:
     return ""
 
 
-def _polished(views: Sequence[View], radius_m: float) -> list[View]:
+def _polished(views: Sequence[View], radius_m: float, report: Report) -> list[View]:
     """Views at poses and with masks that fit all others."""
     out = list(views)
-    for _ in range(POLISHES):
+    for number in range(1, POLISHES + 1):
+        report(f"registering {len(out)} views with each other, {number} of {POLISHES}")
         shape = fused(out)
         moved = []
         for view in out:

@@ -16,7 +16,8 @@ from huepose.judge.open_region import open_region
 from huepose.judge.surface import PreparedSurface, look
 from huepose.judge.terms import Terms
 from huepose.onboarding.from_video.fusion import Fused
-from huepose.onboarding.from_video.views import View, projected, tolerance_m
+from huepose.onboarding.from_video.sight import seen_more_squarely
+from huepose.onboarding.from_video.views import View
 from huepose.propose import flow
 from huepose.propose.lifting import lift
 from huepose.propose.relative_pose import LiftedMatches, RobustKabsch
@@ -31,6 +32,8 @@ MATCHES = 400
 WINDOW = 0.35
 """Of the object's box: room around it for its motion in a frame."""
 
+MORE_SQUARELY = 0.02
+"""Cosine by which a view must see a place better to give its colour in the place of one before."""
 
 TURNS = np.radians([-24.0, -12.0, 12.0, 24.0])
 """From starts this far apart, to each side of a pose, the right one is reached."""
@@ -87,14 +90,10 @@ def _colors(points: Float64, normals: Float64, views: Sequence[View]) -> tuple[F
     best = np.full(len(points), -1.0)
     colors = np.zeros((len(points), 3, 3), np.float32)
     for view in views:
-        row, column, z = projected(points, view)
-        inside = row >= 0
-        T, depth = view.T_cam_obj, view.frame.depth
-        cosine = -((normals @ T[:3, :3].T) * se3.apply(T, points)).sum(1) / np.maximum(np.abs(z), 1e-6)
-        seen = inside & view.inner[row, column] & (np.abs(depth[row, column] - z) < tolerance_m(z))
-        better = np.flatnonzero(seen & (cosine > best + 0.02))
-        best[better] = cosine[better]
-        colors[better] = view.opponents[:, row[better], column[better]].transpose(1, 0, 2)
+        depth = view.frame.depth
+        at = seen_more_squarely(points, normals, *view.camera_at, depth, view.inner, best, MORE_SQUARELY)
+        better = np.flatnonzero(at[:, 0] >= 0)
+        colors[better] = view.opponents[:, at[better, 0], at[better, 1]].transpose(1, 0, 2)
     return colors, best > 0
 
 

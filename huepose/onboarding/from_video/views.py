@@ -21,12 +21,12 @@ from huepose.geometry.camera import NEAREST_M
 from huepose.geometry.depth_noise import FLOOR_M, STEREO_NOISE_PER_M
 from huepose.geometry.frame import RgbdFrame
 from huepose.judge.open_region import open_region
-
-SIGMAS = 3.0
-"""Readings that differ by less than this many standard errors may be of one surface."""
+from huepose.onboarding.from_video.sight import SIGMAS, tally
 
 FACET_M = 0.006
 """Half the width of the patch whose readings give a normal: several millimetres of noise need as many."""
+
+_OF_THE_PICTURE = ("inner", "outer", "nearest", "normals_cam", "points_cam")
 
 _RIM_PX = 2
 """At the border of a mask depth and colour are mixed: what is there is not known."""
@@ -46,7 +46,16 @@ class View:
 
     def at(self, T_cam_obj: Float64) -> View:
         """The same view from another pose."""
-        return replace(self, T_cam_obj=T_cam_obj)
+        out = replace(self, T_cam_obj=T_cam_obj)
+        # What is known of the picture alone stays known.
+        out.__dict__.update({name: self.__dict__[name] for name in _OF_THE_PICTURE if name in self.__dict__})
+        return out
+
+    @property
+    def camera_at(self) -> tuple[Float64, Float64]:
+        """Its pose and its camera's fx, fy, cx, cy, as the loops of `sight` take them."""
+        camera = self.frame.camera
+        return np.ascontiguousarray(self.T_cam_obj), np.array([camera.fx, camera.fy, camera.cx, camera.cy])
 
     @cached_property
     def inner(self) -> Bool:
@@ -95,7 +104,7 @@ class View:
 
 class Votes(NamedTuple):
     """How many views say of points (N,) that: the object is there; they see through it; something else is
-    there; the object is before it; it is under the ground."""
+    there; the object is before it; it is under the ground. In the order of `sight.tally`."""
 
     there: Int64
     through: Int64
@@ -106,22 +115,12 @@ class Votes(NamedTuple):
 
 def votes(points_obj: Float, views: Sequence[View]) -> Votes:
     """What views say of points (N, 3)."""
-    found = Votes(*(np.zeros(len(points_obj), np.int64) for _ in range(5)))
+    points, said = np.ascontiguousarray(points_obj, np.float64), np.zeros((len(points_obj), 5), np.int64)
     for view in views:
-        row, column, z = projected(points_obj, view)
-        inside = row >= 0
-        seen = np.where(inside, view.frame.depth[row, column], 0.0)
-        slack = tolerance_m(z)
-        known = inside & (seen > 0)
-        near = known & (np.abs(seen - z) <= slack)
-        found.there[near & view.mask[row, column]] += 1
-        found.other[near & view.outer[row, column]] += 1
-        found.through[inside & (view.nearest[row, column] > z + slack)] += 1
-        found.behind[known & view.mask[row, column] & (z > seen + slack)] += 1
-        if view.ground is not None:
-            height = se3.apply(view.T_cam_obj, points_obj) @ view.ground[:3] + view.ground[3]
-            found.beneath[height < 0] += 1
-    return found
+        ground = np.zeros(4) if view.ground is None else view.ground
+        depth = view.frame.depth
+        tally(points, *view.camera_at, depth, view.mask, view.outer, view.nearest, ground, said)
+    return Votes(*said.T)
 
 
 def projected(points_obj: Float, view: View) -> tuple[Int64, Int64, Float64]:

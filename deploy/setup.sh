@@ -44,7 +44,7 @@ system_libraries
 python=$(find_python)
 if [ ! -x "$UV/bin/uv" ]; then
     echo "setup: fetching uv $UV_VERSION"
-    "$python" -m pip install --quiet --disable-pip-version-check --target "$UV" --no-deps --only-binary :all: \
+    PIP_ROOT_USER_ACTION=ignore "$python" -m pip install --quiet --disable-pip-version-check --target "$UV" --no-deps --only-binary :all: \
         --require-hashes -r deploy/uv.txt \
         || fail "pip could not fetch uv $UV_VERSION: is the package index reachable?"
 fi

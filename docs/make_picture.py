@@ -19,7 +19,7 @@ from huepose.colorpair.extract import extract
 from huepose.datasets.boxes import disturbed
 from huepose.drawing.contact_sheet import contact_sheet
 from huepose.drawing.depth_color import depth_to_color
-from huepose.drawing.overlay import draw_color_pairs, draw_pose
+from huepose.drawing.overlay import Body, draw_color_pairs, draw_poses
 from huepose.evaluation.metrics import add
 from huepose.rendering.render import render
 from huepose.scenes.builtin import SyntheticScene
@@ -41,23 +41,26 @@ def main() -> None:
 
     found = [(models[a.object].mesh, a.T_cam_obj) for a in answers if a.found]
     drawn = render(found, frame.camera)
-    picture, pairs_picture = frame.color.copy(), (frame.color // 3).copy()
+    bodies, pairs_picture = [], (frame.color // 3).copy()
     for k, (truth, answer) in enumerate(zip(truths, answers, strict=True)):
         if not answer.found:
             continue
         model = models[answer.object]
         error_mm = 1000 * add(model.eval_points, answer.T_cam_obj, truth.T_cam_obj)
         label = f"{model.name} {error_mm:.1f} mm"
-        picture = draw_pose(
-            picture, frame.camera, model.mesh, answer.T_cam_obj, COLORS[k % len(COLORS)], label
-        )
+        bodies.append(Body(model.mesh, answer.T_cam_obj, COLORS[k % len(COLORS)], label))
         pairs = extract(frame.color, answer.mask)
         some = pairs[np.linspace(0, len(pairs) - 1, min(len(pairs), 120)).astype(int)]
         rgb = cv2.cvtColor(some.colors, cv2.COLOR_Lab2RGB)
         pairs_picture = draw_color_pairs(pairs_picture, some.pixels, np.rint(255 * rgb).astype(np.uint8))
     models_picture = np.where((drawn.depth > 0)[..., None], drawn.color, frame.color // 4)
     sheet = contact_sheet(
-        [picture, depth_to_color(frame.depth), pairs_picture, models_picture],
+        [
+            draw_poses(frame.color, frame.camera, bodies),
+            depth_to_color(frame.depth),
+            pairs_picture,
+            models_picture,
+        ],
         2,
         ["poses found, error against the truth", "depth", "colour pairs", "models at their poses"],
     )

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from itertools import pairwise
+from itertools import pairwise, product
 
 import cv2
 import numpy as np
@@ -27,6 +27,7 @@ COLOURS: tuple[Colour, ...] = (
 )
 _LEFT, _RIGHT, _TOP, _BOTTOM = 78, 24, 46, 62
 _SHIFT = 4
+_SEARCH_PX = 16
 
 
 def ticks(low: float, high: float, about: int = 6) -> list[float]:
@@ -148,14 +149,15 @@ class Canvas:
         _text(self.picture, text, (round(float(at[0])), round(float(at[1])) - 10), 0.46, "centre", 1, INK)
 
     def legend(self, names: Sequence[str], colors: Sequence[Colour]) -> None:
-        """Names with their colours, in the corner of the frame that has the least drawn in it."""
+        """Names with their colours, where least is drawn in the frame: in a corner, if one is free."""
         inner = self._frame()
         wide = max((cv2.getTextSize(n, FONT, 0.48, 1)[0][0] for n in names), default=0) + 42
         high = 20 * len(names) + 8
         right, bottom = max(0, inner.shape[1] - wide - 8), max(0, inner.shape[0] - high - 8)
         corners = [(right, 8), (8, 8), (right, bottom), (8, bottom)]
-        drawn = [int((inner[y : y + high, x : x + wide].min(-1) < PALE[0] - 5).sum()) for x, y in corners]
-        x, y = corners[int(np.argmin(drawn))]
+        between = product(range(8, right + 1, _SEARCH_PX), range(8, bottom + 1, _SEARCH_PX))
+        ink = inner.min(-1) < PALE[0] - 5
+        x, y = min([*corners, *between], key=lambda at: ink[at[1] : at[1] + high, at[0] : at[0] + wide].sum())
         plate = inner[y : y + high, x : x + wide]
         plate[:] = (0.15 * plate + 0.85 * 255).astype(np.uint8)
         for k, (name, color) in enumerate(zip(names, colors, strict=True)):

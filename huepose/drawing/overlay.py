@@ -5,6 +5,9 @@ Images are (H, W, 3) uint8 RGB, colours RGB triples, pixels (u, v) with integer 
 
 from __future__ import annotations
 
+from collections.abc import Iterable
+from typing import NamedTuple
+
 import cv2
 import numpy as np
 
@@ -17,6 +20,7 @@ from huepose.geometry.se3 import apply
 
 Colour = tuple[int, int, int]
 AXES: tuple[Colour, Colour, Colour] = ((230, 60, 50), (60, 190, 70), (60, 110, 240))  # x, y, z
+LABEL_SCALE = 0.5
 _SUBPIXEL_BITS = 4
 
 
@@ -35,17 +39,35 @@ def silhouette(mesh: Mesh, T_cam_obj: Float, camera: Camera) -> Bool:
     return mask > 0
 
 
-def draw_pose(
-    image: UInt8, camera: Camera, mesh: Mesh, T_cam_obj: Float, color: Colour, label: str = ""
-) -> UInt8:
-    """The outline of a mesh at a pose, its axes at its origin, and a label over it."""
-    mask = silhouette(mesh, T_cam_obj, camera)
-    picture = draw_mask_outline(image, mask, color)
-    extent = np.ptp(mesh.vertices, axis=0)
-    picture = draw_axes(picture, camera, T_cam_obj, 0.6 * float(extent.max()))
-    box = Box.of_mask(mask)
-    if label and box is not None:
-        picture = draw_label(picture, label, (box.x, box.y - 6), color)
+class Body(NamedTuple):
+    """A mesh at a pose, the colour of its outline, and the label over it."""
+
+    mesh: Mesh
+    T_cam_obj: Float
+    color: Colour
+    label: str = ""
+
+
+def draw_poses(image: UInt8, camera: Camera, bodies: Iterable[Body]) -> UInt8:
+    """The outlines of meshes at poses, their axes at their origins, and over all of it their labels, none of
+    which covers another where there is room."""
+    picture, labelled = image, []
+    for body in bodies:
+        mask = silhouette(body.mesh, body.T_cam_obj, camera)
+        picture = draw_mask_outline(picture, mask, body.color)
+        extent = np.ptp(body.mesh.vertices, axis=0)
+        picture = draw_axes(picture, camera, body.T_cam_obj, 0.6 * float(extent.max()))
+        box = Box.of_mask(mask)
+        if body.label and box is not None:
+            labelled.append((body, box))
+    taken: list[Box] = []
+    for body, box in labelled:
+        high = _plate(picture, body.label, (0, 0), LABEL_SCALE).h
+        bottoms = [box.y - 6, box.y + box.h + 6 + high, *(box.y - 6 - k * high for k in range(1, 4))]
+        plates = [_plate(picture, body.label, (box.x, y), LABEL_SCALE) for y in bottoms]
+        plate = next((p for p in plates if not any(p.iou(other) > 0 for other in taken)), plates[0])
+        taken.append(plate)
+        picture = draw_label(picture, body.label, (plate.x, plate.y + plate.h), body.color)
     return picture
 
 
@@ -77,17 +99,26 @@ def draw_axes(image: UInt8, camera: Camera, T_cam_obj: Float, length_m: float) -
     return picture
 
 
-def draw_label(image: UInt8, text: str, at: tuple[float, float], color: Colour, scale: float = 0.5) -> UInt8:
+def draw_label(
+    image: UInt8, text: str, at: tuple[float, float], color: Colour, scale: float = LABEL_SCALE
+) -> UInt8:
     """Text on a plate of `color` whose lower left corner is `at`, moved so that it lies inside the image."""
     picture = image.copy()
+    x, y, width, height = (int(v) for v in _plate(image, text, at, scale))
+    cv2.rectangle(picture, (x, y), (x + width - 1, y + height - 1), color, -1)
+    ink = (15, 15, 15) if np.dot(color, (0.3, 0.59, 0.11)) > 120 else (250, 250, 250)
+    base = cv2.getTextSize(text, FONT, scale, 1)[1]
+    cv2.putText(picture, text, (x + 4, y + height - base - 3), FONT, scale, ink, 1, cv2.LINE_AA)
+    return picture
+
+
+def _plate(image: UInt8, text: str, at: tuple[float, float], scale: float) -> Box:
+    """Whole pixels of a label."""
     (width, height), base = cv2.getTextSize(text, FONT, scale, 1)
     width, height = width + 8, height + base + 6
     x = int(np.clip(at[0], 0, max(0, image.shape[1] - width)))
     y = int(np.clip(at[1], height, max(height, image.shape[0])))
-    cv2.rectangle(picture, (x, y - height), (x + width - 1, y - 1), color, -1)
-    ink = (15, 15, 15) if np.dot(color, (0.3, 0.59, 0.11)) > 120 else (250, 250, 250)
-    cv2.putText(picture, text, (x + 4, y - base - 3), FONT, scale, ink, 1, cv2.LINE_AA)
-    return picture
+    return Box(x, y - height, width, height)
 
 
 def draw_color_pairs(image: UInt8, pixels: Float, colors: UInt8, radius: int = 3) -> UInt8:

@@ -38,13 +38,27 @@ def test_silhouette_survives_poses_behind_and_across_the_camera() -> None:
 def test_draw_pose_marks_outline_axes_and_label_and_leaves_the_image_alone() -> None:
     T = se3.make(se3.rotation_exp(np.array([1.0, 0.5, -0.3])), np.array([0.0, 0.0, 0.6]))
     before = IMAGE.copy()
-    picture = overlay.draw_pose(IMAGE, CAMERA, MESHES["tea_box"], T, GREEN, "tea_box")
+    picture = overlay.draw_poses(IMAGE, CAMERA, [overlay.Body(MESHES["tea_box"], T, GREEN, "tea_box")])
     assert np.array_equal(IMAGE, before)
     border = overlay.draw_mask_outline(IMAGE, overlay.silhouette(MESHES["tea_box"], T, CAMERA), GREEN)
     pure = (picture == GREEN).all(-1) & (border == GREEN).all(-1)
     assert pure.sum() > 0.8 * (border == GREEN).all(-1).sum()
     origin = np.rint(CAMERA.project(T[:3, 3])).astype(int)
     assert changed(picture)[origin[1], origin[0]]
+
+
+def test_labels_lie_over_all_else_and_beside_each_other() -> None:
+    T = se3.make(np.eye(3), np.array([0.0, 0.0, 0.9]))
+    colors = [(0, 200, 0), (200, 0, 0), (0, 0, 200)]
+    bodies = [overlay.Body(MESHES["tea_box"], T, color, "the same place") for color in colors]
+    picture = overlay.draw_poses(IMAGE, CAMERA, bodies)
+    one = [(overlay.draw_poses(IMAGE, CAMERA, [body]) == body.color).all(-1) for body in bodies]
+    # Each has its whole plate; the outlines of the first two lie under that of the last.
+    outline = overlay.draw_poses(IMAGE, CAMERA, [bodies[2]._replace(label="")])
+    plate = int(one[2].sum() - (outline == colors[2]).all(-1).sum())
+    assert plate > 500
+    for color in colors:
+        assert (picture == color).all(-1).sum() >= plate
 
 
 def test_mask_outline_follows_border_and_hole() -> None:

@@ -103,3 +103,18 @@ def test_every_plot_takes_nothing() -> None:
     ):
         assert picture.dtype == np.uint8
         assert picture.ndim == 3
+
+
+def test_the_legend_leaves_the_lines_free_where_there_is_room() -> None:
+    """No corner is free of these, and the middle is."""
+    x = np.linspace(0.0, 1.0, 50)
+    series = {"above": (x, np.full(50, 1.0)), "below": (x, np.zeros(50))}
+    series["at both sides"] = (np.array([0.0, 0.0, np.nan, 1.0, 1.0]), np.array([0.0, 1.0, np.nan, 0.0, 1.0]))
+    canvas = Canvas.empty((-0.02, 1.02), (-0.1, 1.1), "", "", "", (720, 460))
+    for (xs, ys), color in zip(series.values(), COLOURS, strict=False):
+        canvas.line(xs, ys, color)
+    before = canvas.picture.copy()
+    canvas.legend(list(series), COLOURS[:3])
+    for color in COLOURS[:3]:
+        line = (before == color).all(-1)
+        assert (canvas.picture[line] == color).all()

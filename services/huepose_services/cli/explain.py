@@ -5,12 +5,13 @@ from __future__ import annotations
 import json
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict
+from itertools import cycle
 from pathlib import Path
 
 import numpy as np
 
 from huepose.drawing.contact_sheet import contact_sheet
-from huepose.drawing.overlay import draw_pose
+from huepose.drawing.overlay import Body, draw_poses
 from huepose.drawing.text import paragraph
 from huepose.estimation import PoseEstimate
 from huepose.estimation.explanation import Explanation
@@ -37,14 +38,12 @@ def draw_answers(
     frame: RgbdFrame, models: Mapping[str, ReferenceModel], answers: Sequence[PoseEstimate]
 ) -> UInt8:
     """The colour image (H, W, 3) with outline, axes, name, state and quality of every pose that was found."""
-    picture = frame.color
-    for k, answer in enumerate(answers):
-        if answer.T_cam_obj is not None:
-            mesh = models[answer.object].mesh
-            label = f"{answer.object} {answer.state} {answer.quality:.2f}"
-            color = COLORS[k % len(COLORS)]
-            picture = draw_pose(picture, frame.camera, mesh, answer.T_cam_obj, color, label)
-    return picture
+    bodies = [
+        Body(models[a.object].mesh, a.T_cam_obj, color, f"{a.object} {a.state} {a.quality:.2f}")
+        for a, color in zip(answers, cycle(COLORS), strict=False)
+        if a.T_cam_obj is not None
+    ]
+    return draw_poses(frame.color, frame.camera, bodies)
 
 
 def draw_places(
@@ -53,11 +52,12 @@ def draw_places(
     """A page (H, W, 3) about an object that was not found: why, and the poses at the places that were tried,
     likeliest first, T_cam_obj (4, 4), each with the probability that the object is there and what speaks most
     against it."""
-    picture, lines = frame.color, [f"{model.name} was not found. {why}"]
+    bodies, lines = [], [f"{model.name} was not found. {why}"]
     for k, (T_cam_obj, chance, doubt) in enumerate(places):
         label = f"place {k + 1}: {chance:.2f}"
-        picture = draw_pose(picture, frame.camera, model.mesh, T_cam_obj, COLORS[k % len(COLORS)], label)
+        bodies.append(Body(model.mesh, T_cam_obj, COLORS[k % len(COLORS)], label))
         lines.append(f"place {k + 1}: there with a probability of {chance:.2f}; {doubt}")
+    picture = draw_poses(frame.color, frame.camera, bodies)
     return np.vstack([paragraph("\n".join(lines), picture.shape[1]), picture])
 
 

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import io
 import json
-import os
 import re
 import zipfile
 from collections.abc import Iterable
@@ -29,6 +28,7 @@ from huepose.model.types import (
     ViewTemplates,
 )
 from huepose.support.errors import InputError
+from huepose.support.files import whole
 from huepose.support.kept import kept
 
 SUFFIX = ".huepose"
@@ -105,18 +105,13 @@ def save_model(model: ReferenceModel, path: Path | str) -> None:
             arrays[f"{room}.{name}"] = getattr(part, name)
     arrays = {name: np.ascontiguousarray(array) for name, array in arrays.items()}
     header["types"] = {name: array.dtype.str for name, array in arrays.items()}
-    temporary = path.with_name(f".{path.name}.{os.getpid()}.part")
-    try:
-        with zipfile.ZipFile(temporary, "w", zipfile.ZIP_STORED) as archive:
-            archive.writestr(zipfile.ZipInfo("header.json", _EPOCH), json.dumps(header, sort_keys=True))
-            for name, array in arrays.items():
-                content = io.BytesIO()
-                np.lib.format.write_array(content, _narrowed(name, array), allow_pickle=False)
-                entry = aligned_entry(f"{name}.npy", archive.start_dir, _EPOCH)
-                archive.writestr(entry, content.getbuffer())
-        os.replace(temporary, path)
-    finally:
-        temporary.unlink(missing_ok=True)
+    with whole(path) as part, zipfile.ZipFile(part, "w", zipfile.ZIP_STORED) as archive:
+        archive.writestr(zipfile.ZipInfo("header.json", _EPOCH), json.dumps(header, sort_keys=True))
+        for name, array in arrays.items():
+            content = io.BytesIO()
+            np.lib.format.write_array(content, _narrowed(name, array), allow_pickle=False)
+            entry = aligned_entry(f"{name}.npy", archive.start_dir, _EPOCH)
+            archive.writestr(entry, content.getbuffer())
 
 
 def load_model(path: Path | str) -> ReferenceModel:

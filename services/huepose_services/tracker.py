@@ -14,18 +14,12 @@ from huepose.profiles import profile
 from huepose.support.errors import InputError
 from huepose.tracking import Tracker, memory
 from huepose.tracking.history import CLOSE_S, WIDE_S
-from huepose.tracking.types import Applied, Correction, State, TrackedPose, Verdict
+from huepose.tracking.types import Applied, State, TrackedPose
 from huepose_protos import WireError
-from huepose_protos.messages import CorrectionMessage, FrameHeader, MemoryMessage, PoseMessage
-from huepose_protos.runlength import mask_of
+from huepose_protos.messages import CorrectionMessage, FrameHeader, MemoryMessage
 from huepose_services import models, networks
-from huepose_services.convert import (
-    covariance_to_wire,
-    frame_from_wire,
-    optional_pose_to_wire,
-    pose_from_wire,
-    twist_to_wire,
-)
+from huepose_services.convert import frame_from_wire
+from huepose_services.convert_tracked import correction_from_wire, tracked_to_wire
 from huepose_services.doubts import complaint_about, lens_doubted, why_doubted
 from huepose_services.following import Follower, Retired
 from huepose_services.given import Given
@@ -338,7 +332,7 @@ class TrackerWork:
 
     def _put(self, pose: TrackedPose, header: FrameHeader, now: int, reason: str) -> None:
         try:
-            message = pose_to_wire(pose, header, now, reason)
+            message = tracked_to_wire(pose, header, now, reason)
         except ValueError as error:
             # Not a number, not a rotation: nobody must see it, and the other objects go on.
             self._bus.health.count("poses_refused")
@@ -365,53 +359,9 @@ def too_late_text(age_s: float, reach_s: float, older_frames: int) -> str:
     )
 
 
-def _frame_of(header: FrameHeader) -> tuple[int, int]:
-    return header.camera_epoch, header.frame_id
-
-
-def correction_from_wire(message: CorrectionMessage, header: FrameHeader | None = None) -> Correction:
-    """The correction of a message. header: of a frame of the camera that it is about; raises WireError for a
-    mask that has not that frame's size."""
-    size = None if header is None else (header.intrinsics.height, header.intrinsics.width)
-    return Correction(
-        object=message.object,
-        instance=message.instance,
-        epoch=message.camera_epoch,
-        frame_id=message.frame_id,
-        stamp_ns=message.capture_ns,
-        T_cam_obj=pose_from_wire(message.translation, message.quaternion),
-        quality=message.quality,
-        verdict=Verdict(message.verdict),
-        seq=message.seq,
-        mask=None if message.mask is None else mask_of(message.mask, size),
-    )
-
-
 def _sentence(text: str) -> str:
     return text and text[0].upper() + text[1:].rstrip(".") + ("" if text.endswith("?") else ".")
 
 
-def pose_to_wire(pose: TrackedPose, header: FrameHeader, publish_ns: int, reason: str = "") -> PoseMessage:
-    """The message of a tracked pose; the header names the camera's frame and clock."""
-    translation, quaternion = optional_pose_to_wire(pose.T_cam_obj)
-    linear, angular = twist_to_wire(pose.velocity)
-    return PoseMessage(
-        publish_ns=publish_ns,
-        object=pose.object,
-        instance=pose.instance,
-        camera_epoch=pose.epoch,
-        frame_id=pose.frame_id,
-        capture_ns=pose.stamp_ns,
-        frame=header.frame,
-        clock_id=header.clock.clock_id,
-        realtime_offset_ns=header.clock.realtime_offset_ns,
-        state=pose.state.value,
-        quality=pose.quality,
-        translation=translation,
-        quaternion=quaternion,
-        velocity_linear=linear,
-        velocity_angular=angular,
-        covariance=covariance_to_wire(pose.covariance),
-        applied_correction_seq=pose.applied_correction_seq,
-        reason=reason,
-    )
+def _frame_of(header: FrameHeader) -> tuple[int, int]:
+    return header.camera_epoch, header.frame_id

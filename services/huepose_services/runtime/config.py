@@ -13,13 +13,13 @@ from huepose_protos.fields import Name
 from huepose_protos.keys import Keys
 from huepose_protos.local import BASE_PORT, endpoint
 from huepose_services.runtime.config_errors import explain
+from huepose_services.runtime.config_parts import PERCEPTION, Hosts, check_hosts, of_cameras
 from huepose_services.runtime.config_perception import (
     DRAWN_SOURCES,
     CameraConfig,
     DetectorConfig,
     NetworksConfig,
     Rate,
-    Refuse,
     Section,
     SegmenterConfig,
     absolute_network,
@@ -48,12 +48,9 @@ WorkerName = Literal[
     "downlink",
 ]
 # Those that poses need; the others look at them.
-CHAIN: tuple[WorkerName, ...] = ("camera", "tracker", "reinit", "detector", "segmenter", "estimator")
+CHAIN: tuple[WorkerName, ...] = ("camera", "tracker", "reinit", *PERCEPTION)
 # The order gives each worker its port: base_port plus its place. New workers go to the end.
 WORKERS: tuple[WorkerName, ...] = (*CHAIN, "gateway", "viewer", "ros2", "uplink", "downlink")
-
-PORTS_OF_A_CAMERA = 20
-"""Between the first ports of two cameras of a file: room for workers to come."""
 
 
 class ObjectConfig(Section, frozen=True, kw_only=True):
@@ -163,8 +160,6 @@ class RestartConfig(Section, frozen=True, kw_only=True):
     hung_after_s: Annotated[float, Meta(ge=0.5, le=600.0)] = 2.0
 
 
-Far = Literal["detector", "segmenter", "estimator"]
-Hosts = Annotated[dict[Name, tuple[Far, ...]], Meta(max_length=1)]
 Processors = Annotated[list[Annotated[int, Meta(ge=0, le=1023)]], Meta(min_length=1)]
 
 
@@ -301,51 +296,12 @@ def parse_all(text: str, path: Path) -> list[Config]:
     except RecursionError:
         raise InputError(f"configuration {path}", found="values within values without an end") from None
     try:
-        configs = [_absolute(one, path.absolute().parent) for one in _of_cameras(config, path)]
+        configs = [_absolute(one, path.absolute().parent) for one in of_cameras(config, path)]
     except (RuntimeError, ValueError) as error:
         raise InputError(f"{path}: a path in it", found=str(error)[:200], expected="a path") from None
     for one in configs:
         _check(one, path)
     return configs
-
-
-def _of_cameras(config: Config, path: Path) -> list[Config]:
-    """For each camera what it would be alone: with ports of its own, and a namespace in ROS 2."""
-    if not config.cameras:
-        return [config]
-    names = [camera.name for camera in config.cameras]
-    if config.hosts:
-        raise InputError(
-            f"{path}: cameras",
-            found="`cameras` and `hosts`",
-            expected="one of them",
-            fix="Give each camera whose workers run on two computers a file of its own.",
-        )
-    if config.camera != CameraConfig() or len(set(names)) != len(names):
-        raise InputError(
-            f"{path}: cameras",
-            found=", ".join(names) if config.camera == CameraConfig() else "`camera` and `cameras`",
-            expected="either `camera` or `cameras`, and every name once",
-            fix="Give each of `cameras` a name of its own, and leave `camera` out.",
-        )
-    replace = msgspec.structs.replace
-    host, port = config.gateway.listen.rsplit(":", 1)
-    return [
-        replace(
-            config,
-            camera=camera,
-            cameras=[],
-            gateway=replace(config.gateway, listen=f"{host}:{int(port) + k}"),
-            viewer=replace(
-                config.viewer,
-                web_port=config.viewer.web_port + k,
-                grpc_port=config.viewer.grpc_port + k,
-            ),
-            ros2=replace(config.ros2, namespace=f"{config.ros2.namespace}/{camera.name.replace('-', '_')}"),
-            bus=replace(config.bus, base_port=config.bus.base_port + k * PORTS_OF_A_CAMERA),
-        )
-        for k, camera in enumerate(config.cameras)
-    ]
 
 
 def _absolute(config: Config, folder: Path) -> Config:
@@ -384,7 +340,7 @@ def _check(config: Config, path: Path) -> None:
         refuse("objects", ", ".join(names), "every name once", "Use max_instances for several of a kind.")
     if len(set(config.workers)) != len(config.workers) or not config.workers:
         refuse("workers", ", ".join(config.workers) or "none", "each worker at most once", "Name each once.")
-    _check_hosts(config, refuse)
+    check_hosts(config, refuse)
     check_camera(camera, refuse)
     if (
         camera.source not in DRAWN_SOURCES
@@ -395,19 +351,3 @@ def _check(config: Config, path: Path) -> None:
         refuse("bundles", "null", expected, "Make them: huepose onboard MESH --name NAME --out DIR.")
     check_detector(detector, "detector" in config.workers, camera.truth, names, refuse)
     check_segmenter(config.segmenter, refuse)
-
-
-def _check_hosts(config: Config, refuse: Refuse) -> None:
-    perception = tuple(worker for worker in CHAIN[3:] if worker in config.workers)
-    if linked := {"uplink", "downlink"} & set(config.workers):
-        refuse("workers", ", ".join(sorted(linked)), "other workers", "They run where `hosts` says so.")
-    for host, workers in config.hosts.items():
-        if not workers or workers != perception[-len(workers) :]:
-            ends = " or ".join(", ".join(perception[i:]) for i in range(len(perception)))
-            fix = "What follows on the first of them runs there too: the pixels go there once."
-            refuse(f"hosts.{host}", ", ".join(workers) or "none", ends or "perception in `workers`", fix)
-        if config.detector.kind == "truth" and "detector" in workers:
-            refuse("detector.kind", "truth", "another, as it runs where the source is not", "See `hosts`.")
-        if config.link.connect is None:
-            expected = f"address and port by which {host} reaches the camera's computer"
-            refuse("link.connect", "null", expected, "Set it: robot.local:7448.")

@@ -1,0 +1,81 @@
+"""A file for several cameras, or for two computers: what each part of it is."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Literal
+
+import msgspec
+from msgspec import Meta
+
+from huepose.support.errors import InputError
+from huepose_protos.fields import Name
+from huepose_services.runtime.config_perception import CameraConfig, Refuse
+
+if TYPE_CHECKING:
+    from huepose_services.runtime.config import Config
+
+Far = Literal["detector", "segmenter", "estimator"]
+Hosts = Annotated[dict[Name, tuple[Far, ...]], Meta(max_length=1)]
+
+PERCEPTION: tuple[Far, ...] = ("detector", "segmenter", "estimator")
+"""The workers that may run on a second computer, each after the one whose answers it needs."""
+
+PORTS_OF_A_CAMERA = 20
+"""Between the first ports of two cameras of a file: room for workers to come."""
+
+
+def of_cameras(config: Config, path: Path) -> list[Config]:
+    """For each camera what it would be alone: with ports of its own, and a namespace in ROS 2."""
+    if not config.cameras:
+        return [config]
+    names = [camera.name for camera in config.cameras]
+    if config.hosts:
+        raise InputError(
+            f"{path}: cameras",
+            found="`cameras` and `hosts`",
+            expected="one of them",
+            fix="Give each camera whose workers run on two computers a file of its own.",
+        )
+    if config.camera != CameraConfig() or len(set(names)) != len(names):
+        raise InputError(
+            f"{path}: cameras",
+            found=", ".join(names) if config.camera == CameraConfig() else "`camera` and `cameras`",
+            expected="either `camera` or `cameras`, and every name once",
+            fix="Give each of `cameras` a name of its own, and leave `camera` out.",
+        )
+    replace = msgspec.structs.replace
+    host, port = config.gateway.listen.rsplit(":", 1)
+    return [
+        replace(
+            config,
+            camera=camera,
+            cameras=[],
+            gateway=replace(config.gateway, listen=f"{host}:{int(port) + k}"),
+            viewer=replace(
+                config.viewer,
+                web_port=config.viewer.web_port + k,
+                grpc_port=config.viewer.grpc_port + k,
+            ),
+            ros2=replace(config.ros2, namespace=f"{config.ros2.namespace}/{camera.name.replace('-', '_')}"),
+            bus=replace(config.bus, base_port=config.bus.base_port + k * PORTS_OF_A_CAMERA),
+        )
+        for k, camera in enumerate(config.cameras)
+    ]
+
+
+def check_hosts(config: Config, refuse: Refuse) -> None:
+    """What of `hosts` one key alone cannot tell."""
+    perception = tuple(worker for worker in PERCEPTION if worker in config.workers)
+    if linked := {"uplink", "downlink"} & set(config.workers):
+        refuse("workers", ", ".join(sorted(linked)), "other workers", "They run where `hosts` says so.")
+    for host, workers in config.hosts.items():
+        if not workers or workers != perception[-len(workers) :]:
+            ends = " or ".join(", ".join(perception[i:]) for i in range(len(perception)))
+            fix = "What follows on the first of them runs there too: the pixels go there once."
+            refuse(f"hosts.{host}", ", ".join(workers) or "none", ends or "perception in `workers`", fix)
+        if config.detector.kind == "truth" and "detector" in workers:
+            refuse("detector.kind", "truth", "another, as it runs where the source is not", "See `hosts`.")
+        if config.link.connect is None:
+            expected = f"address and port by which {host} reaches the camera's computer"
+            refuse("link.connect", "null", expected, "Set it: robot.local:7448.")

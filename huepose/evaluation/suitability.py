@@ -47,6 +47,12 @@ FACING = 0.3
 
 VIEW_PX, CROP_PX = 220, 200
 
+AXES = ("+x", "+y", "+z", "-x", "-y", "-z")
+CAPTION = (
+    "First the object from six sides, with its axes (x red, y green, z blue) and in pink its colour pairs. "
+    "Then the drawn scenes, the answers outlined in green, with quality and distance."
+)
+
 
 @dataclass(frozen=True, eq=False)
 class Trial:
@@ -182,16 +188,17 @@ def sheet(model: ReferenceModel, found: Suitability) -> UInt8:
     """A page (H, W, 3): the verdict, the object from six sides with its colour pairs, and every trial."""
     views = [_view(model, k) for k in _sides(model)]
     pictures = [*(picture for picture, _ in views), *(t.crop for t in found.trials)]
-    labels = [text for _, text in views]
+    labels = [f"from {axis}: {text}" for axis, (_, text) in zip(AXES, views, strict=True)]
     for t in found.trials:
         word = "right" if t.right else "no pose" if t.state == "LOST" else "WRONG"
         labels.append(f"{word} {t.quality:.2f}, {t.distance_m:.1f} m")
     page = contact_sheet(pictures, 6, labels, (VIEW_PX, VIEW_PX))
-    return np.vstack([paragraph(in_words(model, found), page.shape[1]), page])
+    words = f"{in_words(model, found)}\n{CAPTION}"
+    return np.vstack([paragraph(words, page.shape[1], 0.55), page])
 
 
 def _sides(model: ReferenceModel) -> list[int]:
-    """The views of the model that are nearest to its axes."""
+    """The views of the model that are nearest to AXES."""
     axes = np.vstack([np.eye(3), -np.eye(3)])
     return [int(k) for k in np.argmax(axes @ model.templates.directions.T, axis=1)]
 

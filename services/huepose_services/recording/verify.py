@@ -79,7 +79,10 @@ class Report:
         if self.difference:
             lines[0] += f", then not: {self.difference}"
         if self.skipped:
-            lines.append(f"{self.skipped} steps were not: there was no memory of the tracker to begin from")
+            lines.append(
+                f"{self.skipped} steps were not: there was no memory of the tracker to begin from, which is "
+                "recorded every five seconds"
+            )
         lines += [f"a gap: {gap}" for gap in self.gaps]
         if self.unrecorded:
             lines.append(f"{self.unrecorded} poses are not in the recording")

@@ -6,6 +6,7 @@ import pytest
 
 from huepose.support.errors import InputError
 from huepose_protos.local import run_folder
+from huepose_services.cli.main import main
 from huepose_services.runtime.config import BusConfig, Config
 from huepose_services.runtime.running import Pipeline, noted, occupant, pick, running
 
@@ -75,3 +76,19 @@ def test_a_port_that_is_taken_is_explained(runtime_folder):
         text = '{"base_port": 18200, "site": "h", "camera": "c", "workers": ["tracker"], "file": "/h.yaml"}'
         (runtime_folder / f"{os.getppid()}.json").write_text(text)
         assert occupant(config, "tracker") == "the tracker of h/c there, which runs already (/h.yaml)"
+
+
+def test_a_pipeline_that_is_being_prepared_is_said_to_come(tmp_path, monkeypatch, capsys):
+    path = tmp_path / "lab.yaml"
+    path.write_text(f"site: lab\nbus: {{base_port: {HERE.base_port}}}\n")
+
+    def prepare(config):
+        assert main(["status"]) == 1
+        raise InputError("the scene", found="something else to test")
+
+    monkeypatch.setattr("huepose_services.runtime.prepare.prepare", prepare)
+    assert main(["up", str(path)]) == 2
+    assert f"lab/cam0 is being started, from {path}" in capsys.readouterr().err
+    assert running() == []
+    assert main(["status", "--config", str(path)]) == 1
+    assert "no pipeline runs at port 18100" in capsys.readouterr().err

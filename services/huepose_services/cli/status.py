@@ -35,10 +35,10 @@ def call(arguments: argparse.Namespace) -> int:
     if arguments.json:
         print(_as_json(view))
     elif not view.seen:
-        print(
-            f"huepose status: no pipeline runs at port {pipeline.base_port}; `huepose up` starts one",
-            file=sys.stderr,
-        )
+        found = f"no pipeline runs at port {pipeline.base_port}; `huepose up` starts one"
+        if pipeline.noted:
+            found = f"{pipeline.name} is being started, from {pipeline.file}; its log says how far it is"
+        print(f"huepose status: {found}", file=sys.stderr)
     else:
         print(as_text(view))
     return 0 if view.well else 1

@@ -34,17 +34,17 @@ def call(arguments: argparse.Namespace) -> int:
     from huepose_services.runtime.supervisor import Supervisor
 
     configs = [config.at(arguments.host) for config in load_all(arguments.config)]
-    for config in configs:
-        prepare(config)
-    stopping, again = until_told(), asked_again()
-
-    supervisors = [
-        Supervisor(config, arguments.config, of=config.camera.name if len(configs) > 1 else None)
-        for config in configs
-    ]
     with ExitStack() as notes:
+        # Before it is prepared, which may take minutes: who looks for it is told that it comes.
         for config in configs:
             notes.enter_context(noted(described(config, arguments.config)))
+        for config in configs:
+            prepare(config)
+        stopping, again = until_told(), asked_again()
+        supervisors = [
+            Supervisor(config, arguments.config, of=config.camera.name if len(configs) > 1 else None)
+            for config in configs
+        ]
         try:
             for supervisor in supervisors:
                 supervisor.start()

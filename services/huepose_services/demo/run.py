@@ -155,7 +155,7 @@ def _wait_until_ready(supervisor: Supervisor, stopping: Callable[[], bool]) -> N
     def say(text: str) -> None:
         print(text, file=sys.stderr, flush=True)
 
-    say("starting the workers (the first start compiles their kernels: one to two minutes)")
+    say("starting the workers; where their kernels are still to be compiled, that takes one to two minutes")
     started, waiting = time.monotonic(), supervisor.not_ready
     while not supervisor.ready and not stopping():
         supervisor.poll()

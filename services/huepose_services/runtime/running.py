@@ -40,6 +40,11 @@ class Pipeline(msgspec.Struct, frozen=True, kw_only=True):
         return f"{self.site}/{self.camera}"
 
     @property
+    def noted(self) -> bool:
+        """Whether a process says that it runs it."""
+        return bool(self.folder)
+
+    @property
     def endpoints(self) -> list[str]:
         """Where its workers listen, if they run."""
         return [endpoint(self.base_port + place, self.folder) for place in range(len(WORKERS))]

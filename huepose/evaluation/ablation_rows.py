@@ -73,7 +73,7 @@ class AblationResult:
 
     def picture(self, names: Mapping[str, str] | None = None) -> UInt8:
         """The paper's figure: per object and over all, the mean errors of all flow, of what the filter leaves
-        of it and of what the tracker uses, one panel for each estimator side by side; below them the
+        of it and of what the tracker uses, one panel for each estimator, two side by side; below them the
         end-point error, which belongs to the correspondences, whoever estimates from them.
 
         names: what to write under the bars of an object, by how rows call it."""
@@ -102,7 +102,9 @@ class AblationResult:
                 )
                 for estimator in estimators
             ]
-            panels.append(np.hstack(row))
+            # Two side by side: a page shows more only in letters that nobody can read.
+            blank = [np.full_like(row[0], 255)] * (len(row) % 2)
+            panels += [np.hstack([*row, *blank][k : k + 2]) for k in range(0, len(row), 2)]
         epe = {
             choice: [_or_nan(block[f"{choice}/{estimators[0]}"]["epe_px_mean"]) for block in groups.values()]
             for choice in choices

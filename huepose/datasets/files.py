@@ -93,8 +93,8 @@ def rigid(R: Float64, t_m: Float64, where: object) -> Float64:
     return se3.orthonormalised(se3.make(R, t_m))
 
 
-def _decode(path: Path, flags: int, fix: str) -> np.ndarray:
-    content = read_bytes(path, fix)
+def _decode(path: Path, flags: int) -> np.ndarray:
+    content = read_bytes(path)
     width, height = picture_size(content) or (0, 0)
     if width * height > MAX_PIXELS:
         raise InputError(
@@ -110,10 +110,10 @@ def _decode(path: Path, flags: int, fix: str) -> np.ndarray:
     return image
 
 
-def read_color(path: Path, fix: str = "") -> UInt8:
+def read_color(path: Path) -> UInt8:
     """Colour picture (H, W, 3) uint8 RGB; grey ones are spread, alpha is dropped. Raises InputError."""
     flags = cv2.IMREAD_COLOR | cv2.IMREAD_ANYDEPTH | cv2.IMREAD_IGNORE_ORIENTATION
-    image = _decode(path, flags, fix)
+    image = _decode(path, flags)
     if image.dtype != np.uint8:
         raise InputError(
             path,
@@ -124,9 +124,9 @@ def read_color(path: Path, fix: str = "") -> UInt8:
     return np.ascontiguousarray(image[..., ::-1])
 
 
-def read_depth(path: Path, scale_m: float, fix: str = "") -> Float32:
+def read_depth(path: Path, scale_m: float) -> Float32:
     """Depth picture (H, W) float32 metres from 16 bit values times `scale_m`; 0 = no reading."""
-    image = _decode(path, cv2.IMREAD_UNCHANGED, fix)
+    image = _decode(path, cv2.IMREAD_UNCHANGED)
     if image.ndim != 2 or image.dtype != np.uint16:
         raise InputError(
             path,
@@ -154,15 +154,15 @@ def read_float_depth(path: Path, fix: str = "") -> Float32:
     return np.where(np.isfinite(depth) & (depth > 0), depth, 0).astype(np.float32)
 
 
-def read_mask(path: Path, fix: str = "") -> Bool:
+def read_mask(path: Path) -> Bool:
     """Mask (H, W): pixels over 0. Raises InputError."""
-    image = _decode(path, cv2.IMREAD_UNCHANGED, fix)
+    image = _decode(path, cv2.IMREAD_UNCHANGED)
     return np.asarray((image if image.ndim == 2 else image[..., :3].max(2)) > 0)
 
 
-def read_labels(path: Path, fix: str = "") -> UInt8:
+def read_labels(path: Path) -> UInt8:
     """Picture of class numbers (H, W) uint8. Raises InputError."""
-    image = _decode(path, cv2.IMREAD_UNCHANGED, fix)
+    image = _decode(path, cv2.IMREAD_UNCHANGED)
     if image.ndim != 2 or image.dtype != np.uint8:
         raise InputError(path, found=f"{image.shape} {image.dtype}", expected="one channel of 8 bit numbers")
     return np.asarray(image)

@@ -21,10 +21,9 @@ def line_plot(
     x_range: Range | None = None,
     y_range: Range | None = None,
     marks: bool = False,
-    size: tuple[int, int] = (720, 460),
 ) -> UInt8:
     """Lines by name: x (N,), y (N,), broken where either is nan; with dots at the points when `marks`."""
-    canvas = _over(series, title, x_label, y_label, x_range, y_range, size)
+    canvas = _over(series, title, x_label, y_label, x_range, y_range, (720, 460))
     for (x, y), color in zip(series.values(), _colours(len(series)), strict=True):
         canvas.line(x, y, color)
         if marks:
@@ -93,12 +92,10 @@ def reliability_bins(quality: Float, right: Bool, bins: int = 10) -> tuple[Float
     return stated, true, np.array([len(part) for part in parts], np.float64)
 
 
-def reliability_plot(
-    quality: Float, right: Bool, bins: int = 10, title: str = "", size: tuple[int, int] = (520, 480)
-) -> UInt8:
+def reliability_plot(quality: Float, right: Bool, bins: int = 10, title: str = "") -> UInt8:
     """Stated quality against the share that is right, in bins of equal count; on the diagonal, both agree."""
     stated, true, count = reliability_bins(quality, right, bins)
-    canvas = Canvas.empty((0.0, 1.0), (0.0, 1.0), title, "stated quality", "share that is right", size)
+    canvas = Canvas.empty((0.0, 1.0), (0.0, 1.0), title, "stated quality", "share that is right", (520, 480))
     canvas.line(np.array([0.0, 1.0]), np.array([0.0, 1.0]), INK, 1, dashed=True)
     canvas.line(stated, true, COLOURS[0])
     canvas.dots(stated, true, COLOURS[0], 4.5)

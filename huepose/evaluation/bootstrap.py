@@ -18,14 +18,12 @@ from huepose.geometry.arrays import Bool, Float, Float64, Int64
 Interval = tuple[float, float]
 
 
-def frame_intervals(
-    values: Mapping[str, Float],
-    frames: Sequence[Hashable],
-    share: float = 0.95,
-    resamples: int = 2000,
-    seed: int = 0,
-) -> dict[str, Interval]:
-    """For each figure the central interval of its mean that holds `share` of the resamples.
+SHARE = 0.95
+"""Of the draws, that an interval holds."""
+
+
+def frame_intervals(values: Mapping[str, Float], frames: Sequence[Hashable]) -> dict[str, Interval]:
+    """For each figure the central interval of its mean that holds `SHARE` of 2000 resamples.
 
     values: one number an instance (N,), by figure; frames: which frame each instance is of (N,).
 
@@ -34,9 +32,9 @@ def frame_intervals(
     """
     if not len(frames):
         return {}
-    index, times = _draws(frames, resamples, seed)
+    index, times = _draws(frames, 2000, 0)
     counts = times @ np.bincount(index)
-    tails = [50.0 * (1.0 - share), 50.0 * (1.0 + share)]
+    tails = [50.0 * (1.0 - SHARE), 50.0 * (1.0 + SHARE)]
     result = {}
     for name, each in values.items():
         low, high = np.percentile((times @ _sums(each, index)) / counts, tails)
@@ -73,7 +71,6 @@ class Share:
 def difference_intervals(
     pairs: Mapping[str, tuple[Share, Share]],
     units: Sequence[Hashable],
-    share: float = 0.95,
     resamples: int = 4000,
     seed: int = 0,
 ) -> dict[str, Interval | None]:
@@ -93,7 +90,7 @@ def difference_intervals(
     index, times = _draws(units, resamples, seed)
     if times.shape[1] < 2:
         return dict.fromkeys(pairs)
-    tail = 50.0 * (1.0 - _expanded(share, times.shape[1]))
+    tail = 50.0 * (1.0 - _expanded(SHARE, times.shape[1]))
     result: dict[str, Interval | None] = {}
     for name, (before, after) in pairs.items():
         parts = [times @ _sums(each, index) for each in (after.part, after.whole, before.part, before.whole)]

@@ -152,22 +152,12 @@ class _FrameRun:
     setup: EstimateSetup
     seed: int
 
-    @property
-    def targets(self) -> Targets:
-        """The objects that are asked for."""
-        return self.setup.targets
-
-    @property
-    def options(self) -> EstimateOptions:
-        """Boxes, masks and so on."""
-        return self.setup.options
-
     def answers(self) -> tuple[list[EstimateRow], list[FalsePose]]:
         """A row for each label that counts, and the poses that belong to none."""
         setup = self.setup
-        if setup.detector is not None and self.options.boxes == "detect":
+        if setup.detector is not None and self.setup.options.boxes == "detect":
             return self.detected(setup.estimator, setup.detector, setup.presence)
-        if setup.given is not None and self.options.boxes == "file":
+        if setup.given is not None and self.setup.options.boxes == "file":
             return self.given(setup.estimator, setup.given)
         return self.boxed(setup.estimator), []
 
@@ -199,7 +189,7 @@ class _FrameRun:
         """None where the true mask or the box is empty: nothing of the object is in the image."""
         camera, truth = self.sample.frame.camera, label.truth
         masks: tuple[Bool, ...] = ()
-        if self.options.masks == "gt":
+        if self.setup.options.masks == "gt":
             mask = truth.mask()
             if mask is None:
                 raise InputError(
@@ -211,7 +201,7 @@ class _FrameRun:
             if not mask.any():
                 return None
             masks = (mask,)
-        boxes = self.options.boxes
+        boxes = self.setup.options.boxes
         kind: Disturbance = "gt" if boxes == "detect" or boxes == "file" else boxes
         true_box = truth_box(truth, label.model.mesh, camera)
         if true_box is None:
@@ -227,7 +217,7 @@ class _FrameRun:
     ) -> tuple[list[EstimateRow], list[FalsePose]]:
         """Every object is asked for; the poses that stand are matched to the labels of their object."""
         start = time.perf_counter()
-        names = [model.name for model in self.targets.models]
+        names = [model.name for model in self.setup.targets.models]
         detections = detector.detect(self.sample.frame, names)
         queries = [ObjectQuery(d.object, box=d.box, instance=i) for i, d in enumerate(detections)]
         answers = estimator.estimate(self.sample.frame, queries) if queries else []
@@ -251,7 +241,7 @@ class _FrameRun:
         due = Counter(label.model.name for label in self.labels if label.counted)
         queries: list[ObjectQuery] = []
         for box in boxes.of(self.sample.scene, self.sample.image):
-            model = self.targets.named(box.object_id)
+            model = self.setup.targets.named(box.object_id)
             if model is not None and due[model.name] > 0:
                 due[model.name] -= 1
                 prior = None if box.T_cam_obj is None else PosePrior(box.T_cam_obj)
@@ -293,7 +283,7 @@ class _FrameRun:
         return rows, [self._false(answer, T) for answer, T in spare]
 
     def _box_of(self, name: str, T_cam_obj: Float64) -> Box | None:
-        model = self.targets.named(name)
+        model = self.setup.targets.named(name)
         return None if model is None else projected_box(model.mesh, T_cam_obj, self.sample.frame.camera)
 
     def _bop_scores(self, answers: Mapping[int, PoseEstimate]) -> dict[int, BopScore]:
@@ -328,7 +318,7 @@ class _FrameRun:
         return scores
 
     def _false(self, answer: PoseEstimate, T_cam_obj: Float64) -> FalsePose:
-        model = self.targets.named(answer.object)
+        model = self.setup.targets.named(answer.object)
         return FalsePose(
             self.sample.scene,
             self.sample.image,
@@ -354,7 +344,7 @@ class _FrameRun:
         truth = label.truth
         key = (self.sample.scene, self.sample.image, truth.instance)
         equivalents = self.setup.equivalents.get(key, ())
-        error = self.targets.error(label.model, T_cam_obj, label.T_cam_obj, equivalents)
+        error = self.setup.targets.error(label.model, T_cam_obj, label.T_cam_obj, equivalents)
         others = answer.alternatives if answer is not None and answer.found else ()
         return EstimateRow(
             scene=self.sample.scene,
@@ -374,6 +364,6 @@ class _FrameRun:
             terms=None if answer is None else answer.terms,
             bop=bop,
             alternatives=tuple(
-                (p, self.targets.right(label.model, T, label.T_cam_obj, equivalents)) for T, p in others
+                (p, self.setup.targets.right(label.model, T, label.T_cam_obj, equivalents)) for T, p in others
             ),
         )

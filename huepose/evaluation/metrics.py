@@ -17,7 +17,6 @@ from huepose.geometry.arrays import Bool, Float, Float64
 AUC_LIMIT_M = 0.1
 RECALL_FRACTION = 0.1
 FIGURES = ("recall_add", "recall_adds", "auc_add", "auc_adds")
-_CALIBRATION_BINS = 10
 
 
 def add(points_obj: Float, T_estimate: Float, T_truth: Float) -> float:
@@ -83,7 +82,7 @@ def expected_calibration_error(quality: Float, right: Bool) -> float | None:
     A fraction, 0..1; None without poses. Bins are weighted by their counts where N does not divide by ten."""
     if not len(quality):
         return None
-    stated, true, count = reliability_bins(quality, right, _CALIBRATION_BINS)
+    stated, true, count = reliability_bins(quality, right)
     return float((np.abs(stated - true) * count).sum() / count.sum())
 
 

@@ -13,12 +13,12 @@ from huepose.datasets.boxes import disturbed, truth_box
 from huepose.datasets.types import GroundTruth, Sample, Scene
 from huepose.estimation.config import StandingConfig
 from huepose.estimation.present import Presence
+from huepose.estimation.reasons import overlap
 from huepose.estimation.standing import standing_answers
 from huepose.estimation.types import ObjectQuery, PoseEstimate
 from huepose.evaluation.estimate_protocol import PoseEstimator
 from huepose.evaluation.perception_rows import FalseBox, FrameFigures, PerceptionResult, PerceptionRow
 from huepose.evaluation.targets import Targets, object_number
-from huepose.geometry.arrays import Bool
 from huepose.geometry.box import Box
 from huepose.model.types import ReferenceModel
 from huepose.perception.types import Detection, Detector, Segmenter
@@ -79,9 +79,8 @@ def evaluate_perception(
         sample = Sample(scene.frame(image), truths, scene.name, image)
         labels = _labels(sample, targets)
         if labels:
-            figures = _frame(
-                sample, labels, names, targets, detector, segmenter, estimator, options, presence
-            )
+            run = _FrameRun(sample, labels, targets, detector, segmenter, estimator, options, presence)
+            figures = run.figures(names)
             frames.append(figures)
             if on_frame is not None:
                 on_frame(sample, figures)
@@ -107,38 +106,93 @@ def _labels(sample: Sample, targets: Targets) -> list[_Label]:
     return labels
 
 
-def _frame(
-    sample: Sample,
-    labels: Sequence[_Label],
-    names: Sequence[str],
-    targets: Targets,
-    detector: Detector,
-    segmenter: Segmenter,
-    estimator: PoseEstimator,
-    options: PerceptionOptions,
-    presence: Presence | None,
-) -> FrameFigures:
-    start = time.perf_counter()
-    detections = detector.detect(sample.frame, names)
-    found_s = time.perf_counter() - start
-    judged = _best([d for d in detections if d.score >= options.least], options.judged)
-    queries = [ObjectQuery(d.object, box=d.box, instance=i) for i, d in enumerate(judged)]
-    answers = estimator.estimate(sample.frame, queries) if queries else []
-    chances = [a.quality for a in answers] if presence is None else presence(sample.frame, answers)
-    seconds = time.perf_counter() - start
-    by_object = {name: [d for d in detections if d.object == name] for name in names}
-    rows = [
-        _row(sample, label, by_object[label.model.name], segmenter, estimator, options)
-        for label in labels
-        if label.counted(options)
-    ]
+@dataclass(frozen=True, eq=False)
+class _FrameRun:
+    """One frame, and what is evaluated on it."""
 
-    def verdict(asked: Sequence[str]) -> tuple[dict[int, PoseEstimate], list[FalseBox]]:
-        mine = [(a, p) for a, p in zip(answers, chances, strict=True) if a.object in set(asked)]
-        poses = standing_answers([a for a, _ in mine], [p for _, p in mine], StandingConfig(options.accepted))
-        return _assigned(sample, poses, labels, targets, options)
+    sample: Sample
+    labels: Sequence[_Label]
+    targets: Targets
+    detector: Detector
+    segmenter: Segmenter
+    estimator: PoseEstimator
+    options: PerceptionOptions
+    presence: Presence | None
 
-    return FrameFigures(sample.scene, sample.image, rows, names, verdict, found_s, seconds)
+    def figures(self, names: Sequence[str]) -> FrameFigures:
+        """Ask for the objects of these names, and outline all that is labelled."""
+        sample, options = self.sample, self.options
+        start = time.perf_counter()
+        detections = self.detector.detect(sample.frame, names)
+        found_s = time.perf_counter() - start
+        judged = _best([d for d in detections if d.score >= options.least], options.judged)
+        queries = [ObjectQuery(d.object, box=d.box, instance=i) for i, d in enumerate(judged)]
+        answers = self.estimator.estimate(sample.frame, queries) if queries else []
+        presence = self.presence
+        chances = [a.quality for a in answers] if presence is None else presence(sample.frame, answers)
+        seconds = time.perf_counter() - start
+        by_object = {name: [d for d in detections if d.object == name] for name in names}
+        rows = [
+            self._row(label, by_object[label.model.name]) for label in self.labels if label.counted(options)
+        ]
+        level = StandingConfig(options.accepted)
+
+        def verdict(asked: Sequence[str]) -> tuple[dict[int, PoseEstimate], list[FalseBox]]:
+            mine = [(a, p) for a, p in zip(answers, chances, strict=True) if a.object in set(asked)]
+            return self._assigned(standing_answers([a for a, _ in mine], [p for _, p in mine], level))
+
+        return FrameFigures(sample.scene, sample.image, rows, names, verdict, found_s, seconds)
+
+    def _row(self, label: _Label, proposals: Sequence[Detection]) -> PerceptionRow:
+        rank = next((k for k, d in enumerate(proposals, 1) if d.box.iou(label.box) >= SAME), None)
+        mask_iou, final_iou = self._mask_ious(label) if self.options.masks else (None, None)
+        return PerceptionRow(
+            self.sample.scene,
+            self.sample.image,
+            label.truth.instance,
+            object_number(label.model),
+            label.model.name,
+            label.truth.visib_fract,
+            label.box,
+            rank,
+            max((d.box.iou(label.box) for d in proposals), default=0.0),
+            mask_iou,
+            final_iou,
+        )
+
+    def _mask_ious(self, label: _Label) -> tuple[float | None, float | None]:
+        """Of the segmenter's first mask and of the estimator's last with the visible mask, in a disturbed
+        box."""
+        sample, true_mask = self.sample, label.truth.mask()
+        if true_mask is None or not true_mask.any():
+            return None, None
+        where = (sample.scene, sample.image, label.truth.instance)
+        box = disturbed(label.box, "perturbed", self.options.seed, *where, sample.frame.camera)
+        if box.area == 0:
+            return None, None
+        mask = self.segmenter.segment(sample.frame, box, label.model.diameter_m)[0]
+        answer = self.estimator.estimate(sample.frame, [ObjectQuery(label.model.name, box=box)])[0]
+        final = np.zeros_like(true_mask) if answer.mask is None else answer.mask
+        return overlap(mask, true_mask), overlap(final, true_mask)
+
+    def _assigned(self, poses: Sequence[PoseEstimate]) -> tuple[dict[int, PoseEstimate], list[FalseBox]]:
+        """Standing poses by the instance that they find, and those that find none. The box of a pose is that
+        of the pixels that it explains."""
+        taken: dict[int, PoseEstimate] = {}
+        false = []
+        for pose in poses:
+            box = None if pose.mask is None else Box.of_mask(pose.mask)
+            if box is None:
+                continue
+            mine = [x for x in self.labels if x.model.name == pose.object and x.truth.instance not in taken]
+            best = max(mine, key=lambda x: x.box.iou(box), default=None)
+            if best is not None and best.box.iou(box) >= SAME:
+                taken[best.truth.instance] = pose
+            elif best is None or best.counted(self.options) or best.box.iou(box) == 0.0:
+                model = self.targets.models_by_name[pose.object]
+                where = (self.sample.scene, self.sample.image, object_number(model), model.name)
+                false.append(FalseBox(*where, box, pose.quality, _shown(self.labels, box)))
+        return taken, false
 
 
 def _best(detections: Sequence[Detection], most: int) -> list[Detection]:
@@ -150,91 +204,6 @@ def _best(detections: Sequence[Detection], most: int) -> list[Detection]:
         if seen[d.object] <= most:
             chosen.append(d)
     return chosen
-
-
-def _row(
-    sample: Sample,
-    label: _Label,
-    proposals: Sequence[Detection],
-    segmenter: Segmenter,
-    estimator: PoseEstimator,
-    options: PerceptionOptions,
-) -> PerceptionRow:
-    rank = next((k for k, d in enumerate(proposals, 1) if d.box.iou(label.box) >= SAME), None)
-    mask_iou = final_iou = None
-    if options.masks:
-        mask_iou, final_iou = _mask_ious(sample, label, segmenter, estimator, options)
-    return PerceptionRow(
-        sample.scene,
-        sample.image,
-        label.truth.instance,
-        object_number(label.model),
-        label.model.name,
-        label.truth.visib_fract,
-        label.box,
-        rank,
-        max((d.box.iou(label.box) for d in proposals), default=0.0),
-        mask_iou,
-        final_iou,
-    )
-
-
-def _mask_ious(
-    sample: Sample, label: _Label, segmenter: Segmenter, estimator: PoseEstimator, options: PerceptionOptions
-) -> tuple[float | None, float | None]:
-    """Of the segmenter's first mask and of the estimator's last with the visible mask, in a disturbed box."""
-    true_mask = label.truth.mask()
-    if true_mask is None or not true_mask.any():
-        return None, None
-    where = (sample.scene, sample.image, label.truth.instance)
-    box = disturbed(label.box, "perturbed", options.seed, *where, sample.frame.camera)
-    if box.area == 0:
-        return None, None
-    mask = segmenter.segment(sample.frame, box, label.model.diameter_m)[0]
-    answer = estimator.estimate(sample.frame, [ObjectQuery(label.model.name, box=box)])[0]
-    final = np.zeros_like(true_mask) if answer.mask is None else answer.mask
-    return _iou(mask, true_mask), _iou(final, true_mask)
-
-
-def _iou(a: Bool, b: Bool) -> float:
-    either = int((a | b).sum())
-    return float((a & b).sum() / either) if either else 0.0
-
-
-def _assigned(
-    sample: Sample,
-    poses: Sequence[PoseEstimate],
-    labels: Sequence[_Label],
-    targets: Targets,
-    options: PerceptionOptions,
-) -> tuple[dict[int, PoseEstimate], list[FalseBox]]:
-    """Standing poses by the instance that they find, and those that find none. The box of a pose is that of
-    the pixels that it explains."""
-    taken: dict[int, PoseEstimate] = {}
-    false = []
-    for pose in poses:
-        box = None if pose.mask is None else Box.of_mask(pose.mask)
-        if box is None:
-            continue
-        mine = [x for x in labels if x.model.name == pose.object and x.truth.instance not in taken]
-        best = max(mine, key=lambda x: x.box.iou(box), default=None)
-        if best is not None and best.box.iou(box) >= SAME:
-            taken[best.truth.instance] = pose
-        elif best is None or best.counted(options) or best.box.iou(box) == 0.0:
-            model = targets.named(pose.object)
-            assert model is not None  # only targets are asked for
-            false.append(
-                FalseBox(
-                    sample.scene,
-                    sample.image,
-                    object_number(model),
-                    model.name,
-                    box,
-                    pose.quality,
-                    _shown(labels, box),
-                )
-            )
-    return taken, false
 
 
 def _shown(labels: Sequence[_Label], box: Box) -> str | None:

@@ -127,8 +127,8 @@ class LoopJudge:
     The instance that an estimate is of is known here, so that an object without a pose takes every usable
     estimate at once; the tracker still verifies it on its own frame before it is published."""
 
-    def __init__(self, models: Mapping[str, ReferenceModel], config: ReinitConfig | None = None) -> None:
-        self._config = config or ReinitConfig()
+    def __init__(self, models: Mapping[str, ReferenceModel]) -> None:
+        self._config = ReinitConfig()
         self._slots = {
             name: ObjectSlot(name, 1, model.diameter_m, tuple(model.equivalents))
             for name, model in models.items()

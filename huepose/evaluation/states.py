@@ -12,7 +12,7 @@ that waiting for an object to appear is not held against the tracker but losing 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from typing import Any
 
 from huepose.evaluation.summary import largest
@@ -116,17 +116,6 @@ def combined(reports: Sequence[StateReport]) -> StateReport:
     return StateReport(**total | worst)
 
 
-_COUNTS = (
-    "frames",
-    "false_tracking_frames",
-    "lost_frames",
-    "tracking_frames",
-    "coverable_frames",
-    "visible_frames",
-    "undeclared_losses",
-    "never_confirmed",
-    "never_reacquired",
-)
 TIMES = (
     "declared_suspect_after_frames",
     "declared_lost_after_frames",
@@ -134,6 +123,7 @@ TIMES = (
     "confirmed_after_s",
     "reacquired_after_s",
 )
+_COUNTS = tuple(field.name for field in fields(StateReport) if field.name not in TIMES)
 
 
 def find_losses(moments: Sequence[Moment]) -> list[Loss]:

@@ -46,10 +46,10 @@ class SidedSurface:
         distance = np.linalg.norm(gap, axis=1) / self.diameter_m
         return np.maximum(plane, 0.05 * elsewhere), np.maximum(distance, 0.05 * elsewhere)
 
-    def polished(self, turn: Float64, points: Float, normals: Float, iterations: int = 8) -> Float64:
-        """The turn after point-to-plane steps of the turned points onto the surface."""
+    def polished(self, turn: Float64, points: Float, normals: Float) -> Float64:
+        """The turn after eight point-to-plane steps of the turned points onto the surface."""
         T = turn
-        for _ in range(iterations):
+        for _ in range(8):
             moved, turned = se3.apply(T, points), normals @ T[:3, :3].T
             j = self.nearest(moved, turned)
             n = self.normals[j]

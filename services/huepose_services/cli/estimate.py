@@ -11,7 +11,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from huepose_services.cli.options import add_json, add_profile, answered
+from huepose_services.cli.options import add_bundles, add_json, add_profile, answered
 
 if TYPE_CHECKING:
     from huepose.estimation import Estimator, ObjectQuery, PoseEstimate
@@ -37,9 +37,7 @@ def add_parser(subparsers: Any) -> None:
     parser.add_argument(
         "--camera", type=Path, required=True, metavar="FILE.json", help="intrinsics, depth scale"
     )
-    parser.add_argument(
-        "--bundles", type=Path, required=True, metavar="DIR", help="folder of reference models"
-    )
+    add_bundles(parser)
     parser.add_argument("--object", nargs="+", default=None, metavar="NAME", help="all of the folder without")
     parser.add_argument(
         "--method",

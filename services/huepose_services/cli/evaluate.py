@@ -7,7 +7,7 @@ from importlib import import_module
 from pathlib import Path
 from typing import Any
 
-from huepose_services.cli.options import add_profile
+from huepose_services.cli.options import add_bundles, add_number, add_profile
 
 
 def add_parser(subparsers: Any) -> None:
@@ -34,9 +34,7 @@ def call(arguments: argparse.Namespace) -> int:
 
 
 def _common(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument(
-        "--bundles", type=Path, required=True, metavar="DIR", help="folder of reference models"
-    )
+    add_bundles(parser)
     parser.add_argument("--json", type=Path, required=True, metavar="FILE", help="result file")
 
 
@@ -77,22 +75,10 @@ def _add_estimate(verbs: Any) -> None:
     )
     parser.add_argument("--masks", choices=("auto", "gt"), default="auto", help="gt: the true visible mask")
     _objects(parser)
-    parser.add_argument(
-        "--min-visib",
-        type=float,
-        default=0.1,
-        metavar="F",
-        help="leave out labels less visible than this (0.1, as BOP does)",
-    )
+    add_number(parser, "--min-visib", 0.1, "leave out labels less visible than this (0.1, as BOP does)", "F")
     _path(parser, "--equivalent", "FILE", "poses that count as the labelled one does")
     _seeds(parser)
-    parser.add_argument(
-        "--threads",
-        type=int,
-        default=2,
-        metavar="N",
-        help="objects estimated at the same time (2, as when live)",
-    )
+    add_number(parser, "--threads", 2, "objects estimated at the same time (2, as when live)")
     _path(parser, "--csv", "BOP19.csv", "poses for the BOP toolkit")
     _path(parser, "--models-info", "FILE", "models_info.json of the set: BOP's errors and AR as well")
     _path(parser, "--plots", "DIR", "curves and pictures")
@@ -117,8 +103,8 @@ def _add_perception(verbs: Any) -> None:
         metavar="N",
         help="numbers of boxes an object at which recall is given (1 5 20)",
     )
-    parser.add_argument("--seed", type=int, default=0, metavar="N", help="of the perturbed boxes of masks")
-    parser.add_argument("--threads", type=int, default=2, metavar="N", help="objects at the same time (2)")
+    add_number(parser, "--seed", 0, "of the perturbed boxes of masks")
+    add_number(parser, "--threads", 2, "objects at the same time (2)")
     _path(parser, "--plots", "DIR", "pictures of every frame")
 
 
@@ -147,9 +133,7 @@ def _add_track(verbs: Any) -> None:
         default="free",
         help="free: started once, then alone; roft: results at 5 Hz, one period late",
     )
-    parser.add_argument(
-        "--every", type=int, default=1, metavar="N", help="feed and score every N-th frame (1)"
-    )
+    add_number(parser, "--every", 1, "feed and score every N-th frame (1)")
     parser.add_argument(
         "--init", default=None, metavar="estimate|gt|FILE", help="the first pose (default: as --delayed)"
     )
@@ -186,9 +170,7 @@ def _add_ablation(verbs: Any) -> None:
     source.add_argument("--fast-ycb", type=Path, nargs="+", metavar="SEQ_DIR")
     source.add_argument("--bop", type=Path, nargs="+", metavar="SCENE_DIR")
     _common(parser)
-    parser.add_argument(
-        "--gap", type=int, default=5, metavar="N", help="sequences: frames between the two of a pair (5)"
-    )
+    add_number(parser, "--gap", 5, "sequences: frames between the two of a pair (5)")
     _path(parser, "--plots", "DIR", "where ablation.png or sources.png goes")
     _path(parser, "--runs", "DIR", "single frames: what is done, by variant; interrupted, it is gone on with")
     parser.add_argument(
@@ -225,13 +207,7 @@ def _add_compare(verbs: Any) -> None:
     parser.add_argument("before", type=Path, metavar="BEFORE", help="a result file, or a folder of them")
     parser.add_argument("after", type=Path, metavar="AFTER", help="the same of the other state")
     _path(parser, "--json", "FILE", "the comparison with all rows that were won and lost")
-    parser.add_argument(
-        "--margin",
-        type=float,
-        default=0.1,
-        metavar="POINTS",
-        help="percentage points within which a change is none (0.1)",
-    )
+    add_number(parser, "--margin", 0.1, "percentage points within which a change is none (0.1)", "POINTS")
 
 
 def _add_tables(verbs: Any) -> None:
@@ -298,8 +274,8 @@ def _add_tables(verbs: Any) -> None:
     )
     _objects(parser)
     add_profile(parser)
-    parser.add_argument("--seed", type=int, default=0, metavar="N", help="of the moved boxes (0)")
-    parser.add_argument("--threads", type=int, default=2, metavar="N", help="objects at the same time (2)")
+    add_number(parser, "--seed", 0, "of the moved boxes (0)")
+    add_number(parser, "--threads", 2, "objects at the same time (2)")
 
 
 def _add_results(verbs: Any) -> None:

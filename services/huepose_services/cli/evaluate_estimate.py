@@ -25,7 +25,7 @@ from huepose_services.cli.evaluate_scenes import (
     figure_table,
     intervals_line,
     open_bop,
-    open_ycbv_scenes,
+    open_ycbv_folder,
     shown,
 )
 
@@ -35,7 +35,7 @@ _BOP = ("AR", "AR_VSD", "AR_MSSD", "AR_MSPD")
 def call(arguments: argparse.Namespace) -> int:
     """Evaluate, write, print a table."""
     models = load_models(arguments.bundles)
-    scenes = open_ycbv_scenes(arguments.ycbv, models) if arguments.ycbv else open_bop(arguments.bop)
+    scenes = open_ycbv_folder(arguments.ycbv, models).scenes if arguments.ycbv else open_bop(arguments.bop)
     equivalents = read_equivalents(arguments.equivalent) if arguments.equivalent else {}
     boxes, given = box_source(arguments.boxes)
     options = EstimateOptions(boxes, arguments.masks, arguments.min_visib, tuple(arguments.seed))

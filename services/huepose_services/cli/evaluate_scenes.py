@@ -11,7 +11,7 @@ from huepose.datasets import files
 from huepose.datasets.bop import BopScene
 from huepose.datasets.fast_ycb import FastYcbSequence, labelled_sequences, object_of
 from huepose.datasets.types import Scene, SomeImages
-from huepose.datasets.ycbv_folder import open_ycbv
+from huepose.datasets.ycbv_folder import YcbvFolder, open_ycbv
 from huepose.evaluation.bop_errors import BopObject
 from huepose.evaluation.instances import instance_counts
 from huepose.evaluation.summary import table
@@ -36,12 +36,12 @@ def open_bop(paths: Sequence[Path]) -> list[Scene]:
     return scenes
 
 
-def open_ycbv_scenes(path: Path, models: Mapping[str, ReferenceModel]) -> tuple[Scene, ...]:
-    """The test images of a download of YCB-Video; says what is missing. Raises InputError."""
+def open_ycbv_folder(path: Path, models: Mapping[str, ReferenceModel]) -> YcbvFolder:
+    """A download of YCB-Video; says what is missing of its test images. Raises InputError."""
     offsets = {m.object_id: posecnn_offset_m(m) for m in models.values() if m.object_id is not None}
     folder = open_ycbv(path, {i: offset for i, offset in offsets.items() if offset is not None})
     say([f"{path}: {folder.layout} layout", *folder.coverage.lines()])
-    return folder.scenes
+    return folder
 
 
 def say(notes: Sequence[str]) -> None:

@@ -6,6 +6,8 @@ import argparse
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from huepose_services.cli.options import add_number
+
 if TYPE_CHECKING:
     from huepose.scenes.official_sets import SetObject
 
@@ -23,12 +25,10 @@ def add_parser(subparsers: Any) -> None:
         "--models", required=True, metavar="DIR|builtin", help="BOP models folder; builtin: those of the demo"
     )
     parser.add_argument("--out", type=Path, required=True, metavar="DIR", help="folder of the data set")
-    parser.add_argument("--scenes", type=int, default=2, metavar="N", help="scenes, or sequences (2)")
-    parser.add_argument(
-        "--frames", type=int, default=3, metavar="N", help="in each of them; of a sequence 60 at most (3)"
-    )
+    add_number(parser, "--scenes", 2, "scenes, or sequences (2)")
+    add_number(parser, "--frames", 3, "in each of them; of a sequence 60 at most (3)")
     parser.add_argument("--objects", type=int, nargs="+", default=None, metavar="ID", help="only these ids")
-    parser.add_argument("--seed", type=int, default=0, metavar="N", help="of everything that varies (0)")
+    add_number(parser, "--seed", 0, "of everything that varies (0)")
     parser.set_defaults(call=call)
 
 

@@ -37,6 +37,25 @@ def answered(arguments: argparse.Namespace, answer: Any, summary: str) -> None:
     print(text if arguments.json is True else summary)
 
 
+def add_bundles(parser: argparse.ArgumentParser) -> None:
+    """Add `--bundles`, which must be given."""
+    parser.add_argument(
+        "--bundles", type=Path, required=True, metavar="DIR", help="folder of reference models"
+    )
+
+
+def add_number(
+    parser: argparse.ArgumentParser, option: str, default: float, text: str, unit: str = "N"
+) -> None:
+    """Add an option that is a number of the type of its default."""
+    parser.add_argument(option, type=type(default), default=default, metavar=unit, help=text)
+
+
+def add_pipeline(parser: argparse.ArgumentParser) -> None:
+    """Add the file that describes a deployment, as `config`."""
+    parser.add_argument("config", nargs="?", type=Path, default=Path("pipeline.yaml"), metavar="PIPELINE")
+
+
 def add_host(parser: argparse.ArgumentParser) -> None:
     """Add `--host`."""
     parser.add_argument(

@@ -6,6 +6,8 @@ import argparse
 from pathlib import Path
 from typing import Any
 
+from huepose_services.cli.options import add_number
+
 
 def add_parser(subparsers: Any) -> None:
     """Add the verb."""
@@ -22,13 +24,8 @@ def add_parser(subparsers: Any) -> None:
         metavar="DIR|builtin",
         help="BOP models folder; builtin: those of the demo, whose meshes are written to OUT/models",
     )
-    parser.add_argument(
-        "--textures",
-        type=int,
-        default=0,
-        metavar="N",
-        help="with builtin: the same shapes in other textures, look-alikes of the demo's (0: the demo's own)",
-    )
+    other = "with builtin: the same shapes in other textures, look-alikes of the demo's (0: the demo's own)"
+    add_number(parser, "--textures", 0, other)
     parser.add_argument(
         "--kind",
         choices=("heaps", "piles"),
@@ -36,8 +33,8 @@ def add_parser(subparsers: Any) -> None:
         help="piles: denser, farther away, in dim and coloured light, half of them in a box (heaps)",
     )
     parser.add_argument("--out", type=Path, required=True, metavar="DIR", help="scene folder")
-    parser.add_argument("--frames", type=int, default=100, metavar="N", help="how many (100)")
-    parser.add_argument("--seed", type=int, default=0, metavar="N", help="of everything that varies (0)")
+    add_number(parser, "--frames", 100, "how many (100)")
+    add_number(parser, "--seed", 0, "of everything that varies (0)")
     parser.add_argument("--objects", type=int, nargs="+", default=None, metavar="ID", help="only these ids")
     parser.set_defaults(call=call)
 

@@ -6,8 +6,9 @@ import argparse
 import os
 import signal
 import sys
-from pathlib import Path
 from typing import Any
+
+from huepose_services.cli.options import add_pipeline
 
 
 def add_parser(subparsers: Any) -> None:
@@ -19,7 +20,7 @@ def add_parser(subparsers: Any) -> None:
         help="camera, tracker, reinit, detector, segmenter ...; where the file has several cameras, "
         "CAMERA.WORKER",
     )
-    parser.add_argument("config", nargs="?", type=Path, default=Path("pipeline.yaml"), metavar="PIPELINE")
+    add_pipeline(parser)
     parser.set_defaults(call=call)
 
 

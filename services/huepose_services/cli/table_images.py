@@ -9,16 +9,16 @@ from pathlib import Path
 from typing import Any
 
 from huepose.datasets.ycb_objects import ycb_named, ycb_objects
-from huepose.datasets.ycbv_folder import open_ycbv, spread
+from huepose.datasets.ycbv_folder import spread
 from huepose.estimation import Estimator
 from huepose.evaluation.estimate_protocol import EstimateOptions, EstimateSetup
 from huepose.evaluation.tables.journal import Entry, Journal, run_images
 from huepose.evaluation.tables.submission import AsGiven, read_submission
-from huepose.evaluation.targets import Targets, posecnn_offset_m, read_equivalents
+from huepose.evaluation.targets import Targets, read_equivalents
 from huepose.model import ReferenceModel
 from huepose.profiles import profile
 from huepose_services.cli.evaluate_estimate import box_source
-from huepose_services.cli.evaluate_scenes import bop_objects, say
+from huepose_services.cli.evaluate_scenes import bop_objects, open_ycbv_folder
 
 
 @dataclass(frozen=True)
@@ -38,9 +38,7 @@ def images(
     arguments: argparse.Namespace, source: ImageSource, models: Mapping[str, ReferenceModel]
 ) -> tuple[dict[str, list[Entry]], list[str], dict[str, int]]:
     """Entries by method, notes on what is not in them, labels of the whole set by object name."""
-    offsets = {m.object_id: posecnn_offset_m(m) for m in models.values() if m.object_id is not None}
-    folder = open_ycbv(source.path, {i: o for i, o in offsets.items() if o is not None})
-    say([f"{source.path}: {folder.layout} layout", *folder.coverage.lines()])
+    folder = open_ycbv_folder(source.path, models)
     scenes = folder.scenes if arguments.quick is None else spread(folder.scenes, arguments.quick)
     targets = Targets(models, source.objects)
     ids = [m.object_id for m in models.values() if m.object_id is not None]

@@ -8,6 +8,8 @@ import shlex
 from pathlib import Path
 from typing import Any
 
+from huepose_services.cli.options import add_number
+
 
 def add_parser(subparsers: Any) -> None:
     """Add the verb and what it trains."""
@@ -57,12 +59,10 @@ def _add_limits(
     parser: argparse.ArgumentParser, batch: str = "samples of one step (64)", batch_default: int = 64
 ) -> None:
     parser.add_argument("--out", type=Path, required=True, metavar="DIR", help="where the network goes")
-    parser.add_argument("--hours", type=float, default=2.0, metavar="H", help="wall time (2)")
-    parser.add_argument(
-        "--seed", type=int, default=0, metavar="N", help="of what is drawn, and of the first weights (0)"
-    )
-    parser.add_argument("--workers", type=int, default=1, metavar="N", help="processes that draw (1)")
-    parser.add_argument("--batch", type=int, default=batch_default, metavar="N", help=batch)
+    add_number(parser, "--hours", 2.0, "wall time (2)", "H")
+    add_number(parser, "--seed", 0, "of what is drawn, and of the first weights (0)")
+    add_number(parser, "--workers", 1, "processes that draw (1)")
+    add_number(parser, "--batch", batch_default, batch)
     parser.add_argument("--device", default="cpu", help="cpu or cuda (cpu)")
     parser.add_argument("--resume", action="store_true", help="go on from the checkpoint in DIR")
 

@@ -4,10 +4,9 @@ from __future__ import annotations
 
 import argparse
 from contextlib import ExitStack
-from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from huepose_services.cli.options import add_host, until_told
+from huepose_services.cli.options import add_host, add_pipeline, until_told
 
 if TYPE_CHECKING:
     from huepose_services.runtime.supervisor import Supervisor
@@ -19,7 +18,7 @@ _POLL_S = 0.1
 def add_parser(subparsers: Any) -> None:
     """Add the verb."""
     parser = subparsers.add_parser("up", help="run a whole pipeline")
-    parser.add_argument("config", nargs="?", type=Path, default=Path("pipeline.yaml"), metavar="PIPELINE")
+    add_pipeline(parser)
     add_host(parser)
     parser.set_defaults(call=call)
 

@@ -6,7 +6,7 @@ import argparse
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from huepose_services.cli.options import add_host, add_json, answered
+from huepose_services.cli.options import add_host, add_json, add_pipeline, answered
 
 if TYPE_CHECKING:
     from huepose_services.runtime.config import Config
@@ -15,7 +15,7 @@ if TYPE_CHECKING:
 def add_parser(subparsers: Any) -> None:
     """Add the verb."""
     parser = subparsers.add_parser("validate", help="check a pipeline.yaml without starting anything")
-    parser.add_argument("config", nargs="?", type=Path, default=Path("pipeline.yaml"), metavar="PIPELINE")
+    add_pipeline(parser)
     add_host(parser)
     add_json(parser)
     parser.set_defaults(call=call)

@@ -80,26 +80,24 @@ def outside_settings(gateway: GatewayConfig) -> dict[str, object]:
         "transport/link/rx/max_message_size": _MAX_MESSAGE,
         "transport/unicast/max_sessions": gateway.max_sessions,
         "transport/unicast/accept_pending": 8,
-        "access_control": _access(),
+        "access_control": allowed(
+            ("ask", "ingress", READABLE, "declare_subscriber", "query"),
+            ("hear", "egress", READABLE, "put", "delete", "reply", "declare_queryable"),
+        ),
     }
 
 
-def _access() -> dict[str, object]:
-    rule = {"permission": "allow", "key_exprs": [READABLE]}
+def allowed(*rules: tuple[str, ...]) -> dict[str, object]:
+    """zenoh's access control: what readers may do, and nothing else. rules: name, flow, key and messages."""
     return {
         "enabled": True,
         "default_permission": "deny",
         "rules": [
-            rule | {"id": "ask", "flows": ["ingress"], "messages": ["declare_subscriber", "query"]},
-            rule
-            | {
-                "id": "hear",
-                "flows": ["egress"],
-                "messages": ["put", "delete", "reply", "declare_queryable"],
-            },
+            {"id": name, "permission": "allow", "flows": [flow], "key_exprs": [key], "messages": messages}
+            for name, flow, key, *messages in rules
         ],
         "subjects": [{"id": "reader"}],
-        "policies": [{"rules": ["ask", "hear"], "subjects": ["reader"]}],
+        "policies": [{"rules": [rule[0] for rule in rules], "subjects": ["reader"]}],
     }
 
 

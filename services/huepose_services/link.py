@@ -20,7 +20,7 @@ from huepose.support.errors import InputError
 from huepose_protos.keys import Keys
 from huepose_protos.messages import Detections, Estimates, FrameHeader, Look, Masks
 from huepose_services.gateway_door import Door
-from huepose_services.gateway_session import check_files, open_behind_door, outside_settings
+from huepose_services.gateway_session import allowed, check_files, open_behind_door, outside_settings
 from huepose_services.pem import Credentials
 from huepose_services.runtime.clock import SECOND, now_ns
 from huepose_services.runtime.config import Config, GatewayConfig, TlsConfig
@@ -65,10 +65,16 @@ def open_uplink(config: Config, tell: Callable[[str], None]) -> tuple[zenoh.Sess
 
     Raises InputError for files or a port that cannot be used."""
     door = _door(config)
-    own = {
+    up, down = config.keys.of_tail("up/**"), config.keys.of_tail("down/**")
+    own: dict[str, object] = {
         "transport/link/rx/max_message_size": Estimates.max_bytes + _ABOVE,
         "transport/unicast/accept_pending": _SESSIONS,
-        "access_control": _access(config.keys),
+        "access_control": allowed(
+            ("ask", "ingress", up, "declare_subscriber"),
+            ("hear", "egress", up, "put"),
+            ("say", "ingress", down, "put"),
+            ("listen", "egress", down, "declare_subscriber"),
+        ),
     }
     settings = outside_settings(door) | _COMMON | own
     return open_behind_door(door, tell, settings, _ANSWERS_BYTES_S, "link")
@@ -118,32 +124,6 @@ def _door(config: Config) -> GatewayConfig:
     return GatewayConfig(
         listen=config.link.listen, max_sessions=_SESSIONS, sessions_per_reader=_SESSIONS, tls=tls
     )
-
-
-def _access(keys: Keys) -> dict[str, object]:
-    def rule(name: str, flow: str, key: str, *messages: str) -> dict[str, object]:
-        return {
-            "id": name,
-            "permission": "allow",
-            "flows": [flow],
-            "key_exprs": [key],
-            "messages": list(messages),
-        }
-
-    up, down = keys.of_tail("up/**"), keys.of_tail("down/**")
-    rules = [
-        rule("ask", "ingress", up, "declare_subscriber"),
-        rule("hear", "egress", up, "put"),
-        rule("say", "ingress", down, "put"),
-        rule("listen", "egress", down, "declare_subscriber"),
-    ]
-    return {
-        "enabled": True,
-        "default_permission": "deny",
-        "rules": rules,
-        "subjects": [{"id": "other"}],
-        "policies": [{"rules": [r["id"] for r in rules], "subjects": ["other"]}],
-    }
 
 
 class Sender:

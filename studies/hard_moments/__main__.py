@@ -24,7 +24,7 @@ import numpy as np
 
 from huepose.datasets.types import VISIBLE
 from huepose.drawing.canvas import FONT, INK, Colour
-from huepose.drawing.plots import line_plot, reliability_bins, reliability_plot
+from huepose.drawing.plots import line_plot, reliability_plot
 from huepose.evaluation import metrics
 from huepose.evaluation.result_files import write_json
 from huepose.evaluation.states import StateReport, combined, report
@@ -161,7 +161,7 @@ def main() -> int:
     hard = combined(reports) if reports else None
     every = [t for _, told in rows for t in told if t.pose is not None and t.pose.T_cam_obj is not None]
     quality, right = np.array([t.quality for t in every]), np.array([t.right for t in every])
-    ece = _ece(quality, right) if every else None
+    ece = metrics.expected_calibration_error(quality, right)
     summary: dict[str, object] = {
         "ece": ece,
         "moments": lines,
@@ -193,12 +193,8 @@ def _motion(films: list[list[Told]]) -> dict[str, float]:
     out = {"covered_2_sigma": covered(right)}
     for ahead in AHEAD_FRAMES:
         parts = [foretold(told, ahead) for told in films]
-        out[f"ahead_{round(ahead * 1000 / 30)}_ms_mm"] = float(
-            np.median(np.concatenate([p[0] for p in parts]))
-        )
-        out[f"ahead_{round(ahead * 1000 / 30)}_ms_deg"] = float(
-            np.median(np.concatenate([p[1] for p in parts]))
-        )
+        for unit, errors in zip(("mm", "deg"), zip(*parts, strict=True), strict=True):
+            out[f"ahead_{round(ahead * 1000 / 30)}_ms_{unit}"] = float(np.median(np.concatenate(errors)))
     return out
 
 
@@ -206,11 +202,6 @@ def _tracker(film: Film, known: dict[str, ReferenceModel]) -> Tracker:
     tracker = Tracker({name: known[name] for name in dict.fromkeys(film.script.objects)})
     tracker.warm_up()
     return tracker
-
-
-def _ece(quality: np.ndarray, right: np.ndarray) -> float:
-    stated, true, count = reliability_bins(quality, right)
-    return float((np.abs(stated - true) * count).sum() / count.sum())
 
 
 def _by_second(drift: dict[str, list[Told]]) -> dict[str, tuple[np.ndarray, np.ndarray]]:

@@ -23,7 +23,7 @@ import msgspec
 import numpy as np
 from scipy.stats import poisson
 
-from huepose.evaluation.metrics import add
+from huepose.evaluation.metrics import RECALL_FRACTION, add
 from huepose.model import load_models
 from huepose.scenes.builtin import SyntheticScene
 from huepose_protos.client import Reader
@@ -239,9 +239,13 @@ def gaps_s(poses: list[SeenPose], start: float, end: float) -> list[float]:
     return [float(gap) for gap in np.diff(times)]
 
 
-def wrong(poses: list[SeenPose], limit: float = 0.1) -> int:
+def _is_wrong(pose: SeenPose) -> bool:
+    return pose.state == "TRACKING" and pose.error is not None and pose.error >= RECALL_FRACTION
+
+
+def wrong(poses: list[SeenPose]) -> int:
     """TRACKING poses that are not right."""
-    return sum(p.state == "TRACKING" and p.error is not None and p.error >= limit for p in poses)
+    return sum(map(_is_wrong, poses))
 
 
 def may_be_wrong(poses: list[SeenPose]) -> int:
@@ -251,14 +255,13 @@ def may_be_wrong(poses: list[SeenPose]) -> int:
     return int(poisson.ppf(0.999, sum(told))) if told else 0
 
 
-def longest_wrong(poses: list[SeenPose], limit: float = 0.1) -> int:
+def longest_wrong(poses: list[SeenPose]) -> int:
     """The most messages in a row of one instance that were TRACKING and not right."""
     runs: dict[tuple[str, int, int], int] = {}
     longest = 0
     for p in poses:
         key = (p.name, p.instance, p.frame[0])
-        is_wrong = p.state == "TRACKING" and p.error is not None and p.error >= limit
-        runs[key] = runs.get(key, 0) + 1 if is_wrong else 0
+        runs[key] = runs.get(key, 0) + 1 if _is_wrong(p) else 0
         longest = max(longest, runs[key])
     return longest
 

@@ -25,7 +25,7 @@ class CompilingNotice(event.Listener):  # type: ignore[misc]  # numba has no typ
         """A kernel, or one that it calls, begins to be compiled."""
         if not self._started:
             self._started, self._pace = time.monotonic(), Pace()
-            self._say("compiling kernels for this computer, once: one to two minutes")
+            self._say("compiling kernels for this computer, once: some seconds to two minutes")
 
     def on_end(self, event: Any) -> None:
         """One is compiled."""

@@ -13,7 +13,7 @@ import numpy as np
 
 from huepose.believe.logistic import probability
 from huepose.geometry import se3
-from huepose.geometry.arrays import Float64
+from huepose.geometry.arrays import Bool, Float64
 from huepose.geometry.frame import RgbdFrame
 from huepose.judge.open_region import OpenRegion
 from huepose.judge.surface import SAMPLES, PreparedSurface
@@ -44,25 +44,26 @@ many closely, until one of them does not either."""
 COSTS = 0.5
 """Of a dear proposal: to ask takes 3 to 8 ms."""
 
-SETTLED, MOST = 4.6, 6.0
+SETTLED, MOST = odds_of(0.99), 6.0
 """Log-odds from which on nothing is asked any more (99 %), and the most."""
 
 
 @dataclass(frozen=True, eq=False)
 class Facing:
     """That the object is turned as it is believed to be. value: log-odds; base: the same before what is seen
-    from about `view` (3,), a direction to the camera in object axes; asked (3,): the view that was judged
-    last."""
+    from about `view` (3,), a direction to the camera in object axes; doubted (M,): which of the other turns
+    are not ruled out by where it came from; asked (3,): the view that was judged last."""
 
     value: float
     base: float
     view: Float64
+    doubted: Bool
     asked: Float64 | None = None
 
     @staticmethod
-    def of(quality: float, view: Float64) -> Facing:
-        """Of a pose that perception is that sure of."""
-        return Facing(odds_of(quality), odds_of(quality), view)
+    def of(quality: float, view: Float64, turns: int) -> Facing:
+        """Of a pose that perception is that sure of, of an object with so many other turns."""
+        return Facing(odds_of(quality), odds_of(quality), view, np.ones(turns, bool))
 
     @property
     def probability(self) -> float:
@@ -79,9 +80,11 @@ class Facing:
         seen = self.asked is not None and float(view @ self.asked) > np.cos(SAME_VIEW)
         return not self.settled and not seen
 
-    def jumped(self, view: Float64) -> Facing:
-        """After a step in which it can have turned into another one: nothing is known beforehand."""
-        return Facing(min(self.value, 0.0), min(self.value, 0.0), view)
+    def jumped(self, view: Float64, reached: Bool) -> Facing:
+        """After a step in which it can have turned into any of those (M,): nothing is known beforehand of
+        them and of what was in doubt already. What was ruled out stays so."""
+        doubted = reached if self.settled else reached | self.doubted
+        return Facing(min(self.value, 0.0), min(self.value, 0.0), view, doubted)
 
     def assured(self, quality: float) -> Facing:
         """After perception found the same pose by itself, being that sure of it."""
@@ -89,11 +92,14 @@ class Facing:
         return replace(self, base=base, value=max(self.value, base))
 
     def told(self, margin: float, view: Float64) -> Facing:
-        """After the total of the pose was found to be greater by that than that of its best rival."""
-        base, about = self.base, self.view
+        """After the total of the pose was found to be greater by that than that of its best rival. Of what is
+        seen from about one view, what says most counts: a label that goes out of sight is no less true."""
+        base, about, said = self.base, self.view, self.value - self.base
         if float(view @ about) < np.cos(NEW_VIEW):
-            base, about = self.value, view
-        return Facing(float(np.clip(base + SHARPNESS * margin, -MOST, MOST)), base, about, view)
+            base, about, said = self.value, view, 0.0
+        says = SHARPNESS * margin
+        value = float(np.clip(base + (says if abs(says) > abs(said) else said), -MOST, MOST))
+        return Facing(value, base, about, self.doubted, view)
 
 
 def best_rival(
@@ -122,18 +128,18 @@ def _best(surface: PreparedSurface, region: OpenRegion, poses: Float64) -> Float
     return np.ascontiguousarray(poses[np.argsort(-rated, kind="stable")])
 
 
-def reached(turns: Float64, T_cam_obj: Float64, expected: Float64, radians: float) -> Float64:
-    """Those of the turns (M, 4, 4) of a pose that it can have come to as well, by turning no farther than
-    that from where it is expected, or than to the pose itself."""
+def reached(turns: Float64, T_cam_obj: Float64, expected: Float64, radians: float) -> Bool:
+    """Which of the turns (M, 4, 4) of a pose it can have come to as well, by turning no farther than that
+    from where it is expected, or than to the pose itself."""
     return _within(turns, T_cam_obj, expected, max(radians, se3.rotation_angle(T_cam_obj, expected)))
 
 
-def alike(turns: Float64, T_cam_obj: Float64, T_other: Float64) -> Float64:
-    """Those of the turns (M, 4, 4) that lead from a pose to about another."""
+def alike(turns: Float64, T_cam_obj: Float64, T_other: Float64) -> Bool:
+    """Which of the turns (M, 4, 4) lead from a pose to about another."""
     return _within(turns, T_cam_obj, T_other, ABOUT)
 
 
-def _within(turns: Float64, T_cam_obj: Float64, T_other: Float64, radians: float) -> Float64:
+def _within(turns: Float64, T_cam_obj: Float64, T_other: Float64, radians: float) -> Bool:
     R = T_other[:3, :3].T @ T_cam_obj[:3, :3]
     traces = np.einsum("ij,kji->k", R, turns[:, :3, :3])
-    return np.asarray(turns[(traces - 1.0) / 2.0 >= np.cos(min(radians, np.pi)) - 1e-9], np.float64)
+    return np.asarray((traces - 1.0) / 2.0 >= np.cos(min(radians, np.pi)) - 1e-9)

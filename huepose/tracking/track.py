@@ -54,8 +54,10 @@ LOOSE = 0.012
 textured ones it is half of that."""
 
 SPREAD_POINTS = 48
-FOUND_AGAIN = ("search", "views", "turn")
-"""Sources of poses that were looked for where the object may be, not followed from where it was."""
+LOOKED_FOR = ("search", "views")
+FOUND_AGAIN = (*LOOKED_FOR, "turn")
+"""Sources of poses that were looked for where the object may be, not followed from where it was; the second
+with what was followed and then turned."""
 
 MAX_TRIES = 3
 TRY_AGAIN_AFTER = 15
@@ -131,9 +133,13 @@ class Track:
         resting = tried_enough and self._doubtful_frames % TRY_AGAIN_AFTER != 0
         anchor = Anchor(self.hypotheses, self.frame, self.baseline, self.light, mask, self._unseen_s)
         found = advance(self.subject, anchor, frame, self._config, relative_pose, resting, self._begun, tries)
-        if self._facing is not None and probability(SHARPNESS * found.margin) < self._config.tracking_quality:
-            self._facing = self._facing.jumped(self._view())  # It may be slid about its axis unnoticed.
+        known = self._facing
+        if known is not None and probability(SHARPNESS * found.margin) < self._config.tracking_quality:
+            # It may be slid about its axis unnoticed.
+            self._facing = known.jumped(self._view(), np.ones(len(self.subject.other_turns), bool))
         self._take(anchor, found, frame)
+        if self.hypotheses[0].source in LOOKED_FOR:
+            self._facing = known  # What may be slid is not what is believed.
         # A short step has time for one of the two; after a long one nothing can be told without asking.
         short = (frame.stamp_ns - anchor.frame.stamp_ns) * 1e-9 <= self._config.long_step_s
         hurry = short and (tries < 1.0 or (found.tried > 0 and tries < 2.0))
@@ -266,13 +272,12 @@ class Track:
             # It did not come here as things do, or nobody saw it come.
             limit, self._turned_ns = np.pi, frame.stamp_ns
         new = reached(turns, first.T_cam_obj, expected, limit)
-        facing = self._facing or Facing.of(0.5, view)
-        if len(new):
-            turns = new if facing.settled else turns
-            facing = facing.jumped(view)
+        facing = self._facing or Facing.of(0.5, view, len(turns))
+        if new.any():
+            facing = facing.jumped(view, new)
             self._seen, self._seen_ns = first, frame.stamp_ns  # From here on it knows of that doubt.
         self._facing = facing
-        return 0.0 if hurry else self._ask(turns, frame, anchor.light)
+        return 0.0 if hurry else self._ask(frame, anchor.light)
 
     def _turned_too_fast(self, found: Hypothesis, followed: Hypothesis, gone_s: float) -> bool:
         """Whether a proposal is about the followed pose after a near-symmetric rotation that is larger than
@@ -282,14 +287,15 @@ class Track:
         turned = se3.rotation_angle(found.T_cam_obj, followed.T_cam_obj)
         if turned < most_turned(None, gone_s, self._config):
             return False
-        return len(alike(self.subject.other_turns, followed.T_cam_obj, found.T_cam_obj)) > 0
+        return bool(alike(self.subject.other_turns, followed.T_cam_obj, found.T_cam_obj).any())
 
-    def _ask(self, turns: Float64, frame: RgbdFrame, light: Float64 | None) -> float:
-        """Judge the best of the near-symmetric rotations of the pose, if one has a chance; returns the dear
-        proposals that it took."""
+    def _ask(self, frame: RgbdFrame, light: Float64 | None) -> float:
+        """Judge the best of the doubted near-symmetric rotations of the pose, if one has a chance; returns
+        the dear proposals that it took."""
         view, first = self._view(), self.hypotheses[0]
         if self._facing is None or not self._facing.open(view):
             return 0
+        turns = self.subject.other_turns[self._facing.doubted]
         rival = best_rival(self.subject, first, turns, frame, light)
         margin = np.inf if rival is None else first.terms.total - rival.terms.total
         self._facing = self._facing.told(margin, view)
@@ -327,8 +333,8 @@ class Track:
         if self.evidence >= self._config.tracking_quality:
             self._seen, self._seen_ns = self.hypotheses[0], frame.stamp_ns
         if self.evidence >= self._config.lost_quality:
-            self._facing = Facing.of(quality, self._view())
-            tried += self._ask(self.subject.other_turns, frame, None)
+            self._facing = Facing.of(quality, self._view(), len(self.subject.other_turns))
+            tried += self._ask(frame, None)
         known = self.baseline
         self.learn()
         if known is None and self.baseline is not None:
@@ -406,7 +412,7 @@ class Track:
         self._corrected_from = self._identity
         if self._identity is None or turned_over(before.T_cam_obj, moved):
             self._identity = Identity.of(quality, self._view())
-            self._facing = Facing.of(quality, self._view())
+            self._facing = Facing.of(quality, self._view(), len(self.subject.other_turns))
         else:
             self._identity = self._identity.agreed(quality, self._view())
             self._assure(quality)

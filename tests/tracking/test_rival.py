@@ -80,16 +80,16 @@ def test_a_plain_box_has_a_rival_as_good_as_itself_and_a_printed_one_has_not(
 
 def test_only_turns_that_it_can_have_made_are_rivals() -> None:
     turns, T = HALF_TURN[None], se3.make(np.eye(3), np.array([0.0, 0.0, 0.6]))
-    assert len(reached(turns, T, T, np.radians(30.0))) == 0
-    assert len(reached(turns, T, T, np.pi)) == 1
+    assert not reached(turns, T, T, np.radians(30.0)).any()
+    assert reached(turns, T, T, np.pi).all()
     half_way = se3.make(se3.rotation_exp(np.array([0.0, 0.0, np.radians(95.0)])), T[:3, 3])
-    assert len(reached(turns, T, half_way, np.radians(30.0))) == 1, "nearer to the other than to this"
-    assert len(alike(turns, T, T @ HALF_TURN)) == 1
-    assert len(alike(turns, T, half_way)) == 0
+    assert reached(turns, T, half_way, np.radians(30.0)).all(), "nearer to the other than to this"
+    assert alike(turns, T, T @ HALF_TURN).all()
+    assert not alike(turns, T, half_way).any()
 
 
 def test_what_the_image_tells_of_one_view_counts_once() -> None:
-    facing = Facing.of(0.5, VIEW)
+    facing = Facing.of(0.5, VIEW, 2)
     for _ in range(9):
         facing = facing.told(0.1, VIEW)
     assert facing.value == pytest.approx(1.2)
@@ -98,7 +98,23 @@ def test_what_the_image_tells_of_one_view_counts_once() -> None:
     assert not facing.open(VIEW)
     assert facing.open(aside)
     assert facing.told(1.0, aside).value > SETTLED
-    assert facing.told(1.0, aside).jumped(aside).probability == pytest.approx(0.5)
+    assert facing.told(1.0, aside).jumped(aside, facing.doubted).probability == pytest.approx(0.5)
+
+
+def test_a_label_that_went_out_of_sight_is_not_forgotten() -> None:
+    seen = Facing.of(0.9, VIEW, 2).told(-0.3, VIEW)
+    assert seen.value < -1.0
+    little_aside = se3.rotation_exp(np.array([0.5 * NEW_VIEW, 0.0, 0.0])) @ VIEW
+    assert seen.told(0.02, little_aside).value == seen.value, "a plain side says nothing"
+    assert seen.told(0.5, little_aside).value > SETTLED
+
+
+def test_a_turn_that_was_ruled_out_stays_so_when_another_is_doubted() -> None:
+    one, other = np.array([True, False]), np.array([False, True])
+    settled = Facing.of(1.0, VIEW, 2)
+    assert settled.settled
+    assert settled.jumped(VIEW, one).doubted.tolist() == [True, False]
+    assert settled.jumped(VIEW, one).jumped(VIEW, other).doubted.all()
 
 
 @pytest.fixture(scope="module")

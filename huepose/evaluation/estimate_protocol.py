@@ -155,9 +155,9 @@ class _FrameRun:
     def answers(self) -> tuple[list[EstimateRow], list[FalsePose]]:
         """A row for each label that counts, and the poses that belong to none."""
         setup = self.setup
-        if setup.detector is not None and self.setup.options.boxes == "detect":
+        if setup.detector is not None and setup.options.boxes == "detect":
             return self.detected(setup.estimator, setup.detector, setup.presence)
-        if setup.given is not None and self.setup.options.boxes == "file":
+        if setup.given is not None and setup.options.boxes == "file":
             return self.given(setup.estimator, setup.given)
         return self.boxed(setup.estimator), []
 

@@ -156,6 +156,15 @@ def tail_of(key: str) -> str:
     return "/".join(key.split("/")[3:]).removeprefix("remote/")
 
 
+def camera_of(key: str) -> str:
+    """The name of the camera that a key is about.
+
+    >>> camera_of("huepose/lab/cam0/pose/mustard/1")
+    'cam0'
+    """
+    return key.split("/")[2]
+
+
 def last(key: str) -> str:
     """The last chunk of a key: the worker of a health or live key, the instance of a pose."""
     return key.rsplit("/", 1)[-1]

@@ -147,6 +147,7 @@ def _of_cameras(
 ) -> list[tuple[Config, list[Recording]]]:
     """Which recordings are played as which camera of the file."""
     from huepose.support.errors import InputError
+    from huepose_protos.keys import camera_of
     from huepose_services.runtime.config import Config, load, load_all
 
     if arguments.config is None:
@@ -157,7 +158,7 @@ def _of_cameras(
     of: dict[str, list[Recording]] = {config.camera.name: [] for config in configs}
     for recording in recordings:
         event = next(iter(recording.events()), None)
-        camera = "" if event is None else event.key.split("/")[2]
+        camera = "" if event is None else camera_of(event.key)
         if camera not in of:
             raise InputError(
                 recording.path,

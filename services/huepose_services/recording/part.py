@@ -28,6 +28,7 @@ from mcap_protobuf.schema import register_schema
 
 from huepose_protos import to_json
 from huepose_protos.buffers import Array
+from huepose_protos.keys import camera_of
 from huepose_protos.messages import FrameHeader, Message, PoseMessage
 
 COLOR, DEPTH = "color", "depth"
@@ -70,7 +71,7 @@ class Part:
         """A frame; key: where it came on the wire."""
         self._frames += 1
         stamps = (header.capture_ns, header.publish_ns)
-        camera, name, at = _camera(key), header.frame, self._time(header.capture_ns)
+        camera, name, at = camera_of(key), header.frame, self._time(header.capture_ns)
         i = header.intrinsics
         calibration = CameraCalibration(timestamp=at, frame_id=name, width=i.width, height=i.height)
         calibration.K[:] = [i.fx, 0.0, i.cx, 0.0, i.fy, i.cy, 0.0, 0.0, 1.0]
@@ -92,7 +93,7 @@ class Part:
         stamp_ns = message.publish_ns
         self._say(key, message, stamp_ns, stamp_ns)
         if isinstance(message, PoseMessage) and message.translation and message.quaternion:
-            camera, at = _camera(key), self._time(message.capture_ns)
+            camera, at = camera_of(key), self._time(message.capture_ns)
             name = f"{message.object}/{message.instance}"
             t = Vector3(**dict(zip("xyz", message.translation, strict=True)))
             q = Quaternion(**dict(zip("xyzw", message.quaternion, strict=True)))
@@ -156,10 +157,6 @@ class Part:
             os.fsync(self._file.fileno())
         finally:
             self._file.close()
-
-
-def _camera(key: str) -> str:
-    return key.split("/")[2]
 
 
 def _raw(at: Timestamp, name: str, image: Array, encoding: str) -> RawImage:

@@ -116,17 +116,16 @@ def _play(arguments: argparse.Namespace, recordings: list[Recording]) -> int:
         time.sleep(_SETTLE_S)
         again = True
         while again and not stopping():
-            start_ns = now_ns()
             players = [
-                Player(_events(files), bus, start_ns, arguments.speed, only)
+                Player(_events(files), bus, arguments.speed, only)
                 for (_, files), bus in zip(cameras, buses, strict=True)
             ]
             left = [player for player in players if not player.finished]
             if not left:
                 raise InputError(arguments.files[0], found="nothing to play", expected="messages")
-            first_ns = min(player.first_ns for player in left)
+            start_ns, first_ns = now_ns(), min(player.next_ns for player in left)
             for player in left:
-                player.first_ns = first_ns
+                player.begin(start_ns, first_ns)
             while left and not stopping():
                 soonest = min(left, key=Player.due_ns)
                 wait_s = (soonest.due_ns() - now_ns()) / SECOND

@@ -58,32 +58,38 @@ def _is_for_verify(event: Event) -> bool:
 
 
 class Player:
-    """One pass through a recording. Ask `due_ns`, then call `play`.
+    """One pass through a recording. Say when it begins, ask `due_ns`, then call `play`.
 
     only: the worker whose messages are played; None: all."""
 
-    def __init__(
-        self, events: Iterable[Event], bus: Bus, start_ns: int, speed: float, only: str | None = None
-    ) -> None:
+    def __init__(self, events: Iterable[Event], bus: Bus, speed: float, only: str | None = None) -> None:
         said = (event for event in events if not _is_for_verify(event))
         self._events = (event for event in in_order(said) if only in (None, said_by(event.key)))
-        self._bus, self._speed, self._start_ns = bus, speed, start_ns
+        self._bus, self._speed = bus, speed
         self._epochs: dict[int, int] = {}
         self._next = next(self._events, None)
-        self.first_ns = 0 if self._next is None else self._next.message.publish_ns
-        """Recorded then, it is played at `start_ns`. Players of one moment are given the earliest."""
+        self._start_ns = self._recorded_ns = self.next_ns
 
     @property
     def finished(self) -> bool:
         """Whether all was played."""
         return self._next is None
 
+    @property
+    def next_ns(self) -> int:
+        """When its next event was said, in the recording."""
+        return 0 if self._next is None else self._next.message.publish_ns
+
+    def begin(self, start_ns: int, recorded_ns: int) -> None:
+        """What was said at `recorded_ns` is played at `start_ns`: the same for all that play together."""
+        self._start_ns, self._recorded_ns = start_ns, recorded_ns
+
     def due_ns(self) -> int:
         """When the next event is due."""
         return self._start_ns if self._next is None else self._moved(self._next.message.publish_ns)
 
     def _moved(self, stamp_ns: int) -> int:
-        return self._start_ns + round((stamp_ns - self.first_ns) / self._speed)
+        return self._start_ns + round((stamp_ns - self._recorded_ns) / self._speed)
 
     def play(self) -> None:
         """Publish the next event."""

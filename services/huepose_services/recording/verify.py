@@ -75,6 +75,8 @@ class Report:
         lines = [
             f"{self.steps} steps of the tracker computed again: {self.poses} poses and {self.memories} times "
             "all that it believed are the same, bit by bit"
+            if self.steps
+            else self._nothing
         ]
         if self.difference:
             lines[0] += f", then not: {self.difference}"
@@ -87,6 +89,17 @@ class Report:
         if self.unrecorded:
             lines.append(f"{self.unrecorded} poses are not in the recording")
         return "\n".join(lines)
+
+    @property
+    def _nothing(self) -> str:
+        if self.skipped:
+            return (
+                "nothing to compare: record for longer than ten seconds, or from before the pipeline begins"
+            )
+        return (
+            "nothing to compare: no step of the tracker is in it. Record while the tracker runs, and without "
+            "--no-frames"
+        )
 
 
 def verify(recordings: list[Recording], bundles: Path | None = None) -> Report:

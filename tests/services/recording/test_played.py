@@ -104,7 +104,8 @@ class _Bus:
 
 def _played(events, **options):
     bus = _Bus()
-    player = Player(events, bus, 5_000_000_000, **options)
+    player = Player(events, bus, **options)
+    player.begin(5_000_000_000, player.next_ns)
     due = []
     while not player.finished:
         due.append(player.due_ns())

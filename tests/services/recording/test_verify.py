@@ -174,4 +174,12 @@ def test_other_reference_models_are_refused(followed, tea_box, tmp_path):
 def test_a_recording_without_frames_has_nothing_to_verify(followed, capsys):
     path = followed.rewritten(lambda e: e if isinstance(e.message, PoseMessage) else None)
     assert main(["replay", "--verify", str(path)]) == 1
-    assert "0 steps" in capsys.readouterr().out
+    out = capsys.readouterr().out
+    assert out.startswith("nothing to compare: no step of the tracker is in it. Record while")
+    assert "same" not in out
+
+
+def test_a_recording_that_ends_before_a_memory_says_to_record_for_longer(followed, capsys):
+    path = followed.rewritten(lambda e: None if isinstance(e.message, MemoryMessage) else e)
+    assert main(["replay", "--verify", str(path)]) == 1
+    assert capsys.readouterr().out.startswith("nothing to compare: record for longer than ten seconds")

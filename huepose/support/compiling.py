@@ -2,44 +2,36 @@
 
 from __future__ import annotations
 
-import sys
 import time
 from collections.abc import Callable
 from contextlib import AbstractContextManager
-from functools import partial
-from typing import Any, TextIO, cast
+from typing import Any, cast
 
 from numba.core import event
 
-from huepose.support.progress import Pace
+from huepose.support.progress import Status
 
 
 class CompilingNotice(event.Listener):  # type: ignore[misc]  # numba has no types
-    """A line when the first kernel has to be compiled, then how many are: on a terminal always, in a log now
-    and then. say: writes a line; live: the terminal, where there is one."""
+    """A line when the first kernel has to be compiled, then how many are. say: writes a line of a log."""
 
-    def __init__(self, say: Callable[[str], None], live: TextIO | None = None) -> None:
-        self._say, self._live, self._done, self._started = say, live, 0, 0.0
+    def __init__(self, say: Callable[[str], None] | None = None) -> None:
+        self._say, self._done = say, 0
+        self._status: Status | None = None
 
     def on_start(self, event: Any) -> None:
         """A kernel, or one that it calls, begins to be compiled."""
-        if not self._started:
-            self._started, self._pace = time.monotonic(), Pace()
-            self._say("compiling kernels for this computer, once: some seconds to two minutes")
+        if self._status is None:
+            self._started, self._status = time.monotonic(), Status(say=self._say)
+            self._status.line("compiling kernels for this computer, once: some seconds to two minutes")
 
     def on_end(self, event: Any) -> None:
         """One is compiled."""
         self._done += 1
-        text = f"{self._done} kernels compiled, {time.monotonic() - self._started:.0f} s"
-        if self._live is not None:
-            self._live.write(f"\r\x1b[K{text}\r")
-            self._live.flush()
-        elif self._pace.due():
-            self._say(text)
+        if self._status is not None:
+            self._status.show(f"{self._done} kernels compiled, {time.monotonic() - self._started:.0f} s")
 
 
 def telling_of_compiling(say: Callable[[str], None] | None = None) -> AbstractContextManager[Any]:
     """As long as the context lasts; on standard error, or through `say`."""
-    live = sys.stderr if say is None and sys.stderr.isatty() else None
-    notice = CompilingNotice(say or partial(print, file=sys.stderr, flush=True), live)
-    return cast(AbstractContextManager[Any], event.install_listener("numba:compile", notice))
+    return cast(AbstractContextManager[Any], event.install_listener("numba:compile", CompilingNotice(say)))

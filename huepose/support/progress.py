@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import sys
 import time
-from collections.abc import Iterable, Iterator, Sized
+from collections.abc import Callable, Iterable, Iterator, Sized
 from typing import TextIO, TypeVar
 
 T = TypeVar("T")
@@ -12,69 +12,80 @@ T = TypeVar("T")
 _FIRST_LINE_S = 2.0
 """By then something is known of how long it will take."""
 _LINE_EVERY_S = 10.0
+_DRAWN_EVERY_S = 0.1
 
 
-class Pace:
-    """When a log may have its next line on something that goes on."""
+class Status:
+    """How far something is. On a terminal in one line that is written over, at most ten times a second; in a
+    log as a line after two seconds, then every ten.
 
-    def __init__(self) -> None:
-        self._next = time.monotonic() + _FIRST_LINE_S
+    say: writes a line of a log, whatever `out` is."""
 
-    def due(self) -> bool:
-        """Whether it is time: after two seconds, then every ten."""
+    def __init__(self, out: TextIO | None = None, say: Callable[[str], None] | None = None) -> None:
+        self._out, self._say = out or sys.stderr, say
+        self.live = say is None and self._out.isatty()
         now = time.monotonic()
-        if now < self._next:
-            return False
-        self._next = now + _LINE_EVERY_S
-        return True
+        self._due = now if self.live else now + _FIRST_LINE_S
+
+    def line(self, text: str) -> None:
+        """A line that stays."""
+        if self._say is not None:
+            self._say(text)
+            return
+        start = "\r\x1b[K" if self.live else ""
+        print(f"{start}{text}", file=self._out, flush=True)
+
+    def show(self, text: str) -> None:
+        """Where it is time for it."""
+        now = time.monotonic()
+        if now < self._due:
+            return
+        self._due = now + (_DRAWN_EVERY_S if self.live else _LINE_EVERY_S)
+        if self.live:
+            # The cursor at its start: what others write begins there.
+            self._out.write(f"\r{text}\x1b[K\r")
+            self._out.flush()
+        else:
+            self.line(text)
 
 
 def progress(
     items: Iterable[T], label: str, total: int | None = None, out: TextIO | None = None
 ) -> Iterator[T]:
-    """Yield `items`, drawing `label [#####     ] 5/10  3 s left` at most ten times a second.
+    """Yield `items`, drawing `label [#####     ] 5/10  3 s left`.
 
-    Not on a terminal, a line is written at the start, one after two seconds, which says how many are left,
-    one every ten seconds from then on, and one at the end.
-    """
-    out = out or sys.stderr
+    Not on a terminal, a line is written at the start, then some that say how many are left, and one at the
+    end."""
     if total is None:
         total = len(items) if isinstance(items, Sized) else 0
-    live = out.isatty()
-    start = last = first = time.monotonic()
-    pace, done = Pace(), 0
+    status, done = Status(out), 0
+    start = now = first = time.monotonic()
 
-    def left() -> str:
-        """The first step may have waited for the compiler: the others say how long one takes."""
-        return f"{(now - first) / (done - 1) * (total - done):.0f} s left" if done > 1 and total else ""
+    def text() -> str:
+        # The first step may have waited for the compiler: the others say how long one takes.
+        left = f"{(now - first) / (done - 1) * (total - done):.0f} s left" if done > 1 and total else ""
+        if status.live and total:
+            return _bar(label, done, total, left)
+        rest = ", ".join(filter(None, [f"{now - start:.0f} s", left]))
+        return f"{label}: {done}{f' of {total}' if total else ''}, {rest}"
 
-    if not live:
-        print(f"{label}: {f'0 of {total}' if total else 'begun'}", file=out, flush=True)
+    if not status.live:
+        status.line(f"{label}: {f'0 of {total}' if total else 'begun'}")
     elif total:
-        out.write(_bar(label, 0, total, 0.0, ""))
-        out.flush()
+        status.show(text())
     try:
         for item in items:
             yield item
             done += 1
             now = time.monotonic()
             first = now if done == 1 else first
-            if live and (now - last > 0.1 or done == total):
-                last = now
-                out.write("\r" + _bar(label, done, total, now - start, left()))
-                out.flush()
-            elif not live and done != total and pace.due():
-                rest = ", ".join(filter(None, [f"{now - start:.0f} s", left()]))
-                print(f"{label}: {done}{f' of {total}' if total else ''}, {rest}", file=out, flush=True)
+            if done != total:
+                status.show(text())
     finally:
         took = time.monotonic() - start
-        if live:
-            out.write("\r\x1b[K")
-        print(f"{label}: {done}{f' of {total}' if total else ''} in {took:.1f} s", file=out, flush=True)
+        status.line(f"{label}: {done}{f' of {total}' if total else ''} in {took:.1f} s")
 
 
-def _bar(label: str, done: int, total: int, elapsed: float, left: str) -> str:
-    if not total:
-        return f"{label} {done}  {elapsed:.0f} s"
+def _bar(label: str, done: int, total: int, left: str) -> str:
     filled = round(30 * done / total)
-    return f"{label} [{'#' * filled}{' ' * (30 - filled)}] {done}/{total}  {left} \x1b[K"
+    return f"{label} [{'#' * filled}{' ' * (30 - filled)}] {done}/{total}  {left} "

@@ -11,7 +11,7 @@ from typing import TextIO
 
 from huepose.perception.sessions import digest
 from huepose.support.errors import InputError
-from huepose.support.progress import Pace
+from huepose.support.progress import Status
 from huepose_services.catalogue import Entry
 
 _BLOCK = 1 << 16
@@ -87,39 +87,14 @@ def _download(url: str, part: Path, size_bytes: int | None, out: TextIO) -> None
         goes_on = have > 0 and answer.status == 206
         done = have if goes_on else 0
         total = size_bytes or done + int(answer.headers.get("Content-Length") or 0)
-        show = _Shown(out, part.stem, total)
+        name, status = part.stem, Status(out)
+        status.line(f"{name}: downloading {total / 1e6:.1f} MB" if total else f"{name}: downloading")
         with part.open("ab" if goes_on else "wb") as file:
             while block := answer.read(_BLOCK):
                 file.write(block)
                 done += len(block)
-                show.after(done)
+                share = f" of {total / 1e6:.1f} MB, {100 * done / total:.0f} %" if total else " MB"
+                status.show(f"{name}: {done / 1e6:.1f}{share}")
     if total and done < total:
         raise OSError(f"it broke off after {done} of {total} bytes")
-    show.end(done)
-
-
-class _Shown:
-    """How much there is: on a terminal always, in a log at the start, now and then, and at the end."""
-
-    def __init__(self, out: TextIO, name: str, total: int) -> None:
-        self._out, self._name, self._total = out, name, total
-        self._live, self._pace = out.isatty(), Pace()
-        if not self._live:
-            print(f"{name}: downloading {total / 1e6:.1f} MB" if total else f"{name}: downloading", file=out)
-
-    def after(self, done: int) -> None:
-        """So many bytes are here."""
-        if self._live or self._pace.due():
-            share = (
-                f" of {self._total / 1e6:.1f} MB, {100 * done / self._total:.0f} %" if self._total else " MB"
-            )
-            start, end = ("\r", "\x1b[K") if self._live else ("", "\n")
-            self._out.write(f"{start}{self._name}: {done / 1e6:.1f}{share}{end}")
-            self._out.flush()
-
-    def end(self, done: int) -> None:
-        """All are."""
-        if self._live:
-            self._out.write("\r\x1b[K")
-        else:
-            print(f"{self._name}: {done / 1e6:.1f} MB are here", file=self._out)
+    status.line(f"{name}: {done / 1e6:.1f} MB are here")

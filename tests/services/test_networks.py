@@ -3,6 +3,7 @@
 import hashlib
 import io
 import json
+import re
 import threading
 from dataclasses import replace
 from http.server import BaseHTTPRequestHandler, HTTPServer
@@ -131,7 +132,8 @@ def test_progress_is_shown_on_a_terminal(server, entry):
 
     out = Terminal()
     fetch(entry, server.url, out)
-    assert "of 0.3 MB, 100 %" in out.getvalue()
+    assert re.search(r"\rknown: 0\.\d of 0\.3 MB, \d+ %", out.getvalue())
+    assert out.getvalue().endswith("\x1b[Kknown: 0.3 MB are here\n")
 
 
 def test_a_log_says_that_a_download_begins_and_that_it_is_there(server, entry):

@@ -41,8 +41,9 @@ def read_bytes(path: Path, fix: str = "") -> bytes:
 
 def read_json(path: Path, fix: str = "") -> dict[str, Any]:
     """A JSON object. Raises InputError when the file is missing, is not JSON, or holds something else."""
+    content = read_bytes(path, fix)
     try:
-        value = json.loads(read_bytes(path, fix))
+        value = json.loads(content)
     except (ValueError, RecursionError) as error:
         raise InputError(
             path, found=f"no valid JSON ({str(error)[:200]})", fix="Write the file again."

@@ -152,15 +152,24 @@ def bad_picture(frame: RgbdFrame, diameter_m: float) -> str | None:
     if share < LEAST_DEPTH:
         return f"The frame has no depth: {100 * share:.1f} % of its pixels have a reading."
     seen = frame.depth[readings(frame.depth)]
-    nearest, farthest = (float(x) for x in np.quantile(seen, [NEAREST_SHARE, 1.0 - NEAREST_SHARE]))
+    shares = [NEAREST_SHARE, 0.5, 1.0 - NEAREST_SHARE]
+    nearest, median, farthest = (float(x) for x in np.quantile(seen, shares))
     error_m = depth_noise_m(nearest)
     if error_m > LARGEST_ERROR * diameter_m:
         return (
             f"All depth is {nearest:.1f} m away or farther, where readings err by {100 * error_m:.0f} cm and "
             "the object has no shape: is the depth scale right?"
         )
-    if farthest < NEVER_NEARER_M:
-        return f"All depth is nearer than {farthest:.3f} m, where nothing measures: is the depth scale right?"
+    if median < NEVER_NEARER_M:
+        return (
+            f"Half of all depth is nearer than {median:.3f} m, where nothing measures: is the depth scale "
+            "right?"
+        )
+    if frame.camera.fx * diameter_m > max(frame.camera.width, frame.camera.height) * farthest:
+        return (
+            f"All depth is nearer than {farthest:.2f} m, where an object of {100 * diameter_m:.0f} cm is "
+            "larger than the picture: is the depth scale right?"
+        )
     if all_dark(frame.color):
         return "The picture is black: is the lens covered, or the light off?"
     if all_grey(frame.color):

@@ -30,10 +30,12 @@ def test_a_good_frame_has_nothing_wrong_with_it(good: RgbdFrame) -> None:
 def test_no_depth_and_depth_of_another_unit_are_named(good: RgbdFrame) -> None:
     empty = bad_picture(replace(good, depth=np.zeros_like(good.depth)), DIAMETER_M)
     far = bad_picture(replace(good, depth=10.0 * good.depth), DIAMETER_M)
-    near = bad_picture(replace(good, depth=good.depth / np.float32(1000.0)), DIAMETER_M)
+    near, nearer = (
+        bad_picture(replace(good, depth=good.depth / np.float32(k)), DIAMETER_M) for k in (10, 1000)
+    )
     assert empty is not None
     assert empty.startswith("The frame has no depth")
-    for said in (far, near):
+    for said in (far, near, nearer):
         assert said is not None
         assert said.endswith("is the depth scale right?")
 

@@ -101,6 +101,8 @@ def call(arguments: argparse.Namespace) -> int:
     answers = [_answer(arguments, frame, models, estimator, query) for query in queries]
     if box is None:
         answers = _standing(arguments, frame, models, names, answers, proposed)
+    else:
+        answers = [a if a.found else _of_the_picture(frame, models[a.object], a) for a in answers]
     loaded = "one model" if len(names) == 1 else f"{len(names)} models"
     print(
         f"{prepared - begun:.1f} s to load {loaded} and to find where objects may be, "
@@ -160,6 +162,13 @@ def _answer(
         doubts = write_explanation(arguments.explain, frame, models[name], answer, explanation)
         print(f"{name}: " + ("; ".join(doubts) or "nothing speaks against this answer"), file=sys.stderr)
     return answer
+
+
+def _of_the_picture(frame: RgbdFrame, model: ReferenceModel, answer: PoseEstimate) -> PoseEstimate:
+    """An answer that says what is wrong with the whole picture, where something is."""
+    from huepose.estimation.reasons import bad_picture
+
+    return replace(answer, reason=bad_picture(frame, model.diameter_m) or answer.reason)
 
 
 def _standing(

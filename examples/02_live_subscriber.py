@@ -7,9 +7,9 @@ python examples/02_live_subscriber.py [tcp/robot.local:7447]
 import sys
 
 from huepose_protos import PoseClient
-from huepose_protos.local import tracker_endpoint
+from huepose_protos.local import pose_endpoints
 
-where = sys.argv[1] if len(sys.argv) > 1 else tracker_endpoint()
+where = sys.argv[1:] or pose_endpoints()
 with PoseClient(where) as client:
     while True:
         pose = client.next(timeout_s=3.0)
@@ -18,4 +18,4 @@ with PoseClient(where) as client:
         elif client.connected:
             print("connected, but no object is seen: `huepose status` says why", file=sys.stderr)
         else:
-            print(f"nobody answers at {where}: does `huepose up` run?", file=sys.stderr)
+            print(f"nobody answers at {where[0]}: does `huepose up` run?", file=sys.stderr)

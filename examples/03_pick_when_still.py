@@ -10,13 +10,15 @@ import time
 import numpy as np
 
 from huepose_protos import PoseClient
-from huepose_protos.local import tracker_endpoint
+from huepose_protos.local import pose_endpoints
 
 STILL_S, STILL_M = 0.5, 0.003  # so long within so little: choose what your gripper forgives
 
 
 def wait_until_still(client: PoseClient, name: str) -> np.ndarray:
-    """T_parent_obj where `camera.mount` says where the camera is, else T_cam_obj."""
+    """T_parent_obj where `camera.mount` says where the camera is on the robot, else T_cam_obj."""
+    if client.camera(5.0) is None:
+        sys.exit("no camera says where it is: does `huepose up` run?")
     began, start = 0.0, None
     while True:
         now = client.at(object=name)  # where it is at this moment; None where nothing is known that is new
@@ -32,5 +34,5 @@ def pick(T: np.ndarray) -> None:
     print("your robot goes to", T[:3, 3].round(3), flush=True)
 
 
-with PoseClient(sys.argv[2] if len(sys.argv) > 2 else tracker_endpoint()) as client:
+with PoseClient(sys.argv[2:] or pose_endpoints()) as client:
     pick(wait_until_still(client, sys.argv[1]))

@@ -12,7 +12,7 @@ python examples/06_ros2.py tea_box [tcp/localhost:7447 [tcp/robot.local:7447]]
 import sys
 
 from huepose_protos import PoseClient
-from huepose_protos.local import tracker_endpoint
+from huepose_protos.local import pose_endpoints
 from huepose_services.ros2.messages import POSE, cdr, pose_stamped
 from huepose_services.ros2.publisher import Node
 from huepose_services.ros2.work import open_ros_session
@@ -20,7 +20,7 @@ from huepose_services.runtime.config import Ros2Config
 
 name = sys.argv[1]
 router = sys.argv[2] if len(sys.argv) > 2 else "tcp/localhost:7447"
-where = sys.argv[3] if len(sys.argv) > 3 else tracker_endpoint()
+where = sys.argv[3:] or pose_endpoints()
 node = Node(open_ros_session(Ros2Config(connect=router)), "pick_target", domain=0, style="rmw_zenoh")
 with PoseClient(where, object=name) as client:
     for pose in client:

@@ -32,6 +32,11 @@ def endpoint(port: int, folder: Path | str | None = None) -> str:
     return f"unixsock-stream/{Path(folder or run_folder()).absolute()}/{port}"
 
 
-def tracker_endpoint(base_port: int = BASE_PORT, folder: Path | str | None = None) -> str:
-    """Where poses are read on the pipeline's own machine, by its own user."""
-    return endpoint(base_port + 1, folder)
+def pose_endpoints(base_port: int = BASE_PORT, folder: Path | str | None = None) -> list[str]:
+    """Where poses are read on the pipeline's own machine, by its own user: at the tracker, and at the camera,
+    which says where it is.
+
+    >>> pose_endpoints(folder="/run/huepose")
+    ['unixsock-stream//run/huepose/17448', 'unixsock-stream//run/huepose/17447']
+    """
+    return [endpoint(base_port + 1, folder), endpoint(base_port, folder)]

@@ -37,7 +37,7 @@ Instance = tuple[str, str, int]
 
 
 class PoseClient:
-    """Subscribes to poses at a gateway or, on the pipeline's own machine, at its tracker.
+    """Subscribes to poses at a gateway or, on the pipeline's own machine, at `local.pose_endpoints()`.
 
     endpoints: `tcp/HOST:PORT` or `tls/HOST:PORT`; for TLS the files in PEM of `open_session`. It may be made
     before the pipeline runs, and finds it again when it was gone; each time it asks for the latest poses.
@@ -63,6 +63,7 @@ class PoseClient:
         self._waiting: deque[PoseMessage] = deque()
         self._history: dict[Instance, deque[PoseMessage]] = {}
         self._arrived: dict[Instance, float] = {}
+        self._camera_said: CameraMessage | None = None
         self._fixed: dict[str, Mount | None] = {}
         self._moving: dict[str, deque[tuple[int, Mount]]] = {}
         self._closed = threading.Event()
@@ -73,8 +74,8 @@ class PoseClient:
         self._session = open_session(endpoints, authority, certificate, key)
         for expression in (inside, self._outside):
             self._session.declare_subscriber(expression, self._on_sample)
-        self._camera = keys.outside(keys.camera_info)
-        for expression in (keys.camera_info, self._camera):
+        self._camera_key = keys.outside(keys.camera_info)
+        for expression in (keys.camera_info, self._camera_key):
             self._session.declare_subscriber(expression, self._on_camera)
         self._asker = threading.Thread(target=self._ask_whoever_is_new, daemon=True)
         self._asker.start()
@@ -85,7 +86,7 @@ class PoseClient:
             peers = {str(zid) for zid in self._session.info.peers_zid()}
             if peers - known:
                 self._session.get(self._outside, self._on_reply, timeout=_ASK_TIMEOUT_S)
-                self._session.get(self._camera, self._on_camera_reply, timeout=_ASK_TIMEOUT_S)
+                self._session.get(self._camera_key, self._on_camera_reply, timeout=_ASK_TIMEOUT_S)
             known = peers
 
     def _on_reply(self, reply: zenoh.Reply) -> None:
@@ -103,6 +104,8 @@ class PoseClient:
             self.refused += 1
             return
         with self._changed:
+            self._camera_said = camera
+            self._changed.notify_all()
             if camera.mount is None or camera.mount_ns is None:
                 self._fixed[camera.frame] = camera.mount
                 return
@@ -156,6 +159,13 @@ class PoseClient:
         with self._changed:
             self._changed.wait_for(lambda: self._waiting or self._closed.is_set(), timeout_s)
             return self._waiting.popleft() if self._waiting else None
+
+    def camera(self, timeout_s: float | None = None) -> CameraMessage | None:
+        """What a camera said last: its intrinsics, and where it is on the robot. It says so once a second:
+        waits for the first. None after the timeout, or when the client is closed."""
+        with self._changed:
+            self._changed.wait_for(lambda: self._camera_said or self._closed.is_set(), timeout_s)
+            return self._camera_said
 
     def __iter__(self) -> Iterator[PoseMessage]:
         """Every pose as it comes, until the client is closed."""

@@ -24,7 +24,7 @@ from huepose.scenes.plan import CAMERA
 from huepose_protos import encode
 from huepose_protos.examples import messages
 from huepose_protos.keys import Keys
-from huepose_protos.messages import PoseMessage
+from huepose_protos.messages import CameraMessage, Mount, PoseMessage
 from huepose_services.camera.python import open_source
 from huepose_services.cli.new import write_frame
 from huepose_services.runtime.config import load
@@ -32,6 +32,8 @@ from huepose_services.runtime.config import load
 ROOT = Path(__file__).parents[2]
 EXAMPLES = sorted((ROOT / "examples").glob("*.py"))
 EXAMPLE = next(m for m in messages() if isinstance(m, PoseMessage))
+CAMERA_SAYS = next(m for m in messages() if isinstance(m, CameraMessage))
+MOUNT = Mount(parent="base_link", translation=(0.1, 0.2, 0.3), quaternion=(0.0, 0.0, 0.0, 1.0))
 
 
 @pytest.fixture(scope="module")
@@ -82,8 +84,11 @@ def test_the_camera_gives_frames(folder: Path, tmp_path: Path, monkeypatch: pyte
 
 
 @contextmanager
-def published(endpoint: str, pose: Callable[[int], PoseMessage]) -> Iterator[None]:
-    """A pipeline's poses, thirty a second, at an endpoint; pose: of the seconds so far."""
+def published(
+    endpoint: str, pose: Callable[[int], PoseMessage], camera_after: int | None = None
+) -> Iterator[None]:
+    """A pipeline's poses, thirty a second, at an endpoint, and after some of them where its camera is;
+    pose: by the number of poses so far."""
     config = zenoh.Config()
     config.insert_json5("listen/endpoints", f'["{endpoint}"]')
     config.insert_json5("scouting/multicast/enabled", "false")
@@ -97,7 +102,13 @@ def published(endpoint: str, pose: Callable[[int], PoseMessage]) -> Iterator[Non
             changes = {"frame_id": number, "capture_ns": now, "publish_ns": now}
             offset = time.time_ns() - now
             message = msgspec.structs.replace(pose(number), **changes, realtime_offset_ns=offset)
-            session.put(Keys("lab", "cam0").pose(message.object, message.instance), encode(message))
+            keys = Keys("lab", "cam0")
+            session.put(keys.pose(message.object, message.instance), encode(message))
+            if camera_after is not None and number > camera_after:
+                said = msgspec.structs.replace(
+                    CAMERA_SAYS, frame=message.frame, mount=MOUNT, mount_ns=None, publish_ns=now
+                )
+                session.put(keys.camera_info, encode(said))
 
     with zenoh.open(config) as session:
         thread = threading.Thread(target=publish, args=(session,))
@@ -138,14 +149,15 @@ def test_nothing_is_picked_before_it_is_still(base_port: int) -> None:
         still = {"velocity_linear": (0.0, 0.0, 0.0), "velocity_angular": (0.0, 0.0, 0.0)}
         return tracked(translation=(0.0, 0.0, 0.75 + 0.01 * max(60 - number, 0)), **still)
 
-    with published(endpoint, falls):
+    with published(endpoint, falls, camera_after=100):
         picked = subprocess.run(
             example("03_pick_when_still.py", "tea_box", endpoint), check=True, capture_output=True, text=True
         )
     x, y, z = (float(n) for n in re.findall(r"\d\.\d*", picked.stdout))
-    assert (x, y) == (0.0, 0.0)
-    assert z == pytest.approx(0.75, abs=0.004)
-    assert time.monotonic() - began > 2.0
+    # In the robot's frame, though its camera said late where it is.
+    assert (x, y) == MOUNT.translation[:2]
+    assert z == pytest.approx(0.75 + MOUNT.translation[2], abs=0.004)
+    assert time.monotonic() - began > 100 / 30
 
 
 @pytest.mark.live

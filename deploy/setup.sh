@@ -48,6 +48,7 @@ if [ ! -x "$UV/bin/uv" ]; then
         --require-hashes -r deploy/uv.txt \
         || fail "pip could not fetch uv $UV_VERSION: is the package index reachable?"
 fi
+[ -d .venv ] || echo "setup: installing packages into .venv, 2.5 GB on the disk"
 export UV_PYTHON_DOWNLOADS=never
 "$UV/bin/uv" sync --frozen --quiet --python "$python" \
     --extra edge --extra onboard --extra viewer --extra realsense --extra oak --extra secure --extra ros2 --extra docs --group dev

@@ -32,8 +32,14 @@ class Status:
         if self._say is not None:
             self._say(text)
             return
-        start = "\r\x1b[K" if self.live else ""
-        print(f"{start}{text}", file=self._out, flush=True)
+        self.clear()
+        print(text, file=self._out, flush=True)
+
+    def clear(self) -> None:
+        """Nothing of it stays."""
+        if self.live:
+            self._out.write("\r\x1b[K")
+            self._out.flush()
 
     def show(self, text: str) -> None:
         """Where it is time for it."""
@@ -83,7 +89,10 @@ def progress(
                 status.show(text())
     finally:
         took = time.monotonic() - start
-        status.line(f"{label}: {done}{f' of {total}' if total else ''} in {took:.1f} s")
+        if done or not total:  # of what failed at once the error says all
+            status.line(f"{label}: {done}{f' of {total}' if total else ''} in {took:.1f} s")
+        else:
+            status.clear()
 
 
 def _bar(label: str, done: int, total: int, left: str) -> str:

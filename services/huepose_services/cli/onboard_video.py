@@ -64,7 +64,7 @@ def mesh_from_video(arguments: argparse.Namespace) -> FromVideo | None:
     video: Path | None = arguments.from_video
     if (video is None) == (arguments.mesh is None):
         raise InputError(
-            "huepose onboard",
+            "the object",
             found="neither MESH nor --from-video" if video is None else "MESH and --from-video",
             expected="one of them",
         )

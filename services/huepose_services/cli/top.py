@@ -15,7 +15,7 @@ _EVERY_S = 1.0
 
 def add_parser(subparsers: Any) -> None:
     """Add the verb."""
-    parser = subparsers.add_parser("top", help="the same, every second")
+    parser = subparsers.add_parser("top", help="how a running pipeline is, every second")
     parser.add_argument("--seconds", type=float, metavar="S", help="end after so long; by default never")
     add_choice(parser)
     parser.set_defaults(call=call)
@@ -33,7 +33,8 @@ def call(arguments: argparse.Namespace) -> int:
             while time.monotonic() < until:
                 watch.look(_EVERY_S)
                 view = watch.view()
-                text = as_text(view) if view.seen else f"no pipeline runs at port {pipeline.base_port}"
+                none = f"no pipeline runs at port {pipeline.base_port}; `huepose up` starts one"
+                text = as_text(view) if view.seen else none
                 sys.stdout.write((_CLEAR if sys.stdout.isatty() else "") + text + "\n")
                 sys.stdout.flush()
         except KeyboardInterrupt:

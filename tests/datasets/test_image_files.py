@@ -170,6 +170,6 @@ def test_a_picture_of_too_many_pixels_is_refused_before_it_is_unpacked(tmp_path,
         read_color(tmp_path / "large.png")
 
 
-def test_a_camera_file_that_is_not_there_is_not_taken_for_broken_json(tmp_path: Path) -> None:
-    with pytest.raises(InputError, match=r"nowhere\.json: found no such file\. Write the camera's intrinsics"):
+def test_a_missing_camera_file_is_not_taken_for_broken_json(tmp_path: Path) -> None:
+    with pytest.raises(InputError, match=r"nowhere\.json: found no such file\. Write the camera"):
         read_camera(tmp_path / "nowhere.json")

@@ -1,7 +1,7 @@
 """Writes what readers in other languages need: `python -m huepose_protos.export protos`.
 
-`schemas/NAME.json`: the JSON Schema of each message; `golden/NAME.bin` and `.json`: an example as it is on
-the wire and the same in JSON; `golden/frame_payload.bin`: the payload of the example frame.
+`schemas/NAME.json`: the JSON Schema of each message; `huepose_protos/golden/NAME.bin`: the example that is
+beside it in JSON, as it is on the wire. A field that a message has got since then is added to that JSON.
 """
 
 from __future__ import annotations
@@ -12,9 +12,8 @@ from pathlib import Path
 
 import msgspec
 
-from huepose_protos.buffers import pack
 from huepose_protos.codec import encode, to_json
-from huepose_protos.examples import images, messages
+from huepose_protos.examples import messages
 
 
 def files() -> dict[str, bytes]:
@@ -24,9 +23,8 @@ def files() -> dict[str, bytes]:
         name = type(message).__name__
         schema = json.dumps(msgspec.json.schema(type(message)), indent=2)
         out[f"schemas/{name}.json"] = schema.encode() + b"\n"
-        out[f"golden/{name}.bin"] = encode(message)
-        out[f"golden/{name}.json"] = to_json(message).encode() + b"\n"
-    out["golden/frame_payload.bin"] = pack(images())[1]
+        out[f"huepose_protos/golden/{name}.bin"] = encode(message)
+        out[f"huepose_protos/golden/{name}.json"] = to_json(message).encode() + b"\n"
     return out
 
 

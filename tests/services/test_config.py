@@ -35,6 +35,11 @@ GOOD = "camera: {truth: true}\n"
         ("detector: {kind: first_box}", ["detector.boxes", "none"]),
         ("detector: {kind: first_box, boxes: {a: [1, 2, 3]}}", ["detector.boxes", "length 4"]),
         ("detector: {kind: first_box, boxes: {a: [1, 2, 3, 4]}}", ["detector.boxes", "found a"]),
+        ("workers: [camera, gateway, ros2]", ["gateway.listen", "127.0.0.1:7447", "tcp/localhost:7447"]),
+        (
+            "camera: {mount: {parent: base, translation: [0, 0, 1], quaternion: [0, 0, 0, 0]}}",
+            ["camera.mount", "expected a quaternion of unit length, x y z w."],
+        ),
         ("bus: {base_port: 80}", ["bus.base_port", "found 80", "a whole number of 1024 or more"]),
         ("- 1", ["the whole file", "found [1]"]),
         ("camera: [", ["YAML", "line 1"]),

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 from huepose_services.cli.options import add_host, add_json, add_pipeline, answered
 
 if TYPE_CHECKING:
+    from huepose_protos.messages import Mount
     from huepose_services.runtime.config import Config
 
 
@@ -37,6 +38,8 @@ def call(arguments: argparse.Namespace) -> int:
 
 def _described(config: Config, path: Path) -> tuple[dict[str, Any], str]:
     """What a configuration is, for programs and in words."""
+    import msgspec
+
     from huepose_protos.local import run_folder
 
     ports = {worker: config.port(worker) for worker in config.workers}
@@ -48,6 +51,7 @@ def _described(config: Config, path: Path) -> tuple[dict[str, Any], str]:
         "keys": f"huepose/{config.site}/{config.camera.name}/...",
         "run_folder": str(run_folder()),
         "ports": ports,
+        "mount": None if config.camera.mount is None else msgspec.to_builtins(config.camera.mount),
         "frames": _way_of_frames(config),
         "hosts": {host: list(workers) for host, workers in config.hosts.items()},
     }
@@ -58,12 +62,33 @@ def _described(config: Config, path: Path) -> tuple[dict[str, Any], str]:
   keys     {answer["keys"]}
   ports    in {run_folder()}: {", ".join(f"{worker} {port}" for worker, port in ports.items())}
   frames   {answer["frames"]}"""
+    if config.camera.mount is not None:
+        summary += f"\n  mount    {mount_in_words(config.camera.mount)}"
     if config.host is not None:
         summary += f"\n  link     to {config.link.connect} as {config.host}, by TLS ({config.link.secure})"
     elif config.hosts:
         there = f"{config.other_host}, which runs {', '.join(config.far)}"
         summary += f"\n  link     at {config.link.listen} for {there}, by TLS ({config.link.secure})"
     return answer, summary
+
+
+def mount_in_words(mount: Mount) -> str:
+    """Where a camera is and looks, so that metres and the axes of the optical frame can be checked by eye.
+
+    >>> from huepose_protos.messages import Mount
+    >>> mount_in_words(Mount(parent="base", translation=(0.5, 0.0, 0.8), quaternion=(0.5, -0.5, 0.5, -0.5)))
+    "at 0.50 0.00 0.80 m in base, looks along 1.00 0.00 0.00, the picture's up is 0.00 0.00 1.00"
+    """
+    import numpy as np
+
+    from huepose_protos.motion import rotation_matrix
+
+    R_parent_cam = rotation_matrix(np.array(mount.quaternion))
+    place, ahead, up = (
+        " ".join(f"{x + 0.0:.2f}" for x in np.round(v, 2))
+        for v in (mount.translation, R_parent_cam[:, 2], -R_parent_cam[:, 1])
+    )
+    return f"at {place} m in {mount.parent}, looks along {ahead}, the picture's up is {up}"
 
 
 def _way_of_frames(config: Config) -> str:

@@ -13,7 +13,7 @@ from huepose_protos.fields import Name
 from huepose_protos.keys import Keys
 from huepose_protos.local import BASE_PORT, endpoint
 from huepose_services.runtime.config_errors import explain
-from huepose_services.runtime.config_parts import PERCEPTION, Hosts, check_hosts, of_cameras
+from huepose_services.runtime.config_parts import PERCEPTION, Hosts, check_hosts, check_ports, of_cameras
 from huepose_services.runtime.config_perception import (
     DRAWN_SOURCES,
     CameraConfig,
@@ -341,6 +341,7 @@ def _check(config: Config, path: Path) -> None:
     if len(set(config.workers)) != len(config.workers) or not config.workers:
         refuse("workers", ", ".join(config.workers) or "none", "each worker at most once", "Name each once.")
     check_hosts(config, refuse)
+    check_ports(config, refuse)
     check_camera(camera, refuse)
     if (
         camera.source not in DRAWN_SOURCES

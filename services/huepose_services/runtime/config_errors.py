@@ -20,6 +20,7 @@ _MISSING = re.compile(r"Object missing required field `(?P<key>.*)`")
 # msgspec's words, and ours.
 _WORDS = (
     (r"^str matching regex '\^\[a-z0-9_-\]\{1,64\}\$'$", "1 to 64 of a-z, 0-9, _ and -"),
+    (r"^quaternion is not of unit length$", "a quaternion of unit length, x y z w"),
     (r"^str matching regex '\^\[\^/.*:.*\$'$", "ADDRESS:PORT"),
     (r"\bint\b", "a whole number"),
     (r"\bfloat\b", "a number"),

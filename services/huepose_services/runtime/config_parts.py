@@ -64,6 +64,20 @@ def of_cameras(config: Config, path: Path) -> list[Config]:
     ]
 
 
+def check_ports(config: Config, refuse: Refuse) -> None:
+    """The gateway must not listen where the router of ROS 2 does: both have 7447 by default."""
+    router = config.ros2.connect.partition("/")[2]
+    host, _, port = router.rpartition(":")
+    here = host in ("localhost", "127.0.0.1", "[::1]")
+    if {"gateway", "ros2"} <= set(config.workers) and here and config.gateway.listen.endswith(f":{port}"):
+        refuse(
+            "gateway.listen",
+            config.gateway.listen,
+            f"another port than the router's of ROS 2 (ros2.connect: {config.ros2.connect})",
+            "Give the gateway one of its own: {listen: 127.0.0.1:7457}, for example.",
+        )
+
+
 def check_hosts(config: Config, refuse: Refuse) -> None:
     """What of `hosts` one key alone cannot tell."""
     perception = tuple(worker for worker in PERCEPTION if worker in config.workers)

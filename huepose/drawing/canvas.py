@@ -27,7 +27,7 @@ COLOURS: tuple[Colour, ...] = (
 )
 _LEFT, _RIGHT, _TOP, _BOTTOM = 78, 24, 46, 62
 _SHIFT = 4
-_SEARCH_PX = 16
+_SEARCH_PX = 2
 
 
 def ticks(low: float, high: float, about: int = 6) -> list[float]:
@@ -149,21 +149,38 @@ class Canvas:
         _text(self.picture, text, (round(float(at[0])), round(float(at[1])) - 10), 0.46, "centre", 1, INK)
 
     def legend(self, names: Sequence[str], colors: Sequence[Colour]) -> None:
-        """Names with their colours, where least is drawn in the frame: in a corner, if one is free."""
+        """Names with their colours, where least is drawn in the frame: in a corner if one is free, in several
+        columns if only that is."""
+        if not names:
+            return
         inner = self._frame()
-        wide = max((cv2.getTextSize(n, FONT, 0.48, 1)[0][0] for n in names), default=0) + 42
-        high = 20 * len(names) + 8
-        right, bottom = max(0, inner.shape[1] - wide - 8), max(0, inner.shape[0] - high - 8)
-        corners = [(right, 8), (8, 8), (right, bottom), (8, bottom)]
-        between = product(range(8, right + 1, _SEARCH_PX), range(8, bottom + 1, _SEARCH_PX))
         ink = inner.min(-1) < PALE[0] - 5
-        x, y = min([*corners, *between], key=lambda at: ink[at[1] : at[1] + high, at[0] : at[0] + wide].sum())
-        plate = inner[y : y + high, x : x + wide]
+        wide = max(cv2.getTextSize(name, FONT, 0.48, 1)[0][0] for name in names) + 42
+        layouts = [-(-len(names) // columns) for columns in range(1, max(2, len(names)))]
+
+        sums = cv2.integral(ink.astype(np.uint8))
+
+        def covered(rows: int) -> tuple[int, int, int, int]:
+            """What the best place of that many rows hides, the rows, and the place."""
+            width, height = wide * -(-len(names) // rows), 20 * rows + 8
+            right, bottom = max(0, inner.shape[1] - width - 8), max(0, inner.shape[0] - height - 8)
+            corners = [(right, 8), (8, 8), (right, bottom), (8, bottom)]
+            between = product(range(8, right + 1, _SEARCH_PX), range(8, bottom + 1, _SEARCH_PX))
+            x, y = np.array([*corners, *between]).T
+            far_x, far_y = (
+                np.minimum(e, n) for e, n in zip((x + width, y + height), ink.shape[::-1], strict=True)
+            )
+            hidden = sums[far_y, far_x] - sums[y, far_x] - sums[far_y, x] + sums[y, x]
+            best = int(np.argmin(hidden))
+            return int(hidden[best]), rows, int(x[best]), int(y[best])
+
+        _, rows, x, y = min((covered(rows) for rows in layouts), key=lambda place: place[0])
+        plate = inner[y : y + 20 * rows + 8, x : x + wide * -(-len(names) // rows)]
         plate[:] = (0.15 * plate + 0.85 * 255).astype(np.uint8)
         for k, (name, color) in enumerate(zip(names, colors, strict=True)):
-            row = y + 14 + 20 * k
-            cv2.line(inner, (x + 6, row), (x + 28, row), color, 3, cv2.LINE_AA)
-            _text(inner, name, (x + 34, row), 0.48, "left")
+            left, row = x + wide * (k // rows), y + 14 + 20 * (k % rows)
+            cv2.line(inner, (left + 6, row), (left + 28, row), color, 3, cv2.LINE_AA)
+            _text(inner, name, (left + 34, row), 0.48, "left")
 
     def _frame(self) -> UInt8:
         """The part of the picture inside the axes."""

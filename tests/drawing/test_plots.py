@@ -105,16 +105,25 @@ def test_every_plot_takes_nothing() -> None:
         assert picture.ndim == 3
 
 
-def test_the_legend_leaves_the_lines_free_where_there_is_room() -> None:
-    """No corner is free of these, and the middle is."""
-    x = np.linspace(0.0, 1.0, 50)
-    series = {"above": (x, np.full(50, 1.0)), "below": (x, np.zeros(50))}
-    series["at both sides"] = (np.array([0.0, 0.0, np.nan, 1.0, 1.0]), np.array([0.0, 1.0, np.nan, 0.0, 1.0]))
-    canvas = Canvas.empty((-0.02, 1.02), (-0.1, 1.1), "", "", "", (720, 460))
-    for (xs, ys), color in zip(series.values(), COLOURS, strict=False):
-        canvas.line(xs, ys, color)
+_AT_BOTH_SIDES = (np.array([0.0, 0.0, np.nan, 1.0, 1.0]), np.array([0.0, 1.0, np.nan, 0.0, 1.0]))
+_LEVELS = (0.0, 0.28, 0.5, 0.72, 1.0)
+
+
+@pytest.mark.parametrize(
+    "series",
+    [
+        {"above": ([0, 1], [1, 1]), "below": ([0, 1], [0, 0]), "at both sides": _AT_BOTH_SIDES},
+        {f"worker {k}": ([0, 1], [level, level]) for k, level in enumerate(_LEVELS)},
+    ],
+    ids=["no corner is free, the middle is", "only strips are free"],
+)
+def test_the_legend_leaves_the_lines_free_where_there_is_room(series: dict) -> None:
+    canvas, colors = Canvas.empty((-0.02, 1.02), (-0.1, 1.1)), COLOURS[: len(series)]
+    for (xs, ys), color in zip(series.values(), colors, strict=True):
+        canvas.line(np.asarray(xs, float), np.asarray(ys, float), color)
     before = canvas.picture.copy()
-    canvas.legend(list(series), COLOURS[:3])
-    for color in COLOURS[:3]:
+    canvas.legend(list(series), colors)
+    for color in colors:
         line = (before == color).all(-1)
         assert (canvas.picture[line] == color).all()
+        assert (canvas.picture == color).all(-1).sum() > line.sum()

@@ -10,7 +10,7 @@ from __future__ import annotations
 import json
 import queue
 import time
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 import zenoh
@@ -53,6 +53,53 @@ def kind_of(key: str) -> type[Message] | None:
     return next((kind for head, kind in _KINDS.items() if tail == head or tail.startswith(head + "/")), None)
 
 
+def configured(settings: Mapping[str, object]) -> zenoh.Config:
+    """zenoh's configuration with these settings."""
+    config = zenoh.Config()
+    for name, value in settings.items():
+        config.insert_json5(name, json.dumps(value))
+    return config
+
+
+def peer(
+    connect: Sequence[str], listen: Sequence[str] = (), more: Mapping[str, object] | None = None
+) -> zenoh.Config:
+    """One that listens and connects where it is told, and looks for nobody else; it goes on trying to reach
+    its endpoints, now and after they were gone. more: settings beside these."""
+    settings: dict[str, object] = {
+        "mode": "peer",
+        "scouting/multicast/enabled": False,
+        "scouting/gossip/enabled": False,
+        "listen/endpoints": list(listen),
+        "connect/endpoints": list(connect),
+        "connect/timeout_ms": -1,
+        "connect/exit_on_failure": False,
+        "connect/retry": {"period_init_ms": 50, "period_max_ms": 400, "period_increase_factor": 1.5},
+        # Do not wait half a second for peers that may not be there yet.
+        "open/return_conditions/connect_scouted": False,
+        "transport/shared_memory/enabled": False,
+    }
+    return configured({**settings, **(more or {})})
+
+
+def tls_files(
+    authority: Path | str | None, certificate: Path | str | None, key: Path | str | None
+) -> dict[str, object]:
+    """The settings of who connects by TLS, with files in PEM."""
+    files = {
+        "root_ca_certificate": authority,
+        "connect_certificate": certificate,
+        "connect_private_key": key,
+    }
+    settings: dict[str, object] = {"transport/link/tls/enable_mtls": certificate is not None}
+    for name, path in files.items():
+        if path is not None:
+            if not Path(path).is_file():
+                raise FileNotFoundError(f"{name}: no file {path}")
+            settings[f"transport/link/tls/{name}"] = str(path)
+    return settings
+
+
 def open_session(
     endpoints: Sequence[str],
     authority: Path | str | None = None,
@@ -63,35 +110,7 @@ def open_session(
 
     The files, in PEM, are for endpoints with TLS (`tls/HOST:PORT`): who signed the other side's certificate,
     and the reader's own certificate and key."""
-    settings: dict[str, object] = {
-        "mode": "peer",
-        "scouting/multicast/enabled": False,
-        "scouting/gossip/enabled": False,
-        "listen/endpoints": [],
-        "connect/endpoints": list(endpoints),
-        "connect/timeout_ms": -1,
-        "connect/exit_on_failure": False,
-        "connect/retry": {"period_init_ms": 50, "period_max_ms": 400, "period_increase_factor": 1.5},
-        # Do not wait half a second for peers that may not be there yet.
-        "open/return_conditions/connect_scouted": False,
-        "transport/shared_memory/enabled": False,
-    }
-    files = {
-        "root_ca_certificate": authority,
-        "connect_certificate": certificate,
-        "connect_private_key": key,
-    }
-    for name, path in files.items():
-        if path is not None:
-            if not Path(path).is_file():
-                raise FileNotFoundError(f"{name}: no file {path}")
-            settings[f"transport/link/tls/{name}"] = str(path)
-    if certificate is not None:
-        settings["transport/link/tls/enable_mtls"] = True
-    config = zenoh.Config()
-    for name, value in settings.items():
-        config.insert_json5(name, json.dumps(value))
-    return zenoh.open(config)
+    return zenoh.open(peer(endpoints, more=tls_files(authority, certificate, key)))
 
 
 class Reader:

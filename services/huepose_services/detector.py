@@ -17,6 +17,7 @@ from huepose_services.following import Follower
 from huepose_services.runtime.bus import Bus
 from huepose_services.runtime.clock import now_ns
 from huepose_services.runtime.config import Config
+from huepose_services.runtime.work import Work
 from huepose_services.searched_boxes import SearchedBoxes
 
 
@@ -47,10 +48,8 @@ def _most_instances(config: Config) -> int:
     return max((item.max_instances for item in config.objects), default=1)
 
 
-class DetectorWork:
+class DetectorWork(Work):
     """Keeps the newest frame, which a request may look at again when the camera stands still."""
-
-    finished = False
 
     def __init__(self, bus: Bus, finder: BoxFinder, objects: Follower[ReferenceModel]) -> None:
         self._bus, self._finder, self._objects = bus, finder, objects
@@ -61,10 +60,6 @@ class DetectorWork:
         self._frames = bus.frames(wakes=False)
         self._truths = bus.inbox.queue(keys.truth) if isinstance(finder, TruthBoxes) else None
         self._frame: tuple[FrameHeader, bytes] | None = None
-
-    def due_ns(self) -> int | None:
-        """Only requests matter."""
-        return None
 
     def step(self) -> None:
         """Answer the newest request."""
@@ -115,7 +110,6 @@ class DetectorWork:
             objects=found,
         )
         self._bus.put_pixels(self._bus.keys.detections, message, payload)
-        health.camera_epoch, health.frame_id = header.camera_epoch, header.frame_id
         health.count("requests")
         health.count("boxes", len(found))
         health.worked_on(started, header)

@@ -15,6 +15,7 @@ from huepose_services.pem import why_unreachable
 from huepose_services.runtime.bus import Bus
 from huepose_services.runtime.clock import SECOND, now_ns
 from huepose_services.runtime.config import Config
+from huepose_services.runtime.work import Work
 
 _LOOK_NS, _ASK_WHY_NS = SECOND, 10 * SECOND
 
@@ -24,10 +25,8 @@ def make(bus: Bus, config: Config) -> DownlinkWork:
     return DownlinkWork(bus, config, open_downlink(config))
 
 
-class DownlinkWork:
+class DownlinkWork(Work):
     """Passes on both ways."""
-
-    finished = False
 
     def __init__(self, bus: Bus, config: Config, outside: zenoh.Session) -> None:
         self._bus, self._config, self._outside = bus, config, outside
@@ -50,7 +49,6 @@ class DownlinkWork:
         if (taken := bus.take_with_payload(self._pixels, self._kind, foreign=True)) is not None:
             message, payload = taken
             bus.put_pixels(self._key, replace(message, publish_ns=now_ns()), payload)
-            bus.health.camera_epoch, bus.health.frame_id = message.frame.camera_epoch, message.frame.frame_id
             bus.health.worked_on(started, message.frame)
         if (objects := bus.take(self._objects, ObjectsMessage, foreign=True)) is not None:
             bus.put(keys.objects, replace(objects, publish_ns=now_ns()))

@@ -24,6 +24,7 @@ from huepose_services.following import Follower
 from huepose_services.runtime.bus import Bus
 from huepose_services.runtime.clock import now_ns
 from huepose_services.runtime.config import Config
+from huepose_services.runtime.work import Work
 
 
 def make(bus: Bus, config: Config) -> EstimatorWork:
@@ -39,18 +40,12 @@ def make(bus: Bus, config: Config) -> EstimatorWork:
     return EstimatorWork(bus, estimator, follower)
 
 
-class EstimatorWork:
+class EstimatorWork(Work):
     """Answers the newest masks."""
-
-    finished = False
 
     def __init__(self, bus: Bus, estimator: Estimator, objects: Follower[ReferenceModel]) -> None:
         self._bus, self._estimator, self._objects = bus, estimator, objects
         self._masks = bus.inbox.ring(bus.keys.masks)
-
-    def due_ns(self) -> int | None:
-        """Only masks matter."""
-        return None
 
     def step(self) -> None:
         """Estimate what is in the newest masks."""
@@ -92,7 +87,6 @@ class EstimatorWork:
             ),
         )
         health = self._bus.health
-        health.camera_epoch, health.frame_id = frame.epoch, frame.frame_id
         health.count("estimates", len(estimates))
         health.count("found", sum(e.found for e in estimates))
         health.worked_on(started, message.frame)

@@ -20,6 +20,7 @@ from huepose_services.holdback import Holdback
 from huepose_services.runtime.bus import Bus
 from huepose_services.runtime.clock import SECOND, now_ns
 from huepose_services.runtime.config import Config
+from huepose_services.runtime.work import Work
 
 # A pose that was not said again for so long is that of a track that is gone.
 _FORGET_NS = 10 * SECOND
@@ -43,10 +44,8 @@ class _Said:
     at_ns: int
 
 
-class GatewayWork:
+class GatewayWork(Work):
     """Passes on what arrives, and answers who asks."""
-
-    finished = False
 
     def __init__(self, bus: Bus, outside: zenoh.Session, door: Door, max_rate_hz: float) -> None:
         self._bus, self._outside, self._door = bus, outside, door
@@ -81,8 +80,7 @@ class GatewayWork:
         while (pose := self._bus.take(self._poses, PoseMessage)) is not None:
             started = now_ns()
             self._tell(keys.pose(pose.object, pose.instance), pose, pose.state)
-            self._bus.health.camera_epoch, self._bus.health.frame_id = pose.camera_epoch, pose.frame_id
-            self._bus.health.worked(started, pose.capture_ns)
+            self._bus.health.worked_on(started, pose)
         while (objects := self._bus.take(self._objects, ObjectsMessage)) is not None:
             self._tell(keys.objects, objects)
         while (camera := self._bus.take(self._camera, CameraMessage)) is not None:

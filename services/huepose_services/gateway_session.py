@@ -7,13 +7,13 @@ nothing. It listens on a socket in the pipeline's folder; the door lets those th
 
 from __future__ import annotations
 
-import json
 from collections.abc import Callable
 from pathlib import Path
 
 import zenoh
 
 from huepose.support.errors import InputError
+from huepose_protos.client import peer
 from huepose_services.gateway_door import RATE_BYTES_S, Door
 from huepose_services.pem import check_pem
 from huepose_services.runtime.config import TLS_FILES, GatewayConfig, TlsConfig
@@ -52,10 +52,7 @@ def open_behind_door(
     if gateway.tls is not None:
         check_files(gateway.tls, section)
     inside = make_folder() / f"outside-{gateway.listen.rsplit(':', 1)[1]}"
-    config = zenoh.Config()
-    config.insert_json5("listen/endpoints", json.dumps([f"unixsock-stream/{inside}"]))
-    for name, value in settings.items():
-        config.insert_json5(name, json.dumps(value))
+    config = peer([], [f"unixsock-stream/{inside}"], settings)
     door = Door(gateway, inside, tell, rate_bytes_s, section)
     try:
         return zenoh.open(config), door
@@ -70,13 +67,8 @@ def open_behind_door(
 
 
 def outside_settings(gateway: GatewayConfig) -> dict[str, object]:
-    """What differs from zenoh's defaults."""
+    """What holds for this session beside what holds for all."""
     return {
-        "mode": "peer",
-        "scouting/multicast/enabled": False,
-        "scouting/gossip/enabled": False,
-        "connect/endpoints": [],
-        "transport/shared_memory/enabled": False,
         "transport/link/rx/max_message_size": _MAX_MESSAGE,
         "transport/unicast/max_sessions": gateway.max_sessions,
         "transport/unicast/accept_pending": 8,

@@ -8,7 +8,6 @@ frames stay those of the camera's clock, so the two clocks need not agree.
 
 from __future__ import annotations
 
-import json
 import queue
 import threading
 from collections.abc import Callable
@@ -17,6 +16,7 @@ from pathlib import Path
 import zenoh
 
 from huepose.support.errors import InputError
+from huepose_protos.client import tls_files
 from huepose_protos.keys import Keys
 from huepose_protos.messages import Detections, Estimates, FrameHeader, Look, Masks
 from huepose_services.gateway_door import Door
@@ -84,16 +84,8 @@ def open_downlink(config: Config) -> zenoh.Session:
     """The session of the other computer: it goes on trying to reach the camera's. Raises InputError."""
     files = credentials(config)
     files.context()
-    settings = zenoh_config([], [f"tls/{config.link.connect}"])
-    more = _COMMON | {
-        "transport/link/tls/root_ca_certificate": str(files.authority),
-        "transport/link/tls/connect_certificate": str(files.certificate),
-        "transport/link/tls/connect_private_key": str(files.key),
-        "transport/link/tls/enable_mtls": True,
-    }
-    for name, value in more.items():
-        settings.insert_json5(name, json.dumps(value))
-    return zenoh.open(settings)
+    more = _COMMON | tls_files(files.authority, files.certificate, files.key)
+    return zenoh.open(zenoh_config([], [f"tls/{config.link.connect}"], more=more))
 
 
 def credentials(config: Config) -> Credentials:

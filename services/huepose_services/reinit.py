@@ -42,6 +42,7 @@ from huepose_services.runtime.clock import SECOND, now_ns
 from huepose_services.runtime.config import Config, ObjectConfig
 from huepose_services.runtime.future import check_number
 from huepose_services.runtime.one_camera import OneCamera
+from huepose_services.runtime.work import Work
 from huepose_services.steering import Desk, ObjectList
 
 _LOOK_NS = SECOND // 30
@@ -79,10 +80,8 @@ def _settings(config: Config) -> ReinitConfig:
     )
 
 
-class ReinitWork:
+class ReinitWork(Work):
     """Feeds the loop with poses and answers; publishes its requests, its corrections, and what it seeks."""
-
-    finished = False
 
     def __init__(
         self, bus: Bus, loop: ReinitLoop, objects: ObjectList, configured: Sequence[ObjectConfig] = ()
@@ -135,8 +134,7 @@ class ReinitWork:
             self._reasons |= reasons_not_seen(self._sought.get(answer.request_seq, ()), answer)
             for correction in self._loop.answer(now_ns(), result_from_wire(answer)):
                 self._send(correction)
-            self._bus.health.camera_epoch, self._bus.health.frame_id = answer.camera_epoch, answer.frame_id
-            self._bus.health.worked(started, answer.capture_ns)
+            self._bus.health.worked_on(started, answer)
             self._bus.health.warn_while("slow", slow_text(self._loop.answer_age_s))
         now = now_ns()
         if now < self._next_look_ns:

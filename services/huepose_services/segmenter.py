@@ -18,6 +18,7 @@ from huepose_services.models import Outline
 from huepose_services.runtime.bus import Bus
 from huepose_services.runtime.clock import now_ns
 from huepose_services.runtime.config import Config
+from huepose_services.runtime.work import Work
 
 # A ragged mask has so many runs that it would crowd the others out of the header.
 _MAX_RUNS = 6000
@@ -37,10 +38,8 @@ def make(bus: Bus, config: Config) -> SegmenterWork:
     return work
 
 
-class SegmenterWork:
+class SegmenterWork(Work):
     """Outlines every object of the newest detections."""
-
-    finished = False
 
     def __init__(
         self, bus: Bus, segmenter: Segmenter, outlines: dict[str, Outline], objects: Follower[Outline]
@@ -57,10 +56,6 @@ class SegmenterWork:
         depth[40:80, 60:100] = 0.7
         frame = RgbdFrame(color, depth, Camera(150.0, 150.0, 79.5, 59.5, 160, 120))
         self._segmenter.segment(frame, Box(58.0, 38.0, 44.0, 44.0), 0.25)
-
-    def due_ns(self) -> int | None:
-        """Only detections matter."""
-        return None
 
     def step(self) -> None:
         """Outline what is in the newest detections."""
@@ -82,7 +77,6 @@ class SegmenterWork:
         masked = [self._outline(frame, detection) for detection in message.objects]
         self._publish(message, masked, payload)
         health = self._bus.health
-        health.camera_epoch, health.frame_id = frame.epoch, frame.frame_id
         health.count("boxes", len(masked))
         health.count("masks", sum(len(m.masks) for m in masked))
         health.worked_on(started, message.frame)

@@ -29,6 +29,7 @@ from huepose_services.runtime.clock import now_ns
 from huepose_services.runtime.config import Config
 from huepose_services.runtime.future import check_number
 from huepose_services.runtime.log import StateChanges
+from huepose_services.runtime.work import Work
 
 TOO_OLD = "It is not known where it is now: this computer is too busy, or the camera's pictures come late."
 _REFUSED_EVERY_S = 10.0
@@ -67,10 +68,8 @@ def tracker_of(config: Config, known: Mapping[str, ReferenceModel]) -> Tracker:
     return Tracker(known, settings, networks.relative_pose(config))
 
 
-class TrackerWork:
+class TrackerWork(Work):
     """Steps on each newest frame and publishes right after; no correction is dropped."""
-
-    finished = False
 
     def __init__(
         self,
@@ -300,10 +299,9 @@ class TrackerWork:
             health.count("frames_doubted")
         self._publish_all(poses, header, frame)
         self._header = header
-        health.camera_epoch, health.frame_id = header.camera_epoch, header.frame_id
         health.counters["frames_skipped"] = self._frames.skipped
         health.count("frames")
-        health.worked(started, header.capture_ns)
+        health.worked_on(started, header)
         return True
 
     def _publish_all(self, poses: list[TrackedPose], header: FrameHeader, frame: RgbdFrame | None) -> None:

@@ -25,6 +25,7 @@ from huepose_services.link import SILENT_NS, Sender, open_uplink, taken_up
 from huepose_services.runtime.bus import Bus
 from huepose_services.runtime.clock import SECOND, now_ns
 from huepose_services.runtime.config import Config
+from huepose_services.runtime.work import Work
 
 _REMEMBERED = 256
 
@@ -35,10 +36,8 @@ def make(bus: Bus, config: Config) -> UplinkWork:
     return UplinkWork(bus, config, outside, door)
 
 
-class UplinkWork:
+class UplinkWork(Work):
     """Sends up what is newest, and passes on what comes down after it was checked."""
-
-    finished = False
 
     def __init__(self, bus: Bus, config: Config, outside: zenoh.Session, door: Door) -> None:
         self._bus, self._outside, self._door = bus, outside, door
@@ -112,7 +111,6 @@ class UplinkWork:
             del self._sent[next(iter(self._sent))]
         self._sender.offer(frame, encode(message), payload)
         health.counters["replaced"] = self._sender.replaced
-        health.camera_epoch, health.frame_id = frame.camera_epoch, frame.frame_id
 
     def _look(self, now: int) -> None:
         """Who of the other computer is there, as this one's `status` shows it."""

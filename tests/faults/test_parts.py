@@ -28,6 +28,7 @@ from huepose_services.runtime import clock, worker
 from huepose_services.runtime.config import Config
 from huepose_services.runtime.health import Health
 from huepose_services.runtime.log import Log
+from huepose_services.runtime.work import Work
 from tests.services.conftest import free_port_range, processes
 
 POSE = next(m for m in messages() if isinstance(m, PoseMessage))
@@ -161,7 +162,7 @@ def test_14_a_damaged_model_is_named_and_the_pipeline_ends(tmp_path):
     assert "Traceback" not in said
 
 
-class _Work:
+class _Work(Work):
     """A worker's work that fails so often in a row, as a network does that gets no memory on its GPU."""
 
     def __init__(self, fails):

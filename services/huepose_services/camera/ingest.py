@@ -24,6 +24,7 @@ from huepose_services.runtime.bus import Bus
 from huepose_services.runtime.clock import SECOND, now_ns
 from huepose_services.runtime.config import Config
 from huepose_services.runtime.config_perception import LIVE_SOURCES
+from huepose_services.runtime.work import Work
 
 _BEHIND_NS = SECOND // 10
 _WAIT_TO_PLAY_ONCE_NS, _WAIT_TO_LOOP_NS = 120 * SECOND, 20 * SECOND
@@ -56,12 +57,11 @@ class _Stand:
     shown_ns: int
 
 
-class Ingest:
+class Ingest(Work):
     """Waits for the audience, plays, and waits until the last frame was read."""
 
     def __init__(self, bus: Bus, config: Config, source: Scene) -> None:
         self._bus, self._camera, self._source = bus, config.camera, source
-        self.finished = False
         self._epoch = secrets.randbits(62)
         self._audience = Audience(bus, config)
         self._publisher = FramePublisher(bus, config)

@@ -21,6 +21,7 @@ from huepose_services.runtime.bus import Bus
 from huepose_services.runtime.clock import SECOND, now_ns
 from huepose_services.runtime.config import Config
 from huepose_services.runtime.notify import notify
+from huepose_services.runtime.work import Work
 
 _LONGEST_STEP_S = 0.05
 _SAY_AGAIN_NS = 30 * SECOND
@@ -28,10 +29,9 @@ _SAY_AGAIN_NS = 30 * SECOND
 _GIVE_UP_AFTER_S = 30.0
 
 
-class LiveIngest:
+class LiveIngest(Work):
     """Waits for pictures a short while at a time, so that the worker's loop goes round."""
 
-    finished = False
     ready = False
     """Whether there was a good picture."""
 

@@ -80,9 +80,8 @@ class FramePublisher:
         self._tell(header)
         if self._told_mounts is not None:
             self._tell_mounts(header, self._told_mounts)
-        bus.health.camera_epoch, bus.health.frame_id = epoch, frame_id
         bus.health.count(counted_as)
-        bus.health.worked(started, capture_ns)
+        bus.health.worked_on(started, header)
 
     def publish_truth(
         self,

@@ -7,7 +7,6 @@ are `TRACKING` are published.
 
 from __future__ import annotations
 
-import json
 from collections.abc import Mapping
 from typing import Any
 
@@ -15,6 +14,7 @@ import zenoh
 
 from huepose.geometry import Mesh
 from huepose.support.errors import InputError
+from huepose_protos.client import configured
 from huepose_protos.messages import CameraMessage, PoseMessage
 from huepose_services import models
 from huepose_services.ros2 import messages
@@ -23,6 +23,7 @@ from huepose_services.ros2.publisher import Node
 from huepose_services.runtime.bus import Bus
 from huepose_services.runtime.clock import SECOND, now_ns
 from huepose_services.runtime.config import Config, Ros2Config
+from huepose_services.runtime.work import Work
 
 
 def make(bus: Bus, config: Config) -> Ros2Work:
@@ -49,11 +50,8 @@ def open_ros_session(ros2: Ros2Config) -> zenoh.Session:
         "connect/exit_on_failure": False,
         "scouting/multicast/enabled": False,
     }
-    config = zenoh.Config()
     try:
-        for name, value in settings.items():
-            config.insert_json5(name, json.dumps(value))
-        return zenoh.open(config)
+        return zenoh.open(configured(settings))
     except zenoh.ZError as error:
         raise InputError(
             "ros2.connect",
@@ -63,10 +61,8 @@ def open_ros_session(ros2: Ros2Config) -> zenoh.Session:
         ) from None
 
 
-class Ros2Work:
+class Ros2Work(Work):
     """Collects the poses of a frame and publishes them together."""
-
-    finished = False
 
     def __init__(self, bus: Bus, node: Node, ros2: Ros2Config, boxes: Mapping[str, BoxM]) -> None:
         self._bus, self._node, self._boxes = bus, node, boxes
@@ -103,9 +99,8 @@ class Ros2Work:
             self._say(f"{pose.object}/{pose.instance}/pose", messages.pose_stamped(pose))
         self._transform(poses)
         self._say("detections", messages.detections(poses, self._boxes))
-        self._bus.health.camera_epoch, self._bus.health.frame_id = poses[0].camera_epoch, poses[0].frame_id
         self._bus.health.count("poses", len(poses))
-        self._bus.health.worked(started, poses[0].capture_ns)
+        self._bus.health.worked_on(started, poses[0])
 
     def _transform(self, poses: list[PoseMessage]) -> None:
         self._node.publish("/tf", messages.TRANSFORMS, messages.cdr(messages.transforms(poses, self._camera)))

@@ -10,7 +10,7 @@ from typing import Literal
 
 import numpy as np
 
-from huepose_protos.messages import FrameHeader, HealthMessage
+from huepose_protos.messages import Estimates, FrameHeader, HealthMessage, PoseMessage
 from huepose_services.runtime.clock import SECOND, now_ns, this_clock
 
 HealthState = Literal["starting", "ready", "waiting", "ended", "stopping"]
@@ -65,10 +65,12 @@ class Health:
         while self._work and now - self._work[0][0] > _WINDOW_S * SECOND:
             self._work.popleft()
 
-    def worked_on(self, started_ns: int, frame: FrameHeader) -> None:
-        """The same of a frame: its age is known where its stamp is of this computer's clock."""
-        here = frame.clock.clock_id == this_clock().clock_id
-        self.worked(started_ns, frame.capture_ns if here else None)
+    def worked_on(self, started_ns: int, what: FrameHeader | PoseMessage | Estimates) -> None:
+        """The same of a frame, or of what is about one, which is the last that it had: its age is known where
+        its stamp is of this computer's clock."""
+        self.camera_epoch, self.frame_id = what.camera_epoch, what.frame_id
+        foreign = isinstance(what, FrameHeader) and what.clock.clock_id != this_clock().clock_id
+        self.worked(started_ns, None if foreign else what.capture_ns)
 
     def message(self) -> HealthMessage:
         """The state of the worker now."""

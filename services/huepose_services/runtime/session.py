@@ -8,7 +8,6 @@ memory; a reader that may not lock that pool would lose frames silently, so it t
 
 from __future__ import annotations
 
-import json
 import os
 import resource
 from collections.abc import Sequence
@@ -17,6 +16,7 @@ from pathlib import Path
 import zenoh
 
 from huepose.support.errors import InputError
+from huepose_protos.client import peer
 from huepose_services.runtime.config import WORKERS, Config
 from huepose_services.runtime.run_folder import make_folder
 from huepose_services.runtime.running import occupant
@@ -69,24 +69,16 @@ def restarts() -> int:
 
 
 def zenoh_config(
-    listen: Sequence[str], connect: Sequence[str], *, shared_memory: bool = False, pool_bytes: int = 0
+    listen: Sequence[str],
+    connect: Sequence[str],
+    *,
+    shared_memory: bool = False,
+    pool_bytes: int = 0,
+    more: dict[str, object] | None = None,
 ) -> zenoh.Config:
-    """A peer that reaches exactly the given endpoints. pool_bytes > 0: large puts go by shared memory."""
+    """A peer that reaches exactly the given endpoints. pool_bytes > 0: large puts go by shared memory; more:
+    settings of zenoh beside these."""
     settings: dict[str, object] = {
-        "mode": "peer",
-        "scouting/multicast/enabled": False,
-        "scouting/gossip/enabled": False,
-        "listen/endpoints": list(listen),
-        "connect/endpoints": list(connect),
-        "connect/timeout_ms": -1,
-        "connect/exit_on_failure": False,
-        "connect/retry": {
-            "period_init_ms": 50,
-            "period_max_ms": 400,
-            "period_increase_factor": 1.5,
-        },
-        # Do not wait half a second for peers that may not be there yet.
-        "open/return_conditions/connect_scouted": False,
         "transport/link/rx/max_message_size": 64 * MIB,
         # A process that has to wait for its turn must not lose what is said meanwhile: the default of two
         # batches overflows with the poses of one frame.
@@ -96,10 +88,7 @@ def zenoh_config(
     }
     if pool_bytes > 0:
         settings["transport/shared_memory/transport_optimization/pool_size"] = pool_bytes
-    config = zenoh.Config()
-    for key, value in settings.items():
-        config.insert_json5(key, json.dumps(value))
-    return config
+    return peer(connect, listen, settings | (more or {}))
 
 
 def open_worker_session(config: Config, worker: str) -> tuple[zenoh.Session, list[str]]:

@@ -16,10 +16,9 @@ from contextlib import AbstractContextManager, nullcontext, suppress
 from importlib import import_module
 from pathlib import Path
 from types import FrameType
-from typing import Protocol, cast
+from typing import cast
 
 import cv2
-import zenoh
 
 from huepose.support.errors import InputError
 from huepose_services.runtime.bus import Bus
@@ -28,8 +27,9 @@ from huepose_services.runtime.config import Config, WorkerName
 from huepose_services.runtime.health import Health
 from huepose_services.runtime.log import Log
 from huepose_services.runtime.pulse import Pulse
-from huepose_services.runtime.reload import Reload, TakeOver, asked_again
+from huepose_services.runtime.reload import Reload, asked_again
 from huepose_services.runtime.session import open_worker_session
+from huepose_services.runtime.work import Work
 
 TELL_WHERE = signal.SIGUSR2
 
@@ -57,25 +57,6 @@ _NICENESS_OF_OTHERS = 3
 _LONGEST_WAIT_S = 0.1
 _FORCED_STOP_AFTER_S = 1.0
 _ERRORS_IN_A_ROW = 10
-
-
-class Work(Protocol):
-    """What one worker does. Made by `make(bus, config)` of its module, warmed up when that returns.
-
-    It may have an attribute `ready: bool`, looked at after every step: as long as that is False, the worker
-    does not say that it is ready (a camera before its first good frame). Without it, it is ready at once.
-    What takes over something of a changed configuration (`reload.LIVE`) has a method for that: `reload`."""
-
-    finished: bool
-    """Set when there is nothing left to do: the worker then ends with exit code 0."""
-
-    def step(self) -> None:
-        """Do what is due: called when something arrived, when `due_ns` has come, and now and then."""
-        ...
-
-    def due_ns(self) -> int | None:
-        """When to be called at the latest; None to be called for arrivals only."""
-        ...
 
 
 class _Stop:
@@ -152,17 +133,16 @@ def run_worker(worker: str, config: Config, path: Path, of: str | None = None) -
             import_module("huepose_services.runtime.compiling").tell_of_late_compiling(pulse, health, log)
         token = session.liveliness().declare_token(config.keys.live(worker))
         reload = Reload(worker, path, config, log, health)
-        take_over: TakeOver = getattr(work, "reload", lambda _: [])
-        _loop(bus, work, stop, pulse, lambda: again() and reload.take_over(take_over))
+        _loop(bus, work, stop, pulse, lambda: again() and reload.take_over(work.reload))
         pulse.stopping()
-        # A camera that is not let go has to be plugged in anew.
-        getattr(work, "close", lambda: None)()
+        work.close()
         health.state = "ended" if work.finished else "stopping"
         bus.say_health()
         token.undeclare()
     finally:
         signal.setitimer(signal.ITIMER_REAL, 0)
-        _close(bus, session)
+        bus.close()
+        session.close()
     return 0
 
 
@@ -183,7 +163,7 @@ def _loop(bus: Bus, work: Work, stop: _Stop, pulse: Pulse, reload: Callable[[], 
     said_ready = False
     pulse.running()
     while not stop.requested and not work.finished:
-        if not said_ready and getattr(work, "ready", True):
+        if not said_ready and work.ready:
             said_ready = True
             if bus.health.state == "starting":
                 bus.health.state = "ready"
@@ -207,8 +187,3 @@ def _loop(bus: Bus, work: Work, stop: _Stop, pulse: Pulse, reload: Callable[[], 
         if now_ns() >= next_health_ns:
             next_health_ns = max(next_health_ns + SECOND, now_ns())
             bus.say_health()
-
-
-def _close(bus: Bus, session: zenoh.Session) -> None:
-    bus.close()
-    session.close()

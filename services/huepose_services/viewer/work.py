@@ -19,6 +19,7 @@ from huepose_services import models
 from huepose_services.runtime.bus import Bus
 from huepose_services.runtime.clock import SECOND, now_ns
 from huepose_services.runtime.config import Config
+from huepose_services.runtime.work import Work
 from huepose_services.viewer.shapes import Body, rehearse
 from huepose_services.viewer.show import Show
 
@@ -44,10 +45,8 @@ def bodies(config: Config) -> dict[str, Body]:
     return {name: Body(model.mesh, model.diameter_m) for name, model in models.load(config).items()}
 
 
-class ViewerWork:
+class ViewerWork(Work):
     """Pairs frames with their poses and shows both; tells what changes."""
-
-    finished = False
 
     def __init__(self, bus: Bus, show: Show, image_rate_hz: float) -> None:
         self._bus, self._show = bus, show
@@ -103,8 +102,7 @@ class ViewerWork:
             # One point for each frame: its first pose.
             self._frame_id = pose.frame_id
             self._show.latency((pose.publish_ns - pose.capture_ns) * 1e-6)
-        self._bus.health.camera_epoch, self._bus.health.frame_id = pose.camera_epoch, pose.frame_id
-        self._bus.health.worked(started, pose.capture_ns)
+        self._bus.health.worked_on(started, pose)
 
     def _worker(self, name: str, there: bool) -> None:
         """A worker has come or gone."""

@@ -7,6 +7,8 @@ import os
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from huepose_services.cli.options import add_path
+
 if TYPE_CHECKING:
     from huepose_services.runtime.config import Config
     from huepose_services.runtime.running import Pipeline
@@ -17,9 +19,7 @@ def add_choice(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--pipeline", metavar="NAME", help="where several run here: SITE/CAMERA of one, or its first port"
     )
-    parser.add_argument(
-        "--config", type=Path, metavar="PIPELINE", help="the pipeline's configuration, for its ports"
-    )
+    add_path(parser, "--config", "PIPELINE", "the pipeline's configuration, for its ports")
 
 
 def chosen(arguments: argparse.Namespace) -> Pipeline:

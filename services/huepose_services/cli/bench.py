@@ -6,7 +6,7 @@ import argparse
 from pathlib import Path
 from typing import Any
 
-from huepose_services.cli.options import add_json, add_profile, answered
+from huepose_services.cli.options import add_json, add_number, add_path, add_profile, answered
 
 _WHAT = ("estimate", "track", "detect", "bus", "all")
 
@@ -16,8 +16,8 @@ def add_parser(subparsers: Any) -> None:
     parser = subparsers.add_parser("bench", help="time of every stage")
     parser.add_argument("what", nargs="?", choices=_WHAT, default="all", help="default: all")
     add_json(parser, to_file=True)
-    parser.add_argument("--picture", type=Path, metavar="FILE.png", help="draw the stages' shares as bars")
-    parser.add_argument("--seed", type=int, default=0, metavar="N", help="which built-in scene (0)")
+    add_path(parser, "--picture", "FILE.png", "draw the stages' shares as bars")
+    add_number(parser, "--seed", 0, "which built-in scene (0)")
     add_profile(parser)
     parser.set_defaults(call=call)
 

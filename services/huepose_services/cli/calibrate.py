@@ -6,7 +6,7 @@ import argparse
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from huepose_services.cli.options import add_json, answered
+from huepose_services.cli.options import add_json, add_path, answered
 
 if TYPE_CHECKING:
     from huepose.geometry.arrays import Float64
@@ -25,8 +25,8 @@ def add_parser(subparsers: Any) -> None:
         description="Hand-eye calibration. Both files are CSV with the columns "
         f"{_COLUMNS}; rows of the same frame belong together.",
     )
-    one.add_argument("--object", type=Path, required=True, metavar="FILE.csv", help="T_cam_obj of one object")
-    one.add_argument("--hand", type=Path, required=True, metavar="FILE.csv", help="T_base_hand of the robot")
+    add_path(one, "--object", "FILE.csv", "T_cam_obj of one object", required=True)
+    add_path(one, "--hand", "FILE.csv", "T_base_hand of the robot", required=True)
     one.add_argument(
         "--camera",
         choices=("fixed", "on-hand"),
@@ -35,7 +35,7 @@ def add_parser(subparsers: Any) -> None:
     )
     one.add_argument("--parent", default=None, metavar="FRAME", help="name of the frame (base_link or tool0)")
     add_json(one, to_file=True)
-    one.add_argument("--image", type=Path, default=None, metavar="OUT.png", help="what is left at each pose")
+    add_path(one, "--image", "OUT.png", "what is left at each pose")
     one.set_defaults(call=call)
 
 

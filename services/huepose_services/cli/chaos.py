@@ -10,6 +10,8 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
+from huepose_services.cli.options import add_number, add_path
+
 
 def add_parser(subparsers: Any) -> None:
     """Add the verb."""
@@ -22,16 +24,10 @@ def add_parser(subparsers: Any) -> None:
     parser.add_argument(
         "--only", nargs="+", metavar="WORD", default=[], help="faults with such a word or number"
     )
-    parser.add_argument(
-        "--slow",
-        type=float,
-        default=1.0,
-        metavar="F",
-        help="so many times fewer pictures, more time for all",
-    )
+    add_number(parser, "--slow", 1.0, "so many times fewer pictures, more time for all", "F")
     parser.add_argument("--json", type=Path, metavar="FILE")
-    parser.add_argument("--table", type=Path, metavar="FILE", help="the table as Markdown")
-    parser.add_argument("--image", type=Path, metavar="PNG", help="each worker's memory over time")
+    add_path(parser, "--table", "FILE", "the table as Markdown")
+    add_path(parser, "--image", "PNG", "each worker's memory over time")
     parser.set_defaults(call=call)
 
 

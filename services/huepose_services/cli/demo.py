@@ -3,22 +3,21 @@
 from __future__ import annotations
 
 import argparse
-from pathlib import Path
 from typing import Any
 
-from huepose_services.cli.options import add_json, answered, until_told
+from huepose_services.cli.options import add_json, add_number, add_one_of, add_path, answered, until_told
 
 
 def add_parser(subparsers: Any) -> None:
     """Add the verb."""
     parser = subparsers.add_parser("demo", help="the whole pipeline on a built-in scene, with its accuracy")
-    parser.add_argument("--seconds", type=float, default=25.0, metavar="S", help="how long (default: 25)")
-    parser.add_argument("--seed", type=int, default=0, metavar="N", help="which scene (default: 0)")
-    parser.add_argument(
+    add_number(parser, "--seconds", 25.0, "how long (default: 25)", "S")
+    add_number(parser, "--seed", 0, "which scene (default: 0)")
+    add_path(
+        parser,
         "--bundles",
-        type=Path,
-        metavar="DIR",
-        help="a scene of your own objects: folder of reference models (default: built-in objects)",
+        "DIR",
+        "a scene of your own objects: folder of reference models (default: built-in objects)",
     )
     parser.add_argument(
         "--object",
@@ -27,11 +26,11 @@ def add_parser(subparsers: Any) -> None:
         metavar="NAME",
         help="only these; up to five or so have room side by side",
     )
-    parser.add_argument(
+    add_one_of(
+        parser,
         "--segmenter",
-        choices=("depth", "sam"),
-        default="depth",
-        help="how objects are outlined: by depth and colour, or by networks (depth)",
+        ("depth", "sam"),
+        "how objects are outlined: by depth and colour, or by networks (depth)",
     )
     parser.add_argument(
         "--sam",

@@ -8,10 +8,17 @@ import sys
 import time
 from collections.abc import Mapping
 from dataclasses import replace
-from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from huepose_services.cli.options import add_bundles, add_json, add_profile, answered
+from huepose_services.cli.options import (
+    add_box,
+    add_bundles,
+    add_json,
+    add_one_of,
+    add_path,
+    add_profile,
+    answered,
+)
 
 if TYPE_CHECKING:
     from huepose.estimation import Estimator, ObjectQuery, PoseEstimate
@@ -30,36 +37,23 @@ def add_parser(subparsers: Any) -> None:
         help="poses of known objects in one frame",
         description="Find objects in one RGB-D frame. Exit code 0 when answered, also with found: false.",
     )
-    parser.add_argument("--color", type=Path, required=True, metavar="FILE", help="colour picture")
-    parser.add_argument(
-        "--depth", type=Path, required=True, metavar="FILE", help="16 bit depth, aligned to it"
-    )
-    parser.add_argument(
-        "--camera", type=Path, required=True, metavar="FILE.json", help="intrinsics, depth scale"
-    )
+    add_path(parser, "--color", "FILE", "colour picture", required=True)
+    add_path(parser, "--depth", "FILE", "16 bit depth, aligned to it", required=True)
+    add_path(parser, "--camera", "FILE.json", "intrinsics, depth scale", required=True)
     add_bundles(parser)
     parser.add_argument("--object", nargs="+", default=None, metavar="NAME", help="all of the folder without")
-    parser.add_argument(
+    add_one_of(
+        parser,
         "--method",
-        choices=("full", "colorpair", "paper"),
-        default="full",
-        help="full: the best; colorpair: by colour pairs alone; paper: the paper's method as it is "
+        ("full", "colorpair", "paper"),
+        "full: the best; colorpair: by colour pairs alone; paper: the paper's method as it is "
         "(the last two need models that were onboarded with --paper)",
     )
     add_profile(parser)
-    parser.add_argument(
-        "--box",
-        nargs=4,
-        type=float,
-        default=None,
-        metavar=("X", "Y", "W", "H"),
-        help="where it is; all over the picture without",
-    )
+    add_box(parser, "where it is; all over the picture without")
     add_json(parser, to_file=True)
-    parser.add_argument(
-        "--image", type=Path, default=None, metavar="OUT.png", help="the poses drawn over the picture"
-    )
-    parser.add_argument("--explain", type=Path, default=None, metavar="DIR", help="what led to each answer")
+    add_path(parser, "--image", "OUT.png", "the poses drawn over the picture")
+    add_path(parser, "--explain", "DIR", "what led to each answer")
     parser.set_defaults(call=call)
 
 

@@ -7,7 +7,7 @@ from importlib import import_module
 from pathlib import Path
 from typing import Any
 
-from huepose_services.cli.options import add_bundles, add_number, add_profile
+from huepose_services.cli.options import add_bundles, add_number, add_one_of, add_path, add_profile
 
 
 def add_parser(subparsers: Any) -> None:
@@ -35,7 +35,7 @@ def call(arguments: argparse.Namespace) -> int:
 
 def _common(parser: argparse.ArgumentParser) -> None:
     add_bundles(parser)
-    parser.add_argument("--json", type=Path, required=True, metavar="FILE", help="result file")
+    add_path(parser, "--json", "FILE", "result file", required=True)
 
 
 def _seeds(parser: argparse.ArgumentParser, text: str = "of the perturbed boxes; results average") -> None:
@@ -48,10 +48,6 @@ def _objects(parser: argparse.ArgumentParser) -> None:
     )
 
 
-def _path(parser: argparse.ArgumentParser, option: str, metavar: str, text: str) -> None:
-    parser.add_argument(option, type=Path, default=None, metavar=metavar, help=text)
-
-
 def _add_estimate(verbs: Any) -> None:
     parser = verbs.add_parser(
         "estimate",
@@ -60,9 +56,7 @@ def _add_estimate(verbs: Any) -> None:
     )
     source = parser.add_mutually_exclusive_group(required=True)
     source.add_argument("--bop", type=Path, nargs="+", metavar="SCENE_DIR")
-    source.add_argument(
-        "--ycbv", type=Path, metavar="DIR", help="YCB-Video as downloaded: BOP's folder or YCB_Video_Dataset"
-    )
+    add_path(source, "--ycbv", "DIR", "YCB-Video as downloaded: BOP's folder or YCB_Video_Dataset")
     _common(parser)
     parser.add_argument("--method", choices=("full", "colorpair", "paper"), default="full")
     add_profile(parser)
@@ -73,16 +67,16 @@ def _add_estimate(verbs: Any) -> None:
         help="true boxes, disturbed ones (paper: moved by up to a tenth; perturbed: scaled as well), those "
         "of the detector, or of a JSON file in BOP's format (perturbed)",
     )
-    parser.add_argument("--masks", choices=("auto", "gt"), default="auto", help="gt: the true visible mask")
+    add_one_of(parser, "--masks", ("auto", "gt"), "gt: the true visible mask")
     _objects(parser)
     add_number(parser, "--min-visib", 0.1, "leave out labels less visible than this (0.1, as BOP does)", "F")
-    _path(parser, "--equivalent", "FILE", "poses that count as the labelled one does")
+    add_path(parser, "--equivalent", "FILE", "poses that count as the labelled one does")
     _seeds(parser)
     add_number(parser, "--threads", 2, "objects estimated at the same time (2, as when live)")
-    _path(parser, "--csv", "BOP19.csv", "poses for the BOP toolkit")
-    _path(parser, "--models-info", "FILE", "models_info.json of the set: BOP's errors and AR as well")
-    _path(parser, "--plots", "DIR", "curves and pictures")
-    _path(parser, "--failures", "DIR", "a page of pictures and a line why for every wrong pose")
+    add_path(parser, "--csv", "BOP19.csv", "poses for the BOP toolkit")
+    add_path(parser, "--models-info", "FILE", "models_info.json of the set: BOP's errors and AR as well")
+    add_path(parser, "--plots", "DIR", "curves and pictures")
+    add_path(parser, "--failures", "DIR", "a page of pictures and a line why for every wrong pose")
 
 
 def _add_perception(verbs: Any) -> None:
@@ -105,7 +99,7 @@ def _add_perception(verbs: Any) -> None:
     )
     add_number(parser, "--seed", 0, "of the perturbed boxes of masks")
     add_number(parser, "--threads", 2, "objects at the same time (2)")
-    _path(parser, "--plots", "DIR", "pictures of every frame")
+    add_path(parser, "--plots", "DIR", "pictures of every frame")
 
 
 def _add_track(verbs: Any) -> None:
@@ -117,21 +111,19 @@ def _add_track(verbs: Any) -> None:
     source.add_argument("--bop", type=Path, nargs="+", metavar="SCENE_DIR")
     _common(parser)
     add_profile(parser)
-    parser.add_argument(
-        "--method", choices=("full", "paper"), default="full", help="paper: the paper's tracker as it is"
-    )
-    parser.add_argument(
+    add_one_of(parser, "--method", ("full", "paper"), "paper: the paper's tracker as it is")
+    add_one_of(
+        parser,
         "--rotation",
-        choices=("direct", "residual", "kabsch"),
-        default="direct",
-        help="of the method paper: a network for all of the turn, one that corrects the closed form, or the "
+        ("direct", "residual", "kabsch"),
+        "of the method paper: a network for all of the turn, one that corrects the closed form, or the "
         "closed form alone (direct)",
     )
-    parser.add_argument(
+    add_one_of(
+        parser,
         "--protocol",
-        choices=("free", "roft"),
-        default="free",
-        help="free: started once, then alone; roft: results at 5 Hz, one period late",
+        ("free", "roft"),
+        "free: started once, then alone; roft: results at 5 Hz, one period late",
     )
     add_number(parser, "--every", 1, "feed and score every N-th frame (1)")
     parser.add_argument(
@@ -142,7 +134,7 @@ def _add_track(verbs: Any) -> None:
     )
     _objects(parser)
     _seeds(parser)
-    _path(parser, "--plots", "DIR", "curves and pictures")
+    add_path(parser, "--plots", "DIR", "curves and pictures")
 
 
 def _add_poses(verbs: Any) -> None:
@@ -171,15 +163,17 @@ def _add_ablation(verbs: Any) -> None:
     source.add_argument("--bop", type=Path, nargs="+", metavar="SCENE_DIR")
     _common(parser)
     add_number(parser, "--gap", 5, "sequences: frames between the two of a pair (5)")
-    _path(parser, "--plots", "DIR", "where ablation.png or sources.png goes")
-    _path(parser, "--runs", "DIR", "single frames: what is done, by variant; interrupted, it is gone on with")
+    add_path(parser, "--plots", "DIR", "where ablation.png or sources.png goes")
+    add_path(
+        parser, "--runs", "DIR", "single frames: what is done, by variant; interrupted, it is gone on with"
+    )
     parser.add_argument(
         "--set", default=None, metavar="NAME", help="single frames: of the set (the folder of its scenes)"
     )
     parser.add_argument(
         "--quick", type=int, default=None, metavar="N", help="single frames: about N images of all scenes"
     )
-    _path(parser, "--equivalent", "FILE", "single frames: poses that count as the labelled one does")
+    add_path(parser, "--equivalent", "FILE", "single frames: poses that count as the labelled one does")
     _seeds(parser, "single frames: of the perturbed boxes")
 
 
@@ -192,7 +186,7 @@ def _add_calibration(verbs: Any) -> None:
     )
     parser.add_argument("results", type=Path, nargs="+", metavar="RESULT.json")
     parser.add_argument("--method", choices=("full", "colorpair"), default="full")
-    _path(parser, "--plots", "DIR", "reliability pictures")
+    add_path(parser, "--plots", "DIR", "reliability pictures")
 
 
 def _add_compare(verbs: Any) -> None:
@@ -206,7 +200,7 @@ def _add_compare(verbs: Any) -> None:
     )
     parser.add_argument("before", type=Path, metavar="BEFORE", help="a result file, or a folder of them")
     parser.add_argument("after", type=Path, metavar="AFTER", help="the same of the other state")
-    _path(parser, "--json", "FILE", "the comparison with all rows that were won and lost")
+    add_path(parser, "--json", "FILE", "the comparison with all rows that were won and lost")
     add_number(parser, "--margin", 0.1, "percentage points within which a change is none (0.1)", "POINTS")
 
 
@@ -218,17 +212,17 @@ def _add_tables(verbs: Any) -> None:
         "published columns beside what this code gives, as text, Markdown, LaTeX, CSV and one HTML page. "
         "What is done is kept in OUT/runs: an interrupted command goes on where it stopped.",
     )
-    _path(parser, "--ycbv", "DIR", "YCB-Video: BOP's folder, or YCB_Video_Dataset")
-    _path(parser, "--fast-ycb", "DIR", "Fast-YCB: the folder of its sequences, or one of them")
-    _path(
+    add_path(parser, "--ycbv", "DIR", "YCB-Video: BOP's folder, or YCB_Video_Dataset")
+    add_path(parser, "--fast-ycb", "DIR", "Fast-YCB: the folder of its sequences, or one of them")
+    add_path(
         parser,
         "--unseen",
         "DIR",
         "also a family of objects by code that nothing was fitted to: drawn there once (a few minutes)",
     )
-    parser.add_argument("--out", type=Path, required=True, metavar="DIR", help="where everything goes")
-    _path(parser, "--bundles", "DIR", "reference models; without it they are made from the models folder")
-    _path(parser, "--models", "DIR", "textured meshes to make them from (the models folder of --ycbv)")
+    add_path(parser, "--out", "DIR", "where everything goes", required=True)
+    add_path(parser, "--bundles", "DIR", "reference models; without it they are made from the models folder")
+    add_path(parser, "--models", "DIR", "textured meshes to make them from (the models folder of --ycbv)")
     parser.add_argument(
         "--methods",
         nargs="+",
@@ -252,9 +246,7 @@ def _add_tables(verbs: Any) -> None:
     parser.add_argument(
         "--every", type=int, nargs="+", default=[1, 5], metavar="N", help="feed every N-th frame (1 5)"
     )
-    parser.add_argument(
-        "--protocol", choices=("free", "roft"), default="free", help="as in eval track (free)"
-    )
+    add_one_of(parser, "--protocol", ("free", "roft"), "as in eval track (free)")
     parser.add_argument(
         "--start",
         choices=("dope", "gt", "estimate"),
@@ -268,7 +260,9 @@ def _add_tables(verbs: Any) -> None:
         metavar="NAME=FILE.csv",
         help="results of others in the form of the BOP challenge, measured beside ours",
     )
-    _path(parser, "--equivalent", "FILE", "poses that count as the labelled one does, in rows of their own")
+    add_path(
+        parser, "--equivalent", "FILE", "poses that count as the labelled one does, in rows of their own"
+    )
     parser.add_argument(
         "--note", default=None, metavar="TEXT", help="what the data are, where they are not the official ones"
     )
@@ -286,5 +280,5 @@ def _add_results(verbs: Any) -> None:
         "`perception`, each with its command, machine, versions and date.",
     )
     parser.add_argument("results", type=Path, nargs="+", metavar="RESULT.json")
-    parser.add_argument("--out", type=Path, required=True, metavar="FILE.md", help="the page")
-    _path(parser, "--readme", "FILE.md", "a document whose marked table is cut from the results as well")
+    add_path(parser, "--out", "FILE.md", "the page", required=True)
+    add_path(parser, "--readme", "FILE.md", "a document whose marked table is cut from the results as well")

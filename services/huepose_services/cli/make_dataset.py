@@ -6,7 +6,7 @@ import argparse
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from huepose_services.cli.options import add_number
+from huepose_services.cli.options import add_number, add_path
 
 if TYPE_CHECKING:
     from huepose.scenes.official_sets import SetObject
@@ -24,7 +24,7 @@ def add_parser(subparsers: Any) -> None:
     parser.add_argument(
         "--models", required=True, metavar="DIR|builtin", help="BOP models folder; builtin: those of the demo"
     )
-    parser.add_argument("--out", type=Path, required=True, metavar="DIR", help="folder of the data set")
+    add_path(parser, "--out", "DIR", "folder of the data set", required=True)
     add_number(parser, "--scenes", 2, "scenes, or sequences (2)")
     add_number(parser, "--frames", 3, "in each of them; of a sequence 60 at most (3)")
     parser.add_argument("--objects", type=int, nargs="+", default=None, metavar="ID", help="only these ids")

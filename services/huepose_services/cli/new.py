@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from huepose_services.cli.onboard import add_test
-from huepose_services.cli.options import add_unit
+from huepose_services.cli.options import add_path, add_unit
 
 if TYPE_CHECKING:
     from huepose.geometry import Camera
@@ -36,7 +36,7 @@ def add_parser(subparsers: Any) -> None:
     parser.add_argument("mesh", type=Path, metavar="MESH", help="textured mesh (OBJ, PLY, GLB or glTF)")
     add_unit(parser)
     add_test(parser)
-    parser.add_argument("--out", type=Path, default=None, metavar="DIR", help="the folder (NAME)")
+    add_path(parser, "--out", "DIR", "the folder (NAME)")
     parser.set_defaults(call=call)
 
 

@@ -8,7 +8,7 @@ import time
 from typing import TYPE_CHECKING, Any
 
 from huepose_services.cli.attach import add_choice, chosen
-from huepose_services.cli.options import add_json, answered
+from huepose_services.cli.options import add_box, add_json, add_number, answered
 
 if TYPE_CHECKING:
     from huepose_protos.messages import ControlReply, ControlRequest
@@ -31,15 +31,9 @@ def add_parser(subparsers: Any) -> None:
         if action != "list":
             one.add_argument("name", metavar="NAME", help="the name of its reference model")
         if action in ("add", "reset"):
-            one.add_argument(
-                "--box",
-                nargs=4,
-                type=float,
-                metavar=("X", "Y", "W", "H"),
-                help="where it is in the image, in pixels",
-            )
+            add_box(one, "where it is in the image, in pixels")
         if action == "add":
-            one.add_argument("--instances", type=int, default=1, metavar="N", help="up to how many of it (1)")
+            add_number(one, "--instances", 1, "up to how many of it (1)")
         add_json(one)
         add_choice(one)
         one.set_defaults(call=call)

@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from huepose_services.cli.onboard_video import METRES, add_video, mesh_from_video
-from huepose_services.cli.options import add_json, add_unit, answered
+from huepose_services.cli.options import add_json, add_number, add_path, add_unit, answered
 
 if TYPE_CHECKING:
     from huepose.onboarding.batch import Job, Onboarded
@@ -37,18 +37,17 @@ def add_parser(subparsers: Any) -> None:
         "--id", type=int, default=None, metavar="N", help="the object's number in a BOP data set"
     )
     add_unit(one)
-    one.add_argument(
+    add_path(
+        one,
         "--symmetric",
-        type=Path,
-        default=None,
-        metavar="FILE",
-        help="JSON with symmetries of shape and texture: symmetries_discrete and symmetries_continuous as in "
+        "FILE",
+        "JSON with symmetries of shape and texture: symmetries_discrete and symmetries_continuous as in "
         "BOP's models_info.json, millimetres",
     )
     _paper(one)
     add_test(one)
     add_json(one)
-    one.add_argument("--out", type=Path, required=True, metavar="BUNDLES", help="folder of reference models")
+    add_path(one, "--out", "BUNDLES", "folder of reference models", required=True)
     one.set_defaults(call=call)
 
     many = subparsers.add_parser(
@@ -57,10 +56,10 @@ def add_parser(subparsers: Any) -> None:
         description="Make reference models from a BOP models folder (obj_NNNNNN.ply or .obj, millimetres).",
     )
     many.add_argument("models_dir", type=Path, metavar="MODELS_DIR", help="BOP models folder")
-    many.add_argument("--out", type=Path, required=True, metavar="BUNDLES", help="folder of reference models")
+    add_path(many, "--out", "BUNDLES", "folder of reference models", required=True)
     many.add_argument("--ids", type=int, nargs="+", default=None, metavar="N", help="only these objects")
     _paper(many)
-    many.add_argument("--processes", type=int, default=2, metavar="N", help="worker processes (2)")
+    add_number(many, "--processes", 2, "worker processes (2)")
     many.set_defaults(call=call_bop)
 
 

@@ -9,6 +9,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
+from huepose_services.cli.options import add_box, add_path
+
 if TYPE_CHECKING:
     from huepose.datasets.types import Scene
     from huepose.geometry import RgbdFrame
@@ -30,22 +32,14 @@ class FromVideo:
 
 def add_video(parser: argparse.ArgumentParser) -> None:
     """Add the options of a recording in the place of a mesh."""
-    parser.add_argument(
+    add_path(
+        parser,
         "--from-video",
-        type=Path,
-        default=None,
-        metavar="RECORDING",
-        help="without a mesh: a recording of `huepose record` (.mcap) or a BOP scene's folder, in which the "
+        "RECORDING",
+        "without a mesh: a recording of `huepose record` (.mcap) or a BOP scene's folder, in which the "
         "object is turned by hand or on a turntable; with --box or --click",
     )
-    parser.add_argument(
-        "--box",
-        type=float,
-        nargs=4,
-        default=None,
-        metavar=("X", "Y", "W", "H"),
-        help="the object in the recording's first frame, pixels",
-    )
+    add_box(parser, "the object in the recording's first frame, pixels")
     parser.add_argument(
         "--click",
         type=float,

@@ -5,7 +5,7 @@ from __future__ import annotations
 import argparse
 import json
 import signal
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from types import FrameType
 from typing import Any
@@ -37,11 +37,26 @@ def answered(arguments: argparse.Namespace, answer: Any, summary: str) -> None:
     print(text if arguments.json is True else summary)
 
 
+def add_path(
+    parser: argparse.ArgumentParser, option: str, metavar: str, text: str, *, required: bool = False
+) -> None:
+    """Add an option that is a file or a folder, None where it may be left out and is."""
+    parser.add_argument(option, type=Path, required=required, metavar=metavar, help=text)
+
+
+def add_one_of(parser: argparse.ArgumentParser, option: str, names: Sequence[str], text: str) -> None:
+    """Add an option that is one of some names, the first of them by default."""
+    parser.add_argument(option, choices=names, default=names[0], help=text)
+
+
+def add_box(parser: argparse.ArgumentParser, text: str) -> None:
+    """Add `--box`, four numbers in pixels."""
+    parser.add_argument("--box", nargs=4, type=float, metavar=("X", "Y", "W", "H"), help=text)
+
+
 def add_bundles(parser: argparse.ArgumentParser) -> None:
     """Add `--bundles`, which must be given."""
-    parser.add_argument(
-        "--bundles", type=Path, required=True, metavar="DIR", help="folder of reference models"
-    )
+    add_path(parser, "--bundles", "DIR", "folder of reference models", required=True)
 
 
 def add_number(
@@ -65,12 +80,8 @@ def add_host(parser: argparse.ArgumentParser) -> None:
 
 def add_profile(parser: argparse.ArgumentParser) -> None:
     """Add `--profile`."""
-    parser.add_argument(
-        "--profile",
-        choices=("live", "patient"),
-        default="live",
-        help="live: as the workers of a pipeline; patient: answers may take longer (live)",
-    )
+    text = "live: as the workers of a pipeline; patient: answers may take longer (live)"
+    add_one_of(parser, "--profile", ("live", "patient"), text)
 
 
 def add_unit(parser: argparse.ArgumentParser) -> None:

@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from huepose_services.cli.attach import add_choice, chosen_config
-from huepose_services.cli.options import until_told
+from huepose_services.cli.options import add_number, until_told
 
 if TYPE_CHECKING:
     from huepose_services.recording.parts import Parts
@@ -28,15 +28,11 @@ def add_parser(subparsers: Any) -> None:
     parser.add_argument(
         "--jpeg", action="store_true", help="colour as JPEG: a third of the size, but not exact (no --verify)"
     )
-    parser.add_argument(
-        "--part", type=int, default=2048, metavar="MIB", help="go on in a new file at this size (2048)"
-    )
+    add_number(parser, "--part", 2048, "go on in a new file at this size (2048)", "MIB")
     parser.add_argument(
         "--keep", type=int, metavar="MIB", help="delete the oldest files beyond this (default: none)"
     )
-    parser.add_argument(
-        "--free", type=int, default=1024, metavar="MIB", help="end before the disk has less left (1024)"
-    )
+    add_number(parser, "--free", 1024, "end before the disk has less left (1024)", "MIB")
     parser.set_defaults(call=call)
 
 

@@ -6,7 +6,7 @@ import argparse
 from pathlib import Path
 from typing import Any
 
-from huepose_services.cli.options import add_number
+from huepose_services.cli.options import add_number, add_one_of, add_path
 
 
 def add_parser(subparsers: Any) -> None:
@@ -26,13 +26,13 @@ def add_parser(subparsers: Any) -> None:
     )
     other = "with builtin: the same shapes in other textures, look-alikes of the demo's (0: the demo's own)"
     add_number(parser, "--textures", 0, other)
-    parser.add_argument(
+    add_one_of(
+        parser,
         "--kind",
-        choices=("heaps", "piles"),
-        default="heaps",
-        help="piles: denser, farther away, in dim and coloured light, half of them in a box (heaps)",
+        ("heaps", "piles"),
+        "piles: denser, farther away, in dim and coloured light, half of them in a box (heaps)",
     )
-    parser.add_argument("--out", type=Path, required=True, metavar="DIR", help="scene folder")
+    add_path(parser, "--out", "DIR", "scene folder", required=True)
     add_number(parser, "--frames", 100, "how many (100)")
     add_number(parser, "--seed", 0, "of everything that varies (0)")
     parser.add_argument("--objects", type=int, nargs="+", default=None, metavar="ID", help="only these ids")

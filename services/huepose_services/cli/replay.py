@@ -11,7 +11,7 @@ from itertools import chain
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from huepose_services.cli.options import answered, until_told
+from huepose_services.cli.options import add_number, add_path, answered, until_told
 
 if TYPE_CHECKING:
     from contextlib import ExitStack
@@ -34,21 +34,21 @@ def add_parser(subparsers: Any) -> None:
     parser.add_argument(
         "files", type=Path, nargs="+", metavar="FILE", help="in their order, where there are several"
     )
-    parser.add_argument("--config", type=Path, metavar="PIPELINE", help="for names and ports")
+    add_path(parser, "--config", "PIPELINE", "for names and ports")
     parser.add_argument(
         "--camera",
         metavar="NAME",
         help="as which of several cameras of PIPELINE; without it each file as the one that it is of",
     )
-    parser.add_argument("--speed", type=float, default=1.0, metavar="X", help="1: as it was (default)")
+    add_number(parser, "--speed", 1.0, "1: as it was (default)", "X")
     parser.add_argument("--loop", action="store_true", help="again and again")
     parser.add_argument("--only", metavar="WORKER", help="what this worker said: camera, tracker, ...")
     instead = parser.add_mutually_exclusive_group()
     instead.add_argument(
         "--verify", action="store_true", help="compute the poses again and compare them bit by bit"
     )
-    instead.add_argument("--bop", type=Path, metavar="DIR", help="write a BOP scene to a new folder instead")
-    parser.add_argument("--bundles", type=Path, metavar="DIR", help="the reference models for --verify")
+    add_path(instead, "--bop", "DIR", "write a BOP scene to a new folder instead")
+    add_path(parser, "--bundles", "DIR", "the reference models for --verify")
     parser.add_argument("--json", action="store_true", help="what --verify found as JSON")
     parser.set_defaults(call=call)
 

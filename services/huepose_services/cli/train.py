@@ -8,7 +8,7 @@ import shlex
 from pathlib import Path
 from typing import Any
 
-from huepose_services.cli.options import add_number
+from huepose_services.cli.options import add_number, add_path
 
 
 def add_parser(subparsers: Any) -> None:
@@ -58,7 +58,7 @@ def _add_views(whats: Any) -> None:
 def _add_limits(
     parser: argparse.ArgumentParser, batch: str = "samples of one step (64)", batch_default: int = 64
 ) -> None:
-    parser.add_argument("--out", type=Path, required=True, metavar="DIR", help="where the network goes")
+    add_path(parser, "--out", "DIR", "where the network goes", required=True)
     add_number(parser, "--hours", 2.0, "wall time (2)", "H")
     add_number(parser, "--seed", 0, "of what is drawn, and of the first weights (0)")
     add_number(parser, "--workers", 1, "processes that draw (1)")

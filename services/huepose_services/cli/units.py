@@ -7,20 +7,16 @@ import sys
 from pathlib import Path
 from typing import Any
 
-from huepose_services.cli.options import add_host
+from huepose_services.cli.options import add_host, add_path
 
 
 def add_parser(subparsers: Any) -> None:
     """Add the verb."""
     parser = subparsers.add_parser("units", help="write systemd units for the workers of a pipeline")
     parser.add_argument("config", nargs="?", type=Path, default=Path("pipeline.yaml"), metavar="PIPELINE")
-    parser.add_argument(
-        "--out", type=Path, required=True, metavar="DIR", help="for example /etc/systemd/system"
-    )
+    add_path(parser, "--out", "DIR", "for example /etc/systemd/system", required=True)
     parser.add_argument("--user", default="huepose", metavar="NAME", help="whose processes; default huepose")
-    parser.add_argument(
-        "--huepose", type=Path, metavar="COMMAND", help="what the units call; default this command itself"
-    )
+    add_path(parser, "--huepose", "COMMAND", "what the units call; default this command itself")
     add_host(parser)
     parser.set_defaults(call=call)
 

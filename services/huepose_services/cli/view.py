@@ -6,11 +6,10 @@ import argparse
 import sys
 import time
 from collections.abc import Callable
-from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from huepose_services.cli.attach import add_choice, chosen_config
-from huepose_services.cli.options import until_told
+from huepose_services.cli.options import add_path, until_told
 
 if TYPE_CHECKING:
     from huepose_services.runtime.config import Config
@@ -25,7 +24,7 @@ def add_parser(subparsers: Any) -> None:
     add_choice(parser)
     where = parser.add_mutually_exclusive_group()
     where.add_argument("--web", type=_port, metavar="PORT", help="serve a page there, without the internet")
-    where.add_argument("--save", type=Path, metavar="FILE.rrd", help="write a file for the rerun viewer")
+    add_path(where, "--save", "FILE.rrd", "write a file for the rerun viewer")
     parser.add_argument("--seconds", type=float, metavar="S", help="stop after so long")
     parser.set_defaults(call=call)
 

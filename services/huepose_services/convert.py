@@ -1,8 +1,13 @@
-"""Between the wire and the library: poses, priors, masks, frames. The only module that knows both forms."""
+"""Between the wire and the library: what both call alike is the same, but for what has another form."""
 
 from __future__ import annotations
 
+from collections.abc import Callable
+from enum import Enum
+from typing import Any, ClassVar, Protocol, TypeVar
+
 import numpy as np
+from msgspec import Struct
 
 from huepose.geometry import Box, Camera, RgbdFrame, se3
 from huepose.geometry.arrays import Float, Float64, UInt16
@@ -10,6 +15,17 @@ from huepose.reinit.types import Prior
 from huepose_protos.buffers import frame_images
 from huepose_protos.messages import FrameHeader, Intrinsics, PoseMessage
 from huepose_protos.messages import Prior as WirePrior
+from huepose_protos.runlength import mask_of, runs_of
+
+S = TypeVar("S", bound=Struct)
+V = TypeVar("V", bound="_Value")
+
+
+class _Value(Protocol):
+    """A dataclass."""
+
+    __dataclass_fields__: ClassVar[dict[str, Any]]
+
 
 _ROTATION = 1e-2
 LARGEST_STEP = 65535
@@ -31,11 +47,6 @@ def pose_to_wire(T_cam_obj: Float) -> tuple[Vector, Quaternion]:
     return (x, y, z), (qx, qy, qz, qw)
 
 
-def optional_pose_to_wire(T_cam_obj: Float | None) -> tuple[Vector | None, Quaternion | None]:
-    """The same where there may be no pose."""
-    return (None, None) if T_cam_obj is None else pose_to_wire(T_cam_obj)
-
-
 def pose_from_wire(translation: Vector, quaternion: Quaternion) -> Float64:
     """Pose (4, 4) of a translation and a quaternion (xyzw)."""
     return se3.make(se3.rotation_from_quaternion(np.array(quaternion)), np.array(translation))
@@ -48,27 +59,24 @@ def optional_pose_from_wire(translation: Vector | None, quaternion: Quaternion |
     return pose_from_wire(translation, quaternion)
 
 
-def twist_to_wire(velocity: Float | None) -> tuple[Vector | None, Vector | None]:
+def _twist_to_wire(velocity: Float) -> tuple[Vector, Vector]:
     """Linear and angular velocity of a twist (6,)."""
-    if velocity is None:
-        return None, None
     vx, vy, vz, wx, wy, wz = np.asarray(velocity, dtype=np.float64).tolist()
     return (vx, vy, vz), (wx, wy, wz)
 
 
-def twist_from_wire(linear: Vector | None, angular: Vector | None) -> Float64 | None:
-    """Twist (6,) of linear and angular velocity."""
-    return None if linear is None or angular is None else np.array([*linear, *angular])
+def _twist_from_wire(linear: Vector, angular: Vector) -> Float64:
+    return np.array([*linear, *angular])
 
 
-def covariance_to_wire(covariance: Float | None) -> list[float] | None:
+def _covariance_to_wire(covariance: Float) -> list[float]:
     """36 numbers of a covariance (6, 6)."""
-    return None if covariance is None else np.asarray(covariance, dtype=np.float64).ravel().tolist()
+    numbers: list[float] = np.asarray(covariance, dtype=np.float64).ravel().tolist()
+    return numbers
 
 
-def covariance_from_wire(numbers: list[float] | None) -> Float64 | None:
-    """Covariance (6, 6) of 36 numbers."""
-    return None if numbers is None else np.array(numbers).reshape(6, 6)
+def _covariance_from_wire(numbers: list[float]) -> Float64:
+    return np.array(numbers).reshape(6, 6)
 
 
 def box_to_wire(box: Box) -> BoxTuple:
@@ -111,14 +119,58 @@ def camera_from_wire(i: Intrinsics) -> Camera:
     return Camera(i.fx, i.fy, i.cx, i.cy, i.width, i.height)
 
 
+_POSE = pose_to_wire, pose_from_wire
+_BOX = box_to_wire, box_from_wire
+_FORMS: dict[str, tuple[tuple[str, ...], tuple[Callable[..., Any], Callable[..., Any]]]] = {
+    "T_cam_obj": (("translation", "quaternion"), _POSE),
+    "prior_T_cam_obj": (("prior_translation", "prior_quaternion"), _POSE),
+    "velocity": (("velocity_linear", "velocity_angular"), (_twist_to_wire, _twist_from_wire)),
+    "covariance": (("covariance",), (_covariance_to_wire, _covariance_from_wire)),
+    "mask": (("mask",), (runs_of, mask_of)),
+    "box": (("box",), _BOX),
+    "box_visib": (("box",), _BOX),
+}
+"""What has another form on the wire, by the library's name: its fields there, the way there and back."""
+_CALLED = {"epoch": "camera_epoch", "stamp_ns": "capture_ns"}
+"""What has another name there."""
+
+
+def to_wire(kind: type[S], value: _Value, **given: Any) -> S:
+    """A message, or a part of one, of a value of the library: fields of the same name, in the wire's forms.
+    given: what the value does not say, or says otherwise."""
+    out: dict[str, Any] = {}
+    for name in value.__dataclass_fields__:
+        item = getattr(value, name)
+        if name in _FORMS:
+            parts, (there, _) = _FORMS[name]
+            said = (None,) * len(parts)
+            if item is not None:
+                said = there(item) if len(parts) > 1 else (there(item),)
+            out.update(zip(parts, said, strict=True))
+        else:
+            out[name] = out[_CALLED.get(name, name)] = item.value if isinstance(item, Enum) else item
+    return kind(**{name: item for name, item in {**out, **given}.items() if name in kind.__struct_fields__})
+
+
+def from_wire(kind: type[V], message: Struct, **given: Any) -> V:
+    """A value of the library of a message, or of a part of one; None for what the message has as null. given:
+    what the message does not say, or has in another form."""
+    out = dict(given)
+    for name in kind.__dataclass_fields__.keys() - given.keys():
+        if name in _FORMS:
+            parts, (_, back) = _FORMS[name]
+            said = [getattr(message, part) for part in parts]
+            out[name] = None if None in said else back(*said)
+        else:
+            called = name if hasattr(message, name) else _CALLED.get(name, name)
+            if hasattr(message, called):
+                out[name] = getattr(message, called)
+    return kind(**out)
+
+
 def prior_from_wire(prior: WirePrior) -> Prior:
     """A tracked pose that can be predicted to another stamp."""
-    return Prior(
-        T_cam_obj=pose_from_wire(prior.translation, prior.quaternion),
-        velocity=twist_from_wire(prior.velocity_linear, prior.velocity_angular),
-        covariance=covariance_from_wire(prior.covariance),
-        stamp_ns=prior.stamp_ns,
-    )
+    return from_wire(Prior, prior)
 
 
 def frame_from_wire(header: FrameHeader, payload: bytes) -> RgbdFrame:

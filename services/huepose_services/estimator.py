@@ -4,22 +4,15 @@ from __future__ import annotations
 
 from dataclasses import replace
 
-from huepose.estimation import Estimator, ObjectQuery, PoseEstimate
+from huepose.estimation import Estimator, ObjectQuery
 from huepose.estimation.types import PosePrior
 from huepose.model import ReferenceModel
 from huepose.profiles import profile
 from huepose_protos import WireError
 from huepose_protos.messages import EstimatedObject, Estimates, MaskedObject, Masks
-from huepose_protos.runlength import mask_of, runs_of
+from huepose_protos.runlength import mask_of
 from huepose_services import models
-from huepose_services.convert import (
-    box_from_wire,
-    box_to_wire,
-    covariance_to_wire,
-    frame_from_wire,
-    optional_pose_to_wire,
-    prior_from_wire,
-)
+from huepose_services.convert import box_from_wire, frame_from_wire, prior_from_wire, to_wire
 from huepose_services.following import Follower
 from huepose_services.runtime.bus import Bus
 from huepose_services.runtime.clock import now_ns
@@ -72,7 +65,7 @@ class EstimatorWork(Work):
             return
         answers = self._estimator.estimate(frame, queries)
         estimates = [
-            estimate_to_wire(answer, item.detection.request.instance)
+            to_wire(EstimatedObject, answer, instance=item.detection.request.instance)
             for answer, item in zip(answers, objects, strict=True)
         ]
         self._bus.put_control(
@@ -105,28 +98,3 @@ class EstimatorWork(Work):
             prior=prior,
             instance=-1 if request.instance is None else request.instance,
         )
-
-
-def estimate_to_wire(answer: PoseEstimate, instance: int | None) -> EstimatedObject:
-    """The message's part of an answer; instance as it was requested."""
-    translation, quaternion = optional_pose_to_wire(answer.T_cam_obj)
-    prior_translation, prior_quaternion = optional_pose_to_wire(answer.prior_T_cam_obj)
-    return EstimatedObject(
-        object=answer.object,
-        instance=instance,
-        found=answer.found,
-        state=answer.state,
-        quality=answer.quality,
-        score=answer.score,
-        margin=answer.margin,
-        translation=translation,
-        quaternion=quaternion,
-        covariance=covariance_to_wire(answer.covariance),
-        prior_score=answer.prior_score,
-        prior_translation=prior_translation,
-        prior_quaternion=prior_quaternion,
-        box=None if answer.box is None else box_to_wire(answer.box),
-        mask=None if answer.mask is None else runs_of(answer.mask),
-        seconds=answer.seconds,
-        reason=answer.reason,
-    )

@@ -9,13 +9,11 @@ from typing import Literal
 from huepose.estimation.types import PoseEstimate
 from huepose.reinit import ReinitConfig, ReinitLoop, rehearse
 from huepose.reinit.types import ObjectSlot, PerceptionResult, Request
-from huepose.reinit.types import Prior as LoopPrior
 from huepose.tracking.types import Correction, State, TrackedPose
 from huepose_protos import WireError
 from huepose_protos.messages import (
     ControlRequest,
     CorrectionMessage,
-    EstimatedObject,
     Estimates,
     ObjectEntry,
     ObjectsMessage,
@@ -24,18 +22,8 @@ from huepose_protos.messages import (
     Prior,
     RequestedObject,
 )
-from huepose_protos.runlength import mask_of, runs_of
 from huepose_services import models
-from huepose_services.convert import (
-    box_from_wire,
-    covariance_from_wire,
-    covariance_to_wire,
-    optional_pose_from_wire,
-    pose_of,
-    pose_to_wire,
-    twist_from_wire,
-    twist_to_wire,
-)
+from huepose_services.convert import from_wire, to_wire
 from huepose_services.following import Retired, recall
 from huepose_services.runtime.bus import Bus
 from huepose_services.runtime.clock import SECOND, now_ns
@@ -230,99 +218,27 @@ def reasons_not_seen(sought: Iterable[str], answer: Estimates) -> dict[str, str]
 
 def track_from_wire(message: PoseMessage) -> TrackedPose:
     """The tracked pose of a message."""
-    return TrackedPose(
-        object=message.object,
-        instance=message.instance,
-        epoch=message.camera_epoch,
-        frame_id=message.frame_id,
-        stamp_ns=message.capture_ns,
-        state=State(message.state),
-        T_cam_obj=pose_of(message),
-        velocity=twist_from_wire(message.velocity_linear, message.velocity_angular),
-        quality=message.quality,
-        covariance=covariance_from_wire(message.covariance),
-        applied_correction_seq=message.applied_correction_seq,
-    )
+    return from_wire(TrackedPose, message, state=State(message.state))
 
 
 def result_from_wire(message: Estimates) -> PerceptionResult:
     """The chain's answer of a message."""
-    return PerceptionResult(
-        request=message.request_seq,
-        epoch=message.camera_epoch,
-        frame_id=message.frame_id,
-        stamp_ns=message.capture_ns,
-        estimates=tuple(_estimate_from_wire(e) for e in message.estimates),
+    estimates = tuple(
+        from_wire(PoseEstimate, e, instance=-1 if e.instance is None else e.instance, alternatives=())
+        for e in message.estimates
     )
-
-
-def _estimate_from_wire(e: EstimatedObject) -> PoseEstimate:
-    return PoseEstimate(
-        object=e.object,
-        instance=-1 if e.instance is None else e.instance,
-        found=e.found,
-        T_cam_obj=optional_pose_from_wire(e.translation, e.quaternion),
-        quality=e.quality,
-        state=e.state,
-        score=e.score,
-        margin=e.margin,
-        covariance=covariance_from_wire(e.covariance),
-        mask=None if e.mask is None else mask_of(e.mask),
-        box=None if e.box is None else box_from_wire(e.box),
-        prior_score=e.prior_score,
-        prior_T_cam_obj=optional_pose_from_wire(e.prior_translation, e.prior_quaternion),
-        alternatives=(),
-        seconds=e.seconds,
-        reason=e.reason,
-    )
+    return from_wire(PerceptionResult, message, request=message.request_seq, estimates=estimates)
 
 
 def request_to_wire(request: Request) -> PerceptionRequest:
     """The message of a request."""
-    return PerceptionRequest(
-        publish_ns=now_ns(),
-        seq=request.number,
-        camera_epoch=request.epoch,
-        deadline_ns=request.deadline_ns,
-        objects=[
-            RequestedObject(
-                object=item.object,
-                instance=item.instance,
-                prior=None if item.prior is None else _prior_to_wire(item.prior),
-                wanted=item.wanted,
-            )
-            for item in request.objects
-        ],
-    )
-
-
-def _prior_to_wire(prior: LoopPrior) -> Prior:
-    translation, quaternion = pose_to_wire(prior.T_cam_obj)
-    linear, angular = twist_to_wire(prior.velocity)
-    return Prior(
-        stamp_ns=prior.stamp_ns,
-        translation=translation,
-        quaternion=quaternion,
-        velocity_linear=linear,
-        velocity_angular=angular,
-        covariance=covariance_to_wire(prior.covariance),
-    )
+    objects = [
+        to_wire(RequestedObject, item, prior=None if item.prior is None else to_wire(Prior, item.prior))
+        for item in request.objects
+    ]
+    return to_wire(PerceptionRequest, request, publish_ns=now_ns(), seq=request.number, objects=objects)
 
 
 def correction_to_wire(correction: Correction) -> CorrectionMessage:
     """The message of a correction."""
-    translation, quaternion = pose_to_wire(correction.T_cam_obj)
-    return CorrectionMessage(
-        publish_ns=now_ns(),
-        object=correction.object,
-        instance=correction.instance,
-        camera_epoch=correction.epoch,
-        frame_id=correction.frame_id,
-        capture_ns=correction.stamp_ns,
-        translation=translation,
-        quaternion=quaternion,
-        quality=correction.quality,
-        verdict=correction.verdict.value,
-        seq=correction.seq,
-        mask=None if correction.mask is None else runs_of(correction.mask),
-    )
+    return to_wire(CorrectionMessage, correction, publish_ns=now_ns())

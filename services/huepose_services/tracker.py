@@ -14,12 +14,12 @@ from huepose.profiles import profile
 from huepose.support.errors import InputError
 from huepose.tracking import Tracker, memory
 from huepose.tracking.history import CLOSE_S, WIDE_S
-from huepose.tracking.types import Applied, State, TrackedPose
+from huepose.tracking.types import Applied, Correction, State, TrackedPose, Verdict
 from huepose_protos import WireError
-from huepose_protos.messages import CorrectionMessage, FrameHeader, MemoryMessage
+from huepose_protos.messages import CorrectionMessage, FrameHeader, MemoryMessage, PoseMessage
+from huepose_protos.runlength import mask_of
 from huepose_services import models, networks
-from huepose_services.convert import frame_from_wire
-from huepose_services.convert_tracked import correction_from_wire, tracked_to_wire
+from huepose_services.convert import frame_from_wire, from_wire, to_wire
 from huepose_services.doubts import complaint_about, lens_doubted, why_doubted
 from huepose_services.following import Follower, Retired
 from huepose_services.given import Given
@@ -339,6 +339,27 @@ class TrackerWork(Work):
         self._bus.put(self._bus.keys.pose(pose.object, pose.instance), message)
         self._told.note(f"{pose.object}/{pose.instance}", pose.state.value, f"quality {pose.quality:.2f}")
         self._bus.health.count(f"poses_{pose.state.value.lower()}")
+
+
+def correction_from_wire(message: CorrectionMessage, header: FrameHeader | None = None) -> Correction:
+    """The correction of a message. header: of a frame of the camera that it is about; raises WireError for a
+    mask that has not that frame's size."""
+    size = None if header is None else (header.intrinsics.height, header.intrinsics.width)
+    mask = None if message.mask is None else mask_of(message.mask, size)
+    return from_wire(Correction, message, mask=mask, verdict=Verdict(message.verdict))
+
+
+def tracked_to_wire(pose: TrackedPose, header: FrameHeader, publish_ns: int, reason: str = "") -> PoseMessage:
+    """The message of a tracked pose; the header names the camera's frame and clock."""
+    return to_wire(
+        PoseMessage,
+        pose,
+        publish_ns=publish_ns,
+        frame=header.frame,
+        clock_id=header.clock.clock_id,
+        realtime_offset_ns=header.clock.realtime_offset_ns,
+        reason=reason,
+    )
 
 
 def _doubted(pose: TrackedPose) -> TrackedPose:

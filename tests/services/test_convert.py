@@ -13,10 +13,21 @@ from huepose.reinit.types import Prior, Request, RequestedObject
 from huepose.tracking.types import Correction, State, TrackedPose, Verdict
 from huepose_protos import decode, encode
 from huepose_protos.examples import messages
-from huepose_protos.messages import CorrectionMessage, Estimates, FrameHeader, PerceptionRequest, PoseMessage
-from huepose_services.convert import depth_to_wire, pose_from_wire, pose_to_wire, prior_from_wire
-from huepose_services.convert_tracked import correction_from_wire, tracked_to_wire
-from huepose_services.estimator import estimate_to_wire
+from huepose_protos.messages import (
+    CorrectionMessage,
+    EstimatedObject,
+    Estimates,
+    FrameHeader,
+    PerceptionRequest,
+    PoseMessage,
+)
+from huepose_services.convert import (
+    depth_to_wire,
+    pose_from_wire,
+    pose_to_wire,
+    prior_from_wire,
+    to_wire,
+)
 from huepose_services.reinit import (
     correction_to_wire,
     reasons_not_seen,
@@ -24,6 +35,7 @@ from huepose_services.reinit import (
     result_from_wire,
     track_from_wire,
 )
+from huepose_services.tracker import correction_from_wire, tracked_to_wire
 
 T = se3.make(se3.rotation_exp(np.array([0.4, -1.2, 0.3])), np.array([0.1, -0.05, 0.8]))
 VELOCITY = np.array([0.1, 0.2, -0.3, 1.0, -2.0, 0.5])
@@ -128,7 +140,10 @@ def test_estimates_come_back(instance):
         camera_epoch=5,
         frame_id=9,
         capture_ns=123,
-        estimates=[estimate_to_wire(found, instance), estimate_to_wire(lost, instance)],
+        estimates=[
+            to_wire(EstimatedObject, found, instance=instance),
+            to_wire(EstimatedObject, lost, instance=instance),
+        ],
     )
     result = result_from_wire(_through(message))
     assert (result.request, result.epoch, result.frame_id, result.stamp_ns) == (8, 5, 9, 123)
@@ -149,7 +164,7 @@ def test_why_objects_that_are_sought_are_not_seen():
         pose = PoseEstimate(
             name, -1, not reason, T_found, quality, "SUSPECT", 1.0, 0.0, None, None, None, None, None, (), 0.1
         )
-        return estimate_to_wire(replace(pose, reason=reason), instance)
+        return to_wire(EstimatedObject, replace(pose, reason=reason), instance=instance)
 
     answer = Estimates(
         publish_ns=1,

@@ -19,7 +19,7 @@ from huepose_protos.messages import (
     TruthObject,
 )
 from huepose_protos.motion import composed
-from huepose_services.convert import box_to_wire, depth_to_wire, intrinsics_to_wire, optional_pose_to_wire
+from huepose_services.convert import depth_to_wire, intrinsics_to_wire, to_wire
 from huepose_services.runtime.bus import Bus
 from huepose_services.runtime.clock import SECOND, now_ns, this_clock
 from huepose_services.runtime.config import Config
@@ -93,20 +93,6 @@ class FramePublisher:
         image: int,
     ) -> None:
         """What the source knows about a frame; said before the frame itself."""
-        objects = []
-        for truth in truths:
-            translation, quaternion = optional_pose_to_wire(truth.T_cam_obj)
-            objects.append(
-                TruthObject(
-                    object=truth.object,
-                    object_id=truth.object_id,
-                    instance=truth.instance,
-                    translation=translation,
-                    quaternion=quaternion,
-                    visib_fract=truth.visib_fract,
-                    box=None if truth.box_visib is None else box_to_wire(truth.box_visib),
-                )
-            )
         message = TruthMessage(
             publish_ns=now_ns(),
             camera_epoch=epoch,
@@ -114,7 +100,7 @@ class FramePublisher:
             capture_ns=capture_ns,
             scene=scene,
             image=image,
-            objects=objects,
+            objects=[to_wire(TruthObject, truth) for truth in truths],
         )
         self._bus.put(self._keys.truth, message)
 

@@ -9,7 +9,7 @@ from huepose.geometry import RgbdFrame
 from huepose.support.errors import InputError
 from huepose_protos.keys import tail_of
 from huepose_protos.messages import FrameHeader, TruthMessage
-from huepose_services.convert import box_from_wire, frame_from_wire, optional_pose_from_wire
+from huepose_services.convert import frame_from_wire, from_wire
 from huepose_services.recording.part import GIVEN
 from huepose_services.recording.read import Recording
 from huepose_services.runtime.config import Config
@@ -69,17 +69,7 @@ class RecordedScene:
     def truths(self, image: int) -> tuple[GroundTruth, ...]:
         """Where everything was, as the recorded camera said."""
         said = self._truths.get(_key(self._frames[image]))
-        return tuple(
-            GroundTruth(
-                instance=o.instance,
-                T_cam_obj=optional_pose_from_wire(o.translation, o.quaternion),
-                object_id=o.object_id,
-                object=o.object,
-                visib_fract=o.visib_fract,
-                box_visib=None if o.box is None else box_from_wire(o.box),
-            )
-            for o in ([] if said is None else said.objects)
-        )
+        return tuple(from_wire(GroundTruth, o) for o in ([] if said is None else said.objects))
 
 
 def _key(message: FrameHeader | TruthMessage) -> _Key:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import struct
 import time
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
 
@@ -31,8 +32,8 @@ from huepose_services.ros2.messages import (
     type_hash,
     types,
 )
-from huepose_services.ros2.publisher import Node, attachment, node_token, publisher_token, topic_key
-from huepose_services.ros2.work import Ros2Work, open_ros_session
+from huepose_services.ros2.publisher import attachment, node_token, publisher_token, topic_key
+from huepose_services.ros2.work import Ros2Work, Router
 from huepose_services.runtime.bus import Bus
 from huepose_services.runtime.config import BusConfig, Config, Ros2Config
 from huepose_services.runtime.health import Health
@@ -139,8 +140,16 @@ class Heard:
         return [s for s in self.samples if part in str(s.key_expr)]
 
 
+def _step_until(work: Ros2Work, done: Callable[[], bool]) -> None:
+    until = time.monotonic() + 20.0
+    while not done():
+        assert time.monotonic() < until
+        time.sleep(0.05)
+        work.step()
+
+
 @pytest.mark.live
-def test_what_is_tracked_arrives_at_a_router(base_port: int) -> None:
+def test_what_is_tracked_arrives_at_a_router_that_comes_later(base_port: int) -> None:
     router_config = zenoh.Config()
     router_config.insert_json5("mode", '"router"')
     router_config.insert_json5("listen/endpoints", f'["tcp/127.0.0.1:{base_port + 9}"]')
@@ -151,22 +160,24 @@ def test_what_is_tracked_arrives_at_a_router(base_port: int) -> None:
     inner, _ = open_worker_session(config, "ros2")
     tracker, _ = open_worker_session(config, "tracker")
     bus = Bus(inner, config.keys, "ros2", Log("ros2"), Health("ros2"))
+    work = Ros2Work(bus, Router(config.ros2), config.ros2, {})
+    _step_until(work, lambda: bus.health.message().warnings != [])
+    (warning,) = bus.health.message().warnings
+    assert f"no router of ROS 2 answers at {config.ros2.connect}; `ros2 run" in warning
     with zenoh.open(router_config) as router:
         heard = Heard([])
         router.declare_subscriber("0/**", heard.samples.append)
-        session = open_ros_session(config.ros2)
-        work = Ros2Work(bus, Node(session, "huepose", 0, "rmw_zenoh"), config.ros2, {})
         shown = pose(frame_id=1)
         doubted = pose(state="SUSPECT", instance=9)
-        until = time.monotonic() + 10.0
-        while time.monotonic() < until and not heard.of("/detections/"):
+
+        def arrived() -> bool:
             for message in (shown, doubted):
                 tracker.put(config.keys.pose(message.object, message.instance), encode(message))
             tracker.put(config.keys.camera_info, encode(CAMERA_SEEN))
-            time.sleep(0.05)
-            work.step()
+            return bool(heard.of("/detections/")) and bus.health.message().warnings == []
+
+        _step_until(work, arrived)
         tokens = {str(r.ok.key_expr) for r in router.liveliness().get("@ros2_lv/**") if r.ok is not None}
-        session.close()
     bus.close()
     inner.close()
     tracker.close()

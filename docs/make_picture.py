@@ -32,7 +32,7 @@ COLORS = [(255, 196, 0), (0, 200, 255), (120, 255, 80), (255, 90, 160), (190, 14
 def main() -> None:
     """Estimate one frame, draw it, write the file."""
     scene, models = SyntheticScene(SEED), load_models(builtin_bundles(SEED))
-    frame, truths = scene.frame(FRAME), scene.truth(FRAME)
+    frame, truths = scene.frame(FRAME), scene.truths(FRAME)
     boxes = [
         disturbed(t.box_visib, "perturbed", 0, "picture", FRAME, t.instance, frame.camera) for t in truths
     ]

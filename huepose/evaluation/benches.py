@@ -62,7 +62,7 @@ def bench_estimate(
     steps = np.linspace(0, len(scene), frames + 1, endpoint=False).astype(int)
     for k, i in enumerate(progress(steps, f"estimating ({config.method})")):
         frame, queries = scene.frame(int(i)), []
-        for truth in scene.truth(int(i)):
+        for truth in scene.truths(int(i)):
             if truth.box_visib is not None and truth.object is not None:
                 where = ("bench", int(i), truth.instance)
                 box = disturbed(truth.box_visib, "perturbed", 0, *where, frame.camera)
@@ -88,7 +88,7 @@ def bench_track(
     tracker = Tracker(models, config)
     tracker.warm_up()
     first = scene.frame(0)
-    for truth in scene.truth(0):
+    for truth in scene.truths(0):
         if truth.object is not None and truth.T_cam_obj is not None:
             tracker.correct(Correction.first(truth.object, truth.T_cam_obj, first))
     rows: dict[str, list[tuple[float, float]]] = {"track": []}
@@ -118,7 +118,7 @@ def bench_perception(
     names = list(models)
     rows: dict[str, list[tuple[float, float]]] = {}
     for k, i in enumerate(progress(np.linspace(0, len(scene), frames + 1, endpoint=False), "detecting")):
-        frame, truths = scene.frame(int(i)), scene.truth(int(i))
+        frame, truths = scene.frame(int(i)), scene.truths(int(i))
         turn = names[k % len(names)]
         two = [turn, names[(k + 1) % len(names)]][:AT_ONCE]
         without = _taken_out(frame, next((t for t in truths if t.object == turn), None))

@@ -36,8 +36,8 @@ RATE_HZ = 30.0
 
 
 class SyntheticScene:
-    """A closed loop of frames with truth. Indices beyond the loop go round: frame(len) shows what frame(0)
-    does, with its own number and stamp.
+    """A closed loop of frames with truth, read as scenes of recordings are. Indices beyond the loop go round:
+    frame(len) shows what frame(0) does, with its own number and stamp.
 
     meshes: the labelled objects by name; camera: its intrinsics; len(scene): frames in the loop.
     """
@@ -67,26 +67,29 @@ class SyntheticScene:
         self.path = (cache or cache_folder()) / f"scene-{seed}-{self._key()}.loop"
         facts = {"seed": seed, "objects": list(self.meshes)}
         self._loop, self._rows = kept_loop(self.path, self._computed, facts)
+        self.name, self.image_ids = f"synthetic-{seed}", tuple(range(len(self._loop)))
 
     def __len__(self) -> int:
         return len(self._loop)
 
     def __iter__(self) -> Iterator[Sample]:
         """Once round the loop."""
-        name = f"synthetic-{self.seed}"
-        return (Sample(self.frame(i), tuple(self.truth(i)), name, i) for i in range(len(self)))
+        return (Sample(self.frame(i), self.truths(i), self.name, i) for i in self.image_ids)
+
+    def stamp_ns(self, i: int) -> int:
+        """When frame i was captured, from the start of the loop: i / 30 s."""
+        return round(i * 1e9 / RATE_HZ)
 
     def frame(self, i: int) -> RgbdFrame:
-        """Frame i, stamped i / 30 s."""
-        k = i % len(self)
-        stamp_ns = round(i * 1e9 / RATE_HZ)
-        return RgbdFrame(self._loop.color(k), self._loop.depth(k), self.camera, frame_id=i, stamp_ns=stamp_ns)
+        """Frame i."""
+        k, at_ns = i % len(self), self.stamp_ns(i)
+        return RgbdFrame(self._loop.color(k), self._loop.depth(k), self.camera, frame_id=i, stamp_ns=at_ns)
 
-    def truth(self, i: int) -> list[GroundTruth]:
+    def truths(self, i: int) -> tuple[GroundTruth, ...]:
         """The truth of frame i, one entry per object, also for those that are hidden; exact to float64."""
         k = i % len(self)
         row = self._rows[k]
-        return [
+        return tuple(
             GroundTruth(
                 instance=n,
                 object=name,
@@ -96,7 +99,7 @@ class SyntheticScene:
                 mask_loader=partial(self._mask, k, n),
             )
             for n, name in enumerate(self.meshes)
-        ]
+        )
 
     @cached_property
     def stage(self) -> Stage:

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import os
 import tempfile
+from functools import cache
 from pathlib import Path
 
 FOLDER = "HUEPOSE_RUN"
@@ -40,3 +41,12 @@ def pose_endpoints(base_port: int = BASE_PORT, folder: Path | str | None = None)
     ['unixsock-stream//run/huepose/17448', 'unixsock-stream//run/huepose/17447']
     """
     return [endpoint(base_port + 1, folder), endpoint(base_port, folder)]
+
+
+@cache
+def boot_id() -> str:
+    """Which boot of which machine this is, and so whose monotonic clock; empty where nobody says."""
+    try:
+        return Path("/proc/sys/kernel/random/boot_id").read_text().strip()
+    except OSError:
+        return ""

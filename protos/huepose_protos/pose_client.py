@@ -15,7 +15,6 @@ import time
 from collections import deque
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
-from functools import cache
 from pathlib import Path
 
 import zenoh
@@ -24,6 +23,7 @@ from huepose_protos.client import open_session
 from huepose_protos.codec import decode
 from huepose_protos.errors import WireError
 from huepose_protos.keys import Keys
+from huepose_protos.local import boot_id
 from huepose_protos.messages import CameraMessage, Mount, PoseMessage
 from huepose_protos.motion import PoseAt, mount_at, pose_at
 
@@ -233,14 +233,6 @@ class PoseClient:
 def _offset_ns(pose: PoseMessage) -> int:
     """What to add to the pose's stamps for Unix time: of this machine's own clocks where it is the same one,
     so that a wall clock that was set in between does no harm."""
-    if pose.clock_id == _boot_id():
+    if pose.clock_id == boot_id():
         return time.time_ns() - time.monotonic_ns()
     return pose.realtime_offset_ns
-
-
-@cache
-def _boot_id() -> str:
-    try:
-        return Path("/proc/sys/kernel/random/boot_id").read_text().strip()
-    except OSError:
-        return ""

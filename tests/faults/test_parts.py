@@ -132,7 +132,7 @@ def test_11_flow_that_is_no_number_gives_no_pose_that_is_none_and_no_wrong_one(f
             if pose.state is State.TRACKING:
                 believed += 1
                 model = models[pose.object]
-                truth = next(t for t in scene.truth(k) if t.object == pose.object)
+                truth = next(t for t in scene.truths(k) if t.object == pose.object)
                 error = add(model.eval_points[::20], pose.T_cam_obj, truth.T_cam_obj)
                 assert error < 0.1 * model.diameter_m, (k, pose.object)
     assert believed > 20

@@ -49,7 +49,7 @@ def test_frames_are_what_every_reader_yields(scene: SyntheticScene) -> None:
 
 def test_depth_agrees_with_the_rendered_truth(scene: SyntheticScene) -> None:
     for i in (0, 13, 29):
-        frame, truths = scene.frame(i), scene.truth(i)
+        frame, truths = scene.frame(i), scene.truths(i)
         for truth in truths:
             mask = truth.mask()
             assert mask is not None
@@ -88,13 +88,13 @@ def test_a_second_opening_reads_the_file_and_a_broken_file_is_made_anew(
     remade = SyntheticScene(3, 1.0, THREE, SMALL, cache=copy)
     assert np.array_equal(remade.frame(7).color, color)
     assert np.array_equal(remade.frame(7).depth, other.frame(7).depth)
-    np.testing.assert_array_equal(remade.truth(7)[0].T_cam_obj, other.truth(7)[0].T_cam_obj)
+    np.testing.assert_array_equal(remade.truths(7)[0].T_cam_obj, other.truths(7)[0].T_cam_obj)
 
 
 def test_other_parameters_have_other_files(scene: SyntheticScene, folder: Path) -> None:
     exact = SyntheticScene(3, 1.0, THREE, SMALL, None, cache=folder)
     assert exact.path != scene.path
-    truth = exact.truth(5)[0]
+    truth = exact.truths(5)[0]
     assert truth.T_cam_obj is not None
     drawn = render_depth(THREE["tea_box"], truth.T_cam_obj, SMALL)
     mask = truth.mask()

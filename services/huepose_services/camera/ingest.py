@@ -13,13 +13,13 @@ from __future__ import annotations
 
 import secrets
 from dataclasses import dataclass
-from importlib import import_module
 
 from huepose.datasets.types import GroundTruth, Scene
 from huepose_services.camera.audience import Audience
 from huepose_services.camera.live_ingest import LiveIngest
 from huepose_services.camera.publish import FramePublisher, Packed, packed
 from huepose_services.camera.schedule import Busy, Schedule
+from huepose_services.camera.sources import open_source
 from huepose_services.runtime.bus import Bus
 from huepose_services.runtime.clock import SECOND, now_ns
 from huepose_services.runtime.config import Config
@@ -34,8 +34,8 @@ _GRACE_NS, _WAIT_FOR_READERS_NS = SECOND // 2, int(2.5 * SECOND)
 
 def make(bus: Bus, config: Config) -> Ingest | LiveIngest:
     """The camera worker's work."""
-    source = import_module(f"huepose_services.camera.{config.camera.source}").open_source(config)
-    return (LiveIngest if config.camera.source in LIVE_SOURCES else Ingest)(bus, config, source)
+    kind = LiveIngest if config.camera.source in LIVE_SOURCES else Ingest
+    return kind(bus, config, open_source(config))
 
 
 @dataclass(frozen=True)

@@ -28,6 +28,7 @@ def call(arguments: argparse.Namespace) -> int:
     from dataclasses import asdict
 
     from huepose.evaluation.benches import StageTime, bench_estimate, bench_perception, bench_track
+    from huepose.evaluation.summary import table
     from huepose.model import load_models
     from huepose.profiles import profile
     from huepose.scenes.builtin import SyntheticScene
@@ -49,9 +50,8 @@ def call(arguments: argparse.Namespace) -> int:
     if what in ("detect", "all"):
         stages += bench_perception(scene, models, settings.detector)
         for name in ("detect", "detect two", "detect missing", "segment"):
-            summary[f"{name.replace(' ', '_')}_cpu_ms_p50"] = next(
-                s for s in stages if s.name == name
-            ).cpu_ms_p50
+            (stage,) = (s for s in stages if s.name == name)
+            summary[f"{name.replace(' ', '_')}_cpu_ms_p50"] = stage.cpu_ms_p50
     if what in ("bus", "all"):
         stages += bench_bus()
         summary["bus_frame_ms_p50"] = _p50(stages, "bus/shared_memory")
@@ -59,13 +59,11 @@ def call(arguments: argparse.Namespace) -> int:
     summary["peak_memory_mib"] = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024.0
     if arguments.picture is not None:
         draw_stages(arguments.picture, [(s.name, s.cpu_ms_p50, s.cpu_ms_p99) for s in stages])
-    lines = [f"{'stage':28s} {'wall p50':>9s} {'p95':>8s} {'p99':>8s} {'CPU p50':>9s} {'p99':>8s}   ms"]
-    for s in stages:
-        times = (s.wall_ms_p50, s.wall_ms_p95, s.wall_ms_p99, s.cpu_ms_p50, s.cpu_ms_p99)
-        columns = (f"{t:{w}.2f}" for t, w in zip(times, (9, 8, 8, 9, 8), strict=True))
-        lines.append(f"{s.name:28s} {' '.join(columns)}")
-    lines.append(f"peak memory {summary['peak_memory_mib']:.0f} MiB")
-    answered(arguments, {"summary": summary, "stages": [asdict(s) for s in stages]}, "\n".join(lines))
+    columns = ("wall_ms_p50", "wall_ms_p95", "wall_ms_p99", "cpu_ms_p50", "cpu_ms_p99")
+    rows = [[s.name, *(f"{getattr(s, column):.2f}" for column in columns)] for s in stages]
+    text = table(("stage, ms", "wall p50", "p95", "p99", "CPU p50", "p99"), rows)
+    text += f"\npeak memory {summary['peak_memory_mib']:.0f} MiB"
+    answered(arguments, {"summary": summary, "stages": [asdict(s) for s in stages]}, text)
     return 0
 
 

@@ -39,6 +39,7 @@ def add_parser(subparsers: Any) -> None:
 def call(arguments: argparse.Namespace) -> int:
     """Record until it ends or is interrupted."""
     from huepose.support.errors import InputError
+    from huepose.support.progress import Status
     from huepose_services.recording.parts import Limits, Parts
     from huepose_services.recording.record import Recorder, about_this_machine
     from huepose_services.runtime.bus import Bus
@@ -65,12 +66,12 @@ def call(arguments: argparse.Namespace) -> int:
     session = open_recorder_session(config)
     bus = Bus(session, config.keys, "record", Log("record"), Health("record"))
     recorder = Recorder(bus, parts, with_frames=not arguments.no_frames)
-    progress = _Progress(recorder, parts)
+    status = Status()
     code, say_at = 0, time.monotonic() + _NOTHING_HEARD_AFTER_S
     try:
         while not stopping() and not recorder.finished:
             recorder.step(0.1)
-            progress.show()
+            status.show(_how_far(recorder, parts))
             if time.monotonic() > say_at and recorder.first_ns is None:
                 say_at = float("inf")
                 text = f"waiting for a pipeline at {config.endpoint('camera')}; `huepose up` starts one"
@@ -88,33 +89,13 @@ def call(arguments: argparse.Namespace) -> int:
     except OSError as error:
         print(f"\nhuepose record: {error.strerror or error}; the end is missing", file=sys.stderr)
         code = 1
-    progress.end()
+    reason = f" ({recorder.finished})" if recorder.finished else ""
+    status.line(f"{_how_far(recorder, parts)}{reason}")
     return code
 
 
-class _Progress:
-    """How much there is, in one line that is written over once a second."""
-
-    def __init__(self, recorder: Recorder, parts: Parts) -> None:
-        self._recorder, self._parts = recorder, parts
-        self._next = 0.0
-        self._live = sys.stderr.isatty()
-
-    def _line(self) -> str:
-        r, p = self._recorder, self._parts
-        missed = f", {r.missed} frames missed" if r.missed else ""
-        missed += f", {r.lost} of the tracker's" if r.lost else ""
-        return f"{p.path}: {p.frames} frames, {r.seconds:.1f} s, {p.size / 1e6:.1f} MB{missed}"
-
-    def show(self) -> None:
-        """Draw, if it is time and anyone looks."""
-        if self._live and time.monotonic() >= self._next:
-            self._next = time.monotonic() + 1.0
-            sys.stderr.write(f"\r{self._line()}\x1b[K")
-            sys.stderr.flush()
-
-    def end(self) -> None:
-        """The last line, which stays."""
-        reason = f" ({self._recorder.finished})" if self._recorder.finished else ""
-        start = "\r" if self._live else ""
-        print(f"{start}{self._line()}{reason}", file=sys.stderr, flush=True)
+def _how_far(recorder: Recorder, parts: Parts) -> str:
+    missed = f", {recorder.missed} frames missed" if recorder.missed else ""
+    missed += f", {recorder.lost} of the tracker's" if recorder.lost else ""
+    size = f"{parts.frames} frames, {recorder.seconds:.1f} s, {parts.size / 1e6:.1f} MB"
+    return f"{parts.path}: {size}{missed}"

@@ -6,6 +6,7 @@ import time
 from collections.abc import Mapping
 from typing import Any, TextIO
 
+from huepose.evaluation.summary import table
 from huepose_services.demo.score import Latest
 
 _PERIOD_S = 0.25
@@ -49,36 +50,30 @@ def report(result: Mapping[str, Any]) -> str:
     """The end of a demo for people: per object, in total, and what each worker took."""
     summary = result["summary"]
     head = ("object", "acquired s", "confirmed s", "ADD recall %", "median mm", "TRACKING %", "false")
-    lines = ["", "{:24s} {:>11s} {:>12s} {:>13s} {:>10s} {:>11s} {:>6s}".format(*head)]
-    row = "{:24s} {:>11s} {:>12s} {:>13s} {:>10s} {:>11s} {:>6d}"
-    for name, figures in [*summary["per_object"].items(), ("all (times: the largest)", summary)]:
-        lines.append(
-            row.format(
-                name,
-                _figure(figures["acquired_after_s"], 2),
-                _figure(figures["confirmed_after_s"], 2),
-                _figure(figures["recall_add"], 1),
-                _figure(figures.get("add_mm_p50"), 2),
-                _figure(figures["coverage_tracking"], 1),
-                figures["false_tracking_frames"],
-            )
-        )
-    lines += [
-        "",
+    rows = [
+        [
+            name,
+            _figure(figures["acquired_after_s"], 2),
+            _figure(figures["confirmed_after_s"], 2),
+            figures["recall_add"],
+            _figure(figures.get("add_mm_p50"), 2),
+            figures["coverage_tracking"],
+            figures["false_tracking_frames"],
+        ]
+        for name, figures in [*summary["per_object"].items(), ("all (times: the largest)", summary)]
+    ]
+    total = (
         f"capture to pose {_figure(summary['latency_ms_p50'], 1)} ms "
         f"(p99 {_figure(summary['latency_ms_p99'], 1)}) over {summary['frames']} frames, "
         f"{summary['objects']} objects; AUC ADD {_figure(summary['auc_add'], 1)}, "
-        f"ADD-S recall {_figure(summary['recall_adds'], 1)} %",
-        "",
-        f"{'worker':12s} {'CPU %':>7s} {'MiB':>6s} {'rate Hz':>8s} {'work ms p50':>12s} {'p99':>7s}",
+        f"ADD-S recall {_figure(summary['recall_adds'], 1)} %"
+    )
+    workers = [
+        [name, f"{of['cpu_percent']:.0f}", of["memory_mib"], of["rate_hz"], *(of["work_ms"] or (None, None))]
+        for name, of in result["workers"].items()
     ]
-    for name, worker in result["workers"].items():
-        p50, p99 = worker["work_ms"] or (None, None)
-        lines.append(
-            f"{name:12s} {worker['cpu_percent']:7.0f} {worker['memory_mib']:6d} {worker['rate_hz']:8.1f} "
-            f"{_figure(p50, 1):>12s} {_figure(p99, 1):>7s}"
-        )
-    return "\n".join(lines)
+    took = table(("worker", "CPU %", "MiB", "rate Hz", "work ms p50", "p99"), workers)
+    return "\n" + "\n\n".join([table(head, rows), total, took])
 
 
 def _figure(value: float | None, digits: int) -> str:

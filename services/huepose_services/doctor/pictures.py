@@ -5,7 +5,6 @@ from __future__ import annotations
 
 import time
 from collections.abc import Iterator, Sequence
-from importlib import import_module
 
 import cv2
 import numpy as np
@@ -18,6 +17,7 @@ from huepose.geometry.picture_faults import LEAST_DEPTH, dark, readings
 from huepose.support.errors import InputError
 from huepose_services.camera.condition import Condition
 from huepose_services.camera.live import CameraError, LiveSource
+from huepose_services.camera.sources import open_source
 from huepose_services.convert import LARGEST_STEP
 from huepose_services.doctor.finding import Finding
 from huepose_services.runtime.clock import now_ns
@@ -42,7 +42,7 @@ _RELATED_PX = 6.0
 def pictures(config: Config) -> Iterator[Finding]:
     """Open the configured camera, look for some seconds, and say what there is to say."""
     try:
-        source = import_module(f"huepose_services.camera.{config.camera.source}").open_source(config)
+        source = open_source(config)
         live = config.camera.source in LIVE_SOURCES
         frames, findings = _live(source, config) if live else (_recorded(source), [])
     except (CameraError, InputError) as error:

@@ -3,9 +3,8 @@
 from __future__ import annotations
 
 import time
-from functools import cache
-from pathlib import Path
 
+from huepose_protos.local import boot_id
 from huepose_protos.messages import Clock
 
 now_ns = time.monotonic_ns
@@ -14,12 +13,4 @@ SECOND = 1_000_000_000
 
 def this_clock() -> Clock:
     """The clock of this boot, and its offset to Unix time now: the wall's clock may be set at any time."""
-    return Clock(clock_id=_boot(), realtime_offset_ns=time.time_ns() - time.monotonic_ns())
-
-
-@cache
-def _boot() -> str:
-    try:
-        return Path("/proc/sys/kernel/random/boot_id").read_text().strip() or "unknown"
-    except OSError:
-        return "unknown"
+    return Clock(clock_id=boot_id() or "unknown", realtime_offset_ns=time.time_ns() - time.monotonic_ns())

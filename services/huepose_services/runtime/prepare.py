@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from importlib import import_module
-
 from huepose.support.errors import InputError
 from huepose_services.runtime.config import Config
 from huepose_services.runtime.run_folder import is_taken, make_folder
@@ -26,7 +24,9 @@ def prepare(config: Config) -> None:
 
             builtin_bundles(config.camera.seed, config.estimator.method != "full")
         if drawn:
-            import_module("huepose_services.camera.synthetic").open_source(config)
+            from huepose_services.camera.sources import open_source
+
+            open_source(config)
 
 
 def check(config: Config) -> None:
@@ -40,10 +40,16 @@ def check(config: Config) -> None:
             load_models(config.bundles, [])  # there must be some
         for item in config.objects:
             if not model_path(config.bundles, item.name).is_file():
-                _unknown(config, item.name)
+                load_models(config.bundles, [item.name])  # says which ones there are
     if config.camera.source != "synthetic" and "camera" in config.workers:
-        import_module(f"huepose_services.camera.{config.camera.source}").open_source(config)
-    _check_networks(config)
+        from huepose_services.camera.sources import open_source
+
+        open_source(config)
+    if config.uses_networks:
+        from huepose_services import networks
+
+        # Once: a worker must not be the first to find that one is damaged.
+        networks.check(config)
     if config.hosts:
         from huepose_services.link import check_link
 
@@ -62,21 +68,6 @@ def _check_builtin(config: Config) -> None:
                 expected=f"one of {', '.join(sorted(known))}",
                 fix="Correct the name, or set `bundles` to the folder of your own reference models.",
             )
-
-
-def _check_networks(config: Config) -> None:
-    """Open them once, where there are any: a worker must not be the first to find that one is damaged."""
-    if config.uses_networks:
-        from huepose_services import networks
-
-        networks.check(config)
-
-
-def _unknown(config: Config, name: str) -> None:
-    from huepose.model import load_models
-
-    assert config.bundles is not None
-    load_models(config.bundles, [name])  # says which ones there are
 
 
 def check_ports(config: Config) -> None:

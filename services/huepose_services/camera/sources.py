@@ -1,0 +1,32 @@
+"""Where pictures come from, by `camera.source`: a data set's folder, or a module of this package."""
+
+from __future__ import annotations
+
+from importlib import import_module
+from pathlib import Path
+from typing import Any
+
+from huepose.datasets.bop import BopScene
+from huepose.datasets.fast_ycb import FastYcbSequence, object_of
+from huepose.geometry.arrays import Float64
+from huepose.model import load_models
+from huepose_services.runtime.config import Config
+
+
+def open_source(config: Config) -> Any:
+    """The source of a configuration that was checked: a Scene, or of those that are live a LiveSource."""
+    source = config.camera.source
+    if source == "bop":
+        return BopScene(Path(config.camera.path or ""))
+    if source == "fast_ycb":
+        return _sequence(config, Path(config.camera.path or ""))
+    return import_module(f"huepose_services.camera.{source}").open_source(config)
+
+
+def _sequence(config: Config, path: Path) -> FastYcbSequence:
+    """Its labels need the object's frame offset, kept in its reference model."""
+    offset: Float64 | None = None
+    if config.camera.truth and config.bundles is not None:
+        name = object_of(path)
+        offset = load_models(config.bundles, [name])[name].frame_offset_m
+    return FastYcbSequence(path, offset)

@@ -5,12 +5,13 @@ python examples/02_live_subscriber.py [tcp/robot.local:7447]
 """
 
 import sys
+from contextlib import suppress
 
 from huepose_protos import PoseClient
 from huepose_protos.local import pose_endpoints
 
 where = sys.argv[1:] or pose_endpoints()
-with PoseClient(where) as client:
+with suppress(KeyboardInterrupt), PoseClient(where) as client:
     while True:
         pose = client.next(timeout_s=3.0)
         if pose is not None:

@@ -6,6 +6,7 @@ python examples/03_pick_when_still.py tea_box [tcp/robot.local:7447]
 
 import sys
 import time
+from contextlib import suppress
 
 import numpy as np
 
@@ -13,13 +14,14 @@ from huepose_protos import PoseClient
 from huepose_protos.local import pose_endpoints
 
 STILL_S, STILL_M = 0.5, 0.003  # so long within so little: choose what your gripper forgives
+SAY_EVERY_S = 3.0
 
 
 def wait_until_still(client: PoseClient, name: str) -> np.ndarray:
     """T_parent_obj where `camera.mount` says where the camera is on the robot, else T_cam_obj."""
     if client.camera(5.0) is None:
         sys.exit("no camera says where it is: does `huepose up` run?")
-    began, start = 0.0, None
+    began, start, say_at = 0.0, None, time.monotonic() + SAY_EVERY_S
     while True:
         now = client.at(object=name)  # where it is at this moment; None where nothing is known that is new
         sure = now is not None and now.state == "TRACKING"
@@ -27,6 +29,9 @@ def wait_until_still(client: PoseClient, name: str) -> np.ndarray:
             began, start = time.monotonic(), now.T_cam_obj[:3, 3] if sure else None
         elif time.monotonic() - began > STILL_S:
             return now.T_cam_obj if now.T_parent_obj is None else now.T_parent_obj
+        if time.monotonic() > say_at:
+            say_at += SAY_EVERY_S
+            print("waiting:", "it moves" if sure else "no pose of it may be acted on", file=sys.stderr)
         time.sleep(0.02)
 
 
@@ -34,5 +39,5 @@ def pick(T: np.ndarray) -> None:
     print("your robot goes to", T[:3, 3].round(3), flush=True)
 
 
-with PoseClient(sys.argv[2:] or pose_endpoints()) as client:
+with suppress(KeyboardInterrupt), PoseClient(sys.argv[2:] or pose_endpoints()) as client:
     pick(wait_until_still(client, sys.argv[1]))

@@ -10,6 +10,7 @@ python examples/06_ros2.py tea_box [tcp/localhost:7447 [tcp/robot.local:7447]]
 """
 
 import sys
+from contextlib import suppress
 
 from huepose_protos import PoseClient
 from huepose_protos.local import pose_endpoints
@@ -22,7 +23,7 @@ name = sys.argv[1]
 router = sys.argv[2] if len(sys.argv) > 2 else "tcp/localhost:7447"
 where = sys.argv[3:] or pose_endpoints()
 node = Node(open_ros_session(Ros2Config(connect=router)), "pick_target", domain=0, style="rmw_zenoh")
-with PoseClient(where, object=name) as client:
+with suppress(KeyboardInterrupt), PoseClient(where, object=name) as client:
     for pose in client:
         if pose.state == "TRACKING":
             node.publish("/pick/target", POSE, cdr(pose_stamped(pose)))

@@ -96,6 +96,6 @@ def call(arguments: argparse.Namespace) -> int:
 
 def _how_far(recorder: Recorder, parts: Parts) -> str:
     missed = f", {recorder.missed} frames missed" if recorder.missed else ""
-    missed += f", {recorder.lost} of the tracker's" if recorder.lost else ""
+    missed += f", {recorder.lost} frames and steps of the tracker missed" if recorder.lost else ""
     size = f"{parts.frames} frames, {recorder.seconds:.1f} s, {parts.size / 1e6:.1f} MB"
     return f"{parts.path}: {size}{missed}"

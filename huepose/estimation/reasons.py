@@ -146,6 +146,16 @@ def overlap(one: Bool, other: Bool) -> float:
     return int((one & other).sum()) / either if either else 0.0
 
 
+def depth_doubted(frame: RgbdFrame) -> str | None:
+    """A question about depth that is nearer than most cameras measure, for a frame in which nothing is found:
+    some do measure there. None where there is none."""
+    seen = frame.depth[readings(frame.depth)]
+    if not len(seen) or float(np.quantile(seen, NEAREST_SHARE)) >= NEVER_NEARER_M:
+        return None
+    median_m = float(np.median(seen))
+    return f"Half of all depth is nearer than {median_m:.2f} m: is that so, or is the depth scale wrong?"
+
+
 def bad_picture(frame: RgbdFrame, diameter_m: float) -> str | None:
     """What is wrong with a frame in which an object of that diameter is sought; None where nothing is."""
     share = depth_share(frame.depth)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import sys
+import threading
 import time
 from collections.abc import Callable, Iterable, Iterator, Sized
 from typing import TextIO, TypeVar
@@ -13,6 +14,7 @@ _FIRST_LINE_S = 2.0
 """By then something is known of how long it will take."""
 _LINE_EVERY_S = 10.0
 _DRAWN_EVERY_S = 0.1
+_LOOK_EVERY_S = 0.5
 
 
 class Status:
@@ -61,33 +63,46 @@ def progress(
     """Yield `items`, drawing `label [#####     ] 5/10  3 s left`.
 
     Not on a terminal, a line is written at the start, then some that say how many are left, and one at the
-    end."""
+    end. A step that takes long is not silent: what is said of it is said by a thread."""
     if total is None:
         total = len(items) if isinstance(items, Sized) else 0
-    status, done = Status(out), 0
-    start = now = first = time.monotonic()
+    status, done, saying, ended = Status(out), 0, threading.Lock(), threading.Event()
+    start = last = first = time.monotonic()
 
-    def text() -> str:
+    def show() -> None:
+        now = time.monotonic()
         # The first step may have waited for the compiler: the others say how long one takes.
-        left = f"{(now - first) / (done - 1) * (total - done):.0f} s left" if done > 1 and total else ""
+        each_s = (last - first) / (done - 1) if done > 1 else 0.0
+        left_s = each_s * (total - done) - (now - last)
+        left = f"{max(left_s, 0.0):.0f} s left" if done > 1 and total else ""
         if status.live and total:
-            return _bar(label, done, total, left)
-        rest = ", ".join(filter(None, [f"{now - start:.0f} s", left]))
-        return f"{label}: {done}{f' of {total}' if total else ''}, {rest}"
+            text = _bar(label, done, total, left or f"{now - start:.0f} s")
+        else:
+            rest = ", ".join(filter(None, [f"{now - start:.0f} s", left]))
+            text = f"{label}: {done}{f' of {total}' if total else ''}, {rest}"
+        with saying:
+            if not ended.is_set():
+                status.show(text)
+
+    def tell() -> None:
+        while not ended.wait(_LOOK_EVERY_S):
+            show()
 
     if not status.live:
         status.line(f"{label}: {f'0 of {total}' if total else 'begun'}")
     elif total:
-        status.show(text())
+        show()
+    threading.Thread(target=tell, daemon=True).start()
     try:
         for item in items:
             yield item
-            done += 1
-            now = time.monotonic()
-            first = now if done == 1 else first
+            done, last = done + 1, time.monotonic()
+            first = last if done == 1 else first
             if done != total:
-                status.show(text())
+                show()
     finally:
+        with saying:
+            ended.set()
         took = time.monotonic() - start
         if done or not total:  # of what failed at once the error says all
             status.line(f"{label}: {done}{f' of {total}' if total else ''} in {took:.1f} s")

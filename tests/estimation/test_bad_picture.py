@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from huepose.estimation.reasons import bad_picture
+from huepose.estimation.reasons import bad_picture, depth_doubted
 from huepose.geometry import Camera, RgbdFrame
 
 CAMERA = Camera(300.0, 300.0, 79.5, 59.5, 160, 120)
@@ -38,6 +38,14 @@ def test_no_depth_and_depth_of_another_unit_are_named(good: RgbdFrame) -> None:
     for said in (far, near, nearer):
         assert said is not None
         assert said.endswith("is the depth scale right?")
+
+
+def test_depth_a_tenth_of_what_it_is_is_asked_about(good: RgbdFrame) -> None:
+    assert depth_doubted(good) is None
+    said = depth_doubted(replace(good, depth=good.depth / np.float32(10.0)))
+    assert said is not None
+    assert said.startswith("Half of all depth is nearer than 0.10 m: is that so")
+    assert depth_doubted(replace(good, depth=np.zeros_like(good.depth))) is None
 
 
 def test_black_and_grey_pictures_are_named(good: RgbdFrame) -> None:

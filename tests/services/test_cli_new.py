@@ -3,6 +3,11 @@
 from __future__ import annotations
 
 import json
+import os
+import signal
+import subprocess
+import sys
+import time
 from dataclasses import replace
 from pathlib import Path
 
@@ -10,7 +15,7 @@ import numpy as np
 import pytest
 
 from huepose.datasets.bop_writer import write_obj
-from huepose.model import ReferenceModel
+from huepose.model import ReferenceModel, save_model
 from huepose.scenes.builtin import first_shot
 from huepose_services.cli.main import main
 from huepose_services.runtime.config import load
@@ -50,3 +55,27 @@ def test_a_mesh_in_another_unit_is_too_large_to_be_drawn_and_its_unit_is_asked_f
     said = capsys.readouterr().err
     assert "found an object of 185 cm" in said
     assert "say the mesh's unit" in said
+
+
+def test_ctrl_c_ends_a_demo_whose_scene_is_still_being_drawn(tea_box: ReferenceModel, tmp_path: Path) -> None:
+    save_model(tea_box, tmp_path / "tea_box.huepose")
+    seed = str(time.time_ns() % 10**9)  # of a scene that is not kept yet
+    command = [sys.executable, "-m", "huepose_services.cli.main", "demo", "--bundles", str(tmp_path)]
+    (tmp_path / "made").mkdir()
+    with subprocess.Popen(
+        [*command, "--seed", seed],
+        stderr=subprocess.PIPE,
+        env=os.environ | {"TMPDIR": str(tmp_path / "made")},
+        text=True,
+        preexec_fn=lambda: signal.signal(
+            signal.SIGINT, signal.SIG_DFL
+        ),  # what starts the tests may ignore it
+    ) as running:
+        assert running.stderr is not None
+        while "drawing the scene, once" not in (line := running.stderr.readline()):
+            assert line, "it ended"
+        running.send_signal(signal.SIGINT)
+        said = running.stderr.read()
+        assert running.wait(30.0) == 130
+    assert said.endswith("huepose demo: interrupted\n")
+    assert list((tmp_path / "made").iterdir()) == []

@@ -5,6 +5,7 @@ import numpy as np
 import pytest
 from numba.core import event
 
+from huepose.support import progress as progress_module
 from huepose.support.compiling import CompilingNotice
 from huepose.support.errors import InputError
 from huepose.support.jit import jit
@@ -42,6 +43,20 @@ def test_a_log_says_soon_how_long_it_takes_and_then_every_ten_seconds(clock):
         "views: 22 of 30, 22 s, 8 s left",
         "views: 30 of 30 in 30.0 s",
     ]
+
+
+def test_a_step_that_takes_long_is_not_silent(monkeypatch):
+    monkeypatch.setattr(progress_module, "_FIRST_LINE_S", 0.05)
+    monkeypatch.setattr(progress_module, "_LOOK_EVERY_S", 0.01)
+    out = io.StringIO()
+    steps = progress(range(2), "views", out=out)
+    next(steps)
+    until = time.monotonic() + 20.0
+    while "views: 0 of 2, 0 s\n" not in out.getvalue():
+        assert time.monotonic() < until
+        time.sleep(0.01)
+    steps.close()
+    assert out.getvalue().splitlines() == ["views: 0 of 2", "views: 0 of 2, 0 s"]
 
 
 def test_the_time_left_leaves_out_the_first_step_which_may_have_compiled(clock):

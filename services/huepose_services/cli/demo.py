@@ -63,7 +63,6 @@ def call(arguments: argparse.Namespace) -> int:
     from huepose_services.demo.score import shortcomings
     from huepose_services.demo.table import report
 
-    interrupted = until_told()
     try:
         chosen = Perception(arguments.segmenter, arguments.sam)
         live = not arguments.headless and arguments.json is not True
@@ -71,7 +70,7 @@ def call(arguments: argparse.Namespace) -> int:
             arguments.seconds,
             arguments.seed,
             live,
-            interrupted,
+            until_told,
             chosen,
             arguments.bundles,
             arguments.object,
@@ -79,9 +78,6 @@ def call(arguments: argparse.Namespace) -> int:
     except DemoError as error:
         print(f"huepose demo: {error}", file=sys.stderr)
         return 1
-    if interrupted():
-        print("huepose demo: interrupted", file=sys.stderr)
-        return 130
     answered(arguments, result, report(result))
     load, cores = os.getloadavg()[0], os.cpu_count() or 1
     if load > 1.5 * cores + 2.0:

@@ -97,6 +97,7 @@ def call(arguments: argparse.Namespace) -> int:
         answers = _standing(arguments, frame, models, names, answers, proposed)
     else:
         answers = [a if a.found else _of_the_picture(frame, models[a.object], a) for a in answers]
+    _ask_about_scale(frame, answers)
     loaded = "one model" if len(names) == 1 else f"{len(names)} models"
     print(
         f"{prepared - begun:.1f} s to load {loaded} and to find where objects may be, "
@@ -111,6 +112,15 @@ def call(arguments: argparse.Namespace) -> int:
 
         write_picture(arguments.image, draw_answers(frame, models, answers))
     return 0
+
+
+def _ask_about_scale(frame: RgbdFrame, answers: list[PoseEstimate]) -> None:
+    """A line on standard error where nothing was found, and depth may be read in another unit."""
+    from huepose.estimation.reasons import depth_doubted
+
+    doubt = None if any(answer.found for answer in answers) else depth_doubted(frame)
+    if doubt is not None:
+        print(doubt, file=sys.stderr)
 
 
 def _say_offset(frame: RgbdFrame, models: Mapping[str, ReferenceModel], answers: list[PoseEstimate]) -> None:

@@ -62,7 +62,7 @@ def run_demo(
     seconds: float,
     seed: int,
     live: bool,
-    stopping: Callable[[], bool],
+    until_told: Callable[[], Callable[[], bool]],
     perception: Perception,
     bundles: Path | None = None,
     objects: Sequence[str] = (),
@@ -70,24 +70,34 @@ def run_demo(
     """The summary of a run of so many seconds, with the health of each worker at its end.
 
     bundles: of one's own objects, all or those that are named; None: the built-in ones.
-    Raises InputError when the pipeline cannot start, DemoError when it breaks."""
+    until_told: called when the workers start, says from then on whether to stop; until then Ctrl-C ends what
+    is drawn. Raises InputError when the pipeline cannot start, DemoError when it breaks, KeyboardInterrupt
+    when it was told to stop."""
     models = load_models(builtin_bundles(seed) if bundles is None else bundles, list(objects) or None)
     folder = Path(tempfile.mkdtemp(prefix="huepose-demo-"))
     path = folder / "pipeline.yaml"
     path.write_text(yaml.safe_dump(pipeline(seed, bundles, objects, perception)))
     config = load(path)
-    open_source(config)  # drawn here, with progress, where it is not in the cache folder
+    try:
+        open_source(config)  # drawn here, with progress, where it is not in the cache folder
+    except KeyboardInterrupt:
+        shutil.rmtree(folder)
+        raise
     yardsticks = {name: Yardstick.of(model.eval_points, model.diameter_m) for name, model in models.items()}
     score = Score(yardsticks)
     log_path = folder / "huepose.log"
     try:
         with log_path.open("w") as log, noted(described(config, path)):
+            stopping = until_told()
             health = _observe(config, path, log, score, seconds, live, stopping)
     except DemoError as error:
         raise DemoError(f"{error}; the log is {log_path}") from None
     except InputError:
         sys.stderr.write(log_path.read_text())
         raise
+    if stopping():
+        shutil.rmtree(folder)
+        raise KeyboardInterrupt
     if "again (restart " in log_path.read_text():
         sys.stderr.write(f"a worker ended and was started again; the log is {log_path}\n")
     else:

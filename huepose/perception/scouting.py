@@ -18,7 +18,7 @@ from huepose.judge.terms import DEFAULT_WEIGHTS, score_many
 from huepose.model.types import ReferenceModel
 from huepose.perception.clear_view import ClearView
 from huepose.perception.nearby import align_in_view
-from huepose.perception.window_look import look, promising
+from huepose.perception.window_look import look, narrowed, promising
 from huepose.perception.window_table import WindowTable
 from huepose.perception.windows import Windows
 from huepose.refine.coordinate_search import search
@@ -45,10 +45,12 @@ SEEN_M, PATCH_PX, LEAST_SEEN = 0.02, 6, 5
 
 @dataclass(frozen=True)
 class Effort:
-    """How much is tried: windows, looks at them in all and in each, poses aligned in all and in each, places
-    searched, and at how many of them the turns that look nearly the same are tried, too."""
+    """How much is tried: windows, those of them that are coded whatever others show, looks at them in all and
+    in each, poses aligned in all and in each, places searched, and at how many of them the turns that look
+    nearly the same are tried, too."""
 
     windows: int
+    at_any_rate: int
     looks: int
     looks_each: int
     aligned: int
@@ -57,7 +59,7 @@ class Effort:
     with_near_symmetries: int
 
 
-EFFORTS = (Effort(20, 36, 6, 6, 2, 2, 0), Effort(300, 128, 6, 40, 3, 8, 2))
+EFFORTS = (Effort(20, 20, 36, 6, 6, 2, 2, 0), Effort(300, 20, 128, 6, 40, 3, 8, 2))
 """What is tried first, and what is tried where that gives no place which is surely the object's: nearly all
 windows, since a camera's white balance may put the object's own ones last."""
 
@@ -132,7 +134,8 @@ def _tried(
     effort: Effort,
 ) -> tuple[Float64, Float64]:
     """Poses (M, 4, 4) at what the chosen windows (W,) show, and their scores (M,)."""
-    looks = look(table, windows, chosen, view.crop.camera, effort.looks, effort.looks_each)
+    chosen, alike = narrowed(table, windows, chosen, effort.at_any_rate)
+    looks = look(table, windows, chosen, alike, view.crop.camera, effort.looks, effort.looks_each)
     if not len(looks.poses):
         return np.zeros((0, 4, 4)), np.zeros(0)
     region = view.region(model.diameter_m)

@@ -5,15 +5,23 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+from scipy.spatial.distance import cdist
 
-from huepose.geometry.arrays import Float32, Float64, Int64
+from huepose.geometry.arrays import Bool, Float32, Float64, Int64
 from huepose.geometry.camera import Camera
 from huepose.perception.window_table import WindowTable, middle_hues
 from huepose.perception.windows import Windows
 from huepose.propose.quick_look import product
 from huepose.propose.template_table import MILLIMETRES
 from huepose.propose.views import onto_rays
+from huepose.support.jit import jit
 from huepose.support.stages import stage
+
+APART, BESIDE, LIKEST = 0.3, 0.36, 16
+"""In diameters: of all windows those are coded that are farther apart than the first, and those nearer than
+the second to one of so many that are likest the object. Origin: docs/detection.md, codes of views; 12 of them
+were enough.
+"""
 
 
 @dataclass(frozen=True, eq=False)
@@ -37,13 +45,48 @@ def promising(table: WindowTable, windows: Windows) -> Int64:
     return np.argsort(apart, kind="stable")
 
 
-def look(table: WindowTable, windows: Windows, chosen: Int64, camera: Camera, count: int, each: int) -> Looks:
-    """The `count` likest pairs of a view and one of the chosen windows (W,), at most `each` of one window."""
+def compared(table: WindowTable, windows: Windows, chosen: Int64) -> Float32:
+    """Likenesses (N, W) of all views of an object and the chosen windows (W,)."""
     if not len(chosen):
-        return Looks(np.zeros((0, 4, 4)), np.zeros(0), np.zeros(0, np.int64))
+        return np.zeros((len(table.codes), 0), np.float32)
     codes = windows.codes(chosen)
     with stage("look"):
-        alike = product(table.codes, codes.T)
+        return product(table.codes, codes.T)
+
+
+def narrowed(table: WindowTable, windows: Windows, chosen: Int64, first: int) -> tuple[Int64, Float32]:
+    """Those of the chosen windows (W,) that are worth their codes (K,), in the same order, and likenesses
+    (N, K) of all views and them: the `first` ones, the pieces', others so far apart that each window has one
+    beside it, and what is beside the likest of these."""
+    places = windows.places_diameters(chosen)
+    taken = (np.arange(len(chosen)) < first) | (chosen < windows.pieces)
+    _spread(places, APART, taken)
+    some = np.flatnonzero(taken)
+    alike = compared(table, windows, chosen[some])
+    likest = some[np.argsort(-alike.max(0), kind="stable")[:LIKEST]]
+    with stage("look"):
+        beside = (cdist(places, places[likest]) < BESIDE).any(1)
+    more = np.flatnonzero(beside & ~taken)
+    both = np.concatenate([some, more])
+    order = np.argsort(both)
+    alike = np.concatenate([alike, compared(table, windows, chosen[more])], axis=1)
+    return chosen[both[order]], alike[:, order]
+
+
+def look(
+    table: WindowTable,
+    windows: Windows,
+    chosen: Int64,
+    alike: Float32,
+    camera: Camera,
+    count: int,
+    each: int,
+) -> Looks:
+    """The `count` likest pairs of a view and one of the chosen windows (W,), at most `each` of one window, by
+    their likenesses (N, W)."""
+    if not len(chosen):
+        return Looks(np.zeros((0, 4, 4)), np.zeros(0), np.zeros(0, np.int64))
+    with stage("look"):
         each = min(each, alike.shape[0])
         best = np.argpartition(-alike, each - 1, axis=0)[:each]
         window = np.broadcast_to(np.arange(len(chosen)), best.shape).ravel()
@@ -59,6 +102,22 @@ def look(table: WindowTable, windows: Windows, chosen: Int64, camera: Camera, co
         poses[:, :3, :3] = turns @ table.rotations[view]
         poses[:, :3, 3] = rays * depth_m[:, None] + np.einsum("nij,nj->ni", turns, table.origins[view])
     return Looks(poses, alike[view, window].astype(np.float64), window)
+
+
+@jit
+def _spread(places: Float64, apart: float, taken: Bool) -> None:
+    """Take those of places (W, 3) that are so far from all that are taken before."""
+    for k in range(places.shape[0]):
+        free = not taken[k]
+        for i in range(places.shape[0]):
+            if not free:
+                break
+            if i != k and taken[i]:
+                away = 0.0
+                for c in range(3):
+                    away += (places[k, c] - places[i, c]) ** 2
+                free = away >= apart * apart
+        taken[k] |= free
 
 
 def _behind_mm(table: WindowTable, cells: Float32, view: Int64, window: Int64) -> Float64:

@@ -54,13 +54,19 @@ class Windows:
         self.diameter_m, self.pieces = diameter_m, int(fitting.sum())
         self.pixels, self.depth_m = places[:, :2].copy(), places[:, 2].copy()
         self.span_px = SPAN * diameter_m / places[:, 2] * focal
-        self._view = view
+        self._view, self._focal = view, focal
         self._codes = np.zeros((len(places), NUMBERS * CODE_CELLS**2), np.float32)
         self._coded = np.zeros(len(places), bool)
         self._lock = threading.Lock()
 
     def __len__(self) -> int:
         return len(self.pixels)
+
+    def places_diameters(self, index: Int64) -> Float64:
+        """Middles (K, 3) of windows (K,) in space, in diameters; depth counts half, as in their lattice."""
+        z = self.depth_m[index]
+        across = self.pixels[index] * (z / self._focal)[:, None]
+        return np.column_stack([across, 0.5 * z]) / self.diameter_m
 
     @cached_property
     def middles(self) -> Float32:

@@ -16,7 +16,7 @@ from huepose.geometry.arrays import Float64
 from huepose.geometry.frame import RgbdFrame
 from huepose.model.types import ReferenceModel
 from huepose.perception.clear_view import clear_view
-from huepose.perception.window_look import look, promising
+from huepose.perception.window_look import compared, look, promising
 from huepose.perception.window_table import WindowTable
 from huepose.perception.windows import Windows
 from huepose.tracking.reach import Reach
@@ -54,7 +54,8 @@ def likeliest_place(
     some = promising(table, windows)[part * WINDOWS : (part + 1) * WINDOWS]
     if not len(some):
         return None
-    poses = look(table, windows, some, view.crop.camera, WINDOWS * LOOKS_EACH, LOOKS_EACH).poses
+    alike = compared(table, windows, some)
+    poses = look(table, windows, some, alike, view.crop.camera, WINDOWS * LOOKS_EACH, LOOKS_EACH).poses
     centres = poses[:, :3, :3] @ model.mesh.centre + poses[:, :3, 3]
     here = np.linalg.norm(centres - centres[0], axis=1) < SAME_PLACE * model.diameter_m
     middle = np.asarray(np.median(centres[here], axis=0), np.float64)

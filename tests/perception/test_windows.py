@@ -10,6 +10,8 @@ import pytest
 from huepose.geometry import RgbdFrame
 from huepose.model import ReferenceModel
 from huepose.perception.clear_view import ClearView, clear_view
+from huepose.perception.window_look import APART, compared, narrowed, promising
+from huepose.perception.window_table import window_table
 from huepose.perception.windows import SIZES, SPACING, Windows, WindowsBySize
 from huepose.support.stages import listening
 
@@ -50,3 +52,25 @@ def test_some_window_is_near_every_point_that_stands(view: ClearView) -> None:
     middles = camera.rays(windows.pixels) * windows.depth_m[:, None]
     nearest = np.linalg.norm(seen[::50, None] - middles[None], axis=2).min(1)
     assert nearest.max() < 2.0 * SPACING * 0.2
+
+
+def test_of_windows_beside_each_other_not_all_are_coded(view: ClearView, tea_box: ReferenceModel) -> None:
+    windows, table = Windows(view, 0.05), window_table(tea_box)
+    order, first = promising(table, windows), 3
+    chosen, alike = narrowed(table, windows, order, first)
+    assert first < len(chosen) < 0.8 * len(order)
+    assert [k for k in order if k in set(chosen)] == list(chosen)
+    assert set(order[:first]) <= set(chosen)
+    assert set(range(windows.pieces)) <= set(chosen)
+    coded, every = windows.places_diameters(chosen), windows.places_diameters(order)
+    assert np.linalg.norm(every[:, None] - coded[None], axis=2).min(1).max() < APART
+    assert np.allclose(alike, compared(table, windows, chosen), atol=1e-5)
+
+
+def test_few_windows_are_all_coded(view: ClearView, tea_box: ReferenceModel) -> None:
+    windows, table = Windows(view, tea_box.diameter_m), window_table(tea_box)
+    some = promising(table, windows)[:5]
+    chosen, alike = narrowed(table, windows, some, len(some))
+    assert np.array_equal(chosen, some)
+    assert np.array_equal(alike, compared(table, windows, some))
+    assert narrowed(table, windows, some[:0], 3)[1].shape == (len(table.codes), 0)

@@ -21,7 +21,8 @@ from pathlib import Path
 from msgspec.structs import replace
 
 from huepose.support.errors import InputError
-from huepose_services.runtime.config import TLS_FILES, GatewayConfig
+from huepose_services.runtime.config import GatewayConfig
+from huepose_services.runtime.config_perception import TLS_FILES
 
 HANDSHAKE_S = 3.0
 PENDING, PENDING_OF_ONE = 32, 8

@@ -16,7 +16,8 @@ from huepose.support.errors import InputError
 from huepose_protos.client import peer
 from huepose_services.gateway_door import RATE_BYTES_S, Door
 from huepose_services.pem import check_pem
-from huepose_services.runtime.config import TLS_FILES, GatewayConfig, TlsConfig
+from huepose_services.runtime.config import GatewayConfig, TlsConfig
+from huepose_services.runtime.config_perception import TLS_FILES
 from huepose_services.runtime.run_folder import make_folder
 
 # Broader than one site, so that readers may use `*` for site and camera: zenoh silently ignores subscriptions

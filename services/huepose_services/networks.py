@@ -16,6 +16,7 @@ from huepose.support.errors import InputError
 from huepose.support.files import cache_folder
 from huepose_services.catalogue import entry_of
 from huepose_services.runtime.config import Config
+from huepose_services.runtime.config_perception import is_network_file
 
 SAM_ENCODER, SAM_DECODER = "nanosam-encoder", "nanosam-decoder"
 """Names of `huepose models`: what the segmenter sam takes where none is configured."""
@@ -35,7 +36,7 @@ def opened(config: Config, named: str, *, half: bool = True) -> Network:
     """The network of a path or a name of `huepose models`; its digest is that of the configuration, else the
     one that is known. Raises InputError."""
     sha256 = None
-    if named.endswith(".onnx") or "/" in named:
+    if is_network_file(named):
         path = Path(named)
     else:
         entry = entry_of(named)

@@ -23,6 +23,7 @@ from huepose_services.demo.score import Score, Yardstick
 from huepose_services.demo.table import Table
 from huepose_services.runtime.clock import SECOND, now_ns
 from huepose_services.runtime.config import WORKERS, Config, load
+from huepose_services.runtime.config_perception import is_network_file
 from huepose_services.runtime.run_folder import free_ports
 from huepose_services.runtime.running import described, noted
 from huepose_services.runtime.supervisor import Supervisor
@@ -49,13 +50,9 @@ class Perception:
         segmenter: dict[str, Any] = {"kind": self.segmenter}
         if self.sam is not None:
             # The demo's configuration lies elsewhere: a path from here has to be a whole one.
-            files = [str(Path(one).absolute()) if _is_path(one) else one for one in self.sam]
+            files = [str(Path(one).absolute()) if is_network_file(one) else one for one in self.sam]
             segmenter |= dict(zip(("encoder", "decoder"), files, strict=True))
         return {"segmenter": segmenter}
-
-
-def _is_path(text: str) -> bool:
-    return text.endswith(".onnx") or "/" in text
 
 
 def run_demo(

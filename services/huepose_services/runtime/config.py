@@ -22,9 +22,7 @@ from huepose_services.runtime.config_perception import (
     Rate,
     Section,
     SegmenterConfig,
-    absolute_network,
-    absolute_networks,
-    absolute_path,
+    absolute,
     check_camera,
     check_detector,
     check_segmenter,
@@ -86,9 +84,6 @@ class ReinitConfig(Section, frozen=True, kw_only=True):
     rate_hz: Annotated[float, Meta(gt=0.0, le=30.0)] = 5.0
     objects_per_tick: Annotated[int, Meta(ge=1, le=16)] = 2
     deadline_ms: Annotated[int, Meta(ge=50, le=10_000)] = 600
-
-
-TLS_FILES = ("authority", "certificate", "key", "revoked")
 
 
 class TlsConfig(Section, frozen=True, kw_only=True):
@@ -296,36 +291,12 @@ def parse_all(text: str, path: Path) -> list[Config]:
     except RecursionError:
         raise InputError(f"configuration {path}", found="values within values without an end") from None
     try:
-        configs = [_absolute(one, path.absolute().parent) for one in of_cameras(config, path)]
+        configs = [absolute(one, path.absolute().parent) for one in of_cameras(config, path)]
     except (RuntimeError, ValueError) as error:
         raise InputError(f"{path}: a path in it", found=str(error)[:200], expected="a path") from None
     for one in configs:
         _check(one, path)
     return configs
-
-
-def _absolute(config: Config, folder: Path) -> Config:
-    def absolute(text: str | None) -> str | None:
-        return None if text is None else absolute_path(text, folder)
-
-    tls = config.gateway.tls
-    return msgspec.structs.replace(
-        config,
-        bundles=absolute(config.bundles),
-        link=msgspec.structs.replace(config.link, secure=absolute_path(config.link.secure, folder)),
-        **absolute_networks(config.detector, config.segmenter, config.networks, folder),
-        camera=msgspec.structs.replace(config.camera, path=absolute(config.camera.path)),
-        tracker=msgspec.structs.replace(
-            config.tracker,
-            flow_model=absolute_network(config.tracker.flow_model, folder),
-            rotation_model=absolute(config.tracker.rotation_model),
-        ),
-        gateway=msgspec.structs.replace(
-            config.gateway,
-            tls=tls
-            and msgspec.structs.replace(tls, **{name: absolute(getattr(tls, name)) for name in TLS_FILES}),
-        ),
-    )
 
 
 def _check(config: Config, path: Path) -> None:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Collection
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import Annotated, Literal, TypeVar
 
 import msgspec
 from msgspec import Meta, Struct
@@ -30,6 +30,9 @@ Filter = Literal["decimation", "threshold", "spatial", "temporal", "hole_filling
 
 class Section(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
     """A part of pipeline.yaml: no other keys than these."""
+
+
+S = TypeVar("S", bound=Section)
 
 
 class DeviceConfig(Section, frozen=True, kw_only=True):
@@ -96,34 +99,42 @@ class NetworksConfig(Section, frozen=True, kw_only=True):
     sha256: dict[str, Sha256] = {}
 
 
-def absolute_path(text: str, folder: Path) -> str:
-    """A path that holds anywhere. Raises ValueError or RuntimeError for what can be none."""
-    if "\0" in text:
-        raise ValueError("a character that no path has")
-    return str(folder / Path(text).expanduser())
+TLS_FILES = ("authority", "certificate", "key", "revoked")
+PATHS = frozenset(
+    {"bundles", "link.secure", "camera.path", "networks.cache", "tracker.rotation_model"}
+    | {f"gateway.tls.{name}" for name in TLS_FILES}
+)
+"""The keys that are paths, relative to the folder of the file."""
+NETWORKS = frozenset({"detector.model", "segmenter.encoder", "segmenter.decoder", "tracker.flow_model"})
+"""Those that are a path, or a name of `huepose models`."""
 
 
-def absolute_network(text: str | None, folder: Path) -> str | None:
-    """A network by path, relative to `folder`; a name that `huepose models` knows stays as it is."""
-    if text is None or not (text.endswith(".onnx") or "/" in text):
-        return text
-    return absolute_path(text, folder)
+def is_network_file(text: str) -> bool:
+    """Whether a network is named by its path."""
+    return text.endswith(".onnx") or "/" in text
 
 
-def absolute_networks(
-    detector: DetectorConfig, segmenter: SegmenterConfig, networks: NetworksConfig, folder: Path
-) -> dict[str, Section]:
-    """The three sections with paths that hold anywhere."""
-    cache = networks.cache and absolute_path(networks.cache, folder)
-    return {
-        "detector": msgspec.structs.replace(detector, model=absolute_network(detector.model, folder)),
-        "segmenter": msgspec.structs.replace(
-            segmenter,
-            encoder=absolute_network(segmenter.encoder, folder),
-            decoder=absolute_network(segmenter.decoder, folder),
-        ),
-        "networks": msgspec.structs.replace(networks, cache=cache),
-    }
+def absolute(section: S, folder: Path, name: str = "") -> S:
+    """A section, or the whole, with paths that hold anywhere. Raises ValueError or RuntimeError for what can
+    be none."""
+    changes: dict[str, object] = {}
+    for field in section.__struct_fields__:
+        key, value = f"{name}{field}", getattr(section, field)
+        if isinstance(value, Section):
+            changes[field] = absolute(value, folder, f"{key}.")
+        elif value is not None and (key in PATHS or (key in NETWORKS and is_network_file(value))):
+            if "\0" in value:
+                raise ValueError("a character that no path has")
+            changes[field] = str(folder / Path(value).expanduser())
+    return msgspec.structs.replace(section, **changes)
+
+
+_PATH_IS = {
+    **dict.fromkeys(("bop", "fast_ycb"), ("the folder of the recording", "Set it to the scene's folder.")),
+    "python": ("a Python file with a function frames()", "docs/cameras.md has one."),
+    "recording": ("a file of `huepose record`", "Set it to the .mcap file."),
+    "faulty": ("the file of the orders", "`huepose chaos` sets it."),
+}
 
 
 def check_camera(camera: CameraConfig, refuse: Refuse) -> None:
@@ -131,14 +142,8 @@ def check_camera(camera: CameraConfig, refuse: Refuse) -> None:
     source, live = camera.source, camera.source in LIVE_SOURCES
     if source in ("synthetic", "oak") and camera.path is not None:
         refuse("camera.path", camera.path, f"no path with the source {source}", "Set it to null.")
-    if source in ("bop", "fast_ycb") and camera.path is None:
-        refuse("camera.path", "null", "the folder of the recording", "Set it to the scene's folder.")
-    if source == "python" and camera.path is None:
-        refuse("camera.path", "null", "a Python file with a function frames()", "docs/cameras.md has one.")
-    if source == "recording" and camera.path is None:
-        refuse("camera.path", "null", "a file of `huepose record`", "Set it to the .mcap file.")
-    if source == "faulty" and camera.path is None:
-        refuse("camera.path", "null", "the file of the orders", "`huepose chaos` sets it.")
+    if source in _PATH_IS and camera.path is None:
+        refuse("camera.path", "null", *_PATH_IS[source])
     if (live or source == "synthetic") and camera.rate == "recorded":
         refuse("camera.rate", "recorded", f"frames per second with the source {source}", "Set it to 30.")
     if live and (camera.once or (camera.truth and source != "faulty")):

@@ -5,7 +5,7 @@ from __future__ import annotations
 import sys
 import threading
 import time
-from collections.abc import Callable, Iterable, Iterator, Sized
+from collections.abc import Callable, Generator, Iterable, Sized
 from typing import TextIO, TypeVar
 
 T = TypeVar("T")
@@ -59,7 +59,7 @@ class Status:
 
 def progress(
     items: Iterable[T], label: str, total: int | None = None, out: TextIO | None = None
-) -> Iterator[T]:
+) -> Generator[T, None, None]:
     """Yield `items`, drawing `label [#####     ] 5/10  3 s left`.
 
     Not on a terminal, a line is written at the start, then some that say how many are left, and one at the

@@ -11,7 +11,7 @@ import json
 import os
 import re
 import shutil
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 
 from huepose.perception.sessions import NetworkSettings, check_file, digest, open_network
@@ -109,11 +109,8 @@ def entries() -> list[Entry]:
     added = _added(place)
     found = [Entry(added.get(k.name, k), place / f"{k.name}.onnx", True) for k in KNOWN]
     names = {entry.network.name for entry in found}
-    for path in sorted(place.glob("*.onnx")):
-        if path.stem not in names:
-            unknown = KnownNetwork(path.stem, "yours", "not stated", "not stated")
-            found.append(Entry(added.get(path.stem, unknown), path, False))
-    return found
+    more = (path for path in sorted(place.glob("*.onnx")) if path.stem not in names)
+    return [*found, *(Entry(added.get(p.stem, _unknown(p.stem)), p, False) for p in more)]
 
 
 def entry_of(name: str) -> Entry:
@@ -143,19 +140,21 @@ def add(file: Path, name: str, *, licence: str = "", source: str = "") -> Entry:
     if file.resolve() != path.resolve():
         with whole(path) as part:
             shutil.copyfile(file, part)
-    network = KnownNetwork(
-        name,
-        known.role if known else "yours",
-        licence or (known.licence if known else "not stated"),
-        source or (known.source if known else "not stated"),
-        known.url if known else None,
-        path.stat().st_size,
-        digest(path),
-        known.half if known else True,
+    network = known or _unknown(name)
+    network = replace(
+        network,
+        licence=licence or network.licence,
+        source=source or network.source,
+        size_bytes=path.stat().st_size,
+        sha256=digest(path),
     )
     notes = {n: asdict(k) for n, k in _added(place).items()} | {name: asdict(network)}
     (place / _NOTES).write_text(json.dumps(notes, indent=1))
     return Entry(network, path, known is not None)
+
+
+def _unknown(name: str) -> KnownNetwork:
+    return KnownNetwork(name, "yours", "not stated", "not stated")
 
 
 def _added(place: Path) -> dict[str, KnownNetwork]:

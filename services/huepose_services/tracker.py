@@ -34,17 +34,20 @@ from huepose_services.runtime.work import Work
 TOO_OLD = "It is not known where it is now: this computer is too busy, or the camera's pictures come late."
 _REFUSED_EVERY_S = 10.0
 _Frame = tuple[int, int]
-# Beside the tracker's memory: the newest frame, the first, whose poses were published, who is retired, until
-# when poses hold, the first focal length of each picture size, what is complained of in the newest frame.
-_Own = tuple[
-    _Frame | None,
-    _Frame | None,
-    set[tuple[str, int]],
-    dict[str, tuple[int, int]],
-    int,
-    dict[str, float],
-    str | None,
-]
+
+
+class _Own(msgspec.Struct, array_like=True):
+    """What the worker remembers beside its tracker's memory."""
+
+    newest: _Frame | None
+    first: _Frame | None
+    published: list[tuple[str, int]]
+    retired: dict[str, tuple[int, int]]
+    holds_until_ns: int
+    fx_of_size: dict[str, float]
+    complaint: str | None
+
+
 FrameOf = Callable[[int, int], tuple[FrameHeader, RgbdFrame] | None]
 
 
@@ -175,7 +178,7 @@ class TrackerWork(Work):
     def memory(self) -> MemoryMessage:
         """All that is believed now."""
         header = None if self._header is None else _frame_of(self._header)
-        own = (
+        own = _Own(
             header,
             self._first,
             sorted(self._published),
@@ -204,17 +207,16 @@ class TrackerWork(Work):
 
         try:
             plain, own, acted_on = msgspec.msgpack.decode(message.memory)
-            header, first, published, below, holds_until_ns, fx_of_size, complaint = msgspec.convert(
-                own, _Own
-            )
+            mine = msgspec.convert(own, _Own)
         except (msgspec.MsgspecError, ValueError, TypeError, RecursionError) as error:
             raise InputError("the tracker's memory", found=str(error)[:200], expected="MessagePack") from None
         memory.taken_over(self._tracker, plain, pixels)
         self._acted_on = memory.restored(acted_on, self._tracker, pixels)
-        self._holds_until_ns, self._fx_of_size, self._complaint = holds_until_ns, fx_of_size, complaint
-        found = None if header is None else frame_of(*header)
+        self._holds_until_ns, self._complaint = mine.holds_until_ns, mine.complaint
+        found = None if mine.newest is None else frame_of(*mine.newest)
         self._header, self._pixels = (None, None) if found is None else found
-        self._first, self._published, self._retired.below = first, published, below
+        self._first, self._published = mine.first, set(mine.published)
+        self._fx_of_size, self._retired.below = mine.fx_of_size, mine.retired
         self._seq = message.seq
 
     def _follow(self) -> None:

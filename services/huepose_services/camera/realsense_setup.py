@@ -76,13 +76,7 @@ def apply_options(rs: Any, sensors: Iterable[Any], options: Mapping[str, float])
                 f"no option {key}; it has {', '.join(names) or 'depth.NAME and color.NAME'}. "
                 "Correct camera.device.options."
             )
-        allowed = able[0].get_option_range(option)
-        if not allowed.min <= value <= allowed.max:
-            raise CameraError(
-                f"option {key} = {value:g} is outside {allowed.min:g} to {allowed.max:g}. "
-                "Correct camera.device.options."
-            )
-        able[0].set_option(option, float(value))
+        _set(able[0], option, value, f"option {key}", "options")
 
 
 def made_filters(rs: Any, filters: Mapping[Filter, Mapping[str, float]]) -> list[Any]:
@@ -114,13 +108,18 @@ def _set_of_filter(rs: Any, made: Any, name: str, key: str, value: float) -> Non
         raise CameraError(
             f"no option {key} of the filter {name}; it has {', '.join(names)}. Correct camera.device.filters."
         )
-    allowed = made.get_option_range(option)
+    _set(made, option, value, f"{key} of the filter {name}", "filters")
+
+
+def _set(able: Any, option: Any, value: float, what: str, where: str) -> None:
+    """An option of a sensor or a filter. Raises CameraError for a value outside its range."""
+    allowed = able.get_option_range(option)
     if not allowed.min <= value <= allowed.max:
         raise CameraError(
-            f"{key} = {value:g} of the filter {name} is outside {allowed.min:g} to {allowed.max:g}. "
-            "Correct camera.device.filters."
+            f"{what} = {value:g} is outside {allowed.min:g} to {allowed.max:g}. "
+            f"Correct camera.device.{where}."
         )
-    made.set_option(option, float(value))
+    able.set_option(option, float(value))
 
 
 def use_own_clock(rs: Any, sensors: Iterable[Any]) -> None:

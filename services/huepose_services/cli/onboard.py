@@ -5,7 +5,9 @@ from __future__ import annotations
 import argparse
 import os
 import sys
+from collections import deque
 from collections.abc import Iterator, Sequence
+from contextlib import closing
 from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -140,13 +142,9 @@ def onboard_one(job: Job, out: Path) -> Onboarded:
     _check_folder(out)
     if not job.mesh_path.is_file():
         raise InputError(job.mesh_path, found="no such file", expected="the mesh", fix="Check the path.")
-    steps = progress(range(len(STAGES) + 1), f"onboarding {job.name}")
-    try:
+    with closing(progress(range(len(STAGES) + 1), f"onboarding {job.name}")) as steps:
         result = batch.onboard_one(job, out, lambda stage: _advance(steps))
-        for _ in steps:
-            pass
-    finally:
-        _close(steps)
+        deque(steps, maxlen=0)
     if job.unit is None and not _SMALL_M < result.diameter_m < _LARGE_M:
         print(
             f"note: the mesh was taken as metres or millimetres, by its size. If the object is not "
@@ -188,10 +186,11 @@ def onboard_models(models: Sequence[BopModel], out: Path, paper: bool, processes
         )
         for m in models
     ]
-    events = onboard_many(jobs, out, max(1, min(processes, len(jobs))))
-    steps = progress(range(len(jobs) * (len(STAGES) + 1)), f"onboarding {len(jobs)} objects")
     failures = []
-    try:
+    with (
+        closing(onboard_many(jobs, out, max(1, min(processes, len(jobs))))) as events,
+        closing(progress(range(len(jobs) * (len(STAGES) + 1)), f"onboarding {len(jobs)} objects")) as steps,
+    ):
         for event in events:
             if isinstance(event, Onboarded):
                 _say(in_words(event))
@@ -199,11 +198,7 @@ def onboard_models(models: Sequence[BopModel], out: Path, paper: bool, processes
                 failures.append(event.name)
                 _say(f"{event.name:28s} failed: {event.reason}")
             _advance(steps)
-        for _ in steps:
-            pass
-    finally:
-        _close(events)
-        _close(steps)
+        deque(steps, maxlen=0)
     return failures
 
 
@@ -216,12 +211,6 @@ def _check_folder(out: Path) -> None:
 
 def _advance(steps: Iterator[int]) -> None:
     next(steps, None)
-
-
-def _close(generator: Iterator[Any]) -> None:
-    close = getattr(generator, "close", None)
-    if close is not None:
-        close()
 
 
 def _say(line: str) -> None:

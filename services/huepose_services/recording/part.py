@@ -112,21 +112,23 @@ class Part:
         return at
 
     def _say(self, key: str, message: Message, stamp_ns: int, publish_ns: int) -> None:
-        if key not in self._channels:
-            kind = type(message)
-            if kind not in self._schemas:
-                schema = json.dumps({"type": "object"} | msgspec.json.schema(kind)).encode()
-                self._schemas[kind] = self._writer.register_schema(kind.__name__, "jsonschema", schema)
-            self._channels[key] = self._writer.register_channel(key, "json", self._schemas[kind])
+        self._open(key, "json", type(message))
         self._add(key, to_json(message).encode(), stamp_ns, publish_ns)
 
     def _show(self, topic: str, shown: Any, stamp_ns: int, publish_ns: int) -> None:
-        if topic not in self._channels:
-            kind = type(shown)
-            if kind not in self._schemas:
-                self._schemas[kind] = register_schema(self._writer, kind)
-            self._channels[topic] = self._writer.register_channel(topic, "protobuf", self._schemas[kind])
+        self._open(topic, "protobuf", type(shown))
         self._add(topic, shown.SerializeToString(), stamp_ns, publish_ns)
+
+    def _open(self, topic: str, encoding: str, kind: type) -> None:
+        """A channel for messages of a kind, where it is not there yet."""
+        if topic in self._channels:
+            return
+        if kind not in self._schemas and encoding == "json":
+            schema = json.dumps({"type": "object"} | msgspec.json.schema(kind)).encode()
+            self._schemas[kind] = self._writer.register_schema(kind.__name__, "jsonschema", schema)
+        elif kind not in self._schemas:
+            self._schemas[kind] = register_schema(self._writer, kind)
+        self._channels[topic] = self._writer.register_channel(topic, encoding, self._schemas[kind])
 
     def _add(self, topic: str, data: bytes, stamp_ns: int, publish_ns: int) -> None:
         offset_ns = self._offset_ns

@@ -6,7 +6,7 @@ import multiprocessing
 import os
 import signal
 import time
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Generator, Mapping, Sequence
 from concurrent.futures import Future, ProcessPoolExecutor
 from concurrent.futures.process import BrokenProcessPool
 from dataclasses import dataclass
@@ -106,7 +106,7 @@ def onboard_one(job: Job, bundles_dir: Path, report: Callable[[str], None]) -> O
     )
 
 
-def onboard_many(jobs: Sequence[Job], bundles_dir: Path, processes: int = 2) -> Iterator[Event]:
+def onboard_many(jobs: Sequence[Job], bundles_dir: Path, processes: int = 2) -> Generator[Event, None, None]:
     """Onboard objects in worker processes, yielding what happens.
 
     A mesh that cannot be used is a `Failed` event; the others go on. When the consumer stops early (Ctrl-C

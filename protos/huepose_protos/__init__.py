@@ -8,8 +8,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, Any
 
 from huepose_protos.codec import decode, encode, to_json
-from huepose_protos.errors import WireError
-from huepose_protos.fields import VERSION
+from huepose_protos.fields import VERSION, WireError
 
 if TYPE_CHECKING:
     from huepose_protos.pose_client import PoseClient

@@ -1,4 +1,5 @@
-"""Messages with pixels: the payload is the buffers back to back, the header goes beside it as attachment."""
+"""Messages with pixels: the payload is the buffers back to back, the header goes beside it as attachment; and
+masks as run lengths."""
 
 from __future__ import annotations
 
@@ -9,8 +10,8 @@ from typing import Any, cast
 import numpy as np
 from numpy.typing import NDArray
 
-from huepose_protos.errors import WireError
-from huepose_protos.messages import BufferSpec, FrameHeader
+from huepose_protos.fields import WireError
+from huepose_protos.messages import BufferSpec, FrameHeader, MaskRuns
 
 MAX_PAYLOAD = 64 * 1024 * 1024
 Array = NDArray[Any]
@@ -64,3 +65,24 @@ def frame_images(header: FrameHeader, payload: bytes) -> tuple[Array, Array]:
         if arrays[name].shape != shape or arrays[name].dtype.name != dtype:
             raise WireError(f"{name} is {arrays[name].shape} {arrays[name].dtype}, not {shape} {dtype}")
     return arrays["color"], arrays["depth"]
+
+
+def runs_of(mask: NDArray[np.bool_]) -> MaskRuns:
+    """Run lengths of a mask (H, W): row by row, the first run outside of it, maybe of length 0, then in turn.
+
+    >>> runs_of(np.array([[True, False], [True, True]])).runs
+    [0, 1, 1, 2]
+    """
+    flat = np.ravel(mask).astype(np.int8)
+    edges = np.flatnonzero(np.diff(flat, prepend=0, append=-1))
+    runs = np.diff(edges, prepend=0)
+    return MaskRuns(width=mask.shape[1], height=mask.shape[0], runs=runs.tolist())
+
+
+def mask_of(mask: MaskRuns, image_size: tuple[int, int] | None = None) -> NDArray[np.bool_]:
+    """Mask (H, W) of run lengths; MaskRuns has checked that they add up. image_size: height and width that it
+    must have. Raises WireError for another size, before memory is taken."""
+    if image_size not in (None, (mask.height, mask.width)):
+        raise WireError(f"a mask of {mask.width} x {mask.height} pixels has not the size of its frame")
+    inside = np.arange(len(mask.runs)) % 2 == 1
+    return np.repeat(inside, mask.runs).reshape(mask.height, mask.width)

@@ -16,7 +16,7 @@ from pathlib import Path
 import zenoh
 
 from huepose_protos.codec import decode
-from huepose_protos.errors import WireError
+from huepose_protos.fields import WireError
 from huepose_protos.keys import tail_of
 from huepose_protos.messages import (
     CameraMessage,

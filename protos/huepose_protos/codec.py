@@ -7,8 +7,7 @@ from typing import Any, TypeVar
 
 import msgspec
 
-from huepose_protos.errors import WireError
-from huepose_protos.fields import MAJOR
+from huepose_protos.fields import MAJOR, WireError
 from huepose_protos.messages import Message
 
 M = TypeVar("M", bound=Message)

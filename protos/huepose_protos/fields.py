@@ -87,3 +87,11 @@ def check_box(box: tuple[float, float, float, float] | None) -> None:
     check_finite(box=box)
     if box is not None and (box[2] < 0.0 or box[3] < 0.0):
         raise ValueError("box has a negative side")
+
+
+class WireError(ValueError):
+    """Bytes from the bus that cannot be believed. `reason` is one short line for a counter and the log."""
+
+    def __init__(self, reason: str) -> None:
+        super().__init__(reason)
+        self.reason = reason

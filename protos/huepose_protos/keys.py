@@ -4,8 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from huepose_protos.errors import WireError
-from huepose_protos.fields import is_name
+from huepose_protos.fields import WireError, is_name
 
 ROOT = "huepose"
 

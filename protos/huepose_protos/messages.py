@@ -9,10 +9,6 @@ from typing import Annotated, ClassVar, Literal
 
 from msgspec import Meta, Struct, field
 
-from huepose_protos.control import ControlReply as ControlReply
-from huepose_protos.control import ControlRequest as ControlRequest
-from huepose_protos.control import ObjectEntry as ObjectEntry
-from huepose_protos.control import ObjectsMessage as ObjectsMessage
 from huepose_protos.fields import (
     BoxXYWH,
     Count,
@@ -35,10 +31,14 @@ from huepose_protos.fields import (
 from huepose_protos.parts import KIB, check_masks
 from huepose_protos.parts import BufferSpec as BufferSpec
 from huepose_protos.parts import Clock as Clock
+from huepose_protos.parts import ControlReply as ControlReply
+from huepose_protos.parts import ControlRequest as ControlRequest
 from huepose_protos.parts import Intrinsics as Intrinsics
 from huepose_protos.parts import MaskRuns as MaskRuns
 from huepose_protos.parts import Message as Message
 from huepose_protos.parts import Mount as Mount
+from huepose_protos.parts import ObjectEntry as ObjectEntry
+from huepose_protos.parts import ObjectsMessage as ObjectsMessage
 
 MAX_CANDIDATE_PIXELS = 2**28
 """Of all masks of a message: 8 candidates each of 16 objects in a picture of 1920 x 1080."""

@@ -21,7 +21,7 @@ import zenoh
 
 from huepose_protos.client import open_session
 from huepose_protos.codec import decode
-from huepose_protos.errors import WireError
+from huepose_protos.fields import WireError
 from huepose_protos.keys import Keys
 from huepose_protos.local import boot_id
 from huepose_protos.messages import CameraMessage, Mount, PoseMessage

@@ -12,10 +12,9 @@ from msgspec import Struct
 from huepose.geometry import Box, Camera, RgbdFrame, se3
 from huepose.geometry.arrays import Float, Float64, UInt16
 from huepose.reinit.types import Prior
-from huepose_protos.buffers import frame_images
+from huepose_protos.buffers import frame_images, mask_of, runs_of
 from huepose_protos.messages import FrameHeader, Intrinsics, PoseMessage
 from huepose_protos.messages import Prior as WirePrior
-from huepose_protos.runlength import mask_of, runs_of
 
 S = TypeVar("S", bound=Struct)
 V = TypeVar("V", bound="_Value")

@@ -9,8 +9,8 @@ from huepose.estimation.types import PosePrior
 from huepose.model import ReferenceModel
 from huepose.profiles import profile
 from huepose_protos import WireError
+from huepose_protos.buffers import mask_of
 from huepose_protos.messages import EstimatedObject, Estimates, MaskedObject, Masks
-from huepose_protos.runlength import mask_of
 from huepose_services import models
 from huepose_services.convert import box_from_wire, frame_from_wire, prior_from_wire, to_wire
 from huepose_services.following import Follower

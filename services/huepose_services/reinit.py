@@ -26,9 +26,8 @@ from huepose_services import models
 from huepose_services.convert import from_wire, to_wire
 from huepose_services.following import Retired, recall
 from huepose_services.runtime.bus import Bus
-from huepose_services.runtime.clock import SECOND, now_ns
+from huepose_services.runtime.clock import SECOND, check_number, now_ns
 from huepose_services.runtime.config import Config, ObjectConfig
-from huepose_services.runtime.future import check_number
 from huepose_services.runtime.one_camera import OneCamera
 from huepose_services.runtime.work import Work
 from huepose_services.steering import Desk, ObjectList

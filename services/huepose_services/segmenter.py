@@ -9,8 +9,8 @@ from huepose.geometry import Box, Camera, RgbdFrame
 from huepose.perception.embedded import DepthSegmenter
 from huepose.perception.types import Segmenter
 from huepose_protos import WireError
+from huepose_protos.buffers import runs_of
 from huepose_protos.messages import DetectedObject, Detections, MaskedObject, Masks
-from huepose_protos.runlength import runs_of
 from huepose_services import models, networks
 from huepose_services.convert import box_from_wire, frame_from_wire
 from huepose_services.following import Follower

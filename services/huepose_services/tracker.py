@@ -16,8 +16,8 @@ from huepose.tracking import Tracker, memory
 from huepose.tracking.history import CLOSE_S, WIDE_S
 from huepose.tracking.types import Applied, Correction, State, TrackedPose, Verdict
 from huepose_protos import WireError
+from huepose_protos.buffers import mask_of
 from huepose_protos.messages import CorrectionMessage, FrameHeader, MemoryMessage, PoseMessage
-from huepose_protos.runlength import mask_of
 from huepose_services import models, networks
 from huepose_services.convert import frame_from_wire, from_wire, to_wire
 from huepose_services.doubts import complaint_about, lens_doubted, why_doubted
@@ -25,9 +25,8 @@ from huepose_services.following import Follower, Retired
 from huepose_services.given import Given
 from huepose_services.intake import MEMORY_EVERY_NS, Clock, Intake
 from huepose_services.runtime.bus import Bus
-from huepose_services.runtime.clock import now_ns
+from huepose_services.runtime.clock import check_number, now_ns
 from huepose_services.runtime.config import Config
-from huepose_services.runtime.future import check_number
 from huepose_services.runtime.log import StateChanges
 from huepose_services.runtime.work import Work
 

@@ -9,11 +9,10 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from huepose_protos import WireError, decode, encode
-from huepose_protos.buffers import frame_images, pack, unpack
+from huepose_protos.buffers import frame_images, mask_of, pack, runs_of, unpack
 from huepose_protos.examples import images, messages
 from huepose_protos.keys import Keys
 from huepose_protos.messages import MESSAGES, BufferSpec, FrameHeader, MaskRuns, Masks, PoseMessage
-from huepose_protos.runlength import mask_of, runs_of
 
 EXAMPLES = {type(m): m for m in messages()}
 POSE = EXAMPLES[PoseMessage]

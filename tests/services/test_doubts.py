@@ -14,7 +14,7 @@ from huepose.geometry import Camera, RgbdFrame, se3
 from huepose_protos.examples import messages
 from huepose_protos.messages import PoseMessage
 from huepose_services import doubts as why
-from huepose_services.cli.status_text import as_text
+from huepose_services.cli.status import as_text
 from huepose_services.runtime.running import Pipeline
 from huepose_services.watch import View
 

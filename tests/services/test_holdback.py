@@ -2,7 +2,7 @@
 
 import pytest
 
-from huepose_services.holdback import Holdback
+from huepose_services.gateway import Holdback
 
 MS = 1_000_000
 

@@ -6,8 +6,8 @@ import zenoh
 
 from huepose.geometry import Box, Camera, RgbdFrame
 from huepose.model import save_model
+from huepose_protos.buffers import mask_of
 from huepose_protos.messages import Detections, FrameHeader, Masks, PerceptionRequest, RequestedObject
-from huepose_protos.runlength import mask_of
 from huepose_services import detector, segmenter
 from huepose_services.camera.publish import packed
 from huepose_services.runtime.bus import Bus

@@ -23,7 +23,7 @@ from huepose_services.chaos.poison import flood
 from huepose_services.cli.graph import mermaid
 from huepose_services.cli.main import main
 from huepose_services.cli.objects import ask
-from huepose_services.cli.status_text import as_text
+from huepose_services.cli.status import as_text
 from huepose_services.convert import pose_from_wire
 from huepose_services.runtime.clock import now_ns
 from huepose_services.runtime.running import pick

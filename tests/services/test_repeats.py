@@ -1,7 +1,7 @@
 """A log that is flooded: what comes again and again is counted and summed up."""
 
 from huepose_services.camera.schedule import Busy
-from huepose_services.runtime.repeats import Repeats
+from huepose_services.runtime.log import Repeats
 
 SECOND = 1_000_000_000
 

@@ -12,8 +12,7 @@ from numba.core import event
 from huepose_services.runtime.compiling import LateCompiling
 from huepose_services.runtime.health import Health
 from huepose_services.runtime.log import Log, StateChanges, is_log_line
-from huepose_services.runtime.notify import notify, watchdog_s
-from huepose_services.runtime.pulse import Pulse
+from huepose_services.runtime.pulse import Pulse, notify, watchdog_s
 
 
 @numba.njit

@@ -20,7 +20,7 @@ from huepose_services.convert import LARGEST_STEP
 from huepose_services.runtime.bus import Bus
 from huepose_services.runtime.clock import SECOND, now_ns
 from huepose_services.runtime.config import Config
-from huepose_services.runtime.notify import notify
+from huepose_services.runtime.pulse import notify
 from huepose_services.runtime.work import Work
 
 _LONGEST_STEP_S = 0.05

@@ -21,7 +21,7 @@ from typing import Any
 _VERBS = (
     *("demo", "new", "onboard", "estimate", "evaluate", "render_scenes", "make_dataset", "train", "bench"),
     "chaos",
-    *("up", "run", "status", "top", "graph", "objects", "poses", "view", "record", "replay", "validate"),
+    *("up", "run", "status", "graph", "objects", "poses", "view", "record", "replay", "validate"),
     *("doctor", "models", "calibrate", "units", "secure"),
 )
 # Those that run compiled kernels in their own process.

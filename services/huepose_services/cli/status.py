@@ -1,31 +1,37 @@
-"""`huepose status`: how a running pipeline is, once."""
+"""`huepose status` and `huepose top`: how a running pipeline is, once and every second."""
 
 from __future__ import annotations
 
 import argparse
 import sys
+import time
 from typing import TYPE_CHECKING, Any
 
 from huepose_services.cli.attach import add_choice, chosen
 
 if TYPE_CHECKING:
+    from huepose_protos.messages import HealthMessage, PoseMessage
     from huepose_services.watch import View
 
 # Health comes once a second, and from a worker in the middle of long work later.
 _LEAST_S, _MOST_S = 1.2, 4.0
+_CLEAR, _EVERY_S = "\x1b[H\x1b[J", 1.0
 
 
 def add_parser(subparsers: Any) -> None:
-    """Add the verb."""
+    """Add both verbs."""
     parser = subparsers.add_parser("status", help="how a running pipeline is")
     parser.add_argument("--json", action="store_true", help="all that is known, as JSON")
     add_choice(parser)
     parser.set_defaults(call=call)
+    again = subparsers.add_parser("top", help="how a running pipeline is, every second")
+    again.add_argument("--seconds", type=float, metavar="S", help="end after so long; by default never")
+    add_choice(again)
+    again.set_defaults(call=call_again)
 
 
 def call(arguments: argparse.Namespace) -> int:
     """Listen for a moment, print; exit code 1 when nothing runs or a worker is missing."""
-    from huepose_services.cli.status_text import as_text
     from huepose_services.watch import Watch
 
     pipeline = chosen(arguments)
@@ -44,6 +50,26 @@ def call(arguments: argparse.Namespace) -> int:
     return 0 if view.well else 1
 
 
+def call_again(arguments: argparse.Namespace) -> int:
+    """Show until interrupted."""
+    from huepose_services.watch import Watch
+
+    pipeline = chosen(arguments)
+    until = float("inf") if arguments.seconds is None else time.monotonic() + arguments.seconds
+    with Watch(pipeline) as watch:
+        try:
+            while time.monotonic() < until:
+                watch.look(_EVERY_S)
+                view = watch.view()
+                none = f"no pipeline runs at port {pipeline.base_port}; `huepose up` starts one"
+                text = as_text(view) if view.seen else none
+                sys.stdout.write((_CLEAR if sys.stdout.isatty() else "") + text + "\n")
+                sys.stdout.flush()
+        except KeyboardInterrupt:
+            pass
+    return 0
+
+
 def _as_json(view: View) -> str:
     import msgspec
 
@@ -60,3 +86,63 @@ def _as_json(view: View) -> str:
             "rates_hz": view.rates,
         }
     ).decode()
+
+
+_HEAD = (
+    f"{'worker':10s} {'state':9s} {'rate':>6s} {'work ms':>13s} {'age ms':>13s} {'CPU':>5s} {'MiB':>5s} "
+    f"{'locked':>6s} {'frames by':>10s} {'drops':>7s} {'errors':>6s}"
+)
+
+
+def as_text(view: View) -> str:
+    """Several lines without colour: one for each worker, one for each object."""
+    from huepose_services.runtime.config import WORKERS
+
+    lines = [f"{view.pipeline.name} at port {view.pipeline.base_port}   {view.pipeline.file}".rstrip(), _HEAD]
+    order = [w for w in WORKERS if w in view.health or w in view.missing or w in view.silent]
+    for worker in order:
+        message = view.health.get(worker)
+        if worker in view.missing:
+            lines.append(f"{worker:10s} is not there")
+        elif message is None:
+            lines.append(f"{worker:10s} is there and says nothing")
+        else:
+            lines.append(_worker(message, worker in view.silent))
+    for message in view.health.values():
+        lines += [f"  {message.worker}: {text}" for text in message.warnings]
+        if message.last_error:
+            lines.append(f"  {message.worker}, last error: {message.last_error.splitlines()[0]}")
+    lines.append("")
+    lines += [_pose(pose) for pose in view.poses.values()]
+    for entry in view.objects:
+        if entry.searching:
+            lines.append(
+                f"{entry.object:32s} SEARCHING  {entry.searching} of {entry.max_instances} never seen"
+            )
+            if entry.reason:
+                lines.append(f"  {entry.reason}")
+    return "\n".join(lines)
+
+
+def _worker(m: HealthMessage, silent: bool) -> str:
+    state = "silent" if silent else m.state
+    path = {None: "-", True: "memory", False: "socket"}[m.shared_memory]
+    return (
+        f"{m.worker:10s} {state:9s} {m.rate_hz:6.1f} {_pair(m.work_ms):>13s} {_pair(m.age_ms):>13s} "
+        f"{m.cpu_percent:4.0f}% {m.memory_mib:5.0f} {m.locked_mib:6.1f} {path:>10s} {m.drops:7d} "
+        f"{m.errors:6d}"
+    )
+
+
+def _pair(values: tuple[float, float] | None) -> str:
+    return "-" if values is None else f"{values[0]:.0f} p99 {values[1]:.0f}"
+
+
+def _pose(pose: PoseMessage) -> str:
+    who = f"{pose.object}/{pose.instance}"
+    text = f"{who:32s} {pose.state:9s}  quality {pose.quality:.2f}"
+    if pose.translation is not None:
+        x, y, z = pose.translation
+        text += f"  {x:+.3f} {y:+.3f} {z:+.3f} m"
+    text += f"  {(pose.publish_ns - pose.capture_ns) * 1e-6:.0f} ms old"
+    return f"{text}\n  {pose.reason}" if pose.reason else text

@@ -26,8 +26,8 @@ def add_parser(subparsers: Any) -> None:
 def call(arguments: argparse.Namespace) -> int:
     """Run until it ends or is interrupted."""
     from huepose_services.runtime.config import load_all
-    from huepose_services.runtime.notify import notify
     from huepose_services.runtime.prepare import prepare
+    from huepose_services.runtime.pulse import notify
     from huepose_services.runtime.reload import asked_again
     from huepose_services.runtime.running import described, noted
     from huepose_services.runtime.supervisor import Supervisor

@@ -10,8 +10,7 @@ import zenoh
 from huepose_protos import WireError, decode, encode
 from huepose_protos.keys import Keys
 from huepose_protos.messages import Message
-from huepose_services.runtime.clock import now_ns
-from huepose_services.runtime.future import check_stamps
+from huepose_services.runtime.clock import check_stamps, now_ns
 from huepose_services.runtime.health import Health
 from huepose_services.runtime.inbox import Inbox, Queue, Ring
 from huepose_services.runtime.log import Log

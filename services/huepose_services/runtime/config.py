@@ -12,7 +12,7 @@ from huepose.support.errors import InputError
 from huepose_protos.fields import Name
 from huepose_protos.keys import Keys
 from huepose_protos.local import BASE_PORT, endpoint
-from huepose_services.runtime.config_errors import explain
+from huepose_services.runtime.config_errors import explain, read_yaml
 from huepose_services.runtime.config_parts import PERCEPTION, Hosts, check_hosts, check_ports, of_cameras
 from huepose_services.runtime.config_perception import (
     DRAWN_SOURCES,
@@ -27,7 +27,6 @@ from huepose_services.runtime.config_perception import (
     check_detector,
     check_segmenter,
 )
-from huepose_services.runtime.config_text import read_yaml
 
 DEFAULT_FILE = "pipeline.yaml"
 _MAX_BYTES = 1024 * 1024

@@ -9,10 +9,35 @@ its loop runs: a camera that is not plugged in must not hold up the start of the
 from __future__ import annotations
 
 import os
+import socket
 from contextlib import suppress
 
 from huepose_services.runtime.clock import SECOND, now_ns
-from huepose_services.runtime.notify import notify, watchdog_s
+
+
+def notify(*assignments: str) -> bool:
+    """Tell systemd, where it listens (sd_notify(3)), what it wants to hear of a service of Type=notify:
+    assignments such as `READY=1`, `WATCHDOG=1`, `STATUS=waiting for the camera`, `STOPPING=1`.
+
+    Returns whether there was someone to tell. Never raises: a service manager that is gone ends no worker."""
+    address = os.environ.get("NOTIFY_SOCKET", "")
+    if not address.startswith(("/", "@")):
+        return False
+    if address.startswith("@"):
+        address = "\0" + address[1:]
+    with suppress(OSError), socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM | socket.SOCK_CLOEXEC) as sender:
+        sender.setblocking(False)
+        sender.sendto("\n".join(assignments).encode(), address)
+        return True
+    return False
+
+
+def watchdog_s() -> float | None:
+    """After how many seconds without `WATCHDOG=1` systemd takes this process for hung; None: never."""
+    text = os.environ.get("WATCHDOG_USEC", "")
+    meant = os.environ.get("WATCHDOG_PID", str(os.getpid())) == str(os.getpid())
+    return int(text) * 1e-6 if meant and text.isdigit() and int(text) > 0 else None
+
 
 READY_FD = "HUEPOSE_READY_FD"
 BEAT_S = 0.2

@@ -8,8 +8,7 @@ import pytest
 
 from huepose.support.errors import InputError
 from huepose_services.camera.live import CameraError
-from huepose_services.camera.oak import Oak, OakCamera, shot_of
-from huepose_services.camera.oak_setup import build, check_options, synchronised
+from huepose_services.camera.oak import Oak, OakCamera, build, check_options, shot_of, synchronised
 from huepose_services.runtime.config_perception import CameraConfig, DeviceConfig
 
 dai = pytest.importorskip("depthai", reason="depthai, the OAK SDK, is not installed")

@@ -15,7 +15,7 @@ from huepose.evaluation.source_ablation import variants
 from huepose.geometry import Mesh, RgbdFrame, se3
 from huepose.model import save_model
 from huepose.model.types import DistanceGrid, PairReference, ReferenceModel, Surface, ViewTemplates
-from huepose_services.cli import evaluate_sources
+from huepose_services.cli import evaluate_ablation
 from huepose_services.cli.main import main
 from tests.evaluation.conftest import estimate_of
 
@@ -152,7 +152,7 @@ class Knowing:
 def test_the_ablation_by_source_tells_and_draws_what_was_measured(
     bundles: Path, scene: Path, tmp_path: Path, capsys, monkeypatch
 ) -> None:
-    monkeypatch.setattr(evaluate_sources, "Estimator", Knowing)
+    monkeypatch.setattr(evaluate_ablation, "Estimator", Knowing)
     result = tmp_path / "result.json"
     command = ["eval", "ablation", "--bop", str(scene), "--bundles", str(bundles), "--json", str(result)]
     command += [

@@ -38,7 +38,7 @@ from huepose_services.runtime.supervisor import Supervisor
 from huepose_services.viewer.shapes import cloud
 from huepose_services.viewer.show import STATE_COLOURS
 
-SEED, SECONDS, BEFORE_S, EVERY = 0, 8.0, 0.5, 3
+SEED, SECONDS, BEFORE_S, EVERY = 0, 6.0, 0.5, 3
 SIZE, LEFT_PX = (880, 428), 507  # of the film and of its left half
 SIDE = Camera(430.0, 430.0, 184.5, 189.5, 370, 380)  # from where the right half is seen
 EYE, LOOK_AT = np.array([0.75, -0.25, 0.35]), np.array([-0.03, 0.02, 0.80])  # m, in the camera's axes
@@ -64,7 +64,7 @@ def main() -> None:
     film = [Image.fromarray(p) for p in pictures]
     duration_ms = round(1000 * EVERY / RATE_HZ)
     film[0].save(
-        target, save_all=True, append_images=film[1:], duration=duration_ms, loop=0, quality=45, method=6
+        target, save_all=True, append_images=film[1:], duration=duration_ms, loop=0, quality=25, method=6
     )
     print(f"{target}: {len(film)} pictures, {target.stat().st_size / 1e6:.2f} MB")
     if len(sys.argv) > 1:

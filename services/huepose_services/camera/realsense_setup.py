@@ -76,7 +76,7 @@ def apply_options(rs: Any, sensors: Iterable[Any], options: Mapping[str, float])
                 f"no option {key}; it has {', '.join(names) or 'depth.NAME and color.NAME'}. "
                 "Correct camera.device.options."
             )
-        _set(able[0], option, value, f"option {key}", "options")
+        _set(able[0], option, value, f"option {key} = {value:g}", "options")
 
 
 def made_filters(rs: Any, filters: Mapping[Filter, Mapping[str, float]]) -> list[Any]:
@@ -108,7 +108,7 @@ def _set_of_filter(rs: Any, made: Any, name: str, key: str, value: float) -> Non
         raise CameraError(
             f"no option {key} of the filter {name}; it has {', '.join(names)}. Correct camera.device.filters."
         )
-    _set(made, option, value, f"{key} of the filter {name}", "filters")
+    _set(made, option, value, f"{key} = {value:g} of the filter {name}", "filters")
 
 
 def _set(able: Any, option: Any, value: float, what: str, where: str) -> None:
@@ -116,8 +116,7 @@ def _set(able: Any, option: Any, value: float, what: str, where: str) -> None:
     allowed = able.get_option_range(option)
     if not allowed.min <= value <= allowed.max:
         raise CameraError(
-            f"{what} = {value:g} is outside {allowed.min:g} to {allowed.max:g}. "
-            f"Correct camera.device.{where}."
+            f"{what} is outside {allowed.min:g} to {allowed.max:g}. Correct camera.device.{where}."
         )
     able.set_option(option, float(value))
 

@@ -1,14 +1,12 @@
-"""Hard moments for the tracker, and minutes of it.
+"""Hard moments for the tracker.
 
-    .venv/bin/python -m studies.hard_moments --json FILE [--plots DIR] [--long 60]
+    .venv/bin/python -m studies.hard_moments --json FILE [--plots DIR]
 
 Draws each moment with the project's own renderer at first use (kept under the cache folder), plays it to a
 new tracker with late perception, and says for all of them: coverage, false TRACKING, how soon a loss is
 declared, how soon an object is back, and how well the stated quality agrees with the share that is right.
 Perception is an oracle with small errors, which also gives the first poses; with `--perception estimate` it
 is the project's own estimator, which has to find the objects first.
-`--long SECONDS` adds a can, a box, a bottle and a marker that are carried about for so long, tracked alone
-from the first frame.
 """
 
 from __future__ import annotations
@@ -16,7 +14,6 @@ from __future__ import annotations
 import argparse
 import sys
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict
 from pathlib import Path
 
 import cv2
@@ -24,7 +21,7 @@ import numpy as np
 
 from huepose.datasets.types import VISIBLE
 from huepose.drawing.canvas import FONT, INK, Colour
-from huepose.drawing.plots import line_plot, reliability_plot
+from huepose.drawing.plots import reliability_plot
 from huepose.evaluation import metrics
 from huepose.evaluation.result_files import write_json
 from huepose.evaluation.states import StateReport, combined, report
@@ -36,8 +33,7 @@ from huepose.tracking import Tracker
 from studies.hard_moments.film import Film
 from studies.hard_moments.perception import Oracle, OwnEstimates
 from studies.hard_moments.play import Played, Told, play
-from studies.hard_moments.scripts import MOMENTS, REST, at_rest, long_run, meshes
-from studies.hard_moments.steadiness import AHEAD_FRAMES, covered, foretold, lag_s, stillness
+from studies.hard_moments.scripts import MOMENTS, meshes
 from studies.hard_moments.traps import TRAPS
 from studies.stress.objects import learned
 
@@ -84,14 +80,6 @@ def bands(rows: Sequence[tuple[str, Sequence[Told]]], title: str) -> UInt8:
 ALL = {**MOMENTS, **TRAPS}
 PERCEPTION: dict[str, type[Oracle] | type[OwnEstimates]] = {"oracle": Oracle, "estimate": OwnEstimates}
 
-SETTLED = 10
-"""Frames after which a filter has settled on an object at rest."""
-
-MOTION = (
-    "covered_2_sigma",
-    *(f"ahead_{round(a * 1000 / 30)}_ms_{u}" for a in AHEAD_FRAMES for u in ("mm", "deg")),
-)
-
 STATES = {
     "coverage_tracking": "coverage %",
     "false_tracking_frames": "false",
@@ -125,8 +113,6 @@ def main() -> int:
     parser.add_argument("--plots", type=Path, default=None, help="folder for the pictures")
     parser.add_argument("--only", nargs="*", default=list(ALL), choices=list(ALL))
     parser.add_argument("--perception", choices=list(PERCEPTION), default="oracle")
-    parser.add_argument("--long", type=float, default=0.0, metavar="SECONDS", help="add long runs (60)")
-    parser.add_argument("--rest", nargs="+", default=[], choices=list(meshes()), help="add objects at rest")
     parser.add_argument(
         "--seed", type=int, nargs="+", default=[0], help="of the errors of late poses, or boxes"
     )
@@ -147,55 +133,17 @@ def main() -> int:
             label = film.script.name + (f", seed {seed}" if len(arguments.seed) > 1 else "")
             lines[label] = figures(played, combined(own))
             rows += [(label, told) for told in played.told]
-    drift = {}
-    for name in meshes() if arguments.long else ():
-        film = Film(long_run(name, arguments.long), arguments.cache)
-        played = play(film, known, _tracker(film, known))
-        lines[film.script.name] = figures(played, report([t.moment() for t in played.told[0]]))
-        drift[name] = played.told[0]
-    rest = {}
-    for name in arguments.rest:
-        film = Film(at_rest(name), arguments.cache)
-        (told,) = play(film, known, _tracker(film, known)).told
-        rest[name] = {**asdict(stillness(told[SETTLED:REST])), "lag_ms": 1e3 * lag_s(told[REST:])}
-    hard = combined(reports) if reports else None
+    hard = combined(reports)
     every = [t for _, told in rows for t in told if t.pose is not None and t.pose.T_cam_obj is not None]
     quality, right = np.array([t.quality for t in every]), np.array([t.right for t in every])
     ece = metrics.expected_calibration_error(quality, right)
-    summary: dict[str, object] = {
-        "ece": ece,
-        "moments": lines,
-        "rest": rest,
-        **_motion([told for _, told in rows]),
-    }
-    if hard is not None:
-        summary |= {key: getattr(hard, key) for key in (*STATES, "false_tracking_rate", "frames")}
-    if drift:
-        summary["drift_mm"] = {name: median.tolist() for name, (_, median) in _by_second(drift).items()}
-    write_json(arguments.json, {"summary": summary})
+    over_all = {key: getattr(hard, key) for key in (*STATES, "false_tracking_rate", "frames")}
+    write_json(arguments.json, {"summary": {"ece": ece, "moments": lines, **over_all}})
     if arguments.plots is not None and every:
         write_picture(arguments.plots / "moments.png", bands(rows, "hard moments, frame by frame"))
         write_picture(arguments.plots / "reliability.png", reliability_plot(quality, right, title="tracking"))
-    if arguments.plots is not None and drift:
-        write_picture(arguments.plots / "drift.png", _drift_picture(drift))
     print(_report(lines, hard, ece))
-    for name, block in rest.items():
-        print(f"{name} at rest: " + ", ".join(f"{key} {value:.3g}" for key, value in block.items()))
-    print(", ".join(f"{key} {summary[key]:.3g}" for key in MOTION if key in summary))
     return 0
-
-
-def _motion(films: list[list[Told]]) -> dict[str, float]:
-    """How true the covariances are where the pose is right, and how well motion is foretold: medians."""
-    if not films:
-        return {}
-    right = [t for told in films for t in told if t.right]
-    out = {"covered_2_sigma": covered(right)}
-    for ahead in AHEAD_FRAMES:
-        parts = [foretold(told, ahead) for told in films]
-        for unit, errors in zip(("mm", "deg"), zip(*parts, strict=True), strict=True):
-            out[f"ahead_{round(ahead * 1000 / 30)}_ms_{unit}"] = float(np.median(np.concatenate(errors)))
-    return out
 
 
 def _tracker(film: Film, known: dict[str, ReferenceModel]) -> Tracker:
@@ -204,23 +152,7 @@ def _tracker(film: Film, known: dict[str, ReferenceModel]) -> Tracker:
     return tracker
 
 
-def _by_second(drift: dict[str, list[Told]]) -> dict[str, tuple[np.ndarray, np.ndarray]]:
-    """Middle of each second, and the median of the ADD in it, millimetres."""
-    lines = {}
-    for name, told in drift.items():
-        add = 1e3 * np.array([t.add_m for t in told])
-        seconds = len(add) // 30
-        lines[name] = (np.arange(seconds) + 0.5, np.median(add[: 30 * seconds].reshape(seconds, 30), 1))
-    return lines
-
-
-def _drift_picture(drift: dict[str, list[Told]]) -> np.ndarray:
-    """ADD over time."""
-    lines = _by_second(drift)
-    return line_plot(lines, "tracked alone", "seconds", "ADD in mm, median of a second", None, (0.0, 6.0))
-
-
-def _report(lines: dict[str, dict[str, object]], hard: StateReport | None, ece: float | None) -> str:
+def _report(lines: dict[str, dict[str, object]], hard: StateReport, ece: float | None) -> str:
     columns = {
         **STATES,
         "auc_add": "AUC",
@@ -230,8 +162,6 @@ def _report(lines: dict[str, dict[str, object]], hard: StateReport | None, ece: 
     }
     rows = [[name, *(line[key] for key in columns)] for name, line in lines.items()]
     text = table(["moment", *columns.values()], rows)
-    if hard is None:
-        return text
     coverage = "-" if hard.coverage_tracking is None else f"{hard.coverage_tracking:.1f} %"
     return (
         f"{text}\nall hard moments: TRACKING in {coverage} of visible frames, false TRACKING "

@@ -16,10 +16,9 @@ import numpy as np
 from huepose.geometry import Camera, Mesh, se3
 from huepose.geometry.arrays import Bool, Float64
 from huepose.scenes import textures
-from huepose.scenes.charts import blocks, revolved
+from huepose.scenes.charts import blocks
 from huepose.scenes.frame import Stage
 from huepose.scenes.light import Light, random_light
-from huepose.scenes.motion import Timing, object_paths
 from huepose.scenes.room import room
 from huepose.scenes.shapes import demo_objects, printed
 
@@ -48,21 +47,12 @@ class Script:
     decoys: tuple[tuple[str, int], ...] = ()
 
 
-def marker(seed: int = 0) -> Mesh:
-    """A printed pen of 1.8 cm across and 12.5 cm long."""
-    rng = np.random.default_rng([seed, 41])
-    r, h = 0.009, 0.0625
-    bottom, side = [(0.0, -h), (r, -h)], [(r, z) for z in np.linspace(-h, h, 6)]
-    arts = [textures.lid("PEN"), textures.wrapper("MARKER", "permanent", "8+"), textures.lid("TIP")]
-    return printed(revolved([bottom, side, [(r, h), (0.0, h)]], 24), arts, textures.palette(0.1, rng), rng)
-
-
 @lru_cache(maxsize=1)
 def meshes() -> Mapping[str, Mesh]:
-    """The objects of all moments by name, metres: box, can, bottle and marker."""
+    """The objects of all moments by name, metres: box, can and bottle."""
     demo = demo_objects(0)
     names = {"box": "tea_box", "can": "soup_can", "bottle": "juice_bottle"}
-    return {**{name: demo[source] for name, source in names.items()}, "marker": marker()}
+    return {name: demo[source] for name, source in names.items()}
 
 
 @lru_cache(maxsize=1)
@@ -269,25 +259,3 @@ MOMENTS: Mapping[str, Callable[[], Script]] = {
         covered, elsewhere, hand, light, blur, frozen, pause, crossing, spinning, holes, near, border
     )
 }  # fmt: skip
-
-
-REST = 10 * SECOND
-TOP_SPEED_M_S, RISE_S = 0.4, 0.3
-
-
-def at_rest(mesh: str) -> Script:
-    """Ten seconds at rest; then it is pulled sideways, at 0.4 m/s after 0.3 s, for a second in all."""
-    pose = se3.make(se3.rotation_exp(np.array([1.9, 0.3, 0.4])), np.array([-0.1, 0.0, 0.7]))
-    path = np.tile(pose, (REST + SECOND, 1, 1))
-    t = np.maximum(np.arange(len(path)) - REST + 1, 0) / RATE_HZ
-    path[:, 0, 3] += TOP_SPEED_M_S * np.where(t < RISE_S, t**2 / (2 * RISE_S), t - RISE_S / 2)
-    return scripted(f"{mesh} at rest", mesh, path)
-
-
-def long_run(mesh: str, seconds: float = 60.0, seed: int = 0) -> Script:
-    """One object carried about for a long time, at up to 0.6 m/s and 370 degrees a second."""
-    rng = np.random.default_rng([seed, 77])
-    n = round(seconds * RATE_HZ)
-    radius = float(np.linalg.norm(meshes()[mesh].vertices, axis=1).max())
-    path = object_paths(np.array([radius]), CAMERA, Timing.of(n, RATE_HZ), rng)[0]
-    return scripted(f"{mesh}, {seconds:.0f} s", mesh, path)

@@ -1,4 +1,4 @@
-"""Hard moments: the figures of steadiness on made-up poses, and two short moments, drawn and played."""
+"""Hard moments: two short ones, drawn and played."""
 
 from __future__ import annotations
 
@@ -6,59 +6,18 @@ from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
-import pytest
 
 from huepose.evaluation.states import report
-from huepose.geometry import se3
 from huepose.reinit import Request, RequestedObject
 from huepose.scenes.frame import labels
-from huepose.tracking import State, TrackedPose, Tracker, TrackerConfig
+from huepose.tracking import Tracker, TrackerConfig
 from studies.hard_moments import scripts
 from studies.hard_moments.film import Film
 from studies.hard_moments.perception import Oracle, OwnEstimates
-from studies.hard_moments.play import Told, play
+from studies.hard_moments.play import play
 from studies.hard_moments.scripts import FRAMES, Script
-from studies.hard_moments.steadiness import covered, foretold, lag_s, stillness
 from studies.hard_moments.traps import AWAY_M, TRAPS, swapped
 from tests.studies.challenge import challenge
-
-SIGMA = np.array([0.001] * 3 + [0.01] * 3)
-
-
-def told(k: int, truth: np.ndarray, T: np.ndarray, velocity: np.ndarray | None = None) -> Told:
-    pose = TrackedPose("box", 0, 1, k, k * 33_333_333, State.TRACKING, T, velocity, 0.9, np.diag(SIGMA**2), 1)
-    return Told(k * 33_333_333, 1.0, "TRACKING", 0.9, 0.01, 0.002, pose, truth)
-
-
-def at(x: float) -> np.ndarray:
-    return se3.make(np.eye(3), np.array([x, 0.0, 0.6]))
-
-
-def test_stillness_of_known_noise() -> None:
-    rng = np.random.default_rng(2)
-    rows = [told(k, at(0.1), se3.perturb(at(0.1), rng.normal(0.0, SIGMA))) for k in range(2000)]
-    figures = stillness(rows)
-    assert figures.tremble_mm == pytest.approx(np.sqrt(3), rel=0.05)
-    assert figures.tremble_deg == pytest.approx(np.degrees(0.01 * np.sqrt(3)), rel=0.05)
-    assert figures.covered == pytest.approx(95.4, abs=1.0)
-    shifted = [replace(r, truth=at(0.11)) for r in rows]
-    assert stillness(shifted).tremble_mm == pytest.approx(figures.tremble_mm)
-    assert stillness(shifted).error_mm > 10.0
-    with pytest.raises(ValueError, match="no pose"):
-        stillness([*rows[:3], replace(rows[3], pose=None)])
-
-
-def test_lag_and_foresight_of_a_steady_motion() -> None:
-    speed = 0.3
-    truth = [at(speed * k * 0.033333333) for k in range(30)]
-    late = [told(k, T, at(T[0, 3] - 0.02 * speed)) for k, T in enumerate(truth)]
-    assert lag_s(late) == pytest.approx(0.02, rel=1e-3)
-    velocity = np.array([speed, 0, 0, 0, 0, 0])
-    steady = [told(k, T, T, velocity) for k, T in enumerate(truth)]
-    assert np.abs(foretold(steady, 3)[0]).max() < 1e-6
-    still = [told(k, T, T, np.zeros(6)) for k, T in enumerate(truth)]
-    np.testing.assert_allclose(foretold(still, 3)[0], 1e3 * speed * 0.1, rtol=1e-6)
-    assert covered(steady) == 100.0
 
 
 def short(script: Script, first: int, last: int) -> Script:

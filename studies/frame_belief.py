@@ -95,8 +95,8 @@ def collect(job: Job) -> list[Row]:
         return []
     model = models[film.object]
     subject, rng = Subject.of(model), np.random.default_rng([job.number, *film.name.encode()])
-    frames, visible = [s.frame for s in film.frames], [float(s.visib_fract[0]) for s in film.frames]
-    truth = [s.T_cam_obj[0] for s in film.frames]
+    frames, visible = [s.frame for s in film.frames], [s.visib_fract for s in film.frames]
+    truth = [s.T_cam_obj for s in film.frames]
     baseline, light, rows = None, None, []
     for i in range(2, len(frames), EVERY):
         gone = visible[i] < 0.1

@@ -11,8 +11,7 @@ import numpy as np
 from huepose.geometry import se3
 from huepose.geometry.arrays import Float64
 from huepose.model import ReferenceModel
-from studies.hard_moments.film import Seen
-from studies.stress.films import Film
+from studies.stress.films import Film, Seen
 
 STEPS = (1, 3, 5, 7, 10, 15)
 OFFSETS = 3
@@ -43,15 +42,6 @@ class Run:
     frames: tuple[Seen, ...]
     first: Float64
     quality: float = 1.0
-
-    @property
-    def objects(self) -> tuple[str, ...]:
-        """The one object."""
-        return (self.film.object,)
-
-    def __iter__(self) -> Iterator[Seen]:
-        """The frames."""
-        return iter(self.frames)
 
 
 def runs(film: Film, model: ReferenceModel, seed: int) -> Iterator[Run]:
@@ -88,7 +78,7 @@ def _run(
     at_once: bool = False,
 ) -> Iterator[Run]:
     kept = [film.frames[i] for i in chosen]
-    while kept and kept[0].visib_fract[0] < LEAST_VISIBLE:
+    while kept and kept[0].visib_fract < LEAST_VISIBLE:
         kept.pop(0)
     if len(kept) < 2:
         return
@@ -99,16 +89,16 @@ def _run(
             replace(s, frame=replace(s.frame, frame_id=k, stamp_ns=t))
             for k, (s, t) in enumerate(zip(kept, stamps, strict=True))
         ]
-    yield Run(f"{film.name}: {cause}{suffix}", cause, film, tuple(kept), kept[0].T_cam_obj[0])
+    yield Run(f"{film.name}: {cause}{suffix}", cause, film, tuple(kept), kept[0].T_cam_obj)
 
 
 def _wrong(film: Film, model: ReferenceModel, cause: str, rng: Rng) -> Iterator[Run]:
     begin = int(rng.integers(0, len(film.frames) // 3))
-    shown = [s for s in film.frames[begin:] if s.visib_fract[0] >= LEAST_VISIBLE]
+    shown = [s for s in film.frames[begin:] if s.visib_fract >= LEAST_VISIBLE]
     if not shown:
         return
     kept = film.frames[shown[0].frame.frame_id :][:40]
-    truth, frame = kept[0].T_cam_obj[0], kept[0].frame
+    truth, frame = kept[0].T_cam_obj, kept[0].frame
     centre, R = truth[:3, :3] @ model.mesh.centre + truth[:3, 3], truth[:3, :3]
     if cause == "shifted":
         shift = rng.normal(0, 1, 3)

@@ -5,20 +5,19 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
 from huepose.datasets.fast_ycb import FastYcbSequence, object_of
 from huepose.geometry import RgbdFrame, se3
-from huepose.geometry.arrays import Float64
+from huepose.geometry.arrays import Float32, Float64, UInt8
 from huepose.model import ReferenceModel
 from huepose.scenes.carried import FRAMES, RATE_HZ, staged
-from huepose.scenes.frame import Stage, shoot
+from huepose.scenes.frame import Shot, Stage, shoot
 from huepose.scenes.loop_file import kept_loop
 from huepose.scenes.sensor import COLOR, STEREO
 from huepose.support.errors import InputError
-from studies.hard_moments.film import Seen, kept_row
-from studies.hard_moments.scripts import smooth
 from studies.stress.objects import look_alike
 
 VERSION = 1  # raise it when any pixel changes
@@ -30,6 +29,15 @@ SWAPPED = 30
 RESTS, LIFTED, SLIDES_M_S = 18, 32, 0.15
 
 Rng = np.random.Generator
+
+
+@dataclass(frozen=True, eq=False)
+class Seen:
+    """A frame and the truth in it: the object's T_cam_obj (4, 4), and how much of it is visible, 0..1."""
+
+    frame: RgbdFrame
+    T_cam_obj: Float64
+    visib_fract: float
 
 
 @dataclass(frozen=True, eq=False)
@@ -61,13 +69,19 @@ def drawn(
     path = cache / f"{name}-{VERSION}.loop"
     sensor, first = STEREO if number % 2 == 1 else None, seed * 1000 + number
     shots = (shoot(stage, i, first, COLOR, sensor) for i in range(FRAMES))
-    loop, rows = kept_loop(path, lambda: map(kept_row, shots), {"name": name})
+    loop, rows = kept_loop(path, lambda: map(_kept_row, shots), {"name": name})
     frames = []
     for i, row in enumerate(rows):
         frame = RgbdFrame(loop.color(i), loop.depth(i), stage.camera, i, round(i * 1e9 / RATE_HZ), 1)
-        frames.append(Seen(frame, np.array(row["T_cam_obj"]), np.array(row["visib_fract"])))
+        frames.append(Seen(frame, np.array(row["T_cam_obj"][0]), row["visib_fract"][0]))
     others = [stage.T_room_mesh[k, 0] for k in range(2, len(stage.meshes))]
     return Film(name, kind, model.name, tuple(frames), np.array(others).reshape(-1, 4, 4))
+
+
+def _kept_row(shot: Shot) -> tuple[UInt8, Float32, dict[str, Any]]:
+    """A frame and its truth as they are kept in a loop."""
+    truth = {"T_cam_obj": shot.labels.T_cam_obj.tolist(), "visib_fract": shot.labels.visib_fract.tolist()}
+    return shot.color, shot.depth, truth
 
 
 def recorded(path: Path, models: Mapping[str, ReferenceModel]) -> Film:
@@ -81,7 +95,7 @@ def recorded(path: Path, models: Mapping[str, ReferenceModel]) -> Film:
         if T is None:
             raise InputError(path, found=f"no pose in frame {i}", expected="a label in every frame")
         frame = replace(sequence.frame(i), frame_id=k, epoch=1)
-        frames.append(Seen(frame, T[None], np.ones(1)))
+        frames.append(Seen(frame, T, 1.0))
     return Film(path.name, "recorded", model.name, tuple(frames), np.zeros((0, 4, 4)))
 
 
@@ -105,6 +119,13 @@ def _stage(kind: str, model: ReferenceModel, others: list[ReferenceModel], rng: 
         stage = replace(stage, meshes=(stage.meshes[0], bare, *stage.meshes[2:]))
         return _moved(stage, _lifted(path, model, stage.T_room_mesh[1, 0], rng))
     return stage
+
+
+def smooth(frames: int, begin: int, end: int, ramp: int) -> Float64:
+    """0, rising to 1 within `ramp` frames before `begin`, and back to 0 after `end`."""
+    k = np.arange(frames)
+    s = np.clip(np.minimum((k - begin + ramp) / ramp, (end + ramp - k) / ramp), 0.0, 1.0)
+    return np.asarray(s * s * (3 - 2 * s))
 
 
 def _moved(stage: Stage, path: Float64) -> Stage:

@@ -13,11 +13,11 @@ import cv2
 from huepose.model import ReferenceModel, load_models
 from huepose.support.files import cache_folder
 from huepose.tracking import Tracker
-from studies.hard_moments.perception import Oracle
-from studies.hard_moments.play import play
 from studies.stress.causes import runs
 from studies.stress.films import Film, drawn, recorded
 from studies.stress.objects import builtin_meshes, learned
+from studies.stress.oracle import Oracle
+from studies.stress.play import play
 
 
 @dataclass(frozen=True)
@@ -87,8 +87,8 @@ def played(job: Job) -> list[Row]:
     for run in runs(film, model, seed):
         for mode in job.modes:
             tracker = Tracker({film.object: model})
-            perception = Oracle(run, models, seed) if mode == "with_loop" else None
-            (told,) = play(run, models, tracker, perception=perception, first=(run.first, run.quality)).told
+            perception = Oracle(model, seed) if mode == "with_loop" else None
+            told = play(run.frames, model, tracker, run.first, run.quality, perception)
             frames = [
                 (
                     t.stamp_ns,

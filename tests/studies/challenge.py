@@ -8,7 +8,7 @@ began.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Sequence
 
 import numpy as np
 
@@ -20,9 +20,8 @@ from huepose.judge.borders import outline
 from huepose.model.types import ReferenceModel
 from huepose.tracking import evidence
 from huepose.tracking.step import Subject, best_of
-from studies.hard_moments.film import Film
+from studies.stress.films import Seen
 
-EVERY = 10
 WRONG = 6
 UNDECIDED = 0.0
 """Log-odds of a pose beforehand: nothing is known."""
@@ -34,32 +33,25 @@ UNTIL_SETTLED = 12
 none, and a pose that is still on its way is neither right nor wrong."""
 
 
-def challenge(
-    film: Film, models: Mapping[str, ReferenceModel], seed: int = 0, every: int = EVERY
-) -> tuple[Float64, Bool]:
-    """Qualities (N,) and which poses were right (N,), over the frames of a film and its visible objects."""
-    rng = np.random.default_rng([seed, 90])
-    subjects = {name: Subject.of(models[name]) for name in set(film.script.objects)}
-    baseline: dict[int, float] = {}
+def challenge(frames: Sequence[Seen], model: ReferenceModel, every: int) -> tuple[Float64, Bool]:
+    """Qualities (N,) and which poses were right (N,), over the frames in which the object is visible."""
+    rng = np.random.default_rng([0, 90])
+    subject, baseline = Subject.of(model), None
     qualities: list[float] = []
     right: list[bool] = []
-    for seen in film:
-        if seen.frame.frame_id % every:
+    for seen in frames[::every]:
+        if seen.visib_fract < LEAST_VISIBLE:
             continue
-        for k, name in enumerate(film.script.objects):
-            if seen.visib_fract[k] < LEAST_VISIBLE:
-                continue
-            model, subject, truth = models[name], subjects[name], seen.T_cam_obj[k]
-            starts = [truth, *wrong_starts(truth, model, rng)]
-            for i, start in enumerate(starts):
-                step = best_of(subject.surface, seen.frame, [(start, "still")], more_passes=UNTIL_SETTLED)
-                add = metrics.add(model.eval_points, step.T_cam_obj, truth)
-                goes_on = outline(subject.contours, step.T_cam_obj, seen.frame).goes_on
-                odds = evidence.log_odds(step.terms, baseline.get(k), UNDECIDED, goes_on)
-                qualities.append(probability(odds))
-                right.append(add < metrics.RECALL_FRACTION * model.diameter_m)
-                if i == 0:
-                    baseline[k] = evidence.baseline_after(baseline.get(k), step.terms.total)
+        truth = seen.T_cam_obj
+        for i, start in enumerate([truth, *wrong_starts(truth, model, rng)]):
+            step = best_of(subject.surface, seen.frame, [(start, "still")], more_passes=UNTIL_SETTLED)
+            add = metrics.add(model.eval_points, step.T_cam_obj, truth)
+            goes_on = outline(subject.contours, step.T_cam_obj, seen.frame).goes_on
+            odds = evidence.log_odds(step.terms, baseline, UNDECIDED, goes_on)
+            qualities.append(probability(odds))
+            right.append(add < metrics.RECALL_FRACTION * model.diameter_m)
+            if i == 0:
+                baseline = evidence.baseline_after(baseline, step.terms.total)
     return np.array(qualities), np.array(right, bool)
 
 

@@ -5,9 +5,8 @@ import pytest
 
 from huepose.geometry import Camera, RgbdFrame, se3
 from huepose.model import ReferenceModel
-from studies.hard_moments.film import Seen
 from studies.stress.causes import JUMP_AT, JUMP_FRAMES, loaded_schedule, runs
-from studies.stress.films import Film
+from studies.stress.films import Film, Seen
 from studies.stress.objects import builtin_meshes, look_alike
 from studies.stress.report import figures
 
@@ -23,7 +22,7 @@ def film() -> Film:
     for k in range(60):
         T = se3.make(np.eye(3), np.array([0.01 * k, 0.0, 0.6]))
         frame = RgbdFrame(color, depth, camera, frame_id=k, stamp_ns=k * FRAME_NS)
-        frames.append(Seen(frame, T[None], np.array([1.0])))
+        frames.append(Seen(frame, T, 1.0))
     return Film("film", "carried", "box", tuple(frames), np.zeros((0, 4, 4)))
 
 
@@ -32,7 +31,7 @@ def test_steps_keep_their_time_and_a_jump_takes_none(film: Film, tea_box: Refere
     stamps = [s.frame.stamp_ns for s in by_cause["step 10"].frames]
     assert set(np.diff(stamps)) == {10 * FRAME_NS}
     jump = by_cause["jump"].frames
-    moved = jump[JUMP_AT].T_cam_obj[0, 0, 3] - jump[JUMP_AT - 1].T_cam_obj[0, 0, 3]
+    moved = jump[JUMP_AT].T_cam_obj[0, 3] - jump[JUMP_AT - 1].T_cam_obj[0, 3]
     assert moved == pytest.approx(0.01 * (JUMP_FRAMES + 1))
     assert jump[JUMP_AT].frame.stamp_ns - jump[JUMP_AT - 1].frame.stamp_ns == pytest.approx(FRAME_NS, abs=2)
 
@@ -41,7 +40,7 @@ def test_wrong_starts_are_wrong_and_claim_to_be_right(film: Film, tea_box: Refer
     by_cause = {run.cause: run for run in runs(film, tea_box, 0)}
     for cause in ("shifted", "turned", "elsewhere", "in the table"):
         run = by_cause[cause]
-        off = run.first @ np.linalg.inv(run.frames[0].T_cam_obj[0])
+        off = run.first @ np.linalg.inv(run.frames[0].T_cam_obj)
         apart = np.linalg.norm(se3.apply(off, tea_box.eval_points) - tea_box.eval_points, axis=1).mean()
         assert run.quality == 0.9
         assert apart > 0.1 * tea_box.diameter_m

@@ -8,7 +8,7 @@ import pytest
 from huepose.geometry import se3
 from huepose.tracking import Correction, State, Tracker, TrackerConfig, Verdict
 from huepose.tracking import step as one_step
-from studies.hard_moments.scripts import printed_board
+from tests.studies.moments import printed_board
 
 TWO = (0, 1)
 

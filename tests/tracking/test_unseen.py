@@ -7,7 +7,7 @@ import numpy as np
 from huepose.geometry import se3
 from huepose.tracking import Correction, State, Tracker
 from huepose.tracking import track as one_track
-from studies.hard_moments.scripts import printed_board
+from tests.studies.moments import printed_board
 
 
 def test_after_two_frames_it_is_not_asked_which_way_round_it_is(tea_box, shoot, path, monkeypatch) -> None:

@@ -1,0 +1,101 @@
+"""A tracker and the re-initialisation loop play a film, as when live.
+
+The loop asks at 5 Hz; an answer comes when the chain has had its time, and is about the frame that was asked
+for.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import dataclass
+
+import numpy as np
+
+from huepose.datasets.types import GONE, VISIBLE
+from huepose.evaluation import metrics
+from huepose.evaluation.states import Moment
+from huepose.geometry.arrays import Float64
+from huepose.model import ReferenceModel
+from huepose.reinit.loop import ReinitLoop
+from huepose.reinit.types import PerceptionResult
+from huepose.tracking import Correction, TrackedPose, Tracker
+from studies.stress.films import Seen
+from studies.stress.oracle import Oracle, slot_of
+
+FAR = 10.0
+"""Diameters: poses that are farther off are all as wrong."""
+
+CHAIN_S = 0.35
+"""From a request to its answer: the deadline is 0.6 s."""
+
+
+@dataclass(frozen=True, eq=False)
+class Told:
+    """What was published of a frame's object: state, quality, and ADD as a share of the diameter (inf without
+    a pose)."""
+
+    stamp_ns: int
+    visib_fract: float
+    state: str | None
+    quality: float
+    error: float
+
+    @property
+    def right(self) -> bool:
+        """Within a tenth of the diameter."""
+        return self.error < metrics.RECALL_FRACTION
+
+    def moment(self) -> Moment:
+        """For the report of states."""
+        visible, gone = self.visib_fract >= VISIBLE, self.visib_fract < GONE
+        return Moment(self.stamp_ns, visible, gone, self.state, self.right)
+
+
+def play(
+    frames: Iterable[Seen],
+    model: ReferenceModel,
+    tracker: Tracker,
+    first: Float64,
+    quality: float = 1.0,
+    perception: Oracle | None = None,
+) -> list[Told]:
+    """Track a film of one object from a first pose (4, 4) with its quality; without `perception` alone."""
+    loop = ReinitLoop(objects=[slot_of(model)])
+    due: list[tuple[int, PerceptionResult]] = []
+    told = []
+    for number, seen in enumerate(frames):
+        frame, now_ns = seen.frame, seen.frame.stamp_ns
+        if number == 0:
+            tracker.correct(Correction.first(model.name, first, frame, quality))
+        for item in [d for d in due if d[0] <= now_ns]:
+            due.remove(item)
+            for correction in loop.answer(now_ns, item[1]):
+                tracker.correct(correction)
+        for correction in loop.repeats(now_ns):
+            tracker.correct(correction)
+        poses = tracker.step(frame)
+        request = None if perception is None else loop.tick(now_ns, poses)
+        if perception is not None and request is not None:
+            found = tuple(perception.answer(request, seen))
+            answer = PerceptionResult(request.number, frame.epoch, frame.frame_id, frame.stamp_ns, found)
+            due.append((now_ns + round(CHAIN_S * 1e9), answer))
+        told.append(_told(seen, model, poses))
+    return told
+
+
+def _told(seen: Seen, model: ReferenceModel, poses: list[TrackedPose]) -> Told:
+    """Of several tracks that which is nearest to the truth; one without a pose where none has one."""
+    stamp_ns, share = seen.frame.stamp_ns, seen.visib_fract
+    if not poses:
+        return Told(stamp_ns, share, None, 0.0, np.inf)
+    errors = [_error(model, pose.T_cam_obj, seen.T_cam_obj) for pose in poses]
+    k = int(np.argmin(np.minimum(errors, FAR)))
+    return Told(stamp_ns, share, poses[k].state.value, poses[k].quality, errors[k])
+
+
+def _error(model: ReferenceModel, T_cam_obj: Float64 | None, truth: Float64) -> float:
+    """ADD to the nearest equivalent pose, in diameters; inf without a pose."""
+    if T_cam_obj is None:
+        return np.inf
+    add = min(metrics.add(model.eval_points, T_cam_obj, truth @ turn) for turn in model.equivalents)
+    return add / model.diameter_m

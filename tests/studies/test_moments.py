@@ -1,0 +1,45 @@
+"""Two hard moments, drawn and played: a track is given up in time, and not taken up again by what is
+another object."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from huepose.evaluation.states import report
+from huepose.model import ReferenceModel
+from huepose.tracking import Tracker, TrackerConfig
+from studies.stress.oracle import Oracle
+from studies.stress.play import play
+from tests.studies.challenge import challenge
+from tests.studies.moments import covered, swapped
+
+
+def test_a_covered_object_is_lost_and_comes_back(tea_box: ReferenceModel) -> None:
+    frames = covered(tea_box.mesh)
+    assert max(seen.visib_fract for seen in frames[5:13]) < 0.1
+    tracker = Tracker({tea_box.name: tea_box})
+    told = play(frames, tea_box, tracker, frames[0].T_cam_obj, perception=Oracle(tea_box))
+    figures = report([t.moment() for t in told])
+    assert figures.false_tracking_frames == 0
+    assert figures.declared_suspect_after_frames is not None
+    assert figures.declared_suspect_after_frames <= 2
+    assert figures.declared_lost_after_frames is not None
+    assert figures.declared_lost_after_frames <= 5
+    assert figures.reacquired_after_s is not None
+    assert figures.reacquired_after_s <= 0.4 + 0.35 + 0.01
+    quality, right = challenge(frames, tea_box, every=16)
+    assert 2 <= right.sum() < len(right) / 2, "the frame before and the frame after, from the truth"
+    level = TrackerConfig().tracking_quality
+    assert quality[right].min() > level + 0.2, "believed at once, with nothing known beforehand"
+    assert quality[~right].max() < level
+
+
+def test_a_look_alike_is_never_taken_for_the_object(tea_box: ReferenceModel) -> None:
+    frames = swapped(tea_box.mesh)
+    assert max(seen.visib_fract for seen in frames[6:]) < 0.1
+    assert np.array_equal(frames[-1].T_cam_obj[:3, 3], [0.0, 0.0, -2.0]), "behind the camera"
+    tracker = Tracker({tea_box.name: tea_box})
+    told = play(frames, tea_box, tracker, frames[0].T_cam_obj, perception=Oracle(tea_box))
+    figures = report([t.moment() for t in told])
+    assert figures.tracking_frames == 6
+    assert figures.false_tracking_frames == 0

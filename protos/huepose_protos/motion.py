@@ -10,7 +10,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from huepose_protos.fields import StateName
 from huepose_protos.messages import Mount, PoseMessage
@@ -48,20 +48,14 @@ class PoseAt:
     @property
     def T_cam_obj(self) -> Array:
         """The pose as a matrix (4, 4) that takes points of the object to the camera."""
-        T_cam_obj = np.eye(4)
-        T_cam_obj[:3, :3] = rotation_matrix(self.quaternion)
-        T_cam_obj[:3, 3] = self.translation
-        return T_cam_obj
+        return _matrix(self.translation, self.quaternion)
 
     @property
     def T_parent_obj(self) -> Array | None:
         """The same in the frame `mount.parent`, that of the robot for example; None without a mount."""
         if self.mount is None:
             return None
-        T_parent_cam = np.eye(4)
-        T_parent_cam[:3, :3] = rotation_matrix(np.array(self.mount.quaternion))
-        T_parent_cam[:3, 3] = self.mount.translation
-        return np.asarray(T_parent_cam @ self.T_cam_obj)
+        return _matrix(self.mount.translation, np.array(self.mount.quaternion)) @ self.T_cam_obj
 
 
 def pose_at(poses: Sequence[PoseMessage], stamp_ns: int) -> PoseAt | None:
@@ -97,10 +91,7 @@ def mount_at(told: Sequence[tuple[int, Mount]], stamp_ns: int) -> Mount | None:
     if end_ns - start_ns > _MAX_GAP_NS or stamp_ns - end_ns > MAX_AHEAD_NS or end.parent != start.parent:
         return None
     share = (stamp_ns - start_ns) / (end_ns - start_ns)
-    a, b = np.array(start.quaternion), np.array(end.quaternion)
-    turn = rotation_vector(multiply(b, _inverse(a)))
-    place = (1.0 - share) * np.array(start.translation) + share * np.array(end.translation)
-    return mount_of(end.parent, place, multiply(quaternion_of(share * turn), a))
+    return mount_of(end.parent, *_way_between(start, end, share))
 
 
 def composed(outer: Mount, inner: Mount) -> Mount:
@@ -140,21 +131,33 @@ def _predicted(pose: PoseMessage, ahead_ns: int) -> PoseAt | None:
 
 
 def _between(before: PoseMessage, after: PoseMessage, share: float) -> PoseAt:
-    a, b = np.array(before.quaternion), np.array(after.quaternion)
-    turn = rotation_vector(multiply(b, _inverse(a)))
-    start, end = np.array(before.translation), np.array(after.translation)
     covariance = None
     if before.covariance is not None and after.covariance is not None:
         covariance = (1.0 - share) * _covariance(before) + share * _covariance(after)
     return PoseAt(
-        (1.0 - share) * start + share * end,
-        _normal(multiply(quaternion_of(share * turn), a)),
+        *_way_between(before, after, share),
         covariance,
         max(before.state, after.state, key=_WORST_LAST.index),
         min(before.quality, after.quality),
         0.0,
         after,
     )
+
+
+def _way_between(
+    before: Mount | PoseMessage, after: Mount | PoseMessage, share: float
+) -> tuple[Array, Array]:
+    """Translation and quaternion at a share of the way from one pose to another."""
+    a, b = np.array(before.quaternion), np.array(after.quaternion)
+    turn = rotation_vector(multiply(b, _inverse(a)))
+    place = (1.0 - share) * np.array(before.translation) + share * np.array(after.translation)
+    return place, _normal(multiply(quaternion_of(share * turn), a))
+
+
+def _matrix(translation: ArrayLike, quaternion: Array) -> Array:
+    T = np.eye(4)
+    T[:3, :3], T[:3, 3] = rotation_matrix(quaternion), translation
+    return T
 
 
 def _covariance(pose: PoseMessage) -> Array:

@@ -16,7 +16,7 @@ import numpy as np
 import zenoh
 
 from huepose_protos.local import endpoint
-from huepose_services.runtime.inbox import Inbox, Ring
+from huepose_services.runtime.inbox import Inbox, Place
 from huepose_services.runtime.session import MIB, zenoh_config
 
 if TYPE_CHECKING:
@@ -81,7 +81,7 @@ def _hop_spans(endpoint: str, pool_bytes: int, seconds: float) -> list[tuple[flo
     return spans
 
 
-def _receive(inbox: Inbox, ring: Ring, seconds: float, shared: bool) -> list[tuple[float, float]]:
+def _receive(inbox: Inbox, ring: Place, seconds: float, shared: bool) -> list[tuple[float, float]]:
     """As a worker does: a ring of one, the frame copied out."""
     spans: list[tuple[float, float]] = []
     until = time.monotonic() + _CONNECT_WITHIN_S + seconds

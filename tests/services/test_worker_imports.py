@@ -8,9 +8,10 @@ import sys
 IMPORT_ALL = """
 import sys
 from importlib import import_module
-from huepose_services.runtime.worker import _HOMES
-for home in _HOMES.values():
-    import_module(home)
+from huepose_services.runtime.config import WORKERS
+from huepose_services.runtime.worker import home_of
+for worker in WORKERS:
+    import_module(home_of(worker))
 import huepose.onboarding.reference  # a worker learns the built-in objects where nobody did
 from huepose import Estimator, Tracker, load_models
 assert "huepose.tracking.tracker" in sys.modules
@@ -26,9 +27,9 @@ def test_workers_do_without_what_only_onboarding_and_training_need() -> None:
 WITHOUT_KERNELS = """
 import sys
 from importlib import import_module
-from huepose_services.runtime.worker import _HOMES
+from huepose_services.runtime.worker import home_of
 for worker in ("camera", "reinit"):
-    import_module(_HOMES[worker])
+    import_module(home_of(worker))
 print(*sorted({name.split(".")[0] for name in sys.modules} & {"numba", "scipy", "onnxruntime"}))
 """
 

@@ -23,7 +23,7 @@ from huepose_services.convert import depth_to_wire, intrinsics_to_wire, to_wire
 from huepose_services.runtime.bus import Bus
 from huepose_services.runtime.clock import SECOND, now_ns, this_clock
 from huepose_services.runtime.config import Config
-from huepose_services.runtime.inbox import Queue
+from huepose_services.runtime.inbox import Place
 
 _LATE_NS = SECOND // 2
 _NOT_TOLD = (
@@ -112,7 +112,7 @@ class FramePublisher:
         self._told, self._tell_ns = header.camera_epoch, now + SECOND
         self._say(header, self._mount if self._told_mounts is None else None, None)
 
-    def _tell_mounts(self, header: FrameHeader, told: Queue) -> None:
+    def _tell_mounts(self, header: FrameHeader, told: Place) -> None:
         """Where a camera that moves was, as it was told since the last frame."""
         while (message := self._bus.take(told, MountMessage)) is not None:
             self._newest = message

@@ -12,12 +12,11 @@ from huepose_protos.keys import Keys
 from huepose_protos.messages import Message
 from huepose_services.runtime.clock import check_stamps, now_ns
 from huepose_services.runtime.health import Health
-from huepose_services.runtime.inbox import Inbox, Queue, Ring
+from huepose_services.runtime.inbox import Inbox, Place
 from huepose_services.runtime.log import Log
 from huepose_services.runtime.one_camera import OneCamera
 
 M = TypeVar("M", bound=Message)
-Place = Ring | Queue
 _FOREIGN_FRAMES = (
     "frames of a second camera arrive under the key of this one, and are left out: another program publishes "
     "there; end it, or give its camera another name"
@@ -47,7 +46,7 @@ class Bus:
         self._newest = (0, 0)
         self._out_of_order = 0
 
-    def frames(self, wakes: bool = True) -> Ring:
+    def frames(self, wakes: bool = True) -> Place:
         """The newest frame of the camera; those of a second one beside it, and older ones that come
         later, are counted and left out."""
         return self.inbox.ring(self.keys.frame, wakes, self._is_news)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import Annotated, Literal, get_args
 
 import msgspec
 from msgspec import Meta
@@ -47,7 +47,7 @@ WorkerName = Literal[
 # Those that poses need; the others look at them.
 CHAIN: tuple[WorkerName, ...] = ("camera", "tracker", "reinit", *PERCEPTION)
 # The order gives each worker its port: base_port plus its place. New workers go to the end.
-WORKERS: tuple[WorkerName, ...] = (*CHAIN, "gateway", "viewer", "ros2", "uplink", "downlink")
+WORKERS: tuple[WorkerName, ...] = get_args(WorkerName)
 
 
 class ObjectConfig(Section, frozen=True, kw_only=True):

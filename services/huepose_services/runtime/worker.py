@@ -33,19 +33,6 @@ from huepose_services.runtime.work import Work
 
 TELL_WHERE = signal.SIGUSR2
 
-_HOMES = {
-    "camera": "huepose_services.camera.ingest",
-    "tracker": "huepose_services.tracker",
-    "reinit": "huepose_services.reinit",
-    "detector": "huepose_services.detector",
-    "segmenter": "huepose_services.segmenter",
-    "estimator": "huepose_services.estimator",
-    "gateway": "huepose_services.gateway",
-    "viewer": "huepose_services.viewer",
-    "ros2": "huepose_services.ros2",
-    "uplink": "huepose_services.uplink",
-    "downlink": "huepose_services.downlink",
-}
 # Frames and tracking come first where the cores do not suffice. To raise a priority needs the right to
 # do so (root, LimitNICE of a unit); to lower that of perception and of what only looks needs none.
 # A recorder that does not come at once holds the places that the camera has for frames, until none is left.
@@ -77,6 +64,11 @@ class _Stop:
         # Nothing is lost: the bus notices that the links close, and other threads may not be waited for.
         self._log.say("stopped in the middle of its work")
         os._exit(0)
+
+
+def home_of(worker: str) -> str:
+    """The module with a worker's `make`."""
+    return "huepose_services." + ("camera.ingest" if worker == "camera" else worker)
 
 
 def come_first(worker: str) -> None:
@@ -148,7 +140,7 @@ def run_worker(worker: str, config: Config, path: Path, of: str | None = None) -
 
 def _made(worker: str, bus: Bus, config: Config) -> Work:
     """Its work, warmed up; the log says when it has to compile kernels for that."""
-    home = import_module(_HOMES[worker])
+    home = import_module(home_of(worker))
     telling: AbstractContextManager[object] = nullcontext()
     if "numba" in sys.modules:
         telling = import_module("huepose.support.compiling").telling_of_compiling(bus.log.say)

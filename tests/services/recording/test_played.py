@@ -219,9 +219,9 @@ def test_a_camera_is_recorded_and_replayed(pipeline, scene, huepose, base_port, 
 @pytest.mark.timeout(900)
 def test_a_live_pipeline_is_computed_again_bit_by_bit(huepose, wait_until, tmp_path):
     """At 10 Hz: how much of 30 a busy computer can do is not what this is about. Recorded from before the
-    pipeline began, so nothing need be skipped; long enough for two times all that was believed: so there is
-    much to compare, also where a step was lost beside other programs. Cut anywhere, what comes before the last
-    chunk stays."""
+    pipeline began, so nothing need be skipped; long enough for two times all that was believed, so there is
+    much to compare also where a step was lost beside other programs. Cut anywhere, what comes before the
+    last chunk stays."""
     out = tmp_path / "live.mcap"
     system = LivePipeline(slow=3.0)
     recorder = huepose("record", out, "--config", system.path, "--free", "0")

@@ -3,8 +3,7 @@
     OMP_NUM_THREADS=1 .venv/bin/python -m benchmarks.speed [--only track estimate detect] [--rounds N]
 
 Other load slows both. The least of many rounds is compared, for nothing makes work faster than it is.
-It exits with 1 when a stage costs
-more than ALARM times what it did. After a change that is meant to
+It exits with 1 when a stage costs more than ALARM times what it did. After a change that is meant to
 cost more or less, put what this says into RATIOS.
 """
 
@@ -14,24 +13,19 @@ import argparse
 import json
 import sys
 import time
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping
 from dataclasses import replace
-from itertools import cycle, islice
 
 import cv2
 import numpy as np
 
+from benchmarks.growth import copies, picture, truth
 from huepose.estimation import Estimator, ObjectQuery
-from huepose.geometry import Camera, RgbdFrame, se3
-from huepose.geometry.arrays import Float64
 from huepose.judge.silhouette import projected_box
-from huepose.model import ReferenceModel, load_models
 from huepose.perception.colorpair_detector import ColorPairDetector
 from huepose.profiles import profile
-from huepose.rendering.render import render
 from huepose.tracking import Tracker
 from huepose.tracking.types import Correction
-from huepose_services.builtin import builtin_bundles
 
 RATIOS = {"track": 3.3, "estimate": 5.0, "detect": 8.8}
 """CPU time of ten steps with two objects, one estimate, a search for two that are absent, in units of the
@@ -44,36 +38,7 @@ ALARM = 1.2
 ROUNDS, MOST_ROUNDS = 8, 40
 """At least and, while there is an alarm, at most."""
 
-CAMERA = Camera(600.0, 600.0, 319.5, 239.5, 640, 480)
-SPACING_M, AWAY_M, WALL_M = 0.27, 1.5, 2.2
-PERIOD_NS = round(1e9 / 30.0)
-
 Work = Callable[[], object]
-
-
-def copies(count: int) -> dict[str, ReferenceModel]:
-    """So many models: the demo's, again and again under other names."""
-    models = load_models(builtin_bundles(0))
-    names = list(islice(cycle(models), count))
-    return {f"{name}_{k:03d}": replace(models[name], name=f"{name}_{k:03d}") for k, name in enumerate(names)}
-
-
-def truth(model: ReferenceModel, k: int, i: int) -> Float64:
-    """T_cam_obj (4, 4) in frame i of the k-th of two objects side by side, which turn slowly."""
-    place = np.array([SPACING_M * (k - 0.5) + 0.002 * (i % 10), 0.0, AWAY_M])
-    turn = se3.rotation_exp(np.array([0.4, 0.9 * k + 0.02 * i, 0.2]))
-    return se3.make(turn, place) @ se3.make(np.eye(3), -model.mesh.centre)
-
-
-def picture(models: Sequence[ReferenceModel], i: int) -> RgbdFrame:
-    """Frame i: two models before a wall."""
-    drawn = render([(model.mesh, truth(model, k, i)) for k, model in enumerate(models)], CAMERA)
-    behind = drawn.depth == 0
-    coarse = np.random.default_rng(7).integers(110, 150, (60, 80, 3)).astype(np.uint8)
-    wall = cv2.resize(coarse, (CAMERA.width, CAMERA.height))
-    color = np.where(behind[..., None], wall, drawn.color)
-    depth = np.where(behind, np.float32(WALL_M), drawn.depth)
-    return RgbdFrame(color, depth, CAMERA, i, i * PERIOD_NS)
 
 
 def fixed_work() -> Work:
@@ -97,8 +62,8 @@ def stages() -> dict[str, Work]:
     """What is watched, each on one thread."""
     models, settings = copies(4), profile("live")
     seen = dict(list(models.items())[:2])
-    frames = [picture(list(seen.values()), i) for i in range(11)]
-    poses = {name: truth(model, k, 0) for k, (name, model) in enumerate(seen.items())}
+    frames = [picture(seen, 2, i) for i in range(11)]
+    poses = {name: truth(model, k, 0, 2) for k, (name, model) in enumerate(seen.items())}
     boxes = {name: projected_box(seen[name], frames[0], T) for name, T in poses.items()}
     estimator = Estimator(models, replace(settings.estimator, threads=1))
     detector = ColorPairDetector(models, settings.detector)

@@ -1,0 +1,322 @@
+"""How cost grows: with the objects known, the objects in view, the size of the picture, the readers of poses.
+
+    .venv/bin/python -m benchmarks.growth --out DIR [--only known visible pixels readers] [--quick]
+
+CPU milliseconds (all threads) of one frame, medians, and memory that a process has for itself. The scene is a
+wall with objects before it in rows, all turning slowly; the objects are the demo's five, under other names
+where more are asked for. Each curve gets an exponent: the slope of a straight line through the logarithms,
+over its larger half, where what is paid once counts less. 1 is linear, 0 costs nothing.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import multiprocessing
+import os
+import resource
+import tempfile
+import time
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
+from itertools import cycle, islice
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+import zenoh
+
+from huepose.drawing.plots import line_plot
+from huepose.estimation import Estimator, ObjectQuery
+from huepose.evaluation.result_files import origin
+from huepose.geometry import Camera, se3
+from huepose.geometry.arrays import Float64
+from huepose.geometry.frame import RgbdFrame
+from huepose.judge.silhouette import projected_box
+from huepose.model import load_models, save_model
+from huepose.model.io import model_path
+from huepose.model.types import ReferenceModel
+from huepose.perception.colorpair_detector import ColorPairDetector
+from huepose.profiles import profile
+from huepose.rendering.render import render
+from huepose.support.files import write_picture
+from huepose.support.progress import progress
+from huepose.tracking import Tracker
+from huepose.tracking.types import Correction
+from huepose_protos.local import endpoint
+from huepose_services.builtin import builtin_bundles
+from huepose_services.runtime.session import zenoh_config
+
+CAMERA = Camera(600.0, 600.0, 319.5, 239.5, 640, 480)
+COLUMNS, ROWS, SPACING_M, AWAY_M, WALL_M = 5, 4, 0.27, 1.5, 2.2
+KNOWN, VISIBLE = (1, 2, 5, 10, 20, 50, 100), (1, 2, 5, 10, 20)
+SIZES = ((320, 240), (480, 360), (640, 480), (960, 720), (1280, 960))
+READERS = (1, 2, 5, 10, 20, 50, 100)
+IN_VIEW = 5
+WORKERS = ("tracker", "estimator", "detector")
+FRAMES, WARM = 24, 4
+POSE_BYTES, RATE_HZ, SECONDS = 600, 30.0, 4.0
+READERS_COME_S = 12.0
+PERIOD_NS = round(1e9 / RATE_HZ)
+
+Curves = dict[str, list[tuple[float, float]]]
+Models = Mapping[str, ReferenceModel]
+
+
+def main() -> None:
+    """Measure, draw, print a Markdown table."""
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
+    axes: dict[str, tuple[str, str, Callable[[Sequence[int]], Curves]]] = {
+        "known": ("objects known, five of them in view", "CPU ms a frame", known),
+        "memory": ("objects known", "MiB of its own", memory),
+        "visible": ("objects in view", "CPU ms a frame", visible),
+        "pixels": ("pixels, thousands", "CPU ms a frame", pixels),
+        "readers": ("readers of poses", "sender's CPU ms a second", readers),
+    }
+    parser.add_argument("--out", type=Path, required=True, metavar="DIR")
+    parser.add_argument("--only", nargs="+", choices=list(axes), default=list(axes))
+    parser.add_argument("--quick", action="store_true", help="the ends of each axis alone")
+    arguments = parser.parse_args()
+    found: dict[str, Any] = {"origin": origin()}
+    print("| | at | cost | exponent |\n|---|---|---|---|")
+    for axis in arguments.only:
+        x_label, y_label, measure = axes[axis]
+        steps = {"known": KNOWN, "memory": KNOWN, "visible": VISIBLE, "readers": READERS}.get(
+            axis, range(len(SIZES))
+        )
+        curves = measure([steps[0], steps[-1]] if arguments.quick else steps)
+        found[axis] = curves
+        lines = {name: tuple(np.array(points).T) for name, points in curves.items()}
+        write_picture(
+            arguments.out / f"{axis}.png",
+            line_plot(lines, "", x_label, y_label, marks=True),
+        )
+        for name, points in curves.items():
+            ends = " to ".join(f"{x:g}" for x, _ in (points[0], points[-1]))
+            costs = " to ".join(f"{y:.2f}" for _, y in (points[0], points[-1]))
+            print(f"| {axis}: {name} | {ends} | {costs} | {exponent(points):.2f} |", flush=True)
+    (arguments.out / "growth.json").write_text(json.dumps(found, indent=1) + "\n")
+
+
+def exponent(points: Sequence[tuple[float, float]]) -> float:
+    """Slope of a line through the logarithms of the larger half of a curve.
+
+    >>> exponent([(1, 5.0), (10, 20.0), (100, 200.0)])
+    1.0
+    """
+    x, y = np.log(np.maximum(np.array(points[len(points) // 2 if len(points) > 2 else 0 :]), 1e-3)).T
+    return round(float(np.polyfit(x, y, 1)[0]), 6)
+
+
+def copies(count: int, models: Models | None = None) -> dict[str, ReferenceModel]:
+    """So many models: the demo's, again and again under other names."""
+    models = models or load_models(builtin_bundles(0))
+    names = list(islice(cycle(models), count))
+    return {f"{name}_{k:03d}": replace(models[name], name=f"{name}_{k:03d}") for k, name in enumerate(names)}
+
+
+def pose_of(k: int, i: int, count: int) -> Float64:
+    """T_cam_obj (4, 4) of the k-th of so many objects in frame i: in rows about the middle of the picture."""
+    rows = -(-count // COLUMNS)
+    column, row = k % COLUMNS, k // COLUMNS
+    across = min(count, COLUMNS)
+    place = np.array([column - (across - 1) / 2, row - (rows - 1) / 2, 0.0]) * SPACING_M
+    turn = se3.rotation_exp(np.array([0.4, 0.9 * k + 0.02 * i, 0.2]))
+    return se3.make(turn, place + np.array([0.002 * (i % 10), 0.0, AWAY_M]))
+
+
+def picture(models: Models, count: int, i: int, camera: Camera = CAMERA) -> RgbdFrame:
+    """Frame i with the first `count` models before a wall."""
+    shown = list(models.values())[:count]
+    scene = []
+    for k, model in enumerate(shown):
+        T = pose_of(k, i, count)
+        scene.append((model.mesh, T @ se3.make(np.eye(3), -model.mesh.centre)))
+    drawn = render(scene, camera)
+    behind = drawn.depth == 0
+    rng = np.random.default_rng(7)
+    wall = cv2.resize(rng.integers(110, 150, (60, 80, 3)).astype(np.uint8), (camera.width, camera.height))
+    color = np.where(behind[..., None], wall, drawn.color)
+    depth = np.where(behind, np.float32(WALL_M), drawn.depth)
+    return RgbdFrame(color, depth, camera, i, i * PERIOD_NS)
+
+
+def truth(model: ReferenceModel, k: int, i: int, count: int) -> Float64:
+    """T_cam_obj (4, 4) of the k-th model."""
+    return pose_of(k, i, count) @ se3.make(np.eye(3), -model.mesh.centre)
+
+
+def tracked_ms(models: Models, count: int, camera: Camera = CAMERA) -> float:
+    """CPU milliseconds of a step with the first `count` of the models tracked."""
+    tracker = Tracker(models, profile("live").tracker)
+    tracker.warm_up()
+    first = picture(models, count, 0, camera)
+    for k, (name, model) in enumerate(islice(models.items(), count)):
+        tracker.correct(Correction.first(name, truth(model, k, 0, count), first))
+    frames = (picture(models, count, i, camera) for i in range(FRAMES))
+    return median_ms([lambda f=f: tracker.step(f) for f in frames])
+
+
+def estimated_ms(models: Models, count: int, camera: Camera = CAMERA) -> float:
+    """CPU milliseconds of one estimate of the first `count` of the models in their boxes."""
+    estimator = Estimator(models, profile("live").estimator)
+    asked = []
+    for i in range(0, 12):
+        frame, queries = picture(models, count, i, camera), []
+        for k, (name, model) in enumerate(islice(models.items(), count)):
+            queries.append(ObjectQuery(name, projected_box(model, frame, truth(model, k, i, count))))
+        asked.append(lambda f=frame, q=queries: estimator.estimate(f, q))
+    return median_ms(asked)
+
+
+def detected_ms(models: Models, asked: int, in_view: int, camera: Camera = CAMERA) -> float:
+    """CPU milliseconds of one search for so many objects that are not there, beside some that are."""
+    detector = ColorPairDetector(models, profile("live").detector)
+    absent = list(models)[-asked:]
+    frames = [picture(models, in_view, i, camera) for i in range(8)]
+    return median_ms([lambda f=f: detector.detect(f, absent) for f in frames])
+
+
+def median_ms(works: Sequence[Callable[[], object]]) -> float:
+    """Median CPU milliseconds, the first few not counted: they prepare."""
+    spans = []
+    for work in works:
+        start = time.process_time()
+        work()
+        spans.append(1e3 * (time.process_time() - start))
+    return float(np.median(spans[min(WARM, len(spans) // 3) :]))
+
+
+def known(counts: Sequence[int]) -> Curves:
+    """Objects that are known, while five are in view, or all that there are."""
+    curves: Curves = {"track": [], "estimate": [], "detect two": []}
+    for count in progress(counts, "objects known"):
+        models, seen = copies(count), min(count, IN_VIEW)
+        curves["track"].append((count, tracked_ms(models, seen) / seen * IN_VIEW))
+        curves["estimate"].append((count, estimated_ms(models, seen) / seen * IN_VIEW))
+        curves["detect two"].append((count, detected_ms(models, min(2, count), seen)))
+    return curves
+
+
+def visible(counts: Sequence[int]) -> Curves:
+    """Objects that are in view, tracked, estimated, and as many looked for that are not."""
+    curves: Curves = {"track": [], "estimate": [], "detect absent": []}
+    for count in progress(counts, "objects in view"):
+        models = copies(count)
+        curves["track"].append((count, tracked_ms(models, count)))
+        curves["estimate"].append((count, estimated_ms(models, count)))
+        curves["detect absent"].append((count, detected_ms(models, count, 0)))
+    return curves
+
+
+def pixels(which: Sequence[int]) -> Curves:
+    """The size of the picture, five objects in view."""
+    curves: Curves = {"track": [], "estimate": [], "detect two": []}
+    models = copies(IN_VIEW)
+    for size in progress([SIZES[k] for k in which], "picture sizes"):
+        camera = CAMERA.scaled(size[0] / CAMERA.width)
+        thousands = size[0] * size[1] / 1e3
+        curves["track"].append((thousands, tracked_ms(models, IN_VIEW, camera)))
+        curves["estimate"].append((thousands, estimated_ms(models, IN_VIEW, camera)))
+        curves["detect two"].append((thousands, detected_ms(models, 2, 0, camera)))
+    return curves
+
+
+def memory(counts: Sequence[int]) -> Curves:
+    """What a worker takes for itself, each started anew on files of its own, no two alike, and at its second
+    start, when what is derived from them is there. Five of the objects are asked for, or all."""
+    curves: Curves = {f"{worker}, {asked}": [] for asked in ("five seen", "all seen") for worker in WORKERS}
+    context = multiprocessing.get_context("spawn")
+    with tempfile.TemporaryDirectory() as folder:
+        for count in progress(counts, "memory"):
+            for name, model in copies(count).items():
+                if not model_path(folder, name).exists():
+                    save_model(model, model_path(folder, name))
+            for worker in WORKERS:
+                in_fresh_process(context, own_mib, worker, folder, count)
+                for seen, asked in (("five seen", min(count, IN_VIEW)), ("all seen", count)):
+                    own = in_fresh_process(context, own_mib, worker, folder, asked)
+                    curves[f"{worker}, {seen}"].append((count, own))
+    return curves
+
+
+def in_fresh_process(context: Any, work: Callable[..., float], *arguments: object) -> float:
+    """What a process that is started for it gives."""
+    with context.Pool(1) as pool:
+        return float(pool.apply(work, arguments))
+
+
+def own_mib(worker: str, folder: str, asked: int) -> float:
+    """MiB that a process has for itself with all models of a folder ready, after the first `asked` of them
+    were in a picture."""
+    os.environ["XDG_CACHE_HOME"] = folder
+    models = load_models(folder)
+    names = list(models)[:asked]
+    shown = ((name, picture({name: models[name]}, 1, 0)) for name in names)
+    held: Any
+    if worker == "tracker":
+        held = Tracker(models)
+        held.warm_up()
+        for name, frame in shown:
+            held.correct(Correction.first(name, truth(models[name], 0, 0, 1), frame))
+            held.step(frame)
+    elif worker == "estimator":
+        held = Estimator(models)
+        held.warm_up()
+        for name, frame in shown:
+            box = projected_box(models[name], frame, truth(models[name], 0, 0, 1))
+            held.estimate(frame, [ObjectQuery(name, box)])
+    else:
+        held = ColorPairDetector(models)
+        held.warm_up()
+        for name, frame in shown:
+            held.detect(frame, [name])
+    pages = Path("/proc/self/smaps_rollup").read_text().splitlines()
+    own = sum(int(line.split()[1]) for line in pages if line.startswith(("Private_Dirty", "Private_Clean")))
+    return own / 1024 if held is not None else 0.0
+
+
+def readers(counts: Sequence[int]) -> Curves:
+    """Readers of five poses at 30 Hz: what the sender pays a second."""
+    curves: Curves = {"send five poses": []}
+    context = multiprocessing.get_context("spawn")
+    for count in progress(counts, "readers"):
+        with tempfile.TemporaryDirectory() as folder, context.Pool(1) as pool:
+            there = endpoint(1, folder)
+            spent = pool.apply_async(sent_ms, (there,))
+            time.sleep(1.5)
+            sessions = [zenoh.open(zenoh_config([], [there], shared_memory=False)) for _ in range(count)]
+            for session in sessions:
+                session.declare_subscriber("huepose/growth/pose/*", lambda sample: None)
+            curves["send five poses"].append((count, float(spent.get(120))))
+            for session in sessions:
+                session.close()
+    return curves
+
+
+def sent_ms(there: str) -> float:
+    """CPU milliseconds a second of a process that sends poses, after its readers had time to come."""
+    session = zenoh.open(zenoh_config([there], [], shared_memory=False))
+    time.sleep(READERS_COME_S)
+    payload = bytes(POSE_BYTES)
+    before, start = cpu_s(), time.perf_counter()
+    for i in range(int(SECONDS * RATE_HZ)):
+        for k in range(IN_VIEW):
+            session.put(f"huepose/growth/pose/{k}", payload)
+        time.sleep(max(0.0, start + (i + 1) / RATE_HZ - time.perf_counter()))
+    spent = cpu_s() - before
+    session.close()
+    return 1e3 * spent / SECONDS
+
+
+def cpu_s() -> float:
+    """CPU seconds of this process so far."""
+    used = resource.getrusage(resource.RUSAGE_SELF)
+    return used.ru_utime + used.ru_stime
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,31 @@
+"""The scene on which growth is measured, and the exponents that are read off it."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from benchmarks.growth import copies, exponent, picture, truth
+from huepose.geometry import se3
+from huepose.model.types import ReferenceModel
+
+
+@pytest.mark.parametrize("slope", [0.0, 1.0, 1.5])
+def test_the_exponent_of_a_power_is_its_exponent(slope: float) -> None:
+    assert exponent([(n, 3.0 * n**slope) for n in (1, 2, 5, 10, 20)]) == pytest.approx(slope)
+
+
+def test_what_is_paid_once_does_not_hide_growth() -> None:
+    assert exponent([(n, 100.0 + n**2) for n in (1, 10, 100, 1000, 10000)]) > 1.8
+
+
+def test_objects_stand_in_the_picture_where_the_truth_says(tea_box: ReferenceModel) -> None:
+    models = copies(12, {"tea_box": tea_box})
+    frame = picture(models, 12, 3)
+    for k, model in enumerate(models.values()):
+        T = truth(model, k, 3, 12)
+        middle = se3.apply(T, tea_box.mesh.centre[None])
+        u, v = np.rint(frame.camera.project(middle)[0]).astype(int)
+        assert 0 < u < frame.camera.width
+        assert 0 < v < frame.camera.height
+        assert abs(frame.depth[v, u] - middle[0, 2]) < tea_box.diameter_m, "the object, not the wall"

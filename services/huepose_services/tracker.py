@@ -22,8 +22,7 @@ from huepose_services import models, networks
 from huepose_services.convert import frame_from_wire, from_wire, to_wire
 from huepose_services.doubts import complaint_about, lens_doubted, why_doubted
 from huepose_services.following import Follower, Retired
-from huepose_services.given import Given
-from huepose_services.intake import MEMORY_EVERY_NS, Clock, Intake
+from huepose_services.intake import MEMORY_EVERY_NS, Clock, Given, Intake
 from huepose_services.runtime.bus import Bus
 from huepose_services.runtime.clock import check_number, now_ns
 from huepose_services.runtime.config import Config

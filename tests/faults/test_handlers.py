@@ -25,7 +25,7 @@ from huepose_protos.keys import Keys
 from huepose_protos.messages import FrameHeader, ObjectEntry
 from huepose_services.boxes import TruthBoxes
 from huepose_services.camera.publish import packed
-from huepose_services.chaos.poison import bad_bytes
+from huepose_services.chaos.intruder import bad_bytes
 from huepose_services.detector import DetectorWork
 from huepose_services.estimator import EstimatorWork
 from huepose_services.following import Follower

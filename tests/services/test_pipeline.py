@@ -19,7 +19,7 @@ from huepose.onboarding import onboard_mesh
 from huepose.scenes.builtin import SyntheticScene
 from huepose.scenes.shapes import demo_objects
 from huepose_protos.messages import ControlRequest
-from huepose_services.chaos.poison import flood
+from huepose_services.chaos.intruder import flood
 from huepose_services.cli.graph import mermaid
 from huepose_services.cli.main import main
 from huepose_services.cli.objects import ask

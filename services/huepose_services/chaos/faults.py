@@ -22,7 +22,7 @@ from typing import Literal
 from huepose_protos import PoseClient
 from huepose_protos.messages import ControlRequest, ObjectEntry
 from huepose_services.chaos import intruder
-from huepose_services.chaos.poison import flood
+from huepose_services.chaos.intruder import flood
 from huepose_services.chaos.relay import Relay
 from huepose_services.chaos.system import LivePipeline
 from huepose_services.cli.objects import ask

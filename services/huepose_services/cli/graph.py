@@ -6,7 +6,7 @@ import argparse
 import sys
 from typing import TYPE_CHECKING, Any
 
-from huepose_services.cli.attach import add_choice, chosen
+from huepose_services.cli.options import add_choice, chosen
 
 if TYPE_CHECKING:
     from huepose_services.watch import View

@@ -7,8 +7,7 @@ import sys
 import time
 from typing import TYPE_CHECKING, Any
 
-from huepose_services.cli.attach import add_choice, chosen
-from huepose_services.cli.options import add_box, add_json, add_number, answered
+from huepose_services.cli.options import add_box, add_choice, add_json, add_number, answered, chosen
 
 if TYPE_CHECKING:
     from huepose_protos.messages import ControlReply, ControlRequest

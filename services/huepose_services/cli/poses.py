@@ -3,18 +3,114 @@
 from __future__ import annotations
 
 import argparse
+import re
 import sys
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from huepose_services.cli.attach import add_choice, chosen
-from huepose_services.cli.options import until_told
-from huepose_services.cli.remote import add_gateway, gateway_of
+from huepose_services.cli.options import add_choice, chosen, until_told
 
 if TYPE_CHECKING:
     from huepose_protos.client import Reader
     from huepose_protos.messages import Message
+    from huepose_services.pem import Credentials
+
+
+_PORT = 7447
+_SAY_AFTER_S, _LOOK_EVERY_S = 3.0, 0.1
+
+
+def add_gateway(parser: argparse.ArgumentParser) -> None:
+    """Add the options that choose a gateway."""
+    parser.add_argument(
+        "--gateway", metavar="HOST[:PORT]", help=f"read from another machine's gateway (port {_PORT})"
+    )
+    parser.add_argument(
+        "--tls",
+        type=Path,
+        nargs=3,
+        metavar=("AUTHORITY", "CERTIFICATE", "KEY"),
+        help="of a gateway with TLS: PEM files of its authority, and your own certificate and key",
+    )
+
+
+@dataclass(frozen=True)
+class Gateway:
+    """Where one is, and what it is shown."""
+
+    host: str
+    port: int
+    credentials: Credentials | None
+
+    @property
+    def endpoint(self) -> str:
+        """As zenoh writes it."""
+        host = f"[{self.host}]" if ":" in self.host else self.host
+        return f"{'tcp' if self.credentials is None else 'tls'}/{host}:{self.port}"
+
+    def messages(self, tail: str, stopping: Callable[[], bool]) -> Iterator[Message]:
+        """What it shows under a key, the latest at once, until stopped. Says on stderr what is in the way."""
+        from huepose_protos.client import Reader
+
+        files = {} if self.credentials is None else vars(self.credentials)
+        with Reader([self.endpoint], f"huepose/*/*/remote/{tail}", **files) as reader:
+            connected, since, look = False, time.monotonic(), 0.0
+            while not stopping():
+                now = time.monotonic()
+                if now >= look:
+                    look, before, connected = now + _LOOK_EVERY_S, connected, reader.connected
+                    if connected and not before:
+                        reader.ask()
+                    if connected != before:
+                        since = now
+                    if before and not connected:
+                        _say(f"the gateway at {self.endpoint} is gone; waiting for it")
+                message = reader.next(_LOOK_EVERY_S)
+                if message is not None:
+                    since = float("inf")  # until the link is lost
+                    yield message
+                elif now - since > _SAY_AFTER_S:
+                    since = float("inf")
+                    _say(self._silence(connected, tail))
+
+    def _silence(self, connected: bool, tail: str) -> str:
+        from huepose_services.pem import why_unreachable
+
+        if connected:
+            names = ", or `readers` there does not name this certificate" if self.credentials else ""
+            return (
+                f"connected to {self.endpoint}, but nothing is said on {tail}: no pipeline runs there{names}"
+            )
+        why = why_unreachable(self.host, self.port, self.credentials)
+        return f"waiting for a gateway at {self.endpoint}: {why or 'it does not answer as one'}"
+
+
+def gateway_of(arguments: argparse.Namespace) -> Gateway | None:
+    """The gateway that is meant, None for the pipeline of this machine. Raises InputError."""
+    from huepose.support.errors import InputError
+    from huepose_services.pem import Credentials
+
+    if arguments.gateway is None:
+        if arguments.tls is not None:
+            raise InputError("--tls", found="no --gateway", expected="the gateway that it is for")
+        return None
+    if arguments.pipeline is not None or arguments.config is not None:
+        raise InputError("--gateway", found="--pipeline or --config beside it", expected="one of the three")
+    match = re.fullmatch(r"(?:(?:tcp|tls)/)?(\[[^\]]+\]|[^\[\]:/\s]+)(?::(\d{1,5}))?", arguments.gateway)
+    if match is None or int(match[2] or _PORT) > 65_535:
+        raise InputError("--gateway", found=arguments.gateway, expected="HOST or HOST:PORT")
+    credentials = None if arguments.tls is None else Credentials(*arguments.tls)
+    if credentials is not None:
+        credentials.context()  # an error of the files is said before any waiting
+    return Gateway(match[1].strip("[]"), int(match[2] or _PORT), credentials)
+
+
+def _say(text: str) -> None:
+    print(text, file=sys.stderr, flush=True)
+
 
 _GONE_AFTER_S = 1.0
 _SAY_WAITING_AFTER_S = 3.0

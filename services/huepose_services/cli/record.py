@@ -8,8 +8,7 @@ import time
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from huepose_services.cli.attach import add_choice, chosen_config
-from huepose_services.cli.options import add_number, until_told
+from huepose_services.cli.options import add_choice, add_number, chosen_config, until_told
 
 if TYPE_CHECKING:
     from huepose_services.recording.parts import Parts

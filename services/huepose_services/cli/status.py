@@ -7,7 +7,7 @@ import sys
 import time
 from typing import TYPE_CHECKING, Any
 
-from huepose_services.cli.attach import add_choice, chosen
+from huepose_services.cli.options import add_choice, chosen
 
 if TYPE_CHECKING:
     from huepose_protos.messages import HealthMessage, PoseMessage

@@ -8,8 +8,7 @@ import time
 from collections.abc import Callable
 from typing import TYPE_CHECKING, Any
 
-from huepose_services.cli.attach import add_choice, chosen_config
-from huepose_services.cli.options import add_path, until_told
+from huepose_services.cli.options import add_choice, add_path, chosen_config, until_told
 
 if TYPE_CHECKING:
     from huepose_services.runtime.config import Config

@@ -13,9 +13,134 @@ from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from typing import Any
 
+import msgspec
 import zenoh
 
-from huepose_services.recording.taken import FrameKey, Taken
+from huepose_protos import WireError, decode
+from huepose_protos.keys import tail_of
+from huepose_protos.messages import IntakeMessage, MemoryMessage
+
+FRAMES_AT_ONCE, STEPS_AT_ONCE = 4, 64
+_PATIENCE_S, _ASK_EVERY_S, _TIMES = 0.15, 0.5, 4
+"""What was sent comes soon after; what does not come when it was asked for so often is gone."""
+_KNOWN = 4096
+
+FrameKey = tuple[int, int]
+
+
+class _Place(msgspec.Struct):
+    """Of a frame's header."""
+
+    camera_epoch: int
+    frame_id: int
+
+
+_place = msgspec.msgpack.Decoder(_Place)
+
+
+class Taken:
+    """What the tracker says that it took, and which of it is not here yet: a recording must hold all of it.
+    Called from several threads. `lost`: how much of it was asked for in vain."""
+
+    def __init__(self) -> None:
+        self._lock = threading.Lock()
+        self._here: dict[FrameKey, None] = {}
+        self._taken: dict[FrameKey, None] = {}
+        self._newest: FrameKey | None = None
+        self._step: IntakeMessage | None = None
+        # What is missing, when to ask for it next, and how often that was done.
+        self._missing: dict[FrameKey | int, tuple[float, int]] = {}
+        self.lost = 0
+
+    def frame(self, header: bytes) -> FrameKey | None:
+        """A frame came; which one, if it has a header."""
+        try:
+            place = _place.decode(header)
+        except (msgspec.MsgspecError, RecursionError):
+            return None
+        key = (place.camera_epoch, place.frame_id)
+        with self._lock:
+            _remember(self._here, key)
+            self._missing.pop(key, None)
+        return key
+
+    def dropped(self, key: FrameKey) -> None:
+        """It came, and was not kept."""
+        with self._lock:
+            self._here.pop(key, None)
+            if key in self._taken:
+                self._miss(key)
+
+    def message(self, key: str, data: bytes) -> None:
+        """A message came."""
+        tail = tail_of(key)
+        try:
+            if tail == "tracker/memory":
+                remembered = decode(data, MemoryMessage).frames
+                with self._lock:
+                    for frame in remembered:
+                        self._take(frame)
+            elif tail in ("tracker/intake", "tracker/again"):
+                step = decode(data, IntakeMessage)
+                with self._lock:
+                    self._note(step)
+        except WireError:
+            return  # refused and counted where it is written
+
+    def _note(self, message: IntakeMessage) -> None:
+        last = self._step
+        if last is None or message.publish_ns > last.publish_ns:
+            self._step = message
+            if last is not None:
+                # A tracker that was started again counts anew.
+                for seq in range(max(last.seq + 1, message.seq - STEPS_AT_ONCE), message.seq):
+                    self._miss(seq)
+            if message.camera_epoch is not None and message.frame_id is not None:
+                self._newest = (message.camera_epoch, message.frame_id)
+        self._missing.pop(message.seq, None)
+        if message.camera_epoch is not None and message.frame_id is not None:
+            self._take((message.camera_epoch, message.frame_id))
+
+    def _take(self, key: FrameKey) -> None:
+        _remember(self._taken, key)
+        if key not in self._here:
+            self._miss(key)
+
+    def _miss(self, what: FrameKey | int) -> None:
+        self._missing.setdefault(what, (time.monotonic() + _PATIENCE_S, 0))
+
+    def passed_over(self, key: FrameKey) -> bool:
+        """Whether the tracker took a later frame, and not this one."""
+        newest = self._newest
+        return newest is not None and key[0] == newest[0] and key[1] < newest[1] and key not in self._taken
+
+    def wanted(self, now: float) -> tuple[list[FrameKey], list[int]]:
+        """What to ask for now (time.monotonic()), steps first."""
+        frames: list[FrameKey] = []
+        steps: list[int] = []
+        with self._lock:
+            for what, (due, times) in list(self._missing.items()):
+                if now < due:
+                    continue
+                if times == _TIMES:
+                    del self._missing[what]
+                    self.lost += 1
+                elif isinstance(what, int) and len(steps) < STEPS_AT_ONCE:
+                    steps.append(what)
+                elif isinstance(what, tuple) and len(frames) < FRAMES_AT_ONCE:
+                    frames.append(what)
+                else:
+                    continue
+                if what in self._missing:
+                    self._missing[what] = (now + _ASK_EVERY_S, times + 1)
+        return frames, steps
+
+
+def _remember(keys: dict[FrameKey, None], key: FrameKey) -> None:
+    keys[key] = None
+    if len(keys) > _KNOWN:
+        del keys[next(iter(keys))]
+
 
 _LOOK_EVERY_S = 0.1
 Ask = Callable[[list[FrameKey], list[int]], Iterable[zenoh.Sample]]

@@ -7,8 +7,7 @@ import msgspec
 from huepose_protos import encode
 from huepose_protos.examples import messages
 from huepose_protos.messages import FrameHeader, IntakeMessage, MemoryMessage
-from huepose_services.recording.arrivals import Arrivals
-from huepose_services.recording.taken import Taken
+from huepose_services.recording.arrivals import Arrivals, Taken
 
 from .test_arrivals import _Channel, _Sample
 

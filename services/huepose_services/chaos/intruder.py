@@ -1,5 +1,5 @@
-"""Who sits on the bus and should not: repeats what he hears, older, twice, or as another camera's; and says on
-every key what no reader can read.
+"""Who sits on the bus and should not: repeats what he hears, older, twice, or as another camera's; and says
+on every key what no reader can read.
 
 Only a program of the same user can; what such a one may do is what a broken worker may.
 """

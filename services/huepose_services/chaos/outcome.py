@@ -13,9 +13,8 @@ from __future__ import annotations
 
 import time
 from collections.abc import Iterable, Sequence
-from dataclasses import asdict, dataclass, field
+from dataclasses import dataclass, field
 from itertools import pairwise
-from typing import Any
 
 import numpy as np
 
@@ -61,10 +60,6 @@ class Outcome:
     others_died: int = 0
     late_ms: float = 0.0
     broken: list[str] = field(default_factory=list)
-
-    def facts(self) -> dict[str, Any]:
-        """As JSON."""
-        return asdict(self)
 
 
 def strike(system: LivePipeline, fault: Fault, patience_s: float) -> Outcome:

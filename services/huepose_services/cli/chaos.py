@@ -72,7 +72,7 @@ def call(arguments: argparse.Namespace) -> int:
         arguments.table.write_text(text + "\n")
     if arguments.json is not None:
         found = {
-            "faults": [o.facts() for o in outcomes],
+            "faults": [asdict(o) for o in outcomes],
             "memory": {worker: asdict(memory) for worker, memory in grown.items()},
         }
         arguments.json.write_text(json.dumps(found, indent=2) + "\n")

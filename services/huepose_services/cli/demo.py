@@ -59,12 +59,12 @@ def call(arguments: argparse.Namespace) -> int:
         )
     if arguments.sam is not None and arguments.segmenter != "sam":
         raise InputError("--sam", found=f"--segmenter {arguments.segmenter}", expected="--segmenter sam")
-    from huepose_services.demo.run import DemoError, Perception, run_demo
+    from huepose_services.demo.run import DemoError, run_demo, segmenter
     from huepose_services.demo.score import shortcomings
     from huepose_services.demo.table import report
 
     try:
-        chosen = Perception(arguments.segmenter, arguments.sam)
+        chosen = segmenter(arguments.segmenter, arguments.sam)
         live = not arguments.headless and arguments.json is not True
         result = run_demo(
             arguments.seconds,

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import argparse
 import json
-from dataclasses import replace
+from dataclasses import asdict, replace
 from pathlib import Path
 from typing import Any
 
@@ -42,7 +42,7 @@ def call(arguments: argparse.Namespace) -> int:
             of = f"{config.camera.name} " if len(configs) > 1 else ""
             findings += [replace(one, subject=f"{of}{one.subject}") for one in pictures(config)]
     if arguments.json:
-        print(json.dumps([finding.facts() for finding in findings], indent=1))
+        print(json.dumps([asdict(finding) for finding in findings], indent=1))
     else:
         for finding in findings:
             print(finding.line())

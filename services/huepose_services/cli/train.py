@@ -51,18 +51,15 @@ def _add_views(whats: Any) -> None:
         "window, learned from random objects in random scenes. Leaves views.onnx, views.json, views.png and "
         "checkpoint.pt.",
     )
-    _add_limits(parser, batch="objects of one step (24)", batch_default=24)
+    _add_limits(parser)
     parser.set_defaults(call=train_views)
 
 
-def _add_limits(
-    parser: argparse.ArgumentParser, batch: str = "samples of one step (64)", batch_default: int = 64
-) -> None:
+def _add_limits(parser: argparse.ArgumentParser) -> None:
     add_path(parser, "--out", "DIR", "where the network goes", required=True)
     add_number(parser, "--hours", 2.0, "wall time (2)", "H")
     add_number(parser, "--seed", 0, "of what is drawn, and of the first weights (0)")
     add_number(parser, "--workers", 1, "processes that draw (1)")
-    add_number(parser, "--batch", batch_default, batch)
     parser.add_argument("--device", default="cpu", help="cpu or cuda (cpu)")
     parser.add_argument("--resume", action="store_true", help="go on from the checkpoint in DIR")
 
@@ -72,7 +69,7 @@ def train_rotation(arguments: argparse.Namespace) -> int:
     common = _common(arguments)
     from huepose.training.rotation import RotationTraining, train
 
-    config = RotationTraining(**common, kinds=tuple(arguments.kind), batch=arguments.batch)
+    config = RotationTraining(**common, kinds=tuple(arguments.kind))
     for kind, report in train(config, arguments.out, arguments.resume).items():
         _told(arguments.out / f"{kind}.json", report)
     return 0
@@ -83,7 +80,7 @@ def train_views(arguments: argparse.Namespace) -> int:
     common = _common(arguments)
     from huepose.training.view_codes import NAME, ViewCodeTraining, train
 
-    config = ViewCodeTraining(**common, objects=arguments.batch)
+    config = ViewCodeTraining(**common)
     _told(arguments.out / f"{NAME}.json", train(config, arguments.out, arguments.resume))
     return 0
 

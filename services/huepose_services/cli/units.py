@@ -16,7 +16,6 @@ def add_parser(subparsers: Any) -> None:
     parser.add_argument("config", nargs="?", type=Path, default=Path("pipeline.yaml"), metavar="PIPELINE")
     add_path(parser, "--out", "DIR", "for example /etc/systemd/system", required=True)
     parser.add_argument("--user", default="huepose", metavar="NAME", help="whose processes; default huepose")
-    add_path(parser, "--huepose", "COMMAND", "what the units call; default this command itself")
     add_host(parser)
     parser.set_defaults(call=call)
 
@@ -28,7 +27,7 @@ def call(arguments: argparse.Namespace) -> int:
     from huepose_services.units import units
 
     configs = [config.at(arguments.host) for config in load_all(arguments.config)]
-    command = (arguments.huepose or Path(sys.executable).parent / "huepose").absolute()
+    command = (Path(sys.executable).parent / "huepose").absolute()
     files = units(configs, command, arguments.config.absolute(), arguments.user)
     with writing(arguments.out, fix="Give another with --out, or run it as root."):
         for old in arguments.out.glob("huepose@*.service.d/needs.conf"):

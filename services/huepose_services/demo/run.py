@@ -6,8 +6,7 @@ import shutil
 import sys
 import tempfile
 import time
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any, TextIO
 
@@ -38,21 +37,11 @@ class DemoError(RuntimeError):
     """The pipeline did not run; the text says where its log is."""
 
 
-@dataclass(frozen=True)
-class Perception:
-    """The kind of segmenter; sam: the two networks of the segmenter sam, files or names."""
-
-    segmenter: str = "depth"
-    sam: Sequence[str] | None = None
-
-    def sections(self) -> dict[str, Any]:
-        """What pipeline.yaml says of it."""
-        segmenter: dict[str, Any] = {"kind": self.segmenter}
-        if self.sam is not None:
-            # The demo's configuration lies elsewhere: a path from here has to be a whole one.
-            files = [str(Path(one).absolute()) if is_network_file(one) else one for one in self.sam]
-            segmenter |= dict(zip(("encoder", "decoder"), files, strict=True))
-        return {"segmenter": segmenter}
+def segmenter(kind: str = "depth", sam: Sequence[str] | None = None) -> dict[str, str]:
+    """The section of pipeline.yaml; sam: the two networks of the segmenter sam, files or names."""
+    # The demo's configuration lies elsewhere: a path from here has to be a whole one.
+    files = [str(Path(one).absolute()) if is_network_file(one) else one for one in sam or ()]
+    return {"kind": kind, **dict(zip(("encoder", "decoder"), files, strict=False))}
 
 
 def run_demo(
@@ -60,12 +49,13 @@ def run_demo(
     seed: int,
     live: bool,
     until_told: Callable[[], Callable[[], bool]],
-    perception: Perception,
+    outlining: Mapping[str, str],
     bundles: Path | None = None,
     objects: Sequence[str] = (),
 ) -> dict[str, Any]:
     """The summary of a run of so many seconds, with the health of each worker at its end.
 
+    outlining: the section `segmenter` of its pipeline.yaml.
     bundles: of one's own objects, all or those that are named; None: the built-in ones.
     until_told: called when the workers start, says from then on whether to stop; until then Ctrl-C ends what
     is drawn. Raises InputError when the pipeline cannot start, DemoError when it breaks, KeyboardInterrupt
@@ -73,7 +63,7 @@ def run_demo(
     models = load_models(builtin_bundles(seed) if bundles is None else bundles, list(objects) or None)
     folder = Path(tempfile.mkdtemp(prefix="huepose-demo-"))
     path = folder / "pipeline.yaml"
-    path.write_text(yaml.safe_dump(pipeline(seed, bundles, objects, perception)))
+    path.write_text(yaml.safe_dump(pipeline(seed, bundles, objects, outlining)))
     config = load(path)
     try:
         open_source(config)  # drawn here, with progress, where it is not in the cache folder
@@ -104,16 +94,16 @@ def run_demo(
 
 
 def pipeline(
-    seed: int, bundles: Path | None, objects: Sequence[str], perception: Perception
+    seed: int, bundles: Path | None, objects: Sequence[str], outlining: Mapping[str, str]
 ) -> dict[str, Any]:
-    """The pipeline.yaml of the demo."""
+    """The pipeline.yaml of the demo; outlining: its section `segmenter`."""
     own = {} if bundles is None else {"bundles": str(bundles.absolute())}
     return {
         "site": "demo",
         **own,
         "objects": [{"name": name} for name in objects],
         "camera": {"source": "synthetic", "seed": seed, "truth": True},
-        **perception.sections(),
+        "segmenter": dict(outlining),
         "bus": {"base_port": free_ports(len(WORKERS))},
     }
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from typing import Literal
 
 State = Literal["ok", "none", "note", "bad"]
@@ -27,7 +27,3 @@ class Finding:
         """As it is printed."""
         text = f"{_MARKS[self.state]} {self.subject:16s} {self.found}"
         return f"{text}\n{'':22s}-> {self.fix}" if self.fix else text
-
-    def facts(self) -> dict[str, str]:
-        """As JSON."""
-        return asdict(self)

@@ -37,7 +37,9 @@ def served(config: ViewerConfig) -> tuple[Any, str]:
 
     Raises InputError where a port is taken."""
     for name, port in (("web_port", config.web_port), ("grpc_port", config.grpc_port)):
-        _check_free(name, port, config.bind)
+        if why := _why_taken(port, config.bind):
+            fix = "Close the other viewer, or choose another port."
+            raise InputError(f"viewer.{name} {port}", found=why, expected="a free port", fix=fix)
     import rerun as rr
 
     recording = _recording()
@@ -50,29 +52,22 @@ def served(config: ViewerConfig) -> tuple[Any, str]:
     return recording, f"http://{host}:{config.web_port}/?url={source.replace('+', '%2B')}&theme=dark"
 
 
-def _check_free(name: str, port: int, bind: str) -> None:
+def _why_taken(port: int, bind: str) -> str:
+    """What keeps a port from being listened on; empty where nothing does."""
     with socket.socket() as probe:
         probe.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
         try:
             probe.bind((bind, port))
         except OSError as error:
-            raise InputError(
-                f"viewer.{name} {port}",
-                found=error.strerror or str(error),
-                expected="a free port",
-                fix="Close the other viewer, or choose another port.",
-            ) from None
+            return error.strerror or str(error)
+    return ""
 
 
 def free_port(first: int) -> int:
     """The first free port of this machine from there on, so that several viewers can run side by side."""
     for port in range(first, min(first + 100, 65_536)):
-        with socket.socket() as probe:
-            try:
-                probe.bind(("127.0.0.1", port))
-            except OSError:
-                continue
-        return port
+        if not _why_taken(port, "127.0.0.1"):
+            return port
     raise InputError(f"ports from {first}", found="100 that are taken", expected="a free one")
 
 

@@ -175,7 +175,7 @@ def _smallest(trials: Sequence[Trial]) -> float | None:
 def in_words(model: ReferenceModel, found: Suitability) -> str:
     """Some lines for people."""
     n = len(found.trials)
-    size = " x ".join(f"{100 * s:.1f}" for s in np.ptp(model.mesh.vertices, axis=0))
+    size = " x ".join(f"{100 * s:.1f}" for s in np.ptp(model.mesh.vertices, axis=0).tolist())
     lines = [
         f"{model.name} {found.verdict}: {size} cm, "
         f"right in {100 * found.right:.0f} % of {n} drawn scenes, surely so (TRACKING) in "

@@ -13,7 +13,7 @@ from __future__ import annotations
 import threading
 from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import replace
-from functools import cache, partial
+from functools import partial
 
 import cv2
 import numpy as np
@@ -27,12 +27,13 @@ from huepose.judge.borders import Contours
 from huepose.model.types import ReferenceModel, model_named
 from huepose.perception.clear_view import ClearView, clear_view
 from huepose.perception.config import DetectorConfig
+from huepose.perception.memory import Memory, features_of, looking
 from huepose.perception.presence import presences
 from huepose.perception.scouting import EFFORTS, Effort, Proposal, propose
 from huepose.perception.types import Detection
 from huepose.perception.window_table import WindowTable, window_table
 from huepose.perception.windows import WindowsBySize
-from huepose.propose.features import FeatureSource, Sift
+from huepose.propose.features import Features, FeatureSource, Sift
 from huepose.propose.keypoint_reference import build_keypoints
 from huepose.propose.keypoints import Sought, Spots, agreed, match
 from huepose.rendering.render import render
@@ -46,7 +47,8 @@ HOLE_PX = 9
 
 
 class ColorPairDetector:
-    """Finds known objects in whole frames by their reference models alone. Keeps nothing of a frame."""
+    """Finds known objects in whole frames by their reference models alone. Keeps nothing of a frame, unless
+    frames are said to come from one camera (`DetectorConfig.remembering`)."""
 
     def __init__(self, models: Mapping[str, ReferenceModel], config: DetectorConfig | None = None) -> None:
         self.config = config or DetectorConfig()
@@ -55,6 +57,7 @@ class ColorPairDetector:
         self._features: FeatureSource = Sift()
         self._keypoints: dict[str, Sought] = {}
         self._lock = threading.Lock()
+        self._memory: Memory | None = None
         self._pool = Pool(self.config.threads)
         for model in models.values():
             self.add(model)
@@ -88,7 +91,12 @@ class ColorPairDetector:
             return []
         proposals = self.config.proposals
         most = max(proposals, self.config.pool) if len(names) > 1 else proposals
-        guesses, windows = self._guesses(view), WindowsBySize(view)
+        memory = None
+        if self.config.remembering:
+            with stage("memory"):
+                memory = looking(self._memory, frame)
+        features, windows = _FeaturesOnce(self._features, view, memory), WindowsBySize(view, memory)
+        guesses = self._guesses(view, features)
 
         def places_of(name: str) -> list[Proposal]:
             model = self._model(name)
@@ -105,6 +113,9 @@ class ColorPairDetector:
                 return _rated(view, model, proposed)
 
         places = dict(zip(names, self._pool.map(places_of, names), strict=True))
+        if memory is not None:
+            kept = {**memory.windows, **windows.kept()}
+            self._memory = replace(memory, windows=kept, features=features.kept)
         with stage("contest"):
             places = contested(places)
         found = [
@@ -114,25 +125,13 @@ class ColorPairDetector:
         ]
         return sorted((d for d in found if d.score >= self.config.min_score), key=lambda d: -d.score)
 
-    def _guesses(self, view: ClearView) -> Callable[[str], Float64] | None:
-        """What gives the poses (K, 4, 4) that the keypoints of an object agree on; the features of the view
-        are extracted once, for the first object that asks. None where keypoints are no source."""
+    def _guesses(self, view: ClearView, features: _FeaturesOnce) -> Callable[[str], Float64] | None:
+        """What gives poses (K, 4, 4) that an object's keypoints agree on; None where these are no source."""
         if "keypoints" not in self.config.sources:
             return None
 
-        one_at_a_time = threading.Lock()
-
-        @cache
-        def spots() -> Spots:
-            with stage("features"):
-                near = cv2.dilate(view.clear.view(np.uint8), np.ones((HOLE_PX, HOLE_PX), np.uint8)) > 0
-                shown = view.clear | (near & (view.crop.depth == 0))
-                return Spots.of(self._features.extract(view.crop.color, shown))
-
         def guessed(name: str) -> Float64:
-            with one_at_a_time:
-                seen = spots()
-            sought = self._keypoints_of(name)
+            seen, sought = features.spots(), self._keypoints_of(name)
             with stage("keypoints"):
                 return agreed(match(sought, seen), view.crop.depth, view.crop.camera).poses
 
@@ -179,6 +178,37 @@ class ColorPairDetector:
         if "views" not in self.config.sources:
             return ()
         return EFFORTS if thorough is None or name in thorough else EFFORTS[:1]
+
+
+class _FeaturesOnce:
+    """The features of a view, sought for the first object that asks. kept: what a memory keeps of them."""
+
+    def __init__(self, source: FeatureSource, view: ClearView, memory: Memory | None) -> None:
+        self._source, self._view, self._memory = source, view, memory
+        self.kept = None if memory is None else memory.features
+        self._spots: Spots | None = None
+        self._lock = threading.Lock()
+
+    def spots(self) -> Spots:
+        """They, with what is near each."""
+        with self._lock:
+            if self._spots is None:
+                with stage("features"):
+                    self._spots = Spots.of(self._extracted())
+            return self._spots
+
+    def _extracted(self) -> Features:
+        view, crop = self._view, self._view.crop
+        near = cv2.dilate(view.clear.view(np.uint8), np.ones((HOLE_PX, HOLE_PX), np.uint8)) > 0
+        shown = view.clear | (near & (crop.depth == 0))
+        if self._memory is None:
+            return self._source.extract(crop.color, shown)
+        self.kept = features_of(self._memory, view, shown, self._source)
+        found, corner = self.kept.features, np.array([crop.x0, crop.y0], np.float32)
+        pixels = found.pixels - corner
+        last = np.array([shown.shape[1] - 1, shown.shape[0] - 1])
+        within = np.asarray(((pixels >= 0) & (pixels <= last)).all(1))
+        return replace(found, pixels=pixels)[within]
 
 
 def _rated(view: ClearView, model: ReferenceModel, proposals: Sequence[Proposal]) -> list[Proposal]:

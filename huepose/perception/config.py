@@ -15,7 +15,9 @@ SOURCES: tuple[Source, ...] = get_args(Source)
 class DetectorConfig:
     """sources: what proposes poses; proposals: most boxes of one object; min_score: a place that is the
     object's with less than this probability is not worth an estimate; pool: places of each object that
-    compete with those of the others; threads: objects that are searched for at the same time.
+    compete with those of the others; threads: objects that are searched for at the same time; remembering:
+    frames come from one camera, in order, so that what stands still is not looked at each time
+    (`perception.memory`).
 
     Origin: chosen for time. Two boxes instead of three lose 0 to 3 % of the labels (docs/detection.md, first
     1 / 2 / 5 proposals), and each box costs an estimate.
@@ -26,6 +28,7 @@ class DetectorConfig:
     min_score: float = 0.05
     pool: int = 3
     threads: int = 1
+    remembering: bool = False
 
     def __post_init__(self) -> None:
         if not self.sources or not set(self.sources) <= set(SOURCES):

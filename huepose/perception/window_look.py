@@ -56,10 +56,10 @@ def compared(table: WindowTable, windows: Windows, chosen: Int64) -> Float32:
 
 def narrowed(table: WindowTable, windows: Windows, chosen: Int64, first: int) -> tuple[Int64, Float32]:
     """Those of the chosen windows (W,) that are worth their codes (K,), in the same order, and likenesses
-    (N, K) of all views and them: the `first` ones, the pieces', others so far apart that each window has one
-    beside it, and what is beside the likest of these."""
+    (N, K) of all views and them: the `first` ones, the pieces', those of before, others so far apart that
+    each window has one beside it, and what is beside the likest of these."""
     places = windows.places_diameters(chosen)
-    taken = (np.arange(len(chosen)) < first) | (chosen < windows.pieces)
+    taken = (np.arange(len(chosen)) < first) | (chosen < windows.pieces) | windows.recalled[chosen]
     _spread(places, APART, taken)
     some = np.flatnonzero(taken)
     alike = compared(table, windows, chosen[some])

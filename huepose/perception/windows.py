@@ -13,6 +13,7 @@ import numpy as np
 
 from huepose.geometry.arrays import Bool, Float32, Float64, Int64
 from huepose.perception.clear_view import ClearView
+from huepose.perception.memory import KeptWindows, Memory, matched, until
 from huepose.propose.template_table import COARSE_SIDE, MILLIMETRES
 from huepose.propose.templates import SPAN
 from huepose.propose.view_codes import CELLS as CODE_CELLS
@@ -43,10 +44,14 @@ BORDER = 2
 class Windows:
     """All W windows of one size of a view, what is in them only as far as somebody asks; several threads may.
 
+    known: those of before that look as they did then; look: the number of this one.
     diameter_m: of an object that they suit; pixels (W, 2): their middles in the view; depth_m (W,): there;
-    span_px (W,): their sides; pieces: how many of them, the first ones, are of pieces."""
+    span_px (W,): their sides; pieces: how many of them, the first ones, are of pieces; recalled (W,): which
+    were known."""
 
-    def __init__(self, view: ClearView, diameter_m: float) -> None:
+    def __init__(
+        self, view: ClearView, diameter_m: float, known: KeptWindows | None = None, look: int = 0
+    ) -> None:
         pieces, focal = view.pieces, view.crop.camera.fx
         fitting = (pieces[:, 3] > 0.2 * diameter_m) & (pieces[:, 3] < 1.3 * diameter_m)
         grid = _places(view.clear, view.crop.depth, focal, SPACING * diameter_m)
@@ -57,16 +62,41 @@ class Windows:
         self._view, self._focal = view, focal
         self._codes = np.zeros((len(places), NUMBERS * CODE_CELLS**2), np.float32)
         self._coded = np.zeros(len(places), bool)
+        self._look, self._until = np.full(len(places), look), until(look, len(places))
+        self.recalled = np.zeros(len(places), bool)
         self._lock = threading.Lock()
+        if known is not None:
+            self._recall(known)
 
     def __len__(self) -> int:
         return len(self.pixels)
 
     def places_diameters(self, index: Int64) -> Float64:
         """Middles (K, 3) of windows (K,) in space, in diameters; depth counts half, as in their lattice."""
-        z = self.depth_m[index]
-        across = self.pixels[index] * (z / self._focal)[:, None]
-        return np.column_stack([across, 0.5 * z]) / self.diameter_m
+        return self._in_diameters(self.pixels[index], self.depth_m[index])
+
+    def _in_diameters(self, pixels: Float64, depth_m: Float64) -> Float64:
+        across = pixels * (depth_m / self._focal)[:, None]
+        return np.asarray(np.column_stack([across, 0.5 * depth_m]) / self.diameter_m, np.float64)
+
+    def _recall(self, known: KeptWindows) -> None:
+        """Windows that are some of before stay where they were, with their codes."""
+        crop = self._view.crop
+        pixels = known.pixels - [crop.x0, crop.y0]
+        before = self._in_diameters(pixels, known.depth_m)
+        mine, theirs = matched(self.places_diameters(np.arange(len(self))), before)
+        self.pixels[mine], self.depth_m[mine] = pixels[theirs], known.depth_m[theirs]
+        self.span_px[mine], self._codes[mine] = known.span_px[theirs], known.codes[theirs]
+        self._look[mine], self._until[mine] = known.look[theirs], known.until[theirs]
+        self._coded[mine] = self.recalled[mine] = True
+
+    def kept(self) -> KeptWindows:
+        """Those that were coded."""
+        crop, some = self._view.crop, self._coded
+        return KeptWindows(
+            self.pixels[some] + [crop.x0, crop.y0], self.depth_m[some], self.span_px[some],
+            self._codes[some], self._look[some], self._until[some],
+        )  # fmt: skip
 
     @cached_property
     def middles(self) -> Float32:
@@ -101,10 +131,10 @@ class Windows:
 
 
 class WindowsBySize:
-    """The windows of a view, made once for all objects of nearly one size."""
+    """The windows of a view, made once for all objects of nearly one size; memory: of the looks before."""
 
-    def __init__(self, view: ClearView) -> None:
-        self._view, self._lock = view, threading.Lock()
+    def __init__(self, view: ClearView, memory: Memory | None = None) -> None:
+        self._view, self._memory, self._lock = view, memory, threading.Lock()
         self._of: dict[int, Windows] = {}
 
     def of(self, diameter_m: float) -> Windows:
@@ -114,8 +144,18 @@ class WindowsBySize:
         with self._lock:
             if size not in self._of:
                 with stage("windows"):
-                    self._of[size] = Windows(self._view, float(np.exp(size * step)))
+                    memory, diameter_m = self._memory, float(np.exp(size * step))
+                    self._of[size] = (
+                        Windows(self._view, diameter_m)
+                        if memory is None
+                        else Windows(self._view, diameter_m, memory.windows_of(size), memory.look)
+                    )
             return self._of[size]
+
+    def kept(self) -> dict[int, KeptWindows]:
+        """Those that were coded, by size."""
+        with self._lock:
+            return {size: windows.kept() for size, windows in self._of.items()}
 
 
 def _places(clear: Bool, depth: Float32, focal: float, spacing_m: float) -> Float64:

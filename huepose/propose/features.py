@@ -28,6 +28,9 @@ class Features:
     def __len__(self) -> int:
         return len(self.pixels)
 
+    def __getitem__(self, index: np.ndarray) -> Features:
+        return Features(self.pixels[index], self.descriptors[index])
+
 
 class FeatureSource(Protocol):
     """Finds features. name: only features of one name can be compared."""

@@ -36,7 +36,8 @@ def make(bus: Bus, config: Config) -> DetectorWork:
         settings = profile(config.profile).detector
         # Of an object with several instances, each may have its box.
         proposals = max(settings.proposals, _most_instances(config))
-        settings = replace(settings, proposals=proposals, threads=config.detector.threads)
+        threads = config.detector.threads
+        settings = replace(settings, proposals=proposals, threads=threads, remembering=True)
         searcher = ColorPairDetector(models.load(config), settings)
         searcher.warm_up()
         return DetectorWork(bus, SearchedBoxes(outlines, searcher), follower)

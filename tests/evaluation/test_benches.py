@@ -23,7 +23,7 @@ class Still:
     def frame(self, i):
         return self._frame
 
-    def truth(self, i):
+    def truths(self, i):
         return (self._truth,)
 
 
@@ -38,6 +38,7 @@ def test_every_stage_is_measured_and_the_missing_object_is_missing(tea_box, take
         "detect/presence",
         "detect two",
         "detect missing",
+        "detect still missing",
         "segment",
     } <= set(stages)
     assert all(s.cpu_ms_p50 > 0.0 for s in stages.values())

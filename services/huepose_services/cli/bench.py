@@ -49,7 +49,7 @@ def call(arguments: argparse.Namespace) -> int:
         summary["estimate_five_objects_ms_p50"] = _p50(stages, "estimate")
     if what in ("detect", "all"):
         stages += bench_perception(scene, models, settings.detector)
-        for name in ("detect", "detect two", "detect missing", "segment"):
+        for name in ("detect", "detect two", "detect missing", "detect still missing", "segment"):
             (stage,) = (s for s in stages if s.name == name)
             summary[f"{name.replace(' ', '_')}_cpu_ms_p50"] = stage.cpu_ms_p50
     if what in ("bus", "all"):

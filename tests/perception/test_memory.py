@@ -1,0 +1,181 @@
+"""What stands still is looked at once; what appears, moves or comes back is found as without a memory."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from huepose.geometry import Camera, Mesh, RgbdFrame, se3
+from huepose.model import ReferenceModel
+from huepose.perception import windows
+from huepose.perception.clear_view import ClearView, clear_view
+from huepose.perception.colorpair_detector import ColorPairDetector
+from huepose.perception.config import DetectorConfig
+from huepose.perception.memory import FEWEST, MOST, KeptWindows, features_of, looking, matched, until
+from huepose.perception.stillness import TILE_PX, Tiles, changed_shares
+from huepose.propose.features import Sift
+from huepose.propose.view_codes import codes_of_windows
+
+TakePicture = Callable[..., RgbdFrame]
+
+
+def noisy(frame: RgbdFrame, seed: int) -> RgbdFrame:
+    """The same view with other noise."""
+    rng = np.random.default_rng(seed)
+    color = np.clip(frame.color + rng.normal(0.0, 3.0, frame.color.shape), 0, 255).astype(np.uint8)
+    depth = frame.depth * (1.0 + rng.normal(0.0, 0.002, frame.depth.shape)).astype(np.float32)
+    return replace(frame, color=color, depth=depth)
+
+
+def plain() -> RgbdFrame:
+    """A grey wall, one metre away."""
+    camera = Camera(300.0, 300.0, 79.5, 59.5, 160, 120)
+    return RgbdFrame(np.full((120, 160, 3), 120, np.uint8), np.full((120, 160), 1.0, np.float32), camera)
+
+
+@pytest.fixture(scope="module")
+def beside(standing: np.ndarray) -> np.ndarray:
+    """A second place on the same table."""
+    moved = standing @ se3.make(se3.rotation_exp(np.array([0.0, 0.0, 2.0])), np.zeros(3))
+    moved[0, 3] += 0.17
+    return moved
+
+
+def test_tiles_change_where_colour_or_depth_does_and_not_with_noise() -> None:
+    before = Tiles.of(noisy(plain(), 1))
+    after = noisy(plain(), 2)
+    assert not Tiles.of(after).changed(before).any()
+    after.color[40:48, 80:88] += np.uint8(20)
+    after.depth[80:88, 40:48] -= np.float32(0.03)
+    after.depth[16:24, 16:24] = 0.0
+    changed = Tiles.of(after).changed(before)
+    assert set(zip(*np.nonzero(changed), strict=True)) == {(5, 10), (10, 5), (2, 2)}
+
+
+def test_a_window_s_share_of_changed_tiles() -> None:
+    changed = np.zeros((15, 20), bool)
+    changed[5, 10] = True
+    middles = np.array([[10.5, 5.5], [2.0, 2.0], [-50.0, 5.0]]) * TILE_PX
+    shares = changed_shares(changed, middles, np.full(3, 4.0 * TILE_PX))
+    assert np.allclose(shares, [1.0 / 25.0, 0.0, 1.0])
+
+
+def test_places_are_matched_with_the_nearest_none_twice() -> None:
+    kept = np.array([[0.0, 0.0, 0.0], [1.0, 0.0, 0.0], [2.0, 0.0, 0.0]])
+    places = np.array([[0.01, 0.0, 0.0], [1.5, 0.0, 0.0], [1.02, 0.0, 0.0], [0.02, 0.0, 0.0]])
+    mine, theirs = matched(places, kept)
+    assert list(zip(mine, theirs, strict=True)) == [(0, 0), (2, 1)]
+    assert len(matched(places[:0], kept)[0]) == len(matched(places, kept[:0])[0]) == 0
+
+
+@pytest.fixture
+def coded(monkeypatch: pytest.MonkeyPatch) -> list[int]:
+    """How many windows were coded in each call of the network."""
+    counts: list[int] = []
+
+    def counted(colors: np.ndarray, reliefs: np.ndarray) -> np.ndarray:
+        counts.append(len(colors))
+        return codes_of_windows(colors, reliefs)
+
+    monkeypatch.setattr(windows, "codes_of_windows", counted)
+    return counts
+
+
+def test_what_stands_still_is_not_coded_again(
+    tea_box: ReferenceModel, take_picture: TakePicture, standing: np.ndarray, coded: list[int]
+) -> None:
+    other = take_picture([(without_print(tea_box), standing)])
+    detector = ColorPairDetector({"tea_box": tea_box}, DetectorConfig(remembering=True))
+    each = []
+    for look in range(3):
+        coded.clear()
+        detector.detect(noisy(other, look), ["tea_box"])
+        each.append(sum(coded))
+    assert each[0] > 15
+    assert max(each[1:]) < 0.4 * each[0]
+
+
+def test_windows_are_kept_for_some_looks_where_nothing_changed() -> None:
+    count = MOST - FEWEST + 1
+    windows = KeptWindows(
+        np.tile([80.0, 60.0], (count, 1)), np.ones(count), np.full(count, 40.0),
+        np.zeros((count, 4), np.float32), np.zeros(count, np.int64), until(0, count),
+    )  # fmt: skip
+    memory = replace(looking(None, plain()), windows={7: windows})
+    left = []
+    for _ in range(MOST + 1):
+        memory = looking(memory, plain())
+        kept = memory.windows_of(7)
+        assert kept is not None
+        left.append(len(kept.look))
+    assert left == [count] * FEWEST + list(range(count - 1, -1, -1))
+    assert memory.windows_of(8) is None
+    moved = plain()
+    moved.color[50:70, 70:90] += np.uint8(40)
+    kept = looking(replace(looking(None, plain()), windows={7: windows}), moved).windows_of(7)
+    assert kept is not None
+    assert len(kept.look) == 0
+
+
+def test_what_appears_and_what_moves_is_found_at_once(
+    tea_box: ReferenceModel, take_picture: TakePicture, standing: np.ndarray, beside: np.ndarray
+) -> None:
+    other = without_print(tea_box)
+    film = [
+        ([(other, standing)], None),
+        ([(other, standing)], None),
+        ([(other, standing), (tea_box.mesh, beside)], beside),
+        ([(tea_box.mesh, standing)], standing),
+        ([(other, standing)], None),
+    ]
+    detector = ColorPairDetector({"tea_box": tea_box}, DetectorConfig(remembering=True))
+    for look, (scene, place) in enumerate(film):
+        found = [d for d in detector.detect(noisy(take_picture(scene), look), ["tea_box"]) if d.score > 0.6]
+        if place is None:
+            assert found == []
+            continue
+        best = found[0].T_cam_obj
+        assert best is not None
+        assert np.linalg.norm(se3.difference(place, best)[:3]) < 0.02
+
+
+def test_features_are_kept_where_nothing_changed_and_sought_where_it_did(
+    tea_box: ReferenceModel, take_picture: TakePicture, standing: np.ndarray, beside: np.ndarray
+) -> None:
+    first = take_picture([(tea_box.mesh, standing)])
+    then = take_picture([(tea_box.mesh, standing), (tea_box.mesh, beside)])
+    memory, source = looking(None, first), Sift()
+    kept = features_of(memory, *shown_in(first), source)
+    memory = looking(replace(memory, features=kept), first)
+    again = features_of(memory, *shown_in(first), source).features
+    assert np.array_equal(again.pixels, kept.features.pixels)
+    memory = looking(replace(memory, features=kept), then)
+    merged = features_of(memory, *shown_in(then), source).features
+    view, shown = shown_in(then)
+    every = source.extract(view.crop.color, shown)
+    pixels = every.pixels + np.array([view.crop.x0, view.crop.y0], np.float32)
+    apart = np.linalg.norm(pixels[:, None] - merged.pixels[None], axis=2).min(1)
+    assert len(every) > 1.5 * len(kept.features)
+    assert (apart < 1.0).mean() > 0.9
+
+
+def shown_in(frame: RgbdFrame) -> tuple[ClearView, np.ndarray]:
+    """What stands in a frame, and where."""
+    view = clear_view(frame, 0.3)
+    assert view is not None
+    return view, view.clear
+
+
+def without_print(model: ReferenceModel) -> Mesh:
+    """The same shape, all grey."""
+    return replace(model.mesh, texture=np.full_like(model.mesh.texture, 90))
+
+
+def test_another_camera_s_picture_is_not_remembered() -> None:
+    memory = looking(looking(None, plain()), plain())
+    assert memory.look == 1
+    other = replace(plain(), camera=replace(plain().camera, fx=310.0))
+    assert looking(memory, other).look == 0

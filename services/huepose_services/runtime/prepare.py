@@ -5,7 +5,7 @@ from __future__ import annotations
 from huepose.support.errors import InputError
 from huepose_services.runtime.config import Config
 from huepose_services.runtime.run_folder import is_taken, make_folder
-from huepose_services.runtime.running import occupant
+from huepose_services.runtime.running import port_taken
 
 
 def prepare(config: Config) -> None:
@@ -75,9 +75,4 @@ def check_ports(config: Config) -> None:
     folder = make_folder()
     for worker in config.workers:
         if is_taken(folder, config.port(worker)):
-            raise InputError(
-                f"port {config.port(worker)} of worker {worker}",
-                found=occupant(config, worker),
-                expected=f"that nobody listens there (in {folder})",
-                fix="Stop the other pipeline, or set bus.base_port in the configuration.",
-            )
+            raise port_taken(config, worker)

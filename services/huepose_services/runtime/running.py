@@ -115,6 +115,16 @@ def occupant(config: Config, worker: str) -> str:
     return f"the {worker} of {other.name} there, which runs already ({other.file})"
 
 
+def port_taken(config: Config, worker: str, found: str = "") -> InputError:
+    """The error of a worker's port that is held; found: what is in the way, by default who holds it."""
+    return InputError(
+        f"port {config.port(worker)} of worker {worker}",
+        found=found or occupant(config, worker),
+        expected=f"that nobody listens there (in {run_folder()})",
+        fix="Stop the other pipeline, or give a configuration with another bus.base_port.",
+    )
+
+
 def pick(path: Path | None = None, which: str | None = None) -> Pipeline:
     """The pipeline that is meant: that of a configuration, else the one that runs, else the usual place.
 

@@ -15,11 +15,10 @@ from pathlib import Path
 
 import zenoh
 
-from huepose.support.errors import InputError
 from huepose_protos.client import peer
 from huepose_services.runtime.config import WORKERS, Config
 from huepose_services.runtime.run_folder import make_folder
-from huepose_services.runtime.running import occupant
+from huepose_services.runtime.running import port_taken
 
 RESTARTS = "HUEPOSE_RESTARTS"
 MIB = 1024 * 1024
@@ -121,16 +120,12 @@ def open_worker_session(config: Config, worker: str) -> tuple[zenoh.Session, lis
     try:
         return zenoh.open(settings), warnings
     except zenoh.ZError as error:
-        raise InputError(
-            f"port {config.port(worker)} of worker {worker}",
-            found=_holder(config, worker, error),
-            expected="that nobody listens there",
-            fix="Stop the other pipeline, or set bus.base_port in the configuration.",
-        ) from None
+        raise port_taken(config, worker, _other_than_held(error)) from None
 
 
-def _holder(config: Config, worker: str, error: zenoh.ZError) -> str:
-    return occupant(config, worker) if "acquire lock" in str(error) else " ".join(str(error).split())[:200]
+def _other_than_held(error: zenoh.ZError) -> str:
+    """What zenoh could not do; empty where somebody holds the socket."""
+    return "" if "acquire lock" in str(error) else " ".join(str(error).split())[:200]
 
 
 def open_recorder_session(config: Config) -> zenoh.Session:
@@ -153,9 +148,4 @@ def open_player_session(config: Config, workers: Sequence[str]) -> zenoh.Session
     try:
         return zenoh.open(zenoh_config([config.endpoint(worker) for worker in workers], []))
     except zenoh.ZError as error:
-        raise InputError(
-            f"ports from {config.bus.base_port}",
-            found=_holder(config, workers[0], error),
-            expected="that nobody listens there",
-            fix="Stop the other pipeline, or give --config with another bus.base_port.",
-        ) from None
+        raise port_taken(config, workers[0], _other_than_held(error)) from None

@@ -78,7 +78,7 @@ def _labels(objects: list[tuple[Mesh, Float64]], owner: np.ndarray, camera: Came
     poses, shares, boxes = [], [], []
     for k, (mesh, T_cam_obj) in enumerate(objects):
         mask = owner == k
-        alone = silhouette_px(mesh, T_cam_obj, camera)
+        alone, _ = silhouette(mesh, T_cam_obj, camera)
         poses.append(se3.orthonormalised(T_cam_obj))
         shares.append(float(mask.sum()) / alone if alone else 0.0)
         boxes.append(Box.of_mask(mask))
@@ -90,15 +90,18 @@ def visible_mask(stage: Stage, i: int, k: int) -> Bool:
     return np.asarray(render(stage.in_camera(i), stage.camera, color=False).object_index == k)
 
 
-def silhouette_px(mesh: Mesh, T_cam_obj: Float, camera: Camera) -> int:
-    """Pixels of an object seen alone, parts outside the image included."""
+def silhouette(mesh: Mesh, T_cam_obj: Float, camera: Camera) -> tuple[int, Box]:
+    """Pixels and bounds of an object as if nothing hid it, parts outside the image included."""
     pixels = camera.project(se3.apply(T_cam_obj, mesh.vertices))
     if not np.isfinite(pixels).all():
-        return 0
+        return 0, Box(-1, -1, -1, -1)
     low = np.floor(pixels.min(0)).astype(int) - 1
     high = np.ceil(pixels.max(0)).astype(int) + 2
-    window = camera.cropped(int(low[0]), int(low[1]), int(high[0] - low[0]), int(high[1] - low[1]))
-    return int(np.count_nonzero(render_depth(mesh, T_cam_obj, window)))
+    x, y = int(low[0]), int(low[1])
+    window = camera.cropped(x, y, int(high[0]) - x, int(high[1]) - y)
+    seen = render_depth(mesh, T_cam_obj, window) > 0
+    box = Box.of_mask(seen)
+    return int(seen.sum()), Box(-1, -1, -1, -1) if box is None else Box(box.x + x, box.y + y, box.w, box.h)
 
 
 @dataclass(frozen=True, eq=False)

@@ -9,9 +9,8 @@ from pathlib import Path
 import numpy as np
 
 from huepose.datasets.bop_writer import BopWriter, Label
-from huepose.geometry import Box, Camera, Mesh, se3
-from huepose.geometry.arrays import Float64
-from huepose.rendering import render_depth
+from huepose.geometry import Mesh
+from huepose.scenes.frame import silhouette
 from huepose.scenes.rendered import Drawn, SceneRanges, check_sizes, rendered_frame
 from huepose.support.errors import InputError
 from huepose.support.progress import progress
@@ -59,17 +58,3 @@ def _labels(drawn: Drawn, meshes: Mapping[str, Mesh], object_ids: Mapping[str, i
         count, box = silhouette(meshes[name], T, drawn.camera)
         labels.append(Label(object_ids[name], T, np.asarray(drawn.shot.owner == k), count, box))
     return labels
-
-
-def silhouette(mesh: Mesh, T_cam_obj: Float64, camera: Camera) -> tuple[int, Box]:
-    """Pixels and bounds of an object as if nothing hid it, parts outside the image included."""
-    pixels = camera.project(se3.apply(T_cam_obj, mesh.vertices))
-    if not np.isfinite(pixels).all():
-        return 0, Box(-1, -1, -1, -1)
-    low = np.floor(pixels.min(0)).astype(int) - 1
-    high = np.ceil(pixels.max(0)).astype(int) + 2
-    x, y = int(low[0]), int(low[1])
-    window = camera.cropped(x, y, int(high[0]) - x, int(high[1]) - y)
-    seen = render_depth(mesh, T_cam_obj, window) > 0
-    box = Box.of_mask(seen)
-    return int(seen.sum()), Box(-1, -1, -1, -1) if box is None else Box(box.x + x, box.y + y, box.w, box.h)

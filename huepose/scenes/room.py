@@ -111,7 +111,7 @@ def clutter(rng: Rng) -> Mesh:
     """A thing of 5 to 16 cm that is none of the objects: plain or printed; box, ball, cup or step."""
     kind = int(rng.integers(4))
     p = textures.palette(rng.uniform(), rng)
-    art = [_paint, textures.sticker("STORE 3", int(rng.integers(4))), textures.blocks("misc")][
+    art = [textures.painted, textures.sticker("STORE 3", int(rng.integers(4))), textures.blocks("misc")][
         int(rng.integers(3))
     ]
     if kind == 0:
@@ -127,7 +127,7 @@ def clutter(rng: Rng) -> Mesh:
     else:
         a, z = rng.uniform(0.03, 0.06), rng.uniform(0.02, 0.04)
         charts = blocks([-a, 0, a], [-0.04, 0.04], [-z, 0, z], np.array([[[1, 1]], [[1, 0]]], bool), 0.05)
-    return printed(charts, [art if k % 2 == 0 else _paint for k in range(len(charts))], p, rng, 256)
+    return printed(charts, [art if k % 2 == 0 else textures.painted for k in range(len(charts))], p, rng, 256)
 
 
 def bar(rng: Rng) -> Mesh:
@@ -145,13 +145,7 @@ def ball(radius: float) -> list[Chart]:
     return revolved([arc[:4], arc[3:-3], arc[-4:]], 32)
 
 
-def _paint(rng: Rng, height: int, width: int, p: Palette) -> UInt8:
-    return textures.mixed(
-        p.base, p.accent, 0.12 * textures.clouds(rng, height, width, max(height, width) / 3, 3)
-    )
-
-
 def _bands(rng: Rng, height: int, width: int, p: Palette) -> UInt8:
-    image = _paint(rng, height, width, p)
+    image = textures.painted(rng, height, width, p)
     image[: height // 5], image[-height // 5 :] = p.dark, p.spot
     return image

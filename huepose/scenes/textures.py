@@ -73,6 +73,12 @@ def plain(height: int, width: int, colour: Colour) -> UInt8:
     return np.full((height, width, 3), colour, np.uint8)
 
 
+def painted(rng: Rng, height: int, width: int, p: Palette) -> UInt8:
+    """Paint, a little uneven."""
+    uneven = clouds(rng, height, width, max(height, width) / 3, 3)
+    return mixed(p.base, p.accent, 0.12 * uneven)
+
+
 def clouds(rng: Rng, height: int, width: int, cell: float, octaves: int = 4) -> Float32:
     """Smooth noise (height, width) in 0..1 with patches of about `cell` px and finer ones on them."""
     total: Float32 = np.zeros((height, width), np.float32)

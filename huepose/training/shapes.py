@@ -11,12 +11,12 @@ from __future__ import annotations
 import numpy as np
 
 from huepose.geometry import se3
-from huepose.geometry.arrays import Float64, Int32, UInt8
+from huepose.geometry.arrays import Float64, Int32
 from huepose.geometry.mesh import Mesh
 from huepose.scenes import textures
 from huepose.scenes.charts import Chart, blocks, revolved
 from huepose.scenes.shapes import printed
-from huepose.scenes.textures import Art, Palette
+from huepose.scenes.textures import Art
 
 RINGS, SPOKES = 18, 30
 MAX_PARTS = 4
@@ -44,15 +44,9 @@ def random_art(rng: np.random.Generator) -> Art:
     word, other = ("".join(rng.choice(LETTERS, int(rng.integers(3, 9)))) for _ in range(2))
     arts = (
         *(textures.blocks(word), textures.front(word, other, word[:2]), textures.facts, textures.picture),
-        *(textures.sticker(word, int(rng.integers(4))), textures.lid(word), _plain),
+        *(textures.sticker(word, int(rng.integers(4))), textures.lid(word), textures.painted),
     )
     return arts[int(rng.integers(len(arts)))]
-
-
-def _plain(rng: np.random.Generator, height: int, width: int, p: Palette) -> UInt8:
-    """Paint, a little uneven."""
-    uneven = textures.clouds(rng, height, width, max(height, width) / 3, 3)
-    return textures.mixed(p.base, p.accent, 0.12 * uneven)
 
 
 def _package(rng: np.random.Generator) -> list[Chart]:

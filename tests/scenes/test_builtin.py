@@ -10,7 +10,7 @@ import pytest
 from huepose.geometry import Camera, se3
 from huepose.rendering import render_depth
 from huepose.scenes.builtin import SyntheticScene
-from huepose.scenes.frame import Stage, labels, shoot, silhouette_px
+from huepose.scenes.frame import Stage, labels, shoot, silhouette
 from huepose.scenes.light import Light
 from huepose.scenes.plan import CAMERA, plan
 from huepose.scenes.room import sheet
@@ -158,11 +158,11 @@ def test_silhouette_counts_what_lies_outside_the_image() -> None:
     half_out = se3.make(np.eye(3), CAMERA.backproject(np.array([0.0, 240.0]), np.array(0.7)))
     inside = se3.make(np.eye(3), CAMERA.backproject(np.array([320.0, 240.0]), np.array(0.7)))
     wide = CAMERA.cropped(-320, -240, 1280, 960)
-    assert silhouette_px(mesh, half_out, CAMERA) == np.count_nonzero(render_depth(mesh, half_out, wide))
-    assert silhouette_px(mesh, half_out, CAMERA) > 1.5 * np.count_nonzero(
+    assert silhouette(mesh, half_out, CAMERA)[0] == np.count_nonzero(render_depth(mesh, half_out, wide))
+    assert silhouette(mesh, half_out, CAMERA)[0] > 1.5 * np.count_nonzero(
         render_depth(mesh, half_out, CAMERA)
     )
-    assert silhouette_px(mesh, inside, CAMERA) == np.count_nonzero(render_depth(mesh, inside, CAMERA))
+    assert silhouette(mesh, inside, CAMERA)[0] == np.count_nonzero(render_depth(mesh, inside, CAMERA))
 
 
 def test_rms_of_the_stereo_sensor_at_a_metre() -> None:

@@ -13,17 +13,19 @@ from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from estimate_record import Image, Record
+from estimate_record import Image, key_of, piece_of, summary
 from open3d_rivals import Features, ManyStarts
 from ppf_rival import PointPairFeatures
 from rival import Ours, Rival, RivalEstimator
 
 from huepose.datasets.bop import BopScene
-from huepose.datasets.types import GroundTruth, SomeImages
+from huepose.datasets.types import SomeImages
 from huepose.estimation import Estimator, EstimatorConfig
+from huepose.evaluation.assignment import labels_of
 from huepose.evaluation.estimate_protocol import EstimateOptions, evaluate_estimates
 from huepose.evaluation.metrics import FIGURES
 from huepose.evaluation.summary import table
+from huepose.evaluation.tables.journal import Journal
 from huepose.evaluation.targets import Targets, read_equivalents
 from huepose.model import ReferenceModel, load_models
 from huepose.support.progress import progress
@@ -38,19 +40,19 @@ def main() -> None:
     models = load_models(arguments.bundles)
     targets = Targets(models, arguments.objects)
     equivalents = read_equivalents(arguments.equivalent) if arguments.equivalent else {}
-    record = Record(arguments.json, {name: str(getattr(arguments, name)) for name in COMMON})
+    journal = Journal(arguments.json, {name: str(getattr(arguments, name)) for name in COMMON})
     images = [
         (scene, image)
         for scene in map(BopScene, arguments.bop)
         for image in scene.image_ids[:: arguments.every]
-        if any(_asked(t, targets, arguments.min_visib) for t in scene.truths(image))
+        if any(label.counted for label in labels_of(scene.truths(image), targets, arguments.min_visib)[0])
     ]
     for name in arguments.methods:
         wanted = [
             (masks, scene, image)
             for masks in arguments.masks
             for scene, image in images
-            if not record.has(name, masks, _image(scene, image))
+            if not journal.done(key_of(name, masks, _image(scene, image)))
         ]
         if not wanted:
             continue
@@ -61,8 +63,9 @@ def main() -> None:
             estimator.cpu_s.clear()
             one = [SomeImages(scene, [image])]
             result = evaluate_estimates(one, targets, estimator, options, equivalents=equivalents)
-            record.add(name, masks, _image(scene, image), result.rows, estimator.cpu_s)
-    print(_figures(record, arguments, [_image(scene, image) for scene, image in images]))
+            piece = piece_of(_image(scene, image), result.rows, estimator.cpu_s)
+            journal.add(key_of(name, masks, _image(scene, image)), piece)
+    print(_figures(journal, arguments, [_image(scene, image) for scene, image in images]))
 
 
 def _image(scene: BopScene, image: int) -> Image:
@@ -70,37 +73,31 @@ def _image(scene: BopScene, image: int) -> Image:
     return str(scene.path.resolve()), image
 
 
-def _asked(truth: GroundTruth, targets: Targets, min_visib: float) -> bool:
-    """Whether a label is one of those that are evaluated."""
-    known = truth.T_cam_obj is not None and targets.model_of(truth) is not None
-    return truth.shows(min_visib) and known and targets.wants(truth)
-
-
-def _figures(record: Record, arguments: argparse.Namespace, images: Sequence[Image]) -> str:
-    """Two tables of what the record holds of these images: all figures, and recall by object."""
-    summaries = {
-        (name, masks): record.summary(name, masks, images, arguments.seed)
+def _figures(journal: Journal, arguments: argparse.Namespace, images: Sequence[Image]) -> str:
+    """Two tables of what the journal holds of these images: all figures, and recall by object."""
+    found = {
+        (name, masks): summary(journal, name, masks, images, arguments.seed)
         for masks in arguments.masks
         for name in arguments.methods
     }
     rows = []
-    for (name, masks), summary in summaries.items():
-        if summary is None:
+    for (name, masks), figures in found.items():
+        if figures is None:
             continue
-        spans = summary["interval95"]
-        cells = [f"{summary[k]:.1f} ({spans[k][0]:.0f} to {spans[k][1]:.0f})" for k in FIGURES]
-        rows.append([name, masks, summary["instances"], *cells, f"{summary['cpu_s_p50']:.3f}"])
+        spans = figures["interval95"]
+        cells = [f"{figures[k]:.1f} ({spans[k][0]:.0f} to {spans[k][1]:.0f})" for k in FIGURES]
+        rows.append([name, masks, figures["instances"], *cells, f"{figures['cpu_s_p50']:.3f}"])
     heading = ["method", "masks", "n", "ADD", "ADD-S", "AUC ADD", "AUC ADD-S", "CPU s"]
-    known = {f"{name}, masks {masks}": s for (name, masks), s in summaries.items() if s is not None}
+    known = {f"{name}, masks {masks}": s for (name, masks), s in found.items() if s is not None}
     return table(heading, rows) + "\n" + _by_object(known)
 
 
 def _by_object(methods: Mapping[str, Any]) -> str:
     """ADD recall of each method on each object."""
-    numbers = sorted({n for summary in methods.values() for n in summary["per_object"]}, key=str)
+    numbers = sorted({n for figures in methods.values() for n in figures["per_object"]}, key=str)
     rows = [
-        [name, *(summary["per_object"].get(n, {}).get("recall_add") for n in numbers)]
-        for name, summary in methods.items()
+        [name, *(figures["per_object"].get(n, {}).get("recall_add") for n in numbers)]
+        for name, figures in methods.items()
     ]
     return table(["recall ADD by object", *map(str, numbers)], rows)
 
@@ -133,7 +130,7 @@ def _arguments() -> argparse.Namespace:
     parser.add_argument("--bop", type=Path, nargs="+", required=True, metavar="SCENE_DIR")
     parser.add_argument("--bundles", type=Path, required=True, metavar="DIR")
     parser.add_argument("--json", type=Path, required=True, metavar="FILE",
-                        help="answers; what it holds already is not asked again")  # fmt: skip
+                        help="a journal of answers; what it holds already is not asked again")  # fmt: skip
     parser.add_argument("--methods", nargs="+", choices=names, default=list(names))
     parser.add_argument("--masks", nargs="+", choices=("auto", "gt"), default=["auto", "gt"])
     parser.add_argument("--boxes", choices=("perturbed", "paper", "gt"), default="perturbed")

@@ -1,76 +1,43 @@
-"""What rivals answered, image by image, in a file that may be gone on with: slow methods run in pieces."""
+"""What rivals answered, image by image, in a journal that may be gone on with: slow methods run in pieces."""
 
 from __future__ import annotations
 
-import json
 from collections.abc import Mapping, Sequence
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from huepose.evaluation.estimate_rows import EstimateResult, EstimateRow
-from huepose.evaluation.result_files import plain, write_json
+from huepose.evaluation.tables.journal import Journal
 from huepose.evaluation.targets import PoseError
-from huepose.support.errors import InputError
 
 Image = tuple[str, int]
 """Scene folder and number of an image."""
 
 
-class Record:
-    """A file of answers. Pieces are kept by method, masks and image; what it holds is not asked again."""
+def key_of(method: str, masks: str, image: Image) -> str:
+    """Of a piece of work in the journal."""
+    return f"{method}, masks {masks}, {image[0]}/{image[1]}"
 
-    def __init__(self, path: Path, options: Mapping[str, Any]) -> None:
-        """options: what all pieces have in common. Raises InputError where the file was made with others."""
-        self._path, self._options = path, plain(dict(options))
-        self._pieces: dict[tuple[str, str, Image], dict[str, Any]] = {}
-        if not path.exists():
-            return
-        try:
-            held = json.loads(path.read_text())
-            pieces = {(p["method"], p["masks"], (p["scene"], p["image"])): p for p in held["pieces"]}
-        except (ValueError, KeyError, TypeError):
-            raise InputError(path, found="not a file of this benchmark", fix="Name another one.") from None
-        if held["options"] != self._options:
-            raise InputError(
-                path,
-                found=f"answers with the options {held['options']}",
-                expected=f"{self._options}",
-                fix="Name another file.",
-            )
-        self._pieces = pieces
 
-    def has(self, method: str, masks: str, image: Image) -> bool:
-        """Whether this was answered."""
-        return (method, masks, image) in self._pieces
+def piece_of(image: Image, rows: Sequence[EstimateRow], cpu_s: Sequence[float]) -> dict[str, Any]:
+    """What is kept: the answers in one image and the CPU seconds of each."""
+    return {"scene": image[0], "image": image[1], "cpu_s": list(cpu_s), "rows": [_short(r) for r in rows]}
 
-    def add(
-        self, method: str, masks: str, image: Image, rows: Sequence[EstimateRow], cpu_s: Sequence[float]
-    ) -> None:
-        """Keep the answers in one image and the CPU seconds of each, and write the file."""
-        piece = {
-            "method": method,
-            "masks": masks,
-            "scene": image[0],
-            "image": image[1],
-            "cpu_s": list(cpu_s),
-            "rows": [_short(row) for row in rows],
-        }
-        self._pieces[method, masks, image] = plain(piece)
-        write_json(self._path, {"options": self._options, "pieces": list(self._pieces.values())})
 
-    def summary(self, method: str, masks: str, images: Sequence[Image], seed: int) -> dict[str, Any] | None:
-        """Figures over those of the images that hold answers, as in `EstimateResult.summary`, with
-        `cpu_s_p50` and `cpu_s_mean` of an object; None without any."""
-        pieces = [self._pieces[method, masks, i] for i in images if (method, masks, i) in self._pieces]
-        rows = [_row(row, piece, seed) for piece in pieces for row in piece["rows"]]
-        if not rows:
-            return None
-        result = EstimateResult(rows, [], 0, str(self._options.get("boxes")), masks, (seed,))
-        seconds = np.array([s for piece in pieces for s in piece["cpu_s"] if s > 0])
-        spent = {"cpu_s_p50": float(np.median(seconds)), "cpu_s_mean": float(seconds.mean())}
-        return {**result.summary(), **(spent if len(seconds) else dict.fromkeys(spent, float("nan")))}
+def summary(
+    journal: Journal, method: str, masks: str, images: Sequence[Image], seed: int
+) -> dict[str, Any] | None:
+    """Figures over those of the images that hold answers, as in `EstimateResult.summary`, with `cpu_s_p50`
+    and `cpu_s_mean` of an object; None without any."""
+    keys = [key_of(method, masks, image) for image in images]
+    pieces = [journal.entries[key] for key in keys if key in journal.entries]
+    rows = [_row(row, piece, seed) for piece in pieces for row in piece["rows"]]
+    if not rows:
+        return None
+    seconds = np.array([s for piece in pieces for s in piece["cpu_s"] if s > 0])
+    spent = {"cpu_s_p50": float(np.median(seconds)), "cpu_s_mean": float(seconds.mean())}
+    return {**EstimateResult(rows, [], 0, "", masks, (seed,)).summary(), **spent}
 
 
 _KEPT = ("instance", "object", "visib_fract", "T_cam_obj", "diameter_m", "quality", "state", "seconds")

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import re
 from collections.abc import Collection, Mapping
 from dataclasses import dataclass, replace
@@ -126,14 +125,4 @@ def _as_ycb(model: BopModel, known: YcbObject | None) -> BopModel:
 
 
 def _read(path: Path) -> dict[str, Any]:
-    if not path.exists():
-        return {}
-    try:
-        tree = json.loads(path.read_text())
-    except (ValueError, RecursionError) as error:
-        raise InputError(path, found=f"broken JSON ({error})", fix="Download the file again.") from None
-    if not isinstance(tree, dict):
-        raise InputError(
-            path, found=f"a {type(tree).__name__}", expected="an object with one entry per object"
-        )
-    return tree
+    return files.read_json(path) if path.exists() else {}

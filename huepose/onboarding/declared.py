@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
+from huepose.datasets import files
 from huepose.geometry import se3
 from huepose.support.errors import InputError
 
@@ -25,13 +25,8 @@ def read_symmetries(path: Path | str) -> dict[str, Any]:
     Raises InputError for a missing or broken file, and for anything that is not a turn or an axis.
     """
     path = Path(path)
-    try:
-        tree = json.loads(path.read_text())
-    except FileNotFoundError:
-        raise InputError(path, found="no such file", expected="a file of symmetries") from None
-    except (ValueError, RecursionError) as error:
-        raise InputError(path, found=f"broken JSON ({error})", expected=_FORM) from None
-    if not isinstance(tree, dict) or not any(n in tree for n in _NAMES):
+    tree = files.read_json(path)
+    if not any(n in tree for n in _NAMES):
         raise InputError(path, found="neither of the two lists", expected=_FORM)
     entry = {n: tree.get(n, []) for n in _NAMES}
     check_symmetries(entry, str(path))

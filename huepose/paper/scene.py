@@ -7,6 +7,8 @@ scale of the model's views, so that both show the same texture.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 
 from huepose.colorpair.extract import extract
@@ -73,6 +75,14 @@ def votes_of_triangles(
         config,
         rng,
     )
+
+
+def warm_up_point_pairs(models: Sequence[ReferenceModel], config: PpfConfig | None) -> None:
+    """Compile the fallback, which most pictures do without, on the cloud of the first model that has a table
+    for it."""
+    model = next((m for m in models if len(tables_of(m).ppf_keys)), None)
+    if model is not None and config is not None:
+        votes_of_point_pairs(model, reference_cloud(tables_of(model)), config, np.random.default_rng(0))
 
 
 def votes_of_point_pairs(

@@ -41,9 +41,10 @@ from huepose.paper.scene import (
     extract_at_model_scale,
     votes_of_point_pairs,
     votes_of_triangles,
+    warm_up_point_pairs,
 )
 from huepose.paper.semantic_icp import ClassifiedScene, SemanticIcpConfig, semantic_icp_many
-from huepose.paper.tables import reference_cloud, tables_of
+from huepose.paper.tables import tables_of
 from huepose.paper.voting import cluster
 from huepose.propose.evidence import Evidence
 from huepose.propose.types import Votes
@@ -71,11 +72,8 @@ class PaperMethod:
         tables_of(model)
 
     def warm_up(self, models: Sequence[ReferenceModel]) -> None:
-        """Compile the fallback, which most pictures do without."""
-        model = next((m for m in models if len(tables_of(m).ppf_keys)), None)
-        if model is not None and self.config.ppf is not None:
-            cloud = reference_cloud(tables_of(model))
-            votes_of_point_pairs(model, cloud, self.config.ppf, np.random.default_rng(0))
+        """Compile what the first picture may do without and a later one needs."""
+        warm_up_point_pairs(models, self.config.ppf)
 
     def poses(self, model: ReferenceModel, evidence: Evidence, rng: np.random.Generator) -> Ranked:
         """Poses by their fitness in 0..1, best first; none without pairs."""

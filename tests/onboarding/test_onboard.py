@@ -143,10 +143,10 @@ def test_wrong_bop_folders_are_named(tmp_path: Path) -> None:
     with pytest.raises(InputError, match=r"no mesh of object 5; expected one of 3, 12"):
         bop_models(folder, [3, 5])
     (folder / "models_info.json").write_text("{")
-    with pytest.raises(InputError, match=r"models_info.json: found broken JSON"):
+    with pytest.raises(InputError, match=r"models_info.json: found no valid JSON"):
         bop_models(folder)
     for info, message in (
-        ("[" * 100_000, "models_info.json: found broken JSON"),
+        ("[" * 100_000, "models_info.json: found no valid JSON"),
         ('{"3": 5}', "models_info.json object 3: found 5"),
         ('{"3": {"diameter": "large"}}', "models_info.json object 3: found 'diameter': 'large'"),
         ('{"3": {"symmetries_discrete": [[1, 2]]}}', r"object 3 symmetries_discrete\[0\]: found \[1, 2\]"),
@@ -175,9 +175,10 @@ def test_declared_symmetries_are_checked(tmp_path: Path) -> None:
     path.write_text(json.dumps({"symmetries_discrete": [turn]}))
     assert read_symmetries(path) == {"symmetries_discrete": [turn], "symmetries_continuous": []}
     wrong = [
-        ("[1]", "neither of the two lists"),
-        ("{", "broken JSON"),
-        ("[" * 100_000, "broken JSON"),
+        ("[1]", "a JSON list"),
+        ("{}", "neither of the two lists"),
+        ("{", "no valid JSON"),
+        ("[" * 100_000, "no valid JSON"),
         (json.dumps({"symmetries_discrete": 5}), "symmetries_discrete: found 5; expected a list"),
         (json.dumps({"symmetries_discrete": [turn[:12]]}), r"symmetries_discrete\[0\]"),
         (json.dumps({"symmetries_discrete": [[2 * x for x in turn]]}), r"symmetries_discrete\[0\]"),

@@ -32,16 +32,20 @@ class Journal:
         lines = path.read_text().splitlines(keepends=True) if path.exists() else []
         if lines and not lines[-1].endswith("\n"):
             lines.pop()  # it was cut off while it was written
-        if lines and json.loads(lines[0]) != wanted:
+        try:
+            settings, *entries = [json.loads(line) for line in lines] or [wanted]
+            self.entries = {entry["key"]: entry for entry in entries}
+        except (ValueError, KeyError, TypeError):
+            raise InputError(
+                path, found="not a journal", fix="Choose another place, or remove that file."
+            ) from None
+        if settings != wanted:
             raise InputError(
                 path,
                 found=f"results with the settings {lines[0].strip()[:200]}",
                 expected=json.dumps(wanted)[:200],
-                fix="Choose another --out, or remove that file.",
+                fix="Choose another place (--out, --json), or remove that file.",
             )
-        for line in lines[1:]:
-            entry = json.loads(line)
-            self.entries[entry["key"]] = entry
         write_text(path, "".join(lines) if lines else json.dumps(wanted) + "\n")
 
     def done(self, key: str) -> bool:

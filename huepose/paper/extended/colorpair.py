@@ -20,12 +20,11 @@ from huepose.judge.pair_kernel import PairPicture
 from huepose.judge.pair_terms import CLOSE_PAIR_SAMPLES, CLOSE_PAIRS, pair_picture, pair_score_many
 from huepose.judge.region import Region
 from huepose.model.types import ReferenceModel
-from huepose.paper.extended import hypotheses
 from huepose.paper.extended.config import ColorpairPathConfig
 from huepose.paper.extended.hypotheses import hypotheses_of, read_scene
 from huepose.paper.extended.pair_search import search_pairs
 from huepose.paper.extended.shape import shape_hypotheses
-from huepose.paper.scene import extract_at_model_scale
+from huepose.paper.scene import extract_at_model_scale, warm_up_point_pairs
 from huepose.paper.semantic_icp import ClassifiedScene, semantic_icp_many
 from huepose.paper.tables import tables_of
 from huepose.propose.evidence import Evidence
@@ -60,7 +59,7 @@ class ColorpairMethod:
 
     def warm_up(self, models: Sequence[ReferenceModel]) -> None:
         """Compile what the first picture may do without and a later one needs."""
-        hypotheses.warm_up(models, self.config.hypotheses)
+        warm_up_point_pairs(models, self.config.hypotheses.ppf)
 
     def poses(self, model: ReferenceModel, evidence: Evidence, rng: np.random.Generator) -> Ranked:
         """See `estimate_by_pairs`."""

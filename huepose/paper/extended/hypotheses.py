@@ -33,7 +33,6 @@ from huepose.paper.scene import (
     votes_of_point_pairs,
     votes_of_triangles,
 )
-from huepose.paper.tables import reference_cloud, tables_of
 from huepose.paper.triangles import TriangleConfig
 from huepose.paper.voting import VotingConfig, cluster
 from huepose.propose.types import Hypothesis, Votes
@@ -115,15 +114,6 @@ def read_scene(
         cloud = classified_scene(model, relit_scene, config.classes)
         readings.append(Reading(light, share, relit_scene, cloud))
     return readings
-
-
-def warm_up(models: Sequence[ReferenceModel], config: HypothesesConfig) -> None:
-    """Compile the fallback, which most pictures do without, on the cloud of the first model that has a
-    table for it."""
-    model = next((m for m in models if len(tables_of(m).ppf_keys)), None)
-    if config.ppf is not None and model is not None:
-        cloud = reference_cloud(tables_of(model))
-        votes_of_point_pairs(model, cloud, config.ppf, np.random.default_rng(0))
 
 
 def _first_votes(

@@ -18,7 +18,6 @@ from huepose.estimation.types import ObjectQuery, PoseEstimate
 from huepose.geometry.arrays import Bool
 from huepose.geometry.box import Box
 from huepose.geometry.frame import RgbdFrame
-from huepose.select.surfaces import pixels, share_held
 
 LookAgain = Callable[[RgbdFrame, ObjectQuery], PoseEstimate]
 
@@ -59,7 +58,7 @@ def _without(
     config: CompetitionConfig,
 ) -> PoseEstimate:
     """The answer, or what is found instead where it may not use the pixels that are taken."""
-    contested = share_held(pixels(answer.mask), pixels(taken)) > config.contested
+    contested = _share_of_mask(answer.mask, taken) > config.contested
     doubtful = answer.quality < config.doubtful and _share_of_box(query.box, taken) > config.taken
     if not contested and not doubtful:
         return answer
@@ -68,6 +67,11 @@ def _without(
     again = look_again(free, replace(query, masks=masks))
     again = replace(again, seconds=again.seconds + answer.seconds)
     return again if contested or again.quality > answer.quality else answer
+
+
+def _share_of_mask(mask: Bool | None, taken: Bool) -> float:
+    size = 0 if mask is None else np.count_nonzero(mask)
+    return 0.0 if mask is None or size == 0 else np.count_nonzero(mask & taken) / size
 
 
 def _share_of_box(box: Box | None, taken: Bool) -> float:

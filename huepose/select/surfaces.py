@@ -25,11 +25,13 @@ def standing(surfaces: Sequence[Int64], scores: Sequence[float], share: float = 
     >>> standing([np.array([1, 2]), np.array([2, 3])], [0.5, 0.9])
     [1, 0]
     """
-    held, out = np.zeros(0, np.int64), []
+    held = np.zeros(max((int(s.max(initial=-1)) for s in surfaces), default=-1) + 1, bool)
+    out = []
     for i in sorted(range(len(surfaces)), key=lambda i: (-scores[i], i)):
-        if share_held(surfaces[i], held) <= share:
+        surface = surfaces[i]
+        if np.count_nonzero(held[surface]) <= share * len(surface):
             out.append(i)
-            held = np.union1d(held, surfaces[i])
+            held[surface] = True
     return out
 
 

@@ -116,15 +116,19 @@ def _smoothed(color: UInt8, pixels_per_m: float) -> Float32:
     """Opponents (2, h, w, 3) float32 smoothed at the two scales of the texture."""
     plain = opponents_of_bytes(color)
     fine, coarse = (max(0.5, sigma_m * pixels_per_m) for sigma_m in COLOR_SCALES_M)
-    return np.stack([cv2.GaussianBlur(plain, (0, 0), fine), _blurred(plain, coarse)])
+    out = np.empty((2, *plain.shape), np.float32)
+    cv2.GaussianBlur(plain, (0, 0), fine, dst=out[0])
+    _blur(plain, coarse, out[1])
+    return out
 
 
-def _blurred(picture: Float32, sigma: float) -> Float32:
-    """A Gaussian of the picture; where it is wide, of every second pixel."""
+def _blur(picture: Float32, sigma: float, out: Float32) -> None:
+    """A Gaussian of the picture into `out`; where it is wide, of every second pixel."""
     if sigma < WIDE_PX:
-        return np.asarray(cv2.GaussianBlur(picture, (0, 0), sigma))
+        cv2.GaussianBlur(picture, (0, 0), sigma, dst=out)
+        return
     height, width = picture.shape[:2]
     half = cv2.resize(picture, (width // 2, height // 2), interpolation=cv2.INTER_AREA)
     # Taking means of two pixels and going back between the means blurs a little, too.
     half = cv2.GaussianBlur(half, (0, 0), 0.5 * (sigma**2 - 0.75) ** 0.5)
-    return np.asarray(cv2.resize(half, (width, height), interpolation=cv2.INTER_LINEAR), np.float32)
+    cv2.resize(half, (width, height), dst=out, interpolation=cv2.INTER_LINEAR)

@@ -23,9 +23,15 @@ _FIGURES = {
 _SETTINGS = ("method", "profile", "boxes", "masks", "protocol", "every", "init", "delayed", "seed")
 _INTRODUCTION = """# Results
 
-Made by `huepose eval results` from result files; what is written here by hand is lost. Recall:
-error under a tenth of the object's diameter; AUC: area under the accuracy curve from 0 to 0.1 m; in percent.
-What is measured, and why families of objects differ: [tables](tables.md).
+Made by `huepose eval results` from result files. Do not edit this page by hand: the next run overwrites it.
+
+- ADD: mean distance between the model's points at the answered and at the true pose.
+- ADD-S: the same, with each point compared with the nearest one. It forgives a turn that keeps the shape.
+- Recall: share of instances with an error under a tenth of the object's diameter, in percent.
+- AUC: area under the accuracy curve from 0 to 0.1 m, in percent.
+- 95 % of draws: the 95 % interval of a bootstrap. n: number of instances.
+
+[Tables](tables.md) says what is measured and why families of objects differ.
 """
 
 

@@ -97,6 +97,13 @@ def _add_perception(verbs: Any) -> None:
         metavar="N",
         help="numbers of boxes an object at which recall is given (1 5 20)",
     )
+    parser.add_argument(
+        "--sources",
+        nargs="+",
+        choices=("views", "keypoints"),
+        default=["views", "keypoints"],
+        help="what proposes places (both)",
+    )
     add_number(parser, "--seed", 0, "of the perturbed boxes of masks")
     add_number(parser, "--threads", 2, "objects at the same time (2)")
     add_path(parser, "--plots", "DIR", "pictures of every frame")

@@ -29,7 +29,13 @@ def call(arguments: argparse.Namespace) -> int:
     judged, least = settings.detector.proposals, settings.detector.min_score
     # More boxes than are judged, for the recall of the first so many.
     most = max(judged, *arguments.proposals)
-    asked = replace(settings.detector, proposals=most, min_score=0.0, threads=arguments.threads)
+    asked = replace(
+        settings.detector,
+        sources=tuple(arguments.sources),
+        proposals=most,
+        min_score=0.0,
+        threads=arguments.threads,
+    )
     detector = ColorPairDetector(models, asked)
     detector.warm_up()
     segmenter = DepthSegmenter()
@@ -49,7 +55,8 @@ def call(arguments: argparse.Namespace) -> int:
         on_frame=None if pictures is None else pictures.frame,
     )
     record = result.as_json(arguments.proposals)
-    record["summary"] |= {"detector": "colorpair", "segmenter": "depth", "profile": arguments.profile}
+    how = {"detector": "colorpair", "sources": arguments.sources, "segmenter": "depth"}
+    record["summary"] |= how | {"profile": arguments.profile}
     write_json(arguments.json, record | {"origin": origin()})
     print(_report(record["summary"]))
     return 0

@@ -19,19 +19,14 @@ from huepose.reinit import warm_up as reinit
 from huepose.scenes.builtin import SyntheticScene, first_shot
 from huepose.scenes.plan import CAMERA
 from huepose.scenes.rendered import rendered_frame
-from huepose.support.compiling import telling_of_compiling
 from huepose.support.progress import progress
 from huepose.tracking import Tracker
 from huepose_services.builtin import builtin_bundles
 
 
 def main() -> None:
-    """Do once, on built-in objects, what commands and workers will do."""
-    with telling_of_compiling():
-        _rehearse()
-
-
-def _rehearse() -> None:
+    """Do once, on built-in objects, what commands and workers will do. Each step says how far it is;
+    kernels are not counted beside that, which would write over the same line of a terminal."""
     models = load_models(builtin_bundles(0))
     live, names = profile("live"), sorted(models)
     shot = first_shot({name: models[name].mesh for name in names})

@@ -67,8 +67,14 @@ class RealSense:
     def open(self) -> RealSenseCamera:
         """Start it. Raises CameraError when it is not there or cannot do what is asked."""
         path = self._settings.path
-        device = self._find() if path is None else self._context.load_device(path)
+        device = self._find() if path is None else self._again(path)
         return RealSenseCamera(self._rs, device, self._settings)
+
+    def _again(self, path: str) -> Any:
+        """A recording from its start. The SDK keeps one that it has played until it is told otherwise."""
+        with suppress(RuntimeError):
+            self._context.unload_device(path)
+        return self._context.load_device(path)
 
     def _find(self) -> Any:
         """The device. A camera that is starting, or used by another program, may be listed and not answer."""

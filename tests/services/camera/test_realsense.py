@@ -199,6 +199,18 @@ def test_a_recording_gives_its_pictures_and_its_end(recording):
     assert np.isclose(shots[0].depth[24, 40], 0.6)
 
 
+def test_a_recording_that_has_ended_is_played_again(recording):
+    source = RealSense(rs, _settings(str(recording)))
+    once = source.open()
+    with suppress(CameraError):
+        while True:
+            once.read(0.3)
+    once.close()
+    again = source.open()  # with the first one still known, as a reader knows it
+    assert again.read(2.0) is not None
+    again.close()
+
+
 def test_a_recording_that_is_not_there_is_refused():
     config = Config(camera=_settings("/nowhere/recording.db3"))
     with pytest.raises(InputError, match="no such recording"):

@@ -8,7 +8,7 @@ object does not hide it for long. Where a camera moves, nothing is kept, and a l
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import cv2
 import numpy as np
@@ -80,6 +80,7 @@ class Memory:
     tiles: Mapping[int, Tiles]
     windows: Mapping[int, KeptWindows]
     features: KeptFeatures | None = None
+    _changed: dict[int, Bool] = field(default_factory=dict, init=False)
 
     def windows_of(self, size: int) -> KeptWindows | None:
         """Those of one size that look as they did when they were coded; None where there are none."""
@@ -89,10 +90,15 @@ class Memory:
         same = np.zeros(len(kept.look), bool)
         for look in np.unique(kept.look):
             if look in self.tiles:
-                changed = self.tiles[self.look].changed(self.tiles[look])
-                mine = kept.look == look
+                mine, changed = kept.look == look, self._changed_since(int(look))
                 same[mine] = changed_shares(changed, kept.pixels[mine], kept.span_px[mine]) <= CHANGED
         return kept[same & (kept.until >= self.look)]
+
+    def _changed_since(self, look: int) -> Bool:
+        """Tiles (h, w) that have changed since a look: the same ones for windows of all sizes."""
+        if look not in self._changed:
+            self._changed[look] = self.tiles[self.look].changed(self.tiles[look])
+        return self._changed[look]
 
 
 def looking(before: Memory | None, frame: RgbdFrame) -> Memory:
@@ -119,9 +125,7 @@ def features_of(memory: Memory, view: ClearView, shown: Bool, source: FeatureSou
             return _renewed(kept, now, shares, anew, parts, view.frame.color, in_frame, source)
     found = source.extract(crop.color, shown)
     corner = np.array([crop.x0, crop.y0], np.float32)
-    return KeptFeatures(
-        replace(found, pixels=found.pixels + corner), now, shares, int(until(memory.look, 1)[0]) + FEWEST
-    )
+    return KeptFeatures(replace(found, pixels=found.pixels + corner), now, shares, memory.look + 2 * FEWEST)
 
 
 def _renewed(

@@ -46,10 +46,9 @@ class QualityTerms:
     """What quality is a function of. total: score of the pose; gaps: how much less the other answers score,
     best first; color, box_iou, depth_fit, coverage, violation, occluded, seen: terms of its dense score (see
     `judge.terms.Terms`); missing, foreign, detail, turned: see `texture_evidence.TextureEvidence`;
-    scale_residual: by how much the depth would have the object larger (see `size_evidence`); pixels: of the
+    scale_residual: by how much the depth would have the object larger (see `refine.final`); pixels: of the
     image that are believed to show the object; otherwise: share of the contrasts at the model's pairs that
-    point in another colour (see `judge.contrast_disagreement`); agreed: what those that agree say (see
-    `judge.pair_agreement`)."""
+    point in another colour; agreed: what those that agree say (both `judge.texture_evidence`)."""
 
     total: float
     gaps: tuple[float, ...]

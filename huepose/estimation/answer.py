@@ -13,18 +13,14 @@ from huepose.estimation.reasons import why_absent
 from huepose.estimation.types import ObjectQuery, PoseEstimate, absent
 from huepose.geometry import se3
 from huepose.geometry.frame import RgbdFrame
-from huepose.judge.contrast_disagreement import contrast_disagreement_many
-from huepose.judge.pair_agreement import agreement_many
-from huepose.judge.pair_terms import pair_picture
+from huepose.judge.pairs import pair_picture
 from huepose.judge.region import Region
 from huepose.judge.silhouette import projected_box, visible_mask
 from huepose.judge.terms import score as dense_score
-from huepose.judge.texture_evidence import texture_evidence
+from huepose.judge.texture_evidence import agreement_many, contrast_disagreement_many, texture_evidence
 from huepose.model.types import ReferenceModel
-from huepose.refine.final import covariance, final_refinement
-from huepose.refine.scale import scale_residual
-from huepose.select.distinct import different_answers
-from huepose.select.ranked import NONE, Ranked
+from huepose.refine.final import covariance, final_refinement, scale_residual
+from huepose.select.distinct import NONE, Ranked, different_answers
 
 
 @dataclass(frozen=True)

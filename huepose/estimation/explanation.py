@@ -8,8 +8,8 @@ from huepose.estimation.full_path import Trail
 from huepose.geometry.arrays import Bool
 from huepose.geometry.box import Box
 from huepose.propose.evidence import Evidence
+from huepose.select.distinct import NONE, Ranked
 from huepose.select.near_ties import Contest
-from huepose.select.ranked import NONE, Ranked
 
 
 @dataclass(frozen=True, eq=False)

@@ -30,8 +30,7 @@ from huepose.propose.template_table import TemplateTable, build_table
 from huepose.propose.views import retrieve
 from huepose.refine.coordinate_search import RACE, search
 from huepose.refine.point_to_plane import align_many
-from huepose.select.distinct import FINAL_SHIFT, FINAL_TURN_RAD, different_poses
-from huepose.select.ranked import NONE, Ranked, by_figure
+from huepose.select.distinct import FINAL_SHIFT, FINAL_TURN_RAD, NONE, Ranked, by_figure, different_poses
 from huepose.support.kept import kept
 from huepose.support.stages import stage
 

@@ -13,7 +13,7 @@ import numpy as np
 from huepose.estimation.config import EstimatorConfig
 from huepose.model.types import ReferenceModel
 from huepose.propose.evidence import Evidence
-from huepose.select.ranked import Ranked
+from huepose.select.distinct import Ranked
 
 
 class PairMethod(Protocol):

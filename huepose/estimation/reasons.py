@@ -13,7 +13,7 @@ from huepose.estimation.explanation import Explanation
 from huepose.estimation.types import PoseEstimate
 from huepose.geometry import se3
 from huepose.geometry.arrays import Bool, Float, Float64
-from huepose.geometry.depth_noise import depth_noise_m
+from huepose.geometry.camera import depth_noise_m
 from huepose.geometry.frame import RgbdFrame
 from huepose.geometry.picture_faults import LEAST_DEPTH, all_dark, all_grey, depth_share, readings
 from huepose.judge.terms import score

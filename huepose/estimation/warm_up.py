@@ -17,8 +17,8 @@ from huepose.judge.figure_ground import figure_ground_contrast
 from huepose.judge.silhouette import projected_box
 from huepose.model.types import ReferenceModel
 from huepose.rendering.render import render
+from huepose.select.distinct import Ranked
 from huepose.select.near_ties import decided
-from huepose.select.ranked import Ranked
 
 Explain = Callable[[RgbdFrame, ObjectQuery], tuple[PoseEstimate, Explanation]]
 

@@ -6,7 +6,7 @@ from __future__ import annotations
 import numpy as np
 
 from huepose.geometry.arrays import Float64
-from huepose.judge.arrays import RegionArrays
+from huepose.judge.region import RegionArrays
 from huepose.support.jit import jit_dividing
 
 SHADING_RIDGE = 0.03

@@ -11,8 +11,8 @@ import numpy as np
 
 from huepose.geometry.arrays import Float64
 from huepose.geometry.camera import NEAREST_M
-from huepose.judge.arrays import ModelArrays, RegionArrays, nearest_view
 from huepose.judge.color_correlation import color_agreement
+from huepose.judge.region import ModelArrays, RegionArrays, nearest_view
 from huepose.support.jit import jit_dividing
 
 TERMS = 17

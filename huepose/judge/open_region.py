@@ -13,11 +13,9 @@ import numpy as np
 from huepose.colorpair.opponents import opponents_of_bytes
 from huepose.geometry.arrays import Float32, Float64
 from huepose.geometry.box import Box
-from huepose.geometry.camera import Camera
-from huepose.geometry.depth_noise import FLOOR_M, depth_noise_m
+from huepose.geometry.camera import FLOOR_M, Camera, depth_noise_m
 from huepose.geometry.frame import RgbdFrame
-from huepose.judge.arrays import RegionArrays
-from huepose.judge.region import COLOR_SCALES_M, SATURATED
+from huepose.judge.region import COLOR_SCALES_M, SATURATED, RegionArrays
 
 SCALES_M = (*COLOR_SCALES_M, 0.008)
 """Gaussian sigmas of the three averages on the object; the first two come with a model's surface."""

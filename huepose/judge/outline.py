@@ -16,7 +16,7 @@ import numpy as np
 from huepose.colorpair.opponents import opponents_of_bytes
 from huepose.geometry.arrays import Float32, Float64, UInt8
 from huepose.geometry.camera import NEAREST_M
-from huepose.judge.arrays import RegionArrays
+from huepose.judge.region import RegionArrays
 from huepose.support.jit import jit_dividing
 
 SMOOTHING_PX = 1.0

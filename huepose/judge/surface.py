@@ -14,8 +14,8 @@ import numpy as np
 from huepose.geometry.arrays import Float, Float32, Float64, Int32
 from huepose.geometry.box import Box
 from huepose.geometry.camera import NEAREST_M, Camera
-from huepose.judge.arrays import ModelArrays, model_arrays
 from huepose.judge.open_region import SCALES_M, OpenRegion
+from huepose.judge.region import ModelArrays, model_arrays
 from huepose.judge.terms import Terms, score_arrays
 from huepose.model.types import ReferenceModel
 from huepose.support.kept import kept

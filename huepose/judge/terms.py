@@ -15,9 +15,8 @@ from functools import lru_cache
 import numpy as np
 
 from huepose.geometry.arrays import Float, Float64
-from huepose.judge.arrays import ModelArrays, RegionArrays, model_arrays, region_arrays
 from huepose.judge.kernel import SCRATCH_ROWS, TERMS, score_kernel
-from huepose.judge.region import Region
+from huepose.judge.region import ModelArrays, Region, RegionArrays, model_arrays, region_arrays
 from huepose.model.types import ReferenceModel
 from huepose.support.jit import jit
 

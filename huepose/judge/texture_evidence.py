@@ -1,10 +1,19 @@
 """Is it this texture that is seen? What the dense score cannot say, measured on the pose that is answered.
 
-A look-alike (the same shape in another texture) agrees in colour less than the object itself, but no less
-than an object without much texture does. So what is asked for is what is lacking: how much higher the
-agreement of the two opponent colours would be if the picture showed just this texture, which is little where
-there is little texture. And at which contrast details are seen: sharp ones tell poses apart that blurred ones
-do not."""
+`texture_evidence`: a look-alike (the same shape in another texture) agrees in colour less than the object
+itself, but no less than an object without much texture does. So what is asked for is what is lacking: how
+much higher the agreement of the two opponent colours would be if the picture showed just this texture, which
+is little where there is little texture. And at which contrast details are seen: sharp ones tell poses apart
+that blurred ones do not.
+
+A correlation is pulled most by what disagrees most: a third of a surface in other, stronger colours outweighs
+the rest. So pairs are counted as well, each of which speaks for itself and only so loudly.
+`contrast_disagreement_many`: the share of seen contrasts that point elsewhere. The contrast of a pair is a
+direction in colour; light, shadow and exposure change its length, noise turns what is short, and only another
+colour turns what is long. `agreement_many`: how much of the texture agrees, when some of it may be out of
+date or hidden: of the contrasts, where light cancels, and of the colours under the light that most of them
+agree on. A pair that disagrees wholly counts as nothing, and not as less than nothing.
+"""
 
 from __future__ import annotations
 
@@ -12,14 +21,15 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from huepose.geometry.arrays import Float, Float64
-from huepose.judge.arrays import model_arrays, nearest_view, region_arrays
+from huepose.geometry.arrays import Bool, Float, Float64
 from huepose.judge.color_correlation import PLAIN
-from huepose.judge.region import Region
+from huepose.judge.pairs import DEFAULT_PAIR_WEIGHTS, PairArrays, PairPicture, pair_arrays, read_pair
+from huepose.judge.region import Region, RegionArrays, model_arrays, nearest_view, region_arrays
 from huepose.judge.terms import CLOSE_SAMPLES, DEFAULT_WEIGHTS
 from huepose.model.types import ReferenceModel
+from huepose.support.jit import jit
 
-FEWEST = 15
+FEWEST_SAMPLES = 15
 """Samples that fit the depth, under which nothing is said."""
 
 DETAIL_FLOOR = 0.75
@@ -108,7 +118,7 @@ def _seen_texture(
     depth = r.depth[row, column]
     fits = inside & (depth > 0) & (np.abs(depth - points[:, 2]) * facing < r.tolerance)
     fits &= ~r.saturated[row, column]
-    if int(fits.sum()) < FEWEST:
+    if int(fits.sum()) < FEWEST_SAMPLES:
         return None
     outside = DEFAULT_WEIGHTS.outside
     weight = facing[fits] * (outside + (1.0 - outside) * r.belief[row[fits], column[fits]])
@@ -126,3 +136,199 @@ def _between_pixels(colors: Float, u: Float64, v: Float64) -> Float64:
     upper = (1.0 - a) * colors[v0, u0] + a * colors[v0, u0 + 1]
     lower = (1.0 - a) * colors[v0 + 1, u0] + a * colors[v0 + 1, u0 + 1]
     return np.asarray((1.0 - b) * upper + b * lower, dtype=np.float64)
+
+
+CONTRAST_LIGHTNESS = 0.2
+"""Of lightness against the other two channels: light and dark agree by chance more often than hues do, and
+shading is lightness, too."""
+
+ASIDE = 0.75
+"""Tangent of the angle within which two contrasts point the same way: what coloured light turns them by."""
+
+CONTRAST_NOISE = 3.0
+"""Units of opponents by which a contrast may be off for no reason; one as long as this counts half, on the
+texture and in the picture."""
+
+NEUTRAL = 3.0
+"""So many clear contrasts are taken to agree beforehand: without texture nothing speaks against it."""
+
+
+def contrast_disagreement_many(
+    model: ReferenceModel, region: Region, picture: PairPicture, poses: Float, pairs: int = 1500
+) -> Float64:
+    """Share (M,), 0..1, of the contrasts that point elsewhere, at poses (M, 4, 4), by at most `pairs` of the
+    model's pairs; 0 where none is seen."""
+    out = np.zeros(len(poses))
+    for m, T in enumerate(poses):
+        voices, elsewhere = contrasts(model, region, picture, T, pairs)
+        out[m] = voices[elsewhere].sum() / (NEUTRAL + voices.sum())
+    return out
+
+
+def contrasts(
+    model: ReferenceModel, region: Region, picture: PairPicture, T_cam_obj: Float, pairs: int = 1500
+) -> tuple[Float64, Bool]:
+    """Of the pairs of `pair_arrays` at a pose (4, 4): how clear the contrast of each is (N,), 0..1, 0 where
+    it is not seen; and whether it points elsewhere (N,)."""
+    arrays = pair_arrays(model.pairs, pairs)
+    count = len(arrays.points)
+    voices, strengths, elsewhere = np.zeros(count), np.zeros(count), np.zeros(count, np.bool_)
+    _compare_contrasts(
+        np.ascontiguousarray(T_cam_obj, dtype=np.float64),
+        region_arrays(region),
+        arrays,
+        picture,
+        voices,
+        strengths,
+        elsewhere,
+    )
+    seen = voices > 0.0
+    if seen.any():
+        # None speaks louder than the usual one.
+        voices *= np.minimum(strengths / np.median(strengths[seen]), 1.0)
+    return voices, elsewhere
+
+
+@jit
+def _compare_contrasts(
+    T: Float64,
+    region: RegionArrays,
+    pairs: PairArrays,
+    picture: PairPicture,
+    voices: Float64,
+    strengths: Float64,
+    elsewhere: Bool,
+) -> None:
+    """Of each pair that is seen, how clear its contrast is on the texture and in the picture, how strong it
+    is on the texture, and whether the picture's points elsewhere."""
+    read = np.empty((2, 3))
+    for i in range(pairs.points.shape[0]):
+        facing = read_pair(T, i, region, pairs, picture, read)
+        if facing == 0.0:
+            continue
+        mm, ss, dot = 1e-12, 0.0, 0.0
+        for c in range(3):
+            w = CONTRAST_LIGHTNESS if c == 0 else 1.0
+            a = w * (pairs.colors[i, 1, c] - pairs.colors[i, 0, c])
+            b = w * (read[1, c] - read[0, c])
+            mm += a * a
+            ss += b * b
+            dot += a * b
+        of_texture, seen = np.sqrt(mm), np.sqrt(ss)
+        along = dot / of_texture
+        across = np.sqrt(max(ss - along * along, 0.0))
+        voices[i] = facing * of_texture / (of_texture + CONTRAST_NOISE) * seen / (seen + CONTRAST_NOISE)
+        strengths[i] = of_texture
+        elsewhere[i] = across > ASIDE * along + CONTRAST_NOISE
+
+
+PAIR_LIGHTNESS, PAIR_FLOOR = DEFAULT_PAIR_WEIGHTS.lightness, DEFAULT_PAIR_WEIGHTS.floor
+PAIR_FEW = DEFAULT_PAIR_WEIGHTS.few
+"""As the score of pairs has them."""
+
+HALF_AGREED = 16.0
+"""Units of opponents off the common light at which a colour counts half."""
+
+LIGHT_ROUNDS = 3
+FEWEST_PAIRS = 5
+"""Under so many visible pairs nothing is said."""
+
+
+def agreement_many(
+    model: ReferenceModel, region: Region, picture: PairPicture, poses: Float, pairs: int = 1500
+) -> Float64:
+    """Both shares added up, 0..2, at poses (M, 4, 4), by at most `pairs` of the model's pairs: (M,)."""
+    out = np.zeros(len(poses))
+    _agree_all(
+        np.ascontiguousarray(poses, dtype=np.float64),
+        region_arrays(region),
+        pair_arrays(model.pairs, pairs),
+        picture,
+        out,
+    )
+    return out
+
+
+@jit
+def _agree_all(
+    poses: Float64, region: RegionArrays, pairs: PairArrays, picture: PairPicture, out: Float64
+) -> None:
+    count = pairs.points.shape[0]
+    weights, model, seen = np.empty(count), np.empty((count, 2, 3)), np.empty((count, 2, 3))
+    for m in range(poses.shape[0]):
+        n = 0
+        for i in range(count):
+            facing = read_pair(poses[m], i, region, pairs, picture, seen[n])
+            if facing > 0.0:
+                weights[n] = facing
+                model[n] = pairs.colors[i]
+                n += 1
+        if n >= FEWEST_PAIRS:
+            w, ours, theirs = weights[:n], model[:n], seen[:n]
+            shares = _agreed_contrasts(w, ours, theirs) + _agreed_colors(w, ours, theirs)
+            out[m] = n / (n + PAIR_FEW) * shares
+
+
+@jit
+def _agreed_contrasts(weights: Float64, model: Float64, seen: Float64) -> float:
+    """Share of the texture's contrasts that the picture shows, each between nothing and all of its own; none
+    speaks louder than the usual one."""
+    n = weights.shape[0]
+    along, ours, theirs = np.empty(n), np.empty(n), np.empty(n)
+    for i in range(n):
+        dot, mm, ss = 0.0, 0.0, 0.0
+        for c in range(3):
+            w = PAIR_LIGHTNESS if c == 0 else 1.0
+            a, b = w * (model[i, 1, c] - model[i, 0, c]), w * (seen[i, 1, c] - seen[i, 0, c])
+            dot += a * b
+            mm += a * a
+            ss += b * b
+        along[i], ours[i], theirs[i] = dot, np.sqrt(mm) + 1e-9, np.sqrt(ss) + 1e-9
+    typical = np.median(ours)
+    gain = min(max(np.median(theirs) / typical, 0.3), 3.0)
+    total, agreed = 0.0, 0.0
+    for i in range(n):
+        longer, voice = max(ours[i], theirs[i] / gain), weights[i] * min(ours[i], typical)
+        total += voice
+        agreed += voice * max(along[i] / gain / (longer * longer), 0.0)
+    return float(agreed / total)
+
+
+@jit
+def _agreed_colors(weights: Float64, model: Float64, seen: Float64) -> float:
+    """Share of the sides that have their colour under the offset and gain per channel on which most agree:
+    from the median offset on, reweighted least squares with the weights of Cauchy, squared."""
+    n = weights.shape[0]
+    off, trust, total = np.zeros((n, 2)), np.empty((n, 2)), 2.0 * weights.sum()
+    for c in range(3):
+        apart = seen[:, :, c] - model[:, :, c]
+        w = (PAIR_LIGHTNESS if c == 0 else 1.0) / (HALF_AGREED * HALF_AGREED)
+        off += w * (apart - np.median(apart)) ** 2
+    for _ in range(LIGHT_ROUNDS):
+        for i in range(n):
+            for side in range(2):
+                trust[i, side] = weights[i] / (1.0 + off[i, side]) ** 2
+        off[:] = 0.0
+        for c in range(3):
+            t, sm, ss, mm, ms = 0.0, 0.0, 0.0, 0.0, 0.0
+            for i in range(n):
+                for side in range(2):
+                    k, m, s = trust[i, side], model[i, side, c], seen[i, side, c]
+                    t += k
+                    sm += k * m
+                    ss += k * s
+                    mm += k * m * m
+                    ms += k * m * s
+            mean_m, mean_s = sm / t, ss / t
+            spread = mm / t - mean_m * mean_m
+            gain = (ms / t - mean_m * mean_s) / (spread + PAIR_FLOOR * PAIR_FLOOR)
+            gain = min(max(gain, 0.2), 3.0)
+            w = (PAIR_LIGHTNESS if c == 0 else 1.0) / (HALF_AGREED * HALF_AGREED)
+            for i in range(n):
+                for side in range(2):
+                    e = (seen[i, side, c] - mean_s) / gain - (model[i, side, c] - mean_m)
+                    off[i, side] += w * e * e
+    agreed = 0.0
+    for i in range(n):
+        agreed += weights[i] / (1.0 + off[i, 0]) + weights[i] / (1.0 + off[i, 1])
+    return float(agreed / total)

@@ -18,7 +18,6 @@ import numpy as np
 from huepose.geometry import se3
 from huepose.geometry.arrays import Float, Float64, Int32, Int64, UInt8
 from huepose.model.types import PaperTables
-from huepose.refine.robust import tukey
 from huepose.refine.solver import (
     DAMPING,
     FEWEST_FOR_A_STEP,
@@ -29,6 +28,7 @@ from huepose.refine.solver import (
     clear,
     motion_row,
     normal_equations,
+    tukey,
 )
 from huepose.support.jit import jit
 

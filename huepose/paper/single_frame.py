@@ -48,7 +48,7 @@ from huepose.paper.tables import tables_of
 from huepose.paper.voting import cluster
 from huepose.propose.evidence import Evidence
 from huepose.propose.types import Votes
-from huepose.select.ranked import Ranked
+from huepose.select.distinct import Ranked
 from huepose.support.stages import stage
 
 NO_POSES = np.zeros((0, 4, 4)), np.zeros(0)

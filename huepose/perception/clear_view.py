@@ -13,7 +13,7 @@ from huepose.geometry.box import Box
 from huepose.geometry.camera import Camera
 from huepose.geometry.frame import RgbdFrame
 from huepose.judge.region import COLOR_SCALES_M, SATURATED, Crop, Region, tolerance_m
-from huepose.perception.depth_pieces import depth_steps
+from huepose.perception.embedded import depth_steps
 from huepose.perception.ground import large_planes, standing_clear
 from huepose.support.jit import jit
 

@@ -11,10 +11,8 @@ from huepose.believe.presence import MOST_ALIKE, Sight, logits_of
 from huepose.geometry.arrays import Float32, Float64
 from huepose.geometry.camera import NEAREST_M
 from huepose.geometry.frame import RgbdFrame
-from huepose.judge.arrays import ModelArrays, model_arrays, nearest_view
-from huepose.judge.borders import Contours, outline
-from huepose.judge.continuation import continuation_many
-from huepose.judge.region import Region
+from huepose.judge.borders import Contours, continuation_many, outline
+from huepose.judge.region import ModelArrays, Region, model_arrays, nearest_view
 from huepose.judge.terms import CLOSE_SAMPLES, Terms, score_many
 from huepose.model.types import ReferenceModel
 from huepose.perception.clear_view import ClearView

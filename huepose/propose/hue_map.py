@@ -7,7 +7,7 @@ import cv2
 import numpy as np
 
 from huepose.geometry.arrays import Float32, Float64
-from huepose.judge.arrays import ModelArrays, RegionArrays
+from huepose.judge.region import ModelArrays, RegionArrays
 
 BINS, WIDTH = 40, 6.0
 """Bins of red-green and yellow-blue each, and their width in opponent units, about grey."""

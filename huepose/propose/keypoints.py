@@ -17,8 +17,7 @@ from scipy.spatial.distance import cdist
 
 from huepose.geometry import kabsch, se3
 from huepose.geometry.arrays import Bool, Float32, Float64, Int64
-from huepose.geometry.camera import Camera
-from huepose.geometry.depth_noise import FLOOR_M, STEREO_NOISE_PER_M
+from huepose.geometry.camera import FLOOR_M, STEREO_NOISE_PER_M, Camera
 from huepose.model.types import Keypoints
 from huepose.propose.features import Features
 

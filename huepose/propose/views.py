@@ -17,8 +17,7 @@ import numpy as np
 from huepose.geometry.arrays import Bool, Float, Float32, Float64, Int64, UInt8
 from huepose.geometry.camera import Camera
 from huepose.propose.config import RetrievalConfig
-from huepose.propose.picture_cells import known_cells, masked_cells, nearest, sampled
-from huepose.propose.quick_look import quick_look
+from huepose.propose.quick_look import known_cells, masked_cells, nearest, quick_look, sampled
 from huepose.propose.template_check import Canvas, check_templates
 from huepose.propose.template_table import COARSE_SIDE, MILLIMETRES, TemplateTable
 from huepose.support.jit import jit_dividing

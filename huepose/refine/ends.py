@@ -12,7 +12,7 @@ import numpy as np
 
 from huepose.geometry import se3
 from huepose.geometry.arrays import Bool, Float64
-from huepose.geometry.depth_noise import POINTS_PER_READING, depth_noise_m
+from huepose.geometry.camera import POINTS_PER_READING, depth_noise_m
 from huepose.geometry.frame import RgbdFrame
 from huepose.judge.borders import STEP_M, STEP_SIGMAS, Contours
 from huepose.judge.surface import PreparedSurface

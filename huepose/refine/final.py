@@ -1,25 +1,62 @@
-"""The final refinement: the winning pose is fitted to the depth of the pixels that show the object.
+"""The final refinement: the winning pose is fitted to the depth of the pixels that show the object, then its
+texture is laid on the image's edges. How exact the pose is, and whether it is this size.
 
 The search on the score leaves a pose a millimetre from the best fit of the surface, because texture pulls it
-along; where depth fixes a direction, depth is the better judge. Where it does not, the edges of the texture
-are. How exact the pose is then follows from the fit to depth, widened by what else is known (`covariance`).
+along; where depth fixes a direction, depth is the better judge (`refine_on_depth`). It leaves open how a face
+lies along itself; edges of the texture are found to a fraction of a pixel (`refine_on_edges`). Two factors,
+edges and depth samples, enter one system, from a wide gate to a narrow one. Without enough edges that match
+the model's in place, direction and contrast, the pose stays as it is. How exact it is then follows from the
+fit to depth, widened by what else is known (`covariance`).
+
+A pose of a model of the wrong size is a compromise: the depth would lie on the surface better if the object
+were larger or smaller. How much is found by a few steps of point to plane with size as the seventh unknown
+(`scale_residual`); where the points fix no size, as on a single face, nothing is said.
 """
 
 from __future__ import annotations
 
+import threading
 from dataclasses import dataclass
+from typing import NamedTuple
+from weakref import WeakKeyDictionary
 
 import numpy as np
 
-from huepose.geometry.arrays import Bool, Float64
-from huepose.geometry.depth_noise import FLOOR_M, POINTS_PER_READING
+from huepose.colorpair.extract import extract
+from huepose.geometry import se3
+from huepose.geometry.arrays import Bool, Float, Float32, Float64
+from huepose.geometry.camera import FLOOR_M, POINTS_PER_READING, Camera, depth_noise_m
 from huepose.geometry.frame import RgbdFrame
 from huepose.judge.region import Region
 from huepose.judge.silhouette import visible_mask
 from huepose.judge.terms import totals
-from huepose.model.types import ReferenceModel
-from huepose.refine.edge_refinement import refine_on_edges
-from huepose.refine.point_to_plane import Alignment, align
+from huepose.model.pairs import fine_pairs
+from huepose.model.types import PairReference, ReferenceModel, Surface
+from huepose.refine.point_to_plane import (
+    SCRATCH_ROWS,
+    Alignment,
+    ScenePoints,
+    SurfaceArrays,
+    add_point_to_plane,
+    align,
+    surface_arrays,
+)
+from huepose.refine.projective import (
+    DepthImage,
+    DepthSamples,
+    EdgeLimits,
+    ImageEdges,
+    ModelEdges,
+    add_depth_samples,
+    add_edges,
+    depth_image,
+    depth_samples,
+    edge_cells,
+    image_edges,
+    model_edges,
+)
+from huepose.refine.solver import DAMPING, FEWEST_FOR_A_STEP, Body, advance, clear, normal_equations
+from huepose.support.jit import jit
 
 GATE_M = 0.008
 ITERATIONS = 8
@@ -84,3 +121,185 @@ def covariance(alignment: Alignment, noise: PoseNoise | None = None) -> Float64:
     texture, floor = np.array(noise.texture_sigma), np.array(noise.floor_sigma)
     information = alignment.information / variance + np.diag(1.0 / texture**2)
     return np.asarray(np.linalg.inv(information) + np.diag(floor**2))
+
+
+PAIRS = 800
+"""Of the model, those that a view shows among them."""
+
+
+@dataclass(frozen=True)
+class EdgeConfig:
+    """gates_px: how far across the edge is looked, one iteration each; along_px: how far along it;
+    min_cosine: of the directions of two edges; min_contrast: cosine of their contrasts; depth: weight of a
+    depth residual against one of an edge, both in metres; gate_m: of depth residuals; samples: of the
+    surface; fewest: edges that have to be matched for a pose to be moved."""
+
+    gates_px: tuple[float, ...] = (5.0, 4.0, 3.0, 2.5, 2.0, 2.0, 1.5, 1.5)
+    along_px: float = 3.0
+    min_cosine: float = 0.9
+    min_contrast: float = 0.8
+    depth: float = 0.3
+    gate_m: float = 0.006
+    samples: int = 300
+    fewest: int = 15
+
+
+class _Factors(NamedTuple):
+    """What pulls at a pose."""
+
+    model: ModelEdges
+    edges: ImageEdges
+    limits: EdgeLimits
+    image: DepthImage
+    samples: DepthSamples
+
+
+@dataclass(frozen=True, eq=False)
+class EdgeAlignment:
+    """T_cam_obj (4, 4); matched: edges in the last iteration, 0 when the pose was left alone; rms_px: their
+    distance across the edge then."""
+
+    T_cam_obj: Float64
+    matched: int
+    rms_px: float
+
+
+def refine_on_edges(model: ReferenceModel, frame: RgbdFrame, mask: Bool, T_cam_obj: Float64) -> Float64:
+    """The pose (4, 4) after its texture was laid on the edges inside the mask (H, W)."""
+    textured = _edges_of(model.pairs)
+    depths = frame.depth[mask]
+    depths = depths[depths > 0]
+    if not len(textured.points) or not len(depths):
+        return T_cam_obj
+    scale = model.pairs.parameters["fine_pixels_per_m"] * float(np.median(depths)) / frame.camera.fx
+    edges = image_edges(extract(frame.color, mask, scale=min(scale, 1.0)))
+    return align_edges(textured, model.surface, edges, frame.depth, frame.camera, T_cam_obj).T_cam_obj
+
+
+def align_edges(
+    model: ModelEdges,
+    surface: Surface,
+    edges: ImageEdges,
+    depth: Float32,
+    camera: Camera,
+    T_cam_obj: Float,
+    config: EdgeConfig | None = None,
+) -> EdgeAlignment:
+    """Move the object so that its texture lies on the image's edges and its surface on the depth.
+
+    model: the edges of its texture; depth (h, w) metres, 0 = nothing, of the camera that saw the edges.
+    The pose comes back unchanged where fewer than `fewest` edges match.
+    """
+    config = config or EdgeConfig()
+    start = np.array(T_cam_obj, dtype=np.float64)
+    if not len(model.points):
+        return EdgeAlignment(start, 0, 0.0)
+    T = start.copy()
+    low, high = surface.points.min(0).astype(np.float64), surface.points.max(0).astype(np.float64)
+    factors = _Factors(
+        model,
+        edges,
+        EdgeLimits(config.along_px, config.min_cosine, config.min_contrast, config.gate_m),
+        depth_image(depth, camera),
+        depth_samples(surface, T, config.samples, config.depth),
+    )
+    body = Body(0.5 * (low + high), 0.5 * float(np.linalg.norm(high - low)))
+    matched, rms_px = _align(T, factors, body, np.array(config.gates_px))
+    if matched < config.fewest:
+        return EdgeAlignment(start, 0, 0.0)
+    return EdgeAlignment(se3.orthonormalised(T), int(matched), float(rms_px))
+
+
+@jit
+def _align(T: Float64, factors: _Factors, body: Body, gates_px: Float64) -> tuple[int, float]:
+    """Move the pose, one step a gate; edges matched in the last one, and the RMS of their pixels across."""
+    image, limits = factors.image, factors.limits
+    cells = edge_cells(factors.edges, image.depth.shape[0], image.depth.shape[1])
+    equations = normal_equations(6)
+    matched, rms_px = 0, 0.0
+    for gate_px in gates_px:
+        clear(equations)
+        matched, weight, squares = add_edges(
+            T, factors.model, factors.edges, cells, image, body, gate_px, limits, equations
+        )
+        rms_px = np.sqrt(squares / weight) if weight > 0.0 else 0.0
+        if matched < FEWEST_FOR_A_STEP:
+            break
+        weight += add_depth_samples(T, factors.samples, image, body, limits.depth_m, equations)
+        if advance(T, equations, body, DAMPING * weight) < 0.0:
+            break
+    return matched, rms_px
+
+
+_known: WeakKeyDictionary[PairReference, ModelEdges] = WeakKeyDictionary()
+_lock = threading.Lock()
+
+
+def _edges_of(reference: PairReference) -> ModelEdges:
+    """The edges of a model's texture, made once for each model."""
+    with _lock:
+        found = _known.get(reference)
+        if found is None:
+            found = _known[reference] = model_edges(fine_pairs(reference, PAIRS))
+        return found
+
+
+SIZE_STEPS = 3
+SIZE_GATE = 0.06
+"""Points farther from the surface than this many diameters, and than the last fit's gate, count nothing."""
+
+SYSTEMATIC, COMMON_M = 1.3, 0.00085
+"""Size is read off the difference of far parts, so it must bear errors that neighbouring readings share: a
+factor on the noise of depth, and metres of a scanned model and a calibration."""
+
+SIZE_PRIOR_SIGMA = np.array([0.02, 0.02, 0.02, 0.1, 0.1, 0.1, 0.05])
+"""How far pose (metres, radians) and size (natural logarithm) are believed to be off, before looking."""
+
+
+def scale_residual(model: ReferenceModel, region: Region, T_cam_obj: Float) -> float:
+    """By how much larger than the model the believed points would have the object at a pose (4, 4), as a
+    natural logarithm; negative where it should be smaller."""
+    gate = max(GATE_M, SIZE_GATE * model.diameter_m)
+    weights = region.point_weights / (size_sigma_m(region.median_depth_m) ** 2 * POINTS_PER_READING)
+    scene = ScenePoints(np.ascontiguousarray(region.points_cam), weights)
+    body = Body(model.mesh.centre, 0.5 * model.diameter_m)
+    units = np.array([1.0] * 3 + [body.radius] * 4)
+    prior = 1.0 / (SIZE_PRIOR_SIGMA * units) ** 2
+    T = np.array(T_cam_obj, np.float64)
+    return _growth(T, scene, surface_arrays(model.surface, model.grid), body, gate, prior)
+
+
+def size_sigma_m(distance_m: float) -> float:
+    """Deviation of a distance between depth and surface as far as size is concerned, metres."""
+    return SYSTEMATIC * depth_noise_m(distance_m) + COMMON_M
+
+
+@jit
+def _growth(
+    T: Float64, scene: ScenePoints, surface: SurfaceArrays, body: Body, gate: float, prior: Float64
+) -> float:
+    """Logarithm by which the object should grow about its centre to lie on the points. T (4, 4) is moved;
+    prior (7,): information of pose and size before looking, in the unknowns' units."""
+    equations, moved = normal_equations(7), np.zeros(7)
+    scratch = np.empty((SCRATCH_ROWS, scene.points_cam.shape[0]))
+    points, centre = np.empty_like(scene.points_cam), np.empty(3)
+    for _ in range(SIZE_STEPS):
+        # The points as they are to an object of the model's size.
+        size = np.exp(moved[6] / body.radius)
+        for r in range(3):
+            centre[r] = T[r, 3]
+            for c in range(3):
+                centre[r] += T[r, c] * body.centre[c]
+        for k in range(points.shape[0]):
+            for r in range(3):
+                points[k, r] = centre[r] + (scene.points_cam[k, r] - centre[r]) / size
+        clear(equations)
+        add_point_to_plane(T, ScenePoints(points, scene.weights), surface, body, gate, scratch, equations)
+        for i in range(7):
+            equations.A[i, i] += prior[i]
+            equations.b[i] -= prior[i] * moved[i]
+        if advance(T, equations, body, 0.0) < 0.0:
+            break
+        for i in range(7):
+            moved[i] += equations.step[i]
+    return float(moved[6] / body.radius)

@@ -11,8 +11,8 @@ import numpy as np
 
 from huepose.geometry.arrays import Float32, Float64
 from huepose.geometry.kernels import solve_symmetric
-from huepose.refine.robust import cauchy
 from huepose.refine.samples import Samples
+from huepose.refine.solver import cauchy
 from huepose.support.jit import jit_dividing
 
 GAIN_PRIOR = 4.0

@@ -16,12 +16,11 @@ import numpy as np
 
 from huepose.geometry import se3
 from huepose.geometry.arrays import Float, Float64, Int32
-from huepose.geometry.depth_noise import depth_noise_m
-from huepose.judge.arrays import ModelArrays, RegionArrays
+from huepose.geometry.camera import depth_noise_m
 from huepose.judge.open_region import SCALES_M, OpenRegion
+from huepose.judge.region import ModelArrays, RegionArrays
 from huepose.judge.surface import PreparedSurface
 from huepose.refine.light import fit_light
-from huepose.refine.robust import tukey
 from huepose.refine.samples import (
     AGREES,
     BEHIND,
@@ -42,6 +41,7 @@ from huepose.refine.solver import (
     motion_row,
     motion_row_cam,
     normal_equations,
+    tukey,
 )
 from huepose.support.jit import jit, jit_dividing
 

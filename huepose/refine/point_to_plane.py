@@ -16,8 +16,7 @@ import numpy as np
 from huepose.geometry import se3
 from huepose.geometry.arrays import Float, Float32, Float64
 from huepose.model.types import DistanceGrid, Surface
-from huepose.refine.robust import tukey
-from huepose.refine.solver import Body, NormalEquations, advance, clear, information, normal_equations
+from huepose.refine.solver import Body, NormalEquations, advance, clear, information, normal_equations, tukey
 from huepose.support.jit import jit, jit_dividing
 
 DAMPING = 2e-3

@@ -4,13 +4,14 @@ A step x (6,) is a small motion of the object, along the object's own axes, abou
 [translation, radius * rotation vector]. All six are metres, so one damping serves all. `move` applies it,
 the shift v = x[:3] first, then the turn w = x[3:6] / radius: T_cam_obj becomes
 T_cam_obj o (p -> exp(w) (p + v - centre) + centre). A seventh unknown, where there is one, is the caller's
-(`refine.scale`).
+(`refine.final.scale_residual`).
 
 A factor is what pulls at a pose: a kernel that gives, for each of its samples, a weight, a residual and the
 row (6,) of the Jacobian. The residual is wanted minus present, of whatever is compared (metres along a
 normal, metres across an edge, intensity); the row says how the present value changes with the step. So a
 step minimises sum(weight * (residual - row @ x)**2), and A = sum(weight * row row^T) is the information of
-the step, where weights are 1 / variance. The robust kernel (`refine.robust`) is part of the weight.
+the step, where weights are 1 / variance. The robust kernel (`tukey`, `cauchy`) is part of the weight:
+iteratively reweighted least squares (Holland and Welsch 1977), weights taken at the present pose.
 
 An example, in plain Python instead of a compiled kernel: a factor of five lines that pulls the corners of a
 square to where they were seen.
@@ -40,6 +41,27 @@ from huepose.geometry import se3
 from huepose.geometry.arrays import Float, Float64
 from huepose.geometry.kernels import rotation_exp_into, solve_symmetric
 from huepose.support.jit import jit, jit_dividing
+
+
+@jit
+def tukey(square: float) -> float:
+    """Tukey's biweight: nothing beyond the gate, so outliers have no say. square: (residual / gate)**2.
+
+    >>> [tukey(s) for s in (0.0, 0.25, 1.0, 9.0)]
+    [1.0, 0.5625, 0.0, 0.0]
+    """
+    return (1.0 - square) ** 2 if square < 1.0 else 0.0
+
+
+@jit
+def cauchy(square: float) -> float:
+    """Cauchy's: a say for every residual, ever smaller. square: (residual / scale)**2.
+
+    >>> [cauchy(s) for s in (0.0, 1.0, 9.0)]
+    [1.0, 0.5, 0.1]
+    """
+    return 1.0 / (1.0 + square)
+
 
 Row = tuple[float, float, float, float, float, float]
 """How the present value of a residual changes with the six of a step."""

@@ -3,7 +3,7 @@
 Rolls of a can, the two faces of a box, a marker's sides share shape and mean colours, and the dense score
 hardly tells them apart; what does is the fine texture and, for what is thin, the outline. Both only speak of
 a pose that is exact to a pixel, so each of the few best is refined on them first, with a rendered view drawn
-for it (`judge.rendered_view`), then judged on the pixels of all of them (`judge.same_pixels`) and by colour
+for it (`judge.rendered_view`), then judged on the pixels of all of them and by colour
 pairs.
 """
 
@@ -15,24 +15,21 @@ import numpy as np
 
 from huepose.geometry.arrays import Float32, Float64
 from huepose.geometry.box import Box
-from huepose.judge.arrays import region_arrays
 from huepose.judge.outline import Rim, edge_tensor
-from huepose.judge.pair_terms import (
+from huepose.judge.pairs import (
     CLOSE_PAIR_SAMPLES,
     CLOSE_PAIRS,
     DEFAULT_PAIR_WEIGHTS,
     pair_picture,
     pair_score_many,
 )
-from huepose.judge.region import OUTSIDE_WEIGHT, Region
-from huepose.judge.rendered_view import detail_colors, draw_rendered_view
-from huepose.judge.same_pixels import Likeness, Part, likeness
+from huepose.judge.region import OUTSIDE_WEIGHT, Region, region_arrays
+from huepose.judge.rendered_view import Likeness, Part, detail_colors, draw_rendered_view, likeness
 from huepose.judge.terms import totals as totals_of
 from huepose.model.types import ReferenceModel
 from huepose.refine.coordinate_search import search_rendered_view
 from huepose.select.config import CloseLookConfig, NearTieConfig, NearTieWeights
-from huepose.select.distinct import different_answers
-from huepose.select.ranked import Ranked
+from huepose.select.distinct import Ranked, different_answers
 
 HULL_POINTS = 200
 """Of the surface, whose bounds stand for the object's."""

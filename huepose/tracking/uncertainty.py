@@ -10,7 +10,7 @@ from __future__ import annotations
 import numpy as np
 
 from huepose.geometry.arrays import Float32, Float64
-from huepose.geometry.depth_noise import depth_noise_m
+from huepose.geometry.camera import depth_noise_m
 
 RESIDUALS_PER_READING = 12.0
 """This many residuals are worth one independent one."""

@@ -11,7 +11,7 @@ import numpy as np
 
 from huepose.geometry import RgbdFrame
 from huepose.geometry.arrays import Float64
-from huepose.geometry.depth_noise import depth_noise_m
+from huepose.geometry.camera import depth_noise_m
 from huepose.geometry.picture_faults import dark, readings
 from huepose.judge.surface import PreparedSurface
 

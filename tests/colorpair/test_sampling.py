@@ -4,8 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from huepose.colorpair.gradient import unified_gradient
-from huepose.colorpair.ridges import find_ridges
+from huepose.colorpair.ridges import find_ridges, unified_gradient
 from huepose.colorpair.sampling import sample_sides
 
 LEFT, RIGHT = np.array([30.0, 25.0, -20.0]), np.array([70.0, -10.0, 35.0])

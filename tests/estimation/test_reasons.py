@@ -15,7 +15,7 @@ from huepose.estimation.types import PoseEstimate
 from huepose.geometry import Box, RgbdFrame, se3
 from huepose.model.types import ReferenceModel
 from huepose.rendering.render import render_depth
-from huepose.select.ranked import NONE, Ranked
+from huepose.select.distinct import NONE, Ranked
 
 
 def turned(T: np.ndarray, degrees: float, axis: int) -> np.ndarray:

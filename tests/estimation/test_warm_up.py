@@ -15,8 +15,8 @@ from huepose.geometry import Box, RgbdFrame, se3
 from huepose.judge.figure_ground import figure_ground_contrast
 from huepose.model.types import ReferenceModel
 from huepose.rendering.render import render_depth
+from huepose.select.distinct import Ranked
 from huepose.select.near_ties import decided
-from huepose.select.ranked import Ranked
 from tests.kernels import compiled
 
 

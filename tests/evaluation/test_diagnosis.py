@@ -15,7 +15,7 @@ from huepose.geometry import Box, RgbdFrame, se3
 from huepose.model.types import ReferenceModel
 from huepose.propose.evidence import gather
 from huepose.rendering.render import render_depth
-from huepose.select.ranked import Ranked
+from huepose.select.distinct import Ranked
 
 from .conftest import estimate_of
 

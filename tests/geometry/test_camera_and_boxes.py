@@ -1,7 +1,12 @@
+from __future__ import annotations
+
+import doctest
+
 import numpy as np
 import pytest
 
-from huepose.geometry import Box, Camera, RgbdFrame
+from huepose.geometry import Box, Camera, RgbdFrame, camera
+from huepose.geometry.camera import FLOOR_M, depth_noise_m
 from huepose.support.errors import InputError
 
 CAMERA = Camera(600.0, 610.0, 319.5, 239.5, 640, 480)
@@ -49,3 +54,12 @@ def test_box_of_pixels_covers_their_centres():
 def test_depth_of_another_size_is_refused_by_name():
     with pytest.raises(InputError, match="depth image: found \\(240, 320\\)"):
         RgbdFrame(np.zeros((480, 640, 3), np.uint8), np.zeros((240, 320), np.float32), CAMERA)
+
+
+def test_depth_noise_is_that_of_a_stereo_camera_over_a_floor() -> None:
+    f_px, baseline_m, disparity_px = 600.0, 0.05, 0.08
+    for z in (0.4, 0.8, 1.6):
+        triangulated = f_px * baseline_m / (f_px * baseline_m / z - disparity_px) - z
+        assert depth_noise_m(z) - FLOOR_M == pytest.approx(triangulated, rel=0.02)
+    assert depth_noise_m(0.0) == FLOOR_M
+    assert doctest.testmod(camera).failed == 0

@@ -7,8 +7,7 @@ import numpy as np
 
 from huepose.geometry import Box, RgbdFrame, se3
 from huepose.geometry.arrays import Bool
-from huepose.judge.pair_kernel import PairPicture
-from huepose.judge.pair_terms import pair_picture, pair_score_many
+from huepose.judge.pairs import PairPicture, pair_picture, pair_score_many
 from huepose.judge.region import Region, prepare_believed, prepare_crop
 from huepose.model.types import ReferenceModel
 from huepose.rendering.render import render_depth

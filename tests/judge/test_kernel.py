@@ -7,8 +7,8 @@ from collections.abc import Callable
 import numpy as np
 
 from huepose.geometry import RgbdFrame, se3
-from huepose.judge.arrays import model_arrays, region_arrays
 from huepose.judge.kernel import SCRATCH_ROWS, TERMS, score_kernel
+from huepose.judge.region import model_arrays, region_arrays
 from huepose.judge.terms import DEFAULT_WEIGHTS, score_many, weight_array
 from huepose.model.types import ReferenceModel
 from tests.judge.regions import region_of

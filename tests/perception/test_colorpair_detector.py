@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 
 from huepose.geometry import Box, RgbdFrame, se3
-from huepose.judge.arrays import model_arrays
-from huepose.judge.continuation import continuation_many
+from huepose.judge.borders import continuation_many
+from huepose.judge.region import model_arrays
 from huepose.model.types import ReferenceModel
 from huepose.perception.clear_view import clear_view
 from huepose.perception.colorpair_detector import ColorPairDetector

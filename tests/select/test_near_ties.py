@@ -13,8 +13,8 @@ from huepose.judge.region import Region
 from huepose.judge.terms import totals as judge
 from huepose.model.types import ReferenceModel
 from huepose.select.config import NearTieConfig, NearTieWeights
+from huepose.select.distinct import NONE, Ranked
 from huepose.select.near_ties import TERMS, contest, decided, pair_colors
-from huepose.select.ranked import NONE, Ranked
 from tests.judge.regions import region_of
 
 EVERY_TIE = NearTieConfig(within=3.0)

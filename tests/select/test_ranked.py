@@ -12,7 +12,7 @@ from huepose.geometry import RgbdFrame
 from huepose.judge.figure_ground import PRIOR_CONTRAST, figure_ground_contrast
 from huepose.judge.region import Region
 from huepose.model.types import ReferenceModel
-from huepose.select.ranked import Ranked, by_figure
+from huepose.select.distinct import Ranked, by_figure
 from tests.judge.regions import even_region, shifted
 
 WEIGHT = FullPathConfig().figure_weight

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from huepose.geometry.arrays import Bool, Float64, Int32
-from huepose.geometry.depth_noise import depth_noise_m
+from huepose.geometry.camera import depth_noise_m
 from huepose.onboarding.from_video.views import View, votes
 
 CELLS, FEW_CELLS = 128, 64

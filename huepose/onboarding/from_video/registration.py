@@ -11,8 +11,8 @@ from huepose.geometry import se3
 from huepose.geometry.arrays import Bool, Float32, Float64
 from huepose.geometry.box import Box
 from huepose.geometry.frame import RgbdFrame
-from huepose.judge.arrays import ModelArrays
 from huepose.judge.open_region import open_region
+from huepose.judge.region import ModelArrays
 from huepose.judge.surface import PreparedSurface, look
 from huepose.judge.terms import Terms
 from huepose.onboarding.from_video.fusion import Fused

@@ -5,8 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from huepose.geometry.arrays import Bool, Float32, Float64, Int64
-from huepose.geometry.camera import NEAREST_M
-from huepose.geometry.depth_noise import FLOOR_M, STEREO_NOISE_PER_M
+from huepose.geometry.camera import FLOOR_M, NEAREST_M, STEREO_NOISE_PER_M
 from huepose.support.jit import jit
 
 SIGMAS = 3.0

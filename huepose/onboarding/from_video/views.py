@@ -17,8 +17,7 @@ import numpy as np
 from huepose.geometry import se3
 from huepose.geometry.arrays import Bool, Float, Float32, Float64, Int64
 from huepose.geometry.box import Box
-from huepose.geometry.camera import NEAREST_M
-from huepose.geometry.depth_noise import FLOOR_M, STEREO_NOISE_PER_M
+from huepose.geometry.camera import FLOOR_M, NEAREST_M, STEREO_NOISE_PER_M
 from huepose.geometry.frame import RgbdFrame
 from huepose.judge.open_region import open_region
 from huepose.onboarding.from_video.sight import SIGMAS, tally

@@ -15,10 +15,9 @@ import numpy as np
 
 from huepose.geometry.arrays import Bool, Float64
 from huepose.geometry.frame import RgbdFrame
-from huepose.judge.pair_agreement import agreement_many
-from huepose.judge.pair_kernel import PairPicture
-from huepose.judge.pair_terms import CLOSE_PAIR_SAMPLES, CLOSE_PAIRS, pair_picture, pair_score_many
+from huepose.judge.pairs import CLOSE_PAIR_SAMPLES, CLOSE_PAIRS, PairPicture, pair_picture, pair_score_many
 from huepose.judge.region import Region
+from huepose.judge.texture_evidence import agreement_many
 from huepose.model.types import ReferenceModel
 from huepose.paper.extended.config import ColorpairPathConfig
 from huepose.paper.extended.hypotheses import hypotheses_of, read_scene
@@ -29,8 +28,7 @@ from huepose.paper.semantic_icp import ClassifiedScene, semantic_icp_many
 from huepose.paper.tables import tables_of
 from huepose.propose.evidence import Evidence
 from huepose.refine.point_to_plane import align_many
-from huepose.select.distinct import FINAL_SHIFT, FINAL_TURN_RAD, different_poses
-from huepose.select.ranked import NONE, Ranked
+from huepose.select.distinct import FINAL_SHIFT, FINAL_TURN_RAD, NONE, Ranked, different_poses
 from huepose.support.stages import stage
 
 RIM_PX = 3
@@ -42,7 +40,7 @@ SEARCH_PAIRS, SEARCH_SAMPLES = 600, 300
 
 CORRELATED, AGREED = 0.5, 0.5
 """What the score's correlations count in the end, and the agreement in which a pair that disagrees wholly
-counts as nothing (`judge.pair_agreement`): chosen on drawn heaps."""
+counts as nothing (`judge.texture_evidence.agreement_many`): chosen on drawn heaps."""
 
 
 class ColorpairMethod:
@@ -74,7 +72,7 @@ def estimate_by_pairs(
 ) -> Ranked:
     """Poses of one object, best first.
 
-    Every source mask proposes poses; the score is that of `judge.pair_terms` on the evidence's region.
+    Every source mask proposes poses; the score is that of `judge.pairs` on the evidence's region.
     Empty when nothing is to be seen: no depth, no pairs and no plausible start from shape.
     """
     region = evidence.region

@@ -8,8 +8,16 @@ from typing import NamedTuple
 import numpy as np
 
 from huepose.geometry.arrays import Float, Float64
-from huepose.judge.pair_kernel import Judged, PairPicture, Room, pair_kernel, scratch
-from huepose.judge.pair_terms import DEFAULT_PAIR_WEIGHTS, PairWeights, judged_on
+from huepose.judge.pairs import (
+    DEFAULT_PAIR_WEIGHTS,
+    Judged,
+    PairPicture,
+    PairWeights,
+    Room,
+    judged_on,
+    pair_kernel,
+    scratch,
+)
 from huepose.judge.region import Region
 from huepose.model.types import ReferenceModel
 from huepose.refine.coordinate_search import SHIFT_PER_RADIAN, climber

@@ -9,7 +9,7 @@ import pytest
 
 from huepose.estimation import Estimator, EstimatorConfig, ObjectQuery
 from huepose.geometry import Box, RgbdFrame, se3
-from huepose.judge.pair_terms import CLOSE_PAIR_SAMPLES, CLOSE_PAIRS, pair_picture
+from huepose.judge.pairs import CLOSE_PAIR_SAMPLES, CLOSE_PAIRS, pair_picture
 from huepose.model.types import ReferenceModel
 from huepose.paper.extended.colorpair import estimate_by_pairs
 from huepose.paper.extended.config import ColorpairPathConfig

@@ -9,8 +9,7 @@ import numpy as np
 import pytest
 
 from huepose.geometry import RgbdFrame, se3
-from huepose.judge.pair_kernel import PairPicture, pair_kernel, scratch
-from huepose.judge.pair_terms import judged_on, pair_arrays, pair_score_many
+from huepose.judge.pairs import PairPicture, judged_on, pair_arrays, pair_kernel, pair_score_many, scratch
 from huepose.judge.region import Region
 from huepose.model.types import ReferenceModel
 from huepose.paper.extended.pair_search import search_pairs

@@ -1,4 +1,4 @@
-"""Agreement of pairs: what disagrees wholly counts as nothing, and outweighs nothing."""
+"""Pairs that speak for another texture, and those that agree: what disagrees wholly outweighs nothing."""
 
 from __future__ import annotations
 
@@ -9,12 +9,55 @@ import numpy as np
 import pytest
 
 from huepose.geometry import RgbdFrame, se3
-from huepose.judge.pair_agreement import agreement_many
-from huepose.judge.pair_kernel import PairPicture
-from huepose.judge.pair_terms import pair_score_many
+from huepose.judge.pairs import PairPicture, pair_score_many
 from huepose.judge.region import Region
+from huepose.judge.texture_evidence import agreement_many, contrast_disagreement_many
 from huepose.model.types import ReferenceModel
+from huepose.scenes.shapes import demo_objects
 from tests.judge.regions import seen_by_pairs
+
+TakePicture = Callable[..., RgbdFrame]
+
+
+def _otherwise(model: ReferenceModel, frame: RgbdFrame, T: np.ndarray) -> float:
+    return float(contrast_disagreement_many(model, *seen_by_pairs(model, frame, T), T[None])[0])
+
+
+@pytest.mark.parametrize("light", [(1.0, 1.0, 1.0), (0.9, 0.6, 0.4), (0.35, 0.3, 0.3)])
+def test_hardly_any_contrast_of_the_same_texture_points_elsewhere_in_any_light(
+    tea_box: ReferenceModel, standing: np.ndarray, take_picture: TakePicture, light: tuple[float, ...]
+) -> None:
+    assert _otherwise(tea_box, take_picture([(tea_box.mesh, standing)], light=light), standing) < 0.25
+
+
+def test_of_a_texture_that_is_partly_out_of_date_that_part_does(
+    tea_box: ReferenceModel, standing: np.ndarray, take_picture: TakePicture
+) -> None:
+    frame = take_picture([(tea_box.mesh, standing)])
+    right = _otherwise(tea_box, frame, standing)
+    for share in (0.3, 0.6, 1.0):
+        colors = tea_box.pairs.colors.copy()
+        old = np.random.default_rng(0).random(len(colors)) < share
+        colors[old, :, 1:] *= -2.0  # opposite hues, twice as strong
+        model = replace(tea_box, pairs=replace(tea_box.pairs, colors=colors))
+        assert _otherwise(model, frame, standing) == pytest.approx(right + share * (1.0 - right), abs=0.1)
+
+
+def test_most_of_those_of_a_look_alike_do(
+    tea_box: ReferenceModel, standing: np.ndarray, take_picture: TakePicture
+) -> None:
+    other = demo_objects(1)["tea_box"]
+    assert _otherwise(tea_box, take_picture([(other, standing)]), standing) > 0.6
+
+
+def test_nothing_speaks_against_a_texture_of_which_nothing_is_seen(
+    tea_box: ReferenceModel, standing: np.ndarray, take_picture: TakePicture
+) -> None:
+    view = seen_by_pairs(tea_box, take_picture([(tea_box.mesh, standing)]), standing)
+    away = standing.copy()
+    away[2, 3] += 1.0
+    assert contrast_disagreement_many(tea_box, *view, away[None]).tolist() == [0.0]
+
 
 TakePicture = Callable[..., RgbdFrame]
 

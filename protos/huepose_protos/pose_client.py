@@ -167,6 +167,10 @@ class PoseClient:
             self._changed.wait_for(lambda: self._camera_said or self._closed.is_set(), timeout_s)
             return self._camera_said
 
+    def mount(self, pose: PoseMessage) -> Mount | None:
+        """Where the camera was when it took the picture of a pose; None where that was not told."""
+        return self._mount(pose.frame, pose.capture_ns)
+
     def __iter__(self) -> Iterator[PoseMessage]:
         """Every pose as it comes, until the client is closed."""
         while (pose := self.next()) is not None:

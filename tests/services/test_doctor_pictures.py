@@ -52,6 +52,7 @@ def test_a_wall_tells_nothing_of_alignment(frames):
         (lambda d: d, "ok", ""),
         (lambda d: d * 1000.0, "bad", "another unit"),
         (lambda d: d * 0.001, "bad", "another unit"),
+        (lambda d: d * 0.1, "note", "is the depth scale wrong"),
         (lambda d: d * 0.0, "bad", "Look at lenses"),
         (
             lambda d: np.where(np.arange(d.shape[1]) % 3 == 0, d, 0.0).astype(np.float32),

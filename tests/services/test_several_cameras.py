@@ -68,6 +68,11 @@ def test_both_give_the_object_in_the_frame_of_the_robot(recording, tmp_path, cap
                 assert found.mount.parent == "base_link"
                 assert np.linalg.norm(found.T_parent_obj[:3, 3] - place) < 0.01
                 right[name] += 1
+            printer = start("poses", "--robot", "--config", path, "--pipeline", "left")
+            printed = next(line.split() for line in printer.stdout if " m " in line)
             heard = {pose.frame for pose in iter(lambda: both.next(0.0), None)}
     assert min(right.values()) >= 5, f"poses in the robot's frame: {right}"
     assert heard == {"left_color_optical", "right_color_optical"}
+    frame_id, place = int(printed[0]), np.array(printed[4:7], dtype=float)
+    T_cam_obj = truths[frame_id % FRAMES].T_cam_obj
+    assert place == pytest.approx(TURNS["left"] @ T_cam_obj[:3, 3] + MOUNTS["left"]["translation"], abs=0.01)

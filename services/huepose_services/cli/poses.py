@@ -15,7 +15,7 @@ from huepose_services.cli.options import add_choice, chosen, until_told
 
 if TYPE_CHECKING:
     from huepose_protos.client import Reader
-    from huepose_protos.messages import Message
+    from huepose_protos.messages import Message, Mount, PoseMessage
     from huepose_services.pem import Credentials
 
 
@@ -112,6 +112,7 @@ def _say(text: str) -> None:
     print(text, file=sys.stderr, flush=True)
 
 
+_POSES = "pose/**"
 _GONE_AFTER_S = 1.0
 _SAY_WAITING_AFTER_S = 3.0
 
@@ -122,11 +123,16 @@ def add_parser(subparsers: Any) -> None:
     parser.add_argument(
         "key",
         nargs="?",
-        default="pose/**",
+        default=_POSES,
         metavar="KEY",
         help="what to print, after huepose/SITE/CAMERA/ (default: pose/**; also health/**, objects, truth)",
     )
     parser.add_argument("--json", action="store_true", help="one wire message a line, as JSON")
+    parser.add_argument(
+        "--robot",
+        action="store_true",
+        help="poses in the frame that the camera is mounted in (camera.mount of pipeline.yaml)",
+    )
     add_choice(parser)
     add_gateway(parser)
     parser.set_defaults(call=call)
@@ -135,13 +141,55 @@ def add_parser(subparsers: Any) -> None:
 def call(arguments: argparse.Namespace) -> int:
     """Print until interrupted, or until the pipeline that was seen here is gone."""
     gateway, stopping = gateway_of(arguments), until_told()
-
-    if gateway is None:
+    if arguments.robot:
+        _print_on_robot(arguments, gateway, stopping)
+    elif gateway is None:
         _print_until_gone(arguments, stopping)
     else:
         for message in gateway.messages(arguments.key, stopping):
             _print(message, arguments.json)
     return 0
+
+
+def _print_on_robot(
+    arguments: argparse.Namespace, gateway: Gateway | None, stopping: Callable[[], bool]
+) -> None:
+    """Until interrupted. Raises InputError beside what is said in the camera's frame."""
+    from huepose.support.errors import InputError
+    from huepose_protos.pose_client import PoseClient
+
+    if arguments.json or arguments.key != _POSES:
+        found = "--json" if arguments.json else arguments.key
+        raise InputError("--robot", found=f"{found} beside it", expected="poses, a line each")
+    endpoints = chosen(arguments).endpoints if gateway is None else [gateway.endpoint]
+    files = {} if gateway is None or gateway.credentials is None else vars(gateway.credentials)
+    say_at, told = time.monotonic() + _SAY_WAITING_AFTER_S, False
+    with PoseClient(endpoints, **files) as client:
+        while not stopping():
+            pose = client.next(_LOOK_EVERY_S)
+            if pose is not None:
+                shown = _on_robot(pose, client.mount(pose))
+                told = told or shown.frame != pose.frame
+                _print(shown, as_json=False)
+            if not told and time.monotonic() > say_at:
+                say_at = float("inf")
+                _say("no camera has said where it is mounted: camera.mount in pipeline.yaml (docs/ros2.md)")
+
+
+def _on_robot(pose: PoseMessage, mount: Mount | None) -> PoseMessage:
+    """The pose in the frame that the camera is mounted in; no pose where that is not known."""
+    from msgspec.structs import replace
+
+    from huepose_protos.messages import Mount
+    from huepose_protos.motion import composed
+
+    if pose.translation is None or pose.quaternion is None:
+        return pose
+    if mount is None:
+        return replace(pose, translation=None, quaternion=None, reason="mount unknown")
+    seen = Mount(parent=pose.frame, translation=pose.translation, quaternion=pose.quaternion)
+    there = composed(mount, seen)
+    return replace(pose, frame=there.parent, translation=there.translation, quaternion=there.quaternion)
 
 
 def _print_until_gone(arguments: argparse.Namespace, stopping: Callable[[], bool]) -> None:

@@ -11,6 +11,7 @@ import numpy as np
 
 from huepose.datasets.image_files import FARTHEST_M, NEAREST_M
 from huepose.datasets.types import Scene
+from huepose.estimation.reasons import depth_doubted
 from huepose.geometry import RgbdFrame
 from huepose.geometry.arrays import Bool, Float32, Float64
 from huepose.geometry.picture_faults import LEAST_DEPTH, dark, readings
@@ -117,7 +118,8 @@ def depth(frames: Sequence[RgbdFrame], depth_scale_m: float) -> Iterator[Finding
         fix = "It is in another unit: correct depth_scale of the recording, or the camera's depth_units."
         yield Finding("depth", "bad", found, fix)
         return
-    yield Finding("depth", "note" if share < 0.5 else "ok", found, "Much is missing." if share < 0.5 else "")
+    note = "Much is missing." if share < 0.5 else depth_doubted(frames[-1]) or ""
+    yield Finding("depth", "note" if note else "ok", found, note)
     reach_m = LARGEST_STEP * depth_scale_m
     beyond = float((values[there] >= reach_m).mean())
     if beyond > 0.01:

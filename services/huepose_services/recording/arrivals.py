@@ -40,11 +40,13 @@ _place = msgspec.msgpack.Decoder(_Place)
 
 class Taken:
     """What the tracker says that it took, and which of it is not here yet: a recording must hold all of it.
-    Called from several threads. `lost`: how much of it was asked for in vain."""
+    Called from several threads. `lost`: how much of it was asked for in vain; frames from before the first
+    that came do not count."""
 
     def __init__(self) -> None:
         self._lock = threading.Lock()
         self._here: dict[FrameKey, None] = {}
+        self._first: FrameKey | None = None
         self._taken: dict[FrameKey, None] = {}
         self._newest: FrameKey | None = None
         self._step: IntakeMessage | None = None
@@ -60,6 +62,7 @@ class Taken:
             return None
         key = (place.camera_epoch, place.frame_id)
         with self._lock:
+            self._first = self._first or key
             _remember(self._here, key)
             self._missing.pop(key, None)
         return key
@@ -109,6 +112,10 @@ class Taken:
     def _miss(self, what: FrameKey | int) -> None:
         self._missing.setdefault(what, (time.monotonic() + _PATIENCE_S, 0))
 
+    def _from_before(self, what: FrameKey | int) -> bool:
+        """Whether it is a frame from before the recording began, which the tracker still remembers."""
+        return self._first is not None and isinstance(what, tuple) and what < self._first
+
     def passed_over(self, key: FrameKey) -> bool:
         """Whether the tracker took a later frame, and not this one."""
         newest = self._newest
@@ -124,7 +131,7 @@ class Taken:
                     continue
                 if times == _TIMES:
                     del self._missing[what]
-                    self.lost += 1
+                    self.lost += not self._from_before(what)
                 elif isinstance(what, int) and len(steps) < STEPS_AT_ONCE:
                     steps.append(what)
                 elif isinstance(what, tuple) and len(frames) < FRAMES_AT_ONCE:

@@ -67,6 +67,17 @@ def test_what_never_comes_is_counted_and_a_tracker_that_was_started_again_owes_n
     assert taken.lost == 1
 
 
+def test_frames_from_before_the_recording_began_are_asked_for_and_not_missed():
+    taken = Taken()
+    taken.frame(_frame(5))
+    frames = [(EPOCH, number) for number in (3, 4, 5, 6)]
+    memory = msgspec.structs.replace(EXAMPLES[MemoryMessage], frames=frames)
+    taken.message("huepose/a/cam0/tracker/memory", encode(memory))
+    asked = [taken.wanted(LATER * (n + 1))[0] for n in range(5)]
+    assert asked == [[(EPOCH, 3), (EPOCH, 4), (EPOCH, 6)]] * 4 + [[]]
+    assert taken.lost == 1
+
+
 def test_a_slow_recorder_lets_go_of_frames_that_the_tracker_passed_over():
     """Of ten frames each third is taken; there is room for four."""
     samples = []

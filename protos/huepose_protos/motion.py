@@ -101,6 +101,12 @@ def composed(outer: Mount, inner: Mount) -> Mount:
     return mount_of(outer.parent, place, multiply(np.array(outer.quaternion), np.array(inner.quaternion)))
 
 
+def inverted(mount: Mount, parent: str) -> Mount:
+    """The pose of the frame `mount.parent` in the one that is mounted there, which is called `parent`."""
+    q = _inverse(np.array(mount.quaternion))
+    return mount_of(parent, -rotation_matrix(q) @ np.array(mount.translation), q)
+
+
 def mount_of(parent: str, translation: Array, quaternion: Array) -> Mount:
     """From arrays (3,) and xyzw (4,)."""
     x, y, z = translation.tolist()

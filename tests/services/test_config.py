@@ -40,6 +40,14 @@ GOOD = "camera: {truth: true}\n"
             "camera: {mount: {parent: base, translation: [0, 0, 1], quaternion: [0, 0, 0, 0]}}",
             ["camera.mount", "expected a quaternion of unit length, x y z w."],
         ),
+        ("camera: {tf: {parent: base, child: tool0}}", ["camera.tf", "the worker ros2", "Add ros2"]),
+        ("workers: [camera, ros2]\ncamera: {tf: {parent: a, child: a}}", ["camera.tf", "two frames"]),
+        ("workers: [camera, ros2]\ncamera: {tf: {parent: /a, child: b}}", ["camera.tf.parent", "'/a'"]),
+        (
+            "workers: [camera, ros2]\ncamera: {tf: {parent: a, child: b}, "
+            "mount: {parent: c, translation: [0, 0, 1]}}",
+            ["camera.mount.parent", "found c", "expected b"],
+        ),
         ("bus: {base_port: 80}", ["bus.base_port", "found 80", "a whole number of 1024 or more"]),
         ("- 1", ["the whole file", "found [1]"]),
         ("camera: [", ["YAML", "line 1"]),

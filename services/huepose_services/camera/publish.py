@@ -27,8 +27,8 @@ from huepose_services.runtime.inbox import Place
 
 _LATE_NS = SECOND // 2
 _NOT_TOLD = (
-    "nobody has told for half a second where the camera is (camera.moving): there are no poses in the frame "
-    "of the robot; MountSender of huepose_protos tells it"
+    "nobody has told for half a second where the camera is (camera.moving, camera.tf): there are no poses in "
+    "the frame of the robot; MountSender of huepose_protos tells it, or /tf by the worker ros2"
 )
 
 
@@ -55,7 +55,7 @@ class FramePublisher:
         self._bus, self._keys = bus, config.keys
         self._frame_name = f"{config.camera.name}_color_optical"
         self._mount = config.camera.mount
-        self._told_mounts = bus.inbox.queue(self._keys.mount, wakes=False) if config.camera.moving else None
+        self._told_mounts = bus.inbox.queue(self._keys.mount, wakes=False) if config.camera.told else None
         self._newest: MountMessage | None = None
         self._made_ns = now_ns()
         self._told: int | None = None

@@ -1,20 +1,21 @@
-"""What ROS 2 calls a pose, a transform, a detection and a camera, as CDR.
+"""What ROS 2 calls a pose, a transform, a detection and a camera, as CDR; and transforms read from CDR.
 
 The types are those of ROS 2 Jazzy; vision_msgs (4.1), which is no core package, is described here.
-Serialised by rosbags, which also computes the hashes of the types.
+Serialised and read by rosbags, which also computes the hashes of the types.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cache
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from huepose_protos.messages import CameraMessage, PoseMessage
-from huepose_protos.motion import rotation_matrix
+from huepose_protos import WireError
+from huepose_protos.messages import CameraMessage, Mount, PoseMessage
+from huepose_protos.motion import mount_of, rotation_matrix
 from huepose_services.runtime.clock import SECOND
 
 if TYPE_CHECKING:
@@ -92,6 +93,40 @@ def transforms(poses: Iterable[PoseMessage], camera: CameraMessage | None) -> An
         move = make["geometry_msgs/msg/Transform"](_vector(mount.translation), _quaternion(mount.quaternion))
         out.append(make["geometry_msgs/msg/TransformStamped"](stamped, camera.frame, move))
     return make[TRANSFORMS](out)
+
+
+_UNIT = 0.01
+"""So far from 1 may the length of a quaternion be, as tf2 has it."""
+_MOST_BYTES = 1024 * 1024
+
+
+def transforms_in(payload: bytes, refuse: Callable[[WireError], None]) -> list[tuple[int, str, Mount]]:
+    """Of a tf2_msgs/TFMessage in CDR: Unix time in ns, the frame placed, and where it is in its parent.
+    refuse: told of bytes that are none, and of each transform that is no rigid motion; it is left out."""
+    if len(payload) > _MOST_BYTES:
+        refuse(WireError(f"{len(payload)} bytes of transforms"))
+        return []
+    try:
+        message: Any = types().deserialize_cdr(payload, TRANSFORMS)
+    except Exception as error:  # rosbags lets through whatever its parser trips over
+        refuse(WireError(f"no {TRANSFORMS}: {type(error).__name__} {str(error)[:200]}"))
+        return []
+    return [told for one in message.transforms if (told := _transform_in(one, refuse)) is not None]
+
+
+def _transform_in(one: Any, refuse: Callable[[WireError], None]) -> tuple[int, str, Mount] | None:
+    t, q = one.transform.translation, one.transform.rotation
+    quaternion = np.array([q.x, q.y, q.z, q.w])
+    parent, child = one.header.frame_id.lstrip("/"), one.child_frame_id.lstrip("/")
+    if not abs(np.linalg.norm(quaternion) - 1.0) <= _UNIT:
+        refuse(WireError(f"the transform of {child[:64]!r} is no rotation: {quaternion.tolist()}"))
+        return None
+    try:
+        place = mount_of(parent, np.array([t.x, t.y, t.z]), quaternion)
+    except ValueError as error:
+        refuse(WireError(f"the transform of {child[:64]!r} in {parent[:64]!r}: {error}"))
+        return None
+    return one.header.stamp.sec * SECOND + one.header.stamp.nanosec, child, place
 
 
 def detections(poses: Sequence[PoseMessage], boxes: Mapping[str, BoxM]) -> Any:

@@ -17,6 +17,7 @@ from typing import Literal
 import zenoh
 
 from huepose_services.ros2.messages import type_hash
+from huepose_services.runtime.inbox import Inbox, Place
 
 Style = Literal["rmw_zenoh", "bridge"]
 
@@ -24,6 +25,8 @@ DEPTH = 10
 """Messages that a publisher keeps, as ROS 2 has it by default."""
 _QOS = f"::,{DEPTH}:,:,:,,"
 """Reliable, volatile, keep last: what rmw_zenoh takes where nothing is said, but for the depth."""
+_KEPT_QOS = f":1:,{DEPTH}:,:,:,,"
+"""The same, transient local: who comes later hears what was said before."""
 _NODE_ID = 0
 
 
@@ -33,6 +36,12 @@ def topic_key(topic: str, type_name: str, domain: int, style: Style) -> str:
     if style == "bridge":
         return name
     return f"{domain}/{name}/{dds_type(type_name)}/{type_hash(type_name)}"
+
+
+def heard_key(topic: str, type_name: str, domain: int, style: Style) -> str:
+    """The key to hear a topic by, whichever release of ROS 2 computed the hash of its type."""
+    key = topic_key(topic, type_name, domain, style)
+    return key if style == "bridge" else f"{key.rpartition('/')[0]}/*"
 
 
 def dds_type(type_name: str) -> str:
@@ -48,9 +57,22 @@ def node_token(domain: int, session: str, node: str) -> str:
 
 def publisher_token(domain: int, session: str, node: str, number: int, topic: str, type_name: str) -> str:
     """That of one of its publishers; number: from 1 on, different for each."""
+    return _token("MP", domain, session, node, number, topic, type_name, _QOS)
+
+
+def subscriber_token(
+    domain: int, session: str, node: str, number: int, topic: str, type_name: str, kept: bool
+) -> str:
+    """That of one of its subscribers; kept: of a topic whose publishers keep what they said."""
+    return _token("MS", domain, session, node, number, topic, type_name, _KEPT_QOS if kept else _QOS)
+
+
+def _token(
+    kind: str, domain: int, session: str, node: str, number: int, topic: str, type_name: str, qos: str
+) -> str:
     mangled = topic.replace("/", "%")
-    where = f"@ros2_lv/{domain}/{session}/{_NODE_ID}/{number}/MP/%/%/{node}"
-    return f"{where}/{mangled}/{dds_type(type_name)}/{type_hash(type_name)}/{_QOS}"
+    where = f"@ros2_lv/{domain}/{session}/{_NODE_ID}/{number}/{kind}/%/%/{node}"
+    return f"{where}/{mangled}/{dds_type(type_name)}/{type_hash(type_name)}/{qos}"
 
 
 def attachment(number: int, unix_ns: int, token: str) -> bytes:
@@ -60,7 +82,7 @@ def attachment(number: int, unix_ns: int, token: str) -> bytes:
 
 
 class Node:
-    """A node of ROS 2 whose publishers are made when they first say something."""
+    """A node of ROS 2 whose publishers are made when they first say something. Used by one thread."""
 
     def __init__(self, session: zenoh.Session, name: str, domain: int, style: Style) -> None:
         self._session, self._name, self._domain, self._style = session, name, domain, style
@@ -68,18 +90,28 @@ class Node:
         self._topics: dict[str, tuple[zenoh.Publisher, str]] = {}
         self._tokens: list[zenoh.LivelinessToken] = []
         self._sent: dict[str, int] = {}
+        self._entities = 0
         if style == "rmw_zenoh":
             self._announce(node_token(domain, self._zid, name))
 
     def _announce(self, token: str) -> None:
         self._tokens.append(self._session.liveliness().declare_token(token))
 
+    def listen(self, inbox: Inbox, topic: str, type_name: str, kept: bool) -> Place:
+        """What is said on a topic from now on; kept: and what its publishers keep of what they said."""
+        self._entities += 1
+        key = heard_key(topic, type_name, self._domain, self._style)
+        if self._style == "rmw_zenoh":
+            self._announce(
+                subscriber_token(self._domain, self._zid, self._name, self._entities, topic, type_name, kept)
+            )
+        return inbox.history(key, self._session) if kept else inbox.queue(key, session=self._session)
+
     def publish(self, topic: str, type_name: str, payload: bytes) -> None:
         """A message in CDR on a topic, `/tf` for example."""
         if topic not in self._topics:
-            token = publisher_token(
-                self._domain, self._zid, self._name, len(self._topics) + 1, topic, type_name
-            )
+            self._entities += 1
+            token = publisher_token(self._domain, self._zid, self._name, self._entities, topic, type_name)
             key = topic_key(topic, type_name, self._domain, self._style)
             # A reader that does not read loses messages; it holds up nobody.
             publisher = self._session.declare_publisher(key, congestion_control=zenoh.CongestionControl.DROP)

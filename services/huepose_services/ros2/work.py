@@ -24,6 +24,7 @@ from huepose_services import models
 from huepose_services.ros2 import messages
 from huepose_services.ros2.messages import BoxM
 from huepose_services.ros2.publisher import Node
+from huepose_services.ros2.told import CameraTold
 from huepose_services.runtime.bus import Bus
 from huepose_services.runtime.clock import SECOND, now_ns
 from huepose_services.runtime.config import Config, Ros2Config
@@ -38,7 +39,8 @@ def make(bus: Bus, config: Config) -> Ros2Work:
     boxes = {name: bounds(model.mesh) for name, model in models.load(config).items()}
     for kind in (messages.POSE, messages.TRANSFORMS, messages.DETECTIONS, messages.CAMERA):
         messages.type_hash(kind)
-    return Ros2Work(bus, Router(config.ros2), config.ros2, boxes)
+    told = None if config.camera.tf is None else CameraTold(bus, config.camera.tf)
+    return Ros2Work(bus, Router(config.ros2), config.ros2, boxes, told)
 
 
 def bounds(mesh: Mesh) -> BoxM:
@@ -101,17 +103,29 @@ class Router:
         """Whether it is there now."""
         return self._session is not None and bool(self._session.info.routers_zid())
 
+    @property
+    def node(self) -> Node | None:
+        """The node, None until the router is there."""
+        return self._node if self._session is not None else None
+
     def publish(self, topic: str, type_name: str, payload: bytes) -> None:
         """A message in CDR on a topic; into the void until the router is there."""
-        if self._session is not None and self._node is not None:
-            self._node.publish(topic, type_name, payload)
+        if (node := self.node) is not None:
+            node.publish(topic, type_name, payload)
 
 
 class Ros2Work(Work):
-    """Collects the poses of a frame and publishes them together."""
+    """Collects the poses of a frame and publishes them together. told: what tells the camera where it is."""
 
-    def __init__(self, bus: Bus, router: Router, ros2: Ros2Config, boxes: Mapping[str, BoxM]) -> None:
-        self._bus, self._router, self._boxes = bus, router, boxes
+    def __init__(
+        self,
+        bus: Bus,
+        router: Router,
+        ros2: Ros2Config,
+        boxes: Mapping[str, BoxM],
+        told: CameraTold | None = None,
+    ) -> None:
+        self._bus, self._router, self._boxes, self._told = bus, router, boxes, told
         self._without, self._look_ns = without_router(ros2), now_ns() + _LOOK_NS
         self._root = f"/{ros2.namespace}"
         self._poses = bus.inbox.queue(bus.keys.poses)
@@ -121,8 +135,14 @@ class Ros2Work(Work):
         self._frame: list[PoseMessage] = []
 
     def due_ns(self) -> int:
-        """When the poses of a frame that are there go out, also if no other frame comes."""
-        return self._look_ns if not self._frame else self._frame[0].publish_ns + SECOND // 100
+        """When the poses of a frame that are there go out, also if no other frame comes; or `told` is due."""
+        told_ns = None if self._told is None else self._told.due_ns
+        out_ns = self._out_ns if self._frame else None
+        return min(ns for ns in (self._look_ns, told_ns, out_ns) if ns is not None)
+
+    @property
+    def _out_ns(self) -> int:
+        return self._frame[0].publish_ns + SECOND // 100
 
     def step(self) -> None:
         """Publish the poses of each frame, and the camera; say where nobody takes them."""
@@ -133,6 +153,9 @@ class Ros2Work(Work):
             if connected != self._connected:
                 self._connected = connected
                 self._bus.log.say("the router of ROS 2 is there" if connected else self._without)
+        if self._told is not None and (node := self._router.node) is not None:
+            self._told.listen(node)
+            self._told.step()
         while (camera := self._bus.take(self._cameras, CameraMessage)) is not None:
             self._camera = camera
             if camera.mount_ns is None:
@@ -144,7 +167,7 @@ class Ros2Work(Work):
                 self._publish()
             if pose.state == "TRACKING":
                 self._frame.append(pose)
-        if self._frame and now_ns() >= self.due_ns():
+        if self._frame and now_ns() >= self._out_ns:
             self._publish()
 
     def _publish(self) -> None:

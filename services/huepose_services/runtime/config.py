@@ -312,7 +312,7 @@ def _check(config: Config, path: Path) -> None:
         refuse("workers", ", ".join(config.workers) or "none", "each worker at most once", "Name each once.")
     check_hosts(config, refuse)
     check_ports(config, refuse)
-    check_camera(camera, refuse)
+    check_camera(camera, config.workers, refuse)
     if (
         camera.source not in DRAWN_SOURCES
         and config.bundles is None

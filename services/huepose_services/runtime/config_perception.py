@@ -48,6 +48,16 @@ class DeviceConfig(Section, frozen=True, kw_only=True):
     filters: dict[Filter, dict[str, float]] = {}
 
 
+FrameName = Annotated[str, Meta(pattern=r"^[^/\s]\S{0,63}$")]
+
+
+class TfConfig(Section, frozen=True, kw_only=True):
+    """A transform of ROS 2, from /tf and /tf_static: of the frame `child` in the frame `parent`."""
+
+    parent: FrameName
+    child: FrameName
+
+
 class CameraConfig(Section, frozen=True, kw_only=True):
     """Where frames come from, and when."""
 
@@ -65,6 +75,12 @@ class CameraConfig(Section, frozen=True, kw_only=True):
     device: DeviceConfig = DeviceConfig()
     mount: Mount | None = None
     moving: bool = False
+    tf: TfConfig | None = None
+
+    @property
+    def told(self) -> bool:
+        """Whether somebody tells, again and again, where it is."""
+        return self.moving or self.tf is not None
 
 
 class DetectorConfig(Section, frozen=True, kw_only=True):
@@ -137,9 +153,11 @@ _PATH_IS = {
 }
 
 
-def check_camera(camera: CameraConfig, refuse: Refuse) -> None:
-    """Raises by `refuse` what the keys of the camera's section cannot be together."""
+def check_camera(camera: CameraConfig, workers: Collection[str], refuse: Refuse) -> None:
+    """Raises by `refuse` what the keys of the camera's section cannot be together, or with those workers."""
     source, live = camera.source, camera.source in LIVE_SOURCES
+    if camera.tf is not None:
+        _check_tf(camera, camera.tf, workers, refuse)
     if source in ("synthetic", "oak") and camera.path is not None:
         refuse("camera.path", camera.path, f"no path with the source {source}", "Set it to null.")
     if source in _PATH_IS and camera.path is None:
@@ -155,6 +173,21 @@ def check_camera(camera: CameraConfig, refuse: Refuse) -> None:
         refuse("camera.device.filters", "some", f"none with the source {source}", "Take the line out.")
     if (camera.device.depth_width is None) != (camera.device.depth_height is None):
         refuse("camera.device.depth_width", "one side", "depth_width and depth_height", "Set both or none.")
+
+
+def _check_tf(camera: CameraConfig, tf: TfConfig, workers: Collection[str], refuse: Refuse) -> None:
+    names = f"{{parent: {tf.parent}, child: {tf.child}}}"
+    if "ros2" not in workers:
+        refuse(
+            "camera.tf", names, "the worker ros2 beside it, which listens to /tf", "Add ros2 to `workers`."
+        )
+    if tf.parent == tf.child:
+        refuse("camera.tf", names, "two frames", "parent: the robot's base; child: what holds the camera.")
+    if camera.mount is not None and camera.mount.parent != tf.child:
+        fix = (
+            "`mount` is where the camera is in the frame `tf.child`; leave it out where that is the camera's."
+        )
+        refuse("camera.mount.parent", camera.mount.parent, f"{tf.child}, as camera.tf.child", fix)
 
 
 def check_detector(

@@ -83,6 +83,16 @@ class Inbox:
         self._start((session or self._session).declare_subscriber(key, channel), queue)
         return queue
 
+    def history(self, key: str, session: zenoh.Session) -> Place:
+        """Subscribe to what advanced publishers of a session keep, and will say; also of those to come."""
+        from zenoh import ext
+
+        queue = Place(self._ready, _QUEUE_CAPACITY)
+        kept = ext.HistoryConfig(detect_late_publishers=True)
+        channel: Any = zenoh.handlers.FifoChannel(256)
+        self._start(ext.declare_advanced_subscriber(session, key, channel, history=kept), queue)
+        return queue
+
     def liveliness(self, key: str) -> Place:
         """Subscribe to liveliness tokens, those that are there already first. They wake nobody."""
         queue = Place(self._ready, _QUEUE_CAPACITY, wakes=False)

@@ -1,0 +1,163 @@
+"""The camera's place from /tf: messages of another library than the one that reads them, over a router."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+from types import SimpleNamespace
+from typing import Any
+
+import numpy as np
+import pytest
+import zenoh
+from mcap_ros2._dynamic import serialize_dynamic
+from zenoh import ext
+
+from huepose_protos import WireError, decode
+from huepose_protos.messages import Mount, MountMessage
+from huepose_services.ros2.messages import TRANSFORMS, transforms_in, types
+from huepose_services.ros2.publisher import topic_key
+from huepose_services.ros2.told import CameraTold
+from huepose_services.ros2.work import Ros2Work, Router
+from huepose_services.runtime.bus import Bus
+from huepose_services.runtime.config import BusConfig, Config, Ros2Config
+from huepose_services.runtime.config_perception import TfConfig
+from huepose_services.runtime.health import Health
+from huepose_services.runtime.log import Log
+from huepose_services.runtime.session import open_worker_session
+
+QUARTER = 0.5**0.5
+
+
+def written(*moves: tuple[int, str, str, tuple[float, ...], tuple[float, ...]]) -> bytes:
+    """TFMessage in CDR: Unix time, parent, child, translation, quaternion."""
+    text, _ = types().generate_msgdef(TRANSFORMS, ros_version=2)
+    short = TRANSFORMS.replace("/msg/", "/")
+    names = SimpleNamespace
+    transforms = [
+        names(
+            header=names(stamp=names(sec=ns // 10**9, nanosec=ns % 10**9), frame_id=parent),
+            child_frame_id=child,
+            transform=names(
+                translation=names(x=t[0], y=t[1], z=t[2]), rotation=names(x=q[0], y=q[1], z=q[2], w=q[3])
+            ),
+        )
+        for ns, parent, child, t, q in moves
+    ]
+    return bytes(serialize_dynamic(short, text)[short](names(transforms=transforms)))
+
+
+def fail(error: WireError) -> None:
+    raise error
+
+
+def test_transforms_of_another_library_are_read() -> None:
+    at = 1_700_000_000_123_456_789
+    data = written(
+        (at, "/base_link", "tool0", (1.0, -2.0, 0.5), (0.0, 0.0, QUARTER, QUARTER)),
+        (at + 1, "tool0", "camera", (0.0, 0.0, 0.1), (0.0, 0.0, 0.0, 1.0)),
+    )
+    first, second = transforms_in(data, fail)
+    assert first[:2] == (at, "tool0")
+    assert first[2].parent == "base_link"
+    assert first[2].translation == (1.0, -2.0, 0.5)
+    assert np.allclose(first[2].quaternion, (0.0, 0.0, QUARTER, QUARTER), atol=1e-15)
+    expected = Mount(parent="tool0", translation=(0.0, 0.0, 0.1))
+    assert second == (at + 1, "camera", expected)
+
+
+def test_one_transform_that_is_none_leaves_the_others() -> None:
+    data = written(
+        (5, "base", "wheel", (float("nan"), 0.0, 0.0), (0.0, 0.0, 0.0, 1.0)),
+        (5, "base", "mimic", (0.0, 0.0, 0.0), (0.0, 0.0, 0.0, 0.0)),
+        (5, "base", "tool", (0.0, 0.0, 1.0), (0.0, 0.0, 0.0, 1.0)),
+    )
+    said: list[WireError] = []
+    (left,) = transforms_in(data, said.append)
+    assert left[1] == "tool"
+    assert ["wheel" in said[0].reason, "mimic" in said[1].reason] == [True, True]
+
+
+def test_bytes_that_are_no_message_are_refused_and_raise_nothing() -> None:
+    data = written((5, "base", "tool", (0.0, 0.0, 1.0), (0.0, 0.0, 0.0, 1.0)))
+    rng = np.random.default_rng(0)
+    cases = [data[:n] for n in range(len(data))] + [rng.bytes(80) for _ in range(100)]
+    cases.append(bytes(2 * 1024 * 1024))
+    for case in cases:
+        said: list[WireError] = []
+        assert transforms_in(case, said.append) == [] or case not in cases[: len(data)]
+    assert said, "of the last, which is too long"
+
+
+def _router(port: int) -> zenoh.Config:
+    config = zenoh.Config()
+    config.insert_json5("mode", '"router"')
+    config.insert_json5("listen/endpoints", f'["tcp/127.0.0.1:{port}"]')
+    config.insert_json5("scouting/multicast/enabled", "false")
+    config.insert_json5("timestamping/enabled", "true")
+    return config
+
+
+def _step_until(work: Ros2Work, done: Callable[[], Any]) -> None:
+    until = time.monotonic() + 20.0
+    while not done():
+        assert time.monotonic() < until
+        time.sleep(0.02)
+        work.step()
+
+
+@pytest.mark.live
+def test_the_camera_is_told_what_the_robot_says(base_port: int) -> None:
+    connect = f"tcp/127.0.0.1:{base_port + 9}"
+    config = Config(bus=BusConfig(base_port=base_port), ros2=Ros2Config(connect=connect))
+    inner, _ = open_worker_session(config, "ros2")
+    camera, _ = open_worker_session(config, "camera")
+    told: list[MountMessage] = []
+    camera.declare_subscriber(
+        config.keys.mount, lambda sample: told.append(decode(sample.payload.to_bytes(), MountMessage))
+    )
+    bus = Bus(inner, config.keys, "ros2", Log("ros2"), Health("ros2"))
+
+    def warnings() -> str:
+        return " ".join(bus.health.message().warnings)
+
+    with zenoh.open(_router(base_port + 9)) as robot:
+        # As rmw_zenoh keeps what is said once, before anybody listens.
+        static = ext.declare_advanced_publisher(
+            robot,
+            topic_key("/tf_static", TRANSFORMS, 0, "rmw_zenoh"),
+            cache=ext.CacheConfig(max_samples=1),
+            publisher_detection=True,
+        )
+        static.put(written((1, "tool0", "camera", (0.0, 0.0, 0.1), (0.0, 0.0, 0.0, 1.0))))
+        router = Router(config.ros2)
+        work = Ros2Work(
+            bus, router, config.ros2, {}, CameraTold(bus, TfConfig(parent="base_link", child="camera"))
+        )
+        _step_until(work, lambda: "frames heard of: camera, tool0" in warnings())
+        at_ns, key = 0, topic_key("/tf", TRANSFORMS, 0, "rmw_zenoh")
+
+        def said() -> bool:
+            nonlocal at_ns
+            at_ns = time.time_ns()
+            robot.put(
+                key, written((at_ns, "base_link", "tool0", (1.0, 2.0, 3.0), (QUARTER, 0.0, 0.0, QUARTER)))
+            )
+            return len(told) >= 3
+
+        _step_until(work, said)
+        off_ns = time.monotonic_ns() - time.time_ns()
+        last = told[-1]
+        assert last.mount.parent == "base_link"
+        # A quarter turn about x takes the tool's z to the base's -y.
+        assert np.allclose(last.mount.translation, (1.0, 1.9, 3.0))
+        assert abs(last.capture_ns - (at_ns + off_ns)) < 500_000_000
+        assert len({message.capture_ns for message in told}) == len(told)
+        assert "tf" not in warnings()
+        robot.put(key, written((at_ns - 9 * 10**9, "base_link", "tool0", (0.0,) * 3, (0.0, 0.0, 0.0, 1.0))))
+        _step_until(work, lambda: "stamped 9" in warnings())
+        tokens = {str(r.ok.key_expr) for r in robot.liveliness().get("@ros2_lv/**") if r.ok is not None}
+        assert any("/MS/%/%/huepose/%tf_static/" in token for token in tokens)
+    bus.close()
+    inner.close()
+    camera.close()

@@ -73,10 +73,10 @@ def runs_of(mask: NDArray[np.bool_]) -> MaskRuns:
     >>> runs_of(np.array([[True, False], [True, True]])).runs
     [0, 1, 1, 2]
     """
-    flat = np.ravel(mask).astype(np.int8)
-    edges = np.flatnonzero(np.diff(flat, prepend=0, append=-1))
-    runs = np.diff(edges, prepend=0)
-    return MaskRuns(width=mask.shape[1], height=mask.shape[0], runs=runs.tolist())
+    flat = np.ravel(mask)
+    last = np.flatnonzero(flat[1:] != flat[:-1])  # of each run but the last one
+    runs = np.diff(last, prepend=-1, append=flat.size - 1).tolist()
+    return MaskRuns(width=mask.shape[1], height=mask.shape[0], runs=[0, *runs] if flat[0] else runs)
 
 
 def mask_of(mask: MaskRuns, image_size: tuple[int, int] | None = None) -> NDArray[np.bool_]:

@@ -96,8 +96,10 @@ def pose_of(message: PoseMessage) -> Float64 | None:
 def depth_to_wire(depth_m: Float, depth_scale_m: float) -> UInt16:
     """Depth in steps of depth_scale_m; 0 where there is no reading, also from
     LARGEST_STEP on."""
-    steps = np.rint(depth_m / depth_scale_m)
-    return np.where((steps >= 0) & (steps < LARGEST_STEP), steps, 0).astype(np.uint16)
+    steps = np.asarray(np.rint(depth_m / depth_scale_m))
+    if not (steps.min() >= 0 and steps.max() < LARGEST_STEP):  # or one is not a number
+        steps = np.where((steps >= 0) & (steps < LARGEST_STEP), steps, 0)
+    return steps.astype(np.uint16)
 
 
 def intrinsics_to_wire(camera: Camera, depth_scale_m: float) -> Intrinsics:

@@ -1,9 +1,8 @@
-"""An endless supply of textured objects: packages, cans and bottles of any size, and bent and dented
-superquadrics, a few of them grown together.
+"""Random textured objects for training: packages, cans, bottles, and unions of deformed superquadrics.
 
-Superquadrics run from boxes over cylinders and balls to octahedra; taper, bend, twist and smooth dents make
-each one unlike any other, so that nothing of a shape can be learned by heart (paper, section III-E). Flow is
-found on texture, so everything carries some: pictures, text, stripes, and plain sides too.
+Superquadrics range from boxes over cylinders and balls to octahedra. Taper, bend, twist and smooth dents make
+each one different, so that a network cannot memorise shapes (paper, section III-E). Surfaces carry pictures,
+text and stripes, because flow needs texture; some sides are plain.
 """
 
 from __future__ import annotations
@@ -40,7 +39,7 @@ def random_object(rng: np.random.Generator, diameter_m: float) -> Mesh:
 
 
 def random_art(rng: np.random.Generator) -> Art:
-    """Something for a side."""
+    """A random print for one side of an object."""
     word, other = ("".join(rng.choice(LETTERS, int(rng.integers(3, 9)))) for _ in range(2))
     arts = (
         *(textures.blocks(word), textures.front(word, other, word[:2]), textures.facts, textures.picture),

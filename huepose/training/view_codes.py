@@ -1,4 +1,8 @@
-"""Training of the network of view codes: endless objects, checkpoints, a validation curve, an ONNX file."""
+"""Trains the network of view codes (`propose.view_codes`) on drawn objects and writes it as ONNX.
+
+Processes draw new objects (`training.windows`) while the network learns from a buffer of the newest ones.
+Each step takes windows and views of some of them at random, moves and recolours them, and takes `info_nce`.
+"""
 
 from __future__ import annotations
 
@@ -26,39 +30,40 @@ from huepose.training.runs import VALIDATION_ROUND, Course, Settings, Training, 
 from huepose.training.view_code_network import (
     LARGEST_SHARPNESS,
     ViewCodeNetwork,
-    loss_of,
+    info_nce,
     view_codes,
     window_codes,
 )
 from huepose.training.windows import PIXELS, WINDOWS, Drawn, endless
 
 SHIFT, LARGEST_SHIFT = 0.06, 0.13
-"""By how much a window's middle is off, in diameters: deviation and most. The detector's windows are a
-quarter of one apart."""
+"""Offset of a window from the object's middle, in diameters: standard deviation and largest. The detector's
+windows are a quarter of a diameter apart."""
 
 STRETCH, DEEPER, DEEPEST = 0.06, 0.1, 0.25
-"""Deviation of a window's logarithmic size; of its depth, in diameters, and the most of it."""
+"""Standard deviations of a window's logarithmic size and of its depth (diameters); largest depth offset."""
 
 BESIDE = (0.3, 0.52)
-"""So far off, in diameters, a window shows something else."""
+"""Offset, in diameters, of windows that count as beside the object (negatives)."""
 
 SPREAD_DEG, REACH_DEG = 18.0, 38.0
-"""How fast the views round the true turn count less as answers, and where they end."""
+"""The target distribution over views falls with the rotation to the true one as a Gaussian of this deviation,
+and ends at REACH_DEG."""
 
 RIGHT_DEG = 25.0
-"""A view this near is right, in validation."""
+"""In validation, a view rotated by less than this is right."""
 
 NAME = "views"
 FIGURES = ("first_right", "one_of_five_right", "median_rank")
-"""Of the held-out windows: the share whose likest view is right, the share for which one of the five likest
-is, and the median rank of the first right one, all of an object's views asked for."""
+"""On held-out windows, among all views of the object: share whose most similar view is right, share with a
+right view among the five most similar, median rank of the first right view."""
 
 
 @dataclass(frozen=True)
 class ViewCodeTraining(Settings):
-    """How to train. validation: objects. Of a step: objects, of each of them windows that show it, windows
-    beside it, and views. room: objects that are kept, the oldest replaced; first: of these before the first
-    step; reuse: steps for each new object, at most."""
+    """Settings of a training. validation: held-out objects. A step takes `objects`, and of each `windows`
+    that show it, windows `beside` it (negatives) and `views`. room: objects in the buffer, after which the
+    oldest is replaced; first: objects drawn before the first step; reuse: most steps an object."""
 
     every: int = 1000
     validation: int = 48
@@ -71,8 +76,8 @@ class ViewCodeTraining(Settings):
     reuse: float = 8.0
 
 
-class Shelf:
-    """The newest objects on a device."""
+class ObjectBuffer:
+    """The newest drawn objects, in memory of a device. added: how many there have been."""
 
     def __init__(self, room: int, device: str) -> None:
         views = len(icosphere.directions(VIEW_LEVEL))
@@ -82,17 +87,17 @@ class Shelf:
         self.colors = torch.zeros(room, WINDOWS, PIXELS, PIXELS, 3, **byte)
         self.reliefs = torch.zeros(room, WINDOWS, PIXELS, PIXELS, **half)
         self.rotations = torch.zeros(room, WINDOWS, 3, 3, device=device)
-        self.drawn = 0
+        self.added = 0
 
     def __len__(self) -> int:
-        return min(self.drawn, len(self.rotations))
+        return min(self.added, len(self.rotations))
 
     def add(self, one: Drawn) -> None:
-        """Keep one more."""
+        """Add an object; it replaces the oldest where the buffer is full."""
         kept = self.view_colors, self.view_reliefs, self.colors, self.reliefs, self.rotations
         for room, part in zip(kept, one, strict=True):
-            room[self.drawn % len(room)] = torch.as_tensor(part).to(room)
-        self.drawn += 1
+            room[self.added % len(room)] = torch.as_tensor(part).to(room)
+        self.added += 1
 
     def views_of(self, objects: Tensor, numbers: Tensor) -> tuple[Tensor, Tensor]:
         """Colours (M, 3, 64, 64) from 0 to 1 and relief (M, 64, 64), NaN where nothing is, of the numbered
@@ -103,7 +108,7 @@ class Shelf:
         share = SIDE / UNTURNED
         rows = torch.stack([c * share, s * share, zero]), torch.stack([-s * share, c * share, zero])
         to_picture = torch.stack(rows).permute(2, 0, 1)
-        return _cut(self.view_colors[objects, view], self.view_reliefs[objects, view], to_picture)
+        return _resampled(self.view_colors[objects, view], self.view_reliefs[objects, view], to_picture)
 
     def windows_of(
         self, objects: Tensor, numbers: Tensor, shift: Tensor, stretch: Tensor, deeper: Tensor
@@ -117,12 +122,15 @@ class Shelf:
             torch.stack([zero, share, shift[:, 1] / half]),
         )
         to_picture = torch.stack(rows).permute(2, 0, 1)
-        colors, reliefs = _cut(self.colors[objects, numbers], self.reliefs[objects, numbers], to_picture)
+        colors, reliefs = _resampled(
+            self.colors[objects, numbers], self.reliefs[objects, numbers], to_picture
+        )
         return colors, reliefs + deeper[:, None, None]
 
 
-def _cut(colors: Tensor, reliefs: Tensor, to_picture: Tensor) -> tuple[Tensor, Tensor]:
-    """What lies at `to_picture` (M, 2, 3), in halves of the picture, of colours (M, n, n, 3) and relief."""
+def _resampled(colors: Tensor, reliefs: Tensor, to_picture: Tensor) -> tuple[Tensor, Tensor]:
+    """Pictures (M, 3, 64, 64) and relief (M, 64, 64) of colours (M, n, n, 3) and relief (M, n, n),
+    resampled by affine maps `to_picture` (M, 2, 3) in torch's coordinates from -1 to 1."""
     known = torch.isfinite(reliefs)
     both = torch.stack([torch.where(known, reliefs, 0.0).float(), known.float()], 1)
     grid = functional.affine_grid(to_picture.float(), [len(colors), 1, SIDE, SIDE], align_corners=False)
@@ -180,15 +188,15 @@ def train(config: ViewCodeTraining, out: Path, resume: bool = False) -> dict[str
     net = ViewCodeNetwork().to(config.device)
     optimiser = torch.optim.AdamW(net.parameters(), config.rate, weight_decay=1e-2)
     training = Training.begun(out, NAME, config, optimiser, {NAME: net}, resume)
-    held_out = Shelf(config.validation, config.device)
+    held_out = ObjectBuffer(config.validation, config.device)
     for one in endless_loader(endless, config, VALIDATION_ROUND):
         held_out.add(one)
-        if held_out.drawn == config.validation:
+        if held_out.added == config.validation:
             break
     fresh = endless_loader(endless, config, training.course.rounds)
     training.run(
-        _shelves(fresh, config),
-        lambda shelf: _step(net, optimiser, shelf, config),
+        _buffers(fresh, config),
+        lambda buffer: _step(net, optimiser, buffer, config),
         partial(_validated, net, held_out),
     )
     _draw(out / f"{NAME}.png", training.course)
@@ -197,45 +205,47 @@ def train(config: ViewCodeTraining, out: Path, resume: bool = False) -> dict[str
     return training.report(NAME, validation=figures)
 
 
-def _shelves(fresh: DataLoader[Any], config: ViewCodeTraining) -> Iterator[Shelf]:
-    """The same shelf for each step, with what was drawn meanwhile."""
-    shelf, lent = Shelf(config.room, config.device), 0
+def _buffers(fresh: DataLoader[Any], config: ViewCodeTraining) -> Iterator[ObjectBuffer]:
+    """The buffer once for each step, with the objects that were drawn meanwhile."""
+    buffer, steps = ObjectBuffer(config.room, config.device), 0
     for one in fresh:
-        shelf.add(one)
-        while shelf.drawn >= config.first and lent < config.reuse * shelf.drawn:
-            yield shelf
-            lent += 1
+        buffer.add(one)
+        while buffer.added >= config.first and steps < config.reuse * buffer.added:
+            yield buffer
+            steps += 1
 
 
 def _step(
-    net: ViewCodeNetwork, optimiser: torch.optim.Optimizer, shelf: Shelf, config: ViewCodeTraining
+    net: ViewCodeNetwork, optimiser: torch.optim.Optimizer, buffer: ObjectBuffer, config: ViewCodeTraining
 ) -> None:
     net.train()
     with torch.no_grad():
-        windows, views, known, angles, wanted, asked = batch(shelf, config)
+        windows, views, known, angles_deg, targets, valid = batch(buffer, config)
     half = torch.autocast(config.device, dtype=torch.bfloat16, enabled=config.device != "cpu")
     with half:
         codes = net(torch.cat([windows, views])).float()
-    alike = window_codes(codes[: len(windows)]) @ view_codes(codes[len(windows) :], known).T
+    similarity = window_codes(codes[: len(windows)]) @ view_codes(codes[len(windows) :], known).T
     sharpness = net.log_sharpness.exp().clamp(max=LARGEST_SHARPNESS)
     optimiser.zero_grad()
-    loss_of(sharpness * alike, angles, wanted, asked).backward()
+    info_nce(sharpness * similarity, angles_deg, targets, valid).backward()
     torch.nn.utils.clip_grad_norm_(net.parameters(), 1.0)
     optimiser.step()
 
 
-def batch(shelf: Shelf, config: ViewCodeTraining) -> tuple[Tensor, Tensor, Tensor, Tensor, Tensor, Tensor]:
-    """One question: pictures of windows (Q, 6, 64, 64) and of views (T, 6, 64, 64), what of the views is
-    covered (T, 64, 64), and what `loss_of` wants: angles (Q, T), answers (Q, T), views to ask for (T,)."""
-    device = shelf.rotations.device
+def batch(
+    buffer: ObjectBuffer, config: ViewCodeTraining
+) -> tuple[Tensor, Tensor, Tensor, Tensor, Tensor, Tensor]:
+    """A random batch: pictures of windows (Q, 6, 64, 64) and of views (T, 6, 64, 64), which pixels of the
+    views show the object (T, 64, 64), and for `info_nce` angles_deg (Q, T), targets (Q, T) and valid (T,)."""
+    device = buffer.rotations.device
     count, each = config.objects, config.windows
-    objects = torch.randint(len(shelf), (count,), device=device)
+    objects = torch.randint(len(buffer), (count,), device=device)
     numbers = torch.rand(count, WINDOWS, device=device).argsort(1)[:, :each]
-    apart = _angles(shelf.rotations[objects[:, None], numbers])
+    apart = _angles(buffer.rotations[objects[:, None], numbers])
     nearest = apart.topk(2, dim=2, largest=False).indices.flatten(1)
     others = torch.randint(apart.shape[2], (count, config.views - nearest.shape[1]), device=device)
     chosen = torch.cat([nearest, others], 1)
-    rgb, relief = shelf.views_of(objects.repeat_interleave(config.views), chosen.flatten())
+    rgb, relief = buffer.views_of(objects.repeat_interleave(config.views), chosen.flatten())
     views = network_input(recolored(rgb, 0.4), relief, clean=True)
 
     q, beside = count * each, count * config.beside
@@ -247,37 +257,37 @@ def batch(shelf: Shelf, config: ViewCodeTraining) -> tuple[Tensor, Tensor, Tenso
     whose = torch.cat([objects.repeat_interleave(each), objects.repeat_interleave(config.beside)])
     stretch = torch.exp(STRETCH * torch.randn(len(whose), device=device))
     deeper = (DEEPER * torch.randn(len(whose), device=device)).clamp(-DEEPEST, DEEPEST)
-    windows = network_input(*sensed(*shelf.windows_of(whose, which, shift, stretch, deeper)), clean=False)
+    windows = network_input(*sensed(*buffer.windows_of(whose, which, shift, stretch, deeper)), clean=False)
 
     own = apart.gather(2, chosen[:, None].expand(-1, each, -1))
-    asked = ~_repeated(chosen)
-    weight = torch.exp(-((own / SPREAD_DEG) ** 2)) * (own < REACH_DEG) * asked[:, None]
+    valid = ~_repeated(chosen)
+    weight = torch.exp(-((own / SPREAD_DEG) ** 2)) * (own < REACH_DEG) * valid[:, None]
     weight = weight / weight.sum(2, keepdim=True).clamp(min=1e-9)
-    angles = torch.full((len(whose), count, config.views), math.inf, device=device)
-    wanted = torch.zeros_like(angles)
+    angles_deg = torch.full((len(whose), count, config.views), math.inf, device=device)
+    targets = torch.zeros_like(angles_deg)
     owner = torch.arange(count, device=device).repeat_interleave(each)
     rows = torch.arange(q, device=device)
-    angles[rows, owner], wanted[rows, owner] = own.flatten(0, 1), weight.flatten(0, 1)
-    return windows, views, torch.isfinite(relief), angles.flatten(1), wanted.flatten(1), asked.flatten()
+    angles_deg[rows, owner], targets[rows, owner] = own.flatten(0, 1), weight.flatten(0, 1)
+    return windows, views, torch.isfinite(relief), angles_deg.flatten(1), targets.flatten(1), valid.flatten()
 
 
 def _angles(rotations: Tensor) -> Tensor:
-    """Angles (..., N) in degrees between turns (..., 3, 3) and those of all views."""
+    """Angles (..., N) in degrees between rotations (..., 3, 3) and those of all views."""
     turns = torch.from_numpy(view_rotations(icosphere.directions(VIEW_LEVEL), ROLLS)).to(rotations)
     cosines = (torch.einsum("...ij,nij->...n", rotations, turns) - 1.0) / 2.0
     return torch.rad2deg(torch.acos(cosines.clamp(-1.0, 1.0)))
 
 
 def _repeated(numbers: Tensor) -> Tensor:
-    """Which of the numbers (N, K) of a row were there before."""
+    """Whether each of numbers (N, K) stands further left in its row, too."""
     ordered = numbers.sort(dim=1, stable=True)
     again = torch.zeros_like(numbers, dtype=torch.bool)
     again[:, 1:] = ordered.values[:, 1:] == ordered.values[:, :-1]
     return torch.zeros_like(again).scatter(1, ordered.indices, again)
 
 
-def _validated(net: ViewCodeNetwork, held_out: Shelf, course: Course) -> None:
-    """Note on the curve: hours, steps, FIGURES."""
+def _validated(net: ViewCodeNetwork, held_out: ObjectBuffer, course: Course) -> None:
+    """Append hours, steps and FIGURES to the curve."""
     net.eval()
     state = torch.random.get_rng_state()
     torch.manual_seed(0)
@@ -289,24 +299,23 @@ def _validated(net: ViewCodeNetwork, held_out: Shelf, course: Course) -> None:
     course.curve.append([course.hours, course.steps, *map(float, figures)])
 
 
-def _ranks(net: ViewCodeNetwork, shelf: Shelf, k: int) -> Tensor:
-    """Ranks (Q,) of the first right view among all of an object's, in each of its windows."""
-    device = shelf.rotations.device
-    apart = _angles(shelf.rotations[k])
+def _ranks(net: ViewCodeNetwork, buffer: ObjectBuffer, k: int) -> Tensor:
+    """The rank (Q,) of the first right view among all views of object k, for each of its windows."""
+    device = buffer.rotations.device
+    apart = _angles(buffer.rotations[k])
     every = torch.arange(apart.shape[1], device=device)
-    rgb, relief = shelf.views_of(torch.full_like(every, k), every)
+    rgb, relief = buffer.views_of(torch.full_like(every, k), every)
     codes = view_codes(net(network_input(rgb, relief, clean=True)), torch.isfinite(relief))
     n, still = torch.arange(WINDOWS, device=device), torch.zeros(WINDOWS, device=device)
-    seen = shelf.windows_of(torch.full_like(n, k), n, still[:, None].expand(-1, 2), still + 1.0, still)
-    alike = window_codes(net(network_input(*sensed(*seen), clean=False))) @ codes.T
-    best = torch.where(apart < RIGHT_DEG, alike, -math.inf).amax(1)
-    return (alike > best[:, None]).sum(1)
+    seen = buffer.windows_of(torch.full_like(n, k), n, still[:, None].expand(-1, 2), still + 1.0, still)
+    similarity = window_codes(net(network_input(*sensed(*seen), clean=False))) @ codes.T
+    best = torch.where(apart < RIGHT_DEG, similarity, -math.inf).amax(1)
+    return (similarity > best[:, None]).sum(1)
 
 
-def export(net: ViewCodeNetwork, shelf: Shelf, file: Path) -> None:
-    """Write the network as ONNX, any number of pictures at a time, in whole numbers of eight bits: half the
-    time of a processor, and its codes' cosines with the exact ones are 0.999. The ranges of the numbers
-    between are those of the objects of a shelf."""
+def export(net: ViewCodeNetwork, buffer: ObjectBuffer, file: Path) -> None:
+    """Write the network as ONNX with a free batch size, quantised to 8 bits: half the CPU time, and the
+    cosine of its codes with the exact ones is 0.999. Activations are calibrated on objects of the buffer."""
     from onnxruntime.quantization import QuantFormat, QuantType, quantize_static
 
     exact = file.with_suffix(".exact.onnx")
@@ -314,35 +323,35 @@ def export(net: ViewCodeNetwork, shelf: Shelf, file: Path) -> None:
     quantize_static(
         str(exact),
         str(file),
-        _Pictures(shelf),
+        _Pictures(buffer),
         quant_format=QuantFormat.QDQ,
         per_channel=True,
         weight_type=QuantType.QInt8,
         activation_type=QuantType.QUInt8,
-        # Of seven bits: processors without the newer instructions would overflow where they add products.
+        # 7-bit weights: without VNNI, sums of 8-bit products overflow.
         reduce_range=True,
     )
     exact.unlink()
 
 
 class _Pictures:
-    """Some windows and views, a batch at a time, as the quantiser asks for them."""
+    """Batches of windows and views, as the quantiser's calibration reads them."""
 
-    def __init__(self, shelf: Shelf, objects: int = 12, each: int = 6) -> None:
-        self.batches = iter(_some(shelf, min(objects, len(shelf)), each))
+    def __init__(self, buffer: ObjectBuffer, objects: int = 12, each: int = 6) -> None:
+        self.batches = iter(_some(buffer, min(objects, len(buffer)), each))
 
     def get_next(self) -> dict[str, np.ndarray] | None:
-        """One more batch, or None."""
+        """The next batch, or None."""
         return next(self.batches, None)
 
 
-def _some(shelf: Shelf, objects: int, each: int) -> Iterator[dict[str, np.ndarray]]:
-    device = shelf.rotations.device
+def _some(buffer: ObjectBuffer, objects: int, each: int) -> Iterator[dict[str, np.ndarray]]:
+    device = buffer.rotations.device
     still = torch.zeros(each, device=device)
     for k in range(objects):
         whose, which = torch.full((each,), k, device=device), torch.arange(each, device=device)
-        views = shelf.views_of(whose, which * ROLLS)
-        windows = shelf.windows_of(whose, which, still[:, None].expand(-1, 2), still + 1.0, still)
+        views = buffer.views_of(whose, which * ROLLS)
+        windows = buffer.windows_of(whose, which, still[:, None].expand(-1, 2), still + 1.0, still)
         yield {"window": network_input(*views, clean=True).cpu().numpy()}
         yield {"window": network_input(*windows, clean=False).cpu().numpy()}
 

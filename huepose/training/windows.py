@@ -1,8 +1,8 @@
-"""Objects that nobody has, in windows of drawn scenes, with the clean views that they have to match.
+"""Draws training samples for the view codes: random objects in windows of drawn scenes, and clean views.
 
-What the detector meets is drawn: an object on a ground among other things, something in front, any light,
-blur and noise of the sensor, depth of a stereo camera, of a time-of-flight camera, or exact. A window is
-drawn twice as wide as the network sees it, so that training can move it about.
+A scene is what the detector meets: an object on a ground among other things, partly covered, in any light,
+with blur and sensor noise, and depth of a stereo camera, of a time-of-flight camera, or exact. A window is
+drawn twice as wide as the network sees it, so that training can shift and enlarge it.
 """
 
 from __future__ import annotations
@@ -27,13 +27,13 @@ from huepose.training.shapes import random_object, random_rotation
 from huepose.training.views import NO_SHADOW, Props, random_unit
 
 WIDE = 2
-"""Width of a drawn window in widths of what the network sees."""
+"""Width of a drawn window, in widths of the network's input."""
 
 WINDOWS = 10
-"""Of each object."""
+"""Windows of each object."""
 
 TRIES = 3
-"""So many windows are drawn for one that shows enough."""
+"""Most windows drawn for each one that is kept; one that shows too little of the object is not."""
 
 WIDTH, HEIGHT = 640, 480
 
@@ -42,9 +42,10 @@ Rng = np.random.Generator
 
 @dataclass(frozen=True)
 class WindowRange:
-    """What is drawn. diameter_m, distance_m, focal_px: from and to; far_m: the distances of two fifths of the
-    windows; shares of the windows: on a ground, with a wall behind, with something in front, blurred by
-    motion, with depth of a stereo or of a time-of-flight camera (else exact); shown: least visible share."""
+    """The range of scenes. diameter_m, distance_m, focal_px: lower and upper bound; far_m: bounds of the
+    distance in the share `far` of the windows. Shares of the windows: on_ground, with a wall, something
+    in_front, blurred by motion, with depth of a stereo or of a time-of-flight camera (flight), else exact.
+    shown: least visible share of the object."""
 
     diameter_m: tuple[float, float] = (0.06, 0.35)
     distance_m: tuple[float, float] = (0.4, 1.0)
@@ -73,7 +74,7 @@ class Drawn(NamedTuple):
 
 
 def endless(seed: int, stream: int, ranges: WindowRange | None = None) -> Iterator[Drawn]:
-    """Objects without end; the same seed and stream give the same ones."""
+    """Random objects without end; the same seed and stream give the same ones."""
     ranges = ranges or WindowRange()
     rng = np.random.default_rng([seed, stream])
     props = Props(rng)
@@ -84,7 +85,7 @@ def endless(seed: int, stream: int, ranges: WindowRange | None = None) -> Iterat
 
 
 def draw_object(rng: Rng, props: Props, ranges: WindowRange) -> Drawn | None:
-    """One object; None where it mostly cannot be seen."""
+    """One random object with its windows and views; None where too few windows show it."""
     low, high = np.log(ranges.diameter_m)
     mesh = random_object(rng, float(np.exp(rng.uniform(low, high))))
     some = mesh.vertices[rng.integers(len(mesh.vertices), size=300)]
@@ -109,7 +110,7 @@ def draw_object(rng: Rng, props: Props, ranges: WindowRange) -> Drawn | None:
 def _window(
     rng: Rng, mesh: Mesh, diameter_m: float, props: Props, ranges: WindowRange
 ) -> tuple[UInt8, np.ndarray, Float32] | None:
-    """Colours, relief and turn of one window; None where too little of the object is seen."""
+    """Colours, relief and rotation of one window; None where too little of the object is visible."""
     focal = rng.uniform(*ranges.focal_px)
     whole = Camera(focal, focal, (WIDTH - 1) / 2, (HEIGHT - 1) / 2, WIDTH, HEIGHT)
     z = rng.uniform(*(ranges.far_m if rng.random() < ranges.far else ranges.distance_m))
@@ -123,7 +124,9 @@ def _window(
     alone = render([(mesh, T)], camera, color=False).depth
     inside = np.zeros(alone.shape, bool)
     inside[max(0, -top) : HEIGHT - top, max(0, -left) : WIDTH - left] = True
-    seen = render([(mesh, T), *_round(rng, mesh, T, centre, diameter_m, props, ranges)], camera, normals=True)
+    seen = render(
+        [(mesh, T), *_surroundings(rng, mesh, T, centre, diameter_m, props, ranges)], camera, normals=True
+    )
     own = (alone > 0) & (np.abs(seen.depth - alone) < 1e-4) & inside
     if own.sum() < max(60, ranges.shown * (alone > 0).sum()):
         return None
@@ -139,10 +142,10 @@ def _window(
     return colors[0], np.clip(reliefs[0], -8.0, 8.0).astype(np.float16), (turn.T @ R).astype(np.float32)
 
 
-def _round(
+def _surroundings(
     rng: Rng, mesh: Mesh, T: Float64, centre: Float64, diameter_m: float, props: Props, ranges: WindowRange
 ) -> list[tuple[Mesh, Float64]]:
-    """What is round the object: the ground that it touches, a wall, other things, something in front."""
+    """Meshes and poses around the object: the ground that it stands on, a wall, other things, an occluder."""
     out: list[tuple[Mesh, Float64]] = []
     towards = -centre / np.linalg.norm(centre)
     up, foot = None, centre
@@ -174,7 +177,7 @@ def _round(
 
 
 def _color(rng: Rng, seen: Rendering, camera: Camera, ranges: WindowRange) -> UInt8:
-    """What a camera makes of it in some light."""
+    """The camera's picture (H, W, 3) of a rendering, in a random light, exposure and motion blur."""
     light, gloss = random_strong_light(rng), np.uint8(rng.random() < 0.6)
     shone: Float32 = np.zeros((camera.height, camera.width, 3), np.float32)
     glossy = np.full(seen.depth.shape, gloss, np.uint8)
@@ -185,7 +188,7 @@ def _color(rng: Rng, seen: Rendering, camera: Camera, ranges: WindowRange) -> UI
 
 
 def _motion(rng: Rng) -> Float32:
-    """A straight blur of 3 to 9 pixels, any way."""
+    """The kernel (15, 15) of a straight motion of 3 to 9 pixels in a random direction."""
     kernel = np.zeros((15, 15), np.float32)
     reach = int(rng.integers(1, 5))
     kernel[7, 7 - reach : 8 + reach] = 1.0
@@ -195,7 +198,7 @@ def _motion(rng: Rng) -> Float32:
 
 
 def _depth(rng: Rng, seen: Rendering, color: UInt8, camera: Camera, ranges: WindowRange) -> Float32:
-    """What a depth camera makes of it."""
+    """The depth (H, W) that a random kind of depth camera measures, metres; 0 without a reading."""
     which = rng.random()
     if which < ranges.stereo:
         sensor = replace(STEREO, subpixel=rng.uniform(0.04, 0.15))
@@ -209,18 +212,18 @@ def _depth(rng: Rng, seen: Rendering, color: UInt8, camera: Camera, ranges: Wind
 
 
 def _edges(rng: Rng, depth: Float32) -> Bool:
-    """Round steps in depth, where a time-of-flight camera sees both sides at once and gives nothing."""
+    """Pixels beside depth steps, where a time-of-flight camera mixes both sides and gives no reading."""
     wide = int(rng.integers(3, 8))
     steps = cv2.morphologyEx(depth, cv2.MORPH_GRADIENT, np.ones((wide, wide), np.uint8))
     return np.asarray(steps > 0.03)
 
 
 def _lying(rng: Rng, up: Float64, at: Float64) -> Float64:
-    """The pose (4, 4) of a sheet at a point (3,), its picture towards `up` (3,), in any turn about it."""
+    """The pose (4, 4) of a sheet at a point (3,) with normal `up` (3,) and a random rotation about it."""
     x = np.cross(up, random_unit(rng))
     x /= np.linalg.norm(x)
     return se3.make(np.column_stack([x, np.cross(up, x), up]), at)
 
 
 PIXELS = WIDE * SIDE
-"""Side of a drawn window."""
+"""Side of a drawn window, pixels."""

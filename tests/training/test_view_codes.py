@@ -11,9 +11,9 @@ torch = pytest.importorskip("torch", reason="the extra `train` is not installed"
 from huepose.geometry import icosphere  # noqa: E402
 from huepose.propose import view_pictures  # noqa: E402
 from huepose.propose.template_table import view_rotations  # noqa: E402
-from huepose.training.view_code_network import loss_of, view_codes, window_codes  # noqa: E402
+from huepose.training.view_code_network import info_nce, view_codes, window_codes  # noqa: E402
 from huepose.training.view_codes import (  # noqa: E402
-    Shelf,
+    ObjectBuffer,
     ViewCodeTraining,
     network_input,
     train,
@@ -30,21 +30,21 @@ def drawn() -> Drawn:
 
 def test_views_come_as_the_detector_makes_them(drawn):
     colors, reliefs = view_pictures.turned(drawn.view_colors, drawn.view_reliefs.astype(np.float32))
-    shelf = Shelf(1, "cpu")
-    shelf.add(drawn)
-    asked = torch.tensor([0, 7, 12 * 20 + 3, 503])
-    rgb, relief = shelf.views_of(torch.zeros_like(asked), asked)
-    theirs = view_pictures.network_input(colors[asked.numpy()], reliefs[asked.numpy()], clean=True)
+    buffer = ObjectBuffer(1, "cpu")
+    buffer.add(drawn)
+    numbers = torch.tensor([0, 7, 12 * 20 + 3, 503])
+    rgb, relief = buffer.views_of(torch.zeros_like(numbers), numbers)
+    theirs = view_pictures.network_input(colors[numbers.numpy()], reliefs[numbers.numpy()], clean=True)
     ours = network_input(rgb, relief, clean=True).numpy()
     # Both turn pictures, by other libraries: pixels at edges may differ, and hardly anything else.
     assert np.mean(np.abs(ours - theirs) > 0.05) < 0.02
 
 
 def test_a_window_that_is_not_moved_is_the_middle_of_what_was_drawn(drawn):
-    shelf = Shelf(1, "cpu")
-    shelf.add(drawn)
+    buffer = ObjectBuffer(1, "cpu")
+    buffer.add(drawn)
     one = torch.zeros(1)
-    rgb, relief = shelf.windows_of(one.long(), one.long(), torch.zeros(1, 2), one + 1.0, one)
+    rgb, relief = buffer.windows_of(one.long(), one.long(), torch.zeros(1, 2), one + 1.0, one)
     assert np.allclose(255.0 * rgb[0].permute(1, 2, 0).numpy(), drawn.colors[0, 32:96, 32:96], atol=0.6)
     middle = drawn.reliefs[0, 32:96, 32:96].astype(np.float32)
     assert np.array_equal(np.isnan(relief[0].numpy()), np.isnan(middle))
@@ -70,13 +70,13 @@ def test_codes_are_of_unit_length_and_what_is_not_covered_has_none():
 
 def test_the_loss_is_small_where_each_window_finds_its_view_and_large_where_another():
     angles = torch.tensor([[5.0, math.inf], [math.inf, 5.0], [math.inf, math.inf]])
-    wanted, asked = torch.tensor([[1.0, 0.0], [0.0, 1.0], [0.0, 0.0]]), torch.ones(2, dtype=torch.bool)
+    targets, valid = torch.tensor([[1.0, 0.0], [0.0, 1.0], [0.0, 0.0]]), torch.ones(2, dtype=torch.bool)
     right = torch.tensor([[20.0, 0.0], [0.0, 20.0], [0.0, 0.0]])
-    assert loss_of(right, angles, wanted, asked).item() < 1e-6
-    assert loss_of(right.flip(1), angles, wanted, asked).item() > 30.0
+    assert info_nce(right, angles, targets, valid).item() < 1e-6
+    assert info_nce(right.flip(1), angles, targets, valid).item() > 30.0
     # A view whose window is also claimed by one beside the object costs, though each window is right.
     beside = torch.tensor([[20.0, 0.0], [0.0, 20.0], [20.0, 20.0]])
-    assert loss_of(beside, angles, wanted, asked).item() == pytest.approx(math.log(2.0), abs=1e-3)
+    assert info_nce(beside, angles, targets, valid).item() == pytest.approx(math.log(2.0), abs=1e-3)
 
 
 def test_a_training_leaves_a_network_that_runs(tmp_path):

@@ -1,4 +1,5 @@
-"""A frame as the detector looks at it: planes taken away, colours as opponents."""
+"""The detector's view of a frame: large planes removed, cropped to the rest, colours as smoothed
+opponents."""
 
 from __future__ import annotations
 
@@ -18,22 +19,24 @@ from huepose.perception.ground import large_planes, standing_clear
 from huepose.support.jit import jit
 
 FAR_M = 9.0
-"""The depth that pixels of a plane get: an object that claims them is seen through there."""
+"""Depth assigned to pixels of planes: a pose that covers them counts as seen through there."""
 
 SPECK_M2 = 1e-4
-"""A piece of less than a square centimetre is noise."""
+"""Smallest piece of the depth, m^2: less than a square centimetre is noise."""
 
 MARGIN_PX = 12.0
+"""Margin of the crop round what is left."""
+
 WIDE_PX = 1.5
-"""A blur of this deviation needs no more than every second pixel."""
+"""From this standard deviation on, a blur is computed at half the resolution."""
 
 
 @dataclass(frozen=True, eq=False)
 class ClearView:
-    """The part of a frame where something stands. frame: all of it, as it came; crop: that part, depth of
-    planes moved far away; clear (h, w): pixels that stand clear of planes; colors (2, h, w, 3) float32:
-    opponents at two scales, as in `judge.region`; pieces (P, 4): of the parts without a step in depth: pixel
-    of the middle, mean depth, the longer side of the bounds in metres."""
+    """The part of a frame in which something stands. frame: the whole, as it came; crop: the part, with
+    planes at FAR_M; clear (h, w): pixels that belong to no plane; colors (2, h, w, 3) float32: opponents at
+    two scales, as in `judge.region`; pieces (P, 4): connected parts without a depth step: centre pixel, mean
+    depth, and longer side in metres."""
 
     frame: RgbdFrame
     crop: Crop
@@ -43,13 +46,13 @@ class ClearView:
 
     @property
     def depth(self) -> Float32:
-        """Depth (h, w) of the part, planes where they are."""
+        """Depth (h, w) of the part as measured, planes included; metres."""
         c = self.crop
         h, w = c.depth.shape
         return self.frame.depth[c.y0 : c.y0 + h, c.x0 : c.x0 + w]
 
     def region(self, diameter_m: float) -> Region:
-        """All of the view as a region to judge poses of an object in, without any outline."""
+        """The whole view as a region in which poses of an object are scored, without an outline."""
         h, w = self.clear.shape
         return Region(
             self.crop,
@@ -66,8 +69,8 @@ class ClearView:
 
 
 def clear_view(frame: RgbdFrame, largest_m: float) -> ClearView | None:
-    """The frame without planes of which more is seen than the square of the largest diameter; None where
-    nothing is left."""
+    """The view of a frame without planes larger than the square of the largest object's diameter, metres;
+    None if nothing is left."""
     planes = large_planes(frame.depth, frame.camera, largest_m**2)
     standing = standing_clear(frame.depth, frame.camera, planes, largest_m**2)
     clear, pieces = _pieces(frame.depth, standing, frame.camera.fx)
@@ -88,7 +91,7 @@ def clear_view(frame: RgbdFrame, largest_m: float) -> ClearView | None:
 
 
 def _pieces(depth: Float32, clear: Bool, focal: float) -> tuple[Bool, Float64]:
-    """What stands clear without specks (H, W), and its pieces (P, 4)."""
+    """Mask (H, W) of what stands clear, without specks, and its pieces (P, 4)."""
     opened = cv2.morphologyEx(clear.view(np.uint8), cv2.MORPH_OPEN, np.ones((3, 3), np.uint8)) > 0
     free = opened & ~depth_steps(depth)
     count, labels, stats, middles = cv2.connectedComponentsWithStats(free.view(np.uint8), connectivity=4)
@@ -103,7 +106,7 @@ def _pieces(depth: Float32, clear: Bool, focal: float) -> tuple[Bool, Float64]:
 
 @jit
 def _sums(labels: Int32, depth: Float32, count: int) -> Float64:
-    """Of the depth of each label (count,), but for label 0."""
+    """Sum of the depth over each label (count,); 0 for label 0."""
     sums = np.zeros(count)
     for v in range(labels.shape[0]):
         for u in range(labels.shape[1]):
@@ -113,7 +116,7 @@ def _sums(labels: Int32, depth: Float32, count: int) -> Float64:
 
 
 def _smoothed(color: UInt8, pixels_per_m: float) -> Float32:
-    """Opponents (2, h, w, 3) float32 smoothed at the two scales of the texture."""
+    """Opponent colours (2, h, w, 3) float32, smoothed at the two scales of the texture score."""
     plain = opponents_of_bytes(color)
     fine, coarse = (max(0.5, sigma_m * pixels_per_m) for sigma_m in COLOR_SCALES_M)
     out = np.empty((2, *plain.shape), np.float32)
@@ -123,7 +126,7 @@ def _smoothed(color: UInt8, pixels_per_m: float) -> Float32:
 
 
 def _blur(picture: Float32, sigma: float, out: Float32) -> None:
-    """A Gaussian of the picture into `out`; where it is wide, of every second pixel."""
+    """Gaussian blur of a picture into `out`, at half the resolution where it is wide."""
     if sigma < WIDE_PX:
         cv2.GaussianBlur(picture, (0, 0), sigma, dst=out)
         return

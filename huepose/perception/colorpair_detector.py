@@ -1,11 +1,9 @@
-"""The detector that needs no weights: it looks for the objects' own views over all that stands in the frame.
+"""The default detector: finds objects in a whole frame by their reference models, without training on them.
 
-Planes larger than any object are taken away. In the rest the keypoints of the models are sought, and windows
-of the object's size are compared with its views at metric scale (colours by what light leaves of them,
-relief, outline). What keypoints agree on and the best views are judged as poses on the picture itself,
-brought onto the depth, and judged again. What is left are places, each with the
-box of what is seen of the object there. An object that is not there gets places too, with low scores: the
-estimator's verdict on them is the last word.
+Planes larger than any object are removed. In the rest, windows of the object's metric size are compared with
+its rendered views by codes (`propose.view_codes`), and keypoints of the model are matched. The resulting
+poses are scored, aligned with the depth and refined; the best places are returned with boxes of what is
+visible there. An absent object gets places with low scores, too: the estimator decides.
 """
 
 from __future__ import annotations
@@ -43,12 +41,12 @@ from huepose.support.pool import Pool
 from huepose.support.stages import stage
 
 HOLE_PX = 9
-"""Pixels without depth this near to what stands may be of it: sheen leaves holes."""
+"""Pixels without depth this near to the clear part may belong to it: sheen leaves holes."""
 
 
 class ColorPairDetector:
-    """Finds known objects in whole frames by their reference models alone. Keeps nothing of a frame, unless
-    frames are said to come from one camera (`DetectorConfig.remembering`)."""
+    """Finds known objects in whole frames. Stateless, unless `DetectorConfig.remembering` says that all
+    frames come from one camera. Thread-safe."""
 
     def __init__(self, models: Mapping[str, ReferenceModel], config: DetectorConfig | None = None) -> None:
         self.config = config or DetectorConfig()
@@ -63,14 +61,14 @@ class ColorPairDetector:
             self.add(model)
 
     def add(self, model: ReferenceModel) -> None:
-        """Know one more object, or another model of it."""
+        """Add an object, or replace its model."""
         with self._lock:
             self._models[model.name] = model
             self._tables.pop(model.name, None)
             self._keypoints.pop(model.name, None)
 
     def remove(self, name: str) -> None:
-        """Forget an object; nothing happens when it is not known."""
+        """Remove an object; an unknown name is ignored."""
         with self._lock:
             self._models.pop(name, None)
             self._tables.pop(name, None)
@@ -81,8 +79,8 @@ class ColorPairDetector:
     ) -> list[Detection]:
         """Boxes of the named objects, best first. Raises InputError for an unknown name.
 
-        `thorough`: the objects that are searched everywhere where a first look does not find them, all by
-        default; the others take a third of the time."""
+        thorough: the objects that get the full search if a first one does not find them; default all. The
+        others take a third of the time."""
         for name in names:
             self._model(name)
         with stage("clear view"):
@@ -126,7 +124,8 @@ class ColorPairDetector:
         return sorted((d for d in found if d.score >= self.config.min_score), key=lambda d: -d.score)
 
     def _guesses(self, view: ClearView, features: _FeaturesOnce) -> Callable[[str], Float64] | None:
-        """What gives poses (K, 4, 4) that an object's keypoints agree on; None where these are no source."""
+        """A function from an object's name to poses (K, 4, 4) from its keypoints; None if these are no
+        source."""
         if "keypoints" not in self.config.sources:
             return None
 
@@ -138,7 +137,7 @@ class ColorPairDetector:
         return guessed
 
     def warm_up(self) -> None:
-        """Lay out the views of all objects, and compile the kernels on an artificial view of the first."""
+        """Load the views of all objects, and compile the kernels on a rendered frame of the first."""
         for name, model in list(self._models.items()):
             self._table(name)
             Contours.of(model)
@@ -181,7 +180,7 @@ class ColorPairDetector:
 
 
 class _FeaturesOnce:
-    """The features of a view, sought for the first object that asks. kept: what a memory keeps of them."""
+    """The image features of a view, extracted when first asked for. kept: what the memory keeps of them."""
 
     def __init__(self, source: FeatureSource, view: ClearView, memory: Memory | None) -> None:
         self._source, self._view, self._memory = source, view, memory
@@ -190,7 +189,7 @@ class _FeaturesOnce:
         self._lock = threading.Lock()
 
     def spots(self) -> Spots:
-        """They, with what is near each."""
+        """The features, with the neighbours of each."""
         with self._lock:
             if self._spots is None:
                 with stage("features"):
@@ -212,13 +211,13 @@ class _FeaturesOnce:
 
 
 def _rated(view: ClearView, model: ReferenceModel, proposals: Sequence[Proposal]) -> list[Proposal]:
-    """The likeliest pose at each place, scored by the logit of the chance that it is the object's."""
+    """The best pose at each place; its score is the log-odds that it is the object's."""
     logits = presences(view, {model.name: model}, [(model.name, p.T_cam_obj) for p in proposals])
     return _likeliest_turns([replace(p, score=float(x)) for p, x in zip(proposals, logits, strict=True)])
 
 
 def _likeliest_turns(proposals: Sequence[Proposal]) -> list[Proposal]:
-    """Of the poses at each place the one of the highest score."""
+    """The pose with the highest score at each place."""
     best: dict[int, Proposal] = {}
     for p in proposals:
         if p.place not in best or p.score > best[p.place].score:
@@ -227,16 +226,16 @@ def _likeliest_turns(proposals: Sequence[Proposal]) -> list[Proposal]:
 
 
 LEAD = 0.7
-"""A place is another object's when its score there, a logit, is higher by this, and it holds half of the
-place's surface."""
+"""A place goes to another object whose log-odds there are higher by this, and which explains half of its
+surface."""
 
 FALL = 1.5
-"""What the score of a place falls by when it is another object's."""
+"""Penalty, in log-odds, of a place that goes to another object."""
 
 
 def contested(proposals: Mapping[str, Sequence[Proposal]]) -> dict[str, list[Proposal]]:
-    """The proposals of each object, best first, after those places have lost that other objects explain
-    better. The best place of an object speaks for it; the others do not."""
+    """The proposals of each object, best first, after a penalty on places that another object explains
+    better. Only the best place of an object counts against others."""
     leaders = {name: max(places, key=lambda p: p.score) for name, places in proposals.items() if places}
     out = {}
     for name, places in proposals.items():

@@ -1,4 +1,4 @@
-"""Rough poses brought onto the depth: each is aligned with the points that lie in its own sphere."""
+"""Aligns rough poses with the depth: point-to-plane ICP with the points inside a sphere around each pose."""
 
 from __future__ import annotations
 
@@ -24,14 +24,15 @@ from huepose.support.jit import jit
 
 POINTS, ITERATIONS = 150, 10
 GATE_START, GATE_END_M = 0.15, 0.012
-"""The gate at the start is in diameters."""
+"""Correspondence gate: at the start in diameters, at the end in metres."""
 
 REACH = 0.55
-"""Points farther than this from the object's middle, in diameters, are others'."""
+"""Radius of the sphere around the object's centre, in diameters."""
 
 
 class _View(NamedTuple):
-    """Depth (h, w) metres, which of it stands clear (h, w), and its camera's fx, fy, cx, cy."""
+    """Depth (h, w) in metres, mask (h, w) of what stands clear of planes, and fx, fy, cx, cy of the
+    camera."""
 
     depth: Float32
     clear: Bool
@@ -39,7 +40,7 @@ class _View(NamedTuple):
 
 
 def align_in_view(model: ReferenceModel, view: ClearView, poses: Float64) -> Float64:
-    """Poses (M, 4, 4) after a robust point-to-plane fit to the standing points round each of them."""
+    """Poses (M, 4, 4) after robust point-to-plane ICP with the clear points around each of them."""
     out = np.array(poses)
     camera = view.crop.camera
     _align(
@@ -83,7 +84,7 @@ def _align(
 
 @jit
 def points_round(x: float, y: float, z: float, reach: float, view: _View, points: Float64) -> int:
-    """Fill `points` (N, 3) with standing points within `reach` of a point; returns how many there are."""
+    """Fill `points` (N, 3) with clear points within `reach` metres of (x, y, z); returns their number."""
     depth, clear, camera = view.depth, view.clear, view.camera
     fx, fy, cx, cy = camera[0], camera[1], camera[2], camera[3]
     height, width = depth.shape

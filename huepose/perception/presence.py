@@ -1,4 +1,4 @@
-"""What is seen of an object where a pose says that it is, in a clear view of the whole frame."""
+"""Measures the evidence that an object is where a pose says, for the belief in its presence."""
 
 from __future__ import annotations
 
@@ -24,27 +24,27 @@ from huepose.propose.views import onto_rays
 from huepose.support.jit import jit
 
 RIM_SAMPLES = 400
-"""Of the outline, by which a place is looked at."""
+"""Samples of the outline."""
 
 WORTH = -3.0
-"""Log-odds under which nobody looks closer at a place: one of 2 % is not proposed."""
+"""Log-odds below which the costlier terms are not computed: a place of 2 % is not proposed."""
 
 
 def presences(
     view: ClearView, models: Mapping[str, ReferenceModel], poses: Sequence[tuple[str, Float64]]
 ) -> Float64:
-    """Logit (N,) of the probability for each named object that it is where its pose T_cam_obj (4, 4) says. A
-    pose that is turned the wrong way looks less like it, and a plain thing the same."""
+    """Log-odds (N,) that each named object is at its pose T_cam_obj (4, 4)."""
     return logits_of(sights_of(view, models, poses))
 
 
 def sights_of(
     view: ClearView, models: Mapping[str, ReferenceModel], poses: Sequence[tuple[str, Float64]]
 ) -> list[Sight]:
-    """What is seen of each named object at its pose T_cam_obj (4, 4), only as closely as it is doubtful."""
+    """The evidence for each named object at its pose T_cam_obj (4, 4). The costlier terms, outline and codes,
+    are computed only where the object may still be there."""
     regions = {name: view.region(models[name].diameter_m) for name, _ in poses}
     sights = [sight(view, regions[name], models[name], T) for name, T in poses]
-    # Until they are asked for, likeness and outline say the best that they could.
+    # Terms that are not computed yet have their best value.
     for closer in (outlined, alike):
         doubtful = [int(k) for k in np.flatnonzero(logits_of(sights) > WORTH)]
         asked = closer(view, models, [poses[k] for k in doubtful], [sights[k] for k in doubtful])
@@ -54,8 +54,7 @@ def sights_of(
 
 
 def sight(view: ClearView, region: Region, model: ReferenceModel, T_cam_obj: Float64) -> Sight:
-    """Look at a pose (4, 4), but not along its outline, nor by codes; `region`: the view as one for this
-    model."""
+    """The evidence for a pose (4, 4) without outline and codes. region: `view.region` for this model."""
     T = np.ascontiguousarray(T_cam_obj, dtype=np.float64)
     terms = Terms(*(float(x) for x in score_many(model, region, T[None], CLOSE_SAMPLES)[0]))
     crop, arrays = view.crop, model_arrays(model)
@@ -71,7 +70,7 @@ Named = Sequence[tuple[str, Float64]]
 def alike(
     view: ClearView, models: Mapping[str, ReferenceModel], poses: Named, sights: Sequence[Sight]
 ) -> list[Sight]:
-    """The sights of poses, with how much what is seen there looks like the object."""
+    """The evidence with the similarity of codes between what is seen and the object."""
     found = likenesses(view, models, poses)
     return [replace(s, likeness=float(x)) for s, x in zip(sights, found, strict=True)]
 
@@ -79,7 +78,7 @@ def alike(
 def outlined(
     view: ClearView, models: Mapping[str, ReferenceModel], poses: Named, sights: Sequence[Sight]
 ) -> list[Sight]:
-    """The sights of poses, with what is seen along their outlines."""
+    """The evidence with the term of the outline."""
     return [
         replace(s, goes_on=outline(Contours.of(models[name]), T, view.frame).goes_on)
         for s, (name, T) in zip(sights, poses, strict=True)
@@ -87,7 +86,7 @@ def outlined(
 
 
 def agreeing_pixels(model: ReferenceModel, frame: RgbdFrame, T_cam_obj: Float64) -> int:
-    """How many pixels of a frame some of the samples of a pose (4, 4) fall on and agree with in depth."""
+    """Number of pixels of a frame whose depth agrees with a surface sample of a pose (4, 4)."""
     camera = frame.camera
     return int(
         _agreeing(
@@ -124,8 +123,8 @@ def _agreeing(
 def likenesses(
     view: ClearView, models: Mapping[str, ReferenceModel], poses: Sequence[tuple[str, Float64]]
 ) -> Float64:
-    """Cosines (N,) of the codes of what is seen at each named object's pose T_cam_obj (4, 4) and of its model
-    in that pose: 1 is the same, 0 nothing alike."""
+    """Cosines (N,) between the codes of the window at each named object's pose T_cam_obj (4, 4) and of its
+    model drawn in that pose: 1 is the same."""
     if not poses:
         return np.zeros(0)
     clean, middles = [], []

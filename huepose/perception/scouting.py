@@ -1,4 +1,5 @@
-"""Looks become proposals: poses are judged on the picture itself, brought onto the depth, and thinned."""
+"""Proposes poses of an object in a view: rough poses from views and keypoints are scored, aligned with the
+depth, refined and reduced to the best at a few places."""
 
 from __future__ import annotations
 
@@ -26,27 +27,30 @@ from huepose.support.stages import stage
 
 FIRST_SAMPLES, SECOND_SAMPLES = 60, 200
 LOOK_WEIGHT = 7.0
-"""Of a likeness beside the evidence of a pose: 0.03, by which the right view mostly leads, is worth 0.2."""
+"""Weight of a cosine of codes against `evidence`: the right view mostly leads by 0.03, which is worth 0.2."""
 
 TEXTURE_WEIGHT, SEEN_WEIGHT, RIM_WEIGHT = 1.5, 0.3, 0.7
-"""Of texture, visible share and outline; depth and free space count as in the dense score."""
+"""Weights of texture, visible share and outline in the score; depth and free space as in the dense score."""
 
 SEARCH_SAMPLES, SEARCH_STEPS_DEG = 100, (8.0, 4.0)
 SAME_SHIFT, SAME_IOU = 0.25, 0.6
-"""Poses nearer than this (in diameters), or whose boxes overlap so, are one proposal."""
+"""Poses whose centres are nearer than this (diameters), or whose boxes overlap by this IoU, are one place."""
 
 SAME_TURN, TURNS = np.radians(30.0), 2
-"""So many poses at one place are looked at more closely, turned by more than what is between views: where the
-handle of a plain mug points, its likeness tells better than its score does."""
+"""Up to TURNS poses of one place are kept if they differ by more than SAME_TURN, the spacing of views: which
+way a plain mug's handle points is told better by the codes than by the score."""
 
 SEEN_M, PATCH_PX, LEAST_SEEN = 0.02, 6, 5
+"""A surface sample is seen where the depth agrees to SEEN_M; side of a patch of the support; fewest
+samples."""
 
 
 @dataclass(frozen=True)
 class Effort:
-    """How much is tried: windows, those of them that are coded whatever others show, looks at them in all and
-    in each, poses aligned in all and in each, places searched, and at how many of them the turns that look
-    nearly the same are tried, too."""
+    """How much a search by views tries. windows: considered; at_any_rate: coded even if no neighbour looks
+    similar; looks, looks_each: pairs of window and view in all and per window; aligned, aligned_each: poses
+    aligned with the depth in all and per window; searched: places refined; with_near_symmetries: at how many
+    of these the object's near-symmetric rotations are tried as well."""
 
     windows: int
     at_any_rate: int
@@ -59,18 +63,18 @@ class Effort:
 
 
 EFFORTS = (Effort(20, 20, 36, 6, 6, 2, 2, 0), Effort(300, 20, 128, 6, 40, 3, 8, 2))
-"""What is tried first, and what is tried where that gives no place which is surely the object's: nearly all
-windows, since a camera's white balance may put the object's own ones last."""
+"""The first effort, and the second one if no place is sure after it. The second takes nearly all windows,
+because a camera's white balance may order the object's own ones last."""
 
 SURE = 1.35
-"""A place with this score is the object's: nothing more is tried."""
+"""A place with this score is surely the object's: the search ends."""
 
 
 @dataclass(frozen=True, eq=False)
 class Proposal:
-    """Where an object may be: a rough pose T_cam_obj (4, 4), the box of what is seen of it in the frame, and
-    a score; support (N,): numbers of the patches of the picture that show it; place: poses of one object with
-    the same number are turned otherwise at one place."""
+    """A rough pose T_cam_obj (4, 4), the box of the visible part in the frame, and a score. support (N,):
+    indices of the picture's patches that show it; place: poses of an object at the same place have the same
+    number."""
 
     T_cam_obj: Float64
     box: Box
@@ -88,10 +92,10 @@ def propose(
     efforts: Sequence[Effort] = EFFORTS,
     guessed: Callable[[], Float64] | None = None,
 ) -> list[Proposal]:
-    """The poses of an object at its `count` best different places in a view; windows: of its size.
+    """The poses of an object at its `count` best places in a view. windows: of the object's size.
 
-    `guessed`: gives poses (K, 4, 4) that keypoints agree on; `efforts`: what is tried by views. Each of these
-    only until a place is surely the object's; keypoints after a first look by views, which costs less."""
+    Views with the first effort, then keypoints, then views with more effort; the search ends when a place is
+    sure. guessed: returns poses (K, 4, 4) from keypoints; efforts: those of the search by views."""
     none = np.zeros((0, 4, 4)), np.zeros(0)
     by_keypoints, by_views = none, none
     if efforts:
@@ -111,7 +115,7 @@ def propose(
 
 
 def _followed(model: ReferenceModel, view: ClearView, guesses: Float64) -> tuple[Float64, Float64]:
-    """Guessed poses, as they are, on the depth and searched (M, 4, 4), and their scores (M,)."""
+    """Poses (M, 4, 4) from guessed ones (K, 4, 4) - as they are, aligned, and refined - with scores (M,)."""
     if not len(guesses):
         return guesses, np.zeros(0)
     region = view.region(model.diameter_m)
@@ -132,7 +136,7 @@ def _tried(
     chosen: Int64,
     effort: Effort,
 ) -> tuple[Float64, Float64]:
-    """Poses (M, 4, 4) at what the chosen windows (W,) show, and their scores (M,)."""
+    """Poses (M, 4, 4) and scores (M,) from the chosen windows (W,), with one effort."""
     chosen, alike = narrowed(table, windows, chosen, effort.at_any_rate)
     looks = look(table, windows, chosen, alike, view.crop.camera, effort.looks, effort.looks_each)
     if not len(looks.poses):
@@ -161,8 +165,8 @@ def _tried(
 
 
 def likeliest_near_symmetries(model: ReferenceModel, region: Region, poses: Float64) -> Float64:
-    """The likeliest near-symmetric rotations of poses (N, 4, 4), as many as there are poses or fewer: a
-    coarse view tells the faces of a box less well than it tells where it stands."""
+    """The best-scored poses among near-symmetric rotations of poses (N, 4, 4), at most N: a coarse view tells
+    a box's place better than which of its faces is seen."""
     near_symmetric: Float64 = np.einsum("nij,mjk->nmik", poses, model.near_symmetries[1:]).reshape(-1, 4, 4)
     if not len(near_symmetric):
         return near_symmetric
@@ -171,7 +175,7 @@ def likeliest_near_symmetries(model: ReferenceModel, region: Region, poses: Floa
 
 
 def _judged(model: ReferenceModel, view: ClearView, region: Region, poses: Float64) -> Float64:
-    """Score (M,) of poses (M, 4, 4) on the picture."""
+    """Scores (M,) of poses (M, 4, 4): `evidence` less what continues beyond their outlines."""
     terms = score_many(model, region, poses, SECOND_SAMPLES)
     return evidence(terms) - RIM_WEIGHT * continuation_many(
         model_arrays(model), view.crop.depth, view.clear, view.crop.camera, poses, SECOND_SAMPLES
@@ -179,7 +183,7 @@ def _judged(model: ReferenceModel, view: ClearView, region: Region, poses: Float
 
 
 def evidence(terms: Float64) -> Float64:
-    """Score (M,) of poses from the terms (M, 8) of the dense score without an outline."""
+    """Scores (M,) from the terms (M, 8) of the dense score, without the outline."""
     fit, violation, color, seen = terms[:, 1], terms[:, 3], terms[:, 4], terms[:, 6]
     return np.asarray(
         DEFAULT_WEIGHTS.depth_fit * fit
@@ -190,7 +194,7 @@ def evidence(terms: Float64) -> Float64:
 
 
 def _varied(windows: Int64, rated: Float64, effort: Effort) -> Int64:
-    """The best of looks (M,), at most so many of one window."""
+    """Indices of the best-scored looks, at most `effort.aligned_each` of one window. windows, rated: (M,)."""
     taken = np.zeros(windows.max() + 1, np.int64)
     chosen = []
     for k in np.argsort(-rated, kind="stable"):
@@ -203,7 +207,7 @@ def _varied(windows: Int64, rated: Float64, effort: Effort) -> Int64:
 
 
 def _apart(model: ReferenceModel, poses: Float64, rated: Float64, count: int) -> Int64:
-    """The best `count` of poses (M, 4, 4) whose middles are apart."""
+    """Indices of the `count` best-scored of poses (M, 4, 4) whose centres are apart (greedy)."""
     centres = poses[:, :3, :3] @ model.mesh.centre + poses[:, :3, 3]
     chosen: list[int] = []
     for k in np.argsort(-rated, kind="stable"):
@@ -218,7 +222,7 @@ def _apart(model: ReferenceModel, poses: Float64, rated: Float64, count: int) ->
 def _thinned(
     model: ReferenceModel, view: ClearView, poses: Float64, rated: Float64, count: int
 ) -> list[Proposal]:
-    """The best pose at each of `count` places, and the next ones there that are turned otherwise."""
+    """The best pose at each of `count` places, and at most one more there with another rotation."""
     centres = poses[:, :3, :3] @ model.mesh.centre + poses[:, :3, 3]
     out: list[Proposal] = []
     firsts: list[int] = []
@@ -243,8 +247,8 @@ def _thinned(
 def seen_part(
     model: ReferenceModel, view: ClearView, T_cam_obj: Float64, samples: int = 400
 ) -> tuple[Box, Int64] | None:
-    """Bounds in the frame of the surface samples that agree with the depth, and the patches of the picture
-    that they lie in; None where hardly any does."""
+    """Box in the frame of the surface samples that agree with the depth, and indices of the patches in which
+    they lie; None if fewer than LEAST_SEEN agree."""
     camera = view.crop.camera
     bounds, patches = np.empty(4), np.empty(samples, np.int64)
     count = _seen(

@@ -1,7 +1,7 @@
-"""What of a camera's picture looks as it did before: an unchanged place gives an unchanged answer.
+"""Detects which parts of a camera's picture have changed.
 
-Pictures are compared in tiles, by means of colour and depth, which have little noise; a tile that holds an
-edge may differ by a share of what it holds, since depth and blur flicker there.
+Pictures are compared in tiles by mean colour and mean depth, which have little noise. The threshold grows
+with a tile's standard deviation, because depth and blur flicker at edges.
 """
 
 from __future__ import annotations
@@ -16,16 +16,16 @@ from huepose.support.jit import jit
 
 TILE_PX = 8
 LEVELS, OF_DEVIATION = 4.0, 0.1
-"""A tile has changed whose mean colour differs by so many of 255 levels in a channel, and so much of its
-deviation."""
+"""A tile has changed if the mean of a colour channel differs by more than LEVELS (of 255) plus this share of
+its standard deviation."""
 
 DEPTH_M, DEPTH_PER_M, OF_DEPTH_DEVIATION, WHOLE = 0.006, 0.006, 0.5, 0.9
-"""Or whose mean depth does by this, so much more per square metre of depth squared, and so much of its
-deviation, where more of its pixels than that have depth: holes come and go at edges."""
+"""Or if its mean depth differs by more than DEPTH_M + DEPTH_PER_M * z^2 (stereo noise) plus a share of its
+standard deviation. Asked only of tiles with depth in more than WHOLE of the pixels: holes flicker at
+edges."""
 
 UNKNOWN, KNOWN = 0.05, 0.9
-"""Or which had depth in less of its pixels than the one and now has in more than the other, or the other way
-round."""
+"""Or if its share of pixels with depth went from below UNKNOWN to above KNOWN, or back."""
 
 _COLORS = 3
 _SUMS = 2 * _COLORS + 3
@@ -33,8 +33,8 @@ _SUMS = 2 * _COLORS + 3
 
 @dataclass(frozen=True, eq=False)
 class Tiles:
-    """A picture in tiles of TILE_PX: means (h, w, 4) of red, green, blue and of the depth in metres that is
-    known; their deviations (h, w, 4); known (h, w): share of pixels with depth."""
+    """A picture in tiles of TILE_PX pixels. means (h, w, 4): red, green, blue, and known depth in metres;
+    deviations (h, w, 4): their standard deviations; known (h, w): share of pixels with depth."""
 
     means: Float32
     deviations: Float32
@@ -42,7 +42,7 @@ class Tiles:
 
     @staticmethod
     def of(frame: RgbdFrame) -> Tiles:
-        """Those of a frame; what is left of a tile at the right and lower side is left out."""
+        """The tiles of a frame; incomplete ones at the right and bottom are left out."""
         height, width = (side // TILE_PX for side in frame.depth.shape)
         sums = np.zeros((height, width, _SUMS), np.float64)
         _add_up(frame.color, frame.depth, sums)
@@ -58,7 +58,7 @@ class Tiles:
         )
 
     def changed(self, before: Tiles) -> Bool:
-        """Which tiles (h, w) look otherwise than before."""
+        """Mask (h, w) of the tiles that differ from `before`."""
         apart = np.abs(self.means - before.means)
         deviations = np.maximum(self.deviations, before.deviations)
         colored = (apart[..., :3] > LEVELS + OF_DEVIATION * deviations[..., :3]).any(2)
@@ -69,8 +69,8 @@ class Tiles:
 
 
 def changed_shares(changed: Bool, pixels: Float64, span_px: Float64) -> Float64:
-    """Share (W,) of the tiles (h, w) that have changed in windows `span_px` (W,) wide, with their middles at
-    pixels (W, 2) of the frame; of windows without a whole tile 1."""
+    """Share (W,) of changed tiles in windows of side span_px (W,) centred at pixels (W, 2) of the frame; 1
+    for a window that covers no tile. changed: mask (h, w)."""
     sums = np.zeros((changed.shape[0] + 1, changed.shape[1] + 1), np.int64)
     sums[1:, 1:] = changed.cumsum(0).cumsum(1)
     limits = np.array([changed.shape[1], changed.shape[0]])
@@ -88,7 +88,8 @@ def changed_shares(changed: Bool, pixels: Float64, span_px: Float64) -> Float64:
 
 @jit
 def _add_up(color: UInt8, depth: Float32, sums: Float64) -> None:
-    """Add to each tile's sums (h, w, 9): colours, their squares, depth, its squares, pixels that have any."""
+    """Accumulate in each tile's sums (h, w, 9): colours, their squares, depth, its square, pixels with
+    depth."""
     for y in range(sums.shape[0]):
         for v in range(TILE_PX * y, TILE_PX * (y + 1)):
             for x in range(sums.shape[1]):

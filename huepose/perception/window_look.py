@@ -1,4 +1,5 @@
-"""Which views of an object look like what is in which windows? All pairs of both, by their codes."""
+"""Compares the windows of a view with an object's views by their codes, and gives the most similar as
+poses."""
 
 from __future__ import annotations
 
@@ -18,15 +19,15 @@ from huepose.support.jit import jit
 from huepose.support.stages import stage
 
 APART, BESIDE, LIKEST = 0.3, 0.36, 16
-"""In diameters: of all windows those are coded that are farther apart than the first, and those nearer than
-the second to one of so many that are likest the object. Origin: docs/detection.md, codes of views; 12 of them
-were enough.
-"""
+"""A coarse-to-fine search: first windows at least APART diameters from each other are coded, then all that
+lie within BESIDE diameters of the LIKEST most similar ones. 12 of these were enough (docs/detection.md, codes
+of views)."""
 
 
 @dataclass(frozen=True, eq=False)
 class Looks:
-    """Pairs of a window and a view, best first: poses T_cam_obj (K, 4, 4), likenesses (K,), windows (K,)."""
+    """Pairs of a window and a view, most similar first: poses T_cam_obj (K, 4, 4), cosines of their codes
+    (K,), and the windows' indices (K,)."""
 
     poses: Float64
     likenesses: Float64
@@ -34,8 +35,8 @@ class Looks:
 
 
 def promising(table: WindowTable, windows: Windows) -> Int64:
-    """Indices (W,) of windows: first the pieces', then by how near the hue of their middle is to the
-    object's."""
+    """Indices (W,) of all windows in order of promise: those on separate pieces first, then by the distance
+    between the hue of their middle and the nearest hue of the object's views."""
     cells = windows.middles
     weight = cells[..., 4]
     weighted = np.stack([weight * cells[..., 1], weight * cells[..., 2]])
@@ -46,7 +47,7 @@ def promising(table: WindowTable, windows: Windows) -> Int64:
 
 
 def compared(table: WindowTable, windows: Windows, chosen: Int64) -> Float32:
-    """Likenesses (N, W) of all views of an object and the chosen windows (W,)."""
+    """Cosines (N, W) between the codes of all views of an object and of the chosen windows (W,)."""
     if not len(chosen):
         return np.zeros((len(table.codes), 0), np.float32)
     codes = windows.codes(chosen)
@@ -55,9 +56,11 @@ def compared(table: WindowTable, windows: Windows, chosen: Int64) -> Float32:
 
 
 def narrowed(table: WindowTable, windows: Windows, chosen: Int64, first: int) -> tuple[Int64, Float32]:
-    """Those of the chosen windows (W,) that are worth their codes (K,), in the same order, and likenesses
-    (N, K) of all views and them: the `first` ones, the pieces', those of before, others so far apart that
-    each window has one beside it, and what is beside the likest of these."""
+    """Code some of the chosen windows (W,). Returns those (K,), in the same order, and cosines (N, K) of all
+    views with them.
+
+    Always coded: the `first` ones, those on separate pieces, and those recalled from memory. Of the others a
+    subset APART diameters apart, and then the neighbours of the most similar ones."""
     places = windows.places_diameters(chosen)
     taken = (np.arange(len(chosen)) < first) | (chosen < windows.pieces) | windows.recalled[chosen]
     _spread(places, APART, taken)
@@ -82,8 +85,9 @@ def look(
     count: int,
     each: int,
 ) -> Looks:
-    """The `count` likest pairs of a view and one of the chosen windows (W,), at most `each` of one window, by
-    their likenesses (N, W)."""
+    """The `count` most similar pairs of a view and one of the chosen windows (W,), at most `each` of one
+    window. alike: cosines (N, W) of views and windows. The depth of a pose is that at which the view's relief
+    fits."""
     if not len(chosen):
         return Looks(np.zeros((0, 4, 4)), np.zeros(0), np.zeros(0, np.int64))
     with stage("look"):
@@ -106,7 +110,8 @@ def look(
 
 @jit
 def _spread(places: Float64, apart: float, taken: Bool) -> None:
-    """Take those of places (W, 3) that are so far from all that are taken before."""
+    """Mark in `taken` (W,) each of places (W, 3) that is at least `apart` from all that are marked
+    (greedy)."""
     for k in range(places.shape[0]):
         free = not taken[k]
         for i in range(places.shape[0]):
@@ -121,8 +126,7 @@ def _spread(places: Float64, apart: float, taken: Bool) -> None:
 
 
 def _behind_mm(table: WindowTable, cells: Float32, view: Int64, window: Int64) -> Float64:
-    """By how many millimetres each view (K,) lies behind the middle of its window (K,), where both are
-    known."""
+    """Mean offset in depth (K,), mm, between each view and its window, over cells where both are known."""
     seen = cells[:, table.used]
     weight = table.coverage[view] * seen[window, :, 4]
     gap = table.coverage[view] * seen[window, :, 3] - table.relief[view]

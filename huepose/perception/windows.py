@@ -1,6 +1,6 @@
-"""Where an object could be, and what is seen there: windows of its size, in a few cells and as codes.
+"""Sliding windows of an object's metric size over a view, and their features: coarse cells and view codes.
 
-Objects of nearly one size share their windows: a window is cut and coded once for all of them.
+Objects of nearly the same diameter share their windows, so each window is cut and coded once for all of them.
 """
 
 from __future__ import annotations
@@ -23,31 +23,39 @@ from huepose.support.jit import jit
 from huepose.support.stages import stage
 
 SPACING = 0.25
-"""Distance of windows, in diameters: nobody's middle is farther from one than training moves it
-(`training.view_codes.LARGEST_SHIFT`)."""
+"""Spacing of windows, in diameters. An object's middle is then no farther from a window's than the offsets
+that the codes were trained with (`training.view_codes.LARGEST_SHIFT`)."""
 
 SIZES = 1.15
-"""Ratio of neighbouring sizes of windows. One that is 7 % too large or too small hardly looks different:
-training stretches windows by as much (`training.view_codes.STRETCH`)."""
+"""Ratio of neighbouring window sizes: a window is at most 7 % too large or too small, as in training
+(`training.view_codes.STRETCH`)."""
 
 LATTICE_PX = 3
+"""Every third pixel of each axis proposes a place for a window."""
+
 BIG = 1 << 20
+"""More than the cubes along any axis, to number them."""
+
 CHANNELS = 6
+"""Of a cell: three opponent colours, relief, share of the object's depth, share of background."""
+
 SAMPLES = 3
+"""Samples of a cell along each axis."""
+
 MIN_SHARE = 0.2
-"""Samples a cell and axis."""
+"""A cell is known where so many of its samples lie at the object's depth."""
 
 BORDER = 2
-"""The middle, which tells what hue is there, are the cells so far from the sides."""
+"""Cells from each side that do not belong to a window's middle, whose hue orders the windows."""
 
 
 class Windows:
-    """All W windows of one size of a view, what is in them only as far as somebody asks; several threads may.
+    """All W windows of one size in a view. Their features are computed when first asked for; thread-safe.
 
-    known: those of before that look as they did then; look: the number of this one.
-    diameter_m: of an object that they suit; pixels (W, 2): their middles in the view; depth_m (W,): there;
-    span_px (W,): their sides; pieces: how many of them, the first ones, are of pieces; recalled (W,): which
-    were known."""
+    known: windows of earlier looks whose content has not changed; look: number of this look. diameter_m: of
+    the objects that they suit; pixels (W, 2): centres in the view; depth_m (W,): depth at the centre; span_px
+    (W,): side length; pieces: how many windows, the first ones, are centred on separate pieces of the depth;
+    recalled (W,): which ones come from `known`."""
 
     def __init__(
         self, view: ClearView, diameter_m: float, known: KeptWindows | None = None, look: int = 0
@@ -72,7 +80,8 @@ class Windows:
         return len(self.pixels)
 
     def places_diameters(self, index: Int64) -> Float64:
-        """Middles (K, 3) of windows (K,) in space, in diameters; depth counts half, as in their lattice."""
+        """Centres (K, 3) of windows (K,) in space, in diameters; depth is halved, as in the grid of
+        windows."""
         return self._in_diameters(self.pixels[index], self.depth_m[index])
 
     def _in_diameters(self, pixels: Float64, depth_m: Float64) -> Float64:
@@ -80,7 +89,7 @@ class Windows:
         return np.asarray(np.column_stack([across, 0.5 * depth_m]) / self.diameter_m, np.float64)
 
     def _recall(self, known: KeptWindows) -> None:
-        """Windows that are some of before stay where they were, with their codes."""
+        """Put windows that match a known one at its place, with its codes."""
         crop = self._view.crop
         pixels = known.pixels - [crop.x0, crop.y0]
         before = self._in_diameters(pixels, known.depth_m)
@@ -91,7 +100,7 @@ class Windows:
         self._coded[mine] = self.recalled[mine] = True
 
     def kept(self) -> KeptWindows:
-        """Those that were coded."""
+        """The windows whose codes were computed."""
         crop, some = self._view.crop, self._coded
         return KeptWindows(
             self.pixels[some] + [crop.x0, crop.y0], self.depth_m[some], self.span_px[some],
@@ -100,16 +109,16 @@ class Windows:
 
     @cached_property
     def middles(self) -> Float32:
-        """Cells (W, P, 6) of which only those in the middle are filled; else as `cells`."""
+        """As `cells`, of all windows (W, P, 6), with only the cells in the middle filled."""
         return self._filled(np.arange(len(self)), BORDER)
 
     def cells(self, index: Int64) -> Float32:
-        """Cells (K, P, 6) of windows (K,): opponents, relief in mm from depth_m, share that could be the
-        object, share of background behind it."""
+        """Cells (K, P, 6) of windows (K,): opponent colours, relief in mm from depth_m, share of samples
+        within the object's depth range, share of samples behind it."""
         return self._filled(index, 0)
 
     def codes(self, index: Int64) -> Float32:
-        """Codes (K, D) of windows (K,), each made once."""
+        """View codes (K, D) of windows (K,), each computed once."""
         with self._lock:
             new = index[~self._coded[index]]
             if len(new):
@@ -131,14 +140,14 @@ class Windows:
 
 
 class WindowsBySize:
-    """The windows of a view, made once for all objects of nearly one size; memory: of the looks before."""
+    """The windows of a view by size, shared by objects of nearly the same diameter. memory: earlier looks."""
 
     def __init__(self, view: ClearView, memory: Memory | None = None) -> None:
         self._view, self._memory, self._lock = view, memory, threading.Lock()
         self._of: dict[int, Windows] = {}
 
     def of(self, diameter_m: float) -> Windows:
-        """Those for an object of this diameter."""
+        """The windows for an object of this diameter."""
         step = log(SIZES)
         size = round(log(diameter_m) / step)
         with self._lock:
@@ -153,13 +162,13 @@ class WindowsBySize:
             return self._of[size]
 
     def kept(self) -> dict[int, KeptWindows]:
-        """Those that were coded, by size."""
+        """The windows whose codes were computed, by size."""
         with self._lock:
             return {size: windows.kept() for size, windows in self._of.items()}
 
 
 def _places(clear: Bool, depth: Float32, focal: float, spacing_m: float) -> Float64:
-    """Middles (W, 3): pixel and depth, of the points that fall into each cube of space."""
+    """Window centres (W, 3), pixel and depth: the mean of the clear points in each cube of space."""
     v, u = (LATTICE_PX * k for k in np.nonzero(clear[::LATTICE_PX, ::LATTICE_PX]))
     z = depth[v, u].astype(np.float64)
     cube = np.floor(np.stack([u * z / focal, v * z / focal, z * 0.5]) / spacing_m).astype(np.int64)

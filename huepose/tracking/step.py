@@ -1,10 +1,8 @@
-"""One step: from where an object was in one frame to where it may be in another. Pure; everything is passed
-in.
+"""One tracking step: from the hypotheses of one frame to those of the next. Pure functions.
 
-Sources are asked from cheap to dear: where the object was, where its velocity takes it, where optical flow
-takes it (paper, section III-E), and at last a search of what it can have reached. What a frame has no time
-for is left to the next. Each proposal is refined and looked at by the same judge; what comes back are
-different hypotheses, and the track decides what to believe."""
+Cheap sources of poses come first: the last pose, the velocity, optical flow (paper, section III-E), and then
+searches of the places that the object can have reached. What does not fit into one frame's time continues in
+the next. All poses are refined and judged alike; the track decides what to believe."""
 
 from __future__ import annotations
 
@@ -39,29 +37,29 @@ from huepose.tracking.search import GREAT_EFFORT, NORMAL_EFFORT, PARTS, SMALL_EF
 
 START_SAMPLES = 150
 HIDDEN_COSTS = 0.5
-"""A right pose loses about this share of what is hidden of its object: no reason to look elsewhere."""
+"""A right pose loses this much of its total per hidden share of the object; no search is needed for that."""
 
 MARGIN_M = 0.012
-"""The refinement may move the object by this much out of its start's window."""
+"""How far refinement may move the object out of its start's window."""
 
 SETTLED_M = 0.004
 MORE_PASSES = 3
-"""A refinement that moved the object's rim by more than this is repeated, a few times; that of another than
-the first hypothesis goes on in the next frame."""
+"""Refinement of the first hypothesis is repeated, at most MORE_PASSES times, while it moves the object's rim
+by more than SETTLED_M. That of others continues in the next frame."""
 
 DRAWN_AWAY = 0.1
-"""A refinement that explains this much less than its start has followed something else."""
+"""A refinement whose total falls by more than this has followed something else; its start is kept."""
 
 FLOW_GROWTH = 0.3
 WHOLLY_HIDDEN = 0.9
-"""With less hidden there is a strip to be followed."""
+"""Hidden share above which nothing is left to be followed."""
 
 RETURNING_SEEN = 0.2
-"""When this much of an object is seen again after it was hidden, it may have turned meanwhile."""
+"""If this share of an object is seen again after it was hidden, its rotation is checked."""
 
 
 SMALL_TURN = np.radians(45.0)
-"""Only about an axis of revolution does a shape nearly fit itself after so little."""
+"""Near-symmetric rotations up to this angle exist only about an axis of revolution."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -89,21 +87,21 @@ class Subject:
 
     @property
     def mesh(self) -> Mesh:
-        """Of the model."""
+        """The model's mesh."""
         return self.model.mesh
 
     @cached_property
     def views(self) -> WindowTable:
-        """What it looks like from all sides, made or mapped when it is first asked for."""
+        """Its views from all sides, computed or loaded when first asked for."""
         return window_table(self.model)
 
     def make_ready(self) -> None:
-        """Make or map all that will be asked for, so that no frame waits for it."""
+        """Load everything that is computed lazily, so that no frame waits for it."""
         _ = self.contours.lines, self.views
 
 
 def _same_turn(model: ReferenceModel, turn: Float64) -> bool:
-    """Whether a pose is right still after that turn (4, 4)."""
+    """Whether a pose is still right after this rotation (4, 4): a true symmetry of the model."""
     points = model.eval_points.astype(np.float64)
     apart = [
         np.linalg.norm(se3.apply(turn, points) - se3.apply(T, points), axis=1).mean()
@@ -114,9 +112,9 @@ def _same_turn(model: ReferenceModel, turn: Float64) -> bool:
 
 @dataclass(frozen=True, eq=False)
 class Anchor:
-    """Where an object was last: what was believed there, best first; the frame; the total that is its
-    baseline, or None; what the light adds to opponents (3,), or None; its mask (H, W) in that frame where one
-    is known better than by rendering; unseen_s: for how long the pose had only been predicted by then."""
+    """The object in the last frame. hypotheses: best first; baseline: its usual total; light (3,): the
+    light's offset of opponent colours; mask (H, W): its mask there, if known better than by rendering;
+    unseen_s: for how long its pose had only been predicted."""
 
     hypotheses: tuple[Hypothesis, ...]
     frame: RgbdFrame
@@ -127,23 +125,23 @@ class Anchor:
 
     @property
     def first(self) -> Hypothesis:
-        """What was believed most."""
+        """The best hypothesis."""
         return self.hypotheses[0]
 
 
 FLOW, NEAR, ELSEWHERE, FAR = 0, 1, 2, 3
 TURN = FAR + PARTS
 END = TURN + 1
-"""What is tried where the best explains too little, in this order: optical flow, a search near by, one where
-the picture looks like the object, the parts of a wide one, near-symmetric rotations."""
+"""Stages that are tried, in this order, while the best total is too low: optical flow, a search nearby, one
+at the place that looks most like the object, the parts of a wide search, near-symmetric rotations."""
 
 
 @dataclass(frozen=True, eq=False)
 class Advance:
-    """What may be believed of a frame: followed, one for each hypothesis of the anchor in their order;
-    proposed: others, by flow, search and near-symmetric rotations; tried: how many dear proposals were made;
-    doubtful: the best of them explains less than the object should; begun: what is to be tried next, END when
-    all was; margin: by how much the first that was followed explains more than after a small turn."""
+    """The result of a step. followed: one per hypothesis of the anchor, in order; proposed: further ones from
+    flow, search and near-symmetric rotations; tried: number of costly proposals; doubtful: the best total is
+    below what is expected; begun: the stage to try next, END if all were tried; margin: total of the first
+    followed one less that after the best small rotation."""
 
     followed: tuple[Hypothesis, ...]
     proposed: tuple[Hypothesis, ...] = ()
@@ -163,15 +161,15 @@ def advance(
     begun: int = FLOW,
     tries: float = np.inf,
 ) -> Advance:
-    """Find the object of `anchor` in a later frame. resting: all was tried in vain and may wait; begun: what
-    is to be tried next, as the last frame left it; tries: how much of it this frame has time for."""
+    """Find the object of `anchor` in a later frame. resting: all stages failed and may pause; begun: the
+    stage to try next, from the last frame; tries: how many costly proposals this frame has time for."""
     surface, first = subject.surface, anchor.first
     seconds = (frame.stamp_ns - anchor.frame.stamp_ns) * 1e-9
     expected = predicted(first.T_cam_obj, first.velocity, seconds)
     if anchor.unseen_s > 0.0:
         waiting = unmoved(surface, frame, expected, anchor.light)
         if waiting.terms.hidden > WHOLLY_HIDDEN:
-            # Still behind something. A refinement would lead to that, where its depth fits.
+            # Still occluded: refinement would move it onto the occluder.
             return Advance((waiting,), doubtful=True)
     gone_s = seconds + anchor.unseen_s
     near, far = reaches(surface, first.T_cam_obj, first.velocity, expected, gone_s, config)
@@ -180,7 +178,7 @@ def advance(
         for h in anchor.hypotheses
     ]
     if not far.holds(surface.centre_cam(followed[0].T_cam_obj)):
-        # Nothing moves that fast: what was followed is what came in front.
+        # Faster than anything moves: the pose has followed an occluder.
         followed[0] = unmoved(surface, frame, expected, anchor.light)
     margin, proposed = _slid(subject, frame, followed[0], anchor.light)
     best = max([*followed, *proposed], key=lambda h: h.terms.total)
@@ -194,15 +192,15 @@ def advance(
         return Advance(tuple(followed), proposed, margin=margin)
     if doubtful and (resting or best.terms.hidden > config.hidden) and not (long or returning):
         return Advance(tuple(followed), proposed, doubtful=True, margin=margin)
-    # What is back in full view as it was before was followed rightly, or is taken for another side of itself.
+    # Back in full view with its usual total: no search nearby is needed, only the check of its rotation.
     back = not long and begun <= NEAR and in_full(best, anchor.baseline, config)
-    # What explains so much less than in the last frame is missed anew: it is looked for nearby first.
+    # A sudden loss of total starts again with the cheap stages.
     missed = best.terms.total < anchor.first.terms.total - doubt
     tried, rung = 0, FLOW if missed else begun
     while rung < END:
         wide = FAR <= rung < TURN
         if rung == FLOW:
-            # What was not seen in the last frame has no pixels there to be followed.
+            # Flow needs pixels of the object in the last frame.
             followable = anchor.unseen_s == 0.0 and frame.camera == anchor.frame.camera
             wanted = doubtful and followable and 0.0 < seconds <= config.long_step_s
         elif rung == TURN:
@@ -241,8 +239,8 @@ def advance(
 def _slid(
     subject: Subject, frame: RgbdFrame, followed: Hypothesis, light: Float64 | None
 ) -> tuple[float, tuple[Hypothesis, ...]]:
-    """By how much a pose explains more than after the likeliest small turn, which is proposed where it
-    explains more."""
+    """Total of a pose less that after the best small rotation, and that rotation as a proposal if it is
+    better."""
     T, surface = followed.T_cam_obj, subject.surface
     region = region_of(surface, frame, T) if len(subject.small_turns) else None
     if region is None:
@@ -258,19 +256,19 @@ def _slid(
 def found_elsewhere(
     subject: Subject, frame: RgbdFrame, light: Float64 | None, part: int = 0
 ) -> list[Float64]:
-    """The best poses (4, 4), at most two, where a part of the picture looks like the object."""
+    """At most two poses (4, 4) at the place, in one part of the picture, that looks most like the object."""
     place = likeliest_place(subject.model, subject.views, frame, part)
     return [] if place is None else search(subject.surface, frame, place, SMALL_EFFORT, light)
 
 
 def in_full(found: Hypothesis, baseline: float | None, config: TrackerConfig) -> bool:
-    """Whether a hypothesis explains as much as the object does in full view."""
+    """Whether a hypothesis has the total of the object in full view."""
     total = found.terms.total
     return total >= config.doubtful_total and baseline is not None and total >= baseline - config.long_doubt
 
 
 def convincing(found: Hypothesis, baseline: float | None, doubt: float, config: TrackerConfig) -> bool:
-    """Whether a hypothesis explains as much as it should: no reason to look further."""
+    """Whether a hypothesis has the total to be expected, so that no search is needed."""
     total, allowed = found.terms.total, doubt + HIDDEN_COSTS * found.terms.hidden
     return total >= config.doubtful_total and (baseline is None or total >= baseline - allowed)
 
@@ -283,7 +281,7 @@ def _followed(
     light: Float64 | None,
     more_passes: int,
 ) -> Hypothesis:
-    """A hypothesis of an earlier frame in this one."""
+    """A hypothesis of the last frame, refined in this one."""
     starts = [(before.T_cam_obj, "still")]
     expected = predicted(before.T_cam_obj, before.velocity, seconds)
     if expected is not before.T_cam_obj:
@@ -299,15 +297,14 @@ def flow_start(
     relative_pose: RelativePose,
     flow_source: optical_flow.FlowSource = optical_flow.compute,
 ) -> Float64 | None:
-    """The pose that optical flow from the anchor's frame gives: flow on the region of the old and the
-    expected outline, matches filtered by mask and colour pairs, lifted, and a relative pose. None where it
-    fails."""
+    """The pose (4, 4) from optical flow: flow on the region of the old and the expected outline, matches
+    filtered by mask and colour pairs, lifted to 3D, and a relative pose (paper, III-E). None if it fails."""
     surface, camera, T_last = subject.surface, frame.camera, anchor.first.T_cam_obj
     old, new = surface.box(T_last, camera), surface.box(expected, camera)
     if old is None or new is None:
         return None
     flow = flow_source(anchor.frame.color, frame.color, _union(old, new).grown(FLOW_GROWTH, 8.0))
-    # A network may give what is no number.
+    # A network may return NaN.
     if flow is None or not (np.isfinite(flow.forward).all() and np.isfinite(flow.backward).all()):
         return None
     mask = anchor.mask
@@ -325,7 +322,8 @@ def best_of(
     light: Float64 | None = None,
     more_passes: int = MORE_PASSES,
 ) -> Hypothesis:
-    """Refine the start that explains the image best before refinement, and look at where it leads."""
+    """Refine the start with the highest total and judge the result. starts: poses (4, 4) with their
+    sources."""
     boxes = [b for b in (surface.box(T, frame.camera) for T, _ in starts) if b is not None]
     region = None
     if boxes:

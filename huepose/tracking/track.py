@@ -1,5 +1,4 @@
-"""One tracked instance: up to three hypotheses of where it is, and what a frame or a correction changes about
-them."""
+"""The state of one tracked instance: up to three pose hypotheses, updated by frames and by corrections."""
 
 from __future__ import annotations
 
@@ -41,32 +40,32 @@ from huepose.tracking.types import State, TrackedPose
 from huepose.tracking.uncertainty import covariance, spread_m
 
 COASTING_SEEN = 0.15
-"""With less of the surface confirmed, the prediction is better than what was refined on it."""
+"""If less than this share of the surface is seen, the predicted pose is better than the refined one."""
 
 COASTING_DAMPING = 0.85
-"""Factor of the velocity in every frame without support."""
+"""The velocity is multiplied by this in each frame that does not support the pose."""
 
 FORGOTTEN_PER_S = 0.25
-"""Total by which less is asked, each second, of an object that returns: the light may have changed."""
+"""How fast the total asked of a returning object falls, per second: the light may have changed."""
 
 LOOSE = 0.012
-"""By more than this share of the diameter a pose may be off that what is inside the object does not hold: on
-textured ones it is half of that."""
+"""Expected pose error, as a share of the diameter, above which the texture does not fix the pose; textured
+objects have half of it."""
 
 SPREAD_POINTS = 48
 LOOKED_FOR = ("search", "views")
 FOUND_AGAIN = (*LOOKED_FOR, "turn")
-"""Sources of poses that were looked for where the object may be, not followed from where it was; the second
-with what was followed and then turned."""
+"""Sources of hypotheses found by a search instead of followed from the last frame; FOUND_AGAIN adds those
+that were followed and then turned."""
 
 MAX_TRIES = 3
 TRY_AGAIN_AFTER = 15
-"""After so many times in vain flow and search rest, and are tried again every so many doubtful frames: an
-object that is half hidden for seconds must not cost more than one that is not."""
+"""After MAX_TRIES rounds without success, flow and search run only every TRY_AGAIN_AFTER doubtful frames: an
+object that is half hidden for seconds must not cost more than others."""
 
 
 class Track:
-    """The state of one instance. In every live frame `look` finds it, then `update_state` judges that."""
+    """The state of one instance. In each live frame `look` finds it, then `update_state` sets its state."""
 
     def __init__(self, subject: Subject, object_name: str, instance: int, config: TrackerConfig) -> None:
         self.subject, self.object, self.instance = subject, object_name, instance
@@ -92,27 +91,27 @@ class Track:
 
     @property
     def state(self) -> State:
-        """What may be believed of its pose."""
+        """SEARCHING, TRACKING, SUSPECT or LOST."""
         return self._standing.state
 
     @property
     def T_cam_obj(self) -> Float64 | None:
-        """The pose (4, 4) that is believed most, None where there is none."""
+        """The pose (4, 4) of the first hypothesis; None without one."""
         return self.hypotheses[0].T_cam_obj if self.hypotheses else None
 
     @property
     def velocity(self) -> Float64 | None:
-        """Of that pose (6,), a second."""
+        """Velocity (6,) of that pose: m/s, then rad/s; None if unknown."""
         return self.hypotheses[0].velocity if self.hypotheses else None
 
     @property
     def terms(self) -> Terms:
-        """What is seen of that pose."""
+        """The judge's terms of that pose."""
         return self.hypotheses[0].terms if self.hypotheses else NOTHING
 
     @property
     def worth(self) -> float:
-        """How much its pose explains, and how sure its turn is, in units of a total."""
+        """The total of its pose plus the certainty of its orientation, in units of a total."""
         turn = 0.0 if self._facing is None else self._facing.value / SHARPNESS
         return self.terms.total + turn
 
@@ -123,8 +122,8 @@ class Track:
         tries: float = np.inf,
         mask: Bool | None = None,
     ) -> float:
-        """Find the object in the next frame, if it has a pose; says how many of at most `tries` dear
-        proposals that took. mask (H, W): of the object in the last frame, where it is known."""
+        """Find the object in the next frame. Returns how many of at most `tries` costly proposals were used.
+        mask (H, W): the object's in the last frame, if known."""
         if self.frame is None:
             return 0
         if not self.hypotheses:
@@ -135,12 +134,12 @@ class Track:
         found = advance(self.subject, anchor, frame, self._config, relative_pose, resting, self._begun, tries)
         known = self._facing
         if known is not None and probability(SHARPNESS * found.margin) < self._config.tracking_quality:
-            # It may be slid about its axis unnoticed.
+            # It may have rotated about its axis unnoticed.
             self._facing = known.jumped(self._view(), np.ones(len(self.subject.other_turns), bool))
         self._take(anchor, found, frame)
         if self.hypotheses[0].source in LOOKED_FOR:
-            self._facing = known  # What may be slid is not what is believed.
-        # A short step has time for one of the two; after a long one nothing can be told without asking.
+            self._facing = known  # The pose that may have rotated is not the one that is believed.
+        # A short step has time for one of the two; after a long one the orientation is always checked.
         short = (frame.stamp_ns - anchor.frame.stamp_ns) * 1e-9 <= self._config.long_step_s
         hurry = short and (tries < 1.0 or (found.tried > 0 and tries < 2.0))
         tried = found.tried + self._check_orientation(anchor, frame, hurry)
@@ -149,8 +148,8 @@ class Track:
         return tried
 
     def _look_everywhere(self, frame: RgbdFrame, tries: float) -> float:
-        """Look for an object that is lost, a part of the picture in each frame; what is found is `SUSPECT`
-        until the next frames confirm it."""
+        """Search for a lost object, one part of the picture per frame. What is found is `SUSPECT` until the
+        next frames confirm it."""
         self._doubtful_frames += 1
         resting = self._in_vain >= MAX_TRIES
         assert self.frame is not None
@@ -176,7 +175,8 @@ class Track:
         return 1 + self._check_orientation(anchor, frame, hurry=False)
 
     def _take(self, anchor: Anchor, found: Advance, frame: RgbdFrame) -> None:
-        """Believe what was found as far as the image, the past and what can move so fast allow."""
+        """Give each hypothesis its log-odds, from the image, its past and the motion it implies, and keep the
+        best different ones."""
         surface, before = self.subject.surface, anchor.first
         seconds = (frame.stamp_ns - anchor.frame.stamp_ns) * 1e-9
         opinions = [
@@ -195,7 +195,7 @@ class Track:
                 surface, before.T_cam_obj, before.velocity, h.T_cam_obj, seconds, gone_s, self._config
             )
             opinion = self._believed(h, before.log_odds, before, seconds, frame, jump)
-            # What did not come here as things do, or nobody saw come, says nothing of how it moves.
+            # A jump, or a motion that was not seen, does not measure the velocity.
             came = jump == 0.0 and anchor.unseen_s == 0.0
             opinions.append(opinion if came else replace(opinion, velocity=None))
             leaps += [opinion.T_cam_obj] if jump < 0.0 else []
@@ -205,7 +205,7 @@ class Track:
         first = self.hypotheses[0]
         sure = probability(first.log_odds) * share_of_first(self.hypotheses)
         if evidence.one_sense(first.terms) or any(first.T_cam_obj is T for T in leaps):
-            # What came as nothing moves has to be seen again where it is now.
+            # An implausible jump has to be confirmed by the next frame.
             sure = min(sure, evidence.ONE_SENSE)
         self._scarce_frames = self._scarce_frames + 1 if evidence.scarce(first.terms) else 0
         sure = evidence.bounded(sure, self._scarce_frames)
@@ -224,7 +224,8 @@ class Track:
         self._begun = found.begun % END
 
     def _held_by_its_ends(self, h: Hypothesis, frame: RgbdFrame) -> Hypothesis | None:
-        """A followed pose that could be slid along its surface, moved to where the object ends."""
+        """A followed pose that could slide along the object's surface, moved so that its outline fits; or
+        None."""
         if self._spread(h.T_cam_obj, self._covariance(h)) < LOOSE and h.goes_on == 0.0:
             return None
         T = moved_to_ends(self.subject.contours, h.T_cam_obj, frame)
@@ -242,7 +243,8 @@ class Track:
         frame: RgbdFrame,
         jump: float = 0.0,
     ) -> Hypothesis:
-        """A hypothesis with its log-odds, and the velocity that led to it."""
+        """A hypothesis with its log-odds and filtered velocity. parent: the hypothesis it came from,
+        `seconds` ago; jump: log-odds of its motion."""
         measured = increment_velocity(parent.T_cam_obj, h.T_cam_obj, seconds)
         velocity = filtered(parent.velocity, measured, seconds)
         goes_on = outline(self.subject.contours, h.T_cam_obj, frame).goes_on
@@ -256,7 +258,7 @@ class Track:
         it took."""
         if self.evidence < self._config.lost_quality:
             return 0
-        # What it went through while it was doubted may have been one wrong pose after another.
+        # Poses while it was in doubt may have been wrong: rotation is measured from the last sure one.
         before, since_ns = anchor.first, anchor.frame.stamp_ns
         if self._seen is not None:
             before, since_ns = self._seen, self._seen_ns
@@ -269,13 +271,13 @@ class Track:
         looked_for = anchor.unseen_s > 0.0 and first.source in FOUND_AGAIN
         turned_too_far = se3.rotation_angle(first.T_cam_obj, expected) > limit
         if jump < 0.0 or looked_for or turned_too_far:
-            # It did not come here as things do, or nobody saw it come.
+            # An implausible motion, or one that was not seen: any rotation is possible.
             limit, self._turned_ns = np.pi, frame.stamp_ns
         new = reached(turns, first.T_cam_obj, expected, limit)
         facing = self._facing or Facing.of(0.5, view, len(turns))
         if new.any():
             facing = facing.jumped(view, new)
-            self._seen, self._seen_ns = first, frame.stamp_ns  # From here on it knows of that doubt.
+            self._seen, self._seen_ns = first, frame.stamp_ns  # This doubt is known from here on.
         self._facing = facing
         return 0.0 if hurry else self._ask(frame, anchor.light)
 
@@ -290,8 +292,8 @@ class Track:
         return bool(alike(self.subject.other_turns, followed.T_cam_obj, found.T_cam_obj).any())
 
     def _ask(self, frame: RgbdFrame, light: Float64 | None) -> float:
-        """Judge the best of the doubted near-symmetric rotations of the pose, if one has a chance; returns
-        the dear proposals that it took."""
+        """Compare the pose with the best of the doubted near-symmetric rotations, if one may be right.
+        Returns the number of costly proposals used."""
         view, first = self._view(), self.hypotheses[0]
         if self._facing is None or not self._facing.open(view):
             return 0
@@ -302,13 +304,13 @@ class Track:
         return COSTS if len(turns) else 0.0
 
     def update_state(self, frame: RgbdFrame, contested: bool = False, since_ns: int = 0) -> None:
-        """Judge what `look` found; contested: another pose holds the same surface with better right. Poses
-        since a stamp are remembered."""
+        """Set state and quality from what `look` found. contested: another instance explains the same surface
+        better; since_ns: older poses leave the history."""
         if self.hypotheses:
             if contested:
                 self.evidence = 0.0
             elif self.evidence >= self._config.suspect_quality:
-                # Less becomes usual, and other light, only for a pose that is believed already.
+                # The baseline falls, and the light is learned, only while the pose is believed.
                 total = self.terms.total
                 if self.state is State.TRACKING or self.baseline is None or total > self.baseline:
                     self.baseline = evidence.baseline_after(self.baseline, total)
@@ -321,8 +323,8 @@ class Track:
         self.history.forget_before(since_ns)
 
     def start(self, T_cam_obj: Float64, quality: float, frame: RgbdFrame, apart_s: float) -> float:
-        """Begin with a pose of perception that is `apart_s` seconds off `frame`; says how many dear proposals
-        that took."""
+        """Start from a pose of perception, taken `apart_s` seconds from `frame`. Returns the number of costly
+        proposals used."""
         found, searched = found_nearby(self.subject.surface, T_cam_obj, frame, apart_s, self._config)
         tried = float(searched)
         goes_on = outline(self.subject.contours, found.T_cam_obj, frame).goes_on
@@ -338,15 +340,15 @@ class Track:
         known = self.baseline
         self.learn()
         if known is None and self.baseline is not None:
-            # Its light is known from here on, and what is usual is what it explains in that.
+            # The light is known now; the baseline is the total in that light.
             lit = unmoved(self.subject.surface, frame, found.T_cam_obj, self.light)
             self.hypotheses = (replace(self.hypotheses[0], terms=lit.terms),)
             self.baseline = lit.terms.total
         return tried
 
     def learn(self) -> None:
-        """Take a frame that supports the pose as what is usual, on the way to now. What was usual before it
-        was lost is asked for again: a pose that fits worse must not make that usual."""
+        """Update baseline and light while catching up with the present. A baseline from before the object was
+        lost is not lowered: a pose that fits worse must not become the norm."""
         total = self.terms.total
         if self.evidence >= self._config.suspect_quality and (
             self.baseline is None or total >= self.baseline
@@ -355,15 +357,15 @@ class Track:
             self.light = evidence.light_after(self.light, self.terms)
 
     def place(self, verified: Track, quality: float, frame: RgbdFrame) -> None:
-        """Start, or start again, with what another track of the same object found on `frame`. Only a
-        correction does this."""
+        """Take over the pose that another track of the same object, made for a correction, found on
+        `frame`."""
         self.hypotheses, self.covariance = verified.hypotheses[:1], verified.covariance
         self.baseline, self.light, self.evidence = verified.baseline, verified.light, verified.evidence
         self.frame, self._facing = frame, verified._facing
         self._seen, self._seen_ns, self._turned_ns = verified._seen, verified._seen_ns, verified._turned_ns
         first = self.hypotheses[0]
         told = evidence.log_odds(first.terms, self.baseline, 0.0, first.goes_on)
-        # What perception saw in the same picture is not seen twice: this can only speak against it.
+        # Perception judged the same picture: this evidence may lower its quality, not raise it.
         known = min(quality, probability(evidence.odds_of(quality) + told))
         self._identity, self._corrected_from = Identity.of(known, self._view()), None
         self._doubtful_frames = self._in_vain = self._begun = self._scarce_frames = 0
@@ -380,7 +382,8 @@ class Track:
         self._doubtful_frames = self._in_vain = self._begun = 0
 
     def set_back(self, stamp_ns: int) -> None:
-        """Go on as if the last frame had that stamp; how it moved before is not known."""
+        """Continue as if the last frame had this stamp (the camera's clock was set back); the velocity is
+        dropped."""
         self.history = PoseHistory()
         self._supported_ns, self._seen = stamp_ns, None
         self._turned_ns = min(self._turned_ns, stamp_ns)
@@ -389,14 +392,14 @@ class Track:
             self.hypotheses = tuple(replace(h, velocity=None) for h in self.hypotheses)
 
     def remembered(self, stamp_ns: int) -> float | None:
-        """The baseline from before the object was lost; the older, the less it asks for."""
+        """The baseline from before the object was lost, lower the longer ago that was; None without one."""
         if self.baseline is None:
             return None
         return self.baseline - FORGOTTEN_PER_S * max(0.0, (stamp_ns - self._supported_ns) * 1e-9)
 
     def replay(self, stamp_ns: int, T_cam_obj: Float64, quality: float) -> None:
-        """Take a correction of a kept pose: the increments since then carry it to now. What was believed
-        before stays a hypothesis, and comes back if the next frames say so.
+        """Apply a correction of a past pose; the motion measured since then carries it to now. The pose
+        before the correction stays as a hypothesis that the next frames may confirm.
 
         Raises ValueError where the history does not reach back unbroken."""
         moved = self.history.replay(stamp_ns, T_cam_obj)
@@ -418,7 +421,7 @@ class Track:
             self._assure(quality)
 
     def agree(self, quality: float, stamp_ns: int) -> None:
-        """Perception found the same pose by itself in the frame of that stamp."""
+        """Perception found the same pose, independently, in the frame of that stamp."""
         if self._identity is not None and self.hypotheses:
             self._identity = self._identity.agreed(quality, self._view())
             if not self.can_have_turned_since(stamp_ns):
@@ -431,12 +434,12 @@ class Track:
             self._facing = self._facing.assured(quality)
 
     def can_have_turned_since(self, stamp_ns: int) -> bool:
-        """Whether it can have turned into a near-symmetric rotation after that stamp: what was true then
-        does not say which way round it is now."""
+        """Whether it may have rotated by a near symmetry, unseen, after that stamp. Then a pose of that time
+        does not fix its orientation now."""
         return self._turned_ns > stamp_ns
 
     def published(self, frame: RgbdFrame) -> TrackedPose:
-        """What is said of it about that frame."""
+        """The pose message for a frame."""
         return TrackedPose(
             self.object,
             self.instance,
@@ -452,7 +455,7 @@ class Track:
         )
 
     def _coast(self, before: Hypothesis, seconds: float) -> None:
-        """A frame that does not support the pose: keep to the prediction where hardly anything is seen."""
+        """Handle a frame that does not support the pose: follow the prediction if hardly anything is seen."""
         first = self.hypotheses[0]
         velocity = None if before.velocity is None else before.velocity * COASTING_DAMPING
         T = first.T_cam_obj
@@ -472,13 +475,13 @@ class Track:
             self.lose()
 
     def _view(self) -> Float64:
-        """Direction (3,) from the object to the camera, object axes."""
+        """Unit vector (3,) from the object to the camera, in the object's axes."""
         T = self.hypotheses[0].T_cam_obj
         eye = -T[:3, :3].T @ self.subject.surface.centre_cam(T)
         return np.asarray(eye / max(float(np.linalg.norm(eye)), 1e-9))
 
     def _spread(self, T_cam_obj: Float64, covariance: Float64) -> float:
-        """By how much a pose may be off, as a share of the diameter."""
+        """Expected error of a pose, as a share of the diameter."""
         surface = self.subject.surface
         return spread_m(covariance, T_cam_obj, surface.arrays.points[:SPREAD_POINTS]) / surface.diameter_m
 

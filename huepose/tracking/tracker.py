@@ -23,22 +23,22 @@ from huepose.tracking.types import Applied, Correction, State, TrackedPose, Verd
 from huepose.tracking.warm_up import rehearse
 
 SAME_SURFACE_IOU = 0.5
-"""Increments measured on an outline that overlaps the corrected one by more than this carry a correction."""
+"""A correction is carried to now by the measured motion if both outlines overlap by more than this IoU."""
 
 STANDING = 0.1
-"""Score that a pose that is believed has ahead of one that is not."""
+"""Bonus, in total, of a pose that is TRACKING when two compete for a surface."""
 
 TWIN = 1.0
-"""Score by which a newcomer must explain more than its twin to take the surface that the twin holds."""
+"""Bonus, in total, of a tracked instance against a new one of the same object at its place."""
 
 CLOCK_GAP_NS = 33_000_000
-"""Where a camera's clock was set back, this is taken to lie between two frames: 30 Hz."""
+"""Assumed time between two frames if the camera's clock was set back: 30 Hz."""
 
 Key = tuple[str, int]
 
 
 LONGEST_EARNED_S = 1.0 / 3.0
-"""A frame that comes later than this earns no more tries: else late steps would make later ones."""
+"""Longest time between frames that earns tries: else slow steps would cause slower ones."""
 
 
 class Tracker:
@@ -72,19 +72,19 @@ class Tracker:
             self.add_object(model)
 
     def add_object(self, model: ReferenceModel) -> None:
-        """Know one more object; a known one of that name is replaced, and its instances are forgotten."""
+        """Add an object. One of the same name is replaced and its instances are removed."""
         self.remove_object(model.name)
         self._subjects[model.name] = Subject.of(model)
 
     def remove_object(self, name: str) -> None:
-        """Forget an object and its instances; nothing happens when it is not known."""
+        """Remove an object and its instances; an unknown name is ignored."""
         self._subjects.pop(name, None)
         for key in [k for k in self._seen_seq if k[0] == name]:
             self.remove_instance(*key)
         self._waiting = [c for c in self._waiting if c.object != name]
 
     def remove_instance(self, name: str, instance: int) -> None:
-        """Forget one instance."""
+        """Remove one instance."""
         for known in (self._tracks, self._pursuits, self._seen_seq):
             known.pop((name, instance), None)
 
@@ -99,7 +99,7 @@ class Tracker:
 
     @property
     def reach_s(self) -> float | None:
-        """How far back the kept frames reach; None as long as there are fewer than will be kept."""
+        """Time span of the kept frames, seconds; None until the history is full."""
         if len(self._frames) < self.config.history_frames + self.config.older_frames:
             return None
         newest, oldest = self._frames.newest, self._frames.oldest
@@ -111,25 +111,25 @@ class Tracker:
         return tuple(sorted(self._tracks))
 
     def warm_up(self) -> None:
-        """Compile and load what will be needed (some seconds when nothing is cached), so that no frame waits
-        for it; what is tracked is left alone."""
+        """Compile kernels and load models, so that no frame waits for them; seconds if nothing is cached.
+        Tracked instances are not touched."""
         double = Tracker({}, self.config, self._relative_pose)
         double._subjects = dict(self._subjects)
         rehearse(double, self._subjects)
 
     def poses(self) -> list[TrackedPose]:
-        """What is known at the newest frame, corrections included."""
+        """The poses of all instances at the newest frame, corrections included."""
         frame = self._frames.newest
         if frame is None:
             return []
         return [self._tracks[key].published(frame) for key in self.instances]
 
     def step(self, frame: RgbdFrame) -> list[TrackedPose]:
-        """Track everything to a new frame and say how it stands there.
+        """Track all instances to a new frame and return their poses there.
 
-        A frame of another epoch starts afresh: all instances are forgotten. A frame that is not newer than
-        the last one is not looked at, and nothing is said about it. One that was taken later by its number,
-        but not by its stamp, is the newest: the camera's clock was set back.
+        A frame of another epoch removes all instances. A frame that is not newer than the last one is ignored
+        and gives an empty list. One with a later number but an earlier stamp is the newest: the camera's
+        clock was set back.
         """
         newest = self._frames.newest
         if newest is not None and frame.epoch != newest.epoch:
@@ -153,8 +153,8 @@ class Tracker:
         return self.poses()
 
     def _look(self, frame: RgbdFrame) -> None:
-        """Every instance, first the one after the last that took a try: where these are rationed, each gets
-        its turn."""
+        """Update every instance, beginning after the last one that used a costly proposal, so that all get
+        their share."""
         tracks = list(self._tracks.items())
         first = self._whose_turn % max(len(tracks), 1)
         for offset, (key, track) in enumerate(tracks[first:] + tracks[:first], 1):
@@ -167,23 +167,24 @@ class Tracker:
                 self._whose_turn = first + offset
 
     def _earn(self, seconds: float) -> None:
-        """Tries for the time since the last frame. What was not used is not saved for a costly step."""
+        """Add the costly proposals allowed for the time since the last frame; unused ones do not
+        accumulate."""
         rate = self.config.tries_per_s
         earned = np.inf if rate is None else rate * min(seconds, LONGEST_EARNED_S)
         self._tries = min(self._tries + earned, max(1.0, earned))
 
     @property
     def _whole_tries(self) -> float:
-        """How many are left in this step."""
+        """Whole number of costly proposals left in this step."""
         return float(np.floor(self._tries + 0.5))
 
     def correct(self, correction: Correction) -> Applied:
-        """Take a verdict on a past frame, or on the one that comes next. Raises InputError for an unknown
+        """Apply perception's verdict on a past frame, or on the next one. Raises InputError for an unknown
         object.
 
-        AGREE keeps the pose and removes doubt. Otherwise the pose replaces the one at its frame: carried to
-        now by the increments where these were measured on the same surface, caught up where not. Idempotent
-        by `seq`.
+        AGREE keeps the pose and raises its quality. Otherwise the new pose replaces the one of its frame. It
+        is carried to now by the measured motion if that was measured on the same surface, else tracked
+        through the kept frames (catching up). Idempotent by `seq`.
         """
         key = (correction.object, correction.instance)
         if correction.object not in self._subjects:
@@ -208,7 +209,7 @@ class Tracker:
         return self._apply(key, correction)
 
     def _apply_waiting(self, frame: RgbdFrame) -> None:
-        """Corrections that came before their frame."""
+        """Apply corrections that arrived before their frame."""
         due = [c for c in self._waiting if c.stamp_ns <= frame.stamp_ns]
         self._waiting = [c for c in self._waiting if c.stamp_ns > frame.stamp_ns]
         for correction in due:
@@ -237,7 +238,7 @@ class Tracker:
         return Applied.APPLIED
 
     def _same_surface(self, track: Track, correction: Correction) -> bool:
-        """Whether the buffered increments may carry the correction."""
+        """Whether the motion measured since then may carry the correction to now."""
         old, frame = track.history.at(correction.stamp_ns), self._frames.newest
         if old is None or track.T_cam_obj is None or frame is None:
             return False
@@ -253,7 +254,7 @@ class Tracker:
         return shared > SAME_SURFACE_IOU
 
     def _catch_up(self) -> None:
-        """A step for every pursuit whose object has no pose of its own, and one more for the oldest."""
+        """Advance each pursuit whose object has no pose, and the oldest one."""
         if not self._pursuits:
             return
         oldest = min(self._pursuits, key=lambda k: self._pursuits[k].correction.stamp_ns)
@@ -265,7 +266,8 @@ class Tracker:
             self._pursue(oldest)
 
     def _pursue(self, key: Key) -> None:
-        """One step of catching up; on arrival the pose is verified and taken, or dropped."""
+        """Advance one pursuit. When it reaches the newest frame its pose is verified, and taken or
+        dropped."""
         newest, pursuit = self._frames.newest, self._pursuits[key]
         assert newest is not None
         reached = pursuit.track.frame
@@ -282,8 +284,8 @@ class Tracker:
         self._arrive(key, pursuit, newest)
 
     def _arrive(self, key: Key, pursuit: Pursuit, frame: RgbdFrame) -> None:
-        """Verify a pose that has reached now against the frame, and against the pose that is there. One that
-        is not borne out is dropped, and counts as dealt with."""
+        """Take the pose of a pursuit that reached the newest frame if the frame supports it, no other
+        instance holds its surface, and it is better than the instance's own pose. Else it is dropped."""
         correction, found = pursuit.correction, pursuit.track
         track = self._tracks.get(key)
         if track is not None:
@@ -302,8 +304,8 @@ class Tracker:
         track.applied_seq = max(track.applied_seq, correction.seq)
 
     def _held(self, key: Key, found: Track) -> bool:
-        """Whether what a pose explains is another instance's already. A twin's surface explains it as well as
-        its own would: there the one that is followed keeps it."""
+        """Whether another instance explains the same surface better. An instance of the same object that is
+        already tracked there keeps it."""
         frame = self._frames.newest
         if frame is None or found.T_cam_obj is None:
             return False
@@ -316,20 +318,20 @@ class Tracker:
         return len(claims) in losers([*claims, mine], frame.depth, frame.camera)
 
     def _contested(self, frame: RgbdFrame) -> set[Key]:
-        """Instances whose surface another one holds with better right."""
+        """Instances whose surface another instance explains better."""
         keys = [k for k, t in self._tracks.items() if t.T_cam_obj is not None]
         claims = []
         for key in keys:
             track = self._tracks[key]
             assert track.T_cam_obj is not None
-            # Or two that refine to one pose would lose in turns, and neither be believed nor lost.
+            # Without the bonus, two instances with the same pose would lose in turns.
             standing = STANDING if track.state is State.TRACKING else 0.0
             claims.append(Claim(track.subject.surface, track.T_cam_obj, track.terms.total + standing))
         return {keys[i] for i in losers(claims, frame.depth, frame.camera)}
 
     def _set_back(self, stamp_ns: int) -> None:
-        """The camera's clock was set back: what is remembered by its time is forgotten, and what is tracked
-        goes on as if the newest frame had come just before that stamp."""
+        """Handle a camera clock that was set back: clear the frame history, and continue the tracks as if the
+        last frame had come just before that stamp."""
         self._frames.clear()
         self._pursuits.clear()
         self._waiting.clear()
@@ -337,7 +339,7 @@ class Tracker:
             track.set_back(stamp_ns - CLOCK_GAP_NS)
 
     def _forget(self) -> None:
-        """A new camera epoch: nothing that was known of places and numbers holds."""
+        """Clear everything at a new camera epoch: poses and frame numbers are not valid any more."""
         self._frames.clear()
         self._tracks.clear()
         self._pursuits.clear()

@@ -1,7 +1,7 @@
-"""Where else in the picture is a lost object? Asked without knowing where it was.
+"""Finds the place in the whole picture that looks most like a lost object, without a prior position.
 
-Codes of views (`propose.view_codes`) say of windows of the object's size, all over the picture, what they
-show and how it is turned; the tracker's own search does the rest at the likeliest place.
+View codes (`propose.view_codes`) of windows of the object's size give place and rotation; the tracker's own
+search continues from there.
 """
 
 from __future__ import annotations
@@ -46,7 +46,8 @@ radians."""
 def likeliest_place(
     model: ReferenceModel, table: WindowTable, frame: RgbdFrame, part: int = 0
 ) -> Reach | None:
-    """Where the codes of a part of the windows say that the object is; None where nothing stands."""
+    """The place and rotations of highest similarity among one part of the windows; None if nothing stands
+    there."""
     view = clear_view(_smaller(frame), model.diameter_m)
     if view is None:
         return None

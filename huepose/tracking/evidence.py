@@ -1,8 +1,7 @@
-"""From what is seen at a pose to the log-odds that it is right, and from qualities to a state.
+"""Log-odds that a pose is right, and the state that follows from its quality.
 
-The log-odds are a weighted sum of what speaks for a pose, fitted on refined poses of drawn sequences
-(`believe.frame`); to that comes what is known beforehand: a pose that was right in the last frame is likely
-to be right still."""
+The log-odds are a weighted sum of the judge's terms, fitted on refined poses of drawn sequences
+(`believe.frame`), plus a prior from the last frame: a pose that was right is likely still right."""
 
 from __future__ import annotations
 
@@ -19,18 +18,18 @@ from huepose.tracking.config import TrackerConfig
 from huepose.tracking.types import State
 
 MEMORY, MOST_MEMORY = 0.6, 2.0
-"""Share of the log-odds of the last frame that is carried to the next, and the most of it: frames that follow
-each other err alike."""
+"""Share of the last frame's log-odds that is the prior of the next, and its bound: successive frames have
+correlated errors."""
 
 LEAST_SEEN, ONE_SENSE = 0.15, 0.45
-"""With less of the surface confirmed in depth, colours alone hold the pose; with less of it in colour, depth
-alone does. Either way it is doubtful at best."""
+"""If depth confirms less than LEAST_SEEN of the surface, or colour does, the pose rests on one sense and its
+quality is at most ONE_SENSE."""
 
 HIDDEN, SCARCE_FADE = 0.6, 0.93
-"""With more than this behind something, trust in the little that is left fades by this factor a frame."""
+"""If more than HIDDEN of the surface is occluded, the quality falls by SCARCE_FADE per frame."""
 
 BASELINE_SHARE, LIGHT_SHARE = 0.15, 0.2
-"""Weight of a new frame in the baseline total, and in the light."""
+"""Weights of a new frame in the running means of the baseline total and of the light."""
 
 RETURNED_AFTER = 2
 """Supported frames in a row after which a SUSPECT object is TRACKING again."""
@@ -39,13 +38,14 @@ RETURNED_AFTER = 2
 def log_odds(
     terms: Terms, baseline: float | None, before: float, goes_on: float = 0.0, jump: float = 0.0
 ) -> float:
-    """Log-odds that a pose is right: by what is seen of it, by the total that is its baseline, by the
-    log-odds of the pose that it was followed from, and by what the motion model says of a jump from there;
-    goes_on: share of its outline beyond which the surface goes on.
+    """Log-odds that a pose is right. baseline: its usual total; before: log-odds of the pose from which it
+    was followed; goes_on: share of its outline beyond which the surface continues; jump: log-odds of its
+    motion.
 
     >>> from huepose.judge.terms import NOTHING
     >>> log_odds(NOTHING, None, 0.0) < -4.0
     True
+
     """
     x = frame.log_odds(terms, baseline, goes_on)
     return x + max(min(MEMORY * before, MOST_MEMORY) + jump, -MOST_MEMORY)
@@ -58,7 +58,7 @@ def odds_of(p: float) -> float:
 
 
 def one_sense(terms: Terms) -> bool:
-    """Whether only depth, or only colour, holds a pose."""
+    """Whether a pose rests on depth alone, or on colour alone."""
     return terms.seen < LEAST_SEEN or terms.colored < LEAST_SEEN
 
 
@@ -85,12 +85,12 @@ def bounded(quality: float, scarce_frames: int) -> float:
 
 
 def baseline_after(baseline: float | None, total: float) -> float:
-    """The baseline total after a supported frame."""
+    """The updated baseline total, after a frame that supports the pose."""
     return total if baseline is None else baseline + BASELINE_SHARE * (total - baseline)
 
 
 def light_after(light: Float64 | None, terms: Terms) -> Float64 | None:
-    """What the light adds to the object's opponents, after a supported frame."""
+    """The updated offset (3,) of the light in opponent colours, after a frame that supports the pose."""
     if terms.colored < LEAST_SEEN:
         return light
     seen = np.array(terms.light)

@@ -1,4 +1,4 @@
-"""How far an object can have come since it was seen last."""
+"""How far an object can have moved since it was last seen."""
 
 from __future__ import annotations
 
@@ -15,15 +15,16 @@ from huepose.tracking.motion import MAX_AHEAD_S, predicted
 SLACK_M, SLACK_RAD = 0.02, np.radians(10.0)
 MAX_M, MAX_RAD = 0.35, np.pi
 TRUSTED_VELOCITY = 0.5
-"""A known velocity halves the reach: the object's acceleration is left to be found."""
+"""Factor of the reach if the velocity is known: what remains is the acceleration."""
 
 REFINED_M = 0.012
-"""A refinement may lead out of the reach by this much."""
+"""How far refinement may move a pose out of the reach."""
 
 
 @dataclass(frozen=True, eq=False)
 class Reach:
-    """Where to look: within `distance_m` of the centre (3,), within `angle_rad` of any of the rotations."""
+    """A region of poses: within `distance_m` of the centre (3,) and within `angle_rad` of any of the
+    rotations."""
 
     centre_cam: Float64
     rotations: tuple[Float64, ...]
@@ -36,7 +37,7 @@ class Reach:
 
 
 def most_turned(velocity: Float64 | None, seconds: float, config: TrackerConfig) -> float:
-    """By how much an object can be turned otherwise than expected, so long after its last pose, radians."""
+    """The largest rotation, radians, between an object and its prediction, so long after its last pose."""
     radians = float(min(SLACK_RAD + config.max_search_rad_s * seconds, MAX_RAD))
     return radians if velocity is None or seconds > MAX_AHEAD_S else TRUSTED_VELOCITY * radians
 

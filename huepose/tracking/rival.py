@@ -1,9 +1,9 @@
-"""Whether the object is turned as it is believed to be, where what is in view may not tell.
+"""The belief in a track's orientation, against rotations that nearly fit the object's shape.
 
-Plain sides of a box, a label that repeats, a part of one colour: the object turned so that its shape nearly
-fits could be meant as well. Then only where it came from tells, and that only if it cannot have turned so
-far meanwhile. So the best of the other turns that it can have reached is judged, too, and while it has a
-chance it is remembered as one: until a view comes that tells them apart."""
+Plain sides of a box, a repeated label, a part of one colour: the image may not tell a pose from a
+near-symmetric rotation of it. Then only the motion does, as long as the object cannot have rotated so far. So
+the best of the rotations that it can have reached is judged as well, and the doubt is kept until a view tells
+them apart."""
 
 from __future__ import annotations
 
@@ -25,34 +25,34 @@ from huepose.tracking.hypothesis import Hypothesis, same_pose
 from huepose.tracking.step import Subject, best_of, region_of
 
 SHARPNESS = 12.0
-"""Log-odds for a total that is greater by 1, between the right pose and the turned one that is most like it:
-the likeliest on the drawn films of the split `fit` (`studies.stress`)."""
+"""Log-odds per unit of total between the right pose and its best near-symmetric rotation; fitted on the drawn
+films of the split `fit` (`studies.stress`)."""
 
 NEW_VIEW = np.radians(25.0)
-"""From a viewpoint this much different, what is seen is new evidence."""
+"""A viewpoint that differs by more gives new, independent evidence."""
 
 SAME_VIEW = np.radians(8.0)
-"""Within this, it is what was seen before."""
+"""A viewpoint that differs by less than this gives the evidence that is known."""
 
 ABOUT = np.radians(15.0)
-"""A refinement of a turned pose turns it by no more."""
+"""Refinement rotates a pose by less than this: within it, two poses have the same orientation."""
 
 COARSELY, TRIES = 8, 3
-"""So many of the turned poses are refined coarsely, and of those that do not lead back to the pose itself so
-many closely, until one of them does not either."""
+"""Of the rotated poses the COARSELY best are refined coarsely; of those that do not return to the pose itself
+at most TRIES are refined fully, until one does not return."""
 
 COSTS = 0.5
-"""Of a dear proposal: to ask takes 3 to 8 ms."""
+"""Cost of one such check (3 to 8 ms) as a share of a costly proposal."""
 
 SETTLED, MOST = odds_of(0.99), 6.0
-"""Log-odds from which on nothing is asked any more (99 %), and the most."""
+"""Log-odds from which on the orientation is settled (99 %), and their upper bound."""
 
 
 @dataclass(frozen=True, eq=False)
 class Facing:
-    """That the object is turned as it is believed to be. value: log-odds; base: the same before what is seen
-    from about `view` (3,), a direction to the camera in object axes; doubted (M,): which of the other turns
-    are not ruled out by where it came from; asked (3,): the view that was judged last."""
+    """The belief that the orientation is right. value: its log-odds; base: the log-odds before the evidence
+    from around `view` (3,), a direction to the camera in object axes; doubted (M,): near-symmetric rotations
+    that its motion does not rule out; asked (3,): the view that was judged last."""
 
     value: float
     base: float
@@ -62,38 +62,38 @@ class Facing:
 
     @staticmethod
     def of(quality: float, view: Float64, turns: int) -> Facing:
-        """Of a pose that perception is that sure of, of an object with so many other turns."""
+        """The belief in a pose of perception with that quality; turns: number of near-symmetric rotations."""
         return Facing(odds_of(quality), odds_of(quality), view, np.ones(turns, bool))
 
     @property
     def probability(self) -> float:
-        """In 0..1."""
+        """Probability that the orientation is right, 0 to 1."""
         return probability(self.value)
 
     @property
     def settled(self) -> bool:
-        """No other turn has a chance."""
+        """Whether the orientation is certain enough that no rotation is checked."""
         return self.value >= SETTLED
 
     def open(self, view: Float64) -> bool:
-        """Whether another turn has a chance, and the view may tell more than the last one did."""
+        """Whether the orientation is in doubt and this view may give new evidence."""
         seen = self.asked is not None and float(view @ self.asked) > np.cos(SAME_VIEW)
         return not self.settled and not seen
 
     def jumped(self, view: Float64, reached: Bool) -> Facing:
-        """After a step in which it can have turned into any of those (M,): nothing is known beforehand of
-        them and of what was in doubt already. What was ruled out stays so."""
+        """The belief after a step in which the object can have made any of the rotations `reached` (M,). Its
+        log-odds drop to at most 0. Rotations ruled out before stay so."""
         doubted = reached if self.settled else reached | self.doubted
         return Facing(min(self.value, 0.0), min(self.value, 0.0), view, doubted)
 
     def assured(self, quality: float) -> Facing:
-        """After perception found the same pose by itself, being that sure of it."""
+        """The belief after perception found the same pose independently, with that quality."""
         base = max(self.base, odds_of(quality))
         return replace(self, base=base, value=max(self.value, base))
 
     def told(self, margin: float, view: Float64) -> Facing:
-        """After the total of the pose was found to be greater by that than that of its best rival. Of what is
-        seen from about one view, what says most counts: a label that goes out of sight is no less true."""
+        """The belief after the pose's total was found to exceed its best rival's by `margin`. Of the evidence
+        from similar views only the strongest counts: a label that leaves the view stays true."""
         base, about, said = self.base, self.view, self.value - self.base
         if float(view @ about) < np.cos(NEW_VIEW):
             base, about, said = self.value, view, 0.0
@@ -105,8 +105,8 @@ class Facing:
 def best_rival(
     subject: Subject, first: Hypothesis, turns: Float64, frame: RgbdFrame, light: Float64 | None
 ) -> Hypothesis | None:
-    """The best of a pose after the turns (M, 4, 4), refined; None where none can be, or the likeliest of them
-    lead back to the pose itself."""
+    """The best of the pose's near-symmetric rotations, turns (M, 4, 4), after refinement; None if the best of
+    them return to the pose itself."""
     surface = subject.surface
     region = region_of(surface, frame, first.T_cam_obj) if len(turns) else None
     if region is None:
@@ -129,13 +129,13 @@ def _best(surface: PreparedSurface, region: OpenRegion, poses: Float64) -> Float
 
 
 def reached(turns: Float64, T_cam_obj: Float64, expected: Float64, radians: float) -> Bool:
-    """Which of the turns (M, 4, 4) of a pose it can have come to as well, by turning no farther than that
-    from where it is expected, or than to the pose itself."""
+    """Mask (M,) of the turns (M, 4, 4) of a pose that the object can have reached: rotated from the expected
+    pose by no more than the limit, or no more than the pose itself."""
     return _within(turns, T_cam_obj, expected, max(radians, se3.rotation_angle(T_cam_obj, expected)))
 
 
 def alike(turns: Float64, T_cam_obj: Float64, T_other: Float64) -> Bool:
-    """Which of the turns (M, 4, 4) lead from a pose to about another."""
+    """Mask (M,) of the turns (M, 4, 4) that take one pose to about the orientation of another."""
     return _within(turns, T_cam_obj, T_other, ABOUT)
 
 

@@ -32,27 +32,27 @@ POSITION_STEP = 0.12
 """Spacing of the tried positions, in diameters; at thin objects half their thickness if that is less."""
 
 POSITION_TURN = np.radians(40.0)
-"""Positions are tried with the expected rotations and these far turns of them."""
+"""Positions are scored with the expected rotations and with rotations of this angle around them."""
 
 HUE, HUE_SIDE = 0.5, 0.7
-"""What it counts where an object could be that its hues are there, whatever its rotation (a natural logarithm
-of the ratio), averaged over a square of this share of its thickness."""
+"""Weight of the object's hues at a position, whatever its rotation (log-likelihood ratio), and the side of
+the square over which it is averaged, as a share of the object's thickness."""
 
 ROTATION_STEP, WIDE_STEP = np.radians(18.0), np.radians(25.0)
 WIDE = np.radians(80.0)
-"""Spacing of the tried rotations, and where more than WIDE is in reach, of all of them."""
+"""Spacing of the tried rotations; the wider one if more than WIDE is within reach."""
 
 ORIGIN = np.zeros(3)
 
 DIFFERENT_TURN = np.radians(10.0)
 FINAL_SAMPLES = 400
 FOUND, APART_TURN, APART = 2, np.radians(25.0), 0.15
-"""So many poses come out, which differ by more than the angle or by this share of the diameter."""
+"""Number of poses returned; they differ by more than APART_TURN or by APART diameters."""
 
 
 @dataclass(frozen=True)
 class Effort:
-    """How many positions, poses that are refined quickly, poses that are refined, and finalists are kept."""
+    """How many candidates each stage keeps: positions, poses refined quickly, poses refined, finalists."""
 
     positions: int
     quick: int

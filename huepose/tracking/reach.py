@@ -10,7 +10,7 @@ from huepose.geometry import se3
 from huepose.geometry.arrays import Float64
 from huepose.judge.surface import PreparedSurface
 from huepose.tracking.config import TrackerConfig
-from huepose.tracking.motion import MAX_AHEAD_S, predicted
+from huepose.tracking.motion import MAX_AHEAD_S
 
 SLACK_M, SLACK_RAD = 0.02, np.radians(10.0)
 MAX_M, MAX_RAD = 0.35, np.pi
@@ -74,17 +74,18 @@ most."""
 def jump_odds(
     surface: PreparedSurface,
     T_last: Float64,
-    velocity: Float64 | None,
+    expected: Float64,
     T_found: Float64,
-    seconds: float,
     gone_s: float,
     config: TrackerConfig,
 ) -> float:
     """What the motion model says of a pose that was not followed but found, 0 or less: nothing within what
-    the search covers in `gone_s` seconds from where the object was last or should be now."""
+    the search covers in `gone_s` seconds from where the object was last or is expected now."""
     metres, radians = SLACK_M + config.max_search_m_s * gone_s, SLACK_RAD + config.max_search_rad_s * gone_s
-    away = []
-    for T in (T_last, predicted(T_last, velocity, seconds)):
+    nearest = np.inf
+    for T in (expected, T_last):
         shift = float(np.linalg.norm(surface.centre_cam(T_found) - surface.centre_cam(T)))
-        away.append(max(shift / metres, se3.rotation_angle(T, T_found) / radians))
-    return -min(MOST_JUMP, JUMP * max(0.0, float(min(away)) - 1.0))
+        nearest = min(nearest, max(shift / metres, se3.rotation_angle(T, T_found) / radians))
+        if nearest <= 1.0:
+            return 0.0
+    return -min(MOST_JUMP, JUMP * (nearest - 1.0))

@@ -174,8 +174,11 @@ def advance(
     gone_s = seconds + anchor.unseen_s
     near, far = reaches(surface, first.T_cam_obj, first.velocity, expected, gone_s, config)
     followed = [
-        _followed(surface, frame, h, seconds, anchor.light, MORE_PASSES if h is first else 0)
-        for h in anchor.hypotheses
+        _followed(surface, frame, first, expected, anchor.light, MORE_PASSES),
+        *(
+            _followed(surface, frame, h, predicted(h.T_cam_obj, h.velocity, seconds), anchor.light, 0)
+            for h in anchor.hypotheses[1:]
+        ),
     ]
     if not far.holds(surface.centre_cam(followed[0].T_cam_obj)):
         # Faster than anything moves: the pose has followed an occluder.
@@ -277,13 +280,12 @@ def _followed(
     surface: PreparedSurface,
     frame: RgbdFrame,
     before: Hypothesis,
-    seconds: float,
+    expected: Float64,
     light: Float64 | None,
     more_passes: int,
 ) -> Hypothesis:
-    """A hypothesis of the last frame, refined in this one."""
+    """A hypothesis of the last frame, refined in this one from where it was or where it is expected."""
     starts = [(before.T_cam_obj, "still")]
-    expected = predicted(before.T_cam_obj, before.velocity, seconds)
     if expected is not before.T_cam_obj:
         starts.append((expected, "velocity"))
     return best_of(surface, frame, starts, light, more_passes)

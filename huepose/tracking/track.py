@@ -167,8 +167,8 @@ class Track:
         sure = probability(opinions[0].log_odds) * share_of_first(opinions)
         anchor = Anchor((self._seen,), self.frame, light=self.light, unseen_s=gone_s)
         self.hypotheses, self.frame, first = opinions, frame, opinions[0]
-        self.covariance = self._covariance(first)
-        self.evidence = evidence.vouched(sure, self._spread(first.T_cam_obj, self.covariance))
+        self.covariance, spread = self._uncertainty(first)
+        self.evidence = evidence.vouched(sure, spread)
         self._doubtful_frames = self._in_vain = self._begun = self._scarce_frames = 0
         self._unseen_s = 0.0
         self._standing = Standing(State.SUSPECT)
@@ -183,17 +183,17 @@ class Track:
             self._believed(h, parent.log_odds, parent, seconds, frame)
             for h, parent in zip(found.followed, anchor.hypotheses, strict=False)
         ]
-        gone_s = seconds + anchor.unseen_s
-        held = self._held_by_its_ends(opinions[0], frame)
+        followed, gone_s = opinions[0], seconds + anchor.unseen_s
+        uncertainty = self._uncertainty(followed)
+        held = self._held_by_its_ends(followed, uncertainty[1], frame)
         if held is not None:
             opinions.append(self._believed(held, before.log_odds, before, seconds, frame))
         leaps: list[Float64] = []
         for h in found.proposed:
             if self._turned_too_fast(h, found.followed[0], gone_s):
                 continue
-            jump = jump_odds(
-                surface, before.T_cam_obj, before.velocity, h.T_cam_obj, seconds, gone_s, self._config
-            )
+            expected = predicted(before.T_cam_obj, before.velocity, seconds)
+            jump = jump_odds(surface, before.T_cam_obj, expected, h.T_cam_obj, gone_s, self._config)
             opinion = self._believed(h, before.log_odds, before, seconds, frame, jump)
             # A jump, or a motion that was not seen, does not measure the velocity.
             came = jump == 0.0 and anchor.unseen_s == 0.0
@@ -213,8 +213,8 @@ class Track:
             self._identity = corrected  # The image prefers what was believed before the correction.
         self.frame, self.evidence = frame, sure
         if sure >= self._config.lost_quality:
-            self.covariance = self._covariance(first)
-            self.evidence = evidence.vouched(sure, self._spread(first.T_cam_obj, self.covariance))
+            self.covariance, spread = uncertainty if first is followed else self._uncertainty(first)
+            self.evidence = evidence.vouched(sure, spread)
             self._unseen_s = 0.0
         else:
             self._coast(before, seconds)
@@ -223,10 +223,10 @@ class Track:
         self._in_vain = self._in_vain + (found.begun == END) if found.doubtful else 0
         self._begun = found.begun % END
 
-    def _held_by_its_ends(self, h: Hypothesis, frame: RgbdFrame) -> Hypothesis | None:
+    def _held_by_its_ends(self, h: Hypothesis, spread: float, frame: RgbdFrame) -> Hypothesis | None:
         """A followed pose that could slide along the object's surface, moved so that its outline fits; or
         None."""
-        if self._spread(h.T_cam_obj, self._covariance(h)) < LOOSE and h.goes_on == 0.0:
+        if spread < LOOSE and h.goes_on == 0.0:
             return None
         T = moved_to_ends(self.subject.contours, h.T_cam_obj, frame)
         if T is None:
@@ -267,7 +267,7 @@ class Track:
         T, velocity = before.T_cam_obj, before.velocity
         expected = predicted(T, velocity, gone_s)
         limit = most_turned(velocity, gone_s, self._config)
-        jump = jump_odds(self.subject.surface, T, velocity, first.T_cam_obj, gone_s, gone_s, self._config)
+        jump = jump_odds(self.subject.surface, T, expected, first.T_cam_obj, gone_s, self._config)
         looked_for = anchor.unseen_s > 0.0 and first.source in FOUND_AGAIN
         turned_too_far = se3.rotation_angle(first.T_cam_obj, expected) > limit
         if jump < 0.0 or looked_for or turned_too_far:
@@ -279,7 +279,7 @@ class Track:
             facing = facing.jumped(view, new)
             self._seen, self._seen_ns = first, frame.stamp_ns  # This doubt is known from here on.
         self._facing = facing
-        return 0.0 if hurry else self._ask(frame, anchor.light)
+        return 0.0 if hurry else self._ask(frame, anchor.light, view)
 
     def _turned_too_fast(self, found: Hypothesis, followed: Hypothesis, gone_s: float) -> bool:
         """Whether a proposal is about the followed pose after a near-symmetric rotation that is larger than
@@ -291,10 +291,10 @@ class Track:
             return False
         return bool(alike(self.subject.other_turns, followed.T_cam_obj, found.T_cam_obj).any())
 
-    def _ask(self, frame: RgbdFrame, light: Float64 | None) -> float:
-        """Compare the pose with the best of the doubted near-symmetric rotations, if one may be right.
-        Returns the number of costly proposals used."""
-        view, first = self._view(), self.hypotheses[0]
+    def _ask(self, frame: RgbdFrame, light: Float64 | None, view: Float64) -> float:
+        """Judge the best of the doubted near-symmetric rotations of the pose, if one has a chance; returns
+        the dear proposals that it took. view: as of `_view`."""
+        first = self.hypotheses[0]
         if self._facing is None or not self._facing.open(view):
             return 0
         turns = self.subject.other_turns[self._facing.doubted]
@@ -331,12 +331,13 @@ class Track:
         odds = evidence.log_odds(found.terms, self.baseline, evidence.odds_of(quality), goes_on)
         self.hypotheses, self.frame = (replace(found, log_odds=odds, goes_on=goes_on),), frame
         self.evidence = probability(odds)
-        self.covariance = self._covariance(found)
+        self.covariance, _ = self._uncertainty(found)
         if self.evidence >= self._config.tracking_quality:
             self._seen, self._seen_ns = self.hypotheses[0], frame.stamp_ns
         if self.evidence >= self._config.lost_quality:
-            self._facing = Facing.of(quality, self._view(), len(self.subject.other_turns))
-            tried += self._ask(frame, None)
+            view = self._view()
+            self._facing = Facing.of(quality, view, len(self.subject.other_turns))
+            tried += self._ask(frame, None, view)
         known = self.baseline
         self.learn()
         if known is None and self.baseline is not None:
@@ -480,10 +481,8 @@ class Track:
         eye = -T[:3, :3].T @ self.subject.surface.centre_cam(T)
         return np.asarray(eye / max(float(np.linalg.norm(eye)), 1e-9))
 
-    def _spread(self, T_cam_obj: Float64, covariance: Float64) -> float:
-        """Expected error of a pose, as a share of the diameter."""
-        surface = self.subject.surface
-        return spread_m(covariance, T_cam_obj, surface.arrays.points[:SPREAD_POINTS]) / surface.diameter_m
-
-    def _covariance(self, h: Hypothesis) -> Float64:
-        return covariance(h.information, float(self.subject.surface.centre_cam(h.T_cam_obj)[2]))
+    def _uncertainty(self, h: Hypothesis) -> tuple[Float64, float]:
+        """Covariance (6, 6) of a pose, and by how much it may be off, as a share of the diameter."""
+        surface, T = self.subject.surface, h.T_cam_obj
+        known = covariance(h.information, float(surface.centre_cam(T)[2]))
+        return known, spread_m(known, T, surface.arrays.points[:SPREAD_POINTS]) / surface.diameter_m

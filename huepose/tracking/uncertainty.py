@@ -22,14 +22,15 @@ BIAS_SHARE = 0.15
 WEAK_SIGMA = np.array([0.05, 0.05, 0.05, 0.5, 0.5, 0.5])
 """What is known even where nothing was measured: the object was tracked a moment ago."""
 
+_WEAK = np.diag(1.0 / WEAK_SIGMA**2)
+
 
 def covariance(information: Float64, distance_m: float) -> Float64:
     """Covariance (6, 6) of a refined pose at that distance."""
-    weak = np.diag(1.0 / WEAK_SIGMA**2)
-    independent = np.linalg.inv(information / RESIDUALS_PER_READING + weak)
+    out = np.linalg.inv(information / RESIDUALS_PER_READING + _WEAK)
     bias = BIAS_SHARE * depth_noise_m(distance_m)
-    floor = FLOOR_SIGMA**2 + np.array([0.0, 0.0, bias**2, 0.0, 0.0, 0.0])
-    return np.asarray(independent + np.diag(floor))
+    out.flat[::7] += FLOOR_SIGMA**2 + np.array([0.0, 0.0, bias**2, 0.0, 0.0, 0.0])
+    return np.asarray(out)
 
 
 def spread_m(covariance: Float64, T_cam_obj: Float64, points_obj: Float32) -> float:

@@ -57,7 +57,7 @@ def test_a_turn_that_no_hand_makes_costs_log_odds(tea_box) -> None:
     surface, config, T = PreparedSurface.of(tea_box), TrackerConfig(), np.eye(4)
 
     def odds(degrees: float, seconds: float) -> float:
-        return jump_odds(surface, T, None, turned(degrees), seconds, seconds, config)
+        return jump_odds(surface, T, T, turned(degrees), seconds, config)
 
     assert odds(15.0, FRAME_S) == 0.0
     assert odds(40.0, FRAME_S) < -0.5

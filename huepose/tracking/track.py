@@ -36,7 +36,7 @@ from huepose.tracking.step import (
     found_nearby,
     unmoved,
 )
-from huepose.tracking.types import State, TrackedPose
+from huepose.tracking.types import Doubt, State, TrackedPose
 from huepose.tracking.uncertainty import covariance, spread_m
 
 COASTING_SEEN = 0.15
@@ -108,6 +108,16 @@ class Track:
     def terms(self) -> Terms:
         """The judge's terms of that pose."""
         return self.hypotheses[0].terms if self.hypotheses else NOTHING
+
+    @property
+    def doubt(self) -> Doubt | None:
+        """What alone keeps its pose from being believed; None where it is, or does not fit the frame."""
+        if not self.hypotheses or self.evidence < self._config.suspect_quality:
+            return None
+        enough = self._config.confirmed_identity
+        if self._facing is not None and self._facing.probability < enough:
+            return Doubt.TURN
+        return Doubt.IDENTITY if self._identity is None or self._identity.value < enough else None
 
     @property
     def worth(self) -> float:

@@ -19,7 +19,7 @@ from huepose.tracking.config import TrackerConfig
 from huepose.tracking.history import FrameHistory
 from huepose.tracking.step import Subject
 from huepose.tracking.track import Track
-from huepose.tracking.types import Applied, Correction, State, TrackedPose, Verdict
+from huepose.tracking.types import Applied, Correction, Doubt, State, TrackedPose, Verdict
 from huepose.tracking.warm_up import rehearse
 
 SAME_SURFACE_IOU = 0.5
@@ -96,6 +96,11 @@ class Tracker:
     def surface(self, name: str) -> PreparedSurface:
         """The prepared surface of a known object."""
         return self._subjects[name].surface
+
+    def doubt(self, name: str, instance: int) -> Doubt | None:
+        """What alone keeps an instance whose pose fits from being `TRACKING`."""
+        track = self._tracks.get((name, instance))
+        return None if track is None else track.doubt
 
     @property
     def reach_s(self) -> float | None:

@@ -22,6 +22,15 @@ class State(str, Enum):
     """No pose."""
 
 
+class Doubt(str, Enum):
+    """What alone keeps a pose that fits the frame from being `TRACKING`."""
+
+    TURN = "turn"
+    """Turned another way the object would fit nearly as well."""
+    IDENTITY = "identity"
+    """Whether it was the right pose, or the right object, to begin with."""
+
+
 class Verdict(str, Enum):
     """What the judge of the re-initialisation loop made of an estimate."""
 

@@ -14,6 +14,7 @@ from huepose.geometry.arrays import Float64
 from huepose.geometry.camera import depth_noise_m
 from huepose.geometry.picture_faults import dark, readings
 from huepose.judge.surface import PreparedSurface
+from huepose.tracking.types import Doubt
 
 NOT_FOUND = "It is not where it was, and was not found elsewhere yet."
 OUTSIDE = "Most of it is outside of the picture."
@@ -22,6 +23,8 @@ NO_DEPTH = "There is no depth on most of it: too near, shiny, transparent or dar
 COVERED = "Most of it is covered."
 NOT_THERE = "The camera sees through to what is behind it: it is not there any more."
 DARK = "The picture is too dark there."
+TURN = "It fits, but turned another way it would fit nearly as well: seen from another side it becomes sure."
+UNCONFIRMED = "It fits, but was found on little: found here again or seen from another side, it is sure."
 LITTLE_SEEN = "Too little of its texture and shape is seen to be sure."
 
 _SAMPLES = 300
@@ -36,7 +39,9 @@ FOCUS = 0.05
 """Share by which focusing changes a focal length: f becomes f / (1 - f / distance), 4 % for 6 mm at 15 cm."""
 
 
-def why_doubted(surface: PreparedSurface, frame: RgbdFrame, T_cam_obj: Float64 | None) -> str:
+def why_doubted(
+    surface: PreparedSurface, frame: RgbdFrame, T_cam_obj: Float64 | None, doubt: Doubt | None = None
+) -> str:
     """What keeps an object at that pose (4, 4), None where it is lost, from being seen well in the frame."""
     if T_cam_obj is None:
         return NOT_FOUND
@@ -67,7 +72,7 @@ def why_doubted(surface: PreparedSurface, frame: RgbdFrame, T_cam_obj: Float64 |
         return NOT_THERE
     if not _few(dark(frame.color[rows, columns])):
         return DARK
-    return LITTLE_SEEN
+    return LITTLE_SEEN if doubt is None else {Doubt.TURN: TURN, Doubt.IDENTITY: UNCONFIRMED}[doubt]
 
 
 def _few(which: np.ndarray) -> bool:

@@ -310,7 +310,9 @@ class TrackerWork(Work):
         for pose in poses:
             reason = _sentence(self._complaint or "")
             if not reason and frame is not None and pose.state is not State.TRACKING:
-                reason = why_doubted(self._tracker.surface(pose.object), frame, pose.T_cam_obj)
+                doubt = self._tracker.doubt(pose.object, pose.instance)
+                surface = self._tracker.surface(pose.object)
+                reason = why_doubted(surface, frame, pose.T_cam_obj, doubt)
             self._publish(pose, header, reason)
             self._published.add((pose.object, pose.instance))
 

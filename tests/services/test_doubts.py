@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 
 from huepose.geometry import Camera, RgbdFrame, se3
+from huepose.tracking.types import Doubt
 from huepose_protos.examples import messages
 from huepose_protos.messages import PoseMessage
 from huepose_services import doubts as why
@@ -61,6 +62,14 @@ def test_the_reason_is_the_one_that_was_made(expected: str) -> None:
     T, change = CASES[expected]
     frame = change(seen(NEAR if T is None else T))
     assert why.why_doubted(BALL, frame, T) == expected
+
+
+@pytest.mark.parametrize(("doubt", "said"), [(Doubt.TURN, why.TURN), (Doubt.IDENTITY, why.UNCONFIRMED)])
+def test_what_only_the_tracker_knows_is_said_where_the_frame_shows_all(doubt: Doubt, said: str) -> None:
+    frame = seen(NEAR)
+    assert why.why_doubted(BALL, frame, NEAR, doubt) == said
+    covered = replace(frame, depth=np.full_like(frame.depth, 0.6))
+    assert why.why_doubted(BALL, covered, NEAR, doubt) == why.COVERED
 
 
 def test_behind_the_camera_is_outside() -> None:

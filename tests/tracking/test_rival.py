@@ -18,6 +18,7 @@ from huepose.tracking import Correction, State, Tracker
 from huepose.tracking.hypothesis import Hypothesis
 from huepose.tracking.rival import NEW_VIEW, SETTLED, Facing, alike, best_rival, reached
 from huepose.tracking.step import Subject, best_of
+from huepose.tracking.types import Doubt
 from studies.stress.objects import builtin_meshes
 
 CAMERA = Camera(420.0, 420.0, 159.5, 119.5, 320, 240)
@@ -161,15 +162,17 @@ def test_an_object_half_covered_after_its_start_may_have_turned_since_the_start(
     color, depth = free.color.copy(), free.depth.copy()
     color[:, :184], depth[:, :184] = 30, 0.4
     covered = replace(free, color=color, depth=depth)
-    states = []
+    states, doubts = [], []
     for number, seen in enumerate((free, covered, free, free, free)):
         frame = replace(seen, frame_id=number, stamp_ns=int(1e9 * seconds * number), epoch=1)
         if number == 0:
             tracker.correct(Correction.first("plain_box", T, frame))
         (pose,) = tracker.step(frame)
         states.append(pose.state)
+        doubts.append(tracker.doubt("plain_box", 0))
     # In twice 0.23 s it can have been put down the other way round, which no picture from above shows.
     assert states == [State.TRACKING, *(State.SUSPECT,) * 4]
+    assert doubts == [None, None, *(Doubt.TURN,) * 3], "while it is covered the pose does not fit at all"
 
 
 def test_what_turned_farther_than_things_turn_may_have_turned_otherwise(plain_box: ReferenceModel) -> None:

@@ -6,7 +6,6 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.spatial.distance import cdist
 
 from huepose.geometry.arrays import Bool, Float32, Float64, Int64
 from huepose.geometry.camera import Camera
@@ -61,6 +60,8 @@ def narrowed(table: WindowTable, windows: Windows, chosen: Int64, first: int) ->
 
     Always coded: the `first` ones, those on separate pieces, and those recalled from memory. Of the others a
     subset APART diameters apart, and then the neighbours of the most similar ones."""
+    from scipy.spatial.distance import cdist  # a fifth of a second, which the tracker does not need
+
     places = windows.places_diameters(chosen)
     taken = (np.arange(len(chosen)) < first) | (chosen < windows.pieces) | windows.recalled[chosen]
     _spread(places, APART, taken)

@@ -76,4 +76,5 @@ def _cells(claim: Claim, depth: Float32, camera: Camera) -> Int64:
     columns, rows, z = columns[inside], rows[inside], z[inside]
     tau = 2.0 * tolerance_m(surface.diameter_m, float(surface.centre_cam(T)[2]))
     agrees = np.abs(depth[rows, columns] - z) < tau
-    return np.unique(rows[agrees] // CELL_PX * 100_000 + columns[agrees] // CELL_PX)
+    in_a_row = camera.width // CELL_PX + 1
+    return np.unique(rows[agrees] // CELL_PX * in_a_row + columns[agrees] // CELL_PX)

@@ -302,8 +302,8 @@ class Track:
         return bool(alike(self.subject.other_turns, followed.T_cam_obj, found.T_cam_obj).any())
 
     def _ask(self, frame: RgbdFrame, light: Float64 | None, view: Float64) -> float:
-        """Judge the best of the doubted near-symmetric rotations of the pose, if one has a chance; returns
-        the dear proposals that it took. view: as of `_view`."""
+        """Compare the pose with the best of the doubted near-symmetric rotations, if one may be right. view:
+        as of `_view`. Returns the number of costly proposals used."""
         first = self.hypotheses[0]
         if self._facing is None or not self._facing.open(view):
             return 0
@@ -492,7 +492,7 @@ class Track:
         return np.asarray(eye / max(float(np.linalg.norm(eye)), 1e-9))
 
     def _uncertainty(self, h: Hypothesis) -> tuple[Float64, float]:
-        """Covariance (6, 6) of a pose, and by how much it may be off, as a share of the diameter."""
+        """Covariance (6, 6) of a pose, and its expected error as a share of the diameter."""
         surface, T = self.subject.surface, h.T_cam_obj
         known = covariance(h.information, float(surface.centre_cam(T)[2]))
         return known, spread_m(known, T, surface.arrays.points[:SPREAD_POINTS]) / surface.diameter_m

@@ -40,3 +40,16 @@ def test_camera_and_reinitialisation_load_no_kernels() -> None:
         [sys.executable, "-c", WITHOUT_KERNELS], capture_output=True, text=True, timeout=100.0
     )
     assert (done.returncode, done.stdout.strip()) == (0, ""), done.stderr
+
+
+TRACKER = """
+import sys
+import huepose_services.tracker
+print(*sorted({"scipy.spatial", "scipy.optimize", "onnxruntime"} & set(sys.modules)))
+"""
+
+
+def test_the_tracker_imports_none_of_what_only_perception_needs() -> None:
+    """A fifth of a second of CPU time at every start."""
+    done = subprocess.run([sys.executable, "-c", TRACKER], capture_output=True, text=True, timeout=100.0)
+    assert (done.returncode, done.stdout.strip()) == (0, ""), done.stderr

@@ -1,12 +1,14 @@
 """Meshes from drawn recordings of objects that are turned, held against the true ones.
 
     python -m studies.turned --out OUT
+    python -m studies.turned --out OUT --only tea_box_held
     python -m studies.turned --out OUT --video VIDEO --mesh MESH.obj --box X Y W H
 
-Without a video: a box turns once on a turntable; a bottle is turned in the hand, by two fingers that grip
-elsewhere half way. Depth is as an active stereo camera gives it. Printed of each: how far the mesh lies
-from the true one where it was seen, and the AUC of tracking with either: in drawn frames in which a fast hand
-carries the object, or in the video itself, whose labels must name one object.
+Without a video: a box turns once on a turntable (`tea_box`); it is turned in the hand, by a finger, a thumb
+and a palm that grip elsewhere half way (`tea_box_held`); a bottle is turned by two fingers (`juice_bottle`).
+Depth is as an active stereo camera gives it. Printed of each: how far the mesh lies from the true one where
+it was seen, and the AUC of tracking with either: in drawn frames in which a fast hand carries the object, or
+in the video itself, whose labels must name one object.
 """
 
 from __future__ import annotations
@@ -53,6 +55,7 @@ def main() -> None:
     )
     parser.add_argument("--out", type=Path, required=True)
     parser.add_argument("--seed", type=int, default=0)
+    parser.add_argument("--only", choices=list(TURNING), help="one of what is drawn")
     parser.add_argument("--video", type=Path, help="a BOP scene")
     parser.add_argument("--mesh", type=Path, help="the object's true mesh, millimetres")
     parser.add_argument("--box", type=float, nargs=4, help="the object in the video's first frame")
@@ -68,15 +71,16 @@ def main() -> None:
         )
         return
     meshes = demo_objects(arguments.seed)
-    for name, turning in (("tea_box", turntable), ("juice_bottle", by_hand)):
+    for case in TURNING if arguments.only is None else [arguments.only]:
+        name, turning = TURNING[case]
         rng = np.random.default_rng([arguments.seed, len(name)])
-        folder, mesh = arguments.out / name, meshes[name]
+        folder, mesh = arguments.out / case, meshes[name]
         recorded = drawn(folder / "turned", turning(mesh, rng), arguments.seed)
         others = [other for key, other in meshes.items() if key != name]
         moving = drawn(folder / "carried", carried.staged(mesh, others, rng), arguments.seed)
         box = recorded.truths(recorded.image_ids[0])[0].box_visib
         assert box is not None  # it is in view
-        compare(name, mesh, recorded, Selection(box.grown(0.05)), moving)
+        compare(case, mesh, recorded, Selection(box.grown(0.05)), moving)
 
 
 def turntable(mesh: Mesh, rng: Rng, frames: int = 120) -> Stage:
@@ -98,9 +102,7 @@ def by_hand(mesh: Mesh, rng: Rng, frames: int = 200) -> Stage:
             for s in share
         ]
     )  # fmt: skip
-    skin = textures.palette(0.07, rng)
-    charts = rod((0, 0, 0), (0, 0, 0.08), 0.009)
-    finger = printed(charts, [_plain] * len(charts), skin, rng, 64)
+    finger = _skin(0.08, 0.009, rng)
     reach = np.ptp(mesh.vertices, axis=0)[0] / 2 + 0.008
     scene = [(mesh, path)]
     for side in (0.0, np.pi):
@@ -109,6 +111,41 @@ def by_hand(mesh: Mesh, rng: Rng, frames: int = 200) -> Stage:
     wall = se3.make(np.diag([1.0, -1.0, -1.0]), np.array([0, 0, 1.3]))
     scene.append((sheet(2.6, 2.2, wallpaper(rng)), _still(wall, frames)))
     return _stage(scene, rng)
+
+
+def held(mesh: Mesh, rng: Rng, frames: int = 120) -> Stage:
+    """Once round and nodding, between a finger and a thumb, with the palm at a third side; all three grip a
+    quarter turn farther on half way."""
+    share = np.arange(frames) / frames
+    nods = [se3.rotation_exp(np.array([1.2 * np.sin(2 * np.pi * s), 0, 0])) for s in share]
+    path = np.array(
+        [se3.make(R @ upright(2 * np.pi * s), MIDDLE_CAM) for R, s in zip(nods, share, strict=True)]
+    )
+    half = np.ptp(mesh.vertices, axis=0)[:2] / 2
+    scene = [(mesh, path)]
+    for angle, length, radius in ((0.0, 0.10, 0.02), (np.pi, 0.09, 0.018), (np.pi / 2 + 0.5, 0.12, 0.042)):
+        sides = [angle, angle + np.pi / 2]
+        reaches = [np.abs([np.cos(a), np.sin(a)]) @ half + 0.9 * radius for a in sides]
+        grips = [_grip(a, reach) for a, reach in zip(sides, reaches, strict=True)]
+        part = np.array([T @ grips[int(2 * s)] for T, s in zip(path, share, strict=True)])
+        scene.append((_skin(length, radius, rng), part))
+    wall = se3.make(np.diag([1.0, -1.0, -1.0]), np.array([0, 0, 1.3]))
+    scene.append((sheet(2.6, 2.2, wallpaper(rng)), _still(wall, frames)))
+    return _stage(scene, rng)
+
+
+TURNING = {
+    "tea_box": ("tea_box", turntable),
+    "tea_box_held": ("tea_box", held),
+    "juice_bottle": ("juice_bottle", by_hand),
+}
+"""What is drawn: the object, and how it is turned."""
+
+
+def _skin(length: float, radius: float, rng: Rng) -> Mesh:
+    """A part of a hand: a plain rod with round ends, along z."""
+    charts = rod((0, 0, 0), (0, 0, length), radius)
+    return printed(charts, [_plain] * len(charts), textures.palette(0.07, rng), rng, 64)
 
 
 def _grip(angle: float, reach: float) -> Float64:

@@ -96,7 +96,7 @@ def _metres_per_unit(vertices: Float64, unit: Unit | None, was_told: bool, path:
     taken = f" (taken as {unit})" if unit else ""
     raise InputError(
         path,
-        found=f"a largest side of {extent:.4g} units{taken}: {sizes}",
+        found=f"a largest side of {_number(extent)} units{taken}: {sizes}",
         expected=f"an object of {_length(SMALLEST_M)} to {_length(LARGEST_M)}",
         fix=fix,
     )
@@ -104,5 +104,14 @@ def _metres_per_unit(vertices: Float64, unit: Unit | None, was_told: bool, path:
 
 def _length(metres: float) -> str:
     if metres >= 1.0:
-        return f"{metres:.4g} m"
-    return f"{metres * 100:.4g} cm" if metres >= 0.01 else f"{metres * 1000:.4g} mm"
+        return f"{_number(metres)} m"
+    return f"{metres * 100:.4g} cm" if metres >= 0.01 else f"{_number(metres * 1000)} mm"
+
+
+def _number(x: float) -> str:
+    """Four figures, and no power of ten where a person can do without.
+
+    >>> _number(120000.0), _number(9.2)
+    ('120000', '9.2')
+    """
+    return f"{x:.0f}" if 1e4 <= x < 1e9 else f"{x:.4g}"

@@ -196,7 +196,7 @@ def _inside(pixels: Float32, tiles: Bool) -> Bool:
 
 def matched(places: Float64, kept: Float64) -> tuple[Int64, Int64]:
     """One-to-one matches between places (W, 3) and kept ones (N, 3), in diameters: indices (K,) into both."""
-    from scipy.spatial.distance import cdist  # a fifth of a second, which the tracker does not need
+    from scipy.spatial.distance import cdist  # a tenth of a second, which the tracker does not need
 
     none = np.zeros(0, np.int64), np.zeros(0, np.int64)
     if not len(places) or not len(kept):

@@ -50,6 +50,6 @@ print(*sorted({"scipy.spatial", "scipy.optimize", "onnxruntime"} & set(sys.modul
 
 
 def test_the_tracker_imports_none_of_what_only_perception_needs() -> None:
-    """A fifth of a second of CPU time at every start."""
+    """A tenth of a second of CPU time at every start."""
     done = subprocess.run([sys.executable, "-c", TRACKER], capture_output=True, text=True, timeout=100.0)
     assert (done.returncode, done.stdout.strip()) == (0, ""), done.stderr

@@ -93,6 +93,11 @@ def _run(config: Config, recording: Any, seconds: float, stopping: Callable[[], 
         work.step()
         if time.monotonic() > say_at and not bus.health.counters.get("pictures"):
             say_at = float("inf")
-            print(f"waiting for frames from {config.endpoint('camera')}", file=sys.stderr, flush=True)
+            where = config.endpoint("camera")
+            print(
+                f"waiting for frames from {where}; `huepose up` starts a pipeline",
+                file=sys.stderr,
+                flush=True,
+            )
     bus.close()
     session.close()

@@ -264,9 +264,10 @@ def load_all(path: Path) -> list[Config]:
         text = data.decode()
     except (OSError, ValueError) as error:
         found = "no text" if isinstance(error, UnicodeDecodeError) else str(error)[:200]
+        reason = getattr(error, "strerror", None)
         raise InputError(
             f"configuration {path}",
-            found=getattr(error, "strerror", None) or found,
+            found="no such file" if isinstance(error, FileNotFoundError) else reason or found,
             expected="a YAML file that describes a pipeline",
             fix="Give the path of one: huepose up PIPELINE.yaml.",
         ) from None

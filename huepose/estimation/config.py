@@ -29,9 +29,6 @@ class FullPathConfig:
     search_deg, fine_deg, prior_deg: steps of the search, coarse to fine, in degrees: of proposed poses, of
     the best of them, and of a prior, which is nearer. registered_within: after the search, poses whose total
     is farther behind the best are not registered again.
-
-    figure_weight: what it counts in the order of poses that figure and ground differ in colour. Origin:
-    chosen on drawn heaps by `huepose eval estimate`.
     """
 
     retrieval: RetrievalConfig = field(default_factory=RetrievalConfig)
@@ -47,7 +44,6 @@ class FullPathConfig:
     fine_deg: tuple[float, ...] = (3.0, 1.5, 0.7)
     prior_deg: tuple[float, ...] = (4.0, 2.0, 1.0)
     registered_within: float = 0.5
-    figure_weight: float = 0.75
 
 
 @dataclass(frozen=True)

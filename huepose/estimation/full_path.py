@@ -1,8 +1,8 @@
 """The full method: views retrieved under all candidate masks, refined on depth and texture, judged together.
 
 Retrieval of views, without trust in the masks > ICP on the points of the mask that proposed it > near-
-symmetric rotations of the best > coordinate search on the dense score > ICP > the best searched finely > in
-the order of score and of how well figure and ground differ > near ties looked at closely.
+symmetric rotations of the best > coordinate search on the dense score > ICP > the best searched finely >
+near ties looked at closely.
 
 A tracked pose that is plainly still right needs no search of all views, most of what live use costs
 (`confirm`). The refined prior is held against its own near-symmetric rotations on the same pixels. When it
@@ -30,7 +30,7 @@ from huepose.propose.template_table import TemplateTable, build_table
 from huepose.propose.views import retrieve
 from huepose.refine.coordinate_search import RACE, search
 from huepose.refine.point_to_plane import align_many
-from huepose.select.distinct import FINAL_SHIFT, FINAL_TURN_RAD, NONE, Ranked, by_figure, different_poses
+from huepose.select.distinct import FINAL_SHIFT, FINAL_TURN_RAD, NONE, Ranked, different_poses
 from huepose.support.kept import kept
 from huepose.support.stages import stage
 
@@ -136,8 +136,7 @@ def finish(
         )
         poses, totals = np.concatenate([poses, fine]), np.concatenate([totals, fine_totals])
         best = different_poses(model, poses, totals, config.alternatives, FINAL_TURN_RAD, FINAL_SHIFT)
-    with stage("judge"):
-        return by_figure(model, region, Ranked.of(poses[best], totals[best]), config.figure_weight)
+    return Ranked.of(poses[best], totals[best])
 
 
 def looks_in_full(frame_id: int, every: int) -> bool:

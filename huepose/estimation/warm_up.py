@@ -13,7 +13,6 @@ from huepose.estimation.types import ObjectQuery, PoseEstimate
 from huepose.geometry import se3
 from huepose.geometry.camera import Camera
 from huepose.geometry.frame import RgbdFrame
-from huepose.judge.figure_ground import figure_ground_contrast
 from huepose.judge.silhouette import projected_box
 from huepose.model.types import ReferenceModel
 from huepose.rendering.render import render
@@ -42,5 +41,4 @@ def rehearse(explain: Explain, model: ReferenceModel, full: bool) -> None:
     confirm(model, region, refined)
     pose = refined.poses[0]
     turned = se3.perturb(pose, np.array([0.0, 0.0, 0.0, 0.0, 0.0, 0.1]))
-    figure_ground_contrast(model, region, refined.poses)
     decided(model, region, Ranked.of(np.stack([pose, turned]), np.array([2.0, 1.95])))

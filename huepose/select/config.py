@@ -11,7 +11,7 @@ from huepose.judge.terms import ScoreWeights
 class NearTieWeights:
     """What each term of a contest weighs.
 
-    dense: how far behind the first, by total, figure and ground (never over 0); detail, broad: how well the
+    dense: how far behind the first by total (never over 0); detail, broad: how well the
     texture's detail and its broader parts explain the same pixels; pairs: the pairs' colours.
 
     Origin: fitted, `studies.near_ties --fit` on drawn heaps, path-traced piles and real frames, some of them

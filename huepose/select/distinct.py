@@ -14,8 +14,6 @@ from dataclasses import dataclass
 import numpy as np
 
 from huepose.geometry.arrays import Float64, Int64
-from huepose.judge.figure_ground import PRIOR_CONTRAST, figure_ground_contrast
-from huepose.judge.region import Region
 from huepose.model.types import ReferenceModel
 from huepose.support.jit import jit
 
@@ -48,23 +46,6 @@ class Ranked:
 
 NONE = Ranked(np.zeros((0, 4, 4)), np.zeros(0), np.zeros(0))
 """Where nothing was found."""
-
-
-def by_figure(model: ReferenceModel, region: Region, found: Ranked, weight: float) -> Ranked:
-    """Different poses in the order of totals and of how well they stand out from what is round them, which
-    counts `weight`."""
-    if len(found) < 2:
-        return found
-    totals = found.totals
-    both = totals + weight * PRIOR_CONTRAST
-    # Who cannot come first even if no colour of its ground is in its figure need not be looked at; nor who is
-    # farther behind than hardly any pose gains by it.
-    near = totals > totals[0] - weight * PRIOR_CONTRAST
-    if near[1]:
-        both[0] = totals[0] + weight * figure_ground_contrast(model, region, found.poses[:1])[0]
-        asked = 1 + np.flatnonzero(near[1:] & (totals[1:] + weight > both[0]))
-        both[asked] = totals[asked] + weight * figure_ground_contrast(model, region, found.poses[asked])
-    return Ranked.of(found.poses, totals, both)
 
 
 FINAL_TURN_RAD, FINAL_SHIFT = 0.2, 0.05

@@ -13,7 +13,7 @@ import argparse
 import json
 from collections.abc import Callable, Sequence
 from concurrent.futures import ProcessPoolExecutor
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from functools import partial, reduce
 from multiprocessing import get_context
 from pathlib import Path
@@ -23,28 +23,20 @@ import numpy as np
 
 from huepose.believe.fits import fitted, write_fit
 from huepose.datasets.bop import BopScene
-from huepose.datasets.types import SomeImages
 from huepose.drawing.plots import reliability_plot
-from huepose.estimation import Estimator, EstimatorConfig
-from huepose.estimation.config import Method
 from huepose.evaluation.calibration import Judged, read_judged, worth
-from huepose.evaluation.estimate_protocol import EstimateOptions, evaluate_estimates
-from huepose.evaluation.result_files import write_json
 from huepose.evaluation.summary import table
-from huepose.evaluation.targets import Targets
 from huepose.geometry.arrays import Bool
 from huepose.geometry.mesh import Mesh
-from huepose.model import load_models
 from huepose.scenes.rendered_set import write_rendered_set
 from huepose.scenes.shapes import demo_objects
 from huepose.support.files import write_picture
 from huepose_services.cli.evaluate_calibration import worth_row
 from huepose_services.cli.main import main as run_huepose
-from studies.absent import answers_where_absent, questions, read_absent
+from studies.absent import read_absent
+from studies.quality.estimates import Part, estimate
 from studies.quality.fit import FEATURES, Fitted, as_json, fit
 
-MIN_VISIB = 0.1
-ABSENT_PER_FRAME = 3
 SIZES = (1.2, 1.0 / 1.2)
 OWN = "cal_own"
 """The scene of the built-in objects, whose numbers are not those of the others."""
@@ -64,23 +56,6 @@ HEADING = ["held out", "n", "right", "error", "by chance", "found %", "over the 
 
 MOST_RIGHT = 0.98
 """Where more is right than this, there is nothing to see in a picture of reliability."""
-
-
-@dataclass(frozen=True)
-class Part:
-    """A share of a scene's frames, from `first` on every `step`, by one method."""
-
-    kind: str
-    method: Method
-    scene: Path
-    bundles: Path
-    first: int
-    step: int
-
-    @property
-    def name(self) -> str:
-        """Of its result file."""
-        return f"{self.method}_{self.scene.name}_{self.kind}_{self.first}of{self.step}"
 
 
 def main() -> None:
@@ -115,7 +90,7 @@ def main() -> None:
                 *(Part("sizes", method, scene, own, first, n) for scene in sizes),
             ]
     with ProcessPoolExecutor(arguments.processes, mp_context=get_context("spawn")) as pool:
-        list(pool.map(_estimated, parts, [work] * len(parts)))
+        list(pool.map(estimate, parts, [work] * len(parts)))
     fits = dict(fitted("quality"))
     for method in arguments.methods:
         files = {
@@ -136,21 +111,6 @@ def main() -> None:
         if arguments.picture is not None and method == "full":
             _draw(arguments.picture, result, labels)
     write_fit("quality", fits)
-
-
-def _estimated(part: Part, work: Path) -> None:
-    """The estimates of a part, as a file. Nothing is hidden as not found, so that all is fitted to."""
-    models = load_models(part.bundles)
-    targets, whole = Targets(models), BopScene(part.scene)
-    scene = SomeImages(whole, whole.image_ids[part.first :: part.step])
-    estimator = Estimator(models, EstimatorConfig(method=part.method, found_level=0.0))
-    path = work / f"{part.name}.json"
-    if part.kind == "others":
-        asked = list(questions([scene], targets, ABSENT_PER_FRAME))
-        write_json(path, {"rows": answers_where_absent(estimator, asked)})
-    else:
-        options = EstimateOptions(min_visib=MIN_VISIB)
-        write_json(path, evaluate_estimates([scene], targets, estimator, options).as_json())
 
 
 def _print(method: str, fitted: Fitted, labels: Judged, others: Judged, alike: Judged, sizes: Judged) -> None:

@@ -1,11 +1,10 @@
 """What several tests of the judge look at."""
 
-from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
 
-from huepose.geometry import Box, RgbdFrame, se3
+from huepose.geometry import Box, RgbdFrame
 from huepose.geometry.arrays import Bool
 from huepose.judge.pairs import PairPicture, pair_picture, pair_score_many
 from huepose.judge.region import Region, prepare_believed, prepare_crop
@@ -50,24 +49,6 @@ def region_of(frame: RgbdFrame, model: ReferenceModel, T: np.ndarray) -> Region:
     region = prepare_region(frame, mask, box, model.diameter_m)
     assert region is not None
     return region
-
-
-def even_region(
-    model: ReferenceModel,
-    frame: RgbdFrame,
-    T: np.ndarray,
-    figure: tuple[int, int, int],
-    ground: tuple[int, int, int],
-) -> Region:
-    """That of an object without any texture, in two colours."""
-    shown = render_depth(model.mesh, T, frame.camera) > 0
-    color = np.where(shown[..., None], figure, ground).astype(np.uint8)
-    return region_of(replace(frame, color=color), model, T)
-
-
-def shifted(T: np.ndarray, x_m: float) -> np.ndarray:
-    """A pose to the side."""
-    return se3.perturb(T, np.array([x_m, 0.0, 0.0, 0.0, 0.0, 0.0]))
 
 
 def seen_by_pairs(model: ReferenceModel, frame: RgbdFrame, T: np.ndarray) -> tuple[Region, PairPicture]:

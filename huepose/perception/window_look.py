@@ -60,7 +60,7 @@ def narrowed(table: WindowTable, windows: Windows, chosen: Int64, first: int) ->
 
     Always coded: the `first` ones, those on separate pieces, and those recalled from memory. Of the others a
     subset APART diameters apart, and then the neighbours of the most similar ones."""
-    from scipy.spatial.distance import cdist  # a fifth of a second, which the tracker does not need
+    from scipy.spatial.distance import cdist  # a tenth of a second, which the tracker does not need
 
     places = windows.places_diameters(chosen)
     taken = (np.arange(len(chosen)) < first) | (chosen < windows.pieces) | windows.recalled[chosen]

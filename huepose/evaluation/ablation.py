@@ -32,7 +32,7 @@ from huepose.geometry.camera import NEAREST_M, Camera
 from huepose.judge.silhouette import visible_within
 from huepose.model.types import ReferenceModel
 from huepose.paper.rotation_network import learned
-from huepose.propose.correspondences import MIN_SIMILARITY, Correspondences, match, similarity_beside
+from huepose.propose.correspondences import MIN_SIMILARITY, Correspondences, match, side_color_similarity
 from huepose.propose.flow import Flow, compute
 from huepose.propose.relative_pose import LiftedMatches, Motion, RelativePose, RobustKabsch, lift_matches
 from huepose.rendering import render_depth
@@ -176,7 +176,7 @@ def chosen(choice: str, a: Sample, b: Sample, mask: Bool, flow: Flow) -> Corresp
         found = _all_flow(mask, flow)
     if not choice.endswith("filtered"):
         return found
-    return found[similarity_beside(*colors, found.pixels_a, flow) >= MIN_SIMILARITY]
+    return found[side_color_similarity(*colors, found.pixels_a, flow) >= MIN_SIMILARITY]
 
 
 def _all_flow(mask: Bool, flow: Flow) -> Correspondences:

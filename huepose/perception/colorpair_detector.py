@@ -33,7 +33,7 @@ from huepose.perception.window_table import WindowTable, window_table
 from huepose.perception.windows import WindowsBySize
 from huepose.propose.features import Features, FeatureSource, Sift
 from huepose.propose.keypoint_reference import build_keypoints
-from huepose.propose.keypoints import Sought, Spots, agreed, match
+from huepose.propose.keypoints import ModelKeypoints, PictureFeatures, consensus_poses, match
 from huepose.rendering.render import render
 from huepose.select.surfaces import HALF, share_held
 from huepose.support.kept import kept
@@ -53,7 +53,7 @@ class ColorPairDetector:
         self._models: dict[str, ReferenceModel] = {}
         self._tables: dict[str, WindowTable] = {}
         self._features: FeatureSource = Sift()
-        self._keypoints: dict[str, Sought] = {}
+        self._keypoints: dict[str, ModelKeypoints] = {}
         self._lock = threading.Lock()
         self._memory: Memory | None = None
         self._pool = Pool(self.config.threads)
@@ -132,7 +132,7 @@ class ColorPairDetector:
         def guessed(name: str) -> Float64:
             seen, sought = features.spots(), self._keypoints_of(name)
             with stage("keypoints"):
-                return agreed(match(sought, seen), view.crop.depth, view.crop.camera).poses
+                return consensus_poses(match(sought, seen), view.crop.depth, view.crop.camera).poses
 
         return guessed
 
@@ -160,18 +160,19 @@ class ColorPairDetector:
                 self._tables[name] = window_table(self._model(name))
             return self._tables[name]
 
-    def _keypoints_of(self, name: str) -> Sought:
+    def _keypoints_of(self, name: str) -> ModelKeypoints:
         with self._lock:
             if name not in self._keypoints:
                 model = self._model(name)
-                self._keypoints[name] = kept(Sought, model.digest, lambda: self._sought(model))
+                make = partial(self._matching_keypoints, model)
+                self._keypoints[name] = kept(ModelKeypoints, model.digest, make)
             return self._keypoints[name]
 
-    def _sought(self, model: ReferenceModel) -> Sought:
+    def _matching_keypoints(self, model: ReferenceModel) -> ModelKeypoints:
         found = model.keypoints
         if found is None or found.source != self._features.name:
             found = build_keypoints(model.mesh, model.diameter_m, self._features)
-        return Sought.of(found)
+        return ModelKeypoints.of(found)
 
     def _efforts(self, name: str, thorough: Collection[str] | None) -> tuple[Effort, ...]:
         if "views" not in self.config.sources:
@@ -185,15 +186,15 @@ class _FeaturesOnce:
     def __init__(self, source: FeatureSource, view: ClearView, memory: Memory | None) -> None:
         self._source, self._view, self._memory = source, view, memory
         self.kept = None if memory is None else memory.features
-        self._spots: Spots | None = None
+        self._spots: PictureFeatures | None = None
         self._lock = threading.Lock()
 
-    def spots(self) -> Spots:
+    def spots(self) -> PictureFeatures:
         """The features, with the neighbours of each."""
         with self._lock:
             if self._spots is None:
                 with stage("features"):
-                    self._spots = Spots.of(self._extracted())
+                    self._spots = PictureFeatures.of(self._extracted())
             return self._spots
 
     def _extracted(self) -> Features:

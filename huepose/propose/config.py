@@ -1,4 +1,4 @@
-"""How much is spent on proposing poses by view."""
+"""Settings of the view templates and of the crop they are compared with."""
 
 from __future__ import annotations
 
@@ -7,16 +7,14 @@ from dataclasses import dataclass
 
 @dataclass(frozen=True)
 class RetrievalConfig:
-    """Which views are looked at, and how closely.
+    """How many templates reach each stage of the view retrieval (`propose.views`).
 
-    views: different views that a frame's masks give together. closer: templates a mask that get the close
-    look; closest: of these, how many are tried a cell to each side as well. Origin: chosen by recall in piles
-    (`huepose eval estimate`): 700 and 80 of them, with fewer poses searched, lose three points there.
-
-    quick_weight: what the score of the quick look counts beside that of the close look. Origin: chosen.
-
-    ranked: templates a mask that may become views. apart_deg: rotations of two views differ by this much at
-    least: the directions of the templates are 16 degrees apart, so a neighbour is the same view.
+    views: hypotheses returned for all masks together. closer: templates per mask that get the close look.
+    closest: best of these per mask, which are also tried one cell to each side. Both chosen by recall in
+    piles (`huepose eval estimate`): 700 and 80, with fewer poses searched, lose three points there.
+    quick_weight: weight of the quick look's score, added to the close look's. Chosen. ranked: best templates
+    per mask that may become hypotheses. apart_deg: least angle between the rotations of two hypotheses.
+    Template directions are 16 degrees apart, so that neighbours count as the same view.
     """
 
     views: int = 30
@@ -29,16 +27,14 @@ class RetrievalConfig:
 
 @dataclass(frozen=True)
 class EvidenceConfig:
-    """How candidate masks are believed, and how many points are taken from them.
+    """How candidate masks are weighted, and how the crop is cut (`propose.evidence`).
 
-    fitting_iou: a mask whose bounds overlap the box by this IoU fits as well as can be expected: a true mask
-    does so in a box that is shifted and scaled by a tenth. least_trust: of a mask that does not fit at all.
-    Origin: chosen.
-
-    mask_points, box_points: surface points for registration, of a mask and of the whole box.
-
-    reach: how far the crop goes beyond a mask, in diameters at the mask's depth, so that the object lies in
-    it whole; an end of a thin object alone would need 1.0. Origin: chosen.
+    fitting_iou: IoU of a mask's bounds and the box from which the mask gets full weight. A true mask reaches
+    it in a box that is shifted and scaled by a tenth. Chosen. least_trust: weight of a mask that does not
+    overlap the box at all. Chosen. mask_points, box_points: surface points sampled for registration from each
+    mask and from the whole box. reach: margin of the crop around a mask, in object diameters at the mask's
+    depth, so that the whole object lies in the crop. A mask of only one end of a thin object would need 1.0.
+    Chosen.
     """
 
     fitting_iou: float = 0.75

@@ -1,8 +1,8 @@
-"""Which pixels of the object are where in the next frame (paper, section III-E, first step).
+"""2D correspondences of an object between two frames, by optical flow (paper, section III-E, first step).
 
 Candidates are the ridge points of the object's colour pairs, where flow is best determined, and a sparse grid
-that keeps even faces from being forgotten. A match is believed when flow confirms it in both directions,
-when it ends on the propagated mask, and when the two colours beside it are still the same pair.
+that also covers faces without edges. A correspondence is kept if the flow is consistent forward and backward,
+if it ends on the propagated mask, and if the colours on both sides of it stay similar.
 """
 
 from __future__ import annotations
@@ -21,10 +21,12 @@ from huepose.propose.mask_propagation import propagate
 
 GRID_STEP_PX = 12
 GRID_WEIGHT = 0.3
+"""Weight of a grid point; a colour pair has 1."""
 MAX_PAIRS = 300
 MIN_SIMILARITY = 0.35
+"""Least colour-pair similarity (0..1) of a kept correspondence."""
 SIDE_PX = 3.0
-"""Distance of the compared colours from a grid point."""
+"""Distance from a grid point to the two compared colours."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -41,7 +43,7 @@ class Correspondences:
         return len(self.pixels_a)
 
     def __getitem__(self, chosen: Bool) -> Correspondences:
-        """Those that are chosen (N,)."""
+        """The correspondences selected by a mask (N,)."""
         return Correspondences(
             self.pixels_a[chosen], self.pixels_b[chosen], self.weights[chosen], self.similarity[chosen]
         )
@@ -82,11 +84,11 @@ def match(
     if not len(pixels):
         none = np.zeros((0, 2))
         return Correspondences(none, none, np.zeros(0), np.zeros(0))
-    across = np.concatenate(
+    offsets = np.concatenate(
         [
             np.stack([np.cos(ridge.directions), np.sin(ridge.directions)], 1)
             * (0.5 * ridge.widths + 1.0)[:, None],
-            _beside(len(grid)),
+            _side_offsets(len(grid)),
         ]
     ).astype(np.float32)
     weights = np.concatenate([np.ones(len(ridge)), np.full(len(grid), GRID_WEIGHT)])
@@ -97,7 +99,7 @@ def match(
     good &= mask_b[rows, columns]
     similarity = np.ones(len(pixels))
     if use_pairs:
-        similarity = _similarity(lab_a, lab_b, pixels, across, flow)
+        similarity = _side_similarity(lab_a, lab_b, pixels, offsets, flow)
         good &= similarity >= MIN_SIMILARITY
     return Correspondences(
         (pixels + corner)[good].astype(np.float64),
@@ -107,32 +109,34 @@ def match(
     )
 
 
-def similarity_beside(color_a: UInt8, color_b: UInt8, pixels: Float64, flow: Flow) -> Float64:
-    """How alike the two colours beside points of the first image (N, 2) are to those where flow takes them,
-    (N,) in 0..1: what `match` asks of its grid."""
+def side_color_similarity(color_a: UInt8, color_b: UInt8, pixels: Float64, flow: Flow) -> Float64:
+    """Similarity (N,) in 0..1 of the colours on both sides of pixels (N, 2) of the first image and of their
+    ends in the second: the test that `match` applies to its grid."""
     h, w = flow.consistent.shape
     window = np.s_[flow.y0 : flow.y0 + h, flow.x0 : flow.x0 + w]
     local = (pixels - np.array([flow.x0, flow.y0])).astype(np.float32)
     lab_a, lab_b = lab_of(color_a[window]), lab_of(color_b[window])
-    return _similarity(lab_a, lab_b, local, _beside(len(local)).astype(np.float32), flow)
+    return _side_similarity(lab_a, lab_b, local, _side_offsets(len(local)).astype(np.float32), flow)
 
 
-def _beside(count: int) -> Float64:
-    """From each of so many grid points to one of its compared colours, (N, 2)."""
+def _side_offsets(count: int) -> Float64:
+    """Offsets (N, 2) in pixels from grid points to one of their two compared colours."""
     return np.tile(np.array([[SIDE_PX, 0.0]]), (count, 1))
 
 
-def _similarity(lab_a: Float32, lab_b: Float32, pixels: Float32, across: Float32, flow: Flow) -> Float64:
-    """Of the colours at both sides of pixels (N, 2) of the window, `across` (N, 2) away from them, to those
-    in the second image. The sides move with the surface, not with the point: each follows its own flow."""
-    sides = (pixels - across, pixels + across)
+def _side_similarity(
+    lab_a: Float32, lab_b: Float32, pixels: Float32, offsets: Float32, flow: Flow
+) -> Float64:
+    """Similarity (N,) of the colours at pixels (N, 2) minus and plus `offsets` (N, 2) in both images, in
+    window coordinates. Each side is moved by its own flow, since the two may lie on different surfaces."""
+    sides = (pixels - offsets, pixels + offsets)
     before = np.stack([sampled(lab_a, q) for q in sides], 1)
     after = np.stack([sampled(lab_b, q + sampled(flow.forward, q)) for q in sides], 1)
     return paired_similarity(before, after).astype(np.float64)
 
 
 def _grid(mask: Bool, step_px: int) -> Float32:
-    """Every `step_px`-th pixel of the mask, (N, 2) as (u, v)."""
+    """Grid points (u, v) (N, 2) on the mask, `step_px` apart."""
     half = step_px // 2
     rows, columns = np.nonzero(mask[half::step_px, half::step_px])
     return (np.stack([columns, rows], 1) * step_px + half).astype(np.float32)

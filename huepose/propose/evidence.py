@@ -1,7 +1,7 @@
-"""What the full method looks at: one crop, seen through all candidate masks at once.
+"""Input of the method `full`: one crop of the frame, with all candidate masks.
 
-Each mask is believed as far as its bounds fit the box; the whole box is a further, silent candidate, which
-proposes poses but is not believed. So a wrong mask costs little: it proposes in vain and loses the vote.
+Each mask is weighted by how well its bounds fit the box. The whole box is a further candidate, which proposes
+poses but has no weight when they are judged. So a wrong mask costs little: its proposals score low.
 """
 
 from __future__ import annotations
@@ -21,8 +21,8 @@ from huepose.propose.views import Picture
 
 @dataclass(frozen=True, eq=False)
 class Evidence:
-    """region: what judges poses; picture: where views are sought; sources: masks (h, w) of the crop that
-    propose poses, the whole box last; points_cam: of each source, (N, 3)."""
+    """region: input of the judge; picture: input of the view retrieval; sources: masks (h, w) of the crop
+    that propose poses, the whole box last; points_cam: surface points (N, 3) of each source, metres."""
 
     region: Region
     picture: Picture
@@ -37,21 +37,20 @@ def gather(
     diameter_m: float,
     config: EvidenceConfig | None = None,
 ) -> Evidence | None:
-    """Evidence of candidate masks (H, W) in a box; None when there is no depth under any mask nor in the
-    box."""
+    """Crop a frame for candidate masks (H, W) bool and a box; None when neither has any depth."""
     config = config or EvidenceConfig()
     size = (frame.camera.width, frame.camera.height)
     inside = np.zeros(frame.depth.shape, bool)
     inside[box.slices(*size)] = True
     known = frame.depth > 0
-    shown = [m & known for m in masks]
-    shown = [m for m in shown if m.any()]
+    masks_with_depth = [m & known for m in masks]
+    masks_with_depth = [m for m in masks_with_depth if m.any()]
     whole = inside & known
-    if not shown and not whole.any():
+    if not masks_with_depth and not whole.any():
         return None
-    believed = shown or [whole]
-    crop = prepare_crop(frame, _window(frame, [*shown, whole], config.reach * diameter_m))
-    fits = [_fit(mask, box, config.fitting_iou) for mask in believed]
+    believed = masks_with_depth or [whole]
+    crop = prepare_crop(frame, _window(frame, [*masks_with_depth, whole], config.reach * diameter_m))
+    fits = [_box_fit(mask, box, config.fitting_iou) for mask in believed]
     region = prepare_believed(
         crop, believed, [f * f + config.least_trust for f in fits], max(fits) ** 2, box, diameter_m
     )
@@ -59,7 +58,7 @@ def gather(
         return None
     h, w = crop.depth.shape
     cut = (slice(crop.y0, crop.y0 + h), slice(crop.x0, crop.x0 + w))
-    sources = [m[cut] for m in shown]
+    sources = [m[cut] for m in masks_with_depth]
     counts = [config.mask_points] * len(sources)
     if whole[cut].any():
         sources.append(whole[cut])
@@ -72,14 +71,14 @@ def _picture(crop: Crop, region: Region) -> Picture:
     return Picture(crop.color, crop.depth, crop.camera, region.bounds)
 
 
-def _fit(mask: Bool, box: Box, fitting_iou: float) -> float:
-    """How well a mask fits the box, 0..1: as well as can be expected from this IoU of their bounds on."""
+def _box_fit(mask: Bool, box: Box, fitting_iou: float) -> float:
+    """Fit of a mask to the box, 0..1: IoU of their bounds over `fitting_iou`, at most 1."""
     bounds = Box.of_mask(mask)
     return 0.0 if bounds is None else min(1.0, bounds.iou(box) / fitting_iou)
 
 
 def _window(frame: RgbdFrame, masks: Sequence[Bool], reach_m: float) -> Box:
-    """A window that reaches so far beyond each mask, at the mask's depth."""
+    """The bounds of all masks, each grown by `reach_m` at its median depth, clipped to the image."""
     boxes = []
     for mask in masks:
         bounds = Box.of_mask(mask)

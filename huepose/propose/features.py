@@ -1,7 +1,7 @@
-"""Local features of a picture: points that are found again in other pictures, and what they look like.
+"""Local image features: detector and descriptor behind the protocol `FeatureSource`.
 
-Whatever finds and describes such points can stand behind `FeatureSource`. SIFT (Lowe 2004, OpenCV) needs no
-weights; its descriptors are compared as RootSIFT (Arandjelovic and Zisserman 2012).
+The default is SIFT (Lowe 2004, OpenCV), which needs no weights; its descriptors are compared as RootSIFT
+(Arandjelovic and Zisserman 2012).
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ SIFT_WIDTH = 128
 @dataclass(frozen=True, eq=False)
 class Features:
     """pixels (N, 2) float32: (u, v) in the picture; descriptors (N, D) float32 of unit length, no value
-    negative: the larger the product of two, the more alike they look."""
+    negative: similarity is their scalar product, 0..1."""
 
     pixels: Float32
     descriptors: Float32
@@ -37,7 +37,7 @@ class FeatureSource(Protocol):
 
     @property
     def name(self) -> str:
-        """What the features are of."""
+        """Name of detector and descriptor."""
         ...
 
     def extract(self, color: UInt8, mask: Bool | None = None) -> Features:

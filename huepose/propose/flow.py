@@ -1,7 +1,7 @@
 """Dense optical flow between two frames, on the object's region only, checked forward and backward.
 
 DIS flow (Kroeger et al. 2016, OpenCV) needs no network and costs about a millisecond on 240 x 240 pixels; its
-patches are normalised for brightness. A learned flow can stand in its place (`flow_network`).
+patches are normalised for brightness. A learned flow can replace it (`perception.flow_network`).
 """
 
 from __future__ import annotations
@@ -21,7 +21,8 @@ MIN_SIDE = 32
 
 MAX_ERROR_PX = 1.0
 MAX_ERROR_SHARE = 0.05
-"""A flow is consistent when going there and back misses by less than this and this share of its length."""
+"""Flow is consistent if forward plus backward flow misses the start by less than this many pixels plus this
+share of its length."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -50,7 +51,7 @@ class Flow:
 
 
 class FlowSource(Protocol):
-    """Anything that finds flow; `compute` is the one that needs nothing."""
+    """Computes optical flow; `compute` is the default, which needs no network."""
 
     def __call__(self, color_a: UInt8, color_b: UInt8, box: Box) -> Flow | None:
         """Flow from one colour image (H, W, 3) uint8 RGB to another in a window that covers `box` where the
@@ -89,7 +90,8 @@ def compute(
 
 @jit
 def consistency(forward: Float32, backward: Float32) -> Bool:
-    """Where going forward (H, W, 2) and back (H, W, 2) returns to the start: (H, W) bool."""
+    """Forward-backward check: (H, W) bool, True where forward (H, W, 2) and backward flow (H, W, 2)
+    cancel."""
     h, w = forward.shape[0], forward.shape[1]
     out = np.zeros((h, w), np.bool_)
     for row in range(h):

@@ -1,5 +1,5 @@
-"""Where in a region are the hues of an object? Histogram back-projection in the light that is known or not
-(Swain and Ballard 1991: the ratio of two histograms)."""
+"""Map of how typical each pixel's hue is of an object: histogram back-projection (Swain and Ballard 1991),
+the ratio of the object's hue histogram and the region's."""
 
 from __future__ import annotations
 
@@ -10,49 +10,53 @@ from huepose.geometry.arrays import Float32, Float64
 from huepose.judge.region import ModelArrays, RegionArrays
 
 BINS, WIDTH = 40, 6.0
-"""Bins of red-green and yellow-blue each, and their width in opponent units, about grey."""
+"""Histogram bins along red-green and along yellow-blue, and their width in opponent units; grey is in the
+middle."""
 
-LIGHT_BINS, ANY_LIGHT_BINS = 1.0, 2.5
-"""Blur of the object's histogram (bins): shading and noise in a known light, and what lights do."""
+BLUR_BINS, UNKNOWN_LIGHT_BLUR_BINS = 1.0, 2.5
+"""Gaussian sigma on the object's histogram, in bins: for shading and noise where the light's colour is known,
+and for its unknown tint where it is not."""
 
-FLOOR = 2e-4
-"""Density of a hue that neither shows."""
+MIN_DENSITY = 2e-4
+"""Added to both densities, so that hues in neither histogram get a ratio of 1."""
 
-MOST = 2.0
-"""A pixel says no more than this, as a natural logarithm."""
+MAX_LOG_RATIO = 2.0
+"""The logarithm of the ratio is clipped to this, so that no single pixel decides."""
 
 
 def hue_map(model: ModelArrays, region: RegionArrays) -> Float32:
-    """How much likelier each pixel's hue is the object's than the region's (h, w), a natural logarithm; 0
+    """Log-likelihood ratio (h, w, natural logarithm) of each pixel's hue: object against whole region; 0
     where the pixel is saturated or has no depth."""
     shift = region.light[1:] if region.lit else np.zeros(2)
-    own = _histogram(_bins(model.colors[1][:, 1:] + shift.astype(np.float32)))
-    own = _blurred(own, LIGHT_BINS if region.lit else ANY_LIGHT_BINS)
+    object_density = _histogram(_bins(model.colors[1][:, 1:] + shift.astype(np.float32)))
+    object_density = _blurred(object_density, BLUR_BINS if region.lit else UNKNOWN_LIGHT_BLUR_BINS)
     hues = region.colors[1, ..., 1:]
-    speaks = (region.depth > 0) & ~region.saturated
-    place = _bins(hues)
-    if not speaks.any():
+    usable = (region.depth > 0) & ~region.saturated
+    bins = _bins(hues)
+    if not usable.any():
         return np.zeros(region.depth.shape, np.float32)
-    around = _blurred(_histogram(place[speaks]), 1.0)
-    ratio = np.clip(np.log((own + FLOOR) / (around + FLOOR)), -MOST, MOST).astype(np.float32)
-    return np.where(speaks, ratio.ravel()[place], np.float32(0.0))
+    region_density = _blurred(_histogram(bins[usable]), 1.0)
+    ratio = np.clip(
+        np.log((object_density + MIN_DENSITY) / (region_density + MIN_DENSITY)), -MAX_LOG_RATIO, MAX_LOG_RATIO
+    ).astype(np.float32)
+    return np.where(usable, ratio.ravel()[bins], np.float32(0.0))
 
 
 def averaged(values: Float32, side_px: float) -> Float32:
-    """Mean of a map (h, w) over squares of that side."""
+    """Box filter: the mean of a map (h, w) over squares of this side in pixels."""
     side = max(1, round(side_px))
     return np.asarray(cv2.blur(values, (side, side)), np.float32)
 
 
 def _bins(hues: Float32) -> np.ndarray:
-    """Number of the bin of each hue (..., 2)."""
+    """Flat bin index (...) of each hue (..., 2)."""
     cells = np.clip(np.rint(hues / np.float32(WIDTH)), -(BINS // 2), BINS - 1 - BINS // 2)
     number: np.ndarray = cells[..., 0] * BINS + cells[..., 1] + (BINS // 2) * (BINS + 1)
     return number.astype(np.int32)
 
 
 def _histogram(bins: np.ndarray) -> Float64:
-    """Share of hues, by the numbers of their bins, in each bin (BINS, BINS)."""
+    """Normalised histogram (BINS, BINS) of flat bin indices."""
     counts = np.bincount(bins.ravel(), minlength=BINS * BINS).astype(np.float64)
     return np.asarray((counts / max(counts.sum(), 1.0)).reshape(BINS, BINS))
 

@@ -1,5 +1,5 @@
-"""The keypoints of a model: features of its rendered views, those that are found again in other views, light
-and blur (built once, offline)."""
+"""Select a model's keypoints: the features of its rendered views that are detected again most often in other
+views, with other light, scale and blur. Built once, offline."""
 
 from __future__ import annotations
 
@@ -17,39 +17,43 @@ from huepose.propose.features import Features, FeatureSource, Sift
 from huepose.rendering.render import Rendering, render
 
 LEVEL = 1
-"""Of the icosphere: 42 directions, 32 degrees apart. SIFT stands half of that well."""
+"""Subdivision level of the icosphere of view directions: 42, 32 degrees apart. SIFT tolerates half of
+that."""
 
 PIXELS_PER_M = 1100.0
-"""Of the views: as 0.55 m before a camera of 600 px focal length, nearer than most frames show an object."""
+"""Resolution of the views, pixels per metre at the object: as seen from 0.55 m with a focal length of 600 px,
+which is nearer than in most frames."""
 
 PICTURE_PX = 640.0
-"""An object has to fit into a picture: the diameter of a larger one than 0.58 m is this in its views."""
+"""Largest diameter in a view, pixels: the resolution is lower for objects of more than 0.58 m."""
 
-FARTHEST = 0.5
-"""Other pictures have as few as this of the views' pixels a metre."""
+MIN_SCALE = 0.5
+"""Test views have a resolution of this to 1 times that of the view."""
 
-OTHERS, OFF_DEG = 3, 15.0
-"""Other pictures of each view in which its features are sought, and how far off their directions are."""
+TEST_VIEWS, TEST_OFF_DEG = 3, 15.0
+"""Test views rendered for each view, and the angle between their directions and the view's, degrees."""
 
-FOUND_PX, ALIKE = 2.0, 0.75
-"""A feature is found again where one this near looks this much like it, and none elsewhere more."""
+REFOUND_PX, MIN_SIMILARITY = 2.0, 0.75
+"""A feature is detected again if one within this many pixels has at least this descriptor product with it,
+and none elsewhere has more."""
 
-SAME_M, SAME_LOOK = 0.003, 0.9
-"""Features this near on the object that look this much alike are one."""
+DUPLICATE_M, DUPLICATE_SIMILARITY = 0.003, 0.9
+"""Features this near on the object (metres) with at least this descriptor product are duplicates."""
 
-MOST = 1500
-"""Of an object: 230 kB. With 800 the frames looked at gave a fifth fewer agreeing points."""
+MAX_KEYPOINTS = 1500
+"""Keypoints kept for an object: 230 kB. With 800, the frames tried gave a fifth fewer inliers."""
 
-LOOKS = 255.0
-"""Values of unit descriptors are kept as bytes of this many steps."""
+DESCRIPTOR_STEPS = 255.0
+"""Descriptor values 0..1 are stored as bytes in this many steps."""
 
 EDGE_PX = 5
-"""Features nearer to the outline are of object and background."""
+"""Width of the kernel that erodes the mask: features at the outline would describe the background, too."""
 
 
 @dataclass(frozen=True, eq=False)
 class _View:
-    """Features of a picture, with their points (N, 3) and normals (N, 3) in the object's frame."""
+    """Features of a rendered view, with their points (N, 3, metres) and normals (N, 3) in the object's
+    frame."""
 
     features: Features
     points: Float64
@@ -57,34 +61,38 @@ class _View:
 
 
 def build_keypoints(
-    mesh: Mesh, diameter_m: float, source: FeatureSource | None = None, most: int = MOST
+    mesh: Mesh, diameter_m: float, source: FeatureSource | None = None, count: int = MAX_KEYPOINTS
 ) -> Keypoints:
-    """The `most` keypoints of a mesh that are found again most often; deterministic."""
+    """The `count` keypoints of a mesh that are detected again most often, fewer where there are not as many;
+    deterministic. source: feature detector, default SIFT."""
     source = source or Sift()
     rng = np.random.default_rng(0)
-    nearest = min(PIXELS_PER_M, PICTURE_PX / diameter_m)
-    views, found = [], []
+    max_pixels_per_m = min(PIXELS_PER_M, PICTURE_PX / diameter_m)
+    views, refound = [], []
     for direction in icosphere.directions(LEVEL):
-        view = _view(mesh, *_stand(mesh, diameter_m, direction, nearest), source)
+        view = _view(mesh, *_view_camera(mesh, diameter_m, direction, max_pixels_per_m), source)
         others = [
-            _found_again(mesh, diameter_m, direction, nearest, view, source, rng) for _ in range(OTHERS)
+            _refound(mesh, diameter_m, direction, max_pixels_per_m, view, source, rng)
+            for _ in range(TEST_VIEWS)
         ]
         views.append(view)
-        found.append(np.sum(others, axis=0))
+        refound.append(np.sum(others, axis=0))
     points = np.concatenate([v.points for v in views])
     normals = np.concatenate([v.normals for v in views])
-    looks = np.concatenate([v.features.descriptors for v in views])
-    chosen = _chosen(points, looks, np.concatenate(found), most)
+    descriptors = np.concatenate([v.features.descriptors for v in views])
+    chosen = _selected(points, descriptors, np.concatenate(refound), count)
     return Keypoints(
         points[chosen].astype(np.float32),
         normals[chosen].astype(np.float32),
-        np.rint(looks[chosen] * LOOKS).astype(np.uint8),
+        np.rint(descriptors[chosen] * DESCRIPTOR_STEPS).astype(np.uint8),
         source.name,
     )
 
 
-def _stand(mesh: Mesh, diameter_m: float, direction: Float, pixels_per_m: float) -> tuple[Float64, Camera]:
-    """Pose and camera of a view from a direction, so large where the object is."""
+def _view_camera(
+    mesh: Mesh, diameter_m: float, direction: Float, pixels_per_m: float
+) -> tuple[Float64, Camera]:
+    """T_cam_obj (4, 4) and camera of a view from a direction (3,), at this resolution at the object."""
     distance = max(0.6, 2.5 * diameter_m)
     focal = pixels_per_m * distance
     side = int(np.ceil(1.25 * diameter_m * pixels_per_m)) + 24
@@ -96,61 +104,62 @@ def _stand(mesh: Mesh, diameter_m: float, direction: Float, pixels_per_m: float)
 def _view(mesh: Mesh, T_cam_obj: Float64, camera: Camera, source: FeatureSource) -> _View:
     seen = render([(mesh, T_cam_obj)], camera, points=True, normals=True)
     inner = cv2.erode((seen.depth > 0).astype(np.uint8), np.ones((EDGE_PX, EDGE_PX), np.uint8)) > 0
-    features = source.extract(_before(seen, 128), inner)
+    features = source.extract(_on_background(seen, 128), inner)
     u, v = np.clip(np.rint(features.pixels), 0, camera.width - 1).astype(int).T
     normals = seen.normals_cam[v, u].astype(np.float64) @ T_cam_obj[:3, :3]
     return _View(features, seen.points_obj[v, u].astype(np.float64), normals)
 
 
-def _before(seen: Rendering, background: int) -> UInt8:
-    """The picture before a background of this grey."""
+def _on_background(seen: Rendering, background: int) -> UInt8:
+    """The rendered colours (H, W, 3) on a uniform background of this grey level."""
     return np.where((seen.depth > 0)[..., None], seen.color, np.uint8(background))
 
 
-def _found_again(
+def _refound(
     mesh: Mesh,
     diameter_m: float,
     direction: Float,
-    nearest: float,
+    max_pixels_per_m: float,
     view: _View,
     source: FeatureSource,
     rng: np.random.Generator,
 ) -> Float64:
-    """Which features (N,) of a view are found, 1, or not, 0, in another picture.
+    """Which features (N,) of a view are detected again (1) or not (0) in one random test view.
 
-    nearest: the most pixels a metre."""
+    max_pixels_per_m: the resolution of the view itself."""
     across = np.cross(direction, rng.normal(size=3))
-    turn = se3.rotation_exp(np.radians(OFF_DEG) * across / np.linalg.norm(across))
-    pixels_per_m = nearest * rng.uniform(FARTHEST, 1.0)
-    T_cam_obj, camera = _stand(mesh, diameter_m, turn @ direction, pixels_per_m)
+    turn = se3.rotation_exp(np.radians(TEST_OFF_DEG) * across / np.linalg.norm(across))
+    pixels_per_m = max_pixels_per_m * rng.uniform(MIN_SCALE, 1.0)
+    T_cam_obj, camera = _view_camera(mesh, diameter_m, turn @ direction, pixels_per_m)
     roll = se3.rotation_exp(np.array([0.0, 0.0, rng.uniform(-np.pi, np.pi)]))
     T_cam_obj = se3.make(roll, np.zeros(3)) @ T_cam_obj
     seen = render([(mesh, T_cam_obj)], camera)
-    other = source.extract(_as_taken(_before(seen, int(rng.integers(0, 256))), rng))
+    other = source.extract(_augmented(_on_background(seen, int(rng.integers(0, 256))), rng))
     if not len(other):
         return np.zeros(len(view.points))
     at = camera.project(se3.apply(T_cam_obj, view.points))
-    near = np.linalg.norm(other.pixels[None] - at[:, None], axis=2) < FOUND_PX
-    alike = view.features.descriptors @ other.descriptors.T
-    best, elsewhere = np.where(near, alike, 0.0).max(1), np.where(near, 0.0, alike).max(1)
-    return np.asarray((best > ALIKE) & (best > elsewhere), np.float64)
+    near = np.linalg.norm(other.pixels[None] - at[:, None], axis=2) < REFOUND_PX
+    similarity = view.features.descriptors @ other.descriptors.T
+    best, elsewhere = np.where(near, similarity, 0.0).max(1), np.where(near, 0.0, similarity).max(1)
+    return np.asarray((best > MIN_SIMILARITY) & (best > elsewhere), np.float64)
 
 
-def _as_taken(color: UInt8, rng: np.random.Generator) -> UInt8:
-    """The picture as some camera might take it: light and its colour, tone curve, blur, noise."""
+def _augmented(color: UInt8, rng: np.random.Generator) -> UInt8:
+    """The picture (H, W, 3) with random brightness, tint, tone curve, blur and noise."""
     light = rng.uniform(0.4, 1.2) * rng.uniform(0.8, 1.2, 3)
     taken = 255.0 * np.clip((color / 255.0) ** rng.uniform(0.7, 1.4) * light, 0.0, 1.0)
     taken = cv2.GaussianBlur(taken, (0, 0), rng.uniform(0.4, 0.9)) + rng.normal(0.0, 4.0, taken.shape)
     return np.clip(np.rint(taken), 0, 255).astype(np.uint8)
 
 
-def _chosen(points: Float64, looks: Float32, found: Float64, most: int) -> Int64:
-    """Features that were found again, most often first, each of them once."""
+def _selected(points: Float64, descriptors: Float32, refound: Float64, count: int) -> Int64:
+    """Indices of at most `count` features that were detected again, the most often first, without
+    duplicates."""
     chosen: list[int] = []
-    for k in np.argsort(-found, kind="stable"):
-        if not found[k] or len(chosen) == most:
+    for k in np.argsort(-refound, kind="stable"):
+        if not refound[k] or len(chosen) == count:
             break
-        near = np.array(chosen, np.int64)[np.linalg.norm(points[chosen] - points[k], axis=1) < SAME_M]
-        if not (looks[near] @ looks[k] > SAME_LOOK).any():
+        near = np.array(chosen, np.int64)[np.linalg.norm(points[chosen] - points[k], axis=1) < DUPLICATE_M]
+        if not (descriptors[near] @ descriptors[k] > DUPLICATE_SIMILARITY).any():
             chosen.append(int(k))
     return np.array(chosen, np.int64)

@@ -10,8 +10,8 @@ from huepose.propose.flow import Flow
 
 
 def propagate(mask: Bool, flow: Flow) -> Bool:
-    """The mask (H, W) of the first frame as seen in the second: every pixel of the flow's window asks its
-    backward flow whether it came from the object. What lies outside of the window is lost."""
+    """Warp the mask (H, W) bool of the first frame to the second with the backward flow. False outside the
+    flow's window."""
     h, w = flow.consistent.shape
     window = np.s_[flow.y0 : flow.y0 + h, flow.x0 : flow.x0 + w]
     columns, rows = np.meshgrid(np.arange(w, dtype=np.float32), np.arange(h, dtype=np.float32))

@@ -1,12 +1,13 @@
-"""The quick look: all templates against all windows of a picture, by matrix products.
+"""The quick look: score all view templates against all windows of a picture, by matrix products.
 
-Windows are pictures in the cells that templates have: resampled about a pixel, at metric scale, and averaged.
-Colours are averaged as linear light and described as opponents afterwards; depth is the relief about a middle
-depth. Compiled, since a frame has dozens of such small pictures and each is a dozen steps.
+A window is the picture around a pixel, resampled at metric scale to the cells of the templates. Colours are
+averaged as linear light, then converted to opponents; depth becomes relief, its difference from a median
+depth. Compiled, since a frame has dozens of windows.
 
-Opponent colours are compared by correlation (so light does not matter), depth by the deviation of its relief;
-what the mask covers should be covered, and no template should lie where the background is seen. All these are
-sums over cells, so thousands of templates take a few milliseconds.
+The score has four terms: correlation of opponent colours (so that the strength of light does not matter),
+standard deviation of the relief difference, cells of the mask that the template covers, and cells of the
+template where the background is seen. All are sums over cells, so thousands of templates take a few
+milliseconds.
 """
 
 from __future__ import annotations
@@ -20,17 +21,18 @@ from huepose.propose.template_table import MILLIMETRES, TemplateTable
 from huepose.support.jit import jit_dividing
 
 OVERSAMPLING = 4
-"""At most so many samples a cell and axis are averaged."""
+"""Most samples averaged per cell and axis."""
 
 MIN_SHARE = 0.3
-"""A cell of which less is known counts as unknown."""
+"""Share of a cell's samples that must be known for the cell to count."""
 
 
 def sampled(
     color: UInt8, depth: Float32, centre: Float64, cell: float, cells: int
 ) -> tuple[int, UInt8, Float32, Float64]:
-    """Colours and depth on a fine lattice of `cells` cells a side, each `cell` pixels wide, about a pixel:
-    samples a cell and axis, (n, n, 3), (n, n), and the map (2, 3) from the lattice to the picture."""
+    """Resample colours (H, W, 3) and depth (H, W) on a lattice of `cells` cells a side, each `cell` pixels
+    wide, centred on a pixel (2,). Returns samples per cell and axis, colours (n, n, 3), depth (n, n), and the
+    affine map (2, 3) from lattice to picture."""
     fine = max(1, min(OVERSAMPLING, round(cell)))
     step, n = cell / fine, cells * fine
     to_picture = np.array(
@@ -42,15 +44,16 @@ def sampled(
 
 
 def nearest(image: np.ndarray, to_picture: Float64, n: int) -> np.ndarray:
-    """Values (n, n) of an image at the nearest pixels of a lattice."""
+    """Values (n, n) of an image on a lattice, by nearest neighbour."""
     return cv2.warpAffine(image, to_picture, (n, n), flags=cv2.INTER_NEAREST | cv2.WARP_INVERSE_MAP)
 
 
 def masked_cells(
     color: UInt8, depth: Float32, inside: UInt8, fine: int, middle_m: float, behind_m: float
 ) -> Float32:
-    """Cells (c, c, 6) of samples (n, n): opponents and relief in millimetres of what is inside a mask, the
-    share that is (0 under MIN_SHARE), and the share outside of it that lies beyond the depth `behind_m`."""
+    """Cells (c, c, 6) of samples (n, n): three opponents and relief (millimetres) averaged inside a mask, the
+    share of samples inside it (0 below MIN_SHARE), and the share outside it that is farther than
+    `behind_m`."""
     cells = len(depth) // fine
     out = np.zeros((cells, cells, 6), np.float32)
     _masked(color, LINEAR, depth, inside, fine, middle_m, behind_m, out)
@@ -58,9 +61,8 @@ def masked_cells(
 
 
 def known_cells(color: UInt8, depth: Float32, fine: int, middle_m: float) -> tuple[Float32, Float32, Bool]:
-    """Opponents (c, c, 3) and relief (c, c) in millimetres of all samples (n, n) with depth, and which cells
-    (c, c) have them. Relief is one reading in the middle of a cell: means across a depth step would lie on no
-    surface."""
+    """Opponents (c, c, 3), relief (c, c) in millimetres and validity (c, c) of all samples (n, n) with depth.
+    Relief is the one reading in the middle of a cell: a mean across a depth step would lie on no surface."""
     cells = len(depth) // fine
     colors, relief = np.zeros((cells, cells, 3), np.float32), np.zeros((cells, cells), np.float32)
     valid = np.zeros((cells, cells), bool)
@@ -70,8 +72,8 @@ def known_cells(color: UInt8, depth: Float32, fine: int, middle_m: float) -> tup
 
 
 @jit_dividing
-def _describe(red: float, green: float, blue: float, out: Float32) -> None:
-    """Opponents, as in `colorpair.opponents`, of linear values into out[:3]."""
+def _opponents(red: float, green: float, blue: float, out: Float32) -> None:
+    """Write the opponents (see `colorpair.opponents`) of linear values into out[:3]."""
     r, g, b = SCALE * np.log(red + DARKEST), SCALE * np.log(green + DARKEST), SCALE * np.log(blue + DARKEST)
     out[0] = (r + g + b) * (1.0 / 3.0)
     out[1] = r - g
@@ -106,7 +108,7 @@ def _masked(
                         behind += 1.0
             out[y, x, 5] = behind * each
             if known * each > MIN_SHARE:
-                _describe(red / known, green / known, blue / known, out[y, x])
+                _opponents(red / known, green / known, blue / known, out[y, x])
                 out[y, x, 3] = total / known * MILLIMETRES
                 out[y, x, 4] = known * each
 
@@ -137,33 +139,37 @@ def _known(
             if z > 0.0 and known > MIN_SHARE * fine * fine:
                 valid[y, x] = True
                 relief[y, x] = (z - middle_m) * MILLIMETRES
-                _describe(red / known, green / known, blue / known, colors[y, x])
+                _opponents(red / known, green / known, blue / known, colors[y, x])
 
 
-RELIEF = 0.05
-"""Deviation of relief, in diameters, at which the depth term has fallen to 0.6."""
+RELIEF_SIGMA = 0.05
+"""Standard deviation of the relief difference, in diameters, at which the depth term has fallen to 0.6."""
 
 CHANNEL_WEIGHTS = (0.35, 1.0, 1.0)
+"""Of lightness, red-green and yellow-blue in the correlation."""
 CHANNEL_FLOOR = 9.0
+"""Added to the variances, squared opponent units: flat cells have no correlation."""
 DEPTH_WEIGHT, OVERLAP_WEIGHT, FREE_WEIGHT, FULL_WEIGHT = 0.8, 1.0, 0.8, 0.3
+"""Of depth, share of the mask covered, share of the template on background (subtracted) and on the mask.
+Chosen."""
 
 MAX_PRODUCT = 4 * 65536
 """Multiplications up to which OpenBLAS keeps a matrix product in one thread."""
 
-ROWS = 64
-"""Fewest rows of a piece of a product."""
+MIN_ROWS = 64
+"""Least rows of a block of a product."""
 
 
 def quick_look(table: TemplateTable, windows: Float32, places: int) -> tuple[Int64, Float32]:
-    """Index (M, N) of the best of `places` windows, and its score (M, N), for each of M groups of windows
-    (M * places, P, 6) and each template of the table's quick look."""
+    """For each of M groups of `places` windows and each of N templates: index (M, N) of the best window in
+    the group and its score (M, N). windows: (M * places, cells, 6) as of `masked_cells`."""
     count = len(windows)
-    by_coverage, crossed, weight = _columns(windows, table.used)
+    by_coverage, crossed, weight = _right_hand_sides(windows, table.used)
     groups = count // places
     which = np.zeros((groups, len(table.area)), np.int64)
     scores = np.zeros((groups, len(table.area)), np.float32)
     area = np.maximum(windows[:, table.used, 4].sum(1), np.float32(1))
-    relief_mm = RELIEF * table.diameter_m * MILLIMETRES
+    relief_mm = RELIEF_SIGMA * table.diameter_m * MILLIMETRES
     by_value = np.empty((4, len(table.area), 2 * count), np.float32)
     by_square = np.empty((4, len(table.area), count), np.float32)
     for c in range(4):
@@ -184,7 +190,7 @@ def quick_look(table: TemplateTable, windows: Float32, places: int) -> tuple[Int
 
 
 @jit_dividing
-def _columns(windows: Float32, used: Int64) -> tuple[Float32, Float32, Float32]:
+def _right_hand_sides(windows: Float32, used: Int64) -> tuple[Float32, Float32, Float32]:
     """Right-hand sides of the products, for the cells `used` (P,) of windows (C, Q, 6), in blocks of C
     columns. by_coverage (P, 10 C): w, background, w times each of the four values v, w times their squares;
     crossed (4, P, 2 C): w, w times v, for each value; weights (P, C): w. Of a cell, w is number 4, background
@@ -213,9 +219,9 @@ def product(table: Float32, columns: Float32, out: Float32 | None = None) -> Flo
     algebra library to call threads, which would cost several times what they give."""
     columns = np.ascontiguousarray(columns)
     out = np.empty((len(table), columns.shape[1]), np.float32) if out is None else out
-    wide = max(1, MAX_PRODUCT // (ROWS * len(columns)))
+    wide = max(1, MAX_PRODUCT // (MIN_ROWS * len(columns)))
     wide = -(-columns.shape[1] // -(-columns.shape[1] // wide))  # pieces of even width
-    tall = max(ROWS, MAX_PRODUCT // (wide * len(columns)))
+    tall = max(MIN_ROWS, MAX_PRODUCT // (wide * len(columns)))
     for left in range(0, columns.shape[1], wide):
         piece = columns[:, left : left + wide]
         for top in range(0, len(table), tall):
@@ -235,7 +241,8 @@ def _score_windows(
     which: Int64,
     scores: Float32,
 ) -> None:
-    """Best of `places` windows of each group for each template, from the products' columns."""
+    """Fill `which` and `scores` (M, N): best window of each group for each template, from the matrix
+    products."""
     count = window_area.shape[0]
     common, color, weights = (
         np.empty(count, np.float32),

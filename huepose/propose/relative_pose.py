@@ -1,7 +1,7 @@
 """The motion between two frames from 3D correspondences (paper, section III-E, third step).
 
-The paper regresses the rotation with a network; behind the same small protocol stands the closed form, robust
-and weighted, that needs no training and that a network has to beat.
+The paper regresses the rotation with a network. The default here is a robust weighted Kabsch fit, which needs
+no training; both implement the protocol `RelativePose`.
 """
 
 from __future__ import annotations
@@ -44,7 +44,7 @@ class Motion:
 
 
 class RelativePose(Protocol):
-    """Anything that turns matches into a motion."""
+    """Estimates a rigid motion from 3D correspondences."""
 
     def estimate(self, matches: LiftedMatches) -> Motion | None:
         """The motion, or None when the matches do not determine one."""

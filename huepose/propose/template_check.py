@@ -1,8 +1,9 @@
-"""A close look at templates, without a mask: where does the picture's depth agree, what is in front, what is
-seen through, and do the colours agree where the depth does?
+"""The close look: score templates against the picture, without a mask.
 
-The depth of a template's window is not known beforehand; it is the one at which most of its cells agree. So
-an object half hidden behind another is told from it by its relief alone.
+The depth of a template is not known beforehand; it is the one at which most of its cells agree with the
+picture (the mode of the differences). At this depth cells fit, are occluded (the picture is nearer) or are
+seen through (the picture is farther); colours are correlated over the cells that fit. So an object that is
+half hidden behind another is separated from it by depth alone.
 """
 
 from __future__ import annotations
@@ -18,22 +19,24 @@ from huepose.support.jit import jit_dividing
 
 FIT_WEIGHT, VIOLATION_WEIGHT = DEFAULT_WEIGHTS.depth_fit, DEFAULT_WEIGHTS.violation
 COLOR_WEIGHT, BOX_WEIGHT, OCCLUDED_WEIGHT = 0.7, 1.4, 0.1
-"""Depth and free space count as in the dense score."""
+"""Weights of the terms; depth fit and free-space violation as in `judge.terms`, the others chosen."""
 
-LIGHTNESS = 0.4
-COLOR_FLOOR = 3.0
+LIGHTNESS_WEIGHT = 0.4
+CHANNEL_FLOOR = 3.0
 TOLERANCE, MIN_TOLERANCE_MM = 0.05, 8.0
-"""How far relief and depth may be apart, in diameters and in millimetres."""
+"""Largest difference of a fitting cell, the larger of this share of the diameter and these millimetres."""
 
-REACH = 0.75
-"""How far from the middle depth the window may lie, in diameters."""
+MAX_OFFSET = 0.75
+"""Largest offset between the template's depth and the median depth of the window, in diameters."""
 
 BINS = 64
+"""Of the histogram of depth offsets."""
 
 
 class Canvas(NamedTuple):
-    """The picture in template cells. color (n, n, 3): opponents; relief (n, n): millimetres from the middle
-    depth; valid (n, n): cells that have both; bounds (4,): the box, in cells."""
+    """The picture resampled to template cells. color (n, n, 3): opponents; relief (n, n): millimetres from
+    the median depth; valid (n, n): cells that have both; bounds (4,): left, top, right, bottom of the box in
+    cells."""
 
     color: Float32
     relief: Float32
@@ -44,14 +47,15 @@ class Canvas(NamedTuple):
 def check_templates(
     table: TemplateTable, canvas: Canvas, templates: Int64, corners: Int64
 ) -> tuple[Float64, Float64]:
-    """Scores (K,) of templates (K,) whose windows begin at cells `corners` (K, 2) of the canvas, x and y, and
-    the relief (K,) in millimetres at which they agree with the depth best."""
+    """Score templates (K,) placed with their top-left cell at `corners` (K, 2) (x, y) of the canvas.
+
+    Returns scores (K,), and the depth offset (K,) in millimetres at which each fits best."""
     scores, relief = np.zeros(len(templates)), np.zeros(len(templates))
     diameter_mm = table.diameter_m * MILLIMETRES
     tolerance = max(TOLERANCE * diameter_mm, MIN_TOLERANCE_MM)
     _check(
         table.starts, table.places, table.values, table.side, canvas, templates, corners, tolerance,
-        REACH * diameter_mm, scores, relief,
+        MAX_OFFSET * diameter_mm, scores, relief,
     )  # fmt: skip
     return scores, relief
 
@@ -66,15 +70,15 @@ def _check(
     templates: Int64,
     corners: Int64,
     tolerance: float,
-    reach: float,
+    max_offset: float,
     scores: Float64,
     relief: Float64,
 ) -> None:
-    room = side * side + 1
-    gaps = np.empty(room, np.float32)
-    where = np.empty((3, room), np.int64)
+    capacity = side * side + 1
+    differences = np.empty(capacity, np.float32)
+    where = np.empty((3, capacity), np.int64)
     histogram = np.empty(BINS + 2, np.int32)
-    colors = np.empty((6, room), np.float32)
+    colors = np.empty((6, capacity), np.float32)
     wide = canvas.relief.shape[1]
     shown, valid = canvas.relief.ravel(), canvas.valid.ravel()
     for k in range(templates.shape[0]):
@@ -86,27 +90,30 @@ def _check(
             i = np.uint64(first + n)
             cell = np.int64(places[i])
             p = np.uint64((cell >> 8) * wide + (cell & 255) + corner)
-            gaps[known] = shown[p] - values[i, 3] * np.float32(1.0 / RELIEF_STEPS)
+            differences[known] = shown[p] - values[i, 3] * np.float32(1.0 / RELIEF_STEPS)
             where[0, known], where[1, known], where[2, known] = i, p, cell
             known += 1 if valid[p] else 0
         if known < 4:
             scores[k] = -9.0
             continue
-        offset = _most_common(gaps, known, tolerance, reach, histogram)
+        offset = _mode(differences, known, tolerance, max_offset, histogram)
         relief[k] = offset
-        scores[k] = _rated(
-            values, canvas, side, corners[k], gaps, where, known, offset, tolerance, covered, colors
+        scores[k] = _score_template(
+            values, canvas, side, corners[k], differences, where, known, offset, tolerance, covered, colors
         )
 
 
 @jit_dividing
-def _most_common(gaps: Float32, count: int, tolerance: float, reach: float, histogram: np.ndarray) -> float:
-    """The value within `reach` of 0 that most gaps are near."""
+def _mode(
+    differences: Float32, count: int, tolerance: float, max_offset: float, histogram: np.ndarray
+) -> float:
+    """The mode of the differences within `max_offset` of 0: histogram maximum, then twice the mean of those
+    near it."""
     histogram[:] = 0
-    scale, middle = np.float32(BINS / (2.0 * reach)), np.float32(BINS / 2.0 + 1.0)
+    scale, middle = np.float32(BINS / (2.0 * max_offset)), np.float32(BINS / 2.0 + 1.0)
     for i in range(count):
-        # What is out of reach is counted in the first or last bin, which are not looked at.
-        place = min(max(gaps[i] * scale + middle, np.float32(0.0)), np.float32(BINS + 1))
+        # What is out of max_offset is counted in the first or last bin, which are not looked at.
+        place = min(max(differences[i] * scale + middle, np.float32(0.0)), np.float32(BINS + 1))
         histogram[np.uint64(place)] += 1
     histogram[0] = histogram[BINS + 1] = 0
     best, at = -1, 0
@@ -114,13 +121,13 @@ def _most_common(gaps: Float32, count: int, tolerance: float, reach: float, hist
         near = histogram[b - np.uint64(1)] + histogram[b] + histogram[b + np.uint64(1)]
         if near > best:
             best, at = near, int(b)
-    offset = np.float32((at - 0.5) / BINS * 2.0 * reach - reach)
+    offset = np.float32((at - 0.5) / BINS * 2.0 * max_offset - max_offset)
     limit = np.float32(tolerance)
     for _ in range(2):
         total, n = np.float32(0.0), np.float32(0.0)
         for i in range(count):
-            near_it = np.float32(1.0) if abs(gaps[i] - offset) < limit else np.float32(0.0)
-            total += near_it * gaps[i]
+            near_it = np.float32(1.0) if abs(differences[i] - offset) < limit else np.float32(0.0)
+            total += near_it * differences[i]
             n += near_it
         if n > 0.0:
             offset = total / n
@@ -128,12 +135,12 @@ def _most_common(gaps: Float32, count: int, tolerance: float, reach: float, hist
 
 
 @jit_dividing
-def _rated(
+def _score_template(
     values: np.ndarray,
     canvas: Canvas,
     side: int,
     corner: Int64,
-    gaps: Float32,
+    differences: Float32,
     where: np.ndarray,
     known: int,
     offset: float,
@@ -141,21 +148,23 @@ def _rated(
     covered: int,
     colors: Float32,
 ) -> float:
-    """Score of one template at one place and depth. gaps (known,): between depth and relief in the cells that
-    have both, `where` (3, known): their rows in `values`, places in the flat canvas and in the window;
-    `colors` (6, cells) is scratch."""
+    """Score of one template at one position and depth offset.
+
+    differences (known,): picture minus template relief in the cells that have both, millimetres; where (3,
+    known): their indices in `values`, in the flat canvas and in the window; colors (6, cells): scratch
+    space."""
     shown = canvas.color.ravel()
     fit, near, occluded, violated = 0.0, 0, 0, 0
     x0, y0, x1, y1 = side, side, -1, -1
     for k in range(known):
-        gap = (gaps[k] - offset) / tolerance
-        occluded += 1 if gap <= -1.0 else 0
-        violated += 1 if gap >= 1.0 else 0
-        # What fits moves up: a place that was read already is written, or one that is written again.
+        difference = (differences[k] - offset) / tolerance
+        occluded += 1 if difference <= -1.0 else 0
+        violated += 1 if difference >= 1.0 else 0
+        # Compact the fitting cells in place: only entries that were read already are overwritten.
         where[0, near], where[1, near], where[2, near] = where[0, k], where[1, k], where[2, k]
-        fits = abs(gap) < 1.0
+        fits = abs(difference) < 1.0
         near += 1 if fits else 0
-        fit += 1.0 - gap * gap if fits else 0.0
+        fit += 1.0 - difference * difference if fits else 0.0
     for k in range(near):
         i, p, cell = np.uint64(where[0, k]), np.uint64(3 * where[1, k]), where[2, k]
         x, y = cell & 255, cell >> 8
@@ -180,8 +189,8 @@ def _rated(
             mean_t, mean_i = s_t * each, s_i * each
             var_t = max(s_tt * each - mean_t * mean_t, zero)
             var_i = max(s_ii * each - mean_i * mean_i, zero)
-            w = (LIGHTNESS if q == 0 else 1.0) * np.sqrt(var_t)
-            color += w * (s_ti * each - mean_t * mean_i) / (np.sqrt(var_t * var_i) + COLOR_FLOOR)
+            w = (LIGHTNESS_WEIGHT if q == 0 else 1.0) * np.sqrt(var_t)
+            color += w * (s_ti * each - mean_t * mean_i) / (np.sqrt(var_t * var_i) + CHANNEL_FLOOR)
             color_weight += w
     bounds = canvas.bounds
     w = min(float(x1 + corner[0]), bounds[2]) - max(float(x0 + corner[0]), bounds[0])

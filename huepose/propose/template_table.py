@@ -1,5 +1,5 @@
-"""A model's view templates laid out for two looks: a quick one over all of them by matrix products, and
-a close one at a few."""
+"""A model's view templates as tables: dense 8 x 8 cells for the quick look (matrix products over all
+templates), lists of covered cells for the close look at a few."""
 
 from __future__ import annotations
 
@@ -13,27 +13,27 @@ from huepose.geometry.icosphere import look_at
 from huepose.model.types import ViewTemplates
 
 COARSE_SIDE = 8
-"""Cells a side at the first look."""
+"""Cells a side at the quick look."""
 
 MILLIMETRES = 1000.0
 COVERED = 0.5
-"""Coverage from which a cell counts at the close look."""
+"""Least coverage (0..1) of a cell that counts at the close look."""
 
 STEPS, RELIEF_STEPS = 100.0, 10.0
-"""Steps a unit in the stored whole numbers."""
+"""Integer steps per opponent unit and per millimetre in the stored values."""
 
 
 @dataclass(frozen=True, eq=False)
 class TemplateTable:
     """Templates of V views in R rolls (N = V * R), built once for a model.
 
-    For the first look, over the P of 8 * 8 cells that any of them covers: used (P,) these cells; coverage (N,
-    P) float32; first, second (4, N, P) float32: coverage times value and times value squared, for the
-    opponents and for relief in millimetres; area (N,) sum of coverage.
-    For the close look: the covered cells of template i are starts[i] to starts[i + 1]: places (M,) uint16 in
-    the window of side * side, row * 256 + column; values (M, 4) int16: opponents in 1 / STEPS, relief in 1 /
-    RELIEF_STEPS millimetres. rotations (N, 3, 3), origins (N, 3): R_cam_obj and the object's origin as seen
-    from the window's middle at median depth; span_m: the window's side.
+    For the quick look, over the P of 8 * 8 cells that any template covers: used (P,) their indices; coverage
+    (N, P) float32; first, second (4, N, P) float32: coverage times value and times value squared, for the
+    opponents and for relief in millimetres; area (N,) sum of coverage. For the close look: the covered cells
+    of template i are starts[i] to starts[i + 1]: places (M,) uint16 in the window of side * side, row * 256 +
+    column; values (M, 4) int16: opponents in 1 / STEPS, relief in 1 / RELIEF_STEPS millimetres. rotations (N,
+    3, 3), origins (N, 3): R_cam_obj and the object's origin as seen from the window's middle at median depth;
+    span_m: the window's side.
     """
 
     used: Int64
@@ -52,8 +52,8 @@ class TemplateTable:
 
 
 def build_table(templates: ViewTemplates, diameter_m: float, *, min_coverage: float = 0.5) -> TemplateTable:
-    """Lay out a model's templates (0.1 s, about 8 MB). Larger cells count from a coverage of
-    `min_coverage`."""
+    """Build the tables of a model (0.1 s, about 8 MB). min_coverage: least coverage of a cell of the quick
+    look."""
     views, rolls = templates.planes.shape[:2]
     planes = templates.planes.reshape(views * rolls, *templates.planes.shape[2:]).astype(np.float32)
     side = planes.shape[-1]
@@ -63,7 +63,7 @@ def build_table(templates: ViewTemplates, diameter_m: float, *, min_coverage: fl
     mean = _averaging(side)
     coarse = mean @ planes @ mean.T
     coarse[:, :4] /= np.maximum(coarse[:, 4:], 1e-3)
-    coverage, values = _described(coarse)
+    coverage, values = _coverage_and_values(coarse)
     flat = np.where(coverage > min_coverage, coverage, 0.0).reshape(len(planes), -1).astype(np.float32)
     used = np.flatnonzero(flat.any(0))
     flat = np.ascontiguousarray(flat[:, used])
@@ -87,7 +87,8 @@ def build_table(templates: ViewTemplates, diameter_m: float, *, min_coverage: fl
 
 
 def _listed(planes: Float32) -> tuple[Int64, np.ndarray, np.ndarray]:
-    """The covered cells of planes (N, 5, S, S): starts (N + 1,), places (M,), values (M, 4)."""
+    """List the covered cells of planes (N, 5, S, S): starts (N + 1,), places (M,), values (M, 4) as in
+    TemplateTable."""
     which, row, column = np.nonzero(planes[:, 4] >= COVERED)
     starts = np.concatenate([[0], np.cumsum(np.bincount(which, minlength=len(planes)))]).astype(np.int64)
     places = (row << 8 | column).astype(np.uint16)
@@ -98,7 +99,7 @@ def _listed(planes: Float32) -> tuple[Int64, np.ndarray, np.ndarray]:
     return starts, places, out
 
 
-def _described(planes: Float) -> tuple[Float32, Float32]:
+def _coverage_and_values(planes: Float) -> tuple[Float32, Float32]:
     """Coverage (N, S, S), and opponents with relief in millimetres (N, S, S, 4), of planes (N, 5, S, S) L,
     a, b, relief in metres, coverage."""
     return np.asarray(planes[:, 4], np.float32), _values(planes[:, :4].transpose(0, 2, 3, 1))
@@ -124,18 +125,18 @@ def _averaging(side: int) -> Float32:
 def _poses(templates: ViewTemplates) -> tuple[Float64, Float64]:
     """Rotations (N, 3, 3) and origins (N, 3) of all views in all rolls."""
     rolls = templates.planes.shape[1]
-    origins = np.einsum("rij,vj->vri", _turns(rolls), templates.origins.astype(np.float64))
+    origins = np.einsum("rij,vj->vri", _roll_rotations(rolls), templates.origins.astype(np.float64))
     return view_rotations(templates.directions, rolls), origins.reshape(-1, 3)
 
 
 def view_rotations(directions: Float, rolls: int) -> Float64:
     """Rotations R_cam_obj (V * rolls, 3, 3) of the views from directions (V, 3), each at all rolls."""
     looks = np.stack([look_at(d) for d in directions])
-    return np.asarray(np.einsum("rij,vjk->vrik", _turns(rolls), looks).reshape(-1, 3, 3))
+    return np.asarray(np.einsum("rij,vjk->vrik", _roll_rotations(rolls), looks).reshape(-1, 3, 3))
 
 
-def _turns(rolls: int) -> Float64:
-    """Turns (rolls, 3, 3) about the optical axis."""
+def _roll_rotations(rolls: int) -> Float64:
+    """Rotations (rolls, 3, 3) about the optical axis, evenly spaced."""
     angles = 2 * np.pi * np.arange(rolls) / rolls
     turn = np.zeros((rolls, 3, 3))
     turn[:, 0, 0] = turn[:, 1, 1] = np.cos(angles)

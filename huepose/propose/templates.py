@@ -1,7 +1,8 @@
-"""View templates: what an object looks like from all around, small, at metric scale (built once, offline).
+"""Render view templates: small pictures of an object from all directions, at metric scale. Built once,
+offline.
 
-The poses they stand for: `T_cam_obj` of direction v at roll r has the rotation Rz(2 pi r / R) look_at(v) when
-the object is on the optical axis, Rz being the turn about the optical axis from x to y (clockwise in the
+The poses of the templates: `T_cam_obj` of direction v at roll r has the rotation Rz(2 pi r / R) look_at(v)
+when the object is on the optical axis, Rz being the turn about the optical axis from x to y (clockwise in the
 picture), and the origin lies at Rz(2 pi r / R) `origins[v]` from the point on the axis at the median depth.
 """
 
@@ -17,21 +18,26 @@ from huepose.geometry.mesh import Mesh
 from huepose.model.types import ViewTemplates
 from huepose.rendering.render import render
 
-LEVEL = 2  # 162 directions, 16 degrees apart
+LEVEL = 2
+"""Subdivision level of the icosphere of directions: 162, 16 degrees apart."""
 ROLLS = 24
 SIDE = 16
+"""Cells a side of a template."""
 SPAN = 1.1
-"""Width of a view in diameters of the object, at the depth of its middle."""
+"""Width of a template in object diameters, at the median depth."""
 
 _OVERSAMPLING = 6
+"""Rendered pixels per cell and axis."""
 DISTANCE_M, DISTANCE_DIAMETERS = 0.85, 2.5
-"""Of the camera, the larger of both: the perspective of large objects stays mild."""
+"""Distance of the rendering camera, the larger of both, so that large objects are not distorted by
+perspective."""
 
 
 def build_templates(
     mesh: Mesh, diameter_m: float, *, level: int = LEVEL, rolls: int = ROLLS
 ) -> ViewTemplates:
-    """Templates of a mesh seen from the directions of an icosphere, at `rolls` rolls each."""
+    """Templates of a mesh from all directions of an icosphere of this level, at `rolls` rotations about the
+    axis each."""
     directions = icosphere.directions(level)
     planes = np.empty((len(directions), rolls, 5, SIDE, SIDE), np.float16)
     origins = np.empty((len(directions), 3), np.float32)
@@ -60,8 +66,9 @@ def build_templates(
 
 
 def _turned(picture: Float32, centroid: np.ndarray, angle: float, scale: float, window: int) -> Float32:
-    """The window about `centroid`, its content turned by `angle`, box-averaged to (SIDE, SIDE, 5); `scale`:
-    pixels of the picture per pixel of the window. All but coverage are divided by coverage."""
+    """One template (SIDE, SIDE, 5): the picture (H, W, 5) rotated by `angle` (radians) about `centroid` (2,),
+    cut to the window and box-averaged. scale: picture pixels per window pixel. All channels but coverage are
+    divided by it."""
     c, s = np.cos(angle), np.sin(angle)
     A = np.array([[c, s], [-s, c]]) * scale  # from the turned window back to the picture
     offset = centroid - A @ np.full(2, (window - 1) / 2.0)

@@ -1,4 +1,4 @@
-"""A guess at a pose, and where it came from."""
+"""Pose hypotheses, and votes for poses."""
 
 from __future__ import annotations
 
@@ -11,8 +11,8 @@ from huepose.geometry.arrays import Float32, Float64, Int32
 
 @dataclass(frozen=True, eq=False)
 class Hypothesis:
-    """T_cam_obj (4, 4); score: larger is better, comparable within one source; source: "views", "pairs",
-    "shape", "turn" or "prior"."""
+    """A proposed pose. T_cam_obj (4, 4); score: larger is better, comparable only within one source; source:
+    "views", "pairs", "shape", "turn" (a near-symmetric rotation) or "prior"."""
 
     T_cam_obj: Float64
     score: float

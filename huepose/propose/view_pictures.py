@@ -1,7 +1,7 @@
-"""What the network of view codes looks at: small pictures of colour and relief at metric scale.
+"""Input pictures of the view-code network: colour and relief (depth from the median) at metric scale.
 
-A model's clean views and windows of a frame come in the same form, 1.1 diameters wide, so that one network
-reads both. Training draws its windows with the same functions.
+Rendered views of a model and windows of a frame have the same form, 1.1 diameters wide, so that one network
+encodes both. Training uses the same functions.
 """
 
 from __future__ import annotations
@@ -19,35 +19,38 @@ from huepose.propose.templates import DISTANCE_DIAMETERS, DISTANCE_M, SPAN
 from huepose.rendering.render import render
 
 SIDE = 64
-"""Pixels a side of what the network sees."""
+"""Side of an input picture, pixels."""
 
 LEVEL, ROLLS = 1, 12
-"""Views: directions of the icosphere (42, 32 degrees apart) times rolls. Nobody is farther from one of them
-than half of that, which training teaches the network to bridge."""
+"""Views: directions of the icosphere (42, 32 degrees apart) times rolls. No direction is farther than half of
+that from a view; training covers these differences."""
 
 CHANNELS = 6
+"""Of the input, see `network_input`."""
+
 NEAR = 0.6
-"""Relief beyond this many diameters is not the object; it is clipped there."""
+"""Largest relief that can be the object, in diameters from the median depth; it is clipped there."""
 
 UNTURNED = 92
-"""Side of a view from which one of any roll is cut: sqrt(2) * SIDE, rounded up."""
+"""Side of an unrolled view, pixels: sqrt(2) * SIDE plus a margin, so that a view at any roll can be cut from
+it."""
 
-_FINER = 2
-"""Pixels of the rendering per pixel of a view."""
+_OVERSAMPLING = 2
+"""Rendered pixels per pixel of a view, along each axis."""
 
-_ROOM = 1.6
-"""Width of the rendering in widths of a view: its middle is that of what is seen, not of the mesh."""
+_MARGIN = 1.6
+"""Width of the rendering over that of a view: the view is centred on the visible pixels, not on the mesh."""
 
-_SOFT_PX = 0.7
-"""Deviation of the blur before every second pixel of the rendering is taken."""
+_BLUR_PX = 0.7
+"""Sigma of the anti-aliasing blur before the rendering is subsampled, rendered pixels."""
 
 MAX_STEP = 1.7
-"""A frame that is larger than this times the window is halved before it is sampled."""
+"""Largest sampling step, pixels: a coarser step takes the next level of the image pyramid."""
 
 
 def unturned_views(mesh: Mesh, diameter_m: float) -> tuple[UInt8, Float32]:
-    """Colours (V, 92, 92, 3), black where nothing is, and relief (V, 92, 92) in diameters from the median
-    depth, NaN where nothing is, of the views from all directions without a roll."""
+    """The views of a mesh from all directions, without roll: colours (V, 92, 92, 3) uint8, black outside the
+    object, and relief (V, 92, 92) in diameters from the median depth, NaN outside."""
     looks = [icosphere.look_at(direction) for direction in icosphere.directions(LEVEL)]
     views = [clean_view(mesh, diameter_m, R, UNTURNED) for R in looks]
     return np.stack([view.color for view in views]), np.stack([view.relief for view in views])
@@ -55,8 +58,8 @@ def unturned_views(mesh: Mesh, diameter_m: float) -> tuple[UInt8, Float32]:
 
 @dataclass(frozen=True, eq=False)
 class CleanView:
-    """A model seen alone: color (n, n, 3), relief (n, n), as of `unturned_views`; middle_m (3,): from the
-    mesh's centre to the view's middle at median depth, in the camera's axes."""
+    """One rendered view: color (n, n, 3), relief (n, n), as of `unturned_views`; middle_m (3,): from the
+    mesh's centre to the centre of the view at median depth, camera axes."""
 
     color: UInt8
     relief: Float32
@@ -64,27 +67,27 @@ class CleanView:
 
 
 def clean_view(mesh: Mesh, diameter_m: float, R_cam_obj: Float64, side: int = SIDE) -> CleanView:
-    """The view of a mesh in one turn (3, 3) on the optical axis."""
+    """Render a mesh on the optical axis with the rotation R_cam_obj (3, 3). side: of the view, pixels."""
     distance = max(DISTANCE_M, DISTANCE_DIAMETERS * diameter_m)
-    focal = _FINER * SIDE * distance / (SPAN * diameter_m)
-    wide = int(_ROOM * SPAN * _FINER * SIDE)
+    focal = _OVERSAMPLING * SIDE * distance / (SPAN * diameter_m)
+    wide = int(_MARGIN * SPAN * _OVERSAMPLING * SIDE)
     camera = Camera(focal, focal, wide / 2 - 0.5, wide / 2 - 0.5, wide, wide)
     seen = render([(mesh, se3.make(R_cam_obj, [0.0, 0.0, distance] - R_cam_obj @ mesh.centre))], camera)
     rows, columns = np.nonzero(seen.depth)
     middle = np.array([columns.mean(), rows.mean()])
     median = float(np.median(seen.depth[rows, columns]))
-    to_picture = _lattice(middle, _FINER * distance / median, side)
-    soft = np.asarray(cv2.GaussianBlur(seen.color, (0, 0), _SOFT_PX), np.uint8)
-    depth = _warped(seen.depth, to_picture, side, cv2.INTER_NEAREST)
+    to_picture = _lattice_to_picture(middle, _OVERSAMPLING * distance / median, side)
+    blurred = np.asarray(cv2.GaussianBlur(seen.color, (0, 0), _BLUR_PX), np.uint8)
+    depth = _resampled(seen.depth, to_picture, side, cv2.INTER_NEAREST)
     there = (depth > 0)[..., None]
     relief = np.where(depth > 0, (depth - np.float32(median)) / np.float32(diameter_m), np.float32(np.nan))
-    color = np.where(there, _warped(soft, to_picture, side, cv2.INTER_LINEAR), 0).astype(np.uint8)
+    color = np.where(there, _resampled(blurred, to_picture, side, cv2.INTER_LINEAR), 0).astype(np.uint8)
     point = camera.backproject(middle[None], np.array([median]))[0]
     return CleanView(color, relief, point - np.array([0.0, 0.0, distance]))
 
 
 def turned(colors: UInt8, reliefs: Float32) -> tuple[UInt8, Float32]:
-    """Views (V * 12, 64, 64, 3) and (V * 12, 64, 64) at all rolls, of unturned ones: in the order of a
+    """Roll unturned views: colours (V * 12, 64, 64, 3) and relief (V * 12, 64, 64), views first, as in a
     `TemplateTable` of 12 rolls."""
     out_colors = np.zeros((len(colors), ROLLS, SIDE, SIDE, 3), np.uint8)
     out_reliefs = np.full((len(colors), ROLLS, SIDE, SIDE), np.nan, np.float32)
@@ -93,8 +96,8 @@ def turned(colors: UInt8, reliefs: Float32) -> tuple[UInt8, Float32]:
         A = np.array([[c, s], [-s, c]])
         back = np.column_stack([A, (UNTURNED - 1) / 2.0 - A @ np.full(2, (SIDE - 1) / 2.0)])
         for v in range(len(colors)):
-            out_colors[v, r] = _warped(colors[v], back, SIDE, cv2.INTER_LINEAR)
-            out_reliefs[v, r] = _warped(reliefs[v], back, SIDE, cv2.INTER_NEAREST, np.nan)
+            out_colors[v, r] = _resampled(colors[v], back, SIDE, cv2.INTER_LINEAR)
+            out_reliefs[v, r] = _resampled(reliefs[v], back, SIDE, cv2.INTER_NEAREST, np.nan)
     return out_colors.reshape(-1, SIDE, SIDE, 3), out_reliefs.reshape(-1, SIDE, SIDE)
 
 
@@ -107,32 +110,35 @@ def window_pictures(
     diameter_m: float | Float64,
     wide: int = 1,
 ) -> tuple[UInt8, Float32]:
-    """Colours (W, 64, 64, 3) and relief (W, 64, 64) in diameters, NaN where the depth is unknown, of windows
-    with their middles at pixels (W, 2) and depths (W,), `span_px` (W,) wide, of a picture (H, W, 3) with
-    depth (H, W) metres. diameter_m: of one object, or of each window's (W,). wide: so many times as wide, and
-    of as many more pixels (training)."""
+    """Cut windows from a frame: colours (W, 64, 64, 3) and relief (W, 64, 64) in diameters, NaN where depth
+    is unknown.
+
+    color (H, W, 3) uint8 and depth (H, W) metres: the frame; pixels (W, 2), depth_m (W,): centres; span_px
+    (W,): widths in pixels. diameter_m: of the object, or one per window (W,). wide: factor on width and
+    pixels (training)."""
     side = wide * SIDE
-    smaller, diameters = [color], np.broadcast_to(diameter_m, len(pixels))
+    pyramid, diameters = [color], np.broadcast_to(diameter_m, len(pixels))
     colors = np.zeros((len(pixels), side, side, 3), np.uint8)
     reliefs = np.full((len(pixels), side, side), np.nan, np.float32)
     for k in range(len(pixels)):
         step = float(span_px[k]) / SIDE
         halvings = max(0, int(np.ceil(np.log2(step / MAX_STEP))))
-        while len(smaller) <= halvings:
-            smaller.append(np.asarray(cv2.pyrDown(smaller[-1]), np.uint8))
-        to_picture = _lattice(pixels[k], step, side)
+        while len(pyramid) <= halvings:
+            pyramid.append(np.asarray(cv2.pyrDown(pyramid[-1]), np.uint8))
+        to_picture = _lattice_to_picture(pixels[k], step, side)
         to_smaller = to_picture / 2**halvings
         to_smaller[:, 2] += 0.5 * (0.5**halvings - 1.0)  # pixel centres of a halved picture lie between
-        colors[k] = _warped(smaller[halvings], to_smaller, side, cv2.INTER_LINEAR)
-        z = _warped(depth, to_picture, side, cv2.INTER_NEAREST)
+        colors[k] = _resampled(pyramid[halvings], to_smaller, side, cv2.INTER_LINEAR)
+        z = _resampled(depth, to_picture, side, cv2.INTER_NEAREST)
         known = z > 0
         reliefs[k][known] = (z[known] - np.float32(depth_m[k])) / np.float32(diameters[k])
     return colors, reliefs
 
 
 def network_input(colors: UInt8, reliefs: Float32, *, clean: bool) -> Float32:
-    """The input (N, 6, 64, 64): red, green, blue from -1 to 1, relief, whether it is known, whether it is
-    near. clean: of a model's views, where what is not covered has no colour either."""
+    """Network input (N, 6, 64, 64) float32: red, green, blue in -1..1; relief, clipped at NEAR and doubled; 1
+    where it is known; 1 where it is within NEAR. clean: rendered views, whose colour is set to 0 outside the
+    object."""
     known = np.isfinite(reliefs)
     relief = np.where(known, reliefs, np.float32(0.0))
     x = np.empty((len(colors), CHANNELS, SIDE, SIDE), np.float32)
@@ -146,14 +152,14 @@ def network_input(colors: UInt8, reliefs: Float32, *, clean: bool) -> Float32:
     return x
 
 
-def _lattice(middle: Float64, step: float, side: int) -> Float64:
-    """The map (2, 3) from a lattice of `side` points, `step` pixels apart about a pixel (2,), to the
-    picture."""
+def _lattice_to_picture(middle: Float64, step: float, side: int) -> Float64:
+    """Affine map (2, 3) to the picture from a lattice of `side` points a side, `step` pixels apart, centred
+    on a pixel (2,)."""
     corner = middle - (side - 1) / 2.0 * step
     return np.array([[step, 0.0, corner[0]], [0.0, step, corner[1]]])
 
 
-def _warped(image: np.ndarray, to_image: Float64, side: int, how: int, outside: float = 0.0) -> np.ndarray:
+def _resampled(image: np.ndarray, to_image: Float64, side: int, how: int, outside: float = 0.0) -> np.ndarray:
     return cv2.warpAffine(
         image, to_image, (side, side), flags=how | cv2.WARP_INVERSE_MAP, borderValue=4 * (outside,)
     )

@@ -1,10 +1,10 @@
-"""Hypotheses by view: which of the model's small pictures looks like what is in the box?
+"""Pose hypotheses by view retrieval: find the model's templates that look like the picture under each mask.
 
-A quick look (`quick_look`) compares the templates (views times rolls) with the picture at several places
-round each candidate mask, at metric scale. A close look (`template_check`) then judges the better ones
-without the mask. So a mask need not be right, only the object somewhere in it: the whole box will do for one
-(LINEMOD's idea of view templates, Hinterstoisser et al. 2012, with the products of a nearest-neighbour
-search).
+The quick look (`quick_look`) compares all templates (views times rolls) with the picture at nine positions
+around each mask, at metric scale. The close look (`template_check`) scores the best of them without the mask.
+So a mask may be wrong in detail as long as it contains the object; the whole box can serve as one. The idea
+of view templates is LINEMOD's (Hinterstoisser et al. 2012); the quick look is a nearest-neighbour search by
+matrix products.
 """
 
 from __future__ import annotations
@@ -23,16 +23,16 @@ from huepose.propose.template_table import COARSE_SIDE, MILLIMETRES, TemplateTab
 from huepose.support.jit import jit_dividing
 
 SHIFTS = (-1, 0, 1)
-"""Places of the window round the mask's centroid, in cells of the quick look, along both image axes."""
+"""Shifts of the window from the mask's centroid, in cells of the quick look, along both image axes."""
 
-MEDIAN_PIXELS = 4000
-"""So many readings say at which depth a mask lies: more do not move their median."""
+MAX_MEDIAN_PIXELS = 4000
+"""Depth readings used for the median depth of a mask: more do not change it."""
 
 
 @dataclass(frozen=True, eq=False)
 class Picture:
-    """Where to look. color (h, w, 3) uint8 RGB, depth (h, w) float32 metres, with their camera; bounds (4,):
-    left, top, right, bottom of the object's box in its pixels."""
+    """The crop to search. color (h, w, 3) uint8 RGB, depth (h, w) float32 metres, with their camera; bounds
+    (4,): left, top, right, bottom of the object's box in its pixels."""
 
     color: UInt8
     depth: Float32
@@ -42,8 +42,8 @@ class Picture:
 
 @dataclass(frozen=True, eq=False)
 class Retrieved:
-    """Different views, best first: poses T_cam_obj (K, 4, 4), scores (K,), and the mask (K,) that each came
-    from."""
+    """Hypotheses, best first: poses T_cam_obj (K, 4, 4), scores (K,), and masks (K,): index of the mask each
+    came from."""
 
     poses: Float64
     scores: Float64
@@ -52,8 +52,8 @@ class Retrieved:
 
 @dataclass(frozen=True, eq=False)
 class _Place:
-    """Where a mask says to look. centre (2,): a pixel; span: of a template's window there, in pixels;
-    middle_m: depth; windows (W, P, 6): the picture in cells of the quick look, in windows about it."""
+    """Position and scale from one mask. centre (2,): its centroid, pixels; span: width of a template there,
+    pixels; middle_m: median depth; windows (W, P, 6): cells of the quick look at each shift."""
 
     centre: Float64
     span: float
@@ -62,8 +62,8 @@ class _Place:
 
 
 @dataclass(frozen=True, eq=False)
-class _Found:
-    """Templates (K,) seen at pixels (K, 2) and depths (K,), and their scores (K,)."""
+class _Ranked:
+    """The best templates (K,) of one mask, with their centre pixels (K, 2), depths (K,) and scores (K,)."""
 
     templates: Int64
     pixels: Float64
@@ -77,33 +77,35 @@ def retrieve(
     masks: Sequence[Bool],
     config: RetrievalConfig | None = None,
 ) -> Retrieved:
-    """The best different views under candidate masks (h, w); none where no mask has a pixel with depth."""
+    """The best hypotheses under candidate masks (h, w) bool; empty where no mask has a pixel with depth."""
     config = config or RetrievalConfig()
     seen = [(k, mask & (picture.depth > 0)) for k, mask in enumerate(masks)]
     seen = [(k, mask) for k, mask in seen if mask.any()]
     if not seen:
         return Retrieved(np.zeros((0, 4, 4)), np.zeros(0), np.zeros(0, np.int64))
     places = [_place(table, picture, mask) for _, mask in seen]
-    which, quick = quick_look(table, np.concatenate([p.windows for p in places]), len(SHIFTS) ** 2)
+    best_shift, quick = quick_look(table, np.concatenate([p.windows for p in places]), len(SHIFTS) ** 2)
     found = [
-        _look_closer(table, picture, p, w, q, config) for p, w, q in zip(places, which, quick, strict=True)
+        _close_look(table, picture, p, w, q, config)
+        for p, w, q in zip(places, best_shift, quick, strict=True)
     ]
     scores = np.concatenate([f.scores for f in found])
     order = np.argsort(-scores, kind="stable")
-    every = _poses(
+    poses = _poses(
         table,
         np.concatenate([f.templates for f in found])[order],
         np.concatenate([f.pixels for f in found])[order],
         np.concatenate([f.depth_m for f in found])[order],
         picture.camera,
     )
-    chosen = distinct(every, config.views, np.radians(config.apart_deg))
+    chosen = distinct(poses, config.views, np.radians(config.apart_deg))
     origin = np.repeat([k for k, _ in seen], [len(f.scores) for f in found])
-    return Retrieved(every[chosen], scores[order[chosen]], origin[order[chosen]])
+    return Retrieved(poses[chosen], scores[order[chosen]], origin[order[chosen]])
 
 
 def distinct(poses: Float64, count: int, apart_rad: float) -> list[int]:
-    """Indices of the first `count` poses (N, 4, 4) whose rotations are so far from all chosen before."""
+    """Greedy suppression: indices of the first `count` poses (N, 4, 4) whose rotations differ by at least
+    `apart_rad` from all chosen before."""
     flat = poses[:, :3, :3].reshape(len(poses), 9)
     limit = 1.0 + 2.0 * np.cos(apart_rad)
     return [int(i) for i in _distinct(np.ascontiguousarray(flat), limit, count)]
@@ -131,10 +133,10 @@ def _distinct(flat: Float64, limit: float, count: int) -> Int64:
 
 
 def _place(table: TemplateTable, picture: Picture, mask: Bool) -> _Place:
-    """Where one mask says to look."""
+    """Position, scale and windows of one mask (h, w)."""
     depths = picture.depth[mask]
-    middle_m = float(np.median(depths[:: -(-len(depths) // MEDIAN_PIXELS)]))
-    centre = _middle(mask)
+    middle_m = float(np.median(depths[:: -(-len(depths) // MAX_MEDIAN_PIXELS)]))
+    centre = _centroid(mask)
     span = table.span_m / middle_m * picture.camera.fx
     margin = max(SHIFTS)
     wide = COARSE_SIDE + 2 * margin
@@ -147,7 +149,7 @@ def _place(table: TemplateTable, picture: Picture, mask: Bool) -> _Place:
 
 
 @jit_dividing
-def _middle(mask: Bool) -> Float64:
+def _centroid(mask: Bool) -> Float64:
     """Mean column and row (2,) of the pixels of a mask (h, w)."""
     count, across, down = 0, 0, 0
     for v in range(mask.shape[0]):
@@ -162,16 +164,16 @@ def _middle(mask: Bool) -> Float64:
     return np.array([across / count, down / count])
 
 
-def _look_closer(
+def _close_look(
     table: TemplateTable,
     picture: Picture,
     place: _Place,
-    which: Int64,
+    best_shift: Int64,
     quick: Float32,
     config: RetrievalConfig,
-) -> _Found:
-    """The best templates round one place; `which` (N,) and `quick` (N,): best window of the quick look, and
-    its score."""
+) -> _Ranked:
+    """The best templates at one mask. best_shift (N,): the best window of each template in the quick look;
+    quick (N,): its score there."""
     side = table.side
     coarse = np.array([(x, y) for y in SHIFTS for x in SHIFTS]) * (side / COARSE_SIDE)
     margin = int(np.abs(coarse).max()) + 1
@@ -181,7 +183,7 @@ def _look_closer(
     canvas = Canvas(*known_cells(color, depth, fine, place.middle_m), bounds)
 
     templates = _best(quick, config.closer)
-    corners = margin + np.rint(coarse[which[templates]]).astype(np.int64)
+    corners = margin + np.rint(coarse[best_shift[templates]]).astype(np.int64)
     rated, depth_mm = check_templates(table, canvas, templates, corners)
     rated += config.quick_weight * quick[templates]
 
@@ -196,11 +198,11 @@ def _look_closer(
     rated, depth_mm = np.concatenate([rated, rated_again]), np.concatenate([depth_mm, depth_again])
     best = _best(rated, config.ranked)
     pixels = place.centre + (corners[best] - margin) * cell
-    return _Found(templates[best], pixels, place.middle_m + depth_mm[best] / MILLIMETRES, rated[best])
+    return _Ranked(templates[best], pixels, place.middle_m + depth_mm[best] / MILLIMETRES, rated[best])
 
 
 def _best(scores: Float, count: int) -> Int64:
-    """Indices (K,) of the `count` largest of scores (N,), the same ones in the same order each time."""
+    """Indices (K,) of the `count` largest scores (N,), ascending; deterministic."""
     if count >= len(scores):
         return np.arange(len(scores))
     return np.sort(np.argpartition(scores, len(scores) - count)[len(scores) - count :])
@@ -209,7 +211,7 @@ def _best(scores: Float, count: int) -> Int64:
 def _poses(
     table: TemplateTable, templates: Int64, pixels: Float64, depth_m: Float64, camera: Camera
 ) -> Float64:
-    """Poses (K, 4, 4) of templates whose windows' middles lie at pixels (K, 2) and depths (K,)."""
+    """T_cam_obj (K, 4, 4) of templates (K,) whose windows are centred at pixels (K, 2) and depths (K,)."""
     rays = camera.rays(pixels)
     turns = onto_rays(rays)
     poses = np.tile(np.eye(4), (len(templates), 1, 1))

@@ -12,7 +12,7 @@ from huepose.geometry import Camera, RgbdFrame, se3
 from huepose.model.types import Keypoints, ReferenceModel
 from huepose.propose.features import Features, Sift
 from huepose.propose.keypoint_reference import PICTURE_PX, build_keypoints
-from huepose.propose.keypoints import Matches, Sought, Spots, agreed, match
+from huepose.propose.keypoints import Matches, ModelKeypoints, PictureFeatures, consensus_poses, match
 
 TakePicture = Callable[..., RgbdFrame]
 CAMERA = Camera(600.0, 600.0, 319.5, 239.5, 640, 480)
@@ -30,7 +30,7 @@ def frame(tea_box: ReferenceModel, take_picture: TakePicture, standing: np.ndarr
 
 
 def matches_in(frame: RgbdFrame, keypoints: Keypoints) -> Matches:
-    return match(Sought.of(keypoints), Spots.of(Sift().extract(frame.color)))
+    return match(ModelKeypoints.of(keypoints), PictureFeatures.of(Sift().extract(frame.color)))
 
 
 def test_keypoints_lie_on_the_surface_and_look_outwards(
@@ -48,7 +48,7 @@ def test_keypoints_lie_on_the_surface_and_look_outwards(
 def test_a_mesh_gives_the_same_keypoints_again_and_never_more_than_asked_for(
     keypoints: Keypoints, tea_box: ReferenceModel
 ) -> None:
-    again = build_keypoints(tea_box.mesh, tea_box.diameter_m, most=50)
+    again = build_keypoints(tea_box.mesh, tea_box.diameter_m, count=50)
     assert again.source == keypoints.source == "sift"
     np.testing.assert_array_equal(again.points, keypoints.points[:50])
     np.testing.assert_array_equal(again.descriptors, keypoints.descriptors[:50])
@@ -66,8 +66,8 @@ def test_features_are_sought_on_the_mask_only(frame: RgbdFrame) -> None:
 def test_the_pose_of_an_object_in_other_light_is_agreed_on(
     frame: RgbdFrame, keypoints: Keypoints, standing: np.ndarray
 ) -> None:
-    found = agreed(matches_in(frame, keypoints), frame.depth, frame.camera)
-    assert found.points[0] >= 10
+    found = consensus_poses(matches_in(frame, keypoints), frame.depth, frame.camera)
+    assert found.inliers[0] >= 10
     off = se3.difference(standing, found.poses[0])
     assert np.linalg.norm(off[:3]) < 0.003
     assert np.linalg.norm(off[3:]) < np.radians(3.0)
@@ -76,7 +76,7 @@ def test_the_pose_of_an_object_in_other_light_is_agreed_on(
 def test_without_depth_the_picture_alone_gives_the_pose(
     frame: RgbdFrame, keypoints: Keypoints, standing: np.ndarray
 ) -> None:
-    found = agreed(matches_in(frame, keypoints), np.zeros_like(frame.depth), frame.camera)
+    found = consensus_poses(matches_in(frame, keypoints), np.zeros_like(frame.depth), frame.camera)
     assert len(found.poses) == 1
     off = se3.difference(standing, found.poses[0])
     assert np.linalg.norm(off[:3]) < 0.01
@@ -87,24 +87,24 @@ def test_no_pose_is_agreed_on_where_the_object_is_not(
     take_picture: TakePicture, keypoints: Keypoints
 ) -> None:
     table = take_picture([])
-    assert len(agreed(matches_in(table, keypoints), table.depth, table.camera).poses) == 0
+    assert len(consensus_poses(matches_in(table, keypoints), table.depth, table.camera).poses) == 0
     grey = np.full((480, 640, 3), 90, np.uint8)
-    assert len(match(Sought.of(keypoints), Spots.of(Sift().extract(grey)))) == 0
+    assert len(match(ModelKeypoints.of(keypoints), PictureFeatures.of(Sift().extract(grey)))) == 0
 
 
 def test_a_spot_that_looks_alike_does_not_make_a_match_doubtful_and_another_place_does() -> None:
     look = np.array([[1.0, 0.0]], np.float32)
     near, other = np.array([[0.999, 0.04]], np.float32), np.array([[0.9, 0.43]], np.float32)
-    sought = Sought(np.zeros((1, 3)), np.zeros((1, 3)), look)
+    model = ModelKeypoints(np.zeros((1, 3)), np.zeros((1, 3)), look)
 
     def matched(*pixels: tuple[float, float]) -> int:
         features = Features(np.array(pixels, np.float32), np.concatenate([look, near, other])[: len(pixels)])
-        return len(match(sought, Spots.of(features)))
+        return len(match(model, PictureFeatures.of(features)))
 
     assert matched((10.0, 10.0), (11.0, 10.0)) == 1
     assert matched((10.0, 10.0), (60.0, 10.0)) == 1  # exactly alike: nothing is nearer
     features = Features(np.array([[10.0, 10.0], [60.0, 10.0]], np.float32), np.concatenate([near, near]))
-    assert len(match(sought, Spots.of(features))) == 0
+    assert len(match(model, PictureFeatures.of(features))) == 0
 
 
 def planted(right: int, wrong: int, seed: int = 0) -> tuple[Matches, np.ndarray, np.ndarray]:
@@ -125,8 +125,8 @@ def planted(right: int, wrong: int, seed: int = 0) -> tuple[Matches, np.ndarray,
 
 def test_a_fifth_of_right_matches_is_enough() -> None:
     matches, depth, T = planted(right=12, wrong=48)
-    found = agreed(matches, depth, CAMERA)
-    assert 11 <= found.points[0] <= 14
+    found = consensus_poses(matches, depth, CAMERA)
+    assert 11 <= found.inliers[0] <= 14
     off = se3.difference(T, found.poses[0])
     assert np.linalg.norm(off[:3]) < 0.002
     assert np.linalg.norm(off[3:]) < np.radians(1.0)
@@ -136,7 +136,7 @@ def test_wrong_matches_agree_on_hardly_anything() -> None:
     counts = []
     for seed in range(20):
         matches, depth, _ = planted(right=0, wrong=60, seed=seed)
-        counts.append(agreed(matches, depth, CAMERA).points.max(initial=0))
+        counts.append(consensus_poses(matches, depth, CAMERA).inliers.max(initial=0))
     assert np.median(counts) <= 4
     assert max(counts) <= 6
 
@@ -144,13 +144,13 @@ def test_wrong_matches_agree_on_hardly_anything() -> None:
 def test_one_piece_of_surface_counts_once_however_many_matches_it_has() -> None:
     matches, depth, _ = planted(right=5, wrong=0)
     many = matches[np.repeat(np.arange(5), 10)]
-    assert agreed(many, depth, CAMERA).points.tolist() == [5]
+    assert consensus_poses(many, depth, CAMERA).inliers.tolist() == [5]
 
 
 def test_a_surface_that_looks_away_is_not_seen() -> None:
     matches, depth, _ = planted(right=12, wrong=0)
     away = Matches(matches.points, -matches.normals, matches.pixels)
-    assert len(agreed(away, depth, CAMERA).poses) == 0
+    assert len(consensus_poses(away, depth, CAMERA).poses) == 0
 
 
 def test_two_objects_are_two_poses(
@@ -160,7 +160,7 @@ def test_two_objects_are_two_poses(
     turned = standing @ se3.make(se3.rotation_exp(np.array([0.0, 0.0, np.pi])), np.zeros(3))
     turned[0, 3] += 0.2
     both = take_picture([(tea_box.mesh, standing), (tea_box.mesh, turned)])
-    found = agreed(matches_in(both, keypoints), both.depth, both.camera)
+    found = consensus_poses(matches_in(both, keypoints), both.depth, both.camera)
     for T in (standing, turned):
         assert min(np.linalg.norm(pose[:3, 3] - T[:3, 3]) for pose in found.poses) < 0.005
 

@@ -22,7 +22,7 @@ from huepose.propose.quick_look import (
     quick_look,
 )
 from huepose.propose.template_table import TemplateTable, build_table
-from huepose.propose.views import Picture, _middle, retrieve
+from huepose.propose.views import Picture, _centroid, retrieve
 from huepose.rendering.render import render_depth
 
 TakePicture = Callable[..., RgbdFrame]
@@ -165,4 +165,4 @@ def test_the_quick_look_is_that_of_the_plain_sums(table: TemplateTable) -> None:
 def test_the_middle_of_a_mask_is_the_mean_of_its_pixels() -> None:
     mask = np.random.default_rng(2).random((37, 53)) > 0.7
     rows, columns = np.nonzero(mask)
-    np.testing.assert_allclose(_middle(mask), [columns.mean(), rows.mean()], rtol=1e-14)
+    np.testing.assert_allclose(_centroid(mask), [columns.mean(), rows.mean()], rtol=1e-14)

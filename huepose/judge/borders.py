@@ -1,9 +1,10 @@
-"""Does the object end where its outline says? The evidence that depth and print inside of it cannot give.
+"""Does the object end where its outline says? Evidence that depth and texture inside the outline cannot give.
 
-A plain face fits on every plane. What tells it from a floor is that it ends: beyond the outline there is
-something farther away, or of another colour. Contours are rendered once for each direction of view; at a pose
-some hundred of their points are looked at, on both sides (`outline`). `continuation_many` asks many poses
-quickly, by depth alone: where the surface goes on, the object is not there, only its shape or its texture.
+A plane face fits on every plane. An object differs from a floor in that it ends: beyond its outline there is
+something farther away, or of another colour. Contours are rendered once for each view direction; at a pose
+some hundred contour points are compared with the frame on both sides (`outline`). `continuation_many` tests
+many poses quickly, by depth alone: where the measured surface continues beyond the outline, only the object's
+shape or texture is there, not the object.
 """
 
 from __future__ import annotations
@@ -31,25 +32,26 @@ from huepose.support.jit import jit
 from huepose.support.kept import kept
 
 SIDE_PX, NOMINAL_DISTANCE = 160, 5.0
-"""Contours are taken from pictures of that size, from that many radii away."""
+"""Side of the rendered pictures that contours are taken from, and distance of the camera in object radii."""
 
 POINTS = 96
 BESIDE_M = np.array([0.004, 0.007, 0.010])
-"""Where both sides of the outline are looked at: farther than calibration errs, nearer than things are
-thick."""
+"""Distances from the outline at which both sides are compared: more than calibration errs, less than things
+are thick."""
 
 STEP_M, STEP_SIGMAS = 0.006, 3.0
-"""What lies this much behind the continued surface, and so many errors of a reading, is something else."""
+"""A depth step is something else if it lies behind the continued surface by this much plus so many standard
+errors of a reading."""
 
 OTHER_COLOR = 12.0
-"""Difference of opponents from which on it is another colour: half a natural logarithm."""
+"""Difference of opponents from which a colour is another one: half a unit of the natural logarithm."""
 
 
 @dataclass(frozen=True)
 class Outline:
-    """Shares of an outline, 0..1, that together are at most 1: ended: there is something farther away or of
-    another colour beyond; goes_on: surface and colour go on. The rest is hidden, out of the image or unknown,
-    or the surface is not there."""
+    """Result of the comparison, shares 0..1 of the outline, together at most 1. ended: beyond is something
+    farther away or of another colour; goes_on: surface and colour continue. The rest is hidden, outside the
+    image, unknown, or the surface is not there at all."""
 
     ended: float
     goes_on: float
@@ -63,7 +65,8 @@ _lock = threading.Lock()
 
 @dataclass(frozen=True, eq=False)
 class Lines:
-    """points, out (N, 3) of all contours, one view's after another's: starts (V + 1,) int64."""
+    """All contours, one view after another. points, out (N, 3): see `Contours`; starts (V + 1,) int64: first
+    row of each view."""
 
     points: Float32
     out: Float32
@@ -72,8 +75,8 @@ class Lines:
 
 @dataclass(frozen=True, eq=False)
 class Contours:
-    """Contours of an object by direction of view: points (K, 3) on its surface and unit directions (K, 3)
-    that lead away from it across the line of sight, object axes. digest: as of the model."""
+    """Contours of an object by view direction, object axes, metres. points (K, 3) on its surface; out (K, 3):
+    unit directions away from the object, perpendicular to the line of sight. digest: of the model."""
 
     mesh: Mesh
     surface: PreparedSurface
@@ -81,21 +84,21 @@ class Contours:
 
     @staticmethod
     def of(model: ReferenceModel) -> Contours:
-        """Those of a reference model, kept as long as it is, for all who ask."""
+        """Contours of a reference model; one object per model, shared by all callers."""
         with _lock:
             if model not in _contours:
                 _contours[model] = Contours(model.mesh, PreparedSurface.of(model), model.digest)
             return _contours[model]
 
     def at(self, T_cam_obj: Float) -> tuple[Float32, Float32]:
-        """Of the view that is nearest to that of a pose."""
+        """Points and outward directions (K, 3) of the view nearest to that of a pose."""
         view, lines = self.surface.view_of(T_cam_obj), self.lines
         here = slice(lines.starts[view], lines.starts[view + 1])
         return lines.points[here], lines.out[here]
 
     @cached_property
     def lines(self) -> Lines:
-        """Those of all views, made (a fifth of a second) or mapped when they are first asked for."""
+        """Contours of all views, computed (0.2 s) or mapped from the cache at the first use."""
         return kept(Lines, self.digest, self._drawn)
 
     def _drawn(self) -> Lines:
@@ -132,7 +135,7 @@ def _contour(mesh: Mesh, surface: PreparedSurface, direction: Float32) -> tuple[
 
 
 def outline(contours: Contours, T_cam_obj: Float, frame: RgbdFrame) -> Outline:
-    """Look along the outline of a pose (4, 4)."""
+    """Compare the outline of a pose T_cam_obj (4, 4) with a frame."""
     points, out = contours.at(T_cam_obj)
     if not len(points):
         return NO_OUTLINE
@@ -144,12 +147,12 @@ def outline(contours: Contours, T_cam_obj: Float, frame: RgbdFrame) -> Outline:
     # A picture that came over the bus cannot be written: told so always, the kernel is compiled once.
     color = frame.color.view()
     color.flags.writeable = False
-    ended, goes_on = _looked(p, o, lens, frame.depth, color, LOGARITHMS, OPPONENTS, BESIDE_M, allowed)
+    ended, goes_on = _count_outline(p, o, lens, frame.depth, color, LOGARITHMS, OPPONENTS, BESIDE_M, allowed)
     return Outline(ended / len(p), goes_on / len(p))
 
 
 @jit
-def _looked(
+def _count_outline(
     points: Float64,
     out: Float64,
     lens: Float64,
@@ -160,8 +163,8 @@ def _looked(
     beside_m: Float64,
     allowed: float,
 ) -> tuple[int, int]:
-    """How many points (K, 3) of an outline end, and at how many the surface goes on; out (K, 3): away from
-    the object, both in camera axes. lens: fx, fy, cx, cy."""
+    """Counts of outline points that end and of those where the surface goes on. points, out (K, 3): camera
+    axes; lens: fx, fy, cx, cy."""
     ended = goes_on = 0
     z = np.empty((2, 3))
     logs = np.empty((2, 3), np.float32)
@@ -215,10 +218,10 @@ def _looked(
 
 
 SIDE = 20
-"""Cells along the longer side of an object's outline."""
+"""Cells along the longer side of an object's silhouette (`continuation_many`)."""
 
 INNER, OUTER = 1, 2
-"""The rim is what lies so many cells outside of the outline."""
+"""The rim: cells between these two distances outside the silhouette."""
 
 TOLERANCE_M = 0.012
 
@@ -226,10 +229,11 @@ TOLERANCE_M = 0.012
 def continuation_many(
     model: ModelArrays, depth: Float32, clear: Bool, camera: Camera, poses: Float64, samples: int
 ) -> Float64:
-    """Share (M,) of the rim of each pose (M, 4, 4) where the surface that is seen goes on from the object's.
+    """Share (M,) of the rim of each pose (M, 4, 4) where the measured surface continues from the object's.
 
-    depth (h, w) metres, 0 = none; clear (h, w): pixels that can be an object's at all; at most `samples` of
-    the surface draw the outline."""
+    depth (h, w): metres, 0 = none; clear (h, w): pixels that can show an object at all; samples: most surface
+    samples that draw the silhouette.
+    """
     out = np.zeros(len(poses))
     _continue(
         np.ascontiguousarray(poses), model, clear, depth,

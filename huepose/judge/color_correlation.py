@@ -1,4 +1,4 @@
-"""Do the texture and the picture agree in colour, whatever the light? A correlation from sums over
+"""Colour agreement of texture and picture, whatever the light: a weighted correlation from sums over
 samples."""
 
 from __future__ import annotations
@@ -10,16 +10,17 @@ from huepose.judge.region import RegionArrays
 from huepose.support.jit import jit_dividing
 
 SHADING_RIDGE = 0.03
-"""Keeps the fit of lightness to normals small where normals hardly vary (variance of a normal's
-component)."""
+"""Ridge regularisation of the fit of lightness to normals, in variance of a normal's component: keeps it
+small where normals hardly vary."""
 
 
 PLAIN = 4.0
-"""Contrast (opponent units) that counts as none: so much is added to the sum of the channels' weights, and of
-that share the mean colour decides where the light is known."""
+"""Contrast that counts as none, opponent units. It is added to the sum of the channels' weights; with that
+share of the weight the mean colour decides, where the light is known."""
 
 LIGHT_SIGMA = (14.0, 7.0, 7.0)
-"""Opponent units by which the mean colour of a known object in known light may be off: shading, mostly."""
+"""Standard deviations of the mean colour of a known object in known light, per channel, opponent units:
+mostly from shading."""
 
 
 @jit_dividing

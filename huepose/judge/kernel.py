@@ -1,8 +1,10 @@
-"""The score of one pose, compiled: what `judge.terms` describes, in three passes over the visible samples.
+"""The dense score of one pose, compiled: computes `judge.terms.Terms` in three passes over the visible
+samples.
 
-The first places all samples, the second compares them with depth and reads the picture's colours where it
-fits, the third sums. Each pass is a plain loop over rows of a scratch array, which the compiler does several
-samples at a time. Whoever only asks whether a pose is better than another is answered as soon as it is not.
+The first pass projects all samples; the second compares them with depth and reads the picture's colours where
+depth fits; the third sums up. Each pass is a plain loop over rows of a scratch array, so that the compiler
+can vectorise it. A caller that only needs to know whether a pose is better than another passes `needed`, and
+the kernel stops as soon as the pose cannot reach it.
 """
 
 from __future__ import annotations
@@ -19,30 +21,31 @@ TERMS = 17
 """Length of the kernel's output: the fields of `terms.Terms` in order."""
 
 SCRATCH_ROWS = 23
-"""Rows of the kernel's scratch. Of all samples: 0 facing, 1..2 pixel, 3 depth, 4..6 normal in camera axes. Of
-those that fit, moved up: 4..6 the normal, 7 weight, 8..13 the texture's colours, 14..19 the picture's, 20 the
-sample, 21..22 pixel."""
+"""Rows of the scratch array. For all samples: 0 facing, 1..2 pixel, 3 depth, 4..6 normal in camera axes. For
+the fitting samples, compacted: 4..6 normal, 7 weight, 8..13 colours of the texture, 14..19 of the picture, 20
+index of the sample, 21..22 pixel."""
 
 STICKING = 3.0
-"""A surface less than so many tolerances behind what is seen does not stand behind it but sticks in it, which
-solid things do not: a pose may not hide by sinking into its support or its neighbour."""
+"""A surface that lies less than this many tolerances behind the measured one is not hidden by it but
+penetrates it, which solid things do not: a pose must not hide by sinking into its support or its
+neighbour."""
 
 IMPLAUSIBLE = 0.5
-"""What it counts to hide where nothing hides, beside 1 for being seen through: sunk into something, or behind
-what is believed to be the object itself."""
+"""Weight of a sample that is hidden implausibly (sunk into something, or behind what is believed to be the
+object itself), where 1 is a sample that is seen through."""
 
 MARGIN = 0.15
-"""Share of the surface that is added to what is seen of a pose, so that little in view explains little."""
+"""Added to the visible share of the surface in ratios, so that a pose with little in view explains little."""
 
 GRAZING = 0.1
-"""Cosine under which a surface is seen too much from the side to be compared with readings."""
+"""Cosine of the viewing angle below which a sample is too oblique to be compared with depth."""
 
 SEEN_IN_COLOR = 0.02
 """Share of the surface that must be seen in colour for its colours to be compared."""
 
 
 BLOCK = 64
-"""Believed points that are looked at before it is asked whether that is enough."""
+"""Mask points per block in the coverage; between blocks it stops if the result is already decided."""
 
 
 @jit_dividing
@@ -56,11 +59,11 @@ def score_kernel(
     out: Float64,
     needed: float,
 ) -> float:
-    """Judge one pose; `scratch` (SCRATCH_ROWS, samples), `out` (TERMS,) gets the terms, the total is
-    returned.
+    """Judge one pose T (4, 4). Writes the terms to `out` (TERMS,) and returns the total; scratch:
+    (SCRATCH_ROWS, samples).
 
-    A pose whose total cannot be over `needed` may be left half judged: then some number that is at least its
-    total and not over `needed` is returned, and `out` says nothing.
+    If the total cannot exceed `needed`, the kernel may stop early. It then returns an upper bound of the
+    total that is not over `needed`, and `out` is undefined.
     """
     w_fit, w_coverage, w_violation, w_color = weights[0], weights[1], weights[2], weights[3]
     w_occluded, w_box, w_outside = weights[4], weights[5], weights[8]
@@ -225,8 +228,8 @@ def _read_colors(model: ModelArrays, region: RegionArrays, count: int, scratch: 
 
 @jit_dividing
 def _coverage(T: Float64, model: ModelArrays, region: RegionArrays, enough: float, scratch: Float64) -> float:
-    """Share of the believed points that lie on the side of the surface which the camera sees; where it cannot
-    be over `enough`, some number between. `scratch` has 11 rows or more."""
+    """Coverage: share of the mask points that lie on the camera's side of the surface. If it cannot exceed
+    `enough`, some value between is returned. scratch: 11 rows or more."""
     point_weights = region.point_weights
     total = 1e-9
     for i in range(point_weights.shape[0]):
@@ -239,15 +242,15 @@ def _coverage(T: Float64, model: ModelArrays, region: RegionArrays, enough: floa
         if lost > spare:
             break
         count = min(block, point_weights.shape[0] - first)
-        lost += _lost(T, model, region, first, count, scratch)
+        lost += _uncovered_weight(T, model, region, first, count, scratch)
     return float((total - lost) / total)
 
 
 @jit_dividing
-def _lost(
+def _uncovered_weight(
     T: Float64, model: ModelArrays, region: RegionArrays, first: int, count: int, scratch: Float64
 ) -> float:
-    """How much of the weight of some of the believed points does not lie on the surface."""
+    """Weight of the mask points first to first + count that do not lie on the surface."""
     points_cam, point_weights, tolerance = region.points_cam.ravel(), region.point_weights, region.tolerance
     points, normals, cells = model.points.ravel(), model.normals.ravel(), model.nearest.ravel()
     o0, o1, o2, scale = model.origin[0], model.origin[1], model.origin[2], 1.0 / model.step

@@ -1,7 +1,10 @@
-"""A window of a frame to judge and refine poses in without any mask: what a tracker looks at.
+"""An open region: a window of a frame in which poses are judged and refined without any mask. The tracker
+uses it.
 
-Colours are opponents of single pixels, averaged over the same three lengths on the object as the samples of
-its surface; light is an offset in them. Coarse averages are made at lower resolution and brought back."""
+Colours are opponents of single pixels, averaged over the same three lengths on the object as the colours of
+the surface samples; light is an offset in them. Coarse averages are computed at lower resolution and
+resampled.
+"""
 
 from __future__ import annotations
 
@@ -22,10 +25,10 @@ SCALES_M = (*COLOR_SCALES_M, 0.008)
 
 MIN_SIDE = 16
 REACH_SIGMAS = 2.0
-"""A Gaussian is cut off there: 4 % of its weight lies beyond."""
+"""Gaussians are cut off at this many sigmas: 4 % of the weight lies beyond."""
 
 BLIND = 0.3
-"""Weight of colours where there is no depth to say whether the object is in front."""
+"""Weight of a sample's colour where there is no depth reading that shows whether the object is in front."""
 
 _NOWHERE = np.array([-2.0, -2.0, -1.0, -1.0])
 _NO_POINTS, _NO_WEIGHTS, _NO_LIGHT = np.zeros((0, 3)), np.zeros(0), np.zeros(3)
@@ -33,8 +36,8 @@ _NO_POINTS, _NO_WEIGHTS, _NO_LIGHT = np.zeros((0, 3)), np.zeros(0), np.zeros(3)
 
 @dataclass(frozen=True, eq=False)
 class OpenRegion:
-    """arrays: what kernels read, colours (3, h, w, 3) at SCALES_M; its top-left pixel in the frame is (x0,
-    y0)."""
+    """arrays: input of the kernels, colours (3, h, w, 3) at SCALES_M; (x0, y0): top-left pixel of the window
+    in the frame."""
 
     arrays: RegionArrays
     camera: Camera
@@ -42,28 +45,28 @@ class OpenRegion:
     y0: int
 
     def lit(self, light: Float64 | None) -> OpenRegion:
-        """The same where the light is known (3,), or not."""
+        """A copy with known light (3,), in opponents, or with unknown light (None)."""
         known = light is not None
         arrays = self.arrays._replace(light=_NO_LIGHT if light is None else light, lit=known)
         return OpenRegion(arrays, self.camera, self.x0, self.y0)
 
     def blunt(self) -> RegionArrays:
-        """The arrays with the two coarser scales of colour in the place of the two finer ones: wider
-        basins."""
+        """The arrays with the two coarser colour scales in place of the two finer ones: wider basins of
+        convergence."""
         return self.arrays._replace(finest=1)
 
 
 def window(box: Box, width: int, height: int) -> tuple[int, int, int, int] | None:
-    """x0, y0, width, height of a box inside an image of that size, in whole multiples of four pixels; None
-    when less than 16 pixels a side are left."""
+    """The window (x0, y0, width, height) of a box in an image of that size, sides in multiples of four
+    pixels; None if a side is under 16 pixels."""
     rows, columns = box.slices(width, height)
     w, h = (columns.stop - columns.start) // 4 * 4, (rows.stop - rows.start) // 4 * 4
     return None if w < MIN_SIDE or h < MIN_SIDE else (columns.start, rows.start, w, h)
 
 
 def open_region(frame: RgbdFrame, box: Box, distance_m: float, diameter_m: float) -> OpenRegion | None:
-    """Cut `box` out of a frame for an object of that diameter at that distance; None where (almost) nothing
-    of it is inside."""
+    """Cut `box` out of a frame for an object of that diameter at that distance, metres; None where (almost)
+    none of the box is in the image."""
     cut = window(box, frame.camera.width, frame.camera.height)
     if cut is None:
         return None
@@ -100,8 +103,8 @@ def open_region(frame: RgbdFrame, box: Box, distance_m: float, diameter_m: float
 
 
 def tolerance_m(diameter_m: float, distance_m: float) -> float:
-    """How far a reading may lie from the surface and yet support it: 6 to 12 mm by the object's size, and two
-    standard errors of the reading."""
+    """Tolerance of depth, metres: a reading within it supports the surface. 6 to 12 mm by the object's size,
+    and two standard errors of the reading."""
     return max(0.006, min(0.012, 0.05 * diameter_m)) + 2.0 * (depth_noise_m(distance_m) - FLOOR_M)
 
 

@@ -1,9 +1,8 @@
-"""Does the picture have an edge where the object ends? The outline of a pose against the image's gradients.
+"""Rim agreement: does the picture have an edge where the outline of a pose lies?
 
-Thin and far objects have hardly any depth of their own, and what they have is that of their surroundings as
-much as theirs; their outline in colour is sharp all the same. Only the direction of a gradient counts fully:
-noise and clutter have strong ones, but rarely along the rim (LINEMOD's observation, Hinterstoisser et al.
-2012).
+Thin and distant objects have hardly any relief that separates them from their surroundings, but their outline
+in colour is sharp. Only the direction of a gradient counts fully: noise and clutter have strong gradients,
+but rarely along the rim (observation of LINEMOD, Hinterstoisser et al. 2012).
 """
 
 from __future__ import annotations
@@ -21,20 +20,20 @@ from huepose.support.jit import jit_dividing
 
 SMOOTHING_PX = 1.0
 FAINT = 3.0
-"""Gradient (opponent units a pixel) that counts half: fainter ones are noise."""
+"""Gradient that counts half, opponent units per pixel: fainter ones are noise."""
 
 REACH_PX = 1
 HIDDEN = 1.5
-"""Depth in front of the rim by so many tolerances hides it."""
+"""A rim point is hidden if depth lies in front of it by this many tolerances."""
 
 PRIOR, PRIOR_COUNT = 0.35, 10.0
-"""What a rim in no place in particular agrees, and how many points say so before any is looked at."""
+"""Prior: agreement of a rim at a random place, and the number of points that this prior counts as."""
 
 
 class Rim(NamedTuple):
-    """points (N, 3): of the outline, object axes; inward (N, 3): from there to where one pixel further inside
-    is, object axes; edges (h, w, 3): structure tensor of the picture, xx, xy, yy; weight: of the agreement in
-    a total, 0 where there is no rim."""
+    """An outline to compare. points (N, 3): object axes; inward (N, 3): from each point to one pixel further
+    inside, object axes; edges (h, w, 3): structure tensor of the picture, xx, xy, yy; weight: of the
+    agreement in a total, 0 without a rim."""
 
     points: Float64
     inward: Float64
@@ -56,7 +55,8 @@ def edge_tensor(color: UInt8) -> Float32:
 
 @jit_dividing
 def rim_agreement(T: Float64, rim: Rim, region: RegionArrays) -> float:
-    """How well the picture's gradients run across the outline of a pose, 0..1, hidden parts left out."""
+    """Agreement 0..1 of the picture's gradients with the outline of pose T (4, 4); hidden points are left
+    out."""
     height, width = region.depth.shape
     total, count = PRIOR * PRIOR_COUNT, PRIOR_COUNT
     for i in range(rim.points.shape[0]):

@@ -1,11 +1,10 @@
-"""Judging a pose by colour pairs: do the model's pairs find their two colours where the pose puts them?
+"""Judge a pose by colour pairs: do the model's pairs find their two colours where the pose projects them?
 
-The model's pairs that the pose shows are projected, and the picture is read on both sides of each edge, in
-colours of which light is an offset (see `opponents`). Light is normalised at the pose itself, by the offset
-and the gain per channel that fit all read colours best, which makes the first term a correlation of colours.
-The second is that of the differences between the two sides, where light, and shading that changes slowly,
-cancel within each pair. Depth, free space and coverage of the mask are judged as for the dense score
-(`judge.terms`), with its dense colour switched off.
+The model's pairs that are visible at the pose are projected, and the picture is read on both sides of each
+edge, as opponents. Light is fitted at the pose itself, as the offset and gain per channel that fit all read
+colours best; so the first term is a correlation of colours. The second term is a correlation of the
+differences between the two sides, in which light and slow shading cancel. Depth, free space and coverage of
+the mask are judged by the dense score (`judge.terms`) with its colour term switched off.
 """
 
 from __future__ import annotations
@@ -33,7 +32,7 @@ PAIR_TERMS = 4
 
 
 class PairArrays(NamedTuple):
-    """The model's pairs as kernels read them, spread evenly over the database."""
+    """The model's pairs as the kernels read them: an even subset of the database."""
 
     points: Float32
     normals: Float32
@@ -53,8 +52,8 @@ class PairPicture(NamedTuple):
 
 
 class Judged(NamedTuple):
-    """What a pose is judged on. samples: most of the surface that are looked at; geometry, weights: of the
-    dense score's terms and of the pairs'."""
+    """All inputs of the pair kernel. samples: most surface samples that are used; geometry, weights: weights
+    of the dense score's terms and of the pair terms, as arrays."""
 
     model: ModelArrays
     region: RegionArrays
@@ -65,8 +64,8 @@ class Judged(NamedTuple):
     weights: Float64
 
 
-class Room(NamedTuple):
-    """Scratch of the kernel, and `out` (5,), which gets the terms of the last pose."""
+class PairScratch(NamedTuple):
+    """Scratch arrays of the pair kernel; out (5,): the terms of the last pose."""
 
     moments: Float64
     rows: Float64
@@ -74,21 +73,21 @@ class Room(NamedTuple):
     out: Float64
 
 
-def scratch(samples: int) -> Room:
-    """Room for the kernel."""
-    return Room(
+def scratch(samples: int) -> PairScratch:
+    """Allocate the scratch arrays for at most `samples` surface samples."""
+    return PairScratch(
         np.empty((6, 5)), np.empty((SCRATCH_ROWS, samples)), np.empty(TERMS), np.empty(PAIR_TERMS + 1)
     )
 
 
 @jit
-def pair_kernel(T: Float64, on: Judged, room: Room, needed: float) -> float:
-    """Judge one pose: the total is returned, the terms stand in the room's `out`.
+def pair_kernel(T: Float64, on: Judged, work: PairScratch, needed: float) -> float:
+    """Judge one pose T (4, 4). Returns the total and writes the terms to `work.out`.
 
-    A pose whose total cannot be over `needed` may be left half judged: then some number that is at least its
-    total and not over `needed` is returned, and `out` says nothing.
+    If the total cannot exceed `needed`, the kernel may stop early. It then returns an upper bound of the
+    total that is not over `needed`, and `work.out` is undefined.
     """
-    moments, out, weights = room.moments, room.out, on.weights
+    moments, out, weights = work.moments, work.out, on.weights
     moments[:] = 0.0
     visible = _read_pairs(T, on.region, on.pairs, on.picture, moments)
     few = visible / (visible + weights[5])
@@ -97,7 +96,7 @@ def pair_kernel(T: Float64, on: Judged, room: Room, needed: float) -> float:
     colors = weights[0] * color + weights[1] * contrast
     # What geometry has to give; the slack is more than rounding.
     enough = needed - colors - 1e-9
-    geometry = score_kernel(T, on.model, on.region, on.samples, on.geometry, room.rows, room.terms, enough)
+    geometry = score_kernel(T, on.model, on.region, on.samples, on.geometry, work.rows, work.terms, enough)
     out[0] = geometry + colors
     out[1] = geometry
     out[2] = color
@@ -110,8 +109,8 @@ def pair_kernel(T: Float64, on: Judged, room: Room, needed: float) -> float:
 def read_pair(
     T: Float64, i: int, region: RegionArrays, pairs: PairArrays, picture: PairPicture, read: Float64
 ) -> float:
-    """Read the picture on both sides of pair `i` into `read` (2, 3); returns how far the surface faces the
-    camera there, or 0 for a pair that is not to be seen."""
+    """Read the picture on both sides of pair `i` into `read` (2, 3). Returns the cosine between surface
+    normal and line of sight, 0 if the pair is not visible."""
     points, normals, tangents = pairs.points, pairs.normals, pairs.tangents
     depth, shown = region.depth, picture.colors
     height, width = depth.shape
@@ -199,7 +198,8 @@ def _read_pairs(
 
 @jit
 def _correlation(moments: Float64, first: int, weights: Float64) -> float:
-    """Correlation over the three channels from row `first` on, each weighted by how much the model varies."""
+    """Correlation over the three channels from row `first` on, each weighted by the variation of the model in
+    it."""
     count = moments[3, 0]
     if count <= 0.0:
         return 0.0
@@ -220,25 +220,29 @@ def _correlation(moments: Float64, first: int, weights: Float64) -> float:
 
 
 GEOMETRY = replace(DEFAULT_WEIGHTS, color=0.0, box=0.2)
-"""The dense score's terms without its colours, weighed for pairs."""
+"""Weights of the dense score without colour, chosen for pairs."""
 
 CLOSE_PAIRS, CLOSE_PAIR_SAMPLES = 1500, 600
-"""Colour pairs and surface samples by which the last few poses are judged closely."""
+"""Most colour pairs and surface samples with which the last few poses are judged."""
 
 _opponents: WeakKeyDictionary[PairReference, Float32] = WeakKeyDictionary()
 _lock = threading.Lock()
 
 REACH_PX = 2.0
-"""How far off the edge the colours of a pair were sampled, in pixels of the reference views: the middle of
-the candidates of a sharp edge."""
+"""Distance from the edge at which the colours of a pair were sampled, pixels of the reference views: the
+middle of the candidates of a sharp edge."""
 
 
 @dataclass(frozen=True)
 class PairWeights:
-    """What colour and contrast weigh beside the geometry; lightness: its weight against the other two
-    channels; floor: units of opponents that keep the correlation of even surfaces down; even: added to the
-    sum of the channels' weights, which lowers objects without texture; few: number of visible pairs at which
-    colours count half."""
+    """Weights of the pair terms beside the geometry.
+
+    color, contrast: of the two correlations.
+    lightness: of lightness against the other two channels.
+    floor: opponent units, keeps the correlation of plain surfaces low.
+    even: added to the sum of the channels' weights, lowers objects without texture.
+    few: number of visible pairs at which the colour terms count half.
+    """
 
     color: float = 1.0
     contrast: float = 0.6
@@ -271,10 +275,12 @@ def pair_score_many(
     samples: int = 300,
     weights: PairWeights = DEFAULT_PAIR_WEIGHTS,
 ) -> Float64:
-    """Judge poses (M, 4, 4) by at most `pairs` of the model's pairs and `samples` of its surface: (M, 5), the
-    total, geometry plus weighted colours, comparable between poses on the same pixels; geometry, the dense
-    score without colour; color, contrast, correlations (-1..1), lowered where there is little to go by; the
-    number of pairs that were compared."""
+    """Judge poses (M, 4, 4) by at most `pairs` of the model's pairs and `samples` of its surface.
+
+    Returns (M, 5): total, comparable between poses on the same pixels; geometry, the dense score without
+    colour; color and contrast, correlations in -1..1, lowered where there is little evidence; number of pairs
+    compared.
+    """
     out = np.zeros((len(poses), PAIR_TERMS + 1))
     on = judged_on(model, region, picture, pairs, samples, weights)
     _score_all(np.ascontiguousarray(poses, dtype=np.float64), on, scratch(samples), out)
@@ -289,7 +295,7 @@ def judged_on(
     samples: int,
     weights: PairWeights = DEFAULT_PAIR_WEIGHTS,
 ) -> Judged:
-    """At most `pairs` of the model's pairs and `samples` of its surface, and the picture, for the kernel."""
+    """Bundle at most `pairs` of the model's pairs, its surface and the picture for the kernel."""
     return Judged(
         model_arrays(model),
         region_arrays(region),
@@ -332,7 +338,7 @@ def pair_weight_array(weights: PairWeights) -> Float64:
 
 
 @jit
-def _score_all(poses: Float64, on: Judged, room: Room, out: Float64) -> None:
+def _score_all(poses: Float64, on: Judged, work: PairScratch, out: Float64) -> None:
     for i in range(poses.shape[0]):
-        pair_kernel(poses[i], on, room, -np.inf)
-        out[i] = room.out
+        pair_kernel(poses[i], on, work, -np.inf)
+        out[i] = work.out

@@ -1,7 +1,7 @@
-"""What judging a pose needs: of a frame a crop round the object, its colours smoothed at two scales; of a
-model its samples; both as arrays that compiled judges read.
+"""Input of the judges: a crop of the frame with colours smoothed at two scales, and the samples of a model,
+both as arrays for compiled kernels.
 
-A region is a crop seen through one mask, or through several candidate masks at once, each believed a little.
+A region is a crop with one mask, or with several candidate masks at once, each with its weight.
 """
 
 from __future__ import annotations
@@ -27,13 +27,15 @@ COLOR_SCALES_M = (0.0010, 0.0035)
 """Standard deviations of the two smoothings, as in `Surface.lab`."""
 
 SATURATED = 250
-"""A channel at or over this says nothing of the colour any more."""
+"""Byte value from which a channel counts as saturated: its colour is unknown."""
 
 HALVED_FROM_PX = 2.0
-"""Smoothing from which half the resolution will do."""
+"""Sigma, pixels, from which smoothing is computed at half resolution."""
 
 OUTSIDE_WEIGHT = 0.02
+"""Weight of a pixel without belief when colours are smoothed."""
 MASK_POINTS = 500
+"""Most mask points of a region."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -51,15 +53,19 @@ class Crop:
 
 @dataclass(frozen=True, eq=False)
 class Region:
-    """A crop seen through what is believed to show the object.
+    """A crop with a map of what is believed to show the object.
 
-    belief (h, w) float32: how likely a pixel shows the object, 0 where it has no depth (with a single mask:
-    1 on it); mask (h, w): belief over a half of its largest; colors (2, h, w, 3) float32: opponents
-    smoothed over about 1 mm, and over 3.5 mm, inside the mask without a look outside; points_cam (N, 3) and
-    point_weights (N,) float64: at most 500 believed points in random order, away from rims; trust: 0..1, how
-    far the belief itself may be believed; bounds (4,): left, top, right, bottom of the box in the crop;
-    tolerance_m: how far depth and surface may be apart; median_depth_m: of the mask; light (3,): what the
-    light adds to opponents, where that is known.
+    belief (h, w) float32: how likely a pixel shows the object, 0 without depth (with a single mask: 1 on it).
+    mask (h, w): belief over half of its maximum.
+    colors (2, h, w, 3) float32: opponents smoothed over about 1 mm and 3.5 mm, inside the mask without mixing
+    in its surroundings.
+    points_cam (N, 3), point_weights (N,) float64: at most 500 mask points in random order, away from rims,
+    and their belief.
+    trust: 0..1, how reliable the belief itself is.
+    bounds (4,): left, top, right, bottom of the box in the crop.
+    tolerance_m: largest difference of depth and surface that counts as agreement; median_depth_m: of the
+    mask.
+    light (3,): offset that the light adds to opponents, where known.
     """
 
     crop: Crop
@@ -95,8 +101,8 @@ def prepare_crop(frame: RgbdFrame, window: Box) -> Crop:
 def prepare_believed(
     crop: Crop, masks: Sequence[Bool], weights: Sequence[float], trust: float, box: Box, diameter_m: float
 ) -> Region | None:
-    """See a crop through several candidate masks (H, W) of the frame at once, each with its weight (sum over
-    0); None when no pixel of any of them has depth there."""
+    """The region of several candidate masks (H, W) of the frame, each with its weight (sum over 0); None when
+    no pixel of any mask has depth in the crop."""
     h, w = crop.depth.shape
     belief = np.zeros((h, w), np.float32)
     for mask, weight in zip(masks, weights, strict=True):
@@ -124,26 +130,26 @@ def prepare_believed(
 
 
 def tolerance_m(diameter_m: float, depth_m: float) -> float:
-    """How far depth and surface may be apart: 6 to 12 mm by the object's size, more where depth is far."""
+    """Tolerance of depth, metres: 6 to 12 mm by the object's size, more at far depth."""
     return max(0.006, min(0.012, 0.05 * diameter_m)) + (0.002 if depth_m > 1.1 else 0.0)
 
 
 def _masked_colors(crop: Crop, belief: Float32, depth_m: float) -> Float32:
-    """Opponent colours smoothed at both scales; a pixel that is not believed counts little, so that inside
-    the mask colours are the mask's, and outside those of the place."""
+    """Opponents (2, h, w, 3) smoothed at both scales, weighted by belief: inside the mask colours mix only
+    with the mask's, outside it with the surroundings'."""
     weight = np.maximum(belief, np.float32(OUTSIDE_WEIGHT))
     sigmas = [max(0.5, sigma_m / depth_m * crop.camera.fx) for sigma_m in COLOR_SCALES_M]
     return smoothed_opponents(crop.color, weight, sigmas)
 
 
 def smoothed_opponents(color: UInt8, weight: Float32, sigmas_px: Sequence[float]) -> Float32:
-    """Opponents (S, h, w, 3), of each sigma, of a picture (h, w, 3) whose linear colours are averaged under a
-    Gaussian, each pixel with its weight (h, w), over 0."""
+    """Opponents (S, h, w, 3) at each sigma: linear colours of a picture (h, w, 3) averaged by a Gaussian,
+    pixels weighted by weight (h, w) > 0, then converted."""
     weighted = _weighted(color, LINEAR, weight)
     out = np.empty((len(sigmas_px), *weight.shape, 3), np.float32)
     for sigma, smooth in zip(sigmas_px, out, strict=True):
         if sigma < HALVED_FROM_PX:
-            _opposed(_smoothed(weighted, sigma), smooth)
+            _opponents_of_logs(_smoothed(weighted, sigma), smooth)
         else:
             _smoothed_at_half(weighted, sigma, smooth)
     return out
@@ -156,7 +162,7 @@ def _smoothed_at_half(weighted: Float32, sigma: float, out: Float32) -> None:
     # Averaging pairs and reading between the means smooth as well, with about this variance together.
     log = _smoothed(np.asarray(half, dtype=np.float32), 0.5 * float(np.sqrt(sigma * sigma - 0.75)))
     small = np.empty((*log.shape[1:], 3), np.float32)
-    _opposed(log, small)
+    _opponents_of_logs(log, small)
     cv2.resize(small, (width, height), dst=out, interpolation=cv2.INTER_LINEAR)
 
 
@@ -164,7 +170,7 @@ def _smoothed(weighted: Float32, sigma: float) -> Float32:
     """Logarithms (3, h, w) of the weighted mean of colours (h, w, 4) over `sigma` pixels, plus DARKEST."""
     smooth = np.asarray(cv2.GaussianBlur(weighted, (0, 0), sigma), dtype=np.float32)
     log = np.empty((3, *weighted.shape[:2]), np.float32)
-    _brightened(smooth, log)
+    _normalised(smooth, log)
     np.log(log, out=log)
     return log
 
@@ -183,7 +189,7 @@ def _weighted(color: UInt8, linear: Float32, weight: Float32) -> Float32:
 
 
 @jit_dividing
-def _brightened(smooth: Float32, out: Float32) -> None:
+def _normalised(smooth: Float32, out: Float32) -> None:
     """Weighted colours (h, w, 4) divided by their weight, plus DARKEST, as planes (3, h, w)."""
     darkest = np.float32(DARKEST)
     for v in range(smooth.shape[0]):
@@ -194,7 +200,7 @@ def _brightened(smooth: Float32, out: Float32) -> None:
 
 
 @jit_dividing
-def _opposed(log: Float32, out: Float32) -> None:
+def _opponents_of_logs(log: Float32, out: Float32) -> None:
     """Opponents (h, w, 3) of logarithms (3, h, w), as in `colorpair.opponents`."""
     scale, half, third = np.float32(SCALE), np.float32(0.5 * SCALE), np.float32(SCALE / 3.0)
     for v in range(log.shape[1]):
@@ -206,8 +212,8 @@ def _opposed(log: Float32, out: Float32) -> None:
 
 
 def _believed_points(crop: Crop, belief: Float32) -> tuple[Float64, Float64]:
-    """Camera-frame points (N, 3) of believed pixels, and their belief (N,), in an order that depends on the
-    number of pixels alone."""
+    """Camera-frame points (N, 3) of pixels with belief, and their belief (N,), in an order that depends only
+    on their number."""
     inner = cv2.erode((belief > 0).astype(np.uint8), np.ones((3, 3), np.uint8)) > 0
     if np.count_nonzero(inner) <= 120:
         inner = belief > 0
@@ -226,6 +232,7 @@ def sampled_points(crop: Crop, mask: Bool, count: int) -> tuple[Float64, Int64, 
 
 
 COVERAGE_POINTS = 250
+"""Mask points that coverage is computed from."""
 
 
 class ModelArrays(NamedTuple):

@@ -1,16 +1,15 @@
-"""Rendered views: what an object at a pose would look like in this very picture, at its resolution and
-sharpness; and which of several poses explains the same pixels best.
+"""Rendered views: the object at a pose, drawn at the resolution and sharpness of this camera, to compare
+similar poses.
 
-The samples of a surface (`model.types.Surface`) carry its texture at two fixed scales, whatever the camera
-sees of it. A rendered view is drawn for one pose and one camera: its samples are pixels, their colours the
-texture as this camera would see it, in the same bands of detail as the picture is split into, and it has an
-outline. It holds for small steps from its pose.
+The samples of a surface (`model.types.Surface`) carry the texture at two fixed scales, whatever the camera
+resolves. A rendered view is drawn for one pose and one camera: its samples are pixels, their colours the
+texture as this camera would see it, in the same frequency bands as the picture, and it has an outline. It is
+valid for small steps from its pose.
 
-A score of one pose alone reads the picture where that pose fits it, and under the light that suits it. Of
-poses that compete for one answer more can be asked: that they explain the same pixels, where what shows and
-is not in their texture speaks against them, and that the texture is as strong in one as in the other. Fine
-detail is compared as the mesh has it; of broader texture no more is asked than that it is there within a
-pixel or two.
+The score of a single pose reads the picture where that pose fits, under the light that suits it. Competing
+poses are compared more strictly: on the same pixels, where texture that is seen but missing in the view
+counts against it, and with the same texture gain for all. Fine detail is compared exactly; broader texture
+may be displaced by a pixel or two.
 """
 
 from __future__ import annotations
@@ -28,18 +27,18 @@ from huepose.model.types import ReferenceModel
 from huepose.rendering.render import render
 
 SHARP_PX, BLUNT_PX = 0.6, 2.5
-"""Detail is what lies between these two smoothings (standard deviations): light varies more slowly than
-that, and of what is finer a camera sees little."""
+"""Detail is the band between these two smoothings (sigmas, pixels): light varies more slowly, and the camera
+resolves little below it."""
 
 RIM_POINTS = 120
-ROOM_PX = 6
+MARGIN_PX = 6
 LARGEST_PX = 640
 
 
 @dataclass(frozen=True, eq=False)
 class RenderedView:
-    """arrays: the model with the pixels as its visible samples, detail and blunt colours in the place of the
-    two scales; rim_points, rim_inward (N, 3): of the outline (see `outline.Rim`)."""
+    """arrays: the model with pixels as its visible samples, and detail and blunt colours in place of the two
+    scales; rim_points, rim_inward (N, 3): the outline (see `outline.Rim`)."""
 
     arrays: ModelArrays
     rim_points: Float64
@@ -65,7 +64,7 @@ def draw_rendered_view(
     T = np.ascontiguousarray(T_cam_obj, dtype=np.float64)
     seen = render([(model.mesh, T)], window, normals=True, points=True)
     shown = seen.depth > 0
-    rows, columns = _some(shown, samples)
+    rows, columns = _random_pixels(shown, samples)
     rim_rows, rim_columns, inward_px = _rim(shown)
     if len(rows) < 20 or not len(rim_rows):
         return None
@@ -96,14 +95,17 @@ def _window(model: ReferenceModel, T_cam_obj: Float, camera: Camera) -> Camera |
     if points[:, 2].min() < 0.05:
         return None
     pixels = camera.project(points)
-    low, high = np.floor(pixels.min(0)).astype(int) - ROOM_PX, np.ceil(pixels.max(0)).astype(int) + ROOM_PX
+    low, high = (
+        np.floor(pixels.min(0)).astype(int) - MARGIN_PX,
+        np.ceil(pixels.max(0)).astype(int) + MARGIN_PX,
+    )
     width, height = (int(x) for x in high - low)
     if max(width, height) > LARGEST_PX:
         return None
     return camera.cropped(int(low[0]), int(low[1]), width, height)
 
 
-def _some(mask: Bool, count: int) -> tuple[Int64, Int64]:
+def _random_pixels(mask: Bool, count: int) -> tuple[Int64, Int64]:
     """Rows and columns of at most `count` pixels of a mask, in random order."""
     rows, columns = np.nonzero(mask)
     keep = np.random.default_rng(len(rows)).permutation(len(rows))[:count]
@@ -113,7 +115,7 @@ def _some(mask: Bool, count: int) -> tuple[Int64, Int64]:
 def _rim(shown: Bool) -> tuple[Int64, Int64, Float64]:
     """Rows, columns and inward directions (N, 2), x and y, of at most RIM_POINTS pixels of the outline."""
     filled = shown.astype(np.uint8)
-    rows, columns = _some(shown & (cv2.erode(filled, np.ones((3, 3), np.uint8)) == 0), RIM_POINTS)
+    rows, columns = _random_pixels(shown & (cv2.erode(filled, np.ones((3, 3), np.uint8)) == 0), RIM_POINTS)
     soft = cv2.GaussianBlur(filled.astype(np.float32), (0, 0), 1.2)
     x = cv2.Sobel(soft, cv2.CV_32F, 1, 0, ksize=3)[rows, columns]
     y = cv2.Sobel(soft, cv2.CV_32F, 0, 1, ksize=3)[rows, columns]
@@ -126,22 +128,24 @@ def _joined(base: Float32, more: Float) -> Float32:
 
 
 BROAD_PX = 5.0
-"""Broader texture lies between the blunt smoothing of a rendered view and this one; shading is broader."""
+"""Sigma, pixels: broader texture is the band between the blunt smoothing and this one; shading is broader
+still."""
 
-REACH = 1
-"""Half-size pixels by which a piece of the texture may be elsewhere."""
+MAX_SHIFT = 1
+"""Largest displacement of a patch of texture, pixels at half resolution."""
 
-PIECE = 5
-"""Side of such a piece, in half-size pixels."""
+PATCH = 5
+"""Side of such a patch, pixels at half resolution."""
 
 NOISE = 1.0
-"""Opponents: of the detail of a picture that shows nothing."""
+"""Noise of detail, opponent units: that of a picture without texture."""
 
-WEAKEST, STRONGEST = 0.3, 1.2
-"""Of a texture against that of the mesh: veiled by gloss and blur, or sharper than it was scanned."""
+MIN_GAIN, MAX_GAIN = 0.3, 1.2
+"""Limits of the gain of the seen texture over the mesh's: veiled by gloss and blur, or sharper than it was
+scanned."""
 
-FEWEST = 20
-"""Pixels on which poses can be compared."""
+MIN_PIXELS = 20
+"""Least number of pixels on which poses are compared."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -176,11 +180,11 @@ class _Seen:
 
 
 def likeness(model: ReferenceModel, part: Part, poses: Float64) -> Likeness | None:
-    """How well each of the poses (K, 4, 4) explains what a picture shows where any of them lies; None where
-    that is too few pixels."""
+    """How well each of the poses (K, 4, 4) explains the pixels where any of them lies; None where these are
+    too few."""
     seen = [_seen(model, part, T) for T in poses]
     shared = np.any([one.comparable for one in seen], axis=0)
-    if int(shared.sum()) < FEWEST:
+    if int(shared.sum()) < MIN_PIXELS:
         return None
     return Likeness(_detail(part.colors, seen, shared), _broad(part.colors, seen, shared))
 
@@ -221,27 +225,27 @@ def _broad(colors: Float32, seen: Sequence[_Seen], shared: Bool) -> Float64:
     energy = np.einsum("ijk,ijk->k", picture, picture)
     spread = np.sqrt(energy / count) + NOISE
     gain = _shared_gain(picture, textures, count)
-    unexplained = _pieces(_saturating(picture / spread))
+    unexplained = _patch_means(_saturating(picture / spread))
     out = []
     for texture, weight in zip(textures, weights, strict=True):
         strong = texture * gain
         left = np.full(weight.shape, np.inf, np.float32)
-        for dx in range(-REACH, REACH + 1):
-            for dy in range(-REACH, REACH + 1):
+        for dx in range(-MAX_SHIFT, MAX_SHIFT + 1):
+            for dy in range(-MAX_SHIFT, MAX_SHIFT + 1):
                 moved = np.roll(strong, (dy, dx), axis=(0, 1))
-                left = np.minimum(left, _pieces(_saturating((picture - moved) / spread)))
+                left = np.minimum(left, _patch_means(_saturating((picture - moved) / spread)))
         out.append(float(((unexplained - left) * weight).sum()) / count)
     return np.array(out)
 
 
 def _shared_gain(picture: Float32, textures: Sequence[Float32], count: float) -> Float32:
-    """How strong the texture shows in the picture (3,), by channel, after whom it suits best."""
+    """Gain (3,) per channel of the picture's texture over that of the pose that fits best."""
     gains = [
         np.einsum("ijk,ijk->k", picture, texture)
         / (np.einsum("ijk,ijk->k", texture, texture) + NOISE * np.sqrt(count))
         for texture in textures
     ]
-    return np.asarray(np.clip(np.max(gains, axis=0), WEAKEST, STRONGEST), dtype=np.float32)
+    return np.asarray(np.clip(np.max(gains, axis=0), MIN_GAIN, MAX_GAIN), dtype=np.float32)
 
 
 def _halved(picture: Float32) -> Float32:
@@ -251,7 +255,7 @@ def _halved(picture: Float32) -> Float32:
 
 
 def _band(weighted: Float32, weight: Float32) -> Float32:
-    """Weighted colours (h, w, 3) less their mean round about, 0 where the weight (h, w) is."""
+    """Band-pass: weighted colours (h, w, 3) minus their local mean, 0 where the weight (h, w) is 0."""
     sigma = 0.5 * BROAD_PX
     mean = cv2.GaussianBlur(weighted, (0, 0), sigma) / (
         cv2.GaussianBlur(weight, (0, 0), sigma)[..., None] + 1e-3
@@ -264,7 +268,7 @@ def _saturating(x: Float32) -> Float32:
     return np.asarray(square / (1.0 + square), dtype=np.float32)
 
 
-def _pieces(x: Float32) -> Float32:
-    """Sum over the channels, averaged over the piece round each pixel."""
+def _patch_means(x: Float32) -> Float32:
+    """Sum over the channels, averaged over the patch around each pixel."""
     total = x[..., 0] + x[..., 1] + x[..., 2]
-    return np.asarray(cv2.boxFilter(total, -1, (PIECE, PIECE)), dtype=np.float32)
+    return np.asarray(cv2.boxFilter(total, -1, (PATCH, PATCH)), dtype=np.float32)

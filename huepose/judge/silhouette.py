@@ -1,4 +1,4 @@
-"""What a pose says of the picture: the pixels that show the object."""
+"""Silhouettes and visible masks of a pose: the pixels that show the object, with and without occlusion."""
 
 from __future__ import annotations
 
@@ -78,11 +78,11 @@ def visible_mask(model: ReferenceModel, frame: RgbdFrame, T_cam_obj: Float, tole
 
 
 VISIBLE_M, VISIBLE_SHARE = 0.01, 0.005
-"""Depth may lie this far from the rendered surface, and this share of the distance, and still be the
-object."""
+"""Largest difference of depth and rendered surface at visible pixels: these metres plus this share of the
+distance."""
 
 COMPARED_PX = 96
-"""Outlines are compared at this size: exact enough for a ratio of areas."""
+"""Side of the pictures on which silhouettes are compared, pixels: exact enough for a ratio of areas."""
 
 
 def visible_within(mesh: Mesh, T_cam_obj: Float64, frame: RgbdFrame, box: Box) -> Bool:

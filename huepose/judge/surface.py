@@ -1,8 +1,8 @@
-"""The surface samples of a reference model with their colours at three scales, for regions without a mask.
+"""The surface samples of a reference model with colours at three scales, for open regions (without mask).
 
-The samples are in random order and the lists of visible samples are increasing, so the first n of a list are
-an even, sparser cover of what is seen: cheap scores read few, refinement reads more. What the judge says of
-poses of it in an open region: closely of one (`look`), quickly of many (`totals`).
+The samples are in random order and the lists of visible samples are increasing, so the first n of a list
+cover what is visible evenly: quick scores read few, refinement reads more. `look` judges one pose in an open
+region closely, `totals` many quickly.
 """
 
 from __future__ import annotations
@@ -26,8 +26,8 @@ SAMPLES = 400
 
 @dataclass(frozen=True, eq=False)
 class PreparedSurface:
-    """arrays: what kernels read, colours as opponents at SCALES_M; diameter_m of the model; thickness_m along
-    its thinnest axis; radius_m: of the sphere about the centre of the samples that holds them."""
+    """arrays: input of the kernels, colours as opponents at SCALES_M; diameter_m: of the model; thickness_m:
+    extent along its thinnest axis; radius_m: of the sphere around the centre that holds all samples."""
 
     arrays: ModelArrays
     diameter_m: float
@@ -56,7 +56,7 @@ class PreparedSurface:
         return int(np.argmax(self.arrays.directions @ eye.astype(np.float32)))
 
     def shown(self, T_cam_obj: Float, count: int) -> Int32:
-        """Up to `count` of the samples that a pose shows, spread evenly."""
+        """Indices of up to `count` samples that are visible at a pose, evenly spread."""
         a, view = self.arrays, self.view_of(T_cam_obj)
         return a.visible[a.offsets[view] : a.offsets[view + 1]][:count]
 
@@ -110,7 +110,7 @@ def _averaged(points: Float32, normals: Float32, colors: Float32, have_m: float,
 
 
 def look(surface: PreparedSurface, region: OpenRegion, T_cam_obj: Float64) -> Terms:
-    """Look at a pose (4, 4) closely."""
+    """The terms of a pose T_cam_obj (4, 4), from up to SAMPLES samples."""
     terms = score_arrays(surface.arrays, region.arrays, np.asarray(T_cam_obj)[None], SAMPLES)[0]
     return Terms(*(float(x) for x in terms))
 
@@ -122,7 +122,8 @@ def totals(
     samples: int,
     tolerance_m: float | None = None,
 ) -> Float64:
-    """Totals (K,) of poses (K, 4, 4) by few samples and the coarser colours, whose basins are wide."""
+    """Totals (K,) of poses (K, 4, 4) by few samples and the coarser colours, which have wide basins of
+    convergence."""
     arrays = region.blunt()
     if tolerance_m is not None:
         arrays = arrays._replace(tolerance=tolerance_m)

@@ -1,10 +1,9 @@
-"""The dense score of a pose: does this object, there, explain the depth and the colours of a region?
+"""The dense score of a pose: does the object at this pose explain depth and colours of a region?
 
-Samples of the model's surface that the pose shows are compared with the image (depth where the surface
-should be, nothing in front of it that we see through, the texture's colours), and points of the mask with the
-surface (is the mask explained?). Colours are compared by the correlation of their opponents with the
-texture's at two scales, so that the light's colour and strength do not matter; lightness also after shading
-is taken off.
+The visible surface samples are compared with the image (depth at the surface, nothing seen through it, the
+texture's colours), and the mask points with the surface (is the mask explained?). Colours are compared by
+correlation of opponents at two scales, so that the light's colour and strength do not matter; lightness is
+compared after shading is removed.
 """
 
 from __future__ import annotations
@@ -21,14 +20,18 @@ from huepose.model.types import ReferenceModel
 from huepose.support.jit import jit
 
 CLOSE_SAMPLES = 800
-"""Surface samples by which single poses are judged; 0.5 % of noise in a share of the surface."""
+"""Most surface samples of a close look at a pose: 0.5 % of noise in a share of the surface."""
 
 
 @dataclass(frozen=True)
 class ScoreWeights:
-    """What each term weighs. `lightness` and `coarse` are relative weights of lightness against the other two
-    channels and of the 3.5 mm scale against the 1 mm scale, `outside` of depth that fits outside the mask,
-    `color_floor` (units of opponents) keeps the correlation of even surfaces down."""
+    """Weights of the terms in the total.
+
+    lightness: relative weight of lightness against the other two channels.
+    coarse: relative weight of the 3.5 mm scale against the 1 mm scale.
+    outside: weight of depth that fits outside the mask.
+    color_floor: opponent units, keeps the correlation of plain surfaces low.
+    """
 
     depth_fit: float = 0.9
     coverage: float = 0.7
@@ -47,18 +50,24 @@ DEFAULT_WEIGHTS = ScoreWeights()
 
 @dataclass(frozen=True)
 class Terms:
-    """What a pose explains of a region. Shares are of the visible surface, weighted by how squarely it is
-    seen.
+    """What a pose explains of a region. Shares (0..1) are of the visible surface, weighted by the cosine of
+    the viewing angle.
 
-    total: the weighted sum, about 0 for nonsense, 3 for a perfect view through a right mask, 1.9 where there
-    is no mask (open regions); depth_fit 0..1: agreement of the depth that speaks; coverage 0..1: share of the
-    mask that the surface explains; violation 0..1: seen through (free space violated), or, counting half,
-    sunk into something or behind what is believed to be the object; color -1..1: correlation of texture and
-    image, light taken out, lowered where there is little texture; occluded 0..1: something not believed to be
-    the object is in front; seen 0..1: agrees in depth; box_iou 0..1: of the bounds with the given box;
-    through 0..1: the seen-through part of the violation alone; hidden 0..1: anything is in front; blind 0..1:
-    no depth reading; outside 0..1: out of the image; contrast: opponent units of texture in view; light_l,
-    light_rg, light_yb: mean colour of image less texture; colored 0..1: seen in colour."""
+    total: weighted sum; about 0 for nonsense, 3 for a perfect view through a right mask, 1.9 without a mask
+    (open regions).
+    depth_fit 0..1: agreement of the depth readings that are neither hidden nor missing.
+    coverage 0..1: share of the mask that the surface explains.
+    violation 0..1: share seen through (free space violated), plus half of what is sunk into something or
+    behind what is believed to be the object.
+    color -1..1: correlation of texture and image without the light, lowered where there is little texture.
+    occluded 0..1: something that is not believed to be the object is in front.
+    seen 0..1: agrees in depth. box_iou 0..1: of the pose's bounds and the given box.
+    through 0..1: the seen-through part of violation. hidden 0..1: anything is in front.
+    blind 0..1: no depth reading. outside 0..1: outside the image.
+    contrast: opponent units of texture in view.
+    light_l, light_rg, light_yb: mean colour of the image minus that of the texture.
+    colored 0..1: seen in colour.
+    """
 
     total: float
     depth_fit: float
@@ -80,12 +89,13 @@ class Terms:
 
     @property
     def light(self) -> tuple[float, float, float]:
-        """What the light adds to opponents, by the mean colours; zeros where no colour was seen."""
+        """Offset (3,) that the light adds to opponents, from the mean colours; zeros where no colour was
+        seen."""
         return self.light_l, self.light_rg, self.light_yb
 
 
 NOTHING = Terms(*(0.0,) * 11, 1.0, 0.0, 0.0, 0.0, 0.0, 0.0)
-"""Of a pose outside of the image."""
+"""The terms of a pose outside the image."""
 
 
 def weight_array(weights: ScoreWeights) -> Float64:
@@ -106,7 +116,7 @@ def score(
     samples: int = 800,
     weights: ScoreWeights = DEFAULT_WEIGHTS,
 ) -> Terms:
-    """Judge one pose (4, 4) in a region by at most `samples` surface samples."""
+    """Judge one pose T_cam_obj (4, 4) in a region with at most `samples` surface samples."""
     return Terms(*(float(x) for x in score_many(model, region, T_cam_obj[None], samples, weights)[0]))
 
 
@@ -128,7 +138,7 @@ def score_arrays(
     samples: int,
     weights: ScoreWeights = DEFAULT_WEIGHTS,
 ) -> Float64:
-    """`score_many` of what was bundled for the kernels before: (M, 17)."""
+    """`score_many` on arrays that are already bundled for the kernels: (M, 17)."""
     out = np.zeros((len(poses), TERMS))
     _score_all(
         np.ascontiguousarray(poses, dtype=np.float64), model, region, samples, weight_array(weights), out
@@ -137,7 +147,7 @@ def score_arrays(
 
 
 def totals(model: ReferenceModel, region: Region, poses: Float) -> Float64:
-    """Totals (M,) of poses (M, 4, 4), looked at closely."""
+    """Totals (M,) of poses (M, 4, 4), with CLOSE_SAMPLES surface samples."""
     return score_many(model, region, poses, CLOSE_SAMPLES)[:, 0]
 
 

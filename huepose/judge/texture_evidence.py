@@ -1,18 +1,18 @@
-"""Is it this texture that is seen? What the dense score cannot say, measured on the pose that is answered.
+"""Is it this object's texture that is seen, or a look-alike's? Evidence that the dense score cannot give.
 
-`texture_evidence`: a look-alike (the same shape in another texture) agrees in colour less than the object
-itself, but no less than an object without much texture does. So what is asked for is what is lacking: how
-much higher the agreement of the two opponent colours would be if the picture showed just this texture, which
-is little where there is little texture. And at which contrast details are seen: sharp ones tell poses apart
+`texture_evidence`: a look-alike (same shape, other texture) has a lower colour correlation than the object
+itself, but not lower than an object without much texture. So it measures what is missing: how much higher the
+agreement of the two chromatic opponents would be if the picture showed this texture, which is little where
+there is little texture. It also measures at what contrast details are seen, since sharp ones separate poses
 that blurred ones do not.
 
-A correlation is pulled most by what disagrees most: a third of a surface in other, stronger colours outweighs
-the rest. So pairs are counted as well, each of which speaks for itself and only so loudly.
-`contrast_disagreement_many`: the share of seen contrasts that point elsewhere. The contrast of a pair is a
-direction in colour; light, shadow and exposure change its length, noise turns what is short, and only another
-colour turns what is long. `agreement_many`: how much of the texture agrees, when some of it may be out of
-date or hidden: of the contrasts, where light cancels, and of the colours under the light that most of them
-agree on. A pair that disagrees wholly counts as nothing, and not as less than nothing.
+Correlations are dominated by the largest disagreement: a third of a surface in other, stronger colours
+outweighs the rest. So colour pairs are counted as well, each with a bounded vote.
+`contrast_disagreement_many`: share of visible contrasts that point elsewhere. The contrast of a pair is a
+direction in opponent space; light, shadow and exposure change its length, noise turns short ones, and only
+another colour turns long ones. `agreement_many`: how much of the texture agrees when a part of it may be
+outdated or hidden, by contrasts (where light cancels) and by colours under the light on which most of them
+agree. A pair that disagrees counts as zero, not as negative.
 """
 
 from __future__ import annotations
@@ -30,7 +30,7 @@ from huepose.model.types import ReferenceModel
 from huepose.support.jit import jit
 
 FEWEST_SAMPLES = 15
-"""Samples that fit the depth, under which nothing is said."""
+"""Least number of samples with fitting depth: with fewer there is no evidence."""
 
 DETAIL_FLOOR = 0.75
 """Variance of detail (opponent units) that is noise."""
@@ -41,11 +41,11 @@ HUE_FLOOR = 40.0
 
 @dataclass(frozen=True)
 class TextureEvidence:
-    """missing: agreement of the opponent colours that the picture owes to the texture, 0 (all is there) to
-    about 0.8; foreign: deviation of the picture's opponent colours from the texture's, up to one offset
-    (standard deviation, opponent units); detail: correlation of what is smaller than 3.5 mm, -1..1, low
-    where it cannot be seen; turned: how far the hues of picture and texture are turned against each other as
-    a whole, 0..1."""
+    """missing: agreement of the chromatic opponents that the picture lacks, 0 (complete) to about 0.8.
+    foreign: standard deviation of the picture's opponents from the texture's, after one offset, opponent
+    units.
+    detail: correlation of structure below 3.5 mm, -1..1, low where it cannot be seen.
+    turned: rotation of the picture's hues as a whole against the texture's, 0..1."""
 
     missing: float
     foreign: float
@@ -54,8 +54,8 @@ class TextureEvidence:
 
 
 def texture_evidence(model: ReferenceModel, region: Region, T_cam_obj: Float) -> TextureEvidence:
-    """Of a pose (4, 4). Where too little of the surface is seen, nothing is missing, nothing foreign and no
-    detail is there."""
+    """The evidence at a pose T_cam_obj (4, 4); neutral (nothing missing, nothing foreign, no detail) where
+    too little of the surface is seen."""
     seen = _seen_texture(model, region, np.ascontiguousarray(T_cam_obj, dtype=np.float64))
     if seen is None:
         return TextureEvidence(0.0, 0.0, 0.0, 0.0)
@@ -102,8 +102,8 @@ def _detail(share: Float64, texture_colors: Float64, picture: Float64) -> float:
 def _seen_texture(
     model: ReferenceModel, region: Region, T: Float64
 ) -> tuple[Float64, Float64, Float64] | None:
-    """Of the samples that the pose shows and the depth confirms: weights (N,), opponents of the texture and
-    of the picture, both (N, 6). None where there are too few."""
+    """The visible samples whose depth fits: weights (N,), opponents of the texture (N, 6) and of the picture
+    (N, 6). None where there are too few."""
     m, r = model_arrays(model), region_arrays(region)
     view = nearest_view(T, m)
     index = m.visible[m.offsets[view] : m.offsets[view + 1]][:CLOSE_SAMPLES]
@@ -128,7 +128,7 @@ def _seen_texture(
 
 
 def _between_pixels(colors: Float, u: Float64, v: Float64) -> Float64:
-    """Values (N, C) of an image (h, w, C) at places between its pixels."""
+    """Bilinear values (N, C) of an image (h, w, C) at subpixel positions."""
     height, width = colors.shape[:2]
     u0 = np.clip(u.astype(np.int64), 0, width - 2)
     v0 = np.clip(v.astype(np.int64), 0, height - 2)
@@ -146,18 +146,18 @@ ASIDE = 0.75
 """Tangent of the angle within which two contrasts point the same way: what coloured light turns them by."""
 
 CONTRAST_NOISE = 3.0
-"""Units of opponents by which a contrast may be off for no reason; one as long as this counts half, on the
-texture and in the picture."""
+"""Noise of a contrast, opponent units; one of this length counts half, on the texture and in the picture."""
 
 NEUTRAL = 3.0
-"""So many clear contrasts are taken to agree beforehand: without texture nothing speaks against it."""
+"""Prior: so many clear contrasts count as agreeing, so that without texture there is no evidence against the
+pose."""
 
 
 def contrast_disagreement_many(
     model: ReferenceModel, region: Region, picture: PairPicture, poses: Float, pairs: int = 1500
 ) -> Float64:
-    """Share (M,), 0..1, of the contrasts that point elsewhere, at poses (M, 4, 4), by at most `pairs` of the
-    model's pairs; 0 where none is seen."""
+    """Share (M,) in 0..1 of visible contrasts that point elsewhere, at poses (M, 4, 4), by at most `pairs` of
+    the model's pairs; 0 where none is visible."""
     out = np.zeros(len(poses))
     for m, T in enumerate(poses):
         voices, elsewhere = contrasts(model, region, picture, T, pairs)
@@ -168,8 +168,8 @@ def contrast_disagreement_many(
 def contrasts(
     model: ReferenceModel, region: Region, picture: PairPicture, T_cam_obj: Float, pairs: int = 1500
 ) -> tuple[Float64, Bool]:
-    """Of the pairs of `pair_arrays` at a pose (4, 4): how clear the contrast of each is (N,), 0..1, 0 where
-    it is not seen; and whether it points elsewhere (N,)."""
+    """For each pair of `pair_arrays` at a pose (4, 4): clarity (N,) of its contrast, 0..1, 0 where not
+    visible; and whether it points elsewhere (N,)."""
     arrays = pair_arrays(model.pairs, pairs)
     count = len(arrays.points)
     voices, strengths, elsewhere = np.zeros(count), np.zeros(count), np.zeros(count, np.bool_)
@@ -227,17 +227,18 @@ PAIR_FEW = DEFAULT_PAIR_WEIGHTS.few
 """As the score of pairs has them."""
 
 HALF_AGREED = 16.0
-"""Units of opponents off the common light at which a colour counts half."""
+"""Deviation from the common light, opponent units, at which a colour counts half."""
 
 LIGHT_ROUNDS = 3
 FEWEST_PAIRS = 5
-"""Under so many visible pairs nothing is said."""
+"""Least number of visible pairs: with fewer there is no evidence."""
 
 
 def agreement_many(
     model: ReferenceModel, region: Region, picture: PairPicture, poses: Float, pairs: int = 1500
 ) -> Float64:
-    """Both shares added up, 0..2, at poses (M, 4, 4), by at most `pairs` of the model's pairs: (M,)."""
+    """Sum of the agreeing shares of contrasts and of colours, 0..2 each pose: (M,) for poses (M, 4, 4), by at
+    most `pairs` of the model's pairs."""
     out = np.zeros(len(poses))
     _agree_all(
         np.ascontiguousarray(poses, dtype=np.float64),
@@ -296,8 +297,8 @@ def _agreed_contrasts(weights: Float64, model: Float64, seen: Float64) -> float:
 
 @jit
 def _agreed_colors(weights: Float64, model: Float64, seen: Float64) -> float:
-    """Share of the sides that have their colour under the offset and gain per channel on which most agree:
-    from the median offset on, reweighted least squares with the weights of Cauchy, squared."""
+    """Share of pair sides whose colour agrees under the offset and gain per channel on which most agree:
+    reweighted least squares with squared Cauchy weights, from the median offset."""
     n = weights.shape[0]
     off, trust, total = np.zeros((n, 2)), np.empty((n, 2)), 2.0 * weights.sum()
     for c in range(3):

@@ -1,4 +1,4 @@
-"""How poses that score nearly alike are told apart."""
+"""Settings for near ties: poses of one object that score nearly alike."""
 
 from __future__ import annotations
 
@@ -9,14 +9,15 @@ from huepose.judge.terms import ScoreWeights
 
 @dataclass(frozen=True)
 class NearTieWeights:
-    """What each term of a contest weighs.
+    """Weights of the terms between poses in a near tie.
 
-    dense: how far behind the first by total (never over 0); detail, broad: how well the
-    texture's detail and its broader parts explain the same pixels; pairs: the pairs' colours.
+    dense: distance to the first in the dense score, at most 0.
+    detail, broad: how well fine and broader texture explain the same pixels.
+    pairs: agreement of the colour pairs.
 
-    Origin: fitted, `studies.near_ties --fit` on drawn heaps, path-traced piles and real frames, some of them
-    those of docs/accuracy.md, near the largest likelihood that the right contender wins (a softmax of their
-    weighted sums). Fitted on drawn frames alone they lose 3.4 points of ADD on path-traced piles.
+    Fitted (`studies.near_ties --fit`) on drawn heaps, path-traced piles and real frames, some of them those
+    of docs/accuracy.md, to the largest likelihood that the right pose wins (softmax of the weighted sums).
+    Fitted on drawn frames alone they lose 3.4 points of ADD on path-traced piles.
     """
 
     dense: float = 1.0
@@ -27,14 +28,15 @@ class NearTieWeights:
 
 @dataclass(frozen=True)
 class CloseLookConfig:
-    """How a pose is refined on detail and outline. Origin of all numbers: chosen.
+    """How a pose is refined on texture detail and outline before near ties are decided. All numbers chosen.
 
-    weights: of the dense score with detail and blunt colours; these count alike, and more than at first
-    sight. rim_weight: of the agreement of the outline with the picture's edges, in units of the total.
-    steps_deg: of the search, from coarse to fine, in degrees of turn at the object's surface.
-    samples: of the surface. tolerances: depth may be so many of the region's tolerances off a pose where
-    textures are compared: they are compared on the surface, not on what lies before or behind it.
-    room_px: round the poses in the picture that is looked at.
+    weights: of the dense score on detail and blunt colours, which count alike, and more than in the first
+    score.
+    rim_weight: of the agreement of outline and picture edges, in units of the total.
+    steps_deg: steps of the coordinate search, coarse to fine, degrees of rotation at the object's surface.
+    samples: most surface samples.
+    tolerances: textures are compared where depth is within this many of the region's tolerances of the pose.
+    room_px: margin around the poses in the picture, pixels.
     """
 
     weights: ScoreWeights = field(default_factory=lambda: ScoreWeights(color=1.5, coarse=1.0))
@@ -47,13 +49,14 @@ class CloseLookConfig:
 
 @dataclass(frozen=True)
 class NearTieConfig:
-    """When poses are near ties, and how they are weighed.
+    """When poses are in a near tie, and how it is decided.
 
-    contenders: most poses that are looked at closely. within: a pose contends when its total is this close to
-    the best: noise and light move totals as far. Origin: chosen, with time in mind.
-
-    share: a weighed difference of one says as much
-    as a difference of this of the total. Origin: chosen, so that quality reads both alike.
+    contenders: most poses that get a close look. Chosen, with time in mind.
+    within: a pose contends when its total is this close to the best; noise and light change totals as much.
+    Chosen.
+    weights: of the terms.
+    share: factor from a weighted difference of the terms to a difference of the total. Chosen, so that
+    quality reads both alike.
     """
 
     contenders: int = 4

@@ -1,9 +1,9 @@
-"""Different poses, best first: of poses that lie close to each other the best one stays.
+"""Non-maximum suppression over poses: of poses close to each other only the best stays.
 
-While poses are still refined, those are close that differ by little in turn and place (`different_poses`). Of
-finished ones, those that count as the same right pose are one answer (`different_answers`): within a tenth of
-the diameter of each other, up to the rotations under which shape and texture look the same. `Ranked` holds
-them in the order in which they are believed, each with what the judge says of it.
+While poses are still being refined, two are close if they differ little in rotation and translation
+(`different_poses`). Of finished poses, two are one answer if both would count as the same right pose
+(`different_answers`): their surfaces are within a tenth of the diameter of each other, up to the object's
+symmetries. `Ranked` holds poses in their order, each with its total.
 """
 
 from __future__ import annotations
@@ -20,8 +20,9 @@ from huepose.support.jit import jit
 
 @dataclass(frozen=True, eq=False)
 class Ranked:
-    """poses T_cam_obj (K, 4, 4), best first; totals (K,): of the judge; behind (K,): how far each is behind
-    the first in all that orders them, in units of the total; 0 for the first, never less."""
+    """Poses in order. poses: T_cam_obj (K, 4, 4), best first; totals (K,): of the judge; behind (K,):
+    distance to the first by everything that orders them, in units of the total, 0 for the first, never
+    negative."""
 
     poses: Float64
     totals: Float64
@@ -29,8 +30,7 @@ class Ranked:
 
     @classmethod
     def of(cls, poses: Float64, totals: Float64, scores: Float64 | None = None) -> Ranked:
-        """Poses (K, 4, 4) and totals (K,) in any order, ranked by scores (K,), the totals where none are
-        given."""
+        """Rank poses (K, 4, 4) with totals (K,) by scores (K,), by default the totals."""
         scores = totals if scores is None else scores
         order = np.argsort(-scores, kind="stable")
         return cls(poses[order], totals[order], scores[order[:1]] - scores[order])
@@ -39,7 +39,7 @@ class Ranked:
         return len(self.poses)
 
     def these(self, indices: Sequence[int] | Int64) -> Ranked:
-        """Some of them, the first among them."""
+        """A selection of the poses, which must include the first."""
         kept = np.asarray(indices, dtype=np.int64)
         return Ranked(self.poses[kept], self.totals[kept], self.behind[kept])
 
@@ -49,11 +49,11 @@ NONE = Ranked(np.zeros((0, 4, 4)), np.zeros(0), np.zeros(0))
 
 
 FINAL_TURN_RAD, FINAL_SHIFT = 0.2, 0.05
-"""Poses closer than this (shift in diameters) are one answer."""
+"""Rotation (radians) and translation (diameters) below which two refined poses are one."""
 
 RIGHT = 0.1
-"""Mean distance of the surface's points, in diameters, up to which a pose is right, as the field counts it,
-and two poses are one answer."""
+"""Largest mean surface distance, in diameters, at which a pose counts as right (the usual ADD threshold), and
+two poses as one answer."""
 
 POINTS = 100
 

@@ -1,10 +1,9 @@
-"""Which of the poses that score nearly alike is it? All that tells them apart is weighed together.
+"""Decide between poses that score nearly alike, by a close look at texture detail and outline.
 
-Rolls of a can, the two faces of a box, a marker's sides share shape and mean colours, and the dense score
-hardly tells them apart; what does is the fine texture and, for what is thin, the outline. Both only speak of
-a pose that is exact to a pixel, so each of the few best is refined on them first, with a rendered view drawn
-for it (`judge.rendered_view`), then judged on the pixels of all of them and by colour
-pairs.
+Rotations of a can, the two faces of a box or the sides of a marker share shape and mean colours, and the
+dense score hardly separates them. Fine texture and, for thin objects, the outline do, but only at a pose that
+is exact to a pixel. So each of the few best poses is first refined on them with a rendered view
+(`judge.rendered_view`), then all are compared on the same pixels and by colour pairs.
 """
 
 from __future__ import annotations
@@ -32,12 +31,12 @@ from huepose.select.config import CloseLookConfig, NearTieConfig, NearTieWeights
 from huepose.select.distinct import Ranked, different_answers
 
 HULL_POINTS = 200
-"""Of the surface, whose bounds stand for the object's."""
+"""Surface points whose bounds stand for those of the object."""
 
 
 @dataclass(frozen=True, eq=False)
 class CloseLook:
-    """poses (K, 4, 4) refined on detail and outline; alike: how well their textures explain the same
+    """Result of the close look: refined poses (K, 4, 4); alike: how well their textures explain the same
     pixels."""
 
     poses: Float64
@@ -94,12 +93,12 @@ def _window(model: ReferenceModel, region: Region, poses: Float64, room_px: floa
 
 
 TERMS = tuple(term.name for term in fields(NearTieWeights))
-"""What contenders are told apart by, see `NearTieWeights`."""
+"""Names of the terms in a near tie, see `NearTieWeights`."""
 
 
 @dataclass(frozen=True, eq=False)
 class Contest:
-    """Contenders for an answer: poses (K, 4, 4), refined by the close look, and of each its TERMS (K, 4)."""
+    """Poses in a near tie: poses (K, 4, 4) after the close look, and terms (K, 4) in the order of TERMS."""
 
     poses: Float64
     terms: Float64
@@ -112,8 +111,8 @@ class Contest:
 def contest(
     model: ReferenceModel, region: Region, found: Ranked, config: NearTieConfig | None = None
 ) -> Contest | None:
-    """The best few of different poses looked at closely; None where one is clearly ahead, or one cannot be
-    looked at."""
+    """The close look at the best few poses; None where the first is clearly ahead, or one cannot be
+    compared."""
     config = config or NearTieConfig()
     rivals = int((found.behind[: config.contenders] < config.within).sum())
     if rivals < 2:
@@ -130,7 +129,7 @@ def contest(
 def decided(
     model: ReferenceModel, region: Region, found: Ranked, config: NearTieConfig | None = None
 ) -> tuple[Ranked, Contest | None]:
-    """Different poses after the best few were looked at closely, and the contest where there was one."""
+    """Poses reordered by the close look at the best few, and the contest where there was one."""
     config = config or NearTieConfig()
     held = contest(model, region, found, config)
     if held is None:
@@ -144,7 +143,7 @@ def decided(
 
 
 def pair_colors(model: ReferenceModel, region: Region, poses: Float64) -> Float64:
-    """How well the colours of the model's pairs agree at poses (K, 4, 4), 0 without pairs: (K,)."""
+    """Colour-pair agreement (K,) at poses (K, 4, 4), 0 without pairs."""
     picture = pair_picture(model, region.crop, region.median_depth_m)
     terms = pair_score_many(model, region, picture, poses, CLOSE_PAIRS, CLOSE_PAIR_SAMPLES)
     weights = DEFAULT_PAIR_WEIGHTS

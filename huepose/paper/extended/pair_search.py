@@ -12,8 +12,8 @@ from huepose.judge.pairs import (
     DEFAULT_PAIR_WEIGHTS,
     Judged,
     PairPicture,
+    PairScratch,
     PairWeights,
-    Room,
     judged_on,
     pair_kernel,
     scratch,
@@ -52,12 +52,12 @@ def search_pairs(
 
 class _On(NamedTuple):
     judged: Judged
-    room: Room
+    work: PairScratch
 
 
 @jit
 def _total(T: Float64, on: _On, needed: float) -> float:
-    return pair_kernel(T, on.judged, on.room, needed)
+    return pair_kernel(T, on.judged, on.work, needed)
 
 
 _climb = climber(_total)
@@ -67,13 +67,13 @@ _climb = climber(_total)
 def _search_all(
     poses: Float64,
     judged: Judged,
-    room: Room,
+    work: PairScratch,
     centre: Float64,
     shift_per_radian: float,
     steps: Float64,
     totals: Float64,
 ) -> None:
-    on = _On(judged, room)
+    on = _On(judged, work)
     for m in range(poses.shape[0]):
         totals[m] = _total(poses[m], on, -np.inf)
         for level in range(steps.shape[0]):

@@ -1,4 +1,4 @@
-"""A dense coloured cloud of the part of a mesh that can be seen, and averages of its colours."""
+"""A dense coloured point cloud of the visible part of a mesh, and averages of its colours and normals."""
 
 from __future__ import annotations
 
@@ -15,13 +15,14 @@ from huepose.onboarding.neighbourhoods import Cells
 from huepose.onboarding.visibility import DepthViews, votes
 from huepose.onboarding.winding import outward_sign
 
-_PER_SQUARE_MM = 2.0
-_FEWEST, _MOST = 40_000, 300_000
+_SAMPLES_PER_MM2 = 2.0
+_MIN_SAMPLES, _MAX_SAMPLES = 40_000, 300_000
 
 
 @dataclass(frozen=True, eq=False)
 class Cloud:
-    """points, normals (M, 3) float64, lab (M, 3) float32, in random order; area_m2 of the visible surface."""
+    """points, normals (M, 3) float64 metres, lab (M, 3) float32, in random order; area_m2: of the visible
+    surface."""
 
     points: Float64
     normals: Float64
@@ -47,15 +48,16 @@ class Cloud:
 
 
 def visible_cloud(mesh: Mesh, views: DepthViews) -> Cloud:
-    """Evenly random samples of the surface that some view sees.
+    """Uniformly random samples of the surface that is visible from some view; hidden inner walls are left
+    out.
 
-    Hidden inner walls are left out. Normals point out of a closed mesh; in one that is open, or whose faces
-    disagree, to the side that more views see.
+    Normals point outwards for a closed mesh. For an open one, or one with inconsistent faces, they point to
+    the side that more views see.
     """
     rng = np.random.default_rng(0)
     face_normals, areas = mesh.face_normals()
     total = float(areas.sum())
-    count = int(np.clip(total * 1e6 * _PER_SQUARE_MM, _FEWEST, _MOST))
+    count = int(np.clip(total * 1e6 * _SAMPLES_PER_MM2, _MIN_SAMPLES, _MAX_SAMPLES))
     at = (np.arange(count) + rng.random(count)) * (total / count)  # one sample in each equal share of area
     face = np.minimum(np.searchsorted(np.cumsum(areas), at), len(areas) - 1)
     a, b = rng.random((2, count))
@@ -92,15 +94,15 @@ def _texels(picture: Float32, uv: Float64) -> Float32:
 
 
 def smoothed_normals(cloud: Cloud, points: Float, normals: Float, radius_m: float) -> Float64:
-    """Mean normals (N, 3) of the cloud within a radius, of the same side as `normals`."""
+    """Mean normals (N, 3) of the cloud within a radius, among those on the same side as `normals` (N, 3)."""
     total = cloud.cells(radius_m).facing_sum(points, normals, least_cosine=0.5)
     length = np.linalg.norm(total, axis=1, keepdims=True)
     return np.where(length > 1e-9, total / np.maximum(length, 1e-9), normals)
 
 
 def averaged_lab(cloud: Cloud, points: Float, normals: Float, sigma_m: float) -> Float32:
-    """Lab colours (N, 3) of the surface at `points`, Gaussian-weighted over `sigma_m` of what faces alike;
-    where no sample is within reach, that of the nearest."""
+    """Lab colours (N, 3) at `points`: Gaussian mean of sigma `sigma_m` over samples with similar normals; the
+    nearest sample's colour where none is within reach."""
     mean, weight = cloud.cells(2.5 * sigma_m).gaussian(points, normals, sigma_m)
     lonely = weight < 1e-6
     if lonely.any():

@@ -1,6 +1,8 @@
-"""Rotations that bring a shape nearly onto itself: where a depth image alone cannot tell poses apart.
+"""Find near-symmetries: rotations that map a shape nearly onto itself, so that depth alone cannot separate
+the poses.
 
-Starts all over SO(3) are fitted to the object's own surface; what ends close to it is a near-symmetry.
+Rotations spread over SO(3) are refined by ICP of the surface onto itself; those with a small remaining error
+are near-symmetries.
 """
 
 from __future__ import annotations
@@ -17,23 +19,24 @@ from huepose.model.types import DistanceGrid, Surface
 from huepose.onboarding.sided import SidedSurface
 from huepose.support.jit import jit
 
-NEAR = 0.03  # mean distance to the own surface over the diameter: loose, for a turn too many costs little
-NEAR_ABOUT_AXIS = 0.025
-STEP_RAD = np.radians(15.0)  # of transforms about an axis
-DISTINCT_RAD = np.radians(20.0)  # of other transforms: what is closer, a fit reaches by itself
-MOST = 64
-_STARTS = 1500
-_POINTS = 400
-_FIT_POINTS = 250
-_ITERATIONS = 15
-_WORTH_A_LOOK = 0.06  # of the fits on the grid, which does not tell the sides of a wall apart
-_SAME_AXIS = np.cos(np.radians(7.0))
+MAX_ERROR = 0.03  # mean surface distance over the diameter; loose, since one rotation too many costs little
+MAX_ERROR_ABOUT_AXIS = 0.025  # the same for all rotations about an axis of revolution
+STEP_RAD = np.radians(15.0)  # between rotations about an axis
+DISTINCT_RAD = np.radians(20.0)  # between other rotations: refinement bridges smaller differences
+MAX_ROTATIONS = 64
+_STARTS = 1500  # rotations spread over SO(3)
+_POINTS = 400  # surfels that errors are measured on
+_FIT_POINTS = 250  # surfels that fits use
+_ITERATIONS = 15  # of point-to-plane ICP
+_MAX_ROUGH_ERROR = 0.06  # on the grid, which does not separate the two sides of a wall
+_SAME_AXIS = np.cos(np.radians(7.0))  # cosine between directions of one axis
 
 
 @dataclass(frozen=True, eq=False)
 class NearSymmetries:
     """transforms (M, 4, 4), identity first; errors (M,): mean distance to the own surface over the diameter;
-    axis, offset (3,): of the axis of revolution, or None; flip (4, 4): a turn that reverses it, or None."""
+    axis, offset (3,): direction and a point of the axis of revolution, or None; flip (4, 4): a rotation that
+    reverses the axis, or None."""
 
     transforms: Float64
     errors: Float64
@@ -43,7 +46,8 @@ class NearSymmetries:
 
 
 def near_symmetries(surface: Surface, grid: DistanceGrid, diameter_m: float) -> NearSymmetries:
-    """Near-symmetric rotations of a surface, at most `MOST`; about an axis of revolution every 15 degrees."""
+    """Near-symmetric rotations of a surface, at most `MAX_ROTATIONS`; about an axis of revolution one every
+    15 degrees."""
     sided = SidedSurface.of(surface.points, surface.normals, diameter_m)
     points = surface.points[:_POINTS].astype(np.float64)
     normals = surface.normals[:_POINTS].astype(np.float64)
@@ -55,42 +59,45 @@ def near_symmetries(surface: Surface, grid: DistanceGrid, diameter_m: float) -> 
     starts = np.stack([se3.make(R, centre - R @ centre) for R in even_rotations(_STARTS)])
     fits, rough = fitted(starts, surface, grid, diameter_m)
     order = np.argsort(rough, kind="stable")
-    order = order[rough[order] < _WORTH_A_LOOK]
-    order = order[distinct(fits[order], np.radians(8.0), 4 * MOST)]
-    transforms, errors = _nearest_first(fits[order], error)
+    order = order[rough[order] < _MAX_ROUGH_ERROR]
+    order = order[distinct(fits[order], np.radians(8.0), 4 * MAX_ROTATIONS)]
+    transforms, errors = _sorted_by_error(fits[order], error)
     axis = axis_of_revolution(transforms, centre, error)
     if axis is None:
-        kept = transforms[distinct(transforms, DISTINCT_RAD, MOST - 1)]
+        kept = transforms[distinct(transforms, DISTINCT_RAD, MAX_ROTATIONS - 1)]
         polished = np.array([sided.polished(T, points, normals) for T in kept])
-        transforms, errors = _nearest_first(polished, error)
-        last = distinct(transforms, DISTINCT_RAD, MOST - 1)
+        transforms, errors = _sorted_by_error(polished, error)
+        last = distinct(transforms, DISTINCT_RAD, MAX_ROTATIONS - 1)
         with_identity = np.concatenate([np.eye(4)[None], transforms[last]])
         return NearSymmetries(with_identity, np.concatenate([[0.0], errors[last]]))
     direction, offset = axis
     about = rotations_about(direction, offset, STEP_RAD)
     reversing = [T for T in transforms if T[:3, :3] @ direction @ direction < -_SAME_AXIS]
     flip = sided.polished(reversing[0], points, normals) if reversing else None
-    every = about if flip is None else np.concatenate([about, flip @ about])
-    return NearSymmetries(every, np.array([error(T) for T in every]), direction, offset, flip)
+    all_transforms = about if flip is None else np.concatenate([about, flip @ about])
+    return NearSymmetries(
+        all_transforms, np.array([error(T) for T in all_transforms]), direction, offset, flip
+    )
 
 
-def _nearest_first(transforms: Float64, error: Callable[[Float64], float]) -> tuple[Float64, Float64]:
-    """The transforms of small error, best first, and their errors."""
+def _sorted_by_error(transforms: Float64, error: Callable[[Float64], float]) -> tuple[Float64, Float64]:
+    """The transforms below `MAX_ERROR`, best first, and their errors."""
     transforms = transforms.reshape(-1, 4, 4)
     errors = np.array([error(T) for T in transforms]).reshape(-1)
     order = np.argsort(errors, kind="stable")
-    order = order[errors[order] < NEAR]
+    order = order[errors[order] < MAX_ERROR]
     return transforms[order], errors[order]
 
 
 def rotations_about(axis: Float, offset: Float, step_rad: float) -> Float64:
-    """Turns (S, 4, 4) about a line, identity first, the whole circle round."""
+    """Rotations (S, 4, 4) about a line through `offset`, evenly spaced over the circle, identity first."""
     count = round(2 * np.pi / step_rad)
     return np.stack([rotation_about(axis, 2 * np.pi * k / count, offset) for k in range(count)])
 
 
 def distinct(transforms: Float64, apart_rad: float, most: int) -> list[int]:
-    """Indices of transforms that differ by `apart_rad` from the identity and from those before them."""
+    """Greedy suppression: indices of at most `most` transforms that differ by `apart_rad` from the identity
+    and from all chosen before."""
     kept: list[int] = []
     rotations = [np.eye(3)]
     for i, T in enumerate(transforms):
@@ -106,9 +113,10 @@ def distinct(transforms: Float64, apart_rad: float, most: int) -> list[int]:
 def axis_of_revolution(
     transforms: Float64, centre: Float, error: Callable[[Float64], float]
 ) -> tuple[Float64, Float64] | None:
-    """(direction, a point on it) of the axis about which every turn is a near-symmetry, or None.
+    """Axis (direction, a point on it) about which every rotation is a near-symmetry, or None.
 
-    transforms (N, 4, 4): near-symmetries, best first. A ball has no single axis: its best one is taken.
+    transforms (N, 4, 4): near-symmetries, best first. A sphere has no unique axis: the one with least error
+    is taken.
     """
     vectors = np.array([se3.rotation_log(T[:3, :3]) for T in transforms]).reshape(-1, 3)
     angles = np.linalg.norm(vectors, axis=1)
@@ -131,7 +139,7 @@ def axis_of_revolution(
         b = np.concatenate([T[:3, 3] for T in members[same]] + [1e-3 * centre])
         offset = np.linalg.lstsq(A, b, rcond=None)[0]
         errors = np.array([error(T) for T in rotations_about(direction, offset, STEP_RAD)])
-        if errors.max() < NEAR_ABOUT_AXIS and (best is None or errors.mean() < best[0]):
+        if errors.max() < MAX_ERROR_ABOUT_AXIS and (best is None or errors.mean() < best[0]):
             best = (float(errors.mean()), direction, offset)
     return None if best is None else best[1:]
 
@@ -149,9 +157,9 @@ def even_rotations(count: int) -> Float64:
 def fitted(
     transforms: Float64, surface: Surface, grid: DistanceGrid, diameter_m: float
 ) -> tuple[Float64, Float64]:
-    """Turns (M, 4, 4) after point-to-plane fits of the surface onto itself, and their mean error (M,) over
-    the diameter. A surfel that lands where the surface faces elsewhere counts with a twentieth of a diameter
-    at least."""
+    """Transforms (M, 4, 4) after point-to-plane ICP of the surface onto itself, and their mean errors (M,)
+    over the diameter. A surfel that lands where the surface faces another way counts with at least a
+    twentieth of a diameter."""
     out = np.ascontiguousarray(transforms, np.float64).copy()
     errors = np.empty(len(out))
     points = surface.points[:_FIT_POINTS].astype(np.float64)

@@ -1,4 +1,4 @@
-"""Averages over all samples within a radius, by cells sorted in memory: no lists of neighbours are made."""
+"""Averages of samples over a radius, by sorting samples into cells: no neighbour lists are stored."""
 
 from __future__ import annotations
 
@@ -42,15 +42,16 @@ class Cells:
         )
 
     def gaussian(self, points: Float, normals: Float, sigma: float) -> tuple[Float64, Float64]:
-        """Means (N, C) of the values about oriented points (N, 3), and their total weights (N,): Gaussian in
-        the distance, within the radius, times the cosine to the sample's normal; none for facing away."""
+        """Means (N, C) of the values around oriented points (N, 3), and total weights (N,): Gaussian in the
+        distance, within the radius, times the cosine to the sample's normal; 0 for samples that face away."""
         out = np.zeros((len(points), self.values.shape[1]))
         weights = np.zeros(len(points))
         _gaussian(*self._arrays(), _columns(points), _columns(normals), sigma, out, weights)
         return out, weights
 
     def facing_sum(self, points: Float, normals: Float, least_cosine: float) -> Float64:
-        """Sums (N, 3) of the normals within the radius whose cosine to `normals` (N, 3) is large enough."""
+        """Sums (N, 3) of the normals within the radius whose cosine to `normals` (N, 3) is at least
+        `least_cosine`."""
         out = np.zeros((len(points), 3))
         _facing_sum(*self._arrays(), _columns(points), _columns(normals), least_cosine, out)
         return out
@@ -65,7 +66,7 @@ def _columns(a: Float) -> Float64:
 
 @jit
 def _row(keys: Int64, shape: Int64, i: int, j: int, k: int) -> tuple[int, int]:
-    """Samples of the three cells (i, j, k - 1 .. k + 1), which lie side by side: [first, last)."""
+    """Range [first, last) of the samples in the cells (i, j, k - 1 .. k + 1), which are contiguous."""
     if i < 0 or j < 0 or i >= shape[0] or j >= shape[1]:
         return 0, 0
     base = (i * shape[1] + j) * shape[2]

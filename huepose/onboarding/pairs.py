@@ -1,8 +1,8 @@
-"""Offline: the colour pairs of a model, from rendered views (paper, section III-C).
+"""Build the colour pairs of a model from rendered views, offline (paper, section III-C).
 
-Pairs are extracted from every view, lifted onto the surface and merged over views: a pair that many views
-agree on is one row, with the number of views as its weight. This is done at two scales. Every model has these
-pairs; the tables of the paper's method are made of the coarse ones (`paper.tables`), when asked for.
+Pairs are extracted from every view, lifted onto the surface and merged over views: a pair found in many views
+becomes one row, weighted by the number of views. This is done at two scales. Every model has these pairs; the
+tables of the paper's method are built from the coarse ones (`paper.tables`) on request.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ from huepose.support.errors import InputError
 from huepose.support.jit import jit
 
 DISTANCE = 4.0
-"""Of the camera from the object in the views, in diameters."""
+"""Distance of the camera in the views, object diameters."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -50,8 +50,7 @@ class MergedPairs:
 
 @dataclass(frozen=True)
 class Scale:
-    """How large the object is in views: pixels_per_mm, but at least min_pixels and at most max_pixels for its
-    diameter."""
+    """Resolution of views: pixels_per_mm, limited so that the diameter spans min_pixels to max_pixels."""
 
     pixels_per_mm: float
     min_pixels: float
@@ -64,10 +63,10 @@ class Scale:
 
 @dataclass(frozen=True)
 class ReferenceConfig:
-    """coarse, fine: scales of the views for hypotheses (large texture, few pairs) and for verification (small
-    texture); level: of the icosphere of views; min_facing: cosine under which a pair of a view is dropped;
-    max_pairs: rows of the database for each scale; merge: distance within which pairs of different views
-    are one, in diameters."""
+    """coarse, fine: resolutions of the views, for hypotheses (large texture, few pairs) and for verification
+    (small texture); level: of the icosphere of view directions; min_facing: least cosine of the viewing angle
+    at a pair; max_pairs: rows per scale; merge: distance, in diameters, within which pairs of different views
+    are one."""
 
     coarse: Scale = Scale(0.75, 110.0, 190.0)
     fine: Scale = Scale(1.0, 130.0, 240.0)
@@ -164,15 +163,15 @@ def _all_pairs(views: Sequence[PairView], config: ReferenceConfig) -> tuple[Surf
 def merged(
     pairs: SurfacePairs, owners: Int32, radius_m: float, limit: int
 ) -> tuple[SurfacePairs, Int32, Int32]:
-    """Pairs of one place, one direction and like colours made one: the one of the sharpest edge stays, with
-    the mean colours of all. Also returns the owner of each, and the number of views that saw it; the pairs
-    seen by most views come first, and at most `limit` stay."""
+    """Merge pairs of one position, direction and similar colours: position and edge of the sharpest, mean
+    colours of all. Also returns the view of each and how many views saw it; most-seen pairs first, at most
+    `limit`."""
     if not len(pairs):
         return pairs, owners, np.zeros(0, np.int32)
     contrast = np.linalg.norm(pairs.colors[:, 1] - pairs.colors[:, 0], axis=1)
     order = np.argsort(-contrast, kind="stable")
     pairs, owners = pairs[order], owners[order]
-    leader = _leaders(pairs.points, pairs.normals, pairs.tangents, pairs.colors, radius_m)
+    leader = _cluster_heads(pairs.points, pairs.normals, pairs.tangents, pairs.colors, radius_m)
     swapped = (pairs.tangents * pairs.tangents[leader]).sum(1) < 0
     colors = np.where(swapped[:, None, None], pairs.colors[:, ::-1], pairs.colors)
     alike = paired_similarity(colors, pairs.colors[leader])
@@ -195,8 +194,11 @@ def merged(
 
 
 @jit
-def _leaders(points: Float32, normals: Float32, tangents: Float32, colors: Float32, radius: float) -> Int32:
-    """Index of the first pair near each: within the radius, facing alike, across alike, coloured alike."""
+def _cluster_heads(
+    points: Float32, normals: Float32, tangents: Float32, colors: Float32, radius: float
+) -> Int32:
+    """For each pair the index of the first pair in its neighbourhood with similar normal, tangent and
+    colours."""
     n = points.shape[0]
     low = np.empty(3)
     size = np.empty(3, np.int64)

@@ -1,7 +1,8 @@
-"""A patch of texels for every triangle: how colours that have no texture, or lost it, become one.
+"""Patch layouts: a square of texels for every triangle, to make a texture of colours that have none.
 
-Patches are squares of powers of two, laid along a space-filling curve in the order of another one along the
-surface: neighbours there are neighbours in the picture, so its coarser levels average what lies together.
+Patches have sides of powers of two and lie along a Morton curve, in the order of another Morton curve along
+the surface. Neighbours on the surface are then neighbours in the picture, so that its coarser levels average
+what belongs together.
 """
 
 from __future__ import annotations
@@ -39,7 +40,7 @@ class PatchLayout:
         return ((self.corners[:, None] + offsets + 0.5) / self.size).astype(np.float32)
 
     def baked(self, colors: Colors) -> UInt8:
-        """Picture (size, size, 3) uint8, each patch filled with the colours of its face."""
+        """Bake a picture (size, size, 3) uint8: each patch filled with the colours of its face."""
         picture = np.zeros((self.size, self.size, 3), np.uint8)
         for side in np.unique(self.sides).tolist():
             faces = np.flatnonzero(self.sides == side)
@@ -94,7 +95,7 @@ def _packed(vertices: Float, faces: Int, sides: Int64) -> PatchLayout:
 
 
 def _along_surface(vertices: Float64, faces: Int) -> Int64:
-    """Faces ordered along a Morton curve of their centres, those that face alike together."""
+    """Order of the faces along a Morton curve of their centres, those with similar normals together."""
     corners = vertices[faces]
     centres = corners.mean(1)
     normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])

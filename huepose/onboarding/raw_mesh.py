@@ -1,4 +1,4 @@
-"""What a mesh file says, before units and textures are settled: the common ground of the readers."""
+"""The mesh as read from a file, before units and textures are settled; the common output of the readers."""
 
 from __future__ import annotations
 

@@ -1,4 +1,7 @@
-"""The nearest surface sample that faces the same way: the two sides of a thin wall are far apart here."""
+"""Nearest-neighbour search among oriented points: the nearest surface sample that faces the same way.
+
+Position and scaled normal are searched together, so that the two sides of a thin wall are far apart.
+"""
 
 from __future__ import annotations
 
@@ -36,8 +39,9 @@ class SidedSurface:
         return np.asarray(self.tree.query(query)[1], np.int64)
 
     def offsets(self, turn: Float, points: Float, normals: Float) -> tuple[Float64, Float64]:
-        """How far turned points (M, 3) with normals are from the surface, over the diameter: to its tangent
-        plane (M,) and to the sample itself (M,); at least a twentieth where it faces elsewhere."""
+        """Distances of transformed points (M, 3) with normals from the surface, over the diameter: to its
+        tangent plane (M,) and to the sample itself (M,); at least a twentieth where the surface faces another
+        way."""
         moved, turned = se3.apply(turn, points), normals @ turn[:3, :3].T
         j = self.nearest(moved, turned)
         gap = moved - self.points[j]
@@ -47,7 +51,8 @@ class SidedSurface:
         return np.maximum(plane, 0.05 * elsewhere), np.maximum(distance, 0.05 * elsewhere)
 
     def polished(self, turn: Float64, points: Float, normals: Float) -> Float64:
-        """The turn after eight point-to-plane steps of the turned points onto the surface."""
+        """Refine a transform (4, 4) by eight point-to-plane steps of the transformed points onto the
+        surface."""
         T = turn
         for _ in range(8):
             moved, turned = se3.apply(T, points), normals @ T[:3, :3].T

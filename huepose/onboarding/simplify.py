@@ -1,4 +1,4 @@
-"""Fewer triangles for drawing and tracking: meshes of hundreds of thousands would slow every frame."""
+"""Mesh simplification: hundreds of thousands of triangles would slow drawing and tracking."""
 
 from __future__ import annotations
 
@@ -9,18 +9,20 @@ from huepose.geometry.mesh import Mesh
 from huepose.onboarding.patches import fitting_patches
 from huepose.onboarding.winding import welded
 
-MOST = 60_000
-TARGET = 20_000
-_SEARCH = 0.01  # of the size: how far the simplified surface may lie from the true one
+MAX_TRIANGLES = 60_000  # of a mesh that is kept as it is
+TARGET = 20_000  # most triangles after simplification
+_MAX_DISTANCE = 0.01  # of the simplified surface from the original one, over the size of the mesh
 
 
 def simplified(mesh: Mesh) -> Mesh:
-    """The mesh itself up to 60,000 triangles, else one of at most 20,000, its texture baked anew with Open3D.
+    """The mesh itself up to 60,000 triangles, else one of at most 20,000 with its texture baked anew
+    (Open3D).
 
-    Vertices of one small cell that face alike become one (Rossignac and Borrel 1993, with the normals in the
-    key: sides of thin walls and sharp edges stay apart). Cells grow until few enough triangles are left.
+    Vertex clustering (Rossignac and Borrel 1993): vertices in one small cell with similar normals are merged;
+    normals are part of the key, so that the sides of thin walls and sharp edges stay apart. Cells grow until
+    few enough triangles are left.
     """
-    if len(mesh.faces) <= MOST:
+    if len(mesh.faces) <= MAX_TRIANGLES:
         return mesh
     original = _Original(mesh)
     stay, numbers = welded(mesh.vertices)
@@ -55,7 +57,8 @@ def _vertex_normals(vertices: Float64, faces: Int64) -> Float64:
 
 
 def _clustered(vertices: Float64, faces: Int64, normals: Float64, cell: float) -> tuple[Float32, Int32]:
-    """Vertices (N, 3) and faces (F, 3) with the vertices of each cell and kind of normal at their mean."""
+    """Vertices (N, 3) and faces (F, 3) after merging the vertices of each cell and class of normals to their
+    mean."""
     place = np.floor((vertices - vertices.min(0)) / cell).astype(np.int64)
     facing = (
         np.round(normals * 1.2).astype(np.int64) + 1
@@ -81,15 +84,15 @@ class _Original:
         import open3d as o3d
 
         self._mesh = mesh
-        self._reach = _SEARCH * float(np.ptp(mesh.vertices, axis=0).max())
+        self._reach = _MAX_DISTANCE * float(np.ptp(mesh.vertices, axis=0).max())
         self._normals = mesh.face_normals()[0]
         self._tensor = o3d.core.Tensor.from_numpy
         self._scene = o3d.t.geometry.RaycastingScene(nthreads=1)
         self._scene.add_triangles(self._tensor(mesh.vertices), self._tensor(mesh.faces.astype(np.uint32)))
 
     def colors(self, points: Float64, normals: Float64) -> Float64:
-        """Colours (N, 3) 0..255 of where rays against the normals (N, 3) meet the surface near points (N, 3),
-        else of the nearest place: so the sides of a thin wall keep their own."""
+        """Colours (N, 3) 0..255 of the original surface where rays along the normals (N, 3) from points (N,
+        3) meet it, else of the nearest place. So each side of a thin wall keeps its own colours."""
         starts = points + self._reach * normals
         rays = np.concatenate([starts, -normals], 1).astype(np.float32)
         hit = self._scene.cast_rays(self._tensor(rays))

@@ -1,8 +1,9 @@
-"""Surfels: some two thousand evenly spaced samples of what can be seen of an object.
+"""Build the surfels of a model: about two thousand evenly spaced samples of its visible surface, and a lookup
+grid.
 
-Evenly spaced by sample elimination (Yuksel 2015, "Sample Elimination for Generating Poisson Disk Sample
-Sets"), carried on below the wanted number so that the samples come in an order whose every prefix is even.
-A grid about the object knows the nearest surfel of every cell: correspondence by one lookup.
+Sample elimination (Yuksel 2015, "Sample Elimination for Generating Poisson Disk Sample Sets") spaces them
+evenly. It is continued below the wanted number to get an order in which every prefix is even, too. A grid
+around the object stores the nearest surfel of each cell, so that a correspondence is one lookup.
 """
 
 from __future__ import annotations
@@ -15,21 +16,17 @@ from huepose.onboarding.cloud import Cloud, averaged_lab, smoothed_normals
 from huepose.onboarding.visibility import DepthViews, seen
 from huepose.support.jit import jit
 
-COUNT = 2000
-NORMAL_RADIUS_M = 0.003
-COLOR_SIGMAS_M = (0.0010, 0.0035)
-_CANDIDATES = 8  # for each sample that stays
-
-
-MARGIN_M = 0.03
-
-_SMALLEST_STEP_M = 0.0015
-
+COUNT = 2000  # surfels of a model
+NORMAL_RADIUS_M = 0.003  # over which normals are averaged
+COLOR_SIGMAS_M = (0.0010, 0.0035)  # Gaussians over which colours are averaged
+_CANDIDATES = 8  # random samples for each surfel that stays
+MARGIN_M = 0.03  # of the grid around the object
+_SMALLEST_STEP_M = 0.0015  # of the grid
 _STEPS_PER_DIAMETER = 70.0
 
 
 def build_surface(cloud: Cloud, views: DepthViews) -> Surface:
-    """Surfels of a cloud, and which of them each view sees."""
+    """Surfels of a cloud, and which of them are visible from each view."""
     candidates = min(len(cloud.points), _CANDIDATES * COUNT)
     points, normals = cloud.points[:candidates], cloud.normals[:candidates]
     chosen = even_order(points, normals, cloud.area_m2, min(COUNT, candidates))
@@ -68,7 +65,7 @@ def even_order(points: Float, normals: Float, area_m2: float, count: int) -> Int
 
 
 def _eliminated(points: Float, normals: Float, area_m2: float, target: int) -> Int64:
-    """Indices of the points that go, in the order in which they go, until `target` are left."""
+    """Indices of the eliminated points, in order of elimination, until `target` are left."""
     from scipy.spatial import cKDTree
 
     count = len(points)
@@ -114,7 +111,7 @@ def _eliminate(neighbours: Int32, offsets: Int32, weights: Float, removals: int)
 
 
 def build_grid(points: Float, diameter_m: float) -> DistanceGrid:
-    """Grid over surfel `points` (N, 3), N < 32768, reaching 3 cm beyond them."""
+    """Lookup grid over surfel `points` (N, 3), N < 32768, reaching 3 cm beyond them."""
     from scipy.spatial import cKDTree
 
     step = max(diameter_m / _STEPS_PER_DIAMETER, _SMALLEST_STEP_M)

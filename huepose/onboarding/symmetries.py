@@ -1,8 +1,8 @@
-"""Rotations under which shape *and texture* look the same, found on geometry and texture.
+"""Find symmetries of shape *and texture*: rotations under which the object looks the same.
 
-Near-symmetries of the shape alone are hypotheses (near_symmetries.py). Here each of them is held against the
-surface closely, and tried on the texture: the colours at the places where the surfels land must be those of
-the surfels, nearly everywhere, both coarse and fine.
+The near-symmetries of the shape (`near_symmetries`) are candidates. Each is tested strictly on the surface
+and then on the texture: where a rotated surfel lands, the surface must have nearly the same colour, for
+almost all surfels, at both colour scales.
 """
 
 from __future__ import annotations
@@ -18,19 +18,19 @@ from huepose.onboarding.sided import SidedSurface
 from huepose.onboarding.surface import COLOR_SIGMAS_M
 
 EQUIVALENT_STEP_RAD = np.radians(5.0)
-_CLOSE = 0.006  # mean distance to the own surface over the diameter
-_FAR = 0.03  # a surfel this far from it stands for a handle, a spout, a hole
-_FAR_SHARE = 0.03
-_MEAN_COLOR, _OTHER_COLOR, _OTHER_SHARE = 3.0, 12.0, 0.03  # distances in (L / 2, a, b)
+_MAX_MEAN_ERROR = 0.006  # mean distance to the own surface over the diameter
+_OUTLIER_ERROR = 0.03  # distance of an outlier, as on a handle, a spout, a hole
+_MAX_OUTLIERS = 0.03  # share of surfels
+_MAX_MEAN_COLOR, _OUTLIER_COLOR, _MAX_COLOR_OUTLIERS = 3.0, 12.0, 0.03  # distances in (L / 2, a, b); share
 _POINTS = 800
-_GLANCE = 150  # points that settle most cases
+_QUICK_POINTS = 150  # surfels of a first test, which rejects most cases
 
 
 def equivalent_rotations(surface: Surface, cloud: Cloud, near: NearSymmetries, diameter_m: float) -> Float64:
     """Rotations (E, 4, 4), identity first, under which shape and texture look the same.
 
-    About an axis of revolution every 5 degrees where all of the tried rotations look the same, else the
-    largest set of equal steps that do.
+    About an axis of revolution: one every 5 degrees if all tested rotations look the same, else the largest
+    set of equal steps that do.
     """
     sided = SidedSurface.of(cloud.points, cloud.normals, diameter_m)
     same = np.array(
@@ -49,31 +49,35 @@ def equivalent_rotations(surface: Surface, cloud: Cloud, near: NearSymmetries, d
 
 
 def _order_of_subgroup(same: Bool) -> int:
-    """The most equal steps of a circle, all of which look the same; same (n,): for n equal steps."""
+    """Order of the largest cyclic group of which all rotations look the same; same (n,): results at n equal
+    steps."""
     count = len(same)
     return max(n for n in range(1, count + 1) if count % n == 0 and same[:: count // n].all())
 
 
 def looks_the_same(surface: Surface, cloud: Cloud, sided: SidedSurface, turn: Float64) -> bool:
-    """True when neither the turned shape nor the turned texture can be told from the object."""
-    for count in (_GLANCE, _POINTS):
+    """Whether neither the rotated shape nor the rotated texture differs visibly from the object."""
+    for count in (_QUICK_POINTS, _POINTS):
         # At a glance only what is clearly different is turned away.
-        slack = 2.5 if count == _GLANCE else 1.0
+        slack = 2.5 if count == _QUICK_POINTS else 1.0
         points = surface.points[:count].astype(np.float64)
         plane, distance = sided.offsets(turn, points, surface.normals[:count].astype(np.float64))
-        if plane.mean() > slack * _CLOSE or (distance > _FAR).mean() > slack * _FAR_SHARE:
+        if (
+            plane.mean() > slack * _MAX_MEAN_ERROR
+            or (distance > _OUTLIER_ERROR).mean() > slack * _MAX_OUTLIERS
+        ):
             return False
         for scale in (1, 0):
             difference = texture_difference(surface, cloud, turn, scale, count)
-            other = (difference > _OTHER_COLOR).mean() > slack * _OTHER_SHARE
-            if other or (scale == 1 and difference.mean() > slack * _MEAN_COLOR):
+            other = (difference > _OUTLIER_COLOR).mean() > slack * _MAX_COLOR_OUTLIERS
+            if other or (scale == 1 and difference.mean() > slack * _MAX_MEAN_COLOR):
                 return False
     return True
 
 
 def texture_difference(surface: Surface, cloud: Cloud, turn: Float64, scale: int, count: int) -> Float64:
-    """Distance in (L / 2, a, b) of the colours of `count` surfels, at one of the two scales of `Surface.lab`,
-    to those of the places where a turn takes them (count,)."""
+    """Colour distances (count,) in (L / 2, a, b) between `count` surfels and the surface where the rotation
+    takes them, at one of the two scales of `Surface.lab`."""
     points = se3.apply(turn, surface.points[:count])
     normals = surface.normals[:count] @ turn[:3, :3].T
     there = averaged_lab(cloud, points, normals, COLOR_SIGMAS_M[scale])

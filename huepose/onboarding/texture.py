@@ -1,8 +1,8 @@
-"""One texture for one mesh: whatever a file says of colours becomes a single picture of at most 1024 texels.
+"""Make one texture of at most 1024 x 1024 texels from whatever colours a mesh file has.
 
-Colours per vertex are baked into a small patch of texels for every triangle, several materials are packed
-into an atlas, textures that repeat are unrolled, used texels are grown over the seams so that no background
-bleeds in, and large pictures are reduced with an area filter.
+Vertex colours are baked into a small patch of texels for every triangle, several materials are packed into an
+atlas, and repeating textures are unrolled. Used texels are dilated over the seams, so that no background
+bleeds in; large pictures are reduced with an area filter.
 """
 
 from __future__ import annotations
@@ -18,22 +18,23 @@ from huepose.onboarding.patches import LARGEST, equal_patches
 from huepose.onboarding.raw_mesh import RawMesh
 from huepose.support.errors import InputError
 
-_MOST_REPEATS = 8
-_PATCH = 16  # texels of a material without texture
-# Where its triangles lie there: over some texels, as texels that no triangle covers have no colour.
+_MAX_REPEATS = 8  # tiles of a repeating texture along an axis
+_PATCH = 16  # side of the patch of a material without texture, texels
+# Texture coordinates of its triangles in the patch: over some texels, since uncovered texels have no colour.
 _IN_PATCH = np.array([[0.4, 0.4], [0.6, 0.4], [0.5, 0.6]], np.float32)
-_MOST_COVERED = 64  # times that triangles may cover their picture
-_MOST_MATERIALS = 4096  # of those without texture an atlas holds some ten thousand
+_MAX_OVERLAP = 64  # area of all triangles over that of the picture
+_MAX_MATERIALS = 4096  # an atlas holds some ten thousand without texture
 _MARGIN = 4  # texels between the materials of an atlas
 
 
 def single_texture(raw: RawMesh, path: Path) -> tuple[Float32, UInt8]:
-    """(uv (F, 3, 2), texture (H, W, 3) uint8 RGB) as in geometry.Mesh, of a mesh as its file has it."""
-    if len(raw.materials) > _MOST_MATERIALS:
+    """Texture coordinates (F, 3, 2) and texture (H, W, 3) uint8 RGB of a mesh as read, in the form of
+    geometry.Mesh."""
+    if len(raw.materials) > _MAX_MATERIALS:
         raise InputError(
             path,
             found=f"{len(raw.materials)} materials",
-            expected=f"at most {_MOST_MATERIALS}",
+            expected=f"at most {_MAX_MATERIALS}",
             fix="Join materials in the modelling program and export again.",
         )
     textured = any(m.texture is not None for m in raw.materials)
@@ -57,9 +58,9 @@ def single_texture(raw: RawMesh, path: Path) -> tuple[Float32, UInt8]:
 
 
 def used_texels(uv: Float32, height: int, width: int) -> UInt8:
-    """Mask (H, W) uint8 of the texels that triangles (F, 3, 2) touch; all where they cover the picture many
-    times over, which would take as many times to draw."""
-    if _areas(uv).sum() > _MOST_COVERED:
+    """Mask (H, W) uint8 of the texels that triangles (F, 3, 2) touch; all texels where triangles overlap so
+    often that drawing them would take too long."""
+    if _areas(uv).sum() > _MAX_OVERLAP:
         return np.ones((height, width), np.uint8)
     used = np.zeros((height, width), np.uint8)
     corners = np.round((uv * [width, height] - 0.5) * 16).astype(np.int32)
@@ -92,7 +93,8 @@ def reduced(texture: UInt8, used: UInt8) -> UInt8:
 
 
 def _filled(premultiplied: Float64, weight: Float64) -> Float64:
-    """Colours (H, W, 3) where weight is not zero, elsewhere those of ever larger neighbourhoods."""
+    """Fill holes: colours (H, W, 3) where weight is positive, elsewhere means of ever larger
+    neighbourhoods."""
     height, width = weight.shape
     known = weight > 1e-3
     own = premultiplied / np.maximum(weight, 1e-3)[..., None]
@@ -131,11 +133,11 @@ def _unrolled(uv: Float32, texture: UInt8, path: Path) -> tuple[Float32, UInt8]:
     uv = uv.copy()
     uv[outside] -= np.floor(uv[outside].min(1, keepdims=True) + slack)
     repeats = np.maximum(1, np.ceil(uv.max((0, 1)) - slack))
-    if repeats.max() > _MOST_REPEATS:
+    if repeats.max() > _MAX_REPEATS:
         raise InputError(
             path,
             found=f"a texture that repeats {repeats.max():.0f} times across one triangle",
-            expected=f"at most {_MOST_REPEATS}",
+            expected=f"at most {_MAX_REPEATS}",
             fix="Bake the texture in the modelling program and export again.",
         )
     tiles = repeats.astype(int)
@@ -148,7 +150,7 @@ def _unrolled(uv: Float32, texture: UInt8, path: Path) -> tuple[Float32, UInt8]:
 
 
 def _atlas(uv: Float32, face_materials: Int32, pictures: list[UInt8]) -> tuple[Float32, UInt8]:
-    """Pack pictures on shelves, tallest first, shrinking all of them until the whole is small enough."""
+    """Pack pictures into an atlas by shelves, tallest first; all are shrunk until it is small enough."""
     scale = 1.0
     while True:
         sizes = [tuple(max(2, round(s * scale)) for s in p.shape[:2]) for p in pictures]

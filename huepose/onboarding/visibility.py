@@ -1,4 +1,4 @@
-"""Which points of a surface can be seen from where, by depth pictures from all around."""
+"""Visibility of surface points from many directions, by rendered depth pictures (z-buffer test)."""
 
 from __future__ import annotations
 
@@ -15,10 +15,10 @@ from huepose.support.jit import jit
 
 LEVEL = 3  # 642 directions, 8 degrees apart
 _PIXELS = 128
-_ACROSS = 110.0  # pixels that the diameter spans
-_DISTANCE = 6.0  # diameters: nearly parallel rays
-_GRAZING = 0.12  # cosine under which a surface is not counted as seen
-_SLACK_M = 0.0015
+_DIAMETER_PX = 110.0  # of the object in a view
+_DISTANCE = 6.0  # of the camera, diameters: nearly parallel rays
+_MIN_COSINE = 0.12  # of the viewing angle at a visible surface
+_TOLERANCE_M = 0.0015  # of the depth comparison, beside pixel size and slope
 
 
 @dataclass(frozen=True, eq=False)
@@ -37,12 +37,12 @@ def depth_views(mesh: Mesh, diameter_m: float, level: int = LEVEL) -> DepthViews
     """Pictures of the mesh from all directions of an icosphere, about its centre."""
     directions = icosphere.directions(level)
     distance = _DISTANCE * diameter_m
-    focal = _ACROSS * distance / diameter_m
+    focal = _DIAMETER_PX * distance / diameter_m
     middle = (_PIXELS - 1) / 2.0
     camera = Camera(focal, focal, middle, middle, _PIXELS, _PIXELS)
     poses = np.stack([pose_from(d, mesh.centre, distance) for d in directions])
     depths = np.stack([render_depth(mesh, T, camera, near_m=diameter_m) for T in poses])
-    return DepthViews(directions, poses, depths, camera, diameter_m / _ACROSS)
+    return DepthViews(directions, poses, depths, camera, diameter_m / _DIAMETER_PX)
 
 
 def pose_from(direction: Float, centre: Float, distance_m: float) -> Float64:
@@ -52,10 +52,9 @@ def pose_from(direction: Float, centre: Float, distance_m: float) -> Float64:
 
 
 def seen(views: DepthViews, points: Float, normals: Float) -> Bool:
-    """Mask (V, N): point faces the direction and nothing is in front of it.
+    """Visibility (V, N) bool: the point faces the camera and nothing is in front of it.
 
-    points, normals (N, 3) in the object's frame. Depth is compared with the slack that the pixel's size and
-    the slope of the surface ask for.
+    points, normals (N, 3): object axes. The depth tolerance grows with pixel size and slope of the surface.
     """
     out = np.zeros((len(views.directions), len(points)), np.bool_)
     _seen(*_arrays(views, points, normals), out)
@@ -63,8 +62,8 @@ def seen(views: DepthViews, points: Float, normals: Float) -> Bool:
 
 
 def votes(views: DepthViews, points: Float, normals: Float) -> Int32:
-    """Number of views (N,) that see each point on the side of its normal: out of every fourth view, or, for
-    points that none of those sees, out of all."""
+    """Number of views (N,) that see each point from the side of its normal: among every fourth view, or among
+    all for points that none of those sees."""
     out = np.zeros(len(points), np.int32)
     coarse = icosphere.directions(LEVEL - 1).shape[0]  # the finer sphere begins with the coarser one
     _count_seen(*_arrays(views, points, normals), coarse, out)
@@ -94,7 +93,7 @@ def _arrays(
 def _is_seen(
     d: Float, T: Float, depth: Float, focal: float, middle: float, pixel: float, p: Float, cosine: float
 ) -> bool:
-    if cosine < _GRAZING:
+    if cosine < _MIN_COSINE:
         return False
     x = T[0, 0] * p[0] + T[0, 1] * p[1] + T[0, 2] * p[2] + T[0, 3]
     y = T[1, 0] * p[0] + T[1, 1] * p[1] + T[1, 2] * p[2] + T[1, 3]
@@ -105,7 +104,7 @@ def _is_seen(
         return False
     surface = depth[v, u]
     slope = min(np.sqrt(1.0 - min(cosine, 1.0) ** 2) / cosine, 3.0)
-    return bool(surface == 0.0 or z < surface + _SLACK_M + 0.75 * pixel * slope)
+    return bool(surface == 0.0 or z < surface + _TOLERANCE_M + 0.75 * pixel * slope)
 
 
 @jit

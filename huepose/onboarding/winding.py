@@ -1,4 +1,4 @@
-"""Which side of a mesh's faces is out."""
+"""Orientation of a mesh's faces: which side is outside."""
 
 from __future__ import annotations
 
@@ -8,8 +8,8 @@ from huepose.geometry.arrays import Float, Int, Int64
 
 
 def welded(vertices: Float) -> tuple[Int64, Int64]:
-    """Vertices (V, 3) at one place, to a millionth of the size, made one: (indices (N,) of those that stay,
-    and for each vertex (V,) which of them stands for it)."""
+    """Merge vertices (V, 3) at the same position, to a millionth of the size: indices (N,) of those that
+    stay, and for each vertex (V,) the index of its representative."""
     v = np.asarray(vertices, np.float64)
     places = np.round((v - v.mean(0)) / (np.ptp(v) * 1e-6 + 1e-30)).astype(np.int64)
     _, first, inverse = np.unique(places, axis=0, return_index=True, return_inverse=True)

@@ -1,18 +1,17 @@
 """Viewpoint-invariant features of matched points (paper, section III-E, second step).
 
-What two clouds of matched points say of a turn should not depend on where in the image the object is, how
-far away or how large. So each cloud is centred, turned into a "look-at" frame whose z axis is the line of
-sight to its centroid, and both are divided by one length.
+The features of a rotation should not depend on where in the image the object is, how far away or how large.
+So each cloud is centred and rotated into a "look-at" frame, whose z axis is the line of sight to its
+centroid; both clouds are divided by one length.
 
 What the paper leaves open, and what is done here:
-- Frame 2 has a centroid and a look-at rotation of its own, so each cloud looks as if its object stood in the
-  middle of the image. A motion R in camera axes is then `R2^T R R1` between the canonical frames.
+- Frame 2 has its own centroid and look-at rotation, so that each cloud looks as if its object stood in the
+middle of the image. A motion R in camera axes is then `R2^T R R1` between the canonical frames.
 - The paper's up vector [0, -1, 0] gives diag(-1, -1, 1) for an object on the optical axis: a proper rotation,
-  kept as it is. Where the line of sight is parallel to it, x' is the limit from the image's middle.
+kept as it is. Where the line of sight is parallel to it, x' is the limit from the image's middle.
 - The 15 numbers are p1 (3), p2 (3), uv1 (2), uv2 (2), p2 - p1 (3), uv2 - uv1 (2).
-- Projections are those of a camera that looks at the centroid, carried back to its distance d:
-  x / (1 + z / d) for canonical x and z. Near parts still look larger, but what is twice as far and twice as
-  large looks the same.
+- Projections are those of a camera that looks at the centroid, scaled by its distance d: x / (1 + z / d) for
+canonical x and z. Near parts still look larger, but an object twice as far and twice as large looks the same.
 """
 
 from __future__ import annotations
@@ -26,7 +25,7 @@ from huepose.geometry.arrays import Float, Float32, Float64
 FEATURES = 15
 UP = np.array([0.0, -1.0, 0.0])
 TRIM = 3.0
-"""Points further from the centroid than this many median distances do not count in it: wrong matches."""
+"""Points farther from the centroid than this many median distances are left out of it, as wrong matches."""
 
 
 def look_at(centroid_cam: Float) -> Float64:
@@ -48,7 +47,7 @@ def look_at(centroid_cam: Float) -> Float64:
 
 
 def centroid(points: Float, weights: Float | None = None) -> Float64:
-    """Weighted centroid (3,) of points (N, 3), without those that lie far off; turns with the points."""
+    """Weighted centroid (3,) of points (N, 3) without outliers; equivariant to rotation."""
     p = np.asarray(points, np.float64)
     w = np.ones(len(p)) if weights is None else np.asarray(weights, np.float64)
     first = w @ p / w.sum()
@@ -75,7 +74,8 @@ class Canonical:
         return np.asarray(self.R_cam_canon_b @ R_canon @ self.R_cam_canon_a.T)
 
     def canonical_rotation(self, R_b_a: Float) -> Float64:
-        """The other way round: what there is to regress of a known motion in camera axes."""
+        """Inverse of `rotation`: the canonical rotation (3, 3) of a motion in camera axes; the regression
+        target."""
         return np.asarray(self.R_cam_canon_b.T @ R_b_a @ self.R_cam_canon_a)
 
 

@@ -194,11 +194,11 @@ def _vote(
     turns = 24
     votes = np.zeros((model_points.shape[0], turns), np.float32)
     touched = np.empty(1 << 18, np.int32)
-    room = 8 * references.shape[0]
-    out_R = np.empty((room, 3, 3), np.float32)
-    out_t = np.empty((room, 3), np.float32)
-    out_w = np.empty(room, np.float32)
-    out_f = np.empty(room, np.int32)
+    capacity = 8 * references.shape[0]
+    out_R = np.empty((capacity, 3, 3), np.float32)
+    out_t = np.empty((capacity, 3), np.float32)
+    out_w = np.empty(capacity, np.float32)
+    out_f = np.empty(capacity, np.int32)
     count = 0
     R = np.empty((3, 3))
     Rm = np.empty((3, 3))
@@ -249,7 +249,7 @@ def _vote(
         for k in range(n_touched):
             m, b = touched[k] // turns, touched[k] % turns
             v = votes[m, b]
-            if v >= peaks * best and best > 0 and taken < 8 and count < room:
+            if v >= peaks * best and best > 0 and taken < 8 and count < capacity:
                 onto_x(normals[i, 0], normals[i, 1], normals[i, 2], R)
                 onto_x(model_normals[m, 0], model_normals[m, 1], model_normals[m, 2], Rm)
                 angle = (b + 0.5) / turns * 2 * np.pi

@@ -1,9 +1,8 @@
-"""The learned turn between two frames (paper, section III-E): a network over points, run by onnxruntime.
+"""The learned rotation between two frames (paper, section III-E): a network over points, run by ONNX Runtime.
 
-The rotation comes first, from canonical features alone; given it, every match votes for a translation, and
-the one that most of the weight agrees with is taken. The network may regress the whole turn, or what the
-closed form left over. Training prepares its inputs with the functions of this module, so both see the same
-numbers.
+The rotation comes first, from canonical features alone. Given it, every match votes for a translation, and
+the robust mean is taken. The network regresses either the whole rotation ("direct") or the residual of the
+closed form ("residual"). Training prepares its inputs with the functions of this module.
 """
 
 from __future__ import annotations
@@ -24,7 +23,7 @@ ROUNDS = 8
 
 
 class RotationRegressor(Protocol):
-    """Anything that reads a turn out of canonical features."""
+    """Regresses a rotation from canonical features."""
 
     def regress(self, features: Float32, weights: Float64) -> Float64:
         """Rotation (3, 3) from the first canonical frame to the second, of features (N, 15)."""
@@ -78,23 +77,23 @@ class RotationFirst:
 
 Kind = Literal["residual", "direct"]
 POINTS = 128
-"""Matches that the network looks at."""
+"""Matches that the network takes as input."""
 
 WEIGHTS = Path(__file__).parent / "weights"
 """KIND.onnx for each kind; rotation.json beside them says how they were made."""
 
 
 def learned(kind: Kind, file: Path | None = None) -> RelativePose:
-    """A motion by a network of a kind: that of a file, else the one that comes with the library. Raises
-    InputError for a file that is not there or is something else."""
+    """A RelativePose with a network of a kind: from a file, else the one that is shipped. Raises InputError
+    for a file that is missing or not such a network."""
     regressor = OnnxRotation(WEIGHTS / f"{kind}.onnx" if file is None else file)
     return ResidualRotation(regressor) if kind == "residual" else RotationFirst(regressor)
 
 
 @dataclass(frozen=True, eq=False)
 class Posed:
-    """A question for the network: features of matches (`seen`), after the first of the two clouds was turned
-    by R_first (3, 3)."""
+    """Input of the network: features of matches (`seen`), after the first cloud was rotated by R_first (3,
+    3)."""
 
     seen: Canonical
     R_first: Float64
@@ -160,7 +159,7 @@ class OnnxRotation:
 
 @dataclass(frozen=True)
 class ResidualRotation:
-    """A RelativePose: the closed form first, then the network turns what is left, then the translation."""
+    """A RelativePose: closed form, then the network's residual rotation, then the translation."""
 
     regressor: RotationRegressor
     first: RobustKabsch = field(default_factory=RobustKabsch)

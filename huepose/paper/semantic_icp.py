@@ -1,11 +1,12 @@
-"""Semantic ICP: every class of the classified cloud and all of them together pull at one pose (paper, III-D).
+"""Semantic ICP: refine a pose on the classified cloud, per class and over all classes together (paper,
+III-D).
 
-In each iteration, scene points look for their nearest model point twice: among those of their own class,
-which keeps the parts of the texture where they belong, and among all, which holds the whole together where a
-class has few points. Both kinds of correspondences enter one weighted system for one increment of the pose.
-Residuals are those of point to plane; same-class correspondences also pull a little along the surface,
-because a plane cannot tell where on a face its colours are. The hierarchy goes from few points and a wide
-gate to all points and a narrow one; weights are Tukey's within the gate, and the step is damped.
+In each iteration every scene point gets two correspondences: its nearest model point of the same class, which
+keeps parts of the texture where they belong, and its nearest model point of any class, which holds the whole
+together where a class has few points. Both enter one weighted system for one pose increment. Residuals are
+point-to-plane; same-class correspondences also have a small tangential part, because a plane does not fix
+where on a face its colours are. The levels go from few points and a wide gate to all points and a narrow one,
+with Tukey weights within the gate and a damped step.
 """
 
 from __future__ import annotations

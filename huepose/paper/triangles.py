@@ -189,11 +189,11 @@ def _look_up(
     tolerance: float,
     facing: float,
 ) -> tuple[Float32, Float32, Float32, Int32]:
-    room = 1 << 16
-    out_R = np.empty((room, 3, 3), np.float32)
-    out_t = np.empty((room, 3), np.float32)
-    out_w = np.empty(room, np.float32)
-    out_f = np.empty(room, np.int32)
+    capacity = 1 << 16
+    out_R = np.empty((capacity, 3, 3), np.float32)
+    out_t = np.empty((capacity, 3), np.float32)
+    out_w = np.empty(capacity, np.float32)
+    out_f = np.empty(capacity, np.int32)
     count = 0
     used = 0
     p = np.empty((3, 3))
@@ -204,7 +204,7 @@ def _look_up(
     mean = np.empty(3)
     shift = np.empty(3, np.int64)
     for i in range(triples.shape[0]):
-        if used >= limit or count > room - 27 * per_key:
+        if used >= limit or count > capacity - 27 * per_key:
             break
         weight = 1.0
         for k in range(3):
@@ -253,7 +253,7 @@ def _look_up(
             for e in range(taken):
                 # equal steps over the list, which is in order of the distance from the object's centre
                 row = low + int((e + 0.5) * entries / taken)
-                alike = True
+                sides_match = True
                 for k in range(3):
                     for a in range(3):
                         p[k, a] = model_points[triangles[row, k], a]
@@ -263,8 +263,8 @@ def _look_up(
                         (p[k, 0] - p[m, 0]) ** 2 + (p[k, 1] - p[m, 1]) ** 2 + (p[k, 2] - p[m, 2]) ** 2
                     )
                     if abs(s - side[k]) > tolerance * bin_m:
-                        alike = False
-                if not alike:
+                        sides_match = False
+                if not sides_match:
                     continue
                 _fit(p, q, R, t)
                 agreement = 0.0

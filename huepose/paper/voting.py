@@ -1,15 +1,15 @@
-"""From thousands of weak poses to a few good ones: two-stage Hough voting, coarse to fine (paper, section
+"""Cluster thousands of weak pose votes to a few hypotheses: two-stage Hough voting, coarse to fine (paper,
 III-C).
 
 First the position: cells of a tenth of the diameter collect votes for the object's centre, neighbours
 included. Then, inside the best cells, the rotation: votes within a geodesic radius and a distance of each
 other support one another. In both stages a scene feature counts once, with its strongest vote, so that an
-ambiguous feature cannot fill a cell alone. Modes are the weighted means of their supporters (chordal mean,
-free of quaternion signs), and suppress what is near them in pose space.
+ambiguous feature cannot fill a cell alone. Modes are weighted means of their supporters (chordal mean,
+independent of quaternion signs); non-maximum suppression removes modes near better ones.
 
-Of an object that looks the same after a turn every pose has equals. Votes for equals support each other, and
-each is replaced by the equal nearest to the mode before means are taken: the mean of a pose and its half
-turn is neither.
+A pose of a symmetric object has equivalent poses. Votes for equivalents support each other, and each is
+replaced by the equivalent nearest to the mode before means are taken: the mean of a pose and its half turn
+would be neither.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""Which estimate is which instance: optimal assignment on the distance of poses, gated by covariance."""
+"""Assign estimates to tracked instances: optimal assignment on pose distance, gated by covariance."""
 
 from __future__ import annotations
 
@@ -13,16 +13,17 @@ from huepose.reinit.types import ObjectSlot, Prior
 
 GATE_SIGMAS = 3.0
 GATE_DIAMETERS = 0.5
-"""Whatever the covariance says, an estimate this near to an instance can be it, and one two diameters away
-cannot be."""
+"""Gate in diameters, whatever the covariance: an estimate nearer than this can be the instance, one at four
+times this distance cannot."""
 
 TURN_SHARE = 0.1
-"""Turns decide between instances at equal distance: half a turn counts as a third of a diameter."""
+"""Weight of rotation in the pose distance, for instances at equal distance: half a turn counts as a third of
+a diameter."""
 
 
 def displacement_m(T_a: Float64, T_b: Float64, slot: ObjectSlot) -> float:
-    """About how far the surface lies apart at two poses, in metres; the nearest of the object's
-    equivalents."""
+    """Approximate surface distance of two poses T_cam_obj (4, 4), metres, the least over the object's
+    symmetries."""
     turns = slot.equivalents or (np.eye(4),)
     return min(_displacement(T_a, T_b @ turn, slot.diameter_m) for turn in turns)
 
@@ -35,10 +36,10 @@ def _displacement(T_a: Float64, T_b: Float64, diameter_m: float) -> float:
 def assign(
     estimates: Sequence[Float64], priors: Sequence[Prior], stamp_ns: int, slot: ObjectSlot
 ) -> list[int | None]:
-    """For each estimated pose the index of the instance that it is of, or None.
+    """For each estimated pose the index of its instance, or None.
 
-    Every instance is predicted to the estimates' stamp. The sum of distances is least over all assignments
-    that keep to the gates, as many as possible being assigned.
+    Every instance is predicted to `stamp_ns`. Of all assignments within the gates, those with most pairs are
+    taken, and of these the one with the least sum of distances.
     """
     # Every worker imports this room for its types; this one function needs a quarter of a second more, or
     # seconds on a busy computer that reads it from its disk: see `rehearsal`.

@@ -1,4 +1,4 @@
-"""What can be set about the re-initialisation loop."""
+"""Settings of the re-initialisation loop."""
 
 from __future__ import annotations
 
@@ -9,14 +9,16 @@ from huepose.support.errors import InputError
 
 @dataclass(frozen=True)
 class ReinitConfig:
-    """period_ms: of the requests; objects_per_request: most that one asks for; deadline_ms: after it an
-    unanswered request is counted and another one made; give_up_ms: how long a correction is repeated;
-    stale_ms: a tracked object that was not looked at for so long gets a turn even while others are lost.
-
-    acquire_quality: one estimate over it is enough to acquire; least_quality: one under it is never used.
-    correct_margin: a pose that disagrees must explain the image this much better than the tracked one (scores
-    on the same pixels); doubtful_margin: the same while the object is SUSPECT.
-    """
+    """period_ms: between requests.
+    objects_per_request: most objects in one request.
+    deadline_ms: an unanswered request expires after this time, and another one is made.
+    give_up_ms: a correction is repeated at most this long.
+    stale_ms: a tracked object that was not looked at for this long gets a turn even while others are lost.
+    acquire_quality: quality from which one estimate is enough to acquire an object.
+    least_quality: estimates below are never used.
+    correct_margin: how much better than the tracked pose (scores on the same pixels) a disagreeing estimate
+    must be.
+    doubtful_margin: the same while the object is SUSPECT."""
 
     period_ms: float = 200.0
     objects_per_request: int = 2

@@ -1,4 +1,4 @@
-"""What an estimate means for an object: agree, correct, acquire, reject."""
+"""Compare an estimate with the track of its object: agree, correct, acquire or reject."""
 
 from __future__ import annotations
 
@@ -13,20 +13,20 @@ from huepose.reinit.types import ObjectSlot, Prior
 from huepose.tracking.types import State, Verdict
 
 SAME_POSE = 0.08
-"""Poses whose surfaces lie closer than this share of the diameter are one pose."""
+"""Poses whose surfaces are nearer than this share of the diameter are the same."""
 
 SIGMAS_APART, NEVER_SAME = 4.1, 0.25
-"""So are poses within what 99 % of errors of both covariances come to (six degrees of freedom), up to a share
-of the diameter."""
+"""Poses are also the same within this Mahalanobis distance of both covariances (99 % at six degrees of
+freedom), but never beyond this share of the diameter."""
 
 SAME_REFINED = 0.04
-"""An estimate this near to the refined prior, as a share of the diameter, is the same answer."""
+"""An estimate nearer to the refined prior than this share of the diameter is the same answer."""
 
 SAME_SIGHT = 0.5
 SAME_SIGHT_SPEED_M_S = 0.4
 SAME_SIGHT_S = 1.0
-"""Two sightings of an object that is not tracked agree within this share of its diameter, and what a hand
-does in between, in this time at most: of what was carried about for longer they say nothing."""
+"""Two sightings of an untracked object agree within this share of its diameter plus what a hand moves it in
+between; sightings further apart in time than the last number are not compared."""
 
 
 def judge_tracked(
@@ -37,13 +37,13 @@ def judge_tracked(
     slot: ObjectSlot,
     config: ReinitConfig,
 ) -> Verdict:
-    """Verdict on an estimate of an object that has a pose; tracked: that pose at or near its stamp.
+    """Verdict on an estimate of an object that has a pose. tracked: that pose at or near the estimate's
+    stamp.
 
-    They agree when they are one pose for all practical purposes, or when what is between them is what the
-    uncertainties of both allow. An estimate that disagrees wins if it explains the image better, its score
-    against that of the refined prior on the same pixels; or if it is where the tracked pose itself goes when
-    it is refined there: then there is nothing to choose between, and the track was off. Without such a
-    comparison it wins only over a doubtful pose, and only with the quality that acquires.
+    AGREE: both are the same pose within tolerance or within their uncertainties. Otherwise the estimate wins
+    if it explains the image better than the refined prior (scores on the same pixels), or if the tracked
+    pose, when refined, converges to it. Without such a comparison it wins only over a doubtful pose, and only
+    with the quality to acquire.
     """
     if not estimate.found or estimate.T_cam_obj is None or estimate.quality < config.least_quality:
         return Verdict.REJECT
@@ -76,7 +76,7 @@ def agrees(estimate: PoseEstimate, tracked: Prior, stamp_ns: int, slot: ObjectSl
 
 
 def _apart(T_a: Float64, T_b: Float64, slot: ObjectSlot) -> float:
-    """Displacement as a share of the diameter."""
+    """Surface distance of two poses over the diameter."""
     return displacement_m(T_a, T_b, slot) / slot.diameter_m
 
 

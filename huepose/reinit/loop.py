@@ -27,19 +27,21 @@ from huepose.reinit.types import Counters, Key, ObjectSlot, PerceptionResult, Re
 from huepose.tracking.types import Correction, TrackedPose, Verdict
 
 PATIENCE_PERIODS = 2.0
-"""For so many periods nothing else is asked for in place of an acquired instance that is not there yet."""
+"""For this many periods after an acquisition its instance counts as arriving, and no other is requested for
+it."""
 
 ADOPTED_BELOW = 2**20
-"""Instances that a loop before this one made are taken over up to this number. It leaves two thousand million
-for new ones, whatever number somebody says an instance has."""
+"""Tracks with instance numbers below this are adopted from an earlier loop. Higher ones, from whatever
+source, are ignored, which leaves two thousand million numbers for new instances."""
 
 SIGHTING_S = 1.0
-"""A first sighting waits this long for a second one, or until its object had another turn."""
+"""A first uncertain sighting is kept this long for a second one, or until its object had another turn,
+seconds."""
 
 
 @dataclass(frozen=True, eq=False)
 class _Sighting:
-    """An estimate that was not sure enough alone."""
+    """An estimate that was not certain enough to acquire alone."""
 
     estimate: PoseEstimate
     stamp_ns: int

@@ -1,7 +1,8 @@
-"""Corrections on their way: numbered per instance, repeated until a pose shows that they were applied.
+"""Corrections in flight: numbered per instance, and repeated until a published pose shows that they were
+applied.
 
-A correction's number is the time of its making in ns: above those of a loop that ran before this one, and
-nothing that anybody else says moves it.
+The sequence number of a correction is the time at which it was made, in ns: so it is above all numbers of an
+earlier loop, and no other message can change it.
 """
 
 from __future__ import annotations
@@ -21,14 +22,14 @@ class _Sent:
 
 
 class Outbox:
-    """At most one correction per instance is on its way: a newer one takes the place of an older one."""
+    """Holds at most one correction per instance: a newer one replaces an older one."""
 
     def __init__(self) -> None:
         self._sent: dict[Key, _Sent] = {}
         self._seq: dict[Key, int] = {}
 
     def next_seq(self, key: Key, now_ns: int) -> int:
-        """The next number of an instance: above all that were used, also by a loop before this one."""
+        """Next sequence number of an instance: above all used ones, also by an earlier loop."""
         self._seq[key] = max(self._seq.get(key, 0) + 1, now_ns)
         return self._seq[key]
 
@@ -60,8 +61,8 @@ class Outbox:
         return out
 
     def arriving(self, now_ns: int, patience_ns: float) -> tuple[Key, ...]:
-        """Instances with a correction that first went out no longer ago than that: later it is more likely
-        that the tracker could not use it."""
+        """Instances whose correction was first sent at most `patience_ns` ago; after that the tracker
+        probably could not use it."""
         return tuple(key for key, sent in self._sent.items() if now_ns - sent.first_ns <= patience_ns)
 
     @property

@@ -1,7 +1,7 @@
-"""How long perception takes, and what follows from that: how long to wait for it, and for a second sighting.
+"""Measure how long perception takes, and derive deadlines from it.
 
-The times that are configured suit a computer that keeps up. On one that does not, a request that is asked
-anew before it is answered is one more piece of work for those who are late already.
+The configured times suit a computer that keeps up. On a slower one, repeating a request before it is answered
+would add work to processes that are already late.
 """
 
 from __future__ import annotations
@@ -9,10 +9,10 @@ from __future__ import annotations
 from collections import deque
 
 LONGEST_S = 10.0
-"""Nothing is waited for longer than this."""
+"""Longest deadline, seconds."""
 
 PATIENCE = 1.5
-"""An answer may take so much longer than the last ones."""
+"""Deadline over the duration of the last answers."""
 
 
 class Pace:
@@ -27,28 +27,28 @@ class Pace:
         self._asked.append((number, now_ns))
 
     def answered(self, number: int, now_ns: int, stamp_ns: int) -> None:
-        """An answer came, on a frame of that stamp. Slower at once, faster by and by."""
+        """Note an answer on a frame of that stamp. The estimate rises at once and falls slowly."""
         self._age_s = max(0.0, (now_ns - stamp_ns) * 1e-9)
         took_s = next(((now_ns - ns) * 1e-9 for asked, ns in self._asked if asked == number), 0.0)
         self._took_s = max(took_s, 0.5 * (self._took_s + took_s))
 
     def expired(self, waited_s: float) -> None:
-        """None came in that time. If the last ones took less, somebody has died, for whom the next request
-        must not wait as long."""
+        """Note that no answer came in that time. If earlier answers took less, a process has died, and the
+        next deadline stays short."""
         if waited_s >= self.deadline_s(0.0):
             self._took_s = 0.0
 
     @property
     def age_s(self) -> float:
-        """How old the picture was when the last answer about it came."""
+        """Age of the frame at the last answer about it, seconds."""
         return self._age_s
 
     def deadline_s(self, configured_s: float) -> float:
-        """For how long the next request is waited for."""
+        """Deadline of the next request, seconds."""
         if self._took_s <= configured_s:
             return configured_s
         return max(configured_s, min(PATIENCE * self._took_s, LONGEST_S))
 
     def between_s(self, period_s: float) -> float:
-        """How far answers lie apart."""
+        """Expected time between answers, seconds."""
         return max(period_s, min(self._took_s, LONGEST_S))

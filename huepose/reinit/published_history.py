@@ -1,5 +1,8 @@
-"""What was published of every instance in the last seconds: an answer of perception is about the past, and a
-velocity is a poor guide over the time that perception takes."""
+"""Published poses of every instance in the last seconds.
+
+An answer of perception is about a past frame. A velocity is too inaccurate to extrapolate over that time, so
+the pose at that frame is looked up.
+"""
 
 from __future__ import annotations
 
@@ -38,8 +41,8 @@ class PublishedHistory:
         self._poses.clear()
 
     def at(self, track: TrackedPose, stamp_ns: int) -> Prior:
-        """The published pose of a track at a stamp, or nearest to it. Between two poses it is interpolated,
-        and as uncertain as the nearer of them would be after the time in between. Raises ValueError for a
+        """The published pose of a track at a stamp, or nearest to it. Between two poses it is interpolated;
+        its covariance is that of the nearer one, grown over the time in between. Raises ValueError for a
         track without a pose."""
         known: list[Prior] = [*self._poses.get((track.object, track.instance), ()), _prior(track)]
         nearest = known[int(np.argmin([abs(p.stamp_ns - stamp_ns) for p in known]))]

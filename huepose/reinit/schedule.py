@@ -1,4 +1,4 @@
-"""Which objects the next request is about."""
+"""Choose the objects of the next request."""
 
 from __future__ import annotations
 
@@ -14,8 +14,8 @@ NEVER = -1
 
 @dataclass(frozen=True)
 class Candidate:
-    """Something that could be asked for. rank: 0 lost or never seen, 1 doubtful, 2 tracked; looked_ns: when
-    it was last asked for, or first seen."""
+    """An object that could be requested. rank: 0 lost or never seen, 1 doubtful, 2 tracked; looked_ns: when
+    it was last requested, or first seen."""
 
     rank: int
     looked_ns: int
@@ -49,10 +49,11 @@ def candidates(
 
 
 def choose(now_ns: int, options: Sequence[Candidate], config: ReinitConfig) -> list[RequestedObject]:
-    """Lost ones first, then doubtful ones, then the stalest; among equals who waited longest.
+    """Lost objects first, then doubtful ones, then those not looked at for longest; ties go to the longest
+    wait.
 
-    Objects that are nowhere to be found do not starve the others: one that was not looked at for `stale_ms`
-    takes the last place.
+    So that objects that cannot be found do not starve the others, one that was not looked at for `stale_ms`
+    gets the last place.
     """
     order = sorted(
         options, key=lambda c: (c.rank, c.looked_ns, c.requested.object, c.requested.instance or 0)

@@ -1,5 +1,5 @@
-"""A rehearsal: one answer of each kind, so that what has to be loaded for it is loaded before the first real
-one. On a busy computer that reads libraries from its disk this takes seconds."""
+"""Warm-up: one answer of each kind, so that everything is loaded and compiled before the first real one. On a
+busy computer that reads libraries from disk this takes seconds."""
 
 from __future__ import annotations
 

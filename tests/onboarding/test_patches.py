@@ -6,7 +6,7 @@ import pytest
 
 from huepose.geometry import Camera, icosphere, se3
 from huepose.onboarding.patches import PatchLayout, equal_patches, fitting_patches
-from huepose.onboarding.simplify import MOST, TARGET, simplified
+from huepose.onboarding.simplify import MAX_TRIANGLES, TARGET, simplified
 from huepose.onboarding.winding import outward_sign
 from huepose.rendering.render import render
 from tests.onboarding import solids
@@ -66,7 +66,7 @@ def test_dense_meshes_are_simplified_and_keep_their_texture() -> None:
     z = np.linspace(-0.05, 0.05, 120)
     profile = [(0.0, -0.05), *((0.03 + 0.004 * np.sin(60 * h), h) for h in z), (0.0, 0.05)]
     dense = solids.lathe(profile, texture, segments=300)
-    assert len(dense.faces) > MOST
+    assert len(dense.faces) > MAX_TRIANGLES
     lean = simplified(dense)
     assert len(lean.faces) <= TARGET
     assert outward_sign(lean.vertices, lean.faces) == 1

@@ -1,4 +1,5 @@
-"""Views fused to one surface: Open3D's truncated signed distances, and the outline where nothing was seen."""
+"""Fuse views to one surface: Open3D's truncated signed distances, and the visual hull where nothing was
+measured."""
 
 from __future__ import annotations
 
@@ -13,21 +14,22 @@ from huepose.geometry.camera import depth_noise_m
 from huepose.onboarding.from_video.views import View, votes
 
 CELLS, FEW_CELLS = 128, 64
-"""Of the volume along its longest side: for a mesh, and for what frames are followed on."""
+"""Cells of the volume along its longest side: for the final mesh, and for the surface that frames are aligned
+with."""
 
 SMALLEST_CELL_M = 0.001
 
 MARGIN = 0.1
-"""Of the object's size: empty space around it."""
+"""Empty margin around the object, over its size."""
 
 SQUARELY = 0.25
-"""Cosine: readings seen more obliquely are not fused."""
+"""Least cosine of the viewing angle of readings that are fused."""
 
 FACES = 20_000
 """Triangles of the closed surface, as the reference model has of any mesh."""
 
 SMOOTHINGS = 10
-"""Rounds: the outline has steps of a cell."""
+"""Rounds of smoothing: the visual hull has steps of a cell."""
 
 _THIN = 2  # cells: a guess that is thinner is a gap between outlines
 
@@ -44,7 +46,7 @@ class Fused:
 
 
 def fused(views: Sequence[View], closed: bool = False, cells: int = CELLS) -> Fused:
-    """The surface that views show. closed: also where it was not seen, as far as nothing was seen through."""
+    """The surface that views show. closed: extended by the visual hull where it was not seen."""
     points = np.concatenate([view.points_obj for view in views])
     low, high = np.percentile(points, [0.5, 99.5], axis=0)
     size = float((high - low).max()) * (1 + 2 * MARGIN)

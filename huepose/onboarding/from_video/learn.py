@@ -1,4 +1,5 @@
-"""From a recording to a mesh: follow the object on what was seen of it, close turns, fuse, paint."""
+"""Reconstruct a mesh from a recording: track the object on what was seen of it, close loops, fuse views,
+texture it."""
 
 from __future__ import annotations
 
@@ -30,31 +31,32 @@ from huepose.onboarding.reference import Report, silent
 from huepose.support.errors import InputError
 
 VIEW_STEP = np.radians(5.0)
-"""Turn after which a frame is kept as another view."""
+"""Rotation after which a frame is kept as a new view, radians."""
 
 LOCAL = np.radians(90.0)
-"""Of a turn: what was seen since is taken as right with respect to the newest view, before a loop closes."""
+"""Rotation, radians, up to which earlier views are consistent with the newest one before a loop is closed."""
 
 AGAIN = np.radians(30.0)
-"""A view that differs by less from one of long ago shows mostly the same surface."""
+"""Two views with a smaller difference in rotation show mostly the same surface, radians."""
 
 SEEN = 0.5
-"""Share of the surface that a frame must show where its pose says, in depth."""
+"""Least share of the surface that depth must confirm at an accepted pose."""
 
 COLORED = 0.2
-"""Correlation of colours that a pose must have: round and flat sides agree in depth at wrong poses, too."""
+"""Least colour correlation of an accepted pose: round and flat sides agree in depth at wrong poses, too."""
 
 CLOSES = 0.9
-"""Of what a pose explains by the views before it, it must explain by those of long ago."""
+"""A loop is accepted if the pose scores at least this share against the old views of what it scores against
+the recent ones."""
 
 POLISHES = 2
-"""Rounds of fusing all views and registering each with what the others fused to."""
+"""Rounds of bundle refinement: fuse all views, then register each with the fusion of the others."""
 
 WIDE = 0.3
-"""Radians about a direction that a view shows: a surface there is seen at 17 degrees more at most."""
+"""Radius around a view direction that counts as covered by a view, radians."""
 
 FEWEST_FOLLOWED = 0.5
-"""Share of the frames."""
+"""Least share of the frames that must be tracked."""
 
 
 @dataclass(frozen=True, eq=False)

@@ -1,4 +1,4 @@
-"""Views that were passed before: what closes a turn, and Open3D's pose graph that shares out its error."""
+"""Loop closure: recognise views that were passed before, and spread the error with Open3D's pose graph."""
 
 from __future__ import annotations
 
@@ -26,8 +26,7 @@ class Edge(NamedTuple):
 
 
 def relaxed(views: Sequence[View], edges: Sequence[Edge], radius_m: float) -> list[View]:
-    """Views at the poses that agree best with all edges, those of loops that contradict the others left
-    out."""
+    """Views at the optimised poses; loop edges that contradict the others are dropped."""
     import open3d as o3d
 
     registration = o3d.pipelines.registration

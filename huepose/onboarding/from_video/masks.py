@@ -1,4 +1,4 @@
-"""Which pixels of a frame are the object, where its pose and other views of it are known."""
+"""Segment the object in a frame whose pose and other views are known."""
 
 from __future__ import annotations
 

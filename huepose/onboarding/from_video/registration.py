@@ -1,4 +1,4 @@
-"""Where a frame sees the object: flow from the last frame, then depth and colours of the fused views."""
+"""Register a frame with the fused views: start from optical flow, then refine on depth and colour."""
 
 from __future__ import annotations
 
@@ -24,19 +24,19 @@ from huepose.propose.relative_pose import LiftedMatches, RobustKabsch
 from huepose.refine.photometric import COARSE, FULL, refine
 
 SAMPLES = 3000
-"""Of a surface to align with."""
+"""Surface samples for an alignment."""
 
 MATCHES = 400
-"""Pixels whose flow is asked for."""
+"""Pixels whose flow is used."""
 
 WINDOW = 0.35
-"""Of the object's box: room around it for its motion in a frame."""
+"""Margin around the object's box for its motion in one frame, over the size of the box."""
 
 MORE_SQUARELY = 0.02
-"""Cosine by which a view must see a place better to give its colour in the place of one before."""
+"""A view replaces the colour of a point if its cosine of the viewing angle is larger by this."""
 
 TURNS = np.radians([-24.0, -12.0, 12.0, 24.0])
-"""From starts this far apart, to each side of a pose, the right one is reached."""
+"""Start rotations about each axis, radians: refinement converges from starts this far apart."""
 
 
 @dataclass(frozen=True, eq=False)

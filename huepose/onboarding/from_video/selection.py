@@ -1,4 +1,4 @@
-"""The object in the first frame: what stands out of the ground at a click or inside a box."""
+"""Segment the object in the first frame: what stands out of the ground plane at a click or inside a box."""
 
 from __future__ import annotations
 
@@ -15,16 +15,16 @@ from huepose.propose.lifting import EDGE_M, EDGE_SHARE
 from huepose.support.errors import InputError
 
 REACH_M = 0.5
-"""The ground is looked for this far around the object."""
+"""Radius around the object in which the ground plane is searched, metres."""
 
 NARROWEST_M = 0.15
-"""What carries an object reaches beyond it on all sides: fingers and arms are narrower."""
+"""Least extent of a ground plane on all sides of the object, metres: fingers and arms are narrower."""
 
 LARGEST_SHARE = 0.4
-"""Of the picture: more than this is a room and no object."""
+"""Largest share of the picture that an object may cover: more is the room."""
 
 FEWEST_PX = 300
-"""Of the object: with fewer its shape is not told from noise."""
+"""Least pixels of an object: with fewer, its shape cannot be separated from noise."""
 
 _SHARE_OF_GROUND = 0.2  # of the readings around; less is a coincidence
 

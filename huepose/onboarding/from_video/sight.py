@@ -1,4 +1,4 @@
-"""Compiled loops over points of the object: where a view has them, and what its readings say there."""
+"""Compiled kernels: project points of the object into a view and compare them with its depth."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from huepose.geometry.camera import FLOOR_M, NEAREST_M, STEREO_NOISE_PER_M
 from huepose.support.jit import jit
 
 SIGMAS = 3.0
-"""Readings that differ by less than this many standard errors may be of one surface."""
+"""Readings within this many standard errors can be of one surface."""
 
 THERE, THROUGH, OTHER, BEHIND, BENEATH = range(5)
 

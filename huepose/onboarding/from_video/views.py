@@ -1,7 +1,7 @@
-"""Frames that are kept, and what their depth images say of points of the object.
+"""Keyframes (views), and what their depth images say about points of the object.
 
-Everything that is not the object moves against it. So a point that another view sees through, or in whose
-place it sees something else, is not the object's: hands, tables and flying pixels go by this one test.
+Everything that is not the object moves relative to it. So a point is rejected if another view sees through it
+or sees something else in its place. This one test removes hands, tables and flying pixels.
 """
 
 from __future__ import annotations

@@ -18,7 +18,7 @@ from huepose.propose.quick_look import (
     FREE_WEIGHT,
     FULL_WEIGHT,
     OVERLAP_WEIGHT,
-    RELIEF,
+    RELIEF_SIGMA,
     quick_look,
 )
 from huepose.propose.template_table import TemplateTable, build_table
@@ -133,7 +133,7 @@ def test_the_quick_look_is_that_of_the_plain_sums(table: TemplateTable) -> None:
     windows[..., 4:] = rng.uniform(0.0, 1.0, (4, 64, 2))
     which, scores = quick_look(table, windows, 2)
     some = rng.integers(0, len(table.area), 50)
-    relief_mm = RELIEF * table.diameter_m * 1000.0
+    relief_mm = RELIEF_SIGMA * table.diameter_m * 1000.0
     for i in some:
         coverage = table.coverage[i].astype(float)
         totals = []

@@ -16,23 +16,30 @@ from huepose.scenes import textures
 from huepose.scenes.charts import Chart, blocks, revolved
 from huepose.scenes.shapes import printed
 from huepose.scenes.textures import Art
+from huepose.training.household import household_object, random_palette
 
 RINGS, SPOKES = 18, 30
 MAX_PARTS = 4
 PART_PX = 512
 """Side of the texture of one part of a shape."""
 
+HOUSEHOLD, ANY_COLORS = 0.4, 0.4
+"""Share of household objects; share of the packages and cans whose colours do not go together."""
+
 LETTERS = tuple("ABCDEFGHIJKLMNOPRSTUVWXYZ0123456789")
 
 
 def random_object(rng: np.random.Generator, diameter_m: float) -> Mesh:
-    """A closed, textured mesh about the origin whose bounding box's diagonal measures `diameter_m` metres: as
-    often a package, a can or a bottle as a shape that nothing has."""
+    """A closed, textured mesh about the origin whose bounding box has a diagonal of `diameter_m` metres: a
+    household object, or else as often a package, can or bottle as a union of superquadrics."""
+    if rng.random() < HOUSEHOLD:
+        return household_object(rng, diameter_m)
     if rng.random() < 0.5:
         return random_shape(rng, diameter_m)
     charts = _package(rng) if rng.random() < 0.5 else _can(rng)
     arts = [random_art(rng) for _ in charts]
-    made = printed(charts, arts, textures.palette(rng.uniform(), rng), rng, 2 * PART_PX)
+    colors = random_palette(rng) if rng.random() < ANY_COLORS else textures.palette(rng.uniform(), rng)
+    made = printed(charts, arts, colors, rng, 2 * PART_PX)
     v = made.vertices - (made.vertices.min(0) + made.vertices.max(0)) / 2
     v *= diameter_m / np.linalg.norm(v.max(0) - v.min(0))
     return Mesh(v.astype(np.float32), made.faces, made.uv, made.texture)

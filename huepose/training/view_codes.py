@@ -26,6 +26,7 @@ from huepose.propose.templates import SPAN
 from huepose.propose.view_pictures import CHANNELS, NEAR, ROLLS, SIDE, UNTURNED
 from huepose.propose.view_pictures import LEVEL as VIEW_LEVEL
 from huepose.support.files import write_picture
+from huepose.training.fine_tuning import KEPT_MODULES, packaged_network
 from huepose.training.runs import VALIDATION_ROUND, Course, Settings, Training, endless_loader, export_onnx
 from huepose.training.view_code_network import (
     LARGEST_SHARPNESS,
@@ -53,6 +54,9 @@ and ends at REACH_DEG."""
 RIGHT_DEG = 25.0
 """In validation, a view rotated by less than this is right."""
 
+MOST_VEILED = 0.3
+"""Largest share of one colour that lies over a whole window: cameras show black as grey and red as pink."""
+
 NAME = "views"
 FIGURES = ("first_right", "one_of_five_right", "median_rank")
 """On held-out windows, among all views of the object: share whose most similar view is right, share with a
@@ -63,7 +67,8 @@ right view among the five most similar, median rank of the first right view."""
 class ViewCodeTraining(Settings):
     """Settings of a training. validation: held-out objects. A step takes `objects`, and of each `windows`
     that show it, windows `beside` it (negatives) and `views`. room: objects in the buffer, after which the
-    oldest is replaced; first: objects drawn before the first step; reuse: most steps an object."""
+    oldest is replaced; first: objects drawn before the first step; reuse: most steps an object.
+    tune: start from the packaged network, and train its last blocks alone."""
 
     every: int = 1000
     validation: int = 48
@@ -74,6 +79,7 @@ class ViewCodeTraining(Settings):
     room: int = 6000
     first: int = 200
     reuse: float = 8.0
+    tune: bool = False
 
 
 class ObjectBuffer:
@@ -160,6 +166,8 @@ def sensed(rgb: Tensor, relief: Tensor) -> tuple[Tensor, Tensor]:
         return torch.rand(count, 1, 1, device=device)
 
     rgb = recolored(rgb, 1.0)
+    veil = MOST_VEILED * share()[:, None] ** 2
+    rgb = (1.0 - veil) * rgb + veil * torch.rand(count, 3, 1, 1, device=device)
     soft = functional.avg_pool2d(functional.pad(rgb, (1, 1, 1, 1), mode="replicate"), 3, 1)
     rgb = rgb + (1.6 * share()[:, None] - 0.8) * (rgb - soft)
     rgb = rgb + 0.03 * share()[:, None] * torch.randn_like(rgb)
@@ -185,14 +193,15 @@ def train(config: ViewCodeTraining, out: Path, resume: bool = False) -> dict[str
     Raises InputError where `resume` finds no checkpoint, or one of another kind."""
     out.mkdir(parents=True, exist_ok=True)
     torch.manual_seed(config.seed)
-    net = ViewCodeNetwork().to(config.device)
-    optimiser = torch.optim.AdamW(net.parameters(), config.rate, weight_decay=1e-2)
-    training = Training.begun(out, NAME, config, optimiser, {NAME: net}, resume)
     held_out = ObjectBuffer(config.validation, config.device)
     for one in endless_loader(endless, config, VALIDATION_ROUND):
         held_out.add(one)
         if held_out.added == config.validation:
             break
+    net = _start(held_out, config).to(config.device)
+    trained = [p for p in net.parameters() if p.requires_grad]
+    optimiser = torch.optim.AdamW(trained, config.rate, weight_decay=1e-2)
+    training = Training.begun(out, NAME, config, optimiser, {NAME: net}, resume)
     fresh = endless_loader(endless, config, training.course.rounds)
     training.run(
         _buffers(fresh, config),
@@ -203,6 +212,14 @@ def train(config: ViewCodeTraining, out: Path, resume: bool = False) -> dict[str
     export(net, held_out, out / f"{NAME}.onnx")
     figures = dict(zip(FIGURES, training.course.curve[-1][2:], strict=True))
     return training.report(NAME, validation=figures)
+
+
+def _start(some: ObjectBuffer, config: ViewCodeTraining) -> ViewCodeNetwork:
+    """A new network, or the packaged one with statistics of a batch of some objects."""
+    if not config.tune:
+        return ViewCodeNetwork()
+    windows, views, *_ = batch(some, config)
+    return packaged_network(torch.cat([windows, views]).cpu())
 
 
 def _buffers(fresh: DataLoader[Any], config: ViewCodeTraining) -> Iterator[ObjectBuffer]:
@@ -219,6 +236,8 @@ def _step(
     net: ViewCodeNetwork, optimiser: torch.optim.Optimizer, buffer: ObjectBuffer, config: ViewCodeTraining
 ) -> None:
     net.train()
+    if config.tune:
+        net.body[:KEPT_MODULES].eval()
     with torch.no_grad():
         windows, views, known, angles_deg, targets, valid = batch(buffer, config)
     half = torch.autocast(config.device, dtype=torch.bfloat16, enabled=config.device != "cpu")

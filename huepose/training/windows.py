@@ -45,7 +45,7 @@ class WindowRange:
     """The range of scenes. diameter_m, distance_m, focal_px: lower and upper bound; far_m: bounds of the
     distance in the share `far` of the windows. Shares of the windows: on_ground, with a wall, something
     in_front, blurred by motion, with depth of a stereo or of a time-of-flight camera (flight), else exact.
-    shown: least visible share of the object."""
+    shown: least visible share of the object. piled: share with things all round the object, as in a pile."""
 
     diameter_m: tuple[float, float] = (0.06, 0.35)
     distance_m: tuple[float, float] = (0.4, 1.0)
@@ -59,6 +59,7 @@ class WindowRange:
     stereo: float = 0.65
     flight: float = 0.2
     shown: float = 0.25
+    piled: float = 0.35
 
 
 class Drawn(NamedTuple):
@@ -170,6 +171,10 @@ def _surroundings(
             at = foot + side / np.linalg.norm(side) * (rng.uniform(0.3, 1.1) * diameter_m + 0.03)
             at = at - up * float((thing.vertices @ turn.T @ up).min())
         out.append((thing, se3.make(turn, at)))
+    if rng.random() < ranges.piled:
+        for _ in range(int(rng.integers(4, 10))):
+            at = centre + random_unit(rng) * rng.uniform(0.4, 0.9) * diameter_m
+            out.append((props.thing(), se3.make(random_rotation(rng), at)))
     if rng.random() < ranges.in_front:
         aside = np.array([*(rng.normal(0.0, 0.5, 2) * diameter_m), 0.0])
         out.append((props.thing(), se3.make(random_rotation(rng), centre * rng.uniform(0.7, 0.9) + aside)))

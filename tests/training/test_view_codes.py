@@ -79,11 +79,22 @@ def test_the_loss_is_small_where_each_window_finds_its_view_and_large_where_anot
     assert info_nce(beside, angles, targets, valid).item() == pytest.approx(math.log(2.0), abs=1e-3)
 
 
-def test_a_training_leaves_a_network_that_runs(tmp_path):
+@pytest.mark.parametrize("tune", [False, True])
+def test_a_training_leaves_a_network_that_runs(tmp_path, tune):
     import onnxruntime as ort
 
     config = ViewCodeTraining(
-        steps=2, seed=3, validation=1, workers=0, objects=2, windows=2, beside=1, views=6, room=3, first=2
+        steps=2,
+        seed=3,
+        validation=1,
+        workers=0,
+        objects=2,
+        windows=2,
+        beside=1,
+        views=6,
+        room=3,
+        first=2,
+        tune=tune,
     )
     report = train(config, tmp_path)
     assert report["steps"] == 2

@@ -1,9 +1,9 @@
-"""Does depth lie on the colours? Outlines of known objects, placed by depth, against the edges of the image.
+"""Estimate the offset between depth and colour images from the outlines of known objects.
 
-Cameras register depth to colour by a calibration that ages, and by clocks that differ; two to four pixels
-between the two are common, in published data as well. Poses follow depth, so their textures and outlines then
-lie beside what the image shows. One object may wear its label elsewhere; the outlines of all objects of a
-frame do not lie.
+Cameras register depth to colour by a calibration that ages, and by clocks that differ; two to four pixels are
+common, in published data as well. Poses follow depth, so their textures and outlines are then displaced in
+the image. A single object may have its label elsewhere; a displacement shared by the outlines of all objects
+of a frame is an offset of the camera.
 """
 
 from __future__ import annotations
@@ -21,22 +21,22 @@ from huepose.model.types import ReferenceModel
 from huepose.rendering.render import render_depth
 
 REACH_PX, STEP_PX = 6.0, 0.25
-"""How far it is looked, and how finely."""
+"""Search range and step, pixels."""
 
 FEWEST, BORDER_PX = 30, 8
-"""Outline points of an object that count for anything, and how far from the image's border they must be."""
+"""Least number of outline points of an object, and their least distance from the image border, pixels."""
 
 FAINT = 2.0
 """Opponents: an edge of the image as strong as noise."""
 
 OCCLUDER_M = 0.01
-"""What lies so far in front of an outline hides it."""
+"""A reading this much in front of an outline point hides it, metres."""
 
 RELATED_PX = 6.0
-"""Neighbours along an outline say the same so far."""
+"""Correlation length along an outline, pixels: nearer points are not independent."""
 
 CLEAR_SIGMAS, CLEAR_PX = 4.0, 1.0
-"""An offset so long and so certain is one."""
+"""Least significance (standard errors) and length (pixels) of a clear offset."""
 
 
 @dataclass(frozen=True)

@@ -1,5 +1,5 @@
-"""What speaks against an answer, in words and from measurements: why a pose is doubtful, why none was found,
-and why in such a frame none can be found."""
+"""Explain answers in words, from measurements: why a pose is doubtful, why none was found, and why none can
+be found in such a frame."""
 
 from __future__ import annotations
 
@@ -27,13 +27,13 @@ MUCH_WITHOUT_DEPTH = 0.3
 
 
 NEAREST_SHARE = 0.05
-"""So many readings may be nearer than what a frame shows: specks."""
+"""Share of the readings that are ignored as specks when the nearest depth of a frame is taken."""
 
 LARGEST_ERROR = 0.25
-"""Where readings err by more than this share of an object's diameter, its shape is not to be seen."""
+"""Depth error over the object's diameter above which its shape cannot be seen."""
 
 NEVER_NEARER_M = 0.1
-"""No depth camera measures nearer."""
+"""Nearest distance that any depth camera measures, metres."""
 
 
 def reasons(model: ReferenceModel, answer: PoseEstimate, explanation: Explanation) -> list[str]:

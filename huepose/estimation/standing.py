@@ -1,8 +1,8 @@
-"""The last word on proposals: which of the poses of a frame stand when all are judged together?
+"""Select the final poses of a frame among the answers at proposed places.
 
-A detector proposes places for objects that may not be there, several of an object, and the same place to
-several objects. A pose stands when its object is likely enough there, and when it explains depth that no
-likelier one explains: one surface, one pose.
+A detector may propose places for objects that are not there, several places for one object, and one place for
+several objects. A pose is kept if its object is present with sufficient probability, and if no likelier pose
+explains the same depth: one surface, one pose.
 """
 
 from __future__ import annotations

@@ -1,5 +1,8 @@
-"""Coordinate search on the dense score: what depth alone cannot fix (a can's turn, a slide along a face) is
-found by small turns and shifts that the texture likes better."""
+"""Coordinate search on the dense score: small rotations and translations along the object's axes that
+increase it.
+
+It finds what depth alone does not fix, such as the rotation of a can or a slide along a face.
+"""
 
 from __future__ import annotations
 
@@ -18,7 +21,8 @@ from huepose.model.types import ReferenceModel
 from huepose.support.jit import jit
 
 SHIFT_PER_RADIAN = 0.4
-"""A step of one radian goes with a shift of 0.4 diameters: both move the surface about as far."""
+"""A rotation step of one radian goes with a translation step of this many diameters: both move the surface
+about as far."""
 
 RACE = 0.15
 """Total a degree of the next step by which a pose that competes with others may lie behind the best of them:

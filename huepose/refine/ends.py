@@ -1,9 +1,9 @@
-"""Where an object ends holds what nothing inside of it does.
+"""Factor: pull the outline of an object onto depth jumps.
 
-A plain face can be slid along itself and still agrees in depth and colour with what is there; only its
-outline tells. Beyond it depth jumps away from the camera: each point of the outline is drawn across to the
-nearest jump, while the planes of the surface are held on their readings. What has no jump beside it, as where
-the object stands on something, has no say.
+A plane face can slide along itself and still agree in depth and colour; only its outline fixes it. Beyond the
+outline depth jumps away from the camera. Each outline point is pulled to the nearest jump across the outline,
+while surface samples are held on their readings. Outline points without a jump beside them, as where the
+object stands on something, have no weight.
 """
 
 from __future__ import annotations
@@ -18,20 +18,20 @@ from huepose.judge.borders import STEP_M, STEP_SIGMAS, Contours
 from huepose.judge.surface import PreparedSurface
 
 REACH_M, ACROSS_M = 0.03, 0.0015
-"""So far to both sides of the outline a jump is looked for, in steps of that."""
+"""Search range on both sides of the outline, and its step, metres."""
 
 EDGE_M = 0.003
 """RMS error of a jump's place: stereo cameras draw edges ragged, and by a pixel or two too far out."""
 
 SAMPLES, GATE_M = 200, 0.015
-"""Of the surface, and how far a reading may lie from the plane of one."""
+"""Surface samples, and the largest distance of a reading from the plane of one, metres."""
 
 ROUNDS = 4
 DAMPING = 1e-3
 """As a share of the mean information."""
 
 FEWEST = 0.3
-"""Share of the outline that has to have a jump."""
+"""Least share of the outline that must have a jump."""
 
 
 def moved_to_ends(contours: Contours, T_cam_obj: Float64, frame: RgbdFrame) -> Float64 | None:

@@ -1,8 +1,8 @@
-"""What the light does to a texture, fitted robustly to the samples in view (compiled).
+"""Fit the light robustly to the visible samples (compiled).
 
-Image colour = gain * texture + offset per opponent channel, and for lightness also a slope over the direction
-that the surface faces, which is what a distant lamp does to a matt surface. So neither the colour of the
-light nor its side moves a pose.
+Image colour = gain * texture + offset per opponent channel; lightness also has a slope over the surface
+normal, the effect of a distant lamp on a matt surface. So neither the colour nor the direction of the light
+moves a pose.
 """
 
 from __future__ import annotations

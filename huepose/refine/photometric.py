@@ -1,10 +1,10 @@
-"""What improves a pose inside a frame: depth and texture in one Gauss-Newton loop.
+"""Refine a pose inside a frame: depth and texture in one Gauss-Newton loop.
 
-The paper refines with point-to-plane ICP alone (section III-E). Depth cannot see a rotation about an axis of
-symmetry or a slide along a flat face, so here every step also aligns the model's own colours with the image
-(Lucas and Kanade's residual, on surface samples instead of pixels). Both terms are anchored to the model, so
-nothing drifts; the light is fitted anew in every iteration (`light`), samples whose colour does not belong to
-the object lose their say in depth as well, and coarse averages of the texture come before fine ones.
+The paper refines with point-to-plane ICP alone (section III-E). Depth does not fix a rotation about an axis
+of symmetry or a slide along a plane face, so every step also aligns the model's colours with the image (the
+residual of Lucas and Kanade, on surface samples instead of pixels). Both terms refer to the model, so nothing
+drifts. The light is fitted in every iteration (`light`); samples whose colour does not fit get less weight in
+depth as well; coarse averages of the texture come before fine ones.
 """
 
 from __future__ import annotations

@@ -32,7 +32,7 @@ from huepose.select.distinct import FINAL_SHIFT, FINAL_TURN_RAD, NONE, Ranked, d
 from huepose.support.stages import stage
 
 RIM_PX = 3
-"""Side of the square by which a mask is made smaller: pairs at its rim belong to what is behind, too."""
+"""Side of the erosion kernel of masks, pixels: pairs at the rim of a mask also contain the background."""
 
 COARSE_PAIRS, COARSE_SAMPLES = 300, 200
 SEARCH_PAIRS, SEARCH_SAMPLES = 600, 300

@@ -1,7 +1,7 @@
-"""Heaps of things on a table, and a box around them: each is let down until it touches what is there.
+"""Heaps of objects on a table, and a box around them: each object is lowered until it touches what is there.
 
-Surfaces are height maps, seen from far above and from far below, so nothing ever goes through anything else
-where it can be seen. There is no balance of forces: a thing may rest on a single point.
+Surfaces are height maps, rendered from far above and far below, so that objects never visibly penetrate each
+other. There is no balance of forces: an object may rest on a single point.
 """
 
 from __future__ import annotations

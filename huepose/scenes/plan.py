@@ -1,4 +1,4 @@
-"""Setting the stage of the synthetic scene: who is where when, checked by rough renderings."""
+"""Plan the built-in scene: paths of all objects, tested for visibility by coarse renderings."""
 
 from __future__ import annotations
 
@@ -21,10 +21,11 @@ _EVERY = 5  # frames between those that are looked at before a plan is taken
 
 
 def plan(objects: Mapping[str, Mesh], seed: int, n_frames: int, camera: Camera, rate_hz: float) -> Stage:
-    """The stage of a loop: the first plan of a dozen that pleases, else the best of them.
+    """The stage of a loop: the first of twelve random plans that meets all conditions, else the best of them.
 
-    It pleases when every object is wholly visible while things are calm, by 30 % in 97 % of all frames, never
-    gone, and when somebody is hidden by half at some time. Raises InputError when the objects do not fit.
+    Conditions: every object is fully visible in the calm phase, at least 30 % visible in 97 % of all frames,
+    never fully hidden, and some object is half hidden at some time. Raises InputError when the objects do not
+    fit.
     """
     best: Stage | None = None
     best_score = -np.inf
@@ -69,7 +70,7 @@ def _draft(
 
 
 def _score(stage: Stage, rate_hz: float) -> float:
-    """1 and more for a plan that pleases; else how near it comes."""
+    """Score of a plan: at least 1 if it meets all conditions, else how nearly."""
     rough = stage.camera.scaled(0.25)
     frames = np.arange(0, len(stage), _EVERY)
     seen: Float64 = np.array([labels(stage, int(i), rough).visib_fract for i in frames])

@@ -1,4 +1,4 @@
-"""Where to look: boxes for requested objects, by a detector, from the truth, or from where an object was.
+"""Boxes of requested objects: from a detector, from the truth, or from the prediction of a track.
 
 `truth` stands for a perfect detector with an honest one's errors; `first_box` needs a box once and then
 follows the tracker's own prediction, so it needs no detector at all.

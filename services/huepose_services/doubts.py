@@ -1,4 +1,4 @@
-"""Why a pose is not to be acted on, as far as the frame shows it: a sentence for people.
+"""Explain to people, in one sentence, why a pose should not be acted on, as far as the frame shows it.
 
 What is said of a pose (`why_doubted`) is no judgement: the state was decided by the tracker, from the same
 frame. What is wrong with a frame as such (`complaint_about`) is: no pose in it is to be acted on, however

@@ -1,4 +1,4 @@
-"""How a worker follows the list of objects, which the re-initialisation worker publishes.
+"""Follow the list of objects that the re-initialisation worker publishes.
 
 What has to be read from disk is read by a thread, so that the work goes on meanwhile.
 """

@@ -1,4 +1,4 @@
-"""The gateway's door: it looks who comes, and lets each have a share of the places and of the time, no more.
+"""Admission to the gateway: check each new connection, and limit its share of connections and time.
 
 It alone listens where other machines reach. A reader is known by the common name of its certificate, without
 TLS by its address. Behind the door its bytes go to the gateway's outer session, through a socket in the

@@ -1,4 +1,5 @@
-"""What the tracker worker takes in, step by step, so that its poses can be computed again from a recording.
+"""The tracker worker's input log: what it takes in at each step, so that its poses can be computed again from
+a recording.
 
 Objects that came and went, corrections, which frame, and each time that it read a clock; beside them a
 checksum of what it believes after each stage, and now and then all that it believes. Costs nothing until

@@ -1,4 +1,4 @@
-"""The list of objects of a running pipeline, and the desk where it is changed: a queryable on loopback.
+"""The list of objects of a running pipeline, and the service that changes it: a queryable on loopback.
 
 A request is answered after it was checked and what it needs was loaded; the loop takes the change over in its
 next turn. All other workers follow the list that is published.

@@ -1,4 +1,4 @@
-"""A running pipeline as anyone on its machine can see it: who is there, how they are, what they say.
+"""Observe a running pipeline from its own machine: its workers, their health, their messages.
 
 Only small messages are listened to: looking at a pipeline must not slow its frames down.
 """

@@ -1,4 +1,5 @@
-"""Who a camera plays to: whether they are there, whether they have found the objects, what they have read."""
+"""The subscribers of a camera: whether they are connected, whether they have found the objects, what they
+have read."""
 
 from __future__ import annotations
 

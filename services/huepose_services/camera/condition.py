@@ -1,4 +1,4 @@
-"""What is wrong with the pictures of a camera that gives some: in words, half a second after it began."""
+"""Detect what is wrong with a camera's pictures, and say it in words half a second after it began."""
 
 from __future__ import annotations
 

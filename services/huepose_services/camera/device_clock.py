@@ -1,4 +1,4 @@
-"""A camera's own clock mapped to CLOCK_MONOTONIC, its drift removed.
+"""Map a camera's own clock to CLOCK_MONOTONIC, with its drift removed.
 
 A picture arrives a while after it was captured: a fixed part that nothing on the host can see, and a part
 that varies and is never negative. So the pairs (device time, arrival) lie above a line, and those that

@@ -1,4 +1,5 @@
-"""What arrives, for a loop with one thread: rings of one for frames, queues for what must not be lost.
+"""Incoming messages for a single-threaded loop: ring buffers of one for frames, queues for messages that must
+not be lost.
 
 A thread for each subscription moves samples from zenoh's channel to a place that the loop looks at, and
 wakes the loop. A newer frame replaces the one that lies there: the age of what the loop takes is bounded by

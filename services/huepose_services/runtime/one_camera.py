@@ -1,4 +1,4 @@
-"""One camera at a time: while its frames come, those of another camera epoch do not count.
+"""Accept one camera epoch at a time: while its frames arrive, those of other epochs are ignored.
 
 A new epoch voids all that is tracked, so a frame of another one must not be enough for it. The epoch that is
 heard changes when it falls silent, as a camera that was opened anew does; or when another one is heard twice

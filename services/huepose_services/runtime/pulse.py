@@ -1,5 +1,5 @@
-"""The sign of life of a worker, given by the loop that works and by no other thread: a worker that hangs is
-silent, and whoever started it, `huepose up` or systemd, starts it again.
+"""The watchdog signal of a worker. Only the loop that does the work sends it: a worker that hangs is silent,
+and its supervisor (`huepose up` or systemd) restarts it.
 
 Under `huepose up` it goes through a pipe (HUEPOSE_READY_FD): a dot now and then from when the loop runs, a
 `c` when it has to wait for the compiler, and the line `ready` once. For systemd a worker has started when

@@ -1,4 +1,5 @@
-"""One thread a process for the numeric libraries: six workers share few cores, and waiting threads spin.
+"""Limit the numeric libraries to one thread per process: six workers share few cores, and waiting threads
+spin.
 
 The estimator's two objects at a time are threads of its own, above the libraries. (With two BLAS threads its
 work takes twice the CPU time.)

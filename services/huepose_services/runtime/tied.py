@@ -1,4 +1,5 @@
-"""A worker ends with the process that started it, however that one ended: nobody is left to hold a port.
+"""End a worker together with the process that started it, however that one ended, so that no orphan keeps a
+port.
 
 The kernel says so by a signal, so a worker that hangs ends as well. SIGKILL is right for all that only
 compute: the bus notices at once. A camera is asked first, because one that is not let go has to be plugged in

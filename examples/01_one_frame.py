@@ -11,6 +11,8 @@ from huepose import Estimator, ObjectQuery, load_models
 from huepose.datasets.image_files import read_frame
 from huepose.perception.colorpair_detector import ColorPairDetector
 
+if len(sys.argv) < 2:
+    sys.exit(__doc__)
 folder = Path(sys.argv[1])
 models = load_models(folder / "bundles")
 frame = read_frame(folder / "color.png", folder / "depth.png", folder / "camera.json")

@@ -39,5 +39,7 @@ def pick(T: np.ndarray) -> None:
     print("your robot goes to", T[:3, 3].round(3), flush=True)
 
 
+if len(sys.argv) < 2:
+    sys.exit(__doc__)
 with suppress(KeyboardInterrupt), PoseClient(sys.argv[2:] or pose_endpoints()) as client:
     pick(wait_until_still(client, sys.argv[1]))

@@ -42,6 +42,8 @@ class ByColour:
         return sorted(found, key=lambda detection: -detection.score)
 
 
+if len(sys.argv) < 2:
+    sys.exit(__doc__)
 folder = Path(sys.argv[1])
 models = load_models(folder / "bundles")
 frame = read_frame(folder / "color.png", folder / "depth.png", folder / "camera.json")

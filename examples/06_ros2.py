@@ -19,6 +19,8 @@ from huepose_services.ros2.publisher import Node
 from huepose_services.ros2.work import open_ros_session
 from huepose_services.runtime.config import Ros2Config
 
+if len(sys.argv) < 2:
+    sys.exit(__doc__)
 name = sys.argv[1]
 router = sys.argv[2] if len(sys.argv) > 2 else "tcp/localhost:7447"
 where = sys.argv[3:] or pose_endpoints()

@@ -90,7 +90,7 @@ def test_a_small_mesh_may_be_in_another_unit_and_that_can_be_said(
 def test_a_large_mesh_says_which_extra_it_needs(
     mesh: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    monkeypatch.setattr(simplify, "MOST", 11)  # the brick has twelve triangles
+    monkeypatch.setattr(simplify, "MAX_TRIANGLES", 11)  # the brick has twelve triangles
     monkeypatch.setitem(sys.modules, "open3d", None)  # as where it is not installed
     assert main(["onboard", "--no-test", str(mesh), "--name", "brick", "--out", str(tmp_path / "out")]) == 2
     said = capsys.readouterr().err

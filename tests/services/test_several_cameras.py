@@ -69,7 +69,8 @@ def test_both_give_the_object_in_the_frame_of_the_robot(recording, tmp_path, cap
                 assert np.linalg.norm(found.T_parent_obj[:3, 3] - place) < 0.01
                 right[name] += 1
             printer = start("poses", "--robot", "--config", path, "--pipeline", "left")
-            printed = next(line.split() for line in printer.stdout if " m " in line)
+            printed = next((line.split() for line in printer.stdout if " m " in line), None)
+            assert printed is not None, printer.communicate()[1]
             heard = {pose.frame for pose in iter(lambda: both.next(0.0), None)}
     assert min(right.values()) >= 5, f"poses in the robot's frame: {right}"
     assert heard == {"left_color_optical", "right_color_optical"}

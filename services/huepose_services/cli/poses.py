@@ -6,7 +6,7 @@ import argparse
 import re
 import sys
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -112,7 +112,7 @@ def _say(text: str) -> None:
     print(text, file=sys.stderr, flush=True)
 
 
-_POSES = "pose/**"
+_POSES, _NO_POSE = "pose/**", "no pose"
 _GONE_AFTER_S = 1.0
 _SAY_WAITING_AFTER_S = 3.0
 
@@ -168,28 +168,26 @@ def _print_on_robot(
         while not stopping():
             pose = client.next(_LOOK_EVERY_S)
             if pose is not None:
-                shown = _on_robot(pose, client.mount(pose))
-                told = told or shown.frame != pose.frame
-                _print(shown, as_json=False)
+                mount = client.mount(pose)
+                told = told or mount is not None
+                print(_line(pose, _where_on_robot(pose, mount)), flush=True)
             if not told and time.monotonic() > say_at:
                 say_at = float("inf")
                 _say("no camera has said where it is mounted: camera.mount in pipeline.yaml (docs/ros2.md)")
 
 
-def _on_robot(pose: PoseMessage, mount: Mount | None) -> PoseMessage:
-    """The pose in the frame that the camera is mounted in; no pose where that is not known."""
-    from msgspec.structs import replace
-
+def _where_on_robot(pose: PoseMessage, mount: Mount | None) -> str:
+    """The pose in the frame that the camera is mounted in, in words where there is none."""
     from huepose_protos.messages import Mount
     from huepose_protos.motion import composed
 
     if pose.translation is None or pose.quaternion is None:
-        return pose
+        return _NO_POSE
     if mount is None:
-        return replace(pose, translation=None, quaternion=None, reason="mount unknown")
+        return "mount unknown"
     seen = Mount(parent=pose.frame, translation=pose.translation, quaternion=pose.quaternion)
     there = composed(mount, seen)
-    return replace(pose, frame=there.parent, translation=there.translation, quaternion=there.quaternion)
+    return _where(there.translation, there.quaternion)
 
 
 def _print_until_gone(arguments: argparse.Namespace, stopping: Callable[[], bool]) -> None:
@@ -235,11 +233,19 @@ def _print(message: Message, as_json: bool) -> None:
     if as_json or not isinstance(message, PoseMessage):
         print(to_json(message), flush=True)
         return
-    where = "no pose"
+    where = _NO_POSE
     if message.translation is not None and message.quaternion is not None:
-        x, y, z = message.translation
-        qx, qy, qz, qw = message.quaternion
-        where = f"{x:+.4f} {y:+.4f} {z:+.4f} m   {qx:+.4f} {qy:+.4f} {qz:+.4f} {qw:+.4f}"
-    age_ms = (message.publish_ns - message.capture_ns) * 1e-6
-    who = f"{message.frame_id:6d} {message.object}/{message.instance:<3d} {message.state:9s}"
-    print(f"{who} {message.quality:.2f}  {where}  {age_ms:.0f} ms  {message.reason}".rstrip(), flush=True)
+        where = _where(message.translation, message.quaternion)
+    print(_line(message, where), flush=True)
+
+
+def _where(translation: Sequence[float], quaternion: Sequence[float]) -> str:
+    x, y, z = translation
+    qx, qy, qz, qw = quaternion
+    return f"{x:+.4f} {y:+.4f} {z:+.4f} m   {qx:+.4f} {qy:+.4f} {qz:+.4f} {qw:+.4f}"
+
+
+def _line(pose: PoseMessage, where: str) -> str:
+    age_ms = (pose.publish_ns - pose.capture_ns) * 1e-6
+    who = f"{pose.frame_id:6d} {pose.object}/{pose.instance:<3d} {pose.state:9s}"
+    return f"{who} {pose.quality:.2f}  {where}  {age_ms:.0f} ms  {pose.reason}".rstrip()

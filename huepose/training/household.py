@@ -13,24 +13,12 @@ from huepose.geometry.mesh import Mesh
 from huepose.scenes import textures
 from huepose.scenes.charts import Chart, blocks, flattened, grid_triangles, revolved
 from huepose.scenes.shapes import printed
-from huepose.scenes.textures import Art, Colour, Palette
+from huepose.scenes.textures import Art, Palette
+from huepose.training.prints import random_art, random_palette, sized
 
 TEXTURE_PX = 768
 
 Rng = np.random.Generator
-
-
-def random_palette(rng: Rng) -> Palette:
-    """Any colours; every third time the base is a grey between black and white."""
-    colours: list[Colour] = [_colour(*rng.integers(10, 250, 3)) for _ in range(5)]
-    if rng.random() < 0.35:
-        grey = int(rng.choice([rng.integers(12, 50), rng.integers(60, 180), rng.integers(200, 250)]))
-        colours[0] = grey, grey, grey
-    return Palette(*colours)
-
-
-def _colour(red: int, green: int, blue: int) -> Colour:
-    return int(red), int(green), int(blue)
 
 
 def household_object(rng: Rng, diameter_m: float) -> Mesh:
@@ -39,16 +27,11 @@ def household_object(rng: Rng, diameter_m: float) -> Mesh:
     base = random_palette(rng)
     printed_share = 0.25 if rng.random() < 0.5 else 0.0
     arts = [_art(rng, base, rng.random() < printed_share) for _ in charts]
-    made = printed(charts, arts, base, rng, TEXTURE_PX)
-    v = made.vertices - (made.vertices.min(0) + made.vertices.max(0)) / 2
-    v *= diameter_m / np.linalg.norm(v.max(0) - v.min(0))
-    return Mesh(v.astype(np.float32), made.faces, made.uv, made.texture)
+    return sized(printed(charts, arts, base, rng, TEXTURE_PX), diameter_m)
 
 
 def _art(rng: Rng, base: Palette, other: bool) -> Art:
     """Paint, now and then in another colour, or a print."""
-    from huepose.training.shapes import random_art
-
     own = random_palette(rng) if other or rng.random() < 0.25 else base
     art = random_art(rng) if other else textures.painted
     return lambda rng, height, width, _: art(rng, height, width, own)

@@ -15,8 +15,8 @@ from huepose.geometry.mesh import Mesh
 from huepose.scenes import textures
 from huepose.scenes.charts import Chart, blocks, revolved
 from huepose.scenes.shapes import printed
-from huepose.scenes.textures import Art
-from huepose.training.household import household_object, random_palette
+from huepose.training.household import household_object
+from huepose.training.prints import random_art, random_palette, sized
 
 RINGS, SPOKES = 18, 30
 MAX_PARTS = 4
@@ -25,8 +25,6 @@ PART_PX = 512
 
 HOUSEHOLD, ANY_COLORS = 0.4, 0.4
 """Share of household objects; share of the packages and cans whose colours do not go together."""
-
-LETTERS = tuple("ABCDEFGHIJKLMNOPRSTUVWXYZ0123456789")
 
 
 def random_object(rng: np.random.Generator, diameter_m: float) -> Mesh:
@@ -40,19 +38,7 @@ def random_object(rng: np.random.Generator, diameter_m: float) -> Mesh:
     arts = [random_art(rng) for _ in charts]
     colors = random_palette(rng) if rng.random() < ANY_COLORS else textures.palette(rng.uniform(), rng)
     made = printed(charts, arts, colors, rng, 2 * PART_PX)
-    v = made.vertices - (made.vertices.min(0) + made.vertices.max(0)) / 2
-    v *= diameter_m / np.linalg.norm(v.max(0) - v.min(0))
-    return Mesh(v.astype(np.float32), made.faces, made.uv, made.texture)
-
-
-def random_art(rng: np.random.Generator) -> Art:
-    """A random print for one side of an object."""
-    word, other = ("".join(rng.choice(LETTERS, int(rng.integers(3, 9)))) for _ in range(2))
-    arts = (
-        *(textures.blocks(word), textures.front(word, other, word[:2]), textures.facts, textures.picture),
-        *(textures.sticker(word, int(rng.integers(4))), textures.lid(word), textures.painted),
-    )
-    return arts[int(rng.integers(len(arts)))]
+    return sized(made, diameter_m)
 
 
 def _package(rng: np.random.Generator) -> list[Chart]:

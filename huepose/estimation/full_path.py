@@ -13,9 +13,7 @@ pose that looks right to itself is found out.
 
 from __future__ import annotations
 
-import threading
 from dataclasses import dataclass
-from weakref import WeakKeyDictionary
 
 import numpy as np
 
@@ -32,20 +30,14 @@ from huepose.refine.coordinate_search import RACE, search
 from huepose.refine.point_to_plane import align_many
 from huepose.select.distinct import FINAL_SHIFT, FINAL_TURN_RAD, NONE, Ranked, different_poses
 from huepose.support.kept import kept
+from huepose.support.once import once_for_each
 from huepose.support.stages import stage
 
-_tables: WeakKeyDictionary[ReferenceModel, TemplateTable] = WeakKeyDictionary()
-_lock = threading.Lock()
 
-
+@once_for_each
 def table_of(model: ReferenceModel) -> TemplateTable:
     """A model's view templates laid out for retrieval, mapped as long as it is there."""
-    with _lock:
-        if model not in _tables:
-            _tables[model] = kept(
-                TemplateTable, model.digest, lambda: build_table(model.templates, model.diameter_m)
-            )
-        return _tables[model]
+    return kept(TemplateTable, model.digest, lambda: build_table(model.templates, model.diameter_m))
 
 
 @dataclass(frozen=True, eq=False)

@@ -9,10 +9,8 @@ shape or texture is there, not the object.
 
 from __future__ import annotations
 
-import threading
 from dataclasses import dataclass
 from functools import cached_property
-from weakref import WeakKeyDictionary
 
 import cv2
 import numpy as np
@@ -30,6 +28,7 @@ from huepose.model.types import ReferenceModel
 from huepose.rendering.render import render_depth
 from huepose.support.jit import jit
 from huepose.support.kept import kept
+from huepose.support.once import once_for_each
 
 SIDE_PX, NOMINAL_DISTANCE = 160, 5.0
 """Side of the rendered pictures that contours are taken from, and distance of the camera in object radii."""
@@ -59,9 +58,6 @@ class Outline:
 
 NO_OUTLINE = Outline(0.0, 0.0)
 
-_contours: WeakKeyDictionary[ReferenceModel, Contours] = WeakKeyDictionary()
-_lock = threading.Lock()
-
 
 @dataclass(frozen=True, eq=False)
 class Lines:
@@ -83,12 +79,10 @@ class Contours:
     digest: str | None = None
 
     @staticmethod
+    @once_for_each
     def of(model: ReferenceModel) -> Contours:
         """Contours of a reference model; one object per model, shared by all callers."""
-        with _lock:
-            if model not in _contours:
-                _contours[model] = Contours(model.mesh, PreparedSurface.of(model), model.digest)
-            return _contours[model]
+        return Contours(model.mesh, PreparedSurface.of(model), model.digest)
 
     def at(self, T_cam_obj: Float) -> tuple[Float32, Float32]:
         """Points and outward directions (K, 3) of the view nearest to that of a pose."""

@@ -9,10 +9,8 @@ the mask are judged by the dense score (`judge.terms`) with its colour term swit
 
 from __future__ import annotations
 
-import threading
 from dataclasses import dataclass, replace
 from typing import NamedTuple
-from weakref import WeakKeyDictionary
 
 import cv2
 import numpy as np
@@ -27,6 +25,7 @@ from huepose.judge.region import Crop, ModelArrays, Region, RegionArrays, model_
 from huepose.judge.terms import DEFAULT_WEIGHTS, weight_array
 from huepose.model.types import PairReference, ReferenceModel
 from huepose.support.jit import jit
+from huepose.support.once import once_for_each
 
 PAIR_TERMS = 4
 
@@ -225,9 +224,6 @@ GEOMETRY = replace(DEFAULT_WEIGHTS, color=0.0, box=0.2)
 CLOSE_PAIRS, CLOSE_PAIR_SAMPLES = 1500, 600
 """Most colour pairs and surface samples with which the last few poses are judged."""
 
-_opponents: WeakKeyDictionary[PairReference, Float32] = WeakKeyDictionary()
-_lock = threading.Lock()
-
 REACH_PX = 2.0
 """Distance from the edge at which the colours of a pair were sampled, pixels of the reference views: the
 middle of the candidates of a sharp edge."""
@@ -321,14 +317,10 @@ def pair_arrays(reference: PairReference, count: int) -> PairArrays:
     )
 
 
+@once_for_each
 def _fine_opponents(reference: PairReference) -> Float32:
     """Colours (N, 2, 3) of the fine pairs as opponents, made once for each model."""
-    with _lock:
-        found = _opponents.get(reference)
-        if found is None:
-            first = int(reference.parameters["coarse_pairs"])
-            found = _opponents[reference] = opponents_of_lab(reference.colors[first:])
-        return found
+    return opponents_of_lab(reference.colors[int(reference.parameters["coarse_pairs"]) :])
 
 
 def pair_weight_array(weights: PairWeights) -> Float64:

@@ -6,11 +6,9 @@ A region is a crop with one mask, or with several candidate masks at once, each 
 
 from __future__ import annotations
 
-import threading
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import NamedTuple
-from weakref import WeakKeyDictionary
 
 import cv2
 import numpy as np
@@ -22,6 +20,7 @@ from huepose.geometry.camera import Camera
 from huepose.geometry.frame import RgbdFrame
 from huepose.model.types import ReferenceModel
 from huepose.support.jit import jit, jit_dividing
+from huepose.support.once import once_for_each
 
 COLOR_SCALES_M = (0.0010, 0.0035)
 """Standard deviations of the two smoothings, as in `Surface.lab`."""
@@ -277,30 +276,25 @@ class RegionArrays(NamedTuple):
 
 
 _DARK = np.zeros(3)
-_arrays: WeakKeyDictionary[ReferenceModel, ModelArrays] = WeakKeyDictionary()
-_lock = threading.Lock()
 
 
+@once_for_each
 def model_arrays(model: ReferenceModel) -> ModelArrays:
     """A model's arrays for the kernels, colours as opponents; made once for each model."""
-    with _lock:
-        found = _arrays.get(model)
-        if found is None:
-            s, g = model.surface, model.grid
-            colors = opponents_of_lab(s.lab)
-            found = _arrays[model] = ModelArrays(
-                s.points,
-                s.normals,
-                colors,
-                s.directions,
-                s.visible,
-                s.offsets,
-                g.origin,
-                float(g.step),
-                g.nearest,
-                0.5 * (s.points.min(0) + s.points.max(0)).astype(np.float64),
-            )
-        return found
+    s, g = model.surface, model.grid
+    colors = opponents_of_lab(s.lab)
+    return ModelArrays(
+        s.points,
+        s.normals,
+        colors,
+        s.directions,
+        s.visible,
+        s.offsets,
+        g.origin,
+        float(g.step),
+        g.nearest,
+        0.5 * (s.points.min(0) + s.points.max(0)).astype(np.float64),
+    )
 
 
 def region_arrays(region: Region) -> RegionArrays:

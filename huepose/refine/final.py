@@ -15,10 +15,8 @@ were larger or smaller. How much is found by a few steps of point to plane with 
 
 from __future__ import annotations
 
-import threading
 from dataclasses import dataclass
 from typing import NamedTuple
-from weakref import WeakKeyDictionary
 
 import numpy as np
 
@@ -57,6 +55,7 @@ from huepose.refine.projective import (
 )
 from huepose.refine.solver import DAMPING, FEWEST_FOR_A_STEP, Body, advance, clear, normal_equations
 from huepose.support.jit import jit
+from huepose.support.once import once_for_each
 
 GATE_M = 0.008
 ITERATIONS = 8
@@ -231,17 +230,10 @@ def _align(T: Float64, factors: _Factors, body: Body, gates_px: Float64) -> tupl
     return matched, rms_px
 
 
-_known: WeakKeyDictionary[PairReference, ModelEdges] = WeakKeyDictionary()
-_lock = threading.Lock()
-
-
+@once_for_each
 def _edges_of(reference: PairReference) -> ModelEdges:
     """The edges of a model's texture, made once for each model."""
-    with _lock:
-        found = _known.get(reference)
-        if found is None:
-            found = _known[reference] = model_edges(fine_pairs(reference, PAIRS))
-        return found
+    return model_edges(fine_pairs(reference, PAIRS))
 
 
 SIZE_STEPS = 3

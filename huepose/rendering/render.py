@@ -6,11 +6,9 @@ that were not asked for cost nothing. All kernels release the interpreter lock.
 
 from __future__ import annotations
 
-import threading
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from weakref import WeakKeyDictionary
 
 import numpy as np
 
@@ -22,6 +20,7 @@ from huepose.rendering.shade import locate, paint, turn_normals
 from huepose.rendering.textures import Pyramid, build_pyramid
 from huepose.support.jit import jit
 from huepose.support.kept import kept
+from huepose.support.once import once_for_each
 
 NEAR_M = 0.05
 _SNAP = 2.0**20
@@ -73,16 +72,7 @@ class _Prepared:
         return np.ascontiguousarray(self.vertices[self.faces])
 
 
-_prepared: WeakKeyDictionary[Mesh, _Prepared] = WeakKeyDictionary()
-_lock = threading.Lock()
-
-
-def _prepare(mesh: Mesh) -> _Prepared:
-    with _lock:
-        found = _prepared.get(mesh)
-        if found is None:
-            found = _prepared[mesh] = _Prepared(mesh)
-        return found
+_prepare = once_for_each(_Prepared)
 
 
 def is_closed(vertices: Float32, faces: Int32) -> bool:

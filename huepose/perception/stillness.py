@@ -45,7 +45,10 @@ class Tiles:
         """The tiles of a frame; incomplete ones at the right and bottom are left out."""
         height, width = (side // TILE_PX for side in frame.depth.shape)
         sums = np.zeros((height, width, _SUMS), np.float64)
-        _add_up(frame.color, frame.depth, sums)
+        # As it comes from the wire. One that may be written to would have the kernel compiled once more.
+        color = frame.color.view()
+        color.flags.writeable = False
+        _add_up(color, frame.depth, sums)
         pixels = float(TILE_PX**2)
         with_depth = np.maximum(sums[..., 8], 1.0)
         means = np.concatenate([sums[..., :3] / pixels, (sums[..., 6] / with_depth)[..., None]], axis=2)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
 
 import numpy as np
 
@@ -10,13 +11,14 @@ from huepose.geometry import RgbdFrame
 from huepose.model.types import ReferenceModel
 from huepose.perception.clear_view import clear_view
 from huepose.perception.colorpair_detector import ColorPairDetector
+from huepose.perception.config import DetectorConfig
 from tests.kernels import compiled
 
 
 def test_no_kernel_is_compiled_after_the_warm_up(
     tea_box: ReferenceModel, take_picture: Callable[..., RgbdFrame], standing: np.ndarray
 ) -> None:
-    detector = ColorPairDetector({"tea_box": tea_box})
+    detector = ColorPairDetector({"tea_box": tea_box}, DetectorConfig(remembering=True))
     detector.warm_up()
     before = compiled()
     wide = take_picture([(tea_box.mesh, standing)])
@@ -26,6 +28,8 @@ def test_no_kernel_is_compiled_after_the_warm_up(
     x, y, camera = crop.x0, crop.y0, crop.camera
     depth = wide.depth[y : y + camera.height, x : x + camera.width].copy()
     filled = RgbdFrame(crop.color, depth, camera)  # what stands reaches from side to side
-    for frame in (wide, filled):
+    wired = replace(wide, color=wide.color.copy())
+    wired.color.flags.writeable = False  # as on a message
+    for frame in (wide, filled, wired):
         assert detector.detect(frame, ["tea_box"])
     assert compiled() == before

@@ -87,8 +87,9 @@ def _metres_per_unit(vertices: Float64, unit: Unit | None, was_told: bool, path:
     if unit is None and len(plausible) == 1:
         return scales[plausible[0]]
     sizes = " or ".join(f"{_length(extent * s)} if it is in {u}" for u, s in scales.items())
-    if plausible and unit is not None:
-        other = plausible[0]
+    others = plausible or [u for u, s in METRES.items() if SMALLEST_M <= extent * s <= LARGEST_M]
+    if others and unit is not None:
+        other = others[0]
         how = f"Give --unit {other}" if not was_told else f"Did you mean --unit {other}?"
         fix = how if how.endswith("?") else how + "."
     else:

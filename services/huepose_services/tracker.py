@@ -26,7 +26,7 @@ from huepose_services.intake import MEMORY_EVERY_NS, Clock, Given, Intake
 from huepose_services.runtime.bus import Bus
 from huepose_services.runtime.clock import check_number, now_ns
 from huepose_services.runtime.config import Config
-from huepose_services.runtime.log import StateChanges
+from huepose_services.runtime.log import Level, StateChanges
 from huepose_services.runtime.work import Work
 
 TOO_OLD = "It is not known where it is now: this computer is too busy, or the camera's pictures come late."
@@ -256,9 +256,9 @@ class TrackerWork(Work):
 
     def _refuse(self, message: CorrectionMessage, applied: Applied) -> None:
         why = "it is about pictures of a camera that was opened anew since"
-        reach_s = self._tracker.reach_s
+        reach_s, early = self._tracker.reach_s, False
         if applied is Applied.REFUSED_OLD and self._header is not None:
-            why = "it is about a picture from before the tracker began"
+            why, early = "it is about a picture from before the tracker began", reach_s is None
             if reach_s is not None:
                 age_s = (self._header.capture_ns - message.capture_ns) * 1e-9
                 why = too_late_text(age_s, reach_s, self._tracker.config.older_frames)
@@ -268,7 +268,9 @@ class TrackerWork(Work):
         if self._refused != (name, message.seq):
             self._refused = (name, message.seq)
             text = f"correction {message.seq} of {name} is refused: {why}"
-            self._bus.log.seldom("refused", text, _REFUSED_EVERY_S)
+            # What was on its way when the tracker began anew is nobody's fault.
+            level: Level = "info" if early else "warn"
+            self._bus.log.seldom("refused", text, _REFUSED_EVERY_S, level)
 
     def _track(self, header: FrameHeader, payload: bytes) -> bool:
         """Whether it is a new frame, and a good one."""

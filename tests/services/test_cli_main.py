@@ -60,6 +60,26 @@ def test_a_mistyped_word_is_answered_with_the_one_that_may_be_meant(
     assert f"there is no '{arguments[-1]}': did you mean '{meant}'?" in capsys.readouterr().err
 
 
+def test_a_mistyped_option_is_answered_by_its_command(capsys: pytest.CaptureFixture[str]) -> None:
+    with pytest.raises(SystemExit) as ended:
+        main(["poses", "--robbot"])
+    error = capsys.readouterr().err
+    assert ended.value.code == BAD_INPUT
+    assert error.startswith("usage: huepose poses")
+    assert "there is no option '--robbot': did you mean '--robot'?" in error
+
+
+def test_a_recording_of_nothing_says_so_and_leaves_no_file(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("huepose_services.cli.record.until_told", lambda: lambda: True)
+    config = tmp_path / "pipeline.yaml"
+    config.write_text("bus: {base_port: 29147}\nbundles: bundles\nobjects: [{name: cup}]\n")
+    assert main(["record", str(tmp_path / "out.mcap"), "--config", str(config)]) == 1
+    assert "nothing was recorded" in capsys.readouterr().err
+    assert not list(tmp_path.glob("*.mcap"))
+
+
 def test_a_shell_is_told_what_may_come_next(tmp_path: Path) -> None:
     def choices(line: str) -> set[str]:
         asked = {

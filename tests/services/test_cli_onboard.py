@@ -94,7 +94,8 @@ def test_a_large_mesh_says_which_extra_it_needs(
     monkeypatch.setitem(sys.modules, "open3d", None)  # as where it is not installed
     assert main(["onboard", "--no-test", str(mesh), "--name", "brick", "--out", str(tmp_path / "out")]) == 2
     said = capsys.readouterr().err
-    assert "this needs the Python package open3d; install it with: pip install 'huepose[onboard]'" in said
+    assert "this needs the Python package open3d; install it with: pip install" in said
+    assert "[onboard]'" in said
     assert not (tmp_path / "out").exists()
 
 

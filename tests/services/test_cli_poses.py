@@ -25,4 +25,4 @@ def test_a_pose_in_the_robots_frame(pose):
 
 
 def test_a_tracked_pose_whose_mount_was_not_told_yet(pose):
-    assert _where_on_robot(pose, None) == "mount unknown"
+    assert _where_on_robot(pose, None) == "no camera.mount"

@@ -19,6 +19,7 @@ import numpy as np
 from huepose.geometry import Camera
 from huepose.geometry.arrays import Float32
 from huepose.support.errors import InputError
+from huepose.support.extras import install_command
 from huepose_services.camera.live import CameraError, Shot, the_one
 from huepose_services.runtime.clock import now_ns
 from huepose_services.runtime.config import Config
@@ -100,7 +101,7 @@ def open_source(config: Config) -> Oak:
             "camera.source oak",
             found=f"no depthai ({error})",
             expected="Luxonis' SDK for Python",
-            fix="Install it: pip install 'huepose[oak]'.",
+            fix=f"Install it: {install_command('oak')}.",
         ) from None
     check_options(config.camera.device.options)
     return Oak(depthai, config.camera)

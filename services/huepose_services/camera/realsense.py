@@ -15,6 +15,7 @@ from typing import Any
 import numpy as np
 
 from huepose.support.errors import InputError
+from huepose.support.extras import install_command
 from huepose_services.camera.live import CameraError, Shot, the_one
 from huepose_services.camera.realsense_setup import (
     Rectification,
@@ -37,7 +38,7 @@ def open_source(config: Config) -> RealSense:
             "camera.source realsense",
             found=f"no pyrealsense2 ({error})",
             expected="Intel's SDK for Python",
-            fix="Install it: pip install 'huepose[realsense]', and libusb-1.0-0 by apt-get.",
+            fix=f"Install it: {install_command('realsense')}, and libusb-1.0-0 by apt-get.",
         ) from None
     path = config.camera.path
     if path is not None and not (Path(path).is_file() and path.endswith((".db3", ".bag"))):

@@ -51,7 +51,17 @@ DONE, FAILED, BAD_INPUT, INTERRUPTED = 0, 1, 2, 130
 
 
 class _Parser(argparse.ArgumentParser):
-    """Says of a mistyped command or choice which one may be meant."""
+    """Says of a mistyped command, choice or option which one may be meant."""
+
+    def parse_known_args(self, args: Any = None, namespace: Any = None) -> tuple[Any, list[str]]:
+        """As usual, but the command that meets an unknown option answers itself, with its own usage."""
+        parsed, unknown = super().parse_known_args(args, namespace)
+        options = [word for word in unknown if word.startswith("--")]
+        if options:
+            option = options[0].split("=")[0]
+            meant = difflib.get_close_matches(option, self._option_string_actions, 1)
+            self.error(f"there is no option '{option}'" + (f": did you mean '{meant[0]}'?" if meant else ""))
+        return parsed, unknown
 
     def _check_value(self, action: argparse.Action, value: Any) -> None:
         try:
@@ -131,9 +141,11 @@ def main(arguments: list[str] | None = None) -> int:
     except ModuleNotFoundError as error:
         if error.name not in _OF_EXTRAS:
             raise
+        from huepose.support.extras import install_command
+
+        command = install_command(_OF_EXTRAS[error.name])
         print(
-            f"huepose {parsed.verb}: this needs the Python package {error.name}; "
-            f"install it with: pip install 'huepose[{_OF_EXTRAS[error.name]}]'.",
+            f"huepose {parsed.verb}: this needs the Python package {error.name}; install it with: {command}",
             file=sys.stderr,
         )
         return BAD_INPUT

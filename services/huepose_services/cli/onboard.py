@@ -142,16 +142,27 @@ def onboard_one(job: Job, out: Path) -> Onboarded:
     _check_folder(out)
     if not job.mesh_path.is_file():
         raise InputError(job.mesh_path, found="no such file", expected="the mesh", fix="Check the path.")
+    _say_unit(job)
     with closing(progress(range(len(STAGES) + 1), f"onboarding {job.name}")) as steps:
         result = batch.onboard_one(job, out, lambda stage: _advance(steps))
         deque(steps, maxlen=0)
-    if job.unit is None and not _SMALL_M < result.diameter_m < _LARGE_M:
+    return result
+
+
+def _say_unit(job: Job) -> None:
+    """Ask about a unit that was guessed and gives an object that few people handle."""
+    from huepose.onboarding.meshes import read_mesh
+
+    if job.unit is not None:
+        return
+    vertices = read_mesh(job.mesh_path).vertices
+    side_m = float((vertices.max(0) - vertices.min(0)).max())
+    if not _SMALL_M < side_m < _LARGE_M:
         print(
-            f"note: the mesh was taken as metres or millimetres, by its size. If the object is not "
-            f"{result.diameter_m * 100:.1f} cm large, say what its unit is: --unit cm, for example",
+            f"note: the mesh gives no unit; as it is taken, its largest side is {side_m * 100:.1f} cm. If "
+            "that is wrong, stop with Ctrl-C and say the unit: --unit cm, for example",
             file=sys.stderr,
         )
-    return result
 
 
 def call_bop(arguments: argparse.Namespace) -> int:

@@ -17,6 +17,7 @@ if TYPE_CHECKING:
     from huepose_protos.client import Reader
     from huepose_protos.messages import Message, Mount, PoseMessage
     from huepose_services.pem import Credentials
+    from huepose_services.runtime.running import Pipeline
 
 
 _PORT = 7447
@@ -184,7 +185,7 @@ def _where_on_robot(pose: PoseMessage, mount: Mount | None) -> str:
     if pose.translation is None or pose.quaternion is None:
         return _NO_POSE
     if mount is None:
-        return "mount unknown"
+        return "no camera.mount"
     seen = Mount(parent=pose.frame, translation=pose.translation, quaternion=pose.quaternion)
     there = composed(mount, seen)
     return _where(there.translation, there.quaternion)
@@ -207,15 +208,17 @@ def _print_until_gone(arguments: argparse.Namespace, stopping: Callable[[], bool
                 if time.monotonic() > say_at:
                     # Once for a pipeline that is not there, once for one that says nothing.
                     say_at = float("inf")
-                    print(_silence(reader, endpoints[0], key), file=sys.stderr, flush=True)
+                    print(_silence(reader, pipeline, key), file=sys.stderr, flush=True)
                 if not reader.seen:
                     before, pipeline = pipeline, chosen(arguments)
                     again = pipeline != before
 
 
-def _silence(reader: Reader, endpoint: str, key: str) -> str:
+def _silence(reader: Reader, pipeline: Pipeline, key: str) -> str:
     if not reader.seen:
-        return f"waiting for a pipeline at {endpoint}; `huepose up` starts one"
+        if pipeline.noted:
+            return f"{pipeline.name} is being started, from {pipeline.file}; poses come when it is ready"
+        return f"waiting for a pipeline at {pipeline.endpoints[0]}; `huepose up` starts one"
     return f"a pipeline runs, but nothing is said on {key} yet; `huepose status` says how it is"
 
 

@@ -88,6 +88,10 @@ def call(arguments: argparse.Namespace) -> int:
     except OSError as error:
         print(f"\nhuepose record: {error.strerror or error}; the end is missing", file=sys.stderr)
         code = 1
+    if recorder.first_ns is None:
+        print("\nhuepose record: no pipeline said anything, so nothing was recorded", file=sys.stderr)
+        parts.path.unlink(missing_ok=True)
+        return 1
     reason = f" ({recorder.finished})" if recorder.finished else ""
     status.line(f"{_how_far(recorder, parts)}{reason}")
     return code
@@ -97,4 +101,6 @@ def _how_far(recorder: Recorder, parts: Parts) -> str:
     missed = f", {recorder.missed} frames missed" if recorder.missed else ""
     missed += f", {recorder.lost} frames and steps of the tracker missed" if recorder.lost else ""
     size = f"{parts.frames} frames, {recorder.seconds:.1f} s, {parts.size / 1e6:.1f} MB"
+    if recorder.seconds > 1.0:
+        size += f" ({parts.size / 1e6 / recorder.seconds:.0f} MB/s)"
     return f"{parts.path}: {size}{missed}"

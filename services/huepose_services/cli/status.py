@@ -58,13 +58,16 @@ def call_again(arguments: argparse.Namespace) -> int:
     until = float("inf") if arguments.seconds is None else time.monotonic() + arguments.seconds
     with Watch(pipeline) as watch:
         try:
+            shown = ""
             while time.monotonic() < until:
                 watch.look(_EVERY_S)
                 view = watch.view()
                 none = f"no pipeline runs at port {pipeline.base_port}; `huepose up` starts one"
                 text = as_text(view) if view.seen else none
-                sys.stdout.write((_CLEAR if sys.stdout.isatty() else "") + text + "\n")
-                sys.stdout.flush()
+                if text != shown:
+                    sys.stdout.write((_CLEAR if sys.stdout.isatty() else "") + text + "\n")
+                    sys.stdout.flush()
+                shown = text
         except KeyboardInterrupt:
             pass
     return 0

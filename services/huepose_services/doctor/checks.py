@@ -9,6 +9,7 @@ from importlib.util import find_spec
 from pathlib import Path
 
 from huepose.support.errors import InputError
+from huepose.support.extras import install_command
 from huepose_services.doctor import machine
 from huepose_services.doctor.finding import Finding
 from huepose_services.runtime.config import Config
@@ -55,7 +56,7 @@ def cameras(needed: Collection[str]) -> Iterator[Finding]:
     """Which cameras are connected. needed: the sources that are bad when they are missing."""
     for kind, package, look in (("realsense", "pyrealsense2", _realsense), ("oak", "depthai", _oak)):
         if find_spec(package) is None:
-            fix = f"pip install 'huepose[{kind}]'" if kind in needed else ""
+            fix = install_command(kind) if kind in needed else ""
             yield Finding(kind, "bad" if kind in needed else "none", f"{package} is not installed", fix)
             continue
         try:

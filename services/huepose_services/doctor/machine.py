@@ -11,6 +11,7 @@ from collections.abc import Iterator
 from importlib import metadata
 from pathlib import Path
 
+from huepose.support.extras import install_command
 from huepose_services.doctor.finding import Finding
 from huepose_services.runtime.session import MIB, lock_limit, pool_fits
 
@@ -38,7 +39,7 @@ def versions() -> Iterator[Finding]:
         fix = "They are one module and overwrite each other: pip uninstall both, then install one."
         yield Finding("onnxruntime", "bad", "both onnxruntime and onnxruntime-gpu are installed", fix)
     if "numba" not in have:
-        fix = "To run a pipeline here: pip install 'huepose[edge]'."
+        fix = f"To run a pipeline here: {install_command('edge')}."
         yield Finding("pipeline", "note", "only what subscribers need is installed", fix)
 
 

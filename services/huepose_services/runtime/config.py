@@ -269,7 +269,7 @@ def load_all(path: Path) -> list[Config]:
             f"configuration {path}",
             found="no such file" if isinstance(error, FileNotFoundError) else reason or found,
             expected="a YAML file that describes a pipeline",
-            fix="Give the path of one: huepose up PIPELINE.yaml.",
+            fix="Give the path of one, as in: huepose up PIPELINE.yaml; `huepose new` makes one.",
         ) from None
     return parse_all(text, path)
 

@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from huepose.support.errors import InputError
+from huepose.support.extras import install_command
 from huepose_services.runtime.config import ViewerConfig
 from huepose_services.viewer.blueprint import layout
 
@@ -27,7 +28,7 @@ def _recording() -> Any:
             "the viewer",
             found="no Python package rerun",
             expected="the extra `viewer`",
-            fix="Install it with: pip install 'huepose[viewer]'.",
+            fix=f"Install it with: {install_command('viewer')}.",
         ) from None
     return rr.RecordingStream(_NAME, batcher_config=rr.ChunkBatcherConfig(flush_tick=_BATCH))
 

@@ -1,0 +1,24 @@
+"""How to install an extra of this package: from the place that the package itself came from."""
+
+from __future__ import annotations
+
+import json
+from importlib import metadata
+from urllib.parse import unquote, urlparse
+
+PACKAGE = "huepose"
+
+
+def install_command(extra: str) -> str:
+    """The pip command for an extra. It names the checkout or the wheel that was installed (PEP 610), because
+    no package index need have the package."""
+    try:
+        told = metadata.distribution(PACKAGE).read_text("direct_url.json")
+    except metadata.PackageNotFoundError:
+        told = None
+    origin = json.loads(told) if told else {}
+    url = urlparse(origin.get("url", ""))
+    if url.scheme != "file":
+        return f"pip install '{PACKAGE}[{extra}]'"
+    editable = "-e " if origin.get("dir_info", {}).get("editable") else ""
+    return f"pip install {editable}'{unquote(url.path)}[{extra}]'"

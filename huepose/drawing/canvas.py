@@ -148,11 +148,11 @@ class Canvas:
         at = self.pixels(np.array([[x, y]]))[0]
         _text(self.picture, text, (round(float(at[0])), round(float(at[1])) - 10), 0.46, "centre", 1, INK)
 
-    def legend(self, names: Sequence[str], colors: Sequence[Colour]) -> None:
-        """Names with their colours, where least is drawn in the frame: in a corner if one is free, in several
-        columns if only that is."""
+    def with_legend(self, names: Sequence[str], colors: Sequence[Colour]) -> UInt8:
+        """The picture with names and their colours: in the frame where nothing is drawn, first in a corner,
+        in several columns if only that fits; below the axes where no place is free."""
         if not names:
-            return
+            return self.picture
         inner = self._frame()
         ink = inner.min(-1) < PALE[0] - 5
         wide = max(cv2.getTextSize(name, FONT, 0.48, 1)[0][0] for name in names) + 42
@@ -174,13 +174,22 @@ class Canvas:
             best = int(np.argmin(hidden))
             return int(hidden[best]), rows, int(x[best]), int(y[best])
 
-        _, rows, x, y = min((covered(rows) for rows in layouts), key=lambda place: place[0])
-        plate = inner[y : y + 20 * rows + 8, x : x + wide * -(-len(names) // rows)]
-        plate[:] = (0.15 * plate + 0.85 * 255).astype(np.uint8)
+        hidden, rows, x, y = min((covered(rows) for rows in layouts), key=lambda place: place[0])
+        picture, on = self.picture, inner
+        if hidden:
+            columns = max(1, (picture.shape[1] - _LEFT - _RIGHT) // wide)
+            rows = -(-len(names) // columns)
+            strip: UInt8 = np.full((20 * rows + 12, picture.shape[1], 3), 255, np.uint8)
+            picture = np.concatenate([picture, strip])
+            on, x, y = picture[-len(strip) :], _LEFT, 0
+        else:
+            plate = inner[y : y + 20 * rows + 8, x : x + wide * -(-len(names) // rows)]
+            plate[:] = (0.15 * plate + 0.85 * 255).astype(np.uint8)
         for k, (name, color) in enumerate(zip(names, colors, strict=True)):
             left, row = x + wide * (k // rows), y + 14 + 20 * (k % rows)
-            cv2.line(inner, (left + 6, row), (left + 28, row), color, 3, cv2.LINE_AA)
-            _text(inner, name, (left + 34, row), 0.48, "left")
+            cv2.line(on, (left + 6, row), (left + 28, row), color, 3, cv2.LINE_AA)
+            _text(on, name, (left + 34, row), 0.48, "left")
+        return picture
 
     def _frame(self) -> UInt8:
         """The part of the picture inside the axes."""

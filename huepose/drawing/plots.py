@@ -28,8 +28,7 @@ def line_plot(
         canvas.line(x, y, color)
         if marks:
             canvas.dots(x, y, color, 3.5)
-    canvas.legend(list(series), _colours(len(series)))
-    return canvas.picture
+    return canvas.with_legend(list(series), _colours(len(series)))
 
 
 def time_plot(
@@ -46,8 +45,7 @@ def time_plot(
         canvas.band(left, right, color)
     for (x, y), color in zip(series.values(), _colours(len(series)), strict=True):
         canvas.line(x, y, color)
-    canvas.legend(list(series), _colours(len(series)))
-    return canvas.picture
+    return canvas.with_legend(list(series), _colours(len(series)))
 
 
 def bar_chart(
@@ -76,8 +74,14 @@ def bar_chart(
                 left + width / 2,
                 min(float(height), span[1]),
             )
-    canvas.legend(list(series), _colours(len(series)))
-    return canvas.picture
+    return canvas.with_legend(list(series), _colours(len(series)))
+
+
+def beside(pictures: Sequence[UInt8]) -> UInt8:
+    """Pictures in a row, white below those that are less high."""
+    height = max(len(picture) for picture in pictures)
+    padded = [np.pad(one, ((0, height - len(one)), (0, 0), (0, 0)), constant_values=255) for one in pictures]
+    return np.asarray(np.hstack(padded), np.uint8)
 
 
 def reliability_bins(quality: Float, right: Bool, bins: int = 10) -> tuple[Float, Float, Float]:
@@ -99,8 +103,7 @@ def reliability_plot(quality: Float, right: Bool, bins: int = 10, title: str = "
     canvas.line(np.array([0.0, 1.0]), np.array([0.0, 1.0]), INK, 1, dashed=True)
     canvas.line(stated, true, COLOURS[0])
     canvas.dots(stated, true, COLOURS[0], 4.5)
-    canvas.legend([f"{int(count.sum())} poses, {len(count)} bins"], [COLOURS[0]])
-    return canvas.picture
+    return canvas.with_legend([f"{int(count.sum())} poses, {len(count)} bins"], [COLOURS[0]])
 
 
 def _over(

@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from huepose.drawing.plots import bar_chart
+from huepose.drawing.plots import bar_chart, beside
 from huepose.evaluation.bootstrap import Interval, Share, difference_intervals
 from huepose.evaluation.summary import Figures, grouped
 from huepose.geometry.arrays import UInt8
@@ -104,7 +104,7 @@ class AblationResult:
             ]
             # Two side by side: a page shows more only in letters that nobody can read.
             blank = [np.full_like(row[0], 255)] * (len(row) % 2)
-            panels += [np.hstack([*row, *blank][k : k + 2]) for k in range(0, len(row), 2)]
+            panels += [beside([*row, *blank][k : k + 2]) for k in range(0, len(row), 2)]
         epe = {
             choice: [_or_nan(block[f"{choice}/{estimators[0]}"]["epe_px_mean"]) for block in groups.values()]
             for choice in choices

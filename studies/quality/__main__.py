@@ -23,7 +23,7 @@ import numpy as np
 
 from huepose.believe.fits import fitted, write_fit
 from huepose.datasets.bop import BopScene
-from huepose.drawing.plots import reliability_plot
+from huepose.drawing.plots import beside, reliability_plot
 from huepose.evaluation.calibration import Judged, read_judged, worth
 from huepose.evaluation.summary import table
 from huepose.geometry.arrays import Bool
@@ -175,7 +175,7 @@ def _draw(path: Path, fitted: Fitted, labels: Judged) -> None:
         for name, chosen in _by_scene(labels).items()
         if labels.right[chosen].mean() < MOST_RIGHT
     ]
-    write_picture(path, np.hstack(plots))
+    write_picture(path, beside(plots))
 
 
 def _all(parts: Sequence[Judged]) -> Judged:

@@ -122,8 +122,20 @@ def test_the_legend_leaves_the_lines_free_where_there_is_room(series: dict) -> N
     for (xs, ys), color in zip(series.values(), colors, strict=True):
         canvas.line(np.asarray(xs, float), np.asarray(ys, float), color)
     before = canvas.picture.copy()
-    canvas.legend(list(series), colors)
+    picture = canvas.with_legend(list(series), colors)
     for color in colors:
         line = (before == color).all(-1)
-        assert (canvas.picture[line] == color).all()
-        assert (canvas.picture == color).all(-1).sum() > line.sum()
+        assert (picture[: len(before)][line] == color).all()
+        assert (picture == color).all(-1).sum() > line.sum()
+
+
+def test_a_legend_that_would_hide_something_stands_below_the_axes() -> None:
+    canvas = Canvas.empty((0.0, 1.0), (0.0, 1.0))
+    canvas.bar(0.0, 1.0, 0.0, 1.0, COLOURS[0])
+    before = canvas.picture.copy()
+    picture = canvas.with_legend(["all of it"], COLOURS[:1])
+    assert (picture[: len(before)] == before).all()
+    below = picture[len(before) :]
+    assert (below == COLOURS[0]).all(-1).any()
+    other = plots.beside([before, picture])
+    assert other.shape == (len(picture), 2 * before.shape[1], 3)

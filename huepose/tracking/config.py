@@ -25,7 +25,7 @@ class TrackerConfig:
     share of the surface behind something from which there is nothing to look for. max_search_m_s,
     max_search_rad_s: the fastest motion that the search covers; tries_per_s: how many dear proposals (optical
     flow, a search or a part of a wide one, near-symmetric rotations) all objects together may make in a
-    second of the frames' time, None for as many as they need. They cost 10 to 30 ms each, and a live step
+    second of the frames' time, None for as many as they need. They cost 5 to 18 ms each, and a live step
     that takes longer than its frame makes the next one larger: so many take half of the time, and a step that
     is late is not given more than a third of a second's. flow: where optical flow comes from."""
 
@@ -43,7 +43,7 @@ class TrackerConfig:
     long_step_s: float = 0.1
     surprising_m: float = 0.03
     hidden: float = 0.6
-    tries_per_s: float | None = 15.0
+    tries_per_s: float | None = 30.0
     max_search_m_s: float = 0.8
     max_search_rad_s: float = 7.0
     flow: FlowSource = compute

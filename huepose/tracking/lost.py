@@ -1,4 +1,4 @@
-"""What may be believed of a lost object, looked for in a part of the whole picture."""
+"""What may be believed of a lost object at the place in the picture that looks most like it."""
 
 from __future__ import annotations
 
@@ -11,8 +11,8 @@ from huepose.judge.borders import outline
 from huepose.tracking import evidence
 from huepose.tracking.config import TrackerConfig
 from huepose.tracking.hypothesis import Hypothesis, distinct
-from huepose.tracking.reach import jump_odds
-from huepose.tracking.step import Subject, best_of, found_elsewhere
+from huepose.tracking.reach import Reach, jump_odds
+from huepose.tracking.step import Subject, best_of, found_at
 
 
 def found_again(
@@ -22,14 +22,14 @@ def found_again(
     frame: RgbdFrame,
     light: Float64 | None,
     baseline: float | None,
-    part: int,
+    place: Reach,
     config: TrackerConfig,
 ) -> tuple[Hypothesis, ...]:
     """Hypotheses, best first, of an object that was `seen` last `gone_s` seconds ago; none where it does not
     seem to be. They are all of one place: which way round it is there need not be known."""
     surface = subject.surface
     found = []
-    for T in found_elsewhere(subject, frame, light, part):
+    for T in found_at(subject, frame, place, light):
         h = best_of(surface, frame, [(T, "views")], light, 0)
         goes_on = outline(subject.contours, h.T_cam_obj, frame).goes_on
         jump = jump_odds(surface, seen.T_cam_obj, seen.T_cam_obj, h.T_cam_obj, gone_s, config)

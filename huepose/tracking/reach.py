@@ -55,9 +55,9 @@ def reaches(
     metres = min(SLACK_M + config.max_search_m_s * seconds, MAX_M)
     radians = most_turned(None, seconds, config)
     last, going_on = T_last[:3, :3], expected[:3, :3]
-    middle = se3.interpolate(T_last, expected, 0.5)
+    middle = 0.5 * (surface.centre_cam(T_last) + surface.centre_cam(expected))
     rotations = (last,) if expected is T_last else (last, going_on)
-    far = Reach(surface.centre_cam(middle), rotations, metres, radians)
+    far = Reach(middle, rotations, metres, radians)
     if velocity is None or seconds > MAX_AHEAD_S:
         return far, far
     near = Reach(

@@ -41,8 +41,8 @@ COARSELY, TRIES = 8, 3
 """Of the rotated poses the COARSELY best are refined coarsely; of those that do not return to the pose itself
 at most TRIES are refined fully, until one does not return."""
 
-COSTS = 0.5
-"""Cost of one such check (3 to 8 ms) as a share of a costly proposal."""
+COSTS = 1.0
+"""Cost of one such check (3 to 8 ms) in costly proposals."""
 
 SETTLED, MOST = odds_of(0.99), 6.0
 """Log-odds from which on the orientation is settled (99 %), and their upper bound."""

@@ -16,10 +16,11 @@ import cv2
 import numpy as np
 
 from huepose.geometry import icosphere, se3
-from huepose.geometry.arrays import Float64
+from huepose.geometry.arrays import Float32, Float64
 from huepose.geometry.box import Box
 from huepose.geometry.frame import RgbdFrame
 from huepose.judge.open_region import OpenRegion, open_region
+from huepose.judge.region import RegionArrays
 from huepose.judge.surface import PreparedSurface, totals
 from huepose.judge.terms import score_arrays
 from huepose.propose.hue_map import averaged, hue_map
@@ -34,9 +35,10 @@ POSITION_STEP = 0.12
 POSITION_TURN = np.radians(40.0)
 """Positions are scored with the expected rotations and with rotations of this angle around them."""
 
-HUE, HUE_SIDE = 0.5, 0.7
-"""Weight of the object's hues at a position, whatever its rotation (log-likelihood ratio), and the side of
-the square over which it is averaged, as a share of the object's thickness."""
+HUE, HUE_SIDE, HUE_STEP = 0.5, 0.7, 2
+"""Weight of the object's hues at a position, whatever its rotation (log-likelihood ratio), the side of
+the square over which it is averaged, as a share of the object's thickness, and of how many pixels along each
+axis one is taken."""
 
 ROTATION_STEP, WIDE_STEP = np.radians(18.0), np.radians(25.0)
 WIDE = np.radians(80.0)
@@ -71,8 +73,19 @@ SMALL_EFFORT = Effort(2, 24, 6, 2)
 
 NORMAL_EFFORT = Effort(5, 80, 20, 4)
 GREAT_EFFORT = Effort(8, 250, 40, 6)
-PARTS = 3
-"""A wide search can be made in so many parts, each of which takes about as long as a normal one."""
+PARTS = 10
+"""A wide search can be made in so many parts."""
+
+
+def is_wide(reach: Reach) -> bool:
+    """Whether so many rotations are in reach that a search through all of them takes several frames."""
+    return bool(reach.angle_rad > WIDE)
+
+
+def parts_a_try(reach: Reach, long: bool) -> int:
+    """How many parts of a wide search one costly proposal pays for. long: there is time for several, which
+    are made together and share the look at the picture."""
+    return 1 if is_wide(reach) and not long else 2
 
 
 def search(
@@ -134,14 +147,14 @@ def _positions(
     known = depth[v, u] > 0
     u, v = u[known], v[known]
     seen = camera.rays(np.stack([u, v], 1)) * depth[v, u].astype(np.float64)[:, None]
-    own = averaged(hue_map(surface.arrays, region.arrays), HUE_SIDE * surface.thickness_m / z * camera.fx)
+    own = _hues(surface, region.arrays, HUE_SIDE * surface.thickness_m / z * camera.fx)
     poses, centres, hues = [], [], []
     for R in _some(_turned(reach.rotations, POSITION_TURN, POSITION_TURN), parts):
         at = seen + R @ (surface.arrays.centre - _middle(surface, R))
         within = np.linalg.norm(at - reach.centre_cam, axis=1) < reach.distance_m
         poses.append(_at(surface, R, at[within]))
         centres.append(at[within])
-        hues.append(own[v[within], u[within]])
+        hues.append(own[v[within] // HUE_STEP, u[within] // HUE_STEP])
     if not any(len(few) for few in poses):
         return []
     tolerance = 0.15 * surface.diameter_m
@@ -152,6 +165,15 @@ def _positions(
         out.append(left[0])
         left = left[np.linalg.norm(left - left[0], axis=1) > tolerance]
     return out
+
+
+def _hues(surface: PreparedSurface, arrays: RegionArrays, side_px: float) -> Float32:
+    """How typical the hues round a pixel are of the object (h, w), at every HUE_STEP-th pixel."""
+    some = np.s_[::HUE_STEP, ::HUE_STEP]
+    fewer = arrays._replace(
+        colors=arrays.colors[(slice(None), *some)], depth=arrays.depth[some], saturated=arrays.saturated[some]
+    )
+    return averaged(hue_map(surface.arrays, fewer), side_px / HUE_STEP)
 
 
 def _middle(surface: PreparedSurface, R: Float64) -> Float64:
@@ -195,7 +217,7 @@ def _some(rotations: list[Float64], parts: range) -> list[Float64]:
 
 def _in_reach(reach: Reach) -> list[Float64]:
     """Rotations (3, 3) within reach, evenly."""
-    if reach.angle_rad <= WIDE:
+    if not is_wide(reach):
         return _turned(reach.rotations, ROTATION_STEP, reach.angle_rad)
     return _turned(reach.rotations[-1:], WIDE_STEP, reach.angle_rad)
 

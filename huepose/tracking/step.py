@@ -32,8 +32,16 @@ from huepose.tracking.config import TrackerConfig
 from huepose.tracking.elsewhere import likeliest_place
 from huepose.tracking.hypothesis import Hypothesis
 from huepose.tracking.motion import predicted
-from huepose.tracking.reach import reaches
-from huepose.tracking.search import GREAT_EFFORT, NORMAL_EFFORT, PARTS, SMALL_EFFORT, search
+from huepose.tracking.reach import Reach, reaches
+from huepose.tracking.search import (
+    GREAT_EFFORT,
+    NORMAL_EFFORT,
+    PARTS,
+    SMALL_EFFORT,
+    is_wide,
+    parts_a_try,
+    search,
+)
 
 START_SAMPLES = 150
 HIDDEN_COSTS = 0.5
@@ -114,7 +122,8 @@ def _same_turn(model: ReferenceModel, turn: Float64) -> bool:
 class Anchor:
     """The object in the last frame. hypotheses: best first; baseline: its usual total; light (3,): the
     light's offset of opponent colours; mask (H, W): its mask there, if known better than by rendering;
-    unseen_s: for how long its pose had only been predicted."""
+    unseen_s: for how long its pose had only been predicted; place: where the last frame looked most like it,
+    if no search was made there yet."""
 
     hypotheses: tuple[Hypothesis, ...]
     frame: RgbdFrame
@@ -122,6 +131,7 @@ class Anchor:
     light: Float64 | None = None
     mask: Bool | None = None
     unseen_s: float = 0.0
+    place: Reach | None = None
 
     @property
     def first(self) -> Hypothesis:
@@ -129,11 +139,11 @@ class Anchor:
         return self.hypotheses[0]
 
 
-FLOW, NEAR, ELSEWHERE, FAR = 0, 1, 2, 3
+FLOW, NEAR, PLACE, THERE, FAR = 0, 1, 2, 3, 4
 TURN = FAR + PARTS
 END = TURN + 1
-"""Stages that are tried, in this order, while the best total is too low: optical flow, a search nearby, one
-at the place that looks most like the object, the parts of a wide search, near-symmetric rotations."""
+"""Stages that are tried, in this order, while the best total is too low: optical flow, a search nearby, the
+place that looks most like the object, a search there, parts of a wide search, near-symmetric rotations."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -141,7 +151,7 @@ class Advance:
     """The result of a step. followed: one per hypothesis of the anchor, in order; proposed: further ones from
     flow, search and near-symmetric rotations; tried: number of costly proposals; doubtful: the best total is
     below what is expected; begun: the stage to try next, END if all were tried; margin: total of the first
-    followed one less that after the best small rotation."""
+    followed one less that after the best small rotation; place: as in the anchor of the next step."""
 
     followed: tuple[Hypothesis, ...]
     proposed: tuple[Hypothesis, ...] = ()
@@ -149,6 +159,7 @@ class Advance:
     doubtful: bool = False
     begun: int = FLOW
     margin: float = np.inf
+    place: Reach | None = None
 
 
 def advance(
@@ -199,7 +210,9 @@ def advance(
     back = not long and begun <= NEAR and in_full(best, anchor.baseline, config)
     # A sudden loss of total starts again with the cheap stages.
     missed = best.terms.total < anchor.first.terms.total - doubt
-    tried, rung = 0, FLOW if missed else begun
+    tried, rung, place = 0, FLOW if missed else begun, anchor.place
+    if rung == THERE and long:
+        rung = PLACE
     while rung < END:
         wide = FAR <= rung < TURN
         if rung == FLOW:
@@ -209,15 +222,19 @@ def advance(
         elif rung == TURN:
             seen = len(subject.near_symmetries) > 0 and best.terms.seen >= RETURNING_SEEN
             wanted = seen and (doubtful or uneasy)
+        elif rung == NEAR and is_wide(near) and not long:
+            wanted = False  # It would be all of a wide search in one frame.
+        elif rung == THERE:
+            wanted = doubtful and place is not None
         else:
             wanted = doubtful or (rung == NEAR and uneasy and not back)
         if not wanted:
             rung += 1
             continue
-        left = tries - tried
+        left, each = tries - tried, parts_a_try(far, long) if wide else 1
         if left < 1:
             break
-        steps = int(min(left, TURN - rung)) if wide else 1
+        steps = int(min(left * each, TURN - rung)) if wide else 1
         if rung == FLOW:
             T = flow_start(subject, anchor, frame, expected, relative_pose or RobustKabsch(), config.flow)
             starts = [[(T, "flow")]] if T is not None and far.holds(surface.centre_cam(T)) else []
@@ -227,16 +244,19 @@ def advance(
             parts = range(rung - FAR, rung - FAR + steps)
             found = search(surface, frame, far, GREAT_EFFORT, anchor.light, parts)
             starts = [[(T, "search")] for T in found]
-        elif rung == ELSEWHERE:
-            starts = [[(T, "views")] for T in found_elsewhere(subject, frame, anchor.light)]
+        elif rung == PLACE:
+            place, starts = likeliest_place(subject.model, subject.views, frame), []
+        elif rung == THERE:
+            assert place is not None
+            starts, place = [[(T, "views")] for T in found_at(subject, frame, place, anchor.light)], None
         else:
             found = search(surface, frame, near, NORMAL_EFFORT, anchor.light)
             starts = [[(T, "search")] for T in found]
         proposed += tuple(best_of(surface, frame, one, anchor.light, 0) for one in starts)
         best = max([best, *proposed], key=lambda h: h.terms.total)
         doubtful = not convincing(best, anchor.baseline, doubt, config)
-        tried, rung = tried + steps, rung + steps
-    return Advance(tuple(followed), proposed, tried, doubtful, rung, margin)
+        tried, rung = tried - (-steps // each), rung + steps
+    return Advance(tuple(followed), proposed, tried, doubtful, rung, margin, place)
 
 
 def _slid(
@@ -256,12 +276,9 @@ def _slid(
     return margin, (best_of(surface, frame, [(poses[int(rated.argmax())], "turn")], light, 0),)
 
 
-def found_elsewhere(
-    subject: Subject, frame: RgbdFrame, light: Float64 | None, part: int = 0
-) -> list[Float64]:
-    """At most two poses (4, 4) at the place, in one part of the picture, that looks most like the object."""
-    place = likeliest_place(subject.model, subject.views, frame, part)
-    return [] if place is None else search(subject.surface, frame, place, SMALL_EFFORT, light)
+def found_at(subject: Subject, frame: RgbdFrame, place: Reach, light: Float64 | None) -> list[Float64]:
+    """At most two poses (4, 4) at the place that looks most like the object."""
+    return search(subject.surface, frame, place, SMALL_EFFORT, light)
 
 
 def in_full(found: Hypothesis, baseline: float | None, config: TrackerConfig) -> bool:

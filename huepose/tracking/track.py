@@ -17,14 +17,14 @@ from huepose.propose.relative_pose import RelativePose
 from huepose.refine.ends import moved_to_ends
 from huepose.tracking import evidence
 from huepose.tracking.config import TrackerConfig
-from huepose.tracking.elsewhere import PARTS
+from huepose.tracking.elsewhere import PARTS, likeliest_place
 from huepose.tracking.evidence import Standing, next_standing
 from huepose.tracking.history import PoseHistory
 from huepose.tracking.hypothesis import Hypothesis, distinct, share_of_first
 from huepose.tracking.identity import Identity, turned_over
 from huepose.tracking.lost import found_again
 from huepose.tracking.motion import filtered, increment_velocity, predicted
-from huepose.tracking.reach import jump_odds, most_turned
+from huepose.tracking.reach import Reach, jump_odds, most_turned
 from huepose.tracking.rival import COSTS, SHARPNESS, Facing, alike, best_rival, reached
 from huepose.tracking.step import (
     END,
@@ -88,6 +88,7 @@ class Track:
         self._doubtful_frames = self._in_vain = self._begun = self._scarce_frames = 0
         self._unseen_s = 0.0
         self._supported_ns = 0
+        self._place: Reach | None = None
 
     @property
     def state(self) -> State:
@@ -120,6 +121,11 @@ class Track:
         return Doubt.IDENTITY if self._identity is None or self._identity.value < enough else None
 
     @property
+    def halfway(self) -> bool:
+        """Whether it has found a place at which the next frame should be searched."""
+        return self._place is not None
+
+    @property
     def worth(self) -> float:
         """The total of its pose plus the certainty of its orientation, in units of a total."""
         turn = 0.0 if self._facing is None else self._facing.value / SHARPNESS
@@ -140,7 +146,9 @@ class Track:
             return self._look_everywhere(frame, tries)
         tried_enough = self._begun == FLOW and self._in_vain >= MAX_TRIES
         resting = tried_enough and self._doubtful_frames % TRY_AGAIN_AFTER != 0
-        anchor = Anchor(self.hypotheses, self.frame, self.baseline, self.light, mask, self._unseen_s)
+        anchor = Anchor(
+            self.hypotheses, self.frame, self.baseline, self.light, mask, self._unseen_s, self._place
+        )
         found = advance(self.subject, anchor, frame, self._config, relative_pose, resting, self._begun, tries)
         known = self._facing
         if known is not None and probability(SHARPNESS * found.margin) < self._config.tracking_quality:
@@ -166,14 +174,17 @@ class Track:
         if tries < 1.0 or self._seen is None or (resting and self._doubtful_frames % TRY_AGAIN_AFTER):
             return 0
         part, gone_s = 0 if resting else self._begun, (frame.stamp_ns - self._supported_ns) * 1e-9
-        baseline = self.remembered(frame.stamp_ns)
-        opinions = found_again(
-            self.subject, self._seen, gone_s, frame, self.light, baseline, part, self._config
-        )
         self._begun = (part + 1) % PARTS
         self._in_vain += self._begun == 0
-        if not opinions:
+        place = likeliest_place(self.subject.model, self.subject.views, frame, part)
+        if place is None:
             return 1
+        baseline = self.remembered(frame.stamp_ns)
+        opinions = found_again(
+            self.subject, self._seen, gone_s, frame, self.light, baseline, place, self._config
+        )
+        if not opinions:
+            return 2
         sure = probability(opinions[0].log_odds) * share_of_first(opinions)
         anchor = Anchor((self._seen,), self.frame, light=self.light, unseen_s=gone_s)
         self.hypotheses, self.frame, first = opinions, frame, opinions[0]
@@ -182,7 +193,7 @@ class Track:
         self._doubtful_frames = self._in_vain = self._begun = self._scarce_frames = 0
         self._unseen_s = 0.0
         self._standing = Standing(State.SUSPECT)
-        return 1 + self._check_orientation(anchor, frame, hurry=False)
+        return 2 + self._check_orientation(anchor, frame, hurry=False)
 
     def _take(self, anchor: Anchor, found: Advance, frame: RgbdFrame) -> None:
         """Give each hypothesis its log-odds, from the image, its past and the motion it implies, and keep the
@@ -231,7 +242,7 @@ class Track:
             self._unseen_s += seconds
         self._doubtful_frames = self._doubtful_frames + 1 if found.doubtful else 0
         self._in_vain = self._in_vain + (found.begun == END) if found.doubtful else 0
-        self._begun = found.begun % END
+        self._begun, self._place = found.begun % END, found.place
 
     def _held_by_its_ends(self, h: Hypothesis, spread: float, frame: RgbdFrame) -> Hypothesis | None:
         """A followed pose that could slide along the object's surface, moved so that its outline fits; or
@@ -382,6 +393,7 @@ class Track:
         self._doubtful_frames = self._in_vain = self._begun = self._scarce_frames = 0
         self._unseen_s = 0.0
         self._supported_ns = frame.stamp_ns
+        self._place = None
         # A verified pose may be TRACKING at once.
         self._standing = Standing(State.TRACKING)
         self._judge()
@@ -391,6 +403,7 @@ class Track:
         self._standing = Standing(State.LOST)
         self.hypotheses, self.covariance, self.evidence, self.quality = (), None, 0.0, 0.0
         self._doubtful_frames = self._in_vain = self._begun = 0
+        self._place = None
 
     def set_back(self, stamp_ns: int) -> None:
         """Continue as if the last frame had this stamp (the camera's clock was set back); the velocity is

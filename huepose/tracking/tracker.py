@@ -169,7 +169,7 @@ class Tracker:
                 track.lose()
             self._tries -= tried
             if tried:
-                self._whose_turn = first + offset
+                self._whose_turn = first + offset - track.halfway
 
     def _earn(self, seconds: float) -> None:
         """Add the costly proposals allowed for the time since the last frame; unused ones do not

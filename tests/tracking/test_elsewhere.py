@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+from functools import partial
+
 import numpy as np
 import pytest
 
 from huepose.geometry import se3
-from huepose.tracking import Correction, State, Tracker, lost
+from huepose.tracking import Correction, State, Tracker, track
+from huepose.tracking import step as one_step
 from huepose.tracking.elsewhere import likeliest_place
 from huepose.tracking.step import Subject
 
@@ -18,13 +21,13 @@ HALF_A_SECOND = 15
 def asked(monkeypatch) -> list[int]:
     """The parts of the picture that were looked at, one for each time."""
     parts: list[int] = []
-    real = lost.found_elsewhere
+    real = track.likeliest_place
 
-    def spied(subject, frame, light, part):
+    def spied(model, table, frame, part):
         parts.append(part)
-        return real(subject, frame, light, part)
+        return real(model, table, frame, part)
 
-    monkeypatch.setattr(lost, "found_elsewhere", spied)
+    monkeypatch.setattr(track, "likeliest_place", spied)
     return parts
 
 
@@ -73,6 +76,28 @@ def test_what_jumps_is_found_before_it_is_lost(tea_box, shoot, path) -> None:
     for number in range(4, 4 + HALF_A_SECOND):
         (pose,) = tracker.step(shoot([(tea_box.mesh, elsewhere)], number))
         assert pose.state is not State.LOST
+    assert pose.state is State.TRACKING
+
+
+def test_the_place_is_found_in_one_frame_and_searched_in_the_next(tea_box, shoot, path, monkeypatch) -> None:
+    done: list[str] = []
+
+    def spied(name, real, *arguments):
+        done.append(name)
+        return real(*arguments)
+
+    for name in ("likeliest_place", "search"):
+        monkeypatch.setattr(one_step, name, partial(spied, name, getattr(one_step, name)))
+    T = path(0)
+    tracker, elsewhere = _tracked(tea_box, shoot, _away(T, -0.15)), _away(T, 0.2, 1.2)
+    by_frame = []
+    for number in range(4, 4 + HALF_A_SECOND):
+        done.clear()
+        (pose,) = tracker.step(shoot([(tea_box.mesh, elsewhere)], number))
+        by_frame.append(tuple(done))
+    first = by_frame.index(("likeliest_place",))
+    assert by_frame[first + 1] == ("search",)
+    assert all(len(one) <= 1 for one in by_frame)
     assert pose.state is State.TRACKING
 
 

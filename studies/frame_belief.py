@@ -3,10 +3,13 @@ films of `studies.stress`.
 
     python -m studies.frame_belief --bundles BUNDLES --json out.json --processes 2
 
-Fitted on the split `fit`, looked at on `choose`: of each so many films of the objects made by code, and as
-many of the reference models in BUNDLES. Every few frames a pose is reached from 1 to 15 frames before, from
-wrong places and turns, and from elsewhere in the picture, also where the object is gone. Each pose that comes
-out counts as right or wrong by where it is, whatever led there. `--write` puts the fit in the package."""
+Fitted on the split `fit`, looked at on `choose`: of each so many films of hard objects, of random household
+objects (bowls, mugs, tools, fruit, packages; most of them of few colours) and of the reference models in
+BUNDLES. Every few frames a pose is reached from 1 to 15 frames before, from wrong places and turns, and from
+elsewhere in the picture, also where the object is gone or its look-alike has taken its place. Each pose that
+comes out counts as right or wrong by where it is, whatever led there. Left out are poses that are right but
+for a near-symmetric rotation: no single frame has to tell those, `tracking.rival` does. `--write` puts the
+fit in the package."""
 
 from __future__ import annotations
 
@@ -48,7 +51,8 @@ FAR_OFF = 99.0
 
 @dataclass(frozen=True)
 class Row:
-    """What is seen at a pose that was reached, how (`kind`), and its error in diameters."""
+    """What is seen at a pose that was reached, how (`kind`), its error in diameters, and that up to a
+    near-symmetric rotation."""
 
     sequence: str
     frame: int
@@ -56,6 +60,26 @@ class Row:
     source: str
     features: Mapping[str, float]
     error: float
+    turned_error: float
+
+    @property
+    def right(self) -> bool:
+        """Within a tenth of the diameter."""
+        return self.error < metrics.RECALL_FRACTION
+
+    @property
+    def group(self) -> str:
+        """Right, or one of three ways to be wrong, which weigh alike in the fit."""
+        if self.right:
+            return "right"
+        if not self.kind.startswith("step"):
+            return "wrong start"
+        return "gone" if self.error == FAR_OFF else "followed"
+
+    @property
+    def counts(self) -> bool:
+        """Whether one frame can tell it from the truth."""
+        return self.right or self.turned_error >= metrics.RECALL_FRACTION
 
 
 def main() -> None:
@@ -64,7 +88,9 @@ def main() -> None:
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )
     parser.add_argument("--bundles", type=Path, required=True)
-    parser.add_argument("--films", type=int, nargs=2, default=(15, 8), help="by code, of BUNDLES")
+    parser.add_argument(
+        "--films", type=int, nargs=3, default=(15, 24, 8), help="of hard and household objects, of BUNDLES"
+    )
     parser.add_argument("--only", nargs="+", default=[], help="features to fit; the others stay as they are")
     parser.add_argument("--json", type=Path, required=True)
     parser.add_argument("--processes", type=int, default=1)
@@ -73,10 +99,10 @@ def main() -> None:
     parts = {}
     with ProcessPoolExecutor(arguments.processes) as pool:
         for split in ("fit", "choose"):
-            kinds = zip((None, arguments.bundles), arguments.films, strict=True)
-            jobs = [Job(split, n, bundles, None, ()) for bundles, count in kinds for n in range(count)]
+            kinds = zip(("builtin", "household", arguments.bundles), arguments.films, strict=True)
+            jobs = [Job(split, n, objects, None, ()) for objects, count in kinds for n in range(count)]
             collected = progress(pool.map(collect, jobs), split, len(jobs))
-            parts[split] = [row for rows in collected for row in rows]
+            parts[split] = [row for rows in collected for row in rows if row.counts]
     fit = fitted(parts["fit"], arguments.only)
     report = {name: worth(rows, fit) for name, rows in parts.items()}
     factors = {k: round(v, 3) for k, v in fit.factors.items() if v > 0}
@@ -100,30 +126,41 @@ def collect(job: Job) -> list[Row]:
     baseline, light, rows = None, None, []
     for i in range(2, len(frames), EVERY):
         gone = visible[i] < 0.1
-        found: list[tuple[str, float | None, Hypothesis]] = []
+        found: list[tuple[str, float | None, Float64 | None, Hypothesis]] = []
         if not gone and visible[i - 1] >= 0.1:
             before = best_of(subject.surface, frames[i - 1], [(truth[i - 1], "still")], light)
             if error_of(model, before.T_cam_obj, truth[i - 1]) < metrics.RECALL_FRACTION:
                 baseline = evidence.baseline_after(baseline, before.terms.total)
                 light = evidence.light_after(light, before.terms)
-        for step in (1, int(rng.choice(NEAR)), int(rng.choice(FAR))):
-            if gone or i - step < 1 or visible[i - step] < 0.1:
+        shown = max((k for k in range(i) if visible[k] >= 0.1), default=0)
+        # What is gone was followed until it went: then its look-alike, or anything that hides it, is there.
+        steps = (i - shown,) if gone else (1, int(rng.choice(NEAR)), int(rng.choice(FAR)))
+        for step in steps:
+            if step > max(FAR) or i - step < 1 or visible[i - step] < 0.1:
                 continue
-            usual, lit = (baseline, light) if rng.random() < KNOWN else (None, None)
+            usual, lit = None, None
+            if rng.random() < KNOWN:
+                # The baseline is a mean over some frames before: about the total just before the step.
+                start = best_of(subject.surface, frames[i - step], [(truth[i - step], "still")], light)
+                usual, lit = start.terms.total, light
             velocity = increment_velocity(truth[i - step - 1], truth[i - step], 1 / 30)
             start = Hypothesis(truth[i - step], NOTHING, np.zeros((6, 6)), "still", velocity)
             anchor = Anchor((start,), frames[i - step], usual, lit)
             reached = advance(subject, anchor, frames[i], TrackerConfig())
-            found += [(f"step {step}", usual, h) for h in (*reached.followed, *reached.proposed)]
+            found += [(f"step {step}", usual, lit, h) for h in (*reached.followed, *reached.proposed)]
         # Where the object is gone, poses that are wrong in any case: about where it was.
         at = truth[i] if not gone else truth[0]
         for kind, T in wrong_starts(model, at, frames[i], rng):
             usual, lit = (baseline, light) if rng.random() < KNOWN else (None, None)
-            found.append((kind, usual, best_of(subject.surface, frames[i], [(T, "still")], lit)))
-        for kind, usual, h in found:
-            error = np.inf if gone else error_of(model, h.T_cam_obj, truth[i])
-            seen = features(h.terms, usual, outline(subject.contours, h.T_cam_obj, frames[i]).goes_on)
-            rows.append(Row(film.name, i, kind, h.source, seen, min(error, FAR_OFF)))
+            found.append((kind, usual, lit, best_of(subject.surface, frames[i], [(T, "still")], lit)))
+        for kind, usual, lit, h in found:
+            error = turned = FAR_OFF
+            if not gone:
+                error = error_of(model, h.T_cam_obj, truth[i])
+                turned = error_of(model, h.T_cam_obj, truth[i], model.near_symmetries)
+            goes_on = outline(subject.contours, h.T_cam_obj, frames[i]).goes_on
+            seen = features(h.terms, usual, goes_on, lit)
+            rows.append(Row(film.name, i, kind, h.source, seen, error, turned))
     return rows
 
 
@@ -159,25 +196,30 @@ def wrong_starts(
     return out
 
 
-def error_of(model: ReferenceModel, T_cam_obj: Float64, truth: Float64) -> float:
-    """ADD to the nearest equivalent pose, in diameters."""
-    return (
-        min(metrics.add(model.eval_points, T_cam_obj, truth @ turn) for turn in model.equivalents)
-        / model.diameter_m
-    )
+def error_of(
+    model: ReferenceModel, T_cam_obj: Float64, truth: Float64, turns: Float64 | None = None
+) -> float:
+    """ADD in diameters, at most FAR_OFF, to the nearest of the true poses after the turns (M, 4, 4); those of
+    the model's symmetry by default."""
+    turns = model.equivalents if turns is None else turns
+    add = min(metrics.add(model.eval_points, T_cam_obj, truth @ turn) for turn in turns)
+    return min(add / model.diameter_m, FAR_OFF)
 
 
 def _table(rows: Sequence[Row]) -> tuple[list[str], Float64, Bool]:
     names = list(rows[0].features)
     X = np.array([[row.features[name] for name in names] for row in rows])
-    return names, X, np.array([row.error < metrics.RECALL_FRACTION for row in rows])
+    return names, X, np.array([row.right for row in rows])
 
 
 def fitted(rows: Sequence[Row], only: Sequence[str] = ()) -> Logistic:
-    """The fit of the largest likelihood, right and wrong weighing alike. only: features whose factors are
-    fitted beside the others that the package has; the constant may then only fall."""
+    """The fit of the largest likelihood; right and wrong weigh alike, and so do the kinds of wrong. only:
+    features whose factors are fitted beside the others that the package has; the constant may then only
+    fall."""
     names, X, right = _table(rows)
-    weight = np.where(right, 0.5 / right.mean(), 0.5 / (1.0 - right.mean()))
+    groups = [row.group for row in rows]
+    share = {name: (3.0 if name == "right" else 1.0) / 6.0 / groups.count(name) for name in set(groups)}
+    weight = len(rows) * np.array([share[name] for name in groups])
     if not only:
         return logistic(X, right, weight, names)
     kept = frame_fit()
@@ -190,7 +232,7 @@ def fitted(rows: Sequence[Row], only: Sequence[str] = ()) -> Logistic:
 def worth(rows: Sequence[Row], fit: Logistic) -> dict[str, float]:
     """What a fit is worth on rows: mean log likelihood, calibration error over ten bins of equal count, share
     of the right under and of the wrong over the level of TRACKING, percent."""
-    right = np.array([row.error < metrics.RECALL_FRACTION for row in rows])
+    right = np.array([row.right for row in rows])
     p = np.array([fit(row.features) for row in rows])
     bins = np.array_split(np.argsort(p), 10)
     level = TrackerConfig().tracking_quality

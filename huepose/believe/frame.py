@@ -6,10 +6,12 @@ The weights are fitted on poses that tracking reached on drawn sequences (`belie
 from __future__ import annotations
 
 from functools import cache
+from math import log1p
 
 from huepose.believe.fits import fitted
 from huepose.believe.logistic import Logistic
 from huepose.colorpair.opponents import SCALE
+from huepose.geometry.arrays import Float64
 from huepose.judge.color_correlation import PLAIN
 from huepose.judge.kernel import MARGIN, SEEN_IN_COLOR
 from huepose.judge.open_region import BLIND
@@ -37,14 +39,20 @@ LIGHT_STEP = 0.5
 outline as well (`judge.borders`)."""
 
 
-def features(terms: Terms, baseline: float | None, goes_on: float) -> dict[str, float]:
-    """What speaks for a pose (the larger, the more), by name. baseline: the total that is usual for it, or
-    None; goes_on: share of the outline beyond which surface and colour go on."""
+def features(
+    terms: Terms, baseline: float | None, goes_on: float, light: Float64 | None = None
+) -> dict[str, float]:
+    """What speaks for a pose (the larger, the more), by name. baseline: its usual total, or None; goes_on:
+    share of the outline beyond which surface and colour go on; light (3,): the known offset of the light in
+    opponent colours, or None."""
     # Where no colour is seen it is not known how much there would be.
     possible = terms.contrast / (terms.contrast + PLAIN) if terms.colored > SEEN_IN_COLOR else 1.0
     drop = 0.0
     if baseline is not None:
         drop = max(0.0, baseline - terms.total - SLACK - HIDDEN_SLACK * terms.hidden)
+    other_light = 0.0
+    if light is not None:
+        other_light = max(abs(terms.light_rg - light[1]), abs(terms.light_yb - light[2]))
     there = _there(terms)
     through = terms.through * (terms.seen + MARGIN) / max(1.0 - terms.through, 1e-6)
     return {
@@ -52,12 +60,14 @@ def features(terms: Terms, baseline: float | None, goes_on: float) -> dict[str, 
         "color": -max(possible - _heard(terms) * terms.color, 0.0),
         "no_drop": -drop,
         "ends": -goes_on,
+        "texture": _heard(terms) * terms.color * log1p(terms.contrast),
+        "light": -_heard(terms) * other_light,
     }
 
 
-def log_odds(terms: Terms, baseline: float | None, goes_on: float) -> float:
-    """That the pose is right, with nothing known beforehand."""
-    x = frame_fit().log_odds(features(terms, baseline, goes_on))
+def log_odds(terms: Terms, baseline: float | None, goes_on: float, light: Float64 | None = None) -> float:
+    """Log-odds that the pose is right, with nothing known beforehand. Arguments as of `features`."""
+    x = frame_fit().log_odds(features(terms, baseline, goes_on, light))
     return x - ABSENT * max(1.0 - min(_there(terms) / LEAST_THERE, 1.0), _of_another_color(terms))
 
 

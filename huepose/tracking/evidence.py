@@ -36,18 +36,23 @@ RETURNED_AFTER = 2
 
 
 def log_odds(
-    terms: Terms, baseline: float | None, before: float, goes_on: float = 0.0, jump: float = 0.0
+    terms: Terms,
+    baseline: float | None,
+    before: float,
+    goes_on: float = 0.0,
+    light: Float64 | None = None,
+    jump: float = 0.0,
 ) -> float:
     """Log-odds that a pose is right. baseline: its usual total; before: log-odds of the pose from which it
-    was followed; goes_on: share of its outline beyond which the surface continues; jump: log-odds of its
-    motion.
+    was followed; goes_on: share of its outline beyond which the surface continues; light (3,): the known
+    light in opponent colours; jump: log-odds of its motion.
 
     >>> from huepose.judge.terms import NOTHING
     >>> log_odds(NOTHING, None, 0.0) < -4.0
     True
 
     """
-    x = frame.log_odds(terms, baseline, goes_on)
+    x = frame.log_odds(terms, baseline, goes_on, light)
     return x + max(min(MEMORY * before, MOST_MEMORY) + jump, -MOST_MEMORY)
 
 

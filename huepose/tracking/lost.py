@@ -33,7 +33,7 @@ def found_again(
         h = best_of(surface, frame, [(T, "views")], light, 0)
         goes_on = outline(subject.contours, h.T_cam_obj, frame).goes_on
         jump = jump_odds(surface, seen.T_cam_obj, seen.T_cam_obj, h.T_cam_obj, gone_s, config)
-        odds = evidence.log_odds(h.terms, baseline, 0.0, goes_on, jump)
+        odds = evidence.log_odds(h.terms, baseline, 0.0, goes_on, light, jump)
         found.append(replace(h, log_odds=odds, goes_on=goes_on))
     opinions = distinct(surface, found)
     if not opinions or evidence.one_sense(opinions[0].terms):

@@ -269,7 +269,7 @@ class Track:
         measured = increment_velocity(parent.T_cam_obj, h.T_cam_obj, seconds)
         velocity = filtered(parent.velocity, measured, seconds)
         goes_on = outline(self.subject.contours, h.T_cam_obj, frame).goes_on
-        odds = evidence.log_odds(h.terms, self.baseline, odds_before, goes_on, jump)
+        odds = evidence.log_odds(h.terms, self.baseline, odds_before, goes_on, self.light, jump)
         return replace(h, velocity=velocity, log_odds=odds, goes_on=goes_on)
 
     def _check_orientation(self, anchor: Anchor, frame: RgbdFrame, hurry: bool) -> float:

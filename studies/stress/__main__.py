@@ -1,14 +1,16 @@
 """Track under stress, and say what the states were worth, by cause.
 
     .venv/bin/python -m studies.stress --out OUT --split report --films 60 --processes 2
+    .venv/bin/python -m studies.stress --out OUT --split report --films 24 --objects unseen
     .venv/bin/python -m studies.stress --out OUT --split report --films 40 --bundles BUNDLES
     .venv/bin/python -m studies.stress --out OUT --fast-ycb SEQ... --bundles BUNDLES
 
 Films of two seconds are drawn (about 12 s of CPU each) and kept under the cache folder: an object that is
 carried fast, leaves and comes back, is swapped for its look-alike, or slides on a plain ground with one face
-up until it is picked up. Without `--bundles` they show twelve objects made by code, among them plain parts,
-boxes with plain sides and a can with repeated labels; with it those of the split among the reference models
-there. Recorded sequences are used for what needs no drawing. Each film is played by every cause
+up until it is picked up. They show twelve objects made by code, among them plain parts, boxes with plain
+sides and a can with repeated labels; `--objects household` random bowls, mugs, tools, fruit and packages;
+`--objects unseen` objects that nothing is fitted to; `--bundles` those of the split among the reference
+models there. Recorded sequences are used for what needs no drawing. Each film is played by every cause
 (`studies.stress.causes`), `alone` and `with_loop`: there a nearly perfect perception answers at 5 Hz after
 0.35 s.
 
@@ -26,7 +28,7 @@ from pathlib import Path
 
 from huepose.evaluation.result_files import write_json
 from huepose.support.progress import progress
-from studies.stress.playing import MODES, SPLITS, Job, models_of, played
+from studies.stress.playing import MODES, OBJECTS, SPLITS, Job, models_of, played
 from studies.stress.report import summary, text
 
 
@@ -39,18 +41,19 @@ def main() -> None:
     parser.add_argument("--split", choices=list(SPLITS), default="report")
     parser.add_argument("--films", type=int, default=40)
     parser.add_argument("--first", type=int, default=0, help="number of the first film")
+    parser.add_argument("--objects", choices=list(OBJECTS), default="builtin")
     parser.add_argument("--bundles", type=Path, default=None)
     parser.add_argument("--fast-ycb", type=Path, nargs="+", default=[])
     parser.add_argument("--modes", nargs="+", choices=MODES, default=list(MODES))
     parser.add_argument("--processes", type=int, default=1)
     arguments = parser.parse_args()
     modes = tuple(arguments.modes)
-    jobs = [Job(arguments.split, 0, arguments.bundles, path, modes) for path in arguments.fast_ycb]
+    objects = arguments.objects if arguments.bundles is None else arguments.bundles
+    jobs = [Job(arguments.split, 0, objects, path, modes) for path in arguments.fast_ycb]
     if not jobs:
         numbers = range(arguments.first, arguments.first + arguments.films)
-        jobs = [Job(arguments.split, n, arguments.bundles, None, modes) for n in numbers]
-        if arguments.bundles is None:
-            models_of(arguments.split, None)
+        jobs = [Job(arguments.split, n, objects, None, modes) for n in numbers]
+        models_of(arguments.split, objects)
     arguments.out.mkdir(parents=True, exist_ok=True)
     path = arguments.out / "rows.jsonl"
     done = {json.loads(line)["job"] for line in path.read_text().splitlines()} if path.exists() else set()

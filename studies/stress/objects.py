@@ -17,6 +17,9 @@ from huepose.scenes import textures
 from huepose.scenes.charts import blocks, revolved
 from huepose.scenes.shapes import demo_objects, printed
 from huepose.scenes.textures import Art, Palette, Rng
+from huepose.scenes.unseen.objects import unseen_objects
+from huepose.training.household import household_object
+from huepose.training.shapes import random_object
 
 
 def builtin_meshes(seed: int) -> dict[str, Mesh]:
@@ -52,6 +55,22 @@ def builtin_meshes(seed: int) -> dict[str, Mesh]:
         "plain_box": drawn(box, [_plain] * 5 + [textures.sticker("THIS WAY", 2)], hues[6]),
     }
     return {**demo_objects(seed), **own}
+
+
+def household_meshes(seed: int) -> dict[str, Mesh]:
+    """Random objects of 9 to 20 cm, three quarters of them bowls, mugs, tools and fruit of few colours."""
+
+    def made(number: int) -> Mesh:
+        rng = np.random.default_rng([seed, number, 977])
+        make = household_object if number % 4 else random_object
+        return make(rng, float(rng.uniform(0.09, 0.2)))
+
+    return {f"house{number:02d}": made(number) for number in range(24)}
+
+
+def unseen_meshes(seed: int) -> dict[str, Mesh]:
+    """The shapes of `scenes.unseen`, with the textures of a seed."""
+    return {one.name: one.mesh for one in unseen_objects(seed)}
 
 
 def look_alike(mesh: Mesh) -> Mesh | None:

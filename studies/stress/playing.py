@@ -15,7 +15,7 @@ from huepose.support.files import cache_folder
 from huepose.tracking import Tracker
 from studies.stress.causes import runs
 from studies.stress.films import Film, drawn, recorded
-from studies.stress.objects import builtin_meshes, learned
+from studies.stress.objects import builtin_meshes, household_meshes, learned, unseen_meshes
 from studies.stress.oracle import Oracle
 from studies.stress.play import play
 
@@ -33,6 +33,10 @@ SPLITS = {
     "choose": Split(42, (2, 4, 7, 17)),
     "report": Split(43, (6, 9, 10, 11, 14, 19, 21)),
 }
+OBJECTS = {"builtin": builtin_meshes, "household": household_meshes, "unseen": unseen_meshes}
+"""Objects made by code: hard ones; random bowls, mugs, tools, fruit and packages, as in training; and those
+that results are reported on."""
+
 KINDS = ("carried", "plain", "leaves", "carried", "swapped")
 MODES = ("alone", "with_loop")
 
@@ -41,36 +45,37 @@ Row = dict[str, Any]
 
 @dataclass(frozen=True)
 class Job:
-    """One film: of a split and its number there, or recorded."""
+    """One film: of a split and its number there, or recorded. objects: the folder of the reference models, or
+    a name among OBJECTS."""
 
     split: str
     number: int
-    bundles: Path | None
+    objects: Path | str
     recorded: Path | None
     modes: tuple[str, ...]
 
     @property
     def name(self) -> str:
         """Unique in a folder of results."""
-        kind = "builtin" if self.bundles is None else "bundles"
+        kind = self.objects if isinstance(self.objects, str) else "bundles"
         return str(self.recorded) if self.recorded is not None else f"{self.split}-{kind}-{self.number}"
 
 
 @cache
-def models_of(split: str, bundles: Path | None) -> Mapping[str, ReferenceModel]:
-    if bundles is not None:
-        return load_models(bundles)
+def models_of(split: str, objects: Path | str) -> Mapping[str, ReferenceModel]:
+    if isinstance(objects, Path):
+        return load_models(objects)
     seed = SPLITS[split].seed
-    return learned(builtin_meshes(seed), cache_folder() / "stress" / f"objects-{seed}")
+    return learned(OBJECTS[objects](seed), cache_folder() / "stress" / f"{objects}-{seed}")
 
 
 def film_of(job: Job) -> tuple[Film | None, Mapping[str, ReferenceModel]]:
     """The film of a job, None where its object has no look-alike to be swapped for, and all models."""
-    split, models = SPLITS[job.split], models_of(job.split, job.bundles)
+    split, models = SPLITS[job.split], models_of(job.split, job.objects)
     if job.recorded is not None:
         return recorded(job.recorded, models), models
     names = sorted(models)
-    if job.bundles is not None:
+    if isinstance(job.objects, Path):
         names = sorted(n for n, m in models.items() if m.object_id in split.objects)
     model, kind = models[names[job.number % len(names)]], KINDS[job.number % len(KINDS)]
     return drawn(cache_folder() / "stress", kind, model, models, split.seed, job.number), models

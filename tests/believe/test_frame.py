@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 
+import numpy as np
 import pytest
 
 from huepose.believe.frame import features, log_odds
@@ -32,3 +33,17 @@ def test_a_red_thing_is_no_green_one_in_red_light():
     assert other < usual - 4.0
     dark = log_odds(replace(IN_VIEW, contrast=0.0, light_l=-76.0), None, 0.0)
     assert dark == usual, "a shadow makes no other colour"
+
+
+def test_a_known_light_tells_a_look_alike_of_another_colour():
+    """In known light a plain pink thing is 12 units from its green look-alike."""
+    white, plain = np.zeros(3), replace(IN_VIEW, contrast=0.0)
+    other = replace(plain, light_rg=-12.0)
+    assert log_odds(other, 1.0, 0.0, white) < log_odds(plain, 1.0, 0.0, white) - 0.8
+    assert log_odds(other, 1.0, 0.0) == log_odds(plain, 1.0, 0.0), "where the light is unknown it may be red"
+
+
+def test_a_fifth_of_the_surface_that_is_seen_through_is_not_made_good_by_plain_colour():
+    right = replace(IN_VIEW, contrast=13.0, color=0.7, seen=0.9, through=0.02)
+    wrong = replace(IN_VIEW, contrast=0.6, color=0.85, seen=0.65, through=0.2)
+    assert log_odds(wrong, None, 0.0) < log_odds(right, None, 0.0) - 2.5

@@ -21,7 +21,7 @@ from huepose.estimation.explanation import Explanation
 from huepose.estimation.full_path import confirm, estimate_full, looks_in_full, refine_prior, table_of
 from huepose.estimation.methods import method_of
 from huepose.estimation.types import ObjectQuery, PoseEstimate
-from huepose.estimation.warm_up import rehearse
+from huepose.estimation.warm_up import warm_up
 from huepose.geometry.arrays import Bool
 from huepose.geometry.box import Box
 from huepose.geometry.frame import RgbdFrame
@@ -175,7 +175,7 @@ class Estimator:
         models = [self._model(name) for name in names]
         if self._method is not None:
             self._method.warm_up(models)
-        rehearse(self.explain, max(models, key=lambda m: len(m.pairs.points)), self._method is None)
+        warm_up(self.explain, max(models, key=lambda m: len(m.pairs.points)), self._method is None)
 
     def _box_and_masks(
         self, frame: RgbdFrame, query: ObjectQuery, model: ReferenceModel

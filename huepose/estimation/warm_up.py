@@ -1,4 +1,4 @@
-"""A rehearsal: all that an estimator may do with an object, on a made-up frame, so that every kernel is
+"""A warm-up: all that an estimator may do with an object, on a made-up frame, so that every kernel is
 compiled before the first real one. Without it a first near tie or a first prior waits for the compiler."""
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ from huepose.select.near_ties import decided
 Explain = Callable[[RgbdFrame, ObjectQuery], tuple[PoseEstimate, Explanation]]
 
 
-def rehearse(explain: Explain, model: ReferenceModel, full: bool) -> None:
+def warm_up(explain: Explain, model: ReferenceModel, full: bool) -> None:
     """Let an estimator look for an object that stands before a wall; full: by the method of that name, for
     which there may be a prior, and a near tie between poses."""
     camera = Camera(320.0, 320.0, 159.5, 119.5, 320, 240)

@@ -12,7 +12,7 @@ from huepose.reinit.types import (
     RequestedObject,
     Searching,
 )
-from huepose.reinit.warm_up import rehearse
+from huepose.reinit.warm_up import warm_up
 
 __all__ = [
     "Counters",
@@ -25,5 +25,5 @@ __all__ = [
     "RequestedObject",
     "Searching",
     "judge_tracked",
-    "rehearse",
+    "warm_up",
 ]

@@ -42,7 +42,7 @@ def assign(
     taken, and of these the one with the least sum of distances.
     """
     # Every worker imports this room for its types; this one function needs a quarter of a second more, or
-    # seconds on a busy computer that reads it from its disk: see `rehearsal`.
+    # seconds on a busy computer that reads it from its disk: see `warm_up`.
     from scipy.optimize import linear_sum_assignment
 
     out: list[int | None] = [None] * len(estimates)

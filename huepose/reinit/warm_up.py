@@ -14,9 +14,9 @@ from huepose.tracking.types import State, TrackedPose
 _PERIOD_NS = 200_000_000
 
 
-def rehearse() -> None:
+def warm_up() -> None:
     """Let a loop of its own acquire an object, agree, correct and reject."""
-    loop = ReinitLoop(objects=[ObjectSlot("rehearsal")])
+    loop = ReinitLoop(objects=[ObjectSlot("warm_up")])
     start = se3.make(np.eye(3), np.array([0.0, 0.0, 1.0]))
     tracks: list[TrackedPose] = []
     for number, shift in enumerate((0.0, 0.0, 0.02, 0.06)):
@@ -32,7 +32,7 @@ def rehearse() -> None:
 
 def _estimate(T_cam_obj: np.ndarray, number: int) -> PoseEstimate:
     return PoseEstimate(
-        object="rehearsal",
+        object="warm_up",
         instance=-1,
         found=True,
         T_cam_obj=T_cam_obj,
@@ -52,7 +52,7 @@ def _estimate(T_cam_obj: np.ndarray, number: int) -> PoseEstimate:
 
 def _tracked(T_cam_obj: np.ndarray, number: int, applied: int) -> TrackedPose:
     return TrackedPose(
-        object="rehearsal",
+        object="warm_up",
         instance=0,
         epoch=1,
         frame_id=number,

@@ -20,7 +20,7 @@ from huepose.tracking.history import FrameHistory
 from huepose.tracking.step import Subject
 from huepose.tracking.track import Track
 from huepose.tracking.types import Applied, Correction, Doubt, State, TrackedPose, Verdict
-from huepose.tracking.warm_up import rehearse
+from huepose.tracking.warm_up import warm_up
 
 SAME_SURFACE_IOU = 0.5
 """A correction is carried to now by the measured motion if both outlines overlap by more than this IoU."""
@@ -120,7 +120,7 @@ class Tracker:
         Tracked instances are not touched."""
         double = Tracker({}, self.config, self._relative_pose)
         double._subjects = dict(self._subjects)
-        rehearse(double, self._subjects)
+        warm_up(double, self._subjects)
 
     def poses(self) -> list[TrackedPose]:
         """The poses of all instances at the newest frame, corrections included."""

@@ -1,4 +1,4 @@
-"""A rehearsal: all that a tracker will do, on made-up frames, so that every kernel is compiled and loaded
+"""A warm-up: all that a tracker will do, on made-up frames, so that every kernel is compiled and loaded
 before the first real one, and the contours and codes of all views. Without it a first search, flow or
 correction waits for the compiler, and each new view for its contour."""
 
@@ -30,7 +30,7 @@ _PERIOD_NS = 33_000_000
 _FRAMES = 10
 
 
-def rehearse(tracker: Tracker, subjects: Mapping[str, Subject]) -> None:
+def warm_up(tracker: Tracker, subjects: Mapping[str, Subject]) -> None:
     """Let a new tracker of these objects (subjects by their names) acquire late, follow, agree, correct a
     little and grossly, jump and lose, two objects being partly before each other. It is of no use
     afterwards."""

@@ -9,13 +9,13 @@ from __future__ import annotations
 from collections.abc import Callable
 from functools import partial
 
+from huepose import reinit
 from huepose.estimation import Estimator, ObjectQuery
 from huepose.evaluation import suitability
 from huepose.geometry import Box, RgbdFrame
 from huepose.model import ReferenceModel, load_models
 from huepose.perception.colorpair_detector import ColorPairDetector
 from huepose.profiles import profile
-from huepose.reinit import warm_up as reinit
 from huepose.scenes.builtin import SyntheticScene, first_shot
 from huepose.scenes.plan import CAMERA
 from huepose.scenes.rendered import rendered_frame
@@ -35,7 +35,7 @@ def main() -> None:
         lambda: Estimator(models, live.estimator).warm_up(),
         lambda: ColorPairDetector(models, live.detector).detect(frame, names),
         lambda: Tracker(models, live.tracker).warm_up(),
-        reinit.rehearse,
+        reinit.warm_up,
         partial(_in_a_drawn_scene, models["corner_bracket"]),
         partial(_in_a_drawn_scene, models["soup_can"]),
     ]

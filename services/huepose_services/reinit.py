@@ -7,7 +7,7 @@ from dataclasses import asdict
 from typing import Literal
 
 from huepose.estimation.types import PoseEstimate
-from huepose.reinit import ReinitConfig, ReinitLoop, rehearse
+from huepose.reinit import ReinitConfig, ReinitLoop, warm_up
 from huepose.reinit.types import ObjectSlot, PerceptionResult, Request
 from huepose.tracking.types import Correction, State, TrackedPose
 from huepose_protos import WireError
@@ -54,7 +54,7 @@ def make(bus: Bus, config: Config) -> ReinitWork:
             for item in configured
         ]
     slots = [load(entry.object, entry.max_instances) for entry in entries]
-    rehearse()
+    warm_up()
     loop = ReinitLoop(_settings(config), slots)
     return ReinitWork(bus, loop, ObjectList(entries, load), config.objects)
 

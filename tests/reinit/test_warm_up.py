@@ -7,11 +7,11 @@ import sys
 from pathlib import Path
 
 FIRST_ANSWER = """
-from huepose.reinit import ObjectSlot, ReinitLoop, rehearse
+from huepose.reinit import ObjectSlot, ReinitLoop, warm_up
 from conftest import estimate, pose, result, track
 import sys
 
-rehearse()
+warm_up()
 before = set(sys.modules)
 loop = ReinitLoop(objects=[ObjectSlot("mug"), ObjectSlot("jar")])
 first = loop.tick(0, [])

@@ -75,14 +75,14 @@ def _run(config: Config, recording: Any, seconds: float, stopping: Callable[[], 
     from huepose_services.runtime.health import Health
     from huepose_services.runtime.log import Log
     from huepose_services.runtime.session import open_reader_session
-    from huepose_services.viewer.shapes import rehearse
+    from huepose_services.viewer.shapes import warm_up
     from huepose_services.viewer.show import Show
     from huepose_services.viewer.work import ViewerWork, bodies
 
     session = open_reader_session([config.endpoint(worker) for worker in config.workers])
     bus = Bus(session, config.keys, "view", Log("view"), Health("view"))
     known = bodies(config)
-    rehearse(known)
+    warm_up(known)
     work = ViewerWork(bus, Show(recording, known), config.viewer.image_rate_hz)
     say_at = time.monotonic() + _NONE_SEEN_AFTER_S
     end = time.monotonic() + seconds

@@ -32,7 +32,7 @@ def outlines(mesh: Mesh, T_cam_obj: Float, camera: Camera) -> list[Float32]:
     return lines
 
 
-def rehearse(bodies: Mapping[str, Body]) -> None:
+def warm_up(bodies: Mapping[str, Body]) -> None:
     """Draw one outline, so that the kernels are compiled before the first picture waits for them."""
     for body in list(bodies.values())[:1]:
         far = se3.make(np.eye(3), np.array([0.0, 0.0, 5.0 * body.diameter_m]))

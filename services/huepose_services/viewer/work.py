@@ -20,7 +20,7 @@ from huepose_services.runtime.bus import Bus
 from huepose_services.runtime.clock import SECOND, now_ns
 from huepose_services.runtime.config import Config
 from huepose_services.runtime.work import Work
-from huepose_services.viewer.shapes import Body, rehearse
+from huepose_services.viewer.shapes import Body, warm_up
 from huepose_services.viewer.show import Show
 
 # So long a frame waits for the poses that are of it.
@@ -34,7 +34,7 @@ def make(bus: Bus, config: Config) -> ViewerWork:
     from huepose_services.viewer.sinks import served
 
     known = bodies(config)
-    rehearse(known)
+    warm_up(known)
     recording, address = served(config.viewer)
     bus.log.say(f"the page is {address}")
     return ViewerWork(bus, Show(recording, known), config.viewer.image_rate_hz)

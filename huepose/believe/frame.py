@@ -52,7 +52,7 @@ def features(
         drop = max(0.0, baseline - terms.total - SLACK - HIDDEN_SLACK * terms.hidden)
     other_light = 0.0
     if light is not None:
-        other_light = max(abs(terms.light_rg - light[1]), abs(terms.light_yb - light[2]))
+        other_light = float(max(abs(terms.light_rg - light[1]), abs(terms.light_yb - light[2])))
     there = _there(terms)
     through = terms.through * (terms.seen + MARGIN) / max(1.0 - terms.through, 1e-6)
     return {

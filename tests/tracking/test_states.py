@@ -48,7 +48,8 @@ def run(qualities: list[float], confirmed: bool = True, start: State = State.TRA
 def test_good_and_bad_evidence() -> None:
     assert probability(log_odds(GOOD, None, 0.0)) > 0.9
     assert probability(log_odds(NOTHING, None, 3.0)) < 0.05
-    assert probability(log_odds(replace(GOOD, color=0.0, seen=0.5), None, 0.0)) < 0.1
+    untextured = probability(log_odds(replace(GOOD, color=0.0, seen=0.5), None, 0.0))
+    assert untextured < CONFIG.lost_quality, "gives no support"
     assert log_odds(GOOD, None, 2.0) > log_odds(GOOD, None, 0.0), "right a frame ago"
     assert log_odds(GOOD, None, 20.0) < log_odds(GOOD, None, 0.0) + 3.0, "which does not outweigh the image"
 

@@ -19,4 +19,4 @@ with suppress(KeyboardInterrupt), PoseClient(where) as client:
         elif client.connected:
             print("connected, but no object is seen: `huepose status` says why", file=sys.stderr)
         else:
-            print(f"nobody answers at {where[0]}: does `huepose up` run?", file=sys.stderr)
+            print(f"no pipeline runs: `huepose up` starts one (looked at {where[0]})", file=sys.stderr)

@@ -2,6 +2,8 @@
 
 huepose up tea_box/pipeline.yaml
 python examples/03_pick_when_still.py tea_box [tcp/robot.local:7447]
+
+The drawn scene of `huepose new` never rests: there it says so until Ctrl-C. With a camera it ends.
 """
 
 import sys

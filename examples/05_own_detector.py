@@ -16,10 +16,11 @@ from huepose.datasets.image_files import read_frame
 from huepose.perception.types import Detection
 
 BINS, RANGES = [32, 32], [0, 256, 0, 256]
+PLACES = 8  # boxes for each object: colours alone find the right one seldom at once, the pose tells
 
 
 class ByColour:
-    """The box, of the size that the object may have, in which its colours are commonest."""
+    """The boxes, of the size that the object has at their distance, in which its colours are commonest."""
 
     def __init__(self, models: dict[str, ReferenceModel]) -> None:
         self.models = models
@@ -33,12 +34,18 @@ class ByColour:
             own = cv2.calcHist([texture], [1, 2], None, BINS, RANGES)
             ratio = own / own.sum() / (common / common.sum() + own / own.sum() + 1e-9)
             likely = cv2.calcBackProject([lab], [1, 2], ratio.astype(np.float32) * 255, RANGES, 1.0) / 255.0
-            distance = np.median(frame.depth[frame.depth > 0])
-            side = int(1.2 * frame.camera.fx * self.models[name].diameter_m / distance)
-            summed = cv2.boxFilter(likely, -1, (side, side), borderType=cv2.BORDER_CONSTANT)
-            row, column = np.unravel_index(np.argmax(summed), summed.shape)
-            box = Box(float(column - side / 2), float(row - side / 2), float(side), float(side))
-            found.append(Detection(name, box, float(summed.max())))
+            likely[frame.depth <= 0] = 0.0
+            for _ in range(PLACES):
+                middle = cv2.GaussianBlur(likely, (0, 0), 8.0)
+                row, column = np.unravel_index(np.argmax(middle), middle.shape)
+                near = frame.depth[max(row - 8, 0) : row + 9, max(column - 8, 0) : column + 9]
+                if not (near > 0).any():
+                    break
+                side = frame.camera.fx * self.models[name].diameter_m / float(np.median(near[near > 0]))
+                box = Box(column - side / 2, row - side / 2, side, side)
+                rows, columns = box.slices(frame.camera.width, frame.camera.height)
+                found.append(Detection(name, box, float(likely[rows, columns].mean())))
+                likely[rows, columns] = 0.0
         return sorted(found, key=lambda detection: -detection.score)
 
 
@@ -48,5 +55,11 @@ folder = Path(sys.argv[1])
 models = load_models(folder / "bundles")
 frame = read_frame(folder / "color.png", folder / "depth.png", folder / "camera.json")
 queries = [ObjectQuery(d.object, d.box) for d in ByColour(models).detect(frame, sorted(models))]
-for pose in Estimator(models).estimate(frame, queries):
-    print(pose.object, pose.state, f"{pose.quality:.2f}", pose.reason or pose.T_cam_obj[:3, 3].round(3))
+estimator = Estimator(models)
+answers = [pose for query in queries for pose in estimator.estimate(frame, [query])]
+for name in sorted(models):
+    best = max((pose for pose in answers if pose.object == name), key=lambda pose: pose.quality, default=None)
+    if best is None or best.T_cam_obj is None:
+        print(name, f"not found at {PLACES} places of its colours")
+    else:
+        print(name, best.state, f"{best.quality:.2f}", best.T_cam_obj[:3, 3].round(3))

@@ -129,7 +129,7 @@ def _check_units(depth_m: Float32, path: Path, camera: Path) -> None:
     if not NEAREST_M < median_m < FARTHEST_M:
         raise InputError(
             path,
-            found=f"a median depth of {median_m:.4g} m",
+            found=f"a median depth of {median_m:.{3 if median_m < 10 else 0}f} m",
             expected=f"{NEAREST_M:g} to {FARTHEST_M:g} m",
             fix=f"Correct the depth scale in {camera}: 'depth_scale_m' is metres a depth value, "
             "BOP's 'depth_scale' millimetres.",

@@ -148,6 +148,11 @@ def judged(model: ReferenceModel, trials: Sequence[Trial]) -> Suitability:
             f"It has to be {smallest:.0f} pixels large: nearer than "
             f"{trials[0].size_px * trials[0].distance_m / smallest:.1f} m with this camera."
         )
+    if share >= SOMETIMES and float((right & sure).mean()) < SOMETIMES:
+        reasons.append(
+            "One picture alone seldom makes it sure (TRACKING): a pipeline needs several that agree, and "
+            "takes longer to confirm it."
+        )
     verdict: Verdict = "suits" if share >= WELL else "does not suit"
     if (plain or verdict != "suits") and max(share, shape) >= SOMETIMES:
         verdict = "suits with limits"
@@ -178,7 +183,7 @@ def in_words(model: ReferenceModel, found: Suitability) -> str:
     size = " x ".join(f"{100 * s:.1f}" for s in np.ptp(model.mesh.vertices, axis=0).tolist())
     lines = [
         f"{model.name} {found.verdict}: {size} cm, "
-        f"right in {100 * found.right:.0f} % of {n} drawn scenes, surely so (TRACKING) in "
+        f"right in {100 * found.right:.0f} % of {n} drawn scenes that show it, surely so (TRACKING) in "
         f"{100 * found.tracking:.0f} %, wrongly sure in {found.false_tracking}."
     ]
     return "\n".join([*lines, *found.reasons])

@@ -104,7 +104,7 @@ def progress(
         with saying:
             ended.set()
         took = time.monotonic() - start
-        if done or not total:  # of what failed at once the error says all
+        if done == total or not total:  # of what failed or was stopped, whoever stopped it says all
             status.line(f"{label}: {done}{f' of {total}' if total else ''} in {took:.1f} s")
         else:
             status.clear()

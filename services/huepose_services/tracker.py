@@ -267,7 +267,7 @@ class TrackerWork(Work):
         name = f"{message.object}/{message.instance}"
         if self._refused != (name, message.seq):
             self._refused = (name, message.seq)
-            text = f"correction {message.seq} of {name} is refused: {why}"
+            text = f"a correction of {name} is refused: {why}"
             # What was on its way when the tracker began anew is nobody's fault.
             level: Level = "info" if early else "warn"
             self._bus.log.seldom("refused", text, _REFUSED_EVERY_S, level)

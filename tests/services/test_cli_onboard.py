@@ -45,7 +45,7 @@ def test_a_mesh_becomes_a_model(mesh: Path, tmp_path: Path, capsys: pytest.Captu
     line = capsys.readouterr().out
     assert line.startswith("red_brick")
     assert "5.0 x 4.0 x 3.0 cm" in line
-    assert "72 look the same" in line
+    assert "72 rotations look the same" in line
     model = load_models(out)["red_brick"]
     assert model.object_id == 5
     assert len(model.equivalents) == 72

@@ -22,7 +22,3 @@ def test_a_pose_in_the_robots_frame(pose):
     where = _where_on_robot(pose, MOUNT)
     assert where == "+0.8000 +0.1000 +1.3000 m   +0.0000 +0.0000 +0.7071 +0.7071"
     assert where in _line(pose, where)
-
-
-def test_a_tracked_pose_whose_mount_was_not_told_yet(pose):
-    assert _where_on_robot(pose, None) == "no camera.mount"

@@ -133,7 +133,10 @@ def test_the_subscriber_says_what_comes_and_why_nothing_comes(base_port: int) ->
         assert reader.stdout is not None
         assert reader.stderr is not None
         try:
-            assert f"nobody answers at {endpoint}" in reader.stderr.readline()
+            assert (
+                f"no pipeline runs: `huepose up` starts one (looked at {endpoint})"
+                in reader.stderr.readline()
+            )
             with published(endpoint, lambda number: tracked()):
                 assert reader.stdout.readline().startswith(f"tea_box {EXAMPLE.instance} TRACKING")
         finally:

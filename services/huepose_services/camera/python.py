@@ -12,6 +12,7 @@ stamp_ns: when it was captured, CLOCK_MONOTONIC, 0 for now. It may block as long
 from __future__ import annotations
 
 import runpy
+import traceback
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
@@ -66,7 +67,13 @@ class PythonCamera:
 
     def read(self, timeout_s: float) -> Shot | None:
         """The next picture, however long it takes. Raises CameraError for none and for what is none."""
-        frame = next(self._frames, None)
+        try:
+            frame = next(self._frames, None)
+        except Exception as error:
+            where = traceback.extract_tb(error.__traceback__)[-1]
+            text = f"{type(error).__name__}: {' '.join(str(error).split())[:200]}"
+            at = f"{Path(where.filename).name}, line {where.lineno}"
+            raise CameraError(f"{text}, in {at}. frames() is called again.") from error
         if frame is None:
             raise CameraError("frames() has ended. It is called again.")
         if not isinstance(frame, RgbdFrame):

@@ -97,6 +97,7 @@ def call(arguments: argparse.Namespace) -> int:
         answers = _standing(arguments, frame, models, names, answers, proposed)
     else:
         answers = [a if a.found else _of_the_picture(frame, models[a.object], a) for a in answers]
+    answers = [_doubted(frame, models[a.object], a) for a in answers]
     _ask_about_scale(frame, answers)
     loaded = "one model" if len(names) == 1 else f"{len(names)} models"
     print(
@@ -168,6 +169,18 @@ def _answer(
     return answer
 
 
+def _doubted(frame: RgbdFrame, model: ReferenceModel, answer: PoseEstimate) -> PoseEstimate:
+    """An answer that says why it is `SUSPECT`, where it is."""
+    from huepose.judge.surface import PreparedSurface
+    from huepose.tracking.types import Doubt
+    from huepose_services.doubts import why_doubted
+
+    if answer.state != "SUSPECT":
+        return answer
+    surface, turned = PreparedSurface.of(model), Doubt.TURN if answer.alternatives else Doubt.IDENTITY
+    return replace(answer, reason=why_doubted(surface, frame, answer.T_cam_obj, turned))
+
+
 def _of_the_picture(frame: RgbdFrame, model: ReferenceModel, answer: PoseEstimate) -> PoseEstimate:
     """An answer that says what is wrong with the whole picture, where something is."""
     from huepose.estimation.reasons import bad_picture
@@ -227,14 +240,15 @@ def in_words(answer: PoseEstimate) -> str:
         return f"{answer.object:24s} not found: {answer.reason}"
     at = " ".join(f"{x:+.3f}" for x in answer.T_cam_obj[:3, 3])
     spent = f"{1000 * answer.seconds:.0f} ms"
-    return (
+    line = (
         f"{answer.object:24s} {answer.state:9s} quality {answer.quality:.2f}  {at} m from the camera  {spent}"
     )
+    return f"{line}\n    {answer.reason}" if answer.reason else line
 
 
 def as_record(answer: PoseEstimate) -> dict[str, Any]:
     """An estimate in the form of the JSON file: metres, T_cam_obj as 4x4, box as x y w h; reason: why nothing
-    was found, None where something was."""
+    was found or why it is `SUSPECT`, else None."""
     return {
         "object": answer.object,
         "found": answer.found,

@@ -5,7 +5,6 @@ from __future__ import annotations
 import json
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict
-from itertools import cycle
 from pathlib import Path
 
 import numpy as np
@@ -29,6 +28,9 @@ from huepose.select.near_ties import TERMS
 from huepose.support.files import write_picture, write_text
 
 COLORS = ((60, 220, 60), (255, 170, 30), (70, 160, 255), (255, 80, 160), (240, 240, 60))
+STATES = {"TRACKING": (60, 220, 60), "SUSPECT": (255, 190, 40)}
+"""As in the viewer: green may be acted on."""
+
 VIEWS = 12
 POSES = 3
 SURE = "nothing speaks against this answer"
@@ -37,10 +39,11 @@ SURE = "nothing speaks against this answer"
 def draw_answers(
     frame: RgbdFrame, models: Mapping[str, ReferenceModel], answers: Sequence[PoseEstimate]
 ) -> UInt8:
-    """The colour image (H, W, 3) with outline, axes, name, state and quality of every pose that was found."""
+    """The colour image (H, W, 3) with outline, axes, name, state and quality of every pose that was found, in
+    the colour of its state."""
     bodies = [
-        Body(models[a.object].mesh, a.T_cam_obj, color, f"{a.object} {a.state} {a.quality:.2f}")
-        for a, color in zip(answers, cycle(COLORS), strict=False)
+        Body(models[a.object].mesh, a.T_cam_obj, STATES[a.state], f"{a.object} {a.state} {a.quality:.2f}")
+        for a in answers
         if a.T_cam_obj is not None
     ]
     return draw_poses(frame.color, frame.camera, bodies)

@@ -52,7 +52,12 @@ def call(arguments: argparse.Namespace) -> int:
     out: Path = arguments.out or Path(arguments.name)
     path = out / "pipeline.yaml"
     if path.exists():
-        raise InputError(path, found="a file that is there already", expected="a new folder", fix="--out DIR")
+        raise InputError(
+            path,
+            found="a file that is there already",
+            expected="a new folder",
+            fix="Name another one with --out DIR, or delete this one.",
+        )
     print(in_words(onboard_one(Job(arguments.mesh, arguments.name, unit=arguments.unit), out / "bundles")))
     (model,) = load_models(out / "bundles", [arguments.name]).values()
     if arguments.test:

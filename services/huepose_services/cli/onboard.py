@@ -234,18 +234,10 @@ def _say(line: str) -> None:
 def in_words(result: Onboarded) -> str:
     """A line on what was made."""
     size = " x ".join(f"{s * 100:.1f}" for s in result.size_m)
-    same = (
-        f"{result.equivalents} look the same"
-        if result.equivalents > 1
-        else "shape and texture tell all apart"
-    )
-    if result.near_symmetries == 1:
-        shape = "no near-symmetry"
-    else:
-        shape = f"{result.near_symmetries} near-symmetric rotations, {same}"
+    shape = f"{result.equivalents} rotations look the same; " if result.equivalents > 1 else ""
     if result.paper:
-        shape += "; with the paper's tables"
+        shape += "with the paper's tables; "
     return (
-        f"{result.name:28s} {size} cm, diameter {result.diameter_m * 100:.1f} cm; {shape}; "
+        f"{result.name:28s} {size} cm, diameter {result.diameter_m * 100:.1f} cm; {shape}"
         f"{result.file_bytes / 1e6:.1f} MB, {result.seconds:.1f} s"
     )

@@ -121,12 +121,13 @@ def _in_words(made: Learned, path: Path) -> str:
         closing = f"the ends of a turn lay {1000 * made.closing_m:.1f} mm apart before they were joined"
     words = (
         f"from the recording: followed in {len(made.T_cam_obj)} of {made.frames} frames, {made.views} views "
-        f"from {100 * made.directions:.0f} % of all directions; {100 * made.surface:.0f} % of the surface "
-        f"was seen; {closing}. {path}: metres, origin in the middle, z up from the ground"
+        f"from {100 * made.directions:.0f} % of all directions; {closing}\n"
+        f"{100 * made.surface:.0f} % of the surface was seen; the rest of the mesh is a guess\n"
+        f"{path}: metres, origin in the middle, z up from the ground"
     )
     if made.surface < ALL_ROUND:
         words += (
-            "\nfrom the sides that were not seen it will not be found: record it turned all round, and tip "
-            "it over meanwhile"
+            "\nfrom the sides that were not seen it will not be found, and a test that draws this mesh says "
+            "nothing about them: record it turned all round, and tip it over meanwhile"
         )
     return words

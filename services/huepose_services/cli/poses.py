@@ -114,6 +114,10 @@ def _say(text: str) -> None:
 
 
 _POSES, _NO_POSE = "pose/**", "no pose"
+_HEADING = (
+    " frame object/instance state quality   position x y z   rotation as a quaternion x y z w   "
+    "age from capture to publishing   reason"
+)
 _GONE_AFTER_S = 1.0
 _SAY_WAITING_AFTER_S = 3.0
 
@@ -142,6 +146,8 @@ def add_parser(subparsers: Any) -> None:
 def call(arguments: argparse.Namespace) -> int:
     """Print until interrupted, or until the pipeline that was seen here is gone."""
     gateway, stopping = gateway_of(arguments), until_told()
+    if not arguments.json and arguments.key == _POSES:
+        _say(_HEADING)
     if arguments.robot:
         _print_on_robot(arguments, gateway, stopping)
     elif gateway is None:
@@ -171,21 +177,23 @@ def _print_on_robot(
             if pose is not None:
                 mount = client.mount(pose)
                 told = told or mount is not None
-                print(_line(pose, _where_on_robot(pose, mount)), flush=True)
+                if mount is not None:
+                    print(_line(pose, _where_on_robot(pose, mount)), flush=True)
             if not told and time.monotonic() > say_at:
                 say_at = float("inf")
-                _say("no camera has said where it is mounted: camera.mount in pipeline.yaml (docs/ros2.md)")
+                _say(
+                    "waiting for a camera that says where it is mounted: set camera.mount in pipeline.yaml "
+                    "(docs/ros2.md)"
+                )
 
 
-def _where_on_robot(pose: PoseMessage, mount: Mount | None) -> str:
-    """The pose in the frame that the camera is mounted in, in words where there is none."""
+def _where_on_robot(pose: PoseMessage, mount: Mount) -> str:
+    """The pose in the frame that the camera is mounted in, in words where the object has none."""
     from huepose_protos.messages import Mount
     from huepose_protos.motion import composed
 
     if pose.translation is None or pose.quaternion is None:
         return _NO_POSE
-    if mount is None:
-        return "no camera.mount"
     seen = Mount(parent=pose.frame, translation=pose.translation, quaternion=pose.quaternion)
     there = composed(mount, seen)
     return _where(there.translation, there.quaternion)
@@ -212,6 +220,8 @@ def _print_until_gone(arguments: argparse.Namespace, stopping: Callable[[], bool
                 if not reader.seen:
                     before, pipeline = pipeline, chosen(arguments)
                     again = pipeline != before
+            if _is_over(reader):
+                _say(f"{pipeline.name} has ended")
 
 
 def _silence(reader: Reader, pipeline: Pipeline, key: str) -> str:

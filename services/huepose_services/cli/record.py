@@ -66,7 +66,7 @@ def call(arguments: argparse.Namespace) -> int:
     bus = Bus(session, config.keys, "record", Log("record"), Health("record"))
     recorder = Recorder(bus, parts, with_frames=not arguments.no_frames)
     status = Status()
-    code, say_at = 0, time.monotonic() + _NOTHING_HEARD_AFTER_S
+    code, say_at, end_at = 0, time.monotonic() + _NOTHING_HEARD_AFTER_S, float("inf")
     try:
         while not stopping() and not recorder.finished:
             recorder.step(0.1)
@@ -75,7 +75,10 @@ def call(arguments: argparse.Namespace) -> int:
                 say_at = float("inf")
                 text = f"waiting for a pipeline at {config.endpoint('camera')}; `huepose up` starts one"
                 print(text, file=sys.stderr, flush=True)
-            if arguments.seconds is not None and recorder.seconds >= arguments.seconds:
+            if arguments.seconds is not None and recorder.first_ns is not None:
+                # What is recorded first may be older: it is what the tracker took last.
+                end_at = min(end_at, time.monotonic() + arguments.seconds)
+            if time.monotonic() >= end_at:
                 break
     except OSError as error:
         print(f"\nhuepose record: {error.strerror or error}; what was written stays", file=sys.stderr)

@@ -96,6 +96,7 @@ def _play(arguments: argparse.Namespace, recordings: list[Recording]) -> int:
     from contextlib import ExitStack
 
     from huepose.support.errors import InputError
+    from huepose.support.progress import Status
     from huepose_services.recording.play import Player
     from huepose_services.runtime.clock import SECOND, now_ns
     from huepose_services.runtime.config import WORKERS
@@ -107,6 +108,7 @@ def _play(arguments: argparse.Namespace, recordings: list[Recording]) -> int:
     if only is not None and only not in WORKERS:
         raise InputError("--only", found=only, expected=f"one of {', '.join(WORKERS)}")
     cameras = _of_cameras(arguments, recordings)
+    names = ", ".join(f"{config.site}/{config.camera.name}" for config, _ in cameras)
     stopping = until_told()
     with ExitStack() as stack:
         buses = [_bus(config, only, stack) for config, _ in cameras]
@@ -114,7 +116,7 @@ def _play(arguments: argparse.Namespace, recordings: list[Recording]) -> int:
             stack.enter_context(noted(described(config, arguments.config or files[0].path)))
         # Who waits for a pipeline needs a moment to connect.
         time.sleep(_SETTLE_S)
-        again = True
+        again, status = True, Status()
         while again and not stopping():
             players = [
                 Player(_events(files), bus, arguments.speed, only)
@@ -133,11 +135,17 @@ def _play(arguments: argparse.Namespace, recordings: list[Recording]) -> int:
                     time.sleep(min(wait_s, 0.1))
                     continue
                 soonest.play()
+                status.show(f"playing as {names}: {(now_ns() - start_ns) / SECOND:.0f} s")
                 if soonest.finished:
                     left.remove(soonest)
             again = arguments.loop
         time.sleep(_SETTLE_S / 4.0)
-        _say_cut(recordings)
+        seconds = (now_ns() - start_ns) / SECOND
+        if stopping():
+            status.line(f"stopped after {seconds:.1f} s")
+        else:
+            status.line(f"played as {names}: {seconds:.1f} s")
+            _say_cut(recordings)
     return 0
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import sys
 from contextlib import ExitStack
 from typing import TYPE_CHECKING, Any
 
@@ -61,6 +62,8 @@ def call(arguments: argparse.Namespace) -> int:
             notify("STOPPING=1")
             for supervisor in supervisors:
                 supervisor.stop()
+    if stopping():
+        print("stopped", file=sys.stderr)
     return max(supervisor.exit_code or 0 for supervisor in supervisors)
 
 

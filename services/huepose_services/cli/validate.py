@@ -12,6 +12,9 @@ if TYPE_CHECKING:
     from huepose_protos.messages import Mount
     from huepose_services.runtime.config import Config
 
+_FAR_M = 20.0
+"""No robot's camera is mounted farther off: such numbers are millimetres."""
+
 
 def add_parser(subparsers: Any) -> None:
     """Add the verb."""
@@ -64,6 +67,8 @@ def _described(config: Config, path: Path) -> tuple[dict[str, Any], str]:
   frames   {answer["frames"]}"""
     if config.camera.mount is not None:
         summary += f"\n  mount    {mount_in_words(config.camera.mount)}"
+        if max(map(abs, config.camera.mount.translation)) > _FAR_M:
+            summary += ": is that so? It is in metres"
     if config.host is not None:
         summary += f"\n  link     to {config.link.connect} as {config.host}, by TLS ({config.link.secure})"
     elif config.hosts:

@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import argparse
+import os
 import sys
+import threading
 import time
 from collections.abc import Callable
 from typing import TYPE_CHECKING, Any
@@ -15,6 +17,7 @@ if TYPE_CHECKING:
 
 _NONE_SEEN_AFTER_S = 3.0
 _LONGEST_WAIT_NS = 100_000_000
+_LOOK_EVERY_S, _STOPPED_AFTER_S = 0.2, 1.5
 
 
 def add_parser(subparsers: Any) -> None:
@@ -44,12 +47,22 @@ def call(arguments: argparse.Namespace) -> int:
     stopping = until_told()
 
     seconds = float("inf") if arguments.seconds is None else arguments.seconds
+    if arguments.save is None:
+        threading.Thread(target=_end, args=(stopping,), daemon=True).start()
     _run(config, recording, seconds, stopping)
     recording.flush()
     recording.disconnect()
     if arguments.save is not None:
         print(f"{arguments.save}: {arguments.save.stat().st_size / 1e6:.1f} MB", file=sys.stderr)
     return 0
+
+
+def _end(stopping: Callable[[], bool]) -> None:
+    """Ends the process soon after it was told to stop: a viewer that does not read blocks rerun for good."""
+    while not stopping():
+        time.sleep(_LOOK_EVERY_S)
+    time.sleep(_STOPPED_AFTER_S)
+    os._exit(0)
 
 
 def _open(arguments: argparse.Namespace, config: Config) -> Any:

@@ -82,8 +82,8 @@ class Report:
             lines[0] += f", then not: {self.difference}"
         if self.skipped:
             lines.append(
-                f"{self.skipped} steps were not: there was no memory of the tracker to begin from, which is "
-                "recorded every five seconds"
+                f"{self.skipped} steps were not: they rest on frames from before the recording, or come "
+                "before the next memory of the tracker, which is recorded every five seconds"
             )
         lines += [f"a gap: {gap}" for gap in self.gaps]
         if self.unrecorded:

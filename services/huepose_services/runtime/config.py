@@ -267,9 +267,15 @@ def load_all(path: Path) -> list[Config]:
         reason = getattr(error, "strerror", None)
         raise InputError(
             f"configuration {path}",
-            found="no such file" if isinstance(error, FileNotFoundError) else reason or found,
+            found="no such file"
+            if isinstance(error, FileNotFoundError)
+            else "a folder"
+            if isinstance(error, IsADirectoryError)
+            else reason or found,
             expected="a YAML file that describes a pipeline",
-            fix="Give the path of one, as in: huepose up PIPELINE.yaml; `huepose new` makes one.",
+            fix=f"Did you mean {path / 'pipeline.yaml'}?"
+            if (path / "pipeline.yaml").is_file()
+            else "Give the path of one, as in: huepose up PIPELINE.yaml; `huepose new` makes one.",
         ) from None
     return parse_all(text, path)
 

@@ -96,11 +96,16 @@ def explain(error: msgspec.ValidationError, data: Any, config: type, path: Path)
             expected=f"one of {', '.join(allowed)}" if unknown else "a value",
             fix=f"Did you mean '{close[0]}'?" if unknown and close else "",
         )
+    found, kind = _value(data, at), _type(config, at)
+    word = found[: _SHORT.maxstring] if isinstance(found, str) else ""
+    close = difflib.get_close_matches(word, [str(name) for name in _literals(kind)], 1)
     return InputError(
         f"{path}: {at or 'the whole file'}",
-        found=_shown(_value(data, at)),
-        expected=_allowed(text, _type(config, at)),
-        fix="The comments in the default pipeline.yaml say what each key means.",
+        found=_shown(found),
+        expected=_allowed(text, kind),
+        fix=f"Did you mean '{close[0]}'?"
+        if close
+        else "The comments in the default pipeline.yaml say what each key means.",
     )
 
 

@@ -62,7 +62,7 @@ class _Stop:
 
     def _force(self, number: int, frame: FrameType | None) -> None:
         # Nothing is lost: the bus notices that the links close, and other threads may not be waited for.
-        self._log.say("stopped in the middle of its work")
+        self._log.say("stopped; what it was working on is dropped")
         os._exit(0)
 
 

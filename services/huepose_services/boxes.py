@@ -1,7 +1,7 @@
 """Boxes of requested objects: from a detector, from the truth, or from the prediction of a track.
 
-`truth` stands for a perfect detector with an honest one's errors; `first_box` needs a box once and then
-follows the tracker's own prediction, so it needs no detector at all.
+A class for each `detector.kind`: SeenBoxes (yolo), SearchedBoxes (colorpair), TruthBoxes (truth: the true box
+with the errors of a good detector), FirstBoxes (first_box: one given box, then the tracker's prediction).
 """
 
 from __future__ import annotations
@@ -13,6 +13,7 @@ from typing import Protocol
 from huepose.datasets.boxes import disturbed
 from huepose.geometry import Box, Camera, RgbdFrame
 from huepose.model import ReferenceModel
+from huepose.perception.colorpair_detector import ColorPairDetector
 from huepose.perception.types import Detection, Detector
 from huepose_protos.messages import (
     DetectedObject,
@@ -32,7 +33,7 @@ from huepose_services.convert import (
 from huepose_services.models import Outline, outline
 
 _TRUTHS_KEPT = 90
-SAME_BOX = 0.5
+_SAME_BOX = 0.5
 _VISIBLE = 0.1
 # A prediction is trusted for so long; then the last box grows, and at last it is the image.
 _TRUST_S, _FORGET_S, _GROWTH_PER_S = 0.5, 3.0, 0.5
@@ -96,7 +97,7 @@ class ByOutline:
         for wanted, prior in zip(request.objects, priors, strict=True):
             mine = [d for d in detections if d.object == wanted.object]
             if wanted.instance is None:
-                new = [d for d in mine if all(d.box.iou(other) < SAME_BOX for other in tracked)]
+                new = [d for d in mine if all(d.box.iou(other) < _SAME_BOX for other in tracked)]
                 found += [detected(wanted, d.box, d.score) for d in new[: wanted.wanted]]
             elif mine:
                 best = mine[0] if prior is None else max(mine, key=lambda d: (d.box.iou(prior), d.score))
@@ -124,6 +125,61 @@ class SeenBoxes(ByOutline):
         """Boxes, in the request's order."""
         names = list(dict.fromkeys(wanted.object for wanted in request.objects))
         return self.given_out(self.detections(names), header, request)
+
+
+class SearchedBoxes(SeenBoxes):
+    """Boxes of the detector that needs no weights. It is asked only for objects without a fresh prediction;
+    the others get the box of their prediction.
+
+    One missing object at a time, by turns, is searched in the whole image: a request costs the same however
+    many are missing."""
+
+    def __init__(self, outlines: Mapping[str, Outline], detector: ColorPairDetector) -> None:
+        super().__init__(outlines, detector)
+        self._searcher = detector
+        self._turns: list[str] = []
+
+    def add(self, model: ReferenceModel) -> None:
+        """Know one more object, or another model of it."""
+        super().add(model)
+        self._searcher.add(model)
+
+    def remove(self, name: str) -> None:
+        """Forget an object; nothing happens when it is not known."""
+        super().remove(name)
+        self._searcher.remove(name)
+
+    def find(self, header: FrameHeader, request: PerceptionRequest) -> list[DetectedObject]:
+        """Boxes, in the request's order."""
+        camera = camera_from_wire(header.intrinsics)
+        predicted = [self._predicted(wanted, header, camera) for wanted in request.objects]
+        names = [w.object for w, box in zip(request.objects, predicted, strict=True) if box is None]
+        seen = self.detections([name for name in dict.fromkeys(names) if name in self._outlines])
+        taken = [box for box in predicted if box is not None]
+        found: list[DetectedObject] = []
+        for wanted, box in zip(request.objects, predicted, strict=True):
+            if box is not None:
+                found.append(detected(wanted, box))
+                continue
+            mine = [d for d in seen if d.object == wanted.object]
+            free = [d for d in mine if all(d.box.iou(other) < _SAME_BOX for other in taken)]
+            found += [detected(wanted, d.box, d.score) for d in free[: wanted.wanted]]
+        return found
+
+    def detections(self, names: list[str]) -> list[Detection]:
+        """What the detector sees of the named objects, best first."""
+        if self._frame is None or not names:
+            return []
+        # The object whose turn is longest ago; before all, one that never had a turn.
+        turn = min(names, key=lambda name: self._turns.index(name) if name in self._turns else -1)
+        self._turns = [name for name in self._turns if name != turn] + [turn]
+        return self._searcher.detect(self._frame, names, (turn,))
+
+    def _predicted(self, wanted: RequestedObject, header: FrameHeader, camera: Camera) -> Box | None:
+        """The box of a fresh prediction; None where there is none in the image."""
+        box = self.fresh_box(wanted, header, camera)
+        box = None if box is None else box.clipped(camera.width, camera.height)
+        return box if box is not None and box.w >= 1.0 and box.h >= 1.0 else None
 
 
 class TruthBoxes(ByOutline):

@@ -11,14 +11,13 @@ from huepose.profiles import profile
 from huepose_protos import WireError
 from huepose_protos.messages import Detections, FrameHeader, Look, PerceptionRequest, TruthMessage
 from huepose_services import models, networks
-from huepose_services.boxes import BoxFinder, FirstBoxes, Hints, SeenBoxes, TruthBoxes
+from huepose_services.boxes import BoxFinder, FirstBoxes, Hints, SearchedBoxes, SeenBoxes, TruthBoxes
 from huepose_services.convert import box_from_wire, frame_from_wire
 from huepose_services.following import Follower
 from huepose_services.runtime.bus import Bus
 from huepose_services.runtime.clock import now_ns
 from huepose_services.runtime.config import Config
 from huepose_services.runtime.work import Work
-from huepose_services.searched_boxes import SearchedBoxes
 
 
 def make(bus: Bus, config: Config) -> DetectorWork:

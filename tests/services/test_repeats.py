@@ -1,9 +1,6 @@
 """A log that is flooded: what comes again and again is counted and summed up."""
 
-from huepose_services.camera.schedule import Busy
 from huepose_services.runtime.log import Repeats
-
-SECOND = 1_000_000_000
 
 
 def test_a_warning_every_three_seconds_for_thirteen_minutes_is_a_handful_of_lines():
@@ -39,16 +36,3 @@ def test_lines_that_are_each_another_one_take_no_memory():
     for k in range(10_000):
         repeats.offer(f"line {k}", "text", 0.001 * k)
     assert len(repeats._kinds) <= 256
-
-
-def test_a_camera_that_is_late_again_and_again_says_what_that_means():
-    busy = Busy()
-    assert busy.late(104_000_000, 0) == "frames come 104 ms late: this computer is busy"
-    assert busy.warning(SECOND) is None, "once means nothing"
-    for k in range(1, 5):
-        busy.late(150_000_000, k * SECOND)
-    warning = busy.warning(6 * SECOND)
-    assert warning.startswith(
-        "this computer is busy: the camera was late 5 times in the last minute, by up to 150"
-    )
-    assert busy.warning(70 * SECOND) is None

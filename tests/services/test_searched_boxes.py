@@ -2,7 +2,7 @@
 
 from huepose.geometry import Box
 from huepose.perception.types import Detection
-from huepose_services.searched_boxes import SearchedBoxes
+from huepose_services.boxes import SearchedBoxes
 from tests.services.one_cube import LEFT, MIDDLE, RIGHT, Seer, answer, new, outlines, tracked
 
 

@@ -12,24 +12,28 @@ when its last frame has been read.
 from __future__ import annotations
 
 import secrets
+from collections import deque
 from dataclasses import dataclass
+from itertools import pairwise
 
 from huepose.datasets.types import GroundTruth, Scene
-from huepose_services.camera.audience import Audience
+from huepose_protos.keys import last
+from huepose_protos.messages import HealthMessage, PoseMessage
 from huepose_services.camera.live_ingest import LiveIngest
 from huepose_services.camera.publish import FramePublisher, Packed, packed
-from huepose_services.camera.schedule import Busy, Schedule
 from huepose_services.camera.sources import open_source
 from huepose_services.runtime.bus import Bus
 from huepose_services.runtime.clock import SECOND, now_ns
 from huepose_services.runtime.config import Config
-from huepose_services.runtime.config_perception import LIVE_SOURCES
+from huepose_services.runtime.config_perception import LIVE_SOURCES, CameraConfig
 from huepose_services.runtime.work import Work
 
 _BEHIND_NS = SECOND // 10
 _WAIT_TO_PLAY_ONCE_NS, _WAIT_TO_LOOP_NS = 120 * SECOND, 20 * SECOND
 _SHOW_AGAIN_NS = SECOND // 2
 _GRACE_NS, _WAIT_FOR_READERS_NS = SECOND // 2, int(2.5 * SECOND)
+_LONGEST_GAP_NS = 10 * SECOND
+_BUSY_WINDOW_NS, _BUSY_FROM = 60 * SECOND, 3
 
 
 def make(bus: Bus, config: Config) -> Ingest | LiveIngest:
@@ -55,6 +59,120 @@ class _Stand:
     capture_ns: int
     frame_id: int
     shown_ns: int
+
+
+class Schedule:
+    """When each frame of a source is due, pass after pass, as absolute times: nothing drifts.
+
+    `index` counts frames since the start; the source's image_ids are those of one pass."""
+
+    def __init__(self, source: Scene, camera: CameraConfig, start_ns: int) -> None:
+        self._ids = source.image_ids
+        self._id_step = max(self._ids) + 1
+        self._once = camera.once
+        self._start_ns = start_ns
+        if camera.rate == "recorded":
+            stamps = [source.stamp_ns(i) for i in self._ids]
+            gaps = [min(max(b - a, 0), _LONGEST_GAP_NS) for a, b in pairwise(stamps)]
+            usual = sorted(gaps)[len(gaps) // 2] if gaps else SECOND // 30
+            self._offsets = [0]
+            for gap in [*gaps, usual]:
+                self._offsets.append(self._offsets[-1] + gap)
+        else:
+            period = SECOND / float(camera.rate)
+            self._offsets = [round(i * period) for i in range(len(self._ids) + 1)]
+
+    def image(self, index: int) -> int | None:
+        """The image of a frame; None after the last."""
+        if self._once and index >= len(self._ids):
+            return None
+        return self._ids[index % len(self._ids)]
+
+    def frame_id(self, index: int) -> int:
+        """The image's number on the first pass; the same and a multiple of the length on later ones."""
+        return self._ids[index % len(self._ids)] + index // len(self._ids) * self._id_step
+
+    def due_ns(self, index: int) -> int:
+        """The time at which a frame is due."""
+        passes, place = divmod(index, len(self._ids))
+        return self._start_ns + passes * self._offsets[-1] + self._offsets[place]
+
+    def postpone(self, by_ns: int) -> None:
+        """Move all frames that are still to come."""
+        self._start_ns += by_ns
+
+
+class Busy:
+    """Counts how often the camera was late in the last minute, and warns from the third time on."""
+
+    def __init__(self) -> None:
+        self._late: deque[tuple[int, int]] = deque()
+
+    def late(self, by_ns: int, now_ns: int) -> str:
+        """Note that a frame was late; returns the line for the log."""
+        self._late.append((now_ns, by_ns))
+        return f"frames come {by_ns * 1e-6:.0f} ms late: this computer is busy"
+
+    def warning(self, now_ns: int) -> str | None:
+        """The warning that health shows; None when the camera is on time."""
+        while self._late and now_ns - self._late[0][0] > _BUSY_WINDOW_NS:
+            self._late.popleft()
+        if len(self._late) < _BUSY_FROM:
+            return None
+        worst_ms = max(by_ns for _, by_ns in self._late) * 1e-6
+        return (
+            f"this computer is busy: the camera was late {len(self._late)} times in the last minute, by up "
+            f"to {worst_ms:.0f} ms; end other programs, or set camera.rate lower"
+        )
+
+
+class Audience:
+    """The other workers: whether they are connected, have found the objects, and have read the last frame.
+    Each subscription ends as soon as its answer is known."""
+
+    def __init__(self, bus: Bus, config: Config) -> None:
+        self._bus = bus
+        self.missing = {str(worker) for worker in (*config.workers, *config.far) if worker != "camera"}
+        self._not_acquired = {item.name for item in config.objects}
+        self._read: tuple[int | None, int | None] = (None, None)
+        self.reads = config.camera.once and "tracker" in config.workers
+        inbox, keys = bus.inbox, config.keys
+        self._live = inbox.liveliness(keys.live()) if self.missing else None
+        self._poses = inbox.queue(keys.poses, wakes=False) if self.reads and config.objects else None
+        self._health = inbox.queue(keys.health("tracker"), wakes=False) if self.reads else None
+
+    def complete(self) -> bool:
+        """Whether every worker has been connected."""
+        while self._live is not None and (sample := self._live.take()) is not None:
+            self.missing.discard(last(str(sample.key_expr)))
+        if self._live is not None and not self.missing:
+            self._bus.inbox.forget(self._live)
+            self._live = None
+        return not self.missing
+
+    def begin_without(self) -> None:
+        """Stop waiting for workers that are missing."""
+        self.missing.clear()
+        self.complete()
+
+    def has_acquired_all(self) -> bool:
+        """Whether every object that is looked for by name has had a pose."""
+        while self._poses is not None and (pose := self._bus.take(self._poses, PoseMessage)) is not None:
+            if pose.translation is not None:
+                self._not_acquired.discard(pose.object)
+        return self._poses is not None and not self._not_acquired
+
+    def ignore_poses(self) -> None:
+        """End the subscription to poses: the first frame is over."""
+        if self._poses is not None:
+            self._bus.inbox.forget(self._poses)
+            self._poses = None
+
+    def has_read(self, camera_epoch: int, frame_id: int) -> bool:
+        """Whether the tracker says that this frame was its last."""
+        while self._health is not None and (said := self._bus.take(self._health, HealthMessage)) is not None:
+            self._read = (said.camera_epoch, said.frame_id)
+        return self._read == (camera_epoch, frame_id)
 
 
 class Ingest(Work):

@@ -1,0 +1,127 @@
+"""When the frames of a source are due, what the camera says when they are late, and how a recording that is
+played once waits for its readers."""
+
+import time
+from types import SimpleNamespace
+
+import pytest
+
+from huepose_protos.examples import messages
+from huepose_protos.messages import FrameHeader, PoseMessage
+from huepose_services.camera.ingest import Busy, Schedule, make
+from huepose_services.runtime.bus import Bus
+from huepose_services.runtime.clock import SECOND
+from huepose_services.runtime.config import BusConfig, Config, ObjectConfig
+from huepose_services.runtime.config_perception import CameraConfig
+from huepose_services.runtime.health import Health
+from huepose_services.runtime.log import Log
+from huepose_services.runtime.session import open_worker_session
+
+POSE = next(m for m in messages() if isinstance(m, PoseMessage))
+STAMPS = {3: 0, 4: 40_000_000, 7: 140_000_000, 9: 150_000_000}
+
+
+def _source(stamps=STAMPS):
+    return SimpleNamespace(image_ids=tuple(stamps), stamp_ns=stamps.__getitem__)
+
+
+def _schedule(stamps=STAMPS, **camera):
+    return Schedule(_source(stamps), CameraConfig(source="bop", **camera), 1000)
+
+
+def test_recorded_times_are_kept_exactly():
+    schedule = _schedule(rate="recorded", once=True)
+    assert [schedule.due_ns(i) - 1000 for i in range(4)] == list(STAMPS.values())
+
+
+def test_once_ends_and_a_loop_does_not():
+    once, loop = _schedule(once=True), _schedule()
+    assert [once.image(i) for i in range(5)] == [3, 4, 7, 9, None]
+    assert [loop.image(i) for i in range(6)] == [3, 4, 7, 9, 3, 4]
+
+
+def test_the_first_pass_has_the_images_numbers_and_later_ones_new_ones():
+    schedule = _schedule()
+    ids = [schedule.frame_id(i) for i in range(12)]
+    assert ids[:4] == [3, 4, 7, 9]
+    assert ids == sorted(set(ids))
+
+
+def test_a_loop_at_a_fixed_rate_never_drifts():
+    schedule = _schedule(rate=30.0)
+    for i in (1, 4, 4001):
+        assert schedule.due_ns(i) - 1000 == pytest.approx(i * SECOND / 30, abs=i / 4 + 1)
+
+
+def test_time_never_goes_back_and_a_recorders_jump_is_cut():
+    schedule = _schedule({0: 5, 1: 3, 2: 10**15}, rate="recorded")
+    dues = [schedule.due_ns(i) for i in range(6)]
+    assert dues == sorted(dues)
+    assert dues[2] - dues[1] == 10 * SECOND
+
+
+def test_a_loop_at_recorded_times_goes_on_with_the_usual_gap():
+    schedule = _schedule({0: 0, 1: 30, 2: 60, 3: 90}, rate="recorded")
+    assert [schedule.due_ns(i) - 1000 for i in (3, 4, 5)] == [90, 120, 150]
+
+
+def test_postponing_moves_only_what_is_to_come():
+    schedule = _schedule(rate="recorded")
+    schedule.postpone(500)
+    assert schedule.due_ns(1) == 1000 + 500 + STAMPS[4]
+
+
+def test_a_camera_that_is_late_again_and_again_says_what_that_means():
+    busy = Busy()
+    assert busy.late(104_000_000, 0) == "frames come 104 ms late: this computer is busy"
+    assert busy.warning(SECOND) is None, "once means nothing"
+    for k in range(1, 5):
+        busy.late(150_000_000, k * SECOND)
+    warning = busy.warning(6 * SECOND)
+    assert warning.startswith(
+        "this computer is busy: the camera was late 5 times in the last minute, by up to 150"
+    )
+    assert busy.warning(70 * SECOND) is None
+
+
+@pytest.mark.live
+def test_it_waits_for_poses_and_for_its_last_reader(scene, base_port, wait_until):
+    """With real sessions; the tracker's end of the bus is the test's own."""
+    config = Config(
+        workers=("camera", "tracker"),
+        objects=[ObjectConfig(name=POSE.object)],
+        bundles=str(scene),
+        camera=CameraConfig(source="bop", path=str(scene), rate="recorded", once=True, first_frame_s=60.0),
+        bus=BusConfig(base_port=base_port),
+    )
+    sessions = {worker: open_worker_session(config, worker)[0] for worker in config.workers}
+    camera, tracker = (Bus(s, config.keys, w, Log(w), Health(w)) for w, s in sessions.items())
+    frames = tracker.inbox.queue(config.keys.frame)
+    ingest, seen = make(camera, config), []
+
+    def step():
+        ingest.step()
+        time.sleep(0.005)
+        while (taken := tracker.take_with_payload(frames, FrameHeader)) is not None:
+            seen.append(taken[0])
+        return seen
+
+    for _ in range(20):
+        assert step() == [], "the tracker is not there yet"
+    token = sessions["tracker"].liveliness().declare_token(config.keys.live("tracker"))
+    wait_until(lambda: len(step()) >= 3)
+    assert {h.frame_id for h in seen} == {3}, "it stands on its first frame"
+    tracker.put(config.keys.pose(POSE.object, 0), POSE)
+    wait_until(lambda: step()[-1].frame_id == 14)
+    assert list(dict.fromkeys(h.frame_id for h in seen)) == list(range(3, 15))
+    for _ in range(10):
+        step()
+    assert not ingest.finished, "nobody has said that the last frame was read"
+    tracker.health.camera_epoch, tracker.health.frame_id = seen[-1].camera_epoch, 14
+    tracker.say_health()
+    wait_until(lambda: step() and ingest.finished)
+    token.undeclare()
+    for bus in (camera, tracker):
+        bus.close()
+    for session in sessions.values():
+        session.close()

@@ -1,48 +1,51 @@
-"""Where one frame of ROS 2 is in another, from the transforms of /tf and /tf_static as they come."""
+"""The pose of one frame of ROS 2 in another, from the transforms of /tf and /tf_static as they arrive."""
 
 from __future__ import annotations
 
 from collections import deque
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable
 from dataclasses import dataclass, field
 
 from huepose_protos.messages import Mount
 from huepose_protos.motion import composed, inverted, mount_at
+from huepose_services.runtime.clock import SECOND
 
 _KEPT = 128
-"""Transforms of an edge that are remembered: some seconds of a slow one, to meet the stamps of a fast one."""
+"""Transforms that are kept of each edge: some seconds of a slow edge, to interpolate at the stamps of a fast
+one."""
 _MOST_FRAMES = 4096
 
-Told = tuple[int, str, Mount]
-"""A transform: Unix time in ns, the frame that is placed, and where it is in its parent."""
+StampedTransform = tuple[int, str, Mount]
+"""Unix time in ns, the name of the child frame, and its pose in its parent frame."""
 
 
 @dataclass
 class _Edge:
-    """From a frame to its parent; static: it holds at any time."""
+    """From a frame to its parent, with its newest transforms. A static edge holds at any time."""
 
     parent: str
     static: bool
-    told: deque[tuple[int, Mount]] = field(default_factory=lambda: deque(maxlen=_KEPT))
+    transforms: deque[tuple[int, Mount]] = field(default_factory=lambda: deque(maxlen=_KEPT))
 
 
 class Tree:
-    """The frames of a robot, of which that of `child` in `parent` is asked for: along a chain of any length,
-    also where neither is above the other."""
+    """The transform tree of a robot; it gives the pose of `child` in `parent`, over a chain of any length, up
+    and down the tree."""
 
     def __init__(self, parent: str, child: str) -> None:
         self._parent, self._child = parent, child
         self._edges: dict[str, _Edge] = {}
-        self._given_ns = 0
+        self._returned_ns = 0
 
     @property
     def frames(self) -> tuple[str, ...]:
-        """Names of all frames that were heard of, in order."""
+        """The names of all frames in the tree, sorted."""
         return tuple(sorted({*self._edges, *(edge.parent for edge in self._edges.values())}))
 
-    def take(self, transforms: Iterable[Told], static: bool) -> None:
-        """Transforms of one message, of /tf_static or of /tf. One that is not newer than what is known of its
-        frame is left out; a clock that was set back by over a second begins anew."""
+    def take(self, transforms: Iterable[StampedTransform], static: bool) -> None:
+        """Add the transforms of one message of /tf_static (static) or /tf. A transform that is not newer than
+        the last one of its frame is ignored; one that is older by over a second means that the robot's clock
+        was set back: the frame's history is dropped."""
         for stamp_ns, name, mount in transforms:
             edge = self._edges.get(name)
             if edge is None or edge.parent != mount.parent or edge.static != static:
@@ -50,69 +53,71 @@ class Tree:
                     continue
                 edge = self._edges[name] = _Edge(mount.parent, static)
             if static:
-                edge.told.clear()
-            elif edge.told and stamp_ns <= edge.told[-1][0]:
-                if edge.told[-1][0] - stamp_ns < 1_000_000_000:
+                edge.transforms.clear()
+            elif edge.transforms and stamp_ns <= edge.transforms[-1][0]:
+                if edge.transforms[-1][0] - stamp_ns < SECOND:
                     continue
-                edge.told.clear()
-                self._given_ns = 0
-            edge.told.append((stamp_ns, mount))
+                edge.transforms.clear()
+                self._returned_ns = 0
+            edge.transforms.append((stamp_ns, mount))
 
     def newest(self, now_ns: int) -> tuple[int, Mount] | None:
-        """The newest stamp at which all of the way is known, and where `child` is in `parent` then; None if
-        that was said already. A way of static transforms alone is known at now_ns, in Unix time."""
-        way = self._way()
-        if way is None:
+        """The newest stamp at which the whole chain is known, and the pose of `child` in `parent` at it. None
+        if there is none newer than the last one returned. A chain of static transforms alone is known at
+        now_ns, in Unix time."""
+        chain = self._chain()
+        if chain is None:
             return None
-        up, down = way
-        moving = [edge.told[-1][0] for edge in (*up, *down) if not edge.static]
+        up, down = chain
+        moving = [edge.transforms[-1][0] for edge in (*up, *down) if not edge.static]
         stamp_ns = min(moving, default=now_ns)
-        if stamp_ns <= self._given_ns:
+        if stamp_ns <= self._returned_ns:
             return None
-        T_meet_child, T_meet_parent = _placed(up, stamp_ns), _placed(down, stamp_ns)
-        if T_meet_child is None or T_meet_parent is None:
+        T_common_child, T_common_parent = _composed(up, stamp_ns), _composed(down, stamp_ns)
+        if T_common_child is None or T_common_parent is None:
             return None
-        self._given_ns = stamp_ns
-        return stamp_ns, composed(inverted(T_meet_parent, self._parent), T_meet_child)
+        self._returned_ns = stamp_ns
+        return stamp_ns, composed(inverted(T_common_parent, self._parent), T_common_child)
 
     @property
     def moving(self) -> bool:
-        """Whether an edge of the way is no static one."""
-        way = self._way()
-        return way is not None and any(not edge.static for edge in (*way[0], *way[1]))
+        """Whether an edge of the chain is not static."""
+        chain = self._chain()
+        return chain is not None and any(not edge.static for edge in (*chain[0], *chain[1]))
 
     @property
-    def known(self) -> bool:
-        """Whether there is a way from one frame to the other."""
-        return self._way() is not None
+    def connected(self) -> bool:
+        """Whether there is a chain between the two frames."""
+        return self._chain() is not None
 
-    def _way(self) -> tuple[list[_Edge], list[_Edge]] | None:
-        """The edges from `child` and those from `parent` up to the frame that both hang on."""
-        up, down = dict(self._ups(self._child)), dict(self._ups(self._parent))
-        names = [self._child, *(edge.parent for edge in up.values())]
-        others = [self._parent, *(edge.parent for edge in down.values())]
-        meet = next((name for name in names if name in others), None)
-        if meet is None:
+    def _chain(self) -> tuple[list[_Edge], list[_Edge]] | None:
+        """The edges from `child`, and those from `parent`, up to their nearest common ancestor."""
+        up, down = self._edges_up_from(self._child), self._edges_up_from(self._parent)
+        names = [self._child, *(edge.parent for edge in up)]
+        others = [self._parent, *(edge.parent for edge in down)]
+        common = next((name for name in names if name in others), None)
+        if common is None:
             return None
-        return list(up.values())[: names.index(meet)], list(down.values())[: others.index(meet)]
+        return up[: names.index(common)], down[: others.index(common)]
 
-    def _ups(self, name: str) -> Iterator[tuple[str, _Edge]]:
-        seen: set[str] = set()
-        while (edge := self._edges.get(name)) is not None and name not in seen:
-            seen.add(name)
-            yield name, edge
-            name = edge.parent
+    def _edges_up_from(self, name: str) -> list[_Edge]:
+        """The edges from a frame up to its root, or once round a loop."""
+        edges: dict[str, _Edge] = {}
+        while name in self._edges and name not in edges:
+            edges[name] = self._edges[name]
+            name = edges[name].parent
+        return list(edges.values())
 
 
-def _placed(edges: Iterable[_Edge], stamp_ns: int) -> Mount | None:
-    """Where the frame of the first edge is in the parent of the last; None where one is not known then."""
+def _composed(edges: Iterable[_Edge], stamp_ns: int) -> Mount | None:
+    """The pose of the first edge's frame in the last edge's parent; None if an edge has none at the stamp."""
     T = Mount(parent="itself", translation=(0.0, 0.0, 0.0))
     for edge in edges:
-        newest_ns, place = edge.told[-1]
+        newest_ns, mount = edge.transforms[-1]
         if not edge.static and stamp_ns != newest_ns:
-            between = mount_at(list(edge.told), stamp_ns)
+            between = mount_at(list(edge.transforms), stamp_ns)
             if between is None:
                 return None
-            place = between
-        T = composed(place, T)
+            mount = between
+        T = composed(mount, T)
     return T

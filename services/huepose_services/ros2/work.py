@@ -1,8 +1,8 @@
-"""The worker `ros2`: what may be acted on, on topics of ROS 2.
+"""The worker `ros2`: poses as messages of ROS 2, and the camera's mount from the robot's transforms.
 
-`/NAMESPACE/OBJECT/INSTANCE/pose` (PoseStamped), `/tf`, `/NAMESPACE/detections` (Detection3DArray) and
-`/NAMESPACE/camera_info`. Messages of ROS have no word for a pose that is not to be acted on: only poses that
-are `TRACKING` are published.
+It publishes `/NAMESPACE/OBJECT/INSTANCE/pose` (PoseStamped), `/tf`, `/NAMESPACE/camera_info` and
+`/NAMESPACE/detections` (Detection3DArray). Only poses that are `TRACKING` are published, because messages of
+ROS cannot say that a pose must not be acted on. With `camera.tf` it also reads `/tf` and `/tf_static`.
 """
 
 from __future__ import annotations
@@ -19,39 +19,45 @@ import zenoh
 from huepose.geometry import Mesh
 from huepose.support.errors import InputError
 from huepose_protos.client import configured
-from huepose_protos.messages import CameraMessage, PoseMessage
+from huepose_protos.messages import CameraMessage, MountMessage, PoseMessage
 from huepose_services import models
 from huepose_services.ros2 import messages
 from huepose_services.ros2.messages import BoxM
 from huepose_services.ros2.publisher import Node
-from huepose_services.ros2.told import CameraTold
+from huepose_services.ros2.tree import Tree
 from huepose_services.runtime.bus import Bus
-from huepose_services.runtime.clock import SECOND, now_ns
+from huepose_services.runtime.clock import SECOND, now_ns, this_clock
 from huepose_services.runtime.config import Config, Ros2Config
+from huepose_services.runtime.config_perception import TfConfig
+from huepose_services.runtime.inbox import Place
 from huepose_services.runtime.work import Work
 
 _TRY_MS, _AGAIN_S = 2000, 0.5
 _LOOK_NS = SECOND
+_STATIC_EVERY_NS = SECOND // 20
+"""How often a mount is published that only static transforms give: it holds at any time."""
+_LATE_NS = SECOND // 2
+_MOST_NAMES = 12
 
 
 def make(bus: Bus, config: Config) -> Ros2Work:
-    """The worker's work, its session open and all types known."""
+    """The ros2 worker's work, with all message types loaded."""
     boxes = {name: bounds(model.mesh) for name, model in models.load(config).items()}
     for kind in (messages.POSE, messages.TRANSFORMS, messages.DETECTIONS, messages.CAMERA):
         messages.type_hash(kind)
-    told = None if config.camera.tf is None else CameraTold(bus, config.camera.tf)
-    return Ros2Work(bus, Router(config.ros2), config.ros2, boxes, told)
+    mount = None if config.camera.tf is None else MountFromTf(bus, config.camera.tf)
+    return Ros2Work(bus, Router(config.ros2), config.ros2, boxes, mount)
 
 
 def bounds(mesh: Mesh) -> BoxM:
-    """Of a mesh along its own axes."""
+    """The bounding box of a mesh along its own axes."""
     low, high = (end.astype(float) for end in (mesh.vertices.min(0), mesh.vertices.max(0)))
     return BoxM(tuple((0.5 * (low + high)).tolist()), tuple((high - low).tolist()))
 
 
 def open_ros_session(ros2: Ros2Config, waiting: Callable[[str], None] | None = None) -> zenoh.Session:
-    """A session of its own towards the router of ROS 2. Waits until that is there, and says so once, by
-    `waiting` or on standard error. Raises InputError for settings that zenoh does not take."""
+    """A session with the router of ROS 2. Waits for the router, and says so once: through `waiting`, or on
+    standard error. Raises InputError for settings that zenoh does not accept."""
     settings = {
         "mode": "client",
         "connect/endpoints": [ros2.connect],
@@ -80,12 +86,12 @@ def _opened(config: zenoh.Config) -> zenoh.Session | None:
 
 
 def without_router(ros2: Ros2Config) -> str:
-    """What to say while nobody answers."""
+    """The message while no router answers."""
     return f"no router of ROS 2 answers at {ros2.connect}; `ros2 run rmw_zenoh_cpp rmw_zenohd` starts one"
 
 
 class Router:
-    """The node of ROS 2, once its router is there; waited for beside the work, which goes on."""
+    """Our node of ROS 2. A thread connects it to the router, however long that takes; the worker goes on."""
 
     def __init__(self, ros2: Ros2Config) -> None:
         self._ros2 = ros2
@@ -100,22 +106,82 @@ class Router:
 
     @property
     def connected(self) -> bool:
-        """Whether it is there now."""
+        """Whether the router is there now."""
         return self._session is not None and bool(self._session.info.routers_zid())
 
     @property
     def node(self) -> Node | None:
-        """The node, None until the router is there."""
+        """The node; None until the router was there."""
         return self._node if self._session is not None else None
 
     def publish(self, topic: str, type_name: str, payload: bytes) -> None:
-        """A message in CDR on a topic; into the void until the router is there."""
+        """Publish a message in CDR on a topic; it is dropped until the router was there."""
         if (node := self.node) is not None:
             node.publish(topic, type_name, payload)
 
 
+class MountFromTf:
+    """Reads /tf and /tf_static, and publishes on the bus where `tf.child` is in `tf.parent` (`camera.tf`)."""
+
+    def __init__(self, bus: Bus, tf: TfConfig) -> None:
+        self._bus, self._tf = bus, tf
+        self._tree = Tree(tf.parent, tf.child)
+        self._topics: tuple[tuple[Place, bool], ...] = ()
+        self._published_ns = now_ns()
+        self._due_ns = 0
+
+    def listen(self, node: Node) -> None:
+        """Subscribe, on the first call."""
+        if not self._topics:
+            static = node.listen(self._bus.inbox, "/tf_static", messages.TRANSFORMS, kept=True)
+            moving = node.listen(self._bus.inbox, "/tf", messages.TRANSFORMS, kept=False)
+            self._topics = (static, True), (moving, False)
+
+    @property
+    def due_ns(self) -> int | None:
+        """When a camera that stands still is published again; None before `listen`."""
+        return self._due_ns if self._topics else None
+
+    def step(self) -> None:
+        """Take what arrived and publish the newest mount; warn where there is none."""
+        now, offset_ns = now_ns(), this_clock().realtime_offset_ns
+        for place, static in self._topics:
+            while (sample := place.take()) is not None:
+                refuse = partial(self._bus.refuse, str(sample.key_expr))
+                self._tree.take(messages.transforms_in(sample.payload.to_bytes(), refuse), static)
+        if now < self._due_ns and not self._tree.moving:
+            return
+        self._due_ns = now + _STATIC_EVERY_NS
+        newest = self._tree.newest(now + offset_ns)
+        if newest is not None:
+            self._published_ns, stamp_ns = now, newest[0] - offset_ns
+            late_s = (now - stamp_ns) / SECOND
+            self._bus.health.warn_while("tf late", None if abs(now - stamp_ns) < _LATE_NS else _late(late_s))
+            if 0 < stamp_ns < now + _LATE_NS:
+                message = MountMessage(publish_ns=now, capture_ns=stamp_ns, mount=newest[1])
+                self._bus.put(self._bus.keys.mount, message)
+        silent = now - self._published_ns > _LATE_NS
+        self._bus.health.warn_while("tf", self._missing() if silent else None)
+
+    def _missing(self) -> str:
+        chain = f"{self._tf.child} in {self._tf.parent} (camera.tf)"
+        if self._tree.connected:
+            return f"nothing new was said on /tf about {chain} for half a second"
+        names = self._tree.frames
+        heard = ", ".join(names[:_MOST_NAMES]) + (" ..." if len(names) > _MOST_NAMES else "") or "none"
+        return f"/tf and /tf_static do not say where {chain} is; frames heard of: {heard}"
+
+
+def _late(seconds: float) -> str:
+    when = f"{seconds:.1f} s ago" if seconds > 0 else f"{-seconds:.1f} s from now"
+    return (
+        f"the newest transforms of /tf are stamped {when} by this computer's clock: the robot's clock has to "
+        "agree with it (chrony, PTP), and must not be that of a simulation"
+    )
+
+
 class Ros2Work(Work):
-    """Collects the poses of a frame and publishes them together. told: what tells the camera where it is."""
+    """Publishes the poses of each frame together. mount: of the camera; None without `camera.tf`."""
 
     def __init__(
         self,
@@ -123,10 +189,10 @@ class Ros2Work(Work):
         router: Router,
         ros2: Ros2Config,
         boxes: Mapping[str, BoxM],
-        told: CameraTold | None = None,
+        mount: MountFromTf | None = None,
     ) -> None:
-        self._bus, self._router, self._boxes, self._told = bus, router, boxes, told
-        self._without, self._look_ns = without_router(ros2), now_ns() + _LOOK_NS
+        self._bus, self._router, self._boxes, self._mount = bus, router, boxes, mount
+        self._no_router, self._look_ns = without_router(ros2), now_ns() + _LOOK_NS
         self._root = f"/{ros2.namespace}"
         self._poses = bus.inbox.queue(bus.keys.poses)
         self._cameras = bus.inbox.queue(bus.keys.camera_info, wakes=False)
@@ -135,27 +201,28 @@ class Ros2Work(Work):
         self._frame: list[PoseMessage] = []
 
     def due_ns(self) -> int:
-        """When the poses of a frame that are there go out, also if no other frame comes; or `told` is due."""
-        told_ns = None if self._told is None else self._told.due_ns
+        """When to look for the router, to publish the mount, or to publish the collected poses, even if no
+        other frame comes."""
+        mount_ns = None if self._mount is None else self._mount.due_ns
         out_ns = self._out_ns if self._frame else None
-        return min(ns for ns in (self._look_ns, told_ns, out_ns) if ns is not None)
+        return min(ns for ns in (self._look_ns, mount_ns, out_ns) if ns is not None)
 
     @property
     def _out_ns(self) -> int:
         return self._frame[0].publish_ns + SECOND // 100
 
     def step(self) -> None:
-        """Publish the poses of each frame, and the camera; say where nobody takes them."""
+        """Publish the poses of each frame, and the camera; warn while there is no router."""
         if now_ns() >= self._look_ns:
             self._look_ns = now_ns() + _LOOK_NS
             connected = self._router.connected
-            self._bus.health.warn_while("router", None if connected else self._without)
+            self._bus.health.warn_while("router", None if connected else self._no_router)
             if connected != self._connected:
                 self._connected = connected
-                self._bus.log.say("the router of ROS 2 is there" if connected else self._without)
-        if self._told is not None and (node := self._router.node) is not None:
-            self._told.listen(node)
-            self._told.step()
+                self._bus.log.say("the router of ROS 2 is there" if connected else self._no_router)
+        if self._mount is not None and (node := self._router.node) is not None:
+            self._mount.listen(node)
+            self._mount.step()
         while (camera := self._bus.take(self._cameras, CameraMessage)) is not None:
             self._camera = camera
             if camera.mount_ns is None:

@@ -38,7 +38,7 @@ def test_a_chain_of_moving_joints_and_static_links() -> None:
     a, b, c = (random_pose(rng) for _ in range(3))
     tree = Tree("base", "camera")
     tree.take([(T0, "camera", mount("tool", c))], static=True)
-    assert not tree.known
+    assert not tree.connected
     tree.take([(T0, "link", mount("base", a)), (T0, "tool", mount("link", b))], static=False)
     found = tree.newest(T0 + MS)
     assert found is not None
@@ -97,6 +97,6 @@ def test_a_ring_of_frames_ends() -> None:
     tree = Tree("base", "a")
     place = mount("b", np.eye(4))
     tree.take([(T0, "a", place), (T0, "b", mount("a", np.eye(4)))], static=True)
-    assert not tree.known
+    assert not tree.connected
     assert tree.newest(T0) is None
     assert tree.frames == ("a", "b")

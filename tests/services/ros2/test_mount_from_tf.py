@@ -17,8 +17,7 @@ from huepose_protos import WireError, decode
 from huepose_protos.messages import Mount, MountMessage
 from huepose_services.ros2.messages import TRANSFORMS, transforms_in, types
 from huepose_services.ros2.publisher import topic_key
-from huepose_services.ros2.told import CameraTold
-from huepose_services.ros2.work import Ros2Work, Router
+from huepose_services.ros2.work import MountFromTf, Ros2Work, Router
 from huepose_services.runtime.bus import Bus
 from huepose_services.runtime.config import BusConfig, Config, Ros2Config
 from huepose_services.runtime.config_perception import TfConfig
@@ -132,7 +131,7 @@ def test_the_camera_is_told_what_the_robot_says(base_port: int) -> None:
         static.put(written((1, "tool0", "camera", (0.0, 0.0, 0.1), (0.0, 0.0, 0.0, 1.0))))
         router = Router(config.ros2)
         work = Ros2Work(
-            bus, router, config.ros2, {}, CameraTold(bus, TfConfig(parent="base_link", child="camera"))
+            bus, router, config.ros2, {}, MountFromTf(bus, TfConfig(parent="base_link", child="camera"))
         )
         _step_until(work, lambda: "frames heard of: camera, tool0" in warnings())
         at_ns, key = 0, topic_key("/tf", TRANSFORMS, 0, "rmw_zenoh")

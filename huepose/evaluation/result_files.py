@@ -12,12 +12,12 @@ import shlex
 import sys
 from collections.abc import Mapping, Sequence
 from datetime import datetime, timezone
-from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
+from huepose.support.extras import installed_version
 from huepose.support.files import write_text
 
 
@@ -72,12 +72,5 @@ def origin(arguments: Sequence[str] | None = None) -> dict[str, str]:
         "command": shlex.join(["huepose", *(_SLASHED.sub("", word) for word in words)]),
         "machine": f"{platform.machine()}, {os.cpu_count()} cores, {platform.system()}, "
         f"Python {platform.python_version()}",
-        "versions": ", ".join(f"{name} {found}" for name in _PACKAGES if (found := _version(name))),
+        "versions": ", ".join(f"{name} {found}" for name in _PACKAGES if (found := installed_version(name))),
     }
-
-
-def _version(name: str) -> str | None:
-    try:
-        return version(name)
-    except PackageNotFoundError:
-        return None

@@ -1,4 +1,4 @@
-"""How to install an extra of this package: from the place that the package itself came from."""
+"""Which packages are installed, and how to install an extra of this one: from the place that it came from."""
 
 from __future__ import annotations
 
@@ -7,6 +7,14 @@ from importlib import metadata
 from urllib.parse import unquote, urlparse
 
 PACKAGE = "huepose"
+
+
+def installed_version(package: str) -> str | None:
+    """The version of an installed package; None where it is not installed."""
+    try:
+        return metadata.version(package)
+    except metadata.PackageNotFoundError:
+        return None
 
 
 def install_command(extra: str) -> str:

@@ -31,6 +31,7 @@ from huepose_services.convert import (
     prior_from_wire,
 )
 from huepose_services.models import Outline, outline
+from huepose_services.runtime.clock import SECOND
 
 _TRUTHS_KEPT = 90
 _SAME_BOX = 0.5
@@ -38,7 +39,7 @@ _VISIBLE = 0.1
 # A prediction is trusted for so long; then the last box grows, and at last it is the image.
 _TRUST_S, _FORGET_S, _GROWTH_PER_S = 0.5, 3.0, 0.5
 _MARGIN = 0.08
-_HINT_NS = 3_000_000_000
+_HINT_NS = 3 * SECOND
 
 
 class BoxFinder(Protocol):
@@ -196,9 +197,8 @@ class TruthBoxes(ByOutline):
 
     def find(self, header: FrameHeader, request: PerceptionRequest) -> list[DetectedObject]:
         """Boxes, in the request's order."""
-        truth = next(
-            (t for t in reversed(self._truths) if (t.camera_epoch, t.frame_id) == _frame_of(header)), None
-        )
+        frame = (header.camera_epoch, header.frame_id)
+        truth = next((t for t in reversed(self._truths) if (t.camera_epoch, t.frame_id) == frame), None)
         if truth is None:
             return []
         camera = camera_from_wire(header.intrinsics)
@@ -287,10 +287,6 @@ class Hints:
                 others = [d for d in found if d.request is not wanted]
                 found = [*others, detected(wanted, clipped)]
         return found
-
-
-def _frame_of(header: FrameHeader) -> tuple[int, int]:
-    return header.camera_epoch, header.frame_id
 
 
 def detected(wanted: RequestedObject, box: Box, score: float = 1.0) -> DetectedObject:

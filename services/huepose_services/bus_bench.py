@@ -16,6 +16,7 @@ import numpy as np
 import zenoh
 
 from huepose_protos.local import endpoint
+from huepose_services.runtime.bus import is_heard
 from huepose_services.runtime.inbox import Inbox, Place
 from huepose_services.runtime.session import MIB, zenoh_config
 
@@ -108,7 +109,7 @@ def _send(endpoint: str, pool_bytes: int, seconds: float) -> None:
     frame = np.random.default_rng(0).integers(0, 255, FRAME_BYTES, dtype=np.uint8)
     publisher = session.declare_publisher(_KEY, congestion_control=zenoh.CongestionControl.DROP)
     waited_until = time.monotonic() + _CONNECT_WITHIN_S
-    while not _has_reader(publisher) and time.monotonic() < waited_until:
+    while not is_heard(publisher) and time.monotonic() < waited_until:
         time.sleep(0.02)
     due = time.monotonic()
     for _ in range(int(seconds * RATE_HZ)):
@@ -119,8 +120,3 @@ def _send(endpoint: str, pool_bytes: int, seconds: float) -> None:
     publisher.put(b"", attachment=bytes(8))
     time.sleep(0.2)
     session.close()
-
-
-def _has_reader(publisher: zenoh.Publisher) -> bool:
-    # The stubs of zenoh 1.10 call this a bool; it is an object that holds one.
-    return bool(getattr(publisher.matching_status, "matching", publisher.matching_status))

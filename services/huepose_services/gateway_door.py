@@ -62,8 +62,8 @@ class Door:
         gateway: GatewayConfig,
         inside: Path,
         tell: Callable[[str], None],
-        rate_bytes_s: float = RATE_BYTES_S,
-        section: str = "gateway",
+        rate_bytes_s: float,
+        section: str,
     ) -> None:
         self._gateway, self._inside, self._tell = gateway, inside, tell
         self._rate_bytes_s, self._section = rate_bytes_s, section

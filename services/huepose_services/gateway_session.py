@@ -94,7 +94,7 @@ def allowed(*rules: tuple[str, ...]) -> dict[str, object]:
     }
 
 
-def check_files(tls: TlsConfig, section: str = "gateway") -> None:
+def check_files(tls: TlsConfig, section: str) -> None:
     """Raises InputError unless the files of TLS are there."""
     for name in TLS_FILES:
         if (path := getattr(tls, name)) is not None:

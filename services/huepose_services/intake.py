@@ -32,7 +32,7 @@ from huepose_protos.messages import (
     StageMark,
 )
 from huepose_services.following import Change
-from huepose_services.runtime.bus import Bus
+from huepose_services.runtime.bus import Bus, bytes_of
 from huepose_services.runtime.clock import SECOND, now_ns
 
 MEMORY_EVERY_NS = 5 * SECOND
@@ -157,8 +157,7 @@ class Given:
 
     def _answer(self, query: zenoh.Query) -> None:
         try:
-            payload = query.payload
-            request = decode(b"" if payload is None else payload.to_bytes(), AgainRequest)
+            request = decode(bytes_of(query.payload), AgainRequest)
         except WireError as error:
             self._bus.refuse(self._bus.keys.again, error)
             return

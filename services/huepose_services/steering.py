@@ -17,7 +17,7 @@ from huepose.reinit.types import ObjectSlot
 from huepose.support.errors import InputError
 from huepose_protos import WireError, decode, encode
 from huepose_protos.messages import ControlReply, ControlRequest, ObjectEntry
-from huepose_services.runtime.bus import Bus
+from huepose_services.runtime.bus import Bus, bytes_of
 from huepose_services.runtime.clock import now_ns
 
 MOST_OBJECTS = 64
@@ -121,8 +121,7 @@ class Desk:
 
     def _answer(self, query: zenoh.Query) -> None:
         try:
-            payload = query.payload
-            request = decode(b"" if payload is None else payload.to_bytes(), ControlRequest)
+            request = decode(bytes_of(query.payload), ControlRequest)
             done, text = self._objects.decide(request)
             if request.action != "list":
                 self._bus.log.say(text if done else f"refused to {request.action}: {text}")

@@ -68,7 +68,7 @@ def test_locked_memory_is_held_against_the_pool(monkeypatch, limit, state, text)
 
 def test_two_onnxruntimes_are_named(monkeypatch):
     versions = {"onnxruntime": "1.31.1", "onnxruntime-gpu": "1.31.1", "numba": "0.68"}
-    monkeypatch.setattr(machine, "_version", versions.get)
+    monkeypatch.setattr(machine, "installed_version", versions.get)
     bad = [finding for finding in machine.versions() if finding.bad]
     assert len(bad) == 1
     assert "overwrite each other" in bad[0].fix

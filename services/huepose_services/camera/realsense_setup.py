@@ -15,7 +15,7 @@ from huepose_services.runtime.config_perception import CameraConfig, Filter
 
 
 def chosen_profiles(
-    rs: Any, sensors: Iterable[Any], settings: CameraConfig, *, any_rate: bool = False
+    rs: Any, sensors: Iterable[Any], settings: CameraConfig, *, any_rate: bool
 ) -> list[tuple[Any, list[Any]]]:
     """The depth and the colour stream of the configured size and rate, by sensor (some have both).
 

@@ -60,11 +60,11 @@ class SeenPose:
 class LivePipeline:
     """Runs as long as the `with` block. All times are time.monotonic() seconds."""
 
-    def __init__(self, seed: int = 0, *, live: bool = False, slow: float = 1.0) -> None:
+    def __init__(self, *, live: bool = False, slow: float = 1.0) -> None:
         """live: by a live camera that does wrong what `order` says; else as a recording is played. slow: so
         many times fewer pictures a second, and as much more time for everything."""
-        bundles = builtin_bundles(seed)
-        SyntheticScene(seed)  # computed here where it is not in the cache
+        bundles = builtin_bundles(0)
+        SyntheticScene(0)  # computed here where it is not in the cache
         self.slow, self.max_age_ms = slow, 300.0 * slow
         self._yardsticks = {
             name: (model.eval_points[:: max(1, len(model.eval_points) // 500)], model.diameter_m)
@@ -76,7 +76,7 @@ class LivePipeline:
         self._orders = self._folder / "orders.json"
         self.workers = (*CHAIN, "gateway") if live else CHAIN
         self.gateway_port = _free_tcp_port()
-        camera = {"source": "synthetic", "seed": seed, "truth": True, "rate": 30.0 / slow}
+        camera = {"source": "synthetic", "truth": True, "rate": 30.0 / slow}
         if live:
             self.order()
             camera |= {"source": "faulty", "path": str(self._orders)}
@@ -202,7 +202,7 @@ class LivePipeline:
         since = time.monotonic() - 0.5
         return {p.name for p in self.poses[-200:] if p.at > since and p.state == "TRACKING"}
 
-    def wait_until_steady(self, objects: int, within_s: float = 120.0, for_s: float = 2.0) -> bool:
+    def wait_until_steady(self, objects: int, within_s: float, for_s: float = 2.0) -> bool:
         """Until all workers said that they work, and so many objects were TRACKING for a while; whether that
         came about."""
         start = time.monotonic()

@@ -131,11 +131,9 @@ def roft_line(summary: Mapping[str, Any]) -> str:
     return "RMSE " + ", ".join(values)
 
 
-def figure_table(
-    first: str, blocks: Mapping[Any, Mapping[str, Any]], more: Mapping[str, str] | None = None
-) -> str:
+def figure_table(first: str, blocks: Mapping[Any, Mapping[str, Any]], more: Mapping[str, str]) -> str:
     """A row for each block with the four figures, and the columns of `more` (key to heading)."""
-    columns = {**(more or {}), **FIGURES}
+    columns = {**more, **FIGURES}
     rows = [[str(name), *(block.get(key) for key in columns)] for name, block in blocks.items()]
     return table([first, *columns.values()], rows)
 

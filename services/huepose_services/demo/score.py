@@ -15,6 +15,7 @@ from huepose.evaluation.states import Moment, StateReport, combined, report
 from huepose.geometry.arrays import Float32, Float64
 from huepose_protos.messages import PoseMessage, TruthMessage
 from huepose_services.convert import optional_pose_from_wire, pose_of
+from huepose_services.runtime.clock import SECOND
 
 _MIN_RECALL = 90.0
 _CONFIRMED_WITHIN_S = 3.0
@@ -96,7 +97,7 @@ class Score:
         if not poses:
             return Latest()
         last = poses[-1]
-        recent = [p for p in poses if last.capture_ns - p.capture_ns < 1_000_000_000]
+        recent = [p for p in poses if last.capture_ns - p.capture_ns < SECOND]
         age_ms = (last.publish_ns - last.capture_ns) * 1e-6
         return Latest(last.state, self._error(name, last), float(len(recent)), age_ms)
 

@@ -8,10 +8,9 @@ import shutil
 import sys
 import time
 from collections.abc import Iterator
-from importlib import metadata
 from pathlib import Path
 
-from huepose.support.extras import install_command
+from huepose.support.extras import install_command, installed_version
 from huepose_services.doctor.finding import Finding
 from huepose_services.runtime.session import MIB, lock_limit, pool_fits
 
@@ -33,7 +32,7 @@ def versions() -> Iterator[Finding]:
         f"{platform.python_version()} on {platform.machine()}, {os.cpu_count()} processors",
         "" if right else "Use Python 3.10, 3.11 or 3.12.",
     )
-    have = {name: version for name in _PACKAGES if (version := _version(name))}
+    have = {name: version for name in _PACKAGES if (version := installed_version(name))}
     yield Finding("packages", "ok", ", ".join(f"{name} {version}" for name, version in have.items()))
     if "onnxruntime" in have and "onnxruntime-gpu" in have:
         fix = "They are one module and overwrite each other: pip uninstall both, then install one."
@@ -41,13 +40,6 @@ def versions() -> Iterator[Finding]:
     if "numba" not in have:
         fix = f"To run a pipeline here: {install_command('edge')}."
         yield Finding("pipeline", "note", "only what subscribers need is installed", fix)
-
-
-def _version(package: str) -> str | None:
-    try:
-        return metadata.version(package)
-    except metadata.PackageNotFoundError:
-        return None
 
 
 def memory(pool_mib: float) -> Iterator[Finding]:

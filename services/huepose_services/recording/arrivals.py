@@ -28,14 +28,14 @@ _KNOWN = 4096
 FrameKey = tuple[int, int]
 
 
-class _Place(msgspec.Struct):
-    """Of a frame's header."""
+class _FrameId(msgspec.Struct):
+    """The fields of a frame's header that name the frame."""
 
     camera_epoch: int
     frame_id: int
 
 
-_place = msgspec.msgpack.Decoder(_Place)
+_id_decoder = msgspec.msgpack.Decoder(_FrameId)
 
 
 class Taken:
@@ -57,10 +57,10 @@ class Taken:
     def frame(self, header: bytes) -> FrameKey | None:
         """A frame came; which one, if it has a header."""
         try:
-            place = _place.decode(header)
+            frame = _id_decoder.decode(header)
         except (msgspec.MsgspecError, RecursionError):
             return None
-        key = (place.camera_epoch, place.frame_id)
+        key = (frame.camera_epoch, frame.frame_id)
         with self._lock:
             self._first = self._first or key
             _remember(self._here, key)

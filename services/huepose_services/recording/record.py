@@ -5,12 +5,12 @@ from __future__ import annotations
 import platform
 import time
 from collections.abc import Iterator
-from importlib.metadata import PackageNotFoundError, version
 
 import msgspec
 import zenoh
 
 from huepose.support.errors import InputError
+from huepose.support.extras import installed_version
 from huepose_protos import WireError, decode, encode
 from huepose_protos.buffers import frame_images
 from huepose_protos.client import kind_of
@@ -34,14 +34,7 @@ _PACKAGES = ("huepose", "numpy", "numba", "opencv-python-headless")
 def about_this_machine() -> dict[str, str]:
     """What poses may depend on in their last bits."""
     about = {"python": platform.python_version(), "machine": platform.machine(), "cpu": _cpu()}
-    return about | {name: _version(name) for name in _PACKAGES}
-
-
-def _version(package: str) -> str:
-    try:
-        return version(package)
-    except PackageNotFoundError:
-        return "not installed"
+    return about | {name: installed_version(name) or "not installed" for name in _PACKAGES}
 
 
 def _cpu() -> str:

@@ -55,22 +55,19 @@ def node_token(domain: int, session: str, node: str) -> str:
     return f"@ros2_lv/{domain}/{session}/{_NODE_ID}/{_NODE_ID}/NN/%/%/{node}"
 
 
-def publisher_token(domain: int, session: str, node: str, number: int, topic: str, type_name: str) -> str:
-    """That of one of its publishers; number: from 1 on, different for each."""
-    return _token("MP", domain, session, node, number, topic, type_name, _QOS)
-
-
-def subscriber_token(
-    domain: int, session: str, node: str, number: int, topic: str, type_name: str, kept: bool
+def endpoint_token(
+    kind: Literal["MP", "MS"],
+    domain: int,
+    session: str,
+    node: str,
+    number: int,
+    topic: str,
+    type_name: str,
+    kept: bool = False,
 ) -> str:
-    """That of one of its subscribers; kept: of a topic whose publishers keep what they said."""
-    return _token("MS", domain, session, node, number, topic, type_name, _KEPT_QOS if kept else _QOS)
-
-
-def _token(
-    kind: str, domain: int, session: str, node: str, number: int, topic: str, type_name: str, qos: str
-) -> str:
-    mangled = topic.replace("/", "%")
+    """The liveliness token of a publisher (MP) or a subscriber (MS) of a node. number: from 1 on, different
+    for each; kept: the publishers of the topic keep their last messages (transient local)."""
+    mangled, qos = topic.replace("/", "%"), _KEPT_QOS if kept else _QOS
     where = f"@ros2_lv/{domain}/{session}/{_NODE_ID}/{number}/{kind}/%/%/{node}"
     return f"{where}/{mangled}/{dds_type(type_name)}/{type_hash(type_name)}/{qos}"
 
@@ -97,21 +94,23 @@ class Node:
     def _announce(self, token: str) -> None:
         self._tokens.append(self._session.liveliness().declare_token(token))
 
-    def listen(self, inbox: Inbox, topic: str, type_name: str, kept: bool) -> Place:
-        """What is said on a topic from now on; kept: and what its publishers keep of what they said."""
+    def _token(self, kind: Literal["MP", "MS"], topic: str, type_name: str, kept: bool = False) -> str:
         self._entities += 1
+        return endpoint_token(
+            kind, self._domain, self._zid, self._name, self._entities, topic, type_name, kept
+        )
+
+    def listen(self, inbox: Inbox, topic: str, type_name: str, kept: bool) -> Place:
+        """Subscribe to a topic; kept: also to the last messages that its publishers keep."""
         key = heard_key(topic, type_name, self._domain, self._style)
         if self._style == "rmw_zenoh":
-            self._announce(
-                subscriber_token(self._domain, self._zid, self._name, self._entities, topic, type_name, kept)
-            )
+            self._announce(self._token("MS", topic, type_name, kept))
         return inbox.history(key, self._session) if kept else inbox.queue(key, session=self._session)
 
     def publish(self, topic: str, type_name: str, payload: bytes) -> None:
         """A message in CDR on a topic, `/tf` for example."""
         if topic not in self._topics:
-            self._entities += 1
-            token = publisher_token(self._domain, self._zid, self._name, self._entities, topic, type_name)
+            token = self._token("MP", topic, type_name)
             key = topic_key(topic, type_name, self._domain, self._style)
             # A reader that does not read loses messages; it holds up nobody.
             publisher = self._session.declare_publisher(key, congestion_control=zenoh.CongestionControl.DROP)

@@ -23,14 +23,25 @@ _FOREIGN_FRAMES = (
 )
 
 
-class _Place(msgspec.Struct):
-    """What has to be known of a frame before it may take the place of another."""
+class _FrameStamp(msgspec.Struct):
+    """The fields of a frame's header that decide whether it may replace the frame that waits in the ring."""
 
     camera_epoch: int
     capture_ns: int = 0
 
 
-_place_decoder = msgspec.msgpack.Decoder(_Place)
+_stamp_decoder = msgspec.msgpack.Decoder(_FrameStamp)
+
+
+def bytes_of(data: zenoh.ZBytes | None) -> bytes:
+    """A payload or an attachment as bytes; empty where there is none."""
+    return b"" if data is None else data.to_bytes()
+
+
+def is_heard(publisher: zenoh.Publisher) -> bool:
+    """Whether a publisher has a subscriber."""
+    status: Any = publisher.matching_status  # zenoh's stubs take it for a bool
+    return bool(status.matching)
 
 
 class Bus:
@@ -52,9 +63,9 @@ class Bus:
         return self.inbox.ring(self.keys.frame, wakes, self._is_news)
 
     def _is_news(self, sample: zenoh.Sample) -> bool:
-        header = b"" if sample.attachment is None else sample.attachment.to_bytes()
+        header = bytes_of(sample.attachment)
         try:
-            said = _place_decoder.decode(header)
+            said = _stamp_decoder.decode(header)
         except (msgspec.MsgspecError, RecursionError):
             return True  # no header at all: refused and counted where it is taken
         now = now_ns()
@@ -75,7 +86,7 @@ class Bus:
                 return message
         return None
 
-    def _decoded(self, key: str, data: bytes, kind: type[M], foreign: bool = False) -> M | None:
+    def _decoded(self, key: str, data: bytes, kind: type[M], foreign: bool) -> M | None:
         try:
             message = decode(data, kind)
             if not foreign:
@@ -90,7 +101,7 @@ class Bus:
         as for `take`."""
         while (sample := place.take()) is not None:
             key = str(sample.key_expr)
-            header = b"" if sample.attachment is None else sample.attachment.to_bytes()
+            header = bytes_of(sample.attachment)
             shared = sample.payload.as_shm() is not None
             payload = sample.payload.to_bytes()
             del sample
@@ -138,9 +149,8 @@ class Bus:
         self._aside(key).put(encode(message))
 
     def is_heard(self, key: str) -> bool:
-        """Whether anybody listens to what `put_aside` publishes there."""
-        status: Any = self._aside(key).matching_status  # zenoh's stubs take it for a bool
-        return bool(status.matching)
+        """Whether anybody subscribes to what `put_aside` publishes there."""
+        return is_heard(self._aside(key))
 
     def _aside(self, key: str) -> zenoh.Publisher:
         return self._publisher(key, zenoh.CongestionControl.DROP, zenoh.Priority.DATA, False)

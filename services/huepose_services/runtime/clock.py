@@ -17,7 +17,7 @@ def this_clock() -> Clock:
     return Clock(clock_id=boot_id() or "unknown", realtime_offset_ns=time.time_ns() - time.monotonic_ns())
 
 
-TOLERANCE_NS = 1_000_000_000
+TOLERANCE_NS = SECOND
 """A camera's clock may run ahead by a little."""
 
 

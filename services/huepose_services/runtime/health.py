@@ -57,20 +57,16 @@ class Health:
         else:
             self._conditions[what] = text[:_LONGEST_TEXT]
 
-    def worked(self, started_ns: int, capture_ns: int | None = None) -> None:
-        """A piece of work that began then is done now, on pixels captured then."""
-        now = now_ns()
-        age = None if capture_ns is None else (now - capture_ns) * 1e-6
-        self._work.append((now, (now - started_ns) * 1e-6, age))
-        while self._work and now - self._work[0][0] > _WINDOW_S * SECOND:
-            self._work.popleft()
-
     def worked_on(self, started_ns: int, what: FrameHeader | PoseMessage | Estimates) -> None:
-        """The same of a frame, or of what is about one, which is the last that it had: its age is known where
-        its stamp is of this computer's clock."""
+        """A piece of work that began at started_ns is done, on a frame or on what was computed from it. The
+        age of the result is known only if the frame's stamp is of this computer's clock."""
         self.camera_epoch, self.frame_id = what.camera_epoch, what.frame_id
         foreign = isinstance(what, FrameHeader) and what.clock.clock_id != this_clock().clock_id
-        self.worked(started_ns, None if foreign else what.capture_ns)
+        now = now_ns()
+        age_ms = None if foreign else (now - what.capture_ns) * 1e-6
+        self._work.append((now, (now - started_ns) * 1e-6, age_ms))
+        while self._work and now - self._work[0][0] > _WINDOW_S * SECOND:
+            self._work.popleft()
 
     def message(self) -> HealthMessage:
         """The state of the worker now."""

@@ -21,7 +21,7 @@ _PR_SET_PDEATHSIG = 1
 GRACE_S = 1.2
 
 
-def end_with(parent: int, ask_first: bool = False) -> None:
+def end_with(parent: int, ask_first: bool) -> None:
     """From now on this process ends with its parent; `ask_first`: by SIGTERM, then by force.
 
     The parent's thread that started this process must be one that lives as long as the parent."""

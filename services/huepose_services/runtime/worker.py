@@ -96,7 +96,7 @@ def keep_to(processors: Collection[int]) -> None:
         os.sched_setaffinity(0, processors)
 
 
-def run_worker(worker: str, config: Config, path: Path, of: str | None = None) -> int:
+def run_worker(worker: str, config: Config, path: Path, of: str | None) -> int:
     """Run a worker until SIGTERM, SIGINT, its supervisor's end or its own; path: of the configuration, which
     is read again at SIGHUP; of: its camera, where the file has several, for the log. Returns the exit code.
 

@@ -32,7 +32,7 @@ from huepose_services.ros2.messages import (
     type_hash,
     types,
 )
-from huepose_services.ros2.publisher import attachment, node_token, publisher_token, topic_key
+from huepose_services.ros2.publisher import attachment, endpoint_token, node_token, topic_key
 from huepose_services.ros2.work import Ros2Work, Router
 from huepose_services.runtime.bus import Bus
 from huepose_services.runtime.config import BusConfig, Config, Ros2Config
@@ -123,7 +123,7 @@ def test_keys_and_tokens_are_those_of_rmw_zenoh() -> None:
     assert topic_key("/robot/chatter", kind, 0, "bridge") == "robot/chatter"
     session = "aac3178e146ba6f1fc6e6a4085e77f21"  # pragma: allowlist secret
     assert node_token(2, session, "talker") == f"@ros2_lv/2/{session}/0/0/NN/%/%/talker"
-    assert publisher_token(2, session, "talker", 10, "/chatter", kind) == (
+    assert endpoint_token("MP", 2, session, "talker", 10, "/chatter", kind) == (
         f"@ros2_lv/2/{session}/0/10/MP/%/%/talker/%chatter/std_msgs::msg::dds_::String_/{STRING_HASH}"
         "/::,10:,:,:,,"
     )

@@ -1,9 +1,9 @@
-"""The tracker worker's input log: what it takes in at each step, so that its poses can be computed again from
-a recording.
+"""The input log of the tracker worker: all that a step depends on, so that `huepose replay --verify` can
+compute the poses of a recording again.
 
-Objects that came and went, corrections, which frame, and each time that it read a clock; beside them a
-checksum of what it believes after each stage, and now and then all that it believes. Costs nothing until
-somebody listens.
+A step logs changes of the object list, corrections, the frame's number and every clock reading, and a
+checksum of the tracker's memory after each stage. The memory itself (MemoryMessage) is published every few
+seconds. While nobody records, none of it is computed.
 """
 
 from __future__ import annotations
@@ -36,8 +36,8 @@ from huepose_services.runtime.bus import Bus, bytes_of
 from huepose_services.runtime.clock import SECOND, now_ns
 
 MEMORY_EVERY_NS = 5 * SECOND
-"""How often all that is believed is told. A recording is computed again from the first time on at which it
-has all frames that are remembered then."""
+"""How often the tracker's memory is published. A recording can be verified from the first memory on whose
+frames it has."""
 
 Clock = Callable[[], int]
 Action = Literal["add", "remove", "reset"]
@@ -45,10 +45,10 @@ Action = Literal["add", "remove", "reset"]
 
 @dataclass
 class Intake:
-    """One step. heard: whether anybody listens, so that checksums are worth their time."""
+    """The log of one step. recorded: whether somebody records; without that, no checksums are computed."""
 
     clock: Clock = now_ns
-    heard: bool = False
+    recorded: bool = False
     clock_ns: list[int] = field(default_factory=list)
     changes: list[ObjectChange] = field(default_factory=list)
     corrections: list[CorrectionMessage] = field(default_factory=list)
@@ -56,36 +56,36 @@ class Intake:
     marks: list[StageMark] = field(default_factory=list)
 
     def now(self) -> int:
-        """The time, noted."""
+        """Read the clock, and log what it said."""
         self.clock_ns.append(self.clock())
         return self.clock_ns[-1]
 
     def change(self, change: Change) -> None:
-        """An object that came, went, or is searched for anew."""
+        """Log an object that was added, removed, or reset."""
         action: Action = "remove" if change.removed else "reset" if change.added is None else "add"
         self.changes.append(ObjectChange(action=action, entry=change.entry))
 
     @property
     def empty(self) -> bool:
-        """Whether nothing was taken."""
+        """Whether the step had no input."""
         return not (self.changes or self.corrections or self.frame or self.clock_ns)
 
     def mark(self, stage: str, tracker: Tracker) -> None:
-        """Note what is believed after a stage."""
-        if self.heard:
+        """Log a checksum of the tracker's memory after a stage."""
+        if self.recorded:
             self.marks.append(StageMark(stage=stage, checksum=checksum(tracker)))
 
     @contextmanager
     def stages(self, tracker: Tracker) -> Iterator[None]:
-        """The same after each stage of the library that runs inside."""
-        if not self.heard:
+        """Call `mark` after each stage of the library that runs inside the block."""
+        if not self.recorded:
             yield
             return
         with listening(_Marking(self, tracker)):
             yield
 
     def message(self, seq: int) -> IntakeMessage:
-        """What is told of it."""
+        """The message of this step."""
         frame = self.frame
         return IntakeMessage(
             publish_ns=now_ns(),
@@ -109,17 +109,17 @@ class _Marking(StageClock):
 
 
 _NEWEST_BYTES = 96 * 1024 * 1024
-"""Two seconds at 640 x 480 and 30 Hz, in which a busy recorder notices what it lacks."""
+"""Two seconds at 640 x 480 and 30 Hz: a busy recorder finds out in that time which frames it has lost."""
 _STEPS = 512
 
 
-class Given:
-    """What the tracker was given, to be had again by who records it. Frames go to all readers at once, and
-    one that is behind loses some; a recording must hold those that the tracker took, or its poses cannot be
-    computed again from there on. Each is had again for as long as the tracker remembers it, which costs
-    nothing: the pixels are the same; while somebody records, the newest too.
+class InputCache:
+    """Recent inputs of the tracker, which a recorder can request again (AgainRequest). A recorder that is
+    behind loses frames, and a recording without every frame that the tracker took cannot be verified.
 
-    Answers AgainRequest, in a thread of its own that waits for readers as the worker's loop must not."""
+    A frame is kept as long as the tracker keeps it, which costs no memory because the pixels are shared;
+    while somebody records, the newest frames are kept too. Requests are answered in a thread, because an
+    answer may wait for its reader and the worker's loop must not."""
 
     def __init__(self, bus: Bus) -> None:
         self._bus = bus
@@ -132,19 +132,19 @@ class Given:
         self._queryable = queries
         threading.Thread(target=self._serve, args=(queries.handler,), daemon=True).start()
 
-    def frame(self, header: FrameHeader, payload: bytes, frame: RgbdFrame, heard: bool) -> None:
-        """One was taken; heard: somebody records."""
+    def frame(self, header: FrameHeader, payload: bytes, frame: RgbdFrame, recorded: bool) -> None:
+        """Keep a frame that the tracker took. recorded: whether somebody records."""
         key = (header.camera_epoch, header.frame_id)
         self._frames[key] = (header, payload)
         weakref.finalize(frame, self._frames.pop, key, None).atexit = False
         self._newest.append(frame)
         self._newest_bytes += len(payload)
-        while self._newest and self._newest_bytes > (_NEWEST_BYTES if heard else 0):
+        while self._newest and self._newest_bytes > (_NEWEST_BYTES if recorded else 0):
             oldest = self._newest.popleft()
             self._newest_bytes -= len(self._frames[oldest.epoch, oldest.frame_id][1])
 
     def step(self, message: IntakeMessage) -> None:
-        """A step was told of."""
+        """Keep the log of a step."""
         self._steps.append(message)
 
     def _serve(self, channel: Any) -> None:
@@ -161,15 +161,15 @@ class Given:
         except WireError as error:
             self._bus.refuse(self._bus.keys.again, error)
             return
-        # Whatever else is to be sent goes first.
-        way: dict[str, Any] = {
+        # All other messages go first.
+        low_priority: dict[str, Any] = {
             "congestion_control": zenoh.CongestionControl.BLOCK,
             "priority": zenoh.Priority.DATA_LOW,
         }
         steps = set(request.steps)
         for message in list(self._steps):
             if message.seq in steps:
-                query.reply(self._bus.keys.again, encode(message), **way)
+                query.reply(self._bus.keys.again, encode(message), **low_priority)
         for key in request.frames:
             if (found := self._frames.get(key)) is not None:
-                query.reply(self._bus.keys.again, found[1], attachment=encode(found[0]), **way)
+                query.reply(self._bus.keys.again, found[1], attachment=encode(found[0]), **low_priority)

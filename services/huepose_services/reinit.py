@@ -1,4 +1,5 @@
-"""The re-initialisation worker: the clock and the bus around the loop, which is pure."""
+"""The re-initialisation worker: it gives the loop of `huepose.reinit`, a pure state machine, its clock and
+its bus."""
 
 from __future__ import annotations
 
@@ -30,12 +31,12 @@ from huepose_services.runtime.clock import SECOND, check_number, now_ns
 from huepose_services.runtime.config import Config, ObjectConfig
 from huepose_services.runtime.one_camera import OneCamera
 from huepose_services.runtime.work import Work
-from huepose_services.steering import Desk, ObjectList
+from huepose_services.steering import ControlService, ObjectList
 
-_LOOK_NS = SECOND // 30
-# Perception that answers later than this is slow enough to be told.
+_TICK_NS = SECOND // 30
+# Health warns when perception answers later than this.
 _SLOW_S = 1.5
-# A track that was not published for so long while others were is no track any more.
+# A track is over when it was not published for so long while others were.
 _FORGET_NS = 2 * SECOND
 
 
@@ -68,14 +69,14 @@ def _settings(config: Config) -> ReinitConfig:
 
 
 class ReinitWork(Work):
-    """Feeds the loop with poses and answers; publishes its requests, its corrections, and what it seeks."""
+    """Gives the loop poses and answers; publishes its requests, its corrections, and the list of objects."""
 
     def __init__(
         self, bus: Bus, loop: ReinitLoop, objects: ObjectList, configured: Sequence[ObjectConfig] = ()
     ) -> None:
         self._configured = configured
         self._bus, self._loop, self._objects = bus, loop, objects
-        self._desk = Desk(bus, objects)
+        self._control = ControlService(bus, objects)
         self._retired = Retired(objects.entries())
         self._poses = bus.inbox.queue(bus.keys.poses, wakes=False)
         self._answers = bus.inbox.queue(bus.keys.estimates)
@@ -83,11 +84,11 @@ class ReinitWork(Work):
         self._tracks: dict[tuple[str, int], TrackedPose] = {}
         self._sought: dict[int, tuple[str, ...]] = {}
         self._reasons: dict[str, str] = {}
-        self._next_look_ns = self._next_objects_ns = now_ns()
+        self._next_tick_ns = self._next_objects_ns = now_ns()
 
     def reload(self, config: Config) -> list[str]:
-        """How often is looked, and what for: what the file names now and did not before, and the other way
-        round. What was added by hand stays."""
+        """Take over the section `reinit`, and the objects that were added to or removed from the file.
+        Objects that were added by command stay."""
         self._loop.config = _settings(config)
         before = {item.name: item.max_instances for item in self._configured}
         after = {item.name: item.max_instances for item in config.objects}
@@ -105,13 +106,13 @@ class ReinitWork(Work):
         return [text for done, text in told if not done]
 
     def due_ns(self) -> int | None:
-        """Poses are looked at once a frame, answers when they come."""
-        return self._next_look_ns
+        """When to take poses, about once a frame; answers wake the loop."""
+        return self._next_tick_ns
 
     def step(self) -> None:
-        """One turn of the loop."""
+        """Take what arrived; tick the loop when it is due."""
         started = now_ns()
-        self._obey()
+        self._apply_orders()
         while (pose := self._bus.take(self._poses, PoseMessage)) is not None:
             self._observe(pose)
         while (answer := self._bus.take(self._answers, Estimates)) is not None:
@@ -124,9 +125,9 @@ class ReinitWork(Work):
             self._bus.health.worked_on(started, answer)
             self._bus.health.warn_while("slow", slow_text(self._loop.answer_age_s))
         now = now_ns()
-        if now < self._next_look_ns:
+        if now < self._next_tick_ns:
             return
-        self._next_look_ns = max(self._next_look_ns + _LOOK_NS, now)
+        self._next_tick_ns = max(self._next_tick_ns + _TICK_NS, now)
         request = self._loop.tick(now, self._living())
         if request is not None:
             new = tuple(item.object for item in request.objects if item.instance is None)
@@ -136,7 +137,7 @@ class ReinitWork(Work):
             self._send(correction)
         if now >= self._next_objects_ns:
             self._next_objects_ns = max(self._next_objects_ns + SECOND, now)
-            self._say_objects()
+            self._publish_objects()
 
     def _observe(self, pose: PoseMessage) -> None:
         try:
@@ -149,8 +150,8 @@ class ReinitWork(Work):
         elif not self._retired.includes(pose.object, pose.camera_epoch, pose.instance):
             self._tracks[pose.object, pose.instance] = track_from_wire(pose)
 
-    def _obey(self) -> None:
-        """Take over what was ordered at the desk."""
+    def _apply_orders(self) -> None:
+        """Tell the loop about objects that were added, removed or reset."""
         orders = self._objects.orders()
         for order in orders:
             name = order.name
@@ -162,7 +163,7 @@ class ReinitWork(Work):
             if order.slot is not None:
                 self._loop.add(order.slot)
         if orders:
-            self._say_objects()
+            self._publish_objects()
 
     def _living(self) -> list[TrackedPose]:
         newest_ns = max((t.stamp_ns for t in self._tracks.values()), default=0)
@@ -172,7 +173,7 @@ class ReinitWork(Work):
     def _send(self, correction: Correction) -> None:
         self._bus.put_control(self._bus.keys.correction, correction_to_wire(correction))
 
-    def _say_objects(self) -> None:
+    def _publish_objects(self) -> None:
         self._bus.health.counters |= asdict(self._loop.counters)
         missing = {item.object: item.missing for item in self._loop.searching()}
         for entry in self._objects.entries():
@@ -190,7 +191,7 @@ def _order(action: Literal["add", "remove"], name: str, count: int = 1) -> Contr
 
 
 def slow_text(age_s: float) -> str | None:
-    """What is to be said of perception that answers so late; None where it is in time."""
+    """The warning for perception that answers so late; None where it is in time."""
     if age_s < _SLOW_S:
         return None
     return (
@@ -201,7 +202,8 @@ def slow_text(age_s: float) -> str | None:
 
 
 def reasons_not_seen(sought: Iterable[str], answer: Estimates) -> dict[str, str]:
-    """Why each object of which a new instance was sought in a picture is not seen there, by name."""
+    """By name, why no new instance of an object was found in the answer's picture. sought: the objects of
+    which a new instance was requested."""
     out = {}
     for name in sought:
         mine = [e for e in answer.estimates if e.object == name and e.instance is None]
@@ -221,7 +223,7 @@ def track_from_wire(message: PoseMessage) -> TrackedPose:
 
 
 def result_from_wire(message: Estimates) -> PerceptionResult:
-    """The chain's answer of a message."""
+    """Perception's answer of a message."""
     estimates = tuple(
         from_wire(PoseEstimate, e, instance=-1 if e.instance is None else e.instance, alternatives=())
         for e in message.estimates

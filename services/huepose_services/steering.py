@@ -1,7 +1,7 @@
-"""The list of objects of a running pipeline, and the service that changes it: a queryable on loopback.
+"""The list of objects of a running pipeline, and the service that changes it (a zenoh queryable).
 
-A request is answered after it was checked and what it needs was loaded; the loop takes the change over in its
-next turn. All other workers follow the list that is published.
+A request is answered when it was checked and its reference model was loaded. The re-initialisation loop takes
+the change over at its next step; all other workers follow the published list.
 """
 
 from __future__ import annotations
@@ -21,20 +21,20 @@ from huepose_services.runtime.bus import Bus, bytes_of
 from huepose_services.runtime.clock import now_ns
 
 MOST_OBJECTS = 64
-# Followers look whether the number of resets changed: it may begin anew.
+# Followers only compare the number of resets with the last one: it may wrap around.
 _RESETS = 2**31
 
 
 @dataclass(frozen=True)
 class Order:
-    """A change that was accepted: what the loop shall do, and the object's new entry (None: removed)."""
+    """An accepted change for the loop, with the object's new entry (None: removed)."""
 
     name: str
     entry: ObjectEntry | None
     slot: ObjectSlot | None = None
-    """Of an object that is new, or of which another number is looked for."""
+    """Of an object that is new, or has another number of instances."""
     anew: bool = False
-    """It is to be searched for anew."""
+    """Whether its tracks are dropped and it is searched for anew."""
 
 
 class ObjectList:
@@ -48,18 +48,18 @@ class ObjectList:
         self._orders: list[Order] = []
 
     def entries(self) -> list[ObjectEntry]:
-        """What is looked for now."""
+        """The objects that are looked for now."""
         with self._lock:
             return list(self._entries.values())
 
     def orders(self) -> list[Order]:
-        """What was accepted since the last call, for the loop."""
+        """The changes that were accepted since the last call."""
         with self._lock:
             out, self._orders = self._orders, []
             return out
 
     def tell(self, name: str, searching: int, retired: tuple[int, int] | None, reason: str) -> None:
-        """Take over what the loop knows of an object, if it is still looked for."""
+        """Update the entry of an object from the loop, if the object is still in the list."""
         with self._lock:
             if name in self._entries:
                 self._entries[name] = msgspec.structs.replace(
@@ -67,7 +67,8 @@ class ObjectList:
                 )
 
     def decide(self, request: ControlRequest) -> tuple[bool, str]:
-        """Do what a request wants; whether it was done, and a sentence that says what was or why not."""
+        """Do what a request asks. Returns whether it was done, and a sentence that says what was done or why
+        not."""
         name = request.object
         if name is None:
             return True, ""
@@ -112,8 +113,8 @@ class ObjectList:
                 self._entries[order.name] = order.entry
 
 
-class Desk:
-    """Answers queries on `control`, in a thread of the bus."""
+class ControlService:
+    """Answers queries on the key `control`, in a thread of zenoh."""
 
     def __init__(self, bus: Bus, objects: ObjectList) -> None:
         self._bus, self._objects = bus, objects

@@ -1,4 +1,5 @@
-"""The tracker worker: the newest frame in, poses out, corrections in between."""
+"""The tracker worker: tracks the newest frame, publishes the poses at once, and applies corrections between
+frames."""
 
 from __future__ import annotations
 
@@ -22,7 +23,7 @@ from huepose_services import models, networks
 from huepose_services.convert import frame_from_wire, from_wire, to_wire
 from huepose_services.doubts import complaint_about, lens_doubted, why_doubted
 from huepose_services.following import Follower, Retired
-from huepose_services.intake import MEMORY_EVERY_NS, Clock, Given, Intake
+from huepose_services.intake import MEMORY_EVERY_NS, Clock, InputCache, Intake
 from huepose_services.runtime.bus import Bus
 from huepose_services.runtime.clock import check_number, now_ns
 from huepose_services.runtime.config import Config
@@ -34,8 +35,8 @@ _REFUSED_EVERY_S = 10.0
 _Frame = tuple[int, int]
 
 
-class _Own(msgspec.Struct, array_like=True):
-    """What the worker remembers beside its tracker's memory."""
+class _WorkerMemory(msgspec.Struct, array_like=True):
+    """What the worker itself remembers, beside the tracker's memory."""
 
     newest: _Frame | None
     first: _Frame | None
@@ -55,11 +56,11 @@ def make(bus: Bus, config: Config) -> TrackerWork:
     tracker = tracker_of(config, known)
     tracker.warm_up()
     follower = Follower(bus, lambda name: models.load_one(config, name), known, remembers=True)
-    return TrackerWork(bus, tracker, follower, config, given=Given(bus))
+    return TrackerWork(bus, tracker, follower, config, cache=InputCache(bus))
 
 
 def tracker_of(config: Config, known: Mapping[str, ReferenceModel]) -> Tracker:
-    """The library's tracker as it is configured."""
+    """The library's tracker with the settings of the configuration."""
     settings = replace(
         profile(config.profile).tracker,
         history_frames=config.tracker.history_frames,
@@ -70,7 +71,8 @@ def tracker_of(config: Config, known: Mapping[str, ReferenceModel]) -> Tracker:
 
 
 class TrackerWork(Work):
-    """Steps on each newest frame and publishes right after; no correction is dropped."""
+    """Each step applies all corrections that arrived, then tracks the newest frame and publishes its
+    poses."""
 
     def __init__(
         self,
@@ -79,14 +81,14 @@ class TrackerWork(Work):
         objects: Follower[ReferenceModel],
         config: Config,
         clock: Clock = now_ns,
-        given: Given | None = None,
+        cache: InputCache | None = None,
     ) -> None:
         self._bus, self._tracker, self._objects, self._config = bus, tracker, objects, config
-        self._clock, self._given = clock, given
+        self._clock, self._cache = clock, cache
         self._intake = Intake(clock)
         self._seq = self._memory_due_ns = 0
         self._max_age_ns = int(config.tracker.max_age_ms * 1e6)
-        # A recording that is played once stands on its first frame: that one does not get old.
+        # A recording that is played once repeats its first frame until objects are found: it never gets old.
         self._first_stands = config.camera.once
         self._first: tuple[int, int] | None = None
         self._retired = Retired()
@@ -99,12 +101,13 @@ class TrackerWork(Work):
         self._fx_of_size: dict[str, float] = {}
         self._complaint: str | None = None
         self._published: set[tuple[str, int]] = set()
-        # What was said to be TRACKING of the newest frame, and until when that holds without a newer one.
-        self._acted_on: list[TrackedPose] = []
+        # The poses of the newest frame published as TRACKING, and until when they hold without a newer frame.
+        self._tracking_poses: list[TrackedPose] = []
         self._holds_until_ns = 0
 
     def reload(self, config: Config) -> list[str]:
-        """How old a pose may be; who records is told from which step on."""
+        """Take over `tracker.max_age_ms`; a recorder gets the memory, which names the step from which it
+        holds."""
         age_ms = config.tracker.max_age_ms
         fresh = msgspec.structs.replace(self._config.tracker, max_age_ms=age_ms)
         self._config = msgspec.structs.replace(self._config, tracker=fresh)
@@ -114,8 +117,8 @@ class TrackerWork(Work):
         return []
 
     def due_ns(self) -> int | None:
-        """When poses get too old without a newer frame."""
-        return self._holds_until_ns if self._acted_on else None
+        """When TRACKING poses become too old if no newer frame comes."""
+        return self._holds_until_ns if self._tracking_poses else None
 
     def step(self) -> None:
         """Apply what arrived, then track the newest frame."""
@@ -125,7 +128,7 @@ class TrackerWork(Work):
         finally:
             if not self._intake.empty:
                 self._seq += 1
-                self._tell()
+                self._publish_log()
 
     def _take(self) -> None:
         self._follow()
@@ -139,34 +142,34 @@ class TrackerWork(Work):
         taken = self._bus.take_with_payload(self._frames, FrameHeader)
         tracked = taken is not None and self._track(*taken)
         if corrected and not tracked and self._header is not None:
-            # Instances that a correction has made are published on the frame that is there, which may stand
-            # for long; what was published of a frame is never said anew.
+            # New instances are published on the last frame, because the next may come late. A pose that was
+            # already published on that frame is not published again.
             new = [p for p in self._tracker.poses() if (p.object, p.instance) not in self._published]
             self._publish_all(new, self._header, self._pixels)
-        if self._intake.empty and self._acted_on and (now := self._clock()) >= self._holds_until_ns:
+        if self._intake.empty and self._tracking_poses and (now := self._clock()) >= self._holds_until_ns:
             self._intake.clock_ns.append(now)
-            self._take_back("no new frame came")
+            self._withdraw("no new frame came")
 
-    def _take_back(self, why: str) -> None:
-        """What was TRACKING is so no longer, though nothing newer is known."""
-        header, poses = self._header, self._acted_on
-        self._acted_on = []
+    def _withdraw(self, why: str) -> None:
+        """Publish the TRACKING poses again as SUSPECT, without a newer frame."""
+        header, poses = self._header, self._tracking_poses
+        self._tracking_poses = []
         if header is None:
             return
-        self._bus.log.seldom("taken back", f"poses are SUSPECT: {why}")
+        self._bus.log.seldom("withdrawn", f"poses are SUSPECT: {why}")
         for pose in poses:
             self._bus.health.count("poses_too_old")
             self._put(_doubted(pose), header, self._intake.now(), _sentence(why))
 
-    def _tell(self) -> None:
-        """What was taken, and now and then what is believed after it, to who records."""
+    def _publish_log(self) -> None:
+        """Publish the log of the step for a recorder, and now and then the memory."""
         bus, keys = self._bus, self._bus.keys
-        if not self._intake.heard:
+        if not self._intake.recorded:
             self._memory_due_ns = 0
             return
         said = self._intake.message(self._seq)
-        if self._given is not None:
-            self._given.step(said)
+        if self._cache is not None:
+            self._cache.step(said)
         bus.put_aside(keys.intake, said)
         now = now_ns()
         if now >= self._memory_due_ns:
@@ -174,9 +177,9 @@ class TrackerWork(Work):
             bus.put_aside(keys.memory, self.memory())
 
     def memory(self) -> MemoryMessage:
-        """All that is believed now."""
+        """The memory of tracker and worker: all that they believe."""
         header = None if self._header is None else _frame_of(self._header)
-        own = _Own(
+        own = _WorkerMemory(
             header,
             self._first,
             sorted(self._published),
@@ -185,31 +188,32 @@ class TrackerWork(Work):
             self._fx_of_size,
             self._complaint,
         )
-        acted_on, told = memory.plain(self._acted_on, self._tracker), memory.told(self._tracker)
+        tracking, told = memory.plain(self._tracking_poses, self._tracker), memory.told(self._tracker)
         return MemoryMessage(
             publish_ns=now_ns(),
             seq=self._seq,
             config=msgspec.json.encode(self._config).decode(),
             objects=list(self._tracker.objects),
-            memory=msgspec.msgpack.encode((told, own, acted_on)),
+            memory=msgspec.msgpack.encode((told, own, tracking)),
             frames=list(dict.fromkeys([*memory.frames_of(told), *([] if header is None else [header])])),
         )
 
     def take_over(self, message: MemoryMessage, frame_of: FrameOf) -> None:
-        """Believe what another worker of the same objects and configuration did; frame_of: from camera epoch
-        and number to a frame and its header. Raises InputError where that cannot be."""
+        """Take over the memory of another worker with the same objects and configuration. frame_of: from
+        camera epoch and frame number to the frame and its header. Raises InputError for a memory that does
+        not fit."""
 
         def pixels(epoch: int, frame_id: int) -> RgbdFrame | None:
             found = frame_of(epoch, frame_id)
             return None if found is None else found[1]
 
         try:
-            plain, own, acted_on = msgspec.msgpack.decode(message.memory)
-            mine = msgspec.convert(own, _Own)
+            plain, own, tracking = msgspec.msgpack.decode(message.memory)
+            mine = msgspec.convert(own, _WorkerMemory)
         except (msgspec.MsgspecError, ValueError, TypeError, RecursionError) as error:
             raise InputError("the tracker's memory", found=str(error)[:200], expected="MessagePack") from None
         memory.taken_over(self._tracker, plain, pixels)
-        self._acted_on = memory.restored(acted_on, self._tracker, pixels)
+        self._tracking_poses = memory.restored(tracking, self._tracker, pixels)
         self._holds_until_ns, self._complaint = mine.holds_until_ns, mine.complaint
         found = None if mine.newest is None else frame_of(*mine.newest)
         self._header, self._pixels = (None, None) if found is None else found
@@ -218,7 +222,7 @@ class TrackerWork(Work):
         self._seq = message.seq
 
     def _follow(self) -> None:
-        """Objects that came, went, or are to be searched for anew."""
+        """Apply changes of the object list."""
         for change in self._objects.changes():
             self._intake.change(change)
             name = change.entry.object
@@ -255,6 +259,7 @@ class TrackerWork(Work):
             self._refuse(message, applied)
 
     def _refuse(self, message: CorrectionMessage, applied: Applied) -> None:
+        """Log why a correction was not applied; health warns where perception is too slow."""
         why = "it is about pictures of a camera that was opened anew since"
         reach_s, early = self._tracker.reach_s, False
         if applied is Applied.REFUSED_OLD and self._header is not None:
@@ -263,17 +268,17 @@ class TrackerWork(Work):
                 age_s = (self._header.capture_ns - message.capture_ns) * 1e-9
                 why = too_late_text(age_s, reach_s, self._tracker.config.older_frames)
                 self._bus.health.warn_while("late", why)
-        # The loop repeats it, and is told each time by what it does not see; the log is told once.
+        # The re-initialisation loop repeats its corrections: the log says it once.
         name = f"{message.object}/{message.instance}"
         if self._refused != (name, message.seq):
             self._refused = (name, message.seq)
             text = f"a correction of {name} is refused: {why}"
-            # What was on its way when the tracker began anew is nobody's fault.
+            # A correction that was on its way when the tracker started is no fault.
             level: Level = "info" if early else "warn"
             self._bus.log.seldom("refused", text, _REFUSED_EVERY_S, level)
 
     def _track(self, header: FrameHeader, payload: bytes) -> bool:
-        """Whether it is a new frame, and a good one."""
+        """Track a frame. Returns False for a repeated or malformed one."""
         started = now_ns()
         health = self._bus.health
         before = self._header
@@ -287,11 +292,11 @@ class TrackerWork(Work):
             return False
         if before is None or before.camera_epoch != header.camera_epoch:
             self._first = _frame_of(header)
-            self._take_back("the camera was opened anew")
-        if self._given is not None:
-            self._given.frame(header, payload, frame, self._intake.heard)
+            self._withdraw("the camera was opened anew")
+        if self._cache is not None:
+            self._cache.frame(header, payload, frame, self._intake.recorded)
         complaint = complaint_about(frame, self._pixels) or lens_doubted(frame, self._fx_of_size)
-        self._pixels, self._acted_on, self._complaint = frame, [], complaint
+        self._pixels, self._tracking_poses, self._complaint = frame, [], complaint
         health.warn_while("frame", complaint)
         self._published.clear()
         self._intake.frame = header
@@ -320,23 +325,23 @@ class TrackerWork(Work):
 
     def _publish(self, pose: TrackedPose, header: FrameHeader, reason: str) -> None:
         now = self._intake.now()
-        # A stamp of the future tells no more than an old one of how things are now.
+        # A stamp of the future says as little about now as an old one.
         old = abs(now - pose.stamp_ns) > self._max_age_ns
         stands = self._first_stands and _frame_of(header) == self._first
         if pose.state is State.TRACKING and old and not stands:
-            # Where things were so long ago is not to be acted on, however sure it is.
+            # The object may have moved since, however sure the pose is.
             pose, reason = _doubted(pose), TOO_OLD
             self._bus.health.count("poses_too_old")
         self._put(pose, header, now, reason)
         if pose.state is State.TRACKING and not stands:
-            self._acted_on.append(pose)
+            self._tracking_poses.append(pose)
             self._holds_until_ns = now + self._max_age_ns
 
     def _put(self, pose: TrackedPose, header: FrameHeader, now: int, reason: str) -> None:
         try:
             message = tracked_to_wire(pose, header, now, reason)
         except ValueError as error:
-            # Not a number, not a rotation: nobody must see it, and the other objects go on.
+            # Not finite, or not a rotation: it is not published, and the other objects go on.
             self._bus.health.count("poses_refused")
             self._bus.log.seldom("refused pose", f"pose of {pose.object}/{pose.instance}: {error}")
             return
@@ -346,8 +351,8 @@ class TrackerWork(Work):
 
 
 def correction_from_wire(message: CorrectionMessage, header: FrameHeader | None = None) -> Correction:
-    """The correction of a message. header: of a frame of the camera that it is about; raises WireError for a
-    mask that has not that frame's size."""
+    """The correction of a message. header: of a frame of the same camera epoch; raises WireError for a mask
+    of another size than that frame."""
     size = None if header is None else (header.intrinsics.height, header.intrinsics.width)
     mask = None if message.mask is None else mask_of(message.mask, size)
     return from_wire(Correction, message, mask=mask, verdict=Verdict(message.verdict))
@@ -371,7 +376,7 @@ def _doubted(pose: TrackedPose) -> TrackedPose:
 
 
 def too_late_text(age_s: float, reach_s: float, older_frames: int) -> str:
-    """That perception is too slow for what the tracker remembers, and what can be done about it."""
+    """The warning that perception answers later than the tracker's frame history reaches, and what to do."""
     missing_s = 1.3 * age_s - reach_s
     more = older_frames + 2 * math.ceil(missing_s / (CLOSE_S + WIDE_S))
     return (

@@ -1,8 +1,8 @@
 """Computes the poses of a recording again, and compares them bit by bit.
 
-It is the tracker worker itself that runs, on a bus that gives what the recording says it took, step by step,
-and on a clock that shows what it read then. It begins with the first memory of the tracker all of whose
-frames are in the recording; after a step that is missing it begins again with the next.
+The tracker worker itself runs here, step by step, with a bus and a clock that replay the inputs in the
+recording. It starts from the first memory of the tracker whose frames are all in the recording. After a step
+whose input is missing it starts again from the next such memory.
 """
 
 from __future__ import annotations
@@ -44,13 +44,12 @@ from huepose_services.runtime.log import Log
 from huepose_services.tracker import TrackerWork, tracker_of
 
 _LAG_NS = 6 * SECOND
-"""Messages of the tracker are held back for so long, so that frames and poses written a little later are
-there, those too that it had to be asked for. By time: a tracker on a busy computer says few in it, and the
-camera goes on."""
+"""Messages of the tracker are processed so much later than the others, because their frames and poses may be
+written after them; those that the recorder had to request come seconds later."""
 _TAKEN = 256
-"""Frames that are kept: more than a tracker remembers."""
+"""Frames that are kept after the tracker took them: more than it remembers."""
 _FRAMES = 1024
-"""With those that it may still take: half a minute, in case it is that far behind."""
+"""Frames that are kept in all: half a minute, in case the tracker is that far behind."""
 
 _FrameKey = tuple[int, int]
 _Pixels = tuple[FrameHeader, bytes]
@@ -59,7 +58,9 @@ _PoseKey = tuple[str, int, int]
 
 @dataclass
 class Report:
-    """What came of it. `difference`: where the first one is, and in what; empty: there is none."""
+    """The result. steps: computed again; skipped: steps that were not; poses, memories: found to be the same;
+    unrecorded: poses that the recording lacks; difference: where and what the first difference is, or
+    empty."""
 
     steps: int = 0
     skipped: int = 0
@@ -71,7 +72,7 @@ class Report:
 
     @property
     def text(self) -> str:
-        """In words."""
+        """The result in words."""
         lines = [
             f"{self.steps} steps of the tracker computed again: {self.poses} poses and {self.memories} times "
             "all that it believed are the same, bit by bit"
@@ -103,9 +104,10 @@ class Report:
 
 
 def verify(recordings: list[Recording], bundles: Path | None = None) -> Report:
-    """Compute it all again. bundles: where the reference models are, if not where they were.
+    """Verify recordings of one run, in their order. bundles: the folder of the reference models, if they
+    moved.
 
-    Raises InputError for what cannot be computed again: inexact pictures, other reference models."""
+    Raises InputError for a recording that cannot be verified: inexact pictures, other reference models."""
     cv2.setNumThreads(1)  # as in the worker
     verifier = _Verifier(recordings, bundles)
     for recording in recordings:
@@ -134,11 +136,11 @@ class _Verifier:
         self._poses: dict[_PoseKey, PoseMessage] = {}
         self._held: list[tuple[int, int, IntakeMessage | MemoryMessage]] = []
         self._order = self._last_seq = self._newest_ns = 0
-        self._again: _Again | None = None
+        self._replay: _Replay | None = None
         self._first_ns: int | None = None
 
     def take(self, event: Event) -> None:
-        """The next event of the recording."""
+        """Process the next event of the recording."""
         message = event.message
         self._newest_ns = max(self._newest_ns, message.publish_ns)
         if isinstance(message, FrameHeader):
@@ -154,7 +156,7 @@ class _Verifier:
             self._next()
 
     def finish(self) -> None:
-        """What was held back."""
+        """Process the messages that were held back."""
         while self._held and not self.report.difference:
             self._next()
 
@@ -167,15 +169,15 @@ class _Verifier:
             self._step(message)
 
     def _remember(self, message: MemoryMessage) -> None:
-        again = self._again
-        if again is not None and again.seq == message.seq:
-            if again.work.memory().memory != message.memory:
+        replay = self._replay
+        if replay is not None and replay.seq == message.seq:
+            if replay.work.memory().memory != message.memory:
                 self._differs(None, "memory", "what it believes, beside the poses")
             self.report.memories += 1
-            if again.told == message.config:
+            if replay.recorded_config == message.config:
                 return
         if all(key in self._frames for key in message.frames):
-            self._again = _Again(message, self._config(message), self._known, self._frames)
+            self._replay = _Replay(message, self._config(message), self._known, self._frames)
 
     def _config(self, message: MemoryMessage) -> Config:
         try:
@@ -186,7 +188,7 @@ class _Verifier:
         return msgspec.structs.replace(config, bundles=bundles)
 
     def _known(self, config: Config, name: str) -> ReferenceModel:
-        """A reference model, which must be the one that was there."""
+        """A reference model. Raises InputError for another one than was used for the recording."""
         if name not in self._models:
             expected = next((n for r in self._recordings if (n := r.notes.get("models", {}).get(name))), None)
             found = models.digests(config, [name])[name]
@@ -201,26 +203,26 @@ class _Verifier:
         return self._models[name]
 
     def _step(self, intake: IntakeMessage) -> None:
-        again = self._again
+        replay = self._replay
         key = _frame_key(intake)
         pixels = None if key is None else self._frames.get(key)
-        if again is not None and (intake.seq != again.seq + 1 or (key is not None and pixels is None)):
-            what = f"step {again.seq + 1} is missing" if pixels or not key else f"frame {key[1]} is missing"
+        if replay is not None and (intake.seq != replay.seq + 1 or (key is not None and pixels is None)):
+            what = f"step {replay.seq + 1} is missing" if pixels or not key else f"frame {key[1]} is missing"
             self.report.gaps.append(f"{self._at(intake)}: {what}, which the tracker took")
-            again = self._again = None
-        if again is None:
+            replay = self._replay = None
+        if replay is None:
             self.report.skipped += 1
         else:
-            self._compare(intake, *again.step(intake, pixels))
+            self._compare(intake, *replay.step(intake, pixels))
         if intake.seq != self._last_seq + 1:
-            self._taken |= dict.fromkeys(self._frames)  # who knows
+            self._taken |= dict.fromkeys(self._frames)  # the missing steps may have taken any of them
         self._last_seq = intake.seq
         if key is not None:
             self._taken[key] = None
             self._forget_before(key)
 
     def _forget_before(self, newest: _FrameKey) -> None:
-        """Frames that the tracker passed over."""
+        """Drop the frames that the tracker skipped, and the oldest that it took."""
         if newest in self._frames:
             said_ns = self._frames[newest][0].publish_ns
             for key, (header, _) in list(self._frames.items()):
@@ -278,23 +280,24 @@ def _fields(recorded: PoseMessage, again: PoseMessage) -> str:
     return f"{again.object}/{again.instance}: {different[0][:200] if different else 'bytes'}"
 
 
-class _Again:
-    """The tracker worker, from a memory on."""
+class _Replay:
+    """The tracker worker, run from a memory on. known: from a configuration and a name to a reference
+    model."""
 
     def __init__(
         self, memory: MemoryMessage, config: Config, known: Any, frames: dict[_FrameKey, _Pixels]
     ) -> None:
-        self._config, self._known, self.told = config, known, memory.config
-        self._desk = _Desk()
+        self._config, self._known, self.recorded_config = config, known, memory.config
+        self._bus = ReplayBus()
         objects = {name: known(config, name) for name in memory.objects}
         tracker = tracker_of(config, objects)
         self.work = TrackerWork(
-            cast(Bus, self._desk), tracker, cast(Follower, self._desk), config, self._desk.read_clock
+            cast(Bus, self._bus), tracker, cast(Follower, self._bus), config, self._bus.read_clock
         )
         decoded: dict[_FrameKey, tuple[FrameHeader, RgbdFrame]] = {}
 
         def frame_of(epoch: int, frame_id: int) -> tuple[FrameHeader, RgbdFrame] | None:
-            # Each frame is one object, however often it is named.
+            # One object for each frame, however often it is asked for.
             key = (epoch, frame_id)
             if key not in decoded and key in frames:
                 decoded[key] = (frames[key][0], frame_from_wire(*frames[key]))
@@ -306,14 +309,15 @@ class _Again:
     def step(
         self, intake: IntakeMessage, pixels: _Pixels | None
     ) -> tuple[IntakeMessage, list[PoseMessage], str]:
-        """Take the same again: what is told of it, the poses, and what was raised, if anything."""
-        desk, self.seq, error = self._desk, intake.seq, ""
-        desk.give(intake, pixels, [self._change(one) for one in intake.changes])
+        """Run one step with the recorded inputs. Returns its log, its poses, and the exception if one was
+        raised."""
+        bus, self.seq, error = self._bus, intake.seq, ""
+        bus.give(intake, pixels, [self._change(one) for one in intake.changes])
         try:
             self.work.step()
-        except Exception as raised:  # the worker goes on after it, too
+        except Exception as raised:  # the live worker also goes on
             error = f"{type(raised).__name__}: {raised}"
-        return desk.told or msgspec.structs.replace(intake, clock_ns=[], marks=[]), desk.poses, error
+        return bus.log_of_step or msgspec.structs.replace(intake, clock_ns=[], marks=[]), bus.poses, error
 
     def _change(self, change: Any) -> Change[ReferenceModel]:
         if change.action == "add":
@@ -321,8 +325,9 @@ class _Again:
         return Change(change.entry, removed=change.action == "remove")
 
 
-class _Desk:
-    """What the tracker worker takes for its bus, its list of objects, and its clock."""
+class ReplayBus:
+    """Stands in for the tracker worker's bus, inbox, object list and clock: it gives the recorded inputs of a
+    step, and collects its outputs."""
 
     skipped = 0
 
@@ -331,7 +336,7 @@ class _Desk:
         self.log = Log("tracker", io.StringIO())
         self.inbox = self
         self.poses: list[PoseMessage] = []
-        self.told: IntakeMessage | None = None
+        self.log_of_step: IntakeMessage | None = None
         self._corrections: list[CorrectionMessage] = []
         self._changes: list[Change[ReferenceModel]] = []
         self._pixels: _Pixels | None = None
@@ -341,50 +346,50 @@ class _Desk:
     def give(
         self, intake: IntakeMessage, pixels: _Pixels | None, changes: list[Change[ReferenceModel]]
     ) -> None:
-        """What is there to be taken in the next step."""
-        self.poses, self.told = [], None
+        """Set the inputs of the next step."""
+        self.poses, self.log_of_step = [], None
         self._corrections, self._changes, self._pixels = list(intake.corrections), changes, pixels
         self._clock = iter(intake.clock_ns)
 
     def read_clock(self) -> int:
-        """What was read then; the last of it where more is read than then."""
+        """The next recorded clock reading; the last one again when there are no more."""
         self._last_ns = next(self._clock, self._last_ns)
         return self._last_ns
 
     def changes(self) -> list[Change[ReferenceModel]]:
-        """The list of objects."""
+        """The changes of the object list."""
         changes, self._changes = self._changes, []
         return changes
 
     def queue(self, key: str) -> str:
-        """The corrections' place."""
+        """Stands for the inbox of corrections."""
         return key
 
-    def frames(self) -> _Desk:
-        """The frames' place."""
+    def frames(self) -> ReplayBus:
+        """Stands for the inbox of frames."""
         return self
 
     def is_heard(self, key: str) -> bool:
-        """By whoever compares."""
+        """True, so that the worker logs its steps."""
         return True
 
     def take(self, place: object, kind: type[Message]) -> Message | None:
-        """A correction."""
+        """The next correction of the step."""
         return self._corrections.pop(0) if self._corrections else None
 
     def take_with_payload(self, place: object, kind: type[Message]) -> _Pixels | None:
-        """The frame."""
+        """The frame of the step."""
         pixels, self._pixels = self._pixels, None
         return pixels
 
     def refuse(self, key: str, error: WireError) -> None:
-        """As it was refused then."""
+        """Nothing to do: the same message was refused in the recorded run."""
 
     def put(self, key: str, message: PoseMessage) -> None:
-        """A pose, to be compared."""
+        """Keep a pose for comparison."""
         self.poses.append(message)
 
     def put_aside(self, key: str, message: Message) -> None:
-        """What it took, to be compared."""
+        """Keep the log of the step for comparison."""
         if isinstance(message, IntakeMessage):
-            self.told = message
+            self.log_of_step = message

@@ -21,7 +21,7 @@ from huepose_services import models
 from huepose_services.convert import depth_to_wire, intrinsics_to_wire, pose_to_wire
 from huepose_services.recording.parts import Limits, Parts
 from huepose_services.recording.read import Event, Recording
-from huepose_services.recording.verify import _Desk
+from huepose_services.recording.verify import ReplayBus
 from huepose_services.runtime.clock import now_ns
 from huepose_services.runtime.config import Config, TrackerConfig
 from huepose_services.tracker import TrackerWork, tracker_of
@@ -63,7 +63,7 @@ class _Clock:
         return self.now_ns
 
 
-class _Bus(_Desk):
+class _Bus(ReplayBus):
     """Keeps what the worker says, in order."""
 
     def put(self, key, message):

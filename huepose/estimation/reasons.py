@@ -78,7 +78,7 @@ def why_absent(explanation: Explanation, terms: QualityTerms | None, chance: flo
         return "No view of the object resembles what is in the box."
     against = _of_terms(terms) or [f"the best pose scores {terms.total:.2f}"]
     return (
-        f"The object is here with a probability of {chance:.2f}, which is under {least:.2f}: "
+        f"The object is not in this box (probability {chance:.2f}, at least {least:.2f} is asked): "
         f"{' and '.join(against[:2])}."
     )
 
@@ -101,7 +101,10 @@ class _Measured(Protocol):
 def _of_terms(terms: _Measured) -> list[str]:
     unknown = max(0.0, 1.0 - terms.seen - terms.occluded)
     said = (
-        (terms.violation > MUCH_SEEN_THROUGH, f"one looks through {100 * terms.violation:.0f} % of the pose"),
+        (
+            terms.violation > MUCH_SEEN_THROUGH,
+            f"the camera sees through {100 * terms.violation:.0f} % of the pose",
+        ),
         (terms.occluded > MUCH_HIDDEN, f"{100 * terms.occluded:.0f} % of the pose is hidden"),
         (
             unknown > MUCH_WITHOUT_DEPTH,

@@ -19,6 +19,8 @@ GOOD = "camera: {truth: true}\n"
         ("camera: {rate: fast}", ["camera.rate", "'fast'", "recorded, or a number"]),
         ("camera: {rate: 0}", ["camera.rate", "found 0", "a number over 0"]),
         ("objects: [{nme: a}]", ["objects[0].nme", "name, max_instances"]),
+        ("objects: [tea_box]", ["objects[0]", "'tea_box'", "Write {name: tea_box}."]),
+        ("workers: [camera, traker]", ["workers[1]", "Did you mean 'tracker'?"]),
         ("objects: [{}]", ["objects[0].name", "found nothing"]),
         ("objects: [{name: A B}]", ["objects[0].name", "'A B'", "1 to 64 of a-z, 0-9, _ and -"]),
         ("objects: [{name: a}, {name: a}]", ["objects", "every name once"]),

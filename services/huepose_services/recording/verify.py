@@ -74,8 +74,8 @@ class Report:
     def text(self) -> str:
         """The result in words."""
         lines = [
-            f"{self.steps} steps of the tracker computed again: {self.poses} poses and {self.memories} times "
-            "all that it believed are the same, bit by bit"
+            f"{self.steps} steps of the tracker computed again: {self.poses} poses and {self.memories} "
+            "states of it are the same, bit by bit"
             if self.steps
             else self._nothing
         ]

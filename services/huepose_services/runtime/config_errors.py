@@ -103,10 +103,17 @@ def explain(error: msgspec.ValidationError, data: Any, config: type, path: Path)
         f"{path}: {at or 'the whole file'}",
         found=_shown(found),
         expected=_allowed(text, kind),
-        fix=f"Did you mean '{close[0]}'?"
-        if close
-        else "The comments in the default pipeline.yaml say what each key means.",
+        fix=_mended(at, found, close),
     )
+
+
+def _mended(at: str, found: Any, close: list[str]) -> str:
+    """What to write instead, as far as it is known."""
+    if close:
+        return f"Did you mean '{close[0]}'?"
+    if at.startswith("objects[") and isinstance(found, str):
+        return f"Write {{name: {_SHORT.repr(found)[1:-1]}}}."
+    return "The comments in the default pipeline.yaml say what each key means."
 
 
 def _allowed(text: str, kind: Any) -> str:

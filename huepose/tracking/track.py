@@ -192,7 +192,7 @@ class Track:
         self.evidence = evidence.vouched(sure, spread)
         self._doubtful_frames = self._in_vain = self._begun = self._scarce_frames = 0
         self._unseen_s = 0.0
-        self._standing = Standing(State.SUSPECT)
+        self._standing = Standing(State.SUSPECT, found=True)
         return 2 + self._check_orientation(anchor, frame, hurry=False)
 
     def _take(self, anchor: Anchor, found: Advance, frame: RgbdFrame) -> None:
@@ -494,6 +494,7 @@ class Track:
         turn = 1.0 if self._facing is None else self._facing.probability
         self.quality = self.evidence * min(identity, turn)
         confirmed = min(identity, turn) >= self._config.confirmed_identity
+        confirmed = confirmed and self.quality >= self._config.least_quality
         self._standing = next_standing(self._standing, self.evidence, confirmed, self._config)
         if self.state is State.LOST:
             self.lose()

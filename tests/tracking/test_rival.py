@@ -16,7 +16,7 @@ from huepose.scenes.room import sheet
 from huepose.select.distinct import RIGHT
 from huepose.tracking import Correction, State, Tracker
 from huepose.tracking.hypothesis import Hypothesis
-from huepose.tracking.rival import NEW_VIEW, SETTLED, Facing, alike, best_rival, reached
+from huepose.tracking.rival import NEW_VIEW, SETTLED, SHARPNESS, Facing, alike, best_rival, reached
 from huepose.tracking.step import Subject, best_of
 from huepose.tracking.types import Doubt
 from studies.stress.objects import builtin_meshes
@@ -93,9 +93,9 @@ def test_what_the_image_tells_of_one_view_counts_once() -> None:
     facing = Facing.of(0.5, VIEW, 2)
     for _ in range(9):
         facing = facing.told(0.1, VIEW)
-    assert facing.value == pytest.approx(1.2)
+    assert facing.value == pytest.approx(0.1 * SHARPNESS)
     aside = se3.rotation_exp(np.array([1.1 * NEW_VIEW, 0.0, 0.0])) @ VIEW
-    assert facing.told(0.1, aside).value == pytest.approx(2.4)
+    assert facing.told(0.1, aside).value == pytest.approx(0.2 * SHARPNESS)
     assert not facing.open(VIEW)
     assert facing.open(aside)
     assert facing.told(1.0, aside).value > SETTLED

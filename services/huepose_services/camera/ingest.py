@@ -82,6 +82,10 @@ class Schedule:
             period = SECOND / float(camera.rate)
             self._offsets = [round(i * period) for i in range(len(self._ids) + 1)]
 
+    def begins_again(self, index: int) -> bool:
+        """Whether a frame is the first of the second pass."""
+        return index == len(self._ids) and not self._once
+
     def image(self, index: int) -> int | None:
         """The image of a frame; None after the last."""
         if self._once and index >= len(self._ids):
@@ -260,8 +264,10 @@ class Ingest(Work):
         image = schedule.image(self._index)
         if image is None:
             self._ended_ns = now_ns()
-        else:
-            self._shot = self._prepare(image)
+            return
+        if schedule.begins_again(self._index) and self._camera.source != "synthetic":
+            self._bus.log.say("the recording begins again; with camera.once: true it would end here")
+        self._shot = self._prepare(image)
 
     def _prepare(self, image: int) -> _Shot:
         frame = self._source.frame(image)

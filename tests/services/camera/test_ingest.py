@@ -38,6 +38,8 @@ def test_once_ends_and_a_loop_does_not():
     once, loop = _schedule(once=True), _schedule()
     assert [once.image(i) for i in range(5)] == [3, 4, 7, 9, None]
     assert [loop.image(i) for i in range(6)] == [3, 4, 7, 9, 3, 4]
+    assert [i for i in range(12) if loop.begins_again(i)] == [4]
+    assert not any(once.begins_again(i) for i in range(12))
 
 
 def test_the_first_pass_has_the_images_numbers_and_later_ones_new_ones():

@@ -48,11 +48,8 @@ def solve(A: Float64, B: Float64) -> HandEye:
             found=f"{len(A)} measurements",
             expected=f"{FEWEST} or more, better twelve, with the hand turned about different axes",
         )
-    i, j = np.triu_indices(len(A), 1)
-    moves_a = np.array([se3.inverse(A[n]) @ A[m] for m, n in zip(i, j, strict=True)])  # M X = X N
-    moves_b = np.array([B[n] @ se3.inverse(B[m]) for m, n in zip(i, j, strict=True)])
-    alpha = np.array([se3.rotation_log(M[:3, :3]) for M in moves_a])
-    beta = np.array([se3.rotation_log(N[:3, :3]) for N in moves_b])
+    moves_a, alpha = moves(A)  # M X = X N
+    moves_b, beta = moves(np.array([se3.inverse(b) for b in B]))
     spread = np.linalg.svd(alpha, compute_uv=False)[1] / np.sqrt(len(alpha))
     if spread < LEAST_SPREAD_RAD:
         raise InputError(
@@ -68,21 +65,34 @@ def solve(A: Float64, B: Float64) -> HandEye:
     return _refined(A, B, X, A[0] @ X @ B[0])
 
 
+def moves(A: Float64) -> tuple[Float64, Float64]:
+    """From each pose to each later one, A_n^-1 A_m (K, 4, 4), and their rotation vectors (K, 3), radians."""
+    i, j = np.triu_indices(len(A), 1)
+    between = np.array([se3.inverse(A[n]) @ A[m] for m, n in zip(i, j, strict=True)])
+    return between, np.array([se3.rotation_log(M[:3, :3]) for M in between])
+
+
 def _refined(A: Float64, B: Float64, X: Float64, Y: Float64) -> HandEye:
     """Least squares over all measurements; a radian counts as much as the distance at which it is seen."""
-    lever_m = float(np.median(np.linalg.norm(B[:, :3, 3], axis=1)))
+    lever_m = lever(B)
 
-    def moved(steps: Float64) -> tuple[Float64, Float64]:
-        return X @ se3.exp(steps[:6]), Y @ se3.exp(steps[6:])
+    def left(steps: Float64) -> Float64:
+        return residuals(A, B, X @ se3.exp(steps[:6]), Y @ se3.exp(steps[6:]), lever_m)
 
-    def residuals(steps: Float64) -> Float64:
-        X_now, Y_now = moved(steps)
-        left = np.array([se3.inverse(Y_now) @ a @ X_now @ b for a, b in zip(A, B, strict=True)])
-        turns = np.array([se3.rotation_log(T[:3, :3]) for T in left])
-        return np.concatenate([left[:, :3, 3].ravel(), lever_m * turns.ravel()])
-
-    found = least_squares(residuals, np.zeros(12), loss="soft_l1", f_scale=0.01)
-    X_now, Y_now = moved(found.x)
-    rest = residuals(found.x).reshape(2, -1, 3)
+    found = least_squares(left, np.zeros(12), loss="soft_l1", f_scale=0.01)
+    rest = left(found.x).reshape(2, -1, 3)
     shift_m, turn_rad = np.linalg.norm(rest[0], axis=1), np.linalg.norm(rest[1], axis=1) / lever_m
-    return HandEye(X_now, Y_now, shift_m, turn_rad)
+    return HandEye(X @ se3.exp(found.x[:6]), Y @ se3.exp(found.x[6:]), shift_m, turn_rad)
+
+
+def lever(B: Float64) -> float:
+    """The distance in metres at which the object is seen: a turn of an error moves it by so much."""
+    return float(np.median(np.linalg.norm(B[:, :3, 3], axis=1)))
+
+
+def residuals(A: Float64, B: Float64, X: Float64, Y: Float64, lever_m: float) -> Float64:
+    """What X and Y leave of each measurement in metres, all shifts (3N,), then all turns times the lever
+    (3N,)."""
+    left = np.array([se3.inverse(Y) @ a @ X @ b for a, b in zip(A, B, strict=True)])
+    turns = np.array([se3.rotation_log(T[:3, :3]) for T in left])
+    return np.concatenate([left[:, :3, 3].ravel(), lever_m * turns.ravel()])

@@ -10,6 +10,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from huepose.geometry import hand_eye, se3
+from huepose.geometry.hand_eye_certainty import certainty
 from huepose.support.errors import InputError
 from huepose_services.cli.main import main
 
@@ -19,9 +20,11 @@ Y = se3.make(
 )
 
 
-def measured(count: int, noise: float = 0.0, axis: np.ndarray | None = None) -> tuple[np.ndarray, np.ndarray]:
+def measured(
+    count: int, noise: float = 0.0, axis: np.ndarray | None = None, seed: int = 3
+) -> tuple[np.ndarray, np.ndarray]:
     """A and B of a camera X and an object Y; noise: of the shift in metres and, times two, of the turn."""
-    rng = np.random.default_rng(3)
+    rng = np.random.default_rng(seed)
     A, B = [], []
     for _ in range(count):
         turn = rng.uniform(-0.8, 0.8) * axis if axis is not None else rng.uniform(-0.8, 0.8, 3)
@@ -61,6 +64,44 @@ def test_moves_that_cannot_tell_are_refused() -> None:
         hand_eye.solve(*measured(3))
 
 
+def test_the_error_that_is_told_is_that_of_many_tries() -> None:
+    shifts, told = [], []
+    for seed in range(40):
+        A, B = measured(12, 0.001, seed=seed)
+        found = hand_eye.solve(A, B)
+        shifts.append(found.X[:3, 3] - X[:3, 3])
+        told.append(certainty(A, B, found).shift_m)
+    assert np.median(told) == pytest.approx(
+        np.sqrt(np.linalg.eigvalsh(np.cov(np.array(shifts).T))[-1]), rel=0.4
+    )
+
+
+def test_few_poses_and_small_turns_are_told_from_many_and_large_ones() -> None:
+    def of(count: int, share: float = 1.0) -> tuple[float, int | None]:
+        A, _ = measured(count)
+        A = np.array([se3.make(se3.rotation_exp(share * se3.rotation_log(a[:3, :3])), a[:3, 3]) for a in A])
+        B = np.array([se3.inverse(a @ X) @ Y for a in A])
+        sure = certainty(A, B, hand_eye.solve(A, B))
+        assert sure.well == (sure.more == 0) == (max(sure.shift_ratio, sure.turn_ratio) <= 1.0)
+        return sure.shift_ratio, sure.more
+
+    assert of(20)[0] < of(20, 0.6)[0] < of(20, 0.4)[0]  # an error grows as turns get smaller
+    assert of(20)[1] == 0
+    few, more = of(4)
+    assert few > 1.0
+    assert more in range(2, 21)
+
+
+def test_the_axis_about_which_the_hand_did_not_turn_is_named() -> None:
+    A, _ = measured(12)
+    flat = [se3.make(se3.rotation_exp(se3.rotation_log(a[:3, :3]) * [1.0, 1.0, 0.1]), a[:3, 3]) for a in A]
+    A = np.array(flat)
+    B = np.array([se3.inverse(a @ X) @ Y for a in A])
+    sure = certainty(A, B, hand_eye.solve(A, B))
+    assert abs(sure.axis[2]) > 0.97
+    assert sure.turned_rad < 0.3 * sure.most_rad
+
+
 def rows(poses: np.ndarray) -> str:
     out = ["frame,object,x,y,z,qx,qy,qz,qw"]
     for k, T in enumerate(poses):
@@ -87,3 +128,16 @@ def test_the_command_says_what_to_configure(
     assert np.allclose(se3.rotation_from_quaternion(np.array(mount["quaternion"])), X[:3, :3], atol=1e-4)
     assert "mount: {parent: " in capsys.readouterr().out
     assert (tmp_path / "left.png").stat().st_size > 1000
+
+
+def test_the_command_says_when_four_poses_are_too_few(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    A, B = measured(4, 0.001)
+    (tmp_path / "hand.csv").write_text(rows(A))
+    (tmp_path / "object.csv").write_text(rows(B))
+    files = ["--object", str(tmp_path / "object.csv"), "--hand", str(tmp_path / "hand.csv")]
+    assert main(["calibrate", "hand-eye", *files, "--camera", "on-hand"]) == 0
+    said = capsys.readouterr().out
+    assert "POORLY DETERMINED: where the camera is errs" in said
+    assert "poses or more, turned by 30 degrees" in said

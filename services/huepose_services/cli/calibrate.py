@@ -11,6 +11,7 @@ from huepose_services.cli.options import add_json, add_path, answered
 if TYPE_CHECKING:
     from huepose.geometry.arrays import Float64
     from huepose.geometry.hand_eye import HandEye
+    from huepose.geometry.hand_eye_certainty import Certainty
 
 _COLUMNS = "frame,object,x,y,z,qx,qy,qz,qw"
 
@@ -45,6 +46,7 @@ def call(arguments: argparse.Namespace) -> int:
 
     from huepose.evaluation.pose_files import read_pose_csv
     from huepose.geometry import hand_eye, se3
+    from huepose.geometry.hand_eye_certainty import certainty
     from huepose.support.errors import InputError
 
     seen = {frame: T for (frame, _), T in read_pose_csv(arguments.object).poses.items()}
@@ -54,7 +56,9 @@ def call(arguments: argparse.Namespace) -> int:
         raise InputError(arguments.hand, found="no frame that is in both files", expected="the same frames")
     fixed = arguments.camera == "fixed"
     A = np.array([se3.inverse(hand[f]) if fixed else hand[f] for f in frames])
-    found = hand_eye.solve(A, np.array([seen[f] for f in frames]))
+    B = np.array([seen[f] for f in frames])
+    found = hand_eye.solve(A, B)
+    sure = certainty(A, B, found)
     parent = arguments.parent or ("base_link" if fixed else "tool0")
     mount = {
         "parent": parent,
@@ -69,14 +73,55 @@ def call(arguments: argparse.Namespace) -> int:
     summary = (
         f"mount: {{{inner}}}\n"
         f"of {len(frames)} poses there are left {np.median(shift_mm):.1f} mm and {np.median(turn_deg):.2f} "
-        f"degrees (largest {shift_mm.max():.1f} mm, {turn_deg.max():.2f} degrees)"
+        f"degrees (largest {shift_mm.max():.1f} mm, {turn_deg.max():.2f} degrees)\n"
+        f"{_in_words(sure, len(frames), parent)}"
     )
     if not fixed:
-        summary += (
-            "\nA camera that moves with the hand: a transform for the robot's tree, not for camera.mount."
-        )
-    answered(arguments, {"mount": mount, "left": rest}, summary)
+        summary += f"\nThe mount of a camera that moves with {parent}: beside it, camera.tf or camera.moving."
+    facts = {
+        "well_determined": sure.well,
+        "shift_mm": 1e3 * sure.shift_m,
+        "turn_deg": float(np.degrees(sure.turn_rad)),
+        "shift_of_one_pose": sure.shift_ratio,
+        "turn_of_one_pose": sure.turn_ratio,
+        "least_turned_axis": sure.axis.tolist(),
+        "least_turned_deg": float(np.degrees(sure.turned_rad)),
+        "more_poses": sure.more,
+    }
+    answered(arguments, {"mount": mount, "left": rest, "certainty": facts}, summary)
     return 0
+
+
+def _in_words(sure: Certainty, count: int, parent: str) -> str:
+    """How far the answer may err; where it errs more than one pose does, what is missing."""
+    import numpy as np
+
+    from huepose.geometry.hand_eye_certainty import WANTED_RAD
+
+    text = (
+        f"the answer errs by {1e3 * sure.shift_m:.1f} mm and {np.degrees(sure.turn_rad):.2f} degrees (one "
+        "standard deviation, in the worst direction)"
+    )
+    if sure.well:
+        return text
+    poor = [
+        f"{what} errs {ratio:.1f} times"
+        for what, ratio in (
+            ("where the camera is", sure.shift_ratio),
+            ("how it is turned", sure.turn_ratio),
+        )
+        if ratio > 1.0
+    ]
+    axis = " ".join(f"{a:.1f}" for a in sure.axis + 0.0)
+    more = f"{sure.more} poses" if sure.more else "many poses"
+    least, most, wanted = np.degrees([sure.turned_rad, sure.most_rad, WANTED_RAD])
+    return (
+        f"{text}\n"
+        f"POORLY DETERMINED: {' and '.join(poor)} as much as one pose does. From pose to pose of these "
+        f"{count}, the hand turned by {least:.0f} degrees about the axis ({axis}) of {parent}, by {most:.0f} "
+        f"about another. Add {more} or more, turned by {wanted:.0f} degrees to either side, about that axis "
+        "first, then about those across it"
+    )
 
 
 def _of(values: Float64) -> dict[str, float]:

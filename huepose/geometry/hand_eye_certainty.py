@@ -1,0 +1,92 @@
+"""How well measurements determine where the camera is on the robot, and which ones are missing.
+
+The covariance of least squares, (J^T J)^-1, times the variance of what is left over (6N - 12 degrees of
+freedom). Without that variance it says how far the answer errs beside one measurement, however large the
+error of a measurement is. An answer that errs more than each of its measurements wants more of them.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from huepose.geometry import se3
+from huepose.geometry.arrays import Float64
+from huepose.geometry.hand_eye import HandEye, lever, moves, residuals
+
+WANTED_RAD = np.radians(30.0)
+"""How far the hand is to be turned to either side: most arms can, and the object stays in view."""
+
+_MOST_MORE = 40
+_STEP = 1e-5
+
+
+@dataclass(frozen=True, eq=False)
+class Certainty:
+    """shift_m, turn_rad: one standard deviation of the camera's place and of how it is turned, in the worst
+    direction; shift_ratio, turn_ratio: the same beside that of one measurement. axis (3,), in the frame of the
+    camera's mount: about it the hand turned least, by turned_rad from one pose to another, and by most_rad
+    about the one with the most. more: how many further measurements, turned by WANTED_RAD about all axes, bring
+    both ratios to 1; None where 40 do not."""
+
+    shift_m: float
+    turn_rad: float
+    shift_ratio: float
+    turn_ratio: float
+    axis: Float64
+    turned_rad: float
+    most_rad: float
+    more: int | None
+
+    @property
+    def well(self) -> bool:
+        """Whether the answer errs no more than one measurement."""
+        return self.more == 0
+
+
+def certainty(A: Float64, B: Float64, found: HandEye) -> Certainty:
+    """Of the answer of `hand_eye.solve(A, B)`."""
+    lever_m = lever(B)
+    rest = residuals(A, B, found.X, found.Y, lever_m)
+    sigma_m = float(np.sqrt((rest**2).sum() / (len(rest) - 12)))
+    shift, turn = _ratios(A, found, lever_m)
+    _, alpha = moves(A)
+    _, turned, axes = np.linalg.svd(alpha)
+    turned = turned / np.sqrt(len(alpha))
+    return Certainty(
+        sigma_m * shift,
+        sigma_m * turn / lever_m,
+        shift,
+        turn,
+        axes[2] * np.sign(axes[2][np.argmax(np.abs(axes[2]))]),
+        float(turned[2]),
+        float(turned[0]),
+        _more(A, found, lever_m, axes),
+    )
+
+
+def _ratios(A: Float64, found: HandEye, lever_m: float) -> tuple[float, float]:
+    """The error of X in its worst directions, of the shift and of the turn times the lever, for measurements
+    with an error of 1 in each component."""
+    X, Y = found.X, found.Y
+    B = np.array([se3.inverse(a @ X) @ Y for a in A])  # as they would be without an error
+
+    def left(steps: Float64) -> Float64:
+        return residuals(A, B, X @ se3.exp(steps[:6]), Y @ se3.exp(steps[6:]), lever_m)
+
+    J = np.array([(left(_STEP * e) - left(-_STEP * e)) / (2.0 * _STEP) for e in np.eye(12)]).T
+    covariance = np.linalg.inv(J.T @ J)
+    shift, turn = (np.sqrt(np.linalg.eigvalsh(covariance[k, k])[-1]) for k in (slice(0, 3), slice(3, 6)))
+    return float(shift), float(lever_m * turn)
+
+
+def _more(A: Float64, found: HandEye, lever_m: float, axes: Float64) -> int | None:
+    """How many poses like one of them, turned to either side about each axis in turn, the least first."""
+    turns = [sign * WANTED_RAD * axis for axis in axes[::-1] for sign in (1.0, -1.0)]
+    one = A[len(A) // 2]
+    for count in range(_MOST_MORE + 1):
+        added = [one @ se3.make(se3.rotation_exp(turns[k % 6]), np.zeros(3)) for k in range(count)]
+        if max(_ratios(np.array([*A, *added]), found, lever_m)) <= 1.0:
+            return count
+    return None

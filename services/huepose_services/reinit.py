@@ -3,7 +3,7 @@ its bus."""
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Container, Iterable, Sequence
 from dataclasses import asdict
 from typing import Literal
 
@@ -119,9 +119,11 @@ class ReinitWork(Work):
             if not self._camera.agrees(answer.camera_epoch, now_ns()):
                 self._bus.health.count("answers_of_another_camera")
                 continue
-            self._reasons |= reasons_not_seen(self._sought.get(answer.request_seq, ()), answer)
-            for correction in self._loop.answer(now_ns(), result_from_wire(answer)):
+            corrections = self._loop.answer(now_ns(), result_from_wire(answer))
+            for correction in corrections:
                 self._send(correction)
+            followed = {correction.object for correction in corrections}
+            self._reasons |= reasons_not_seen(self._sought.get(answer.request_seq, ()), answer, followed)
             self._bus.health.worked_on(started, answer)
             self._bus.health.warn_while("slow", slow_text(self._loop.answer_age_s))
         now = now_ns()
@@ -160,6 +162,9 @@ class ReinitWork(Work):
                 over = self._loop.forget(name, now) if order.anew else self._loop.remove(name, now)
                 self._retired.add(name, over)
                 self._tracks = {key: track for key, track in self._tracks.items() if key[0] != name}
+                # An answer to what was asked before says nothing about the new search.
+                self._reasons.pop(name, None)
+                self._sought = {n: tuple(o for o in asked if o != name) for n, asked in self._sought.items()}
             if order.slot is not None:
                 self._loop.add(order.slot)
         if orders:
@@ -201,11 +206,16 @@ def slow_text(age_s: float) -> str | None:
     )
 
 
-def reasons_not_seen(sought: Iterable[str], answer: Estimates) -> dict[str, str]:
+def reasons_not_seen(
+    sought: Iterable[str], answer: Estimates, followed: Container[str] = ()
+) -> dict[str, str]:
     """By name, why no new instance of an object was found in the answer's picture. sought: the objects of
-    which a new instance was requested."""
+    which a new instance was requested; followed: those of which one is followed because of this answer."""
     out = {}
     for name in sought:
+        if name in followed:
+            out[name] = "Found; it is followed from now on."
+            continue
         mine = [e for e in answer.estimates if e.object == name and e.instance is None]
         best = max(mine, key=lambda e: e.quality, default=None)
         if best is None:

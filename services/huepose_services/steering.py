@@ -81,7 +81,14 @@ class ObjectList:
         if request.action == "remove":
             self._accept(Order(name, None))
             return True, f"{name} is no longer looked for"
-        entry = msgspec.structs.replace(known, resets=(known.resets + 1) % _RESETS, box=request.box)
+        # What was known of where it is, and why it is not seen, is forgotten with this answer.
+        entry = msgspec.structs.replace(
+            known,
+            resets=(known.resets + 1) % _RESETS,
+            box=request.box,
+            searching=known.max_instances,
+            reason="",
+        )
         self._accept(Order(name, entry, anew=True))
         return True, f"{name} is searched for anew"
 

@@ -58,7 +58,7 @@ class Watch:
         keys = ("health/*", "objects", "pose/**", "perception/request", "perception/estimates", "correction")
         self._reader = Reader(pipeline.endpoints, *(pipeline.key(key) for key in keys))
         self._health: dict[str, tuple[float, HealthMessage]] = {}
-        self._objects: list[ObjectEntry] = []
+        self._objects: list[ObjectEntry] | None = None
         self._poses: dict[tuple[str, int], tuple[float, PoseMessage]] = {}
         self._arrivals: dict[str, deque[float]] = {}
         self._since = time.monotonic()
@@ -108,12 +108,29 @@ class Watch:
             kind: sum(now - t <= window_s for t in arrivals) / window_s
             for kind, arrivals in self._arrivals.items()
         }
-        poses = {key: m for key, (when, m) in sorted(self._poses.items()) if now - when < _STALE_S}
+        poses = {
+            key: m
+            for key, (when, m) in sorted(self._poses.items())
+            if now - when < _STALE_S and not is_over(m, self._objects)
+        }
         health = {w: m for w, (_, m) in self._health.items() if w in there or w in fresh}
-        return View(self.pipeline, bool(there), health, silent, missing, self._objects, poses, rates)
+        return View(self.pipeline, bool(there), health, silent, missing, self._objects or [], poses, rates)
 
     def __enter__(self) -> Watch:
         return self
 
     def __exit__(self, *error: object) -> None:
         self._reader.close()
+
+
+def is_over(pose: PoseMessage, objects: list[ObjectEntry] | None) -> bool:
+    """Whether a pose is of an object that is looked for no longer, or that was to be searched for anew since.
+    objects: the list of objects; None where it was not heard yet."""
+    if objects is None:
+        return False
+    entry = next((entry for entry in objects if entry.object == pose.object), None)
+    if entry is None:
+        return True
+    return entry.retired is not None and (
+        entry.retired[0] == pose.camera_epoch and pose.instance < entry.retired[1]
+    )

@@ -179,6 +179,7 @@ def test_why_objects_that_are_sought_are_not_seen():
         "jar": "Something like it is seen, too doubtful to follow (quality 0.62).",
         "can": "No place in the picture looks like the object.",
     }
+    assert reasons_not_seen(["jar"], answer, {"jar"}) == {"jar": "Found; it is followed from now on."}
 
 
 def test_depth_is_rounded_to_its_unit_and_what_it_cannot_hold_is_no_reading():

@@ -9,7 +9,7 @@ import pytest
 from huepose.geometry import Box
 from huepose.reinit.types import ObjectSlot
 from huepose.support.errors import InputError
-from huepose_protos.examples import messages
+from huepose_protos.examples import example, messages
 from huepose_protos.messages import (
     ControlRequest,
     DetectedObject,
@@ -17,11 +17,13 @@ from huepose_protos.messages import (
     ObjectEntry,
     ObjectsMessage,
     PerceptionRequest,
+    PoseMessage,
     RequestedObject,
 )
 from huepose_services.boxes import Hints
 from huepose_services.following import Follower, Retired
 from huepose_services.steering import ObjectList, Order
+from huepose_services.watch import is_over
 
 
 def entry(name, **more):
@@ -43,11 +45,29 @@ def objects():
     return ObjectList([entry("mug")], load)
 
 
+def test_a_reset_object_is_said_to_be_searched_at_once_and_without_the_reason_of_before(objects):
+    objects.tell("mug", 0, (5, 3), "Hidden.")
+    assert objects.decide(order("reset", "mug"))[0]
+    (mug,) = objects.entries()
+    assert (mug.searching, mug.reason, mug.retired) == (1, "", (5, 3))
+
+
+def test_a_pose_is_over_when_its_object_was_reset_or_removed():
+    pose = example(PoseMessage)
+    name, epoch, number = pose.object, pose.camera_epoch, pose.instance
+    assert not is_over(pose, None)
+    assert not is_over(pose, [entry(name)])
+    assert not is_over(pose, [entry(name, retired=(epoch, number))])
+    assert not is_over(pose, [entry(name, retired=(epoch + 1, number + 1))])
+    assert is_over(pose, [entry(name, retired=(epoch, number + 1))])
+    assert is_over(pose, [entry(f"not_{name}")])
+
+
 def test_what_may_be_done_is_done(objects):
     assert objects.decide(order("add", "jar", max_instances=2)) == (True, "jar is looked for, up to 2 of it")
     assert objects.decide(order("reset", "mug", box=(1.0, 2.0, 3.0, 4.0)))[0]
     assert objects.decide(order("remove", "jar"))[0]
-    mug = entry("mug", resets=1, box=(1.0, 2.0, 3.0, 4.0))
+    mug = entry("mug", searching=1, resets=1, box=(1.0, 2.0, 3.0, 4.0))
     assert objects.entries() == [mug]
     jar = entry("jar", max_instances=2, searching=2)
     assert objects.orders() == [

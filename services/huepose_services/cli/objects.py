@@ -103,6 +103,6 @@ def ask(pipeline: Pipeline, request: ControlRequest) -> ControlReply | None:
 def _listed(reply: ControlReply) -> str:
     lines = []
     for entry in reply.objects:
-        missing = f", {entry.searching} not seen yet. {entry.reason}" if entry.searching else ""
+        missing = f", {entry.searching} not found yet. {entry.reason}".rstrip() if entry.searching else ""
         lines.append(f"{entry.object:32s} up to {entry.max_instances}{missing}")
     return "\n".join(lines) or "nothing is looked for"

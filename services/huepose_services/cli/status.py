@@ -120,7 +120,7 @@ def as_text(view: View) -> str:
     for entry in view.objects:
         if entry.searching:
             lines.append(
-                f"{entry.object:32s} SEARCHING  {entry.searching} of {entry.max_instances} never seen"
+                f"{entry.object:32s} SEARCHING  {entry.searching} of {entry.max_instances} not found yet"
             )
             if entry.reason:
                 lines.append(f"  {entry.reason}")

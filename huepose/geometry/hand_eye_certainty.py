@@ -25,10 +25,10 @@ _STEP = 1e-5
 @dataclass(frozen=True, eq=False)
 class Certainty:
     """shift_m, turn_rad: one standard deviation of the camera's place and of how it is turned, in the worst
-    direction; shift_ratio, turn_ratio: the same beside that of one measurement. axis (3,), in the frame of the
-    camera's mount: about it the hand turned least, by turned_rad from one pose to another, and by most_rad
-    about the one with the most. more: how many further measurements, turned by WANTED_RAD about all axes, bring
-    both ratios to 1; None where 40 do not."""
+    direction; shift_ratio, turn_ratio: the same beside that of one measurement. axis (3,), in the frame of
+    the camera's mount: about it the hand turned least, by turned_rad from one pose to another, and by
+    most_rad about the one with the most. more: how many further measurements, turned by WANTED_RAD about all
+    axes, bring both ratios to 1; None where 40 do not."""
 
     shift_m: float
     turn_rad: float

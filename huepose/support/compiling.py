@@ -1,22 +1,32 @@
-"""Says that kernels are being compiled: a first command on a computer would be silent for a minute or two."""
+"""Says that kernels are being compiled: a first command on a computer would be silent for a minute or two.
+
+Kernels are counted as they get ready; all are known once their modules are imported. A command needs most of
+them and says "of up to", setup needs all.
+"""
 
 from __future__ import annotations
 
 import time
-from collections.abc import Callable
-from contextlib import AbstractContextManager
-from typing import Any, cast
+from collections.abc import Callable, Generator
+from contextlib import contextmanager
+from typing import Any
 
 from numba.core import event
 
-from huepose.support.progress import Status
+from huepose.support.jit import KERNELS, name_of
+from huepose.support.progress import Status, bar_is_drawn
+
+_FEWEST = 3
+"""Kernels after which something is known of how long the others take."""
 
 
 class CompilingNotice(event.Listener):  # type: ignore[misc]  # numba has no types
-    """A line when the first kernel has to be compiled, then how many are. say: writes a line of a log."""
+    """A line when the first kernel has to be compiled, then how many are, at the end how many were. say:
+    writes a line of a log; every: whether all kernels are going to be compiled."""
 
-    def __init__(self, say: Callable[[str], None] | None = None) -> None:
-        self._say, self._done = say, 0
+    def __init__(self, say: Callable[[str], None] | None = None, every: bool = False) -> None:
+        self._say, self._every = say, every
+        self._done: set[str] = set()
         self._status: Status | None = None
 
     def on_start(self, event: Any) -> None:
@@ -26,12 +36,37 @@ class CompilingNotice(event.Listener):  # type: ignore[misc]  # numba has no typ
             self._status.line("compiling kernels for this computer, once: some seconds to two minutes")
 
     def on_end(self, event: Any) -> None:
-        """One is compiled."""
-        self._done += 1
-        if self._status is not None:
-            self._status.show(f"{self._done} kernels compiled, {time.monotonic() - self._started:.0f} s")
+        """One is compiled. Those of numba itself, which a kernel calls, are not counted."""
+        name = name_of(event.data["dispatcher"].py_func)
+        if self._status is None or name not in KERNELS:
+            return
+        self._done.add(name)
+        self._ended = time.monotonic()
+        if not (self._status.live and bar_is_drawn()):
+            self._status.show(self._how_far())
+
+    def _how_far(self) -> str:
+        done, all_of_them = len(self._done), len(KERNELS)
+        took_s = time.monotonic() - self._started
+        text = f"{done} of {'' if self._every else 'up to '}{all_of_them} kernels compiled, {took_s:.0f} s"
+        if done < _FEWEST:
+            return text
+        left_s = took_s / done * (all_of_them - done)
+        return f"{text}, {'' if self._every else 'up to '}{left_s:.0f} s left"
+
+    def finish(self) -> None:
+        """Nothing more is compiled."""
+        if self._status is not None and self._done:
+            took_s = self._ended - self._started
+            self._status.line(f"{len(self._done)} kernels compiled in {took_s:.0f} s")
 
 
-def telling_of_compiling(say: Callable[[str], None] | None = None) -> AbstractContextManager[Any]:
+@contextmanager
+def telling_of_compiling(
+    say: Callable[[str], None] | None = None, every: bool = False
+) -> Generator[None, None, None]:
     """As long as the context lasts; on standard error, or through `say`."""
-    return cast(AbstractContextManager[Any], event.install_listener("numba:compile", CompilingNotice(say)))
+    notice = CompilingNotice(say, every)
+    with event.install_listener("numba:compile", notice):
+        yield
+    notice.finish()

@@ -20,6 +20,14 @@ import numba
 
 F = TypeVar("F", bound=Callable[..., Any])
 
+KERNELS: set[str] = set()
+"""The names of all kernels of the modules that were imported so far."""
+
+
+def name_of(function: Callable[..., Any]) -> str:
+    """As in KERNELS."""
+    return f"{function.__module__}.{function.__qualname__}"
+
 
 def jit(function: F) -> F:
     """Compile `function` in nopython mode, releasing the interpreter lock, with fast floating point."""
@@ -33,6 +41,7 @@ def jit_dividing(function: F) -> F:
 
 
 def _compiled(function: F, more: dict[str, Any]) -> F:
+    KERNELS.add(name_of(function))
     options: dict[str, Any] = {"nogil": True, "fastmath": {"contract", "arcp", "nsz", "reassoc"}, **more}
     try:
         kernel = numba.njit(cache=True, **options)(function)

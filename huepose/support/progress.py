@@ -17,6 +17,15 @@ _DRAWN_EVERY_S = 0.1
 _LOOK_EVERY_S = 0.5
 
 
+_bars = 0
+"""Of those that are drawn on a terminal now."""
+
+
+def bar_is_drawn() -> bool:
+    """Whether `progress` has the terminal's line."""
+    return _bars > 0
+
+
 class Status:
     """How far something is. On a terminal in one line that is written over, at most ten times a second; in a
     log as a line after two seconds, then every ten.
@@ -93,6 +102,8 @@ def progress(
     elif total:
         show()
     threading.Thread(target=tell, daemon=True).start()
+    global _bars
+    _bars += status.live
     try:
         for item in items:
             yield item
@@ -103,6 +114,7 @@ def progress(
     finally:
         with saying:
             ended.set()
+        _bars -= status.live
         took = time.monotonic() - start
         if done == total or not total:  # of what failed or was stopped, whoever stopped it says all
             status.line(f"{label}: {done}{f' of {total}' if total else ''} in {took:.1f} s")

@@ -6,42 +6,47 @@ afterwards is silent for a minute, learns the objects of the built-in scene, and
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from functools import partial
+import numpy as np
 
 from huepose import reinit
+from huepose.colorpair.lifting import GATE_M, RADIUS_PX, local_planes
 from huepose.estimation import Estimator, ObjectQuery
 from huepose.evaluation import suitability
 from huepose.geometry import Box, RgbdFrame
 from huepose.model import ReferenceModel, load_models
 from huepose.perception.colorpair_detector import ColorPairDetector
+from huepose.perception.stillness import Tiles
 from huepose.profiles import profile
 from huepose.scenes.builtin import SyntheticScene, first_shot
 from huepose.scenes.plan import CAMERA
 from huepose.scenes.rendered import rendered_frame
-from huepose.support.progress import progress
+from huepose.support.compiling import telling_of_compiling
 from huepose.tracking import Tracker
 from huepose_services.builtin import builtin_bundles
 
 
 def main() -> None:
-    """Do once, on built-in objects, what commands and workers will do. Each step says how far it is;
-    kernels are not counted beside that, which would write over the same line of a terminal."""
+    """Say how far it is."""
+    with telling_of_compiling(every=True):
+        compile_all()
+    SyntheticScene(0)
+
+
+def compile_all() -> None:
+    """Do once, on built-in objects, what commands and workers will do: all kernels are compiled then."""
     models = load_models(builtin_bundles(0))
     live, names = profile("live"), sorted(models)
     shot = first_shot({name: models[name].mesh for name in names})
     frame = RgbdFrame(shot.color, shot.depth, CAMERA)
-    steps: list[Callable[[], object]] = [
-        lambda: Estimator(models, live.estimator).warm_up(),
-        lambda: ColorPairDetector(models, live.detector).detect(frame, names),
-        lambda: Tracker(models, live.tracker).warm_up(),
-        reinit.warm_up,
-        partial(_in_a_drawn_scene, models["corner_bracket"]),
-        partial(_in_a_drawn_scene, models["soup_can"]),
-    ]
-    for step in progress(steps, "compiling numeric kernels for this computer"):
-        step()
-    SyntheticScene(0)
+    Estimator(models, live.estimator).warm_up()
+    ColorPairDetector(models, live.detector).detect(frame, names)
+    Tracker(models, live.tracker).warm_up()
+    reinit.warm_up()
+    Tiles.of(frame)  # what a detector sees of a second frame
+    # What the methods of the paper do.
+    local_planes(shot.depth, shot.depth > 0.0, CAMERA, np.zeros((1, 2)), RADIUS_PX, GATE_M)
+    _in_a_drawn_scene(models["corner_bracket"])
+    _in_a_drawn_scene(models["soup_can"])
 
 
 def _in_a_drawn_scene(model: ReferenceModel) -> None:

@@ -1,10 +1,13 @@
 import io
+import sys
 import time
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 from numba.core import event
 
+from huepose.support import compiling
 from huepose.support import progress as progress_module
 from huepose.support.compiling import CompilingNotice
 from huepose.support.errors import InputError
@@ -67,16 +70,45 @@ def test_the_time_left_leaves_out_the_first_step_which_may_have_compiled(clock):
     assert "views: 11 of 40, 70 s, 29 s left\n" in out.getvalue()
 
 
-def test_compiling_is_told_once_and_then_how_far_it_is(clock):
-    said = []
-    notice = CompilingNotice(said.append)
-    for _ in range(30):
-        notice.notify(event.Event("numba:compile", event.EventStatus.START))
+def compiled(notice, clock, module, count):
+    """Tell of `count` functions of a module that took a second each."""
+    for n in range(count):
+        data = {
+            "dispatcher": SimpleNamespace(py_func=SimpleNamespace(__module__=module, __qualname__=f"k{n}"))
+        }
+        notice.notify(event.Event("numba:compile", event.EventStatus.START, data))
         clock[0] += 1.0
-        notice.notify(event.Event("numba:compile", event.EventStatus.END))
-    first, *rest = said
+        notice.notify(event.Event("numba:compile", event.EventStatus.END, data))
+
+
+@pytest.mark.parametrize(("every", "upto"), [(False, "up to "), (True, "")])
+def test_compiling_is_told_once_and_then_how_far_it_is(clock, monkeypatch, every, upto):
+    monkeypatch.setattr(compiling, "KERNELS", {f"ours.k{n}" for n in range(25)})
+    said = []
+    notice = CompilingNotice(said.append, every)
+    compiled(notice, clock, "ours", 22)
+    compiled(notice, clock, "numba", 5)  # what kernels call
+    compiled(notice, clock, "ours", 3)  # for other types of arguments, say
+    clock[0] += 100.0  # of other work
+    notice.finish()
+    first, *rest, last = said
     assert first.startswith("compiling kernels for this computer, once")
-    assert rest == [f"{n} kernels compiled, {n} s" for n in (2, 12, 22)]
+    left = {2: "", 12: f", {upto}13 s left", 22: f", {upto}3 s left"}
+    assert rest == [f"{n} of {upto}25 kernels compiled, {n} s{left[n]}" for n in left]
+    assert last == "22 kernels compiled in 30 s"
+
+
+def test_a_bar_and_the_count_of_kernels_do_not_write_over_each_other(clock, monkeypatch):
+    monkeypatch.setattr(compiling, "KERNELS", {f"ours.k{n}" for n in range(9)})
+    terminal = io.StringIO()
+    terminal.isatty = lambda: True
+    monkeypatch.setattr(sys, "stderr", terminal)
+    notice = CompilingNotice()
+    for _ in progress(range(1), "views"):
+        compiled(notice, clock, "ours", 5)
+    assert "kernels compiled" not in terminal.getvalue()
+    compiled(notice, clock, "ours", 6)
+    assert "\r6 of up to 9 kernels compiled, 11 s, up to 6 s left" in terminal.getvalue()
 
 
 def test_progress_is_shown_before_the_first_step_is_done():

@@ -10,7 +10,6 @@ from __future__ import annotations
 import heapq
 import io
 from collections.abc import Iterator
-from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, cast
 
@@ -36,6 +35,7 @@ from huepose_services.convert import frame_from_wire
 from huepose_services.following import Change, Follower
 from huepose_services.recording.read import Event, Recording
 from huepose_services.recording.record import about_this_machine
+from huepose_services.recording.report import Report
 from huepose_services.runtime.bus import Bus
 from huepose_services.runtime.clock import SECOND
 from huepose_services.runtime.config import Config
@@ -54,53 +54,6 @@ _FRAMES = 1024
 _FrameKey = tuple[int, int]
 _Pixels = tuple[FrameHeader, bytes]
 _PoseKey = tuple[str, int, int]
-
-
-@dataclass
-class Report:
-    """The result. steps: computed again; skipped: steps that were not; poses, memories: found to be the same;
-    unrecorded: poses that the recording lacks; difference: where and what the first difference is, or
-    empty."""
-
-    steps: int = 0
-    skipped: int = 0
-    poses: int = 0
-    unrecorded: int = 0
-    memories: int = 0
-    gaps: list[str] = field(default_factory=list)
-    difference: str = ""
-
-    @property
-    def text(self) -> str:
-        """The result in words."""
-        lines = [
-            f"{self.steps} steps of the tracker computed again: {self.poses} poses and {self.memories} "
-            "states of it are the same, bit by bit"
-            if self.steps
-            else self._nothing
-        ]
-        if self.difference:
-            lines[0] += f", then not: {self.difference}"
-        if self.skipped:
-            lines.append(
-                f"{self.skipped} steps were not: they rest on frames from before the recording, or come "
-                "before the next memory of the tracker, which is recorded every five seconds"
-            )
-        lines += [f"a gap: {gap}" for gap in self.gaps]
-        if self.unrecorded:
-            lines.append(f"{self.unrecorded} poses are not in the recording")
-        return "\n".join(lines)
-
-    @property
-    def _nothing(self) -> str:
-        if self.skipped:
-            return (
-                "nothing to compare: record for longer than ten seconds, or from before the pipeline begins"
-            )
-        return (
-            "nothing to compare: no step of the tracker is in it. Record while the tracker runs, and without "
-            "--no-frames"
-        )
 
 
 def verify(recordings: list[Recording], bundles: Path | None = None) -> Report:
@@ -212,6 +165,7 @@ class _Verifier:
             replay = self._replay = None
         if replay is None:
             self.report.skipped += 1
+            self.report.skipped_first += not self.report.steps
         else:
             self._compare(intake, *replay.step(intake, pixels))
         if intake.seq != self._last_seq + 1:
@@ -234,6 +188,9 @@ class _Verifier:
             self._frames.pop(oldest, None)
 
     def _compare(self, was: IntakeMessage, now: IntakeMessage, poses: list[PoseMessage], error: str) -> None:
+        at_s = self._seconds(was)
+        self.report.from_s = self.report.from_s if self.report.steps else at_s
+        self.report.until_s = at_s
         self.report.steps += 1
         for before, after in zip(was.marks, [*now.marks, *[None] * len(was.marks)], strict=False):
             if before != after:
@@ -263,9 +220,12 @@ class _Verifier:
         self.report.difference = text + (f" (not the same: {'; '.join(other)})" if other else "")
 
     def _at(self, intake: IntakeMessage) -> str:
-        key, at_s = _frame_key(intake), (intake.publish_ns - (self._first_ns or 0)) * 1e-9
+        key, at_s = _frame_key(intake), self._seconds(intake)
         where = f"step {intake.seq}" if key is None else f"frame {key[1]} of epoch {key[0]}"
         return f"{where} ({at_s:.2f} s after the beginning)"
+
+    def _seconds(self, intake: IntakeMessage) -> float:
+        return (intake.publish_ns - (self._first_ns or 0)) * 1e-9
 
 
 def _frame_key(intake: IntakeMessage) -> _FrameKey | None:

@@ -30,6 +30,7 @@ def test_all_of_it_is_the_same_bit_by_bit(followed):
     assert report.memories == 3
     said = [e.message for e in Recording(followed.path).events() if isinstance(e.message, PoseMessage)]
     assert report.poses == len(said) >= STEPS - 3
+    assert "not checked: the first step, after which" in report.text
     # The last of it was taken back when nothing newer came.
     assert [pose.state for pose in said[-2:]] == ["TRACKING", "SUSPECT"]
     assert said[-1].frame_id == said[-2].frame_id
@@ -119,7 +120,8 @@ def test_after_what_is_missing_it_goes_on_from_the_next_memory(followed, kind):
         followed.rewritten(lambda e: None if isinstance(e.message, kind) and e.message.frame_id == 5 else e)
     )
     assert report.difference == ""
-    assert len(report.gaps) == 1
+    assert (len(report.gaps), report.skipped_first) == (1, 1)
+    assert f"not checked: {report.skipped - 1} steps after a gap" in report.text
     assert "5 is missing" in report.gaps[0] or "step 6 is missing" in report.gaps[0]
     if kind is IntakeMessage:
         assert report.steps == 4 + (STEPS - 8) + 1
@@ -145,6 +147,32 @@ def test_a_tracker_that_takes_few_of_the_frames_is_followed(followed, tmp_path):
     out.close()
     report = _verified(out.path)
     assert (report.difference, report.steps, report.gaps) == ("", STEPS, [])
+
+
+def test_what_begins_in_mid_run_says_from_when_it_is_checked_and_why(followed, capsys):
+    """The pictures that the tracker remembered when the recording began are not in it."""
+    memories = []
+
+    def change(event):
+        if isinstance(event.message, MemoryMessage):
+            memories.append(event.message)
+            if len(memories) == 1:
+                message = msgspec.structs.replace(event.message, frames=[(1, 1)])
+                return type(event)(event.key, message)
+        return event
+
+    path = followed.rewritten(change)
+    report = _verified(path)
+    assert report.difference == ""
+    assert report.skipped == report.skipped_first == STEPS + 1 - report.steps > 1
+    assert 0.0 < report.from_s < report.until_s
+    assert main(["replay", "--verify", str(path)]) == 0
+    out = capsys.readouterr().out
+    assert f"from {report.from_s:.2f} s to {report.until_s:.2f} s" in out
+    assert (
+        f"not checked: the {report.skipped_first} steps before {report.from_s:.2f} s. The tracker ran" in out
+    )
+    assert "after a gap" not in out
 
 
 def test_poses_that_were_not_recorded_are_counted(followed):

@@ -1,0 +1,64 @@
+"""What came out when the poses of a recording were computed again."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+
+@dataclass
+class Report:
+    """The result. steps: computed again; skipped: steps that were not, skipped_first: of these before the
+    first that was; from_s, until_s: times of the first and the last of `steps`, seconds after the tracker's
+    first message in the recording; poses, memories: found to be the same; unrecorded: poses that the
+    recording lacks; difference: where and what the first difference is, or empty."""
+
+    steps: int = 0
+    skipped: int = 0
+    skipped_first: int = 0
+    from_s: float = 0.0
+    until_s: float = 0.0
+    poses: int = 0
+    unrecorded: int = 0
+    memories: int = 0
+    gaps: list[str] = field(default_factory=list)
+    difference: str = ""
+
+    @property
+    def text(self) -> str:
+        """The result in words."""
+        lines = [
+            f"{self.steps} steps of the tracker computed again, from {self.from_s:.2f} s to "
+            f"{self.until_s:.2f} s of the recording: {self.poses} poses and {self.memories} states of it are "
+            "the same, bit by bit"
+            if self.steps
+            else self._nothing
+        ]
+        if self.difference:
+            lines[0] += f", then not: {self.difference}"
+        if self.skipped_first == 1 and self.steps:
+            lines.append("not checked: the first step, after which the tracker's state is recorded")
+        elif self.steps and self.skipped_first:
+            lines.append(
+                f"not checked: the {self.skipped_first} steps before {self.from_s:.2f} s. The tracker ran "
+                "already when the recording began, and remembered pictures from before; its state is "
+                "recorded every five seconds, and this is the first that rests on recorded pictures alone"
+            )
+        if later := self.skipped - self.skipped_first:
+            lines.append(
+                f"not checked: {later} steps after a gap, until the tracker's state is recorded again"
+            )
+        lines += [f"a gap: {gap}" for gap in self.gaps]
+        if self.unrecorded:
+            lines.append(f"{self.unrecorded} poses are not in the recording")
+        return "\n".join(lines)
+
+    @property
+    def _nothing(self) -> str:
+        if self.skipped:
+            return (
+                "nothing to compare: record for longer than ten seconds, or from before the pipeline begins"
+            )
+        return (
+            "nothing to compare: no step of the tracker is in it. Record while the tracker runs, and without "
+            "--no-frames"
+        )

@@ -20,6 +20,9 @@ _DISTANCE = 6.0  # of the camera, diameters: nearly parallel rays
 _MIN_COSINE = 0.12  # of the viewing angle at a visible surface
 _TOLERANCE_M = 0.0015  # of the depth comparison, beside pixel size and slope
 
+_AT_ONCE = 20_000
+"""Points for a kernel: a tenth of a second, and in between Ctrl-C is heard."""
+
 
 @dataclass(frozen=True, eq=False)
 class DepthViews:
@@ -64,6 +67,14 @@ def seen(views: DepthViews, points: Float, normals: Float) -> Bool:
 def votes(views: DepthViews, points: Float, normals: Float) -> Int32:
     """Number of views (N,) that see each point from the side of its normal: among every fourth view, or among
     all for points that none of those sees."""
+    parts = [
+        _votes(views, points[first : first + _AT_ONCE], normals[first : first + _AT_ONCE])
+        for first in range(0, len(points), _AT_ONCE)
+    ]
+    return np.concatenate(parts) if parts else np.zeros(0, np.int32)
+
+
+def _votes(views: DepthViews, points: Float, normals: Float) -> Int32:
     out = np.zeros(len(points), np.int32)
     coarse = icosphere.directions(LEVEL - 1).shape[0]  # the finer sphere begins with the coarser one
     _count_seen(*_arrays(views, points, normals), coarse, out)

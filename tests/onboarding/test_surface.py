@@ -6,6 +6,7 @@ from scipy.spatial import cKDTree
 
 from huepose.geometry import Mesh
 from huepose.model.types import Surface
+from huepose.onboarding import visibility
 from huepose.onboarding.cloud import averaged_lab, visible_cloud
 from huepose.onboarding.surface import build_grid, build_surface, even_order
 from huepose.onboarding.visibility import depth_views, seen
@@ -100,6 +101,26 @@ def test_what_stands_behind_is_hidden() -> None:
     sideways = (np.abs(along) < 0.35) & (np.abs(along) > 0.15)
     assert mask[sideways & (along > 0), 0].all()
     assert mask[sideways & (along < 0), 1].all()
+
+
+def test_points_are_looked_at_in_parts_and_each_counts_as_alone(monkeypatch: pytest.MonkeyPatch) -> None:
+    """In one part, a large object would not hear Ctrl-C for seconds."""
+    mesh = solids.joined(solids.box((0.1, 0.02, 0.1)), solids.moved(solids.sphere(0.02), (0.0, 0.04, 0.0)))
+    views = depth_views(mesh, 0.15)
+    points = np.concatenate([mesh.vertices, mesh.vertices * 0.5])
+    normals = points / np.linalg.norm(points, axis=1, keepdims=True)
+    sizes = []
+    monkeypatch.setattr(
+        visibility, "_votes", lambda v, p, n, inner=visibility._votes: sizes.append(len(p)) or inner(v, p, n)
+    )
+    monkeypatch.setattr(visibility, "_AT_ONCE", len(points) // 3)
+    counted = visibility.votes(views, points, normals)
+    assert max(sizes) <= len(points) // 3
+    assert sum(sizes) == len(points)
+    assert (counted == seen(views, points, normals).sum(0))[counted == 0].all()
+    alone = [visibility.votes(views, p[None], n[None])[0] for p, n in zip(points, normals, strict=True)]
+    assert counted.tolist() == alone
+    assert 0 < (counted > 0).sum() < len(counted)
 
 
 def test_inner_walls_are_left_out_and_inverted_faces_turned() -> None:

@@ -123,3 +123,14 @@ def test_an_answer_as_json_is_all_that_is_printed(tmp_path: Path, capsys: pytest
     answer = json.loads(capsys.readouterr().out)
     assert answer["keys"] == "huepose/here/cam0/..."
     assert list(answer["ports"]) == answer["workers"]
+
+
+def test_ctrl_c_while_a_command_line_is_still_read_is_a_line_and_no_traceback(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    def interrupted() -> None:
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(command_line, "build_parser", interrupted)
+    assert main(["poses"]) == 130
+    assert capsys.readouterr().err == "huepose: interrupted\n"

@@ -116,16 +116,27 @@ def _told(verb: str) -> AbstractContextManager[Any]:
     return telling_of_compiling()
 
 
-def main(arguments: list[str] | None = None) -> int:
-    """Run a command line. Returns the exit code."""
+def _parsed(arguments: list[str] | None) -> argparse.Namespace:
     parser = build_parser()
     if "_ARGCOMPLETE" in os.environ:  # a shell asks what may come next
         import argcomplete
 
         argcomplete.autocomplete(parser)
-    parsed = parser.parse_args(arguments)
-    from huepose.support.errors import InputError
+    return parser.parse_args(arguments)
 
+
+def _interrupted(what: str) -> int:
+    print(f"{what}: interrupted", file=sys.stderr)
+    return INTERRUPTED
+
+
+def main(arguments: list[str] | None = None) -> int:
+    """Run a command line. Returns the exit code."""
+    try:
+        parsed = _parsed(arguments)
+        from huepose.support.errors import InputError
+    except KeyboardInterrupt:
+        return _interrupted("huepose")
     try:
         check_outputs(parsed)
         if parsed.verb in _SHORT:
@@ -150,8 +161,7 @@ def main(arguments: list[str] | None = None) -> int:
         )
         return BAD_INPUT
     except KeyboardInterrupt:
-        print(f"huepose {parsed.verb}: interrupted", file=sys.stderr)
-        return INTERRUPTED
+        return _interrupted(f"huepose {parsed.verb}")
     except BrokenPipeError:
         # The reader of our output has left: nothing more to say, and nothing to flush at exit.
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())

@@ -17,7 +17,7 @@ if TYPE_CHECKING:
 
 _NONE_SEEN_AFTER_S = 3.0
 _LONGEST_WAIT_NS = 100_000_000
-_LOOK_EVERY_S, _STOPPED_AFTER_S = 0.2, 1.5
+_LOOK_EVERY_S, _STOPPED_AFTER_S = 0.1, 0.7
 
 
 def add_parser(subparsers: Any) -> None:

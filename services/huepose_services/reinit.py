@@ -84,6 +84,7 @@ class ReinitWork(Work):
         self._tracks: dict[tuple[str, int], TrackedPose] = {}
         self._sought: dict[int, tuple[str, ...]] = {}
         self._reasons: dict[str, str] = {}
+        self._told_missing: dict[str, int] = {}
         self._next_tick_ns = self._next_objects_ns = now_ns()
 
     def reload(self, config: Config) -> list[str]:
@@ -137,8 +138,8 @@ class ReinitWork(Work):
             self._bus.put_control(self._bus.keys.request, request_to_wire(request))
         for correction in self._loop.repeats(now):
             self._send(correction)
-        if now >= self._next_objects_ns:
-            self._next_objects_ns = max(self._next_objects_ns + SECOND, now)
+        if now >= self._next_objects_ns or self._missing() != self._told_missing:
+            self._next_objects_ns = now + SECOND
             self._publish_objects()
 
     def _observe(self, pose: PoseMessage) -> None:
@@ -178,9 +179,13 @@ class ReinitWork(Work):
     def _send(self, correction: Correction) -> None:
         self._bus.put_control(self._bus.keys.correction, correction_to_wire(correction))
 
+    def _missing(self) -> dict[str, int]:
+        """How many instances of each object are searched for."""
+        return {item.object: item.missing for item in self._loop.searching()}
+
     def _publish_objects(self) -> None:
         self._bus.health.counters |= asdict(self._loop.counters)
-        missing = {item.object: item.missing for item in self._loop.searching()}
+        missing = self._told_missing = self._missing()
         for entry in self._objects.entries():
             name = entry.object
             count = missing.get(name, 0)

@@ -1,0 +1,122 @@
+"""The re-initialisation worker tells at once what it searches for, and says nothing of an older search."""
+
+from collections import defaultdict
+from types import SimpleNamespace
+
+import msgspec
+import pytest
+
+from huepose.reinit import ReinitConfig, ReinitLoop
+from huepose.reinit.types import ObjectSlot
+from huepose_protos.examples import example
+from huepose_protos.messages import ControlRequest, Estimates, ObjectEntry, ObjectsMessage, PoseMessage
+from huepose_services.reinit import ReinitWork
+from huepose_services.runtime.clock import now_ns
+from huepose_services.runtime.config import Config
+from huepose_services.runtime.health import Health
+from huepose_services.steering import ObjectList
+
+EPOCH = 5
+
+
+class _Bus:
+    """Gives the messages in `arriving`, and keeps what is published in `said`."""
+
+    def __init__(self):
+        self.keys, self.health = Config().keys, Health("reinit")
+        self.arriving, self.said = defaultdict(list), []
+        self.inbox = SimpleNamespace(queue=lambda *_, **__: None)
+        self.session = SimpleNamespace(declare_queryable=lambda *_: None)
+        self.log = SimpleNamespace(say=lambda *_: None)
+
+    def take(self, queue, kind):
+        return self.arriving[kind].pop(0) if self.arriving[kind] else None
+
+    def put(self, key, message):
+        self.said.append(message)
+
+    put_control = put
+
+    def mug(self):
+        """What was last told of the mug."""
+        return [m for m in self.said if isinstance(m, ObjectsMessage)][-1].objects[0]
+
+
+@pytest.fixture
+def bus():
+    return _Bus()
+
+
+@pytest.fixture
+def objects():
+    return ObjectList([ObjectEntry(object="mug", max_instances=1, searching=1)], ObjectSlot)
+
+
+@pytest.fixture
+def step(bus, objects, monkeypatch):
+    """Step the worker, a tick later each time."""
+    work = ReinitWork(bus, ReinitLoop(ReinitConfig(), [ObjectSlot("mug", 1, 0.1)]), objects)
+
+    def once():
+        work._next_tick_ns = 0
+        work.step()
+
+    return once
+
+
+def pose(instance):
+    now = now_ns()
+    return msgspec.structs.replace(
+        example(PoseMessage),
+        **{
+            "object": "mug",
+            "instance": instance,
+            "camera_epoch": EPOCH,
+            "capture_ns": now,
+            "publish_ns": now,
+        },
+    )
+
+
+def test_that_an_object_is_found_is_told_at_once(bus, step):
+    step()
+    assert bus.mug().searching == 1
+    bus.arriving[PoseMessage].append(pose(0))
+    step()
+    assert bus.mug().searching == 0
+
+
+def test_an_answer_to_what_was_asked_before_a_reset_gives_no_reason_after_it(bus, objects, step):
+    step()
+    request = next(m for m in bus.said if not isinstance(m, ObjectsMessage))
+    objects.decide(ControlRequest(publish_ns=1, action="reset", object="mug"))
+    now = now_ns()
+    bus.arriving[Estimates].append(
+        Estimates(
+            publish_ns=now,
+            request_seq=request.seq,
+            camera_epoch=EPOCH,
+            frame_id=9,
+            capture_ns=now,
+            estimates=[],
+        )
+    )
+    step()
+    assert (bus.mug().searching, bus.mug().reason) == (1, "")
+
+
+def test_a_reset_forgets_the_reason_of_the_search_before(bus, objects, step):
+    step()
+    request = next(m for m in bus.said if not isinstance(m, ObjectsMessage))
+    now = now_ns()
+    answer = Estimates(
+        publish_ns=now, request_seq=request.seq, camera_epoch=EPOCH, frame_id=9, capture_ns=now, estimates=[]
+    )
+    bus.arriving[Estimates].append(answer)
+    step()
+    objects.decide(ControlRequest(publish_ns=1, action="add", object="mug", max_instances=2))
+    step()
+    assert bus.mug().reason == "No place in the picture looks like the object."
+    objects.decide(ControlRequest(publish_ns=1, action="reset", object="mug"))
+    step()
+    assert (bus.mug().searching, bus.mug().reason) == (2, "")

@@ -7,7 +7,7 @@ from 0.45 to 2 m away, with the noise of a colour and a stereo depth camera.
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Literal
 
 import numpy as np
@@ -167,6 +167,17 @@ def judged(model: ReferenceModel, trials: Sequence[Trial]) -> Suitability:
         tuple(reasons),
         tuple(trials),
     )
+
+
+def seen_in_part(found: Suitability, share: float) -> Suitability:
+    """The verdict where only that share of the surface was seen when the model was made: the trials draw the
+    model, and cannot know the rest."""
+    reason = (
+        f"Only {100 * share:.0f} % of its surface was seen: from the other sides it will not be found, and "
+        "the drawn scenes show the model as it was made, not the object."
+    )
+    verdict: Verdict = "suits with limits" if found.verdict == "suits" else found.verdict
+    return replace(found, verdict=verdict, reasons=(reason, *found.reasons))
 
 
 def _smallest(trials: Sequence[Trial]) -> float | None:

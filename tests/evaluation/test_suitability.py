@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from huepose.evaluation.suitability import Trial, in_words, judged, self_test, sheet
+from huepose.evaluation.suitability import Trial, in_words, judged, seen_in_part, self_test, sheet
 from huepose.model import ReferenceModel
 
 CROP = np.zeros((20, 30, 3), np.uint8)
@@ -46,6 +46,14 @@ def test_one_colour_is_said_and_limits_what_the_object_suits_for(tea_box: Refere
     found = judged(replace(tea_box, surface=grey), [trial(True)])
     assert found.reasons[0].startswith("It is of one colour (its colours differ by 0.0")
     assert found.verdict == "suits with limits"
+
+
+def test_a_model_of_a_part_suits_with_limits_at_best(tea_box: ReferenceModel) -> None:
+    found = seen_in_part(judged(tea_box, [trial(True)]), 0.37)
+    assert (found.verdict, found.right) == ("suits with limits", 1.0)
+    assert found.reasons[0].startswith("Only 37 % of its surface was seen")
+    wrong = judged(tea_box, [trial(False, shape=False, state="LOST")])
+    assert seen_in_part(wrong, 0.37).verdict == "does not suit"
 
 
 def test_the_self_test_and_its_sheet(tea_box: ReferenceModel) -> None:

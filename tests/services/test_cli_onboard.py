@@ -10,6 +10,7 @@ from collections.abc import Callable
 from contextlib import suppress
 from functools import partial
 from pathlib import Path
+from types import SimpleNamespace
 
 import msgspec
 import numpy as np
@@ -206,6 +207,46 @@ def test_a_recording_takes_the_place_of_a_mesh(
     mesh = read_mesh(out / "tea_mesh" / "tea.obj", "m")
     # The sides were not seen over 12 degrees; the height was.
     assert np.ptp(mesh.vertices[:, 2]) == pytest.approx(np.ptp(BOX.vertices[:, 2]), abs=0.006)
+
+
+@pytest.mark.parametrize(("surface", "code"), [(0.59, 1), (0.6, 0)])
+def test_what_was_seen_of_one_side_alone_tells_a_script(
+    surface: float,
+    code: int,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    from huepose.onboarding.batch import Onboarded
+    from huepose_services.cli import onboard, onboard_video
+    from tests.onboarding.test_from_video import BOX
+
+    made = SimpleNamespace(
+        mesh=BOX, frames=9, T_cam_obj={0: None}, views=1, directions=0.1, surface=surface, closing_m=None
+    )
+    result = Onboarded("tea", tmp_path / "tea", (0.1, 0.1, 0.1), 0.2, 0, 1, 9, 1.0, False)
+    tests = []
+    monkeypatch.setattr(onboard_video, "_scene", lambda path: None)
+    monkeypatch.setattr(onboard_video, "_learned", lambda *_: made)
+    monkeypatch.setattr(onboard, "onboard_one", lambda *_: result)
+    monkeypatch.setattr(onboard, "self_test", lambda *given: tests.append(given) or ({}, "tried"))
+    given = [
+        "onboard",
+        "--from-video",
+        "t.mcap",
+        "--click",
+        "1",
+        "2",
+        "--name",
+        "tea",
+        "--out",
+        str(tmp_path),
+    ]
+    assert main(given) == code
+    assert tests == [(tmp_path, "tea", surface if code else None)]
+    assert ("NOT ALL ROUND (exit code 1)" in capsys.readouterr().out) == bool(code)
+    assert main([*given, "--json"]) == code
+    assert json.loads(capsys.readouterr().out)["video"]["all_round"] == (not code)
 
 
 @pytest.mark.parametrize(

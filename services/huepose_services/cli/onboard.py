@@ -84,7 +84,7 @@ def _paper(parser: argparse.ArgumentParser) -> None:
 
 
 def call(arguments: argparse.Namespace) -> int:
-    """Onboard one mesh."""
+    """Onboard one mesh. Exit code 1 where a recording showed too little of the object."""
     from huepose.onboarding.batch import Job
     from huepose.onboarding.declared import read_symmetries
 
@@ -97,17 +97,19 @@ def call(arguments: argparse.Namespace) -> int:
         print(in_words(result), flush=True)
         if made:
             print(made.words, flush=True)
-    found, words = self_test(arguments.out, arguments.name) if arguments.test else (None, "")
+    part = None if made is None or made.all_round else made.surface
+    found, words = self_test(arguments.out, arguments.name, part) if arguments.test else (None, "")
     answer = {**asdict(result), "path": str(result.path), "suitability": found}
     if made:
         answer["video"] = made.facts
     if arguments.json or words:
         answered(arguments, answer, words)
-    return 0
+    return 0 if part is None else 1
 
 
-def self_test(bundles: Path, name: str) -> tuple[dict[str, Any] | None, str]:
-    """How well an object suits: for programs, in words, and in a picture, BUNDLES/NAME.png."""
+def self_test(bundles: Path, name: str, part: float | None = None) -> tuple[dict[str, Any] | None, str]:
+    """How well an object suits: for programs, in words, and in a picture, BUNDLES/NAME.png. part: share of
+    its surface of which the model was made, None for all of it."""
     from huepose.evaluation import suitability
     from huepose.model import load_models
     from huepose.support.errors import InputError
@@ -116,6 +118,8 @@ def self_test(bundles: Path, name: str) -> tuple[dict[str, Any] | None, str]:
     model = load_models(bundles, [name])[name]
     try:
         found = suitability.self_test(model)
+        if part is not None:
+            found = suitability.seen_in_part(found, part)
     except InputError as error:
         print(f"{name} was not tried in drawn scenes: {error}", file=sys.stderr)
         return None, ""

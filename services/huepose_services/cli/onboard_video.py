@@ -23,11 +23,18 @@ ALL_ROUND = 0.6
 
 @dataclass(frozen=True)
 class FromVideo:
-    """mesh: the file that was written; words: what it is worth; facts: the same for programs."""
+    """mesh: the file that was written; surface: share of it that was seen; words: what it is worth; facts:
+    the same for programs."""
 
     mesh: Path
+    surface: float
     words: str
     facts: dict[str, Any]
+
+    @property
+    def all_round(self) -> bool:
+        """Whether the model is of the whole object, as far as that can stand on a table."""
+        return self.surface >= ALL_ROUND
 
 
 def add_video(parser: argparse.ArgumentParser) -> None:
@@ -89,9 +96,10 @@ def mesh_from_video(arguments: argparse.Namespace) -> FromVideo | None:
         "views": made.views,
         "directions": made.directions,
         "surface": made.surface,
+        "all_round": made.surface >= ALL_ROUND,
         "closing_m": made.closing_m,
     }
-    return FromVideo(path, _in_words(made, path), facts)
+    return FromVideo(path, made.surface, _in_words(made, path), facts)
 
 
 def _scene(path: Path) -> Scene:
@@ -127,7 +135,7 @@ def _in_words(made: Learned, path: Path) -> str:
     )
     if made.surface < ALL_ROUND:
         words += (
-            "\nfrom the sides that were not seen it will not be found, and a test that draws this mesh says "
-            "nothing about them: record it turned all round, and tip it over meanwhile"
+            "\nNOT ALL ROUND (exit code 1): from the sides that were not seen it will not be found. Record "
+            "it turned all round, and tip it over meanwhile"
         )
     return words

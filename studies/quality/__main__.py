@@ -52,6 +52,7 @@ everywhere."""
 SHARE = {"full": 1, "colorpair": 3}
 """One in so many frames is used, because the second method takes longer."""
 
+SCENE_WORDS = {"cal_ycb": "drawn heaps", "cal_piles": "drawn piles"}
 HEADING = ["held out", "n", "right", "error", "by chance", "found %", "over the level %", "right of them %"]
 
 MOST_RIGHT = 0.98
@@ -171,7 +172,11 @@ def _near_ties(fitted: Fitted, labels: Judged) -> str:
 def _draw(path: Path, fitted: Fitted, labels: Judged) -> None:
     """Stated quality against the share that is right, of each calibration scene, side by side."""
     plots = [
-        reliability_plot(fitted.labels[chosen], labels.right[chosen], title=f"held out: {name}")
+        reliability_plot(
+            fitted.labels[chosen],
+            labels.right[chosen],
+            title=f"{SCENE_WORDS.get(name, name)}, not seen by the fit",
+        )
         for name, chosen in _by_scene(labels).items()
         if labels.right[chosen].mean() < MOST_RIGHT
     ]

@@ -1,10 +1,14 @@
 """What `huepose poses` prints of a pose, in the camera's frame and in the robot's."""
 
+import numpy as np
 import pytest
 from msgspec.structs import replace
 
+from huepose.evaluation.pose_files import read_pose_csv
 from huepose_protos.examples import messages
 from huepose_protos.messages import Mount, PoseMessage
+from huepose_services.cli.main import main
+from huepose_services.cli.pose_export import PoseFiles
 from huepose_services.cli.poses import _line, _where_on_robot
 
 HALF = 0.5**0.5
@@ -22,3 +26,31 @@ def test_a_pose_in_the_robots_frame(pose):
     where = _where_on_robot(pose, MOUNT)
     assert where == "+0.8000 +0.1000 +1.3000 m   +0.0000 +0.0000 +0.7071 +0.7071"
     assert where in _line(pose, where)
+
+
+def test_poses_to_be_acted_on_are_written_for_calibration_and_as_trajectories(pose, tmp_path):
+    at = replace(
+        pose, object="mug", instance=2, frame_id=7, capture_ns=5, realtime_offset_ns=1_700_000_000 * 10**9
+    )
+    csv, tum = tmp_path / "object.csv", tmp_path / "tum"
+    with PoseFiles(csv, tum) as files:
+        files.take(at)
+        files.take(replace(at, frame_id=8, state="SUSPECT"))
+        files.take(replace(at, frame_id=9, state="LOST", translation=None, quaternion=None))
+        files.take(next(m for m in messages() if not isinstance(m, PoseMessage)))
+        files.take(replace(at, frame_id=10, object="jar", instance=0))
+        assert files.written == 2
+    poses = read_pose_csv(csv).poses
+    assert list(poses) == [(7, "mug"), (10, "jar")]
+    np.testing.assert_allclose(poses[7, "mug"][:3, 3], [0.1, 0.2, 0.8])
+    assert {path.name for path in tum.iterdir()} == {"mug_2.txt", "jar_0.txt"}
+    heading, line = (tum / "mug_2.txt").read_text().splitlines()
+    assert heading == "# timestamp tx ty tz qx qy qz qw"
+    assert line.startswith("1700000000.000000005 0.1")
+    assert [float(value) for value in line.split()[1:]] == [0.1, 0.2, 0.8, 0.0, 0.0, 0.0, 1.0]
+
+
+def test_files_of_poses_and_other_ways_to_print_them_do_not_go_together(tmp_path, capsys):
+    assert main(["poses", "--csv", str(tmp_path / "a.csv"), "--robot"]) == 2
+    assert "found --robot beside it" in capsys.readouterr().err
+    assert not (tmp_path / "a.csv").exists()

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from huepose_services.cli.options import add_choice, chosen, until_told
+from huepose_services.cli.options import add_choice, add_path, chosen, until_told
 
 if TYPE_CHECKING:
     from huepose_protos.client import Reader
@@ -114,6 +114,7 @@ def _say(text: str) -> None:
 
 
 _POSES, _NO_POSE = "pose/**", "no pose"
+_CSV_HELP = "frame, object, position in metres and quaternion x y z w in the camera's frame"
 _HEADING = (
     " frame object/instance state quality   position x y z   rotation as a quaternion x y z w   "
     "age from capture to publishing   reason"
@@ -138,6 +139,13 @@ def add_parser(subparsers: Any) -> None:
         action="store_true",
         help="poses in the frame that the camera is mounted in (camera.mount of pipeline.yaml)",
     )
+    add_path(parser, "--csv", "FILE.csv", f"write TRACKING poses there instead: {_CSV_HELP}")
+    add_path(
+        parser,
+        "--tum",
+        "DIR",
+        "write TRACKING poses there instead, OBJECT_INSTANCE.txt each, in TUM's format",
+    )
     add_choice(parser)
     add_gateway(parser)
     parser.set_defaults(call=call)
@@ -146,16 +154,53 @@ def add_parser(subparsers: Any) -> None:
 def call(arguments: argparse.Namespace) -> int:
     """Print until interrupted, or until the pipeline that was seen here is gone."""
     gateway, stopping = gateway_of(arguments), until_told()
+    if arguments.csv is not None or arguments.tum is not None:
+        return _write(arguments, gateway, stopping)
     if not arguments.json and arguments.key == _POSES:
         _say(_HEADING)
     if arguments.robot:
         _print_on_robot(arguments, gateway, stopping)
-    elif gateway is None:
-        _print_until_gone(arguments, stopping)
     else:
-        for message in gateway.messages(arguments.key, stopping):
-            _print(message, arguments.json)
+        _take_until_gone(arguments, gateway, stopping, lambda message: _print(message, arguments.json))
     return 0
+
+
+def _write(arguments: argparse.Namespace, gateway: Gateway | None, stopping: Callable[[], bool]) -> int:
+    """Into files, until interrupted; exit code 1 where nothing was written."""
+    from huepose.support.errors import InputError
+    from huepose_services.cli.pose_export import PoseFiles
+
+    beside = [
+        name
+        for name, given in (
+            ("--json", arguments.json),
+            ("--robot", arguments.robot),
+            (arguments.key, arguments.key != _POSES),
+        )
+        if given
+    ]
+    if beside:
+        raise InputError(
+            "--csv and --tum", found=f"{beside[0]} beside it", expected="poses, in the camera's frame"
+        )
+    with PoseFiles(arguments.csv, arguments.tum) as files:
+        _take_until_gone(arguments, gateway, stopping, files.take)
+    _say(f"{files.written} poses written")
+    return 0 if files.written else 1
+
+
+def _take_until_gone(
+    arguments: argparse.Namespace,
+    gateway: Gateway | None,
+    stopping: Callable[[], bool],
+    take: Callable[[Message], None],
+) -> None:
+    """Give `take` every message until interrupted, or until the pipeline of this machine is gone."""
+    if gateway is None:
+        _take_here(arguments, stopping, take)
+        return
+    for message in gateway.messages(arguments.key, stopping):
+        take(message)
 
 
 def _print_on_robot(
@@ -199,7 +244,9 @@ def _where_on_robot(pose: PoseMessage, mount: Mount) -> str:
     return _where(there.translation, there.quaternion)
 
 
-def _print_until_gone(arguments: argparse.Namespace, stopping: Callable[[], bool]) -> None:
+def _take_here(
+    arguments: argparse.Namespace, stopping: Callable[[], bool], take: Callable[[Message], None]
+) -> None:
     from huepose_protos.client import Reader
 
     pipeline, again, say_at = chosen(arguments), True, time.monotonic() + _SAY_WAITING_AFTER_S
@@ -211,7 +258,7 @@ def _print_until_gone(arguments: argparse.Namespace, stopping: Callable[[], bool
                 message = reader.next(0.1)
                 if message is not None:
                     say_at = float("inf")
-                    _print(message, arguments.json)
+                    take(message)
                     continue
                 if time.monotonic() > say_at:
                     # Once for a pipeline that is not there, once for one that says nothing.

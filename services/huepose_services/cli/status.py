@@ -106,7 +106,9 @@ def as_text(view: View) -> str:
     for worker in order:
         message = view.health.get(worker)
         if worker in view.missing:
-            lines.append(f"{worker:10s} is not there")
+            lines.append(
+                f"{worker:10s} is not there: it is starting, or has ended; the pipeline's log says which"
+            )
         elif message is None:
             lines.append(f"{worker:10s} is there and says nothing")
         else:

@@ -1,0 +1,57 @@
+"""`huepose poses --csv` and `--tum`: poses that may be acted on, into files that other programs read."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from types import TracebackType
+from typing import TextIO
+
+from huepose_protos.messages import Message, PoseMessage
+
+CSV_COLUMNS = "frame,object,x,y,z,qx,qy,qz,qw"
+TUM_COLUMNS = "# timestamp tx ty tz qx qy qz qw"
+
+
+class PoseFiles:
+    """Writes every TRACKING pose: a row of `csv`, and a line of DIR/OBJECT_INSTANCE.txt (`tum`), whose
+    timestamp is the capture on the realtime clock, seconds. Poses are T_cam_obj, metres; a line is in its
+    file at once."""
+
+    def __init__(self, csv: Path | None, tum: Path | None) -> None:
+        self._tum = tum
+        self._files: dict[str, TextIO] = {}
+        self.written = 0
+        self._csv = None if csv is None else self._begun(csv, CSV_COLUMNS)
+        if tum is not None:
+            tum.mkdir(parents=True, exist_ok=True)
+
+    def _begun(self, path: Path, heading: str) -> TextIO:
+        file = path.open("w", buffering=1)
+        self._files[str(path)] = file
+        file.write(heading + "\n")
+        return file
+
+    def take(self, message: Message) -> None:
+        """Write it, where it is a pose that may be acted on."""
+        if not isinstance(message, PoseMessage) or message.state != "TRACKING":
+            return
+        if message.translation is None or message.quaternion is None:
+            return
+        values = [f"{value:.9f}" for value in (*message.translation, *message.quaternion)]
+        self.written += 1
+        if self._csv is not None:
+            self._csv.write(f"{message.frame_id},{message.object},{','.join(values)}\n")
+        if self._tum is not None:
+            path = self._tum / f"{message.object}_{message.instance}.txt"
+            file = self._files.get(str(path)) or self._begun(path, TUM_COLUMNS)
+            seconds, rest = divmod(message.capture_ns + message.realtime_offset_ns, 1_000_000_000)
+            file.write(f"{seconds}.{rest:09d} {' '.join(values)}\n")
+
+    def __enter__(self) -> PoseFiles:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, where: TracebackType | None
+    ) -> None:
+        for file in self._files.values():
+            file.close()

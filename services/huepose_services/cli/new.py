@@ -47,7 +47,7 @@ def call(arguments: argparse.Namespace) -> int:
     from huepose.scenes.builtin import first_shot
     from huepose.scenes.plan import CAMERA
     from huepose.support.errors import InputError
-    from huepose_services.cli.onboard import in_words, onboard_one, self_test
+    from huepose_services.cli.onboard import in_words, odd_side_m, onboard_one, self_test
 
     out: Path = arguments.out or Path(arguments.name)
     path = out / "pipeline.yaml"
@@ -58,7 +58,8 @@ def call(arguments: argparse.Namespace) -> int:
             expected="a new folder",
             fix="Name another one with --out DIR, or delete this one.",
         )
-    print(in_words(onboard_one(Job(arguments.mesh, arguments.name, unit=arguments.unit), out / "bundles")))
+    job = Job(arguments.mesh, arguments.name, unit=arguments.unit)
+    print(in_words(onboard_one(job, out / "bundles")))
     (model,) = load_models(out / "bundles", [arguments.name]).values()
     if arguments.test:
         _, words = self_test(out / "bundles", model.name)
@@ -84,6 +85,12 @@ def call(arguments: argparse.Namespace) -> int:
   huepose demo --bundles {at}/bundles      # the whole pipeline on it, with its accuracy
   huepose up {at}/pipeline.yaml      # live, until Ctrl-C; in another terminal: huepose poses, huepose view"""
     )
+    side_m = odd_side_m(job)
+    if side_m is not None:
+        print(
+            f"Is its largest side {side_m * 100:.1f} cm? The mesh gives no unit. If not, delete {at} and "
+            "begin again with --unit cm, for example"
+        )
     return 0
 
 

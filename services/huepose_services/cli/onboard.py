@@ -146,27 +146,28 @@ def onboard_one(job: Job, out: Path) -> Onboarded:
     _check_folder(out)
     if not job.mesh_path.is_file():
         raise InputError(job.mesh_path, found="no such file", expected="the mesh", fix="Check the path.")
-    _say_unit(job)
+    side_m = odd_side_m(job)
+    if side_m is not None:
+        print(
+            f"note: the mesh gives no unit; as it is taken, its largest side is {side_m * 100:.1f} cm. If "
+            "that is wrong, stop with Ctrl-C and say the unit: --unit cm, for example",
+            file=sys.stderr,
+        )
     with closing(progress(range(len(STAGES) + 1), f"onboarding {job.name}")) as steps:
         result = batch.onboard_one(job, out, lambda stage: _advance(steps))
         deque(steps, maxlen=0)
     return result
 
 
-def _say_unit(job: Job) -> None:
-    """Ask about a unit that was guessed and gives an object that few people handle."""
+def odd_side_m(job: Job) -> float | None:
+    """The largest side where the unit was guessed and gives an object that few people handle; else None."""
     from huepose.onboarding.meshes import read_mesh
 
     if job.unit is not None:
-        return
+        return None
     vertices = read_mesh(job.mesh_path).vertices
     side_m = float((vertices.max(0) - vertices.min(0)).max())
-    if not _SMALL_M < side_m < _LARGE_M:
-        print(
-            f"note: the mesh gives no unit; as it is taken, its largest side is {side_m * 100:.1f} cm. If "
-            "that is wrong, stop with Ctrl-C and say the unit: --unit cm, for example",
-            file=sys.stderr,
-        )
+    return None if _SMALL_M < side_m < _LARGE_M else side_m
 
 
 def call_bop(arguments: argparse.Namespace) -> int:

@@ -85,3 +85,9 @@ def test_status_says_it_below_the_object() -> None:
     said = as_text(view).splitlines()
     (line,) = [number for number, text in enumerate(said) if text.startswith("mug/2")]
     assert said[line + 1] == f"  {why.COVERED}"
+
+
+def test_status_does_not_call_a_worker_gone_that_may_be_starting() -> None:
+    view = View(Pipeline(base_port=17447), True, {}, frozenset(), ("estimator",), [], {})
+    (line,) = [text for text in as_text(view).splitlines() if text.startswith("estimator")]
+    assert "it is starting, or has ended" in line

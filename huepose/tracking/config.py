@@ -16,9 +16,9 @@ class TrackerConfig:
 
     States. tracking_quality, suspect_quality: evidence over the first in two frames in a row leads to
     TRACKING, under the second to SUSPECT; confirmed_identity: how sure it must be that an acquired pose is
-    the right one, and which way round the object is, before it is TRACKING; least_quality: no pose of a
-    lower published quality is TRACKING; lost_quality: under it a frame
-    gives no support; lost_after such frames in a row make an object LOST.
+    the right one before it is TRACKING: less than one in twenty is wrong; confirmed_turn: how sure, which way
+    round the object is; least_quality: no pose of a lower published quality is TRACKING; lost_quality: under
+    it a frame gives no support; lost_after such frames in a row make an object LOST.
 
     Looking further (totals of the judge, 0 to 1.9). doubtful_total: a pose that explains less is looked into;
     doubt: so is one this much under its baseline, long_doubt: after more than long_step_s, when flow finds
@@ -36,7 +36,8 @@ class TrackerConfig:
     tracking_quality: float = 0.6
     suspect_quality: float = 0.5
     lost_quality: float = 0.25
-    confirmed_identity: float = 0.9
+    confirmed_identity: float = 0.95
+    confirmed_turn: float = 0.9
     least_quality: float = 0.75
     lost_after: int = 5
     doubtful_total: float = 0.9

@@ -116,7 +116,7 @@ class Standing:
 
 def next_standing(before: Standing, evidence: float, confirmed: bool, config: TrackerConfig) -> Standing:
     """The state after a frame with that evidence, which is not the published quality; confirmed: identity and
-    orientation reach `confirmed_identity`, and the published quality `least_quality`.
+    orientation are confirmed, and the published quality reaches `least_quality`.
 
     SUSPECT at once when it is not confirmed or the evidence is under `suspect_quality`; LOST after
     `lost_after` frames in a row under `lost_quality`. From SUSPECT to TRACKING after two frames in a row of

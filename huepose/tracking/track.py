@@ -115,10 +115,10 @@ class Track:
         """What alone keeps its pose from being believed; None where it is, or does not fit the frame."""
         if not self.hypotheses or self.evidence < self._config.suspect_quality:
             return None
-        enough = self._config.confirmed_identity
-        if self._facing is not None and self._facing.probability < enough:
+        if self._facing is not None and self._facing.probability < self._config.confirmed_turn:
             return Doubt.TURN
-        return Doubt.IDENTITY if self._identity is None or self._identity.value < enough else None
+        sure = self._identity is not None and self._identity.value >= self._config.confirmed_identity
+        return None if sure else Doubt.IDENTITY
 
     @property
     def halfway(self) -> bool:
@@ -493,7 +493,7 @@ class Track:
         identity = 0.0 if self._identity is None else self._identity.value
         turn = 1.0 if self._facing is None else self._facing.probability
         self.quality = self.evidence * min(identity, turn)
-        confirmed = min(identity, turn) >= self._config.confirmed_identity
+        confirmed = identity >= self._config.confirmed_identity and turn >= self._config.confirmed_turn
         confirmed = confirmed and self.quality >= self._config.least_quality
         self._standing = next_standing(self._standing, self.evidence, confirmed, self._config)
         if self.state is State.LOST:

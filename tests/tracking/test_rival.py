@@ -15,6 +15,7 @@ from huepose.rendering import render
 from huepose.scenes.room import sheet
 from huepose.select.distinct import RIGHT
 from huepose.tracking import Correction, State, Tracker
+from huepose.tracking.config import TrackerConfig
 from huepose.tracking.hypothesis import Hypothesis
 from huepose.tracking.rival import NEW_VIEW, SETTLED, SHARPNESS, Facing, alike, best_rival, reached
 from huepose.tracking.step import Subject, best_of
@@ -197,3 +198,13 @@ def test_only_what_is_round_can_be_slid_in_small_steps(plain_box, half_plain_can
     small = Subject.of(half_plain_can).small_turns
     assert len(small) >= 2
     assert all(se3.rotation_angle(turn, np.eye(4)) < np.radians(46.0) for turn in small)
+
+
+def test_a_claim_of_nine_in_ten_does_not_settle_which_way_round_it_is() -> None:
+    """Of a turn that the picture cannot tell, one claim leaves it in doubt; a small lead, or a surer claim,
+    does not."""
+    needed = TrackerConfig().confirmed_turn
+    claimed = Facing.of(0.9, VIEW, 1)
+    assert claimed.told(0.02, VIEW).probability < needed < claimed.told(0.04, VIEW).probability
+    assert Facing.of(0.95, VIEW, 1).probability > needed
+    assert Facing.of(0.6, VIEW, 1).probability == pytest.approx(0.6)

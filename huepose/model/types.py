@@ -5,7 +5,6 @@ Lengths in metres, in the object's own frame. Colours are CIELAB (L 0..100), flo
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -153,13 +152,13 @@ class ReferenceModel:
     digest: str | None = None
 
 
-def model_named(models: Mapping[str, ReferenceModel], name: str) -> ReferenceModel:
-    """The model of that name. Raises InputError for an unknown one."""
-    if name not in models:
+class ReferenceModels(dict[str, ReferenceModel]):
+    """Models by name. Asked for an unknown one it raises InputError."""
+
+    def __missing__(self, name: str) -> ReferenceModel:
         raise InputError(
             f"object '{name}'",
             found="no reference model of that name",
-            expected=f"one of {', '.join(sorted(models)) or 'no objects at all'}",
+            expected=f"one of {', '.join(sorted(self)) or 'no objects at all'}",
             fix="Onboard it with `huepose onboard`, or check the spelling.",
         )
-    return models[name]

@@ -3,8 +3,8 @@
 Every query is first answered alone (`answer.answered`); then the poses of the frame compete for its depth:
 one surface, one pose. They are taken in order of their quality. A sure one keeps the pixels that it explains;
 a later one that lives on such pixels, or is doubtful beside them, is looked for again in the frame without
-them. What was taken counts as "no reading": it speaks neither for a pose nor against it, as something in front
-does. So neighbours in a pile, which merge into one mask, are told apart by those that are recognised.
+them. What was taken counts as "no reading": it speaks neither for a pose nor against it, as if hidden. So
+neighbours in a pile, which merge into one mask, are told apart by those that are recognised.
 
 The answers depend on the frame, the queries and the seed, not on the order of queries or on threads.
 """

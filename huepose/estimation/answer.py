@@ -87,7 +87,8 @@ def answered(
             look = replace(look, ranked=_found_by(method, frame, query, model, evidence, config.seed))
         elif evidence is not None:
             with stage("retrieval"):
-                views = retrieve(table_of(model), evidence.picture, evidence.sources, config.full.retrieval)
+                crop, bounds = evidence.region.crop, evidence.region.bounds
+                views = retrieve(table_of(model), crop, bounds, evidence.sources, config.full.retrieval)
             trail = refine(model, evidence, views.poses, views.masks, config.full)
             ranked = judge(model, evidence.region, trail.searched, look.prior, config.full)
             with stage("contest"):

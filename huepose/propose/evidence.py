@@ -14,18 +14,16 @@ import numpy as np
 from huepose.geometry.arrays import Bool, Float64
 from huepose.geometry.box import Box
 from huepose.geometry.frame import RgbdFrame
-from huepose.judge.region import Crop, Region, prepare_believed, prepare_crop, sampled_points
+from huepose.judge.region import Region, prepare_believed, prepare_crop, sampled_points
 from huepose.propose.config import EvidenceConfig
-from huepose.propose.views import Picture
 
 
 @dataclass(frozen=True, eq=False)
 class Evidence:
-    """region: input of the judge; picture: input of the view retrieval; sources: masks (h, w) of the crop
-    that propose poses, the whole box last; points_cam: surface points (N, 3) of each source, metres."""
+    """region: what poses are judged in; sources: masks (h, w) of its crop that propose poses, the whole box
+    last; points_cam: surface points (N, 3) of each source, metres."""
 
     region: Region
-    picture: Picture
     sources: tuple[Bool, ...]
     points_cam: tuple[Float64, ...]
 
@@ -64,11 +62,7 @@ def gather(
         sources.append(whole[cut])
         counts.append(config.box_points)
     points = tuple(sampled_points(crop, m, n)[0] for m, n in zip(sources, counts, strict=True))
-    return Evidence(region, _picture(crop, region), tuple(sources), points)
-
-
-def _picture(crop: Crop, region: Region) -> Picture:
-    return Picture(crop.color, crop.depth, crop.camera, region.bounds)
+    return Evidence(region, tuple(sources), points)
 
 
 def _box_fit(mask: Bool, box: Box, fitting_iou: float) -> float:

@@ -133,14 +133,13 @@ def _write_views(path: Path, model: ReferenceModel, explanation: Explanation) ->
     evidence = explanation.evidence
     if evidence is None:
         return
-    picture = evidence.picture
-    table = table_of(model)
-    views = retrieve(table, picture, evidence.sources, RetrievalConfig(views=VIEWS))
-    x0, y0, x1, y1 = (float(x) for x in picture.bounds)
+    crop, bounds = evidence.region.crop, evidence.region.bounds
+    views = retrieve(table_of(model), crop, bounds, evidence.sources, RetrievalConfig(views=VIEWS))
+    x0, y0, x1, y1 = (float(x) for x in bounds)
     around = Box(x0, y0, x1 - x0, y1 - y0).grown(0.3, 5)
-    rows, columns = around.slices(picture.camera.width, picture.camera.height)
-    pictures = [picture.color[rows, columns]]
-    pictures += [render([(model.mesh, T)], picture.camera).color[rows, columns] for T in views.poses]
+    rows, columns = around.slices(crop.camera.width, crop.camera.height)
+    pictures = [crop.color[rows, columns]]
+    pictures += [render([(model.mesh, T)], crop.camera).color[rows, columns] for T in views.poses]
     labels = [f"{s:.2f}, mask {k + 1}" for s, k in zip(views.scores, views.masks, strict=True)]
     write_picture(path, contact_sheet(pictures, 5, ["seen", *labels]))
 

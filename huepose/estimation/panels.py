@@ -24,6 +24,8 @@ SIDE = 240
 """Pixels that the longer side of a panel has."""
 
 MAX_GAIN = 8.0
+"""How much a dark picture is brightened at most."""
+
 AGREES, DIFFERS, SEEN_THROUGH, HIDDEN, UNKNOWN = (
     (40, 190, 90),
     (250, 215, 60),

@@ -18,12 +18,9 @@ from huepose.geometry.arrays import Bool, Float32, Float64, Int32, Int64, UInt8
 from huepose.geometry.box import Box
 from huepose.geometry.camera import Camera
 from huepose.geometry.frame import RgbdFrame
-from huepose.model.types import ReferenceModel
+from huepose.model.types import COLOR_SCALES_M, ReferenceModel
 from huepose.support.jit import jit, jit_dividing
 from huepose.support.once import once_for_each
-
-COLOR_SCALES_M = (0.0010, 0.0035)
-"""Standard deviations of the two smoothings, as in `Surface.lab`."""
 
 SATURATED = 250
 """Byte value from which a channel counts as saturated: its colour is unknown."""

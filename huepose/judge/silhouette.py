@@ -7,7 +7,7 @@ import numpy as np
 
 from huepose.geometry.arrays import Bool, Float, Float32, Float64
 from huepose.geometry.box import Box
-from huepose.geometry.camera import Camera
+from huepose.geometry.camera import NEAR_M, Camera
 from huepose.geometry.frame import RgbdFrame
 from huepose.geometry.mesh import Mesh
 from huepose.model.types import ReferenceModel
@@ -38,7 +38,7 @@ def _bounds(
     for k in range(points.shape[0]):
         p0, p1, p2 = points[k, 0], points[k, 1], points[k, 2]
         z = T[2, 0] * p0 + T[2, 1] * p1 + T[2, 2] * p2 + T[2, 3]
-        if z <= 0.05:
+        if z <= NEAR_M:
             continue
         ahead += 1
         u = (T[0, 0] * p0 + T[0, 1] * p1 + T[0, 2] * p2 + T[0, 3]) / z * fx + cx

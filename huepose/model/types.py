@@ -13,12 +13,15 @@ from huepose.geometry.arrays import Float32, Float64, Int32, UInt8
 from huepose.geometry.mesh import Mesh
 from huepose.support.errors import InputError
 
+COLOR_SCALES_M = (0.0010, 0.0035)
+"""Standard deviations of the two Gaussians over which texture is averaged, on the model and in a picture."""
+
 
 @dataclass(frozen=True, eq=False)
 class Surface:
     """Samples of the surface, in random order: any prefix is a sparser, even sample.
 
-    points, normals (N, 3) float32; lab (2, N, 3) float32: texture averaged over about 1 mm and 3.5 mm.
+    points, normals (N, 3) float32; lab (2, N, 3) float32: texture averaged at COLOR_SCALES_M.
     directions (V, 3) float32: unit vectors from the object to cameras; from direction v the samples
     `visible[offsets[v]:offsets[v + 1]]` are seen (self-occlusion included), in increasing order.
     """

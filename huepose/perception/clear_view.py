@@ -13,7 +13,8 @@ from huepose.geometry.arrays import Bool, Float32, Float64, Int32, UInt8
 from huepose.geometry.box import Box
 from huepose.geometry.camera import Camera
 from huepose.geometry.frame import RgbdFrame
-from huepose.judge.region import COLOR_SCALES_M, SATURATED, Crop, Region, tolerance_m
+from huepose.judge.region import SATURATED, Crop, Region, tolerance_m
+from huepose.model.types import COLOR_SCALES_M
 from huepose.perception.embedded import depth_steps
 from huepose.perception.ground import large_planes, standing_clear
 from huepose.support.jit import jit

@@ -57,9 +57,9 @@ from huepose.refine.solver import DAMPING, FEWEST_FOR_A_STEP, Body, advance, cle
 from huepose.support.jit import jit
 from huepose.support.once import once_for_each
 
-GATE_M = 0.008
-ITERATIONS = 8
-POINTS = 1000
+GATE_M, ITERATIONS, POINTS = 0.008, 8, 1000
+"""Of the last fit to depth: largest distance of a reading that counts, metres; steps; most readings."""
+
 WORTH = 0.1
 """A refined pose may lose this much of the score; one that loses more has slid off the texture."""
 
@@ -237,6 +237,8 @@ def _edges_of(reference: PairReference) -> ModelEdges:
 
 
 SIZE_STEPS = 3
+"""Gauss-Newton steps in which the size is found."""
+
 SIZE_GATE = 0.06
 """Points farther from the surface than this many diameters, and than the last fit's gate, count nothing."""
 

@@ -25,7 +25,10 @@ DOUBT_LEFT = 0.5
 """Share of the doubt that a new viewpoint leaves."""
 
 LARGEST = 0.995
+"""No belief in an identity is surer."""
+
 SAME_WAY = np.radians(30.0)
+"""A correction that turns the object further says that another side of it was seen."""
 
 
 def turned_over(T_before: Float64, T_after: Float64) -> bool:

@@ -14,6 +14,7 @@ import numpy as np
 from huepose.geometry import se3
 from huepose.geometry.arrays import Bool, Float64
 from huepose.geometry.box import Box
+from huepose.geometry.camera import NEAR_M
 from huepose.geometry.frame import RgbdFrame
 from huepose.geometry.mesh import Mesh
 from huepose.judge.borders import Contours
@@ -44,6 +45,8 @@ from huepose.tracking.search import (
 )
 
 START_SAMPLES = 150
+"""Surface samples by which the best of several starts is chosen."""
+
 HIDDEN_COSTS = 0.5
 """A right pose loses this much of its total per hidden share of the object; no search is needed for that."""
 
@@ -59,6 +62,8 @@ DRAWN_AWAY = 0.1
 """A refinement whose total falls by more than this has followed something else; its start is kept."""
 
 FLOW_GROWTH = 0.3
+"""Room round the object in which flow is computed, as a share of its size."""
+
 WHOLLY_HIDDEN = 0.9
 """Hidden share above which nothing is left to be followed."""
 
@@ -420,5 +425,5 @@ def _union(*boxes: Box) -> Box:
 
 
 def _window(surface: PreparedSurface, frame: RgbdFrame, box: Box, z: float) -> OpenRegion | None:
-    margin = max(8.0, MARGIN_M / max(z, 0.05) * frame.camera.fx)
+    margin = max(8.0, MARGIN_M / max(z, NEAR_M) * frame.camera.fx)
     return open_region(frame, box.grown(0.0, margin), z, surface.diameter_m)

@@ -1,7 +1,7 @@
 """What `huepose eval` does: metrics, protocols and reports, also on a user's own data. Where to look:
 
-    figures     metrics, bop_errors (pure functions on errors); states (of a track); calibration (of quality);
-                bootstrap (intervals)
+    figures     metrics, bop_errors (pure functions on errors); figures (of rows in their file form); states
+                (of a track); calibration (of quality); bootstrap (intervals)
     labels      targets (whose model, which error), assignment (poses to labels), instances (tracks to labels)
     protocols   estimate_protocol > estimate_rows, perception_protocol > perception_rows,
                 track_protocol (with sources) > track_rows, poses_protocol (of a live pipeline) > track_rows

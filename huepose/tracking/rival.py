@@ -22,7 +22,8 @@ from huepose.refine.photometric import COARSE, refine_all
 from huepose.select.distinct import RIGHT
 from huepose.tracking.evidence import odds_of
 from huepose.tracking.hypothesis import Hypothesis, same_pose
-from huepose.tracking.step import Subject, best_of, region_of
+from huepose.tracking.step import best_of, region_of
+from huepose.tracking.subject import Subject
 
 SHARPNESS = 24.0
 """Log-odds per unit of total between the right pose and its best near-symmetric rotation; largest likelihood

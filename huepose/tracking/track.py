@@ -26,16 +26,8 @@ from huepose.tracking.lost import found_again
 from huepose.tracking.motion import filtered, increment_velocity, predicted
 from huepose.tracking.reach import Reach, jump_odds, most_turned
 from huepose.tracking.rival import COSTS, SHARPNESS, Facing, alike, best_rival, reached
-from huepose.tracking.step import (
-    END,
-    FLOW,
-    Advance,
-    Anchor,
-    Subject,
-    advance,
-    found_nearby,
-    unmoved,
-)
+from huepose.tracking.step import END, FLOW, Advance, Anchor, advance, found_nearby, unmoved
+from huepose.tracking.subject import Subject
 from huepose.tracking.types import Doubt, State, TrackedPose
 from huepose.tracking.uncertainty import covariance, spread_m
 

@@ -13,7 +13,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from huepose.geometry import Camera, Mesh, RgbdFrame, se3
-from huepose.geometry.arrays import Bool, Float32, Float64
+from huepose.geometry.arrays import Bool, Float32, Float64, Rng
 from huepose.geometry.box import Box
 from huepose.rendering.render import Rendering, render
 from huepose.scenes.carried import random_strong_light
@@ -31,8 +31,6 @@ MARGIN_PX = 12
 """Round the object's box, for what moves while the shutter is open."""
 
 NO_SHADOW = np.zeros((4, 4), np.float32), np.eye(4)
-
-Rng = np.random.Generator
 
 
 @dataclass(frozen=True)

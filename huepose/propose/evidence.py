@@ -79,6 +79,4 @@ def _window(frame: RgbdFrame, masks: Sequence[Bool], reach_m: float) -> Box:
         if bounds is not None:
             reach = reach_m / float(np.median(frame.depth[mask])) * frame.camera.fx
             boxes.append(bounds.grown(0.0, reach).clipped(frame.camera.width, frame.camera.height))
-    left, top = min(b.x for b in boxes), min(b.y for b in boxes)
-    right, bottom = max(b.x1 for b in boxes), max(b.y1 for b in boxes)
-    return Box(left, top, right - left, bottom - top)
+    return Box.around(*boxes)

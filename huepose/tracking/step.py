@@ -270,7 +270,7 @@ def flow_start(
     old, new = surface.box(T_last, camera), surface.box(expected, camera)
     if old is None or new is None:
         return None
-    flow = flow_source(anchor.frame.color, frame.color, _union(old, new).grown(FLOW_GROWTH, 8.0))
+    flow = flow_source(anchor.frame.color, frame.color, Box.around(old, new).grown(FLOW_GROWTH, 8.0))
     # A network may return NaN.
     if flow is None or not (np.isfinite(flow.forward).all() and np.isfinite(flow.backward).all()):
         return None
@@ -295,7 +295,7 @@ def best_of(
     region = None
     if boxes:
         z = float(surface.centre_cam(starts[-1][0])[2])
-        region = _window(surface, frame, _union(*boxes), z)
+        region = _window(surface, frame, Box.around(*boxes), z)
     if region is None:
         return Hypothesis(starts[-1][0], NOTHING, np.zeros((6, 6)), starts[-1][1])
     region = region.lit(light)
@@ -359,12 +359,6 @@ def moved_m(surface: PreparedSurface, T_a: Float64, T_b: Float64) -> float:
     """How far the object's centre and rim moved at most."""
     shift = float(np.linalg.norm(surface.centre_cam(T_a) - surface.centre_cam(T_b)))
     return shift + surface.radius_m * se3.rotation_angle(T_a, T_b)
-
-
-def _union(*boxes: Box) -> Box:
-    x0, y0 = min(b.x for b in boxes), min(b.y for b in boxes)
-    x1, y1 = max(b.x1 for b in boxes), max(b.y1 for b in boxes)
-    return Box(x0, y0, x1 - x0, y1 - y0)
 
 
 def _window(surface: PreparedSurface, frame: RgbdFrame, box: Box, z: float) -> OpenRegion | None:

@@ -49,8 +49,8 @@ def directions(level: int) -> Float64:
 
 
 def neighbours(level: int) -> Int32:
-    """Indices (V, 6) of the six nearest vertices of each, those that share an edge with it among them. Who goes
-    from any vertex on to the neighbour that is nearest to a direction, comes to the vertex nearest to it."""
+    """Indices (V, 6) of the six nearest vertices of each, those that share an edge with it among them. Who
+    goes from any vertex on to the neighbour nearest to a direction comes to the vertex nearest to it."""
     vertices = directions(level)
     return np.argsort(-(vertices @ vertices.T), axis=1, kind="stable")[:, 1:7].astype(np.int32)
 

@@ -19,6 +19,7 @@ from huepose.geometry.arrays import Bool, Float32, Float64, Int32, Int64, UInt8
 from huepose.geometry.box import Box
 from huepose.geometry.camera import Camera
 from huepose.geometry.frame import RgbdFrame
+from huepose.geometry.median import median
 from huepose.model.types import ReferenceModel
 from huepose.support.jit import jit, jit_dividing
 from huepose.support.once import once_for_each
@@ -113,7 +114,7 @@ def prepare_believed(
         return None
     belief *= np.float32(1.0 / max(largest, float(np.sum(weights))))
     seen = belief > 0.5 * belief.max()
-    median_depth = float(np.median(crop.depth[seen]))
+    median_depth = median(crop.depth[seen])
     points, point_weights = _believed_points(crop, belief)
     return Region(
         crop,

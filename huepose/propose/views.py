@@ -16,6 +16,7 @@ import numpy as np
 
 from huepose.geometry.arrays import Bool, Float, Float32, Float64, Int64, UInt8
 from huepose.geometry.camera import Camera
+from huepose.geometry.median import median
 from huepose.propose.config import RetrievalConfig
 from huepose.propose.quick_look import known_cells, masked_cells, nearest, quick_look, sampled
 from huepose.propose.template_check import Canvas, check_templates
@@ -135,7 +136,7 @@ def _distinct(flat: Float64, limit: float, count: int) -> Int64:
 def _place(table: TemplateTable, picture: Picture, mask: Bool) -> _Place:
     """Position, scale and windows of one mask (h, w)."""
     depths = picture.depth[mask]
-    middle_m = float(np.median(depths[:: -(-len(depths) // MAX_MEDIAN_PIXELS)]))
+    middle_m = median(depths[:: -(-len(depths) // MAX_MEDIAN_PIXELS)])
     centre = _centroid(mask)
     span = table.span_m / middle_m * picture.camera.fx
     margin = max(SHIFTS)

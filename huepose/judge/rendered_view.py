@@ -85,6 +85,7 @@ def draw_rendered_view(
         normals=_joined(base.normals, seen.normals_cam[rows, columns] @ R),
         colors=np.stack([_joined(base.colors[k], picked[k]) for k in range(2)]),
         directions=np.array([[0.0, 0.0, 1.0]], np.float32),
+        beside=np.empty((1, 0), np.int32),
         visible=np.arange(first, first + count, dtype=np.int32),
         offsets=np.array([0, count], np.int32),
     )

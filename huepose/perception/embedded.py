@@ -23,6 +23,7 @@ import numpy as np
 from huepose.geometry.arrays import Bool, Float32, Float64, Int, UInt8
 from huepose.geometry.box import Box
 from huepose.geometry.frame import RgbdFrame
+from huepose.geometry.median import median
 from huepose.perception.support_plane import above_plane, find_support_plane
 from huepose.support.jit import jit
 
@@ -210,7 +211,7 @@ def _finished(
 ) -> tuple[Bool, float]:
     """Rims put back, far-off depth and what lies beside the box cut off; the mask and how well it fits the
     box."""
-    near = np.abs(depth - np.median(depth[mask])) < 0.75 * diameter_m
+    near = np.abs(depth - median(depth[mask])) < 0.75 * diameter_m
     grown = cv2.dilate((mask & near).astype(np.uint8), np.ones((3, 3), np.uint8)) > 0
     mask = grown & candidate & near
     v, u = np.arange(depth.shape[0])[:, None], np.arange(depth.shape[1])[None, :]

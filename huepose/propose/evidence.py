@@ -14,6 +14,7 @@ import numpy as np
 from huepose.geometry.arrays import Bool, Float64
 from huepose.geometry.box import Box
 from huepose.geometry.frame import RgbdFrame
+from huepose.geometry.median import median
 from huepose.judge.region import Region, prepare_believed, prepare_crop, sampled_points
 from huepose.propose.config import EvidenceConfig
 
@@ -47,8 +48,9 @@ def gather(
     if not masks_with_depth and not whole.any():
         return None
     believed = masks_with_depth or [whole]
-    crop = prepare_crop(frame, _window(frame, [*masks_with_depth, whole], config.reach * diameter_m))
-    fits = [_box_fit(mask, box, config.fitting_iou) for mask in believed]
+    shown = [(mask, Box.of_mask(mask)) for mask in (*masks_with_depth, whole)]
+    crop = prepare_crop(frame, _window(frame, shown, config.reach * diameter_m))
+    fits = [_box_fit(bounds, box, config.fitting_iou) for _, bounds in shown[: len(believed)]]
     region = prepare_believed(
         crop, believed, [f * f + config.least_trust for f in fits], max(fits) ** 2, box, diameter_m
     )
@@ -65,18 +67,17 @@ def gather(
     return Evidence(region, tuple(sources), points)
 
 
-def _box_fit(mask: Bool, box: Box, fitting_iou: float) -> float:
-    """Fit of a mask to the box, 0..1: IoU of their bounds over `fitting_iou`, at most 1."""
-    bounds = Box.of_mask(mask)
+def _box_fit(bounds: Box | None, box: Box, fitting_iou: float) -> float:
+    """Fit of a mask to the box, 0..1: IoU of its bounds over `fitting_iou`, at most 1."""
     return 0.0 if bounds is None else min(1.0, bounds.iou(box) / fitting_iou)
 
 
-def _window(frame: RgbdFrame, masks: Sequence[Bool], reach_m: float) -> Box:
+def _window(frame: RgbdFrame, masks: Sequence[tuple[Bool, Box | None]], reach_m: float) -> Box:
     """The bounds of all masks, each grown by `reach_m` at its median depth, clipped to the image."""
     boxes = []
-    for mask in masks:
-        bounds = Box.of_mask(mask)
+    for mask, bounds in masks:
         if bounds is not None:
-            reach = reach_m / float(np.median(frame.depth[mask])) * frame.camera.fx
+            cut = bounds.slices(frame.camera.width, frame.camera.height)
+            reach = reach_m / median(frame.depth[cut][mask[cut]]) * frame.camera.fx
             boxes.append(bounds.grown(0.0, reach).clipped(frame.camera.width, frame.camera.height))
     return Box.around(*boxes)

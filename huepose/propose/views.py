@@ -16,6 +16,7 @@ import numpy as np
 
 from huepose.geometry.arrays import Bool, Float, Float32, Float64, Int64
 from huepose.geometry.camera import Camera
+from huepose.geometry.median import median
 from huepose.judge.region import Crop
 from huepose.propose.config import RetrievalConfig
 from huepose.propose.quick_look import known_cells, masked_cells, nearest, quick_look, sampled
@@ -127,7 +128,7 @@ def _distinct(flat: Float64, limit: float, count: int) -> Int64:
 def _place(table: TemplateTable, crop: Crop, mask: Bool) -> _Place:
     """Position, scale and windows of one mask (h, w)."""
     depths = crop.depth[mask]
-    middle_m = float(np.median(depths[:: -(-len(depths) // MAX_MEDIAN_PIXELS)]))
+    middle_m = median(depths[:: -(-len(depths) // MAX_MEDIAN_PIXELS)])
     centre = _centroid(mask)
     span = table.span_m / middle_m * crop.camera.fx
     margin = max(SHIFTS)

@@ -25,6 +25,7 @@ from huepose.geometry import se3
 from huepose.geometry.arrays import Bool, Float, Float32, Float64
 from huepose.geometry.camera import FLOOR_M, POINTS_PER_READING, Camera, depth_noise_m
 from huepose.geometry.frame import RgbdFrame
+from huepose.geometry.median import median
 from huepose.judge.region import Region
 from huepose.judge.silhouette import visible_mask
 from huepose.judge.terms import totals
@@ -92,7 +93,8 @@ def refine_on_depth(
 
 def _points(frame: RgbdFrame, mask: Bool) -> Float64:
     """At most POINTS evenly strided points (N, 3), camera axes, of mask pixels that have depth."""
-    flat = np.flatnonzero(mask & (frame.depth > 0))
+    flat = np.flatnonzero(mask)
+    flat = flat[frame.depth.ravel()[flat] > 0]
     rows, columns = np.divmod(flat[:: max(1, -(-len(flat) // POINTS))], mask.shape[1])
     return frame.camera.backproject(np.stack([columns, rows], -1), frame.depth[rows, columns])
 
@@ -170,7 +172,7 @@ def refine_on_edges(model: ReferenceModel, frame: RgbdFrame, mask: Bool, T_cam_o
     depths = depths[depths > 0]
     if not len(textured.points) or not len(depths):
         return T_cam_obj
-    scale = model.pairs.parameters["fine_pixels_per_m"] * float(np.median(depths)) / frame.camera.fx
+    scale = model.pairs.parameters["fine_pixels_per_m"] * median(depths) / frame.camera.fx
     edges = image_edges(extract(frame.color, mask, scale=min(scale, 1.0)))
     return align_edges(textured, model.surface, edges, frame.depth, frame.camera, T_cam_obj).T_cam_obj
 

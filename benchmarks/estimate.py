@@ -76,7 +76,7 @@ def _image(scene: BopScene, image: int) -> Image:
 def _figures(journal: Journal, arguments: argparse.Namespace, images: Sequence[Image]) -> str:
     """Two tables of what the journal holds of these images: all figures, and recall by object."""
     found = {
-        (name, masks): summary(journal, name, masks, images, arguments.seed)
+        (name, masks): summary(journal, name, masks, images)
         for masks in arguments.masks
         for name in arguments.methods
     }

@@ -35,7 +35,8 @@ from huepose.support.progress import progress
 from huepose.tracking import TrackerConfig, evidence
 from huepose.tracking.hypothesis import Hypothesis
 from huepose.tracking.motion import increment_velocity
-from huepose.tracking.step import Anchor, Subject, advance, best_of
+from huepose.tracking.step import Anchor, advance, best_of
+from huepose.tracking.subject import Subject
 from studies.likelihood import logistic
 from studies.stress.playing import Job, film_of
 

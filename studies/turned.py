@@ -27,7 +27,7 @@ from huepose.evaluation.sources import TruthSource
 from huepose.evaluation.targets import Targets
 from huepose.evaluation.track_protocol import SourceNames, Sources, TrackOptions, evaluate_tracking
 from huepose.geometry import Box, Mesh, RgbdFrame, se3
-from huepose.geometry.arrays import Float, Float64
+from huepose.geometry.arrays import Float, Float64, Rng
 from huepose.model import ReferenceModel
 from huepose.onboarding import onboard_mesh, read_mesh
 from huepose.onboarding.from_video import Learned, Selection, learn
@@ -45,7 +45,6 @@ from huepose.tracking import Correction, State, Tracker
 CAMERA = carried.CAMERA
 MIDDLE_CAM = np.array([0.0, 0.0, 0.55])
 ID = 1
-Rng = np.random.Generator
 
 
 def main() -> None:

@@ -15,8 +15,9 @@ from huepose.geometry.arrays import Bool, Float, Float32, Float64
 from huepose.geometry.camera import Camera
 from huepose.support.jit import jit
 
-RADIUS_PX = 4
-GATE_M = 0.012
+RADIUS_PX, GATE_M = 4, 0.012
+"""Of the plane at a pair: which readings it is fitted to, by pixels around it and by metres of depth."""
+
 MIN_FACING = 0.25
 """Cosine between a surface's normal and the view, under which colour pairs and edges are not looked for."""
 

@@ -1,57 +1,279 @@
-"""From the poses that were found to the answer: refined on depth and edges, with quality and alternatives."""
+"""One object, one answer: what is seen > propose > refine > judge > select > believe, in `answered`.
+
+The full method proposes views retrieved under all candidate masks, without trust in the masks, and refines
+them: ICP on the points of the mask that proposed each > near-symmetric rotations of the best > coordinate
+search on the dense score > ICP. The best are searched finely, near ties are looked at closely, and the first
+is laid on depth and edges.
+
+A tracked pose that is plainly still right needs no search of all views, most of what live use costs
+(`confirm`). The refined prior is held against its own near-symmetric rotations on the same pixels. When it
+scores high and clearly better than they do, that is the answer; its margin counts no more than `margin` then,
+because nothing else was looked at. A share of the frames is looked at in full all the same, so that a wrong
+pose that looks right to itself is found out.
+"""
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+import time
+from dataclasses import replace
+from zlib import crc32
 
 import numpy as np
 
-from huepose.believe.quality import QualityFit, QualityTerms
-from huepose.estimation.config import ConfirmConfig
-from huepose.estimation.explanation import Explanation
+from huepose.believe.quality import QualityTerms, quality_fits
+from huepose.estimation.config import ConfirmConfig, EstimatorConfig, FullPathConfig
+from huepose.estimation.explanation import Explanation, Trail
+from huepose.estimation.methods import PairMethod
 from huepose.estimation.reasons import why_absent
-from huepose.estimation.types import ObjectQuery, PoseEstimate, absent
+from huepose.estimation.types import ObjectQuery, PoseEstimate
 from huepose.geometry import se3
+from huepose.geometry.arrays import Bool, Float, Float64, Int64
+from huepose.geometry.box import Box
 from huepose.geometry.frame import RgbdFrame
 from huepose.judge.pairs import pair_picture
 from huepose.judge.region import Region
 from huepose.judge.silhouette import projected_box, visible_mask
-from huepose.judge.terms import score as dense_score
+from huepose.judge.terms import CLOSE_SAMPLES, score, score_many
+from huepose.judge.terms import totals as totals_of
 from huepose.judge.texture_evidence import agreement_many, contrast_disagreement_many, texture_evidence
 from huepose.model.types import ReferenceModel
+from huepose.perception.types import Segmenter
+from huepose.propose.evidence import Evidence, gather
+from huepose.propose.template_table import table_of
+from huepose.propose.views import retrieve
+from huepose.refine.coordinate_search import RACE, search
 from huepose.refine.final import covariance, final_refinement, scale_residual
-from huepose.select.distinct import NONE, Ranked, different_answers
+from huepose.refine.point_to_plane import align_many
+from huepose.select.distinct import (
+    FINAL_SHIFT,
+    FINAL_TURN_RAD,
+    NONE,
+    Ranked,
+    different_answers,
+    different_poses,
+)
+from huepose.select.near_ties import decided
+from huepose.support.errors import InputError
+from huepose.support.stages import stage
 
 
-@dataclass(frozen=True)
-class Levels:
-    """acquired: quality from which a pose is TRACKING; found: presence under which nothing is there;
-    unrivalled: the margin that a prior counts with which was only confirmed."""
+def answered(
+    frame: RgbdFrame,
+    query: ObjectQuery,
+    model: ReferenceModel,
+    segmenter: Segmenter,
+    config: EstimatorConfig,
+    method: PairMethod | None,
+) -> tuple[PoseEstimate, Explanation]:
+    """The answer to one query, as if there were no other, and what led to it. method: what finds the poses,
+    None for `full`."""
+    start = time.perf_counter()
+    box, masks = _box_and_masks(frame, query, model, segmenter)
+    with stage("evidence"):
+        evidence = gather(frame, masks, box, model.diameter_m, config.evidence)
+    look, answer = Explanation(box, tuple(masks), evidence), None
+    if evidence is not None and query.prior is not None and method is None:
+        with stage("prior"):
+            prior = refine_prior(model, evidence, query.prior.T_cam_obj, config.full)
+            if not looks_in_full(frame.frame_id, config.confirm.look_anew_every):
+                ranked = confirm(model, evidence.region, prior, config.confirm)
+                look = replace(look, ranked=ranked, confirmed=len(ranked) > 0)
+            look = replace(look, prior=prior)
+        if look.confirmed:
+            answer = believe(frame, query, model, look, config)
+    if answer is None or answer.state != "TRACKING":
+        look = replace(look, confirmed=False)
+        if method is not None:
+            look = replace(look, ranked=_found_by(method, frame, query, model, evidence, config.seed))
+        elif evidence is not None:
+            with stage("retrieval"):
+                crop, bounds = evidence.region.crop, evidence.region.bounds
+                views = retrieve(table_of(model), crop, bounds, evidence.sources, config.full.retrieval)
+            trail = refine(model, evidence, views.poses, views.masks, config.full)
+            ranked = judge(model, evidence.region, trail.searched, look.prior, config.full)
+            with stage("contest"):
+                ranked, held = decided(model, evidence.region, ranked, config.near_ties)
+            look = replace(look, ranked=ranked, trail=trail, contest=held)
+        with stage("answer"):
+            bare = method is not None and method.bare
+            answer = (
+                bare_answer(frame, query, model, look) if bare else believe(frame, query, model, look, config)
+            )
+    return replace(answer, seconds=time.perf_counter() - start), look
 
-    acquired: float
-    found: float
-    unrivalled: float = ConfirmConfig().margin
+
+def _box_and_masks(
+    frame: RgbdFrame, query: ObjectQuery, model: ReferenceModel, segmenter: Segmenter
+) -> tuple[Box, list[Bool]]:
+    """Box and candidate masks of a query: what it gives, else what the segmenter or its prior says."""
+    box, masks = query.box, [np.asarray(m, dtype=bool) for m in query.masks]
+    for mask in masks:
+        if mask.shape != frame.depth.shape:
+            raise InputError(
+                f"mask of '{query.object}'",
+                found=f"{mask.shape}",
+                expected=f"{frame.depth.shape}, the size of the frame",
+            )
+    if box is None and masks:
+        box = Box.of_mask(np.any(masks, axis=0))
+    if box is None and query.prior is not None:
+        box = projected_box(model, frame, query.prior.T_cam_obj)
+    if box is None:
+        if query.prior is None and not masks:
+            raise InputError(
+                f"query for '{query.object}'",
+                found="neither box, masks nor prior",
+                expected="at least one of them",
+                fix="Ask a detector for a box first.",
+            )
+        return Box(0.0, 0.0, 0.0, 0.0), masks
+    if not masks:
+        with stage("masks"):
+            masks = segmenter.segment(frame, box, model.diameter_m)
+    return box, masks
 
 
-def answer_of(
+def _found_by(
+    method: PairMethod,
+    frame: RgbdFrame,
+    query: ObjectQuery,
+    model: ReferenceModel,
+    evidence: Evidence | None,
+    seed: int,
+) -> Ranked:
+    """The poses of a method; its random choices depend on the seed, the object and what the frame shows."""
+    method.check(model)
+    if evidence is None:
+        return NONE
+    shown = crc32(np.ascontiguousarray(frame.depth[::8, ::8]).tobytes())
+    return method.poses(model, evidence, np.random.default_rng([seed, crc32(query.object.encode()), shown]))
+
+
+def refine(
+    model: ReferenceModel, evidence: Evidence, proposed: Float64, sources: Int64, config: FullPathConfig
+) -> Trail:
+    """Proposed poses (N, 4, 4) brought home, each from the source (N,) of the evidence that proposed it."""
+    with stage("icp"):
+        aligned = [
+            _icp(model, points, proposed[sources == k], 0.1 * model.diameter_m, 0.008, 12)
+            for k, points in enumerate(evidence.points_cam)
+        ]
+    registered = np.concatenate(aligned)
+    return Trail(proposed, registered, refine_coarse(model, evidence.region, registered, config))
+
+
+def refine_coarse(model: ReferenceModel, region: Region, poses: Float64, config: FullPathConfig) -> Float64:
+    """Aligned poses (N, 4, 4) brought home: near-symmetric rotations, search on the score, ICP (M, 4, 4)."""
+    if not len(poses):
+        return poses
+    with stage("turns"):
+        totals = score_many(model, region, poses, config.coarse_samples)[:, 0]
+        best = different_poses(model, poses, totals, config.kept)
+        poses, totals = poses[best], totals[best]
+        near_symmetric = np.einsum(
+            "nij,mjk->nmik", poses[: config.with_near_symmetries], model.near_symmetries[1:]
+        ).reshape(-1, 4, 4)
+        near_symmetric_totals = score_many(model, region, near_symmetric, config.coarse_samples)[:, 0]
+        poses, totals = (
+            np.concatenate([poses, near_symmetric]),
+            np.concatenate([totals, near_symmetric_totals]),
+        )
+        poses = poses[different_poses(model, poses, totals, config.searched)]
+    with stage("search"):
+        searched, totals = search(model, region, poses, config.search_deg, config.samples, race=RACE)
+    with stage("icp"):
+        rivals = searched[totals > totals.max() - config.registered_within]
+        registered = _icp(model, region.points_cam, rivals, 0.012, 0.006, 5)
+    return np.concatenate([searched, registered])
+
+
+def refine_prior(
+    model: ReferenceModel, evidence: Evidence, T_cam_obj: Float, config: FullPathConfig | None = None
+) -> Ranked:
+    """A predicted pose (4, 4) brought onto the region: the best one of ICP and search from it."""
+    config, region = config or FullPathConfig(), evidence.region
+    start = np.asarray(T_cam_obj, dtype=np.float64)[None]
+    aligned = [_icp(model, p, start, 0.15 * model.diameter_m, 0.008, 20) for p in evidence.points_cam]
+    starts = np.concatenate([start, *aligned])
+    searched, _ = search(model, region, starts, config.prior_deg, CLOSE_SAMPLES, race=RACE)
+    registered = _icp(model, region.points_cam, searched, 0.012, 0.006, 5)
+    poses = np.concatenate([starts, searched, registered])
+    return Ranked.of(poses, totals_of(model, region, poses)).these([0])
+
+
+def judge(
+    model: ReferenceModel, region: Region, poses: Float64, prior: Ranked, config: FullPathConfig
+) -> Ranked:
+    """Judge refined poses (N, 4, 4), search the best finely, and return different ones, best first. prior:
+    more of them, which were judged before."""
+    if not len(poses) and not len(prior):
+        return NONE
+    with stage("judge"):
+        totals = np.concatenate([prior.totals, totals_of(model, region, poses)])
+        poses = np.concatenate([prior.poses, poses])
+        best = different_poses(model, poses, totals, config.judged, FINAL_TURN_RAD, FINAL_SHIFT)
+        poses, totals = poses[best], totals[best]
+    with stage("search"):
+        fine, fine_totals = search(
+            model, region, poses[: config.finished], config.fine_deg, CLOSE_SAMPLES, race=RACE
+        )
+        poses, totals = np.concatenate([poses, fine]), np.concatenate([totals, fine_totals])
+        best = different_poses(model, poses, totals, config.alternatives, FINAL_TURN_RAD, FINAL_SHIFT)
+    return Ranked.of(poses[best], totals[best])
+
+
+def looks_in_full(frame_id: int, every: int) -> bool:
+    """Whether this is one of the frames, about one in `every`, that are searched whatever the prior says;
+    spread irregularly, so that no rhythm of requests evades them. Always for 0 and 1."""
+    return every <= 1 or (frame_id * 2654435761 >> 16) % every == 0
+
+
+def confirm(
+    model: ReferenceModel, region: Region, prior: Ranked, config: ConfirmConfig | None = None
+) -> Ranked:
+    """The refined prior first, then its best different near-symmetric rotations; none when the prior is not
+    plainly right."""
+    config = config or ConfirmConfig()
+    if prior.totals[0] < config.score:
+        return NONE
+    rotated = prior.poses[0] @ model.near_symmetries[1:]
+    first = score_many(model, region, rotated, config.samples)[:, 0]
+    best = np.argsort(-first, kind="stable")[: config.near_symmetries]
+    searched, totals = search(model, region, rotated[best], config.steps_deg, CLOSE_SAMPLES, race=RACE)
+    poses, totals = np.concatenate([prior.poses, searched]), np.concatenate([prior.totals, totals])
+    order = different_poses(model, poses, totals, len(poses), FINAL_TURN_RAD, FINAL_SHIFT)
+    if len(order) > 1 and (order[0] != 0 or totals[0] - totals[order[1]] < config.margin):
+        return NONE
+    return Ranked.of(poses[order], totals[order])
+
+
+def _icp(
+    model: ReferenceModel, points: Float64, poses: Float64, start_m: float, end_m: float, iterations: int
+) -> Float64:
+    return align_many(model.surface, model.grid, points, poses, start_m, end_m, iterations)
+
+
+def believe(
     frame: RgbdFrame,
     query: ObjectQuery,
     model: ReferenceModel,
     look: Explanation,
-    fit: QualityFit,
-    levels: Levels,
+    config: EstimatorConfig,
 ) -> PoseEstimate:
-    """The answer to a query."""
+    """How sure the best of the poses is, and where it is exactly: the answer to a query."""
+    fit = quality_fits()[config.method]
+    acquired = fit.level if config.acquisition_level is None else config.acquisition_level
+    least = fit.found if config.found_level is None else config.found_level
     region, ranked, terms = None if look.evidence is None else look.evidence.region, look.ranked, None
     if region is not None and len(ranked):
         ranked = ranked.these(different_answers(model, ranked.poses))
-        terms = _terms(model, region, ranked, levels.unrivalled if look.confirmed else None)
+        terms = _terms(model, region, ranked, config.confirm.margin if look.confirmed else None)
     present = 0.0 if terms is None else fit.present(terms)
     answer = _of_none(query, look.prior)
-    if region is None or terms is None or present < levels.found:
-        score = float(ranked.totals[0]) if len(ranked) else 0.0
-        reason = why_absent(look, terms, present, levels.found)
-        return replace(answer, score=score, terms=terms, reason=reason)
+    if region is None or terms is None or present < least:
+        total = float(ranked.totals[0]) if len(ranked) else 0.0
+        reason = why_absent(look, terms, present, least)
+        return replace(answer, score=total, terms=terms, reason=reason)
     chances = fit.probabilities(terms)
     T, alignment, mask = final_refinement(model, frame, region, se3.orthonormalised(ranked.poses[0]))
     # A prior that was only confirmed has a chance for a rival that nobody looked for: it has no pose.
@@ -61,7 +283,7 @@ def answer_of(
         found=True,
         T_cam_obj=T,
         quality=float(chances[0]),
-        state="TRACKING" if chances[0] >= levels.acquired else "SUSPECT",
+        state="TRACKING" if chances[0] >= acquired else "SUSPECT",
         score=float(ranked.totals[0]),
         margin=terms.margin,
         covariance=covariance(alignment),
@@ -80,24 +302,18 @@ def bare_answer(
     answer = _of_none(query)
     if look.evidence is None or not len(look.ranked):
         return answer
-    T, score = se3.orthonormalised(look.ranked.poses[0]), float(look.ranked.totals[0])
+    T, total = se3.orthonormalised(look.ranked.poses[0]), float(look.ranked.totals[0])
     mask = visible_mask(model, frame, T, look.evidence.region.tolerance_m)
     box = projected_box(model, frame, T)
     return replace(
-        answer, found=True, T_cam_obj=T, quality=score, state="SUSPECT", score=score, mask=mask, box=box
+        answer, found=True, T_cam_obj=T, quality=total, state="SUSPECT", score=total, mask=mask, box=box
     )
 
 
 def _of_none(query: ObjectQuery, prior: Ranked = NONE) -> PoseEstimate:
     """The answer to a query for which nothing was found."""
-    T, score = (prior.poses[0], float(prior.totals[0])) if len(prior) else (None, None)
-    return replace(
-        absent(query.object),
-        instance=query.instance,
-        box=query.box,
-        prior_score=score,
-        prior_T_cam_obj=T,
-    )
+    T, total = (prior.poses[0], float(prior.totals[0])) if len(prior) else (None, None)
+    return PoseEstimate(query.object, query.instance, box=query.box, prior_score=total, prior_T_cam_obj=T)
 
 
 def _terms(model: ReferenceModel, region: Region, ranked: Ranked, most_behind: float | None) -> QualityTerms:
@@ -106,7 +322,7 @@ def _terms(model: ReferenceModel, region: Region, ranked: Ranked, most_behind: f
     gaps, T_cam_obj = ranked.behind[1:], ranked.poses[0]
     if most_behind is not None:
         gaps = np.concatenate([[min([most_behind, *gaps[:1]])], gaps[1:]])
-    dense, seen = dense_score(model, region, T_cam_obj), texture_evidence(model, region, T_cam_obj)
+    dense, seen = score(model, region, T_cam_obj), texture_evidence(model, region, T_cam_obj)
     contrasts, pose = pair_picture(model, region.crop, region.median_depth_m), T_cam_obj[None]
     return QualityTerms(
         float(ranked.totals[0]),

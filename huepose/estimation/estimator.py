@@ -1,39 +1,40 @@
 """The estimator: where is each of these objects in this frame, how sure, and how exact?
 
-Every query is first answered alone; then the poses of the frame compete for its depth (`competition`). The
-answers depend on the frame, the queries and the seed, not on the order of queries or on threads.
+Every query is first answered alone (`answer.answered`); then the poses of the frame compete for its depth:
+one surface, one pose. They are taken in order of their quality. A sure one keeps the pixels that it explains;
+a later one that lives on such pixels, or is doubtful beside them, is looked for again in the frame without
+them. What was taken counts as "no reading": it speaks neither for a pose nor against it, as if hidden. So
+neighbours in a pile, which merge into one mask, are told apart by those that are recognised.
+
+The answers depend on the frame, the queries and the seed, not on the order of queries or on threads.
 """
 
 from __future__ import annotations
 
-import time
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
-from zlib import crc32
 
 import numpy as np
 
-from huepose.believe.quality import quality_fits
-from huepose.estimation.answer import Levels, answer_of, bare_answer
-from huepose.estimation.competition import compete
-from huepose.estimation.config import EstimatorConfig
+from huepose.estimation.answer import answered
+from huepose.estimation.config import CompetitionConfig, EstimatorConfig
 from huepose.estimation.explanation import Explanation
-from huepose.estimation.full_path import confirm, estimate_full, looks_in_full, refine_prior, table_of
 from huepose.estimation.methods import method_of
 from huepose.estimation.types import ObjectQuery, PoseEstimate
 from huepose.estimation.warm_up import warm_up
 from huepose.geometry.arrays import Bool
 from huepose.geometry.box import Box
 from huepose.geometry.frame import RgbdFrame
-from huepose.judge.silhouette import projected_box
-from huepose.model.types import ReferenceModel, model_named
+from huepose.model.types import ReferenceModel, ReferenceModels
 from huepose.perception.embedded import DepthSegmenter
 from huepose.perception.types import Segmenter
-from huepose.propose.evidence import gather
-from huepose.select.near_ties import decided
-from huepose.support.errors import InputError
+from huepose.propose.template_table import table_of
 from huepose.support.pool import Pool
-from huepose.support.stages import stage
+
+Answered = tuple[PoseEstimate, Explanation]
+"""An answer and what led to it."""
+
+LookAgain = Callable[[RgbdFrame, ObjectQuery], Answered]
 
 
 class Estimator:
@@ -50,7 +51,7 @@ class Estimator:
         segmenter: Segmenter | None = None,
     ) -> None:
         self.config = config or EstimatorConfig()
-        self._models = dict(models)
+        self._models = ReferenceModels(models)
         self._segmenter: Segmenter = segmenter or DepthSegmenter()
         self._method = method_of(self.config)
         self._pool = Pool(self.config.threads)
@@ -75,95 +76,28 @@ class Estimator:
         unknown object or an empty query."""
         return [answer for answer, _ in self.explained(frame, queries)]
 
-    def explained(
-        self, frame: RgbdFrame, queries: Sequence[ObjectQuery]
-    ) -> list[tuple[PoseEstimate, Explanation]]:
+    def explained(self, frame: RgbdFrame, queries: Sequence[ObjectQuery]) -> list[Answered]:
         """The same answers, each with what led to it: of a pose that was looked for again without the depth
         of others, what was seen then."""
         for query in queries:
-            self._model(query.object)
-        looks = self._alone(frame, queries)
-        if len(queries) < 2 or not self.config.competing or self._bare:
-            return looks
-        again: list[tuple[PoseEstimate, Explanation]] = []
+            self._models[query.object]  # raises before anything is looked at
+        answers = self._pool.map(lambda query: self.explain(frame, query), queries)
+        if len(queries) < 2 or not self.config.competing or (self._method and self._method.bare):
+            return answers
+        return compete(frame, queries, answers, self.explain, self.config.competition)
 
-        def look_again(free: RgbdFrame, query: ObjectQuery) -> PoseEstimate:
-            again.append(self.explain(free, query))
-            return again[-1][0]
-
-        answers = compete(
-            frame, queries, [answer for answer, _ in looks], look_again, self.config.competition
-        )
-        return [
-            (answer, next((x for a, x in again if _same(a, answer)), explanation))
-            for answer, (_, explanation) in zip(answers, looks, strict=True)
-        ]
-
-    def _alone(
-        self, frame: RgbdFrame, queries: Sequence[ObjectQuery]
-    ) -> list[tuple[PoseEstimate, Explanation]]:
-        """One answer a query, as if there were no other."""
-        return self._pool.map(lambda query: self.explain(frame, query), queries)
-
-    def _model(self, name: str) -> ReferenceModel:
-        return model_named(self._models, name)
-
-    @property
-    def _bare(self) -> bool:
-        return self._method is not None and self._method.bare
-
-    def explain(self, frame: RgbdFrame, query: ObjectQuery) -> tuple[PoseEstimate, Explanation]:
+    def explain(self, frame: RgbdFrame, query: ObjectQuery) -> Answered:
         """The answer to one query, as if there were no other, and what led to it."""
-        start = time.perf_counter()
-        look = self._look(frame, query)
-        answer = None
-        if look.confirmed:
-            answer = self._answer(frame, query, look)
-        if answer is None or answer.state != "TRACKING":
-            look = self._found(frame, query, replace(look, confirmed=False))
-            with stage("answer"):
-                answer = self._answer(frame, query, look)
-        return replace(answer, seconds=time.perf_counter() - start), look
-
-    def _look(self, frame: RgbdFrame, query: ObjectQuery) -> Explanation:
-        """What there is to see, and the refined prior, with its rivals where it is confirmed."""
-        model = self._model(query.object)
-        box, masks = self._box_and_masks(frame, query, model)
-        with stage("evidence"):
-            evidence = gather(frame, masks, box, model.diameter_m, self.config.evidence)
-        look = Explanation(box, tuple(masks), evidence)
-        if evidence is None or query.prior is None or self._method is not None:
-            return look
-        with stage("prior"):
-            prior = refine_prior(model, evidence, query.prior.T_cam_obj, self.config.full)
-            look = replace(look, prior=prior)
-            if looks_in_full(frame.frame_id, self.config.confirm.look_anew_every):
-                return look
-            confirmed = confirm(model, evidence.region, prior, self.config.confirm)
-            return look if confirmed is None else replace(look, ranked=confirmed, confirmed=True)
-
-    def _found(self, frame: RgbdFrame, query: ObjectQuery, look: Explanation) -> Explanation:
-        """The same with the poses that the method finds."""
-        model, method, evidence = self._model(query.object), self._method, look.evidence
-        if method is not None:
-            method.check(model)
-        if evidence is None:
-            return look
-        if method is not None:
-            seed = [self.config.seed, crc32(query.object.encode()), _content_seed(frame)]
-            return replace(look, ranked=method.poses(model, evidence, np.random.default_rng(seed)))
-        found, trail = estimate_full(model, evidence, self.config.full, look.prior)
-        with stage("contest"):
-            ranked, held = decided(model, evidence.region, found, self.config.near_ties)
-        return replace(look, ranked=ranked, trail=trail, contest=held)
+        model = self._models[query.object]
+        return answered(frame, query, model, self._segmenter, self.config, self._method)
 
     def prepare(self, names: Sequence[str]) -> None:
         """Derive from models what answers about them need, which the first of them does otherwise."""
         for name in names:
             if self._method is None:
-                table_of(self._model(name))
+                table_of(self._models[name])
             else:
-                self._method.check(self._model(name))
+                self._method.check(self._models[name])
 
     def warm_up(self, names: Sequence[str] | None = None) -> None:
         """Prepare models (all by default) and compile the kernels on an artificial view of the one with most
@@ -172,59 +106,68 @@ class Estimator:
         self.prepare(names)
         if not names:
             return
-        models = [self._model(name) for name in names]
+        models = [self._models[name] for name in names]
         if self._method is not None:
             self._method.warm_up(models)
         warm_up(self.explain, max(models, key=lambda m: len(m.pairs.points)), self._method is None)
 
-    def _box_and_masks(
-        self, frame: RgbdFrame, query: ObjectQuery, model: ReferenceModel
-    ) -> tuple[Box, list[Bool]]:
-        """Box and candidate masks of a query: what it gives, else what the segmenter or its prior says."""
-        box, masks = query.box, [np.asarray(m, dtype=bool) for m in query.masks]
-        for mask in masks:
-            if mask.shape != frame.depth.shape:
-                raise InputError(
-                    f"mask of '{query.object}'",
-                    found=f"{mask.shape}",
-                    expected=f"{frame.depth.shape}, the size of the frame",
-                )
-        if box is None and masks:
-            box = Box.of_mask(np.any(masks, axis=0))
-        if box is None and query.prior is not None:
-            box = projected_box(model, frame, query.prior.T_cam_obj)
-        if box is None:
-            if query.prior is None and not masks:
-                raise InputError(
-                    f"query for '{query.object}'",
-                    found="neither box, masks nor prior",
-                    expected="at least one of them",
-                    fix="Ask a detector for a box first.",
-                )
-            return Box(0.0, 0.0, 0.0, 0.0), masks
-        if not masks:
-            with stage("masks"):
-                masks = self._segmenter.segment(frame, box, model.diameter_m)
-        return box, masks
 
-    def _answer(self, frame: RgbdFrame, query: ObjectQuery, look: Explanation) -> PoseEstimate:
-        model = self._model(query.object)
-        if self._bare:
-            return bare_answer(frame, query, model, look)
-        config, fit = self.config, quality_fits()[self.config.method]
-        levels = Levels(
-            fit.level if config.acquisition_level is None else config.acquisition_level,
-            fit.found if config.found_level is None else config.found_level,
-            config.confirm.margin,
-        )
-        return answer_of(frame, query, model, look, fit, levels)
+def compete(
+    frame: RgbdFrame,
+    queries: Sequence[ObjectQuery],
+    answers: Sequence[Answered],
+    look_again: LookAgain,
+    config: CompetitionConfig | None = None,
+) -> list[Answered]:
+    """Answers, in the order of the queries, of which no two explain the same surface.
+
+    `look_again` estimates a query in a frame from whose depth that of surer poses was taken away. A pose that
+    lived on it gives way to what is found then; one that was only doubtful does so when that is surer.
+    """
+    config, out = config or CompetitionConfig(), list(answers)
+    before: list[PoseEstimate] = []
+    for k in sorted(range(len(out)), key=lambda i: _rank(out[i][0])):
+        sure = [o for o in before if o.quality >= config.sure or o.object == queries[k].object]
+        taken = np.any([o.mask for o in sure if o.mask is not None] or [np.zeros(frame.depth.shape, bool)], 0)
+        out[k] = _without(frame, queries[k], out[k], taken, look_again, config)
+        before.append(out[k][0])
+    return out
 
 
-def _same(one: PoseEstimate, other: PoseEstimate) -> bool:
-    """Whether these are one answer, up to the time it took."""
-    return one.T_cam_obj is not None and one.T_cam_obj is other.T_cam_obj
+def _rank(answer: PoseEstimate) -> tuple[float, float, str, int]:
+    """Surest first, whatever the order of the queries."""
+    return -answer.quality, -answer.score, answer.object, answer.instance
 
 
-def _content_seed(frame: RgbdFrame) -> int:
-    """A number that depends on what the frame shows."""
-    return crc32(np.ascontiguousarray(frame.depth[::8, ::8]).tobytes())
+def _without(
+    frame: RgbdFrame,
+    query: ObjectQuery,
+    known: Answered,
+    taken: Bool,
+    look_again: LookAgain,
+    config: CompetitionConfig,
+) -> Answered:
+    """The answer, or what is found instead where it may not use the pixels that are taken."""
+    answer = known[0]
+    contested = _share_of_mask(answer.mask, taken) > config.contested
+    doubtful = answer.quality < config.doubtful and _share_of_box(query.box, taken) > config.taken
+    if not contested and not doubtful:
+        return known
+    free = replace(frame, depth=np.where(taken, np.float32(0.0), frame.depth))
+    masks = tuple(np.asarray(m, bool) & ~taken for m in query.masks)
+    again, look = look_again(free, replace(query, masks=masks))
+    again = replace(again, seconds=again.seconds + answer.seconds)
+    return (again, look) if contested or again.quality > answer.quality else known
+
+
+def _share_of_mask(mask: Bool | None, taken: Bool) -> float:
+    size = 0 if mask is None else np.count_nonzero(mask)
+    return 0.0 if mask is None or size == 0 else np.count_nonzero(mask & taken) / size
+
+
+def _share_of_box(box: Box | None, taken: Bool) -> float:
+    if box is None:
+        return 0.0
+    height, width = taken.shape
+    inside = taken[box.slices(width, height)]
+    return float(inside.mean()) if inside.size else 0.0

@@ -4,12 +4,21 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from huepose.estimation.full_path import Trail
-from huepose.geometry.arrays import Bool
+from huepose.geometry.arrays import Bool, Float64
 from huepose.geometry.box import Box
 from huepose.propose.evidence import Evidence
 from huepose.select.distinct import NONE, Ranked
 from huepose.select.near_ties import Contest
+
+
+@dataclass(frozen=True, eq=False)
+class Trail:
+    """What the steps left on the way to an answer: poses (N, 4, 4) of the views that were retrieved, of these
+    after registration on depth, and of those that were searched."""
+
+    retrieved: Float64
+    registered: Float64
+    searched: Float64
 
 
 @dataclass(frozen=True, eq=False)

@@ -24,6 +24,8 @@ SIDE = 240
 """Pixels that the longer side of a panel has."""
 
 MAX_GAIN = 8.0
+"""How much a dark picture is brightened at most."""
+
 AGREES, DIFFERS, SEEN_THROUGH, HIDDEN, UNKNOWN = (
     (40, 190, 90),
     (250, 215, 60),
@@ -54,9 +56,7 @@ class Panels:
     @staticmethod
     def around(frame: RgbdFrame, box: Box, masks: Sequence[Bool], tolerance_m: float) -> Panels:
         """A window that holds a box and some masks (H, W), with room round them."""
-        boxes = [box, *(b for b in map(Box.of_mask, masks) if b is not None)]
-        left, top = min(b.x for b in boxes), min(b.y for b in boxes)
-        hull = Box(left, top, max(b.x1 for b in boxes) - left, max(b.y1 for b in boxes) - top)
+        hull = Box.around(box, *(b for b in map(Box.of_mask, masks) if b is not None))
         camera = frame.camera
         rows, columns = hull.grown(0.12, 8.0).slices(camera.width, camera.height)
         if rows.stop - rows.start < 2 or columns.stop - columns.start < 2:

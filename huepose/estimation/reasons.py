@@ -24,7 +24,7 @@ CLOSE_MARGIN = 0.1
 
 MUCH_SEEN_THROUGH, MUCH_HIDDEN, LITTLE_TEXTURE, LITTLE_BOX, LITTLE_MASK = 0.1, 0.4, 0.3, 0.5, 0.5
 MUCH_WITHOUT_DEPTH = 0.3
-
+"""Shares of a pose, correlation of its texture, and overlaps, beyond which they speak against it."""
 
 NEAREST_SHARE = 0.05
 """Share of the readings that are ignored as specks when the nearest depth of a frame is taken."""

@@ -38,7 +38,7 @@ class ObjectQuery:
 
 @dataclass(frozen=True, eq=False)
 class PoseEstimate:
-    """The answer for one query.
+    """The answer for one query. The defaults are those of an object of which no pose was found.
 
     found is False when nothing was there to estimate; then T_cam_obj, covariance and mask are None. score:
     the dense score of the pose, comparable between poses on the same pixels; prior_score: that of the
@@ -51,26 +51,19 @@ class PoseEstimate:
     """
 
     object: str
-    instance: int
-    found: bool
-    T_cam_obj: Float64 | None
-    quality: float
-    state: Literal["SEARCHING", "TRACKING", "SUSPECT", "LOST"]
-    score: float
-    margin: float
-    covariance: Float64 | None
-    mask: Bool | None
-    box: Box | None
-    prior_score: float | None
-    prior_T_cam_obj: Float64 | None
-    alternatives: tuple[tuple[Float64, float], ...]
-    seconds: float
+    instance: int = 0
+    found: bool = False
+    T_cam_obj: Float64 | None = None
+    quality: float = 0.0
+    state: Literal["SEARCHING", "TRACKING", "SUSPECT", "LOST"] = "LOST"
+    score: float = 0.0
+    margin: float = 0.0
+    covariance: Float64 | None = None
+    mask: Bool | None = None
+    box: Box | None = None
+    prior_score: float | None = None
+    prior_T_cam_obj: Float64 | None = None
+    alternatives: tuple[tuple[Float64, float], ...] = ()
+    seconds: float = 0.0
     terms: QualityTerms | None = None
     reason: str = ""
-
-
-def absent(name: str, reason: str = "") -> PoseEstimate:
-    """The answer for an object of which no pose was found, or none stands."""
-    return PoseEstimate(
-        name, 0, False, None, 0.0, "LOST", 0.0, 0.0, None, None, None, None, None, (), 0.0, None, reason
-    )

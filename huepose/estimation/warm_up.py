@@ -7,8 +7,8 @@ from collections.abc import Callable
 
 import numpy as np
 
+from huepose.estimation.answer import confirm, refine_prior
 from huepose.estimation.explanation import Explanation
-from huepose.estimation.full_path import confirm, refine_prior
 from huepose.estimation.types import ObjectQuery, PoseEstimate
 from huepose.geometry import se3
 from huepose.geometry.camera import Camera

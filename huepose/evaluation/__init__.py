@@ -1,11 +1,11 @@
 """What `huepose eval` does: metrics, protocols and reports, also on a user's own data. Where to look:
 
-    figures     metrics, bop_errors (pure functions on errors); states (of a track); calibration (of quality);
-                bootstrap (intervals)
+    figures     metrics, bop_errors (pure functions on errors); figures (of rows in their file form); states
+                (of a track); calibration (of quality); bootstrap (intervals)
     labels      targets (whose model, which error), assignment (poses to labels), instances (tracks to labels)
     protocols   estimate_protocol > estimate_rows, perception_protocol > perception_rows,
                 track_protocol (with sources) > track_rows, poses_protocol (of a live pipeline) > track_rows
-    ablations   ablation > ablation_rows (flow), source_ablation (single frames); paper_tracker
+    ablations   ablation > ablation_rows; paper_tracker
     why         failures > diagnosis (a wrong pose), suitability (an object)
     results     result_files (written), measured > comparison (read again), bop_csv, pose_files (of others)
     forms       summary (text), pictures, results_page, tables (the paper's, from journals)

@@ -143,7 +143,7 @@ def compare(
     boxes = [_box(model, T, camera) for T in (T_a, T_b)]
     flow = None
     if boxes[0] is not None and boxes[1] is not None:
-        window = _union(boxes[0], boxes[1]).grown(WINDOW_GROWTH, WINDOW_PX)
+        window = Box.around(boxes[0], boxes[1]).grown(WINDOW_GROWTH, WINDOW_PX)
         flow = compute(a.frame.color, b.frame.color, window, cv2.DISOPTICAL_FLOW_PRESET_MEDIUM)
     if flow is None or boxes[0] is None:
         return [(f"{c}/{e}", None, None, None, 0) for c in CHOICES for e in estimators]
@@ -218,8 +218,3 @@ def _box(model: ReferenceModel, T_cam_obj: Float64, camera: Camera) -> Box | Non
     uv = camera.project(points)
     (x, y), (x1, y1) = uv.min(0), uv.max(0)
     return Box(float(x), float(y), float(x1 - x), float(y1 - y))
-
-
-def _union(a: Box, b: Box) -> Box:
-    x, y = min(a.x, b.x), min(a.y, b.y)
-    return Box(x, y, max(a.x1, b.x1) - x, max(a.y1, b.y1) - y)

@@ -17,6 +17,7 @@ from huepose.geometry.box import Box
 from huepose.model.types import ReferenceModel
 
 ASSIGNMENT_IOU = 0.3
+"""Least overlap of boxes at which a pose is of a label."""
 
 
 @dataclass(frozen=True, eq=False)

@@ -15,6 +15,7 @@ from typing import Any
 import numpy as np
 
 from huepose.evaluation.bootstrap import Interval, Share, difference_intervals, sign_test
+from huepose.evaluation.figures import Row
 from huepose.evaluation.measured import (
     ENOUGH_SEQUENCES,
     FALSE_PER_FRAME,
@@ -22,7 +23,6 @@ from huepose.evaluation.measured import (
     Figure,
     Kind,
     Measured,
-    Row,
 )
 from huepose.evaluation.summary import grouped
 from huepose.geometry.arrays import Float64, Int64

@@ -10,8 +10,8 @@ import numpy as np
 
 from huepose.believe.quality import QualityTerms
 from huepose.evaluation import metrics
-from huepose.evaluation.bootstrap import Interval, frame_intervals
 from huepose.evaluation.bop_errors import BopScore, average_recalls
+from huepose.evaluation.figures import Row, pose_figures, pose_intervals
 from huepose.evaluation.summary import Figures, grouped, mean_figures
 from huepose.evaluation.targets import PoseError
 from huepose.geometry.arrays import Float64
@@ -94,80 +94,73 @@ class EstimateResult:
     seeds: Sequence[int]
 
     def summary(self) -> dict[str, Any]:
-        """The figures in percent; `ece` is a fraction; several seeds are averaged. interval95: where
-        the figures lie in 95 % of draws of frames."""
-        by_seed = {
-            seed: _figures(
-                [r for r in self.rows if r.seed == seed], [f for f in self.false if f.seed == seed]
-            )
-            for seed in self.seeds
-        }
-        per_object = {
-            number: {"instances": len(rows) // max(1, len(self.seeds)), **_pose_figures(rows)}
-            for number, rows in sorted(
-                grouped(self.rows, lambda r: r.object).items(), key=lambda item: (str(type(item[0])), item[0])
-            )
-        }
-        return {
-            "instances": len(self.rows) // max(1, len(self.seeds)),
-            "objects": len(per_object),
+        """The figures in percent, see `summary_of`."""
+        summary: dict[str, Any] = self.as_json()["summary"]
+        return summary
+
+    def as_json(self) -> dict[str, Any]:
+        """The result file."""
+        rows, false = [row.as_json() for row in self.rows], [pose.as_json() for pose in self.false]
+        settings = {
             "skipped_no_bundle": self.skipped_no_bundle,
             "boxes": self.boxes,
             "masks": self.masks,
             "seed": self.seeds[0] if len(self.seeds) == 1 else list(self.seeds),
-            **mean_figures(by_seed.values()),
-            "false_poses": len(self.false) / max(1, len(self.seeds)),
-            "per_object": per_object,
-            "object_mean": mean_figures(
-                {key: figures[key] for key in _FIGURES} for figures in per_object.values()
-            ),
-            "interval95": _intervals(self.rows),
-            "by_seed": by_seed,
         }
-
-    def as_json(self) -> dict[str, Any]:
-        """The result file."""
-        return {
-            "summary": self.summary(),
-            "rows": [row.as_json() for row in self.rows],
-            "false": [pose.as_json() for pose in self.false],
-        }
+        return {"summary": summary_of(rows, false, settings), "rows": rows, "false": false}
 
 
-def _intervals(rows: Sequence[EstimateRow]) -> dict[str, Interval]:
-    """The four figures' intervals over frames; a frame's boxes of all seeds count as one frame."""
-    values = metrics.pose_scores(
-        np.array([r.error.add_m for r in rows]),
-        np.array([r.error.adds_m for r in rows]),
-        np.array([r.diameter_m for r in rows]),
-    )
-    return frame_intervals(values, [(r.scene, r.image) for r in rows])
-
-
-def _pose_figures(rows: Sequence[EstimateRow]) -> Figures:
-    diameters = np.array([r.diameter_m for r in rows])
-    add = np.array([r.error.add_m for r in rows])
-    adds = np.array([r.error.adds_m for r in rows])
-    official = np.array([r.error.official_add_m for r in rows])
-    measured = [row.bop.as_json() for row in rows if row.bop is not None]
+def summary_of(rows: Sequence[Row], false: Sequence[Row] = (), settings: Row | None = None) -> dict[str, Any]:
+    """Of rows and false poses in their file form: the figures in percent; `ece` is a fraction; several seeds
+    are averaged. interval95: where the figures lie in 95 % of draws of frames, with their boxes of all
+    seeds."""
+    by_seed = {
+        seed: _figures(own, [pose for pose in false if pose["seed"] == seed])
+        for seed, own in grouped(rows, lambda row: row["seed"]).items()
+    }
+    seeds = max(1, len(by_seed))
+    objects = grouped(rows, lambda row: row["object"])
+    per_object = {
+        number: {"instances": len(objects[number]) // seeds, **_pose_figures(objects[number])}
+        for number in sorted(objects, key=lambda number: (str(type(number)), number))
+    }
     return {
-        **metrics.four_figures(add, adds, diameters),
-        "recall_add_official": metrics.recall(official, diameters) if len(rows) else None,
-        "auc_add_official": metrics.auc(official) if len(rows) else None,
-        "auc_voc_add": metrics.auc_voc(add) if len(rows) else None,
-        "auc_voc_adds": metrics.auc_voc(adds) if len(rows) else None,
-        **({} if not measured else average_recalls(measured)),
+        "instances": len(rows) // seeds,
+        "objects": len(per_object),
+        **(settings or {}),
+        **mean_figures(by_seed.values()),
+        "false_poses": len(false) / seeds,
+        "per_object": per_object,
+        "object_mean": mean_figures(
+            {key: figures[key] for key in _FIGURES} for figures in per_object.values()
+        ),
+        "interval95": pose_intervals(rows, _frame),
+        "by_seed": by_seed,
     }
 
 
-def _figures(rows: Sequence[EstimateRow], false: Sequence[FalsePose]) -> Figures:
-    found = [r for r in rows if r.T_cam_obj is not None]
-    frames = {(r.scene, r.image): r.seconds for r in rows}
+def _frame(row: Row) -> tuple[str, int]:
+    return row["scene"], row["image"]
+
+
+def _pose_figures(rows: Sequence[Row]) -> Figures:
+    official, bop = pose_figures(rows, "add_official_m"), [row["bop"] for row in rows if "bop" in row]
+    return {
+        **pose_figures(rows),
+        "recall_add_official": official["recall_add"],
+        "auc_add_official": official["auc_add"],
+        **({} if not bop else average_recalls(bop)),
+    }
+
+
+def _figures(rows: Sequence[Row], false: Sequence[Row]) -> Figures:
+    found = [*(row for row in rows if row["found"]), *false]
+    seconds = list({_frame(row): row["seconds"] for row in rows}.values())
     return {
         **_pose_figures(rows),
         "ece": metrics.expected_calibration_error(
-            np.array([r.quality for r in found] + [f.quality for f in false]),
-            np.array([r.error.right for r in found] + [False] * len(false), dtype=bool),
+            np.array([row["quality"] for row in found]),
+            np.array([row.get("right", False) for row in found], dtype=bool),
         ),
-        "seconds_per_frame_p50": float(np.median(list(frames.values()))) if frames else None,
+        "seconds_per_frame_p50": float(np.median(seconds)) if seconds else None,
     }

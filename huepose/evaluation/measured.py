@@ -11,8 +11,8 @@ from typing import Any
 import numpy as np
 
 from huepose.datasets import files
-from huepose.evaluation import metrics
 from huepose.evaluation.bootstrap import Share
+from huepose.evaluation.figures import Row, pose_scores
 from huepose.evaluation.states import Moment, coverable, false_tracking
 from huepose.evaluation.summary import grouped
 from huepose.geometry.arrays import Float64
@@ -25,8 +25,6 @@ narrow."""
 
 ENOUGH_SEQUENCES = 10
 """From so many sequences on, whole sequences are the units instead."""
-
-Row = Mapping[str, Any]
 
 _EXPECTED = "a result of `huepose eval estimate`, `track`, `poses` or `perception`"
 
@@ -243,11 +241,7 @@ _READERS: Mapping[tuple[str, ...], Callable[[Path, Sequence[Row], Row], Measured
 
 
 def _pose_shares(rows: Sequence[Row], scored: np.ndarray) -> dict[str, Share]:
-    add, adds = (
-        np.array([np.inf if r[key] is None else float(r[key]) for r in rows]) for key in ("add_m", "adds_m")
-    )
-    scores = metrics.pose_scores(add, adds, np.array([float(row["diameter_m"]) for row in rows]))
-    return {name: Share.of(each, scored) for name, each in scores.items()}
+    return {name: Share.of(each, scored) for name, each in pose_scores(rows).items()}
 
 
 def _quality_shares(rows: Sequence[Row], right: np.ndarray, known: np.ndarray) -> dict[str, Share]:

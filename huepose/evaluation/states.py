@@ -19,6 +19,7 @@ from huepose.evaluation.summary import largest
 
 LOST_WITHIN_FRAMES = 5
 SUSPECT_WITHIN_FRAMES = 2
+"""An object that is gone has to be said to be LOST, and to be SUSPECT, within so many frames."""
 _NO_POSE = ("LOST", "SEARCHING")
 
 

@@ -6,10 +6,8 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
-import numpy as np
-
-from huepose.evaluation import metrics
-from huepose.evaluation.bootstrap import Interval, frame_intervals
+from huepose.evaluation.bootstrap import Interval
+from huepose.evaluation.figures import POSE_FIGURES, pose_figures, pose_intervals
 from huepose.evaluation.instances import Place, PublishedPose
 from huepose.evaluation.measured import BLOCK_NS, ENOUGH_SEQUENCES
 from huepose.evaluation.metrics import ROFT_FIGURES, roft_figures
@@ -184,11 +182,7 @@ _WHOLE = (
     *("instances", "false_tracking_frames", "declared_suspect_after_frames", "declared_lost_after_frames"),
     *_FAULTS,
 )
-_MEANS = (
-    *metrics.FIGURES,
-    *("auc_voc_add", "auc_voc_adds", "coverage_tracking"),
-    *ROFT_FIGURES,
-)
+_MEANS = (*POSE_FIGURES, "coverage_tracking", *ROFT_FIGURES)
 
 
 def _counts_as_whole(figures: Figures) -> Figures:
@@ -199,32 +193,21 @@ def _counts_as_whole(figures: Figures) -> Figures:
     }
 
 
+def _scored(rows: Sequence[TrackRow]) -> list[dict[str, Any]]:
+    return [row.as_json() for row in rows if row.scored]
+
+
 def _pose_figures(rows: Sequence[TrackRow]) -> Figures:
-    errors = [(row.error, row.diameter_m) for row in rows if row.scored and row.error is not None]
-    add = np.array([error.add_m for error, _ in errors])
-    adds = np.array([error.adds_m for error, _ in errors])
-    diameters = np.array([diameter for _, diameter in errors])
-    return {
-        **metrics.four_figures(add, adds, diameters),
-        "auc_voc_add": metrics.auc_voc(add) if len(add) else None,
-        "auc_voc_adds": metrics.auc_voc(adds) if len(add) else None,
-        "instances": float(len(add)),
-    }
+    scored = _scored(rows)
+    return {**pose_figures(scored), "instances": float(len(scored))}
 
 
 def _intervals(rows: Sequence[TrackRow]) -> dict[str, Interval]:
     """Of the figures of all frames. Neighbouring frames are drawn together: half a second, or whole
     sequences where there are many (`huepose eval compare` does the same)."""
-    scored = [row for row in rows if row.error is not None and row.scored]
-    many = len({row.sequence for row in scored}) >= ENOUGH_SEQUENCES
-    errors = [(row.error, row.diameter_m) for row in scored if row.error is not None]
-    values = metrics.pose_scores(
-        np.array([error.add_m for error, _ in errors]),
-        np.array([error.adds_m for error, _ in errors]),
-        np.array([diameter_m for _, diameter_m in errors]),
-    )
-    units = [(row.sequence, 0 if many else row.stamp_ns // BLOCK_NS) for row in scored]
-    return frame_intervals(values, units)
+    scored = _scored(rows)
+    many = len({row["sequence"] for row in scored}) >= ENOUGH_SEQUENCES
+    return pose_intervals(scored, lambda row: (row["sequence"], 0 if many else row["stamp_ns"] // BLOCK_NS))
 
 
 def _roft_figures(rows: Sequence[TrackRow]) -> Figures:

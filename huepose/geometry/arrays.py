@@ -1,4 +1,4 @@
-"""Array types by meaning. Shapes are in the docstrings; dtypes are here."""
+"""Array types by meaning, and what draws them at random. Shapes are in the docstrings; dtypes are here."""
 
 from __future__ import annotations
 
@@ -17,3 +17,4 @@ Int = NDArray[np.integer[Any]]
 Int32 = NDArray[np.int32]
 Int64 = NDArray[np.int64]
 Bool = NDArray[np.bool_]
+Rng = np.random.Generator

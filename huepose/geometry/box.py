@@ -69,6 +69,12 @@ class Box(NamedTuple):
         return Box(x, y, int(columns[-1]) - x + 1, int(rows[-1]) - y + 1)
 
     @staticmethod
+    def around(*boxes: Box) -> Box:
+        """The smallest box that holds all of these."""
+        x, y = min(b.x for b in boxes), min(b.y for b in boxes)
+        return Box(x, y, max(b.x1 for b in boxes) - x, max(b.y1 for b in boxes) - y)
+
+    @staticmethod
     def of_pixels(pixels: Float) -> Box:
         """Bounds of pixels (N, 2), half a pixel wider on each side so that a single pixel has size 1."""
         lo, hi = np.nanmin(pixels, 0) - 0.5, np.nanmax(pixels, 0) + 0.5

@@ -12,6 +12,9 @@ from huepose.geometry.arrays import Float, Float64
 NEAREST_M = 0.02
 """Nothing is nearer to a camera."""
 
+NEAR_M = 0.05
+"""What is nearer is neither drawn nor judged: a pixel covers so little of it that a picture says nothing."""
+
 
 @dataclass(frozen=True)
 class Camera:

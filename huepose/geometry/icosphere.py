@@ -6,7 +6,7 @@ from functools import lru_cache
 
 import numpy as np
 
-from huepose.geometry.arrays import Float, Float64
+from huepose.geometry.arrays import Float, Float64, Int32
 
 
 @lru_cache(maxsize=8)
@@ -46,6 +46,13 @@ def directions(level: int) -> Float64:
     out = np.array(vertices)
     out.setflags(write=False)
     return out
+
+
+def neighbours(level: int) -> Int32:
+    """Indices (V, 6) of the six nearest vertices of each, those that share an edge with it among them. Who
+    goes from any vertex on to the neighbour nearest to a direction comes to the vertex nearest to it."""
+    vertices = directions(level)
+    return np.argsort(-(vertices @ vertices.T), axis=1, kind="stable")[:, 1:7].astype(np.int32)
 
 
 def look_at(direction: Float) -> Float64:

@@ -92,7 +92,8 @@ def rotation_log(R: Float) -> Float64:
 
 def rotation_angle(R_a: Float, R_b: Float) -> float:
     """Geodesic distance of two rotations (3, 3) or transforms (4, 4), radians in [0, pi]."""
-    return float(np.linalg.norm(rotation_log(np.asarray(R_a)[:3, :3].T @ np.asarray(R_b)[:3, :3])))
+    x, y, z, w = _quaternion(np.asarray(R_a)[:3, :3].T @ np.asarray(R_b)[:3, :3])
+    return 2.0 * atan2(sqrt(x * x + y * y + z * z), abs(w))
 
 
 def quaternion_from_rotation(R: Float) -> Float64:

@@ -18,7 +18,7 @@ import numpy as np
 from huepose.colorpair.opponents import LOGARITHMS, OPPONENTS
 from huepose.geometry import se3
 from huepose.geometry.arrays import Bool, Float, Float32, Float64, Int64, UInt8
-from huepose.geometry.camera import Camera, depth_noise_m
+from huepose.geometry.camera import NEAR_M, Camera, depth_noise_m
 from huepose.geometry.frame import RgbdFrame
 from huepose.geometry.icosphere import look_at
 from huepose.geometry.mesh import Mesh
@@ -34,6 +34,8 @@ SIDE_PX, NOMINAL_DISTANCE = 160, 5.0
 """Side of the rendered pictures that contours are taken from, and distance of the camera in object radii."""
 
 POINTS = 96
+"""Points of an outline, evenly taken."""
+
 BESIDE_M = np.array([0.004, 0.007, 0.010])
 """Distances from the outline at which both sides are compared: more than calibration errs, less than things
 are thick."""
@@ -169,7 +171,7 @@ def _count_outline(
             for n in range(3):
                 step = beside_m[n] if side else -beside_m[n]
                 q_z = points[k, 2] + step * out[k, 2]
-                far = max(q_z, 0.05)
+                far = max(q_z, NEAR_M)
                 u = int(np.rint((points[k, 0] + step * out[k, 0]) / far * lens[0] + lens[2]))
                 v = int(np.rint((points[k, 1] + step * out[k, 1]) / far * lens[1] + lens[3]))
                 if u < 0 or v < 0 or u >= depth.shape[1] or v >= depth.shape[0]:
@@ -218,6 +220,7 @@ INNER, OUTER = 1, 2
 """The rim: cells between these two distances outside the silhouette."""
 
 TOLERANCE_M = 0.012
+"""Depth this near to that of the silhouette is the same surface, beside what a cell adds."""
 
 
 def continuation_many(
@@ -262,7 +265,7 @@ def _continue(
         for k in range(first, last):
             p = model.points[model.visible[k]]
             z = T[2, 0] * p[0] + T[2, 1] * p[1] + T[2, 2] * p[2] + T[2, 3]
-            if z < 0.05:
+            if z < NEAR_M:
                 continue
             u = (T[0, 0] * p[0] + T[0, 1] * p[1] + T[0, 2] * p[2] + T[0, 3]) / z * fx + cx
             v = (T[1, 0] * p[0] + T[1, 1] * p[1] + T[1, 2] * p[2] + T[1, 3]) / z * fy + cy

@@ -165,7 +165,7 @@ def _place(
     """Facing (0 behind the camera), pixel, depth and normal of the visible samples of a view; in plain loops
     over few rows each, since the compiler gives up on more."""
     # Flat and without a sign, so that the compiler need not think of indices counted from the end.
-    points, normals, visible = model.points.ravel(), model.normals.ravel(), model.visible
+    points, normals, visible = model.points.flat, model.normals.flat, model.visible
     r00, r01, r02, r10, r11, r12 = T[0, 0], T[0, 1], T[0, 2], T[1, 0], T[1, 1], T[1, 2]
     r20, r21, r22, t0, t1, t2 = T[2, 0], T[2, 1], T[2, 2], T[0, 3], T[1, 3], T[2, 3]
     fx, fy, cx, cy = region.fx, region.fy, region.cx, region.cy
@@ -201,8 +201,8 @@ def _read_colors(model: ModelArrays, region: RegionArrays, count: int, scratch: 
     """Colours of the texture, and of the picture between its pixels, of the samples that fit."""
     height, width = region.depth.shape
     # Flat and without a sign, so that the compiler need not think of indices counted from the end.
-    fine, coarse = model.colors[region.finest].ravel(), model.colors[region.finest + 1].ravel()
-    colors = region.colors.ravel()
+    fine, coarse = model.colors[region.finest].flat, model.colors[region.finest + 1].flat
+    colors = region.colors.flat
     scale, below = np.uint64(3 * height * width), np.uint64(3 * width)
     first, right = scale * np.uint64(region.finest), np.uint64(3)
     for k in range(count):
@@ -230,10 +230,26 @@ def _read_colors(model: ModelArrays, region: RegionArrays, count: int, scratch: 
 def _coverage(T: Float64, model: ModelArrays, region: RegionArrays, enough: float, scratch: Float64) -> float:
     """Coverage: share of the mask points that lie on the camera's side of the surface. If it cannot exceed
     `enough`, some value between is returned. scratch: 11 rows or more."""
-    point_weights = region.point_weights
+    point_weights, tolerance = region.point_weights, region.tolerance
+    # Flat and without a sign, so that the compiler need not think of indices counted from the end. (`ravel`
+    # costs a call.)
+    points_cam, points, normals = region.points_cam.flat, model.points.flat, model.normals.flat
+    cells = model.nearest.flat
+    o0, o1, o2, scale = model.origin[0], model.origin[1], model.origin[2], 1.0 / model.step
+    d0, d1, d2 = model.nearest.shape
+    r00, r01, r02, r10, r11, r12 = T[0, 0], T[0, 1], T[0, 2], T[1, 0], T[1, 1], T[1, 2]
+    r20, r21, r22, t0, t1, t2 = T[2, 0], T[2, 1], T[2, 2], T[0, 3], T[1, 3], T[2, 3]
+    one, two, three = np.uint64(1), np.uint64(2), np.uint64(3)
+    p0, p1, p2, place, given = scratch[0], scratch[1], scratch[2], scratch[3], scratch[4]
+    s0, s1, s2, m0, m1, m2 = scratch[5], scratch[6], scratch[7], scratch[8], scratch[9], scratch[10]
+    # The camera's place in object axes is -eye.
+    eye0 = r00 * t0 + r10 * t1 + r20 * t2
+    eye1 = r01 * t0 + r11 * t1 + r21 * t2
+    eye2 = r02 * t0 + r12 * t1 + r22 * t2
+    reach2, sharpness = 9.0 * tolerance * tolerance, 1.0 / (tolerance * tolerance)
     total = 1e-9
-    for i in range(point_weights.shape[0]):
-        total += point_weights[i]
+    for k in range(point_weights.shape[0]):
+        total += point_weights[k]
     # What the points may lose altogether before the answer cannot be over `enough`.
     spare = total * (1.0 - enough + 1e-9)
     lost = 0.0
@@ -241,56 +257,34 @@ def _coverage(T: Float64, model: ModelArrays, region: RegionArrays, enough: floa
     for first in range(0, point_weights.shape[0], block):
         if lost > spare:
             break
-        count = min(block, point_weights.shape[0] - first)
-        lost += _uncovered_weight(T, model, region, first, count, scratch)
+        count, start = min(block, point_weights.shape[0] - first), np.uint64(first)
+        for k in range(np.uint64(count)):
+            i = three * (start + k)
+            x, y, z = points_cam[i] - t0, points_cam[i + one] - t1, points_cam[i + two] - t2
+            p0[k] = r00 * x + r10 * y + r20 * z
+            p1[k] = r01 * x + r11 * y + r21 * z
+            p2[k] = r02 * x + r12 * y + r22 * z
+        for k in range(np.uint64(count)):
+            f0, f1, f2 = (p0[k] - o0) * scale + 0.5, (p1[k] - o1) * scale + 0.5, (p2[k] - o2) * scale + 0.5
+            inside = (f0 >= 0.0) & (f1 >= 0.0) & (f2 >= 0.0) & (f0 < d0) & (f1 < d1) & (f2 < d2)
+            cell = np.floor(f0) * (d1 * d2) + np.floor(f1) * d2 + np.floor(f2)
+            place[k] = cell if inside else 0.0
+            given[k] = point_weights[start + k] if inside else 0.0
+        for k in range(count):
+            j = np.uint64(3 * cells[np.uint64(place[k])])
+            s0[k], s1[k], s2[k] = points[j], points[j + one], points[j + two]
+            m0[k], m1[k], m2[k] = normals[j], normals[j + one], normals[j + two]
+        weight, kept = 0.0, 0.0
+        for k in range(np.uint64(count)):
+            n0, n1, n2 = m0[k], m1[k], m2[k]
+            e0, e1, e2 = p0[k] - s0[k], p1[k] - s1[k], p2[k] - s2[k]
+            gap = e0 * n0 + e1 * n1 + e2 * n2
+            shown = n0 * (p0[k] + eye0) + n1 * (p1[k] + eye1) + n2 * (p2[k] + eye2) <= 0.0
+            near = (abs(gap) < tolerance) & (e0 * e0 + e1 * e1 + e2 * e2 < reach2)
+            kept += given[k] * (1.0 - gap * gap * sharpness) if shown & near else 0.0
+            weight += point_weights[start + k]
+        lost += weight - kept
     return float((total - lost) / total)
-
-
-@jit_dividing
-def _uncovered_weight(
-    T: Float64, model: ModelArrays, region: RegionArrays, first: int, count: int, scratch: Float64
-) -> float:
-    """Weight of the mask points first to first + count that do not lie on the surface."""
-    points_cam, point_weights, tolerance = region.points_cam.ravel(), region.point_weights, region.tolerance
-    points, normals, cells = model.points.ravel(), model.normals.ravel(), model.nearest.ravel()
-    o0, o1, o2, scale = model.origin[0], model.origin[1], model.origin[2], 1.0 / model.step
-    d0, d1, d2 = model.nearest.shape
-    r00, r01, r02, r10, r11, r12 = T[0, 0], T[0, 1], T[0, 2], T[1, 0], T[1, 1], T[1, 2]
-    r20, r21, r22, t0, t1, t2 = T[2, 0], T[2, 1], T[2, 2], T[0, 3], T[1, 3], T[2, 3]
-    one, two, three, start = np.uint64(1), np.uint64(2), np.uint64(3), np.uint64(first)
-    p0, p1, p2, place, given = scratch[0], scratch[1], scratch[2], scratch[3], scratch[4]
-    s0, s1, s2, m0, m1, m2 = scratch[5], scratch[6], scratch[7], scratch[8], scratch[9], scratch[10]
-    for k in range(np.uint64(count)):
-        i = three * (start + k)
-        x, y, z = points_cam[i] - t0, points_cam[i + one] - t1, points_cam[i + two] - t2
-        p0[k] = r00 * x + r10 * y + r20 * z
-        p1[k] = r01 * x + r11 * y + r21 * z
-        p2[k] = r02 * x + r12 * y + r22 * z
-    for k in range(np.uint64(count)):
-        f0, f1, f2 = (p0[k] - o0) * scale + 0.5, (p1[k] - o1) * scale + 0.5, (p2[k] - o2) * scale + 0.5
-        inside = (f0 >= 0.0) & (f1 >= 0.0) & (f2 >= 0.0) & (f0 < d0) & (f1 < d1) & (f2 < d2)
-        cell = np.floor(f0) * (d1 * d2) + np.floor(f1) * d2 + np.floor(f2)
-        place[k] = cell if inside else 0.0
-        given[k] = point_weights[start + k] if inside else 0.0
-    for k in range(count):
-        j = np.uint64(3 * cells[np.uint64(place[k])])
-        s0[k], s1[k], s2[k] = points[j], points[j + one], points[j + two]
-        m0[k], m1[k], m2[k] = normals[j], normals[j + one], normals[j + two]
-    # The camera's place in object axes is -eye.
-    eye0 = r00 * t0 + r10 * t1 + r20 * t2
-    eye1 = r01 * t0 + r11 * t1 + r21 * t2
-    eye2 = r02 * t0 + r12 * t1 + r22 * t2
-    reach2, sharpness = 9.0 * tolerance * tolerance, 1.0 / (tolerance * tolerance)
-    weight, kept = 0.0, 0.0
-    for k in range(count):
-        n0, n1, n2 = m0[k], m1[k], m2[k]
-        e0, e1, e2 = p0[k] - s0[k], p1[k] - s1[k], p2[k] - s2[k]
-        gap = e0 * n0 + e1 * n1 + e2 * n2
-        shown = n0 * (p0[k] + eye0) + n1 * (p1[k] + eye1) + n2 * (p2[k] + eye2) <= 0.0
-        near = (abs(gap) < tolerance) & (e0 * e0 + e1 * e1 + e2 * e2 < reach2)
-        kept += given[k] * (1.0 - gap * gap * sharpness) if shown & near else 0.0
-        weight += point_weights[first + k]
-    return weight - kept
 
 
 @jit_dividing

@@ -16,14 +16,17 @@ import numpy as np
 from huepose.colorpair.opponents import opponents_of_bytes
 from huepose.geometry.arrays import Float32, Float64
 from huepose.geometry.box import Box
-from huepose.geometry.camera import FLOOR_M, Camera, depth_noise_m
+from huepose.geometry.camera import FLOOR_M, NEAR_M, Camera, depth_noise_m
 from huepose.geometry.frame import RgbdFrame
-from huepose.judge.region import COLOR_SCALES_M, SATURATED, RegionArrays
+from huepose.judge.region import SATURATED, RegionArrays
+from huepose.model.types import COLOR_SCALES_M
 
 SCALES_M = (*COLOR_SCALES_M, 0.008)
 """Gaussian sigmas of the three averages on the object; the first two come with a model's surface."""
 
 MIN_SIDE = 16
+"""A window with a shorter side, in pixels, shows too little to be judged."""
+
 REACH_SIGMAS = 2.0
 """Gaussians are cut off at this many sigmas: 4 % of the weight lies beyond."""
 
@@ -76,7 +79,7 @@ def open_region(frame: RgbdFrame, box: Box, distance_m: float, diameter_m: float
     if not np.isfinite(depth).all():
         depth = np.nan_to_num(depth, nan=0.0, posinf=0.0, neginf=0.0)
     saturated = np.asarray(cv2.inRange(color, (0, 0, 0), (SATURATED - 1,) * 3) == 0)
-    px_per_m = (frame.camera.fx + frame.camera.fy) / 2.0 / max(distance_m, 0.05)
+    px_per_m = (frame.camera.fx + frame.camera.fy) / 2.0 / max(distance_m, NEAR_M)
     camera = frame.camera.cropped(x0, y0, w, h)
     # Whole numbers would have every kernel compiled once more.
     fx, fy, cx, cy = (float(x) for x in (camera.fx, camera.fy, camera.cx, camera.cy))

@@ -19,10 +19,14 @@ from huepose.judge.region import RegionArrays
 from huepose.support.jit import jit_dividing
 
 SMOOTHING_PX = 1.0
+"""Sigma by which the picture is smoothed before its gradient is taken."""
+
 FAINT = 3.0
 """Gradient that counts half, opponent units per pixel: fainter ones are noise."""
 
 REACH_PX = 1
+"""How far across the outline the strongest edge is looked for, pixels."""
+
 HIDDEN = 1.5
 """A rim point is hidden if depth lies in front of it by this many tolerances."""
 

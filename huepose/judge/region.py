@@ -14,16 +14,15 @@ import cv2
 import numpy as np
 
 from huepose.colorpair.opponents import DARKEST, LINEAR, SCALE, opponents_of_lab
+from huepose.geometry import icosphere
 from huepose.geometry.arrays import Bool, Float32, Float64, Int32, Int64, UInt8
 from huepose.geometry.box import Box
 from huepose.geometry.camera import Camera
 from huepose.geometry.frame import RgbdFrame
-from huepose.model.types import ReferenceModel
+from huepose.geometry.median import median
+from huepose.model.types import COLOR_SCALES_M, ReferenceModel
 from huepose.support.jit import jit, jit_dividing
 from huepose.support.once import once_for_each
-
-COLOR_SCALES_M = (0.0010, 0.0035)
-"""Standard deviations of the two smoothings, as in `Surface.lab`."""
 
 SATURATED = 250
 """Byte value from which a channel counts as saturated: its colour is unknown."""
@@ -112,7 +111,7 @@ def prepare_believed(
         return None
     belief *= np.float32(1.0 / max(largest, float(np.sum(weights))))
     seen = belief > 0.5 * belief.max()
-    median_depth = float(np.median(crop.depth[seen]))
+    median_depth = median(crop.depth[seen])
     points, point_weights = _believed_points(crop, belief)
     return Region(
         crop,
@@ -236,12 +235,14 @@ COVERAGE_POINTS = 250
 
 class ModelArrays(NamedTuple):
     """The arrays of a model that kernels read (see model.types). colors (2 or more, N, 3) float32: opponents
-    averaged over about 1 mm, 3.5 mm and so on; centre (3,) of the bounds of the samples."""
+    averaged over about 1 mm, 3.5 mm and so on; beside (V, 6): `icosphere.neighbours` of the directions,
+    (V, 0) where these are no icosphere; centre (3,) of the bounds of the samples."""
 
     points: Float32
     normals: Float32
     colors: Float32
     directions: Float32
+    beside: Int32
     visible: Int32
     offsets: Int32
     origin: Float64
@@ -288,6 +289,7 @@ def model_arrays(model: ReferenceModel) -> ModelArrays:
         s.normals,
         colors,
         s.directions,
+        beside(s.directions),
         s.visible,
         s.offsets,
         g.origin,
@@ -295,6 +297,15 @@ def model_arrays(model: ReferenceModel) -> ModelArrays:
         g.nearest,
         0.5 * (s.points.min(0) + s.points.max(0)).astype(np.float64),
     )
+
+
+def beside(directions: Float32) -> Int32:
+    """The neighbours of directions (V, 3), for `ModelArrays`."""
+    for level in (2, 3):
+        sphere = icosphere.directions(level)
+        if sphere.shape == directions.shape and np.allclose(sphere, directions, atol=1e-6):
+            return icosphere.neighbours(level)
+    return np.empty((len(directions), 0), np.int32)
 
 
 def region_arrays(region: Region) -> RegionArrays:
@@ -321,10 +332,15 @@ def region_arrays(region: Region) -> RegionArrays:
     )
 
 
+FIRST_VIEWS = 42
+"""Directions of an icosphere that are looked at before one goes from neighbour to neighbour: those of its
+first levels."""
+
+
 @jit
 def nearest_view(T: Float64, model: ModelArrays) -> int:
     """Index of the view direction from which the camera of pose `T` looks at the object's centre."""
-    directions, c = model.directions, model.centre
+    directions, beside, c = model.directions, model.beside, model.centre
     x, y, z = 0.0, 0.0, 0.0
     for r in range(3):
         eye = -(T[r, 0] * c[0] + T[r, 1] * c[1] + T[r, 2] * c[2] + T[r, 3])
@@ -332,8 +348,16 @@ def nearest_view(T: Float64, model: ModelArrays) -> int:
         y += T[r, 1] * eye
         z += T[r, 2] * eye
     best, best_dot = 0, -np.inf
-    for i in range(directions.shape[0]):
+    for i in range(FIRST_VIEWS if beside.shape[1] else directions.shape[0]):
         dot = directions[i, 0] * x + directions[i, 1] * y + directions[i, 2] * z
         if dot > best_dot:
             best, best_dot = i, dot
+    here = -1
+    while here != best:
+        here = best
+        for k in range(beside.shape[1]):
+            i = beside[here, k]
+            dot = directions[i, 0] * x + directions[i, 1] * y + directions[i, 2] * z
+            if dot > best_dot:
+                best, best_dot = i, dot
     return best

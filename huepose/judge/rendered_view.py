@@ -21,7 +21,7 @@ import cv2
 import numpy as np
 
 from huepose.geometry.arrays import Bool, Float, Float32, Float64, Int64, UInt8
-from huepose.geometry.camera import Camera
+from huepose.geometry.camera import NEAR_M, Camera
 from huepose.judge.region import ModelArrays, model_arrays, smoothed_opponents
 from huepose.model.types import ReferenceModel
 from huepose.rendering.render import render
@@ -31,8 +31,11 @@ SHARP_PX, BLUNT_PX = 0.6, 2.5
 resolves little below it."""
 
 RIM_POINTS = 120
-MARGIN_PX = 6
-LARGEST_PX = 640
+"""Most points of an outline."""
+
+MARGIN_PX, LARGEST_PX = 6, 640
+"""Room round the object in a rendered view, and most pixels of its longer side: an object that needs more is
+too near."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -82,6 +85,7 @@ def draw_rendered_view(
         normals=_joined(base.normals, seen.normals_cam[rows, columns] @ R),
         colors=np.stack([_joined(base.colors[k], picked[k]) for k in range(2)]),
         directions=np.array([[0.0, 0.0, 1.0]], np.float32),
+        beside=np.empty((1, 0), np.int32),
         visible=np.arange(first, first + count, dtype=np.int32),
         offsets=np.array([0, count], np.int32),
     )
@@ -92,7 +96,7 @@ def draw_rendered_view(
 def _window(model: ReferenceModel, T_cam_obj: Float, camera: Camera) -> Camera | None:
     """The camera of the window round a pose, which may reach out of the picture."""
     points = model.surface.points @ T_cam_obj[:3, :3].T + T_cam_obj[:3, 3]
-    if points[:, 2].min() < 0.05:
+    if points[:, 2].min() < NEAR_M:
         return None
     pixels = camera.project(points)
     low, high = (

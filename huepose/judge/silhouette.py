@@ -7,7 +7,7 @@ import numpy as np
 
 from huepose.geometry.arrays import Bool, Float, Float32, Float64
 from huepose.geometry.box import Box
-from huepose.geometry.camera import Camera
+from huepose.geometry.camera import NEAR_M, Camera
 from huepose.geometry.frame import RgbdFrame
 from huepose.geometry.mesh import Mesh
 from huepose.model.types import ReferenceModel
@@ -19,7 +19,7 @@ def projected_box(model: ReferenceModel, frame: RgbdFrame, T_cam_obj: Float) -> 
     """Bounds of the object's silhouette, occlusion ignored, clipped to the image; None outside of it."""
     camera = frame.camera
     T = np.ascontiguousarray(T_cam_obj, dtype=np.float64)
-    ahead, *bounds = _bounds(model.surface.points, T, camera.fx, camera.fy, camera.cx, camera.cy)
+    ahead, *bounds = bounds_of(model.surface.points, T, camera.fx, camera.fy, camera.cx, camera.cy, NEAR_M)
     if not ahead:
         return None
     left, top, right, bottom = bounds
@@ -28,17 +28,17 @@ def projected_box(model: ReferenceModel, frame: RgbdFrame, T_cam_obj: Float) -> 
 
 
 @jit_dividing
-def _bounds(
-    points: Float32, T: Float64, fx: float, fy: float, cx: float, cy: float
+def bounds_of(
+    points: Float32, T: Float64, fx: float, fy: float, cx: float, cy: float, nearest_m: float
 ) -> tuple[int, float, float, float, float]:
-    """How many of the points (N, 3) lie ahead of the camera, and left, top, right and bottom of their
-    pixels."""
+    """How many of the points (N, 3) lie farther than `nearest_m` ahead of the camera, and left, top, right
+    and bottom of their pixels."""
     left, top, right, bottom = np.inf, np.inf, -np.inf, -np.inf
     ahead = 0
     for k in range(points.shape[0]):
         p0, p1, p2 = points[k, 0], points[k, 1], points[k, 2]
         z = T[2, 0] * p0 + T[2, 1] * p1 + T[2, 2] * p2 + T[2, 3]
-        if z <= 0.05:
+        if z < nearest_m:
             continue
         ahead += 1
         u = (T[0, 0] * p0 + T[0, 1] * p1 + T[0, 2] * p2 + T[0, 3]) / z * fx + cx

@@ -16,6 +16,7 @@ from huepose.geometry.box import Box
 from huepose.geometry.camera import NEAREST_M, Camera
 from huepose.judge.open_region import SCALES_M, OpenRegion
 from huepose.judge.region import ModelArrays, model_arrays
+from huepose.judge.silhouette import bounds_of
 from huepose.judge.terms import Terms, score_arrays
 from huepose.model.types import ReferenceModel
 from huepose.support.kept import kept
@@ -63,13 +64,12 @@ class PreparedSurface:
     def box(self, T_cam_obj: Float, camera: Camera) -> Box | None:
         """Bounds of the object in the image, from every fourth sample; None when it reaches behind the
         camera. Not clipped to the image."""
-        p = self.arrays.points[::4] @ np.asarray(T_cam_obj[:3, :3], np.float32).T
-        p += np.asarray(T_cam_obj[:3, 3], np.float32)
-        if float(p[:, 2].min()) < NEAREST_M:
-            return None
-        u, v = p[:, 0] / p[:, 2] * camera.fx + camera.cx, p[:, 1] / p[:, 2] * camera.fy + camera.cy
-        x, y = float(u.min()), float(v.min())
-        return Box(x, y, float(u.max()) - x, float(v.max()) - y)
+        points = np.ascontiguousarray(self.arrays.points[::4])
+        T = np.ascontiguousarray(T_cam_obj, dtype=np.float64)
+        ahead, left, top, right, bottom = bounds_of(
+            points, T, camera.fx, camera.fy, camera.cx, camera.cy, NEAREST_M
+        )
+        return Box(left, top, right - left, bottom - top) if ahead == len(points) else None
 
 
 @dataclass(frozen=True, eq=False)

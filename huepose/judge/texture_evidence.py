@@ -230,6 +230,8 @@ HALF_AGREED = 16.0
 """Deviation from the common light, opponent units, at which a colour counts half."""
 
 LIGHT_ROUNDS = 3
+"""Of reweighting, in which the common light is found."""
+
 FEWEST_PAIRS = 5
 """Least number of visible pairs: with fewer there is no evidence."""
 

@@ -5,7 +5,6 @@ Lengths in metres, in the object's own frame. Colours are CIELAB (L 0..100), flo
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -14,12 +13,15 @@ from huepose.geometry.arrays import Float32, Float64, Int32, UInt8
 from huepose.geometry.mesh import Mesh
 from huepose.support.errors import InputError
 
+COLOR_SCALES_M = (0.0010, 0.0035)
+"""Standard deviations of the two Gaussians over which texture is averaged, on the model and in a picture."""
+
 
 @dataclass(frozen=True, eq=False)
 class Surface:
     """Samples of the surface, in random order: any prefix is a sparser, even sample.
 
-    points, normals (N, 3) float32; lab (2, N, 3) float32: texture averaged over about 1 mm and 3.5 mm.
+    points, normals (N, 3) float32; lab (2, N, 3) float32: texture averaged at COLOR_SCALES_M.
     directions (V, 3) float32: unit vectors from the object to cameras; from direction v the samples
     `visible[offsets[v]:offsets[v + 1]]` are seen (self-occlusion included), in increasing order.
     """
@@ -153,13 +155,13 @@ class ReferenceModel:
     digest: str | None = None
 
 
-def model_named(models: Mapping[str, ReferenceModel], name: str) -> ReferenceModel:
-    """The model of that name. Raises InputError for an unknown one."""
-    if name not in models:
+class ReferenceModels(dict[str, ReferenceModel]):
+    """Models by name. Asked for an unknown one it raises InputError."""
+
+    def __missing__(self, name: str) -> ReferenceModel:
         raise InputError(
             f"object '{name}'",
             found="no reference model of that name",
-            expected=f"one of {', '.join(sorted(models)) or 'no objects at all'}",
+            expected=f"one of {', '.join(sorted(self)) or 'no objects at all'}",
             fix="Onboard it with `huepose onboard`, or check the spelling.",
         )
-    return models[name]

@@ -15,8 +15,7 @@ from huepose.onboarding.neighbourhoods import Cells
 from huepose.onboarding.visibility import DepthViews, votes
 from huepose.onboarding.winding import outward_sign
 
-_SAMPLES_PER_MM2 = 2.0
-_MIN_SAMPLES, _MAX_SAMPLES = 40_000, 300_000
+_SAMPLES_PER_MM2, _MIN_SAMPLES, _MAX_SAMPLES = 2.0, 40_000, 300_000  # of the whole surface
 
 
 @dataclass(frozen=True, eq=False)

@@ -23,6 +23,7 @@ Unit = Literal["mm", "cm", "m", "in"]
 METRES: dict[Unit, float] = {"mm": 0.001, "cm": 0.01, "m": 1.0, "in": 0.0254}
 
 SMALLEST_M, LARGEST_M = 0.01, 2.0
+"""Bounds of the largest side of an object, by which the unit of a mesh is guessed."""
 # What code raises that reads a damaged file, beside the errors that it foresees.
 _DAMAGE = (ArithmeticError, AttributeError, LookupError, MemoryError, TypeError, ValueError, cv2.error)
 _READERS = {".obj": read_obj, ".ply": read_ply, ".glb": read_gltf, ".gltf": read_gltf}

@@ -14,9 +14,8 @@ import numpy as np
 
 from huepose.geometry.arrays import Float, Float32, Float64, Int, Int64, UInt8
 
-LARGEST = 1024
-_LARGEST_EQUAL_PATCH = 8
-_LARGEST_PATCH = 512
+LARGEST = 1024  # texels a side of a texture
+_LARGEST_EQUAL_PATCH, _LARGEST_PATCH = 8, 512  # texels a side: of one size for all, of any
 
 # Faces (N,) and barycentric weights (N, 3) to the colours (N, 3), 0..255, at those points.
 Colors = Callable[[Int64, Float64], Float]

@@ -32,6 +32,8 @@ from huepose.support.errors import InputError
 
 STAGES = ("mesh", "visibility", "surface", "symmetries", "templates", "keypoints", "colour pairs")
 EVAL_POINTS = 20_000
+"""Most vertices by which errors are measured."""
+
 _BLOCK = 1000  # points whose distances to all others are in memory at once
 _STEP_RAD = np.pi / 36  # of declared continuous symmetries
 

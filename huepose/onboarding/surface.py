@@ -11,18 +11,17 @@ from __future__ import annotations
 import numpy as np
 
 from huepose.geometry.arrays import Float, Int32, Int64
-from huepose.model.types import DistanceGrid, Surface
+from huepose.model.types import COLOR_SCALES_M, DistanceGrid, Surface
 from huepose.onboarding.cloud import Cloud, averaged_lab, smoothed_normals
 from huepose.onboarding.visibility import DepthViews, seen
 from huepose.support.jit import jit
 
 COUNT = 2000  # surfels of a model
 NORMAL_RADIUS_M = 0.003  # over which normals are averaged
-COLOR_SIGMAS_M = (0.0010, 0.0035)  # Gaussians over which colours are averaged
 _CANDIDATES = 8  # random samples for each surfel that stays
 MARGIN_M = 0.03  # of the grid around the object
 _SMALLEST_STEP_M = 0.0015  # of the grid
-_STEPS_PER_DIAMETER = 70.0
+_STEPS_PER_DIAMETER = 70.0  # of the grid of a large object
 
 
 def build_surface(cloud: Cloud, views: DepthViews) -> Surface:
@@ -32,7 +31,7 @@ def build_surface(cloud: Cloud, views: DepthViews) -> Surface:
     chosen = even_order(points, normals, cloud.area_m2, min(COUNT, candidates))
     points = points[chosen]
     normals = smoothed_normals(cloud, points, normals[chosen], NORMAL_RADIUS_M)
-    lab = np.stack([averaged_lab(cloud, points, normals, sigma) for sigma in COLOR_SIGMAS_M])
+    lab = np.stack([averaged_lab(cloud, points, normals, sigma) for sigma in COLOR_SCALES_M])
     mask = seen(views, points, normals)
     return Surface(
         points=points.astype(np.float32),

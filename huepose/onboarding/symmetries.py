@@ -11,18 +11,17 @@ import numpy as np
 
 from huepose.geometry import se3
 from huepose.geometry.arrays import Bool, Float64
-from huepose.model.types import Surface
+from huepose.model.types import COLOR_SCALES_M, Surface
 from huepose.onboarding.cloud import Cloud, averaged_lab
 from huepose.onboarding.near_symmetries import NearSymmetries, rotations_about
 from huepose.onboarding.sided import SidedSurface
-from huepose.onboarding.surface import COLOR_SIGMAS_M
 
 EQUIVALENT_STEP_RAD = np.radians(5.0)
 _MAX_MEAN_ERROR = 0.006  # mean distance to the own surface over the diameter
 _OUTLIER_ERROR = 0.03  # distance of an outlier, as on a handle, a spout, a hole
 _MAX_OUTLIERS = 0.03  # share of surfels
 _MAX_MEAN_COLOR, _OUTLIER_COLOR, _MAX_COLOR_OUTLIERS = 3.0, 12.0, 0.03  # distances in (L / 2, a, b); share
-_POINTS = 800
+_POINTS = 800  # surfels of the test that decides
 _QUICK_POINTS = 150  # surfels of a first test, which rejects most cases
 
 
@@ -80,5 +79,5 @@ def texture_difference(surface: Surface, cloud: Cloud, turn: Float64, scale: int
     takes them, at one of the two scales of `Surface.lab`."""
     points = se3.apply(turn, surface.points[:count])
     normals = surface.normals[:count] @ turn[:3, :3].T
-    there = averaged_lab(cloud, points, normals, COLOR_SIGMAS_M[scale])
+    there = averaged_lab(cloud, points, normals, COLOR_SCALES_M[scale])
     return np.asarray(np.linalg.norm((there - surface.lab[scale, :count]) * [0.5, 1.0, 1.0], axis=1))

@@ -14,7 +14,7 @@ from huepose.rendering.render import render_depth
 from huepose.support.jit import jit
 
 LEVEL = 3  # 642 directions, 8 degrees apart
-_PIXELS = 128
+_PIXELS = 128  # a side of a view
 _DIAMETER_PX = 110.0  # of the object in a view
 _DISTANCE = 6.0  # of the camera, diameters: nearly parallel rays
 _MIN_COSINE = 0.12  # of the viewing angle at a visible surface

@@ -13,7 +13,9 @@ from huepose.geometry.arrays import Bool, Float32, Float64, Int32, UInt8
 from huepose.geometry.box import Box
 from huepose.geometry.camera import Camera
 from huepose.geometry.frame import RgbdFrame
-from huepose.judge.region import COLOR_SCALES_M, SATURATED, Crop, Region, tolerance_m
+from huepose.geometry.median import median
+from huepose.judge.region import SATURATED, Crop, Region, tolerance_m
+from huepose.model.types import COLOR_SCALES_M
 from huepose.perception.embedded import depth_steps
 from huepose.perception.ground import large_planes, standing_clear
 from huepose.support.jit import jit
@@ -86,7 +88,7 @@ def clear_view(frame: RgbdFrame, largest_m: float) -> ClearView | None:
     saturated = (color[..., 0] >= SATURATED) | (color[..., 1] >= SATURATED) | (color[..., 2] >= SATURATED)
     crop = Crop(camera, columns.start, rows.start, color, depth, np.asarray(saturated))
     pieces[:, :2] -= columns.start, rows.start
-    colors = _smoothed(color, camera.fx / float(np.median(depth[clear])))
+    colors = _smoothed(color, camera.fx / median(depth[clear]))
     return ClearView(frame, crop, clear, colors, pieces)
 
 

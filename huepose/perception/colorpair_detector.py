@@ -22,7 +22,7 @@ from huepose.geometry.arrays import Float64
 from huepose.geometry.camera import Camera
 from huepose.geometry.frame import RgbdFrame
 from huepose.judge.borders import Contours
-from huepose.model.types import ReferenceModel, model_named
+from huepose.model.types import ReferenceModel, ReferenceModels
 from huepose.perception.clear_view import ClearView, clear_view
 from huepose.perception.config import DetectorConfig
 from huepose.perception.memory import Memory, features_of, looking
@@ -50,7 +50,7 @@ class ColorPairDetector:
 
     def __init__(self, models: Mapping[str, ReferenceModel], config: DetectorConfig | None = None) -> None:
         self.config = config or DetectorConfig()
-        self._models: dict[str, ReferenceModel] = {}
+        self._models = ReferenceModels()
         self._tables: dict[str, WindowTable] = {}
         self._features: FeatureSource = Sift()
         self._keypoints: dict[str, ModelKeypoints] = {}
@@ -82,7 +82,7 @@ class ColorPairDetector:
         thorough: the objects that get the full search if a first one does not find them; default all. The
         others take a third of the time."""
         for name in names:
-            self._model(name)
+            self._models[name]
         with stage("clear view"):
             view = clear_view(frame, max((m.diameter_m for m in list(self._models.values())), default=0.0))
         if view is None:
@@ -97,7 +97,7 @@ class ColorPairDetector:
         guesses = self._guesses(view, features)
 
         def places_of(name: str) -> list[Proposal]:
-            model = self._model(name)
+            model = self._models[name]
             proposed = propose(
                 model,
                 self._table(name),
@@ -151,19 +151,16 @@ class ColorPairDetector:
             depth = np.where(picture.depth > 0, picture.depth, np.float32(1.5 * distance))
             self.detect(RgbdFrame(picture.color, depth.astype(np.float32), camera), [model.name])
 
-    def _model(self, name: str) -> ReferenceModel:
-        return model_named(self._models, name)
-
     def _table(self, name: str) -> WindowTable:
         with self._lock:
             if name not in self._tables:
-                self._tables[name] = window_table(self._model(name))
+                self._tables[name] = window_table(self._models[name])
             return self._tables[name]
 
     def _keypoints_of(self, name: str) -> ModelKeypoints:
         with self._lock:
             if name not in self._keypoints:
-                model = self._model(name)
+                model = self._models[name]
                 make = partial(self._matching_keypoints, model)
                 self._keypoints[name] = kept(ModelKeypoints, model.digest, make)
             return self._keypoints[name]

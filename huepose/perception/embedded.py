@@ -23,10 +23,13 @@ import numpy as np
 from huepose.geometry.arrays import Bool, Float32, Float64, Int, UInt8
 from huepose.geometry.box import Box
 from huepose.geometry.frame import RgbdFrame
+from huepose.geometry.median import median
 from huepose.perception.support_plane import above_plane, find_support_plane
 from huepose.support.jit import jit
 
 COLOR_MIN_PIXELS = 60
+"""A colour cut of fewer pixels is no candidate."""
+
 COLOR_SAME = 0.8
 """A colour cut that agrees with the depth mask by this IoU is no other candidate."""
 
@@ -76,8 +79,8 @@ def _middle_of(frame: RgbdFrame, box: Box) -> Bool:
     return out if np.count_nonzero(out) >= MIN_MASK_PIXELS else np.zeros_like(out)
 
 
-MIN_PIXELS = 15
-MIN_MASK_PIXELS = 25
+MIN_PIXELS, MIN_MASK_PIXELS = 15, 25
+"""Pixels that a piece of depth and a mask have at least: smaller ones are noise at edges."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -208,7 +211,7 @@ def _finished(
 ) -> tuple[Bool, float]:
     """Rims put back, far-off depth and what lies beside the box cut off; the mask and how well it fits the
     box."""
-    near = np.abs(depth - np.median(depth[mask])) < 0.75 * diameter_m
+    near = np.abs(depth - median(depth[mask])) < 0.75 * diameter_m
     grown = cv2.dilate((mask & near).astype(np.uint8), np.ones((3, 3), np.uint8)) > 0
     mask = grown & candidate & near
     v, u = np.arange(depth.shape[0])[:, None], np.arange(depth.shape[1])[None, :]
@@ -234,7 +237,11 @@ BINS = 16
 """Of each channel of CIELAB."""
 
 ROUNDS = 2
+"""Of the cut: each takes the colours of what the one before kept."""
+
 SMOOTHING_PX = 1.5
+"""Sigma by which evidence is smoothed, pixels of the reduced picture."""
+
 MOST_EVIDENCE = 3.0
 """Log-likelihood ratio that a single pixel can have."""
 

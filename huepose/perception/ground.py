@@ -13,10 +13,14 @@ from huepose.perception.support_plane import NEAR_M, POINTS, Plane, best_plane
 from huepose.support.jit import jit, jit_dividing
 
 TRIALS, MOST = 120, 3
+"""Triples of points that RANSAC draws for a plane, and most planes of a frame."""
+
 MIN_SHARE = 0.06
 """A plane that holds less of the points that are left is not looked for."""
 
 REFITS = 3
+"""Least-squares fits of a plane, each to the points near the one before."""
+
 BAND_M, BAND_PER_M = 0.004, 0.004
 BEYOND = 2.0
 """Depth this near to a plane, and so much more per square metre of depth squared, lies on it; what is more

@@ -7,6 +7,7 @@ from typing import NamedTuple
 import numpy as np
 
 from huepose.geometry.arrays import Bool, Float32, Float64
+from huepose.geometry.camera import NEAR_M
 from huepose.model.types import ReferenceModel
 from huepose.perception.clear_view import ClearView
 from huepose.refine.point_to_plane import (
@@ -23,6 +24,8 @@ from huepose.refine.solver import Body
 from huepose.support.jit import jit
 
 POINTS, ITERATIONS = 150, 10
+"""Readings of the depth that a sphere should give (at most four times as many), and steps of ICP."""
+
 GATE_START, GATE_END_M = 0.15, 0.012
 """Correspondence gate: at the start in diameters, at the end in metres."""
 
@@ -73,7 +76,7 @@ def _align(
             x += T[0, c] * sphere.centre[c]
             y += T[1, c] * sphere.centre[c]
             z += T[2, c] * sphere.centre[c]
-        if z < 0.05:
+        if z < NEAR_M:
             continue
         count = points_round(x, y, z, sphere.radius, view, points)
         if count < 10:

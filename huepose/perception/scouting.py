@@ -26,6 +26,8 @@ from huepose.support.jit import jit
 from huepose.support.stages import stage
 
 FIRST_SAMPLES, SECOND_SAMPLES = 60, 200
+"""Surface samples by which all rough poses are rated, and by which the refined ones are."""
+
 LOOK_WEIGHT = 7.0
 """Weight of a cosine of codes against `evidence`: the right view mostly leads by 0.03, which is worth 0.2."""
 

@@ -15,6 +15,8 @@ from huepose.geometry.frame import RgbdFrame
 from huepose.support.jit import jit
 
 TILE_PX = 8
+"""Side of a tile, pixels."""
+
 LEVELS, OF_DEVIATION = 4.0, 0.1
 """A tile has changed if the mean of a colour channel differs by more than LEVELS (of 255) plus this share of
 its standard deviation."""

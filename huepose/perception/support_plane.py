@@ -15,6 +15,8 @@ RING_GROWTH, RING_PIXELS = 0.6, 15.0
 """The ring reaches 60 % of the box's size and 15 pixels beyond it."""
 
 POINTS, TRIALS = 1500, 150
+"""Most readings of the ring that are looked at, and triples of them that RANSAC draws."""
+
 NEAR_M = 0.008
 """Points within this of a plane are its."""
 

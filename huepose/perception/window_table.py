@@ -16,6 +16,7 @@ VIEWS, ROLL_STRIDE = 42, 2
 """The first 42 directions are the icosphere of level 1, 32 degrees apart; every second roll, 30 degrees."""
 
 MIN_COVERAGE = 0.25
+"""Least coverage (0..1) of a cell that counts."""
 
 _GRID = np.indices((COARSE_SIDE, COARSE_SIDE)) - (COARSE_SIDE - 1) / 2.0
 _MIDDLE = (np.hypot(*_GRID) <= COARSE_SIDE / 4.0).ravel().astype(np.float32)

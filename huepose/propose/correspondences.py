@@ -19,10 +19,10 @@ from huepose.geometry.arrays import Bool, Float32, Float64, UInt8
 from huepose.propose.flow import Flow, sampled
 from huepose.propose.mask_propagation import propagate
 
-GRID_STEP_PX = 12
-GRID_WEIGHT = 0.3
-"""Weight of a grid point; a colour pair has 1."""
+GRID_STEP_PX, GRID_WEIGHT = 12, 0.3
+"""Spacing of the points of a grid, and the weight of one; a colour pair has 1."""
 MAX_PAIRS = 300
+"""Most colour pairs of a frame that are followed."""
 MIN_SIMILARITY = 0.35
 """Least colour-pair similarity (0..1) of a kept correspondence."""
 SIDE_PX = 3.0

@@ -14,18 +14,17 @@ import numpy as np
 from huepose.geometry.arrays import Bool, Float64
 from huepose.geometry.box import Box
 from huepose.geometry.frame import RgbdFrame
-from huepose.judge.region import Crop, Region, prepare_believed, prepare_crop, sampled_points
+from huepose.geometry.median import median
+from huepose.judge.region import Region, prepare_believed, prepare_crop, sampled_points
 from huepose.propose.config import EvidenceConfig
-from huepose.propose.views import Picture
 
 
 @dataclass(frozen=True, eq=False)
 class Evidence:
-    """region: input of the judge; picture: input of the view retrieval; sources: masks (h, w) of the crop
-    that propose poses, the whole box last; points_cam: surface points (N, 3) of each source, metres."""
+    """region: what poses are judged in; sources: masks (h, w) of its crop that propose poses, the whole box
+    last; points_cam: surface points (N, 3) of each source, metres."""
 
     region: Region
-    picture: Picture
     sources: tuple[Bool, ...]
     points_cam: tuple[Float64, ...]
 
@@ -49,8 +48,9 @@ def gather(
     if not masks_with_depth and not whole.any():
         return None
     believed = masks_with_depth or [whole]
-    crop = prepare_crop(frame, _window(frame, [*masks_with_depth, whole], config.reach * diameter_m))
-    fits = [_box_fit(mask, box, config.fitting_iou) for mask in believed]
+    shown = [(mask, Box.of_mask(mask)) for mask in (*masks_with_depth, whole)]
+    crop = prepare_crop(frame, _window(frame, shown, config.reach * diameter_m))
+    fits = [_box_fit(bounds, box, config.fitting_iou) for _, bounds in shown[: len(believed)]]
     region = prepare_believed(
         crop, believed, [f * f + config.least_trust for f in fits], max(fits) ** 2, box, diameter_m
     )
@@ -64,27 +64,20 @@ def gather(
         sources.append(whole[cut])
         counts.append(config.box_points)
     points = tuple(sampled_points(crop, m, n)[0] for m, n in zip(sources, counts, strict=True))
-    return Evidence(region, _picture(crop, region), tuple(sources), points)
+    return Evidence(region, tuple(sources), points)
 
 
-def _picture(crop: Crop, region: Region) -> Picture:
-    return Picture(crop.color, crop.depth, crop.camera, region.bounds)
-
-
-def _box_fit(mask: Bool, box: Box, fitting_iou: float) -> float:
-    """Fit of a mask to the box, 0..1: IoU of their bounds over `fitting_iou`, at most 1."""
-    bounds = Box.of_mask(mask)
+def _box_fit(bounds: Box | None, box: Box, fitting_iou: float) -> float:
+    """Fit of a mask to the box, 0..1: IoU of its bounds over `fitting_iou`, at most 1."""
     return 0.0 if bounds is None else min(1.0, bounds.iou(box) / fitting_iou)
 
 
-def _window(frame: RgbdFrame, masks: Sequence[Bool], reach_m: float) -> Box:
+def _window(frame: RgbdFrame, masks: Sequence[tuple[Bool, Box | None]], reach_m: float) -> Box:
     """The bounds of all masks, each grown by `reach_m` at its median depth, clipped to the image."""
     boxes = []
-    for mask in masks:
-        bounds = Box.of_mask(mask)
+    for mask, bounds in masks:
         if bounds is not None:
-            reach = reach_m / float(np.median(frame.depth[mask])) * frame.camera.fx
+            cut = bounds.slices(frame.camera.width, frame.camera.height)
+            reach = reach_m / median(frame.depth[cut][mask[cut]]) * frame.camera.fx
             boxes.append(bounds.grown(0.0, reach).clipped(frame.camera.width, frame.camera.height))
-    left, top = min(b.x for b in boxes), min(b.y for b in boxes)
-    right, bottom = max(b.x1 for b in boxes), max(b.y1 for b in boxes)
-    return Box(left, top, right - left, bottom - top)
+    return Box.around(*boxes)

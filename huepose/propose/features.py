@@ -15,6 +15,7 @@ import numpy as np
 from huepose.geometry.arrays import Bool, Float32, UInt8
 
 SIFT_WIDTH = 128
+"""Numbers of a descriptor."""
 
 
 @dataclass(frozen=True, eq=False)

@@ -80,7 +80,7 @@ def _check(
     histogram = np.empty(BINS + 2, np.int32)
     colors = np.empty((6, capacity), np.float32)
     wide = canvas.relief.shape[1]
-    shown, valid = canvas.relief.ravel(), canvas.valid.ravel()
+    shown, valid = canvas.relief.flat, canvas.valid.flat
     for k in range(templates.shape[0]):
         first = starts[templates[k]]
         covered = starts[templates[k] + 1] - first
@@ -153,7 +153,7 @@ def _score_template(
     differences (known,): picture minus template relief in the cells that have both, millimetres; where (3,
     known): their indices in `values`, in the flat canvas and in the window; colors (6, cells): scratch
     space."""
-    shown = canvas.color.ravel()
+    shown = canvas.color.flat
     fit, near, occluded, violated = 0.0, 0, 0, 0
     x0, y0, x1, y1 = side, side, -1, -1
     for k in range(known):

@@ -10,7 +10,9 @@ import numpy as np
 from huepose.colorpair.opponents import opponents_of_lab
 from huepose.geometry.arrays import Float, Float32, Float64, Int64
 from huepose.geometry.icosphere import look_at
-from huepose.model.types import ViewTemplates
+from huepose.model.types import ReferenceModel, ViewTemplates
+from huepose.support.kept import kept
+from huepose.support.once import once_for_each
 
 COARSE_SIDE = 8
 """Cells a side at the quick look."""
@@ -49,6 +51,12 @@ class TemplateTable:
     origins: Float64
     span_m: float
     diameter_m: float
+
+
+@once_for_each
+def table_of(model: ReferenceModel) -> TemplateTable:
+    """A model's view templates laid out for retrieval, mapped as long as it is there."""
+    return kept(TemplateTable, model.digest, lambda: build_table(model.templates, model.diameter_m))
 
 
 def build_table(templates: ViewTemplates, diameter_m: float, *, min_coverage: float = 0.5) -> TemplateTable:

@@ -21,6 +21,7 @@ from huepose.rendering.render import render
 LEVEL = 2
 """Subdivision level of the icosphere of directions: 162, 16 degrees apart."""
 ROLLS = 24
+"""Rotations about the line of sight, 15 degrees apart."""
 SIDE = 16
 """Cells a side of a template."""
 SPAN = 1.1

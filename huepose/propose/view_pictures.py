@@ -17,6 +17,7 @@ from huepose.geometry.camera import Camera
 from huepose.geometry.mesh import Mesh
 from huepose.propose.templates import DISTANCE_DIAMETERS, DISTANCE_M, SPAN
 from huepose.rendering.render import render
+from huepose.support.jit import jit_dividing
 
 SIDE = 64
 """Side of an input picture, pixels."""
@@ -139,17 +140,29 @@ def network_input(colors: UInt8, reliefs: Float32, *, clean: bool) -> Float32:
     """Network input (N, 6, 64, 64) float32: red, green, blue in -1..1; relief, clipped at NEAR and doubled; 1
     where it is known; 1 where it is within NEAR. clean: rendered views, whose colour is set to 0 outside the
     object."""
-    known = np.isfinite(reliefs)
-    relief = np.where(known, reliefs, np.float32(0.0))
     x = np.empty((len(colors), CHANNELS, SIDE, SIDE), np.float32)
-    np.multiply(colors.transpose(0, 3, 1, 2), np.float32(2.0 / 255.0), out=x[:, :3])
-    x[:, :3] -= np.float32(1.0)
-    if clean:
-        x[:, :3] *= known[:, None]
-    np.multiply(np.clip(relief, -NEAR, NEAR), np.float32(2.0), out=x[:, 3])
-    x[:, 4] = known
-    x[:, 5] = known & (np.abs(relief) < NEAR)
+    _fill(colors, reliefs, clean, _LEVELS, x)
     return x
+
+
+_LEVELS = np.arange(256, dtype=np.float32) * np.float32(2.0 / 255.0) - np.float32(1.0)
+
+
+@jit_dividing
+def _fill(colors: UInt8, reliefs: Float32, clean: bool, levels: Float32, x: Float32) -> None:
+    zero, one, near = np.float32(0.0), np.float32(1.0), np.float32(NEAR)
+    for n in range(x.shape[0]):
+        for v in range(x.shape[2]):
+            for u in range(x.shape[3]):
+                z = reliefs[n, v, u]
+                known = np.isfinite(z)
+                shown = known or not clean
+                for c in range(3):
+                    x[n, c, v, u] = levels[colors[n, v, u, c]] if shown else zero
+                z = z if known else zero
+                x[n, 3, v, u] = min(max(z, -near), near) * np.float32(2.0)
+                x[n, 4, v, u] = one if known else zero
+                x[n, 5, v, u] = one if known and abs(z) < near else zero
 
 
 def _lattice_to_picture(middle: Float64, step: float, side: int) -> Float64:

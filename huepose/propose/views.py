@@ -14,8 +14,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from huepose.geometry.arrays import Bool, Float, Float32, Float64, Int64, UInt8
+from huepose.geometry.arrays import Bool, Float, Float32, Float64, Int64
 from huepose.geometry.camera import Camera
+from huepose.geometry.median import median
+from huepose.judge.region import Crop
 from huepose.propose.config import RetrievalConfig
 from huepose.propose.quick_look import known_cells, masked_cells, nearest, quick_look, sampled
 from huepose.propose.template_check import Canvas, check_templates
@@ -27,17 +29,6 @@ SHIFTS = (-1, 0, 1)
 
 MAX_MEDIAN_PIXELS = 4000
 """Depth readings used for the median depth of a mask: more do not change it."""
-
-
-@dataclass(frozen=True, eq=False)
-class Picture:
-    """The crop to search. color (h, w, 3) uint8 RGB, depth (h, w) float32 metres, with their camera; bounds
-    (4,): left, top, right, bottom of the object's box in its pixels."""
-
-    color: UInt8
-    depth: Float32
-    camera: Camera
-    bounds: Float64
 
 
 @dataclass(frozen=True, eq=False)
@@ -73,20 +64,22 @@ class _Ranked:
 
 def retrieve(
     table: TemplateTable,
-    picture: Picture,
+    crop: Crop,
+    bounds: Float64,
     masks: Sequence[Bool],
     config: RetrievalConfig | None = None,
 ) -> Retrieved:
-    """The best hypotheses under candidate masks (h, w) bool; empty where no mask has a pixel with depth."""
+    """The best hypotheses under candidate masks (h, w) bool of a crop; empty where no mask has a pixel with
+    depth. bounds (4,): left, top, right, bottom of the object's box in the crop's pixels."""
     config = config or RetrievalConfig()
-    seen = [(k, mask & (picture.depth > 0)) for k, mask in enumerate(masks)]
+    seen = [(k, mask & (crop.depth > 0)) for k, mask in enumerate(masks)]
     seen = [(k, mask) for k, mask in seen if mask.any()]
     if not seen:
         return Retrieved(np.zeros((0, 4, 4)), np.zeros(0), np.zeros(0, np.int64))
-    places = [_place(table, picture, mask) for _, mask in seen]
+    places = [_place(table, crop, mask) for _, mask in seen]
     best_shift, quick = quick_look(table, np.concatenate([p.windows for p in places]), len(SHIFTS) ** 2)
     found = [
-        _close_look(table, picture, p, w, q, config)
+        _close_look(table, crop, bounds, p, w, q, config)
         for p, w, q in zip(places, best_shift, quick, strict=True)
     ]
     scores = np.concatenate([f.scores for f in found])
@@ -96,7 +89,7 @@ def retrieve(
         np.concatenate([f.templates for f in found])[order],
         np.concatenate([f.pixels for f in found])[order],
         np.concatenate([f.depth_m for f in found])[order],
-        picture.camera,
+        crop.camera,
     )
     chosen = distinct(poses, config.views, np.radians(config.apart_deg))
     origin = np.repeat([k for k, _ in seen], [len(f.scores) for f in found])
@@ -132,15 +125,15 @@ def _distinct(flat: Float64, limit: float, count: int) -> Int64:
     return chosen[:n]
 
 
-def _place(table: TemplateTable, picture: Picture, mask: Bool) -> _Place:
+def _place(table: TemplateTable, crop: Crop, mask: Bool) -> _Place:
     """Position, scale and windows of one mask (h, w)."""
-    depths = picture.depth[mask]
-    middle_m = float(np.median(depths[:: -(-len(depths) // MAX_MEDIAN_PIXELS)]))
+    depths = crop.depth[mask]
+    middle_m = median(depths[:: -(-len(depths) // MAX_MEDIAN_PIXELS)])
     centre = _centroid(mask)
-    span = table.span_m / middle_m * picture.camera.fx
+    span = table.span_m / middle_m * crop.camera.fx
     margin = max(SHIFTS)
     wide = COARSE_SIDE + 2 * margin
-    fine, color, depth, to_picture = sampled(picture.color, picture.depth, centre, span / COARSE_SIDE, wide)
+    fine, color, depth, to_picture = sampled(crop.color, crop.depth, centre, span / COARSE_SIDE, wide)
     inside = nearest(mask.view(np.uint8), to_picture, len(depth))
     cells = masked_cells(color, depth, inside, fine, middle_m, middle_m - 0.1 * table.diameter_m)
     starts = [(margin + x, margin + y) for y in SHIFTS for x in SHIFTS]
@@ -166,7 +159,8 @@ def _centroid(mask: Bool) -> Float64:
 
 def _close_look(
     table: TemplateTable,
-    picture: Picture,
+    crop: Crop,
+    bounds: Float64,
     place: _Place,
     best_shift: Int64,
     quick: Float32,
@@ -178,8 +172,8 @@ def _close_look(
     coarse = np.array([(x, y) for y in SHIFTS for x in SHIFTS]) * (side / COARSE_SIDE)
     margin = int(np.abs(coarse).max()) + 1
     wide, cell = side + 2 * margin, place.span / side
-    fine, color, depth, _ = sampled(picture.color, picture.depth, place.centre, cell, wide)
-    bounds = (picture.bounds - np.concatenate([place.centre, place.centre])) / cell + wide / 2.0
+    fine, color, depth, _ = sampled(crop.color, crop.depth, place.centre, cell, wide)
+    bounds = (bounds - np.concatenate([place.centre, place.centre])) / cell + wide / 2.0
     canvas = Canvas(*known_cells(color, depth, fine, place.middle_m), bounds)
 
     templates = _best(quick, config.closer)

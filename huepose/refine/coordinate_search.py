@@ -28,9 +28,11 @@ RACE = 0.15
 """Total a degree of the next step by which a pose that competes with others may lie behind the best of them:
 of 1000 starts on real, cluttered and piled frames none that was farther behind won in the end."""
 
-REPETITIONS = 2
-STRIDES = 3
+REPETITIONS, STRIDES = 2, 3
+"""Passes over all six directions with one step, and most steps in a row in a direction that pays."""
+
 WORTH = 1e-4
+"""Least gain in the total for which a step is taken."""
 
 
 def search(

@@ -12,7 +12,7 @@ import numpy as np
 
 from huepose.geometry import se3
 from huepose.geometry.arrays import Bool, Float64
-from huepose.geometry.camera import POINTS_PER_READING, depth_noise_m
+from huepose.geometry.camera import NEAR_M, POINTS_PER_READING, depth_noise_m
 from huepose.geometry.frame import RgbdFrame
 from huepose.judge.borders import STEP_M, STEP_SIGMAS, Contours
 from huepose.judge.surface import PreparedSurface
@@ -27,6 +27,8 @@ SAMPLES, GATE_M = 200, 0.015
 """Surface samples, and the largest distance of a reading from the plane of one, metres."""
 
 ROUNDS = 4
+"""Gauss-Newton steps, each with jumps that are looked for anew."""
+
 DAMPING = 1e-3
 """As a share of the mean information."""
 
@@ -92,7 +94,7 @@ def _gaps(surface: PreparedSurface, T: Float64, frame: RgbdFrame) -> tuple[Float
 def _readings(points: Float64, frame: RgbdFrame) -> Float64:
     """Depth at points (..., 3) of camera axes; 0 where there is none."""
     camera, depth = frame.camera, frame.depth
-    z = np.maximum(points[..., 2], 0.05)
+    z = np.maximum(points[..., 2], NEAR_M)
     u = np.rint(points[..., 0] / z * camera.fx + camera.cx).astype(np.int64)
     v = np.rint(points[..., 1] / z * camera.fy + camera.cy).astype(np.int64)
     inside = (u >= 0) & (v >= 0) & (u < depth.shape[1]) & (v < depth.shape[0])

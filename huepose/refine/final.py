@@ -25,6 +25,7 @@ from huepose.geometry import se3
 from huepose.geometry.arrays import Bool, Float, Float32, Float64
 from huepose.geometry.camera import FLOOR_M, POINTS_PER_READING, Camera, depth_noise_m
 from huepose.geometry.frame import RgbdFrame
+from huepose.geometry.median import median
 from huepose.judge.region import Region
 from huepose.judge.silhouette import visible_mask
 from huepose.judge.terms import totals
@@ -57,9 +58,9 @@ from huepose.refine.solver import DAMPING, FEWEST_FOR_A_STEP, Body, advance, cle
 from huepose.support.jit import jit
 from huepose.support.once import once_for_each
 
-GATE_M = 0.008
-ITERATIONS = 8
-POINTS = 1000
+GATE_M, ITERATIONS, POINTS = 0.008, 8, 1000
+"""Of the last fit to depth: largest distance of a reading that counts, metres; steps; most readings."""
+
 WORTH = 0.1
 """A refined pose may lose this much of the score; one that loses more has slid off the texture."""
 
@@ -92,7 +93,8 @@ def refine_on_depth(
 
 def _points(frame: RgbdFrame, mask: Bool) -> Float64:
     """At most POINTS evenly strided points (N, 3), camera axes, of mask pixels that have depth."""
-    flat = np.flatnonzero(mask & (frame.depth > 0))
+    flat = np.flatnonzero(mask)
+    flat = flat[frame.depth.ravel()[flat] > 0]
     rows, columns = np.divmod(flat[:: max(1, -(-len(flat) // POINTS))], mask.shape[1])
     return frame.camera.backproject(np.stack([columns, rows], -1), frame.depth[rows, columns])
 
@@ -170,7 +172,7 @@ def refine_on_edges(model: ReferenceModel, frame: RgbdFrame, mask: Bool, T_cam_o
     depths = depths[depths > 0]
     if not len(textured.points) or not len(depths):
         return T_cam_obj
-    scale = model.pairs.parameters["fine_pixels_per_m"] * float(np.median(depths)) / frame.camera.fx
+    scale = model.pairs.parameters["fine_pixels_per_m"] * median(depths) / frame.camera.fx
     edges = image_edges(extract(frame.color, mask, scale=min(scale, 1.0)))
     return align_edges(textured, model.surface, edges, frame.depth, frame.camera, T_cam_obj).T_cam_obj
 
@@ -237,6 +239,8 @@ def _edges_of(reference: PairReference) -> ModelEdges:
 
 
 SIZE_STEPS = 3
+"""Gauss-Newton steps in which the size is found."""
+
 SIZE_GATE = 0.06
 """Points farther from the surface than this many diameters, and than the last fit's gate, count nothing."""
 

@@ -19,8 +19,11 @@ GAIN_PRIOR = 4.0
 """Weight of the expectation that contrast is kept, as a variance in opponent units."""
 
 SLOPE_PRIOR = 0.02
+"""Weight of the expectation that lightness does not change with the slope of the surface, as a share of all
+weights."""
 
 GAIN_LIMITS = (0.3, 2.5)
+"""How much less, and how much more, contrast than the texture a picture is believed to have."""
 
 TRUST_FLOOR = 1.5
 """Opponent units: no residual below this makes a sample doubtful."""

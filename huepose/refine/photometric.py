@@ -16,7 +16,7 @@ import numpy as np
 
 from huepose.geometry import se3
 from huepose.geometry.arrays import Float, Float64, Int32
-from huepose.geometry.camera import depth_noise_m
+from huepose.geometry.camera import NEAR_M, depth_noise_m
 from huepose.judge.open_region import SCALES_M, OpenRegion
 from huepose.judge.region import ModelArrays, RegionArrays
 from huepose.judge.surface import PreparedSurface
@@ -53,6 +53,8 @@ COLOR_SIGMA_FLOOR = 2.5
 """Opponent units."""
 
 LIGHTNESS_WEIGHT = 0.5
+"""Of lightness against the other two channels: shading is lightness, too."""
+
 NO_DEPTH_WEIGHT = 0.3
 """Of colours where there is no depth to say whether the object is in front."""
 
@@ -67,10 +69,14 @@ INSIDE_SHARE, SCALE_SHARE = 0.25, 0.25
 more than the second mixes its sides."""
 
 LIGHT_ROUNDS = 3
+"""Of reweighting, in which the light is found."""
+
 DAMPING = 2e-3
 """Of Levenberg and Marquardt, as a share of the information about the translation."""
 
 MIN_COLORS = 20
+"""With fewer samples that have a colour, depth alone is asked."""
+
 STILL_M = 2e-5
 """A step smaller than this (metres, and metres at the object's rim) ends a level."""
 
@@ -152,7 +158,7 @@ def _settings(schedule: Schedule, surface: PreparedSurface, distance_m: float, f
     """What a schedule means at a distance."""
     sigma = depth_noise_m(distance_m)
     gates = np.maximum(np.array(schedule.gates_m), 3.5 * sigma)
-    px_per_m = fx / max(distance_m, 0.05)
+    px_per_m = fx / max(distance_m, NEAR_M)
     # On a thin object a neighbour further off than this would always lie beside it.
     widest = INSIDE_SHARE * surface.thickness_m
     reaches = np.array([max(1, round(min(1.5 * s, widest) * px_per_m)) for s in SCALES_M], np.int32)

@@ -261,7 +261,7 @@ def _nearest_samples(T: Float64, points_cam: Float64, surface: SurfaceArrays, sc
     r00, r01, r02, r10, r11, r12 = T[0, 0], T[0, 1], T[0, 2], T[1, 0], T[1, 1], T[1, 2]
     r20, r21, r22, t0, t1, t2 = T[2, 0], T[2, 1], T[2, 2], T[0, 3], T[1, 3], T[2, 3]
     # Flat and without a sign, so that the compiler need not think of indices counted from the end.
-    samples, normals, cells = surface.samples.ravel(), surface.normals.ravel(), surface.nearest.ravel()
+    samples, normals, cells = surface.samples.flat, surface.normals.flat, surface.nearest.flat
     o0, o1, o2, step = surface.origin[0], surface.origin[1], surface.origin[2], surface.step
     d0, d1, d2 = surface.nearest.shape
     for k in range(points_cam.shape[0]):

@@ -98,6 +98,8 @@ def add_depth_samples(
 
 
 CELL_PX = 8.0
+"""Side of the cells by which the edges near a pixel are found."""
+
 ALONG_SHARE = 0.3
 """What a distance along the edge counts, against one across it, in the choice of an edge's partner."""
 

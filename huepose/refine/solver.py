@@ -188,5 +188,7 @@ def information(A: Float, T_cam_obj: Float, body: Body) -> Float64:
     to_step[:3, :3] = R_t
     to_step[:3, 3:] = -se3.hat(body.centre) @ R_t  # a turn about the origin also carries the centre along
     to_step[3:, 3:] = body.radius * R_t
-    lower = np.tril(np.asarray(A, np.float64))
-    return np.asarray(to_step.T @ (lower + np.tril(lower, -1).T) @ to_step)
+    return np.asarray(to_step.T @ np.where(_LOWER, A, A.T) @ to_step)
+
+
+_LOWER = np.tri(6, dtype=bool)

@@ -12,6 +12,8 @@ from huepose.geometry.uncertainty import grown
 from huepose.reinit.types import ObjectSlot, Prior
 
 GATE_SIGMAS = 3.0
+"""An estimate within so many standard deviations of where an instance is expected may be that instance."""
+
 GATE_DIAMETERS = 0.5
 """Gate in diameters, whatever the covariance: an estimate nearer than this can be the instance, one at four
 times this distance cannot."""

@@ -22,9 +22,7 @@ freedom), but never beyond this share of the diameter."""
 SAME_REFINED = 0.04
 """An estimate nearer to the refined prior than this share of the diameter is the same answer."""
 
-SAME_SIGHT = 0.5
-SAME_SIGHT_SPEED_M_S = 0.4
-SAME_SIGHT_S = 1.0
+SAME_SIGHT, SAME_SIGHT_SPEED_M_S, SAME_SIGHT_S = 0.5, 0.4, 1.0
 """Two sightings of an untracked object agree within this share of its diameter plus what a hand moves it in
 between; sightings further apart in time than the last number are not compared."""
 

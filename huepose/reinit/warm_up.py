@@ -41,12 +41,8 @@ def _estimate(T_cam_obj: np.ndarray, number: int) -> PoseEstimate:
         score=2.0 if number < 3 else 1.0,
         margin=0.5,
         covariance=1e-6 * np.eye(6),
-        mask=None,
-        box=None,
         prior_score=1.5,
         prior_T_cam_obj=T_cam_obj,
-        alternatives=(),
-        seconds=0.0,
     )
 
 

@@ -13,7 +13,7 @@ from functools import cached_property
 import numpy as np
 
 from huepose.geometry.arrays import Float, Float32, Float64, Int32, Int64, UInt8
-from huepose.geometry.camera import Camera
+from huepose.geometry.camera import NEAR_M, Camera
 from huepose.geometry.mesh import Mesh
 from huepose.rendering.raster import depth_of, facing, rasterise, transform
 from huepose.rendering.shade import locate, paint, turn_normals
@@ -22,7 +22,6 @@ from huepose.support.jit import jit
 from huepose.support.kept import kept
 from huepose.support.once import once_for_each
 
-NEAR_M = 0.05
 _SNAP = 2.0**20
 
 

@@ -9,7 +9,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from huepose.geometry import Camera, Mesh, se3
-from huepose.geometry.arrays import Float64
+from huepose.geometry.arrays import Float64, Rng
 from huepose.scenes.frame import Stage
 from huepose.scenes.light import Light, random_light
 from huepose.scenes.motion import positions, rotations
@@ -24,7 +24,6 @@ BEHIND = 0.35
 """Share of the sequences in which something hangs between camera and object."""
 
 Placed = tuple[Mesh, Float64]
-Rng = np.random.Generator
 
 
 def staged(mesh: Mesh, others: Sequence[Mesh], rng: Rng) -> Stage:

@@ -13,14 +13,12 @@ from scipy.spatial import ConvexHull, QhullError
 from scipy.spatial.transform import Rotation
 
 from huepose.geometry import Camera, Mesh, se3
-from huepose.geometry.arrays import Float32, Float64, UInt8
+from huepose.geometry.arrays import Float32, Float64, Rng, UInt8
 from huepose.rendering import render_depth
 from huepose.scenes import textures
 from huepose.scenes.charts import blocks
 from huepose.scenes.shapes import printed
 from huepose.scenes.textures import Palette
-
-Rng = np.random.Generator
 
 CELL_M = 0.002
 _FAR_M = 200.0

@@ -12,12 +12,10 @@ from dataclasses import dataclass
 import numpy as np
 
 from huepose.geometry import Camera, Mesh, se3
-from huepose.geometry.arrays import Float, Float32, Float64, UInt8
+from huepose.geometry.arrays import Float, Float32, Float64, Rng, UInt8
 from huepose.rendering import render
 from huepose.scenes.motion import UP_ROOM, Timing, positions
 from huepose.support.jit import jit
-
-Rng = np.random.Generator
 
 TO_LINEAR: Float32 = ((np.arange(256) / 255.0) ** 2.2).astype(np.float32)
 _SHADOW_CAMERA = Camera(1520.0, 1520.0, 511.5, 511.5, 1024, 1024)

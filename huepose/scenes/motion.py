@@ -12,10 +12,8 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from huepose.geometry.arrays import Bool, Float, Float64
+from huepose.geometry.arrays import Bool, Float, Float64, Rng
 from huepose.geometry.camera import Camera
-
-Rng = np.random.Generator
 
 CALM_S = 1.5  # at the beginning of the loop: slow, and nobody hides anybody
 PITCH = np.radians(35.0)  # how far the camera looks down

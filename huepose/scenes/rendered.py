@@ -16,9 +16,9 @@ from functools import lru_cache
 import numpy as np
 
 from huepose.geometry import Camera, Mesh, se3
-from huepose.geometry.arrays import Float64
+from huepose.geometry.arrays import Float64, Rng
 from huepose.scenes.frame import SHUTTER, Shot, Stage, shoot
-from huepose.scenes.heap import Heap, Rng, open_box, random_turn
+from huepose.scenes.heap import Heap, open_box, random_turn
 from huepose.scenes.light import Light
 from huepose.scenes.motion import PITCH, TABLE_M, UP_ROOM, upright
 from huepose.scenes.plan import CAMERA

@@ -9,13 +9,13 @@ import cv2
 import numpy as np
 
 from huepose.geometry import se3
-from huepose.geometry.arrays import Float64, UInt8
+from huepose.geometry.arrays import Float64, Rng, UInt8
 from huepose.geometry.mesh import Mesh
 from huepose.scenes import textures
 from huepose.scenes.charts import Chart, blocks, revolved
 from huepose.scenes.motion import PITCH, TABLE_M, UP_ROOM, upright
 from huepose.scenes.shapes import printed
-from huepose.scenes.textures import Palette, Rng
+from huepose.scenes.textures import Palette
 
 Placed = tuple[Mesh, Float64]
 

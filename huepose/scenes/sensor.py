@@ -16,11 +16,9 @@ import cv2
 import numpy as np
 from scipy.special import ndtr, ndtri
 
-from huepose.geometry.arrays import Bool, Float32, UInt8
+from huepose.geometry.arrays import Bool, Float32, Rng, UInt8
 from huepose.geometry.camera import Camera
 from huepose.support.jit import jit
-
-Rng = np.random.Generator
 
 # sRGB of light whose square root is k / 4095: nearly a straight line, so that dark tones keep their steps.
 _TO_SRGB: UInt8 = np.rint(255.0 * (np.arange(4096) / 4095.0) ** (2 / 2.2)).astype(np.uint8)

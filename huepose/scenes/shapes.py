@@ -11,11 +11,11 @@ from collections.abc import Sequence
 import cv2
 import numpy as np
 
-from huepose.geometry.arrays import Float64, UInt8
+from huepose.geometry.arrays import Float64, Rng, UInt8
 from huepose.geometry.mesh import Mesh
 from huepose.scenes import textures
 from huepose.scenes.charts import Chart, blocks, revolved
-from huepose.scenes.textures import Art, Palette, Rng
+from huepose.scenes.textures import Art, Palette
 
 TEXTURE_PX = 1024
 GAP_PX = 8  # between charts; each texture also bleeds over half of it

@@ -13,9 +13,8 @@ from dataclasses import dataclass
 import cv2
 import numpy as np
 
-from huepose.geometry.arrays import Float32, UInt8
+from huepose.geometry.arrays import Float32, Rng, UInt8
 
-Rng = np.random.Generator
 Colour = tuple[int, int, int]
 Art = Callable[[Rng, int, int, "Palette"], UInt8]
 

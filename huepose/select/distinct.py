@@ -56,6 +56,7 @@ RIGHT = 0.1
 two poses as one answer."""
 
 POINTS = 100
+"""Points of the model, evenly taken, over which the distance of two poses is averaged."""
 
 
 def different_poses(

@@ -14,6 +14,7 @@ import numpy as np
 
 from huepose.geometry.arrays import Float32, Float64
 from huepose.geometry.box import Box
+from huepose.geometry.camera import NEAR_M
 from huepose.judge.outline import Rim, edge_tensor
 from huepose.judge.pairs import (
     CLOSE_PAIR_SAMPLES,
@@ -86,7 +87,7 @@ def _window(model: ReferenceModel, region: Region, poses: Float64, room_px: floa
     camera = region.crop.camera
     points = model.surface.points[:HULL_POINTS]
     placed = np.concatenate([points @ T[:3, :3].T + T[:3, 3] for T in poses])
-    ahead = placed[placed[:, 2] > 0.05]
+    ahead = placed[placed[:, 2] > NEAR_M]
     if not len(ahead):
         return slice(0, camera.height), slice(0, camera.width)
     return Box.of_pixels(camera.project(ahead)).grown(0.1, room_px).slices(camera.width, camera.height)

@@ -17,7 +17,7 @@ from huepose.geometry.arrays import Float64
 from huepose.geometry.frame import RgbdFrame
 from huepose.propose.relative_pose import RelativePose
 from huepose.tracking.config import TrackerConfig
-from huepose.tracking.step import Subject
+from huepose.tracking.subject import Subject
 from huepose.tracking.track import Track
 from huepose.tracking.types import Correction
 

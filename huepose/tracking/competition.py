@@ -21,6 +21,7 @@ CELL_PX = 6
 """Claims are compared in cells of this size: about the spacing of the samples on a near object."""
 
 CLAIM_SAMPLES = 200
+"""Most surface samples by which a pose claims cells."""
 
 
 @dataclass(frozen=True, eq=False)

@@ -13,6 +13,8 @@ from huepose.judge.surface import PreparedSurface
 from huepose.judge.terms import Terms
 
 MOST = 3
+"""Hypotheses of a track."""
+
 SAME = 0.05
 """Poses whose surfaces lie this share of the diameter apart are one pose."""
 
@@ -20,6 +22,7 @@ HOPELESS = 4.0
 """An opinion whose log-odds lie this far behind the best is dropped."""
 
 POINTS = 48
+"""Surface points over which the distance of two poses, or the spread of one, is averaged."""
 
 
 @dataclass(frozen=True, eq=False)

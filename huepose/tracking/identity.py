@@ -15,8 +15,8 @@ from huepose.geometry import se3
 from huepose.geometry.arrays import Float64
 from huepose.judge.terms import Terms
 
-TURN = np.radians(25.0)
-"""From a viewpoint this much different the texture is new evidence."""
+NEW_VIEW = np.radians(25.0)
+"""What is seen from a viewpoint that differs by more is new, independent evidence."""
 
 COLOR = 0.45
 """Agreement of the texture that counts."""
@@ -25,7 +25,10 @@ DOUBT_LEFT = 0.5
 """Share of the doubt that a new viewpoint leaves."""
 
 LARGEST = 0.995
+"""No belief in an identity is surer."""
+
 SAME_WAY = np.radians(30.0)
+"""A correction that turns the object further says that another side of it was seen."""
 
 
 def turned_over(T_before: Float64, T_after: Float64) -> bool:
@@ -51,12 +54,12 @@ class Identity:
         """After perception found the same pose by itself, being that sure of it. From the same viewpoint it
         would make the same mistake again, so there it leaves some of the doubt, whatever it says."""
         left = 1.0 - quality
-        if float(view @ self.view) > np.cos(TURN):
+        if float(view @ self.view) > np.cos(NEW_VIEW):
             left = max(left, DOUBT_LEFT)
         return Identity.of(max(quality, 1.0 - (1.0 - self.value) * left), view)
 
     def carried(self, terms: Terms, view: Float64) -> Identity:
         """After a frame that supports the pose, seen from `view`."""
-        if terms.color < COLOR or float(view @ self.view) > np.cos(TURN):
+        if terms.color < COLOR or float(view @ self.view) > np.cos(NEW_VIEW):
             return self
         return Identity.of(1.0 - (1.0 - self.value) * DOUBT_LEFT, view)

@@ -12,7 +12,8 @@ from huepose.tracking import evidence
 from huepose.tracking.config import TrackerConfig
 from huepose.tracking.hypothesis import Hypothesis, distinct
 from huepose.tracking.reach import Reach, jump_odds
-from huepose.tracking.step import Subject, best_of, found_at
+from huepose.tracking.step import best_of, found_at
+from huepose.tracking.subject import Subject
 
 
 def found_again(

@@ -26,7 +26,7 @@ from huepose.tracking.hypothesis import Hypothesis
 from huepose.tracking.identity import Identity
 from huepose.tracking.reach import Reach
 from huepose.tracking.rival import Facing
-from huepose.tracking.step import Subject
+from huepose.tracking.subject import Subject
 from huepose.tracking.track import Track
 from huepose.tracking.tracker import Tracker
 from huepose.tracking.types import Correction, State, TrackedPose, Verdict

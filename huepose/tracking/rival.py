@@ -22,15 +22,14 @@ from huepose.refine.photometric import COARSE, refine_all
 from huepose.select.distinct import RIGHT
 from huepose.tracking.evidence import AT_ONCE, odds_of
 from huepose.tracking.hypothesis import Hypothesis, same_pose
-from huepose.tracking.step import Subject, best_of, region_of
+from huepose.tracking.identity import NEW_VIEW
+from huepose.tracking.step import best_of, region_of
+from huepose.tracking.subject import Subject
 
 SHARPNESS = 24.0
 """Log-odds per unit of total between the right pose and its best near-symmetric rotation; largest likelihood
 of which one is right in 1,608 comparisons on drawn films of the split `fit` (`studies.stress`: hard,
 household and YCB objects; docs/tracking.md)."""
-
-NEW_VIEW = np.radians(25.0)
-"""A viewpoint that differs by more gives new, independent evidence."""
 
 SAME_VIEW = np.radians(8.0)
 """A viewpoint that differs by less than this gives the evidence that is known."""

@@ -18,6 +18,7 @@ import numpy as np
 from huepose.geometry import icosphere, se3
 from huepose.geometry.arrays import Float32, Float64
 from huepose.geometry.box import Box
+from huepose.geometry.camera import NEAR_M
 from huepose.geometry.frame import RgbdFrame
 from huepose.judge.open_region import OpenRegion, open_region
 from huepose.judge.region import RegionArrays
@@ -29,6 +30,8 @@ from huepose.select.distinct import first_different
 from huepose.tracking.reach import Reach
 
 POSITION_SAMPLES, ROTATION_SAMPLES, POSE_SAMPLES = 60, 100, 250
+"""Surface samples by which positions, rotations and refined poses are rated: the fewer are left, the more."""
+
 POSITION_STEP = 0.12
 """Spacing of the tried positions, in diameters; at thin objects half their thickness if that is less."""
 
@@ -47,7 +50,11 @@ WIDE = np.radians(80.0)
 ORIGIN = np.zeros(3)
 
 DIFFERENT_TURN = np.radians(10.0)
+"""Candidates nearer than this, and than 0.05 diameters, are one."""
+
 FINAL_SAMPLES = 400
+"""Surface samples by which the finalists are rated."""
+
 FOUND, APART_TURN, APART = 2, np.radians(25.0), 0.15
 """Number of poses returned; they differ by more than APART_TURN or by APART diameters."""
 
@@ -124,7 +131,7 @@ def search(
 def _region(surface: PreparedSurface, frame: RgbdFrame, reach: Reach) -> OpenRegion | None:
     """The window that may hold the object."""
     z = float(reach.centre_cam[2])
-    if z < 0.05:
+    if z < NEAR_M:
         return None
     u, v = frame.camera.project(reach.centre_cam)
     extent = reach.distance_m + surface.radius_m

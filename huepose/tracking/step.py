@@ -7,27 +7,22 @@ the next. All poses are refined and judged alike; the track decides what to beli
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from functools import cached_property
 
 import numpy as np
 
 from huepose.geometry import se3
 from huepose.geometry.arrays import Bool, Float64
 from huepose.geometry.box import Box
+from huepose.geometry.camera import NEAR_M
 from huepose.geometry.frame import RgbdFrame
-from huepose.geometry.mesh import Mesh
-from huepose.judge.borders import Contours
 from huepose.judge.open_region import OpenRegion, open_region
 from huepose.judge.silhouette import visible_within
 from huepose.judge.surface import SAMPLES, PreparedSurface, look, totals
 from huepose.judge.terms import NOTHING, score_arrays
-from huepose.model.types import ReferenceModel
-from huepose.perception.window_table import WindowTable, window_table
 from huepose.propose import flow as optical_flow
 from huepose.propose.correspondences import match
 from huepose.propose.relative_pose import RelativePose, RobustKabsch, lift_matches
 from huepose.refine.photometric import FINE, refine
-from huepose.select.distinct import RIGHT
 from huepose.tracking.config import TrackerConfig
 from huepose.tracking.elsewhere import likeliest_place
 from huepose.tracking.hypothesis import Hypothesis
@@ -42,8 +37,11 @@ from huepose.tracking.search import (
     parts_a_try,
     search,
 )
+from huepose.tracking.subject import Subject
 
 START_SAMPLES = 150
+"""Surface samples by which the best of several starts is chosen."""
+
 HIDDEN_COSTS = 0.5
 """A right pose loses this much of its total per hidden share of the object; no search is needed for that."""
 
@@ -59,63 +57,13 @@ DRAWN_AWAY = 0.1
 """A refinement whose total falls by more than this has followed something else; its start is kept."""
 
 FLOW_GROWTH = 0.3
+"""Room round the object in which flow is computed, as a share of its size."""
+
 WHOLLY_HIDDEN = 0.9
 """Hidden share above which nothing is left to be followed."""
 
 RETURNING_SEEN = 0.2
 """If this share of an object is seen again after it was hidden, its rotation is checked."""
-
-
-SMALL_TURN = np.radians(45.0)
-"""Near-symmetric rotations up to this angle exist only about an axis of revolution."""
-
-
-@dataclass(frozen=True, eq=False)
-class Subject:
-    """The object: its reference model and prepared surface, and the rotations (M, 4, 4) that nearly map its
-    shape to itself, without the identity; other_turns: those of them after which a pose is wrong;
-    small_turns: of these those about an axis of revolution, by which it can be slid in small steps; contours:
-    where it ends, seen from anywhere."""
-
-    model: ReferenceModel
-    surface: PreparedSurface
-    near_symmetries: Float64
-    other_turns: Float64
-    small_turns: Float64
-    contours: Contours
-
-    @staticmethod
-    def of(model: ReferenceModel) -> Subject:
-        """Prepare a reference model for tracking."""
-        turns = np.asarray(model.near_symmetries[1:], np.float64)
-        other = [not _same_turn(model, turn) for turn in turns]
-        contours, wrong = Contours.of(model), turns[np.array(other, bool)]
-        small = [se3.rotation_angle(turn, np.eye(4)) <= SMALL_TURN for turn in wrong]
-        return Subject(model, contours.surface, turns, wrong, wrong[np.array(small, bool)], contours)
-
-    @property
-    def mesh(self) -> Mesh:
-        """The model's mesh."""
-        return self.model.mesh
-
-    @cached_property
-    def views(self) -> WindowTable:
-        """Its views from all sides, computed or loaded when first asked for."""
-        return window_table(self.model)
-
-    def make_ready(self) -> None:
-        """Load everything that is computed lazily, so that no frame waits for it."""
-        _ = self.contours.lines, self.views
-
-
-def _same_turn(model: ReferenceModel, turn: Float64) -> bool:
-    """Whether a pose is still right after this rotation (4, 4): a true symmetry of the model."""
-    points = model.eval_points.astype(np.float64)
-    apart = [
-        np.linalg.norm(se3.apply(turn, points) - se3.apply(T, points), axis=1).mean()
-        for T in model.equivalents
-    ]
-    return bool(min(apart) < RIGHT * model.diameter_m)
 
 
 @dataclass(frozen=True, eq=False)
@@ -322,7 +270,7 @@ def flow_start(
     old, new = surface.box(T_last, camera), surface.box(expected, camera)
     if old is None or new is None:
         return None
-    flow = flow_source(anchor.frame.color, frame.color, _union(old, new).grown(FLOW_GROWTH, 8.0))
+    flow = flow_source(anchor.frame.color, frame.color, Box.around(old, new).grown(FLOW_GROWTH, 8.0))
     # A network may return NaN.
     if flow is None or not (np.isfinite(flow.forward).all() and np.isfinite(flow.backward).all()):
         return None
@@ -347,7 +295,7 @@ def best_of(
     region = None
     if boxes:
         z = float(surface.centre_cam(starts[-1][0])[2])
-        region = _window(surface, frame, _union(*boxes), z)
+        region = _window(surface, frame, Box.around(*boxes), z)
     if region is None:
         return Hypothesis(starts[-1][0], NOTHING, np.zeros((6, 6)), starts[-1][1])
     region = region.lit(light)
@@ -413,12 +361,6 @@ def moved_m(surface: PreparedSurface, T_a: Float64, T_b: Float64) -> float:
     return shift + surface.radius_m * se3.rotation_angle(T_a, T_b)
 
 
-def _union(*boxes: Box) -> Box:
-    x0, y0 = min(b.x for b in boxes), min(b.y for b in boxes)
-    x1, y1 = max(b.x1 for b in boxes), max(b.y1 for b in boxes)
-    return Box(x0, y0, x1 - x0, y1 - y0)
-
-
 def _window(surface: PreparedSurface, frame: RgbdFrame, box: Box, z: float) -> OpenRegion | None:
-    margin = max(8.0, MARGIN_M / max(z, 0.05) * frame.camera.fx)
+    margin = max(8.0, MARGIN_M / max(z, NEAR_M) * frame.camera.fx)
     return open_region(frame, box.grown(0.0, margin), z, surface.diameter_m)

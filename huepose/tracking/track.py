@@ -20,22 +20,14 @@ from huepose.tracking.config import TrackerConfig
 from huepose.tracking.elsewhere import PARTS, likeliest_place
 from huepose.tracking.evidence import Standing, next_standing
 from huepose.tracking.history import PoseHistory
-from huepose.tracking.hypothesis import Hypothesis, distinct, share_of_first
+from huepose.tracking.hypothesis import POINTS, Hypothesis, distinct, share_of_first
 from huepose.tracking.identity import Identity, turned_over
 from huepose.tracking.lost import found_again
 from huepose.tracking.motion import filtered, increment_velocity, predicted
 from huepose.tracking.reach import Reach, jump_odds, most_turned
 from huepose.tracking.rival import COSTS, SHARPNESS, Facing, alike, best_rival, reached
-from huepose.tracking.step import (
-    END,
-    FLOW,
-    Advance,
-    Anchor,
-    Subject,
-    advance,
-    found_nearby,
-    unmoved,
-)
+from huepose.tracking.step import END, FLOW, Advance, Anchor, advance, found_nearby, unmoved
+from huepose.tracking.subject import Subject
 from huepose.tracking.types import Doubt, State, TrackedPose
 from huepose.tracking.uncertainty import covariance, spread_m
 
@@ -52,7 +44,6 @@ LOOSE = 0.012
 """Expected pose error, as a share of the diameter, above which the texture does not fix the pose; textured
 objects have half of it."""
 
-SPREAD_POINTS = 48
 LOOKED_FOR = ("search", "views")
 FOUND_AGAIN = (*LOOKED_FOR, "turn")
 """Sources of hypotheses found by a search instead of followed from the last frame; FOUND_AGAIN adds those
@@ -509,4 +500,4 @@ class Track:
         """Covariance (6, 6) of a pose, and its expected error as a share of the diameter."""
         surface, T = self.subject.surface, h.T_cam_obj
         known = covariance(h.information, float(surface.centre_cam(T)[2]))
-        return known, spread_m(known, T, surface.arrays.points[:SPREAD_POINTS]) / surface.diameter_m
+        return known, spread_m(known, T, surface.arrays.points[:POINTS]) / surface.diameter_m

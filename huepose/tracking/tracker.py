@@ -17,7 +17,7 @@ from huepose.tracking.catching_up import Pursuit
 from huepose.tracking.competition import Claim, losers
 from huepose.tracking.config import TrackerConfig
 from huepose.tracking.history import FrameHistory
-from huepose.tracking.step import Subject
+from huepose.tracking.subject import Subject
 from huepose.tracking.track import Track
 from huepose.tracking.types import Applied, Correction, Doubt, State, TrackedPose, Verdict
 from huepose.tracking.warm_up import warm_up

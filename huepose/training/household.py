@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from huepose.geometry.arrays import Float64
+from huepose.geometry.arrays import Float64, Rng
 from huepose.geometry.mesh import Mesh
 from huepose.scenes import textures
 from huepose.scenes.charts import Chart, blocks, flattened, grid_triangles, revolved
@@ -17,8 +17,6 @@ from huepose.scenes.textures import Art, Palette
 from huepose.training.prints import random_art, random_palette, sized
 
 TEXTURE_PX = 768
-
-Rng = np.random.Generator
 
 
 def household_object(rng: Rng, diameter_m: float) -> Mesh:

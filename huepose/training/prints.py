@@ -4,11 +4,10 @@ from __future__ import annotations
 
 import numpy as np
 
+from huepose.geometry.arrays import Rng
 from huepose.geometry.mesh import Mesh
 from huepose.scenes import textures
 from huepose.scenes.textures import Art, Colour, Palette
-
-Rng = np.random.Generator
 
 LETTERS = tuple("ABCDEFGHIJKLMNOPRSTUVWXYZ0123456789")
 

@@ -26,7 +26,6 @@ from huepose.propose.templates import SPAN
 from huepose.propose.view_pictures import CHANNELS, NEAR, ROLLS, SIDE, UNTURNED
 from huepose.propose.view_pictures import LEVEL as VIEW_LEVEL
 from huepose.support.files import write_picture
-from huepose.training.fine_tuning import KEPT_MODULES, packaged_network
 from huepose.training.runs import VALIDATION_ROUND, Course, Settings, Training, endless_loader, export_onnx
 from huepose.training.view_code_network import (
     LARGEST_SHARPNESS,
@@ -67,8 +66,7 @@ right view among the five most similar, median rank of the first right view."""
 class ViewCodeTraining(Settings):
     """Settings of a training. validation: held-out objects. A step takes `objects`, and of each `windows`
     that show it, windows `beside` it (negatives) and `views`. room: objects in the buffer, after which the
-    oldest is replaced; first: objects drawn before the first step; reuse: most steps an object.
-    tune: start from the packaged network, and train its last blocks alone."""
+    oldest is replaced; first: objects drawn before the first step; reuse: most steps an object."""
 
     every: int = 1000
     validation: int = 48
@@ -79,7 +77,6 @@ class ViewCodeTraining(Settings):
     room: int = 6000
     first: int = 200
     reuse: float = 8.0
-    tune: bool = False
 
 
 class ObjectBuffer:
@@ -198,9 +195,8 @@ def train(config: ViewCodeTraining, out: Path, resume: bool = False) -> dict[str
         held_out.add(one)
         if held_out.added == config.validation:
             break
-    net = _start(held_out, config).to(config.device)
-    trained = [p for p in net.parameters() if p.requires_grad]
-    optimiser = torch.optim.AdamW(trained, config.rate, weight_decay=1e-2)
+    net = ViewCodeNetwork().to(config.device)
+    optimiser = torch.optim.AdamW(net.parameters(), config.rate, weight_decay=1e-2)
     training = Training.begun(out, NAME, config, optimiser, {NAME: net}, resume)
     fresh = endless_loader(endless, config, training.course.rounds)
     training.run(
@@ -212,14 +208,6 @@ def train(config: ViewCodeTraining, out: Path, resume: bool = False) -> dict[str
     export(net, held_out, out / f"{NAME}.onnx")
     figures = dict(zip(FIGURES, training.course.curve[-1][2:], strict=True))
     return training.report(NAME, validation=figures)
-
-
-def _start(some: ObjectBuffer, config: ViewCodeTraining) -> ViewCodeNetwork:
-    """A new network, or the packaged one with statistics of a batch of some objects."""
-    if not config.tune:
-        return ViewCodeNetwork()
-    windows, views, *_ = batch(some, config)
-    return packaged_network(torch.cat([windows, views]).cpu())
 
 
 def _buffers(fresh: DataLoader[Any], config: ViewCodeTraining) -> Iterator[ObjectBuffer]:
@@ -236,8 +224,6 @@ def _step(
     net: ViewCodeNetwork, optimiser: torch.optim.Optimizer, buffer: ObjectBuffer, config: ViewCodeTraining
 ) -> None:
     net.train()
-    if config.tune:
-        net.body[:KEPT_MODULES].eval()
     with torch.no_grad():
         windows, views, known, angles_deg, targets, valid = batch(buffer, config)
     half = torch.autocast(config.device, dtype=torch.bfloat16, enabled=config.device != "cpu")

@@ -7,13 +7,13 @@ camera gives it. Only the window that the tracker looks at is rendered.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import dataclass, field
 
 import numpy as np
 
 from huepose.geometry import Camera, Mesh, RgbdFrame, se3
-from huepose.geometry.arrays import Bool, Float32, Float64
+from huepose.geometry.arrays import Bool, Float32, Float64, Rng
 from huepose.geometry.box import Box
 from huepose.rendering.render import Rendering, render
 from huepose.scenes.carried import random_strong_light
@@ -31,8 +31,6 @@ MARGIN_PX = 12
 """Round the object's box, for what moves while the shutter is open."""
 
 NO_SHADOW = np.zeros((4, 4), np.float32), np.eye(4)
-
-Rng = np.random.Generator
 
 
 @dataclass(frozen=True)
@@ -106,7 +104,7 @@ def draw_views(rng: Rng, mesh: Mesh, props: Props, growth: float, ranges: ViewRa
     at = _carried(rng, camera, ranges)
     T_cam_obj = np.array([at(i) for i in range(FRAMES)])
     boxes = [_box(mesh, T, camera) for T in T_cam_obj]
-    rows, columns = _union([box.grown(growth) for box in boxes]).slices(camera.width, camera.height)
+    rows, columns = Box.around(*(box.grown(growth) for box in boxes)).slices(camera.width, camera.height)
     window = camera.cropped(columns.start, rows.start, columns.stop - columns.start, rows.stop - rows.start)
     standing = _standing(rng, props, camera, T_cam_obj[FRAMES // 2][:3, 3], ranges)
     still = _Still.seen(standing, window, random_strong_light(rng))
@@ -231,8 +229,3 @@ def _box(mesh: Mesh, T_cam_obj: Float64, camera: Camera) -> Box:
     pixels = camera.project(se3.apply(T_cam_obj, mesh.vertices))
     low, high = np.nan_to_num(pixels.min(0)), np.nan_to_num(pixels.max(0))
     return Box(*low, *(high - low + 1.0))
-
-
-def _union(boxes: Sequence[Box]) -> Box:
-    x, y = min(b.x for b in boxes), min(b.y for b in boxes)
-    return Box(x, y, max(b.x1 for b in boxes) - x, max(b.y1 for b in boxes) - y)

@@ -15,7 +15,7 @@ import cv2
 import numpy as np
 
 from huepose.geometry import Camera, Mesh, se3
-from huepose.geometry.arrays import Bool, Float32, Float64, UInt8
+from huepose.geometry.arrays import Bool, Float32, Float64, Rng, UInt8
 from huepose.propose.templates import SPAN
 from huepose.propose.view_pictures import SIDE, unturned_views, window_pictures
 from huepose.propose.views import onto_rays
@@ -36,8 +36,6 @@ TRIES = 3
 """Most windows drawn for each one that is kept; one that shows too little of the object is not."""
 
 WIDTH, HEIGHT = 640, 480
-
-Rng = np.random.Generator
 
 
 @dataclass(frozen=True)

@@ -9,7 +9,7 @@ from itertools import accumulate, cycle, takewhile
 import numpy as np
 
 from huepose.geometry import se3
-from huepose.geometry.arrays import Float64
+from huepose.geometry.arrays import Float64, Rng
 from huepose.model import ReferenceModel
 from studies.stress.films import Film, Seen
 
@@ -28,8 +28,6 @@ LEAST_VISIBLE = 0.5
 LOADED_GAPS = (1, 2, 1, 2, 1, 1, 2, 1, 2, 1, 1, 1, 1, 1, 1, 3, 1, 1, 1, 1, 2, 1, 1, 26)
 """Frames between those that a tracker got to see, as recorded with six busy processes on two cores; the last
 gap is a search that had to wait for the processor."""
-
-Rng = np.random.Generator
 
 
 @dataclass(frozen=True, eq=False)

@@ -12,7 +12,7 @@ import numpy as np
 
 from huepose.datasets.fast_ycb import FastYcbSequence, object_of
 from huepose.geometry import RgbdFrame, se3
-from huepose.geometry.arrays import Float32, Float64, UInt8
+from huepose.geometry.arrays import Float32, Float64, Rng, UInt8
 from huepose.model import ReferenceModel
 from huepose.scenes.carried import FRAMES, RATE_HZ, staged
 from huepose.scenes.frame import Shot, Stage, shoot
@@ -28,8 +28,6 @@ AWAY = se3.make(np.eye(3), np.array([0.0, 0.0, -2.0]))
 LEFT, BACK, RAMP, ASIDE_M = 22, 36, 8, 0.9
 SWAPPED = 30
 RESTS, LIFTED, SLIDES_M_S = 18, 32, 0.15
-
-Rng = np.random.Generator
 
 
 @dataclass(frozen=True, eq=False)

@@ -10,13 +10,13 @@ from pathlib import Path
 import numpy as np
 
 from huepose.geometry import Mesh
-from huepose.geometry.arrays import UInt8
+from huepose.geometry.arrays import Rng, UInt8
 from huepose.model import ReferenceModel, load_model, save_model
 from huepose.onboarding import onboard_mesh
 from huepose.scenes import textures
 from huepose.scenes.charts import blocks, revolved
 from huepose.scenes.shapes import demo_objects, printed
-from huepose.scenes.textures import Art, Palette, Rng
+from huepose.scenes.textures import Art, Palette
 from huepose.scenes.unseen.objects import unseen_objects
 from huepose.training.household import household_object
 from huepose.training.shapes import random_object

@@ -39,16 +39,16 @@ def test_figures_of_pieces_are_those_of_one_run(tmp_path: Path) -> None:
     journal = Journal(tmp_path / "answers", {"seed": 0})
     assert all(journal.done(key_of("fgr", "auto", image)) for image in images)
     assert not journal.done(key_of("fgr", "gt", ("a", 1)))
-    found = summary(journal, "fgr", "auto", images, 0)
+    found = summary(journal, "fgr", "auto", images)
     assert found is not None
     for name in ("recall_add", "recall_adds", "auc_add", "auc_adds", "interval95", "instances"):
         assert found[name] == whole[name]
     assert found["recall_add"] == 50.0
     assert found["cpu_s_p50"] == pytest.approx(0.4)  # what found nothing is not counted
-    first = summary(journal, "fgr", "auto", images[:1], 0)
+    first = summary(journal, "fgr", "auto", images[:1])
     assert first is not None
     assert first["recall_add"] == 100.0
-    assert summary(journal, "ppf", "auto", images, 0) is None
+    assert summary(journal, "ppf", "auto", images) is None
 
 
 def test_answers_of_other_options_are_not_mixed(tmp_path: Path) -> None:

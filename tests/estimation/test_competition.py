@@ -2,14 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 
 import numpy as np
 import pytest
 
 from huepose.estimation import Estimator, EstimatorConfig, ObjectQuery, PoseEstimate
-from huepose.estimation.competition import compete
+from huepose.estimation.estimator import Answered, compete
+from huepose.estimation.explanation import Explanation
 from huepose.geometry import Box, Camera, RgbdFrame, se3
 from huepose.model.types import ReferenceModel
 from huepose.rendering.render import render_depth
@@ -19,14 +20,14 @@ FRAME = RgbdFrame(
     np.zeros((40, 60, 3), np.uint8), np.ones((40, 60), np.float32), Camera(60, 60, 30, 20, 60, 40)
 )
 
+SEEN_FIRST, SEEN_NOW = Explanation(Box(0, 0, 1, 1), (), None), Explanation(Box(0, 0, 1, 1), (), None)
+
 
 def answer(name: str, quality: float, columns: slice) -> PoseEstimate:
     mask = np.zeros((40, 60), bool)
     mask[10:30, columns] = True
     T, box = np.eye(4), Box(0, 10, 10, 10)
-    return PoseEstimate(
-        name, 0, True, T, quality, "SUSPECT", 2.0, 0.1, np.eye(6), mask, box, None, None, (), 0.1
-    )
+    return PoseEstimate(name, 0, True, T, quality, "SUSPECT", 2.0, 0.1, np.eye(6), mask, box, seconds=0.1)
 
 
 def query(name: str, x: float) -> ObjectQuery:
@@ -40,15 +41,25 @@ class Looks:
         self.quality = quality
         self.seen: dict[str, RgbdFrame] = {}
 
-    def __call__(self, frame: RgbdFrame, query: ObjectQuery) -> PoseEstimate:
+    def __call__(self, frame: RgbdFrame, query: ObjectQuery) -> Answered:
         self.seen[query.object] = frame
-        return answer(query.object, self.quality, slice(40, 60))
+        return answer(query.object, self.quality, slice(40, 60)), SEEN_NOW
+
+
+def competed(
+    queries: Sequence[ObjectQuery], answers: Sequence[PoseEstimate], looks: Looks
+) -> list[PoseEstimate]:
+    """What stands of the answers; each comes with what was seen when it was found."""
+    out = compete(FRAME, queries, [(a, SEEN_FIRST) for a in answers], looks)
+    for found, seen in out:
+        assert seen is (SEEN_FIRST if any(found is a for a in answers) else SEEN_NOW)
+    return [found for found, _ in out]
 
 
 def test_a_pose_on_taken_pixels_gives_way_to_what_is_found_without_them() -> None:
     looks = Looks(0.3)
     answers = [answer("weak", 0.7, slice(10, 30)), answer("strong", 0.9, slice(10, 30))]
-    weak, strong = compete(FRAME, [query("weak", 10), query("strong", 10)], answers, looks)
+    weak, strong = competed([query("weak", 10), query("strong", 10)], answers, looks)
     assert strong is answers[1]
     assert weak.quality == 0.3
     assert weak.seconds == pytest.approx(0.2)
@@ -61,7 +72,7 @@ def test_a_pose_on_taken_pixels_gives_way_to_what_is_found_without_them() -> Non
 @pytest.mark.parametrize(("found", "kept"), [(0.3, True), (0.75, False)])
 def test_a_doubtful_pose_beside_taken_pixels_changes_only_for_a_surer_one(found: float, kept: bool) -> None:
     answers = [answer("strong", 0.9, slice(10, 20)), answer("weak", 0.5, slice(20, 30))]
-    _, weak = compete(FRAME, [query("strong", 0), query("weak", 15)], answers, Looks(found))
+    _, weak = competed([query("strong", 0), query("weak", 15)], answers, Looks(found))
     assert (weak is answers[1]) == kept
 
 
@@ -70,7 +81,7 @@ def test_sure_poses_beside_each_other_and_unsure_claims_change_nothing() -> None
     sure = [answer("a", 0.9, slice(10, 20)), answer("b", 0.85, slice(20, 30))]
     unsure = [answer("a", 0.4, slice(10, 30)), answer("b", 0.3, slice(10, 30))]
     for answers in (sure, unsure):
-        out = compete(FRAME, [query("a", 5), query("b", 15)], answers, looks)
+        out = competed([query("a", 5), query("b", 15)], answers, looks)
         assert all(x is y for x, y in zip(out, answers, strict=True))
     assert not looks.seen
 

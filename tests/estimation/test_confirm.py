@@ -8,8 +8,8 @@ from dataclasses import replace
 import numpy as np
 
 from huepose.estimation import Estimator, EstimatorConfig, ObjectQuery, PosePrior
+from huepose.estimation.answer import looks_in_full
 from huepose.estimation.config import ConfirmConfig
-from huepose.estimation.full_path import looks_in_full
 from huepose.geometry import Box, RgbdFrame, se3
 from huepose.model.types import ReferenceModel
 from huepose.rendering.render import render_depth

@@ -11,7 +11,7 @@ from huepose.believe.quality import features, quality_fits
 from huepose.estimation import Estimator, ObjectQuery
 from huepose.estimation.config import StandingConfig
 from huepose.estimation.present import presences_of
-from huepose.estimation.types import absent
+from huepose.estimation.types import PoseEstimate
 from huepose.geometry import Box
 from huepose.rendering.render import render_depth
 
@@ -23,7 +23,7 @@ def test_an_answer_is_as_likely_as_its_object_is_there(tea_box, take_picture, st
     (there,) = Estimator(models).estimate(frame, [ObjectQuery("tea_box", box)])
     beside = standing.copy()
     beside[0, 3] += 0.5 * tea_box.diameter_m
-    answers = [there, replace(there, T_cam_obj=beside), absent("tea_box", "")]
+    answers = [there, replace(there, T_cam_obj=beside), PoseEstimate("tea_box")]
     chances = presences_of(frame, models, answers, "full")
     assert chances[0] > 0.9
     assert chances[1] < 0.5 * StandingConfig().present  # for all that it claims to be sure

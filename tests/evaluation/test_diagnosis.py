@@ -7,8 +7,7 @@ from collections.abc import Callable
 import numpy as np
 import pytest
 
-from huepose.estimation.explanation import Explanation
-from huepose.estimation.full_path import Trail
+from huepose.estimation.explanation import Explanation, Trail
 from huepose.estimation.types import ObjectQuery, PoseEstimate
 from huepose.evaluation.diagnosis import Diagnosis, diagnose
 from huepose.geometry import Box, RgbdFrame, se3

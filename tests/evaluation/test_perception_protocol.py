@@ -11,7 +11,7 @@ import pytest
 from huepose.datasets.types import Sample
 from huepose.estimation.config import StandingConfig
 from huepose.estimation.standing import standing_answers, why_none_stands
-from huepose.estimation.types import PoseEstimate, absent
+from huepose.estimation.types import PoseEstimate
 from huepose.evaluation import pictures
 from huepose.evaluation.perception_protocol import PerceptionOptions, evaluate_perception
 from huepose.evaluation.pictures import draw_perception
@@ -154,17 +154,17 @@ def test_nothing_labelled_is_an_error(models) -> None:
 
 def test_one_surface_stands_for_one_pose() -> None:
     def answer(name: str, box: Box) -> PoseEstimate:
-        return replace(absent(name, ""), found=True, mask=mask_of(box))
+        return replace(PoseEstimate(name), found=True, mask=mask_of(box))
 
     better, worse = answer("box", LEFT), answer("brick", LEFT)
     beside, doubtful = answer("brick", RIGHT), answer("can", NOWHERE)
     assert standing_answers([worse, doubtful, beside, better], [0.9, 0.3, 0.7, 0.95]) == [better, beside]
-    assert standing_answers([worse, absent("box", "")], [0.9, 1.0]) == [worse]
+    assert standing_answers([worse, PoseEstimate("box")], [0.9, 1.0]) == [worse]
     assert standing_answers([doubtful], [0.3], StandingConfig(present=0.2)) == [doubtful]
 
 
 def test_why_none_of_an_object_stands() -> None:
-    found = replace(absent("brick", ""), found=True, mask=mask_of(LEFT))
+    found = replace(PoseEstimate("brick"), found=True, mask=mask_of(LEFT))
     assert why_none_stands("box", [found], [0.9]).startswith("The detector found no place")
     assert why_none_stands("brick", [found, found], [0.2, 0.31]) == (
         "At the best of 2 places the object is there with a probability of 0.31, which is under 0.60."
@@ -175,7 +175,7 @@ def test_why_none_of_an_object_stands() -> None:
     assert why_none_stands("brick", [found], [0.9]) == (
         "Another object explains the surface at the only place better."
     )
-    assert why_none_stands("brick", [absent("brick", "Nothing.")], [0.0]) == "Nothing."
+    assert why_none_stands("brick", [PoseEstimate("brick", reason="Nothing.")], [0.0]) == "Nothing."
 
 
 def test_what_stands_is_there_however_sure_its_pose_is(models, scene) -> None:

@@ -5,10 +5,11 @@ from __future__ import annotations
 from collections.abc import Callable
 
 import numpy as np
+import pytest
 
-from huepose.geometry import RgbdFrame, se3
+from huepose.geometry import RgbdFrame, icosphere, se3
 from huepose.judge.kernel import SCRATCH_ROWS, TERMS, score_kernel
-from huepose.judge.region import model_arrays, region_arrays
+from huepose.judge.region import beside, model_arrays, nearest_view, region_arrays
 from huepose.judge.terms import DEFAULT_WEIGHTS, score_many, weight_array
 from huepose.model.types import ReferenceModel
 from tests.judge.regions import region_of
@@ -62,3 +63,16 @@ def test_coverage_is_that_of_the_plain_formula(
         expected = (weights * np.where(near, 1.0 - (gap / seen.tolerance) ** 2, 0.0)).sum() / weights.sum()
         got = score_many(tea_box, region, T[None], 50)[0, 2]
         np.testing.assert_allclose(got, expected, atol=1e-6)
+
+
+@pytest.mark.parametrize("level", [1, 2, 3])
+def test_the_view_found_from_neighbour_to_neighbour_is_the_nearest_of_all(
+    level: int, tea_box: ReferenceModel
+) -> None:
+    views = icosphere.directions(level).astype(np.float32)
+    model = model_arrays(tea_box)._replace(directions=views, beside=beside(views), centre=np.zeros(3))
+    assert model.beside.shape == (len(views), 6 if level > 1 else 0)
+    for eye in np.random.default_rng(5).normal(size=(2000, 3)):
+        T = se3.make(np.eye(3), -eye)
+        alike = views.astype(np.float64) @ eye
+        assert alike[nearest_view(T, model)] == pytest.approx(alike.max(), abs=1e-9)

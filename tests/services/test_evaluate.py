@@ -9,15 +9,10 @@ import cv2
 import numpy as np
 import pytest
 
-from huepose.estimation.config import EstimatorConfig
-from huepose.estimation.types import ObjectQuery, PoseEstimate
-from huepose.evaluation.source_ablation import variants
-from huepose.geometry import Mesh, RgbdFrame, se3
+from huepose.geometry import Mesh, se3
 from huepose.model import save_model
 from huepose.model.types import DistanceGrid, PairReference, ReferenceModel, Surface, ViewTemplates
-from huepose_services.cli import evaluate_ablation
 from huepose_services.cli.main import main
-from tests.evaluation.conftest import estimate_of
 
 T_CAM_OBJ = se3.make(se3.rotation_exp([0.3, 0.2, 0.1]), [0.02, 0.01, 0.6])
 
@@ -134,44 +129,3 @@ def test_a_scene_without_labels_is_named(bundles: Path, scene: Path, tmp_path: P
     ]
     assert main(command) == 2
     assert "scene_gt.json" in capsys.readouterr().err
-
-
-class Knowing:
-    """An estimator that answers the pose in which the objects of `scene` are."""
-
-    def __init__(self, models: object, config: EstimatorConfig) -> None:
-        self.config = config
-
-    def warm_up(self, names: list[str]) -> None:
-        assert names == ["wedge"]
-
-    def estimate(self, frame: RgbdFrame, queries: list[ObjectQuery]) -> list[PoseEstimate]:
-        return [estimate_of(query, T_CAM_OBJ) for query in queries]
-
-
-def test_the_ablation_by_source_tells_and_draws_what_was_measured(
-    bundles: Path, scene: Path, tmp_path: Path, capsys, monkeypatch
-) -> None:
-    monkeypatch.setattr(evaluate_ablation, "Estimator", Knowing)
-    result = tmp_path / "result.json"
-    command = ["eval", "ablation", "--bop", str(scene), "--bundles", str(bundles), "--json", str(result)]
-    command += [
-        "--runs",
-        str(tmp_path / "runs"),
-        "--plots",
-        str(tmp_path),
-        "--seed",
-        "3",
-        "4",
-        "--quick",
-        "1",
-    ]
-    assert main([*command, "--set", "mine"]) == 0
-    rows = json.loads(result.read_text())["rows"]
-    assert [row["variant"] for row in rows] == list(variants(EstimatorConfig()))
-    assert {(row["name"], row["n"]) for row in rows} == {("mine", 2)}
-    assert [row["figures"]["auc_add"] for row in rows] == pytest.approx([100.0] * len(rows))
-    assert cv2.imread(str(tmp_path / "sources.png")) is not None
-    assert "colorpair without light" in capsys.readouterr().out
-    kept = json.loads((tmp_path / "runs" / "colorpair" / "mine.json").read_text())
-    assert {row["seed"] for row in kept["rows"]} == {3, 4}

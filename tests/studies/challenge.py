@@ -19,7 +19,8 @@ from huepose.geometry.arrays import Bool, Float64
 from huepose.judge.borders import outline
 from huepose.model.types import ReferenceModel
 from huepose.tracking import evidence
-from huepose.tracking.step import Subject, best_of
+from huepose.tracking.step import best_of
+from huepose.tracking.subject import Subject
 from studies.stress.films import Seen
 
 WRONG = 6

@@ -10,7 +10,7 @@ import pytest
 from huepose.geometry import se3
 from huepose.tracking import Applied, Correction, State, Tracker, TrackerConfig, Verdict
 from huepose.tracking.catching_up import Pursuit
-from huepose.tracking.step import Subject
+from huepose.tracking.subject import Subject
 
 CONFIG = TrackerConfig(tries_per_s=None, catch_up_stride=5)
 LIVE = TrackerConfig()

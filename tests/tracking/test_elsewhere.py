@@ -11,7 +11,7 @@ from huepose.geometry import se3
 from huepose.tracking import Correction, State, Tracker, track
 from huepose.tracking import step as one_step
 from huepose.tracking.elsewhere import likeliest_place
-from huepose.tracking.step import Subject
+from huepose.tracking.subject import Subject
 
 HALF_A_SECOND = 15
 """Frames at 30 Hz."""

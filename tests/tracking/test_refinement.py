@@ -19,7 +19,8 @@ from huepose.tracking.config import TrackerConfig
 from huepose.tracking.hypothesis import Hypothesis
 from huepose.tracking.reach import Reach
 from huepose.tracking.search import search
-from huepose.tracking.step import Anchor, Subject, advance, best_of, flow_start
+from huepose.tracking.step import Anchor, advance, best_of, flow_start
+from huepose.tracking.subject import Subject
 
 SMALL = np.array([0.004, -0.005, 0.004, 0.04, -0.05, 0.05])
 

@@ -18,7 +18,8 @@ from huepose.tracking import Correction, State, Tracker
 from huepose.tracking.config import TrackerConfig
 from huepose.tracking.hypothesis import Hypothesis
 from huepose.tracking.rival import NEW_VIEW, SETTLED, SHARPNESS, Facing, alike, best_rival, reached
-from huepose.tracking.step import Subject, best_of
+from huepose.tracking.step import best_of
+from huepose.tracking.subject import Subject
 from huepose.tracking.types import Doubt
 from studies.stress.objects import builtin_meshes
 

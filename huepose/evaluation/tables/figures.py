@@ -1,7 +1,4 @@
-"""Figures of measured rows, and the columns that hold them.
-
-A label or frame without a pose is wrong in every figure.
-"""
+"""Figures of measured rows, and the columns that hold them."""
 
 from __future__ import annotations
 
@@ -9,16 +6,14 @@ from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
-import numpy as np
-
-from huepose.evaluation import metrics
-from huepose.evaluation.bootstrap import frame_intervals
 from huepose.evaluation.bop_errors import average_recalls
+from huepose.evaluation.figures import Row, pose_figures, pose_intervals
 from huepose.evaluation.tables.journal import Entry
 from huepose.evaluation.tables.table import Cell, Head
-from huepose.geometry.arrays import Float64
 
-Row = Mapping[str, Any]
+OFFICIAL = "add_official_m"
+"""ADD against the labels as they are, where rows have it."""
+
 RECALL = "recall: error under a tenth of the diameter, against the labels as they are, percent"
 _AUC = "area under the accuracy curve from 0 to 0.1 m: mean of max(0, 1 - error / 0.1 m), percent"
 VOC = "the same area as the toolboxes of YCB-Video and ROFT sum it (VOCap), percent"
@@ -77,23 +72,14 @@ def scored(rows: Sequence[Row]) -> list[Row]:
     return [row for row in rows if row["right"] is not None and not row["gone"]]
 
 
-def errors(rows: Sequence[Row], key: str) -> Float64:
-    """Errors (N,) in metres; inf where there is no pose."""
-    return np.array([np.inf if row[key] is None else row[key] for row in rows], np.float64)
-
-
-def figures(rows: Sequence[Row], add_key: str = "add_official_m") -> dict[str, float | None]:
+def figures(rows: Sequence[Row], add_key: str = OFFICIAL) -> dict[str, float | None]:
     """Recall and AUC both ways of N rows, by default against the labels as they are; AR where it was
     measured."""
     if not rows:
         return dict.fromkeys((*COLUMNS, *BOP_COLUMNS))
-    add = errors(rows, add_key if add_key in rows[0] else "add_m")
-    adds, diameters = errors(rows, "adds_m"), np.array([row["diameter_m"] for row in rows])
     bop = [row["bop"] for row in rows if "bop" in row]
     return {
-        **metrics.four_figures(add, adds, diameters),
-        "auc_voc_add": metrics.auc_voc(add),
-        "auc_voc_adds": metrics.auc_voc(adds),
+        **pose_figures(rows, _known(rows, add_key)),
         **average_recalls(bop if len(bop) == len(rows) else []),
     }
 
@@ -102,8 +88,10 @@ def spans(rows: Sequence[Row], columns: Mapping[str, Head], unit: Any) -> list[C
     """`low to high` of the figures that are means over rows, nothing for the others."""
     if not rows:
         return [None] * len(columns)
-    add = errors(rows, "add_official_m" if "add_official_m" in rows[0] else "add_m")
-    diameters = np.array([row["diameter_m"] for row in rows])
-    scores = metrics.pose_scores(add, errors(rows, "adds_m"), diameters)
-    found = frame_intervals(scores, [unit(row) for row in rows])
+    found = pose_intervals(rows, unit, _known(rows, OFFICIAL))
     return [f"{found[k][0]:.0f} to {found[k][1]:.0f}" if k in found else "" for k in columns]
+
+
+def _known(rows: Sequence[Row], add_key: str) -> str:
+    """Rows of tracks know one ADD only."""
+    return add_key if add_key in rows[0] else "add_m"

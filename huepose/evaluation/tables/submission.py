@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from huepose.datasets.bop_detections import BopDetection, BopDetections
-from huepose.estimation.types import ObjectQuery, PoseEstimate, PosePrior, absent
+from huepose.estimation.types import ObjectQuery, PoseEstimate, PosePrior
 from huepose.evaluation.bop_csv import read_bop_csv
 from huepose.geometry.frame import RgbdFrame
 from huepose.support.errors import InputError
@@ -55,21 +55,13 @@ class AsGiven:
 
 def _answer(query: ObjectQuery, prior: PosePrior | None) -> PoseEstimate:
     if prior is None:
-        return absent(query.object)
+        return PoseEstimate(query.object)
     return PoseEstimate(
         object=query.object,
         instance=query.instance,
         found=True,
         T_cam_obj=prior.T_cam_obj,
-        quality=0.0,
         state="SUSPECT",
         score=-float(query.instance),
-        margin=0.0,
-        covariance=None,
-        mask=None,
         box=query.box,
-        prior_score=None,
-        prior_T_cam_obj=None,
-        alternatives=(),
-        seconds=0.0,
     )

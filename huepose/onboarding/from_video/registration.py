@@ -71,6 +71,7 @@ def surface_of(shape: Fused, views: Sequence[View], T_cam_obj: Float64) -> Prepa
         np.ascontiguousarray(normals, np.float32),
         np.ascontiguousarray(colors.transpose(1, 0, 2), np.float32),
         (direction / np.linalg.norm(direction))[None].astype(np.float32),
+        np.empty((1, 0), np.int32),
         np.arange(len(points), dtype=np.int32),
         np.array([0, len(points)], np.int32),
         np.zeros(3),

@@ -17,6 +17,8 @@ from huepose.propose.types import Votes
 from huepose.support.jit import jit
 
 SAMPLES = 40
+"""Surface samples of a pose."""
+
 GLANCE = 14
 """Samples after which a vote with clearly more against it than for it is given up: most votes are."""
 
@@ -30,6 +32,7 @@ HIDDEN = 0.5
 """What a sample counts against a pose that puts it behind the mask's own surface."""
 
 LEAST = 0.1
+"""Least share of them that must have depth where the pose puts them."""
 
 
 def plausible(

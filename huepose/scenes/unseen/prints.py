@@ -8,8 +8,8 @@ import colorsys
 import cv2
 import numpy as np
 
-from huepose.geometry.arrays import Float32, Float64, UInt8
-from huepose.scenes.textures import Colour, Palette, Rng, clouds, mixed, plain
+from huepose.geometry.arrays import Float32, Float64, Rng, UInt8
+from huepose.scenes.textures import Colour, Palette, clouds, mixed, plain
 
 
 def scheme(rng: Rng) -> Palette:

@@ -201,7 +201,7 @@ def _standing(
     from huepose.estimation.present import presences_with_doubts
     from huepose.estimation.reasons import bad_picture
     from huepose.estimation.standing import standing_answers, why_none_stands
-    from huepose.estimation.types import absent
+    from huepose.estimation.types import PoseEstimate
 
     seen = presences_with_doubts(frame, models, answers, arguments.method)
     chances, doubts = [chance for chance, _ in seen], [doubt for _, doubt in seen]
@@ -213,7 +213,7 @@ def _standing(
             out += mine
             continue
         why = bad_picture(frame, models[name].diameter_m) or why_none_stands(name, answers, chances, doubts)
-        out.append(absent(name, why))
+        out.append(PoseEstimate(name, reason=why))
         if arguments.explain:
             from huepose.estimation.present import places_with_doubts
             from huepose.support.files import write_picture

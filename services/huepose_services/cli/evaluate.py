@@ -38,7 +38,8 @@ def _common(parser: argparse.ArgumentParser) -> None:
     add_path(parser, "--json", "FILE", "result file", required=True)
 
 
-def _seeds(parser: argparse.ArgumentParser, text: str = "of the perturbed boxes; results average") -> None:
+def _seeds(parser: argparse.ArgumentParser) -> None:
+    text = "of the perturbed boxes; results average"
     parser.add_argument("--seed", type=int, nargs="+", default=[0], metavar="N", help=text)
 
 
@@ -160,28 +161,13 @@ def _add_poses(verbs: Any) -> None:
 def _add_ablation(verbs: Any) -> None:
     parser = verbs.add_parser(
         "ablation",
-        help="what flow, and each source of votes, is worth",
-        description="Of sequences, the raw motion between frames some frames apart, from all flow and from "
-        "filtered flow. Of single frames, the methods `paper` and `colorpair` without one of their sources "
-        "of poses, and with each alone; one set of scenes a command, told with those that are in --runs.",
+        help="what colour pairs leave of flow",
+        description="The raw motion between frames some frames apart, from all flow and from filtered flow.",
     )
-    source = parser.add_mutually_exclusive_group(required=True)
-    source.add_argument("--fast-ycb", type=Path, nargs="+", metavar="SEQ_DIR")
-    source.add_argument("--bop", type=Path, nargs="+", metavar="SCENE_DIR")
+    parser.add_argument("--fast-ycb", type=Path, nargs="+", required=True, metavar="SEQ_DIR")
     _common(parser)
-    add_number(parser, "--gap", 5, "sequences: frames between the two of a pair (5)")
-    add_path(parser, "--plots", "DIR", "where ablation.png or sources.png goes")
-    add_path(
-        parser, "--runs", "DIR", "single frames: what is done, by variant; interrupted, it is gone on with"
-    )
-    parser.add_argument(
-        "--set", default=None, metavar="NAME", help="single frames: of the set (the folder of its scenes)"
-    )
-    parser.add_argument(
-        "--quick", type=int, default=None, metavar="N", help="single frames: about N images of all scenes"
-    )
-    add_path(parser, "--equivalent", "FILE", "single frames: poses that count as the labelled one does")
-    _seeds(parser, "single frames: of the perturbed boxes")
+    add_number(parser, "--gap", 5, "frames between the two of a pair (5)")
+    add_path(parser, "--plots", "DIR", "where ablation.png goes")
 
 
 def _add_calibration(verbs: Any) -> None:

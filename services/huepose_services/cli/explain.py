@@ -14,7 +14,6 @@ from huepose.drawing.overlay import Body, draw_poses
 from huepose.drawing.text import paragraph
 from huepose.estimation import PoseEstimate
 from huepose.estimation.explanation import Explanation
-from huepose.estimation.full_path import table_of
 from huepose.estimation.panels import LEGEND, Panels
 from huepose.estimation.reasons import displacement, reasons
 from huepose.geometry import Box, RgbdFrame
@@ -22,6 +21,7 @@ from huepose.geometry.arrays import Bool, Float64, UInt8
 from huepose.judge.terms import score
 from huepose.model import ReferenceModel
 from huepose.propose.config import RetrievalConfig
+from huepose.propose.template_table import table_of
 from huepose.propose.views import retrieve
 from huepose.rendering.render import render
 from huepose.select.near_ties import TERMS
@@ -133,14 +133,13 @@ def _write_views(path: Path, model: ReferenceModel, explanation: Explanation) ->
     evidence = explanation.evidence
     if evidence is None:
         return
-    picture = evidence.picture
-    table = table_of(model)
-    views = retrieve(table, picture, evidence.sources, RetrievalConfig(views=VIEWS))
-    x0, y0, x1, y1 = (float(x) for x in picture.bounds)
+    crop, bounds = evidence.region.crop, evidence.region.bounds
+    views = retrieve(table_of(model), crop, bounds, evidence.sources, RetrievalConfig(views=VIEWS))
+    x0, y0, x1, y1 = (float(x) for x in bounds)
     around = Box(x0, y0, x1 - x0, y1 - y0).grown(0.3, 5)
-    rows, columns = around.slices(picture.camera.width, picture.camera.height)
-    pictures = [picture.color[rows, columns]]
-    pictures += [render([(model.mesh, T)], picture.camera).color[rows, columns] for T in views.poses]
+    rows, columns = around.slices(crop.camera.width, crop.camera.height)
+    pictures = [crop.color[rows, columns]]
+    pictures += [render([(model.mesh, T)], crop.camera).color[rows, columns] for T in views.poses]
     labels = [f"{s:.2f}, mask {k + 1}" for s, k in zip(views.scores, views.masks, strict=True)]
     write_picture(path, contact_sheet(pictures, 5, ["seen", *labels]))
 

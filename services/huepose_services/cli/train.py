@@ -52,7 +52,6 @@ def _add_views(whats: Any) -> None:
         "checkpoint.pt.",
     )
     _add_limits(parser)
-    parser.add_argument("--tune", action="store_true", help="start from the packaged network, train its end")
     parser.set_defaults(call=train_views)
 
 
@@ -81,7 +80,7 @@ def train_views(arguments: argparse.Namespace) -> int:
     common = _common(arguments)
     from huepose.training.view_codes import NAME, ViewCodeTraining, train
 
-    config = ViewCodeTraining(**common, tune=arguments.tune)
+    config = ViewCodeTraining(**common)
     _told(arguments.out / f"{NAME}.json", train(config, arguments.out, arguments.resume))
     return 0
 

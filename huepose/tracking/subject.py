@@ -1,0 +1,68 @@
+"""What a tracker prepares of an object once: its surface, its outline, and the rotations that look alike."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+
+from huepose.geometry import se3
+from huepose.geometry.arrays import Float64
+from huepose.geometry.mesh import Mesh
+from huepose.judge.borders import Contours
+from huepose.judge.surface import PreparedSurface
+from huepose.model.types import ReferenceModel
+from huepose.perception.window_table import WindowTable, window_table
+from huepose.select.distinct import RIGHT
+
+SMALL_TURN = np.radians(45.0)
+"""Near-symmetric rotations up to this angle exist only about an axis of revolution."""
+
+
+@dataclass(frozen=True, eq=False)
+class Subject:
+    """The object: its reference model and prepared surface, and the rotations (M, 4, 4) that nearly map its
+    shape to itself, without the identity; other_turns: those of them after which a pose is wrong;
+    small_turns: of these those about an axis of revolution, by which it can be slid in small steps; contours:
+    where it ends, seen from anywhere."""
+
+    model: ReferenceModel
+    surface: PreparedSurface
+    near_symmetries: Float64
+    other_turns: Float64
+    small_turns: Float64
+    contours: Contours
+
+    @staticmethod
+    def of(model: ReferenceModel) -> Subject:
+        """Prepare a reference model for tracking."""
+        turns = np.asarray(model.near_symmetries[1:], np.float64)
+        other = [not _same_turn(model, turn) for turn in turns]
+        contours, wrong = Contours.of(model), turns[np.array(other, bool)]
+        small = [se3.rotation_angle(turn, np.eye(4)) <= SMALL_TURN for turn in wrong]
+        return Subject(model, contours.surface, turns, wrong, wrong[np.array(small, bool)], contours)
+
+    @property
+    def mesh(self) -> Mesh:
+        """The model's mesh."""
+        return self.model.mesh
+
+    @cached_property
+    def views(self) -> WindowTable:
+        """Its views from all sides, computed or loaded when first asked for."""
+        return window_table(self.model)
+
+    def make_ready(self) -> None:
+        """Load everything that is computed lazily, so that no frame waits for it."""
+        _ = self.contours.lines, self.views
+
+
+def _same_turn(model: ReferenceModel, turn: Float64) -> bool:
+    """Whether a pose is still right after this rotation (4, 4): a true symmetry of the model."""
+    points = model.eval_points.astype(np.float64)
+    apart = [
+        np.linalg.norm(se3.apply(turn, points) - se3.apply(T, points), axis=1).mean()
+        for T in model.equivalents
+    ]
+    return bool(min(apart) < RIGHT * model.diameter_m)

@@ -45,9 +45,10 @@ COSTS = 1.0
 """Cost of one such check (3 to 8 ms) in costly proposals."""
 
 CLAIMED = 0.8
-"""The most that a claim of perception under AT_ONCE counts for the orientation. To be confirmed, the pose then
-needs a lead of 0.034 of a total over its best near-symmetric rotation: on drawn films of the split `fit` leads
-under 0.025 are chance."""
+"""The most that a claim of perception under AT_ONCE counts for the orientation.
+
+To be confirmed, the pose then needs a lead of 0.034 of a total over its best near-symmetric rotation. Leads
+under 0.025 are chance on drawn films of the split `fit`."""
 
 SETTLED, MOST = odds_of(0.99), 6.0
 """Log-odds from which on the orientation is settled (99 %), and their upper bound."""

@@ -182,8 +182,8 @@ def _opened(path: Path) -> Iterator[AnyReader]:
     from rosbags.highlevel import AnyReader
     from rosbags.typesys import Stores, get_typestore
 
-    if not path.exists():
-        raise _broken(path, "no such file")
+    if not path.exists() or (path.is_dir() and not (path / "metadata.yaml").is_file()):
+        raise _broken(path, "no metadata.yaml in it" if path.exists() else "no such file")
     try:
         # Bags of older ROS 2 have no definitions of their types.
         with AnyReader([path], default_typestore=get_typestore(Stores.ROS2_JAZZY)) as reader:

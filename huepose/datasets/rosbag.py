@@ -9,7 +9,7 @@ from __future__ import annotations
 import struct
 from bisect import bisect_left
 from collections.abc import Iterator, Mapping
-from contextlib import closing, contextmanager
+from contextlib import closing, contextmanager, suppress
 from dataclasses import dataclass
 from itertools import pairwise
 from pathlib import Path
@@ -186,8 +186,13 @@ def _opened(path: Path) -> Iterator[AnyReader]:
         raise _broken(path, "no metadata.yaml in it" if path.exists() else "no such file")
     try:
         # Bags of older ROS 2 have no definitions of their types.
-        with AnyReader([path], default_typestore=get_typestore(Stores.ROS2_JAZZY)) as reader:
+        reader = AnyReader([path], default_typestore=get_typestore(Stores.ROS2_JAZZY))
+        reader.open()
+        try:
             yield reader
+        finally:
+            with suppress(Exception):  # it loads modules, which an interpreter that ends has no more
+                reader.close()
     except Exception as error:  # rosbags lets through whatever its parsers trip over
         raise _broken(path, error) from error
 

@@ -200,6 +200,14 @@ def test_of_several_pairs_one_is_named(tmp_path: Path) -> None:
     assert "camera.info_topic /x: found no CameraInfo" in refusal(path, Topics(color=COLOR, info="/x"))
 
 
+def test_of_a_picture_that_is_there_compressed_too_the_other_is_taken(tmp_path: Path) -> None:
+    ros = Ros("a")
+    jpeg = ros.compressed(cv2.imencode(".jpg", COLORS[0])[1].tobytes(), "jpeg", START_NS)
+    path = ros.write(tmp_path / "a", [*desk(ros), (f"{COLOR}/compressed", START_NS, jpeg)])
+    assert RosbagScene(path).topics.color == COLOR
+    assert RosbagScene(path, Topics(color=f"{COLOR}/compressed")).image_ids == (0,)
+
+
 def test_depth_that_is_not_in_the_pixels_of_colour_is_refused(tmp_path: Path) -> None:
     ros = Ros("a")
     half = desk(ros, depth=lambda n, ns: ros.image(DEPTHS_MM[n, ::2, ::2].copy(), "16UC1", ns))
@@ -208,6 +216,8 @@ def test_depth_that_is_not_in_the_pixels_of_colour_is_refused(tmp_path: Path) ->
     assert "aligned_depth_to_color" in said
     other = (DEPTH_INFO, START_NS, ros.info(Camera(44.0, 44.0, 15.5, 11.0, WIDTH, HEIGHT)))
     assert f"K in {DEPTH_INFO} that differs" in refusal(ros.write(tmp_path / "k", [*desk(ros), other]))
+    raw = [(t.replace("aligned_depth_to_color", "depth"), ns, m) for t, ns, m in half if t == DEPTH]
+    assert RosbagScene(ros.write(tmp_path / "both", [*raw, *desk(ros)])).topics.depth == DEPTH
     same = (DEPTH_INFO, START_NS, ros.info(d=[0.0] * 5))
     assert RosbagScene(ros.write(tmp_path / "same", [*desk(ros), same])).image_ids
 

@@ -180,9 +180,30 @@ def recorded(path: Path, frames: list[RgbdFrame], jpeg: bool = False) -> None:
     out.close()
 
 
+def bag(path: Path, frames: list[RgbdFrame]) -> None:
+    """Frames as a bag of ROS."""
+    from tests.datasets.test_rosbag import COLOR, DEPTH, INFO, Ros
+
+    ros, at = Ros(path.name), 1_700_000_000_000_000_000
+    messages = []
+    for k, frame in enumerate(frames):
+        now = at + k * 33_000_000
+        messages += [
+            (INFO, now, ros.info(frame.camera)),
+            (COLOR, now, ros.image(frame.color, "rgb8", now)),
+            (DEPTH, now, ros.image(frame.depth, "32FC1", now)),
+        ]
+    ros.write(path, messages)
+
+
 @pytest.mark.parametrize(
     ("name", "write"),
-    [("turned", bop_scene), ("turned.mcap", recorded), ("small.mcap", partial(recorded, jpeg=True))],
+    [
+        ("turned", bop_scene),
+        ("turned.mcap", recorded),
+        ("small.mcap", partial(recorded, jpeg=True)),
+        ("turned.bag", bag),
+    ],
 )
 def test_a_recording_takes_the_place_of_a_mesh(
     name: str, write: Callable[[Path, list[RgbdFrame]], None], tmp_path: Path, monkeypatch: pytest.MonkeyPatch

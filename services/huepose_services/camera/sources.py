@@ -8,6 +8,7 @@ from typing import Any
 
 from huepose.datasets.bop import BopScene
 from huepose.datasets.fast_ycb import FastYcbSequence, object_of
+from huepose.datasets.rosbag import RosbagScene, Topics
 from huepose.geometry.arrays import Float64
 from huepose.model import load_models
 from huepose_services.runtime.config import Config
@@ -20,6 +21,10 @@ def open_source(config: Config) -> Any:
         return BopScene(Path(config.camera.path or ""))
     if source == "fast_ycb":
         return _sequence(config, Path(config.camera.path or ""))
+    if source == "rosbag":
+        camera = config.camera
+        topics = Topics(camera.color_topic, camera.depth_topic, camera.info_topic)
+        return RosbagScene(Path(camera.path or ""), topics)
     return import_module(f"huepose_services.camera.{source}").open_source(config)
 
 

@@ -43,8 +43,8 @@ def add_video(parser: argparse.ArgumentParser) -> None:
         parser,
         "--from-video",
         "RECORDING",
-        "without a mesh: a recording of `huepose record` (.mcap) or a BOP scene's folder, in which the "
-        "object is turned by hand or on a turntable; with --box or --click",
+        "without a mesh: a recording of `huepose record` (.mcap), a bag of ROS (a .bag, or its folder) or a "
+        "BOP scene's folder, in which the object is turned by hand or on a turntable; with --box or --click",
     )
     add_box(parser, "the object in the recording's first frame, pixels")
     parser.add_argument(
@@ -107,6 +107,10 @@ def _scene(path: Path) -> Scene:
         from huepose_services.camera.recording import RecordedScene
 
         return RecordedScene(path)
+    if path.suffix in (".bag", ".db3") or (path / "metadata.yaml").is_file():
+        from huepose.datasets.rosbag import RosbagScene
+
+        return RosbagScene(path)
     from huepose.datasets.bop import BopScene
 
     return BopScene(path)

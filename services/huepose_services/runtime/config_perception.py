@@ -15,6 +15,7 @@ from huepose_protos.parts import Mount
 Rate = Annotated[float, Meta(gt=0.0, le=240.0)]
 Seconds = Annotated[float, Meta(ge=0.0, le=60.0)]
 Side = Annotated[float, Meta(ge=0.0, le=16384.0)]
+Focal = Annotated[float, Meta(gt=0.0, le=16384.0)]
 Pixels = Annotated[int, Meta(ge=16, le=8192)]
 Share = Annotated[float, Meta(gt=0.0, lt=1.0)]
 Provider = Literal["tensorrt", "cuda", "openvino", "cpu"]
@@ -23,8 +24,10 @@ Class = Annotated[int, Meta(ge=0, le=100_000)] | str
 Sha256 = Annotated[str, Meta(pattern="^[0-9a-f]{64}$")]
 Refuse = Callable[[str, str, str, str], None]
 
+Recorded = Literal["bop", "fast_ycb", "recording", "rosbag"]
+Live = Literal["realsense", "oak", "opencv", "python", "faulty"]
 DRAWN_SOURCES = ("synthetic", "faulty")
-LIVE_SOURCES = ("realsense", "oak", "python", "faulty")
+LIVE_SOURCES = ("realsense", "oak", "opencv", "python", "faulty")
 Filter = Literal["decimation", "threshold", "spatial", "temporal", "hole_filling"]
 
 
@@ -46,6 +49,8 @@ class DeviceConfig(Section, frozen=True, kw_only=True):
     align: bool = True
     options: dict[str, float] = {}
     filters: dict[Filter, dict[str, float]] = {}
+    index: Annotated[int, Meta(ge=0, le=255)] = 0
+    intrinsics: tuple[Focal, Focal, Side, Side] | None = None
 
 
 FrameName = Annotated[str, Meta(pattern=r"^[^/\s]\S{0,63}$")]
@@ -62,10 +67,11 @@ class CameraConfig(Section, frozen=True, kw_only=True):
     """Where frames come from, and when."""
 
     name: Name = "cam0"
-    source: Literal["synthetic", "bop", "fast_ycb", "recording", "realsense", "oak", "python", "faulty"] = (
-        "synthetic"
-    )
+    source: Literal["synthetic"] | Recorded | Live = "synthetic"
     path: str | None = None
+    color_topic: str | None = None
+    depth_topic: str | None = None
+    info_topic: str | None = None
     seed: Annotated[int, Meta(ge=0)] = 0
     rate: Rate | Literal["recorded"] = 30.0
     once: bool = False
@@ -149,6 +155,7 @@ _PATH_IS = {
     **dict.fromkeys(("bop", "fast_ycb"), ("the folder of the recording", "Set it to the scene's folder.")),
     "python": ("a Python file with a function frames()", "docs/cameras.md has one."),
     "recording": ("a file of `huepose record`", "Set it to the .mcap file."),
+    "rosbag": ("a .bag file, or the folder of a bag of ROS 2", "Set it to the bag."),
     "faulty": ("the file of the orders", "`huepose chaos` sets it."),
 }
 
@@ -158,7 +165,7 @@ def check_camera(camera: CameraConfig, workers: Collection[str], refuse: Refuse)
     source, live = camera.source, camera.source in LIVE_SOURCES
     if camera.tf is not None:
         _check_tf(camera, camera.tf, workers, refuse)
-    if source in ("synthetic", "oak") and camera.path is not None:
+    if source in ("synthetic", "oak", "opencv") and camera.path is not None:
         refuse("camera.path", camera.path, f"no path with the source {source}", "Set it to null.")
     if source in _PATH_IS and camera.path is None:
         refuse("camera.path", "null", *_PATH_IS[source])
@@ -167,6 +174,14 @@ def check_camera(camera: CameraConfig, workers: Collection[str], refuse: Refuse)
     if live and (camera.once or (camera.truth and source != "faulty")):
         key = "once" if camera.once else "truth"
         refuse(f"camera.{key}", "true", f"false with the source {source}", "Take the line out.")
+    if source == "rosbag" and camera.truth:
+        refuse("camera.truth", "true", "false: a bag has no labels", "Take the line out.")
+    for key in ("color_topic", "depth_topic", "info_topic"):
+        if source != "rosbag" and (topic := getattr(camera, key)) is not None:
+            refuse(f"camera.{key}", topic, f"none with the source {source}", "Take the line out.")
+    for key in ("index", "intrinsics"):
+        if source != "opencv" and (value := getattr(camera.device, key)):
+            refuse(f"camera.device.{key}", f"{value}", f"none with the source {source}", "Take the line out.")
     if not live and camera.device != DeviceConfig():
         refuse("camera.device", "settings", f"none with the source {source}", "Take the section out.")
     if source != "realsense" and camera.device.filters:

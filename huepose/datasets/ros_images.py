@@ -1,0 +1,150 @@
+"""Pictures as ROS sends them: `sensor_msgs` Image, CompressedImage and CameraInfo to arrays and a camera.
+
+A message is whatever has the fields of its type, as rosbags gives it. Encodings: sensor_msgs/image_encodings
+and REP 118; compressed: as written by compressed_image_transport and compressed_depth_image_transport.
+"""
+
+from __future__ import annotations
+
+from typing import Any, Literal
+
+import cv2
+import numpy as np
+
+from huepose.datasets.rectify import Rectifier, checked_coefficients
+from huepose.geometry.arrays import Float32, UInt8
+from huepose.geometry.camera import Camera
+from huepose.support.errors import InputError
+
+# Which channel is red, green and blue, and how many there are.
+_CHANNELS = {
+    **{"rgb8": ([0, 1, 2], 3), "bgr8": ([2, 1, 0], 3)},
+    **{"rgba8": ([0, 1, 2], 4), "bgra8": ([2, 1, 0], 4)},
+}
+_METRES = {"16UC1": ("u2", 0.001), "32FC1": ("f4", 1.0)}
+_DEPTH_PNG = "16UC1; compressedDepth"
+_DEPTH_PNG_AT = 12
+"""Bytes that compressed_depth_image_transport puts before the PNG."""
+
+# Names of ROS for the models of OpenCV.
+_MODELS = {"plumb_bob": "brown_conrady", "rational_polynomial": "rational", "": "none"}
+
+
+def kind_of(message: Any) -> Literal["color", "depth"] | None:
+    """What a picture can be used as; None where it is neither."""
+    encoding = encoding_of(message)
+    if encoding in _METRES or encoding.startswith(_DEPTH_PNG):
+        return "depth"
+    if encoding in _CHANNELS or (_is_compressed(message) and _has_colours(encoding)):
+        return "color"
+    return None
+
+
+def encoding_of(message: Any) -> str:
+    """Its encoding, or what a compressed one says instead: `jpeg`, `rgb8; jpeg compressed bgr8`, ..."""
+    return str(message.format if _is_compressed(message) else message.encoding)
+
+
+def color_of(message: Any, where: object) -> UInt8:
+    """The colour picture (H, W, 3) RGB. Raises InputError, naming `where`, for one that is none or broken."""
+    encoding = encoding_of(message)
+    if kind_of(message) != "color":
+        raise InputError(
+            where,
+            found=f"a picture of encoding '{encoding}'",
+            expected=f"{', '.join(_CHANNELS)}, or a compressed one of these (jpeg, png)",
+            fix="HuePose finds objects by their colours: record the driver's colour topic (mono8 has none; "
+            "image_proc makes colours of bayer_*).",
+        )
+    if not _is_compressed(message):
+        order, channels = _CHANNELS[encoding]
+        return np.ascontiguousarray(_pixels(message, "u1", channels, where)[..., order], dtype=np.uint8)
+    image = _decoded(message.data, where)
+    if image.ndim != 3 or image.dtype != np.uint8:
+        raise InputError(where, found=f"a picture of {image.shape} {image.dtype}", expected="three colours")
+    # Its sender either says that it made BGR of its picture before, as the codec wants it, or did nothing.
+    as_sent = ";" in encoding and "compressed bgr" not in encoding and encoding.startswith("rgb")
+    return np.ascontiguousarray(image[..., [0, 1, 2] if as_sent else [2, 1, 0]], dtype=np.uint8)
+
+
+def depth_of(message: Any, where: object) -> Float32:
+    """The depth (H, W) float32 metres, 0 for no reading. Raises InputError for a picture that is none."""
+    encoding = encoding_of(message)
+    if kind_of(message) != "depth":
+        raise InputError(
+            where,
+            found=f"a picture of encoding '{encoding}'",
+            expected="16UC1 (millimetres), 32FC1 (metres), or compressedDepth of the first",
+            fix="HuePose needs depth: record the driver's depth topic.",
+        )
+    if _is_compressed(message):
+        image = _decoded(np.asarray(message.data)[_DEPTH_PNG_AT:], where)
+        if image.ndim != 2 or image.dtype != np.uint16:
+            raise InputError(where, found=f"depth of {image.shape} {image.dtype}", expected="16 bits")
+        scale = _METRES["16UC1"][1]
+    else:
+        dtype, scale = _METRES[encoding]
+        image = _pixels(message, dtype, 1, where)[..., 0]
+    metres = image.astype(np.float32) * np.float32(scale)
+    return np.where(np.isfinite(metres) & (metres > 0), metres, np.float32(0))
+
+
+def camera_of(info: Any, rectified: bool, where: object) -> tuple[Camera, Rectifier]:
+    """The camera of a CameraInfo, and what takes the distortion out of its pictures; `rectified`: they have
+    none any more, and the intrinsics of P. Raises InputError where it was not calibrated."""
+    K = np.asarray(field(info, "p") if rectified else field(info, "k"), np.float64)
+    K = K.reshape(3, -1)[:, :3]
+    if not (np.isfinite(K).all() and K[0, 0] > 0 and K[1, 1] > 0):
+        raise InputError(
+            where,
+            found=f"a focal length of {K[0, 0]:g}",
+            expected="a calibrated camera",
+            fix="Calibrate it (camera_calibration) and record again.",
+        )
+    camera = Camera.from_matrix(K, int(info.width), int(info.height))
+    model = str(info.distortion_model)
+    coefficients = [] if rectified else [float(x) for x in field(info, "d")]
+    if not any(coefficients):
+        return camera, Rectifier(None)
+    return camera, Rectifier.of(camera, checked_coefficients(_MODELS.get(model, model), coefficients, where))
+
+
+def field(info: Any, name: str) -> Any:
+    """A matrix of CameraInfo, which ROS 1 calls by a capital letter."""
+    return getattr(info, name) if hasattr(info, name) else getattr(info, name.upper())
+
+
+def _is_compressed(message: Any) -> bool:
+    return hasattr(message, "format")
+
+
+def _has_colours(encoding: str) -> bool:
+    """Whether one that is compressed may have colours, by what it says."""
+    return ("jpeg" in encoding or "jpg" in encoding or "png" in encoding) and not (
+        encoding.startswith(("mono", "16UC1", "32FC1", "8UC1")) or "compressedDepth" in encoding
+    )
+
+
+def _pixels(message: Any, dtype: str, channels: int, where: object) -> Any:
+    """The pixels (H, W, channels), rows without what fills them up."""
+    kind = np.dtype(dtype).newbyteorder(">" if message.is_bigendian else "<")
+    height, width, step = int(message.height), int(message.width), int(message.step)
+    data = np.asarray(message.data, np.uint8)
+    used = width * channels * kind.itemsize
+    if height * width == 0 or step < used or len(data) < height * step:
+        raise InputError(
+            where, found=f"{len(data)} bytes for {width} x {height}", expected=f"{height} rows of {used}"
+        )
+    rows = np.ascontiguousarray(data[: height * step].reshape(height, step)[:, :used])
+    return rows.view(kind).reshape(height, width, channels)
+
+
+def _decoded(data: Any, where: object) -> Any:
+    data = np.asarray(data, np.uint8)
+    try:
+        image = cv2.imdecode(data, cv2.IMREAD_UNCHANGED) if len(data) else None
+    except cv2.error:
+        image = None
+    if image is None:
+        raise InputError(where, found="a picture that cannot be decoded", expected="a whole JPEG or PNG")
+    return image

@@ -1,0 +1,316 @@
+"""A bag of ROS as a scene: `.bag` of ROS 1, or the folder of a bag of ROS 2 (sqlite3, mcap), read by rosbags.
+
+Colour and depth are paired by the stamps in their headers: each colour picture has the nearest depth, half
+the usual time between two colour pictures away at most. Depth must lie in the pixels of colour.
+"""
+
+from __future__ import annotations
+
+import struct
+from bisect import bisect_left
+from collections.abc import Iterator, Mapping
+from contextlib import closing, contextmanager, suppress
+from dataclasses import dataclass
+from itertools import pairwise
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from huepose.datasets.ros_images import camera_of, color_of, depth_of, encoding_of, field, kind_of
+from huepose.datasets.types import GroundTruth
+from huepose.geometry.frame import RgbdFrame
+from huepose.support.errors import InputError
+
+if TYPE_CHECKING:
+    from rosbags.highlevel import AnyReader
+
+_IMAGES = ("sensor_msgs/msg/Image", "sensor_msgs/msg/CompressedImage")
+_INFO = "sensor_msgs/msg/CameraInfo"
+_USUAL_NS = 1_000_000_000 // 30
+_TRANSPORTS = ("/compressed", "/compressedDepth")
+_ALIGNED = (
+    "Record depth in the pixels of colour: with realsense2_camera align_depth.enable:=true and its topic "
+    "aligned_depth_to_color, with others depth_registered or depth_to_rgb."
+)
+
+
+@dataclass(frozen=True)
+class Topics:
+    """Which topics are read; None: the only one that fits."""
+
+    color: str | None = None
+    depth: str | None = None
+    info: str | None = None
+
+
+class RosbagScene:
+    """Frames by their places in the bag, from 0, rectified. Raises InputError for a bag that is broken or has
+    no pair of colour and depth."""
+
+    def __init__(self, path: Path, topics: Topics | None = None) -> None:
+        self.name, self._path = path.stem, path
+        chosen = _Choice(path, _firsts(path), topics or Topics())
+        self.topics = Topics(chosen.color, chosen.depth, chosen.info)
+        self._camera, self._rectifier = chosen.camera
+        self._color, self._depth = _Stream(path, chosen.color), _Stream(path, chosen.depth)
+        self._pairs = _paired(self._color.places, self._depth.places)
+        if not self._pairs:
+            raise InputError(
+                path,
+                found=f"no depth of {chosen.depth} at the time of a picture of {chosen.color}",
+                expected="stamps of one clock, half a frame apart at most",
+            )
+        self.image_ids = tuple(range(len(self._pairs)))
+
+    def stamp_ns(self, image: int) -> int:
+        """The stamp of the colour picture."""
+        return self._pairs[image][0].stamp_ns
+
+    def frame(self, image: int) -> RgbdFrame:
+        """Colour and depth. Raises InputError where they are broken, or of another size than the first."""
+        color, depth = (
+            stream.at(place)
+            for stream, place in zip((self._color, self._depth), self._pairs[image], strict=True)
+        )
+        return RgbdFrame(
+            self._rectifier.color(color_of(color, f"{self._path}, {self._color.topic}")),
+            self._rectifier.depth(depth_of(depth, f"{self._path}, {self._depth.topic}")),
+            self._camera,
+            stamp_ns=self.stamp_ns(image),
+        )
+
+    def truths(self, image: int) -> tuple[GroundTruth, ...]:
+        """None: a bag has no labels."""
+        return ()
+
+
+@dataclass(frozen=True, order=True)
+class _Place:
+    """A message: the stamp in its header, and when it was recorded."""
+
+    stamp_ns: int
+    log_ns: int
+
+
+def _paired(colors: list[_Place], depths: list[_Place]) -> list[tuple[_Place, _Place]]:
+    """Each colour picture with its depth, in the order of their stamps; those without one are left out."""
+    colors, depths = sorted(colors), sorted(depths)
+    gaps = sorted(b.stamp_ns - a.stamp_ns for a, b in pairwise(colors))
+    reach_ns = (gaps[len(gaps) // 2] if gaps else _USUAL_NS) // 2
+    stamps = [depth.stamp_ns for depth in depths]
+    pairs = []
+    for color in colors:
+        after = bisect_left(stamps, color.stamp_ns)
+        near = min(depths[max(after - 1, 0) : after + 1], key=lambda d: abs(d.stamp_ns - color.stamp_ns))
+        if abs(near.stamp_ns - color.stamp_ns) <= reach_ns:
+            pairs.append((color, near))
+    return pairs
+
+
+class _Stream:
+    """The messages of one topic; those after one another are read in one go."""
+
+    def __init__(self, path: Path, topic: str) -> None:
+        self._path, self.topic = path, topic
+        self._left: Iterator[_Message] = iter(())
+        self._last: _Place | None = None
+        self.places = [message.place for message in _messages(path, topic)]
+        if any(place.stamp_ns == 0 for place in self.places):
+            raise InputError(f"{path}, {topic}", found="a picture without a stamp", expected="header.stamp")
+
+    def at(self, place: _Place) -> Any:
+        """A message."""
+        if self._last is None or place.log_ns <= self._last.log_ns:
+            self._left = _messages(self._path, self.topic, place.log_ns)
+        for message in self._left:
+            if message.place == place:
+                self._last = place
+                return message.read()
+        raise InputError(self._path, found="another bag than before", expected="a file that nobody changes")
+
+
+@dataclass(frozen=True)
+class _Message:
+    path: Path
+    reader: AnyReader
+    kind: str
+    raw: bytes
+    place: _Place
+
+    def read(self) -> Any:
+        """The message itself."""
+        try:
+            return self.reader.deserialize(self.raw, self.kind)
+        except Exception as error:
+            raise _broken(self.path, error) from error
+
+
+def _messages(path: Path, topic: str, since_ns: int | None = None) -> Iterator[_Message]:
+    """Of one topic, in the order in which they were recorded. The reader is its own, because some give one
+    iterator at a time, and is closed with it."""
+    with _opened(path) as reader:
+        ours = [one for one in reader.connections if one.topic == topic]
+        with closing(reader.messages(ours, start=since_ns)) as messages:
+            for one, log_ns, raw in messages:
+                yield _Message(path, reader, one.msgtype, raw, _Place(_stamp_ns(raw, reader.is2), log_ns))
+
+
+def _stamp_ns(raw: bytes, is2: bool) -> int:
+    """The stamp, without reading the picture. It stands behind `seq` in ROS 1, in ROS 2 behind the four bytes
+    of CDR, the second of which says how numbers are written."""
+    seconds, nanoseconds = struct.unpack_from(">II" if is2 and not raw[1] & 1 else "<II", raw, 4)
+    return int(seconds) * 1_000_000_000 + int(nanoseconds)
+
+
+def _firsts(path: Path) -> dict[str, Any]:
+    """The first message of each topic of pictures or of a camera."""
+    found: dict[str, Any] = {}
+    with _opened(path) as reader:
+        for one in sorted(reader.connections, key=lambda one: one.topic):
+            if one.topic in found or one.msgtype not in (*_IMAGES, _INFO):
+                continue
+            with closing(reader.messages([one])) as messages:
+                for _, _, raw in messages:
+                    found[one.topic] = reader.deserialize(raw, one.msgtype)
+                    break
+    return found
+
+
+@contextmanager
+def _opened(path: Path) -> Iterator[AnyReader]:
+    from rosbags.highlevel import AnyReader
+    from rosbags.typesys import Stores, get_typestore
+
+    if not path.exists() or (path.is_dir() and not (path / "metadata.yaml").is_file()):
+        raise _broken(path, "no metadata.yaml in it" if path.exists() else "no such file")
+    try:
+        # Bags of older ROS 2 have no definitions of their types.
+        reader = AnyReader([path], default_typestore=get_typestore(Stores.ROS2_JAZZY))
+        reader.open()
+        try:
+            yield reader
+        finally:
+            with suppress(Exception):  # it loads modules, which an interpreter that ends has no more
+                reader.close()
+    except Exception as error:  # rosbags lets through whatever its parsers trip over
+        raise _broken(path, error) from error
+
+
+def _broken(path: Path, error: Exception | str) -> InputError:
+    return InputError(
+        path,
+        found=" ".join(str(error).split())[:200] or type(error).__name__,
+        expected="a whole .bag of ROS 1, or the folder of a bag of ROS 2, with its metadata.yaml",
+        fix="One whose recording was cut off is mended by `rosbag reindex` or `ros2 bag reindex`.",
+    )
+
+
+class _Choice:
+    """Which topics of a bag belong together: those named, else the only ones that fit."""
+
+    def __init__(self, path: Path, firsts: Mapping[str, Any], topics: Topics) -> None:
+        self._path, self._topics = path, topics
+        self._infos = {topic: m for topic, m in firsts.items() if m.__msgtype__ == _INFO}
+        self._first = {topic: m for topic, m in firsts.items() if topic not in self._infos}
+        colors = self._candidates("color", topics.color)
+        depths = self._candidates("depth", topics.depth)
+        pairs = [(color, depth) for color in colors for depth in depths]
+        refusals = {pair: reason for pair in pairs if (reason := self._apart(*pair))}
+        fitting = [pair for pair in pairs if pair not in refusals]
+        if len(pairs) == 1 and refusals:
+            raise InputError(f"{path}, {depths[0]}", found=refusals[pairs[0]], fix=_ALIGNED)
+        if len(fitting) != 1:
+            raise InputError(
+                path,
+                found=f"{len(fitting) or 'no'} pairs of colour and depth that fit, in {self._listed()}",
+                expected="one",
+                fix="Name them: camera.color_topic and camera.depth_topic, or leave others out: "
+                f"rosbags-convert --include-topic. {'' if fitting else _ALIGNED}",
+            )
+        self.color, self.depth = fitting[0]
+        self.info = self._info_of(self.color)
+        where = f"{path}, {self.info}"
+        info = self._infos[self.info]
+        height, width = color_of(self._first[self.color], path).shape[:2]
+        if (info.width, info.height) != (width, height):
+            raise InputError(
+                where,
+                found=f"a camera of {info.width} x {info.height}",
+                expected=f"{width} x {height}, as the pictures of {self.color}",
+                fix="Name the topic of its CameraInfo: camera.info_topic.",
+            )
+        # By convention of image_proc.
+        self.camera = camera_of(info, _base(self.color).rpartition("/")[2].startswith("image_rect"), where)
+
+    def _candidates(self, kind: str, named: str | None) -> list[str]:
+        """The topic that is named, or all of a kind; not those that are another one, compressed."""
+        read = color_of if kind == "color" else depth_of
+        if named is not None:
+            if named not in self._first:
+                raise InputError(
+                    f"camera.{kind}_topic {named}",
+                    found="no pictures of that name",
+                    expected=f"a topic of {self._path}: {self._listed()}",
+                )
+            read(self._first[named], f"{self._path}, {named}")
+            return [named]
+        found = [topic for topic, message in self._first.items() if kind_of(message) == kind]
+        others = [topic for topic, message in self._first.items() if kind_of(message) is None]
+        if not found and len(others) == 1:
+            read(self._first[others[0]], f"{self._path}, {others[0]}")  # says why it is none
+        if not found:
+            raise InputError(
+                self._path,
+                found=f"no {'colour' if kind == 'color' else 'depth'} pictures, but {self._listed()}",
+                expected="sensor_msgs/Image of colour, and of depth in its pixels",
+            )
+        return [topic for topic in found if topic == _base(topic) or _base(topic) not in found]
+
+    def _apart(self, color: str, depth: str) -> str | None:
+        """Why depth does not lie in the pixels of colour; None where nothing says so."""
+        size = color_of(self._first[color], f"{self._path}, {color}").shape[1::-1]
+        depth_size = depth_of(self._first[depth], f"{self._path}, {depth}").shape[::-1]
+        if size != depth_size:
+            return "depth of {} x {}, and colour of {} x {}".format(*depth_size, *size)
+        if _beside(depth) not in self._infos:
+            return None
+        ours, its = self._infos[self._info_of(color)], self._infos[_beside(depth)]
+        for name, tolerance in (("k", 0.01), ("d", 1e-6)):
+            if not _same(field(ours, name), field(its, name), tolerance):
+                return f"{name.upper()} in {_beside(depth)} that differs from that of {color}"
+        return None
+
+    def _info_of(self, color: str) -> str:
+        named = self._topics.info
+        if named is None and _beside(color) in self._infos:
+            return _beside(color)
+        if named is None and len(self._infos) == 1:
+            return next(iter(self._infos))
+        if named is None or named not in self._infos:
+            raise InputError(
+                self._path if named is None else f"camera.info_topic {named}",
+                found=f"no CameraInfo {_beside(color)}" if named is None else "no CameraInfo of that name",
+                expected=f"one of {', '.join(self._infos) or 'its topics (it has none)'}",
+                fix="Record the camera_info of the colour camera; camera.info_topic names another.",
+            )
+        return named
+
+    def _listed(self) -> str:
+        return ", ".join(f"{t} ({encoding_of(m)})" for t, m in self._first.items()) or "no pictures"
+
+
+def _base(topic: str) -> str:
+    """The topic that image_transport has made another one of."""
+    return next((topic.removesuffix(t) for t in _TRANSPORTS if topic.endswith(t)), topic)
+
+
+def _beside(topic: str) -> str:
+    """Where the CameraInfo of a topic of pictures is, by convention."""
+    return _base(topic).rpartition("/")[0] + "/camera_info"
+
+
+def _same(one: Any, other: Any, tolerance: float) -> bool:
+    """Whether numbers are the same, up to zeros at their end."""
+    a, b = (np.trim_zeros(np.asarray(x, np.float64).ravel(), "b") for x in (one, other))
+    return len(a) == len(b) and bool(np.allclose(a, b, rtol=0, atol=tolerance))

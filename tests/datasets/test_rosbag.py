@@ -1,0 +1,267 @@
+"""Bags written here by rosbags, of ROS 1 and of ROS 2, and what is read back."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+import pytest
+
+pytest.importorskip("rosbags")
+from rosbags.rosbag1 import Writer as Writer1
+from rosbags.rosbag2 import StoragePlugin
+from rosbags.rosbag2 import Writer as Writer2
+from rosbags.typesys import Stores, get_typestore
+
+from huepose.datasets.rectify import Rectifier
+from huepose.datasets.rosbag import RosbagScene, Topics
+from huepose.geometry import Camera
+from huepose.support.errors import InputError
+from huepose_services.camera.sources import open_source
+from huepose_services.cli.main import main
+from huepose_services.runtime.config import load
+
+WIDTH, HEIGHT, COUNT = 32, 24, 4
+CAMERA = Camera(40.0, 41.0, 15.5, 11.0, WIDTH, HEIGHT)
+BARREL = [-0.2, 0.05, 0.001, -0.002, 0.0]
+COLOR, DEPTH, INFO = "/cam/color/image_raw", "/cam/aligned_depth_to_color/image_raw", "/cam/color/camera_info"
+DEPTH_INFO = "/cam/aligned_depth_to_color/camera_info"
+START_NS, STEP_NS = 1_700_000_000_123_456_789, 33_000_000
+RNG = np.random.default_rng(5)
+COLORS = RNG.integers(0, 256, (COUNT, HEIGHT, WIDTH, 3), np.uint8)
+DEPTHS_MM = RNG.integers(0, 3000, (COUNT, HEIGHT, WIDTH), np.uint16)
+BAGS = ("desk.bag", "desk_db3", "desk_mcap")
+
+
+class Ros:
+    """Messages of one of the two, which differ in their headers and in how they write CameraInfo."""
+
+    def __init__(self, name: str) -> None:
+        self.is1 = name.endswith(".bag")
+        self.store = get_typestore(Stores.ROS1_NOETIC if self.is1 else Stores.ROS2_JAZZY)
+        self.plugin = StoragePlugin.MCAP if name.endswith("mcap") else StoragePlugin.SQLITE3
+        self.types = self.store.types
+
+    def header(self, stamp_ns: int) -> Any:
+        stamp = self.types["builtin_interfaces/msg/Time"](*divmod(stamp_ns, 1_000_000_000))
+        seq = {"seq": 7} if self.is1 else {}
+        return self.types["std_msgs/msg/Header"](stamp=stamp, frame_id="optical", **seq)
+
+    def image(self, pixels: Any, encoding: str, stamp_ns: int, fill: int = 0) -> Any:
+        height, width = pixels.shape[:2]
+        rows = np.frombuffer(pixels.tobytes(), np.uint8).reshape(height, -1)
+        rows = np.pad(rows, ((0, 0), (0, fill)))
+        return self.types["sensor_msgs/msg/Image"](
+            self.header(stamp_ns), height, width, encoding, 0, rows.shape[1], rows.ravel()
+        )
+
+    def compressed(self, data: bytes, kind: str, stamp_ns: int) -> Any:
+        array = np.frombuffer(data, np.uint8)
+        return self.types["sensor_msgs/msg/CompressedImage"](self.header(stamp_ns), kind, array)
+
+    def info(self, camera: Camera = CAMERA, d: Iterable[float] = (), model: str = "plumb_bob") -> Any:
+        roi = self.types["sensor_msgs/msg/RegionOfInterest"](0, 0, 0, 0, False)
+        P = np.hstack([camera.K, np.zeros((3, 1))]).ravel()
+        matrices = {"d": np.array([*d], np.float64), "k": camera.K.ravel(), "r": np.eye(3).ravel(), "p": P}
+        named = {key.upper() if self.is1 else key: value for key, value in matrices.items()}
+        return self.types["sensor_msgs/msg/CameraInfo"](
+            header=self.header(START_NS), height=camera.height, width=camera.width,
+            distortion_model=model, binning_x=0, binning_y=0, roi=roi, **named,
+        )  # fmt: skip
+
+    def write(self, path: Path, messages: Iterable[tuple[str, int, Any]]) -> Path:
+        """A bag of (topic, when it was recorded, message)."""
+        writer = Writer1(path) if self.is1 else Writer2(path, version=9, storage_plugin=self.plugin)
+        dump = self.store.serialize_ros1 if self.is1 else self.store.serialize_cdr
+        with writer:
+            of: dict[str, Any] = {}
+            for topic, log_ns, message in messages:
+                kind = message.__msgtype__
+                if topic not in of:
+                    of[topic] = writer.add_connection(topic, kind, typestore=self.store)
+                writer.write(of[topic], log_ns, dump(message, kind))
+        return path
+
+
+def stamps_ns(number: int) -> tuple[int, int]:
+    """Of colour and depth; the third depth is more than half a frame away from every colour."""
+    color = START_NS + number * STEP_NS
+    return color, color + (20_000_000 if number == 2 else 3_000_000)
+
+
+def desk(ros: Ros, d: Iterable[float] = (), **made: Any) -> list[tuple[str, int, Any]]:
+    """Messages of a bag with everything; `made`: makes other pictures of colour or depth, or leaves out."""
+    color = made.get("color", lambda n, ns: ros.image(COLORS[n], "rgb8", ns))
+    depth = made.get("depth", lambda n, ns: ros.image(DEPTHS_MM[n], "16UC1", ns, fill=6))
+    messages: list[tuple[str, int, Any]] = []
+    for n in range(COUNT):
+        color_ns, depth_ns = stamps_ns(n)
+        messages.append((INFO, color_ns, ros.info(d=d)))
+        messages.append((made.get("color_topic", COLOR), color_ns + 9, color(n, color_ns)))
+        messages.append((made.get("depth_topic", DEPTH), color_ns + 9, depth(n, depth_ns)))
+    return messages
+
+
+def refusal(path: Path, topics: Topics | None = None) -> str:
+    with pytest.raises(InputError) as error:
+        RosbagScene(path, topics)
+    assert "\n" not in str(error.value)
+    return str(error.value)
+
+
+@pytest.mark.parametrize("name", BAGS)
+def test_frames_are_what_was_written(name: str, tmp_path: Path) -> None:
+    ros = Ros(name)
+    scene = RosbagScene(ros.write(tmp_path / name, desk(ros)))
+    assert scene.topics == Topics(COLOR, DEPTH, INFO)
+    assert scene.image_ids == (0, 1, 2)  # the third of four colour pictures has no depth of its time
+    written = [0, 1, 3]
+    for image in [0, 1, 2, 1, 0]:  # forwards, and back
+        frame, n = scene.frame(image), written[image]
+        np.testing.assert_array_equal(frame.color, COLORS[n])
+        np.testing.assert_array_equal(frame.depth, DEPTHS_MM[n].astype(np.float32) * np.float32(0.001))
+        assert frame.stamp_ns == scene.stamp_ns(image) == stamps_ns(n)[0]
+        assert frame.camera == CAMERA
+    assert scene.truths(0) == ()
+
+
+@pytest.mark.parametrize("name", BAGS)
+def test_a_lens_is_rectified_as_everywhere(name: str, tmp_path: Path) -> None:
+    ros = Ros(name)
+    frame = RosbagScene(ros.write(tmp_path / name, desk(ros, BARREL))).frame(0)
+    rectifier = Rectifier.of(CAMERA, np.array(BARREL))
+    np.testing.assert_array_equal(frame.color, rectifier.color(COLORS[0]))
+    metres = DEPTHS_MM[0].astype(np.float32) * np.float32(0.001)
+    np.testing.assert_array_equal(frame.depth, rectifier.depth(metres))
+    assert not np.array_equal(frame.color, COLORS[0])
+
+
+def test_pictures_that_are_rectified_already_have_the_intrinsics_of_p(tmp_path: Path) -> None:
+    ros = Ros("a")
+    messages = desk(ros, BARREL, color_topic="/cam/color/image_rect_color")
+    for _, _, message in messages:
+        if hasattr(message, "p"):
+            message.k[0] = 99.0
+    frame = RosbagScene(ros.write(tmp_path / "a", messages)).frame(0)
+    np.testing.assert_array_equal(frame.color, COLORS[0])
+    assert frame.camera == CAMERA
+
+
+@pytest.mark.parametrize(
+    ("encoding", "order"),
+    [("bgr8", [2, 1, 0]), ("rgba8", [0, 1, 2, 0]), ("bgra8", [2, 1, 0, 0])],
+)
+def test_other_orders_of_colours_are_brought_to_rgb(encoding: str, order: list[int], tmp_path: Path) -> None:
+    ros = Ros("a")
+    messages = desk(ros, color=lambda n, ns: ros.image(COLORS[n][..., order], encoding, ns, fill=5))
+    np.testing.assert_array_equal(RosbagScene(ros.write(tmp_path / "a", messages)).frame(1).color, COLORS[1])
+
+
+@pytest.mark.parametrize("kind", ["png", "rgb8; png compressed bgr8", "rgb8; png compressed "])
+def test_compressed_pictures_are_read(kind: str, tmp_path: Path) -> None:
+    """The last is what a sender says that gave RGB to the codec as if it were BGR."""
+    ros = Ros("a")
+    order = [0, 1, 2] if kind.endswith(" ") else [2, 1, 0]
+
+    def color(n: int, ns: int) -> Any:
+        return ros.compressed(cv2.imencode(".png", COLORS[n][..., order])[1].tobytes(), kind, ns)
+
+    def depth(n: int, ns: int) -> Any:
+        png = bytes(12) + cv2.imencode(".png", DEPTHS_MM[n])[1].tobytes()
+        return ros.compressed(png, "16UC1; compressedDepth png", ns)
+
+    topics = {"color_topic": f"{COLOR}/compressed", "depth_topic": f"{DEPTH}/compressedDepth"}
+    frame = RosbagScene(ros.write(tmp_path / "a", desk(ros, color=color, depth=depth, **topics))).frame(1)
+    np.testing.assert_array_equal(frame.color, COLORS[1])
+    np.testing.assert_array_equal(frame.depth, DEPTHS_MM[1].astype(np.float32) * np.float32(0.001))
+
+
+def test_depth_in_metres_has_0_where_there_is_no_reading(tmp_path: Path) -> None:
+    ros = Ros("a")
+    metres = (DEPTHS_MM / np.float32(700)).astype(np.float32)
+    metres[:, 0, :3] = np.nan, np.inf, -1.0
+    messages = desk(ros, depth=lambda n, ns: ros.image(metres[n], "32FC1", ns))
+    read = RosbagScene(ros.write(tmp_path / "a", messages)).frame(0).depth
+    assert read[0, :3].tolist() == [0, 0, 0]
+    np.testing.assert_array_equal(read[1:], metres[0, 1:])
+
+
+def test_of_several_pairs_one_is_named(tmp_path: Path) -> None:
+    ros = Ros("a")
+    other = [(t, ns, m) for t, ns, m in desk(ros, color_topic="/rear/image_raw") if t == "/rear/image_raw"]
+    path = ros.write(tmp_path / "a", [*desk(ros), *other])
+    said = refusal(path)
+    assert all(part in said for part in ("2 pairs", COLOR, "/rear/image_raw (rgb8)", "camera.color_topic"))
+    assert RosbagScene(path, Topics(color=COLOR)).topics.depth == DEPTH
+    assert "no pictures of that name" in refusal(path, Topics(color="/nothing"))
+    assert "camera.info_topic /x: found no CameraInfo" in refusal(path, Topics(color=COLOR, info="/x"))
+
+
+def test_of_a_picture_that_is_there_compressed_too_the_other_is_taken(tmp_path: Path) -> None:
+    ros = Ros("a")
+    jpeg = ros.compressed(cv2.imencode(".jpg", COLORS[0])[1].tobytes(), "jpeg", START_NS)
+    path = ros.write(tmp_path / "a", [*desk(ros), (f"{COLOR}/compressed", START_NS, jpeg)])
+    assert RosbagScene(path).topics.color == COLOR
+    assert RosbagScene(path, Topics(color=f"{COLOR}/compressed")).image_ids == (0,)
+
+
+def test_depth_that_is_not_in_the_pixels_of_colour_is_refused(tmp_path: Path) -> None:
+    ros = Ros("a")
+    half = desk(ros, depth=lambda n, ns: ros.image(DEPTHS_MM[n, ::2, ::2].copy(), "16UC1", ns))
+    said = refusal(ros.write(tmp_path / "half", half))
+    assert "depth of 16 x 12, and colour of 32 x 24" in said
+    assert "aligned_depth_to_color" in said
+    other = (DEPTH_INFO, START_NS, ros.info(Camera(44.0, 44.0, 15.5, 11.0, WIDTH, HEIGHT)))
+    assert f"K in {DEPTH_INFO} that differs" in refusal(ros.write(tmp_path / "k", [*desk(ros), other]))
+    raw = [(t.replace("aligned_depth_to_color", "depth"), ns, m) for t, ns, m in half if t == DEPTH]
+    assert RosbagScene(ros.write(tmp_path / "both", [*raw, *desk(ros)])).topics.depth == DEPTH
+    same = (DEPTH_INFO, START_NS, ros.info(d=[0.0] * 5))
+    assert RosbagScene(ros.write(tmp_path / "same", [*desk(ros), same])).image_ids
+
+
+def test_what_cannot_be_used_is_said(tmp_path: Path) -> None:
+    ros = Ros("a")
+    mono = desk(ros, color=lambda n, ns: ros.image(COLORS[n, ..., 0].copy(), "mono8", ns))
+    assert "'mono8'; expected rgb8, bgr8" in refusal(ros.write(tmp_path / "mono", mono))
+    none = [message for message in desk(ros) if message[0] != INFO]
+    assert f"no CameraInfo {INFO}" in refusal(ros.write(tmp_path / "none", none))
+    flat = [(t, ns, m) for t, ns, m in desk(ros) if t != DEPTH]
+    assert f"no depth pictures, but {COLOR} (rgb8)" in refusal(ros.write(tmp_path / "flat", flat))
+    unset = desk(ros, color=lambda n, ns: ros.image(COLORS[n], "rgb8", 0))
+    assert "without a stamp" in refusal(ros.write(tmp_path / "unset", unset))
+    late = desk(ros, depth=lambda n, ns: ros.image(DEPTHS_MM[n], "16UC1", ns + 10**9))
+    assert "no depth of" in refusal(ros.write(tmp_path / "late", late))
+    fisheye = [*desk(ros, [0.1] * 4)]
+    for _, _, message in fisheye:
+        if hasattr(message, "distortion_model"):
+            message.distortion_model = "equidistant"
+    assert "distortion_model 'equidistant'" in refusal(ros.write(tmp_path / "fisheye", fisheye))
+
+
+@pytest.mark.parametrize("name", BAGS)
+def test_a_broken_bag_is_one_paragraph_and_exit_code_2(
+    name: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    ros = Ros(name)
+    path = ros.write(tmp_path / name, desk(ros))
+    file = path if path.is_file() else next(one for one in path.iterdir() if one.suffix != ".yaml")
+    whole = file.read_bytes()
+    pipeline = tmp_path / "pipeline.yaml"
+    pipeline.write_text(
+        f"camera: {{source: rosbag, path: {name}, rate: recorded}}\nworkers: [camera]\nbundles: b\n"
+    )
+    assert open_source(load(pipeline)).image_ids == (0, 1, 2)
+    given = ["onboard", "--from-video", str(path), "--click", "1", "2", "--name", "a", "--out", str(tmp_path)]
+    for size in (len(whole) // 3, 20, 0):
+        file.write_bytes(whole[:size])
+        assert main(given) == 2
+        assert main(["up", str(pipeline)]) == 2
+        said = capsys.readouterr().err.splitlines()
+        assert len(said) == 2, said
+        assert all(str(path) in line for line in said), said
+    pipeline.write_text(pipeline.read_text().replace(name, "gone.bag"))
+    assert main(["up", str(pipeline)]) == 2
+    assert "gone.bag: found no such file" in capsys.readouterr().err

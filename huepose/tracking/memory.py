@@ -24,6 +24,7 @@ from huepose.tracking.evidence import Standing
 from huepose.tracking.history import Entry, FrameHistory, PoseHistory, _Stretch
 from huepose.tracking.hypothesis import Hypothesis
 from huepose.tracking.identity import Identity
+from huepose.tracking.orientation import Orientation
 from huepose.tracking.reach import Reach
 from huepose.tracking.rival import Facing
 from huepose.tracking.subject import Subject
@@ -35,7 +36,7 @@ _CLASSES: dict[str, type] = {
     one.__name__: one
     for one in (
         *(Correction, Entry, Facing, FrameHistory, Hypothesis, Identity, PoseHistory),
-        *(Pursuit, Reach, Standing, Terms, Track, TrackedPose, _Stretch),
+        *(Orientation, Pursuit, Reach, Standing, Terms, Track, TrackedPose, _Stretch),
     )
 }
 _ENUMS: dict[str, type[Enum]] = {"State": State, "Verdict": Verdict}

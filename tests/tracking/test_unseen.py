@@ -5,8 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from huepose.geometry import se3
-from huepose.tracking import Correction, State, Tracker
-from huepose.tracking import track as one_track
+from huepose.tracking import Correction, State, Tracker, orientation
 from tests.studies.moments import printed_board
 
 
@@ -24,7 +23,7 @@ def test_after_two_frames_it_is_not_asked_which_way_round_it_is(tea_box, shoot, 
     def spied(subject, first, turns, frame, light):
         asked.append(len(turns))
 
-    monkeypatch.setattr(one_track, "best_rival", spied)
+    monkeypatch.setattr(orientation, "best_rival", spied)
     states = [tracker.step(shoot(hidden, number))[0].state for number in (5, 6)]
     assert states == [State.SUSPECT] * 2
     states = [tracker.step(shoot(seen, number))[0].state for number in range(7, 10)]

@@ -58,7 +58,8 @@ class _Bus:
     def __init__(self):
         self.health, self.log = Health("tracker"), Log("tracker")
         self.inbox = self.keys = self
-        self.frame, self.correction, self.intake = "frame", "correction", "intake"
+        self.frame, self.correction = "frame", "correction"
+        self.intake, self.hypotheses = "intake", "hypotheses"
         self.waiting = {"frame": [], "correction": []}
         self.out = []
         self.skipped = 0

@@ -35,7 +35,7 @@ STATE_COLOURS: dict[StateName, tuple[int, int, int]] = {
     "SEARCHING": (150, 150, 150),
 }
 _LEVELS: dict[StateName, str] = {"TRACKING": "INFO", "SUSPECT": "WARN", "LOST": "ERROR", "SEARCHING": "TRACE"}
-_OTHER = (200, 120, 255)
+OTHER = (200, 120, 255)
 """Of what is held possible beside a pose."""
 _AXES = ((235, 70, 60), (70, 200, 80), (70, 120, 250))
 _PALETTE = (
@@ -175,10 +175,10 @@ class Show:
                     labels.append(f"{item.object}  {rank}: {one.share:.0%} ({one.source})")
         tips = apart(tips, [label_size(label) for label in labels], camera.width, camera.height)
         path = f"{place.OVERLAY}/hypotheses"
-        self._log(f"{path}/outlines", rr.LineStrips2D(lines, colors=[_OTHER], radii=rr.Radius.ui_points(0.8)))
+        self._log(f"{path}/outlines", rr.LineStrips2D(lines, colors=[OTHER], radii=rr.Radius.ui_points(0.8)))
         self._log(
             f"{path}/shares",
-            rr.Points2D(tips, labels=labels, colors=[_OTHER], radii=rr.Radius.ui_points(1.0)),
+            rr.Points2D(tips, labels=labels, colors=[OTHER], radii=rr.Radius.ui_points(1.0)),
         )
 
     def pose(self, pose: PoseMessage) -> None:

@@ -48,6 +48,10 @@ _SWITCHES = (
 )
 
 
+class NotYetError(RuntimeError):
+    """The page is on its way to another address, in a process that is not there yet."""
+
+
 class Page:
     """One page of a browser, steered by the DevTools protocol: JSON that ends with a zero byte."""
 
@@ -78,7 +82,8 @@ class Page:
             answer = json.loads(self._line())
             if answer.get("id") == self._number:
                 if "error" in answer:
-                    raise RuntimeError(f"{method}: {answer['error']}")
+                    said = f"{method}: {answer['error']}"
+                    raise NotYetError(said) if "active page" in said else RuntimeError(said)
                 result: dict[str, Any] = answer["result"]
                 return result
 
@@ -103,9 +108,15 @@ class Page:
     def picture_when(self, shown: Callable[[UInt8], bool], timeout_s: float) -> UInt8:
         """The first picture of which `shown` is true, or the last one before the time is over."""
         end = time.monotonic() + timeout_s
-        while not shown(picture := self.picture()) and time.monotonic() < end:
+        while True:
+            try:
+                picture = self.picture()
+            except NotYetError:
+                assert time.monotonic() < end, "the page never became active"
+            else:
+                if shown(picture) or time.monotonic() > end:
+                    return picture
             time.sleep(1.0)
-        return picture
 
 
 @contextmanager
@@ -142,3 +153,8 @@ def opened(address: str, folder: Path, width: int = 1400, height: int = 840) -> 
         process.wait()
         os.close(to_write)
         os.close(from_read)
+
+
+def save(picture: UInt8, path: Path) -> None:
+    """Write a picture, to be looked at."""
+    cv2.imwrite(str(path), picture[..., ::-1])

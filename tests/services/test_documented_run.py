@@ -32,7 +32,7 @@ LEFT_OUT = {
     "make ": "sets up, and runs what is run here, or all tests",
     "pip install ": "asks the package index for 2.5 GB; `make dist` installs the wheel",
     "huepose onboard-bop path/to/bop/models": "a data set that is not here; test_cli_onboard has one",
-    "huepose onboard --from-video turned.mcap": "a recording that is not here; test_first_time has one",
+    "huepose onboard --from-video turned.mcap": "a recording that is not here; test_from_video has one",
     "ros2 run ": "needs ROS 2",
     "source .venv/bin/activate": "is said before each command here",
 }

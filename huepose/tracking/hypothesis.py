@@ -69,7 +69,10 @@ def share_of_first(opinions: Sequence[Hypothesis]) -> float:
     >>> share_of_first([])
     0.0
     """
-    if not opinions:
-        return 0.0
+    return shares(opinions)[0] if opinions else 0.0
+
+
+def shares(opinions: Sequence[Hypothesis]) -> list[float]:
+    """What part of the belief each of different opinions has; together 1."""
     logs = np.array([h.log_odds for h in opinions])
-    return float(1.0 / np.exp(logs - logs[0]).sum())
+    return [float(1.0 / np.exp(logs - log).sum()) for log in logs]

@@ -17,6 +17,7 @@ from huepose.tracking.catching_up import Pursuit
 from huepose.tracking.competition import Claim, losers
 from huepose.tracking.config import TrackerConfig
 from huepose.tracking.history import FrameHistory
+from huepose.tracking.hypothesis import Hypothesis
 from huepose.tracking.subject import Subject
 from huepose.tracking.track import Track
 from huepose.tracking.types import Applied, Correction, Doubt, State, TrackedPose, Verdict
@@ -114,6 +115,11 @@ class Tracker:
     def instances(self) -> tuple[Key, ...]:
         """(object, instance) of everything that is or was tracked in this epoch."""
         return tuple(sorted(self._tracks))
+
+    def hypotheses(self, name: str, instance: int) -> tuple[Hypothesis, ...]:
+        """What is held possible of an instance at the newest frame, best first; empty without a pose."""
+        track = self._tracks.get((name, instance))
+        return () if track is None else track.hypotheses
 
     def warm_up(self) -> None:
         """Compile kernels and load models, so that no frame waits for them; seconds if nothing is cached.

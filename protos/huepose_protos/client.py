@@ -23,6 +23,7 @@ from huepose_protos.messages import (
     CorrectionMessage,
     Estimates,
     HealthMessage,
+    HypothesesMessage,
     IntakeMessage,
     MemoryMessage,
     Message,
@@ -42,6 +43,7 @@ _KINDS: dict[str, type[Message]] = {
     "correction": CorrectionMessage,
     "perception/request": PerceptionRequest,
     "perception/estimates": Estimates,
+    "tracker/hypotheses": HypothesesMessage,
     "tracker/intake": IntakeMessage,
     "tracker/memory": MemoryMessage,
 }

@@ -61,6 +61,8 @@ class Keys:
     """TruthMessage, from sources that know it and are told to say it."""
     poses = _Key("pose/**")
     """All poses."""
+    hypotheses = _Key("tracker/hypotheses")
+    """HypothesesMessage, while somebody listens."""
     intake = _Key("tracker/intake")
     """IntakeMessage, while somebody listens."""
     memory = _Key("tracker/memory")

@@ -33,6 +33,9 @@ from huepose_protos.parts import BufferSpec as BufferSpec
 from huepose_protos.parts import Clock as Clock
 from huepose_protos.parts import ControlReply as ControlReply
 from huepose_protos.parts import ControlRequest as ControlRequest
+from huepose_protos.parts import HeldHypothesis as HeldHypothesis
+from huepose_protos.parts import HeldObject as HeldObject
+from huepose_protos.parts import HypothesesMessage as HypothesesMessage
 from huepose_protos.parts import Intrinsics as Intrinsics
 from huepose_protos.parts import MaskRuns as MaskRuns
 from huepose_protos.parts import Message as Message
@@ -394,6 +397,7 @@ MESSAGES: tuple[type[Message], ...] = (
     ControlReply,
     HealthMessage,
     TruthMessage,
+    HypothesesMessage,
     IntakeMessage,
     MemoryMessage,
     AgainRequest,

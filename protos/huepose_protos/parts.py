@@ -13,6 +13,7 @@ from huepose_protos.fields import (
     BoxXYWH,
     Count,
     Epoch,
+    Fraction,
     Index,
     Name,
     Positive,
@@ -156,3 +157,33 @@ class ControlReply(Message, frozen=True, kw_only=True):
     done: bool
     text: Text
     objects: Annotated[list[ObjectEntry], Meta(max_length=256)]
+
+
+class HeldHypothesis(Struct, frozen=True, kw_only=True):
+    """Where the tracker holds an instance to be. share: part of its belief in this one, 1 for all of them;
+    source: which start led there."""
+
+    translation: Vector3
+    quaternion: Quaternion
+    share: Fraction
+    source: Annotated[str, Meta(max_length=32)]
+
+    def __post_init__(self) -> None:
+        check_pose(self.translation, self.quaternion)
+
+
+class HeldObject(Struct, frozen=True, kw_only=True):
+    """One instance and its hypotheses, best first: the first one is its pose."""
+
+    object: Name
+    instance: Index
+    hypotheses: Annotated[list[HeldHypothesis], Meta(max_length=8)]
+
+
+class HypothesesMessage(Message, frozen=True, kw_only=True):
+    """All hypotheses of the tracker in one frame, for people who look at it."""
+
+    camera_epoch: Epoch
+    frame_id: Count
+    capture_ns: Stamp
+    objects: Annotated[list[HeldObject], Meta(max_length=256)]

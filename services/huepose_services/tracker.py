@@ -23,6 +23,7 @@ from huepose_services import models, networks
 from huepose_services.convert import frame_from_wire, from_wire, to_wire
 from huepose_services.doubts import complaint_about, lens_doubted, why_doubted
 from huepose_services.following import Follower, Retired
+from huepose_services.held import held
 from huepose_services.intake import MEMORY_EVERY_NS, Clock, InputCache, Intake
 from huepose_services.runtime.bus import Bus
 from huepose_services.runtime.clock import check_number, now_ns
@@ -305,6 +306,8 @@ class TrackerWork(Work):
         if complaint is not None:
             health.count("frames_doubted")
         self._publish_all(poses, header, frame)
+        if self._bus.is_heard(self._bus.keys.hypotheses):
+            self._bus.put_aside(self._bus.keys.hypotheses, held(self._tracker, header, now_ns()))
         self._header = header
         health.counters["frames_skipped"] = self._frames.skipped
         health.count("frames")

@@ -8,6 +8,8 @@ import pytest
 
 from huepose import tracking
 from huepose.geometry import se3
+from huepose.judge.terms import NOTHING
+from huepose.tracking.hypothesis import Hypothesis
 from huepose.tracking.types import Applied, State, TrackedPose
 from huepose_protos import decode, encode
 from huepose_protos.buffers import pack
@@ -28,7 +30,7 @@ MS = 1_000_000
 class _Tracker:
     """Says of every frame that one object is tracked at the given pose."""
 
-    instances = ()
+    instances: tuple[tuple[str, int], ...] = ()
     config = tracking.TrackerConfig()
     reach_s = 4.0
 
@@ -47,6 +49,11 @@ class _Tracker:
     def poses(self):
         return []
 
+    def hypotheses(self, name, instance):
+        turned = se3.make(se3.rotation_exp(np.array([0.0, 0.0, 1.0])), self.T_cam_obj[:3, 3])
+        opinion = Hypothesis(self.T_cam_obj, NOTHING, np.eye(6), "flow", log_odds=np.log(3.0))
+        return opinion, Hypothesis(turned, NOTHING, np.eye(6), "turn", log_odds=0.0)
+
     def correct(self, correction):
         self.corrections.append(correction.instance)
         return self.answer
@@ -58,9 +65,11 @@ class _Bus:
     def __init__(self):
         self.health, self.log = Health("tracker"), Log("tracker")
         self.inbox = self.keys = self
-        self.frame, self.correction, self.intake = "frame", "correction", "intake"
+        self.frame, self.correction = "frame", "correction"
+        self.intake, self.hypotheses = "intake", "hypotheses"
         self.waiting = {"frame": [], "correction": []}
         self.out = []
+        self.heard, self.aside = set(), {}
         self.skipped = 0
 
     def ring(self, key):
@@ -73,7 +82,10 @@ class _Bus:
         return self
 
     def is_heard(self, key):
-        return False
+        return key in self.heard
+
+    def put_aside(self, key, message):
+        self.aside[key] = decode(encode(message), type(message))
 
     def pose(self, name, instance):
         return f"pose/{name}/{instance}"
@@ -110,6 +122,24 @@ def _frame(number, age_ms):
     specs, payload = pack(images())
     capture_ns = now_ns() - round(age_ms * MS)
     return msgspec.structs.replace(HEADER, frame_id=number, capture_ns=capture_ns, buffers=specs), payload
+
+
+def test_hypotheses_are_said_while_somebody_listens():
+    work, bus, _ = _worker(se3.make(np.eye(3), np.array([0.0, 0.0, 0.5])))
+    work._tracker.instances = (("mug", 0),)
+    bus.waiting["frame"] = [_frame(1, 0.0), _frame(2, 0.0)]
+    work.step()
+    assert bus.aside == {}
+    bus.heard.add("hypotheses")
+    work.step()
+    said = bus.aside["hypotheses"]
+    assert said.frame_id == 2
+    (mug,) = said.objects
+    assert [(h.share, h.source) for h in mug.hypotheses] == [
+        (pytest.approx(0.75), "flow"),
+        (pytest.approx(0.25), "turn"),
+    ]
+    assert mug.hypotheses[1].quaternion == pytest.approx((0.0, 0.0, np.sin(0.5), np.cos(0.5)))
 
 
 @pytest.mark.parametrize(("age_ms", "state"), [(0.0, "TRACKING"), (400.0, "SUSPECT")])

@@ -27,6 +27,9 @@ def add_parser(subparsers: Any) -> None:
     where = parser.add_mutually_exclusive_group()
     where.add_argument("--web", type=_port, metavar="PORT", help="serve a page there, without the internet")
     add_path(where, "--save", "FILE.rrd", "write a file for the rerun viewer")
+    parser.add_argument(
+        "--hypotheses", action="store_true", help="show all poses that the tracker holds possible"
+    )
     parser.add_argument("--seconds", type=float, metavar="S", help="stop after so long")
     parser.set_defaults(call=call)
 
@@ -49,7 +52,7 @@ def call(arguments: argparse.Namespace) -> int:
     seconds = float("inf") if arguments.seconds is None else arguments.seconds
     if arguments.save is None:
         threading.Thread(target=_end, args=(stopping,), daemon=True).start()
-    _run(config, recording, seconds, stopping)
+    _run(config, recording, seconds, stopping, arguments.hypotheses)
     recording.flush()
     recording.disconnect()
     if arguments.save is not None:
@@ -82,7 +85,9 @@ def _open(arguments: argparse.Namespace, config: Config) -> Any:
     return recording
 
 
-def _run(config: Config, recording: Any, seconds: float, stopping: Callable[[], bool]) -> None:
+def _run(
+    config: Config, recording: Any, seconds: float, stopping: Callable[[], bool], hypotheses: bool
+) -> None:
     from huepose_services.runtime.bus import Bus
     from huepose_services.runtime.clock import SECOND, now_ns
     from huepose_services.runtime.health import Health
@@ -96,7 +101,7 @@ def _run(config: Config, recording: Any, seconds: float, stopping: Callable[[], 
     bus = Bus(session, config.keys, "view", Log("view"), Health("view"))
     known = bodies(config)
     warm_up(known)
-    work = ViewerWork(bus, Show(recording, known), config.viewer.image_rate_hz)
+    work = ViewerWork(bus, Show(recording, known), config.viewer.image_rate_hz, hypotheses)
     say_at = time.monotonic() + _NONE_SEEN_AFTER_S
     end = time.monotonic() + seconds
     while not stopping() and time.monotonic() < end:

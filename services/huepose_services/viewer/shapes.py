@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import cv2
@@ -17,6 +17,7 @@ UInt32 = np.ndarray[tuple[int, ...], np.dtype[np.uint32]]
 _MAX_TEXTURE = 512
 _CLOUD_REACH_M = 3.0
 _PIXELS_TOLERANCE = 0.7
+_LABEL_ADVANCE, _LABEL_ROW, _LABEL_MARGIN = 7.0, 16.0, 8.0
 
 
 def outlines(mesh: Mesh, T_cam_obj: Float, camera: Camera) -> list[Float32]:
@@ -119,3 +120,33 @@ def depth_range(depth: UInt16) -> tuple[float, float]:
 def turned(quaternion: tuple[float, float, float, float], translation: tuple[float, float, float]) -> Float64:
     """Pose (4, 4) of a message."""
     return se3.make(se3.rotation_from_quaternion(np.array(quaternion)), np.array(translation))
+
+
+def label_size(text: str) -> tuple[float, float]:
+    """Width and height of a label, about: rerun draws it of one size, however large the picture is drawn."""
+    rows = text.split("\n")
+    return _LABEL_ADVANCE * max(map(len, rows)) + 2 * _LABEL_MARGIN, _LABEL_ROW * len(rows) + _LABEL_MARGIN
+
+
+def apart(
+    tips: Sequence[tuple[float, float]], sizes: Sequence[tuple[float, float]], width: int, height: int
+) -> list[tuple[float, float]]:
+    """Points below which labels of these sizes do not cover one another, inside of a picture: each as near to
+    where it was as those before it in the list let it.
+
+    >>> apart([(50.0, 20.0), (60.0, 25.0)], [(40.0, 10.0), (40.0, 10.0)], 200, 100)
+    [(50.0, 20.0), (60.0, 30.0)]
+    """
+    placed: list[tuple[float, float, float, float]] = []
+    for (x, y), (w, h) in zip(tips, sizes, strict=True):
+        x = min(max(x, w / 2), max(width - w / 2, w / 2))
+        y = min(max(y, 0.0), max(height - h, 0.0))
+        near = [o for o in placed if abs(x - o[0]) < (w + o[2]) / 2]
+        free = [y, *(o[1] - h for o in near), *(o[1] + o[3] for o in near)]
+        free = [
+            top
+            for top in free
+            if 0.0 <= top <= max(height - h, 0.0) and all(top >= o[1] + o[3] or top + h <= o[1] for o in near)
+        ]
+        placed.append((x, min(free, key=lambda top: abs(top - y), default=y), w, h))
+    return [(x, y) for x, y, _, _ in placed]

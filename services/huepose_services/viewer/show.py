@@ -11,16 +11,18 @@ import numpy as np
 from huepose.geometry import Camera
 from huepose_protos.buffers import Array
 from huepose_protos.fields import StateName
-from huepose_protos.messages import FrameHeader, PoseMessage
+from huepose_protos.messages import FrameHeader, HypothesesMessage, PoseMessage
 from huepose_services.convert import camera_from_wire
 from huepose_services.viewer import blueprint as place
 from huepose_services.viewer.shapes import (
     Body,
+    apart,
     axes,
     cloud,
     depth_range,
     drawable,
     halved,
+    label_size,
     outlines,
     turned,
     yuv,
@@ -33,6 +35,8 @@ STATE_COLOURS: dict[StateName, tuple[int, int, int]] = {
     "SEARCHING": (150, 150, 150),
 }
 _LEVELS: dict[StateName, str] = {"TRACKING": "INFO", "SUSPECT": "WARN", "LOST": "ERROR", "SEARCHING": "TRACE"}
+OTHER = (200, 120, 255)
+"""Of what is held possible beside a pose."""
 _AXES = ((235, 70, 60), (70, 200, 80), (70, 120, 250))
 _PALETTE = (
     (86, 180, 233),
@@ -45,6 +49,8 @@ _PALETTE = (
     (170, 220, 110),
 )
 _TRAIL = 90
+_ABOVE = 30.0
+"""Pixels from the top of an outline up to the point below which its label stands."""
 _CLOUD_STRIDE = 3
 Instance = tuple[str, int]
 
@@ -130,12 +136,13 @@ class Show:
             lines += border
             colors += [colour] * len(border)
             highest = np.concatenate(border)
-            tips.append((float(highest[:, 0].mean()), float(highest[:, 1].min()) - 12.0))
+            tips.append((float(highest[:, 0].mean()), float(highest[:, 1].min()) - _ABOVE))
             why = f"\n{pose.reason}" if pose.reason else ""
             labels.append(f"{pose.object}  {pose.state.lower()} {pose.quality:.2f}{why}")
             label_colors.append(colour)
             cross = axes(T_cam_obj, self._camera, 0.35 * body.diameter_m, body.mesh.centre)
             crosses += cross or []
+        tips = apart(tips, [label_size(label) for label in labels], self._camera.width, self._camera.height)
         width = rr.Radius.ui_points(1.5)
         self._log(f"{place.OVERLAY}/outlines", rr.LineStrips2D(lines, colors=colors, radii=width))
         self._log(
@@ -145,6 +152,33 @@ class Show:
         self._log(
             f"{place.OVERLAY}/names",
             rr.Points2D(tips, labels=labels, colors=label_colors, radii=rr.Radius.ui_points(1.0)),
+        )
+
+    def hypotheses(self, held: HypothesesMessage | None) -> None:
+        """Outlines of what is held possible beside the poses of a frame, with their share of the belief."""
+        import rerun as rr
+
+        camera = self._camera
+        if camera is None:
+            return
+        lines, tips, labels = [], [], []
+        for item in [] if held is None else held.objects:
+            body = self._bodies.get(item.object)
+            if body is None:
+                continue
+            for rank, one in enumerate(item.hypotheses[1:], 2):
+                border = outlines(body.mesh, turned(one.quaternion, one.translation), camera)
+                if border:
+                    lines += border
+                    pixels = np.concatenate(border)
+                    tips.append((float(pixels[:, 0].mean()), float(pixels[:, 1].max())))
+                    labels.append(f"{item.object}  {rank}: {one.share:.0%} ({one.source})")
+        tips = apart(tips, [label_size(label) for label in labels], camera.width, camera.height)
+        path = f"{place.OVERLAY}/hypotheses"
+        self._log(f"{path}/outlines", rr.LineStrips2D(lines, colors=[OTHER], radii=rr.Radius.ui_points(0.8)))
+        self._log(
+            f"{path}/shares",
+            rr.Points2D(tips, labels=labels, colors=[OTHER], radii=rr.Radius.ui_points(1.0)),
         )
 
     def pose(self, pose: PoseMessage) -> None:

@@ -14,7 +14,7 @@ from huepose_protos import WireError
 from huepose_protos.buffers import frame_images
 from huepose_protos.fields import StateName
 from huepose_protos.keys import last
-from huepose_protos.messages import FrameHeader, PoseMessage
+from huepose_protos.messages import FrameHeader, HypothesesMessage, PoseMessage
 from huepose_services import models
 from huepose_services.runtime.bus import Bus
 from huepose_services.runtime.clock import SECOND, now_ns
@@ -46,9 +46,10 @@ def bodies(config: Config) -> dict[str, Body]:
 
 
 class ViewerWork(Work):
-    """Pairs frames with their poses and shows both; tells what changes."""
+    """Pairs frames with their poses and shows both; tells what changes. hypotheses: shows all that the
+    tracker holds possible; it says so only while somebody listens."""
 
-    def __init__(self, bus: Bus, show: Show, image_rate_hz: float) -> None:
+    def __init__(self, bus: Bus, show: Show, image_rate_hz: float, hypotheses: bool = False) -> None:
         self._bus, self._show = bus, show
         self._period_ns = int(SECOND / image_rate_hz)
         keys, inbox = bus.keys, bus.inbox
@@ -56,6 +57,8 @@ class ViewerWork(Work):
         self._frames = bus.frames(wakes=False)
         self._poses = inbox.queue(keys.poses)
         self._live = inbox.liveliness(keys.live())
+        self._hypotheses = inbox.queue(keys.hypotheses) if hypotheses else None
+        self._held: dict[int, HypothesesMessage] = {}
         self._next_picture_ns = now_ns()
         self._waiting: tuple[FrameHeader, bytes] | None = None
         self._waiting_until_ns = 0
@@ -72,6 +75,9 @@ class ViewerWork(Work):
         """Take poses and a frame; show what is complete."""
         while (pose := self._bus.take(self._poses, PoseMessage)) is not None:
             self._take(pose)
+        if self._hypotheses is not None:
+            while (held := self._bus.take(self._hypotheses, HypothesesMessage)) is not None:
+                self._held[held.frame_id] = held
         now = now_ns()
         if self._waiting is None and now >= self._next_picture_ns:
             # Absolute deadlines; after a stop no burst.
@@ -128,6 +134,9 @@ class ViewerWork(Work):
         self._show.frame(header, color, depth, with_cloud=self._pictures % _CLOUD_EVERY == 0)
         poses = [kept[header.frame_id] for kept in self._recent.values() if header.frame_id in kept]
         self._show.beliefs(poses)
+        if self._hypotheses is not None:
+            self._show.hypotheses(self._held.get(header.frame_id))
+            self._held = {i: held for i, held in self._held.items() if i > header.frame_id}
         self._pictures += 1
         self._bus.health.count("pictures")
 

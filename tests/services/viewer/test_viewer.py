@@ -4,12 +4,24 @@ import cv2
 import msgspec
 import numpy as np
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 
 from huepose.geometry import Camera, se3
 from huepose.scenes.shapes import demo_objects
 from huepose_protos.examples import images, messages
-from huepose_protos.messages import FrameHeader, PoseMessage
-from huepose_services.viewer.shapes import Body, axes, cloud, depth_range, drawable, outlines, yuv
+from huepose_protos.messages import FrameHeader, HypothesesMessage, PoseMessage
+from huepose_services.viewer.shapes import (
+    Body,
+    apart,
+    axes,
+    cloud,
+    depth_range,
+    drawable,
+    label_size,
+    outlines,
+    yuv,
+)
 
 CAMERA = Camera(100.0, 100.0, 50.0, 40.0, 101, 81)
 EXAMPLES = {type(m): m for m in messages()}
@@ -69,6 +81,33 @@ def test_colours_survive_as_luma_and_chroma_planes():
     assert np.abs(back.astype(int) - color[:6, :8]).max() <= 3
 
 
+@given(
+    st.lists(
+        st.tuples(
+            st.floats(0, 640), st.floats(-50, 480), st.sampled_from(["can", "a box  suspect 0.61\nwhy"])
+        ),
+        max_size=8,
+    )
+)
+def test_labels_never_cover_one_another_and_stay_in_the_picture(found):
+    sizes = [label_size(text) for _, _, text in found]
+    placed = apart([(x, y) for x, y, _ in found], sizes, 640, 480)
+    boxes = [(x - w / 2, y, x + w / 2, y + h) for (x, y), (w, h) in zip(placed, sizes, strict=True)]
+    tiny = 1e-6
+    for k, (left, top, right, bottom) in enumerate(boxes):
+        assert left >= -tiny
+        assert top >= -tiny
+        assert right <= 640 + tiny
+        assert bottom <= 480 + tiny
+        for l2, t2, r2, b2 in boxes[:k]:
+            beside = left >= r2 - tiny or right <= l2 + tiny
+            assert beside or top >= b2 - tiny or bottom <= t2 + tiny
+
+
+def test_a_label_that_is_alone_stays_where_it_was():
+    assert apart([(300.0, 100.0)], [(80.0, 20.0)], 640, 480) == [(300.0, 100.0)]
+
+
 def test_a_depth_image_without_readings_has_a_range():
     low, high = depth_range(np.zeros((4, 4), np.uint16))
     assert high > low
@@ -90,6 +129,7 @@ def test_frames_poses_and_changes_are_in_the_file(tmp_path):
     show.frame(msgspec.structs.replace(header, intrinsics=size), *images().values(), with_cloud=True)
     show.pose(pose)
     show.beliefs([pose])
+    show.hypotheses(EXAMPLES[HypothesesMessage])
     show.latency(12.0)
     show.event("006_mustard_bottle/3 TRACKING", "TRACKING")
     gone = {"translation": None, "quaternion": None, "state": "LOST", "covariance": None}
@@ -110,6 +150,7 @@ def test_frames_poses_and_changes_are_in_the_file(tmp_path):
         "/world/cloud",
         f"/world/objects/{name}/mesh",
         "/world/camera/overlay/outlines",
+        "/world/camera/overlay/hypotheses/outlines",
         "/events",
     ):
         assert counts[once] == 1, once

@@ -1,0 +1,31 @@
+"""What the tracker holds possible, as a message for people who look at it."""
+
+from __future__ import annotations
+
+from huepose.tracking import Tracker
+from huepose.tracking.hypothesis import shares
+from huepose_protos.messages import FrameHeader, HeldHypothesis, HeldObject, HypothesesMessage
+from huepose_services.convert import pose_to_wire
+
+
+def held(tracker: Tracker, header: FrameHeader, publish_ns: int) -> HypothesesMessage:
+    """All hypotheses of a tracker, at the frame of a header. Raises ValueError for a pose that is none."""
+    objects = []
+    for name, instance in tracker.instances:
+        opinions = tracker.hypotheses(name, instance)
+        said = []
+        for opinion, share in zip(opinions, shares(opinions), strict=True):
+            translation, quaternion = pose_to_wire(opinion.T_cam_obj)
+            said.append(
+                HeldHypothesis(
+                    translation=translation, quaternion=quaternion, share=share, source=opinion.source
+                )
+            )
+        objects.append(HeldObject(object=name, instance=instance, hypotheses=said))
+    return HypothesesMessage(
+        publish_ns=publish_ns,
+        camera_epoch=header.camera_epoch,
+        frame_id=header.frame_id,
+        capture_ns=header.capture_ns,
+        objects=objects,
+    )

@@ -1,0 +1,226 @@
+"""The commands of the README and of the quick start do what is said there: each block, in the order of its
+page, as it is written, in a fresh bash with the environment activated."""
+
+from __future__ import annotations
+
+import os
+import re
+import signal
+import socket
+import subprocess
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from huepose.datasets.bop_writer import write_obj
+from huepose.geometry import se3
+from huepose.model import ReferenceModel
+from huepose.rendering.render import render
+from huepose.scenes.plan import CAMERA
+from huepose_services.cli.new import write_frame
+
+ROOT = Path(__file__).parents[2]
+ACTIVATE = ROOT / ".venv" / "bin" / "activate"
+PAGES = ("README.md", "docs/quickstart.md")
+
+LEFT_OUT = {
+    "make ": "sets up, and runs what is run here, or all tests",
+    "pip install ": "asks the package index for 2.5 GB; `make dist` installs the wheel",
+    "huepose onboard-bop path/to/bop/models": "a data set that is not here; test_cli_onboard has one",
+    "huepose onboard --from-video turned.mcap": "a recording that is not here; test_from_video has one",
+    "ros2 run ": "needs ROS 2",
+    "source .venv/bin/activate": "is said before each command here",
+}
+"""What is not run, by how it begins, and why."""
+
+UNTIL_CTRL_C = {
+    "huepose demo": r"tea_box\S* +.*TRACKING",
+    "huepose up": r"tea_box/0 .*TRACKING",
+    "huepose poses": r"tea_box.*TRACKING",
+    "huepose view": r"the page is http",
+    "huepose top": r"tracker +ready",
+    "huepose record": r"run1\.mcap",
+}
+"""What goes on until Ctrl-C, by how it begins, and what it has to say before that."""
+
+SAYS = {
+    "huepose new": r"tea_box suits",
+    "huepose onboard": r"tea_box suits",
+    "huepose estimate": r"tea_box +TRACKING",
+    "huepose validate": r"tracker 17448",
+    "huepose objects reset": r"tea_box is searched for anew",
+    "huepose status": r"tracker +ready",
+}
+"""What the others have said when they are done, by how they begin."""
+
+MIDDLE = (447.0, 310.0)
+"""Of `--box 410 240 75 140`."""
+_PIPELINES = ("huepose demo", "huepose up")
+_TIMEOUT_S = 180.0
+
+
+def commands(page: str) -> list[str]:
+    """The lines of a page's blocks for a shell, with the comments behind them."""
+    blocks = re.findall(r"^```bash\n(.*?)^```", (ROOT / page).read_text(), re.MULTILINE | re.DOTALL)
+    return [line for block in blocks for line in re.sub(r"\\\n\s*", " ", block).splitlines() if line.strip()]
+
+
+def begins(line: str, beginnings: dict[str, str] | tuple[str, ...]) -> str | None:
+    """The beginning that a line has."""
+    return next((start for start in beginnings if line.startswith(start)), None)
+
+
+@dataclass
+class Terminal:
+    """One command in a bash of its own, in a folder; what it says goes to a file."""
+
+    line: str
+    folder: Path
+    said: Path
+    environment: dict[str, str]
+    process: subprocess.Popen[bytes] = field(init=False)
+
+    def __post_init__(self) -> None:
+        with self.said.open("wb") as out:
+            self.process = subprocess.Popen(
+                ["bash", "--noprofile", "--norc", "-c", f"source '{ACTIVATE}'\n{self.line}"],
+                cwd=self.folder,
+                env=self.environment,
+                stdin=subprocess.DEVNULL,
+                stdout=out,
+                stderr=subprocess.STDOUT,
+                start_new_session=True,
+            )
+
+    @property
+    def text(self) -> str:
+        return self.said.read_text(errors="replace")
+
+    def wait_for(self, pattern: str) -> None:
+        """Until it says that. Fails where it ends before, or takes too long."""
+        end = time.monotonic() + _TIMEOUT_S
+        while not re.search(pattern, self.text):
+            assert self.process.poll() is None, f"{self.line} ended\n{self.text}"
+            assert time.monotonic() < end, f"{self.line} did not say {pattern}\n{self.text}"
+            time.sleep(0.2)
+
+    def ctrl_c(self) -> None:
+        """As a terminal does: to the program and all that it started. It has to end without error."""
+        os.killpg(self.process.pid, signal.SIGINT)
+        # A demo that was not heard out has no answer, and says so.
+        self.ends(130 if self.line.startswith("huepose demo") else 0)
+
+    def ends(self, expected: int = 0) -> None:
+        """It ends by itself, with that exit code."""
+        try:
+            code = self.process.wait(_TIMEOUT_S)
+        except subprocess.TimeoutExpired:
+            pytest.fail(f"{self.line} does not end\n{self.text}")
+        assert code == expected, f"{self.line}: exit code {code}\n{self.text}"
+        assert "Traceback" not in self.text, self.text
+
+    def kill(self) -> None:
+        if self.process.poll() is None:
+            os.killpg(self.process.pid, signal.SIGKILL)
+            self.process.wait()
+
+
+class Reader:
+    """Somebody who follows a page: one terminal for the pipeline, others for the rest."""
+
+    def __init__(self, folder: Path, environment: dict[str, str]) -> None:
+        self.folder, self._environment = folder, environment
+        self._terminals: list[Terminal] = []
+        self._pipeline: Terminal | None = None
+
+    def follow(self, line: str) -> None:
+        """Do what a line says, and see that it does it."""
+        if moved := re.match(r"cd (\S+)", line):
+            self.folder = self.folder / moved[1]
+            assert self.folder.is_dir()
+            return
+        going_on = begins(line, UNTIL_CTRL_C)
+        if going_on in _PIPELINES or line.startswith(("huepose new", "huepose onboard", "huepose estimate")):
+            self.end_pipeline()
+        said = self.folder / f"said_{len(self._terminals)}.txt"
+        terminal = Terminal(line, self.folder, said, self._environment)
+        self._terminals.append(terminal)
+        if going_on is None:
+            terminal.ends()
+            assert re.search(SAYS[begins(line, SAYS) or line], terminal.text), terminal.text
+            return
+        terminal.wait_for(UNTIL_CTRL_C[going_on])
+        if going_on in _PIPELINES:
+            self._pipeline = terminal
+        else:
+            terminal.ctrl_c()
+
+    def end_pipeline(self) -> None:
+        """Ctrl-C where the pipeline runs, if one does."""
+        if self._pipeline is not None:
+            self._pipeline.ctrl_c()
+        self._pipeline = None
+
+    def kill(self) -> None:
+        """Leave nothing behind."""
+        for terminal in self._terminals:
+            terminal.kill()
+
+
+@contextmanager
+def reader(folder: Path) -> Iterator[Reader]:
+    """One with a home of their own for sockets, and this machine's caches."""
+    kept = ("HOME", "XDG_CACHE_HOME", "PYTHONPATH", "LANG", "NUMBA_CACHE_DIR")
+    environment = {name: os.environ[name] for name in kept if name in os.environ}
+    environment |= {"PATH": "/usr/local/bin:/usr/bin:/bin", "HUEPOSE_RUN": str(folder / "run")}
+    someone = Reader(folder, environment)
+    try:
+        yield someone
+        someone.end_pipeline()
+    finally:
+        someone.kill()
+
+
+def prepare(folder: Path, tea_box: ReferenceModel) -> None:
+    """What the pages speak of as the reader's own: a mesh, a picture of the object in the box that they give,
+    and a pipeline.yaml."""
+    write_obj(folder / "tea_box.obj", tea_box.mesh)
+    where = se3.make(
+        se3.rotation_exp(np.array([1.7, 0.3, 0.2])), CAMERA.backproject(np.array(MIDDLE), np.array(0.9))
+    )
+    write_frame(folder, render([(tea_box.mesh, where)], CAMERA), CAMERA)
+    lines = "bundles: bundles\nobjects: [{name: tea_box}]\ncamera: {source: synthetic, truth: true}\n"
+    (folder / "pipeline.yaml").write_text(lines)
+
+
+def test_what_is_left_out_is_there_and_all_else_is_a_command_of_ours():
+    lines = [line for page in PAGES for line in commands(page)]
+    assert not [start for start in LEFT_OUT if not any(line.startswith(start) for line in lines)]
+    run = [line for line in lines if begins(line, LEFT_OUT) is None]
+    assert len(run) > 15
+    assert all(line.startswith(("huepose ", "cd ")) for line in run)
+
+
+@pytest.mark.live
+@pytest.mark.timeout(900)
+@pytest.mark.skipif(not ACTIVATE.exists(), reason="there is no .venv: make setup")
+def test_the_commands_do_what_the_pages_say(tea_box: ReferenceModel, tmp_path: Path) -> None:
+    """First the README, then the quick start; what stands in both is done once."""
+    with socket.socket() as probe:
+        probe.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+        if probe.connect_ex(("127.0.0.1", 9090)) == 0:
+            pytest.skip("the page's port, 9090, is taken")
+    prepare(tmp_path, tea_box)
+    with reader(tmp_path) as someone:
+        done = set()
+        for line in (line for page in PAGES for line in commands(page)):
+            command = line.split("#")[0].strip()
+            if begins(line, LEFT_OUT) is None and command not in done:
+                someone.follow(line)
+                done.add(command)
+    assert (tmp_path / "out.png").stat().st_size > 10_000

@@ -137,7 +137,7 @@ def followed(tea_box, take_picture, standing, tmp_path_factory):
             translation, quaternion = pose_to_wire(nearly)
             corrections.append(
                 CorrectionMessage(
-                    **{"publish_ns": stamp_ns, "object": NAME, "instance": 0, "quality": 0.9},
+                    **{"publish_ns": stamp_ns, "object": NAME, "instance": 0, "quality": 0.96},
                     **{"camera_epoch": header.camera_epoch, "frame_id": before[0].frame_id},
                     **{"capture_ns": before[0].capture_ns, "translation": translation},
                     **{"quaternion": quaternion, "verdict": verdict, "seq": number},

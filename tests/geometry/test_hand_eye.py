@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from huepose.geometry import hand_eye, se3
+from huepose.geometry import hand_eye, hand_eye_doubts, se3
 from huepose.geometry.hand_eye_certainty import certainty
 from huepose.support.errors import InputError
 from huepose_services.cli.main import main
@@ -141,3 +141,70 @@ def test_the_command_says_when_four_poses_are_too_few(
     said = capsys.readouterr().out
     assert "POORLY DETERMINED: where the camera is errs" in said
     assert "poses or more, turned by 30 degrees" in said
+
+
+def as_millimetres(hand: np.ndarray) -> np.ndarray:
+    hand = hand.copy()
+    hand[:, :3, 3] *= 1e3
+    return hand
+
+
+def as_w_first(hand: np.ndarray) -> np.ndarray:
+    """What a reader of x y z w makes of quaternions that are written as w x y z."""
+    turns = [se3.rotation_from_quaternion(np.roll(quaternion(T), 1)) for T in hand]
+    return np.array([se3.make(R, T[:3, 3]) for R, T in zip(turns, hand, strict=True)])
+
+
+def quaternion(T: np.ndarray) -> np.ndarray:
+    return se3.quaternion_from_rotation(T[:3, :3])
+
+
+@pytest.mark.parametrize(
+    ("wrong", "fixed", "meaning", "advice"),
+    [
+        (as_millimetres, True, ["millimetres"], "in metres (they seem to be millimetres)"),
+        (as_w_first, True, ["quaternion order"], "as x y z w (they seem to be w x y z)"),
+        (lambda hand: hand, False, ["camera"], "--camera fixed instead of on-hand"),
+        (
+            lambda hand: as_millimetres(as_w_first(hand)),
+            True,
+            ["millimetres", "quaternion order"],
+            "in metres",
+        ),
+    ],
+)
+def test_poses_that_mean_something_else_give_no_mount_but_what_they_mean(
+    wrong, fixed: bool, meaning: list[str], advice: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    A, B = measured(12, 0.001)
+    (tmp_path / "hand.csv").write_text(rows(wrong(np.array([se3.inverse(a) for a in A]))))
+    (tmp_path / "object.csv").write_text(rows(B))
+    files = ["--object", str(tmp_path / "object.csv"), "--hand", str(tmp_path / "hand.csv")]
+    camera, out = "fixed" if fixed else "on-hand", tmp_path / "out.json"
+    assert main(["calibrate", "hand-eye", *files, "--camera", camera, "--json", str(out)]) == 1
+    said = capsys.readouterr().out
+    assert "THE POSES DO NOT FIT TOGETHER" in said
+    assert advice in said
+    assert "mount:" not in said
+    answer = json.loads(out.read_text())
+    assert answer["mount"] is None
+    assert answer["certainty"] == {"well_determined": False, "would_fit_with": meaning}
+
+
+def test_poses_that_belong_to_other_frames_are_told_without_a_reason_that_is_made_up(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    A, B = measured(12, 0.001)
+    (tmp_path / "hand.csv").write_text(rows(A[::-1]))
+    (tmp_path / "object.csv").write_text(rows(B))
+    files = ["--object", str(tmp_path / "object.csv"), "--hand", str(tmp_path / "hand.csv")]
+    assert main(["calibrate", "hand-eye", *files, "--camera", "on-hand"]) == 1
+    said = capsys.readouterr().out
+    assert "T_base_hand at the very frames" in said
+    assert "They fit when" not in said
+
+
+def test_noise_and_a_wild_measurement_fit() -> None:
+    A, B = measured(12, 0.004)
+    B[4] = se3.perturb(B[4], np.array([0.0, 0.0, 0.0, 0.0, 3.0, 0.0]))
+    assert hand_eye_doubts.fits(B, hand_eye.solve(A, B))

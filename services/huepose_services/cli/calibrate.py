@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -12,6 +13,7 @@ if TYPE_CHECKING:
     from huepose.geometry.arrays import Float64
     from huepose.geometry.hand_eye import HandEye
     from huepose.geometry.hand_eye_certainty import Certainty
+    from huepose.geometry.hand_eye_doubts import Meaning
 
 _COLUMNS = "frame,object,x,y,z,qx,qy,qz,qw"
 
@@ -41,11 +43,11 @@ def add_parser(subparsers: Any) -> None:
 
 
 def call(arguments: argparse.Namespace) -> int:
-    """Read, solve, say."""
+    """Read, solve, say. Exit code 1 where the poses do not fit together."""
     import numpy as np
 
     from huepose.evaluation.pose_files import read_pose_csv
-    from huepose.geometry import hand_eye, se3
+    from huepose.geometry import hand_eye, hand_eye_doubts, se3
     from huepose.geometry.hand_eye_certainty import certainty
     from huepose.support.errors import InputError
 
@@ -55,8 +57,8 @@ def call(arguments: argparse.Namespace) -> int:
     if not frames:
         raise InputError(arguments.hand, found="no frame that is in both files", expected="the same frames")
     fixed = arguments.camera == "fixed"
-    A = np.array([se3.inverse(hand[f]) if fixed else hand[f] for f in frames])
-    B = np.array([seen[f] for f in frames])
+    hands, B = (np.array([poses[f] for f in frames]) for poses in (hand, seen))
+    A = hand_eye_doubts.measured(hands, fixed)
     found = hand_eye.solve(A, B)
     sure = certainty(A, B, found)
     parent = arguments.parent or ("base_link" if fixed else "tool0")
@@ -69,13 +71,18 @@ def call(arguments: argparse.Namespace) -> int:
     rest = {"poses": len(frames), "shift_mm": _of(shift_mm), "turn_deg": _of(turn_deg)}
     if arguments.image:
         _draw(arguments.image, frames, found)
-    inner = ", ".join(f"{key}: {value}" for key, value in mount.items())
-    summary = (
-        f"mount: {{{inner}}}\n"
+    left = (
         f"of {len(frames)} poses there are left {np.median(shift_mm):.1f} mm and {np.median(turn_deg):.2f} "
-        f"degrees (largest {shift_mm.max():.1f} mm, {turn_deg.max():.2f} degrees)\n"
-        f"{_in_words(sure, len(frames), parent)}"
+        f"degrees (largest {shift_mm.max():.1f} mm, {turn_deg.max():.2f} degrees)"
     )
+    if not hand_eye_doubts.fits(B, found):
+        meant = hand_eye_doubts.meant(hands, B, fixed)
+        words = f"THE POSES DO NOT FIT TOGETHER, so no mount is given: {left}. {_why(meant, fixed)}"
+        certainty_of = {"well_determined": False, "would_fit_with": meant}
+        answered(arguments, {"mount": None, "left": rest, "certainty": certainty_of}, words)
+        return 1
+    inner = ", ".join(f"{key}: {value}" for key, value in mount.items())
+    summary = f"mount: {{{inner}}}\n{left}\n{_in_words(sure, len(frames), parent)}"
     if not fixed:
         summary += f"\nThe mount of a camera that moves with {parent}: beside it, camera.tf or camera.moving."
     facts = {
@@ -90,6 +97,23 @@ def call(arguments: argparse.Namespace) -> int:
     }
     answered(arguments, {"mount": mount, "left": rest, "certainty": facts}, summary)
     return 0
+
+
+def _why(meant: Sequence[Meaning], fixed: bool) -> str:
+    """What makes poses of the hand fit, or what to look at where nothing that was tried does."""
+    mounted, other = ("fixed", "on-hand") if fixed else ("on-hand", "fixed")
+    fixes = {
+        "millimetres": "give the positions in --hand in metres (they seem to be millimetres)",
+        "quaternion order": "give the quaternions in --hand as x y z w (they seem to be w x y z)",
+        "camera": f"say --camera {other} instead of {mounted}, or turn the poses in --hand into T_base_hand",
+    }
+    if meant:
+        return f"They fit when you {', and '.join(fixes[change] for change in meant)}"
+    return (
+        "Look whether --hand has metres, quaternions as x y z w, and T_base_hand at the very frames; whether "
+        f"the camera is {mounted}; and whether the object stayed where it was "
+        f"{'in the hand' if fixed else 'put'}, and looks the same from no other side"
+    )
 
 
 def _in_words(sure: Certainty, count: int, parent: str) -> str:

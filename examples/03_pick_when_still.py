@@ -33,7 +33,11 @@ def wait_until_still(client: PoseClient, name: str) -> np.ndarray:
             return now.T_cam_obj if now.T_parent_obj is None else now.T_parent_obj
         if time.monotonic() > say_at:
             say_at += SAY_EVERY_S
-            print("waiting:", "it moves" if sure else "no pose of it may be acted on", file=sys.stderr)
+            why = "it moves" if sure else "no pose of it may be acted on"
+            known = client.looked_for()  # None where nobody says
+            if known is not None and name not in known:
+                why = f"{name} is not looked for; what is: {', '.join(known) or 'nothing'}"
+            print("waiting:", why, file=sys.stderr)
         time.sleep(0.02)
 
 

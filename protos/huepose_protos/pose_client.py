@@ -24,7 +24,7 @@ from huepose_protos.codec import decode
 from huepose_protos.fields import WireError
 from huepose_protos.keys import Keys
 from huepose_protos.local import boot_id
-from huepose_protos.messages import CameraMessage, Mount, PoseMessage
+from huepose_protos.messages import CameraMessage, Mount, ObjectsMessage, PoseMessage
 from huepose_protos.motion import PoseAt, mount_at, pose_at
 
 _KEPT, _TOLD = 64, 512
@@ -74,6 +74,7 @@ class PoseClient:
         self._session = open_session(endpoints, authority, certificate, key)
         for expression in (inside, self._outside):
             self._session.declare_subscriber(expression, self._on_sample)
+        self._lists = (keys.objects, keys.outside(keys.objects))
         self._camera_key = keys.outside(keys.camera_info)
         for expression in (keys.camera_info, self._camera_key):
             self._session.declare_subscriber(expression, self._on_camera)
@@ -166,6 +167,20 @@ class PoseClient:
         with self._changed:
             self._changed.wait_for(lambda: self._camera_said or self._closed.is_set(), timeout_s)
             return self._camera_said
+
+    def looked_for(self, timeout_s: float = _ASK_TIMEOUT_S) -> list[str] | None:
+        """The names of the objects that are looked for now, seen or not yet; asks the tracker or the gateway.
+        None where nobody answers in time."""
+        lists: list[ObjectsMessage] = []
+        for expression in self._lists:
+            for reply in self._session.get(expression, timeout=timeout_s):
+                if reply.ok is None:
+                    continue
+                try:
+                    lists.append(decode(reply.ok.payload.to_bytes(), ObjectsMessage))
+                except WireError:
+                    self.refused += 1
+        return sorted({entry.object for one in lists for entry in one.objects}) if lists else None
 
     def mount(self, pose: PoseMessage) -> Mount | None:
         """Where the camera was when it took the picture of a pose; None where that was not told."""

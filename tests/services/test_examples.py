@@ -24,7 +24,7 @@ from huepose.scenes.plan import CAMERA
 from huepose_protos import encode
 from huepose_protos.examples import messages
 from huepose_protos.keys import Keys
-from huepose_protos.messages import CameraMessage, Mount, PoseMessage
+from huepose_protos.messages import CameraMessage, Mount, ObjectEntry, ObjectsMessage, PoseMessage
 from huepose_services.camera.python import open_source
 from huepose_services.cli.new import write_frame
 from huepose_services.runtime.config import load
@@ -161,6 +161,41 @@ def test_nothing_is_picked_before_it_is_still(base_port: int) -> None:
     assert (x, y) == MOUNT.translation[:2]
     assert z == pytest.approx(0.75 + MOUNT.translation[2], abs=0.004)
     assert time.monotonic() - began > 100 / 30
+
+
+@pytest.mark.live
+@pytest.mark.parametrize("outside", [False, True])
+def test_a_name_that_is_not_looked_for_is_said_with_those_that_are(outside: bool, base_port: int) -> None:
+    endpoint, keys = f"tcp/127.0.0.1:{base_port}", Keys("lab", "cam0")
+    key = keys.outside(keys.objects) if outside else keys.objects
+    said = ObjectsMessage(
+        publish_ns=1,
+        objects=[ObjectEntry(object=name, max_instances=1, searching=1) for name in ("tea_box", "carton")],
+    )
+    config = zenoh.Config()
+    config.insert_json5("listen/endpoints", f'["{endpoint}"]')
+    config.insert_json5("scouting/multicast/enabled", "false")
+    with zenoh.open(config) as session:
+        session.declare_queryable(key, lambda query: query.reply(key, encode(said)))
+        done = threading.Event()
+
+        def say_where_the_camera_is() -> None:
+            while not done.wait(0.1):
+                session.put(keys.camera_info, encode(CAMERA_SAYS))
+
+        tell = threading.Thread(target=say_where_the_camera_is)
+        tell.start()
+        with subprocess.Popen(
+            example("03_pick_when_still.py", "crton", endpoint), stderr=subprocess.PIPE, text=True
+        ) as picker:
+            assert picker.stderr is not None
+            try:
+                line = picker.stderr.readline()
+            finally:
+                picker.terminate()
+                done.set()
+                tell.join()
+    assert line == "waiting: crton is not looked for; what is: carton, tea_box\n"
 
 
 @pytest.mark.live

@@ -9,6 +9,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 
+import msgspec
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
@@ -99,6 +100,32 @@ def composed(outer: Mount, inner: Mount) -> Mount:
     R = rotation_matrix(np.array(outer.quaternion))
     place = R @ np.array(inner.translation) + np.array(outer.translation)
     return mount_of(outer.parent, place, multiply(np.array(outer.quaternion), np.array(inner.quaternion)))
+
+
+def carried(pose: PoseMessage, mount: Mount, still: bool) -> PoseMessage:
+    """The same message in the frame that its camera is mounted in: pose, covariance and velocity along its
+    axes, `frame` its name. still: whether the camera is; of one that moves the velocity, which is relative to
+    the camera, is left out."""
+    if pose.translation is None or pose.quaternion is None:
+        return msgspec.structs.replace(pose, frame=mount.parent)
+    seen = Mount(parent=pose.frame, translation=pose.translation, quaternion=pose.quaternion)
+    there = composed(mount, seen)
+    R = rotation_matrix(np.array(mount.quaternion))
+    linear, angular, covariance = pose.velocity_linear, pose.velocity_angular, None
+    if pose.covariance is not None:
+        both = np.kron(np.eye(2), R)
+        turned = both @ _covariance(pose) @ both.T
+        np.fill_diagonal(turned, np.maximum(np.diag(turned), 0.0))  # rounding makes no variance negative
+        covariance = turned.ravel().tolist()
+    return msgspec.structs.replace(
+        pose,
+        frame=mount.parent,
+        translation=there.translation,
+        quaternion=there.quaternion,
+        velocity_linear=tuple((R @ linear).tolist()) if still and linear is not None else None,
+        velocity_angular=tuple((R @ angular).tolist()) if still and angular is not None else None,
+        covariance=covariance,
+    )
 
 
 def inverted(mount: Mount, parent: str) -> Mount:

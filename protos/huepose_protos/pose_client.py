@@ -25,7 +25,7 @@ from huepose_protos.fields import WireError
 from huepose_protos.keys import Keys
 from huepose_protos.local import boot_id
 from huepose_protos.messages import CameraMessage, Mount, ObjectsMessage, PoseMessage
-from huepose_protos.motion import PoseAt, mount_at, pose_at
+from huepose_protos.motion import PoseAt, carried, mount_at, pose_at
 
 _KEPT, _TOLD = 64, 512
 _WAITING = 1024
@@ -185,6 +185,14 @@ class PoseClient:
     def mount(self, pose: PoseMessage) -> Mount | None:
         """Where the camera was when it took the picture of a pose; None where that was not told."""
         return self._mount(pose.frame, pose.capture_ns)
+
+    def on_robot(self, pose: PoseMessage) -> PoseMessage | None:
+        """The same message in the frame that its camera is mounted in (`motion.carried`); None where that was
+        not told."""
+        mount = self.mount(pose)
+        with self._changed:
+            still = self._fixed.get(pose.frame) is not None
+        return None if mount is None else carried(pose, mount, still)
 
     def __iter__(self) -> Iterator[PoseMessage]:
         """Every pose as it comes, until the client is closed."""

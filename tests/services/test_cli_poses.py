@@ -1,5 +1,7 @@
 """What `huepose poses` prints of a pose, in the camera's frame and in the robot's."""
 
+import json
+
 import numpy as np
 import pytest
 from msgspec.structs import replace
@@ -7,10 +9,12 @@ from msgspec.structs import replace
 from huepose.evaluation.pose_files import read_pose_csv
 from huepose_protos.examples import messages
 from huepose_protos.messages import Mount, PoseMessage
+from huepose_protos.motion import carried
 from huepose_services.cli.main import main
 from huepose_services.cli.pose_export import PoseFiles
-from huepose_services.cli.poses import _line, _where_on_robot
+from huepose_services.cli.poses import _print
 
+NO_POSE = ("translation", "quaternion", "velocity_linear", "velocity_angular", "covariance")
 HALF = 0.5**0.5
 MOUNT = Mount(parent="base_link", translation=(1.0, 0.0, 0.5), quaternion=(0.0, 0.0, HALF, HALF))
 """A quarter turn about z, from x to y."""
@@ -22,10 +26,28 @@ def pose():
     return replace(found, translation=(0.1, 0.2, 0.8), quaternion=(0.0, 0.0, 0.0, 1.0))
 
 
-def test_a_pose_in_the_robots_frame(pose):
-    where = _where_on_robot(pose, MOUNT)
-    assert where == "+0.8000 +0.1000 +1.3000 m   +0.0000 +0.0000 +0.7071 +0.7071"
-    assert where in _line(pose, where)
+def test_a_pose_in_the_robots_frame(pose, capsys):
+    _print(carried(pose, MOUNT, still=True), as_json=False)
+    where = "+0.8000 +0.1000 +1.3000 m   +0.0000 +0.0000 +0.7071 +0.7071"
+    assert where in capsys.readouterr().out
+
+
+def test_a_pose_in_the_robots_frame_as_a_message(pose, capsys):
+    along_x = [1e-4, *[0.0] * 35]
+    seen = replace(
+        pose, velocity_linear=(0.3, 0.0, 0.0), velocity_angular=(0.0, 0.0, 1.0), covariance=along_x
+    )
+    _print(carried(seen, MOUNT, still=True), as_json=True)
+    told = json.loads(capsys.readouterr().out)
+    assert told["frame"] == "base_link"
+    np.testing.assert_allclose(told["translation"], [0.8, 0.1, 1.3])
+    np.testing.assert_allclose(told["quaternion"], [0.0, 0.0, HALF, HALF])
+    np.testing.assert_allclose(told["velocity_linear"], [0.0, 0.3, 0.0], atol=1e-12)
+    np.testing.assert_allclose(told["velocity_angular"], [0.0, 0.0, 1.0], atol=1e-12)
+    np.testing.assert_allclose(np.flatnonzero(np.array(told["covariance"]) > 1e-9), [7])  # along y now
+    assert carried(seen, MOUNT, still=False).velocity_linear is None
+    lost = replace(seen, state="LOST", **dict.fromkeys(NO_POSE))
+    assert carried(lost, MOUNT, still=True) == replace(lost, frame="base_link")
 
 
 def test_poses_to_be_acted_on_are_written_for_calibration_and_as_trajectories(pose, tmp_path):

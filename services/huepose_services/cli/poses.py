@@ -15,7 +15,7 @@ from huepose_services.cli.options import add_choice, add_path, chosen, until_tol
 
 if TYPE_CHECKING:
     from huepose_protos.client import Reader
-    from huepose_protos.messages import Message, Mount, PoseMessage
+    from huepose_protos.messages import Message, PoseMessage
     from huepose_services.pem import Credentials
     from huepose_services.runtime.running import Pipeline
 
@@ -206,13 +206,12 @@ def _take_until_gone(
 def _print_on_robot(
     arguments: argparse.Namespace, gateway: Gateway | None, stopping: Callable[[], bool]
 ) -> None:
-    """Until interrupted. Raises InputError beside what is said in the camera's frame."""
+    """Until interrupted. Raises InputError beside a key of what is no pose."""
     from huepose.support.errors import InputError
     from huepose_protos.pose_client import PoseClient
 
-    if arguments.json or arguments.key != _POSES:
-        found = "--json" if arguments.json else arguments.key
-        raise InputError("--robot", found=f"{found} beside it", expected="poses, a line each")
+    if arguments.key != _POSES:
+        raise InputError("--robot", found=f"{arguments.key} beside it", expected="poses, a line each")
     endpoints = chosen(arguments).endpoints if gateway is None else [gateway.endpoint]
     files = {} if gateway is None or gateway.credentials is None else vars(gateway.credentials)
     say_at, told = time.monotonic() + _SAY_WAITING_AFTER_S, False
@@ -220,28 +219,16 @@ def _print_on_robot(
         while not stopping():
             pose = client.next(_LOOK_EVERY_S)
             if pose is not None:
-                mount = client.mount(pose)
-                told = told or mount is not None
-                if mount is not None:
-                    print(_line(pose, _where_on_robot(pose, mount)), flush=True)
+                there = client.on_robot(pose)
+                told = told or there is not None
+                if there is not None:
+                    _print(there, arguments.json)
             if not told and time.monotonic() > say_at:
                 say_at = float("inf")
                 _say(
                     "waiting for a camera that says where it is mounted: set camera.mount in pipeline.yaml "
                     "(docs/ros2.md)"
                 )
-
-
-def _where_on_robot(pose: PoseMessage, mount: Mount) -> str:
-    """The pose in the frame that the camera is mounted in, in words where the object has none."""
-    from huepose_protos.messages import Mount
-    from huepose_protos.motion import composed
-
-    if pose.translation is None or pose.quaternion is None:
-        return _NO_POSE
-    seen = Mount(parent=pose.frame, translation=pose.translation, quaternion=pose.quaternion)
-    there = composed(mount, seen)
-    return _where(there.translation, there.quaternion)
 
 
 def _take_here(

@@ -54,6 +54,24 @@ def test_a_mesh_becomes_a_model(mesh: Path, tmp_path: Path, capsys: pytest.Captu
     assert model.tables is None
 
 
+def test_a_model_that_replaces_another_of_its_name_says_so(
+    mesh: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    out = tmp_path / "bundles"
+    other, black = tmp_path / "other.glb", np.zeros((64, 64, 3), np.uint8)
+    files.write_glb(other, solids.box((0.06, 0.04, 0.03), dict.fromkeys(solids.SIDES, black)))
+
+    def onboard(one: Path) -> int:
+        return main(["onboard", "--no-test", str(one), "--name", "brick", "--out", str(out)])
+
+    assert onboard(mesh) == onboard(mesh) == 0
+    assert "replaced" not in capsys.readouterr().err  # the same model again
+    assert onboard(other) == 0
+    said = capsys.readouterr().err
+    assert f"note: {out / 'brick.huepose'} replaced another reference model named brick, made on " in said
+    assert said.count("replaced") == 1
+
+
 def test_a_model_gets_the_papers_tables_when_asked(
     mesh: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

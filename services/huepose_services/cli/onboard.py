@@ -9,6 +9,7 @@ from collections import deque
 from collections.abc import Iterator, Sequence
 from contextlib import closing
 from dataclasses import asdict
+from datetime import datetime
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -134,9 +135,10 @@ def self_test(bundles: Path, name: str, part: float | None = None) -> tuple[dict
 
 
 def onboard_one(job: Job, out: Path) -> Onboarded:
-    """Onboard a mesh into a folder of reference models, with a progress bar."""
+    """Onboard a mesh into a folder of reference models, with a progress bar; says when it replaced another
+    model of that name."""
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # small matrices: threads only cost
-    from huepose.model.io import check_name
+    from huepose.model.io import check_name, model_path
     from huepose.onboarding import batch
     from huepose.onboarding.reference import STAGES
     from huepose.support.errors import InputError
@@ -153,10 +155,25 @@ def onboard_one(job: Job, out: Path) -> Onboarded:
             "that is wrong, stop with Ctrl-C and say the unit: --unit cm, for example",
             file=sys.stderr,
         )
+    before = _model_there(model_path(out, job.name))
     with closing(progress(range(len(STAGES) + 1), f"onboarding {job.name}")) as steps:
         result = batch.onboard_one(job, out, lambda stage: _advance(steps))
         deque(steps, maxlen=0)
+    if before is not None and before[0] != result.path.read_bytes():
+        print(
+            f"note: {result.path} replaced another reference model named {job.name}, made on {before[1]}. "
+            "To have both, onboard that one again under another --name",
+            file=sys.stderr,
+        )
     return result
+
+
+def _model_there(path: Path) -> tuple[bytes, str] | None:
+    """What a file holds and when it was written, None where there is none."""
+    if not path.is_file():
+        return None
+    written = datetime.fromtimestamp(path.stat().st_mtime)
+    return path.read_bytes(), f"{written:%Y-%m-%d at %H:%M}"
 
 
 def odd_side_m(job: Job) -> float | None:

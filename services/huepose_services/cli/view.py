@@ -8,6 +8,7 @@ import sys
 import threading
 import time
 from collections.abc import Callable
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from huepose_services.cli.options import add_choice, add_path, chosen_config, until_told
@@ -44,6 +45,7 @@ def call(arguments: argparse.Namespace) -> int:
     """Show until told to stop."""
     from huepose_services.runtime.threads import single_threaded
 
+    _check_file(arguments.save)
     single_threaded()
     config = chosen_config(arguments)
     recording = _open(arguments, config)
@@ -58,6 +60,19 @@ def call(arguments: argparse.Namespace) -> int:
     if arguments.save is not None:
         print(f"{arguments.save}: {arguments.save.stat().st_size / 1e6:.1f} MB", file=sys.stderr)
     return 0
+
+
+def _check_file(path: Path | None) -> None:
+    """Raises InputError for a file of another ending than that of the rerun viewer's files."""
+    from huepose.support.errors import InputError
+
+    if path is not None and path.suffix.lower() != ".rrd":
+        raise InputError(
+            f"--save {path}",
+            found=f"the ending '{path.suffix}'",
+            expected="a file for the rerun viewer, FILE.rrd",
+            fix="`rerun FILE.rrd` shows it; a picture of one frame's poses is `huepose estimate --image`.",
+        )
 
 
 def _end(stopping: Callable[[], bool]) -> None:

@@ -178,3 +178,14 @@ def test_without_a_screen_it_says_what_to_do(monkeypatch):
     monkeypatch.delenv("WAYLAND_DISPLAY", raising=False)
     with pytest.raises(InputError, match="--web PORT"):
         window(100)
+
+
+@pytest.mark.parametrize("name", ["v.png", "run"])
+def test_a_file_of_another_ending_is_refused_before_anything_is_looked_for(name, tmp_path, capsys):
+    from huepose_services.cli.main import main
+
+    assert main(["view", "--save", str(tmp_path / name), "--config", str(tmp_path / "none.yaml")]) == 2
+    said = capsys.readouterr().err
+    assert "expected a file for the rerun viewer, FILE.rrd" in said
+    assert "huepose estimate --image" in said
+    assert not (tmp_path / name).exists()

@@ -27,7 +27,7 @@ from huepose.profiles import profile
 from huepose.tracking import Tracker
 from huepose.tracking.types import Correction
 
-RATIOS = {"track": 3.3, "estimate": 5.0, "detect": 8.8}
+RATIOS = {"track": 2.8, "estimate": 4.9, "detect": 8.5}
 """CPU time of ten steps with two objects, one estimate, a search for two that are absent, in units of the
 fixed work."""
 

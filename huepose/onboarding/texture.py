@@ -16,6 +16,7 @@ from huepose.geometry.arrays import Float32, Float64, Int32, UInt8
 from huepose.onboarding.mesh_files import LARGEST_TEXTURE
 from huepose.onboarding.patches import LARGEST, equal_patches
 from huepose.onboarding.raw_mesh import RawMesh
+from huepose.rendering.textures import mark_specks, triangle_areas
 from huepose.support.errors import InputError
 
 _MAX_REPEATS = 8  # tiles of a repeating texture along an axis
@@ -60,19 +61,14 @@ def single_texture(raw: RawMesh, path: Path) -> tuple[Float32, UInt8]:
 def used_texels(uv: Float32, height: int, width: int) -> UInt8:
     """Mask (H, W) uint8 of the texels that triangles (F, 3, 2) touch; all texels where triangles overlap so
     often that drawing them would take too long."""
-    if _areas(uv).sum() > _MAX_OVERLAP:
+    if triangle_areas(uv).sum() > _MAX_OVERLAP:
         return np.ones((height, width), np.uint8)
     used = np.zeros((height, width), np.uint8)
     corners = np.round((uv * [width, height] - 0.5) * 16).astype(np.int32)
     for triangle in corners:
         cv2.fillConvexPoly(used, triangle, 1, shift=4)
+    mark_specks(used, uv)
     return used
-
-
-def _areas(uv: Float32) -> Float64:
-    """Areas of triangles (F, 3, 2)."""
-    a, b = (uv[:, 1:] - uv[:, :1]).astype(np.float64).transpose(1, 0, 2)
-    return np.asarray(np.abs(a[:, 0] * b[:, 1] - a[:, 1] * b[:, 0]) / 2.0)
 
 
 def reduced(texture: UInt8, used: UInt8) -> UInt8:

@@ -8,12 +8,16 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+import cv2
 import numpy as np
 
-from huepose.geometry.arrays import Float32, Float64, Int32, Int64, UInt8
+from huepose.geometry.arrays import Float, Float32, Float64, Int32, Int64, UInt8
 from huepose.geometry.mesh import Mesh
 from huepose.rendering.raster import rasterise
 from huepose.support.jit import jit
+
+SPECK = 0.01
+"""Area, in texels, of a triangle in the texture that counts as none: it has one colour, as from a palette."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -62,7 +66,29 @@ def covered_texels(mesh: Mesh) -> UInt8:
     inverse: Float32 = np.zeros((height, width), np.float32)
     face, owner = np.zeros((height, width), np.int32), np.zeros((height, width), np.int32)
     rasterise(corners, faces, (1.0, 1.0), (0.0, 0.0), 0.5, 1, inverse, face, owner)
-    return owner.astype(np.uint8)
+    used = owner.astype(np.uint8)
+    mark_specks(used, mesh.uv)
+    return used
+
+
+def mark_specks(used: UInt8, uv: Float32) -> None:
+    """Mark in `used` (H, W) the texels from which triangles (F, 3, 2) without an area take their colour. They
+    cover none, and what is not used is filled with another colour."""
+    height, width = used.shape
+    specks = uv[triangle_areas(uv) * width * height < SPECK].astype(np.float64)
+    read = np.clip(specks * [width, height] - 0.5, 0.0, [width - 1.0, height - 1.0])
+    # A colour is read between the centres of four texels.
+    for across in (np.floor, np.ceil):
+        for down in (np.floor, np.ceil):
+            triangles = np.stack([across(read[..., 0]), down(read[..., 1])], -1).astype(np.int32)
+            for triangle in np.unique(triangles, axis=0):
+                cv2.fillConvexPoly(used, triangle, 1)
+
+
+def triangle_areas(uv: Float) -> Float64:
+    """Areas (F,) of triangles (F, 3, 2), in units of the texture's."""
+    a, b = (uv[:, 1:] - uv[:, :1]).astype(np.float64).transpose(1, 0, 2)
+    return np.asarray(np.abs(a[:, 0] * b[:, 1] - a[:, 1] * b[:, 0]) / 2.0)
 
 
 @jit

@@ -39,6 +39,28 @@ def test_unused_texels_take_the_colour_of_what_is_near() -> None:
     assert (base == (200, 100, 50)).all()
 
 
+def test_a_face_on_a_single_point_of_a_palette_keeps_its_colour() -> None:
+    """The palette's other colours are far larger, and the point lies between four texels."""
+    texture = np.full((64, 64, 3), 255, np.uint8)
+    texture[52:60, 30:40] = (200, 50, 40)
+    plain = sheet(texture, np.full((4, 2), [0.55, 56 / 64]))
+    large = Mesh(
+        plain.vertices + np.float32([3, 0, 0]),
+        plain.faces,
+        UNIT.astype(np.float32)[plain.faces] * 0.4,
+        texture,
+    )
+    both = Mesh(
+        np.concatenate([plain.vertices, large.vertices]),
+        np.concatenate([plain.faces, large.faces + 4]),
+        np.concatenate([plain.uv, large.uv]),
+        texture,
+    )
+    camera = Camera(100.0, 100.0, 49.5, 49.5, 100, 100)
+    shown = render([(both, se3.make(np.eye(3), np.array([0, 0, 2.0])))], camera)
+    assert (shown.color[40:60, 40:60] == (200, 50, 40)).all()
+
+
 def test_texture_coordinates_beyond_one_repeat() -> None:
     texture = np.zeros((32, 32, 3), np.uint8)
     texture[:, 16:] = 255

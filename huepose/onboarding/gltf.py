@@ -22,7 +22,14 @@ from huepose.support.errors import InputError
 
 _TRIANGLES, _STRIP, _FAN = 4, 5, 6  # modes of primitives that have faces
 _MOST_NODES = 10_000  # of one object
-_UNDERSTOOD = {"KHR_materials_unlit", "KHR_mesh_quantization", "KHR_materials_specular", "KHR_materials_ior"}
+_TRANSFORM = "KHR_texture_transform"
+_UNDERSTOOD = {
+    "KHR_materials_unlit",
+    "KHR_mesh_quantization",
+    "KHR_materials_specular",
+    "KHR_materials_ior",
+    _TRANSFORM,
+}
 
 
 def read_gltf(files: MeshFiles) -> RawMesh:
@@ -49,11 +56,14 @@ def _merged(asset: Asset) -> RawMesh:
         vertices = se3.apply(T, asset.accessor(attributes["POSITION"])[:, :3].astype(np.float64))
         faces = faces[:, ::-1] if np.linalg.det(T[:3, :3]) < 0 else faces
         material = primitive.get("material", -1)
-        texcoord = f"TEXCOORD_{_texture_entry(asset.tree, material).get('texCoord', 0)}"
+        texture = _texture_entry(asset.tree, material)
+        transform = texture.get("extensions", {}).get(_TRANSFORM, {})
+        texcoord = f"TEXCOORD_{transform.get('texCoord', texture.get('texCoord', 0))}"
         check_faces(path, vertices, faces)
-        uv = asset.accessor(attributes[texcoord])[faces] if texcoord in attributes else None
+        where = asset.accessor(attributes[texcoord])[faces] if texcoord in attributes else None
+        placed = None if where is None else _transformed(where, transform)
         colors = asset.accessor(attributes["COLOR_0"])[faces] if "COLOR_0" in attributes else None
-        parts.append((vertices, faces, uv, colors, material))
+        parts.append((vertices, faces, placed, colors, material))
     if not parts:
         raise InputError(path, found="no triangles in its scene", expected="a mesh", fix=RE_EXPORT)
     offsets = np.cumsum([0] + [len(p[0]) for p in parts])
@@ -168,6 +178,15 @@ def _faces(asset: Asset, primitive: dict[str, Any]) -> Int64:
         strip[1::2] = strip[1::2, ::-1]
         return strip
     return np.stack([np.full(len(index) - 2, index[0]), index[1:-1], index[2:]], 1)
+
+
+def _transformed(uv: Float64, transform: dict[str, Any]) -> Float64:
+    """Texture coordinates (F, 3, 2) after the scale, rotation and offset of KHR_texture_transform."""
+    turn = float(transform.get("rotation", 0.0))
+    cosine, sine = np.cos(turn), np.sin(turn)
+    u, v = np.moveaxis(uv * np.array(transform.get("scale", [1.0, 1.0])), -1, 0)
+    turned: Float64 = np.stack([cosine * u + sine * v, cosine * v - sine * u], -1)
+    return np.asarray(turned + np.array(transform.get("offset", [0.0, 0.0])))
 
 
 def _texture_entry(tree: dict[str, Any], material: int) -> dict[str, Any]:

@@ -163,3 +163,25 @@ def test_gltf_may_be_in_parts(tmp_path: Path, printed_box: Mesh) -> None:
     (tmp_path / "m.gltf").write_text(json.dumps(tree | {"buffers": [{"uri": "gone.bin"}]}))
     with pytest.raises(InputError, match=r"gone.bin: found no such file; expected the buffer, which m.gltf"):
         read_mesh(tmp_path / "m.gltf")
+
+
+def test_a_gltf_texture_may_be_scaled_turned_and_moved(tmp_path: Path, printed_box: Mesh) -> None:
+    """KHR_texture_transform: half and double scale, a quarter turn ((a, b) to (b, -a)), then (0, 1)."""
+    u, v = printed_box.uv.reshape(-1, 2).T
+    w = files.GlbWriter()
+    attributes = {
+        "POSITION": w.accessor(printed_box.vertices[printed_box.faces].reshape(-1, 3).astype("<f4"), "VEC3"),
+        "TEXCOORD_1": w.accessor(np.stack([2.0 * (1.0 - v), 0.5 * u], -1).astype("<f4"), "VEC2"),
+    }
+    index = w.mesh(attributes, material=0)
+    files.write_png(tmp_path / "print.png", printed_box.texture)
+    transform = {"scale": [0.5, 2.0], "rotation": np.pi / 2, "offset": [0.0, 1.0], "texCoord": 1}
+    texture = {"index": 0, "extensions": {"KHR_texture_transform": transform}}
+    (tmp_path / "m.bin").write_bytes(w.chunk)
+    tree = {k: w.tree[k] for k in ("asset", "bufferViews", "accessors", "meshes")}
+    tree |= {"images": [{"uri": "print.png"}], "textures": [{"source": 0}]}
+    tree |= {"materials": [{"pbrMetallicRoughness": {"baseColorTexture": texture}}]}
+    tree |= {"nodes": [{"mesh": index}], "scenes": [{"nodes": [0]}], "buffers": [{"uri": "m.bin"}]}
+    tree |= {"extensionsRequired": ["KHR_texture_transform"]}
+    (tmp_path / "m.gltf").write_text(json.dumps(tree))
+    assert_same(read_mesh(tmp_path / "m.gltf"), printed_box)

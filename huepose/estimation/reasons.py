@@ -8,7 +8,8 @@ from typing import Protocol
 
 import numpy as np
 
-from huepose.believe.quality import QualityTerms
+from huepose.believe.quality import QualityTerms, quality_fits
+from huepose.estimation.config import Method
 from huepose.estimation.explanation import Explanation
 from huepose.estimation.types import PoseEstimate
 from huepose.geometry import se3
@@ -34,6 +35,23 @@ LARGEST_ERROR = 0.25
 
 NEVER_NEARER_M = 0.1
 """Nearest distance that any depth camera measures, metres."""
+
+OTHER_TURN_RAD = np.radians(15.0)
+"""A pose that is turned by less is not called turned another way."""
+
+NO_PROBABILITY = "This method does not say how probable it is that a pose is right."
+
+
+def turned_as_well(answer: PoseEstimate, method: Method) -> bool:
+    """Whether nothing but turned poses that fit as well keep a method's answer from being `TRACKING`: with
+    their probabilities added to its own it would be."""
+    T = answer.T_cam_obj
+    if T is None or not answer.alternatives:
+        return False
+    turned = sum(
+        p for other, p in answer.alternatives if se3.rotation_angle(other[:3, :3], T[:3, :3]) > OTHER_TURN_RAD
+    )
+    return answer.quality + turned >= quality_fits()[method].level
 
 
 def reasons(model: ReferenceModel, answer: PoseEstimate, explanation: Explanation) -> list[str]:
@@ -103,9 +121,9 @@ def _of_terms(terms: _Measured) -> list[str]:
     said = (
         (
             terms.violation > MUCH_SEEN_THROUGH,
-            f"the camera sees through {100 * terms.violation:.0f} % of the pose",
+            f"by its depth {100 * terms.violation:.0f} % of the pose is seen through or inside of something",
         ),
-        (terms.occluded > MUCH_HIDDEN, f"{100 * terms.occluded:.0f} % of the pose is hidden"),
+        (terms.occluded > MUCH_HIDDEN, f"something is in front of {100 * terms.occluded:.0f} % of the pose"),
         (
             unknown > MUCH_WITHOUT_DEPTH,
             f"on {100 * unknown:.0f} % of the pose depth is missing, off, or of something else",

@@ -1,8 +1,9 @@
 """Explain to people, in one sentence, why a pose should not be acted on, as far as the frame shows it.
 
 What is said of a pose (`why_doubted`) is no judgement: the state was decided by the tracker, from the same
-frame. What is wrong with a frame as such (`complaint_about`) is: no pose in it is to be acted on, however
-well it fits.
+frame. The pose may be wrong, so nothing is said that only a right one would make true: what looks covered may
+stand in full view, turned another way. What is wrong with a frame as such (`complaint_about`) is a judgement:
+no pose in it is to be acted on, however well it fits.
 """
 
 from __future__ import annotations
@@ -19,13 +20,17 @@ from huepose.tracking.types import Doubt
 NOT_FOUND = "It is not where it was, and was not found elsewhere yet."
 OUTSIDE = "Most of it is outside of the picture."
 TOO_FAR = "It is too small in the picture: too far away."
-NO_DEPTH = "There is no depth on most of it: too near, shiny, transparent or dark."
-COVERED = "Most of it is covered."
-NOT_THERE = "The camera sees through to what is behind it: it is not there any more."
+NO_DEPTH = (
+    "There is no depth where most of it should be: it is too near, shiny, transparent or dark, or its pose "
+    "is wrong."
+)
+COVERED = "If its pose is right, something in front of it hides most of it."
+CLOSE_IN_FRONT = "Its pose is wrong, or something that lies close to it hides most of it."
+NOT_THERE = "The camera sees what is behind it: it is not where this pose has it."
 DARK = "The picture is too dark there."
 TURN = "It fits, but turned another way it would fit nearly as well: seen from another side it becomes sure."
 UNCONFIRMED = "It fits, but was found on little: found here again or seen from another side, it is sure."
-LITTLE_SEEN = "Too little of its texture and shape is seen to be sure."
+DISAGREES = "Too little of what is seen there agrees with its shape and texture."
 
 _SAMPLES = 300
 _SMALL_PX = 24.0
@@ -46,9 +51,10 @@ def why_doubted(
     if T_cam_obj is None:
         return NOT_FOUND
     rotation, translation = T_cam_obj[:3, :3], T_cam_obj[:3, 3]
-    points = surface.arrays.points[:_SAMPLES].astype(np.float64) @ rotation.T + translation
-    normals = surface.arrays.normals[:_SAMPLES].astype(np.float64) @ rotation.T
-    points = points[((normals * points).sum(1) < 0.0) & (points[:, 2] > 0.0)]
+    # What this pose would show: none that its own front hides, as the inside of a mug.
+    shown = surface.shown(T_cam_obj, _SAMPLES)
+    points = surface.arrays.points[shown].astype(np.float64) @ rotation.T + translation
+    points = points[points[:, 2] > 0.0]
     if not len(points):
         return OUTSIDE
     pixels = np.rint(frame.camera.project(points)).astype(np.int64)
@@ -60,19 +66,23 @@ def why_doubted(
     if frame.camera.fx * surface.diameter_m < _SMALL_PX * distance_m:
         return TOO_FAR
     columns, rows = pixels[inside].T
-    read_m, expected_m = frame.depth[rows, columns].astype(np.float64), points[inside, 2]
+    points, read_m = points[inside], frame.depth[rows, columns].astype(np.float64)
     there = readings(frame.depth[rows, columns])
     if _few(there):
         return NO_DEPTH
     # As far off as neither noise nor a pose that is followed at all explains.
     slack_m = 3.0 * depth_noise_m(distance_m) + 0.1 * surface.diameter_m
-    if not _few(read_m[there] < expected_m[there] - slack_m):
-        return COVERED
-    if not _few(read_m[there] > expected_m[there] + slack_m):
+    before_m = points[there, 2] - read_m[there]
+    if not _few(before_m > slack_m):
+        # What is nearer to the centre may be the object itself, turned another way or half its size away.
+        met = points[there] * (read_m / points[:, 2])[there, None]
+        apart = np.linalg.norm(met - surface.centre_cam(T_cam_obj), axis=1) > surface.diameter_m
+        return COVERED if not _few(apart & (before_m > slack_m)) else CLOSE_IN_FRONT
+    if not _few(before_m < -slack_m):
         return NOT_THERE
     if not _few(dark(frame.color[rows, columns])):
         return DARK
-    return LITTLE_SEEN if doubt is None else {Doubt.TURN: TURN, Doubt.IDENTITY: UNCONFIRMED}[doubt]
+    return DISAGREES if doubt is None else {Doubt.TURN: TURN, Doubt.IDENTITY: UNCONFIRMED}[doubt]
 
 
 def _few(which: np.ndarray) -> bool:

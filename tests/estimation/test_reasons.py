@@ -10,7 +10,14 @@ import pytest
 
 from huepose.estimation import Estimator, ObjectQuery
 from huepose.estimation.explanation import Explanation
-from huepose.estimation.reasons import covering, displacement, overlap, reasons, why_absent
+from huepose.estimation.reasons import (
+    covering,
+    displacement,
+    overlap,
+    reasons,
+    turned_as_well,
+    why_absent,
+)
 from huepose.estimation.types import PoseEstimate
 from huepose.geometry import Box, RgbdFrame, se3
 from huepose.model.types import ReferenceModel
@@ -66,7 +73,7 @@ def test_a_pose_in_the_air_is_seen_through(
     answer, explanation = looked
     nearer = se3.compose(se3.make(np.eye(3), [0.0, 0.0, -0.1]), explanation.ranked.poses[0])
     said = reasons(tea_box, answer, replace(explanation, ranked=Ranked.of(nearer[None], np.ones(1))))
-    assert any(text.startswith("the camera sees through") for text in said)
+    assert any("is seen through or inside of something" in text for text in said)
     assert any(text.startswith("the texture agrees little") for text in said)
 
 
@@ -90,13 +97,27 @@ def test_why_nothing_is_there_is_said_by_what_was_measured(
     assert terms is not None
     through = replace(terms, violation=0.35, color=0.12, seen=0.9, occluded=0.0, box_iou=0.8)
     assert why_absent(explanation, through, 0.04, 0.12) == (
-        "The object is not in this box (probability 0.04, at least 0.12 is asked): the camera sees through "
-        "35 % of the pose and the texture agrees little (correlation 0.12)."
+        "The object is not in this box (probability 0.04, at least 0.12 is asked): by its depth 35 % of the "
+        "pose is seen through or inside of something and the texture agrees little (correlation 0.12)."
     )
     poor = replace(terms, total=0.71, violation=0.0, color=0.5, seen=0.9, occluded=0.0, box_iou=0.8)
     assert why_absent(explanation, poor, 0.04, 0.12).endswith("0.12 is asked): the best pose scores 0.71.")
     assert why_absent(explanation, None, 0.0, 0.12).startswith("No view of the object")
     assert why_absent(replace(explanation, evidence=None), None, 0.0, 0.12).startswith("There is no depth")
+
+
+def test_a_turn_is_the_doubt_only_where_nothing_else_is(standing: np.ndarray) -> None:
+    over = turned(standing, 180.0, 2)
+    beside = se3.compose(se3.make(np.eye(3), [0.05, 0.0, 0.0]), standing)
+
+    def doubted(quality: float, *others: tuple[np.ndarray, float]) -> bool:
+        answer = PoseEstimate("tea_box", T_cam_obj=standing, quality=quality, alternatives=others)
+        return turned_as_well(answer, "full")
+
+    assert doubted(0.5, (over, 0.45))
+    assert not doubted(0.1, (over, 0.09)), "none of them fits"
+    assert not doubted(0.5, (beside, 0.45)), "the other one is not turned"
+    assert not doubted(0.5)
 
 
 def test_masks_in_numbers_and_words() -> None:

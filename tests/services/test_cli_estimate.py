@@ -159,6 +159,7 @@ def test_the_papers_method_answers_and_never_says_that_it_is_sure(
     assert main(arguments) == 0
     (pose,) = json.loads(out.read_text())["poses"]
     assert (pose["found"], pose["state"], pose["covariance"]) == (True, "SUSPECT", None)
+    assert pose["reason"] == "This method does not say how probable it is that a pose is right."
     assert np.abs(np.array(pose["T_cam_obj"]) - standing).max() < 0.05
     assert (why / "tea_box_pose.png").is_file()
 

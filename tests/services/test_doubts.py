@@ -23,10 +23,23 @@ CAMERA = Camera(600.0, 600.0, 319.5, 239.5, 640, 480)
 DIAMETER_M = 0.1
 NORMALS = np.random.default_rng(0).normal(size=(500, 3))
 NORMALS /= np.linalg.norm(NORMALS, axis=1, keepdims=True)
-# As much of a prepared surface as is asked for: a ball.
-BALL = SimpleNamespace(
-    arrays=SimpleNamespace(points=0.5 * DIAMETER_M * NORMALS, normals=NORMALS), diameter_m=DIAMETER_M
-)
+
+
+class Ball:
+    """As much of a prepared surface as is asked for: a hollow ball, whose inside faces the camera, too."""
+
+    points = np.concatenate([0.5 * DIAMETER_M * NORMALS, 0.45 * DIAMETER_M * NORMALS])
+    arrays = SimpleNamespace(points=points, normals=np.concatenate([NORMALS, -NORMALS]))
+    diameter_m = DIAMETER_M
+
+    def centre_cam(self, T: np.ndarray) -> np.ndarray:
+        return T[:3, 3]
+
+    def shown(self, T: np.ndarray, count: int) -> np.ndarray:
+        return np.flatnonzero(NORMALS @ T[:3, :3].T @ T[:3, 3] < 0.0)[:count]
+
+
+BALL = Ball()
 
 
 def at(x: float, y: float, z: float) -> np.ndarray:
@@ -46,11 +59,12 @@ def seen(T: np.ndarray) -> RgbdFrame:
 NEAR = at(0.0, 0.0, 0.8)
 Change = Callable[[RgbdFrame], RgbdFrame]
 CASES: dict[str, tuple[np.ndarray | None, Change]] = {
-    why.LITTLE_SEEN: (NEAR, lambda frame: frame),
+    why.DISAGREES: (NEAR, lambda frame: frame),
     why.OUTSIDE: (at(0.45, 0.0, 0.8), lambda frame: frame),
     why.TOO_FAR: (at(0.0, 0.0, 6.0), lambda frame: frame),
     why.NO_DEPTH: (NEAR, lambda frame: replace(frame, depth=np.zeros_like(frame.depth))),
     why.COVERED: (NEAR, lambda frame: replace(frame, depth=np.full_like(frame.depth, 0.6))),
+    why.CLOSE_IN_FRONT: (at(0.0, 0.0, 0.84), lambda frame: frame),
     why.NOT_THERE: (NEAR, lambda frame: replace(frame, depth=np.full_like(frame.depth, 2.8))),
     why.DARK: (NEAR, lambda frame: replace(frame, color=frame.color // 20)),
     why.NOT_FOUND: (None, lambda frame: frame),
@@ -60,7 +74,8 @@ CASES: dict[str, tuple[np.ndarray | None, Change]] = {
 @pytest.mark.parametrize("expected", CASES)
 def test_the_reason_is_the_one_that_was_made(expected: str) -> None:
     T, change = CASES[expected]
-    frame = change(seen(NEAR if T is None else T))
+    moved = T is None or expected == why.CLOSE_IN_FRONT
+    frame = change(seen(NEAR if moved else T))
     assert why.why_doubted(BALL, frame, T) == expected
 
 
@@ -70,6 +85,15 @@ def test_what_only_the_tracker_knows_is_said_where_the_frame_shows_all(doubt: Do
     assert why.why_doubted(BALL, frame, NEAR, doubt) == said
     covered = replace(frame, depth=np.full_like(frame.depth, 0.6))
     assert why.why_doubted(BALL, covered, NEAR, doubt) == why.COVERED
+
+
+@pytest.mark.parametrize("behind_m", [0.03, 0.05, 0.5])
+def test_only_what_is_no_part_of_it_covers_it(behind_m: float) -> None:
+    """A pose that lies behind the object, which stands in full view: what is in front of the pose is the
+    object itself. While it can be, nothing is said to cover it, and never without a doubt about the pose."""
+    said = why.why_doubted(BALL, seen(NEAR), at(0.0, 0.0, 0.8 + behind_m), Doubt.TURN)
+    assert said == (why.CLOSE_IN_FRONT if behind_m < DIAMETER_M else why.COVERED)
+    assert "pose is" in said
 
 
 def test_behind_the_camera_is_outside() -> None:

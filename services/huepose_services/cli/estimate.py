@@ -22,6 +22,7 @@ from huepose_services.cli.options import (
 
 if TYPE_CHECKING:
     from huepose.estimation import Estimator, ObjectQuery, PoseEstimate
+    from huepose.estimation.config import Method
     from huepose.geometry import Box, RgbdFrame
     from huepose.model import ReferenceModel
     from huepose.perception.types import Detection
@@ -97,7 +98,7 @@ def call(arguments: argparse.Namespace) -> int:
         answers = _standing(arguments, frame, models, names, answers, proposed)
     else:
         answers = [a if a.found else _of_the_picture(frame, models[a.object], a) for a in answers]
-    answers = [_doubted(frame, models[a.object], a) for a in answers]
+    answers = [_doubted(frame, models[a.object], a, arguments.method) for a in answers]
     _ask_about_scale(frame, answers)
     loaded = "one model" if len(names) == 1 else f"{len(names)} models"
     print(
@@ -169,16 +170,19 @@ def _answer(
     return answer
 
 
-def _doubted(frame: RgbdFrame, model: ReferenceModel, answer: PoseEstimate) -> PoseEstimate:
+def _doubted(frame: RgbdFrame, model: ReferenceModel, answer: PoseEstimate, method: Method) -> PoseEstimate:
     """An answer that says why it is `SUSPECT`, where it is."""
+    from huepose.estimation.reasons import NO_PROBABILITY, turned_as_well
     from huepose.judge.surface import PreparedSurface
     from huepose.tracking.types import Doubt
     from huepose_services.doubts import why_doubted
 
     if answer.state != "SUSPECT":
         return answer
-    surface, turned = PreparedSurface.of(model), Doubt.TURN if answer.alternatives else Doubt.IDENTITY
-    return replace(answer, reason=why_doubted(surface, frame, answer.T_cam_obj, turned))
+    if answer.terms is None:
+        return replace(answer, reason=NO_PROBABILITY)
+    turned = Doubt.TURN if turned_as_well(answer, method) else None
+    return replace(answer, reason=why_doubted(PreparedSurface.of(model), frame, answer.T_cam_obj, turned))
 
 
 def _of_the_picture(frame: RgbdFrame, model: ReferenceModel, answer: PoseEstimate) -> PoseEstimate:

@@ -61,6 +61,11 @@ class Estimator:
         """Names of the known objects."""
         return tuple(sorted(self._models))
 
+    @property
+    def diameters_m(self) -> tuple[float, ...]:
+        """Diameters of the known objects, metres, in the order of `objects`."""
+        return tuple(self._models[name].diameter_m for name in self.objects)
+
     def add_object(self, model: ReferenceModel) -> None:
         """Know one more object; a known one of that name is replaced."""
         self._models[model.name] = model

@@ -1,5 +1,4 @@
-"""Explain answers in words, from measurements: why a pose is doubtful, why none was found, and why none can
-be found in such a frame."""
+"""Explain answers in words, from measurements: why a pose is doubtful, and why none was found."""
 
 from __future__ import annotations
 
@@ -14,9 +13,6 @@ from huepose.estimation.explanation import Explanation
 from huepose.estimation.types import PoseEstimate
 from huepose.geometry import se3
 from huepose.geometry.arrays import Bool, Float, Float64
-from huepose.geometry.camera import depth_noise_m
-from huepose.geometry.frame import RgbdFrame
-from huepose.geometry.picture_faults import LEAST_DEPTH, all_dark, all_grey, depth_share, readings
 from huepose.judge.terms import score
 from huepose.model.types import ReferenceModel
 
@@ -26,15 +22,6 @@ CLOSE_MARGIN = 0.1
 MUCH_SEEN_THROUGH, MUCH_HIDDEN, LITTLE_TEXTURE, LITTLE_BOX, LITTLE_MASK = 0.1, 0.4, 0.3, 0.5, 0.5
 MUCH_WITHOUT_DEPTH = 0.3
 """Shares of a pose, correlation of its texture, and overlaps, beyond which they speak against it."""
-
-NEAREST_SHARE = 0.05
-"""Share of the readings that are ignored as specks when the nearest depth of a frame is taken."""
-
-LARGEST_ERROR = 0.25
-"""Depth error over the object's diameter above which its shape cannot be seen."""
-
-NEVER_NEARER_M = 0.1
-"""Nearest distance that any depth camera measures, metres."""
 
 OTHER_TURN_RAD = np.radians(15.0)
 """A pose that is turned by less is not called turned another way."""
@@ -165,44 +152,3 @@ def overlap(one: Bool, other: Bool) -> float:
     """Intersection over union of two masks (H, W), 0 for empty ones."""
     either = int((one | other).sum())
     return int((one & other).sum()) / either if either else 0.0
-
-
-def depth_doubted(frame: RgbdFrame) -> str | None:
-    """A question about depth that is nearer than most cameras measure, for a frame in which nothing is found:
-    some do measure there. None where there is none."""
-    seen = frame.depth[readings(frame.depth)]
-    if not len(seen) or float(np.quantile(seen, NEAREST_SHARE)) >= NEVER_NEARER_M:
-        return None
-    median_m = float(np.median(seen))
-    return f"Half of all depth is nearer than {median_m:.2f} m: is that so, or is the depth scale wrong?"
-
-
-def bad_picture(frame: RgbdFrame, diameter_m: float) -> str | None:
-    """What is wrong with a frame in which an object of that diameter is sought; None where nothing is."""
-    share = depth_share(frame.depth)
-    if share < LEAST_DEPTH:
-        return f"The frame has no depth: {100 * share:.1f} % of its pixels have a reading."
-    seen = frame.depth[readings(frame.depth)]
-    shares = [NEAREST_SHARE, 0.5, 1.0 - NEAREST_SHARE]
-    nearest, median, farthest = (float(x) for x in np.quantile(seen, shares))
-    error_m = depth_noise_m(nearest)
-    if error_m > LARGEST_ERROR * diameter_m:
-        return (
-            f"All depth is {nearest:.1f} m away or farther, where readings err by {100 * error_m:.0f} cm and "
-            "the object has no shape: is the depth scale right?"
-        )
-    if median < NEVER_NEARER_M:
-        return (
-            f"Half of all depth is nearer than {median:.3f} m, where nothing measures: is the depth scale "
-            "right?"
-        )
-    if frame.camera.fx * diameter_m > max(frame.camera.width, frame.camera.height) * farthest:
-        return (
-            f"All depth is nearer than {farthest:.2f} m, where an object of {100 * diameter_m:.0f} cm is "
-            "larger than the picture: is the depth scale right?"
-        )
-    if all_dark(frame.color):
-        return "The picture is black: is the lens covered, or the light off?"
-    if all_grey(frame.color):
-        return "The picture is grey: objects are told by their colours. Is the camera's colour stream read?"
-    return None

@@ -1,10 +1,15 @@
-"""What a picture lacks as such: light, colour, depth. Whoever says that it does asks here."""
+"""What a picture lacks as such: light, colour, depth, depth in the right unit. Whoever says that it does asks
+here."""
 
 from __future__ import annotations
+
+from collections.abc import Sequence
 
 import numpy as np
 
 from huepose.geometry.arrays import Bool, Float32, UInt8
+from huepose.geometry.camera import depth_noise_m
+from huepose.geometry.frame import RgbdFrame
 
 DARK = 24
 """Of 255: where eight bits have fewer than a tenth of their steps, noise of two steps hides colours."""
@@ -17,6 +22,15 @@ LEAST_DEPTH = 0.01
 
 NEARLY_ALL = 0.99
 """Of a picture that is dark or grey: a lamp or a stamp of the time may be in it."""
+
+NEAREST_SHARE = 0.05
+"""Share of the readings that are ignored as specks when the nearest depth of a frame is taken."""
+
+LARGEST_ERROR = 0.25
+"""Depth error over the object's diameter above which its shape cannot be seen."""
+
+NEVER_NEARER_M = 0.1
+"""Nearest distance that any depth camera measures, metres."""
 
 _EVERY = 4
 """Each such pixel of a row and column is looked at: enough for shares of a whole picture."""
@@ -54,3 +68,62 @@ def depth_share(depth: Float32, farthest_m: float = np.inf) -> float:
     0.0
     """
     return float(readings(depth[::_EVERY, ::_EVERY], farthest_m).mean())
+
+
+def depth_doubted(frame: RgbdFrame) -> str | None:
+    """A question about depth that is nearer than most cameras measure, for a frame in which nothing is found:
+    some do measure there. None where there is none."""
+    seen = _readings_of(frame)
+    if not len(seen) or float(np.quantile(seen, NEAREST_SHARE)) >= NEVER_NEARER_M:
+        return None
+    median_m = float(np.median(seen))
+    return f"Half of all depth is nearer than {median_m:.2f} m: is that so, or is the depth scale wrong?"
+
+
+def bad_picture(frame: RgbdFrame, diameter_m: float) -> str | None:
+    """What is wrong with a frame in which an object of that diameter is sought; None where nothing is."""
+    share = depth_share(frame.depth)
+    if share < LEAST_DEPTH:
+        return (
+            f"The frame has no depth ({100 * share:.1f} % of its pixels have a reading): is the depth stream "
+            "on, and the depth scale right?"
+        )
+    seen = _readings_of(frame)
+    shares = [NEAREST_SHARE, 0.5, 1.0 - NEAREST_SHARE]
+    nearest, median, farthest = (float(x) for x in np.quantile(seen, shares))
+    error_m = depth_noise_m(nearest)
+    if error_m > LARGEST_ERROR * diameter_m:
+        return (
+            f"All depth is {nearest:.1f} m away or farther, where readings err by {100 * error_m:.0f} cm and "
+            "the object has no shape: is the depth scale right?"
+        )
+    if median < NEVER_NEARER_M:
+        return (
+            f"Half of all depth is nearer than {median:.3f} m, where nothing measures: is the depth scale "
+            "right?"
+        )
+    if frame.camera.fx * diameter_m > max(frame.camera.width, frame.camera.height) * farthest:
+        return (
+            f"All depth is nearer than {farthest:.2f} m, where an object of {100 * diameter_m:.0f} cm is "
+            "larger than the picture: is the depth scale right?"
+        )
+    if all_dark(frame.color):
+        return "The picture is black: is the lens covered, or the light off?"
+    if all_grey(frame.color):
+        return "The picture is grey: objects are told by their colours. Is the camera's colour stream read?"
+    return None
+
+
+def why_nothing_is_found(frame: RgbdFrame, diameters_m: Sequence[float]) -> str | None:
+    """What is wrong, or may be, with a frame in which none of the objects of these diameters is found; None
+    where nothing is, and where some of them could be seen in it."""
+    if not diameters_m:
+        return None
+    smallest, largest = bad_picture(frame, min(diameters_m)), bad_picture(frame, max(diameters_m))
+    return smallest if smallest and largest else depth_doubted(frame)
+
+
+def _readings_of(frame: RgbdFrame) -> Float32:
+    """The depth readings of a frame (N,), metres: enough of them for shares."""
+    depth = frame.depth[::_EVERY, ::_EVERY]
+    return depth[readings(depth)]

@@ -204,7 +204,8 @@ class EstimatedObject(Struct, frozen=True, kw_only=True):
 
 
 class Estimates(Message, frozen=True, kw_only=True):
-    """Answers to one request, all computed on one frame."""
+    """Answers to one request, all computed on one frame. `picture`: what is wrong with that frame as such,
+    where nothing was found in it."""
 
     max_bytes: ClassVar[int] = 1024 * KIB
     request_seq: Count
@@ -212,6 +213,7 @@ class Estimates(Message, frozen=True, kw_only=True):
     frame_id: Count
     capture_ns: Stamp
     estimates: Annotated[list[EstimatedObject], Meta(max_length=64)]
+    picture: Text = ""
 
     def __post_init__(self) -> None:
         check_masks((item.mask for item in self.estimates), MAX_ESTIMATE_PIXELS)

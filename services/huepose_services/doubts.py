@@ -8,14 +8,16 @@ no pose in it is to be acted on, however well it fits.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 
 from huepose.geometry import RgbdFrame
 from huepose.geometry.arrays import Float64
 from huepose.geometry.camera import depth_noise_m
-from huepose.geometry.picture_faults import dark, readings
+from huepose.geometry.picture_faults import dark, readings, why_nothing_is_found
 from huepose.judge.surface import PreparedSurface
-from huepose.tracking.types import Doubt
+from huepose.tracking.types import Doubt, TrackedPose
 
 NOT_FOUND = "It is not where it was, and was not found elsewhere yet."
 OUTSIDE = "Most of it is outside of the picture."
@@ -90,10 +92,23 @@ def _few(which: np.ndarray) -> bool:
     return bool(2 * np.count_nonzero(which) < len(which))
 
 
+def why_all_are_lost(
+    frame: RgbdFrame | None, poses: Sequence[TrackedPose], surfaces: Sequence[PreparedSurface]
+) -> str:
+    """What is wrong with a frame in which no object has a pose any more; empty where nothing is. surfaces: of
+    the objects of the poses."""
+    if frame is None or any(pose.T_cam_obj is not None for pose in poses):
+        return ""
+    return why_nothing_is_found(frame, [surface.diameter_m for surface in surfaces]) or ""
+
+
 def complaint_about(frame: RgbdFrame, before: RgbdFrame | None) -> str | None:
     """The reason to doubt a frame, by itself and beside the one before it; None where there is none."""
     if not readings(frame.depth).any():  # a tracked object may be all that has depth
-        return "there is no depth in the whole picture: is the depth camera covered, or its stream off?"
+        return (
+            "there is no depth in the whole picture: is the depth camera covered, its stream off, or its "
+            "depth scale wrong?"
+        )
     if before is None or before.epoch != frame.epoch:
         return None
     if before.camera != frame.camera:

@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import replace
 
 from huepose.estimation import Estimator, ObjectQuery
-from huepose.estimation.types import PosePrior
+from huepose.estimation.types import PoseEstimate, PosePrior
+from huepose.geometry import RgbdFrame
+from huepose.geometry.picture_faults import why_nothing_is_found
 from huepose.model import ReferenceModel
 from huepose.profiles import profile
 from huepose_protos import WireError
@@ -68,6 +71,7 @@ class EstimatorWork(Work):
             to_wire(EstimatedObject, answer, instance=item.detection.request.instance)
             for answer, item in zip(answers, objects, strict=True)
         ]
+        picture = self._fault(frame, answers)
         self._bus.put_control(
             self._bus.keys.estimates,
             Estimates(
@@ -77,12 +81,22 @@ class EstimatorWork(Work):
                 frame_id=frame.frame_id,
                 capture_ns=frame.stamp_ns,
                 estimates=estimates,
+                picture=picture,
             ),
         )
         health = self._bus.health
         health.count("estimates", len(estimates))
         health.count("found", sum(e.found for e in estimates))
         health.worked_on(started, message.frame)
+
+    def _fault(self, frame: RgbdFrame, answers: Sequence[PoseEstimate]) -> str:
+        """What is wrong with a frame in which nothing was found; empty where nothing is."""
+        found = any(answer.found for answer in answers)
+        text = None if found else why_nothing_is_found(frame, self._estimator.diameters_m)
+        self._bus.health.warn_while("picture", text)
+        if text is not None:
+            self._bus.log.seldom("picture", f"nothing is found: {text}")
+        return text or ""
 
     def _query(self, item: MaskedObject, stamp_ns: int, size: tuple[int, int]) -> ObjectQuery:
         request = item.detection.request

@@ -223,7 +223,9 @@ def reasons_not_seen(
             continue
         mine = [e for e in answer.estimates if e.object == name and e.instance is None]
         best = max(mine, key=lambda e: e.quality, default=None)
-        if best is None:
+        if answer.picture:
+            out[name] = answer.picture
+        elif best is None:
             out[name] = "No place in the picture looks like the object."
         elif best.found:
             out[name] = f"Something like it is seen, too doubtful to follow (quality {best.quality:.2f})."

@@ -21,7 +21,7 @@ from huepose_protos.buffers import mask_of
 from huepose_protos.messages import CorrectionMessage, FrameHeader, MemoryMessage, PoseMessage
 from huepose_services import models, networks
 from huepose_services.convert import frame_from_wire, from_wire, to_wire
-from huepose_services.doubts import complaint_about, lens_doubted, why_doubted
+from huepose_services.doubts import complaint_about, lens_doubted, why_all_are_lost, why_doubted
 from huepose_services.following import Follower, Retired
 from huepose_services.held import held
 from huepose_services.intake import MEMORY_EVERY_NS, Clock, InputCache, Intake
@@ -317,11 +317,12 @@ class TrackerWork(Work):
     def _publish_all(self, poses: list[TrackedPose], header: FrameHeader, frame: RgbdFrame | None) -> None:
         if self._complaint is not None:
             poses = [_doubted(pose) for pose in poses]
-        for pose in poses:
-            reason = _sentence(self._complaint or "")
+        surfaces = [self._tracker.surface(pose.object) for pose in poses]
+        said = _sentence(self._complaint or "") or why_all_are_lost(frame, poses, surfaces)
+        for pose, surface in zip(poses, surfaces, strict=True):
+            reason = said
             if not reason and frame is not None and pose.state is not State.TRACKING:
                 doubt = self._tracker.doubt(pose.object, pose.instance)
-                surface = self._tracker.surface(pose.object)
                 reason = why_doubted(surface, frame, pose.T_cam_obj, doubt)
             self._publish(pose, header, reason)
             self._published.add((pose.object, pose.instance))

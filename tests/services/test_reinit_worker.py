@@ -120,3 +120,25 @@ def test_a_reset_forgets_the_reason_of_the_search_before(bus, objects, step):
     objects.decide(ControlRequest(publish_ns=1, action="reset", object="mug"))
     step()
     assert (bus.mug().searching, bus.mug().reason) == (2, "")
+
+
+def test_what_is_wrong_with_the_picture_is_the_reason_why_nothing_is_found_in_it(bus, objects, step):
+    step()
+    request = next(m for m in bus.said if not isinstance(m, ObjectsMessage))
+    now = now_ns()
+    said = "All depth is 6.4 m away or farther: is the depth scale right?"
+    bus.arriving[Estimates].append(
+        Estimates(
+            publish_ns=now,
+            request_seq=request.seq,
+            camera_epoch=EPOCH,
+            frame_id=9,
+            capture_ns=now,
+            estimates=[],
+            picture=said,
+        )
+    )
+    step()
+    objects.decide(ControlRequest(publish_ns=1, action="add", object="mug", max_instances=2))
+    step()
+    assert bus.mug().reason == said

@@ -1,6 +1,8 @@
 """What the tracker worker lets out: no old pose to act on, nothing that is no pose, nothing that is over."""
 
 import time
+from dataclasses import replace
+from types import SimpleNamespace
 
 import msgspec
 import numpy as np
@@ -49,6 +51,12 @@ class _Tracker:
     def poses(self):
         return []
 
+    def surface(self, name):
+        return SimpleNamespace(diameter_m=0.12)
+
+    def doubt(self, name, instance):
+        return None
+
     def hypotheses(self, name, instance):
         turned = se3.make(se3.rotation_exp(np.array([0.0, 0.0, 1.0])), self.T_cam_obj[:3, 3])
         opinion = Hypothesis(self.T_cam_obj, NOTHING, np.eye(6), "flow", log_odds=np.log(3.0))
@@ -57,6 +65,15 @@ class _Tracker:
     def correct(self, correction):
         self.corrections.append(correction.instance)
         return self.answer
+
+
+class _Loser(_Tracker):
+    """Says of every frame that the object is not seen."""
+
+    def step(self, frame):
+        return [
+            replace(pose, state=State.LOST, T_cam_obj=None, covariance=None) for pose in super().step(frame)
+        ]
 
 
 class _Bus:
@@ -353,3 +370,29 @@ def test_what_was_tracked_before_the_camera_was_opened_anew_is_not_to_be_acted_o
         ("TRACKING", header.camera_epoch),
         ("SUSPECT", header.camera_epoch),
     ]
+
+
+@pytest.mark.parametrize(
+    ("times", "reason"),
+    [(1, "It is not where it was"), (1000, "away or farther"), (0.005, "nearer than 0.0")],
+)
+def test_where_all_is_lost_and_depth_may_be_of_another_unit_that_is_the_reason(times, reason):
+    work, bus, _ = _worker(None)
+    work._tracker = _Loser(None)
+    bus.waiting["frame"] = [_at(1.0 * times)]
+    work.step()
+    (pose,) = bus.out
+    assert pose.state == "LOST"
+    assert reason in pose.reason
+    assert ("depth scale" in pose.reason) == (times != 1)
+
+
+def _at(distance_m):
+    """A frame all of which is so far away, in colour."""
+    header, _ = _frame(1, 0.0)
+    pictures = images()
+    pictures["color"] = np.random.default_rng(0).integers(40, 200, pictures["color"].shape, np.uint8)
+    pictures["depth"] = np.full_like(pictures["depth"], 1000)
+    specs, payload = pack(pictures)
+    wide = msgspec.structs.replace(header.intrinsics, fx=6.0, fy=6.0, depth_scale_m=distance_m / 1000.0)
+    return msgspec.structs.replace(header, buffers=specs, intrinsics=wide), payload

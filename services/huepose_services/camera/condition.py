@@ -4,8 +4,10 @@ from __future__ import annotations
 
 from collections import deque
 
+import numpy as np
+
 from huepose.geometry import Camera
-from huepose.geometry.picture_faults import DARK, LEAST_DEPTH, all_dark, depth_share
+from huepose.geometry.picture_faults import DARK, LEAST_DEPTH, all_dark, depth_share, readings
 from huepose_services.camera.live import Shot
 from huepose_services.runtime.clock import SECOND
 
@@ -105,6 +107,12 @@ def _no_depth(shot: Shot, farthest_m: float) -> str | None:
     share = depth_share(shot.depth, farthest_m)
     if share >= LEAST_DEPTH:
         return None
+    if depth_share(shot.depth) >= LEAST_DEPTH:
+        median_m = float(np.median(shot.depth[readings(shot.depth)]))
+        return (
+            f"its depth is farther than {farthest_m:.1f} m, half of it farther than {median_m:.1f} m, and is "
+            "not sent: is the depth scale right? If so, set camera.depth_scale_m to send more"
+        )
     return (
         f"no depth: {100.0 * share:.1f} % of the picture has a reading up to {farthest_m:.1f} m. "
         "Look at the lenses and the projector; what is too near gives none either"

@@ -118,7 +118,7 @@ def call(arguments: argparse.Namespace) -> int:
 
 def _ask_about_scale(frame: RgbdFrame, answers: list[PoseEstimate]) -> None:
     """A line on standard error where nothing was found, and depth may be read in another unit."""
-    from huepose.estimation.reasons import depth_doubted
+    from huepose.geometry.picture_faults import depth_doubted
 
     doubt = None if any(answer.found for answer in answers) else depth_doubted(frame)
     if doubt is not None:
@@ -187,7 +187,7 @@ def _doubted(frame: RgbdFrame, model: ReferenceModel, answer: PoseEstimate, meth
 
 def _of_the_picture(frame: RgbdFrame, model: ReferenceModel, answer: PoseEstimate) -> PoseEstimate:
     """An answer that says what is wrong with the whole picture, where something is."""
-    from huepose.estimation.reasons import bad_picture
+    from huepose.geometry.picture_faults import bad_picture
 
     return replace(answer, reason=bad_picture(frame, model.diameter_m) or answer.reason)
 
@@ -203,9 +203,9 @@ def _standing(
     """The poses that stand at the proposed places; an object without any is not found, and its places are
     drawn where that is wanted."""
     from huepose.estimation.present import presences_with_doubts
-    from huepose.estimation.reasons import bad_picture
     from huepose.estimation.standing import standing_answers, why_none_stands
     from huepose.estimation.types import PoseEstimate
+    from huepose.geometry.picture_faults import bad_picture
 
     seen = presences_with_doubts(frame, models, answers, arguments.method)
     chances, doubts = [chance for chance, _ in seen], [doubt for _, doubt in seen]

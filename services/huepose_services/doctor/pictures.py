@@ -11,10 +11,9 @@ import numpy as np
 
 from huepose.datasets.image_files import FARTHEST_M, NEAREST_M
 from huepose.datasets.types import Scene
-from huepose.estimation.reasons import depth_doubted
 from huepose.geometry import RgbdFrame
 from huepose.geometry.arrays import Bool, Float32, Float64
-from huepose.geometry.picture_faults import LEAST_DEPTH, dark, readings
+from huepose.geometry.picture_faults import LEAST_DEPTH, dark, depth_doubted, readings
 from huepose.support.errors import InputError
 from huepose_services.camera.condition import Condition
 from huepose_services.camera.live import CameraError, LiveSource

@@ -60,7 +60,11 @@ def holes(one):
         ("depth", "no depth: 0.0 %", lambda one: replace(one, depth=np.zeros_like(one.depth))),
         ("depth", "no depth: 0.0 %", lambda one: replace(one, depth=np.full_like(one.depth, np.nan))),
         ("depth", "no depth: 0.0 %", lambda one: replace(one, depth=np.full_like(one.depth, np.inf))),
-        ("depth", "no depth: 0.0 %", lambda one: replace(one, depth=np.full_like(one.depth, 6.5535))),
+        (
+            "depth",
+            "half of it farther than 7.0 m, and is not sent: is the depth scale right?",
+            lambda one: replace(one, depth=10.0 * one.depth),
+        ),
         (
             "apart",
             "depth is 67 ms older than colour",

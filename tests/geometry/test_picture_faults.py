@@ -7,8 +7,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from huepose.estimation.reasons import bad_picture, depth_doubted
 from huepose.geometry import Camera, RgbdFrame
+from huepose.geometry.picture_faults import bad_picture, depth_doubted, why_nothing_is_found
 
 CAMERA = Camera(300.0, 300.0, 79.5, 59.5, 160, 120)
 DIAMETER_M = 0.12
@@ -46,6 +46,17 @@ def test_depth_a_tenth_of_what_it_is_is_asked_about(good: RgbdFrame) -> None:
     assert said is not None
     assert said.startswith("Half of all depth is nearer than 0.10 m: is that so")
     assert depth_doubted(replace(good, depth=np.zeros_like(good.depth))) is None
+
+
+def test_what_concerns_some_objects_only_is_not_wrong_with_the_picture(good: RgbdFrame) -> None:
+    """At ten times its distance a chair has a shape still, a cup has none."""
+    far = replace(good, depth=10.0 * good.depth)
+    assert why_nothing_is_found(far, [0.12, 1.2]) is None
+    said = why_nothing_is_found(far, [0.2, 0.12])
+    assert said is not None
+    assert said.startswith("All depth is 6.4 m away or farther")
+    assert why_nothing_is_found(good, [0.12]) is None
+    assert why_nothing_is_found(good, []) is None
 
 
 def test_black_and_grey_pictures_are_named(good: RgbdFrame) -> None:

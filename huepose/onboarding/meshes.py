@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Literal
 
@@ -37,9 +39,15 @@ def read_mesh(path: Path | str, unit: Unit | None = None) -> Mesh:
     what was found and what to do; for implausible sizes it shows both.
     """
     path = Path(path)
+    with np.errstate(all="ignore"), _damage_named(path):  # what is not finite is refused, not warned of
+        return _read(path, unit)
+
+
+@contextmanager
+def _damage_named(path: Path) -> Iterator[None]:
+    """Errors that damaged content causes, as InputError."""
     try:
-        with np.errstate(all="ignore"):  # what is not finite is refused, not warned of
-            return _read(path, unit)
+        yield
     except InputError:
         raise
     except _DAMAGE as error:
@@ -47,7 +55,22 @@ def read_mesh(path: Path | str, unit: Unit | None = None) -> Mesh:
         raise InputError(path, found=found, expected="a mesh", fix=RE_EXPORT) from None
 
 
-def _read(path: Path, unit: Unit | None) -> Mesh:
+def unit_of_format(path: Path) -> Unit | None:
+    """The unit that the standard of a file's format gives; None where it gives none."""
+    return "m" if _READERS.get(path.suffix.lower()) is read_gltf else None
+
+
+def sizes_by_unit(path: Path) -> dict[Unit, float]:
+    """The largest side of a mesh, metres, by the units in which it is that of an object, metres and
+    millimetres first. Raises InputError as `read_mesh`."""
+    with np.errstate(all="ignore"), _damage_named(path):
+        side = _extent(_referenced(_raw(path))[0])
+    units: tuple[Unit, ...] = ("m", "mm", "cm", "in")
+    return {unit: side * METRES[unit] for unit in units if SMALLEST_M <= side * METRES[unit] <= LARGEST_M}
+
+
+def _raw(path: Path) -> RawMesh:
+    """The mesh as the file has it."""
     reader = _READERS.get(path.suffix.lower())
     if reader is None:
         raise InputError(
@@ -58,10 +81,13 @@ def _read(path: Path, unit: Unit | None) -> Mesh:
         )
     if path.is_dir():
         raise InputError(path, found="a folder", expected="a mesh file")
-    raw = reader(MeshFiles(path))
-    standard: Unit | None = "m" if reader is read_gltf else None
+    return reader(MeshFiles(path))
+
+
+def _read(path: Path, unit: Unit | None) -> Mesh:
+    raw = _raw(path)
     vertices, faces = _referenced(raw)
-    scale = _metres_per_unit(vertices, unit or standard, unit is not None, path)
+    scale = _metres_per_unit(vertices, unit or unit_of_format(path), unit is not None, path)
     metric = (vertices * scale).astype(np.float32)
     uv, texture = single_texture(raw, path)
     if outward_sign(metric, faces) < 0:
@@ -77,8 +103,13 @@ def _referenced(raw: RawMesh) -> tuple[Float64, Int32]:
     return raw.vertices[used], numbers[raw.faces].astype(np.int32)
 
 
+def _extent(vertices: Float64) -> float:
+    """The largest side, in the unit of the vertices (V, 3)."""
+    return float((vertices.max(0) - vertices.min(0)).max())
+
+
 def _metres_per_unit(vertices: Float64, unit: Unit | None, was_told: bool, path: Path) -> float:
-    extent = float((vertices.max(0) - vertices.min(0)).max())
+    extent = _extent(vertices)
     scales: dict[Unit, float] = {"m": 1.0, "mm": 0.001}
     if unit is not None:
         scales[unit] = METRES[unit]
@@ -87,7 +118,7 @@ def _metres_per_unit(vertices: Float64, unit: Unit | None, was_told: bool, path:
         return scales[unit]
     if unit is None and len(plausible) == 1:
         return scales[plausible[0]]
-    sizes = " or ".join(f"{_length(extent * s)} if it is in {u}" for u, s in scales.items())
+    sizes = " or ".join(f"{length(extent * s)} if it is in {u}" for u, s in scales.items())
     others = plausible or [u for u, s in METRES.items() if SMALLEST_M <= extent * s <= LARGEST_M]
     if others and unit is not None:
         other = others[0]
@@ -99,12 +130,17 @@ def _metres_per_unit(vertices: Float64, unit: Unit | None, was_told: bool, path:
     raise InputError(
         path,
         found=f"a largest side of {_number(extent)} units{taken}: {sizes}",
-        expected=f"an object of {_length(SMALLEST_M)} to {_length(LARGEST_M)}",
+        expected=f"an object of {length(SMALLEST_M)} to {length(LARGEST_M)}",
         fix=fix,
     )
 
 
-def _length(metres: float) -> str:
+def length(metres: float) -> str:
+    """A length in the unit in which a person would say it.
+
+    >>> length(1.5), length(0.15), length(0.005)
+    ('1.5 m', '15 cm', '5 mm')
+    """
     if metres >= 1.0:
         return f"{_number(metres)} m"
     return f"{metres * 100:.4g} cm" if metres >= 0.01 else f"{_number(metres * 1000)} mm"

@@ -46,29 +46,17 @@ def test_a_folder_that_is_there_is_left_alone(tmp_path: Path, capsys: pytest.Cap
     assert (tmp_path / "pipeline.yaml").read_text() == "site: mine\n"
 
 
-def test_a_mesh_in_another_unit_is_too_large_to_be_drawn_and_its_unit_is_asked_for(
+def test_what_is_too_large_to_be_drawn_is_not_learnt_first(
     tea_box: ReferenceModel, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     write_obj(tmp_path / "box.obj", replace(tea_box.mesh, vertices=tea_box.mesh.vertices * np.float32(10.0)))
     out = tmp_path / "mine"
-    assert main(["new", "box", str(tmp_path / "box.obj"), "--no-test", "--out", str(out)]) == 2
+    given = ["new", "box", str(tmp_path / "box.obj"), "--unit", "m", "--no-test", "--out", str(out)]
+    assert main(given) == 2
     said = capsys.readouterr().err
-    assert "found an object of 185 cm" in said
+    assert "found a largest side of 1.5 m" in said
     assert "say the mesh's unit" in said
-
-
-def test_a_size_that_was_guessed_and_is_odd_is_asked_for_again_at_the_end(
-    tea_box: ReferenceModel, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    """A box of 15 cm whose numbers are centimetres is taken for one of 15 mm."""
-    mesh = replace(tea_box.mesh, vertices=tea_box.mesh.vertices * np.float32(100.0))
-    write_obj(tmp_path / "box.obj", mesh)
-    out = tmp_path / "mine"
-    given = ["new", "box", str(tmp_path / "box.obj"), "--no-test", "--out", str(out)]
-    assert main(given) == 0
-    *_, last = capsys.readouterr().out.strip().splitlines()
-    assert last.startswith("Is its largest side 1.5 cm? The mesh gives no unit.")
-    assert "--unit cm" in last
+    assert not out.exists()
 
 
 def test_ctrl_c_ends_a_demo_whose_scene_is_still_being_drawn(tea_box: ReferenceModel, tmp_path: Path) -> None:

@@ -20,9 +20,11 @@ from huepose.datasets.bop_writer import BopWriter
 from huepose.geometry import RgbdFrame
 from huepose.model import load_models
 from huepose.onboarding import read_mesh, simplify
+from huepose.onboarding.batch import Job
 from huepose_protos.buffers import pack
 from huepose_protos.messages import FrameHeader, PoseMessage
 from huepose_services.cli.main import main
+from huepose_services.cli.mesh_unit import with_unit
 from huepose_services.convert import depth_to_wire, intrinsics_to_wire
 from tests.onboarding import mesh_files as files
 from tests.onboarding import solids
@@ -83,27 +85,62 @@ def test_a_model_gets_the_papers_tables_when_asked(
     assert len(tables.cloud_points) > 0
 
 
-def test_a_small_mesh_may_be_in_another_unit_and_that_can_be_said(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+@pytest.fixture
+def centimetres(tmp_path: Path) -> Path:
+    """A brick of 15 cm whose numbers are centimetres, in a file and a folder with names of people."""
     rng = np.random.default_rng(0)
     pictures = {s: rng.integers(0, 256, (64, 64, 3)).astype(np.uint8) for s in solids.SIDES}
     folder = tmp_path / "Körper mit Lücke"
     folder.mkdir()
     files.write_obj(folder / "brick ä.obj", solids.box((0.15, 0.08, 0.06), pictures), scale=100.0)
-    arguments = [
-        "onboard",
-        "--no-test",
-        str(folder / "brick ä.obj"),
-        "--name",
-        "brick",
-        "--out",
-        str(folder / "out"),
-    ]
+    return folder / "brick ä.obj"
+
+
+@pytest.mark.parametrize("verb", ["onboard", "new"])
+def test_nothing_is_learnt_of_a_mesh_whose_unit_a_script_does_not_say(
+    centimetres: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], verb: str
+) -> None:
+    out = tmp_path / "out"
+    given = ["new", "brick", str(centimetres)]
+    if verb == "onboard":
+        given = ["onboard", str(centimetres), "--name", "brick"]
+    assert main([*given, "--no-test", "--out", str(out)]) == 2
+    said = " ".join(capsys.readouterr().err.split())
+    assert "found no unit, and a largest side of 1.5 cm in mm, 15 cm in cm, 38.1 cm in in" in said
+    assert said.endswith("Say it: --unit mm|cm|in.")
+    assert not out.exists()
+
+
+def test_at_a_terminal_the_unit_is_asked_for_before_anything_is_learnt(
+    centimetres: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    answers = iter(["\n", "furlong\n", "CM\n"])
+    terminal = SimpleNamespace(isatty=lambda: True, readline=lambda: next(answers))
+    monkeypatch.setattr(sys, "stdin", terminal)
+    monkeypatch.setattr(sys.stderr, "isatty", lambda: True, raising=False)
+    arguments = ["onboard", "--no-test", str(centimetres), "--name", "brick", "--out", str(tmp_path / "out")]
     assert main(arguments) == 0
     said = capsys.readouterr()
-    assert "1.5 x 0.8 x 0.6 cm" in said.out
-    assert "--unit cm" in said.err
+    assert said.err.count("In which unit is it, mm, cm, in? ") == 3
+    assert "15.0 x 8.0 x 6.0 cm" in said.out
+
+
+def test_a_usual_size_is_taken_and_said_with_the_others_that_it_could_be(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    files.write_obj(tmp_path / "m.obj", solids.box((0.12, 0.08, 0.06)), scale=1000.0)
+    files.write_glb(tmp_path / "m.glb", solids.box((0.12, 0.08, 0.06)))
+    files.write_glb(tmp_path / "l.glb", solids.box((1.2, 0.8, 0.6)))
+    settled = {name: with_unit(Job(tmp_path / name, "m")).unit for name in ("m.obj", "m.glb", "l.glb")}
+    assert settled == {"m.obj": "mm", "m.glb": "m", "l.glb": "m"}
+    first, second = capsys.readouterr().err.splitlines()
+    assert first == (
+        "note: the mesh gives no unit; its largest side is taken as 12 cm in mm (it would be 1.2 m in cm); "
+        "--unit says another"
+    )
+    assert second.startswith(
+        "note: the mesh is in metres as all of its format: its largest side is 1.2 m in m"
+    )
 
 
 def test_a_large_mesh_says_which_extra_it_needs(

@@ -41,13 +41,17 @@ def add_parser(subparsers: Any) -> None:
 
 
 def call(arguments: argparse.Namespace) -> int:
-    """Onboard, draw, write, and say what to do next."""
-    from huepose.model import load_models
+    """Draw, onboard, write, and say what to do next."""
+    import numpy as np
+
+    from huepose.model.io import check_name
     from huepose.onboarding.batch import Job
+    from huepose.onboarding.meshes import length, read_mesh
     from huepose.scenes.builtin import first_shot
     from huepose.scenes.plan import CAMERA
     from huepose.support.errors import InputError
-    from huepose_services.cli.onboard import in_words, odd_side_m, onboard_one, self_test
+    from huepose_services.cli.mesh_unit import with_unit
+    from huepose_services.cli.onboard import in_words, onboard_one, self_test
 
     out: Path = arguments.out or Path(arguments.name)
     path = out / "pipeline.yaml"
@@ -58,24 +62,25 @@ def call(arguments: argparse.Namespace) -> int:
             expected="a new folder",
             fix="Name another one with --out DIR, or delete this one.",
         )
-    job = Job(arguments.mesh, arguments.name, unit=arguments.unit)
-    print(in_words(onboard_one(job, out / "bundles")))
-    (model,) = load_models(out / "bundles", [arguments.name]).values()
-    if arguments.test:
-        _, words = self_test(out / "bundles", model.name)
-        print(words)
-    try:
-        shot = first_shot({model.name: model.mesh})
+    check_name(arguments.name)
+    job = with_unit(Job(arguments.mesh, arguments.name, unit=arguments.unit))
+    mesh = read_mesh(job.mesh_path, job.unit)
+    try:  # in a second, before what takes longer
+        shot = first_shot({job.name: mesh})
     except InputError as error:
         raise InputError(
-            f"{model.name} is learnt ({out}/bundles), but no scene of it can be drawn",
-            found=f"an object of {model.diameter_m * 100:.0f} cm",
-            expected="one that can move in view of a camera",
-            fix="If it is smaller, remove the folder and say the mesh's unit (--unit mm, for example); else "
-            "go on with pictures of your camera.",
+            f"no scene of {job.name} can be drawn",
+            found=f"a largest side of {length(float(np.ptp(mesh.vertices, axis=0).max()))}",
+            expected="an object that can move in view of a camera",
+            fix="If it is smaller, say the mesh's unit (--unit mm, for example); else learn it with `huepose "
+            "onboard`, and go on with pictures of your camera.",
         ) from error
+    print(in_words(onboard_one(job, out / "bundles")))
+    if arguments.test:
+        _, words = self_test(out / "bundles", job.name)
+        print(words)
     write_frame(out, shot, CAMERA)
-    path.write_text(_PIPELINE.format(name=model.name))
+    path.write_text(_PIPELINE.format(name=job.name))
     at = shlex.quote(str(out))
     print(
         f"""
@@ -85,12 +90,6 @@ def call(arguments: argparse.Namespace) -> int:
   huepose demo --bundles {at}/bundles      # the whole pipeline on it, with its accuracy
   huepose up {at}/pipeline.yaml      # live, until Ctrl-C; in another terminal: huepose poses, huepose view"""
     )
-    side_m = odd_side_m(job)
-    if side_m is not None:
-        print(
-            f"Is its largest side {side_m * 100:.1f} cm? The mesh gives no unit. If not, delete {at} and "
-            "begin again with --unit cm, for example"
-        )
     return 0
 
 

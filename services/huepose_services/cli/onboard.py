@@ -13,15 +13,13 @@ from datetime import datetime
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from huepose_services.cli.mesh_unit import with_unit
 from huepose_services.cli.onboard_video import METRES, add_video, mesh_from_video
 from huepose_services.cli.options import add_json, add_number, add_path, add_unit, answered
 
 if TYPE_CHECKING:
     from huepose.onboarding.batch import Job, Onboarded
     from huepose.onboarding.bop_folder import BopModel
-
-# Few objects that are handled are smaller or larger; a mesh in another unit seems to be.
-_SMALL_M, _LARGE_M = 0.03, 0.6
 
 
 def add_parser(subparsers: Any) -> None:
@@ -135,8 +133,8 @@ def self_test(bundles: Path, name: str, part: float | None = None) -> tuple[dict
 
 
 def onboard_one(job: Job, out: Path) -> Onboarded:
-    """Onboard a mesh into a folder of reference models, with a progress bar; says when it replaced another
-    model of that name."""
+    """Onboard a mesh into a folder of reference models, with a progress bar; settles its unit before, and
+    says when it replaced another model of that name."""
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # small matrices: threads only cost
     from huepose.model.io import check_name, model_path
     from huepose.onboarding import batch
@@ -148,13 +146,7 @@ def onboard_one(job: Job, out: Path) -> Onboarded:
     _check_folder(out)
     if not job.mesh_path.is_file():
         raise InputError(job.mesh_path, found="no such file", expected="the mesh", fix="Check the path.")
-    side_m = odd_side_m(job)
-    if side_m is not None:
-        print(
-            f"note: the mesh gives no unit; as it is taken, its largest side is {side_m * 100:.1f} cm. If "
-            "that is wrong, stop with Ctrl-C and say the unit: --unit cm, for example",
-            file=sys.stderr,
-        )
+    job = with_unit(job)
     before = _model_there(model_path(out, job.name))
     with closing(progress(range(len(STAGES) + 1), f"onboarding {job.name}")) as steps:
         result = batch.onboard_one(job, out, lambda stage: _advance(steps))
@@ -174,17 +166,6 @@ def _model_there(path: Path) -> tuple[bytes, str] | None:
         return None
     written = datetime.fromtimestamp(path.stat().st_mtime)
     return path.read_bytes(), f"{written:%Y-%m-%d at %H:%M}"
-
-
-def odd_side_m(job: Job) -> float | None:
-    """The largest side where the unit was guessed and gives an object that few people handle; else None."""
-    from huepose.onboarding.meshes import read_mesh
-
-    if job.unit is not None:
-        return None
-    vertices = read_mesh(job.mesh_path).vertices
-    side_m = float((vertices.max(0) - vertices.min(0)).max())
-    return None if _SMALL_M < side_m < _LARGE_M else side_m
 
 
 def call_bop(arguments: argparse.Namespace) -> int:

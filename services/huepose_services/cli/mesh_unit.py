@@ -1,0 +1,76 @@
+"""The unit of a mesh that gives none is settled before anything is learnt: said, asked for, or demanded."""
+
+from __future__ import annotations
+
+import sys
+from dataclasses import replace
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from huepose.onboarding.batch import Job
+    from huepose.onboarding.meshes import Unit
+
+SMALL_M, LARGE_M = 0.03, 0.6
+"""Few objects that are handled have a smaller or larger largest side: such a mesh may be in another unit."""
+
+
+def with_unit(job: Job) -> Job:
+    """A job whose unit is known. A usual size is taken, and said with the others that it could be; of another
+    the unit is asked for at a terminal. Raises InputError where nobody can be asked."""
+    from huepose.onboarding.meshes import sizes_by_unit, unit_of_format
+
+    if job.unit is not None:
+        return job
+    sizes, standard = sizes_by_unit(job.mesh_path), unit_of_format(job.mesh_path)
+    taken = standard or next((unit for unit in sizes if unit in ("m", "mm")), None)
+    if not sizes or (standard and standard not in sizes):
+        return job  # whoever reads it refuses it
+    usual = taken is not None and SMALL_M < sizes[taken] < LARGE_M
+    if taken is None or not (usual or standard):
+        return replace(job, unit=_asked(job.mesh_path, sizes))
+    others = [f"{_size(sizes, unit)}" for unit in sizes if unit != taken]
+    if not standard:
+        _note(f"the mesh gives no unit; its largest side is taken as {_size(sizes, taken)}", others)
+    elif not usual:
+        _note(
+            f"the mesh is in metres as all of its format: its largest side is {_size(sizes, taken)}", others
+        )
+    return replace(job, unit=taken)
+
+
+def _note(text: str, others: list[str]) -> None:
+    but = f" (it would be {', '.join(others)})" if others else ""
+    print(f"note: {text}{but}; --unit says another", file=sys.stderr)
+
+
+def _asked(path: Path, sizes: dict[Unit, float]) -> Unit:
+    """The unit that the user names."""
+    from huepose.support.errors import InputError
+
+    if not (sys.stdin.isatty() and sys.stderr.isatty()):
+        raise InputError(
+            path,
+            found=f"no unit, and a largest side of {_in_words(sizes)}",
+            expected="its unit: few objects have the size that metres or millimetres would give it",
+            fix=f"Say it: --unit {'|'.join(sizes)}.",
+        )
+    print(f"{path} gives no unit. Its largest side is {_in_words(sizes)}.", file=sys.stderr)
+    while True:
+        print(f"In which unit is it, {', '.join(sizes)}? ", end="", file=sys.stderr, flush=True)
+        said = sys.stdin.readline()
+        if not said:
+            raise InputError(path, found="no answer", expected="its unit", fix="Say it with --unit.")
+        for unit in sizes:
+            if said.strip().lower() == unit:
+                return unit
+
+
+def _in_words(sizes: dict[Unit, float]) -> str:
+    return ", ".join(_size(sizes, unit) for unit in sizes)
+
+
+def _size(sizes: dict[Unit, float], unit: Unit) -> str:
+    from huepose.onboarding.meshes import length
+
+    return f"{length(sizes[unit])} in {unit}"

@@ -42,6 +42,13 @@ call reliable, and what tracking still confirms over several frames."""
 NOTICEABLE = 2.3
 """CIELAB distance of two colours that are just told apart (Mahy, Van Eycken and Oosterlinck 1994)."""
 
+TURNED_RAD = np.radians(20.0)
+"""A pose is turned from which angle on. Those that look the same are up to 15 degrees apart where an object
+is round, and a right pose is a few degrees off."""
+
+ALONG = 0.95
+"""Cosine between the axis of a turn and one of the object's, from which it is about that axis."""
+
 FACING = 0.3
 """Cosine between a normal and the line of sight from which a colour pair is drawn in a view."""
 
@@ -57,8 +64,9 @@ CAPTION = (
 @dataclass(frozen=True, eq=False)
 class Trial:
     """One drawn question. size_px: the object's diameter in the picture; right: ADD under a tenth of the
-    diameter, to the nearest of the poses that look the same; shape_right: the same of ADD-S; crop: the
-    picture (H, W, 3) around it with the answer."""
+    diameter, to the nearest of the poses that look the same, and not turned; shape_right: ADD-S under it;
+    turn: rotation vector (3,) of the answer about the object's axes, from the nearest of these poses, where
+    it is in the right place and turned; crop: the picture (H, W, 3) around it with the answer."""
 
     distance_m: float
     size_px: float
@@ -68,18 +76,21 @@ class Trial:
     right: bool
     shape_right: bool
     crop: UInt8
+    turn: Float64 | None = None
 
 
 @dataclass(frozen=True, eq=False)
 class Suitability:
     """What the trials say. right, tracking: shares of the trials with a right pose, and with one published as
-    TRACKING; smallest_px: size from which on WELL of the poses are right, None where none is; reasons: what
-    limits it, in sentences."""
+    TRACKING; false_tracking, turned: numbers of those with a wrong pose published as TRACKING, and with one
+    that is in the right place and turned; smallest_px: size from which on WELL of the poses are right, None
+    where none is; reasons: what limits it, in sentences."""
 
     verdict: Verdict
     right: float
     tracking: float
     false_tracking: int
+    turned: int
     smallest_px: float | None
     reasons: tuple[str, ...]
     trials: tuple[Trial, ...]
@@ -104,7 +115,7 @@ def _trials(model: ReferenceModel, estimator: Estimator, count: int, seed: int) 
         box = disturbed(around, "perturbed", seed, model.name, number, 0, drawn.camera)
         answer = estimator.estimate(frame, [ObjectQuery(model.name, box)])[0]
         T = answer.T_cam_obj
-        limit_m = RECALL_FRACTION * model.diameter_m
+        right, shape_right, turn = (False, False, None) if T is None else judge(model, T, T_true)
         distance_m = float(se3.apply(T_true, model.mesh.centre[None])[0, 2])
         yield Trial(
             distance_m,
@@ -112,10 +123,24 @@ def _trials(model: ReferenceModel, estimator: Estimator, count: int, seed: int) 
             float(labels.visib_fract[0]),
             answer.state,
             answer.quality,
-            T is not None and min(add(model.eval_points, T, T_true @ E) for E in model.equivalents) < limit_m,
-            T is not None and adds(model.eval_points, T, T_true) < limit_m,
+            right,
+            shape_right,
             _crop(model, frame.color, drawn.camera, around, T),
+            turn,
         )
+
+
+def judge(model: ReferenceModel, T: Float64, T_true: Float64) -> tuple[bool, bool, Float64 | None]:
+    """Of a pose (4, 4), whether it and its shape are right, and its turn, as in `Trial`."""
+    limit_m = RECALL_FRACTION * model.diameter_m
+    alike = [T_true @ E for E in model.equivalents]
+    nearest = min(alike, key=lambda other: se3.rotation_angle(other, T))
+    turn = se3.rotation_log(nearest[:3, :3].T @ T[:3, :3])
+    turned = float(np.linalg.norm(turn)) > TURNED_RAD
+    near = min(add(model.eval_points, T, other) for other in alike) < limit_m
+    shape_right = bool(adds(model.eval_points, T, T_true) < limit_m)
+    # A thin thing that is turned about its length is near, too.
+    return near and not turned, shape_right, turn if turned and shape_right else None
 
 
 def judged(model: ReferenceModel, trials: Sequence[Trial]) -> Suitability:
@@ -133,9 +158,11 @@ def judged(model: ReferenceModel, trials: Sequence[Trial]) -> Suitability:
             f"It is of one colour (its colours differ by {contrast:.1f} in CIELAB): only its shape tells its "
             "pose, and where no box says where it is, things of like shape are taken for it."
         )
-    if shape - share > 1.0 - WELL:
+    turns = [t.turn for t in trials if t.turn is not None]
+    if turns:
         reasons.append(
-            "Where it is is found more often than how it is turned: its sides look too much alike."
+            f"{len(turns)} of {len(trials)} answers are in the right place and turned: "
+            f"{_turns_in_words(turns)}. Seen from there it looks too much alike."
         )
     if len(model.equivalents) > 1:
         reasons.append(
@@ -163,10 +190,35 @@ def judged(model: ReferenceModel, trials: Sequence[Trial]) -> Suitability:
         share,
         float((right & sure).mean()) if len(trials) else 0.0,
         int((sure & ~right).sum()),
+        len(turns),
         smallest,
         tuple(reasons),
         tuple(trials),
     )
+
+
+def _turns_in_words(turns: Sequence[Float64]) -> str:
+    """By the object's axes about which they are, the most frequent first.
+
+    >>> _turns_in_words([np.array([0.0, 0.0, 3.1]), np.array([0.1, 0.0, -1.0]), np.array([1.0, 1.0, 0.0])])
+    '2 about its z axis by 58 to 178 deg, 1 about no axis of it by 81 deg'
+    """
+    groups: dict[str, list[float]] = {}
+    for turn in turns:
+        angle = float(np.linalg.norm(turn))
+        cosines = np.abs(turn) / angle
+        along = cosines.max() > ALONG
+        axis = f"its {'xyz'[int(cosines.argmax())]} axis" if along else "no axis of it"
+        groups.setdefault(axis, []).append(np.degrees(angle))
+    return ", ".join(
+        f"{len(angles)} about {axis} by {_span(angles)} deg"
+        for axis, angles in sorted(groups.items(), key=lambda group: -len(group[1]))
+    )
+
+
+def _span(angles: Sequence[float]) -> str:
+    low, high = f"{min(angles):.0f}", f"{max(angles):.0f}"
+    return low if low == high else f"{low} to {high}"
 
 
 def seen_in_part(found: Suitability, share: float) -> Suitability:
@@ -195,7 +247,8 @@ def in_words(model: ReferenceModel, found: Suitability) -> str:
     lines = [
         f"{model.name} {found.verdict}: {size} cm, "
         f"right in {100 * found.right:.0f} % of {n} drawn scenes that show it, surely so (TRACKING) in "
-        f"{100 * found.tracking:.0f} %, wrongly sure in {found.false_tracking}."
+        f"{100 * found.tracking:.0f} %; turned in {100 * found.turned / max(n, 1):.0f} %, "
+        f"wrongly sure in {100 * found.false_tracking / max(n, 1):.0f} %."
     ]
     return "\n".join([*lines, *found.reasons])
 
@@ -206,7 +259,8 @@ def sheet(model: ReferenceModel, found: Suitability) -> UInt8:
     pictures = [*(picture for picture, _ in views), *(t.crop for t in found.trials)]
     labels = [f"from {axis}: {text}" for axis, (_, text) in zip(AXES, views, strict=True)]
     for t in found.trials:
-        word = "right" if t.right else "no pose" if t.state == "LOST" else "WRONG"
+        wrong = "WRONG" if t.turn is None else f"TURNED {np.degrees(np.linalg.norm(t.turn)):.0f} deg"
+        word = "right" if t.right else "no pose" if t.state == "LOST" else wrong
         labels.append(f"{word} {t.quality:.2f}, {t.distance_m:.1f} m")
     page = contact_sheet(pictures, 6, labels, (VIEW_PX, VIEW_PX))
     words = f"{in_words(model, found)}\n{CAPTION}"

@@ -7,14 +7,16 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from huepose.evaluation.suitability import Trial, in_words, judged, seen_in_part, self_test, sheet
+from huepose.evaluation.suitability import Trial, in_words, judge, judged, seen_in_part, self_test, sheet
+from huepose.geometry import se3
 from huepose.model import ReferenceModel
 
 CROP = np.zeros((20, 30, 3), np.uint8)
 
 
 def trial(right: bool, size_px: float = 100.0, *, state: str = "TRACKING", shape: bool = True) -> Trial:
-    return Trial(61.4 / size_px, size_px, 0.9, state, 0.9, right, right or shape, CROP)
+    turn = None if right or not shape else np.array([0.0, 0.0, np.pi])
+    return Trial(61.4 / size_px, size_px, 0.9, state, 0.9, right, right or shape, CROP, turn)
 
 
 def test_an_object_that_is_always_right_suits_without_reasons(tea_box: ReferenceModel) -> None:
@@ -30,8 +32,42 @@ def test_wrong_sides_and_small_pictures_are_said(tea_box: ReferenceModel) -> Non
     assert found.false_tracking == 4
     # Nine right ones and then one wrong one are 90 %.
     assert found.smallest_px == 33.0
-    assert any("how it is turned" in reason for reason in found.reasons)
+    assert found.turned == 4
+    assert any(
+        reason.startswith("4 of 13 answers are in the right place and turned: 4 about its z axis by 180 deg.")
+        for reason in found.reasons
+    )
+    said = in_words(tea_box, found)
+    assert "right in 69 % of 13 drawn scenes" in said
+    assert "turned in 31 %, wrongly sure in 31 %." in said
     assert any("33 pixels" in reason and "1.9 m" in reason for reason in found.reasons)
+
+
+def about_z(degrees: float) -> np.ndarray:
+    return se3.make(se3.rotation_exp(np.array([0.0, 0.0, np.radians(degrees)])), np.zeros(3))
+
+
+def test_a_turned_pose_is_a_wrong_one(tea_box: ReferenceModel, standing: np.ndarray) -> None:
+    right, shape_right, turn = judge(tea_box, standing @ about_z(180.0), standing)
+    assert (right, shape_right) == (False, True)
+    assert turn is not None
+    np.testing.assert_allclose(np.abs(turn), [0.0, 0.0, np.pi], atol=1e-6)
+    assert judge(tea_box, standing @ about_z(5.0), standing) == (True, True, None)
+    beside = standing.copy()
+    beside[0, 3] += 0.1
+    assert judge(tea_box, beside, standing) == (False, False, None)
+
+
+def test_a_thin_thing_that_is_turned_about_its_length_is_wrong_unless_it_looks_the_same(
+    tea_box: ReferenceModel, standing: np.ndarray
+) -> None:
+    """A rod of 15 cm and 4 mm: turned by 90 degrees all of it is within 6 mm of where it was."""
+    rod = replace(tea_box, eval_points=tea_box.eval_points * np.array([0.03, 0.03, 1.0], np.float32))
+    right, shape_right, turn = judge(rod, standing @ about_z(90.0), standing)
+    assert (right, shape_right) == (False, True)
+    assert turn is not None
+    alike = replace(rod, equivalents=np.stack([np.eye(4), about_z(90.0)]))
+    assert judge(alike, standing @ about_z(90.0), standing) == (True, True, None)
 
 
 def test_an_object_whose_poses_are_wrong_does_not_suit(tea_box: ReferenceModel) -> None:

@@ -126,7 +126,7 @@ def self_test(bundles: Path, name: str, part: float | None = None) -> tuple[dict
     write_picture(picture, suitability.sheet(model, found))
     facts = {
         key: getattr(found, key)
-        for key in ("verdict", "right", "tracking", "false_tracking", "smallest_px", "reasons")
+        for key in ("verdict", "right", "tracking", "false_tracking", "turned", "smallest_px", "reasons")
     }
     words = f"{suitability.in_words(model, found)}\nWhat was tried, and how it went: {picture}"
     return {**facts, "trials": len(found.trials), "picture": str(picture)}, words

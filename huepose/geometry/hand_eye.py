@@ -1,8 +1,7 @@
 """Where a camera is on a robot, from poses of the hand and poses of one object (hand-eye calibration).
 
-With A_i X B_i = Y for all i: rotations of the moves are aligned as in Park and Martin, Robot sensor
-calibration: solving AX = XB on the Euclidean group (1994), translations follow by least squares, and both are
-refined together over all measurements. OpenCV 5 has no function for it any more.
+With A_i X B_i = Y for all i: a closed form (`hand_eye_methods`) finds X from the moves between measurements,
+then X and Y are refined together over all measurements.
 """
 
 from __future__ import annotations
@@ -14,7 +13,7 @@ from scipy.optimize import least_squares
 
 from huepose.geometry import se3
 from huepose.geometry.arrays import Float64
-from huepose.geometry.kabsch import fit
+from huepose.geometry.hand_eye_methods import CLOSED_FORMS, Method, disagreement, rotation_vectors
 from huepose.support.errors import InputError
 
 FEWEST = 4
@@ -27,16 +26,18 @@ several centimetres in the answer."""
 
 @dataclass(frozen=True, eq=False)
 class HandEye:
-    """X and Y (4, 4); what is left of each measurement, shift in metres (N,) and turn in radians (N,)."""
+    """X and Y (4, 4); what is left of each measurement, shift in metres (N,) and turn in radians (N,);
+    forms_apart: how far the closed forms lie apart, metres and radians."""
 
     X: Float64
     Y: Float64
     shift_m: Float64
     turn_rad: Float64
+    forms_apart: tuple[float, float]
 
 
-def solve(A: Float64, B: Float64) -> HandEye:
-    """X and Y of A_i X B_i = Y, A and B (N, 4, 4).
+def solve(A: Float64, B: Float64, method: Method = "park") -> HandEye:
+    """X and Y of A_i X B_i = Y, A and B (N, 4, 4). method: the closed form from which it is refined.
 
     A camera on the hand that looks at an object which stands still: A = T_base_hand, B = T_cam_obj; X is
     T_hand_cam, Y is T_base_obj. A camera that is fixed and looks at an object in the hand: A = T_hand_base;
@@ -48,8 +49,8 @@ def solve(A: Float64, B: Float64) -> HandEye:
             found=f"{len(A)} measurements",
             expected=f"{FEWEST} or more, better twelve, with the hand turned about different axes",
         )
-    moves_a, alpha = moves(A)  # M X = X N
-    moves_b, beta = moves(np.array([se3.inverse(b) for b in B]))
+    M, alpha = moves(A)  # M X = X N
+    N, _ = moves(np.array([se3.inverse(b) for b in B]))
     spread = np.linalg.svd(alpha, compute_uv=False)[1] / np.sqrt(len(alpha))
     if spread < LEAST_SPREAD_RAD:
         raise InputError(
@@ -57,22 +58,18 @@ def solve(A: Float64, B: Float64) -> HandEye:
             found=f"turns about one axis alone ({np.degrees(spread):.1f} degrees about any other)",
             expected="the hand turned about two axes or more, by 20 degrees or more",
         )
-    # Rotation vectors of moves are the same vectors, turned; opposite ones make the fit one about the origin.
-    R = fit(np.vstack([beta, -beta]), np.vstack([alpha, -alpha]))[:3, :3]
-    left = np.vstack([M[:3, :3] - np.eye(3) for M in moves_a])
-    right = np.concatenate([R @ N[:3, 3] - M[:3, 3] for M, N in zip(moves_a, moves_b, strict=True)])
-    X = se3.make(R, np.linalg.lstsq(left, right, rcond=None)[0])
-    return _refined(A, B, X, A[0] @ X @ B[0])
+    X = CLOSED_FORMS[method](M, N)
+    return _refined(A, B, X, A[0] @ X @ B[0], disagreement(M, N))
 
 
 def moves(A: Float64) -> tuple[Float64, Float64]:
     """From each pose to each later one, A_n^-1 A_m (K, 4, 4), and their rotation vectors (K, 3), radians."""
     i, j = np.triu_indices(len(A), 1)
     between = np.array([se3.inverse(A[n]) @ A[m] for m, n in zip(i, j, strict=True)])
-    return between, np.array([se3.rotation_log(M[:3, :3]) for M in between])
+    return between, rotation_vectors(between)
 
 
-def _refined(A: Float64, B: Float64, X: Float64, Y: Float64) -> HandEye:
+def _refined(A: Float64, B: Float64, X: Float64, Y: Float64, forms_apart: tuple[float, float]) -> HandEye:
     """Least squares over all measurements; a radian counts as much as the distance at which it is seen."""
     lever_m = lever(B)
 
@@ -82,7 +79,7 @@ def _refined(A: Float64, B: Float64, X: Float64, Y: Float64) -> HandEye:
     found = least_squares(left, np.zeros(12), loss="soft_l1", f_scale=0.01)
     rest = left(found.x).reshape(2, -1, 3)
     shift_m, turn_rad = np.linalg.norm(rest[0], axis=1), np.linalg.norm(rest[1], axis=1) / lever_m
-    return HandEye(X @ se3.exp(found.x[:6]), Y @ se3.exp(found.x[6:]), shift_m, turn_rad)
+    return HandEye(X @ se3.exp(found.x[:6]), Y @ se3.exp(found.x[6:]), shift_m, turn_rad, forms_apart)
 
 
 def lever(B: Float64) -> float:

@@ -120,13 +120,18 @@ def test_the_command_says_what_to_configure(
     (tmp_path / "object.csv").write_text(rows(B))
     out = tmp_path / "out.json"
     files = ["--object", str(tmp_path / "object.csv"), "--hand", str(tmp_path / "hand.csv")]
-    outputs = ["--json", str(out), "--image", str(tmp_path / "left.png")]
+    outputs = ["--json", str(out), "--image", str(tmp_path / "left.png"), "--method", "daniilidis"]
     assert main(["calibrate", "hand-eye", *files, "--camera", camera, *outputs]) == 0
-    mount = json.loads(out.read_text())["mount"]
+    answer = json.loads(out.read_text())
+    mount, facts = answer["mount"], answer["certainty"]
+    assert facts["closed_forms_apart_mm"] < 0.01
+    assert facts["closed_forms_apart_deg"] < 0.01
     assert mount["parent"] == ("base_link" if camera == "fixed" else "tool0")
     assert np.allclose(mount["translation"], X[:3, 3], atol=1e-5)
     assert np.allclose(se3.rotation_from_quaternion(np.array(mount["quaternion"])), X[:3, :3], atol=1e-4)
-    assert "mount: {parent: " in capsys.readouterr().out
+    said = capsys.readouterr().out
+    assert "mount: {parent: " in said
+    assert "the closed forms of Park, Tsai and Daniilidis lie 0.0 mm and 0.00 degrees apart at most" in said
     assert (tmp_path / "left.png").stat().st_size > 1000
 
 

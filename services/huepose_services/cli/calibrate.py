@@ -7,7 +7,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from huepose_services.cli.options import add_json, add_path, answered
+from huepose_services.cli.options import add_json, add_one_of, add_path, answered
 
 if TYPE_CHECKING:
     from huepose.geometry.arrays import Float64
@@ -36,6 +36,12 @@ def add_parser(subparsers: Any) -> None:
         required=True,
         help="fixed: beside the robot, the object in the hand; on-hand: the object stands still",
     )
+    add_one_of(
+        one,
+        "--method",
+        ("park", "tsai", "daniilidis"),
+        "closed form from which the answer is refined over all poses; the default is Park's",
+    )
     one.add_argument("--parent", default=None, metavar="FRAME", help="name of the frame (base_link or tool0)")
     add_json(one, to_file=True)
     add_path(one, "--image", "OUT.png", "what is left at each pose")
@@ -59,7 +65,7 @@ def call(arguments: argparse.Namespace) -> int:
     fixed = arguments.camera == "fixed"
     hands, B = (np.array([poses[f] for f in frames]) for poses in (hand, seen))
     A = hand_eye_doubts.measured(hands, fixed)
-    found = hand_eye.solve(A, B)
+    found = hand_eye.solve(A, B, arguments.method)
     sure = certainty(A, B, found)
     parent = arguments.parent or ("base_link" if fixed else "tool0")
     mount = {
@@ -81,8 +87,13 @@ def call(arguments: argparse.Namespace) -> int:
         certainty_of = {"well_determined": False, "would_fit_with": meant}
         answered(arguments, {"mount": None, "left": rest, "certainty": certainty_of}, words)
         return 1
+    apart_mm, apart_deg = 1e3 * found.forms_apart[0], float(np.degrees(found.forms_apart[1]))
+    forms = (
+        f"before they are refined, the closed forms of Park, Tsai and Daniilidis lie {apart_mm:.1f} mm and "
+        f"{apart_deg:.2f} degrees apart at most"
+    )
     inner = ", ".join(f"{key}: {value}" for key, value in mount.items())
-    summary = f"mount: {{{inner}}}\n{left}\n{_in_words(sure, len(frames), parent)}"
+    summary = f"mount: {{{inner}}}\n{left}\n{forms}\n{_in_words(sure, len(frames), parent)}"
     if not fixed:
         summary += f"\nThe mount of a camera that moves with {parent}: beside it, camera.tf or camera.moving."
     facts = {
@@ -94,6 +105,8 @@ def call(arguments: argparse.Namespace) -> int:
         "least_turned_axis": sure.axis.tolist(),
         "least_turned_deg": float(np.degrees(sure.turned_rad)),
         "more_poses": sure.more,
+        "closed_forms_apart_mm": apart_mm,
+        "closed_forms_apart_deg": apart_deg,
     }
     answered(arguments, {"mount": mount, "left": rest, "certainty": facts}, summary)
     return 0

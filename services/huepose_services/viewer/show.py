@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections import deque
+from collections import Counter, deque
 from collections.abc import Mapping
 from typing import Any
 
@@ -28,7 +28,10 @@ from huepose_services.viewer.shapes import (
     yuv,
 )
 
-STATE_COLOURS: dict[StateName, tuple[int, int, int]] = {
+Instance = tuple[str, int]
+Colour = tuple[int, int, int]
+
+STATE_COLOURS: dict[StateName, Colour] = {
     "TRACKING": (64, 220, 120),
     "SUSPECT": (255, 190, 40),
     "LOST": (250, 80, 70),
@@ -52,7 +55,6 @@ _TRAIL = 90
 _ABOVE = 30.0
 """Pixels from the top of an outline up to the point below which its label stands."""
 _CLOUD_STRIDE = 3
-Instance = tuple[str, int]
 
 
 class Show:
@@ -62,6 +64,7 @@ class Show:
         self._recording = recording
         self._bodies = bodies
         self._drawn: set[Instance] = set()
+        self._colours: dict[Instance, Colour] = {}
         self._trails: dict[Instance, deque[tuple[float, float, float]]] = {}
         self._camera: Camera | None = None
         self._tell_static()
@@ -81,11 +84,15 @@ class Show:
         self._recording.set_time(place.TIMELINE, timestamp=np.datetime64(realtime_ns, "ns"))
         self._recording.set_time("frame", sequence=frame_id)
 
-    def colour_of(self, instance: Instance) -> tuple[int, int, int]:
-        """Of an object in plots and trails."""
-        names = list(self._bodies)
-        number = names.index(instance[0]) if instance[0] in names else hash(instance[0])
-        return _PALETTE[number % len(_PALETTE)]
+    def colour_of(self, instance: Instance) -> Colour:
+        """Of an instance in plots and trails: the first of its object has the object's, another one the next
+        that the fewest have."""
+        if instance not in self._colours:
+            names, used = list(self._bodies), Counter(self._colours.values())
+            first = names.index(instance[0]) if instance[0] in names else len(names)
+            others = (_PALETTE[(first + k) % len(_PALETTE)] for k in range(len(_PALETTE)))
+            self._colours[instance] = min(others, key=lambda colour: used[colour])
+        return self._colours[instance]
 
     def frame(self, header: FrameHeader, color: Array, depth: Array, with_cloud: bool) -> None:
         """Colour, every other pixel of depth, and now and then the point cloud."""

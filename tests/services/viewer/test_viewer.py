@@ -156,6 +156,30 @@ def test_frames_poses_and_changes_are_in_the_file(tmp_path):
         assert counts[once] == 1, once
 
 
+def test_instances_of_one_object_differ_in_colour(tmp_path):
+    pytest.importorskip("rerun")
+    from huepose_services.viewer.show import Show
+    from huepose_services.viewer.sinks import saved
+
+    recording = saved(tmp_path / "out.rrd")
+    show = Show(recording, {"box": Body(_box(), 0.2), "can": Body(_box(), 0.2)})
+    instances = [
+        ("box", 0),
+        ("box", 1),
+        ("can", 0),
+        ("can", 5),
+        ("unknown", 0),
+        ("box", 2),
+        ("can", 1),
+        ("can", 2),
+    ]
+    colours = [show.colour_of(instance) for instance in instances]
+    assert len(set(colours)) == len(instances), "as many as there are colours"
+    assert [show.colour_of(instance) for instance in instances] == colours
+    assert show.colour_of(("box", 3)) == colours[0], "then that of its object again"
+    recording.disconnect()
+
+
 def test_a_taken_port_is_named():
     import socket
 

@@ -24,6 +24,12 @@ FOUND_AGAIN = (*LOOKED_FOR, "turn")
 """Sources of hypotheses found by a search instead of followed from the last frame; FOUND_AGAIN adds those
 that were followed and then turned."""
 
+CLAIMED = 0.8
+"""The most that a claim of perception under `confirmed_identity` counts for the orientation.
+
+To be confirmed, the pose then needs a lead of 0.034 of a total over its best near-symmetric rotation. Leads
+under 0.025 are chance on drawn films of the split `fit`."""
+
 
 class Orientation:
     """Of one track. facing: the belief, None before the first pose; sure, sure_ns: the last sure pose, from
@@ -48,7 +54,8 @@ class Orientation:
 
     def begin(self, quality: float, view: Float64) -> None:
         """Begin with a pose of perception of that quality, seen from `view` (3,)."""
-        self.facing = Facing.of(quality, view, len(self._subject.other_turns))
+        counts = quality if quality >= self._config.confirmed_identity else min(quality, CLAIMED)
+        self.facing = Facing.of(counts, view, len(self._subject.other_turns))
 
     def assure(self, quality: float) -> None:
         """Perception found the same pose independently, with that quality."""

@@ -20,7 +20,7 @@ from huepose.judge.surface import SAMPLES, PreparedSurface
 from huepose.judge.terms import score_arrays
 from huepose.refine.photometric import COARSE, refine_all
 from huepose.select.distinct import RIGHT
-from huepose.tracking.evidence import AT_ONCE, odds_of
+from huepose.tracking.evidence import odds_of
 from huepose.tracking.hypothesis import Hypothesis, same_pose
 from huepose.tracking.identity import NEW_VIEW
 from huepose.tracking.step import best_of, region_of
@@ -44,12 +44,6 @@ at most TRIES are refined fully, until one does not return."""
 COSTS = 1.0
 """Cost of one such check (3 to 8 ms) in costly proposals."""
 
-CLAIMED = 0.8
-"""The most that a claim of perception under AT_ONCE counts for the orientation.
-
-To be confirmed, the pose then needs a lead of 0.034 of a total over its best near-symmetric rotation. Leads
-under 0.025 are chance on drawn films of the split `fit`."""
-
 SETTLED, MOST = odds_of(0.99), 6.0
 """Log-odds from which on the orientation is settled (99 %), and their upper bound."""
 
@@ -69,7 +63,7 @@ class Facing:
     @staticmethod
     def of(quality: float, view: Float64, turns: int) -> Facing:
         """The belief in a pose of perception with that quality; turns: number of near-symmetric rotations."""
-        odds = odds_of(quality if quality >= AT_ONCE else min(quality, CLAIMED))
+        odds = odds_of(quality)
         return Facing(odds, odds, view, np.ones(turns, bool))
 
     @property

@@ -19,8 +19,8 @@ import numpy as np
 from huepose.datasets.fast_ycb_writer import FastYcbFrame, write_fast_ycb
 from huepose.model import ReferenceModel, load_models
 from huepose.scenes import carried
+from huepose.scenes.camera import COLOR, STEREO
 from huepose.scenes.frame import Stage, shoot
-from huepose.scenes.sensor import COLOR, STEREO
 from huepose.support.progress import progress
 
 FRAMES, RATE_HZ = carried.FRAMES, carried.RATE_HZ

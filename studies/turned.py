@@ -32,11 +32,11 @@ from huepose.model import ReferenceModel
 from huepose.onboarding import onboard_mesh, read_mesh
 from huepose.onboarding.from_video import Learned, Selection, learn
 from huepose.scenes import carried, textures
+from huepose.scenes.camera import COLOR, STEREO
 from huepose.scenes.frame import Stage, shoot
 from huepose.scenes.light import random_light
 from huepose.scenes.motion import UP_ROOM, upright
 from huepose.scenes.room import sheet, table_top, wallpaper
-from huepose.scenes.sensor import COLOR, STEREO
 from huepose.scenes.shapes import demo_objects, printed
 from huepose.scenes.unseen.objects import rod
 from huepose.support.progress import progress

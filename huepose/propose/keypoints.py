@@ -20,6 +20,7 @@ from huepose.geometry.arrays import Bool, Float32, Float64, Int64
 from huepose.geometry.camera import FLOOR_M, STEREO_NOISE_PER_M, Camera
 from huepose.model.types import Keypoints
 from huepose.propose.features import Features
+from huepose.propose.quick_look import product
 
 RATIO = 0.85
 """Ratio test: descriptor distance of the best match over that of the best one elsewhere. Looser than Lowe's
@@ -122,7 +123,7 @@ def match(model: ModelKeypoints, picture: PictureFeatures) -> Matches:
     """Putative matches of a model's keypoints in a picture, by the ratio test; many of them are wrong."""
     if not len(model.descriptors) or not len(picture.features):
         return Matches(np.zeros((0, 3)), np.zeros((0, 3)), np.zeros((0, 2)))
-    similarity = model.descriptors @ picture.features.descriptors.T
+    similarity = product(model.descriptors, picture.features.descriptors.T)
     rows = np.arange(len(similarity))
     best = similarity.argmax(1)
     most = similarity[rows, best]

@@ -12,27 +12,63 @@ import json
 import os
 from collections.abc import Iterator, Mapping
 from concurrent.futures import Future, ThreadPoolExecutor
-from dataclasses import asdict
+from dataclasses import asdict, dataclass, fields
 from functools import cached_property, partial
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from huepose.datasets.types import GroundTruth, Sample
 from huepose.geometry import Box, Camera, Mesh, RgbdFrame
-from huepose.geometry.arrays import Bool
-from huepose.scenes.frame import Shot, Stage, shoot, visible_mask
+from huepose.geometry.arrays import Bool, Float32, Int32, UInt8
+from huepose.scenes.camera import CAMERA, COLOR, STEREO, StereoSensor
 from huepose.scenes.loop_file import kept_loop
-from huepose.scenes.plan import CAMERA, plan
-from huepose.scenes.sensor import COLOR, STEREO, StereoSensor
 from huepose.scenes.shapes import demo_objects
 from huepose.support.errors import InputError
 from huepose.support.files import cache_folder
+from huepose.support.kept import kept
 from huepose.support.progress import progress
+
+# What plans and draws is imported where that is done: a camera that plays the loop does neither.
+if TYPE_CHECKING:
+    from huepose.scenes.frame import Shot, Stage
 
 VERSION = 3  # of what the code below this module draws: raise it when any pixel changes
 RATE_HZ = 30.0
+
+
+@dataclass(frozen=True, eq=False)
+class _Drawn:
+    """The arrays of a mesh."""
+
+    vertices: Float32
+    faces: Int32
+    uv: Float32
+    texture: UInt8
+
+
+@dataclass(frozen=True, eq=False)
+class _Objects:
+    """The objects of a seed."""
+
+    tea_box: _Drawn
+    soup_can: _Drawn
+    juice_bottle: _Drawn
+    corner_bracket: _Drawn
+    parts_tray: _Drawn
+
+
+def builtin_objects(seed: int) -> dict[str, Mesh]:
+    """`demo_objects(seed)`, drawn once and kept in the cache folder: every worker of a pipeline asks for
+    them."""
+
+    def drawn() -> _Objects:
+        meshes = demo_objects(seed).items()
+        return _Objects(**{name: _Drawn(m.vertices, m.faces, m.uv, m.texture) for name, m in meshes})
+
+    found = kept(_Objects, f"scene-{seed}", drawn)
+    return {field.name: Mesh(**vars(getattr(found, field.name))) for field in fields(_Objects)}
 
 
 class SyntheticScene:
@@ -53,13 +89,13 @@ class SyntheticScene:
     ) -> None:
         """Open the loop, computing it first where the cache folder (default `~/.cache/huepose`) has none.
 
-        objects: meshes in metres by name, default `demo_objects(seed)`; without a depth sensor, depth is
-        exact.
+        objects: meshes in metres by name, default `builtin_objects(seed)`; without a depth sensor, depth
+        is exact.
         Raises InputError when there is no object, too many to fit in view, under a second, or no cache.
         """
         if seconds < 1.0:
             raise InputError("synthetic scene", found=f"{seconds:g} s", expected="at least 1 s")
-        self.meshes: dict[str, Mesh] = dict(demo_objects(seed) if objects is None else objects)
+        self.meshes: dict[str, Mesh] = dict(builtin_objects(seed) if objects is None else objects)
         if not self.meshes:
             raise InputError("synthetic scene", found="no object", expected="one mesh or more")
         self.seed, self.camera, self.rate_hz = seed, camera, RATE_HZ
@@ -104,9 +140,13 @@ class SyntheticScene:
     @cached_property
     def stage(self) -> Stage:
         """Everything that is there and how it moves."""
+        from huepose.scenes.plan import plan
+
         return plan(self.meshes, self.seed, self._n_frames, self.camera, RATE_HZ)
 
     def _mask(self, i: int, k: int) -> Bool:
+        from huepose.scenes.frame import visible_mask
+
         return visible_mask(self.stage, i, k)
 
     def _key(self) -> str:
@@ -122,6 +162,8 @@ class SyntheticScene:
 
     def _computed(self) -> Iterator[tuple[np.ndarray, np.ndarray, dict[str, Any]]]:
         """Every frame in order, drawn by up to four threads (the kernels release the interpreter lock)."""
+        from huepose.scenes.frame import shoot
+
         workers = max(1, min(4, os.cpu_count() or 1))
         with ThreadPoolExecutor(workers) as pool:
             ahead: list[Future[Shot]] = []
@@ -137,6 +179,9 @@ class SyntheticScene:
 
 def first_shot(objects: Mapping[str, Mesh], seed: int = 0, seconds: float = 8.0) -> Shot:
     """Frame 0 of `SyntheticScene(seed, seconds, objects)`, without drawing the others. Raises InputError."""
+    from huepose.scenes.frame import shoot
+    from huepose.scenes.plan import plan
+
     return shoot(plan(objects, seed, round(seconds * RATE_HZ), CAMERA, RATE_HZ), 0, seed, COLOR, STEREO)
 
 

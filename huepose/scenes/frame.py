@@ -14,8 +14,9 @@ import numpy as np
 from huepose.geometry import Box, Camera, Mesh, se3
 from huepose.geometry.arrays import Bool, Float, Float32, Float64, UInt8
 from huepose.rendering import render, render_depth
+from huepose.scenes.camera import ColorSensor, StereoSensor
 from huepose.scenes.light import Light, shadow_map, shine
-from huepose.scenes.sensor import ColorSensor, StereoSensor, expose, stereo_depth
+from huepose.scenes.sensor import expose, stereo_depth
 
 SHUTTER = 0.25  # of the frame time: 1/120 s at 30 Hz
 # Instants of the exposure: when (in shutter times) and where in the pixel (px).

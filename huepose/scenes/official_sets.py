@@ -25,10 +25,10 @@ from huepose.geometry import Mesh, se3
 from huepose.geometry.arrays import Float64
 from huepose.rendering import render_depth
 from huepose.scenes import carried
+from huepose.scenes.camera import COLOR
 from huepose.scenes.frame import Stage, shoot
 from huepose.scenes.rendered import SceneRanges
 from huepose.scenes.rendered_set import write_rendered_set
-from huepose.scenes.sensor import COLOR
 from huepose.support.progress import progress
 
 FIRST_SCENE = 48

@@ -15,7 +15,6 @@ from huepose.scenes.motion import CALM_S, NEAREST_M, Timing, camera_sway, object
 from huepose.scenes.room import bar, room
 from huepose.support.errors import InputError
 
-CAMERA = Camera(614.2, 614.6, 321.3, 240.7, 640, 480)  # as a D435 colour stream
 _ATTEMPTS = 12
 _EVERY = 5  # frames between those that are looked at before a plan is taken
 

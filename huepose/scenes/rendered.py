@@ -17,13 +17,13 @@ import numpy as np
 
 from huepose.geometry import Camera, Mesh, se3
 from huepose.geometry.arrays import Float64, Rng
+from huepose.scenes.camera import CAMERA, COLOR, STEREO
 from huepose.scenes.frame import SHUTTER, Shot, Stage, shoot
 from huepose.scenes.heap import Heap, open_box, random_turn
 from huepose.scenes.light import Light
 from huepose.scenes.motion import PITCH, TABLE_M, UP_ROOM, upright
-from huepose.scenes.plan import CAMERA
 from huepose.scenes.room import clutter, room
-from huepose.scenes.sensor import COLOR, STEREO, lost_in_bad_light, shifted
+from huepose.scenes.sensor import lost_in_bad_light, shifted
 from huepose.support.errors import InputError
 
 AHEAD_ROOM = np.array([0.0, -np.sin(PITCH), np.cos(PITCH)])

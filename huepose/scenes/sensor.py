@@ -10,14 +10,13 @@ where the picture is too dark or too bright to match.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import cv2
 import numpy as np
 from scipy.special import ndtr, ndtri
 
 from huepose.geometry.arrays import Bool, Float32, Rng, UInt8
 from huepose.geometry.camera import Camera
+from huepose.scenes.camera import ColorSensor, StereoSensor
 from huepose.support.jit import jit
 
 # sRGB of light whose square root is k / 4095: nearly a straight line, so that dark tones keep their steps.
@@ -34,35 +33,6 @@ DARK, GLARE = 14.0, 250.0
 
 LOST_SHARE = 0.6
 """Of such surfaces, in blobs."""
-
-
-@dataclass(frozen=True)
-class ColorSensor:
-    """full_well: electrons at white; read_noise: RMS, as a fraction of white; blur_px: sigma of the lens."""
-
-    full_well: float = 6000.0
-    read_noise: float = 0.0025
-    blur_px: float = 0.45
-
-
-@dataclass(frozen=True)
-class StereoSensor:
-    """baseline_m; subpixel: RMS of the disparity in px; window_px: the side of the matching window; the rest
-    are shares of pixels: lost on a surface at 1 m, lost and flying along edges."""
-
-    baseline_m: float = 0.05
-    subpixel: float = 0.08
-    window_px: int = 7
-    holes: float = 0.012
-    edge_holes: float = 0.12
-    flying: float = 0.05
-
-    def rms_m(self, depth_m: float, camera: Camera) -> float:
-        """RMS of the depth noise at `depth_m` on a smooth surface."""
-        return depth_m**2 * self.subpixel / (camera.fx * self.baseline_m)
-
-
-COLOR, STEREO = ColorSensor(), StereoSensor()
 
 
 def gaussian(rng: Rng, shape: tuple[int, ...]) -> Float32:

@@ -16,11 +16,12 @@ from huepose.geometry import Camera, Mesh, RgbdFrame, se3
 from huepose.geometry.arrays import Bool, Float32, Float64, Rng
 from huepose.geometry.box import Box
 from huepose.rendering.render import Rendering, render
+from huepose.scenes.camera import COLOR, STEREO
 from huepose.scenes.carried import random_strong_light
 from huepose.scenes.frame import SHUTTER
 from huepose.scenes.light import Light, shine
 from huepose.scenes.room import clutter, sheet, table_top, wallpaper
-from huepose.scenes.sensor import COLOR, STEREO, expose, stereo_depth
+from huepose.scenes.sensor import expose, stereo_depth
 from huepose.training.shapes import random_object, random_rotation
 
 FRAMES, RATE_HZ = 6, 30.0

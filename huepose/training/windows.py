@@ -20,9 +20,10 @@ from huepose.propose.templates import SPAN
 from huepose.propose.view_pictures import SIDE, unturned_views, window_pictures
 from huepose.propose.views import onto_rays
 from huepose.rendering.render import Rendering, render
+from huepose.scenes.camera import COLOR, STEREO
 from huepose.scenes.carried import random_strong_light
 from huepose.scenes.light import shine
-from huepose.scenes.sensor import COLOR, STEREO, expose, lost_in_bad_light, stereo_depth
+from huepose.scenes.sensor import expose, lost_in_bad_light, stereo_depth
 from huepose.training.shapes import random_object, random_rotation
 from huepose.training.views import NO_SHADOW, Props, random_unit
 

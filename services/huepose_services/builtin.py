@@ -15,7 +15,7 @@ from pathlib import Path
 import huepose
 from huepose.geometry.mesh import Mesh
 from huepose.model.io import model_path, save_model
-from huepose.scenes.shapes import demo_objects
+from huepose.scenes.builtin import builtin_objects
 from huepose.support.files import cache_folder, writing
 from huepose.support.progress import progress
 
@@ -36,7 +36,7 @@ def builtin_bundles(seed: int, paper: bool = False) -> Path:
     paper: with the tables of the paper's method, in a folder of their own.
 
     Of several processes one makes them, and the others wait for it."""
-    meshes = demo_objects(seed)
+    meshes = builtin_objects(seed)
     folder = cache_folder() / "builtin" / (_digest(meshes) + ("-paper" if paper else ""))
     if all(model_path(folder, name).exists() for name in meshes):
         return folder

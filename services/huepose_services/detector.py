@@ -22,7 +22,8 @@ from huepose_services.runtime.work import Work
 
 def make(bus: Bus, config: Config) -> DetectorWork:
     """The detector worker's work."""
-    outlines = models.outlines(config)
+    known = models.load(config)
+    outlines = {name: models.outline(model) for name, model in known.items()}
     follower = Follower(bus, lambda name: models.load_one(config, name), outlines)
     if config.detector.kind == "truth":
         return DetectorWork(bus, TruthBoxes(outlines, config.detector.seed), follower)
@@ -37,7 +38,7 @@ def make(bus: Bus, config: Config) -> DetectorWork:
         proposals = max(settings.proposals, _most_instances(config))
         threads = config.detector.threads
         settings = replace(settings, proposals=proposals, threads=threads, remembering=True)
-        searcher = ColorPairDetector(models.load(config), settings)
+        searcher = ColorPairDetector(known, settings)
         searcher.warm_up()
         return DetectorWork(bus, SearchedBoxes(outlines, searcher), follower)
     boxes = {name: Box(*box) for name, box in config.detector.boxes.items()}

@@ -18,7 +18,7 @@ from huepose.perception.colorpair_detector import ColorPairDetector
 from huepose.perception.stillness import Tiles
 from huepose.profiles import profile
 from huepose.scenes.builtin import SyntheticScene, first_shot
-from huepose.scenes.plan import CAMERA
+from huepose.scenes.camera import CAMERA
 from huepose.scenes.rendered import rendered_frame
 from huepose.support.compiling import telling_of_compiling
 from huepose.tracking import Tracker

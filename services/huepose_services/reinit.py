@@ -44,20 +44,25 @@ def make(bus: Bus, config: Config) -> ReinitWork:
     """The re-initialisation worker's work."""
 
     def load(name: str, count: int) -> ObjectSlot:
-        outline = models.outline(models.load_one(config, name))
-        return ObjectSlot(name, count, outline.diameter_m, outline.equivalents)
+        return _slot(name, count, models.outline(models.load_one(config, name)))
 
     entries = recall(bus)
-    if not entries:
-        configured = models.objects(config, list(models.load(config)))
+    if entries:
+        slots = [load(entry.object, entry.max_instances) for entry in entries]
+    else:
+        outlines = models.outlines(config)
         entries = [
             ObjectEntry(object=item.name, max_instances=item.max_instances, searching=item.max_instances)
-            for item in configured
+            for item in models.objects(config, list(outlines))
         ]
-    slots = [load(entry.object, entry.max_instances) for entry in entries]
+        slots = [_slot(e.object, e.max_instances, outlines[e.object]) for e in entries]
     warm_up()
     loop = ReinitLoop(_settings(config), slots)
     return ReinitWork(bus, loop, ObjectList(entries, load), config.objects)
+
+
+def _slot(name: str, count: int, outline: models.Outline) -> ObjectSlot:
+    return ObjectSlot(name, count, outline.diameter_m, outline.equivalents)
 
 
 def _settings(config: Config) -> ReinitConfig:

@@ -14,10 +14,10 @@ from huepose.datasets.fast_ycb import FastYcbSequence, object_of
 from huepose.geometry import RgbdFrame, se3
 from huepose.geometry.arrays import Float32, Float64, Rng, UInt8
 from huepose.model import ReferenceModel
+from huepose.scenes.camera import COLOR, STEREO
 from huepose.scenes.carried import FRAMES, RATE_HZ, staged
 from huepose.scenes.frame import Shot, Stage, shoot
 from huepose.scenes.loop_file import kept_loop
-from huepose.scenes.sensor import COLOR, STEREO
 from huepose.support.errors import InputError
 from studies.stress.objects import look_alike
 

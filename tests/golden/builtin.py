@@ -22,10 +22,10 @@ import numpy as np
 from huepose import Correction, ObjectQuery, ReferenceModel, RgbdFrame
 from huepose.geometry import Mesh
 from huepose.onboarding import onboard_mesh
+from huepose.scenes.camera import CAMERA, COLOR, STEREO
 from huepose.scenes.frame import Stage, shoot
-from huepose.scenes.plan import CAMERA, plan
+from huepose.scenes.plan import plan
 from huepose.scenes.rendered import PILES, rendered_frame
-from huepose.scenes.sensor import COLOR, STEREO
 from huepose.scenes.shapes import demo_objects
 from tests.golden.answers import Answers
 from tests.golden.asking import Step, estimated, tracked

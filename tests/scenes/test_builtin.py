@@ -10,11 +10,11 @@ import pytest
 from huepose.geometry import Camera, se3
 from huepose.rendering import render_depth
 from huepose.scenes.builtin import SyntheticScene
+from huepose.scenes.camera import CAMERA, COLOR, STEREO
 from huepose.scenes.frame import Stage, labels, shoot, silhouette
 from huepose.scenes.light import Light
-from huepose.scenes.plan import CAMERA, plan
+from huepose.scenes.plan import plan
 from huepose.scenes.room import sheet
-from huepose.scenes.sensor import COLOR, STEREO
 from huepose.scenes.shapes import demo_objects
 from huepose.support.errors import InputError
 

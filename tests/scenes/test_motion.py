@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from huepose.geometry import se3
+from huepose.scenes.camera import CAMERA
 from huepose.scenes.motion import (
     FARTHEST_M,
     NEAREST_M,
@@ -20,7 +21,6 @@ from huepose.scenes.motion import (
     speeds,
     upright,
 )
-from huepose.scenes.plan import CAMERA
 
 RADII = np.array([0.09, 0.07, 0.1, 0.09, 0.1])
 TIMING = Timing.of(240)

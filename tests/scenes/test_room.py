@@ -6,8 +6,8 @@ import numpy as np
 
 from huepose.geometry import se3
 from huepose.rendering import render
+from huepose.scenes.camera import CAMERA
 from huepose.scenes.motion import FARTHEST_M, TABLE_M, UP_ROOM
-from huepose.scenes.plan import CAMERA
 from huepose.scenes.room import ball, bar, clutter, room
 
 

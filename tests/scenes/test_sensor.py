@@ -9,7 +9,8 @@ import numpy as np
 import pytest
 
 from huepose.geometry import Camera
-from huepose.scenes.sensor import COLOR, STEREO, expose, gaussian, stereo_depth
+from huepose.scenes.camera import COLOR, STEREO
+from huepose.scenes.sensor import expose, gaussian, stereo_depth
 
 CAMERA = Camera(614.2, 614.6, 159.5, 119.5, 320, 240)
 FACING = np.zeros((240, 320, 3), np.float32)

@@ -21,7 +21,7 @@ from huepose.datasets.bop_writer import write_obj
 from huepose.geometry import se3
 from huepose.model import ReferenceModel
 from huepose.rendering.render import render
-from huepose.scenes.plan import CAMERA
+from huepose.scenes.camera import CAMERA
 from huepose_services.cli.new import write_frame
 
 ROOT = Path(__file__).parents[2]

@@ -20,7 +20,7 @@ from rosbags.typesys import Stores, get_typestore
 
 from huepose.model import ReferenceModel, save_model
 from huepose.scenes.builtin import first_shot
-from huepose.scenes.plan import CAMERA
+from huepose.scenes.camera import CAMERA
 from huepose_protos import encode
 from huepose_protos.examples import messages
 from huepose_protos.keys import Keys

@@ -9,11 +9,11 @@ import numpy as np
 from huepose.geometry import Camera, Mesh, RgbdFrame, se3
 from huepose.geometry.arrays import Float64
 from huepose.scenes import textures
+from huepose.scenes.camera import COLOR, STEREO
 from huepose.scenes.charts import blocks
 from huepose.scenes.frame import Stage, shoot
 from huepose.scenes.light import random_light
 from huepose.scenes.room import room
-from huepose.scenes.sensor import COLOR, STEREO
 from huepose.scenes.shapes import demo_objects, printed
 from studies.stress.films import AWAY, RATE_HZ, Seen
 

@@ -7,7 +7,8 @@ import pytest
 
 from huepose.geometry import Camera, RgbdFrame, se3
 from huepose.rendering.render import render
-from huepose.scenes.sensor import STEREO, stereo_depth
+from huepose.scenes.camera import STEREO
+from huepose.scenes.sensor import stereo_depth
 from huepose.tracking import Correction, State, Tracker
 
 CAMERA = Camera(420.0, 420.0, 159.5, 119.5, 320, 240)

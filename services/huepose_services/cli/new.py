@@ -48,7 +48,7 @@ def call(arguments: argparse.Namespace) -> int:
     from huepose.onboarding.batch import Job
     from huepose.onboarding.meshes import length, read_mesh
     from huepose.scenes.builtin import first_shot
-    from huepose.scenes.plan import CAMERA
+    from huepose.scenes.camera import CAMERA
     from huepose.support.errors import InputError
     from huepose_services.cli.mesh_unit import with_unit
     from huepose_services.cli.onboard import in_words, onboard_one, self_test

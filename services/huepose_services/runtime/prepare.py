@@ -57,9 +57,9 @@ def check(config: Config) -> None:
 
 
 def _check_builtin(config: Config) -> None:
-    from huepose.scenes.shapes import demo_objects
+    from huepose.scenes.builtin import builtin_objects
 
-    known = demo_objects(config.camera.seed)
+    known = builtin_objects(config.camera.seed)
     for item in config.objects:
         if item.name not in known:
             raise InputError(

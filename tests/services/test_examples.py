@@ -6,7 +6,6 @@ import ast
 import re
 import subprocess
 import sys
-import threading
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
@@ -28,6 +27,7 @@ from huepose_protos.messages import CameraMessage, Mount, ObjectEntry, ObjectsMe
 from huepose_services.camera.python import open_source
 from huepose_services.cli.new import write_frame
 from huepose_services.runtime.config import load
+from tests.services.repeating import repeating
 
 ROOT = Path(__file__).parents[2]
 EXAMPLES = sorted((ROOT / "examples").glob("*.py"))
@@ -92,32 +92,22 @@ def published(
     config = zenoh.Config()
     config.insert_json5("listen/endpoints", f'["{endpoint}"]')
     config.insert_json5("scouting/multicast/enabled", "false")
-    done = threading.Event()
 
-    def publish(session: zenoh.Session) -> None:
-        number = 0
-        while not done.wait(1 / 30):
-            number += 1
-            now = time.monotonic_ns()
-            changes = {"frame_id": number, "capture_ns": now, "publish_ns": now}
-            offset = time.time_ns() - now
-            message = msgspec.structs.replace(pose(number), **changes, realtime_offset_ns=offset)
-            keys = Keys("lab", "cam0")
-            session.put(keys.pose(message.object, message.instance), encode(message))
-            if camera_after is not None and number > camera_after:
-                said = msgspec.structs.replace(
-                    CAMERA_SAYS, frame=message.frame, mount=MOUNT, mount_ns=None, publish_ns=now
-                )
-                session.put(keys.camera_info, encode(said))
+    def publish(number: int) -> None:
+        now = time.monotonic_ns()
+        changes = {"frame_id": number, "capture_ns": now, "publish_ns": now}
+        offset = time.time_ns() - now
+        message = msgspec.structs.replace(pose(number), **changes, realtime_offset_ns=offset)
+        keys = Keys("lab", "cam0")
+        session.put(keys.pose(message.object, message.instance), encode(message))
+        if camera_after is not None and number > camera_after:
+            said = msgspec.structs.replace(
+                CAMERA_SAYS, frame=message.frame, mount=MOUNT, mount_ns=None, publish_ns=now
+            )
+            session.put(keys.camera_info, encode(said))
 
-    with zenoh.open(config) as session:
-        thread = threading.Thread(target=publish, args=(session,))
-        thread.start()
-        try:
-            yield
-        finally:
-            done.set()
-            thread.join()
+    with zenoh.open(config) as session, repeating(publish, 1 / 30):
+        yield
 
 
 def tracked(**changes: object) -> PoseMessage:
@@ -177,24 +167,20 @@ def test_a_name_that_is_not_looked_for_is_said_with_those_that_are(outside: bool
     config.insert_json5("scouting/multicast/enabled", "false")
     with zenoh.open(config) as session:
         session.declare_queryable(key, lambda query: query.reply(key, encode(said)))
-        done = threading.Event()
 
-        def say_where_the_camera_is() -> None:
-            while not done.wait(0.1):
-                session.put(keys.camera_info, encode(CAMERA_SAYS))
+        def say_where_the_camera_is(_: int) -> None:
+            session.put(keys.camera_info, encode(CAMERA_SAYS))
 
-        tell = threading.Thread(target=say_where_the_camera_is)
-        tell.start()
-        with subprocess.Popen(
-            example("03_pick_when_still.py", "crton", endpoint), stderr=subprocess.PIPE, text=True
-        ) as picker:
+        command = example("03_pick_when_still.py", "crton", endpoint)
+        with (
+            repeating(say_where_the_camera_is, 0.1),
+            subprocess.Popen(command, stderr=subprocess.PIPE, text=True) as picker,
+        ):
             assert picker.stderr is not None
             try:
                 line = picker.stderr.readline()
             finally:
                 picker.terminate()
-                done.set()
-                tell.join()
     assert line == "waiting: crton is not looked for; what is: carton, tea_box\n"
 
 

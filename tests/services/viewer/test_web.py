@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 import re
-import threading
 import time
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -33,6 +32,7 @@ from huepose_services.convert import depth_to_wire, intrinsics_to_wire, pose_to_
 from huepose_services.runtime.config import Config, load
 from huepose_services.viewer.show import OTHER, STATE_COLOURS
 from tests.conftest import TakePicture, standing_pose
+from tests.services.repeating import repeating
 from tests.services.viewer import browser
 
 pytestmark = [
@@ -101,28 +101,18 @@ def published(config: Config, frame: RgbdFrame) -> Iterator[None]:
     Path(places[0].removeprefix("unixsock-stream/")).parent.mkdir(mode=0o700, parents=True, exist_ok=True)
     settings.insert_json5("listen/endpoints", json.dumps(places))
     settings.insert_json5("scouting/multicast/enabled", "false")
-    done = threading.Event()
 
-    def publish(session: zenoh.Session) -> None:
-        number = 0
-        while not done.wait(1.0 / RATE_HZ):
-            number += 1
-            header, payload, said = messages_of(frame, number)
-            session.put(keys.frame, payload, attachment=encode(header))
-            for message in said:
-                if isinstance(message, PoseMessage):
-                    session.put(keys.pose(message.object, message.instance), encode(message))
-                else:
-                    session.put(keys.hypotheses, encode(message))
+    def publish(number: int) -> None:
+        header, payload, said = messages_of(frame, number)
+        session.put(keys.frame, payload, attachment=encode(header))
+        for message in said:
+            if isinstance(message, PoseMessage):
+                session.put(keys.pose(message.object, message.instance), encode(message))
+            else:
+                session.put(keys.hypotheses, encode(message))
 
-    with zenoh.open(settings) as session:
-        thread = threading.Thread(target=publish, args=(session,))
-        thread.start()
-        try:
-            yield
-        finally:
-            done.set()
-            thread.join()
+    with zenoh.open(settings) as session, repeating(publish, 1.0 / RATE_HZ):
+        yield
 
 
 def columns_of(picture: UInt8, colour: tuple[int, int, int]) -> np.ndarray:

@@ -68,7 +68,7 @@ def visible_cloud(mesh: Mesh, views: DepthViews) -> Cloud:
     sign = outward_sign(mesh.vertices, mesh.faces)
     if sign != 0:
         normals = normals * sign
-        is_seen = votes(views, points, normals) > 0
+        is_seen = votes(views, points, normals, enough=1) > 0
     else:
         front, back = votes(views, points, normals), votes(views, points, -normals)
         normals = np.where((back > front)[:, None], -normals, normals)

@@ -64,23 +64,24 @@ def seen(views: DepthViews, points: Float, normals: Float) -> Bool:
     return out
 
 
-def votes(views: DepthViews, points: Float, normals: Float) -> Int32:
+def votes(views: DepthViews, points: Float, normals: Float, enough: int | None = None) -> Int32:
     """Number of views (N,) that see each point from the side of its normal: among every fourth view, or among
-    all for points that none of those sees."""
+    all for points that none of those sees. enough: so many are counted at most, all without."""
+    most = len(views.directions) if enough is None else enough
     parts = [
-        _votes(views, points[first : first + _AT_ONCE], normals[first : first + _AT_ONCE])
+        _votes(views, points[first : first + _AT_ONCE], normals[first : first + _AT_ONCE], most)
         for first in range(0, len(points), _AT_ONCE)
     ]
     return np.concatenate(parts) if parts else np.zeros(0, np.int32)
 
 
-def _votes(views: DepthViews, points: Float, normals: Float) -> Int32:
+def _votes(views: DepthViews, points: Float, normals: Float, most: int) -> Int32:
     out = np.zeros(len(points), np.int32)
     coarse = icosphere.directions(LEVEL - 1).shape[0]  # the finer sphere begins with the coarser one
-    _count_seen(*_arrays(views, points, normals), coarse, out)
+    _count_seen(*_arrays(views, points, normals), coarse, most, out)
     unseen = np.flatnonzero(out == 0)
     again = np.zeros(len(unseen), np.int32)
-    _count_seen(*_arrays(views, points[unseen], normals[unseen]), len(views.directions), again)
+    _count_seen(*_arrays(views, points[unseen], normals[unseen]), len(views.directions), most, again)
     out[unseen] = again
     return out
 
@@ -148,6 +149,7 @@ def _count_seen(
     points: Float,
     normals: Float,
     views: int,
+    most: int,
     out: Int32,
 ) -> None:
     for i in range(points.shape[0]):
@@ -156,3 +158,5 @@ def _count_seen(
             cosine = d[0] * normals[i, 0] + d[1] * normals[i, 1] + d[2] * normals[i, 2]
             if _is_seen(d, T[k], depths[k], focal, middle, pixel, points[i], cosine):
                 out[i] += 1
+                if out[i] == most:
+                    break

@@ -111,7 +111,9 @@ def test_points_are_looked_at_in_parts_and_each_counts_as_alone(monkeypatch: pyt
     normals = points / np.linalg.norm(points, axis=1, keepdims=True)
     sizes = []
     monkeypatch.setattr(
-        visibility, "_votes", lambda v, p, n, inner=visibility._votes: sizes.append(len(p)) or inner(v, p, n)
+        visibility,
+        "_votes",
+        lambda v, p, *rest, inner=visibility._votes: sizes.append(len(p)) or inner(v, p, *rest),
     )
     monkeypatch.setattr(visibility, "_AT_ONCE", len(points) // 3)
     counted = visibility.votes(views, points, normals)
@@ -121,6 +123,8 @@ def test_points_are_looked_at_in_parts_and_each_counts_as_alone(monkeypatch: pyt
     alone = [visibility.votes(views, p[None], n[None])[0] for p, n in zip(points, normals, strict=True)]
     assert counted.tolist() == alone
     assert 0 < (counted > 0).sum() < len(counted)
+    assert counted.max() > 2
+    assert visibility.votes(views, points, normals, enough=2).tolist() == np.minimum(counted, 2).tolist()
 
 
 def test_inner_walls_are_left_out_and_inverted_faces_turned() -> None:

@@ -42,6 +42,8 @@ from huepose_protos.parts import Message as Message
 from huepose_protos.parts import Mount as Mount
 from huepose_protos.parts import ObjectEntry as ObjectEntry
 from huepose_protos.parts import ObjectsMessage as ObjectsMessage
+from huepose_protos.parts import Prior as Prior
+from huepose_protos.parts import TruthObject as TruthObject
 
 MAX_CANDIDATE_PIXELS = 2**28
 """Of all masks of a message: 8 candidates each of 16 objects in a picture of 1920 x 1080."""
@@ -81,24 +83,6 @@ class MountMessage(Message, frozen=True, kw_only=True):
 
     capture_ns: Stamp
     mount: Mount
-
-
-class Prior(Struct, frozen=True, kw_only=True):
-    """A tracked pose at a stamp, to be predicted to the frame that is looked at.
-
-    Velocity: linear of the object's origin in m/s, angular in rad/s, along the camera's axes."""
-
-    stamp_ns: Stamp
-    translation: Vector3
-    quaternion: Quaternion
-    velocity_linear: Vector3 | None = None
-    velocity_angular: Vector3 | None = None
-    covariance: Covariance | None = None
-
-    def __post_init__(self) -> None:
-        check_pose(self.translation, self.quaternion)
-        check_finite(velocity_linear=self.velocity_linear, velocity_angular=self.velocity_angular)
-        check_covariance(self.covariance)
 
 
 class RequestedObject(Struct, frozen=True, kw_only=True):
@@ -303,22 +287,6 @@ class HealthMessage(Message, frozen=True, kw_only=True):
 
     def __post_init__(self) -> None:
         check_finite(work_ms=self.work_ms, age_ms=self.age_ms)
-
-
-class TruthObject(Struct, frozen=True, kw_only=True):
-    """An object as the source knows it; null where it does not. `visib_fract`: visible part, 0..1."""
-
-    object: Name | None
-    object_id: Index | None
-    instance: Index
-    translation: Vector3 | None
-    quaternion: Quaternion | None
-    visib_fract: Fraction | None
-    box: BoxXYWH | None
-
-    def __post_init__(self) -> None:
-        check_pose(self.translation, self.quaternion)
-        check_box(self.box)
 
 
 class TruthMessage(Message, frozen=True, kw_only=True):

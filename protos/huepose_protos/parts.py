@@ -12,6 +12,7 @@ from huepose_protos.fields import (
     VERSION,
     BoxXYWH,
     Count,
+    Covariance,
     Epoch,
     Fraction,
     Index,
@@ -24,6 +25,7 @@ from huepose_protos.fields import (
     Vector3,
     Version,
     check_box,
+    check_covariance,
     check_finite,
     check_pose,
 )
@@ -105,6 +107,40 @@ class Clock(Struct, frozen=True, kw_only=True):
 
     clock_id: Annotated[str, Meta(min_length=1, max_length=64)]
     realtime_offset_ns: Annotated[int, Meta(ge=-(2**63), le=2**63 - 1)]
+
+
+class Prior(Struct, frozen=True, kw_only=True):
+    """A tracked pose at a stamp, to be predicted to the frame that is looked at.
+
+    Velocity: linear of the object's origin in m/s, angular in rad/s, along the camera's axes."""
+
+    stamp_ns: Stamp
+    translation: Vector3
+    quaternion: Quaternion
+    velocity_linear: Vector3 | None = None
+    velocity_angular: Vector3 | None = None
+    covariance: Covariance | None = None
+
+    def __post_init__(self) -> None:
+        check_pose(self.translation, self.quaternion)
+        check_finite(velocity_linear=self.velocity_linear, velocity_angular=self.velocity_angular)
+        check_covariance(self.covariance)
+
+
+class TruthObject(Struct, frozen=True, kw_only=True):
+    """An object as the source knows it; null where it does not. `visib_fract`: visible part, 0..1."""
+
+    object: Name | None
+    object_id: Index | None
+    instance: Index
+    translation: Vector3 | None
+    quaternion: Quaternion | None
+    visib_fract: Fraction | None
+    box: BoxXYWH | None
+
+    def __post_init__(self) -> None:
+        check_pose(self.translation, self.quaternion)
+        check_box(self.box)
 
 
 class ObjectEntry(Struct, frozen=True, kw_only=True):

@@ -26,11 +26,25 @@ _DEPTH_PNG = "16UC1; compressedDepth"
 _DEPTH_PNG_AT = 12
 """Bytes that compressed_depth_image_transport puts before the PNG."""
 
+Kind = Literal["color", "depth"]
+_WANTED: dict[Kind, tuple[str, str]] = {
+    "color": (
+        f"{', '.join(_CHANNELS)}, or a compressed one of these (jpeg, png)",
+        "HuePose finds objects by their colours: record the driver's colour topic (mono8 has none; "
+        "image_proc makes colours of bayer_*).",
+    ),
+    "depth": (
+        "16UC1 (millimetres), 32FC1 (metres), or compressedDepth of the first",
+        "HuePose needs depth: record the driver's depth topic.",
+    ),
+}
+"""What is expected of a picture that is to be used so, and what to do where it is not."""
+
 # Names of ROS for the models of OpenCV.
 _MODELS = {"plumb_bob": "brown_conrady", "rational_polynomial": "rational", "": "none"}
 
 
-def kind_of(message: Any) -> Literal["color", "depth"] | None:
+def kind_of(message: Any) -> Kind | None:
     """What a picture can be used as; None where it is neither."""
     encoding = encoding_of(message)
     if encoding in _METRES or encoding.startswith(_DEPTH_PNG):
@@ -47,21 +61,11 @@ def encoding_of(message: Any) -> str:
 
 def color_of(message: Any, where: object) -> UInt8:
     """The colour picture (H, W, 3) RGB. Raises InputError, naming `where`, for one that is none or broken."""
-    encoding = encoding_of(message)
-    if kind_of(message) != "color":
-        raise InputError(
-            where,
-            found=f"a picture of encoding '{encoding}'",
-            expected=f"{', '.join(_CHANNELS)}, or a compressed one of these (jpeg, png)",
-            fix="HuePose finds objects by their colours: record the driver's colour topic (mono8 has none; "
-            "image_proc makes colours of bayer_*).",
-        )
+    encoding = _encoding_for(message, "color", where)
     if not _is_compressed(message):
         order, channels = _CHANNELS[encoding]
         return np.ascontiguousarray(_pixels(message, "u1", channels, where)[..., order], dtype=np.uint8)
-    image = _decoded(message.data, where)
-    if image.ndim != 3 or image.dtype != np.uint8:
-        raise InputError(where, found=f"a picture of {image.shape} {image.dtype}", expected="three colours")
+    image = _decoded(message.data, 3, np.uint8, where)
     # Its sender either says that it made BGR of its picture before, as the codec wants it, or did nothing.
     as_sent = ";" in encoding and "compressed bgr" not in encoding and encoding.startswith("rgb")
     return np.ascontiguousarray(image[..., [0, 1, 2] if as_sent else [2, 1, 0]], dtype=np.uint8)
@@ -69,18 +73,9 @@ def color_of(message: Any, where: object) -> UInt8:
 
 def depth_of(message: Any, where: object) -> Float32:
     """The depth (H, W) float32 metres, 0 for no reading. Raises InputError for a picture that is none."""
-    encoding = encoding_of(message)
-    if kind_of(message) != "depth":
-        raise InputError(
-            where,
-            found=f"a picture of encoding '{encoding}'",
-            expected="16UC1 (millimetres), 32FC1 (metres), or compressedDepth of the first",
-            fix="HuePose needs depth: record the driver's depth topic.",
-        )
+    encoding = _encoding_for(message, "depth", where)
     if _is_compressed(message):
-        image = _decoded(np.asarray(message.data)[_DEPTH_PNG_AT:], where)
-        if image.ndim != 2 or image.dtype != np.uint16:
-            raise InputError(where, found=f"depth of {image.shape} {image.dtype}", expected="16 bits")
+        image = _decoded(np.asarray(message.data)[_DEPTH_PNG_AT:], 2, np.uint16, where)
         scale = _METRES["16UC1"][1]
     else:
         dtype, scale = _METRES[encoding]
@@ -114,6 +109,15 @@ def field(info: Any, name: str) -> Any:
     return getattr(info, name) if hasattr(info, name) else getattr(info, name.upper())
 
 
+def _encoding_for(message: Any, kind: Kind, where: object) -> str:
+    """The encoding of a picture that can be used as that. Raises InputError for another."""
+    encoding = encoding_of(message)
+    if kind_of(message) == kind:
+        return encoding
+    expected, fix = _WANTED[kind]
+    raise InputError(where, found=f"a picture of encoding '{encoding}'", expected=expected, fix=fix)
+
+
 def _is_compressed(message: Any) -> bool:
     return hasattr(message, "format")
 
@@ -139,7 +143,8 @@ def _pixels(message: Any, dtype: str, channels: int, where: object) -> Any:
     return rows.view(kind).reshape(height, width, channels)
 
 
-def _decoded(data: Any, where: object) -> Any:
+def _decoded(data: Any, axes: int, dtype: type, where: object) -> Any:
+    """A compressed picture, which has to have so many axes and that type."""
     data = np.asarray(data, np.uint8)
     try:
         image = cv2.imdecode(data, cv2.IMREAD_UNCHANGED) if len(data) else None
@@ -147,4 +152,10 @@ def _decoded(data: Any, where: object) -> Any:
         image = None
     if image is None:
         raise InputError(where, found="a picture that cannot be decoded", expected="a whole JPEG or PNG")
+    if image.ndim != axes or image.dtype != dtype:
+        raise InputError(
+            where,
+            found=f"a picture of {image.shape} {image.dtype}",
+            expected="three colours of 8 bits" if axes == 3 else "depth of 16 bits",
+        )
     return image

@@ -118,12 +118,15 @@ def _metres_per_unit(vertices: Float64, unit: Unit | None, was_told: bool, path:
         return scales[unit]
     if unit is None and len(plausible) == 1:
         return scales[plausible[0]]
-    sizes = " or ".join(f"{length(extent * s)} if it is in {u}" for u, s in scales.items())
     others = plausible or [u for u, s in METRES.items() if SMALLEST_M <= extent * s <= LARGEST_M]
-    if others and unit is not None:
-        other = others[0]
-        how = f"Give --unit {other}" if not was_told else f"Did you mean --unit {other}?"
-        fix = how if how.endswith("?") else how + "."
+    if unit is not None and not was_told:  # The format says metres: the file was scaled wrongly.
+        others = [u for u in ("mm", "cm") if SMALLEST_M <= extent * METRES[u] <= LARGEST_M]
+        scales = {unit: METRES[unit], **{u: METRES[u] for u in others}}
+    sizes = " or ".join(f"{length(extent * s)} if it is in {u}" for u, s in scales.items())
+    if others and unit is not None and was_told:
+        fix = f"Did you mean --unit {others[0]}?"
+    elif others and unit is not None:
+        fix = f"Give {' or '.join(f'--unit {other}' for other in others)}."
     else:
         fix = f"Say what its unit is: --unit {'|'.join(METRES)}; or scale the mesh."
     taken = f" (taken as {unit})" if unit else ""

@@ -37,7 +37,10 @@ def test_implausible_sizes_are_refused_with_both_readings(
 
 def test_gltf_is_metres_unless_told(tmp_path: Path) -> None:
     files.write_glb(tmp_path / "m.glb", solids.box((80.0, 60.0, 40.0)))
-    with pytest.raises(InputError, match=r"80 m if it is in m or 8 cm if it is in mm.*Give --unit mm"):
+    with pytest.raises(
+        InputError,
+        match=r"8 cm if it is in mm or 80 cm if it is in cm.*--unit mm or --unit cm",
+    ):
         read_mesh(tmp_path / "m.glb")
     np.testing.assert_allclose(
         np.ptp(read_mesh(tmp_path / "m.glb", "mm").vertices, axis=0), [0.08, 0.06, 0.04]

@@ -1,6 +1,6 @@
 """One frame, one answer: which of the known objects are in a picture, and where.
 
-huepose new tea_box tea_box.obj
+huepose new tea_box examples/tea_box.obj
 python examples/01_one_frame.py tea_box
 """
 

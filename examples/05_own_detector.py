@@ -1,6 +1,6 @@
 """A detector of your own: whatever gives boxes will do. This one looks for the colours of the object.
 
-huepose new tea_box tea_box.obj
+huepose new tea_box examples/tea_box.obj
 python examples/05_own_detector.py tea_box
 """
 

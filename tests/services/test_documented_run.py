@@ -6,6 +6,7 @@ from __future__ import annotations
 import os
 import re
 import shlex
+import shutil
 import signal
 import socket
 import subprocess
@@ -18,11 +19,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from huepose.datasets.bop_writer import write_obj
 from huepose.geometry import se3
+from huepose.onboarding import read_mesh
 from huepose.rendering.render import render
 from huepose.scenes.camera import CAMERA
-from huepose.scenes.shapes import demo_objects
 from huepose_services.cli.main import build_parser
 from huepose_services.cli.new import write_frame
 
@@ -197,8 +197,8 @@ def reader(folder: Path) -> Iterator[Reader]:
 def prepare(folder: Path) -> None:
     """What the pages speak of as the reader's own: a mesh, a picture of the object in the box that they give,
     and a pipeline.yaml."""
-    mesh = demo_objects(0)["tea_box"]
-    write_obj(folder / "tea_box.obj", mesh)
+    shutil.copytree(ROOT / "examples", folder / "examples")
+    mesh = read_mesh(ROOT / "examples" / "tea_box.obj")
     where = se3.make(
         se3.rotation_exp(np.array([1.7, 0.3, 0.2])), CAMERA.backproject(np.array(MIDDLE), np.array(0.9))
     )

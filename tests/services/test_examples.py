@@ -38,7 +38,7 @@ MOUNT = Mount(parent="base_link", translation=(0.1, 0.2, 0.3), quaternion=(0.0, 
 
 @pytest.fixture(scope="module")
 def folder(tea_box: ReferenceModel, tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """What `huepose new tea_box tea_box.obj` makes, without the mesh file."""
+    """What `huepose new tea_box examples/tea_box.obj` makes, without the mesh file."""
     out = tmp_path_factory.mktemp("new") / "tea_box"
     save_model(tea_box, out / "bundles" / "tea_box.huepose")
     write_frame(out, first_shot({"tea_box": tea_box.mesh}), CAMERA)

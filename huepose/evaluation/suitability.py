@@ -233,11 +233,15 @@ def seen_in_part(found: Suitability, share: float) -> Suitability:
 
 
 def _smallest(trials: Sequence[Trial]) -> float | None:
-    """The smallest size so that of the trials of that size and more WELL are right."""
+    """The smallest size so that of the trials of that size and more WELL are right; the smallest of all where
+    most of the smaller ones are right, too: then it is not the size that makes some wrong."""
     by_size = sorted(trials, key=lambda t: -t.size_px)
-    shares = np.cumsum([t.right for t in by_size]) / np.arange(1, len(by_size) + 1)
-    fits = np.flatnonzero(shares >= WELL)
-    return by_size[int(fits[-1])].size_px if len(fits) else None
+    right = np.array([t.right for t in by_size], bool)
+    fits = np.flatnonzero(np.cumsum(right) / np.arange(1, len(right) + 1) >= WELL)
+    if not len(fits):
+        return None
+    smaller = right[fits[-1] + 1 :]
+    return by_size[-1 if len(smaller) and smaller.mean() > SOMETIMES else int(fits[-1])].size_px
 
 
 def in_words(model: ReferenceModel, found: Suitability) -> str:

@@ -25,6 +25,14 @@ def test_an_object_that_is_always_right_suits_without_reasons(tea_box: Reference
     assert found.reasons == ()
 
 
+def test_the_size_is_not_blamed_where_smaller_ones_are_right(tea_box: ReferenceModel) -> None:
+    """A jar that is seen from above looks alike from all sides, near and far."""
+    wrong = [trial(False, size, state="SUSPECT") for size in (138.0, 120.0, 70.0)]
+    found = judged(tea_box, [*wrong, *(trial(True, 50.0 + 10.0 * k) for k in range(12))])
+    assert found.smallest_px == 50.0
+    assert not any("pixels large" in reason for reason in found.reasons)
+
+
 def test_wrong_sides_and_small_pictures_are_said(tea_box: ReferenceModel) -> None:
     trials = [*(trial(True, 100.0 + k) for k in range(9)), *(trial(False, 30.0 + k) for k in range(4))]
     found = judged(tea_box, trials)

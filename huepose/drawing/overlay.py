@@ -22,6 +22,7 @@ Colour = tuple[int, int, int]
 AXES: tuple[Colour, Colour, Colour] = ((230, 60, 50), (60, 190, 70), (60, 110, 240))  # x, y, z
 LABEL_SCALE = 0.5
 _SUBPIXEL_BITS = 4
+_LETTER_PX = 8.0  # of an axis beyond its tip
 
 
 def silhouette(mesh: Mesh, T_cam_obj: Float, camera: Camera) -> Bool:
@@ -86,8 +87,11 @@ def tint(image: UInt8, mask: Bool, color: Colour, strength: float = 0.45) -> UIn
     return picture
 
 
-def draw_axes(image: UInt8, camera: Camera, T_cam_obj: Float, length_m: float) -> UInt8:
-    """x red, y green, z blue from the object's origin, each `length_m` long, the farthest tip drawn first."""
+def draw_axes(
+    image: UInt8, camera: Camera, T_cam_obj: Float, length_m: float, letters: bool = False
+) -> UInt8:
+    """x red, y green, z blue from the object's origin, each `length_m` long, the farthest tip drawn first.
+    letters: at the tips, of axes that do not point at the camera or away from it."""
     picture = image.copy()
     tips = apply(T_cam_obj, np.vstack([np.zeros(3), length_m * np.eye(3)]))
     pixels = camera.project(tips)
@@ -96,6 +100,12 @@ def draw_axes(image: UInt8, camera: Camera, T_cam_obj: Float, length_m: float) -
         if np.isfinite(line).all() and (np.abs(line) < 30000).all():
             start, end = (tuple(int(v) for v in np.rint(p * 16)) for p in line)
             cv2.line(picture, start, end, AXES[k], 2, cv2.LINE_AA, 4)
+            along = line[1] - line[0]
+            length_px = float(np.linalg.norm(along))
+            if letters and length_px > _LETTER_PX:
+                x, y = line[1] + _LETTER_PX * along / length_px + (-4.0, 4.0)
+                at = (round(float(x)), round(float(y)))
+                cv2.putText(picture, "xyz"[k], at, FONT, LABEL_SCALE, (20, 20, 20), 1, cv2.LINE_AA)
     return picture
 
 

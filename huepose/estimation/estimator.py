@@ -17,12 +17,13 @@ from dataclasses import replace
 import numpy as np
 
 from huepose.estimation.answer import answered
+from huepose.estimation.apparent_size import looks
 from huepose.estimation.config import CompetitionConfig, EstimatorConfig
 from huepose.estimation.explanation import Explanation
 from huepose.estimation.methods import method_of
 from huepose.estimation.types import ObjectQuery, PoseEstimate
 from huepose.estimation.warm_up import warm_up
-from huepose.geometry.arrays import Bool
+from huepose.geometry.arrays import Bool, Float64
 from huepose.geometry.box import Box
 from huepose.geometry.frame import RgbdFrame
 from huepose.model.types import ReferenceModel, ReferenceModels
@@ -95,6 +96,10 @@ class Estimator:
         """The answer to one query, as if there were no other, and what led to it."""
         model = self._models[query.object]
         return answered(frame, query, model, self._segmenter, self.config, self._method)
+
+    def sizes_seen(self, frame: RgbdFrame, answers: Sequence[PoseEstimate]) -> list[Float64]:
+        """What the sure ones of a frame's answers say of the camera matrix, for `apparent_size`."""
+        return looks(frame, self._models, answers)
 
     def prepare(self, names: Sequence[str]) -> None:
         """Derive from models what answers about them need, which the first of them does otherwise."""

@@ -6,6 +6,7 @@ from 0.45 to 2 m away, with the noise of a colour and a stereo depth camera.
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from typing import Literal
@@ -15,7 +16,7 @@ import numpy as np
 from huepose.datasets.boxes import disturbed
 from huepose.datasets.types import VISIBLE
 from huepose.drawing.contact_sheet import contact_sheet
-from huepose.drawing.overlay import draw_axes, draw_mask_outline, silhouette
+from huepose.drawing.overlay import Colour, draw_axes, draw_mask_outline, silhouette
 from huepose.drawing.text import paragraph
 from huepose.estimation import Estimator, ObjectQuery
 from huepose.evaluation.metrics import RECALL_FRACTION, add, adds
@@ -25,7 +26,8 @@ from huepose.geometry.icosphere import look_at
 from huepose.model import ReferenceModel
 from huepose.profiles import profile
 from huepose.rendering.render import render
-from huepose.scenes.rendered import SceneRanges, rendered_frame
+from huepose.scenes.rendered import Drawn, SceneRanges, rendered_frame
+from huepose.support.errors import InputError
 from huepose.support.progress import progress
 
 Verdict = Literal["suits", "suits with limits", "does not suit"]
@@ -52,12 +54,18 @@ ALONG = 0.95
 FACING = 0.3
 """Cosine between a normal and the line of sight from which a colour pair is drawn in a view."""
 
+MOST_HIDDEN = 100
+"""After so many drawn scenes in a row that hardly show the object, none will: one in twenty is usual."""
+
+GREEN, AMBER, RED = (60, 220, 60), (255, 190, 40), (235, 60, 50)
+
 VIEW_PX, CROP_PX = 220, 200
 
 AXES = ("+x", "+y", "+z", "-x", "-y", "-z")
 CAPTION = (
-    "First the object from six sides, with its axes (x red, y green, z blue) and in pink its colour pairs. "
-    "Then the drawn scenes, the answers outlined in green, with quality and distance."
+    "First the object from six sides, with its axes and in pink its colour pairs. Then the drawn scenes and "
+    "the answers: state, quality, whether it is right, distance. Green: TRACKING and right; amber: SUSPECT, "
+    "not to be acted on; red: TRACKING and wrong."
 )
 
 
@@ -104,12 +112,10 @@ def self_test(model: ReferenceModel, count: int = TRIALS, seed: int = 0) -> Suit
 
 
 def _trials(model: ReferenceModel, estimator: Estimator, count: int, seed: int) -> Iterator[Trial]:
-    for number in progress(range(count), f"trying {model.name} in drawn scenes"):
-        drawn = rendered_frame({model.name: model.mesh}, seed, number, RANGES)
-        labels, mask = drawn.shot.labels, drawn.shot.owner == 0
-        around = Box.of_mask(mask)
-        if around is None or labels.visib_fract[0] < VISIBLE:
-            continue
+    numbers = itertools.count()
+    for _ in progress(range(count), f"trying {model.name} in drawn scenes"):
+        number, drawn, around = _next_that_shows(model, seed, numbers)
+        labels = drawn.shot.labels
         T_true = labels.T_cam_obj[0]
         frame = RgbdFrame(drawn.shot.color, drawn.shot.depth, drawn.camera)
         box = disturbed(around, "perturbed", seed, model.name, number, 0, drawn.camera)
@@ -117,6 +123,7 @@ def _trials(model: ReferenceModel, estimator: Estimator, count: int, seed: int) 
         T = answer.T_cam_obj
         right, shape_right, turn = (False, False, None) if T is None else judge(model, T, T_true)
         distance_m = float(se3.apply(T_true, model.mesh.centre[None])[0, 2])
+        color = (GREEN if right else RED) if answer.state == "TRACKING" else AMBER
         yield Trial(
             distance_m,
             drawn.camera.fx * model.diameter_m / distance_m,
@@ -125,9 +132,24 @@ def _trials(model: ReferenceModel, estimator: Estimator, count: int, seed: int) 
             answer.quality,
             right,
             shape_right,
-            _crop(model, frame.color, drawn.camera, around, T),
+            _crop(model, frame.color, drawn.camera, around, T, color),
             turn,
         )
+
+
+def _next_that_shows(model: ReferenceModel, seed: int, numbers: Iterator[int]) -> tuple[int, Drawn, Box]:
+    """The next drawn frame that shows enough of the object: its number, and the bounds of what is seen."""
+    for number in itertools.islice(numbers, MOST_HIDDEN):
+        drawn = rendered_frame({model.name: model.mesh}, seed, number, RANGES)
+        around = Box.of_mask(drawn.shot.owner == 0)
+        if around is not None and drawn.shot.labels.visib_fract[0] >= VISIBLE:
+            return number, drawn, around
+    raise InputError(
+        f"mesh of '{model.name}'",
+        found=f"{MOST_HIDDEN} drawn scenes, one after the other, that hardly show it",
+        expected="a surface that a camera sees",
+        fix="Look at the mesh in a viewer.",
+    )
 
 
 def judge(model: ReferenceModel, T: Float64, T_true: Float64) -> tuple[bool, bool, Float64 | None]:
@@ -201,14 +223,14 @@ def _turns_in_words(turns: Sequence[Float64]) -> str:
     """By the object's axes about which they are, the most frequent first.
 
     >>> _turns_in_words([np.array([0.0, 0.0, 3.1]), np.array([0.1, 0.0, -1.0]), np.array([1.0, 1.0, 0.0])])
-    '2 about its z axis by 58 to 178 deg, 1 about no axis of it by 81 deg'
+    '2 about its z axis by 58 to 178 deg, 1 about a slanted axis by 81 deg'
     """
     groups: dict[str, list[float]] = {}
     for turn in turns:
         angle = float(np.linalg.norm(turn))
         cosines = np.abs(turn) / angle
         along = cosines.max() > ALONG
-        axis = f"its {'xyz'[int(cosines.argmax())]} axis" if along else "no axis of it"
+        axis = f"its {'xyz'[int(cosines.argmax())]} axis" if along else "a slanted axis"
         groups.setdefault(axis, []).append(np.degrees(angle))
     return ", ".join(
         f"{len(angles)} about {axis} by {_span(angles)} deg"
@@ -250,9 +272,9 @@ def in_words(model: ReferenceModel, found: Suitability) -> str:
     size = " x ".join(f"{100 * s:.1f}" for s in np.ptp(model.mesh.vertices, axis=0).tolist())
     lines = [
         f"{model.name} {found.verdict}: {size} cm, "
-        f"right in {100 * found.right:.0f} % of {n} drawn scenes that show it, surely so (TRACKING) in "
+        f"right in {100 * found.right:.0f} % of {n} drawn scenes, right and TRACKING in "
         f"{100 * found.tracking:.0f} %; turned in {100 * found.turned / max(n, 1):.0f} %, "
-        f"wrongly sure in {100 * found.false_tracking / max(n, 1):.0f} %."
+        f"wrong and TRACKING in {100 * found.false_tracking / max(n, 1):.0f} %."
     ]
     return "\n".join([*lines, *found.reasons])
 
@@ -263,9 +285,9 @@ def sheet(model: ReferenceModel, found: Suitability) -> UInt8:
     pictures = [*(picture for picture, _ in views), *(t.crop for t in found.trials)]
     labels = [f"from {axis}: {text}" for axis, (_, text) in zip(AXES, views, strict=True)]
     for t in found.trials:
-        wrong = "WRONG" if t.turn is None else f"TURNED {np.degrees(np.linalg.norm(t.turn)):.0f} deg"
+        wrong = "wrong" if t.turn is None else f"turned {np.degrees(np.linalg.norm(t.turn)):.0f} deg"
         word = "right" if t.right else "no pose" if t.state == "LOST" else wrong
-        labels.append(f"{word} {t.quality:.2f}, {t.distance_m:.1f} m")
+        labels.append(f"{t.state} {t.quality:.2f}, {word}, {t.distance_m:.1f} m")
     page = contact_sheet(pictures, 6, labels, (VIEW_PX, VIEW_PX))
     words = f"{in_words(model, found)}\n{CAPTION}"
     return np.vstack([paragraph(words, page.shape[1], 0.55), page])
@@ -288,12 +310,15 @@ def _view(model: ReferenceModel, k: int) -> tuple[UInt8, str]:
     picture = np.where(picture.any(2, keepdims=True), picture, 235).astype(np.uint8)
     for u, v in np.rint(pixels[:: max(1, len(pixels) // 400)]).astype(int):
         picture[v.clip(0, VIEW_PX - 1), u.clip(0, VIEW_PX - 1)] = (255, 60, 200)
-    return draw_axes(picture, camera, T, 0.3 * model.diameter_m), f"{int(facing.sum())} colour pairs"
+    picture = draw_axes(picture, camera, T, 0.3 * model.diameter_m, letters=True)
+    return picture, f"{int(facing.sum())} colour pairs"
 
 
-def _crop(model: ReferenceModel, color: UInt8, camera: Camera, around: Box, T: Float64 | None) -> UInt8:
+def _crop(
+    model: ReferenceModel, color: UInt8, camera: Camera, around: Box, T: Float64 | None, line: Colour
+) -> UInt8:
     if T is not None:
-        color = draw_mask_outline(color, silhouette(model.mesh, T, camera), (60, 220, 60), 1)
+        color = draw_mask_outline(color, silhouette(model.mesh, T, camera), line, 1)
     side = max(around.w, around.h, CROP_PX / 2)
     x, y = around.x + around.w / 2 - 0.7 * side, around.y + around.h / 2 - 0.7 * side
     rows, columns = Box(x, y, 1.4 * side, 1.4 * side).slices(camera.width, camera.height)

@@ -1,5 +1,4 @@
-"""What a picture lacks as such: light, colour, depth, depth in the right unit. Whoever says that it does asks
-here."""
+"""What a picture lacks as such: light, colour, depth, depth in the right unit, a likely camera matrix."""
 
 from __future__ import annotations
 
@@ -8,7 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from huepose.geometry.arrays import Bool, Float32, UInt8
-from huepose.geometry.camera import depth_noise_m
+from huepose.geometry.camera import Camera, depth_noise_m
 from huepose.geometry.frame import RgbdFrame
 
 DARK = 24
@@ -31,6 +30,13 @@ LARGEST_ERROR = 0.25
 
 NEVER_NEARER_M = 0.1
 """Nearest distance that any depth camera measures, metres."""
+
+OFF_MIDDLE = 0.05
+"""Largest usual distance of the principal point from the picture's middle, in picture widths, either way:
+lenses sit within 3 % of their sensor's middle."""
+
+OBLONG = 0.03
+"""Largest usual difference of fx and fy: pixels are square."""
 
 _EVERY = 4
 """Each such pixel of a row and column is looked at: enough for shares of a whole picture."""
@@ -68,6 +74,28 @@ def depth_share(depth: Float32, farthest_m: float = np.inf) -> float:
     0.0
     """
     return float(readings(depth[::_EVERY, ::_EVERY], farthest_m).mean())
+
+
+def camera_doubted(camera: Camera) -> str | None:
+    """A question about a camera matrix that no whole picture of a usual camera has; None where there is none.
+
+    >>> camera_doubted(Camera(600.0, 600.0, 318.0, 243.0, 640, 480)) is None
+    True
+    """
+    fx, fy, cx, cy = camera.fx, camera.fy, camera.cx, camera.cy
+    width, height = camera.width, camera.height
+    aside = max(abs(cx - 0.5 * (width - 1)), abs(cy - 0.5 * (height - 1)))
+    if aside > OFF_MIDDLE * width:
+        return (
+            f"The camera matrix has cx {cx:.0f}, cy {cy:.0f}, {aside:.0f} px from the middle of {width} x "
+            f"{height} pixels: is the picture a part of a larger one? Else every pose is off to that side."
+        )
+    if abs(np.log(fx / fy)) > OBLONG:
+        return (
+            f"The camera matrix has fx {fx:.0f} and fy {fy:.0f}: was the picture stretched? Else one of the "
+            "two is wrong, and every pose is off."
+        )
+    return None
 
 
 def depth_doubted(frame: RgbdFrame) -> str | None:

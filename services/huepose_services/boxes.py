@@ -14,6 +14,7 @@ from huepose.datasets.boxes import disturbed
 from huepose.geometry import Box, Camera, RgbdFrame
 from huepose.model import ReferenceModel
 from huepose.perception.colorpair_detector import ColorPairDetector
+from huepose.perception.exchanged import channels_exchanged
 from huepose.perception.types import Detection, Detector
 from huepose_protos.messages import (
     DetectedObject,
@@ -175,6 +176,15 @@ class SearchedBoxes(SeenBoxes):
         turn = min(names, key=lambda name: self._turns.index(name) if name in self._turns else -1)
         self._turns = [name for name in self._turns if name != turn] + [turn]
         return self._searcher.detect(self._frame, names, (turn,))
+
+    def why_none(self, names: Sequence[str]) -> str | None:
+        """What may be wrong with the colours of the newest frame, in which nothing is found; None where they
+        are not the reason. One object is looked for, as in `detections`."""
+        if self._frame is None or not names:
+            return None
+        self._turns = [*self._turns[1:], *self._turns[:1]]
+        looked_for = next((name for name in self._turns if name in names), names[0])
+        return channels_exchanged(self._frame, self._searcher, [looked_for])
 
     def _predicted(self, wanted: RequestedObject, header: FrameHeader, camera: Camera) -> Box | None:
         """The box of a fresh prediction; None where there is none in the image."""

@@ -7,17 +7,29 @@ from dataclasses import replace
 from huepose.geometry import Box
 from huepose.model import ReferenceModel
 from huepose.perception.colorpair_detector import ColorPairDetector
+from huepose.perception.exchanged import PLAIN
 from huepose.profiles import profile
 from huepose_protos import WireError
-from huepose_protos.messages import Detections, FrameHeader, Look, PerceptionRequest, TruthMessage
+from huepose_protos.messages import (
+    DetectedObject,
+    Detections,
+    FrameHeader,
+    Look,
+    PerceptionRequest,
+    TruthMessage,
+)
 from huepose_services import models, networks
 from huepose_services.boxes import BoxFinder, FirstBoxes, Hints, SearchedBoxes, SeenBoxes, TruthBoxes
 from huepose_services.convert import box_from_wire, frame_from_wire
 from huepose_services.following import Follower
 from huepose_services.runtime.bus import Bus
-from huepose_services.runtime.clock import now_ns
+from huepose_services.runtime.clock import SECOND, now_ns
 from huepose_services.runtime.config import Config
 from huepose_services.runtime.work import Work
+
+NOTHING_FOR_NS, ASK_EVERY_NS = 2 * SECOND, 5 * SECOND
+"""Nothing is found for so long before the order of the colours is doubted; and how often that is asked, which
+takes as long as a search for one object."""
 
 
 def make(bus: Bus, config: Config) -> DetectorWork:
@@ -61,6 +73,7 @@ class DetectorWork(Work):
         self._frames = bus.frames(wakes=False)
         self._truths = bus.inbox.queue(keys.truth) if isinstance(finder, TruthBoxes) else None
         self._frame: tuple[FrameHeader, bytes] | None = None
+        self._ask_ns = now_ns() + NOTHING_FOR_NS
 
     def step(self) -> None:
         """Answer the newest request."""
@@ -114,3 +127,17 @@ class DetectorWork(Work):
         health.count("requests")
         health.count("boxes", len(found))
         health.worked_on(started, header)
+        self._doubt_colours(request, found, started)
+
+    def _doubt_colours(self, request: PerceptionRequest, found: list[DetectedObject], at_ns: int) -> None:
+        """Ask now and then, while nothing at all is found, whether the colours are in the wrong order."""
+        followed = any(wanted.prior is not None for wanted in request.objects)
+        if followed or not request.objects or any(box.score >= PLAIN for box in found):
+            self._ask_ns = at_ns + NOTHING_FOR_NS
+            self._bus.health.warn_while("colours", None)
+        elif at_ns >= self._ask_ns and isinstance(self._finder, SearchedBoxes):
+            self._ask_ns = at_ns + ASK_EVERY_NS
+            text = self._finder.why_none([wanted.object for wanted in request.objects])
+            if text is not None:
+                self._bus.log.seldom("colours", text)
+                self._bus.health.warn_while("colours", text)

@@ -6,8 +6,10 @@ from collections.abc import Sequence
 from dataclasses import replace
 
 from huepose.estimation import Estimator, ObjectQuery
+from huepose.estimation.apparent_size import apparent_size
 from huepose.estimation.types import PoseEstimate, PosePrior
 from huepose.geometry import RgbdFrame
+from huepose.geometry.arrays import Float64
 from huepose.geometry.picture_faults import why_nothing_is_found
 from huepose.model import ReferenceModel
 from huepose.profiles import profile
@@ -18,9 +20,13 @@ from huepose_services import models
 from huepose_services.convert import box_from_wire, frame_from_wire, prior_from_wire, to_wire
 from huepose_services.following import Follower
 from huepose_services.runtime.bus import Bus
-from huepose_services.runtime.clock import now_ns
+from huepose_services.runtime.clock import SECOND, now_ns
 from huepose_services.runtime.config import Config
 from huepose_services.runtime.work import Work
+
+LOOKS, FEWEST_LOOKS, LOOK_EVERY_NS = 12, 3, 2 * SECOND
+"""Looks at the size of objects in the picture: how many of an epoch of the camera, how many are asked for a
+warning, and their distance in time. One takes some 30 ms of a processor."""
 
 
 def make(bus: Bus, config: Config) -> EstimatorWork:
@@ -36,12 +42,36 @@ def make(bus: Bus, config: Config) -> EstimatorWork:
     return EstimatorWork(bus, estimator, follower)
 
 
+class SizesSeen:
+    """Whether objects are as large in the pictures of a camera as its matrix says: a few looks at sure poses,
+    some time apart, since none of them is worth much alone."""
+
+    def __init__(self) -> None:
+        self._epoch, self._next_ns = -1, 0
+        self._looks: list[Float64] = []
+
+    def wanted(self, epoch: int, at_ns: int) -> bool:
+        """Whether to look now, at a picture of that epoch of the camera."""
+        if epoch != self._epoch:
+            self._epoch, self._looks = epoch, []
+        return len(self._looks) < LOOKS and at_ns >= self._next_ns
+
+    def added(self, frame: RgbdFrame, looks: Sequence[Float64], at_ns: int) -> str | None:
+        """Take what was seen in a frame; what is wrong with the camera's matrix, None where nothing is."""
+        self._looks += looks
+        if looks:
+            self._next_ns = at_ns + LOOK_EVERY_NS
+        size = apparent_size(self._looks)
+        return size.said(frame.camera) if len(self._looks) >= FEWEST_LOOKS and size.clear else None
+
+
 class EstimatorWork(Work):
     """Answers the newest masks."""
 
     def __init__(self, bus: Bus, estimator: Estimator, objects: Follower[ReferenceModel]) -> None:
         self._bus, self._estimator, self._objects = bus, estimator, objects
         self._masks = bus.inbox.ring(bus.keys.masks)
+        self._sizes = SizesSeen()
 
     def step(self) -> None:
         """Estimate what is in the newest masks."""
@@ -88,6 +118,9 @@ class EstimatorWork(Work):
         health.count("estimates", len(estimates))
         health.count("found", sum(e.found for e in estimates))
         health.worked_on(started, message.frame)
+        if any(a.state == "TRACKING" for a in answers) and self._sizes.wanted(frame.epoch, started):
+            looks = self._estimator.sizes_seen(frame, answers)
+            health.warn_while("size", self._sizes.added(frame, looks, started))
 
     def _fault(self, frame: RgbdFrame, answers: Sequence[PoseEstimate]) -> str:
         """What is wrong with a frame in which nothing was found; empty where nothing is."""

@@ -47,7 +47,7 @@ def test_wrong_sides_and_small_pictures_are_said(tea_box: ReferenceModel) -> Non
     )
     said = in_words(tea_box, found)
     assert "right in 69 % of 13 drawn scenes" in said
-    assert "turned in 31 %, wrongly sure in 31 %." in said
+    assert "turned in 31 %, wrong and TRACKING in 31 %." in said
     assert any("33 pixels" in reason and "1.9 m" in reason for reason in found.reasons)
 
 

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from huepose.geometry import Camera, RgbdFrame
-from huepose.geometry.picture_faults import bad_picture, depth_doubted, why_nothing_is_found
+from huepose.geometry.picture_faults import bad_picture, camera_doubted, depth_doubted, why_nothing_is_found
 
 CAMERA = Camera(300.0, 300.0, 79.5, 59.5, 160, 120)
 DIAMETER_M = 0.12
@@ -66,3 +66,18 @@ def test_black_and_grey_pictures_are_named(good: RgbdFrame) -> None:
     assert black.startswith("The picture is black")
     assert grey is not None
     assert grey.startswith("The picture is grey")
+
+
+@pytest.mark.parametrize(
+    ("changed", "said"),
+    [
+        ({}, None),
+        ({"cx": 305.0, "cy": 250.0, "fy": 610.0}, None),
+        ({"cx": 280.0}, "cx 280, cy 240, 40 px from the middle of 640 x 480"),
+        ({"cy": 300.0}, "cx 320, cy 300, 60 px from the middle of 640 x 480"),
+        ({"fx": 450.0}, "fx 450 and fy 600"),
+    ],
+)
+def test_an_unlikely_camera_matrix_is_asked_about(changed: dict[str, float], said: str | None) -> None:
+    doubt = camera_doubted(replace(Camera(600.0, 600.0, 319.5, 239.5, 640, 480), **changed))
+    assert (doubt is None) if said is None else (doubt is not None and said in doubt)

@@ -16,15 +16,9 @@ from contextlib import contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
 
-import numpy as np
 import pytest
 
-from huepose.geometry import se3
-from huepose.onboarding import read_mesh
-from huepose.rendering.render import render
-from huepose.scenes.camera import CAMERA
 from huepose_services.cli.main import build_parser
-from huepose_services.cli.new import write_frame
 
 ROOT = Path(__file__).parents[2]
 ACTIVATE = ROOT / ".venv" / "bin" / "activate"
@@ -60,8 +54,6 @@ SAYS = {
 }
 """What the others have said when they are done, by how they begin."""
 
-MIDDLE = (447.0, 310.0)
-"""Of `--box 410 240 75 140`."""
 _PIPELINES = ("huepose demo", "huepose up")
 _TIMEOUT_S = 180.0
 
@@ -195,14 +187,8 @@ def reader(folder: Path) -> Iterator[Reader]:
 
 
 def prepare(folder: Path) -> None:
-    """What the pages speak of as the reader's own: a mesh, a picture of the object in the box that they give,
-    and a pipeline.yaml."""
+    """What the pages speak of as the reader's own: a mesh, and a pipeline.yaml."""
     shutil.copytree(ROOT / "examples", folder / "examples")
-    mesh = read_mesh(ROOT / "examples" / "tea_box.obj")
-    where = se3.make(
-        se3.rotation_exp(np.array([1.7, 0.3, 0.2])), CAMERA.backproject(np.array(MIDDLE), np.array(0.9))
-    )
-    write_frame(folder, render([(mesh, where)], CAMERA), CAMERA)
     lines = "bundles: bundles\nobjects: [{name: tea_box}]\ncamera: {source: synthetic, truth: true}\n"
     (folder / "pipeline.yaml").write_text(lines)
 

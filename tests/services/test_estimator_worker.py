@@ -3,16 +3,18 @@
 from collections import defaultdict
 from types import SimpleNamespace
 
-import msgspec
 import numpy as np
 import pytest
+from msgspec.structs import replace
 
+from huepose.estimation.apparent_size import SCALES
 from huepose.estimation.types import PoseEstimate
 from huepose.geometry import Camera, RgbdFrame
 from huepose_protos.examples import example
 from huepose_protos.messages import Estimates, FrameHeader, Masks
+from huepose_services import estimator as worker
 from huepose_services.camera.publish import packed
-from huepose_services.estimator import EstimatorWork
+from huepose_services.estimator import LOOK_EVERY_NS, EstimatorWork
 from huepose_services.runtime.config import Config
 from huepose_services.runtime.health import Health
 
@@ -42,16 +44,20 @@ class _Estimator:
     def estimate(self, frame, queries):
         return list(self.answers)
 
+    def sizes_seen(self, frame, answers):
+        return [np.where(np.isclose(SCALES, 0.1), 6.0, 0.0)]
 
-def masks(times):
-    """No object was detected in a picture of a wall a metre away, its depth so many times too large."""
+
+def masks(times, *names):
+    """A picture of a wall a metre away, its depth so many times too large, in which these were detected."""
     color = np.random.default_rng(0).integers(20, 220, (120, 160, 3), dtype=np.uint8)
     depth = np.full((120, 160), 1.0 * times, np.float32)
     picture = packed(RgbdFrame(color, depth, CAMERA), 0.0002)
-    header = msgspec.structs.replace(
-        example(FrameHeader), intrinsics=picture.intrinsics, buffers=picture.buffers
-    )
-    return msgspec.structs.replace(example(Masks), frame=header, objects=[]), picture.payload
+    header = replace(example(FrameHeader), intrinsics=picture.intrinsics, buffers=picture.buffers)
+    seen = example(Masks).objects[0]
+    asked = [replace(seen.detection.request, object=name, prior=None) for name in names]
+    objects = [replace(seen, detection=replace(seen.detection, request=one), masks=[]) for one in asked]
+    return replace(example(Masks), frame=header, objects=objects), picture.payload
 
 
 @pytest.mark.parametrize("times", [10.0, 0.05, 20.0])
@@ -68,3 +74,24 @@ def test_depth_of_another_unit_is_named_in_answer_health_and_log(times):
     work.step()
     assert bus.said[-1].picture == ""
     assert bus.health.message().warnings == []
+
+
+def test_a_wrong_camera_matrix_is_warned_of_after_some_looks(monkeypatch):
+    bus, estimator, now = _Bus(), _Estimator(), [0]
+    monkeypatch.setattr(worker, "now_ns", lambda: now[0])
+    estimator.answers = (PoseEstimate("cup", T_cam_obj=np.eye(4), found=True, state="TRACKING"),)
+    work = EstimatorWork(bus, estimator, SimpleNamespace(changes=lambda: []))
+
+    def warned_after(seconds):
+        now[0] += int(seconds * 1e9)
+        bus.arriving = [masks(1.0, "cup")]
+        work.step()
+        return [text for text in bus.health.message().warnings if "fx and fy" in text]
+
+    every_s = LOOK_EVERY_NS * 1e-9
+    first = [warned_after(s) for s in (0.0, 0.1, every_s, 0.1)]
+    assert first == [[], [], [], []]  # two looks
+    (said,) = warned_after(every_s)
+    assert said.startswith("The picture shows objects 10 % larger")
+    estimator.sizes_seen = lambda frame, answers: [np.where(np.isclose(SCALES, 0.0), 9.0, 0.0)]
+    assert [warned_after(every_s) for _ in range(3)][-1] == []

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 
 from huepose.datasets.types import GroundTruth
 from huepose.geometry import RgbdFrame
+from huepose.geometry.picture_faults import camera_doubted
 from huepose_protos.buffers import pack
 from huepose_protos.messages import (
     BufferSpec,
@@ -19,7 +20,7 @@ from huepose_protos.messages import (
     TruthObject,
 )
 from huepose_protos.motion import composed
-from huepose_services.convert import depth_to_wire, intrinsics_to_wire, to_wire
+from huepose_services.convert import camera_from_wire, depth_to_wire, intrinsics_to_wire, to_wire
 from huepose_services.runtime.bus import Bus
 from huepose_services.runtime.clock import SECOND, now_ns, this_clock
 from huepose_services.runtime.config import Config
@@ -77,6 +78,8 @@ class FramePublisher:
             buffers=picture.buffers,
         )
         bus.put_pixels(self._keys.frame, header, picture.payload)
+        if epoch != self._told:
+            bus.health.warn_while("matrix", camera_doubted(camera_from_wire(picture.intrinsics)))
         self._tell(header)
         if self._told_mounts is not None:
             self._tell_mounts(header, self._told_mounts)

@@ -30,6 +30,9 @@ if TYPE_CHECKING:
 THREADS = 2
 """Objects that are searched for at the same time: as many as in a pipeline, by default."""
 
+_ASKED = 5
+"""So many of the objects that were not found are looked for in another order of the colours."""
+
 
 def add_parser(subparsers: Any) -> None:
     """Add the verb."""
@@ -99,15 +102,17 @@ def call(arguments: argparse.Namespace) -> int:
     else:
         answers = [a if a.found else _of_the_picture(frame, models[a.object], a) for a in answers]
     answers = [_doubted(frame, models[a.object], a, arguments.method) for a in answers]
-    _ask_about_scale(frame, answers)
     loaded = "one model" if len(names) == 1 else f"{len(names)} models"
     print(
         f"{prepared - begun:.1f} s to load {loaded} and to find where objects may be, "
         f"{time.monotonic() - prepared:.1f} s to answer",
         file=sys.stderr,
     )
-    _say_offset(frame, models, answers)
-    answered(arguments, {"poses": [as_record(a) for a in answers]}, "\n".join(map(in_words, answers)))
+    doubts = _doubts(frame, models, answers)
+    for doubt in doubts:
+        print(doubt, file=sys.stderr)
+    record = {"poses": [as_record(a) for a in answers], "doubts": doubts}
+    answered(arguments, record, "\n".join(map(in_words, answers)))
     if arguments.image:
         from huepose.support.files import write_picture
         from huepose_services.cli.explain import draw_answers
@@ -116,23 +121,31 @@ def call(arguments: argparse.Namespace) -> int:
     return 0
 
 
-def _ask_about_scale(frame: RgbdFrame, answers: list[PoseEstimate]) -> None:
-    """A line on standard error where nothing was found, and depth may be read in another unit."""
-    from huepose.geometry.picture_faults import depth_doubted
-
-    doubt = None if any(answer.found for answer in answers) else depth_doubted(frame)
-    if doubt is not None:
-        print(doubt, file=sys.stderr)
-
-
-def _say_offset(frame: RgbdFrame, models: Mapping[str, ReferenceModel], answers: list[PoseEstimate]) -> None:
-    """A line on standard error where depth plainly does not lie on the colours."""
+def _doubts(frame: RgbdFrame, models: Mapping[str, ReferenceModel], answers: list[PoseEstimate]) -> list[str]:
+    """What may be wrong with the frame as such, from the answers about it."""
+    from huepose.estimation.apparent_size import apparent_size, looks
     from huepose.estimation.depth_offset import depth_offset
+    from huepose.geometry.picture_faults import camera_doubted, depth_doubted
+    from huepose.perception.colorpair_detector import ColorPairDetector
+    from huepose.perception.exchanged import channels_exchanged
 
-    sure = [a for a in answers if a.state == "TRACKING"]
-    offset = depth_offset(frame, [(models[a.object], a.T_cam_obj) for a in sure if a.T_cam_obj is not None])
-    if offset is not None and offset.clear:
-        print(f"{offset}: poses follow depth; check how depth is registered to colour", file=sys.stderr)
+    out = [camera_doubted(frame.camera)]
+    if not any(answer.found for answer in answers):
+        names = [answer.object for answer in answers][:_ASKED]
+        out += [depth_doubted(frame), channels_exchanged(frame, ColorPairDetector(models), names)]
+    size = apparent_size(looks(frame, models, answers))
+    if size.clear:
+        out += [size.said(frame.camera)]
+    else:
+        sure = [a for a in answers if a.state == "TRACKING"]
+        placed = [(models[a.object], a.T_cam_obj) for a in sure if a.T_cam_obj is not None]
+        offset = depth_offset(frame, placed)
+        if offset is not None and offset.clear:
+            said = str(offset)
+            out += [
+                f"{said[0].upper()}{said[1:]}: poses follow depth; check how depth is registered to colour."
+            ]
+    return [text for text in out if text is not None]
 
 
 def _box(given: list[float] | None, frame: RgbdFrame) -> Box | None:

@@ -13,7 +13,7 @@ from huepose.datasets.image_files import FARTHEST_M, NEAREST_M
 from huepose.datasets.types import Scene
 from huepose.geometry import RgbdFrame
 from huepose.geometry.arrays import Bool, Float32, Float64
-from huepose.geometry.picture_faults import LEAST_DEPTH, dark, depth_doubted, readings
+from huepose.geometry.picture_faults import LEAST_DEPTH, camera_doubted, dark, depth_doubted, readings
 from huepose.support.errors import InputError
 from huepose_services.camera.condition import Condition
 from huepose_services.camera.live import CameraError, LiveSource
@@ -53,7 +53,9 @@ def pictures(config: Config) -> Iterator[Finding]:
         yield Finding("camera", "bad", f"no picture in {LOOK_S:g} s", "Is another program using it?")
         return
     camera = frames[0].camera
-    yield Finding("camera", "ok", f"{camera.width} x {camera.height}, fx {camera.fx:.1f} fy {camera.fy:.1f}")
+    matrix = f"{camera.width} x {camera.height}, fx {camera.fx:.1f} fy {camera.fy:.1f}"
+    doubt = camera_doubted(camera)
+    yield Finding("camera", "note" if doubt else "ok", matrix, doubt or "")
     yield brightness(frames)
     yield from depth(frames, config.camera.depth_scale_m)
     yield alignment(frames)

@@ -1,0 +1,69 @@
+"""What the detector worker says while it finds nothing."""
+
+from collections import defaultdict
+from types import SimpleNamespace
+
+import msgspec
+import numpy as np
+
+from huepose.perception.colorpair_detector import ColorPairDetector
+from huepose_protos.examples import example
+from huepose_protos.messages import FrameHeader, PerceptionRequest, RequestedObject
+from huepose_services import detector as worker
+from huepose_services.boxes import SearchedBoxes
+from huepose_services.camera.publish import packed
+from huepose_services.detector import NOTHING_FOR_NS, DetectorWork
+from huepose_services.models import outline
+from huepose_services.runtime.config import Config
+from huepose_services.runtime.health import Health
+
+
+class _Bus:
+    def __init__(self):
+        self.keys, self.health = Config().keys, Health("detector")
+        self.inbox = SimpleNamespace(ring=lambda key: key, queue=lambda key: key)
+        self.logged, self.arriving, self.said = defaultdict(list), {}, []
+        self.log = SimpleNamespace(seldom=lambda kind, text: self.logged[kind].append(text))
+
+    def frames(self, wakes):
+        return "frames"
+
+    def take(self, place, kind):
+        return self.arriving.pop(place, None)
+
+    def take_with_payload(self, place, kind):
+        return self.arriving.pop(place, None)
+
+    def put_pixels(self, key, message, payload):
+        self.said.append(message)
+
+
+def test_pictures_with_red_and_blue_exchanged_are_named(monkeypatch, tea_box, take_picture, standing):
+    now = [10 * NOTHING_FOR_NS]
+    monkeypatch.setattr(worker, "now_ns", lambda: now[0])
+    bus = _Bus()
+    finder = SearchedBoxes({"tea_box": outline(tea_box)}, ColorPairDetector({"tea_box": tea_box}))
+    work = DetectorWork(bus, finder, SimpleNamespace(changes=lambda: []))
+    frame = take_picture([(tea_box.mesh, standing)])
+    wanted = [RequestedObject(object="tea_box", instance=None)]
+    request = msgspec.structs.replace(example(PerceptionRequest), objects=wanted)
+
+    def warned(color):
+        shot = SimpleNamespace(color=np.ascontiguousarray(color), depth=frame.depth, camera=frame.camera)
+        picture = packed(shot, 0.0002)
+        header = msgspec.structs.replace(
+            example(FrameHeader), intrinsics=picture.intrinsics, buffers=picture.buffers, capture_ns=now[0]
+        )
+        bus.arriving = {"frames": (header, picture.payload), bus.keys.request: request}
+        work.step()
+        return bus.health.message().warnings
+
+    assert warned(frame.color[:, :, ::-1]) == []  # it has only just begun
+    assert bus.said[-1].objects == [] or max(box.score for box in bus.said[-1].objects) < 0.7
+    now[0] += NOTHING_FOR_NS
+    (said,) = warned(frame.color[:, :, ::-1])
+    assert said.startswith("With red and blue exchanged, tea_box is in the picture")
+    assert bus.logged["colours"] == [said]
+    now[0] += NOTHING_FOR_NS
+    assert warned(frame.color) == []
+    assert [box.request.object for box in bus.said[-1].objects] == ["tea_box"]

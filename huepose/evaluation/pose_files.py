@@ -1,6 +1,7 @@
 """Files of poses that were made elsewhere: our CSV, and those of DOPE as ROFT ships them.
 
-CSV: `frame,object,x,y,z,qx,qy,qz,qw`, metres, the reference model's frame; object is a name or a BOP id.
+CSV: `frame,object,x,y,z,qx,qy,qz,qw`, metres, the reference model's frame; object is a name or a BOP id. An
+instance number may follow; what comes after it is not read.
 DOPE: row i is frame i, `x y z ax ay az angle`, zeros where nothing was found; in the model frame of NVIDIA
 (`poses.txt`) or PoseCNN (`poses_ycb.txt`): p_nvdu = R p_posecnn + t, and p_bop = p_posecnn + offset.
 """
@@ -8,10 +9,10 @@ DOPE: row i is frame i, `x y z ax ay az angle`, zeros where nothing was found; i
 from __future__ import annotations
 
 import csv
-import io
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 
@@ -47,28 +48,52 @@ class PoseTable:
         )
 
 
+class PoseRow(NamedTuple):
+    """A row of our CSV. instance: None where the file does not say; T (4, 4): as a rule T_cam_obj."""
+
+    frame: int
+    object: str
+    instance: int | None
+    T: Float64
+
+    @property
+    def name(self) -> str:
+        """Which thing it is, in words."""
+        return self.object if self.instance is None else f"{self.object}/{self.instance}"
+
+
 def read_pose_csv(path: Path | str) -> PoseTable:
+    """Read our CSV as a table; of several instances of an object in a frame the last counts. Raises
+    InputError."""
+    return PoseTable({(row.frame, row.object): row.T for row in read_pose_rows(path)})
+
+
+def read_pose_rows(path: Path | str) -> list[PoseRow]:
     """Read our CSV, with or without its header; rows with nan are missing poses. Raises InputError."""
-    text = files.read_bytes(Path(path)).decode("utf-8", "replace")
-    poses: dict[tuple[int, str], Float64] = {}
-    for line, row in enumerate(csv.reader(io.StringIO(text)), 1):
+    # Spreadsheets write a mark of the encoding, and line ends of their own.
+    text = files.read_bytes(Path(path)).decode("utf-8-sig", "replace")
+    lines = text.replace("\r\n", "\n").replace("\r", "\n").replace("\0", "?").splitlines()
+    rows: list[PoseRow] = []
+    for line, row in enumerate(csv.reader(lines), 1):
         cells = [cell.strip() for cell in row]
         if not any(cells) or (line == 1 and cells[0] == COLUMNS[0]):
             continue
         try:
-            frame, values = int(cells[0]), np.array([float(cell) for cell in cells[2:]])
+            frame, values = int(cells[0]), np.array([float(cell) for cell in cells[2:9]])
+            instance = int(cells[9]) if len(cells) > 9 else None
         except (ValueError, IndexError):
-            frame, values = 0, np.empty(0)
+            frame, values, instance = 0, np.empty(0), None
         if len(values) != 7:
             raise InputError(f"{path}, line {line}", found=",".join(row)[:60], expected=",".join(COLUMNS))
         if not np.isfinite(values).all():
             continue
         if abs(np.linalg.norm(values[3:]) - 1.0) > 0.05:
             raise InputError(f"{path}, line {line}", found=f"quaternion {values[3:]}", expected="length 1")
-        poses[frame, cells[1]] = se3.make(se3.rotation_from_quaternion(values[3:]), values[:3])
-    if not poses:
+        T = se3.make(se3.rotation_from_quaternion(values[3:]), values[:3])
+        rows.append(PoseRow(frame, cells[1], instance, T))
+    if not rows:
         raise InputError(path, found="no pose", expected=",".join(COLUMNS))
-    return PoseTable(poses)
+    return rows
 
 
 def read_dope_poses(path: Path | str, name: str) -> PoseTable:

@@ -13,6 +13,7 @@ from huepose.evaluation.bop_csv import BopResult, read_bop_csv, write_bop_csv
 from huepose.evaluation.pose_files import (
     read_dope_poses,
     read_pose_csv,
+    read_pose_rows,
 )
 from huepose.evaluation.result_files import plain, write_json
 from huepose.evaluation.targets import read_equivalents
@@ -100,7 +101,26 @@ def test_pose_csv(tmp_path: Path, header: str) -> None:
     assert table.pose(5, "box", 5) is None
 
 
-@pytest.mark.parametrize("text", ["", "1,box,0,0,1\n", "1,box,0,0,1,0,0,0,3\n", "a,box,0,0,1,0,0,0,1\n"])
+@pytest.mark.parametrize("end", ["\n", "\r\n", "\r"])
+def test_pose_csv_of_a_spreadsheet(tmp_path: Path, end: str) -> None:
+    path, row = tmp_path / "poses.csv", ",0,0,1,0,0,0,1,3,1700000000.5,0.9"
+    lines = ["frame,object,x,y,z,qx,qy,qz,qw,instance,stamp,quality", f"4,box{row}", f"5,box{row}"]
+    path.write_bytes(b"\xef\xbb\xbf" + (end.join(lines) + end).encode())
+    assert [(row.frame, row.name) for row in read_pose_rows(path)] == [(4, "box/3"), (5, "box/3")]
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        "",
+        "1,box,0,0,1\n",
+        "1;box;0;0;1;0;0;0;1\n",
+        "\0\1\2",
+        '"1,box\n',
+        "1,box,0,0,1,0,0,0,3\n",
+        "a,box,0,0,1,0,0,0,1\n",
+    ],
+)
 def test_a_broken_pose_csv_is_named(tmp_path: Path, text: str) -> None:
     path = tmp_path / "p.csv"
     path.write_text("frame,object,x,y,z,qx,qy,qz,qw\n" + text)

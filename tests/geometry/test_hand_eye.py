@@ -131,8 +131,46 @@ def test_the_command_says_what_to_configure(
     assert np.allclose(se3.rotation_from_quaternion(np.array(mount["quaternion"])), X[:3, :3], atol=1e-4)
     said = capsys.readouterr().out
     assert "mount: {parent: " in said
-    assert "the closed forms of Park, Tsai and Daniilidis lie 0.0 mm and 0.00 degrees apart at most" in said
+    assert "the methods of Park, Tsai and Daniilidis differ by 0.0 mm and 0.00 degrees at most" in said
     assert (tmp_path / "left.png").stat().st_size > 1000
+
+
+def test_the_poses_of_several_things_are_not_taken_together(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    A, B = measured(8, 0.001)
+    (tmp_path / "hand.csv").write_text(rows(A))
+    lines = rows(B).splitlines()
+    of_mug = [f"{line.replace('thing', 'mug')},{instance}" for line in lines[1:] for instance in (0, 1)]
+    others = [line.replace("thing", "jar") + ",0,1700000000.5,0.99" for line in lines[3:]]
+    (tmp_path / "object.csv").write_text("\n".join([lines[0], *of_mug, *others]) + "\n")
+    files = ["--object", str(tmp_path / "object.csv"), "--hand", str(tmp_path / "hand.csv")]
+    line = ["calibrate", "hand-eye", *files, "--camera", "on-hand"]
+    assert main(line) == 2
+    assert "found poses of mug/0 (8), mug/1 (8), jar/0 (6)" in capsys.readouterr().err
+    assert main([*line, "--name", "mug"]) == 2
+    assert main([*line, "--name", "cup"]) == 2
+    assert "no pose of cup" in capsys.readouterr().err
+    assert main([*line, "--name", "jar", "--json"]) == 0
+    left = json.loads(capsys.readouterr().out)["left"]
+    assert left["poses"] == 6
+    assert main([*line, "--name", "mug/1"]) == 0
+    assert capsys.readouterr().out.count("8 poses are off by") == 1
+
+
+def test_the_median_is_the_same_in_words_and_as_json(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    A, B = measured(8, 0.002)
+    (tmp_path / "hand.csv").write_text(rows(A))
+    (tmp_path / "object.csv").write_text(rows(B))
+    files = ["--object", str(tmp_path / "object.csv"), "--hand", str(tmp_path / "hand.csv")]
+    out = tmp_path / "out.json"
+    assert main(["calibrate", "hand-eye", *files, "--camera", "on-hand", "--json", str(out)]) == 0
+    shift = json.loads(out.read_text())["left"]["shift_mm"]
+    assert f"off by {shift['median']:.1f} mm" in capsys.readouterr().out
+    expected = 1e3 * np.median(hand_eye.solve(A, B).shift_m)
+    assert shift["median"] == pytest.approx(expected, rel=1e-3)
 
 
 def test_the_command_says_when_four_poses_are_too_few(

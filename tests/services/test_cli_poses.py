@@ -62,6 +62,10 @@ def test_poses_to_be_acted_on_are_written_for_calibration_and_as_trajectories(po
         files.take(next(m for m in messages() if not isinstance(m, PoseMessage)))
         files.take(replace(at, frame_id=10, object="jar", instance=0))
         assert files.written == 2
+    heading, row, _ = csv.read_text().splitlines()
+    assert heading == "frame,object,x,y,z,qx,qy,qz,qw,instance,stamp,quality"
+    assert row.startswith("7,mug,0.1")
+    assert row.split(",")[9:] == ["2", "1700000000.000000005", f"{pose.quality:.4f}"]
     poses = read_pose_csv(csv).poses
     assert list(poses) == [(7, "mug"), (10, "jar")]
     np.testing.assert_allclose(poses[7, "mug"][:3, 3], [0.1, 0.2, 0.8])

@@ -24,6 +24,7 @@ from huepose.evaluation.tables.figures import (
 from huepose.evaluation.tables.journal import Entry
 from huepose.evaluation.tables.published import others, published
 from huepose.evaluation.tables.table import Cell, Head, Table
+from huepose.support.words import counted
 
 
 def single_frame_tables(
@@ -72,7 +73,7 @@ def single_frame_tables(
         ours = [own[m].get(key) for m in by_method for key in ("recall_add", "recall_adds")]
         lines.append((label, (*empty, n, *ours)))
     notes = (*notes, *unseen.notes, *unseen.image_notes) if unseen else tuple(notes)
-    note = f"Measured: {seen} objects; the average is over these. {RECALL[0].upper()}{RECALL[1:]}."
+    note = f"Measured: {counted(seen, 'object')}; the average is over these. {RECALL[0].upper()}{RECALL[1:]}."
     scale = "The published columns but the last are of another scale than recall (hover, or see the CSV)."
     return [
         Table(

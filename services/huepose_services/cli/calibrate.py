@@ -28,7 +28,10 @@ def add_parser(subparsers: Any) -> None:
         description="Hand-eye calibration. Both files are CSV with the columns "
         f"{_COLUMNS}; rows of the same frame belong together.",
     )
-    add_path(one, "--object", "FILE.csv", "T_cam_obj of one object", required=True)
+    add_path(one, "--object", "FILE.csv", "T_cam_obj, as `huepose poses --csv` writes it", required=True)
+    one.add_argument(
+        "--name", default=None, metavar="NAME", help="of --object, where it has several: mug or mug/0"
+    )
     add_path(one, "--hand", "FILE.csv", "T_base_hand of the robot", required=True)
     one.add_argument(
         "--camera",
@@ -52,13 +55,12 @@ def call(arguments: argparse.Namespace) -> int:
     """Read, solve, say. Exit code 1 where the poses do not fit together."""
     import numpy as np
 
-    from huepose.evaluation.pose_files import read_pose_csv
     from huepose.geometry import hand_eye, hand_eye_doubts, se3
     from huepose.geometry.hand_eye_certainty import certainty
     from huepose.support.errors import InputError
 
-    seen = {frame: T for (frame, _), T in read_pose_csv(arguments.object).poses.items()}
-    hand = {frame: T for (frame, _), T in read_pose_csv(arguments.hand).poses.items()}
+    seen = _of_one_thing(arguments.object, arguments.name)
+    hand = _of_one_thing(arguments.hand, None)
     frames = sorted(set(seen) & set(hand))
     if not frames:
         raise InputError(arguments.hand, found="no frame that is in both files", expected="the same frames")
@@ -74,12 +76,13 @@ def call(arguments: argparse.Namespace) -> int:
         "quaternion": np.round(se3.quaternion_from_rotation(found.X[:3, :3]), 6).tolist(),
     }
     shift_mm, turn_deg = 1e3 * found.shift_m, np.degrees(found.turn_rad)
-    rest = {"poses": len(frames), "shift_mm": _of(shift_mm), "turn_deg": _of(turn_deg)}
+    shift, turn = _of(shift_mm), _of(turn_deg)
+    rest = {"poses": len(frames), "shift_mm": shift, "turn_deg": turn}
     if arguments.image:
         _draw(arguments.image, frames, found)
     left = (
-        f"of {len(frames)} poses there are left {np.median(shift_mm):.1f} mm and {np.median(turn_deg):.2f} "
-        f"degrees (largest {shift_mm.max():.1f} mm, {turn_deg.max():.2f} degrees)"
+        f"{len(frames)} poses are off by {shift['median']:.1f} mm and {turn['median']:.2f} degrees in the "
+        f"median (largest {shift['largest']:.1f} mm, {turn['largest']:.2f} degrees)"
     )
     if not hand_eye_doubts.fits(B, found):
         meant = hand_eye_doubts.meant(hands, B, fixed)
@@ -89,8 +92,8 @@ def call(arguments: argparse.Namespace) -> int:
         return 1
     apart_mm, apart_deg = 1e3 * found.forms_apart[0], float(np.degrees(found.forms_apart[1]))
     forms = (
-        f"before they are refined, the closed forms of Park, Tsai and Daniilidis lie {apart_mm:.1f} mm and "
-        f"{apart_deg:.2f} degrees apart at most"
+        f"before refinement the methods of Park, Tsai and Daniilidis differ by {apart_mm:.1f} mm and "
+        f"{apart_deg:.2f} degrees at most"
     )
     inner = ", ".join(f"{key}: {value}" for key, value in mount.items())
     summary = f"mount: {{{inner}}}\n{left}\n{forms}\n{_in_words(sure, len(frames), parent)}"
@@ -136,8 +139,8 @@ def _in_words(sure: Certainty, count: int, parent: str) -> str:
     from huepose.geometry.hand_eye_certainty import WANTED_RAD
 
     text = (
-        f"the answer errs by {1e3 * sure.shift_m:.1f} mm and {np.degrees(sure.turn_rad):.2f} degrees (one "
-        "standard deviation, in the worst direction)"
+        f"the mount may be wrong by {1e3 * sure.shift_m:.1f} mm and {np.degrees(sure.turn_rad):.2f} degrees "
+        "(one standard deviation, in the worst direction)"
     )
     if sure.well:
         return text
@@ -161,8 +164,35 @@ def _in_words(sure: Certainty, count: int, parent: str) -> str:
     )
 
 
+def _of_one_thing(path: Path, name: str | None) -> dict[int, Float64]:
+    """The poses (4, 4) of a file by frame. name: whose, with or without the instance; needed where there are
+    several. Raises InputError."""
+    from collections import Counter
+
+    from huepose.evaluation.pose_files import read_pose_rows
+    from huepose.support.errors import InputError
+
+    rows = read_pose_rows(path)
+    counts = Counter(row.name for row in rows)
+    kinds = ", ".join(f"{thing} ({count})" for thing, count in counts.items())
+    if name is not None:
+        rows = [row for row in rows if name in (row.name, row.object)]
+        if not rows:
+            raise InputError(path, found=f"no pose of {name}; poses of {kinds}", expected="one of these")
+    if len({row.name for row in rows}) > 1:
+        fix = (
+            "Say which with --name, or write one of them only."
+            if name is None
+            else "Say --name with its number."
+        )
+        raise InputError(path, found=f"poses of {kinds}", expected="poses of one thing", fix=fix)
+    return {row.frame: row.T for row in rows}
+
+
 def _of(values: Float64) -> dict[str, float]:
-    return {"median": float(sorted(values)[len(values) // 2]), "largest": float(max(values))}
+    import numpy as np
+
+    return {"median": float(np.median(values)), "largest": float(values.max())}
 
 
 def _draw(path: Path, frames: list[int], found: HandEye) -> None:

@@ -39,7 +39,8 @@ def add_parser(subparsers: Any) -> None:
     parser = subparsers.add_parser(
         "estimate",
         help="poses of known objects in one frame",
-        description="Find objects in one RGB-D frame. Exit code 0 when answered, also with found: false.",
+        description="Find objects in one RGB-D frame. Exit code 0 when answered, also where nothing was "
+        "found: --json says `found`.",
     )
     add_path(parser, "--color", "FILE", "colour picture", required=True)
     add_path(parser, "--depth", "FILE", "16 bit depth, aligned to it", required=True)

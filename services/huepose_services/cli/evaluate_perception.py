@@ -17,6 +17,7 @@ from huepose.model import load_models
 from huepose.perception.colorpair_detector import ColorPairDetector
 from huepose.perception.embedded import DepthSegmenter
 from huepose.profiles import profile
+from huepose.support.words import counted
 from huepose_services.cli.evaluate_scenes import open_bop
 
 
@@ -90,7 +91,8 @@ def _report(summary: dict[str, Any]) -> str:
         f"false a frame {false[0]:.2f} to {false[1]:.2f}"
     )
     text.append(
-        f"{summary['profile']}: {summary['frames']} frames, {summary['asked_for']} objects asked for; "
+        f"{summary['profile']}: {counted(summary['frames'], 'frame')}, "
+        f"{counted(summary['asked_for'], 'object')} asked for; "
         f"detector {summary['detector_seconds_per_frame_p50']:.2f} s a frame, "
         f"with the estimator's verdict {summary['seconds_per_frame_p50']:.2f} s"
     )

@@ -7,6 +7,7 @@ import argparse
 from huepose.datasets.files import read_json
 from huepose.evaluation.results_page import results_page, with_cut
 from huepose.support.files import write_text
+from huepose.support.words import counted
 
 
 def call(arguments: argparse.Namespace) -> int:
@@ -18,5 +19,5 @@ def call(arguments: argparse.Namespace) -> int:
     write_text(arguments.out, results_page(records))
     if arguments.readme is not None:
         write_text(arguments.readme, with_cut(arguments.readme.read_text(), records))
-    print(f"{arguments.out}: {len(records)} results")
+    print(f"{arguments.out}: {counted(len(records), 'result')}")
     return 0

@@ -35,6 +35,7 @@ def add_parser(subparsers: Any) -> None:
 def call(arguments: argparse.Namespace) -> int:
     """Draw, and say what is there."""
     from huepose.scenes import official_sets
+    from huepose.support.words import counted
 
     objects = _objects(arguments.models, arguments.objects)
     asked = arguments.out, objects, arguments.scenes, arguments.frames, arguments.seed
@@ -44,7 +45,10 @@ def call(arguments: argparse.Namespace) -> int:
     else:
         official_sets.write_bop_ycbv(*asked)
         kind, count = "scenes", arguments.scenes
-    print(f"{arguments.out}: {count} {kind} of {arguments.frames} frames, {len(objects)} objects")
+    print(
+        f"{arguments.out}: {count} {kind} of {counted(arguments.frames, 'frame')}, "
+        f"{counted(len(objects), 'object')}"
+    )
     return 0
 
 

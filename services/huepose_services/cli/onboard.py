@@ -187,6 +187,7 @@ def onboard_models(models: Sequence[BopModel], out: Path, paper: bool, processes
     from huepose.onboarding.batch import Job, Onboarded, StageBegun, onboard_many
     from huepose.onboarding.reference import STAGES
     from huepose.support.progress import progress
+    from huepose.support.words import counted
 
     jobs = [
         Job(
@@ -200,10 +201,10 @@ def onboard_models(models: Sequence[BopModel], out: Path, paper: bool, processes
         )
         for m in models
     ]
-    failures = []
+    failures, what = [], f"onboarding {counted(len(jobs), 'object')}"
     with (
         closing(onboard_many(jobs, out, max(1, min(processes, len(jobs))))) as events,
-        closing(progress(range(len(jobs) * (len(STAGES) + 1)), f"onboarding {len(jobs)} objects")) as steps,
+        closing(progress(range(len(jobs) * (len(STAGES) + 1)), what)) as steps,
     ):
         for event in events:
             if isinstance(event, Onboarded):

@@ -8,13 +8,16 @@ from typing import TextIO
 
 from huepose_protos.messages import Message, PoseMessage
 
-CSV_COLUMNS = "frame,object,x,y,z,qx,qy,qz,qw"
+CSV_COLUMNS = "frame,object,x,y,z,qx,qy,qz,qw,instance,stamp,quality"
+"""stamp: of the capture, on the realtime clock, seconds."""
+
 TUM_COLUMNS = "# timestamp tx ty tz qx qy qz qw"
 
 
 class PoseFiles:
-    """Writes every TRACKING pose: a row of `csv`, and a line of DIR/OBJECT_INSTANCE.txt (`tum`), whose
-    timestamp is the capture on the realtime clock, seconds. Poses are T_cam_obj, metres; a line is in its
+    """Writes every TRACKING pose: a row of `csv`, and a line of DIR/OBJECT_INSTANCE.txt (`tum`).
+
+    Stamps are of the capture, on the realtime clock, seconds; poses are T_cam_obj, metres. A line is in its
     file at once."""
 
     def __init__(self, csv: Path | None, tum: Path | None) -> None:
@@ -39,13 +42,16 @@ class PoseFiles:
             return
         values = [f"{value:.9f}" for value in (*message.translation, *message.quaternion)]
         self.written += 1
+        seconds, rest = divmod(message.capture_ns + message.realtime_offset_ns, 1_000_000_000)
+        stamp = f"{seconds}.{rest:09d}"
         if self._csv is not None:
-            self._csv.write(f"{message.frame_id},{message.object},{','.join(values)}\n")
+            who = f"{message.frame_id},{message.object}"
+            more = f"{message.instance},{stamp},{message.quality:.4f}"
+            self._csv.write(f"{who},{','.join(values)},{more}\n")
         if self._tum is not None:
             path = self._tum / f"{message.object}_{message.instance}.txt"
             file = self._files.get(str(path)) or self._begun(path, TUM_COLUMNS)
-            seconds, rest = divmod(message.capture_ns + message.realtime_offset_ns, 1_000_000_000)
-            file.write(f"{seconds}.{rest:09d} {' '.join(values)}\n")
+            file.write(f"{stamp} {' '.join(values)}\n")
 
     def __enter__(self) -> PoseFiles:
         return self

@@ -114,7 +114,9 @@ def _say(text: str) -> None:
 
 
 _POSES, _NO_POSE = "pose/**", "no pose"
-_CSV_HELP = "frame, object, position in metres and quaternion x y z w in the camera's frame"
+_CSV_HELP = (
+    "frame, object, position in metres and quaternion x y z w in the camera's frame, instance, stamp, quality"
+)
 _HEADING = (
     " frame object/instance state quality   position x y z   rotation as a quaternion x y z w   "
     "age from capture to publishing   reason"
@@ -168,6 +170,7 @@ def call(arguments: argparse.Namespace) -> int:
 def _write(arguments: argparse.Namespace, gateway: Gateway | None, stopping: Callable[[], bool]) -> int:
     """Into files, until interrupted; exit code 1 where nothing was written."""
     from huepose.support.errors import InputError
+    from huepose.support.words import counted
     from huepose_services.cli.pose_export import PoseFiles
 
     beside = [
@@ -185,7 +188,7 @@ def _write(arguments: argparse.Namespace, gateway: Gateway | None, stopping: Cal
         )
     with PoseFiles(arguments.csv, arguments.tum) as files:
         _take_until_gone(arguments, gateway, stopping, files.take)
-    _say(f"{files.written} poses written")
+    _say(f"{counted(files.written, 'pose')} written")
     return 0 if files.written else 1
 
 

@@ -47,6 +47,7 @@ def call(arguments: argparse.Namespace) -> int:
     from huepose.scenes.rendered_set import write_rendered_set
     from huepose.scenes.shapes import demo_objects
     from huepose.support.errors import InputError
+    from huepose.support.words import counted
 
     if arguments.models == "builtin":
         meshes = demo_objects(arguments.textures)
@@ -66,7 +67,7 @@ def call(arguments: argparse.Namespace) -> int:
     scene = BopScene(arguments.out)
     truths = [truth for image in scene.image_ids for truth in scene.truths(image)]
     print(
-        f"{arguments.out}: {len(scene.image_ids)} frames, {len(truths)} labels, "
+        f"{arguments.out}: {counted(len(scene.image_ids), 'frame')}, {counted(len(truths), 'label')}, "
         f"{sum(truth.visible for truth in truths)} of them visible by 30 % or more"
     )
     return 0

@@ -7,6 +7,7 @@ from collections.abc import Mapping
 from typing import Any, TextIO
 
 from huepose.evaluation.summary import table
+from huepose.support.words import counted
 from huepose_services.demo.score import Latest
 
 _PERIOD_S = 0.25
@@ -65,7 +66,7 @@ def report(result: Mapping[str, Any]) -> str:
     total = (
         f"capture to pose {_figure(summary['latency_ms_p50'], 1)} ms "
         f"(p99 {_figure(summary['latency_ms_p99'], 1)}) over {summary['frames']} frames, "
-        f"{summary['objects']} objects; AUC ADD {_figure(summary['auc_add'], 1)}, "
+        f"{counted(summary['objects'], 'object')}; AUC ADD {_figure(summary['auc_add'], 1)}, "
         f"ADD-S recall {_figure(summary['recall_adds'], 1)} %"
     )
     workers = [

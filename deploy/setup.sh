@@ -48,13 +48,13 @@ if [ ! -x "$UV/bin/uv" ]; then
         --require-hashes -r deploy/uv.txt \
         || fail "pip could not fetch uv $UV_VERSION: is the package index reachable?"
 fi
-[ -d .venv ] || echo "setup: installing packages into .venv, 2.5 GB on the disk"
+[ -d .venv ] || echo "setup: installing packages into .venv, 2.5 GB on the disk (what pip or uv keeps in its cache is not fetched again)"
 export UV_PYTHON_DOWNLOADS=never
 "$UV/bin/uv" sync --frozen --quiet --python "$python" \
     --extra edge --extra onboard --extra viewer --extra realsense --extra oak --extra secure --extra ros2 --extra docs --group dev
 # Compiled for the code as it is: again where a file of it is newer.
 if [ ! -e .venv/.compiled ] || [ -n "$(find huepose services -name '*.py' -newer .venv/.compiled -print -quit)" ]; then
-    echo "setup: compiling, learning the built-in objects and drawing their scene: three to five minutes of a processor, once"
+    echo "setup: compiling, learning the built-in objects and drawing their scene: three to five minutes of a processor, once for each computer and version"
     # Python's own bytecode is kept as well, also where PYTHONDONTWRITEBYTECODE is set, as containers do: every command
     # would compile its imports anew, for more than a second.
     env -u PYTHONDONTWRITEBYTECODE .venv/bin/python -m huepose_services.first_time

@@ -6,6 +6,10 @@ afterwards is silent for a minute, learns the objects of the built-in scene, and
 
 from __future__ import annotations
 
+import time
+from collections.abc import Callable, Mapping
+from typing import TypeVar
+
 import numpy as np
 
 from huepose import reinit
@@ -24,17 +28,27 @@ from huepose.support.compiling import telling_of_compiling
 from huepose.tracking import Tracker
 from huepose_services.builtin import builtin_bundles
 
+T = TypeVar("T")
+
 
 def main() -> None:
-    """Say how far it is."""
+    """Each step in turn, and how long it took."""
+    folder = _told("the built-in objects", lambda: builtin_bundles(0))
     with telling_of_compiling(every=True):
-        compile_all()
-    SyntheticScene(0)
+        _told("the numeric kernels", lambda: compile_all(load_models(folder)))
+    _told("the built-in scene", lambda: SyntheticScene(0))
 
 
-def compile_all() -> None:
-    """Do once, on built-in objects, what commands and workers will do: all kernels are compiled then."""
-    models = load_models(builtin_bundles(0))
+def _told(what: str, work: Callable[[], T]) -> T:
+    """Do it, and say that it is there; what was kept from an earlier time takes a few seconds at most."""
+    start = time.monotonic()
+    done = work()
+    print(f"setup: {what}: ready after {time.monotonic() - start:.0f} s", flush=True)
+    return done
+
+
+def compile_all(models: Mapping[str, ReferenceModel]) -> None:
+    """Do once, on the built-in objects, what commands and workers will do: all kernels are compiled then."""
     live, names = profile("live"), sorted(models)
     shot = first_shot({name: models[name].mesh for name in names})
     frame = RgbdFrame(shot.color, shot.depth, CAMERA)

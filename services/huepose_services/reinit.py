@@ -58,6 +58,9 @@ def make(bus: Bus, config: Config) -> ReinitWork:
         slots = [_slot(e.object, e.max_instances, outlines[e.object]) for e in entries]
     warm_up()
     loop = ReinitLoop(_settings(config), slots)
+    for entry in entries:
+        if entry.retired is not None:
+            loop.begin_at(entry.object, entry.retired[1])
     return ReinitWork(bus, loop, ObjectList(entries, load), config.objects)
 
 

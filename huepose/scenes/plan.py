@@ -78,18 +78,13 @@ def _dice(seed: int, attempt: int) -> np.random.Generator:
 
 
 def _no_room(objects: Mapping[str, Mesh]) -> InputError:
-    sizes_cm = [200 * _reach_m(mesh, _middle(mesh)) for mesh in objects.values()]
+    sizes_cm = [200 * _reach_m(mesh, mesh.centre) for mesh in objects.values()]
     return InputError(
         "synthetic scene",
         found=f"{len(sizes_cm)} objects of {min(sizes_cm):.0f} to {max(sizes_cm):.0f} cm across",
         expected="objects that can move side by side in view, for example five of 25 cm",
         fix="Use fewer or smaller objects.",
     )
-
-
-def _middle(mesh: Mesh) -> Float64:
-    """The middle (3,) of a mesh's bounding box, m."""
-    return np.asarray((mesh.vertices.min(0) + mesh.vertices.max(0)) / 2.0, np.float64)
 
 
 def _reach_m(mesh: Mesh, place: Float64) -> float:
@@ -100,7 +95,7 @@ def _moving(
     objects: Mapping[str, Mesh], camera: Camera, timing: Timing, rng: np.random.Generator, manner: _Manner
 ) -> Float64 | None:
     """Poses T_room_obj (objects, N, 4, 4); None when the objects have no room."""
-    middles = [_middle(mesh) if manner.about_middle else np.zeros(3) for mesh in objects.values()]
+    middles = [mesh.centre if manner.about_middle else np.zeros(3) for mesh in objects.values()]
     radii = np.array([_reach_m(mesh, middle) for mesh, middle in zip(objects.values(), middles, strict=True)])
     try:
         T_room_middle = object_paths(radii, camera, timing, rng, manner.haste)

@@ -62,6 +62,7 @@ class ReinitLoop:
         self._pace = Pace()
         self._sightings: dict[str, list[_Sighting]] = {}
         self._last_instance: dict[str, int] = {}
+        self._over: dict[str, int] = {}
         self._judged_ns: dict[str, int] = {}
         self._looked_ns: dict[tuple[str, int | None], int] = {}
         self._in_flight: Request | None = None
@@ -74,6 +75,11 @@ class ReinitLoop:
     def add(self, slot: ObjectSlot) -> None:
         """Look for an object, or change how many of it are looked for."""
         self._slots[slot.object] = slot
+
+    def begin_at(self, name: str, number: int) -> None:
+        """Give no new instance of an object a lower number: an earlier loop has ended those."""
+        self._over[name] = number - 1
+        self._last_instance[name] = max(self._last_instance.get(name, -1), number - 1)
 
     def remove(self, name: str, now_ns: int = 0) -> tuple[int, int] | None:
         """Look for an object no longer. Returns which instances are over by this, as `forget` does."""
@@ -92,7 +98,7 @@ class ReinitLoop:
             del self._looked_ns[asked]
         arriving = [k[1] for k in self._outbox.instances if k[0] == name]
         last = max([self._last_instance.get(name, -1), *arriving])
-        self._last_instance[name] = last
+        self._last_instance[name] = self._over[name] = last
         self._outbox.forget(name)
         self._sightings.pop(name, None)
         self._judged_ns[name] = max(now_ns, self._judged_ns.get(name, 0))
@@ -323,7 +329,8 @@ class ReinitLoop:
             self._past.clear()
             self._outbox.clear()
             self._sightings.clear()
-            self._last_instance.clear()
+            # Numbers begin anew, but those that a search anew has ended are not used again.
+            self._last_instance = dict(self._over)
             self._judged_ns.clear()
             self._looked_ns.clear()
         if epoch == self._epoch:

@@ -185,6 +185,14 @@ def first_shot(objects: Mapping[str, Mesh], seed: int = 0, seconds: float = 8.0)
     return shoot(plan(objects, seed, round(seconds * RATE_HZ), CAMERA, RATE_HZ), 0, seed, COLOR, STEREO)
 
 
+def check_scene(objects: Mapping[str, Mesh], seed: int = 0, seconds: float = 8.0) -> None:
+    """Raises InputError where `SyntheticScene(seed, seconds, objects)` has no room for them; draws
+    nothing."""
+    from huepose.scenes.plan import check_room
+
+    check_room(objects, seed, round(seconds * RATE_HZ), CAMERA, RATE_HZ)
+
+
 def _row(shot: Shot) -> dict[str, Any]:
     return {
         "T_cam_obj": shot.labels.T_cam_obj.tolist(),

@@ -92,16 +92,17 @@ def speeds(poses: Float, rate_hz: float) -> tuple[Float64, Float64]:
     return np.asarray(linear * rate_hz), np.asarray(turn.magnitude() * rate_hz)
 
 
-def object_paths(radii: Float, camera: Camera, timing: Timing, rng: Rng) -> Float64:
+def object_paths(radii: Float, camera: Camera, timing: Timing, rng: Rng, haste: float = 1.0) -> Float64:
     """Poses T_room_obj (objects, N, 4, 4) of objects with bounding radii (objects,) m about their origins.
 
     They stay in view, over the table, apart from each other in space, and mostly apart in the image. Peaks of
-    0.35 to 0.6 m/s and 150 to 370 degrees a second.
+    0.35 to 0.6 m/s, times `haste`, and 150 to 370 degrees a second. The slower, the shorter are the ways, and
+    the more objects have room. Raises RuntimeError where they have none.
     """
     for _ in range(200):
         tracks: list[Float64] = []
         for radius in radii:
-            track = _place(float(radius), radii[: len(tracks)], tracks, camera, timing, rng)
+            track = _place(float(radius), radii[: len(tracks)], tracks, camera, timing, rng, haste)
             if track is None:
                 break
             tracks.append(track)
@@ -119,7 +120,13 @@ def _controls(timing: Timing) -> int:
 
 
 def _place(
-    radius: float, radii: Float, others: list[Float64], camera: Camera, timing: Timing, rng: Rng
+    radius: float,
+    radii: Float,
+    others: list[Float64],
+    camera: Camera,
+    timing: Timing,
+    rng: Rng,
+    haste: float,
 ) -> Float64 | None:
     """Positions (N, 3) of one more object that keep clear of the others', or None when no draw does."""
     n, k = 192, _controls(timing)
@@ -128,7 +135,7 @@ def _place(
     wander = rng.normal(0, 1, (n, k, 3)) * (0.8, 0.7, 1.0)
     paths = positions(np.eye(k), timing.phase) @ wander
     fastest = np.linalg.norm(np.roll(paths, -1, 1) - paths, axis=2).max(1) * timing.rate_hz
-    amplitude = rng.uniform(0.35, 0.6, n) / fastest
+    amplitude = haste * rng.uniform(0.35, 0.6, n) / fastest
     paths = (paths - paths.mean(1, keepdims=True)) * amplitude[:, None, None]
     paths += camera.backproject(pixel, depth)[:, None]
     paths = paths[

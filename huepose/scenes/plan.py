@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import dataclass
 
 import numpy as np
 
+from huepose.geometry import se3
 from huepose.geometry.arrays import Float64
 from huepose.geometry.camera import Camera
 from huepose.geometry.mesh import Mesh
@@ -19,6 +21,19 @@ _ATTEMPTS = 12
 _EVERY = 5  # frames between those that are looked at before a plan is taken
 
 
+@dataclass(frozen=True)
+class _Manner:
+    """How objects move. about_middle: as if their origins were in the middle of their bounding boxes; haste:
+    how fast and how far, see `object_paths`."""
+
+    about_middle: bool
+    haste: float
+
+
+_MANNERS = (_Manner(False, 1.0), _Manner(True, 1.0), _Manner(True, 0.5), _Manner(True, 0.35))
+"""The first in which the objects have room is taken."""
+
+
 def plan(objects: Mapping[str, Mesh], seed: int, n_frames: int, camera: Camera, rate_hz: float) -> Stage:
     """The stage of a loop: the first of twelve random plans that meets all conditions, else the best of them.
 
@@ -26,34 +41,84 @@ def plan(objects: Mapping[str, Mesh], seed: int, n_frames: int, camera: Camera, 
     never fully hidden, and some object is half hidden at some time. Raises InputError when the objects do not
     fit.
     """
+    for manner in _MANNERS:
+        stage = _best(objects, seed, n_frames, camera, rate_hz, manner)
+        if stage is not None:
+            return stage
+    raise _no_room(objects)
+
+
+def check_room(objects: Mapping[str, Mesh], seed: int, n_frames: int, camera: Camera, rate_hz: float) -> None:
+    """Raises InputError where `plan` does, without drawing anything."""
+    timing = Timing.of(n_frames, rate_hz)
+    if all(_moving(objects, camera, timing, _dice(seed, 0), manner) is None for manner in _MANNERS):
+        raise _no_room(objects)
+
+
+def _best(
+    objects: Mapping[str, Mesh], seed: int, n_frames: int, camera: Camera, rate_hz: float, manner: _Manner
+) -> Stage | None:
+    """The plan that is taken when objects move in that manner; None when they have no room."""
     best: Stage | None = None
     best_score = -np.inf
     for attempt in range(_ATTEMPTS):
-        rng = np.random.default_rng([seed, attempt, 30])
-        stage = _draft(objects, n_frames, camera, rate_hz, rng)
+        stage = _draft(objects, n_frames, camera, rate_hz, _dice(seed, attempt), manner)
+        if stage is None:
+            break
         score = _score(stage, rate_hz)
         if score > best_score:
             best, best_score = stage, score
         if score >= 1.0:
             break
-    assert best is not None
     return best
 
 
-def _draft(
-    objects: Mapping[str, Mesh], n_frames: int, camera: Camera, rate_hz: float, rng: np.random.Generator
-) -> Stage:
-    timing = Timing.of(n_frames, rate_hz)
-    radii = np.array([np.linalg.norm(mesh.vertices, axis=1).max() for mesh in objects.values()])
+def _dice(seed: int, attempt: int) -> np.random.Generator:
+    return np.random.default_rng([seed, attempt, 30])
+
+
+def _no_room(objects: Mapping[str, Mesh]) -> InputError:
+    sizes_cm = [200 * _reach_m(mesh, mesh.centre) for mesh in objects.values()]
+    return InputError(
+        "synthetic scene",
+        found=f"{len(sizes_cm)} objects of {min(sizes_cm):.0f} to {max(sizes_cm):.0f} cm across",
+        expected="objects that can move side by side in view, for example five of 25 cm",
+        fix="Use fewer or smaller objects.",
+    )
+
+
+def _reach_m(mesh: Mesh, place: Float64) -> float:
+    return float(np.linalg.norm(mesh.vertices - place, axis=1).max())
+
+
+def _moving(
+    objects: Mapping[str, Mesh], camera: Camera, timing: Timing, rng: np.random.Generator, manner: _Manner
+) -> Float64 | None:
+    """Poses T_room_obj (objects, N, 4, 4); None when the objects have no room."""
+    middles = [mesh.centre if manner.about_middle else np.zeros(3) for mesh in objects.values()]
+    radii = np.array([_reach_m(mesh, middle) for mesh, middle in zip(objects.values(), middles, strict=True)])
     try:
-        moving = object_paths(radii, camera, timing, rng)
-    except RuntimeError as error:
-        raise InputError(
-            "synthetic scene",
-            found=f"{len(radii)} objects of radius {radii.min():.2f} to {radii.max():.2f} m",
-            expected="objects that can move side by side in view, for example five of 0.1 m",
-            fix="Use fewer or smaller objects.",
-        ) from error
+        T_room_middle = object_paths(radii, camera, timing, rng, manner.haste)
+    except RuntimeError:
+        return None
+    if not manner.about_middle:
+        return T_room_middle
+    T_middle_obj = np.array([se3.make(np.eye(3), -middle) for middle in middles])
+    return np.asarray(T_room_middle @ T_middle_obj[:, None], np.float64)
+
+
+def _draft(
+    objects: Mapping[str, Mesh],
+    n_frames: int,
+    camera: Camera,
+    rate_hz: float,
+    rng: np.random.Generator,
+    manner: _Manner,
+) -> Stage | None:
+    timing = Timing.of(n_frames, rate_hz)
+    moving = _moving(objects, camera, timing, rng, manner)
+    if moving is None:
+        return None
     reach = 0.42 * camera.width / camera.fx / 2 + 0.14
     before = passing(timing, rng, NEAREST_M - 0.15, reach)
     standing = room(rng)

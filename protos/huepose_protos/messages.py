@@ -263,7 +263,8 @@ class HealthMessage(Message, frozen=True, kw_only=True):
     of the time from capture to its end; shared_memory: whether the last frame came that way, null before
     the first; locked_mib: memory that is locked, most of it shared memory for frames; drops: messages that
     arrived and were replaced by newer ones, or lost, before they were read; errors: exceptions in its work
-    and messages that it refused; last_error: the newest of them; counters only grow."""
+    and messages that it refused; last_error: the newest of them; counters only grow;
+    restarts: how often the worker was started again since its pipeline began."""
 
     worker: Name
     pid: Count
@@ -284,6 +285,7 @@ class HealthMessage(Message, frozen=True, kw_only=True):
     drops: Count = 0
     errors: Count = 0
     last_error: Text = ""
+    restarts: Count = 0
 
     def __post_init__(self) -> None:
         check_finite(work_ms=self.work_ms, age_ms=self.age_ms)

@@ -10,7 +10,7 @@ from typing import Literal
 from huepose.estimation.types import PoseEstimate
 from huepose.reinit import ReinitConfig, ReinitLoop, warm_up
 from huepose.reinit.types import ObjectSlot, PerceptionResult, Request
-from huepose.tracking.types import Correction, State, TrackedPose
+from huepose.tracking.types import Correction, State, TrackedPose, Verdict
 from huepose_protos import WireError
 from huepose_protos.messages import (
     ControlRequest,
@@ -58,6 +58,9 @@ def make(bus: Bus, config: Config) -> ReinitWork:
         slots = [_slot(e.object, e.max_instances, outlines[e.object]) for e in entries]
     warm_up()
     loop = ReinitLoop(_settings(config), slots)
+    for entry in entries:
+        if entry.retired is not None:
+            loop.begin_at(entry.object, entry.retired[1])
     return ReinitWork(bus, loop, ObjectList(entries, load), config.objects)
 
 
@@ -128,8 +131,10 @@ class ReinitWork(Work):
             corrections = self._loop.answer(now_ns(), result_from_wire(answer))
             for correction in corrections:
                 self._send(correction)
-            followed = {correction.object for correction in corrections}
-            self._reasons |= reasons_not_seen(self._sought.get(answer.request_seq, ()), answer, followed)
+            acquired = {c.object for c in corrections if c.verdict is Verdict.ACQUIRE}
+            followed = {t.object for t in self._tracks.values() if t.T_cam_obj is not None}
+            sought = self._sought.get(answer.request_seq, ())
+            self._reasons |= reasons_not_seen(sought, answer, acquired, followed)
             self._bus.health.worked_on(started, answer)
             self._bus.health.warn_while("slow", slow_text(self._loop.answer_age_s))
         now = now_ns()
@@ -217,19 +222,22 @@ def slow_text(age_s: float) -> str | None:
 
 
 def reasons_not_seen(
-    sought: Iterable[str], answer: Estimates, followed: Container[str] = ()
+    sought: Iterable[str], answer: Estimates, acquired: Container[str] = (), followed: Container[str] = ()
 ) -> dict[str, str]:
     """By name, why no new instance of an object was found in the answer's picture. sought: the objects of
-    which a new instance was requested; followed: those of which one is followed because of this answer."""
+    which a new instance was requested; acquired: those of which one is followed because of this answer;
+    followed: those of which one was followed before."""
     out = {}
     for name in sought:
-        if name in followed:
+        if name in acquired:
             out[name] = "Found; it is followed from now on."
             continue
         mine = [e for e in answer.estimates if e.object == name and e.instance is None]
         best = max(mine, key=lambda e: e.quality, default=None)
         if answer.picture:
             out[name] = answer.picture
+        elif name in followed:
+            out[name] = "No other one is seen than what is followed already."
         elif best is None:
             out[name] = "No place in the picture looks like the object."
         elif best.found:

@@ -78,6 +78,23 @@ def test_an_object_that_is_searched_anew_gets_a_new_number_and_no_old_answer() -
     assert (fresh.instance, fresh.verdict) == (1, Verdict.ACQUIRE)
 
 
+@pytest.mark.parametrize("restarted", [False, True])
+def test_a_number_that_is_over_is_not_used_again_when_the_camera_is_opened_anew(restarted: bool) -> None:
+    loop = ReinitLoop(objects=[("mug", 1)])
+    first = loop.tick(0, [])
+    assert first is not None
+    loop.answer(50 * MS, result(first, 20, estimate()))
+    over = loop.forget("mug", 60 * MS)
+    assert over == (EPOCH, 1)
+    if restarted:  # the list of objects is all that a new loop knows
+        loop = ReinitLoop(objects=[("mug", 1)])
+        loop.begin_at("mug", over[1])
+    request = loop.tick(600 * MS, [])
+    assert request is not None
+    (found,) = loop.answer(650 * MS, result(request, 610, estimate(), epoch=EPOCH + 1))
+    assert (found.epoch, found.instance) == (EPOCH + 1, 1)
+
+
 def test_what_is_on_its_way_is_over_as_well() -> None:
     loop = ReinitLoop(objects=[("mug", 1), ("jar", 1)])
     request = loop.tick(0, [])

@@ -80,6 +80,18 @@ def test_a_recording_of_nothing_says_so_and_leaves_no_file(
     assert not list(tmp_path.glob("*.mcap"))
 
 
+def test_a_view_of_nothing_says_so_and_leaves_no_file(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("huepose_services.viewer.work.bodies", lambda config: {})
+    config = tmp_path / "pipeline.yaml"
+    config.write_text("bus: {base_port: 29147}\nbundles: bundles\nobjects: [{name: cup}]\n")
+    saved = tmp_path / "out.rrd"
+    assert main(["view", "--save", str(saved), "--config", str(config), "--seconds", "0.2"]) == 1
+    assert "no pipeline gave a picture, so nothing was saved" in capsys.readouterr().err
+    assert not saved.exists()
+
+
 def test_a_shell_is_told_what_may_come_next(tmp_path: Path) -> None:
     def choices(line: str) -> set[str]:
         asked = {

@@ -7,6 +7,7 @@ import msgspec
 import pytest
 
 from huepose.support.errors import InputError
+from huepose_services.cli.main import main
 from huepose_services.runtime.config import WORKERS, Config, Section, load, load_all, parse
 
 GOOD = "camera: {truth: true}\n"
@@ -173,3 +174,14 @@ def test_whatever_a_file_says_it_is_an_input_error_soon(text):
 def test_a_file_that_never_ends_is_refused():
     with pytest.raises(InputError, match="over 1048576 bytes"):
         load(Path("/dev/zero"))
+
+
+def test_validate_says_that_a_drawn_scene_shows_one_of_each(tmp_path, capsys):
+    path = tmp_path / "pipeline.yaml"
+    path.write_text("objects: [{name: tea_box, max_instances: 2}]\ncamera: {source: synthetic}\n")
+    assert main(["validate", str(path)]) == 0
+    said = "the drawn scene shows one of each: a second tea_box is looked for and not there"
+    assert said in capsys.readouterr().out
+    path.write_text("objects: [{name: tea_box}]\ncamera: {source: synthetic}\n")
+    assert main(["validate", str(path)]) == 0
+    assert "one of each" not in capsys.readouterr().out

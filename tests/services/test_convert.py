@@ -180,6 +180,9 @@ def test_why_objects_that_are_sought_are_not_seen():
         "can": "No place in the picture looks like the object.",
     }
     assert reasons_not_seen(["jar"], answer, {"jar"}) == {"jar": "Found; it is followed from now on."}
+    # A second jar is looked for: what is seen, well or not, is the one that is followed.
+    of_two = {"jar": "No other one is seen than what is followed already."}
+    assert reasons_not_seen(["jar"], answer, (), {"jar"}) == of_two
 
 
 def test_depth_is_rounded_to_its_unit_and_what_it_cannot_hold_is_no_reading():

@@ -1,5 +1,6 @@
 """Pipelines that run are found, others not; where several run, the one that is meant has to be said."""
 
+import argparse
 import os
 
 import pytest
@@ -7,6 +8,7 @@ import pytest
 from huepose.support.errors import InputError
 from huepose_protos.local import run_folder
 from huepose_services.cli.main import main
+from huepose_services.cli.options import chosen
 from huepose_services.runtime.config import BusConfig, Config
 from huepose_services.runtime.running import Pipeline, noted, occupant, pick, running
 
@@ -92,3 +94,41 @@ def test_a_pipeline_that_is_being_prepared_is_said_to_come(tmp_path, monkeypatch
     assert running() == []
     assert main(["status", "--config", str(path)]) == 1
     assert "no pipeline runs at port 18100" in capsys.readouterr().err
+
+
+def test_a_pipeline_of_another_folder_is_named(tmp_path, monkeypatch, capsys):
+    here, there = tmp_path / "here", tmp_path / "there"
+    for folder in (here, there):
+        folder.mkdir()
+        (folder / "pipeline.yaml").write_text("{}")
+    monkeypatch.chdir(here)
+    arguments = argparse.Namespace(config=None, pipeline=None)
+    with noted(Pipeline(base_port=18200, site="lab", camera="eye", file=str(there / "pipeline.yaml"))):
+        assert chosen(arguments).base_port == 18200
+        said = capsys.readouterr().err
+        assert said == f"this is lab/eye, which runs from {there / 'pipeline.yaml'}\n"
+        chosen(argparse.Namespace(config=None, pipeline="lab"))
+        assert capsys.readouterr().err == "", "it was asked for by its name"
+    with noted(Pipeline(base_port=18200, file=str(here / "pipeline.yaml"))):
+        chosen(arguments)
+        assert capsys.readouterr().err == ""
+
+
+@pytest.mark.parametrize("words", [["objects", "list"], ["graph"]])
+def test_who_looks_for_a_pipeline_says_so_and_at_which_port(words, tmp_path, monkeypatch, capsys):
+    monkeypatch.setattr("huepose_services.cli.objects._CONNECT_WITHIN_S", 0.1)
+    monkeypatch.setattr("huepose_services.cli.graph._LOOK_S", 0.1)
+    path = tmp_path / "lab.yaml"
+    path.write_text("site: lab\nbus: {base_port: 18300}\n")
+    assert main([*words, "--config", str(path)]) == 1
+    first, second = capsys.readouterr().err.splitlines()
+    assert first == "looking for a pipeline at port 18300 ..."
+    assert "18300" in second
+    assert "unixsock" not in second
+
+
+def test_a_box_with_a_negative_side_is_explained_by_its_size(capsys):
+    assert main(["objects", "reset", "drill", "--box", "210", "120", "-90", "160"]) == 2
+    said = capsys.readouterr().err
+    assert "--box: found 210 120 -90 160; expected X Y W H in pixels" in said
+    assert "name of" not in said

@@ -9,10 +9,13 @@ import numba
 import pytest
 from numba.core import event
 
+from huepose_services.cli.status import as_text
 from huepose_services.runtime.compiling import LateCompiling
 from huepose_services.runtime.health import Health
 from huepose_services.runtime.log import Log, StateChanges, is_log_line
 from huepose_services.runtime.pulse import Pulse, notify, watchdog_s
+from huepose_services.runtime.running import Pipeline
+from huepose_services.watch import View
 
 
 @numba.njit
@@ -155,3 +158,14 @@ def test_health_counts_what_failed_and_keeps_the_last_of_it():
     message = health.message()
     assert (message.errors, len(message.last_error)) == (2, 500)
     assert message.memory_mib > 10.0
+
+
+def test_health_and_status_say_how_often_a_worker_was_started_again(monkeypatch):
+    monkeypatch.setenv("HUEPOSE_RESTARTS", "3")
+    message = Health("tracker").message()
+    assert message.restarts == 3
+    pipeline = Pipeline(base_port=18200, workers=("tracker",))
+    view = View(pipeline, True, {"tracker": message}, frozenset(), (), [], {})
+    head, row = as_text(view).splitlines()[1:3]
+    assert head.split()[-1] == "restarts"
+    assert row.split()[-1] == "3"

@@ -21,6 +21,9 @@ LEAST_OF_RATE = 0.8
 MOST_APART = 0.75
 """Of the time between two pictures: synchronisers pair colour and depth that are up to half of it apart."""
 
+MILLIMETRES_OVER_M = 50.0
+"""No depth camera measures so far: such a number of metres is one of millimetres."""
+
 CHANGE_SAID_NS = 10 * SECOND
 
 
@@ -109,6 +112,11 @@ def _no_depth(shot: Shot, farthest_m: float) -> str | None:
         return None
     if depth_share(shot.depth) >= LEAST_DEPTH:
         median_m = float(np.median(shot.depth[readings(shot.depth)]))
+        if median_m > MILLIMETRES_OVER_M:
+            return (
+                f"depth looks like millimetres read as metres (half of it is farther than {median_m:.0f} m): "
+                "set depth_scale to 0.001; a camera of your own gives metres"
+            )
         return (
             f"its depth is farther than {farthest_m:.1f} m, half of it farther than {median_m:.1f} m, and is "
             "not sent: is the depth scale right? If so, set camera.depth_scale_m to send more"

@@ -4,8 +4,9 @@ from __future__ import annotations
 
 from pathlib import Path
 
+from huepose.geometry import Mesh
 from huepose.model import load_models
-from huepose.scenes.builtin import SyntheticScene
+from huepose.scenes.builtin import SyntheticScene, check_scene
 from huepose_services.runtime.config import Config
 
 
@@ -14,6 +15,15 @@ def open_source(config: Config) -> SyntheticScene:
     `bundles`, or without that, with its own. Raises InputError where they do not fit into one."""
     if config.bundles is None:
         return SyntheticScene(config.camera.seed)
+    return SyntheticScene(config.camera.seed, objects=_meshes(config, config.bundles))
+
+
+def check_source(config: Config) -> None:
+    """Raises InputError where `open_source` does because its objects do not fit, without drawing anything."""
+    if config.bundles is not None:
+        check_scene(_meshes(config, config.bundles), config.camera.seed)
+
+
+def _meshes(config: Config, bundles: str) -> dict[str, Mesh]:
     names = [item.name for item in config.objects] or None
-    meshes = {name: model.mesh for name, model in load_models(Path(config.bundles), names).items()}
-    return SyntheticScene(config.camera.seed, objects=meshes)
+    return {name: model.mesh for name, model in load_models(Path(bundles), names).items()}

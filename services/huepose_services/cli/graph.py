@@ -6,7 +6,7 @@ import argparse
 import sys
 from typing import TYPE_CHECKING, Any
 
-from huepose_services.cli.options import add_choice, chosen
+from huepose_services.cli.options import add_choice, chosen, say_if_unknown
 
 if TYPE_CHECKING:
     from huepose_services.watch import View
@@ -42,6 +42,7 @@ def call(arguments: argparse.Namespace) -> int:
     from huepose_services.watch import Watch
 
     pipeline = chosen(arguments)
+    say_if_unknown(pipeline)
     with Watch(pipeline) as watch:
         watch.look(_LOOK_S)
         view = watch.view()

@@ -3,11 +3,20 @@
 from __future__ import annotations
 
 import argparse
+import math
 import sys
 import time
 from typing import TYPE_CHECKING, Any
 
-from huepose_services.cli.options import add_box, add_choice, add_json, add_number, answered, chosen
+from huepose_services.cli.options import (
+    add_box,
+    add_choice,
+    add_json,
+    add_number,
+    answered,
+    chosen,
+    say_if_unknown,
+)
 
 if TYPE_CHECKING:
     from huepose_protos.messages import ControlReply, ControlRequest
@@ -46,6 +55,7 @@ def call(arguments: argparse.Namespace) -> int:
     from huepose_protos.messages import ControlRequest
 
     box = getattr(arguments, "box", None)
+    _check_box(box)
     message = {
         "publish_ns": time.monotonic_ns(),
         "action": arguments.action,
@@ -58,16 +68,15 @@ def call(arguments: argparse.Namespace) -> int:
     except msgspec.ValidationError as error:
         raise InputError(
             arguments.action,
-            found=f"{message['object']}, {message['max_instances']} of it" + (f", box {box}" if box else ""),
-            expected="a name of a-z, 0-9, _ and -, 1 to 64 of it, a box with sides that are not negative",
+            found=f"{message['object']}, {message['max_instances']} of it",
+            expected="a name of a-z, 0-9, _ and -, 1 to 64 of it",
         ) from error
     pipeline = chosen(arguments)
+    say_if_unknown(pipeline)
     reply = ask(pipeline, request)
     if reply is None:
-        print(
-            f"huepose objects: no pipeline answers at {pipeline.endpoints[2]}; `huepose up` starts one",
-            file=sys.stderr,
-        )
+        text = f"no pipeline answers at port {pipeline.base_port}; `huepose up` starts one"
+        print(f"huepose objects: {text}", file=sys.stderr)
         return 1
     if not reply.done:
         print(f"huepose objects {arguments.action}: {reply.text}", file=sys.stderr)
@@ -75,6 +84,18 @@ def call(arguments: argparse.Namespace) -> int:
     summary = _listed(reply) if arguments.action == "list" else reply.text
     answered(arguments, msgspec.to_builtins(reply.objects), summary)
     return 0
+
+
+def _check_box(box: list[float] | None) -> None:
+    """Raises InputError for a box that is none."""
+    from huepose.support.errors import InputError
+
+    if box is not None and not (all(map(math.isfinite, box)) and box[2] >= 0.0 and box[3] >= 0.0):
+        raise InputError(
+            "--box",
+            found=" ".join(f"{number:g}" for number in box),
+            expected="X Y W H in pixels: the corner at the top left, then width and height, neither negative",
+        )
 
 
 def ask(pipeline: Pipeline, request: ControlRequest) -> ControlReply | None:

@@ -6,6 +6,7 @@ import argparse
 import json
 import os
 import signal
+import sys
 from collections.abc import Callable, Sequence
 from pathlib import Path
 from types import FrameType
@@ -122,9 +123,21 @@ def add_choice(parser: argparse.ArgumentParser) -> None:
 
 def chosen(arguments: argparse.Namespace) -> Pipeline:
     """The pipeline that is meant. Raises InputError where that is not clear."""
+    from huepose_services.runtime.config import DEFAULT_FILE
     from huepose_services.runtime.running import pick
 
-    return pick(arguments.config, arguments.pipeline)
+    pipeline = pick(arguments.config, arguments.pipeline)
+    unsaid = arguments.config is None and arguments.pipeline is None
+    if unsaid and pipeline.file and Path(pipeline.file) != Path(DEFAULT_FILE).absolute():
+        # Stderr, because the answer may be read by a program.
+        print(f"this is {pipeline.name}, which runs from {pipeline.file}", file=sys.stderr, flush=True)
+    return pipeline
+
+
+def say_if_unknown(pipeline: Pipeline) -> None:
+    """Say what is waited for where nobody has noted that the pipeline runs: it may all the same."""
+    if not pipeline.noted:
+        print(f"looking for a pipeline at port {pipeline.base_port} ...", file=sys.stderr, flush=True)
 
 
 def chosen_config(arguments: argparse.Namespace) -> Config:

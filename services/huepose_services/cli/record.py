@@ -15,6 +15,7 @@ if TYPE_CHECKING:
     from huepose_services.recording.record import Recorder
 
 _NOTHING_HEARD_AFTER_S = 2.0
+_SOON_S = 0.2
 
 
 def add_parser(subparsers: Any) -> None:
@@ -71,12 +72,11 @@ def call(arguments: argparse.Namespace) -> int:
         while not stopping() and not recorder.finished:
             recorder.step(0.1)
             status.show(_how_far(recorder, parts))
-            if time.monotonic() > say_at and recorder.first_ns is None:
+            if time.monotonic() > say_at and recorder.span.first_ns is None:
                 say_at = float("inf")
-                text = f"waiting for a pipeline at {config.endpoint('camera')}; `huepose up` starts one"
+                text = f"waiting for a pipeline at port {config.bus.base_port}; `huepose up` starts one"
                 print(text, file=sys.stderr, flush=True)
-            if arguments.seconds is not None and recorder.first_ns is not None:
-                # What is recorded first may be older: it is what the tracker took last.
+            if arguments.seconds is not None and recorder.span.first_ns is not None:
                 end_at = min(end_at, time.monotonic() + arguments.seconds)
             if time.monotonic() >= end_at:
                 break
@@ -91,7 +91,7 @@ def call(arguments: argparse.Namespace) -> int:
     except OSError as error:
         print(f"\nhuepose record: {error.strerror or error}; the end is missing", file=sys.stderr)
         code = 1
-    if recorder.first_ns is None:
+    if recorder.span.first_ns is None:
         print("\nhuepose record: no pipeline said anything, so nothing was recorded", file=sys.stderr)
         parts.path.unlink(missing_ok=True)
         return 1
@@ -103,7 +103,10 @@ def call(arguments: argparse.Namespace) -> int:
 def _how_far(recorder: Recorder, parts: Parts) -> str:
     missed = f", {recorder.missed} frames missed" if recorder.missed else ""
     missed += f", {recorder.lost} frames and steps of the tracker missed" if recorder.lost else ""
-    size = f"{parts.frames} frames, {recorder.seconds:.1f} s, {parts.size / 1e6:.1f} MB"
-    if recorder.seconds > 1.0:
-        size += f" ({parts.size / 1e6 / recorder.seconds:.0f} MB/s)"
+    span = recorder.span
+    size = f"{parts.frames} frames, {span.seconds:.1f} s, {parts.size / 1e6:.1f} MB"
+    if span.seconds > 1.0:
+        size += f" ({parts.size / 1e6 / (span.seconds + span.before_s):.0f} MB/s)"
+    if span.before_s > _SOON_S:
+        size += f", with {span.before_s:.1f} s before them that the tracker still remembers"
     return f"{parts.path}: {size}{missed}"

@@ -93,7 +93,7 @@ def _as_json(view: View) -> str:
 
 _HEAD = (
     f"{'worker':10s} {'state':9s} {'rate':>6s} {'work ms':>13s} {'age ms':>13s} {'CPU':>5s} {'MiB':>5s} "
-    f"{'locked':>6s} {'frames by':>10s} {'drops':>7s} {'errors':>6s}"
+    f"{'locked':>6s} {'frames by':>10s} {'drops':>7s} {'errors':>6s} {'restarts':>8s}"
 )
 
 
@@ -135,7 +135,7 @@ def _worker(m: HealthMessage, silent: bool) -> str:
     return (
         f"{m.worker:10s} {state:9s} {m.rate_hz:6.1f} {_pair(m.work_ms):>13s} {_pair(m.age_ms):>13s} "
         f"{m.cpu_percent:4.0f}% {m.memory_mib:5.0f} {m.locked_mib:6.1f} {path:>10s} {m.drops:7d} "
-        f"{m.errors:6d}"
+        f"{m.errors:6d} {m.restarts:8d}"
     )
 
 

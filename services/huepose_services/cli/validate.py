@@ -33,6 +33,10 @@ def call(arguments: argparse.Namespace) -> int:
     configs = [config.at(arguments.host) for config in load_all(arguments.config)]
     for config in configs:
         check(config)
+        if config.camera.source == "synthetic" and "camera" in config.workers:
+            from huepose_services.camera.synthetic import check_source
+
+            check_source(config)
     answers, summaries = zip(*(_described(config, arguments.config) for config in configs), strict=True)
     answer = answers[0] if len(answers) == 1 else {"file": str(arguments.config), "cameras": list(answers)}
     answered(arguments, answer, "\n".join((f"{arguments.config}: good", *summaries)))
@@ -65,6 +69,8 @@ def _described(config: Config, path: Path) -> tuple[dict[str, Any], str]:
   keys     {answer["keys"]}
   ports    in {run_folder()}: {", ".join(f"{worker} {port}" for worker, port in ports.items())}
   frames   {answer["frames"]}"""
+    if one_of_each := _drawn_once(config):
+        summary += f"\n  scene    {one_of_each}"
     if config.camera.mount is not None:
         summary += f"\n  mount    {mount_in_words(config.camera.mount)}"
         if max(map(abs, config.camera.mount.translation)) > _FAR_M:
@@ -75,6 +81,14 @@ def _described(config: Config, path: Path) -> tuple[dict[str, Any], str]:
         there = f"{config.other_host}, which runs {', '.join(config.far)}"
         summary += f"\n  link     at {config.link.listen} for {there}, by TLS ({config.link.secure})"
     return answer, summary
+
+
+def _drawn_once(config: Config) -> str:
+    """A sentence where more of an object are looked for than the drawn scene shows; else empty."""
+    several = [item.name for item in config.objects if item.max_instances > 1]
+    if config.camera.source != "synthetic" or not several:
+        return ""
+    return f"the drawn scene shows one of each: a second {several[0]} is looked for and not there"
 
 
 def mount_in_words(mount: Mount) -> str:

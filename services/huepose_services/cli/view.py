@@ -54,10 +54,14 @@ def call(arguments: argparse.Namespace) -> int:
     seconds = float("inf") if arguments.seconds is None else arguments.seconds
     if arguments.save is None:
         threading.Thread(target=_end, args=(stopping,), daemon=True).start()
-    _run(config, recording, seconds, stopping, arguments.hypotheses)
+    pictures = _run(config, recording, seconds, stopping, arguments.hypotheses)
     recording.flush()
     recording.disconnect()
     if arguments.save is not None:
+        if not pictures:
+            print("huepose view: no pipeline gave a picture, so nothing was saved", file=sys.stderr)
+            arguments.save.unlink(missing_ok=True)
+            return 1
         print(f"{arguments.save}: {arguments.save.stat().st_size / 1e6:.1f} MB", file=sys.stderr)
     return 0
 
@@ -102,7 +106,8 @@ def _open(arguments: argparse.Namespace, config: Config) -> Any:
 
 def _run(
     config: Config, recording: Any, seconds: float, stopping: Callable[[], bool], hypotheses: bool
-) -> None:
+) -> int:
+    """Show until told to stop; how many pictures came."""
     from huepose_services.runtime.bus import Bus
     from huepose_services.runtime.clock import SECOND, now_ns
     from huepose_services.runtime.health import Health
@@ -126,11 +131,8 @@ def _run(
         work.step()
         if time.monotonic() > say_at and not bus.health.counters.get("pictures"):
             say_at = float("inf")
-            where = config.endpoint("camera")
-            print(
-                f"waiting for frames from {where}; `huepose up` starts a pipeline",
-                file=sys.stderr,
-                flush=True,
-            )
+            text = f"waiting for a pipeline at port {config.bus.base_port}; `huepose up` starts one"
+            print(text, file=sys.stderr, flush=True)
     bus.close()
     session.close()
+    return bus.health.counters.get("pictures", 0)

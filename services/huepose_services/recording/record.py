@@ -45,6 +45,32 @@ def _cpu() -> str:
         return platform.processor() or "unknown"
 
 
+class Span:
+    """From when to when a recording is, by the stamps of what is in it."""
+
+    def __init__(self) -> None:
+        self.first_ns: int | None = None
+        self._began_ns = self._last_ns = 0
+
+    def saw(self, stamp_ns: int, now_ns: int) -> None:
+        """Something of that stamp is recorded now."""
+        if self.first_ns is None:
+            self._began_ns = now_ns
+        self.first_ns = stamp_ns if self.first_ns is None else min(self.first_ns, stamp_ns)
+        self._last_ns = max(self._last_ns, stamp_ns)
+
+    @property
+    def seconds(self) -> float:
+        """From when the first thing came to the last one's stamp."""
+        return max(self._last_ns - self._began_ns, 0) * 1e-9
+
+    @property
+    def before_s(self) -> float:
+        """So much older is the oldest thing: the tracker remembers it, and who computes the poses again needs
+        it."""
+        return 0.0 if self.first_ns is None else max(self._began_ns - self.first_ns, 0) * 1e-9
+
+
 class Recorder:
     """One recording. `finished` says why it is over: the pipeline is gone."""
 
@@ -64,13 +90,7 @@ class Recorder:
         self._digests: dict[str, str] = {}
         self.finished = ""
         self._look_at = 0.0
-        self.first_ns: int | None = None
-        self.last_ns = 0
-
-    @property
-    def seconds(self) -> float:
-        """From the first to the last thing that was recorded."""
-        return 0.0 if self.first_ns is None else (self.last_ns - self.first_ns) * 1e-9
+        self.span = Span()
 
     @property
     def missed(self) -> int:
@@ -115,7 +135,7 @@ class Recorder:
             color, depth = frame_images(header, arrived.pixels)
             given = arrived.key == keys.again
             self._parts.frame(header, color, depth, keys.of_tail(GIVEN) if given else keys.frame)
-            self._saw(header.publish_ns)
+            self.span.saw(header.publish_ns, now_ns())
         elif arrived.key == keys.again:
             self._parts.message(keys.intake, decode(arrived.header, IntakeMessage))
         elif (kind := kind_of(arrived.key)) is not None:
@@ -123,7 +143,7 @@ class Recorder:
             if isinstance(message, MemoryMessage):
                 self._note_models(message)
             self._parts.message(arrived.key, message)
-            self._saw(message.publish_ns)
+            self.span.saw(message.publish_ns, now_ns())
 
     def _note_models(self, message: MemoryMessage) -> None:
         """Who computes the poses again needs the same reference models."""
@@ -136,10 +156,6 @@ class Recorder:
                 self._digests |= dict.fromkeys(fresh, "")
                 self._bus.log.warn(f"reference models are not noted: {error}")
             self._parts.note("models", self._digests)
-
-    def _saw(self, stamp_ns: int) -> None:
-        self.first_ns = stamp_ns if self.first_ns is None else min(self.first_ns, stamp_ns)
-        self.last_ns = max(self.last_ns, stamp_ns)
 
     def _look_who_is_there(self) -> None:
         while (sample := self._live.take()) is not None:

@@ -12,6 +12,7 @@ import numpy as np
 
 from huepose_protos.messages import Estimates, FrameHeader, HealthMessage, PoseMessage
 from huepose_services.runtime.clock import SECOND, now_ns, this_clock
+from huepose_services.runtime.session import restarts
 
 HealthState = Literal["starting", "ready", "waiting", "ended", "stopping"]
 _WINDOW_S = 5.0
@@ -100,6 +101,7 @@ class Health:
             drops=self.drops,
             errors=self.errors,
             last_error=self.last_error,
+            restarts=restarts(),
         )
 
 

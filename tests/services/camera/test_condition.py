@@ -136,3 +136,13 @@ def test_a_picture_shows_the_same_only_where_every_pixel_does():
     assert not one.shows_the_same(shot(SECOND, depth=one.depth + np.float32(1e-4)))
     black = shot(SECOND, color=one.color * 0)
     assert not black.shows_the_same(black), "a lid gives the same picture again and again"
+
+
+def test_metres_that_are_millimetres_are_called_so():
+    said = said_after(
+        Condition(RATE_HZ, FARTHEST_M), 2.0, lambda one: replace(one, depth=1242.0 * np.ones_like(one.depth))
+    )
+    begun_s, text = said["depth"]
+    assert begun_s < 0.6
+    assert "depth looks like millimetres read as metres" in text
+    assert "set depth_scale to 0.001" in text

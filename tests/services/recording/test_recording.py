@@ -15,6 +15,7 @@ from huepose_protos.messages import FrameHeader, PoseMessage
 from huepose_services.cli.main import main
 from huepose_services.recording.parts import DiskFullError, Limits
 from huepose_services.recording.read import Recording
+from huepose_services.recording.record import Span
 
 from .conftest import EXAMPLES, KEY, UNIX_NS, chunks_of, frames, mcap_of, parts, tiny_frame, written
 
@@ -219,3 +220,13 @@ def test_a_small_file_does_not_fill_the_memory(tmp_path):
         assert recording.cut
         assert tracemalloc.get_traced_memory()[1] < 2**24
         tracemalloc.stop()
+
+
+def test_what_the_tracker_remembers_from_before_does_not_count_as_recorded_time():
+    span, second = Span(), 1_000_000_000
+    assert (span.seconds, span.before_s) == (0.0, 0.0)
+    span.saw(99_990_000_000, 100 * second)
+    span.saw(98_200_000_000, 101 * second)  # a frame that the tracker was asked for
+    span.saw(114 * second, 114 * second)
+    assert span.seconds == pytest.approx(14.0)
+    assert span.before_s == pytest.approx(1.8)

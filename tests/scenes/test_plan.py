@@ -1,0 +1,49 @@
+"""Which objects have room in the drawn scene, and that they move about their own middles there."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from huepose.geometry import Mesh
+from huepose.scenes.builtin import check_scene
+from huepose.scenes.camera import CAMERA
+from huepose.scenes.motion import FARTHEST_M, NEAREST_M
+from huepose.scenes.plan import plan
+from huepose.scenes.shapes import demo_objects
+from huepose.support.errors import InputError
+
+BOX = demo_objects(0)["tea_box"]
+
+
+def sized(diameter_m: float, cornered: bool = False) -> Mesh:
+    """The tea box of that diameter, its origin in the middle or in a corner."""
+    vertices = BOX.vertices * (diameter_m / np.linalg.norm(np.ptp(BOX.vertices, axis=0)))
+    return replace(BOX, vertices=vertices - vertices.min(0) if cornered else vertices)
+
+
+def test_objects_of_everyday_sizes_have_room_wherever_their_origins_are() -> None:
+    three = {"small": sized(0.12), "middle": sized(0.2), "large": sized(0.26, cornered=True)}
+    check_scene(three)
+    check_scene(three | {"fourth": sized(0.24, cornered=True), "fifth": sized(0.26)})
+
+
+def test_an_object_with_its_origin_in_a_corner_moves_about_its_middle() -> None:
+    objects = {f"box{k}": sized(0.26, cornered=True) for k in range(3)}
+    stage = plan(objects, 0, 60, CAMERA, 30.0)
+    for k, mesh in enumerate(objects.values()):
+        middle = np.append(np.ptp(mesh.vertices, axis=0) / 2, 1.0)
+        depth_m = (stage.T_room_mesh[k] @ middle)[:, 2]
+        assert (depth_m > NEAREST_M).all()
+        assert (depth_m < FARTHEST_M).all()
+
+
+def test_a_check_refuses_what_a_plan_refuses_with_the_same_words() -> None:
+    huge = {"huge": sized(1.2)}
+    with pytest.raises(InputError, match=r"1 objects of 120 to 120 cm") as of_plan:
+        plan(huge, 0, 240, CAMERA, 30.0)
+    with pytest.raises(InputError) as of_check:
+        check_scene(huge)
+    assert str(of_check.value) == str(of_plan.value)

@@ -54,10 +54,11 @@ def call(arguments: argparse.Namespace) -> int:
     seconds = float("inf") if arguments.seconds is None else arguments.seconds
     if arguments.save is None:
         threading.Thread(target=_end, args=(stopping,), daemon=True).start()
-    pictures = _run(config, recording, seconds, stopping, arguments.hypotheses)
+    saves = arguments.save is not None
+    pictures = _run(config, recording, seconds, stopping, arguments.hypotheses, saves)
     recording.flush()
     recording.disconnect()
-    if arguments.save is not None:
+    if saves:
         if not pictures:
             print("huepose view: no pipeline gave a picture, so nothing was saved", file=sys.stderr)
             arguments.save.unlink(missing_ok=True)
@@ -105,7 +106,12 @@ def _open(arguments: argparse.Namespace, config: Config) -> Any:
 
 
 def _run(
-    config: Config, recording: Any, seconds: float, stopping: Callable[[], bool], hypotheses: bool
+    config: Config,
+    recording: Any,
+    seconds: float,
+    stopping: Callable[[], bool],
+    hypotheses: bool,
+    saves: bool,
 ) -> int:
     """Show until told to stop; how many pictures came."""
     from huepose_services.runtime.bus import Bus
@@ -121,7 +127,7 @@ def _run(
     bus = Bus(session, config.keys, "view", Log("view"), Health("view"))
     known = bodies(config)
     warm_up(known)
-    work = ViewerWork(bus, Show(recording, known), config.viewer.image_rate_hz, hypotheses)
+    work = ViewerWork(bus, Show(recording, known), config.viewer.image_rate_hz, hypotheses, saves)
     say_at = time.monotonic() + _NONE_SEEN_AFTER_S
     end = time.monotonic() + seconds
     while not stopping() and time.monotonic() < end:

@@ -47,9 +47,18 @@ def bodies(config: Config) -> dict[str, Body]:
 
 class ViewerWork(Work):
     """Pairs frames with their poses and shows both; tells what changes. hypotheses: shows all that the
-    tracker holds possible; it says so only while somebody listens."""
+    tracker holds possible; it says so only while somebody listens. begins_with_picture: shows nothing
+    before the first picture, as a file must, whose beginning is looked at."""
 
-    def __init__(self, bus: Bus, show: Show, image_rate_hz: float, hypotheses: bool = False) -> None:
+    def __init__(
+        self,
+        bus: Bus,
+        show: Show,
+        image_rate_hz: float,
+        hypotheses: bool = False,
+        begins_with_picture: bool = False,
+    ) -> None:
+        self._begun = not begins_with_picture
         self._bus, self._show = bus, show
         self._period_ns = int(SECOND / image_rate_hz)
         keys, inbox = bus.keys, bus.inbox
@@ -87,7 +96,7 @@ class ViewerWork(Work):
         if self._waiting is not None and (self._has_poses(self._waiting[0]) or now >= self._waiting_until_ns):
             self._picture(*self._waiting)
             self._waiting = None
-        while (sample := self._live.take()) is not None:
+        while self._begun and (sample := self._live.take()) is not None:
             self._worker(last(str(sample.key_expr)), sample.kind == zenoh.SampleKind.PUT)
 
     def _take(self, pose: PoseMessage) -> None:
@@ -97,6 +106,12 @@ class ViewerWork(Work):
         kept[pose.frame_id] = pose
         for old in [i for i, p in kept.items() if pose.capture_ns - p.capture_ns > _KEPT_NS]:
             del kept[old]
+        if self._begun:
+            self._show_pose(pose)
+        self._bus.health.worked_on(started, pose)
+
+    def _show_pose(self, pose: PoseMessage) -> None:
+        instance = (pose.object, pose.instance)
         self._show.at(pose.capture_ns + pose.realtime_offset_ns, pose.frame_id)
         before = self._states.get(instance)
         if before != pose.state:
@@ -108,7 +123,6 @@ class ViewerWork(Work):
             # One point for each frame: its first pose.
             self._frame_id = pose.frame_id
             self._show.latency((pose.publish_ns - pose.capture_ns) * 1e-6)
-        self._bus.health.worked_on(started, pose)
 
     def _worker(self, name: str, there: bool) -> None:
         """A worker has come or gone."""
@@ -137,6 +151,7 @@ class ViewerWork(Work):
         if self._hypotheses is not None:
             self._show.hypotheses(self._held.get(header.frame_id))
             self._held = {i: held for i, held in self._held.items() if i > header.frame_id}
+        self._begun = True
         self._pictures += 1
         self._bus.health.count("pictures")
 

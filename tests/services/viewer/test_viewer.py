@@ -213,3 +213,31 @@ def test_a_file_of_another_ending_is_refused_before_anything_is_looked_for(name,
     assert "expected a file for the rerun viewer, FILE.rrd" in said
     assert "huepose estimate --image" in said
     assert not (tmp_path / name).exists()
+
+
+@pytest.mark.parametrize("begins_with_picture", [True, False])
+def test_a_file_begins_with_a_picture_and_loses_no_change_of_state(begins_with_picture, monkeypatch):
+    from unittest.mock import MagicMock
+
+    from huepose_services.viewer import work
+
+    monkeypatch.setattr(work, "frame_images", lambda header, payload: tuple(images().values()))
+    poses, headers = [EXAMPLES[PoseMessage]], []
+    bus, show = MagicMock(), MagicMock()
+    bus.take = lambda source, kind: poses.pop() if poses else None
+    bus.take_with_payload = lambda source, kind: (headers.pop(), b"") if headers else None
+    bus.inbox.liveliness.return_value.take = lambda: None
+    viewer = work.ViewerWork(bus, show, 1e6, begins_with_picture=begins_with_picture)
+    viewer.step()
+    assert show.pose.called is not begins_with_picture
+    headers.append(msgspec.structs.replace(EXAMPLES[FrameHeader], frame_id=EXAMPLES[PoseMessage].frame_id))
+    viewer.step()
+    assert show.frame.called
+    later = msgspec.structs.replace(EXAMPLES[PoseMessage], frame_id=EXAMPLES[PoseMessage].frame_id + 1)
+    poses.append(later)
+    viewer.step()
+    assert show.method_calls[0][0] == "at"
+    shown = [name for name, *_ in show.method_calls if name in ("frame", "pose", "event")]
+    assert shown == (
+        ["frame", "event", "pose"] if begins_with_picture else ["event", "pose", "frame", "pose"]
+    )

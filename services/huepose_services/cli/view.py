@@ -31,6 +31,9 @@ def add_parser(subparsers: Any) -> None:
     parser.add_argument(
         "--hypotheses", action="store_true", help="show all poses that the tracker holds possible"
     )
+    parser.add_argument(
+        "--pairs", action="store_true", help="show the colour pairs that the picture shows or contradicts"
+    )
     parser.add_argument("--seconds", type=float, metavar="S", help="stop after so long")
     parser.set_defaults(call=call)
 
@@ -54,11 +57,10 @@ def call(arguments: argparse.Namespace) -> int:
     seconds = float("inf") if arguments.seconds is None else arguments.seconds
     if arguments.save is None:
         threading.Thread(target=_end, args=(stopping,), daemon=True).start()
-    saves = arguments.save is not None
-    pictures = _run(config, recording, seconds, stopping, arguments.hypotheses, saves)
+    pictures = _run(config, recording, seconds, stopping, arguments)
     recording.flush()
     recording.disconnect()
-    if saves:
+    if arguments.save is not None:
         if not pictures:
             print("huepose view: no pipeline gave a picture, so nothing was saved", file=sys.stderr)
             arguments.save.unlink(missing_ok=True)
@@ -110,10 +112,10 @@ def _run(
     recording: Any,
     seconds: float,
     stopping: Callable[[], bool],
-    hypotheses: bool,
-    saves: bool,
+    arguments: argparse.Namespace,
 ) -> int:
     """Show until told to stop; how many pictures came."""
+    from huepose_services import models
     from huepose_services.runtime.bus import Bus
     from huepose_services.runtime.clock import SECOND, now_ns
     from huepose_services.runtime.health import Health
@@ -125,9 +127,17 @@ def _run(
 
     session = open_reader_session([config.endpoint(worker) for worker in config.workers])
     bus = Bus(session, config.keys, "view", Log("view"), Health("view"))
-    known = bodies(config)
-    warm_up(known)
-    work = ViewerWork(bus, Show(recording, known), config.viewer.image_rate_hz, hypotheses, saves)
+    known = models.load(config)
+    drawn = bodies(known)
+    warm_up(drawn)
+    work = ViewerWork(
+        bus,
+        Show(recording, drawn),
+        config.viewer.image_rate_hz,
+        arguments.hypotheses,
+        known if arguments.pairs else None,
+        begins_with_picture=arguments.save is not None,
+    )
     say_at = time.monotonic() + _NONE_SEEN_AFTER_S
     end = time.monotonic() + seconds
     while not stopping() and time.monotonic() < end:

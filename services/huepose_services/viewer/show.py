@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 
 from huepose.geometry import Camera
+from huepose.geometry.arrays import Bool, Float64
 from huepose_protos.buffers import Array
 from huepose_protos.fields import StateName
 from huepose_protos.messages import FrameHeader, HypothesesMessage, PoseMessage
@@ -40,6 +41,8 @@ STATE_COLOURS: dict[StateName, Colour] = {
 _LEVELS: dict[StateName, str] = {"TRACKING": "INFO", "SUSPECT": "WARN", "LOST": "ERROR", "SEARCHING": "TRACE"}
 OTHER = (200, 120, 255)
 """Of what is held possible beside a pose."""
+AGREES, CONTRADICTS = (110, 255, 160), (255, 60, 60)
+"""Of colour pairs that the picture shows, and of those where it has another colour."""
 _AXES = ((235, 70, 60), (70, 200, 80), (70, 120, 250))
 _PALETTE = (
     (86, 180, 233),
@@ -186,6 +189,15 @@ class Show:
         self._log(
             f"{path}/shares",
             rr.Points2D(tips, labels=labels, colors=[OTHER], radii=rr.Radius.ui_points(1.0)),
+        )
+
+    def pairs(self, pixels: Float64, elsewhere: Bool) -> None:
+        """Colour pairs (N, 2) of the models that a frame shows, and whether it contradicts them (N,)."""
+        import rerun as rr
+
+        colors = np.where(elsewhere[:, None], CONTRADICTS, AGREES).astype(np.uint8)
+        self._log(
+            f"{place.OVERLAY}/pairs", rr.Points2D(pixels, colors=colors, radii=rr.Radius.ui_points(2.0))
         )
 
     def pose(self, pose: PoseMessage) -> None:

@@ -7,20 +7,26 @@ shown on the frame that they are of: a frame waits for its poses for a moment.
 from __future__ import annotations
 
 import time
+from collections.abc import Mapping, Sequence
 
+import numpy as np
 import zenoh
 
+from huepose.geometry import RgbdFrame
+from huepose.judge.pairs_seen import pairs_seen
+from huepose.model import ReferenceModel
 from huepose_protos import WireError
 from huepose_protos.buffers import frame_images
 from huepose_protos.fields import StateName
 from huepose_protos.keys import last
 from huepose_protos.messages import FrameHeader, HypothesesMessage, PoseMessage
 from huepose_services import models
+from huepose_services.convert import frame_from_wire
 from huepose_services.runtime.bus import Bus
 from huepose_services.runtime.clock import SECOND, now_ns
 from huepose_services.runtime.config import Config
 from huepose_services.runtime.work import Work
-from huepose_services.viewer.shapes import Body, warm_up
+from huepose_services.viewer.shapes import Body, turned, warm_up
 from huepose_services.viewer.show import Show
 
 # So long a frame waits for the poses that are of it.
@@ -33,21 +39,22 @@ def make(bus: Bus, config: Config) -> ViewerWork:
     """The viewer's work, its page being served."""
     from huepose_services.viewer.sinks import served
 
-    known = bodies(config)
+    known = bodies(models.load(config))
     warm_up(known)
     recording, address = served(config.viewer)
     bus.log.say(f"the page is {address}")
     return ViewerWork(bus, Show(recording, known), config.viewer.image_rate_hz)
 
 
-def bodies(config: Config) -> dict[str, Body]:
-    """What is drawn of each object; the rest of the models is let go."""
-    return {name: Body(model.mesh, model.diameter_m) for name, model in models.load(config).items()}
+def bodies(known: Mapping[str, ReferenceModel]) -> dict[str, Body]:
+    """What is drawn of each object; the rest of a model can be let go."""
+    return {name: Body(model.mesh, model.diameter_m) for name, model in known.items()}
 
 
 class ViewerWork(Work):
     """Pairs frames with their poses and shows both; tells what changes. hypotheses: shows all that the
-    tracker holds possible; it says so only while somebody listens. begins_with_picture: shows nothing
+    tracker holds possible; it says so only while somebody listens. pairs: the reference models whose colour
+    pairs are shown. begins_with_picture: shows nothing
     before the first picture, as a file must, whose beginning is looked at."""
 
     def __init__(
@@ -56,6 +63,7 @@ class ViewerWork(Work):
         show: Show,
         image_rate_hz: float,
         hypotheses: bool = False,
+        pairs: Mapping[str, ReferenceModel] | None = None,
         begins_with_picture: bool = False,
     ) -> None:
         self._begun = not begins_with_picture
@@ -68,6 +76,7 @@ class ViewerWork(Work):
         self._live = inbox.liveliness(keys.live())
         self._hypotheses = inbox.queue(keys.hypotheses) if hypotheses else None
         self._held: dict[int, HypothesesMessage] = {}
+        self._pairs = pairs
         self._next_picture_ns = now_ns()
         self._waiting: tuple[FrameHeader, bytes] | None = None
         self._waiting_until_ns = 0
@@ -152,8 +161,22 @@ class ViewerWork(Work):
             self._show.hypotheses(self._held.get(header.frame_id))
             self._held = {i: held for i, held in self._held.items() if i > header.frame_id}
         self._begun = True
+        if self._pairs is not None:
+            self._show_pairs(self._pairs, frame_from_wire(header, payload), poses)
         self._pictures += 1
         self._bus.health.count("pictures")
+
+    def _show_pairs(
+        self, known: Mapping[str, ReferenceModel], frame: RgbdFrame, poses: Sequence[PoseMessage]
+    ) -> None:
+        """The colour pairs of all poses of a frame."""
+        seen = [
+            pairs_seen(frame, known[pose.object], turned(pose.quaternion, pose.translation))
+            for pose in poses
+            if pose.object in known and pose.quaternion is not None and pose.translation is not None
+        ]
+        pixels = np.concatenate([np.zeros((0, 2)), *(pixels for pixels, _ in seen)])
+        self._show.pairs(pixels, np.concatenate([np.zeros(0, bool), *(other for _, other in seen)]))
 
 
 def _newest(kept: dict[int, PoseMessage]) -> int:

@@ -130,6 +130,7 @@ def test_frames_poses_and_changes_are_in_the_file(tmp_path):
     show.pose(pose)
     show.beliefs([pose])
     show.hypotheses(EXAMPLES[HypothesesMessage])
+    show.pairs(np.array([[1.0, 1.0], [2.0, 0.0]]), np.array([False, True]))
     show.latency(12.0)
     show.event("006_mustard_bottle/3 TRACKING", "TRACKING")
     gone = {"translation": None, "quaternion": None, "state": "LOST", "covariance": None}
@@ -151,6 +152,7 @@ def test_frames_poses_and_changes_are_in_the_file(tmp_path):
         f"/world/objects/{name}/mesh",
         "/world/camera/overlay/outlines",
         "/world/camera/overlay/hypotheses/outlines",
+        "/world/camera/overlay/pairs",
         "/events",
     ):
         assert counts[once] == 1, once

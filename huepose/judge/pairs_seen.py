@@ -1,0 +1,50 @@
+"""Which colour pairs of a model a picture shows at a pose, and which of them it contradicts: to look at."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from huepose.geometry import se3
+from huepose.geometry.arrays import Bool, Float, Float64
+from huepose.geometry.frame import RgbdFrame
+from huepose.judge.pairs import pair_arrays, pair_picture
+from huepose.judge.region import Region, prepare_crop, smoothed_opponents, tolerance_m
+from huepose.judge.silhouette import projected_box
+from huepose.judge.texture_evidence import contrasts
+from huepose.model.types import ReferenceModel
+
+PAIRS = 400
+"""Of a model: more of them cover the picture."""
+
+CLEAR = 0.4
+"""Least clarity of a contrast that is shown, 0..1: fainter ones say nothing for or against a pose."""
+
+
+def pairs_seen(
+    frame: RgbdFrame, model: ReferenceModel, T_cam_obj: Float, pairs: int = PAIRS
+) -> tuple[Float64, Bool]:
+    """Pixels (N, 2) of the model's pairs that are in view at a pose (4, 4) and whose contrast is clear on the
+    texture and in the picture; and whether the picture's points in another colour (N,), which speaks against
+    the pose as in `texture_evidence.contrast_disagreement_many`."""
+    box = projected_box(model, frame, T_cam_obj)
+    if box is None:
+        return np.zeros((0, 2)), np.zeros(0, bool)
+    crop = prepare_crop(frame, box.grown(0.1, 4.0))
+    size, middle_m = crop.depth.shape, float(se3.apply(T_cam_obj, model.mesh.centre[None])[0, 2])
+    nothing = np.zeros(size, np.float32)
+    region = Region(
+        crop,
+        nothing,
+        nothing > 0,
+        smoothed_opponents(crop.color, np.ones(size, np.float32), (1.0, 3.0)),
+        np.zeros((0, 3)),
+        np.zeros(0),
+        0.0,
+        np.array([-2.0, -2.0, -1.0, -1.0]),
+        tolerance_m(model.diameter_m, middle_m),
+        middle_m,
+    )
+    voices, elsewhere = contrasts(model, region, pair_picture(model, crop, middle_m), T_cam_obj, pairs)
+    shown = voices > CLEAR
+    points = pair_arrays(model.pairs, pairs).points[shown]
+    return frame.camera.project(se3.apply(T_cam_obj, points)), elsewhere[shown]

@@ -72,6 +72,7 @@ class EstimatorWork(Work):
         self._bus, self._estimator, self._objects = bus, estimator, objects
         self._masks = bus.inbox.ring(bus.keys.masks)
         self._sizes = SizesSeen()
+        self._blames_picture = False
 
     def step(self) -> None:
         """Estimate what is in the newest masks."""
@@ -127,6 +128,10 @@ class EstimatorWork(Work):
         found = any(answer.found for answer in answers)
         text = None if found else why_nothing_is_found(frame, self._estimator.diameters_m)
         self._bus.health.warn_while("picture", text)
+        if (text is not None) != self._blames_picture:
+            # `status` says it as soon as the log, not with the next sign of life.
+            self._blames_picture = text is not None
+            self._bus.say_health()
         if text is not None:
             self._bus.log.seldom("picture", f"nothing is found: {text}")
         return text or ""

@@ -92,6 +92,7 @@ class ReinitWork(Work):
         self._tracks: dict[tuple[str, int], TrackedPose] = {}
         self._sought: dict[int, tuple[str, ...]] = {}
         self._reasons: dict[str, str] = {}
+        self._picture_blamed = False
         self._told_missing: dict[str, int] = {}
         self._next_tick_ns = self._next_objects_ns = now_ns()
 
@@ -135,6 +136,9 @@ class ReinitWork(Work):
             followed = {t.object for t in self._tracks.values() if t.T_cam_obj is not None}
             sought = self._sought.get(answer.request_seq, ())
             self._reasons |= reasons_not_seen(sought, answer, acquired, followed)
+            if bool(answer.picture) != self._picture_blamed:
+                self._picture_blamed = bool(answer.picture)
+                self._next_objects_ns = now_ns()
             self._bus.health.worked_on(started, answer)
             self._bus.health.warn_while("slow", slow_text(self._loop.answer_age_s))
         now = now_ns()

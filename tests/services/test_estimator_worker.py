@@ -25,11 +25,14 @@ class _Bus:
     def __init__(self):
         self.keys, self.health = Config().keys, Health("estimator")
         self.inbox = SimpleNamespace(ring=lambda *_: None)
-        self.logged, self.arriving, self.said = defaultdict(list), [], []
+        self.logged, self.arriving, self.said, self.healths = defaultdict(list), [], [], []
         self.log = SimpleNamespace(seldom=lambda kind, text: self.logged[kind].append(text))
 
     def take_with_payload(self, place, kind):
         return self.arriving.pop(0) if self.arriving else None
+
+    def say_health(self):
+        self.healths.append(self.health.message().warnings)
 
     def put_control(self, key, message):
         self.said.append(message)
@@ -70,6 +73,7 @@ def test_depth_of_another_unit_is_named_in_answer_health_and_log(times):
     assert isinstance(answer, Estimates)
     assert "depth scale" in answer.picture
     assert bus.health.message().warnings == [answer.picture]
+    assert bus.healths == [[answer.picture]], "told at once, not with the next sign of life"
     assert bus.logged["picture"] == [f"nothing is found: {answer.picture}"]
     work.step()
     assert bus.said[-1].picture == ""

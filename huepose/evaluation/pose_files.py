@@ -8,7 +8,6 @@ DOPE: row i is frame i, `x y z ax ay az angle`, zeros where nothing was found; i
 
 from __future__ import annotations
 
-import csv
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -74,8 +73,9 @@ def read_pose_rows(path: Path | str) -> list[PoseRow]:
     text = files.read_bytes(Path(path)).decode("utf-8-sig", "replace")
     lines = text.replace("\r\n", "\n").replace("\r", "\n").replace("\0", "?").splitlines()
     rows: list[PoseRow] = []
-    for line, row in enumerate(csv.reader(lines), 1):
-        cells = [cell.strip() for cell in row]
+    # A row is a line: no value holds a line end, so a quote that is not closed spoils its own line only.
+    for line, row in enumerate((text.split(",") for text in lines), 1):
+        cells = [cell.strip().strip('"') for cell in row]
         if not any(cells) or (line == 1 and cells[0] == COLUMNS[0]):
             continue
         try:
@@ -88,7 +88,12 @@ def read_pose_rows(path: Path | str) -> list[PoseRow]:
         if not np.isfinite(values).all():
             continue
         if abs(np.linalg.norm(values[3:]) - 1.0) > 0.05:
-            raise InputError(f"{path}, line {line}", found=f"quaternion {values[3:]}", expected="length 1")
+            raise InputError(
+                f"{path}, line {line}",
+                found=f"{','.join(row)[:80]}, whose quaternion {values[3:]} has not the length 1",
+                expected=",".join(COLUMNS),
+                fix="Write numbers with a decimal point.",
+            )
         T = se3.make(se3.rotation_from_quaternion(values[3:]), values[:3])
         rows.append(PoseRow(frame, cells[1], instance, T))
     if not rows:

@@ -117,6 +117,8 @@ def test_pose_csv_of_a_spreadsheet(tmp_path: Path, end: str) -> None:
         "1;box;0;0;1;0;0;0;1\n",
         "\0\1\2",
         '"1,box\n',
+        '1,"box' + "x" * 200_000,
+        "1,box,0,0,1,2,0,0,0,0,0,1,0\n",
         "1,box,0,0,1,0,0,0,3\n",
         "a,box,0,0,1,0,0,0,1\n",
     ],

@@ -83,7 +83,7 @@ def test_a_recording_of_nothing_says_so_and_leaves_no_file(
 def test_a_view_of_nothing_says_so_and_leaves_no_file(
     tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("huepose_services.viewer.work.bodies", lambda config: {})
+    monkeypatch.setattr("huepose_services.models.load", lambda config: {})
     config = tmp_path / "pipeline.yaml"
     config.write_text("bus: {base_port: 29147}\nbundles: bundles\nobjects: [{name: cup}]\n")
     saved = tmp_path / "out.rrd"

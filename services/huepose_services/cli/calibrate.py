@@ -137,6 +137,7 @@ def _in_words(sure: Certainty, count: int, parent: str) -> str:
     import numpy as np
 
     from huepose.geometry.hand_eye_certainty import WANTED_RAD
+    from huepose.support.words import counted
 
     text = (
         f"the mount may be wrong by {1e3 * sure.shift_m:.1f} mm and {np.degrees(sure.turn_rad):.2f} degrees "
@@ -153,7 +154,7 @@ def _in_words(sure: Certainty, count: int, parent: str) -> str:
         if ratio > 1.0
     ]
     axis = " ".join(f"{a:.1f}" for a in sure.axis + 0.0)
-    more = f"{sure.more} poses" if sure.more else "many poses"
+    more = counted(sure.more, "pose") if sure.more else "many poses"
     least, most, wanted = np.degrees([sure.turned_rad, sure.most_rad, WANTED_RAD])
     return (
         f"{text}\n"

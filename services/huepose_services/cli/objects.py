@@ -69,7 +69,7 @@ def call(arguments: argparse.Namespace) -> int:
         raise InputError(
             arguments.action,
             found=f"{message['object']}, {message['max_instances']} of it",
-            expected="a name of a-z, 0-9, _ and -, 1 to 64 of it",
+            expected="a name of 1 to 64 characters of a-z, 0-9, _ and -, and 1 to 16 instances",
         ) from error
     pipeline = chosen(arguments)
     say_if_unknown(pipeline)

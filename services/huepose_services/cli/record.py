@@ -8,6 +8,7 @@ import time
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from huepose.support.words import counted
 from huepose_services.cli.options import add_choice, add_number, chosen_config, until_told
 
 if TYPE_CHECKING:
@@ -101,10 +102,10 @@ def call(arguments: argparse.Namespace) -> int:
 
 
 def _how_far(recorder: Recorder, parts: Parts) -> str:
-    missed = f", {recorder.missed} frames missed" if recorder.missed else ""
+    missed = f", {counted(recorder.missed, 'frame')} missed" if recorder.missed else ""
     missed += f", {recorder.lost} frames and steps of the tracker missed" if recorder.lost else ""
     span = recorder.span
-    size = f"{parts.frames} frames, {span.seconds:.1f} s, {parts.size / 1e6:.1f} MB"
+    size = f"{counted(parts.frames, 'frame')}, {span.seconds:.1f} s, {parts.size / 1e6:.1f} MB"
     if span.seconds > 1.0:
         size += f" ({parts.size / 1e6 / (span.seconds + span.before_s):.0f} MB/s)"
     if span.before_s > _SOON_S:

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 
+from huepose.support.words import counted
+
 
 @dataclass
 class Report:
@@ -49,7 +51,7 @@ class Report:
             )
         lines += [f"a gap: {gap}" for gap in self.gaps]
         if self.unrecorded:
-            lines.append(f"{self.unrecorded} poses are not in the recording")
+            lines.append(f"not in the recording: {counted(self.unrecorded, 'pose')}")
         return "\n".join(lines)
 
     @property

@@ -126,8 +126,8 @@ class Busy:
             return None
         worst_ms = max(by_ns for _, by_ns in self._late) * 1e-6
         return (
-            f"this computer is busy: the camera was late {counted(len(self._late), 'time')} in the last minute, "
-            f"by up to {worst_ms:.0f} ms; end other programs, or set camera.rate lower"
+            "this computer is busy: in the last minute the camera was late "
+            f"{counted(len(self._late), 'time')}, by up to {worst_ms:.0f} ms; end other programs, or set camera.rate lower"
         )
 
 

@@ -17,7 +17,6 @@ from dataclasses import dataclass
 from itertools import pairwise
 
 from huepose.datasets.types import GroundTruth, Scene
-from huepose.support.words import counted
 from huepose_protos.keys import last
 from huepose_protos.messages import HealthMessage, PoseMessage
 from huepose_services.camera.live_ingest import LiveIngest
@@ -126,8 +125,8 @@ class Busy:
             return None
         worst_ms = max(by_ns for _, by_ns in self._late) * 1e-6
         return (
-            "this computer is busy: in the last minute the camera was late "
-            f"{counted(len(self._late), 'time')}, by up to {worst_ms:.0f} ms; end other programs, or set camera.rate lower"
+            f"this computer is busy: the camera was late {len(self._late)} times in the last minute, by up "
+            f"to {worst_ms:.0f} ms; end other programs, or set camera.rate lower"
         )
 
 
@@ -290,6 +289,6 @@ class Ingest(Work):
         else:
             read = now - ended_ns > _GRACE_NS
         if read or now - ended_ns > _WAIT_FOR_READERS_NS:
-            self._bus.log.say(f"the recording has ended after {counted(self._index, 'frame')}")
+            self._bus.log.say(f"the recording has ended after {self._index} frames")
             self._bus.health.state = "ended"
             self.finished = True

@@ -16,7 +16,7 @@ from pathlib import Path
 
 import numpy as np
 
-from huepose.datasets.fast_ycb_writer import FastYcbFrame, write_fast_ycb
+from huepose.datasets.fast_ycb import FastYcbFrame, write_fast_ycb
 from huepose.model import ReferenceModel, load_models
 from huepose.scenes import carried
 from huepose.scenes.camera import COLOR, STEREO

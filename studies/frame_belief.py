@@ -8,8 +8,8 @@ objects (bowls, mugs, tools, fruit, packages; most of them of few colours) and o
 BUNDLES. Every few frames a pose is reached from 1 to 15 frames before, from wrong places and turns, and from
 elsewhere in the picture, also where the object is gone or its look-alike has taken its place. Each pose that
 comes out counts as right or wrong by where it is, whatever led there. Left out are poses that are right but
-for a near-symmetric rotation: no single frame has to tell those, `tracking.rival` does. `--write` puts the
-fit in the package."""
+for a near-symmetric rotation: no single frame has to tell those, `tracking.orientation` does. `--write` puts
+the fit in the package."""
 
 from __future__ import annotations
 
@@ -22,9 +22,8 @@ from pathlib import Path
 
 import numpy as np
 
-from huepose.believe.fits import write_fit
 from huepose.believe.frame import features, frame_fit
-from huepose.believe.logistic import Logistic
+from huepose.believe.logistic import Logistic, write_fit
 from huepose.evaluation import metrics
 from huepose.geometry import RgbdFrame, se3
 from huepose.geometry.arrays import Bool, Float64

@@ -1,6 +1,6 @@
 """That a pose in a frame is right: one logistic in what the judge sees at it, without any mask.
 
-The weights are fitted on poses that tracking reached on drawn sequences (`believe.fits`).
+The weights are fitted on poses that tracking reached on drawn sequences (`believe.logistic`).
 """
 
 from __future__ import annotations
@@ -8,8 +8,7 @@ from __future__ import annotations
 from functools import cache
 from math import log1p
 
-from huepose.believe.fits import fitted
-from huepose.believe.logistic import Logistic
+from huepose.believe.logistic import Logistic, fitted
 from huepose.colorpair.opponents import SCALE
 from huepose.geometry.arrays import Float64
 from huepose.judge.color_correlation import PLAIN

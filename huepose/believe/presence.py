@@ -5,7 +5,7 @@ all the same. What speaks for an object being there is a shape that explains the
 goes on where the object ends, and a picture that looks like the object in this pose. All of it says the less
 the fewer pixels it is read from: in a speck of ten anything fits.
 
-The weighted sum of these is a logit; the weights are fitted on drawn scenes (`believe.fits`)."""
+The weighted sum of these is a logit; the weights are fitted on drawn scenes (`believe.logistic`)."""
 
 from __future__ import annotations
 
@@ -16,8 +16,7 @@ from math import log
 
 import numpy as np
 
-from huepose.believe.fits import fitted
-from huepose.believe.logistic import Logistic
+from huepose.believe.logistic import Logistic, fitted
 from huepose.geometry.arrays import Float64
 from huepose.judge.color_correlation import PLAIN
 

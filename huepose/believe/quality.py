@@ -4,7 +4,7 @@ Quality is the product of three probabilities: that it is this texture that is s
 such a shape, that it is this size, and that the pose is right then. The last one is a choice: the chance that
 any of the poses that were found is right is shared out by their scores, so that a near-tie is published as
 one, each pose with its probability. Whether an object is there at all is a question of its own, which decides
-whether anything is said to be found. The numbers are fitted on drawn scenes (`believe.fits`).
+whether anything is said to be found. The numbers are fitted on drawn scenes (`believe.logistic`).
 """
 
 from __future__ import annotations
@@ -16,8 +16,7 @@ from typing import Any
 
 import numpy as np
 
-from huepose.believe.fits import fitted
-from huepose.believe.logistic import Logistic
+from huepose.believe.logistic import Logistic, fitted
 from huepose.geometry.arrays import Float64
 
 

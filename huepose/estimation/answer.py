@@ -39,7 +39,7 @@ from huepose.judge.texture_evidence import agreement_many, contrast_disagreement
 from huepose.model.types import ReferenceModel
 from huepose.perception.types import Segmenter
 from huepose.propose.evidence import Evidence, gather
-from huepose.propose.template_table import table_of
+from huepose.propose.templates import table_of
 from huepose.propose.views import retrieve
 from huepose.refine.coordinate_search import RACE, search
 from huepose.refine.final import covariance, final_refinement, scale_residual

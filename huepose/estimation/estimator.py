@@ -29,7 +29,7 @@ from huepose.geometry.frame import RgbdFrame
 from huepose.model.types import ReferenceModel, ReferenceModels
 from huepose.perception.embedded import DepthSegmenter
 from huepose.perception.types import Segmenter
-from huepose.propose.template_table import table_of
+from huepose.propose.templates import table_of
 from huepose.support.pool import Pool
 
 Answered = tuple[PoseEstimate, Explanation]

@@ -11,7 +11,7 @@ from collections.abc import Sequence
 
 from huepose.estimation.config import StandingConfig
 from huepose.estimation.types import PoseEstimate
-from huepose.select.surfaces import pixels, standing
+from huepose.select.distinct import pixels, standing
 
 
 def standing_answers(

@@ -7,7 +7,7 @@
                 track_protocol (with sources) > track_rows, poses_protocol (of a live pipeline) > track_rows
     ablations   ablation > ablation_rows; paper_tracker
     why         failures > diagnosis (a wrong pose), suitability (an object)
-    results     result_files (written), measured > comparison (read again), bop_csv, pose_files (of others)
+    results     result_files (written), measured > comparison (read again), pose_files (of others)
     forms       summary (text), pictures, results_page, tables (the paper's, from journals)
     speed       benches
 

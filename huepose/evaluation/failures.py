@@ -15,8 +15,8 @@ from typing import Any
 import numpy as np
 
 from huepose.datasets.types import GroundTruth, Sample
+from huepose.drawing.canvas import paragraph
 from huepose.drawing.contact_sheet import contact_sheet
-from huepose.drawing.text import paragraph
 from huepose.estimation.estimator import Estimator
 from huepose.estimation.explanation import Explanation
 from huepose.estimation.panels import LEGEND, Panels

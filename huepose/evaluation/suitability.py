@@ -15,9 +15,9 @@ import numpy as np
 
 from huepose.datasets.boxes import disturbed
 from huepose.datasets.types import VISIBLE
+from huepose.drawing.canvas import paragraph
 from huepose.drawing.contact_sheet import contact_sheet
 from huepose.drawing.overlay import Colour, draw_axes, draw_mask_outline, silhouette
-from huepose.drawing.text import paragraph
 from huepose.estimation import Estimator, ObjectQuery
 from huepose.evaluation.metrics import RECALL_FRACTION, add, adds
 from huepose.geometry import Box, Camera, RgbdFrame, se3

@@ -9,6 +9,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
+from huepose.colorpair.types import SurfacePairs
 from huepose.geometry.arrays import Float32, Float64, Int32, UInt8
 from huepose.geometry.mesh import Mesh
 from huepose.support.errors import InputError
@@ -63,7 +64,7 @@ class ViewTemplates:
 
 @dataclass(frozen=True, eq=False)
 class PairReference:
-    """The colour pairs of a model, coarse ones first, then fine ones (`model.pairs` tells them apart).
+    """The colour pairs of a model, coarse ones first, then fine ones (`model.types` tells them apart).
 
     points (N, 3), normals (N, 3) float32: ridge points lifted to the surface; tangents (N, 3): unit direction
     in the surface that crosses the edge from side 0 to side 1; colors (N, 2, 3): CIELAB of both sides;
@@ -165,3 +166,21 @@ class ReferenceModels(dict[str, ReferenceModel]):
             expected=f"one of {', '.join(sorted(self)) or 'no objects at all'}",
             fix="Onboard it with `huepose onboard`, or check the spelling.",
         )
+
+
+def reference_pairs(reference: PairReference) -> SurfacePairs:
+    """The model's coarse pairs, in the object's frame."""
+    n = int(reference.parameters["coarse_pairs"])
+    return SurfacePairs(
+        reference.points[:n], reference.normals[:n], reference.tangents[:n], reference.colors[:n]
+    )
+
+
+def fine_pairs(reference: PairReference, count: int) -> SurfacePairs:
+    """At most `count` of the model's fine pairs, evenly spread over them, in the object's frame."""
+    first = int(reference.parameters["coarse_pairs"])
+    step = max(1, -(-(len(reference.points) - first) // count))
+    rows = slice(first, None, step)
+    return SurfacePairs(
+        reference.points[rows], reference.normals[rows], reference.tangents[rows], reference.colors[rows]
+    )

@@ -1,9 +1,9 @@
 """From meshes to reference models, once per object and without training. Where to look:
 
-mesh files  meshes (`read_mesh`), by obj with mtl, ply, gltf with gltf_asset; mesh_files (bounds),
-            raw_mesh, winding; texture, patches (one texture for one mesh)
+mesh files  meshes (`read_mesh`), by obj, ply, gltf; mesh_files (bounds), raw_mesh, winding; texture,
+            patches (one texture for one mesh)
 a model     onboard > reference: simplify, visibility, cloud with neighbourhoods, surface, pairs,
-            near_symmetries with sided, symmetries, declared
+            near_symmetries, symmetries, declared
 many        batch, bop_folder
 recordings  from_video
 """

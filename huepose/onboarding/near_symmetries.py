@@ -16,7 +16,7 @@ from huepose.geometry import se3
 from huepose.geometry.arrays import Float, Float64
 from huepose.geometry.symmetry import rotation_about
 from huepose.model.types import DistanceGrid, Surface
-from huepose.onboarding.sided import SidedSurface
+from huepose.onboarding.symmetries import SidedSurface
 from huepose.support.jit import jit
 
 MAX_ERROR = 0.03  # mean surface distance over the diameter; loose, since one rotation too many costs little

@@ -15,8 +15,7 @@ from huepose.colorpair.extract import extract
 from huepose.colorpair.types import ColorPairs, SurfacePairs
 from huepose.geometry.arrays import Bool
 from huepose.geometry.frame import RgbdFrame
-from huepose.model.pairs import reference_pairs
-from huepose.model.types import PairReference, ReferenceModel
+from huepose.model.types import PairReference, ReferenceModel, reference_pairs
 from huepose.paper.classes import ClassConfig, classified
 from huepose.paper.cloud import ClassifiedCloud
 from huepose.paper.ppf import PpfConfig, ppf_votes

@@ -31,8 +31,7 @@ from huepose.judge.silhouette import projected_box, visible_mask
 from huepose.model.types import ReferenceModel
 from huepose.paper.rotation_network import learned
 from huepose.propose import flow as optical_flow
-from huepose.propose.correspondences import match
-from huepose.propose.mask_propagation import propagate
+from huepose.propose.correspondences import match, propagate
 from huepose.propose.relative_pose import RelativePose, RobustKabsch, lift_matches
 from huepose.refine.point_to_plane import align
 

@@ -35,7 +35,7 @@ from huepose.propose.features import Features, FeatureSource, Sift
 from huepose.propose.keypoint_reference import build_keypoints
 from huepose.propose.keypoints import ModelKeypoints, PictureFeatures, consensus_poses, match
 from huepose.rendering.render import render
-from huepose.select.surfaces import HALF, share_held
+from huepose.select.distinct import HALF, share_held
 from huepose.support.kept import kept
 from huepose.support.pool import Pool
 from huepose.support.stages import stage

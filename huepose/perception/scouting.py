@@ -18,8 +18,7 @@ from huepose.judge.terms import DEFAULT_WEIGHTS, score_many
 from huepose.model.types import ReferenceModel
 from huepose.perception.clear_view import ClearView
 from huepose.perception.nearby import align_in_view
-from huepose.perception.window_look import look, narrowed, promising
-from huepose.perception.window_table import WindowTable
+from huepose.perception.window_table import WindowTable, look, narrowed, promising
 from huepose.perception.windows import Windows
 from huepose.refine.coordinate_search import search
 from huepose.support.jit import jit

@@ -1,4 +1,5 @@
-"""A model's view templates as the detector compares them with windows: fewer views, larger cells, codes."""
+"""A model's view templates as the detector compares them with windows of a picture: fewer views, larger
+cells, codes; and the most similar ones as poses."""
 
 from __future__ import annotations
 
@@ -6,11 +7,17 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from huepose.geometry.arrays import Float32, Float64, Int64
+from huepose.geometry.arrays import Bool, Float32, Float64, Int64
+from huepose.geometry.camera import Camera
 from huepose.model.types import ReferenceModel, ViewTemplates
-from huepose.propose.template_table import COARSE_SIDE, TemplateTable, build_table
+from huepose.perception.windows import Windows
+from huepose.propose.quick_look import product
+from huepose.propose.templates import COARSE_SIDE, MILLIMETRES, TemplateTable, build_table
 from huepose.propose.view_codes import codes_of_views
+from huepose.propose.views import onto_rays
+from huepose.support.jit import jit
 from huepose.support.kept import kept
+from huepose.support.stages import stage
 
 VIEWS, ROLL_STRIDE = 42, 2
 """The first 42 directions are the icosphere of level 1, 32 degrees apart; every second roll, 30 degrees."""
@@ -69,3 +76,122 @@ def _in_all_cells(table: TemplateTable, values: Float32) -> Float32:
     out = np.zeros((*values.shape[:-1], COARSE_SIDE**2), np.float32)
     out[..., table.used] = values
     return out
+
+
+APART, BESIDE, LIKEST = 0.3, 0.36, 16
+"""A coarse-to-fine search: first windows at least APART diameters from each other are coded, then all that
+lie within BESIDE diameters of the LIKEST most similar ones. 12 of these were enough (docs/detection.md, codes
+of views)."""
+
+
+@dataclass(frozen=True, eq=False)
+class Looks:
+    """Pairs of a window and a view, most similar first: poses T_cam_obj (K, 4, 4), cosines of their codes
+    (K,), and the windows' indices (K,)."""
+
+    poses: Float64
+    likenesses: Float64
+    windows: Int64
+
+
+def promising(table: WindowTable, windows: Windows) -> Int64:
+    """Indices (W,) of all windows in order of promise: those on separate pieces first, then by the distance
+    between the hue of their middle and the nearest hue of the object's views."""
+    cells = windows.middles
+    weight = cells[..., 4]
+    weighted = np.stack([weight * cells[..., 1], weight * cells[..., 2]])
+    hues = middle_hues(weight, weighted)
+    apart = ((hues[:, None] - table.hues[None]) ** 2).sum(-1).min(1)
+    apart[: windows.pieces] -= 1e6
+    return np.argsort(apart, kind="stable")
+
+
+def compared(table: WindowTable, windows: Windows, chosen: Int64) -> Float32:
+    """Cosines (N, W) between the codes of all views of an object and of the chosen windows (W,)."""
+    if not len(chosen):
+        return np.zeros((len(table.codes), 0), np.float32)
+    codes = windows.codes(chosen)
+    with stage("look"):
+        return product(table.codes, codes.T)
+
+
+def narrowed(table: WindowTable, windows: Windows, chosen: Int64, first: int) -> tuple[Int64, Float32]:
+    """Code some of the chosen windows (W,). Returns those (K,), in the same order, and cosines (N, K) of all
+    views with them.
+
+    Always coded: the `first` ones, those on separate pieces, and those recalled from memory. Of the others a
+    subset APART diameters apart, and then the neighbours of the most similar ones."""
+    from scipy.spatial.distance import cdist  # a tenth of a second, which the tracker does not need
+
+    places = windows.places_diameters(chosen)
+    taken = (np.arange(len(chosen)) < first) | (chosen < windows.pieces) | windows.recalled[chosen]
+    _spread(places, APART, taken)
+    some = np.flatnonzero(taken)
+    alike = compared(table, windows, chosen[some])
+    likest = some[np.argsort(-alike.max(0), kind="stable")[:LIKEST]]
+    with stage("look"):
+        beside = (cdist(places, places[likest]) < BESIDE).any(1)
+    more = np.flatnonzero(beside & ~taken)
+    both = np.concatenate([some, more])
+    order = np.argsort(both)
+    alike = np.concatenate([alike, compared(table, windows, chosen[more])], axis=1)
+    return chosen[both[order]], alike[:, order]
+
+
+def look(
+    table: WindowTable,
+    windows: Windows,
+    chosen: Int64,
+    alike: Float32,
+    camera: Camera,
+    count: int,
+    each: int,
+) -> Looks:
+    """The `count` most similar pairs of a view and one of the chosen windows (W,), at most `each` of one
+    window. alike: cosines (N, W) of views and windows. The depth of a pose is that at which the view's relief
+    fits."""
+    if not len(chosen):
+        return Looks(np.zeros((0, 4, 4)), np.zeros(0), np.zeros(0, np.int64))
+    with stage("look"):
+        each = min(each, alike.shape[0])
+        best = np.argpartition(-alike, each - 1, axis=0)[:each]
+        window = np.broadcast_to(np.arange(len(chosen)), best.shape).ravel()
+        view = best.ravel()
+        order = np.argsort(-alike[view, window], kind="stable")[:count]
+        view, window = view[order], window[order]
+        among, again = np.unique(window, return_inverse=True)
+        behind_mm = _behind_mm(table, windows.cells(chosen[among]), view, again.reshape(-1))
+        depth_m = windows.depth_m[chosen[window]] + behind_mm / MILLIMETRES
+        rays = camera.rays(windows.pixels[chosen[window]])
+        turns = onto_rays(rays)
+        poses = np.tile(np.eye(4), (len(order), 1, 1))
+        poses[:, :3, :3] = turns @ table.rotations[view]
+        poses[:, :3, 3] = rays * depth_m[:, None] + np.einsum("nij,nj->ni", turns, table.origins[view])
+    return Looks(poses, alike[view, window].astype(np.float64), window)
+
+
+@jit
+def _spread(places: Float64, apart: float, taken: Bool) -> None:
+    """Mark in `taken` (W,) each of places (W, 3) that is at least `apart` from all that are marked
+    (greedy)."""
+    for k in range(places.shape[0]):
+        free = not taken[k]
+        for i in range(places.shape[0]):
+            if not free:
+                break
+            if i != k and taken[i]:
+                away = 0.0
+                for c in range(3):
+                    away += (places[k, c] - places[i, c]) ** 2
+                free = away >= apart * apart
+        taken[k] |= free
+
+
+def _behind_mm(table: WindowTable, cells: Float32, view: Int64, window: Int64) -> Float64:
+    """Mean offset in depth (K,), mm, between each view and its window, over cells where both are known."""
+    seen = cells[:, table.used]
+    weight = table.coverage[view] * seen[window, :, 4]
+    gap = table.coverage[view] * seen[window, :, 3] - table.relief[view]
+    return np.asarray(
+        (seen[window, :, 4] * gap).sum(1) / np.maximum(weight.sum(1), np.float32(1e-3)), np.float64
+    )

@@ -14,8 +14,7 @@ import numpy as np
 from huepose.geometry.arrays import Bool, Float32, Float64, Int64
 from huepose.perception.clear_view import ClearView
 from huepose.perception.memory import KeptWindows, Memory, matched, until
-from huepose.propose.template_table import COARSE_SIDE, MILLIMETRES
-from huepose.propose.templates import SPAN
+from huepose.propose.templates import COARSE_SIDE, MILLIMETRES, SPAN
 from huepose.propose.view_codes import CELLS as CODE_CELLS
 from huepose.propose.view_codes import NUMBERS, codes_of_windows
 from huepose.propose.view_pictures import NEAR, window_pictures

@@ -2,7 +2,7 @@
 
 Candidates are the ridge points of the object's colour pairs, where flow is best determined, and a sparse grid
 that also covers faces without edges. A correspondence is kept if the flow is consistent forward and backward,
-if it ends on the propagated mask, and if the colours on both sides of it stay similar.
+if it ends on the mask that flow carried along, and if the colours on both sides of it stay similar.
 """
 
 from __future__ import annotations
@@ -17,7 +17,6 @@ from huepose.colorpair.similarity import paired_similarity
 from huepose.colorpair.types import ColorPairs
 from huepose.geometry.arrays import Bool, Float32, Float64, UInt8
 from huepose.propose.flow import Flow, sampled
-from huepose.propose.mask_propagation import propagate
 
 GRID_STEP_PX, GRID_WEIGHT = 12, 0.3
 """Spacing of the points of a grid, and the weight of one; a colour pair has 1."""
@@ -140,3 +139,22 @@ def _grid(mask: Bool, step_px: int) -> Float32:
     half = step_px // 2
     rows, columns = np.nonzero(mask[half::step_px, half::step_px])
     return (np.stack([columns, rows], 1) * step_px + half).astype(np.float32)
+
+
+def propagate(mask: Bool, flow: Flow) -> Bool:
+    """Warp the mask (H, W) bool of the first frame to the second with the backward flow. False outside the
+    flow's window."""
+    h, w = flow.consistent.shape
+    window = np.s_[flow.y0 : flow.y0 + h, flow.x0 : flow.x0 + w]
+    columns, rows = np.meshgrid(np.arange(w, dtype=np.float32), np.arange(h, dtype=np.float32))
+    came = cv2.remap(
+        np.ascontiguousarray(mask[window]).view(np.uint8),
+        columns + flow.backward[..., 0],
+        rows + flow.backward[..., 1],
+        cv2.INTER_NEAREST,
+        borderMode=cv2.BORDER_CONSTANT,
+        borderValue=0,
+    )
+    out = np.zeros_like(mask)
+    out[window] = came > 0
+    return out

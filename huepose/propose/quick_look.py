@@ -17,7 +17,7 @@ import numpy as np
 
 from huepose.colorpair.opponents import DARKEST, LINEAR, SCALE
 from huepose.geometry.arrays import Bool, Float32, Float64, Int64, UInt8
-from huepose.propose.template_table import MILLIMETRES, TemplateTable
+from huepose.propose.templates import MILLIMETRES, TemplateTable
 from huepose.support.jit import jit_dividing
 
 OVERSAMPLING = 4

@@ -14,7 +14,7 @@ import numpy as np
 
 from huepose.geometry.arrays import Bool, Float32, Float64, Int64
 from huepose.judge.terms import DEFAULT_WEIGHTS
-from huepose.propose.template_table import MILLIMETRES, RELIEF_STEPS, STEPS, TemplateTable
+from huepose.propose.templates import MILLIMETRES, RELIEF_STEPS, STEPS, TemplateTable
 from huepose.support.jit import jit_dividing
 
 FIT_WEIGHT, VIOLATION_WEIGHT = DEFAULT_WEIGHTS.depth_fit, DEFAULT_WEIGHTS.violation

@@ -1,5 +1,6 @@
-"""Render view templates: small pictures of an object from all directions, at metric scale. Built once,
-offline.
+"""View templates: small pictures of an object from all directions, at metric scale, rendered once, offline;
+and tables of them: dense 8 x 8 cells for the quick look (matrix products over all templates), lists of
+covered cells for the close look at a few.
 
 The poses of the templates: `T_cam_obj` of direction v at roll r has the rotation Rz(2 pi r / R) look_at(v)
 when the object is on the optical axis, Rz being the turn about the optical axis from x to y (clockwise in the
@@ -8,15 +9,21 @@ picture), and the origin lies at Rz(2 pi r / R) `origins[v]` from the point on t
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 import cv2
 import numpy as np
 
+from huepose.colorpair.opponents import opponents_of_lab
 from huepose.geometry import icosphere, se3
-from huepose.geometry.arrays import Float32
+from huepose.geometry.arrays import Float, Float32, Float64, Int64
 from huepose.geometry.camera import Camera
+from huepose.geometry.icosphere import look_at
 from huepose.geometry.mesh import Mesh
-from huepose.model.types import ViewTemplates
+from huepose.model.types import ReferenceModel, ViewTemplates
 from huepose.rendering.render import render
+from huepose.support.kept import kept
+from huepose.support.once import once_for_each
 
 LEVEL = 2
 """Subdivision level of the icosphere of directions: 162, 16 degrees apart."""
@@ -80,3 +87,142 @@ def _turned(picture: Float32, centroid: np.ndarray, angle: float, scale: float, 
     small[..., :4] = np.where(known, small[..., :4] / np.maximum(small[..., 4:], 1e-3), 0.0)
     small[..., 4:] *= known
     return np.asarray(small, np.float32)
+
+
+COARSE_SIDE = 8
+"""Cells a side at the quick look."""
+
+MILLIMETRES = 1000.0
+COVERED = 0.5
+"""Least coverage (0..1) of a cell that counts at the close look."""
+
+STEPS, RELIEF_STEPS = 100.0, 10.0
+"""Integer steps per opponent unit and per millimetre in the stored values."""
+
+
+@dataclass(frozen=True, eq=False)
+class TemplateTable:
+    """Templates of V views in R rolls (N = V * R), built once for a model.
+
+    For the quick look, over the P of 8 * 8 cells that any template covers: used (P,) their indices; coverage
+    (N, P) float32; first, second (4, N, P) float32: coverage times value and times value squared, for the
+    opponents and for relief in millimetres; area (N,) sum of coverage. For the close look: the covered cells
+    of template i are starts[i] to starts[i + 1]: places (M,) uint16 in the window of side * side, row * 256 +
+    column; values (M, 4) int16: opponents in 1 / STEPS, relief in 1 / RELIEF_STEPS millimetres. rotations (N,
+    3, 3), origins (N, 3): R_cam_obj and the object's origin as seen from the window's middle at median depth;
+    span_m: the window's side.
+    """
+
+    used: Int64
+    coverage: Float32
+    first: Float32
+    second: Float32
+    area: Float32
+    starts: Int64
+    places: np.ndarray
+    values: np.ndarray
+    side: int
+    rotations: Float64
+    origins: Float64
+    span_m: float
+    diameter_m: float
+
+
+@once_for_each
+def table_of(model: ReferenceModel) -> TemplateTable:
+    """A model's view templates laid out for retrieval, mapped as long as it is there."""
+    return kept(TemplateTable, model.digest, lambda: build_table(model.templates, model.diameter_m))
+
+
+def build_table(templates: ViewTemplates, diameter_m: float, *, min_coverage: float = 0.5) -> TemplateTable:
+    """Build the tables of a model (0.1 s, about 8 MB). min_coverage: least coverage of a cell of the quick
+    look."""
+    views, rolls = templates.planes.shape[:2]
+    planes = templates.planes.reshape(views * rolls, *templates.planes.shape[2:]).astype(np.float32)
+    side = planes.shape[-1]
+    starts, places, listed = _listed(planes)
+
+    planes[:, :4] *= planes[:, 4:]  # the mean over a larger cell is weighted by coverage
+    mean = _averaging(side)
+    coarse = mean @ planes @ mean.T
+    coarse[:, :4] /= np.maximum(coarse[:, 4:], 1e-3)
+    coverage, values = _coverage_and_values(coarse)
+    flat = np.where(coverage > min_coverage, coverage, 0.0).reshape(len(planes), -1).astype(np.float32)
+    used = np.flatnonzero(flat.any(0))
+    flat = np.ascontiguousarray(flat[:, used])
+    by_channel = values.reshape(len(planes), -1, 4)[:, used].transpose(2, 0, 1)
+    rotations, origins = _poses(templates)
+    return TemplateTable(
+        used,
+        flat,
+        np.ascontiguousarray(flat * by_channel, dtype=np.float32),
+        np.ascontiguousarray(flat * by_channel**2, dtype=np.float32),
+        flat.sum(1),
+        starts,
+        places,
+        listed,
+        side,
+        rotations,
+        origins,
+        templates.span * diameter_m,
+        diameter_m,
+    )
+
+
+def _listed(planes: Float32) -> tuple[Int64, np.ndarray, np.ndarray]:
+    """List the covered cells of planes (N, 5, S, S): starts (N + 1,), places (M,), values (M, 4) as in
+    TemplateTable."""
+    which, row, column = np.nonzero(planes[:, 4] >= COVERED)
+    starts = np.concatenate([[0], np.cumsum(np.bincount(which, minlength=len(planes)))]).astype(np.int64)
+    places = (row << 8 | column).astype(np.uint16)
+    chosen = _values(planes[which, :4, row, column])
+    out = np.empty(chosen.shape, np.int16)
+    out[:, :3] = np.rint(chosen[:, :3] * STEPS)
+    out[:, 3] = np.rint(np.clip(chosen[:, 3] * RELIEF_STEPS, -32000, 32000))
+    return starts, places, out
+
+
+def _coverage_and_values(planes: Float) -> tuple[Float32, Float32]:
+    """Coverage (N, S, S), and opponents with relief in millimetres (N, S, S, 4), of planes (N, 5, S, S) L,
+    a, b, relief in metres, coverage."""
+    return np.asarray(planes[:, 4], np.float32), _values(planes[:, :4].transpose(0, 2, 3, 1))
+
+
+def _values(cells: Float) -> Float32:
+    """Opponents with relief in millimetres (..., 4) of cells (..., 4) L, a, b, relief in metres."""
+    values = np.array(cells, np.float32, order="C")
+    values[..., :3] = opponents_of_lab(np.ascontiguousarray(values[..., :3]))
+    values[..., 3] *= np.float32(MILLIMETRES)
+    return values
+
+
+def _averaging(side: int) -> Float32:
+    """Matrix (COARSE_SIDE, side) whose rows average the cells that fall into each larger cell."""
+    edges = np.arange(COARSE_SIDE + 1) * (side / COARSE_SIDE)
+    low, high = edges[:-1, None], edges[1:, None]
+    cell = np.arange(side)[None, :]
+    shared = np.clip(np.minimum(high, cell + 1) - np.maximum(low, cell), 0.0, None)
+    return np.asarray(shared / (high - low), dtype=np.float32)
+
+
+def _poses(templates: ViewTemplates) -> tuple[Float64, Float64]:
+    """Rotations (N, 3, 3) and origins (N, 3) of all views in all rolls."""
+    rolls = templates.planes.shape[1]
+    origins = np.einsum("rij,vj->vri", _roll_rotations(rolls), templates.origins.astype(np.float64))
+    return view_rotations(templates.directions, rolls), origins.reshape(-1, 3)
+
+
+def view_rotations(directions: Float, rolls: int) -> Float64:
+    """Rotations R_cam_obj (V * rolls, 3, 3) of the views from directions (V, 3), each at all rolls."""
+    looks = np.stack([look_at(d) for d in directions])
+    return np.asarray(np.einsum("rij,vjk->vrik", _roll_rotations(rolls), looks).reshape(-1, 3, 3))
+
+
+def _roll_rotations(rolls: int) -> Float64:
+    """Rotations (rolls, 3, 3) about the optical axis, evenly spaced."""
+    angles = 2 * np.pi * np.arange(rolls) / rolls
+    turn = np.zeros((rolls, 3, 3))
+    turn[:, 0, 0] = turn[:, 1, 1] = np.cos(angles)
+    turn[:, 1, 0], turn[:, 0, 1] = np.sin(angles), -np.sin(angles)
+    turn[:, 2, 2] = 1.0
+    return turn

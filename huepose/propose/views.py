@@ -21,7 +21,7 @@ from huepose.judge.region import Crop
 from huepose.propose.config import RetrievalConfig
 from huepose.propose.quick_look import known_cells, masked_cells, nearest, quick_look, sampled
 from huepose.propose.template_check import Canvas, check_templates
-from huepose.propose.template_table import COARSE_SIDE, MILLIMETRES, TemplateTable
+from huepose.propose.templates import COARSE_SIDE, MILLIMETRES, TemplateTable
 from huepose.support.jit import jit_dividing
 
 SHIFTS = (-1, 0, 1)

@@ -12,12 +12,12 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from huepose.geometry.arrays import Float, Float64
-from huepose.geometry.kernels import rotation_exp_into
 from huepose.judge.kernel import SCRATCH_ROWS, TERMS, score_kernel
 from huepose.judge.outline import NO_RIM, Rim, rim_agreement
 from huepose.judge.region import ModelArrays, Region, RegionArrays, model_arrays, region_arrays
 from huepose.judge.terms import DEFAULT_WEIGHTS, ScoreWeights, weight_array
 from huepose.model.types import ReferenceModel
+from huepose.refine.solver import rotation_exp_into
 from huepose.support.jit import jit
 
 SHIFT_PER_RADIAN = 0.4

@@ -15,7 +15,7 @@ from huepose.geometry.arrays import Bool, Float64
 from huepose.geometry.camera import NEAR_M, POINTS_PER_READING, depth_noise_m
 from huepose.geometry.frame import RgbdFrame
 from huepose.judge.borders import STEP_M, STEP_SIGMAS, Contours
-from huepose.judge.surface import PreparedSurface
+from huepose.judge.open_region import PreparedSurface
 
 REACH_M, ACROSS_M = 0.03, 0.0015
 """Search range on both sides of the outline, and its step, metres."""

@@ -29,8 +29,7 @@ from huepose.geometry.median import median
 from huepose.judge.region import Region
 from huepose.judge.silhouette import visible_mask
 from huepose.judge.terms import totals
-from huepose.model.pairs import fine_pairs
-from huepose.model.types import PairReference, ReferenceModel, Surface
+from huepose.model.types import PairReference, ReferenceModel, Surface, fine_pairs
 from huepose.refine.point_to_plane import (
     SCRATCH_ROWS,
     Alignment,

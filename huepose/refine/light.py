@@ -10,9 +10,8 @@ from __future__ import annotations
 import numpy as np
 
 from huepose.geometry.arrays import Float32, Float64
-from huepose.geometry.kernels import solve_symmetric
 from huepose.refine.samples import Samples
-from huepose.refine.solver import cauchy
+from huepose.refine.solver import cauchy, solve_symmetric
 from huepose.support.jit import jit_dividing
 
 GAIN_PRIOR = 4.0

@@ -17,9 +17,8 @@ import numpy as np
 from huepose.geometry import se3
 from huepose.geometry.arrays import Float, Float64, Int32
 from huepose.geometry.camera import NEAR_M, depth_noise_m
-from huepose.judge.open_region import SCALES_M, OpenRegion
+from huepose.judge.open_region import SCALES_M, OpenRegion, PreparedSurface
 from huepose.judge.region import ModelArrays, RegionArrays
-from huepose.judge.surface import PreparedSurface
 from huepose.refine.light import fit_light
 from huepose.refine.samples import (
     AGREES,

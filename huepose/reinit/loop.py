@@ -16,13 +16,19 @@ from dataclasses import dataclass
 
 from huepose.estimation.types import PoseEstimate
 from huepose.geometry.arrays import Float64
-from huepose.reinit.association import assign, displacement_m
 from huepose.reinit.config import ReinitConfig
-from huepose.reinit.judge import SAME_POSE, acquires, judge_tracked, same_sight, usable
+from huepose.reinit.judge import (
+    SAME_POSE,
+    acquires,
+    assign,
+    displacement_m,
+    judge_tracked,
+    same_sight,
+    usable,
+)
 from huepose.reinit.outbox import Outbox
-from huepose.reinit.pace import Pace
 from huepose.reinit.published_history import PublishedHistory
-from huepose.reinit.schedule import candidates, choose
+from huepose.reinit.schedule import Pace, candidates, choose
 from huepose.reinit.types import Counters, Key, ObjectSlot, PerceptionResult, Request, Searching
 from huepose.tracking.types import Correction, TrackedPose, Verdict
 

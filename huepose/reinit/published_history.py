@@ -12,7 +12,7 @@ import numpy as np
 
 from huepose.geometry import se3
 from huepose.geometry.uncertainty import grown
-from huepose.reinit.pace import LONGEST_S
+from huepose.reinit.schedule import LONGEST_S
 from huepose.reinit.types import Key, Prior
 from huepose.tracking.types import TrackedPose
 

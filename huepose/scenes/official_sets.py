@@ -19,7 +19,7 @@ from scipy.spatial.distance import pdist
 
 from huepose.datasets.bop import BopScene
 from huepose.datasets.bop_writer import write_ply
-from huepose.datasets.fast_ycb_writer import FastYcbFrame, write_fast_ycb
+from huepose.datasets.fast_ycb import FastYcbFrame, write_fast_ycb
 from huepose.datasets.types import GONE
 from huepose.geometry import Mesh, se3
 from huepose.geometry.arrays import Float64
@@ -27,8 +27,7 @@ from huepose.rendering import render_depth
 from huepose.scenes import carried
 from huepose.scenes.camera import COLOR
 from huepose.scenes.frame import Stage, shoot
-from huepose.scenes.rendered import SceneRanges
-from huepose.scenes.rendered_set import write_rendered_set
+from huepose.scenes.rendered import SceneRanges, write_rendered_set
 from huepose.support.progress import progress
 
 FIRST_SCENE = 48

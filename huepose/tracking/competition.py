@@ -13,9 +13,8 @@ import numpy as np
 
 from huepose.geometry.arrays import Bool, Float32, Float64, Int64
 from huepose.geometry.camera import Camera
-from huepose.judge.open_region import tolerance_m
-from huepose.judge.surface import PreparedSurface
-from huepose.select.surfaces import standing
+from huepose.judge.open_region import PreparedSurface, tolerance_m
+from huepose.select.distinct import standing
 
 CELL_PX = 6
 """Claims are compared in cells of this size: about the spacing of the samples on a near object."""

@@ -16,10 +16,9 @@ from huepose.geometry.arrays import Float64
 from huepose.geometry.frame import RgbdFrame
 from huepose.model.types import ReferenceModel
 from huepose.perception.clear_view import clear_view
-from huepose.perception.window_look import compared, look, promising
-from huepose.perception.window_table import WindowTable
+from huepose.perception.window_table import WindowTable, compared, look, promising
 from huepose.perception.windows import Windows
-from huepose.tracking.reach import Reach
+from huepose.tracking.motion import Reach
 
 WINDOWS, PARTS = 8, 5
 """Windows that are looked at in one go, the likeliest by hue first, and how often as many more of them are.

@@ -9,7 +9,7 @@ import numpy as np
 
 from huepose.geometry import se3
 from huepose.geometry.arrays import Float64
-from huepose.judge.surface import PreparedSurface
+from huepose.judge.open_region import PreparedSurface
 from huepose.judge.terms import Terms
 
 MOST = 3

@@ -20,13 +20,11 @@ from huepose.judge.terms import Terms
 from huepose.support.errors import InputError
 from huepose.tracking.catching_up import Pursuit
 from huepose.tracking.config import TrackerConfig
-from huepose.tracking.evidence import Standing
+from huepose.tracking.evidence import Identity, Standing
 from huepose.tracking.history import Entry, FrameHistory, PoseHistory, _Stretch
 from huepose.tracking.hypothesis import Hypothesis
-from huepose.tracking.identity import Identity
-from huepose.tracking.orientation import Orientation
-from huepose.tracking.reach import Reach
-from huepose.tracking.rival import Facing
+from huepose.tracking.motion import Reach
+from huepose.tracking.orientation import Facing, Orientation
 from huepose.tracking.subject import Subject
 from huepose.tracking.track import Track
 from huepose.tracking.tracker import Tracker

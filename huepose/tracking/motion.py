@@ -1,16 +1,20 @@
-"""How an object moves: the velocity from its increments, and where it should be next.
+"""How an object moves: the velocity from its increments, where it should be next, and how far it can have
+moved since it was last seen.
 
 A velocity is a twist per second in the order tx ty tz rx ry rz, camera axes, about the object's origin: the
 convention of `se3.perturb`. As in ROFT (Piga et al. 2022) it comes from filtered increments, not from
-differences of single poses.
-"""
+differences of single poses."""
 
 from __future__ import annotations
+
+from dataclasses import dataclass
 
 import numpy as np
 
 from huepose.geometry import se3
 from huepose.geometry.arrays import Float, Float64
+from huepose.judge.open_region import PreparedSurface
+from huepose.tracking.config import TrackerConfig
 
 SMOOTHING_S = 0.03
 """Time constant of the velocity's filter: about one frame, because hands accelerate within few."""
@@ -37,3 +41,82 @@ def predicted(T_cam_obj: Float64, velocity: Float64 | None, seconds: float) -> F
     if velocity is None or seconds > MAX_AHEAD_S:
         return T_cam_obj
     return se3.perturb(T_cam_obj, velocity * seconds)
+
+
+SLACK_M, SLACK_RAD = 0.02, np.radians(10.0)
+MAX_M, MAX_RAD = 0.35, np.pi
+TRUSTED_VELOCITY = 0.5
+"""Factor of the reach if the velocity is known: what remains is the acceleration."""
+
+REFINED_M = 0.012
+"""How far refinement may move a pose out of the reach."""
+
+
+@dataclass(frozen=True, eq=False)
+class Reach:
+    """A region of poses: within `distance_m` of the centre (3,) and within `angle_rad` of any of the
+    rotations."""
+
+    centre_cam: Float64
+    rotations: tuple[Float64, ...]
+    distance_m: float
+    angle_rad: float
+
+    def holds(self, centre_cam: Float64) -> bool:
+        """Whether an object's centre (3,) lies within, or nearly."""
+        return float(np.linalg.norm(centre_cam - self.centre_cam)) < self.distance_m + REFINED_M
+
+
+def most_turned(velocity: Float64 | None, seconds: float, config: TrackerConfig) -> float:
+    """The largest rotation, radians, between an object and its prediction, so long after its last pose."""
+    radians = float(min(SLACK_RAD + config.max_search_rad_s * seconds, MAX_RAD))
+    return radians if velocity is None or seconds > MAX_AHEAD_S else TRUSTED_VELOCITY * radians
+
+
+def reaches(
+    surface: PreparedSurface,
+    T_last: Float64,
+    velocity: Float64 | None,
+    expected: Float64,
+    seconds: float,
+    config: TrackerConfig,
+) -> tuple[Reach, Reach]:
+    """Where an object can be so long after its last pose: if it moved on as it did, to where it is expected,
+    and if it did not."""
+    metres = min(SLACK_M + config.max_search_m_s * seconds, MAX_M)
+    radians = most_turned(None, seconds, config)
+    last, going_on = T_last[:3, :3], expected[:3, :3]
+    middle = 0.5 * (surface.centre_cam(T_last) + surface.centre_cam(expected))
+    rotations = (last,) if expected is T_last else (last, going_on)
+    far = Reach(middle, rotations, metres, radians)
+    if velocity is None or seconds > MAX_AHEAD_S:
+        return far, far
+    near = Reach(
+        surface.centre_cam(expected), (going_on,), TRUSTED_VELOCITY * metres, TRUSTED_VELOCITY * radians
+    )
+    return near, far
+
+
+JUMP, MOST_JUMP = 4.0, 4.0
+"""Log-odds that a pose loses for each reach by which it lies farther off than anything is carried, and the
+most."""
+
+
+def jump_odds(
+    surface: PreparedSurface,
+    T_last: Float64,
+    expected: Float64,
+    T_found: Float64,
+    gone_s: float,
+    config: TrackerConfig,
+) -> float:
+    """What the motion model says of a pose that was not followed but found, 0 or less: nothing within what
+    the search covers in `gone_s` seconds from where the object was last or is expected now."""
+    metres, radians = SLACK_M + config.max_search_m_s * gone_s, SLACK_RAD + config.max_search_rad_s * gone_s
+    nearest = np.inf
+    for T in (expected, T_last):
+        shift = float(np.linalg.norm(surface.centre_cam(T_found) - surface.centre_cam(T)))
+        nearest = min(nearest, max(shift / metres, se3.rotation_angle(T, T_found) / radians))
+        if nearest <= 1.0:
+            return 0.0
+    return -min(MOST_JUMP, JUMP * (nearest - 1.0))

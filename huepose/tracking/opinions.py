@@ -1,4 +1,10 @@
-"""What is believed of each hypothesis of a frame: its log-odds, from the picture, its past and its motion."""
+"""What is believed of each hypothesis of a frame: its log-odds, from the picture, its past and its motion;
+what may be believed of a lost object at the place that looks most like it; and the covariance that is
+published.
+
+A covariance has the order tx ty tz rx ry rz, metres and radians, about the object's origin, camera axes. The
+refinement's information counts residuals as if their errors were independent; those of neighbouring pixels
+are not, and a sensor and a scanned model err alike everywhere, which no number of samples averages away."""
 
 from __future__ import annotations
 
@@ -6,18 +12,20 @@ from collections.abc import Callable
 from dataclasses import replace
 from typing import NamedTuple
 
-from huepose.geometry.arrays import Float64
+import numpy as np
+
+from huepose.believe.logistic import probability
+from huepose.geometry.arrays import Float32, Float64
+from huepose.geometry.camera import depth_noise_m
 from huepose.geometry.frame import RgbdFrame
 from huepose.judge.borders import outline
 from huepose.refine.ends import moved_to_ends
 from huepose.tracking import evidence
 from huepose.tracking.config import TrackerConfig
-from huepose.tracking.hypothesis import POINTS, Hypothesis
-from huepose.tracking.motion import filtered, increment_velocity, predicted
-from huepose.tracking.reach import jump_odds
-from huepose.tracking.step import Advance, Anchor, unmoved
+from huepose.tracking.hypothesis import POINTS, Hypothesis, distinct
+from huepose.tracking.motion import Reach, filtered, increment_velocity, jump_odds, predicted
+from huepose.tracking.step import Advance, Anchor, best_of, found_at, unmoved
 from huepose.tracking.subject import Subject
-from huepose.tracking.uncertainty import covariance, spread_m
 
 LOOSE = 0.012
 """Expected pose error, as a share of the diameter, above which the texture does not fix the pose; textured
@@ -105,3 +113,61 @@ def uncertainty(subject: Subject, h: Hypothesis) -> tuple[Float64, float]:
     surface, T = subject.surface, h.T_cam_obj
     known = covariance(h.information, float(surface.centre_cam(T)[2]))
     return known, spread_m(known, T, surface.arrays.points[:POINTS]) / surface.diameter_m
+
+
+def found_again(
+    subject: Subject,
+    seen: Hypothesis,
+    gone_s: float,
+    frame: RgbdFrame,
+    light: Float64 | None,
+    baseline: float | None,
+    place: Reach,
+    config: TrackerConfig,
+) -> tuple[Hypothesis, ...]:
+    """Hypotheses, best first, of an object that was `seen` last `gone_s` seconds ago; none where it does not
+    seem to be. They are all of one place: which way round it is there need not be known."""
+    surface = subject.surface
+    found = []
+    for T in found_at(subject, frame, place, light):
+        h = best_of(surface, frame, [(T, "views")], light, 0)
+        goes_on = outline(subject.contours, h.T_cam_obj, frame).goes_on
+        jump = jump_odds(surface, seen.T_cam_obj, seen.T_cam_obj, h.T_cam_obj, gone_s, config)
+        odds = evidence.log_odds(h.terms, baseline, 0.0, goes_on, light, jump)
+        found.append(replace(h, log_odds=odds, goes_on=goes_on))
+    opinions = distinct(surface, found)
+    if not opinions or evidence.one_sense(opinions[0].terms):
+        return ()
+    return opinions if probability(opinions[0].log_odds) >= config.suspect_quality else ()
+
+
+RESIDUALS_PER_READING = 12.0
+"""This many residuals are worth one independent one."""
+
+FLOOR_SIGMA = np.array([0.0003, 0.0003, 0.0005, 0.004, 0.004, 0.004])
+BIAS_SHARE = 0.15
+"""Of the depth sensor's noise: what its errors have in common over an object."""
+
+WEAK_SIGMA = np.array([0.05, 0.05, 0.05, 0.5, 0.5, 0.5])
+"""What is known even where nothing was measured: the object was tracked a moment ago."""
+
+_WEAK = np.diag(1.0 / WEAK_SIGMA**2)
+
+
+def covariance(information: Float64, distance_m: float) -> Float64:
+    """Covariance (6, 6) of a refined pose at that distance."""
+    out = np.linalg.inv(information / RESIDUALS_PER_READING + _WEAK)
+    bias = BIAS_SHARE * depth_noise_m(distance_m)
+    out.flat[::7] += FLOOR_SIGMA**2 + np.array([0.0, 0.0, bias**2, 0.0, 0.0, 0.0])
+    return np.asarray(out)
+
+
+def spread_m(covariance: Float64, T_cam_obj: Float64, points_obj: Float32) -> float:
+    """By how much the object's points (N, 3) lie off, RMS, if the pose errs as that covariance says."""
+    # A point p moves by t + r x p: its mean square needs the mean and the second moments of the points only.
+    points = points_obj.astype(np.float64) @ T_cam_obj[:3, :3].T
+    mean, second = points.mean(axis=0), points.T @ points / len(points)
+    moved, mixed, turned = covariance[:3, :3], covariance[:3, 3:], covariance[3:, 3:]
+    curl = np.array([mixed[1, 2] - mixed[2, 1], mixed[2, 0] - mixed[0, 2], mixed[0, 1] - mixed[1, 0]])
+    square = np.trace(moved) + 2.0 * mean @ curl + np.trace(turned) * np.trace(second)
+    return float(np.sqrt(square - (turned * second).sum()))

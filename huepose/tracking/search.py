@@ -20,14 +20,13 @@ from huepose.geometry.arrays import Float32, Float64
 from huepose.geometry.box import Box
 from huepose.geometry.camera import NEAR_M
 from huepose.geometry.frame import RgbdFrame
-from huepose.judge.open_region import OpenRegion, open_region
+from huepose.judge.open_region import OpenRegion, PreparedSurface, open_region, totals
 from huepose.judge.region import RegionArrays
-from huepose.judge.surface import PreparedSurface, totals
 from huepose.judge.terms import score_arrays
 from huepose.propose.hue_map import averaged, hue_map
 from huepose.refine.photometric import COARSE, FINE, QUICK, refine, refine_all
 from huepose.select.distinct import first_different
-from huepose.tracking.reach import Reach
+from huepose.tracking.motion import Reach
 
 POSITION_SAMPLES, ROTATION_SAMPLES, POSE_SAMPLES = 60, 100, 250
 """Surface samples by which positions, rotations and refined poses are rated: the fewer are left, the more."""

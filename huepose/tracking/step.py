@@ -15,9 +15,8 @@ from huepose.geometry.arrays import Bool, Float64
 from huepose.geometry.box import Box
 from huepose.geometry.camera import NEAR_M
 from huepose.geometry.frame import RgbdFrame
-from huepose.judge.open_region import OpenRegion, open_region
+from huepose.judge.open_region import SAMPLES, OpenRegion, PreparedSurface, look, open_region, totals
 from huepose.judge.silhouette import visible_within
-from huepose.judge.surface import SAMPLES, PreparedSurface, look, totals
 from huepose.judge.terms import NOTHING, score_arrays
 from huepose.propose import flow as optical_flow
 from huepose.propose.correspondences import match
@@ -26,8 +25,7 @@ from huepose.refine.photometric import FINE, refine
 from huepose.tracking.config import TrackerConfig
 from huepose.tracking.elsewhere import likeliest_place
 from huepose.tracking.hypothesis import Hypothesis
-from huepose.tracking.motion import predicted
-from huepose.tracking.reach import Reach, reaches
+from huepose.tracking.motion import Reach, predicted, reaches
 from huepose.tracking.search import (
     GREAT_EFFORT,
     NORMAL_EFFORT,

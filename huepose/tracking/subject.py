@@ -11,7 +11,7 @@ from huepose.geometry import se3
 from huepose.geometry.arrays import Float64
 from huepose.geometry.mesh import Mesh
 from huepose.judge.borders import Contours
-from huepose.judge.surface import PreparedSurface
+from huepose.judge.open_region import PreparedSurface
 from huepose.model.types import ReferenceModel
 from huepose.perception.window_table import WindowTable, window_table
 from huepose.select.distinct import RIGHT

@@ -16,15 +16,12 @@ from huepose.propose.relative_pose import RelativePose
 from huepose.tracking import evidence
 from huepose.tracking.config import TrackerConfig
 from huepose.tracking.elsewhere import PARTS, likeliest_place
-from huepose.tracking.evidence import Standing, next_standing
+from huepose.tracking.evidence import Identity, Standing, next_standing, turned_over
 from huepose.tracking.history import PoseHistory
 from huepose.tracking.hypothesis import Hypothesis, distinct, share_of_first
-from huepose.tracking.identity import Identity, turned_over
-from huepose.tracking.lost import found_again
-from huepose.tracking.motion import predicted
-from huepose.tracking.opinions import opinions, uncertainty
+from huepose.tracking.motion import Reach, predicted
+from huepose.tracking.opinions import found_again, opinions, uncertainty
 from huepose.tracking.orientation import LOOKED_FOR, Orientation
-from huepose.tracking.reach import Reach
 from huepose.tracking.step import END, FLOW, Advance, Anchor, advance, found_nearby, unmoved
 from huepose.tracking.subject import Subject
 from huepose.tracking.types import Doubt, State, TrackedPose

@@ -7,8 +7,8 @@ from collections.abc import Mapping
 import numpy as np
 
 from huepose.geometry.frame import RgbdFrame
+from huepose.judge.open_region import PreparedSurface
 from huepose.judge.silhouette import silhouette_iou
-from huepose.judge.surface import PreparedSurface
 from huepose.model.types import ReferenceModel
 from huepose.propose.relative_pose import RelativePose
 from huepose.support.errors import InputError

@@ -21,8 +21,7 @@ from torch.utils.data import DataLoader
 
 from huepose.drawing.plots import line_plot
 from huepose.geometry import icosphere
-from huepose.propose.template_table import view_rotations
-from huepose.propose.templates import SPAN
+from huepose.propose.templates import SPAN, view_rotations
 from huepose.propose.view_pictures import CHANNELS, NEAR, ROLLS, SIDE, UNTURNED
 from huepose.propose.view_pictures import LEVEL as VIEW_LEVEL
 from huepose.support.files import write_picture

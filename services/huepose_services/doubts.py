@@ -16,7 +16,7 @@ from huepose.geometry import RgbdFrame
 from huepose.geometry.arrays import Float64
 from huepose.geometry.camera import depth_noise_m
 from huepose.geometry.picture_faults import dark, readings, why_nothing_is_found
-from huepose.judge.surface import PreparedSurface
+from huepose.judge.open_region import PreparedSurface
 from huepose.tracking.types import Doubt, TrackedPose
 
 NOT_FOUND = "It is not where it was, and was not found elsewhere yet."

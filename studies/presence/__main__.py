@@ -16,7 +16,7 @@ from pathlib import Path
 
 import numpy as np
 
-from huepose.believe.fits import write_fit
+from huepose.believe.logistic import write_fit
 from huepose.believe.presence import presence_fit
 from huepose.evaluation.summary import table
 from studies.presence.fit import FRAMES, chances, draw, fit_presence, seen_in

@@ -40,8 +40,7 @@ from huepose.perception.colorpair_detector import ColorPairDetector
 from huepose.perception.config import DetectorConfig
 from huepose.perception.presence import alike, outlined, sight
 from huepose.perception.types import Detector
-from huepose.scenes.rendered import PILES, SceneRanges
-from huepose.scenes.rendered_set import write_rendered_set
+from huepose.scenes.rendered import PILES, SceneRanges, write_rendered_set
 from huepose.support.progress import progress
 from studies.likelihood import logistic
 

@@ -21,14 +21,14 @@ from typing import Any
 
 import numpy as np
 
-from huepose.believe.fits import fitted, write_fit
+from huepose.believe.logistic import fitted, write_fit
 from huepose.datasets.bop import BopScene
 from huepose.drawing.plots import beside, reliability_plot
 from huepose.evaluation.calibration import Judged, read_judged, worth
 from huepose.evaluation.summary import table
 from huepose.geometry.arrays import Bool
 from huepose.geometry.mesh import Mesh
-from huepose.scenes.rendered_set import write_rendered_set
+from huepose.scenes.rendered import write_rendered_set
 from huepose.scenes.shapes import demo_objects
 from huepose.support.files import write_picture
 from huepose_services.cli.evaluate_calibration import worth_row

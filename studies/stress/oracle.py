@@ -8,7 +8,7 @@ from huepose.datasets.types import VISIBLE
 from huepose.estimation.types import PoseEstimate
 from huepose.geometry import se3
 from huepose.model import ReferenceModel
-from huepose.reinit.association import displacement_m
+from huepose.reinit.judge import displacement_m
 from huepose.reinit.types import ObjectSlot, Request, RequestedObject
 from studies.stress.films import Seen
 

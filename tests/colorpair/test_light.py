@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from huepose.colorpair.light import cube_roots, lab_of, relit
+from huepose.paper.extended.light import cube_roots, lab_of, relit
 
 
 def test_round_trips() -> None:

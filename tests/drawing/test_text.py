@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from huepose.drawing.text import LINE_PX, MARGIN_PX, PAPER, paragraph
+from huepose.drawing.canvas import LINE_PX, MARGIN_PX, PAPER, paragraph
 
 
 def test_text_is_broken_into_lines_that_fit() -> None:

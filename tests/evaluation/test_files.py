@@ -9,11 +9,13 @@ import numpy as np
 import pytest
 
 from huepose.datasets.ycb_objects import T_posecnn_obj
-from huepose.evaluation.bop_csv import BopResult, read_bop_csv, write_bop_csv
 from huepose.evaluation.pose_files import (
+    BopResult,
+    read_bop_csv,
     read_dope_poses,
     read_pose_csv,
     read_pose_rows,
+    write_bop_csv,
 )
 from huepose.evaluation.result_files import plain, write_json
 from huepose.evaluation.targets import read_equivalents

@@ -11,7 +11,7 @@ from huepose.geometry import Box, Camera, Mesh, RgbdFrame, se3
 from huepose.geometry.arrays import Float64
 from huepose.geometry.camera import depth_noise_m
 from huepose.onboarding.from_video import Learned, Selection, learn
-from huepose.onboarding.from_video.loops import Edge, relaxed
+from huepose.onboarding.from_video.registration import Edge, relaxed
 from huepose.onboarding.from_video.selection import first_mask
 from huepose.onboarding.from_video.views import View, votes
 from huepose.rendering import render

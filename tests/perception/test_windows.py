@@ -10,8 +10,7 @@ import pytest
 from huepose.geometry import RgbdFrame
 from huepose.model import ReferenceModel
 from huepose.perception.clear_view import ClearView, clear_view
-from huepose.perception.window_look import APART, compared, narrowed, promising
-from huepose.perception.window_table import window_table
+from huepose.perception.window_table import APART, compared, narrowed, promising, window_table
 from huepose.perception.windows import SIZES, SPACING, Windows, WindowsBySize
 from huepose.support.stages import listening
 

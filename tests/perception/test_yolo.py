@@ -4,10 +4,8 @@ import numpy as np
 import pytest
 
 from huepose.geometry import Camera, RgbdFrame
-from huepose.perception.letterbox import Letterbox, suppress_overlaps
 from huepose.perception.sessions import open_network
-from huepose.perception.yolo import YoloDetector
-from huepose.perception.yolo_layouts import layouts_of, places
+from huepose.perception.yolo import Letterbox, YoloDetector, layouts_of, places, suppress_overlaps
 from huepose.support.errors import InputError
 from tests.perception import networks
 

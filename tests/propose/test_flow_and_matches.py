@@ -8,10 +8,8 @@ import pytest
 
 from huepose.geometry import Box, Camera, RgbdFrame, se3
 from huepose.propose import flow as optical_flow
-from huepose.propose.correspondences import match
-from huepose.propose.lifting import lift
-from huepose.propose.mask_propagation import propagate
-from huepose.propose.relative_pose import LiftedMatches, RobustKabsch, lift_matches
+from huepose.propose.correspondences import match, propagate
+from huepose.propose.relative_pose import LiftedMatches, RobustKabsch, lift, lift_matches
 
 ALL = Box(0, 0, 200, 160)
 

@@ -22,7 +22,7 @@ from huepose.propose.quick_look import (
     RELIEF_SIGMA,
     quick_look,
 )
-from huepose.propose.template_table import TemplateTable, build_table
+from huepose.propose.templates import TemplateTable, build_table
 from huepose.propose.views import _centroid, retrieve
 from huepose.rendering.render import render_depth
 

@@ -7,7 +7,7 @@ import pytest
 
 from huepose.geometry import Camera, RgbdFrame, se3
 from huepose.judge.borders import Contours
-from huepose.judge.surface import PreparedSurface
+from huepose.judge.open_region import PreparedSurface
 from huepose.model import ReferenceModel
 from huepose.refine.ends import moved_to_ends
 from huepose.rendering import render

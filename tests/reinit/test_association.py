@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from huepose.geometry import se3
-from huepose.reinit.association import assign, displacement_m
+from huepose.reinit.judge import assign, displacement_m
 from huepose.reinit.types import ObjectSlot, Prior
 
 SLOT = ObjectSlot("mug", 3, 0.2)

@@ -9,8 +9,7 @@ from huepose.datasets.bop_writer import write_models_folder
 from huepose.geometry import Camera, se3
 from huepose.rendering import render, render_depth
 from huepose.scenes.frame import silhouette
-from huepose.scenes.rendered import SceneRanges, rendered_frame
-from huepose.scenes.rendered_set import write_rendered_set
+from huepose.scenes.rendered import SceneRanges, rendered_frame, write_rendered_set
 from huepose.scenes.shapes import demo_objects
 from huepose.support.errors import InputError
 

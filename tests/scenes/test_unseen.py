@@ -12,8 +12,7 @@ from huepose.rendering.textures import covered_texels
 from huepose.scenes.rendered import LARGEST_M
 from huepose.scenes.shapes import demo_objects, printed
 from huepose.scenes.unseen.data_set import unseen_set
-from huepose.scenes.unseen.lofts import SEGMENTS, arc, loft
-from huepose.scenes.unseen.objects import unseen_objects
+from huepose.scenes.unseen.objects import SEGMENTS, arc, loft, unseen_objects
 from huepose.scenes.unseen.prints import coat, scheme
 
 FAMILY = unseen_objects(0)

@@ -12,7 +12,7 @@ import cv2
 import numpy as np
 import pytest
 
-from huepose.evaluation.bop_csv import read_bop_csv
+from huepose.evaluation.pose_files import read_bop_csv
 from huepose.geometry import RgbdFrame, se3
 from huepose.model import save_model
 from huepose_services.cli import pose_tables

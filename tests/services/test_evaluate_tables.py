@@ -11,7 +11,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from huepose.evaluation.bop_csv import read_bop_csv
+from huepose.evaluation.pose_files import read_bop_csv
 from huepose.evaluation.tables.table import Table
 from huepose.scenes.unseen.objects import unseen_objects
 from huepose.support.errors import InputError

@@ -8,13 +8,13 @@ import numpy as np
 import pytest
 
 from huepose.geometry import se3
-from huepose.judge.surface import PreparedSurface
+from huepose.judge.open_region import PreparedSurface
 from huepose.judge.terms import NOTHING
 from huepose.tracking import Correction, State, Tracker, TrackerConfig
 from huepose.tracking.evidence import ONE_SENSE, vouched
 from huepose.tracking.hypothesis import Hypothesis, distinct, same_pose, share_of_first
-from huepose.tracking.reach import jump_odds
-from huepose.tracking.uncertainty import spread_m
+from huepose.tracking.motion import jump_odds
+from huepose.tracking.opinions import spread_m
 
 FLIP = se3.make(np.diag([-1.0, -1.0, 1.0]), np.zeros(3))
 FRAME_S = 1.0 / 30.0

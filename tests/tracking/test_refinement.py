@@ -8,8 +8,7 @@ import numpy as np
 import pytest
 
 from huepose.geometry import Box, RgbdFrame, se3
-from huepose.judge.open_region import OpenRegion, open_region, window
-from huepose.judge.surface import PreparedSurface, totals
+from huepose.judge.open_region import OpenRegion, PreparedSurface, open_region, totals, window
 from huepose.judge.terms import NOTHING, Terms, score_arrays
 from huepose.model.types import ReferenceModel
 from huepose.propose.relative_pose import RobustKabsch
@@ -17,7 +16,7 @@ from huepose.refine.photometric import FULL, QUICK, refine, refine_all
 from huepose.select.distinct import first_different
 from huepose.tracking.config import TrackerConfig
 from huepose.tracking.hypothesis import Hypothesis
-from huepose.tracking.reach import Reach
+from huepose.tracking.motion import Reach
 from huepose.tracking.search import search
 from huepose.tracking.step import Anchor, advance, best_of, flow_start
 from huepose.tracking.subject import Subject

@@ -8,7 +8,7 @@ import pytest
 from huepose.evaluation import metrics
 from huepose.geometry import Camera, Mesh, RgbdFrame, se3
 from huepose.judge.borders import Contours, outline
-from huepose.judge.surface import PreparedSurface
+from huepose.judge.open_region import PreparedSurface
 from huepose.model import ReferenceModel
 from huepose.onboarding import onboard_mesh
 from huepose.rendering import render
@@ -17,8 +17,16 @@ from huepose.select.distinct import RIGHT
 from huepose.tracking import Correction, State, Tracker
 from huepose.tracking.config import TrackerConfig
 from huepose.tracking.hypothesis import Hypothesis
-from huepose.tracking.orientation import Orientation
-from huepose.tracking.rival import NEW_VIEW, SETTLED, SHARPNESS, Facing, alike, best_rival, reached
+from huepose.tracking.orientation import (
+    NEW_VIEW,
+    SETTLED,
+    SHARPNESS,
+    Facing,
+    Orientation,
+    alike,
+    best_rival,
+    reached,
+)
 from huepose.tracking.step import best_of
 from huepose.tracking.subject import Subject
 from huepose.tracking.types import Doubt

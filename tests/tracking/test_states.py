@@ -10,12 +10,13 @@ import pytest
 from huepose.believe.logistic import probability
 from huepose.geometry import Camera, se3
 from huepose.geometry.uncertainty import grown
+from huepose.judge.open_region import PreparedSurface
 from huepose.judge.silhouette import silhouette_iou, visible_within
-from huepose.judge.surface import PreparedSurface
 from huepose.judge.terms import NOTHING, Terms
 from huepose.tracking import State, TrackerConfig
 from huepose.tracking.competition import Claim, losers
 from huepose.tracking.evidence import (
+    Identity,
     Standing,
     baseline_after,
     bounded,
@@ -26,8 +27,7 @@ from huepose.tracking.evidence import (
     one_sense,
     scarce,
 )
-from huepose.tracking.identity import Identity
-from huepose.tracking.uncertainty import covariance
+from huepose.tracking.opinions import covariance
 
 GOOD = Terms(
     total=1.5, depth_fit=0.85, coverage=0.0, violation=0.0, color=0.7, occluded=0.0, seen=0.9, box_iou=0.0,

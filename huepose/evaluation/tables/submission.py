@@ -8,7 +8,7 @@ from pathlib import Path
 
 from huepose.datasets.bop_detections import BopDetection, BopDetections
 from huepose.estimation.types import ObjectQuery, PoseEstimate, PosePrior
-from huepose.evaluation.bop_csv import read_bop_csv
+from huepose.evaluation.pose_files import read_bop_csv
 from huepose.geometry.frame import RgbdFrame
 from huepose.support.errors import InputError
 

@@ -13,15 +13,15 @@ from huepose.geometry.arrays import Bool, Float64
 from huepose.geometry.frame import RgbdFrame
 from huepose.geometry.icosphere import directions
 from huepose.geometry.mesh import Mesh
-from huepose.judge.surface import PreparedSurface
-from huepose.onboarding.from_video.fusion import FEW_CELLS, Fused, fused
-from huepose.onboarding.from_video.loops import Edge, relaxed
+from huepose.judge.open_region import PreparedSurface
+from huepose.onboarding.from_video.fusion import FEW_CELLS, Fused, fused, painted
 from huepose.onboarding.from_video.masks import cut, object_mask, view_at, window_of
-from huepose.onboarding.from_video.paint import painted
 from huepose.onboarding.from_video.registration import (
+    Edge,
     Registered,
     followed,
     registered,
+    relaxed,
     surface_of,
     turned_about,
 )

@@ -1,9 +1,11 @@
-"""Register a frame with the fused views: start from optical flow, then refine on depth and colour."""
+"""Register a frame with the fused views: start from optical flow, then refine on depth and colour. And close
+loops: views that were passed before spread the error over the path, by Open3D's pose graph."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
@@ -11,16 +13,14 @@ from huepose.geometry import se3
 from huepose.geometry.arrays import Bool, Float32, Float64
 from huepose.geometry.box import Box
 from huepose.geometry.frame import RgbdFrame
-from huepose.judge.open_region import open_region
+from huepose.judge.open_region import PreparedSurface, look, open_region
 from huepose.judge.region import ModelArrays
-from huepose.judge.surface import PreparedSurface, look
 from huepose.judge.terms import Terms
 from huepose.onboarding.from_video.fusion import Fused
 from huepose.onboarding.from_video.sight import seen_more_squarely
 from huepose.onboarding.from_video.views import View
 from huepose.propose import flow
-from huepose.propose.lifting import lift
-from huepose.propose.relative_pose import LiftedMatches, RobustKabsch
+from huepose.propose.relative_pose import LiftedMatches, RobustKabsch, lift
 from huepose.refine.photometric import COARSE, FULL, refine
 
 SAMPLES = 3000
@@ -144,3 +144,45 @@ def followed(last: RgbdFrame, mask: Bool, T_cam_obj: Float64, frame: RgbdFrame) 
     matches = LiftedMatches(a[k], b[k], pixels[k], (pixels + by)[k], np.ones(int(k.sum())))
     motion = RobustKabsch().estimate(matches)
     return None if motion is None else motion.T_b_a @ T_cam_obj
+
+
+SIGMA_M = 0.0015
+"""Error of a registration of two views, at the object's rim; the same for all, so that only outliers of
+several times as much are told apart by it."""
+
+
+class Edge(NamedTuple):
+    """T_b_a (4, 4): camera axes of view a to those of view b, as registered; loop: it closes a turn."""
+
+    a: int
+    b: int
+    T_b_a: Float64
+    loop: bool
+
+
+def relaxed(views: Sequence[View], edges: Sequence[Edge], radius_m: float) -> list[View]:
+    """Views at the optimised poses; loop edges that contradict the others are dropped."""
+    import open3d as o3d
+
+    registration = o3d.pipelines.registration
+    # About the object's centre and not the camera's, so that turns and shifts have one unit.
+    T_cam_centre = [se3.make(np.eye(3), view.T_cam_obj[:3, 3]) for view in views]
+    graph = registration.PoseGraph()
+    for view, T in zip(views, T_cam_centre, strict=True):
+        graph.nodes.append(registration.PoseGraphNode(se3.inverse(view.T_cam_obj) @ T))
+    information = np.diag([radius_m**2] * 3 + [1.0] * 3) / SIGMA_M**2
+    for edge in edges:
+        T = se3.inverse(T_cam_centre[edge.b]) @ edge.T_b_a @ T_cam_centre[edge.a]
+        graph.edges.append(registration.PoseGraphEdge(edge.a, edge.b, T, information, uncertain=edge.loop))
+    registration.global_optimization(
+        graph,
+        registration.GlobalOptimizationLevenbergMarquardt(),
+        registration.GlobalOptimizationConvergenceCriteria(),
+        registration.GlobalOptimizationOption(
+            max_correspondence_distance=5 * SIGMA_M, edge_prune_threshold=0.25, reference_node=0
+        ),
+    )
+    return [
+        view.at(se3.orthonormalised(T @ se3.inverse(node.pose)))
+        for view, T, node in zip(views, T_cam_centre, graph.nodes, strict=True)
+    ]

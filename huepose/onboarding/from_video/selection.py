@@ -11,7 +11,7 @@ from huepose.geometry.arrays import Bool, Float64
 from huepose.geometry.box import Box
 from huepose.geometry.frame import RgbdFrame
 from huepose.onboarding.from_video.views import tolerance_m
-from huepose.propose.lifting import EDGE_M, EDGE_SHARE
+from huepose.propose.relative_pose import EDGE_M, EDGE_SHARE
 from huepose.support.errors import InputError
 
 REACH_M = 0.5

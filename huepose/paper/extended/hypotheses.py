@@ -14,16 +14,14 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from huepose.colorpair.lifting import lift
-from huepose.colorpair.light import relit
 from huepose.colorpair.types import ColorPairs, SurfacePairs
 from huepose.geometry.arrays import Bool, Float64
 from huepose.geometry.frame import RgbdFrame
-from huepose.model.pairs import reference_pairs
-from huepose.model.types import ReferenceModel
+from huepose.model.types import ReferenceModel, reference_pairs
 from huepose.paper.classes import ClassConfig
 from huepose.paper.cloud import ClassifiedCloud
 from huepose.paper.extended.frames import FrameConfig, frame_votes
-from huepose.paper.extended.light import LightConfig, lights_of
+from huepose.paper.extended.light import LightConfig, lights_of, relit
 from huepose.paper.extended.plausible import plausible
 from huepose.paper.ppf import PpfConfig
 from huepose.paper.scene import (
@@ -54,7 +52,7 @@ class HypothesesConfig:
 
 @dataclass(frozen=True, eq=False)
 class Reading:
-    """The scene's pairs read under one light. light (3,): gains (see `colorpair.light`); share: of the
+    """The scene's pairs read under one light. light (3,): gains (see `paper.extended.light`); share: of the
     pairs that it explains, 0..1; pairs: on the surface, camera axes, colours as under the model's light;
     cloud: their two sides, classified."""
 

@@ -1,10 +1,15 @@
 """Under which light would the scene's colour pairs be pairs of the model?
 
 Without a pose nobody knows which scene pair is which model pair, but the whole set of scene pairs must look
-like some of the model's. So the gains of the light (see `colorpair.light`) are searched on a coarse grid
+like some of the model's. So the gains of the light are searched on a coarse grid
 and refined by iterated matching, for the largest share of scene pairs that have a like model pair. More
 than one light can explain a set: the best few different ones are returned, and poses found under them are
 judged later.
+
+Light is three gains. Exposure and the colour of the light multiply XYZ, each channel by its own factor, in
+good approximation. CIELAB is linear in the cube roots of XYZ (but for the darkest colours), so light
+multiplies those cube roots too, by the cube roots of the factors: the `gain` here. It is estimated on cube
+roots and applied to them.
 """
 
 from __future__ import annotations
@@ -13,9 +18,30 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from huepose.colorpair.light import cube_roots
-from huepose.geometry.arrays import Float32, Float64
+from huepose.geometry.arrays import Float, Float32, Float64
 from huepose.support.jit import jit
+
+
+def cube_roots(lab: Float) -> Float64:
+    """Cube roots of relative X, Y, Z (..., 3), white = 1, of CIELAB colours (..., 3)."""
+    c = np.asarray(lab, np.float64)
+    y = (c[..., 0] + 16.0) / 116.0
+    return np.stack([y + c[..., 1] / 500.0, y, y - c[..., 2] / 200.0], -1)
+
+
+def lab_of(roots: Float) -> Float32:
+    """CIELAB (..., 3) float32 of cube roots of X, Y, Z (..., 3); inverse of `cube_roots`."""
+    r = np.asarray(roots, np.float64)
+    x, y, z = r[..., 0], r[..., 1], r[..., 2]
+    return np.stack([116.0 * y - 16.0, 500.0 * (x - y), 200.0 * (y - z)], -1).astype(np.float32)
+
+
+def relit(lab: Float, gain: Float) -> Float32:
+    """Colours (..., 3) CIELAB under a light that is `gain` (3,) times as strong (in cube roots of X, Y, Z).
+
+    `relit(relit(c, g), 1 / g)` is `c`.
+    """
+    return lab_of(cube_roots(lab) * np.asarray(gain, np.float64))
 
 
 @dataclass(frozen=True)

@@ -187,7 +187,7 @@ def _answer(
 def _doubted(frame: RgbdFrame, model: ReferenceModel, answer: PoseEstimate, method: Method) -> PoseEstimate:
     """An answer that says why it is `SUSPECT`, where it is."""
     from huepose.estimation.reasons import NO_PROBABILITY, turned_as_well
-    from huepose.judge.surface import PreparedSurface
+    from huepose.judge.open_region import PreparedSurface
     from huepose.tracking.types import Doubt
     from huepose_services.doubts import why_doubted
 

@@ -10,11 +10,11 @@ from huepose.datasets.bop_detections import BopDetections, read_detections
 from huepose.datasets.types import Sample
 from huepose.estimation import Estimator
 from huepose.estimation.present import presence_by
-from huepose.evaluation.bop_csv import BopResult, write_bop_csv
 from huepose.evaluation.estimate_protocol import EstimateOptions, evaluate_estimates
 from huepose.evaluation.estimate_rows import EstimateResult, EstimateRow
 from huepose.evaluation.failures import FailureFolder
 from huepose.evaluation.pictures import PictureFolder
+from huepose.evaluation.pose_files import BopResult, write_bop_csv
 from huepose.evaluation.result_files import origin, write_json
 from huepose.evaluation.targets import Targets, read_equivalents
 from huepose.model import load_models

@@ -12,7 +12,7 @@ import numpy as np
 from huepose.datasets.fast_ycb import labelled_sequences, object_of
 from huepose.datasets.ycbv_folder import YcbvFolder, open_ycbv
 from huepose.evaluation.ablation_rows import AblationResult
-from huepose.evaluation.bop_csv import BopResult, write_bop_csv
+from huepose.evaluation.pose_files import BopResult, write_bop_csv
 from huepose.evaluation.result_files import origin, write_json
 from huepose.evaluation.tables.assemble import single_frame_tables
 from huepose.evaluation.tables.assemble_tracks import tracking_tables

@@ -9,9 +9,9 @@ from pathlib import Path
 
 import numpy as np
 
+from huepose.drawing.canvas import paragraph
 from huepose.drawing.contact_sheet import contact_sheet
 from huepose.drawing.overlay import Body, draw_poses
-from huepose.drawing.text import paragraph
 from huepose.estimation import PoseEstimate
 from huepose.estimation.explanation import Explanation
 from huepose.estimation.panels import LEGEND, Panels
@@ -21,7 +21,7 @@ from huepose.geometry.arrays import Bool, Float64, UInt8
 from huepose.judge.terms import score
 from huepose.model import ReferenceModel
 from huepose.propose.config import RetrievalConfig
-from huepose.propose.template_table import table_of
+from huepose.propose.templates import table_of
 from huepose.propose.views import retrieve
 from huepose.rendering.render import render
 from huepose.select.near_ties import TERMS

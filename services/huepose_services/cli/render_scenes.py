@@ -43,8 +43,7 @@ def call(arguments: argparse.Namespace) -> int:
     """Read the meshes, draw, say what is there."""
     from huepose.datasets.bop import BopScene
     from huepose.datasets.bop_writer import write_models_folder
-    from huepose.scenes.rendered import PILES, SceneRanges
-    from huepose.scenes.rendered_set import write_rendered_set
+    from huepose.scenes.rendered import PILES, SceneRanges, write_rendered_set
     from huepose.scenes.shapes import demo_objects
     from huepose.support.errors import InputError
     from huepose.support.words import counted

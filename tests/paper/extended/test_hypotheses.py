@@ -10,8 +10,7 @@ import pytest
 
 from huepose.colorpair.types import ColorPairs
 from huepose.geometry import RgbdFrame, se3
-from huepose.model.pairs import reference_pairs
-from huepose.model.types import ReferenceModel
+from huepose.model.types import ReferenceModel, reference_pairs
 from huepose.paper.cloud import ClassifiedCloud
 from huepose.paper.extended import hypotheses
 from huepose.paper.extended.hypotheses import HypothesesConfig, hypotheses_of, read_scene

@@ -7,8 +7,7 @@ from itertools import pairwise
 import numpy as np
 import pytest
 
-from huepose.colorpair.light import relit
-from huepose.paper.extended.light import lights_of
+from huepose.paper.extended.light import lights_of, relit
 
 
 def textures(seed: int) -> np.ndarray:

@@ -63,7 +63,6 @@ class Region:
     bounds (4,): left, top, right, bottom of the box in the crop.
     tolerance_m: largest difference of depth and surface that counts as agreement; median_depth_m: of the
     mask.
-    light (3,): offset that the light adds to opponents, where known.
     """
 
     crop: Crop
@@ -76,7 +75,6 @@ class Region:
     bounds: Float64
     tolerance_m: float
     median_depth_m: float
-    light: Float64 | None = None
 
 
 def prepare_crop(frame: RgbdFrame, window: Box) -> Crop:
@@ -276,7 +274,7 @@ class RegionArrays(NamedTuple):
     blind: float
 
 
-_DARK = np.zeros(3)
+_NO_LIGHT = np.zeros(3)
 
 
 @once_for_each
@@ -326,8 +324,8 @@ def region_arrays(region: Region) -> RegionArrays:
         region.bounds,
         region.tolerance_m,
         0,
-        _DARK if region.light is None else region.light,
-        region.light is not None,
+        _NO_LIGHT,
+        False,
         0.0,
     )
 

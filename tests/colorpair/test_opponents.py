@@ -5,7 +5,7 @@ from __future__ import annotations
 import cv2
 import numpy as np
 
-from huepose.colorpair.opponents import DARKEST, SCALE, linear_rgb, opponents, opponents_of_lab
+from huepose.colorpair.opponents import DARKEST, LINEAR, SCALE, opponents, opponents_of_lab
 
 
 def test_a_coloured_light_adds_constants() -> None:
@@ -30,7 +30,7 @@ def test_shading_changes_lightness_alone() -> None:
 def test_bytes_and_lab_of_the_same_colour_agree() -> None:
     color = np.random.default_rng(1).integers(40, 256, (1, 300, 3), dtype=np.uint8)
     lab = cv2.cvtColor(color.astype(np.float32) / 255, cv2.COLOR_RGB2Lab)
-    assert np.abs(opponents(linear_rgb(color)) - opponents_of_lab(lab)).max() < 0.3
+    assert np.abs(opponents(LINEAR[color]) - opponents_of_lab(lab)).max() < 0.3
 
 
 def test_black_is_finite() -> None:

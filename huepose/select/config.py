@@ -15,8 +15,8 @@ class NearTieWeights:
     detail, broad: how well fine and broader texture explain the same pixels.
     pairs: agreement of the colour pairs.
 
-    Fitted (`studies.near_ties --fit`) on drawn heaps, path-traced piles and real frames, some of them those
-    of docs/accuracy.md, to the largest likelihood that the right pose wins (softmax of the weighted sums).
+    Fitted on drawn heaps, path-traced piles and real frames, some of them those of docs/accuracy.md, to the
+    largest likelihood that the right pose wins (softmax of the weighted sums).
     Fitted on drawn frames alone they lose 3.4 points of ADD on path-traced piles.
     """
 

@@ -73,8 +73,8 @@ def fitted(question: Question) -> Mapping[str, Any]:
     return dict(_entries()[question]["fit"])
 
 
-def write_fit(question: Question, fit: Mapping[str, Any], path: Path = PATH) -> None:
+def write_fit(question: Question, fit: Mapping[str, Any]) -> None:
     """Put a fit in the package; where it comes from stays as written. For the commands of `studies`."""
-    entries = json.loads(path.read_text())
+    entries = json.loads(PATH.read_text())
     entries[question]["fit"] = fit
-    path.write_text(json.dumps(entries, indent=1) + "\n")
+    PATH.write_text(json.dumps(entries, indent=1) + "\n")

@@ -27,8 +27,7 @@ from huepose.judge.region import ModelArrays, nearest_view
 from huepose.model.types import ReferenceModel
 from huepose.rendering.render import render_depth
 from huepose.support.jit import jit
-from huepose.support.kept import kept
-from huepose.support.once import once_for_each
+from huepose.support.kept import kept, once_for_each
 
 SIDE_PX, NOMINAL_DISTANCE = 160, 5.0
 """Side of the rendered pictures that contours are taken from, and distance of the camera in object radii."""

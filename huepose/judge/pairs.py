@@ -25,7 +25,7 @@ from huepose.judge.region import Crop, ModelArrays, Region, RegionArrays, model_
 from huepose.judge.terms import DEFAULT_WEIGHTS, weight_array
 from huepose.model.types import PairReference, ReferenceModel
 from huepose.support.jit import jit
-from huepose.support.once import once_for_each
+from huepose.support.kept import once_for_each
 
 PAIR_TERMS = 4
 

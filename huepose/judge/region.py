@@ -22,7 +22,7 @@ from huepose.geometry.frame import RgbdFrame
 from huepose.geometry.median import median
 from huepose.model.types import COLOR_SCALES_M, ReferenceModel
 from huepose.support.jit import jit, jit_dividing
-from huepose.support.once import once_for_each
+from huepose.support.kept import once_for_each
 
 SATURATED = 250
 """Byte value from which a channel counts as saturated: its colour is unknown."""

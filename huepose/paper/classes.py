@@ -12,7 +12,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from huepose.colorpair.similarity import parameters, shapes
+from huepose.colorpair.similarity import exchange, parameters, shapes
 from huepose.colorpair.types import SurfacePairs
 from huepose.geometry.arrays import Float32, UInt8
 from huepose.paper.cloud import ClassifiedCloud, decoupled
@@ -85,12 +85,7 @@ def _classify(
     votes = np.empty(classes * classes)
     turned = np.empty(x.shape[1], np.float32)
     for i in range(x.shape[0]):
-        for q in range(6):
-            turned[q] = x[i, (q + 3) % 6]
-        for q in range(6, 9):
-            turned[q] = -x[i, q]
-        turned[9] = x[i, 9]
-        turned[10] = -x[i, 10]
+        exchange(x[i], turned)
         votes[:] = 0.0
         nearest = 1e9
         for j in range(y.shape[0]):

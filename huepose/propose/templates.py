@@ -22,8 +22,7 @@ from huepose.geometry.icosphere import look_at
 from huepose.geometry.mesh import Mesh
 from huepose.model.types import ReferenceModel, ViewTemplates
 from huepose.rendering.render import render
-from huepose.support.kept import kept
-from huepose.support.once import once_for_each
+from huepose.support.kept import kept, once_for_each
 
 LEVEL = 2
 """Subdivision level of the icosphere of directions: 162, 16 degrees apart."""

@@ -55,7 +55,7 @@ from huepose.refine.projective import (
 )
 from huepose.refine.solver import DAMPING, FEWEST_FOR_A_STEP, Body, advance, clear, normal_equations
 from huepose.support.jit import jit
-from huepose.support.once import once_for_each
+from huepose.support.kept import once_for_each
 
 GATE_M, ITERATIONS, POINTS = 0.008, 8, 1000
 """Of the last fit to depth: largest distance of a reading that counts, metres; steps; most readings."""

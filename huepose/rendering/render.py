@@ -19,8 +19,7 @@ from huepose.rendering.raster import depth_of, facing, rasterise, transform
 from huepose.rendering.shade import locate, paint, turn_normals
 from huepose.rendering.textures import Pyramid, build_pyramid
 from huepose.support.jit import jit
-from huepose.support.kept import kept
-from huepose.support.once import once_for_each
+from huepose.support.kept import kept, once_for_each
 
 _SNAP = 2.0**20
 

@@ -2,6 +2,8 @@
 
 The processes of a machine share what they read of it, and what nobody looks at takes no memory. It is made
 anew for another file, and by another version of this package or of the libraries that compute it.
+
+What is made once for each object in memory (`once_for_each`) is kept as long as that object lives.
 """
 
 from __future__ import annotations
@@ -12,14 +14,16 @@ import json
 import mmap
 import os
 import shutil
+import threading
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
 from dataclasses import fields, is_dataclass
-from functools import cache
+from functools import cache, wraps
 from importlib.metadata import version
 from pathlib import Path
 from typing import Any, TypeVar, cast, get_type_hints
+from weakref import WeakKeyDictionary
 
 import numpy as np
 from cv2 import __version__ as cv2_version
@@ -152,3 +156,30 @@ def _tidy(home: Path) -> None:
     ]
     for folder in (*by_use[VERSIONS:], *unused):
         shutil.rmtree(folder, ignore_errors=True)
+
+
+K = TypeVar("K")
+V = TypeVar("V")
+
+
+def once_for_each(make: Callable[[K], V]) -> Callable[[K], V]:
+    """`make`, called once for each object: the result is kept until the object is gone, and threads that ask
+    meanwhile wait for it.
+
+    >>> class Mesh: ...
+    >>> of, mesh = once_for_each(lambda mesh: object()), Mesh()
+    >>> of(mesh) is of(mesh), of(mesh) is of(Mesh())
+    (True, False)
+    """
+    results: WeakKeyDictionary[K, V] = WeakKeyDictionary()
+    lock = threading.Lock()
+
+    @wraps(make)
+    def once(key: K) -> V:
+        with lock:
+            found = results.get(key)
+            if found is None:
+                found = results[key] = make(key)
+            return found
+
+    return once

@@ -25,14 +25,14 @@ from huepose.propose.templates import SPAN, view_rotations
 from huepose.propose.view_pictures import CHANNELS, NEAR, ROLLS, SIDE, UNTURNED
 from huepose.propose.view_pictures import LEVEL as VIEW_LEVEL
 from huepose.support.files import write_picture
-from huepose.training.runs import VALIDATION_ROUND, Course, Settings, Training, endless_loader, export_onnx
-from huepose.training.view_code_network import (
+from huepose.training.network import (
     LARGEST_SHARPNESS,
     ViewCodeNetwork,
     info_nce,
     view_codes,
     window_codes,
 )
+from huepose.training.runs import VALIDATION_ROUND, Course, Settings, Training, endless_loader, export_onnx
 from huepose.training.windows import PIXELS, WINDOWS, Drawn, endless
 
 SHIFT, LARGEST_SHIFT = 0.06, 0.13

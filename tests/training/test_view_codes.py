@@ -11,7 +11,7 @@ torch = pytest.importorskip("torch", reason="the extra `train` is not installed"
 from huepose.geometry import icosphere  # noqa: E402
 from huepose.propose import view_pictures  # noqa: E402
 from huepose.propose.templates import view_rotations  # noqa: E402
-from huepose.training.view_code_network import info_nce, view_codes, window_codes  # noqa: E402
+from huepose.training.network import info_nce, view_codes, window_codes  # noqa: E402
 from huepose.training.view_codes import (  # noqa: E402
     ObjectBuffer,
     ViewCodeTraining,

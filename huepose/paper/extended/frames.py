@@ -13,7 +13,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from huepose.colorpair.similarity import parameters, shapes
+from huepose.colorpair.similarity import exchange, parameters, shapes
 from huepose.colorpair.types import SurfacePairs
 from huepose.geometry.arrays import Float32, Int32
 from huepose.paper.classes import pair_cost
@@ -91,12 +91,7 @@ def _vote(
     turned = np.empty(x.shape[1], np.float32)
     for i in range(points.shape[0]):
         # the pair as it is, and with its sides exchanged: the frame is then turned about the normal
-        for q in range(6):
-            turned[q] = x[i, (q + 3) % 6]
-        for q in range(6, 9):
-            turned[q] = -x[i, q]
-        turned[9] = x[i, 9]
-        turned[10] = -x[i, 10]
+        exchange(x[i], turned)
         near = 0
         total = 0.0
         for j in range(m):

@@ -9,7 +9,7 @@ the mask are judged by the dense score (`judge.terms`) with its colour term swit
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import astuple, dataclass, replace
 from typing import NamedTuple
 
 import cv2
@@ -249,6 +249,7 @@ class PairWeights:
 
 
 DEFAULT_PAIR_WEIGHTS = PairWeights()
+_PAIR_WEIGHTS = np.array(astuple(DEFAULT_PAIR_WEIGHTS))  # as kernels read them
 
 
 def pair_picture(model: ReferenceModel, crop: Crop, depth_m: float) -> PairPicture:
@@ -269,7 +270,6 @@ def pair_score_many(
     poses: Float,
     pairs: int = 600,
     samples: int = 300,
-    weights: PairWeights = DEFAULT_PAIR_WEIGHTS,
 ) -> Float64:
     """Judge poses (M, 4, 4) by at most `pairs` of the model's pairs and `samples` of its surface.
 
@@ -278,7 +278,7 @@ def pair_score_many(
     compared.
     """
     out = np.zeros((len(poses), PAIR_TERMS + 1))
-    on = judged_on(model, region, picture, pairs, samples, weights)
+    on = judged_on(model, region, picture, pairs, samples)
     _score_all(np.ascontiguousarray(poses, dtype=np.float64), on, scratch(samples), out)
     return out
 
@@ -289,7 +289,6 @@ def judged_on(
     picture: PairPicture,
     pairs: int,
     samples: int,
-    weights: PairWeights = DEFAULT_PAIR_WEIGHTS,
 ) -> Judged:
     """Bundle at most `pairs` of the model's pairs, its surface and the picture for the kernel."""
     return Judged(
@@ -299,7 +298,7 @@ def judged_on(
         weight_array(GEOMETRY),
         pair_arrays(model.pairs, pairs),
         picture,
-        pair_weight_array(weights),
+        _PAIR_WEIGHTS,
     )
 
 
@@ -321,12 +320,6 @@ def pair_arrays(reference: PairReference, count: int) -> PairArrays:
 def _fine_opponents(reference: PairReference) -> Float32:
     """Colours (N, 2, 3) of the fine pairs as opponents, made once for each model."""
     return opponents_of_lab(reference.colors[int(reference.parameters["coarse_pairs"]) :])
-
-
-def pair_weight_array(weights: PairWeights) -> Float64:
-    """The weights as kernels read them, in the order of PairWeights."""
-    w = weights
-    return np.array([w.color, w.contrast, w.lightness, w.floor, w.even, w.few])
 
 
 @jit

@@ -9,11 +9,9 @@ import numpy as np
 
 from huepose.geometry.arrays import Float, Float64
 from huepose.judge.pairs import (
-    DEFAULT_PAIR_WEIGHTS,
     Judged,
     PairPicture,
     PairScratch,
-    PairWeights,
     judged_on,
     pair_kernel,
     scratch,
@@ -32,7 +30,6 @@ def search_pairs(
     steps_deg: Sequence[float],
     pairs: int = 300,
     samples: int = 150,
-    weights: PairWeights = DEFAULT_PAIR_WEIGHTS,
 ) -> tuple[Float64, Float64]:
     """Improve poses (M, 4, 4) by turns about the object's centre and shifts, along the object's axes, with
     steps of `steps_deg` one after the other; returns poses (M, 4, 4) and their totals (M,)."""
@@ -40,7 +37,7 @@ def search_pairs(
     totals = np.zeros(len(out))
     _search_all(
         out,
-        judged_on(model, region, picture, pairs, samples, weights),
+        judged_on(model, region, picture, pairs, samples),
         scratch(samples),
         model.mesh.centre,
         model.diameter_m * SHIFT_PER_RADIAN,

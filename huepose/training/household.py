@@ -14,7 +14,7 @@ from huepose.scenes import textures
 from huepose.scenes.charts import Chart, blocks, flattened, grid_triangles, revolved
 from huepose.scenes.shapes import printed
 from huepose.scenes.textures import Art, Palette
-from huepose.training.shapes import random_art, random_palette, sized
+from huepose.training.prints import random_art, random_palette, sized
 
 TEXTURE_PX = 768
 

@@ -2,8 +2,7 @@
 
 Superquadrics range from boxes over cylinders and balls to octahedra. Taper, bend, twist and smooth dents make
 each one different, so that a network cannot memorise shapes (paper, section III-E). Surfaces carry pictures,
-text and stripes, because flow needs texture; some sides are plain. Prints, colours and sizes are shared with
-`training.household`.
+text and stripes, because flow needs texture; some sides are plain.
 """
 
 from __future__ import annotations
@@ -11,46 +10,13 @@ from __future__ import annotations
 import numpy as np
 
 from huepose.geometry import se3
-from huepose.geometry.arrays import Float64, Int32, Rng
+from huepose.geometry.arrays import Float64, Int32
 from huepose.geometry.mesh import Mesh
 from huepose.scenes import textures
 from huepose.scenes.charts import Chart, blocks, revolved
 from huepose.scenes.shapes import printed
-from huepose.scenes.textures import Art, Colour, Palette
 from huepose.training.household import household_object
-
-LETTERS = tuple("ABCDEFGHIJKLMNOPRSTUVWXYZ0123456789")
-
-
-def random_art(rng: np.random.Generator) -> Art:
-    """A random print for one side of an object."""
-    word, other = ("".join(rng.choice(LETTERS, int(rng.integers(3, 9)))) for _ in range(2))
-    arts = (
-        *(textures.blocks(word), textures.front(word, other, word[:2]), textures.facts, textures.picture),
-        *(textures.sticker(word, int(rng.integers(4))), textures.lid(word), textures.painted),
-    )
-    return arts[int(rng.integers(len(arts)))]
-
-
-def random_palette(rng: Rng) -> Palette:
-    """Any colours; every third time the base is a grey between black and white."""
-    colours: list[Colour] = [_colour(*rng.integers(10, 250, 3)) for _ in range(5)]
-    if rng.random() < 0.35:
-        grey = int(rng.choice([rng.integers(12, 50), rng.integers(60, 180), rng.integers(200, 250)]))
-        colours[0] = grey, grey, grey
-    return Palette(*colours)
-
-
-def _colour(red: int, green: int, blue: int) -> Colour:
-    return int(red), int(green), int(blue)
-
-
-def sized(mesh: Mesh, diameter_m: float) -> Mesh:
-    """The mesh about the origin, with a bounding box whose diagonal is `diameter_m` metres long."""
-    v = mesh.vertices - (mesh.vertices.min(0) + mesh.vertices.max(0)) / 2
-    v *= diameter_m / np.linalg.norm(v.max(0) - v.min(0))
-    return Mesh(v.astype(np.float32), mesh.faces, mesh.uv, mesh.texture)
-
+from huepose.training.prints import random_art, random_palette, sized
 
 RINGS, SPOKES = 18, 30
 MAX_PARTS = 4

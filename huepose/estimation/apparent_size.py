@@ -52,7 +52,7 @@ SHIFT_PX = 2.0
 PATCH_PX = 5.0
 """Correlation length of colours, pixels: nearer ones are not independent."""
 
-SAMPLES = 1500
+SAMPLES = 600
 """Most pixels whose colours are compared."""
 
 _SHIFTS = np.stack(np.meshgrid(*[np.arange(-SHIFT_PX, SHIFT_PX + 0.5)] * 2), axis=-1).reshape(-1, 2)
@@ -154,18 +154,17 @@ def _by_texture(
     every = max(1, -(-len(rows) // SAMPLES))
     if len(rows) < FEWEST * PATCH_PX:
         return None
-    pixels = np.stack([columns, rows], axis=-1)[::every].astype(np.float64)
-    expected = smoothed(view.color)[rows[::every], columns[::every]].astype(np.float64)
+    pixels = np.stack([columns, rows], axis=-1)[::every].astype(np.float32)
+    expected = smoothed(view.color)[rows[::every], columns[::every]]
     expected -= expected.mean(0)
-    centre = pixels.mean(0)
+    centre, shifts, wanted = pixels.mean(0), _SHIFTS.astype(np.float32), expected.ravel()
     best = np.zeros(len(SCALES))
     for k, scale in enumerate(SCALES):
-        places = (centre + (1.0 + scale) * (pixels - centre))[None] + _SHIFTS[:, None]
-        x, y = np.moveaxis(places, -1, 0).astype(np.float32)
-        seen = cv2.remap(picture, x, y, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE).astype(np.float64)
-        seen -= seen.mean(1, keepdims=True)
-        powers = np.einsum("snc,snc->s", seen, seen) * np.einsum("nc,nc->", expected, expected)
-        agreed = np.einsum("snc,nc->s", seen, expected) / np.sqrt(powers + 1e-9)
-        best[k] = float(agreed.max())
+        places = centre + np.float32(1.0 + scale) * (pixels - centre)
+        x, y = (places[:, axis] + shifts[:, axis, None] for axis in (0, 1))
+        seen = cv2.remap(picture, x, y, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
+        seen = (seen - seen.mean(1, keepdims=True)).reshape(len(shifts), -1)
+        power = np.einsum("sn,sn->s", seen, seen) * float(wanted @ wanted)
+        best[k] = float((seen @ wanted / np.sqrt(power + 1e-9)).max())
     independent = len(rows) / PATCH_PX**2
     return np.asarray(-0.5 * independent * np.log(1.0 - np.clip(best, 0.0, 0.99) ** 2))

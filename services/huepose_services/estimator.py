@@ -24,7 +24,7 @@ from huepose_services.runtime.clock import SECOND, now_ns
 from huepose_services.runtime.config import Config
 from huepose_services.runtime.work import Work
 
-LOOKS, FEWEST_LOOKS, LOOK_EVERY_NS = 12, 3, 2 * SECOND
+LOOKS, FEWEST_LOOKS, LOOK_EVERY_NS = 12, 3, SECOND
 """Looks at the size of objects in the picture: how many of an epoch of the camera, how many are asked for a
 warning, and their distance in time. One takes some 30 ms of a processor."""
 
@@ -119,8 +119,10 @@ class EstimatorWork(Work):
         health.count("estimates", len(estimates))
         health.count("found", sum(e.found for e in estimates))
         health.worked_on(started, message.frame)
-        if any(a.state == "TRACKING" for a in answers) and self._sizes.wanted(frame.epoch, started):
-            looks = self._estimator.sizes_seen(frame, answers)
+        sure = [answer for answer in answers if answer.state == "TRACKING"]
+        if sure and self._sizes.wanted(frame.epoch, started):
+            # One of them, so that the next request waits no longer than for an estimate.
+            looks = self._estimator.sizes_seen(frame, [sure[message.request_seq % len(sure)]])
             health.warn_while("size", self._sizes.added(frame, looks, started))
 
     def _fault(self, frame: RgbdFrame, answers: Sequence[PoseEstimate]) -> str:

@@ -21,7 +21,7 @@ def test_scenes_of_the_builtin_objects_are_drawn_with_their_meshes(
     out = tmp_path / "heaps"
     arguments = ["render-scenes", "--models", "builtin", "--out", str(out), "--objects", "1", "2"]
     assert main([*arguments, "--frames", "1", "--seed", "3"]) == DONE
-    assert "1 frames, 2 labels" in capsys.readouterr().out
+    assert "1 frame, 2 labels" in capsys.readouterr().out
     scene = BopScene(out)
     assert sorted(t.object_id or 0 for t in scene.truths(0)) == [1, 2]
     assert sorted(p.name for p in (out / "models").glob("*.obj")) == ["obj_000001.obj", "obj_000002.obj"]

@@ -74,17 +74,6 @@ def parameters() -> tuple[float, float, float]:
 
 
 @jit
-def exchange(x: Float32, out: Float32) -> None:
-    """The shape (11,) of a pair whose sides have changed places, for use in compiled loops."""
-    for q in range(6):
-        out[q] = x[(q + 3) % 6]
-    for q in range(6, 9):
-        out[q] = -x[q]
-    out[9] = x[9]
-    out[10] = -x[10]
-
-
-@jit
 def score(x: Float32, y: Float32, direction: float, contrast: float, luminance: float) -> float:
     """Similarity of two shapes (11,), for use in compiled loops; parameters as `parameters` gives them."""
     d00 = x[0] * y[0] + x[1] * y[1] + x[2] * y[2]

@@ -262,7 +262,6 @@ def believe(
 ) -> PoseEstimate:
     """How sure the best of the poses is, and where it is exactly: the answer to a query."""
     fit = quality_fits()[config.method]
-    acquired = fit.level if config.acquisition_level is None else config.acquisition_level
     least = fit.found if config.found_level is None else config.found_level
     region, ranked, terms = None if look.evidence is None else look.evidence.region, look.ranked, None
     if region is not None and len(ranked):
@@ -283,7 +282,7 @@ def believe(
         found=True,
         T_cam_obj=T,
         quality=float(chances[0]),
-        state="TRACKING" if chances[0] >= acquired else "SUSPECT",
+        state="TRACKING" if chances[0] >= fit.level else "SUSPECT",
         score=float(ranked.totals[0]),
         margin=terms.margin,
         covariance=covariance(alignment),

@@ -101,16 +101,14 @@ class StandingConfig:
 class EstimatorConfig:
     """method: "full" (the best that there is), "colorpair" (colour pairs alone, with what was added to the
     paper's path) or "paper" (the paper's path as it is); seed: of all random choices; threads: objects of a
-    frame that are estimated at the same time; acquisition_level: the quality over which a pose is TRACKING,
-    None for the calibrated one of the method; found_level: the probability that the object is there under
+    frame that are estimated at the same time; found_level: the probability that the object is there under
     which nothing is found, None for the calibrated one; competing: whether the poses of a frame compete for
     its depth; colorpair, paper: what can be set about the method of that name, None for its defaults. `paper`
-    has no levels and no competition."""
+    has no level and no competition."""
 
     method: Method = "full"
     seed: int = 0
     threads: int = 1
-    acquisition_level: float | None = None
     found_level: float | None = None
     competing: bool = True
     evidence: EvidenceConfig = field(default_factory=EvidenceConfig)
@@ -128,9 +126,3 @@ class EstimatorConfig:
             )
         if self.threads < 1:
             raise InputError("threads", found=str(self.threads), expected="1 or more")
-        if self.acquisition_level is not None and not 0.0 < self.acquisition_level < 1.0:
-            raise InputError(
-                "acquisition_level",
-                found=str(self.acquisition_level),
-                expected="a probability between 0 and 1",
-            )

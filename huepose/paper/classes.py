@@ -12,7 +12,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from huepose.colorpair.similarity import exchange, parameters, shapes
+from huepose.colorpair.similarity import parameters, shapes
 from huepose.colorpair.types import SurfacePairs
 from huepose.geometry.arrays import Float32, UInt8
 from huepose.paper.cloud import ClassifiedCloud, decoupled
@@ -67,6 +67,17 @@ def classify(
         *parameters(),
         config.sharpness,
     )
+
+
+@jit
+def exchange(x: Float32, out: Float32) -> None:
+    """The shape (11,) of a pair whose sides have changed places, for use in compiled loops."""
+    for q in range(6):
+        out[q] = x[(q + 3) % 6]
+    for q in range(6, 9):
+        out[q] = -x[q]
+    out[9] = x[9]
+    out[10] = -x[10]
 
 
 @jit

@@ -13,10 +13,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from huepose.colorpair.similarity import exchange, parameters, shapes
+from huepose.colorpair.similarity import parameters, shapes
 from huepose.colorpair.types import SurfacePairs
 from huepose.geometry.arrays import Float32, Int32
-from huepose.paper.classes import pair_cost
+from huepose.paper.classes import exchange, pair_cost
 from huepose.propose.types import Votes
 from huepose.support.jit import jit
 

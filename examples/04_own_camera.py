@@ -2,7 +2,8 @@
 
     camera: {source: python, path: examples/04_own_camera.py}
 
-This one gives the frame of `huepose new`, with new noise each time; put your driver in its place.
+This one gives the frame of `huepose new` thirty times a second, with new noise each time; put your driver in
+its place. The frame is read from the folder `tea_box` where the pipeline was started, or from $FRAME_FOLDER.
 """
 
 import os
@@ -20,9 +21,12 @@ FOLDER = Path(os.environ.get("FRAME_FOLDER", "tea_box"))
 
 def frames() -> Iterator[RgbdFrame]:
     still = read_frame(FOLDER / "color.png", FOLDER / "depth.png", FOLDER / "camera.json")
-    noise = np.random.default_rng()
+    rng = np.random.default_rng()
+    due_s = time.monotonic()
     while True:
-        time.sleep(1 / 30)  # your driver waits for its next picture here
+        due_s += 1 / 30
+        time.sleep(max(0.0, due_s - time.monotonic()))  # your driver waits for its next picture here
         captured_ns = time.monotonic_ns()
-        color = (still.color + noise.normal(0.0, 2.0, still.color.shape)).clip(0, 255).astype(np.uint8)
+        noise = rng.integers(-3, 4, still.color.shape, np.int16)
+        color = (still.color + noise).clip(0, 255).astype(np.uint8)
         yield RgbdFrame(color, still.depth, still.camera, stamp_ns=captured_ns)

@@ -21,10 +21,13 @@ MOST_SHIFT_M, MOST_TURN_RAD = 0.02, np.radians(3.0)
 MOST_SHIFT = 0.02
 """Of the distance at which the object is seen: depth errs by a share of it."""
 
-Meaning = Literal["millimetres", "quaternion order", "camera"]
-"""Positions of the hand that are no metres; its quaternions with w first; a camera that is mounted the other
-way, or poses of the base in the hand, which are the same."""
-_MEANINGS: tuple[Meaning, ...] = ("millimetres", "quaternion order", "camera")
+FARTHEST_M = 10.0
+"""No depth camera measures poses of an object that is farther away: these are no metres."""
+
+Meaning = Literal["millimetres", "object in millimetres", "quaternion order", "camera"]
+"""Positions of the hand, or of the object, that are no metres; quaternions of the hand with w first; a camera
+that is mounted the other way, or poses of the base in the hand, which are the same."""
+_MEANINGS: tuple[Meaning, ...] = ("millimetres", "object in millimetres", "quaternion order", "camera")
 
 
 def measured(hand: Float64, fixed: bool) -> Float64:
@@ -36,6 +39,8 @@ def fits(B: Float64, found: HandEye) -> bool:
     """Whether what is left of the usual (median) measurement may be the error of its poses; B (N, 4, 4) and
     the answer of `hand_eye.solve`."""
     most_m = max(MOST_SHIFT_M, MOST_SHIFT * lever(B))
+    if float(np.median(np.linalg.norm(B[:, :3, 3], axis=1))) > FARTHEST_M:
+        return False
     return bool(np.median(found.shift_m) <= most_m and np.median(found.turn_rad) <= MOST_TURN_RAD)
 
 
@@ -45,8 +50,11 @@ def meant(hand: Float64, B: Float64, fixed: bool) -> tuple[Meaning, ...]:
     for count in range(1, len(_MEANINGS) + 1):
         for changes in combinations(_MEANINGS, count):
             A = measured(_changed(hand, changes), fixed != ("camera" in changes))
+            seen = np.array(B, np.float64)
+            if "object in millimetres" in changes:
+                seen[:, :3, 3] *= 1e-3
             try:
-                if fits(B, solve(A, B)):
+                if fits(seen, solve(A, seen)):
                     return changes
             except InputError:  # turns about one axis alone: it is not that
                 continue

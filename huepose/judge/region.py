@@ -83,13 +83,14 @@ def prepare_crop(frame: RgbdFrame, window: Box) -> Crop:
     x0 = min(columns.start, frame.camera.width - 2)
     y0 = min(rows.start, frame.camera.height - 2)
     x1, y1 = max(columns.stop, x0 + 2), max(rows.stop, y0 + 2)
-    color = np.ascontiguousarray(frame.color[y0:y1, x0:x1])
+    # Copies, also of a whole picture: kernels would be compiled anew for arrays that cannot be written.
+    color = frame.color[y0:y1, x0:x1].copy()
     return Crop(
         frame.camera.cropped(x0, y0, x1 - x0, y1 - y0),
         x0,
         y0,
         color,
-        np.ascontiguousarray(frame.depth[y0:y1, x0:x1]),
+        frame.depth[y0:y1, x0:x1].copy(),
         np.asarray(cv2.inRange(color, (0, 0, 0), (SATURATED - 1,) * 3) == 0),
     )
 

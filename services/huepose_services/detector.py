@@ -27,7 +27,7 @@ from huepose_services.runtime.clock import SECOND, now_ns
 from huepose_services.runtime.config import Config
 from huepose_services.runtime.work import Work
 
-NOTHING_FOR_NS, ASK_EVERY_NS = 2 * SECOND, 5 * SECOND
+NOTHING_FOR_NS, ASK_EVERY_NS = 2 * SECOND, 2 * SECOND
 """Nothing is found for so long before the order of the colours is doubted; and how often that is asked, which
 takes as long as a search for one object."""
 

@@ -123,7 +123,10 @@ class EstimatorWork(Work):
         if sure and self._sizes.wanted(frame.epoch, started):
             # One of them, so that the next request waits no longer than for an estimate.
             looks = self._estimator.sizes_seen(frame, [sure[message.request_seq % len(sure)]])
-            health.warn_while("size", self._sizes.added(frame, looks, started))
+            doubt = self._sizes.added(frame, looks, started)
+            health.warn_while("size", doubt)
+            if doubt is not None:
+                self._bus.log.seldom("size", doubt)
 
     def _fault(self, frame: RgbdFrame, answers: Sequence[PoseEstimate]) -> str:
         """What is wrong with a frame in which nothing was found; empty where nothing is."""

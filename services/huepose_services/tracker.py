@@ -350,7 +350,8 @@ class TrackerWork(Work):
             self._bus.log.seldom("refused pose", f"pose of {pose.object}/{pose.instance}: {error}")
             return
         self._bus.put(self._bus.keys.pose(pose.object, pose.instance), message)
-        self._told.note(f"{pose.object}/{pose.instance}", pose.state.value, f"quality {pose.quality:.2f}")
+        how = f"quality {pose.quality:.2f}" + (f"; {reason}" if reason else "")
+        self._told.note(f"{pose.object}/{pose.instance}", pose.state.value, how)
         self._bus.health.count(f"poses_{pose.state.value.lower()}")
 
 

@@ -79,7 +79,10 @@ class FramePublisher:
         )
         bus.put_pixels(self._keys.frame, header, picture.payload)
         if epoch != self._told:
-            bus.health.warn_while("matrix", camera_doubted(camera_from_wire(picture.intrinsics)))
+            doubt = camera_doubted(camera_from_wire(picture.intrinsics))
+            bus.health.warn_while("matrix", doubt)
+            if doubt is not None:
+                bus.log.say(doubt)
         self._tell(header)
         if self._told_mounts is not None:
             self._tell_mounts(header, self._told_mounts)

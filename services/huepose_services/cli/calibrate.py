@@ -120,14 +120,15 @@ def _why(meant: Sequence[Meaning], fixed: bool) -> str:
     mounted, other = ("fixed", "on-hand") if fixed else ("on-hand", "fixed")
     fixes = {
         "millimetres": "give the positions in --hand in metres (they seem to be millimetres)",
+        "object in millimetres": "give the positions in --object in metres (they seem to be millimetres)",
         "quaternion order": "give the quaternions in --hand as x y z w (they seem to be w x y z)",
         "camera": f"say --camera {other} instead of {mounted}, or turn the poses in --hand into T_base_hand",
     }
     if meant:
         return f"They fit when you {', and '.join(fixes[change] for change in meant)}"
     return (
-        "Look whether --hand has metres, quaternions as x y z w, and T_base_hand at the very frames; whether "
-        f"the camera is {mounted}; and whether the object stayed where it was "
+        "Look whether both files have metres, and --hand quaternions as x y z w and T_base_hand at the very "
+        f"frames; whether the camera is {mounted}; and whether the object stayed where it was "
         f"{'in the hand' if fixed else 'put'}, and looks the same from no other side"
     )
 

@@ -142,10 +142,8 @@ def _doubts(frame: RgbdFrame, models: Mapping[str, ReferenceModel], answers: lis
         placed = [(models[a.object], a.T_cam_obj) for a in sure if a.T_cam_obj is not None]
         offset = depth_offset(frame, placed)
         if offset is not None and offset.clear:
-            said = str(offset)
-            out += [
-                f"{said[0].upper()}{said[1:]}: poses follow depth; check how depth is registered to colour."
-            ]
+            why = "poses follow depth; check how depth is registered to colour, and the camera matrix."
+            out += [f"{offset}: {why}"]
     return [text for text in out if text is not None]
 
 

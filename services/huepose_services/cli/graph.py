@@ -47,7 +47,7 @@ def call(arguments: argparse.Namespace) -> int:
         watch.look(_LOOK_S)
         view = watch.view()
     if not view.seen:
-        print(f"huepose graph: no pipeline runs at port {pipeline.base_port}", file=sys.stderr)
+        print(f"huepose graph: {pipeline.absence}", file=sys.stderr)
         return 1
     print(mermaid(view))
     return 0

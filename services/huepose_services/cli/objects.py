@@ -75,8 +75,7 @@ def call(arguments: argparse.Namespace) -> int:
     say_if_unknown(pipeline)
     reply = ask(pipeline, request)
     if reply is None:
-        text = f"no pipeline answers at port {pipeline.base_port}; `huepose up` starts one"
-        print(f"huepose objects: {text}", file=sys.stderr)
+        print(f"huepose objects: {pipeline.absence}", file=sys.stderr)
         return 1
     if not reply.done:
         print(f"huepose objects {arguments.action}: {reply.text}", file=sys.stderr)

@@ -121,14 +121,15 @@ def add_choice(parser: argparse.ArgumentParser) -> None:
     add_path(parser, "--config", "PIPELINE", "the pipeline's configuration, for its ports")
 
 
-def chosen(arguments: argparse.Namespace) -> Pipeline:
-    """The pipeline that is meant. Raises InputError where that is not clear."""
+def chosen(arguments: argparse.Namespace, say: bool = True) -> Pipeline:
+    """The pipeline that is meant. say: tell which it is where that may be a surprise. Raises InputError where
+    it is not clear."""
     from huepose_services.runtime.config import DEFAULT_FILE
     from huepose_services.runtime.running import pick
 
     pipeline = pick(arguments.config, arguments.pipeline)
     unsaid = arguments.config is None and arguments.pipeline is None
-    if unsaid and pipeline.file and Path(pipeline.file) != Path(DEFAULT_FILE).absolute():
+    if say and unsaid and pipeline.file and Path(pipeline.file) != Path(DEFAULT_FILE).absolute():
         # Stderr, because the answer may be read by a program.
         print(f"this is {pipeline.name}, which runs from {pipeline.file}", file=sys.stderr, flush=True)
     return pipeline

@@ -240,12 +240,14 @@ def _take_here(
     from huepose_protos.client import Reader
 
     pipeline, again, say_at = chosen(arguments), True, time.monotonic() + _SAY_WAITING_AFTER_S
+    told: set[str] = set()
     while again and not stopping():
         endpoints, key = pipeline.endpoints, pipeline.key(arguments.key)
-        with Reader(endpoints, key) as reader:
+        with Reader(endpoints, key) as reader, Reader(endpoints, pipeline.key("health/**")) as health:
             again = False
             while not stopping() and not _is_over(reader) and not again:
                 message = reader.next(0.1)
+                _warn(health, told)
                 if message is not None:
                     say_at = float("inf")
                     take(message)
@@ -255,18 +257,28 @@ def _take_here(
                     say_at = float("inf")
                     print(_silence(reader, pipeline, key), file=sys.stderr, flush=True)
                 if not reader.seen:
-                    before, pipeline = pipeline, chosen(arguments)
+                    before, pipeline = pipeline, chosen(arguments, say=False)
                     again = pipeline != before
             if _is_over(reader):
                 _say(f"{pipeline.name} has ended")
 
 
+def _warn(health: Reader, told: set[str]) -> None:
+    """What the workers warn of, each once: poses that come all the same may be off for it."""
+    from huepose_protos.messages import HealthMessage
+
+    while (message := health.next(0.0)) is not None:
+        if isinstance(message, HealthMessage):
+            for text in [text for text in message.warnings if text not in told]:
+                told.add(text)
+                _say(f"{message.worker}: {text}")
+
+
 def _silence(reader: Reader, pipeline: Pipeline, key: str) -> str:
     if not reader.seen:
-        if pipeline.noted:
-            return f"{pipeline.name} is being started, from {pipeline.file}; poses come when it is ready"
-        return f"waiting for a pipeline at {pipeline.endpoints[0]}; `huepose up` starts one"
-    return f"a pipeline runs, but nothing is said on {key} yet; `huepose status` says how it is"
+        return f"waiting: {pipeline.absence}"
+    what = "no object has been found yet" if key.endswith(_POSES) else f"nothing is said on {key} yet"
+    return f"the pipeline runs, but {what}; `huepose status` says how it is"
 
 
 def _is_over(reader: Reader) -> bool:

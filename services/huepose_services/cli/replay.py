@@ -95,6 +95,8 @@ def _verify(recordings: list[Recording], arguments: argparse.Namespace) -> int:
 def _play(arguments: argparse.Namespace, recordings: list[Recording]) -> int:
     from contextlib import ExitStack
 
+    import msgspec
+
     from huepose.support.errors import InputError
     from huepose.support.progress import Status
     from huepose_services.recording.play import Player
@@ -113,7 +115,11 @@ def _play(arguments: argparse.Namespace, recordings: list[Recording]) -> int:
     with ExitStack() as stack:
         buses = [_bus(config, only, stack) for config, _ in cameras]
         for config, files in cameras:
-            stack.enter_context(noted(described(config, arguments.config or files[0].path)))
+            played = described(config, arguments.config or files[0].path)
+            # No workers: nobody is missing who does not run.
+            stack.enter_context(
+                noted(msgspec.structs.replace(played, workers=() if only is None else (only,)))
+            )
         # Who waits for a pipeline needs a moment to connect.
         time.sleep(_SETTLE_S)
         again, status = True, Status()

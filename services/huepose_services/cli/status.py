@@ -41,10 +41,7 @@ def call(arguments: argparse.Namespace) -> int:
     if arguments.json:
         print(_as_json(view))
     elif not view.seen:
-        found = f"no pipeline runs at port {pipeline.base_port}; `huepose up` starts one"
-        if pipeline.noted:
-            found = f"{pipeline.name} is being started, from {pipeline.file}; its log says how far it is"
-        print(f"huepose status: {found}", file=sys.stderr)
+        print(f"huepose status: {pipeline.absence}", file=sys.stderr)
     else:
         print(as_text(view))
     return 0 if view.well else 1
@@ -62,8 +59,7 @@ def call_again(arguments: argparse.Namespace) -> int:
             while time.monotonic() < until:
                 watch.look(_EVERY_S)
                 view = watch.view()
-                none = f"no pipeline runs at port {pipeline.base_port}; `huepose up` starts one"
-                text = as_text(view) if view.seen else none
+                text = as_text(view) if view.seen else pipeline.absence
                 if text != shown:
                     sys.stdout.write((_CLEAR if sys.stdout.isatty() else "") + text + "\n")
                     sys.stdout.flush()

@@ -45,6 +45,13 @@ class Pipeline(msgspec.Struct, frozen=True, kw_only=True):
         return bool(self.folder)
 
     @property
+    def absence(self) -> str:
+        """What to say where nothing is heard of it."""
+        if self.noted:
+            return f"{self.name} is being started, from {self.file}; its log says how far it is"
+        return f"no pipeline runs at port {self.base_port}; `huepose up` starts one"
+
+    @property
     def endpoints(self) -> list[str]:
         """Where its workers listen, if they run."""
         return [endpoint(self.base_port + place, self.folder) for place in range(len(WORKERS))]

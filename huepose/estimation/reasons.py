@@ -108,7 +108,7 @@ def _of_terms(terms: _Measured) -> list[str]:
     said = (
         (
             terms.violation > MUCH_SEEN_THROUGH,
-            f"by its depth {100 * terms.violation:.0f} % of the pose is seen through or inside of something",
+            f"depth contradicts {100 * terms.violation:.0f} % of the pose: what lies behind it is seen there",
         ),
         (terms.occluded > MUCH_HIDDEN, f"something is in front of {100 * terms.occluded:.0f} % of the pose"),
         (

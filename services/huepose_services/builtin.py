@@ -29,6 +29,12 @@ _MAKERS = (
 )
 
 
+def bundles_are_kept(seed: int) -> bool:
+    """Whether the reference models of the built-in scene were made before."""
+    meshes = builtin_objects(seed)
+    return all(model_path(cache_folder() / "builtin" / _digest(meshes), name).exists() for name in meshes)
+
+
 @cache
 def builtin_bundles(seed: int, paper: bool = False) -> Path:
     """The folder with the reference models of the built-in scene; those that are missing are made.

@@ -18,6 +18,7 @@ from huepose.estimation import Estimator, ObjectQuery
 from huepose.evaluation import suitability
 from huepose.geometry import Box, RgbdFrame
 from huepose.model import ReferenceModel, load_models
+from huepose.onboarding.reference import reference_model
 from huepose.perception.colorpair_detector import ColorPairDetector
 from huepose.perception.stillness import Tiles
 from huepose.profiles import profile
@@ -26,16 +27,17 @@ from huepose.scenes.camera import CAMERA
 from huepose.scenes.rendered import rendered_frame
 from huepose.support.compiling import telling_of_compiling
 from huepose.tracking import Tracker
-from huepose_services.builtin import builtin_bundles
+from huepose_services.builtin import builtin_bundles, bundles_are_kept
 
 T = TypeVar("T")
 
 
 def main() -> None:
     """Each step in turn, and how long it took."""
+    kept = bundles_are_kept(0)
     folder = _told("the built-in objects", lambda: builtin_bundles(0))
     with telling_of_compiling(every=True):
-        _told("the numeric kernels", lambda: compile_all(load_models(folder)))
+        _told("the numeric kernels", lambda: compile_all(load_models(folder), learn=kept))
     _told("the built-in scene", lambda: SyntheticScene(0))
 
 
@@ -47,8 +49,11 @@ def _told(what: str, work: Callable[[], T]) -> T:
     return done
 
 
-def compile_all(models: Mapping[str, ReferenceModel]) -> None:
-    """Do once, on the built-in objects, what commands and workers will do: all kernels are compiled then."""
+def compile_all(models: Mapping[str, ReferenceModel], learn: bool) -> None:
+    """Do once, on the built-in objects, what commands and workers will do: all kernels are compiled then.
+    learn: one of them is learnt, which has compiled nothing here where all were kept from before."""
+    if learn:
+        reference_model(models["corner_bracket"].mesh, "corner_bracket")
     live, names = profile("live"), sorted(models)
     shot = first_shot({name: models[name].mesh for name in names})
     frame = RgbdFrame(shot.color, shot.depth, CAMERA)

@@ -241,7 +241,7 @@ def reasons_not_seen(
         if answer.picture:
             out[name] = answer.picture
         elif name in followed:
-            out[name] = "No other one is seen than what is followed already."
+            out[name] = "No second one is seen."
         elif best is None:
             out[name] = "No place in the picture looks like the object."
         elif best.found:

@@ -73,7 +73,7 @@ def test_a_pose_in_the_air_is_seen_through(
     answer, explanation = looked
     nearer = se3.compose(se3.make(np.eye(3), [0.0, 0.0, -0.1]), explanation.ranked.poses[0])
     said = reasons(tea_box, answer, replace(explanation, ranked=Ranked.of(nearer[None], np.ones(1))))
-    assert any("is seen through or inside of something" in text for text in said)
+    assert any("what lies behind it is seen there" in text for text in said)
     assert any(text.startswith("the texture agrees little") for text in said)
 
 
@@ -97,8 +97,8 @@ def test_why_nothing_is_there_is_said_by_what_was_measured(
     assert terms is not None
     through = replace(terms, violation=0.35, color=0.12, seen=0.9, occluded=0.0, box_iou=0.8)
     assert why_absent(explanation, through, 0.04, 0.12) == (
-        "The object is not in this box (probability 0.04, at least 0.12 is asked): by its depth 35 % of the "
-        "pose is seen through or inside of something and the texture agrees little (correlation 0.12)."
+        "The object is not in this box (probability 0.04, at least 0.12 is asked): depth contradicts 35 % of "
+        "the pose: what lies behind it is seen there and the texture agrees little (correlation 0.12)."
     )
     poor = replace(terms, total=0.71, violation=0.0, color=0.5, seen=0.9, occluded=0.0, box_iou=0.8)
     assert why_absent(explanation, poor, 0.04, 0.12).endswith("0.12 is asked): the best pose scores 0.71.")

@@ -182,7 +182,7 @@ def test_the_command_says_when_four_poses_are_too_few(
     files = ["--object", str(tmp_path / "object.csv"), "--hand", str(tmp_path / "hand.csv")]
     assert main(["calibrate", "hand-eye", *files, "--camera", "on-hand"]) == 0
     said = capsys.readouterr().out
-    assert "POORLY DETERMINED: where the camera is errs" in said
+    assert "POORLY DETERMINED: the mount's place may be" in said
     assert "poses or more, turned by 30 degrees" in said
 
 

@@ -181,7 +181,7 @@ def test_why_objects_that_are_sought_are_not_seen():
     }
     assert reasons_not_seen(["jar"], answer, {"jar"}) == {"jar": "Found; it is followed from now on."}
     # A second jar is looked for: what is seen, well or not, is the one that is followed.
-    of_two = {"jar": "No other one is seen than what is followed already."}
+    of_two = {"jar": "No second one is seen."}
     assert reasons_not_seen(["jar"], answer, (), {"jar"}) == of_two
 
 

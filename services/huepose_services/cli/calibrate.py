@@ -147,10 +147,10 @@ def _in_words(sure: Certainty, count: int, parent: str) -> str:
     if sure.well:
         return text
     poor = [
-        f"{what} errs {ratio:.1f} times"
+        f"{what} may be {ratio:.1f} times as wrong as one pose"
         for what, ratio in (
-            ("where the camera is", sure.shift_ratio),
-            ("how it is turned", sure.turn_ratio),
+            ("the mount's place", sure.shift_ratio),
+            ("the mount's turn", sure.turn_ratio),
         )
         if ratio > 1.0
     ]
@@ -159,7 +159,7 @@ def _in_words(sure: Certainty, count: int, parent: str) -> str:
     least, most, wanted = np.degrees([sure.turned_rad, sure.most_rad, WANTED_RAD])
     return (
         f"{text}\n"
-        f"POORLY DETERMINED: {' and '.join(poor)} as much as one pose does. From pose to pose of these "
+        f"POORLY DETERMINED: {' and '.join(poor)}. From pose to pose of these "
         f"{count}, the hand turned by {least:.0f} degrees about the axis ({axis}) of {parent}, by {most:.0f} "
         f"about another. Add {more} or more, turned by {wanted:.0f} degrees to either side, about that axis "
         "first, then about those across it"

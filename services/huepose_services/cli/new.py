@@ -84,7 +84,7 @@ def call(arguments: argparse.Namespace) -> int:
     at = shlex.quote(str(out))
     print(
         f"""
-{out} is ready. Next (the first start of a pipeline draws its scene, half a minute):
+{out} is ready. Next (the first start of a pipeline draws its scene, half a minute or more):
   huepose estimate --color {at}/color.png --depth {at}/depth.png --camera {at}/camera.json \\
       --bundles {at}/bundles --image {at}/pose.png
   huepose demo --bundles {at}/bundles      # the whole pipeline on it, with its accuracy

@@ -36,7 +36,7 @@ class PythonSource:
     """Runs the file once, and its `frames()` at every opening."""
 
     def __init__(self, path: Path) -> None:
-        self.name = path.name
+        self.name, self._path = path.name, path
         if not path.is_file():
             raise InputError(path, found="no such file", expected="a Python file with a function frames()")
         try:
@@ -53,26 +53,28 @@ class PythonSource:
 
     def open(self) -> PythonCamera:
         """Begin anew."""
-        return PythonCamera(iter(self._frames()))
+        return PythonCamera(iter(self._frames()), self._path)
 
 
 class PythonCamera:
-    """Takes what the iterator gives."""
+    """Takes what the iterator gives; path: of the file that it is from."""
 
     device_clock_is_host = True
     is_sensor = False
 
-    def __init__(self, frames: Iterator[Any]) -> None:
-        self._frames, self._number = frames, 0
+    def __init__(self, frames: Iterator[Any], path: Path) -> None:
+        self._frames, self._path, self._number = frames, path, 0
 
     def read(self, timeout_s: float) -> Shot | None:
         """The next picture, however long it takes. Raises CameraError for none and for what is none."""
         try:
             frame = next(self._frames, None)
         except Exception as error:
-            where = traceback.extract_tb(error.__traceback__)[-1]
-            text = f"{type(error).__name__}: {' '.join(str(error).split())[:200]}"
-            at = f"{Path(where.filename).name}, line {where.lineno}"
+            steps = traceback.extract_tb(error.__traceback__)
+            # The last one in the file, not in what it calls.
+            where = [step for step in steps if Path(step.filename) == self._path][-1:] or steps[-1:]
+            text = f"{type(error).__name__}: {' '.join(str(error).split())[:200].rstrip('.')}"
+            at = f"{Path(where[0].filename).name}, line {where[0].lineno}"
             raise CameraError(f"{text}, in {at}. frames() is called again.") from error
         if frame is None:
             raise CameraError("frames() has ended. It is called again.")

@@ -50,7 +50,15 @@ def test_a_file_that_is_no_camera_is_refused(tmp_path: Path, text: str, says: st
 
 @pytest.mark.parametrize(
     ("text", "says"),
-    [("def frames():\n    return iter(())", "has ended"), ("def frames():\n    yield 3", "gave int")],
+    [
+        ("def frames():\n    return iter(())", "has ended"),
+        ("def frames():\n    yield 3", "gave int"),
+        (
+            "from huepose.datasets.image_files import read_camera\n\n\n"
+            "def frames():\n    read_camera('none.json')\n    yield",
+            r"depth_scale_m, in \w+\.py, line 5\. frames",
+        ),
+    ],
 )
 def test_what_is_no_picture_is_said_and_tried_again(tmp_path: Path, text: str, says: str) -> None:
     with pytest.raises(CameraError, match=says):

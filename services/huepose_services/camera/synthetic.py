@@ -25,5 +25,7 @@ def check_source(config: Config) -> None:
 
 
 def _meshes(config: Config, bundles: str) -> dict[str, Mesh]:
+    """Of the objects, by name: the same ones are the same scene, in whichever order they are listed."""
     names = [item.name for item in config.objects] or None
-    return {name: model.mesh for name, model in load_models(Path(bundles), names).items()}
+    models = load_models(Path(bundles), names)
+    return {name: models[name].mesh for name in sorted(models)}

@@ -5,6 +5,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Iterator, Sequence
+from contextlib import suppress
 
 import cv2
 import numpy as np
@@ -15,11 +16,13 @@ from huepose.geometry import RgbdFrame
 from huepose.geometry.arrays import Bool, Float32, Float64
 from huepose.geometry.picture_faults import LEAST_DEPTH, camera_doubted, dark, depth_doubted, readings
 from huepose.support.errors import InputError
+from huepose_services import models
 from huepose_services.camera.condition import Condition
 from huepose_services.camera.live import CameraError, LiveSource
 from huepose_services.camera.sources import open_source
 from huepose_services.convert import LARGEST_STEP
 from huepose_services.doctor.finding import Finding
+from huepose_services.doctor.objects import objects_in
 from huepose_services.runtime.clock import now_ns
 from huepose_services.runtime.config import Config
 from huepose_services.runtime.config_perception import LIVE_SOURCES
@@ -60,6 +63,9 @@ def pictures(config: Config) -> Iterator[Finding]:
     yield from depth(frames, config.camera.depth_scale_m)
     yield alignment(frames)
     yield from distance(frames, config)
+    if config.bundles is not None:
+        with suppress(InputError):  # reference models that are not there are said elsewhere
+            yield from objects_in(frames[-1], models.load(config))
 
 
 def _live(source: LiveSource, config: Config) -> tuple[list[RgbdFrame], list[Finding]]:
@@ -184,8 +190,6 @@ def _strength(frame: RgbdFrame) -> Float32:
 
 def distance(frames: Sequence[RgbdFrame], config: Config) -> Iterator[Finding]:
     """Whether the objects are large enough in the picture, as far as most of it is."""
-    from huepose_services import models
-
     values = np.stack([frame.depth[::4, ::4] for frame in frames])
     if config.bundles is None or not (values > 0.0).any():
         return

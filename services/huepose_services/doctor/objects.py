@@ -1,0 +1,38 @@
+"""Whether the objects that are looked for are found in a camera's picture; if none is, what may be wrong."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+
+from huepose.estimation import Estimator, ObjectQuery
+from huepose.estimation.apparent_size import apparent_size, looks
+from huepose.geometry import RgbdFrame
+from huepose.model import ReferenceModel
+from huepose.perception.colorpair_detector import ColorPairDetector
+from huepose.perception.exchanged import PLAIN, channels_exchanged
+from huepose.profiles import profile
+from huepose_services.doctor.finding import Finding
+
+MOST = 5
+"""Of the objects, so that an examination takes seconds with any number of them."""
+
+
+def objects_in(frame: RgbdFrame, models: Mapping[str, ReferenceModel]) -> Iterator[Finding]:
+    """What is found of the first objects, by name, and what their poses say of the camera."""
+    names = sorted(models)[:MOST]
+    live = profile("live")
+    detector = ColorPairDetector({name: models[name] for name in names}, live.detector)
+    places = [place for place in detector.detect(frame, names) if place.score >= PLAIN]
+    if not places:
+        why = channels_exchanged(frame, detector, names)
+        found = f"none of {', '.join(names)} is in the last picture"
+        yield Finding("objects", "bad" if why else "none", found, why or "")
+        return
+    best = {place.object: place for place in places[::-1]}
+    estimator = Estimator(models, live.estimator)
+    answers = estimator.estimate(frame, [ObjectQuery(name, best[name].box) for name in sorted(best)])
+    said = ", ".join(f"{answer.object} {answer.state} {answer.quality:.2f}" for answer in answers)
+    yield Finding("objects", "ok", said)
+    size = apparent_size(looks(frame, models, answers))
+    if size.clear:
+        yield Finding("camera", "note", "sizes do not fit", size.said(frame.camera))

@@ -1,0 +1,30 @@
+"""What the doctor says of the objects in a picture: found, not there, or there with exchanged colours."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+
+import numpy as np
+
+from huepose.geometry import RgbdFrame
+from huepose.model.types import ReferenceModel
+from huepose_services.doctor.objects import objects_in
+
+
+def test_objects_are_found_or_asked_about(
+    tea_box: ReferenceModel, take_picture: Callable[..., RgbdFrame], standing: np.ndarray
+) -> None:
+    frame = take_picture([(tea_box.mesh, standing)])
+    (found,) = objects_in(frame, {"tea_box": tea_box})
+    assert (found.state, found.found[:17]) == ("ok", "tea_box TRACKING ")
+    (none,) = objects_in(take_picture([]), {"tea_box": tea_box})
+    assert (none.state, none.fix) == ("none", "")
+    blue_first = replace(frame, color=np.ascontiguousarray(frame.color[:, :, ::-1]))
+    (exchanged,) = objects_in(blue_first, {"tea_box": tea_box})
+    assert exchanged.bad
+    assert "red and blue exchanged" in exchanged.fix
+    camera = replace(frame.camera, fx=0.9 * frame.camera.fx, fy=0.9 * frame.camera.fy)
+    *_, size = objects_in(replace(frame, camera=camera), {"tea_box": tea_box})
+    assert size.state == "note"
+    assert "fx and fy" in size.fix

@@ -276,7 +276,7 @@ def _warn(health: Reader, told: set[str]) -> None:
 
 def _silence(reader: Reader, pipeline: Pipeline, key: str) -> str:
     if not reader.seen:
-        return f"waiting: {pipeline.absence}"
+        return f"waiting for a pipeline: {pipeline.absence}"
     what = "no object has been found yet" if key.endswith(_POSES) else f"nothing is said on {key} yet"
     return f"the pipeline runs, but {what}; `huepose status` says how it is"
 

@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from huepose.support.words import counted
-from huepose_services.cli.options import add_choice, add_number, chosen_config, until_told
+from huepose_services.cli.options import add_choice, add_number, chosen, chosen_config, until_told
 
 if TYPE_CHECKING:
     from huepose_services.recording.parts import Parts
@@ -75,7 +75,7 @@ def call(arguments: argparse.Namespace) -> int:
             status.show(_how_far(recorder, parts))
             if time.monotonic() > say_at and recorder.span.first_ns is None:
                 say_at = float("inf")
-                text = f"waiting for a pipeline at port {config.bus.base_port}; `huepose up` starts one"
+                text = f"waiting for a pipeline: {chosen(arguments, say=False).absence}"
                 print(text, file=sys.stderr, flush=True)
             if arguments.seconds is not None and recorder.span.first_ns is not None:
                 end_at = min(end_at, time.monotonic() + arguments.seconds)

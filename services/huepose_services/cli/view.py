@@ -11,7 +11,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from huepose_services.cli.options import add_choice, add_path, chosen_config, until_told
+from huepose_services.cli.options import add_choice, add_path, chosen, chosen_config, until_told
 
 if TYPE_CHECKING:
     from huepose_services.runtime.config import Config
@@ -147,7 +147,7 @@ def _run(
         work.step()
         if time.monotonic() > say_at and not bus.health.counters.get("pictures"):
             say_at = float("inf")
-            text = f"waiting for a pipeline at port {config.bus.base_port}; `huepose up` starts one"
+            text = f"waiting for a pipeline: {chosen(arguments, say=False).absence}"
             print(text, file=sys.stderr, flush=True)
     bus.close()
     session.close()

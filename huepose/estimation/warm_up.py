@@ -8,6 +8,7 @@ from collections.abc import Callable
 import numpy as np
 
 from huepose.estimation.answer import confirm, refine_prior
+from huepose.estimation.apparent_size import support
 from huepose.estimation.explanation import Explanation
 from huepose.estimation.types import ObjectQuery, PoseEstimate
 from huepose.geometry import se3
@@ -42,3 +43,4 @@ def warm_up(explain: Explain, model: ReferenceModel, full: bool) -> None:
     pose = refined.poses[0]
     turned = se3.perturb(pose, np.array([0.0, 0.0, 0.0, 0.0, 0.0, 0.1]))
     decided(model, region, Ranked.of(np.stack([pose, turned]), np.array([2.0, 1.95])))
+    support(frame, model, pose, picture.depth > 0)

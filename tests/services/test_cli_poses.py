@@ -80,3 +80,12 @@ def test_files_of_poses_and_other_ways_to_print_them_do_not_go_together(tmp_path
     assert main(["poses", "--csv", str(tmp_path / "a.csv"), "--robot"]) == 2
     assert "found --robot beside it" in capsys.readouterr().err
     assert not (tmp_path / "a.csv").exists()
+
+
+def test_poses_on_a_robot_need_a_camera_that_is_somewhere_on_it(tmp_path, capsys):
+    path = tmp_path / "pipeline.yaml"
+    path.write_text("bus: {base_port: 29247}\ncamera: {source: synthetic}\n")
+    assert main(["poses", "--robot", "--config", str(path)]) == 2
+    said = capsys.readouterr().err
+    assert "found no camera.mount" in said
+    assert "camera.moving or camera.tf" in said

@@ -215,7 +215,7 @@ def _print_on_robot(
 
     if arguments.key != _POSES:
         raise InputError("--robot", found=f"{arguments.key} beside it", expected="poses, a line each")
-    endpoints = chosen(arguments).endpoints if gateway is None else [gateway.endpoint]
+    endpoints = _endpoints_of_mounted(arguments) if gateway is None else [gateway.endpoint]
     files = {} if gateway is None or gateway.credentials is None else vars(gateway.credentials)
     say_at, told = time.monotonic() + _SAY_WAITING_AFTER_S, False
     with PoseClient(endpoints, **files) as client:
@@ -232,6 +232,25 @@ def _print_on_robot(
                     "waiting for a camera that says where it is mounted: set camera.mount in pipeline.yaml "
                     "(docs/ros2.md)"
                 )
+
+
+def _endpoints_of_mounted(arguments: argparse.Namespace) -> list[str]:
+    """Where the workers of the pipeline listen. Raises InputError where by its file nobody will ever tell
+    where the camera is."""
+    from huepose.support.errors import InputError
+    from huepose_services.runtime.config import load
+
+    pipeline = chosen(arguments)
+    if pipeline.file.endswith((".yaml", ".yml")) and Path(pipeline.file).is_file():
+        camera = load(Path(pipeline.file), pipeline.camera).camera
+        if camera.mount is None and not camera.told:
+            raise InputError(
+                f"--robot, of {pipeline.file}",
+                found="no camera.mount",
+                expected="where the camera is on the robot",
+                fix="Set camera.mount (docs/ros2.md), or camera.moving or camera.tf for one that moves.",
+            )
+    return pipeline.endpoints
 
 
 def _take_here(

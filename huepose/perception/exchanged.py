@@ -13,8 +13,8 @@ from huepose.geometry.frame import RgbdFrame
 from huepose.perception.types import Detector
 
 PLAIN = 0.7
-"""Least score of an object that is plainly there. In pictures with the channels exchanged, of 118 labels on
-five sets one passed it, a marker; in the pictures as they are, two of three did."""
+"""Least score of an object that is plainly there. Of 74 labels in 19 real and drawn frames 54 reach it, and
+two, both a marker, in the pictures with exchanged channels."""
 
 
 def channels_exchanged(frame: RgbdFrame, detector: Detector, names: Sequence[str]) -> str | None:

@@ -1,9 +1,9 @@
 """A camera of your own in a pipeline: a file with `frames()`, named in pipeline.yaml.
 
-    camera: {source: python, path: examples/04_own_camera.py}
+    camera: {source: python, path: ../examples/04_own_camera.py}   # in tea_box/pipeline.yaml
 
 This one gives the frame of `huepose new` thirty times a second, with new noise each time; put your driver in
-its place. The frame is read from the folder `tea_box` where the pipeline was started, or from $FRAME_FOLDER.
+its place. The frame is read from the folder `tea_box` beside `examples`, or from $FRAME_FOLDER.
 """
 
 import os
@@ -16,7 +16,7 @@ import numpy as np
 from huepose import RgbdFrame
 from huepose.datasets.image_files import read_frame
 
-FOLDER = Path(os.environ.get("FRAME_FOLDER", "tea_box"))
+FOLDER = Path(os.environ.get("FRAME_FOLDER", Path(__file__).parents[1] / "tea_box"))
 
 
 def frames() -> Iterator[RgbdFrame]:

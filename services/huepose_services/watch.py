@@ -93,13 +93,17 @@ class Watch:
         """Listen until everyone who is there has said how they are, in these bounds."""
         self.look(least_s)
         until = time.monotonic() + most_s - least_s
-        while time.monotonic() < until and any(last(k) not in self._health for k in list(self._reader.live)):
+        while time.monotonic() < until and self._there() - set(self._health):
             self.look(0.1)
+
+    def _there(self) -> set[str]:
+        """The workers that are there; who plays a recording says nothing of itself."""
+        return {last(key) for key in list(self._reader.live)} - {"replay"}
 
     def view(self) -> View:
         """What is known now."""
         now = time.monotonic()
-        there = {last(key) for key in list(self._reader.live)}
+        there = self._there()
         fresh = {w: m for w, (when, m) in self._health.items() if now - when < _STALE_S}
         missing = tuple(w for w in self.pipeline.workers if w not in there)
         silent = frozenset(w for w in there if w not in fresh and now - self._since > _STALE_S)
@@ -114,7 +118,8 @@ class Watch:
             if now - when < _STALE_S and not is_over(m, self._objects)
         }
         health = {w: m for w, (_, m) in self._health.items() if w in there or w in fresh}
-        return View(self.pipeline, bool(there), health, silent, missing, self._objects or [], poses, rates)
+        seen, objects = bool(self._reader.live), self._objects or []
+        return View(self.pipeline, seen, health, silent, missing, objects, poses, rates)
 
     def __enter__(self) -> Watch:
         return self

@@ -26,5 +26,5 @@ def test_objects_are_found_or_asked_about(
     assert "red and blue exchanged" in exchanged.fix
     camera = replace(frame.camera, fx=0.9 * frame.camera.fx, fy=0.9 * frame.camera.fy)
     *_, size = objects_in(replace(frame, camera=camera), {"tea_box": tea_box})
-    assert size.state == "note"
+    assert size.bad
     assert "fx and fy" in size.fix

@@ -8,7 +8,7 @@ import pytest
 from huepose.support.errors import InputError
 from huepose_protos.local import run_folder
 from huepose_services.cli.main import main
-from huepose_services.cli.options import chosen
+from huepose_services.cli.options import chosen, chosen_config
 from huepose_services.runtime.config import BusConfig, Config
 from huepose_services.runtime.running import Pipeline, noted, occupant, pick, running
 
@@ -132,3 +132,14 @@ def test_a_box_with_a_negative_side_is_explained_by_its_size(capsys):
     said = capsys.readouterr().err
     assert "--box: found 210 120 -90 160; expected X Y W H in pixels" in said
     assert "name of" not in said
+
+
+def test_a_recording_that_is_played_is_no_pipeline_that_starts(tmp_path, capsys):
+    played = Pipeline(base_port=29347, site="lab", camera="cam0", file=str(tmp_path / "run1.mcap"))
+    with noted(played):
+        assert main(["objects", "list", "--pipeline", "lab/cam0"]) == 1
+        said = capsys.readouterr().err
+        assert f"lab/cam0 is a recording that is played, {tmp_path / 'run1.mcap'}" in said
+        arguments = argparse.Namespace(config=None, pipeline="lab/cam0")
+        assert chosen_config(arguments).bus.base_port == 29347  # its file is not read as YAML
+    assert "`huepose up` starts one" in Pipeline(base_port=29347).absence

@@ -35,4 +35,4 @@ def objects_in(frame: RgbdFrame, models: Mapping[str, ReferenceModel]) -> Iterat
     yield Finding("objects", "ok", said)
     size = apparent_size(looks(frame, models, answers))
     if size.clear:
-        yield Finding("camera", "note", "sizes do not fit", size.said(frame.camera))
+        yield Finding("camera", "bad", "sizes do not fit", size.said(frame.camera))

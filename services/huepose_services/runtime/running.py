@@ -47,6 +47,8 @@ class Pipeline(msgspec.Struct, frozen=True, kw_only=True):
     @property
     def absence(self) -> str:
         """What to say where nothing is heard of it."""
+        if self.noted and not self.workers:
+            return f"{self.name} is a recording that is played, {self.file}: there is nothing to steer"
         if self.noted:
             return f"{self.name} is being started, from {self.file}; its log says how far it is"
         return f"no pipeline runs at port {self.base_port}; `huepose up` starts one"

@@ -20,6 +20,9 @@ from huepose.geometry.se3 import apply
 
 Colour = tuple[int, int, int]
 AXES: tuple[Colour, Colour, Colour] = ((230, 60, 50), (60, 190, 70), (60, 110, 240))  # x, y, z
+STATE_COLOURS: dict[str, Colour] = {"TRACKING": (60, 220, 60), "SUSPECT": (255, 190, 40)}
+"""Of poses that may be acted on, and of those that may not."""
+
 LABEL_SCALE = 0.5
 _SUBPIXEL_BITS = 4
 _LETTER_PX = 8.0  # of an axis beyond its tip

@@ -17,7 +17,7 @@ from huepose.datasets.boxes import disturbed
 from huepose.datasets.types import VISIBLE
 from huepose.drawing.canvas import paragraph
 from huepose.drawing.contact_sheet import contact_sheet
-from huepose.drawing.overlay import Colour, draw_axes, draw_mask_outline, silhouette
+from huepose.drawing.overlay import STATE_COLOURS, Colour, draw_axes, draw_mask_outline, silhouette
 from huepose.estimation import Estimator, ObjectQuery
 from huepose.evaluation.metrics import RECALL_FRACTION, add, adds
 from huepose.geometry import Box, Camera, RgbdFrame, se3
@@ -57,7 +57,8 @@ FACING = 0.3
 MOST_HIDDEN = 100
 """After so many drawn scenes in a row that hardly show the object, none will: one in twenty is usual."""
 
-GREEN, AMBER, RED = (60, 220, 60), (255, 190, 40), (235, 60, 50)
+RED = (235, 60, 50)
+"""Of a pose that is TRACKING and wrong."""
 
 VIEW_PX, CROP_PX = 220, 200
 
@@ -123,7 +124,8 @@ def _trials(model: ReferenceModel, estimator: Estimator, count: int, seed: int) 
         T = answer.T_cam_obj
         right, shape_right, turn = (False, False, None) if T is None else judge(model, T, T_true)
         distance_m = float(se3.apply(T_true, model.mesh.centre[None])[0, 2])
-        color = (GREEN if right else RED) if answer.state == "TRACKING" else AMBER
+        falsely_sure = answer.state == "TRACKING" and not right
+        color = RED if falsely_sure else STATE_COLOURS.get(answer.state, RED)  # a LOST one is not drawn
         yield Trial(
             distance_m,
             drawn.camera.fx * model.diameter_m / distance_m,

@@ -172,19 +172,20 @@ class SearchedBoxes(SeenBoxes):
         """What the detector sees of the named objects, best first."""
         if self._frame is None or not names:
             return []
-        # The object whose turn is longest ago; before all, one that never had a turn.
-        turn = min(names, key=lambda name: self._turns.index(name) if name in self._turns else -1)
-        self._turns = [name for name in self._turns if name != turn] + [turn]
-        return self._searcher.detect(self._frame, names, (turn,))
+        return self._searcher.detect(self._frame, names, (self._turn(names),))
 
     def why_none(self, names: Sequence[str]) -> str | None:
         """What may be wrong with the colours of the newest frame, in which nothing is found; None where they
         are not the reason. One object is looked for, as in `detections`."""
         if self._frame is None or not names:
             return None
-        self._turns = [*self._turns[1:], *self._turns[:1]]
-        looked_for = next((name for name in self._turns if name in names), names[0])
-        return channels_exchanged(self._frame, self._searcher, [looked_for])
+        return channels_exchanged(self._frame, self._searcher, [self._turn(names)])
+
+    def _turn(self, names: Sequence[str]) -> str:
+        """The object whose turn is longest ago, which has it now; before all, one that never had a turn."""
+        turn = min(names, key=lambda name: self._turns.index(name) if name in self._turns else -1)
+        self._turns = [name for name in self._turns if name != turn] + [turn]
+        return turn
 
     def _predicted(self, wanted: RequestedObject, header: FrameHeader, camera: Camera) -> Box | None:
         """The box of a fresh prediction; None where there is none in the image."""

@@ -32,7 +32,7 @@ _MAKERS = (
 def bundles_are_kept(seed: int) -> bool:
     """Whether the reference models of the built-in scene were made before."""
     meshes = builtin_objects(seed)
-    return all(model_path(cache_folder() / "builtin" / _digest(meshes), name).exists() for name in meshes)
+    return not _missing(_folder(meshes, paper=False), meshes)
 
 
 @cache
@@ -43,8 +43,8 @@ def builtin_bundles(seed: int, paper: bool = False) -> Path:
 
     Of several processes one makes them, and the others wait for it."""
     meshes = builtin_objects(seed)
-    folder = cache_folder() / "builtin" / (_digest(meshes) + ("-paper" if paper else ""))
-    if all(model_path(folder, name).exists() for name in meshes):
+    folder = _folder(meshes, paper)
+    if not _missing(folder, meshes):
         return folder
     with writing(folder, fix="Set XDG_CACHE_HOME to one that can."):
         folder.mkdir(parents=True, exist_ok=True)
@@ -55,7 +55,7 @@ def builtin_bundles(seed: int, paper: bool = False) -> Path:
         except BlockingIOError:
             print("waiting: another process learns the built-in objects", file=sys.stderr, flush=True)
             fcntl.flock(lock, fcntl.LOCK_EX)
-        missing = [name for name in meshes if not model_path(folder, name).exists()]
+        missing = _missing(folder, meshes)
         if missing:
             from huepose.onboarding.reference import reference_model
 
@@ -63,6 +63,15 @@ def builtin_bundles(seed: int, paper: bool = False) -> Path:
                 model = reference_model(meshes[name], name, paper=paper)
                 save_model(model, model_path(folder, name))
     return folder
+
+
+def _folder(meshes: dict[str, Mesh], paper: bool) -> Path:
+    return cache_folder() / "builtin" / (_digest(meshes) + ("-paper" if paper else ""))
+
+
+def _missing(folder: Path, meshes: dict[str, Mesh]) -> list[str]:
+    """The objects whose reference models are not there yet."""
+    return [name for name in meshes if not model_path(folder, name).exists()]
 
 
 def _digest(meshes: dict[str, Mesh]) -> str:

@@ -110,18 +110,23 @@ def rows(poses: np.ndarray) -> str:
     return "\n".join(out) + "\n"
 
 
+def files(folder: Path, hand: str, seen: str) -> list[str]:
+    """Options with the rows of the hand's poses and of the object's, in files of a folder."""
+    (folder / "hand.csv").write_text(hand)
+    (folder / "object.csv").write_text(seen)
+    return ["--object", str(folder / "object.csv"), "--hand", str(folder / "hand.csv")]
+
+
 @pytest.mark.parametrize("camera", ["fixed", "on-hand"])
 def test_the_command_says_what_to_configure(
     tmp_path: Path, camera: str, capsys: pytest.CaptureFixture[str]
 ) -> None:
     A, B = measured(8)
     hand = np.array([se3.inverse(a) for a in A]) if camera == "fixed" else A
-    (tmp_path / "hand.csv").write_text(rows(hand))
-    (tmp_path / "object.csv").write_text(rows(B))
     out = tmp_path / "out.json"
-    files = ["--object", str(tmp_path / "object.csv"), "--hand", str(tmp_path / "hand.csv")]
+    options = files(tmp_path, rows(hand), rows(B))
     outputs = ["--json", str(out), "--image", str(tmp_path / "left.png"), "--method", "daniilidis"]
-    assert main(["calibrate", "hand-eye", *files, "--camera", camera, *outputs]) == 0
+    assert main(["calibrate", "hand-eye", *options, "--camera", camera, *outputs]) == 0
     answer = json.loads(out.read_text())
     mount, facts = answer["mount"], answer["certainty"]
     assert facts["closed_forms_apart_mm"] < 0.01
@@ -139,13 +144,11 @@ def test_the_poses_of_several_things_are_not_taken_together(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     A, B = measured(8, 0.001)
-    (tmp_path / "hand.csv").write_text(rows(A))
     lines = rows(B).splitlines()
     of_mug = [f"{line.replace('thing', 'mug')},{instance}" for line in lines[1:] for instance in (0, 1)]
     others = [line.replace("thing", "jar") + ",0,1700000000.5,0.99" for line in lines[3:]]
-    (tmp_path / "object.csv").write_text("\n".join([lines[0], *of_mug, *others]) + "\n")
-    files = ["--object", str(tmp_path / "object.csv"), "--hand", str(tmp_path / "hand.csv")]
-    line = ["calibrate", "hand-eye", *files, "--camera", "on-hand"]
+    options = files(tmp_path, rows(A), "\n".join([lines[0], *of_mug, *others]) + "\n")
+    line = ["calibrate", "hand-eye", *options, "--camera", "on-hand"]
     assert main(line) == 2
     assert "found poses of mug/0 (8), mug/1 (8), jar/0 (6)" in capsys.readouterr().err
     assert main([*line, "--name", "mug"]) == 2
@@ -162,11 +165,9 @@ def test_the_median_is_the_same_in_words_and_as_json(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     A, B = measured(8, 0.002)
-    (tmp_path / "hand.csv").write_text(rows(A))
-    (tmp_path / "object.csv").write_text(rows(B))
-    files = ["--object", str(tmp_path / "object.csv"), "--hand", str(tmp_path / "hand.csv")]
+    options = files(tmp_path, rows(A), rows(B))
     out = tmp_path / "out.json"
-    assert main(["calibrate", "hand-eye", *files, "--camera", "on-hand", "--json", str(out)]) == 0
+    assert main(["calibrate", "hand-eye", *options, "--camera", "on-hand", "--json", str(out)]) == 0
     shift = json.loads(out.read_text())["left"]["shift_mm"]
     assert f"off by {shift['median']:.1f} mm" in capsys.readouterr().out
     expected = 1e3 * np.median(hand_eye.solve(A, B).shift_m)
@@ -177,10 +178,8 @@ def test_the_command_says_when_four_poses_are_too_few(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     A, B = measured(4, 0.001)
-    (tmp_path / "hand.csv").write_text(rows(A))
-    (tmp_path / "object.csv").write_text(rows(B))
-    files = ["--object", str(tmp_path / "object.csv"), "--hand", str(tmp_path / "hand.csv")]
-    assert main(["calibrate", "hand-eye", *files, "--camera", "on-hand"]) == 0
+    options = files(tmp_path, rows(A), rows(B))
+    assert main(["calibrate", "hand-eye", *options, "--camera", "on-hand"]) == 0
     said = capsys.readouterr().out
     assert "POORLY DETERMINED: the mount's place may be" in said
     assert "poses or more, turned by 30 degrees" in said
@@ -220,11 +219,9 @@ def test_poses_that_mean_something_else_give_no_mount_but_what_they_mean(
     wrong, fixed: bool, meaning: list[str], advice: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     A, B = measured(12, 0.001)
-    (tmp_path / "hand.csv").write_text(rows(wrong(np.array([se3.inverse(a) for a in A]))))
-    (tmp_path / "object.csv").write_text(rows(B))
-    files = ["--object", str(tmp_path / "object.csv"), "--hand", str(tmp_path / "hand.csv")]
+    options = files(tmp_path, rows(wrong(np.array([se3.inverse(a) for a in A]))), rows(B))
     camera, out = "fixed" if fixed else "on-hand", tmp_path / "out.json"
-    assert main(["calibrate", "hand-eye", *files, "--camera", camera, "--json", str(out)]) == 1
+    assert main(["calibrate", "hand-eye", *options, "--camera", camera, "--json", str(out)]) == 1
     said = capsys.readouterr().out
     assert "THE POSES DO NOT FIT TOGETHER" in said
     assert advice in said
@@ -238,10 +235,8 @@ def test_poses_that_belong_to_other_frames_are_told_without_a_reason_that_is_mad
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     A, B = measured(12, 0.001)
-    (tmp_path / "hand.csv").write_text(rows(A[::-1]))
-    (tmp_path / "object.csv").write_text(rows(B))
-    files = ["--object", str(tmp_path / "object.csv"), "--hand", str(tmp_path / "hand.csv")]
-    assert main(["calibrate", "hand-eye", *files, "--camera", "on-hand"]) == 1
+    options = files(tmp_path, rows(A[::-1]), rows(B))
+    assert main(["calibrate", "hand-eye", *options, "--camera", "on-hand"]) == 1
     said = capsys.readouterr().out
     assert "T_base_hand at the very frames" in said
     assert "They fit when" not in said

@@ -143,3 +143,10 @@ def test_a_recording_that_is_played_is_no_pipeline_that_starts(tmp_path, capsys)
         arguments = argparse.Namespace(config=None, pipeline="lab/cam0")
         assert chosen_config(arguments).bus.base_port == 29347  # its file is not read as YAML
     assert "`huepose up` starts one" in Pipeline(base_port=29347).absence
+
+
+def test_a_configuration_may_have_any_name(tmp_path):
+    path = tmp_path / "lab.conf"
+    path.write_text("site: lab\nbus: {base_port: 29447}\nobjects: [{name: cup}]\nbundles: bundles\n")
+    config = chosen_config(argparse.Namespace(config=path, pipeline=None))
+    assert [item.name for item in config.objects] == ["cup"]

@@ -11,7 +11,7 @@ import numpy as np
 
 from huepose.drawing.canvas import paragraph
 from huepose.drawing.contact_sheet import contact_sheet
-from huepose.drawing.overlay import Body, draw_poses
+from huepose.drawing.overlay import STATE_COLOURS, Body, draw_poses
 from huepose.estimation import PoseEstimate
 from huepose.estimation.explanation import Explanation
 from huepose.estimation.panels import LEGEND, Panels
@@ -28,7 +28,6 @@ from huepose.select.near_ties import TERMS
 from huepose.support.files import write_picture, write_text
 
 COLORS = ((60, 220, 60), (255, 170, 30), (70, 160, 255), (255, 80, 160), (240, 240, 60))
-STATES = {"TRACKING": (60, 220, 60), "SUSPECT": (255, 190, 40)}
 """As in the viewer: green may be acted on."""
 
 VIEWS = 12
@@ -42,7 +41,12 @@ def draw_answers(
     """The colour image (H, W, 3) with outline, axes, name, state and quality of every pose that was found, in
     the colour of its state."""
     bodies = [
-        Body(models[a.object].mesh, a.T_cam_obj, STATES[a.state], f"{a.object} {a.state} {a.quality:.2f}")
+        Body(
+            models[a.object].mesh,
+            a.T_cam_obj,
+            STATE_COLOURS[a.state],
+            f"{a.object} {a.state} {a.quality:.2f}",
+        )
         for a in answers
         if a.T_cam_obj is not None
     ]

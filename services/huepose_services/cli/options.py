@@ -151,7 +151,7 @@ def chosen_config(arguments: argparse.Namespace) -> Config:
     if pipeline.folder:
         # Its sockets may be in another folder than those that this user's own pipelines would have.
         os.environ[FOLDER] = pipeline.folder
-    if pipeline.file.endswith((".yaml", ".yml")):  # else it is a recording that is played
+    if pipeline.file and not pipeline.recorded:
         return load(Path(pipeline.file), pipeline.camera)
     return Config(
         site=pipeline.site,

@@ -15,7 +15,7 @@ from huepose_services.cli.options import add_choice, add_path, chosen, until_tol
 
 if TYPE_CHECKING:
     from huepose_protos.client import Reader
-    from huepose_protos.messages import Message, PoseMessage
+    from huepose_protos.messages import HealthMessage, Message, PoseMessage
     from huepose_services.pem import Credentials
     from huepose_services.runtime.running import Pipeline
 
@@ -241,7 +241,7 @@ def _endpoints_of_mounted(arguments: argparse.Namespace) -> list[str]:
     from huepose_services.runtime.config import load
 
     pipeline = chosen(arguments)
-    if pipeline.file.endswith((".yaml", ".yml")) and Path(pipeline.file).is_file():
+    if Path(pipeline.file).is_file() and not pipeline.recorded:
         camera = load(Path(pipeline.file), pipeline.camera).camera
         if camera.mount is None and not camera.told:
             raise InputError(
@@ -256,17 +256,23 @@ def _endpoints_of_mounted(arguments: argparse.Namespace) -> list[str]:
 def _take_here(
     arguments: argparse.Namespace, stopping: Callable[[], bool], take: Callable[[Message], None]
 ) -> None:
+    import zenoh
+
     from huepose_protos.client import Reader
+    from huepose_protos.messages import HealthMessage
 
     pipeline, again, say_at = chosen(arguments), True, time.monotonic() + _SAY_WAITING_AFTER_S
     told: set[str] = set()
     while again and not stopping():
-        endpoints, key = pipeline.endpoints, pipeline.key(arguments.key)
-        with Reader(endpoints, key) as reader, Reader(endpoints, pipeline.key("health/**")) as health:
+        key, health = pipeline.key(arguments.key), pipeline.key("health/**")
+        asks_for_health = zenoh.KeyExpr(key).intersects(zenoh.KeyExpr(health))
+        with Reader(pipeline.endpoints, key, *([] if asks_for_health else [health])) as reader:
             again = False
             while not stopping() and not _is_over(reader) and not again:
                 message = reader.next(0.1)
-                _warn(health, told)
+                if isinstance(message, HealthMessage):
+                    _warn(message, told)
+                    message = message if asks_for_health else None
                 if message is not None:
                     say_at = float("inf")
                     take(message)
@@ -282,15 +288,12 @@ def _take_here(
                 _say(f"{pipeline.name} has ended")
 
 
-def _warn(health: Reader, told: set[str]) -> None:
-    """What the workers warn of, each once: poses that come all the same may be off for it."""
-    from huepose_protos.messages import HealthMessage
-
-    while (message := health.next(0.0)) is not None:
-        if isinstance(message, HealthMessage):
-            for text in [text for text in message.warnings if text not in told]:
-                told.add(text)
-                _say(f"{message.worker}: {text}")
+def _warn(health: HealthMessage, told: set[str]) -> None:
+    """What a worker warns of, each once: poses that come all the same may be off for it."""
+    for text in health.warnings:
+        if text not in told:
+            told.add(text)
+            _say(f"{health.worker}: {text}")
 
 
 def _silence(reader: Reader, pipeline: Pipeline, key: str) -> str:

@@ -45,6 +45,11 @@ class Pipeline(msgspec.Struct, frozen=True, kw_only=True):
         return bool(self.folder)
 
     @property
+    def recorded(self) -> bool:
+        """Whether its file is a recording that is played, and no configuration."""
+        return self.file.endswith(".mcap")
+
+    @property
     def absence(self) -> str:
         """What to say where nothing is heard of it."""
         if self.noted and not self.workers:

@@ -79,9 +79,9 @@ class ApparentSize:
             else ("smaller", "large", "small", "large")
         )
         return (
-            f"The picture shows objects {100 * abs(self.larger):.0f} % {way} than they would be at their "
-            f"depth: fx and fy ({camera.fx:.0f}, {camera.fy:.0f}) are too {focal}, the depth scale is too "
-            f"{unit}, or the mesh is too {mesh}, by about as much. Poses are off for it."
+            f"The picture shows objects {100 * abs(self.larger):.0f} % {way} than their depth says: fx and "
+            f"fy ({camera.fx:.0f}, {camera.fy:.0f}) are too {focal}, the depth scale is too {unit}, or the "
+            f"mesh is too {mesh}."
         )
 
 

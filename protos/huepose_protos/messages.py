@@ -189,7 +189,8 @@ class EstimatedObject(Struct, frozen=True, kw_only=True):
 
 class Estimates(Message, frozen=True, kw_only=True):
     """Answers to one request, all computed on one frame. `picture`: what is wrong with that frame as such,
-    where nothing was found in it."""
+    where nothing was found in it; `sizes`: what the sizes of objects in the pictures of this camera say
+    against its matrix, its depth scale or the meshes."""
 
     max_bytes: ClassVar[int] = 1024 * KIB
     request_seq: Count
@@ -198,13 +199,15 @@ class Estimates(Message, frozen=True, kw_only=True):
     capture_ns: Stamp
     estimates: Annotated[list[EstimatedObject], Meta(max_length=64)]
     picture: Text = ""
+    sizes: Text = ""
 
     def __post_init__(self) -> None:
         check_masks((item.mask for item in self.estimates), MAX_ESTIMATE_PIXELS)
 
 
 class CorrectionMessage(Message, frozen=True, kw_only=True):
-    """A verdict of the re-initialisation loop on one instance at one past frame; `seq` counts for each."""
+    """A verdict of the re-initialisation loop on one instance at one past frame; `seq` counts for each.
+    `sizes`: why no pose of this camera is to be acted on, as in Estimates."""
 
     max_bytes: ClassVar[int] = 256 * KIB
     object: Name
@@ -218,6 +221,7 @@ class CorrectionMessage(Message, frozen=True, kw_only=True):
     verdict: VerdictName
     seq: Count
     mask: MaskRuns | None = None
+    sizes: Text = ""
 
     def __post_init__(self) -> None:
         check_pose(self.translation, self.quaternion)

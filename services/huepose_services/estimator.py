@@ -28,6 +28,8 @@ LOOKS, FEWEST_LOOKS, LOOK_EVERY_NS = 12, 3, SECOND
 """Looks at the size of objects in the picture: how many of an epoch of the camera, how many are asked for a
 warning, and their distance in time. One takes some 30 ms of a processor."""
 
+WAY_OUT = "No pose is TRACKING for it. If all three are right, set estimator.check_sizes: false."
+
 
 def make(bus: Bus, config: Config) -> EstimatorWork:
     """The estimator worker's work, with its kernels compiled."""
@@ -39,39 +41,47 @@ def make(bus: Bus, config: Config) -> EstimatorWork:
     estimator = Estimator(models.load(config), settings)
     estimator.warm_up()
     follower = Follower(bus, lambda name: models.load_one(config, name), estimator.objects)
-    return EstimatorWork(bus, estimator, follower)
+    return EstimatorWork(bus, estimator, follower, SizesSeen(LOOKS if config.estimator.check_sizes else 0))
 
 
 class SizesSeen:
     """Whether objects are as large in the pictures of a camera as its matrix says: a few looks at sure poses,
     some time apart, since none of them is worth much alone."""
 
-    def __init__(self) -> None:
-        self._epoch, self._next_ns = -1, 0
+    def __init__(self, most: int = LOOKS) -> None:
+        self._most, self._epoch, self._next_ns = most, -1, 0
         self._looks: list[Float64] = []
+        self.doubt = ""  # what is wrong in the epoch that was asked about last
 
     def wanted(self, epoch: int, at_ns: int) -> bool:
         """Whether to look now, at a picture of that epoch of the camera."""
         if epoch != self._epoch:
-            self._epoch, self._looks = epoch, []
-        return len(self._looks) < LOOKS and at_ns >= self._next_ns
+            self._epoch, self._looks, self.doubt = epoch, [], ""
+        return len(self._looks) < self._most and at_ns >= self._next_ns
 
-    def added(self, frame: RgbdFrame, looks: Sequence[Float64], at_ns: int) -> str | None:
-        """Take what was seen in a frame; what is wrong with the camera's matrix, None where nothing is."""
+    def add(self, frame: RgbdFrame, looks: Sequence[Float64], at_ns: int) -> None:
+        """Take what was seen in a frame."""
         self._looks += looks
         if looks:
             self._next_ns = at_ns + LOOK_EVERY_NS
         size = apparent_size(self._looks)
-        return size.said(frame.camera) if len(self._looks) >= FEWEST_LOOKS and size.clear else None
+        clear = len(self._looks) >= FEWEST_LOOKS and size.clear
+        self.doubt = size.said(frame.camera) if clear else ""
 
 
 class EstimatorWork(Work):
     """Answers the newest masks."""
 
-    def __init__(self, bus: Bus, estimator: Estimator, objects: Follower[ReferenceModel]) -> None:
+    def __init__(
+        self,
+        bus: Bus,
+        estimator: Estimator,
+        objects: Follower[ReferenceModel],
+        sizes: SizesSeen | None = None,
+    ) -> None:
         self._bus, self._estimator, self._objects = bus, estimator, objects
         self._masks = bus.inbox.ring(bus.keys.masks)
-        self._sizes = SizesSeen()
+        self._sizes = sizes or SizesSeen()
         self._blames_picture = False
 
     def step(self) -> None:
@@ -103,6 +113,7 @@ class EstimatorWork(Work):
             for answer, item in zip(answers, objects, strict=True)
         ]
         picture = self._fault(frame, answers)
+        look = self._sizes.wanted(frame.epoch, started)
         self._bus.put_control(
             self._bus.keys.estimates,
             Estimates(
@@ -113,6 +124,7 @@ class EstimatorWork(Work):
                 capture_ns=frame.stamp_ns,
                 estimates=estimates,
                 picture=picture,
+                sizes=self._sizes.doubt,
             ),
         )
         health = self._bus.health
@@ -120,13 +132,14 @@ class EstimatorWork(Work):
         health.count("found", sum(e.found for e in estimates))
         health.worked_on(started, message.frame)
         sure = [answer for answer in answers if answer.state == "TRACKING"]
-        if sure and self._sizes.wanted(frame.epoch, started):
+        if sure and look:
             # One of them, so that the next request waits no longer than for an estimate.
             looks = self._estimator.sizes_seen(frame, [sure[message.request_seq % len(sure)]])
-            doubt = self._sizes.added(frame, looks, started)
-            health.warn_while("size", doubt)
-            if doubt is not None:
-                self._bus.log.seldom("size", doubt)
+            self._sizes.add(frame, looks, started)
+        warning = f"{self._sizes.doubt} {WAY_OUT}" if self._sizes.doubt else None
+        health.warn_while("size", warning)
+        if warning:
+            self._bus.log.seldom("size", warning)
 
     def _fault(self, frame: RgbdFrame, answers: Sequence[PoseEstimate]) -> str:
         """What is wrong with a frame in which nothing was found; empty where nothing is."""

@@ -93,6 +93,7 @@ class ReinitWork(Work):
         self._sought: dict[int, tuple[str, ...]] = {}
         self._reasons: dict[str, str] = {}
         self._picture_blamed = False
+        self._sizes = ""
         self._told_missing: dict[str, int] = {}
         self._next_tick_ns = self._next_objects_ns = now_ns()
 
@@ -129,6 +130,7 @@ class ReinitWork(Work):
             if not self._camera.agrees(answer.camera_epoch, now_ns()):
                 self._bus.health.count("answers_of_another_camera")
                 continue
+            self._sizes = answer.sizes
             corrections = self._loop.answer(now_ns(), result_from_wire(answer))
             for correction in corrections:
                 self._send(correction)
@@ -191,7 +193,7 @@ class ReinitWork(Work):
         return list(self._tracks.values())
 
     def _send(self, correction: Correction) -> None:
-        self._bus.put_control(self._bus.keys.correction, correction_to_wire(correction))
+        self._bus.put_control(self._bus.keys.correction, correction_to_wire(correction, self._sizes))
 
     def _missing(self) -> dict[str, int]:
         """How many instances of each object are searched for."""
@@ -274,6 +276,6 @@ def request_to_wire(request: Request) -> PerceptionRequest:
     return to_wire(PerceptionRequest, request, publish_ns=now_ns(), seq=request.number, objects=objects)
 
 
-def correction_to_wire(correction: Correction) -> CorrectionMessage:
-    """The message of a correction."""
-    return to_wire(CorrectionMessage, correction, publish_ns=now_ns())
+def correction_to_wire(correction: Correction, sizes: str = "") -> CorrectionMessage:
+    """The message of a correction. sizes: of the newest answer."""
+    return to_wire(CorrectionMessage, correction, publish_ns=now_ns(), sizes=sizes)

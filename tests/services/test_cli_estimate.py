@@ -123,6 +123,25 @@ def test_depth_of_another_unit_is_named_where_nothing_is_found(
     assert pose["reason"].endswith("is the depth scale right?")
 
 
+def test_no_pose_is_tracking_where_sizes_do_not_fit_unless_they_are_not_checked(
+    files: list[str], box: list[str], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    at = files.index("--camera") + 1
+    camera = json.loads(Path(files[at]).read_text())
+    wrong = tmp_path / "camera.json"
+    wrong.write_text(json.dumps(camera | {key: 1.15 * camera[key] for key in ("fx", "fy")}))
+    arguments = [*files[:at], str(wrong), *files[at + 1 :], *box, "--json"]
+    main(arguments)
+    said = json.loads(capsys.readouterr().out)
+    (pose,) = said["poses"]
+    assert (pose["found"], pose["state"]) == (True, "SUSPECT")
+    assert said["doubts"] == [pose["reason"]]
+    assert "smaller than their depth says" in pose["reason"]
+    main([*arguments, "--no-check-sizes"])
+    said = json.loads(capsys.readouterr().out)
+    assert (said["poses"][0]["state"], said["poses"][0]["reason"]) == ("TRACKING", None)
+
+
 def test_why_an_object_is_not_found_is_said_and_drawn(
     files: list[str],
     tea_box: ReferenceModel,

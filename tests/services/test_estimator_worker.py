@@ -14,8 +14,8 @@ from huepose_protos.examples import example
 from huepose_protos.messages import Estimates, FrameHeader, Masks
 from huepose_services import estimator as worker
 from huepose_services.camera.publish import packed
-from huepose_services.estimator import LOOK_EVERY_NS, EstimatorWork
-from huepose_services.runtime.config import Config
+from huepose_services.estimator import LOOK_EVERY_NS, EstimatorWork, make
+from huepose_services.runtime.config import Config, EstimatorConfig
 from huepose_services.runtime.health import Health
 
 CAMERA = Camera(300.0, 300.0, 79.5, 59.5, 160, 120)
@@ -97,5 +97,23 @@ def test_a_wrong_camera_matrix_is_warned_of_after_some_looks(monkeypatch):
     assert first == [[], [], [], []]  # two looks
     (said,) = warned_after(every_s)
     assert said.startswith("The picture shows objects 10 % larger")
+    assert "estimator.check_sizes: false" in said
+    assert [answer.sizes for answer in bus.said] == [""] * 5
+    warned_after(0.0)
+    assert said.startswith(bus.said[-1].sizes)
+    assert bus.said[-1].sizes.endswith("the mesh is too small.")
     estimator.sizes_seen = lambda frame, answers: [np.where(np.isclose(SCALES, 0.0), 9.0, 0.0)]
     assert [warned_after(every_s) for _ in range(3)][-1] == []
+    assert bus.said[-1].sizes == ""
+
+
+def test_sizes_are_not_looked_at_where_the_owner_trusts_them(monkeypatch):
+    bus = _Bus()
+    bus.inbox.queue = lambda *_: None
+    monkeypatch.setattr(worker.models, "load", lambda config: {})
+    monkeypatch.setattr(worker, "Follower", lambda *_: None)
+    sizes = [
+        make(bus, Config(estimator=EstimatorConfig(threads=1, check_sizes=check)))._sizes
+        for check in (True, False)
+    ]
+    assert [one.wanted(1, 0) for one in sizes] == [True, False]

@@ -9,7 +9,14 @@ import pytest
 from huepose.reinit import ReinitConfig, ReinitLoop
 from huepose.reinit.types import ObjectSlot
 from huepose_protos.examples import example
-from huepose_protos.messages import ControlRequest, Estimates, ObjectEntry, ObjectsMessage, PoseMessage
+from huepose_protos.messages import (
+    ControlRequest,
+    CorrectionMessage,
+    Estimates,
+    ObjectEntry,
+    ObjectsMessage,
+    PoseMessage,
+)
 from huepose_services.reinit import ReinitWork
 from huepose_services.runtime.clock import now_ns
 from huepose_services.runtime.config import Config
@@ -84,6 +91,34 @@ def test_that_an_object_is_found_is_told_at_once(bus, step):
     bus.arriving[PoseMessage].append(pose(0))
     step()
     assert bus.mug().searching == 0
+
+
+def test_what_sizes_say_against_the_camera_goes_on_with_every_correction(bus, step):
+    step()
+    request = next(m for m in bus.said if not isinstance(m, ObjectsMessage))
+    found = msgspec.structs.replace(
+        example(Estimates).estimates[0],
+        object="mug",
+        instance=None,
+        found=True,
+        state="TRACKING",
+        quality=0.99,
+    )
+    now = now_ns()
+    bus.arriving[Estimates].append(
+        msgspec.structs.replace(
+            example(Estimates),
+            publish_ns=now,
+            capture_ns=now,
+            camera_epoch=EPOCH,
+            request_seq=request.seq,
+            estimates=[found],
+            sizes="Too large.",
+        )
+    )
+    step()
+    corrections = [m for m in bus.said if isinstance(m, CorrectionMessage)]
+    assert {(c.object, c.verdict, c.sizes) for c in corrections} == {("mug", "acquire", "Too large.")}
 
 
 def test_an_answer_to_what_was_asked_before_a_reset_gives_no_reason_after_it(bus, objects, step):

@@ -358,6 +358,30 @@ def test_a_camera_that_states_another_focal_length_is_doubted_until_it_states_th
     assert any("restart the tracker" in p.reason for p in bus.out)
 
 
+def test_no_pose_is_tracking_while_perception_says_that_sizes_do_not_fit():
+    """Until it says otherwise, or the camera is opened anew."""
+    work, bus, _ = _worker(se3.make(np.eye(3), np.array([0.0, 0.0, 0.5])))
+    epoch, seq = _other(1)[0].camera_epoch, iter(range(1, 9))
+
+    def after(frame, sizes=None, epoch=epoch):
+        if sizes is not None:
+            bus.waiting["correction"] = [
+                msgspec.structs.replace(
+                    CORRECTION, camera_epoch=epoch, sizes=sizes, seq=CORRECTION.seq + next(seq), mask=None
+                )
+            ]
+        header, payload = _other(frame, frame, frame)
+        bus.waiting["frame"] = [(msgspec.structs.replace(header, camera_epoch=epoch), payload)]
+        work.step()
+        return bus.out[-1].state, bus.out[-1].reason
+
+    said = "The picture shows objects 10 % larger."
+    assert after(1)[0] == "TRACKING"
+    assert [after(2, said), after(3), after(4, said)] == [("SUSPECT", said)] * 3
+    assert after(5, "")[0] == "TRACKING"
+    assert [after(6, said)[0], after(7, epoch=epoch + 1)[0]] == ["SUSPECT", "TRACKING"]
+
+
 def test_what_was_tracked_before_the_camera_was_opened_anew_is_not_to_be_acted_on():
     work, bus, _ = _worker(se3.make(np.eye(3), np.array([0.0, 0.0, 0.5])))
     bus.waiting["frame"] = [_frame(1, 0.0)]

@@ -56,6 +56,12 @@ def add_parser(subparsers: Any) -> None:
     )
     add_profile(parser)
     add_box(parser, "where it is; all over the picture without")
+    parser.add_argument(
+        "--check-sizes",
+        action=argparse.BooleanOptionalAction,
+        default=True,
+        help="no pose is TRACKING where objects are not as large in the picture as their depth says",
+    )
     add_json(parser, to_file=True)
     add_path(parser, "--image", "OUT.png", "the poses drawn over the picture")
     add_path(parser, "--explain", "DIR", "what led to each answer")
@@ -109,7 +115,10 @@ def call(arguments: argparse.Namespace) -> int:
         f"{time.monotonic() - prepared:.1f} s to answer",
         file=sys.stderr,
     )
-    doubts = _doubts(frame, models, answers)
+    sizes = _sizes_doubted(frame, models, answers) if arguments.check_sizes else ""
+    if sizes:
+        answers = [replace(a, state="SUSPECT", reason=sizes) if a.state == "TRACKING" else a for a in answers]
+    doubts = [*([sizes] if sizes else []), *_doubts(frame, models, answers)]
     for doubt in doubts:
         print(doubt, file=sys.stderr)
     record = {"poses": [as_record(a) for a in answers], "doubts": doubts}
@@ -122,9 +131,18 @@ def call(arguments: argparse.Namespace) -> int:
     return 0
 
 
-def _doubts(frame: RgbdFrame, models: Mapping[str, ReferenceModel], answers: list[PoseEstimate]) -> list[str]:
-    """What may be wrong with the frame as such, from the answers about it."""
+def _sizes_doubted(
+    frame: RgbdFrame, models: Mapping[str, ReferenceModel], answers: list[PoseEstimate]
+) -> str:
+    """Why no pose of a frame is right, if objects are larger or smaller in it than they have to be."""
     from huepose.estimation.apparent_size import apparent_size, looks
+
+    size = apparent_size(looks(frame, models, answers))
+    return size.said(frame.camera) if size.clear else ""
+
+
+def _doubts(frame: RgbdFrame, models: Mapping[str, ReferenceModel], answers: list[PoseEstimate]) -> list[str]:
+    """What else may be wrong with the frame as such, from the answers about it."""
     from huepose.estimation.depth_offset import depth_offset
     from huepose.geometry.picture_faults import camera_doubted, depth_doubted
     from huepose.perception.colorpair_detector import ColorPairDetector
@@ -134,16 +152,12 @@ def _doubts(frame: RgbdFrame, models: Mapping[str, ReferenceModel], answers: lis
     if not any(answer.found for answer in answers):
         names = [answer.object for answer in answers][:_ASKED]
         out += [depth_doubted(frame), channels_exchanged(frame, ColorPairDetector(models), names)]
-    size = apparent_size(looks(frame, models, answers))
-    if size.clear:
-        out += [size.said(frame.camera)]
-    else:
-        sure = [a for a in answers if a.state == "TRACKING"]
-        placed = [(models[a.object], a.T_cam_obj) for a in sure if a.T_cam_obj is not None]
-        offset = depth_offset(frame, placed)
-        if offset is not None and offset.clear:
-            why = "poses follow depth; check how depth is registered to colour, and the camera matrix."
-            out += [f"{offset}: {why}"]
+    sure = [a for a in answers if a.state == "TRACKING"]
+    placed = [(models[a.object], a.T_cam_obj) for a in sure if a.T_cam_obj is not None]
+    offset = depth_offset(frame, placed)
+    if offset is not None and offset.clear:
+        why = "poses follow depth; check how depth is registered to colour, and the camera matrix."
+        out += [f"{offset}: {why}"]
     return [text for text in out if text is not None]
 
 

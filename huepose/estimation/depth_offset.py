@@ -49,7 +49,13 @@ class DepthOffset:
         across = f"{abs(self.right_px):.1f} px to the {'right' if self.right_px > 0 else 'left'}"
         along = f"{abs(self.down_px):.1f} px {'below' if self.down_px > 0 else 'above'}"
         way = " and ".join(w for w, x in ((across, self.right_px), (along, self.down_px)) if abs(x) >= 0.5)
-        return f"The image shows outlines {way or 'about'} where depth has them"
+        of = " of" if way == across else ""
+        return f"The image shows outlines {way or 'about'}{of} where depth has them"
+
+    def said(self) -> str:
+        """What that means, in a sentence."""
+        why = "poses follow depth; check how depth is registered to colour, and the camera matrix."
+        return f"{self}: {why}"
 
 
 def depth_offset(frame: RgbdFrame, placed: Sequence[tuple[ReferenceModel, Float64]]) -> DepthOffset | None:

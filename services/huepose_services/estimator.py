@@ -7,6 +7,7 @@ from dataclasses import replace
 
 from huepose.estimation import Estimator, ObjectQuery
 from huepose.estimation.apparent_size import apparent_size
+from huepose.estimation.frame_offset import frame_offset
 from huepose.estimation.types import PoseEstimate, PosePrior
 from huepose.geometry import RgbdFrame
 from huepose.geometry.arrays import Float64
@@ -27,6 +28,9 @@ from huepose_services.runtime.work import Work
 LOOKS, FEWEST_LOOKS, LOOK_EVERY_NS = 12, 3, SECOND
 """Looks at the size of objects in the picture: how many of an epoch of the camera, how many are asked for a
 warning, and their distance in time. One takes some 30 ms of a processor."""
+
+OFFSET_EVERY_NS = 5 * SECOND
+"""While nothing is found, so long from one look at the offset of depth to the next."""
 
 WAY_OUT = "No pose is TRACKING for it. If all three are right, set estimator.check_sizes: false."
 
@@ -83,6 +87,7 @@ class EstimatorWork(Work):
         self._masks = bus.inbox.ring(bus.keys.masks)
         self._sizes = sizes or SizesSeen()
         self._blames_picture = False
+        self._offset: tuple[int, str | None] = (0, None)  # when it was looked for, and what is wrong
 
     def step(self) -> None:
         """Estimate what is in the newest masks."""
@@ -144,7 +149,9 @@ class EstimatorWork(Work):
     def _fault(self, frame: RgbdFrame, answers: Sequence[PoseEstimate]) -> str:
         """What is wrong with a frame in which nothing was found; empty where nothing is."""
         found = any(answer.found for answer in answers)
-        text = None if found else why_nothing_is_found(frame, self._estimator.diameters_m)
+        text = None
+        if not found:
+            text = why_nothing_is_found(frame, self._estimator.diameters_m) or self._offset_of(frame)
         self._bus.health.warn_while("picture", text)
         if (text is not None) != self._blames_picture:
             # `status` says it as soon as the log, not with the next sign of life.
@@ -153,6 +160,15 @@ class EstimatorWork(Work):
         if text is not None:
             self._bus.log.seldom("picture", f"nothing is found: {text}")
         return text or ""
+
+    def _offset_of(self, frame: RgbdFrame) -> str | None:
+        """How depth lies beside the colours, looked for now and then, because it takes 50 ms."""
+        due_ns, text = self._offset
+        if (now := now_ns()) >= due_ns:
+            offset = frame_offset(frame)
+            text = None if offset is None else offset.said()
+            self._offset = (now + OFFSET_EVERY_NS, text)
+        return text
 
     def _query(self, item: MaskedObject, stamp_ns: int, size: tuple[int, int]) -> ObjectQuery:
         request = item.detection.request

@@ -47,5 +47,6 @@ def test_a_hidden_outline_says_nothing(
 def test_it_is_said_in_words() -> None:
     said = "The image shows outlines 3.0 px to the left and 1.5 px below where depth has them"
     assert str(DepthOffset(-3.0, 1.5, 9.0, 400)) == said
+    assert str(DepthOffset(3.0, 0.0, 9.0, 400)).endswith(" 3.0 px to the right of where depth has them")
     assert not DepthOffset(-3.0, 1.5, 2.0, 400).clear
     assert not DepthOffset(0.25, 0.5, 9.0, 400).clear

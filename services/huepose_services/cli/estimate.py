@@ -144,6 +144,7 @@ def _sizes_doubted(
 def _doubts(frame: RgbdFrame, models: Mapping[str, ReferenceModel], answers: list[PoseEstimate]) -> list[str]:
     """What else may be wrong with the frame as such, from the answers about it."""
     from huepose.estimation.depth_offset import depth_offset
+    from huepose.estimation.frame_offset import frame_offset
     from huepose.geometry.picture_faults import camera_doubted, depth_doubted
     from huepose.perception.colorpair_detector import ColorPairDetector
     from huepose.perception.exchanged import channels_exchanged
@@ -154,10 +155,11 @@ def _doubts(frame: RgbdFrame, models: Mapping[str, ReferenceModel], answers: lis
         out += [depth_doubted(frame), channels_exchanged(frame, ColorPairDetector(models), names)]
     sure = [a for a in answers if a.state == "TRACKING"]
     placed = [(models[a.object], a.T_cam_obj) for a in sure if a.T_cam_obj is not None]
-    offset = depth_offset(frame, placed)
-    if offset is not None and offset.clear:
-        why = "poses follow depth; check how depth is registered to colour, and the camera matrix."
-        out += [f"{offset}: {why}"]
+    large, small = frame_offset(frame), depth_offset(frame, placed)
+    if large is not None:
+        out += [large.said()]
+    elif small is not None and small.clear:
+        out += [small.said()]
     return [text for text in out if text is not None]
 
 

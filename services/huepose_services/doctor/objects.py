@@ -6,6 +6,7 @@ from collections.abc import Iterator, Mapping
 
 from huepose.estimation import Estimator, ObjectQuery
 from huepose.estimation.apparent_size import apparent_size, looks
+from huepose.estimation.frame_offset import frame_offset
 from huepose.geometry import RgbdFrame
 from huepose.model import ReferenceModel
 from huepose.perception.colorpair_detector import ColorPairDetector
@@ -19,6 +20,9 @@ MOST = 5
 
 def objects_in(frame: RgbdFrame, models: Mapping[str, ReferenceModel]) -> Iterator[Finding]:
     """What is found of the first objects, by name, and what their poses say of the camera."""
+    offset = frame_offset(frame)
+    if offset is not None:
+        yield Finding("camera", "bad", "depth does not lie on the colours", offset.said())
     names = sorted(models)[:MOST]
     live = profile("live")
     detector = ColorPairDetector({name: models[name] for name in names}, live.detector)

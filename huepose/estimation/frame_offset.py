@@ -1,0 +1,88 @@
+"""Estimate a large offset between depth and colour images from all of a frame, without any known object.
+
+Where a thing ends before its background, depth has a step and colours have an edge in the same direction.
+How well these lie on one another is asked for every shift of the one over the other.
+"""
+
+from __future__ import annotations
+
+import cv2
+import numpy as np
+
+from huepose.estimation.depth_offset import DepthOffset
+from huepose.estimation.outlines import smoothed
+from huepose.geometry.arrays import Bool, Float32, Float64
+from huepose.geometry.frame import RgbdFrame
+
+REACH_PX = 64
+"""Largest shift either way: a depth camera 5 cm beside the colour camera is 40 px off at 0.8 m."""
+
+FITS_PX = 8
+"""Smaller shifts are usual in published data, or are of what has steps at one side only."""
+
+CLEAR_SIGMAS = 3.0
+"""Least lead of the best shift over all that are usual, in standard deviations over all shifts. Of 87 real
+and drawn frames as they are, none has it."""
+
+FEWEST = 60
+"""Least number of pixels at steps of depth."""
+
+STEP = 0.03
+"""Least step of depth from a thing to what is behind it, metres and share of the distance."""
+
+_DISTINCT = 0.9
+"""Quantile of the edges of a picture over which they are all equally strong."""
+
+
+def frame_offset(frame: RgbdFrame) -> DepthOffset | None:
+    """How the image's colours lie to its depth where they plainly lie elsewhere, by more than FITS_PX and at
+    most REACH_PX either way; None where they do not, or where too little of the frame says it."""
+    at = steps_of_depth(frame.depth)
+    if np.count_nonzero(at) < FEWEST:
+        return None
+    steps = np.where(at, _directions(at.astype(np.float32)[..., None], blur_px=3.0), 0.0)
+    fit = _correlated(steps, _directions(smoothed(frame.color)))
+    middle = float(np.median(fit))
+    spread = 1.4826 * float(np.median(np.abs(fit - middle)))
+    down, right = np.unravel_index(int(np.argmax(fit)), fit.shape)
+    usual = slice(REACH_PX - FITS_PX, REACH_PX + FITS_PX + 1)
+    lead = float(fit.max() - fit[usual, usual].max()) / max(spread, 1e-9)
+    if lead < CLEAR_SIGMAS:
+        return None
+    return DepthOffset(float(right - REACH_PX), float(down - REACH_PX), lead, int(np.count_nonzero(at)))
+
+
+def steps_of_depth(depth: Float32) -> Bool:
+    """The pixels (H, W) of things right beside what is plainly behind them."""
+    read = depth > 0.0
+    near = cv2.erode(np.where(read, depth, np.float32(np.inf)), np.ones((5, 5)))
+    far = cv2.dilate(np.where(read, depth, np.float32(0.0)), np.ones((5, 5)))
+    with np.errstate(invalid="ignore"):
+        step = np.where(np.isfinite(near), far - near, np.float32(0.0))
+        before, behind = depth < near + 0.3 * step, depth > near + 0.7 * step
+    there = read & (step > STEP * np.maximum(1.0, np.where(np.isfinite(near), near, 0.0)))
+    beside = cv2.dilate((there & behind).astype(np.uint8), np.ones((3, 3), np.uint8))
+    return np.asarray(there & before & (beside > 0))
+
+
+def _directions(picture: Float32, blur_px: float = 0.0) -> Float64:
+    """The direction across the edges of a picture (H, W, C) as complex numbers (H, W) of twice its angle, so
+    that light beside dark is as dark beside light, with a length of at most 1 by how distinct each is."""
+    if blur_px:
+        picture = np.asarray(cv2.GaussianBlur(picture, (0, 0), 2.0), np.float32).reshape(picture.shape)
+    x, y = (cv2.Sobel(picture, cv2.CV_32F, *axes).reshape(picture.shape) for axes in ((1, 0), (0, 1)))
+    xx, xy, yy = (x * x).sum(-1), (x * y).sum(-1), (y * y).sum(-1)
+    if blur_px:
+        xx, xy, yy = (cv2.GaussianBlur(one, (0, 0), blur_px) for one in (xx, xy, yy))
+    across = (xx - yy) + 2j * xy
+    length = np.abs(across)
+    distinct = 0.0 if blur_px else float(np.quantile(length, _DISTINCT))
+    return np.asarray(across / np.maximum(length, max(distinct, 1e-9)))
+
+
+def _correlated(steps: Float64, edges: Float64) -> Float64:
+    """How well steps (H, W) fit edges (H, W) that lie (down, right) of them, (2 REACH_PX + 1,) each way."""
+    size = [cv2.getOptimalDFTSize(side + REACH_PX) for side in steps.shape]
+    product = np.conj(np.fft.fft2(steps, size)) * np.fft.fft2(edges, size)
+    fit = np.roll(np.fft.ifft2(product).real, (REACH_PX, REACH_PX), axis=(0, 1))
+    return np.asarray(fit[: 2 * REACH_PX + 1, : 2 * REACH_PX + 1])

@@ -1,0 +1,53 @@
+"""Depth that lies far beside the colours is noticed without any object; what is usual is not."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+
+import cv2
+import numpy as np
+import pytest
+
+from huepose.estimation.frame_offset import frame_offset, steps_of_depth
+from huepose.geometry import RgbdFrame
+from huepose.model.types import ReferenceModel
+
+
+@pytest.fixture(scope="module")
+def frame(tea_box: ReferenceModel, take_picture: Callable[..., RgbdFrame], standing: np.ndarray) -> RgbdFrame:
+    return take_picture([(tea_box.mesh, standing)], light=(0.9, 0.8, 0.6))
+
+
+@pytest.mark.parametrize(("right", "down"), [(20, 0), (-45, 0), (3, 30), (-25, -15)])
+def test_how_far_and_which_way(frame: RgbdFrame, right: int, down: int) -> None:
+    move = np.array([[1, 0, -right], [0, 1, -down]], np.float32)
+    aside = cv2.warpAffine(frame.depth, move, frame.depth.shape[::-1], flags=cv2.INTER_NEAREST)
+    found = frame_offset(replace(frame, depth=aside))
+    assert found is not None
+    assert np.hypot(found.right_px - right, found.down_px - down) <= 4.0
+
+
+def test_depth_that_lies_on_the_colours_is_not_doubted(frame: RgbdFrame) -> None:
+    assert frame_offset(frame) is None
+    beside = replace(frame, depth=np.ascontiguousarray(np.roll(frame.depth, 5, axis=1)))
+    assert frame_offset(beside) is None
+
+
+def test_nothing_is_said_of_noise_or_without_steps_of_depth(frame: RgbdFrame) -> None:
+    noise = np.random.default_rng(0).integers(0, 255, frame.color.shape).astype(np.uint8)
+    assert frame_offset(replace(frame, color=noise)) is None
+    for depth in (0.0, 0.8):
+        assert frame_offset(replace(frame, depth=np.full_like(frame.depth, depth))) is None
+
+
+def test_steps_are_on_the_near_side_and_not_beside_holes() -> None:
+    depth = np.full((40, 60), 1.0, np.float32)
+    depth[10:30, 20:40] = 0.8
+    steps = steps_of_depth(depth)
+    ring = np.zeros_like(steps)
+    ring[10:30, 20:40] = True
+    ring[11:29, 21:39] = False
+    assert np.array_equal(steps, ring)
+    depth[depth == 1.0] = 0.0
+    assert not steps_of_depth(depth).any()

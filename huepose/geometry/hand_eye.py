@@ -23,6 +23,9 @@ LEAST_SPREAD_RAD = np.radians(10.0)
 """How far the moves have to turn about a second axis: under that, a degree of error in a pose becomes
 several centimetres in the answer."""
 
+MOST_STEPS = 50
+"""Of the refinement: measurements that belong together need under ten, others never end."""
+
 
 @dataclass(frozen=True, eq=False)
 class HandEye:
@@ -65,7 +68,7 @@ def solve(A: Float64, B: Float64, method: Method = "park") -> HandEye:
 def moves(A: Float64) -> tuple[Float64, Float64]:
     """From each pose to each later one, A_n^-1 A_m (K, 4, 4), and their rotation vectors (K, 3), radians."""
     i, j = np.triu_indices(len(A), 1)
-    between = np.array([se3.inverse(A[n]) @ A[m] for m, n in zip(i, j, strict=True)])
+    between = np.array([se3.inverse(T) for T in A])[j] @ A[i]
     return between, rotation_vectors(between)
 
 
@@ -76,7 +79,7 @@ def _refined(A: Float64, B: Float64, X: Float64, Y: Float64, forms_apart: tuple[
     def left(steps: Float64) -> Float64:
         return residuals(A, B, X @ se3.exp(steps[:6]), Y @ se3.exp(steps[6:]), lever_m)
 
-    found = least_squares(left, np.zeros(12), loss="soft_l1", f_scale=0.01)
+    found = least_squares(left, np.zeros(12), loss="soft_l1", f_scale=0.01, max_nfev=MOST_STEPS)
     rest = left(found.x).reshape(2, -1, 3)
     shift_m, turn_rad = np.linalg.norm(rest[0], axis=1), np.linalg.norm(rest[1], axis=1) / lever_m
     return HandEye(X @ se3.exp(found.x[:6]), Y @ se3.exp(found.x[6:]), shift_m, turn_rad, forms_apart)
@@ -90,6 +93,6 @@ def lever(B: Float64) -> float:
 def residuals(A: Float64, B: Float64, X: Float64, Y: Float64, lever_m: float) -> Float64:
     """What X and Y leave of each measurement in metres, all shifts (3N,), then all turns times the lever
     (3N,)."""
-    left = np.array([se3.inverse(Y) @ a @ X @ b for a, b in zip(A, B, strict=True)])
-    turns = np.array([se3.rotation_log(T[:3, :3]) for T in left])
+    left = se3.inverse(Y) @ A @ X @ B
+    turns = rotation_vectors(left)
     return np.concatenate([left[:, :3, 3].ravel(), lever_m * turns.ravel()])

@@ -12,6 +12,7 @@ from itertools import combinations
 from typing import Literal
 
 import numpy as np
+from scipy.spatial.transform import Rotation
 
 from huepose.geometry import se3
 from huepose.geometry.arrays import Float64
@@ -60,7 +61,7 @@ def daniilidis(M: Float64, N: Float64) -> Float64:
         upper = np.column_stack([a - b, se3.hat(a + b)])
         rows.append(np.hstack([upper, np.zeros((3, 4))]))
         rows.append(np.hstack([np.column_stack([a_dual - b_dual, se3.hat(a_dual + b_dual)]), upper]))
-    v7, v8 = np.linalg.svd(np.vstack(rows))[2][-2:]
+    v7, v8 = np.linalg.svd(np.vstack(rows), full_matrices=False)[2][-2:]
     (u1, v1), (u2, v2) = (v7[:4], v7[4:]), (v8[:4], v8[4:])
     # The answer is s v7 + t v8 with a unit real part, across which its dual part lies: two for s / t.
     ratios = np.roots([u1 @ v1, u1 @ v2 + u2 @ v1, u2 @ v2]).real
@@ -90,7 +91,7 @@ def disagreement(M: Float64, N: Float64) -> tuple[float, float]:
 
 def rotation_vectors(M: Float64) -> Float64:
     """Of poses (K, 4, 4), as (K, 3), radians."""
-    return np.array([se3.rotation_log(m[:3, :3]) for m in M])
+    return np.asarray(Rotation.from_matrix(M[:, :3, :3]).as_rotvec())
 
 
 def _with_translation(M: Float64, N: Float64, R: Float64) -> Float64:

@@ -9,7 +9,10 @@ import numba
 import pytest
 from numba.core import event
 
+from huepose_protos.examples import example
+from huepose_protos.messages import FrameHeader
 from huepose_services.cli.status import as_text
+from huepose_services.runtime.clock import SECOND
 from huepose_services.runtime.compiling import LateCompiling
 from huepose_services.runtime.health import Health
 from huepose_services.runtime.log import Log, StateChanges, is_log_line
@@ -36,6 +39,18 @@ def manager(tmp_path, monkeypatch):
         end.settimeout(1.0)
         monkeypatch.setenv("NOTIFY_SOCKET", str(tmp_path / "notify"))
         yield end
+
+
+def test_a_rate_counts_from_the_first_work_not_from_the_start(monkeypatch):
+    now = [0]
+    monkeypatch.setattr("huepose_services.runtime.health.now_ns", lambda: now[0])
+    health, frame = Health("tracker"), example(FrameHeader)
+    assert health.message().rate_hz == 0.0
+    now[0] = 4 * SECOND  # of loading
+    for _ in range(60):
+        health.worked_on(now[0], frame)
+        now[0] += SECOND // 30
+    assert health.message().rate_hz == pytest.approx(30.0, abs=0.5)
 
 
 def test_systemd_hears_of_readiness_and_of_work(manager, monkeypatch):

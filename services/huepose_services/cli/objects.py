@@ -123,6 +123,7 @@ def ask(pipeline: Pipeline, request: ControlRequest) -> ControlReply | None:
 def _listed(reply: ControlReply) -> str:
     lines = []
     for entry in reply.objects:
-        missing = f", {entry.searching} not found yet. {entry.reason}".rstrip() if entry.searching else ""
-        lines.append(f"{entry.object:32s} up to {entry.max_instances}{missing}")
+        found = entry.max_instances - entry.searching
+        reason = entry.reason if entry.searching else ""
+        lines.append(f"{entry.object:32s} {found} of {entry.max_instances} found  {reason}".rstrip())
     return "\n".join(lines) or "nothing is looked for"

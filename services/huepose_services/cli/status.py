@@ -102,9 +102,7 @@ def as_text(view: View) -> str:
     for worker in order:
         message = view.health.get(worker)
         if worker in view.missing:
-            lines.append(
-                f"{worker:10s} is not there: it is starting, or has ended; the pipeline's log says which"
-            )
+            lines.append(f"{worker:10s} is not there: it starts, stops or has ended; the log says which")
         elif message is None:
             lines.append(f"{worker:10s} is there and says nothing")
         else:

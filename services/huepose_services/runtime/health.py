@@ -40,6 +40,7 @@ class Health:
         self.frame_id: int | None = None
         self._work: deque[tuple[int, float, float | None]] = deque()
         self._start_ns = self._cpu_from_ns = now_ns()
+        self._first_work_ns: int | None = None
         self._cpu_from = time.process_time()
 
     def count(self, name: str, by: int = 1) -> None:
@@ -62,6 +63,8 @@ class Health:
         """A piece of work that began at started_ns is done, on a frame or on what was computed from it. The
         age of the result is known only if the frame's stamp is of this computer's clock."""
         self.camera_epoch, self.frame_id = what.camera_epoch, what.frame_id
+        if self._first_work_ns is None:
+            self._first_work_ns = started_ns
         foreign = isinstance(what, FrameHeader) and what.clock.clock_id != this_clock().clock_id
         now = now_ns()
         age_ms = None if foreign else (now - what.capture_ns) * 1e-6
@@ -79,15 +82,15 @@ class Health:
         cpu = time.process_time()
         percent = 100.0 * (cpu - self._cpu_from) / max((now - self._cpu_from_ns) * 1e-9, 1e-3)
         self._cpu_from, self._cpu_from_ns = cpu, now
-        uptime_s = (now - self._start_ns) * 1e-9
+        working_s = 0.0 if self._first_work_ns is None else (now - self._first_work_ns) * 1e-9
         return HealthMessage(
             publish_ns=now,
             worker=self.worker,
             pid=os.getpid(),
             state=self.state,
             clock=this_clock(),
-            uptime_s=uptime_s,
-            rate_hz=len(recent) / max(min(uptime_s, _WINDOW_S), 0.1),
+            uptime_s=(now - self._start_ns) * 1e-9,
+            rate_hz=len(recent) / max(min(working_s, _WINDOW_S), 1.0),
             cpu_percent=max(percent, 0.0),
             memory_mib=_status_mib("VmRSS"),
             locked_mib=locked_mib,

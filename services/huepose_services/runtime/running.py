@@ -124,6 +124,8 @@ def occupant(config: Config, worker: str) -> str:
     """Who holds a worker's port that is taken: a pipeline that is noted, else some program."""
     others = (p for p in running(without_this=True) if p.base_port == config.bus.base_port)
     other = next(others, None)
+    if other is not None and other.recorded:
+        return f"a recording there that is played ({other.file})"
     if other is None or worker not in other.workers:
         return "another program there"
     return f"the {worker} of {other.name} there, which runs already ({other.file})"

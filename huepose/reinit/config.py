@@ -14,6 +14,8 @@ class ReinitConfig:
     deadline_ms: an unanswered request expires after this time, and another one is made.
     give_up_ms: a correction is repeated at most this long.
     stale_ms: a tracked object that was not looked at for this long gets a turn even while others are lost.
+    eager_ms: an object that is missing is looked for in every request for this long.
+    patient_ms: the time between two looks for it after that.
     acquire_quality: quality from which one estimate is enough to acquire an object.
     least_quality: estimates below are never used.
     correct_margin: how much better than the tracked pose (scores on the same pixels) a disagreeing estimate
@@ -25,13 +27,15 @@ class ReinitConfig:
     deadline_ms: float = 600.0
     give_up_ms: float = 2000.0
     stale_ms: float = 1000.0
+    eager_ms: float = 5000.0
+    patient_ms: float = 1000.0
     acquire_quality: float = 0.9
     least_quality: float = 0.2
     correct_margin: float = 0.1
     doubtful_margin: float = 0.03
 
     def __post_init__(self) -> None:
-        for name in ("period_ms", "deadline_ms", "give_up_ms", "stale_ms"):
+        for name in ("period_ms", "deadline_ms", "give_up_ms", "stale_ms", "eager_ms", "patient_ms"):
             if getattr(self, name) <= 0:
                 raise InputError(f"reinit: {name}", found=str(getattr(self, name)), expected="more than 0 ms")
         if self.objects_per_request < 1:

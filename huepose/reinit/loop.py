@@ -28,7 +28,7 @@ from huepose.reinit.judge import (
 )
 from huepose.reinit.outbox import Outbox
 from huepose.reinit.published_history import PublishedHistory
-from huepose.reinit.schedule import Pace, candidates, choose
+from huepose.reinit.schedule import NEVER, Pace, Patience, candidates, choose, missing
 from huepose.reinit.types import Counters, Key, ObjectSlot, PerceptionResult, Request, Searching
 from huepose.tracking.types import Correction, TrackedPose, Verdict
 
@@ -66,6 +66,7 @@ class ReinitLoop:
         self._past = PublishedHistory()
         self._outbox = Outbox()
         self._pace = Pace()
+        self._patience = Patience()
         self._sightings: dict[str, list[_Sighting]] = {}
         self._last_instance: dict[str, int] = {}
         self._over: dict[str, int] = {}
@@ -100,6 +101,7 @@ class ReinitLoop:
         for key in [k for k in self._tracks if k[0] == name]:
             del self._tracks[key]
         self._past.forget(name)
+        self._patience.forget(name)
         for asked in [k for k in self._looked_ns if k[0] == name]:
             del self._looked_ns[asked]
         arriving = [k[1] for k in self._outbox.instances if k[0] == name]
@@ -131,7 +133,7 @@ class ReinitLoop:
             self._in_flight = None
         if self._in_flight is not None or now_ns < self._next_ns:
             return None
-        options = candidates(list(self._slots.values()), self._tracks, self._arriving(), self._looked_ns)
+        options = candidates(list(self._slots.values()), self._tracks, self._wanted(now_ns), self._looked_ns)
         chosen = choose(now_ns, options, self.config)
         if not chosen:
             return None
@@ -144,6 +146,18 @@ class ReinitLoop:
         deadline_ns = now_ns + round(self._pace.deadline_s(1e-3 * self.config.deadline_ms) * 1e9)
         self._in_flight = Request(self.counters.requests, self._epoch, deadline_ns, tuple(chosen))
         return self._in_flight
+
+    def _wanted(self, now_ns: int) -> dict[str, int]:
+        """How many missing instances of each object may be asked for now: none of one that rests, unless a
+        first uncertain sighting of it waits for a second one."""
+        arriving, out = self._arriving(), {}
+        for name, slot in self._slots.items():
+            count = missing(slot, self._tracks, arriving)
+            looked_ns = self._looked_ns.get((name, None), NEVER)
+            rests = self._patience.rests(now_ns, name, count, looked_ns, self.config)
+            seen_ns = max((s.stamp_ns for s in self._sightings.get(name, [])), default=0)
+            out[name] = 0 if rests and now_ns - seen_ns > SIGHTING_S * 1e9 else count
+        return out
 
     @property
     def answer_age_s(self) -> float:

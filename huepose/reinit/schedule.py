@@ -27,21 +27,51 @@ class Candidate:
     requested: RequestedObject
 
 
+def missing(
+    slot: ObjectSlot, tracks: Mapping[tuple[str, int], TrackedPose], arriving: Mapping[str, int]
+) -> int:
+    """How many instances of an object are lost or were never seen. arriving: how many of each object are
+    acquired but not yet tracked."""
+    known = [t for key, t in tracks.items() if key[0] == slot.object]
+    lost = sum(t.T_cam_obj is None for t in known)
+    return max(0, lost + max(0, slot.max_instances - len(known)) - arriving.get(slot.object, 0))
+
+
+class Patience:
+    """Which objects are looked for in vain for so long that they get a turn only now and then: a look all
+    over the picture for what is not in it costs more than to track five objects for as long."""
+
+    def __init__(self) -> None:
+        self._since: dict[str, tuple[int, int]] = {}
+
+    def rests(self, now_ns: int, name: str, count: int, looked_ns: int, config: ReinitConfig) -> bool:
+        """Whether an object of which so many instances are missing now is left out of the next request.
+        looked_ns: when they were last looked for."""
+        before, since_ns = self._since.get(name, (0, now_ns))
+        if count > before:
+            since_ns = now_ns
+        self._since[name] = (count, since_ns)
+        waits = now_ns - looked_ns < config.patient_ms * 1e6
+        return waits and now_ns - since_ns >= config.eager_ms * 1e6
+
+    def forget(self, name: str) -> None:
+        """The search for an object begins anew."""
+        self._since.pop(name, None)
+
+
 def candidates(
     slots: Sequence[ObjectSlot],
     tracks: Mapping[tuple[str, int], TrackedPose],
-    arriving: Mapping[str, int],
+    wanted: Mapping[str, int],
     looked_ns: Mapping[tuple[str, int | None], int],
 ) -> list[Candidate]:
-    """All that could be asked for. arriving: how many instances of an object are acquired but not yet
-    tracked."""
+    """All that could be asked for. wanted: how many missing instances of an object are looked for now."""
     out = []
     for slot in slots:
         known = [t for key, t in tracks.items() if key[0] == slot.object]
-        lost = sum(t.T_cam_obj is None for t in known)
-        wanted = lost + max(0, slot.max_instances - len(known)) - arriving.get(slot.object, 0)
-        if wanted > 0:
-            asked = RequestedObject(slot.object, None, None, wanted)
+        count = wanted.get(slot.object, 0)
+        if count > 0:
+            asked = RequestedObject(slot.object, None, None, count)
             out.append(Candidate(0, looked_ns.get((slot.object, None), NEVER), asked))
         for t in known:
             if t.T_cam_obj is None:

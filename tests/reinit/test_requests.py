@@ -62,6 +62,50 @@ def test_objects_that_are_nowhere_do_not_starve_the_others() -> None:
     assert max(np.diff(seen)) <= 5, "looked at every second"
 
 
+def _looks_for_gone(
+    loop: ReinitLoop, until_ms: int, seen: State = State.TRACKING, start_ms: int = 0
+) -> list[int]:
+    """When the loop looks for `gone`, which it never finds; `here` is seen as told."""
+    looks = []
+    for ms in range(start_ms, until_ms, 200):
+        request = loop.tick(ms * MS, [track("here", stamp_ms=ms), *([track("gone", 0, seen, stamp_ms=ms)])])
+        if request is None:
+            continue
+        if ("gone", None) in asked(request):
+            looks.append(ms)
+        loop.answer((ms + 50) * MS, result(request, ms))
+    return looks
+
+
+def test_what_is_looked_for_in_vain_gets_a_turn_each_second_after_a_while() -> None:
+    loop = ReinitLoop(objects=[("gone", 1), ("here", 1)])
+    looks = _looks_for_gone(loop, 12_000, State.LOST)
+    gaps = np.diff(looks)
+    eager = np.array(looks[1:]) <= 5_000
+    assert set(gaps[eager]) == {200}
+    assert set(gaps[~eager]) == {1_000}
+
+
+def test_what_is_lost_anew_or_to_be_searched_for_anew_is_looked_for_at_once() -> None:
+    loop = ReinitLoop(objects=[("gone", 1), ("here", 1)])
+    assert _looks_for_gone(loop, 9_000, State.LOST)[-1] == 8_800
+    assert _looks_for_gone(loop, 10_000, State.TRACKING, 9_000) == []
+    assert _looks_for_gone(loop, 11_000, State.LOST, 10_000) == [10_000, 10_200, 10_400, 10_600, 10_800]
+    _looks_for_gone(loop, 20_000, State.LOST, 11_000)
+    loop.forget("gone", 20_000 * MS)
+    assert _looks_for_gone(loop, 21_000, State.LOST, 20_000) == [20_000, 20_200, 20_400, 20_600, 20_800]
+
+
+def test_a_first_uncertain_sighting_is_followed_up_at_once() -> None:
+    loop = ReinitLoop(objects=[("gone", 1), ("here", 1)])
+    (last,) = _looks_for_gone(loop, 9_000, State.LOST)[-1:]
+    request = loop.tick((last + 1_000) * MS, [track("here", stamp_ms=last + 1_000)])
+    assert ("gone", None) in asked(request)
+    stamp = last + 1_000
+    assert loop.answer((stamp + 50) * MS, result(request, stamp, estimate("gone", quality=0.5))) == []
+    assert ("gone", None) in asked(loop.tick((stamp + 200) * MS, [track("here", stamp_ms=stamp + 200)]))
+
+
 def test_priors_carry_what_was_published() -> None:
     loop = ReinitLoop(objects=[("mug", 1)])
     velocity = np.array([0.1, 0, 0, 0, 0, 1.0])

@@ -8,11 +8,14 @@ from __future__ import annotations
 
 import cv2
 import numpy as np
+from numpy.typing import NDArray
 
 from huepose.estimation.depth_offset import DepthOffset
 from huepose.estimation.outlines import smoothed
 from huepose.geometry.arrays import Bool, Float32, Float64
 from huepose.geometry.frame import RgbdFrame
+
+Complex = NDArray[np.complexfloating]
 
 REACH_PX = 64
 """Largest shift either way: a depth camera 5 cm beside the colour camera is 40 px off at 0.8 m."""
@@ -40,8 +43,7 @@ def frame_offset(frame: RgbdFrame) -> DepthOffset | None:
     at = steps_of_depth(frame.depth)
     if np.count_nonzero(at) < FEWEST:
         return None
-    steps = np.where(at, _directions(at.astype(np.float32)[..., None], blur_px=3.0), 0.0)
-    fit = _correlated(steps, _directions(smoothed(frame.color)))
+    fit = _correlated(_steps(at), _edges(smoothed(frame.color)))
     middle = float(np.median(fit))
     spread = 1.4826 * float(np.median(np.abs(fit - middle)))
     down, right = np.unravel_index(int(np.argmax(fit)), fit.shape)
@@ -65,22 +67,31 @@ def steps_of_depth(depth: Float32) -> Bool:
     return np.asarray(there & before & (beside > 0))
 
 
-def _directions(picture: Float32, blur_px: float = 0.0) -> Float64:
-    """The direction across the edges of a picture (H, W, C) as complex numbers (H, W) of twice its angle, so
-    that light beside dark is as dark beside light, with a length of at most 1 by how distinct each is."""
-    if blur_px:
-        picture = np.asarray(cv2.GaussianBlur(picture, (0, 0), 2.0), np.float32).reshape(picture.shape)
+def _edges(picture: Float32) -> Complex:
+    """The directions across the edges of a picture (H, W, C), of length 1 where they are distinct."""
+    across = _across(picture, blur_px=0.0)
+    length = np.abs(across)
+    return np.asarray(across / np.maximum(length, max(float(np.quantile(length, _DISTINCT)), 1e-9)))
+
+
+def _steps(at: Bool) -> Complex:
+    """The directions across the line that the steps of depth (H, W) form, of length 1 at these, else 0."""
+    line = np.asarray(cv2.GaussianBlur(at.astype(np.float32), (0, 0), 2.0), np.float32)
+    across = _across(line[..., None], blur_px=3.0)
+    return np.where(at, across / np.maximum(np.abs(across), 1e-9), 0.0)
+
+
+def _across(picture: Float32, blur_px: float) -> Complex:
+    """The direction in which a picture (H, W, C) changes most, as complex numbers (H, W) of twice its angle:
+    light beside dark is as dark beside light."""
     x, y = (cv2.Sobel(picture, cv2.CV_32F, *axes).reshape(picture.shape) for axes in ((1, 0), (0, 1)))
     xx, xy, yy = (x * x).sum(-1), (x * y).sum(-1), (y * y).sum(-1)
     if blur_px:
         xx, xy, yy = (cv2.GaussianBlur(one, (0, 0), blur_px) for one in (xx, xy, yy))
-    across = (xx - yy) + 2j * xy
-    length = np.abs(across)
-    distinct = 0.0 if blur_px else float(np.quantile(length, _DISTINCT))
-    return np.asarray(across / np.maximum(length, max(distinct, 1e-9)))
+    return np.asarray((xx - yy) + 2j * xy)
 
 
-def _correlated(steps: Float64, edges: Float64) -> Float64:
+def _correlated(steps: Complex, edges: Complex) -> Float64:
     """How well steps (H, W) fit edges (H, W) that lie (down, right) of them, (2 REACH_PX + 1,) each way."""
     size = [cv2.getOptimalDFTSize(side + REACH_PX) for side in steps.shape]
     product = np.conj(np.fft.fft2(steps, size)) * np.fft.fft2(edges, size)

@@ -114,4 +114,4 @@ def test_status_says_it_below_the_object() -> None:
 def test_status_does_not_call_a_worker_gone_that_may_be_starting() -> None:
     view = View(Pipeline(base_port=17447), True, {}, frozenset(), ("estimator",), [], {})
     (line,) = [text for text in as_text(view).splitlines() if text.startswith("estimator")]
-    assert "it is starting, or has ended" in line
+    assert "it starts, stops or has ended" in line

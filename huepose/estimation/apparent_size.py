@@ -96,11 +96,11 @@ def apparent_size(supports: Sequence[Float64]) -> ApparentSize:
 def looks(
     frame: RgbdFrame, models: Mapping[str, ReferenceModel], answers: Sequence[PoseEstimate]
 ) -> list[Float64]:
-    """The support by each answer of a frame that is sure and mostly in view."""
+    """The support by each answer of a frame that is mostly in view."""
     out = []
     for answer in answers:
         terms, T, mask = answer.terms, answer.T_cam_obj, answer.mask
-        if answer.state != "TRACKING" or terms is None or T is None or mask is None:
+        if terms is None or T is None or mask is None:
             continue
         if terms.occluded <= 1.0 - MOSTLY_SEEN:
             out += [support(frame, models[answer.object], T, mask)]

@@ -125,12 +125,14 @@ class DetectedObject(Struct, frozen=True, kw_only=True):
 
 
 class Detections(Message, frozen=True, kw_only=True):
-    """Boxes in one frame; the payload is that frame's. `request_ns`: when the request was published."""
+    """Boxes in one frame; the payload is that frame's. `request_ns`: when the request was published;
+    `camera`: what the picture says against this camera."""
 
     request_seq: Count
     request_ns: Stamp
     frame: FrameHeader
     objects: Annotated[list[DetectedObject], Meta(max_length=64)]
+    camera: Text = ""
 
 
 class MaskedObject(Struct, frozen=True, kw_only=True):
@@ -141,12 +143,13 @@ class MaskedObject(Struct, frozen=True, kw_only=True):
 
 
 class Masks(Message, frozen=True, kw_only=True):
-    """Masks in one frame; the payload is that frame's."""
+    """Masks in one frame; the payload is that frame's. `camera`: as in Detections."""
 
     request_seq: Count
     request_ns: Stamp
     frame: FrameHeader
     objects: Annotated[list[MaskedObject], Meta(max_length=64)]
+    camera: Text = ""
 
     def __post_init__(self) -> None:
         check_masks((mask for item in self.objects for mask in item.masks), MAX_CANDIDATE_PIXELS)
@@ -189,8 +192,8 @@ class EstimatedObject(Struct, frozen=True, kw_only=True):
 
 class Estimates(Message, frozen=True, kw_only=True):
     """Answers to one request, all computed on one frame. `picture`: what is wrong with that frame as such,
-    where nothing was found in it; `sizes`: what the sizes of objects in the pictures of this camera say
-    against its matrix, its depth scale or the meshes."""
+    where nothing was found in it; `camera`: what pictures and poses say against this camera, and so against
+    every pose."""
 
     max_bytes: ClassVar[int] = 1024 * KIB
     request_seq: Count
@@ -199,7 +202,7 @@ class Estimates(Message, frozen=True, kw_only=True):
     capture_ns: Stamp
     estimates: Annotated[list[EstimatedObject], Meta(max_length=64)]
     picture: Text = ""
-    sizes: Text = ""
+    camera: Text = ""
 
     def __post_init__(self) -> None:
         check_masks((item.mask for item in self.estimates), MAX_ESTIMATE_PIXELS)
@@ -207,7 +210,7 @@ class Estimates(Message, frozen=True, kw_only=True):
 
 class CorrectionMessage(Message, frozen=True, kw_only=True):
     """A verdict of the re-initialisation loop on one instance at one past frame; `seq` counts for each.
-    `sizes`: why no pose of this camera is to be acted on, as in Estimates."""
+    `camera`: why no pose of this camera is to be acted on, as in Estimates."""
 
     max_bytes: ClassVar[int] = 256 * KIB
     object: Name
@@ -221,7 +224,7 @@ class CorrectionMessage(Message, frozen=True, kw_only=True):
     verdict: VerdictName
     seq: Count
     mask: MaskRuns | None = None
-    sizes: Text = ""
+    camera: Text = ""
 
     def __post_init__(self) -> None:
         check_pose(self.translation, self.quaternion)

@@ -31,6 +31,9 @@ NOTHING_FOR_NS, ASK_EVERY_NS = 2 * SECOND, 2 * SECOND
 """Nothing is found for so long before the order of the colours is doubted; and how often that is asked, which
 takes as long as a search for one object."""
 
+FIRST_ASKS = 3
+"""So often it is asked when a camera was opened, whatever is found: a wrong place may look right."""
+
 
 def make(bus: Bus, config: Config) -> DetectorWork:
     """The detector worker's work."""
@@ -52,7 +55,7 @@ def make(bus: Bus, config: Config) -> DetectorWork:
         settings = replace(settings, proposals=proposals, threads=threads, remembering=True)
         searcher = ColorPairDetector(known, settings)
         searcher.warm_up()
-        return DetectorWork(bus, SearchedBoxes(outlines, searcher), follower)
+        return DetectorWork(bus, SearchedBoxes(outlines, searcher), follower, config.camera.check)
     boxes = {name: Box(*box) for name, box in config.detector.boxes.items()}
     return DetectorWork(bus, FirstBoxes(outlines, boxes), follower)
 
@@ -64,7 +67,13 @@ def _most_instances(config: Config) -> int:
 class DetectorWork(Work):
     """Keeps the newest frame, which a request may look at again when the camera stands still."""
 
-    def __init__(self, bus: Bus, finder: BoxFinder, objects: Follower[ReferenceModel]) -> None:
+    def __init__(
+        self,
+        bus: Bus,
+        finder: BoxFinder,
+        objects: Follower[ReferenceModel],
+        check_camera: bool = True,
+    ) -> None:
         self._bus, self._finder, self._objects = bus, finder, objects
         self._hints = Hints()
         keys = bus.keys
@@ -73,7 +82,9 @@ class DetectorWork(Work):
         self._frames = bus.frames(wakes=False)
         self._truths = bus.inbox.queue(keys.truth) if isinstance(finder, TruthBoxes) else None
         self._frame: tuple[FrameHeader, bytes] | None = None
+        self._check_camera, self._colours = check_camera, ""
         self._ask_ns = now_ns() + NOTHING_FOR_NS
+        self._asks = (-1, 0)  # an epoch of the camera, and how often it was asked in it
 
     def step(self) -> None:
         """Answer the newest request."""
@@ -122,22 +133,32 @@ class DetectorWork(Work):
             request_ns=request.publish_ns,
             frame=header,
             objects=found,
+            camera=self._colours,
         )
         self._bus.put_pixels(self._bus.keys.detections, message, payload)
         health.count("requests")
         health.count("boxes", len(found))
         health.worked_on(started, header)
-        self._doubt_colours(request, found, started)
+        if self._check_camera and isinstance(self._finder, SearchedBoxes):
+            self._doubt_colours(self._finder, header.camera_epoch, request, found)
 
-    def _doubt_colours(self, request: PerceptionRequest, found: list[DetectedObject], at_ns: int) -> None:
-        """Ask now and then, while nothing at all is found, whether the colours are in the wrong order."""
+    def _doubt_colours(
+        self, finder: SearchedBoxes, epoch: int, request: PerceptionRequest, found: list[DetectedObject]
+    ) -> None:
+        """Ask now and then whether the colours are in the wrong order: while nothing at all is found, and a
+        few times when a camera was opened."""
+        now, names = now_ns(), [wanted.object for wanted in request.objects]
+        if not names:
+            return
+        asks = self._asks[1] if epoch == self._asks[0] else 0
         followed = any(wanted.prior is not None for wanted in request.objects)
-        if followed or not request.objects or any(box.score >= PLAIN for box in found):
-            self._ask_ns = at_ns + NOTHING_FOR_NS
-            self._bus.health.warn_while("colours", None)
-        elif at_ns >= self._ask_ns and isinstance(self._finder, SearchedBoxes):
-            self._ask_ns = at_ns + ASK_EVERY_NS
-            text = self._finder.why_none([wanted.object for wanted in request.objects])
-            if text is not None:
-                self._bus.log.seldom("colours", text)
-                self._bus.health.warn_while("colours", text)
+        plain = followed or any(box.score >= PLAIN for box in found)
+        if plain and asks >= FIRST_ASKS and not self._colours:
+            self._ask_ns = now + NOTHING_FOR_NS
+        elif now >= self._ask_ns:
+            self._asks = epoch, asks + 1
+            self._colours = finder.why_none(names) or ""
+            self._ask_ns = now_ns() + ASK_EVERY_NS
+            self._bus.health.warn_while("colours", self._colours or None)
+            if self._colours:
+                self._bus.log.seldom("colours", self._colours)

@@ -93,7 +93,7 @@ class ReinitWork(Work):
         self._sought: dict[int, tuple[str, ...]] = {}
         self._reasons: dict[str, str] = {}
         self._picture_blamed = False
-        self._sizes = ""
+        self._camera_doubt = ""
         self._told_missing: dict[str, int] = {}
         self._next_tick_ns = self._next_objects_ns = now_ns()
 
@@ -130,7 +130,7 @@ class ReinitWork(Work):
             if not self._camera.agrees(answer.camera_epoch, now_ns()):
                 self._bus.health.count("answers_of_another_camera")
                 continue
-            self._sizes = answer.sizes
+            self._camera_doubt = answer.camera
             corrections = self._loop.answer(now_ns(), result_from_wire(answer))
             for correction in corrections:
                 self._send(correction)
@@ -193,7 +193,7 @@ class ReinitWork(Work):
         return list(self._tracks.values())
 
     def _send(self, correction: Correction) -> None:
-        self._bus.put_control(self._bus.keys.correction, correction_to_wire(correction, self._sizes))
+        self._bus.put_control(self._bus.keys.correction, correction_to_wire(correction, self._camera_doubt))
 
     def _missing(self) -> dict[str, int]:
         """How many instances of each object are searched for."""
@@ -276,6 +276,6 @@ def request_to_wire(request: Request) -> PerceptionRequest:
     return to_wire(PerceptionRequest, request, publish_ns=now_ns(), seq=request.number, objects=objects)
 
 
-def correction_to_wire(correction: Correction, sizes: str = "") -> CorrectionMessage:
-    """The message of a correction. sizes: of the newest answer."""
-    return to_wire(CorrectionMessage, correction, publish_ns=now_ns(), sizes=sizes)
+def correction_to_wire(correction: Correction, camera: str = "") -> CorrectionMessage:
+    """The message of a correction. camera: what the newest answer says against it."""
+    return to_wire(CorrectionMessage, correction, publish_ns=now_ns(), camera=camera)

@@ -97,6 +97,7 @@ class SegmenterWork(Work):
             request_ns=detections.request_ns,
             frame=detections.frame,
             objects=masked,
+            camera=detections.camera,
         )
         try:
             self._bus.put_pixels(self._bus.keys.masks, message, payload)

@@ -46,7 +46,7 @@ class _WorkerMemory(msgspec.Struct, array_like=True):
     holds_until_ns: int
     fx_of_size: dict[str, float]
     complaint: str | None
-    sizes: tuple[int, str] = (0, "")
+    camera: tuple[int, str] = (0, "")
 
 
 FrameOf = Callable[[int, int], tuple[FrameHeader, RgbdFrame] | None]
@@ -102,8 +102,8 @@ class TrackerWork(Work):
         self._pixels: RgbdFrame | None = None
         self._fx_of_size: dict[str, float] = {}
         self._complaint: str | None = None
-        # What perception says against the sizes of objects in pictures of an epoch of the camera.
-        self._sizes = (0, "")
+        # What perception says against the camera of that epoch.
+        self._camera = (0, "")
         self._published: set[tuple[str, int]] = set()
         # The poses of the newest frame published as TRACKING, and until when they hold without a newer frame.
         self._tracking_poses: list[TrackedPose] = []
@@ -191,7 +191,7 @@ class TrackerWork(Work):
             self._holds_until_ns,
             self._fx_of_size,
             self._complaint,
-            self._sizes,
+            self._camera,
         )
         tracking, told = memory.plain(self._tracking_poses, self._tracker), memory.told(self._tracker)
         return MemoryMessage(
@@ -219,7 +219,7 @@ class TrackerWork(Work):
             raise InputError("the tracker's memory", found=str(error)[:200], expected="MessagePack") from None
         memory.taken_over(self._tracker, plain, pixels)
         self._tracking_poses = memory.restored(tracking, self._tracker, pixels)
-        self._holds_until_ns, self._complaint, self._sizes = mine.holds_until_ns, mine.complaint, mine.sizes
+        self._holds_until_ns, self._complaint, self._camera = mine.holds_until_ns, mine.complaint, mine.camera
         found = None if mine.newest is None else frame_of(*mine.newest)
         self._header, self._pixels = (None, None) if found is None else found
         self._first, self._published = mine.first, set(mine.published)
@@ -248,7 +248,7 @@ class TrackerWork(Work):
             return
         try:
             check_number(message, self._intake.now())
-            self._sizes = (message.camera_epoch, message.sizes)
+            self._camera = (message.camera_epoch, message.camera)
             header = self._header
             same = header is not None and header.camera_epoch == message.camera_epoch
             applied = self._tracker.correct(correction_from_wire(message, header if same else None))
@@ -320,8 +320,8 @@ class TrackerWork(Work):
         return True
 
     def _publish_all(self, poses: list[TrackedPose], header: FrameHeader, frame: RgbdFrame | None) -> None:
-        epoch, sizes = self._sizes
-        complaint = self._complaint or (sizes if epoch == header.camera_epoch else "")
+        epoch, camera = self._camera
+        complaint = self._complaint or (camera if epoch == header.camera_epoch else "")
         if complaint:
             poses = [_doubted(pose) for pose in poses]
         surfaces = [self._tracker.surface(pose.object) for pose in poses]

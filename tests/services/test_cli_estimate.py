@@ -137,9 +137,21 @@ def test_no_pose_is_tracking_where_sizes_do_not_fit_unless_they_are_not_checked(
     assert (pose["found"], pose["state"]) == (True, "SUSPECT")
     assert said["doubts"] == [pose["reason"]]
     assert "smaller than their depth says" in pose["reason"]
-    main([*arguments, "--no-check-sizes"])
+    main([*arguments, "--no-check-camera"])
     said = json.loads(capsys.readouterr().out)
     assert (said["poses"][0]["state"], said["poses"][0]["reason"]) == ("TRACKING", None)
+
+
+def test_no_pose_is_tracking_where_depth_lies_far_beside_the_colours(
+    files: list[str], box: list[str], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    at = files.index("--depth") + 1
+    aside = np.roll(cv2.imread(files[at], cv2.IMREAD_UNCHANGED), 20, axis=1)
+    cv2.imwrite(str(tmp_path / "depth.png"), aside)
+    main([*files[:at], str(tmp_path / "depth.png"), *files[at + 1 :], *box, "--json"])
+    said = json.loads(capsys.readouterr().out)
+    assert said["poses"][0]["state"] != "TRACKING"
+    assert "20.0 px to the left" in said["doubts"][0]
 
 
 def test_why_an_object_is_not_found_is_said_and_drawn(

@@ -7,7 +7,7 @@ import msgspec
 import numpy as np
 
 from huepose.perception.colorpair_detector import ColorPairDetector
-from huepose_protos.examples import example
+from huepose_protos.examples import GOLDEN, example
 from huepose_protos.messages import FrameHeader, PerceptionRequest, RequestedObject
 from huepose_services import detector as worker
 from huepose_services.boxes import SearchedBoxes
@@ -64,6 +64,36 @@ def test_pictures_with_red_and_blue_exchanged_are_named(monkeypatch, tea_box, ta
     (said,) = warned(frame.color[:, :, ::-1])
     assert said.startswith("With red and blue exchanged, tea_box is in the picture")
     assert bus.logged["colours"] == [said]
+    warned(frame.color[:, :, ::-1])
+    assert bus.said[-1].camera == said, "it goes on with the boxes, and to every pose"
     now[0] += NOTHING_FOR_NS
     assert warned(frame.color) == []
     assert [box.request.object for box in bus.said[-1].objects] == ["tea_box"]
+
+
+def test_the_order_of_the_colours_is_asked_about_some_times_whatever_is_found(monkeypatch):
+    """A wrong place may look right; but not for ever, because it takes as long as a search."""
+    now, asked = [10 * NOTHING_FOR_NS], []
+    monkeypatch.setattr(worker, "now_ns", lambda: now[0])
+    finder = SearchedBoxes({}, ColorPairDetector({}))
+    finder.why_none = lambda names: asked.append(now[0])
+    finder.find = lambda header, request: []
+    bus = _Bus()
+    work = DetectorWork(bus, finder, SimpleNamespace(changes=lambda: []))
+    header = example(FrameHeader)
+    followed = example(PerceptionRequest)
+    assert followed.objects[0].prior is not None
+
+    def asks_in(seconds, epoch):
+        before = len(asked)
+        for _ in range(seconds):
+            now[0] += NOTHING_FOR_NS // 2
+            frame = msgspec.structs.replace(header, camera_epoch=epoch)
+            bus.arriving = {
+                "frames": (frame, (GOLDEN / "frame_payload.bin").read_bytes()),
+                bus.keys.request: followed,
+            }
+            work.step()
+        return len(asked) - before
+
+    assert [asks_in(12, epoch) for epoch in (1, 1, 2, 2)] == [worker.FIRST_ASKS, 0, worker.FIRST_ASKS, 0]

@@ -8,14 +8,17 @@ import pytest
 from msgspec.structs import replace
 
 from huepose.estimation.apparent_size import SCALES
+from huepose.estimation.depth_offset import DepthOffset
 from huepose.estimation.types import PoseEstimate
 from huepose.geometry import Camera, RgbdFrame
 from huepose_protos.examples import example
 from huepose_protos.messages import Estimates, FrameHeader, Masks
+from huepose_services import camera_doubts
 from huepose_services import estimator as worker
 from huepose_services.camera.publish import packed
-from huepose_services.estimator import LOOK_EVERY_NS, EstimatorWork, make
-from huepose_services.runtime.config import Config, EstimatorConfig
+from huepose_services.camera_doubts import LOOK_EVERY_NS
+from huepose_services.estimator import EstimatorWork, make
+from huepose_services.runtime.config import CameraConfig, Config, EstimatorConfig
 from huepose_services.runtime.health import Health
 
 CAMERA = Camera(300.0, 300.0, 79.5, 59.5, 160, 120)
@@ -47,8 +50,10 @@ class _Estimator:
     def estimate(self, frame, queries):
         return list(self.answers)
 
+    larger = 0.0  # by what share the picture shows a cup
+
     def sizes_seen(self, frame, answers):
-        return [np.where(np.isclose(SCALES, 0.1), 6.0, 0.0)]
+        return [np.where(np.isclose(SCALES, self.larger), 9.0, 0.0) for _ in answers]
 
 
 def masks(times, *names):
@@ -80,40 +85,74 @@ def test_depth_of_another_unit_is_named_in_answer_health_and_log(times):
     assert bus.health.message().warnings == []
 
 
-def test_a_wrong_camera_matrix_is_warned_of_after_some_looks(monkeypatch):
+@pytest.fixture
+def warned_after(monkeypatch):
+    """A worker with a bus, an estimator and a clock, and what it says against the camera after so long."""
     bus, estimator, now = _Bus(), _Estimator(), [0]
     monkeypatch.setattr(worker, "now_ns", lambda: now[0])
-    estimator.answers = (PoseEstimate("cup", T_cam_obj=np.eye(4), found=True, state="TRACKING"),)
     work = EstimatorWork(bus, estimator, SimpleNamespace(changes=lambda: []))
 
-    def warned_after(seconds):
+    def warned(seconds):
         now[0] += int(seconds * 1e9)
-        bus.arriving = [masks(1.0, "cup")]
+        bus.arriving = [masks(1.0, *(["cup"] * len(estimator.answers)))]
         work.step()
-        return [text for text in bus.health.message().warnings if "fx and fy" in text]
+        (text,) = [text for text in bus.health.message().warnings if "camera.check" in text] or [""]
+        assert bus.said[-1].camera == text.partition(" No pose is")[0]
+        return bus.said[-1].camera
 
-    every_s = LOOK_EVERY_NS * 1e-9
-    first = [warned_after(s) for s in (0.0, 0.1, every_s, 0.1)]
-    assert first == [[], [], [], []]  # two looks
-    (said,) = warned_after(every_s)
+    warned.estimator = estimator
+    return warned
+
+
+def cup(state):
+    return PoseEstimate("cup", T_cam_obj=np.eye(4), found=True, state=state)
+
+
+EVERY_S = LOOK_EVERY_NS * 1e-9
+
+
+def test_a_wrong_camera_matrix_is_said_after_some_looks(warned_after):
+    warned_after.estimator.answers = (cup("TRACKING"),)
+    warned_after.estimator.larger = 0.1
+    assert [warned_after(s) for s in (0.0, 0.1, EVERY_S, 0.1)] == [""] * 4  # two looks
+    said = warned_after(EVERY_S)
     assert said.startswith("The picture shows objects 10 % larger")
-    assert "estimator.check_sizes: false" in said
-    assert [answer.sizes for answer in bus.said] == [""] * 5
-    warned_after(0.0)
-    assert said.startswith(bus.said[-1].sizes)
-    assert bus.said[-1].sizes.endswith("the mesh is too small.")
-    estimator.sizes_seen = lambda frame, answers: [np.where(np.isclose(SCALES, 0.0), 9.0, 0.0)]
-    assert [warned_after(every_s) for _ in range(3)][-1] == []
-    assert bus.said[-1].sizes == ""
+    warned_after.estimator.larger = 0.0
+    assert [warned_after(EVERY_S) for _ in range(3)][-1] == ""
 
 
-def test_sizes_are_not_looked_at_where_the_owner_trusts_them(monkeypatch):
+def test_doubtful_poses_are_asked_about_sizes_only_where_there_is_no_sure_one(warned_after):
+    warned_after.estimator.answers = (cup("SUSPECT"),)
+    warned_after.estimator.larger = -0.15
+    assert "15 % smaller" in [warned_after(EVERY_S) for _ in range(3)][-1]
+    warned_after.estimator.answers = (cup("TRACKING"), cup("SUSPECT"))
+    warned_after.estimator.larger = 0.0
+    assert warned_after(EVERY_S) == ""
+
+
+def test_depth_beside_the_colours_is_said_at_the_first_look(warned_after, monkeypatch):
+    offsets = [DepthOffset(40.0, 0.0, 9.0, 400), None, None]
+    monkeypatch.setattr(camera_doubts, "frame_offset", lambda frame: offsets.pop(0))
+    warned_after.estimator.answers = (cup("TRACKING"),)
+    assert "40.0 px to the right of where depth has them" in warned_after(0.0)
+    assert [warned_after(EVERY_S) for _ in range(2)] == [""] * 2  # in one look of two, and of three
+
+
+def test_a_camera_is_not_doubted_where_its_owner_is_sure(monkeypatch):
     bus = _Bus()
-    bus.inbox.queue = lambda *_: None
     monkeypatch.setattr(worker.models, "load", lambda config: {})
-    monkeypatch.setattr(worker, "Follower", lambda *_: None)
-    sizes = [
-        make(bus, Config(estimator=EstimatorConfig(threads=1, check_sizes=check)))._sizes
+    monkeypatch.setattr(worker, "Follower", lambda *_: SimpleNamespace(changes=lambda: []))
+    configs = [
+        Config(estimator=EstimatorConfig(threads=1), camera=CameraConfig(check=check))
         for check in (True, False)
     ]
-    assert [one.wanted(1, 0) for one in sizes] == [True, False]
+    assert [make(bus, config)._doubts is None for config in configs] == [False, True]
+
+
+def test_what_the_detector_says_against_the_camera_goes_on(monkeypatch):
+    bus = _Bus()
+    work = EstimatorWork(bus, _Estimator(), SimpleNamespace(changes=lambda: []))
+    message, payload = masks(1.0)
+    bus.arriving = [(replace(message, camera="Blue for red."), payload)]
+    work.step()
+    assert bus.said[-1].camera == "Blue for red."

@@ -93,7 +93,7 @@ def test_that_an_object_is_found_is_told_at_once(bus, step):
     assert bus.mug().searching == 0
 
 
-def test_what_sizes_say_against_the_camera_goes_on_with_every_correction(bus, step):
+def test_what_is_said_against_the_camera_goes_on_with_every_correction(bus, step):
     step()
     request = next(m for m in bus.said if not isinstance(m, ObjectsMessage))
     found = msgspec.structs.replace(
@@ -113,12 +113,12 @@ def test_what_sizes_say_against_the_camera_goes_on_with_every_correction(bus, st
             camera_epoch=EPOCH,
             request_seq=request.seq,
             estimates=[found],
-            sizes="Too large.",
+            camera="Too large.",
         )
     )
     step()
     corrections = [m for m in bus.said if isinstance(m, CorrectionMessage)]
-    assert {(c.object, c.verdict, c.sizes) for c in corrections} == {("mug", "acquire", "Too large.")}
+    assert {(c.object, c.verdict, c.camera) for c in corrections} == {("mug", "acquire", "Too large.")}
 
 
 def test_an_answer_to_what_was_asked_before_a_reset_gives_no_reason_after_it(bus, objects, step):

@@ -358,16 +358,16 @@ def test_a_camera_that_states_another_focal_length_is_doubted_until_it_states_th
     assert any("restart the tracker" in p.reason for p in bus.out)
 
 
-def test_no_pose_is_tracking_while_perception_says_that_sizes_do_not_fit():
+def test_no_pose_is_tracking_while_perception_speaks_against_the_camera():
     """Until it says otherwise, or the camera is opened anew."""
     work, bus, _ = _worker(se3.make(np.eye(3), np.array([0.0, 0.0, 0.5])))
     epoch, seq = _other(1)[0].camera_epoch, iter(range(1, 9))
 
-    def after(frame, sizes=None, epoch=epoch):
-        if sizes is not None:
+    def after(frame, camera=None, epoch=epoch):
+        if camera is not None:
             bus.waiting["correction"] = [
                 msgspec.structs.replace(
-                    CORRECTION, camera_epoch=epoch, sizes=sizes, seq=CORRECTION.seq + next(seq), mask=None
+                    CORRECTION, camera_epoch=epoch, camera=camera, seq=CORRECTION.seq + next(seq), mask=None
                 )
             ]
         header, payload = _other(frame, frame, frame)

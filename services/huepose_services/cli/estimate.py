@@ -57,10 +57,10 @@ def add_parser(subparsers: Any) -> None:
     add_profile(parser)
     add_box(parser, "where it is; all over the picture without")
     parser.add_argument(
-        "--check-sizes",
+        "--check-camera",
         action=argparse.BooleanOptionalAction,
         default=True,
-        help="no pose is TRACKING where objects are not as large in the picture as their depth says",
+        help="no pose is TRACKING where sizes do not fit the camera matrix or depth lies beside colours",
     )
     add_json(parser, to_file=True)
     add_path(parser, "--image", "OUT.png", "the poses drawn over the picture")
@@ -115,10 +115,11 @@ def call(arguments: argparse.Namespace) -> int:
         f"{time.monotonic() - prepared:.1f} s to answer",
         file=sys.stderr,
     )
-    sizes = _sizes_doubted(frame, models, answers) if arguments.check_sizes else ""
-    if sizes:
-        answers = [replace(a, state="SUSPECT", reason=sizes) if a.state == "TRACKING" else a for a in answers]
-    doubts = [*([sizes] if sizes else []), *_doubts(frame, models, answers)]
+    against = _against_camera(frame, models, answers) if arguments.check_camera else []
+    if against:
+        why = against[0]
+        answers = [replace(a, state="SUSPECT", reason=why) if a.state == "TRACKING" else a for a in answers]
+    doubts = [*against, *_doubts(frame, models, answers)]
     for doubt in doubts:
         print(doubt, file=sys.stderr)
     record = {"poses": [as_record(a) for a in answers], "doubts": doubts}
@@ -131,20 +132,24 @@ def call(arguments: argparse.Namespace) -> int:
     return 0
 
 
-def _sizes_doubted(
+def _against_camera(
     frame: RgbdFrame, models: Mapping[str, ReferenceModel], answers: list[PoseEstimate]
-) -> str:
-    """Why no pose of a frame is right, if objects are larger or smaller in it than they have to be."""
+) -> list[str]:
+    """Why no pose of a frame is right: objects are larger or smaller in it than they have to be, or depth
+    lies far beside the colours."""
     from huepose.estimation.apparent_size import apparent_size, looks
+    from huepose.estimation.frame_offset import frame_offset
 
-    size = apparent_size(looks(frame, models, answers))
-    return size.said(frame.camera) if size.clear else ""
+    offset = frame_offset(frame)
+    sure = [answer for answer in answers if answer.state == "TRACKING"]
+    size = apparent_size(looks(frame, models, sure or answers))
+    out = [] if offset is None else [offset.said()]
+    return [*out, size.said(frame.camera)] if size.clear else out
 
 
 def _doubts(frame: RgbdFrame, models: Mapping[str, ReferenceModel], answers: list[PoseEstimate]) -> list[str]:
     """What else may be wrong with the frame as such, from the answers about it."""
     from huepose.estimation.depth_offset import depth_offset
-    from huepose.estimation.frame_offset import frame_offset
     from huepose.geometry.picture_faults import camera_doubted, depth_doubted
     from huepose.perception.colorpair_detector import ColorPairDetector
     from huepose.perception.exchanged import channels_exchanged
@@ -155,11 +160,9 @@ def _doubts(frame: RgbdFrame, models: Mapping[str, ReferenceModel], answers: lis
         out += [depth_doubted(frame), channels_exchanged(frame, ColorPairDetector(models), names)]
     sure = [a for a in answers if a.state == "TRACKING"]
     placed = [(models[a.object], a.T_cam_obj) for a in sure if a.T_cam_obj is not None]
-    large, small = frame_offset(frame), depth_offset(frame, placed)
-    if large is not None:
-        out += [large.said()]
-    elif small is not None and small.clear:
-        out += [small.said()]
+    offset = depth_offset(frame, placed)
+    if offset is not None and offset.clear:
+        out += [offset.said()]
     return [text for text in out if text is not None]
 
 

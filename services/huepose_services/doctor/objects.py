@@ -6,7 +6,6 @@ from collections.abc import Iterator, Mapping
 
 from huepose.estimation import Estimator, ObjectQuery
 from huepose.estimation.apparent_size import apparent_size, looks
-from huepose.estimation.frame_offset import frame_offset
 from huepose.geometry import RgbdFrame
 from huepose.model import ReferenceModel
 from huepose.perception.colorpair_detector import ColorPairDetector
@@ -20,9 +19,6 @@ MOST = 5
 
 def objects_in(frame: RgbdFrame, models: Mapping[str, ReferenceModel]) -> Iterator[Finding]:
     """What is found of the first objects, by name, and what their poses say of the camera."""
-    offset = frame_offset(frame)
-    if offset is not None:
-        yield Finding("camera", "bad", "depth does not lie on the colours", offset.said())
     names = sorted(models)[:MOST]
     live = profile("live")
     detector = ColorPairDetector({name: models[name] for name in names}, live.detector)
@@ -37,6 +33,7 @@ def objects_in(frame: RgbdFrame, models: Mapping[str, ReferenceModel]) -> Iterat
     answers = estimator.estimate(frame, [ObjectQuery(name, best[name].box) for name in sorted(best)])
     said = ", ".join(f"{answer.object} {answer.state} {answer.quality:.2f}" for answer in answers)
     yield Finding("objects", "ok", said)
-    size = apparent_size(looks(frame, models, answers))
+    sure = [answer for answer in answers if answer.state == "TRACKING"]
+    size = apparent_size(looks(frame, models, sure or answers))
     if size.clear:
         yield Finding("camera", "bad", "sizes do not fit", size.said(frame.camera))

@@ -12,6 +12,7 @@ import numpy as np
 
 from huepose.datasets.image_files import FARTHEST_M, NEAREST_M
 from huepose.datasets.types import Scene
+from huepose.estimation.frame_offset import frame_offset
 from huepose.geometry import RgbdFrame
 from huepose.geometry.arrays import Bool, Float32, Float64
 from huepose.geometry.picture_faults import LEAST_DEPTH, camera_doubted, dark, depth_doubted, readings
@@ -40,6 +41,9 @@ SHADOW_PX = 12
 CLEAR_PX, CLEAR_SIGMAS = 3.0, 4.0
 _RELATED_PX = 6.0
 """Neighbours along an edge say the same so far."""
+
+
+UNREGISTERED = "Depth is not registered to colour: camera.device.align, or the calibration of the recording."
 
 
 def pictures(config: Config) -> Iterator[Finding]:
@@ -136,14 +140,16 @@ def depth(frames: Sequence[RgbdFrame], depth_scale_m: float) -> Iterator[Finding
 
 def alignment(frames: Sequence[RgbdFrame]) -> Finding:
     """Whether edges of depth lie on edges of the colours."""
+    far = frame_offset(frames[-1])
+    if far is not None:
+        return Finding("alignment", "bad", str(far), UNREGISTERED)
     offset = edge_offset(frames)
     if offset is None:
         return Finding("alignment", "none", "too few edges to tell whether depth lies on the colours")
     right, down, sigmas = offset
     found = f"edges of the picture are {right:+.0f} px to the right and {down:+.0f} px below those of depth"
     if np.hypot(right, down) >= CLEAR_PX and sigmas >= CLEAR_SIGMAS:
-        fix = "Depth is not registered to colour: camera.device.align, or the calibration of the recording."
-        return Finding("alignment", "bad", found, fix)
+        return Finding("alignment", "bad", found, UNREGISTERED)
     return Finding("alignment", "ok", f"{found}, which is no more than can be told")
 
 

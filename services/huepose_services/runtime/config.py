@@ -58,12 +58,10 @@ class ObjectConfig(Section, frozen=True, kw_only=True):
 
 
 class EstimatorConfig(Section, frozen=True, kw_only=True):
-    """How poses are found in a single frame, and whether objects have to be as large in the picture as the
-    camera matrix and their depth say."""
+    """How poses are found in a single frame."""
 
     method: Literal["full", "colorpair"] = "full"
     threads: Annotated[int, Meta(ge=1, le=64)] = 2
-    check_sizes: bool = True
 
 
 class TrackerConfig(Section, frozen=True, kw_only=True):

@@ -64,7 +64,7 @@ class TfConfig(Section, frozen=True, kw_only=True):
 
 
 class CameraConfig(Section, frozen=True, kw_only=True):
-    """Where frames come from, and when."""
+    """Where frames come from, and when; check: whether what they show may speak against the camera."""
 
     name: Name = "cam0"
     source: Literal["synthetic"] | Recorded | Live = "synthetic"
@@ -78,6 +78,7 @@ class CameraConfig(Section, frozen=True, kw_only=True):
     first_frame_s: Seconds = 5.0
     truth: bool = False
     depth_scale_m: Annotated[float, Meta(gt=0.0, le=0.01)] = 0.0001
+    check: bool = True
     device: DeviceConfig = DeviceConfig()
     mount: Mount | None = None
     moving: bool = False

@@ -65,6 +65,6 @@ if [ ! -e .venv/.welcomed ]; then
     cat <<'NEXT'
 setup: done. `huepose` is .venv/bin/huepose; put it on your path for this shell with: source .venv/bin/activate
   huepose demo                        the whole pipeline on a built-in scene, with its accuracy
-  huepose new tea_box tea_box.obj     start with an object of your own: reference model, test frame, pipeline.yaml
+  huepose new tea_box examples/tea_box.obj   start with an object of your own: reference model, test frame, pipeline.yaml
 NEXT
 fi

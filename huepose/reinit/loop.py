@@ -164,6 +164,11 @@ class ReinitLoop:
         """How old the picture was when perception's last answer about it came."""
         return self._pace.age_s
 
+    @property
+    def answer_took_s(self) -> float:
+        """How long perception's last answers took, from the request on."""
+        return self._pace.took_s
+
     def repeats(self, now_ns: int) -> list[Correction]:
         """Corrections that no pose has acknowledged for a period: to be sent once more."""
         out = self._outbox.due(now_ns, self.config.period_ms * 1e6)

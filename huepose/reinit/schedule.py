@@ -133,6 +133,11 @@ class Pace:
             self._took_s = 0.0
 
     @property
+    def took_s(self) -> float:
+        """How long the last answers took, from the request on, seconds."""
+        return self._took_s
+
+    @property
     def age_s(self) -> float:
         """Age of the frame at the last answer about it, seconds."""
         return self._age_s

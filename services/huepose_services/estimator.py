@@ -82,7 +82,7 @@ class EstimatorWork(Work):
         ]
         if self._doubts is not None:
             self._doubts.look(frame, answers, message.request_seq, started)
-        picture, camera = self._fault(frame, answers), self._doubted()
+        picture, camera = self._fault(frame, answers), message.camera or self._doubted()
         if self._doubts is not None and not any(answer.found for answer in answers):
             picture = picture or self._doubts.offset
         self._bus.put_control(
@@ -95,7 +95,7 @@ class EstimatorWork(Work):
                 capture_ns=frame.stamp_ns,
                 estimates=estimates,
                 picture=picture,
-                camera=message.camera or camera,
+                camera=camera,
             ),
         )
         health = self._bus.health

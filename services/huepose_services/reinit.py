@@ -142,7 +142,7 @@ class ReinitWork(Work):
                 self._picture_blamed = bool(answer.picture)
                 self._next_objects_ns = now_ns()
             self._bus.health.worked_on(started, answer)
-            self._bus.health.warn_while("slow", slow_text(self._loop.answer_age_s))
+            self._bus.health.warn_while("slow", slow_text(self._loop.answer_age_s, self._loop.answer_took_s))
         now = now_ns()
         if now < self._next_tick_ns:
             return
@@ -216,9 +216,10 @@ def _order(action: Literal["add", "remove"], name: str, count: int = 1) -> Contr
     return ControlRequest(publish_ns=now_ns(), action=action, object=name, max_instances=count)
 
 
-def slow_text(age_s: float) -> str | None:
-    """The warning for perception that answers so late; None where it is in time."""
-    if age_s < _SLOW_S:
+def slow_text(age_s: float, took_s: float) -> str | None:
+    """The warning for perception that answers so late, and took so long for it; None where it is in time, or
+    the picture was old already when it was asked."""
+    if min(age_s, took_s) < _SLOW_S:
         return None
     return (
         f"perception answers {age_s:.1f} s after a picture was taken: what is lost is found again that much "

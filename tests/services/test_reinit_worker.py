@@ -17,7 +17,7 @@ from huepose_protos.messages import (
     ObjectsMessage,
     PoseMessage,
 )
-from huepose_services.reinit import ReinitWork
+from huepose_services.reinit import ReinitWork, slow_text
 from huepose_services.runtime.clock import now_ns
 from huepose_services.runtime.config import Config
 from huepose_services.runtime.health import Health
@@ -177,3 +177,11 @@ def test_what_is_wrong_with_the_picture_is_the_reason_why_nothing_is_found_in_it
     objects.decide(ControlRequest(publish_ns=1, action="add", object="mug", max_instances=2))
     step()
     assert bus.mug().reason == said
+
+
+@pytest.mark.parametrize(
+    ("age_s", "took_s", "warns"), [(3.0, 2.9, True), (11.0, 0.1, False), (0.3, 0.2, False)]
+)
+def test_perception_is_called_slow_only_where_it_took_long_itself(age_s, took_s, warns):
+    """Not where a camera that has stopped leaves an old picture to look at."""
+    assert bool(slow_text(age_s, took_s)) == warns

@@ -36,6 +36,7 @@ class Condition:
         self._since: dict[str, tuple[int, str]] = {}
         self._counts: deque[tuple[int, int]] = deque()
         self._camera: Camera | None = None
+        self._last: Shot | None = None
         self._change: tuple[int, str] | None = None
 
     def look(self, shot: Shot, now_ns: int) -> bool:
@@ -45,12 +46,13 @@ class Condition:
             ("dark", _dark(shot)),
             ("depth", _no_depth(shot, self._farthest_m)),
             ("apart", apart),
+            ("again", _again(shot, self._last)),
         ):
             if text is None:
                 self._since.pop(kind, None)
             else:
                 self._since[kind] = (self._since.get(kind, (now_ns, ""))[0], text)
-        before, self._camera = self._camera, shot.camera
+        before, self._camera, self._last = self._camera, shot.camera, shot
         if before is not None and before != shot.camera:
             self._change = (now_ns, _changed(before, shot.camera))
         return apart is None
@@ -69,7 +71,8 @@ class Condition:
         else:
             text = (
                 f"it gives {came / seconds:.0f} pictures a second instead of {self._rate_hz:g}: a long "
-                "exposure in the dark, a slow cable or port, or a busy computer"
+                "exposure in the dark, a slow cable or port, a busy computer, or a source of your own that "
+                "waits too long"
             )
             # A second is counted already.
             self._since["rate"] = (now_ns - LASTS_NS, text)
@@ -78,7 +81,7 @@ class Condition:
         """What was said was of another opening of the camera."""
         self._since.clear()
         self._counts.clear()
-        self._camera = self._change = None
+        self._camera = self._last = self._change = None
 
     def complaints(self, now_ns: int) -> dict[str, str]:
         """What lasts, by kind."""
@@ -98,6 +101,16 @@ class Condition:
             f"depth is {abs(apart_ns) * 1e-6:.0f} ms {'older' if apart_ns > 0 else 'newer'} than colour: "
             "such pictures are left out. Both streams must have one rate; else plug the camera in again"
         )
+
+
+def _again(shot: Shot, last: Shot | None) -> str | None:
+    if last is None or shot.number == last.number:
+        return None
+    if shot.device_ns == last.device_ns:
+        return "its pictures have one and the same time stamp: each needs that of its own capture"
+    if shot.shows_the_same(last):
+        return "it gives the same picture again and again: a still one, or has the camera stopped?"
+    return None
 
 
 def _dark(shot: Shot) -> str | None:

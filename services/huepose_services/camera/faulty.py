@@ -20,7 +20,7 @@ from msgspec import Meta
 from huepose.datasets.types import Scene
 from huepose.geometry.arrays import Float32, UInt8
 from huepose.support.errors import InputError
-from huepose_services.camera.live import CameraError, Shot
+from huepose_services.camera.live import REPLUG, CameraError, Shot
 from huepose_services.camera.synthetic import open_source as open_scene
 from huepose_services.runtime.clock import SECOND, now_ns
 from huepose_services.runtime.config import Config
@@ -68,6 +68,7 @@ class Faulty:
     """Plugged in or not."""
 
     name = "faulty camera"
+    if_silent = REPLUG
 
     def __init__(self, orders: Path, scene: Callable[[], Scene], rate_hz: float) -> None:
         self._orders, self._scene, self._rate_hz = orders, scene, rate_hz

@@ -47,6 +47,9 @@ class Shot:
         )
 
 
+REPLUG = "Close other programs that use it; else unplug it and plug it in again."
+
+
 class CameraError(RuntimeError):
     """The camera cannot give pictures now: what was found, and what to do. It is tried again."""
 
@@ -73,6 +76,9 @@ class LiveSource(Protocol):
     """A camera that may be there or not."""
 
     name: str
+
+    if_silent: str
+    """What to do where it gives no picture, in a sentence."""
 
     def open(self) -> LiveCamera:
         """Start it. Raises CameraError, in under two seconds when it is not there."""

@@ -20,7 +20,7 @@ from huepose.geometry import Camera
 from huepose.geometry.arrays import Float32
 from huepose.support.errors import InputError
 from huepose.support.extras import install_command
-from huepose_services.camera.live import CameraError, Shot, the_one
+from huepose_services.camera.live import REPLUG, CameraError, Shot, the_one
 from huepose_services.runtime.clock import now_ns
 from huepose_services.runtime.config import Config
 from huepose_services.runtime.config_perception import CameraConfig
@@ -109,6 +109,8 @@ def open_source(config: Config) -> Oak:
 
 class Oak:
     """One camera, by its device id, or the only one."""
+
+    if_silent = REPLUG
 
     def __init__(self, dai: Any, settings: CameraConfig) -> None:
         self._dai, self._settings = dai, settings

@@ -17,7 +17,7 @@ import numpy as np
 
 from huepose.geometry import Camera
 from huepose.support.errors import InputError
-from huepose_services.camera.live import CameraError, Shot
+from huepose_services.camera.live import REPLUG, CameraError, Shot
 from huepose_services.runtime.clock import SECOND, now_ns
 from huepose_services.runtime.config import Config
 from huepose_services.runtime.config_perception import CameraConfig
@@ -43,6 +43,8 @@ def open_source(config: Config) -> OpenCv:
 
 class OpenCv:
     """One camera, by its place among those that OpenCV finds. capture: what opens it."""
+
+    if_silent = REPLUG
 
     def __init__(self, settings: CameraConfig, capture: Callable[..., Any] = cv2.VideoCapture) -> None:
         self._settings, self._capture = settings, capture

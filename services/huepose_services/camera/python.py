@@ -35,6 +35,8 @@ def open_source(config: Config) -> PythonSource:
 class PythonSource:
     """Runs the file once, and its `frames()` at every opening."""
 
+    if_silent = "frames() waits for its next picture: does your camera still give some?"
+
     def __init__(self, path: Path) -> None:
         self.name, self._path = path.name, path
         if not path.is_file():

@@ -65,7 +65,7 @@ class Reader:
         if call is not None and now_ns() - call[1] > _SLOW_NS:
             return (
                 f"{self._source.name}: {call[0]} it takes longer than {_SLOW_NS / SECOND:g} s. "
-                "Close other programs that use it; else unplug it and plug it in again."
+                f"{self._source.if_silent}"
             )
         return self._trouble
 

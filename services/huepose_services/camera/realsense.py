@@ -16,7 +16,7 @@ import numpy as np
 
 from huepose.support.errors import InputError
 from huepose.support.extras import install_command
-from huepose_services.camera.live import CameraError, Shot, the_one
+from huepose_services.camera.live import REPLUG, CameraError, Shot, the_one
 from huepose_services.camera.realsense_setup import (
     Rectification,
     apply_options,
@@ -57,6 +57,8 @@ _QUEUE = 2
 
 class RealSense:
     """One camera, by serial number, or the only one; or a recording, from its start."""
+
+    if_silent = REPLUG
 
     def __init__(self, rs: Any, settings: CameraConfig) -> None:
         self._rs, self._settings = rs, settings

@@ -74,7 +74,7 @@ def _described(config: Config, path: Path) -> tuple[dict[str, Any], str]:
     if config.camera.mount is not None:
         summary += f"\n  mount    {mount_in_words(config.camera.mount)}"
         if max(map(abs, config.camera.mount.translation)) > _FAR_M:
-            summary += ": is that so? It is in metres"
+            summary += "\n  WARNING  the mount is metres away: are its numbers millimetres?"
     if config.host is not None:
         summary += f"\n  link     to {config.link.connect} as {config.host}, by TLS ({config.link.secure})"
     elif config.hosts:

@@ -39,10 +39,14 @@ def read_yaml(text: str, path: Path) -> Any:
         at = f", line {mark.line + 1}, column {mark.column + 1}" if mark is not None else ""
         twice = isinstance(error, yaml.constructor.ConstructorError)
         said = (problem or " ".join(str(error).split())).replace("\t", "\\t")
+        fix = "Indent with spaces, not with tabs." if "\\t" in said else ""
+        if "<stream end>" in said:
+            fix = "A bracket, a brace or a quotation mark before is not closed."
         raise InputError(
             f"configuration {path}{at}",
             found=said if twice else f"no valid YAML ({said})",
             expected="each key once" if twice else "",
+            fix=fix,
         ) from None
     except Exception as error:
         # Brackets in brackets in brackets; a date that is none; a number of thousands of digits: what YAML
@@ -113,7 +117,7 @@ def _mended(at: str, found: Any, close: list[str]) -> str:
         return f"Did you mean '{close[0]}'?"
     if at.startswith("objects[") and isinstance(found, str):
         return f"Write {{name: {_SHORT.repr(found)[1:-1]}}}."
-    return "The comments in the default pipeline.yaml say what each key means."
+    return "What each key means: pipeline.yaml of the repository, docs/running.md."
 
 
 def _allowed(text: str, kind: Any) -> str:

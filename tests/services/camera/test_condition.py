@@ -146,3 +146,20 @@ def test_metres_that_are_millimetres_are_called_so():
     assert begun_s < 0.6
     assert "depth looks like millimetres read as metres" in text
     assert "set depth_scale to 0.001" in text
+
+
+def test_a_still_picture_and_one_stamp_for_all_are_named():
+    """A source of one's own may show a still picture on purpose, so it is only said."""
+    still = shot(0)
+
+    def same(one):
+        return replace(still, number=one.number, device_ns=one.device_ns, depth_ns=None)
+
+    (said,) = said_after(Condition(RATE_HZ, FARTHEST_M), 2.0, same).values()
+    assert said[1].startswith("it gives the same picture again and again")
+    frozen = said_after(
+        Condition(RATE_HZ, FARTHEST_M), 2.0, lambda one: replace(one, device_ns=5, depth_ns=None)
+    )
+    assert [text for _, text in frozen.values()] == [
+        "its pictures have one and the same time stamp: each needs that of its own capture"
+    ]

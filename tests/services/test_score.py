@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from msgspec.structs import replace
 
 from huepose.geometry import se3
 from huepose_protos.examples import messages
@@ -145,6 +146,14 @@ def test_the_report_names_every_object_and_says_what_is_unknown():
     thing = next(line for line in lines if line.startswith("thing"))
     assert thing.split() == ["thing", "0.00", "0.00", "100.0", "0.00", "100.0", "0"]
     assert next(line for line in lines if line.startswith("camera")).split()[-2:] == ["-", "-"]
+
+
+def test_the_report_says_why_an_object_is_often_not_tracking():
+    doubted = [replace(_pose(i, "SUSPECT"), reason="It fits twice.") for i in range(20, 40)]
+    poses = [*map(_pose, range(20)), *doubted, *map(_pose, range(40, 50))]
+    summary = _score([_truth(i) for i in range(50)], poses).summary(5 * SECOND)
+    assert summary["per_object"]["thing"]["doubts"] == {"It fits twice.": 40.0}
+    assert 'thing was not TRACKING in 40 % "It fits twice."' in report({"summary": summary, "workers": {}})
 
 
 def test_frames_before_all_workers_were_there_do_not_count():

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Any
@@ -139,9 +140,18 @@ class Score:
             "frames": max((r.frames for r in reports.values()), default=0),
             "objects": len(self._yardsticks),
             "per_object": {
-                name: _one(reports[name], errors[name], self._yardsticks[name]) for name in self._yardsticks
+                name: _one(reports[name], errors[name], self._yardsticks[name])
+                | {"doubts": self._doubts(name, until_ns)}
+                for name in self._yardsticks
             },
         }
+
+    def _doubts(self, name: str, until_ns: int) -> dict[str, float]:
+        """Why poses were not TRACKING, the commonest reason first, each with its share of the frames in
+        percent."""
+        poses = [pose for pose in self._poses[name].values() if pose.capture_ns <= until_ns]
+        reasons = Counter(pose.reason for pose in poses if pose.state != "TRACKING" and pose.reason)
+        return {reason: 100.0 * count / len(poses) for reason, count in reasons.most_common()}
 
     def _judge(self, name: str, until_ns: int) -> tuple[StateReport, Float64]:
         """The report of an object, and rows (ADD, ADD-S, diameter) of its frames that count."""

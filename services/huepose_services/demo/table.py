@@ -11,6 +11,9 @@ from huepose.support.words import counted
 from huepose_services.demo.score import Latest
 
 _PERIOD_S = 0.25
+_MOSTLY = 90.0
+"""Per cent of the frames; an object that is TRACKING in fewer is explained."""
+
 _COLOURS = {"TRACKING": "32", "SUSPECT": "33", "LOST": "31", "SEARCHING": "90"}
 
 
@@ -74,7 +77,17 @@ def report(result: Mapping[str, Any]) -> str:
         for name, of in result["workers"].items()
     ]
     took = table(("worker", "CPU %", "MiB", "rate Hz", "work ms p50", "p99"), workers)
-    return "\n" + "\n\n".join([table(head, rows), total, took])
+    why = [_why_not(name, figures) for name, figures in summary["per_object"].items()]
+    parts = [table(head, rows), "\n".join(text for text in why if text), total, took]
+    return "\n" + "\n\n".join(part for part in parts if part)
+
+
+def _why_not(name: str, figures: Mapping[str, Any]) -> str:
+    """Why an object is often not TRACKING; empty where it mostly is."""
+    if (figures["coverage_tracking"] or 0.0) >= _MOSTLY:
+        return ""
+    often = [f'{share:.0f} % "{reason}"' for reason, share in figures["doubts"].items() if share >= 1.0]
+    return f"{name} was not TRACKING in {', '.join(often[:3])}" if often else ""
 
 
 def _figure(value: float | None, digits: int) -> str:

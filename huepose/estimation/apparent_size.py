@@ -43,6 +43,10 @@ USUAL = 0.045
 CLEAR = 10.0
 """Least gain of the support, as a natural logarithm, over sizes that are usual."""
 
+LIKELY = 0.2
+"""Least quality of a pose that is asked though it is not sure: where nothing is, the background is often
+taken for an object of another size. As `ReinitConfig.least_quality`."""
+
 MOSTLY_SEEN = 0.7
 """Least visible share of a pose that is looked at: what hides a part has an outline as well."""
 
@@ -91,6 +95,12 @@ def apparent_size(supports: Sequence[Float64]) -> ApparentSize:
     best = int(np.argmax(total))
     usual = float(total[np.abs(SCALES) <= USUAL].max())
     return ApparentSize(float(SCALES[best]), float(total[best]) - usual)
+
+
+def worth_a_look(answers: Sequence[PoseEstimate]) -> list[PoseEstimate]:
+    """The answers of a frame that are sure; where none is, those that are likely."""
+    sure = [answer for answer in answers if answer.state == "TRACKING"]
+    return sure or [answer for answer in answers if answer.found and answer.quality >= LIKELY]
 
 
 def looks(

@@ -48,8 +48,10 @@ class CameraDoubts:
         self._next_ns = at_ns + (LOOK_EVERY_NS if self._looks < LOOKS else LATER_EVERY_NS)
         self._camera = frame.camera
         self._offsets.append(frame_offset(frame))
-        for state, seen in (("TRACKING", self._sure), ("SUSPECT", self._doubtful)):
-            mine = [answer for answer in answers if answer.state == state]
+        sure = [answer for answer in answers if answer.state == "TRACKING"]
+        # Where nothing is, the background is often taken for an object of another size.
+        followed = [answer for answer in answers if answer.state == "SUSPECT" and answer.instance >= 0]
+        for mine, seen in ((sure, self._sure), (followed, self._doubtful)):
             if mine:
                 seen += self._sizes_seen(frame, [mine[number % len(mine)]])
 
@@ -61,8 +63,8 @@ class CameraDoubts:
 
     @property
     def size(self) -> str:
-        """That objects are larger or smaller than they have to be; empty where they are not. Doubtful poses
-        are asked where there is no sure one."""
+        """That objects are larger or smaller than they have to be; empty where they are not. Where there is
+        no sure pose, those that are followed though doubtful are asked."""
         seen = self._sure or self._doubtful
         size = apparent_size(seen)
         if self._camera is None or len(seen) < FEWEST_LOOKS or not size.clear:

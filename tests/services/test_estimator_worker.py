@@ -104,8 +104,8 @@ def warned_after(monkeypatch):
     return warned
 
 
-def cup(state):
-    return PoseEstimate("cup", T_cam_obj=np.eye(4), found=True, state=state)
+def cup(state, instance=0):
+    return PoseEstimate("cup", instance, T_cam_obj=np.eye(4), found=True, state=state)
 
 
 EVERY_S = LOOK_EVERY_NS * 1e-9
@@ -122,6 +122,10 @@ def test_a_wrong_camera_matrix_is_said_after_some_looks(warned_after):
 
 
 def test_doubtful_poses_are_asked_about_sizes_only_where_there_is_no_sure_one(warned_after):
+    """And not what is new: it may be the background."""
+    warned_after.estimator.answers = (cup("SUSPECT", -1),)
+    warned_after.estimator.larger = 0.2
+    assert [warned_after(EVERY_S) for _ in range(4)] == [""] * 4
     warned_after.estimator.answers = (cup("SUSPECT"),)
     warned_after.estimator.larger = -0.15
     assert "15 % smaller" in [warned_after(EVERY_S) for _ in range(3)][-1]

@@ -137,12 +137,11 @@ def _against_camera(
 ) -> list[str]:
     """Why no pose of a frame is right: objects are larger or smaller in it than they have to be, or depth
     lies far beside the colours."""
-    from huepose.estimation.apparent_size import apparent_size, looks
+    from huepose.estimation.apparent_size import apparent_size, looks, worth_a_look
     from huepose.estimation.frame_offset import frame_offset
 
     offset = frame_offset(frame)
-    sure = [answer for answer in answers if answer.state == "TRACKING"]
-    size = apparent_size(looks(frame, models, sure or answers))
+    size = apparent_size(looks(frame, models, worth_a_look(answers)))
     out = [] if offset is None else [offset.said()]
     return [*out, size.said(frame.camera)] if size.clear else out
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping
 
 from huepose.estimation import Estimator, ObjectQuery
-from huepose.estimation.apparent_size import apparent_size, looks
+from huepose.estimation.apparent_size import apparent_size, looks, worth_a_look
 from huepose.geometry import RgbdFrame
 from huepose.model import ReferenceModel
 from huepose.perception.colorpair_detector import ColorPairDetector
@@ -33,7 +33,6 @@ def objects_in(frame: RgbdFrame, models: Mapping[str, ReferenceModel]) -> Iterat
     answers = estimator.estimate(frame, [ObjectQuery(name, best[name].box) for name in sorted(best)])
     said = ", ".join(f"{answer.object} {answer.state} {answer.quality:.2f}" for answer in answers)
     yield Finding("objects", "ok", said)
-    sure = [answer for answer in answers if answer.state == "TRACKING"]
-    size = apparent_size(looks(frame, models, sure or answers))
+    size = apparent_size(looks(frame, models, worth_a_look(answers)))
     if size.clear:
         yield Finding("camera", "bad", "sizes do not fit", size.said(frame.camera))

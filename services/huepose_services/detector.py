@@ -32,7 +32,8 @@ NOTHING_FOR_NS, ASK_EVERY_NS = 2 * SECOND, 2 * SECOND
 takes as long as a search for one object."""
 
 FIRST_ASKS = 3
-"""So often it is asked when a camera was opened, whatever is found: a wrong place may look right."""
+"""So often it is asked of a camera that was opened, though objects are followed: a wrong place may look
+right."""
 
 
 def make(bus: Bus, config: Config) -> DetectorWork:
@@ -145,20 +146,25 @@ class DetectorWork(Work):
     def _doubt_colours(
         self, finder: SearchedBoxes, epoch: int, request: PerceptionRequest, found: list[DetectedObject]
     ) -> None:
-        """Ask now and then whether the colours are in the wrong order: while nothing at all is found, and a
-        few times when a camera was opened."""
+        """Ask now and then whether the colours are in the wrong order: while nothing is plainly there, and a
+        few times when a camera was opened and nothing was yet."""
         now, names = now_ns(), [wanted.object for wanted in request.objects]
         if not names:
             return
         asks = self._asks[1] if epoch == self._asks[0] else 0
-        followed = any(wanted.prior is not None for wanted in request.objects)
-        plain = followed or any(box.score >= PLAIN for box in found)
-        if plain and asks >= FIRST_ASKS and not self._colours:
+        if any(box.score >= PLAIN and box.request.prior is None for box in found):
+            # What is plainly there says itself that the order is right.
+            self._asks, self._ask_ns = (epoch, FIRST_ASKS), now + NOTHING_FOR_NS
+            self._doubt("")
+        elif asks >= FIRST_ASKS and not self._colours and any(w.prior is not None for w in request.objects):
             self._ask_ns = now + NOTHING_FOR_NS
         elif now >= self._ask_ns:
             self._asks = epoch, asks + 1
-            self._colours = finder.why_none(names) or ""
+            self._doubt(finder.why_none(names) or "")
             self._ask_ns = now_ns() + ASK_EVERY_NS
-            self._bus.health.warn_while("colours", self._colours or None)
-            if self._colours:
-                self._bus.log.seldom("colours", self._colours)
+
+    def _doubt(self, text: str) -> None:
+        self._colours = text
+        self._bus.health.warn_while("colours", text or None)
+        if text:
+            self._bus.log.seldom("colours", text)

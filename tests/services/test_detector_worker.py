@@ -8,7 +8,7 @@ import numpy as np
 
 from huepose.perception.colorpair_detector import ColorPairDetector
 from huepose_protos.examples import GOLDEN, example
-from huepose_protos.messages import FrameHeader, PerceptionRequest, RequestedObject
+from huepose_protos.messages import Detections, FrameHeader, PerceptionRequest, RequestedObject
 from huepose_services import detector as worker
 from huepose_services.boxes import SearchedBoxes
 from huepose_services.camera.publish import packed
@@ -97,3 +97,8 @@ def test_the_order_of_the_colours_is_asked_about_some_times_whatever_is_found(mo
         return len(asked) - before
 
     assert [asks_in(12, epoch) for epoch in (1, 1, 2, 2)] == [worker.FIRST_ASKS, 0, worker.FIRST_ASKS, 0]
+    plain = msgspec.structs.replace(
+        example(Detections).objects[0], request=RequestedObject(object="tea_box", instance=None), score=0.9
+    )
+    finder.find = lambda header, request: [plain]
+    assert asks_in(12, 3) == 0, "what is plainly there says that the order is right"

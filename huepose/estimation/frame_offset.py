@@ -17,8 +17,12 @@ from huepose.geometry.frame import RgbdFrame
 
 Complex = NDArray[np.complexfloating]
 
+WIDTH_PX = 640
+"""Pictures are made about so small first: a transform takes as long as there are pixels."""
+
 REACH_PX = 64
-"""Largest shift either way: a depth camera 5 cm beside the colour camera is 40 px off at 0.8 m."""
+"""Largest shift either way, in such a picture: a depth camera 5 cm beside the colour camera is 40 px off at
+0.8 m."""
 
 FITS_PX = 8
 """Smaller shifts are usual in published data, or are of what has steps at one side only."""
@@ -39,11 +43,16 @@ _DISTINCT = 0.9
 
 def frame_offset(frame: RgbdFrame) -> DepthOffset | None:
     """How the image's colours lie to its depth where they plainly lie elsewhere, by more than FITS_PX and at
-    most REACH_PX either way; None where they do not, or where too little of the frame says it."""
-    at = steps_of_depth(frame.depth)
+    most REACH_PX either way (of a picture WIDTH_PX wide); None where they do not, or where too little of the
+    frame says it."""
+    every = max(1, round(frame.camera.width / WIDTH_PX))
+    at = steps_of_depth(np.ascontiguousarray(frame.depth[::every, ::every]))
     if np.count_nonzero(at) < FEWEST:
         return None
-    fit = _correlated(_steps(at), _edges(smoothed(frame.color)))
+    color = frame.color
+    if every > 1:
+        color = np.asarray(cv2.resize(color, at.shape[::-1], interpolation=cv2.INTER_AREA), np.uint8)
+    fit = _correlated(_steps(at), _edges(smoothed(color)))
     middle = float(np.median(fit))
     spread = 1.4826 * float(np.median(np.abs(fit - middle)))
     down, right = np.unravel_index(int(np.argmax(fit)), fit.shape)
@@ -51,7 +60,8 @@ def frame_offset(frame: RgbdFrame) -> DepthOffset | None:
     lead = float(fit.max() - fit[usual, usual].max()) / max(spread, 1e-9)
     if lead < CLEAR_SIGMAS:
         return None
-    return DepthOffset(float(right - REACH_PX), float(down - REACH_PX), lead, int(np.count_nonzero(at)))
+    shift = every * (np.array([right, down], np.float64) - REACH_PX)
+    return DepthOffset(float(shift[0]), float(shift[1]), lead, int(np.count_nonzero(at)))
 
 
 def steps_of_depth(depth: Float32) -> Bool:

@@ -28,6 +28,21 @@ def test_how_far_and_which_way(frame: RgbdFrame, right: int, down: int) -> None:
     assert np.hypot(found.right_px - right, found.down_px - down) <= 4.0
 
 
+def test_a_large_picture_is_asked_as_a_small_one(frame: RgbdFrame) -> None:
+    camera = frame.camera
+    large = replace(
+        frame,
+        color=cv2.resize(frame.color, None, fx=2.0, fy=2.0),
+        depth=np.ascontiguousarray(np.roll(frame.depth.repeat(2, 0).repeat(2, 1), 60, axis=1)),
+        camera=replace(
+            camera, fx=2 * camera.fx, fy=2 * camera.fy, width=2 * camera.width, height=2 * camera.height
+        ),
+    )
+    found = frame_offset(large)
+    assert found is not None
+    assert np.hypot(found.right_px + 60, found.down_px) <= 6.0
+
+
 def test_depth_that_lies_on_the_colours_is_not_doubted(frame: RgbdFrame) -> None:
     assert frame_offset(frame) is None
     beside = replace(frame, depth=np.ascontiguousarray(np.roll(frame.depth, 5, axis=1)))

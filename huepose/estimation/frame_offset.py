@@ -28,8 +28,8 @@ FITS_PX = 8
 """Smaller shifts are usual in published data, or are of what has steps at one side only."""
 
 CLEAR_SIGMAS = 3.0
-"""Least lead of the best shift over all that are usual, in standard deviations over all shifts. Of 87 frames of
-twelve sets, real and drawn, and 150 of nine films, none has it."""
+"""Least lead of the best shift over all that are usual, in standard deviations over all shifts. None of 87
+frames of twelve sets, real and drawn, has it as it is, and none of 150 of nine films."""
 
 FEWEST = 60
 """Least number of pixels at steps of depth."""

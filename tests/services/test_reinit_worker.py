@@ -85,6 +85,21 @@ def pose(instance):
     )
 
 
+def answer(bus, **changes):
+    """Perception's answer to the request of the worker: nothing found, but for what is given."""
+    request = next(m for m in bus.said if not isinstance(m, ObjectsMessage))
+    now = now_ns()
+    message = Estimates(
+        publish_ns=now,
+        request_seq=request.seq,
+        camera_epoch=EPOCH,
+        frame_id=9,
+        capture_ns=now,
+        estimates=[],
+    )
+    return msgspec.structs.replace(message, **changes)
+
+
 def test_that_an_object_is_found_is_told_at_once(bus, step):
     step()
     assert bus.mug().searching == 1
@@ -95,7 +110,6 @@ def test_that_an_object_is_found_is_told_at_once(bus, step):
 
 def test_what_is_said_against_the_camera_goes_on_with_every_correction(bus, step):
     step()
-    request = next(m for m in bus.said if not isinstance(m, ObjectsMessage))
     found = msgspec.structs.replace(
         example(Estimates).estimates[0],
         object="mug",
@@ -104,18 +118,7 @@ def test_what_is_said_against_the_camera_goes_on_with_every_correction(bus, step
         state="TRACKING",
         quality=0.99,
     )
-    now = now_ns()
-    bus.arriving[Estimates].append(
-        msgspec.structs.replace(
-            example(Estimates),
-            publish_ns=now,
-            capture_ns=now,
-            camera_epoch=EPOCH,
-            request_seq=request.seq,
-            estimates=[found],
-            camera="Too large.",
-        )
-    )
+    bus.arriving[Estimates].append(answer(bus, estimates=[found], camera="Too large."))
     step()
     corrections = [m for m in bus.said if isinstance(m, CorrectionMessage)]
     assert {(c.object, c.verdict, c.camera) for c in corrections} == {("mug", "acquire", "Too large.")}
@@ -123,31 +126,15 @@ def test_what_is_said_against_the_camera_goes_on_with_every_correction(bus, step
 
 def test_an_answer_to_what_was_asked_before_a_reset_gives_no_reason_after_it(bus, objects, step):
     step()
-    request = next(m for m in bus.said if not isinstance(m, ObjectsMessage))
     objects.decide(ControlRequest(publish_ns=1, action="reset", object="mug"))
-    now = now_ns()
-    bus.arriving[Estimates].append(
-        Estimates(
-            publish_ns=now,
-            request_seq=request.seq,
-            camera_epoch=EPOCH,
-            frame_id=9,
-            capture_ns=now,
-            estimates=[],
-        )
-    )
+    bus.arriving[Estimates].append(answer(bus))
     step()
     assert (bus.mug().searching, bus.mug().reason) == (1, "")
 
 
 def test_a_reset_forgets_the_reason_of_the_search_before(bus, objects, step):
     step()
-    request = next(m for m in bus.said if not isinstance(m, ObjectsMessage))
-    now = now_ns()
-    answer = Estimates(
-        publish_ns=now, request_seq=request.seq, camera_epoch=EPOCH, frame_id=9, capture_ns=now, estimates=[]
-    )
-    bus.arriving[Estimates].append(answer)
+    bus.arriving[Estimates].append(answer(bus))
     step()
     objects.decide(ControlRequest(publish_ns=1, action="add", object="mug", max_instances=2))
     step()
@@ -159,20 +146,8 @@ def test_a_reset_forgets_the_reason_of_the_search_before(bus, objects, step):
 
 def test_what_is_wrong_with_the_picture_is_the_reason_why_nothing_is_found_in_it(bus, objects, step):
     step()
-    request = next(m for m in bus.said if not isinstance(m, ObjectsMessage))
-    now = now_ns()
     said = "All depth is 6.4 m away or farther: is the depth scale right?"
-    bus.arriving[Estimates].append(
-        Estimates(
-            publish_ns=now,
-            request_seq=request.seq,
-            camera_epoch=EPOCH,
-            frame_id=9,
-            capture_ns=now,
-            estimates=[],
-            picture=said,
-        )
-    )
+    bus.arriving[Estimates].append(answer(bus, picture=said))
     step()
     objects.decide(ControlRequest(publish_ns=1, action="add", object="mug", max_instances=2))
     step()

@@ -63,9 +63,10 @@ class CameraDoubts:
 
     @property
     def size(self) -> str:
-        """That objects are larger or smaller than they have to be; empty where they are not. Where there is
-        no sure pose, those that are followed though doubtful are asked."""
-        seen = self._sure or self._doubtful
+        """That objects are larger or smaller than they have to be; empty where they are not. Where sure
+        poses are too few, those that are followed though doubtful are asked, too."""
+        enough = len(self._sure) >= FEWEST_LOOKS
+        seen = self._sure if enough else [*self._sure, *self._doubtful]
         size = apparent_size(seen)
         if self._camera is None or len(seen) < FEWEST_LOOKS or not size.clear:
             return ""

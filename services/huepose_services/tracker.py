@@ -31,7 +31,10 @@ from huepose_services.runtime.config import Config
 from huepose_services.runtime.log import Level, StateChanges
 from huepose_services.runtime.work import Work
 
-TOO_OLD = "It is not known where it is now: this computer is too busy, or the camera's pictures come late."
+TOO_OLD = (
+    "It is not known where it is now: this computer is too busy, or the camera's pictures come late or with "
+    "old stamps."
+)
 _REFUSED_EVERY_S = 10.0
 _Frame = tuple[int, int]
 

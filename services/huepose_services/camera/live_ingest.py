@@ -56,7 +56,7 @@ class LiveIngest(Work):
         return now_ns()
 
     def step(self) -> None:
-        """Publish the newest picture, or say what is wrong. Raises RuntimeError when the SDK hangs."""
+        """Publish the newest picture, or say what is wrong. Raises SystemExit when the SDK hangs."""
         taken = self._reader.take(_LONGEST_STEP_S)
         counters = self._bus.health.counters
         counters["frames_skipped"], counters["frames_repeated"] = self._reader.skipped, self._reader.repeated
@@ -78,7 +78,8 @@ class LiveIngest(Work):
             self._say_ns = now_ns() + _SAY_AGAIN_NS
             self._bus.log.seldom(trouble, trouble)
         if self._reader.stuck_s() > _GIVE_UP_AFTER_S:
-            raise RuntimeError(f"{self._name}: the driver has not answered for {_GIVE_UP_AFTER_S:.0f} s")
+            text = f"{self._name} has not answered for {_GIVE_UP_AFTER_S:.0f} s: a new process opens it again"
+            raise SystemExit(text)
 
     def close(self) -> None:
         """Let the camera go."""

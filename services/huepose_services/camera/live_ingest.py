@@ -25,6 +25,7 @@ from huepose_services.runtime.work import Work
 
 _LONGEST_STEP_S = 0.05
 _SAY_AGAIN_NS = 30 * SECOND
+_AHEAD_S = 1.0
 # A thread that the SDK does not give back cannot be ended: a new process can open the camera again.
 _GIVE_UP_AFTER_S = 30.0
 
@@ -118,6 +119,7 @@ class LiveIngest(Work):
             self._begin_epoch(taken.opening, shot.camera)
         if taken.device_clock_is_host:
             capture_ns = min(shot.device_ns, shot.arrived_ns)
+            self._bus.health.warn_while("ahead", stamps_ahead((shot.device_ns - shot.arrived_ns) / SECOND))
         else:
             capture_ns = self._clock.capture_ns(shot.device_ns, shot.arrived_ns)
             self._bus.health.counters["clock_restarts"] = self._clock.restarts
@@ -139,3 +141,13 @@ class LiveIngest(Work):
         self._bus.log.say(
             f"{self._name}: {camera.width} x {camera.height}, fx {camera.fx:.1f} fy {camera.fy:.1f}"
         )
+
+
+def stamps_ahead(seconds: float) -> str | None:
+    """The warning for a stamp that is so far ahead of this computer's clock."""
+    if seconds <= _AHEAD_S:
+        return None
+    return (
+        f"its time stamps are {seconds:.1f} s ahead of this computer's CLOCK_MONOTONIC: the time of arrival "
+        "is taken instead"
+    )

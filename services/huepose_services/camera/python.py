@@ -83,7 +83,8 @@ class PythonCamera:
         if not isinstance(frame, RgbdFrame):
             raise CameraError(f"frames() gave {type(frame).__name__}, expected huepose.RgbdFrame")
         if not np.isfinite(frame.depth).all():
-            raise CameraError("depth has values that are not finite: 0 means no reading")
+            fix = "0 means no reading: np.nan_to_num(depth, posinf=0.0, neginf=0.0)"
+            raise CameraError(f"depth has values that are not finite, so no picture is used. {fix}")
         self._number += 1
         now = now_ns()
         return Shot(frame.color, frame.depth, frame.camera, self._number, frame.stamp_ns or now, now)

@@ -38,6 +38,8 @@ lenses sit within 3 % of their sensor's middle."""
 OBLONG = 0.03
 """Largest usual difference of fx and fy: pixels are square."""
 
+_EVERY_ROW = 16
+
 _EVERY = 4
 """Each such pixel of a row and column is looked at: enough for shares of a whole picture."""
 
@@ -65,6 +67,16 @@ def all_grey(color: UInt8) -> bool:
 def readings(depth: Float32, farthest_m: float = np.inf) -> Bool:
     """Pixels of depth (metres) with a reading that is nearer than `farthest_m`."""
     return np.asarray((depth > 0.0) & (depth < farthest_m))
+
+
+def same(one: UInt8 | Float32, other: UInt8 | Float32) -> bool:
+    """Whether two pictures are the same; a few of their rows tell nearly always that they are not.
+
+    >>> picture = np.full((48, 64, 3), 120, np.uint8)
+    >>> same(picture, picture.copy()), same(picture, picture + 1)
+    (True, False)
+    """
+    return np.array_equal(one[::_EVERY_ROW], other[::_EVERY_ROW]) and np.array_equal(one, other)
 
 
 def depth_share(depth: Float32, farthest_m: float = np.inf) -> float:

@@ -8,6 +8,7 @@ no pose in it is to be acted on, however well it fits.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 
 import numpy as np
@@ -15,8 +16,9 @@ import numpy as np
 from huepose.geometry import RgbdFrame
 from huepose.geometry.arrays import Float64
 from huepose.geometry.camera import depth_noise_m
-from huepose.geometry.picture_faults import dark, readings, why_nothing_is_found
+from huepose.geometry.picture_faults import dark, readings, same, why_nothing_is_found
 from huepose.judge.open_region import PreparedSurface
+from huepose.tracking.history import CLOSE_S, WIDE_S
 from huepose.tracking.types import Doubt, TrackedPose
 
 NOT_FOUND = "It is not where it was, and was not found elsewhere yet."
@@ -29,6 +31,10 @@ NO_DEPTH = (
 COVERED = "If its pose is right, something in front of it hides most of it."
 CLOSE_IN_FRONT = "Its pose is wrong, or something that lies close to it hides most of it."
 NOT_THERE = "The camera sees what is behind it: it is not where this pose has it."
+TOO_OLD = (
+    "It is not known where it is now: this computer is too busy, or the camera's pictures come late or with "
+    "old stamps."
+)
 DARK = "The picture is too dark there."
 TURN = "It fits, but turned another way it would fit nearly as well: seen from another side it becomes sure."
 UNCONFIRMED = "It fits, but was found on little: found here again or seen from another side, it is sure."
@@ -39,8 +45,6 @@ _SMALL_PX = 24.0
 """So many pixels across are some 450 readings, of which one in six is independent (`POINTS_PER_READING`): few
 for a pose, and for which of two like ones it is."""
 
-
-_EVERY_ROW = 16
 
 FOCUS = 0.05
 """Share by which focusing changes a focal length: f becomes f / (1 - f / distance), 4 % for 6 mm at 15 cm."""
@@ -116,7 +120,7 @@ def complaint_about(frame: RgbdFrame, before: RgbdFrame | None) -> str | None:
             "the picture's size or intrinsics changed while the camera was open: a camera that is set anew "
             "must begin a new epoch"
         )
-    if _equal(before.color, frame.color) and not _equal(before.depth, frame.depth):
+    if same(before.color, frame.color) and not same(before.depth, frame.depth):
         return "the colour picture stands still while depth goes on: is the colour stream stuck?"
     return None
 
@@ -138,6 +142,13 @@ def lens_doubted(frame: RgbdFrame, fx_of_size: dict[str, float]) -> str | None:
     )
 
 
-def _equal(one: np.ndarray, other: np.ndarray) -> bool:
-    """Whether two pictures are the same; a few of their rows tell nearly always that they are not."""
-    return np.array_equal(one[::_EVERY_ROW], other[::_EVERY_ROW]) and np.array_equal(one, other)
+def too_late_text(age_s: float, reach_s: float, older_frames: int) -> str:
+    """The warning that perception answers later than the tracker's frame history reaches, and what to do."""
+    missing_s = 1.3 * age_s - reach_s
+    more = older_frames + 2 * math.ceil(missing_s / (CLOSE_S + WIDE_S))
+    return (
+        f"perception answers {age_s:.1f} s after a picture was taken, and pictures are kept for "
+        f"{reach_s:.1f} s: what it finds cannot be used. Set tracker.older_frames to {more} (2 MB each at "
+        "640x480), or make it faster: end other programs, look for fewer objects, or for one at a time "
+        "(reinit.objects_per_tick: 1)"
+    )

@@ -3,7 +3,6 @@ frames."""
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable, Mapping
 from dataclasses import replace
 
@@ -14,14 +13,20 @@ from huepose.model import ReferenceModel
 from huepose.profiles import profile
 from huepose.support.errors import InputError
 from huepose.tracking import Tracker, memory
-from huepose.tracking.history import CLOSE_S, WIDE_S
 from huepose.tracking.types import Applied, Correction, State, TrackedPose, Verdict
 from huepose_protos import WireError
 from huepose_protos.buffers import mask_of
 from huepose_protos.messages import CorrectionMessage, FrameHeader, MemoryMessage, PoseMessage
 from huepose_services import models, networks
 from huepose_services.convert import frame_from_wire, from_wire, to_wire
-from huepose_services.doubts import complaint_about, lens_doubted, why_all_are_lost, why_doubted
+from huepose_services.doubts import (
+    TOO_OLD,
+    complaint_about,
+    lens_doubted,
+    too_late_text,
+    why_all_are_lost,
+    why_doubted,
+)
 from huepose_services.following import Follower, Retired
 from huepose_services.held import held
 from huepose_services.intake import MEMORY_EVERY_NS, Clock, InputCache, Intake
@@ -31,10 +36,6 @@ from huepose_services.runtime.config import Config
 from huepose_services.runtime.log import Level, StateChanges
 from huepose_services.runtime.work import Work
 
-TOO_OLD = (
-    "It is not known where it is now: this computer is too busy, or the camera's pictures come late or with "
-    "old stamps."
-)
 _REFUSED_EVERY_S = 10.0
 _Frame = tuple[int, int]
 
@@ -388,18 +389,6 @@ def tracked_to_wire(pose: TrackedPose, header: FrameHeader, publish_ns: int, rea
 
 def _doubted(pose: TrackedPose) -> TrackedPose:
     return replace(pose, state=State.SUSPECT) if pose.state is State.TRACKING else pose
-
-
-def too_late_text(age_s: float, reach_s: float, older_frames: int) -> str:
-    """The warning that perception answers later than the tracker's frame history reaches, and what to do."""
-    missing_s = 1.3 * age_s - reach_s
-    more = older_frames + 2 * math.ceil(missing_s / (CLOSE_S + WIDE_S))
-    return (
-        f"perception answers {age_s:.1f} s after a picture was taken, and pictures are kept for "
-        f"{reach_s:.1f} s: what it finds cannot be used. Set tracker.older_frames to {more} (2 MB each at "
-        "640x480), or make it faster: end other programs, look for fewer objects, or for one at a time "
-        "(reinit.objects_per_tick: 1)"
-    )
 
 
 def _sentence(text: str) -> str:

@@ -17,12 +17,13 @@ from huepose_protos import decode, encode
 from huepose_protos.buffers import pack
 from huepose_protos.examples import images, messages
 from huepose_protos.messages import CorrectionMessage, FrameHeader, MaskRuns, ObjectEntry, PoseMessage
+from huepose_services.doubts import TOO_OLD
 from huepose_services.following import Change
 from huepose_services.runtime.clock import now_ns
 from huepose_services.runtime.config import CameraConfig, Config, TrackerConfig
 from huepose_services.runtime.health import Health
 from huepose_services.runtime.log import Log
-from huepose_services.tracker import TOO_OLD, TrackerWork
+from huepose_services.tracker import TrackerWork
 
 HEADER = next(m for m in messages() if isinstance(m, FrameHeader))
 CORRECTION = next(m for m in messages() if isinstance(m, CorrectionMessage))

@@ -11,11 +11,10 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Protocol, TypeVar
 
-import numpy as np
-
 from huepose.datasets.types import GroundTruth
 from huepose.geometry import Camera
 from huepose.geometry.arrays import Float32, UInt8
+from huepose.geometry.picture_faults import same
 
 Device = TypeVar("Device")
 
@@ -40,11 +39,7 @@ class Shot:
 
     def shows_the_same(self, other: Shot) -> bool:
         """Whether every pixel is the same: no sensor gives one picture twice, but of nothing at all."""
-        return (
-            bool(self.color.any())
-            and np.array_equal(self.color, other.color)
-            and np.array_equal(self.depth, other.depth)
-        )
+        return same(self.color, other.color) and same(self.depth, other.depth) and bool(self.color.any())
 
 
 REPLUG = "Close other programs that use it; else unplug it and plug it in again."

@@ -271,7 +271,8 @@ class HealthMessage(Message, frozen=True, kw_only=True):
     the first; locked_mib: memory that is locked, most of it shared memory for frames; drops: messages that
     arrived and were replaced by newer ones, or lost, before they were read; errors: exceptions in its work
     and messages that it refused; last_error: the newest of them; counters only grow;
-    restarts: how often the worker was started again since its pipeline began."""
+    restarts: how often the worker was started again since its pipeline began; picture: of a camera, why
+    nothing can be found in its pictures, or why none comes, empty where nothing is wrong."""
 
     worker: Name
     pid: Count
@@ -293,6 +294,7 @@ class HealthMessage(Message, frozen=True, kw_only=True):
     errors: Count = 0
     last_error: Text = ""
     restarts: Count = 0
+    picture: Text = ""
 
     def __post_init__(self) -> None:
         check_finite(work_ms=self.work_ms, age_ms=self.age_ms)

@@ -148,8 +148,8 @@ class ObjectEntry(Struct, frozen=True, kw_only=True):
 
     `resets`: how often it was told to be searched for anew; `retired`: [camera epoch, number], instances of
     that epoch below that number are over for that reason, null when there are none; `box`: where it was said
-    to be at the last time, null when nothing was said; `reason`: why it is not seen, as far as perception
-    knows, empty when all of it is."""
+    to be at the last time, null when nothing was said; `reason`: why it is not seen, as far as camera and
+    perception know, empty when all of it is."""
 
     object: Name
     max_instances: Annotated[int, Meta(ge=1, le=64)]

@@ -16,6 +16,7 @@ from huepose_protos.messages import (
     ControlRequest,
     CorrectionMessage,
     Estimates,
+    HealthMessage,
     ObjectEntry,
     ObjectsMessage,
     PerceptionRequest,
@@ -88,11 +89,13 @@ class ReinitWork(Work):
         self._retired = Retired(objects.entries())
         self._poses = bus.inbox.queue(bus.keys.poses, wakes=False)
         self._answers = bus.inbox.queue(bus.keys.estimates)
+        self._camera_health = bus.inbox.ring(bus.keys.health("camera"), wakes=False)
         self._camera = OneCamera()
         self._tracks: dict[tuple[str, int], TrackedPose] = {}
         self._sought: dict[int, tuple[str, ...]] = {}
         self._reasons: dict[str, str] = {}
         self._picture_blamed = False
+        self._camera_says = ""
         self._camera_doubt = ""
         self._told_missing: dict[str, int] = {}
         self._next_tick_ns = self._next_objects_ns = now_ns()
@@ -124,6 +127,9 @@ class ReinitWork(Work):
         """Take what arrived; tick the loop when it is due."""
         started = now_ns()
         self._apply_orders()
+        while (health := self._bus.take(self._camera_health, HealthMessage)) is not None:
+            if health.picture != self._camera_says:
+                self._camera_says, self._next_objects_ns = health.picture, now_ns()
         while (pose := self._bus.take(self._poses, PoseMessage)) is not None:
             self._observe(pose)
         while (answer := self._bus.take(self._answers, Estimates)) is not None:
@@ -205,7 +211,8 @@ class ReinitWork(Work):
         for entry in self._objects.entries():
             name = entry.object
             count = missing.get(name, 0)
-            reason = self._reasons.get(name, "") if count else ""
+            # The camera knows best why its pictures show nothing.
+            reason = self._camera_says or (self._reasons.get(name, "") if count else "")
             self._objects.tell(name, count, self._retired.of(name), reason)
         self._bus.put(
             self._bus.keys.objects, ObjectsMessage(publish_ns=now_ns(), objects=self._objects.entries())

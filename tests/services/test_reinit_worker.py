@@ -13,6 +13,7 @@ from huepose_protos.messages import (
     ControlRequest,
     CorrectionMessage,
     Estimates,
+    HealthMessage,
     ObjectEntry,
     ObjectsMessage,
     PoseMessage,
@@ -32,7 +33,7 @@ class _Bus:
     def __init__(self):
         self.keys, self.health = Config().keys, Health("reinit")
         self.arriving, self.said = defaultdict(list), []
-        self.inbox = SimpleNamespace(queue=lambda *_, **__: None)
+        self.inbox = SimpleNamespace(queue=lambda *_, **__: None, ring=lambda *_, **__: None)
         self.session = SimpleNamespace(declare_queryable=lambda *_: None)
         self.log = SimpleNamespace(say=lambda *_: None)
 
@@ -152,6 +153,18 @@ def test_what_is_wrong_with_the_picture_is_the_reason_why_nothing_is_found_in_it
     objects.decide(ControlRequest(publish_ns=1, action="add", object="mug", max_instances=2))
     step()
     assert bus.mug().reason == said
+
+
+def test_what_the_camera_says_of_its_pictures_comes_before_what_perception_makes_of_them(bus, step):
+    step()
+    said = "cam.py: depth looks like millimetres read as metres"
+    bus.arriving[HealthMessage].append(msgspec.structs.replace(example(HealthMessage), picture=said))
+    bus.arriving[Estimates].append(answer(bus, picture="The frame has no depth."))
+    step()
+    assert bus.mug().reason == said
+    bus.arriving[HealthMessage].append(example(HealthMessage))
+    step()
+    assert bus.mug().reason == "The frame has no depth."
 
 
 @pytest.mark.parametrize(

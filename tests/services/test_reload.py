@@ -96,7 +96,7 @@ def test_objects_come_and_go_with_the_file_and_those_added_by_hand_stay():
     objects = ObjectList(entries, slot)
     loop = SimpleNamespace(config=None)
     bus = SimpleNamespace(
-        inbox=SimpleNamespace(queue=lambda *_, **__: None),
+        inbox=SimpleNamespace(queue=lambda *_, **__: None, ring=lambda *_, **__: None),
         keys=Config().keys,
         session=SimpleNamespace(declare_queryable=lambda *_: None),
     )

@@ -128,7 +128,7 @@ def _no_depth(shot: Shot, farthest_m: float) -> str | None:
         if median_m > MILLIMETRES_OVER_M:
             return (
                 f"depth looks like millimetres read as metres (half of it is farther than {median_m:.0f} m): "
-                "set depth_scale to 0.001; a camera of your own gives metres"
+                "a camera of your own gives metres, so multiply by 0.001"
             )
         return (
             f"its depth is farther than {farthest_m:.1f} m, half of it farther than {median_m:.1f} m, and is "

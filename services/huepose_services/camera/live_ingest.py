@@ -26,6 +26,8 @@ from huepose_services.runtime.work import Work
 _LONGEST_STEP_S = 0.05
 _SAY_AGAIN_NS = 30 * SECOND
 _AHEAD_S = 1.0
+_NOTHING_IS_SEEN = ("depth", "dark")
+"""The complaints about pictures in which no object can be found."""
 # A thread that the SDK does not give back cannot be ended: a new process can open the camera again.
 _GIVE_UP_AFTER_S = 30.0
 
@@ -65,6 +67,7 @@ class LiveIngest(Work):
             self._take(taken)
         trouble = self._reader.trouble
         self._complain(trouble is None)
+        self._bus.health.picture = self._nothing_is_seen()
         if trouble != self._told:
             self._told, self._say_ns = trouble, 0
             notify(f"STATUS={trouble or 'ready'}")  # for `systemctl status`
@@ -112,6 +115,10 @@ class LiveIngest(Work):
             self._bus.log.seldom(f"pictures: {kind}", complaints[kind])
         if new or over:
             self._bus.say_health()
+
+    def _nothing_is_seen(self) -> str:
+        """Why no object can be found; empty where one can."""
+        return next((self._complaints[kind] for kind in _NOTHING_IS_SEEN if kind in self._complaints), "")
 
     def _publish(self, taken: Taken) -> None:
         shot = taken.shot

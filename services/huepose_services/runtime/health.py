@@ -35,6 +35,8 @@ class Health:
         self.shared_memory: bool | None = None
         self.drops = self.errors = 0
         self.last_error = ""
+        self.picture = ""
+        """Of a camera: why nothing can be found in its pictures, or why none comes."""
         self.much_locked_mib = 128.0
         self.camera_epoch: int | None = None
         self.frame_id: int | None = None
@@ -105,6 +107,7 @@ class Health:
             errors=self.errors,
             last_error=self.last_error,
             restarts=restarts(),
+            picture=self.picture[:_LONGEST_TEXT],
         )
 
 

@@ -145,7 +145,7 @@ def test_metres_that_are_millimetres_are_called_so():
     begun_s, text = said["depth"]
     assert begun_s < 0.6
     assert "depth looks like millimetres read as metres" in text
-    assert "set depth_scale to 0.001" in text
+    assert "a camera of your own gives metres, so multiply by 0.001" in text
 
 
 def test_a_still_picture_and_one_stamp_for_all_are_named():

@@ -1,0 +1,85 @@
+"""What the camera worker says of pictures in which nothing can be found."""
+
+import time
+from pathlib import Path
+from types import SimpleNamespace
+
+import pytest
+
+from huepose_services.camera.live_ingest import LiveIngest
+from huepose_services.camera.python import open_source
+from huepose_services.runtime.config import load
+from huepose_services.runtime.health import Health
+
+CAMERA = """import time
+
+import numpy as np
+
+from huepose import Camera, RgbdFrame
+
+
+def frames():
+    rng = np.random.default_rng(0)
+    while True:
+        time.sleep(0.02)
+        color = rng.integers(60, 200, (48, 64, 3), np.uint8)
+        depth = np.full((48, 64), 0.7, np.float32)
+        DEPTH
+        yield RgbdFrame(color, depth, Camera(60.0, 60.0, 31.5, 23.5, 64, 48))
+"""
+
+
+class _Bus:
+    """Takes all that is published."""
+
+    def __init__(self, keys):
+        self.keys, self.health, self.inbox = keys, Health("camera"), SimpleNamespace()
+        self.log = SimpleNamespace(say=lambda *_: None, seldom=lambda *_: None)
+        self.frames = 0
+
+    def put(self, key, message):
+        pass
+
+    def put_pixels(self, key, header, payload):
+        self.frames += 1
+
+    def say_health(self):
+        pass
+
+
+@pytest.fixture
+def ingest_of(tmp_path: Path):
+    """The camera worker of a Python camera that does this to its depth."""
+    made = []
+
+    def make(change):
+        (tmp_path / "cam.py").write_text(CAMERA.replace("DEPTH", change))
+        (tmp_path / "pipeline.yaml").write_text(
+            "camera: {source: python, path: cam.py}\nworkers: [camera]\nbundles: bundles\n"
+        )
+        config = load(tmp_path / "pipeline.yaml")
+        made.append(LiveIngest(_Bus(config.keys), config, open_source(config)))
+        return made[-1], made[-1]._bus
+
+    yield make
+    for ingest in made:
+        ingest.close()
+
+
+def _picture(ingest, bus, seconds=3.0):
+    """What health says of the picture, as soon as it says something; empty where it does not in time."""
+    until = time.monotonic() + seconds
+    while not bus.health.picture and time.monotonic() < until:
+        ingest.step()
+    return bus.health.message().picture
+
+
+def test_depth_in_millimetres_is_why_nothing_is_found(ingest_of):
+    said = _picture(*ingest_of("depth *= 1000.0"))
+    assert said.startswith("cam.py: depth looks like millimetres")
+
+
+def test_of_good_pictures_nothing_is_said(ingest_of):
+    ingest, bus = ingest_of("pass")
+    assert _picture(ingest, bus, 1.0) == ""
+    assert bus.frames > 5

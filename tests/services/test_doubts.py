@@ -13,7 +13,7 @@ import pytest
 from huepose.geometry import Camera, RgbdFrame, se3
 from huepose.tracking.types import Doubt
 from huepose_protos.examples import messages
-from huepose_protos.messages import PoseMessage
+from huepose_protos.messages import ObjectEntry, PoseMessage
 from huepose_services import doubts as why
 from huepose_services.cli.status import as_text
 from huepose_services.runtime.running import Pipeline
@@ -21,6 +21,7 @@ from huepose_services.watch import View
 
 CAMERA = Camera(600.0, 600.0, 319.5, 239.5, 640, 480)
 DIAMETER_M = 0.1
+NONE_COMES = "No picture comes. cam.py: depth has values that are not finite."
 NORMALS = np.random.default_rng(0).normal(size=(500, 3))
 NORMALS /= np.linalg.norm(NORMALS, axis=1, keepdims=True)
 
@@ -109,6 +110,18 @@ def test_status_says_it_below_the_object() -> None:
     said = as_text(view).splitlines()
     (line,) = [number for number, text in enumerate(said) if text.startswith("mug/2")]
     assert said[line + 1] == f"  {why.COVERED}"
+
+
+def test_status_names_an_object_that_is_found_and_of_which_no_pose_comes() -> None:
+    entries = [
+        ObjectEntry(object=name, max_instances=1, searching=0, reason=NONE_COMES) for name in ("mug", "jar")
+    ]
+    pose = msgspec.structs.replace(next(m for m in messages() if isinstance(m, PoseMessage)), object="jar")
+    view = View(Pipeline(base_port=17447), True, {}, frozenset(), (), entries, {("jar", 0): pose})
+    said = as_text(view).splitlines()
+    (line,) = [number for number, text in enumerate(said) if text.startswith("mug")]
+    assert "no pose of it comes now" in said[line]
+    assert said[line + 1 :] == [f"  {NONE_COMES}"]
 
 
 def test_status_does_not_call_a_worker_gone_that_may_be_starting() -> None:

@@ -167,6 +167,16 @@ def test_what_the_camera_says_of_its_pictures_comes_before_what_perception_makes
     assert bus.mug().reason == "The frame has no depth."
 
 
+def test_that_no_picture_comes_is_said_of_an_object_that_was_found_before(bus, step):
+    bus.arriving[PoseMessage].append(pose(0))
+    step()
+    assert (bus.mug().searching, bus.mug().reason) == (0, "")
+    health = msgspec.structs.replace(example(HealthMessage), picture="No picture comes.")
+    bus.arriving[HealthMessage].append(health)
+    step()
+    assert (bus.mug().searching, bus.mug().reason) == (0, "No picture comes.")
+
+
 @pytest.mark.parametrize(
     ("age_s", "took_s", "warns"), [(3.0, 2.9, True), (11.0, 0.1, False), (0.3, 0.2, False)]
 )

@@ -67,7 +67,7 @@ class LiveIngest(Work):
             self._take(taken)
         trouble = self._reader.trouble
         self._complain(trouble is None)
-        self._bus.health.picture = self._nothing_is_seen()
+        self._bus.health.picture = self._nothing_is_seen(trouble)
         if trouble != self._told:
             self._told, self._say_ns = trouble, 0
             notify(f"STATUS={trouble or 'ready'}")  # for `systemctl status`
@@ -116,8 +116,11 @@ class LiveIngest(Work):
         if new or over:
             self._bus.say_health()
 
-    def _nothing_is_seen(self) -> str:
-        """Why no object can be found; empty where one can."""
+    def _nothing_is_seen(self, trouble: str | None) -> str:
+        """Why no object can be found; empty where one can. trouble: what keeps the pictures away."""
+        none_comes = trouble or self._complaints.get("apart")
+        if none_comes:
+            return f"No picture comes. {none_comes}"
         return next((self._complaints[kind] for kind in _NOTHING_IS_SEEN if kind in self._complaints), "")
 
     def _publish(self, taken: Taken) -> None:

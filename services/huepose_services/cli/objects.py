@@ -124,6 +124,5 @@ def _listed(reply: ControlReply) -> str:
     lines = []
     for entry in reply.objects:
         found = entry.max_instances - entry.searching
-        reason = entry.reason if entry.searching else ""
-        lines.append(f"{entry.object:32s} {found} of {entry.max_instances} found  {reason}".rstrip())
+        lines.append(f"{entry.object:32s} {found} of {entry.max_instances} found  {entry.reason}".rstrip())
     return "\n".join(lines) or "nothing is looked for"

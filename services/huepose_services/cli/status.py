@@ -113,13 +113,17 @@ def as_text(view: View) -> str:
             lines.append(f"  {message.worker}, last error: {message.last_error.splitlines()[0]}")
     lines.append("")
     lines += [_pose(pose) for pose in view.poses.values()]
+    with_poses = {name for name, _ in view.poses}
     for entry in view.objects:
         if entry.searching:
-            lines.append(
-                f"{entry.object:32s} SEARCHING  {entry.searching} of {entry.max_instances} not found yet"
-            )
-            if entry.reason:
-                lines.append(f"  {entry.reason}")
+            text = f"SEARCHING  {entry.searching} of {entry.max_instances} not found yet"
+        elif entry.object not in with_poses:
+            text = "no pose    it was found before, and no pose of it comes now"
+        else:
+            continue
+        lines.append(f"{entry.object:32s} {text}")
+        if entry.reason:
+            lines.append(f"  {entry.reason}")
     return "\n".join(lines)
 
 

@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+import math
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
 
 from huepose.geometry.arrays import Bool, Float
+from huepose.support.errors import InputError
 
 
 class Box(NamedTuple):
@@ -79,3 +82,18 @@ class Box(NamedTuple):
         """Bounds of pixels (N, 2), half a pixel wider on each side so that a single pixel has size 1."""
         lo, hi = np.nanmin(pixels, 0) - 0.5, np.nanmax(pixels, 0) + 0.5
         return Box(float(lo[0]) + 0.5, float(lo[1]) + 0.5, float(hi[0] - lo[0]), float(hi[1] - lo[1]))
+
+
+def given_box(numbers: Sequence[float], size: tuple[int, int] | None = None) -> Box:
+    """The box of four numbers that a person gave. size: width and height of the picture, None where they are
+    not known. Raises InputError for one that holds less than a pixel of it."""
+    box = Box(*numbers)
+    seen = box if size is None else box.clipped(*size)
+    if all(map(math.isfinite, box)) and seen.w >= 1.0 and seen.h >= 1.0:
+        return box
+    least = "at least a pixel large" if size is None else f"and in the picture of {size[0]} x {size[1]}"
+    raise InputError(
+        "--box",
+        found=" ".join(f"{number:g}" for number in numbers),
+        expected=f"X Y W H (left, top, width, height) in pixels, {least}",
+    )

@@ -13,6 +13,7 @@ from huepose.reinit.types import ObjectSlot, PerceptionResult, Request
 from huepose.tracking.types import Correction, State, TrackedPose, Verdict
 from huepose_protos import WireError
 from huepose_protos.messages import (
+    CameraMessage,
     ControlRequest,
     CorrectionMessage,
     Estimates,
@@ -89,6 +90,7 @@ class ReinitWork(Work):
         self._retired = Retired(objects.entries())
         self._poses = bus.inbox.queue(bus.keys.poses, wakes=False)
         self._answers = bus.inbox.queue(bus.keys.estimates)
+        self._cameras = bus.inbox.ring(bus.keys.camera_info, wakes=False)
         self._camera_health = bus.inbox.ring(bus.keys.health("camera"), wakes=False)
         self._camera = OneCamera()
         self._tracks: dict[tuple[str, int], TrackedPose] = {}
@@ -127,6 +129,8 @@ class ReinitWork(Work):
         """Take what arrived; tick the loop when it is due."""
         started = now_ns()
         self._apply_orders()
+        while (camera := self._bus.take(self._cameras, CameraMessage)) is not None:
+            self._objects.picture_size = (camera.intrinsics.width, camera.intrinsics.height)
         while (health := self._bus.take(self._camera_health, HealthMessage)) is not None:
             if health.picture != self._camera_says:
                 self._camera_says, self._next_objects_ns = health.picture, now_ns()

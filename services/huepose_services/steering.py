@@ -13,6 +13,7 @@ from dataclasses import dataclass
 import msgspec
 import zenoh
 
+from huepose.geometry.box import given_box
 from huepose.reinit.types import ObjectSlot
 from huepose.support.errors import InputError
 from huepose_protos import WireError, decode, encode
@@ -39,7 +40,10 @@ class Order:
 
 class ObjectList:
     """The objects that are looked for. load: from a name and a number of instances to what the loop needs;
-    raises InputError for an object without a reference model."""
+    raises InputError for an object without a reference model. picture_size: width and height of the camera's
+    pictures, None before the first."""
+
+    picture_size: tuple[int, int] | None = None
 
     def __init__(self, entries: list[ObjectEntry], load: Callable[[str, int], ObjectSlot]) -> None:
         self._entries = {entry.object: entry for entry in entries}
@@ -72,6 +76,11 @@ class ObjectList:
         name = request.object
         if name is None:
             return True, ""
+        if request.box is not None:
+            try:
+                given_box(request.box, self.picture_size)
+            except InputError as error:
+                return False, str(error)
         with self._lock:
             known = self._entries.get(name)
         if request.action == "add":

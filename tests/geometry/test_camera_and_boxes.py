@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from huepose.geometry import Box, Camera, RgbdFrame, camera
+from huepose.geometry.box import given_box
 from huepose.geometry.camera import FLOOR_M, depth_noise_m
 from huepose.support.errors import InputError
 
@@ -45,6 +46,21 @@ def test_box_iou_and_mask_bounds():
     assert Box.of_mask(mask) == Box(7, 2, 2, 3)
     assert Box.of_mask(np.zeros((3, 3), bool)) is None
     assert Box(-5, 2, 10, 100).clipped(640, 50) == Box(0, 2, 5, 48)
+
+
+@pytest.mark.parametrize(
+    "numbers",
+    [(1, 2, 0, 5), (1, 2, 5, -5), (640, 2, 30, 50), (-30, 2, 30, 50), (1, 480, 30, 50), (np.nan, 2, 30, 50)],
+)
+def test_a_given_box_without_a_pixel_of_the_picture_is_refused_with_its_size(numbers):
+    with pytest.raises(InputError, match="in the picture of 640 x 480"):
+        given_box(numbers, (640, 480))
+
+
+def test_a_given_box_may_reach_out_of_the_picture_and_is_itself():
+    assert (
+        given_box((600, -20, 90, 160), (640, 480)) == given_box((600, -20, 90, 160)) == Box(600, -20, 90, 160)
+    )
 
 
 def test_box_of_pixels_covers_their_centres():

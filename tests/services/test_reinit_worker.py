@@ -10,6 +10,7 @@ from huepose.reinit import ReinitConfig, ReinitLoop
 from huepose.reinit.types import ObjectSlot
 from huepose_protos.examples import example
 from huepose_protos.messages import (
+    CameraMessage,
     ControlRequest,
     CorrectionMessage,
     Estimates,
@@ -131,6 +132,16 @@ def test_an_answer_to_what_was_asked_before_a_reset_gives_no_reason_after_it(bus
     bus.arriving[Estimates].append(answer(bus))
     step()
     assert (bus.mug().searching, bus.mug().reason) == (1, "")
+
+
+def test_a_box_is_looked_at_in_the_camera_s_picture(bus, objects, step):
+    camera = example(CameraMessage)
+    bus.arriving[CameraMessage].append(camera)
+    step()
+    width, height = camera.intrinsics.width, camera.intrinsics.height
+    reset = ControlRequest(publish_ns=1, action="reset", object="mug", box=(float(width), 0.0, 9.0, 9.0))
+    done, text = objects.decide(reset)
+    assert (done, f"{width} x {height}" in text) == (False, True)
 
 
 def test_a_reset_forgets_the_reason_of_the_search_before(bus, objects, step):

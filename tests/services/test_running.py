@@ -133,7 +133,7 @@ def test_who_looks_for_a_pipeline_says_so_and_at_which_port(words, tmp_path, mon
 def test_a_box_with_a_negative_side_is_explained_by_its_size(capsys):
     assert main(["objects", "reset", "drill", "--box", "210", "120", "-90", "160"]) == 2
     said = capsys.readouterr().err
-    assert "--box: found 210 120 -90 160; expected X Y W H in pixels" in said
+    assert "--box: found 210 120 -90 160; expected X Y W H (left, top, width, height)" in said
     assert "name of" not in said
 
 

@@ -95,6 +95,19 @@ def test_a_refusal_says_why_and_changes_nothing(objects, request_, reason):
     assert objects.orders() == []
 
 
+@pytest.mark.parametrize(("action", "name"), [("reset", "mug"), ("add", "jar")])
+def test_a_box_outside_of_the_picture_is_refused_once_its_size_is_known(objects, action, name):
+    outside = order(action, name, box=(900.0, 100.0, 50.0, 50.0))
+    objects.picture_size = (640, 480)
+    done, text = objects.decide(outside)
+    assert not done
+    assert "found 900 100 50 50" in text
+    assert "in the picture of 640 x 480" in text
+    assert objects.orders() == []
+    objects.picture_size = None
+    assert objects.decide(outside)[0]
+
+
 def test_another_number_of_a_known_object_is_no_refusal(objects):
     assert objects.decide(order("add", "mug", max_instances=3))[0]
     assert [(o.name, o.slot.max_instances) for o in objects.orders()] == [("mug", 3)]

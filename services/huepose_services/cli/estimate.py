@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import argparse
-import math
 import sys
 import time
 from collections.abc import Mapping
@@ -23,7 +22,7 @@ from huepose_services.cli.options import (
 if TYPE_CHECKING:
     from huepose.estimation import Estimator, ObjectQuery, PoseEstimate
     from huepose.estimation.config import Method
-    from huepose.geometry import Box, RgbdFrame
+    from huepose.geometry import RgbdFrame
     from huepose.model import ReferenceModel
     from huepose.perception.types import Detection
 
@@ -72,12 +71,14 @@ def call(arguments: argparse.Namespace) -> int:
     """Estimate, write, draw."""
     from huepose.datasets.image_files import read_frame
     from huepose.estimation import Estimator, ObjectQuery
+    from huepose.geometry.box import given_box
     from huepose.model import load_models
     from huepose.profiles import profile
 
     begun = time.monotonic()
     frame = read_frame(arguments.color, arguments.depth, arguments.camera)
-    box = _box(arguments.box, frame)
+    size = (frame.camera.width, frame.camera.height)
+    box = None if arguments.box is None else given_box(arguments.box, size)
     models = load_models(arguments.bundles, arguments.object)
     names = list(dict.fromkeys(arguments.object or sorted(models)))
     settings = profile(arguments.profile)
@@ -163,23 +164,6 @@ def _doubts(frame: RgbdFrame, models: Mapping[str, ReferenceModel], answers: lis
     if offset is not None and offset.clear:
         out += [offset.said()]
     return [text for text in out if text is not None]
-
-
-def _box(given: list[float] | None, frame: RgbdFrame) -> Box | None:
-    from huepose.geometry import Box
-    from huepose.support.errors import InputError
-
-    if given is None:
-        return None
-    box, camera = Box(*given), frame.camera
-    inside = -box.w < box.x < camera.width and -box.h < box.y < camera.height
-    if not all(map(math.isfinite, box)) or box.w <= 0 or box.h <= 0 or not inside:
-        raise InputError(
-            "--box",
-            found=" ".join(f"{value:g}" for value in box),
-            expected=f"left, top, width and height in a picture of {camera.width} x {camera.height} pixels",
-        )
-    return box
 
 
 def _answer(

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import argparse
-import math
 import sys
 import time
 from typing import TYPE_CHECKING, Any
@@ -55,7 +54,10 @@ def call(arguments: argparse.Namespace) -> int:
     from huepose_protos.messages import ControlRequest
 
     box = getattr(arguments, "box", None)
-    _check_box(box)
+    if box is not None:
+        from huepose.geometry.box import given_box
+
+        given_box(box)  # the pipeline, which knows the picture's size, looks again
     message = {
         "publish_ns": time.monotonic_ns(),
         "action": arguments.action,
@@ -83,18 +85,6 @@ def call(arguments: argparse.Namespace) -> int:
     summary = _listed(reply) if arguments.action == "list" else reply.text
     answered(arguments, msgspec.to_builtins(reply.objects), summary)
     return 0
-
-
-def _check_box(box: list[float] | None) -> None:
-    """Raises InputError for a box that is none."""
-    from huepose.support.errors import InputError
-
-    if box is not None and not (all(map(math.isfinite, box)) and box[2] >= 0.0 and box[3] >= 0.0):
-        raise InputError(
-            "--box",
-            found=" ".join(f"{number:g}" for number in box),
-            expected="X Y W H in pixels: the corner at the top left, then width and height, neither negative",
-        )
 
 
 def ask(pipeline: Pipeline, request: ControlRequest) -> ControlReply | None:

@@ -25,6 +25,15 @@ def test_objects_are_found_or_asked_about(
     assert exchanged.bad
     assert "red and blue exchanged" in exchanged.fix
     camera = replace(frame.camera, fx=0.9 * frame.camera.fx, fy=0.9 * frame.camera.fy)
-    *_, size = objects_in(replace(frame, camera=camera), {"tea_box": tea_box})
+    size, seen = objects_in(replace(frame, camera=camera), {"tea_box": tea_box})
     assert size.bad
     assert "fx and fy" in size.fix
+    assert (seen.state, "BAD above" in seen.fix) == ("note", True)
+
+
+def test_where_depth_lies_beside_the_colours_no_object_is_called_right(
+    tea_box: ReferenceModel, take_picture: Callable[..., RgbdFrame], standing: np.ndarray
+) -> None:
+    (found,) = objects_in(take_picture([(tea_box.mesh, standing)]), {"tea_box": tea_box}, aside=True)
+    assert (found.state, found.found[:17]) == ("note", "tea_box TRACKING ")
+    assert "BAD above" in found.fix

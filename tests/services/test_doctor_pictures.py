@@ -14,6 +14,7 @@ from huepose_services.camera.faulty import Orders
 from huepose_services.cli.main import main
 from huepose_services.doctor import pictures
 from huepose_services.doctor.pictures import alignment, brightness, depth, edge_offset
+from huepose_services.runtime.config_perception import CameraConfig
 
 
 @pytest.fixture(scope="module")
@@ -27,7 +28,7 @@ def shifted(frames, dx, dy):
 
 
 def test_depth_that_lies_on_the_colours_is_right(frames):
-    assert alignment(frames).state == "ok"
+    assert alignment(frames, "realsense").state == "ok"
 
 
 @pytest.mark.parametrize(("dx", "dy"), [(6, 0), (0, -5), (-4, 4)])
@@ -37,13 +38,27 @@ def test_depth_that_lies_elsewhere_is_told_with_its_offset(frames, dx, dy):
     assert right == pytest.approx(-dx, abs=1.0)
     assert down == pytest.approx(-dy, abs=1.0)
     assert sigmas > 4.0
-    finding = alignment(moved)
-    assert finding.bad
-    assert "camera.device.align" in finding.fix
+    assert alignment(moved, "realsense").bad
+
+
+@pytest.mark.parametrize("dx", [5, 20])
+@pytest.mark.parametrize(
+    ("source", "fix"),
+    [
+        ("realsense", "set camera.device.align to true"),
+        ("python", "frames() has to give it in the pixels of colour"),
+        ("oak", "calibrate the camera"),
+        ("bop", "the calibration of the recording"),
+    ],
+)
+def test_what_registers_depth_depends_on_the_source(frames, dx, source, fix):
+    said = alignment(shifted(frames, dx, 0), source).fix
+    assert fix in said
+    assert ("device.align" in said) == (source == "realsense"), "others have no such key"
 
 
 def test_a_wall_tells_nothing_of_alignment(frames):
-    assert alignment([replace(f, depth=np.ones_like(f.depth)) for f in frames]).state == "none"
+    assert alignment([replace(f, depth=np.ones_like(f.depth)) for f in frames], "oak").state == "none"
 
 
 @pytest.mark.parametrize(
@@ -62,15 +77,21 @@ def test_a_wall_tells_nothing_of_alignment(frames):
     ],
 )
 def test_depth_in_another_unit_or_missing_is_told(frames, change, state, fix):
-    finding = next(iter(depth([replace(f, depth=change(f.depth)) for f in frames], 1e-4)))
+    finding = next(iter(depth([replace(f, depth=change(f.depth)) for f in frames], CameraConfig())))
     assert (finding.state, fix in finding.fix) == (state, True)
+
+
+def test_depth_in_another_unit_from_a_python_camera_is_to_be_given_in_metres(frames):
+    in_millimetres = [replace(f, depth=1000.0 * f.depth) for f in frames]
+    (finding,) = depth(in_millimetres, CameraConfig(source="python"))
+    assert finding.fix == "It is in another unit: frames() has to give metres."
 
 
 def test_depth_that_is_too_far_to_be_sent_is_told(frames):
     far = [replace(f, depth=f.depth * np.float32(10.0)) for f in frames]
-    findings = list(depth(far, 1e-4))
+    findings = list(depth(far, CameraConfig()))
     assert "is over 6.6 m and is not sent" in findings[1].found
-    assert len(list(depth(far, 1e-3))) == 1
+    assert len(list(depth(far, CameraConfig(depth_scale_m=1e-3)))) == 1
 
 
 @pytest.mark.parametrize(("factor", "state"), [(1.0, "ok"), (0.05, "bad"), (8.0, "note")])

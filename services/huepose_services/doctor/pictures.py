@@ -26,7 +26,7 @@ from huepose_services.doctor.finding import Finding
 from huepose_services.doctor.objects import objects_in
 from huepose_services.runtime.clock import now_ns
 from huepose_services.runtime.config import Config
-from huepose_services.runtime.config_perception import LIVE_SOURCES
+from huepose_services.runtime.config_perception import LIVE_SOURCES, CameraConfig
 
 LOOK_S = 3.0
 _FRAMES = 10
@@ -43,7 +43,11 @@ _RELATED_PX = 6.0
 """Neighbours along an edge say the same so far."""
 
 
-UNREGISTERED = "Depth is not registered to colour: camera.device.align, or the calibration of the recording."
+_REGISTER = {
+    "realsense": "set camera.device.align to true; where it is, calibrate the camera.",
+    "python": "frames() has to give it in the pixels of colour.",
+}
+"""What brings depth onto the colours, by `camera.source`."""
 
 
 def pictures(config: Config) -> Iterator[Finding]:
@@ -64,12 +68,13 @@ def pictures(config: Config) -> Iterator[Finding]:
     doubt = camera_doubted(camera)
     yield Finding("camera", "note" if doubt else "ok", matrix, doubt or "")
     yield brightness(frames)
-    yield from depth(frames, config.camera.depth_scale_m)
-    yield alignment(frames)
+    yield from depth(frames, config.camera)
+    aligned = alignment(frames, config.camera.source)
+    yield aligned
     yield from distance(frames, config)
     if config.bundles is not None:
         with suppress(InputError):  # reference models that are not there are said elsewhere
-            yield from objects_in(frames[-1], models.load(config))
+            yield from objects_in(frames[-1], models.load(config), aligned.bad)
 
 
 def _live(source: LiveSource, config: Config) -> tuple[list[RgbdFrame], list[Finding]]:
@@ -115,7 +120,7 @@ def brightness(frames: Sequence[RgbdFrame]) -> Finding:
     return Finding("picture", "ok", found)
 
 
-def depth(frames: Sequence[RgbdFrame], depth_scale_m: float) -> Iterator[Finding]:
+def depth(frames: Sequence[RgbdFrame], camera: CameraConfig) -> Iterator[Finding]:
     """Whether there is depth, in the right unit, and within what can be sent."""
     values = np.stack([frame.depth[::4, ::4] for frame in frames])
     there = readings(values)
@@ -126,30 +131,34 @@ def depth(frames: Sequence[RgbdFrame], depth_scale_m: float) -> Iterator[Finding
     median_m = float(np.median(values[there]))
     found = f"{100 * share:.0f} % of the picture, half of it nearer than {median_m:.3g} m"
     if not NEAREST_M <= median_m <= FARTHEST_M:
-        fix = "It is in another unit: correct depth_scale of the recording, or the camera's depth_units."
-        yield Finding("depth", "bad", found, fix)
+        fix = "correct depth_scale of the recording, or the camera's depth_units."
+        if camera.source == "python":
+            fix = "frames() has to give metres."
+        yield Finding("depth", "bad", found, f"It is in another unit: {fix}")
         return
     note = "Much is missing." if share < 0.5 else depth_doubted(frames[-1]) or ""
     yield Finding("depth", "note" if note else "ok", found, note)
-    reach_m = LARGEST_STEP * depth_scale_m
+    reach_m = LARGEST_STEP * camera.depth_scale_m
     beyond = float((values[there] >= reach_m).mean())
     if beyond > 0.01:
-        fix = f"Set camera.depth_scale_m to {10 * depth_scale_m:g}, which reaches ten times as far."
+        fix = f"Set camera.depth_scale_m to {10 * camera.depth_scale_m:g}, which reaches ten times as far."
         yield Finding("depth", "note", f"{100 * beyond:.0f} % is over {reach_m:.1f} m and is not sent", fix)
 
 
-def alignment(frames: Sequence[RgbdFrame]) -> Finding:
-    """Whether edges of depth lie on edges of the colours."""
+def alignment(frames: Sequence[RgbdFrame], source: str) -> Finding:
+    """Whether edges of depth lie on edges of the colours. source: `camera.source`."""
+    other = "calibrate the camera." if source in LIVE_SOURCES else "see the calibration of the recording."
+    fix = f"Depth is not registered to colour: {_REGISTER.get(source, other)}"
     far = frame_offset(frames[-1])
     if far is not None:
-        return Finding("alignment", "bad", str(far), UNREGISTERED)
+        return Finding("alignment", "bad", str(far), fix)
     offset = edge_offset(frames)
     if offset is None:
         return Finding("alignment", "none", "too few edges to tell whether depth lies on the colours")
     right, down, sigmas = offset
     found = f"edges of the picture are {right:+.0f} px to the right and {down:+.0f} px below those of depth"
     if np.hypot(right, down) >= CLEAR_PX and sigmas >= CLEAR_SIGMAS:
-        return Finding("alignment", "bad", found, UNREGISTERED)
+        return Finding("alignment", "bad", found, fix)
     return Finding("alignment", "ok", f"{found}, which is no more than can be told")
 
 

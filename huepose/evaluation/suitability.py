@@ -195,9 +195,11 @@ def judged(model: ReferenceModel, trials: Sequence[Trial]) -> Suitability:
         )
     smallest = _smallest(trials)
     if smallest is not None and smallest > min(t.size_px for t in trials):
+        large, small = [[t.right for t in trials if (t.size_px >= smallest) is of] for of in (True, False)]
         reasons.append(
-            f"It has to be {smallest:.0f} pixels large: nearer than "
-            f"{trials[0].size_px * trials[0].distance_m / smallest:.1f} m with this camera."
+            f"It has to be {smallest:.0f} pixels large, which it is up to "
+            f"{trials[0].size_px * trials[0].distance_m / smallest:.1f} m with this camera: {sum(large)} of "
+            f"{len(large)} answers are right there, and {sum(small)} of {len(small)} farther away."
         )
     if share >= SOMETIMES and float((right & sure).mean()) < SOMETIMES:
         reasons.append(

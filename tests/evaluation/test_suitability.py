@@ -48,7 +48,19 @@ def test_wrong_sides_and_small_pictures_are_said(tea_box: ReferenceModel) -> Non
     said = in_words(tea_box, found)
     assert "right in 69 % of 13 drawn scenes" in said
     assert "turned in 31 %, wrong and TRACKING in 31 %." in said
-    assert any("33 pixels" in reason and "1.9 m" in reason for reason in found.reasons)
+    (size,) = [reason for reason in found.reasons if "33 pixels" in reason]
+    assert size.endswith(
+        "up to 1.9 m with this camera: 9 of 10 answers are right there, and 0 of 3 farther away."
+    )
+
+
+def test_right_answers_from_farther_away_than_it_should_be_are_counted(tea_box: ReferenceModel) -> None:
+    """They stand beside that sentence on the sheet."""
+    near, far = [trial(True, 60.0 + k) for k in range(9)], [trial(k == 2, 40.0 + k) for k in range(5)]
+    (size,) = [reason for reason in judged(tea_box, [*near, *far]).reasons if "pixels large" in reason]
+    assert size.endswith(
+        "up to 1.4 m with this camera: 9 of 10 answers are right there, and 1 of 4 farther away."
+    )
 
 
 def about_z(degrees: float) -> np.ndarray:

@@ -185,7 +185,11 @@ def edge_offset(frames: Sequence[RgbdFrame]) -> tuple[float, float, float] | Non
 
 
 def _edges(depth: Float32) -> Bool:
-    """The near sides of steps in depth (H, W): where something ends before what is behind it."""
+    """The near sides of steps in depth (H, W): where something ends before what is behind it.
+
+    `frame_offset.steps_of_depth` asks for readings right beside it, which real depth often lacks there. With
+    its steps 26 of 48 shifts of 5 and 6 px are told in 5 scenes of YCB-Video and 3 RealSense frames, with
+    these 38."""
     out = np.zeros(depth.shape, bool)
     for axis in (0, 1):
         for step in (1, -1):

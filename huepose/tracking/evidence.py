@@ -6,11 +6,12 @@ sequences (`believe.frame`), plus a prior from the last frame: a pose that was r
 The identity is how sure it is that the pose that is followed was the right one to begin with. What one frame
 shows cannot settle everything: a can whose texture repeats, a box seen on a blank side. So the quality of the
 estimate that started a track stays with it, and doubt shrinks when perception agrees on its own, or when the
-object has been carried to another viewpoint and its texture still agrees."""
+object has been carried to another viewpoint and its texture still agrees. What the tracker itself finds after
+a loss may be another thing, so it is no surer than what is seen of it."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from math import erf, log
 
 import numpy as np
@@ -170,29 +171,60 @@ def turned_over(T_before: Float64, T_after: Float64) -> bool:
     return bool(se3.rotation_angle(T_before, T_after) > SAME_WAY)
 
 
+LIKELIER = 0.5
+"""An answer of perception of lower quality says that its pose is more likely wrong than right: it confirms
+nothing, however often it is repeated."""
+
+
 @dataclass(frozen=True, eq=False)
 class Identity:
     """value: probability in 0..1; view (3,): direction from the object to the camera, object axes, from which
-    it was last learnt."""
+    it was last learnt; lost: the value before the tracker lost it and found something by itself, 0 where it
+    did not."""
 
     value: float
     view: Float64
+    lost: float = 0.0
 
     @staticmethod
     def of(quality: float, view: Float64) -> Identity:
         """Of a pose that perception is that sure of."""
-        return Identity(min(max(quality, 0.0), LARGEST), view)
+        return Identity(_bounded(quality), view)
 
     def agreed(self, quality: float, view: Float64) -> Identity:
         """After perception found the same pose by itself, being that sure of it. From the same viewpoint it
-        would make the same mistake again, so there it leaves some of the doubt, whatever it says."""
+        would make the same mistake again, so there it leaves some of the doubt, whatever it says. If it
+        doubts what the tracker found by itself, that doubt counts."""
+        if quality < LIKELIER:
+            return Identity.of(min(quality, self.value), view) if self.value < self.lost else self
         left = 1.0 - quality
         if float(view @ self.view) > np.cos(NEW_VIEW):
             left = max(left, DOUBT_LEFT)
-        return Identity.of(max(quality, 1.0 - (1.0 - self.value) * left), view)
+        value = max(quality, 1.0 - (1.0 - self.value) * left)
+        return replace(self, value=_bounded(value), view=view)
 
     def carried(self, terms: Terms, view: Float64) -> Identity:
         """After a frame that supports the pose, seen from `view`."""
         if terms.color < COLOR or float(view @ self.view) > np.cos(NEW_VIEW):
             return self
-        return Identity.of(1.0 - (1.0 - self.value) * DOUBT_LEFT, view)
+        return replace(self, value=_bounded(1.0 - (1.0 - self.value) * DOUBT_LEFT), view=view)
+
+    def leapt(self, view: Float64) -> Identity:
+        """After another pose became likelier than the one that was followed: the view (3,) changed because the
+        opinion did, so it is not a new one of the object."""
+        return replace(self, view=view)
+
+    def found_elsewhere(self, likely: float, view: Float64) -> Identity:
+        """After it was lost, and the tracker found what may be it; likely: the probability of that by what is
+        seen there alone."""
+        return Identity(min(self.value, likely), view, max(self.value, self.lost))
+
+    def looked_at(self, likely: float) -> Identity:
+        """After a later frame that supports the pose, and makes it that likely by itself: it may be again what
+        it was before the loss, and no more."""
+        value = min(likely, self.lost)
+        return replace(self, value=value) if value > self.value else self
+
+
+def _bounded(value: float) -> float:
+    return min(max(value, 0.0), LARGEST)

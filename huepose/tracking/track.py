@@ -7,6 +7,7 @@ from dataclasses import replace
 import numpy as np
 
 from huepose.believe.logistic import probability
+from huepose.geometry import se3
 from huepose.geometry.arrays import Bool, Float64
 from huepose.geometry.frame import RgbdFrame
 from huepose.geometry.uncertainty import grown
@@ -20,8 +21,8 @@ from huepose.tracking.evidence import Identity, Standing, next_standing, turned_
 from huepose.tracking.history import PoseHistory
 from huepose.tracking.hypothesis import Hypothesis, distinct, share_of_first
 from huepose.tracking.motion import Reach, predicted
-from huepose.tracking.opinions import found_again, opinions, uncertainty
-from huepose.tracking.orientation import LOOKED_FOR, Orientation
+from huepose.tracking.opinions import LOOSE, found_again, opinions, uncertainty
+from huepose.tracking.orientation import LOOKED_FOR, SAME_VIEW, Orientation
 from huepose.tracking.step import END, FLOW, Advance, Anchor, advance, found_nearby, unmoved
 from huepose.tracking.subject import Subject
 from huepose.tracking.types import Doubt, State, TrackedPose
@@ -61,7 +62,7 @@ class Track:
         self._corrected_from: Identity | None = None
         self._orientation = Orientation(subject, config)
         self._doubtful_frames = self._in_vain = self._begun = self._scarce_frames = 0
-        self._unseen_s = 0.0
+        self._unseen_s = self._spread = 0.0
         self._supported_ns = 0
         self._place: Reach | None = None
 
@@ -159,11 +160,13 @@ class Track:
         sure = probability(found[0].log_odds) * share_of_first(found)
         anchor = Anchor((sure_pose,), self.frame, light=self.light, unseen_s=gone_s)
         self.hypotheses, self.frame, first = found, frame, found[0]
-        self.covariance, spread = uncertainty(self.subject, first)
-        self.evidence = evidence.vouched(sure, spread)
+        self.covariance, self._spread = uncertainty(self.subject, first)
+        self.evidence = evidence.vouched(sure, self._spread)
         self._doubtful_frames = self._in_vain = self._begun = self._scarce_frames = 0
         self._unseen_s = 0.0
         self._standing = Standing(State.SUSPECT, found=True)
+        if self._identity is not None:
+            self._identity = self._identity.found_elsewhere(sure, self._view())
         return 2 + self._check_orientation(anchor, frame, hurry=False)
 
     def _take(self, anchor: Anchor, found: Advance, frame: RgbdFrame) -> None:
@@ -183,13 +186,16 @@ class Track:
         sure = evidence.bounded(sure, self._scarce_frames)
         if corrected is not None and len(seen.all) > 1 and first.T_cam_obj is seen.all[1].T_cam_obj:
             self._identity = corrected  # The image prefers what was believed before the correction.
+        turned = se3.rotation_angle(anchor.first.T_cam_obj, first.T_cam_obj)
+        if self._identity is not None and turned > SAME_VIEW:
+            self._identity = self._identity.leapt(self._view())
         self.frame, self.evidence = frame, sure
         if sure >= self._config.lost_quality:
             measured = (
                 (seen.covariance, seen.spread) if first is seen.all[0] else uncertainty(self.subject, first)
             )
-            self.covariance, spread = measured
-            self.evidence = evidence.vouched(sure, spread)
+            self.covariance, self._spread = measured
+            self.evidence = evidence.vouched(sure, self._spread)
             self._unseen_s = 0.0
         else:
             seconds = (frame.stamp_ns - anchor.frame.stamp_ns) * 1e-9
@@ -213,14 +219,19 @@ class Track:
             if contested:
                 self.evidence = 0.0
             elif self.evidence >= self._config.suspect_quality:
-                # The baseline falls, and the light is learned, only while the pose is believed.
+                # The baseline falls, and the light is learned, only while the pose is believed; not of what
+                # may be another thing.
                 total = self.terms.total
-                if self.state is State.TRACKING or self.baseline is None or total > self.baseline:
+                better = self.baseline is None or (total > self.baseline and not self._may_be_another)
+                if self.state is State.TRACKING or better:
                     self.baseline = evidence.baseline_after(self.baseline, total)
                     self.light = evidence.light_after(self.light, self.terms)
                 self._supported_ns = frame.stamp_ns
                 if self._identity is not None and self.evidence >= self._config.tracking_quality:
-                    self._identity = self._identity.carried(self.terms, self._view())
+                    if self._spread < LOOSE:
+                        self._identity = self._identity.carried(self.terms, self._view())
+                    if self._may_be_another:
+                        self._identity = self._identity.looked_at(self._seen_alone())
             self._judge()
         self.history.append(frame.frame_id, frame.stamp_ns, self.T_cam_obj)
         self.history.forget_before(since_ns)
@@ -330,7 +341,7 @@ class Track:
         """Perception found the same pose, independently, in the frame of that stamp."""
         if self._identity is not None and self.hypotheses:
             self._identity = self._identity.agreed(quality, self._view())
-            if not self.can_have_turned_since(stamp_ns):
+            if quality >= evidence.LIKELIER and not self.can_have_turned_since(stamp_ns):
                 self.hypotheses = self.hypotheses[:1]
                 self.baseline = self.terms.total
                 self._orientation.assure(quality)
@@ -376,6 +387,17 @@ class Track:
         self._standing = next_standing(self._standing, self.evidence, confirmed, self._config)
         if self.state is State.LOST:
             self.lose()
+
+    @property
+    def _may_be_another(self) -> bool:
+        """Whether it was lost and the tracker found something by itself, which is not confirmed yet."""
+        known = self._identity
+        return known is not None and known.value < min(known.lost, self._config.confirmed_identity)
+
+    def _seen_alone(self) -> float:
+        """The probability of its pose by what this frame shows of it."""
+        first = self.hypotheses[0]
+        return probability(evidence.log_odds(first.terms, self.baseline, 0.0, first.goes_on, self.light))
 
     def _view(self) -> Float64:
         """Unit vector (3,) from the object to the camera, in the object's axes."""

@@ -6,21 +6,23 @@ for.
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
+from typing import Protocol
 
 import numpy as np
 
 from huepose.datasets.types import GONE, VISIBLE
+from huepose.estimation import PoseEstimate
 from huepose.evaluation import metrics
 from huepose.evaluation.states import Moment
 from huepose.geometry.arrays import Float64
 from huepose.model import ReferenceModel
 from huepose.reinit.loop import ReinitLoop
-from huepose.reinit.types import PerceptionResult
+from huepose.reinit.types import PerceptionResult, Request
 from huepose.tracking import Correction, TrackedPose, Tracker
 from studies.stress.films import Seen
-from studies.stress.oracle import Oracle, slot_of
+from studies.stress.oracle import slot_of
 
 FAR = 10.0
 """Diameters: poses that are farther off are all as wrong."""
@@ -51,13 +53,21 @@ class Told:
         return Moment(self.stamp_ns, visible, gone, self.state, self.right)
 
 
+class Perception(Protocol):
+    """What is asked for poses at 5 Hz."""
+
+    def answer(self, request: Request, seen: Seen) -> Sequence[PoseEstimate]:
+        """Of what is asked for, in that frame."""
+        ...
+
+
 def play(
     frames: Iterable[Seen],
     model: ReferenceModel,
     tracker: Tracker,
     first: Float64,
     quality: float = 1.0,
-    perception: Oracle | None = None,
+    perception: Perception | None = None,
 ) -> list[Told]:
     """Track a film of one object from a first pose (4, 4) with its quality; without `perception` alone."""
     loop = ReinitLoop(objects=[slot_of(model)])

@@ -160,6 +160,36 @@ def test_identity_grows_with_agreement_and_new_viewpoints() -> None:
     assert Identity.of(1.0, front).value < 1.0
 
 
+def test_an_answer_that_is_more_likely_wrong_confirms_nothing() -> None:
+    front, side = np.array([1.0, 0, 0]), np.array([0, 1.0, 0])
+    doubtful = Identity.of(0.6, front)
+    assert doubtful.agreed(0.3, front) is doubtful
+    assert doubtful.agreed(0.3, side) is doubtful
+    sure = Identity.of(0.98, front)
+    assert sure.agreed(0.3, front) is sure, "what was followed all the time is not forgotten"
+
+
+def test_what_is_found_after_a_loss_is_as_sure_as_it_looks_until_perception_has_seen_it() -> None:
+    front, side = np.array([1.0, 0, 0]), np.array([0, 1.0, 0])
+    found = Identity.of(0.98, front).found_elsewhere(0.7, side)
+    assert (found.value, found.lost) == (0.7, 0.98)
+    assert found.looked_at(0.6) is found
+    assert found.looked_at(0.9).value == 0.9
+    assert found.looked_at(0.999).value == 0.98, "no surer than before the loss"
+    assert found.found_elsewhere(0.5, front).looked_at(0.9).value == 0.9, "however often it is lost"
+    assert found.agreed(0.8, side).value == pytest.approx(0.85)
+    denied = found.looked_at(0.95).agreed(0.3, side)
+    assert denied.value == 0.3
+    assert denied.looked_at(0.99) is denied, "perception doubts it, so its looks alone are not enough"
+
+
+def test_a_view_that_changes_with_the_opinion_is_no_new_one() -> None:
+    front, side = np.array([1.0, 0, 0]), np.array([0, 1.0, 0])
+    leapt = Identity.of(0.6, front).leapt(side)
+    assert leapt.carried(GOOD, side) is leapt
+    assert leapt.carried(GOOD, front).value == pytest.approx(0.8)
+
+
 def test_the_weaker_of_two_poses_on_one_surface_loses(tea_box, shoot, path) -> None:
     surface = PreparedSurface.of(tea_box)
     beside = se3.make(path(0)[:3, :3], path(0)[:3, 3] + [0.15, 0.0, 0.0])

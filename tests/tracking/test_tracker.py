@@ -278,6 +278,18 @@ def test_a_doubtful_acquisition_is_suspect_until_perception_agrees(tea_box, film
     assert pose.quality > 0.8
 
 
+def test_what_perception_doubts_again_and_again_stays_suspect(tea_box, film, path) -> None:
+    tracker = Tracker({"tea_box": tea_box})
+    frames = film(12)
+    tracker.correct(correction(frames[0], path(0), quality=0.6))
+    tracker.step(frames[0])
+    for number in range(1, 12):
+        tracker.correct(correction(frames[number - 1], path(number - 1), number + 1, Verdict.AGREE, 0.3))
+        (pose,) = tracker.step(frames[number])
+        assert pose.state is State.SUSPECT, number
+    assert pose.quality < 0.65
+
+
 def test_a_new_epoch_forgets_everything(tea_box, shoot, path, started) -> None:
     frame = shoot([(tea_box.mesh, path(0))], 0, epoch=2)
     assert started.step(frame) == []

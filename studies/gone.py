@@ -1,0 +1,176 @@
+"""An object is taken away from a camera that stands still: is anything else `TRACKING` instead of it?
+
+    .venv/bin/python -m studies.gone --bop SCENE... --bundles DIR --json OUT.json
+
+Each object that stands alone of its kind and is seen nearly whole is tracked for a second, covered for one,
+and gone for eight: there is then what lies beside it. Perception is that of a live pipeline, and knows this
+one object. It and the tracker look for it all the time, so whatever looks like it will be found.
+"""
+
+from __future__ import annotations
+
+import argparse
+from collections.abc import Iterator
+from dataclasses import asdict, dataclass, replace
+from pathlib import Path
+
+import numpy as np
+
+from huepose.datasets.bop import BopScene
+from huepose.datasets.boxes import truth_box
+from huepose.datasets.types import GroundTruth
+from huepose.estimation import Estimator, ObjectQuery, PoseEstimate
+from huepose.estimation.types import PosePrior
+from huepose.evaluation.result_files import write_json
+from huepose.evaluation.targets import Targets
+from huepose.geometry import RgbdFrame
+from huepose.geometry.arrays import Rng
+from huepose.geometry.box import Box
+from huepose.judge.open_region import PreparedSurface
+from huepose.model import ReferenceModel, load_models
+from huepose.perception.colorpair_detector import ColorPairDetector
+from huepose.profiles import profile
+from huepose.reinit.types import Request, RequestedObject
+from huepose.support.progress import progress
+from huepose.tracking import State, Tracker
+from studies.stress.films import Seen
+from studies.stress.play import play
+
+NEARLY_WHOLE = 0.8
+SECONDS_SEEN, SECONDS_COVERED, SECONDS_GONE, HZ = 1, 1, 8, 30
+NEARER_M, GRAY = 0.3, 128
+"""What covers it is flat and gray, so much nearer than the scene is at the median."""
+
+AROUND, BESIDE = 0.08, 5
+"""What is taken away is its box, grown by that share; what is put there is as far beside it, pixels."""
+
+COLOR_NOISE, DEPTH_NOISE_PER_M = 2.5, 0.0012
+"""Of each frame: grey levels, and metres at one metre, growing with its square."""
+
+FRESH_S, MARGIN = 0.5, 0.08
+"""A prediction not older than this says where perception looks, with that margin: as the detector worker."""
+
+TOLD_IN = 5
+"""So many frames after it is covered its pose may still be TRACKING."""
+
+
+@dataclass(frozen=True)
+class Row:
+    """Of one object of one frame: how many frames after it was covered are counted, and in how many of them
+    something is TRACKING."""
+
+    scene: str
+    image: int
+    object: str
+    frames: int
+    false: int
+
+
+class Sight:
+    """Perception of a live pipeline, asked for one object."""
+
+    def __init__(self, model: ReferenceModel) -> None:
+        live, models = profile("live"), {model.name: model}
+        self._detector = ColorPairDetector(models, replace(live.detector, remembering=True))
+        self._estimator = Estimator(models, live.estimator)
+        self._surface = PreparedSurface.of(model)
+
+    def answer(self, request: Request, seen: Seen) -> list[PoseEstimate]:
+        """Estimates of what was asked for, where a detector worker would look."""
+        frame, queries = seen.frame, []
+        for asked in request.objects:
+            known = asked.prior
+            prior = None if known is None else PosePrior(known.predicted(frame.stamp_ns), known.covariance)
+            instance = -1 if asked.instance is None else asked.instance
+            for box in self._boxes(asked, prior, frame):
+                queries.append(ObjectQuery(asked.object, box=box, prior=prior, instance=instance))
+        return self._estimator.estimate(frame, queries)
+
+    def _boxes(self, asked: RequestedObject, prior: PosePrior | None, frame: RgbdFrame) -> list[Box]:
+        if prior is not None and asked.prior is not None:
+            fresh = (frame.stamp_ns - asked.prior.stamp_ns) * 1e-9 <= FRESH_S
+            box = self._surface.box(prior.T_cam_obj, frame.camera) if fresh else None
+            if box is not None:
+                box = box.grown(MARGIN).clipped(frame.camera.width, frame.camera.height)
+                return [box] if box.w >= 1.0 and box.h >= 1.0 else []
+        return [d.box for d in self._detector.detect(frame, [asked.object])[: asked.wanted]]
+
+
+def film(frame: RgbdFrame, label: GroundTruth, model: ReferenceModel, rng: Rng) -> list[Seen]:
+    """An object of a frame that is seen, covered, and gone; empty where nothing of its size is beside it."""
+    box = truth_box(label, model.mesh, frame.camera)
+    if box is None:
+        return []
+    here = box.grown(AROUND).clipped(frame.camera.width, frame.camera.height)
+    x, y, w, h = int(here.x), int(here.y), int(here.w), int(here.h)
+    places = [(x + w + BESIDE, y), (x - w - BESIDE, y), (x, y - h - BESIDE), (x, y + h + BESIDE)]
+    rows, columns = frame.depth.shape
+    places = [(a, b) for a, b in places if 0 <= a <= columns - w and 0 <= b <= rows - h]
+    if not places or w < 1 or h < 1:
+        return []
+    a, b = places[int(rng.integers(len(places)))]
+    hole = slice(y, y + h), slice(x, x + w)
+    out = []
+    for number in range((SECONDS_SEEN + SECONDS_COVERED + SECONDS_GONE) * HZ):
+        color, depth = frame.color.astype(np.float64), frame.depth.copy()
+        if number >= (SECONDS_SEEN + SECONDS_COVERED) * HZ:
+            color[hole], depth[hole] = (m[b : b + h, a : a + w] for m in (frame.color, frame.depth))
+        elif number >= SECONDS_SEEN * HZ:
+            color[hole], depth[hole] = GRAY, max(float(np.median(depth[depth > 0])) - NEARER_M, 0.2)
+        color += rng.normal(0.0, COLOR_NOISE, color.shape)
+        depth += rng.standard_normal(depth.shape, np.float32) * DEPTH_NOISE_PER_M * depth**2
+        shown = RgbdFrame(
+            np.clip(np.rint(color), 0, 255).astype(np.uint8),
+            depth.astype(np.float32),
+            frame.camera,
+            number,
+            round(number * 1e9 / HZ),
+        )
+        out.append(Seen(shown, label.T_cam_obj, label.visib_fract if number < SECONDS_SEEN * HZ else 0.0))
+    return out
+
+
+def rows(scene: BopScene, targets: Targets, seed: int) -> Iterator[Row]:
+    """All objects of a scene that can be taken away."""
+    for image in scene.image_ids:
+        frame, labels = scene.frame(image), scene.truths(image)
+        kinds = [label.object_id for label in labels]
+        for label in labels:
+            model = targets.model_of(label)
+            if model is None or label.visib_fract < NEARLY_WHOLE or kinds.count(label.object_id) > 1:
+                continue
+            rng = np.random.default_rng([seed, image, label.object_id or 0])
+            frames = film(frame, label, model, rng)
+            if not frames:
+                continue
+            tracker = Tracker({model.name: model}, profile("live").tracker)
+            told = play(frames, model, tracker, label.T_cam_obj, perception=Sight(model))
+            after = told[SECONDS_SEEN * HZ + TOLD_IN :]
+            false = sum(t.state == State.TRACKING.value for t in after)
+            yield Row(scene.name, image, model.name, len(after), false)
+
+
+def main() -> None:
+    """Take away all objects of the scenes, one by one."""
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
+    parser.add_argument("--bop", type=Path, nargs="+", required=True)
+    parser.add_argument("--bundles", type=Path, required=True)
+    parser.add_argument("--json", type=Path, required=True)
+    parser.add_argument("--seed", type=int, default=0)
+    arguments = parser.parse_args()
+    targets = Targets(load_models(arguments.bundles))
+    done: list[Row] = []
+    for scene in progress([BopScene(path) for path in arguments.bop], "scenes"):
+        done += rows(scene, targets, arguments.seed)
+        write_json(arguments.json, {"rows": [asdict(row) for row in done]})
+    frames, false = sum(r.frames for r in done), sum(r.false for r in done)
+    for row in done:
+        if row.false:
+            print(f"{row.scene} {row.image} {row.object}: {row.false} of {row.frames}")
+    print(f"false TRACKING in {false} of {frames} frames, {sum(r.false > 0 for r in done)} of {len(done)} films")
+
+
+if __name__ == "__main__":
+    main()

@@ -210,8 +210,8 @@ class Identity:
         return replace(self, value=_bounded(1.0 - (1.0 - self.value) * DOUBT_LEFT), view=view)
 
     def leapt(self, view: Float64) -> Identity:
-        """After another pose became likelier than the one that was followed: the view (3,) changed because the
-        opinion did, so it is not a new one of the object."""
+        """After another pose became likelier than the one that was followed: the view (3,) changed because
+        the opinion did, so it is not a new one of the object."""
         return replace(self, view=view)
 
     def found_elsewhere(self, likely: float, view: Float64) -> Identity:
@@ -220,8 +220,8 @@ class Identity:
         return Identity(min(self.value, likely), view, max(self.value, self.lost))
 
     def looked_at(self, likely: float) -> Identity:
-        """After a later frame that supports the pose, and makes it that likely by itself: it may be again what
-        it was before the loss, and no more."""
+        """After a later frame that supports the pose, and makes it that likely by itself: it may be again
+        what it was before the loss, and no more."""
         value = min(likely, self.lost)
         return replace(self, value=value) if value > self.value else self
 

@@ -37,7 +37,7 @@ from studies.stress.films import Seen
 from studies.stress.play import play
 
 NEARLY_WHOLE = 0.8
-SECONDS_SEEN, SECONDS_COVERED, SECONDS_GONE, HZ = 1, 1, 8, 30
+SECONDS_SEEN, SECONDS_COVERED, SECONDS_GONE, HZ = 1, 1, 8, 15
 NEARER_M, GRAY = 0.3, 128
 """What covers it is flat and gray, so much nearer than the scene is at the median."""
 
@@ -114,12 +114,12 @@ def film(frame: RgbdFrame, label: GroundTruth, model: ReferenceModel, rng: Rng) 
     hole = slice(y, y + h), slice(x, x + w)
     out = []
     for number in range((SECONDS_SEEN + SECONDS_COVERED + SECONDS_GONE) * HZ):
-        color, depth = frame.color.astype(np.float64), frame.depth.copy()
+        color, depth = frame.color.astype(np.float32), frame.depth.copy()
         if number >= (SECONDS_SEEN + SECONDS_COVERED) * HZ:
             color[hole], depth[hole] = (m[b : b + h, a : a + w] for m in (frame.color, frame.depth))
         elif number >= SECONDS_SEEN * HZ:
             color[hole], depth[hole] = GRAY, max(float(np.median(depth[depth > 0])) - NEARER_M, 0.2)
-        color += rng.normal(0.0, COLOR_NOISE, color.shape)
+        color += rng.standard_normal(color.shape, np.float32) * COLOR_NOISE
         depth += rng.standard_normal(depth.shape, np.float32) * DEPTH_NOISE_PER_M * depth**2
         shown = RgbdFrame(
             np.clip(np.rint(color), 0, 255).astype(np.uint8),

@@ -1,10 +1,11 @@
-"""An object is taken away from a camera that stands still: is anything else `TRACKING` instead of it?
+"""An object is taken away before a camera that stands still: what is TRACKING then, and when it is back?
 
     .venv/bin/python -m studies.gone --bop SCENE... --bundles DIR --json OUT.json
 
 Each object that stands alone of its kind and is seen nearly whole is tracked for a second, covered for one,
-and gone for eight: there is then what lies beside it. Perception is that of a live pipeline, and knows this
-one object. It and the tracker look for it all the time, so whatever looks like it will be found.
+gone for five (there is then what lies beside it), and back for three. Perception is that of a live pipeline,
+and knows this one object. It and the tracker look for it all the time, so whatever looks like it will be
+found.
 """
 
 from __future__ import annotations
@@ -12,6 +13,7 @@ from __future__ import annotations
 import argparse
 from collections.abc import Iterator
 from dataclasses import asdict, dataclass, replace
+from itertools import accumulate
 from pathlib import Path
 
 import numpy as np
@@ -37,7 +39,10 @@ from studies.stress.films import Seen
 from studies.stress.play import play
 
 NEARLY_WHOLE = 0.8
-SECONDS_SEEN, SECONDS_COVERED, SECONDS_GONE, HZ = 1, 1, 8, 15
+SECONDS_SEEN, SECONDS_COVERED, SECONDS_GONE, SECONDS_BACK, HZ = 1, 1, 5, 3, 15
+PARTS_S = tuple(accumulate((SECONDS_SEEN, SECONDS_COVERED, SECONDS_GONE, SECONDS_BACK)))
+"""When each part ends; frames in a second."""
+
 NEARER_M, GRAY = 0.3, 128
 """What covers it is flat and gray, so much nearer than the scene is at the median."""
 
@@ -56,14 +61,18 @@ TOLD_IN = 5
 
 @dataclass(frozen=True)
 class Row:
-    """Of one object of one frame: how many frames after it was covered are counted, and in how many of them
-    something is TRACKING."""
+    """Of one object of one frame. frames, false: while it is not there, those that are counted, and those in
+    which something is TRACKING; back, right, wrong: the same of it being back, TRACKING and right, TRACKING
+    and not."""
 
     scene: str
     image: int
     object: str
     frames: int
     false: int
+    back: int
+    right: int
+    wrong: int
 
 
 class Sight:
@@ -99,7 +108,8 @@ class Sight:
 
 
 def film(frame: RgbdFrame, label: GroundTruth, model: ReferenceModel, rng: Rng) -> list[Seen]:
-    """An object of a frame that is seen, covered, and gone; empty where nothing of its size is beside it."""
+    """An object of a frame that is seen, covered, gone, and back; empty where nothing of its size is beside
+    it."""
     box, T_cam_obj = truth_box(label, model.mesh, frame.camera), label.T_cam_obj
     if box is None or T_cam_obj is None:
         return []
@@ -112,12 +122,13 @@ def film(frame: RgbdFrame, label: GroundTruth, model: ReferenceModel, rng: Rng) 
         return []
     a, b = places[int(rng.integers(len(places)))]
     hole = slice(y, y + h), slice(x, x + w)
+    covered, gone, back, end = (HZ * seconds for seconds in PARTS_S)
     out = []
-    for number in range((SECONDS_SEEN + SECONDS_COVERED + SECONDS_GONE) * HZ):
+    for number in range(end):
         color, depth = frame.color.astype(np.float32), frame.depth.copy()
-        if number >= (SECONDS_SEEN + SECONDS_COVERED) * HZ:
+        if gone <= number < back:
             color[hole], depth[hole] = (m[b : b + h, a : a + w] for m in (frame.color, frame.depth))
-        elif number >= SECONDS_SEEN * HZ:
+        elif covered <= number < gone:
             color[hole], depth[hole] = GRAY, max(float(np.median(depth[depth > 0])) - NEARER_M, 0.2)
         color += rng.standard_normal(color.shape, np.float32) * COLOR_NOISE
         depth += rng.standard_normal(depth.shape, np.float32) * DEPTH_NOISE_PER_M * depth**2
@@ -128,13 +139,13 @@ def film(frame: RgbdFrame, label: GroundTruth, model: ReferenceModel, rng: Rng) 
             number,
             round(number * 1e9 / HZ),
         )
-        out.append(Seen(shown, T_cam_obj, 1.0 if number < SECONDS_SEEN * HZ else 0.0))
+        out.append(Seen(shown, T_cam_obj, 0.0 if covered <= number < back else 1.0))
     return out
 
 
-def rows(scene: BopScene, targets: Targets, seed: int) -> Iterator[Row]:
-    """All objects of a scene that can be taken away."""
-    for image in scene.image_ids:
+def rows(scene: BopScene, targets: Targets, most: int, seed: int) -> Iterator[Row]:
+    """All objects that can be taken away, of at most so many frames of a scene, spread evenly."""
+    for image in scene.image_ids[:: -(-len(scene.image_ids) // most)]:
         frame, labels = scene.frame(image), scene.truths(image)
         kinds = [label.object_id for label in labels]
         for label in labels:
@@ -147,9 +158,12 @@ def rows(scene: BopScene, targets: Targets, seed: int) -> Iterator[Row]:
                 continue
             tracker = Tracker({model.name: model}, profile("live").tracker)
             told = play(frames, model, tracker, frames[0].T_cam_obj, perception=Sight(model))
-            after = told[SECONDS_SEEN * HZ + TOLD_IN :]
-            false = sum(t.state == State.TRACKING.value for t in after)
-            yield Row(scene.name, image, model.name, len(after), false)
+            covered, _, back, _ = (HZ * seconds for seconds in PARTS_S)
+            away, again = told[covered + TOLD_IN : back], told[back:]
+            right = [t.right for t in again if t.state == State.TRACKING.value]
+            false = sum(t.state == State.TRACKING.value for t in away)
+            counts = len(away), false, len(again), sum(right), len(right) - sum(right)
+            yield Row(scene.name, image, model.name, *counts)
 
 
 def main() -> None:
@@ -160,19 +174,25 @@ def main() -> None:
     parser.add_argument("--bop", type=Path, nargs="+", required=True)
     parser.add_argument("--bundles", type=Path, required=True)
     parser.add_argument("--json", type=Path, required=True)
+    parser.add_argument("--images", type=int, default=6, help="of each scene (6)")
     parser.add_argument("--seed", type=int, default=0)
     arguments = parser.parse_args()
     targets = Targets(load_models(arguments.bundles))
     done: list[Row] = []
     for scene in progress([BopScene(path) for path in arguments.bop], "scenes"):
-        done += rows(scene, targets, arguments.seed)
+        done += rows(scene, targets, arguments.images, arguments.seed)
         write_json(arguments.json, {"rows": [asdict(row) for row in done]})
-    frames, false = sum(r.frames for r in done), sum(r.false for r in done)
     for row in done:
-        if row.false:
-            print(f"{row.scene} {row.image} {row.object}: {row.false} of {row.frames}")
-    wrong = sum(row.false > 0 for row in done)
-    print(f"false TRACKING in {false} of {frames} frames, in {wrong} of {len(done)} films")
+        if row.false or row.wrong:
+            print(
+                f"{row.scene} {row.image} {row.object}: {row.false} of {row.frames}, back {row.wrong} wrong"
+            )
+    frames, false, back, right, wrong = (
+        sum(getattr(row, name) for row in done) for name in ("frames", "false", "back", "right", "wrong")
+    )
+    films = sum(row.false > 0 for row in done)
+    print(f"not there: false TRACKING in {false} of {frames} frames, in {films} of {len(done)} films")
+    print(f"back: TRACKING and right in {right} of {back} frames, wrong in {wrong}")
 
 
 if __name__ == "__main__":

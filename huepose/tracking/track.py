@@ -343,7 +343,9 @@ class Track:
             self._identity = self._identity.agreed(quality, self._view())
             if quality >= evidence.LIKELIER and not self.can_have_turned_since(stamp_ns):
                 self.hypotheses = self.hypotheses[:1]
-                self.baseline = self.terms.total
+                if self.evidence >= self._config.suspect_quality and not self._may_be_another:
+                    # It is the frame of now that says what is usual, not the one that perception saw.
+                    self.baseline = self.terms.total
                 self._orientation.assure(quality)
 
     def can_have_turned_since(self, stamp_ns: int) -> bool:

@@ -290,6 +290,22 @@ def test_what_perception_doubts_again_and_again_stays_suspect(tea_box, film, pat
     assert pose.quality < 0.65
 
 
+def test_an_answer_about_a_time_when_it_was_seen_says_nothing_of_what_is_usual_now(
+    tea_box, film, shoot, path
+) -> None:
+    tracker = Tracker({"tea_box": tea_box})
+    frames = film(4)
+    tracker.correct(correction(frames[0], path(0)))
+    for frame in frames:
+        tracker.step(frame)
+    track = tracker._tracks["tea_box", 0]
+    usual = track.baseline
+    tracker.step(shoot([], 4))
+    assert track.terms.total < 0.2
+    tracker.correct(correction(frames[3], path(3), 2, Verdict.AGREE))
+    assert track.baseline == usual
+
+
 def test_a_new_epoch_forgets_everything(tea_box, shoot, path, started) -> None:
     frame = shoot([(tea_box.mesh, path(0))], 0, epoch=2)
     assert started.step(frame) == []

@@ -1,35 +1,62 @@
 """Are red and blue exchanged, as in pictures that OpenCV reads?
 
 A picture is searched once more with its first and last channel exchanged: what is plainly in it then, and was
-not before, says so."""
+not before, says so; what is in it only as it is says that the order is right."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
+from typing import NamedTuple
 
 import numpy as np
 
 from huepose.geometry.frame import RgbdFrame
-from huepose.perception.types import Detector
+from huepose.perception.types import Detection, Detector
 
 PLAIN = 0.7
 """Least score of an object that is plainly there. Of 74 labels in 19 real and drawn frames 54 reach it, and
 two, both a marker, in the pictures with exchanged channels."""
 
 LEAD = 0.3
-"""Least lead of such a score over that of the same object in the picture as it is."""
+"""Least lead of such a score over that of the same object in the other order."""
 
 
-def channels_exchanged(frame: RgbdFrame, detector: Detector, names: Sequence[str]) -> str | None:
-    """What to ask about a frame in which the named objects are looked for; None where nothing speaks against
-    the order of its channels."""
+class Order(NamedTuple):
+    """What a picture says of the order of its channels. exchanged: what to ask, empty where nothing speaks
+    against the order; right: an object is there that is not with red and blue exchanged."""
+
+    exchanged: str = ""
+    right: bool = False
+
+
+def order_of_channels(
+    frame: RgbdFrame, detector: Detector, names: Sequence[str], seen: Mapping[str, float] | None = None
+) -> Order:
+    """The order of a frame's channels, by the named objects. Those that look alike both ways, as a grey mug,
+    say nothing. seen: scores in the frame of objects that were just looked for; the others are searched."""
     other = replace(frame, color=np.ascontiguousarray(frame.color[:, :, ::-1]))
-    found = [place for place in detector.detect(other, names) if place.score >= PLAIN]
-    as_it_is = detector.detect(frame, [found[0].object]) if found else []
-    if not found or found[0].score < LEAD + max((place.score for place in as_it_is), default=0.0):
-        return None
-    return (
-        f"With red and blue exchanged, {found[0].object} is in the picture: are its channels in the order "
+    exchanged, as_it_is = _scores(detector.detect(other, names)), dict(seen or {})
+    # A short look may have missed what is plain in the other order.
+    again = [name for name in names if name not in as_it_is or exchanged.get(name, 0.0) >= PLAIN]
+    if again:
+        as_it_is |= _scores(detector.detect(frame, again))
+    leads = {
+        name: exchanged.get(name, 0.0) - as_it_is.get(name, 0.0)
+        for name in names
+        if max(exchanged.get(name, 0.0), as_it_is.get(name, 0.0)) >= PLAIN
+    }
+    if min(leads.values(), default=0.0) <= -LEAD:
+        return Order(right=True)
+    name = max(leads, key=lambda one: leads[one], default="")
+    if leads.get(name, 0.0) < LEAD:
+        return Order()
+    return Order(
+        f"With red and blue exchanged, {name} is in the picture: are its channels in the order "
         "blue, green, red? They have to be red, green, blue (cv2.cvtColor, COLOR_BGR2RGB)."
     )
+
+
+def _scores(places: Sequence[Detection]) -> dict[str, float]:
+    """The best score of each object."""
+    return {place.object: place.score for place in sorted(places, key=lambda place: place.score)}

@@ -91,10 +91,12 @@ class Track:
         """What alone keeps its pose from being believed; None where it is, or does not fit the frame."""
         if not self.hypotheses or self.evidence < self._config.suspect_quality:
             return None
+        identity = 0.0 if self._identity is None else self._identity.value
+        if identity < evidence.LIKELIER or self._may_be_another:
+            return Doubt.ANOTHER
         if self._orientation.probability < self._config.confirmed_turn:
             return Doubt.TURN
-        sure = self._identity is not None and self._identity.value >= self._config.confirmed_identity
-        return None if sure else Doubt.IDENTITY
+        return None if identity >= self._config.confirmed_identity else Doubt.IDENTITY
 
     @property
     def halfway(self) -> bool:

@@ -29,6 +29,8 @@ class Doubt(str, Enum):
     """Turned another way the object would fit nearly as well."""
     IDENTITY = "identity"
     """Whether it was the right pose, or the right object, to begin with."""
+    ANOTHER = "another"
+    """It is more likely another thing, or was found after a loss by its looks alone."""
 
 
 class Verdict(str, Enum):

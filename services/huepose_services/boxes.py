@@ -14,7 +14,7 @@ from huepose.datasets.boxes import disturbed
 from huepose.geometry import Box, Camera, RgbdFrame
 from huepose.model import ReferenceModel
 from huepose.perception.colorpair_detector import ColorPairDetector
-from huepose.perception.exchanged import channels_exchanged
+from huepose.perception.exchanged import Order, order_of_channels
 from huepose.perception.types import Detection, Detector
 from huepose_protos.messages import (
     DetectedObject,
@@ -174,12 +174,12 @@ class SearchedBoxes(SeenBoxes):
             return []
         return self._searcher.detect(self._frame, names, (self._turn(names),))
 
-    def why_none(self, names: Sequence[str]) -> str | None:
-        """What may be wrong with the colours of the newest frame, in which nothing is found; None where they
-        are not the reason. One object is looked for, as in `detections`."""
+    def order_of_channels(self, names: Sequence[str], seen: Mapping[str, float]) -> Order:
+        """What the newest frame says of the order of its channels, by one of the objects, by turns, as in
+        `detections`. seen: scores of those that were searched in it."""
         if self._frame is None or not names:
-            return None
-        return channels_exchanged(self._frame, self._searcher, [self._turn(names)])
+            return Order()
+        return order_of_channels(self._frame, self._searcher, [self._turn(names)], seen)
 
     def _turn(self, names: Sequence[str]) -> str:
         """The object whose turn is longest ago, which has it now; before all, one that never had a turn."""

@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import replace
 
 from huepose.geometry import Box
 from huepose.model import ReferenceModel
 from huepose.perception.colorpair_detector import ColorPairDetector
-from huepose.perception.exchanged import PLAIN
 from huepose.profiles import profile
 from huepose_protos import WireError
 from huepose_protos.messages import (
@@ -27,13 +27,12 @@ from huepose_services.runtime.clock import SECOND, now_ns
 from huepose_services.runtime.config import Config
 from huepose_services.runtime.work import Work
 
-NOTHING_FOR_NS, ASK_EVERY_NS = 2 * SECOND, 2 * SECOND
-"""Nothing is found for so long before the order of the colours is doubted; and how often that is asked, which
-takes as long as a search for one object."""
+ASK_EVERY_NS = 2 * SECOND
+"""How often the order of the colours is asked about, which takes as long as two searches for one object."""
 
-FIRST_ASKS = 3
-"""So often it is asked of a camera that was opened, though objects are followed: a wrong place may look
-right."""
+FIRST_ASKS = 5
+"""So often, by one object after another, it is asked of a camera that was opened, though objects are
+followed: a wrong place may look right."""
 
 
 def make(bus: Bus, config: Config) -> DetectorWork:
@@ -84,8 +83,9 @@ class DetectorWork(Work):
         self._truths = bus.inbox.queue(keys.truth) if isinstance(finder, TruthBoxes) else None
         self._frame: tuple[FrameHeader, bytes] | None = None
         self._check_camera, self._colours = check_camera, ""
-        self._ask_ns = now_ns() + NOTHING_FOR_NS
-        self._asks = (-1, 0)  # an epoch of the camera, and how often it was asked in it
+        self._ask_ns = now_ns() + ASK_EVERY_NS
+        # Of an epoch of the camera: how often the order of its colours was asked, and whether it is known.
+        self._asked = (-1, 0, False)
 
     def step(self) -> None:
         """Answer the newest request."""
@@ -144,24 +144,23 @@ class DetectorWork(Work):
             self._doubt_colours(self._finder, header.camera_epoch, request, found)
 
     def _doubt_colours(
-        self, finder: SearchedBoxes, epoch: int, request: PerceptionRequest, found: list[DetectedObject]
+        self, finder: SearchedBoxes, epoch: int, request: PerceptionRequest, found: Sequence[DetectedObject]
     ) -> None:
-        """Ask now and then whether the colours are in the wrong order: while nothing is plainly there, and a
-        few times when a camera was opened and nothing was yet."""
-        now, names = now_ns(), [wanted.object for wanted in request.objects]
-        if not names:
+        """Ask now and then whether the colours are in the wrong order, until an object says that they are
+        not: some times when a camera was opened, and for as long as nothing is followed."""
+        names = [wanted.object for wanted in request.objects]
+        asks, known = self._asked[1:] if epoch == self._asked[0] else (0, False)
+        enough = known or (asks >= FIRST_ASKS and any(w.prior is not None for w in request.objects))
+        if not names or now_ns() < self._ask_ns or (enough and not self._colours):
             return
-        asks = self._asks[1] if epoch == self._asks[0] else 0
-        if any(box.score >= PLAIN and box.request.prior is None for box in found):
-            # What is plainly there says itself that the order is right.
-            self._asks, self._ask_ns = (epoch, FIRST_ASKS), now + NOTHING_FOR_NS
-            self._doubt("")
-        elif asks >= FIRST_ASKS and not self._colours and any(w.prior is not None for w in request.objects):
-            self._ask_ns = now + NOTHING_FOR_NS
-        elif now >= self._ask_ns:
-            self._asks = epoch, asks + 1
-            self._doubt(finder.why_none(names) or "")
-            self._ask_ns = now_ns() + ASK_EVERY_NS
+        seen = {wanted.object: 0.0 for wanted in request.objects if wanted.prior is None}
+        for box in found:
+            if box.request.prior is None:
+                seen[box.request.object] = max(seen[box.request.object], box.score)
+        order = finder.order_of_channels(names, seen)
+        self._asked, self._ask_ns = (epoch, asks + 1, order.right), now_ns() + ASK_EVERY_NS
+        if order.right or order.exchanged:
+            self._doubt(order.exchanged)
 
     def _doubt(self, text: str) -> None:
         self._colours = text

@@ -21,7 +21,7 @@ from huepose.judge.open_region import PreparedSurface
 from huepose.tracking.history import CLOSE_S, WIDE_S
 from huepose.tracking.types import Doubt, TrackedPose
 
-NOT_FOUND = "It is not where it was, and was not found elsewhere yet."
+NOT_FOUND = "It is not seen where it was, and was not found elsewhere yet."
 OUTSIDE = "Most of it is outside of the picture."
 TOO_FAR = "It is too small in the picture: too far away."
 NO_DEPTH = (
@@ -38,6 +38,7 @@ TOO_OLD = (
 DARK = "The picture is too dark there."
 TURN = "It fits, but turned another way it would fit nearly as well: seen from another side it becomes sure."
 UNCONFIRMED = "It fits, but was found on little: found here again or seen from another side, it is sure."
+ANOTHER = "It may be another thing that looks like it: found again or seen from another side, it is sure."
 DISAGREES = "Too little of what is seen there agrees with its shape and texture."
 
 _SAMPLES = 300
@@ -88,7 +89,8 @@ def why_doubted(
         return NOT_THERE
     if not _few(dark(frame.color[rows, columns])):
         return DARK
-    return DISAGREES if doubt is None else {Doubt.TURN: TURN, Doubt.IDENTITY: UNCONFIRMED}[doubt]
+    said = {None: DISAGREES, Doubt.TURN: TURN, Doubt.IDENTITY: UNCONFIRMED, Doubt.ANOTHER: ANOTHER}
+    return said[doubt]
 
 
 def _few(which: np.ndarray) -> bool:

@@ -7,12 +7,13 @@ import msgspec
 import numpy as np
 
 from huepose.perception.colorpair_detector import ColorPairDetector
+from huepose.perception.exchanged import Order
 from huepose_protos.examples import GOLDEN, example
-from huepose_protos.messages import Detections, FrameHeader, PerceptionRequest, RequestedObject
+from huepose_protos.messages import FrameHeader, PerceptionRequest, RequestedObject
 from huepose_services import detector as worker
 from huepose_services.boxes import SearchedBoxes
 from huepose_services.camera.publish import packed
-from huepose_services.detector import NOTHING_FOR_NS, DetectorWork
+from huepose_services.detector import ASK_EVERY_NS, DetectorWork
 from huepose_services.models import outline
 from huepose_services.runtime.config import Config
 from huepose_services.runtime.health import Health
@@ -39,7 +40,7 @@ class _Bus:
 
 
 def test_pictures_with_red_and_blue_exchanged_are_named(monkeypatch, tea_box, take_picture, standing):
-    now = [10 * NOTHING_FOR_NS]
+    now = [10 * ASK_EVERY_NS]
     monkeypatch.setattr(worker, "now_ns", lambda: now[0])
     bus = _Bus()
     finder = SearchedBoxes({"tea_box": outline(tea_box)}, ColorPairDetector({"tea_box": tea_box}))
@@ -60,23 +61,29 @@ def test_pictures_with_red_and_blue_exchanged_are_named(monkeypatch, tea_box, ta
 
     assert warned(frame.color[:, :, ::-1]) == []  # it has only just begun
     assert bus.said[-1].objects == [] or max(box.score for box in bus.said[-1].objects) < 0.7
-    now[0] += NOTHING_FOR_NS
+    now[0] += ASK_EVERY_NS
     (said,) = warned(frame.color[:, :, ::-1])
     assert said.startswith("With red and blue exchanged, tea_box is in the picture")
     assert bus.logged["colours"] == [said]
     warned(frame.color[:, :, ::-1])
     assert bus.said[-1].camera == said, "it goes on with the boxes, and to every pose"
-    now[0] += NOTHING_FOR_NS
+    now[0] += ASK_EVERY_NS
     assert warned(frame.color) == []
     assert [box.request.object for box in bus.said[-1].objects] == ["tea_box"]
 
 
 def test_the_order_of_the_colours_is_asked_about_some_times_whatever_is_found(monkeypatch):
     """A wrong place may look right; but not for ever, because it takes as long as a search."""
-    now, asked = [10 * NOTHING_FOR_NS], []
+    now, asked = [10 * ASK_EVERY_NS], []
     monkeypatch.setattr(worker, "now_ns", lambda: now[0])
     finder = SearchedBoxes({}, ColorPairDetector({}))
-    finder.why_none = lambda names: asked.append(now[0])
+    order = Order()
+
+    def ask(names, seen):
+        asked.append(now[0])
+        return order
+
+    finder.order_of_channels = ask
     finder.find = lambda header, request: []
     bus = _Bus()
     work = DetectorWork(bus, finder, SimpleNamespace(changes=lambda: []))
@@ -87,7 +94,7 @@ def test_the_order_of_the_colours_is_asked_about_some_times_whatever_is_found(mo
     def asks_in(seconds, epoch):
         before = len(asked)
         for _ in range(seconds):
-            now[0] += NOTHING_FOR_NS // 2
+            now[0] += ASK_EVERY_NS // 2
             frame = msgspec.structs.replace(header, camera_epoch=epoch)
             bus.arriving = {
                 "frames": (frame, (GOLDEN / "frame_payload.bin").read_bytes()),
@@ -97,8 +104,5 @@ def test_the_order_of_the_colours_is_asked_about_some_times_whatever_is_found(mo
         return len(asked) - before
 
     assert [asks_in(12, epoch) for epoch in (1, 1, 2, 2)] == [worker.FIRST_ASKS, 0, worker.FIRST_ASKS, 0]
-    plain = msgspec.structs.replace(
-        example(Detections).objects[0], request=RequestedObject(object="tea_box", instance=None), score=0.9
-    )
-    finder.find = lambda header, request: [plain]
-    assert asks_in(12, 3) == 0, "what is plainly there says that the order is right"
+    order = Order(right=True)
+    assert [asks_in(12, epoch) for epoch in (3, 3, 4)] == [1, 0, 1], "an object says that it is right"

@@ -21,8 +21,9 @@ def test_objects_are_found_or_asked_about(
     (none,) = objects_in(take_picture([]), {"tea_box": tea_box})
     assert (none.state, none.fix) == ("none", "")
     blue_first = replace(frame, color=np.ascontiguousarray(frame.color[:, :, ::-1]))
-    (exchanged,) = objects_in(blue_first, {"tea_box": tea_box})
+    exchanged, seen = objects_in(blue_first, {"tea_box": tea_box})
     assert exchanged.bad
+    assert seen.state != "ok"
     assert "red and blue exchanged" in exchanged.fix
     camera = replace(frame.camera, fx=0.9 * frame.camera.fx, fy=0.9 * frame.camera.fy)
     size, seen = objects_in(replace(frame, camera=camera), {"tea_box": tea_box})

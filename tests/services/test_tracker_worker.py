@@ -399,7 +399,7 @@ def test_what_was_tracked_before_the_camera_was_opened_anew_is_not_to_be_acted_o
 
 @pytest.mark.parametrize(
     ("times", "reason"),
-    [(1, "It is not where it was"), (1000, "away or farther"), (0.005, "nearer than 0.0")],
+    [(1, "It is not seen where it was"), (1000, "away or farther"), (0.005, "nearer than 0.0")],
 )
 def test_where_all_is_lost_and_depth_may_be_of_another_unit_that_is_the_reason(times, reason):
     work, bus, _ = _worker(None)

@@ -152,12 +152,14 @@ def _doubts(frame: RgbdFrame, models: Mapping[str, ReferenceModel], answers: lis
     from huepose.estimation.depth_offset import depth_offset
     from huepose.geometry.picture_faults import camera_doubted, depth_doubted
     from huepose.perception.colorpair_detector import ColorPairDetector
-    from huepose.perception.exchanged import channels_exchanged
+    from huepose.perception.exchanged import order_of_channels
 
     out = [camera_doubted(frame.camera)]
     if not any(answer.found for answer in answers):
-        names = [answer.object for answer in answers][:_ASKED]
-        out += [depth_doubted(frame), channels_exchanged(frame, ColorPairDetector(models), names)]
+        out.append(depth_doubted(frame))
+    if not any(answer.state == "TRACKING" for answer in answers):
+        names = list(dict.fromkeys(answer.object for answer in answers))[:_ASKED]
+        out.append(order_of_channels(frame, ColorPairDetector(models), names).exchanged or None)
     sure = [a for a in answers if a.state == "TRACKING"]
     placed = [(models[a.object], a.T_cam_obj) for a in sure if a.T_cam_obj is not None]
     offset = depth_offset(frame, placed)

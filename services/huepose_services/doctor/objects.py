@@ -9,7 +9,7 @@ from huepose.estimation.apparent_size import apparent_size, looks, worth_a_look
 from huepose.geometry import RgbdFrame
 from huepose.model import ReferenceModel
 from huepose.perception.colorpair_detector import ColorPairDetector
-from huepose.perception.exchanged import PLAIN, channels_exchanged
+from huepose.perception.exchanged import PLAIN, order_of_channels
 from huepose.profiles import profile
 from huepose_services.doctor.finding import Finding
 
@@ -26,10 +26,11 @@ def objects_in(
     live = profile("live")
     detector = ColorPairDetector({name: models[name] for name in names}, live.detector)
     places = [place for place in detector.detect(frame, names) if place.score >= PLAIN]
+    why = order_of_channels(frame, detector, names).exchanged
+    if why:
+        yield Finding("camera", "bad", "red and blue seem to be exchanged", why)
     if not places:
-        why = channels_exchanged(frame, detector, names)
-        found = f"none of {', '.join(names)} is in the last picture"
-        yield Finding("objects", "bad" if why else "none", found, why or "")
+        yield Finding("objects", "none", f"none of {', '.join(names)} is in the last picture")
         return
     best = {place.object: place for place in places[::-1]}
     estimator = Estimator(models, live.estimator)
@@ -38,7 +39,7 @@ def objects_in(
     size = apparent_size(looks(frame, models, worth_a_look(answers)))
     if size.clear:
         yield Finding("camera", "bad", "sizes do not fit", size.said(frame.camera))
-    if aside or size.clear:
+    if aside or size.clear or why:
         yield Finding("objects", "note", said, "Seen, but not where these poses are: see what is BAD above.")
     else:
         yield Finding("objects", "ok", said)

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+import numpy as np
+
 from huepose.geometry.arrays import Float32, UInt8
 from huepose.geometry.camera import Camera
 from huepose.support.errors import InputError
@@ -35,9 +37,14 @@ class RgbdFrame:
                 fix="Check that the image and the camera file belong together.",
             )
         if self.depth.shape != size or self.depth.dtype.name != "float32":
+            fix = "Align depth to colour in the camera driver, or check the file."
+            if self.depth.shape == size:
+                whole = np.issubdtype(self.depth.dtype, np.integer)
+                fix = "Whole numbers are most often millimetres: " if whole else ""
+                fix += f"depth.astype(np.float32){' * 0.001' if whole else ''}."
             raise InputError(
                 "depth image",
                 found=f"{self.depth.shape} {self.depth.dtype}",
                 expected=f"{size} float32 metres, aligned to the colour image",
-                fix="Align depth to colour in the camera driver, or check the file.",
+                fix=fix,
             )

@@ -3,10 +3,12 @@ about the objects that the pipeline looks for, and what a person may say about t
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterable
 from typing import Annotated, ClassVar, Literal
 
 from msgspec import Meta, Struct
+from msgspec.structs import force_setattr
 
 from huepose_protos.fields import (
     VERSION,
@@ -91,14 +93,23 @@ class Intrinsics(Struct, frozen=True, kw_only=True):
         check_finite(fx=self.fx, fy=self.fy, cx=self.cx, cy=self.cy, depth_scale_m=self.depth_scale_m)
 
 
+_ROUNDED = 0.02
+"""By so much the length of a quaternion may differ from 1 where a person wrote it with few digits."""
+
+
 class Mount(Struct, frozen=True, kw_only=True):
-    """Where a camera is fixed: the pose of its optical frame in the frame `parent` of a robot or a room."""
+    """Where a camera is fixed: the pose of its optical frame in the frame `parent` of a robot or a room. A
+    quaternion of nearly unit length, as people write it, is made one."""
 
     parent: Annotated[str, Meta(min_length=1, max_length=64)]
     translation: Vector3
     quaternion: Quaternion = (0.0, 0.0, 0.0, 1.0)
 
     def __post_init__(self) -> None:
+        length = math.hypot(*self.quaternion)
+        if 1e-6 < abs(length - 1.0) <= _ROUNDED:
+            x, y, z, w = (value / length for value in self.quaternion)
+            force_setattr(self, "quaternion", (x, y, z, w))
         check_pose(self.translation, self.quaternion)
 
 

@@ -72,6 +72,15 @@ def test_depth_of_another_size_is_refused_by_name():
         RgbdFrame(np.zeros((480, 640, 3), np.uint8), np.zeros((240, 320), np.float32), CAMERA)
 
 
+@pytest.mark.parametrize(
+    ("dtype", "fix"),
+    [(np.uint16, r"astype\(np.float32\) \* 0.001"), (np.float64, r"depth.astype\(np.float32\)\.")],
+)
+def test_depth_of_another_type_is_told_what_it_is_most_likely(dtype: type, fix: str) -> None:
+    with pytest.raises(InputError, match=fix):
+        RgbdFrame(np.zeros((480, 640, 3), np.uint8), np.zeros((480, 640), dtype), CAMERA)
+
+
 def test_depth_noise_is_that_of_a_stereo_camera_over_a_floor() -> None:
     f_px, baseline_m, disparity_px = 600.0, 0.05, 0.08
     for z in (0.4, 0.8, 1.6):

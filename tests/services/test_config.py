@@ -55,6 +55,7 @@ GOOD = "camera: {truth: true}\n"
         ("- 1", ["the whole file", "found [1]"]),
         ("camera: [", ["YAML", "line 1"]),
         ("site: a\n\tworkers: [camera]", ["line 2", "\\t"]),
+        ("camera:\n    source: python\n  path: a.py", ["line 3, column 3", "indentation"]),
         ("site: a\nbus: {}\nsite: b", ["line 3, column 1", "'site' a second time"]),
         ("camera: {seed: 1, seed: 2}", ["line 1", "'seed' a second time"]),
     ],

@@ -70,7 +70,9 @@ class PythonCamera:
     def read(self, timeout_s: float) -> Shot | None:
         """The next picture, however long it takes. Raises CameraError for none and for what is none."""
         try:
-            frame = next(self._frames, None)
+            frame = next(self._frames)
+        except StopIteration:
+            raise CameraError("frames() has ended. It is called again.") from None
         except Exception as error:
             steps = traceback.extract_tb(error.__traceback__)
             # The last one in the file, not in what it calls.
@@ -78,8 +80,6 @@ class PythonCamera:
             text = f"{type(error).__name__}: {' '.join(str(error).split())[:200].rstrip('.')}"
             at = f"{Path(where[0].filename).name}, line {where[0].lineno}"
             raise CameraError(f"{text}, in {at}. frames() is called again.") from error
-        if frame is None:
-            raise CameraError("frames() has ended. It is called again.")
         if not isinstance(frame, RgbdFrame):
             raise CameraError(f"frames() gave {type(frame).__name__}, expected huepose.RgbdFrame")
         if not np.isfinite(frame.depth).all():

@@ -53,6 +53,7 @@ def test_a_file_that_is_no_camera_is_refused(tmp_path: Path, text: str, says: st
     [
         ("def frames():\n    return iter(())", "has ended"),
         ("def frames():\n    yield 3", "gave int"),
+        ("def frames():\n    yield None", "gave NoneType"),
         (
             "from huepose.datasets.image_files import read_camera\n\n\n"
             "def frames():\n    read_camera('none.json')\n    yield",

@@ -199,3 +199,6 @@ def test_the_camera_says_where_it_is_fixed() -> None:
     assert back.mount == MOUNT
     with pytest.raises(ValueError, match="unit length"):
         Mount(parent="base", translation=(0.0, 0.0, 0.0), quaternion=(0.0, 0.0, 0.0, 2.0))
+    rounded = Mount(parent="base", translation=(0.0, 0.0, 0.0), quaternion=(-0.88, 0.0, 0.0, 0.47))
+    assert np.linalg.norm(rounded.quaternion) == pytest.approx(1.0, abs=1e-12)
+    assert rounded.quaternion[0] / rounded.quaternion[3] == pytest.approx(-0.88 / 0.47)

@@ -40,6 +40,7 @@ _TICK_NS = SECOND // 30
 _SLOW_S = 1.5
 # A track is over when it was not published for so long while others were.
 _FORGET_NS = 2 * SECOND
+_UNCONFIRMED = "Something was found, but the tracker has not confirmed it."
 
 
 def make(bus: Bus, config: Config) -> ReinitWork:
@@ -211,10 +212,13 @@ class ReinitWork(Work):
 
     def _publish_objects(self) -> None:
         self._bus.health.counters |= asdict(self._loop.counters)
-        missing = self._told_missing = self._missing()
+        missing, before = self._missing(), self._told_missing
+        self._told_missing = missing
         for entry in self._objects.entries():
             name = entry.object
             count = missing.get(name, 0)
+            if count < before.get(name, 0) and self._reasons.get(name) == _UNCONFIRMED:
+                del self._reasons[name]  # it is confirmed, and another one is looked for
             # The camera knows best why its pictures show nothing.
             reason = self._camera_says or (self._reasons.get(name, "") if count else "")
             self._objects.tell(name, count, self._retired.of(name), reason)
@@ -243,12 +247,12 @@ def reasons_not_seen(
     sought: Iterable[str], answer: Estimates, acquired: Container[str] = (), followed: Container[str] = ()
 ) -> dict[str, str]:
     """By name, why no new instance of an object was found in the answer's picture. sought: the objects of
-    which a new instance was requested; acquired: those of which one is followed because of this answer;
+    which a new instance was requested; acquired: those of which one was found and given to the tracker;
     followed: those of which one was followed before."""
     out = {}
     for name in sought:
         if name in acquired:
-            out[name] = "Found; it is followed from now on."
+            out[name] = _UNCONFIRMED
             continue
         mine = [e for e in answer.estimates if e.object == name and e.instance is None]
         best = max(mine, key=lambda e: e.quality, default=None)

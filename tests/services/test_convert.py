@@ -179,7 +179,8 @@ def test_why_objects_that_are_sought_are_not_seen():
         "jar": "Something like it is seen, too doubtful to follow (quality 0.62).",
         "can": "No place in the picture looks like the object.",
     }
-    assert reasons_not_seen(["jar"], answer, {"jar"}) == {"jar": "Found; it is followed from now on."}
+    unconfirmed = {"jar": "Something was found, but the tracker has not confirmed it."}
+    assert reasons_not_seen(["jar"], answer, {"jar"}) == unconfirmed
     # A second jar is looked for: what is seen, well or not, is the one that is followed.
     of_two = {"jar": "No second one is seen."}
     assert reasons_not_seen(["jar"], answer, (), {"jar"}) == of_two

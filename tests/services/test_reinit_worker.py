@@ -102,6 +102,18 @@ def answer(bus, **changes):
     return msgspec.structs.replace(message, **changes)
 
 
+def found():
+    """A new mug that perception is sure of."""
+    return msgspec.structs.replace(
+        example(Estimates).estimates[0],
+        object="mug",
+        instance=None,
+        found=True,
+        state="TRACKING",
+        quality=0.99,
+    )
+
+
 def test_that_an_object_is_found_is_told_at_once(bus, step):
     step()
     assert bus.mug().searching == 1
@@ -112,18 +124,23 @@ def test_that_an_object_is_found_is_told_at_once(bus, step):
 
 def test_what_is_said_against_the_camera_goes_on_with_every_correction(bus, step):
     step()
-    found = msgspec.structs.replace(
-        example(Estimates).estimates[0],
-        object="mug",
-        instance=None,
-        found=True,
-        state="TRACKING",
-        quality=0.99,
-    )
-    bus.arriving[Estimates].append(answer(bus, estimates=[found], camera="Too large."))
+    bus.arriving[Estimates].append(answer(bus, estimates=[found()], camera="Too large."))
     step()
     corrections = [m for m in bus.said if isinstance(m, CorrectionMessage)]
     assert {(c.object, c.verdict, c.camera) for c in corrections} == {("mug", "acquire", "Too large.")}
+
+
+def test_what_was_found_and_never_followed_is_not_said_to_be_followed(bus, objects, step):
+    step()
+    bus.arriving[Estimates].append(answer(bus, estimates=[found()]))
+    step()
+    objects.decide(ControlRequest(publish_ns=1, action="add", object="mug", max_instances=2))
+    step()
+    said = "Something was found, but the tracker has not confirmed it."
+    assert (bus.mug().searching, bus.mug().reason) == (2, said)
+    bus.arriving[PoseMessage].append(pose(0))
+    step()
+    assert (bus.mug().searching, bus.mug().reason) == (1, "")
 
 
 def test_an_answer_to_what_was_asked_before_a_reset_gives_no_reason_after_it(bus, objects, step):

@@ -32,6 +32,40 @@ def test_results_that_cannot_be_written_end_it_before_the_work(
     assert "no_" not in error
 
 
+@pytest.mark.parametrize(
+    "arguments",
+    [
+        ["view", "--save", "/proc/out.rrd"],
+        ["new", "brick", "no_mesh.obj", "--out", "/proc/brick"],
+        ["onboard", "no_mesh.obj", "--name", "brick", "--out", "/proc"],
+    ],
+)
+def test_a_folder_in_which_nothing_can_be_made_ends_it_before_the_work(
+    arguments: list[str], capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert main(arguments) == BAD_INPUT
+    error = capsys.readouterr().err
+    assert "/proc cannot be written; expected a place that can be written" in error
+    assert "no_" not in error
+
+
+@pytest.mark.parametrize(
+    "line",
+    [
+        "estimate --color no_ --depth no_ --camera no_ --bundles no_ --image {folder}/out.png",
+        "view --save {folder}/out.rrd",
+    ],
+)
+def test_the_folder_of_a_picture_and_of_a_recording_has_to_be_there(
+    line: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    folder = tmp_path / "mistyped"
+    assert main(line.format(folder=folder).split()) == BAD_INPUT
+    error = capsys.readouterr().err
+    assert f"no folder {folder}; expected a place that can be written" in error
+    assert not folder.exists()
+
+
 @pytest.mark.parametrize(("number", "told"), [(28, True), (11, False)])  # a full disk; a lack of processes
 def test_what_the_disk_says_is_told_and_anything_else_is_our_mistake(
     number: int, told: bool, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]

@@ -15,6 +15,7 @@ import sys
 from contextlib import AbstractContextManager, nullcontext
 from importlib import import_module
 from pathlib import Path
+from tempfile import TemporaryFile
 from typing import Any
 
 # In the order in which `huepose --help` lists them.
@@ -42,6 +43,8 @@ _OF_EXTRAS = {
 }
 # Options that say where results go.
 _OUTPUTS = ("out", "json", "csv", "image", "explain", "plots", "save", "table")
+# Those of a picture or a recording, whose folder must be there: a mistyped one is not made.
+_IN_FOLDERS = ("image", "save")
 # What a full, protected or odd disk answers; any other error of the system is a mistake of ours.
 _OF_THE_DISK = (
     *(errno.EACCES, errno.EPERM, errno.EROFS, errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EIO),
@@ -98,13 +101,29 @@ def check_outputs(parsed: argparse.Namespace) -> None:
         if not isinstance(path, Path):
             continue
         there = next(p for p in (path.absolute(), *path.absolute().parents) if p.exists())
-        if not os.access(there, os.W_OK):
-            found = f"{there} cannot be written"
-        elif there != path.absolute() and not there.is_dir():
+        if there != path.absolute() and not there.is_dir():
             found = f"{there} is no folder"
+        elif option in _IN_FOLDERS and not path.absolute().parent.is_dir():
+            found = f"no folder {path.absolute().parent}"
+        elif not _can_be_written(there):
+            found = f"{there} cannot be written"
         else:
             continue
         raise InputError(f"--{option} {path}", found=found, expected="a place that can be written")
+
+
+def _can_be_written(there: Path) -> bool:
+    """Whether a file, or something new in a folder, can be written. Permissions alone do not tell: no user
+    can make anything in /proc."""
+    if not os.access(there, os.W_OK):
+        return False
+    if not there.is_dir():
+        return True
+    try:
+        with TemporaryFile(dir=there):
+            return True
+    except OSError:
+        return False
 
 
 def _told(verb: str) -> AbstractContextManager[Any]:

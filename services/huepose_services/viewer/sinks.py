@@ -88,8 +88,6 @@ def window(memory_mib: int) -> Any:
 
 def saved(path: Path) -> Any:
     """A recording into a file. `disconnect()` at the end completes it."""
-    if not path.absolute().parent.is_dir():
-        raise InputError(path, found="no such folder", expected="a file that can be written")
     recording = _recording()
     recording.save(path, default_blueprint=layout())
     return recording

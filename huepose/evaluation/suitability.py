@@ -206,8 +206,11 @@ def judged(model: ReferenceModel, trials: Sequence[Trial]) -> Suitability:
             "One picture alone seldom makes it sure (TRACKING): a pipeline needs several that agree, and "
             "takes longer to confirm it."
         )
+    wrong = int((sure & ~right).sum())
+    if wrong:
+        reasons.append(f"In {wrong} of {len(trials)} scenes a wrong pose was taken as sure (TRACKING).")
     verdict: Verdict = "suits" if share >= WELL else "does not suit"
-    if (plain or verdict != "suits") and max(share, shape) >= SOMETIMES:
+    if (plain or wrong or verdict != "suits") and max(share, shape) >= SOMETIMES:
         verdict = "suits with limits"
     if len(trials) and verdict == "does not suit" and not reasons:
         reasons.append("Its pose is seldom right, alone or among other things: look at the trials.")
@@ -215,7 +218,7 @@ def judged(model: ReferenceModel, trials: Sequence[Trial]) -> Suitability:
         verdict,
         share,
         float((right & sure).mean()) if len(trials) else 0.0,
-        int((sure & ~right).sum()),
+        wrong,
         len(turns),
         smallest,
         tuple(reasons),

@@ -25,6 +25,16 @@ def test_an_object_that_is_always_right_suits_without_reasons(tea_box: Reference
     assert found.reasons == ()
 
 
+@pytest.mark.parametrize(("state", "verdict"), [("SUSPECT", "suits"), ("TRACKING", "suits with limits")])
+def test_an_object_with_a_wrong_pose_that_is_taken_as_sure_suits_with_limits_at_best(
+    tea_box: ReferenceModel, state: str, verdict: str
+) -> None:
+    found = judged(tea_box, [*[trial(True)] * 15, trial(False, state=state, shape=False)])
+    assert found.verdict == verdict
+    said = "In 1 of 16 scenes a wrong pose was taken as sure (TRACKING)."
+    assert (said in found.reasons) == (state == "TRACKING")
+
+
 def test_the_size_is_not_blamed_where_smaller_ones_are_right(tea_box: ReferenceModel) -> None:
     """A jar that is seen from above looks alike from all sides, near and far."""
     wrong = [trial(False, size, state="SUSPECT") for size in (138.0, 120.0, 70.0)]

@@ -20,7 +20,11 @@ from huepose.geometry.arrays import Float64
 from huepose.model.io import model_path, save_model
 from huepose.onboarding.meshes import Unit, read_mesh
 from huepose.onboarding.onboard import onboard_mesh
+from huepose.onboarding.reference import silent
 from huepose.support.errors import InputError
+
+MANY_TRIANGLES = 500_000
+"""A mesh of more is simplified for so long that it is said."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -76,12 +80,18 @@ class _StoppedError(Exception):
     pass
 
 
-def onboard_one(job: Job, bundles_dir: Path, report: Callable[[str], None]) -> Onboarded:
-    """Onboard an object in this process and save its model."""
+def onboard_one(
+    job: Job, bundles_dir: Path, report: Callable[[str], None], say: Callable[[str], None] = silent
+) -> Onboarded:
+    """Onboard an object in this process and save its model. report: told each stage as it begins; say: told
+    in words what takes long."""
     start = time.monotonic()
     report("mesh")
+    mesh = read_mesh(job.mesh_path, job.unit)
+    if len(mesh.faces) > MANY_TRIANGLES:
+        say(f"simplifying {len(mesh.faces):,} triangles, which may take minutes")
     model = onboard_mesh(
-        read_mesh(job.mesh_path, job.unit),
+        mesh,
         job.name,
         object_id=job.object_id,
         info=job.info,

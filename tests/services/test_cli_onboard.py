@@ -155,6 +155,20 @@ def test_a_large_mesh_says_which_extra_it_needs(
     assert not (tmp_path / "out").exists()
 
 
+@pytest.mark.parametrize(("many", "said"), [(11, True), (12, False)])  # the brick has twelve triangles
+def test_a_mesh_that_is_simplified_for_long_says_so(
+    many: int,
+    said: bool,
+    mesh: Path,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    monkeypatch.setattr("huepose.onboarding.batch.MANY_TRIANGLES", many)
+    assert main(["onboard", "--no-test", str(mesh), "--name", "brick", "--out", str(tmp_path / "out")]) == 0
+    assert ("simplifying 12 triangles, which may take minutes" in capsys.readouterr().err) == said
+
+
 def test_bundles_go_into_a_folder(mesh: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["onboard", "--no-test", str(mesh), "--name", "brick", "--out", str(mesh)]) == 2
     assert "found a file; expected a folder" in capsys.readouterr().err

@@ -140,7 +140,7 @@ def onboard_one(job: Job, out: Path) -> Onboarded:
     from huepose.onboarding import batch
     from huepose.onboarding.reference import STAGES
     from huepose.support.errors import InputError
-    from huepose.support.progress import progress
+    from huepose.support.progress import Status, progress
 
     check_name(job.name)
     _check_folder(out)
@@ -149,7 +149,7 @@ def onboard_one(job: Job, out: Path) -> Onboarded:
     job = with_unit(job)
     before = _model_there(model_path(out, job.name))
     with closing(progress(range(len(STAGES) + 1), f"onboarding {job.name}")) as steps:
-        result = batch.onboard_one(job, out, lambda stage: _advance(steps))
+        result = batch.onboard_one(job, out, lambda stage: _advance(steps), Status().line)
         deque(steps, maxlen=0)
     if before is not None and before[0] != result.path.read_bytes():
         print(

@@ -127,6 +127,17 @@ def test_status_names_an_object_that_is_found_and_of_which_no_pose_comes() -> No
     assert said[line + 1 :] == [f"  {NONE_COMES}"]
 
 
+def test_status_says_once_what_is_said_of_several_objects() -> None:
+    said_of = {"mug": NONE_COMES, "jar": NONE_COMES, "can": "", "cup": "", "tin": NONE_COMES}
+    entries = [
+        ObjectEntry(object=name, max_instances=1, searching=1, reason=reason)
+        for name, reason in said_of.items()
+    ]
+    view = View(Pipeline(base_port=17447), True, {}, frozenset(), (), entries, {})
+    said = [text.split()[0] for text in as_text(view).splitlines()[3:]]
+    assert said == ["mug", "jar", "No", "can", "cup", "tin", "No"]
+
+
 def test_status_does_not_call_a_worker_gone_that_may_be_starting() -> None:
     view = View(Pipeline(base_port=17447), True, {}, frozenset(), ("estimator",), [], {})
     (line,) = [text for text in as_text(view).splitlines() if text.startswith("estimator")]

@@ -114,6 +114,7 @@ def as_text(view: View) -> str:
     lines.append("")
     lines += [_pose(pose) for pose in view.poses.values()]
     with_poses = {name for name, _ in view.poses}
+    reason = ""
     for entry in view.objects:
         if entry.searching:
             text = f"SEARCHING  {entry.searching} of {entry.max_instances} not found yet"
@@ -121,9 +122,12 @@ def as_text(view: View) -> str:
             text = "no pose    it was found before, and no pose of it comes now"
         else:
             continue
+        if reason == entry.reason and reason:
+            lines.pop()  # said once, below the last of them
+        reason = entry.reason
         lines.append(f"{entry.object:32s} {text}")
-        if entry.reason:
-            lines.append(f"  {entry.reason}")
+        if reason:
+            lines.append(f"  {reason}")
     return "\n".join(lines)
 
 

@@ -8,9 +8,11 @@ from msgspec.structs import replace
 
 from huepose.evaluation.pose_files import read_pose_csv
 from huepose_protos.examples import messages
+from huepose_protos.fields import is_name
+from huepose_protos.keys import Keys, tail_of
 from huepose_protos.messages import Mount, PoseMessage
 from huepose_protos.motion import carried
-from huepose_services.cli.main import main
+from huepose_services.cli.main import build_parser, main
 from huepose_services.cli.pose_export import PoseFiles
 from huepose_services.cli.poses import _print
 
@@ -89,3 +91,25 @@ def test_poses_on_a_robot_need_a_camera_that_is_somewhere_on_it(tmp_path, capsys
     said = capsys.readouterr().err
     assert "found no camera.mount" in said
     assert "camera.moving or camera.tf" in said
+
+
+@pytest.mark.parametrize(
+    ("given", "meant"),
+    [
+        ("spray_bottle", "pose/spray_bottle/**"),
+        ("pose/mug/0", "pose/mug/0"),
+        ("health/**", "health/**"),
+        ("*", "*"),
+    ],
+)
+def test_an_object_s_name_stands_for_its_poses(given, meant):
+    assert build_parser().parse_args(["poses", given]).key == meant
+    assert build_parser().parse_args(["poses"]).key == "pose/**"
+
+
+def test_keys_that_could_be_an_object_s_name_stay_keys():
+    keys = Keys("lab", "cam0")
+    tails = {tail_of(getattr(keys, name)) for name, key in vars(Keys).items() if hasattr(key, "_tail")}
+    names = {tail for tail in tails if is_name(tail)}
+    assert {"objects", "truth"} <= names
+    assert {build_parser().parse_args(["poses", name]).key for name in names} == names

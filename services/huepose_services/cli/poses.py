@@ -114,6 +114,8 @@ def _say(text: str) -> None:
 
 
 _POSES, _NO_POSE = "pose/**", "no pose"
+# Keys that could be an object's name.
+_NAMES = frozenset({"frame", "truth", "camera", "mount", "objects", "control", "correction"})
 _CSV_HELP = (
     "frame, object, position in metres and quaternion x y z w in the camera's frame, instance, stamp, quality"
 )
@@ -132,8 +134,10 @@ def add_parser(subparsers: Any) -> None:
         "key",
         nargs="?",
         default=_POSES,
-        metavar="KEY",
-        help="what to print, after huepose/SITE/CAMERA/ (default: pose/**; also health/**, objects, truth)",
+        type=_key,
+        metavar="OBJECT|KEY",
+        help="an object's name, for its poses; or what to print, after huepose/SITE/CAMERA/ (default: "
+        "pose/**; also health/**, objects, truth)",
     )
     parser.add_argument("--json", action="store_true", help="one wire message a line, as JSON")
     parser.add_argument(
@@ -153,12 +157,23 @@ def add_parser(subparsers: Any) -> None:
     parser.set_defaults(call=call)
 
 
+def _key(text: str) -> str:
+    """The key that is meant: a name that is none is an object's.
+
+    >>> _key("mug"), _key("objects"), _key("pose/mug/0")
+    ('pose/mug/**', 'objects', 'pose/mug/0')
+    """
+    from huepose_protos.fields import is_name
+
+    return f"pose/{text}/**" if is_name(text) and text not in _NAMES else text
+
+
 def call(arguments: argparse.Namespace) -> int:
     """Print until interrupted, or until the pipeline that was seen here is gone."""
     gateway, stopping = gateway_of(arguments), until_told()
     if arguments.csv is not None or arguments.tum is not None:
         return _write(arguments, gateway, stopping)
-    if not arguments.json and arguments.key == _POSES:
+    if not arguments.json and arguments.key.startswith("pose/"):
         _say(_HEADING)
     if arguments.robot:
         _print_on_robot(arguments, gateway, stopping)

@@ -162,6 +162,12 @@ def test_every_answer_is_there_as_json(line: str) -> None:
     assert command_line.build_parser().parse_args([*line.split(), "--json"]).json is True
 
 
+@pytest.mark.parametrize("option", ["--max-instances", "--instances"])
+def test_how_many_of_an_object_has_the_name_of_the_configuration_too(option: str) -> None:
+    parsed = command_line.build_parser().parse_args(["objects", "add", "mug", option, "3"])
+    assert parsed.instances == 3
+
+
 def test_an_answer_as_json_is_all_that_is_printed(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     path = tmp_path / "pipeline.yaml"
     path.write_text("site: here\ncamera: {source: synthetic}\n")

@@ -11,7 +11,6 @@ from huepose_services.cli.options import (
     add_box,
     add_choice,
     add_json,
-    add_number,
     answered,
     chosen,
     say_if_unknown,
@@ -40,7 +39,14 @@ def add_parser(subparsers: Any) -> None:
         if action in ("add", "reset"):
             add_box(one, "where it is in the image, in pixels")
         if action == "add":
-            add_number(one, "--instances", 1, "up to how many of it (1)")
+            one.add_argument(
+                *("--max-instances", "--instances"),
+                dest="instances",
+                type=int,
+                default=1,
+                metavar="N",
+                help="up to how many of it (1)",
+            )
         add_json(one)
         add_choice(one)
         one.set_defaults(call=call)

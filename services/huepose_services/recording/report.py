@@ -30,8 +30,7 @@ class Report:
         """The result in words."""
         lines = [
             f"{self.steps} steps of the tracker computed again, from {self.from_s:.2f} s to "
-            f"{self.until_s:.2f} s of the recording: {self.poses} poses and {self.memories} states of it are "
-            "the same, bit by bit"
+            f"{self.until_s:.2f} s of the recording: {self._same} the same, bit by bit"
             if self.steps
             else self._nothing
         ]
@@ -53,6 +52,13 @@ class Report:
         if self.unrecorded:
             lines.append(f"not in the recording: {counted(self.unrecorded, 'pose')}")
         return "\n".join(lines)
+
+    @property
+    def _same(self) -> str:
+        poses = counted(self.poses, "pose")
+        if not self.memories:
+            return f"{poses} {'is' if self.poses == 1 else 'are'}"
+        return f"{poses} and {counted(self.memories, 'recorded state')} of the tracker are"
 
     @property
     def _nothing(self) -> str:

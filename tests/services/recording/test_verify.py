@@ -1,6 +1,7 @@
 """What is computed again is the same bit by bit; what is not the same is named with its frame and stage."""
 
 import shutil
+from dataclasses import replace
 from itertools import count, islice
 
 import msgspec
@@ -31,6 +32,10 @@ def test_all_of_it_is_the_same_bit_by_bit(followed):
     said = [e.message for e in Recording(followed.path).events() if isinstance(e.message, PoseMessage)]
     assert report.poses == len(said) >= STEPS - 3
     assert "not checked: the first step, after which" in report.text
+    same = f"{report.poses} poses and 3 recorded states of the tracker are the same, bit by bit"
+    assert same in report.text
+    assert f"recording: {report.poses} poses are the same" in replace(report, memories=0).text
+    assert "recording: 1 pose is the same" in replace(report, memories=0, poses=1).text
     # The last of it was taken back when nothing newer came.
     assert [pose.state for pose in said[-2:]] == ["TRACKING", "SUSPECT"]
     assert said[-1].frame_id == said[-2].frame_id

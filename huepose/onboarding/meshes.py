@@ -110,6 +110,9 @@ def _extent(vertices: Float64) -> float:
 
 def _metres_per_unit(vertices: Float64, unit: Unit | None, was_told: bool, path: Path) -> float:
     extent = _extent(vertices)
+    if extent == 0.0:
+        found = "a mesh without size: all its points are in one place"
+        raise InputError(path, found=found, expected="an object", fix=RE_EXPORT)
     scales: dict[Unit, float] = {"m": 1.0, "mm": 0.001}
     if unit is not None:
         scales[unit] = METRES[unit]

@@ -35,6 +35,14 @@ def test_implausible_sizes_are_refused_with_both_readings(
     assert "m.obj" in str(caught.value)
 
 
+@pytest.mark.parametrize("unit", [None, "mm"])
+def test_a_mesh_whose_points_are_in_one_place_has_no_size(tmp_path: Path, unit: Unit | None) -> None:
+    files.write_obj(tmp_path / "m.obj", solids.box((1.0, 0.5, 0.5)), scale=0.0)
+    with pytest.raises(InputError, match=r"m\.obj: .*all its points are in one place") as caught:
+        read_mesh(tmp_path / "m.obj", unit)
+    assert "unit" not in str(caught.value)
+
+
 def test_gltf_is_metres_unless_told(tmp_path: Path) -> None:
     files.write_glb(tmp_path / "m.glb", solids.box((80.0, 60.0, 40.0)))
     with pytest.raises(

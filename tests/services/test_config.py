@@ -55,7 +55,11 @@ GOOD = "camera: {truth: true}\n"
         ("- 1", ["the whole file", "found [1]"]),
         ("camera: [", ["YAML", "line 1"]),
         ("site: a\n\tworkers: [camera]", ["line 2", "\\t"]),
-        ("camera:\n    source: python\n  path: a.py", ["line 3, column 3", "indentation"]),
+        ("camera:\n  rate: 3\n    seed: 1", ["line 3", "YAML"]),
+        (
+            "camera:\n    rate: 3\n  seed: 1",
+            ["line 3, column 3", "Look at the indentation of that line and the one before."],
+        ),
         ("site: a\nbus: {}\nsite: b", ["line 3, column 1", "'site' a second time"]),
         ("camera: {seed: 1, seed: 2}", ["line 1", "'seed' a second time"]),
     ],
@@ -175,6 +179,14 @@ def test_whatever_a_file_says_it_is_an_input_error_soon(text):
 def test_a_file_that_never_ends_is_refused():
     with pytest.raises(InputError, match="over 1048576 bytes"):
         load(Path("/dev/zero"))
+
+
+@pytest.mark.parametrize(("text", "noted"), [("", True), ("# later\n", True), ("site: lab\n", False)])
+def test_validate_notes_that_a_file_is_empty(tmp_path, capsys, text, noted):
+    path = tmp_path / "pipeline.yaml"
+    path.write_text(text + ("camera: {truth: true}\n" if text.startswith("site") else ""))
+    assert main(["validate", str(path)]) == 0
+    assert ("the file is empty: everything is as in the built-in scene" in capsys.readouterr().out) == noted
 
 
 def test_validate_says_that_a_drawn_scene_shows_one_of_each(tmp_path, capsys):

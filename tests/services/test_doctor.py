@@ -34,6 +34,16 @@ def test_this_machine_is_looked_at_from_all_sides(capsys):
     assert all(row["fix"] for row in found.values() if row["state"] in ("bad", "note"))
 
 
+def test_without_a_deployment_it_ends_with_how_to_look_at_a_camera(tmp_path, capsys):
+    pointer = "huepose doctor pipeline.yaml --camera"
+    main(["doctor"])
+    assert capsys.readouterr().out.rstrip().endswith(pointer)
+    path = tmp_path / "pipeline.yaml"
+    path.write_text("camera: {truth: true}\n")
+    main(["doctor", str(path)])
+    assert pointer not in capsys.readouterr().out
+
+
 def test_what_a_deployment_needs_and_is_not_there_is_bad(tmp_path, capsys):
     path = tmp_path / "pipeline.yaml"
     path.write_text(

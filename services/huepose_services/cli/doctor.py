@@ -46,4 +46,6 @@ def call(arguments: argparse.Namespace) -> int:
     else:
         for finding in findings:
             print(finding.line())
+        if not configs:
+            print("\nA camera's pictures and the objects in them: huepose doctor pipeline.yaml --camera")
     return 1 if any(finding.bad for finding in findings) else 0

@@ -39,8 +39,17 @@ def call(arguments: argparse.Namespace) -> int:
             check_source(config)
     answers, summaries = zip(*(_described(config, arguments.config) for config in configs), strict=True)
     answer = answers[0] if len(answers) == 1 else {"file": str(arguments.config), "cameras": list(answers)}
-    answered(arguments, answer, "\n".join((f"{arguments.config}: good", *summaries)))
+    note = ["  NOTE     the file is empty: everything is as in the built-in scene"]
+    lines = [f"{arguments.config}: good", *(note if _is_empty(arguments.config) else []), *summaries]
+    answered(arguments, answer, "\n".join(lines))
     return 0
+
+
+def _is_empty(path: Path) -> bool:
+    """Whether a file that was read says nothing; a pipe cannot be read twice."""
+    from huepose_services.runtime.config_errors import read_yaml
+
+    return path.is_file() and read_yaml(path.read_text(encoding="utf-8"), path) is None
 
 
 def _described(config: Config, path: Path) -> tuple[dict[str, Any], str]:

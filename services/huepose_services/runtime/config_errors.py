@@ -42,8 +42,8 @@ def read_yaml(text: str, path: Path) -> Any:
         fix = "Indent with spaces, not with tabs." if "\\t" in said else ""
         if "<stream end>" in said:
             fix = "A bracket, a brace or a quotation mark before is not closed."
-        elif "<block end>" in said:
-            fix = "Look at the indentation of this line and of the one before."
+        elif said.startswith("expected <block end>, but found '<block "):
+            fix = "Look at the indentation of that line and the one before."
         raise InputError(
             f"configuration {path}{at}",
             found=said if twice else f"no valid YAML ({said})",

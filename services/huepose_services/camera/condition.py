@@ -75,7 +75,7 @@ class Condition:
                 "waits too long"
             )
             # A second is counted already.
-            self._since["rate"] = (now_ns - LASTS_NS, text)
+            self._since["rate"] = (self._since.get("rate", (now_ns - LASTS_NS, ""))[0], text)
 
     def reopened(self) -> None:
         """What was said was of another opening of the camera."""
@@ -89,6 +89,13 @@ class Condition:
         if self._change is not None and now_ns - self._change[0] < CHANGE_SAID_NS:
             lasting["change"] = self._change[1]
         return lasting
+
+    def settled(self, kind: str, now_ns: int) -> bool:
+        """Whether the figure in a complaint is all of the time since it began: a rate that has just fallen is
+        counted together with the good pictures before."""
+        if kind != "rate" or kind not in self._since:
+            return True
+        return now_ns - self._since[kind][0] >= LASTS_NS + RATE_WINDOW_NS
 
     def _apart(self, shot: Shot) -> str | None:
         """They show the world at different times."""

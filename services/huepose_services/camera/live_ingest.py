@@ -46,6 +46,7 @@ class LiveIngest(Work):
         self._clock = DeviceClock()
         self._condition = Condition(float(config.camera.rate), LARGEST_STEP * config.camera.depth_scale_m)
         self._complaints: dict[str, str] = {}
+        self._logged: set[str] = set()
         self._opening = -1
         self._camera: Camera | None = None
         self._epoch, self._frame_id = 0, 0
@@ -111,8 +112,11 @@ class LiveIngest(Work):
         new = complaints.keys() - self._complaints.keys()
         over = self._complaints.keys() - complaints.keys()
         self._complaints = complaints
-        for kind in sorted(new):
-            self._bus.log.seldom(f"pictures: {kind}", complaints[kind])
+        self._logged &= complaints.keys()
+        for kind in sorted(complaints.keys() - self._logged):
+            if self._condition.settled(kind, now):
+                self._logged.add(kind)
+                self._bus.log.seldom(f"pictures: {kind}", complaints[kind])
         if new or over:
             self._bus.say_health()
 

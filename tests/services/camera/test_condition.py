@@ -96,6 +96,22 @@ def test_a_falling_rate_is_named_within_a_second():
     assert condition.complaints(9 * SECOND) == {}, again
 
 
+def test_a_rate_is_settled_once_all_that_is_counted_came_after_its_fall():
+    condition = Condition(RATE_HZ, FARTHEST_M)
+    assert said_after(condition, 3.0) == {}
+    assert condition.settled("rate", 3 * SECOND)
+    settled = {}
+    for k in range(60):  # the worker counts more often than pictures come: two a second
+        now = 3 * SECOND + k * SECOND // 20
+        condition.count(90 + k // 10, now)
+        text = condition.complaints(now).get("rate")
+        if text is not None:
+            settled.setdefault(condition.settled("rate", now), (now / SECOND - 3.0, text))
+    assert "it gives 2 pictures a second" not in settled[False][1]
+    assert settled[True][0] < 2.0
+    assert "it gives 2 pictures a second instead of 30" in settled[True][1]
+
+
 def test_a_picture_whose_depth_is_of_another_time_is_not_used():
     condition = Condition(RATE_HZ, FARTHEST_M)
     assert condition.look(shot(SECOND), SECOND)

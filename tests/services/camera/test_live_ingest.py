@@ -96,3 +96,18 @@ def test_of_good_pictures_nothing_is_said(ingest_of):
     ingest, bus = ingest_of("pass")
     assert _picture(ingest, bus, 1.0) == ""
     assert bus.frames > 5
+
+
+def test_the_log_names_the_rate_of_a_camera_that_has_become_slow_as_it_is(ingest_of):
+    ingest, bus = ingest_of(
+        "began = locals().get('began', time.monotonic())\n"
+        "        time.sleep(0.48 if time.monotonic() - began > 1.5 else 0.0)"
+    )
+    said = []
+    bus.log.seldom = lambda kind, text: said.append((kind, text))
+    until = time.monotonic() + 8.0
+    while not said and time.monotonic() < until:
+        ingest.step()
+    ((kind, text),) = said
+    assert kind == "pictures: rate"
+    assert any(f"it gives {rate} pictures a second instead of 30" in text for rate in (1, 2, 3)), text

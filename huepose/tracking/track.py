@@ -63,7 +63,7 @@ class Track:
         self._orientation = Orientation(subject, config)
         self._doubtful_frames = self._in_vain = self._begun = self._scarce_frames = 0
         self._unseen_s = self._spread = 0.0
-        self._supported_ns = 0
+        self._supported_ns, self._agreed_ns = 0, -1
         self._place: Reach | None = None
 
     @property
@@ -340,8 +340,10 @@ class Track:
             self._orientation.assure(quality)
 
     def agree(self, quality: float, stamp_ns: int) -> None:
-        """Perception found the same pose, independently, in the frame of that stamp."""
-        if self._identity is not None and self.hypotheses:
+        """Perception found the same pose, independently, in the frame of that stamp. A second look at one
+        frame says nothing new."""
+        again, self._agreed_ns = stamp_ns == self._agreed_ns, stamp_ns
+        if self._identity is not None and self.hypotheses and not again:
             self._identity = self._identity.agreed(quality, self._view())
             if quality >= evidence.LIKELIER and not self.can_have_turned_since(stamp_ns):
                 self.hypotheses = self.hypotheses[:1]

@@ -290,6 +290,18 @@ def test_what_perception_doubts_again_and_again_stays_suspect(tea_box, film, pat
     assert pose.quality < 0.65
 
 
+def test_a_second_look_at_one_frame_says_nothing_new(tea_box, film, path) -> None:
+    tracker = Tracker({"tea_box": tea_box})
+    frames = film(2)
+    tracker.correct(correction(frames[0], path(0), quality=0.6))
+    tracker.step(frames[0])
+    for seq in range(2, 8):
+        tracker.correct(correction(frames[0], path(0), seq, Verdict.AGREE, quality=0.8))
+    (pose,) = tracker.step(frames[1])
+    assert pose.state is State.SUSPECT
+    assert pose.quality < 0.85
+
+
 def test_an_answer_about_a_time_when_it_was_seen_says_nothing_of_what_is_usual_now(
     tea_box, film, shoot, path
 ) -> None:

@@ -43,6 +43,14 @@ GOOD = "camera: {truth: true}\n"
             "camera: {mount: {parent: base, translation: [0, 0, 1], quaternion: [0, 0, 0, 0]}}",
             ["camera.mount", "expected a quaternion of unit length, x y z w."],
         ),
+        (
+            "cameras: [{name: a, mount: {parent: b, translation: [0, 0, 1], quaternion: [-0.8, 0, 0, 0]}}]",
+            ["cameras[0].mount.quaternion", "found [-0.8, 0.0, 0.0, 0.0], of length 0.8"],
+        ),
+        (
+            "camera: {mount: {parent: base, translation: [0, 0, 1], quaternion: [0, 0, 0, .nan]}}",
+            ["camera.mount", "not finite"],
+        ),
         ("camera: {tf: {parent: base, child: tool0}}", ["camera.tf", "the worker ros2", "Add ros2"]),
         ("workers: [camera, ros2]\ncamera: {tf: {parent: a, child: a}}", ["camera.tf", "two frames"]),
         ("workers: [camera, ros2]\ncamera: {tf: {parent: /a, child: b}}", ["camera.tf.parent", "'/a'"]),

@@ -4,6 +4,7 @@ allowed, hint. What YAML would pass over in silence is an error too."""
 from __future__ import annotations
 
 import difflib
+import math
 import re
 import reprlib
 import types
@@ -103,11 +104,14 @@ def explain(error: msgspec.ValidationError, data: Any, config: type, path: Path)
             fix=f"Did you mean '{close[0]}'?" if unknown and close else "",
         )
     found, kind = _value(data, at), _type(config, at)
+    shown = _shown(found)
+    if text == "quaternion is not of unit length":  # said of the mount that it belongs to
+        at, shown = f"{at}.quaternion", _with_length(found["quaternion"])
     word = found[: _SHORT.maxstring] if isinstance(found, str) else ""
     close = difflib.get_close_matches(word, [str(name) for name in _literals(kind)], 1)
     return InputError(
         f"{path}: {at or 'the whole file'}",
-        found=_shown(found),
+        found=shown,
         expected=_allowed(text, kind),
         fix=_mended(at, found, close),
     )
@@ -167,6 +171,10 @@ def _shown(value: Any) -> str:
     # Never all of it: aliases make a few lines stand for more than any memory holds.
     text = "null" if value is None else _SHORT.repr(value)
     return text if len(text) <= 80 else text[:77] + "..."
+
+
+def _with_length(quaternion: list[float]) -> str:
+    return f"{[float(f'{x:.6g}') for x in quaternion]}, of length {math.hypot(*quaternion):.4g}"
 
 
 def _type(config: type, at: str) -> Any:

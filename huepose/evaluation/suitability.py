@@ -64,9 +64,9 @@ VIEW_PX, CROP_PX = 220, 200
 
 AXES = ("+x", "+y", "+z", "-x", "-y", "-z")
 CAPTION = (
-    "First the object from six sides, with its axes and in pink its colour pairs. Then the drawn scenes and "
-    "the answers: state, quality, whether it is right, distance. Green: TRACKING and right; amber: SUSPECT, "
-    "not to be acted on; red: TRACKING and wrong."
+    "First the object from six sides. Its axes are drawn on it, and its colour pairs in pink. Then the drawn "
+    "scenes and the answers: state, quality, whether it is right, distance. Green: TRACKING and right; "
+    "amber: SUSPECT, not to be acted on; red: TRACKING and wrong."
 )
 
 

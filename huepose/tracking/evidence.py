@@ -193,10 +193,14 @@ class Identity:
 
     def agreed(self, quality: float, view: Float64) -> Identity:
         """After perception found the same pose by itself, being that sure of it. From the same viewpoint it
-        would make the same mistake again, so there it leaves some of the doubt, whatever it says. If it
-        doubts what the tracker found by itself, that doubt counts."""
+        would make the same mistake again, so there it leaves some of the doubt, whatever it says. Of what the
+        tracker found by itself its first word counts most, however like it looks."""
+        if self.lost > 0.0:
+            value = min(self.value, 1.0 - (1.0 - quality) * DOUBT_LEFT)
+            value = min(value, quality) if quality < LIKELIER else max(value, quality)
+            return Identity.of(value, view)
         if quality < LIKELIER:
-            return Identity.of(min(quality, self.value), view) if self.value < self.lost else self
+            return self
         left = 1.0 - quality
         if float(view @ self.view) > np.cos(NEW_VIEW):
             left = max(left, DOUBT_LEFT)

@@ -192,6 +192,8 @@ class Track:
         if self._identity is not None and turned > SAME_VIEW:
             self._identity = self._identity.leapt(self._view())
         self.frame, self.evidence = frame, sure
+        if self._identity is not None and anchor.unseen_s > 0.0 and first.source == "views":
+            self._identity = self._identity.found_elsewhere(self._seen_alone(), self._view())
         if sure >= self._config.lost_quality:
             measured = (
                 (seen.covariance, seen.spread) if first is seen.all[0] else uncertainty(self.subject, first)

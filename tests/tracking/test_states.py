@@ -177,7 +177,11 @@ def test_what_is_found_after_a_loss_is_as_sure_as_it_looks_until_perception_has_
     assert found.looked_at(0.9).value == 0.9
     assert found.looked_at(0.999).value == 0.98, "no surer than before the loss"
     assert found.found_elsewhere(0.5, front).looked_at(0.9).value == 0.9, "however often it is lost"
-    assert found.agreed(0.8, side).value == pytest.approx(0.85)
+    assert found.agreed(0.8, side).value == pytest.approx(0.8)
+    like = Identity.of(0.98, front).found_elsewhere(0.97, side)
+    assert like.agreed(0.5, side).value == pytest.approx(0.75), "however like it looks"
+    assert like.agreed(0.96, side).value == pytest.approx(0.97)
+    assert like.agreed(0.3, side).value == 0.3
     denied = found.looked_at(0.95).agreed(0.3, side)
     assert denied.value == 0.3
     assert denied.looked_at(0.99) is denied, "perception doubts it, so its looks alone are not enough"

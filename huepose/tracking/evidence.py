@@ -189,7 +189,7 @@ class Identity:
     @staticmethod
     def of(quality: float, view: Float64) -> Identity:
         """Of a pose that perception is that sure of."""
-        return Identity(_bounded(quality), view)
+        return Identity(min(max(quality, 0.0), LARGEST), view)
 
     def agreed(self, quality: float, view: Float64) -> Identity:
         """After perception found the same pose by itself, being that sure of it. From the same viewpoint it
@@ -204,14 +204,13 @@ class Identity:
         left = 1.0 - quality
         if float(view @ self.view) > np.cos(NEW_VIEW):
             left = max(left, DOUBT_LEFT)
-        value = max(quality, 1.0 - (1.0 - self.value) * left)
-        return replace(self, value=_bounded(value), view=view)
+        return Identity.of(max(quality, 1.0 - (1.0 - self.value) * left), view)
 
     def carried(self, terms: Terms, view: Float64) -> Identity:
         """After a frame that supports the pose, seen from `view`."""
         if terms.color < COLOR or float(view @ self.view) > np.cos(NEW_VIEW):
             return self
-        return replace(self, value=_bounded(1.0 - (1.0 - self.value) * DOUBT_LEFT), view=view)
+        return replace(self, value=min(1.0 - (1.0 - self.value) * DOUBT_LEFT, LARGEST), view=view)
 
     def leapt(self, view: Float64) -> Identity:
         """After another pose became likelier than the one that was followed: the view (3,) changed because
@@ -228,7 +227,3 @@ class Identity:
         what it was before the loss, and no more."""
         value = min(likely, self.lost)
         return replace(self, value=value) if value > self.value else self
-
-
-def _bounded(value: float) -> float:
-    return min(max(value, 0.0), LARGEST)

@@ -25,8 +25,10 @@ def objects_in(
     names = sorted(models)[:MOST]
     live = profile("live")
     detector = ColorPairDetector({name: models[name] for name in names}, live.detector)
-    places = [place for place in detector.detect(frame, names) if place.score >= PLAIN]
-    why = order_of_channels(frame, detector, names).exchanged
+    seen = detector.detect(frame, names)
+    places = [place for place in seen if place.score >= PLAIN]
+    scores = dict.fromkeys(names, 0.0) | {place.object: place.score for place in seen[::-1]}
+    why = order_of_channels(frame, detector, names, scores).exchanged
     if why:
         yield Finding("camera", "bad", "red and blue seem to be exchanged", why)
     if not places:

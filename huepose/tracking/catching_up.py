@@ -29,14 +29,16 @@ class Pursuit:
     """A correction on its way to now: a track of its own, and the poses (stamp, T_cam_obj) that it went
     through.
 
-    baseline: the total that is usual for the object, from before it was lost."""
+    before: the track of the object until now. How well it usually fits, and in which light, is known from
+    it."""
 
     def __init__(
-        self, correction: Correction, subject: Subject, config: TrackerConfig, baseline: float | None = None
+        self, correction: Correction, subject: Subject, config: TrackerConfig, before: Track | None = None
     ) -> None:
         self.correction = correction
         self.track = Track(subject, correction.object, correction.instance, config)
-        self.track.baseline = baseline
+        if before is not None:
+            self.track.baseline, self.track.light = before.remembered(correction.stamp_ns), before.light
         self.poses: list[tuple[int, Float64]] = []
         self._config = config
 

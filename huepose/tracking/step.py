@@ -320,21 +320,26 @@ def best_of(
 
 
 def found_nearby(
-    surface: PreparedSurface, T_cam_obj: Float64, frame: RgbdFrame, apart_s: float, config: TrackerConfig
+    surface: PreparedSurface,
+    T_cam_obj: Float64,
+    frame: RgbdFrame,
+    apart_s: float,
+    light: Float64 | None,
+    config: TrackerConfig,
 ) -> tuple[Hypothesis, int]:
     """A pose of a frame settled on that frame, or on one that was taken so many seconds before or after:
     there the object is searched for, if it is not found where it was; and how many searches that took."""
-    best = best_of(surface, frame, [(T_cam_obj, "correction")])
+    best = best_of(surface, frame, [(T_cam_obj, "correction")], light)
     if apart_s == 0.0:
         # Perception refined it more closely, on this very frame: what explains less is no improvement.
-        given = unmoved(surface, frame, T_cam_obj, None)
+        given = unmoved(surface, frame, T_cam_obj, light)
         better = given.terms.total > best.terms.total
         return (replace(given, information=best.information, source=best.source) if better else best), 0
     if convincing(best, None, config.doubt, config):
         return best, 0
     reach, _ = reaches(surface, T_cam_obj, None, T_cam_obj, apart_s, config)
-    found = search(surface, frame, reach, NORMAL_EFFORT, None)
-    more = [best_of(surface, frame, [(T, "search")]) for T in found]
+    found = search(surface, frame, reach, NORMAL_EFFORT, light)
+    more = [best_of(surface, frame, [(T, "search")], light) for T in found]
     return max([best, *more], key=lambda h: h.terms.total), 1
 
 

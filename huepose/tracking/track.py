@@ -168,7 +168,7 @@ class Track:
         self._unseen_s = 0.0
         self._standing = Standing(State.SUSPECT, found=True)
         if self._identity is not None:
-            self._identity = self._identity.found_elsewhere(sure, self._view())
+            self._identity = self._identity.found_elsewhere(self._of_its_color(sure), self._view())
         return 2 + self._check_orientation(anchor, frame, hurry=False)
 
     def _take(self, anchor: Anchor, found: Advance, frame: RgbdFrame) -> None:
@@ -229,7 +229,7 @@ class Track:
                 better = self.baseline is None or (total > self.baseline and not self._may_be_another)
                 if self.state is State.TRACKING or better:
                     self.baseline = evidence.baseline_after(self.baseline, total)
-                    self.light = evidence.light_after(self.light, self.terms)
+                    self._learn_light()
                 self._supported_ns = frame.stamp_ns
                 if self._identity is not None and self.evidence >= self._config.tracking_quality:
                     if self._spread < LOOSE:
@@ -243,10 +243,11 @@ class Track:
     def start(self, T_cam_obj: Float64, quality: float, frame: RgbdFrame, apart_s: float) -> float:
         """Start from a pose of perception, taken `apart_s` seconds from `frame`. Returns the number of costly
         proposals used."""
-        found, searched = found_nearby(self.subject.surface, T_cam_obj, frame, apart_s, self._config)
+        surface, light = self.subject.surface, self.light
+        found, searched = found_nearby(surface, T_cam_obj, frame, apart_s, light, self._config)
         tried = float(searched)
         goes_on = outline(self.subject.contours, found.T_cam_obj, frame).goes_on
-        odds = evidence.log_odds(found.terms, self.baseline, evidence.odds_of(quality), goes_on)
+        odds = evidence.log_odds(found.terms, self.baseline, evidence.odds_of(quality), goes_on, light)
         self.hypotheses, self.frame = (replace(found, log_odds=odds, goes_on=goes_on),), frame
         self.evidence = probability(odds)
         self.covariance, _ = uncertainty(self.subject, found)
@@ -255,12 +256,12 @@ class Track:
         if self.evidence >= self._config.lost_quality:
             view = self._view()
             self._orientation.begin(quality, view)
-            tried += self._orientation.ask(self.hypotheses[0], view, frame, None)
+            tried += self._orientation.ask(self.hypotheses[0], view, frame, light)
         known = self.baseline
         self.learn()
         if known is None and self.baseline is not None:
             # The light is known now; the baseline is the total in that light.
-            lit = unmoved(self.subject.surface, frame, found.T_cam_obj, self.light)
+            lit = unmoved(surface, frame, found.T_cam_obj, self.light)
             self.hypotheses = (replace(self.hypotheses[0], terms=lit.terms),)
             self.baseline = lit.terms.total
         return tried
@@ -273,6 +274,14 @@ class Track:
             self.baseline is None or total >= self.baseline
         ):
             self.baseline = evidence.baseline_after(self.baseline, total)
+            self._learn_light()
+
+    def _learn_light(self) -> None:
+        """Update the known light; of a pose that is not believed only where it may be the same thing."""
+        if (
+            self.state is State.TRACKING
+            or evidence.same_color(self.terms, self.light) > evidence.ANOTHER_COLOR
+        ):
             self.light = evidence.light_after(self.light, self.terms)
 
     def place(self, verified: Track, quality: float, frame: RgbdFrame) -> None:
@@ -283,9 +292,9 @@ class Track:
         self.frame = frame
         self._orientation.take_over(verified._orientation)
         first = self.hypotheses[0]
-        told = evidence.log_odds(first.terms, self.baseline, 0.0, first.goes_on)
+        told = evidence.log_odds(first.terms, self.baseline, 0.0, first.goes_on, self.light)
         # Perception judged the same picture: this evidence may lower its quality, not raise it.
-        known = min(quality, probability(evidence.odds_of(quality) + told))
+        known = self._of_its_color(min(quality, probability(evidence.odds_of(quality) + told)))
         self._identity, self._corrected_from = Identity.of(known, self._view()), None
         self._doubtful_frames = self._in_vain = self._begun = self._scarce_frames = 0
         self._unseen_s = 0.0
@@ -338,7 +347,7 @@ class Track:
             self._identity = Identity.of(quality, self._view())
             self._orientation.begin(quality, self._view())
         else:
-            self._identity = self._identity.agreed(quality, self._view())
+            self._identity = self._identity.agreed(self._of_its_color(quality), self._view())
             self._orientation.assure(quality)
 
     def agree(self, quality: float, stamp_ns: int) -> None:
@@ -346,6 +355,7 @@ class Track:
         frame says nothing new."""
         again, self._agreed_ns = stamp_ns == self._agreed_ns, stamp_ns
         if self._identity is not None and self.hypotheses and not again:
+            quality = self._of_its_color(quality)
             self._identity = self._identity.agreed(quality, self._view())
             if quality >= evidence.LIKELIER and not self.can_have_turned_since(stamp_ns):
                 self.hypotheses = self.hypotheses[:1]
@@ -405,7 +415,13 @@ class Track:
     def _seen_alone(self) -> float:
         """The probability of its pose by what this frame shows of it."""
         first = self.hypotheses[0]
-        return probability(evidence.log_odds(first.terms, self.baseline, 0.0, first.goes_on, self.light))
+        told = evidence.log_odds(first.terms, self.baseline, 0.0, first.goes_on, self.light)
+        return self._of_its_color(probability(told))
+
+    def _of_its_color(self, likely: float) -> float:
+        """That probability, when what is seen may be another thing by its colour."""
+        against = evidence.same_color(self.terms, self.light)
+        return likely if against == 0.0 else probability(evidence.odds_of(likely) + against)
 
     def _view(self) -> Float64:
         """Unit vector (3,) from the object to the camera, in the object's axes."""

@@ -235,8 +235,7 @@ class Tracker:
             if correction.verdict is Verdict.AGREE:
                 track.agree(correction.quality, correction.stamp_ns)
         elif track is None or not self._same_surface(track, correction):
-            baseline = None if track is None else track.remembered(correction.stamp_ns)
-            self._pursuits[key] = Pursuit(correction, self._subjects[key[0]], self.config, baseline)
+            self._pursuits[key] = Pursuit(correction, self._subjects[key[0]], self.config, track)
             newest = self._frames.newest
             if newest is None or correction.stamp_ns < newest.stamp_ns:
                 return Applied.CATCHING_UP

@@ -34,6 +34,12 @@ def plain_box() -> ReferenceModel:
 
 
 @pytest.fixture(scope="session")
+def plain_bracket() -> ReferenceModel:
+    """Of one colour all over; its shape alone tells how it is turned."""
+    return onboard_mesh(builtin_meshes(0)["plain_bracket"], "plain_bracket")
+
+
+@pytest.fixture(scope="session")
 def backdrop() -> RgbdFrame:
     """A wall of coloured tiles 1.1 m away."""
     rng = np.random.default_rng(4)

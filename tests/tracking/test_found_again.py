@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from huepose.geometry import se3
+from huepose.geometry import Mesh, se3
 from huepose.tracking import Correction, State, Tracker, Verdict
 
 STICKER_BEHIND = se3.rotation_exp(np.array([np.pi / 2 + 0.3, 0.4, 0.0]))
@@ -90,3 +90,32 @@ def test_of_what_is_found_elsewhere_after_unseen_frames_the_first_word_of_percep
     tracker.correct(replace(Correction.first("tea_box", there, frame, quality), verdict=Verdict.AGREE, seq=2))
     (pose,) = tracker.step(shoot([(tea_box.mesh, there)], 12))
     assert pose.state is state
+
+
+@pytest.mark.parametrize("other", [False, True])
+def test_what_perception_finds_after_a_loss_is_doubted_in_another_color(
+    plain_bracket, shoot, other: bool
+) -> None:
+    """A part that was taken away, and seconds later there is one of the same shape."""
+    tracker, there, states, seq = Tracker({"plain_bracket": plain_bracket}), _at(0.1), [], 1
+    known = plain_bracket.mesh
+    hues = (0.6 * known.texture + 0.4 * known.texture[..., [1, 2, 0]]).astype(np.uint8)
+    mesh = Mesh(known.vertices, known.faces, known.uv, hues) if other else known
+    for number in (*range(13), *range(200, 226)):
+        scene = [(known, _at(-0.1))] if number < 5 else [(mesh, there)] if number >= 200 else []
+        frame = shoot(scene, number)
+        if number == 0:
+            tracker.correct(Correction.first("plain_bracket", _at(-0.1), frame))
+        if number >= 200 and number % 4 == 0:
+            seq += 1
+            said = Correction.first("plain_bracket", there, frame, 0.9 if seq == 2 else 0.6)
+            verdict = Verdict.ACQUIRE if seq == 2 else Verdict.AGREE
+            tracker.correct(replace(said, verdict=verdict, seq=seq))
+        (pose,) = tracker.step(frame)
+        states.append(pose.state)
+    assert states[:5] == [State.TRACKING] * 5
+    assert states[12] is State.LOST
+    assert (State.TRACKING in states[13:]) is not other
+    light = tracker._tracks["plain_bracket", 0].light
+    assert light is not None
+    assert float(np.abs(light).max()) < 8.0, "of another thing no light is learned"

@@ -25,6 +25,7 @@ from huepose.tracking.evidence import (
     next_standing,
     odds_of,
     one_sense,
+    same_color,
     scarce,
 )
 from huepose.tracking.opinions import covariance
@@ -52,6 +53,18 @@ def test_good_and_bad_evidence() -> None:
     assert untextured < CONFIG.lost_quality, "gives no support"
     assert log_odds(GOOD, None, 2.0) > log_odds(GOOD, None, 0.0), "right a frame ago"
     assert log_odds(GOOD, None, 20.0) < log_odds(GOOD, None, 0.0) + 3.0, "which does not outweigh the image"
+
+
+def test_another_color_speaks_against_what_was_known_and_the_same_one_for_nothing() -> None:
+    known = np.array(GOOD.light)
+    shifts = [same_color(GOOD, known + np.array((0.0, x, 0.0))) for x in (0.0, 5.0, 15.0, 25.0, 40.0)]
+    assert shifts == sorted(shifts, reverse=True)
+    assert shifts[1] == 0.0, "a little is the camera's"
+    assert -1.5 < shifts[2] < 0.0, "so much may be another light"
+    assert shifts[3] < -2.0
+    assert shifts[4] < -6.0
+    assert same_color(GOOD, known + np.array((40.0, 0.0, 0.0))) == 0.0, "lightness is shading"
+    assert same_color(replace(GOOD, colored=0.1), known + 40.0) == 0.0, "too little is seen"
 
 
 def test_what_jumped_is_not_believed_because_it_was_right_before() -> None:

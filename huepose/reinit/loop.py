@@ -28,7 +28,16 @@ from huepose.reinit.judge import (
 )
 from huepose.reinit.outbox import Outbox
 from huepose.reinit.published_history import PublishedHistory
-from huepose.reinit.schedule import NEVER, Pace, Patience, candidates, choose, missing
+from huepose.reinit.schedule import (
+    NEVER,
+    Elsewhere,
+    Pace,
+    Patience,
+    candidates,
+    choose,
+    doubtful,
+    missing,
+)
 from huepose.reinit.types import Counters, Key, ObjectSlot, PerceptionResult, Request, Searching
 from huepose.tracking.types import Correction, TrackedPose, Verdict
 
@@ -66,7 +75,7 @@ class ReinitLoop:
         self._past = PublishedHistory()
         self._outbox = Outbox()
         self._pace = Pace()
-        self._patience = Patience()
+        self._patience, self._elsewhere = Patience(), Elsewhere()
         self._sightings: dict[str, list[_Sighting]] = {}
         self._last_instance: dict[str, int] = {}
         self._over: dict[str, int] = {}
@@ -133,7 +142,9 @@ class ReinitLoop:
             self._in_flight = None
         if self._in_flight is not None or now_ns < self._next_ns:
             return None
-        options = candidates(list(self._slots.values()), self._tracks, self._wanted(now_ns), self._looked_ns)
+        elsewhere = self._elsewhere.names(now_ns, self._tracks, self._looked_ns, self.config)
+        wanted = self._wanted(now_ns)
+        options = candidates(list(self._slots.values()), self._tracks, wanted, self._looked_ns, elsewhere)
         chosen = choose(now_ns, options, self.config)
         if not chosen:
             return None
@@ -264,7 +275,7 @@ class ReinitLoop:
 
     def _free_instance(self, slot: ObjectSlot, taken: set[Key]) -> Key | None:
         """The instance that a new pose is of: one that is lost, the most recent first, else a new number
-        while there may be more; None where all are tracked or on their way."""
+        while there may be more, else the most doubtful one; None where all are tracked or on their way."""
         mine = [t for t in self._tracks.values() if t.object == slot.object]
         coming = {*self._fresh(), *taken}
         lost = [t for t in mine if t.T_cam_obj is None and (slot.object, t.instance) not in coming]
@@ -279,7 +290,11 @@ class ReinitLoop:
         arriving = [k for k in (*self._outbox.instances, *taken) if k[0] == slot.object]
         known = {(t.object, t.instance) for t in mine} | set(arriving)
         if len(known) >= slot.max_instances:
-            return None
+            unlikely = [
+                t for t in mine if doubtful(t, self.config) and (slot.object, t.instance) not in coming
+            ]
+            worst = min(unlikely, key=lambda t: t.quality, default=None)
+            return None if worst is None else (slot.object, worst.instance)
         numbers = [k[1] for k in known] + [self._last_instance.get(slot.object, -1)]
         return (slot.object, max(numbers) + 1)
 

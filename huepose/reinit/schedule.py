@@ -7,11 +7,11 @@ would add work to processes that are already late."""
 from __future__ import annotations
 
 from collections import deque
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
 
 from huepose.reinit.config import ReinitConfig
-from huepose.reinit.types import ObjectSlot, Prior, RequestedObject
+from huepose.reinit.types import Key, ObjectSlot, Prior, RequestedObject
 from huepose.tracking.types import State, TrackedPose
 
 NEVER = -1
@@ -27,14 +27,42 @@ class Candidate:
     requested: RequestedObject
 
 
-def missing(
-    slot: ObjectSlot, tracks: Mapping[tuple[str, int], TrackedPose], arriving: Mapping[str, int]
-) -> int:
+def missing(slot: ObjectSlot, tracks: Mapping[Key, TrackedPose], arriving: Mapping[str, int]) -> int:
     """How many instances of an object are lost or were never seen. arriving: how many of each object are
     acquired but not yet tracked."""
     known = [t for key, t in tracks.items() if key[0] == slot.object]
     lost = sum(t.T_cam_obj is None for t in known)
     return max(0, lost + max(0, slot.max_instances - len(known)) - arriving.get(slot.object, 0))
+
+
+def doubtful(track: TrackedPose, config: ReinitConfig) -> bool:
+    """Whether a pose is so unlikely that its object is looked for elsewhere, too."""
+    return track.state is State.SUSPECT and track.quality < config.least_quality
+
+
+class Elsewhere:
+    """For which objects a better place is looked for: those that were unlikely for as long as one look for
+    what is missing waits for the next."""
+
+    def __init__(self) -> None:
+        self._since: dict[Key, int] = {}
+
+    def names(
+        self,
+        now_ns: int,
+        tracks: Mapping[Key, TrackedPose],
+        looked_ns: Mapping[tuple[str, int | None], int],
+        config: ReinitConfig,
+    ) -> set[str]:
+        """Objects that get such a look now. looked_ns: when each was last looked for."""
+        unlikely = [key for key, track in tracks.items() if doubtful(track, config)]
+        self._since = {key: self._since.get(key, now_ns) for key in unlikely}
+        waits_ns = config.patient_ms * 1e6
+        return {
+            name
+            for (name, _), since_ns in self._since.items()
+            if now_ns - max(since_ns, looked_ns.get((name, None), NEVER)) >= waits_ns
+        }
 
 
 class Patience:
@@ -61,11 +89,13 @@ class Patience:
 
 def candidates(
     slots: Sequence[ObjectSlot],
-    tracks: Mapping[tuple[str, int], TrackedPose],
+    tracks: Mapping[Key, TrackedPose],
     wanted: Mapping[str, int],
     looked_ns: Mapping[tuple[str, int | None], int],
+    elsewhere: Collection[str] = (),
 ) -> list[Candidate]:
-    """All that could be asked for. wanted: how many missing instances of an object are looked for now."""
+    """All that could be asked for. wanted: how many missing instances of an object are looked for now;
+    elsewhere: objects with doubtful instances only, for which a better place is looked for now."""
     out = []
     for slot in slots:
         known = [t for key, t in tracks.items() if key[0] == slot.object]
@@ -73,6 +103,9 @@ def candidates(
         if count > 0:
             asked = RequestedObject(slot.object, None, None, count)
             out.append(Candidate(0, looked_ns.get((slot.object, None), NEVER), asked))
+        elif slot.object in elsewhere:
+            asked = RequestedObject(slot.object, None)
+            out.append(Candidate(1, looked_ns.get((slot.object, None), NEVER), asked))
         for t in known:
             if t.T_cam_obj is None:
                 continue

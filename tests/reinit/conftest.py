@@ -26,12 +26,13 @@ def track(
     applied: int = 0,
     epoch: int = EPOCH,
     velocity: np.ndarray | None = None,
+    quality: float = 0.9,
 ) -> TrackedPose:
     T = None if state is State.LOST else (pose() if T is None else T)
     covariance = None if T is None else np.diag([1e-6] * 3 + [1e-4] * 3)
     frame = round(stamp_ms / 33.3)
     return TrackedPose(
-        object_name, instance, epoch, frame, round(stamp_ms * MS), state, T, velocity, 0.9, covariance,
+        object_name, instance, epoch, frame, round(stamp_ms * MS), state, T, velocity, quality, covariance,
         applied
     )  # fmt: skip
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 
 from huepose.reinit import ObjectSlot, ReinitLoop
-from huepose.tracking.types import Verdict
+from huepose.tracking.types import State, Verdict
 
 from .conftest import EPOCH, MS, asked, estimate, pose, result, track
 
@@ -26,6 +26,16 @@ def test_no_more_instances_than_wanted() -> None:
     found = loop.answer(100 * MS, result(request, 10, estimate(T=pose(-0.2)), estimate(T=pose(0.2))))
     assert len(found) == 1
     assert loop.counters.rejected == 1
+
+
+@pytest.mark.parametrize(("quality", "taken"), [(0.05, True), (0.4, False)])
+def test_a_sure_estimate_elsewhere_takes_the_place_of_one_that_is_most_likely_wrong(
+    quality: float, taken: bool
+) -> None:
+    loop = ReinitLoop(objects=[ObjectSlot("mug", 1)])
+    request = loop.tick(0, [track(T=pose(-0.2), state=State.SUSPECT, quality=quality)])
+    found = loop.answer(100 * MS, result(request, 0, estimate(T=pose(0.2))))
+    assert [(c.instance, c.verdict) for c in found] == ([(0, Verdict.ACQUIRE)] if taken else [])
 
 
 def test_the_same_sight_twice_is_one_instance() -> None:

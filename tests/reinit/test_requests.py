@@ -143,3 +143,17 @@ def test_configuration_is_checked() -> None:
         replace(ReinitConfig(), least_quality=0.95)
     with pytest.raises(InputError, match="max_instances"):
         ObjectSlot("mug", 0)
+
+
+def test_what_is_most_likely_another_thing_is_looked_for_elsewhere_now_and_then() -> None:
+    loop = ReinitLoop(objects=[("mug", 1)])
+    looks = []
+    for k in range(26):
+        unlikely = track(state=State.SUSPECT, stamp_ms=k * 200, quality=0.05)
+        request = loop.tick(k * 200 * MS, [unlikely])
+        looks.append(asked(request))
+        loop.answer(k * 200 * MS + 50 * MS, result(request, k * 200, estimate(quality=0.6, instance=0)))
+    assert sum(("mug", None) in look for look in looks) == 5, "once a second, and not at once"
+    assert all(("mug", 0) in look for look in looks)
+    doubted = track(state=State.SUSPECT, stamp_ms=6000, quality=0.4)
+    assert asked(loop.tick(6000 * MS, [doubted])) == [("mug", 0)], "which may well be right"

@@ -53,7 +53,9 @@ MAX_ESTIMATE_PIXELS = 2**27
 
 class FrameHeader(Message, frozen=True, kw_only=True):
     """Attachment of a frame. Buffers `color` (H, W, 3) uint8 RGB and `depth` (H, W) uint16: times
-    depth_scale_m metres, 0 for no reading, in the pixels of the colour image."""
+    depth_scale_m metres, 0 for no reading, in the pixels of the colour image. `picture`: what its camera
+    knows to be wrong with the picture, so that nothing is seen in it; `camera`: what it knows against all
+    its pictures, and so against every pose."""
 
     camera_epoch: Epoch
     frame_id: Count
@@ -62,6 +64,8 @@ class FrameHeader(Message, frozen=True, kw_only=True):
     frame: Annotated[str, Meta(max_length=64, description="name of the camera's coordinate frame")]
     intrinsics: Intrinsics
     buffers: Annotated[list[BufferSpec], Meta(max_length=8)]
+    picture: Text = ""
+    camera: Text = ""
 
 
 class CameraMessage(Message, frozen=True, kw_only=True):

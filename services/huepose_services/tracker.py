@@ -289,9 +289,7 @@ class TrackerWork(Work):
 
     def _track(self, header: FrameHeader, payload: bytes) -> bool:
         """Track a frame. Returns False for a repeated or malformed one."""
-        started = now_ns()
-        health = self._bus.health
-        before = self._header
+        started, health, before = now_ns(), self._bus.health, self._header
         if before is not None and _frame_of(before) == _frame_of(header):
             health.count("frames_repeated")
             return False
@@ -312,7 +310,7 @@ class TrackerWork(Work):
         self._intake.frame = header
         with self._intake.stages(self._tracker):
             poses = self._tracker.step(frame)
-        if complaint is not None:
+        if complaint is not None or header.camera:
             health.count("frames_doubted")
         self._publish_all(poses, header, frame)
         if self._bus.is_heard(self._bus.keys.hypotheses):
@@ -326,13 +324,16 @@ class TrackerWork(Work):
     def _publish_all(self, poses: list[TrackedPose], header: FrameHeader, frame: RgbdFrame | None) -> None:
         epoch, camera = self._camera
         complaint = self._complaint or (camera if epoch == header.camera_epoch else "")
-        if complaint:
+        if complaint or header.camera:
             poses = [_doubted(pose) for pose in poses]
         surfaces = [self._tracker.surface(pose.object) for pose in poses]
-        said = _sentence(complaint) or why_all_are_lost(frame, poses, surfaces)
+        # What the camera knows of its pictures is the cause of all that is seen in them.
+        said = header.camera or header.picture or _sentence(complaint)
+        said = said or why_all_are_lost(frame, poses, surfaces)
         for pose, surface in zip(poses, surfaces, strict=True):
-            reason = said
-            if not reason and frame is not None and pose.state is not State.TRACKING:
+            doubted = pose.state is not State.TRACKING
+            reason = said if doubted else ""
+            if doubted and not reason and frame is not None:
                 doubt = self._tracker.doubt(pose.object, pose.instance)
                 reason = why_doubted(surface, frame, pose.T_cam_obj, doubt)
             self._publish(pose, header, reason)

@@ -383,6 +383,31 @@ def test_no_pose_is_tracking_while_perception_speaks_against_the_camera():
     assert [after(6, said)[0], after(7, epoch=epoch + 1)[0]] == ["SUSPECT", "TRACKING"]
 
 
+def test_no_pose_is_tracking_while_a_frame_says_that_its_camera_has_stopped():
+    work, bus, _ = _worker(se3.make(np.eye(3), np.array([0.0, 0.0, 0.5])))
+    said = "cam.py: its picture stands still"
+    for number, camera in enumerate(["", said, said, ""]):
+        header, payload = _other(number + 1, number // 3, number // 3)
+        bus.waiting["frame"] = [(msgspec.structs.replace(header, camera=camera), payload)]
+        work.step()
+    assert [(p.state, p.reason) for p in bus.out] == [
+        ("TRACKING", ""),
+        ("SUSPECT", said),
+        ("SUSPECT", said),
+        ("TRACKING", ""),
+    ]
+
+
+def test_what_the_camera_knows_of_a_picture_is_the_reason_and_no_doubt_of_a_pose_that_is_sure():
+    work, bus, _ = _worker(se3.make(np.eye(3), np.array([0.0, 0.0, 0.5])))
+    said = "cam.py: depth looks like millimetres"
+    # The second has no depth at all, which the tracker sees itself.
+    for header, payload in (_other(1), _other(2, 1, -1), _other(3, 2, 2)):
+        bus.waiting["frame"] = [(msgspec.structs.replace(header, picture=said), payload)]
+        work.step()
+    assert [(p.state, p.reason) for p in bus.out] == [("TRACKING", ""), ("SUSPECT", said), ("TRACKING", "")]
+
+
 def test_what_was_tracked_before_the_camera_was_opened_anew_is_not_to_be_acted_on():
     work, bus, _ = _worker(se3.make(np.eye(3), np.array([0.0, 0.0, 0.5])))
     bus.waiting["frame"] = [_frame(1, 0.0)]

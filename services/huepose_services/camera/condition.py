@@ -1,4 +1,5 @@
-"""Detect what is wrong with a camera's pictures, and say it in words half a second after it began."""
+"""Detect what is wrong with a camera's pictures, and say it in words half a second after it began, that
+they stand still after a second."""
 
 from __future__ import annotations
 
@@ -26,27 +27,39 @@ MILLIMETRES_OVER_M = 50.0
 
 CHANGE_SAID_NS = 10 * SECOND
 
+STOPPED = "stopped"
+"""The complaint about a camera that has shown different pictures since it was opened, and now one alone."""
+
+STOPPED_NS = SECOND
+"""So long must it show that one."""
+
 
 class Condition:
     """Feed it every picture; `complaints` is what lasts now. rate_hz: how many should come;
-    farthest_m: what is farther counts as no reading."""
+    farthest_m: what is farther counts as no reading; check: whether a picture that stands still after
+    others means that the camera has stopped."""
 
-    def __init__(self, rate_hz: float, farthest_m: float) -> None:
-        self._rate_hz, self._farthest_m = rate_hz, farthest_m
+    def __init__(self, rate_hz: float, farthest_m: float, check: bool = True) -> None:
+        self._rate_hz, self._farthest_m, self._check = rate_hz, farthest_m, check
         self._since: dict[str, tuple[int, str]] = {}
         self._counts: deque[tuple[int, int]] = deque()
         self._camera: Camera | None = None
         self._last: Shot | None = None
+        self._moved = False
         self._change: tuple[int, str] | None = None
 
     def look(self, shot: Shot, now_ns: int) -> bool:
         """Take in a picture of the open camera; whether it may be used: colour and depth are of one time."""
         apart = self._apart(shot)
+        stands = self._stands(shot)
+        stopped = self._moved and self._check
         for kind, text in (
             ("dark", _dark(shot)),
             ("depth", _no_depth(shot, self._farthest_m)),
             ("apart", apart),
-            ("again", _again(shot, self._last)),
+            ("stamp", _one_stamp(shot, self._last)),
+            ("again", _AGAIN if stands and not stopped else None),
+            (STOPPED, _STOPPED if stands and stopped else None),
         ):
             if text is None:
                 self._since.pop(kind, None)
@@ -82,10 +95,15 @@ class Condition:
         self._since.clear()
         self._counts.clear()
         self._camera = self._last = self._change = None
+        self._moved = False
 
     def complaints(self, now_ns: int) -> dict[str, str]:
         """What lasts, by kind."""
-        lasting = {kind: text for kind, (since, text) in self._since.items() if now_ns - since >= LASTS_NS}
+        lasting = {
+            kind: text
+            for kind, (since, text) in self._since.items()
+            if now_ns - since >= (STOPPED_NS if kind == STOPPED else LASTS_NS)
+        }
         if self._change is not None and now_ns - self._change[0] < CHANGE_SAID_NS:
             lasting["change"] = self._change[1]
         return lasting
@@ -96,6 +114,15 @@ class Condition:
         if kind != "rate" or kind not in self._since:
             return True
         return now_ns - self._since[kind][0] >= LASTS_NS + RATE_WINDOW_NS
+
+    def _stands(self, shot: Shot) -> bool:
+        """Whether it is the picture before, to the last bit, with a stamp of its own."""
+        last = self._last
+        if last is None or shot.number == last.number or shot.device_ns == last.device_ns:
+            return False
+        stands = shot.shows_the_same(last)
+        self._moved |= not stands
+        return stands
 
     def _apart(self, shot: Shot) -> str | None:
         """They show the world at different times."""
@@ -110,14 +137,17 @@ class Condition:
         )
 
 
-def _again(shot: Shot, last: Shot | None) -> str | None:
-    if last is None or shot.number == last.number:
+_AGAIN = "it gives the same picture again and again: a still one, or has the camera stopped?"
+_STOPPED = (
+    "its picture stands still to the last bit and has moved before, so the camera has stopped: start it "
+    "anew. No pose is TRACKING until another picture comes; for still pictures set camera.check: false"
+)
+
+
+def _one_stamp(shot: Shot, last: Shot | None) -> str | None:
+    if last is None or shot.number == last.number or shot.device_ns != last.device_ns:
         return None
-    if shot.device_ns == last.device_ns:
-        return "its pictures have one and the same time stamp: each needs that of its own capture"
-    if shot.shows_the_same(last):
-        return "it gives the same picture again and again: a still one, or has the camera stopped?"
-    return None
+    return "its pictures have one and the same time stamp: each needs that of its own capture"
 
 
 def _dark(shot: Shot) -> str | None:

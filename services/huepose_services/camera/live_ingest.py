@@ -11,7 +11,7 @@ from __future__ import annotations
 import secrets
 
 from huepose.geometry import Camera, RgbdFrame
-from huepose_services.camera.condition import Condition
+from huepose_services.camera.condition import STOPPED, Condition
 from huepose_services.camera.device_clock import DeviceClock
 from huepose_services.camera.live import LiveSource
 from huepose_services.camera.publish import FramePublisher, packed
@@ -44,7 +44,10 @@ class LiveIngest(Work):
         self._reader = Reader(source)
         self._name = source.name
         self._clock = DeviceClock()
-        self._condition = Condition(float(config.camera.rate), LARGEST_STEP * config.camera.depth_scale_m)
+        settings = config.camera
+        self._condition = Condition(
+            float(settings.rate), LARGEST_STEP * settings.depth_scale_m, settings.check
+        )
         self._complaints: dict[str, str] = {}
         self._logged: set[str] = set()
         self._opening = -1
@@ -106,7 +109,7 @@ class LiveIngest(Work):
             self._condition.count(self._reader.pictures, now)
         else:
             self._condition.reopened()
-        complaints = {kind: f"{self._name}: {text}" for kind, text in self._condition.complaints(now).items()}
+        complaints = self._lasting(now)
         for kind in {*complaints, *self._complaints}:
             health.warn_while(kind, complaints.get(kind))
         new = complaints.keys() - self._complaints.keys()
@@ -122,10 +125,13 @@ class LiveIngest(Work):
 
     def _nothing_is_seen(self, trouble: str | None) -> str:
         """Why no object can be found; empty where one can. trouble: what keeps the pictures away."""
-        none_comes = trouble or self._complaints.get("apart")
-        if none_comes:
+        if none_comes := trouble or self._complaints.get("apart"):
             return f"No picture comes. {none_comes}"
-        return next((self._complaints[kind] for kind in _NOTHING_IS_SEEN if kind in self._complaints), "")
+        return _nothing_is_seen(self._complaints)
+
+    def _lasting(self, now: int) -> dict[str, str]:
+        """What is wrong with the pictures, by kind."""
+        return {kind: f"{self._name}: {text}" for kind, text in self._condition.complaints(now).items()}
 
     def _publish(self, taken: Taken) -> None:
         shot = taken.shot
@@ -143,7 +149,14 @@ class LiveIngest(Work):
             self._publisher.publish_truth(
                 shot.truths, self._epoch, self._frame_id, capture_ns, self._name, shot.number
             )
-        self._publisher.publish(picture, self._epoch, self._frame_id, capture_ns)
+        wrong = self._lasting(now_ns())
+        self._publisher.publish(
+            picture,
+            self._epoch,
+            self._frame_id,
+            capture_ns,
+            said=(_nothing_is_seen(wrong), wrong.get(STOPPED, "")),
+        )
         self._frame_id += 1
         self.ready = True
 
@@ -155,6 +168,10 @@ class LiveIngest(Work):
         self._bus.log.say(
             f"{self._name}: {camera.width} x {camera.height}, fx {camera.fx:.1f} fy {camera.fy:.1f}"
         )
+
+
+def _nothing_is_seen(complaints: dict[str, str]) -> str:
+    return next((complaints[kind] for kind in _NOTHING_IS_SEEN if kind in complaints), "")
 
 
 def stamps_ahead(seconds: float) -> str | None:

@@ -63,9 +63,16 @@ class FramePublisher:
         self._tell_ns = 0
 
     def publish(
-        self, picture: Packed, epoch: int, frame_id: int, capture_ns: int, counted_as: str = "frames"
+        self,
+        picture: Packed,
+        epoch: int,
+        frame_id: int,
+        capture_ns: int,
+        counted_as: str = "frames",
+        said: tuple[str, str] = ("", ""),
     ) -> None:
-        """One frame, counted and timed in health."""
+        """One frame, counted and timed in health. said: what is wrong with the picture and with the camera
+        (`picture` and `camera` of the header)."""
         bus, started = self._bus, now_ns()
         header = FrameHeader(
             publish_ns=started,
@@ -76,6 +83,8 @@ class FramePublisher:
             frame=self._frame_name,
             intrinsics=picture.intrinsics,
             buffers=picture.buffers,
+            picture=said[0],
+            camera=said[1],
         )
         bus.put_pixels(self._keys.frame, header, picture.payload)
         if epoch != self._told:

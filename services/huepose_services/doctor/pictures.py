@@ -80,7 +80,8 @@ def pictures(config: Config) -> Iterator[Finding]:
 def _live(source: LiveSource, config: Config) -> tuple[list[RgbdFrame], list[Finding]]:
     """Some of the pictures of a live camera, and what its worker would complain of."""
     camera = source.open()
-    condition = Condition(float(config.camera.rate), LARGEST_STEP * config.camera.depth_scale_m)
+    settings = config.camera
+    condition = Condition(float(settings.rate), LARGEST_STEP * settings.depth_scale_m, settings.check)
     frames: list[RgbdFrame] = []
     complaints: dict[str, str] = {}
     until, came = time.monotonic() + LOOK_S, 0

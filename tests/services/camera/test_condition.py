@@ -179,3 +179,40 @@ def test_a_still_picture_and_one_stamp_for_all_are_named():
     assert [text for _, text in frozen.values()] == [
         "its pictures have one and the same time stamp: each needs that of its own capture"
     ]
+
+
+def _still_from(second):
+    """Spoils what comes from a second on: the picture of then, with stamps of its own."""
+
+    def still(one):
+        if one.device_ns < second * SECOND:
+            return one
+        return replace(shot(second * SECOND), number=one.number, device_ns=one.device_ns, depth_ns=None)
+
+    return still
+
+
+def test_a_picture_that_stands_still_after_others_is_of_a_camera_that_has_stopped():
+    condition = Condition(RATE_HZ, FARTHEST_M)
+    ((kind, (begun_s, text)),) = said_after(condition, 4.0, _still_from(2)).items()
+    assert kind == "stopped"
+    assert 2.95 < begun_s < 3.2
+    assert "the camera has stopped" in text
+    assert "camera.check: false" in text
+    assert said_after(condition, 1.0, start_s=4.0, counted=120) == {}
+    condition.reopened()
+    assert list(said_after(condition, 3.0, _still_from(5), start_s=5.0)) == ["again"], "still from its first"
+
+
+def test_one_bit_of_depth_or_colour_is_another_picture():
+    def nearly(one):
+        still = _still_from(2)(one)
+        still.depth[5, 5] += 1e-4 * (one.number % 2)
+        return still
+
+    assert said_after(Condition(RATE_HZ, FARTHEST_M), 5.0, nearly) == {}
+
+
+def test_who_shows_still_pictures_on_purpose_says_so():
+    condition = Condition(RATE_HZ, FARTHEST_M, check=False)
+    assert list(said_after(condition, 5.0, _still_from(2))) == ["again"]

@@ -35,13 +35,14 @@ class _Bus:
     def __init__(self, keys):
         self.keys, self.health, self.inbox = keys, Health("camera"), SimpleNamespace()
         self.log = SimpleNamespace(say=lambda *_: None, seldom=lambda *_: None)
-        self.frames = 0
+        self.frames, self.headers = 0, []
 
     def put(self, key, message):
         pass
 
     def put_pixels(self, key, header, payload):
         self.frames += 1
+        self.headers.append(header)
 
     def say_health(self):
         pass
@@ -52,10 +53,10 @@ def ingest_of(tmp_path: Path):
     """The camera worker of a Python camera that does this to its depth."""
     made = []
 
-    def make(change):
+    def make(change, check="true"):
         (tmp_path / "cam.py").write_text(CAMERA.replace("DEPTH", change))
         (tmp_path / "pipeline.yaml").write_text(
-            "camera: {source: python, path: cam.py}\nworkers: [camera]\nbundles: bundles\n"
+            f"camera: {{source: python, path: cam.py, check: {check}}}\nworkers: [camera]\nbundles: bundles\n"
         )
         config = load(tmp_path / "pipeline.yaml")
         made.append(LiveIngest(_Bus(config.keys), config, open_source(config)))
@@ -111,3 +112,42 @@ def test_the_log_names_the_rate_of_a_camera_that_has_become_slow_as_it_is(ingest
     ((kind, text),) = said
     assert kind == "pictures: rate"
     assert any(f"it gives {rate} pictures a second instead of 30" in text for rate in (1, 2, 3)), text
+
+
+@pytest.mark.parametrize(
+    ("still", "check", "doubted"),
+    [("1 < age < 3", "true", True), ("1 < age < 3", "false", False), ("age >= 0", "true", False)],
+)
+def test_a_frame_says_that_its_camera_has_stopped_until_it_shows_another_picture(
+    ingest_of, still, check, doubted
+):
+    """One that shows one picture from its first on has not."""
+    ingest, bus = ingest_of(
+        "began = locals().get('began', time.monotonic())\n"
+        "        age = time.monotonic() - began\n"
+        f"        color = kept if {still} and 'kept' in locals() else color\n"
+        "        kept = color",
+        check,
+    )
+    until = time.monotonic() + 4.0
+    while time.monotonic() < until:
+        ingest.step()
+    begun_ns = bus.headers[0].capture_ns
+    said_s = [1e-9 * (h.capture_ns - begun_ns) for h in bus.headers if h.camera]
+    if not doubted:
+        assert said_s == []
+        return
+    assert 1.9 < said_s[0] < 2.5
+    assert 2.8 < said_s[-1] < 3.1
+    assert "cam.py: its picture stands still" in bus.headers[-60].camera
+    assert bus.headers[-1].camera == ""
+
+
+def test_a_frame_says_what_its_camera_knows_of_the_picture(ingest_of):
+    ingest, bus = ingest_of("depth *= 1000.0")
+    assert _picture(ingest, bus)
+    until = time.monotonic() + 0.3
+    while time.monotonic() < until:
+        ingest.step()
+    assert bus.headers[-1].picture.startswith("cam.py: depth looks like millimetres")
+    assert bus.headers[-1].camera == ""

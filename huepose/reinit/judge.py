@@ -109,6 +109,12 @@ TURN_SHARE = 0.1
 a diameter."""
 
 
+def near(T: Float64, T_tracked: Float64, slot: ObjectSlot) -> bool:
+    """Whether a pose lies on the object that is tracked there."""
+    shift = T[:3, 3] - T_tracked[:3, 3]
+    return float(shift @ shift) < (0.5 * slot.diameter_m) ** 2
+
+
 def displacement_m(T_a: Float64, T_b: Float64, slot: ObjectSlot) -> float:
     """Approximate surface distance of two poses T_cam_obj (4, 4), metres, the least over the object's
     symmetries."""

@@ -16,6 +16,7 @@ from dataclasses import dataclass
 
 from huepose.estimation.types import PoseEstimate
 from huepose.geometry.arrays import Float64
+from huepose.reinit.answered import Answered
 from huepose.reinit.config import ReinitConfig
 from huepose.reinit.judge import (
     SAME_POSE,
@@ -23,6 +24,7 @@ from huepose.reinit.judge import (
     assign,
     displacement_m,
     judge_tracked,
+    near,
     same_sight,
     usable,
 )
@@ -76,6 +78,7 @@ class ReinitLoop:
         self._outbox = Outbox()
         self._pace = Pace()
         self._patience, self._elsewhere = Patience(), Elsewhere()
+        self._answered = Answered()
         self._sightings: dict[str, list[_Sighting]] = {}
         self._last_instance: dict[str, int] = {}
         self._over: dict[str, int] = {}
@@ -111,6 +114,7 @@ class ReinitLoop:
             del self._tracks[key]
         self._past.forget(name)
         self._patience.forget(name)
+        self._answered.forget(name)
         for asked in [k for k in self._looked_ns if k[0] == name]:
             del self._looked_ns[asked]
         arriving = [k[1] for k in self._outbox.instances if k[0] == name]
@@ -135,7 +139,10 @@ class ReinitLoop:
         self._now_ns = now_ns
         self._observe(now_ns, tracks)
         self._outbox.acknowledge(self._tracks)
-        self.counters.given_up += self._outbox.give_up(now_ns, self.config.give_up_ms * 1e6)
+        given_up = self._outbox.give_up(now_ns, self.config.give_up_ms * 1e6)
+        self.counters.given_up += given_up
+        if given_up:
+            self._answered.forget()  # what came of an answer was lost
         if self._in_flight is not None and now_ns >= self._in_flight.deadline_ns:
             self.counters.expired += 1
             self._pace.expired((self._in_flight.deadline_ns - self._asked_ns) * 1e-9)
@@ -155,7 +162,9 @@ class ReinitLoop:
         self._asked_ns = now_ns
         self._pace.asked(self.counters.requests, now_ns)
         deadline_ns = now_ns + round(self._pace.deadline_s(1e-3 * self.config.deadline_ms) * 1e9)
-        self._in_flight = Request(self.counters.requests, self._epoch, deadline_ns, tuple(chosen))
+        # One of the missing objects of a request is searched for everywhere, by turns; one turn is to spare.
+        seen = self._answered.seen(chosen, self.config.objects_per_request + 1)
+        self._in_flight = Request(self.counters.requests, self._epoch, deadline_ns, tuple(chosen), seen)
         return self._in_flight
 
     def _wanted(self, now_ns: int) -> dict[str, int]:
@@ -193,6 +202,7 @@ class ReinitLoop:
         self.counters.answers += 1
         self._pace.answered(result.request, now_ns, result.stamp_ns)
         if self._in_flight is not None and result.request == self._in_flight.number:
+            self._answered.note(self._in_flight.objects, (result.epoch, result.frame_id))
             self._in_flight = None
         else:
             self.counters.late += 1
@@ -234,7 +244,7 @@ class ReinitLoop:
                 if verdict is not Verdict.REJECT:
                     key = (slot.object, track.instance)
                     out.append(self._correction(key, estimate, result, verdict, estimate.quality))
-            elif any(_near(_pose(estimate), p.predicted(result.stamp_ns), slot) for p in priors):
+            elif any(near(_pose(estimate), p.predicted(result.stamp_ns), slot) for p in priors):
                 # A second estimate of an instance that already has one.
                 self._count(Verdict.REJECT)
             else:
@@ -388,9 +398,3 @@ def _pose(estimate: PoseEstimate) -> Float64:
     if estimate.T_cam_obj is None:
         raise ValueError(f"an estimate of {estimate.object} that was found has no pose")
     return estimate.T_cam_obj
-
-
-def _near(T: Float64, T_tracked: Float64, slot: ObjectSlot) -> bool:
-    """Whether a pose lies on the object that is tracked there."""
-    shift = T[:3, 3] - T_tracked[:3, 3]
-    return float(shift @ shift) < (0.5 * slot.diameter_m) ** 2

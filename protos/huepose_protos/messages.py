@@ -101,12 +101,14 @@ class RequestedObject(Struct, frozen=True, kw_only=True):
 
 class PerceptionRequest(Message, frozen=True, kw_only=True):
     """Which objects to look at in the newest frame. `seq` counts requests; camera_epoch is that of the
-    newest tracked frame, null before the first. An answer after deadline_ns is not waited for."""
+    newest tracked frame, null before the first. An answer after deadline_ns is not waited for. `seen`: epoch
+    and number of a frame about which all was answered: where it is still the newest, wait for the next."""
 
     seq: Count
     camera_epoch: Epoch | None
     deadline_ns: Stamp
     objects: Annotated[list[RequestedObject], Meta(max_length=64)]
+    seen: tuple[Epoch, Count] | None = None
 
 
 class Look(Message, frozen=True, kw_only=True):

@@ -25,7 +25,7 @@ from huepose_services.following import Follower
 from huepose_services.runtime.bus import Bus
 from huepose_services.runtime.clock import SECOND, now_ns
 from huepose_services.runtime.config import Config
-from huepose_services.runtime.work import Work
+from huepose_services.runtime.work import SOON_NS, Work
 
 ASK_EVERY_NS = 2 * SECOND
 """How often the order of the colours is asked about, which takes as long as two searches for one object."""
@@ -82,10 +82,15 @@ class DetectorWork(Work):
         self._frames = bus.frames(wakes=False)
         self._truths = bus.inbox.queue(keys.truth) if isinstance(finder, TruthBoxes) else None
         self._frame: tuple[FrameHeader, bytes] | None = None
+        self._request: PerceptionRequest | None = None
         self._check_camera, self._colours = check_camera, ""
         self._ask_ns = now_ns() + ASK_EVERY_NS
         # Of an epoch of the camera: how often the order of its colours was asked, and whether it is known.
         self._asked = (-1, 0, False)
+
+    def due_ns(self) -> int | None:
+        """Soon, while a request waits for a newer frame."""
+        return None if self._request is None else now_ns() + SOON_NS
 
     def step(self) -> None:
         """Answer the newest request."""
@@ -93,14 +98,13 @@ class DetectorWork(Work):
         if self._truths is not None and isinstance(self._finder, TruthBoxes):
             while (truth := self._bus.take(self._truths, TruthMessage)) is not None:
                 self._finder.learn(truth)
-        request = None
         while (newer := self._bus.take(self._requests, PerceptionRequest)) is not None:
-            request = newer
+            self._request = newer
         if (brought := self._bus.take_with_payload(self._looks, Look)) is not None:
             look, payload = brought
-            request, self._frame = look.request, (look.frame, payload)
-        if request is not None:
-            self._answer(request)
+            self._request, self._frame = look.request, (look.frame, payload)
+        if self._request is not None:
+            self._answer(self._request)
 
     def _follow(self) -> None:
         """Objects that came or went, and boxes that were pointed at."""
@@ -118,9 +122,13 @@ class DetectorWork(Work):
         health = self._bus.health
         self._frame = self._bus.take_with_payload(self._frames, FrameHeader) or self._frame
         if self._frame is None:
+            self._request = None
             health.count("requests_without_a_frame")
             return
         header, payload = self._frame
+        if request.seen == (header.camera_epoch, header.frame_id):
+            return  # it waits for the next one
+        self._request = None
         if isinstance(self._finder, SeenBoxes):
             try:
                 self._finder.look(frame_from_wire(header, payload))

@@ -25,7 +25,7 @@ from huepose_services.link import SILENT_NS, Sender, open_uplink, taken_up
 from huepose_services.runtime.bus import Bus
 from huepose_services.runtime.clock import SECOND, now_ns
 from huepose_services.runtime.config import Config
-from huepose_services.runtime.work import Work
+from huepose_services.runtime.work import SOON_NS, Work
 
 _REMEMBERED = 256
 
@@ -50,6 +50,7 @@ class UplinkWork(Work):
         else:
             self._found = inbox.ring(self._found_key)
         self._frame: tuple[FrameHeader, bytes] | None = None
+        self._request: PerceptionRequest | None = None
         self._objects = inbox.ring(keys.objects)
         self._answers = inbox.queue(keys.down(keys.estimates), session=outside)
         self._health = inbox.queue(keys.down(keys.health()), session=outside)
@@ -61,7 +62,9 @@ class UplinkWork(Work):
         self._began_ns = self._next_look_ns = now_ns()
 
     def due_ns(self) -> int | None:
-        """When to look who is there."""
+        """When to look who is there; soon, while a request waits for a newer frame."""
+        if self._request is not None:
+            return min(self._next_look_ns, now_ns() + SOON_NS)
         return self._next_look_ns
 
     def step(self) -> None:
@@ -92,16 +95,19 @@ class UplinkWork(Work):
         if self._kind is not Look:
             taken = self._bus.take_with_payload(self._found, self._kind)
             return None if taken is None else (taken[0], taken[0].frame, taken[1])
-        request = None
         while (newer := self._bus.take(self._requests, PerceptionRequest)) is not None:
-            request = newer
-        if request is None:
+            self._request = newer
+        if (request := self._request) is None:
             return None
         self._frame = self._bus.take_with_payload(self._frames, FrameHeader) or self._frame
         if self._frame is None:
+            self._request = None
             self._bus.health.count("requests_without_a_frame")
             return None
         frame, payload = self._frame
+        if request.seen == (frame.camera_epoch, frame.frame_id):
+            return None  # it waits for the next one
+        self._request = None
         return Look(publish_ns=now_ns(), request=request, frame=frame), frame, payload
 
     def _send(self, message: Look | Detections | Masks, frame: FrameHeader, payload: bytes) -> None:

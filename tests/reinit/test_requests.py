@@ -7,12 +7,13 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from huepose.estimation.types import PoseEstimate
 from huepose.geometry import se3
 from huepose.reinit import ObjectSlot, ReinitConfig, ReinitLoop
 from huepose.support.errors import InputError
 from huepose.tracking.types import State
 
-from .conftest import MS, asked, estimate, pose, result, track
+from .conftest import EPOCH, MS, asked, estimate, pose, result, track
 
 
 def test_first_request_asks_for_what_was_never_seen() -> None:
@@ -104,6 +105,48 @@ def test_a_first_uncertain_sighting_is_followed_up_at_once() -> None:
     stamp = last + 1_000
     assert loop.answer((stamp + 50) * MS, result(request, stamp, estimate("gone", quality=0.5))) == []
     assert ("gone", None) in asked(loop.tick((stamp + 200) * MS, [track("here", stamp_ms=stamp + 200)]))
+
+
+def _seen(
+    loop: ReinitLoop, until_ms: int, *found: PoseEstimate, start_ms: int = 0, stands_ms: int = 0
+) -> str:
+    """A letter for each request: s where it says that all about the newest frame was answered, so that
+    perception waits for the next one, else n. No frame comes after `stands_ms`."""
+    out = ""
+    for ms in range(start_ms, until_ms, 50):
+        stamp_ms = min(ms, stands_ms)
+        request = loop.tick(ms * MS, [track("here", stamp_ms=stamp_ms)])
+        if request is None:
+            continue
+        waits = request.seen == (EPOCH, round(stamp_ms / 33.3))
+        out += "s" if waits else "n"
+        if not waits:
+            loop.answer((ms + 50) * MS, result(request, stamp_ms, *found))
+    return out
+
+
+def test_a_frame_about_which_all_was_answered_is_not_asked_about_again() -> None:
+    """Of a tracked object one answer says all; missing ones are searched for everywhere by turns."""
+    assert _seen(ReinitLoop(objects=[("here", 1)]), 2_000, stands_ms=2_000) == "n" * 10
+    tracked, missing = ReinitLoop(objects=[("here", 1)]), ReinitLoop(objects=[("here", 1), ("gone", 1)])
+    # One that stays unanswered is asked again at its deadline, after 600 ms.
+    assert _seen(tracked, 3_000, stands_ms=400) == "nnn" + "s" * 4
+    assert _seen(missing, 3_000, stands_ms=400) == "nnnnn" + "s" * 4
+    assert set(_seen(missing, 5_000, start_ms=3_000, stands_ms=5_000)) == {"n"}, "frames come again"
+
+
+def test_what_was_answered_is_asked_again_after_a_reset_and_where_a_correction_got_lost() -> None:
+    loop = ReinitLoop(objects=[("here", 1), ("gone", 1)])
+    assert _seen(loop, 1_500) == "nnnss"
+    loop.forget("gone", 0)
+    assert _seen(loop, 3_000, start_ms=1_800).startswith("nnns")
+    loop = ReinitLoop(objects=[("here", 1), ("gone", 1)])
+    found = estimate("gone", T=pose(0.3))
+    answered = _seen(loop, 3_000, found)
+    assert answered.endswith("ss")
+    assert loop.counters.given_up == 0
+    assert "n" in _seen(loop, 6_000, found, start_ms=3_000)
+    assert loop.counters.given_up >= 1
 
 
 def test_priors_carry_what_was_published() -> None:

@@ -106,3 +106,23 @@ def test_the_order_of_the_colours_is_asked_about_some_times_whatever_is_found(mo
     assert [asks_in(12, epoch) for epoch in (1, 1, 2, 2)] == [worker.FIRST_ASKS, 0, worker.FIRST_ASKS, 0]
     order = Order(right=True)
     assert [asks_in(12, epoch) for epoch in (3, 3, 4)] == [1, 0, 1], "an object says that it is right"
+
+
+def test_a_request_about_a_frame_that_was_answered_waits_for_the_next_one():
+    finder = SearchedBoxes({}, ColorPairDetector({}))
+    finder.find = lambda header, request: []
+    bus = _Bus()
+    work = DetectorWork(bus, finder, SimpleNamespace(changes=lambda: []))
+    header, payload = example(FrameHeader), (GOLDEN / "frame_payload.bin").read_bytes()
+    seen = msgspec.structs.replace(example(PerceptionRequest), seen=(header.camera_epoch, header.frame_id))
+    bus.arriving = {"frames": (header, payload), bus.keys.request: seen}
+    for _ in range(3):
+        work.step()
+    assert bus.said == []
+    assert work.due_ns() is not None, "it looks for a newer one soon"
+    newer = msgspec.structs.replace(header, frame_id=header.frame_id + 1)
+    bus.arriving = {"frames": (newer, payload)}
+    for _ in range(3):
+        work.step()
+    assert [(said.frame.frame_id, said.request_seq) for said in bus.said] == [(newer.frame_id, seen.seq)]
+    assert work.due_ns() is None

@@ -2,7 +2,11 @@
 
 from __future__ import annotations
 
+from huepose_services.runtime.clock import SECOND
 from huepose_services.runtime.config import Config
+
+SOON_NS = SECOND // 50
+"""How often to look for a frame that does not wake the loop, while something waits for it."""
 
 
 class Work:

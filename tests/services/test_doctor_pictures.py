@@ -9,6 +9,7 @@ import msgspec
 import numpy as np
 import pytest
 
+from huepose.model.io import model_path, save_model
 from huepose.scenes.builtin import SyntheticScene
 from huepose_services.camera.faulty import Orders
 from huepose_services.cli.main import main
@@ -147,3 +148,37 @@ def test_each_of_several_cameras_is_looked_at(tmp_path, capsys, monkeypatch):
 def test_without_a_pipeline_nobody_knows_which_camera(capsys):
     assert main(["doctor", "--camera"]) == 2
     assert "huepose doctor PIPELINE.yaml --camera" in capsys.readouterr().err
+
+
+MILLIMETRES = """import time
+
+import numpy as np
+
+from huepose import Camera, RgbdFrame
+
+
+def frames():
+    rng = np.random.default_rng(0)
+    while True:
+        time.sleep(0.2)
+        color = rng.integers(60, 200, (480, 640, 3), np.uint8)
+        depth = rng.uniform(600.0, 900.0, (480, 640)).astype(np.float32)
+        yield RgbdFrame(color, UNIT * depth, Camera(600.0, 600.0, 319.5, 239.5, 640, 480))
+"""
+
+
+@pytest.mark.parametrize(("unit", "depth_state"), [("1.0", "bad"), ("0.01", "ok")])
+def test_where_depth_is_wrong_nobody_is_told_to_bring_an_object_nearer(
+    tmp_path, capsys, monkeypatch, tea_box, unit, depth_state
+):
+    """At 7.5 m the box is small in truth; in depth of millimetres only seemingly."""
+    monkeypatch.setattr(pictures, "LOOK_S", 1.5)
+    save_model(tea_box, model_path(tmp_path / "models", "tea_box"))
+    (tmp_path / "cam.py").write_text(MILLIMETRES.replace("UNIT", unit))
+    camera = {"source": "python", "path": "cam.py", "rate": 4, "depth_scale_m": 0.001}
+    (tmp_path / "pipeline.yaml").write_text(json.dumps({"camera": camera, "bundles": "models"}))
+    main(["doctor", str(tmp_path / "pipeline.yaml"), "--camera", "--json"])
+    found = {f["subject"]: f for f in json.loads(capsys.readouterr().out)}
+    assert found["depth"]["state"] == depth_state
+    assert ("distance" in found) == (depth_state == "ok")
+    assert ("Mend depth first" in found["objects"]["fix"]) == (depth_state == "bad")

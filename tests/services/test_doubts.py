@@ -13,7 +13,7 @@ import pytest
 from huepose.geometry import Camera, RgbdFrame, se3
 from huepose.tracking.types import Doubt
 from huepose_protos.examples import messages
-from huepose_protos.messages import ObjectEntry, PoseMessage
+from huepose_protos.messages import HealthMessage, ObjectEntry, PoseMessage
 from huepose_services import doubts as why
 from huepose_services.cli.status import as_text
 from huepose_services.runtime.running import Pipeline
@@ -113,6 +113,19 @@ def test_status_says_it_below_the_object() -> None:
     said = as_text(view).splitlines()
     (line,) = [number for number, text in enumerate(said) if text.startswith("mug/2")]
     assert said[line + 1] == f"  {why.COVERED}"
+
+
+def test_status_says_what_the_camera_knows_in_place_of_what_follows_from_it() -> None:
+    example = next(m for m in messages() if isinstance(m, PoseMessage))
+    lost = msgspec.structs.replace(example, object="mug", instance=2, state="SUSPECT", reason=why.COVERED)
+    health = next(m for m in messages() if isinstance(m, HealthMessage))
+    camera = msgspec.structs.replace(health, worker="camera", picture=NONE_COMES, warnings=[])
+    sure = msgspec.structs.replace(example, object="jar", instance=0, state="TRACKING", reason="")
+    poses = {("mug", 2): lost, ("jar", 0): sure}
+    view = View(Pipeline(base_port=17447), True, {"camera": camera}, frozenset(), (), [], poses)
+    text = as_text(view)
+    assert text.count(NONE_COMES) == 1
+    assert why.COVERED not in text
 
 
 def test_status_names_an_object_that_is_found_and_of_which_no_pose_comes() -> None:

@@ -112,7 +112,9 @@ def as_text(view: View) -> str:
         if message.last_error:
             lines.append(f"  {message.worker}, last error: {message.last_error.splitlines()[0]}")
     lines.append("")
-    lines += [_pose(pose) for pose in view.poses.values()]
+    # What the camera knows of its pictures is the cause of all that is seen in them.
+    camera = view.health["camera"].picture if "camera" in view.health else ""
+    lines += [_pose(pose, camera) for pose in view.poses.values()]
     with_poses = {name for name, _ in view.poses}
     reason = ""
     for entry in view.objects:
@@ -145,11 +147,12 @@ def _pair(values: tuple[float, float] | None) -> str:
     return "-" if values is None else f"{values[0]:.0f} p99 {values[1]:.0f}"
 
 
-def _pose(pose: PoseMessage) -> str:
+def _pose(pose: PoseMessage, camera: str) -> str:
     who = f"{pose.object}/{pose.instance}"
     text = f"{who:32s} {pose.state:9s}  quality {pose.quality:.2f}"
     if pose.translation is not None:
         x, y, z = pose.translation
         text += f"  {x:+.3f} {y:+.3f} {z:+.3f} m"
     text += f"  {(pose.publish_ns - pose.capture_ns) * 1e-6:.0f} ms old"
-    return f"{text}\n  {pose.reason}" if pose.reason else text
+    reason = pose.reason and (camera or pose.reason)
+    return f"{text}\n  {reason}" if reason else text

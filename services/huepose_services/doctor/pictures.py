@@ -68,9 +68,15 @@ def pictures(config: Config) -> Iterator[Finding]:
     doubt = camera_doubted(camera)
     yield Finding("camera", "note" if doubt else "ok", matrix, doubt or "")
     yield brightness(frames)
-    yield from depth(frames, config.camera)
+    measured = list(depth(frames, config.camera))
+    yield from measured
     aligned = alignment(frames, config.camera.source)
     yield aligned
+    if any(finding.bad for finding in measured):
+        if config.bundles is not None:
+            fix = "Mend depth first, which is BAD above: their distance, size and pose follow it."
+            yield Finding("objects", "note", "not looked for", fix)
+        return
     yield from distance(frames, config)
     if config.bundles is not None:
         with suppress(InputError):  # reference models that are not there are said elsewhere

@@ -19,7 +19,7 @@ from huepose.geometry.camera import depth_noise_m
 from huepose.geometry.picture_faults import dark, readings, same, why_nothing_is_found
 from huepose.judge.open_region import PreparedSurface
 from huepose.tracking.history import CLOSE_S, WIDE_S
-from huepose.tracking.types import Doubt, TrackedPose
+from huepose.tracking.types import Applied, Doubt, TrackedPose
 
 NOT_FOUND = "It is not seen where it was, and was not found elsewhere yet."
 OUTSIDE = "Most of it is outside of the picture."
@@ -142,6 +142,31 @@ def lens_doubted(frame: RgbdFrame, fx_of_size: dict[str, float]) -> str | None:
         f"the focal length of {size} pictures was {first:.0f} px and is {camera.fx:.0f} px now: one of the "
         "two is wrong. If it is another camera, restart the tracker"
     )
+
+
+_FOUND = {"agree": "that {} is where it is followed", "correct": "another pose of {}", "acquire": "{}"}
+
+
+def why_refused(
+    applied: Applied, followed: bool, age_s: float, reach_s: float | None, older_frames: int
+) -> tuple[str, bool]:
+    """Why a correction was not applied, and whether something is wrong. followed: whether its instance is, or
+    it gives a pose itself; reach_s: of the kept frames, None while they are few."""
+    if applied is Applied.REFUSED_EPOCH:
+        return "the camera was opened anew since", True
+    if not followed:
+        return "it is not followed any more", False
+    if reach_s is None:
+        # It was on its way when the tracker started.
+        return "that was before the tracker began", False
+    return too_late_text(age_s, reach_s, older_frames), True
+
+
+def refused_text(name: str, verdict: str, age_s: float, why: str) -> str:
+    """The line of the log for a correction that is not applied. verdict: of the correction; age_s: of the
+    picture that it is about, before the newest one."""
+    found = _FOUND.get(verdict, "{}").format(name)
+    return f"perception found {found} in a picture {age_s:.1f} s old; it is not taken over: {why}"
 
 
 def too_late_text(age_s: float, reach_s: float, older_frames: int) -> str:

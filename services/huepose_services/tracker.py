@@ -23,9 +23,10 @@ from huepose_services.doubts import (
     TOO_OLD,
     complaint_about,
     lens_doubted,
-    too_late_text,
+    refused_text,
     why_all_are_lost,
     why_doubted,
+    why_refused,
 )
 from huepose_services.following import Follower, Retired
 from huepose_services.held import held
@@ -33,7 +34,7 @@ from huepose_services.intake import MEMORY_EVERY_NS, Clock, InputCache, Intake
 from huepose_services.runtime.bus import Bus
 from huepose_services.runtime.clock import check_number, now_ns
 from huepose_services.runtime.config import Config
-from huepose_services.runtime.log import Level, StateChanges
+from huepose_services.runtime.log import StateChanges
 from huepose_services.runtime.work import Work
 
 _REFUSED_EVERY_S = 10.0
@@ -99,7 +100,7 @@ class TrackerWork(Work):
         self._first: tuple[int, int] | None = None
         self._retired = Retired()
         self._told = StateChanges(bus.log)
-        self._refused: tuple[str, int] | None = None
+        self._refused: tuple[str, int, int] | None = None
         self._corrections = bus.inbox.queue(bus.keys.correction)
         self._frames = bus.frames()
         self._header: FrameHeader | None = None
@@ -270,22 +271,21 @@ class TrackerWork(Work):
 
     def _refuse(self, message: CorrectionMessage, applied: Applied) -> None:
         """Log why a correction was not applied; health warns where perception is too slow."""
-        why = "it is about pictures of a camera that was opened anew since"
-        reach_s, early = self._tracker.reach_s, False
-        if applied is Applied.REFUSED_OLD and self._header is not None:
-            why, early = "it is about a picture from before the tracker began", reach_s is None
-            if reach_s is not None:
-                age_s = (self._header.capture_ns - message.capture_ns) * 1e-9
-                why = too_late_text(age_s, reach_s, self._tracker.config.older_frames)
-                self._bus.health.warn_while("late", why)
+        key, header, older = (
+            (message.object, message.instance),
+            self._header,
+            self._tracker.config.older_frames,
+        )
+        age_s = 0.0 if header is None else (header.capture_ns - message.capture_ns) * 1e-9
+        followed = key in self._tracker.instances or message.verdict != "agree"
+        why, fault = why_refused(applied, followed, age_s, self._tracker.reach_s, older)
+        if fault and applied is Applied.REFUSED_OLD:
+            self._bus.health.warn_while("late", why)
         # The re-initialisation loop repeats its corrections: the log says it once.
-        name = f"{message.object}/{message.instance}"
-        if self._refused != (name, message.seq):
-            self._refused = (name, message.seq)
-            text = f"a correction of {name} is refused: {why}"
-            # A correction that was on its way when the tracker started is no fault.
-            level: Level = "info" if early else "warn"
-            self._bus.log.seldom("refused", text, _REFUSED_EVERY_S, level)
+        if self._refused != (*key, message.seq):
+            self._refused = (*key, message.seq)
+            text = refused_text(f"{key[0]}/{key[1]}", message.verdict, age_s, why)
+            self._bus.log.seldom("refused", text, _REFUSED_EVERY_S, "warn" if fault else "info")
 
     def _track(self, header: FrameHeader, payload: bytes) -> bool:
         """Track a frame. Returns False for a repeated or malformed one."""

@@ -208,7 +208,9 @@ def test_who_answers_too_late_is_told_what_to_do_until_it_is_in_time(capfd):
     header, payload = _frame(1, 0.0)
     bus.waiting["frame"] = [(header, payload)]
     work.step()
-    late = msgspec.structs.replace(CORRECTION, capture_ns=header.capture_ns - 8_000 * MS)
+    late = msgspec.structs.replace(
+        CORRECTION, object="mug", instance=0, verdict="correct", capture_ns=header.capture_ns - 8_000 * MS
+    )
     work._tracker.answer = Applied.REFUSED_OLD
     bus.waiting["correction"] = [late, late]
     work.step()
@@ -217,7 +219,8 @@ def test_who_answers_too_late_is_told_what_to_do_until_it_is_in_time(capfd):
     assert "kept for 4.0 s" in warning
     # 1.3 times 8 s are to be reached: 6.4 s more than 4 s, two frames for each 4/15 s.
     assert "tracker.older_frames to 72" in warning
-    assert capfd.readouterr().err.count("is refused: perception answers") == 1
+    said = "found another pose of mug/0 in a picture 8.0 s old; it is not taken over: perception answers"
+    assert capfd.readouterr().err.count(said) == 1
     work._tracker.answer = Applied.CATCHING_UP
     bus.waiting["correction"] = [msgspec.structs.replace(late, seq=late.seq + 1)]
     work.step()
@@ -226,6 +229,41 @@ def test_who_answers_too_late_is_told_what_to_do_until_it_is_in_time(capfd):
     bus.waiting["correction"] = [msgspec.structs.replace(late, seq=late.seq + 2)]
     work.step()
     assert bus.health.message().warnings == [], "a tracker that has just begun remembers little"
+
+
+@pytest.mark.parametrize(
+    ("answer", "verdict", "reach_s", "said"),
+    [
+        (
+            Applied.REFUSED_EPOCH,
+            "acquire",
+            4.0,
+            "found mug/0 in a picture 0.3 s old; it is not taken over: the camera was opened anew since",
+        ),
+        (
+            Applied.REFUSED_OLD,
+            "agree",
+            4.0,
+            "mug/0 is where it is followed in a picture 0.3 s old; it is not taken over: it is not followed",
+        ),
+        (Applied.REFUSED_OLD, "correct", None, "not taken over: that was before the tracker began"),
+    ],
+)
+def test_the_log_says_what_was_refused_and_why(capfd, answer, verdict, reach_s, said):
+    """And only what comes too late makes perception slow."""
+    work, bus, _ = _worker(se3.make(np.eye(3), np.array([0.0, 0.0, 0.5])))
+    header, payload = _frame(1, 0.0)
+    bus.waiting["frame"] = [(header, payload)]
+    work.step()
+    work._tracker.answer, work._tracker.reach_s = answer, reach_s
+    bus.waiting["correction"] = [
+        msgspec.structs.replace(
+            CORRECTION, object="mug", instance=0, verdict=verdict, capture_ns=header.capture_ns - 300 * MS
+        )
+    ]
+    work.step()
+    assert said in capfd.readouterr().err
+    assert bus.health.message().warnings == []
 
 
 def test_a_change_of_state_is_in_the_log_once(capfd):

@@ -16,6 +16,7 @@ import msgspec
 from huepose.support.errors import InputError
 from huepose_protos.local import endpoint, run_folder
 from huepose_services.runtime.config import DEFAULT_FILE, WORKERS, Config, load_all
+from huepose_services.runtime.leftovers import sweep
 from huepose_services.runtime.run_folder import is_private, known_folders, make_folder
 
 
@@ -85,7 +86,8 @@ def described(config: Config, path: Path) -> Pipeline:
 
 @contextmanager
 def noted(pipeline: Pipeline) -> Iterator[None]:
-    """While a pipeline runs in this process. Without a folder to write, nobody finds it: that is all."""
+    """While a pipeline runs in this process. Without a folder to write, nobody finds it: that is all. What
+    killed workers have left there goes."""
     folder = run_folder()
     note = folder / f"{os.getpid()}-{pipeline.base_port}.json"
     with suppress(OSError, InputError):
@@ -96,6 +98,7 @@ def noted(pipeline: Pipeline) -> Iterator[None]:
             msgspec.json.encode(msgspec.structs.replace(pipeline, folder=str(folder.absolute())))
         )
         fresh.replace(note)
+        sweep(folder, _ports)
     try:
         yield
     finally:
@@ -118,6 +121,11 @@ def running(without_this: bool = False) -> list[Pipeline]:
             pipeline = msgspec.json.decode(note.read_bytes(), type=Pipeline)
             found[pipeline.folder, pipeline.base_port, pipeline.name] = pipeline
     return list(found.values())
+
+
+def _ports() -> set[int]:
+    """Of the pipelines that run now."""
+    return {pipeline.base_port + place for pipeline in running() for place in range(len(WORKERS))}
 
 
 def occupant(config: Config, worker: str) -> str:

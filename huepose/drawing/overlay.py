@@ -94,7 +94,8 @@ def draw_axes(
     image: UInt8, camera: Camera, T_cam_obj: Float, length_m: float, letters: bool = False
 ) -> UInt8:
     """x red, y green, z blue from the object's origin, each `length_m` long, the farthest tip drawn first.
-    letters: at the tips, of axes that do not point at the camera or away from it."""
+    letters: at the tips, or where an axis leaves the picture, of axes that do not point at the camera or away
+    from it."""
     picture = image.copy()
     tips = apply(T_cam_obj, np.vstack([np.zeros(3), length_m * np.eye(3)]))
     pixels = camera.project(tips)
@@ -105,11 +106,21 @@ def draw_axes(
             cv2.line(picture, start, end, AXES[k], 2, cv2.LINE_AA, 4)
             along = line[1] - line[0]
             length_px = float(np.linalg.norm(along))
-            if letters and length_px > _LETTER_PX:
-                x, y = line[1] + _LETTER_PX * along / length_px + (-4.0, 4.0)
-                at = (round(float(x)), round(float(y)))
-                cv2.putText(picture, "xyz"[k], at, FONT, LABEL_SCALE, (20, 20, 20), 1, cv2.LINE_AA)
+            seen, _, tip = cv2.clipLine(
+                (0, 0, camera.width, camera.height), *np.rint(line).astype(int).tolist()
+            )
+            if letters and seen and length_px > _LETTER_PX:
+                at = tip + _LETTER_PX * along / length_px + (-4.0, 4.0)
+                _put_inside(picture, "xyz"[k], at)
     return picture
+
+
+def _put_inside(picture: UInt8, letter: str, at: Float) -> None:
+    """A letter whose lower left corner is at a pixel (2,), moved so that all of it lies inside."""
+    (width, height), base = cv2.getTextSize(letter, FONT, LABEL_SCALE, 1)
+    low, high = (1, height + 1), (picture.shape[1] - width - 1, picture.shape[0] - base - 1)
+    x, y = np.rint(np.clip(at, low, high)).astype(int).tolist()
+    cv2.putText(picture, letter, (x, y), FONT, LABEL_SCALE, (20, 20, 20), 1, cv2.LINE_AA)
 
 
 def draw_label(

@@ -60,13 +60,16 @@ MOST_HIDDEN = 100
 RED = (235, 60, 50)
 """Of a pose that is TRACKING and wrong."""
 
+BLUE = (40, 110, 255)
+"""Of the true pose where there is no answer."""
+
 VIEW_PX, CROP_PX = 220, 200
 
 AXES = ("+x", "+y", "+z", "-x", "-y", "-z")
 CAPTION = (
     "First the object from six sides. Its axes are drawn on it, and its colour pairs in pink. Then the drawn "
     "scenes and the answers: state, quality, whether it is right, distance. Green: TRACKING and right; "
-    "amber: SUSPECT, not to be acted on; red: TRACKING and wrong."
+    "amber: SUSPECT, not to be acted on; red: TRACKING and wrong; blue: LOST, drawn where it is."
 )
 
 
@@ -75,7 +78,8 @@ class Trial:
     """One drawn question. size_px: the object's diameter in the picture; right: ADD under a tenth of the
     diameter, to the nearest of the poses that look the same, and not turned; shape_right: ADD-S under it;
     turn: rotation vector (3,) of the answer about the object's axes, from the nearest of these poses, where
-    it is in the right place and turned; crop: the picture (H, W, 3) around it with the answer."""
+    it is in the right place and turned; crop: the picture (H, W, 3) around it with the answer, or
+    without one the truth."""
 
     distance_m: float
     size_px: float
@@ -125,7 +129,7 @@ def _trials(model: ReferenceModel, estimator: Estimator, count: int, seed: int) 
         right, shape_right, turn = (False, False, None) if T is None else judge(model, T, T_true)
         distance_m = float(se3.apply(T_true, model.mesh.centre[None])[0, 2])
         falsely_sure = answer.state == "TRACKING" and not right
-        color = RED if falsely_sure else STATE_COLOURS.get(answer.state, RED)  # a LOST one is not drawn
+        color = BLUE if T is None else RED if falsely_sure else STATE_COLOURS.get(answer.state, RED)
         yield Trial(
             distance_m,
             drawn.camera.fx * model.diameter_m / distance_m,
@@ -134,7 +138,7 @@ def _trials(model: ReferenceModel, estimator: Estimator, count: int, seed: int) 
             answer.quality,
             right,
             shape_right,
-            _crop(model, frame.color, drawn.camera, around, T, color),
+            _crop(model, frame.color, drawn.camera, around, T_true if T is None else T, color),
             turn,
         )
 
@@ -322,10 +326,9 @@ def _view(model: ReferenceModel, k: int) -> tuple[UInt8, str]:
 
 
 def _crop(
-    model: ReferenceModel, color: UInt8, camera: Camera, around: Box, T: Float64 | None, line: Colour
+    model: ReferenceModel, color: UInt8, camera: Camera, around: Box, T: Float64, line: Colour
 ) -> UInt8:
-    if T is not None:
-        color = draw_mask_outline(color, silhouette(model.mesh, T, camera), line, 1)
+    color = draw_mask_outline(color, silhouette(model.mesh, T, camera), line, 1)
     side = max(around.w, around.h, CROP_PX / 2)
     x, y = around.x + around.w / 2 - 0.7 * side, around.y + around.h / 2 - 0.7 * side
     rows, columns = Box(x, y, 1.4 * side, 1.4 * side).slices(camera.width, camera.height)

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -82,6 +84,26 @@ def test_axes_end_where_the_unit_points_project() -> None:
     assert tuple(picture[150, 160]) == overlay.AXES[1]
     assert not changed(picture)[:, 225:].any()
     assert not changed(picture)[185:].any()
+
+
+@pytest.mark.parametrize(
+    ("x_px", "y_px"),
+    [(95.0, 0.0), (100.0, 0.0), (130.0, 0.0), (0.0, 55.0), (0.0, 90.0), (-150.0, 0.0), (400.0, 0.0)],
+)
+def test_letters_of_axes_stay_inside_where_an_axis_ends_at_the_border_or_beyond(
+    x_px: float, y_px: float
+) -> None:
+    """x_px, y_px: of the origin from the middle; the last one is out of the picture with all its axes."""
+    T = se3.make(np.eye(3), np.array([x_px, y_px, 600.0]) / 1200.0)
+    wide = replace(CAMERA, cx=CAMERA.cx + 500, cy=CAMERA.cy + 500, width=1320, height=1240)
+
+    def letters(camera: Camera) -> int:
+        """How many pixels they have."""
+        paper = np.full((camera.height, camera.width, 3), 100, np.uint8)
+        bare, named = (overlay.draw_axes(paper, camera, T, 0.05, letters=way) for way in (False, True))
+        return int((bare != named).any(-1).sum())
+
+    assert letters(CAMERA) == pytest.approx(letters(wide) if x_px < 400.0 else 0, rel=0.1)
 
 
 def test_tint_mixes_inside_the_mask_only() -> None:

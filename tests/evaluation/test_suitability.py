@@ -7,9 +7,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from huepose.evaluation import suitability
 from huepose.evaluation.suitability import Trial, in_words, judge, judged, seen_in_part, self_test, sheet
 from huepose.geometry import se3
 from huepose.model import ReferenceModel
+from huepose.scenes.rendered import SceneRanges
 
 CROP = np.zeros((20, 30, 3), np.uint8)
 
@@ -128,6 +130,19 @@ def test_the_self_test_and_its_sheet(tea_box: ReferenceModel) -> None:
     assert 0 < len(found.trials) <= 3
     assert in_words(tea_box, found).startswith("tea_box suits: 9.0 x 6.0 x 15.0 cm, right in 100 %")
     assert sheet(tea_box, found).shape[2] == 3
+
+
+def test_where_there_is_no_pose_the_sheet_shows_where_the_object_is(
+    tea_box: ReferenceModel, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(suitability, "RANGES", SceneRanges(distance_m=(9.0, 9.4)))
+    (lost,) = self_test(tea_box, count=1).trials
+    assert lost.state == "LOST"
+    outline = np.abs(lost.crop.astype(int) - suitability.BLUE).sum(2) < 60
+    rows, columns = np.nonzero(outline)
+    # It stands in the middle of the picture.
+    assert abs(np.mean([rows.min(), rows.max()]) - lost.crop.shape[0] / 2) < 0.1 * lost.crop.shape[0]
+    assert abs(np.mean([columns.min(), columns.max()]) - lost.crop.shape[1] / 2) < 0.1 * lost.crop.shape[1]
 
 
 def test_the_same_seed_asks_the_same(tea_box: ReferenceModel) -> None:

@@ -33,9 +33,9 @@ class Answered:
             frames.add(frame if times >= (turns if asked.instance is None else 1) else None)
         return frames.pop() if len(frames) == 1 else None
 
-    def forget(self, name: str | None = None) -> None:
-        """Answers about an object count no more, without a name any."""
-        self._newest = {key: said for key, said in self._newest.items() if name not in (None, key[0])}
+    def forget(self, name: str) -> None:
+        """Answers about an object count no more."""
+        self._newest = {key: said for key, said in self._newest.items() if key[0] != name}
 
 
 def _key(asked: RequestedObject) -> tuple[str, int | None]:

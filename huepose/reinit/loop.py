@@ -139,10 +139,11 @@ class ReinitLoop:
         self._now_ns = now_ns
         self._observe(now_ns, tracks)
         self._outbox.acknowledge(self._tracks)
-        given_up = self._outbox.give_up(now_ns, self.config.give_up_ms * 1e6)
-        self.counters.given_up += given_up
-        if given_up:
-            self._answered.forget()  # what came of an answer was lost
+        for correction in self._outbox.give_up(now_ns, self.config.give_up_ms * 1e6):
+            self.counters.given_up += 1
+            if correction.verdict is Verdict.ACQUIRE:
+                # Of one that is tracked nothing can come before the next frame.
+                self._answered.forget(correction.object)
         if self._in_flight is not None and now_ns >= self._in_flight.deadline_ns:
             self.counters.expired += 1
             self._pace.expired((self._in_flight.deadline_ns - self._asked_ns) * 1e-9)

@@ -44,12 +44,10 @@ class Outbox:
             if track is not None and track.applied_correction_seq >= self._sent[key].correction.seq:
                 del self._sent[key]
 
-    def give_up(self, now_ns: int, after_ns: float) -> int:
-        """Drop what was sent for too long; returns how many."""
+    def give_up(self, now_ns: int, after_ns: float) -> list[Correction]:
+        """Drop what was sent for too long, and return it."""
         old = [key for key, sent in self._sent.items() if now_ns - sent.first_ns > after_ns]
-        for key in old:
-            del self._sent[key]
-        return len(old)
+        return [self._sent.pop(key).correction for key in old]
 
     def due(self, now_ns: int, period_ns: float) -> list[Correction]:
         """What shall be sent again now."""

@@ -208,6 +208,32 @@ def test_a_request_takes_its_frame_along_and_the_answer_has_its_stamp(sides):
 
 
 @pytest.mark.live
+def test_a_frame_about_which_all_was_answered_does_not_cross_again_and_the_next_one_does(sides):
+    robot, desk = sides()
+    looks = desk.other.inbox.queue(desk.other.keys.look)
+    now = time.monotonic_ns()
+    request = msgspec.structs.replace(EXAMPLES[PerceptionRequest], publish_ns=now, deadline_ns=now + 10**10)
+    frame = _frame(now)
+
+    def crossed(frame=frame, request=request):
+        robot.other.put_pixels(robot.other.keys.frame, frame, PIXELS)
+        if request is not None:
+            robot.other.put_control(robot.other.keys.request, request)
+        time.sleep(0.05)
+        return desk.other.take_with_payload(looks, Look)
+
+    _until(crossed)
+    time.sleep(0.3)
+    while desk.other.take_with_payload(looks, Look) is not None:
+        pass
+    seen = msgspec.structs.replace(request, seen=(frame.camera_epoch, frame.frame_id))
+    assert [crossed(request=seen) for _ in range(5)] == [None] * 5
+    newer = msgspec.structs.replace(frame, frame_id=frame.frame_id + 1)
+    look, _ = _until(lambda: crossed(newer, None))
+    assert (look.request, look.frame.frame_id) == (seen, newer.frame_id)
+
+
+@pytest.mark.live
 @pytest.mark.parametrize(("far", "kind"), [(ALL[1:], Detections), (ALL[2:], Masks)])
 def test_only_the_end_of_perception_may_be_there(sides, far, kind):
     robot, desk = sides(far)

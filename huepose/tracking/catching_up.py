@@ -38,7 +38,7 @@ class Pursuit:
         self.correction = correction
         self.track = Track(subject, correction.object, correction.instance, config)
         if before is not None:
-            self.track.baseline, self.track.light = before.remembered(correction.stamp_ns), before.light
+            self.track.baseline, self.track.light = before.remembered(correction.stamp_ns), before.sure_light
         self.poses: list[tuple[int, Float64]] = []
         self._config = config
 

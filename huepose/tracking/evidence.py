@@ -115,9 +115,6 @@ SAME_LIGHT, OTHER_LIGHT, OTHER_THING = 2.0, 10.0, 25.0
 another light, and of another thing. Origin: true poses in pairs of frames, recorded ones in one light (0.2 to
 4) and path-traced or drawn ones in changed light (5 to 15); what was taken for an object (15 to 50)."""
 
-ANOTHER_COLOR = -1.0
-"""Log-odds from which the light of a pose that is not believed is not learned."""
-
 LIGHT_CHANGES = 0.2
 """Probability that the light changed while the object was not followed. Assumed."""
 

@@ -43,7 +43,10 @@ object that is half hidden for seconds must not cost more than others."""
 
 
 class Track:
-    """The state of one instance. In each live frame `look` finds it, then `update_state` sets its state."""
+    """The state of one instance. In each live frame `look` finds it, then `update_state` sets its state.
+
+    baseline, light: its usual total and the light's offset (3,), by the poses that are followed; sure_light:
+    the light when it was last TRACKING."""
 
     def __init__(self, subject: Subject, object_name: str, instance: int, config: TrackerConfig) -> None:
         self.subject, self.object, self.instance = subject, object_name, instance
@@ -54,6 +57,7 @@ class Track:
         self.applied_seq = 0
         self.baseline: float | None = None
         self.light: Float64 | None = None
+        self.sure_light: Float64 | None = None
         self.frame: RgbdFrame | None = None
         self.evidence = 0.0
         self._config = config
@@ -229,7 +233,9 @@ class Track:
                 better = self.baseline is None or (total > self.baseline and not self._may_be_another)
                 if self.state is State.TRACKING or better:
                     self.baseline = evidence.baseline_after(self.baseline, total)
-                    self._learn_light()
+                    self.light = evidence.light_after(self.light, self.terms)
+                    if self.state is State.TRACKING:
+                        self.sure_light = self.light
                 self._supported_ns = frame.stamp_ns
                 if self._identity is not None and self.evidence >= self._config.tracking_quality:
                     if self._spread < LOOSE:
@@ -274,14 +280,6 @@ class Track:
             self.baseline is None or total >= self.baseline
         ):
             self.baseline = evidence.baseline_after(self.baseline, total)
-            self._learn_light()
-
-    def _learn_light(self) -> None:
-        """Update the known light; of a pose that is not believed only where it may be the same thing."""
-        if (
-            self.state is State.TRACKING
-            or evidence.same_color(self.terms, self.light) > evidence.ANOTHER_COLOR
-        ):
             self.light = evidence.light_after(self.light, self.terms)
 
     def place(self, verified: Track, quality: float, frame: RgbdFrame) -> None:
@@ -420,7 +418,7 @@ class Track:
 
     def _of_its_color(self, likely: float) -> float:
         """That probability, when what is seen may be another thing by its colour."""
-        against = evidence.same_color(self.terms, self.light)
+        against = evidence.same_color(self.terms, self.sure_light)
         return likely if against == 0.0 else probability(evidence.odds_of(likely) + against)
 
     def _view(self) -> Float64:

@@ -116,6 +116,6 @@ def test_what_perception_finds_after_a_loss_is_doubted_in_another_color(
     assert states[:5] == [State.TRACKING] * 5
     assert states[12] is State.LOST
     assert (State.TRACKING in states[13:]) is not other
-    light = tracker._tracks["plain_bracket", 0].light
+    light = tracker._tracks["plain_bracket", 0].sure_light
     assert light is not None
-    assert float(np.abs(light).max()) < 8.0, "of another thing no light is learned"
+    assert float(np.abs(light).max()) < 8.0, "it is known from when it was sure"

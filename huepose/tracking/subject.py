@@ -32,6 +32,7 @@ class Subject:
     near_symmetries: Float64
     other_turns: Float64
     small_turns: Float64
+    slides: Float64
     contours: Contours
 
     @staticmethod
@@ -41,7 +42,8 @@ class Subject:
         other = [not _same_turn(model, turn) for turn in turns]
         contours, wrong = Contours.of(model), turns[np.array(other, bool)]
         small = [se3.rotation_angle(turn, np.eye(4)) <= SMALL_TURN for turn in wrong]
-        return Subject(model, contours.surface, turns, wrong, wrong[np.array(small, bool)], contours)
+        small_wrong = wrong[np.array(small, bool)]
+        return Subject(model, contours.surface, turns, wrong, small_wrong, _slides(turns), contours)
 
     @property
     def mesh(self) -> Mesh:
@@ -56,6 +58,20 @@ class Subject:
     def make_ready(self) -> None:
         """Load everything that is computed lazily, so that no frame waits for it."""
         _ = self.contours.lines, self.views
+
+
+SLIDES = (-2.0, -1.0, -0.5, 0.5, 1.0, 2.0)
+"""Of the step between two near-symmetric rotations about an axis of revolution."""
+
+
+def _slides(turns: Float64) -> Float64:
+    """Rotations (K, 4, 4) about the axis of revolution, in parts of the smallest of these turns (M, 4, 4);
+    none where there is no such axis."""
+    angles = [se3.rotation_angle(turn, np.eye(4)) for turn in turns]
+    if not angles or min(angles) > SMALL_TURN:
+        return np.zeros((0, 4, 4))
+    step = se3.log(turns[int(np.argmin(angles))])
+    return np.array([se3.exp(part * step) for part in SLIDES])
 
 
 def _same_turn(model: ReferenceModel, turn: Float64) -> bool:

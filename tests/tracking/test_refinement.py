@@ -18,7 +18,7 @@ from huepose.tracking.config import TrackerConfig
 from huepose.tracking.hypothesis import Hypothesis
 from huepose.tracking.motion import Reach
 from huepose.tracking.search import search
-from huepose.tracking.step import Anchor, advance, best_of, flow_start
+from huepose.tracking.step import Anchor, advance, best_of, flow_start, rolled_back, unmoved
 from huepose.tracking.subject import Subject
 
 SMALL = np.array([0.004, -0.005, 0.004, 0.04, -0.05, 0.05])
@@ -220,3 +220,15 @@ def test_a_pose_outside_of_the_image_explains_nothing(tea_box, shoot, path) -> N
     assert step.terms.outside == 1.0
     np.testing.assert_array_equal(step.T_cam_obj, away)
     assert surface.box(se3.make(np.eye(3), np.array([0.0, 0.0, -1.0])), shoot([]).camera) is None
+
+
+def test_a_pose_that_slid_about_its_axis_of_revolution_is_rolled_back(soup_can, tea_box, shoot, path) -> None:
+    subject, T = Subject.of(soup_can), path(0)
+    frame = shoot([(soup_can.mesh, T)])
+    slid = unmoved(subject.surface, frame, T @ subject.slides[1], None)
+    found = rolled_back(subject, frame, slid, None)
+    assert se3.rotation_angle(slid.T_cam_obj, T) > np.radians(10.0)
+    assert se3.rotation_angle(found.T_cam_obj, T) < np.radians(2.0)
+    right = unmoved(subject.surface, frame, T, None)
+    assert rolled_back(subject, frame, right, None) is right
+    assert len(Subject.of(tea_box).slides) == 0, "it has no such axis"

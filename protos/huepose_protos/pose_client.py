@@ -134,7 +134,9 @@ class PoseClient:
             history = self._history.setdefault(instance, deque(maxlen=_KEPT))
             if history and history[-1].camera_epoch != pose.camera_epoch:
                 history.clear()
-            if history and pose.capture_ns <= history[-1].capture_ns:
+            if history and _says_again(pose, history[-1]):
+                history.pop()  # the newest word about a frame is what holds of it
+            elif history and pose.capture_ns <= history[-1].capture_ns:
                 return  # asked for and heard as well
             history.append(pose)
             self._arrived[instance] = time.monotonic()
@@ -255,6 +257,13 @@ class PoseClient:
 
     def __exit__(self, *error: object) -> None:
         self.close()
+
+
+def _says_again(pose: PoseMessage, last: PoseMessage) -> bool:
+    """Whether a message says something new about the frame of the last one: that no newer one came, or what a
+    correction changed."""
+    same = pose.capture_ns == last.capture_ns and pose.publish_ns > last.publish_ns
+    return same and (pose.state, pose.applied_correction_seq) != (last.state, last.applied_correction_seq)
 
 
 def _offset_ns(pose: PoseMessage) -> int:

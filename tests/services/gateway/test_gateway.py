@@ -79,6 +79,32 @@ def test_a_fast_source_is_cut_to_the_rate_but_a_change_of_state_passes_at_once(s
     assert len(got) < 40
 
 
+def test_the_newest_word_about_a_frame_is_what_a_subscriber_knows_of_it(start):
+    """As when the camera stops: the last pose is said again, as one to doubt. What is only repeated, and
+    what is older, is not heard again."""
+    one = start()
+    with PoseClient(one.config.endpoint("tracker")) as client:
+        one.say_until(lambda: client.latest() is not None)
+        before, sure = one.say(5000), one.say(5001, state="TRACKING")
+        later = {"capture_ns": sure.capture_ns, "state": "SUSPECT", "reason": "No new frame came."}
+        doubted = one.say(5001, **later)
+        one.say(5001, **later)
+        one.say(5001, capture_ns=sure.capture_ns, publish_ns=sure.publish_ns, state="TRACKING")
+        one.say(5000, capture_ns=before.capture_ns, state="SUSPECT")
+        applied = doubted.applied_correction_seq + 1
+        corrected = one.say(5001, **later, applied_correction_seq=applied)
+        last = one.say(5002, state="SUSPECT")
+        heard = []
+        while (pose := client.next(2.0)) != last:
+            assert pose is not None
+            heard.append(pose)
+        kept = [p for p in client._history[last.frame, last.object, last.instance] if p.frame_id >= 5000]
+        between = client.at(sure.capture_ns + sure.realtime_offset_ns)
+    assert heard[-4:] == [before, sure, doubted, corrected]
+    assert kept == [before, corrected, last]
+    assert between.state == "SUSPECT"
+
+
 def test_what_comes_from_outside_changes_nothing(start, wait_until):
     one = start()
     correction = encode(EXAMPLES[CorrectionMessage])

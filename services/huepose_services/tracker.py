@@ -32,12 +32,14 @@ from huepose_services.following import Follower, Retired
 from huepose_services.held import held
 from huepose_services.intake import MEMORY_EVERY_NS, Clock, InputCache, Intake
 from huepose_services.runtime.bus import Bus
-from huepose_services.runtime.clock import check_number, now_ns
+from huepose_services.runtime.clock import SECOND, check_number, now_ns
 from huepose_services.runtime.config import Config
 from huepose_services.runtime.log import StateChanges
 from huepose_services.runtime.work import Work
 
 _REFUSED_EVERY_S = 10.0
+# Who comes late is to hear that the camera has stopped.
+_SAID_AGAIN_NS = SECOND
 _Frame = tuple[int, int]
 
 
@@ -110,8 +112,9 @@ class TrackerWork(Work):
         # What perception says against the camera of that epoch.
         self._camera = (0, "")
         self._published: set[tuple[str, int]] = set()
-        # The poses of the newest frame published as TRACKING, and until when they hold without a newer frame.
-        self._tracking_poses: list[TrackedPose] = []
+        # The poses of the newest frame published as TRACKING, and until when that holds without a newer one;
+        # then they are SUSPECT, and said again at that time.
+        self._believed: list[TrackedPose] = []
         self._holds_until_ns = 0
 
     def reload(self, config: Config) -> list[str]:
@@ -126,8 +129,8 @@ class TrackerWork(Work):
         return []
 
     def due_ns(self) -> int | None:
-        """When TRACKING poses become too old if no newer frame comes."""
-        return self._holds_until_ns if self._tracking_poses else None
+        """When TRACKING poses become too old, or are to be said again as such, if no newer frame comes."""
+        return self._holds_until_ns if self._believed else None
 
     def step(self) -> None:
         """Apply what arrived, then track the newest frame."""
@@ -155,20 +158,23 @@ class TrackerWork(Work):
             # already published on that frame is not published again.
             new = [p for p in self._tracker.poses() if (p.object, p.instance) not in self._published]
             self._publish_all(new, self._header, self._pixels)
-        if self._intake.empty and self._tracking_poses and (now := self._clock()) >= self._holds_until_ns:
+        if self._intake.empty and self._believed and (now := self._clock()) >= self._holds_until_ns:
             self._intake.clock_ns.append(now)
             self._withdraw("no new frame came")
+            self._holds_until_ns = now + _SAID_AGAIN_NS
 
     def _withdraw(self, why: str) -> None:
-        """Publish the TRACKING poses again as SUSPECT, without a newer frame."""
-        header, poses = self._header, self._tracking_poses
-        self._tracking_poses = []
+        """Publish what was TRACKING again as SUSPECT, without a newer frame."""
+        header, before = self._header, self._believed
+        self._believed = [_doubted(pose) for pose in before]
         if header is None:
             return
-        self._bus.log.seldom("withdrawn", f"poses are SUSPECT: {why}")
-        for pose in poses:
-            self._bus.health.count("poses_too_old")
-            self._put(_doubted(pose), header, self._intake.now(), _sentence(why))
+        fresh = sum(pose.state is State.TRACKING for pose in before)
+        if fresh:
+            self._bus.log.seldom("withdrawn", f"poses are SUSPECT: {why}")
+            self._bus.health.count("poses_too_old", fresh)
+        for pose in self._believed:
+            self._put(pose, header, self._intake.now(), _sentence(why))
 
     def _publish_log(self) -> None:
         """Publish the log of the step for a recorder, and now and then the memory."""
@@ -198,7 +204,7 @@ class TrackerWork(Work):
             self._complaint,
             self._camera,
         )
-        tracking, told = memory.plain(self._tracking_poses, self._tracker), memory.told(self._tracker)
+        tracking, told = memory.plain(self._believed, self._tracker), memory.told(self._tracker)
         return MemoryMessage(
             publish_ns=now_ns(),
             seq=self._seq,
@@ -223,7 +229,7 @@ class TrackerWork(Work):
         except (msgspec.MsgspecError, ValueError, TypeError, RecursionError) as error:
             raise InputError("the tracker's memory", found=str(error)[:200], expected="MessagePack") from None
         memory.taken_over(self._tracker, plain, pixels)
-        self._tracking_poses = memory.restored(tracking, self._tracker, pixels)
+        self._believed = memory.restored(tracking, self._tracker, pixels)
         self._holds_until_ns, self._complaint, self._camera = mine.holds_until_ns, mine.complaint, mine.camera
         found = None if mine.newest is None else frame_of(*mine.newest)
         self._header, self._pixels = (None, None) if found is None else found
@@ -237,6 +243,7 @@ class TrackerWork(Work):
             self._intake.change(change)
             name = change.entry.object
             self._retired.add(name, change.entry.retired)
+            self._believed = [pose for pose in self._believed if pose.object != name]
             if change.removed:
                 self._tracker.remove_object(name)
             elif change.added is not None:
@@ -304,7 +311,7 @@ class TrackerWork(Work):
         if self._cache is not None:
             self._cache.frame(header, payload, frame, self._intake.recorded)
         complaint = complaint_about(frame, self._pixels) or lens_doubted(frame, self._fx_of_size)
-        self._pixels, self._tracking_poses, self._complaint = frame, [], complaint
+        self._pixels, self._believed, self._complaint = frame, [], complaint
         health.warn_while("frame", complaint)
         self._published.clear()
         self._intake.frame = header
@@ -350,7 +357,7 @@ class TrackerWork(Work):
             self._bus.health.count("poses_too_old")
         self._put(pose, header, now, reason)
         if pose.state is State.TRACKING and not stands:
-            self._tracking_poses.append(pose)
+            self._believed.append(pose)
             self._holds_until_ns = now + self._max_age_ns
 
     def _put(self, pose: TrackedPose, header: FrameHeader, now: int, reason: str) -> None:

@@ -19,7 +19,7 @@ from huepose_protos.examples import images, messages
 from huepose_protos.messages import CorrectionMessage, FrameHeader, MaskRuns, ObjectEntry, PoseMessage
 from huepose_services.doubts import TOO_OLD
 from huepose_services.following import Change
-from huepose_services.runtime.clock import now_ns
+from huepose_services.runtime.clock import SECOND, now_ns
 from huepose_services.runtime.config import CameraConfig, Config, TrackerConfig
 from huepose_services.runtime.health import Health
 from huepose_services.runtime.log import Log
@@ -130,10 +130,10 @@ class _Objects:
         return out
 
 
-def _worker(T_cam_obj, once=False):
+def _worker(T_cam_obj, once=False, clock=now_ns):
     config = Config(tracker=TrackerConfig(max_age_ms=300.0), camera=CameraConfig(once=once))
     bus, objects = _Bus(), _Objects()
-    return TrackerWork(bus, _Tracker(T_cam_obj), objects, config), bus, objects
+    return TrackerWork(bus, _Tracker(T_cam_obj), objects, config, clock), bus, objects
 
 
 def _frame(number, age_ms):
@@ -318,10 +318,30 @@ def test_without_a_new_frame_nothing_stays_to_be_acted_on():
     work.step()
     assert [p.state for p in bus.out] == ["TRACKING", "SUSPECT"]
     assert bus.out[1].frame_id == bus.out[0].frame_id
-    assert work.due_ns() is None
+    assert SECOND // 2 < work.due_ns() - now_ns() <= SECOND
     bus.waiting["frame"] = [_frame(2, 0.0)]
     work.step()
     assert bus.out[-1].state == "TRACKING"
+
+
+def test_who_comes_after_the_camera_stopped_hears_once_a_second_that_it_has():
+    at = [now_ns()]
+    work, bus, objects = _worker(se3.make(np.eye(3), np.array([0.0, 0.0, 0.5])), clock=lambda: at[0])
+    bus.waiting["frame"] = [_frame(1, 0.0)]
+    work.step()
+    for _ in range(50):  # five seconds
+        at[0] += SECOND // 10
+        work.step()
+    said = bus.out[1:]
+    assert [p.publish_ns - said[0].publish_ns for p in said] == [k * SECOND for k in range(5)]
+    assert {(p.state, p.frame_id, p.reason) for p in said} == {("SUSPECT", 1, "No new frame came.")}
+    assert bus.health.counters["poses_too_old"] == 1
+    objects.next = [Change(ObjectEntry(object="mug", max_instances=1, searching=1), removed=True)]
+    work._tracker.remove_object = lambda name: None
+    at[0] += 2 * SECOND
+    work.step()
+    assert bus.out[1:] == said, "nothing is said of an object that is gone"
+    assert work.due_ns() is None
 
 
 def test_the_first_frame_of_a_recording_stands_for_as_long_as_it_takes():

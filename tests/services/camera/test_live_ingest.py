@@ -137,7 +137,7 @@ def test_a_frame_says_that_its_camera_has_stopped_until_it_shows_another_picture
     if not doubted:
         assert said_s == []
         return
-    assert 1.9 < said_s[0] < 2.5
+    assert 1.3 < said_s[0] < 1.8
     assert 2.8 < said_s[-1] < 3.1
     assert "cam.py: its picture stands still" in bus.headers[-60].camera
     assert bus.headers[-1].camera == ""

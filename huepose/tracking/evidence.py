@@ -150,6 +150,11 @@ class Standing:
     supported: int = 0
     found: bool = False
 
+    @property
+    def just_found(self) -> bool:
+        """Whether all that is missing are more frames like this one."""
+        return self.state is State.SUSPECT and 0 < self.supported < RETURNED_AFTER
+
 
 def next_standing(before: Standing, evidence: float, confirmed: bool, config: TrackerConfig) -> Standing:
     """The state after a frame with that evidence, which is not the published quality; confirmed: identity and

@@ -100,7 +100,10 @@ class Track:
             return Doubt.ANOTHER
         if self._orientation.probability < self._config.confirmed_turn:
             return Doubt.TURN
-        return None if identity >= self._config.confirmed_identity else Doubt.IDENTITY
+        if identity < self._config.confirmed_identity:
+            return Doubt.IDENTITY
+        sure = self.quality >= self._config.least_quality
+        return Doubt.FOUND if sure and self._standing.just_found else None
 
     @property
     def halfway(self) -> bool:

@@ -39,7 +39,15 @@ DARK = "The picture is too dark there."
 TURN = "It fits, but turned another way it would fit nearly as well: seen from another side it becomes sure."
 UNCONFIRMED = "It fits, but was found on little: found here again or seen from another side, it is sure."
 ANOTHER = "It may be another thing that looks like it: found again or seen from another side, it is sure."
+FOUND = "It was found just now: if the next frames agree it is sure."
 DISAGREES = "Too little of what is seen there agrees with its shape and texture."
+_SAID = {
+    None: DISAGREES,
+    Doubt.TURN: TURN,
+    Doubt.IDENTITY: UNCONFIRMED,
+    Doubt.ANOTHER: ANOTHER,
+    Doubt.FOUND: FOUND,
+}
 
 _SAMPLES = 300
 _SMALL_PX = 24.0
@@ -89,8 +97,7 @@ def why_doubted(
         return NOT_THERE
     if not _few(dark(frame.color[rows, columns])):
         return DARK
-    said = {None: DISAGREES, Doubt.TURN: TURN, Doubt.IDENTITY: UNCONFIRMED, Doubt.ANOTHER: ANOTHER}
-    return said[doubt]
+    return _SAID[doubt]
 
 
 def _few(which: np.ndarray) -> bool:

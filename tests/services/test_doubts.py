@@ -82,7 +82,12 @@ def test_the_reason_is_the_one_that_was_made(expected: str) -> None:
 
 @pytest.mark.parametrize(
     ("doubt", "said"),
-    [(Doubt.TURN, why.TURN), (Doubt.IDENTITY, why.UNCONFIRMED), (Doubt.ANOTHER, why.ANOTHER)],
+    [
+        (Doubt.TURN, why.TURN),
+        (Doubt.IDENTITY, why.UNCONFIRMED),
+        (Doubt.ANOTHER, why.ANOTHER),
+        (Doubt.FOUND, why.FOUND),
+    ],
 )
 def test_what_only_the_tracker_knows_is_said_where_the_frame_shows_all(doubt: Doubt, said: str) -> None:
     frame = seen(NEAR)

@@ -12,6 +12,7 @@ from huepose.tracking import Correction, State, Tracker, track
 from huepose.tracking import step as one_step
 from huepose.tracking.elsewhere import likeliest_place
 from huepose.tracking.subject import Subject
+from huepose.tracking.types import Doubt
 
 HALF_A_SECOND = 15
 """Frames at 30 Hz."""
@@ -60,14 +61,16 @@ def test_what_was_lost_is_found_on_the_other_side(tea_box, shoot, path) -> None:
     tracker, elsewhere = _tracked(tea_box, shoot, _away(T, -0.15)), _away(T, 0.2, 1.2)
     states = [tracker.step(shoot([], number))[0].state for number in range(4, 14)]
     assert states[-1] is State.LOST
-    states = []
+    states, doubts = [], []
     for number in range(14, 14 + HALF_A_SECOND):
         (pose,) = tracker.step(shoot([(tea_box.mesh, elsewhere)], number))
         states.append(pose.state)
+        doubts.append(tracker.doubt("tea_box", 0))
     assert pose.T_cam_obj is not None
     assert np.linalg.norm(pose.T_cam_obj[:3, 3] - elsewhere[:3, 3]) < 0.005
     assert states[-1] is State.TRACKING
-    assert State.SUSPECT in states, "at first"
+    assert doubts[states.index(State.TRACKING) - 1] is Doubt.FOUND, "SUSPECT at first, and for that alone"
+    assert doubts[-1] is None
 
 
 def test_what_jumps_is_found_before_it_is_lost(tea_box, shoot, path) -> None:

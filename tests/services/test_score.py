@@ -99,7 +99,17 @@ def test_a_wrong_pose_as_tracking_is_counted_and_as_suspect_not():
     assert summary["recall_add"] == 0.0
     assert summary["auc_add"] == pytest.approx(70.0, abs=0.01)
     assert summary["acquired_after_s"] is None
-    assert shortcomings(summary)[0] == "thing had no right pose"
+    assert shortcomings(summary)[:2] == [
+        "false TRACKING, on which a robot would have acted: thing in 4 frames",
+        "thing had no right pose",
+    ]
+
+
+def test_one_wrong_frame_that_costs_no_recall_is_a_shortcoming():
+    poses = [_pose(i, off_m=0.03 if i == 20 else 0.0) for i in range(50)]
+    summary = _score([_truth(i) for i in range(50)], poses).summary(5 * SECOND)
+    assert summary["recall_add"] == 98.0
+    assert shortcomings(summary) == ["false TRACKING, on which a robot would have acted: thing in 1 frame"]
 
 
 def test_hidden_frames_are_left_out_and_the_last_ones_too():

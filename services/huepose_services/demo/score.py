@@ -14,6 +14,7 @@ from huepose.datasets.types import GONE, VISIBLE
 from huepose.evaluation.metrics import RECALL_FRACTION, add, adds, four_figures
 from huepose.evaluation.states import Moment, StateReport, combined, report
 from huepose.geometry.arrays import Float32, Float64
+from huepose.support.words import counted
 from huepose_protos.messages import PoseMessage, TruthMessage
 from huepose_services.convert import optional_pose_from_wire, pose_of
 from huepose_services.runtime.clock import SECOND
@@ -195,8 +196,13 @@ def _one(states: StateReport, errors: Float64, yardstick: Yardstick) -> dict[str
 
 
 def shortcomings(summary: Mapping[str, Any]) -> list[str]:
-    """What the demo should have shown and has not: every object acquired, nine poses of ten right."""
+    """What the demo should have shown and has not, the most dangerous first: no pose to act on that is wrong,
+    every object acquired, nine poses of ten right."""
     out = []
+    false = {name: of["false_tracking_frames"] for name, of in summary["per_object"].items()}
+    if any(false.values()):
+        where = [f"{name} in {counted(frames, 'frame')}" for name, frames in false.items() if frames]
+        out.append(f"false TRACKING, on which a robot would have acted: {', '.join(where)}")
     if summary["acquired_after_s"] is None:
         never = [n for n, of in summary["per_object"].items() if of["acquired_after_s"] is None]
         out.append(f"{', '.join(never)} had no right pose")

@@ -9,6 +9,7 @@ import numpy as np
 from huepose.geometry.arrays import Bool, Float32, UInt8
 from huepose.geometry.camera import Camera, depth_noise_m
 from huepose.geometry.frame import RgbdFrame
+from huepose.support.words import rounded
 
 DARK = 24
 """Of 255: where eight bits have fewer than a tenth of their steps, noise of two steps hides colours."""
@@ -117,16 +118,15 @@ def depth_doubted(frame: RgbdFrame) -> str | None:
     if not len(seen) or float(np.quantile(seen, NEAREST_SHARE)) >= NEVER_NEARER_M:
         return None
     median_m = float(np.median(seen))
-    return f"Half of all depth is nearer than {median_m:.2f} m: is that so, or is the depth scale wrong?"
+    return f"Half of all depth is nearer than {rounded(median_m)} m: is that so, or is the depth scale wrong?"
 
 
 def bad_picture(frame: RgbdFrame, diameter_m: float) -> str | None:
     """What is wrong with a frame in which an object of that diameter is sought; None where nothing is."""
-    share = depth_share(frame.depth)
-    if share < LEAST_DEPTH:
+    if depth_share(frame.depth) < LEAST_DEPTH:
         return (
-            f"The frame has no depth ({100 * share:.1f} % of its pixels have a reading): is the depth stream "
-            "on, and the depth scale right?"
+            f"The frame has no depth (under {100 * LEAST_DEPTH:.0f} % of its pixels have a reading): is the "
+            "depth stream on, and the depth scale right?"
         )
     seen = _readings_of(frame)
     shares = [NEAREST_SHARE, 0.5, 1.0 - NEAREST_SHARE]
@@ -134,18 +134,18 @@ def bad_picture(frame: RgbdFrame, diameter_m: float) -> str | None:
     error_m = depth_noise_m(nearest)
     if error_m > LARGEST_ERROR * diameter_m:
         return (
-            f"All depth is {nearest:.1f} m away or farther, where readings err by {100 * error_m:.0f} cm and "
-            "the object has no shape: is the depth scale right?"
+            f"All depth is {rounded(nearest)} m away or farther, where readings err by "
+            f"{rounded(100 * error_m)} cm and the object has no shape: is the depth scale right?"
         )
     if median < NEVER_NEARER_M:
         return (
-            f"Half of all depth is nearer than {median:.3f} m, where nothing measures: is the depth scale "
-            "right?"
+            f"Half of all depth is nearer than {rounded(median)} m, where nothing measures: is the depth "
+            "scale right?"
         )
     if frame.camera.fx * diameter_m > max(frame.camera.width, frame.camera.height) * farthest:
         return (
-            f"All depth is nearer than {farthest:.2f} m, where an object of {100 * diameter_m:.0f} cm is "
-            "larger than the picture: is the depth scale right?"
+            f"All depth is nearer than {rounded(farthest)} m, where an object of {100 * diameter_m:.0f} cm "
+            "is larger than the picture: is the depth scale right?"
         )
     if all_dark(frame.color):
         return "The picture is black: is the lens covered, or the light off?"

@@ -10,3 +10,12 @@ def counted(number: int, thing: str) -> str:
     ('1 object', '0 poses', '20 labels')
     """
     return f"{number} {thing}" if number == 1 else f"{number} {thing}s"
+
+
+def rounded(value: float) -> str:
+    """A number to two digits that count, so that a sentence with it stays the same while it wavers.
+
+    >>> rounded(941.3), rounded(6.42), rounded(0.0984), rounded(1242000.0), rounded(0.0)
+    ('940', '6.4', '0.098', '1200000', '0')
+    """
+    return f"{float(f'{value:.2g}'):.10g}"

@@ -44,7 +44,7 @@ def test_depth_a_tenth_of_what_it_is_is_asked_about(good: RgbdFrame) -> None:
     assert depth_doubted(good) is None
     said = depth_doubted(replace(good, depth=good.depth / np.float32(10.0)))
     assert said is not None
-    assert said.startswith("Half of all depth is nearer than 0.10 m: is that so")
+    assert said.startswith("Half of all depth is nearer than 0.098 m: is that so")
     assert depth_doubted(replace(good, depth=np.zeros_like(good.depth))) is None
 
 

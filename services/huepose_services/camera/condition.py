@@ -9,6 +9,7 @@ import numpy as np
 
 from huepose.geometry import Camera
 from huepose.geometry.picture_faults import DARK, LEAST_DEPTH, all_dark, depth_share, readings
+from huepose.support.words import rounded
 from huepose_services.camera.live import Shot
 from huepose_services.runtime.clock import SECOND
 
@@ -132,8 +133,9 @@ class Condition:
         if abs(apart_ns) <= MOST_APART * SECOND / self._rate_hz:
             return None
         return (
-            f"depth is {abs(apart_ns) * 1e-6:.0f} ms {'older' if apart_ns > 0 else 'newer'} than colour: "
-            "such pictures are left out. Both streams must have one rate; else plug the camera in again"
+            f"depth is {rounded(abs(apart_ns) * 1e-6)} ms {'older' if apart_ns > 0 else 'newer'} than "
+            "colour: such pictures are left out. Both streams must have one rate; else plug the camera in "
+            "again"
         )
 
 
@@ -157,22 +159,21 @@ def _dark(shot: Shot) -> str | None:
 
 
 def _no_depth(shot: Shot, farthest_m: float) -> str | None:
-    share = depth_share(shot.depth, farthest_m)
-    if share >= LEAST_DEPTH:
+    if depth_share(shot.depth, farthest_m) >= LEAST_DEPTH:
         return None
     if depth_share(shot.depth) >= LEAST_DEPTH:
         median_m = float(np.median(shot.depth[readings(shot.depth)]))
         if median_m > MILLIMETRES_OVER_M:
             return (
-                f"depth looks like millimetres read as metres (half of it is farther than {median_m:.0f} m): "
-                "a camera of your own gives metres, so multiply by 0.001"
+                f"depth looks like millimetres read as metres (half of it is farther than "
+                f"{rounded(median_m)} m): a camera of your own gives metres, so multiply by 0.001"
             )
         return (
-            f"its depth is farther than {farthest_m:.1f} m, half of it farther than {median_m:.1f} m, and is "
-            "not sent: is the depth scale right? If so, set camera.depth_scale_m to send more"
+            f"its depth is farther than {farthest_m:.1f} m, half of it farther than {rounded(median_m)} m, "
+            "and is not sent: is the depth scale right? If so, set camera.depth_scale_m to send more"
         )
     return (
-        f"no depth: {100.0 * share:.1f} % of the picture has a reading up to {farthest_m:.1f} m. "
+        f"no depth: under {100.0 * LEAST_DEPTH:.0f} % of the picture has a reading up to {farthest_m:.1f} m. "
         "Look at the lenses and the projector; what is too near gives none either"
     )
 

@@ -58,12 +58,12 @@ def holes(one):
     ("kind", "words", "spoil"),
     [
         ("dark", "its picture is black", lambda one: replace(one, color=one.color // 10)),
-        ("depth", "no depth: 0.0 %", lambda one: replace(one, depth=np.zeros_like(one.depth))),
-        ("depth", "no depth: 0.0 %", lambda one: replace(one, depth=np.full_like(one.depth, np.nan))),
-        ("depth", "no depth: 0.0 %", lambda one: replace(one, depth=np.full_like(one.depth, np.inf))),
+        ("depth", "no depth: under 1 %", lambda one: replace(one, depth=np.zeros_like(one.depth))),
+        ("depth", "no depth: under 1 %", lambda one: replace(one, depth=np.full_like(one.depth, np.nan))),
+        ("depth", "no depth: under 1 %", lambda one: replace(one, depth=np.full_like(one.depth, np.inf))),
         (
             "depth",
-            "half of it farther than 7.0 m, and is not sent: is the depth scale right?",
+            "half of it farther than 7 m, and is not sent: is the depth scale right?",
             lambda one: replace(one, depth=10.0 * one.depth),
         ),
         (
@@ -163,6 +163,20 @@ def test_metres_that_are_millimetres_are_called_so():
     assert begun_s < 0.6
     assert "depth looks like millimetres read as metres" in text
     assert "a camera of your own gives metres, so multiply by 0.001" in text
+
+
+@pytest.mark.parametrize("farther", [1242.0, 20.0])
+def test_what_is_said_of_a_fault_stands_still_while_the_depth_wavers(farther):
+    def wavering(one):
+        return replace(one, depth=np.float32(farther * (1.0 + 0.002 * (one.number % 5))) * one.depth)
+
+    condition, said = Condition(RATE_HZ, FARTHEST_M), set()
+    for k in range(60):
+        now = round(k / RATE_HZ * SECOND)
+        condition.look(wavering(shot(now)), now)
+        said.add(condition.complaints(now).get("depth"))
+    said.remove(None)
+    assert len(said) == 1
 
 
 def test_a_still_picture_and_one_stamp_for_all_are_named():

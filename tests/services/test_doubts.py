@@ -133,6 +133,20 @@ def test_status_says_what_the_camera_knows_in_place_of_what_follows_from_it() ->
     assert why.COVERED not in text
 
 
+def test_status_says_what_the_newest_picture_shows_once_the_fault_of_the_camera_is_over() -> None:
+    example = next(m for m in messages() if isinstance(m, PoseMessage))
+    pose = msgspec.structs.replace(example, object="mug", instance=2, state="SUSPECT", reason=why.COVERED)
+    health = next(m for m in messages() if isinstance(m, HealthMessage))
+    camera = msgspec.structs.replace(
+        health, worker="camera", picture=NONE_COMES, warnings=[], publish_ns=pose.capture_ns - 1
+    )
+    poses = {("mug", 2): pose}
+    view = View(Pipeline(base_port=17447), True, {"camera": camera}, frozenset(), (), [], poses)
+    text = as_text(view)
+    assert why.COVERED in text
+    assert NONE_COMES not in text
+
+
 def test_status_names_an_object_that_is_found_and_of_which_no_pose_comes() -> None:
     entries = [
         ObjectEntry(object=name, max_instances=1, searching=0, reason=NONE_COMES) for name in ("mug", "jar")

@@ -70,8 +70,7 @@ class LiveIngest(Work):
         if taken is not None:
             self._take(taken)
         trouble = self._reader.trouble
-        self._complain(trouble is None)
-        self._bus.health.picture = self._nothing_is_seen(trouble)
+        self._complain(trouble)
         if trouble != self._told:
             self._told, self._say_ns = trouble, 0
             notify(f"STATUS={trouble or 'ready'}")  # for `systemctl status`
@@ -102,10 +101,11 @@ class LiveIngest(Work):
         else:
             self._bus.health.count("pictures_apart")
 
-    def _complain(self, open_: bool) -> None:
-        """Say what is wrong with the pictures that come, as soon as it is."""
+    def _complain(self, trouble: str | None) -> None:
+        """Say what is wrong with the pictures that come, as soon as it is, and that it is no longer. trouble:
+        what keeps them away."""
         health, now = self._bus.health, now_ns()
-        if open_ and self._frame_id:
+        if trouble is None and self._frame_id:
             self._condition.count(self._reader.pictures, now)
         else:
             self._condition.reopened()
@@ -120,6 +120,7 @@ class LiveIngest(Work):
             if self._condition.settled(kind, now):
                 self._logged.add(kind)
                 self._bus.log.seldom(f"pictures: {kind}", complaints[kind])
+        health.picture = self._nothing_is_seen(trouble)
         if new or over:
             self._bus.say_health()
 

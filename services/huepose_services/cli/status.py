@@ -112,9 +112,7 @@ def as_text(view: View) -> str:
         if message.last_error:
             lines.append(f"  {message.worker}, last error: {message.last_error.splitlines()[0]}")
     lines.append("")
-    # What the camera knows of its pictures is the cause of all that is seen in them.
-    camera = view.health["camera"].picture if "camera" in view.health else ""
-    lines += [_pose(pose, camera) for pose in view.poses.values()]
+    lines += [_pose(pose, view.health.get("camera")) for pose in view.poses.values()]
     with_poses = {name for name, _ in view.poses}
     reason = ""
     for entry in view.objects:
@@ -147,12 +145,16 @@ def _pair(values: tuple[float, float] | None) -> str:
     return "-" if values is None else f"{values[0]:.0f} p99 {values[1]:.0f}"
 
 
-def _pose(pose: PoseMessage, camera: str) -> str:
+def _pose(pose: PoseMessage, camera: HealthMessage | None) -> str:
     who = f"{pose.object}/{pose.instance}"
     text = f"{who:32s} {pose.state:9s}  quality {pose.quality:.2f}"
     if pose.translation is not None:
         x, y, z = pose.translation
         text += f"  {x:+.3f} {y:+.3f} {z:+.3f} m"
     text += f"  {(pose.publish_ns - pose.capture_ns) * 1e-6:.0f} ms old"
-    reason = pose.reason and (camera or pose.reason)
+    reason = pose.reason
+    if reason and camera is not None and camera.picture and pose.capture_ns <= camera.publish_ns:
+        # What the camera knows of its pictures is the cause of all that is seen in them. Of a later one its
+        # pose says itself what the camera knew.
+        reason = camera.picture
     return f"{text}\n  {reason}" if reason else text

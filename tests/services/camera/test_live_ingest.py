@@ -35,7 +35,7 @@ class _Bus:
     def __init__(self, keys):
         self.keys, self.health, self.inbox = keys, Health("camera"), SimpleNamespace()
         self.log = SimpleNamespace(say=lambda *_: None, seldom=lambda *_: None)
-        self.frames, self.headers = 0, []
+        self.frames, self.headers, self.said = 0, [], []
 
     def put(self, key, message):
         pass
@@ -45,7 +45,7 @@ class _Bus:
         self.headers.append(header)
 
     def say_health(self):
-        pass
+        self.said.append(self.health.message().picture)
 
 
 @pytest.fixture
@@ -151,3 +151,16 @@ def test_a_frame_says_what_its_camera_knows_of_the_picture(ingest_of):
         ingest.step()
     assert bus.headers[-1].picture.startswith("cam.py: depth looks like millimetres")
     assert bus.headers[-1].camera == ""
+
+
+def test_health_says_at_once_what_is_wrong_with_the_pictures_and_that_it_is_over(ingest_of):
+    ingest, bus = ingest_of(
+        "began = locals().get('began', time.monotonic())\n"
+        "        depth *= 1000.0 if time.monotonic() - began < 1.5 else 1.0"
+    )
+    until = time.monotonic() + 2.5
+    while time.monotonic() < until:
+        ingest.step()
+    wrong, over = bus.said
+    assert wrong.startswith("cam.py: depth looks like millimetres")
+    assert over == ""

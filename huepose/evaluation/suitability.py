@@ -26,7 +26,7 @@ from huepose.geometry.icosphere import look_at
 from huepose.model import ReferenceModel
 from huepose.profiles import profile
 from huepose.rendering.render import render
-from huepose.scenes.rendered import Drawn, SceneRanges, rendered_frame
+from huepose.scenes.rendered import Drawn, SceneRanges, check_sizes, rendered_frame
 from huepose.support.errors import InputError
 from huepose.support.progress import progress
 
@@ -53,6 +53,8 @@ ALONG = 0.95
 
 FACING = 0.3
 """Cosine between a normal and the line of sight from which a colour pair is drawn in a view."""
+
+_TOO_LARGE = "Its reference model is made all the same. If it is smaller, its mesh has another unit (--unit)."
 
 MOST_HIDDEN = 100
 """After so many drawn scenes in a row that hardly show the object, none will: one in twenty is usual."""
@@ -112,6 +114,7 @@ class Suitability:
 def self_test(model: ReferenceModel, count: int = TRIALS, seed: int = 0) -> Suitability:
     """Ask for the object's pose in `count` drawn frames. Raises InputError for an object that is too large to
     stand on the drawn table."""
+    check_sizes({model.name: model.mesh}, _TOO_LARGE)
     estimator = Estimator({model.name: model}, profile("live").estimator)
     return judged(model, list(_trials(model, estimator, count, seed)))
 

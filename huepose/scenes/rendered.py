@@ -143,8 +143,9 @@ def rendered_frame(
     return Drawn(shot, names, camera)
 
 
-def check_sizes(meshes: Mapping[str, Mesh]) -> None:
-    """Raises InputError for no mesh, or for one that is too large for a heap on the table."""
+def check_sizes(meshes: Mapping[str, Mesh], fix: str = "Leave it out with --objects.") -> None:
+    """Raises InputError for no mesh, or for one that is too large for a heap on the table, with what to do
+    about that."""
     if not meshes:
         raise InputError("rendered scene", found="no object", expected="one mesh or more")
     for name, mesh in meshes.items():
@@ -154,7 +155,7 @@ def check_sizes(meshes: Mapping[str, Mesh]) -> None:
                 f"object '{name}'",
                 found=f"a largest side of {side:.2f} m",
                 expected=f"at most {LARGEST_M:.2f} m, so that it fits on the table",
-                fix="Leave it out with --objects.",
+                fix=fix,
             )
 
 

@@ -152,5 +152,8 @@ def test_the_same_seed_asks_the_same(tea_box: ReferenceModel) -> None:
 
 def test_what_is_too_large_for_the_table_is_refused(tea_box: ReferenceModel) -> None:
     large = replace(tea_box.mesh, vertices=tea_box.mesh.vertices * np.float32(10.0))
-    with pytest.raises(ValueError, match="largest side"):
+    with pytest.raises(ValueError, match="largest side") as refused:
         self_test(replace(tea_box, mesh=large), count=1)
+    assert str(refused.value).endswith(
+        "made all the same. If it is smaller, its mesh has another unit (--unit)."
+    )

@@ -143,6 +143,37 @@ def test_a_usual_size_is_taken_and_said_with_the_others_that_it_could_be(
     )
 
 
+@pytest.mark.parametrize(
+    ("scale", "said"),
+    [
+        (1000.0, "1.2 m with --unit cm: larger than drawn scenes hold (45 cm); it would be 12 cm in mm"),
+        (20.0, "2.4 cm with --unit cm; it would be 6.096 cm in in"),
+        (100.0, ""),
+    ],
+)
+def test_of_a_unit_that_makes_an_unusual_size_it_is_warned_before_anything_is_learnt(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], scale: float, said: str
+) -> None:
+    files.write_obj(tmp_path / "m.obj", solids.box((0.12, 0.08, 0.06)), scale=scale)
+    assert with_unit(Job(tmp_path / "m.obj", "m", unit="cm")).unit == "cm"
+    assert capsys.readouterr().err == (f"warning: its largest side is {said}\n" if said else "")
+
+
+def test_the_warning_of_an_unusual_size_comes_first_and_once(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    rng = np.random.default_rng(0)
+    pictures = {s: rng.integers(0, 256, (64, 64, 3)).astype(np.uint8) for s in solids.SIDES}
+    files.write_obj(tmp_path / "m.obj", solids.box((0.06, 0.04, 0.03), pictures), scale=1000.0)
+    given = [str(tmp_path / "m.obj"), "--unit", "cm", "--out", str(tmp_path / "out")]
+    assert main(["onboard", *given, "--name", "brick"]) == 0
+    first, *rest = capsys.readouterr().err.splitlines()
+    assert first.startswith("warning: its largest side is 60 cm with --unit cm: larger than drawn scenes")
+    assert not [line for line in rest if line.startswith("warning")]
+    assert rest[-1].startswith("brick was not tried in drawn scenes: object 'brick': found a largest side")
+    assert rest[-1].endswith("(--unit).")
+
+
 def test_a_large_mesh_says_which_extra_it_needs(
     mesh: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -285,7 +316,8 @@ def test_a_recording_takes_the_place_of_a_mesh(
     write(recording, [drawn(pose(np.radians(6.0 * k)), k) for k in range(3)])
     jobs = []
 
-    def made(job: object, bundles: Path) -> None:
+    def made(job: object, bundles: Path, settled: bool) -> None:
+        assert settled, "nobody gave its unit, so no unit of theirs is doubted"
         jobs.append(job)
         raise KeyboardInterrupt
 
@@ -318,7 +350,7 @@ def test_what_was_seen_of_one_side_alone_tells_a_script(
     tests = []
     monkeypatch.setattr(onboard_video, "_scene", lambda path: None)
     monkeypatch.setattr(onboard_video, "_learned", lambda *_: made)
-    monkeypatch.setattr(onboard, "onboard_one", lambda *_: result)
+    monkeypatch.setattr(onboard, "onboard_one", lambda *_, **__: result)
     monkeypatch.setattr(onboard, "self_test", lambda *given: tests.append(given) or ({}, "tried"))
     given = [
         "onboard",

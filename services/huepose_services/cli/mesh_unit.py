@@ -17,12 +17,14 @@ SMALL_M, LARGE_M = 0.03, 0.6
 
 def with_unit(job: Job) -> Job:
     """A job whose unit is known. A usual size is taken, and said with the others that it could be; of another
-    the unit is asked for at a terminal. Raises InputError where nobody can be asked."""
+    the unit is asked for at a terminal. Of a unit that was given, an unusual size is said. Raises InputError
+    where nobody can be asked."""
     from huepose.onboarding.meshes import sizes_by_unit, unit_of_format
 
-    if job.unit is not None:
-        return job
     sizes, standard = sizes_by_unit(job.mesh_path), unit_of_format(job.mesh_path)
+    if job.unit is not None:
+        _warn_of(job.unit, sizes)
+        return job
     taken = standard or next((unit for unit in sizes if unit in ("m", "mm")), None)
     if not sizes or (standard and standard not in sizes):
         return job  # whoever reads it refuses it
@@ -37,6 +39,21 @@ def with_unit(job: Job) -> Job:
             f"the mesh is in metres as all of its format: its largest side is {_size(sizes, taken)}", others
         )
     return replace(job, unit=taken)
+
+
+def _warn_of(given: Unit, sizes: dict[Unit, float]) -> None:
+    """Of a unit by which the mesh is smaller or larger than the objects that are usual, or than drawn scenes
+    hold; one by which it is no object at all is refused by whoever reads it."""
+    from huepose.onboarding.meshes import length
+    from huepose.scenes.rendered import LARGEST_M
+
+    if given not in sizes or SMALL_M < sizes[given] <= LARGEST_M:
+        return
+    but = " or ".join(f"{length(size)} in {unit}" for unit, size in sizes.items() if unit != given)
+    text = f"its largest side is {length(sizes[given])} with --unit {given}"
+    if sizes[given] > LARGEST_M:
+        text += f": larger than drawn scenes hold ({length(LARGEST_M)})"
+    print(f"warning: {text}{f'; it would be {but}' if but else ''}", file=sys.stderr, flush=True)
 
 
 def _note(text: str, others: list[str]) -> None:

@@ -75,7 +75,7 @@ def call(arguments: argparse.Namespace) -> int:
             fix="If it is smaller, say the mesh's unit (--unit mm, for example); else learn it with `huepose "
             "onboard`, and go on with pictures of your camera.",
         ) from error
-    print(in_words(onboard_one(job, out / "bundles")))
+    print(in_words(onboard_one(job, out / "bundles", settled=True)))
     if arguments.test:
         _, words = self_test(out / "bundles", job.name)
         print(words)

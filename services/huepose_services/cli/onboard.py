@@ -91,7 +91,8 @@ def call(arguments: argparse.Namespace) -> int:
     made = mesh_from_video(arguments)
     mesh, unit = (made.mesh, METRES) if made else (arguments.mesh, arguments.unit)
     given = (mesh, arguments.name, arguments.id, unit)
-    result = onboard_one(Job(*given, symmetric=symmetric, paper=arguments.paper), arguments.out)
+    job = Job(*given, symmetric=symmetric, paper=arguments.paper)
+    result = onboard_one(job, arguments.out, settled=made is not None)
     if not arguments.json:
         print(in_words(result), flush=True)
         if made:
@@ -132,9 +133,9 @@ def self_test(bundles: Path, name: str, part: float | None = None) -> tuple[dict
     return {**facts, "trials": len(found.trials), "picture": str(picture)}, words
 
 
-def onboard_one(job: Job, out: Path) -> Onboarded:
-    """Onboard a mesh into a folder of reference models, with a progress bar; settles its unit before, and
-    says when it replaced another model of that name."""
+def onboard_one(job: Job, out: Path, settled: bool = False) -> Onboarded:
+    """Onboard a mesh into a folder of reference models, with a progress bar; says when it replaced another
+    model of that name. settled: its unit is known, and neither asked for nor doubted."""
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # small matrices: threads only cost
     from huepose.model.io import check_name, model_path
     from huepose.onboarding import batch
@@ -146,7 +147,7 @@ def onboard_one(job: Job, out: Path) -> Onboarded:
     _check_folder(out)
     if not job.mesh_path.is_file():
         raise InputError(job.mesh_path, found="no such file", expected="the mesh", fix="Check the path.")
-    job = with_unit(job)
+    job = job if settled else with_unit(job)
     before = _model_there(model_path(out, job.name))
     with closing(progress(range(len(STAGES) + 1), f"onboarding {job.name}")) as steps:
         result = batch.onboard_one(job, out, lambda stage: _advance(steps), Status().line)

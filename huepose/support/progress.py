@@ -83,7 +83,8 @@ def progress(
         # The first step may have waited for the compiler: the others say how long one takes.
         each_s = (last - first) / (done - 1) if done > 1 else 0.0
         left_s = each_s * (total - done) - (now - last)
-        left = f"{max(left_s, 0.0):.0f} s left" if done > 1 and total else ""
+        # Of a step that takes longer than those before it, nobody knows how long.
+        left = f"{left_s:.0f} s left" if done > 1 and total and left_s >= 0.5 else ""
         if status.live and total:
             text = _bar(label, done, total, left or f"{now - start:.0f} s")
         else:

@@ -70,6 +70,26 @@ def test_the_time_left_leaves_out_the_first_step_which_may_have_compiled(clock):
     assert "views: 11 of 40, 70 s, 29 s left\n" in out.getvalue()
 
 
+def test_nobody_is_told_that_no_time_is_left_where_a_step_takes_longer_than_those_before_it(
+    clock, monkeypatch
+):
+    monkeypatch.setattr(progress_module, "_LOOK_EVERY_S", 0.01)
+    out = io.StringIO()
+    steps = progress(range(8), "views", out=out)
+    for _ in range(5):
+        next(steps)
+        clock[0] += 0.5
+    next(steps)  # five are done; of three, half a second each, the first takes twenty
+    for text in ("views: 5 of 8, 12 s\n", "views: 5 of 8, 22 s\n"):
+        clock[0] += 10.0
+        until = time.perf_counter() + 20.0
+        while text not in out.getvalue():
+            assert time.perf_counter() < until, out.getvalue()
+            time.sleep(0.01)
+    steps.close()
+    assert " 0 s left" not in out.getvalue()
+
+
 def compiled(notice, clock, module, count):
     """Tell of `count` functions of a module that took a second each."""
     for n in range(count):

@@ -1,20 +1,26 @@
 """What `huepose poses` prints of a pose, in the camera's frame and in the robot's."""
 
 import json
+import time
 
 import numpy as np
 import pytest
+import zenoh
 from msgspec.structs import replace
 
 from huepose.evaluation.pose_files import read_pose_csv
+from huepose_protos import encode
+from huepose_protos.client import configured
 from huepose_protos.examples import messages
 from huepose_protos.fields import is_name
 from huepose_protos.keys import Keys, tail_of
-from huepose_protos.messages import Mount, PoseMessage
+from huepose_protos.local import endpoint
+from huepose_protos.messages import Mount, ObjectEntry, ObjectsMessage, PoseMessage
 from huepose_protos.motion import carried
 from huepose_services.cli.main import build_parser, main
 from huepose_services.cli.pose_export import PoseFiles
 from huepose_services.cli.poses import _print
+from tests.services.repeating import repeating
 
 NO_POSE = ("translation", "quaternion", "velocity_linear", "velocity_angular", "covariance")
 HALF = 0.5**0.5
@@ -113,3 +119,38 @@ def test_keys_that_could_be_an_object_s_name_stay_keys():
     names = {tail for tail in tails if is_name(tail)}
     assert {"objects", "truth"} <= names
     assert {build_parser().parse_args(["poses", name]).key for name in names} == names
+
+
+@pytest.mark.live
+@pytest.mark.parametrize("gateway", [False, True])
+def test_an_object_that_is_not_looked_for_is_said_with_those_that_are(
+    gateway, pose, base_port, huepose, tmp_path
+):
+    path = tmp_path / "pipeline.yaml"
+    path.write_text(f"site: lab\nbus: {{base_port: {base_port}}}\ncamera: {{source: synthetic}}\n")
+    where = f"tcp/127.0.0.1:{base_port}" if gateway else endpoint(base_port)
+    choice = ["--gateway", f"127.0.0.1:{base_port}"] if gateway else ["--config", path]
+    head = "huepose/lab/cam0/remote" if gateway else "huepose/lab/cam0"
+    entries = [ObjectEntry(object=name, max_instances=1, searching=1) for name in ("biscuit", "jar")]
+
+    def publish(number):
+        listed = ObjectsMessage(publish_ns=time.monotonic_ns(), objects=entries)
+        session.put(f"{head}/objects", encode(listed))
+        session.put(f"{head}/pose/jar/0", encode(replace(pose, object="jar", instance=0)))
+
+    config = configured({"listen/endpoints": [where], "scouting/multicast/enabled": False})
+    with zenoh.open(config) as session, repeating(publish, 0.05):
+        misspelt = huepose("poses", "biscit", "--json", *choice)
+        strange = huepose("poses", "cup", "--json", *choice)
+        known = huepose("poses", "jar", "--json", *choice)
+        for process, fix in (
+            (misspelt, "Did you mean biscuit?"),
+            (strange, "Look for it: huepose objects add cup"),
+        ):
+            said = process.communicate(timeout=30.0)[1]
+            assert process.returncode == 2
+            assert "found no object of that name that is looked for; expected one of biscuit, jar." in said
+            assert said.endswith(f"{fix}\n")
+        lines = [json.loads(known.stdout.readline()) for _ in range(30)]
+        assert {line["object"] for line in lines} == {"jar"}
+        known.terminate()

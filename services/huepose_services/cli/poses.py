@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import difflib
 import re
 import sys
 import time
@@ -52,12 +53,14 @@ class Gateway:
         host = f"[{self.host}]" if ":" in self.host else self.host
         return f"{'tcp' if self.credentials is None else 'tls'}/{host}:{self.port}"
 
-    def messages(self, tail: str, stopping: Callable[[], bool]) -> Iterator[Message]:
-        """What it shows under a key, the latest at once, until stopped. Says on stderr what is in the way."""
+    def messages(self, tail: str, stopping: Callable[[], bool], *more: str) -> Iterator[Message]:
+        """What it shows under a key, and under others beside it, the latest at once, until stopped. Says on
+        stderr what is in the way."""
         from huepose_protos.client import Reader
 
         files = {} if self.credentials is None else vars(self.credentials)
-        with Reader([self.endpoint], f"huepose/*/*/remote/{tail}", **files) as reader:
+        keys = [f"huepose/*/*/remote/{each}" for each in (tail, *more)]
+        with Reader([self.endpoint], *keys, **files) as reader:
             connected, since, look = False, time.monotonic(), 0.0
             while not stopping():
                 now = time.monotonic()
@@ -217,8 +220,42 @@ def _take_until_gone(
     if gateway is None:
         _take_here(arguments, stopping, take)
         return
-    for message in gateway.messages(arguments.key, stopping):
-        take(message)
+    only = _Only(arguments.key)
+    for message in gateway.messages(arguments.key, stopping, *only.keys):
+        if not only.looked_up(message):
+            take(message)
+
+
+class _Only:
+    """The one object whose poses a key asks for, which the pipeline may not look for: a list of its objects
+    tells. `keys`: of that list, none where the key asks for no such poses."""
+
+    def __init__(self, key: str) -> None:
+        match = re.fullmatch(r"pose/([^/*]+)/.+", key)
+        self._name = match and match[1]
+        self.keys = ("objects",) if match else ()
+
+    def looked_up(self, message: Message) -> bool:
+        """Whether it is such a list, which nobody asked for. Raises InputError where the first one is without
+        the object: what is removed later is no mistake of who asked."""
+        from huepose.support.errors import InputError
+        from huepose_protos.messages import ObjectsMessage
+
+        if not (self.keys and isinstance(message, ObjectsMessage)):
+            return False
+        if self._name is None:
+            return True
+        name, self._name = self._name, None
+        known = [entry.object for entry in message.objects]
+        if name not in known:
+            meant = difflib.get_close_matches(name, known, 1)
+            raise InputError(
+                name,
+                found="no object of that name that is looked for",
+                expected=f"one of {', '.join(known)}" if known else "one that is: none is now",
+                fix=f"Did you mean {meant[0]}?" if meant else f"Look for it: huepose objects add {name}",
+            )
+        return True
 
 
 def _print_on_robot(
@@ -278,16 +315,20 @@ def _take_here(
 
     pipeline, again, say_at = chosen(arguments), True, time.monotonic() + _SAY_WAITING_AFTER_S
     told: set[str] = set()
+    only = _Only(arguments.key)
     while again and not stopping():
         key, health = pipeline.key(arguments.key), pipeline.key("health/**")
         asks_for_health = zenoh.KeyExpr(key).intersects(zenoh.KeyExpr(health))
-        with Reader(pipeline.endpoints, key, *([] if asks_for_health else [health])) as reader:
+        beside = [*([] if asks_for_health else [health]), *map(pipeline.key, only.keys)]
+        with Reader(pipeline.endpoints, key, *beside) as reader:
             again = False
             while not stopping() and not _is_over(reader) and not again:
                 message = reader.next(0.1)
                 if isinstance(message, HealthMessage):
                     _warn(message, told)
                     message = message if asks_for_health else None
+                if message is not None and only.looked_up(message):
+                    message = None
                 if message is not None:
                     say_at = float("inf")
                     take(message)

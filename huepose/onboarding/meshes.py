@@ -71,6 +71,10 @@ def sizes_by_unit(path: Path) -> dict[Unit, float]:
 
 def _raw(path: Path) -> RawMesh:
     """The mesh as the file has it."""
+    if path.is_dir():
+        raise InputError(
+            path, found="a folder", expected=f"a mesh file: {', '.join(_READERS)}", fix=_inside(path)
+        )
     reader = _READERS.get(path.suffix.lower())
     if reader is None:
         raise InputError(
@@ -79,9 +83,13 @@ def _raw(path: Path) -> RawMesh:
             expected=", ".join(_READERS),
             fix="Convert the mesh, for example to GLB.",
         )
-    if path.is_dir():
-        raise InputError(path, found="a folder", expected="a mesh file")
     return reader(MeshFiles(path))
+
+
+def _inside(folder: Path) -> str:
+    """Which of the meshes in a folder may be meant."""
+    there = sorted(path for path in folder.iterdir() if path.suffix.lower() in _READERS)
+    return f"Did you mean {there[0]}?" if there else "Name the file itself; this folder has none."
 
 
 def _read(path: Path, unit: Unit | None) -> Mesh:

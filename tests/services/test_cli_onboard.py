@@ -252,6 +252,22 @@ def test_wrong_input_ends_with_2_and_a_fix(
     assert not out.exists()
 
 
+@pytest.mark.parametrize(
+    ("inside", "fix"), [("brick.glb", "Did you mean {}?"), ("", "this folder has none.")]
+)
+def test_a_folder_in_the_place_of_a_mesh_is_said_to_be_one(
+    mesh: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], inside: str, fix: str
+) -> None:
+    folder = tmp_path / "folder"
+    folder.mkdir()
+    if inside:
+        mesh.rename(folder / inside)
+    assert main(["onboard", str(folder), "--name", "brick", "--out", str(tmp_path / "out")]) == 2
+    said = capsys.readouterr().err
+    assert f"{folder}: found a folder; expected a mesh file: .obj, .ply, .glb, .gltf." in said
+    assert said.endswith(fix.format(folder / inside) + "\n")
+
+
 def test_a_folder_without_meshes_ends_with_2(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["onboard-bop", str(tmp_path), "--out", str(tmp_path / "out")]) == 2
     assert "no obj_NNNNNN.ply or .obj" in capsys.readouterr().err

@@ -145,7 +145,7 @@ def onboard_one(job: Job, out: Path, settled: bool = False) -> Onboarded:
 
     check_name(job.name)
     _check_folder(out)
-    if not job.mesh_path.is_file():
+    if not job.mesh_path.exists():
         raise InputError(job.mesh_path, found="no such file", expected="the mesh", fix="Check the path.")
     job = job if settled else with_unit(job)
     before = _model_there(model_path(out, job.name))

@@ -80,7 +80,9 @@ class Condition:
             self._counts.popleft()
         seconds = (now_ns - self._counts[0][0]) / SECOND
         came = pictures - self._counts[0][1]
-        if seconds < RATE_WINDOW_NS / SECOND or came >= LEAST_OF_RATE * self._rate_hz * seconds:
+        enough = came >= LEAST_OF_RATE * self._rate_hz * seconds
+        # Of a camera that gives none at all its reader says why.
+        if seconds < RATE_WINDOW_NS / SECOND or enough or not came:
             self._since.pop("rate", None)
         else:
             text = (

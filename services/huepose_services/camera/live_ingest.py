@@ -26,6 +26,8 @@ from huepose_services.runtime.work import Work
 _LONGEST_STEP_S = 0.05
 _SAY_AGAIN_NS = 30 * SECOND
 _AHEAD_S = 1.0
+_SILENT_S, _SILENT_PICTURES = 1.0, 3.0
+"""After so long, and after the time of so many pictures, it is said that none comes."""
 _NOTHING_IS_SEEN = ("depth", "dark")
 """The complaints about pictures in which no object can be found."""
 # A thread that the SDK does not give back cannot be ended: a new process can open the camera again.
@@ -55,6 +57,7 @@ class LiveIngest(Work):
         self._epoch, self._frame_id = 0, 0
         self._warnings = list(bus.health.warnings)
         self._told: str | None = None
+        self._none_comes = False
         self._say_ns = 0
         bus.health.state = "waiting"
 
@@ -70,17 +73,21 @@ class LiveIngest(Work):
         if taken is not None:
             self._take(taken)
         trouble = self._reader.trouble
-        self._complain(trouble)
+        silence = None if trouble else self._silence()
+        news = self._complain(trouble is None)
+        self._bus.health.picture = self._nothing_is_seen(trouble or silence)
         if trouble != self._told:
             self._told, self._say_ns = trouble, 0
             notify(f"STATUS={trouble or 'ready'}")  # for `systemctl status`
         if trouble is None:
-            good = self._frame_id and "apart" not in self._complaints
+            good = self._frame_id and "apart" not in self._complaints and silence is None
             self._bus.health.state = "ready" if good else "waiting"
-            self._bus.health.warnings = self._warnings
+            self._bus.health.warnings = [*self._warnings, *filter(None, [silence])]
+            self._say_at_once(news, silence is not None)
             return
         self._bus.health.state = "waiting"
         self._bus.health.warnings = [*self._warnings, trouble]
+        self._say_at_once(news, True)
         if now_ns() >= self._say_ns:
             self._say_ns = now_ns() + _SAY_AGAIN_NS
             self._bus.log.seldom(trouble, trouble)
@@ -92,6 +99,19 @@ class LiveIngest(Work):
         """Let the camera go."""
         self._reader.close()
 
+    def _silence(self) -> str | None:
+        """That no picture has come for a while, before it is known what keeps them away."""
+        silent_s, usual_s = self._reader.silent_s(), 1.0 / float(self._config.camera.rate)
+        if silent_s is None or silent_s < max(_SILENT_S, _SILENT_PICTURES * usual_s):
+            return None
+        return f"{self._name}: no picture for {silent_s:.0f} s"
+
+    def _say_at_once(self, news: bool, none_comes: bool) -> None:
+        """What is new is said, and that pictures end or come again, not with the next sign of life."""
+        if news or none_comes != self._none_comes:
+            self._none_comes = none_comes
+            self._bus.say_health()
+
     def _take(self, taken: Taken) -> None:
         """Look at a picture, and publish it where colour and depth belong together."""
         if taken.opening != self._opening:
@@ -101,11 +121,10 @@ class LiveIngest(Work):
         else:
             self._bus.health.count("pictures_apart")
 
-    def _complain(self, trouble: str | None) -> None:
-        """Say what is wrong with the pictures that come, as soon as it is, and that it is no longer. trouble:
-        what keeps them away."""
+    def _complain(self, open_: bool) -> bool:
+        """Warn of what is wrong with the pictures that come; whether that has changed."""
         health, now = self._bus.health, now_ns()
-        if trouble is None and self._frame_id:
+        if open_ and self._frame_id:
             self._condition.count(self._reader.pictures, now)
         else:
             self._condition.reopened()
@@ -120,14 +139,12 @@ class LiveIngest(Work):
             if self._condition.settled(kind, now):
                 self._logged.add(kind)
                 self._bus.log.seldom(f"pictures: {kind}", complaints[kind])
-        health.picture = self._nothing_is_seen(trouble)
-        if new or over:
-            self._bus.say_health()
+        return bool(new or over)
 
     def _nothing_is_seen(self, trouble: str | None) -> str:
         """Why no object can be found; empty where one can. trouble: what keeps the pictures away."""
         if none_comes := trouble or self._complaints.get("apart"):
-            return f"No picture comes. {none_comes}"
+            return f"No picture comes, and perception waits for the next. {none_comes}"
         return _nothing_is_seen(self._complaints)
 
     def _lasting(self, now: int) -> dict[str, str]:

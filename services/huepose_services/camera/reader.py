@@ -41,6 +41,7 @@ class Reader:
         self._taken: Taken | None = None
         self._trouble: str | None = None
         self._call: tuple[str, int] | None = None
+        self._news_ns: int | None = None
         self._stopping = threading.Event()
         self.openings = 0
         self.pictures = 0
@@ -68,6 +69,10 @@ class Reader:
                 f"{self._source.if_silent}"
             )
         return self._trouble
+
+    def silent_s(self) -> float | None:
+        """For how long no new picture has come, of any opening; None before the first."""
+        return None if self._news_ns is None else (now_ns() - self._news_ns) / SECOND
 
     def stuck_s(self) -> float:
         """For how long the SDK has not returned from a call that should be short."""
@@ -115,6 +120,7 @@ class Reader:
                 self.repeated += 1
             elif shot is not None:
                 last, news_ns = shot, now_ns()
+                self._news_ns = news_ns
                 self.pictures += 1
                 self._trouble = None
                 self._leave(Taken(shot, self.openings, camera.device_clock_is_host))

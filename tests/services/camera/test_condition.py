@@ -97,6 +97,17 @@ def test_a_falling_rate_is_named_within_a_second():
     assert condition.complaints(9 * SECOND) == {}, again
 
 
+def test_where_no_picture_comes_at_all_no_rate_is_blamed():
+    condition = Condition(RATE_HZ, FARTHEST_M)
+    assert said_after(condition, 3.0) == {}
+    for k in range(60):  # the worker counts on, and none comes
+        now = 3 * SECOND + k * SECOND // 20
+        condition.count(90, now)
+        blamed = "rate" in condition.complaints(now)
+        assert not (blamed and condition.settled("rate", now)), "the log would say it"
+        assert not (blamed and k > 20)
+
+
 def test_a_rate_is_settled_once_all_that_is_counted_came_after_its_fall():
     condition = Condition(RATE_HZ, FARTHEST_M)
     assert said_after(condition, 3.0) == {}

@@ -89,7 +89,7 @@ def test_depth_in_millimetres_is_why_nothing_is_found(ingest_of):
 )
 def test_where_every_picture_is_refused_it_says_that_none_comes_and_why(ingest_of, change, why):
     ingest, bus = ingest_of(change)
-    assert _picture(ingest, bus).startswith(f"No picture comes. {why}")
+    assert _picture(ingest, bus).startswith(f"No picture comes, and perception waits for the next. {why}")
     assert bus.frames == 0
 
 
@@ -112,6 +112,33 @@ def test_the_log_names_the_rate_of_a_camera_that_has_become_slow_as_it_is(ingest
     ((kind, text),) = said
     assert kind == "pictures: rate"
     assert any(f"it gives {rate} pictures a second instead of 30" in text for rate in (1, 2, 3)), text
+
+
+def test_a_camera_that_hangs_is_said_to_give_no_picture_after_a_second_and_no_slow_rate(ingest_of):
+    """From a picture after 1.5 s on it gives none for 1.4 s, then goes on."""
+    ingest, bus = ingest_of(
+        "began = locals().get('began', time.monotonic())\n"
+        "        hung = locals().get('hung', False)\n"
+        "        if not hung and time.monotonic() - began > 1.5:\n"
+        "            hung = True\n"
+        "            time.sleep(1.4)"
+    )
+    logged, told = [], []
+    bus.log.seldom = lambda kind, text: logged.append(kind)
+    bus.say_health = lambda: told.append((bus.frames, bus.health.message()))
+    until = time.monotonic() + 5.0
+    while time.monotonic() < until:
+        ingest.step()
+    said = [(frames, message) for frames, message in told if "no picture for" in message.picture]
+    ((frames, message),) = said
+    age_s = 1e-9 * (message.publish_ns - bus.headers[frames - 1].capture_ns)
+    assert 1.0 < age_s < 1.3
+    assert message.state == "waiting"
+    assert message.picture.startswith("No picture comes, and perception waits for the next. cam.py: no pic")
+    assert message.warnings[0] == "cam.py: no picture for 1 s"
+    assert told[-1][1].state == "ready"
+    assert told[-1][1].picture == ""
+    assert "pictures: rate" not in logged
 
 
 @pytest.mark.parametrize(

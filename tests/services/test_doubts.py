@@ -147,6 +147,34 @@ def test_status_says_what_the_newest_picture_shows_once_the_fault_of_the_camera_
     assert NONE_COMES not in text
 
 
+@pytest.mark.parametrize("before", ["No picture comes. ", ""])
+def test_status_says_the_sentence_of_the_camera_once(before: str) -> None:
+    """What other workers and objects repeat of it may be a second older."""
+    why_none = "cam.py: no picture for 3 s"
+    example = next(m for m in messages() if isinstance(m, PoseMessage))
+    lost = msgspec.structs.replace(
+        example, object="mug", instance=0, state="SUSPECT", reason=before + why_none
+    )
+    health = next(m for m in messages() if isinstance(m, HealthMessage))
+    said = {
+        name: msgspec.structs.replace(
+            health, worker=name, picture=picture, warnings=[why_none], last_error=""
+        )
+        for name, picture in (("estimator", ""), ("camera", before + why_none))
+    }
+    entries = [
+        ObjectEntry(object=name, max_instances=1, searching=1, reason=f"{before}cam.py: no picture for 2 s")
+        for name in ("jar", "can")
+    ]
+    poses = {("mug", instance): lost for instance in (0, 1)}
+    view = View(Pipeline(base_port=17447), True, said, frozenset(), (), entries, poses)
+    text = as_text(view)
+    assert text.count("no picture for") == 1
+    assert f"  camera: {why_none}\n" in text
+    assert text.endswith(f"\n  {before}See the camera above.")
+    assert text.count("See the camera above.") == 1
+
+
 def test_status_names_an_object_that_is_found_and_of_which_no_pose_comes() -> None:
     entries = [
         ObjectEntry(object=name, max_instances=1, searching=0, reason=NONE_COMES) for name in ("mug", "jar")

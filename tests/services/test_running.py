@@ -117,6 +117,21 @@ def test_a_pipeline_of_another_folder_is_named(tmp_path, monkeypatch, capsys):
         assert capsys.readouterr().err == ""
 
 
+def test_status_names_a_pipeline_of_another_folder_once(tmp_path, monkeypatch, capsys):
+    monkeypatch.setattr("huepose_services.cli.status._LEAST_S", 0.1)
+    monkeypatch.setattr("huepose_services.cli.status._MOST_S", 0.1)
+    file = str(tmp_path / "pipeline.yaml")
+    with noted(Pipeline(base_port=18200, site="lab", camera="eye", workers=("camera",), file=file)):
+        assert main(["status"]) == 1
+        said = capsys.readouterr()
+        assert (said.out + said.err).count("lab/eye") == 1
+        assert (said.out + said.err).count(file) == 1
+        assert main(["status", "--json"]) == 1
+        said = capsys.readouterr()
+        assert said.out.count(file) == 1
+        assert said.err == ""
+
+
 @pytest.mark.parametrize("words", [["objects", "list"], ["graph"]])
 def test_who_looks_for_a_pipeline_says_so_and_at_which_port(words, tmp_path, monkeypatch, capsys):
     monkeypatch.setattr("huepose_services.cli.objects._CONNECT_WITHIN_S", 0.1)

@@ -34,7 +34,7 @@ def call(arguments: argparse.Namespace) -> int:
     """Listen for a moment, print; exit code 1 when nothing runs or a worker is missing."""
     from huepose_services.watch import Watch
 
-    pipeline = chosen(arguments)
+    pipeline = chosen(arguments, say=False)  # the first line names it
     with Watch(pipeline) as watch:
         watch.look_at_all(_LEAST_S, _MOST_S)
         view = watch.view()
@@ -51,7 +51,7 @@ def call_again(arguments: argparse.Namespace) -> int:
     """Show until interrupted."""
     from huepose_services.watch import Watch
 
-    pipeline = chosen(arguments)
+    pipeline = chosen(arguments, say=False)  # the first line names it
     until = float("inf") if arguments.seconds is None else time.monotonic() + arguments.seconds
     with Watch(pipeline) as watch:
         try:
@@ -107,14 +107,19 @@ def as_text(view: View) -> str:
             lines.append(f"{worker:10s} is there and says nothing")
         else:
             lines.append(_worker(message, worker in view.silent))
-    for message in view.health.values():
-        lines += [f"  {message.worker}: {text}" for text in message.warnings]
+    said: list[str] = []
+    for message in sorted(view.health.values(), key=lambda m: m.worker != "camera"):
+        for text in message.warnings:
+            # What others repeat of the camera's stands with the camera.
+            if text not in said:
+                said.append(text)
+                lines.append(f"  {message.worker}: {text}")
         if message.last_error:
             lines.append(f"  {message.worker}, last error: {message.last_error.splitlines()[0]}")
     lines.append("")
-    lines += [_pose(pose, view.health.get("camera")) for pose in view.poses.values()]
+    camera = view.health.get("camera")
+    rows = [(_pose(pose), _cause(pose, camera)) for pose in view.poses.values()]
     with_poses = {name for name, _ in view.poses}
-    reason = ""
     for entry in view.objects:
         if entry.searching:
             text = f"SEARCHING  {entry.searching} of {entry.max_instances} not found yet"
@@ -122,13 +127,26 @@ def as_text(view: View) -> str:
             text = "no pose    it was found before, and no pose of it comes now"
         else:
             continue
-        if reason == entry.reason and reason:
-            lines.pop()  # said once, below the last of them
-        reason = entry.reason
-        lines.append(f"{entry.object:32s} {text}")
-        if reason:
+        known = camera.picture if camera is not None and entry.reason else ""
+        rows.append((f"{entry.object:32s} {text}", known or entry.reason))
+    reasons = [_without(said, reason) for _, reason in rows]
+    for (row, _), reason, below in zip(rows, reasons, [*reasons, ""][1:], strict=True):
+        lines.append(row)
+        if reason and reason != below:  # said once, below the last of them
             lines.append(f"  {reason}")
     return "\n".join(lines)
+
+
+def _without(said: list[str], reason: str) -> str:
+    """A reason without what stands above already.
+
+    >>> _without(["cam: too slow"], "No picture comes. cam: too slow"), _without(["cam: dark"], "cam: dark")
+    ('No picture comes. See the camera above.', 'See the camera above.')
+    """
+    for text in said:
+        if text in reason:
+            return reason.replace(text, "See the camera above.")
+    return reason
 
 
 def _worker(m: HealthMessage, silent: bool) -> str:
@@ -145,16 +163,18 @@ def _pair(values: tuple[float, float] | None) -> str:
     return "-" if values is None else f"{values[0]:.0f} p99 {values[1]:.0f}"
 
 
-def _pose(pose: PoseMessage, camera: HealthMessage | None) -> str:
+def _pose(pose: PoseMessage) -> str:
     who = f"{pose.object}/{pose.instance}"
     text = f"{who:32s} {pose.state:9s}  quality {pose.quality:.2f}"
     if pose.translation is not None:
         x, y, z = pose.translation
         text += f"  {x:+.3f} {y:+.3f} {z:+.3f} m"
-    text += f"  {(pose.publish_ns - pose.capture_ns) * 1e-6:.0f} ms old"
-    reason = pose.reason
-    if reason and camera is not None and camera.picture and pose.capture_ns <= camera.publish_ns:
-        # What the camera knows of its pictures is the cause of all that is seen in them. Of a later one its
-        # pose says itself what the camera knew.
-        reason = camera.picture
-    return f"{text}\n  {reason}" if reason else text
+    return f"{text}  {(pose.publish_ns - pose.capture_ns) * 1e-6:.0f} ms old"
+
+
+def _cause(pose: PoseMessage, camera: HealthMessage | None) -> str:
+    """What the camera knows of its pictures is the cause of all that is seen in them. Of a later one its pose
+    says itself what the camera knew."""
+    if not pose.reason or camera is None or pose.capture_ns > camera.publish_ns:
+        return pose.reason
+    return camera.picture or pose.reason

@@ -4,19 +4,25 @@ huepose up tea_box/pipeline.yaml                              # in another termi
 python examples/02_live_subscriber.py [tcp/robot.local:7447]
 """
 
+import os
 import sys
-from contextlib import suppress
 
 from huepose_protos import PoseClient
 from huepose_protos.local import pose_endpoints
 
 where = sys.argv[1:] or pose_endpoints()
-with suppress(KeyboardInterrupt), PoseClient(where) as client:
-    while True:
-        pose = client.next(timeout_s=3.0)
-        if pose is not None:
-            print(pose.object, pose.instance, pose.state, f"{pose.quality:.2f}", pose.translation, flush=True)
-        elif client.connected:
-            print("connected, but no object is seen: `huepose status` says why", file=sys.stderr)
-        else:
-            print(f"no pipeline runs: `huepose up` starts one (looked at {where[0]})", file=sys.stderr)
+try:
+    with PoseClient(where) as client:
+        while True:
+            pose = client.next(timeout_s=3.0)
+            if pose is not None:
+                seen = (pose.object, pose.instance, pose.state, f"{pose.quality:.2f}", pose.translation)
+                print(*seen, flush=True)
+            elif client.connected:
+                print("connected, but no object is seen: `huepose status` says why", file=sys.stderr)
+            else:
+                print(f"no pipeline runs: `huepose up` starts one (looked at {where[0]})", file=sys.stderr)
+except KeyboardInterrupt:
+    pass
+except BrokenPipeError:  # `| head` has read enough, and nothing is left to flush at exit
+    os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())

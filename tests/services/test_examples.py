@@ -134,6 +134,30 @@ def test_the_subscriber_says_what_comes_and_why_nothing_comes(base_port: int) ->
 
 
 @pytest.mark.live
+def test_the_subscriber_ends_quietly_with_who_reads_it(base_port: int) -> None:
+    """As `| head` does: it closes the pipe."""
+    endpoint = f"tcp/127.0.0.1:{base_port}"
+    with (
+        published(endpoint, lambda number: tracked()),
+        subprocess.Popen(
+            example("02_live_subscriber.py", endpoint),
+            stdout=subprocess.PIPE,
+            stderr=subprocess.PIPE,
+            text=True,
+        ) as reader,
+    ):
+        assert reader.stdout is not None
+        assert reader.stderr is not None
+        try:
+            assert reader.stdout.readline()
+            reader.stdout.close()
+            assert reader.wait(15.0) == 0
+            assert reader.stderr.read() == ""
+        finally:
+            reader.terminate()
+
+
+@pytest.mark.live
 def test_nothing_is_picked_before_it_is_still(base_port: int) -> None:
     endpoint, began = f"tcp/127.0.0.1:{base_port}", time.monotonic()
 

@@ -18,6 +18,7 @@ from huepose.datasets.types import VISIBLE
 from huepose.drawing.canvas import paragraph
 from huepose.drawing.contact_sheet import contact_sheet
 from huepose.drawing.overlay import STATE_COLOURS, Colour, draw_axes, draw_mask_outline, silhouette
+from huepose.drawing.shading import shaded
 from huepose.estimation import Estimator, ObjectQuery
 from huepose.evaluation.metrics import RECALL_FRACTION, add, adds
 from huepose.geometry import Box, Camera, RgbdFrame, se3
@@ -66,6 +67,9 @@ BLUE = (40, 110, 255)
 """Of the true pose where there is no answer."""
 
 VIEW_PX, CROP_PX = 220, 200
+
+STEP = 0.01
+"""Share of an object's diameter by which a step in its surface is drawn in a view."""
 
 AXES = ("+x", "+y", "+z", "-x", "-y", "-z")
 CAPTION = (
@@ -318,10 +322,12 @@ def _view(model: ReferenceModel, k: int) -> tuple[UInt8, str]:
     camera = Camera(8.0 * VIEW_PX, 8.0 * VIEW_PX, VIEW_PX / 2, VIEW_PX / 2, VIEW_PX, VIEW_PX)
     R = look_at(model.templates.directions[k])
     T = se3.make(R, np.array([0.0, 0.0, 9.0 * model.diameter_m]) - R @ model.mesh.centre)
-    picture = render([(model.mesh, T)], camera).color
+    seen = render([(model.mesh, T)], camera, normals=True)
+    pixel_m = 9.0 * model.diameter_m / camera.fx
+    picture = shaded(seen.color, seen.depth, seen.normals_cam, pixel_m, STEP * model.diameter_m)
     facing = -model.pairs.normals @ R[2] > FACING
     pixels = camera.project(se3.apply(T, model.pairs.points[facing]))
-    picture = np.where(picture.any(2, keepdims=True), picture, 235).astype(np.uint8)
+    picture = np.where(seen.depth[..., None] > 0.0, picture, 235).astype(np.uint8)
     for u, v in np.rint(pixels[:: max(1, len(pixels) // 400)]).astype(int):
         picture[v.clip(0, VIEW_PX - 1), u.clip(0, VIEW_PX - 1)] = (255, 60, 200)
     picture = draw_axes(picture, camera, T, 0.3 * model.diameter_m, letters=True)

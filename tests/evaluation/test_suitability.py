@@ -9,9 +9,10 @@ import pytest
 
 from huepose.evaluation import suitability
 from huepose.evaluation.suitability import Trial, in_words, judge, judged, seen_in_part, self_test, sheet
-from huepose.geometry import se3
+from huepose.geometry import Mesh, se3
 from huepose.model import ReferenceModel
 from huepose.scenes.rendered import SceneRanges
+from tests.onboarding import solids
 
 CROP = np.zeros((20, 30, 3), np.uint8)
 
@@ -130,6 +131,23 @@ def test_the_self_test_and_its_sheet(tea_box: ReferenceModel) -> None:
     assert 0 < len(found.trials) <= 3
     assert in_words(tea_box, found).startswith("tea_box suits: 9.0 x 6.0 x 15.0 cm, right in 100 %")
     assert sheet(tea_box, found).shape[2] == 3
+
+
+def test_in_the_views_of_a_plain_part_its_step_is_seen(tea_box: ReferenceModel) -> None:
+    """Two grey boxes, the small one on the large one, from above: their tops look alike but for the edge."""
+    low, high = solids.box((0.12, 0.1, 0.04)), solids.box((0.05, 0.04, 0.08))
+    part = Mesh(
+        np.vstack([low.vertices, high.vertices]),
+        np.vstack([low.faces, high.faces + len(low.vertices)]),
+        np.concatenate([low.uv, high.uv]),
+        low.texture,
+    )
+    model = replace(tea_box, mesh=part)
+    above = suitability._view(model, suitability._sides(model)[2])[0]
+    grey = above[(above == above[..., :1]).all(2)]
+    levels, counts = np.unique(grey[grey[:, 0] < 200, 0], return_counts=True)
+    assert levels[counts.argmax()] == 128
+    assert counts[levels < 100].sum() > 100
 
 
 def test_where_there_is_no_pose_the_sheet_shows_where_the_object_is(

@@ -75,7 +75,7 @@ class LiveIngest(Work):
         trouble = self._reader.trouble
         silence = None if trouble else self._silence()
         news = self._complain(trouble is None)
-        self._bus.health.picture = self._nothing_is_seen(trouble or silence)
+        self._bus.health.picture = self._nothing_is_seen(trouble, silence)
         if trouble != self._told:
             self._told, self._say_ns = trouble, 0
             notify(f"STATUS={trouble or 'ready'}")  # for `systemctl status`
@@ -141,10 +141,13 @@ class LiveIngest(Work):
                 self._bus.log.seldom(f"pictures: {kind}", complaints[kind])
         return bool(new or over)
 
-    def _nothing_is_seen(self, trouble: str | None) -> str:
-        """Why no object can be found; empty where one can. trouble: what keeps the pictures away."""
-        if none_comes := trouble or self._complaints.get("apart"):
-            return f"No picture comes, and perception waits for the next. {none_comes}"
+    def _nothing_is_seen(self, trouble: str | None, silence: str | None) -> str:
+        """Why no object can be found; empty where one can. trouble: what keeps the pictures away; silence:
+        that none has come, where that is all that is known."""
+        if none_comes := trouble or silence or self._complaints.get("apart"):
+            silent_s = self._reader.silent_s() if trouble else None
+            head = "comes" if silent_s is None else f"has come for {silent_s:.0f} s"
+            return f"No picture {head}, and perception waits for the next. {none_comes}"
         return _nothing_is_seen(self._complaints)
 
     def _lasting(self, now: int) -> dict[str, str]:

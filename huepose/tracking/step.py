@@ -73,7 +73,7 @@ class Anchor:
     """The object in the last frame. hypotheses: best first; baseline: its usual total; light (3,): the
     light's offset of opponent colours; mask (H, W): its mask there, if known better than by rendering;
     unseen_s: for how long its pose had only been predicted; place: where the last frame looked most like it,
-    if no search was made there yet."""
+    if no search was made there yet; known: whether it is sure that it is this object."""
 
     hypotheses: tuple[Hypothesis, ...]
     frame: RgbdFrame
@@ -82,6 +82,7 @@ class Anchor:
     mask: Bool | None = None
     unseen_s: float = 0.0
     place: Reach | None = None
+    known: bool = False
 
     @property
     def first(self) -> Hypothesis:
@@ -144,7 +145,8 @@ def advance(
     if not far.holds(surface.centre_cam(followed[0].T_cam_obj)):
         # Faster than anything moves: the pose has followed an occluder.
         followed[0] = unmoved(surface, frame, expected, anchor.light)
-    followed[0] = rolled_back(subject, frame, followed[0], anchor.light)
+    if anchor.known:
+        followed[0] = rolled_back(subject, frame, followed[0], anchor.light)
     margin, proposed = _slid(subject, frame, followed[0], anchor.light)
     best = max([*followed, *proposed], key=lambda h: h.terms.total)
     long = seconds > config.long_step_s

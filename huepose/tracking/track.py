@@ -131,7 +131,14 @@ class Track:
         tried_enough = self._begun == FLOW and self._in_vain >= MAX_TRIES
         resting = tried_enough and self._doubtful_frames % TRY_AGAIN_AFTER != 0
         anchor = Anchor(
-            self.hypotheses, self.frame, self.baseline, self.light, mask, self._unseen_s, self._place
+            self.hypotheses,
+            self.frame,
+            self.baseline,
+            self.light,
+            mask,
+            self._unseen_s,
+            self._place,
+            self._known,
         )
         found = advance(self.subject, anchor, frame, self._config, relative_pose, resting, self._begun, tries)
         orientation, known = self._orientation, self._orientation.facing
@@ -406,6 +413,11 @@ class Track:
         self._standing = next_standing(self._standing, self.evidence, confirmed, self._config)
         if self.state is State.LOST:
             self.lose()
+
+    @property
+    def _known(self) -> bool:
+        """Whether it is sure that it is this object that is followed."""
+        return self._identity is not None and self._identity.value >= self._config.confirmed_identity
 
     @property
     def _may_be_another(self) -> bool:

@@ -24,8 +24,9 @@ SMALL_TURN = np.radians(45.0)
 class Subject:
     """The object: its reference model and prepared surface, and the rotations (M, 4, 4) that nearly map its
     shape to itself, without the identity; other_turns: those of them after which a pose is wrong;
-    small_turns: of these those about an axis of revolution, by which it can be slid in small steps; contours:
-    where it ends, seen from anywhere."""
+    small_turns: of these those about an axis of revolution, by which it can be slid in small steps; slides
+    (K, 4, 4): rotations about that axis that are tried while it is followed; contours: where it ends, seen
+    from anywhere."""
 
     model: ReferenceModel
     surface: PreparedSurface

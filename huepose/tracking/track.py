@@ -100,7 +100,7 @@ class Track:
             return Doubt.ANOTHER
         if self._orientation.probability < self._config.confirmed_turn:
             return Doubt.TURN
-        if identity < self._config.confirmed_identity:
+        if not self._known:
             return Doubt.IDENTITY
         sure = self.quality >= self._config.least_quality
         return Doubt.FOUND if sure and self._standing.just_found else None
@@ -408,7 +408,7 @@ class Track:
         identity = 0.0 if self._identity is None else self._identity.value
         turn = self._orientation.probability
         self.quality = self.evidence * min(identity, turn)
-        confirmed = identity >= self._config.confirmed_identity and turn >= self._config.confirmed_turn
+        confirmed = self._known and turn >= self._config.confirmed_turn
         confirmed = confirmed and self.quality >= self._config.least_quality
         self._standing = next_standing(self._standing, self.evidence, confirmed, self._config)
         if self.state is State.LOST:

@@ -18,7 +18,7 @@ models = load_models(folder / "bundles")
 frame = read_frame(folder / "color.png", folder / "depth.png", folder / "camera.json")
 
 places = ColorPairDetector(models).detect(frame, sorted(models))  # needs no training; or boxes of your own
-queries = [ObjectQuery(place.object, place.box) for place in places]
+queries = [ObjectQuery(place.object, place.box, searched=True) for place in places]
 for pose in Estimator(models).estimate(frame, queries):
     if pose.T_cam_obj is not None:
         print(pose.object, pose.state, f"{pose.quality:.2f}", pose.T_cam_obj[:3, 3].round(3), "m")

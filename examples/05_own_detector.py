@@ -54,7 +54,9 @@ if len(sys.argv) < 2:
 folder = Path(sys.argv[1])
 models = load_models(folder / "bundles")
 frame = read_frame(folder / "color.png", folder / "depth.png", folder / "camera.json")
-queries = [ObjectQuery(d.object, d.box) for d in ByColour(models).detect(frame, sorted(models))]
+queries = [
+    ObjectQuery(d.object, d.box, searched=True) for d in ByColour(models).detect(frame, sorted(models))
+]
 estimator = Estimator(models)
 answers = [pose for query in queries for pose in estimator.estimate(frame, [query])]
 for name in sorted(models):

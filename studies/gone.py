@@ -92,7 +92,7 @@ class Sight:
             prior = None if known is None else PosePrior(known.predicted(frame.stamp_ns), known.covariance)
             instance = -1 if asked.instance is None else asked.instance
             queries += [
-                ObjectQuery(asked.object, box=box, prior=prior, instance=instance)
+                ObjectQuery(asked.object, box=box, prior=prior, instance=instance, searched=not asked.known)
                 for box in self._boxes(asked, prior, frame)
             ]
         return self._estimator.estimate(frame, queries)
@@ -105,6 +105,16 @@ class Sight:
                 box = box.grown(MARGIN).clipped(frame.camera.width, frame.camera.height)
                 return [box] if box.w >= 1.0 and box.h >= 1.0 else []
         return [d.box for d in self._detector.detect(frame, [asked.object])[: asked.wanted]]
+
+
+def shown(frame: RgbdFrame, number: int, rng: Rng) -> RgbdFrame:
+    """A frame as a camera shows it again: that number of a film, with noise of its own."""
+    color = frame.color + rng.standard_normal(frame.color.shape, np.float32) * COLOR_NOISE
+    depth = (
+        frame.depth + rng.standard_normal(frame.depth.shape, np.float32) * DEPTH_NOISE_PER_M * frame.depth**2
+    )
+    color = np.clip(np.rint(color), 0, 255).astype(np.uint8)
+    return RgbdFrame(color, depth.astype(np.float32), frame.camera, number, round(number * 1e9 / HZ))
 
 
 def film(frame: RgbdFrame, label: GroundTruth, model: ReferenceModel, rng: Rng) -> list[Seen]:
@@ -125,21 +135,13 @@ def film(frame: RgbdFrame, label: GroundTruth, model: ReferenceModel, rng: Rng) 
     covered, gone, back, end = (HZ * seconds for seconds in PARTS_S)
     out = []
     for number in range(end):
-        color, depth = frame.color.astype(np.float32), frame.depth.copy()
+        color, depth = frame.color.copy(), frame.depth.copy()
         if gone <= number < back:
             color[hole], depth[hole] = (m[b : b + h, a : a + w] for m in (frame.color, frame.depth))
         elif covered <= number < gone:
             color[hole], depth[hole] = GRAY, max(float(np.median(depth[depth > 0])) - NEARER_M, 0.2)
-        color += rng.standard_normal(color.shape, np.float32) * COLOR_NOISE
-        depth += rng.standard_normal(depth.shape, np.float32) * DEPTH_NOISE_PER_M * depth**2
-        shown = RgbdFrame(
-            np.clip(np.rint(color), 0, 255).astype(np.uint8),
-            depth.astype(np.float32),
-            frame.camera,
-            number,
-            round(number * 1e9 / HZ),
-        )
-        out.append(Seen(shown, T_cam_obj, 0.0 if covered <= number < back else 1.0))
+        noisy = shown(replace(frame, color=color, depth=depth), number, rng)
+        out.append(Seen(noisy, T_cam_obj, 0.0 if covered <= number < back else 1.0))
     return out
 
 

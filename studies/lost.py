@@ -20,8 +20,7 @@ from huepose.datasets.boxes import truth_box
 from huepose.datasets.types import GroundTruth, Sample
 from huepose.estimation import Estimator, ObjectQuery, PoseEstimate
 from huepose.estimation.config import StandingConfig
-from huepose.estimation.present import Presence, presence_by
-from huepose.estimation.standing import standing_answers
+from huepose.estimation.standing import chance, standing_answers
 from huepose.evaluation.estimate_protocol import PoseEstimator
 from huepose.evaluation.metrics import RECALL_FRACTION
 from huepose.evaluation.perception_protocol import SAME
@@ -67,17 +66,15 @@ def stage_of(
     box: Box,
     detections: Sequence[Detection],
     answers: Sequence[PoseEstimate],
-    chances: Sequence[float],
     config: StandingConfig | None = None,
 ) -> Stage:
-    """How far the label of an object with this box got. detections: of the frame; answers: at these; chances:
-    the probability of each that its object is there."""
+    """How far the label of an object with this box got. detections: of the frame; answers: at these."""
     config = config or StandingConfig()
     there = [_shows(a, name, box) for a in answers]
-    if any(_shows(a, name, box) for a in standing_answers(answers, chances, config)):
+    if any(_shows(a, name, box) for a in standing_answers(answers, config)):
         return Stage.FOUND
     if any(there):
-        likeliest = max(p for p, here in zip(chances, there, strict=True) if here)
+        likeliest = max(chance(a) for a, here in zip(answers, there, strict=True) if here)
         return Stage.COVERED if likeliest >= config.present else Stage.DOUBTED
     proposed = any(d.object == name and d.box.iou(box) >= SAME for d in detections)
     return Stage.ASTRAY if proposed else Stage.UNSEEN
@@ -96,27 +93,27 @@ class Looking:
     targets: Targets
     detector: Detector
     estimator: PoseEstimator
-    presence: Presence
 
     def lost(self, sample: Sample) -> list[Lost]:
         """Of each visible label of a frame."""
         detections = self.detector.detect(sample.frame, [m.name for m in self.targets.models])
-        queries = [ObjectQuery(d.object, box=d.box, instance=i) for i, d in enumerate(detections)]
+        queries = [
+            ObjectQuery(d.object, box=d.box, instance=i, searched=True) for i, d in enumerate(detections)
+        ]
         answers = self.estimator.estimate(sample.frame, queries) if queries else []
-        chances = self.presence(sample.frame, answers)
         out = []
         for truth in sample.truths:
             model = self.targets.model_of(truth)
             box = None if model is None else truth_box(truth, model.mesh, sample.frame.camera)
             if model is None or box is None or not truth.visible or not self.targets.wants(truth):
                 continue
-            stage = stage_of(model.name, box, detections, answers, chances)
+            stage = stage_of(model.name, box, detections, answers)
             out.append(Lost(stage, None if stage is Stage.FOUND else self._boxed(sample, truth, model, box)))
         return out
 
     def _boxed(self, sample: Sample, truth: GroundTruth, model: ReferenceModel, box: Box) -> InItsBox:
-        answers = self.estimator.estimate(sample.frame, [ObjectQuery(model.name, box=box)])
-        believed = self.presence(sample.frame, answers)[0] >= StandingConfig().present
+        answers = self.estimator.estimate(sample.frame, [ObjectQuery(model.name, box=box, searched=True)])
+        believed = chance(answers[0]) >= StandingConfig().present
         T = answers[0].T_cam_obj
         near = (
             T is not None
@@ -150,7 +147,7 @@ def looking(models: Mapping[str, ReferenceModel], objects: Sequence[str] | None)
     asked = {m.name: m for m in targets.models}
     estimator = Estimator(asked, replace(settings.estimator, found_level=0.0))
     detector = ColorPairDetector(asked, settings.detector)
-    return Looking(targets, detector, estimator, presence_by(asked, estimator.config.method))
+    return Looking(targets, detector, estimator)
 
 
 def main(words: Sequence[str] | None = None) -> None:

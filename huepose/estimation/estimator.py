@@ -21,6 +21,7 @@ from huepose.estimation.apparent_size import looks
 from huepose.estimation.config import CompetitionConfig, EstimatorConfig
 from huepose.estimation.explanation import Explanation
 from huepose.estimation.methods import method_of
+from huepose.estimation.present import PresenceIn
 from huepose.estimation.types import ObjectQuery, PoseEstimate
 from huepose.estimation.warm_up import warm_up
 from huepose.geometry.arrays import Bool, Float64
@@ -31,6 +32,7 @@ from huepose.perception.embedded import DepthSegmenter
 from huepose.perception.types import Segmenter
 from huepose.propose.templates import table_of
 from huepose.support.pool import Pool
+from huepose.support.stages import stage
 
 Answered = tuple[PoseEstimate, Explanation]
 """An answer and what led to it."""
@@ -87,10 +89,23 @@ class Estimator:
         of others, what was seen then."""
         for query in queries:
             self._models[query.object]  # raises before anything is looked at
-        answers = self._pool.map(lambda query: self.explain(frame, query), queries)
-        if len(queries) < 2 or not self.config.competing or (self._method and self._method.bare):
+        bare = self._method is not None and self._method.bare
+        presence = None
+        if not bare and any(query.searched for query in queries):
+            with stage("presence"):
+                presence = PresenceIn(frame, self._models, self.config.method)
+
+        def look(seen: RgbdFrame, query: ObjectQuery) -> Answered:
+            answer, led = self.explain(seen, query)
+            if presence is not None and query.searched:
+                with stage("presence"):
+                    answer = presence.asked(answer)
+            return answer, led
+
+        answers = self._pool.map(lambda query: look(frame, query), queries)
+        if len(queries) < 2 or not self.config.competing or bare:
             return answers
-        return compete(frame, queries, answers, self.explain, self.config.competition)
+        return compete(frame, queries, answers, look, self.config.competition)
 
     def explain(self, frame: RgbdFrame, query: ObjectQuery) -> Answered:
         """The answer to one query, as if there were no other, and what led to it."""
@@ -119,7 +134,11 @@ class Estimator:
         models = [self._models[name] for name in names]
         if self._method is not None:
             self._method.warm_up(models)
-        warm_up(self.explain, max(models, key=lambda m: len(m.pairs.points)), self._method is None)
+        warm_up(
+            lambda frame, query: self.explained(frame, [query])[0],
+            max(models, key=lambda m: len(m.pairs.points)),
+            self._method is None,
+        )
 
 
 def compete(

@@ -1,12 +1,14 @@
-"""Whether the objects of a frame's answers are there at all.
+"""Whether the object of an answer is there at all.
 
-Quality says whether a *pose* is right. Whether the object is there is another question, which even an object
-without texture answers: `perception.presence` does, on all answers of a frame together.
+Quality says whether a *pose* is right if it is this object that is seen. At a place that a search proposes,
+it may be anything else. `perception.presence` says how likely it is the object, which even one without
+texture answers, and no pose of it is surer than that.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
 
 import numpy as np
 
@@ -21,62 +23,44 @@ from huepose.model.types import ReferenceModel
 from huepose.perception.clear_view import clear_view
 from huepose.perception.presence import sights_of
 
-Presence = Callable[[RgbdFrame, Sequence[PoseEstimate]], Sequence[float]]
-"""Of the answers of a frame, the probability of each that its object is there."""
 
+class PresenceIn:
+    """Presence in one frame. models: all known objects by name, of which the largest decides what is taken
+    for a plane; method: the one that answers."""
 
-def presence_by(models: Mapping[str, ReferenceModel], method: Method) -> Presence:
-    """By `perception.presence`, of the objects of these models, for answers of a method."""
-    return lambda frame, answers: presences_of(frame, models, answers, method)
+    def __init__(self, frame: RgbdFrame, models: Mapping[str, ReferenceModel], method: Method) -> None:
+        self._models, self._method = models, method
+        self._view = clear_view(frame, max((m.diameter_m for m in list(models.values())), default=0.0))
 
-
-def presences_of(
-    frame: RgbdFrame,
-    models: Mapping[str, ReferenceModel],
-    answers: Sequence[PoseEstimate],
-    method: Method,
-) -> list[float]:
-    """Probability for each answer of a method that its object is there, 0 where none was found. Raises
-    KeyError for an answer about an object that is not in `models`."""
-    return [chance for chance, _ in presences_with_doubts(frame, models, answers, method)]
-
-
-def presences_with_doubts(
-    frame: RgbdFrame,
-    models: Mapping[str, ReferenceModel],
-    answers: Sequence[PoseEstimate],
-    method: Method,
-) -> list[tuple[float, str]]:
-    """The same, each with what speaks most against the object, in words; empty where no pose was found."""
-    poses = [(a.object, a.T_cam_obj) for a in answers if a.T_cam_obj is not None]
-    seen = iter(_looked_at(frame, models, poses))
-    out = []
-    for answer in answers:
+    def asked(self, answer: PoseEstimate) -> PoseEstimate:
+        """An answer that says how likely its object is there, 0 where no pose was found, and is no surer of
+        its poses than that. Raises KeyError for an object that is not in `models`."""
         if answer.T_cam_obj is None:
-            out.append((0.0, ""))
-        else:
-            logit, doubt = next(seen)
-            out.append((_chance(logit, answer, method), doubt))
-    return out
+            return replace(answer, present=0.0)
+        logit, _ = self._looked([(answer.object, answer.T_cam_obj)])[0]
+        present = _chance(logit, answer, self._method)
+        share = min(1.0, present / max(answer.quality, 1e-9))
+        quality = answer.quality * share
+        sure = quality >= quality_fits()[self._method].level
+        return replace(
+            answer,
+            present=present,
+            quality=quality,
+            state="TRACKING" if sure else "SUSPECT",
+            alternatives=tuple((T, p * share) for T, p in answer.alternatives),
+        )
 
+    def places(self, poses: Sequence[tuple[str, Float64]]) -> list[tuple[float, str]]:
+        """Of named objects at poses T_cam_obj (4, 4): the probability that they are there by what is seen
+        alone, and what speaks most against it, in words."""
+        return [(probability(logit), doubt) for logit, doubt in self._looked(poses)]
 
-def places_with_doubts(
-    frame: RgbdFrame, models: Mapping[str, ReferenceModel], poses: Sequence[tuple[str, Float64]]
-) -> list[tuple[float, str]]:
-    """Of named objects at poses T_cam_obj (4, 4) that nobody estimated: the probability that they are there
-    by what is seen alone, and what speaks most against it, in words."""
-    return [(probability(logit), doubt) for logit, doubt in _looked_at(frame, models, poses)]
-
-
-def _looked_at(
-    frame: RgbdFrame, models: Mapping[str, ReferenceModel], poses: Sequence[tuple[str, Float64]]
-) -> list[tuple[float, str]]:
-    """Of named objects at poses T_cam_obj (4, 4): the logit that they are there, and the greatest doubt."""
-    view = clear_view(frame, max((m.diameter_m for m in models.values()), default=0.0))
-    if view is None:
-        return [(-np.inf, "nothing stands there")] * len(poses)
-    sights = sights_of(view, models, poses)
-    return [(float(x), greatest_doubt(s)) for s, x in zip(sights, logits_of(sights), strict=True)]
+    def _looked(self, poses: Sequence[tuple[str, Float64]]) -> list[tuple[float, str]]:
+        """The logit that each is there, and the greatest doubt."""
+        if self._view is None:
+            return [(-np.inf, "nothing stands there")] * len(poses)
+        sights = sights_of(self._view, self._models, poses)
+        return [(float(x), greatest_doubt(s)) for s, x in zip(sights, logits_of(sights), strict=True)]
 
 
 def _chance(logit: float, answer: PoseEstimate, method: Method) -> float:

@@ -15,41 +15,42 @@ from huepose.select.distinct import pixels, standing
 
 
 def standing_answers(
-    answers: Sequence[PoseEstimate], chances: Sequence[float], config: StandingConfig | None = None
+    answers: Sequence[PoseEstimate], config: StandingConfig | None = None
 ) -> list[PoseEstimate]:
-    """The answers that stand, likeliest first. chances: of each, the probability that its object is there.
+    """The answers that stand, likeliest first.
 
     Answers that were not found are left out; one without a mask claims nothing and is not contested."""
     config = config or StandingConfig()
     likely = [
-        (chance, answer)
-        for chance, answer in zip(chances, answers, strict=True)
-        if answer.found and chance >= config.present and (answer.mask is None or answer.mask.any())
+        answer
+        for answer in answers
+        if answer.found and chance(answer) >= config.present and (answer.mask is None or answer.mask.any())
     ]
-    surfaces = [pixels(answer.mask) for _, answer in likely]
-    return [likely[i][1] for i in standing(surfaces, [chance for chance, _ in likely], config.claimed)]
+    surfaces = [pixels(answer.mask) for answer in likely]
+    return [likely[i] for i in standing(surfaces, [chance(answer) for answer in likely], config.claimed)]
 
 
-def why_none_stands(
-    name: str,
-    answers: Sequence[PoseEstimate],
-    chances: Sequence[float],
-    doubts: Sequence[str] = (),
-) -> str:
+def chance(answer: PoseEstimate) -> float:
+    """The probability that an answer's object is there; where nobody asked, that its pose is right."""
+    return answer.quality if answer.present is None else answer.present
+
+
+def why_none_stands(name: str, answers: Sequence[PoseEstimate], doubts: Sequence[str] = ()) -> str:
     """Why no pose of an object stands, in one sentence: of the likeliest of its answers where it has any.
 
-    answers, chances: as for `standing_answers`, of all objects of the frame; doubts: of each answer, what
-    speaks most against its object (`estimation.present`)."""
+    answers: as for `standing_answers`, of all objects of the frame; doubts: of each answer, what speaks most
+    against its object (`estimation.present`)."""
     least = StandingConfig().present
     doubts = doubts or [""] * len(answers)
-    mine = [x for x in zip(chances, answers, doubts, strict=True) if x[1].object == name]
+    mine = [x for x in zip(answers, doubts, strict=True) if x[0].object == name]
     if not mine:
         return "The detector found no place in the frame that looks like the object."
-    chance, best, doubt = max(mine, key=lambda item: item[0])
+    best, doubt = max(mine, key=lambda item: chance(item[0]))
     if not best.found:
         return best.reason
     places = "the only place" if len(mine) == 1 else f"the best of {len(mine)} places"
-    if chance >= least:
+    if chance(best) >= least:
         return f"Another object explains the surface at {places} better."
-    said = f"At {places} the object is there with a probability of {chance:.2f}, which is under {least:.2f}"
+    likely = f"with a probability of {chance(best):.2f}, which is under {least:.2f}"
+    said = f"At {places} the object is there {likely}"
     return f"{said}: {doubt}." if doubt else f"{said}."

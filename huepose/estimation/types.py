@@ -26,7 +26,8 @@ class ObjectQuery:
     """One object to look for: in a box, or in given candidate masks (H, W), with an optional prior.
 
     With neither box nor masks the prior's outline is used; with nothing at all InputError is raised.
-    `instance` is handed through.
+    `instance` is handed through. searched: the place is a proposal, and the object may not be there: then the
+    answer says how likely it is there (`present`), and no pose of it is surer than that.
     """
 
     object: str
@@ -34,6 +35,7 @@ class ObjectQuery:
     masks: tuple[Bool, ...] = ()
     prior: PosePrior | None = None
     instance: int = 0
+    searched: bool = False
 
 
 @dataclass(frozen=True, eq=False)
@@ -47,7 +49,8 @@ class PoseEstimate:
     in 0..1, which is no probability). state: "TRACKING" over the
     acquisition level, else "SUSPECT"; "LOST" when not found. alternatives: other poses and their
     probabilities. terms: what the quality was made of. reason: where not found, why, in one sentence; empty
-    where found.
+    where found. present: probability that the object is there at all, whatever its pose; None where nobody
+    asked (`ObjectQuery.searched`).
     """
 
     object: str
@@ -67,3 +70,4 @@ class PoseEstimate:
     seconds: float = 0.0
     terms: QualityTerms | None = None
     reason: str = ""
+    present: float | None = None

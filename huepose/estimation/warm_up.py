@@ -24,8 +24,8 @@ Explain = Callable[[RgbdFrame, ObjectQuery], tuple[PoseEstimate, Explanation]]
 
 
 def warm_up(explain: Explain, model: ReferenceModel, full: bool) -> None:
-    """Let an estimator look for an object that stands before a wall; full: by the method of that name, for
-    which there may be a prior, and a near tie between poses."""
+    """Let an estimator look for an object that stands before a wall, and ask whether it is there; full: by
+    the method of that name, for which there may be a prior, and a near tie between poses."""
     camera = Camera(320.0, 320.0, 159.5, 119.5, 320, 240)
     T = se3.make(np.eye(3), np.array([0.0, 0.0, 3.0 * model.diameter_m]) - model.mesh.centre)
     picture = render([(model.mesh, T)], camera)
@@ -34,7 +34,7 @@ def warm_up(explain: Explain, model: ReferenceModel, full: bool) -> None:
     box = projected_box(model, frame, T)
     if box is None:
         return
-    _, seen = explain(frame, ObjectQuery(model.name, box))
+    _, seen = explain(frame, ObjectQuery(model.name, box, searched=True))
     if not full or seen.evidence is None:
         return
     region = seen.evidence.region

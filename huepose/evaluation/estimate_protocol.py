@@ -13,7 +13,6 @@ import numpy as np
 from huepose.datasets.bop_detections import BopDetections
 from huepose.datasets.boxes import Disturbance, disturbed, projected_box, truth_box
 from huepose.datasets.types import Sample, Scene
-from huepose.estimation.present import Presence
 from huepose.estimation.standing import standing_answers, why_none_stands
 from huepose.estimation.types import ObjectQuery, PoseEstimate, PosePrior
 from huepose.evaluation.assignment import Label, assigned, labels_of, localised
@@ -61,16 +60,14 @@ class EstimateOptions:
 class EstimateSetup:
     """What is evaluated, and how.
 
-    equivalents: poses that count as the labelled one does; detector: for boxes `detect`; presence: says which
-    answers in a detector's boxes stand, their quality does without it; bop_objects: by BOP id, what BOP's
-    errors are measured on, where they are wanted; given: the boxes for `file`."""
+    equivalents: poses that count as the labelled one does; detector: for boxes `detect`; bop_objects: by BOP
+    id, what BOP's errors are measured on, where they are wanted; given: the boxes for `file`."""
 
     targets: Targets
     estimator: PoseEstimator
     options: EstimateOptions
     equivalents: Mapping[Key, Sequence[Float64]] = field(default_factory=dict)
     detector: Detector | None = None
-    presence: Presence | None = None
     bop_objects: Mapping[int, BopObject] = field(default_factory=dict)
     given: BopDetections | None = None
 
@@ -156,7 +153,7 @@ class _FrameRun:
         """A row for each label that counts, and the poses that belong to none."""
         setup = self.setup
         if setup.detector is not None and setup.options.boxes == "detect":
-            return self.detected(setup.estimator, setup.detector, setup.presence)
+            return self.detected(setup.estimator, setup.detector)
         if setup.given is not None and setup.options.boxes == "file":
             return self.given(setup.estimator, setup.given)
         return self.boxed(setup.estimator), []
@@ -213,21 +210,22 @@ class _FrameRun:
         return ObjectQuery(label.model.name, box=box, masks=masks, instance=truth.instance)
 
     def detected(
-        self, estimator: PoseEstimator, detector: Detector, presence: Presence | None
+        self, estimator: PoseEstimator, detector: Detector
     ) -> tuple[list[EstimateRow], list[FalsePose]]:
         """Every object is asked for; the poses that stand are matched to the labels of their object."""
         start = time.perf_counter()
         names = [model.name for model in self.setup.targets.models]
         detections = detector.detect(self.sample.frame, names)
-        queries = [ObjectQuery(d.object, box=d.box, instance=i) for i, d in enumerate(detections)]
+        queries = [
+            ObjectQuery(d.object, box=d.box, instance=i, searched=True) for i, d in enumerate(detections)
+        ]
         answers = estimator.estimate(self.sample.frame, queries) if queries else []
-        chances = [a.quality for a in answers] if presence is None else presence(self.sample.frame, answers)
-        poses = standing_answers(answers, chances)
+        poses = standing_answers(answers)
 
         def why(name: str) -> str:
             if any(pose.object == name for pose in poses):
                 return "The poses of the object that stand are at other places."
-            return why_none_stands(name, answers, chances)
+            return why_none_stands(name, answers)
 
         matched = assigned(poses, self.labels, self._box_of)
         return self._matched(queries, matched, time.perf_counter() - start, why)

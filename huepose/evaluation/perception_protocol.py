@@ -12,7 +12,6 @@ import numpy as np
 from huepose.datasets.boxes import disturbed, truth_box
 from huepose.datasets.types import GroundTruth, Sample, Scene
 from huepose.estimation.config import StandingConfig
-from huepose.estimation.present import Presence
 from huepose.estimation.reasons import overlap
 from huepose.estimation.standing import standing_answers
 from huepose.estimation.types import ObjectQuery, PoseEstimate
@@ -64,11 +63,9 @@ def evaluate_perception(
     estimator: PoseEstimator,
     options: PerceptionOptions,
     *,
-    presence: Presence | None = None,
     on_frame: Callable[[Sample, FrameFigures], None] | None = None,
 ) -> PerceptionResult:
-    """Ask for all objects of `targets` in all labelled images. `presence` says which of the answers stand;
-    their quality does without it. `on_frame` sees each frame with its figures.
+    """Ask for all objects of `targets` in all labelled images. `on_frame` sees each frame with its figures.
 
     Raises InputError when nothing is labelled."""
     frames = []
@@ -79,7 +76,7 @@ def evaluate_perception(
         sample = Sample(scene.frame(image), truths, scene.name, image)
         labels = _labels(sample, targets)
         if labels:
-            run = _FrameRun(sample, labels, targets, detector, segmenter, estimator, options, presence)
+            run = _FrameRun(sample, labels, targets, detector, segmenter, estimator, options)
             figures = run.figures(names)
             frames.append(figures)
             if on_frame is not None:
@@ -117,7 +114,6 @@ class _FrameRun:
     segmenter: Segmenter
     estimator: PoseEstimator
     options: PerceptionOptions
-    presence: Presence | None
 
     def figures(self, names: Sequence[str]) -> FrameFigures:
         """Ask for the objects of these names, and outline all that is labelled."""
@@ -126,10 +122,8 @@ class _FrameRun:
         detections = self.detector.detect(sample.frame, names)
         found_s = time.perf_counter() - start
         judged = _best([d for d in detections if d.score >= options.least], options.judged)
-        queries = [ObjectQuery(d.object, box=d.box, instance=i) for i, d in enumerate(judged)]
+        queries = [ObjectQuery(d.object, box=d.box, instance=i, searched=True) for i, d in enumerate(judged)]
         answers = self.estimator.estimate(sample.frame, queries) if queries else []
-        presence = self.presence
-        chances = [a.quality for a in answers] if presence is None else presence(sample.frame, answers)
         seconds = time.perf_counter() - start
         by_object = {name: [d for d in detections if d.object == name] for name in names}
         rows = [
@@ -138,8 +132,7 @@ class _FrameRun:
         level = StandingConfig(options.accepted)
 
         def verdict(asked: Sequence[str]) -> tuple[dict[int, PoseEstimate], list[FalseBox]]:
-            mine = [(a, p) for a, p in zip(answers, chances, strict=True) if a.object in set(asked)]
-            return self._assigned(standing_answers([a for a, _ in mine], [p for _, p in mine], level))
+            return self._assigned(standing_answers([a for a in answers if a.object in set(asked)], level))
 
         return FrameFigures(sample.scene, sample.image, rows, names, verdict, found_s, seconds)
 

@@ -278,7 +278,8 @@ class ReinitLoop:
             if first is None:
                 self.counters.unconfirmed += 1
                 return None
-            quality = 1.0 - (1.0 - quality) * (1.0 - first.estimate.quality)
+            # Two looks from one place err alike: together they are no surer than the surer one.
+            quality = max(quality, first.estimate.quality)
         self._sightings[slot.object] = []
         self._last_instance[slot.object] = max(self._last_instance.get(slot.object, -1), key[1])
         self._count(Verdict.ACQUIRE)

@@ -111,7 +111,7 @@ def candidates(
                 continue
             prior = Prior(t.T_cam_obj, t.velocity, t.covariance, t.stamp_ns)
             rank = 1 if t.state is State.SUSPECT else 2
-            asked = RequestedObject(slot.object, t.instance, prior)
+            asked = RequestedObject(slot.object, t.instance, prior, known=t.state is State.TRACKING)
             out.append(Candidate(rank, looked_ns.get((slot.object, t.instance), NEVER), asked))
     return out
 

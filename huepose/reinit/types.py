@@ -62,12 +62,14 @@ class Prior:
 @dataclass(frozen=True, eq=False)
 class RequestedObject:
     """One object of a request. With an instance the tracked one is looked at again, and has a prior; with
-    None the object is looked for anywhere, up to `wanted` instances that are not yet tracked."""
+    None the object is looked for anywhere, up to `wanted` instances that are not yet tracked. known: the
+    tracked one is TRACKING; of any other it is not sure that it is the object."""
 
     object: str
     instance: int | None
     prior: Prior | None = None
     wanted: int = 1
+    known: bool = False
 
 
 @dataclass(frozen=True, eq=False)

@@ -90,13 +90,15 @@ class MountMessage(Message, frozen=True, kw_only=True):
 
 
 class RequestedObject(Struct, frozen=True, kw_only=True):
-    """An object to look at: a known instance (with its prior), or, with instance null, up to `wanted` new
-    ones anywhere in the image."""
+    """An object to look at: a tracked instance (with its prior), or, with instance null, up to `wanted` new
+    ones anywhere in the image. `known`: the instance is TRACKING; of any other it is not sure that it is the
+    object."""
 
     object: Name
     instance: Index | None
     prior: Prior | None = None
     wanted: Annotated[int, Meta(ge=1, le=64)] = 1
+    known: bool = False
 
 
 class PerceptionRequest(Message, frozen=True, kw_only=True):

@@ -138,4 +138,5 @@ class EstimatorWork(Work):
             masks=masks,
             prior=prior,
             instance=-1 if request.instance is None else request.instance,
+            searched=not request.known,
         )

@@ -65,17 +65,18 @@ def play(
     frames: Iterable[Seen],
     model: ReferenceModel,
     tracker: Tracker,
-    first: Float64,
+    first: Float64 | None,
     quality: float = 1.0,
     perception: Perception | None = None,
 ) -> list[Told]:
-    """Track a film of one object from a first pose (4, 4) with its quality; without `perception` alone."""
+    """Track a film of one object from a first pose (4, 4) with its quality, None where perception has to find
+    it; without `perception` alone."""
     loop = ReinitLoop(objects=[slot_of(model)])
     due: list[tuple[int, PerceptionResult]] = []
     told = []
     for number, seen in enumerate(frames):
         frame, now_ns = seen.frame, seen.frame.stamp_ns
-        if number == 0:
+        if number == 0 and first is not None:
             tracker.correct(Correction.first(model.name, first, frame, quality))
         for item in [d for d in due if d[0] <= now_ns]:
             due.remove(item)

@@ -1,4 +1,4 @@
-"""Presence of the objects of a frame's answers."""
+"""Presence of the object of an answer."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ import pytest
 from huepose.believe.quality import features, quality_fits
 from huepose.estimation import Estimator, ObjectQuery
 from huepose.estimation.config import StandingConfig
-from huepose.estimation.present import presences_of
+from huepose.estimation.present import PresenceIn
 from huepose.estimation.types import PoseEstimate
 from huepose.geometry import Box
 from huepose.rendering.render import render_depth
@@ -23,11 +23,31 @@ def test_an_answer_is_as_likely_as_its_object_is_there(tea_box, take_picture, st
     (there,) = Estimator(models).estimate(frame, [ObjectQuery("tea_box", box)])
     beside = standing.copy()
     beside[0, 3] += 0.5 * tea_box.diameter_m
-    answers = [there, replace(there, T_cam_obj=beside), PoseEstimate("tea_box")]
-    chances = presences_of(frame, models, answers, "full")
-    assert chances[0] > 0.9
-    assert chances[1] < 0.5 * StandingConfig().present  # for all that it claims to be sure
-    assert chances[2] == 0.0
+    other = beside.copy()
+    claimed = replace(there, T_cam_obj=beside, alternatives=((other, 0.1),))
+    presence = PresenceIn(frame, models, "full")
+    right, wrong, none = (presence.asked(a) for a in (there, claimed, PoseEstimate("tea_box")))
+    assert there.present is None
+    assert right.present > 0.9
+    assert (right.quality, right.state) == (there.quality, "TRACKING")
+    # For all that it claims to be sure: no pose of it is surer than that anything of it is there.
+    assert wrong.present < 0.5 * StandingConfig().present
+    assert wrong.quality == pytest.approx(wrong.present)
+    assert wrong.alternatives[0][1] == pytest.approx(0.1 * wrong.present / there.quality)
+    assert wrong.state == "SUSPECT"
+    assert (none.present, none.found, none.state) == (0.0, False, "LOST")
+
+
+def test_only_what_a_search_proposed_is_asked_whether_it_is_there(tea_box, take_picture, standing) -> None:
+    frame = take_picture([(tea_box.mesh, standing)])
+    box = Box.of_mask(render_depth(tea_box.mesh, standing, frame.camera) > 0)
+    queries = [ObjectQuery("tea_box", box), ObjectQuery("tea_box", box, searched=True)]
+    estimator = Estimator({"tea_box": tea_box})
+    given, searched = (estimator.estimate(frame, [query])[0] for query in queries)
+    assert given.present is None
+    asked = PresenceIn(frame, {"tea_box": tea_box}, "full").asked(given)
+    assert searched.present == pytest.approx(asked.present)
+    assert np.array_equal(given.T_cam_obj, searched.T_cam_obj)
 
 
 def test_a_shape_in_another_texture_is_another_thing(tea_box, take_picture, standing) -> None:
@@ -36,7 +56,8 @@ def test_a_shape_in_another_texture_is_another_thing(tea_box, take_picture, stan
     frame = take_picture([(replace(tea_box.mesh, texture=texture), standing)])
     box = Box.of_mask(render_depth(tea_box.mesh, standing, frame.camera) > 0)
     (answer,) = Estimator(models).estimate(frame, [ObjectQuery("tea_box", box)])
-    assert presences_of(frame, models, [replace(answer, T_cam_obj=standing)], "full")[0] < 0.5
+    there = PresenceIn(frame, models, "full").asked(replace(answer, T_cam_obj=standing))
+    assert there.present < 0.5
 
 
 def test_another_texture_is_judged_by_the_method_that_answered(tea_box, take_picture, standing) -> None:
@@ -48,7 +69,8 @@ def test_another_texture_is_judged_by_the_method_that_answered(tea_box, take_pic
     lacking = replace(answer, terms=replace(answer.terms, turned=0.5, otherwise=0.9, agreed=0.0))
     left = {}
     for method in ("full", "colorpair"):
-        own, other = (presences_of(frame, models, [a], method)[0] for a in (answer, lacking))
+        presence = PresenceIn(frame, models, method)
+        own, other = (presence.asked(a).present for a in (answer, lacking))
         chance = quality_fits()[method].this_texture(features(lacking.terms))
         left[method] = other / own
         assert left[method] == pytest.approx(

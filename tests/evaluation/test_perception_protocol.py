@@ -58,12 +58,14 @@ class UpperHalf:
         return [mask_of(Box(box.x, box.y, box.w, box.h / 2))]
 
 
-def seen(qualities: dict[tuple[str, Box], float]) -> ScriptedEstimator:
-    """Finds what it is asked for in the box, as sure as told (0.9 in a box that is not listed)."""
+def seen(qualities: dict[tuple[str, Box], float], present: bool = False) -> ScriptedEstimator:
+    """Finds what it is asked for in the box, as sure as told (0.9 in a box that is not listed). present: it
+    says, too, that the object is there, the surer the less sure its pose is."""
 
     def answer(frame, query) -> PoseEstimate:
         quality = qualities.get((query.object, query.box), 0.9)
-        return replace(estimate_of(query, pose_at(0.0), quality), mask=mask_of(query.box))
+        found = replace(estimate_of(query, pose_at(0.0), quality), mask=mask_of(query.box))
+        return replace(found, present=1.0 - quality) if present else found
 
     return ScriptedEstimator(answer)
 
@@ -153,29 +155,31 @@ def test_nothing_labelled_is_an_error(models) -> None:
 
 
 def test_one_surface_stands_for_one_pose() -> None:
-    def answer(name: str, box: Box) -> PoseEstimate:
-        return replace(PoseEstimate(name), found=True, mask=mask_of(box))
+    def answer(name: str, box: Box, present: float) -> PoseEstimate:
+        return replace(PoseEstimate(name), found=True, mask=mask_of(box), present=present)
 
-    better, worse = answer("box", LEFT), answer("brick", LEFT)
-    beside, doubtful = answer("brick", RIGHT), answer("can", NOWHERE)
-    assert standing_answers([worse, doubtful, beside, better], [0.9, 0.3, 0.7, 0.95]) == [better, beside]
-    assert standing_answers([worse, PoseEstimate("box")], [0.9, 1.0]) == [worse]
-    assert standing_answers([doubtful], [0.3], StandingConfig(present=0.2)) == [doubtful]
+    better, worse = answer("box", LEFT, 0.95), answer("brick", LEFT, 0.9)
+    beside, doubtful = answer("brick", RIGHT, 0.7), answer("can", NOWHERE, 0.3)
+    assert standing_answers([worse, doubtful, beside, better]) == [better, beside]
+    assert standing_answers([worse, PoseEstimate("box", present=1.0)]) == [worse]
+    assert standing_answers([doubtful], StandingConfig(present=0.2)) == [doubtful]
 
 
 def test_why_none_of_an_object_stands() -> None:
-    found = replace(PoseEstimate("brick"), found=True, mask=mask_of(LEFT))
-    assert why_none_stands("box", [found], [0.9]).startswith("The detector found no place")
-    assert why_none_stands("brick", [found, found], [0.2, 0.31]) == (
+    def found(present: float) -> PoseEstimate:
+        return replace(PoseEstimate("brick"), found=True, mask=mask_of(LEFT), present=present)
+
+    assert why_none_stands("box", [found(0.9)]).startswith("The detector found no place")
+    assert why_none_stands("brick", [found(0.2), found(0.31)]) == (
         "At the best of 2 places the object is there with a probability of 0.31, which is under 0.60."
     )
-    assert why_none_stands("brick", [found], [0.2], ["its texture is not seen there"]).endswith(
+    assert why_none_stands("brick", [found(0.2)], ["its texture is not seen there"]).endswith(
         "under 0.60: its texture is not seen there."
     )
-    assert why_none_stands("brick", [found], [0.9]) == (
+    assert why_none_stands("brick", [found(0.9)]) == (
         "Another object explains the surface at the only place better."
     )
-    assert why_none_stands("brick", [PoseEstimate("brick", reason="Nothing.")], [0.0]) == "Nothing."
+    assert why_none_stands("brick", [PoseEstimate("brick", reason="Nothing.")]) == "Nothing."
 
 
 def test_what_stands_is_there_however_sure_its_pose_is(models, scene) -> None:
@@ -186,9 +190,8 @@ def test_what_stands_is_there_however_sure_its_pose_is(models, scene) -> None:
         Targets(models),
         Boxes(*detections),
         UpperHalf(),
-        seen({("brick", LEFT): 0.9, ("brick", RIGHT): 0.1}),
+        seen({("brick", LEFT): 0.9, ("brick", RIGHT): 0.1}, present=True),
         PerceptionOptions(least=0.2, masks=False),
-        presence=lambda frame, answers: [1.0 - a.quality for a in answers],
     )
     record = result.as_json([1])
     assert [(r["name"], r["found"]) for r in record["rows"]] == [("box", False), ("brick", True)]

@@ -43,10 +43,12 @@ def test_lost_first_then_doubtful_then_stalest() -> None:
     tracks = [track("a"), track("b", state=State.SUSPECT), track("c", state=State.LOST), track("d")]
     first = loop.tick(0, tracks)
     assert asked(first) == [("c", None), ("b", 0)]
+    assert not any(one.known for one in first.objects), "it is not sure that they are these objects"
     loop.answer(50 * MS, result(first, 0, estimate("c")))
     tracks = [track("a"), track("b"), track("c", applied=1), track("d")]
     second = loop.tick(200 * MS, tracks)
     assert asked(second) == [("a", 0), ("d", 0)], "never looked at before those that were"
+    assert all(one.known for one in second.objects)
 
 
 def test_objects_that_are_nowhere_do_not_starve_the_others() -> None:

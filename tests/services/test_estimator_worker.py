@@ -48,6 +48,7 @@ class _Estimator:
     answers: tuple[PoseEstimate, ...] = ()
 
     def estimate(self, frame, queries):
+        self.asked = queries
         return list(self.answers)
 
     larger = 0.0  # by what share the picture shows a cup
@@ -83,6 +84,19 @@ def test_depth_of_another_unit_is_named_in_answer_health_and_log(times):
     work.step()
     assert bus.said[-1].picture == ""
     assert bus.health.message().warnings == []
+
+
+def test_only_of_a_tracking_instance_it_is_not_asked_whether_it_is_the_object():
+    bus, estimator = _Bus(), _Estimator()
+    estimator.answers = (PoseEstimate("cup"), PoseEstimate("cup"))
+    work = EstimatorWork(bus, estimator, SimpleNamespace(changes=lambda: []))
+    message, payload = masks(1.0, "cup", "cup")
+    known, new = message.objects
+    detection = known.detection
+    known = replace(known, detection=replace(detection, request=replace(detection.request, known=True)))
+    bus.arriving = [(replace(message, objects=[known, new]), payload)]
+    work.step()
+    assert [query.searched for query in estimator.asked] == [False, True]
 
 
 @pytest.fixture

@@ -99,10 +99,9 @@ def call(arguments: argparse.Namespace) -> int:
         proposed = ColorPairDetector(models, detector).detect(frame, names)
         places = [place for place in proposed if place.score >= least]
         # The best place last: its explanation is the one that is kept.
-        queries = [ObjectQuery(place.object, place.box) for place in places[::-1]]
+        queries = [ObjectQuery(place.object, place.box, searched=True) for place in places[::-1]]
     estimator.prepare([query.object for query in queries])
-    for query in queries[:1]:
-        estimator.explain(frame, query)  # loads the kernels, so that `seconds` is the time of an answer
+    estimator.estimate(frame, queries[:1])  # loads the kernels, so that `seconds` is the time of an answer
     prepared = time.monotonic()
     answers = [_answer(arguments, frame, models, estimator, query) for query in queries]
     if box is None:
@@ -177,7 +176,7 @@ def _answer(
 ) -> PoseEstimate:
     """The answer for one object in one box, explained where that is wanted."""
     name = query.object
-    answer, explanation = estimator.explain(frame, query)
+    [(answer, explanation)] = estimator.explained(frame, [query])
     if arguments.explain:
         from huepose_services.cli.explain import write_explanation
 
@@ -218,38 +217,40 @@ def _standing(
 ) -> list[PoseEstimate]:
     """The poses that stand at the proposed places; an object without any is not found, and its places are
     drawn where that is wanted."""
-    from huepose.estimation.present import presences_with_doubts
-    from huepose.estimation.standing import standing_answers, why_none_stands
+    from huepose.estimation.present import PresenceIn
+    from huepose.estimation.standing import chance, standing_answers, why_none_stands
     from huepose.estimation.types import PoseEstimate
     from huepose.geometry.picture_faults import bad_picture
 
-    seen = presences_with_doubts(frame, models, answers, arguments.method)
-    chances, doubts = [chance for chance, _ in seen], [doubt for _, doubt in seen]
-    poses = standing_answers(answers, chances)
+    poses = standing_answers(answers)
+    presence = PresenceIn(frame, models, arguments.method)
     out = []
     for name in names:
-        mine = [pose for pose in poses if pose.object == name]
-        if mine:
-            out += mine
+        standing = [pose for pose in poses if pose.object == name]
+        if standing:
+            out += standing
             continue
-        why = bad_picture(frame, models[name].diameter_m) or why_none_stands(name, answers, chances, doubts)
+        mine = [a for a in answers if a.object == name]
+        placed = [(name, a.T_cam_obj) for a in mine if a.T_cam_obj is not None]
+        doubts = iter([doubt for _, doubt in presence.places(placed)])
+        said = ["" if a.T_cam_obj is None else next(doubts) for a in mine]
+        why = bad_picture(frame, models[name].diameter_m) or why_none_stands(name, mine, said)
         out.append(PoseEstimate(name, reason=why))
         if arguments.explain:
-            from huepose.estimation.present import places_with_doubts
             from huepose.support.files import write_picture
             from huepose_services.cli.explain import draw_places
 
             tried = [
-                (a.T_cam_obj, x)
-                for a, x in zip(answers, seen, strict=True)
-                if a.object == name and a.T_cam_obj is not None
+                (a.T_cam_obj, chance(a), doubt)
+                for a, doubt in zip(mine, said, strict=True)
+                if a.T_cam_obj is not None
             ]
             if not tried:
                 best = [p.T_cam_obj for p in proposed if p.object == name and p.T_cam_obj is not None]
-                said = places_with_doubts(frame, models, [(name, T) for T in best])
-                tried = list(zip(best, said, strict=True))
-            tried.sort(key=lambda place: -place[1][0])
-            page = draw_places(frame, models[name], why, [(T, *x) for T, x in tried])
+                seen = presence.places([(name, T) for T in best])
+                tried = [(T, *x) for T, x in zip(best, seen, strict=True)]
+            tried.sort(key=lambda place: -place[1])
+            page = draw_places(frame, models[name], why, tried)
             write_picture(arguments.explain / f"{name}_places.png", page)
     return out
 

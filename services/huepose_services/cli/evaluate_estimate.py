@@ -9,7 +9,6 @@ from typing import Any
 from huepose.datasets.bop_detections import BopDetections, read_detections
 from huepose.datasets.types import Sample
 from huepose.estimation import Estimator
-from huepose.estimation.present import presence_by
 from huepose.evaluation.estimate_protocol import EstimateOptions, evaluate_estimates
 from huepose.evaluation.estimate_rows import EstimateResult, EstimateRow
 from huepose.evaluation.failures import FailureFolder
@@ -76,7 +75,6 @@ def call(arguments: argparse.Namespace) -> int:
         options,
         equivalents=equivalents,
         detector=detector,
-        presence=presence_by(models, arguments.method),
         on_frame=on_frame,
         given=given,
         bop_objects=bop_objects(arguments.models_info, models) if arguments.models_info else {},

@@ -7,7 +7,6 @@ from dataclasses import replace
 from typing import Any
 
 from huepose.estimation import Estimator
-from huepose.estimation.present import presence_by
 from huepose.evaluation.perception_protocol import PerceptionOptions, evaluate_perception
 from huepose.evaluation.pictures import PerceptionPictures
 from huepose.evaluation.result_files import origin, write_json
@@ -52,7 +51,6 @@ def call(arguments: argparse.Namespace) -> int:
         segmenter,
         estimator,
         PerceptionOptions(judged, least, seed=arguments.seed),
-        presence=presence_by(models, estimator.config.method),
         on_frame=None if pictures is None else pictures.frame,
     )
     record = result.as_json(arguments.proposals)

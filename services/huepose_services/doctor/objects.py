@@ -36,7 +36,9 @@ def objects_in(
         return
     best = {place.object: place for place in places[::-1]}
     estimator = Estimator(models, live.estimator)
-    answers = estimator.estimate(frame, [ObjectQuery(name, best[name].box) for name in sorted(best)])
+    answers = estimator.estimate(
+        frame, [ObjectQuery(name, best[name].box, searched=True) for name in sorted(best)]
+    )
     said = ", ".join(f"{answer.object} {answer.state} {answer.quality:.2f}" for answer in answers)
     size = apparent_size(looks(frame, models, worth_a_look(answers)))
     if size.clear:

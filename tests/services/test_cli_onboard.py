@@ -106,7 +106,8 @@ def test_nothing_is_learnt_of_a_mesh_whose_unit_a_script_does_not_say(
         given = ["onboard", str(centimetres), "--name", "brick"]
     assert main([*given, "--no-test", "--out", str(out)]) == 2
     said = " ".join(capsys.readouterr().err.split())
-    assert "found no unit, and a largest side of 1.5 cm in mm, 15 cm in cm, 38.1 cm in in" in said
+    sizes = "1.5 cm in millimetres, 15 cm in centimetres, 38.1 cm in inches"
+    assert f"found no unit, and a largest side of {sizes}" in said
     assert said.endswith("Say it: --unit mm|cm|in.")
     assert not out.exists()
 
@@ -135,19 +136,22 @@ def test_a_usual_size_is_taken_and_said_with_the_others_that_it_could_be(
     assert settled == {"m.obj": "mm", "m.glb": "m", "l.glb": "m"}
     first, second = capsys.readouterr().err.splitlines()
     assert first == (
-        "note: the mesh gives no unit; its largest side is taken as 12 cm in mm (it would be 1.2 m in cm); "
-        "--unit says another"
+        "note: the mesh gives no unit; its largest side is taken as 12 cm in millimetres (it would be 1.2 m "
+        "in centimetres); --unit says another"
     )
     assert second.startswith(
-        "note: the mesh is in metres as all of its format: its largest side is 1.2 m in m"
+        "note: the mesh is in metres as all of its format: its largest side is 1.2 m in metres"
     )
 
 
 @pytest.mark.parametrize(
     ("scale", "said"),
     [
-        (1000.0, "1.2 m with --unit cm: larger than drawn scenes hold (45 cm); it would be 12 cm in mm"),
-        (20.0, "2.4 cm with --unit cm; it would be 6.096 cm in in"),
+        (
+            1000.0,
+            "1.2 m with --unit cm: larger than drawn scenes hold (45 cm); it would be 12 cm in millimetres",
+        ),
+        (20.0, "2.4 cm with --unit cm; it would be 6.096 cm in inches"),
         (100.0, ""),
     ],
 )
@@ -395,6 +399,10 @@ def test_what_was_seen_of_one_side_alone_tells_a_script(
         (["--from-video", "b.mcap"], "found neither --box nor --click"),
         (["--from-video", "b.mcap", "--click", "1", "2", "--box", "1", "2", "3", "4"], "found both"),
         (["--from-video", "b.mcap", "--click", "1", "2"], "b.mcap: found No such file"),
+        (
+            ["--from-video", "b.mcap", "--click", "1", "2", "--unit", "in"],
+            "found --unit in; expected no unit",
+        ),
     ],
 )
 def test_what_is_missing_for_a_recording_is_said(

@@ -14,6 +14,8 @@ if TYPE_CHECKING:
 SMALL_M, LARGE_M = 0.03, 0.6
 """Few objects that are handled have a smaller or larger largest side: such a mesh may be in another unit."""
 
+_IN_WORDS: dict[Unit, str] = {"m": "metres", "mm": "millimetres", "cm": "centimetres", "in": "inches"}
+
 
 def with_unit(job: Job) -> Job:
     """A job whose unit is known. A usual size is taken, and said with the others that it could be; of another
@@ -31,7 +33,7 @@ def with_unit(job: Job) -> Job:
     usual = taken is not None and SMALL_M < sizes[taken] < LARGE_M
     if taken is None or not (usual or standard):
         return replace(job, unit=_asked(job.mesh_path, sizes))
-    others = [f"{_size(sizes, unit)}" for unit in sizes if unit != taken]
+    others = [_size(sizes, unit) for unit in sizes if unit != taken]
     if not standard:
         _note(f"the mesh gives no unit; its largest side is taken as {_size(sizes, taken)}", others)
     elif not usual:
@@ -49,7 +51,7 @@ def _warn_of(given: Unit, sizes: dict[Unit, float]) -> None:
 
     if given not in sizes or SMALL_M < sizes[given] <= LARGEST_M:
         return
-    but = " or ".join(f"{length(size)} in {unit}" for unit, size in sizes.items() if unit != given)
+    but = " or ".join(_size(sizes, unit) for unit in sizes if unit != given)
     text = f"its largest side is {length(sizes[given])} with --unit {given}"
     if sizes[given] > LARGEST_M:
         text += f": larger than drawn scenes hold ({length(LARGEST_M)})"
@@ -90,4 +92,4 @@ def _in_words(sizes: dict[Unit, float]) -> str:
 def _size(sizes: dict[Unit, float], unit: Unit) -> str:
     from huepose.onboarding.meshes import length
 
-    return f"{length(sizes[unit])} in {unit}"
+    return f"{length(sizes[unit])} in {_IN_WORDS[unit]}"

@@ -77,6 +77,13 @@ def mesh_from_video(arguments: argparse.Namespace) -> FromVideo | None:
             found="both --box and --click" if arguments.box else "neither --box nor --click",
             expected="one of them, on the object in the first frame",
         )
+    if arguments.unit is not None:
+        raise InputError(
+            "--from-video",
+            found=f"--unit {arguments.unit}",
+            expected="no unit: it is of a mesh, and a recording's depth is in metres",
+            fix="Leave --unit out.",
+        )
     from huepose.datasets.bop_writer import write_obj
     from huepose.geometry import Box
     from huepose.model.io import check_name

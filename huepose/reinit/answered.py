@@ -5,7 +5,8 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 
-from huepose.reinit.types import RequestedObject
+from huepose.reinit.types import Request, RequestedObject
+from huepose.tracking.types import TrackedPose
 
 Frame = tuple[int, int]
 """Camera epoch and number."""
@@ -36,6 +37,14 @@ class Answered:
     def forget(self, name: str) -> None:
         """Answers about an object count no more."""
         self._newest = {key: said for key, said in self._newest.items() if key[0] != name}
+
+
+def held(request: Request, tracks: Iterable[TrackedPose], frame: Frame | None) -> bool:
+    """Whether a request has no answer because no frame came that it could be answered on, as far as tracks
+    and the camera's newest frame tell."""
+    known = [(track.epoch, track.frame_id) for track in tracks] + ([] if frame is None else [frame])
+    seen = request.seen
+    return seen is not None and all(epoch == seen[0] and number <= seen[1] for epoch, number in known)
 
 
 def _key(asked: RequestedObject) -> tuple[str, int | None]:

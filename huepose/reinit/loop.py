@@ -16,7 +16,7 @@ from dataclasses import dataclass
 
 from huepose.estimation.types import PoseEstimate
 from huepose.geometry.arrays import Float64
-from huepose.reinit.answered import Answered
+from huepose.reinit.answered import Answered, Frame, held
 from huepose.reinit.config import ReinitConfig
 from huepose.reinit.judge import (
     SAME_POSE,
@@ -134,8 +134,9 @@ class ReinitLoop:
                 out.append(Searching(slot.object, missing))
         return out
 
-    def tick(self, now_ns: int, tracks: Sequence[TrackedPose]) -> Request | None:
-        """Take note of the newest published poses; the next request when one is due and none is in flight."""
+    def tick(self, now_ns: int, tracks: Sequence[TrackedPose], frame: Frame | None = None) -> Request | None:
+        """Take note of the newest published poses; the next request when one is due and none is in flight.
+        frame: the camera's newest as far as it is known, for the counters alone."""
         self._now_ns = now_ns
         self._observe(now_ns, tracks)
         self._outbox.acknowledge(self._tracks)
@@ -145,7 +146,9 @@ class ReinitLoop:
                 # Of one that is tracked nothing can come before the next frame.
                 self._answered.forget(correction.object)
         if self._in_flight is not None and now_ns >= self._in_flight.deadline_ns:
-            self.counters.expired += 1
+            was_held = held(self._in_flight, self._tracks.values(), frame)
+            self.counters.held += was_held
+            self.counters.expired += not was_held
             self._pace.expired((self._in_flight.deadline_ns - self._asked_ns) * 1e-9)
             self._in_flight = None
         if self._in_flight is not None or now_ns < self._next_ns:

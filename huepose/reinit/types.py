@@ -115,7 +115,9 @@ class Counters:
     requests: int = 0
     answers: int = 0
     expired: int = 0
-    """Requests whose deadline passed without an answer."""
+    """Requests whose deadline passed without an answer, though there was a frame to answer on."""
+    held: int = 0
+    """Requests whose deadline passed while no new frame came: nothing of perception is wrong."""
     late: int = 0
     """Answers to a request that had expired or was never made."""
     wrong_epoch: int = 0

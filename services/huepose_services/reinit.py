@@ -99,6 +99,7 @@ class ReinitWork(Work):
         self._reasons: dict[str, str] = {}
         self._picture_blamed = False
         self._camera_says = ""
+        self._newest_frame: tuple[int, int] | None = None
         self._camera_doubt = ""
         self._told_missing: dict[str, int] = {}
         self._next_tick_ns = self._next_objects_ns = now_ns()
@@ -133,6 +134,8 @@ class ReinitWork(Work):
         while (camera := self._bus.take(self._cameras, CameraMessage)) is not None:
             self._objects.picture_size = (camera.intrinsics.width, camera.intrinsics.height)
         while (health := self._bus.take(self._camera_health, HealthMessage)) is not None:
+            if health.camera_epoch is not None and health.frame_id is not None:
+                self._newest_frame = (health.camera_epoch, health.frame_id)
             if health.picture != self._camera_says:
                 self._camera_says, self._next_objects_ns = health.picture, now_ns()
         while (pose := self._bus.take(self._poses, PoseMessage)) is not None:
@@ -158,7 +161,7 @@ class ReinitWork(Work):
         if now < self._next_tick_ns:
             return
         self._next_tick_ns = max(self._next_tick_ns + _TICK_NS, now)
-        request = self._loop.tick(now, self._living())
+        request = self._loop.tick(now, self._living(), self._newest_frame)
         if request is not None:
             new = tuple(item.object for item in request.objects if item.instance is None)
             self._sought = {request.number: new}  # one request is in flight

@@ -139,6 +139,29 @@ def test_a_frame_about_which_all_was_answered_is_not_asked_about_again() -> None
     assert set(_seen(missing, 5_000, start_ms=3_000, stands_ms=5_000)) == {"n"}, "frames come again"
 
 
+def test_a_request_that_is_held_while_no_frame_comes_has_not_expired() -> None:
+    loop, agreed = ReinitLoop(objects=[("here", 1)]), estimate("here", instance=0)
+    assert _seen(loop, 3_000, agreed, stands_ms=400).endswith("sss")
+    assert (loop.counters.held, loop.counters.expired) == (3, 0)
+    for ms in range(3_000, 5_000, 50):  # frames come again, and perception is dead
+        loop.tick(ms * MS, [track("here", stamp_ms=ms)])
+    assert (loop.counters.held, loop.counters.expired) == (3, 4)
+
+
+@pytest.mark.parametrize(
+    ("newest", "held"), [((EPOCH, 3), True), ((EPOCH, 4), False), ((EPOCH + 1, 0), False)]
+)
+def test_while_nothing_is_followed_the_camera_tells_whether_a_request_is_held(
+    newest: tuple[int, int], held: bool
+) -> None:
+    loop = ReinitLoop(objects=[("gone", 1)])
+    for ms in range(0, 600, 200):  # the object is searched for everywhere by turns
+        loop.answer((ms + 50) * MS, result(loop.tick(ms * MS, []), 100))
+    assert loop.tick(600 * MS, []).seen == (EPOCH, 3)
+    loop.tick(1_200 * MS, [], newest)
+    assert (loop.counters.held, loop.counters.expired) == (int(held), int(not held))
+
+
 def test_what_was_answered_is_asked_again_after_a_reset_and_where_a_correction_got_lost() -> None:
     loop = ReinitLoop(objects=[("here", 1), ("gone", 1)])
     assert _seen(loop, 1_500) == "nnnss"

@@ -1,6 +1,7 @@
 """The re-initialisation worker tells at once what it searches for, and says nothing of an older search."""
 
 from collections import defaultdict
+from dataclasses import asdict
 from types import SimpleNamespace
 
 import msgspec
@@ -17,10 +18,11 @@ from huepose_protos.messages import (
     HealthMessage,
     ObjectEntry,
     ObjectsMessage,
+    PerceptionRequest,
     PoseMessage,
 )
 from huepose_services.reinit import ReinitWork, slow_text
-from huepose_services.runtime.clock import now_ns
+from huepose_services.runtime.clock import SECOND, now_ns
 from huepose_services.runtime.config import Config
 from huepose_services.runtime.health import Health
 from huepose_services.steering import ObjectList
@@ -120,6 +122,31 @@ def test_that_an_object_is_found_is_told_at_once(bus, step):
     bus.arriving[PoseMessage].append(pose(0))
     step()
     assert bus.mug().searching == 0
+
+
+@pytest.mark.parametrize(("frame_id", "counted"), [(9, "held"), (10, "expired")])
+def test_a_request_expires_only_where_the_camera_has_given_another_frame(
+    bus, objects, monkeypatch, frame_id, counted
+):
+    at = [now_ns()]
+    monkeypatch.setattr("huepose_services.reinit.now_ns", lambda: at[0])
+    loop = ReinitLoop(ReinitConfig(), [ObjectSlot("mug", 1, 0.1)])
+    work = ReinitWork(bus, loop, objects)
+
+    def step(after_ns):
+        at[0] += after_ns
+        work.step()
+
+    camera = {"worker": "camera", "camera_epoch": EPOCH, "frame_id": frame_id}
+    bus.arriving[HealthMessage].append(msgspec.structs.replace(example(HealthMessage), **camera))
+    for _ in range(3):  # the object is searched for everywhere by turns
+        step(SECOND // 5)
+        asked = [m for m in bus.said if isinstance(m, PerceptionRequest)][-1]
+        bus.arriving[Estimates].append(answer(bus, request_seq=asked.seq))
+    step(SECOND // 5)
+    before = asdict(loop.counters)
+    step(SECOND)
+    assert {k for k, n in asdict(loop.counters).items() if n != before[k]} == {"requests", counted}
 
 
 def test_what_is_said_against_the_camera_goes_on_with_every_correction(bus, step):

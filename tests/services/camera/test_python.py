@@ -35,6 +35,28 @@ def test_the_camera_of_the_documentation_gives_pictures(tmp_path: Path) -> None:
     assert one.device_ns < two.device_ns <= two.arrived_ns
 
 
+def test_arrays_that_are_filled_anew_for_each_picture_give_different_ones(tmp_path: Path) -> None:
+    text = """import numpy as np
+
+from huepose import Camera, RgbdFrame
+
+color, depth = np.zeros((48, 64, 3), np.uint8), np.ones((48, 64), np.float32)
+
+
+def frames():
+    while True:
+        color[:] += 1
+        depth[:] += 1.0
+        yield RgbdFrame(color, depth, Camera(60.0, 60.0, 31.5, 23.5, 64, 48))
+"""
+    camera = source(tmp_path, text).open()
+    one, two = camera.read(1.0), camera.read(1.0)
+    assert one is not None
+    assert two is not None
+    assert not two.shows_the_same(one)
+    assert [(shot.color.max(), shot.depth.max()) for shot in (one, two)] == [(1, 2.0), (2, 3.0)]
+
+
 @pytest.mark.parametrize(
     ("text", "says"),
     [

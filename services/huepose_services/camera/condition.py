@@ -1,5 +1,6 @@
 """Detect what is wrong with a camera's pictures, and say it in words half a second after it began, that
-they stand still a little sooner: until then poses are believed that nothing bears out."""
+they stand still a little sooner: until then poses are believed that nothing bears out; and a slow rate when
+it is known that the camera has not stopped instead."""
 
 from __future__ import annotations
 
@@ -20,6 +21,10 @@ RATE_WINDOW_NS = SECOND
 LEAST_OF_RATE = 0.8
 """Share of the pictures that are due; fewer cannot be chance in a second."""
 
+SLOW_NS = RATE_WINDOW_NS
+"""For so long fewer must come: of a camera that gives none at all the last ones before count until then, and
+of one that has become slow the good ones before."""
+
 MOST_APART = 0.75
 """Of the time between two pictures: synchronisers pair colour and depth that are up to half of it apart."""
 
@@ -33,6 +38,8 @@ STOPPED = "stopped"
 
 STOPPED_NS = 4 * SECOND // 10
 """So long must it show that one: a source may send each picture of a slower sensor several times."""
+
+_LASTS_NS = {STOPPED: STOPPED_NS, "rate": SLOW_NS}
 
 
 class Condition:
@@ -90,8 +97,7 @@ class Condition:
                 "exposure in the dark, a slow cable or port, a busy computer, or a source of your own that "
                 "waits too long"
             )
-            # A second is counted already.
-            self._since["rate"] = (self._since.get("rate", (now_ns - LASTS_NS, ""))[0], text)
+            self._since["rate"] = (self._since.get("rate", (now_ns, ""))[0], text)
 
     def reopened(self) -> None:
         """What was said was of another opening of the camera."""
@@ -105,18 +111,11 @@ class Condition:
         lasting = {
             kind: text
             for kind, (since, text) in self._since.items()
-            if now_ns - since >= (STOPPED_NS if kind == STOPPED else LASTS_NS)
+            if now_ns - since >= _LASTS_NS.get(kind, LASTS_NS)
         }
         if self._change is not None and now_ns - self._change[0] < CHANGE_SAID_NS:
             lasting["change"] = self._change[1]
         return lasting
-
-    def settled(self, kind: str, now_ns: int) -> bool:
-        """Whether the figure in a complaint is all of the time since it began: a rate that has just fallen is
-        counted together with the good pictures before."""
-        if kind != "rate" or kind not in self._since:
-            return True
-        return now_ns - self._since[kind][0] >= LASTS_NS + RATE_WINDOW_NS
 
     def _stands(self, shot: Shot) -> bool:
         """Whether it is the picture before, to the last bit, with a stamp of its own."""

@@ -51,7 +51,6 @@ class LiveIngest(Work):
             float(settings.rate), LARGEST_STEP * settings.depth_scale_m, settings.check
         )
         self._complaints: dict[str, str] = {}
-        self._logged: set[str] = set()
         self._opening = -1
         self._camera: Camera | None = None
         self._epoch, self._frame_id = 0, 0
@@ -134,11 +133,8 @@ class LiveIngest(Work):
         new = complaints.keys() - self._complaints.keys()
         over = self._complaints.keys() - complaints.keys()
         self._complaints = complaints
-        self._logged &= complaints.keys()
-        for kind in sorted(complaints.keys() - self._logged):
-            if self._condition.settled(kind, now):
-                self._logged.add(kind)
-                self._bus.log.seldom(f"pictures: {kind}", complaints[kind])
+        for kind in sorted(new):
+            self._bus.log.seldom(f"pictures: {kind}", complaints[kind])
         return bool(new or over)
 
     def _nothing_is_seen(self, trouble: str | None, silence: str | None) -> str:

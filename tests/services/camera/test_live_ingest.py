@@ -123,13 +123,14 @@ def test_a_camera_that_hangs_is_said_to_give_no_picture_after_a_second_and_no_sl
         "            hung = True\n"
         "            time.sleep(2.6)"
     )
-    logged, told, pictures = [], [], set()
+    logged, told, pictures, warnings = [], [], set(), set()
     bus.log.seldom = lambda kind, text: logged.append(kind)
     bus.say_health = lambda: told.append((bus.frames, bus.health.message()))
     until = time.monotonic() + 5.0
     while time.monotonic() < until:
         ingest.step()
         pictures.add(bus.health.picture)
+        warnings.update(bus.health.message().warnings)
     said = [(frames, message) for frames, message in told if "no picture for" in message.picture]
     ((frames, message),) = said
     age_s = 1e-9 * (message.publish_ns - bus.headers[frames - 1].capture_ns)
@@ -142,6 +143,7 @@ def test_a_camera_that_hangs_is_said_to_give_no_picture_after_a_second_and_no_sl
     known = "No picture has come for 2 s, and perception waits for the next. cam.py: reading it takes longer"
     assert any(picture.startswith(known) for picture in pictures)
     assert "pictures: rate" not in logged
+    assert not [text for text in warnings if "pictures a second" in text]
 
 
 @pytest.mark.parametrize(

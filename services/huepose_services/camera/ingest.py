@@ -34,6 +34,15 @@ _SHOW_AGAIN_NS = SECOND // 2
 _GRACE_NS, _WAIT_FOR_READERS_NS = SECOND // 2, int(2.5 * SECOND)
 _LONGEST_GAP_NS = 10 * SECOND
 _BUSY_WINDOW_NS, _BUSY_FROM = 60 * SECOND, 3
+# A drawn scene closes; a recording does not.
+_DRAWN = (
+    "a drawn scene, round after round of {:.0f} s: objects turn fast, pass before one another and are hidden "
+    "by a bar now and then, so that one is SUSPECT or LOST for a moment is part of it"
+)
+_AGAIN = (
+    "the recording begins again, and objects jump to where they were in its first picture: those that are "
+    "LOST by that are searched for; with camera.once: true it would end here"
+)
 
 
 def make(bus: Bus, config: Config) -> Ingest | LiveIngest:
@@ -83,8 +92,13 @@ class Schedule:
             self._offsets = [round(i * period) for i in range(len(self._ids) + 1)]
 
     def begins_again(self, index: int) -> bool:
-        """Whether a frame is the first of the second pass."""
-        return index == len(self._ids) and not self._once
+        """Whether a frame is the first of a later pass."""
+        return index > 0 and index % len(self._ids) == 0 and not self._once
+
+    @property
+    def length_s(self) -> float:
+        """How long one pass takes."""
+        return self._offsets[-1] / SECOND
 
     def image(self, index: int) -> int | None:
         """The image of a frame; None after the last."""
@@ -227,6 +241,8 @@ class Ingest(Work):
         """The first frame, which takes long because zenoh makes the pool of shared memory for it."""
         self._schedule = Schedule(self._source, self._camera, now)
         self._bus.health.state = "ready"
+        if self._camera.source == "synthetic":
+            self._bus.log.say(_DRAWN.format(self._schedule.length_s))
         self._publish(self._schedule.frame_id(0), now)
         self._schedule.postpone(now_ns() - now)
         if self._camera.once:
@@ -266,7 +282,7 @@ class Ingest(Work):
             self._ended_ns = now_ns()
             return
         if schedule.begins_again(self._index) and self._camera.source != "synthetic":
-            self._bus.log.say("the recording begins again; with camera.once: true it would end here")
+            self._bus.log.seldom("again", _AGAIN, level="info")
         self._shot = self._prepare(image)
 
     def _prepare(self, image: int) -> _Shot:

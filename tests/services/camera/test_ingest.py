@@ -1,14 +1,19 @@
 """When the frames of a source are due, what the camera says when they are late, and how a recording that is
 played once waits for its readers."""
 
+import io
 import time
 from types import SimpleNamespace
 
 import pytest
 
+from huepose.datasets.bop import BopScene
+from huepose.scenes.builtin import SyntheticScene
+from huepose.scenes.camera import CAMERA
+from huepose.scenes.shapes import demo_objects
 from huepose_protos.examples import messages
 from huepose_protos.messages import FrameHeader, PoseMessage
-from huepose_services.camera.ingest import Busy, Schedule, make
+from huepose_services.camera.ingest import Busy, Ingest, Schedule, make
 from huepose_services.runtime.bus import Bus
 from huepose_services.runtime.clock import SECOND
 from huepose_services.runtime.config import BusConfig, Config, ObjectConfig
@@ -38,7 +43,7 @@ def test_once_ends_and_a_loop_does_not():
     once, loop = _schedule(once=True), _schedule()
     assert [once.image(i) for i in range(5)] == [3, 4, 7, 9, None]
     assert [loop.image(i) for i in range(6)] == [3, 4, 7, 9, 3, 4]
-    assert [i for i in range(12) if loop.begins_again(i)] == [4]
+    assert [i for i in range(12) if loop.begins_again(i)] == [4, 8]
     assert not any(once.begins_again(i) for i in range(12))
 
 
@@ -84,6 +89,41 @@ def test_a_camera_that_is_late_again_and_again_says_what_that_means():
         "this computer is busy: the camera was late 5 times in the last minute, by up to 150"
     )
     assert busy.warning(70 * SECOND) is None
+
+
+def _said_while_played(config, source, seconds, lines):
+    """The first lines of the camera's log; waits so long for all of them."""
+
+    def said():
+        texts = [line.split("camera ", 1)[1].strip() for line in out.getvalue().splitlines()]
+        return [text for text in texts if not text.startswith("frames come ")]  # late: others are busy here
+
+    out, taken = io.StringIO(), SimpleNamespace(put=lambda *_: None, put_pixels=lambda *_: None)
+    bus = SimpleNamespace(
+        **vars(taken), keys=config.keys, inbox=None, health=Health("camera"), log=Log("camera", out)
+    )
+    ingest, until = Ingest(bus, config, source), time.monotonic() + seconds
+    while time.monotonic() < until and len(said()) < lines:
+        ingest.step()
+        time.sleep(0.005)
+    return said()
+
+
+def test_that_a_recording_begins_again_and_objects_jump_is_said_each_time(scene):
+    camera = CameraConfig(source="bop", path=str(scene), rate=12.0)
+    said = _said_while_played(Config(workers=("camera",), camera=camera), BopScene(scene), 20.0, 2)
+    assert len(said) == 2
+    assert {text.split(":")[0] for text in said} == {
+        "the recording begins again, and objects jump to where they were in its first picture"
+    }
+
+
+def test_of_a_drawn_scene_it_is_said_once_that_objects_are_hidden_in_it(tmp_path):
+    mesh = {"tea_box": demo_objects(0)["tea_box"]}
+    drawn = SyntheticScene(3, 1.0, mesh, CAMERA.scaled(0.25), cache=tmp_path)
+    config = Config(workers=("camera",), camera=CameraConfig(source="synthetic", rate=30.0))
+    (said,) = _said_while_played(config, drawn, 2.5, 2)
+    assert said.startswith("a drawn scene, round after round of 1 s: objects turn fast, pass before one")
 
 
 @pytest.mark.live

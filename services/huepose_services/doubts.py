@@ -40,6 +40,7 @@ TURN = "It fits, but turned another way it would fit nearly as well: seen from a
 UNCONFIRMED = "It fits, but was found on little: found here again or seen from another side, it is sure."
 ANOTHER = "It may be another thing that looks like it: found again or seen from another side, it is sure."
 FOUND = "It was found just now: if the next frames agree it is sure."
+RELIT = "The colour of the light changed when it was last sure: found again in this light it is sure."
 DISAGREES = "Too little of what is seen there agrees with its shape and texture."
 _SAID = {
     None: DISAGREES,
@@ -60,11 +61,16 @@ FOCUS = 0.05
 
 
 def why_doubted(
-    surface: PreparedSurface, frame: RgbdFrame, T_cam_obj: Float64 | None, doubt: Doubt | None = None
+    surface: PreparedSurface,
+    frame: RgbdFrame,
+    T_cam_obj: Float64 | None,
+    doubt: Doubt | None = None,
+    relit: bool = False,
 ) -> str:
-    """What keeps an object at that pose (4, 4), None where it is lost, from being seen well in the frame."""
+    """What keeps an object at that pose (4, 4), None where it is lost, from being seen well in the frame.
+    relit: it is so since the light changed."""
     if T_cam_obj is None:
-        return NOT_FOUND
+        return RELIT if relit else NOT_FOUND
     rotation, translation = T_cam_obj[:3, :3], T_cam_obj[:3, 3]
     # What this pose would show: none that its own front hides, as the inside of a mug.
     shown = surface.shown(T_cam_obj, _SAMPLES)
@@ -97,7 +103,7 @@ def why_doubted(
         return NOT_THERE
     if not _few(dark(frame.color[rows, columns])):
         return DARK
-    return _SAID[doubt]
+    return RELIT if relit and doubt is None else _SAID[doubt]
 
 
 def _few(which: np.ndarray) -> bool:

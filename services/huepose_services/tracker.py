@@ -9,6 +9,7 @@ from dataclasses import replace
 import msgspec
 
 from huepose.geometry import RgbdFrame
+from huepose.judge.relit import relit
 from huepose.model import ReferenceModel
 from huepose.profiles import profile
 from huepose.support.errors import InputError
@@ -54,6 +55,7 @@ class _WorkerMemory(msgspec.Struct, array_like=True):
     fx_of_size: dict[str, float]
     complaint: str | None
     camera: tuple[int, str] = (0, "")
+    relit: list[tuple[str, int]] = []
 
 
 FrameOf = Callable[[int, int], tuple[FrameHeader, RgbdFrame] | None]
@@ -112,6 +114,8 @@ class TrackerWork(Work):
         # What perception says against the camera of that epoch.
         self._camera = (0, "")
         self._published: set[tuple[str, int]] = set()
+        # What has not been TRACKING since a frame in which the colour of the light changed.
+        self._relit: set[tuple[str, int]] = set()
         # The poses of the newest frame published as TRACKING, and until when that holds without a newer one;
         # then they are SUSPECT, and said again at that time.
         self._believed: list[TrackedPose] = []
@@ -203,6 +207,7 @@ class TrackerWork(Work):
             self._fx_of_size,
             self._complaint,
             self._camera,
+            sorted(self._relit),
         )
         tracking, told = memory.plain(self._believed, self._tracker), memory.told(self._tracker)
         return MemoryMessage(
@@ -233,7 +238,7 @@ class TrackerWork(Work):
         self._holds_until_ns, self._complaint, self._camera = mine.holds_until_ns, mine.complaint, mine.camera
         found = None if mine.newest is None else frame_of(*mine.newest)
         self._header, self._pixels = (None, None) if found is None else found
-        self._first, self._published = mine.first, set(mine.published)
+        self._first, self._published, self._relit = mine.first, set(mine.published), set(mine.relit)
         self._fx_of_size, self._retired.below = mine.fx_of_size, mine.retired
         self._seq = message.seq
 
@@ -311,12 +316,17 @@ class TrackerWork(Work):
         if self._cache is not None:
             self._cache.frame(header, payload, frame, self._intake.recorded)
         complaint = complaint_about(frame, self._pixels) or lens_doubted(frame, self._fx_of_size)
+        believed, pixels = {(p.object, p.instance) for p in self._believed}, self._pixels
         self._pixels, self._believed, self._complaint = frame, [], complaint
         health.warn_while("frame", complaint)
         self._published.clear()
         self._intake.frame = header
         with self._intake.stages(self._tracker):
             poses = self._tracker.step(frame)
+        doubted = {(p.object, p.instance) for p in poses if p.state is not State.TRACKING}
+        self._relit &= doubted
+        if pixels is not None and (fallen := doubted & believed) and relit(pixels.color, frame.color):
+            self._relit |= fallen
         if complaint is not None or header.camera:
             health.count("frames_doubted")
         self._publish_all(poses, header, frame)
@@ -338,13 +348,13 @@ class TrackerWork(Work):
         said = header.camera or header.picture or _sentence(complaint)
         said = said or why_all_are_lost(frame, poses, surfaces)
         for pose, surface in zip(poses, surfaces, strict=True):
-            doubted = pose.state is not State.TRACKING
+            key, doubted = (pose.object, pose.instance), pose.state is not State.TRACKING
             reason = said if doubted else ""
             if doubted and not reason and frame is not None:
-                doubt = self._tracker.doubt(pose.object, pose.instance)
-                reason = why_doubted(surface, frame, pose.T_cam_obj, doubt)
+                doubt = self._tracker.doubt(*key)
+                reason = why_doubted(surface, frame, pose.T_cam_obj, doubt, key in self._relit)
             self._publish(pose, header, reason)
-            self._published.add((pose.object, pose.instance))
+            self._published.add(key)
 
     def _publish(self, pose: TrackedPose, header: FrameHeader, reason: str) -> None:
         now = self._intake.now()

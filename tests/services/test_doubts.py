@@ -96,6 +96,15 @@ def test_what_only_the_tracker_knows_is_said_where_the_frame_shows_all(doubt: Do
     assert why.why_doubted(BALL, covered, NEAR, doubt) == why.COVERED
 
 
+def test_the_light_is_blamed_for_what_disagrees_or_is_lost_alone() -> None:
+    frame = seen(NEAR)
+    covered = replace(frame, depth=np.full_like(frame.depth, 0.6))
+    assert why.why_doubted(BALL, frame, NEAR, relit=True) == why.RELIT
+    assert why.why_doubted(BALL, frame, None, relit=True) == why.RELIT
+    assert why.why_doubted(BALL, frame, NEAR, Doubt.TURN, relit=True) == why.TURN
+    assert why.why_doubted(BALL, covered, NEAR, relit=True) == why.COVERED
+
+
 @pytest.mark.parametrize("behind_m", [0.03, 0.05, 0.5])
 def test_only_what_is_no_part_of_it_covers_it(behind_m: float) -> None:
     """A pose that lies behind the object, which stands in full view: what is in front of the pose is the

@@ -11,23 +11,29 @@ import pytest
 from huepose import tracking
 from huepose.geometry import se3
 from huepose.judge.terms import NOTHING
+from huepose.onboarding.onboard import onboard_mesh
 from huepose.tracking.hypothesis import Hypothesis
 from huepose.tracking.types import Applied, State, TrackedPose
 from huepose_protos import decode, encode
 from huepose_protos.buffers import pack
 from huepose_protos.examples import images, messages
 from huepose_protos.messages import CorrectionMessage, FrameHeader, MaskRuns, ObjectEntry, PoseMessage
-from huepose_services.doubts import TOO_OLD
+from huepose_services.camera.publish import packed
+from huepose_services.convert import frame_from_wire
+from huepose_services.doubts import DISAGREES, RELIT, TOO_OLD
 from huepose_services.following import Change
 from huepose_services.runtime.clock import SECOND, now_ns
 from huepose_services.runtime.config import CameraConfig, Config, TrackerConfig
 from huepose_services.runtime.health import Health
 from huepose_services.runtime.log import Log
 from huepose_services.tracker import TrackerWork
+from tests.conftest import standing_pose
+from tests.onboarding import solids
 
 HEADER = next(m for m in messages() if isinstance(m, FrameHeader))
 CORRECTION = next(m for m in messages() if isinstance(m, CorrectionMessage))
 MS = 1_000_000
+WARM = (1.15, 1.0, 0.6)
 
 
 class _Tracker:
@@ -264,6 +270,66 @@ def test_the_log_says_what_was_refused_and_why(capfd, answer, verdict, reach_s, 
     work.step()
     assert said in capfd.readouterr().err
     assert bus.health.message().warnings == []
+
+
+@pytest.fixture(scope="module")
+def part():
+    """Mesh and reference model of a box of one colour."""
+    mesh = solids.box((0.09, 0.06, 0.15))
+    mesh = replace(mesh, texture=np.full_like(mesh.texture, (200, 110, 40)))
+    return mesh, onboard_mesh(mesh, "part")
+
+
+@pytest.fixture
+def light_changes(part, take_picture):
+    """Headers and payloads of a part that moves slowly, from a warm light to a neutral one in the sixth; or
+    instead of the light, the part is another thing from then on that looks as it would in the neutral one."""
+
+    def shown(relit):
+        mesh, rng, begun_ns = part[0], np.random.default_rng(0), now_ns()
+        other = replace(mesh, texture=(mesh.texture / WARM).clip(0, 255).astype(np.uint8))
+        for k in range(10):
+            before = k < 5
+            thing = (mesh if before or relit else other, standing_pose(0.6, 0.001 * k, 0.0))
+            seen = take_picture([thing], WARM if before or not relit else (1.0, 1.0, 1.0))
+            noisy = (seen.color + rng.normal(0.0, 2.0, seen.color.shape)).clip(0, 255).astype(np.uint8)
+            picture = packed(replace(seen, color=noisy), 1e-4)
+            fields = {"buffers": picture.buffers, "intrinsics": picture.intrinsics}
+            stamp_ns = begun_ns + k * 33 * MS
+            header = msgspec.structs.replace(HEADER, frame_id=k, capture_ns=stamp_ns, **fields)
+            yield header, picture.payload
+
+    return shown
+
+
+@pytest.mark.parametrize("relit", [True, False])
+def test_what_falls_when_the_light_changes_says_so_until_it_is_sure_again(part, light_changes, relit):
+    frames = {(h.camera_epoch, h.frame_id): (h, payload) for h, payload in light_changes(relit)}
+    decoded = {number: (h, frame_from_wire(h, payload)) for number, (h, payload) in frames.items()}
+    at = []
+
+    def begun():
+        work = TrackerWork(
+            _Bus(), tracking.Tracker({"part": part[1]}), _Objects(), Config(), lambda: at[-1].capture_ns
+        )
+        return work, work._bus
+
+    work, bus = begun()
+    first = tracking.Correction.first("part", standing_pose(0.6, 0.0, 0.0), next(iter(decoded.values()))[1])
+    work._tracker.correct(first)
+    for header, payload in frames.values():
+        at.append(header)
+        if header.frame_id == 8:  # another worker takes over
+            memory, out = work.memory(), bus.out
+            work, bus = begun()
+            work.take_over(memory, lambda *key: decoded.get(key))
+            bus.out = out
+        bus.waiting["frame"] = [(header, payload)]
+        work.step()
+    assert [p.state for p in bus.out[:5]] == ["TRACKING"] * 5
+    doubted = [p.reason for p in bus.out[5:] if p.state != "TRACKING"]
+    assert len(doubted) == 5
+    assert set(doubted) == {RELIT if relit else DISAGREES}
 
 
 def test_a_change_of_state_is_in_the_log_once(capfd):

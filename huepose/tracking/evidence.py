@@ -193,6 +193,10 @@ COLOR = 0.45
 DOUBT_LEFT = 0.5
 """Share of the doubt that a new viewpoint leaves."""
 
+LEAST_LEFT = 0.25
+"""Share of the doubt of its surest answer that perception leaves from one viewpoint, however often it is
+asked. Origin: see docs/tracking.md (before a still camera)."""
+
 LARGEST = 0.995
 """No belief in an identity is surer."""
 
@@ -215,37 +219,46 @@ nothing, however often it is repeated."""
 class Identity:
     """value: probability in 0..1; view (3,): direction from the object to the camera, object axes, from which
     it was last learnt; lost: the value before the tracker lost it and found something by itself, 0 where it
-    did not."""
+    did not; said: the surest answer of perception from this viewpoint; doubt: what was left before it."""
 
     value: float
     view: Float64
     lost: float = 0.0
+    said: float = 0.0
+    doubt: float = 1.0
 
     @staticmethod
     def of(quality: float, view: Float64) -> Identity:
         """Of a pose that perception is that sure of."""
-        return Identity(min(max(quality, 0.0), LARGEST), view)
+        value = min(max(quality, 0.0), LARGEST)
+        return Identity(value, view, said=value)
 
     def agreed(self, quality: float, view: Float64) -> Identity:
         """After perception found the same pose by itself, being that sure of it. From the same viewpoint it
-        would make the same mistake again, so there it leaves some of the doubt, whatever it says. Of what the
-        tracker found by itself its first word counts most, however like it looks."""
+        would make the same mistake again, so there it leaves some of the doubt, whatever it says, and however
+        often it says so. Of what the tracker found by itself its first word counts most, however like it
+        looks."""
         if self.lost > 0.0:
             value = min(self.value, 1.0 - (1.0 - quality) * DOUBT_LEFT)
             value = min(value, quality) if quality < LIKELIER else max(value, quality)
             return Identity.of(value, view)
         if quality < LIKELIER:
             return self
-        left = 1.0 - quality
         if float(view @ self.view) > np.cos(NEW_VIEW):
-            left = max(left, DOUBT_LEFT)
-        return Identity.of(max(quality, 1.0 - (1.0 - self.value) * left), view)
+            said = max(self.said, quality)
+            most = 1.0 - self.doubt * (1.0 - said) * LEAST_LEFT
+            agreed = 1.0 - (1.0 - self.value) * max(1.0 - quality, DOUBT_LEFT)
+            value = max(self.value, quality, min(agreed, most))
+            return replace(self, value=min(value, LARGEST), view=view, said=said)
+        value = 1.0 - (1.0 - self.value) * (1.0 - quality)
+        return Identity(min(value, LARGEST), view, said=quality, doubt=1.0 - self.value)
 
     def carried(self, terms: Terms, view: Float64) -> Identity:
         """After a frame that supports the pose, seen from `view`."""
         if terms.color < COLOR or float(view @ self.view) > np.cos(NEW_VIEW):
             return self
-        return replace(self, value=min(1.0 - (1.0 - self.value) * DOUBT_LEFT, LARGEST), view=view)
+        value = min(1.0 - (1.0 - self.value) * DOUBT_LEFT, LARGEST)
+        return replace(self, value=value, view=view, said=0.0, doubt=1.0 - value)
 
     def leapt(self, view: Float64) -> Identity:
         """After another pose became likelier than the one that was followed: the view (3,) changed because

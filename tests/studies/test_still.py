@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 
 from studies import still
-from studies.still import Row, report, watched
+from studies.still import Row, likely, report, watched
 
 
 def test_what_is_there_is_found_and_what_is_not_there_is_not(
@@ -25,6 +25,8 @@ def test_what_is_there_is_found_and_what_is_not_there_is_not(
     texture = np.ascontiguousarray(tea_box.mesh.texture[::-1, ::-1, ::-1])
     other = take_picture([(replace(tea_box.mesh, texture=texture), standing)])
     assert set(watched(other, tea_box, None, rng)) == {0}
+    assert likely(frame, tea_box)
+    assert not likely(take_picture([]), tea_box)
 
 
 def test_the_report_counts_frames_and_films() -> None:

@@ -173,6 +173,24 @@ def test_identity_grows_with_agreement_and_new_viewpoints() -> None:
     assert Identity.of(1.0, front).value < 1.0
 
 
+def test_one_viewpoint_leaves_a_share_of_the_doubt_of_its_surest_answer() -> None:
+    front, side = np.array([1.0, 0, 0]), np.array([0, 1.0, 0])
+    known = Identity.of(0.6, front)
+    for _ in range(9):
+        known = known.agreed(0.6, front)
+    assert known.value == pytest.approx(0.9), "a quarter of the doubt of 0.6"
+    surer = known.agreed(0.8, front).agreed(0.6, front)
+    assert surer.value == pytest.approx(0.95), "a quarter of the doubt of 0.8"
+    assert surer.agreed(0.7, side).value == pytest.approx(0.985), "another viewpoint is another witness"
+    elsewhere = surer.agreed(0.7, side)
+    for _ in range(9):
+        elsewhere = elsewhere.agreed(0.7, side)
+    assert elsewhere.value == pytest.approx(0.995)
+    carried = known.carried(GOOD, side)
+    assert carried.value == pytest.approx(0.95), "it was followed to another side"
+    assert carried.agreed(0.6, side).value == pytest.approx(0.975)
+
+
 def test_an_answer_that_is_more_likely_wrong_confirms_nothing() -> None:
     front, side = np.array([1.0, 0, 0]), np.array([0, 1.0, 0])
     doubtful = Identity.of(0.6, front)

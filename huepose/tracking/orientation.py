@@ -15,15 +15,13 @@ from huepose.believe.logistic import probability
 from huepose.geometry import se3
 from huepose.geometry.arrays import Bool, Float64
 from huepose.geometry.frame import RgbdFrame
-from huepose.judge.open_region import SAMPLES, OpenRegion, PreparedSurface
-from huepose.judge.terms import score_arrays
 from huepose.refine.photometric import COARSE, refine_all
 from huepose.select.distinct import RIGHT
 from huepose.tracking.config import TrackerConfig
 from huepose.tracking.evidence import NEW_VIEW, odds_of
 from huepose.tracking.hypothesis import Hypothesis, same_pose
 from huepose.tracking.motion import jump_odds, most_turned, predicted
-from huepose.tracking.step import Anchor, best_of, region_of
+from huepose.tracking.step import Anchor, best_of, ranked, region_of
 from huepose.tracking.subject import Subject
 
 LOOKED_FOR = ("search", "views")
@@ -220,24 +218,17 @@ def best_rival(
     """The best of the pose's near-symmetric rotations, turns (M, 4, 4), after refinement; None if the best of
     them return to the pose itself."""
     surface = subject.surface
-    region = region_of(surface, frame, first.T_cam_obj) if len(turns) else None
+    region = region_of(surface, frame, first.T_cam_obj, light) if len(turns) else None
     if region is None:
         return None
-    region = region.lit(light)
-    poses = _best(surface, region, np.ascontiguousarray(first.T_cam_obj @ turns))[:COARSELY]
+    poses = ranked(surface, region, first.T_cam_obj @ turns)[0][:COARSELY]
     near = refine_all(surface, region, poses, COARSE, float(surface.centre_cam(first.T_cam_obj)[2]))
     apart = [T for T in near if not same_pose(surface, T, first.T_cam_obj, RIGHT)]
-    for T in _best(surface, region, np.array(apart))[:TRIES] if apart else ():
+    for T in ranked(surface, region, np.array(apart))[0][:TRIES] if apart else ():
         found = best_of(surface, frame, [(T, "turn")], light, 0)
         if not same_pose(surface, found.T_cam_obj, first.T_cam_obj, RIGHT):
             return found
     return None
-
-
-def _best(surface: PreparedSurface, region: OpenRegion, poses: Float64) -> Float64:
-    """Poses (K, 4, 4), best first."""
-    rated = score_arrays(surface.arrays, region.arrays, poses, SAMPLES)[:, 0]
-    return np.ascontiguousarray(poses[np.argsort(-rated, kind="stable")])
 
 
 def reached(turns: Float64, T_cam_obj: Float64, expected: Float64, radians: float) -> Bool:

@@ -145,9 +145,7 @@ def advance(
     if not far.holds(surface.centre_cam(followed[0].T_cam_obj)):
         # Faster than anything moves: the pose has followed an occluder.
         followed[0] = unmoved(surface, frame, expected, anchor.light)
-    if anchor.known:
-        followed[0] = rolled_back(subject, frame, followed[0], anchor.light)
-    margin, proposed = _slid(subject, frame, followed[0], anchor.light)
+    followed[0], margin, proposed = about_its_axis(subject, frame, followed[0], anchor.light, anchor.known)
     best = max([*followed, *proposed], key=lambda h: h.terms.total)
     long = seconds > config.long_step_s
     doubt = config.long_doubt if long else config.doubt
@@ -212,38 +210,36 @@ def advance(
     return Advance(tuple(followed), proposed, tried, doubtful, rung, margin, place)
 
 
-def rolled_back(
-    subject: Subject, frame: RgbdFrame, followed: Hypothesis, light: Float64 | None
-) -> Hypothesis:
-    """A pose, or what it becomes from a rotation about its axis of revolution that explains more: refinement
-    does not see further than a letter of the label is wide."""
-    T, surface = followed.T_cam_obj, subject.surface
-    region = region_of(surface, frame, T) if len(subject.slides) else None
-    if region is None:
-        return followed
-    poses = np.ascontiguousarray(T @ subject.slides)
-    rated = score_arrays(surface.arrays, region.lit(light).arrays, poses, SAMPLES)[:, 0]
-    if rated.max() < followed.terms.total - ROLLED_BACK:
-        return followed
-    best = best_of(surface, frame, [(poses[int(rated.argmax())], followed.source)], light, 0)
-    return best if best.terms.total > followed.terms.total + ROLLED_BACK else followed
-
-
-def _slid(
-    subject: Subject, frame: RgbdFrame, followed: Hypothesis, light: Float64 | None
-) -> tuple[float, tuple[Hypothesis, ...]]:
-    """Total of a pose less that after the best small rotation, and that rotation as a proposal if it is
-    better."""
-    T, surface = followed.T_cam_obj, subject.surface
-    region = region_of(surface, frame, T) if len(subject.small_turns) else None
-    if region is None:
-        return np.inf, ()
-    poses = np.ascontiguousarray(T @ subject.small_turns)
-    rated = score_arrays(surface.arrays, region.lit(light).arrays, poses, SAMPLES)[:, 0]
-    margin = followed.terms.total - float(rated.max())
+def about_its_axis(
+    subject: Subject, frame: RgbdFrame, followed: Hypothesis, light: Float64 | None, known: bool
+) -> tuple[Hypothesis, float, tuple[Hypothesis, ...]]:
+    """Rotate a pose about its axis of revolution: refinement does not see further than a letter of the label
+    is wide. Returns the pose, or if the object is `known` what it becomes from a rotation that explains more;
+    its total less that after the best small rotation; and that rotation as a proposal if it is better."""
+    surface, total = subject.surface, followed.terms.total
+    turns = subject.slides if known else subject.small_turns
+    region = region_of(surface, frame, followed.T_cam_obj, light) if len(turns) else None
+    if known and region is not None:
+        poses, rated = ranked(surface, region, followed.T_cam_obj @ turns)
+        if rated[0] >= total - ROLLED_BACK:
+            best = best_of(surface, frame, [(poses[0], followed.source)], light, 0)
+            if best.terms.total > total + ROLLED_BACK:
+                followed, total = best, best.terms.total
+                region = region_of(surface, frame, best.T_cam_obj, light)
+    if region is None or not len(subject.small_turns):
+        return followed, np.inf, ()
+    poses, rated = ranked(surface, region, followed.T_cam_obj @ subject.small_turns)
+    margin = total - float(rated[0])
     if margin >= 0.0:
-        return margin, ()
-    return margin, (best_of(surface, frame, [(poses[int(rated.argmax())], "turn")], light, 0),)
+        return followed, margin, ()
+    return followed, margin, (best_of(surface, frame, [(poses[0], "turn")], light, 0),)
+
+
+def ranked(surface: PreparedSurface, region: OpenRegion, poses: Float64) -> tuple[Float64, Float64]:
+    """Poses (K, 4, 4), best first, and their totals (K,)."""
+    rated = score_arrays(surface.arrays, region.arrays, np.ascontiguousarray(poses), SAMPLES)[:, 0]
+    order = np.argsort(-rated, kind="stable")
+    return np.ascontiguousarray(poses[order]), rated[order]
 
 
 def found_at(subject: Subject, frame: RgbdFrame, place: Reach, light: Float64 | None) -> list[Float64]:
@@ -317,10 +313,9 @@ def best_of(
     region = None
     if boxes:
         z = float(surface.centre_cam(starts[-1][0])[2])
-        region = _window(surface, frame, Box.around(*boxes), z)
+        region = _window(surface, frame, Box.around(*boxes), z, light)
     if region is None:
         return Hypothesis(starts[-1][0], NOTHING, np.zeros((6, 6)), starts[-1][1])
-    region = region.lit(light)
     poses = np.array([T for T, _ in starts])
     chosen = int(np.argmax(totals(surface, region, poses, START_SAMPLES))) if len(starts) > 1 else 0
     T_start, name = starts[chosen]
@@ -371,15 +366,17 @@ def unmoved(
     surface: PreparedSurface, frame: RgbdFrame, T_cam_obj: Float64, light: Float64 | None
 ) -> Hypothesis:
     """A pose as it is, with what is seen of it."""
-    region = region_of(surface, frame, T_cam_obj)
-    terms = NOTHING if region is None else look(surface, region.lit(light), T_cam_obj)
+    region = region_of(surface, frame, T_cam_obj, light)
+    terms = NOTHING if region is None else look(surface, region, T_cam_obj)
     return Hypothesis(T_cam_obj, terms, np.zeros((6, 6)), "velocity")
 
 
-def region_of(surface: PreparedSurface, frame: RgbdFrame, T_cam_obj: Float64) -> OpenRegion | None:
+def region_of(
+    surface: PreparedSurface, frame: RgbdFrame, T_cam_obj: Float64, light: Float64 | None
+) -> OpenRegion | None:
     """The window of a frame that a pose is looked at in; None outside of the image."""
     box, z = surface.box(T_cam_obj, frame.camera), float(surface.centre_cam(T_cam_obj)[2])
-    return None if box is None else _window(surface, frame, box, z)
+    return None if box is None else _window(surface, frame, box, z, light)
 
 
 def moved_m(surface: PreparedSurface, T_a: Float64, T_b: Float64) -> float:
@@ -388,6 +385,9 @@ def moved_m(surface: PreparedSurface, T_a: Float64, T_b: Float64) -> float:
     return shift + surface.radius_m * se3.rotation_angle(T_a, T_b)
 
 
-def _window(surface: PreparedSurface, frame: RgbdFrame, box: Box, z: float) -> OpenRegion | None:
+def _window(
+    surface: PreparedSurface, frame: RgbdFrame, box: Box, z: float, light: Float64 | None
+) -> OpenRegion | None:
     margin = max(8.0, MARGIN_M / max(z, NEAR_M) * frame.camera.fx)
-    return open_region(frame, box.grown(0.0, margin), z, surface.diameter_m)
+    region = open_region(frame, box.grown(0.0, margin), z, surface.diameter_m)
+    return None if region is None else region.lit(light)

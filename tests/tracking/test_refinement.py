@@ -18,7 +18,7 @@ from huepose.tracking.config import TrackerConfig
 from huepose.tracking.hypothesis import Hypothesis
 from huepose.tracking.motion import Reach
 from huepose.tracking.search import search
-from huepose.tracking.step import Anchor, advance, best_of, flow_start, rolled_back, unmoved
+from huepose.tracking.step import Anchor, about_its_axis, advance, best_of, flow_start, unmoved
 from huepose.tracking.subject import Subject
 
 SMALL = np.array([0.004, -0.005, 0.004, 0.04, -0.05, 0.05])
@@ -226,9 +226,10 @@ def test_a_pose_that_slid_about_its_axis_of_revolution_is_rolled_back(soup_can, 
     subject, T = Subject.of(soup_can), path(0)
     frame = shoot([(soup_can.mesh, T)])
     slid = unmoved(subject.surface, frame, T @ subject.slides[1], None)
-    found = rolled_back(subject, frame, slid, None)
+    found, margin, proposed = about_its_axis(subject, frame, slid, None, known=True)
     assert se3.rotation_angle(slid.T_cam_obj, T) > np.radians(10.0)
     assert se3.rotation_angle(found.T_cam_obj, T) < np.radians(2.0)
     right = unmoved(subject.surface, frame, T, None)
-    assert rolled_back(subject, frame, right, None) is right
+    assert about_its_axis(subject, frame, right, None, known=True)[0] is right
+    assert about_its_axis(subject, frame, slid, None, known=False)[0] is slid, "it may be another thing"
     assert len(Subject.of(tea_box).slides) == 0, "it has no such axis"

@@ -228,6 +228,11 @@ class Identity:
     doubt: float = 1.0
 
     @staticmethod
+    def none() -> Identity:
+        """Before perception has said anything."""
+        return Identity(0.0, np.zeros(3))
+
+    @staticmethod
     def of(quality: float, view: Float64) -> Identity:
         """Of a pose that perception is that sure of."""
         value = min(max(quality, 0.0), LARGEST)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -39,10 +39,6 @@ class Hypothesis:
     velocity: Float64 | None = None
     log_odds: float = 0.0
     goes_on: float = 0.0
-
-    def believed(self, log_odds: float) -> Hypothesis:
-        """The same with other log-odds."""
-        return replace(self, log_odds=log_odds)
 
 
 def same_pose(surface: PreparedSurface, T_a: Float64, T_b: Float64, share: float = SAME) -> bool:

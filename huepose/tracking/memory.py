@@ -20,6 +20,7 @@ from huepose.judge.terms import Terms
 from huepose.support.errors import InputError
 from huepose.tracking.catching_up import Pursuit
 from huepose.tracking.config import TrackerConfig
+from huepose.tracking.effort import Effort
 from huepose.tracking.evidence import Identity, Standing
 from huepose.tracking.history import Entry, FrameHistory, PoseHistory, _Stretch
 from huepose.tracking.hypothesis import Hypothesis
@@ -33,7 +34,7 @@ from huepose.tracking.types import Correction, State, TrackedPose, Verdict
 _CLASSES: dict[str, type] = {
     one.__name__: one
     for one in (
-        *(Correction, Entry, Facing, FrameHistory, Hypothesis, Identity, PoseHistory),
+        *(Correction, Effort, Entry, Facing, FrameHistory, Hypothesis, Identity, PoseHistory),
         *(Orientation, Pursuit, Reach, Standing, Terms, Track, TrackedPose, _Stretch),
     )
 }

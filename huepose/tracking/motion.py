@@ -43,6 +43,14 @@ def predicted(T_cam_obj: Float64, velocity: Float64 | None, seconds: float) -> F
     return se3.perturb(T_cam_obj, velocity * seconds)
 
 
+def same_motion(velocity: Float64 | None, T_from: Float64, T_to: Float64) -> Float64 | None:
+    """The velocity of the same motion about the origin of another pose."""
+    if velocity is None:
+        return None
+    lever = T_to[:3, 3] - T_from[:3, 3]
+    return np.concatenate([velocity[:3] + np.cross(velocity[3:], lever), velocity[3:]])
+
+
 SLACK_M, SLACK_RAD = 0.02, np.radians(10.0)
 MAX_M, MAX_RAD = 0.35, np.pi
 TRUSTED_VELOCITY = 0.5

@@ -34,13 +34,10 @@ objects have half of it."""
 
 class Opinions(NamedTuple):
     """all: hypotheses with log-odds and velocity, the followed ones first, in the order of the anchor's;
-    leaps: poses (4, 4) of those reached by an implausible motion; covariance (6, 6), spread: of the first
-    one, as of `uncertainty`."""
+    leaps: poses (4, 4) of those reached by an implausible motion."""
 
     all: list[Hypothesis]
     leaps: list[Float64]
-    covariance: Float64
-    spread: float
 
 
 def opinions(
@@ -57,27 +54,26 @@ def opinions(
     seconds = (frame.stamp_ns - anchor.frame.stamp_ns) * 1e-9
     gone_s = seconds + anchor.unseen_s
     out = [
-        _weighed(subject, anchor, h, parent, seconds, frame)
+        _moved(subject, anchor, h, parent, seconds, frame)
         for h, parent in zip(found.followed, anchor.hypotheses, strict=False)
     ]
-    known, spread = uncertainty(subject, out[0])
-    held = _held_by_its_ends(subject, out[0], spread, frame, anchor.light)
+    held = _held_by_its_ends(subject, out[0], frame, anchor.light)
     if held is not None:
-        out.append(_weighed(subject, anchor, held, before, seconds, frame))
+        out.append(_moved(subject, anchor, held, before, seconds, frame))
     expected = predicted(before.T_cam_obj, before.velocity, seconds)
     for h in found.proposed:
         if impossible(h, found.followed[0], gone_s):
             continue
         jump = jump_odds(subject.surface, before.T_cam_obj, expected, h.T_cam_obj, gone_s, config)
-        opinion = _weighed(subject, anchor, h, before, seconds, frame, jump)
+        opinion = _moved(subject, anchor, h, before, seconds, frame, jump)
         # A jump, or a motion that was not seen, does not measure the velocity.
         came = jump == 0.0 and anchor.unseen_s == 0.0
         out.append(opinion if came else replace(opinion, velocity=None))
         leaps += [opinion.T_cam_obj] if jump < 0.0 else []
-    return Opinions(out, leaps, known, spread)
+    return Opinions(out, leaps)
 
 
-def _weighed(
+def _moved(
     subject: Subject,
     anchor: Anchor,
     h: Hypothesis,
@@ -90,17 +86,31 @@ def _weighed(
     ago; jump: log-odds of its motion."""
     measured = increment_velocity(parent.T_cam_obj, h.T_cam_obj, seconds)
     velocity = filtered(parent.velocity, measured, seconds)
+    opinion = weighed(subject, h, frame, anchor.baseline, anchor.light, parent.log_odds, jump)
+    return replace(opinion, velocity=velocity)
+
+
+def weighed(
+    subject: Subject,
+    h: Hypothesis,
+    frame: RgbdFrame,
+    baseline: float | None,
+    light: Float64 | None,
+    before: float,
+    jump: float = 0.0,
+) -> Hypothesis:
+    """A hypothesis with its log-odds; baseline, light, before and jump as in `evidence.log_odds`."""
     goes_on = outline(subject.contours, h.T_cam_obj, frame).goes_on
-    odds = evidence.log_odds(h.terms, anchor.baseline, parent.log_odds, goes_on, anchor.light, jump)
-    return replace(h, velocity=velocity, log_odds=odds, goes_on=goes_on)
+    odds = evidence.log_odds(h.terms, baseline, before, goes_on, light, jump)
+    return replace(h, log_odds=odds, goes_on=goes_on)
 
 
 def _held_by_its_ends(
-    subject: Subject, h: Hypothesis, spread: float, frame: RgbdFrame, light: Float64 | None
+    subject: Subject, h: Hypothesis, frame: RgbdFrame, light: Float64 | None
 ) -> Hypothesis | None:
     """A followed pose that could slide along the object's surface, moved so that its outline fits; or
     None."""
-    if spread < LOOSE and h.goes_on == 0.0:
+    if h.goes_on == 0.0 and uncertainty(subject, h)[1] < LOOSE:
         return None
     T = moved_to_ends(subject.contours, h.T_cam_obj, frame)
     if T is None:
@@ -131,10 +141,8 @@ def found_again(
     found = []
     for T in found_at(subject, frame, place, light):
         h = best_of(surface, frame, [(T, "views")], light, 0)
-        goes_on = outline(subject.contours, h.T_cam_obj, frame).goes_on
         jump = jump_odds(surface, seen.T_cam_obj, seen.T_cam_obj, h.T_cam_obj, gone_s, config)
-        odds = evidence.log_odds(h.terms, baseline, 0.0, goes_on, light, jump)
-        found.append(replace(h, log_odds=odds, goes_on=goes_on))
+        found.append(weighed(subject, h, frame, baseline, light, 0.0, jump))
     opinions = distinct(surface, found)
     if not opinions or evidence.one_sense(opinions[0].terms):
         return ()

@@ -11,17 +11,17 @@ from huepose.geometry import se3
 from huepose.geometry.arrays import Bool, Float64
 from huepose.geometry.frame import RgbdFrame
 from huepose.geometry.uncertainty import grown
-from huepose.judge.borders import outline
 from huepose.judge.terms import NOTHING, Terms
 from huepose.propose.relative_pose import RelativePose
 from huepose.tracking import evidence
 from huepose.tracking.config import TrackerConfig
+from huepose.tracking.effort import Effort
 from huepose.tracking.elsewhere import PARTS, likeliest_place
 from huepose.tracking.evidence import Identity, Standing, next_standing, turned_over
 from huepose.tracking.history import PoseHistory
 from huepose.tracking.hypothesis import Hypothesis, distinct, share_of_first
-from huepose.tracking.motion import Reach, predicted
-from huepose.tracking.opinions import LOOSE, found_again, opinions, uncertainty
+from huepose.tracking.motion import Reach, predicted, same_motion
+from huepose.tracking.opinions import LOOSE, found_again, opinions, uncertainty, weighed
 from huepose.tracking.orientation import LOOKED_FOR, SAME_VIEW, Orientation
 from huepose.tracking.step import END, FLOW, Advance, Anchor, advance, found_nearby, unmoved
 from huepose.tracking.subject import Subject
@@ -35,11 +35,6 @@ COASTING_DAMPING = 0.85
 
 FORGOTTEN_PER_S = 0.25
 """How fast the total asked of a returning object falls, per second: the light may have changed."""
-
-MAX_TRIES = 3
-TRY_AGAIN_AFTER = 15
-"""After MAX_TRIES rounds without success, flow and search run only every TRY_AGAIN_AFTER doubtful frames: an
-object that is half hidden for seconds must not cost more than others."""
 
 
 class Track:
@@ -62,12 +57,16 @@ class Track:
         self.evidence = 0.0
         self._config = config
         self._standing = Standing(State.SEARCHING)
-        self._identity: Identity | None = None
+        self._identity = Identity.none()
         self._corrected_from: Identity | None = None
         self._orientation = Orientation(subject, config)
-        self._doubtful_frames = self._in_vain = self._begun = self._scarce_frames = 0
-        self._unseen_s = self._spread = 0.0
+        self._spread = 0.0
         self._supported_ns, self._agreed_ns = 0, -1
+        self._begin()
+
+    def _begin(self) -> None:
+        """Nothing was missed or searched for yet."""
+        self._effort, self._scarce_frames, self._unseen_s = Effort(), 0, 0.0
         self._place: Reach | None = None
 
     @property
@@ -81,11 +80,6 @@ class Track:
         return self.hypotheses[0].T_cam_obj if self.hypotheses else None
 
     @property
-    def velocity(self) -> Float64 | None:
-        """Velocity (6,) of that pose: m/s, then rad/s; None if unknown."""
-        return self.hypotheses[0].velocity if self.hypotheses else None
-
-    @property
     def terms(self) -> Terms:
         """The judge's terms of that pose."""
         return self.hypotheses[0].terms if self.hypotheses else NOTHING
@@ -95,8 +89,7 @@ class Track:
         """What alone keeps its pose from being believed; None where it is, or does not fit the frame."""
         if not self.hypotheses or self.evidence < self._config.suspect_quality:
             return None
-        identity = 0.0 if self._identity is None else self._identity.value
-        if identity < evidence.LIKELIER or self._may_be_another:
+        if self._identity.value < evidence.LIKELIER or self._may_be_another:
             return Doubt.ANOTHER
         if self._orientation.probability < self._config.confirmed_turn:
             return Doubt.TURN
@@ -124,28 +117,20 @@ class Track:
     ) -> float:
         """Find the object in the next frame. Returns how many of at most `tries` costly proposals were used.
         mask (H, W): the object's in the last frame, if known."""
-        if self.frame is None:
-            return 0
-        if not self.hypotheses:
+        if self.frame is None or not self.hypotheses:
             return self._look_everywhere(frame, tries)
-        tried_enough = self._begun == FLOW and self._in_vain >= MAX_TRIES
-        resting = tried_enough and self._doubtful_frames % TRY_AGAIN_AFTER != 0
+        begun = self._effort.begun
+        resting = begun == FLOW and self._effort.resting
+        unseen_s, known = self._unseen_s, self._known
         anchor = Anchor(
-            self.hypotheses,
-            self.frame,
-            self.baseline,
-            self.light,
-            mask,
-            self._unseen_s,
-            self._place,
-            self._known,
+            self.hypotheses, self.frame, self.baseline, self.light, mask, unseen_s, self._place, known
         )
-        found = advance(self.subject, anchor, frame, self._config, relative_pose, resting, self._begun, tries)
-        orientation, known = self._orientation, self._orientation.facing
+        found = advance(self.subject, anchor, frame, self._config, relative_pose, resting, begun, tries)
+        orientation, facing = self._orientation, self._orientation.facing
         orientation.slide(found.margin, self._view())
         self._take(anchor, found, frame)
         if self.hypotheses[0].source in LOOKED_FOR:
-            orientation.facing = known  # The pose that may have rotated is not the one that is believed.
+            orientation.facing = facing  # The pose that may have rotated is not the one that is believed.
         # A short step has time for one of the two; after a long one the orientation is always checked.
         short = (frame.stamp_ns - anchor.frame.stamp_ns) * 1e-9 <= self._config.long_step_s
         hurry = short and (tries < 1.0 or (found.tried > 0 and tries < 2.0))
@@ -157,15 +142,12 @@ class Track:
     def _look_everywhere(self, frame: RgbdFrame, tries: float) -> float:
         """Search for a lost object, one part of the picture per frame. What is found is `SUSPECT` until the
         next frames confirm it."""
-        self._doubtful_frames += 1
-        resting = self._in_vain >= MAX_TRIES
-        assert self.frame is not None
+        self._effort = effort = self._effort.missed()
         sure_pose = self._orientation.sure
-        if tries < 1.0 or sure_pose is None or (resting and self._doubtful_frames % TRY_AGAIN_AFTER):
+        if tries < 1.0 or sure_pose is None or effort.resting:
             return 0
-        part, gone_s = 0 if resting else self._begun, (frame.stamp_ns - self._supported_ns) * 1e-9
-        self._begun = (part + 1) % PARTS
-        self._in_vain += self._begun == 0
+        part, gone_s = 0 if effort.enough else effort.begun, (frame.stamp_ns - self._supported_ns) * 1e-9
+        self._effort = effort.reached(part + 1, PARTS)
         place = likeliest_place(self.subject.model, self.subject.views, frame, part)
         if place is None:
             return 1
@@ -174,15 +156,13 @@ class Track:
         if not found:
             return 2
         sure = probability(found[0].log_odds) * share_of_first(found)
-        anchor = Anchor((sure_pose,), self.frame, light=self.light, unseen_s=gone_s)
+        anchor = Anchor((sure_pose,), frame, light=self.light, unseen_s=gone_s)
         self.hypotheses, self.frame, first = found, frame, found[0]
         self.covariance, self._spread = uncertainty(self.subject, first)
         self.evidence = evidence.vouched(sure, self._spread)
-        self._doubtful_frames = self._in_vain = self._begun = self._scarce_frames = 0
-        self._unseen_s = 0.0
+        self._begin()
         self._standing = Standing(State.SUSPECT, found=True)
-        if self._identity is not None:
-            self._identity = self._identity.found_elsewhere(self._of_its_color(sure), self._view())
+        self._identity = self._identity.found_elsewhere(self._of_its_color(sure), self._view())
         return 2 + self._check_orientation(anchor, frame, hurry=False)
 
     def _take(self, anchor: Anchor, found: Advance, frame: RgbdFrame) -> None:
@@ -203,25 +183,22 @@ class Track:
         if corrected is not None and len(seen.all) > 1 and first.T_cam_obj is seen.all[1].T_cam_obj:
             self._identity = corrected  # The image prefers what was believed before the correction.
         turned = se3.rotation_angle(anchor.first.T_cam_obj, first.T_cam_obj)
-        if self._identity is not None and turned > SAME_VIEW:
+        if turned > SAME_VIEW:
             self._identity = self._identity.leapt(self._view())
         self.frame, self.evidence = frame, sure
-        if self._identity is not None and anchor.unseen_s > 0.0 and first.source == "views":
+        if anchor.unseen_s > 0.0 and first.source == "views":
             self._identity = self._identity.found_elsewhere(self._seen_alone(), self._view())
         if sure >= self._config.lost_quality:
-            measured = (
-                (seen.covariance, seen.spread) if first is seen.all[0] else uncertainty(self.subject, first)
-            )
-            self.covariance, self._spread = measured
+            self.covariance, self._spread = uncertainty(self.subject, first)
             self.evidence = evidence.vouched(sure, self._spread)
             self._unseen_s = 0.0
         else:
             seconds = (frame.stamp_ns - anchor.frame.stamp_ns) * 1e-9
             self._coast(anchor.first, seconds)
             self._unseen_s += seconds
-        self._doubtful_frames = self._doubtful_frames + 1 if found.doubtful else 0
-        self._in_vain = self._in_vain + (found.begun == END) if found.doubtful else 0
-        self._begun, self._place = found.begun % END, found.place
+        effort = self._effort.missed().reached(found.begun, END)
+        self._effort = effort if found.doubtful else Effort(begun=effort.begun)
+        self._place = found.place
 
     def _check_orientation(self, anchor: Anchor, frame: RgbdFrame, hurry: bool) -> float:
         """Test a pose that has support against its near-symmetric rotations, but for in a hurry. Returns the
@@ -237,17 +214,9 @@ class Track:
             if contested:
                 self.evidence = 0.0
             elif self.evidence >= self._config.suspect_quality:
-                # The baseline falls, and the light is learned, only while the pose is believed; not of what
-                # may be another thing.
-                total = self.terms.total
-                better = self.baseline is None or (total > self.baseline and not self._may_be_another)
-                if self.state is State.TRACKING or better:
-                    self.baseline = evidence.baseline_after(self.baseline, total)
-                    self.light = evidence.light_after(self.light, self.terms)
-                    if self.state is State.TRACKING:
-                        self.sure_light = self.light
+                self.learn()
                 self._supported_ns = frame.stamp_ns
-                if self._identity is not None and self.evidence >= self._config.tracking_quality:
+                if self.evidence >= self._config.tracking_quality:
                     if self._spread < LOOSE:
                         self._identity = self._identity.carried(self.terms, self._view())
                     if self._may_be_another:
@@ -262,35 +231,33 @@ class Track:
         surface, light = self.subject.surface, self.light
         found, searched = found_nearby(surface, T_cam_obj, frame, apart_s, light, self._config)
         tried = float(searched)
-        goes_on = outline(self.subject.contours, found.T_cam_obj, frame).goes_on
-        odds = evidence.log_odds(found.terms, self.baseline, evidence.odds_of(quality), goes_on, light)
-        self.hypotheses, self.frame = (replace(found, log_odds=odds, goes_on=goes_on),), frame
-        self.evidence = probability(odds)
-        self.covariance, _ = uncertainty(self.subject, found)
+        first = weighed(self.subject, found, frame, self.baseline, light, evidence.odds_of(quality))
+        self.hypotheses, self.frame, self.evidence = (first,), frame, probability(first.log_odds)
+        self.covariance, _ = uncertainty(self.subject, first)
         if self.evidence >= self._config.tracking_quality:
-            self._orientation.see(self.hypotheses[0], frame.stamp_ns)
+            self._orientation.see(first, frame.stamp_ns)
         if self.evidence >= self._config.lost_quality:
             view = self._view()
             self._orientation.begin(quality, view)
-            tried += self._orientation.ask(self.hypotheses[0], view, frame, light)
+            tried += self._orientation.ask(first, view, frame, light)
         known = self.baseline
         self.learn()
         if known is None and self.baseline is not None:
             # The light is known now; the baseline is the total in that light.
-            lit = unmoved(surface, frame, found.T_cam_obj, self.light)
-            self.hypotheses = (replace(self.hypotheses[0], terms=lit.terms),)
+            lit = unmoved(surface, frame, first.T_cam_obj, self.light)
+            self.hypotheses = (replace(first, terms=lit.terms),)
             self.baseline = lit.terms.total
         return tried
 
     def learn(self) -> None:
-        """Update baseline and light while catching up with the present. A baseline from before the object was
-        lost is not lowered: a pose that fits worse must not become the norm."""
-        total = self.terms.total
-        if self.evidence >= self._config.suspect_quality and (
-            self.baseline is None or total >= self.baseline
-        ):
+        """Update baseline and light by a pose that is believed. The baseline falls only while it is TRACKING:
+        a pose that fits worse must not become the norm. What may be another thing says nothing of this."""
+        total, tracking = self.terms.total, self.state is State.TRACKING
+        better = self.baseline is None or (total > self.baseline and not self._may_be_another)
+        if self.evidence >= self._config.suspect_quality and (tracking or better):
             self.baseline = evidence.baseline_after(self.baseline, total)
             self.light = evidence.light_after(self.light, self.terms)
+            self.sure_light = self.light if tracking else self.sure_light
 
     def place(self, verified: Track, quality: float, frame: RgbdFrame) -> None:
         """Take over the pose that another track of the same object, made for a correction, found on
@@ -304,10 +271,8 @@ class Track:
         # Perception judged the same picture: this evidence may lower its quality, not raise it.
         known = self._of_its_color(min(quality, probability(evidence.odds_of(quality) + told)))
         self._identity, self._corrected_from = Identity.of(known, self._view()), None
-        self._doubtful_frames = self._in_vain = self._begun = self._scarce_frames = 0
-        self._unseen_s = 0.0
+        self._begin()
         self._supported_ns = frame.stamp_ns
-        self._place = None
         # A verified pose may be TRACKING at once.
         self._standing = Standing(State.TRACKING)
         self._judge()
@@ -316,8 +281,7 @@ class Track:
         """Give up its pose."""
         self._standing = Standing(State.LOST)
         self.hypotheses, self.covariance, self.evidence, self.quality = (), None, 0.0, 0.0
-        self._doubtful_frames = self._in_vain = self._begun = 0
-        self._place = None
+        self._begin()
 
     def set_back(self, stamp_ns: int) -> None:
         """Continue as if the last frame had this stamp (the camera's clock was set back); the velocity is
@@ -342,16 +306,12 @@ class Track:
         Raises ValueError where the history does not reach back unbroken."""
         moved = self.history.replay(stamp_ns, T_cam_obj)
         before = self.hypotheses[0]
-        velocity = before.velocity
-        if velocity is not None:
-            # The same motion, about an origin that has moved.
-            lever = moved[:3, 3] - before.T_cam_obj[:3, 3]
-            velocity = np.concatenate([velocity[:3] + np.cross(velocity[3:], lever), velocity[3:]])
+        velocity = same_motion(before.velocity, before.T_cam_obj, moved)
         odds = max(evidence.odds_of(quality), before.log_odds)
         corrected = replace(before, T_cam_obj=moved, velocity=velocity, source="correction", log_odds=odds)
         self.hypotheses, self._orientation.sure = (corrected, before), None
         self._corrected_from = self._identity
-        if self._identity is None or turned_over(before.T_cam_obj, moved):
+        if turned_over(before.T_cam_obj, moved):
             self._identity = Identity.of(quality, self._view())
             self._orientation.begin(quality, self._view())
         else:
@@ -362,7 +322,7 @@ class Track:
         """Perception found the same pose, independently, in the frame of that stamp. A second look at one
         frame says nothing new."""
         again, self._agreed_ns = stamp_ns == self._agreed_ns, stamp_ns
-        if self._identity is not None and self.hypotheses and not again:
+        if self.hypotheses and not again:
             quality = self._of_its_color(quality)
             self._identity = self._identity.agreed(quality, self._view())
             if quality >= evidence.LIKELIER and not self.can_have_turned_since(stamp_ns):
@@ -387,7 +347,7 @@ class Track:
             frame.stamp_ns,
             self.state,
             self.T_cam_obj,
-            self.velocity,
+            self.hypotheses[0].velocity if self.hypotheses else None,
             self.quality,
             self.covariance,
             self.applied_seq,
@@ -397,17 +357,15 @@ class Track:
         """Handle a frame that does not support the pose: follow the prediction if hardly anything is seen."""
         first = self.hypotheses[0]
         velocity = None if before.velocity is None else before.velocity * COASTING_DAMPING
-        T = first.T_cam_obj
-        if first.terms.seen < COASTING_SEEN:
-            T = predicted(before.T_cam_obj, before.velocity, seconds)
+        gone = first.terms.seen < COASTING_SEEN
+        T = predicted(before.T_cam_obj, before.velocity, seconds) if gone else first.T_cam_obj
         self.hypotheses = (replace(first, T_cam_obj=T, velocity=velocity), *self.hypotheses[1:])
         if self.covariance is not None:
             self.covariance = grown(self.covariance, seconds)
 
     def _judge(self) -> None:
-        identity = 0.0 if self._identity is None else self._identity.value
         turn = self._orientation.probability
-        self.quality = self.evidence * min(identity, turn)
+        self.quality = self.evidence * min(self._identity.value, turn)
         confirmed = self._known and turn >= self._config.confirmed_turn
         confirmed = confirmed and self.quality >= self._config.least_quality
         self._standing = next_standing(self._standing, self.evidence, confirmed, self._config)
@@ -417,13 +375,12 @@ class Track:
     @property
     def _known(self) -> bool:
         """Whether it is sure that it is this object that is followed."""
-        return self._identity is not None and self._identity.value >= self._config.confirmed_identity
+        return self._identity.value >= self._config.confirmed_identity
 
     @property
     def _may_be_another(self) -> bool:
         """Whether it was lost and the tracker found something by itself, which is not confirmed yet."""
-        known = self._identity
-        return known is not None and known.value < min(known.lost, self._config.confirmed_identity)
+        return self._identity.value < min(self._identity.lost, self._config.confirmed_identity)
 
     def _seen_alone(self) -> float:
         """The probability of its pose by what this frame shows of it."""

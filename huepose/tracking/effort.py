@@ -1,0 +1,37 @@
+"""How long an object is searched for: after some rounds in vain only now and then. One that is half hidden
+for seconds must not cost more than others."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+ENOUGH, TRY_AGAIN_AFTER = 3, 15
+"""After ENOUGH rounds in vain a search begins only every TRY_AGAIN_AFTER frames."""
+
+
+@dataclass(frozen=True)
+class Effort:
+    """frames: those in a row in which the object was missed; rounds: how often all stages of a search were in
+    vain; begun: the stage to try next."""
+
+    frames: int = 0
+    rounds: int = 0
+    begun: int = 0
+
+    @property
+    def enough(self) -> bool:
+        """Whether all stages were tried often enough."""
+        return self.rounds >= ENOUGH
+
+    @property
+    def resting(self) -> bool:
+        """Whether no search begins in this frame."""
+        return self.enough and self.frames % TRY_AGAIN_AFTER != 0
+
+    def missed(self) -> Effort:
+        """In the next frame, in which it is missed as well."""
+        return replace(self, frames=self.frames + 1)
+
+    def reached(self, stage: int, stages: int) -> Effort:
+        """After a search of so many stages that is to go on with this one, after the last with the first."""
+        return replace(self, rounds=self.rounds + (stage == stages), begun=stage % stages)

@@ -46,7 +46,7 @@ def judge_tracked(
     pose, when refined, converges to it. Without such a comparison it wins only over a doubtful pose, and only
     with the quality to acquire.
     """
-    if not estimate.found or estimate.T_cam_obj is None or estimate.quality < config.least_quality:
+    if not usable(estimate, config) or estimate.T_cam_obj is None:
         return Verdict.REJECT
     if agrees(estimate, tracked, stamp_ns, slot):
         return Verdict.AGREE

@@ -11,6 +11,7 @@ looks for is in `searching`.
 from __future__ import annotations
 
 import math
+from collections import Counter
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 
@@ -110,13 +111,11 @@ class ReinitLoop:
 
         Returns the camera epoch and the first number that a new instance of it may get: the caller passes
         no track of that epoch with a lower one to `tick` any more. None before the first epoch."""
-        for key in [k for k in self._tracks if k[0] == name]:
-            del self._tracks[key]
+        self._tracks = {key: track for key, track in self._tracks.items() if key[0] != name}
         self._past.forget(name)
         self._patience.forget(name)
         self._answered.forget(name)
-        for asked in [k for k in self._looked_ns if k[0] == name]:
-            del self._looked_ns[asked]
+        self._looked_ns = {asked: at_ns for asked, at_ns in self._looked_ns.items() if asked[0] != name}
         arriving = [k[1] for k in self._outbox.instances if k[0] == name]
         last = max([self._last_instance.get(name, -1), *arriving])
         self._last_instance[name] = self._over[name] = last
@@ -331,27 +330,13 @@ class ReinitLoop:
         self, key: Key, estimate: PoseEstimate, result: PerceptionResult, verdict: Verdict, quality: float
     ) -> Correction:
         seq = self._outbox.next_seq(key, self._now_ns)
-        return Correction(
-            key[0],
-            key[1],
-            result.epoch,
-            result.frame_id,
-            result.stamp_ns,
-            _pose(estimate),
-            quality,
-            verdict,
-            seq,
-            estimate.mask,
-        )
+        frame = (result.epoch, result.frame_id, result.stamp_ns)
+        return Correction(*key, *frame, _pose(estimate), quality, verdict, seq, estimate.mask)
 
     def _arriving(self) -> dict[str, int]:
         """How many instances of each object are acquired but have no published pose yet."""
-        out: dict[str, int] = {}
-        for key in self._fresh():
-            track = self._tracks.get(key)
-            if track is None or track.T_cam_obj is None:
-                out[key[0]] = out.get(key[0], 0) + 1
-        return out
+        tracked = {key for key, track in self._tracks.items() if track.T_cam_obj is not None}
+        return Counter(key[0] for key in self._fresh() if key not in tracked)
 
     def _fresh(self) -> tuple[Key, ...]:
         """Instances with a correction that may still be taken."""

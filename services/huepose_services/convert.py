@@ -12,8 +12,9 @@ from msgspec import Struct
 from huepose.geometry import Box, Camera, RgbdFrame, se3
 from huepose.geometry.arrays import Float, Float64, UInt16
 from huepose.reinit.types import Prior
+from huepose.tracking.types import Correction, TrackedPose, Verdict
 from huepose_protos.buffers import frame_images, mask_of, runs_of
-from huepose_protos.messages import FrameHeader, Intrinsics, PoseMessage
+from huepose_protos.messages import CorrectionMessage, FrameHeader, Intrinsics, PoseMessage
 from huepose_protos.messages import Prior as WirePrior
 
 S = TypeVar("S", bound=Struct)
@@ -184,4 +185,25 @@ def frame_from_wire(header: FrameHeader, payload: bytes) -> RgbdFrame:
         frame_id=header.frame_id,
         stamp_ns=header.capture_ns,
         epoch=header.camera_epoch,
+    )
+
+
+def correction_from_wire(message: CorrectionMessage, header: FrameHeader | None = None) -> Correction:
+    """The correction of a message. header: of a frame of the same camera epoch; raises WireError for a mask
+    of another size than that frame."""
+    size = None if header is None else (header.intrinsics.height, header.intrinsics.width)
+    mask = None if message.mask is None else mask_of(message.mask, size)
+    return from_wire(Correction, message, mask=mask, verdict=Verdict(message.verdict))
+
+
+def tracked_to_wire(pose: TrackedPose, header: FrameHeader, publish_ns: int, reason: str = "") -> PoseMessage:
+    """The message of a tracked pose; the header names the camera's frame and clock."""
+    return to_wire(
+        PoseMessage,
+        pose,
+        publish_ns=publish_ns,
+        frame=header.frame,
+        clock_id=header.clock.clock_id,
+        realtime_offset_ns=header.clock.realtime_offset_ns,
+        reason=reason,
     )

@@ -14,12 +14,11 @@ from huepose.model import ReferenceModel
 from huepose.profiles import profile
 from huepose.support.errors import InputError
 from huepose.tracking import Tracker, memory
-from huepose.tracking.types import Applied, Correction, State, TrackedPose, Verdict
+from huepose.tracking.types import Applied, State, TrackedPose
 from huepose_protos import WireError
-from huepose_protos.buffers import mask_of
-from huepose_protos.messages import CorrectionMessage, FrameHeader, MemoryMessage, PoseMessage
+from huepose_protos.messages import CorrectionMessage, FrameHeader, MemoryMessage
 from huepose_services import models, networks
-from huepose_services.convert import frame_from_wire, from_wire, to_wire
+from huepose_services.convert import correction_from_wire, frame_from_wire, tracked_to_wire
 from huepose_services.doubts import (
     TOO_OLD,
     complaint_about,
@@ -101,7 +100,7 @@ class TrackerWork(Work):
         self._max_age_ns = int(config.tracker.max_age_ms * 1e6)
         # A recording that is played once repeats its first frame until objects are found: it never gets old.
         self._first_stands = config.camera.once
-        self._first: tuple[int, int] | None = None
+        self._first: _Frame | None = None
         self._retired = Retired()
         self._told = StateChanges(bus.log)
         self._refused: tuple[str, int, int] | None = None
@@ -283,11 +282,8 @@ class TrackerWork(Work):
 
     def _refuse(self, message: CorrectionMessage, applied: Applied) -> None:
         """Log why a correction was not applied; health warns where perception is too slow."""
-        key, header, older = (
-            (message.object, message.instance),
-            self._header,
-            self._tracker.config.older_frames,
-        )
+        key, header = (message.object, message.instance), self._header
+        older = self._tracker.config.older_frames
         age_s = 0.0 if header is None else (header.capture_ns - message.capture_ns) * 1e-9
         followed = key in self._tracker.instances or message.verdict != "agree"
         why, fault = why_refused(applied, followed, age_s, self._tracker.reach_s, older)
@@ -384,27 +380,6 @@ class TrackerWork(Work):
         self._bus.health.count(f"poses_{pose.state.value.lower()}")
 
 
-def correction_from_wire(message: CorrectionMessage, header: FrameHeader | None = None) -> Correction:
-    """The correction of a message. header: of a frame of the same camera epoch; raises WireError for a mask
-    of another size than that frame."""
-    size = None if header is None else (header.intrinsics.height, header.intrinsics.width)
-    mask = None if message.mask is None else mask_of(message.mask, size)
-    return from_wire(Correction, message, mask=mask, verdict=Verdict(message.verdict))
-
-
-def tracked_to_wire(pose: TrackedPose, header: FrameHeader, publish_ns: int, reason: str = "") -> PoseMessage:
-    """The message of a tracked pose; the header names the camera's frame and clock."""
-    return to_wire(
-        PoseMessage,
-        pose,
-        publish_ns=publish_ns,
-        frame=header.frame,
-        clock_id=header.clock.clock_id,
-        realtime_offset_ns=header.clock.realtime_offset_ns,
-        reason=reason,
-    )
-
-
 def _doubted(pose: TrackedPose) -> TrackedPose:
     return replace(pose, state=State.SUSPECT) if pose.state is State.TRACKING else pose
 
@@ -413,5 +388,5 @@ def _sentence(text: str) -> str:
     return text and text[0].upper() + text[1:].rstrip(".") + ("" if text.endswith("?") else ".")
 
 
-def _frame_of(header: FrameHeader) -> tuple[int, int]:
+def _frame_of(header: FrameHeader) -> _Frame:
     return header.camera_epoch, header.frame_id

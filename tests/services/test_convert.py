@@ -22,11 +22,13 @@ from huepose_protos.messages import (
     PoseMessage,
 )
 from huepose_services.convert import (
+    correction_from_wire,
     depth_to_wire,
     pose_from_wire,
     pose_to_wire,
     prior_from_wire,
     to_wire,
+    tracked_to_wire,
 )
 from huepose_services.reinit import (
     correction_to_wire,
@@ -35,7 +37,6 @@ from huepose_services.reinit import (
     result_from_wire,
     track_from_wire,
 )
-from huepose_services.tracker import correction_from_wire, tracked_to_wire
 
 T = se3.make(se3.rotation_exp(np.array([0.4, -1.2, 0.3])), np.array([0.1, -0.05, 0.8]))
 VELOCITY = np.array([0.1, 0.2, -0.3, 1.0, -2.0, 0.5])

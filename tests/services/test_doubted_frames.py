@@ -1,0 +1,220 @@
+"""Where the picture or the camera is wrong as such, no pose is one to act on, and the reason is said."""
+
+from dataclasses import replace
+
+import msgspec
+import numpy as np
+import pytest
+
+from huepose import tracking
+from huepose.onboarding.onboard import onboard_mesh
+from huepose_services.camera.publish import packed
+from huepose_services.convert import frame_from_wire
+from huepose_services.doubts import DISAGREES, RELIT
+from huepose_services.runtime.clock import now_ns
+from huepose_services.runtime.config import Config
+from huepose_services.tracker import TrackerWork
+from tests.conftest import standing_pose
+from tests.onboarding import solids
+from tests.services.tracker_work import (
+    CORRECTION,
+    HEADER,
+    MS,
+    BusStandIn,
+    Loser,
+    ObjectsStandIn,
+    changed_frame,
+    frame_at,
+    frame_of_age,
+    worker,
+)
+
+WARM = (1.15, 1.0, 0.6)
+
+
+@pytest.mark.parametrize(
+    ("bad", "reason"),
+    [
+        ({"color": 1, "depth": -1}, "no depth in the whole picture"),
+        ({"depth": 1}, "colour picture stands still"),
+        ({"color": 1, "depth": 1, "cx": 33.0}, "intrinsics changed"),
+    ],
+)
+def test_a_frame_that_is_wrong_as_such_gives_no_pose_to_act_on_and_health_says_why(bad, reason):
+    work, bus, _ = worker()
+    bus.waiting["frame"] = [changed_frame(1), changed_frame(2, **bad)]
+    work.step()
+    assert bus.health.message().warnings == []
+    work.step()
+    assert [p.state for p in bus.out] == ["TRACKING", "SUSPECT"]
+    (warning,) = bus.health.message().warnings
+    assert reason in warning
+    intrinsics = {"cx": bad["cx"]} if "cx" in bad else {}
+    bus.waiting["frame"] = [changed_frame(3, color=2, depth=2, **intrinsics)]
+    work.step()
+    assert bus.out[-1].state == "TRACKING"
+    assert bus.health.message().warnings == []
+
+
+def test_a_camera_that_states_another_focal_length_is_doubted_until_it_states_the_first_again():
+    """Also in a new epoch, and for what perception adds between two frames: through the wrong lens a pose may
+    fit and be elsewhere."""
+    work, bus, _ = worker()
+    header, payload = changed_frame(1)
+    fx = header.intrinsics.fx
+    bus.waiting["frame"] = [
+        (header, payload),
+        changed_frame(2, 1, 1, fx=1.5 * fx),
+        changed_frame(3, 2, 2, fx=1.5 * fx),
+    ]
+    for _ in range(3):
+        work.step()
+    header, payload = changed_frame(4, 3, 3, fx=1.5 * fx)
+    bus.waiting["frame"] = [(msgspec.structs.replace(header, camera_epoch=header.camera_epoch + 1), payload)]
+    work.step()
+    work._publish_all(work._tracker.poses(), header, None)
+    focused, back = changed_frame(5, 4, 4, fx=1.04 * fx), changed_frame(6, 5, 5, fx=1.04 * fx)
+    bus.waiting["frame"] = [focused, back]
+    for _ in range(2):
+        work.step()
+    states = [p.state for p in bus.out]
+    assert set(states[1:-2]) == {"SUSPECT"}
+    assert (states[0], *states[-2:]) == ("TRACKING",) * 3
+    assert any("restart the tracker" in p.reason for p in bus.out)
+
+
+def test_no_pose_is_tracking_while_perception_speaks_against_the_camera():
+    """Until it says otherwise, or the camera is opened anew."""
+    work, bus, _ = worker()
+    epoch, seq = changed_frame(1)[0].camera_epoch, iter(range(1, 9))
+
+    def after(frame, camera=None, epoch=epoch):
+        if camera is not None:
+            bus.waiting["correction"] = [
+                msgspec.structs.replace(
+                    CORRECTION, camera_epoch=epoch, camera=camera, seq=CORRECTION.seq + next(seq), mask=None
+                )
+            ]
+        header, payload = changed_frame(frame, frame, frame)
+        bus.waiting["frame"] = [(msgspec.structs.replace(header, camera_epoch=epoch), payload)]
+        work.step()
+        return bus.out[-1].state, bus.out[-1].reason
+
+    said = "The picture shows objects 10 % larger."
+    assert after(1)[0] == "TRACKING"
+    assert [after(2, said), after(3), after(4, said)] == [("SUSPECT", said)] * 3
+    assert after(5, "")[0] == "TRACKING"
+    assert [after(6, said)[0], after(7, epoch=epoch + 1)[0]] == ["SUSPECT", "TRACKING"]
+
+
+def test_no_pose_is_tracking_while_a_frame_says_that_its_camera_has_stopped():
+    work, bus, _ = worker()
+    said = "cam.py: its picture stands still"
+    for number, camera in enumerate(["", said, said, ""]):
+        header, payload = changed_frame(number + 1, number // 3, number // 3)
+        bus.waiting["frame"] = [(msgspec.structs.replace(header, camera=camera), payload)]
+        work.step()
+    assert [(p.state, p.reason) for p in bus.out] == [
+        ("TRACKING", ""),
+        ("SUSPECT", said),
+        ("SUSPECT", said),
+        ("TRACKING", ""),
+    ]
+
+
+def test_what_the_camera_knows_of_a_picture_is_the_reason_and_no_doubt_of_a_pose_that_is_sure():
+    work, bus, _ = worker()
+    said = "cam.py: depth looks like millimetres"
+    # The second has no depth at all, which the tracker sees itself.
+    for header, payload in (changed_frame(1), changed_frame(2, 1, -1), changed_frame(3, 2, 2)):
+        bus.waiting["frame"] = [(msgspec.structs.replace(header, picture=said), payload)]
+        work.step()
+    assert [(p.state, p.reason) for p in bus.out] == [("TRACKING", ""), ("SUSPECT", said), ("TRACKING", "")]
+
+
+def test_what_was_tracked_before_the_camera_was_opened_anew_is_not_to_be_acted_on():
+    work, bus, _ = worker()
+    bus.waiting["frame"] = [frame_of_age(1, 0.0)]
+    work.step()
+    header, payload = frame_of_age(2, 0.0)
+    work._tracker.step = lambda frame: []
+    bus.waiting["frame"] = [(msgspec.structs.replace(header, camera_epoch=header.camera_epoch + 1), payload)]
+    work.step()
+    assert [(p.state, p.camera_epoch) for p in bus.out] == [
+        ("TRACKING", header.camera_epoch),
+        ("SUSPECT", header.camera_epoch),
+    ]
+
+
+@pytest.mark.parametrize(
+    ("times", "reason"),
+    [(1, "It is not seen where it was"), (1000, "away or farther"), (0.005, "nearer than 0.0")],
+)
+def test_where_all_is_lost_and_depth_may_be_of_another_unit_that_is_the_reason(times, reason):
+    work, bus, _ = worker(None)
+    work._tracker = Loser(None)
+    bus.waiting["frame"] = [frame_at(1.0 * times)]
+    work.step()
+    (pose,) = bus.out
+    assert pose.state == "LOST"
+    assert reason in pose.reason
+    assert ("depth scale" in pose.reason) == (times != 1)
+
+
+@pytest.fixture(scope="module")
+def part():
+    """Mesh and reference model of a box of one colour."""
+    mesh = solids.box((0.09, 0.06, 0.15))
+    mesh = replace(mesh, texture=np.full_like(mesh.texture, (200, 110, 40)))
+    return mesh, onboard_mesh(mesh, "part")
+
+
+@pytest.fixture
+def light_changes(part, take_picture):
+    """Headers and payloads of a part that moves slowly, from a warm light to a neutral one in the sixth; or
+    instead of the light, the part is another thing from then on that looks as it would in the neutral one."""
+
+    def shown(relit):
+        mesh, rng, begun_ns = part[0], np.random.default_rng(0), now_ns()
+        other = replace(mesh, texture=(mesh.texture / WARM).clip(0, 255).astype(np.uint8))
+        for k in range(10):
+            before = k < 5
+            thing = (mesh if before or relit else other, standing_pose(0.6, 0.001 * k, 0.0))
+            seen = take_picture([thing], WARM if before or not relit else (1.0, 1.0, 1.0))
+            noisy = (seen.color + rng.normal(0.0, 2.0, seen.color.shape)).clip(0, 255).astype(np.uint8)
+            picture = packed(replace(seen, color=noisy), 1e-4)
+            fields = {"buffers": picture.buffers, "intrinsics": picture.intrinsics}
+            stamp_ns = begun_ns + k * 33 * MS
+            header = msgspec.structs.replace(HEADER, frame_id=k, capture_ns=stamp_ns, **fields)
+            yield header, picture.payload
+
+    return shown
+
+
+@pytest.mark.parametrize("relit", [True, False])
+def test_what_falls_when_the_light_changes_says_so_until_it_is_sure_again(part, light_changes, relit):
+    frames = {(h.camera_epoch, h.frame_id): (h, payload) for h, payload in light_changes(relit)}
+    decoded = {number: (h, frame_from_wire(h, payload)) for number, (h, payload) in frames.items()}
+    at = []
+
+    def begun():
+        tracker = tracking.Tracker({"part": part[1]})
+        work = TrackerWork(BusStandIn(), tracker, ObjectsStandIn(), Config(), lambda: at[-1].capture_ns)
+        return work, work._bus
+
+    work, bus = begun()
+    first = tracking.Correction.first("part", standing_pose(0.6, 0.0, 0.0), next(iter(decoded.values()))[1])
+    work._tracker.correct(first)
+    for header, payload in frames.values():
+        at.append(header)
+        if header.frame_id == 8:  # another worker takes over
+            memory, out = work.memory(), bus.out
+            work, bus = begun()
+            work.take_over(memory, lambda *key: decoded.get(key))
+            bus.out = out
+        bus.waiting["frame"] = [(header, payload)]
+        work.step()
+    assert [p.state for p in bus.out[:5]] == ["TRACKING"] * 5
+    doubted = [p.reason for p in bus.out[5:] if p.state != "TRACKING"]
+    assert len(doubted) == 5
+    assert set(doubted) == {RELIT if relit else DISAGREES}

@@ -1,0 +1,161 @@
+"""The tracker worker's work between a tracker and a bus whose answers a test knows, and frames for it."""
+
+from dataclasses import replace
+from types import SimpleNamespace
+
+import msgspec
+import numpy as np
+
+from huepose import tracking
+from huepose.geometry import se3
+from huepose.judge.terms import NOTHING
+from huepose.tracking.hypothesis import Hypothesis
+from huepose.tracking.types import Applied, State, TrackedPose
+from huepose_protos import decode, encode
+from huepose_protos.buffers import pack
+from huepose_protos.examples import images, messages
+from huepose_protos.messages import CorrectionMessage, FrameHeader, PoseMessage
+from huepose_services.runtime.clock import now_ns
+from huepose_services.runtime.config import CameraConfig, Config, TrackerConfig
+from huepose_services.runtime.health import Health
+from huepose_services.runtime.log import Log
+from huepose_services.tracker import TrackerWork
+
+HEADER = next(m for m in messages() if isinstance(m, FrameHeader))
+CORRECTION = next(m for m in messages() if isinstance(m, CorrectionMessage))
+MS = 1_000_000
+AHEAD = se3.make(np.eye(3), np.array([0.0, 0.0, 0.5]))
+
+
+class TrackerStandIn:
+    """Says of every frame that one object is tracked at the given pose."""
+
+    instances: tuple[tuple[str, int], ...] = ()
+    config = tracking.TrackerConfig()
+    reach_s = 4.0
+
+    def __init__(self, T_cam_obj):
+        self.T_cam_obj, self.corrections = T_cam_obj, []
+        self.answer = Applied.APPLIED
+
+    def step(self, frame):
+        return [
+            TrackedPose(
+                *("mug", 0, frame.epoch, frame.frame_id, frame.stamp_ns, State.TRACKING),
+                *(self.T_cam_obj, None, 0.99, np.eye(6) * 1e-6, 0),
+            )
+        ]
+
+    def poses(self):
+        return []
+
+    def surface(self, name):
+        return SimpleNamespace(diameter_m=0.12)
+
+    def doubt(self, name, instance):
+        return None
+
+    def hypotheses(self, name, instance):
+        turned = se3.make(se3.rotation_exp(np.array([0.0, 0.0, 1.0])), self.T_cam_obj[:3, 3])
+        opinion = Hypothesis(self.T_cam_obj, NOTHING, np.eye(6), "flow", log_odds=np.log(3.0))
+        return opinion, Hypothesis(turned, NOTHING, np.eye(6), "turn", log_odds=0.0)
+
+    def correct(self, correction):
+        self.corrections.append(correction.instance)
+        return self.answer
+
+
+class Loser(TrackerStandIn):
+    """Says of every frame that the object is not seen."""
+
+    def step(self, frame):
+        return [
+            replace(pose, state=State.LOST, T_cam_obj=None, covariance=None) for pose in super().step(frame)
+        ]
+
+
+class BusStandIn:
+    """The bus as far as the work sees it: what is to be taken, and what was put, as bytes."""
+
+    def __init__(self):
+        self.health, self.log = Health("tracker"), Log("tracker")
+        self.inbox = self.keys = self
+        self.frame, self.correction = "frame", "correction"
+        self.intake, self.hypotheses = "intake", "hypotheses"
+        self.waiting = {"frame": [], "correction": []}
+        self.out = []
+        self.heard, self.aside = set(), {}
+        self.skipped = 0
+
+    def ring(self, key):
+        self.place = key
+        return self
+
+    queue = ring
+
+    def frames(self):
+        return self
+
+    def is_heard(self, key):
+        return key in self.heard
+
+    def put_aside(self, key, message):
+        self.aside[key] = decode(encode(message), type(message))
+
+    def pose(self, name, instance):
+        return f"pose/{name}/{instance}"
+
+    def take(self, place, kind):
+        return self.waiting["correction"].pop(0) if self.waiting["correction"] else None
+
+    def take_with_payload(self, place, kind):
+        return self.waiting["frame"].pop(0) if self.waiting["frame"] else None
+
+    def refuse(self, key, error):
+        self.health.count("wire_errors")
+
+    def put(self, key, message):
+        self.out.append(decode(encode(message), PoseMessage))
+
+
+class ObjectsStandIn:
+    def __init__(self):
+        self.next = []
+
+    def changes(self):
+        out, self.next = self.next, []
+        return out
+
+
+def worker(T_cam_obj=AHEAD, once=False, clock=now_ns):
+    config = Config(tracker=TrackerConfig(max_age_ms=300.0), camera=CameraConfig(once=once))
+    bus, objects = BusStandIn(), ObjectsStandIn()
+    return TrackerWork(bus, TrackerStandIn(T_cam_obj), objects, config, clock), bus, objects
+
+
+def frame_of_age(number, age_ms):
+    specs, payload = pack(images())
+    capture_ns = now_ns() - round(age_ms * MS)
+    return msgspec.structs.replace(HEADER, frame_id=number, capture_ns=capture_ns, buffers=specs), payload
+
+
+def changed_frame(number, color=0, depth=0, **intrinsics):
+    """A frame with other pixels or intrinsics."""
+    header, _ = frame_of_age(number, 0.0)
+    pictures = images()
+    pictures["color"] = pictures["color"] + np.uint8(color)
+    pictures["depth"] = np.where(depth < 0, 0, pictures["depth"] + np.uint16(max(depth, 0))).astype(np.uint16)
+    specs, payload = pack(pictures)
+    changed = msgspec.structs.replace(header.intrinsics, **intrinsics)
+    return msgspec.structs.replace(header, buffers=specs, intrinsics=changed), payload
+
+
+def frame_at(distance_m):
+    """A frame all of which is so far away, in colour."""
+    header, _ = frame_of_age(1, 0.0)
+    pictures = images()
+    pictures["color"] = np.random.default_rng(0).integers(40, 200, pictures["color"].shape, np.uint8)
+    pictures["depth"] = np.full_like(pictures["depth"], 1000)
+    specs, payload = pack(pictures)
+    wide = msgspec.structs.replace(header.intrinsics, fx=6.0, fy=6.0, depth_scale_m=distance_m / 1000.0)
+    return msgspec.structs.replace(header, buffers=specs, intrinsics=wide), payload

@@ -1,4 +1,4 @@
-"""A second object, whose shape hides its turn about one axis, and short films of moving objects."""
+"""A second object, whose shape hides its turn about one axis; films of moving objects; a tracker of one."""
 
 from __future__ import annotations
 
@@ -12,6 +12,7 @@ from huepose.model.types import ReferenceModel
 from huepose.onboarding.onboard import onboard_mesh
 from huepose.rendering.render import render
 from huepose.scenes.shapes import demo_objects
+from huepose.tracking import Correction, TrackedPose, Tracker, Verdict
 from studies.stress.objects import builtin_meshes
 
 CAMERA = Camera(420.0, 420.0, 159.5, 119.5, 320, 240)
@@ -92,3 +93,43 @@ def path() -> Callable[[int], np.ndarray]:
         return se3.make(turn, place)
 
     return at
+
+
+@pytest.fixture
+def film(tea_box, shoot, path):
+    """A function: the first `count` frames of the carried box, every `step`-th."""
+
+    def make(count: int, step: int = 1, first: int = 0) -> list[RgbdFrame]:
+        return [shoot([(tea_box.mesh, path(k))], k) for k in range(first, first + count, step)]
+
+    return make
+
+
+@pytest.fixture
+def started(tea_box, film, path):
+    """A tracker that has followed the box for six frames."""
+    tracker = Tracker({"tea_box": tea_box})
+    for k, frame in enumerate(film(6)):
+        if k == 0:
+            tracker.correct(correction(frame, path(0)))
+        tracker.step(frame)
+    return tracker
+
+
+def correction(
+    frame: RgbdFrame,
+    T: np.ndarray,
+    seq: int = 1,
+    verdict: Verdict = Verdict.ACQUIRE,
+    quality: float = 0.99,
+    name: str = "tea_box",
+    instance: int = 0,
+) -> Correction:
+    return Correction(name, instance, frame.epoch, frame.frame_id, frame.stamp_ns, T, quality, verdict, seq)
+
+
+def errors(pose: TrackedPose, truth: np.ndarray) -> tuple[float, float]:
+    """Millimetres and degrees."""
+    assert pose.T_cam_obj is not None
+    mm = 1e3 * float(np.linalg.norm(pose.T_cam_obj[:3, 3] - truth[:3, 3]))
+    return mm, float(np.degrees(se3.rotation_angle(pose.T_cam_obj, truth)))

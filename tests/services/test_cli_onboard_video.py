@@ -1,0 +1,157 @@
+"""`huepose onboard --from-video`: a recording in the place of a mesh."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable
+from functools import partial
+from pathlib import Path
+from types import SimpleNamespace
+
+import msgspec
+import numpy as np
+import pytest
+
+from huepose.datasets.bop_writer import BopWriter
+from huepose.geometry import RgbdFrame
+from huepose.onboarding import read_mesh
+from huepose_protos.buffers import pack
+from huepose_protos.messages import FrameHeader, PoseMessage
+from huepose_services.cli.main import main
+from huepose_services.convert import depth_to_wire, intrinsics_to_wire
+from tests.services.recording.conftest import EXAMPLES, KEY, parts
+
+
+def bop_scene(path: Path, frames: list[RgbdFrame]) -> None:
+    """Frames as a BOP scene's folder."""
+    writer = BopWriter(path, {})
+    for k, frame in enumerate(frames):
+        writer.add(k, frame.color, frame.depth, frame.camera, [])
+
+
+def recorded(path: Path, frames: list[RgbdFrame], jpeg: bool = False) -> None:
+    """Frames as `huepose record` writes them, poses and a frame that came twice between them."""
+    out = parts(path, jpeg=jpeg)
+    for frame in [frames[0], *frames]:
+        color, depth = frame.color, depth_to_wire(frame.depth, 0.0001)
+        header = msgspec.structs.replace(
+            EXAMPLES[FrameHeader],
+            **{"frame_id": frame.frame_id, "capture_ns": frame.stamp_ns, "publish_ns": frame.stamp_ns},
+            **{"buffers": pack({"color": color, "depth": depth})[0]},
+            intrinsics=intrinsics_to_wire(frame.camera, 0.0001),
+        )
+        out.frame(header, color, depth, KEY + "frame")
+        out.message(KEY + "pose/other/0", EXAMPLES[PoseMessage])
+    out.close()
+
+
+def bag(path: Path, frames: list[RgbdFrame]) -> None:
+    """Frames as a bag of ROS."""
+    from tests.datasets.test_rosbag import COLOR, DEPTH, INFO, Ros
+
+    ros, at = Ros(path.name), 1_700_000_000_000_000_000
+    messages = []
+    for k, frame in enumerate(frames):
+        now = at + k * 33_000_000
+        messages += [
+            (INFO, now, ros.info(frame.camera)),
+            (COLOR, now, ros.image(frame.color, "rgb8", now)),
+            (DEPTH, now, ros.image(frame.depth, "32FC1", now)),
+        ]
+    ros.write(path, messages)
+
+
+@pytest.mark.parametrize(
+    ("name", "write"),
+    [
+        ("turned", bop_scene),
+        ("turned.mcap", recorded),
+        ("small.mcap", partial(recorded, jpeg=True)),
+        ("turned.bag", bag),
+    ],
+)
+def test_a_recording_takes_the_place_of_a_mesh(
+    name: str, write: Callable[[Path, list[RgbdFrame]], None], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    pytest.importorskip("open3d")
+    from huepose_services.cli import onboard
+    from tests.onboarding.test_from_video import BOX, box_of, drawn, pose
+
+    recording, out = tmp_path / name, tmp_path / "bundles"
+    write(recording, [drawn(pose(np.radians(6.0 * k)), k) for k in range(3)])
+    jobs = []
+
+    def made(job: object, bundles: Path, settled: bool) -> None:
+        assert settled, "nobody gave its unit, so no unit of theirs is doubted"
+        jobs.append(job)
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(onboard, "onboard_one", made)
+    box = [f"{x:.0f}" for x in box_of(pose(0.0)).box or ()]
+    given = ["onboard", "--from-video", str(recording), "--box", *box, "--name", "tea", "--out", str(out)]
+    main(given)
+    assert [(job.mesh_path, job.unit) for job in jobs] == [(out / "tea_mesh" / "tea.obj", "m")]
+    mesh = read_mesh(out / "tea_mesh" / "tea.obj", "m")
+    # The sides were not seen over 12 degrees; the height was.
+    assert np.ptp(mesh.vertices[:, 2]) == pytest.approx(np.ptp(BOX.vertices[:, 2]), abs=0.006)
+
+
+@pytest.mark.parametrize(("surface", "code"), [(0.59, 1), (0.6, 0)])
+def test_what_was_seen_of_one_side_alone_tells_a_script(
+    surface: float,
+    code: int,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    from huepose.onboarding.batch import Onboarded
+    from huepose_services.cli import onboard, onboard_video
+    from tests.onboarding.test_from_video import BOX
+
+    made = SimpleNamespace(
+        mesh=BOX, frames=9, T_cam_obj={0: None}, views=1, directions=0.1, surface=surface, closing_m=None
+    )
+    result = Onboarded("tea", tmp_path / "tea", (0.1, 0.1, 0.1), 0.2, 0, 1, 9, 1.0, False)
+    tests = []
+    monkeypatch.setattr(onboard_video, "_scene", lambda path: None)
+    monkeypatch.setattr(onboard_video, "_learned", lambda *_: made)
+    monkeypatch.setattr(onboard, "onboard_one", lambda *_, **__: result)
+    monkeypatch.setattr(onboard, "self_test", lambda *given: tests.append(given) or ({}, "tried"))
+    given = [
+        "onboard",
+        "--from-video",
+        "t.mcap",
+        "--click",
+        "1",
+        "2",
+        "--name",
+        "tea",
+        "--out",
+        str(tmp_path),
+    ]
+    assert main(given) == code
+    assert tests == [(tmp_path, "tea", surface if code else None)]
+    assert ("NOT ALL ROUND (exit code 1)" in capsys.readouterr().out) == bool(code)
+    assert main([*given, "--json"]) == code
+    assert json.loads(capsys.readouterr().out)["video"]["all_round"] == (not code)
+
+
+@pytest.mark.parametrize(
+    ("given", "said"),
+    [
+        ([], "found neither MESH nor --from-video"),
+        (["a.obj", "--from-video", "b.mcap"], "found MESH and --from-video"),
+        (["--from-video", "b.mcap"], "found neither --box nor --click"),
+        (["--from-video", "b.mcap", "--click", "1", "2", "--box", "1", "2", "3", "4"], "found both"),
+        (["--from-video", "b.mcap", "--click", "1", "2"], "b.mcap: found No such file"),
+        (
+            ["--from-video", "b.mcap", "--click", "1", "2", "--unit", "in"],
+            "found --unit in; expected no unit",
+        ),
+    ],
+)
+def test_what_is_missing_for_a_recording_is_said(
+    given: list[str], said: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert main(["onboard", *given, "--name", "tea", "--out", str(tmp_path / "bundles")]) == 2
+    assert said in capsys.readouterr().err

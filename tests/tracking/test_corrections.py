@@ -1,0 +1,184 @@
+"""What the tracker does with perception's answers about past frames."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from huepose.geometry import se3
+from huepose.support.errors import InputError
+from huepose.tracking import Applied, Correction, State, Tracker, TrackerConfig, Verdict
+from tests.tracking.conftest import correction, errors
+
+
+def test_a_late_perfect_pose_replays_exactly(started, film, path) -> None:
+    """Output equals the truth at the corrected frame composed with the increments that were tracked since."""
+    track = started._tracks["tea_box", 0]
+    before = [e.T_cam_obj for e in track.history]
+    late = 2
+    corrected = correction(film(6)[late], path(late), seq=2, verdict=Verdict.CORRECT)
+    assert started.correct(corrected) is Applied.APPLIED
+    expected = before[-1] @ se3.inverse(before[late]) @ path(late)
+    (pose,) = started.poses()
+    np.testing.assert_allclose(pose.T_cam_obj, expected, atol=1e-12)
+    assert pose.applied_correction_seq == 2
+
+
+def test_a_small_correction_does_not_make_a_sure_object_doubtful(started, film, path) -> None:
+    frames = film(8)
+    near = correction(frames[4], path(4), 2, Verdict.CORRECT, quality=0.5)
+    assert started.correct(near) is Applied.APPLIED
+    assert started.step(frames[6])[0].state is State.TRACKING
+    flipped = path(5) @ se3.make(np.diag([-1.0, -1.0, 1.0]), np.zeros(3))
+    started.correct(correction(frames[5], flipped, 3, Verdict.CORRECT, quality=0.5))
+    (pose,) = started.step(frames[7])
+    assert errors(pose, path(7))[1] < 1.0, "the image knows better"
+    assert pose.state is State.TRACKING
+
+
+def test_corrections_are_idempotent_by_number(started, film, path) -> None:
+    frame = film(6)[3]
+    assert started.correct(correction(frame, path(3), 2, Verdict.CORRECT)) is Applied.APPLIED
+    first = started.poses()[0].T_cam_obj
+    assert started.correct(correction(frame, path(3), 2, Verdict.CORRECT)) is Applied.REPEATED
+    assert started.correct(correction(frame, path(0), 1, Verdict.CORRECT)) is Applied.REPEATED
+    np.testing.assert_array_equal(started.poses()[0].T_cam_obj, first)
+
+
+def test_corrections_that_cannot_be_taken(tea_box, film, path, started) -> None:
+    old = film(1)[0]
+    tracker = Tracker({"tea_box": tea_box}, TrackerConfig(history_frames=3, older_frames=0))
+    for frame in film(6):
+        if frame.frame_id == 0:
+            tracker.correct(correction(frame, path(0)))
+        tracker.step(frame)
+    late = correction(old, path(0), 2, Verdict.CORRECT)
+    assert tracker.correct(late) is Applied.REFUSED_OLD
+    assert tracker.reach_s == pytest.approx(2 / 30)
+    assert started.correct(late) is Applied.APPLIED, "a longer history still knows it"
+    foreign = Correction("tea_box", 0, 9, 5, film(6)[5].stamp_ns, path(5), 0.9, Verdict.CORRECT, 3)
+    assert started.correct(foreign) is Applied.REFUSED_EPOCH
+    with pytest.raises(InputError, match="tea_cup"):
+        started.correct(correction(old, path(0), name="tea_cup"))
+
+
+def test_a_skipped_frame_is_corrected_between_its_neighbours(tea_box, film, path) -> None:
+    tracker = Tracker({"tea_box": tea_box})
+    frames = film(7)
+    for k in (0, 1, 2, 4, 6):
+        if k == 0:
+            tracker.correct(correction(frames[0], path(0)))
+        tracker.step(frames[k])
+    assert tracker.correct(correction(frames[3], path(3), 2, Verdict.CORRECT)) is Applied.APPLIED
+    mm, degrees = errors(tracker.poses()[0], path(6))
+    assert mm < 2.5
+    assert degrees < 1.5
+
+
+def test_a_gross_correction_is_caught_up_before_it_is_published(tea_box, shoot, path) -> None:
+    """The tracker follows the left one of two boxes; six frames ago perception saw the right one."""
+    left, right = np.array([-0.1, 0.0, 0.05]), np.array([0.1, 0.0, 0.05])
+
+    def at(k: int, place: np.ndarray) -> np.ndarray:
+        return se3.make(path(k)[:3, :3], path(k)[:3, 3] + place)
+
+    tracker = Tracker({"tea_box": tea_box})
+    frames = [shoot([(tea_box.mesh, at(k, left)), (tea_box.mesh, at(k, right))], k) for k in range(8)]
+    tracker.correct(correction(frames[0], at(0, left)))
+    for frame in frames:
+        tracker.step(frame)
+    here = tracker.poses()[0].T_cam_obj
+    there = correction(frames[2], at(2, right), 2, Verdict.CORRECT)
+    assert tracker.correct(there) is Applied.CATCHING_UP
+    np.testing.assert_array_equal(tracker.poses()[0].T_cam_obj, here)
+    assert tracker.correct(there) is Applied.REPEATED
+    for k in range(8, 12):
+        # The left one is gone now, so that the correction explains more than what was tracked.
+        (pose,) = tracker.step(shoot([(tea_box.mesh, at(k, right))], k))
+        assert pose.applied_correction_seq == 2 or errors(pose, at(k, right))[0] > 100
+        if pose.applied_correction_seq == 2:
+            break
+    assert pose.applied_correction_seq == 2
+    assert pose.state is State.TRACKING
+    assert errors(pose, at(k, right))[0] < 1.5
+
+
+def test_a_late_acquisition_catches_up_with_a_moving_object(tea_box, film, path) -> None:
+    tracker = Tracker({"tea_box": tea_box})
+    frames = film(14)
+    for frame in frames[:8]:
+        assert tracker.step(frame) == []
+    assert tracker.correct(correction(frames[1], path(1))) is Applied.CATCHING_UP
+    assert tracker.poses() == [], "unpublished until it has reached now"
+    published = [tracker.step(frame) for frame in frames[8:]]
+    reached = next(k for k, p in enumerate(published) if p)
+    assert reached <= 2
+    (pose,) = published[reached]
+    assert pose.state is State.TRACKING
+    assert errors(pose, path(8 + reached))[0] < 1.0
+    assert errors(published[-1][0], path(13))[0] < 1.0
+
+
+def test_an_acquisition_that_the_image_denies_is_dropped(tea_box, shoot, path) -> None:
+    tracker = Tracker({"tea_box": tea_box})
+    empty = shoot([], 0)
+    tracker.correct(correction(empty, path(0)))
+    assert tracker.step(empty) == []
+    assert tracker.instances == ()
+
+
+def test_a_doubtful_acquisition_is_suspect_until_perception_agrees(tea_box, film, path) -> None:
+    tracker = Tracker({"tea_box": tea_box})
+    frames = film(5)
+    tracker.correct(correction(frames[0], path(0), quality=0.6))
+    for frame in frames[:3]:
+        assert tracker.step(frame)[0].state is State.SUSPECT
+    assert tracker.poses()[0].quality < 0.65
+    for seq in (2, 3):
+        agreed = correction(frames[seq - 1], path(seq - 1), seq, Verdict.AGREE, quality=0.9)
+        assert tracker.correct(agreed) is Applied.APPLIED
+        (pose,) = tracker.step(frames[1 + seq])
+        # One wrong in ten is too many.
+        assert pose.state is (State.SUSPECT if seq == 2 else State.TRACKING)
+        assert pose.applied_correction_seq == seq
+    assert pose.quality > 0.8
+
+
+def test_what_perception_doubts_again_and_again_stays_suspect(tea_box, film, path) -> None:
+    tracker = Tracker({"tea_box": tea_box})
+    frames = film(12)
+    tracker.correct(correction(frames[0], path(0), quality=0.6))
+    tracker.step(frames[0])
+    for number in range(1, 12):
+        tracker.correct(correction(frames[number - 1], path(number - 1), number + 1, Verdict.AGREE, 0.3))
+        (pose,) = tracker.step(frames[number])
+        assert pose.state is State.SUSPECT, number
+    assert pose.quality < 0.65
+
+
+def test_a_second_look_at_one_frame_says_nothing_new(tea_box, film, path) -> None:
+    tracker = Tracker({"tea_box": tea_box})
+    frames = film(2)
+    tracker.correct(correction(frames[0], path(0), quality=0.6))
+    tracker.step(frames[0])
+    for seq in range(2, 8):
+        tracker.correct(correction(frames[0], path(0), seq, Verdict.AGREE, quality=0.8))
+    (pose,) = tracker.step(frames[1])
+    assert pose.state is State.SUSPECT
+    assert pose.quality < 0.85
+
+
+def test_an_answer_about_a_time_when_it_was_seen_says_nothing_of_what_is_usual_now(
+    tea_box, film, shoot, path
+) -> None:
+    tracker = Tracker({"tea_box": tea_box})
+    frames = film(4)
+    tracker.correct(correction(frames[0], path(0)))
+    for frame in frames:
+        tracker.step(frame)
+    track = tracker._tracks["tea_box", 0]
+    usual = track.baseline
+    tracker.step(shoot([], 4))
+    assert track.terms.total < 0.2
+    tracker.correct(correction(frames[3], path(3), 2, Verdict.AGREE))
+    assert track.baseline == usual

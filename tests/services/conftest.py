@@ -1,4 +1,4 @@
-"""A tiny recorded scene, free ports, and pipelines as files."""
+"""A tiny recorded scene, a camera that is a Python file, free ports, and pipelines as files."""
 
 import json
 import socket
@@ -117,3 +117,33 @@ def _wait_until(condition, timeout_s=10.0):
 @pytest.fixture
 def wait_until():
     return _wait_until
+
+
+PYTHON_CAMERA = """import time
+
+import numpy as np
+
+from huepose import Camera, RgbdFrame
+
+
+def frames():
+    rng, focal = np.random.default_rng(0), 0.9375 * WIDTH
+    while True:
+        time.sleep(EVERY_S)
+        color = rng.integers(60, 200, (3 * WIDTH // 4, WIDTH, 3), np.uint8)
+        depth = np.full(color.shape[:2], 0.7, np.float32)
+        CHANGE
+        camera = Camera(focal, focal, 0.5 * WIDTH - 0.5, 0.375 * WIDTH - 0.5, WIDTH, 3 * WIDTH // 4)
+        yield RgbdFrame(color, depth, camera)
+"""
+
+
+@pytest.fixture
+def python_camera(tmp_path):
+    """Writes cam.py: a camera of coloured noise 0.7 m away; `change` is done to `color` and `depth`."""
+
+    def write(change, width=64, every_s=0.02):
+        text = PYTHON_CAMERA.replace("WIDTH", str(width)).replace("EVERY_S", str(every_s))
+        (tmp_path / "cam.py").write_text(text.replace("CHANGE", change))
+
+    return write

@@ -150,31 +150,14 @@ def test_without_a_pipeline_nobody_knows_which_camera(capsys):
     assert "huepose doctor PIPELINE.yaml --camera" in capsys.readouterr().err
 
 
-MILLIMETRES = """import time
-
-import numpy as np
-
-from huepose import Camera, RgbdFrame
-
-
-def frames():
-    rng = np.random.default_rng(0)
-    while True:
-        time.sleep(0.2)
-        color = rng.integers(60, 200, (480, 640, 3), np.uint8)
-        depth = rng.uniform(600.0, 900.0, (480, 640)).astype(np.float32)
-        yield RgbdFrame(color, UNIT * depth, Camera(600.0, 600.0, 319.5, 239.5, 640, 480))
-"""
-
-
 @pytest.mark.parametrize(("unit", "depth_state"), [("1.0", "bad"), ("0.01", "ok")])
 def test_where_depth_is_wrong_nobody_is_told_to_bring_an_object_nearer(
-    tmp_path, capsys, monkeypatch, tea_box, unit, depth_state
+    tmp_path, capsys, monkeypatch, tea_box, python_camera, unit, depth_state
 ):
     """At 7.5 m the box is small in truth; in depth of millimetres only seemingly."""
     monkeypatch.setattr(pictures, "LOOK_S", 1.5)
     save_model(tea_box, model_path(tmp_path / "models", "tea_box"))
-    (tmp_path / "cam.py").write_text(MILLIMETRES.replace("UNIT", unit))
+    python_camera(f"depth *= {unit} * rng.uniform(860.0, 1290.0, depth.shape).astype(np.float32)", 640, 0.2)
     camera = {"source": "python", "path": "cam.py", "rate": 4, "depth_scale_m": 0.001}
     (tmp_path / "pipeline.yaml").write_text(json.dumps({"camera": camera, "bundles": "models"}))
     main(["doctor", str(tmp_path / "pipeline.yaml"), "--camera", "--json"])

@@ -11,23 +11,6 @@ from huepose_services.camera.python import open_source
 from huepose_services.runtime.config import load
 from huepose_services.runtime.health import Health
 
-CAMERA = """import time
-
-import numpy as np
-
-from huepose import Camera, RgbdFrame
-
-
-def frames():
-    rng = np.random.default_rng(0)
-    while True:
-        time.sleep(0.02)
-        color = rng.integers(60, 200, (48, 64, 3), np.uint8)
-        depth = np.full((48, 64), 0.7, np.float32)
-        DEPTH
-        yield RgbdFrame(color, depth, Camera(60.0, 60.0, 31.5, 23.5, 64, 48))
-"""
-
 
 class _Bus:
     """Takes all that is published."""
@@ -49,12 +32,12 @@ class _Bus:
 
 
 @pytest.fixture
-def ingest_of(tmp_path: Path):
+def ingest_of(tmp_path: Path, python_camera):
     """The camera worker of a Python camera that does this to its depth."""
     made = []
 
     def make(change, check="true"):
-        (tmp_path / "cam.py").write_text(CAMERA.replace("DEPTH", change))
+        python_camera(change)
         (tmp_path / "pipeline.yaml").write_text(
             f"camera: {{source: python, path: cam.py, check: {check}}}\nworkers: [camera]\nbundles: bundles\n"
         )

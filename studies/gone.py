@@ -52,9 +52,6 @@ AROUND, BESIDE = 0.08, 5
 COLOR_NOISE, DEPTH_NOISE_PER_M = 2.5, 0.0012
 """Of each frame: grey levels, and metres at one metre, growing with its square."""
 
-FRESH_S, MARGIN = 0.5, 0.08
-"""A prediction not older than this says where perception looks, with that margin: as the detector worker."""
-
 TOLD_IN = 5
 """So many frames after it is covered its pose may still be TRACKING."""
 
@@ -93,17 +90,17 @@ class Sight:
             instance = -1 if asked.instance is None else asked.instance
             queries += [
                 ObjectQuery(asked.object, box=box, prior=prior, instance=instance, searched=not asked.known)
-                for box in self._boxes(asked, prior, frame)
+                for box in self._boxes(asked, frame)
             ]
         return self._estimator.estimate(frame, queries)
 
-    def _boxes(self, asked: RequestedObject, prior: PosePrior | None, frame: RgbdFrame) -> list[Box]:
-        if prior is not None and asked.prior is not None:
-            fresh = (frame.stamp_ns - asked.prior.stamp_ns) * 1e-9 <= FRESH_S
-            box = self._surface.box(prior.T_cam_obj, frame.camera) if fresh else None
-            if box is not None:
-                box = box.grown(MARGIN).clipped(frame.camera.width, frame.camera.height)
-                return [box] if box.w >= 1.0 and box.h >= 1.0 else []
+    def _boxes(self, asked: RequestedObject, frame: RgbdFrame) -> list[Box]:
+        camera, box = frame.camera, None
+        if asked.prior is not None:
+            box = asked.prior.fresh_box(frame.stamp_ns, lambda T: self._surface.box(T, camera))
+        if box is not None:
+            box = box.clipped(camera.width, camera.height)
+            return [box] if box.w >= 1.0 and box.h >= 1.0 else []
         return [d.box for d in self._detector.detect(frame, [asked.object])[: asked.wanted]]
 
 

@@ -6,6 +6,7 @@ the order tx ty tz rx ry rz along camera axes about the object's origin.
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -13,7 +14,11 @@ import numpy as np
 from huepose.estimation.types import PoseEstimate
 from huepose.geometry import se3
 from huepose.geometry.arrays import Float64
+from huepose.geometry.box import Box
 from huepose.support.errors import InputError
+
+FRESH_S, FRESH_MARGIN = 0.5, 0.08
+"""For so long a prediction says where an object is looked for, in its box grown by that share."""
 
 Key = tuple[str, int]
 """An instance: the name of its object, and its number."""
@@ -57,6 +62,13 @@ class Prior:
             return self.T_cam_obj
         dt = float(np.clip((stamp_ns - self.stamp_ns) * 1e-9, -max_ahead_s, max_ahead_s))
         return se3.perturb(self.T_cam_obj, self.velocity * dt)
+
+    def fresh_box(self, stamp_ns: int, box_at: Callable[[Float64], Box | None]) -> Box | None:
+        """A little more than the object's box at another stamp; None where the pose is too old to say where
+        to look, or there is no box. box_at: of a pose (4, 4), the object's box in the image."""
+        fresh = (stamp_ns - self.stamp_ns) * 1e-9 <= FRESH_S
+        box = box_at(self.predicted(stamp_ns)) if fresh else None
+        return None if box is None else box.grown(FRESH_MARGIN)
 
 
 @dataclass(frozen=True, eq=False)

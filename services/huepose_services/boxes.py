@@ -37,9 +37,8 @@ from huepose_services.runtime.clock import SECOND
 _TRUTHS_KEPT = 90
 _SAME_BOX = 0.5
 _VISIBLE = 0.1
-# A prediction is trusted for so long; then the last box grows, and at last it is the image.
-_TRUST_S, _FORGET_S, _GROWTH_PER_S = 0.5, 3.0, 0.5
-_MARGIN = 0.08
+# Where no prediction is fresh any more the last box grows, and at last it is the image.
+_FORGET_S, _GROWTH_PER_S = 3.0, 0.5
 _HINT_NS = 3 * SECOND
 
 
@@ -82,10 +81,11 @@ class ByOutline:
 
     def fresh_box(self, wanted: RequestedObject, header: FrameHeader, camera: Camera) -> Box | None:
         """A little more than the box of a prediction that may still be trusted; None where there is none."""
-        if wanted.prior is None or (header.capture_ns - wanted.prior.stamp_ns) * 1e-9 > _TRUST_S:
+        outline = self._outlines.get(wanted.object)
+        if wanted.prior is None or outline is None:
             return None
-        box = self.prior_box(wanted, header, camera)
-        return None if box is None else box.grown(_MARGIN)
+        prior = prior_from_wire(wanted.prior)
+        return prior.fresh_box(header.capture_ns, lambda T_cam_obj: outline.box(T_cam_obj, camera))
 
     def given_out(
         self, detections: Sequence[Detection], header: FrameHeader, request: PerceptionRequest

@@ -8,7 +8,7 @@ from huepose.geometry import se3
 from huepose.geometry.arrays import Bool, Float, Float64
 from huepose.geometry.frame import RgbdFrame
 from huepose.judge.pairs import pair_arrays, pair_picture
-from huepose.judge.region import Region, prepare_crop, smoothed_opponents, tolerance_m
+from huepose.judge.region import Region, prepare_crop, smoothed_opponents
 from huepose.judge.silhouette import projected_box
 from huepose.judge.texture_evidence import contrasts
 from huepose.model.types import ReferenceModel
@@ -31,19 +31,8 @@ def pairs_seen(
         return np.zeros((0, 2)), np.zeros(0, bool)
     crop = prepare_crop(frame, box.grown(0.1, 4.0))
     size, middle_m = crop.depth.shape, float(se3.apply(T_cam_obj, model.mesh.centre[None])[0, 2])
-    nothing = np.zeros(size, np.float32)
-    region = Region(
-        crop,
-        nothing,
-        nothing > 0,
-        smoothed_opponents(crop.color, np.ones(size, np.float32), (1.0, 3.0)),
-        np.zeros((0, 3)),
-        np.zeros(0),
-        0.0,
-        np.array([-2.0, -2.0, -1.0, -1.0]),
-        tolerance_m(model.diameter_m, middle_m),
-        middle_m,
-    )
+    colors = smoothed_opponents(crop.color, np.ones(size, np.float32), (1.0, 3.0))
+    region = Region.whole(crop, np.zeros(size, bool), colors, model.diameter_m, middle_m)
     voices, elsewhere = contrasts(model, region, pair_picture(model, crop, middle_m), T_cam_obj, pairs)
     shown = voices > CLEAR
     points = pair_arrays(model.pairs, pairs).points[shown]

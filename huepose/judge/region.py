@@ -76,6 +76,16 @@ class Region:
     tolerance_m: float
     median_depth_m: float
 
+    @staticmethod
+    def whole(crop: Crop, mask: Bool, colors: Float32, diameter_m: float, depth_m: float) -> Region:
+        """All of a crop, to score poses of an object of that diameter about so far away, metres, of which no
+        outline is known."""
+        nothing, nowhere = np.zeros(mask.shape, np.float32), np.array([-2.0, -2.0, -1.0, -1.0])
+        tolerance = tolerance_m(diameter_m, depth_m)
+        return Region(
+            crop, nothing, mask, colors, np.zeros((0, 3)), np.zeros(0), 0.0, nowhere, tolerance, depth_m
+        )
+
 
 def prepare_crop(frame: RgbdFrame, window: Box) -> Crop:
     """Cut a window (clipped to the image, at least two pixels in each direction) out of a frame."""

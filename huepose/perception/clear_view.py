@@ -14,7 +14,7 @@ from huepose.geometry.box import Box
 from huepose.geometry.camera import Camera
 from huepose.geometry.frame import RgbdFrame
 from huepose.geometry.median import median
-from huepose.judge.region import SATURATED, Crop, Region, tolerance_m
+from huepose.judge.region import SATURATED, Crop, Region
 from huepose.model.types import COLOR_SCALES_M
 from huepose.perception.embedded import depth_steps
 from huepose.perception.ground import large_planes, standing_clear
@@ -55,19 +55,7 @@ class ClearView:
 
     def region(self, diameter_m: float) -> Region:
         """The whole view as a region in which poses of an object are scored, without an outline."""
-        h, w = self.clear.shape
-        return Region(
-            self.crop,
-            np.zeros((h, w), np.float32),
-            self.clear,
-            self.colors,
-            np.zeros((0, 3)),
-            np.zeros(0),
-            0.0,
-            np.array([-2.0, -2.0, -1.0, -1.0]),
-            tolerance_m(diameter_m, 1.0),
-            1.0,
-        )
+        return Region.whole(self.crop, self.clear, self.colors, diameter_m, 1.0)
 
 
 def clear_view(frame: RgbdFrame, largest_m: float) -> ClearView | None:

@@ -7,7 +7,7 @@ patches are normalised for brightness. A learned flow can replace it (`perceptio
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Protocol
+from typing import Any, Protocol
 
 import cv2
 import numpy as np
@@ -82,9 +82,8 @@ def compute(
         return None
     a = cv2.cvtColor(color_a[rows, columns], cv2.COLOR_RGB2GRAY)
     b = cv2.cvtColor(color_b[rows, columns], cv2.COLOR_RGB2GRAY)
-    dis = cv2.DISOpticalFlow.create(preset)
-    forward = np.asarray(dis.calc(a, b, None), np.float32)  # type: ignore[call-overload]
-    backward = np.asarray(dis.calc(b, a, None), np.float32)  # type: ignore[call-overload]
+    dis: Any = cv2.DISOpticalFlow.create(preset)  # its types know no call without a flow to begin with
+    forward, backward = (np.asarray(dis.calc(*pair, None), np.float32) for pair in ((a, b), (b, a)))
     return Flow(forward, backward, consistency(forward, backward), columns.start, rows.start)
 
 

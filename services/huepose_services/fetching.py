@@ -75,9 +75,9 @@ def _download(url: str, part: Path, size_bytes: int | None, out: TextIO) -> None
     if size_bytes is not None and have >= size_bytes:
         return
     # Any scheme: what comes is taken only with the right digest.
-    request = urllib.request.Request(url, headers={"Range": f"bytes={have}-"} if have else {})  # noqa: S310
+    request = urllib.request.Request(url, headers={"Range": f"bytes={have}-"} if have else {})  # noqa: S310  # see above
     try:
-        answer = urllib.request.urlopen(request, timeout=_TIMEOUT_S)  # noqa: S310
+        answer = urllib.request.urlopen(request, timeout=_TIMEOUT_S)  # noqa: S310  # see above
     except urllib.error.HTTPError as error:
         if error.code == 416 and have:  # nothing is left to send
             return

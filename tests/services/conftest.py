@@ -11,6 +11,12 @@ import cv2
 import numpy as np
 import pytest
 
+from huepose.model.io import model_path, save_model
+from huepose.onboarding import onboard_mesh
+from huepose.scenes.builtin import SyntheticScene
+from huepose.scenes.shapes import demo_objects
+
+NAME, PLAYED = "tea_box", 30
 FRAMES = 12
 STAMPS_NS = [1_000_000_000 + i * 30_000_000 + (i % 3) * 5_000_000 for i in range(FRAMES)]
 
@@ -72,6 +78,28 @@ def pipeline(tmp_path, scene, base_port):
         return path
 
     return write
+
+
+@pytest.fixture(scope="module")
+def recording(tmp_path_factory):
+    """A second of the built-in scene with one object, as a BOP scene that closes; the folder of its model."""
+    folder = tmp_path_factory.mktemp("recording")
+    mesh = demo_objects()[NAME]
+    save_model(onboard_mesh(mesh, NAME, object_id=1), model_path(folder / "bundles", NAME))
+    scene = SyntheticScene(seconds=1.0, objects={NAME: mesh}, cache=folder)
+    (folder / "scene" / "rgb").mkdir(parents=True)
+    (folder / "scene" / "depth").mkdir()
+    cameras, truths = {}, []
+    for i, sample in enumerate(scene):
+        rgb = np.ascontiguousarray(sample.frame.color[..., ::-1])
+        cv2.imwrite(str(folder / "scene" / "rgb" / f"{i:06d}.png"), rgb)
+        depth = np.rint(sample.frame.depth * 10_000).astype(np.uint16)
+        cv2.imwrite(str(folder / "scene" / "depth" / f"{i:06d}.png"), depth)
+        cameras[str(i)] = {"cam_K": scene.camera.K.ravel().tolist(), "depth_scale": 0.1}
+        truths.append(sample.truths[0])
+    assert len(truths) == PLAYED
+    (folder / "scene" / "scene_camera.json").write_text(json.dumps(cameras))
+    return folder, mesh, truths
 
 
 @contextmanager

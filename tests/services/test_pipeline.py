@@ -9,15 +9,10 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-import cv2
 import numpy as np
 import pytest
 
 from huepose.evaluation.metrics import add
-from huepose.model.io import model_path, save_model
-from huepose.onboarding import onboard_mesh
-from huepose.scenes.builtin import SyntheticScene
-from huepose.scenes.shapes import demo_objects
 from huepose_protos.messages import ControlRequest
 from huepose_services.chaos.intruder import flood
 from huepose_services.cli.graph import mermaid
@@ -28,34 +23,9 @@ from huepose_services.convert import pose_from_wire
 from huepose_services.runtime.clock import now_ns
 from huepose_services.runtime.running import pick
 from huepose_services.watch import Watch
-from tests.services.conftest import free_port_range, processes
+from tests.services.conftest import NAME, PLAYED, free_port_range, processes
 
 pytestmark = [pytest.mark.live, pytest.mark.timeout(240)]
-
-NAME = "tea_box"
-FRAMES = 30
-
-
-@pytest.fixture(scope="module")
-def recording(tmp_path_factory):
-    """A second of the built-in scene with one object, as a BOP scene that closes; the folder of its model."""
-    folder = tmp_path_factory.mktemp("recording")
-    mesh = demo_objects()[NAME]
-    save_model(onboard_mesh(mesh, NAME, object_id=1), model_path(folder / "bundles", NAME))
-    scene = SyntheticScene(seconds=1.0, objects={NAME: mesh}, cache=folder)
-    (folder / "scene" / "rgb").mkdir(parents=True)
-    (folder / "scene" / "depth").mkdir()
-    cameras, truths = {}, []
-    for i, sample in enumerate(scene):
-        rgb = np.ascontiguousarray(sample.frame.color[..., ::-1])
-        cv2.imwrite(str(folder / "scene" / "rgb" / f"{i:06d}.png"), rgb)
-        depth = np.rint(sample.frame.depth * 10_000).astype(np.uint16)
-        cv2.imwrite(str(folder / "scene" / "depth" / f"{i:06d}.png"), depth)
-        cameras[str(i)] = {"cam_K": scene.camera.K.ravel().tolist(), "depth_scale": 0.1}
-        truths.append(sample.truths[0])
-    assert len(truths) == FRAMES
-    (folder / "scene" / "scene_camera.json").write_text(json.dumps(cameras))
-    return folder, mesh, truths
 
 
 @dataclass
@@ -107,7 +77,7 @@ def test_an_object_is_found_and_has_a_right_pose_in_nearly_every_frame(running, 
 
     reader = threading.Thread(target=read)
     reader.start()
-    wait_until(lambda: len(poses) > FRAMES + 10, 120.0)
+    wait_until(lambda: len(poses) > PLAYED + 10, 120.0)
     printer.send_signal(signal.SIGTERM)
     reader.join()
     assert printer.wait(10.0) == 0
@@ -118,7 +88,7 @@ def test_an_object_is_found_and_has_a_right_pose_in_nearly_every_frame(running, 
     assert len(with_pose) >= 0.95 * (last - first + 1)
     assert {(p["object"], p["instance"]) for p in poses} == {(NAME, poses[0]["instance"])}
     errors = [
-        add(mesh.vertices, pose_from_wire(p["translation"], p["quaternion"]), truths[i % FRAMES].T_cam_obj)
+        add(mesh.vertices, pose_from_wire(p["translation"], p["quaternion"]), truths[i % PLAYED].T_cam_obj)
         for i, p in with_pose.items()
     ]
     assert np.mean(np.array(errors) < 0.017) > 0.95

@@ -9,8 +9,7 @@ import pytest
 from huepose_protos import PoseClient
 from huepose_services.cli.main import main
 from huepose_services.runtime.running import pick
-from tests.services.conftest import free_port_range, processes
-from tests.services.test_pipeline import FRAMES, NAME, recording  # noqa: F401
+from tests.services.conftest import NAME, PLAYED, free_port_range, processes
 
 pytestmark = [pytest.mark.live, pytest.mark.timeout(300)]
 
@@ -27,7 +26,7 @@ TURNS = {
 }
 
 
-def test_both_give_the_object_in_the_frame_of_the_robot(recording, tmp_path, capsys):  # noqa: F811
+def test_both_give_the_object_in_the_frame_of_the_robot(recording, tmp_path, capsys):
     folder, _, truths = recording
     seen = {"source": "bop", "path": str(folder / "scene"), "rate": 4, "truth": False}
     path = tmp_path / "pipeline.yaml"
@@ -62,7 +61,7 @@ def test_both_give_the_object_in_the_frame_of_the_robot(recording, tmp_path, cap
                 found = of[name].at(pose.capture_ns + pose.realtime_offset_ns + MOMENT_NS, NAME)
                 if found is None or found.basis.frame_id != pose.frame_id or found.T_parent_obj is None:
                     continue
-                T_cam_obj = truths[pose.frame_id % FRAMES].T_cam_obj
+                T_cam_obj = truths[pose.frame_id % PLAYED].T_cam_obj
                 place = TURNS[name] @ T_cam_obj[:3, 3] + MOUNTS[name]["translation"]
                 assert found.mount is not None
                 assert found.mount.parent == "base_link"
@@ -75,5 +74,5 @@ def test_both_give_the_object_in_the_frame_of_the_robot(recording, tmp_path, cap
     assert min(right.values()) >= 5, f"poses in the robot's frame: {right}"
     assert heard == {"left_color_optical", "right_color_optical"}
     frame_id, place = int(printed[0]), np.array(printed[4:7], dtype=float)
-    T_cam_obj = truths[frame_id % FRAMES].T_cam_obj
+    T_cam_obj = truths[frame_id % PLAYED].T_cam_obj
     assert place == pytest.approx(TURNS["left"] @ T_cam_obj[:3, 3] + MOUNTS["left"]["translation"], abs=0.01)

@@ -2,4 +2,5 @@
 
 from importlib.util import find_spec
 
-collect_ignore = [] if find_spec("torch") else ["test_bank.py", "test_rotation_training.py"]
+_NEED_TORCH = ["test_bank.py", "test_rotation_training.py", "test_view_codes.py"]
+collect_ignore = [] if find_spec("torch") else _NEED_TORCH

@@ -5,20 +5,19 @@ import math
 
 import numpy as np
 import pytest
+import torch
 
-torch = pytest.importorskip("torch", reason="the extra `train` is not installed")
-
-from huepose.geometry import icosphere  # noqa: E402
-from huepose.propose import view_pictures  # noqa: E402
-from huepose.propose.templates import view_rotations  # noqa: E402
-from huepose.training.network import info_nce, view_codes, window_codes  # noqa: E402
-from huepose.training.view_codes import (  # noqa: E402
+from huepose.geometry import icosphere
+from huepose.propose import view_pictures
+from huepose.propose.templates import view_rotations
+from huepose.training.network import info_nce, view_codes, window_codes
+from huepose.training.view_codes import (
     ObjectBuffer,
     ViewCodeTraining,
     network_input,
     train,
 )
-from huepose.training.windows import Drawn, endless  # noqa: E402
+from huepose.training.windows import Drawn, endless
 
 pytestmark = pytest.mark.filterwarnings("ignore")
 

@@ -18,7 +18,7 @@ _PACKAGES = (
     *("huepose", "eclipse-zenoh", "numpy", "msgspec", "opencv-python-headless", "numba", "scipy"),
     *("onnxruntime", "onnxruntime-gpu", "open3d-cpu", "open3d", "rerun-sdk", "pyrealsense2", "depthai"),
 )
-_SHM = Path("/dev/shm")  # noqa: S108
+_SHM = Path("/dev/shm")  # noqa: S108  # looked at, not written to
 _CPUS = Path("/sys/devices/system/cpu")
 _CLOCK_SOURCE = Path("/sys/devices/system/clocksource/clocksource0/current_clocksource")
 

@@ -115,7 +115,7 @@ class ViewerConfig(Section, frozen=True, kw_only=True):
 
     web_port: Annotated[int, Meta(ge=1024, le=65_535)] = 9090
     grpc_port: Annotated[int, Meta(ge=1024, le=65_535)] = 9876
-    bind: Literal["127.0.0.1", "0.0.0.0"] = "127.0.0.1"  # noqa: S104
+    bind: Literal["127.0.0.1", "0.0.0.0"] = "127.0.0.1"  # noqa: S104  # only who asks for it gets it
     image_rate_hz: Annotated[float, Meta(gt=0.0, le=30.0)] = 10.0
     memory_mib: Annotated[int, Meta(ge=16, le=16_384)] = 64
 

@@ -20,9 +20,7 @@ CLEAR = 0.4
 """Least clarity of a contrast that is shown, 0..1: fainter ones say nothing for or against a pose."""
 
 
-def pairs_seen(
-    frame: RgbdFrame, model: ReferenceModel, T_cam_obj: Float, pairs: int = PAIRS
-) -> tuple[Float64, Bool]:
+def pairs_seen(frame: RgbdFrame, model: ReferenceModel, T_cam_obj: Float) -> tuple[Float64, Bool]:
     """Pixels (N, 2) of the model's pairs that are in view at a pose (4, 4) and whose contrast is clear on the
     texture and in the picture; and whether the picture's points in another colour (N,), which speaks against
     the pose as in `texture_evidence.contrast_disagreement_many`."""
@@ -33,7 +31,7 @@ def pairs_seen(
     size, middle_m = crop.depth.shape, float(se3.apply(T_cam_obj, model.mesh.centre[None])[0, 2])
     colors = smoothed_opponents(crop.color, np.ones(size, np.float32), (1.0, 3.0))
     region = Region.whole(crop, np.zeros(size, bool), colors, model.diameter_m, middle_m)
-    voices, elsewhere = contrasts(model, region, pair_picture(model, crop, middle_m), T_cam_obj, pairs)
+    voices, elsewhere = contrasts(model, region, pair_picture(model, crop, middle_m), T_cam_obj, PAIRS)
     shown = voices > CLEAR
-    points = pair_arrays(model.pairs, pairs).points[shown]
+    points = pair_arrays(model.pairs, PAIRS).points[shown]
     return frame.camera.project(se3.apply(T_cam_obj, points)), elsewhere[shown]

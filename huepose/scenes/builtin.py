@@ -36,6 +36,7 @@ if TYPE_CHECKING:
 
 VERSION = 3  # of what the code below this module draws: raise it when any pixel changes
 RATE_HZ = 30.0
+SECONDS = 8.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -81,7 +82,7 @@ class SyntheticScene:
     def __init__(
         self,
         seed: int = 0,
-        seconds: float = 8.0,
+        seconds: float = SECONDS,
         objects: Mapping[str, Mesh] | None = None,
         camera: Camera = CAMERA,
         depth_sensor: StereoSensor | None = STEREO,
@@ -177,20 +178,19 @@ class SyntheticScene:
                 yield shot.color, shot.depth, _row(shot)
 
 
-def first_shot(objects: Mapping[str, Mesh], seed: int = 0, seconds: float = 8.0) -> Shot:
-    """Frame 0 of `SyntheticScene(seed, seconds, objects)`, without drawing the others. Raises InputError."""
+def first_shot(objects: Mapping[str, Mesh]) -> Shot:
+    """Frame 0 of `SyntheticScene(objects=objects)`, without drawing the others. Raises InputError."""
     from huepose.scenes.frame import shoot
     from huepose.scenes.plan import plan
 
-    return shoot(plan(objects, seed, round(seconds * RATE_HZ), CAMERA, RATE_HZ), 0, seed, COLOR, STEREO)
+    return shoot(plan(objects, 0, round(SECONDS * RATE_HZ), CAMERA, RATE_HZ), 0, 0, COLOR, STEREO)
 
 
-def check_scene(objects: Mapping[str, Mesh], seed: int = 0, seconds: float = 8.0) -> None:
-    """Raises InputError where `SyntheticScene(seed, seconds, objects)` has no room for them; draws
-    nothing."""
+def check_scene(objects: Mapping[str, Mesh], seed: int = 0) -> None:
+    """Raises InputError where `SyntheticScene(seed, objects=objects)` has no room for them; draws nothing."""
     from huepose.scenes.plan import check_room
 
-    check_room(objects, seed, round(seconds * RATE_HZ), CAMERA, RATE_HZ)
+    check_room(objects, seed, round(SECONDS * RATE_HZ), CAMERA, RATE_HZ)
 
 
 def _row(shot: Shot) -> dict[str, Any]:

@@ -207,7 +207,7 @@ class Track:
             return 0.0
         return self._orientation.check(anchor, self.hypotheses[0], self._view(), frame, hurry)
 
-    def update_state(self, frame: RgbdFrame, contested: bool = False, since_ns: int = 0) -> None:
+    def update_state(self, frame: RgbdFrame, contested: bool, since_ns: int) -> None:
         """Set state and quality from what `look` found. contested: another instance explains the same surface
         better; since_ns: older poses leave the history."""
         if self.hypotheses:

@@ -90,15 +90,13 @@ def sample_of(turn: Turn, kind: Kind) -> RotationSample | None:
     return RotationSample(features, weights, question.seen.canonical_rotation(left).astype(np.float32))
 
 
-def endless(
-    seed: int, stream: int, kinds: Sequence[Kind], ranges: ViewRange | None = None
-) -> Iterator[list[RotationSample]]:
+def endless(seed: int, stream: int, kinds: Sequence[Kind]) -> Iterator[list[RotationSample]]:
     """Turns without end, each as a sample of every kind; the same seed and stream give the same ones.
     Neighbours share an object: shuffle."""
     rng = np.random.default_rng([seed, stream])
     props = Props(rng)
     while True:
-        for turn in draw_turns(rng, props, ranges):
+        for turn in draw_turns(rng, props):
             samples = [sample_of(turn, kind) for kind in kinds]
             known = [sample for sample in samples if sample is not None]
             if len(known) == len(kinds):

@@ -24,6 +24,9 @@ from huepose.support.stages import StageClock, listening
 from huepose.tracking import Tracker, TrackerConfig
 from huepose.tracking.types import Correction
 
+ESTIMATED, TRACKED = 12, 120
+"""Frames that are measured."""
+
 AT_ONCE = 2
 """Objects that a running pipeline asks for at once, by default (reinit.objects_per_tick)."""
 
@@ -48,18 +51,14 @@ class StageTime:
 
 
 def bench_estimate(
-    scene: SyntheticScene,
-    models: Mapping[str, ReferenceModel],
-    config: EstimatorConfig | None = None,
-    frames: int = 12,
+    scene: SyntheticScene, models: Mapping[str, ReferenceModel], config: EstimatorConfig
 ) -> list[StageTime]:
     """All objects of the scene in disturbed true boxes, frame by frame: `estimate` as a whole on two threads,
     then each of its stages on one, summed over the objects of a frame."""
-    config = config or EstimatorConfig()
     estimator = Estimator(models, replace(config, threads=2))
     alone = Estimator(models, replace(config, threads=1))
     rows: dict[str, list[tuple[float, float]]] = {"estimate": []}
-    steps = np.linspace(0, len(scene), frames + 1, endpoint=False).astype(int)
+    steps = np.linspace(0, len(scene), ESTIMATED + 1, endpoint=False).astype(int)
     for k, i in enumerate(progress(steps, f"estimating ({config.method})")):
         frame, queries = scene.frame(int(i)), []
         for truth in scene.truths(int(i)):
@@ -78,10 +77,7 @@ def bench_estimate(
 
 
 def bench_track(
-    scene: SyntheticScene,
-    models: Mapping[str, ReferenceModel],
-    config: TrackerConfig | None = None,
-    frames: int = 120,
+    scene: SyntheticScene, models: Mapping[str, ReferenceModel], config: TrackerConfig
 ) -> list[StageTime]:
     """All objects of the scene, started from the truth, tracked through its frames: each step as a whole,
     and its stages."""
@@ -92,7 +88,7 @@ def bench_track(
         if truth.object is not None and truth.T_cam_obj is not None:
             tracker.correct(Correction.first(truth.object, truth.T_cam_obj, first))
     rows: dict[str, list[tuple[float, float]]] = {"track": []}
-    for i in progress(range(frames), "tracking"):
+    for i in progress(range(TRACKED), "tracking"):
         frame = scene.frame(i)
         with listening() as clock:
             whole = _timed(partial(tracker.step, frame))

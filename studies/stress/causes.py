@@ -36,7 +36,6 @@ class Run:
 
     name: str
     cause: str
-    film: Film
     frames: tuple[Seen, ...]
     first: Float64
     quality: float = 1.0
@@ -87,7 +86,7 @@ def _run(
             replace(s, frame=replace(s.frame, frame_id=k, stamp_ns=t))
             for k, (s, t) in enumerate(zip(kept, stamps, strict=True))
         ]
-    yield Run(f"{film.name}: {cause}{suffix}", cause, film, tuple(kept), kept[0].T_cam_obj)
+    yield Run(f"{film.name}: {cause}{suffix}", cause, tuple(kept), kept[0].T_cam_obj)
 
 
 def _wrong(film: Film, model: ReferenceModel, cause: str, rng: Rng) -> Iterator[Run]:
@@ -122,7 +121,7 @@ def _wrong(film: Film, model: ReferenceModel, cause: str, rng: Rng) -> Iterator[
         if not (0 <= pixel[0] < frame.camera.width and 0 <= pixel[1] < frame.camera.height):
             return
     first = se3.make(R, centre - R @ model.mesh.centre)
-    yield Run(f"{film.name}: {cause}", cause, film, kept, first, CLAIMED)
+    yield Run(f"{film.name}: {cause}", cause, kept, first, CLAIMED)
 
 
 def _turn(rng: Rng, angle: float) -> Float64:

@@ -45,6 +45,14 @@ def _numbered(i):
     return msgspec.structs.replace(POSE, frame_id=i)
 
 
+def _next_pose(bus, queue):
+    deadline, message = time.monotonic() + 5.0, None
+    while message is None and time.monotonic() < deadline:
+        bus.inbox.wait(0.1)
+        message = bus.take(queue, PoseMessage)
+    return message
+
+
 def _until_heard(publish, place, bus):
     """Publish until the subscription has been seen by the publisher, then empty the place."""
     deadline = time.monotonic() + 5.0
@@ -119,12 +127,7 @@ def test_bad_bytes_are_counted_and_the_next_good_message_is_read(buses, capfd):
     for data in [b"", b"\xc1", good[:-1], good + b"x" * 5000, b"\xff" * 100]:
         camera.session.put("t/bad", data)
     camera.session.put("t/bad", good)
-    deadline = time.monotonic() + 5.0
-    message = None
-    while message is None and time.monotonic() < deadline:
-        tracker.inbox.wait(0.1)
-        message = tracker.take(queue, PoseMessage)
-    assert message.frame_id == 7
+    assert _next_pose(tracker, queue).frame_id == 7
     assert tracker.health.counters["wire_errors"] == 5
     assert capfd.readouterr().err.count("dropped a message on t/bad") == 1
 
@@ -214,12 +217,7 @@ def test_what_says_it_is_of_the_future_is_refused(buses, name):
     _until_heard(lambda m: camera.put_control("t/future", m), queue, tracker)
     camera.put_control("t/future", msgspec.structs.replace(POSE, **{name: 2**63 - 1}))
     camera.put_control("t/future", _numbered(7))
-    deadline = time.monotonic() + 5.0
-    message = None
-    while message is None and time.monotonic() < deadline:
-        tracker.inbox.wait(0.1)
-        message = tracker.take(queue, PoseMessage)
-    assert message.frame_id == 7
+    assert _next_pose(tracker, queue).frame_id == 7
     assert tracker.health.counters["wire_errors"] == 1
 
 

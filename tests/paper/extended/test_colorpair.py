@@ -14,11 +14,21 @@ from huepose.model.types import ReferenceModel
 from huepose.paper.extended.colorpair import estimate_by_pairs
 from huepose.paper.extended.config import ColorpairPathConfig
 from huepose.paper.extended.hypotheses import HypothesesConfig
-from huepose.propose.evidence import gather
+from huepose.propose.evidence import Evidence, gather
 from huepose.rendering.render import render_depth
 from tests.judge.regions import pair_score, prepare_region
 
 TakePicture = Callable[..., RgbdFrame]
+
+
+@pytest.fixture
+def evidence(tea_box: ReferenceModel, take_picture: TakePicture, standing: np.ndarray) -> Evidence:
+    """Of the box as it stands on the table."""
+    frame = take_picture([(tea_box.mesh, standing)])
+    mask = render_depth(tea_box.mesh, standing, frame.camera) > 0
+    found = gather(frame, [mask], Box.of_mask(mask), tea_box.diameter_m)
+    assert found is not None
+    return found
 
 
 def test_the_box_is_found_by_colour_pairs_alone(
@@ -56,12 +66,8 @@ def test_pairs_judge_the_right_pose_over_its_flips_and_over_small_errors_in_any_
 
 
 def test_totals_are_scores_and_behind_says_how_far_the_others_are(
-    tea_box: ReferenceModel, take_picture: TakePicture, standing: np.ndarray
+    tea_box: ReferenceModel, evidence: Evidence
 ) -> None:
-    frame = take_picture([(tea_box.mesh, standing)])
-    mask = render_depth(tea_box.mesh, standing, frame.camera) > 0
-    evidence = gather(frame, [mask], Box.of_mask(mask), tea_box.diameter_m)
-    assert evidence is not None
     found = estimate_by_pairs(tea_box, evidence, ColorpairPathConfig(), np.random.default_rng(0))
     region = evidence.region
     picture = pair_picture(tea_box, region.crop, region.median_depth_m)
@@ -72,13 +78,7 @@ def test_totals_are_scores_and_behind_says_how_far_the_others_are(
     assert (np.diff(found.behind) >= 0.0).all()
 
 
-def test_starts_from_shape_are_a_source_of_their_own(
-    tea_box: ReferenceModel, take_picture: TakePicture, standing: np.ndarray
-) -> None:
-    frame = take_picture([(tea_box.mesh, standing)])
-    mask = render_depth(tea_box.mesh, standing, frame.camera) > 0
-    evidence = gather(frame, [mask], Box.of_mask(mask), tea_box.diameter_m)
-    assert evidence is not None
+def test_starts_from_shape_are_a_source_of_their_own(tea_box: ReferenceModel, evidence: Evidence) -> None:
     nothing_votes = HypothesesConfig(frames=None, triangles=None, ppf=None)
     counts = {
         shapes: len(

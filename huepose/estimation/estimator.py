@@ -89,9 +89,8 @@ class Estimator:
         of others, what was seen then."""
         for query in queries:
             self._models[query.object]  # raises before anything is looked at
-        bare = self._method is not None and self._method.bare
         presence = None
-        if not bare and any(query.searched for query in queries):
+        if any(query.searched for query in queries):
             with stage("presence"):
                 presence = PresenceIn(frame, self._models, self.config.method)
 
@@ -103,7 +102,7 @@ class Estimator:
             return answer, led
 
         answers = self._pool.map(lambda query: look(frame, query), queries)
-        if len(queries) < 2 or not self.config.competing or bare:
+        if len(queries) < 2 or not self.config.competing or (self._method and self._method.bare):
             return answers
         return compete(frame, queries, answers, look, self.config.competition)
 

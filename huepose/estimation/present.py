@@ -34,19 +34,22 @@ class PresenceIn:
 
     def asked(self, answer: PoseEstimate) -> PoseEstimate:
         """An answer that says how likely its object is there, 0 where no pose was found, and is no surer of
-        its poses than that. Raises KeyError for an object that is not in `models`."""
+        its poses than that, if its quality is a probability. Raises KeyError for an object that is not in
+        `models`."""
         if answer.T_cam_obj is None:
             return replace(answer, present=0.0)
         logit, _ = self._looked([(answer.object, answer.T_cam_obj)])[0]
         present = _chance(logit, answer, self._method)
+        fit = quality_fits().get(self._method)
+        if fit is None:
+            return replace(answer, present=present)
         share = min(1.0, present / max(answer.quality, 1e-9))
         quality = answer.quality * share
-        sure = quality >= quality_fits()[self._method].level
         return replace(
             answer,
             present=present,
             quality=quality,
-            state="TRACKING" if sure else "SUSPECT",
+            state="TRACKING" if quality >= fit.level else "SUSPECT",
             alternatives=tuple((T, p * share) for T, p in answer.alternatives),
         )
 

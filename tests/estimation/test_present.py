@@ -50,6 +50,15 @@ def test_only_what_a_search_proposed_is_asked_whether_it_is_there(tea_box, take_
     assert np.array_equal(given.T_cam_obj, searched.T_cam_obj)
 
 
+def test_a_fitness_stays_what_it_is(tea_box, take_picture, standing) -> None:
+    """The quality of the paper's method is no probability."""
+    frame = take_picture([(tea_box.mesh, standing)])
+    fit = PoseEstimate("tea_box", found=True, T_cam_obj=standing, quality=0.7, state="SUSPECT")
+    asked = PresenceIn(frame, {"tea_box": tea_box}, "paper").asked(fit)
+    assert asked.present > 0.9
+    assert asked.quality == 0.7
+
+
 def test_a_shape_in_another_texture_is_another_thing(tea_box, take_picture, standing) -> None:
     models = {"tea_box": tea_box}
     texture = np.ascontiguousarray(tea_box.mesh.texture[::-1, ::-1, ::-1])

@@ -17,6 +17,18 @@ DARK = 24
 GREY = 2
 """Of 255: channels that differ by no more say no colour: it is the noise of a camera's conversion."""
 
+GLARE = 250
+"""Of 255: where every channel is as bright a lamp outshines the colours."""
+
+LEAST_LIT = 0.1
+"""Share of a picture that is neither dark nor glare from which it can be told to have no colours. Of 335 real
+pictures of seven sets channels are alike in at most 27 % of that."""
+
+NO_COLOUR = (
+    "The picture has no colour (red, green and blue are alike): objects are told by their colours. Is the "
+    "camera's colour stream read?"
+)
+
 LEAST_DEPTH = 0.01
 """A smaller share of readings is no depth picture: specks, in which no surface of any object is."""
 
@@ -61,8 +73,19 @@ def all_dark(color: UInt8) -> bool:
 
 
 def all_grey(color: UInt8) -> bool:
-    """Whether a picture (H, W, 3) has no colours, as of a camera that measures brightness alone."""
-    return float((np.ptp(color[::_EVERY, ::_EVERY], axis=2) <= GREY).mean()) >= NEARLY_ALL
+    """Whether a picture (H, W, 3) has no colours, as of a camera that measures brightness alone. What is dark
+    or glare says nothing of it.
+
+    >>> picture = np.full((48, 64, 3), 120, np.uint8)
+    >>> all_grey(picture), all_grey(picture + np.uint8([0, 5, 0])), all_grey(picture // 10)
+    (True, False, False)
+    """
+    some = color[::_EVERY, ::_EVERY]
+    brightest, palest = some.max(2), some.min(2)
+    lit = (brightest >= DARK) & (palest < GLARE)
+    if float(lit.mean()) < LEAST_LIT:
+        return False
+    return float((brightest - palest <= GREY)[lit].mean()) >= NEARLY_ALL
 
 
 def readings(depth: Float32, farthest_m: float = np.inf) -> Bool:
@@ -150,7 +173,7 @@ def bad_picture(frame: RgbdFrame, diameter_m: float) -> str | None:
     if all_dark(frame.color):
         return "The picture is black: is the lens covered, or the light off?"
     if all_grey(frame.color):
-        return "The picture is grey: objects are told by their colours. Is the camera's colour stream read?"
+        return NO_COLOUR
     return None
 
 

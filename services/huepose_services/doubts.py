@@ -16,7 +16,7 @@ import numpy as np
 from huepose.geometry import RgbdFrame
 from huepose.geometry.arrays import Float64
 from huepose.geometry.camera import depth_noise_m
-from huepose.geometry.picture_faults import dark, readings, same, why_nothing_is_found
+from huepose.geometry.picture_faults import NO_COLOUR, all_grey, dark, readings, same, why_nothing_is_found
 from huepose.judge.open_region import PreparedSurface
 from huepose.tracking.history import CLOSE_S, WIDE_S
 from huepose.tracking.types import Applied, Doubt, TrackedPose
@@ -103,6 +103,8 @@ def why_doubted(
         return NOT_THERE
     if not _few(dark(frame.color[rows, columns])):
         return DARK
+    if doubt in (None, Doubt.TURN) and all_grey(frame.color):
+        return NO_COLOUR
     return RELIT if relit and doubt is None else _SAID[doubt]
 
 

@@ -8,7 +8,14 @@ import numpy as np
 import pytest
 
 from huepose.geometry import Camera, RgbdFrame
-from huepose.geometry.picture_faults import bad_picture, camera_doubted, depth_doubted, why_nothing_is_found
+from huepose.geometry.picture_faults import (
+    NO_COLOUR,
+    all_grey,
+    bad_picture,
+    camera_doubted,
+    depth_doubted,
+    why_nothing_is_found,
+)
 
 CAMERA = Camera(300.0, 300.0, 79.5, 59.5, 160, 120)
 DIAMETER_M = 0.12
@@ -59,13 +66,29 @@ def test_what_concerns_some_objects_only_is_not_wrong_with_the_picture(good: Rgb
     assert why_nothing_is_found(good, []) is None
 
 
+def test_a_picture_without_colour_is_told_from_a_grey_scene_and_from_what_shows_no_colour() -> None:
+    rng = np.random.default_rng(0)
+    grey = np.repeat(rng.integers(90, 200, (120, 160, 1), dtype=np.uint8), 3, axis=2)
+    assert all_grey(grey)
+    seen = np.clip(grey + rng.normal(0.0, 3.0, grey.shape), 0.0, 255.0).astype(np.uint8)
+    assert not all_grey(seen), "the noise of a camera that measures colours differs in its channels"
+    for blind in (0, 255):
+        some = grey.copy()
+        some[:104] = blind
+        assert all_grey(some)
+        some[104:106] = (200, 30, 40)  # an eighth of what is lit, less than a fiftieth of the picture
+        assert not all_grey(some)
+        some[:112] = blind
+        assert not all_grey(some), "too little is lit to tell"
+
+
 def test_black_and_grey_pictures_are_named(good: RgbdFrame) -> None:
     black = bad_picture(replace(good, color=good.color // np.uint8(40)), DIAMETER_M)
     grey = bad_picture(replace(good, color=np.repeat(good.color[..., :1], 3, axis=2)), DIAMETER_M)
     assert black is not None
     assert black.startswith("The picture is black")
     assert grey is not None
-    assert grey.startswith("The picture is grey")
+    assert grey == NO_COLOUR
 
 
 @pytest.mark.parametrize(

@@ -101,6 +101,13 @@ def test_too_dark_and_too_bright_are_told(frames, factor, state):
     assert brightness(lit).state == state
 
 
+def test_a_picture_without_colour_is_told(frames):
+    grey = [replace(f, color=np.repeat(f.color[..., 1:2], 3, axis=2)) for f in frames]
+    found = brightness(grey)
+    assert (found.state, found.fix[:26]) == ("bad", "The picture has no colour:")
+    assert brightness([*grey, frames[0]]).state == "ok", "one picture with colours shows that there are"
+
+
 def _doctor(tmp_path, capsys, monkeypatch, **orders):
     monkeypatch.setattr(pictures, "LOOK_S", 2.0)
     path = tmp_path / "orders.json"

@@ -48,16 +48,23 @@ def at(x: float, y: float, z: float) -> np.ndarray:
 
 
 def seen(T: np.ndarray) -> RgbdFrame:
-    """The ball, grey, before a wall 2 m behind it."""
+    """The ball before a wall 2 m behind it, both brown."""
     rays = np.stack(np.meshgrid(np.arange(640), np.arange(480)), -1).astype(float)
     rays = np.append((rays - (319.5, 239.5)) / 600.0, np.ones((480, 640, 1)), axis=2)
     a, b = (rays**2).sum(-1), rays @ T[:3, 3]
     inside = b**2 - a * (T[:3, 3] @ T[:3, 3] - (0.5 * DIAMETER_M) ** 2)
     depth = np.where(inside > 0.0, (b - np.sqrt(np.maximum(inside, 0.0))) / a, T[2, 3] + 2.0)
-    return RgbdFrame(np.full((480, 640, 3), 120, np.uint8), depth.astype(np.float32), CAMERA)
+    color = np.full((480, 640, 3), (120, 110, 90), np.uint8)
+    return RgbdFrame(color, depth.astype(np.float32), CAMERA)
 
 
 NEAR = at(0.0, 0.0, 0.8)
+
+
+def without_colour(frame: RgbdFrame) -> RgbdFrame:
+    return replace(frame, color=np.repeat(frame.color[..., :1], 3, axis=2))
+
+
 Change = Callable[[RgbdFrame], RgbdFrame]
 CASES: dict[str, tuple[np.ndarray | None, Change]] = {
     why.DISAGREES: (NEAR, lambda frame: frame),
@@ -68,6 +75,7 @@ CASES: dict[str, tuple[np.ndarray | None, Change]] = {
     why.CLOSE_IN_FRONT: (at(0.0, 0.0, 0.84), lambda frame: frame),
     why.NOT_THERE: (NEAR, lambda frame: replace(frame, depth=np.full_like(frame.depth, 2.8))),
     why.DARK: (NEAR, lambda frame: replace(frame, color=frame.color // 20)),
+    why.NO_COLOUR: (NEAR, without_colour),
     why.NOT_FOUND: (None, lambda frame: frame),
 }
 
@@ -94,6 +102,8 @@ def test_what_only_the_tracker_knows_is_said_where_the_frame_shows_all(doubt: Do
     assert why.why_doubted(BALL, frame, NEAR, doubt) == said
     covered = replace(frame, depth=np.full_like(frame.depth, 0.6))
     assert why.why_doubted(BALL, covered, NEAR, doubt) == why.COVERED
+    of_turn = why.NO_COLOUR if doubt is Doubt.TURN else said
+    assert why.why_doubted(BALL, without_colour(frame), NEAR, doubt) == of_turn
 
 
 def test_the_light_is_blamed_for_what_disagrees_or_is_lost_alone() -> None:

@@ -1,6 +1,6 @@
 """Detect what is wrong with a camera's pictures, and say it in words half a second after it began, that
-they stand still a little sooner: until then poses are believed that nothing bears out; and a slow rate when
-it is known that the camera has not stopped instead."""
+they stand still a little sooner: until then poses are believed that nothing bears out; a slow rate when it
+is known that the camera has not stopped instead; no colour when it is not what is shown just now."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from collections import deque
 import numpy as np
 
 from huepose.geometry import Camera
-from huepose.geometry.picture_faults import DARK, LEAST_DEPTH, all_dark, depth_share, readings
+from huepose.geometry.picture_faults import DARK, LEAST_DEPTH, all_dark, all_grey, depth_share, readings
 from huepose.support.words import rounded
 from huepose_services.camera.live import Shot
 from huepose_services.runtime.clock import SECOND
@@ -39,7 +39,10 @@ STOPPED = "stopped"
 STOPPED_NS = 4 * SECOND // 10
 """So long must it show that one: a source may send each picture of a slower sensor several times."""
 
-_LASTS_NS = {STOPPED: STOPPED_NS, "rate": SLOW_NS}
+GREY_NS = 2 * SECOND
+"""For so long: a real scene may look so for a moment, as a white wall close to the lens."""
+
+_LASTS_NS = {STOPPED: STOPPED_NS, "rate": SLOW_NS, "grey": GREY_NS}
 
 
 class Condition:
@@ -63,6 +66,7 @@ class Condition:
         stopped = self._moved and self._check
         for kind, text in (
             ("dark", _dark(shot)),
+            ("grey", _GREY if all_grey(shot.color) else None),
             ("depth", _no_depth(shot, self._farthest_m)),
             ("apart", apart),
             ("stamp", _one_stamp(shot, self._last)),
@@ -140,6 +144,10 @@ class Condition:
         )
 
 
+_GREY = (
+    "its picture has no colour (red, green and blue are alike), and objects are told by their colours: is it "
+    "that of an infrared or a monochrome sensor?"
+)
 _AGAIN = "it gives the same picture again and again: a still one, or has the camera stopped?"
 _STOPPED = (
     "its picture stands still to the last bit and has moved before, so the camera has stopped: start it "

@@ -28,8 +28,8 @@ _SAY_AGAIN_NS = 30 * SECOND
 _AHEAD_S = 1.0
 _SILENT_S, _SILENT_PICTURES = 1.0, 3.0
 """After so long, and after the time of so many pictures, it is said that none comes."""
-_NOTHING_IS_SEEN = ("depth", "dark")
-"""The complaints about pictures in which no object can be found."""
+_NOTHING_IS_SEEN = ("depth", "dark", "grey")
+"""The complaints about pictures in which no object can be told."""
 # A thread that the SDK does not give back cannot be ended: a new process can open the camera again.
 _GIVE_UP_AFTER_S = 30.0
 

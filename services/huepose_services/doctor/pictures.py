@@ -15,7 +15,14 @@ from huepose.datasets.types import Scene
 from huepose.estimation.frame_offset import frame_offset
 from huepose.geometry import RgbdFrame
 from huepose.geometry.arrays import Bool, Float32, Float64
-from huepose.geometry.picture_faults import LEAST_DEPTH, camera_doubted, dark, depth_doubted, readings
+from huepose.geometry.picture_faults import (
+    LEAST_DEPTH,
+    all_grey,
+    camera_doubted,
+    dark,
+    depth_doubted,
+    readings,
+)
 from huepose.support.errors import InputError
 from huepose_services import models
 from huepose_services.camera.condition import Condition
@@ -113,13 +120,16 @@ def _recorded(source: Scene) -> list[RgbdFrame]:
 
 
 def brightness(frames: Sequence[RgbdFrame]) -> Finding:
-    """Too dark, or too bright, to tell colours."""
+    """Too dark, or too bright, to tell colours, or without any."""
     colors = np.stack([frame.color[::4, ::4] for frame in frames])
     brightest, black = colors.max(-1), float(dark(colors).mean())
     glare = float((brightest >= _GLARE).mean())
     found = f"median {np.median(brightest):.0f} of 255; {100 * black:.0f} % black, {100 * glare:.0f} % white"
     if black > 0.5:
         return Finding("picture", "bad", found, "Too dark: more light, a longer exposure (device.options).")
+    if all(all_grey(frame.color) for frame in frames):
+        fix = "The picture has no colour: is it that of an infrared or a monochrome sensor?"
+        return Finding("picture", "bad", found, fix)
     if glare > 0.25:
         return Finding(
             "picture", "note", found, "Too bright: less light, a shorter exposure (device.options)."

@@ -87,6 +87,21 @@ def test_each_fault_is_named_within_a_second_and_forgotten_when_it_is_over(kind,
     assert said_after(condition, 1.0, start_s=3.0, counted=90) == {}
 
 
+def grey(one):
+    return replace(one, color=np.repeat(one.color[..., :1], 3, axis=2))
+
+
+def test_a_picture_without_colour_is_named_when_it_is_not_what_is_shown_just_now():
+    condition = Condition(RATE_HZ, FARTHEST_M)
+    assert said_after(condition, 1.5, grey) == {}
+    assert said_after(condition, 0.5, start_s=1.5, counted=45) == {}
+    said = said_after(condition, 3.0, grey, start_s=2.0, counted=60)
+    assert list(said) == ["grey"]
+    assert 1.9 < said["grey"][0] < 2.2
+    assert "its picture has no colour" in said["grey"][1]
+    assert said_after(condition, 1.0, start_s=5.0, counted=150) == {}
+
+
 def test_a_falling_rate_is_named_when_all_that_is_counted_came_after_its_fall():
     condition = Condition(RATE_HZ, FARTHEST_M)
     assert said_after(condition, 3.0) == {}

@@ -42,6 +42,10 @@ WELL, SOMETIMES = 0.9, 0.5
 """Shares of right poses from which an object suits, and from which it suits with limits: what a user would
 call reliable, and what tracking still confirms over several frames."""
 
+MOST_FALSE = 0.1
+"""Share of poses that are wrong and TRACKING above which an object does not suit, however many others are
+right: those are acted on. One in 16 may be chance."""
+
 NOTICEABLE = 2.3
 """CIELAB distance of two colours that are just told apart (Mahy, Van Eycken and Oosterlinck 1994)."""
 
@@ -219,10 +223,13 @@ def judged(model: ReferenceModel, trials: Sequence[Trial]) -> Suitability:
         )
     wrong = int((sure & ~right).sum())
     if wrong:
-        reasons.append(f"In {wrong} of {len(trials)} scenes a wrong pose was taken as sure (TRACKING).")
+        said = f"In {wrong} of {len(trials)} scenes a wrong pose was taken as sure (TRACKING)."
+        reasons.insert(0, said)
     verdict: Verdict = "suits" if share >= WELL else "does not suit"
     if (plain or wrong or verdict != "suits") and max(share, shape) >= SOMETIMES:
         verdict = "suits with limits"
+    if wrong > MOST_FALSE * len(trials):
+        verdict = "does not suit"
     if len(trials) and verdict == "does not suit" and not reasons:
         reasons.append("Its pose is seldom right, alone or among other things: look at the trials.")
     return Suitability(
@@ -285,16 +292,18 @@ def _smallest(trials: Sequence[Trial]) -> float | None:
 
 
 def in_words(model: ReferenceModel, found: Suitability) -> str:
-    """Some lines for people."""
+    """Some lines for people. The first is the verdict and its shares; what is wrong and TRACKING comes first,
+    where something is."""
     n = len(found.trials)
     size = " x ".join(f"{100 * s:.1f}" for s in np.ptp(model.mesh.vertices, axis=0).tolist())
-    lines = [
-        f"{model.name} {found.verdict}: {size} cm, "
-        f"right in {100 * found.right:.0f} % of {n} drawn scenes, right and TRACKING in "
-        f"{100 * found.tracking:.0f} %; turned in {100 * found.turned / max(n, 1):.0f} %, "
-        f"wrong and TRACKING in {100 * found.false_tracking / max(n, 1):.0f} %."
-    ]
-    return "\n".join([*lines, *found.reasons])
+    false = f"wrong and TRACKING in {100 * found.false_tracking / max(n, 1):.0f} %"
+    right, sure = f"right in {100 * found.right:.0f} %", f"right and TRACKING in {100 * found.tracking:.0f} %"
+    turned = f"turned in {100 * found.turned / max(n, 1):.0f} %"
+    shares = f"{size} cm, {right} of {n} drawn scenes, {sure}; {turned}, {false}"
+    if found.false_tracking:
+        shares = f"{false} of {n} drawn scenes, and nothing tells of those that they are wrong; "
+        shares += f"{right}, {sure}, {turned}; {size} cm"
+    return "\n".join([f"{model.name} {found.verdict}: {shares}.", *found.reasons])
 
 
 def sheet(model: ReferenceModel, found: Suitability) -> UInt8:

@@ -65,6 +65,25 @@ def test_a_model_that_replaces_another_of_its_name_says_so(
     assert said.count("replaced") == 1
 
 
+def test_validate_repeats_the_verdict_on_an_object_that_suits_with_limits_or_not_at_all(
+    mesh: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    out, plain, pipeline = tmp_path / "bundles", tmp_path / "plain.glb", tmp_path / "pipeline.yaml"
+    red = np.full((64, 64, 3), (200, 40, 30), np.uint8)
+    files.write_glb(plain, solids.box((0.05, 0.04, 0.03), dict.fromkeys(solids.SIDES, red)))
+    pipeline.write_text(json.dumps({"bundles": "bundles", "objects": [{"name": "brick"}]}))
+    given = ["--name", "brick", "--out", str(out)]
+    assert main(["onboard", str(plain), *given]) == 0
+    verdict = next(line for line in capsys.readouterr().out.splitlines() if "drawn scenes" in line)
+    assert verdict.startswith(("brick suits with limits: ", "brick does not suit: "))
+    assert main(["validate", str(pipeline)]) == 0
+    assert f"\n  NOTE     {verdict}\n" in capsys.readouterr().out
+    assert main(["onboard", "--no-test", str(mesh), *given]) == 0  # another model: nothing is known of it
+    capsys.readouterr()
+    assert main(["validate", str(pipeline)]) == 0
+    assert "NOTE" not in capsys.readouterr().out
+
+
 def test_a_model_gets_the_papers_tables_when_asked(
     mesh: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -108,12 +108,13 @@ def call(arguments: argparse.Namespace) -> int:
 
 
 def self_test(bundles: Path, name: str, part: float | None = None) -> tuple[dict[str, Any] | None, str]:
-    """How well an object suits: for programs, in words, and in a picture, BUNDLES/NAME.png. part: share of
-    its surface of which the model was made, None for all of it."""
+    """How well an object suits: for programs, in words, and in a picture, BUNDLES/NAME.png. The verdict is
+    kept beside the model. part: share of its surface of which the model was made, None for all of it."""
     from huepose.evaluation import suitability
     from huepose.model import load_models
     from huepose.support.errors import InputError
     from huepose.support.files import write_picture
+    from huepose_services.verdicts import keep_verdict
 
     model = load_models(bundles, [name])[name]
     try:
@@ -129,7 +130,9 @@ def self_test(bundles: Path, name: str, part: float | None = None) -> tuple[dict
         key: getattr(found, key)
         for key in ("verdict", "right", "tracking", "false_tracking", "turned", "smallest_px", "reasons")
     }
-    words = f"{suitability.in_words(model, found)}\nWhat was tried, and how it went: {picture}"
+    said = suitability.in_words(model, found)
+    keep_verdict(bundles, model, found.verdict, said.splitlines()[0])
+    words = f"{said}\nWhat was tried, and how it went: {picture}"
     return {**facts, "trials": len(found.trials), "picture": str(picture)}, words
 
 

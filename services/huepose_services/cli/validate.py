@@ -78,6 +78,8 @@ def _described(config: Config, path: Path) -> tuple[dict[str, Any], str]:
   keys     {answer["keys"]}
   ports    in {run_folder()}: {", ".join(f"{worker} {port}" for worker, port in ports.items())}
   frames   {answer["frames"]}"""
+    for limited in _limited(config):
+        summary += f"\n  NOTE     {limited}"
     if one_of_each := _drawn_once(config):
         summary += f"\n  scene    {one_of_each}"
     if config.camera.mount is not None:
@@ -90,6 +92,17 @@ def _described(config: Config, path: Path) -> tuple[dict[str, Any], str]:
         there = f"{config.other_host}, which runs {', '.join(config.far)}"
         summary += f"\n  link     at {config.link.listen} for {there}, by TLS ({config.link.secure})"
     return answer, summary
+
+
+def _limited(config: Config) -> list[str]:
+    """What onboarding said of the objects that do not suit, or suit with limits."""
+    if config.bundles is None or not config.uses_models:
+        return []
+    from huepose_services import models
+    from huepose_services.verdicts import limits
+
+    folder = models.bundles_folder(config)
+    return [said for model in models.load(config).values() if (said := limits(folder, model))]
 
 
 def _drawn_once(config: Config) -> str:

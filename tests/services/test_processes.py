@@ -10,6 +10,7 @@ from itertools import pairwise
 
 import pytest
 
+from huepose.model import save_model
 from huepose_protos.client import Reader
 from huepose_protos.local import endpoint, run_folder
 from huepose_protos.messages import HealthMessage, TruthMessage
@@ -150,6 +151,28 @@ def test_bad_input_is_a_paragraph_and_exit_code_2(pipeline, huepose, capsys, ver
     assert err.startswith(f"huepose {verb}: ")
     assert err.count("\n") == 1
     assert all(part in err for part in parts), err
+
+
+@pytest.mark.parametrize("verb", ["up", "validate"])
+@pytest.mark.parametrize("named", [True, False])
+def test_a_damaged_reference_model_is_named_once_before_a_worker_starts(
+    tea_box, tmp_path, pipeline, capsys, verb, named
+):
+    model = tmp_path / "bundles" / "tea_box.huepose"
+    save_model(tea_box, model)
+    path = pipeline()
+    objects = {"objects": [{"name": "tea_box"}]} if named else {"workers": ["camera", "tracker"]}
+    path.write_text(json.dumps(json.loads(path.read_text()) | {"bundles": "bundles"} | objects))
+    if verb == "validate":
+        assert main([verb, str(path)]) == 0
+        capsys.readouterr()
+    whole = model.read_bytes()
+    model.unlink()  # it may be mapped still
+    model.write_bytes(whole[: len(whole) // 2])
+    assert main([verb, str(path)]) == 2
+    said = capsys.readouterr().err
+    assert said.startswith(f"huepose {verb}: {model}: found a damaged or foreign file")
+    assert said.count("\n") == 1
 
 
 @pytest.mark.parametrize("verb", [("up",), ("run", "camera")])

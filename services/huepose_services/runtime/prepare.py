@@ -31,16 +31,13 @@ def prepare(config: Config) -> None:
 
 def check(config: Config) -> None:
     """Whether a configuration can be started; changes nothing."""
-    from huepose.model.io import load_models, model_path
+    from huepose.model.io import load_models
 
     if config.bundles is None and config.objects:
         _check_builtin(config)
-    elif config.bundles is not None:
-        if not config.objects and config.uses_models:
-            load_models(config.bundles, [])  # there must be some
-        for item in config.objects:
-            if not model_path(config.bundles, item.name).is_file():
-                load_models(config.bundles, [item.name])  # says which ones there are
+    elif config.bundles is not None and (config.objects or config.uses_models):
+        # Once: else each worker would find, and say, that one is missing or damaged.
+        load_models(config.bundles, [item.name for item in config.objects] or None)
     if config.camera.source != "synthetic" and "camera" in config.workers:
         from huepose_services.camera.sources import open_source
 

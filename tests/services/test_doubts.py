@@ -194,6 +194,18 @@ def test_status_says_the_sentence_of_the_camera_once(before: str) -> None:
     assert text.count("See the camera above.") == 1
 
 
+def test_status_refers_to_the_worker_that_says_it_above() -> None:
+    far = "All depth is 6.5 m away or farther: is the depth scale right?"
+    health = next(m for m in messages() if isinstance(m, HealthMessage))
+    quiet = msgspec.structs.replace(health, worker="camera", picture="", warnings=[], last_error="")
+    says = msgspec.structs.replace(quiet, worker="estimator", warnings=[far])
+    entries = [ObjectEntry(object="mug", max_instances=1, searching=1, reason=far)]
+    workers = {"camera": quiet, "estimator": says}
+    text = as_text(View(Pipeline(base_port=17447), True, workers, frozenset(), (), entries, {}))
+    assert f"  estimator: {far}\n" in text
+    assert text.endswith("\n  See the estimator above.")
+
+
 def test_status_names_an_object_that_is_found_and_of_which_no_pose_comes() -> None:
     entries = [
         ObjectEntry(object=name, max_instances=1, searching=0, reason=NONE_COMES) for name in ("mug", "jar")

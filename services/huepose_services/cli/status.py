@@ -107,12 +107,12 @@ def as_text(view: View) -> str:
             lines.append(f"{worker:10s} is there and says nothing")
         else:
             lines.append(_worker(message, worker in view.silent))
-    said: list[str] = []
+    said: dict[str, str] = {}
     for message in sorted(view.health.values(), key=lambda m: m.worker != "camera"):
         for text in message.warnings:
             # What others repeat of the camera's stands with the camera.
             if text not in said:
-                said.append(text)
+                said[text] = message.worker
                 lines.append(f"  {message.worker}: {text}")
         if message.last_error:
             lines.append(f"  {message.worker}, last error: {message.last_error.splitlines()[0]}")
@@ -137,15 +137,15 @@ def as_text(view: View) -> str:
     return "\n".join(lines)
 
 
-def _without(said: list[str], reason: str) -> str:
-    """A reason without what stands above already.
+def _without(said: dict[str, str], reason: str) -> str:
+    """A reason without what stands above already. said: the worker that said it, by text.
 
-    >>> _without(["cam: too slow"], "No picture comes. cam: too slow"), _without(["cam: dark"], "cam: dark")
-    ('No picture comes. See the camera above.', 'See the camera above.')
+    >>> _without({"cam: slow": "camera"}, "No picture comes. cam: slow")
+    'No picture comes. See the camera above.'
     """
-    for text in said:
+    for text, worker in said.items():
         if text in reason:
-            return reason.replace(text, "See the camera above.")
+            return reason.replace(text, f"See the {worker} above.")
     return reason
 
 

@@ -17,6 +17,7 @@ from huepose.estimation.outlines import FEWEST, RELATED_PX, edges_across, free_o
 from huepose.geometry.arrays import Float64
 from huepose.geometry.frame import RgbdFrame
 from huepose.model.types import ReferenceModel
+from huepose.support.words import beside
 
 REACH_PX, STEP_PX = 6.0, 0.25
 """Search range and step, pixels."""
@@ -46,11 +47,8 @@ class DepthOffset:
         return self.length_px >= CLEAR_PX and self.sigmas >= CLEAR_SIGMAS
 
     def __str__(self) -> str:
-        across = f"{abs(self.right_px):.1f} px to the {'right' if self.right_px > 0 else 'left'}"
-        along = f"{abs(self.down_px):.1f} px {'below' if self.down_px > 0 else 'above'}"
-        way = " and ".join(w for w, x in ((across, self.right_px), (along, self.down_px)) if abs(x) >= 0.5)
-        of = " of" if way == across else ""
-        return f"The image shows outlines {way or 'about'}{of} where depth has them"
+        way = beside(self.right_px, self.down_px, 1) or "about"
+        return f"The image shows outlines {way} where depth has them"
 
     def said(self) -> str:
         """What that means, in a sentence."""

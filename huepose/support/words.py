@@ -19,3 +19,16 @@ def rounded(value: float) -> str:
     ('940', '6.4', '0.098', '1200000', '0')
     """
     return f"{float(f'{value:.2g}'):.10g}"
+
+
+def beside(right_px: float, down_px: float, decimals: int = 0) -> str:
+    """How far and to which side of something, which the sentence names next; empty where it is less than half
+    a pixel.
+
+    >>> beside(6.0, 0.0), beside(-1.0, -1.0), beside(0.2, 5.4), beside(0.2, -0.3)
+    ('6 px to the right of', '1 px to the left and 1 px above', '5 px below', '')
+    """
+    across = f"{abs(right_px):.{decimals}f} px to the {'right' if right_px > 0 else 'left'}"
+    along = f"{abs(down_px):.{decimals}f} px {'below' if down_px > 0 else 'above'}"
+    way = [words for words, x in ((across, right_px), (along, down_px)) if abs(x) >= 0.5]
+    return " and ".join(way) + (" of" if way == [across] else "")

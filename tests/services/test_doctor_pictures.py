@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 from dataclasses import replace
 
 import msgspec
@@ -32,14 +33,20 @@ def test_depth_that_lies_on_the_colours_is_right(frames):
     assert alignment(frames, "realsense").state == "ok"
 
 
-@pytest.mark.parametrize(("dx", "dy"), [(6, 0), (0, -5), (-4, 4)])
-def test_depth_that_lies_elsewhere_is_told_with_its_offset(frames, dx, dy):
+@pytest.mark.parametrize(
+    ("dx", "dy", "words"),
+    [(6, 0, r"\d px to the left"), (0, -5, r"\d px below"), (-4, 4, r"\d px to the right and \d px above")],
+)
+def test_depth_that_lies_elsewhere_is_told_with_its_offset(frames, dx, dy, words):
     moved = shifted(frames, dx, dy)
     right, down, sigmas = edge_offset(moved)
     assert right == pytest.approx(-dx, abs=1.0)
     assert down == pytest.approx(-dy, abs=1.0)
     assert sigmas > 4.0
-    assert alignment(moved, "realsense").bad
+    finding = alignment(moved, "realsense")
+    assert finding.bad
+    assert re.search(words, finding.found)
+    assert not re.search(r"[-+]\d", finding.found), "the words say the direction"
 
 
 @pytest.mark.parametrize("dx", [5, 20])

@@ -24,6 +24,7 @@ from huepose.geometry.picture_faults import (
     readings,
 )
 from huepose.support.errors import InputError
+from huepose.support.words import beside
 from huepose_services import models
 from huepose_services.camera.condition import Condition
 from huepose_services.camera.live import CameraError, LiveSource
@@ -173,7 +174,7 @@ def alignment(frames: Sequence[RgbdFrame], source: str) -> Finding:
     if offset is None:
         return Finding("alignment", "none", "too few edges to tell whether depth lies on the colours")
     right, down, sigmas = offset
-    found = f"edges of the picture are {right:+.0f} px to the right and {down:+.0f} px below those of depth"
+    found = f"edges of the picture are {beside(right, down) or 'on'} those of depth"
     if np.hypot(right, down) >= CLEAR_PX and sigmas >= CLEAR_SIGMAS:
         return Finding("alignment", "bad", found, fix)
     return Finding("alignment", "ok", f"{found}, which is no more than can be told")

@@ -159,6 +159,7 @@ def lens_doubted(frame: RgbdFrame, fx_of_size: dict[str, float]) -> str | None:
     )
 
 
+_NO_ACTION = "Nothing needs to be done: perception looks on"
 _FOUND = {"agree": "that {} is where it is followed", "correct": "another pose of {}", "acquire": "{}"}
 
 
@@ -170,10 +171,10 @@ def why_refused(
     if applied is Applied.REFUSED_EPOCH:
         return "the camera was opened anew since", True
     if not followed:
-        return "it is not followed any more", False
+        return f"it is not followed any more. {_NO_ACTION}", False
     if reach_s is None:
         # It was on its way when the tracker started.
-        return "that was before the tracker began", False
+        return f"that was before the tracker began. {_NO_ACTION}", False
     return too_late_text(age_s, reach_s, older_frames), True
 
 

@@ -117,9 +117,10 @@ def test_who_answers_too_late_is_told_what_to_do_until_it_is_in_time(capfd):
             Applied.REFUSED_OLD,
             "agree",
             4.0,
-            "mug/0 is where it is followed in a picture 0.3 s old; it is not taken over: it is not followed",
+            "mug/0 is where it is followed in a picture 0.3 s old; it is not taken over: it is not followed "
+            "any more. Nothing needs to be done",
         ),
-        (Applied.REFUSED_OLD, "correct", None, "not taken over: that was before the tracker began"),
+        (Applied.REFUSED_OLD, "correct", None, "that was before the tracker began. Nothing needs to be done"),
     ],
 )
 def test_the_log_says_what_was_refused_and_why(capfd, answer, verdict, reach_s, said):

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import ast
 import re
+import signal
 import subprocess
 import sys
 import time
@@ -229,6 +230,31 @@ def test_a_topic_arrives_at_a_router(base_port: int) -> None:
     kind = "geometry_msgs/msg/PoseStamped"
     message = get_typestore(Stores.ROS2_JAZZY).deserialize_cdr(heard[0].payload.to_bytes(), kind)
     assert message.pose.position.z == EXAMPLE.translation[2]
+
+
+@pytest.mark.live
+def test_without_a_router_a_topic_says_once_what_to_start_and_waits_until_ctrl_c(base_port: int) -> None:
+    router, poses = (f"tcp/127.0.0.1:{base_port + k}" for k in (0, 1))
+    with published(poses, lambda number: tracked()):
+        bridge = subprocess.Popen(
+            example("06_ros2.py", "tea_box", router, poses),
+            stderr=subprocess.PIPE,
+            text=True,
+            preexec_fn=lambda: signal.signal(
+                signal.SIGINT, signal.SIG_DFL
+            ),  # what starts the tests may ignore it
+        )
+        assert bridge.stderr is not None
+        first = bridge.stderr.readline()
+        time.sleep(4.0)  # it tries again, and again
+        assert bridge.poll() is None
+        bridge.send_signal(signal.SIGINT)
+        more = bridge.communicate(timeout=15.0)[1]
+    assert first == (
+        f"no router of ROS 2 answers at {router}; `ros2 run rmw_zenoh_cpp rmw_zenohd` starts one. "
+        "Waiting for it; Ctrl-C ends\n"
+    )
+    assert (more, bridge.returncode) == ("", 0)
 
 
 def test_every_example_says_how_it_is_run_and_is_listed() -> None:

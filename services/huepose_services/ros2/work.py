@@ -71,7 +71,7 @@ def open_ros_session(ros2: Ros2Config, waiting: Callable[[str], None] | None = N
         raise InputError("ros2.connect", found=f"{ros2.connect}: {str(error)[:200]}") from None
     if (session := _opened(config)) is None:
         say = waiting or partial(print, file=sys.stderr, flush=True)
-        say(without_router(ros2))
+        say(without_router(ros2) if waiting else f"{without_router(ros2)}. Waiting for it; Ctrl-C ends")
     while session is None:
         time.sleep(_AGAIN_S)
         session = _opened(config)

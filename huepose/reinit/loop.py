@@ -331,7 +331,8 @@ class ReinitLoop:
     ) -> Correction:
         seq = self._outbox.next_seq(key, self._now_ns)
         frame = (result.epoch, result.frame_id, result.stamp_ns)
-        return Correction(*key, *frame, _pose(estimate), quality, verdict, seq, estimate.mask)
+        found = (estimate.mask, estimate.reason)
+        return Correction(*key, *frame, _pose(estimate), quality, verdict, seq, *found)
 
     def _arriving(self) -> dict[str, int]:
         """How many instances of each object are acquired but have no published pose yet."""

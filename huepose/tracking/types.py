@@ -68,7 +68,8 @@ class TrackedPose:
 
 @dataclass(frozen=True, eq=False)
 class Correction:
-    """A verdict on one instance at one (past) frame. `seq` counts per instance; mask (H, W) at that frame."""
+    """A verdict on one instance at one (past) frame. `seq` counts per instance; mask (H, W) at that frame;
+    reason: of the estimate behind it."""
 
     object: str
     instance: int
@@ -80,6 +81,7 @@ class Correction:
     verdict: Verdict
     seq: int
     mask: Bool | None = None
+    reason: str = ""
 
     @staticmethod
     def first(name: str, T_cam_obj: Float64, frame: RgbdFrame, quality: float = 1.0) -> Correction:

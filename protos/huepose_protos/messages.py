@@ -168,7 +168,7 @@ class EstimatedObject(Struct, frozen=True, kw_only=True):
 
     score judges the pose, prior_score the refined prior on the same pixels; prior_translation and
     prior_quaternion are that refined prior. quality: the probability that the pose is right.
-    reason: why nothing was found, empty where something was."""
+    reason: why nothing was found; of what was found, why it is not to be acted on, else empty."""
 
     object: Name
     instance: Index | None
@@ -218,7 +218,8 @@ class Estimates(Message, frozen=True, kw_only=True):
 
 class CorrectionMessage(Message, frozen=True, kw_only=True):
     """A verdict of the re-initialisation loop on one instance at one past frame; `seq` counts for each.
-    `camera`: why no pose of this camera is to be acted on, as in Estimates."""
+    `camera`: why no pose of this camera is to be acted on, as in Estimates; `reason`: why none of this
+    instance is, as in its estimate."""
 
     max_bytes: ClassVar[int] = 256 * KIB
     object: Name
@@ -233,6 +234,7 @@ class CorrectionMessage(Message, frozen=True, kw_only=True):
     seq: Count
     mask: MaskRuns | None = None
     camera: Text = ""
+    reason: Text = ""
 
     def __post_init__(self) -> None:
         check_pose(self.translation, self.quaternion)

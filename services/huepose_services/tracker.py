@@ -18,6 +18,7 @@ from huepose.tracking.types import Applied, State, TrackedPose
 from huepose_protos import WireError
 from huepose_protos.messages import CorrectionMessage, FrameHeader, MemoryMessage
 from huepose_services import models, networks
+from huepose_services.against import Against
 from huepose_services.convert import correction_from_wire, frame_from_wire, tracked_to_wire
 from huepose_services.doubts import (
     TOO_OLD,
@@ -53,8 +54,8 @@ class _WorkerMemory(msgspec.Struct, array_like=True):
     holds_until_ns: int
     fx_of_size: dict[str, float]
     complaint: str | None
-    camera: tuple[int, str] = (0, "")
-    relit: list[tuple[str, int]] = []
+    against: Against
+    relit: list[tuple[str, int]]
 
 
 FrameOf = Callable[[int, int], tuple[FrameHeader, RgbdFrame] | None]
@@ -110,8 +111,7 @@ class TrackerWork(Work):
         self._pixels: RgbdFrame | None = None
         self._fx_of_size: dict[str, float] = {}
         self._complaint: str | None = None
-        # What perception says against the camera of that epoch.
-        self._camera = (0, "")
+        self._against = Against()
         self._published: set[tuple[str, int]] = set()
         # What has not been TRACKING since a frame in which the colour of the light changed.
         self._relit: set[tuple[str, int]] = set()
@@ -205,7 +205,7 @@ class TrackerWork(Work):
             self._holds_until_ns,
             self._fx_of_size,
             self._complaint,
-            self._camera,
+            self._against,
             sorted(self._relit),
         )
         tracking, told = memory.plain(self._believed, self._tracker), memory.told(self._tracker)
@@ -234,11 +234,11 @@ class TrackerWork(Work):
             raise InputError("the tracker's memory", found=str(error)[:200], expected="MessagePack") from None
         memory.taken_over(self._tracker, plain, pixels)
         self._believed = memory.restored(tracking, self._tracker, pixels)
-        self._holds_until_ns, self._complaint, self._camera = mine.holds_until_ns, mine.complaint, mine.camera
+        self._holds_until_ns, self._complaint = mine.holds_until_ns, mine.complaint
         found = None if mine.newest is None else frame_of(*mine.newest)
         self._header, self._pixels = (None, None) if found is None else found
         self._first, self._published, self._relit = mine.first, set(mine.published), set(mine.relit)
-        self._fx_of_size, self._retired.below = mine.fx_of_size, mine.retired
+        self._fx_of_size, self._retired.below, self._against = mine.fx_of_size, mine.retired, mine.against
         self._seq = message.seq
 
     def _follow(self) -> None:
@@ -264,7 +264,7 @@ class TrackerWork(Work):
             return
         try:
             check_number(message, self._intake.now())
-            self._camera = (message.camera_epoch, message.camera)
+            self._against.hear(message)
             header = self._header
             same = header is not None and header.camera_epoch == message.camera_epoch
             applied = self._tracker.correct(correction_from_wire(message, header if same else None))
@@ -335,17 +335,18 @@ class TrackerWork(Work):
         return True
 
     def _publish_all(self, poses: list[TrackedPose], header: FrameHeader, frame: RgbdFrame | None) -> None:
-        epoch, camera = self._camera
-        complaint = self._complaint or (camera if epoch == header.camera_epoch else "")
-        if complaint or header.camera:
-            poses = [_doubted(pose) for pose in poses]
+        epoch = header.camera_epoch
+        complaint = self._complaint or self._against.every_pose(epoch)
+        against = [self._against.pose(pose, epoch) for pose in poses]
+        every = complaint or header.camera
+        poses = [_doubted(pose) if every or one else pose for pose, one in zip(poses, against, strict=True)]
         surfaces = [self._tracker.surface(pose.object) for pose in poses]
         # What the camera knows of its pictures is the cause of all that is seen in them.
         said = header.camera or header.picture or _sentence(complaint)
         said = said or why_all_are_lost(frame, poses, surfaces)
-        for pose, surface in zip(poses, surfaces, strict=True):
+        for pose, surface, one in zip(poses, surfaces, against, strict=True):
             key, doubted = (pose.object, pose.instance), pose.state is not State.TRACKING
-            reason = said if doubted else ""
+            reason = (said or one) if doubted else ""
             if doubted and not reason and frame is not None:
                 doubt = self._tracker.doubt(*key)
                 reason = why_doubted(surface, frame, pose.T_cam_obj, doubt, key in self._relit)

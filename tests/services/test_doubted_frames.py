@@ -107,6 +107,58 @@ def test_no_pose_is_tracking_while_perception_speaks_against_the_camera():
     assert [after(6, said)[0], after(7, epoch=epoch + 1)[0]] == ["SUSPECT", "TRACKING"]
 
 
+def test_an_object_that_perception_speaks_against_is_not_tracking_and_no_other_is_doubted():
+    """Until it says otherwise, or the camera is opened anew; where it is lost, that is the reason."""
+    work, bus, _ = worker()
+    tracker = work._tracker
+    epoch, seq = changed_frame(1)[0].camera_epoch, iter(range(1, 9))
+
+    def after(frame, name="", reason="", epoch=epoch):
+        if name:
+            changes = {"object": name, "instance": 0, "reason": reason, "seq": CORRECTION.seq + next(seq)}
+            correction = msgspec.structs.replace(CORRECTION, camera_epoch=epoch, mask=None, **changes)
+            bus.waiting["correction"] = [correction]
+        header, payload = changed_frame(frame, frame, frame)
+        bus.waiting["frame"] = [(msgspec.structs.replace(header, camera_epoch=epoch), payload)]
+        work.step()
+        return bus.out[-1].state, bus.out[-1].reason
+
+    said = "The picture shows it about 12 % larger than its mesh."
+    assert after(1, "cup", said) == ("TRACKING", "")
+    assert [after(2, "mug", said), after(3), after(4, "cup", "")] == [("SUSPECT", said)] * 3
+    assert after(5, "mug", "") == ("TRACKING", "")
+    assert after(6, "mug", said)[0] == "SUSPECT"
+    tracker.step = Loser(tracker.T_cam_obj).step
+    state, reason = after(7)
+    assert (state, bool(reason), reason == said) == ("LOST", True, False)
+    del tracker.step
+    assert after(8, epoch=epoch + 1)[0] == "TRACKING"
+
+
+def test_who_takes_over_knows_what_perception_speaks_against(part, light_changes):
+    frames = list(light_changes(False))[:4]
+    decoded = {(h.camera_epoch, h.frame_id): (h, frame_from_wire(h, payload)) for h, payload in frames}
+    at, said, told = [], "The picture shows it about 12 % larger than its mesh.", []
+
+    def begun():
+        tracker = tracking.Tracker({"part": part[1]})
+        return TrackerWork(BusStandIn(), tracker, ObjectsStandIn(), Config(), lambda: at[-1].capture_ns)
+
+    work = begun()
+    first = next(iter(decoded.values()))[1]
+    work._tracker.correct(tracking.Correction.first("part", standing_pose(0.6, 0.0, 0.0), first))
+    changes = {"object": "part", "instance": 0, "camera_epoch": first.epoch, "reason": said}
+    work._against.hear(msgspec.structs.replace(CORRECTION, **changes))
+    for header, payload in frames:
+        at.append(header)
+        work._bus.waiting["frame"] = [(header, payload)]
+        work.step()
+        told += [(p.state, p.reason) for p in work._bus.out]
+        memory, work = work.memory(), begun()
+        work.take_over(memory, lambda *key: decoded.get(key))
+    assert told == [("SUSPECT", said)] * 4
+
+
 def test_no_pose_is_tracking_while_a_frame_says_that_its_camera_has_stopped():
     work, bus, _ = worker()
     said = "cam.py: its picture stands still"

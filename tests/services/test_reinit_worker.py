@@ -157,6 +157,15 @@ def test_what_is_said_against_the_camera_goes_on_with_every_correction(bus, step
     assert {(c.object, c.verdict, c.camera) for c in corrections} == {("mug", "acquire", "Too large.")}
 
 
+def test_what_is_said_against_an_object_goes_on_with_its_correction(bus, step):
+    step()
+    larger = msgspec.structs.replace(found(), reason="Larger than its mesh.")
+    bus.arriving[Estimates].append(answer(bus, estimates=[larger]))
+    step()
+    (correction,) = [m for m in bus.said if isinstance(m, CorrectionMessage)]
+    assert (correction.reason, correction.camera) == ("Larger than its mesh.", "")
+
+
 def test_what_was_found_and_never_followed_is_not_said_to_be_followed(bus, objects, step):
     step()
     bus.arriving[Estimates].append(answer(bus, estimates=[found()]))

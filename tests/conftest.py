@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -22,6 +23,24 @@ TakePicture = Callable[..., RgbdFrame]
 def tea_box() -> ReferenceModel:
     """A printed box of 9 x 6 x 15 cm, with the tables of the paper's method."""
     return onboard_mesh(demo_objects(0)["tea_box"], "tea_box", paper=True)
+
+
+@pytest.fixture(scope="session")
+def box_and_can(tea_box: ReferenceModel) -> dict[str, ReferenceModel]:
+    """Two models: the tea box, and a printed can."""
+    return {"tea_box": tea_box, "soup_can": onboard_mesh(demo_objects(0)["soup_can"], "soup_can")}
+
+
+@pytest.fixture(scope="session")
+def larger_box(box_and_can: dict[str, ReferenceModel], take_picture: TakePicture) -> TakePicture:
+    """A function of how many times as large the tea box of that frame is as its mesh, beside a right can."""
+
+    def take(times: float) -> RgbdFrame:
+        box, can = (box_and_can[name].mesh for name in ("tea_box", "soup_can"))
+        box = replace(box, vertices=(box.vertices * times).astype(np.float32))
+        return take_picture([(box, standing_pose(0.6, -0.12, 0.0)), (can, standing_pose(0.4, 0.12, 0.0))])
+
+    return take
 
 
 @pytest.fixture(scope="session")

@@ -43,10 +43,6 @@ USUAL = 0.045
 CLEAR = 10.0
 """Least gain of the support, as a natural logarithm, over sizes that are usual."""
 
-LIKELY = 0.2
-"""Least quality of a pose that is asked though it is not sure: where nothing is, the background is often
-taken for an object of another size. As `ReinitConfig.least_quality`."""
-
 MOSTLY_SEEN = 0.7
 """Least visible share of a pose that is looked at: what hides a part has an outline as well."""
 
@@ -65,7 +61,7 @@ _SHIFTS = np.stack(np.meshgrid(*[np.arange(-SHIFT_PX, SHIFT_PX + 0.5)] * 2), axi
 @dataclass(frozen=True)
 class ApparentSize:
     """larger: share by which the picture shows objects larger than they would be at their depth, negative for
-    smaller; gain: how clearly, as a natural logarithm."""
+    smaller; gain: how clearly that is more than cameras and models usually err, as a natural logarithm."""
 
     larger: float
     gain: float
@@ -73,7 +69,7 @@ class ApparentSize:
     @property
     def clear(self) -> bool:
         """Whether it is more than cameras and models usually err, beyond doubt."""
-        return abs(self.larger) > USUAL and self.gain >= CLEAR
+        return self.gain >= CLEAR
 
     def said(self, camera: Camera) -> str:
         """What may be wrong, in a sentence."""
@@ -89,18 +85,13 @@ class ApparentSize:
         )
 
 
-def apparent_size(supports: Sequence[Float64]) -> ApparentSize:
-    """The size that looks (S,) of `support` speak for together."""
+def apparent_size(supports: Sequence[Float64], others: float = 0.0) -> ApparentSize:
+    """The size that looks (S,) of `support` speak for together. others: what the camera shows other objects
+    larger by (share); what is usual beside that is usual, too."""
     total = np.sum([np.zeros(len(SCALES)), *supports], axis=0)
     best = int(np.argmax(total))
-    usual = float(total[np.abs(SCALES) <= USUAL].max())
-    return ApparentSize(float(SCALES[best]), float(total[best]) - usual)
-
-
-def worth_a_look(answers: Sequence[PoseEstimate]) -> list[PoseEstimate]:
-    """The answers of a frame that are sure; where none is, those that are likely."""
-    sure = [answer for answer in answers if answer.state == "TRACKING"]
-    return sure or [answer for answer in answers if answer.found and answer.quality >= LIKELY]
+    usual = np.minimum(np.abs(SCALES), np.abs(SCALES - others)) <= USUAL
+    return ApparentSize(float(SCALES[best]), float(total[best] - total[usual].max()))
 
 
 def looks(

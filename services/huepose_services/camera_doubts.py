@@ -1,59 +1,87 @@
-"""What pictures and poses say against a camera: sizes that do not fit its matrix, depth beside the colours.
+"""What pictures and poses say against a camera, or one object: sizes that do not fit, depth beside colours.
 
 A few looks, some time apart, since none of them is worth much alone.
 """
 
 from __future__ import annotations
 
-from collections import deque
+from collections import defaultdict, deque
 from collections.abc import Callable, Sequence
+from functools import partial
 
-from huepose.estimation.apparent_size import apparent_size
+from huepose.estimation.apparent_size import ApparentSize
 from huepose.estimation.depth_offset import DepthOffset
 from huepose.estimation.frame_offset import frame_offset
+from huepose.estimation.size_doubts import doubted_camera, doubted_objects, said
 from huepose.estimation.types import PoseEstimate
 from huepose.geometry import Camera, RgbdFrame
 from huepose.geometry.arrays import Float64
+from huepose.reinit.types import Key
 from huepose_services.runtime.clock import SECOND
 
 LOOKS, FEWEST_LOOKS = 12, 3
 """Newest looks that count, and how many looks at sizes are asked for a doubt."""
 
 LOOK_EVERY_NS, LATER_EVERY_NS = SECOND, 10 * SECOND
-"""From one look to the next, for the first LOOKS of an epoch of the camera and after them. One takes some 80
-ms of a processor."""
+"""From one look at an object to the next: for the first EARLY of it and while anything is doubted; else. The
+same for depth, for the first LOOKS of an epoch of the camera. A look takes some 80 ms of a processor."""
+
+EARLY = 2 * FEWEST_LOOKS
+
+GONE_NS = 10 * SECOND
+"""What was not found for so long is not warned of."""
 
 WAY_OUT = "No pose is TRACKING for it. If you are sure that all is right, set camera.check: false."
 
 SizesSeen = Callable[[RgbdFrame, Sequence[PoseEstimate]], list[Float64]]
 """`Estimator.sizes_seen`."""
 
+_Seen = defaultdict[Key, deque[Float64]]
+
 
 class CameraDoubts:
-    """Of the camera whose pictures were looked at last."""
+    """Of the camera whose pictures were looked at last, and of the instances in them."""
 
     def __init__(self, sizes_seen: SizesSeen) -> None:
         self._sizes_seen = sizes_seen
         self._camera: Camera | None = None
-        self._looks = self._next_ns = 0
+        self._size: ApparentSize | None = None
+        self._objects: dict[Key, ApparentSize] = {}
+        self._frames = self._next_ns = self._now_ns = 0
         self._begin(-1)
 
-    def look(self, frame: RgbdFrame, answers: Sequence[PoseEstimate], number: int, at_ns: int) -> None:
-        """Look at a frame and one of the answers about it, where it is time. number: of the request."""
+    def look(self, frame: RgbdFrame, answers: Sequence[PoseEstimate], at_ns: int) -> None:
+        """Look at a frame, and at the size of one object of which there is an answer, where it is time."""
         if frame.epoch != self._epoch:
             self._begin(frame.epoch)
-        if at_ns < self._next_ns:
-            return
-        self._looks += 1
-        self._next_ns = at_ns + (LOOK_EVERY_NS if self._looks < LOOKS else LATER_EVERY_NS)
         self._camera = frame.camera
-        self._offsets.append(frame_offset(frame))
-        sure = [answer for answer in answers if answer.state == "TRACKING"]
-        # Where nothing is, the background is often taken for an object of another size.
-        followed = [answer for answer in answers if answer.state == "SUSPECT" and answer.instance >= 0]
-        for mine, seen in ((sure, self._sure), (followed, self._doubtful)):
-            if mine:
-                seen += self._sizes_seen(frame, [mine[number % len(mine)]])
+        if at_ns >= self._next_ns:
+            self._frames += 1
+            self._next_ns = at_ns + (LOOK_EVERY_NS if self._frames < LOOKS else LATER_EVERY_NS)
+            self._offsets.append(frame_offset(frame))
+        # Where nothing is, the background is often taken for an object of another size: what is new waits.
+        followed = [answer for answer in answers if answer.found and answer.instance >= 0]
+        self._now_ns = at_ns
+        self._found_ns |= {_key(answer): at_ns for answer in followed}
+        due = [answer for answer in followed if at_ns >= self._due_ns[_key(answer)]]
+        if due:
+            self._look_at(frame, min(due, key=lambda answer: self._looks[_key(answer)]), at_ns)
+
+    def _look_at(self, frame: RgbdFrame, answer: PoseEstimate, at_ns: int) -> None:
+        key = _key(answer)
+        seen = self._sure if answer.state == "TRACKING" else self._doubtful
+        seen[key] += self._sizes_seen(frame, [answer])
+        # Where sure poses are too few, those that are followed though doubtful are asked, too.
+        each = dict(self._sure)
+        for k, doubtful in self._doubtful.items():
+            if len(self._sure[k]) < FEWEST_LOOKS:
+                each[k] = deque([*self._sure[k], *doubtful])
+        enough = sum(map(len, self._sure.values())) >= FEWEST_LOOKS
+        size = doubted_camera(self._sure if enough else each, FEWEST_LOOKS)
+        self._size, self._objects = size, {} if size else doubted_objects(each, FEWEST_LOOKS)
+        self._looks[key] += 1
+        soon = self._looks[key] < EARLY or size is not None or key in self._objects
+        self._due_ns[key] = at_ns + (LOOK_EVERY_NS if soon else LATER_EVERY_NS)
 
     @property
     def offset(self) -> str:
@@ -62,23 +90,35 @@ class CameraDoubts:
         return found[-1].said() if 2 * len(found) > len(self._offsets) else ""
 
     @property
-    def size(self) -> str:
-        """That objects are larger or smaller than they have to be; empty where they are not. Where sure
-        poses are too few, those that are followed though doubtful are asked, too."""
-        enough = len(self._sure) >= FEWEST_LOOKS
-        seen = self._sure if enough else [*self._sure, *self._doubtful]
-        size = apparent_size(seen)
-        if self._camera is None or len(seen) < FEWEST_LOOKS or not size.clear:
-            return ""
-        return size.said(self._camera)
+    def text(self) -> str:
+        """What is wrong with the camera, empty where nothing is."""
+        if self._size is None or self._camera is None:
+            return self.offset
+        return self.offset or self._size.said(self._camera)
 
     @property
-    def text(self) -> str:
-        """What is wrong, empty where nothing is."""
-        return self.offset or self.size
+    def objects(self) -> dict[Key, str]:
+        """What is wrong with single instances that are in the picture, of those with which something is."""
+        here = [key for key in self._objects if self._now_ns - self._found_ns[key] < GONE_NS]
+        return {key: said(self._objects[key]) for key in here}
+
+    def of(self, name: str, instance: int | None) -> str:
+        """What is wrong with an instance, empty where nothing is; of a new one (None) what is of any of that
+        name, until there are looks at it."""
+        sizes = [size for key, size in self._objects.items() if key[0] == name and instance in (None, key[1])]
+        return said(sizes[0]) if sizes else ""
 
     def _begin(self, epoch: int) -> None:
-        self._epoch, self._looks, self._next_ns = epoch, 0, 0
+        self._epoch = epoch
+        self._frames = self._next_ns = 0
         self._offsets: deque[DepthOffset | None] = deque(maxlen=LOOKS)
-        self._sure: deque[Float64] = deque(maxlen=LOOKS)
-        self._doubtful: deque[Float64] = deque(maxlen=LOOKS)
+        self._sure: _Seen = defaultdict(partial(deque, maxlen=LOOKS))
+        self._doubtful: _Seen = defaultdict(partial(deque, maxlen=LOOKS))
+        self._looks: defaultdict[Key, int] = defaultdict(int)
+        self._due_ns: defaultdict[Key, int] = defaultdict(int)
+        self._found_ns: dict[Key, int] = {}
+        self._size, self._objects = None, {}
+
+
+def _key(answer: PoseEstimate) -> Key:
+    return answer.object, answer.instance

@@ -76,12 +76,12 @@ class EstimatorWork(Work):
             self._bus.refuse(self._bus.keys.masks, error)
             return
         answers = self._estimator.estimate(frame, queries)
+        if self._doubts is not None:
+            self._doubts.look(frame, answers, started)
         estimates = [
-            to_wire(EstimatedObject, answer, instance=item.detection.request.instance)
+            self._estimated(answer, item.detection.request.instance)
             for answer, item in zip(answers, objects, strict=True)
         ]
-        if self._doubts is not None:
-            self._doubts.look(frame, answers, message.request_seq, started)
         picture, camera = self._fault(frame, answers), message.camera or self._doubted()
         if self._doubts is not None and not any(answer.found for answer in answers):
             picture = picture or self._doubts.offset
@@ -104,13 +104,20 @@ class EstimatorWork(Work):
         health.worked_on(started, message.frame)
 
     def _doubted(self) -> str:
-        """What looks say against the camera; told in health and log."""
+        """What looks say against the camera; told in health and log, as is what they say against objects."""
         doubt = "" if self._doubts is None else self._doubts.text
-        warning = f"{doubt} {WAY_OUT}" if doubt else None
-        self._bus.health.warn_while("camera", warning)
-        if warning:
-            self._bus.log.seldom("camera", warning)
+        of_objects = {} if self._doubts is None else self._doubts.objects
+        sizes = [f"{name}/{number}: {text}" for (name, number), text in sorted(of_objects.items())]
+        for what, text in (("camera", doubt), ("sizes", " ".join(sizes))):
+            warning = f"{text} {WAY_OUT}" if text else None
+            self._bus.health.warn_while(what, warning)
+            if warning:
+                self._bus.log.seldom(what, warning)
         return doubt
+
+    def _estimated(self, answer: PoseEstimate, instance: int | None) -> EstimatedObject:
+        doubt = self._doubts.of(answer.object, instance) if self._doubts and answer.found else ""
+        return to_wire(EstimatedObject, answer, instance=instance, reason=doubt or answer.reason)
 
     def _fault(self, frame: RgbdFrame, answers: Sequence[PoseEstimate]) -> str:
         """What is wrong with a frame in which nothing was found; empty where nothing is."""

@@ -27,8 +27,11 @@ def files(
     standing: np.ndarray,
 ) -> list[str]:
     """A frame and a bundle on disk, as the arguments that name them."""
-    folder = tmp_path_factory.mktemp("frame")
-    frame = take_picture([(tea_box.mesh, standing)])
+    return written(tmp_path_factory.mktemp("frame"), take_picture([(tea_box.mesh, standing)]), tea_box)
+
+
+def written(folder: Path, frame: RgbdFrame, *models: ReferenceModel) -> list[str]:
+    """They are on disk; the arguments that name them."""
     cv2.imwrite(str(folder / "color.png"), frame.color[..., ::-1])
     cv2.imwrite(str(folder / "depth.png"), np.round(frame.depth * 10000).astype(np.uint16))
     c = frame.camera
@@ -42,7 +45,8 @@ def files(
         "depth_scale_m": 0.0001,
     }
     (folder / "camera.json").write_text(json.dumps(camera))
-    save_model(tea_box, folder / "bundles" / "tea_box.huepose")
+    for model in models:
+        save_model(model, folder / "bundles" / f"{model.name}.huepose")
     paths = {"color": "color.png", "depth": "depth.png", "camera": "camera.json", "bundles": "bundles"}
     return ["estimate", *(x for k, v in paths.items() for x in (f"--{k}", str(folder / v)))]
 
@@ -140,6 +144,24 @@ def test_no_pose_is_tracking_where_sizes_do_not_fit_unless_they_are_not_checked(
     main([*arguments, "--no-check-camera"])
     said = json.loads(capsys.readouterr().out)
     assert (said["poses"][0]["state"], said["poses"][0]["reason"]) == ("TRACKING", None)
+
+
+def test_of_several_objects_the_one_of_another_size_is_suspect_alone(
+    box_and_can: dict[str, ReferenceModel],
+    larger_box: Callable[[float], RgbdFrame],
+    tmp_path: Path,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    arguments = [*written(tmp_path, larger_box(1.15), *box_and_can.values()), "--json"]
+    main(arguments)
+    said = json.loads(capsys.readouterr().out)
+    can, box = sorted(said["poses"], key=lambda pose: str(pose["object"]))
+    assert (can["state"], can["reason"], said["doubts"]) == ("TRACKING", None, [])
+    assert (box["found"], box["state"]) == (True, "SUSPECT")
+    assert "larger than its mesh, while other objects fit" in box["reason"]
+    main([*arguments, "--no-check-camera"])
+    said = json.loads(capsys.readouterr().out)
+    assert not any("than its mesh" in str(pose["reason"]) for pose in said["poses"])
 
 
 def test_no_pose_is_tracking_where_depth_lies_far_beside_the_colours(

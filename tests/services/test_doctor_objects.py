@@ -32,6 +32,15 @@ def test_objects_are_found_or_asked_about(
     assert (seen.state, "BAD above" in seen.fix) == ("note", True)
 
 
+def test_of_several_objects_the_one_of_another_size_is_named(
+    box_and_can: dict[str, ReferenceModel], larger_box: Callable[[float], RgbdFrame]
+) -> None:
+    bad, seen = objects_in(larger_box(1.15), box_and_can)
+    assert (bad.subject, bad.state, bad.found) == ("objects", "bad", "tea_box does not fit")
+    assert "larger than its mesh" in bad.fix
+    assert seen.state == "ok"
+
+
 def test_where_depth_lies_beside_the_colours_no_object_is_called_right(
     tea_box: ReferenceModel, take_picture: Callable[..., RgbdFrame], standing: np.ndarray
 ) -> None:

@@ -115,10 +115,13 @@ def call(arguments: argparse.Namespace) -> int:
         f"{time.monotonic() - prepared:.1f} s to answer",
         file=sys.stderr,
     )
-    against = _against_camera(frame, models, answers) if arguments.check_camera else []
-    if against:
-        why = against[0]
-        answers = [replace(a, state="SUSPECT", reason=why) if a.state == "TRACKING" else a for a in answers]
+    against: list[str] = []
+    if arguments.check_camera:
+        against, of_objects = _against(frame, models, answers)
+        why = {k: against[0] for k, a in enumerate(answers) if against and a.state == "TRACKING"} | of_objects
+        answers = [
+            replace(a, state="SUSPECT", reason=why[k]) if k in why else a for k, a in enumerate(answers)
+        ]
     doubts = [*against, *_doubts(frame, models, answers)]
     for doubt in doubts:
         print(doubt, file=sys.stderr)
@@ -132,18 +135,20 @@ def call(arguments: argparse.Namespace) -> int:
     return 0
 
 
-def _against_camera(
+def _against(
     frame: RgbdFrame, models: Mapping[str, ReferenceModel], answers: list[PoseEstimate]
-) -> list[str]:
+) -> tuple[list[str], dict[int, str]]:
     """Why no pose of a frame is right: objects are larger or smaller in it than they have to be, or depth
-    lies far beside the colours."""
-    from huepose.estimation.apparent_size import apparent_size, looks, worth_a_look
+    lies far beside the colours. Where they do not, why single ones are not right, by their place."""
     from huepose.estimation.frame_offset import frame_offset
+    from huepose.estimation.size_doubts import doubted_in, said
 
     offset = frame_offset(frame)
-    size = apparent_size(looks(frame, models, worth_a_look(answers)))
+    size, objects = doubted_in(frame, models, answers)
     out = [] if offset is None else [offset.said()]
-    return [*out, size.said(frame.camera)] if size.clear else out
+    if size is not None:
+        out.append(size.said(frame.camera))
+    return out, {} if out else {k: said(one) for k, one in objects.items()}
 
 
 def _doubts(frame: RgbdFrame, models: Mapping[str, ReferenceModel], answers: list[PoseEstimate]) -> list[str]:

@@ -5,7 +5,8 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping
 
 from huepose.estimation import Estimator, ObjectQuery
-from huepose.estimation.apparent_size import apparent_size, looks, worth_a_look
+from huepose.estimation.size_doubts import doubted_in
+from huepose.estimation.size_doubts import said as size_said
 from huepose.geometry import RgbdFrame
 from huepose.model import ReferenceModel
 from huepose.perception.colorpair_detector import ColorPairDetector
@@ -40,10 +41,12 @@ def objects_in(
         frame, [ObjectQuery(name, best[name].box, searched=True) for name in sorted(best)]
     )
     said = ", ".join(f"{answer.object} {answer.state} {answer.quality:.2f}" for answer in answers)
-    size = apparent_size(looks(frame, models, worth_a_look(answers)))
-    if size.clear:
+    size, doubted = doubted_in(frame, models, answers)
+    if size:
         yield Finding("camera", "bad", "sizes do not fit", size.said(frame.camera))
-    if aside or size.clear or why:
+    for k, of_object in doubted.items():
+        yield Finding("objects", "bad", f"{answers[k].object} does not fit", size_said(of_object))
+    if aside or size or why:
         yield Finding("objects", "note", said, "Seen, but not where these poses are: see what is BAD above.")
     else:
         yield Finding("objects", "ok", said)

@@ -1,0 +1,114 @@
+"""A thing of the same print in another size is doubted alone; a wrong camera, all that is seen through it."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from huepose.estimation import Estimator, ObjectQuery
+from huepose.estimation.apparent_size import SCALES
+from huepose.estimation.size_doubts import INDEPENDENT, doubted_camera, doubted_in, doubted_objects, said
+from huepose.estimation.types import PoseEstimate
+from huepose.geometry import RgbdFrame
+from huepose.geometry.arrays import Float64
+from huepose.model.types import ReferenceModel
+from huepose.perception.colorpair_detector import ColorPairDetector
+
+
+def look(larger: float, gain: float) -> Float64:
+    """That speaks for one size alone."""
+    return np.where(np.isclose(SCALES, larger), gain, 0.0)
+
+
+LARGE, FITS = look(0.12, 30.0), look(0.0, 60.0)
+
+
+def test_of_an_object_alone_the_camera_is_doubted() -> None:
+    camera = doubted_camera({"can": [LARGE]})
+    assert camera is not None
+    assert camera.larger == pytest.approx(0.12)
+    assert doubted_objects({"can": [LARGE], "carton": []}) == {}
+
+
+@pytest.mark.parametrize("fits", [FITS, look(0.0, 12.0), look(0.0, 4.0)])
+def test_while_another_fits_only_the_object_is_doubted(fits: Float64) -> None:
+    """Also where it speaks louder than the one that fits, and that one for itself would not be clear."""
+    seen = {"can": [LARGE], "carton": [fits]}
+    assert doubted_camera(seen) is None
+    assert list(doubted_objects(seen)) == ["can"]
+
+
+def test_an_object_that_cannot_tell_does_not_clear_the_camera() -> None:
+    assert doubted_camera({"can": [LARGE], "packet": [np.zeros(len(SCALES))]}) is not None
+
+
+def test_what_all_but_a_few_have_in_common_is_the_camera_s() -> None:
+    seen = {name: [LARGE] for name in "abc"}
+    assert doubted_camera(seen | {"d": [look(0.0, 12.0)]}) is not None
+    assert doubted_camera({name: [LARGE] for name in "ab"} | {"d": [look(0.0, 12.0)]}) is None
+
+
+def test_sizes_of_both_ways_are_the_objects_own() -> None:
+    seen = {"can": [LARGE], "carton": [look(-0.12, 25.0)]}
+    assert doubted_camera(seen) is None
+    assert set(doubted_objects(seen)) == {"can", "carton"}
+
+
+def test_beside_what_the_others_have_in_common_an_object_is_not_doubted() -> None:
+    """A camera that shows all 4 % smaller shows one of them 7 % smaller."""
+    smaller, own = look(-0.04, 60.0), look(-0.07, 30.0)
+    assert doubted_objects({"a": [smaller], "b": [own]}) == {}
+    assert list(doubted_objects({"a": [FITS], "b": [own]})) == ["b"]
+    large = look(0.15, 200.0)
+    assert list(doubted_objects({"a": [smaller], "b": [own], "c": [smaller], "d": [large]})) == ["d"]
+
+
+def test_looks_at_a_thing_that_stands_still_add_up_to_few() -> None:
+    weak = look(0.12, 3.0)
+    assert doubted_objects({"can": [weak] * 12, "carton": [FITS]}) == {}
+    assert INDEPENDENT * 4.0 > 10.0
+    assert list(doubted_objects({"can": [look(0.12, 4.0)] * 3, "carton": [FITS]})) == ["can"]
+
+
+def test_a_doubt_waits_for_as_many_looks_as_are_asked_for() -> None:
+    assert doubted_camera({"can": [LARGE] * 2}, 3) is None
+    assert doubted_objects({"can": [LARGE] * 2, "carton": [FITS]}, 3) == {}
+    assert list(doubted_objects({"can": [LARGE] * 3, "carton": [FITS]}, 3)) == ["can"]
+
+
+def answers_about(frame: RgbdFrame, models: dict[str, ReferenceModel]) -> list[PoseEstimate]:
+    """Of what the detector sees in it."""
+    places = ColorPairDetector(models).detect(frame, sorted(models))
+    best = {place.object: place.box for place in places[::-1]}
+    return Estimator(models).estimate(frame, [ObjectQuery(name, best[name]) for name in sorted(models)])
+
+
+@pytest.mark.parametrize("times", [0.87, 1.15])
+def test_in_a_picture_the_one_of_another_size_is_doubted(
+    times: float, box_and_can: dict[str, ReferenceModel], larger_box: Callable[[float], RgbdFrame]
+) -> None:
+    frame = larger_box(times)
+    answers = answers_about(frame, box_and_can)
+    camera, objects = doubted_in(frame, box_and_can, answers)
+    assert camera is None
+    ((which, size),) = objects.items()
+    assert answers[which].object == "tea_box"
+    # A pose nearer by or further off takes a part of it.
+    assert size.larger == pytest.approx(times - 1.0, abs=0.06)
+    assert f"{'larger' if times > 1.0 else 'smaller'} than its mesh, while other objects fit" in said(size)
+
+
+def test_in_a_picture_through_a_wrong_camera_matrix_no_object_is_doubted_but_the_camera(
+    box_and_can: dict[str, ReferenceModel], larger_box: Callable[[float], RgbdFrame]
+) -> None:
+    frame = larger_box(1.0)
+    assert doubted_in(frame, box_and_can, answers_about(frame, box_and_can)) == (None, {})
+    camera = replace(frame.camera, fx=0.88 * frame.camera.fx, fy=0.88 * frame.camera.fy)
+    frame = replace(frame, camera=camera)
+    size, objects = doubted_in(frame, box_and_can, answers_about(frame, box_and_can))
+    assert size is not None
+    assert 0.045 < size.larger < 0.15
+    assert objects == {}

@@ -1,6 +1,6 @@
 """What pictures and poses say against a camera, or one object: sizes that do not fit, depth beside colours.
 
-A few looks, some time apart, since none of them is worth much alone.
+A few looks, since none of them is worth much alone.
 """
 
 from __future__ import annotations
@@ -23,8 +23,9 @@ LOOKS, FEWEST_LOOKS = 12, 3
 """Newest looks that count, and how many looks at sizes are asked for a doubt."""
 
 LOOK_EVERY_NS, LATER_EVERY_NS = SECOND, 10 * SECOND
-"""From one look at an object to the next: for the first EARLY of it and while anything is doubted; else. The
-same for depth, for the first LOOKS of an epoch of the camera. A look takes some 80 ms of a processor."""
+"""From one look at an object to the next: for the first EARLY of it, but the fewest that are asked for, which
+follow each other at once, and while anything is doubted; else. The same for depth, for the first LOOKS of an
+epoch of the camera. A look takes some 80 ms of a processor."""
 
 EARLY = 2 * FEWEST_LOOKS
 
@@ -80,8 +81,9 @@ class CameraDoubts:
         size = doubted_camera(self._sure if enough else each, FEWEST_LOOKS)
         self._size, self._objects = size, {} if size else doubted_objects(each, FEWEST_LOOKS)
         self._looks[key] += 1
-        soon = self._looks[key] < EARLY or size is not None or key in self._objects
-        self._due_ns[key] = at_ns + (LOOK_EVERY_NS if soon else LATER_EVERY_NS)
+        if self._looks[key] >= FEWEST_LOOKS:
+            soon = self._looks[key] < EARLY or size is not None or key in self._objects
+            self._due_ns[key] = at_ns + (LOOK_EVERY_NS if soon else LATER_EVERY_NS)
 
     @property
     def offset(self) -> str:

@@ -58,6 +58,10 @@ ROLLED_BACK = 0.015
 """A rotation about the axis of revolution is taken where its total is so much higher; less is chance. Chosen
 on drawn scenes of a printed bottle, cans, mugs and bowls."""
 
+ROLLED_OVER, OPEN = 0.03, 0.1
+"""A slender object's rotation by any angle is taken where its total is so much higher, and at most OPEN of it
+is hidden: a small print may tell it, and be what is hidden. Chosen on films of a handle."""
+
 FLOW_GROWTH = 0.3
 """Room round the object in which flow is computed, as a share of its size."""
 
@@ -217,22 +221,25 @@ def about_its_axis(
     is wide. Returns the pose, or if the object is `known` what it becomes from a rotation that explains more;
     its total less that after the best small rotation; and that rotation as a proposal if it is better."""
     surface, total = subject.surface, followed.terms.total
-    turns = subject.slides if known else subject.small_turns
+    rolls = subject.rolls if followed.terms.hidden < OPEN else subject.rolls[:0]
+    turns = np.concatenate([subject.slides, rolls]) if known else subject.small_turns
     region = region_of(surface, frame, followed.T_cam_obj, light) if len(turns) else None
     if known and region is not None:
-        poses, rated = ranked(surface, region, followed.T_cam_obj @ turns)
-        if rated[0] >= total - ROLLED_BACK:
-            best = best_of(surface, frame, [(poses[0], followed.source)], light, 0)
-            if best.terms.total > total + ROLLED_BACK:
+        gain = np.repeat([ROLLED_BACK, ROLLED_OVER], [len(subject.slides), len(rolls)])
+        poses = followed.T_cam_obj @ turns
+        rated = score_arrays(surface.arrays, region.arrays, poses, SAMPLES)[:, 0]
+        k = int(np.argmax(rated - gain))
+        if rated[k] >= total - ROLLED_BACK:
+            best = best_of(surface, frame, [(poses[k], followed.source)], light, 0)
+            if best.terms.total > total + gain[k]:
                 followed, total = best, best.terms.total
                 region = region_of(surface, frame, best.T_cam_obj, light)
     if region is None or not len(subject.small_turns):
         return followed, np.inf, ()
     poses, rated = ranked(surface, region, followed.T_cam_obj @ subject.small_turns)
     margin = total - float(rated[0])
-    if margin >= 0.0:
-        return followed, margin, ()
-    return followed, margin, (best_of(surface, frame, [(poses[0], "turn")], light, 0),)
+    better = (best_of(surface, frame, [(poses[0], "turn")], light, 0),) if margin < 0.0 else ()
+    return followed, margin, better
 
 
 def ranked(surface: PreparedSurface, region: OpenRegion, poses: Float64) -> tuple[Float64, Float64]:

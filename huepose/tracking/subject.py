@@ -15,6 +15,7 @@ from huepose.judge.open_region import PreparedSurface
 from huepose.model.types import ReferenceModel
 from huepose.perception.window_table import WindowTable, window_table
 from huepose.select.distinct import RIGHT
+from huepose.select.slender import rolls
 
 SMALL_TURN = np.radians(45.0)
 """Near-symmetric rotations up to this angle exist only about an axis of revolution."""
@@ -25,8 +26,8 @@ class Subject:
     """The object: its reference model and prepared surface, and the rotations (M, 4, 4) that nearly map its
     shape to itself, without the identity; other_turns: those of them after which a pose is wrong;
     small_turns: of these those about an axis of revolution, by which it can be slid in small steps; slides
-    (K, 4, 4): rotations about that axis that are tried while it is followed; contours: where it ends, seen
-    from anywhere."""
+    (K, 4, 4): rotations about that axis that are tried while it is followed; rolls (L, 4, 4): those that
+    move a slender object too little to be wrong; contours: where it ends, seen from anywhere."""
 
     model: ReferenceModel
     surface: PreparedSurface
@@ -34,6 +35,7 @@ class Subject:
     other_turns: Float64
     small_turns: Float64
     slides: Float64
+    rolls: Float64
     contours: Contours
 
     @staticmethod
@@ -44,7 +46,9 @@ class Subject:
         contours, wrong = Contours.of(model), turns[np.array(other, bool)]
         small = [se3.rotation_angle(turn, np.eye(4)) <= SMALL_TURN for turn in wrong]
         small_wrong = wrong[np.array(small, bool)]
-        return Subject(model, contours.surface, turns, wrong, small_wrong, _slides(turns), contours)
+        return Subject(
+            model, contours.surface, turns, wrong, small_wrong, _slides(turns), rolls(model), contours
+        )
 
     @property
     def mesh(self) -> Mesh:

@@ -11,6 +11,7 @@ from huepose.geometry import Box, RgbdFrame, se3
 from huepose.judge.open_region import OpenRegion, PreparedSurface, open_region, totals, window
 from huepose.judge.terms import NOTHING, Terms, score_arrays
 from huepose.model.types import ReferenceModel
+from huepose.onboarding import onboard_mesh
 from huepose.propose.relative_pose import RobustKabsch
 from huepose.refine.photometric import FULL, QUICK, refine, refine_all
 from huepose.select.distinct import first_different
@@ -233,3 +234,19 @@ def test_a_pose_that_slid_about_its_axis_of_revolution_is_rolled_back(soup_can, 
     assert about_its_axis(subject, frame, right, None, known=True)[0] is right
     assert about_its_axis(subject, frame, slid, None, known=False)[0] is slid, "it may be another thing"
     assert len(Subject.of(tea_box).slides) == 0, "it has no such axis"
+
+
+def test_a_slender_object_is_rolled_by_any_angle_where_all_of_it_is_seen(soup_can, shoot, path) -> None:
+    stick = onboard_mesh(
+        replace(soup_can.mesh, vertices=soup_can.mesh.vertices * np.float32([0.25, 0.25, 1.6])), "stick"
+    )
+    subject, T = Subject.of(stick), path(0)
+    assert len(Subject.of(soup_can).rolls) < len(subject.rolls)
+    far = max(subject.rolls, key=lambda turn: se3.rotation_angle(turn, np.eye(4)))
+    rolled = unmoved(subject.surface, shoot([(stick.mesh, T)]), T @ far, None)
+    assert se3.rotation_angle(rolled.T_cam_obj, T) > np.radians(100.0)
+    found, _, _ = about_its_axis(subject, shoot([(stick.mesh, T)]), rolled, None, known=True)
+    assert se3.rotation_angle(found.T_cam_obj, T) < np.radians(5.0)
+    hidden = replace(rolled, terms=replace(rolled.terms, hidden=0.3))
+    kept, _, _ = about_its_axis(subject, shoot([(stick.mesh, T)]), hidden, None, known=True)
+    assert se3.rotation_angle(kept.T_cam_obj, T) > np.radians(60.0), "what tells it may be what is hidden"

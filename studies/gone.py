@@ -165,17 +165,20 @@ def rows(scene: BopScene, targets: Targets, most: int, seed: int) -> Iterator[Ro
             yield Row(scene.name, image, model.name, *counts)
 
 
-def main() -> None:
-    """Take away all objects of the scenes, one by one."""
-    parser = argparse.ArgumentParser(
-        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
+def parser_of(what: str | None) -> argparse.ArgumentParser:
+    """The command line of a study that plays films of the frames of scenes."""
+    parser = argparse.ArgumentParser(description=what, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--bop", type=Path, nargs="+", required=True)
     parser.add_argument("--bundles", type=Path, required=True)
     parser.add_argument("--json", type=Path, required=True)
     parser.add_argument("--images", type=int, default=6, help="of each scene (6)")
     parser.add_argument("--seed", type=int, default=0)
-    arguments = parser.parse_args()
+    return parser
+
+
+def main() -> None:
+    """Take away all objects of the scenes, one by one."""
+    arguments = parser_of(__doc__).parse_args()
     targets = Targets(load_models(arguments.bundles))
     done: list[Row] = []
     for scene in progress([BopScene(path) for path in arguments.bop], "scenes"):

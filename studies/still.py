@@ -9,10 +9,8 @@ first look, with a quality of 0.1, is watched no further.
 
 from __future__ import annotations
 
-import argparse
 from collections.abc import Iterator, Sequence
 from dataclasses import asdict, dataclass
-from pathlib import Path
 
 import numpy as np
 
@@ -26,7 +24,7 @@ from huepose.profiles import profile
 from huepose.reinit.types import Request, RequestedObject
 from huepose.support.progress import progress
 from huepose.tracking import State, Tracker
-from studies.gone import HZ, Sight, shown
+from studies.gone import HZ, Sight, parser_of, shown
 from studies.stress.films import Seen
 from studies.stress.play import play
 
@@ -107,16 +105,9 @@ def report(done: Sequence[Row]) -> str:
 
 def main() -> None:
     """Watch all objects of the scenes, one by one."""
-    parser = argparse.ArgumentParser(
-        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
-    parser.add_argument("--bop", type=Path, nargs="+", required=True)
-    parser.add_argument("--bundles", type=Path, required=True)
-    parser.add_argument("--json", type=Path, required=True)
+    parser = parser_of(__doc__)
     parser.add_argument("--strangers", action="store_true", help="none of the objects is in the scenes")
-    parser.add_argument("--images", type=int, default=6, help="of each scene (6)")
     parser.add_argument("--absent", type=int, default=3, help="objects that are not there, of each frame (3)")
-    parser.add_argument("--seed", type=int, default=0)
     given = parser.parse_args()
     models = dict(load_models(given.bundles))
     done: list[Row] = []

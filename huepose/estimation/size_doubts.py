@@ -49,12 +49,13 @@ def doubted_camera(seen: Mapping[K, Sequence[Float64]], fewest: int = 1) -> Appa
     together = apparent_size(every)
     if not together.clear or len(every) < fewest:
         return None
-    against = {key: _against(total, together.larger) for key, total in _totals(seen).items()}
+    totals = _totals(seen)
+    against = {key: _against(total, together.larger) for key, total in totals.items()}
     fit = sum(gain >= CLEAR for gain in against.values())
     if OUTNUMBERED * fit > sum(gain <= -CLEAR for gain in against.values()):
         return None
     quieter = sorted(against, key=lambda key: against[key])[1:]
-    total = np.sum([_totals(seen)[key] for key in quieter] or [np.zeros(len(SCALES))], axis=0)
+    total = np.sum([totals[key] for key in quieter] or [np.zeros(len(SCALES))], axis=0)
     return together if _against(total, together.larger) <= AGAINST else None
 
 

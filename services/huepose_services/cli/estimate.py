@@ -228,13 +228,14 @@ def _standing(
     from huepose.geometry.picture_faults import bad_picture
 
     poses = standing_answers(answers)
-    presence = PresenceIn(frame, models, arguments.method)
+    presence = None
     out = []
     for name in names:
         standing = [pose for pose in poses if pose.object == name]
         if standing:
             out += standing
             continue
+        presence = presence or PresenceIn(frame, models, arguments.method)
         mine = [a for a in answers if a.object == name]
         placed = [(name, a.T_cam_obj) for a in mine if a.T_cam_obj is not None]
         doubts = iter([doubt for _, doubt in presence.places(placed)])

@@ -14,7 +14,6 @@ from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 
-import cv2
 import numpy as np
 
 from huepose.datasets import files
@@ -25,7 +24,7 @@ from huepose.geometry.arrays import Bool, Float, Float32, Float64, UInt8
 from huepose.geometry.camera import Camera
 from huepose.geometry.frame import RgbdFrame
 from huepose.support.errors import InputError
-from huepose.support.files import writing
+from huepose.support.files import write_picture, writing
 
 _UNPACK = "The packed form must be unpacked first: rgb/N.png, depth/N.float, masks/gt/OBJECT_N.png."
 
@@ -227,13 +226,13 @@ def write_fast_ycb(
     T_obj_posecnn = se3.inverse(T_posecnn_obj(np.zeros(3) if frame_offset_m is None else frame_offset_m))
     rows = []
     with writing(folder):
-        for part in ("rgb", "depth", "gt", "masks/gt", *(["dope"] if dope is not None else [])):
+        for part in ("depth", "gt", *(["dope"] if dope is not None else [])):
             (folder / part).mkdir(parents=True, exist_ok=True)
         size = np.array([camera.width, camera.height], "<u8").tobytes()
         for i, frame in enumerate(frames):
-            _picture(folder / "rgb" / f"{i}.png", frame.color[..., ::-1])
+            write_picture(folder / "rgb" / f"{i}.png", frame.color)
             (folder / "depth" / f"{i}.float").write_bytes(size + frame.depth.astype("<f4").tobytes())
-            _picture(folder / "masks" / "gt" / f"{name}_{i}.png", frame.mask.astype(np.uint8) * np.uint8(255))
+            write_picture(folder / "masks" / "gt" / f"{name}_{i}.png", np.uint8(255) * frame.mask)
             rows.append(_row(se3.compose(frame.T_cam_obj, T_obj_posecnn)))
         facts = {key: getattr(camera, key) for key in ("width", "height", "fx", "fy", "cx", "cy")}
         (folder / "cam_K.json").write_text(json.dumps(facts))
@@ -249,7 +248,3 @@ def _row(T: Float64) -> str:
     turn = se3.rotation_log(T[:3, :3])
     angle = float(np.linalg.norm(turn))
     return " ".join(f"{x:.9f}" for x in (*T[:3, 3], *(turn / max(angle, 1e-12)), angle))
-
-
-def _picture(path: Path, picture: UInt8) -> None:
-    path.write_bytes(cv2.imencode(".png", np.ascontiguousarray(picture))[1].tobytes())

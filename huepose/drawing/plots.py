@@ -21,30 +21,21 @@ def line_plot(
     x_range: Range | None = None,
     y_range: Range | None = None,
     marks: bool = False,
+    bands: Sequence[tuple[float, float, Colour]] = (),
+    size: tuple[int, int] = (720, 460),
 ) -> UInt8:
-    """Lines by name: x (N,), y (N,), broken where either is nan; with dots at the points when `marks`."""
-    canvas = _over(series, title, x_label, y_label, x_range, y_range, (720, 460))
-    for (x, y), color in zip(series.values(), _colours(len(series)), strict=True):
-        canvas.line(x, y, color)
-        if marks:
-            canvas.dots(x, y, color, 3.5)
-    return canvas.with_legend(list(series), _colours(len(series)))
-
-
-def time_plot(
-    series: Series,
-    bands: Sequence[tuple[float, float, Colour]],
-    title: str = "",
-    x_label: str = "",
-    y_label: str = "",
-    size: tuple[int, int] = (1100, 320),
-) -> UInt8:
-    """Lines by name as in `line_plot`, over bands from one x to another in their colours."""
-    canvas = _over(series, title, x_label, y_label, None, None, size)
+    """Lines by name: x (N,), y (N,), broken where either is nan; with dots at the points when `marks`; over
+    bands from one x to another in their colours."""
+    every = [np.empty(0), *(np.asarray(v, np.float64) for pair in series.values() for v in pair)]
+    x_shown = x_range or limits(np.concatenate(every[1::2] or [np.empty(0)]))
+    y_shown = y_range or limits(np.concatenate(every[2::2] or [np.empty(0)]), zero=True)
+    canvas = Canvas.empty(x_shown, y_shown, title, x_label, y_label, size)
     for left, right, color in bands:
         canvas.band(left, right, color)
     for (x, y), color in zip(series.values(), _colours(len(series)), strict=True):
         canvas.line(x, y, color)
+        if marks:
+            canvas.dots(x, y, color, 3.5)
     return canvas.with_legend(list(series), _colours(len(series)))
 
 
@@ -104,21 +95,6 @@ def reliability_plot(quality: Float, right: Bool, bins: int = 10, title: str = "
     canvas.line(stated, true, COLOURS[0])
     canvas.dots(stated, true, COLOURS[0], 4.5)
     return canvas.with_legend([f"{int(count.sum())} poses, {len(count)} bins"], [COLOURS[0]])
-
-
-def _over(
-    series: Series,
-    title: str,
-    x_label: str,
-    y_label: str,
-    x_range: Range | None,
-    y_range: Range | None,
-    size: tuple[int, int],
-) -> Canvas:
-    every = [np.empty(0), *(np.asarray(v, np.float64) for pair in series.values() for v in pair)]
-    x = x_range or limits(np.concatenate(every[1::2] or [np.empty(0)]))
-    y = y_range or limits(np.concatenate(every[2::2] or [np.empty(0)]), zero=True)
-    return Canvas.empty(x, y, title, x_label, y_label, size)
 
 
 def _colours(n: int) -> list[Colour]:

@@ -155,32 +155,27 @@ class _FrameRun:
         if setup.detector is not None and setup.options.boxes == "detect":
             return self.detected(setup.estimator, setup.detector)
         if setup.given is not None and setup.options.boxes == "file":
-            return self.given(setup.estimator, setup.given)
+            return self.given(setup.estimator, setup.given), []
         return self.boxed(setup.estimator), []
 
     def boxed(self, estimator: PoseEstimator) -> list[EstimateRow]:
         """One query for each label."""
         queries: dict[int, ObjectQuery] = {}
         for label in self.labels:
-            if label.counted:
-                query = self._query(label)
-                if query is not None:
-                    queries[label.truth.instance] = query
+            query = self._query(label) if label.counted else None
+            if query is not None:
+                queries[label.truth.instance] = query
         start = time.perf_counter()
         answers = estimator.estimate(self.sample.frame, list(queries.values())) if queries else []
         seconds = time.perf_counter() - start
         by_instance = {answer.instance: answer for answer in answers}
-        found = {
+        taken = {
             i: by_instance[label.truth.instance]
             for i, label in enumerate(self.labels)
             if label.counted and label.truth.instance in by_instance
         }
-        scores = self._bop_scores(found)
-        return [
-            self._row(label, found.get(i), seconds, queries.get(label.truth.instance), scores.get(i))
-            for i, label in enumerate(self.labels)
-            if label.counted
-        ]
+        why = "The box is empty: nothing of the object is in the image."
+        return self._rows(queries, taken, seconds, lambda name: why)
 
     def _query(self, label: Label) -> ObjectQuery | None:
         """None where the true mask or the box is empty: nothing of the object is in the image."""
@@ -216,10 +211,10 @@ class _FrameRun:
         start = time.perf_counter()
         names = [model.name for model in self.setup.targets.models]
         detections = detector.detect(self.sample.frame, names)
-        queries = [
-            ObjectQuery(d.object, box=d.box, instance=i, searched=True) for i, d in enumerate(detections)
-        ]
-        answers = estimator.estimate(self.sample.frame, queries) if queries else []
+        queries = {
+            i: ObjectQuery(d.object, box=d.box, instance=i, searched=True) for i, d in enumerate(detections)
+        }
+        answers = estimator.estimate(self.sample.frame, list(queries.values())) if queries else []
         poses = standing_answers(answers)
 
         def why(name: str) -> str:
@@ -227,24 +222,24 @@ class _FrameRun:
                 return "The poses of the object that stand are at other places."
             return why_none_stands(name, answers)
 
-        matched = assigned(poses, self.labels, self._box_of)
-        return self._matched(queries, matched, time.perf_counter() - start, why)
+        taken, spare = assigned(poses, self.labels, self._box_of)
+        rows = self._rows(queries, taken, time.perf_counter() - start, why)
+        return rows, [self._false(answer, T) for answer, T in spare]
 
-    def given(
-        self, estimator: PoseEstimator, boxes: BopDetections
-    ) -> tuple[list[EstimateRow], list[FalsePose]]:
+    def given(self, estimator: PoseEstimator, boxes: BopDetections) -> list[EstimateRow]:
         """As BOP's task of localisation has it: which objects are there, and how often, is known; the surest
         boxes of each are looked at."""
         start = time.perf_counter()
         due = Counter(label.model.name for label in self.labels if label.counted)
-        queries: list[ObjectQuery] = []
+        queries: dict[int, ObjectQuery] = {}
         for box in boxes.of(self.sample.scene, self.sample.image):
             model = self.setup.targets.named(box.object_id)
             if model is not None and due[model.name] > 0:
                 due[model.name] -= 1
                 prior = None if box.T_cam_obj is None else PosePrior(box.T_cam_obj)
-                queries.append(ObjectQuery(model.name, box.box, prior=prior, instance=len(queries)))
-        answers = estimator.estimate(self.sample.frame, queries) if queries else []
+                k = len(queries)
+                queries[k] = ObjectQuery(model.name, box.box, prior=prior, instance=k)
+        answers = estimator.estimate(self.sample.frame, list(queries.values())) if queries else []
         reasons = {answer.object: answer.reason for answer in answers}
 
         def why(name: str) -> str:
@@ -253,32 +248,23 @@ class _FrameRun:
             return reasons[name] or "The pose of the object is at another place."
 
         taken = localised(answers, self.labels)
-        return self._matched(queries, (taken, []), time.perf_counter() - start, why)
+        return self._rows(queries, taken, time.perf_counter() - start, why)
 
-    def _matched(
+    def _rows(
         self,
-        queries: Sequence[ObjectQuery],
-        matched: tuple[dict[int, PoseEstimate], list[tuple[PoseEstimate, Float64]]],
+        queries: Mapping[int, ObjectQuery],
+        taken: Mapping[int, PoseEstimate],
         seconds: float,
         why: Callable[[str], str],
-    ) -> tuple[list[EstimateRow], list[FalsePose]]:
-        """A row for each label with its pose, and the poses that are left. matched: answers by index of the
-        label, and spare ones; why: of an object's name, what to say of a label without a pose."""
-        taken, spare = matched
+    ) -> list[EstimateRow]:
+        """A row for each label that counts. queries: by instance; taken: answers by index of the label; why:
+        what to say of a label without an answer, by the object's name."""
         scores = self._bop_scores(taken)
-        rows = [
-            self._row(
-                label,
-                taken.get(i),
-                seconds,
-                queries[taken[i].instance] if i in taken else None,
-                scores.get(i),
-                "" if i in taken else why(label.model.name),
-            )
+        return [
+            self._row(label, taken.get(i), seconds, queries, scores.get(i), why)
             for i, label in enumerate(self.labels)
             if label.counted
         ]
-        return rows, [self._false(answer, T) for answer, T in spare]
 
     def _box_of(self, name: str, T_cam_obj: Float64) -> Box | None:
         model = self.setup.targets.named(name)
@@ -333,13 +319,13 @@ class _FrameRun:
         label: Label,
         answer: PoseEstimate | None,
         seconds: float,
-        query: ObjectQuery | None,
+        queries: Mapping[int, ObjectQuery],
         bop: BopScore | None,
-        why: str = "The box is empty: nothing of the object is in the image.",
+        why: Callable[[str], str],
     ) -> EstimateRow:
-        """why: nothing was found, where there is no answer to say it."""
         T_cam_obj = answer.T_cam_obj if answer is not None and answer.found else None
         truth = label.truth
+        query = None if answer is None else queries.get(answer.instance)
         key = (self.sample.scene, self.sample.image, truth.instance)
         equivalents = self.setup.equivalents.get(key, ())
         error = self.setup.targets.error(label.model, T_cam_obj, label.T_cam_obj, equivalents)
@@ -357,7 +343,7 @@ class _FrameRun:
             state=answer.state if answer is not None else "LOST",
             seconds=seconds,
             seed=self.seed,
-            reason=why if answer is None else answer.reason,
+            reason=why(label.model.name) if answer is None else answer.reason,
             box=None if query is None else query.box,
             terms=None if answer is None else answer.terms,
             bop=bop,

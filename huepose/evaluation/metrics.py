@@ -41,12 +41,6 @@ def adds(points_obj: Float, T_estimate: Float, T_truth: Float, tree: cKDTree | N
     return float(distances.mean())
 
 
-def recall(errors_m: Float, diameters_m: Float) -> float:
-    """Percent of errors (N,) under a tenth of the diameters (N,)."""
-    errors, diameters = np.asarray(errors_m, float), np.asarray(diameters_m, float)
-    return float(100.0 * (errors < RECALL_FRACTION * diameters).mean())
-
-
 def auc(errors_m: Float) -> float:
     """Area under the accuracy-threshold curve from 0 to 0.1 m, percent: the mean of max(0, 1 - e / 0.1)."""
     errors = np.asarray(errors_m, dtype=np.float64)

@@ -17,10 +17,10 @@ import numpy as np
 
 from huepose.datasets import files
 from huepose.datasets.types import Scene
-from huepose.evaluation.instances import PublishedPose, instance_counts, match, places
+from huepose.evaluation.instances import PublishedPose, instance_counts, places
 from huepose.evaluation.summary import grouped
 from huepose.evaluation.targets import Targets
-from huepose.evaluation.track_rows import TrackResult, TrackRow, row_of
+from huepose.evaluation.track_rows import TrackResult, TrackRow, judged
 from huepose.geometry import se3
 from huepose.geometry.arrays import Float64
 from huepose.support.errors import InputError
@@ -133,13 +133,9 @@ def evaluate_poses(messages: Sequence[LivePose], scene: Scene, targets: Targets)
     for image in scene.image_ids:
         here = places(scene.truths(image), targets, counts)
         published = [m.pose for m in by_image.get(image, []) if m.pose.object in targets.models_by_name]
-        chosen, spare = match(here, published)
-        phantoms += sum(pose.state == State.TRACKING.value for pose in spare)
-        stamp_ns = scene.stamp_ns(image)
-        rows += [
-            row_of(scene.name, image, stamp_ns, place, pose, targets, None, 0)
-            for place, pose in zip(here, chosen, strict=True)
-        ]
+        new, spare = judged(scene.name, image, scene.stamp_ns(image), here, published, targets)
+        rows += new
+        phantoms += spare
     due = [row for row in rows if not row.gone]
     with_pose = sum(row.T_cam_obj is not None for row in due)
     measured = {"poses_for_frames": 100.0 * with_pose / len(due) if due else None, **_times(kept)}

@@ -9,21 +9,21 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from itertools import pairwise
 from typing import Literal, NamedTuple, Protocol
 
 from huepose.datasets.types import Sample, Scene
 from huepose.estimation.types import PosePrior
-from huepose.evaluation.instances import Place, PublishedPose, instance_counts, match, places
+from huepose.evaluation.instances import Place, PublishedPose, instance_counts, places
 from huepose.evaluation.sources import FileSource, PoseSource, SourcedPose
 from huepose.evaluation.targets import Targets
-from huepose.evaluation.track_rows import TrackResult, TrackRow, row_of
+from huepose.evaluation.track_rows import TrackResult, TrackRow, judged
 from huepose.geometry.frame import RgbdFrame
 from huepose.model.types import ReferenceModel
 from huepose.support.errors import InputError
 from huepose.support.progress import progress
-from huepose.tracking.types import Applied, Correction, State, TrackedPose, Verdict
+from huepose.tracking.types import Applied, Correction, TrackedPose, Verdict
 
 PERIOD_NS = 200_000_000
 _TOLERANCE_NS = 1_000_000
@@ -138,12 +138,7 @@ def evaluate_tracking(
                 phantoms[scene.name, seed] = phantoms.get((scene.name, seed), 0) + spare
                 if on_frame is not None:
                     on_frame(sample, new)
-    settings = {
-        "protocol": options.protocol,
-        "every": options.every,
-        "init": names.init,
-        "delayed": names.delayed,
-    }
+    settings = {"protocol": options.protocol, "every": options.every, **asdict(names)}
     return TrackResult(rows, phantoms, settings)
 
 
@@ -211,7 +206,12 @@ class _Run:
             seconds = time.perf_counter() - start
             if i in by_looked_at:
                 self._look(by_looked_at[i], sample, here, tracked, due)
-            yield sample, *self._judge(sample, here, tracked, seconds)
+            published = [
+                PublishedPose(t.object, t.instance, t.T_cam_obj, t.state.value, t.quality, t.velocity)
+                for t in tracked
+            ]
+            where = self.scene.name, sample.image, sample.frame.stamp_ns
+            yield sample, *judged(*where, here, published, self.targets, seconds, self.seed)
 
     def _first_poses(self, sample: Sample, here: Sequence[Place]) -> list[Correction]:
         """Each instance is asked for once: in the first fed frame that shows it. A file is asked until it has
@@ -270,18 +270,3 @@ class _Run:
             seq=self.correction_counts[key],
             mask=pose.mask,
         )
-
-    def _judge(
-        self, sample: Sample, here: Sequence[Place], tracked: Sequence[TrackedPose], seconds: float
-    ) -> tuple[list[TrackRow], int]:
-        published = [
-            PublishedPose(t.object, t.instance, t.T_cam_obj, t.state.value, t.quality, t.velocity)
-            for t in tracked
-        ]
-        chosen, phantoms = match(here, published)
-        stamp_ns = sample.frame.stamp_ns
-        rows = [
-            row_of(self.scene.name, sample.image, stamp_ns, place, pose, self.targets, seconds, self.seed)
-            for place, pose in zip(here, chosen, strict=True)
-        ]
-        return rows, sum(p.state == State.TRACKING.value for p in phantoms)

@@ -8,7 +8,7 @@ from typing import Any
 
 from huepose.evaluation.bootstrap import Interval
 from huepose.evaluation.figures import POSE_FIGURES, pose_figures, pose_intervals
-from huepose.evaluation.instances import Place, PublishedPose
+from huepose.evaluation.instances import Place, PublishedPose, match
 from huepose.evaluation.measured import BLOCK_NS, ENOUGH_SEQUENCES
 from huepose.evaluation.metrics import ROFT_FIGURES, roft_figures
 from huepose.evaluation.states import TIMES, Moment, StateReport, combined, report
@@ -61,6 +61,26 @@ class TrackRow:
         """The row in its file form."""
         record = {name: value for name, value in vars(self).items() if name != "error"}
         return record | {key: getattr(self.error, key, None) for key in ("add_m", "adds_m", "right")}
+
+
+def judged(
+    sequence: str,
+    image: int,
+    stamp_ns: int,
+    here: Sequence[Place],
+    published: Sequence[PublishedPose],
+    targets: Targets,
+    seconds: float | None = None,
+    seed: int = 0,
+) -> tuple[list[TrackRow], int]:
+    """What was published of a frame against its labels: a row for each instance, and how many poses of no
+    instance are TRACKING."""
+    chosen, phantoms = match(here, published)
+    rows = [
+        row_of(sequence, image, stamp_ns, place, pose, targets, seconds, seed)
+        for place, pose in zip(here, chosen, strict=True)
+    ]
+    return rows, sum(pose.state == "TRACKING" for pose in phantoms)
 
 
 def row_of(

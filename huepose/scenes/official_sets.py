@@ -12,7 +12,6 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-import cv2
 import numpy as np
 from scipy.spatial import ConvexHull
 from scipy.spatial.distance import pdist
@@ -28,6 +27,7 @@ from huepose.scenes import carried
 from huepose.scenes.camera import COLOR
 from huepose.scenes.frame import Stage, shoot
 from huepose.scenes.rendered import SceneRanges, write_rendered_set
+from huepose.support.files import write_picture
 from huepose.support.progress import progress
 
 FIRST_SCENE = 48
@@ -84,7 +84,9 @@ def write_bop_ycbv(
                 assert truth.object_id is not None  # the set was written with ids and poses
                 assert truth.T_cam_obj is not None
                 whole = render_depth(by_id[truth.object_id].mesh, truth.T_cam_obj, camera) > 0
-                _picture(folder / "mask" / f"{image:06d}_{truth.instance:06d}.png", np.uint8(255) * whole)
+                write_picture(
+                    folder / "mask" / f"{image:06d}_{truth.instance:06d}.png", np.uint8(255) * whole
+                )
                 if truth.shows(GONE):
                     targets.append(
                         {"im_id": image, "inst_count": 1, "obj_id": truth.object_id, "scene_id": scene}
@@ -142,8 +144,3 @@ def _shots(stage: Stage, frames: int, seed: int) -> Iterator[FastYcbFrame]:
 def _as_dope(T: Float64, rng: np.random.Generator) -> Float64:
     """A few millimetres and degrees beside the truth."""
     return se3.perturb(T, rng.normal(0.0, 1.0, 6) * (0.004, 0.004, 0.004, 0.03, 0.03, 0.03))
-
-
-def _picture(path: Path, picture: np.ndarray) -> None:
-    path.parent.mkdir(parents=True, exist_ok=True)
-    path.write_bytes(cv2.imencode(".png", np.ascontiguousarray(picture))[1].tobytes())

@@ -50,14 +50,15 @@ def write_text(path: Path | str, text: str) -> None:
 
 
 def write_picture(path: Path, picture: np.ndarray) -> None:
-    """Write an RGB picture (H, W, 3) uint8 as its ending says, PNG without one. Makes missing folders. Raises
-    InputError."""
+    """Write an RGB picture (H, W, 3) uint8, or a grey one (H, W), as its ending says, PNG without one. Makes
+    missing folders. Raises InputError."""
     import cv2
 
     ending = path.suffix.lower() or ".png"
     if not cv2.haveImageWriter(f"picture{ending}"):
         raise InputError(path, found="a picture that cannot be encoded", expected="an ending such as .png")
-    data = cv2.imencode(ending, np.ascontiguousarray(picture[..., ::-1]))[1].tobytes()
+    bgr = picture if picture.ndim == 2 else picture[..., ::-1]
+    data = cv2.imencode(ending, np.ascontiguousarray(bgr))[1].tobytes()
     with writing(path):
         path.parent.mkdir(parents=True, exist_ok=True)
         path.write_bytes(data)

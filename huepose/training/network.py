@@ -23,7 +23,7 @@ from huepose.propose.view_codes import CELLS, NUMBERS
 from huepose.propose.view_pictures import CHANNELS, SIDE
 
 NEIGHBOURS = 12
-WIDTHS = (48, 64, 96)
+EDGE_WIDTHS = (48, 64, 96)
 EMBEDDING = 128
 HEADS = 4
 NEGATIVE_SLOPE = 0.2
@@ -68,9 +68,9 @@ class AttentionDgcnn(nn.Module):
         super().__init__()
         self.reach = reach
         self.scale = nn.BatchNorm1d(inputs)
-        sizes = (inputs, *WIDTHS)
+        sizes = (inputs, *EDGE_WIDTHS)
         self.edges = nn.ModuleList(EdgeConvolution(a, b) for a, b in pairwise(sizes))
-        self.embed = nn.Linear(sum(WIDTHS) + inputs, EMBEDDING)
+        self.embed = nn.Linear(sum(EDGE_WIDTHS) + inputs, EMBEDDING)
         self.attention = nn.MultiheadAttention(EMBEDDING, HEADS, batch_first=True)
         self.after = nn.LayerNorm(EMBEDDING)
         self.look = nn.Linear(EMBEDDING, HEADS)

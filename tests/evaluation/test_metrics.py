@@ -60,7 +60,9 @@ def test_both_errors_ignore_how_the_world_is_turned(w: tuple, t: tuple) -> None:
 
 
 def test_recall_is_strict_and_counts_missing_poses_as_wrong() -> None:
-    assert metrics.recall([0.049, 0.05, 0.051, np.inf], [0.5] * 4) == 25.0
+    errors_m, diameters_m = np.array([0.049, 0.05, 0.051, np.inf]), np.full(4, 0.5)
+    scores = metrics.pose_scores(errors_m, errors_m, diameters_m)
+    assert scores["recall_add"].mean() == scores["recall_adds"].mean() == 25.0
 
 
 def test_auc_is_linear_in_the_error() -> None:

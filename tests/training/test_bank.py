@@ -3,7 +3,7 @@ import torch
 
 from huepose.geometry import se3
 from huepose.paper.canonical import canonical
-from huepose.training.bank import Bank, exchanged, varied
+from huepose.training.rotation import Bank, exchanged, varied
 
 
 def asked(rng):

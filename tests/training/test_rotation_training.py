@@ -2,10 +2,11 @@ import json
 from dataclasses import replace
 
 import numpy as np
+import onnx
 import pytest
 import torch
 
-from huepose.paper.rotation_network import OnnxRotation
+from huepose.paper.rotation_network import WEIGHTS, OnnxRotation
 from huepose.support.errors import InputError
 from huepose.training.network import (
     AttentionDgcnn,
@@ -42,6 +43,18 @@ def test_six_numbers_are_a_rotation_and_none_are_no_turn():
     R = rotation_of_six(torch.randn(50, 6))
     assert torch.allclose(R @ R.transpose(1, 2), torch.eye(3).expand(50, 3, 3), atol=1e-5)
     assert torch.allclose(torch.linalg.det(R), torch.ones(50), atol=1e-5)
+
+
+@pytest.mark.parametrize("kind", ["residual", "direct"])
+def test_what_is_trained_has_the_shape_of_what_is_shipped(kind: str) -> None:
+    shipped = onnx.load(str(WEIGHTS / f"{kind}.onnx"))
+    known = {one.name: tuple(one.dims) for one in shipped.graph.initializer}
+    norms = {
+        name: tuple(one.shape) for name, one in AttentionDgcnn().state_dict().items() if ".normal." in name
+    }
+    shared = norms.keys() & known.keys()
+    assert len(shared) >= 12
+    assert {name: norms[name] for name in shared} == {name: known[name] for name in shared}
 
 
 def test_the_angle_between_rotations_is_known():

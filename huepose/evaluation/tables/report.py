@@ -11,7 +11,7 @@ import cv2
 import numpy as np
 
 from huepose.drawing.canvas import Colour
-from huepose.drawing.plots import bar_chart, line_plot, reliability_plot, time_plot
+from huepose.drawing.plots import bar_chart, line_plot, reliability_plot
 from huepose.evaluation import metrics
 from huepose.evaluation.ablation_rows import AblationResult
 from huepose.evaluation.figures import Row, errors
@@ -175,7 +175,8 @@ def _track_pictures(by_method: Mapping[str, Sequence[Row]]) -> list[tuple[UInt8,
             if method == "full":
                 bands = _bands(seconds, [row["state"] for row in own])
         text = "ADD over time; behind it the state of `full`: green TRACKING, yellow SUSPECT, red LOST."
-        pictures.append((time_plot(lines, bands, sequence, "seconds", "ADD in mm", (720, 320)), text))
+        picture = line_plot(lines, sequence, "seconds", "ADD in mm", bands=bands, size=(720, 320))
+        pictures.append((picture, text))
     return pictures
 
 

@@ -21,6 +21,7 @@ from huepose.model import ReferenceModel, load_models
 from huepose.scenes import carried
 from huepose.scenes.camera import COLOR, STEREO
 from huepose.scenes.frame import Stage, shoot
+from huepose.scenes.official_sets import fast_ycb_frame
 from huepose.support.progress import progress
 
 FRAMES, RATE_HZ = carried.FRAMES, carried.RATE_HZ
@@ -56,7 +57,7 @@ def write(folder: Path, model: ReferenceModel, stage: Stage, seed: int, stereo: 
         for i in range(FRAMES):
             shot = shoot(stage, i, seed, COLOR, STEREO if stereo else None)
             visible.append(float(shot.labels.visib_fract[0]))
-            yield FastYcbFrame(shot.color, shot.depth, shot.owner == 0, shot.labels.T_cam_obj[0])
+            yield fast_ycb_frame(shot)
 
     write_fast_ycb(folder, model.name, frames(), carried.CAMERA, RATE_HZ, model.frame_offset_m)
     (folder / "visib_fract.json").write_text(json.dumps(visible))

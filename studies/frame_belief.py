@@ -37,6 +37,7 @@ from huepose.tracking.motion import increment_velocity
 from huepose.tracking.step import Anchor, advance, best_of
 from huepose.tracking.subject import Subject
 from studies.likelihood import logistic
+from studies.stress.causes import on_a_surface
 from studies.stress.playing import Job, film_of
 
 EVERY = 8
@@ -187,11 +188,8 @@ def wrong_starts(
                 T_cam_obj @ model.near_symmetries[1 + int(rng.integers(len(model.near_symmetries) - 1))],
             )
         )
-    rows, columns = np.nonzero(frame.depth > 0.3)
-    if len(rows):
-        k = int(rng.integers(len(rows)))
-        pixel = np.array([[columns[k], rows[k]]], float)
-        place = frame.camera.backproject(pixel, frame.depth[rows[k : k + 1], columns[k : k + 1]])[0]
+    if (frame.depth > 0.3).any():
+        place = on_a_surface(frame, rng)
         out.append(("elsewhere", at(rng.normal(0, 1.5, 3), place)))
     return out
 

@@ -11,10 +11,11 @@ found.
 from __future__ import annotations
 
 import argparse
-from collections.abc import Iterator
-from dataclasses import asdict, dataclass, replace
+from collections.abc import Callable, Iterable, Iterator
+from dataclasses import dataclass, replace
 from itertools import accumulate
 from pathlib import Path
+from typing import TypeVar
 
 import numpy as np
 
@@ -37,6 +38,8 @@ from huepose.support.progress import progress
 from huepose.tracking import State, Tracker
 from studies.stress.films import Seen
 from studies.stress.play import play
+
+R = TypeVar("R")
 
 NEARLY_WHOLE = 0.8
 SECONDS_SEEN, SECONDS_COVERED, SECONDS_GONE, SECONDS_BACK, HZ = 1, 1, 5, 3, 15
@@ -176,14 +179,20 @@ def parser_of(what: str | None) -> argparse.ArgumentParser:
     return parser
 
 
+def filmed(arguments: argparse.Namespace, rows_of: Callable[[BopScene], Iterable[R]]) -> list[R]:
+    """The rows (dataclasses) of all scenes; they are written after each."""
+    done: list[R] = []
+    for scene in progress([BopScene(path) for path in arguments.bop], "scenes"):
+        done += rows_of(scene)
+        write_json(arguments.json, {"rows": [vars(row) for row in done]})
+    return done
+
+
 def main() -> None:
     """Take away all objects of the scenes, one by one."""
     arguments = parser_of(__doc__).parse_args()
     targets = Targets(load_models(arguments.bundles))
-    done: list[Row] = []
-    for scene in progress([BopScene(path) for path in arguments.bop], "scenes"):
-        done += rows(scene, targets, arguments.images, arguments.seed)
-        write_json(arguments.json, {"rows": [asdict(row) for row in done]})
+    done = filmed(arguments, lambda scene: rows(scene, targets, arguments.images, arguments.seed))
     for row in done:
         if row.false or row.wrong:
             print(

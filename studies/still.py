@@ -10,21 +10,19 @@ first look, with a quality of 0.1, is watched no further.
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 
 import numpy as np
 
 from huepose.datasets.bop import BopScene
-from huepose.evaluation.result_files import write_json
 from huepose.evaluation.targets import Targets
 from huepose.geometry import RgbdFrame
 from huepose.geometry.arrays import Float64, Rng
 from huepose.model import ReferenceModel, load_models
 from huepose.profiles import profile
 from huepose.reinit.types import Request, RequestedObject
-from huepose.support.progress import progress
 from huepose.tracking import State, Tracker
-from studies.gone import HZ, Sight, parser_of, shown
+from studies.gone import HZ, Sight, filmed, parser_of, shown
 from studies.stress.films import Seen
 from studies.stress.play import play
 
@@ -110,10 +108,9 @@ def main() -> None:
     parser.add_argument("--absent", type=int, default=3, help="objects that are not there, of each frame (3)")
     given = parser.parse_args()
     models = dict(load_models(given.bundles))
-    done: list[Row] = []
-    for scene in progress([BopScene(path) for path in given.bop], "scenes"):
-        done += rows(scene, models, given.strangers, given.images, given.absent, given.seed)
-        write_json(given.json, {"rows": [asdict(row) for row in done]})
+    done = filmed(
+        given, lambda scene: rows(scene, models, given.strangers, given.images, given.absent, given.seed)
+    )
     for row in done:
         if row.wrong:
             print(f"{row.scene} {row.image} {row.object}: {row.wrong} of {row.frames} wrong")

@@ -14,7 +14,7 @@ in the video itself, whose labels must name one object.
 from __future__ import annotations
 
 import argparse
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from pathlib import Path
 
@@ -91,43 +91,40 @@ def turntable(mesh: Mesh, rng: Rng, frames: int = 120) -> Stage:
     return _stage([(mesh, path), (sheet(1.2, 1.0, table_top(rng)), _still(table, frames))], rng)
 
 
-def by_hand(mesh: Mesh, rng: Rng, frames: int = 200) -> Stage:
-    """Once round and nodding, between two fingers that grip at other sides half way."""
-    share = np.arange(frames) / frames
-    path = np.array(
-        [
-            se3.make(se3.rotation_exp(np.array([1.2 * np.sin(2 * np.pi * s), 0, 0])) @ upright(2 * np.pi * s),
-                     MIDDLE_CAM)
-            for s in share
-        ]
-    )  # fmt: skip
+def by_hand(mesh: Mesh, rng: Rng) -> Stage:
+    """Between two fingers that grip at other sides half way."""
     finger = _skin(0.08, 0.009, rng)
     reach = np.ptp(mesh.vertices, axis=0)[0] / 2 + 0.008
-    scene = [(mesh, path)]
-    for side in (0.0, np.pi):
-        grips = [_grip(side, reach), _grip(side + np.pi / 2, reach)]
-        scene.append((finger, np.array([T @ grips[int(2 * s)] for T, s in zip(path, share, strict=True)])))
-    wall = se3.make(np.diag([1.0, -1.0, -1.0]), np.array([0, 0, 1.3]))
-    scene.append((sheet(2.6, 2.2, wallpaper(rng)), _still(wall, frames)))
-    return _stage(scene, rng)
+    grips = [(_grip(side, reach), _grip(side + np.pi / 2, reach)) for side in (0.0, np.pi)]
+    return _in_hand(mesh, 200, [(finger, both) for both in grips], rng)
 
 
-def held(mesh: Mesh, rng: Rng, frames: int = 120) -> Stage:
-    """Once round and nodding, between a finger and a thumb, with the palm at a third side; all three grip a
-    quarter turn farther on half way."""
+def held(mesh: Mesh, rng: Rng) -> Stage:
+    """Between a finger and a thumb, with the palm at a third side; all three grip a quarter turn farther on
+    half way."""
+    half = np.ptp(mesh.vertices, axis=0)[:2] / 2
+    parts = []
+    for angle, length, radius in ((0.0, 0.10, 0.02), (np.pi, 0.09, 0.018), (np.pi / 2 + 0.5, 0.12, 0.042)):
+        sides = [angle, angle + np.pi / 2]
+        reaches = [np.abs([np.cos(a), np.sin(a)]) @ half + 0.9 * radius for a in sides]
+        first, second = (_grip(a, reach) for a, reach in zip(sides, reaches, strict=True))
+        parts.append((_skin(length, radius, rng), (first, second)))
+    return _in_hand(mesh, 120, parts, rng)
+
+
+def _in_hand(
+    mesh: Mesh, frames: int, parts: Sequence[tuple[Mesh, tuple[Float64, Float64]]], rng: Rng
+) -> Stage:
+    """Once round and nodding, before a wall. parts: of the hand, each with where it grips before and after
+    half way (4, 4)."""
     share = np.arange(frames) / frames
     nods = [se3.rotation_exp(np.array([1.2 * np.sin(2 * np.pi * s), 0, 0])) for s in share]
     path = np.array(
         [se3.make(R @ upright(2 * np.pi * s), MIDDLE_CAM) for R, s in zip(nods, share, strict=True)]
     )
-    half = np.ptp(mesh.vertices, axis=0)[:2] / 2
     scene = [(mesh, path)]
-    for angle, length, radius in ((0.0, 0.10, 0.02), (np.pi, 0.09, 0.018), (np.pi / 2 + 0.5, 0.12, 0.042)):
-        sides = [angle, angle + np.pi / 2]
-        reaches = [np.abs([np.cos(a), np.sin(a)]) @ half + 0.9 * radius for a in sides]
-        grips = [_grip(a, reach) for a, reach in zip(sides, reaches, strict=True)]
-        part = np.array([T @ grips[int(2 * s)] for T, s in zip(path, share, strict=True)])
-        scene.append((_skin(length, radius, rng), part))
+    for part, grips in parts:
+        scene.append((part, np.array([T @ grips[int(2 * s)] for T, s in zip(path, share, strict=True)])))
     wall = se3.make(np.diag([1.0, -1.0, -1.0]), np.array([0, 0, 1.3]))
     scene.append((sheet(2.6, 2.2, wallpaper(rng)), _still(wall, frames)))
     return _stage(scene, rng)

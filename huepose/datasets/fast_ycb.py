@@ -17,6 +17,7 @@ from pathlib import Path
 import numpy as np
 
 from huepose.datasets import files
+from huepose.datasets.image_files import read_camera
 from huepose.datasets.types import GroundTruth
 from huepose.datasets.ycb_objects import T_posecnn_obj
 from huepose.geometry import se3
@@ -118,7 +119,7 @@ class FastYcbSequence:
                 self.path / "rgb", found="no image named by a number", expected="0.png and so on"
             )
         self._stamps = self._read_stamps()
-        self._camera = self._read_camera()
+        self._camera = read_camera(self.path / "cam_K.json")
         poses_path = self.path / "gt" / "poses_ycb.txt"
         self._poses = axis_angle_poses(poses_path) if poses_path.exists() else np.empty((0, 4, 4))
         if len(self._poses) and self.image_ids[-1] >= len(self._poses):
@@ -155,14 +156,6 @@ class FastYcbSequence:
             return None
         return first
 
-    def _read_camera(self) -> Camera:
-        path = self.path / "cam_K.json"
-        record = files.read_json(path)
-        fx, fy = files.positive(record, "fx", path), files.positive(record, "fy", path)
-        cx, cy = (float(files.numbers(record, key, (), path)) for key in ("cx", "cy"))
-        width, height = (int(files.positive(record, key, path)) for key in ("width", "height"))
-        return Camera(fx, fy, cx, cy, width, height)
-
     def _find_masks(self) -> dict[int, Path]:
         pattern = re.compile(re.escape(self.object) + r"(?:_real)?_(\d+)")
         found = {}
@@ -184,13 +177,8 @@ class FastYcbSequence:
         color = files.read_color(color_path)
         depth = files.read_float_depth(depth_path, _UNPACK)
         files.same_size(color, color_path, depth, depth_path)
-        if color.shape[:2] != (self._camera.height, self._camera.width):
-            raise InputError(
-                self.path / "cam_K.json",
-                found=f"{self._camera.width} x {self._camera.height} pixels",
-                expected=f"{color.shape[1]} x {color.shape[0]} as in {color_path}",
-            )
-        return RgbdFrame(color, depth, self._camera, frame_id=image, stamp_ns=self.stamp_ns(image))
+        camera = self._camera.camera(color.shape[1], color.shape[0], color_path)
+        return RgbdFrame(color, depth, camera, frame_id=image, stamp_ns=self.stamp_ns(image))
 
     def truths(self, image: int) -> tuple[GroundTruth, ...]:
         """The one label of a frame; its pose is None in a sequence that is not labelled."""

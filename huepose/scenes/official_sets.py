@@ -7,7 +7,7 @@ even, and little is hidden.
 from __future__ import annotations
 
 import json
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -25,7 +25,7 @@ from huepose.geometry.arrays import Float64
 from huepose.rendering import render_depth
 from huepose.scenes import carried
 from huepose.scenes.camera import COLOR
-from huepose.scenes.frame import Stage, shoot
+from huepose.scenes.frame import Shot, shoot
 from huepose.scenes.rendered import SceneRanges, write_rendered_set
 from huepose.support.files import write_picture
 from huepose.support.progress import progress
@@ -118,6 +118,11 @@ def _write_models(out: Path, objects: Sequence[SetObject]) -> None:
     (out / "models" / "frame_offsets.json").write_text(json.dumps(offsets, indent=1))
 
 
+def fast_ycb_frame(shot: Shot) -> FastYcbFrame:
+    """What the camera delivers, with the mask and the pose of the first object."""
+    return FastYcbFrame(shot.color, shot.depth, shot.owner == 0, shot.labels.T_cam_obj[0])
+
+
 def write_fast_ycb_set(
     out: Path, objects: Sequence[SetObject], sequences: int, frames: int, seed: int
 ) -> None:
@@ -131,14 +136,10 @@ def write_fast_ycb_set(
         n = min(frames, carried.FRAMES)
         missed = {i for i in range(n) if (i + 1 - number % 2) % _DOPE_MISSES == 0}
         dope = [None if i in missed else _as_dope(stage.in_camera(i)[0][1], rng) for i in range(n)]
-        shots = _shots(stage, n, seed * 1000 + number)
-        write_fast_ycb(folder, obj.name, shots, stage.camera, carried.RATE_HZ, obj.offset_m, dope)
-
-
-def _shots(stage: Stage, frames: int, seed: int) -> Iterator[FastYcbFrame]:
-    for i in range(frames):
-        shot = shoot(stage, i, seed, COLOR, None)
-        yield FastYcbFrame(shot.color, shot.depth, shot.owner == 0, shot.labels.T_cam_obj[0])
+        shots = (shoot(stage, i, seed * 1000 + number, COLOR, None) for i in range(n))
+        write_fast_ycb(
+            folder, obj.name, map(fast_ycb_frame, shots), stage.camera, carried.RATE_HZ, obj.offset_m, dope
+        )
 
 
 def _as_dope(T: Float64, rng: np.random.Generator) -> Float64:

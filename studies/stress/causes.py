@@ -8,7 +8,7 @@ from itertools import accumulate, cycle, takewhile
 
 import numpy as np
 
-from huepose.geometry import se3
+from huepose.geometry import RgbdFrame, se3
 from huepose.geometry.arrays import Float64, Rng
 from huepose.model import ReferenceModel
 from studies.stress.films import Film, Seen
@@ -108,9 +108,9 @@ def _wrong(film: Film, model: ReferenceModel, cause: str, rng: Rng) -> Iterator[
         turn = model.near_symmetries[1 + int(rng.integers(len(model.near_symmetries) - 1))]
         R, centre = (truth @ turn)[:3, :3], (truth @ turn @ np.append(model.mesh.centre, 1.0))[:3]
     elif cause == "elsewhere":
-        centre, R = _on_a_surface(kept[0], rng), _turn(rng, rng.uniform(0, np.pi)) @ R
+        centre, R = on_a_surface(frame, rng), _turn(rng, rng.uniform(0, np.pi)) @ R
     elif cause == "in the table":
-        at = _on_a_surface(kept[0], rng)
+        at = on_a_surface(frame, rng)
         centre = at * (1.0 + 0.5 * model.diameter_m / float(at[2]))
     elif not len(film.others):
         return
@@ -129,10 +129,9 @@ def _turn(rng: Rng, angle: float) -> Float64:
     return se3.rotation_exp(axis / np.linalg.norm(axis) * angle)
 
 
-def _on_a_surface(seen: Seen, rng: Rng) -> Float64:
+def on_a_surface(frame: RgbdFrame, rng: Rng) -> Float64:
     """A point (3,) that the camera sees."""
-    rows, columns = np.nonzero(seen.frame.depth > 0.3)
+    rows, columns = np.nonzero(frame.depth > 0.3)
     k = int(rng.integers(len(rows)))
     pixel = np.array([[columns[k], rows[k]]], float)
-    depth = seen.frame.depth[rows[k : k + 1], columns[k : k + 1]]
-    return np.asarray(seen.frame.camera.backproject(pixel, depth)[0])
+    return np.asarray(frame.camera.backproject(pixel, frame.depth[rows[k : k + 1], columns[k : k + 1]])[0])

@@ -13,7 +13,7 @@ from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from estimate_record import Image, key_of, piece_of, summary
+import numpy as np
 from open3d_rivals import Features, ManyStarts
 from ppf_rival import PointPairFeatures
 from rival import Ours, Rival, RivalEstimator
@@ -23,6 +23,7 @@ from huepose.datasets.types import SomeImages
 from huepose.estimation import Estimator, EstimatorConfig
 from huepose.evaluation.assignment import labels_of
 from huepose.evaluation.estimate_protocol import EstimateOptions, evaluate_estimates
+from huepose.evaluation.estimate_rows import EstimateRow, summary_of
 from huepose.evaluation.metrics import FIGURES
 from huepose.evaluation.summary import table
 from huepose.evaluation.tables.journal import Journal
@@ -32,6 +33,10 @@ from huepose.support.progress import progress
 
 COMMON = ("boxes", "min_visib", "seed", "objects", "equivalent")
 """Options that all answers of a file have in common."""
+
+
+Image = tuple[str, int]
+"""Scene folder and number of an image."""
 
 
 def main() -> None:
@@ -71,6 +76,32 @@ def main() -> None:
 def _image(scene: BopScene, image: int) -> Image:
     """By its folder: scenes of different sets share names."""
     return str(scene.path.resolve()), image
+
+
+def key_of(method: str, masks: str, image: Image) -> str:
+    """Of a piece of work in the journal."""
+    return f"{method}, masks {masks}, {image[0]}/{image[1]}"
+
+
+def piece_of(image: Image, rows: Sequence[EstimateRow], cpu_s: Sequence[float]) -> dict[str, Any]:
+    """What is kept: the answers in one image and the CPU seconds of each."""
+    records = [row.as_json() for row in rows]
+    short = [{k: v for k, v in row.items() if k not in ("terms", "alternatives", "box")} for row in records]
+    return {"scene": image[0], "image": image[1], "cpu_s": list(cpu_s), "rows": short}
+
+
+def summary(journal: Journal, method: str, masks: str, images: Sequence[Image]) -> dict[str, Any] | None:
+    """Figures over those of the images that hold answers, as in a result file, with `cpu_s_p50` and
+    `cpu_s_mean` of an object; None without any."""
+    keys = [key_of(method, masks, image) for image in images]
+    pieces = [journal.entries[key] for key in keys if key in journal.entries]
+    # Scenes of different sets share names, so a row is of its folder.
+    rows = [{**row, "scene": piece["scene"]} for piece in pieces for row in piece["rows"]]
+    if not rows:
+        return None
+    seconds = np.array([s for piece in pieces for s in piece["cpu_s"] if s > 0])
+    spent = {"cpu_s_p50": float(np.median(seconds)), "cpu_s_mean": float(seconds.mean())}
+    return {**summary_of(rows), **spent}
 
 
 def _figures(journal: Journal, arguments: argparse.Namespace, images: Sequence[Image]) -> str:

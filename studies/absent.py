@@ -20,7 +20,7 @@ from huepose.datasets.bop import BopScene
 from huepose.datasets.boxes import disturbed, truth_box
 from huepose.datasets.types import GroundTruth, Scene
 from huepose.estimation import Estimator, EstimatorConfig, ObjectQuery, PoseEstimate
-from huepose.evaluation.calibration import FALSE_WEIGHT, Judged, frame_key, quality_terms, read_rows
+from huepose.evaluation.calibration import Judged, judged, read_rows
 from huepose.evaluation.result_files import write_json
 from huepose.evaluation.summary import table
 from huepose.evaluation.targets import Targets, object_number
@@ -107,16 +107,7 @@ def _places(
 def read_absent(path: Path | str) -> Judged:
     """All that was looked at where the object is not, found or not: none is right. Raises InputError."""
     rows, false = read_rows(path)
-    every = [row for row in [*rows, *false] if row.get("terms") is not None]
-    return Judged(
-        [quality_terms(row, path) for row in every],
-        np.full(len(every), -1, dtype=np.int64),
-        np.zeros(len(every), bool),
-        [frame_key(row, path) for row in every],
-        [(*frame_key(row, path), row.get("instance", k)) for k, row in enumerate(every)],
-        np.array([float(row["quality"]) for row in every]),
-        np.full(len(every), FALSE_WEIGHT),
-    )
+    return judged([], [row for row in [*rows, *false] if row.get("terms") is not None], path)
 
 
 def asking(description: str) -> argparse.ArgumentParser:

@@ -33,7 +33,7 @@ from huepose.onboarding import onboard_mesh, read_mesh
 from huepose.onboarding.from_video import Learned, Selection, learn
 from huepose.scenes import carried, textures
 from huepose.scenes.camera import COLOR, STEREO
-from huepose.scenes.frame import Stage, shoot
+from huepose.scenes.frame import Stage, shoot, silhouette
 from huepose.scenes.light import random_light
 from huepose.scenes.motion import UP_ROOM, upright
 from huepose.scenes.room import sheet, table_top, wallpaper
@@ -169,10 +169,8 @@ def drawn(folder: Path, stage: Stage, seed: int) -> BopScene:
     writer = BopWriter(folder, {"seed": seed, "frames": len(stage)})
     for i in progress(sorted(set(range(len(stage))) - writer.done), f"drawing {folder}"):
         shot = shoot(stage, i, seed, COLOR, STEREO)
-        mask = shot.owner == 0
-        T, box = shot.labels.T_cam_obj[0], shot.labels.box_visib[0]
-        whole = round(float(mask.sum()) / max(float(shot.labels.visib_fract[0]), 1e-3))
-        label = Label(ID, T, mask, whole, box or Box(0, 0, 0, 0))
+        T = shot.labels.T_cam_obj[0]
+        label = Label(ID, T, shot.owner == 0, *silhouette(stage.meshes[0], T, CAMERA))
         writer.add(i, shot.color, shot.depth, CAMERA, [label])
     return BopScene(folder)
 

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import json
 from collections import Counter
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -38,6 +38,14 @@ class BopDetections:
         """Those of an image; none where the scene is not named by a number."""
         return self.by_image.get((int(scene), image), ()) if scene.isdigit() else ()
 
+    @staticmethod
+    def ordered(found: Iterable[tuple[int, int, BopDetection]]) -> BopDetections:
+        """Of (scene, image, detection) in any order."""
+        by_image: dict[tuple[int, int], list[BopDetection]] = {}
+        for scene, image, one in sorted(found, key=lambda item: -item[2].score):
+            by_image.setdefault((scene, image), []).append(one)
+        return BopDetections(by_image)
+
     @property
     def objects(self) -> Counter[int]:
         """How many detections there are of each object."""
@@ -52,7 +60,7 @@ def read_detections(path: Path | str) -> BopDetections:
         raise InputError(path, found=f"no valid JSON ({str(error)[:80]})") from None
     if not isinstance(entries, list):
         raise InputError(path, found=f"a JSON {type(entries).__name__}", expected="a list of detections")
-    found: dict[tuple[int, int], list[BopDetection]] = {}
+    found = []
     for number, entry in enumerate(entries):
         where = f"{path}, entry {number}"
         scene, image, object_id = (
@@ -60,5 +68,5 @@ def read_detections(path: Path | str) -> BopDetections:
         )
         box = Box(*(float(v) for v in files.numbers(entry, "bbox", (4,), where)))
         score = float(files.numbers(entry, "score", (), where))
-        found.setdefault((scene, image), []).append(BopDetection(object_id, box, score))
-    return BopDetections({key: sorted(own, key=lambda d: -d.score) for key, own in found.items()})
+        found.append((scene, image, BopDetection(object_id, box, score)))
+    return BopDetections.ordered(found)

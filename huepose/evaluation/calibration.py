@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Hashable, Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Hashable, Sequence
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -12,6 +12,7 @@ import numpy as np
 from huepose.believe.quality import QualityTerms
 from huepose.datasets import files
 from huepose.evaluation import metrics
+from huepose.evaluation.figures import Row
 from huepose.geometry.arrays import Bool, Float64, Int64
 from huepose.support.errors import InputError
 
@@ -88,16 +89,20 @@ def read_judged(path: Path | str) -> Judged:
     them right. Raises InputError."""
     rows, false = read_rows(path)
     found = [row for row in rows if row.get("found")]
+    return replace(judged(found, false, path), missed=len(rows) - len(found))
+
+
+def judged(found: Sequence[Row], false: Sequence[Row], path: Path | str) -> Judged:
+    """Rows of a file: poses of labels, and poses of none. Raises InputError."""
     every = [*found, *false]
     return Judged(
-        [quality_terms(row, path) for row in every],
+        [_quality_terms(row, path) for row in every],
         np.array([_which(row) for row in found] + [-1] * len(false), dtype=np.int64),
         np.array([_placed(row) for row in found] + [False] * len(false)),
-        [frame_key(row, path) for row in every],
-        [(*frame_key(row, path), row.get("instance", k)) for k, row in enumerate(every)],
+        [_frame_key(row, path) for row in every],
+        [(*_frame_key(row, path), row.get("instance", k)) for k, row in enumerate(every)],
         np.array([float(row["quality"]) for row in every]),
         np.array([1.0] * len(found) + [FALSE_WEIGHT] * len(false)),
-        len(rows) - len(found),
     )
 
 
@@ -110,12 +115,12 @@ def read_rows(path: Path | str) -> tuple[list[dict[str, Any]], list[dict[str, An
     return rows, false
 
 
-def frame_key(row: Mapping[str, Any], path: Path | str) -> tuple[str, str, int]:
+def _frame_key(row: Row, path: Path | str) -> tuple[str, str, int]:
     """Which frame a row is of: file, scene, image."""
     return str(path), str(row["scene"]), int(row["image"])
 
 
-def quality_terms(row: Mapping[str, Any], path: Path | str) -> QualityTerms:
+def _quality_terms(row: Row, path: Path | str) -> QualityTerms:
     """What the quality of a row was made of. Raises InputError where the file does not say it."""
     try:
         return QualityTerms(**{**row["terms"], "gaps": tuple(row["terms"]["gaps"])})
@@ -128,13 +133,13 @@ def quality_terms(row: Mapping[str, Any], path: Path | str) -> QualityTerms:
         ) from None
 
 
-def _which(row: Mapping[str, Any]) -> int:
+def _which(row: Row) -> int:
     """The number of the first answer that is right, -1 for none."""
     chances = [row["right"], *(other["right"] for other in row.get("alternatives", []))]
     return next((k for k, right in enumerate(chances) if right), -1)
 
 
-def _placed(row: Mapping[str, Any]) -> bool:
+def _placed(row: Row) -> bool:
     """ADD-S under a tenth of the diameter."""
     return bool(row["right"] or row["adds_m"] < metrics.RECALL_FRACTION * row["diameter_m"])
 

@@ -13,6 +13,7 @@ import cv2
 import numpy as np
 
 from huepose.geometry.arrays import Float32, Float64, Int32, UInt8
+from huepose.geometry.shelves import on_shelves
 from huepose.onboarding.mesh_files import LARGEST_TEXTURE
 from huepose.onboarding.patches import LARGEST, equal_patches
 from huepose.onboarding.raw_mesh import RawMesh
@@ -150,7 +151,9 @@ def _atlas(uv: Float32, face_materials: Int32, pictures: list[UInt8]) -> tuple[F
     scale = 1.0
     while True:
         sizes = [tuple(max(2, round(s * scale)) for s in p.shape[:2]) for p in pictures]
-        places, width, height = _shelves(sizes)
+        framed = [(h + 2 * _MARGIN, w + 2 * _MARGIN) for h, w in sizes]
+        limit = max(max(w for _, w in framed), int(np.sqrt(sum(h * w for h, w in framed))) + 1)
+        places, width, height = on_shelves(framed, limit)
         if max(width, height) <= LARGEST:
             break
         scale *= 0.95
@@ -158,23 +161,9 @@ def _atlas(uv: Float32, face_materials: Int32, pictures: list[UInt8]) -> tuple[F
     out = uv.copy()
     for i, (picture, (h, w), (x, y)) in enumerate(zip(pictures, sizes, places, strict=True)):
         small = cv2.resize(picture, (w, h), interpolation=cv2.INTER_AREA)
-        framed = cv2.copyMakeBorder(small, _MARGIN, _MARGIN, _MARGIN, _MARGIN, cv2.BORDER_REPLICATE)
-        texture[y : y + h + 2 * _MARGIN, x : x + w + 2 * _MARGIN] = framed
+        texture[y : y + h + 2 * _MARGIN, x : x + w + 2 * _MARGIN] = cv2.copyMakeBorder(
+            small, _MARGIN, _MARGIN, _MARGIN, _MARGIN, cv2.BORDER_REPLICATE
+        )
         mine = face_materials == i
         out[mine] = (uv[mine] * [w, h] + [x + _MARGIN, y + _MARGIN]) / [width, height]
     return out.astype(np.float32), texture
-
-
-def _shelves(sizes: list[tuple[int, ...]]) -> tuple[list[tuple[int, int]], int, int]:
-    """Top-left places (x, y) of framed pictures (h, w), and the width and height of the whole."""
-    framed = [(h + 2 * _MARGIN, w + 2 * _MARGIN) for h, w in sizes]
-    limit = max(max(w for _, w in framed), int(np.sqrt(sum(h * w for h, w in framed))) + 1)
-    places = [(0, 0)] * len(sizes)
-    x = y = shelf = width = 0
-    for i in sorted(range(len(sizes)), key=lambda i: (-framed[i][0], i)):
-        h, w = framed[i]
-        if x + w > limit:
-            x, y, shelf = 0, y + shelf, 0
-        places[i] = (x, y)
-        x, shelf, width = x + w, max(shelf, h), max(width, x + w)
-    return places, width, y + shelf

@@ -25,6 +25,11 @@ _VIEWS = {
 }
 
 
+OPEN_TOP: Bool = np.ones((3, 3, 2), bool)
+OPEN_TOP[1, 1, 1] = False
+"""The cells of a box that is open above: walls, a floor, and the room within."""
+
+
 @dataclass(frozen=True, eq=False)
 class Chart:
     """corners (N, 3, 3) m: triangles, outward by the right-hand rule; flat (N, 3, 2) m: where their corners

@@ -16,7 +16,7 @@ from huepose.geometry import Camera, Mesh, se3
 from huepose.geometry.arrays import Float32, Float64, Rng, UInt8
 from huepose.rendering import render_depth
 from huepose.scenes import textures
-from huepose.scenes.charts import blocks
+from huepose.scenes.charts import OPEN_TOP, blocks
 from huepose.scenes.shapes import printed
 from huepose.scenes.textures import Palette
 
@@ -122,10 +122,8 @@ def open_box(half_side_m: float, height_m: float, rng: Rng) -> Mesh:
     """An open box with walls of 8 mm about the origin, one side up to a fifth longer than the other."""
     x, y = half_side_m * rng.uniform(1.0, 1.2), half_side_m
     z, wall = height_m / 2.0, 0.008
-    filled = np.ones((3, 3, 2), bool)
-    filled[1, 1, 1] = False
     lattice = [-x - wall, -x, x, x + wall], [-y - wall, -y, y, y + wall], [-z, wall - z, z]
-    charts = blocks(*lattice, filled, 0.05)
+    charts = blocks(*lattice, OPEN_TOP, 0.05)
     return printed(charts, [_plain] * len(charts), textures.palette(rng.uniform(), rng), rng, 256)
 
 

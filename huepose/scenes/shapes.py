@@ -13,8 +13,9 @@ import numpy as np
 
 from huepose.geometry.arrays import Float64, Rng, UInt8
 from huepose.geometry.mesh import Mesh
+from huepose.geometry.shelves import on_shelves
 from huepose.scenes import textures
-from huepose.scenes.charts import Chart, blocks, revolved
+from huepose.scenes.charts import OPEN_TOP, Chart, blocks, revolved
 from huepose.scenes.textures import Art, Palette
 
 TEXTURE_PX = 1024
@@ -82,9 +83,7 @@ def corner_bracket(p: Palette, rng: Rng) -> Mesh:
 def parts_tray(p: Palette, rng: Rng) -> Mesh:
     """An open box of 15 x 11 x 7 cm with walls of 9 mm."""
     x, y, z, wall = 0.075, 0.055, 0.035, 0.009
-    filled = np.ones((3, 3, 2), bool)
-    filled[1, 1, 1] = False
-    charts = blocks([-x, wall - x, x - wall, x], [-y, wall - y, y - wall, y], [-z, wall - z, z], filled)
+    charts = blocks([-x, wall - x, x - wall, x], [-y, wall - y, y - wall, y], [-z, wall - z, z], OPEN_TOP)
     words = (
         "WEST",
         "M4 x 12",
@@ -130,23 +129,14 @@ def printed(
 
 def _packed(sizes: Float64, texture_px: int) -> tuple[float, list[tuple[int, int]]]:
     """The most pixels per metre at which charts (N, 2) fit on shelves, and their top-left corners in px."""
+
+    def packed(density: float) -> tuple[list[tuple[int, int]], bool]:
+        pixels = np.maximum(8, (sizes * density).astype(int)) + GAP_PX
+        places, width, height = on_shelves([(int(h), int(w)) for w, h in pixels], texture_px)
+        return places, max(width, height) <= texture_px
+
     low, high = 100.0, 8000.0
     while high - low > 10.0:
         middle = (low + high) / 2
-        low, high = (middle, high) if _shelves(sizes, middle, texture_px) else (low, middle)
-    return low, _shelves(sizes, low, texture_px) or []
-
-
-def _shelves(sizes: Float64, density: float, texture_px: int) -> list[tuple[int, int]] | None:
-    pixels = np.maximum(8, (sizes * density).astype(int)) + GAP_PX
-    places = [(0, 0)] * len(sizes)
-    x = y = shelf = 0
-    for k in np.argsort(-pixels[:, 1], kind="stable"):
-        width, height = int(pixels[k, 0]), int(pixels[k, 1])
-        if x + width > texture_px:
-            x, y, shelf = 0, y + shelf, 0
-        if x + width > texture_px or y + height > texture_px:
-            return None
-        places[int(k)] = (x, y)
-        x, shelf = x + width, max(shelf, height)
-    return places
+        low, high = (middle, high) if packed(middle)[1] else (low, middle)
+    return low, packed(low)[0]

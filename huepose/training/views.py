@@ -140,14 +140,14 @@ class _Still:
     def seen(standing: list[tuple[Mesh, Float64]], camera: Camera, light: Light) -> _Still:
         """What a camera sees of it."""
         seen = render(standing, camera, normals=True)
-        return _Still(camera, light, _shone(seen, camera, light, 0), seen.depth, seen.normals_cam)
+        return _Still(camera, light, shone(seen, camera, light, 0), seen.depth, seen.normals_cam)
 
     def lit_with(self, mesh: Mesh, T_cam_obj: Float64, box: Box) -> Float32:
         """The light (H, W, 3) that comes in where the object stands too, without cast shadows."""
         window, part, seen = self._alone(mesh, T_cam_obj, box, color=True)
         out = self.shone.copy()
         ahead = _ahead(seen.depth, self.depth[window])
-        out[window][ahead] = _shone(seen, part, self.light, 1)[ahead]
+        out[window][ahead] = shone(seen, part, self.light, 1)[ahead]
         return out
 
     def with_one_more(self, mesh: Mesh, T_cam_obj: Float64, box: Box) -> tuple[Float32, Float32, Bool]:
@@ -172,8 +172,8 @@ def _ahead(depth: Float32, other: Float32) -> Bool:
     return np.asarray((depth > 0) & ((other == 0) | (depth < other)))
 
 
-def _shone(seen: Rendering, camera: Camera, light: Light, glossy: int) -> Float32:
-    """The light (H, W, 3) from what is seen; glossy: 1 where it shines."""
+def shone(seen: Rendering, camera: Camera, light: Light, glossy: int) -> Float32:
+    """The light (H, W, 3) from what is seen, without cast shadows; glossy: 1 where it shines."""
     total: Float32 = np.zeros((camera.height, camera.width, 3), np.float32)
     gloss = np.full(seen.depth.shape, glossy, np.uint8)
     args = (seen.color, seen.normals_cam, seen.depth, gloss, camera, np.eye(4), light, NO_SHADOW)

@@ -22,10 +22,9 @@ from huepose.propose.views import onto_rays
 from huepose.rendering.render import Rendering, render
 from huepose.scenes.camera import COLOR, STEREO
 from huepose.scenes.carried import random_strong_light
-from huepose.scenes.light import shine
 from huepose.scenes.sensor import expose, lost_in_bad_light, stereo_depth
 from huepose.training.shapes import random_object, random_rotation
-from huepose.training.views import NO_SHADOW, Props, random_unit
+from huepose.training.views import Props, random_unit, shone
 
 WIDE = 2
 """Width of a drawn window, in widths of the network's input."""
@@ -182,13 +181,11 @@ def _surroundings(
 
 def _color(rng: Rng, seen: Rendering, camera: Camera, ranges: WindowRange) -> UInt8:
     """The camera's picture (H, W, 3) of a rendering, in a random light, exposure and motion blur."""
-    light, gloss = random_strong_light(rng), np.uint8(rng.random() < 0.6)
-    shone: Float32 = np.zeros((camera.height, camera.width, 3), np.float32)
-    glossy = np.full(seen.depth.shape, gloss, np.uint8)
-    shine(seen.color, seen.normals_cam, seen.depth, glossy, camera, np.eye(4), light, NO_SHADOW, shone)
+    light = random_strong_light(rng)
+    linear = shone(seen, camera, light, int(rng.random() < 0.6))
     if rng.random() < ranges.blurred:
-        shone = np.asarray(cv2.filter2D(shone, -1, _motion(rng)), np.float32)
-    return expose(np.float32(2.0 ** rng.normal(0.0, 0.25)) * shone, COLOR, rng)
+        linear = np.asarray(cv2.filter2D(linear, -1, _motion(rng)), np.float32)
+    return expose(np.float32(2.0 ** rng.normal(0.0, 0.25)) * linear, COLOR, rng)
 
 
 def _motion(rng: Rng) -> Float32:

@@ -14,7 +14,7 @@ from huepose.geometry.arrays import Rng, UInt8
 from huepose.model import ReferenceModel, load_model, save_model
 from huepose.onboarding import onboard_mesh
 from huepose.scenes import textures
-from huepose.scenes.charts import blocks, revolved
+from huepose.scenes.charts import OPEN_TOP, blocks, revolved
 from huepose.scenes.shapes import demo_objects, printed
 from huepose.scenes.textures import Art, Palette
 from huepose.scenes.unseen.objects import unseen_objects
@@ -38,7 +38,7 @@ def builtin_meshes(seed: int) -> dict[str, Mesh]:
         [-0.07, -0.05, 0.05, 0.07],
         [-0.05, -0.035, 0.035, 0.05],
         [-0.03, -0.02, 0.03],
-        _hollow(),
+        OPEN_TOP,
     )
     can = revolved([_lid(-1), [(0.04, z) for z in np.linspace(-0.05, 0.05, 8)], _lid(1)])
     hues = rng.uniform() + np.arange(7) / 7.0
@@ -113,12 +113,6 @@ def _one_label(rng: Rng, height: int, width: int, p: Palette) -> UInt8:
     image, part = textures.plain(height, width, p.base), width // 3
     image[:, :part] = textures.front("OIL", "cold pressed", "BIO")(rng, height, part, p)
     return image
-
-
-def _hollow() -> np.ndarray:
-    filled = np.ones((3, 3, 2), bool)
-    filled[1, 1, 1] = False
-    return filled
 
 
 def _lid(side: int) -> list[tuple[float, float]]:

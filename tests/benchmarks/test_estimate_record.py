@@ -13,7 +13,7 @@ from huepose.support.errors import InputError
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[2] / "benchmarks"))
 
-from estimate_record import key_of, piece_of, summary
+from estimate import key_of, piece_of, summary
 
 
 def _row(scene: str, image: int, add_m: float) -> EstimateRow:

@@ -28,20 +28,19 @@ def read_submission(named: str, known_ids: Collection[int]) -> Submission:
     if not name or not path:
         raise InputError("--submission", found=named, expected="NAME=FILE.csv")
     broken: list[str] = []
-    by_image: dict[tuple[int, int], list[BopDetection]] = {}
+    found = []
     unknown = 0
     for result in read_bop_csv(Path(path), broken):
         unknown += result.object_id not in known_ids
         if result.scene.isdigit():
-            found = BopDetection(result.object_id, None, result.score, result.T_cam_obj)
-            by_image.setdefault((int(result.scene), result.image), []).append(found)
+            pose = BopDetection(result.object_id, None, result.score, result.T_cam_obj)
+            found.append((int(result.scene), result.image, pose))
     notes = []
     if broken:
         notes.append(f"{name}: {len(broken)} lines hold no pose ({broken[0]}); their labels are missed")
     if unknown:
         notes.append(f"{name}: {unknown} poses are of objects without a reference model")
-    ordered = {key: sorted(own, key=lambda d: -d.score) for key, own in by_image.items()}
-    return Submission(name, BopDetections(ordered), tuple(notes))
+    return Submission(name, BopDetections.ordered(found), tuple(notes))
 
 
 class AsGiven:

@@ -19,7 +19,7 @@ import numpy as np
 from huepose.datasets.bop import BopScene
 from huepose.datasets.boxes import disturbed, truth_box
 from huepose.datasets.types import GroundTruth, Scene
-from huepose.estimation import Estimator, EstimatorConfig, ObjectQuery, PoseEstimate
+from huepose.estimation import Estimator, EstimatorConfig, ObjectQuery
 from huepose.evaluation.calibration import Judged, judged, read_rows
 from huepose.evaluation.result_files import write_json
 from huepose.evaluation.summary import table
@@ -69,20 +69,13 @@ def answers_where_absent(estimator: Estimator, asked: Sequence[Question]) -> lis
     rows = []
     for q in progress(asked, "absent"):
         answer, _ = estimator.explain(q.scene.frame(q.image), ObjectQuery(q.model.name, q.box))
-        rows.append({**_row(answer, q.model), "scene": q.scene.name, "image": q.image,
-                     "instance": q.number, "shown": q.shown, "box": list(q.box)})  # fmt: skip
+        terms = None if answer.terms is None else asdict(answer.terms)
+        rows.append({
+            "object": object_number(q.model), "found": answer.found, "right": False,
+            "quality": answer.quality, "state": answer.state, "terms": terms, "scene": q.scene.name,
+            "image": q.image, "instance": q.number, "shown": q.shown, "box": list(q.box),
+        })  # fmt: skip
     return rows
-
-
-def _row(answer: PoseEstimate, model: ReferenceModel) -> dict[str, Any]:
-    return {
-        "object": object_number(model),
-        "found": answer.found,
-        "right": False,
-        "quality": answer.quality,
-        "state": answer.state,
-        "terms": None if answer.terms is None else asdict(answer.terms),
-    }
 
 
 def _places(
@@ -110,20 +103,14 @@ def read_absent(path: Path | str) -> Judged:
     return judged([], [row for row in [*rows, *false] if row.get("terms") is not None], path)
 
 
-def asking(description: str) -> argparse.ArgumentParser:
-    """A parser of scenes, models, the result file, which objects to ask for and the method."""
-    parser = argparse.ArgumentParser(description=description)
+def main(words: Sequence[str] | None = None) -> None:
+    """Ask, print how often something is found and how often it is acquired."""
+    parser = argparse.ArgumentParser(description="How often something is found where the object is not.")
     parser.add_argument("--bop", type=Path, nargs="+", required=True, metavar="SCENE_DIR")
     parser.add_argument("--bundles", type=Path, required=True, metavar="DIR")
     parser.add_argument("--json", type=Path, required=True, metavar="FILE")
     parser.add_argument("--objects", nargs="+", default=None, metavar="ID")
     parser.add_argument("--method", choices=("full", "colorpair"), default="full")
-    return parser
-
-
-def main(words: Sequence[str] | None = None) -> None:
-    """Ask, print how often something is found and how often it is acquired."""
-    parser = asking("How often something is found where the object is not.")
     parser.add_argument("--per-frame", type=int, default=3, metavar="N", help="questions a frame (3)")
     arguments = parser.parse_args(words)
     models = load_models(arguments.bundles)

@@ -148,11 +148,17 @@ def write_models_folder(folder: Path, meshes: Mapping[str, Mesh], object_ids: Ma
         for name, mesh in meshes.items():
             stem = f"obj_{object_ids[name]:06d}"
             write_obj(folder / f"{stem}.obj", mesh, scale=1000.0)
-            low, high = 1000.0 * mesh.vertices.min(0), 1000.0 * mesh.vertices.max(0)
-            sizes = {f"size_{axis}": float(s) for axis, s in zip("xyz", high - low, strict=True)}
-            lows = {f"min_{axis}": float(s) for axis, s in zip("xyz", low, strict=True)}
-            infos[str(object_ids[name])] = {"name": name, **lows, **sizes}
+            infos[str(object_ids[name])] = {"name": name, **extents_mm(mesh)}
         (folder / "models_info.json").write_text(json.dumps(infos, indent=1))
+
+
+def extents_mm(mesh: Mesh) -> dict[str, float]:
+    """`min_x` and so on, `size_x` and so on, as models_info.json has them."""
+    points = 1000.0 * mesh.vertices.astype(np.float64)
+    parts = {"min": points.min(0), "size": np.ptp(points, axis=0)}
+    return {
+        f"{part}_{axis}": float(v) for part, row in parts.items() for axis, v in zip("xyz", row, strict=True)
+    }
 
 
 def write_ply(path: Path, mesh: Mesh, scale: float = 1.0) -> None:

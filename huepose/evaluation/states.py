@@ -76,11 +76,6 @@ class StateReport:
             return 100.0 * self.tracking_frames / self.coverable_frames
         return 0.0 if self.visible_frames else None
 
-    @property
-    def false_tracking_rate(self) -> float:
-        """Percent of all frames."""
-        return 100.0 * self.false_tracking_frames / self.frames if self.frames else 0.0
-
 
 def report(moments: Sequence[Moment]) -> StateReport:
     """Judge the frames of one instance, in order."""

@@ -8,7 +8,7 @@ tables of the paper's method are built from the coarse ones (`paper.tables`) on 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -61,74 +61,64 @@ class Scale:
         return float(np.clip(diameter_m * 1000 * self.pixels_per_mm, self.min_pixels, self.max_pixels))
 
 
-@dataclass(frozen=True)
-class ReferenceConfig:
-    """coarse, fine: resolutions of the views, for hypotheses (large texture, few pairs) and for verification
-    (small texture); level: of the icosphere of view directions; min_facing: least cosine of the viewing angle
-    at a pair; max_pairs: rows per scale; merge: distance, in diameters, within which pairs of different views
-    are one."""
+COARSE, FINE = Scale(0.75, 110.0, 190.0), Scale(1.0, 130.0, 240.0)
+"""Of the views for hypotheses (large texture, few pairs) and for verification (small texture)."""
 
-    coarse: Scale = Scale(0.75, 110.0, 190.0)
-    fine: Scale = Scale(1.0, 130.0, 240.0)
-    level: int = 1
-    min_facing: float = 0.35
-    max_pairs: int = 8000
-    merge: float = 0.012
-    extraction: ExtractionConfig = field(default_factory=lambda: ExtractionConfig(max_pairs=4000))
+LEVEL = 1
+"""Of the icosphere of view directions."""
+
+MIN_FACING = 0.35
+"""Least cosine of the viewing angle at a pair."""
+
+MAX_PAIRS = 8000
+"""Rows of a scale."""
+
+MERGE = 0.012
+"""Distance, in diameters, within which pairs of different views are one."""
+
+EXTRACTION = ExtractionConfig(max_pairs=4000)
 
 
-def reference_cameras(
-    diameter_m: float, config: ReferenceConfig | None = None
-) -> list[tuple[Camera, Float64]]:
+def reference_cameras(diameter_m: float) -> list[tuple[Camera, Float64]]:
     """The views that the database is made of: cameras and poses `T_cam_obj` of an object centred on its
     origin, coarse and fine.
 
     For an object with its centre elsewhere, compose with the translation that centres it.
     """
-    config = config or ReferenceConfig()
-    distance = DISTANCE * diameter_m
-    t = np.array([0.0, 0.0, distance])
+    t = np.array([0.0, 0.0, DISTANCE * diameter_m])
     views = []
-    for scale in (config.coarse, config.fine):
+    for scale in (COARSE, FINE):
         pixels = scale.pixels(diameter_m)
         side = int(np.ceil(pixels * 1.1)) + 8
         focal = pixels * DISTANCE
         camera = Camera(focal, focal, (side - 1) / 2, (side - 1) / 2, side, side)
-        views += [(camera, se3.make(icosphere.look_at(d), t)) for d in icosphere.directions(config.level)]
+        views += [(camera, se3.make(icosphere.look_at(d), t)) for d in icosphere.directions(LEVEL)]
     return views
 
 
-def coarse_and_fine(
-    views: Sequence[PairView], diameter_m: float, config: ReferenceConfig | None = None
-) -> tuple[MergedPairs, MergedPairs]:
+def coarse_and_fine(views: Sequence[PairView], diameter_m: float) -> tuple[MergedPairs, MergedPairs]:
     """The colour pairs of a model at both scales, from the views of `reference_cameras`, in any order.
 
     Views count as coarse or fine by their focal length, whichever is nearer. An object without texture has
     few pairs or none. Raises InputError without views.
     """
-    config = config or ReferenceConfig()
     if not views:
         raise InputError("colour pairs of a model", found="no views", expected="at least one rendered view")
-    limits = [scale.pixels(diameter_m) * DISTANCE for scale in (config.coarse, config.fine)]
+    limits = [scale.pixels(diameter_m) * DISTANCE for scale in (COARSE, FINE)]
     is_fine = [abs(v.camera.fx - limits[1]) < abs(v.camera.fx - limits[0]) for v in views]
     coarse, fine = (
-        MergedPairs(
-            *merged(
-                *_all_pairs([v for v, f in zip(views, is_fine, strict=True) if f == wanted], config),
-                config.merge * diameter_m,
-                config.max_pairs,
-            )
+        merged(
+            *_all_pairs([v for v, f in zip(views, is_fine, strict=True) if f == wanted]),
+            MERGE * diameter_m,
+            MAX_PAIRS,
         )
         for wanted in (False, True)
     )
     return coarse, fine
 
 
-def pair_reference(
-    coarse: MergedPairs, fine: MergedPairs, diameter_m: float, config: ReferenceConfig | None = None
-) -> PairReference:
+def pair_reference(coarse: MergedPairs, fine: MergedPairs, diameter_m: float) -> PairReference:
     """The pairs of both scales as a model keeps them, the rows of coarse ones first."""
-    config = config or ReferenceConfig()
     every = SurfacePairs.joined([coarse.pairs, fine.pairs])
     return PairReference(
         points=every.points,
@@ -138,36 +128,33 @@ def pair_reference(
         views=np.concatenate([coarse.views, fine.views]),
         parameters={
             "coarse_pairs": float(len(coarse.pairs)),
-            "coarse_pixels_per_m": config.coarse.pixels(diameter_m) / diameter_m,
-            "fine_pixels_per_m": config.fine.pixels(diameter_m) / diameter_m,
+            "coarse_pixels_per_m": COARSE.pixels(diameter_m) / diameter_m,
+            "fine_pixels_per_m": FINE.pixels(diameter_m) / diameter_m,
         },
     )
 
 
-def _all_pairs(views: Sequence[PairView], config: ReferenceConfig) -> tuple[SurfacePairs, Int32]:
+def _all_pairs(views: Sequence[PairView]) -> tuple[SurfacePairs, Int32]:
     """Pairs of all views in the object's frame, and the view that each came from."""
     if not views:
         return SurfacePairs.empty(), np.zeros(0, np.int32)
     parts, owners = [], []
     for index, view in enumerate(views):
         seen = view.depth > 0
-        pairs = extract(view.color, seen, config.extraction)
+        pairs = extract(view.color, seen, EXTRACTION)
         lifted, _ = lift(
-            pairs, view.depth, seen, view.camera, radius_px=2, gate_m=0.02, min_facing=config.min_facing
+            pairs, view.depth, seen, view.camera, radius_px=2, gate_m=0.02, min_facing=MIN_FACING
         )
         parts.append(lifted.transformed(se3.inverse(view.T_cam_obj)))
         owners.append(np.full(len(lifted), index, np.int32))
     return SurfacePairs.joined(parts), np.concatenate(owners)
 
 
-def merged(
-    pairs: SurfacePairs, owners: Int32, radius_m: float, limit: int
-) -> tuple[SurfacePairs, Int32, Int32]:
-    """Merge pairs of one position, direction and similar colours: position and edge of the sharpest, mean
-    colours of all. Also returns the view of each and how many views saw it; most-seen pairs first, at most
-    `limit`."""
+def merged(pairs: SurfacePairs, owners: Int32, radius_m: float, limit: int) -> MergedPairs:
+    """Pairs of one position, direction and similar colours as one: position and edge of the sharpest, mean
+    colours of all; at most `limit`."""
     if not len(pairs):
-        return pairs, owners, np.zeros(0, np.int32)
+        return MergedPairs(pairs, owners, np.zeros(0, np.int32))
     contrast = np.linalg.norm(pairs.colors[:, 1] - pairs.colors[:, 0], axis=1)
     order = np.argsort(-contrast, kind="stable")
     pairs, owners = pairs[order], owners[order]
@@ -186,11 +173,8 @@ def merged(
     heads = heads[np.argsort(-seen[heads], kind="stable")][:limit]
     mean = (total[heads] / weight[heads][:, None, None]).astype(np.float32)
     chosen = pairs[heads]
-    return (
-        SurfacePairs(chosen.points, chosen.normals, chosen.tangents, mean),
-        owners[heads],
-        seen[heads],
-    )
+    pairs = SurfacePairs(chosen.points, chosen.normals, chosen.tangents, mean)
+    return MergedPairs(pairs, owners[heads], seen[heads])
 
 
 @jit

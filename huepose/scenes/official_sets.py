@@ -17,7 +17,7 @@ from scipy.spatial import ConvexHull
 from scipy.spatial.distance import pdist
 
 from huepose.datasets.bop import BopScene
-from huepose.datasets.bop_writer import write_ply
+from huepose.datasets.bop_writer import extents_mm, write_ply
 from huepose.datasets.fast_ycb import FastYcbFrame, write_fast_ycb
 from huepose.datasets.types import GONE
 from huepose.geometry import Mesh, se3
@@ -103,11 +103,9 @@ def _write_models(out: Path, objects: Sequence[SetObject]) -> None:
             path.parent.mkdir(parents=True, exist_ok=True)
             write_ply(path, obj.mesh, scale=1000.0)
         points = 1000.0 * obj.mesh.vertices.astype(np.float64)
-        low, size = points.min(0), np.ptp(points, axis=0)
         infos[str(obj.object_id)] = {
             "diameter": float(pdist(points[ConvexHull(points).vertices]).max()),
-            **{f"min_{axis}": float(v) for axis, v in zip("xyz", low, strict=True)},
-            **{f"size_{axis}": float(v) for axis, v in zip("xyz", size, strict=True)},
+            **extents_mm(obj.mesh),
             **obj.info,
             "name": obj.name,
         }

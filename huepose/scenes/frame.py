@@ -68,9 +68,8 @@ class Labels:
     box_visib: tuple[Box | None, ...]
 
 
-def labels(stage: Stage, i: int, camera: Camera | None = None) -> Labels:
-    """The truth of frame i, by rendering; a smaller `camera` makes it cheap and rough."""
-    camera = camera or stage.camera
+def labels(stage: Stage, i: int, camera: Camera) -> Labels:
+    """The truth of frame i, by rendering; a smaller `camera` than the stage's makes it cheap and rough."""
     scene = stage.in_camera(i)
     return _labels(scene[: stage.labelled], render(scene, camera, color=False).object_index, camera)
 

@@ -8,7 +8,7 @@ drawn twice as wide as the network sees it, so that training can shift and enlar
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from typing import NamedTuple
 
 import cv2
@@ -38,26 +38,21 @@ TRIES = 3
 WIDTH, HEIGHT = 640, 480
 
 
-@dataclass(frozen=True)
-class WindowRange:
-    """The range of scenes. diameter_m, distance_m, focal_px: lower and upper bound; far_m: bounds of the
-    distance in the share `far` of the windows. Shares of the windows: on_ground, with a wall, something
-    in_front, blurred by motion, with depth of a stereo or of a time-of-flight camera (flight), else exact.
-    shown: least visible share of the object. piled: share with things all round the object, as in a pile."""
+DIAMETER_M, DISTANCE_M, FOCAL_PX = (0.06, 0.35), (0.4, 1.0), (450.0, 950.0)
+"""Bounds of what is drawn."""
 
-    diameter_m: tuple[float, float] = (0.06, 0.35)
-    distance_m: tuple[float, float] = (0.4, 1.0)
-    far_m: tuple[float, float] = (0.7, 1.9)
-    focal_px: tuple[float, float] = (450.0, 950.0)
-    far: float = 0.4
-    on_ground: float = 0.8
-    wall: float = 0.4
-    in_front: float = 0.35
-    blurred: float = 0.3
-    stereo: float = 0.65
-    flight: float = 0.2
-    shown: float = 0.25
-    piled: float = 0.35
+FAR, FAR_M = 0.4, (0.7, 1.9)
+"""Share of the windows that are farther away, and bounds of their distance."""
+
+ON_GROUND, WALL, IN_FRONT, PILED, BLURRED = 0.8, 0.4, 0.35, 0.35, 0.3
+"""Shares of the windows: on a ground, with a wall, with something in front, with things all round the object
+as in a pile, blurred by motion."""
+
+STEREO_SHARE, FLIGHT_SHARE = 0.65, 0.2
+"""Shares of the windows with depth of a stereo and of a time-of-flight camera; the others' is exact."""
+
+SHOWN = 0.25
+"""Least visible share of the object."""
 
 
 class Drawn(NamedTuple):
@@ -72,26 +67,25 @@ class Drawn(NamedTuple):
     rotations: Float32
 
 
-def endless(seed: int, stream: int, ranges: WindowRange | None = None) -> Iterator[Drawn]:
+def endless(seed: int, stream: int) -> Iterator[Drawn]:
     """Random objects without end; the same seed and stream give the same ones."""
-    ranges = ranges or WindowRange()
     rng = np.random.default_rng([seed, stream])
     props = Props(rng)
     while True:
-        drawn = draw_object(rng, props, ranges)
+        drawn = draw_object(rng, props)
         if drawn is not None:
             yield drawn
 
 
-def draw_object(rng: Rng, props: Props, ranges: WindowRange) -> Drawn | None:
+def draw_object(rng: Rng, props: Props) -> Drawn | None:
     """One random object with its windows and views; None where too few windows show it."""
-    low, high = np.log(ranges.diameter_m)
+    low, high = np.log(DIAMETER_M)
     mesh = random_object(rng, float(np.exp(rng.uniform(low, high))))
     some = mesh.vertices[rng.integers(len(mesh.vertices), size=300)]
     diameter_m = float(np.linalg.norm(some[:, None] - some[None], axis=-1).max())
     windows = []
     for _ in range(TRIES * WINDOWS):
-        window = _window(rng, mesh, diameter_m, props, ranges)
+        window = _window(rng, mesh, diameter_m, props)
         if window is not None:
             windows.append(window)
         if len(windows) == WINDOWS:
@@ -107,12 +101,12 @@ def draw_object(rng: Rng, props: Props, ranges: WindowRange) -> Drawn | None:
 
 
 def _window(
-    rng: Rng, mesh: Mesh, diameter_m: float, props: Props, ranges: WindowRange
+    rng: Rng, mesh: Mesh, diameter_m: float, props: Props
 ) -> tuple[UInt8, np.ndarray, Float32] | None:
     """Colours, relief and rotation of one window; None where too little of the object is visible."""
-    focal = rng.uniform(*ranges.focal_px)
+    focal = rng.uniform(*FOCAL_PX)
     whole = Camera(focal, focal, (WIDTH - 1) / 2, (HEIGHT - 1) / 2, WIDTH, HEIGHT)
-    z = rng.uniform(*(ranges.far_m if rng.random() < ranges.far else ranges.distance_m))
+    z = rng.uniform(*(FAR_M if rng.random() < FAR else DISTANCE_M))
     pixel = rng.uniform([40.0, 40.0], [WIDTH - 40.0, HEIGHT - 40.0])
     centre = whole.backproject(pixel[None], np.array([z]))[0]
     R = random_rotation(rng)
@@ -123,14 +117,12 @@ def _window(
     alone = render([(mesh, T)], camera, color=False).depth
     inside = np.zeros(alone.shape, bool)
     inside[max(0, -top) : HEIGHT - top, max(0, -left) : WIDTH - left] = True
-    seen = render(
-        [(mesh, T), *_surroundings(rng, mesh, T, centre, diameter_m, props, ranges)], camera, normals=True
-    )
+    seen = render([(mesh, T), *_surroundings(rng, mesh, T, centre, diameter_m, props)], camera, normals=True)
     own = (alone > 0) & (np.abs(seen.depth - alone) < 1e-4) & inside
-    if own.sum() < max(60, ranges.shown * (alone > 0).sum()):
+    if own.sum() < max(60, SHOWN * (alone > 0).sum()):
         return None
-    color = _color(rng, seen, camera, ranges)
-    depth = np.where(inside, _depth(rng, seen, color, camera, ranges), np.float32(0.0))
+    color = _color(rng, seen, camera)
+    depth = np.where(inside, _depth(rng, seen, color, camera), np.float32(0.0))
     rows, columns = np.nonzero(alone)
     middle, median = np.array([columns.mean(), rows.mean()]), float(np.median(alone[rows, columns]))
     span_px = SPAN * diameter_m / median * focal
@@ -142,20 +134,20 @@ def _window(
 
 
 def _surroundings(
-    rng: Rng, mesh: Mesh, T: Float64, centre: Float64, diameter_m: float, props: Props, ranges: WindowRange
+    rng: Rng, mesh: Mesh, T: Float64, centre: Float64, diameter_m: float, props: Props
 ) -> list[tuple[Mesh, Float64]]:
     """Meshes and poses around the object: the ground that it stands on, a wall, other things, an occluder."""
     out: list[tuple[Mesh, Float64]] = []
     towards = -centre / np.linalg.norm(centre)
     up, foot = None, centre
-    if rng.random() < ranges.on_ground:
+    if rng.random() < ON_GROUND:
         up = random_unit(rng)
         while up @ towards < 0.2:
             up = random_unit(rng)
         low = float((se3.apply(T, mesh.vertices) @ up).min())
         foot = centre + up * (low - centre @ up - abs(rng.normal(0.0, 0.002)))
         out.append((props.ground(), _lying(rng, up, foot)))
-    if up is None or rng.random() < ranges.wall:
+    if up is None or rng.random() < WALL:
         behind = rng.uniform(0.5, 3.0) * diameter_m + rng.uniform(0.0, 1.5) * (rng.random() < 0.4)
         facing = towards + 0.5 * rng.normal(size=3)
         at = centre - behind * towards
@@ -169,21 +161,21 @@ def _surroundings(
             at = foot + side / np.linalg.norm(side) * (rng.uniform(0.3, 1.1) * diameter_m + 0.03)
             at = at - up * float((thing.vertices @ turn.T @ up).min())
         out.append((thing, se3.make(turn, at)))
-    if rng.random() < ranges.piled:
+    if rng.random() < PILED:
         for _ in range(int(rng.integers(4, 10))):
             at = centre + random_unit(rng) * rng.uniform(0.4, 0.9) * diameter_m
             out.append((props.thing(), se3.make(random_rotation(rng), at)))
-    if rng.random() < ranges.in_front:
+    if rng.random() < IN_FRONT:
         aside = np.array([*(rng.normal(0.0, 0.5, 2) * diameter_m), 0.0])
         out.append((props.thing(), se3.make(random_rotation(rng), centre * rng.uniform(0.7, 0.9) + aside)))
     return out
 
 
-def _color(rng: Rng, seen: Rendering, camera: Camera, ranges: WindowRange) -> UInt8:
+def _color(rng: Rng, seen: Rendering, camera: Camera) -> UInt8:
     """The camera's picture (H, W, 3) of a rendering, in a random light, exposure and motion blur."""
     light = random_strong_light(rng)
     linear = shone(seen, camera, light, int(rng.random() < 0.6))
-    if rng.random() < ranges.blurred:
+    if rng.random() < BLURRED:
         linear = np.asarray(cv2.filter2D(linear, -1, _motion(rng)), np.float32)
     return expose(np.float32(2.0 ** rng.normal(0.0, 0.25)) * linear, COLOR, rng)
 
@@ -198,14 +190,14 @@ def _motion(rng: Rng) -> Float32:
     return np.asarray(kernel / kernel.sum(), np.float32)
 
 
-def _depth(rng: Rng, seen: Rendering, color: UInt8, camera: Camera, ranges: WindowRange) -> Float32:
+def _depth(rng: Rng, seen: Rendering, color: UInt8, camera: Camera) -> Float32:
     """The depth (H, W) that a random kind of depth camera measures, metres; 0 without a reading."""
     which = rng.random()
-    if which < ranges.stereo:
+    if which < STEREO_SHARE:
         sensor = replace(STEREO, subpixel=rng.uniform(0.04, 0.15))
         depth = stereo_depth(seen.depth, seen.normals_cam, camera, sensor, rng)
         return lost_in_bad_light(depth, color, rng) if rng.random() < 0.3 else depth
-    if which < ranges.stereo + ranges.flight:
+    if which < STEREO_SHARE + FLIGHT_SHARE:
         noise = rng.normal(0.0, 0.0015, seen.depth.shape) * (seen.depth > 0)
         depth = (seen.depth + noise).astype(np.float32)
         return np.where(_edges(rng, seen.depth), np.float32(0.0), depth) if rng.random() < 0.8 else depth

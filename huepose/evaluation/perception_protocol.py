@@ -11,7 +11,6 @@ import numpy as np
 
 from huepose.datasets.boxes import disturbed, truth_box
 from huepose.datasets.types import GroundTruth, Sample, Scene
-from huepose.estimation.config import StandingConfig
 from huepose.estimation.reasons import overlap
 from huepose.estimation.standing import standing_answers
 from huepose.estimation.types import ObjectQuery, PoseEstimate
@@ -31,14 +30,11 @@ SAME = 0.5
 @dataclass(frozen=True)
 class PerceptionOptions:
     """judged: most proposals of one object that the estimator looks at; least: score of a proposal that is
-    worth it; accepted: probability that the object is there from which a pose stands; min_visib: labels under
-    it are neither asked for nor false; onboarded: numbers of objects that are asked for; subsets: how many
-    random choices of each number; masks: whether outlines are measured."""
+    worth it; onboarded: numbers of objects that are asked for; subsets: how many random choices of each;
+    masks: whether outlines are measured. Labels that are hardly visible are neither asked for nor false."""
 
     judged: int = 2
     least: float = 0.0
-    accepted: float = StandingConfig().present
-    min_visib: float = 0.3
     onboarded: tuple[int, ...] = (5, 10, 20)
     subsets: int = 10
     masks: bool = True
@@ -50,9 +46,6 @@ class _Label:
     truth: GroundTruth
     model: ReferenceModel
     box: Box
-
-    def counted(self, options: PerceptionOptions) -> bool:
-        return self.truth.shows(options.min_visib)
 
 
 def evaluate_perception(
@@ -126,13 +119,10 @@ class _FrameRun:
         answers = self.estimator.estimate(sample.frame, queries) if queries else []
         seconds = time.perf_counter() - start
         by_object = {name: [d for d in detections if d.object == name] for name in names}
-        rows = [
-            self._row(label, by_object[label.model.name]) for label in self.labels if label.counted(options)
-        ]
-        level = StandingConfig(options.accepted)
+        rows = [self._row(label, by_object[label.model.name]) for label in self.labels if label.truth.visible]
 
         def verdict(asked: Sequence[str]) -> tuple[dict[int, PoseEstimate], list[FalseBox]]:
-            return self._assigned(standing_answers([a for a in answers if a.object in set(asked)], level))
+            return self._assigned(standing_answers([a for a in answers if a.object in set(asked)]))
 
         return FrameFigures(sample.scene, sample.image, rows, names, verdict, found_s, seconds)
 
@@ -181,7 +171,7 @@ class _FrameRun:
             best = max(mine, key=lambda x: x.box.iou(box), default=None)
             if best is not None and best.box.iou(box) >= SAME:
                 taken[best.truth.instance] = pose
-            elif best is None or best.counted(self.options) or best.box.iou(box) == 0.0:
+            elif best is None or best.truth.visible or best.box.iou(box) == 0.0:
                 model = self.targets.models_by_name[pose.object]
                 where = (self.sample.scene, self.sample.image, object_number(model), model.name)
                 false.append(FalseBox(*where, box, pose.quality, _shown(self.labels, box)))
